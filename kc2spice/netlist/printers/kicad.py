@@ -8,7 +8,6 @@ text is ``templates/kicad.j2``.
 
 from __future__ import annotations
 
-import json
 import re
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
@@ -195,7 +194,9 @@ def project(deck: Deck) -> dict[str, str]:
     used = [*drawn.values(), *{s.name: s for s in plain.values()}.values()]
     return {
         f"{deck.name}.kicad_sch": _sheet(deck.name, title, items, commands, plain),
-        f"{deck.name}.kicad_pro": _settings(deck.name),
+        f"{deck.name}.kicad_pro": render(
+            "kicad_project.j2", name=deck.name, sheet=_uuid(deck.name, "sheet")
+        ),
         f"{deck.name}.wbk": _workbook(deck, top, commands),
         f"{LIBRARY}.kicad_sym": library(used),
         "sym-lib-table": (
@@ -343,17 +344,6 @@ def _grounds(items: list[_Item], plain: dict[str, Symbol]) -> Iterator[_Item]:
         yield _Item(symbol, fields, ("0",), x=x, y=y, turn=turn)
 
 
-def _settings(name: str) -> str:
-    ngspice = {"meta": {"version": 0}, "model_mode": 0, "workbook_filename": f"{name}.wbk"}
-    content = {
-        "meta": {"filename": f"{name}.kicad_pro", "version": 1},
-        "schematic": {"meta": {"version": 1}, "ngspice": ngspice},
-        "sheets": [[_uuid(name, "sheet"), "Root"]],
-        "text_variables": {},
-    }
-    return json.dumps(content, indent=2) + "\n"
-
-
 def _workbook(deck: Deck, top: Scope, commands: list[str]) -> str:
     """KiCad's saved simulation set-up: the analysis and four node voltages of the deck's results,
     the first of every part before any second one."""
@@ -367,31 +357,8 @@ def _workbook(deck: Deck, top: Scope, commands: list[str]) -> str:
     nodes = [*first.values(), *results.values()]
     present = {node.lower(): node for part in top.elements for node in part.nodes}
     names = [present[n] for n in dict.fromkeys(nodes) if n in present][: len(_COLOURS)]
-    gain = kind == "AC"
-    traces = [
-        {
-            "color": colour,
-            "signal": f"V({name})" + (" (gain)" if gain else ""),
-            "trace_type": 521 if gain else 257,
-        }
-        for name, colour in zip(names, _COLOURS, strict=False)
-    ]
-    tab = {
-        "analysis": kind,
-        "commands": [analysis, ".kicad adjustpaths", ".save all"],
-        "dottedSecondary": True,
-        "margins": {"bottom": 45, "left": 70, "right": 70, "top": 30},
-        "measurements": [],
-        "showGrid": True,
-        "traces": traces,
-    }
-    content = {
-        "last_sch_text_sim_command": analysis,
-        "tabs": [tab],
-        "user_defined_signals": [],
-        "version": 6,
-    }
-    return json.dumps(content, indent=2) + "\n"
+    traces = list(zip(names, _COLOURS, strict=False))
+    return render("kicad_workbook.j2", analysis=analysis, kind=kind, traces=traces)
 
 
 def _uuid(*what: object) -> str:

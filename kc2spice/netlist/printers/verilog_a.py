@@ -283,7 +283,7 @@ def _contribute(part: Element, names: Names) -> None:
     a branch of its name."""
     module = names.module
     if part.kind == "k":
-        module.laws += _mutual(part, names, _value(part, names))
+        module.laws += _mutual(part, names)
         return
     a, b = (names.node(n) for n in part.nodes[:2]) if part.nodes else ("", "")
     through, across = f"I({a},{b})", f"V({a},{b})"
@@ -303,31 +303,29 @@ def _contribute(part: Element, names: Names) -> None:
 
 def _right(part: Element, names: Names, across: str) -> str:
     """What an element without an expression contributes."""
-    value = _value(part, names) if part.kind in "rclegfh" else ""
     own = f"I({names.branch(part.name)})"
     match part.kind:
         case "r":
-            return f"{across}/{value}"
+            return f"{across}/{_value(part, names)}"
         case "c":
             # of equal products inside of ddt, OpenVAF (Reloaded, 2026-08) now and then gives
             # the derivative of one to the node of another
-            name = f"charge_{names.prefix}{part.key}"
-            return f"ddt({names.module.variable(name, f'{value}*{across}')})"
+            charge = f"{_value(part, names)}*{across}"
+            return f"ddt({names.module.variable(f'charge_{names.prefix}{part.key}', charge)})"
         case "l":
-            return f"ddt({value}*{own})"
+            return f"ddt({_value(part, names)}*{own})"
         case "e" | "g":
-            return f"{value}*{names.across(part.nodes[2:])}"
+            return f"{_value(part, names)}*{names.across(part.nodes[2:])}"
         case "f" | "h":
-            return f"{value}*I({names.branch(part.sources[0])})"
+            return f"{_value(part, names)}*I({names.branch(part.sources[0])})"
         case "s":
             return f"{across}/{_switch(part, names)}"
         case "i":
-            return names.value(_steady(part))
+            return _steady(part, names)
         case "v":
             # OpenVAF makes one node of the ends of a plain 0 V, and its current zero
             read = part.key in _currents(names.scope)
-            series = f" + {number(SERIES)}*{own}" if read else ""
-            return names.value(_steady(part)) + series
+            return _steady(part, names) + (f" + {number(SERIES)}*{own}" if read else "")
     raise _unsaid(part)
 
 
@@ -337,17 +335,16 @@ def _unsaid(part: Element) -> UsageError:
 
 def _value(part: Element, names: Names) -> str:
     """The one value of a card; a second one, a multiplier or a model would be left out."""
-    known = {"ic"} if part.kind == "c" else set()
-    if len(part.values) != 1 or set(part.settings) - known:
+    if len(part.values) != 1 or set(part.settings) - ({"ic"} if part.kind == "c" else set()):
         raise _unsaid(part)
     return names.value(part.values[0])
 
 
-def _steady(part: Element) -> str:
+def _steady(part: Element, names: Names) -> str:
     """Value of a source that never changes; a waveform that stays at zero is one."""
     words = [w for w in part.values if w.lower() != "dc"]
     if len(words) == 1 and "(" not in words[0].partition("{")[0]:
-        return words[0]
+        return names.value(words[0])
     wave, _, inside = " ".join(words).rstrip(")").partition("(")
     listed = inside.replace(",", " ").split() if wave.strip().lower() == "pwl" else []
     points = [literal(word, where=part.where) for word in listed]
@@ -359,8 +356,7 @@ def _steady(part: Element) -> str:
 def _switch(part: Element, names: Names) -> str:
     """Resistance of a switch without hysteresis."""
     model = names.scope.models.get(part.model.lower())
-    found = {k.lower(): v for k, v in model.parameters.items()} if model else {}
-    given = _SWITCH | found
+    given = _SWITCH | ({k.lower(): v for k, v in model.parameters.items()} if model else {})
     worth = {k: literal(v, where=names.where) for k, v in given.items()}
     if not model or worth.keys() != _SWITCH.keys() or None in worth.values() or worth["vh"]:
         raise UsageError("Verilog-A cannot say this switch", where=names.where, got=str(model))
@@ -368,16 +364,15 @@ def _switch(part: Element, names: Names) -> str:
     return f"({names.across(part.nodes[2:])} > {level} ? {on} : {off})"
 
 
-def _mutual(part: Element, names: Names, coupling: str) -> list[str]:
+def _mutual(part: Element, names: Names) -> list[str]:
     """Two contributions of ``M = k sqrt(L1 L2)``."""
     inductors = {e.key: e for e in names.scope.elements if e.kind == "l"}
     coils = [inductors[s.lower()] for s in part.sources if s.lower() in inductors]
     if len(coils) != 2:
         raise _unsaid(part)
-    first, second = coils
-    product = "*".join(names.value(e.values[0]) for e in (first, second))
-    one, two = names.branch(first.name), names.branch(second.name)
-    mutual = f"{coupling}*sqrt({product})"
+    product = "*".join(names.value(coil.values[0]) for coil in coils)
+    mutual = f"{_value(part, names)}*sqrt({product})"
+    one, two = (names.branch(coil.name) for coil in coils)
     return [f"V({one}) <+ ddt({mutual}*I({two}));", f"V({two}) <+ ddt({mutual}*I({one}));"]
 
 
