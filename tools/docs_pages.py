@@ -33,7 +33,7 @@ def on_files(files: Files, config: Any) -> Files:
 
 def parts_page() -> str:
     """Every part type with its pins, keys and a table that shows it."""
-    from kc2spice.scene.partdocs import part_docs
+    from kc2spice.scene.keys import part_docs
 
     return "\n".join([
         "# Parts",

@@ -208,18 +208,18 @@ def explain(caller: Caller, scene: str, set_: list[str] | None = None) -> None:
 
     from kc2spice.cli.tables import show_plan
     from kc2spice.core.progress import Clock
-    from kc2spice.scene.hash import scene_hash
     from kc2spice.scene.load import load_scene
-    from kc2spice.scene.plan import plan
+    from kc2spice.scene.model import scene_hash
+    from kc2spice.scene.parttype import Build
     from kc2spice.workflow.models import build_models
 
     loaded = load_scene(scene, set_ or [])
-    build = build_models(loaded, Clock()) if loaded.analysis.type == "transient" else None
-    limit = None if build is None else build.largest
-    found, digest = plan(loaded, build), scene_hash(loaded)
-    step = None if limit is None else {"s": limit.step, "why": limit.why}
-    record = {"scene": loaded.name, "hash": digest, "largest_step": step, **asdict(found)}
-    caller.answer(record, lambda: show_plan(loaded, digest, found, limit))
+    timed = loaded.analysis.type == "transient"
+    build = build_models(loaded, Clock()) if timed else Build(loaded, {})
+    step = None if build.largest is None else {"s": build.largest.step, "why": build.largest.why}
+    head = {"scene": loaded.name, "hash": scene_hash(loaded), "largest_step": step}
+    record = {**head, **asdict(build.plan)}
+    caller.answer(record, lambda: show_plan(record, loaded.title))
 
 
 @_command
@@ -228,9 +228,8 @@ def scenes(caller: Caller, keys: bool = False, parts: bool = False) -> None:
     from dataclasses import asdict
 
     from kc2spice.cli.tables import show_keys, show_parts
-    from kc2spice.scene.keys import scene_keys
+    from kc2spice.scene.keys import part_docs, scene_keys
     from kc2spice.scene.load import gallery, load_scene
-    from kc2spice.scene.partdocs import part_docs
 
     if keys and parts:
         raise UsageError("give either --keys or --parts", where="scenes")

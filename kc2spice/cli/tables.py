@@ -13,11 +13,7 @@ from kc2spice.cli.console import COLUMNS, print_table
 if TYPE_CHECKING:
     from kc2spice.cli.doctor import Finding
     from kc2spice.report.html import Section
-    from kc2spice.scene.keys import Key
-    from kc2spice.scene.model import Scene
-    from kc2spice.scene.partdocs import PartDoc
-    from kc2spice.scene.parttype import StepLimit
-    from kc2spice.scene.plan import Plan
+    from kc2spice.scene.keys import Key, PartDoc
 
 
 def show_sections(sections: Iterable[Section]) -> None:
@@ -62,19 +58,19 @@ def show_verdicts(found: Mapping[str, Mapping[str, Any]], directory: Path) -> No
     print(f"all of it, with errors and plots: {directory / 'verify.html'}")
 
 
-def show_plan(scene: Scene, digest: str, plan: Plan, limit: StepLimit | None) -> None:
+def show_plan(record: Mapping[str, Any], title: str) -> None:
     """What ``explain`` says."""
     from kc2spice.report.run_page import plan_sections
 
-    print(textwrap.fill(f"{scene.name}: {scene.title}", COLUMNS))
-    print(f"scene hash {digest}\n")
-    print_table("joined", [(line,) for line in plan.joins])
-    show_sections(plan_sections(plan))
-    budget = "X" if plan.error_budget is None else f"{plan.error_budget:g}"
+    print(textwrap.fill(f"{record['scene']}: {title}", COLUMNS))
+    print(f"scene hash {record['hash']}\n")
+    print_table("joined", [(line,) for line in record["joins"]])
+    show_sections(plan_sections(record))
+    budget = "X" if record["error_budget"] is None else f"{record['error_budget']:g}"
     told = "refines the settings until every metric's error is below"
     print(f"error_budget = {budget} {told} {budget}\n")
-    if limit is not None:
-        print(textwrap.fill(f"largest step {limit.step:.3g} s: {limit.why}", COLUMNS))
+    if step := record["largest_step"]:
+        print(textwrap.fill(f"largest step {step['s']:.3g} s: {step['why']}", COLUMNS))
 
 
 def show_reduced(found: Mapping[str, Any]) -> None:

@@ -84,7 +84,7 @@ def cached(
     failure. Whoever asks for what another process is building waits for it.
     """
     known = {cls.__name__: cls for cls in classes}
-    modules = {*sources, *(cls.__module__ for cls in known.values())}
+    modules = {__name__, *sources, *(cls.__module__ for cls in known.values())}
     path = cache_dir() / kind / f"{_digest(key, modules)}.entry"
     found = _load(path, known)
     if found is None:

@@ -11,7 +11,7 @@ from pydantic import BaseModel, BeforeValidator, ValidationError
 from pydantic.fields import FieldInfo
 from pydantic_core import ErrorDetails
 
-from kc2spice.core.words import did_you_mean
+from kc2spice.core.errors import did_you_mean
 
 KeyPath = tuple[str | int, ...]
 

@@ -7,8 +7,7 @@ import math
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
 
-from kc2spice.core.errors import UsageError
-from kc2spice.core.words import did_you_mean
+from kc2spice.core.errors import UsageError, did_you_mean
 from kc2spice.netlist.cards import number
 from kc2spice.netlist.circuit import LEAST, Circuit, Element, Item, Param, Subcircuit
 from kc2spice.netlist.deck import Block, Deck

@@ -12,10 +12,9 @@ from typing import Any
 import numpy as np
 from pydantic import Field
 
-from kc2spice.core.errors import UsageError
+from kc2spice.core.errors import UsageError, did_you_mean
 from kc2spice.core.quantities import Section, Slew, Voltage
 from kc2spice.core.waveforms import Waveforms
-from kc2spice.core.words import did_you_mean
 from kc2spice.netlist.cards import name as checked
 from kc2spice.netlist.circuit import Pin, Subcircuit
 from kc2spice.netlist.foreign import included_netlist, looked_at

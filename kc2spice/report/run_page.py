@@ -14,7 +14,6 @@ from kc2spice.report.html import Section, write_page
 from kc2spice.report.sketch import circuit, devices
 from kc2spice.report.words import fact, flat, quantity, worded
 from kc2spice.scene.model import Probe, Scene
-from kc2spice.scene.plan import Plan, plan
 
 WIDE = 20.0  # a range of frequencies beyond this ratio has a logarithmic axis
 LEAD = "Finite-element models, reduced, exported as a netlist and run in ngspice."
@@ -52,7 +51,7 @@ def write_run(
             for name, entries in result.get("energy_j", {}).items()
         ),
         *(_modes(part, found) for part, found in result.get("modes", {}).items()),
-        *plan_sections(plan(scene), result.get("convergence", {})),
+        *plan_sections(result["plan"], result.get("convergence", {})),
         Section("Simulator", _simulator(result, scene)),
         Section("Files", links=result.get("files", ())),
     ]
@@ -122,17 +121,21 @@ def above_band(rom: Mapping[str, Any]) -> Rows:
     ]
 
 
-def plan_sections(planned: Plan, converged: Mapping[str, Any] | None = None) -> list[Section]:
+def plan_sections(
+    planned: Mapping[str, Any], converged: Mapping[str, Any] | None = None
+) -> list[Section]:
     """What is modelled, its numerical settings with what a refined run says that each does to the
     metrics, what is left out."""
     found = converged or {}
     shares = found.get("shares", {})
-    settings = [(s.key, f"{s.value:g}", shares.get(s.key, s.error)) for s in planned.settings]
+    settings = [
+        (k, f"{v:g}", shares.get(k, e)) for k, v, e in map(dict.values, planned["settings"])
+    ]
     settings += [(f"error of {name}", "", error) for name, error in found.get("errors", {}).items()]
     return [
         Section(
             "What is modelled",
-            [(part.part, part.source, part.detail) for part in planned.parts],
+            [tuple(part.values()) for part in planned["parts"]],
             ("part", "source", "model"),
         ),
         Section(
@@ -146,7 +149,7 @@ def plan_sections(planned: Plan, converged: Mapping[str, Any] | None = None) -> 
         ),
         Section(
             "What is left out",
-            [(item.effect, item.why, item.error) for item in planned.left_out],
+            [tuple(each.values()) for each in planned["left_out"]],
             ("effect", "why", "size"),
         ),
     ]

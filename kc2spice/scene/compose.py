@@ -13,8 +13,7 @@ from itertools import combinations
 from string import ascii_lowercase
 from typing import Any, TypeVar
 
-from kc2spice.core.errors import UsageError
-from kc2spice.core.words import did_you_mean
+from kc2spice.core.errors import UsageError, did_you_mean
 from kc2spice.scene.model import GROUND, Part, Scene, Terminal
 from kc2spice.scene.parttype import METER, Build, PartType
 

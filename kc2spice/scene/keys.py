@@ -1,4 +1,4 @@
-"""The keys that a scene may have: their dotted names, units, defaults and meaning."""
+"""Scenes and part types as a reference: keys with units, defaults and meaning, pins, examples."""
 
 from __future__ import annotations
 
@@ -10,9 +10,10 @@ from pydantic import BaseModel
 from pydantic_core import PydanticUndefined
 
 from kc2spice.core.findings import entries, unit_of
-from kc2spice.scene.model import Frame, Probe, Scene
-from kc2spice.scene.parttype import part_types
-from kc2spice.scene.short import SHORT
+from kc2spice.core.foreign import parse_toml
+from kc2spice.scene.load import gallery, load_scene
+from kc2spice.scene.model import SHORT, Frame, Part, Probe, Scene, Terminal
+from kc2spice.scene.parttype import PartType, part_types
 
 
 @dataclass(frozen=True)
@@ -80,3 +81,54 @@ def _with_unit(key: Key, unit: Any) -> Key:
     """``key``, in the unit of its part if it is a number or text whose unit follows from others."""
     follows = key.unit is None and not key.whole and not key.choices and key.mixed
     return replace(key, unit=unit if isinstance(unit, str) else "") if follows else key
+
+
+@dataclass(frozen=True)
+class PartDoc:
+    """One part type; ``scene`` is the built-in scene that the pins are taken from, if any."""
+
+    name: str
+    title: str
+    doc: str
+    pins: tuple[Terminal, ...]
+    keys: tuple[Key, ...]
+    example: str
+    scene: str | None
+    short_for: tuple[str, ...]
+
+
+def part_docs() -> Iterator[PartDoc]:
+    """All part types in the order of their names."""
+    shown = _in_gallery()
+    for name, kind in part_types().items():
+        scene_name: str | None = None
+        pins: tuple[Terminal, ...] = ()
+        if kind.example:
+            pins = _pins(load_scene({"name": "example", **parse_toml(kind.example)}), kind)
+        elif name in shown:
+            scene_name, part, scene = shown[name]
+            pins = kind.pins(part, replace(scene, ports="all"))
+        yield PartDoc(
+            name,
+            kind.title,
+            " ".join((kind.schema.__doc__ or "").split()),
+            pins,
+            tuple(model_keys(kind.schema)),
+            kind.example.strip(),
+            scene_name,
+            (SHORT[name],) if name in SHORT else (),
+        )
+
+
+def _pins(scene: Scene, kind: PartType) -> tuple[Terminal, ...]:
+    return kind.pins(scene.of(kind.name)[0], replace(scene, ports="all"))
+
+
+def _in_gallery() -> dict[str, tuple[str, Part, Scene]]:
+    """The first built-in scene with a part of each type."""
+    found: dict[str, tuple[str, Part, Scene]] = {}
+    for name in gallery():
+        scene = load_scene(name)
+        for part in scene.parts.values():
+            found.setdefault(part.type.name, (name, part, scene))
+    return found

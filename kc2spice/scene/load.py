@@ -13,7 +13,7 @@ from typing import Any
 
 from pydantic import BaseModel, ValidationError
 
-from kc2spice.core.errors import UsageError
+from kc2spice.core.errors import UsageError, did_you_mean
 from kc2spice.core.findings import clipped, dotted, entries, shown, told
 from kc2spice.core.foreign import (
     DEEPEST,
@@ -24,14 +24,12 @@ from kc2spice.core.foreign import (
     read_bounded,
     text_of,
 )
-from kc2spice.core.words import did_you_mean
 from kc2spice.scene.checks import problems
 from kc2spice.scene.compose import allocated, composed
-from kc2spice.scene.model import GROUND, Frame, Part, Scene
+from kc2spice.scene.model import GROUND, SHORT, Frame, Part, Scene
 from kc2spice.scene.parttype import Build, PartType, part_type, type_names
 from kc2spice.scene.plausible import drives, judged
 from kc2spice.scene.rest import without_equilibrium, without_finite_force
-from kc2spice.scene.short import SHORT
 
 _WORD, _INDEX = r"[A-Za-z_][A-Za-z0-9_]*", r"\[-?[0-9]{1,6}\]"
 _KEY = re.compile(rf"{_WORD}({_INDEX})*(\.{_WORD}({_INDEX})*)*")

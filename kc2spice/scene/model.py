@@ -6,6 +6,8 @@ PartType`, and the types register themselves.
 
 from __future__ import annotations
 
+import hashlib
+import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -30,6 +32,18 @@ if TYPE_CHECKING:
     from kc2spice.scene.parttype import PartType
 
 GROUND = "gnd"
+# Tables that need no ``part`` key, and the type that each means.
+SHORT = {
+    "kick": "piezo_stack",
+    "contact": "contact",
+    "sphere": "sphere",
+    "catch": "ring_magnet_coils",
+    "control": "pid",
+    "impact": "throw",
+    "imprint": "push",
+    "harmonic": "port_loads",
+    "em_force": "current_cases",
+}
 _ONE_LINE = r"[^\x00-\x1f\x7f-\x9f\u2028\u2029]"  # such text ends up in a netlist
 FileName = Annotated[str, Field(pattern=rf"^{_ONE_LINE}+$", max_length=255)]
 
@@ -274,3 +288,30 @@ class Scene:
     def __repr__(self) -> str:
         parts = ", ".join(f"{part.name}: {part.type.name}" for part in self.parts.values())
         return f"<Scene {self.name} ({self.analysis.type}): {parts}>"
+
+
+def scene_hash(scene: Scene) -> str:
+    """First 16 hex digits of the SHA-256 of all numbers and choices that a netlist depends on.
+
+    Names and titles are free, and so are gates and what is done about a run that fails; keys that
+    are not given do not count, so that a new one changes no old scene. Floats enter with all their
+    digits, so equal hashes mean bit-equal netlists.
+    """
+    without = {"name", "title", "checks", "gates", "bench"}
+    content = scene.frame.model_dump(mode="json", exclude=without, exclude_none=True)
+    del content["solver"]["retries"]
+    content["parts"] = {
+        part.name: [
+            part.type.name,
+            part.keys.model_dump(mode="json", exclude_none=True),
+            dict(part.pins),
+        ]
+        for part in scene.parts.values()
+    }
+    whole = [part.name for part in scene.parts.values() if part.type.declares]
+    if (
+        scene.ports == "declared" and whole and len(scene.parts) > 1
+    ):  # a single part keeps all in any case
+        content["every_port"] = whole
+    text = json.dumps(content, sort_keys=True, separators=(",", ":"))
+    return hashlib.sha256(text.encode()).hexdigest()[:16]

@@ -14,7 +14,7 @@ import math
 import pkgutil
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
-from functools import cache
+from functools import cache, cached_property
 from importlib import import_module
 from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
@@ -33,6 +33,7 @@ if TYPE_CHECKING:
     from kc2spice.core.laws import Equations
     from kc2spice.core.waveforms import Waveforms
     from kc2spice.scene.judge import Balance, Check, Gate
+    from kc2spice.scene.plan import Plan
 
 PACKAGE = "kc2spice.parts"
 METER = "meter"  # word of an ammeter's name, behind those of its pin
@@ -204,6 +205,13 @@ class Build:
     unjudged: frozenset[str] = frozenset()
     functions: Mapping[str, Any] = field(default_factory=dict)
     largest: StepLimit | None = None
+
+    @cached_property
+    def plan(self) -> Plan:
+        """What runs: parts, joins, omissions and numerical settings."""
+        from kc2spice.scene.plan import plan
+
+        return plan(self)
 
     def model(self, part: str | Part) -> Any:
         """The model of a part, None where it has none."""

@@ -21,6 +21,7 @@ from kc2spice.scene.model import Analysis, Part, Scene
 from kc2spice.scene.parttype import Build, Neglected
 from kc2spice.scene.settings import Rom, Solver
 
+MAX_STEP = "solver.max_step"
 MOST_POINTS = 2e5  # of a transient
 WIDER = 2.0  # the highest frequency of a reduction, whose body steps and contacts excite above it
 
@@ -65,27 +66,28 @@ class Axis:
         return found
 
 
-def axes(scene: Scene, build: Build | None = None) -> tuple[Axis, ...]:
-    """The settings of ``scene`` that trade time for error; with its ``build`` the time step too
-    where nobody set it."""
-    return tuple(axis for axis in _axes(scene, build) if axis.at(1.0))
+def axes(build: Build) -> tuple[Axis, ...]:
+    """The settings of a scene that trade time for error; once its largest time step is known that
+    too where nobody set it."""
+    return tuple(axis for axis in _axes(build) if axis.at(1.0))
 
 
-def _axes(scene: Scene, build: Build | None) -> Iterator[Axis]:
+def _axes(build: Build) -> Iterator[Axis]:
+    scene = build.scene
     if scene.analysis.type == "transient":
         solver = {axis.name: axis for axis in _marked(scene.solver, "solver")}
         yield solver["solver.reltol"]
         yield replace(solver["solver.chgtol"], finer={"solver.ringing": "followed"})
-        step = scene.solver.max_step
-        if step is None and build is not None and build.largest is not None:
+        step: float | None = scene.solver.max_step
+        if step is None and build.largest is not None:
             step = build.largest.step
         if step is not None:
-            axis = _axis("solver.max_step", step, Solver.model_fields["max_step"])
+            axis = _axis(MAX_STEP, step, Solver.model_fields["max_step"])
             yield replace(axis, low=min(step, scene.stop / MOST_POINTS))
     elif scene.analysis.type == "ac" and "analysis" in scene.tables:
         (axis,) = _marked(scene.analysis, "analysis")
         yield replace(axis, decades=_decades(scene.analysis))
-    yield from _reductions(scene, build)
+    yield from _reductions(build)
     for part in scene.parts.values():
         yield from _marked(part.keys, _prefix(part))
 
@@ -113,8 +115,9 @@ def _marked(keys: BaseModel, prefix: str) -> Iterator[Axis]:
             yield _axis(f"{prefix}.{name}", value, declared)
 
 
-def _reductions(scene: Scene, build: Build | None) -> Iterator[Axis]:
+def _reductions(build: Build) -> Iterator[Axis]:
     """One axis for all bodies that follow the scene's ``rom``, one for each of its own."""
+    scene = build.scene
     timed = scene.analysis.type == "transient"
     known: set[str] = set()
     for part in scene.parts.values():
@@ -131,7 +134,7 @@ def _reductions(scene: Scene, build: Build | None) -> Iterator[Axis]:
             yield _axis(f"{prefix}.order", int(rom.order or 1), Rom.model_fields["order"])
             continue
         band = rom.band
-        if build is not None and not own and "rom" not in scene.tables:
+        if not own and "rom" not in scene.tables:
             certificate = getattr(build.model(part), "certificate", None)
             band = rom.band if certificate is None else certificate.band_hz
         axis = _axis(f"{prefix}.tolerance", rom.tolerance, Rom.model_fields["tolerance"])
@@ -198,11 +201,9 @@ class Plan:
     settings: tuple[Setting, ...]
 
 
-def plan(scene: Scene, build: Build | None = None) -> Plan:
-    """Parts, joins and omissions of a checked scene; omissions of several parts stand once.
-
-    With its ``build`` the time step is among the settings where nobody set it.
-    """
+def plan(build: Build) -> Plan:
+    """Parts, joins, omissions and settings; omissions of several parts stand once."""
+    scene = build.scene
     parts = scene.parts.values()
     left_out = [row for part in parts for row in part.type.neglected(part, scene)]
     certified = scene.analysis.type == "ac"  # steps and contacts excite what is above the band
@@ -217,6 +218,6 @@ def plan(scene: Scene, build: Build | None = None) -> Plan:
                 axis.value,
                 axis.value if certified and axis.name.endswith("rom.tolerance") else None,
             )
-            for axis in axes(scene, build)
+            for axis in axes(build)
         ),
     )

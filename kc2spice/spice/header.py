@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import textwrap
+from collections.abc import Collection
 from dataclasses import dataclass
 
 from kc2spice.core.version import __version__
@@ -37,13 +38,13 @@ class Header:
         )
 
 
-def plan_lines(found: Plan) -> str:
+def plan_lines(found: Plan, without: Collection[str] = ()) -> str:
     """What a deck models, what it leaves out and its numerical settings, as comment lines."""
     error = "not estimated" if found.error_budget is None else f"budget {found.error_budget:g}"
     facts = {
         "modelled": ", ".join(part.part for part in found.parts),
         f"numerical settings (error {error})": ", ".join(
-            f"{each.key} {each.value:g}" for each in found.settings
+            f"{each.key} {each.value:g}" for each in found.settings if each.key not in without
         ),
         "left out (sizes: kc2spice explain)": "; ".join(each.effect for each in found.left_out),
     }

@@ -22,10 +22,9 @@ from typing import Any
 
 import numpy as np
 
-from kc2spice.core.errors import SimulationError, UsageError
+from kc2spice.core.errors import SimulationError, UsageError, did_you_mean
 from kc2spice.core.files import staged
 from kc2spice.core.progress import Clock, Progress, silent
-from kc2spice.core.words import did_you_mean
 from kc2spice.report.bench_page import write_bench
 from kc2spice.scene.model import Scene
 from kc2spice.scene.plan import axes, keys_at
@@ -94,7 +93,7 @@ class _Plane:
 
     def __init__(self, own: Run) -> None:
         # a mesh costs the simulator nothing
-        self.axes = [axis for axis in axes(own.build.scene, own.build) if not axis.model]
+        self.axes = [axis for axis in axes(own.build) if not axis.model]
         self.runs = Runs(own, self.axes, Clock(), retries=0)
         self.points: dict[str, _Point] = {}
         self.failed: dict[str, dict[str, Any]] = {}

@@ -6,16 +6,14 @@ from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from itertools import chain
 
-from kc2spice.core.errors import UsageError
-from kc2spice.core.words import did_you_mean
+from kc2spice.core.errors import UsageError, did_you_mean
 from kc2spice.netlist.cards import comment, number, tidy
 from kc2spice.netlist.circuit import Subcircuit
 from kc2spice.netlist.deck import Block, Command, Deck, Option, ac, dc, transient
 from kc2spice.scene.compose import allocated
-from kc2spice.scene.hash import scene_hash
-from kc2spice.scene.model import Scene
+from kc2spice.scene.model import Scene, scene_hash
 from kc2spice.scene.parttype import Build, begins, numerics
-from kc2spice.scene.plan import plan
+from kc2spice.scene.plan import MAX_STEP
 from kc2spice.scene.plausible import built, judged
 from kc2spice.scene.rest import free, without_equilibrium, without_finite_force
 from kc2spice.spice.header import Header, plan_lines
@@ -54,10 +52,11 @@ def make_deck(build: Build) -> Deck:
                 hint=did_you_mean(probe.of, known),
             )
     told = "".join(f"\n{line}" for line in _reductions(parts))
+    ours = () if scene.solver.max_step else (MAX_STEP,)  # a line of its own says why
     return Deck(
         name=scene.name,
         title=f"{scene.name}: {scene.title}",
-        notes=f"{header.origin()}\n{plan_lines(plan(scene))}{told}{_step_line(build)}",
+        notes=f"{header.origin()}\n{plan_lines(build.plan, ours)}{told}{_step_line(build)}",
         parts=parts,
         blocks=tuple(_blocks(build)),
         options=tuple(_options(build)),

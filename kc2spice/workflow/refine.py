@@ -217,7 +217,7 @@ def converge(build: Build, outcome: Outcome, clock: Clock) -> Converged | None:
     if action == "off":
         return None
     limit, own = budget or LIMIT, measured(build, outcome)
-    runs = Runs(own, axes(scene, build), clock)
+    runs = Runs(own, axes(build), clock)
     tried: list[Estimate] = []
     shares: dict[str, float] = {}
     notches: Notches = {}

@@ -20,7 +20,6 @@ from kc2spice.scene.judge import require
 from kc2spice.scene.load import load_scene
 from kc2spice.scene.model import Scene
 from kc2spice.scene.parttype import Build
-from kc2spice.scene.plan import plan
 from kc2spice.sim.ngspice import Simulator, find_ngspice, write_files
 from kc2spice.sim.retries import Outcome, RetriesFailedError
 from kc2spice.workflow.decks import make_deck
@@ -203,6 +202,6 @@ def run_record(done: Completed) -> dict[str, Any]:
         "metric_units": probe_units(build.scene.probes, waves, outcome.deck.units),
         "checks": [check.record() for check in found.checks],
         "energy_j": {name: balance.entries for name, balance in found.balances},
-        "plan": asdict(plan(build.scene, build)),
+        "plan": asdict(build.plan),
         "wall_s": done.clock.wall_s,
     }

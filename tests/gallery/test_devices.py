@@ -15,6 +15,7 @@ import pytest
 
 import kc2spice as kc
 from kc2spice.scene.load import load_scene
+from kc2spice.scene.parttype import Build
 from kc2spice.scene.plan import axes
 from kc2spice.workflow.run import run
 from kc2spice.workflow.verify.verify import verify
@@ -231,7 +232,9 @@ def test_bracket_of_a_stranger_becomes_a_library_by_one_command(tmp_path):
 
 
 def test_the_mesh_of_a_body_is_an_axis_that_its_model_answers():
-    (axis,) = (a for a in axes(load_scene("buzzer_7bb_20_6")) if a.name == "disc.mesh.refine")
+    (axis,) = (
+        a for a in axes(Build(load_scene("buzzer_7bb_20_6"), {})) if a.name == "disc.mesh.refine"
+    )
     models = [kc.build(load_scene("buzzer_7bb_20_6", axis.at(n)))["disc"] for n in (0, 1)]
     coarse, fine = (model.facts["resonance_short_hz"] for model in models)
     assert 0 < abs(coarse / fine - 1) < 0.01

@@ -5,9 +5,8 @@ import json
 import pytest
 
 from kc2spice.core.foreign import parse_toml
-from kc2spice.scene.keys import model_keys
+from kc2spice.scene.keys import model_keys, part_docs
 from kc2spice.scene.load import load_scene
-from kc2spice.scene.partdocs import part_docs
 from kc2spice.scene.parttype import part_types
 
 BY_FILE = {"body", "matrices"}  # their pins stand in files of the user

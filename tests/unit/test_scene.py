@@ -7,9 +7,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from kc2spice.core.errors import UsageError
-from kc2spice.scene.hash import scene_hash
 from kc2spice.scene.keys import scene_keys
 from kc2spice.scene.load import MAX_BYTES, gallery, load_scene
+from kc2spice.scene.model import scene_hash
 
 
 def test_gallery_has_the_papers_experiments():

@@ -25,9 +25,8 @@ from kc2spice.core.foreign import MAX_BYTES, parse_toml, read_bounded, text_of
 from kc2spice.core.progress import Progress, silent
 from kc2spice.core.version import __version__
 from kc2spice.netlist.transforms import with_parameters
-from kc2spice.scene.hash import scene_hash
 from kc2spice.scene.keys import keys_of
-from kc2spice.scene.model import Scene
+from kc2spice.scene.model import Scene, scene_hash
 from kc2spice.workflow.sweep.plan import (
     PARAMETER,
     Plan,

@@ -12,8 +12,7 @@ from typing import Any
 
 from pydantic import TypeAdapter
 
-from kc2spice.core.errors import MissingToolError, UsageError
-from kc2spice.core.words import did_you_mean
+from kc2spice.core.errors import MissingToolError, UsageError, did_you_mean
 from kc2spice.workflow.sweep.plan import Plan
 from kc2spice.workflow.sweep.point import Outcome, toml
 
