@@ -14,7 +14,6 @@ import numpy as np
 
 from kc2spice.core.errors import UsageError
 from kc2spice.core.waveforms import Waveforms, running
-from kc2spice.fem.magnetics.table import inductances
 from kc2spice.netlist.circuit import Param
 from kc2spice.parts._template import Level, TemplatePart
 from kc2spice.scene.judge import Check
@@ -132,7 +131,7 @@ class CoilDriver(Driver):
         )
         table = build.model(coils)
         series = np.array([1.0, -1.0])
-        inductance = float(series @ inductances(table, height) @ series)
+        inductance = float(series @ table.coenergy.inductances(height) @ series)
         return Load(inductance, float(table.resistance.sum()), float(current))
 
 

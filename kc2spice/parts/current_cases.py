@@ -12,7 +12,7 @@ from kc2spice.core import laws
 from kc2spice.core.quantities import Current, Section
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.netlist.cards import number
-from kc2spice.parts.ring_magnet_coils import force_table, sphere_of
+from kc2spice.parts.ring_magnet_coils import sphere_of
 from kc2spice.scene.judge import PAIRS, Check, Gate
 from kc2spice.scene.model import Analysis, Part, Scene, Terminal
 from kc2spice.scene.parttype import Build, PartType, Swept, Vector, register
@@ -96,13 +96,13 @@ class CurrentCases(PartType):
     def law(self, part: Part, build: Build) -> laws.Equations:
         """The height is a source's; a force on it is the reaction to what the coils exert."""
         n, coils = part.name, _coils(part, build.scene)
-        table, still = force_table(build.model(coils)), laws.Line.constant
+        coenergy, still = build.model(coils).coenergy, laws.Line.constant
         found: list[laws.Law] = [laws.Source(n, "displacement", still(0.0))]
         nets = [(f"{n}.out", *(f"{coils.name} {k}.y" for k in range(len(cases(part)))))]
         results = {f"{_sphere(part, build.scene)}.y": laws.reading(f"{n}.out")}
         for k, pair in enumerate(cases(part)):
             own = f"{coils.name} {k}"  # no part has a blank in its name
-            found.append(laws.PositionForce(own, table, (1.0, 1.0)))
+            found.append(laws.PositionForce(own, coenergy, (1.0, 1.0)))
             for coil, current in enumerate(pair, 1):
                 found.append(laws.Source(f"{own}_{coil}", "signal", still(current)))
                 nets.append((f"{own}_{coil}.out", f"{own}.i{coil}"))

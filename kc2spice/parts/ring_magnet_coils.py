@@ -2,16 +2,16 @@
 
 The force is six functions of the sphere's height, exact in both currents. With ideal current drive
 the coils are resistors; real coils have inductance and back-EMF from the same table. The law
-itself, in numpy, is :func:`kc2spice.fem.magnetics.table.force`.
+itself, in numpy, is :class:`kc2spice.core.laws.magnets.Coenergy`.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from itertools import combinations
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, NamedTuple
 
 import numpy as np
 from pydantic import Field
@@ -20,18 +20,13 @@ from kc2spice.core import laws
 from kc2spice.core.cache import cached
 from kc2spice.core.errors import UsageError
 from kc2spice.core.figure import Curve, Figure, Panel, Shape
+from kc2spice.core.piecewise import cubic_spline
 from kc2spice.core.quantities import si
 from kc2spice.core.waveforms import Waveforms
-from kc2spice.fem.magnetics.cubics import cubic_spline
 from kc2spice.fem.magnetics.keys import Catch, Ring
-from kc2spice.fem.magnetics.table import (
-    FORCE,
-    EMTable,
-    force,
-    inductances,
-)
+from kc2spice.fem.magnetics.table import FORCE, EMTable
 from kc2spice.netlist.cards import number
-from kc2spice.netlist.circuit import Param, Subcircuit, positive
+from kc2spice.netlist.circuit import Subcircuit, positive
 from kc2spice.parts import sphere as spheres
 from kc2spice.parts._pictures import impedances
 from kc2spice.parts.contact import fall, landing
@@ -59,6 +54,7 @@ DENSER = 4  # heights of the table that the shipped one is compared with, per in
 POINTS = 201  # of each lookup: 6e-6 of the largest force between them
 COARSE = 1e-2  # of the largest force; the spline between the table's heights may miss as much
 COPPER = 3.45e6  # J/(m3 K), of volume: 385 J/(kg K) at 8960 kg/m3
+COILS = ("lower", "upper")
 NEGLIGIBLE = 1e-6  # share of the largest force below which a coefficient is left out
 
 
@@ -74,42 +70,26 @@ class Coils(Catch):
     )
 
 
-@dataclass(frozen=True)
-class Term:
-    """One summand of the force: a function of height times ``currents``.
+class Term(NamedTuple):
+    """One summand of the force: a function of height, times ``currents``.
 
     The function is the sum of the table's coefficients, each times its entry in ``weights`` (6,).
     """
 
     name: str
     currents: tuple[str, ...]
-    weights: tuple[float, ...]
-
-    def of(self, values: np.ndarray) -> np.ndarray:
-        """The function where the table's coefficients are ``values`` (positions, 6)."""
-        parts = (w * values[:, k] for k, w in enumerate(self.weights) if w)
-        return np.asarray(sum(parts))
-
-    @property
-    def factor(self) -> str:
-        """The currents on a card, in front of the function."""
-        return "".join(f"V({i})*" for i in self.currents)
+    weights: Sequence[float] | np.ndarray
 
 
 PRODUCTS = ((), ("i1",), ("i2",), ("i1", "i1"), ("i1", "i2"), ("i2", "i2"))
-SEPARATE = tuple(
-    Term(name, currents, tuple(row))
-    for name, currents, row in zip(FORCE, PRODUCTS, np.eye(6), strict=True)
-)
+SEPARATE = tuple(Term(*row) for row in zip(FORCE, PRODUCTS, np.eye(6), strict=True))
 # One current i through both coils, i2 = i and i1 = -i, as the control loop wires them.
 SERIES = (
     Term("c0", (), (1, 0, 0, 0, 0, 0)),
     Term("d1", ("i",), (0, -1, 1, 0, 0, 0)),
     Term("d2", ("i", "i"), (0, 0, 0, 1, -1, 1)),
 )
-UNITS = {"c0": "N", "c1": "N/A and V s/m", "c2": "N/A and V s/m"} | dict.fromkeys(
-    ("c11", "c12", "c22"), "N/A^2"
-)
+UNITS = ("N", "N/A and V s/m", "N/A and V s/m", "N/A^2", "N/A^2", "N/A^2")
 
 PLACE = Terminal("y", "um", "-"), Terminal("v", "m/s", "N"), Terminal("base", "um", "N", "gnd")
 ENDS = ("lp", "ln", "up", "un")  # of the lower and the upper coil
@@ -117,23 +97,14 @@ PINS = (*(Terminal(end, "V", "A") for end in ENDS), *PLACE)
 SERIES_PINS = (Terminal("drive", "V", "A"), Terminal("ret", "V", "A"), *PLACE)
 
 
-@dataclass(frozen=True)
-class Lookup:
-    """A function of the height as the lines of its two tables, see :func:`smooth`."""
+class Lookup(NamedTuple):
+    """A function of the height as the lines of its two tables, see :func:`smooth`; ``doc`` is what
+    it is."""
 
     name: str
     values: list[str]
     bends: list[str]
-    factor: str = ""  # in front of it
-    doc: str = ""
-
-
-def _validity(table: EMTable) -> str:
-    low, high = 1e6 * table.y[0], 1e6 * table.y[-1]
-    return (
-        f"sphere's centre from {low:g} to {high:g} um, constant forces beyond; linear magnetics; "
-        "coils at the temperature of their data, nothing heats up"
-    )
+    doc: str
 
 
 def rated_heating(keys: Coils) -> float:
@@ -143,23 +114,10 @@ def rated_heating(keys: Coils) -> float:
     return float(keys.rated_rise * COPPER * section**2 / keys.resistivity)
 
 
-def _rating(keys: Coils) -> str:
-    return (
-        f"{rated_heating(keys):.3g} A^2 s in each coil, the integral of i^2 that warms its copper "
-        f"by {keys.rated_rise:g} K without cooling; steady current: not known, it depends on that"
-    )
-
-
-def coefficients(table: EMTable) -> np.ndarray:
-    """The force's coefficients (positions, 6) in the order of :data:`FORCE`."""
-    return np.column_stack([getattr(table, name) for name in FORCE])
-
-
-def significant(table: EMTable, current: float, terms: tuple[Term, ...]) -> list[Term]:
-    """The terms that matter up to ``current`` [A], in their order."""
-    values = coefficients(table)
-    share = [float(np.abs(t.of(values)).max()) * current ** len(t.currents) for t in terms]
-    return [t for t, size in zip(terms, share, strict=True) if size > NEGLIGIBLE * max(share)]
+def _pulls(values: np.ndarray, terms: tuple[Term, ...], current: float) -> np.ndarray:
+    """What each term adds (terms, heights) to the force up to ``current`` [A], where the table's
+    coefficients are ``values`` (heights, 6)."""
+    return np.array([current ** len(t.currents) * (values @ t.weights) for t in terms])
 
 
 def catch_subcircuit(
@@ -183,92 +141,26 @@ def catch_subcircuit(
     points : heights of the resampled lookups, equally spaced over the table.
     """
     terms = SERIES if series else SEPARATE
-    kept = significant(table, current, terms)
-    height = np.linspace(table.y[0], table.y[-1], points)
-    values = table.splines(height)
-    return library(
+    size = np.abs(_pulls(table.coefficients, terms, current)).max(axis=1)
+    kept = [t for t, share in zip(terms, size, strict=True) if share > NEGLIGIBLE * size.max()]
+    values = table.splines(np.linspace(table.y[0], table.y[-1], points))
+    return _actuator(
         "catch",
         header,
         name,
-        "electromagnetic catch actuator",
-        SERIES_PINS if series else PINS,
-        coil_resistances(table),
-        validity=_validity(table),
-        rating=rating,
+        table,
+        points,
+        rating,
+        title="electromagnetic catch actuator",
         series=series,
-        **_grid(height),
         law=" + ".join(" ".join((f"{term.name}(y)", *term.currents)) for term in terms),
         left_out=[term.name for term in terms if term not in kept],
         negligible=NEGLIGIBLE,
-        coefficients=[Lookup(t.name, *smooth(t.of(values)), t.factor) for t in kept],
+        functions=[
+            Lookup(t.name, *smooth(values @ t.weights), "".join(f"V({i})*" for i in t.currents))
+            for t in kept
+        ],
     )
-
-
-def _grid(height: np.ndarray) -> dict[str, Any]:
-    """Heights of the lookups [um], as the templates ask for them."""
-    spacing = 1e6 * (height[1] - height[0])
-    return {"points": height.size, "lowest": 1e6 * height[0], "spacing": spacing}
-
-
-def coil_resistances(table: EMTable) -> tuple[Param, ...]:
-    """The resistances of both coils, which a deck may change."""
-    return (
-        positive("resistance_lower", float(table.resistance[0]), "Ohm", "of the lower coil"),
-        positive("resistance_upper", float(table.resistance[1]), "Ohm", "of the upper coil"),
-    )
-
-
-def smooth(values: np.ndarray) -> tuple[list[str], list[str]]:
-    """Lines of the lookups ``f`` and ``b`` whose ``f(s) - w(s) b(s)`` has a continuous slope.
-
-    ``s`` counts cells from the first of the equally spaced ``values``, ``b`` are half the second
-    differences and ``w = t (1 - t)`` with t the place within a cell, 0 to 1: the blend of the
-    parabolas through three neighbours (Overhauser 1968), exact to third order, where a polyline's
-    slope jumps at every height. One more cubic value on either side keeps that up to both ends;
-    beyond, the function runs level. Of ``b``, smooth itself, only those points stay that move
-    ``f - w b`` by more than a sixteenth of a fourth difference, which the blend neglects anyway:
-    ngspice reads a table in the square of its length.
-    """
-    f, bends, tolerance = _parabolas(values)
-    return lookup(f), lookup(bends, tolerance)
-
-
-def _parabolas(values: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
-    """``f`` and ``b`` of :func:`smooth` at -1, 0, 1, ..., and what lines may leave of ``b``."""
-    first, last = (np.array([4, -6, 4, -1]) @ end for end in (values[:4], values[:-5:-1]))
-    f = np.concatenate([[first], values, [last]])
-    bends = np.diff(f[[0, *range(f.size), -1]], 2) / 2
-    # Fourth differences are to second ones as those to the values; the corners at both ends apart.
-    largest, second = (float(np.abs(v).max()) for v in (values, 2 * bends[2:-2]))
-    return f, bends, second**2 / 4 / (largest or 1.0)
-
-
-def lookup(values: np.ndarray, tolerance: float = 0.0) -> list[str]:
-    """Lines of a ``pwl()`` table of ``values`` at -1, 0, 1, ..., flat beyond both ends.
-
-    ngspice extrapolates the outer segments, so each end gets a second point of equal value. Five
-    points share a line: ngspice reads fewer lines faster. Points that lie within ``tolerance`` of
-    the lines between others are left out.
-    """
-    f = np.concatenate([values[:1], values, values[-1:]])
-    # ngspice keeps 11 digits of a literal in an expression
-    points = [f"{k - 2}, {number(float(f'{f[k]:.11g}'))}" for k in _corners(f, tolerance)]
-    return [", ".join(points[k : k + 5]) for k in range(0, len(points), 5)]
-
-
-def _corners(f: np.ndarray, tolerance: float) -> list[int]:
-    """Places whose polyline is within ``tolerance`` of all values ``f`` (n,); flat ends stay."""
-    kept, last = [0, 1], f.size - 2
-    while kept[-1] < last:
-        a = kept[-1]
-        reach = a + 1
-        for b in range(a + 2, last + 1):
-            line = np.linspace(f[a], f[b], b - a + 1)
-            if np.abs(line - f[a : b + 1]).max() > tolerance:
-                break
-            reach = b
-        kept.append(reach)
-    return [*kept, f.size - 1]
 
 
 def coil_subcircuit(
@@ -287,25 +179,24 @@ def coil_subcircuit(
     """
     height = np.linspace(table.y[0], table.y[-1], points)
     henry = float(np.mean(table.inductance[:, (0, 1), (0, 1)]))
-    inverse = henry * np.linalg.inv(inductances(table, height))
-    usual, splines = inverse.mean(axis=0), table.splines(height)
+    inverse = henry * np.linalg.inv(table.coenergy.inductances(height))
+    usual = inverse.mean(axis=0)
     functions = [
-        Lookup(n, *smooth(splines[:, k]), doc=f"{n}(y): {UNITS[n]}") for k, n in enumerate(FORCE)
+        Lookup(n, *smooth(values), f"{n}(y): {unit}")
+        for n, values, unit in zip(FORCE, table.splines(height).T, UNITS, strict=True)
     ]
     for k, l in ((0, 0), (0, 1), (1, 1)):
         g = f"g{k + 1}{l + 1}"
         doc = f"{g}(y): {henry:.6g} H times the inverse of L, less its mean"
-        functions.append(Lookup(g, *smooth((inverse - usual)[:, k, l]), doc=doc))
-    return library(
+        functions.append(Lookup(g, *smooth((inverse - usual)[:, k, l]), doc))
+    return _actuator(
         "coil",
         header,
         name,
-        "catch actuator with real coils",
-        PINS,
-        coil_resistances(table),
-        validity=_validity(table),
-        rating=rating,
-        **_grid(height),
+        table,
+        points,
+        rating,
+        title="catch actuator with real coils",
         henry=henry,
         coils=[
             {"k": 1, "name": "lower", "plus": "lp", "minus": "ln", "own": usual[0, 0]},
@@ -314,6 +205,84 @@ def coil_subcircuit(
         mutual=usual[0, 1],
         functions=functions,
     )
+
+
+def _actuator(
+    template: str,
+    header: Header,
+    name: str,
+    table: EMTable,
+    points: int,
+    rating: str,
+    *,
+    title: str,
+    series: bool = False,
+    **values: Any,
+) -> Subcircuit:
+    """What both netlists have: resistances that a deck may change, and the heights [um] of their
+    lookups."""
+    low, high = 1e6 * table.y[0], 1e6 * table.y[-1]
+    return library(
+        template,
+        header,
+        name,
+        title,
+        SERIES_PINS if series else PINS,
+        tuple(
+            positive(f"resistance_{coil}", float(ohm), "Ohm", f"of the {coil} coil")
+            for coil, ohm in zip(COILS, table.resistance, strict=True)
+        ),
+        validity=f"sphere's centre from {low:g} to {high:g} um, constant forces beyond; linear "
+        "magnetics; coils at the temperature of their data, nothing heats up",
+        rating=rating,
+        points=points,
+        lowest=low,
+        spacing=1e6 * np.diff(np.linspace(table.y[0], table.y[-1], points)[:2])[0],
+        series=series,
+        **values,
+    )
+
+
+def smooth(values: np.ndarray) -> tuple[list[str], list[str]]:
+    """Lines of the lookups ``f`` and ``b`` whose ``f(s) - w(s) b(s)`` has a continuous slope.
+
+    ``s`` counts cells from the first of the equally spaced ``values``, ``b`` are half the second
+    differences and ``w = t (1 - t)`` with t the place within a cell, 0 to 1: the blend of the
+    parabolas through three neighbours (Overhauser 1968), exact to third order, where a polyline's
+    slope jumps at every height. One more cubic value on either side keeps that up to both ends;
+    beyond, the function runs level. Of ``b``, smooth itself, only those points stay that move
+    ``f - w b`` by more than a sixteenth of a fourth difference, which the blend neglects anyway:
+    ngspice reads a table in the square of its length.
+    """
+    first, last = (np.array([4, -6, 4, -1]) @ end for end in (values[:4], values[:-5:-1]))
+    f = np.concatenate([[first], values, [last]])
+    bends = np.diff(f[[0, *range(f.size), -1]], 2) / 2
+    # Fourth differences are to second ones as those to the values; the corners at both ends apart.
+    largest, second = (float(np.abs(v).max()) for v in (values, 2 * bends[2:-2]))
+    return _lookup(f), _lookup(bends, second**2 / 4 / (largest or 1.0))
+
+
+def _lookup(values: np.ndarray, tolerance: float = 0.0) -> list[str]:
+    """Lines of a ``pwl()`` table of ``values`` at -1, 0, 1, ..., flat beyond both ends.
+
+    ngspice extrapolates the outer segments, so each end gets a second point of equal value. Five
+    points share a line: ngspice reads fewer lines faster. Points that lie within ``tolerance`` of
+    the lines between others are left out.
+    """
+    f = np.concatenate([values[:1], values, values[-1:]])
+    kept, last = [0, 1], f.size - 2
+    while kept[-1] < last:
+        a = kept[-1]
+        end = a + 1
+        for b in range(a + 2, last + 1):
+            line = np.linspace(f[a], f[b], b - a + 1)
+            if np.abs(line - f[a : b + 1]).max() > tolerance:
+                break
+            end = b
+        kept.append(end)
+    # ngspice keeps 11 digits of a literal in an expression
+    points = [f"{k - 2}, {number(float(f'{f[k]:.11g}'))}" for k in (*kept, f.size - 1)]
+    return [", ".join(points[k : k + 5]) for k in range(0, len(points), 5)]
 
 
 class RingMagnetCoils(PartType):
@@ -418,15 +387,21 @@ class RingMagnetCoils(PartType):
         return "coil" if real(part, scene) and part.name == "catch" else part.name
 
     def subcircuits(self, part: Part, build: Build, header: Any) -> tuple[Any, ...]:
-        table, name = build.model(part), build.libraries[part.name]
-        told: dict[str, Any] = {"points": part.keys.points, "rating": _rating(part.keys)}
+        table, keys = build.model(part), part.keys
+        told: dict[str, Any] = {
+            "points": keys.points,
+            "name": build.libraries[part.name],
+            "rating": f"{rated_heating(keys):.3g} A^2 s in each coil, the integral of i^2 that "
+            f"warms its copper by {keys.rated_rise:g} K without cooling; steady current: not "
+            "known, it depends on that",
+        }
         if real(part, build.scene):
-            return (coil_subcircuit(header, table, name=name, **told),)
+            return (coil_subcircuit(header, table, **told),)
         for cases in build.scene.of("current_cases"):  # which feeds both coils on their own
             pairs = max(map(abs, cases.keys.currents))
-            return (catch_subcircuit(header, table, pairs, name=name, **told),)
+            return (catch_subcircuit(header, table, pairs, **told),)
         current = largest_current(part, build.scene)
-        return (catch_subcircuit(header, table, current, series=True, name=name, **told),)
+        return (catch_subcircuit(header, table, current, series=True, **told),)
 
     def vectors(self, part: Part, build: Build) -> Mapping[str, Vector]:
         if not _driven(part, build.scene):
@@ -450,15 +425,14 @@ class RingMagnetCoils(PartType):
         zero = np.zeros_like(y)
         lower = waves.data.get(f"{label(part)}.lower.current", zero)
         upper = waves.data.get(f"{label(part)}.upper.current", zero)
-        return force(build.model(part), y, lower, upper)
+        return np.asarray(build.model(part).coenergy.force(y, lower, upper))
 
     def law(self, part: Part, build: Build) -> laws.Equations | None:
         n, scene, table = part.name, build.scene, build.model(part)
         prefix, offset = label(part), spheres.offset(part, "y", scene)
         currents = (f"{prefix}.lower.current", f"{prefix}.upper.current")
         if real(part, scene):
-            ohms, henries = np.asarray(table.resistance), np.asarray(table.inductance[0])
-            law = laws.CoilForce(n, force_table(table), ohms, henries, offset)
+            law = laws.CoilForce(n, table.coenergy, table.resistance, offset)
             ends = (("lp", "a1"), ("ln", "b1"), ("up", "a2"), ("un", "b2"), ("y", "y"))
             results = {c: laws.reading(f"{n}.i{k}") for k, c in enumerate(currents, 1)}
             results[f"{prefix}.voltage"] = laws.difference(f"{n}.a2", f"{n}.a1")
@@ -466,7 +440,7 @@ class RingMagnetCoils(PartType):
         feeds = scene.joined(n, "drive")
         if any(scene.parts[other].type.name != "pid" for other, _ in feeds):
             return None
-        force_law = laws.PositionForce(n, force_table(table), (-1.0, 1.0), offset)
+        force_law = laws.PositionForce(n, table.coenergy, (-1.0, 1.0), offset)
         pins = (("y", f"{n}.y"), ("drive", f"{n}.i1"), ("drive", f"{n}.i2"))
         results = {c: laws.reading(f"{n}.coil{k}") for k, c in enumerate(currents, 1)}
         return laws.Equations((force_law,), pins if feeds else pins[:1], results)
@@ -568,7 +542,7 @@ def force_map(part: Part, build: Build) -> Figure:
         Curve(
             f"{1e3 * lower:+.3g} / {1e3 * upper:+.3g}",
             1e3 * fine,
-            1e3 * force(table, fine, lower, upper),
+            1e3 * table.coenergy.force(fine, lower, upper),
         )
         for lower in (-limit, 0.0, limit)
         for upper in (-limit, 0.0, limit)
@@ -581,17 +555,12 @@ def force_map(part: Part, build: Build) -> Figure:
 def coil_impedance(part: Part, build: Build) -> Figure:
     """``|R + j w L|`` of the coils, alone and in series as one current with two signs sees them."""
     table = build.model(part)
-    matrix = inductances(table, 0.5 * (table.y[0] + table.y[-1]))
+    matrix = table.coenergy.inductances(0.5 * (table.y[0] + table.y[-1]))
     each = {"lower": np.array([1.0, 0.0]), "upper": np.array([0.0, 1.0]), "both": np.array([1, -1])}
     f = np.geomspace(10.0, 1e5, 201)
     z = {n: i**2 @ table.resistance + 2j * np.pi * f * (i @ matrix @ i) for n, i in each.items()}
     how = f"of the coils of {part.name}, the sphere held in the middle of their field, capacitance "
     return impedances(part.name, f, z, how + "of the windings left out.")
-
-
-def force_table(table: EMTable) -> laws.ForceTable:
-    """The table as the integrator takes it."""
-    return laws.ForceTable(table.y, coefficients(table), 2)
 
 
 def label(part: Part) -> str:
@@ -638,25 +607,17 @@ def interpolation_error(table: EMTable, current: float) -> float:
     an eighth of it is taken (11 measured on the paper's magnets with 9 positions, more with more),
     or less of a fall where every fourth height shows less, and none where these are too few.
     """
-    values = coefficients(table)
+    values = table.coefficients
+    largest = float(np.abs(_pulls(values, SERIES, current)).sum(axis=0).max())
 
     def missed(step: int) -> float:
         found = cubic_spline(table.y[::step], values[::step])(table.y)
-        return _share(found - values, values, current)
+        off = _pulls(found - values, SERIES, current)
+        return float(np.abs(off).sum(axis=0).max()) / largest
 
     half = missed(2)
     known = half > 0.0 and table.y[::4].size >= 4
     return half / (min(8.0, max(1.0, missed(4) / half)) if known else 1.0)
-
-
-def _share(missed: np.ndarray, values: np.ndarray, current: float) -> float:
-    """``missed`` coefficients (heights, 6) as a force up to ``current`` [A] in both coils, of the
-    largest force by ``values``."""
-
-    def pulls(v: np.ndarray) -> np.ndarray:
-        return np.array([current ** len(term.currents) * term.of(v) for term in SERIES])
-
-    return float(np.abs(pulls(missed)).sum(axis=0).max() / np.abs(pulls(values)).max())
 
 
 def beyond(table: EMTable, y: np.ndarray) -> float:

@@ -5,10 +5,8 @@ import pytest
 from scipy.interpolate import CubicSpline
 from skfem import Basis, ElementTriP2, Functional
 
-from kc2spice.fem.magnetics import forms as magforms
 from kc2spice.fem.magnetics import mesh as magmesh
-from kc2spice.fem.magnetics import system as magsystem
-from kc2spice.fem.magnetics.field import catch_table
+from kc2spice.fem.magnetics.field import LOWER, SPHERE, assemble, catch_table
 from kc2spice.fem.magnetics.keys import Catch
 from kc2spice.fem.magnetics.table import EMTable
 
@@ -18,13 +16,6 @@ RADIUS = 1e-3
 @pytest.fixture(scope="module")
 def table() -> EMTable:
     return catch_table(Catch(), RADIUS)
-
-
-@pytest.fixture(scope="module")
-def bore() -> magmesh.Bore:
-    catch = Catch()
-    pitch = magmesh.lattice_pitch(catch, RADIUS, 0.25e-3)
-    return magmesh.bore(catch, RADIUS, pitch, catch.y_min, catch.y_max)
 
 
 def test_polarity_turns_the_ring_and_nothing_else(table: EMTable) -> None:
@@ -62,7 +53,7 @@ def test_coil_is_pushed_back() -> None:
     catch = Catch(mu_r=1.0, air_radius=0.1, air_height=0.3)
     pitch = magmesh.lattice_pitch(catch, RADIUS, 0.25e-3)
     bore = magmesh.bore(catch, RADIUS, pitch, 0.0, 1e-3)
-    system = magsystem.assemble(catch, bore).system(1e-3 - 4 * pitch)
+    system = assemble(catch, bore).system(1e-3 - 4 * pitch)
     fields = system.solve(system.loads)
     stator = magmesh.stator_mesh(catch, bore)
     r, y = stator.p[:, stator.t].mean(axis=1)
@@ -75,8 +66,8 @@ def test_coil_is_pushed_back() -> None:
     def lorentz(w):  # J x B along y: -J B_r with B_r = -r da/dy
         return 2 * np.pi * w.x[0] ** 2 * density * w["a"].grad[1]
 
-    of_sphere = basis.interpolate(fields[: basis.N, magforms.SPHERE])
+    of_sphere = basis.interpolate(fields[: basis.N, SPHERE])
     on_coil = lorentz.assemble(basis, a=of_sphere)
-    c1 = 2 * system.force(fields)[magforms.SPHERE, magforms.LOWER]
+    c1 = 2 * system.force(fields)[SPHERE, LOWER]
     assert abs(c1) > 0.1
     assert on_coil == pytest.approx(-c1, rel=1e-4)

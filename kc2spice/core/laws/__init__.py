@@ -34,7 +34,6 @@ from kc2spice.core.laws.linear import SignalBlock as SignalBlock
 from kc2spice.core.laws.linear import Source as Source
 from kc2spice.core.laws.linear import TwoTerminal as TwoTerminal
 from kc2spice.core.laws.magnets import CoilForce as CoilForce
-from kc2spice.core.laws.magnets import ForceTable as ForceTable
 from kc2spice.core.laws.magnets import PositionForce as PositionForce
 from kc2spice.core.laws.pin import GROUND as GROUND
 from kc2spice.core.laws.pin import MECHANICAL as MECHANICAL

@@ -7,8 +7,8 @@ from functools import cached_property
 
 import numpy as np
 
-from kc2spice.core.errors import SimulationError
-from kc2spice.fem.magnetics.cubics import Piecewise, cubic_spline
+from kc2spice.core.laws.magnets import Coenergy, products
+from kc2spice.core.piecewise import Piecewise, cubic_spline
 
 FORCE = ("c0", "c1", "c2", "c11", "c12", "c22")
 
@@ -40,93 +40,50 @@ class EMTable:
     unknowns: int
 
     @cached_property
+    def coefficients(self) -> np.ndarray:
+        """The force's coefficients (n, 6) in the order of :data:`FORCE`."""
+        return np.column_stack([getattr(self, name) for name in FORCE])
+
+    @cached_property
     def splines(self) -> Piecewise:
         """Not-a-knot cubic splines of the six coefficients (..., 6) through the nodes.
 
         They keep the FE's accuracy between 41 nodes; other end conditions and monotone
         interpolants do not.
         """
-        values = np.column_stack([getattr(self, name) for name in FORCE])
-        return cubic_spline(self.y, values)
+        return cubic_spline(self.y, self.coefficients)
 
     @cached_property
-    def potentials(self) -> Piecewise:
-        """Integrals over y (..., 6) of the splines: U0, flux_1, flux_2, L11/2, L12, L22/2.
+    def coenergy(self) -> Coenergy:
+        """Integrals over y of the splines.
 
-        Coenergy is ``U0 + flux_1 i1 + flux_2 i2 + L11 i1^2 / 2 + L12 i1 i2 + L22 i2^2 / 2``; its
-        slope in y is the force, its slopes in the currents are the flux linkages. Integrating the
-        force keeps both consistent exactly and smooths, where a differentiated flux would lose an
-        order; the free constants put the mean over the nodes on the FE fluxes.
+        Integrating the force keeps force and flux consistent exactly and smooths, where a
+        differentiated flux would lose an order; the free constants put the mean over the nodes on
+        the FE fluxes.
         """
-        potentials = self.splines.integral()
+        integrals = self.splines.integral()
         half = self.inductance / 2
         nodes = np.column_stack(
             [self.flux0, half[:, 0, 0], self.inductance[:, 0, 1], half[:, 1, 1]],
         )
-        offset = np.mean(nodes - potentials(self.y)[:, 1:], axis=0)
-        return potentials.raised(np.concatenate([[0.0], offset]))
+        offset = np.mean(nodes - integrals(self.y)[:, 1:], axis=0)
+        return Coenergy(integrals.raised(np.concatenate([[0.0], offset])))
 
     @cached_property
     def facts(self) -> dict[str, float]:
-        """The numbers by which an engineer knows the actuator."""
+        """The numbers by which an engineer knows the actuator: the force is the largest of the nine
+        pairs of -0.1, 0 and 0.1 A in the coils."""
+        steps = (-0.1, 0.0, 0.1)
+        forces = em_cases(self, np.array([(i1, i2) for i1 in steps for i2 in steps]))
         return {
             "unknowns": self.unknowns,
-            "force_max_n": float(abs(em_cases(self, current_pairs())).max()),
+            "force_max_n": float(abs(forces).max()),
             "coil_resistance_ohm": float(self.resistance[0]),
             "coil_inductance_h": float(self.inductance[:, 0, 0].mean()),
             "coil_mutual_h": float(self.inductance[:, 0, 1].mean()),
         }
 
 
-def coefficients(table: EMTable, y: np.ndarray | float) -> np.ndarray:
-    """``c0 c1 c2 c11 c12 c22`` (..., 6) at the heights ``y`` [m].
-
-    Raises
-    ------
-    SimulationError : a height outside the table.
-    """
-    return table.splines(_inside(table, y))
-
-
-def force(
-    table: EMTable, y: np.ndarray | float, i1: np.ndarray | float, i2: np.ndarray | float
-) -> np.ndarray:
-    """Force on the sphere [N] at heights ``y`` [m] and coil currents [A]; arguments broadcast."""
-    return _quadratic(np.moveaxis(coefficients(table, y), -1, 0), i1, i2)
-
-
-def inductances(table: EMTable, y: np.ndarray | float) -> np.ndarray:
-    """Symmetric L (..., 2, 2) [H] at the heights ``y`` [m], consistent with :func:`force`."""
-    *_, l11, l12, l22 = np.moveaxis(table.potentials(_inside(table, y)), -1, 0)
-    return np.stack([np.stack([2 * l11, l12], -1), np.stack([l12, 2 * l22], -1)], -1)
-
-
 def em_cases(table: EMTable, currents: np.ndarray) -> np.ndarray:
     """Force (m, n) [N] at the nodes for ``currents`` (m, 2): the curves of the paper's Fig. 6."""
-    nodes = np.array([getattr(table, name) for name in FORCE])
-    return np.array([_quadratic(nodes, i1, i2) for i1, i2 in currents])
-
-
-def current_pairs(limit: float = 0.1) -> np.ndarray:
-    """The nine pairs (9, 2) of -limit, 0 and +limit [A] of the paper's section 2.2.1."""
-    steps = (-limit, 0.0, limit)
-    return np.array([(i1, i2) for i1 in steps for i2 in steps])
-
-
-def _inside(table: EMTable, y: np.ndarray | float) -> np.ndarray:
-    y = np.asarray(y, dtype=float)
-    outside = ~((y >= table.y[0]) & (y <= table.y[-1]))
-    if np.any(outside):
-        raise SimulationError(
-            "the sphere is outside the table of forces",
-            where="catch",
-            got=f"{float(y[outside].flat[0]):g} m",
-            expected=f"{table.y[0]:g} m to {table.y[-1]:g} m",
-            hint="widen catch.y_min, catch.y_max",
-        )
-    return y
-
-
-def _quadratic(c: np.ndarray, i1: np.ndarray | float, i2: np.ndarray | float) -> np.ndarray:
-    i1, i2 = np.asarray(i1), np.asarray(i2)
-    return c[0] + c[1] * i1 + c[2] * i2 + c[3] * i1**2 + c[4] * i1 * i2 + c[5] * i2**2
+    return np.array([products(i1, i2) @ table.coefficients.T for i1, i2 in currents])

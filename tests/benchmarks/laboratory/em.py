@@ -8,7 +8,7 @@ import numpy as np
 
 from kc2spice.fem.magnetics.field import catch_table
 from kc2spice.fem.magnetics.keys import Catch
-from kc2spice.fem.magnetics.table import EMTable, em_cases, force
+from kc2spice.fem.magnetics.table import EMTable, em_cases
 from laboratory.points import Outcome, Plane, Point, Ratio, Timing, fastest, timed
 from laboratory.setup import Setup, keys_of
 from laboratory.usual.fields import brute_force
@@ -33,7 +33,7 @@ def em(setup: Setup) -> Outcome:
         tables[heights], time = timed(
             partial(_table, setup, catch, radius, heights, 1), setup.repeats
         )
-        between = np.array([force(tables[heights], dense.y, *case) for case in cases])
+        between = np.array([tables[heights].coenergy.force(dense.y, *case) for case in cases])
         error = float(np.abs(between - exact).max() / largest)
         points.append(_point(f"{heights} heights", error, mesh.get(1), time, tables[heights]))
     chosen = all_heights[0]

@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from kc2spice.fem.magnetics.field import _pieces, positions, ring_sign
+from kc2spice.fem.magnetics.field import positions, ring_sign, systems
 from kc2spice.fem.magnetics.keys import Catch
 
 Progress = Callable[[int, int], None]
@@ -23,9 +23,8 @@ def brute_force(
     y = positions(catch)
     amplitudes = [np.array([ring_sign(catch), 1.0, i1, i2]) for i1, i2 in currents]
     result = np.empty((len(amplitudes), y.size))
-    for done, (index, pieces) in enumerate(_pieces(catch, radius, y, lambda pieces: pieces), 1):
+    for done, (index, system) in enumerate(systems(catch, radius), 1):
         for case, amplitude in enumerate(amplitudes):
-            system = pieces.system(y[index])
             field = system.solve(system.loads @ amplitude[:, None])
             result[case, index] = system.force(field)[0, 0]
         if progress is not None:

@@ -39,6 +39,10 @@ class Piecewise:
         start = np.cumsum(cells, axis=0) - cells
         return Piecewise(self.knots, np.concatenate([start[None], rising]))
 
+    def derivative(self) -> Piecewise:
+        """Slopes; what jumps at the knots is that of the cell above."""
+        return Piecewise(self.knots, self.c[1:] * np.arange(1, self.c.shape[0])[:, None, None])
+
     def raised(self, by: np.ndarray) -> Piecewise:
         """The same functions plus the constants ``by`` (m,)."""
         return Piecewise(self.knots, np.concatenate([self.c[:1] + by, self.c[1:]]))
