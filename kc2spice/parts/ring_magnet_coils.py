@@ -55,6 +55,7 @@ POINTS = 201  # of each lookup: 6e-6 of the largest force between them
 COARSE = 1e-2  # of the largest force; the spline between the table's heights may miss as much
 COPPER = 3.45e6  # J/(m3 K), of volume: 385 J/(kg K) at 8960 kg/m3
 COILS = ("lower", "upper")
+SOURCES = ("kc2spice.linalg", "kc2spice.fem", "kc2spice.core.gmsh_session", __name__)
 NEGLIGIBLE = 1e-6  # share of the largest force below which a coefficient is left out
 
 
@@ -312,10 +313,42 @@ class RingMagnetCoils(PartType):
         return {"y": f"{ball}.y", "v": f"{ball}.v"}
 
     def problems(self, part: Part, scene: Scene) -> Iterator[UsageError]:
-        yield from _problems(part, scene)
-        keys, name = part.keys, part.name
+        keys, name, ball = part.keys, part.name, sphere_of(part, scene)
+        radius = ball.keys.radius
+        if keys.y_min >= keys.y_max:
+            got = f"{keys.y_min:g} … {keys.y_max:g} m"
+            yield part.wrong("y_min", "empty range of positions", got, "y_min < y_max")
+        bodies: dict[str, Ring] = {each: getattr(keys, each) for each in ("ring", *COILS)}
+        for own, body in bodies.items():
+            # what, its key, what it is, and whether less or more than what of whom is right
+            rules = (
+                ("no material left", "inner", body.inner < body.outer,
+                 "less than outer", body.outer),
+                ("the sphere does not fit through", "inner", body.inner > radius,
+                 f"more than {ball.name}.radius", radius),
+                ("reaches beyond the modelled air", "height", body.height < keys.air_height,
+                 f"less than {part.name}.air_height", keys.air_height),
+                ("reaches beyond the modelled air", "outer", body.outer < keys.air_radius,
+                 f"less than {part.name}.air_radius", keys.air_radius),
+            )  # fmt: skip
+            for problem, key, right, limit, value in rules:
+                if not right:
+                    got = f"{getattr(body, key):g} m"
+                    yield part.wrong(f"{own}.{key}", problem, got, f"{limit}, {value:g} m")
+        for (own, body), (other_name, other) in combinations(bodies.items(), 2):
+            radial = body.inner < other.outer and other.inner < body.outer
+            if radial and 2 * abs(body.y - other.y) < body.height + other.height:
+                yield part.wrong(other_name, f"overlaps {name}.{own}")
+        resting = scene.analysis.type == "transient" and bool(scene.of("contact"))
+        if resting and not keys.y_min < radius < keys.y_max:
+            got, expected = (
+                f"rest height {radius:g} m",
+                f"between {keys.y_min:g} and {keys.y_max:g} m",
+            )
+            hint = f"{part.name}.y_min and {part.name}.y_max set the table's range"
+            yield ball.wrong("radius", "outside the force table", got, expected, hint)
         copper = keys.turns * np.pi / 4 * keys.wire_diameter**2
-        for coil in ("lower", "upper"):
+        for coil in COILS:
             body = getattr(keys, coil)
             fill = float(copper / (body.height * (body.outer - body.inner)))
             why = f"{keys.turns} turns of {keys.wire_diameter:g} m wire do not fit into "
@@ -345,16 +378,18 @@ class RingMagnetCoils(PartType):
                 x, wide = side * (ring.inner + ring.outer) / 2, ring.outer - ring.inner
                 yield Shape(x, ring.y + keys.shift, wide, ring.height, kind, label)
 
+    def _unit(self, part: Part, count: int) -> Catch:
+        """What a table depends on besides the sphere's radius."""
+        alone = {"remanence": 1.0, "shift": 0.0, "points": POINTS, "positions": count}
+        return Catch(**{name: getattr(part.keys, name) for name in Catch.model_fields} | alone)
+
     def model_key(self, part: Part, scene: Scene) -> Mapping[str, Any]:
-        apart = {"remanence", "shift", "points", "driver", "of", "rated_rise"}
-        catch = part.keys.model_dump(mode="json", exclude=apart)
+        """What its table depends on."""
+        catch = self._unit(part, part.keys.positions).model_dump(mode="json")
         return {"catch": catch, "radius": sphere_of(part, scene).keys.radius}
 
     def build(self, part: Part, scene: Scene, clock: Any) -> EMTable:
         return self._table(part, scene, clock, part.keys.positions)
-
-    def sources(self) -> tuple[str, ...]:
-        return ("kc2spice.linalg", "kc2spice.fem", "kc2spice.core.gmsh_session", __name__)
 
     def full_model(self, part: Part, build: Build, clock: Any) -> EMTable:
         """A table so dense that its splines interpolate ``DENSER**4`` times better."""
@@ -362,26 +397,31 @@ class RingMagnetCoils(PartType):
         return self._table(part, build.scene, clock, dense)
 
     def _table(self, part: Part, scene: Scene, clock: Any, count: int) -> EMTable:
-        keys, radius = part.keys, sphere_of(part, scene).keys.radius
-        key = self.model_key(part, scene)
-        unit = field_keys(part).model_copy(
-            update={"remanence": 1.0, "shift": 0.0, "positions": count}
-        )
+        """With ``count`` heights; what the remanence, a factor, and the shift change is exact.
+
+        In linear materials the pull between the magnets grows with the square of the remanence,
+        what a current adds in proportion, and what currents do alone not at all. Air box and ring
+        move together.
+        """
+        keys, unit = part.keys, self._unit(part, count)
 
         def build() -> EMTable:
             from kc2spice.fem.magnetics.field import catch_table
 
             with clock.stage("magnetics", "field of the catch actuator") as share:
+                radius = sphere_of(part, scene).keys.radius
                 return catch_table(unit, radius, lambda done, total: share(done / total))
 
-        table, _ = cached(
-            "catch",
-            {**key, "catch": {**key["catch"], "positions": count}},
-            build,
-            classes=(EMTable,),
-            sources=self.sources(),
+        key = {**self.model_key(part, scene), "positions": count}
+        table, _ = cached("catch", key, build, classes=(EMTable,), sources=SOURCES)
+        return replace(
+            table,
+            y=table.y + keys.shift,
+            c0=keys.remanence**2 * table.c0,
+            c1=keys.remanence * table.c1,
+            c2=keys.remanence * table.c2,
+            flux0=keys.remanence * table.flux0,
         )
-        return mounted(table, keys.remanence, keys.shift)
 
     def library(self, part: Part, scene: Scene) -> str:
         return "coil" if real(part, scene) and part.name == "catch" else part.name
@@ -528,11 +568,6 @@ class RingMagnetCoils(PartType):
             )
 
 
-def field_keys(part: Part) -> Catch:
-    """What the field depends on, remanence and shift included."""
-    return Catch(**{name: getattr(part.keys, name) for name in Catch.model_fields})
-
-
 def force_map(part: Part, build: Build) -> Figure:
     """Force over height for pairs of coil currents: lowest, none, highest."""
     table = build.model(part)
@@ -623,55 +658,6 @@ def interpolation_error(table: EMTable, current: float) -> float:
 def beyond(table: EMTable, y: np.ndarray) -> float:
     """How far [m] a sphere at heights ``y`` [m] left the table."""
     return max(0.0, float(table.y[0] - y.min()), float(y.max() - table.y[-1]))
-
-
-def _problems(part: Part, scene: Scene) -> Iterator[UsageError]:
-    keys, ball = part.keys, sphere_of(part, scene)
-    radius = ball.keys.radius
-    if keys.y_min >= keys.y_max:
-        got = f"{keys.y_min:g} … {keys.y_max:g} m"
-        yield part.wrong("y_min", "empty range of positions", got, "y_min < y_max")
-    bodies: dict[str, Ring] = {name: getattr(keys, name) for name in ("ring", "lower", "upper")}
-    for name, body in bodies.items():
-        # what, its key, what it is, and whether less or more than what of whom is right
-        rules = (
-            ("no material left", "inner", body.inner < body.outer, "less than outer", body.outer),
-            ("the sphere does not fit through", "inner", body.inner > radius,
-             f"more than {ball.name}.radius", radius),
-            ("reaches beyond the modelled air", "height", body.height < keys.air_height,
-             f"less than {part.name}.air_height", keys.air_height),
-            ("reaches beyond the modelled air", "outer", body.outer < keys.air_radius,
-             f"less than {part.name}.air_radius", keys.air_radius),
-        )  # fmt: skip
-        for problem, key, right, limit, value in rules:
-            if not right:
-                got = f"{getattr(body, key):g} m"
-                yield part.wrong(f"{name}.{key}", problem, got, f"{limit}, {value:g} m")
-    for (name, body), (other_name, other) in combinations(bodies.items(), 2):
-        radial = body.inner < other.outer and other.inner < body.outer
-        if radial and 2 * abs(body.y - other.y) < body.height + other.height:
-            yield part.wrong(other_name, f"overlaps {part.name}.{name}")
-    resting = scene.analysis.type == "transient" and bool(scene.of("contact"))
-    if resting and not keys.y_min < radius < keys.y_max:
-        got, expected = f"rest height {radius:g} m", f"between {keys.y_min:g} and {keys.y_max:g} m"
-        hint = f"{part.name}.y_min and {part.name}.y_max set the table's range"
-        yield ball.wrong("radius", "outside the force table", got, expected, hint)
-
-
-def mounted(table: EMTable, factor: float, shift: float) -> EMTable:
-    """The table for ``factor`` times the remanence, of an actuator ``shift`` [m] higher; exact.
-
-    In linear materials the pull between the magnets grows with the square, what a current adds in
-    proportion, and what currents do alone not at all. Air box and ring move together.
-    """
-    return replace(
-        table,
-        y=table.y + shift,
-        c0=factor**2 * table.c0,
-        c1=factor * table.c1,
-        c2=factor * table.c2,
-        flux0=factor * table.flux0,
-    )
 
 
 register(RingMagnetCoils())

@@ -82,7 +82,7 @@ def bore(catch: Catch, radius: float, pitch: float, lowest: float, highest: floa
 
     Raises
     ------
-    UsageError : sphere does not pass through the parts, or leaves the air cylinder.
+    UsageError : the sphere leaves the air cylinder.
     """
     gap = _gap(catch, radius)
     wall = radius + gap / 2
@@ -122,7 +122,12 @@ def stator_mesh(catch: Catch, bore: Bore) -> MeshTri2:
         plates = [(2, occ.addRectangle(a, b, 0, c - a, d - b)) for a, b, c, d in shapes]
         _, made = occ.fragment(plates[:1], plates[1:])
         occ.synchronize()
-        _make_lattice(gmsh, made[1][0][1], bore)
+        lattice = made[1][0]
+        for _, curve in gmsh.model.getBoundary([lattice], oriented=False):
+            _, low, _, _, high, _ = gmsh.model.getBoundingBox(1, curve)
+            cells = bore.rows if high - low > bore.pitch / 2 else bore.columns
+            gmsh.model.mesh.setTransfiniteCurve(curve, cells + 1)
+        gmsh.model.mesh.setTransfiniteSurface(lattice[1], "AlternateLeft")
         points, triangles = _generate(gmsh, size)
     return MeshTri2.from_mesh(MeshTri(points, triangles))
 
@@ -157,23 +162,8 @@ def mover_mesh(bore: Bore) -> tuple[MeshTri2, np.ndarray]:
 
 
 def _gap(catch: Catch, radius: float) -> float:
-    gap = min(part.inner for part in parts(catch)) - radius
-    if gap <= 0:
-        raise UsageError(
-            "the sphere does not fit through the ring and the coils",
-            where="radius",
-            got=f"{radius:g} m",
-            expected=f"less than the smallest inner radius, {gap + radius:g} m",
-        )
-    return gap
-
-
-def _make_lattice(gmsh: ModuleType, surface: int, bore: Bore) -> None:
-    for _, curve in gmsh.model.getBoundary([(2, surface)], oriented=False):
-        _, low, _, _, high, _ = gmsh.model.getBoundingBox(1, curve)
-        cells = bore.rows if high - low > bore.pitch / 2 else bore.columns
-        gmsh.model.mesh.setTransfiniteCurve(curve, cells + 1)
-    gmsh.model.mesh.setTransfiniteSurface(surface, "AlternateLeft")
+    """Between the sphere and the narrowest part."""
+    return min(part.inner for part in parts(catch)) - radius
 
 
 def _generate(
