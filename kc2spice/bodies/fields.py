@@ -1,4 +1,8 @@
-"""Stress and electric field in a body, at one instant or at their worst over a run.
+"""Stress and electric field in a body under the port waveforms of a run.
+
+A run knows what the ports did. The body's own motion under these inputs follows from a projection
+of the full model on a Krylov basis V, whose modes are integrated exactly for inputs that are
+linear between samples: whatever simulator made the waveforms, z = V x is the full model's answer.
 
 With the displacement u and the potential phi of the full model, element by element,
 
@@ -9,19 +13,109 @@ so that stresses may jump between materials.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
+from scipy.linalg import eigh
 from skfem import Basis
+from skfem.mesh import MeshHex, MeshQuad, MeshTet
 
 from kc2spice.bodies.device import Device
-from kc2spice.bodies.recover import Motion
+from kc2spice.core.errors import MissingToolError, UsageError
 from kc2spice.fem.solid import Solid, strains
+from kc2spice.rom.krylov import block_arnoldi
+from kc2spice.rom.march import resonant
 
+ORDER = 40
+STILL = 1e-6  # of the highest frequency: a motion without stiffness
+SLOWEST = 1e-4  # angle over the whole run of a mode that is free to move
 # Instants at which extremes are looked for, half evenly spread, half of most energy: at least so
 # many, and more where points times instants stay below this.
 INSTANTS, WORK = 200, 2_000_000
 CHUNK = 20
+_HEX_EDGES = ((0, 1), (1, 2), (2, 3), (3, 0), (4, 5), (5, 6), (6, 7), (7, 4), (0, 4), (1, 5),
+              (2, 6), (3, 7))  # fmt: skip
+_HEX_FACES = ((0, 7), (1, 6), (0, 5), (3, 6), (0, 2), (4, 6))  # opposite corners
+
+
+@dataclass(frozen=True)
+class Motion:
+    """Displacements ``z(t) = basis @ states[t]`` and ``voltages`` (times, electrical ports)."""
+
+    device: Device
+    time: np.ndarray
+    inputs: np.ndarray
+    basis: np.ndarray
+    states: np.ndarray
+
+    @property
+    def voltages(self) -> np.ndarray:
+        """Inputs of the electrical ports (times, e)."""
+        ports = self.device.model.ports
+        return self.inputs[:, [port.kind == "electrical" for port in ports]]
+
+    @property
+    def outputs(self) -> np.ndarray:
+        """(times, ports) in SI, to be compared with the run's own."""
+        model = self.device.model
+        return np.asarray(self.states @ (model.C @ self.basis).T + self.inputs @ model.D.T)
+
+    def at(self, instant: float) -> tuple[np.ndarray, np.ndarray]:
+        """Displacements z (n,) and voltages (e,) at the sample nearest to ``instant`` [s]."""
+        k = int(np.argmin(np.abs(self.time - instant)))
+        return self.basis @ self.states[k], self.voltages[k]
+
+
+def recover(
+    device: Device, time: np.ndarray, inputs: Mapping[str, np.ndarray], *, order: int = ORDER
+) -> Motion:
+    """The motion of the body under port inputs (by port name, SI, over ``time``); ports that are
+    not named get none. It starts at rest under the first values.
+
+    Raises
+    ------
+    UsageError : a port that the body does not have, or waveforms of another length.
+    """
+    names = [port.name for port in device.model.ports]
+    u = np.zeros((len(time), len(names)))
+    for name, wave in inputs.items():
+        if name not in names or np.shape(wave) != np.shape(time):
+            raise UsageError(
+                "not a port waveform of this body",
+                where="fields",
+                got=f"{name} {np.shape(wave)}",
+                expected=f"{len(time)} values of one of {', '.join(names)}",
+            )
+        u[:, names.index(name)] = wave
+    t = np.asarray(time)
+    basis, omega, damp = _modes(device, order, float(t[-1] - t[0]))
+    states, _ = resonant(omega, damp, t, u @ (basis.T @ device.model.B).T)
+    return Motion(device, t, u, basis, states)
+
+
+def lowest_modes(device: Device, count: int, end: float) -> tuple[np.ndarray, np.ndarray]:
+    """Frequencies [Hz] below ``end`` of at most ``count`` modes that the ports excite, electrodes
+    shorted, and their displacements (n, modes); motions without stiffness are none of them."""
+    basis, omega, _ = _modes(device, ORDER, np.inf)
+    kept = np.flatnonzero((omega > STILL * omega.max()) & (omega < 2 * np.pi * end))
+    kept = kept[np.argsort(omega[kept])][:count]
+    return omega[kept] / (2 * np.pi), basis[:, kept]
+
+
+def _modes(device: Device, order: int, span: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Mass-normalised modes (n, q) of the projected model, their frequencies [rad/s] and damping
+    [1/s] each by itself."""
+    model, shift = device.model, device.shift
+    solve = model.pencil.pencil_solver(-shift).solve
+    V = block_arnoldi(
+        lambda v: model.K @ v + shift * (model.M @ v), solve, lambda v: model.M @ v, model.B, order
+    )
+    K, E, M = model.pencil.project(V).coefficients
+    squares, X = eigh(0.5 * (K + K.T), 0.5 * (M + M.T))
+    omega = np.sqrt(np.maximum(squares, (SLOWEST / span) ** 2))
+    return V @ X, omega, np.einsum("ij,ik,kj->j", X, E, X)
 
 
 @dataclass(frozen=True)
@@ -194,3 +288,54 @@ def _instants(motion: Motion, count: int) -> np.ndarray:
     energy = energy + drive / (drive.max(initial=0.0) or 1.0)
     even = np.linspace(motion.time[0], motion.time[-1], count - count // 2)
     return np.union1d(np.searchsorted(motion.time, even), np.argsort(energy)[-(count // 2) :])
+
+
+def write_vtu(path: Path, device: Device, z: np.ndarray, voltages: np.ndarray) -> None:
+    """Displacement [m], potential [V], field [V/m], stress [Pa] and largest principal stress at
+    the nodes of every element, as a VTU file of cells that share no points.
+
+    Raises
+    ------
+    MissingToolError : meshio is not installed.
+    """
+    try:
+        import meshio
+    except ImportError as error:
+        raise MissingToolError(
+            "meshio cannot be loaded", where="fields", got=str(error), hint="pip install meshio"
+        ) from error
+    probe = Probe(device, gauss=False)
+    fields = probe(z, voltages)
+    mesh = device.solid.mesh
+    where = np.moveaxis(mesh.mapping().F(device.solid.element.doflocs.T), 0, -1)
+    where = where.reshape(-1, mesh.dim())
+    if mesh.dim() == 2:
+        where = np.column_stack([where[:, 0], np.zeros(len(where)), where[:, 1]])
+    kind, order = _vtk(device.solid)
+    cells = np.arange(len(where)).reshape(mesh.nelements, -1)[:, order]
+    data = {
+        "displacement": fields.displacement,
+        "potential": fields.potential,
+        "field": fields.field,
+        "stress": fields.stress,
+        "principal_stress": principal(fields.stress),
+        "material": probe.owner.astype(float),
+    }
+    meshio.Mesh(where, [(kind, cells)], point_data=data).write(path, file_format="vtu")
+
+
+def _vtk(solid: Solid) -> tuple[str, np.ndarray]:
+    """meshio's name of the cell and the places of VTK's nodes among scikit-fem's."""
+    mesh = solid.mesh
+    if isinstance(mesh, MeshTet):
+        return "tetra10", np.arange(10)
+    if isinstance(mesh, MeshQuad):
+        return "quad9", np.arange(9)
+    if not isinstance(mesh, MeshHex):
+        return "triangle6", np.arange(6)
+    corners = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0],
+                        [0, 0, 1], [1, 0, 1], [1, 1, 1], [0, 1, 1]], float)  # fmt: skip
+    middles = [corners[list(pair)].mean(axis=0) for pair in (*_HEX_EDGES, *_HEX_FACES)]
+    wanted = np.vstack([corners, middles, [[0.5, 0.5, 0.5]]])[: 27 if solid.order == 2 else 8]
+    order = np.argmin(np.abs(wanted[:, None] - solid.element.doflocs).sum(axis=-1), axis=1)
+    return f"hexahedron{27 if solid.order == 2 else ''}", order

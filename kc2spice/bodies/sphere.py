@@ -24,7 +24,7 @@ import numpy as np
 from scipy import sparse
 from skfem.mesh import MeshQuad, MeshQuad2
 
-from kc2spice.bodies.coupled import electromechanical
+from kc2spice.bodies.device import electromechanical
 from kc2spice.bodies.pressure import CELLS, GROWTH, Pressed, PressureBasis, hat_loads
 from kc2spice.fem.keys import Damping
 from kc2spice.fem.materials import Material

@@ -18,12 +18,17 @@ from pydantic import Field
 from kc2spice.core import laws
 from kc2spice.core.cache import cached, remembered
 from kc2spice.core.errors import UsageError
-from kc2spice.core.figure import Curve, Figure, Panel, time_axis, window
+from kc2spice.core.figure import Figure
 from kc2spice.core.quantities import Section, Voltage
-from kc2spice.core.waveforms import Waveforms
-from kc2spice.parts import _chipbook as chipbook
-from kc2spice.parts._pictures import impedances
+from kc2spice.core.waveforms import Waveforms, running
+from kc2spice.parts._pictures import (
+    impedance_figure,
+    own_impedances,
+    port_figures,
+    response_figures,
+)
 from kc2spice.rom.linear import Certificate, LinearModel, Port
+from kc2spice.rom.march import chip_response
 from kc2spice.rom.modal import Resonators, resonators
 from kc2spice.rom.structure import structure
 from kc2spice.scene.judge import Balance, Check
@@ -64,7 +69,8 @@ KEPT = 1e-4  # share of a floating electrode's charge that a run may lose by the
 NO_ENERGY = 1e-13  # of the stiffest motion's: rounding
 LEAST = 10e3  # Hz of a transient's band at least: what switches in the circuit is not known
 MOTIONS = 20  # natural frequencies that a band reaches unasked: above them the mesh decides
-POINTS = 600  # of an impedance, besides those near resonances
+STORED = 0.1  # of the stored energy: a chip rings on after a pulse at up to 30 MHz
+UNPRESSED = 1e-9  # of the largest force or energy, far above their rounding
 
 
 # Packages and modules that every full and reduced model depends on.
@@ -170,14 +176,7 @@ class LinearBody(PartType):
     def surface(self, part: Part, scene: Scene, ports: tuple[str, ...] = ()) -> Surface | None:
         mechanical = [p.name for p in self.ports(part, scene) if p.kind == "mechanical"]
         names = ports or tuple(mechanical[:1])
-        for name in names:
-            if name not in mechanical:
-                raise UsageError(
-                    f"{part.name} has no such mechanical port",
-                    where=part.name,
-                    got=repr(name),
-                    expected=", ".join(mechanical) or "none",
-                )
+        _require_ports(part, [n for n in names if n not in mechanical], mechanical, "mechanical ")
         if not names:
             return None
         modulus = self.indentation_modulus(part)
@@ -302,20 +301,18 @@ class LinearBody(PartType):
         found: dict[str, Vector] = {}
         ports = self.kept(part, build.scene)
         for port in ports:
+            name, node = wave_name(part.name, ports, port), build.net(part, port.terminals[0])
             if port.kind == "electrical":
-                found |= _electrical(part, port, chipbook.terminal(part.name, ports, port), build)
-                continue
-            factor, unit, word = ANSWERS.get(port.kind, (1.0, port.across, ""))
-            node = build.net(part, port.terminals[0])
-            if node != "0":
-                name = ".".join(filter(None, (part.name, word, port.name)))
+                found |= _electrical(part, port, name, build)
+            elif node != "0":
+                factor, unit, _ = ANSWERS.get(port.kind, (1.0, port.across, ""))
                 found[name] = Vector(f"v({node})", factor, unit)
         return found
 
     # --- what a run says ------------------------------------------------------------------------
 
     def metrics(self, part: Part, build: Build, waves: Waveforms) -> Mapping[str, Any]:
-        z = impedance(part, waves)
+        z = measured(part, waves)
         if z is None:
             return {}
         from kc2spice.bodies.impedance import analyse
@@ -338,9 +335,8 @@ class LinearBody(PartType):
             yield Check(f"band of {part.name}", highest, limit, "Hz", OUTSIDE, "warn")
         if "time" not in waves:
             return
-        if (known := self._recorded(part, build, waves)) is not None:
-            pressed = self.coarse(part, build.scene)
-            yield chipbook.balance(part.name, *known, pressed=pressed)
+        if (balance := self._balance(part, build, waves)) is not None:
+            yield balance
         if found is not None:
             yield from self._excited(part, build, waves, found)
         yield from _charge_kept(part, build)
@@ -348,8 +344,8 @@ class LinearBody(PartType):
         if volts is None:
             return
         for port in ports:
-            name = chipbook.terminal(part.name, ports, port) if port.kind == "electrical" else ""
-            if f"{name}.voltage" in waves:
+            name = wave_name(part.name, ports, port)
+            if port.kind == "electrical" and f"{name}.voltage" in waves:
                 largest = float(np.abs(waves[f"{name}.voltage"]).max())
                 yield Check(f"rating of {name}", largest, volts, "V", BEYOND, "warn")
 
@@ -371,7 +367,7 @@ class LinearBody(PartType):
         for port in self.kept(part, scene):
             if port.kind != "electrical" or not apart.any():
                 continue
-            name = chipbook.terminal(part.name, build.model(part).ports, port)
+            name = wave_name(part.name, build.model(part).ports, port)
             voltage = waves.data.get(f"{name}.voltage")
             if voltage is None or not np.ptp(voltage):
                 continue
@@ -380,21 +376,68 @@ class LinearBody(PartType):
             content = float(slope / (np.pi * np.ptp(voltage)))
             yield Check(name, content, high, "Hz", STEEP, "warn")
 
-    def _recorded(
-        self, part: Part, build: Build, waves: Waveforms
-    ) -> tuple[Resonators, Waveforms, dict[str, np.ndarray]] | None:
-        """Its modes, the transient and the forces on its ports, where all loads were recorded."""
-        modal = modal_form(build.model(part))
+    def loads(self, part: Part, build: Build, waves: Waveforms) -> dict[str, np.ndarray]:
+        """What the run put on every kept port over time, in SI: voltage, acceleration, or the force
+        of all that is joined to it; without ports whose force is not recorded."""
+        kept, found = self.kept(part, build.scene), dict[str, np.ndarray]()
+        still = np.zeros(waves["time"].size)
+        for port in kept:
+            name = wave_name(part.name, kept, port)
+            if port.kind not in ("mechanical", "rotational"):
+                wave = f"{name}.voltage" if port.kind == "electrical" else name
+                found[port.name] = waves.data.get(wave, still)
+                continue
+            joined = build.scene.joined(part.name, port.terminals[0])
+            others = [(build.scene.parts[other], pin) for other, pin in joined]
+            forces = [other.type.force_on(other, pin, build, waves) for other, pin in others]
+            known = [force for force in forces if force is not None]
+            if len(known) == len(forces) and build.net(part, port.terminals[0]) != "0":
+                found[port.name] = sum(known, start=still)
+        return found
+
+    def _balance(self, part: Part, build: Build, waves: Waveforms) -> Balance | None:
+        """Work of voltage and forces on the body against its exact response to the same loads.
+
+        What the exact response takes in and does not store is damped. The electrical part needs the
+        body's current among the waveforms. The scale is the largest change of the energy stored, or
+        of what rounds it where nothing moves. Where the ringing is coarse, that is judged until
+        nothing presses on the body any more; else displacements [m] and charges [C] are exact.
+        """
+        model, t = modal_form(build.model(part)), waves["time"]
         kinds = {port.kind for port in self.kept(part, build.scene)}
-        if modal is None or not kinds <= {"electrical", "mechanical"}:
+        if model is None or not kinds <= {"electrical", "mechanical"}:
             return None
-        if part_starts_moving(part, build.scene):
+        loads = self.loads(part, build, waves)
+        if len(loads) < len(model.ports):
             return None
-        forces = chipbook.port_forces(part, build, waves)
-        ports = [p for p in modal.ports if p.kind == "electrical"]
-        names = [chipbook.terminal(part.name, ports, port) for port in ports]
-        known = all(f"{name}.voltage" in waves for name in names)
-        return (modal, waves, forces) if forces is not None and known else None
+        inputs = np.column_stack([loads[port.name] for port in model.ports])
+        response = chip_response(model, t, inputs)
+        entries: dict[str, float] = {}
+        answers: dict[str, tuple[np.ndarray, np.ndarray]] = {}
+        gap, damped = np.zeros(t.size), response.stored[0] - response.stored
+        for port, load, exact in zip(model.ports, inputs.T, response.output.T, strict=True):
+            took, name = running(load, exact), wave_name(part.name, model.ports, port)
+            damped = damped + took
+            if port.kind == "electrical":
+                what, found = "electrical work", took
+                current = waves.data.get(f"{name}.current")
+                if current is not None:
+                    found = running(load * current, t)
+                    answers[f"charge of {name}"] = running(current, t) + exact[0], exact
+            else:
+                what, found = "work of the contact", running(load, waves[name])
+                answers[name] = waves[name], exact
+            entries[what] = entries.get(what, 0.0) + float(found[-1])
+            gap += found - took
+        entries |= {"stored": float(response.stored[-1]), "damped": float(damped[-1])}
+        if pressed := self.coarse(part, build.scene):
+            forces = [loads[port.name] for port in model.ports if port.kind == "mechanical"]
+            largest = np.abs(forces).max(axis=0, initial=0.0)
+            last = np.flatnonzero(largest > UNPRESSED * largest.max(initial=0.0)).max(initial=0)
+            gap = gap[: int(last) + 1]
+        scale = max(float(np.ptp(response.stored)), UNPRESSED * float(response.stored.max()))
+        exactly = {} if pressed else answers
+        return Balance(entries, float(np.abs(gap).max()), scale, STORED, exact=exactly)
 
     def static_compliance(self, part: Part, build: Build, ports: tuple[str, ...]) -> np.ndarray:
         """(ports, ports) displacement [m] per force [N] at rest, electrodes at constant voltage."""
@@ -403,15 +446,16 @@ class LinearBody(PartType):
         return np.asarray(model.transfer(np.zeros(1))[0][np.ix_(rows, rows)].real)
 
     def figures(self, part: Part, build: Build, waves: Waveforms) -> Iterator[Figure]:
-        yield from port_figures(part, waves)
-        z = impedance(part, waves)
+        yield from port_figures(part.name, waves)
+        z = measured(part, waves)
         if z is not None:
-            measured = f"as the circuit shows it at {part.name}"
-            yield impedance_figure(part.name, waves["frequency"].real, z, measured)
+            how = f"as the circuit shows it at {part.name}"
+            yield impedance_figure(part.name, waves["frequency"].real, z, how)
             return
-        if "frequency" in waves:
-            yield from response_figures(part, waves)
-        yield from _own_impedances(part, build.model(part))
+        yield from response_figures(part.name, waves)
+        modal = None if build.model(part) is None else modal_form(build.model(part))
+        poles = np.empty(0) if modal is None else modal.omega / (2 * np.pi)
+        yield from own_impedances(part.name, build.model(part), poles)
 
     def law(self, part: Part, build: Build) -> laws.Equations | None:
         model: LinearModel = build.model(part)
@@ -509,18 +553,13 @@ def _reduction_checks(name: str, model: LinearModel, found: Certificate) -> Iter
 def _readings(part: Part, model: LinearModel) -> dict[str, laws.Reading]:
     """Results of a body with conservative ports, under the names of :meth:`LinearBody.vectors`."""
     found: dict[str, laws.Reading] = {}
-    n = part.name
     for port in model.ports:
+        own, name = f"{part.name}.{port.name}", wave_name(part.name, model.ports, port)
         if port.kind == "electrical":
-            prefix = chipbook.terminal(n, model.ports, port)
-            found[f"{prefix}.voltage"] = laws.difference(
-                f"{n}.{port.name}", f"{n}.{port.terminals[1]}"
-            )
-            found[f"{prefix}.current"] = laws.reading(f"{n}.{port.name}.through")
-        elif port.kind in ANSWERS:
-            found[f"{n}.{ANSWERS[port.kind][2]}.{port.name}"] = laws.reading(f"{n}.{port.name}")
-        elif port.kind in ("input", "output"):
-            found[f"{n}.{port.name}"] = laws.reading(f"{n}.{port.name}")
+            found[f"{name}.voltage"] = laws.difference(own, f"{part.name}.{port.terminals[1]}")
+            found[f"{name}.current"] = laws.reading(f"{own}.through")
+        else:
+            found[name] = laws.reading(own)
     return found
 
 
@@ -568,15 +607,6 @@ def massless(part: Part, scene: Scene) -> bool:
     found = (c for c in scene.of("contact") if c.keys.inertia == "massless")
     targets = (target for c in found for target in c.type.default_joins(c, scene).values())
     return any(target.startswith(f"{part.name}.") for target in targets)
-
-
-def part_starts_moving(part: Part, scene: Scene) -> bool:
-    """Whether its reaction to a moving frame is not recorded."""
-    return any(
-        other.keys.kind == "acceleration"
-        for other in scene.of("source")
-        if any(target.startswith(f"{part.name}.") for target in other.pins.values())
-    )
 
 
 def file_stamp(path: Path) -> str:
@@ -630,7 +660,7 @@ def free_to_move(model: LinearModel) -> bool:
     return bool(values.min(initial=np.inf) <= NO_ENERGY * values.max(initial=0.0))
 
 
-def impedance(part: Part, waves: Waveforms) -> np.ndarray | None:
+def measured(part: Part, waves: Waveforms) -> np.ndarray | None:
     """``V / I`` (frequencies,) [Ohm] at the first electrical port, where both were recorded.
 
     None as well where the body feeds the circuit, so that V / I is not its own impedance.
@@ -645,80 +675,14 @@ def impedance(part: Part, waves: Waveforms) -> np.ndarray | None:
     return None if (found.real < -FEEDING * np.abs(found)).any() else found
 
 
-def _own_impedances(part: Part, model: LinearModel | None) -> Iterator[Figure]:
-    """Of every electrical port, with the others shorted and nothing pressing on the body."""
-    if model is None or model.certificate is None:
-        return
-    low, high = model.certificate.band_hz
-    modal = modal_form(model)
-    poles = np.empty(0) if modal is None else modal.omega / (2 * np.pi)
-    near = (poles[:, None] * (1 + 1e-3 * np.arange(-20, 21))).ravel()
-    f = np.sort(np.concatenate((np.geomspace(max(low, high / 300), high, POINTS), near)))
-    f = f[(f >= max(low, high / 300)) & (f <= high)]
-    answers = model.transfer(f)
-    for port in (p for p in model.ports if p.kind == "electrical"):
-        charge = answers[:, model.outputs.index(port.name), model.inputs.index(port.name)]
-        name = part.name if port.name == "anode" else f"{part.name}_{port.name}"
-        how = "of the reduced model, nothing pressing on the body, other electrodes shorted"
-        if (charge != 0).all():
-            yield impedance_figure(name, f, 1 / (2j * np.pi * f * charge), how)
-
-
-def impedance_figure(name: str, frequency: np.ndarray, z: np.ndarray, how: str) -> Figure:
-    """Magnitude and phase of one impedance."""
-    how += ": minimum at resonance, maximum at antiresonance."
-    return impedances(name, frequency, {"": z}, how)
-
-
-def response_figures(part: Part, waves: Waveforms) -> Iterator[Figure]:
-    """Size of voltages and displacements over frequency, where no impedance was measured."""
-    frequency = waves["frequency"].real
-    log = frequency[0] > 0 and frequency[-1] / frequency[0] > 20
-    words = {"displacement in µm": (f"{part.name}.u.", 1e6), "voltage in V": ("voltage", 1.0)}
-    panels = []
-    for label, (word, scale) in words.items():
-        found = {n: v for n, v in waves.data.items() if n.startswith(part.name) and word in n}
-        curves = tuple(
-            Curve(n.removeprefix(f"{part.name}.").removeprefix("u."), frequency, scale * np.abs(v))
-            for n, v in found.items()
-        )
-        if curves:
-            panels.append(Panel("", label, curves, log_x=log, log_y=True))
-    if panels:
-        panels[-1] = replace(panels[-1], x="frequency in Hz")
-        caption = f"What the ports of {part.name} answer with."
-        yield Figure(f"{part.name}_response", f"Response of {part.name}", caption, tuple(panels))
-
-
-def port_figures(part: Part, waves: Waveforms) -> Iterator[Figure]:
-    """Displacements of its ports around the time of their largest swing, over the voltage."""
-    moved = {n: v for n, v in waves.data.items() if n.startswith(f"{part.name}.u.")}
-    if "time" not in waves or not moved:
-        return
-    t = waves["time"]
-    inside = busy(t, np.sum([np.abs(v) for v in moved.values()], axis=0))
-    label, factor = time_axis(t[inside])
-    x = factor * t[inside]
-    curves = tuple(Curve(n.rpartition(".")[2], x, 1e6 * v[inside]) for n, v in moved.items())
-    panels = [Panel("", "displacement in µm", curves)]
-    voltage, current = (waves.data.get(f"{part.name}.{n}") for n in ("voltage", "current"))
-    if voltage is not None:
-        panels.append(Panel("", "voltage in V", (Curve("", x, voltage[inside]),)))
-    if current is not None:
-        panels.append(Panel("", "current in A", (Curve("", x, current[inside]),)))
-    panels[-1] = replace(panels[-1], x=label)
-    caption = f"Ports of {part.name} while they move most."
-    yield Figure(f"{part.name}_ports", f"Motion of {part.name}", caption, tuple(panels))
-
-
-def busy(t: np.ndarray, size: np.ndarray) -> np.ndarray:
-    """Mask (n,) of the shortest stretch that holds all that is above 2 % of the largest value."""
-    above = np.flatnonzero(size > 0.02 * size.max(initial=0.0))
-    if above.size == 0:
-        return np.ones(t.size, dtype=bool)
-    first, last = t[above[0]], t[above[-1]]
-    margin = 0.1 * (last - first)
-    return window(t, first - margin, last + margin)
+def wave_name(name: str, ports: Sequence[Port], port: Port) -> str:
+    """What a port's answer is called in results; of an electrical one what its voltage and current
+    begin with: the part's name at the first of them."""
+    if port.kind == "electrical":
+        first = next(p for p in ports if p.kind == "electrical")
+        return name if port == first else f"{name}.{port.name}"
+    _, _, word = ANSWERS.get(port.kind, (1.0, "", ""))
+    return ".".join(filter(None, (name, word, port.name)))
 
 
 def _terminals(

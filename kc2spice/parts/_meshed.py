@@ -1,6 +1,6 @@
 """Bodies whose stress and field a run recovers on their mesh, where the key ``fields`` asks for it.
 
-The full model's motion under the port waveforms of the run (:mod:`kc2spice.bodies.recover`) gives
+The full model's motion under the port waveforms of the run (:mod:`kc2spice.bodies.fields`) gives
 the largest principal stress and field of every material beside its limit, a VTU file of the instant
 of the largest stress and a picture of the body at that instant. The shapes of its lowest modes are
 there in ``ac`` as well.
@@ -24,7 +24,6 @@ from kc2spice.core.errors import UsageError
 from kc2spice.core.figure import Curve, Figure, Panel, Shape
 from kc2spice.core.quantities import Time
 from kc2spice.core.waveforms import Waveforms
-from kc2spice.parts import _chipbook as chipbook
 from kc2spice.parts._linear_body import LinearBody, LinearKeys
 from kc2spice.parts._pictures import deformed, shapes
 from kc2spice.rom.linear import LinearModel, Port
@@ -36,8 +35,7 @@ from kc2spice.scene.plausible import layers as plausible_layers
 if TYPE_CHECKING:
     from kc2spice.bodies.blocks import Bonded
     from kc2spice.bodies.device import Device
-    from kc2spice.bodies.fields import Extreme
-    from kc2spice.bodies.recover import Motion
+    from kc2spice.bodies.fields import Extreme, Motion
 
 MOST = 20  # instants that one run writes
 MODES = 6  # drawn at most, the lowest ones
@@ -167,7 +165,7 @@ class MeshedBody(LinearBody):
                 yield Figure(name, f"Deformed {part.name}", caption, (panel,))
 
     def _shapes(self, part: Part, build: Build) -> Iterator[Figure]:
-        from kc2spice.bodies.recover import lowest_modes
+        from kc2spice.bodies.fields import lowest_modes
 
         device, model = self.device(part, build.scene), build.model(part)
         end = np.inf if model.certificate is None else model.certificate.band_hz[1]
@@ -186,7 +184,7 @@ class MeshedBody(LinearBody):
         recovered = self.recovered(part, build, waves)
         if recovered is None:
             return
-        from kc2spice.bodies.vtu import write_vtu
+        from kc2spice.bodies.fields import write_vtu
 
         motion = recovered.motion
         instants = {"fields": recovered.worst.instant}
@@ -207,35 +205,20 @@ class MeshedBody(LinearBody):
             return None
         known = _recent.get(part.name)
         if known is None or known[0] is not waves:
-            from kc2spice.bodies.fields import extremes
-            from kc2spice.bodies.recover import recover
+            from kc2spice.bodies.fields import extremes, recover
 
             loads = self.loads(part, build, waves)
-            motion = recover(self.device(part, build.scene), waves["time"], loads)
-            known = _recent[part.name] = (waves, Recovered(motion, tuple(extremes(motion))))
-        return known[1]
-
-    def loads(self, part: Part, build: Build, waves: Waveforms) -> dict[str, np.ndarray]:
-        """Waveforms of all kept ports in SI: voltages, forces, accelerations."""
-        kept, still = self.kept(part, build.scene), np.zeros(waves["time"].size)
-        forces = chipbook.port_forces(part, build, waves)
-        found = {}
-        for port in kept:
-            wave = None if forces is None else forces.get(port.name, still)
-            if port.kind == "electrical":
-                name = f"{chipbook.terminal(part.name, kept, port)}.voltage"
-                wave = waves.data.get(name, still)
-            elif port.kind == "acceleration":
-                wave = waves.data.get(f"{part.name}.a.{port.name}", still)
-            if wave is None:
+            kept = [port.name for port in self.kept(part, build.scene)]
+            if unknown := [name for name in kept if name not in loads]:
                 raise UsageError(
                     "fields need every load of the body",
                     where=f"{part.name}.fields",
-                    got=f"a force on {port.name} that its part does not record",
+                    got=f"a force on {unknown[0]} that its part does not record",
                     expected="contacts, springs, dampers, masses and sources",
                 )
-            found[port.name] = np.asarray(wave)
-        return found
+            motion = recover(self.device(part, build.scene), waves["time"], loads)
+            known = _recent[part.name] = (waves, Recovered(motion, tuple(extremes(motion))))
+        return known[1]
 
 
 def chosen(part: Part) -> tuple[float, ...]:

@@ -1,22 +1,111 @@
-"""Pictures of a meshed body: deformed, coloured by what happens inside, as figures."""
+"""Figures of bodies: what their ports did, and what happens inside a meshed one."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from kc2spice.core.figure import Curve, Figure, Map, Panel
+from kc2spice.core.figure import Curve, Figure, Map, Panel, time_axis, window
+from kc2spice.core.waveforms import Waveforms
+from kc2spice.rom.linear import LinearModel
 
 if TYPE_CHECKING:
     from kc2spice.bodies.device import Device
 
+POINTS = 600  # of an impedance, besides those near resonances
 FINE = 4000  # lines of a surface mesh, from which only its edges are drawn
 BENT = 0.05  # share of the second direction among normals that makes an edge
 SHOWN = 0.1  # of the body's size: the largest displacement in the picture
 DOTS = 240  # of a coloured picture along its longer side
 OBLIQUE = 0.35  # of the depth, to the right and upwards
+
+
+def impedances(name: str, frequency: np.ndarray, z: Mapping[str, np.ndarray], how: str) -> Figure:
+    """Magnitude and phase of impedances [Ohm] over frequency [Hz], as an analyser shows them."""
+    log = frequency[0] > 0 and frequency[-1] / frequency[0] > 20
+    unit, scale = ("kHz", 1e3) if frequency[-1] > 5e3 else ("Hz", 1.0)
+    f = frequency / scale
+    size = tuple(Curve(label, f, np.abs(values)) for label, values in z.items())
+    phase = tuple(Curve(label, f, np.angle(values, deg=True)) for label, values in z.items())
+    panels = (
+        Panel("", "|Z| in Ω", size, log_x=log, log_y=True),
+        Panel(f"frequency in {unit}", "phase in °", phase, log_x=log),
+    )
+    caption = f"Magnitude and phase {how}"
+    return Figure(f"{name}_impedance", f"Impedance of {name}", caption, panels)
+
+
+def impedance_figure(name: str, frequency: np.ndarray, z: np.ndarray, how: str) -> Figure:
+    """Magnitude and phase of one impedance."""
+    how += ": minimum at resonance, maximum at antiresonance."
+    return impedances(name, frequency, {"": z}, how)
+
+
+def own_impedances(name: str, model: LinearModel | None, poles: np.ndarray) -> Iterator[Figure]:
+    """Of every electrical port, with the others shorted and nothing pressing on the body; ``poles``
+    are frequencies [Hz] that it is shown close to."""
+    if model is None or model.certificate is None:
+        return
+    low, high = model.certificate.band_hz
+    low = max(low, high / 300)
+    near = (poles[:, None] * (1 + 1e-3 * np.arange(-20, 21))).ravel()
+    f = np.sort(np.concatenate((np.geomspace(low, high, POINTS), near)))
+    f = f[(f >= low) & (f <= high)]
+    answers = model.transfer(f)
+    for port in (p for p in model.ports if p.kind == "electrical"):
+        charge = answers[:, model.outputs.index(port.name), model.inputs.index(port.name)]
+        own = name if port.name == "anode" else f"{name}_{port.name}"
+        how = "of the reduced model, nothing pressing on the body, other electrodes shorted"
+        if (charge != 0).all():
+            yield impedance_figure(own, f, 1 / (2j * np.pi * f * charge), how)
+
+
+def response_figures(name: str, waves: Waveforms) -> Iterator[Figure]:
+    """Size of voltages and displacements over frequency, where no impedance was measured."""
+    if "frequency" not in waves:
+        return
+    frequency = waves["frequency"].real
+    log = frequency[0] > 0 and frequency[-1] / frequency[0] > 20
+    words = {"displacement in µm": (f"{name}.u.", 1e6), "voltage in V": ("voltage", 1.0)}
+    panels = []
+    for label, (word, scale) in words.items():
+        curves = tuple(
+            Curve(n.removeprefix(f"{name}.").removeprefix("u."), frequency, scale * np.abs(v))
+            for n, v in waves.data.items()
+            if n.startswith(name) and word in n
+        )
+        if curves:
+            panels.append(Panel("", label, curves, log_x=log, log_y=True))
+    if panels:
+        panels[-1] = replace(panels[-1], x="frequency in Hz")
+        caption = f"What the ports of {name} answer with."
+        yield Figure(f"{name}_response", f"Response of {name}", caption, tuple(panels))
+
+
+def port_figures(name: str, waves: Waveforms) -> Iterator[Figure]:
+    """Displacements of its ports over the voltage, in the shortest stretch of time that holds all
+    that is above 2 % of their largest swing."""
+    moved = {n: v for n, v in waves.data.items() if n.startswith(f"{name}.u.")}
+    if "time" not in waves or not moved:
+        return
+    t, size = waves["time"], np.sum([np.abs(v) for v in moved.values()], axis=0)
+    inside = np.ones(t.size, dtype=bool)
+    if (above := np.flatnonzero(size > 0.02 * size.max())).size:
+        first, last = t[above[0]], t[above[-1]]
+        inside = window(t, first - 0.1 * (last - first), last + 0.1 * (last - first))
+    label, factor = time_axis(t[inside])
+    x = factor * t[inside]
+    curves = tuple(Curve(n.rpartition(".")[2], x, 1e6 * v[inside]) for n, v in moved.items())
+    panels = [Panel("", "displacement in µm", curves)]
+    for word, unit in (("voltage", "V"), ("current", "A")):
+        if (wave := waves.data.get(f"{name}.{word}")) is not None:
+            panels.append(Panel("", f"{word} in {unit}", (Curve("", x, wave[inside]),)))
+    panels[-1] = replace(panels[-1], x=label)
+    caption = f"Ports of {name} while they move most."
+    yield Figure(f"{name}_ports", f"Motion of {name}", caption, tuple(panels))
 
 
 def deformed(device: Device, z: np.ndarray, voltages: np.ndarray) -> tuple[Panel, float]:
@@ -47,21 +136,6 @@ def shapes(device: Device, hertz: np.ndarray, columns: np.ndarray) -> Iterator[P
         at_rest = _wires("at rest", device.solid.mesh, ":", fine=0)
         word = f"{f / 1e3:.4g} kHz" if f >= 1e3 else f"{f:.4g} Hz"
         yield Panel(f"mm, {word}", "mm", (at_rest,), equal=True, map=colours)
-
-
-def impedances(name: str, frequency: np.ndarray, z: Mapping[str, np.ndarray], how: str) -> Figure:
-    """Magnitude and phase of impedances [Ohm] over frequency [Hz], as an analyser shows them."""
-    log = frequency[0] > 0 and frequency[-1] / frequency[0] > 20
-    unit, scale = ("kHz", 1e3) if frequency[-1] > 5e3 else ("Hz", 1.0)
-    f = frequency / scale
-    size = tuple(Curve(label, f, np.abs(values)) for label, values in z.items())
-    phase = tuple(Curve(label, f, np.angle(values, deg=True)) for label, values in z.items())
-    panels = (
-        Panel("", "|Z| in Ω", size, log_x=log, log_y=True),
-        Panel(f"frequency in {unit}", "phase in °", phase, log_x=log),
-    )
-    caption = f"Magnitude and phase {how}"
-    return Figure(f"{name}_impedance", f"Impedance of {name}", caption, panels)
 
 
 def _enlarged(device: Device, moves: np.ndarray) -> tuple[np.ndarray, float]:

@@ -8,10 +8,15 @@ from scipy.signal import StateSpace, lsim
 from skfem.mesh import MeshHex, MeshQuad, MeshTet, MeshTet2, MeshTri, MeshTri2
 
 from kc2spice.bodies.device import Setup, Shape, make_device, node_shares, spread
-from kc2spice.bodies.fields import Probe, extremes, principal
+from kc2spice.bodies.fields import (
+    Probe,
+    extremes,
+    lowest_modes,
+    principal,
+    recover,
+    write_vtu,
+)
 from kc2spice.bodies.piezo_stack import stack_device
-from kc2spice.bodies.recover import lowest_modes, recover
-from kc2spice.bodies.vtu import write_vtu
 from kc2spice.core.errors import UsageError
 from kc2spice.fem.keys import Damping
 from kc2spice.fem.materials import material
