@@ -44,31 +44,6 @@ class Attached:
 
 
 @dataclass(frozen=True)
-class Output:
-    """A wave: ``now @ X + d/dt (rated @ X) + devices @ (outputs of all devices) + constant``."""
-
-    now: np.ndarray
-    rated: np.ndarray
-    devices: np.ndarray
-    constant: float = 0.0
-
-
-@dataclass(frozen=True)
-class Term:
-    """``y' weight y`` of a law, ``y = rows @ X`` (energy already halved), or ``weight y``."""
-
-    law: str
-    kind: str  # "energy", "weight": a linear energy, "loss", or "drag": a loss by the rates of y
-    rows: np.ndarray
-    weight: np.ndarray
-
-    def of(self, y: np.ndarray) -> np.ndarray:
-        """Value (nt,) for ``y`` (m, nt)."""
-        weighted = self.weight @ y
-        return weighted[0] if self.kind == "weight" else np.asarray((y * weighted).sum(axis=0))
-
-
-@dataclass(frozen=True)
 class Held:
     """A start that a law asks for: ``row @ X = value`` and ``rate @ X = speed``."""
 
@@ -81,7 +56,12 @@ class Held:
 
 @dataclass(frozen=True)
 class System:
-    """Reduced equations and how to read everything from their unknowns; made by `assemble`."""
+    """Reduced equations and how to read everything from their unknowns; made by `assemble`.
+
+    Waves are ``now X + d/dt (rated X) + direct (outputs of all devices) + constant`` in the order
+    of ``names``. Linear laws store ``X' stored X + lifted X`` [J] and lose
+    ``X' lost X + X'' dragged X'`` [W], with the rate of ``X`` in the last.
+    """
 
     G: np.ndarray  # (n, N)
     F: np.ndarray  # (n, N)
@@ -90,9 +70,16 @@ class System:
     velocity: np.ndarray  # (n,) bool
     sources: tuple[L.Source, ...]
     devices: tuple[Attached, ...]
-    outputs: Mapping[str, Output]
-    terms: tuple[Term, ...]
     held: tuple[Held, ...]
+    names: tuple[str, ...]
+    now: np.ndarray  # (W, N)
+    rated: np.ndarray
+    direct: np.ndarray  # (W, K)
+    constant: np.ndarray
+    stored: np.ndarray  # (N, N)
+    lifted: np.ndarray  # (N,)
+    lost: np.ndarray
+    dragged: np.ndarray
 
     @property
     def size(self) -> int:
@@ -140,7 +127,8 @@ class _Assembly:
         self.sources = tuple(p for p in laws if isinstance(p, L.Source))
         self.S = np.zeros((n, len(self.sources)))
         self.constraints: list[tuple[np.ndarray, np.ndarray]] = []  # forms, and of which sources
-        self.terms: list[tuple[str, str, np.ndarray, np.ndarray]] = []
+        self.forms: dict[str, Any] = {k: np.zeros((n, n)) for k in ("stored", "lost", "dragged")}
+        self.lifted = np.zeros(n)
         self.flows: dict[str, tuple[np.ndarray, np.ndarray]] = {}
         self.attached: list[tuple[L.Device, np.ndarray, np.ndarray]] = []
         self.held: list[tuple[np.ndarray, float, np.ndarray, float]] = []
@@ -215,10 +203,6 @@ class _Assembly:
 
     # --- what stamps use --------------------------------------------------------------------
 
-    def across(self, law: L.Law, pin: str, rate: bool = False) -> np.ndarray:
-        """Form (size,) that reads a pin's across quantity, or its rate for a mechanical pin."""
-        return self.rate(self.form(law, pin)) if rate else self.form(law, pin)
-
     def form(self, law: L.Law, pin: str) -> np.ndarray:
         """Form of a pin along which through quantities act: displacement, voltage or signal."""
         net, row = self.nets[f"{law.name}.{pin}"], np.zeros(self.size)
@@ -234,28 +218,23 @@ class _Assembly:
         """Form of a pin less those of others, where they have a name."""
         return np.asarray(self.form(law, a) - sum(self.form(law, b) for b in others if b))
 
-    def rate(self, form: np.ndarray) -> np.ndarray:
-        """The same form of the velocities."""
+    def rate(self, form: np.ndarray, needed: bool = True) -> np.ndarray:
+        """The same form of the velocities; those that are not ``needed`` may be missing."""
         row = np.zeros(self.size)
         row[self.nq : 2 * self.nq] = form[: self.nq]
-        self.moving += np.outer(form[: self.nq], form[: self.nq])
+        if needed:
+            self.moving += np.outer(form[: self.nq], form[: self.nq])
         return row
-
-    def velocity_of(self, form: np.ndarray) -> np.ndarray:
-        """Form of the velocities where they are there anyway."""
-        return np.concatenate(
-            (np.zeros(self.nq), form[: self.nq], np.zeros(self.size - 2 * self.nq))
-        )
 
     def branch(self, law: L.Law, form: np.ndarray, through: np.ndarray) -> None:
         """A two-pole with ``through @ y`` from its first pin to its second."""
         self.A -= np.outer(form, through)
         self.flows[f"{law.name}.{law.pins[0].name}"] = (through, np.zeros(self.size))
 
-    def term(self, law: L.Law, kind: str, rows: np.ndarray, weight: Any) -> None:
-        """Account for an energy or a loss ``y' weight y``, ``y = rows @ raw``."""
-        if np.any(weight):
-            self.terms.append((law.name, kind, np.atleast_2d(rows), np.atleast_2d(weight)))
+    def term(self, kind: str, rows: np.ndarray, weight: Any) -> None:
+        """Account for ``y' weight y`` that is stored, lost or dragged, ``y = rows @ raw``."""
+        rows = np.atleast_2d(rows)
+        self.forms[kind] += rows.T @ np.atleast_2d(weight) @ rows
 
     def constrain(self, form: np.ndarray, source: int) -> None:
         """Demand ``form @ raw = s[source]``, or zero where that is -1."""
@@ -367,58 +346,58 @@ class _Assembly:
             velocity=np.isin(np.arange(size), np.arange(p, p + d)),
             sources=self.sources,
             devices=tuple(devices),
-            outputs=self._outputs(expansion, devices, first),
-            terms=tuple(Term(o, kind, r @ expansion, g) for o, kind, r, g in self.terms),
             held=tuple(
                 Held(r @ expansion, x, v @ expansion, y, W.T @ r) for r, x, v, y in self.held
             ),
+            lifted=self.lifted @ expansion,
+            **{kind: expansion.T @ form @ expansion for kind, form in self.forms.items()},
+            **self._waves(expansion, devices, first),
         )
 
-    def _outputs(
-        self, expansion: np.ndarray, devices: list[Attached], count: int
-    ) -> dict[str, Output]:
+    def _waves(self, expansion: np.ndarray, devices: list[Attached], count: int) -> dict[str, Any]:
         """Across quantities ``NAME.pin``, their ``.rate`` where something moves, what is
         ``.through`` pins, and states of devices. What prescribes a quantity exerts what remains in
         the raw equations."""
-        none, still = np.zeros(expansion.shape[1]), np.zeros(count)
-        found = {}
+        size, sources = expansion.shape[1], len(self.sources)
+        rows: dict[str, tuple[Any, Any, Any, float]] = {}
         for law in self.laws:
             for pin in law.pins:
-                name, across = f"{law.name}.{pin.name}", self.across(law, pin.name)
-                found[name] = Output(across @ expansion, none, still)
+                name, form = f"{law.name}.{pin.name}", self.form(law, pin.name)
+                rows[name] = (form @ expansion, 0.0, 0.0, 0.0)
                 if pin.kind in L.MECHANICAL:
-                    speed = self.velocity_of(self.form(law, pin.name))
-                    found[f"{name}.rate"] = Output(speed @ expansion, none, still)
-        for name, (direct, rated) in self.flows.items():
-            found[f"{name}.through"] = Output(direct @ expansion, rated @ expansion, still)
+                    rows[f"{name}.rate"] = (self.rate(form, False) @ expansion, 0.0, 0.0, 0.0)
+        for name, (at_once, rated) in self.flows.items():
+            rows[f"{name}.through"] = (at_once @ expansion, rated @ expansion, 0.0, 0.0)
         for device in devices:
-            law = device.law
-            for k, flow in enumerate(law.flows):
-                one = np.eye(1, count, device.first + k)[0]
-                found[f"{law.name}.{flow.pin}.through"] = Output(none, none, one)
+            law, outputs = device.law, np.eye(count)[device.first :]
+            for flow, one in zip(law.flows, outputs, strict=False):
+                rows[f"{law.name}.{flow.pin}.through"] = (0.0, 0.0, one, 0.0)
             for state, row in zip(law.states, device.inputs[len(law.taps) :], strict=True):
-                found[f"{law.name}.{state}"] = Output(row, none, still)
+                rows[f"{law.name}.{state}"] = (row, 0.0, 0.0, 0.0)
         forms = np.array([form for form, _ in self.constraints]).reshape(-1, self.size)
         touched = forms.any(axis=0)
-        solve = np.linalg.pinv(forms[:, touched].T, rcond=1e-12) if forms.size else None
-        n, k = expansion.shape[1] - 2 * len(self.sources), len(self.sources)
+        solve = np.linalg.pinv(forms[:, touched].T, rcond=1e-12)
         acting = self.A @ expansion
-        acting[:, n : n + k] += self.S
+        acting[:, size - 2 * sources : size - sources] += self.S
         raw = np.hstack([np.zeros((self.size, 0)), *(into for _, _, into in self.attached)])
         for at, source in enumerate(self.sources):
-            if source.kind in ("signal", "acceleration"):
-                continue
+            name = f"{source.name}.out.through"
             held = [j for j, (_, by) in enumerate(self.constraints) if by[at]]
-            prescribed = np.zeros(self.size)
-            if held and solve is not None:
-                prescribed[touched] = solve[held[0]]
-            found[f"{source.name}.out.through"] = Output(
-                prescribed @ acting if held else -np.eye(1, none.size, n + at)[0],
-                -prescribed @ self.M @ expansion,
-                prescribed @ raw,
-                float(prescribed @ self.const),
-            )
-        return found
+            if held:
+                by = np.zeros(self.size)
+                by[touched] = solve[held[0]]
+                rated = -by @ self.M @ expansion
+                rows[name] = (by @ acting, rated, by @ raw, float(by @ self.const))
+            elif source.kind in ("current", "force"):
+                rows[name] = (-np.eye(1, size, size - 2 * sources + at)[0], 0.0, 0.0, 0.0)
+        columns = tuple(zip(*rows.values(), strict=True))
+        return {
+            "names": tuple(rows),
+            "now": np.array([row + np.zeros(size) for row in columns[0]]),
+            "rated": np.array([row + np.zeros(size) for row in columns[1]]),
+            "direct": np.array([row + np.zeros(count) for row in columns[2]]),
+            "constant": np.array(columns[3]),
+        }
 
 
 def _split(basis: np.ndarray, pattern: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -516,16 +495,16 @@ def _body(law: L.LinearBody, into: _Assembly) -> None:
                 if D[k, j] and other.kind in L.MECHANICAL:
                     into.A[at, into.own[f"{law.name}.{other.name}"]] -= D[k, j]
             into.flows[f"{law.name}.{port.name}"] = (force, np.zeros(n))
-            into.term(law, "energy", force, 0.5 * D[k, k])
+            into.term("stored", force, 0.5 * D[k, k])
     moving = np.zeros((C.shape[1], n))
     moving[:, v] = np.eye(C.shape[1])
-    into.term(law, "energy", motion, 0.5 * K)
-    into.term(law, "energy", moving, 0.5 * M)
-    into.term(law, "loss", moving, E - drag)
-    into.term(law, "drag", motion, drag)
+    into.term("stored", motion, 0.5 * K)
+    into.term("stored", moving, 0.5 * M)
+    into.term("lost", moving, E - drag)
+    into.term("dragged", motion, drag)
     if volts:
         keys = list(volts)
-        into.term(law, "energy", np.array(list(volts.values())), 0.5 * D[np.ix_(keys, keys)])
+        into.term("stored", np.array(list(volts.values())), 0.5 * D[np.ix_(keys, keys)])
 
 
 @stamp.register
@@ -549,8 +528,8 @@ def _mass(law: L.Mass, into: _Assembly) -> None:
     speed = into.rate(form)
     into.M += law.mass * np.outer(form, speed)
     into.const -= law.mass * law.gravity * form
-    into.term(law, "energy", speed, 0.5 * law.mass)
-    into.term(law, "weight", form, law.mass * law.gravity)
+    into.term("stored", speed, 0.5 * law.mass)
+    into.lifted += law.mass * law.gravity * form
     into.flows[f"{law.name}.a"] = (np.zeros(into.size), law.mass * speed)
     if law.position is not None:
         into.held.append((form, law.position, speed, law.velocity))
@@ -563,22 +542,22 @@ def _two_terminal(law: L.TwoTerminal, into: _Assembly) -> None:
         flow = into.rate(form) if law.kind in L.MECHANICAL else form
         if law.order == 0:
             into.branch(law, form, value * flow)
-            into.term(law, "loss", flow, value)
+            into.term("lost", flow, value)
         else:
             into.M += value * np.outer(form, flow)
             into.flows[f"{law.name}.a"] = (np.zeros(into.size), value * flow)
-            into.term(law, "energy", flow, 0.5 * value)
+            into.term("stored", flow, 0.5 * value)
         return
     if law.kind in L.MECHANICAL:  # the displacement is the integral
         into.branch(law, form, value * form)
-        into.term(law, "energy", form, 0.5 * value)
+        into.term("stored", form, 0.5 * value)
         return
     at = into.own[f"{law.name}.i"]
     current = np.eye(1, into.size, at)[0]
     into.M[at, at] += 1.0 / value
     into.A[at] += form
     into.branch(law, form, current)
-    into.term(law, "energy", current, 0.5 / value)
+    into.term("stored", current, 0.5 / value)
 
 
 @stamp.register
@@ -597,16 +576,13 @@ def _source(law: L.Source, into: _Assembly) -> None:
 
 @stamp.register
 def _sensor(law: L.Sensor, into: _Assembly) -> None:
-    into.A += law.gain * np.outer(into.form(law, "out"), into.across(law, "a"))
+    into.A += law.gain * np.outer(into.form(law, "out"), into.form(law, "a"))
 
 
 @stamp.register
 def _device(law: L.Device, into: _Assembly) -> None:
-    taps = [
-        into.across(law, t.pin, t.rate)
-        - sum(into.across(law, pin, t.rate) for pin in (t.minus, t.less) if pin)
-        for t in law.taps
-    ]
+    taps = [into.gap(law, t.pin, t.minus, t.less) for t in law.taps]
+    taps = [into.rate(form) if t.rate else form for t, form in zip(law.taps, taps, strict=True)]
     own = [np.eye(1, into.size, into.own[f"{law.name}.{s}"])[0] for s in law.states]
     through = [-into.gap(law, f.pin, f.minus, f.less) for f in law.flows]
     driven = [into.form(law, pin) for pin in law.drives]

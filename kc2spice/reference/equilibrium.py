@@ -50,14 +50,9 @@ def _with_waves(system: System, values: dict[str, float]) -> System:
 
 
 def _values(system: System, z: np.ndarray, modes: list[Any]) -> dict[str, float]:
-    rest = Interval(_with_waves(system, {}), modes, 0.0)
-    X, out, more = rest.seen(0.0, z), np.empty(0), dict[str, float]()
-    for device, mode in zip(system.devices, modes, strict=True):
-        e, law = device.inputs @ X, device.law
-        out = np.append(out, law.evaluate(0.0, e, mode)[0])
-        more |= {f"{law.name}.{key}": value for key, value in law.waves(0.0, e, mode).items()}
-    named = system.outputs.items()
-    return {k: float(w.now @ X + w.devices @ out + w.constant) for k, w in named} | more
+    rest, t = Interval(_with_waves(system, {}), modes, 0.0), np.zeros(1)
+    waves = rest.waves(t, z[:, None], np.zeros((z.size, 1)))
+    return {name: float(wave[0]) for name, wave in waves.items()}
 
 
 class _Rest:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections import defaultdict
-from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
@@ -14,9 +12,9 @@ from scipy.optimize import brentq
 
 from kc2spice.core.errors import SimulationError
 from kc2spice.core.laws import Device
-from kc2spice.reference.assemble import Output, System
+from kc2spice.reference.assemble import System
 from kc2spice.reference.equilibrium import equilibrium
-from kc2spice.reference.flight import Flight, FlightStep, Modes, modes_of
+from kc2spice.reference.free import free_modes
 from kc2spice.reference.interval import Interval
 from kc2spice.reference.radau import NODES, WEIGHTS, Radau, Step
 
@@ -33,140 +31,61 @@ class Event:
 
 
 @dataclass(frozen=True)
-class Balance:
-    """Energies by law [J]: supplied and lost over the run, stored before and after it."""
-
-    supplied: defaultdict[str, float]
-    lost: defaultdict[str, float]
-    before: defaultdict[str, float]
-    after: defaultdict[str, float]
-
-    @property
-    def residual(self) -> float:
-        """Energy that the balance cannot account for [J]: what came in less what is stored more or
-        became heat."""
-        came, went = (self.supplied, self.before), (self.lost, self.after)
-        return sum(sum(e.values()) for e in came) - sum(sum(e.values()) for e in went)
-
-    @property
-    def turnover(self) -> float:
-        """What the residual is judged by [J]: all that came in, was lost or was there first."""
-        return sum(
-            abs(e) for each in (self.supplied, self.lost, self.before) for e in each.values()
-        )
-
-
-@dataclass(frozen=True)
 class Segment:
-    """Accepted steps within one interval, and what flies meanwhile."""
+    """Accepted steps within one interval."""
 
     interval: Interval
     steps: tuple[Step, ...]
-    flight: Flight | None = None
 
 
-class Samples:
-    """Everything at times ``t`` (nt,) within one interval, from states and their rates (n, nt)."""
+@dataclass(frozen=True)
+class Balance:
+    """Energy [J] that a run cannot account for, what came in less what is stored more or became
+    heat, and the ``turnover`` that it is judged by: all that came in, was lost or was there."""
 
-    def __init__(self, interval: Interval, t: np.ndarray, z: np.ndarray, r: np.ndarray) -> None:
-        self.interval, self.t, self.X = interval, t, interval.seen(t, z)
-        self.dX = np.concatenate((r, interval.system.given(t, interval.within, 1)))
-
-    def inputs(self, k: int) -> np.ndarray:
-        """What device ``k`` sees (nt, m)."""
-        return np.asarray((self.interval.system.devices[k].inputs @ self.X).T)
-
-    def each(self, k: int) -> Iterator[tuple[float, np.ndarray]]:
-        """Time and inputs of device ``k``, point by point."""
-        return zip(self.t.tolist(), self.inputs(k), strict=True)
-
-    @cached_property
-    def _devices(self) -> np.ndarray:
-        """Outputs of all devices (K, nt)."""
-        found = [np.zeros((0, self.t.size))]
-        for k, device in enumerate(self.interval.system.devices):
-            rates, mode = (device.inputs @ self.dX).T, self.interval.modes[k]
-            points = zip(self.t.tolist(), self.inputs(k), rates, strict=True)
-            found.append(np.array([device.out(t, e, rate, mode) for t, e, rate in points]).T)
-        return np.concatenate(found)
-
-    def wave(self, output: Output) -> np.ndarray:
-        """Values (nt,)."""
-        found = output.now @ self.X + output.rated @ self.dX + output.constant
-        return found + output.devices @ self._devices if output.devices.any() else found
-
-    @cached_property
-    def more(self) -> dict[str, np.ndarray]:
-        """What devices add, ``NAME.EXTRA``."""
-        found = {}
-        for k, (device, mode) in enumerate(
-            zip(self.interval.system.devices, self.interval.modes, strict=True)
-        ):
-            law = device.law
-            rows = [law.waves(t, e, mode) for t, e in (self.each(k) if law.extra else ())]
-            for key in law.extra:
-                found[f"{law.name}.{key}"] = np.array([row[key] for row in rows])
-        return found
+    residual: float
+    turnover: float
 
 
 @dataclass(frozen=True)
 class Result:
-    """Waves over ``time``, located events, and the energy balance."""
+    """Segments and located events of a run, to be read at ``time`` (nt,)."""
 
     system: System
     time: np.ndarray
     segments: tuple[Segment, ...]
     events: tuple[Event, ...]
 
-    @property
-    def waves(self) -> Waves:
-        """Every wave by name, worked out when asked for."""
-        return Waves(self)
-
-    @property
-    def energy(self) -> Balance:
-        """Energy by law."""
-        return _balance(self)
-
-
-class Waves(Mapping[str, np.ndarray]):
-    """``time``; ``NAME.pin`` across, ``NAME.pin.through``, ``NAME.pin.rate``, ``NAME.state``, and
-    what a device adds. Read from the collocation polynomials at ``Result.time``."""
-
-    def __init__(self, result: Result) -> None:
-        self.result = result
-        self._samples: list[Samples] = []
+    @cached_property
+    def waves(self) -> dict[str, np.ndarray]:
+        """``time``; ``NAME.pin`` across, ``NAME.pin.through``, ``NAME.pin.rate``, ``NAME.state``,
+        and what a device adds; read from the collocation polynomials."""
         # A corner that is rounded otherwise by ngspice is still the end of what was before it.
-        ends = np.array([s.steps[-1].end for s in result.segments[:-1]])
-        owner = np.searchsorted(ends + 4 * np.spacing(result.time[-1]), result.time, side="left")
+        ends = np.array([s.steps[-1].end for s in self.segments[:-1]])
+        owner = np.searchsorted(ends + 4 * np.spacing(self.time[-1]), self.time, side="left")
+        found = []
         for k in np.unique(owner):
-            segment, t = result.segments[k], result.time[owner == k]
+            segment, t = self.segments[k], self.time[owner == k]
             at = np.searchsorted([s.start for s in segment.steps[1:]], t, side="left")
             steps = [(segment.steps[j], t[at == j]) for j in np.unique(at)]
             z = np.hstack([step.at(own) for step, own in steps])
             r = np.hstack([step.rate(own) for step, own in steps])
-            self._samples.append(Samples(segment.interval, t, z, r))
-        system = result.system
-        self._more = [f"{d.law.name}.{key}" for d in system.devices for key in d.law.extra]
+            found.append(segment.interval.waves(t, z, r))
+        joined = {name: np.concatenate([waves[name] for waves in found]) for name in found[0]}
+        return {"time": self.time, **joined}
 
-    def __iter__(self) -> Iterator[str]:
-        yield from ("time", *self.result.system.outputs, *self._more)
-
-    def __len__(self) -> int:
-        return sum(1 for _ in self)
-
-    def __getitem__(self, name: str) -> np.ndarray:
-        if name == "time":
-            return self.result.time
-        if name in self._more:
-            return np.concatenate([s.more[name] for s in self._samples])
-        output = self.result.system.outputs[name]
-        return np.concatenate([s.wave(output) for s in self._samples])
-
-    def inputs(self, law: str) -> np.ndarray:
-        """(nt, m) what a device sees."""
-        k = [device.law.name for device in self.result.system.devices].index(law)
-        return np.concatenate([s.inputs(k) for s in self._samples])
+    @cached_property
+    def energy(self) -> Balance:
+        """Energies at both ends, and powers by the quadrature of the method itself."""
+        came, went = np.zeros(2), np.zeros(2)  # sums, and those of sizes
+        for segment in self.segments:
+            for sums, energies in zip((came, went), _exchanged(self.system, segment), strict=True):
+                sums += np.sum(energies), np.abs(energies).sum()
+        begin, end = self.segments[0], self.segments[-1]
+        before = begin.interval.energy(begin.steps[0].start, begin.steps[0].first)
+        after = end.interval.energy(end.steps[-1].end, end.steps[-1].last)
+        residual = came[0] - went[0] + before - after
+        return Balance(float(residual), float(came[1] + went[1] + abs(before)))
 
 
 def transient(
@@ -184,7 +103,7 @@ def transient(
     segments: list[Segment] = []
     events: list[Event] = []
     for begin, end in pairwise(corners):
-        t, within, interval = begin, 0.5 * (begin + end), None
+        t, within = begin, 0.5 * (begin + end)
         e = Interval(system, modes, within).inputs(begin, z)
         modes = [
             d.law.mode(begin, x, m) if begin > 0.0 and np.any(at == begin) else m
@@ -193,19 +112,16 @@ def transient(
         while t < end:
             if len(segments) > _MAX_SEGMENTS:
                 raise SimulationError("contact chatters without end", where=f"t = {t:.9e} s")
-            if interval is None:
-                interval = Interval(system, modes, within)
-                flying = modes_of(interval)
-            steps, flight, fired = _run(interval, t, z, end, rtol, flying)
+            interval = Interval(system, modes, within)
+            steps, fired = _run(interval, t, z, end, rtol)
             if steps:
-                segments.append(Segment(interval, tuple(steps), flight))
+                segments.append(Segment(interval, tuple(steps)))
                 t, z = steps[-1].end, steps[-1].last
-            if fired is not None:
+            if fired is None:
+                t = end
+            else:
                 modes, event = _switched(system, modes, fired, t)
                 events += event
-                interval = None
-            elif t >= end * (1 - 1e-15):
-                t = end
     grid = [s.start for p in segments for s in p.steps] + [stop]
     time = np.unique(grid) if times is None else np.union1d(times, [e.time for e in events])
     return Result(system, time, tuple(segments), tuple(events))
@@ -226,82 +142,55 @@ def _switched(
 
 
 def _run(
-    interval: Interval, t: float, z: np.ndarray, end: float, rtol: float, modes: Modes | None
-) -> tuple[list[Step], Flight | None, int | None]:
-    """Steps to ``end``, to the first guard that falls to zero (and its number), or to where modes
-    take off or land."""
+    interval: Interval, t: float, z: np.ndarray, end: float, rtol: float
+) -> tuple[list[Step], int | None]:
+    """Steps to ``end``, or to the first guard that falls to zero, and its number."""
     z = interval.settled(t, z)
-    before = interval.guards(t, z)
-    flight = None if modes is None else modes.launched(t, z)
-    if flight is not None and _landed(flight, t, before, 1.5):
-        flight = None
-    part, own = (interval, z) if flight is None else (flight.modes.part, z[flight.modes.others])
-    solver = Radau(part, t, own, rtol)
-
-    def full(step: Step) -> Step:
-        return step if flight is None else FlightStep.of(step, flight)
-
-    steps: list[Step] = []
+    free, before = free_modes(interval), interval.guards(t, z)
+    solver = Radau(interval, t, z, rtol)
     pace = min((getattr(p.wave, "pace", np.inf) for p in interval.system.sources), default=np.inf)
-    h, fired = solver.guess(end), None
-    while solver.t < end:
-        inner, h_next = solver.advance(min(h, pace), end)
-        step = full(inner)
-        late = None if flight is None else _landing(interval, flight, step)
-        if late is not None:
-            if late - step.start <= 1e-15 * max(step.start, 1e-6):
-                late = step.start + min(1e-3 * step.length, 1e-12)
-            step = full(_short(solver, inner, late - step.start))
-            end = late
-        now = step.end if late is None else late
-        after = interval.guards(now, step.last)
-        wrong = (before < 0.0) & (after < before)
-        if wrong.any():
-            fired = int(np.flatnonzero(wrong)[0])
-            break
+    steps: list[Step] = []
+    h = 0.0
+    while solver.t < end * (1 - 1e-16):
+        if free is not None and solver.free is None:
+            motion = free.from_state(solver.t, solver.z)
+            if motion.clear(solver.t, before):
+                solver.begin(interval, solver.t, solver.z, motion)
+                h = 0.0
+        step, h_next = solver.advance(min(h or solver.guess(end), pace), end)
+        after = interval.guards(step.end, step.last)
+        if solver.free is not None and not _clear(interval, step):
+            h = 0.25 * step.length
+            if h * np.abs(solver.free.modes.rates).max() < 1.0:
+                solver.begin(interval, solver.t, solver.z)
+                free, h = None, 0.0
+            continue
+        wrong = np.flatnonzero((before < 0.0) & (after < before))
+        if wrong.size:
+            return steps, int(wrong[0])
         fell = np.flatnonzero((after < 0.0) & (before >= 0.0))
-        if fell.size:
-            step, fired = _located(interval, solver, step, fell, full)
-        for device, e in zip(
-            interval.system.devices, interval.inputs(step.end, step.last), strict=True
-        ):
+        step, fired = _located(interval, solver, step, fell) if fell.size else (step, None)
+        inputs = interval.inputs(step.end, step.last)
+        for device, e in zip(interval.system.devices, inputs, strict=True):
             device.law.check(step.end, e)
         steps.append(step)
-        if fired is not None or now >= end * (1 - 1e-16):
-            break
-        solver.accept(inner)
+        if fired is not None:
+            return steps, fired
+        solver.accept(step)
         before, h = after, h_next
-        waiting = modes if flight is None else None
-        if waiting and not _landed(waiting.launched(now, step.last), now, after, 1.6):
-            break
-    return steps, flight, fired
+    return steps, None
 
 
-def _landed(flight: Flight, t: float, guards: np.ndarray, margin: float) -> bool:
-    """Whether a watched guard may fall to zero through the flight's own motion."""
-    watched = flight.modes.watched
-    return bool(np.any((guards - margin * flight.swing(t) <= 1e-9)[watched]))
-
-
-def _landing(interval: Interval, flight: Flight, step: Step) -> float | None:
-    """First time within ``step`` from which a watched guard may fall to zero by the flight."""
+def _clear(interval: Interval, step: Step) -> bool:
+    """Whether the free motion makes no guard fall to zero within ``step``."""
+    assert step.free is not None
     times = step.start + step.length * np.linspace(0.0, 1.0, 9)[1:]
-
-    def value(t: float) -> float:
-        guards = interval.guards(t, step.at(t)[:, 0])
-        return float((guards - flight.swing(t))[flight.modes.watched].min(initial=np.inf))
-
-    low = step.start
-    for t in times:
-        if value(t) <= 0.0:
-            return brentq(value, low, t, xtol=1e-12) if value(low) > 0.0 else low
-        low = t
-    return None
+    states = step.at(times).T
+    guards = [interval.guards(t, z) for t, z in zip(times, states, strict=True)]
+    return all(step.free.clear(t, g, 1.0) for t, g in zip(times, guards, strict=True))
 
 
-def _located(
-    interval: Interval, solver: Radau, step: Step, fell: np.ndarray, full: Callable[[Step], Step]
-) -> tuple[Step, int]:
+def _located(interval: Interval, solver: Radau, step: Step, fell: np.ndarray) -> tuple[Step, int]:
     """The step shortened to the first zero of a guard, solved anew there."""
 
     def value(t: float, k: int) -> float:
@@ -316,82 +205,54 @@ def _located(
         crosses = value(t1, k) < 0.0
         return brentq(value, low, t1, args=(k,), xtol=1e-18, rtol=1e-15) if crosses else t1
 
+    def shortened(h: float) -> Step:
+        """On the polynomial where Newton's method fails."""
+        stages = step.at(t0 + h * NODES) - step.first[:, None]
+        rough = Step(t0, h, step.first, stages, step.differential, step.free)
+        return solver.take(h) or rough
+
     at, guard = min((root(int(k)), int(k)) for k in fell)
-    inner = step.inner if isinstance(step, FlightStep) else step
     h = max(at - t0, 1e-12 * step.length)  # late in a run, t0 + 1e-12 length may be t0
-    found = full(_short(solver, inner, h))
+    found = shortened(h)
     for _ in range(2):  # the polynomial is of lower order than the step
         miss = float(interval.guards(t0 + h, found.last)[guard])
         rate = (value(t0 + h, guard) - value(t0 + 0.999 * h, guard)) / (0.001 * h)
         if rate >= 0.0 or not 1e-17 <= abs(miss / rate) <= 0.01 * h:
             break
         h -= miss / rate
-        found = full(_short(solver, inner, h))
+        found = shortened(h)
     return found, guard
 
 
-def _short(solver: Radau, step: Step, h: float) -> Step:
-    """The step of length ``h`` from the same start; on the polynomial where Newton fails."""
-    found = solver.take(h)
-    if found is not None:
-        return found
-    stages = step.at(step.start + h * NODES) - step.first[:, None]
-    return Step(step.start, h, step.first, stages, step.differential)
-
-
-def _balance(result: Result) -> Balance:
-    """Energies at both ends, and powers by the quadrature of the method itself."""
-    system, found = result.system, Balance(*(defaultdict(float) for _ in range(4)))
-    losing = [k for k, d in enumerate(system.devices) if type(d.law).loss is not Device.loss]
-    for segment in result.segments:
-        interval, steps = segment.interval, segment.steps
-        t = np.concatenate([s.start + s.length * NODES for s in steps])
-        w = np.concatenate([s.length * WEIGHTS for s in steps])
-        nodes = [s.nodes() for s in steps]
-        z, r = (np.hstack(rows) for rows in zip(*nodes, strict=True))
-        samples = Samples(interval, t, z, r)
-        for source in system.sources:
-            found.supplied[source.name] += float(_power(samples, source.name, source.kind) @ w)
-        for term in system.terms:
-            if term.kind in ("loss", "drag"):
-                given = system.given(steps[0].start, interval.within)
-                flight = segment.flight
-                value = None if flight is None else flight.loss(steps[-1].end, term, given)
-                if value is None:
-                    y = term.rows @ (samples.X if term.kind == "loss" else samples.dX)
-                    value = float(term.of(y) @ w)
-                found.lost[term.law] += value
-        for k in losing:
-            law, mode = system.devices[k].law, interval.modes[k]
-            gained = np.array([law.loss(at, e, mode) for at, e in samples.each(k)])
-            first = interval.inputs(steps[0].start, steps[0].first)[k]
-            last = interval.inputs(steps[-1].end, steps[-1].last)[k]
+def _exchanged(system: System, segment: Segment) -> tuple[list[float], list[float]]:
+    """Energies [J] that sources and devices bring in, and those that become heat."""
+    interval, steps = segment.interval, segment.steps
+    t = np.concatenate([s.start + s.length * NODES for s in steps])
+    w = np.concatenate([s.length * WEIGHTS for s in steps])
+    z, r = (np.hstack(rows) for rows in zip(*(s.nodes() for s in steps), strict=True))
+    X, dX = interval.seen(t, z), interval.rates(t, r)
+    came, went = [], []
+    waves = interval.waves(t, z, r) if system.sources else {}
+    for source in system.sources:
+        if source.kind not in ("signal", "acceleration"):
+            what = ".rate" if source.kind in ("force", "displacement") else ""
+            high, low = (waves[f"{source.name}.{pin}{what}"] for pin in ("out", "ret"))
+            came.append(float(-waves[f"{source.name}.out.through"] * (high - low) @ w))
+    for form, y, dragged in ((system.lost, X, False), (system.dragged, dX, True)):
+        if form.any():
+            went.append(float(np.einsum("it,ij,jt,t", y, form, y, w, optimize=True)))
+            for step in steps:
+                if step.free is not None:
+                    own = form[np.ix_(step.free.modes.where, step.free.modes.where)]
+                    went[-1] += step.free.lost(step.start, step.end, own, dragged)
+    ends = [interval.inputs(*at) for at in ((steps[0].start, steps[0].first),
+                                            (steps[-1].end, steps[-1].last))]  # fmt: skip
+    for device, mode, first, last in zip(system.devices, interval.modes, *ends, strict=True):
+        law = device.law
+        if type(law).loss is not Device.loss:
+            seen = zip(t.tolist(), (device.inputs @ X).T, strict=True)
+            gained = np.array([law.loss(at, e, mode) for at, e in seen])
             kept = law.stores(first, last, mode)
-            if kept is not None:
-                found.lost[law.name] += float(gained @ w) - kept
-            else:
-                found.lost[law.name] += float(np.maximum(gained, 0.0) @ w)
-                found.supplied[law.name] -= float(np.minimum(gained, 0.0) @ w)
-    begin, end = result.segments[0], result.segments[-1]
-    _energies(begin.interval, begin.steps[0].start, begin.steps[0].first, found.before)
-    _energies(end.interval, end.steps[-1].end, end.steps[-1].last, found.after)
-    return found
-
-
-def _power(samples: Samples, name: str, kind: str) -> np.ndarray:
-    """Power (nt,) out of a source: through times voltage, or times velocity; none of signals."""
-    if kind in ("signal", "acceleration"):
-        return np.zeros(samples.t.size)
-    what = ".rate" if kind in ("force", "displacement") else ""
-    outputs = samples.interval.system.outputs
-    high, low = (samples.wave(outputs[f"{name}.{pin}{what}"]) for pin in ("out", "ret"))
-    return -samples.wave(outputs[f"{name}.out.through"]) * (high - low)
-
-
-def _energies(interval: Interval, t: float, z: np.ndarray, found: dict[str, float]) -> None:
-    system, X = interval.system, interval.seen(t, z)
-    for term in system.terms:
-        if term.kind in ("energy", "weight"):
-            found[term.law] += float(term.of((term.rows @ X)[:, None])[0])
-    for device, e, mode in zip(system.devices, interval.inputs(t, z), interval.modes, strict=True):
-        found[device.law.name] += device.law.energy(e, mode)
+            went.append(float(np.maximum(gained, 0.0) @ w) if kept is None else gained @ w - kept)
+            came.append(float(-np.minimum(gained, 0.0) @ w) if kept is None else 0.0)
+    return came, went

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from typing import Any
 
 import numpy as np
@@ -29,10 +30,44 @@ class Interval:
         for device in system.devices:
             if device.stores is not None:
                 self.rows = self.rows | device.stores.any(axis=1)
+        self.active = system.differential  # unknowns whose error is judged
+        self.moving = np.ones(system.size, dtype=bool)  # unknowns that are integrated
+
+    def without(self, free: np.ndarray) -> Interval:
+        """The same with the unknowns ``free`` (n,) kept as they are; no other acts on them."""
+        found = copy.copy(self)
+        found.F, found.const = np.where(free[:, None], 0.0, self.F), np.where(free, 0.0, self.const)
+        found.active, found.moving = self.active & ~free, ~free
+        return found
 
     def seen(self, t: np.ndarray | float, z: np.ndarray) -> np.ndarray:
         """``X`` (N,) at one time, (N, nt) at many."""
         return np.concatenate((z, self.system.given(t, self.within)))
+
+    def rates(self, t: np.ndarray, r: np.ndarray) -> np.ndarray:
+        """Of ``X`` (N, nt) at times ``t`` (nt,) with these rates of the unknowns (n, nt)."""
+        return np.concatenate((r, self.system.given(t, self.within, 1)))
+
+    def waves(self, t: np.ndarray, z: np.ndarray, r: np.ndarray) -> dict[str, np.ndarray]:
+        """All waves (nt,) at times ``t`` (nt,) by states and their rates (n, nt)."""
+        system, X, dX = self.system, self.seen(t, z), self.rates(t, r)
+        outputs, more = [np.zeros((0, t.size))], {}
+        for device, mode in zip(system.devices, self.modes, strict=True):
+            law, seen = device.law, (device.inputs @ X).T
+            points = zip(t.tolist(), seen, (device.inputs @ dX).T, strict=True)
+            outputs.append(np.array([device.out(*point, mode) for point in points]).T)
+            extra = [law.waves(*at, mode) for at in zip(t, seen, strict=True)] if law.extra else []
+            for key in law.extra:
+                more[f"{law.name}.{key}"] = np.array([row[key] for row in extra])
+        y = system.now @ X + system.rated @ dX + system.direct @ np.concatenate(outputs)
+        return dict(zip(system.names, y + system.constant[:, None], strict=True)) | more
+
+    def energy(self, t: float, z: np.ndarray) -> float:
+        """Energy stored [J]."""
+        X = self.seen(t, z)
+        each = zip(self.system.devices, self.inputs(t, z), self.modes, strict=True)
+        devices = sum(device.law.energy(e, mode) for device, e, mode in each)
+        return float(X @ self.system.stored @ X + self.system.lifted @ X + devices)
 
     def stored(self, X: np.ndarray) -> np.ndarray:
         """``g`` (n, nt)."""

@@ -58,11 +58,9 @@ class Linear:
             self.F = self.F + device.into @ slopes[-1]
             if device.stores is not None:
                 self.G = self.G + device.stores @ kept @ device.inputs
-        self.names, outputs = list(system.outputs), system.outputs.values()
-        self.constants = np.array([y.constant for y in outputs])
-        by_devices = np.array([y.devices for y in outputs])
-        self.C0 = np.array([y.now for y in outputs]) + by_devices @ np.concatenate(slopes)
-        self.C1 = np.array([y.rated for y in outputs]) + by_devices @ np.concatenate(charges)
+        self.names, self.constants = system.names, system.constant
+        self.C0 = system.now + system.direct @ np.concatenate(slopes)
+        self.C1 = system.rated + system.direct @ np.concatenate(charges)
 
     def answer(self, w: complex, amplitudes: np.ndarray) -> np.ndarray:
         """Outputs (ny,) for sources ``amplitudes e^(w t)``."""

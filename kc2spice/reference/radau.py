@@ -15,6 +15,7 @@ import numpy as np
 from scipy.linalg import lapack
 
 from kc2spice.core.errors import SimulationError
+from kc2spice.reference.free import FreeMotion
 from kc2spice.reference.interval import Interval
 
 _S6 = np.sqrt(6.0)
@@ -35,13 +36,15 @@ _SQUARE = np.linalg.inv(NODES[:, None] ** (_POWERS - 1))
 
 @dataclass(frozen=True)
 class Step:
-    """An accepted step: start, length, state at the start and increments (n, 3) at the stages."""
+    """An accepted step: start, length, state at the start and increments (n, 3) at the stages, and
+    the ``free`` motion of some of the unknowns meanwhile."""
 
     start: float
     length: float
     first: np.ndarray
     increments: np.ndarray
     differential: np.ndarray
+    free: FreeMotion | None = None
 
     @property
     def end(self) -> float:
@@ -57,13 +60,19 @@ class Step:
         """States (n, nt) on the collocation polynomial."""
         x = (np.atleast_1d(t) - self.start) / self.length
         powers = x ** np.arange(4)[:, None]
-        return self.first[:, None] + self._polynomials(powers[1:], powers[:3])
+        found = self.first[:, None] + self._polynomials(powers[1:], powers[:3])
+        if self.free is not None:
+            found[self.free.modes.where] = self.free.at(t)
+        return found
 
     def rate(self, t: np.ndarray | float) -> np.ndarray:
         """Time derivatives (n, nt); those of algebraic unknowns are of low order."""
         x = (np.atleast_1d(t) - self.start) / self.length
         square = np.array([0.0 * x, x**0, 2 * x])
-        return self._polynomials(np.array([x**0, 2 * x, 3 * x**2]), square) / self.length
+        found = self._polynomials(np.array([x**0, 2 * x, 3 * x**2]), square) / self.length
+        if self.free is not None:
+            found[self.free.modes.where] = self.free.rate(t)
+        return found
 
     def _polynomials(self, cubic: np.ndarray, square: np.ndarray) -> np.ndarray:
         through_start = self.increments @ _CUBIC.T @ cubic
@@ -71,17 +80,31 @@ class Step:
         return np.where(self.differential[:, None], through_start, alone)
 
     def nodes(self) -> tuple[np.ndarray, np.ndarray]:
-        """States and rates (n, 3) at the stages, for quadrature over the step."""
-        return self.first[:, None] + self.increments, self.rate(self.start + self.length * NODES)
+        """States and rates (n, 3) at the stages, for quadrature over the step; means of the free
+        unknowns, whose linear forms are then exact."""
+        at = self.start + self.length * NODES
+        z, r = self.first[:, None] + self.increments, self.rate(at)
+        if self.free is not None:
+            where = self.free.modes.where
+            z[where] = self.free.mean(self.start, self.end)[:, None]
+            r[where] = self.increments[where, 2:] / self.length
+        return z, r
 
 
 class Radau:
     """Steps within one interval; ``advance`` makes one of an error, ``take`` one of a length."""
 
     def __init__(self, interval: Interval, t: float, z: np.ndarray, rtol: float) -> None:
-        self.interval, self.rtol = interval, rtol
-        self.active, self.rows = interval.system.differential, interval.rows
+        self.rtol = rtol
         self.newton_tol = max(10 * np.finfo(float).eps / rtol, min(0.03, rtol**0.5))
+        self.begin(interval, t, z)
+
+    def begin(
+        self, interval: Interval, t: float, z: np.ndarray, free: FreeMotion | None = None
+    ) -> None:
+        """Go on from the state ``z`` at ``t``, some of whose unknowns are ``free``."""
+        self.free, self.interval = free, interval if free is None else free.modes.others
+        self.active, self.rows = self.interval.active, interval.rows
         self.before: Step | None = None
         self.kept: tuple[float, float] | None = None  # length and error of the step before
         self._start(t, z)
@@ -131,9 +154,9 @@ class Radau:
         self._factor(h)
         p, t = self.interval, self.t + h * NODES
         given = p.system.given(t, p.within)
-        Z = np.zeros((self.z.size, 3))
+        Z, moving = np.zeros((self.z.size, 3)), p.moving
         if self.before is not None:
-            Z = self.before.at(t) - self.z[:, None]
+            Z = np.where(moving[:, None], self.before.at(t) - self.z[:, None], 0.0)
         scale = self.rtol * (1.0 + np.abs(self.z))
         scale = np.where(self.active, scale, 1e3 * scale)  # these carry no error onwards
         last = 0.0
@@ -143,7 +166,7 @@ class Radau:
             real = np.outer(self._solve(r @ _BACK[_REAL].real, 0), _vectors[:, _REAL].real)
             pair = np.outer(self._solve(r @ _BACK[_PAIR], 1), _vectors[:, _PAIR])
             change = real + 2.0 * pair.real
-            size = _norm(change / scale[:, None])
+            size = _norm((change / scale[:, None])[moving])
             rate = size / last if last > 0.0 else 0.0
             if not np.isfinite(size) or (rate >= 1.0 and size > 1e-2):  # below it is rounding
                 return None
@@ -153,9 +176,16 @@ class Radau:
                 done |= rate >= 1.0 or rate / (1 - min(rate, 0.9)) * size < self.newton_tol
             if done:
                 self.iterations = k + 1
-                return Step(self.t, h, self.z, Z, self.active)
+                return self._step(h, Z)
             last = size
         return None
+
+    def _step(self, h: float, increments: np.ndarray) -> Step:
+        differential = self.interval.system.differential
+        if self.free is not None:
+            moved = self.free.at(self.t + h * NODES) - self.free.at(self.t)
+            increments[self.free.modes.where] = moved
+        return Step(self.t, h, self.z, increments, differential, self.free)
 
     def accept(self, step: Step) -> None:
         """Go on from the end of ``step``."""

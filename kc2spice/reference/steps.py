@@ -14,8 +14,7 @@ L-stable, so that what is too fast for the steps dies out instead of ringing::
 
 from __future__ import annotations
 
-import time
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -37,28 +36,26 @@ NOTHING = 1e-100  # of any load; what rounding leaves of none cannot be solved f
 SLOW = 3e-8  # of the fastest rate of a free body: so slow that it is at rest but for its drift
 
 
-class Body:
-    """A linear model, ``sum_k d^k/dt^k P_k x = B a``, in steps of one size.
+class _Body:
+    """A linear model, ``sum_k d^k/dt^k P_k x = B a``, in steps of one size, from rest under ``a``
+    (inputs,) on.
 
     Raises
     ------
     SimulationError : the matrix of its steps is singular.
     """
 
-    def __init__(self, model: Any, step: float) -> None:
-        self.pencil, self.step, self.rate = model.pencil, step, 1.0 / (GAMMA * step)
+    def __init__(self, law: PortBody, step: float, e: np.ndarray) -> None:
+        self.law, self.pencil = law, law.model.pencil
+        self.step, self.rate = step, 1.0 / (GAMMA * step)
         self.solve = _solver(self.pencil, self.rate)
         self.answers = self.solve(self.pencil.B)
         H = self.pencil.C @ self.answers + self.pencil.D
         self.H = 0.5 * (H + H.T) if self.pencil.symmetric and self.pencil.collocated else H
-        self.x = np.zeros(self.pencil.size)
-        self.v, self._v, self._a = (np.zeros_like(self.x) for _ in range(3))
-
-    def start(self, a: np.ndarray) -> None:
-        """At rest under the loads ``a`` (inputs,)."""
-        self.v = np.zeros_like(self.x)
-        loaded = np.abs(a).max(initial=0.0) > NOTHING
-        self.x = at_rest(self.pencil)(self.pencil.B @ a) if loaded else np.zeros_like(self.v)
+        self.x, self.v, self._v, self._a = np.zeros((4, self.pencil.size))
+        a = law.loads(e)
+        if np.abs(a).max(initial=0.0) > NOTHING:
+            self.x = at_rest(self.pencil)(self.pencil.B @ a)
 
     def relation(self, second: bool) -> Relation:
         """Of the next stage."""
@@ -73,10 +70,10 @@ class Body:
         self._free = self.solve(known)
         return Relation(self.H, self.pencil.C @ self._free)
 
-    def loaded(self, a: np.ndarray, second: bool) -> None:
-        """End the stage with the loads ``a``."""
+    def loaded(self, e: np.ndarray, second: bool) -> None:
+        """End the stage with what the device sees."""
         x, v = self._past
-        now = self._free + self.answers @ a
+        now = self._free + self.answers @ self.law.loads(e)
         self._v = self.rate * (now - x)
         self._a = self.rate * (self._v - v)
         if second:
@@ -112,26 +109,16 @@ def at_rest(pencil: Any) -> Callable[[np.ndarray], np.ndarray]:
 
 @dataclass(frozen=True)
 class Steps:
-    """``time`` (nt,), every wave by name (nt,) as of a `reference.integrate.Result` but for what
-    depends on outputs of devices, and the ``inputs`` (nt, m) of each device but bodies by name."""
+    """``time`` (nt,), every wave by name (nt,) as of a `reference.integrate.Result` but currents of
+    charges that devices keep, and the ``modes`` of all devices but bodies at each time."""
 
     time: np.ndarray
     waves: dict[str, np.ndarray]
-    inputs: dict[str, np.ndarray]
-
-
-def seconds(system: System, step: float) -> tuple[float, list[Body]]:
-    """Wall time of a step, from one back substitution of each body, and the bodies."""
-    bodies = [Body(d.law.model, step) for d in system.devices if isinstance(d.law, PortBody)]
-    started = time.perf_counter()
-    for body in bodies:
-        body.solve(np.ones(body.pencil.size))
-    return 2 * (time.perf_counter() - started), bodies
+    modes: list[tuple[Any, ...]]
 
 
 def steps(
     system: System,
-    bodies: Iterable[Body],
     first: float,
     step: float,
     count: int,
@@ -148,47 +135,50 @@ def steps(
     SimulationError : no equilibrium, a stage that does not settle, or a law that left its range.
     """
     z, modes = equilibrium(system)
-    ported = [k for k, d in enumerate(system.devices) if isinstance(d.law, PortBody)]
-    march = _March(system, dict(zip(ported, bodies, strict=True)), modes, step)
-    es = Interval(system, modes, 0.0).inputs(0.0, z)
-    for k, body in march.own.items():
-        body.start(march.loads(k, es[k]))
+    march = _March(system, modes, step)
+    es = march.interval(0.0).inputs(0.0, z)
+    for k, ported in march.ported:
+        march.own[k] = _Body(ported, step, es[k])
     if given is not None:
         z = given(system, z)
     es = march.interval(first).inputs(first, z)
-    for k, device in enumerate(system.devices):
-        if k not in march.own:
-            march.modes[k] = device.law.mode(first, es[k])
-    times, states = [first], [z]
+    for k, law in march.others:
+        march.modes[k] = law.mode(first, es[k])
+    times, states, intervals = [first], [z], [march.interval(first)]
     for k in range(count):
         z = march.step(first + k * step, z)
         times.append(first + (k + 1) * step)
         states.append(z)
+        intervals.append(march.interval(times[-1]))
         if progress is not None and k % 20 == 0:
             progress(k / count)
-    return _read(system, np.array(times), np.array(states).T)
+    time = np.array(times)
+    found = np.array(states).T, np.gradient(np.array(states).T, time, axis=1)
+    points = zip(intervals, time[:, None], *(each.T[:, :, None] for each in found), strict=True)
+    each = [interval.waves(*point) for interval, *point in points]
+    laws = [law for _, law in march.others]
+    charges = {f"{law.name}.{law.flows[k].pin}.through" for law in laws for k in law.charged}
+    waves = {name: np.concatenate([row[name] for row in each]) for name in {*each[0]} - charges}
+    seen = [tuple(interval.modes[k] for k, _ in march.others) for interval in intervals]
+    return Steps(time, {"time": time} | waves, seen)
 
 
 class _March:
-    def __init__(
-        self, system: System, own: dict[int, Body], modes: Sequence[Any], step: float
-    ) -> None:
-        self.system, self.own, self.modes, self.h = system, own, list(modes), step
+    """The state of a run but for the unknowns: bodies and modes."""
+
+    def __init__(self, system: System, modes: list[Any], step: float) -> None:
+        self.system, self.modes, self.h = system, modes, step
         self.rate = 1.0 / (GAMMA * step)
-        self.corners = [
-            np.empty(0) if k in own else d.law.corners(np.inf) for k, d in enumerate(system.devices)
-        ]
-        self.affine = all(d.law.affine or k in own for k, d in enumerate(system.devices))
+        laws = [device.law for device in system.devices]
+        self.ported = [(k, law) for k, law in enumerate(laws) if isinstance(law, PortBody)]
+        self.others = [(k, law) for k, law in enumerate(laws) if not isinstance(law, PortBody)]
+        self.own: dict[int, _Body] = {}
+        self.corners = {k: law.corners(np.inf) for k, law in self.others}
+        self.affine = all(law.affine for _, law in self.others)
 
     def interval(self, t: float) -> Interval:
         """The system in its modes about ``t``."""
-        return Interval(self.system, self.modes, t)
-
-    def loads(self, k: int, e: np.ndarray) -> np.ndarray:
-        """Those on the body that is device ``k``."""
-        law = self.system.devices[k].law
-        assert isinstance(law, PortBody)
-        return law.loads(e)
+        return Interval(self.system, list(self.modes), t)
 
     def step(self, t: float, z: np.ndarray) -> np.ndarray:
         """The unknowns a step after ``t``; the modes become those there."""
@@ -198,8 +188,8 @@ class _March:
         inner = self.interval(within).at(within, first)[0]
         last = self._stage(t + self.h, first, kept + (1 - GAMMA) / GAMMA * (inner - kept), True)
         es = self.interval(t + self.h).inputs(t + self.h, last)
-        for device, e in zip(self.system.devices, es, strict=True):
-            device.law.check(t + self.h, e)
+        for k, law in self.others:
+            law.check(t + self.h, es[k])
         return last
 
     def _stage(self, t: float, z: np.ndarray, kept: np.ndarray, second: bool) -> np.ndarray:
@@ -208,9 +198,9 @@ class _March:
             self.modes[k] = body.relation(second)
         es = self.interval(t).inputs(t, z)
         begin = self.h * (1.0 if second else GAMMA)
-        for k, at in enumerate(self.corners):
-            if np.any((at > t - begin) & (at <= t)):
-                self.modes[k] = self.system.devices[k].law.mode(t, es[k], self.modes[k])
+        for k, law in self.others:
+            if np.any((self.corners[k] > t - begin) & (self.corners[k] <= t)):
+                self.modes[k] = law.mode(t, es[k], self.modes[k])
         self._switch(t, es, 0)
         for count in range(ITERATIONS):
             interval = self.interval(t)
@@ -225,36 +215,19 @@ class _March:
             small = np.abs(change).max() <= 1e-10 * (1e-3 + np.abs(z).max())
             if not self._switch(t, es, count) and (self.affine or small):
                 for k, body in self.own.items():
-                    body.loaded(self.loads(k, es[k]), second)
+                    body.loaded(es[k], second)
                 return z
         raise SimulationError("a time step does not settle", where=f"t = {t:.6e} s")
 
     def _switch(self, t: float, es: list[np.ndarray], count: int) -> bool:
         """Whether a device had to change its mode."""
         changed = False
-        for k, device in enumerate(self.system.devices):
-            if k in self.own:
-                continue
-            guards = device.law.guards(t, es[k], self.modes[k])
+        for k, law in self.others:
+            guards = law.guards(t, es[k], self.modes[k])
             if guards.size and guards.min() < -ROUNDING:
                 changed = True
                 if count >= ONE_BY_ONE:
-                    self.modes[k], _ = device.law.switch(self.modes[k], int(guards.argmin()))
+                    self.modes[k], _ = law.switch(self.modes[k], int(guards.argmin()))
                     break
-                self.modes[k] = device.law.mode(t, es[k], self.modes[k])
+                self.modes[k] = law.mode(t, es[k], self.modes[k])
         return changed
-
-
-def _read(system: System, times: np.ndarray, z: np.ndarray) -> Steps:
-    """Waves of the unknowns (n, nt) and what devices see."""
-    given = np.array([system.given(t, t) for t in times]).T
-    X = np.concatenate((z, given))
-    waves = {"time": times}
-    for name, output in system.outputs.items():
-        if not output.devices.any():
-            change = np.gradient(output.rated @ X, times) if times.size > 1 else 0.0
-            waves[name] = output.now @ X + output.constant + change
-    inputs = {
-        d.law.name: (d.inputs @ X).T for d in system.devices if not isinstance(d.law, PortBody)
-    }
-    return Steps(times, waves, inputs)

@@ -40,8 +40,8 @@ def test_rlc_answers_a_ramp_as_the_matrix_exponential() -> None:
     assert np.abs(result.waves["r.a.through"] - np.array(exact)[:, 1]).max() < 1e-7
     assert np.abs(result.waves["v.out.through"] + np.array(exact)[:, 1]).max() < 1e-7
     assert balanced(result, 1e-9)
-    # Half of what the source gives is lost in the end, whatever the resistance (nearly a step).
-    assert result.energy.after["c"] == pytest.approx(0.5 * c, rel=1e-4)
+    # Nearly a step: c comes in, half of which is lost, whatever the resistance.
+    assert result.energy.turnover == pytest.approx((1.0 + 0.5) * c, rel=0.02)
 
 
 def test_sphere_bounces_on_a_spring_without_loss() -> None:

@@ -16,11 +16,11 @@ from typing import Any
 import numpy as np
 
 from kc2spice.core.errors import SimulationError
-from kc2spice.core.laws import Device, Law, PortBody
+from kc2spice.core.laws import Law, PortBody
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.reference.assemble import System
 from kc2spice.reference.integrate import Result
-from kc2spice.reference.steps import Body, seconds, steps
+from kc2spice.reference.steps import steps
 from kc2spice.rom.linear import LinearModel
 from kc2spice.rom.surrogate import surrogate
 from kc2spice.scene.parttype import Build
@@ -183,22 +183,6 @@ class _Followed:
     note: str
 
 
-def _outputs(
-    law: Device, time: np.ndarray, inputs: np.ndarray
-) -> tuple[list[Any], dict[str, np.ndarray]]:
-    """Modes and waves of a device that sees ``inputs`` (nt, m); not charges, which change."""
-    modes = [law.mode(t, e) for t, e in zip(time, inputs, strict=True)]
-    found: dict[str, list[float]] = {}
-    for t, e, mode in zip(time, inputs, modes, strict=True):
-        out = law.evaluate(t, e, mode)[0]
-        waves = {f"{flow.pin}.through": out[k] for k, flow in enumerate(law.flows)}
-        waves |= zip(law.states, e[len(law.taps) :], strict=True)
-        for key, value in (waves | dict(law.waves(t, e, mode))).items():
-            found.setdefault(f"{law.name}.{key}", []).append(value)
-    charges = {f"{law.name}.{law.flows[k].pin}.through" for k in law.charged}
-    return modes, {name: np.array(v) for name, v in found.items() if name not in charges}
-
-
 def _followed(
     circuit: Circuit, build: Build, exact: Reference, clock: Any, whole: bool
 ) -> _Followed:
@@ -216,14 +200,10 @@ def _followed(
         step = (stop - begin) / count
     names = ", ".join(law.name for law in bodies)
     both = circuit, reduced
-    with clock.stage("full model", f"{names}: one factorisation of {size} unknowns"):
-        each, factors = seconds(circuit.system(), step)
-    said = (
-        f"{names}: {count} steps of {step:.3g} s and half as many, about {1.5 * count * each:.0f} s"
-    )
-    with clock.stage("full model", said) as share:
-        fine = _difference(both, begin, step, count, given, factors, share)
-        coarse = _difference(both, begin, 2 * step, count // 2, given, None, share)
+    with clock.stage("full model", f"{names}: {count} steps of {step:.3g} s") as share:
+        fine = _difference(both, begin, step, count, given, share)
+    with clock.stage("full model", f"{names}: half as many") as share:
+        coarse = _difference(both, begin, 2 * step, count // 2, given, share)
     end = begin + count * step
     note = (
         f"full model of {names}: {size} unknowns in {count} steps of {step:.3g} s, from "
@@ -251,28 +231,17 @@ def _difference(
     step: float,
     count: int,
     given: Callable[[System, np.ndarray], np.ndarray] | None,
-    factors: list[Body] | None,
     progress: Callable[[float], None],
 ) -> Difference:
-    """Of the first of both circuits and the second; ``factors`` are the first one's bodies."""
-    results, modes = [], []
-    for circuit, own in zip(circuits, (factors, None), strict=True):
-        system = circuit.system()
-        bodies = own or seconds(system, step)[1]
-        found = steps(system, bodies, begin, step, count, given, progress)
-        waves, seen = dict(found.waves), []
-        for device in system.devices:
-            if not isinstance(device.law, PortBody):
-                mode, more = _outputs(device.law, found.time, found.inputs[device.law.name])
-                waves |= more
-                seen.append(mode)
-        modes.append(seen)
-        results.append(read(circuit, waves, found.time))
-    difference = {name: values - results[1][name] for name, values in results[0].items()}
-    apart = np.zeros(found.time.size, dtype=bool)
-    for one, other in zip(*modes, strict=True):
-        apart |= [a != b for a, b in zip(one, other, strict=True)]
-    return Difference(found.time, difference, apart)
+    """Of the first of both circuits and the second."""
+    first, second = (steps(c.system(), begin, step, count, given, progress) for c in circuits)
+    ours, exact = (
+        read(c, each.waves, each.time) for c, each in zip(circuits, (first, second), strict=True)
+    )
+    apart = [a != b for a, b in zip(first.modes, second.modes, strict=True)]
+    return Difference(
+        first.time, {name: ours[name] - exact[name] for name in ours}, np.array(apart)
+    )
 
 
 def _still_until(
@@ -300,14 +269,11 @@ def _still_until(
 
 def _state(system: System, z: np.ndarray, t: float, wave: Callable[[str], float]) -> np.ndarray:
     """Unknowns that have these waves at ``t``, nearest to ``z`` where none tells."""
-    outputs = {
-        name: output
-        for name, output in system.outputs.items()
-        if not (name.endswith(".through") or output.rated.any() or output.devices.any())
-    }
-    now = np.array([output.now for output in outputs.values()])
+    read = ~(system.rated.any(axis=1) | system.direct.any(axis=1))
+    told = np.array([not name.endswith(".through") for name in system.names]) & read
+    now, names = system.now[told], np.array(system.names)[told].tolist()
     A, given = now[:, : z.size], system.given(t, t)
-    b = np.array([wave(name) for name in outputs]) - now[:, z.size :] @ given
+    b = np.array([wave(name) for name in names]) - now[:, z.size :] @ given
     level = np.abs(A).max(axis=1)
     A, b = A[level > 0] / level[level > 0, None], b[level > 0] / level[level > 0]
     return z + np.linalg.lstsq(A, b - A @ z, rcond=1e-12)[0]
