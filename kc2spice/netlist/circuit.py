@@ -14,16 +14,14 @@ from kc2spice.netlist.expression import Probe, Tree, parse, walk
 LEAST = 1e-30  # what "above zero" means for a parameter
 
 
-def _pairs(given: Mapping[str, str]) -> str:
-    return " ".join(f"{key}={value}" for key, value in given.items())
-
-
 @dataclass(frozen=True, kw_only=True)
 class Card:
-    """One statement: the comment and blank lines above it, and ``file:line`` of where it stood."""
+    """One statement: the comment and blank lines above it, ``file:line`` of where it stood and how
+    it was written, on one line, for messages."""
 
     notes: tuple[str, ...] = ()
     where: str = field(default="", compare=False)
+    written: str = field(default="", compare=False)
 
 
 @dataclass(frozen=True)
@@ -80,14 +78,6 @@ class Element(Card):
         probes = (leaf for leaf in leaves if isinstance(leaf, Probe) and leaf.kind == "v")
         return frozenset(name.lower() for probe in probes for name in probe.names)
 
-    @property
-    def text(self) -> str:
-        """The card on one line, for messages."""
-        law = f"{self.quantity}={self.expression}" if self.quantity else ""
-        given = _pairs(self.parameters)
-        words = (self.name, *self.nodes, *self.sources, self.model, *self.values, given, law)
-        return " ".join(filter(None, words))
-
 
 @dataclass(frozen=True)
 class Model(Card):
@@ -99,11 +89,8 @@ class Model(Card):
 
     def same(self, other: Model) -> bool:
         """Whether both say the same; case does not tell words apart."""
-        return str(self).lower() == str(other).lower()
-
-    def __str__(self) -> str:
-        given = _pairs(self.parameters)
-        return f".model {self.name} {self.type}" + (f"({given})" if given else "")
+        first, second = (f"{m.name} {m.type} {m.parameters}".lower() for m in (self, other))
+        return first == second
 
 
 @dataclass(frozen=True)
@@ -113,11 +100,6 @@ class Parameters(Card):
     values: Mapping[str, str]
     keyword: str = ".param"
 
-    @property
-    def text(self) -> str:
-        """The card on one line."""
-        return f"{self.keyword} {_pairs(self.values)}"
-
 
 @dataclass(frozen=True)
 class Function(Card):
@@ -126,11 +108,6 @@ class Function(Card):
     name: str
     arguments: tuple[str, ...]
     expression: str
-
-    @property
-    def text(self) -> str:
-        """The card on one line."""
-        return f".func {self.name}({','.join(self.arguments)}) {self.expression}"
 
 
 @dataclass(frozen=True)

@@ -121,7 +121,7 @@ def _defined_twice(scope: Scope) -> Iterator[UsageError]:
                 yield _problem(
                     card,
                     f"two files define the {what}",
-                    card.text,
+                    card.written,
                     f"one definition; the first is in {place.where}",
                     "rename one, or put it into its .subckt",
                 )
@@ -191,7 +191,7 @@ def _unknown_functions(part: Element, tree: Tree, scope: Scope) -> Iterator[Usag
             yield _problem(part, "ngspice has no such function", leaf.function, near)
         if isinstance(leaf, Binary) and leaf.op == "^" and leaf.right in _ODD:
             message = "ngspice takes odd powers of the absolute value"
-            yield _problem(part, message, part.text, "a product")
+            yield _problem(part, message, part.written, "a product")
 
 
 def _constants(part: Element) -> Iterator[str]:
@@ -209,7 +209,7 @@ def _dangling(scope: Scope, signals: frozenset[tuple[str, str]]) -> Iterator[Usa
     watched = {
         name.strip().lower()
         for card in scope.commands
-        for inside in card.text.split("(")[1:]
+        for inside in card.written.split("(")[1:]
         for name in inside.partition(")")[0].split(",")
     }
     watched.update(*(part.sensed for part in scope.elements))

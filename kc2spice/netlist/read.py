@@ -224,8 +224,8 @@ def _item(s: Statement) -> Item:
 
 
 def _told(s: Statement) -> dict[str, Any]:
-    """Where a card stands, and below which comments."""
-    return {"notes": s.comments, "where": s.where}
+    """Where a card stands, how it is written, and below which comments."""
+    return {"notes": s.comments, "where": s.where, "written": s.text}
 
 
 def _function(s: Statement) -> Function | None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
 from dataclasses import dataclass
 from math import ceil
 
@@ -45,17 +44,21 @@ def layout(part: Subcircuit) -> Box:
     Electrical terminals of an actuator are left of its mechanical ports; of electronics, what only
     senses is left of what drives; of mechanical parts, displacements left of the rest.
     """
-    sides = _sides(list(enumerate(part.pins, 1)), inputs(part))
-    width, height = _size(sides)
-    return Box(
-        part.name,
-        part.filename,
-        part.title,
-        part.params,
-        width,
-        height,
-        tuple(sorted(_around(sides, width, height), key=lambda place: place.number)),
-    )
+    sides = _sides(part)
+    left, right, below = (max([0, *(len(pin.name) for _, pin in side)]) for side in sides)
+    rows = max(len(sides[0]), len(sides[1]))
+    # names along the bottom stand upright between those of both sides
+    width = max(3, ceil(_LETTER * max(left, right) + 0.6 + 0.5 * len(sides[2])))
+    height = max(ceil((rows + 1) / 2), ceil((_LETTER * below + 0.8) / 2))
+    places = []
+    for side, x, pins in (("left", -width - 1, sides[0]), ("right", width + 1, sides[1])):
+        for row, (number, pin) in enumerate(pins):
+            places.append(Place(number, pin.name, side, x, height - 1 - row))
+    first = -(len(sides[2]) // 2)
+    for column, (number, pin) in enumerate(sides[2]):
+        places.append(Place(number, pin.name, "bottom", first + column, -height - 1))
+    places.sort(key=lambda place: place.number)
+    return Box(part.name, part.filename, part.title, part.params, width, height, tuple(places))
 
 
 def inputs(part: Subcircuit) -> frozenset[str]:
@@ -79,47 +82,22 @@ def _sensed(scope: Scope | None) -> set[str]:
     return sensed - loaded
 
 
-def _sides(
-    numbered: list[tuple[int, Pin]], quiet: Collection[str]
-) -> dict[str, list[tuple[int, Pin]]]:
-    """Pins by the side that they are drawn on."""
-    plain = [pin for _, pin in numbered if pin.name not in REFERENCES]
-    electric = [pin for pin in plain if pin.flow == "A"]
+def _sides(part: Subcircuit) -> tuple[list[tuple[int, Pin]], ...]:
+    """Pins with their numbers, left, right and below."""
+    plain = [pin for pin in part.pins if pin.name not in REFERENCES]
+    electric = [pin.name for pin in plain if pin.flow == "A"]
     mechanical = [pin for pin in plain if pin.flow not in ("A", "-")]
-    left: set[str] = {pin.name for pin in plain if pin.name.lower() in quiet}
+    quiet = inputs(part)
+    left = {pin.name for pin in plain if pin.name.lower() in quiet}
     if electric and mechanical:
-        left = {pin.name for pin in electric}
+        left = set(electric)
     elif electric:
         left |= {pin.name for pin in plain if pin.flow == "-"}  # a command, though it be loaded
-        left = left or {electric[0].name}
+        left = left or {electric[0]}
     elif mechanical:
-        moved = [pin.name for pin in mechanical if pin.unit == "um"]
-        left = set(moved or [pin.name for pin in mechanical])
-    sides: dict[str, list[tuple[int, Pin]]] = {"left": [], "right": [], "bottom": []}
-    for number, pin in numbered:
-        side = "left" if pin.name in left else "right"
-        sides["bottom" if pin.name in REFERENCES else side].append((number, pin))
+        left = {pin.name for pin in mechanical if pin.unit == "um"} or {p.name for p in mechanical}
+    sides: tuple[list[tuple[int, Pin]], ...] = ([], [], [])
+    for number, pin in enumerate(part.pins, 1):
+        side = 0 if pin.name in left else 1
+        sides[2 if pin.name in REFERENCES else side].append((number, pin))
     return sides
-
-
-def _size(sides: dict[str, list[tuple[int, Pin]]]) -> tuple[int, int]:
-    """Half width and half height that keep the names of all pins apart."""
-    left, right, below = (
-        max([0, *(len(pin.name) for _, pin in sides[s])]) for s in ("left", "right", "bottom")
-    )
-    columns = len(sides["bottom"])
-    rows = max(len(sides["left"]), len(sides["right"]))
-    # names along the bottom stand upright between those of both sides
-    width = ceil(max(_LETTER * left, _LETTER * right) + 0.6 + 0.5 * columns)
-    return max(3, width), max(ceil((rows + 1) / 2), ceil((_LETTER * below + 0.8) / 2))
-
-
-def _around(sides: dict[str, list[tuple[int, Pin]]], width: int, height: int) -> list[Place]:
-    places = []
-    for side, x in (("left", -width - 1), ("right", width + 1)):
-        for row, (number, pin) in enumerate(sides[side]):
-            places.append(Place(number, pin.name, side, x, height - 1 - row))
-    first = -(len(sides["bottom"]) // 2)
-    for column, (number, pin) in enumerate(sides["bottom"]):
-        places.append(Place(number, pin.name, "bottom", first + column, -height - 1))
-    return places

@@ -85,7 +85,7 @@ class Dialect(Printer, ABC):
     def card(self, item: Item) -> str:
         """One card."""
         if isinstance(item, Parameters) and item.keyword != ".param":
-            raise self.refusal(item.text, f"the command {item.keyword}")
+            raise self.refusal(item.written, f"the command {item.keyword}")
         if not isinstance(item, Directive):
             return super().card(item)
         match item.keyword:
@@ -108,7 +108,7 @@ class Dialect(Printer, ABC):
         laplace = part.kind in "eg" and len(part.nodes) == 2 and not part.quantity
         files = any("file" in w.lower() for w in (*part.values, *part.parameters))
         if part.kind not in _SHARED or laplace or files or (part.kind in "eg" and part.parameters):
-            raise self.refusal(part.text, f"this {part.kind.upper()} card")
+            raise self.refusal(part.written, f"this {part.kind.upper()} card")
         return super().element(part)
 
     def model(self, model: Model) -> str:
@@ -118,7 +118,7 @@ class Dialect(Printer, ABC):
             return self.switch(model.name, values)
         known = _SEMICONDUCTORS.get(model.type.lower(), "").split()
         if not set(values) <= set(known) or values.get("level", "1") != "1":
-            raise self.refusal(str(model), "this model")
+            raise self.refusal(model.written, "this model")
         return super().model(model)
 
     def options(self, words: Sequence[str]) -> str:
@@ -202,14 +202,10 @@ class Dialect(Printer, ABC):
         """ngspice's power is that of the absolute value; logic is said by choices."""
         match tree:
             case Binary("^", left, right):
-                return self.power(self.write(left), self.write(right))
+                return f"pow(abs({self.write(left)}), {self.write(right)})"
             case Binary("&&" | "||" | "==" | "!=") | Unary("!"):
                 return self.write(_truth(tree), level)
         return super().write(tree, level)
-
-    def power(self, base: str, exponent: str) -> str:
-        """A power of the absolute value, as ngspice takes it."""
-        return f"pow(abs({base}), {exponent})"
 
 
 _ONE, _ZERO = Number("1"), Number("0")

@@ -23,6 +23,7 @@ from kc2spice.netlist.circuit import Directive, Element, Subcircuit
 from kc2spice.netlist.deck import Deck
 from kc2spice.netlist.expression import vector
 from kc2spice.netlist.printers.box import Box, Place, layout
+from kc2spice.netlist.printers.ngspice import Printer
 from kc2spice.netlist.read import subcircuits
 from kc2spice.netlist.render import render
 from kc2spice.netlist.scope import GROUND, Scope
@@ -187,7 +188,7 @@ def project(deck: Deck) -> dict[str, str]:
     title = deck.files[deck.main].partition("\n")[0].lstrip("* ").removeprefix(f"{deck.name}: ")
     sources = {e.key: _reference(e.name) for e in top.elements}
     commands = [
-        " ".join(_renamed(word, sources) for word in card.text.split())
+        " ".join(_renamed(word, sources) for word in Printer().card(card).split())
         for card in top.commands
         if not (isinstance(card, Directive) and card.keyword in _OURS)
     ]
@@ -248,7 +249,7 @@ def _item(element: Element, parts: dict[str, Symbol], plain: dict[str, Symbol]) 
         raise UsageError(
             "the sheet has no symbol for this card",
             where=element.where,
-            got=element.text[:80],
+            got=element.written[:80],
             expected=f"one of {', '.join(sorted(k for k in plain if len(k) == 1))} or X",
         )
     law = f"{element.quantity}={element.expression}" if element.quantity else ""

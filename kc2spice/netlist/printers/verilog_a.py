@@ -13,10 +13,10 @@ from dataclasses import dataclass, field, replace
 from kc2spice.core.errors import UsageError
 from kc2spice.netlist.cards import number
 from kc2spice.netlist.circuit import (
+    Card,
     Circuit,
     Directive,
     Element,
-    Function,
     Item,
     Model,
     Parameters,
@@ -250,10 +250,9 @@ def _expand(
     """Add the contributions of ``scope``; nested instances come in place, with a prefix."""
     names = Names(module, scope, pins, params, prefix)
     for card in scope.commands:
-        if not isinstance(card, Parameters | Function) or card.text.startswith(".csparam"):
-            what = "Verilog-A cannot say this command"
-            raise UsageError(what, where=card.where, got=card.text[:80])
         names.where = card.where
+        if isinstance(card, Directive) or card.written.startswith(".csparam"):
+            raise _unsaid(card)
         for key, text in card.values.items() if isinstance(card, Parameters) else ():
             names.params[key.lower()] = module.variable(prefix + key, names.value(text))
     for part in scope.elements:
@@ -329,8 +328,8 @@ def _right(part: Element, names: Names, across: str) -> str:
     raise _unsaid(part)
 
 
-def _unsaid(part: Element) -> UsageError:
-    return UsageError("Verilog-A cannot say this card", where=part.where, got=part.text[:80])
+def _unsaid(card: Card, what: str = "Verilog-A cannot say this card") -> UsageError:
+    return UsageError(what, where=card.where, got=card.written[:80])
 
 
 def _value(part: Element, names: Names) -> str:
@@ -350,7 +349,7 @@ def _steady(part: Element, names: Names) -> str:
     points = [literal(word, where=part.where) for word in listed]
     if points and None not in points and not any(points[1::2]):
         return "0.0"
-    raise UsageError("a module has no sources with waveforms", where=part.where, got=part.text[:80])
+    raise _unsaid(part, "a module has no sources with waveforms")
 
 
 def _switch(part: Element, names: Names) -> str:
@@ -359,7 +358,7 @@ def _switch(part: Element, names: Names) -> str:
     given = _SWITCH | ({k.lower(): v for k, v in model.parameters.items()} if model else {})
     worth = {k: literal(v, where=names.where) for k, v in given.items()}
     if not model or worth.keys() != _SWITCH.keys() or None in worth.values() or worth["vh"]:
-        raise UsageError("Verilog-A cannot say this switch", where=names.where, got=str(model))
+        raise _unsaid(part, "Verilog-A cannot say this switch")
     on, off, level = (names.value(given[k]) for k in ("ron", "roff", "vt"))
     return f"({names.across(part.nodes[2:])} > {level} ? {on} : {off})"
 
