@@ -252,7 +252,6 @@ def retold(tree: Circuit, *usage: str) -> Circuit:
 
 
 def _inserted(text: str, lines: str) -> str:
-    """``text`` with ``lines`` above its analysis."""
     at = next((s.line for s in statements(text, "") if s.keyword in ANALYSES), None)
     if at is None or not lines:
         return text

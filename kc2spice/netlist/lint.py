@@ -61,7 +61,6 @@ def _problem(
 
 
 def _signal_pins(circuits: Iterable[Circuit]) -> Iterator[tuple[str, str]]:
-    """``(subcircuit, pin)`` of all pins that a library header declares as signals."""
     for each in circuits:
         signals = (pin.name.lower() for pin in declared_pins(each) if pin.flow == "-")
         yield from ((each.name.lower(), name) for name in signals)
@@ -168,7 +167,6 @@ def _references(part: Element, scope: Scope) -> Iterator[UsageError]:
 
 
 def _unknown_names(card: Card, tree: Tree, scope: Scope) -> Iterator[UsageError]:
-    """Parameters and nodes that an expression of ``card`` uses but nothing defines."""
     nodes = {n for part in scope.elements for n in part.ends} | set(scope.pins) | GROUND
     sources = {e.key for e in scope.elements if e.kind in "vlehb"}
     for leaf in walk(tree):
@@ -195,7 +193,6 @@ def _unknown_functions(part: Element, tree: Tree, scope: Scope) -> Iterator[Usag
 
 
 def _constants(part: Element) -> Iterator[str]:
-    """Every expression of a card in braces or quotes."""
     for value in (*part.values, *part.parameters.values()):
         yield from (f"{{{piece.partition('}')[0]}}}" for piece in value.split("{")[1:])
         if value.startswith("'"):

@@ -204,7 +204,6 @@ def _subckt(s: Statement, cards: Iterator[Statement]) -> Circuit:
 
 
 def _item(s: Statement) -> Item:
-    """One card that is no subcircuit."""
     told = _told(s)
     if not s.keyword.startswith("."):
         return element(s)
@@ -244,7 +243,6 @@ def _without_keyword(given: Sequence[str]) -> list[str]:
 
 
 def _assignments(given: Sequence[str], s: Statement) -> dict[str, str]:
-    """``name=value`` words as a mapping."""
     pairs = {}
     for word in (each.strip(",") for each in given):
         if not _assigned(word):
@@ -284,7 +282,6 @@ def element(s: Statement) -> Element:
 
 
 def _count(kind: str, rest: Sequence[str]) -> int:
-    """Nodes of an element with the words ``rest``."""
     if kind in "eg" and len(rest) > 2 and rest[2].lower().startswith(_LAWS):
         word = rest[2].lower().partition("=")[0].partition("(")[0]
         return 2 if word in _LAWS else 4
@@ -298,7 +295,6 @@ def _count(kind: str, rest: Sequence[str]) -> int:
 def _connected(
     s: Statement, kind: str, count: int, rest: list[str]
 ) -> tuple[tuple[str, ...], tuple[str, ...], list[str]]:
-    """Nodes, controlling sources and the other words."""
     controls = _CONTROLS.get(kind, 0)
     if kind in "fh" and len(rest) > 2 and rest[2].lower().startswith("poly("):
         controls = 0
@@ -396,7 +392,6 @@ def subcircuits(text: str, file: str) -> list[Subcircuit]:
 
 
 def _called(circuit: Circuit) -> Iterator[str]:
-    """Names of the subcircuits that a circuit instantiates."""
     for item in circuit.items:
         if isinstance(item, Circuit):
             yield from _called(item)

@@ -118,7 +118,6 @@ def _changed(part: Subcircuit, library: str, name: str, value: float) -> Subcirc
 
 
 def _with_default(circuit: Circuit, name: str, value: float) -> Item:
-    """A subcircuit with another default, in its card and in its head."""
     told, given = f"* @param {name}=", number(value)
     notes = tuple(
         f"{told}{given} unit={line.partition(' unit=')[2]}" if line.startswith(told) else line
@@ -186,6 +185,5 @@ def array_deck(deck: Deck, count: int) -> Deck:
 
 
 def _within(expression: str, k: int) -> str:
-    """An expression of copy ``k``."""
     found = ((sign, text, vector(text)) for sign, text in terms(expression))
     return added([(s, str(each.within(f"x{k}")) if each else text) for s, text, each in found])

@@ -146,7 +146,6 @@ def run_shared(
 
 
 def _flattened(deck: Deck, file: str) -> list[str]:
-    """Lines of the deck, its includes in their places."""
     found: list[str] = []
     for line in deck.files[file].splitlines():
         word, _, target = line.partition(" ")

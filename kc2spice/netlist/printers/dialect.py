@@ -83,7 +83,6 @@ class Dialect(Printer, ABC):
         return super().lines(_merged(items, self.joined))
 
     def card(self, item: Item) -> str:
-        """One card."""
         if isinstance(item, Parameters) and item.keyword != ".param":
             raise self.refusal(item.written, f"the command {item.keyword}")
         if not isinstance(item, Directive):
@@ -104,7 +103,6 @@ class Dialect(Printer, ABC):
         return UsageError(f"{self.title} cannot say {what}", where=self.where, got=got[:120])
 
     def element(self, part: Element) -> str:
-        """A device that both have."""
         laplace = part.kind in "eg" and len(part.nodes) == 2 and not part.quantity
         files = any("file" in w.lower() for w in (*part.values, *part.parameters))
         if part.kind not in _SHARED or laplace or files or (part.kind in "eg" and part.parameters):
@@ -129,7 +127,6 @@ class Dialect(Printer, ABC):
         return "\n".join([*lines, *dropped])
 
     def save(self, vectors: list[str]) -> str:
-        """The card that asks for results."""
         return "\n+ ".join([".save", *vectors])
 
     @abstractmethod
@@ -137,7 +134,6 @@ class Dialect(Printer, ABC):
         """A voltage-controlled switch."""
 
     def vector(self, text: str) -> str:
-        """Name of a result."""
         found = vector(text)
         bare = "(" not in text and "@" not in text
         if found is None or bare or found.parameter.lower() not in ("", "i", "id", "current"):
@@ -147,11 +143,9 @@ class Dialect(Printer, ABC):
         return f"V({','.join(self.node(name.split('.')) for name in found.names)})"
 
     def node(self, path: list[str]) -> str:
-        """A node inside nested instances."""
         return ":".join(path)
 
     def device(self, trace: Trace) -> str:
-        """A part inside nested instances."""
         return ":".join([*trace.path, *trace.names])
 
     # -- expressions ------------------------------------------------------------------------

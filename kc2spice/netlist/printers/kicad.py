@@ -209,7 +209,6 @@ def project(deck: Deck) -> dict[str, str]:
 
 
 def _parts(deck: Deck) -> dict[str, Subcircuit]:
-    """Subcircuits by lower-case name: ours, and those of the user's files."""
     own = {part.name.lower(): part for part in deck.parts}
     ours = {part.filename for part in deck.parts}
     for file, text in deck.files.items():
@@ -284,7 +283,6 @@ def _placed(symbol: Symbol, fields: dict[str, str], nets: tuple[str, ...]) -> _I
 
 
 def _rows(items: Iterable[_Item], width: int) -> Iterator[_Item]:
-    """Items from left to right, row below row, in the order of the deck."""
     rows: list[list[_Item]] = []
     x = width
     for item in items:

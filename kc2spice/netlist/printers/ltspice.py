@@ -36,7 +36,6 @@ class LTspice(Dialect):
         return word if plain else f"({{{word}}})"
 
     def law(self, part: Element) -> str:
-        """The expression of a behavioural source."""
         self.bare = part.kind != "b"
         text = self.write(simplified(part.law))
         quantity, self.bare = part.quantity, True

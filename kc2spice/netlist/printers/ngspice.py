@@ -36,7 +36,6 @@ class Printer(Writer):
         self.where = "netlist"
 
     def file(self, circuit: Circuit) -> str:
-        """Text of a whole file."""
         lines = [*self.lines(circuit.items), *circuit.closing]
         return "\n".join(lines) + "\n"
 
@@ -68,7 +67,6 @@ class Printer(Writer):
         return self.directive(item)
 
     def element(self, part: Element) -> str:
-        """A device."""
         keyword = self.instance_keyword if part.kind == "x" and part.parameters else ""
         law = ""
         if part.quantity:
@@ -89,7 +87,6 @@ class Printer(Writer):
         return f"{part.quantity if part.kind == 'b' else 'value'}={inner}"
 
     def model(self, model: Model) -> str:
-        """``.model``."""
         inside = self.pairs(model.parameters)
         return _joined(".model", model.name, model.type + (f"({inside})" if inside else ""))
 

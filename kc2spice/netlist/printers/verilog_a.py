@@ -125,7 +125,6 @@ class Names(Writer):
         return self.module.nodes[self.prefix + key]
 
     def across(self, names: Iterable[str]) -> str:
-        """``V(a,b)``."""
         return f"V({','.join(map(self.node, names))})"
 
     def value(self, text: str) -> str:
@@ -143,7 +142,6 @@ class Names(Writer):
         return super().write(tree, level)
 
     def branch(self, source: str) -> str:
-        """The named branch of a voltage source or inductor."""
         return f"br_{self.prefix}{source.lower()}"
 
     def number(self, text: str) -> str:
@@ -151,17 +149,14 @@ class Names(Writer):
         return text if set(".eE").intersection(text) else f"{text}.0"
 
     def name(self, text: str) -> str:
-        """A parameter of this instance."""
         if text.lower() not in self.params:
             raise UsageError("Verilog-A cannot say this word", where=self.where, got=text)
         return self.params[text.lower()]
 
     def probe(self, kind: str, names: tuple[str, ...]) -> str:
-        """A voltage, or the current of a source."""
         return self.across(names) if kind == "v" else f"I({self.branch(names[0])})"
 
     def call(self, function: str, arguments: tuple[Tree, ...]) -> str:
-        """Functions by what they mean."""
         if function == "pwl":
             name = f"table_{self.prefix}{self.part}_{len(self.module.functions)}"
             given = [literal(self.write(a), where=self.where) for a in arguments[1:]]
@@ -353,7 +348,6 @@ def _steady(part: Element, names: Names) -> str:
 
 
 def _switch(part: Element, names: Names) -> str:
-    """Resistance of a switch without hysteresis."""
     model = names.scope.models.get(part.model.lower())
     given = _SWITCH | ({k.lower(): v for k, v in model.parameters.items()} if model else {})
     worth = {k: literal(v, where=names.where) for k, v in given.items()}
@@ -364,7 +358,6 @@ def _switch(part: Element, names: Names) -> str:
 
 
 def _mutual(part: Element, names: Names) -> list[str]:
-    """Two contributions of ``M = k sqrt(L1 L2)``."""
     inductors = {e.key: e for e in names.scope.elements if e.kind == "l"}
     coils = [inductors[s.lower()] for s in part.sources if s.lower() in inductors]
     if len(coils) != 2:

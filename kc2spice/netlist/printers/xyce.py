@@ -87,7 +87,6 @@ class Xyce(Dialect):
         return f"{quantity}={{{self.write(simplified(part.law))}}}"
 
     def save(self, vectors: list[str]) -> str:
-        """Results are printed per analysis."""
         kind = self.setup.analysis.removeprefix(".").upper()
         return "\n+ ".join([f".print {kind} format=raw", *vectors])
 
