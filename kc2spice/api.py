@@ -37,7 +37,7 @@ from kc2spice.sim.retries import run_with_retries
 from kc2spice.workflow.decks import make_deck
 from kc2spice.workflow.models import build_models
 from kc2spice.workflow.results import write_record, write_waveforms
-from kc2spice.workflow.run import Completed, complete, run_record, write_run_files
+from kc2spice.workflow.run import Completed, complete, write_run_files
 from kc2spice.workflow.simulate import kept_on_failure
 
 __all__ = [
@@ -177,7 +177,7 @@ def run(
         done = complete(loaded, work, trust=trust, deck=edited, functions=functions)
     found = done.outcome
     more: dict[str, Any] = {"figures": {each.name: each for each in done.figures}, "_done": done}
-    result = _result(found.deck, found.waves, run_record(done), found.verdict.checks, **more)
+    result = _result(found.deck, found.waves, done.record, found.verdict.checks, **more)
     if out is not None:
         result.save(out)
     return result

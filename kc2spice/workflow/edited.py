@@ -72,16 +72,16 @@ def edited_deck(build: Build, path: Path) -> tuple[Deck, Build]:
         stop=stop,
         command=Command(own.command.kind, words),
     )
-    return deck, replace(build, unjudged=build.unjudged | _edits(build, own, deck))
+    return deck, replace(build, unjudged=build.unjudged | _edits(own, deck))
 
 
-def _edits(build: Build, own: Deck, edited: Deck) -> set[str]:
+def _edits(own: Deck, edited: Deck) -> set[str]:
     """Parts of the scene whose cards are others in the ``edited`` deck: their keys no longer say
     what is there. Also names of cards that it has besides, and of instances joined otherwise."""
     owner = {
-        card.split()[0].lower(): part.name
-        for part in build.scene.parts.values()
-        for card in part.type.cards(part, build)
+        card.split()[0].lower(): block.title.partition(":")[0]
+        for block in own.blocks
+        for card in block.cards
     }
     before, now = ({e.key: e for e in deck.scope.elements} for deck in (own, edited))
     found = set()

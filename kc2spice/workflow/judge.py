@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
@@ -20,7 +20,10 @@ BUDGET_SHARE = 0.03  # of a larger error_budget, a tenth of what its time steppi
 
 
 def verdict(waves: Waveforms, build: Build) -> Verdict:
-    """The checks that apply to the parts of a scene, without those that it turns off."""
+    """The checks that apply to the parts of a scene, without those that it turns off.
+
+    A larger error_budget loosens all energy balances alike.
+    """
     scene = build.scene
     parts = [part for name, part in scene.parts.items() if name not in build.unjudged]
     rows = [(part.name, row) for part in parts for row in part.type.checks(part, build, waves)]
@@ -29,16 +32,9 @@ def verdict(waves: Waveforms, build: Build) -> Verdict:
     checks += step_checks(build, waves, balances)
     if scene.checks.energy == "off":
         balances = {}
-    checks += _balanced(balances, build)
-    return Verdict(tuple(c for c in checks if c.action != "off"), tuple(balances.items()))
-
-
-def _balanced(balances: dict[str, Balance], build: Build) -> Iterator[Check]:
-    """A larger error_budget loosens all balances alike."""
-    scene = build.scene
-    for name, found in balances.items():
-        slack = max(1.0, BUDGET_SHARE * (scene.error_budget or 0.0) / 1e-4)
-        yield Check(
+    slack = max(1.0, BUDGET_SHARE * (scene.error_budget or 0.0) / 1e-4)
+    checks += [
+        Check(
             f"energy of {name}",
             found.share,
             slack * found.limit,
@@ -47,6 +43,9 @@ def _balanced(balances: dict[str, Balance], build: Build) -> Iterator[Check]:
             scene.checks.energy,
             coarse=True,
         )
+        for name, found in balances.items()
+    ]
+    return Verdict(tuple(c for c in checks if c.action != "off"), tuple(balances.items()))
 
 
 def metrics(waves: Waveforms, build: Build) -> dict[str, Any]:
@@ -88,14 +87,11 @@ def take(probe: Probe, waves: Waveforms, name: str) -> float | None:
             got=repr(probe.of),
             expected="one of " + ", ".join(list(waves.data)[1:]),
         )
-    scale, values = next(iter(waves.data.values())), np.abs(waves[probe.of])
-    if not np.iscomplexobj(waves[probe.of]):
-        values = waves[probe.of]
+    scale, values = next(iter(waves.data.values())), waves[probe.of]
     if probe.at is not None:
-        return _value(scale.real, waves[probe.of], probe.at, name)
-    if probe.take == "crossing":
-        return crossing(scale, values, float(probe.level or 0.0))
-    found = _TAKEN[probe.take](scale, values)
+        return _value(scale.real, values, probe.at, name)
+    sizes = np.abs(values) if np.iscomplexobj(values) else values
+    found = _TAKEN[probe.take](scale, sizes, float(probe.level or 0.0))
     return None if found is None else float(found)
 
 
@@ -106,29 +102,12 @@ def frequency(scale: np.ndarray, values: np.ndarray) -> float | None:
     """
     late = scale >= (scale[0] + scale[-1]) / 2
     x, y = scale[late], values[late]
-    y = y - np.trapezoid(y, x) / np.ptp(x)
+    y = y - _mean(x, y)
     k = np.flatnonzero((y[:-1] < 0) & (y[1:] >= 0))
     if k.size < 2:
         return None
     places = x[k] - y[k] * (x[k + 1] - x[k]) / (y[k + 1] - y[k])
     return float((k.size - 1) / (places[-1] - places[0]))
-
-
-def _mean(scale: np.ndarray, values: np.ndarray) -> float:
-    return float(np.trapezoid(values, scale) / np.ptp(scale))
-
-
-# Of the scale (n,) and the values (n,): what a probe takes under that name.
-_TAKEN: dict[str, Callable[[np.ndarray, np.ndarray], float | None]] = {
-    "argmax": lambda scale, values: scale[values.argmax()].real,
-    "max": lambda scale, values: values.max(),
-    "min": lambda scale, values: values.min(),
-    "final": lambda scale, values: values[-1],
-    "peak_to_peak": lambda scale, values: np.ptp(values),
-    "mean": _mean,
-    "rms": lambda scale, values: math.sqrt(_mean(scale, values**2)),
-    "frequency": frequency,
-}
 
 
 def crossing(scale: np.ndarray, values: np.ndarray, level: float) -> float | None:
@@ -140,6 +119,24 @@ def crossing(scale: np.ndarray, values: np.ndarray, level: float) -> float | Non
     k = int(changes[0])
     share = (level - values[k]) / (values[k + 1] - values[k])
     return float(scale[k] + share * (scale[k + 1] - scale[k]))
+
+
+def _mean(scale: np.ndarray, values: np.ndarray) -> float:
+    return float(np.trapezoid(values, scale) / np.ptp(scale))
+
+
+# Of the scale (n,), the values (n,) and a level: what a probe takes under that name.
+_TAKEN: dict[str, Callable[[np.ndarray, np.ndarray, float], float | None]] = {
+    "argmax": lambda scale, values, _: scale[values.argmax()].real,
+    "max": lambda scale, values, _: values.max(),
+    "min": lambda scale, values, _: values.min(),
+    "final": lambda scale, values, _: values[-1],
+    "peak_to_peak": lambda scale, values, _: np.ptp(values),
+    "mean": lambda scale, values, _: _mean(scale, values),
+    "rms": lambda scale, values, _: math.sqrt(_mean(scale, values**2)),
+    "frequency": lambda scale, values, _: frequency(scale, values),
+    "crossing": crossing,
+}
 
 
 def probe_units(

@@ -5,6 +5,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any, cast
 
@@ -41,7 +42,7 @@ class Completed:
     clock: Clock
     converged: Converged | None = None
 
-    @property
+    @cached_property
     def figures(self) -> tuple[Figure, ...]:
         """What its probes and parts show of it."""
         build, waves = self.build, self.outcome.waves
@@ -49,6 +50,40 @@ class Completed:
         for part in build.scene.parts.values():
             found += part.type.figures(part, build, waves)
         return tuple(found)
+
+    @cached_property
+    def record(self) -> dict[str, Any]:
+        """``result.json`` without the names of files."""
+        build, outcome, step = self.build, self.outcome, self.build.largest
+        waves, attempts, found = outcome.waves, outcome.attempts, outcome.verdict
+        record = {
+            "scene": build.scene.name,
+            "version": __version__,
+            "netlist": outcome.deck.main,
+            "simulator": {
+                "name": self.simulator.name,
+                "version": self.simulator.version,
+                "engine": "batch",
+                "setting": attempts[-1].setting,
+                "attempts": [attempt.record() for attempt in attempts],
+            },
+            "model": model_facts(build),
+            **rom_facts(build),
+            "modes": mode_tables(build),
+            # a sweep or an operating point has no time points
+            "steps": {name: int(waves.stats.get(name, 0)) for name in ("accepted", "rejected")},
+            "largest_step": None if step is None else {"s": step.step, "why": step.why},
+            "simulator_cpu_s": waves.stats.get("cpu_s"),
+            "metrics": metrics(waves, build),
+            "metric_units": probe_units(build.scene.probes, waves, outcome.deck.units),
+            "checks": [check.record() for check in found.checks],
+            "energy_j": {name: balance.entries for name, balance in found.balances},
+            "plan": asdict(build.plan),
+            "wall_s": self.clock.wall_s,
+        }
+        if self.converged is not None:
+            record["convergence"] = self.converged.record()
+        return record
 
 
 def run(
@@ -155,15 +190,13 @@ def write_run_files(
     """Write all files of a run into ``work``, where the deck is already; return ``result.json``."""
     scene, deck, waves = done.build.scene, done.outcome.deck, done.outcome.waves
     with done.clock.stage("report", "metrics and page"):
-        shown = done.figures
-        record = run_record(done)
+        record, shown = dict(done.record), done.figures
         script = plot_script(deck)
         write_files(script, work)
         files = [*sorted(deck.files | script), *write_waveforms(waves, deck.units, work)]
         for part in scene.parts.values():
             files += part.type.write(part, done.build, waves, work)
         files += draw_all(work, shown) if png else []
-    record["wall_s"] = done.clock.wall_s
     spare = [work / f"{scene.name}.raw", *work.glob(f"{scene.name}*.log")]
     files += [path.name for path in spare if keep and path.exists()]
     record["files"] = [*files, "report.html", "result.json"]
@@ -172,36 +205,3 @@ def write_run_files(
     for path in spare if not keep else ():
         path.unlink(missing_ok=True)
     return cast(dict[str, Any], plain(record))
-
-
-def run_record(done: Completed) -> dict[str, Any]:
-    """``result.json`` without the names of files."""
-    build, simulator, outcome, step = done.build, done.simulator, done.outcome, done.build.largest
-    waves, attempts, found = outcome.waves, outcome.attempts, outcome.verdict
-    converged = {} if done.converged is None else {"convergence": done.converged.record()}
-    return {
-        "scene": build.scene.name,
-        "version": __version__,
-        "netlist": outcome.deck.main,
-        "simulator": {
-            "name": simulator.name,
-            "version": simulator.version,
-            "engine": "batch",
-            "setting": attempts[-1].setting,
-            "attempts": [attempt.record() for attempt in attempts],
-        },
-        "model": model_facts(build),
-        **rom_facts(build),
-        "modes": mode_tables(build),
-        **converged,
-        # a sweep or an operating point has no time points
-        "steps": {name: int(waves.stats.get(name, 0)) for name in ("accepted", "rejected")},
-        "largest_step": None if step is None else {"s": step.step, "why": step.why},
-        "simulator_cpu_s": waves.stats.get("cpu_s"),
-        "metrics": metrics(waves, build),
-        "metric_units": probe_units(build.scene.probes, waves, outcome.deck.units),
-        "checks": [check.record() for check in found.checks],
-        "energy_j": {name: balance.entries for name, balance in found.balances},
-        "plan": asdict(build.plan),
-        "wall_s": done.clock.wall_s,
-    }
