@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from laboratory.run import PARTS
+from laboratory.__main__ import PARTS
 
 pytestmark = [pytest.mark.slow, pytest.mark.campaign]  # other programs, every scene
 
@@ -37,8 +37,8 @@ def run(*words):
 RATIOS = {
     "loop_cpu_s", "loop_vs_scipy", "loop_vs_scipy_specialised", "loop_vs_floor", "harmonic",
     "imprint_refactor", "imprint_low_rank", "impact_refactor", "impact_low_rank",
-    "em_superposition", "em_table_s", "dense_vs_resonator_30", "dense_vs_resonator_348",
-    "start_help_s", "start_import_s", "start_rerun_s", "start_first_s", "reference_loop_s",
+    "em_superposition", "dense_vs_resonator_30", "dense_vs_resonator_348", "start_help_s",
+    "start_rerun_s", "start_first_s",
 }  # fmt: skip
 PLANES = {"loop", "impact", "imprint", "harmonic", "em", "dense"}
 
@@ -46,9 +46,9 @@ PLANES = {"loop", "impact", "imprint", "harmonic", "em", "dense"}
 @pytest.fixture(scope="module")
 def bench(tmp_path_factory):
     out = tmp_path_factory.mktemp("bench")
-    done = run("laboratory", "--quick", "--repeats", "1", "--json", "--quiet", "--out", str(out))
+    done = run("laboratory", "--quick", "--repeats", "1", "--out", str(out))
     assert done.returncode == 0, done.stderr
-    return json.loads(done.stdout), out
+    return json.loads((out / "bench.json").read_text()), out
 
 
 def points(record, plane):
@@ -69,8 +69,6 @@ def test_record_has_the_contracts_shape(bench):
         assert any(point["pareto"] for point in found)
     for ratio in record["ratios"].values():
         assert {"value", "error", "target", "met", "what"} <= set(ratio)
-    stored = json.loads((out / "bench.json").read_text())
-    assert stored["planes"] == record["planes"]
     for file in ("bench.md", "bench_loop.png"):
         assert (out / file).stat().st_size > 500
 

@@ -10,7 +10,7 @@ from typer.testing import CliRunner
 
 from kc2spice.cli.main import app
 from kc2spice.rom.reduce import reduce
-from laboratory.norms import heat, structure
+from laboratory.beam import heat, structure
 
 sys.path.insert(0, str(Path(__file__).parent))
 import oracle

@@ -1,68 +1,128 @@
-"""``python -m laboratory`` with ``tests/benchmarks`` on the path; ``make bench`` runs it."""
+"""``python -m laboratory`` with ``tests/benchmarks`` on the path; ``make bench`` runs it.
+
+Measures speed against error: ngspice, its peers and a lower bound. Writes bench.json, bench.md and
+a plot of each plane. A target that is missed is a row of the table, not a failure.
+"""
 
 from __future__ import annotations
 
-import json
+import argparse
+import platform
+import shutil
+import subprocess
+import sys
+import tempfile
+import time
+from dataclasses import asdict
+from importlib import import_module
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
-import typer
+import numpy
+import scipy
 
-from kc2spice.cli.console import print_table, reported_errors, shown_progress
-from laboratory.page import bench_sections, machine_line
-from laboratory.run import PARTS, bench
+import kc2spice
+from kc2spice.core.errors import Kc2spiceError, UsageError
+from kc2spice.core.files import staged
+from kc2spice.core.progress import Clock
+from kc2spice.report.figures import draw_all
+from kc2spice.sim.ngspice import find_ngspice
+from kc2spice.workflow.results import plain, write_record
+from kc2spice.workflow.sweep.workers import cores
+from laboratory.page import bench_figures, bench_tables
+from laboratory.points import Plane, pareto
+from laboratory.setup import Setup
+
+# Each part is the function of its own name in the module of that name. What a user waits for comes
+# first: many a machine slows down under the minutes of load that the others are.
+PARTS = ("start", "loop", "impact", "imprint", "harmonic", "em", "dense")
 
 
-def main(
-    part: Annotated[
-        list[str] | None,
-        typer.Option(
-            metavar="NAME", help=f"Only this part: {', '.join(PARTS)}. Repeatable; default: all."
-        ),
-    ] = None,
-    out: Annotated[Path, typer.Option("--out", "-o", metavar="DIR", help="Where to write.")] = Path(
-        "bench"
-    ),
-    repeats: Annotated[int, typer.Option(min=1, help="Runs of each point; the median counts.")] = 5,
-    quick: Annotated[
-        bool, typer.Option("--quick", help="Coarse models and few points: shape, not numbers.")
-    ] = False,
-    full_sweep: Annotated[
-        bool,
-        typer.Option(
-            "--full-sweep", help="Also run what is otherwise timed on a sample or left out: hours."
-        ),
-    ] = False,
-    as_json: Annotated[
-        bool, typer.Option("--json", help="One JSON object on stdout, all else on stderr.")
-    ] = False,
-    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="No progress, no tables.")] = False,
-) -> None:
-    """Measure speed against error: ngspice, its peers and a lower bound.
+def bench(out: Path, parts: list[str], *, quick: bool, repeats: int) -> None:
+    """Measure ``parts`` (all of them if there are none) and write the files into ``out``.
 
-    Writes bench.json, bench.md and a plot of each plane. A target that is missed is
-    a row of the table, not a failure of the command.
+    ``quick`` takes coarse models and few points: the record has the same shape, its numbers mean
+    nothing.
     """
-    with reported_errors():
-        with shown_progress(quiet) as progress:
-            record = bench(
-                out, part or (), quick=quick, full_sweep=full_sweep, repeats=repeats,
-                progress=progress,
-            )  # fmt: skip
-        if as_json:
-            print(json.dumps({**record, "directory": str(out.absolute())}))
-        elif not quiet:
-            _show(record, out)
+    for part in parts:
+        if part not in PARTS:
+            raise UsageError("no such part", where="--part", got=part, expected=", ".join(PARTS))
+    record: dict[str, Any] = {
+        "machine": machine(), "quick": quick, "repeats": repeats,
+        "planes": {}, "titles": {}, "ratios": {}, "seconds": {},
+    }  # fmt: skip
+    with staged(out) as directory, tempfile.TemporaryDirectory(prefix="kc2spice-bench-") as work:
+        setup = Setup(quick, repeats, Path(work), Clock())
+        for part in PARTS:
+            if parts and part not in parts:
+                continue
+            print(part, file=sys.stderr, flush=True)
+            begin = time.perf_counter()
+            outcome = getattr(import_module(f"laboratory.{part}"), part)(setup)
+            for plane in outcome.planes:
+                record["planes"][plane.name] = _points(plane)
+                record["titles"][plane.name] = {
+                    "title": plane.title, "error": plane.error_name, "time": plane.time_name,
+                    "notes": list(plane.notes),
+                }  # fmt: skip
+            for ratio in outcome.ratios:
+                record["ratios"][ratio.name] = {**asdict(ratio), "met": ratio.met}
+            record["seconds"][part] = time.perf_counter() - begin
+        record = plain(record)
+        write_record(record, directory, "bench.json")
+        (directory / "bench.md").write_text(bench_tables(record), encoding="utf-8")
+        draw_all(directory, [*bench_figures(record)])
 
 
-def _show(record: dict[str, Any], out: Path) -> None:
-    print(machine_line(record))
-    for section in bench_sections(record):
-        print_table(section.title, section.rows, header=section.head)
-        if section.note:
-            print(f"  {section.note}\n")
-    print(f"all of it, with plots: {out / 'bench.md'}")
+def _points(plane: Plane) -> list[dict[str, Any]]:
+    # The lower bound solves this loop and nothing else: it is no choice, only a bound.
+    front = pareto([point for point in plane.points if point.family != "lower bound"])
+    return [
+        {
+            "label": point.label, "family": point.family, "error": point.error,
+            "time_s": point.time.median, "time_low_s": point.time.low,
+            "time_high_s": point.time.high, "repeats": point.time.repeats,
+            "errors": point.errors, "facts": point.facts, "note": point.note,
+            "same_model": point.same_model, "pareto": point in front,
+        }
+        for point in plane.points
+    ]  # fmt: skip
+
+
+def machine() -> dict[str, str | int]:
+    """Processor, cores that may be used, system, and the versions of what was timed."""
+    compiler, info = shutil.which("cc"), Path("/proc/cpuinfo")
+    said = [compiler and subprocess.run([compiler, "--version"], capture_output=True, text=True)]
+    names = info.read_text(encoding="utf-8").splitlines() if info.is_file() else []
+    models = [line.partition(":")[2].strip() for line in names if line.startswith("model name")]
+    return {
+        "cpu": next(iter(models), platform.processor() or platform.machine()),
+        "cores": cores(),
+        "os": f"{platform.system()} {platform.release()}",
+        "python": platform.python_version(),
+        "numpy": numpy.__version__,
+        "scipy": scipy.__version__,
+        "ngspice": find_ngspice().version,
+        "compiler": next((done.stdout.partition("\n")[0] for done in said if done), "none"),
+        "kc2spice": kc2spice.__version__,
+    }
+
+
+def main() -> int:
+    """The exit code is that of ``kc2spice``."""
+    parser = argparse.ArgumentParser(prog="python -m laboratory", description=__doc__)
+    parser.add_argument("--part", action="append", default=[], help=f"only {', '.join(PARTS)}")
+    parser.add_argument("--out", type=Path, default=Path("bench"), help="where to write")
+    parser.add_argument("--repeats", type=int, default=5, help="of each point; the median counts")
+    parser.add_argument("--quick", action="store_true", help="for the shape, not for the numbers")
+    asked = parser.parse_args()
+    try:
+        bench(asked.out, asked.part, quick=asked.quick, repeats=asked.repeats)
+    except Kc2spiceError as error:
+        print(error, file=sys.stderr)
+        return error.exit_code
+    return 0
 
 
 if __name__ == "__main__":
-    typer.run(main)
+    sys.exit(main())

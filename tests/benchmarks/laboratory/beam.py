@@ -1,8 +1,12 @@
-"""Matrices of an Euler-Bernoulli beam of Hermite elements, for tables and for tests."""
+"""Made-up models for tests: a beam of Hermite elements, a rod that conducts heat, random modes."""
 
 from __future__ import annotations
 
 import numpy as np
+
+from kc2spice.rom.linear import LinearModel
+
+Case = tuple[LinearModel, float, tuple[float, float]]  # model, tolerance, band [Hz]
 
 
 def hermite_beam(
@@ -32,3 +36,24 @@ def steel_cantilever(elements: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]
     """Mass, stiffness and force at the free end of a beam of steel, 1 m by 10 mm by 5 mm."""
     M, K = hermite_beam(elements, 210e9 * 1e-2 * 5e-3**3 / 12, 7850 * 1e-2 * 5e-3)
     return M[2:, 2:], K[2:, 2:], np.eye(2 * elements)[:, [-2]]
+
+
+def heat(cells: int = 200) -> Case:
+    """A rod, heated at a third, measured at two thirds."""
+    n = cells
+    A = 1e-2 * (n + 1) ** 2 * (np.eye(n, k=1) + np.eye(n, k=-1) - 2 * np.eye(n))
+    model = LinearModel(A=A, B=(n + 1) * np.eye(n)[:, [n // 3]], C=np.eye(n)[[2 * n // 3]])
+    return model, 1e-4, (0.0, 1e3 / (2 * np.pi))
+
+
+def structure(states: int, ports: int) -> Case:
+    """Random lightly damped modes over two decades in first order, none left out by symmetry."""
+    rng = np.random.default_rng(states)
+    n = states // 2
+    w, ratio = np.exp(np.linspace(0, 5, n)), rng.uniform(1e-3, 5e-3, n)
+    A = np.zeros((states, states))
+    A[::2, 1::2], A[1::2, ::2], A[1::2, 1::2] = np.diag(w), -np.diag(w), -2 * np.diag(ratio * w)
+    B, C = np.zeros((states, ports)), np.zeros((ports, states))
+    B[1::2] = rng.standard_normal((n, ports)) / w[:, None]
+    C[:, ::2] = rng.standard_normal((ports, n)) / w
+    return LinearModel(A=A, B=B, C=C), 1e-4, (0.0, w[-1] / (2 * np.pi))

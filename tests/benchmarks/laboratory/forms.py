@@ -1,4 +1,4 @@
-"""The same reduced chip as other tools would write it: dense, or from behavioural sources.
+"""The same reduced chip as other tools would write it: dense.
 
 One writer for any state-space form, in the manner of generic exporters (a capacitor for every
 state, a controlled source for every entry of A, B and C), with the pins of the product's own part.
@@ -63,9 +63,7 @@ def rotation(size: int) -> np.ndarray:
     return np.linalg.qr(np.random.default_rng(7).standard_normal((size, size)))[0]
 
 
-def written(
-    model: Resonators, part: Subcircuit, form: str, *, behavioural: bool = False
-) -> Subcircuit:
+def written(model: Resonators, part: Subcircuit, form: str) -> Subcircuit:
     """``part``, the product's subcircuit of ``model``, with the inside of another form."""
     pins = [pin.name for pin in part.pins]
     rings = [pin.name for pin in part.pins if pin.flow == "N" and pin.name != "base"]
@@ -94,28 +92,19 @@ def written(
         sums[f"x{i + 1}"] = [(f"x{j + 1}", STATE * a) for j, a in enumerate(row)]
         sums[f"x{i + 1}"] += [(node, STATE * ss.B[i, column]) for node, column in inputs]
     for node, terms in sums.items():
-        lines += _sources(node, [term for term in terms if term[1]], behavioural)
+        lines += [
+            f"G{node}_{k} base {node} {term} base {number(value)}"
+            for k, (term, value) in enumerate(terms)
+            if value
+        ]
     lines.append(f".ends {part.name}")
     return replace(part, text="\n".join(lines) + "\n")
 
 
-def _sources(node: str, terms: list[tuple[str, float]], behavioural: bool) -> list[str]:
-    """Currents into ``node``: a controlled source for each term, or one expression of all."""
-    if not behavioural:
-        return [f"G{node}_{k} base {node} {t} base {number(v)}" for k, (t, v) in enumerate(terms)]
-    if not terms:
-        return []
-    lines = [f"B{node} base {node} I=0"]
-    return lines + [f"+ +({number(value)})*V({term},base)" for term, value in terms]
-
-
-def with_form(
-    deck: Deck, model: Resonators, form: str, *, behavioural: bool = False, name: str = "kick"
-) -> Deck:
+def with_form(deck: Deck, model: Resonators, form: str, *, name: str = "kick") -> Deck:
     """``deck`` with its part ``name`` written in another form."""
     part = next(part for part in deck.parts if part.filename == f"{name}.lib")
-    other = written(model, part, form, behavioural=behavioural)
-    return with_text(deck, name, other.text)
+    return with_text(deck, name, written(model, part, form).text)
 
 
 def with_text(deck: Deck, name: str, text: str) -> Deck:

@@ -18,7 +18,6 @@ from laboratory.fullmodel import (
 )
 from laboratory.points import (
     Outcome,
-    Plane,
     Point,
     Ratio,
     Timing,
@@ -31,7 +30,7 @@ from laboratory.transient import FIELDS, Transient
 from laboratory.usual.transient import Ball, Road, TransientResult, transient
 
 PAPER_STEP = 50e-9  # s, of the paper's Newmark integration (2.2.2)
-SAMPLED = 6  # steps of the refactorising code that are timed, unless all are asked for
+SAMPLED = 6  # steps of the refactorising code that are timed
 LIMIT = 1e-4  # of rebound velocity and travel
 REFACTOR, LOW_RANK = 1784.0, 100.0  # the paper's speed-up, and the one against the same trick
 
@@ -61,12 +60,8 @@ def impact(setup: Setup) -> Outcome:
         )
     )  # fmt: skip
     points = (*plane.points, *full.points())
-    note = f"time of the refactorising full model {full.how}"
-    return Outcome((_with(plane, points, note),), ratios)
-
-
-def _with(plane: Plane, points: tuple[Point, ...], note: str) -> Plane:
-    return replace(plane, points=points, notes=(*plane.notes, note))
+    notes = (*plane.notes, f"time of the refactorising full model {full.how}")
+    return Outcome((replace(plane, points=points, notes=notes),), ratios)
 
 
 class _FullModel:
@@ -90,10 +85,11 @@ class _FullModel:
         with setup.clock.stage("impact", "full model, low rank"):
             result, self.low_rank = timed(lambda: self._run(step), 1)
         self.waves = as_waveforms(result, self.radius, self.system.sectors)
-        count = steps if setup.full_sweep else SAMPLED
         touching = replace(self.ball, height=0.0)  # the timed steps are all in contact
-        with setup.clock.stage("impact", f"full model, {count} refactorising steps"):
-            taken, sample = timed(lambda: self._run(step, touching, count * step, "refactorise"), 1)
+        with setup.clock.stage("impact", f"full model, {SAMPLED} refactorising steps"):
+            taken, sample = timed(
+                lambda: self._run(step, touching, SAMPLED * step, "refactorise"), 1
+            )
         whole = factorisations(result.ring_force[1:])
         self.refactorising: Timing = scaled(sample, whole / taken.factorisations)
         self.how = (

@@ -15,7 +15,7 @@ from laboratory.usual.statics import Electrical, imprint_refactorised
 from laboratory.usual.statics import imprint as full_imprint
 
 REFACTOR, LOW_RANK = 374.0, 100.0  # the paper's speed-up, and the one against the same trick
-SAMPLED = 4  # depths of the refactorising code that are timed, unless all are asked for
+SAMPLED = 4  # depths of the refactorising code that are timed
 
 
 def imprint(setup: Setup) -> Outcome:
@@ -34,7 +34,7 @@ def imprint(setup: Setup) -> Outcome:
     system, surface = full_system(scene), full_surface(scene)
     with setup.clock.stage("imprint", "full model, low rank"):
         full, low_rank = timed(lambda: full_imprint(system, surface, depth, electrical), 1)
-    taken = depth if setup.full_sweep else depth[-SAMPLED:]
+    taken = depth[-SAMPLED:]
     with setup.clock.stage("imprint", f"full model, {taken.size} refactorising depths"):
         usual, sample = timed(lambda: imprint_refactorised(system, surface, taken, electrical), 1)
     # It starts each depth from the springs that the last one closed.

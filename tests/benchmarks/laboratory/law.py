@@ -6,13 +6,15 @@ two can be compared. All quantities are of the whole device, in SI.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import TypeVar
 
 import numpy as np
 from scipy.interpolate import CubicSpline
 
 from kc2spice.core.errors import SimulationError
+from kc2spice.core.waveforms import Waveforms
 from kc2spice.fem.magnetics.table import EMTable
 from kc2spice.fem.piezo.keys import SECTORS
 from kc2spice.parts.pid import Control
@@ -32,14 +34,15 @@ EXTRA = 4
 class Mode:
     """What stays the same within one smooth piece: drive ramp, controller state.
 
-    ``voltage(t) = volt + slope (t - start)``; ``saturated`` is -1, 0 or +1.
+    ``voltage(t) = volt + slope (t - start)``; ``saturated`` is -1, 0 or +1, None where the current
+    itself tells.
     """
 
     start: float = 0.0
     volt: float = 0.0
     slope: float = 0.0
     enabled: bool = False
-    saturated: int = 0
+    saturated: int | None = 0
 
     def voltage(self, t: Real) -> Real:
         """Prescribed anode voltage [V] at one time or an array of them."""
@@ -118,16 +121,43 @@ class Law:
         """(q,) ``scale^2 / omega``: a generalised force ``gain / scale`` drives ``b`` by this."""
         return self.scale**2 / self.omega
 
-    def voltage(self, t: float, x: np.ndarray, mode: Mode) -> float:
-        """Anode voltage [V]: prescribed, or what keeps the charge of a floating anode at 0."""
+    @cached_property
+    def linear(self) -> np.ndarray:
+        """(n, n): modes, the charge of a floating anode, kinematics and roll-off."""
+        q = self.q
+        A, diag = np.zeros((2 * q + EXTRA, 2 * q + EXTRA)), np.arange(q)
+        A[diag, q + diag], A[q + diag, diag] = self.omega, -self.omega
+        A[q + diag, q + diag] = -self.damp
         if self.electrical == "open":
-            return -float(self.charge @ x[: self.q]) / self.c0
-        return mode.voltage(t)
+            A[q : 2 * q, :q] -= np.outer(self.inverse_mass * self.charge, self.charge) / self.c0
+        A[2 * q + HEIGHT, 2 * q + SPEED] = 1.0
+        if self.control is not None:
+            A[2 * q + RATE, [2 * q + SPEED, 2 * q + RATE]] = -1.0 / self.control.rolloff
+        return A
+
+    @cached_property
+    def sphere(self) -> Law:
+        """The sphere alone: the law without any mode."""
+        none = np.zeros(0)
+        return replace(
+            self, omega=none, damp=none, scale=none, rings=self.rings[:, :0], charge=none
+        )
 
     def penetration(self, x: np.ndarray) -> np.ndarray:
         """(n,) or (n, nt) ring penetrations [m] of one state or of columns of states."""
         gaps = self.gaps if x.ndim == 1 else self.gaps[:, None]
         return self.rings @ x[: self.q] - x[2 * self.q + HEIGHT] - gaps
+
+    def waveforms(self, t: np.ndarray, x: np.ndarray, steps: int) -> Waveforms:
+        """Results of the states (n, nt) at the times ``t``, from so many steps."""
+        p, u = x[2 * self.q + HEIGHT], self.rings @ x[: self.q]
+        force = self.stiffness * np.maximum(0.0, self.penetration(x))
+        data = {
+            "time": t, "sphere.y": p + self.radius, "sphere.v": x[2 * self.q + SPEED],
+            "contact.force": force.sum(axis=0),
+        }  # fmt: skip
+        data |= {f"kick.u.ring{k}": row for k, row in enumerate(u)}
+        return Waveforms(data, {"accepted": float(steps)})
 
     def check_height(self, height: np.ndarray) -> None:
         """Raise SimulationError if the sphere was outside the force table."""
@@ -145,89 +175,61 @@ class Law:
                 hint="widen catch.y_min .. catch.y_max, or check the gains and the polarity",
             )
 
-    def demand(self, rest: np.ndarray) -> np.ndarray:
-        """Current that the controller asks for before the clamp [A], from the last four rows."""
-        c = self.control
+    def demand(self, rest: np.ndarray) -> float:
+        """Current that the controller asks for before the clamp [A], from the last four states."""
+        c, (p, _, rate, integral) = self.control, rest.tolist()
         assert c is not None
-        error = c.setpoint - self.radius - rest[HEIGHT]
-        return c.kp * error + rest[INTEGRAL] + c.kd * rest[RATE]
+        return float(c.kp * (c.setpoint - self.radius - p) + integral + c.kd * rate)
 
-    def current(self, rest: np.ndarray, mode: Mode) -> np.ndarray:
-        """Coil current after the clamp [A], from the last four rows."""
-        if not mode.enabled or self.control is None:
-            return np.zeros(rest.shape[1:])
+    def clamped(self, rest: np.ndarray) -> float:
+        """The demand within the controller's limits [A]."""
+        assert self.control is not None
         limit = self.control.current_limit
-        return np.maximum(-limit, np.minimum(limit, self.demand(rest)))
+        return min(max(self.demand(rest), -limit), limit)
 
-    def sphere_rates(
-        self, rest: np.ndarray, contact: float, mode: Mode
-    ) -> tuple[np.ndarray, tuple]:
-        """Rates of ``p, v, d, I`` under a contact force, and the slopes for the Jacobian."""
-        p, v = rest[HEIGHT], rest[SPEED]
-        force = dforce = dcurrent = 0.0
-        integral = rate = 0.0
-        if self.force_map is not None:
-            current = float(self.current(rest, mode))
-            force, dforce, dcurrent = self.force_map(p + self.radius, current)
-        if self.control is not None:
-            rate = (-v - rest[RATE]) / self.control.rolloff
-            if mode.enabled and mode.saturated == 0:
-                integral = self.control.ki * (self.control.setpoint - self.radius - p)
-        accel = (contact + force) / self.mass - self.gravity
-        return np.array((v, accel, rate, integral)), (dforce, dcurrent)
+    def _current(self, x: np.ndarray, mode: Mode) -> tuple[float, bool]:
+        """Coil current [A], and whether its integral part follows the error."""
+        if self.control is None or not mode.enabled:
+            return 0.0, False
+        current = self.clamped(x[-EXTRA:])
+        if mode.saturated is None:
+            return current, current == self.demand(x[-EXTRA:])
+        return current, mode.saturated == 0
 
     def rhs(self, t: float, x: np.ndarray, mode: Mode) -> np.ndarray:
-        """Rates of the full state."""
-        q = self.q
-        a, b, rest = x[:q], x[q : 2 * q], x[2 * q :]
-        force = self.stiffness * np.maximum(0.0, self.penetration(x))
-        volt = self.voltage(t, x, mode)
-        velocity = self.omega * b
-        sphere, _ = self.sphere_rates(rest, force.sum(), mode)
-        load = volt * self.charge - force @ self.rings
-        return np.concatenate(
-            (
-                velocity,
-                -self.omega * a - self.damp * b + self.inverse_mass * load,
-                sphere,
-            )
-        )
+        """Rates of the state, as lean as numpy allows."""
+        q, p = self.q, float(x[2 * self.q + HEIGHT])
+        force = self.stiffness * np.maximum(self.rings @ x[:q] - p - self.gaps, 0.0)
+        rates = self.linear @ x
+        load = mode.voltage(t) * self.charge - force @ self.rings
+        rates[q : 2 * q] += self.inverse_mass * load
+        current, follows = self._current(x, mode)
+        pull = self.force_map(p + self.radius, current)[0] if self.force_map else 0.0
+        rates[2 * q + SPEED] = (force.sum() + pull) / self.mass - self.gravity
+        if follows and self.control is not None:
+            rates[2 * q + INTEGRAL] = self.control.ki * (self.control.setpoint - self.radius - p)
+        return rates
 
     def jacobian(self, t: float, x: np.ndarray, mode: Mode) -> np.ndarray:
         """Analytic derivative of ``rhs``; contact enters by the rings that are closed."""
-        q, n = self.q, 2 * self.q + EXTRA
-        w, im, j = self.omega, self.inverse_mass, np.zeros((n, n))
-        diag = np.arange(q)
-        j[diag, q + diag] = w
-        j[q + diag, diag] = -w
-        j[q + diag, q + diag] = -self.damp
-        closed = self.rings[self.penetration(x) > 0.0]
-        pull = self.stiffness * closed.sum(axis=0)
-        j[q : 2 * q, :q] -= self.stiffness * (im[:, None] * closed.T) @ closed
-        j[q : 2 * q, 2 * q + HEIGHT] = im * pull
+        q, J = self.q, self.linear.copy()
         p, v = 2 * q + HEIGHT, 2 * q + SPEED
-        j[v, :q] = pull / self.mass
-        if self.electrical == "open":
-            j[q : 2 * q, :q] -= np.outer(im * self.charge, self.charge) / self.c0
-        j[2 * q :, 2 * q :] += self.sphere_jacobian(x[2 * q :], mode)
-        j[v, p] -= self.stiffness * closed.shape[0] / self.mass
-        return j
-
-    def sphere_jacobian(self, rest: np.ndarray, mode: Mode) -> np.ndarray:
-        """(4, 4) derivative of the last four rates by their own states, contact aside."""
-        j = np.zeros((EXTRA, EXTRA))
-        _, (dforce, dcurrent) = self.sphere_rates(rest, 0.0, mode)
-        slopes = np.zeros(EXTRA)
-        slopes[HEIGHT] = dforce
-        if self.control is not None:
+        closed = self.rings[self.penetration(x) > 0.0]
+        if len(closed):
+            pull = self.stiffness * closed.sum(axis=0)
+            J[q : 2 * q, :q] -= self.stiffness * (self.inverse_mass[:, None] * closed.T) @ closed
+            J[q : 2 * q, p] = self.inverse_mass * pull
+            J[v, :q] = pull / self.mass
+            J[v, p] = -self.stiffness * len(closed) / self.mass
+        if self.force_map is not None:
+            current, follows = self._current(x, mode)
+            _, slope, gain = self.force_map(float(x[p]) + self.radius, current)
+            J[v, p] += slope / self.mass
             c = self.control
-            j[RATE, SPEED] = j[RATE, RATE] = -1.0 / c.rolloff
-            if mode.enabled and mode.saturated == 0:
-                j[INTEGRAL, HEIGHT] = -c.ki
-                slopes[[HEIGHT, RATE, INTEGRAL]] += dcurrent * np.array((-c.kp, c.kd, 1.0))
-        j[HEIGHT, SPEED] = 1.0
-        j[SPEED] = slopes / self.mass
-        return j
+            if c is not None and follows:
+                J[v, 2 * q :] += gain * np.array((-c.kp, 0.0, c.kd, 1.0)) / self.mass
+                J[2 * q + INTEGRAL, p] = -c.ki
+        return J
 
 
 def law(build: Build) -> Law:

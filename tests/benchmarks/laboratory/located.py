@@ -10,7 +10,7 @@ from kc2spice.core.errors import SimulationError
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.scene.model import Scene
 from laboratory.freemodes import FreeModes
-from laboratory.law import HEIGHT, SPEED, Law, Mode
+from laboratory.law import HEIGHT, Law, Mode
 from laboratory.pieces import Piece, coupled, flight
 from laboratory.segments import initial, saturation, segments
 
@@ -99,10 +99,4 @@ def _grid(law: Law, scene: Scene) -> np.ndarray:
 def _waveforms(law: Law, pieces: list[Piece], times: np.ndarray) -> Waveforms:
     owner = np.searchsorted([p.end for p in pieces[:-1]], times, side="left")
     states = [pieces[k].state(times[owner == k]) for k in np.unique(owner)]
-    x = np.concatenate(states, axis=1)
-    rest = x[2 * law.q :]
-    forces = law.stiffness * np.maximum(0.0, law.penetration(x))
-    data = {"time": times, "sphere.y": law.radius + rest[HEIGHT], "sphere.v": rest[SPEED]}
-    data["contact.force"] = forces.sum(axis=0)
-    data |= {f"kick.u.ring{i}": row for i, row in enumerate(law.rings @ x[: law.q])}
-    return Waveforms(data, {"accepted": float(sum(p.steps for p in pieces))})
+    return law.waveforms(times, np.concatenate(states, axis=1), sum(p.steps for p in pieces))

@@ -1,25 +1,40 @@
-"""The benchmark as tables."""
+"""The benchmark as tables and figures."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
-from kc2spice.report.html import Section
+import numpy as np
+
+from kc2spice.core.figure import Curve, Figure, Panel
 from kc2spice.report.words import quantity
 
 Record = Mapping[str, Any]
+RATIOS = ("figure", "value", "target", "", "taken at error", "what it is")
+POINTS = ("method", "setting", "error", "time", "spread", "more")
+LEAST = 1e-16  # an error of zero is drawn here
 
 
 def bench_tables(record: Record) -> str:
     """The whole record as Markdown."""
-    parts = [f"# Speed against error\n\n{machine_line(record)}\n"]
-    for section in bench_sections(record):
-        parts.append(f"## {section.title}\n\n{_markdown(section)}")
-    return "\n".join(parts)
+    text = f"# Speed against error\n\n{_machine_line(record)}\n"
+    if record["ratios"]:
+        text += _section("Targets", RATIOS, map(_ratio, record["ratios"].items()), "")
+    for name, points in record["planes"].items():
+        words = record["titles"][name]
+        note = " ".join(f"{note}." for note in (f"Error: {words['error']}", *words["notes"]))
+        text += _section(words["title"], POINTS, map(_point, points), note)
+    return text
 
 
-def machine_line(record: Record) -> str:
+def _section(title: str, head: Sequence[str], rows: Iterator[Sequence[str]], note: str) -> str:
+    lines = (head, ["---"] * len(head), *rows)
+    cells = ("| " + " | ".join(c.replace("|", r"\|") for c in line) + " |" for line in lines)
+    return "\n".join([f"\n## {title}\n", *cells, "", note, ""])
+
+
+def _machine_line(record: Record) -> str:
     """Processor and versions in one line, with a warning where the numbers mean nothing."""
     m = record["machine"]
     took = sum(record["seconds"].values())
@@ -35,62 +50,31 @@ def machine_line(record: Record) -> str:
     return line + quick if record["quick"] else line
 
 
-def bench_sections(record: Record) -> list[Section]:
-    """Ratios, then each plane."""
-    sections = []
-    head: tuple[str, ...]
-    if record["ratios"]:
-        head = ("figure", "value", "target", "", "taken at error", "what it is")
-        sections.append(Section("Targets", ratio_rows(record), head))
-    for name, points in record["planes"].items():
-        words = record["titles"][name]
-        head = ("method", "setting", "error", "time", "spread", "more")
-        note = " ".join(f"{note}." for note in (f"Error: {words['error']}", *words["notes"]))
-        sections.append(Section(words["title"], _point_rows(points), head, note))
-    return sections
+def _ratio(item: tuple[str, Record]) -> tuple[str, ...]:
+    name, ratio = item
+    sign, value, unit = "≥" if ratio["at_least"] else "≤", ratio["value"], ratio["unit"]
+    target = ratio["target"]
+    return (
+        name,
+        "not reached" if value is None else quantity(value, unit, 4),
+        "" if target is None else f"{sign} {quantity(target, unit, 4)}",
+        "" if target is None else "met" if ratio["met"] else "MISSED",
+        _number(ratio["error"]),
+        ratio["what"],
+    )
 
 
-def ratio_rows(record: Record) -> list[tuple[str, ...]]:
-    """One row for each figure with a target."""
-    rows: list[tuple[str, ...]] = []
-    for name, ratio in record["ratios"].items():
-        sign, value, unit = "≥" if ratio["at_least"] else "≤", ratio["value"], ratio["unit"]
-        rows.append(
-            (
-                name,
-                "not reached" if value is None else quantity(value, unit, 4),
-                "" if ratio["target"] is None else f"{sign} {quantity(ratio['target'], unit, 4)}",
-                _verdict(ratio),
-                _number(ratio["error"]),
-                ratio["what"],
-            )
-        )
-    return rows
-
-
-def _verdict(ratio: Record) -> str:
-    if ratio["target"] is None:
-        return ""
-    return "met" if ratio["met"] else "MISSED"
-
-
-def _point_rows(points: Sequence[Record]) -> list[tuple[str, ...]]:
-    rows: list[tuple[str, ...]] = []
-    for point in points:
-        extra = [f"{key} {_number(value)}" for key, value in point["errors"].items()]
-        extra += [f"{key} {_number(value)}" for key, value in point["facts"].items()]
-        extra += [point["note"]] if point["note"] else []
-        rows.append(
-            (
-                point["family"],
-                f"{point['label']}{' *' if point['pareto'] else ''}",
-                _number(point["error"]),
-                quantity(point["time_s"], "s", 3),
-                f"{(point['time_high_s'] - point['time_low_s']) / point['time_s']:.0%}",
-                "; ".join(extra),
-            )
-        )
-    return rows
+def _point(point: Record) -> tuple[str, ...]:
+    more = [*point["errors"].items(), *point["facts"].items()]
+    extra = [f"{key} {_number(value)}" for key, value in more]
+    return (
+        point["family"],
+        f"{point['label']}{' *' if point['pareto'] else ''}",
+        _number(point["error"]),
+        quantity(point["time_s"], "s", 3),
+        f"{(point['time_high_s'] - point['time_low_s']) / point['time_s']:.0%}",
+        "; ".join([*extra, *([point["note"]] if point["note"] else [])]),
+    )
 
 
 def _number(value: Any) -> str:
@@ -99,11 +83,22 @@ def _number(value: Any) -> str:
     return value if isinstance(value, str) else f"{value:.3g}"
 
 
-def _markdown(section: Section) -> str:
-    lines = [_line(section.head), _line(["---"] * len(section.head))]
-    lines += [_line(row) for row in section.rows]
-    return "\n".join([*lines, "", section.note, ""])
+def bench_figures(record: Record) -> Iterator[Figure]:
+    """Time over error of each plane; lower left is better."""
+    for name, points in record["planes"].items():
+        words = record["titles"][name]
+        families = dict.fromkeys(point["family"] for point in points)
+        front = sorted((p for p in points if p["pareto"]), key=lambda p: p["error"])
+        curves = [_curve("Pareto front", front, "step")]
+        curves += [_curve(f, [p for p in points if p["family"] == f], "o") for f in families]
+        ends = [max(p["error"], LEAST) for p in points]
+        span = 0.5 * min(ends), 2.0 * max(ends)
+        panel = Panel(
+            words["error"], words["time"], tuple(curves), span=span, log_x=True, log_y=True
+        )
+        yield Figure(f"bench_{name}", words["title"], "", (panel,))
 
 
-def _line(cells: Sequence[str]) -> str:
-    return "| " + " | ".join(cell.replace("|", r"\|") for cell in cells) + " |"
+def _curve(label: str, points: Sequence[Record], style: Any) -> Curve:
+    error = np.maximum([p["error"] for p in points], LEAST)
+    return Curve(label, error, np.array([p["time_s"] for p in points]), style)

@@ -52,8 +52,8 @@ def _clamp_events(law: Law, mode: Mode, rest: Callable[[np.ndarray], np.ndarray]
     limit = law.control.current_limit
     upper, lower = (-1 if mode.saturated == 1 else 1), (1 if mode.saturated == -1 else -1)
     return [
-        _Event("upper limit", lambda x: float(law.demand(rest(x))) - limit, upper),
-        _Event("lower limit", lambda x: float(law.demand(rest(x))) + limit, lower),
+        _Event("upper limit", lambda x: law.demand(rest(x)) - limit, upper),
+        _Event("lower limit", lambda x: law.demand(rest(x)) + limit, lower),
     ]
 
 
@@ -101,7 +101,7 @@ def coupled(
     atol = np.full(2 * law.q + EXTRA, rtol * 1e-6)
     atol[2 * law.q :] = rtol * _ATOL
     solution, fired = _solve(
-        lambda t, y: law.rhs(t, y, mode), lambda t, y: law.jacobian(t, y, mode),
+        partial(law.rhs, mode=mode), partial(law.jacobian, mode=mode),
         x, (mode.start, end), events, (rtol, atol),
     )  # fmt: skip
     law.check_height(solution.y[row])
@@ -116,7 +116,7 @@ def flight(
     base = 2 * law.q
     events = [_Event("near", lambda y: y[0] - floor, -1), *_clamp_events(law, mode, lambda y: y)]
     solution, fired = _solve(
-        lambda t, y: law.sphere_rates(y, 0.0, mode)[0], lambda t, y: law.sphere_jacobian(y, mode),
+        partial(law.sphere.rhs, mode=mode), partial(law.sphere.jacobian, mode=mode),
         x[base:], (mode.start, end), events, (rtol, rtol * _ATOL),
     )  # fmt: skip
 

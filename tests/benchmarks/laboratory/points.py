@@ -132,10 +132,9 @@ def cpu_seconds(who: Who) -> float:
     return used.ru_utime + used.ru_stime
 
 
-def pareto(points: Iterable[Point]) -> tuple[bool, ...]:
-    """Which points no other beats: in error or in time, and is not worse in the other."""
-    listed = list(points)
-    return tuple(not any(_beats(other, point) for other in listed) for point in listed)
+def pareto(points: Sequence[Point]) -> list[Point]:
+    """Those that no other beats: in error or in time, and is not worse in the other."""
+    return [point for point in points if not any(_beats(other, point) for other in points)]
 
 
 def _beats(one: Point, other: Point) -> bool:
@@ -145,13 +144,13 @@ def _beats(one: Point, other: Point) -> bool:
 
 def fastest(points: Iterable[Point], limits: dict[str, float]) -> Point | None:
     """Fastest of the points whose ``errors`` keep all ``limits``, None if there is none."""
-    kept = [p for p in points if p.same_model and all(_keeps(p, *item) for item in limits.items())]
-    return min(kept, key=lambda p: p.time.median, default=None)
 
+    def keeps(point: Point) -> bool:
+        errors = ((point.errors.get(name), limit) for name, limit in limits.items())
+        return all(error is not None and error <= limit for error, limit in errors)
 
-def _keeps(point: Point, name: str, limit: float) -> bool:
-    value = point.errors.get(name)
-    return value is not None and value <= limit
+    kept = [point for point in points if point.same_model and keeps(point)]
+    return min(kept, key=lambda point: point.time.median, default=None)
 
 
 @dataclass(frozen=True)

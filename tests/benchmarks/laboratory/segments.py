@@ -8,7 +8,7 @@ from itertools import pairwise
 import numpy as np
 
 from kc2spice.scene.model import Scene
-from laboratory.law import EXTRA, HEIGHT, SPEED, Law, Mode
+from laboratory.law import EXTRA, HEIGHT, SPEED, Law
 from laboratory.statics import rest
 
 
@@ -55,4 +55,4 @@ def saturation(law: Law, x: np.ndarray, enabled: bool) -> int:
     if not enabled:
         return 0
     sphere = x[2 * law.q :]
-    return int(np.sign(law.demand(sphere) - law.current(sphere, Mode(enabled=True))))
+    return int(np.sign(law.demand(sphere) - law.clamped(sphere)))

@@ -27,11 +27,10 @@ SHORT = ("solver.stop=2 ms",)
 class Setup:
     """How much to measure, where to work, and whom to tell.
 
-    ``quick`` takes coarse models and few points; ``full_sweep`` runs what is otherwise sampled.
+    ``quick`` takes coarse models and few points.
     """
 
     quick: bool
-    full_sweep: bool
     repeats: int
     work: Path
     clock: Clock

@@ -11,64 +11,41 @@ from pathlib import Path
 
 from kc2spice.core.errors import SimulationError
 from laboratory.points import Outcome, Ratio, timing
-from laboratory.setup import Setup
+from laboratory.setup import COARSE, COARSE_CATCH, Setup
 
 SCENE = ("run", "kick_and_catch", "--quiet", "--json", "--out")
 GAIN = "control.kd=21 A s/m"
 
 
-LOOP = 5_000_000
 RUNS = 7  # of each; their median counts
 
 
 def start(setup: Setup) -> Outcome:
-    """Wall time of whole commands, in new processes, the first run with an empty cache.
-
-    A fixed loop of Python stands beside them: machines differ, and so do their hours.
-    """
+    """Wall time of whole commands, in new processes, the first run with an empty cache."""
     runs = min(RUNS, setup.repeats) if setup.quick else RUNS
     with tempfile.TemporaryDirectory(prefix="kc2spice-start-") as folder:
         work = Path(folder)
-        progress = setup.clock.progress
-        small = [item for key in _coarse(setup) for item in ("--set", key)]
-        help_, imports, first, again, loop = [], [], [], [], []
+        coarse = (*COARSE, *COARSE_CATCH) if setup.quick else ()
+        small = [word for key in coarse for word in ("--set", key)]
+        help_, first, again = [], [], []
         _command([*SCENE, str(work / "a"), *small], work / "cache")  # writes the bytecode
         for k in range(runs):  # in turn, so that a slow minute meets them alike
-            progress("start", k / runs, "help, import, first run, another gain, loop")
             cache = work / f"cache{k}"
             help_.append(_command(["--help"], cache))
-            imports.append(_seconds([sys.executable, "-c", "import kc2spice"], cache))
-            imports[-1] -= _seconds([sys.executable, "-c", "pass"], cache)
             first.append(_command([*SCENE, str(work / "a"), *small], cache))
             again.append(_command([*SCENE, str(work / "b"), "--set", GAIN, *small], cache))
-            loop.append(_loop())
     return Outcome(
         ratios=(
             _limit("start_help_s", help_, 0.1, "kc2spice --help"),
-            _limit("start_import_s", imports, 0.06, "import kc2spice, beyond Python's own start"),
             _limit("start_rerun_s", again, 0.8, "kick_and_catch again with a new gain"),
             _limit("start_first_s", first, 3.0, "kick_and_catch with an empty cache"),
-            _limit("reference_loop_s", loop, None, f"{LOOP:g} turns of an empty Python loop"),
         )
     )
 
 
-def _coarse(setup: Setup) -> tuple[str, ...]:
-    from laboratory.setup import COARSE, COARSE_CATCH
-
-    return (*COARSE, *COARSE_CATCH) if setup.quick else ()
-
-
-def _limit(name: str, taken: list[float], limit: float | None, what: str) -> Ratio:
+def _limit(name: str, taken: list[float], limit: float, what: str) -> Ratio:
     spread = f"{what}, wall time, median of {len(taken)}, {min(taken):.3g} to {max(taken):.3g} s"
     return Ratio(name, timing(taken).median, None, limit, spread, at_least=False, unit="s")
-
-
-def _loop() -> float:
-    begin = time.perf_counter()
-    for _ in range(LOOP):
-        pass
-    return time.perf_counter() - begin
 
 
 def _command(arguments: list[str], cache: Path) -> float:

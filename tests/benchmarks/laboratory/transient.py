@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
@@ -12,7 +11,6 @@ from kc2spice.core.waveforms import Waveforms
 from kc2spice.scene.model import Scene
 from kc2spice.scene.parttype import Build
 from kc2spice.sim.ngspice import run_deck
-from kc2spice.sim.shared import run_shared
 from kc2spice.workflow.decks import make_deck
 from kc2spice.workflow.verify.circuit import solve
 from laboratory.distance import compare
@@ -109,7 +107,7 @@ class Transient:
             work += [
                 (v.label, partial(self._massless, v, build)) for v in launches(build, self.setup)
             ]
-        return [*work, ("shared engine", self._shared)]
+        return work
 
     def _massless(self, variant: Variant, build: Build) -> Point:
         """A deck without inertia behind the contact, against the reference of ``build``.
@@ -126,21 +124,12 @@ class Transient:
         waves, time = timed(lambda: run_deck(variant.deck, folder), 1, "children")
         point = self.point(variant.family, variant.label, waves, time, variant.note, against)
         self.decks[variant.label] = waves
-        log = (folder / variant.deck.main).with_suffix(".log").read_text(encoding="utf-8")
-        return replace(point, facts={**point.facts, **profile(log)})
-
-    def _shared(self) -> Point:
-        deck = make_deck(self.build)
-        waves, time = timed(lambda: run_shared(deck), 1)
-        note = "libngspice within Python"
-        return self.point("ngspice, shared engine", "shared engine", waves, time, note)
+        return point
 
     def _scipy(self) -> Work:
-        short = self.scene.stop <= SHORT
         work: Work = []
         for method in self.setup.some(METHODS, 1):
-            slow = method in ("BDF", "DOP853")
-            if slow and not (short or self.setup.full_sweep):
+            if method in ("BDF", "DOP853") and self.scene.stop > SHORT:
                 continue
             for rtol in self.setup.some(RTOL):
                 label = f"{method}, rtol {rtol:g}"
@@ -160,33 +149,12 @@ class Transient:
         return self.point("scipy, specialised", label, waves, time, note)
 
     def _lower_bound(self) -> Work:
-        def whole() -> Point:
-            run = timed(lambda: LowerBound(self.law).run(self.scene), 1)
-            note = "eigenvectors of every contact set, then exact steps; flight compiled"
-            return self.point("lower bound", "lower bound", *run, note)
+        bound = LowerBound(self.law)
 
         def kept() -> Point:
-            bound = LowerBound(self.law)
             bound.run(self.scene)
             run = timed(lambda: bound.run(self.scene), 1)
-            return self.point("lower bound", "lower bound, eigenvectors kept", *run)
+            note = "exact steps, eigenvectors of every contact set kept; flight compiled"
+            return self.point("lower bound", "lower bound", *run, note)
 
-        return [("lower bound", whole), ("lower bound, eigenvectors kept", kept)]
-
-
-def profile(log: str) -> dict[str, float]:
-    """Shares of the transient's time by ngspice's own clock: loading devices, LU, step control.
-
-    The rest are convergence tests, prediction and the writing of points. The clock is the wall's.
-    """
-    found = dict(re.findall(r"Transient (\w+) time = ([0-9.eE+-]+)", log))
-    if not {"analysis", "load", "factor", "solve", "trunc"} <= set(found):
-        return {}
-    time = {name: float(value) for name, value in found.items()}
-    parts = {
-        "load": "load",
-        "factor": "factorisation",
-        "solve": "solution",
-        "trunc": "step control",
-    }
-    return {f"share of {parts[k]}": time[k] / (time["analysis"] or 1.0) for k in parts}
+        return [("lower bound", kept)]

@@ -8,10 +8,9 @@ from dataclasses import dataclass
 
 from kc2spice.netlist.cards import number
 from kc2spice.netlist.deck import Deck
-from kc2spice.rom.modal import resonators
 from kc2spice.scene.parttype import Build
 from kc2spice.workflow.decks import make_deck
-from laboratory.forms import with_form, with_text
+from laboratory.forms import with_text
 from laboratory.setup import Setup, changed
 
 RELTOL = (1e-3, 1e-4, 1e-5, 1e-2, 1e-6, 1e-7)
@@ -23,7 +22,7 @@ LAUNCH = (
     (1e-3, 1e-8, 91, "coarse", "ideal"), (1.5e-3, 1e-8, 91, "coarse", "opamps"),
     (1.5e-3, 2e-8, 101, "followed", "ideal"), (1.5e-3, 2e-8, 101, "followed", "opamps"),
 )  # fmt: skip
-SHORT = 1e-4  # s; explicit methods and the densest form are for runs up to this length
+SHORT = 1e-4  # s; explicit methods are for runs up to this length
 AS_SHIPPED = "the scene as it is"
 NO_INERTIA = "ngspice, no inertia at the contact"
 PAPER_STEP = 10e-6  # s, system step of the paper's co-simulation (3.5)
@@ -40,7 +39,7 @@ class Variant:
 
 
 def variants(build: Build, setup: Setup) -> Iterator[Variant]:
-    """All decks of one reduced model: tolerances, methods, ceilings, lookups, realisations."""
+    """Decks of one reduced model: tolerances, methods, ceilings, lookups."""
     scene, own = build.scene, make_deck(build)
     catch = scene.only("ring_magnet_coils")
     yield Variant("ngspice, as shipped", AS_SHIPPED, own)
@@ -57,17 +56,6 @@ def variants(build: Build, setup: Setup) -> Iterator[Variant]:
         label += f", {points} heights" if catch else ""
         deck = _option(_deck(build, keys), "chgtol", chgtol)
         yield Variant("ngspice, for 1e-4", label, deck)
-    model = resonators(build.model("kick"))
-    forms: tuple[str, ...] = ("second order", "first order")
-    if scene.stop > SHORT and not setup.full_sweep:
-        forms = forms[:1]  # the other takes minutes
-    for form in setup.some(forms, 0):
-        # Rounding in a dense chip is more than ngspice's own abstol of 1 pA lets pass as converged.
-        deck = _option(with_form(own, model, form), "abstol", 1e-9)
-        note = "as generic exporters write, abstol 1e-9"
-        yield Variant("ngspice, dense", f"dense {form}", deck, note)
-    deck = with_form(own, model, "resonators", behavioural=True)
-    yield Variant("ngspice, behavioural", "behavioural sources", deck)
 
 
 def launches(build: Build, setup: Setup) -> Iterator[Variant]:

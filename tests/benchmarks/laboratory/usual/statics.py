@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -22,14 +21,13 @@ class ImprintResult:
     """Contact force of the sector against imprint; SI.
 
     ``depth`` (steps,), ``force`` (steps,), ``ring_force`` (steps, rings), ``iterations`` (steps,)
-    Newton iterations, ``wall_s`` time of factorisations and steps.
+    Newton iterations.
     """
 
     depth: np.ndarray
     force: np.ndarray
     ring_force: np.ndarray
     iterations: np.ndarray
-    wall_s: float
 
 
 def imprint(
@@ -40,7 +38,6 @@ def imprint(
     ``G = W' K^-1 W`` (springs, springs) with W the shapes, on the open anode less the part that
     its voltage takes back: ``x x' / (C0 + b' K^-1 b)`` with ``x = W' K^-1 b``.
     """
-    start = time.perf_counter()
     b, capacitance, _ = electrical_port(system)
     answers = ShiftedSolver(system, 0.0, 1.0).solve(np.column_stack([surface.shapes, b]))
     G = surface.shapes.T @ answers[:, :-1]
@@ -51,7 +48,7 @@ def imprint(
     solved = [contact_forces(G, d - surface.gap, surface.penalty) for d in depth]
     force = np.array([f for f, _ in solved])
     iterations = np.array([n for _, n in solved])
-    return _result(surface, depth, force, iterations, start)
+    return _result(surface, depth, force, iterations)
 
 
 def imprint_refactorised(
@@ -61,7 +58,6 @@ def imprint_refactorised(
 
     Here the anode of an open model is a rank-one term. Equals :func:`imprint` to rounding.
     """
-    start = time.perf_counter()
     b, capacitance, _ = electrical_port(system)
     closed = np.zeros(surface.gap.size, dtype=bool)
     forces, iterations = [], []
@@ -83,7 +79,7 @@ def imprint_refactorised(
             closed = now
         else:
             raise unsettled()
-    return _result(surface, depth, np.array(forces), np.array(iterations), start)
+    return _result(surface, depth, np.array(forces), np.array(iterations))
 
 
 def stiffened(system: PiezoSystem, shapes: np.ndarray, penalty: np.ndarray) -> PiezoSystem:
@@ -93,11 +89,6 @@ def stiffened(system: PiezoSystem, shapes: np.ndarray, penalty: np.ndarray) -> P
 
 
 def _result(
-    surface: ContactSurface,
-    depth: np.ndarray,
-    force: np.ndarray,
-    iterations: np.ndarray,
-    start: float,
+    surface: ContactSurface, depth: np.ndarray, force: np.ndarray, iterations: np.ndarray
 ) -> ImprintResult:
-    wall = time.perf_counter() - start
-    return ImprintResult(depth, force.sum(axis=1), surface.per_ring(force), iterations, wall)
+    return ImprintResult(depth, force.sum(axis=1), surface.per_ring(force), iterations)

@@ -1,12 +1,11 @@
 """Sphere against the full model in time: impact and kick with true penalty contact (Fig. 9).
 
 Newmark's average acceleration (beta = 1/4, gamma = 1/2) for chip and sphere together: second
-order and free of numerical damping, so the energy balance shows what the contact does.
+order and free of numerical damping.
 """
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal, NamedTuple
@@ -37,10 +36,7 @@ class Ball:
 class TransientResult:
     """Histories (steps + 1, ...) of the modelled sector in SI.
 
-    ``height`` is that of the sphere's lowest point. ``energy`` maps ``sphere``, ``chip``
-    (kinetic and strain, with the open anode's field), ``contact`` (springs), ``damped`` and
-    ``supplied`` (by the voltage) to their histories [J]; the first four sum up to the start's
-    energy plus ``supplied``, but for the steps in which a spring opens or closes.
+    ``height`` is that of the sphere's lowest point.
     """
 
     time: np.ndarray
@@ -48,9 +44,7 @@ class TransientResult:
     velocity: np.ndarray
     ring_force: np.ndarray
     spring_displacement: np.ndarray
-    energy: dict[str, np.ndarray]
     factorisations: int
-    wall_s: float
 
     @property
     def force(self) -> np.ndarray:
@@ -78,7 +72,6 @@ def transient(
     voltage: Voltage | None,
     resting: bool = False,
     road: Road = "low_rank",
-    progress: Callable[[float], None] | None = None,
 ) -> TransientResult:
     """Integrate chip and sphere from rest to ``stop`` in equal steps.
 
@@ -95,21 +88,26 @@ def transient(
     ------
     SimulationError : the set of closed springs does not settle.
     """
-    start = time.perf_counter()
     chip = Chip(system, surface, ball.mass, step, voltage is None)
     advance = LowRank(chip) if road == "low_rank" else Refactorise(chip)
     state = _rest(chip, ball) if resting else _at_start(chip, ball)
-    count = round(stop / step)
-    volts = np.array([voltage(k * step) if voltage else 0.0 for k in range(count + 1)])
-    record = _Record(chip, ball.gravity, count)
-    record.add(0, state, state, volts)
-    for k in range(1, count + 1):
-        new = _step(chip, advance, state, ball.gravity, volts[k])
-        record.add(k, state, new, volts)
-        state = new
-        if progress:
-            progress(k / count)
-    return record.result(time.perf_counter() - start)
+    heights, forces, springs = [], [], []
+    for k in range(round(stop / step) + 1):
+        if k:
+            volts = voltage(k * step) if voltage else 0.0
+            state = _step(chip, advance, state, ball.gravity, volts)
+        heights.append(state.ball)
+        forces.append(state.force)
+        springs.append(surface.shapes.T @ state.u)
+    height, velocity, _ = np.array(heights).T
+    return TransientResult(
+        time=step * np.arange(len(heights)),
+        height=height,
+        velocity=velocity,
+        ring_force=surface.per_ring(np.array(forces)),
+        spring_displacement=np.array(springs),
+        factorisations=chip.factorisations,
+    )
 
 
 def _step(chip: Chip, advance: Advance, state: _State, gravity: float, volts: float) -> _State:
@@ -141,42 +139,3 @@ def _rest(chip: Chip, ball: Ball) -> _State:
     force, y = resting_forces(shapes.T @ W, chip.surface.gap, chip.surface.penalty, weight)
     zero = np.zeros(len(W))
     return _State(-W @ force, zero, zero, np.array([y, 0.0, 0.0]), force)
-
-
-class _Record:
-    """Histories, and the energies that belong to average acceleration."""
-
-    def __init__(self, chip: Chip, gravity: float, count: int) -> None:
-        self.chip, self.gravity = chip, gravity
-        self.ball = np.zeros((count + 1, 3))
-        self.force = np.zeros((count + 1, len(chip.surface.gap)))
-        self.spring = np.zeros_like(self.force)
-        names = ("sphere", "chip", "contact", "damped", "supplied")
-        self.energy = {name: np.zeros(count + 1) for name in names}
-
-    def add(self, k: int, old: _State, new: _State, volts: np.ndarray) -> None:
-        chip, energy = self.chip, self.energy
-        self.ball[k], self.force[k] = new.ball, new.force
-        self.spring[k] = chip.surface.shapes.T @ new.u
-        y, w, _ = new.ball
-        energy["sphere"][k] = chip.mass * (w**2 / 2 + self.gravity * y)
-        energy["chip"][k] = (new.v @ (chip.system.M @ new.v) + new.u @ chip.stiff(new.u)) / 2
-        energy["contact"][k] = np.sum(new.force**2 / chip.surface.penalty) / 2
-        if k:
-            mean = (old.v + new.v) / 2
-            loss = chip.step * (mean @ chip.damping(mean))
-            work = (volts[k - 1] + volts[k]) / 2 * (chip.b @ (new.u - old.u))
-            energy["damped"][k] = energy["damped"][k - 1] + loss
-            energy["supplied"][k] = energy["supplied"][k - 1] + work
-
-    def result(self, wall: float) -> TransientResult:
-        return TransientResult(
-            time=self.chip.step * np.arange(len(self.ball)),
-            height=self.ball[:, 0],
-            velocity=self.ball[:, 1],
-            ring_force=self.chip.surface.per_ring(self.force),
-            spring_displacement=self.spring,
-            energy=self.energy,
-            factorisations=self.chip.factorisations,
-            wall_s=wall,
-        )
