@@ -52,9 +52,9 @@ def in_child(
     ValueError : it raised anything else, crashed, or took more than ``memory`` bytes or
         ``seconds`` of the processor (0: any number).
     """
-    root = str(Path(__file__).parents[2])
     threads = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
-    paths = os.pathsep.join(filter(None, (root, os.environ.get("PYTHONPATH"))))
+    paths = (str(Path(__file__).parents[2]), os.environ.get("PYTHONPATH"))
+    environment = {**os.environ, **threads, "PYTHONPATH": os.pathsep.join(filter(None, paths))}
     with tempfile.TemporaryDirectory(prefix="kc2spice-") as place:
         folder = Path(place)
         prepare(folder)
@@ -65,7 +65,7 @@ def in_child(
             stdin=subprocess.PIPE,
             stdout=subprocess.DEVNULL,
             stderr=subprocess.DEVNULL,
-            env={**os.environ, **threads, "PYTHONPATH": paths},
+            env=environment,
         ) as process:
             assert process.stdin is not None
             with contextlib.suppress(BrokenPipeError):
@@ -84,17 +84,17 @@ def in_child(
 
 def _reason(path: Path, code: int, memory: int) -> Exception:
     try:
-        kind, text, details = json.loads(path.read_bytes())
+        kind, own = json.loads(path.read_bytes())
     except (OSError, ValueError):
         name = signal.strsignal(-code) if code < 0 else f"exit code {code}"
         return ValueError(f"it makes the reader crash ({name})")
     if kind == "MemoryError":
         return ValueError(f"it needs more than {memory / 1e9:.0f} GB of memory")
     known = getattr(errors, kind, None)
-    if known is not None and issubclass(known, Kc2spiceError):
-        found: Exception = known(text, **details)
-        return found
-    return NotImplementedError(text) if kind == "NotImplementedError" else ValueError(text)
+    if isinstance(known, type) and issubclass(known, Kc2spiceError):
+        return known(**own)
+    told = own["message"]
+    return NotImplementedError(told) if kind == "NotImplementedError" else ValueError(told)
 
 
 def _main(function: str, memory: str, seconds: str) -> None:
@@ -112,12 +112,8 @@ def _main(function: str, memory: str, seconds: str) -> None:
         np.savez(ANSWER, **call(**json.loads(line)))
     except Exception as error:  # a damaged file makes a parser raise nearly anything
         text = " ".join(str(error).split())[:300] or type(error).__name__
-        details = {}
-        if isinstance(error, Kc2spiceError):
-            text = error.message
-            keys = ("where", "got", "expected", "hint")
-            details = {key: getattr(error, key) for key in keys}
-        record = (type(error).__name__, text, details)
+        own = vars(error) if isinstance(error, Kc2spiceError) else {"message": text}
+        record = (type(error).__name__, own)
         Path(REASON).write_text(json.dumps(record, default=str), encoding="utf-8")
         os._exit(1)
     os._exit(0)  # destructors of other people's libraries have nothing to add

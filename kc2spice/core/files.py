@@ -21,6 +21,7 @@ from kc2spice.core.errors import UsageError
 RESULT = "result.json"
 ENTRIES = (".cir", "verify.json", RESULT)
 _SUFFIX = ".part"
+_ELSEWHERE = "choose another --out"
 _PLAIN = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]{0,127}")
 _LARGEST = 10_000_000  # bytes of a record that is read back
 FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
@@ -40,22 +41,31 @@ def staged(out: Path | str) -> Iterator[Path]:
     UsageError : ``out`` is a file, or cannot be created or written.
     """
     if "\0" in str(out):
-        raise UsageError("has a zero byte", where=repr(str(out)), hint="choose another --out")
+        raise UsageError("has a zero byte", where=repr(str(out)), hint=_ELSEWHERE)
     out = Path(os.path.realpath(out))  # behind a link: its own file system, and the link stays
-    parent = _nearest_directory(out.parent)
-    _nearest_directory(out)
-    if os.path.isdir(out) and not os.access(out, os.W_OK | os.X_OK):
-        raise UsageError("cannot be written", where=str(out), hint="choose another --out")
-    work = _work_directory(out, parent)
+    # os.path answers False where pathlib raises, below directories that may not be entered.
+    nearest = next(item for item in (out, *out.parents) if os.path.exists(item))
+    if not os.path.isdir(nearest):
+        raise UsageError("is a file, not a directory", where=str(nearest), hint=_ELSEWHERE)
+    if not os.access(nearest, os.W_OK | os.X_OK):
+        raise UsageError("cannot be written", where=str(nearest), hint=_ELSEWHERE)
+    # Beside it, but within it where it is another file system or alone writable.
+    if nearest == out and not os.path.ismount(out) and os.access(out.parent, os.W_OK):
+        nearest = out.parent
+    prefix = f".kc2spice.{out.name}."
+    try:
+        work = Path(tempfile.mkdtemp(prefix=prefix, suffix=_SUFFIX, dir=nearest))
+    except OSError as error:
+        raise _unwritable(nearest, error) from None
     try:
         with locked(work):
-            _clear_abandoned(work, _prefix(out))
+            _clear_abandoned(work, prefix)
             try:
                 yield work
             except OSError as error:
                 if error.errno not in FULL:
                     raise
-                raise _unwritable(parent, error) from None
+                raise _unwritable(nearest, error) from None
             try:
                 _publish(work, out)
             except OSError as error:
@@ -64,52 +74,9 @@ def staged(out: Path | str) -> Iterator[Path]:
         shutil.rmtree(work, ignore_errors=True)
 
 
-def _work_directory(out: Path, parent: Path) -> Path:
-    """A new directory beside ``out``, or within it where it is a mount point or alone writable."""
-    places = [parent, out] if os.path.isdir(out) else [parent]
-    reason = OSError()
-    for place in places:
-        try:
-            work = Path(tempfile.mkdtemp(prefix=_prefix(out), suffix=_SUFFIX, dir=place))
-        except OSError as error:
-            reason = error
-            continue
-        if place == places[-1] or _renames(work, out):
-            return work
-        work.rmdir()
-    raise _unwritable(parent, reason) from None
-
-
-def _renames(work: Path, out: Path) -> bool:
-    """Whether a file of ``work`` gets into ``out`` by a rename: both are one file system."""
-    probe = out / work.name
-    (work / work.name).touch()
-    try:
-        os.rename(work / work.name, probe)
-    except OSError:
-        (work / work.name).unlink()
-        return False
-    probe.unlink()
-    return True
-
-
-def _nearest_directory(path: Path) -> Path:
-    """``path`` or its first ancestor that exists: results are made on the same file system."""
-    # os.path answers False where pathlib raises, below directories that may not be entered.
-    nearest = next(item for item in (path, *path.parents) if os.path.exists(item))
-    if not os.path.isdir(nearest):
-        where = str(nearest)
-        raise UsageError("is a file, not a directory", where=where, hint="choose another --out")
-    return nearest
-
-
 def _unwritable(path: Path, error: OSError) -> UsageError:
     reason = error.strerror or str(error)
-    return UsageError(f"cannot be written: {reason}", where=str(path), hint="choose another --out")
-
-
-def _prefix(out: Path) -> str:
-    return f".kc2spice.{out.name}."
+    return UsageError(f"cannot be written: {reason}", where=str(path), hint=_ELSEWHERE)
 
 
 def _publish(work: Path, out: Path) -> None:
@@ -140,8 +107,7 @@ def _earlier(out: Path) -> set[str]:
     except (OSError, ValueError, RecursionError):
         return set()
     names = record.get("files") if isinstance(record, dict) and "scene" in record else None
-    if not isinstance(names, list):
-        return set()
+    names = names if isinstance(names, list) else ()
     plain = (name for name in names if isinstance(name, str) and _PLAIN.fullmatch(name))
     return {name for name in plain if (out / name).is_file() and not (out / name).is_symlink()}
 
@@ -154,10 +120,10 @@ def _rank(path: Path) -> int:
 def _clear_abandoned(own: Path, prefix: str) -> None:
     """Remove work directories of runs that were killed: nobody holds their locks any more."""
     for other in own.parent.iterdir():
-        if not (other.name.startswith(prefix) and other.name.endswith(_SUFFIX)):
+        if other == own or not (other.name.startswith(prefix) and other.name.endswith(_SUFFIX)):
             continue
         with contextlib.suppress(OSError):
-            if other != own and time.time() - other.stat().st_mtime > _ABANDONED:
+            if time.time() - other.stat().st_mtime > _ABANDONED:
                 with locked(other, wait=False):
                     shutil.rmtree(other, ignore_errors=True)
 
