@@ -131,7 +131,7 @@ class Notch:
 class Section(BaseModel):
     """A table of the scene file: no unknown keys, no later change."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True, validate_default=True)
+    model_config = ConfigDict(extra="forbid", frozen=True, validate_default=True, defer_build=True)
 
 
 Schema = TypeVar("Schema", bound=Section)
