@@ -10,20 +10,16 @@ import time
 import traceback
 import warnings
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import AbstractContextManager, contextmanager
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import typer
 
 from kc2spice.core.errors import Kc2spiceError, SimulationError, UsageError
 from kc2spice.core.files import FULL
 from kc2spice.core.progress import Progress, silent
-
-if TYPE_CHECKING:  # rich is imported where it is used, to keep --help quick
-    from rich.progress import Progress as Bars
-    from rich.progress import TaskID
 
 COLUMNS = 80  # of what is piped
 _EVERY = 10.0  # s between two lines of progress of one stage
@@ -48,55 +44,46 @@ class Caller:
 
     def answer(self, record: Any, show: Callable[[], None], out: Path | None = None) -> None:
         """``record`` and its directory ``out`` as JSON, or what ``show`` prints of it."""
+        if self.as_json and out is not None:
+            record = {**record, "directory": str(out.absolute())}
         if self.as_json:
-            print(
-                json.dumps(record if out is None else {**record, "directory": str(out.absolute())})
-            )
+            print(json.dumps(record))
         elif not self.quiet:
             show()
 
 
-@contextmanager
-def shown_progress(quiet: bool) -> Iterator[Progress]:
+def shown_progress(quiet: bool) -> AbstractContextManager[Progress]:
     """Progress bars in a terminal, one line for each stage elsewhere, nothing when quiet."""
-    if quiet:
-        yield silent
-    elif sys.stderr.isatty():
-        with _bars() as shown:
-            bars = _Bars(shown)
-            yield bars
-            bars.complete()
-    else:
-        yield _Lines()
+    if not quiet and sys.stderr.isatty():
+        return _bars()
+    return nullcontext(silent if quiet else _Lines())
 
 
-def _bars() -> Bars:
+@contextmanager
+def _bars() -> Iterator[Progress]:
+    """One bar for each stage; that of an earlier one is full."""
+    from rich import progress as rich
     from rich.console import Console
-    from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
-    columns = (SpinnerColumn(), TextColumn("{task.fields[stage]:<10}"), BarColumn(24))
-    text = TextColumn("{task.description}", markup=False)
-    return Progress(*columns, TimeElapsedColumn(), text, console=Console(stderr=True))
+    stage, text = "{task.fields[stage]:<10}", rich.TextColumn("{task.description}", markup=False)
+    left = (rich.SpinnerColumn(), rich.TextColumn(stage), rich.BarColumn(24))
+    right = (rich.TimeElapsedColumn(), text)
+    with rich.Progress(*left, *right, console=Console(stderr=True)) as bars:
 
+        def fill() -> None:
+            for task in bars.tasks:
+                bars.update(task.id, total=1, completed=1)
 
-class _Bars:
-    """One bar for each stage."""
+        def show(stage: str, done: float | None, text: str) -> None:
+            tasks = {task.fields["stage"]: task.id for task in bars.tasks}
+            if stage not in tasks:
+                fill()
+                tasks[stage] = bars.add_task(text, total=None, stage=stage)
+            total = None if done is None else 1.0
+            bars.update(tasks[stage], description=text, total=total, completed=done or 0.0)
 
-    def __init__(self, progress: Bars) -> None:
-        self._progress = progress
-        self._tasks: dict[str, TaskID] = {}
-
-    def __call__(self, stage: str, done: float | None, text: str) -> None:
-        if stage not in self._tasks:
-            self.complete()
-            self._tasks[stage] = self._progress.add_task(text, total=None, stage=stage)
-        task, total = self._tasks[stage], None if done is None else 1.0
-        self._progress.update(task, description=text, total=total, completed=done or 0.0)
-
-    def complete(self) -> None:
-        """Fill all bars."""
-        for task in self._tasks.values():
-            self._progress.update(task, total=1, completed=1)
+        yield show
+        fill()
 
 
 class _Lines:

@@ -17,26 +17,28 @@ from kc2spice.core.findings import dotted, told
 from kc2spice.core.units import quantity
 
 
+def refused(reason: str, expected: str | None) -> PydanticCustomError:
+    """What a validator says of a value that it does not take."""
+    return PydanticCustomError("quantity", "{reason}", {"reason": reason, "expected": expected})
+
+
 def _number(si: str, value: object) -> float:
     try:
         return quantity(value, si)
     except UsageError as error:
-        context = {"reason": error.message, "expected": error.expected}
-        raise PydanticCustomError("quantity", "{reason}", context) from None
+        raise refused(error.message, error.expected) from None
 
 
 def _number_with_unit(si: str, value: object) -> float:
     if not isinstance(value, str):
-        context = {"reason": "needs its unit", "expected": f'a string such as "1 {si}"'}
-        raise PydanticCustomError("quantity", "{reason}", context)
+        raise refused("needs its unit", f'a string such as "1 {si}"')
     return _number(si, value)
 
 
 def _rings(value: object) -> object:
     if value in ("needed", "all") or (type(value) is int and value >= 1):
         return value
-    context = {"reason": "no such choice", "expected": "needed, all, or a whole number from 1 on"}
-    raise PydanticCustomError("quantity", "{reason}", context)
+    raise refused("no such choice", "needed, all, or a whole number from 1 on")
 
 
 def _place(value: object) -> float:
@@ -45,25 +47,18 @@ def _place(value: object) -> float:
             return quantity(value, unit)
         except UsageError:
             continue
-    context = {"reason": "no place on the scale", "expected": 'such as "46 Hz" or "2 ms"'}
-    raise PydanticCustomError("quantity", "{reason}", context)
-
-
-MOUNTINGS = ("roller", "glued", "free")
+    raise refused("no place on the scale", 'such as "46 Hz" or "2 ms"')
 
 
 def _mounting(value: object) -> object:
-    if value in MOUNTINGS:
-        return value
+    known = ("roller", "glued", "free")
     try:
-        stiffness = quantity(value, "N/m3")
+        if value in known or 0 < quantity(value, "N/m3") < float("inf"):
+            return value if value in known else quantity(value, "N/m3")
     except UsageError:
-        stiffness = -1.0
-    if 0 < stiffness < float("inf"):
-        return stiffness
-    expected = f'{", ".join(MOUNTINGS)}, or a stiffness per area above zero such as "1e14 N/m3"'
-    context = {"reason": "no such mounting", "expected": expected}
-    raise PydanticCustomError("quantity", "{reason}", context)
+        pass
+    above_zero = 'or a stiffness per area above zero such as "1e14 N/m3"'
+    raise refused("no such mounting", f"{', '.join(known)}, {above_zero}")
 
 
 def si(unit: str) -> BeforeValidator:

@@ -9,13 +9,12 @@ from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from pydantic import ValidationInfo, model_validator
-from pydantic_core import PydanticCustomError
 
 from kc2spice.core import laws
 from kc2spice.core import waveform as waves_
 from kc2spice.core.errors import UsageError
 from kc2spice.core.foreign import beside, read_bounded
-from kc2spice.core.quantities import Section
+from kc2spice.core.quantities import Section, refused
 from kc2spice.core.units import quantity
 from kc2spice.core.waveform import PulseKeys, SineKeys, Waveform
 from kc2spice.core.waveforms import Waveforms
@@ -82,14 +81,12 @@ class SourceKeys(Section):
     def _one_shape(self, info: ValidationInfo) -> SourceKeys:
         given = [name for name in SHAPES if getattr(self, name) is not None]
         if len(given) > 1:
-            context = {"reason": "two shapes: " + " and ".join(given), "expected": "one of them"}
-            raise PydanticCustomError("quantity", "{reason}", context)
+            raise refused("two shapes: " + " and ".join(given), "one of them")
         try:
             self.waveform((info.context or {}).get("home", Path()))
             quantity(self.ac, self.unit)
         except UsageError as error:
-            context = {"reason": error.message, "expected": error.expected or "numbers with units"}
-            raise PydanticCustomError("quantity", "{reason}", context) from None
+            raise refused(error.message, error.expected or "numbers with units") from None
         return self
 
     @property

@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, model_validator
-from pydantic_core import PydanticCustomError
 
 from kc2spice.core.quantities import (
     Charge,
@@ -17,6 +16,7 @@ from kc2spice.core.quantities import (
     Ratio,
     Section,
     Time,
+    refused,
 )
 
 Action = Literal["fail", "warn", "off"]
@@ -45,8 +45,7 @@ class Rom(Section):
     @classmethod
     def _one_target(cls, data: Any) -> Any:
         if isinstance(data, dict) and "order" in data and "tolerance" in data:
-            context = {"reason": "order and tolerance are both set", "expected": "one of the two"}
-            raise PydanticCustomError("quantity", "{reason}", context)
+            raise refused("order and tolerance are both set", "one of the two")
         return data
 
     @model_validator(mode="after")
