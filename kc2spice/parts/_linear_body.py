@@ -27,6 +27,7 @@ from kc2spice.parts._pictures import (
     port_figures,
     response_figures,
 )
+from kc2spice.parts._touching import Surface, Touching
 from kc2spice.rom.linear import Certificate, LinearModel, Port
 from kc2spice.rom.march import chip_response
 from kc2spice.rom.modal import Resonators, resonators
@@ -36,9 +37,7 @@ from kc2spice.scene.model import GROUND, Part, Scene, Terminal
 from kc2spice.scene.parttype import (
     Build,
     Neglected,
-    PartType,
     Rest,
-    Surface,
     Vector,
     numerics,
 )
@@ -90,7 +89,7 @@ class LinearKeys(Section):
     )
 
 
-class LinearBody(PartType):
+class LinearBody(Touching):
     """A part whose model is a :class:`kc2spice.rom.linear.LinearModel`.
 
     A subclass says which :meth:`ports` its keys give and builds the :meth:`full` model of the

@@ -11,11 +11,11 @@ from kc2spice.core.cache import cached
 from kc2spice.core.errors import UsageError
 from kc2spice.fem.keys import Damping, Mesh
 from kc2spice.parts._linear_body import LinearBody, LinearKeys
-from kc2spice.parts.contact import PATCH, normal, sides
+from kc2spice.parts._touching import PATCH, LocalCompliance, Pair, Surface
 from kc2spice.parts.sphere import made_of
 from kc2spice.rom.linear import LinearModel, Port
 from kc2spice.scene.model import Part, Scene
-from kc2spice.scene.parttype import LocalCompliance, Neglected, Surface, register
+from kc2spice.scene.parttype import Neglected, register
 from kc2spice.scene.settings import Rom
 
 if TYPE_CHECKING:
@@ -113,7 +113,7 @@ elastic = true
 
     def neglected(self, part: Part, scene: Scene) -> Iterator[Neglected]:
         yield from super().neglected(part, scene)
-        deep = normal(_contact(part, scene), scene).depth / _body(part, scene).radius
+        deep = Pair(_contact(part, scene), scene).normal.depth / _body(part, scene).radius
         yield Neglected(
             f"slope of {part.keys.of} under the contact",
             "pressure acts along the axis",
@@ -144,16 +144,13 @@ def _body(part: Part, scene: Scene) -> Sphere:
 
 def _hats(part: Part, scene: Scene) -> PressureBasis:
     """Those of its contact."""
-    from kc2spice.bodies.pressure import hats
-
-    contact = _contact(part, scene)
-    return hats(contact.keys.spacing, sides(contact, scene)[0].patch)
+    return Pair(_contact(part, scene), scene).shape
 
 
 def _contact(part: Part, scene: Scene) -> Part:
     """The one contact of the sphere, by pressure."""
     owner = scene.parts[part.keys.of]
-    found = [c for c in scene.of("contact") if part.name in (s.elastic for s in sides(c, scene))]
+    found = [c for c in scene.of("contact") if Pair(c, scene).b.elastic == part.name]
     if len(found) != 1:
         got = ", ".join(c.name for c in found) or "none"
         expected = 'one, with shape = "pressure" and a body in a'

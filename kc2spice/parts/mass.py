@@ -14,11 +14,11 @@ from kc2spice.core.quantities import Length, Mass, Section, Velocity
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.netlist.circuit import Param, positive
 from kc2spice.parts._template import TemplatePart
+from kc2spice.parts._touching import Surface, Touching
 from kc2spice.scene.model import GROUND, Part, Scene, Terminal
 from kc2spice.scene.parttype import (
     Build,
     Rest,
-    Surface,
     Vector,
     begins,
     register,
@@ -38,7 +38,7 @@ class MassKeys(Section):
     velocity: Velocity = Field(0.0, description="at t = 0, if given or if nothing holds it")
 
 
-class PointMass(TemplatePart):
+class PointMass(Touching, TemplatePart):
     name, title, schema = "mass", "point mass at a displacement pin", MassKeys
     source = "closed form"
     template, heading = "mass", "point mass"

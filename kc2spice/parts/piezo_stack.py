@@ -21,16 +21,14 @@ from kc2spice.fem.materials import Material, material
 from kc2spice.fem.piezo.keys import PATCH, SECTORS, Chip
 from kc2spice.parts._linear_body import SOURCES, aim, wanted
 from kc2spice.parts._meshed import FieldKeys, MeshedBody
+from kc2spice.parts._touching import LocalCompliance, Pair, Penetration, Surface
 from kc2spice.parts.netlist import driver
 from kc2spice.rom.linear import Port
 from kc2spice.scene.model import Part, Scene
 from kc2spice.scene.parttype import (
     Build,
-    LocalCompliance,
     Neglected,
     Numerics,
-    Penetration,
-    Surface,
     register,
 )
 from kc2spice.scene.plausible import within
@@ -297,13 +295,12 @@ class PiezoStack(MeshedBody):
         if not part.keys.fields or shape is None:
             return {}
         from kc2spice.bodies.pressure import stressed
-        from kc2spice.parts.contact import hat_forces
 
         name = next(c.name for c in scene.of("contact") if c.keys.shape == "pressure")
         most = float(waves[f"{name}.force"].max())
         if most <= 0:
             return {}
-        found = stressed(chip_of(part.keys), shape, hat_forces(scene.parts[name], scene, most))
+        found = stressed(chip_of(part.keys), shape, Pair(scene.parts[name], scene).hat_forces(most))
         return {
             f"{name}_pressure_pa": found.pressure,
             f"{name}_shear_pa": found.shear,

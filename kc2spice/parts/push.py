@@ -11,11 +11,11 @@ from kc2spice.core import laws
 from kc2spice.core.errors import UsageError
 from kc2spice.core.quantities import Count, Length, Section
 from kc2spice.core.waveforms import Waveforms
-from kc2spice.parts.contact import unresolved
-from kc2spice.parts.throw import sectors, sphere
+from kc2spice.parts._touching import Penetration, Touching, only_pair
+from kc2spice.parts.throw import sphere
 from kc2spice.scene.judge import Gate, Measure
 from kc2spice.scene.model import Analysis, Part, Scene, Terminal
-from kc2spice.scene.parttype import Build, Numerics, PartType, Penetration, Swept, Vector, register
+from kc2spice.scene.parttype import Build, Numerics, Swept, Vector, register
 
 
 class PushKeys(Section):
@@ -26,7 +26,7 @@ class PushKeys(Section):
     of: str | None = Field(None, description="the sphere; the only one")
 
 
-class Push(PartType):
+class Push(Touching):
     name = "push"
     title = "sphere pushed down in equal steps, each an operating point"
     schema = PushKeys
@@ -80,9 +80,9 @@ class Push(PartType):
 
     def metrics(self, part: Part, build: Build, waves: Waveforms) -> Mapping[str, Any]:
         """Force of one symmetry sector at each depth, and the largest."""
-        contact = build.scene.only("contact")
-        assert contact is not None
-        force = waves[f"{contact.name}.force"] / sectors(build.scene)
+        pair = only_pair(build.scene)
+        assert pair is not None
+        force = waves[f"{pair.part.name}.force"] / pair.a.sectors
         return {
             "max_force_n": float(force.max()),
             "imprint_m": waves[f"{part.name}.depth"].tolist(),
@@ -90,18 +90,18 @@ class Push(PartType):
         }
 
     def gates(self, part: Part, build: Build) -> Iterator[Gate]:
-        contact, gates = build.scene.only("contact"), build.scene.gates
-        assert contact is not None
+        pair, gates = only_pair(build.scene), build.scene.gates
+        assert pair is not None
         # The first depths are contacts of one hat, which the law does not resolve: all errors are
         # of the largest force then, and against the full model those of the hats.
-        hats = unresolved(contact, build.scene)
+        hats = pair.unresolved()
         limits = {
             "rom_vs_fom": max(gates.imprint_rom, hats),
             "ngspice_vs_rom": gates.imprint_ngspice,
             "ngspice_vs_fom": max(gates.imprint_ngspice, hats),
         }
         measure: Measure = "largest" if hats else "relative"
-        yield Gate("static force", f"{contact.name}.force", limits, measure, leads=True)
+        yield Gate("static force", f"{pair.part.name}.force", limits, measure, leads=True)
 
     def law(self, part: Part, build: Build) -> laws.Equations:
         n = part.name

@@ -29,15 +29,13 @@ from kc2spice.netlist.cards import number
 from kc2spice.netlist.circuit import Subcircuit, positive
 from kc2spice.parts import sphere as spheres
 from kc2spice.parts._pictures import impedances
-from kc2spice.parts.contact import fall, landing
+from kc2spice.parts._touching import Penetration, Touching, fall, landing
 from kc2spice.parts.netlist import driver
 from kc2spice.scene.judge import Check
 from kc2spice.scene.model import Part, Scene, Terminal
 from kc2spice.scene.parttype import (
     Build,
     Neglected,
-    PartType,
-    Penetration,
     Vector,
     mover,
     register,
@@ -286,7 +284,7 @@ def _lookup(values: np.ndarray, tolerance: float = 0.0) -> list[str]:
     return [", ".join(points[k : k + 5]) for k in range(0, len(points), 5)]
 
 
-class RingMagnetCoils(PartType):
+class RingMagnetCoils(Touching):
     name = "ring_magnet_coils"
     title = "ring magnet and two coils that pull a magnetic sphere (axisymmetric FE, force table)"
     schema = Coils

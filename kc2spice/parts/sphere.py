@@ -17,15 +17,14 @@ from kc2spice.core.quantities import Density, Length, Section, Velocity
 from kc2spice.core.waveforms import Waveforms, running
 from kc2spice.fem.materials import Material, material
 from kc2spice.netlist.circuit import Param, Subcircuit, positive
+from kc2spice.parts._touching import Pair, Surface, Touching
 from kc2spice.scene.judge import Balance, Gate, stepping
 from kc2spice.scene.model import GROUND, Part, Scene, Terminal
 from kc2spice.scene.parttype import (
     Build,
     Neglected,
-    PartType,
     Rest,
     State,
-    Surface,
     Vector,
     begins,
     mover,
@@ -80,7 +79,7 @@ class SphereKeys(Section):
         return 4 / 3 * math.pi * self.radius**3 * self.density
 
 
-class Sphere(PartType):
+class Sphere(Touching):
     name = "sphere"
     title = "rigid sphere, vertical motion"
     schema = SphereKeys
@@ -286,10 +285,8 @@ def offset(part: Part, pin: str, scene: Scene) -> float:
 
 def _softer(part: Part, scene: Scene) -> str:
     """How much softer the contact with an elastic sphere would be, of steel if nothing is said."""
-    from kc2spice.parts.contact import sides
-
     own = made_of(part).indentation_modulus
-    under = (sides(contact, scene)[0].modulus for contact in scene.of("contact"))
+    under = (Pair(contact, scene).a.modulus for contact in scene.of("contact"))
     found = [modulus / own for modulus in under if modulus is not None]
     return f"the dent would be {100 * max(found):.0f} % softer" if found else "not estimated"
 

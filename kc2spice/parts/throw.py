@@ -13,17 +13,17 @@ from kc2spice.core import laws
 from kc2spice.core.errors import UsageError
 from kc2spice.core.quantities import Length, Section, Velocity
 from kc2spice.core.waveforms import Waveforms
-from kc2spice.parts.contact import (
+from kc2spice.parts._touching import (
+    Penetration,
+    Touching,
     fall,
     landing,
-    normal,
+    only_pair,
     separation,
-    sides,
-    unresolved,
 )
 from kc2spice.scene.judge import PAIRS, Gate
 from kc2spice.scene.model import Part, Scene
-from kc2spice.scene.parttype import Build, Numerics, PartType, Penetration, State, register
+from kc2spice.scene.parttype import Build, Numerics, State, register
 
 
 class ThrowKeys(Section):
@@ -34,7 +34,7 @@ class ThrowKeys(Section):
     of: str | None = Field(None, description="the sphere; the only one")
 
 
-class Throw(PartType):
+class Throw(Touching):
     name = "throw"
     title = "velocity and height of a sphere at t = 0"
     schema = ThrowKeys
@@ -68,27 +68,26 @@ class Throw(PartType):
 
     def metrics(self, part: Part, build: Build, waves: Waveforms) -> Mapping[str, Any]:
         """Positions from the touching height, the force of one symmetry sector."""
-        contact = build.scene.only("contact")
-        if contact is None or "time" not in waves:
+        pair = only_pair(build.scene)
+        if pair is None or "time" not in waves:
             return {}
         ball = sphere(part, build.scene)
         t, y = waves["time"], waves[f"{ball.name}.y"] - ball.keys.radius
-        force = waves[f"{contact.name}.force"]
-        power = normal(contact, build.scene).power
-        leave = separation(t, force, waves[f"{ball.name}.v"], power=power)
+        force = waves[f"{pair.part.name}.force"]
+        leave = separation(t, force, waves[f"{ball.name}.v"], power=pair.normal.power)
         time, lowest = minimum(t, y)
         return {
             "min_position_m": lowest,
             "time_of_min_s": time,
             "separation_time_s": leave[0] if leave else None,
             "rebound_velocity_m_s": leave[1] if leave else None,
-            "max_force_n": float(force.max() / sectors(build.scene)),
+            "max_force_n": float(force.max() / pair.a.sectors),
         }
 
     def gates(self, part: Part, build: Build) -> Iterator[Gate]:
         gates, ball = build.scene.gates, sphere(part, build.scene).name
-        contact = build.scene.only("contact")
-        hats = unresolved(contact, build.scene) if contact else 0.0
+        pair = only_pair(build.scene)
+        hats = pair.unresolved() if pair else 0.0
         place = dict.fromkeys(PAIRS, max(gates.position, hats)) | {"ngspice_vs_rom": gates.position}
         yield Gate("position over travel", f"{ball}.y", place, "travel", leads=True)
         speed = dict.fromkeys(PAIRS, gates.rebound_velocity)
@@ -108,12 +107,6 @@ class Throw(PartType):
 def sphere(part: Part, scene: Scene) -> Part:
     """The sphere that is thrown."""
     return scene.meant(part, "sphere", key="of")
-
-
-def sectors(scene: Scene) -> int:
-    """Symmetry sectors of the body that the scene's only contact touches."""
-    contact = scene.only("contact")
-    return 1 if contact is None else sides(contact, scene)[0].sectors
 
 
 def minimum(t: np.ndarray, y: np.ndarray) -> tuple[float, float]:

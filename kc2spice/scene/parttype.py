@@ -29,7 +29,6 @@ from kc2spice.scene.settings import Rom
 if TYPE_CHECKING:
     import numpy as np
 
-    from kc2spice.bodies.pressure import PressureBasis
     from kc2spice.core.laws import Equations
     from kc2spice.core.waveforms import Waveforms
     from kc2spice.scene.judge import Balance, Check, Gate
@@ -47,50 +46,6 @@ class Neglected:
     effect: str
     why: str
     error: str
-
-
-@dataclass(frozen=True)
-class LocalCompliance:
-    """``compliance`` (n, n) [m/N]: what hats of pressure give more than the patch that they are in,
-    which itself gives ``patch`` [m/N]; they follow the pressure within ``pace`` [s]."""
-
-    compliance: np.ndarray
-    patch: float
-    pace: float
-
-
-@dataclass(frozen=True)
-class Surface:
-    """What a part offers to a contact: its pins there and their distance from the axis [m].
-
-    ``ports`` give the position in um and take the force, but for a rigid part, where it acts on the
-    ``velocity`` pin. ``radius`` [m] is that of a sphere, None for a plane.
-    ``sectors`` is the number of symmetry sectors that a stiffness per sector stands for. A port
-    that is a patch of pressure has its radius ``patch`` [m], and its ``dents`` under hats of it.
-    ``elastic`` is the part whose port ``patch`` a rigid surface carries. ``modulus`` [Pa] is that
-    of indentation of the half-space that a contact presses on, where it is one.
-    """
-
-    part: str
-    ports: tuple[str, ...]
-    distance: tuple[float, ...]
-    velocity: str = ""
-    radius: float | None = None
-    sectors: int = 1
-    patch: float = 0.0
-    dents: Callable[[PressureBasis], LocalCompliance] | None = None
-    elastic: str = ""
-    modulus: float | None = None
-
-    @property
-    def rigid(self) -> bool:
-        """Whether forces act on a velocity node."""
-        return bool(self.velocity)
-
-    @property
-    def pushed(self) -> tuple[str, ...]:
-        """Pins that take the force."""
-        return (self.velocity,) if self.velocity else self.ports
 
 
 @dataclass(frozen=True)
@@ -116,18 +71,6 @@ class Rest:
     pushed: tuple[str, ...] = ()
     kinked: str = ""
     inert: tuple[str, ...] = ()
-
-
-@dataclass(frozen=True)
-class Penetration:
-    """How far two surfaces can approach each other beyond touching [m], and by what.
-
-    ``prescribed`` beats all estimates.
-    """
-
-    depth: float
-    why: str
-    prescribed: bool = False
 
 
 @dataclass(frozen=True)
@@ -311,14 +254,6 @@ class PartType:
     def excites(self, part: Part, scene: Scene) -> bool:
         """Whether it drives small signals (``ac``)."""
         return False
-
-    def surface(self, part: Part, scene: Scene, ports: tuple[str, ...] = ()) -> Surface | None:
-        """What it offers to a contact."""
-        return None
-
-    def penetrations(self, part: Part, scene: Scene) -> Iterable[Penetration]:
-        """How far it can press contacts of the scene together."""
-        return ()
 
     # --- models and netlist --------------------------------------------------------------------
 

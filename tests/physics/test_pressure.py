@@ -25,7 +25,7 @@ from kc2spice.bodies.pressure import (
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.fem.materials import material
 from kc2spice.fem.piezo.keys import Chip
-from kc2spice.parts.contact import sides
+from kc2spice.parts._touching import Pair
 from kc2spice.scene.load import load_scene
 from kc2spice.scene.parttype import Build
 from laboratory.usual.contact import sphere_gap
@@ -161,7 +161,7 @@ def test_a_contact_deeper_than_its_law_is_told():
     """A contact as wide as half the patch of ``a`` is ``a^2 / (4 R)`` deep, by Hertz."""
     scene = load_scene("impact", [*SMALL, "contact.spacing=20 um"])
     contact, radius = scene.parts["contact"], scene.parts["sphere"].keys.radius
-    limit = sides(contact, scene)[0].patch ** 2 / (4 * radius)
+    limit = Pair(contact, scene).a.patch ** 2 / (4 * radius)
     for depth, passed in ((0.5 * limit, True), (2.0 * limit, False)):
         none = np.zeros(3)
         data = {"time": np.array([0.0, 1.0, 2.0]), "sphere.y": radius - depth * np.ones(3),

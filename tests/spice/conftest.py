@@ -11,7 +11,8 @@ import pytest
 from kc2spice.fem.magnetics.table import EMTable
 from kc2spice.netlist.circuit import Subcircuit
 from kc2spice.parts._template import opamp_subcircuit
-from kc2spice.parts.contact import Normal, contact_subcircuit, ring_gaps
+from kc2spice.parts._touching import ring_gaps
+from kc2spice.parts.contact import Normal, contact_subcircuit
 from kc2spice.parts.pid import Control, pid_subcircuit
 from kc2spice.parts.ring_magnet_coils import catch_subcircuit, coil_subcircuit
 from kc2spice.parts.sphere import SphereKeys, sphere_subcircuit

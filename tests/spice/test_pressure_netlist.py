@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from kc2spice.core.progress import Clock, silent
-from kc2spice.parts.contact import separation
+from kc2spice.parts._touching import separation
 from kc2spice.scene.load import load_scene
 from kc2spice.sim.ngspice import run_deck
 from kc2spice.workflow.decks import make_deck

@@ -16,7 +16,7 @@ MAY = {
     "rom": "core linalg",
     "fem": "core linalg",
     "bodies": "core fem rom",
-    "scene": "core bodies",
+    "scene": "core",
     "netlist": "core",
     "spice": "core netlist rom scene",
     "physics": "core netlist scene spice",

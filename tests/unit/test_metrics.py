@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from kc2spice.core.waveforms import Waveforms
-from kc2spice.parts.contact import separation
+from kc2spice.parts._touching import separation
 from kc2spice.parts.pid import settling_time
 from kc2spice.scene.load import load_scene
 from kc2spice.scene.parttype import Build

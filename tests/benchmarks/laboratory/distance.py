@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from kc2spice.core.waveforms import Waveforms
-from kc2spice.parts.contact import separation
+from kc2spice.parts._touching import separation
 
 if TYPE_CHECKING:
     from scipy.interpolate import CubicHermiteSpline

@@ -17,7 +17,7 @@ from kc2spice.core.progress import Clock, silent
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.fem.magnetics.table import EMTable
 from kc2spice.netlist.deck import Deck
-from kc2spice.parts.contact import separation
+from kc2spice.parts._touching import separation
 from kc2spice.rom.modal import Resonators
 from kc2spice.scene.judge import require
 from kc2spice.scene.load import load_scene

@@ -1,0 +1,442 @@
+"""What parts that touch say to each other: surfaces, how far they can come, how they part."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from kc2spice.physics.contact import Normal
+from kc2spice.scene.model import GROUND, Part, Scene
+from kc2spice.scene.parttype import PartType, begins, mover
+
+if TYPE_CHECKING:
+    from kc2spice.bodies.pressure import Indented, PressureBasis
+    from kc2spice.core.waveforms import Waveforms
+
+FLOOR = "floor"  # port of a rigid plane
+PATCH = "patch"  # port of an elastic sphere
+HATS = 3.0  # of what hats half as wide move; 1.8 of it is found against hats a quarter as wide
+_FLIGHT = 20e-6  # several periods of the chip: a shorter gap is a bounce within the kick
+_SPARE = 1.25  # of a dent: a body is neither a half-space nor pressed on more than a few rings
+
+
+@dataclass(frozen=True)
+class LocalCompliance:
+    """``compliance`` (n, n) [m/N]: what hats of pressure give more than the patch that they are in,
+    which itself gives ``patch`` [m/N]; they follow the pressure within ``pace`` [s]."""
+
+    compliance: np.ndarray
+    patch: float
+    pace: float
+
+
+@dataclass(frozen=True)
+class Surface:
+    """What a part offers to a contact: its pins there and their distance from the axis [m].
+
+    ``ports`` give the position in um and take the force, but for a rigid part, where it acts on the
+    ``velocity`` pin. ``radius`` [m] is that of a sphere, None for a plane.
+    ``sectors`` is the number of symmetry sectors that a stiffness per sector stands for. A port
+    that is a patch of pressure has its radius ``patch`` [m], and its ``dents`` under hats of it.
+    ``elastic`` is the part whose port ``patch`` a rigid surface carries. ``modulus`` [Pa] is that
+    of indentation of the half-space that a contact presses on, where it is one.
+    """
+
+    part: str
+    ports: tuple[str, ...]
+    distance: tuple[float, ...]
+    velocity: str = ""
+    radius: float | None = None
+    sectors: int = 1
+    patch: float = 0.0
+    dents: Callable[[PressureBasis], LocalCompliance] | None = None
+    elastic: str = ""
+    modulus: float | None = None
+
+    @property
+    def rigid(self) -> bool:
+        """Whether forces act on a velocity node."""
+        return bool(self.velocity)
+
+    @property
+    def pushed(self) -> tuple[str, ...]:
+        """Pins that take the force."""
+        return (self.velocity,) if self.velocity else self.ports
+
+    def joins(self, pins: Iterable[str], scene: Scene) -> dict[str, str]:
+        """What a contact's pins are joined to on this side: those of the part that moves it."""
+        if self.part == GROUND:
+            return dict.fromkeys(pins, GROUND)
+        owner = mover(self.part, scene) or self.part
+        ends = (*self.pushed, *self.ports) if self.rigid else self.ports
+        return {pin: f"{owner}.{end}" for pin, end in zip(pins, ends, strict=False)}
+
+    def height(self, port: str, waves: Waveforms) -> np.ndarray | None:
+        """Its position [m] at a port, zero where it touches."""
+        if self.part == GROUND:
+            return np.zeros(next(iter(waves.data.values())).size)
+        if self.radius is not None and self.rigid:
+            y = waves.data.get(f"{self.part}.y")
+            return None if y is None else y - self.radius
+        return waves.data.get(f"{self.part}.u.{port}", waves.data.get(f"{self.part}.x"))
+
+
+@dataclass(frozen=True)
+class Penetration:
+    """How far two surfaces can approach each other beyond touching [m], and by what.
+
+    ``prescribed`` beats all estimates.
+    """
+
+    depth: float
+    why: str
+    prescribed: bool = False
+
+
+class Touching(PartType):
+    """Base of types that offer a surface to contacts, or press those of a scene together."""
+
+    def surface(self, part: Part, scene: Scene, ports: tuple[str, ...] = ()) -> Surface | None:
+        """What it offers to a contact."""
+        return None
+
+    def penetrations(self, part: Part, scene: Scene) -> Iterable[Penetration]:
+        """How far it can press contacts of the scene together."""
+        return ()
+
+
+def surface_of(part: Part, scene: Scene, ports: tuple[str, ...] = ()) -> Surface | None:
+    """What a part offers to a contact at these ports, or at those that it chooses."""
+    return part.type.surface(part, scene, ports) if isinstance(part.type, Touching) else None
+
+
+def ring_gaps(distance: np.ndarray, sphere_radius: float) -> np.ndarray:
+    """Gap [m] at each distance under a sphere that touches the axis: ``R - sqrt(R^2 - r^2)``.
+
+    Written as ``r^2 / (R + sqrt(R^2 - r^2))``, which does not cancel.
+    """
+    r = np.asarray(distance, dtype=float)
+    return r**2 / (sphere_radius + np.sqrt(sphere_radius**2 - r**2))
+
+
+@dataclass(frozen=True)
+class Pair:
+    """Both sides of a contact: ``a`` with one or several ports, and ``b``, whose rise opens it."""
+
+    part: Part
+    scene: Scene
+
+    @property
+    def keys(self) -> Any:
+        """Those of the contact."""
+        return self.part.keys
+
+    @cached_property
+    def a(self) -> Surface:
+        """The side below."""
+        return self._side("a", round_=False)
+
+    @cached_property
+    def b(self) -> Surface:
+        """The side above."""
+        return self._side("b", round_=True)
+
+    def _side(self, key: str, *, round_: bool) -> Surface:
+        part, scene = self.part, self.scene
+        chosen: str | tuple[str, ...] | None = getattr(part.keys, key)
+        if chosen is None:
+            every = (surface_of(other, scene) for other in scene.parts.values())
+            offers = [each for each in every if each and (each.radius is not None) == round_]
+            if len(offers) != 1:
+                kind = ("a sphere", "sphere") if round_ else ("a body with a surface", "kick")
+                raise part.wrong(
+                    key,
+                    f"{part.name} needs to know what touches",
+                    ", ".join(each.part for each in offers) or f"no part that is {kind[0]}",
+                    f'{key} = "PART" or "PART.PORT"',
+                    None if offers else f"add [{kind[1]}]; an empty table takes the defaults",
+                )
+            return offers[0]
+        if chosen == GROUND:
+            return Surface(GROUND, (FLOOR,), (0.0,))
+        targets = [t.partition(".") for t in ((chosen,) if isinstance(chosen, str) else chosen)]
+        names = {name for name, _, _ in targets}
+        if len(names) != 1:
+            raise part.wrong(key, "one body on each side", ", ".join(sorted(names)))
+        other = scene.part(names.pop(), f"{part.name}.{key}")
+        ports = tuple(port for _, dot, port in targets if dot)
+        if (surface := surface_of(other, scene, ports)) is None:
+            problem = f"{other.type.name} offers nothing to touch"
+            raise part.wrong(key, problem, repr(other.name), "a body, a sphere or a mass")
+        return surface
+
+    @cached_property
+    def gaps(self) -> np.ndarray:
+        """Gap [m] at every port of ``a`` when both sides are at rest."""
+        distance = np.array(self.a.distance)
+        curved = 0.0 * distance if self.b.radius is None else ring_gaps(distance, self.b.radius)
+        return np.asarray(curved + self.keys.gap)
+
+    @cached_property
+    def ports(self) -> tuple[str, ...]:
+        """Ports of ``a`` that get a spring, the nearest to the axis first."""
+        rings, ports = self.keys.rings, self.a.ports
+        if rings == "all" or len(ports) == 1 or list(self.a.distance) != sorted(self.a.distance):
+            return ports
+        if rings == "needed":
+            rings = max(1, int(np.count_nonzero(self.gaps < self.reach.depth)))
+        return ports[:rings]
+
+    @cached_property
+    def reach(self) -> Penetration:
+        """The largest of what the parts of the scene can do; a prescribed one beats all."""
+        parts = self.scene.parts.values()
+        types = [(p, p.type) for p in parts if isinstance(p.type, Touching)]
+        found = [each for p, kind in types for each in kind.penetrations(p, self.scene)]
+        for each in found:
+            if each.prescribed:
+                return each
+        return max([Penetration(0.0, "its weight"), *found], key=lambda each: each.depth)
+
+    @property
+    def thrown(self) -> bool:
+        """Whether one side starts with a prescribed velocity, or each may; no ceiling does."""
+        return self.b.part == GROUND or self.a.rigid or self.b.part in begins(self.scene)
+
+    # --- the law ----------------------------------------------------------------------------
+
+    @cached_property
+    def normal(self) -> Normal:
+        """The whole device's law at each port.
+
+        A sphere of radius R on a plane: ``4/3 E* sqrt(R) x^(3/2)``, ``1/E* = 1/M_a + 1/M_b`` by the
+        sides' indentation moduli, ``1/R = 1/R_a + 1/R_b`` of two spheres (Hertz 1881). In a groove
+        of opening angle g both flanks are approached by ``s x``, ``s = sin(g/2)``, and push along
+        the axis with ``s`` of their force: the stiffness is ``2 s^(1 + power)`` times that of one,
+        the damping that of their closing speed ``s x'``. Each carries ``F / (2 s)``, so that
+        friction along the groove is ``1 / s`` times its coefficient.
+        """
+        keys, along = self.keys, (self.keys.damping, self.keys.friction, self.keys.creep)
+        if keys.shape == "pressure":
+            assert self.b.radius is not None
+            found, dents = _dented(self.shape, self.dents.compliance, self.b.radius), self.dents
+            first, *_ = found.coefficients
+            curve = tuple(c / first for c in found.coefficients)
+            stiffness, of = first / found.depth**1.5, (found.depth, dents.pace, self.b.radius)
+            return Normal(stiffness, 1.5, *along, curve, *of)
+        value, power = self.a.sectors * float(keys.penalty), 1.0
+        if keys.law == "hertz":
+            round_ = [1 / side.radius for side in (self.a, self.b) if side.radius is not None]
+            if not round_ or len(self.a.ports) > 1:
+                got = f"{len(self.a.ports)} ports, {len(round_)} spheres"
+                expected, hint = "a sphere against one port or another sphere", 'law = "linear"'
+                problem = "Hertz's law is that of a sphere at one point"
+                raise self.part.wrong("law", problem, got, expected, hint)
+            value, power = 4 / 3 * self._modulus / math.sqrt(sum(round_)), 1.5
+        if (s := self.flank) is not None:
+            value *= 2 * s ** (1 + power)
+            along = s * keys.damping, keys.friction / s, keys.creep
+        return Normal(value, power, *along)
+
+    @property
+    def flank(self) -> float | None:
+        """``sin(g/2)`` of a groove's opening angle g, by which its flanks lean; None without."""
+        groove = self.keys.groove
+        return None if groove is None else math.sin(math.radians(groove) / 2)
+
+    @property
+    def _modulus(self) -> float:
+        """``E*`` [Pa] of both sides."""
+        if self.keys.modulus is not None:
+            return float(self.keys.modulus)
+        compliance = 0.0
+        for side in (self.a, self.b):
+            if side.modulus is None:
+                expected = 'a pressure such as "110 GPa", or a material of both sides'
+                problem = f"no modulus of {side.part} is known"
+                raise self.part.wrong("modulus", problem, expected=expected)
+            compliance += 1 / side.modulus
+        return 1 / compliance
+
+    # --- pressure (kc2spice.bodies.pressure) ------------------------------------------------
+
+    @cached_property
+    def shape(self) -> PressureBasis:
+        """Hats of pressure over the patch of ``a``."""
+        from kc2spice.bodies.pressure import hats
+
+        return hats(self.keys.spacing, self.a.patch)
+
+    @cached_property
+    def dents(self) -> LocalCompliance:
+        """Of both sides together under these hats."""
+        return self._dents(self.shape)
+
+    def _dents(self, shape: PressureBasis) -> LocalCompliance:
+        """Both sides follow the pressure within the mean of their times."""
+        assert self.a.dents is not None
+        found = self.a.dents(shape)
+        if not self.b.elastic:
+            return found
+        surface = surface_of(self.scene.parts[self.b.elastic], self.scene, (PATCH,))
+        assert surface is not None
+        assert surface.dents is not None
+        other = surface.dents(shape)
+        whole = found.compliance + other.compliance
+        share = float(np.trace(other.compliance) / np.trace(whole))
+        pace = (1 - share) * found.pace + share * other.pace
+        return LocalCompliance(whole, found.patch + other.patch, pace)
+
+    def hat_forces(self, force: float) -> np.ndarray:
+        """(n,) [N] on each hat of pressure where they carry ``force`` together."""
+        from kc2spice.bodies.pressure import pressing
+
+        assert self.b.radius is not None
+        depths = np.linspace(0.0, self.normal.depth, 1000)
+        depth = np.interp(force, self.normal.force(depths), depths)
+        gap = ring_gaps(self.shape.distances, self.b.radius)
+        found = pressing(self.dents.compliance, gap, np.array([depth]))[0]
+        return np.asarray(force / found.sum() * found)
+
+    def unresolved(self) -> float:
+        """Gate of the law against a full model with finer hats, relative: 0 for rings.
+
+        By how much the force of the hats differs from that of hats half as wide, at depths from
+        half of what the scene can reach on; the patch's own give is part of both.
+        """
+        from kc2spice.bodies.pressure import hats
+
+        if self.keys.shape != "pressure":
+            return 0.0
+        assert self.b.radius is not None
+        forces = []
+        for wider in (1.0, 0.5):
+            shape = hats(wider * self.keys.spacing, self.a.patch)
+            found = self._dents(shape)
+            law = _dented(shape, found.compliance + found.patch, self.b.radius)
+            deepest = min(self.reach.depth or math.inf, law.depth)
+            forces.append(law.force(np.linspace(0.5, 1.0, 50) * deepest))
+        return HATS * float(np.abs(forces[1] / forces[0] - 1).max())
+
+    # --- motion -----------------------------------------------------------------------------
+
+    def pushed(self, waves: Waveforms) -> np.ndarray | None:
+        """How deep [m] another part pushes side ``b``; None where it moves freely."""
+        return waves.data.get(f"{mover(self.b.part, self.scene)}.depth")
+
+    def place(self, waves: Waveforms) -> np.ndarray | None:
+        """Position [m] of side ``b`` at its lowest point, zero where it touches."""
+        depth = self.pushed(waves)
+        found = self.b.height(self.b.ports[0], waves) if depth is None else -depth
+        if not self.b.elastic or found is None:
+            return found
+        dent = waves.data.get(f"{self.b.elastic}.u.{PATCH}")
+        return None if dent is None else found + dent
+
+
+def only_pair(scene: Scene) -> Pair | None:
+    """The scene's contact, where it has one."""
+    contact = scene.only("contact")
+    return None if contact is None else Pair(contact, scene)
+
+
+def _dented(shape: PressureBasis, compliance: np.ndarray, radius: float) -> Indented:
+    return _dented_by(shape.nodes.tobytes(), compliance.tobytes(), radius)
+
+
+@lru_cache(maxsize=8)
+def _dented_by(nodes: bytes, compliance: bytes, radius: float) -> Indented:
+    from kc2spice.bodies.pressure import PressureBasis, dented
+
+    shape = PressureBasis(np.frombuffer(nodes))
+    matrix = np.frombuffer(compliance).reshape(len(shape.nodes) - 1, -1)
+    return dented(shape, matrix, ring_gaps(shape.distances, radius))
+
+
+# --- how far a sphere can come --------------------------------------------------------------------
+
+
+def fall(height: float, gravity: float) -> float:
+    """Speed [m/s] gained over ``height`` [m]."""
+    return math.sqrt(max(0.0, 2 * gravity * height))
+
+
+def landing(sphere: Part, scene: Scene, speed: float, why: str) -> Iterator[Penetration]:
+    """How deep a sphere that arrives with ``speed`` [m/s] goes into the bodies that it touches.
+
+    No state of the body stores less energy under a dent than the static one, so what the static
+    law needs to stop the sphere is a bound: ``m v^2 / 2 = 8/15 E sqrt(R) d^(5/2)`` (Hertz 1881).
+    """
+    from kc2spice.parts.sphere import made_of
+
+    energy = 0.5 * sphere.keys.mass * speed**2
+    for contact in scene.of("contact"):
+        pair = Pair(contact, scene)
+        if pair.b.part == sphere.name and pair.b.radius and (modulus := pair.a.modulus):
+            if pair.b.elastic:
+                modulus = 1 / (1 / modulus + 1 / made_of(sphere).indentation_modulus)
+            depth = (15 * energy / (8 * modulus * math.sqrt(pair.b.radius))) ** 0.4
+            yield Penetration(_SPARE * float(depth), why)
+
+
+# --- how both sides part --------------------------------------------------------------------------
+
+
+def separation(
+    t: np.ndarray, force: np.ndarray, v: np.ndarray, busy: float = math.inf, power: float = 1.0
+) -> tuple[float, float] | None:
+    """Time [s] and velocity [m/s] at the end of the contact that the flight follows, or None.
+
+    ``power`` of the overlap is what the force is there.
+
+    A gap is a flight if it lasts 20 us or until the data end. A body that draws back and strikes
+    later leaves such a gap too: of the flights that begin until 20 us after ``busy`` [s], when the
+    drive stops moving, the launch is the first with at least half of the largest speed. Without
+    one it is the first of all; by default the drive is not known and all of them count.
+    """
+    loaded = force > 1e-9 * force.max(initial=0.0)
+    force = np.maximum(force, 0.0) ** (1 / power)
+    flights = []
+    for last in np.flatnonzero(loaded[:-1] & ~loaded[1:]):
+        again = np.flatnonzero(loaded[last + 1 :])
+        if again.size == 0 or t[last + 1 + again[0]] - t[last] >= _FLIGHT:
+            flights.append(_edge(t, v, force, int(last)))
+    if not flights:
+        return None
+    kicked = [each for each in flights if each[0] <= busy + _FLIGHT] or flights[:1]
+    fastest = max(speed for _, speed in kicked)
+    return next(each for each in kicked if each[1] >= min(fastest, fastest / 2))
+
+
+def _edge(t: np.ndarray, v: np.ndarray, force: np.ndarray, last: int) -> tuple[float, float]:
+    """Extrapolate the load to zero, and the velocity from the flight back to that instant.
+
+    Between the last loaded sample and the next one the load still bends v; the flight does not.
+    """
+    time, free = float(t[last]), last + 1
+    if last > 0 and force[last - 1] > force[last]:
+        decay = (force[last - 1] - force[last]) / (t[last] - t[last - 1])
+        time = min(time + force[last] / decay, float(t[free]))
+    later = min(int(np.searchsorted(t, t[free] + 100e-9)), t.size - 1)
+    slope = (v[later] - v[free]) / (t[later] - t[free]) if later > free else 0.0
+    return float(time), float(v[free] + slope * (time - t[free]))
+
+
+def busy_until(scene: Scene) -> float:
+    """Time [s] at which the last source stops changing, but for those that only enable something.
+
+    Infinite where one never does or there is none.
+    """
+    ends = []
+    for source in scene.of("source"):
+        wave, joined = source.keys.waveform(scene.home), scene.joined(source.name, "out")
+        if all(scene.parts[name].type.name == "pid" for name, _ in joined):
+            continue
+        corners = wave.corners(scene.stop)
+        ends.append(math.inf if wave.kind == "sine" else float(max(corners, default=0.0)))
+    return max((end for end in ends if end > 0), default=math.inf)
