@@ -48,20 +48,16 @@ class CurrentCases(PartType):
         yield from ((f"{name}{k}",) for k in range(len(cases(part))) for name in own)
 
     def cards(self, part: Part, build: Build) -> tuple[str, ...]:
-        library, cards = build.libraries[_coils(part, build.scene).name], []
-        y = build.net(part, "y")
-        cards.append(f"{build.own(part, 'Vheight')} {y} 0 0")
+        library, y = build.libraries[_coils(part, build.scene).name], build.net(part, "y")
+        cards = [f"{build.own(part, 'Vheight')} {y} 0 0"]
         for k, (lower, upper) in enumerate(cases(part)):
-
-            def own(name: str, k: int = k) -> str:
-                return build.own(part, f"{name}{k}")
-
+            a, b, force = (build.own(part, f"{name}{k}") for name in ("lower", "upper", "force"))
             cards += [
                 f"* {number(lower)} A in the lower, {number(upper)} A in the upper coil",
-                f"{own('Xcatch')} {own('lower')} 0 {own('upper')} 0 {y} {own('force')} 0 {library}",
-                f"{own('Ilower')} 0 {own('lower')} {number(lower)}",
-                f"{own('Iupper')} 0 {own('upper')} {number(upper)}",
-                f"{own('Rforce')} {own('force')} 0 1",
+                f"{build.own(part, f'Xcatch{k}')} {a} 0 {b} 0 {y} {force} 0 {library}",
+                f"{build.own(part, f'Ilower{k}')} 0 {a} {number(lower)}",
+                f"{build.own(part, f'Iupper{k}')} 0 {b} {number(upper)}",
+                f"{build.own(part, f'Rforce{k}')} {force} 0 1",
             ]
         return tuple(cards)
 
@@ -72,14 +68,12 @@ class CurrentCases(PartType):
 
     def vectors(self, part: Part, build: Build) -> Mapping[str, Vector]:
         found = {f"{_sphere(part, build.scene)}.y": build.across(part, "y")}
-        for k in range(len(cases(part))):
-            name, node = _coils(part, build.scene).name, build.own(part, f"force{k}")
-            found[f"{name}.force.{k}"] = Vector(f"v({node})", 1.0, "N")
+        for k, name in enumerate(_forces(part, build)):
+            found[name] = Vector(f"v({build.own(part, f'force{k}')})", 1.0, "N")
         return found
 
     def metrics(self, part: Part, build: Build, waves: Waveforms) -> Mapping[str, Any]:
-        name = _coils(part, build.scene).name
-        forces = [waves[f"{name}.force.{k}"] for k in range(len(cases(part)))]
+        forces = [waves[name] for name in _forces(part, build)]
         return {
             "force_max_n": max(float(np.abs(force).max()) for force in forces),
             "position_m": waves[f"{_sphere(part, build.scene)}.y"].tolist(),
@@ -95,31 +89,30 @@ class CurrentCases(PartType):
 
     def law(self, part: Part, build: Build) -> laws.Equations:
         """The height is a source's; a force on it is the reaction to what the coils exert."""
-        n, coils = part.name, _coils(part, build.scene)
+        n, sphere, coils = part.name, _sphere(part, build.scene), _coils(part, build.scene)
         coenergy, still = build.model(coils).coenergy, laws.Line.constant
         found: list[laws.Law] = [laws.Source(n, "displacement", still(0.0))]
-        nets = [(f"{n}.out", *(f"{coils.name} {k}.y" for k in range(len(cases(part)))))]
-        results = {f"{_sphere(part, build.scene)}.y": laws.reading(f"{n}.out")}
-        for k, pair in enumerate(cases(part)):
+        results, nets, names = {f"{sphere}.y": laws.reading(f"{n}.out")}, [], _forces(part, build)
+        for k, (force, pair) in enumerate(zip(names, cases(part), strict=True)):
             own = f"{coils.name} {k}"  # no part has a blank in its name
             found.append(laws.PositionForce(own, coenergy, (1.0, 1.0)))
             for coil, current in enumerate(pair, 1):
                 found.append(laws.Source(f"{own}_{coil}", "signal", still(current)))
                 nets.append((f"{own}_{coil}.out", f"{own}.i{coil}"))
-            results[f"{coils.name}.force.{k}"] = laws.reading(f"{own}.force")
+            results[force] = laws.reading(f"{own}.force")
+        height = (f"{n}.out", *(f"{coils.name} {k}.y" for k in range(len(names))))
         return laws.Equations(
-            tuple(found), (("y", f"{n}.out"),), results, {"height": (n, 1.0)}, tuple(nets)
+            tuple(found), (("y", f"{n}.out"),), results, {"height": (n, 1.0)}, (height, *nets)
         )
 
     def checks(self, part: Part, build: Build, waves: Waveforms) -> Iterator[Check]:
         """Largest change of slope from one segment of the lookup to the next, of the largest slope;
         the heights are finer than the lookup, so that a jump shows at full size."""
-        coils = _coils(part, build.scene).name
-        y = waves[f"{_sphere(part, build.scene)}.y"]
-        forces = np.array([waves[f"{coils}.force.{k}"] for k in range(len(cases(part)))])
-        slope = np.diff(forces, axis=1) / np.diff(y)
+        forces = np.array([waves[name] for name in _forces(part, build)])
+        slope = np.diff(forces, axis=1) / np.diff(waves[f"{_sphere(part, build.scene)}.y"])
         jump = float(np.abs(np.diff(slope, axis=1)).max() / np.abs(slope).max())
-        limit, advice = build.scene.gates.lookup_slope, f"raise {coils}.points"
+        limit = build.scene.gates.lookup_slope
+        advice = f"raise {_coils(part, build.scene).name}.points"
         name, unit = "jump of the lookup's slope", "of the largest slope"
         yield Check(name, jump, limit, unit, advice, "warn")
 
@@ -131,6 +124,11 @@ def cases(part: Part) -> list[tuple[float, float]]:
     """Every pair (lower, upper) of currents [A], the lower coil's slowest."""
     currents = part.keys.currents
     return [(lower, upper) for lower in currents for upper in currents]
+
+
+def _forces(part: Part, build: Build) -> list[str]:
+    """Names of the forces as results, one a case."""
+    return [f"{_coils(part, build.scene).name}.force.{k}" for k in range(len(cases(part)))]
 
 
 def _coils(part: Part, scene: Scene) -> Part:

@@ -37,9 +37,9 @@ class Control(Section):
     """PID with clamped output: same current in both coils, the lower one negated (paper 2.4)."""
 
     setpoint: Length = 2.5e-3
-    kp: Annotated[float, si("A/m")] = 5e4
-    ki: Annotated[float, si("A/(m s)")] = 10.0
-    kd: Annotated[float, si("A s/m")] = 20.0
+    kp: Annotated[float, si("A/m")] = Field(5e4, ge=0)
+    ki: Annotated[float, si("A/(m s)")] = Field(10.0, ge=0)
+    kd: Annotated[float, si("A s/m")] = Field(20.0, ge=0)
     rolloff: Time = Field(100e-9, gt=0, description="time constant of the differentiator's pole")
     current_limit: Current = Field(0.1, gt=0)
     form: Literal["opamps", "ideal"] | None = Field(
@@ -58,32 +58,13 @@ class Control(Section):
         return tuple(sorted(both))
 
 
-def _gains(control: Control) -> tuple[Param, ...]:
-    """The gains that are not zero, and the roll-off where there is a differentiator.
-
-    Raises
-    ------
-    UsageError : a negative gain, or none at all.
-    """
-    gains = (control.kp, control.ki, control.kd)
-    if min(gains) < 0 or max(gains) == 0:
-        raise UsageError(
-            "the controller needs gains of one sign",
-            where="control",
-            got=f"kp={control.kp}, ki={control.ki}, kd={control.kd}",
-            expected="no gain below zero and at least one above",
-        )
-    rows = (
-        (control.kp, "kp", "A/m", "proportional gain, above zero"),
-        (control.ki, "ki", "A/(m.s)", "integral gain, above zero"),
-        (control.kd, "kd", "A.s/m", "derivative gain, above zero"),
-        (control.kd, "rolloff", "s", "time constant of the differentiator's pole"),
-    )
-    return tuple(
-        positive(name, getattr(control, name), unit, doc)
-        for there, name, unit, doc in rows
-        if there
-    )
+# Of its netlist: a gain that is zero has no stage, so that it cannot be set there either.
+GAINS = (
+    ("kp", "kp", "A/m", "proportional gain, above zero"),
+    ("ki", "ki", "A/(m.s)", "integral gain, above zero"),
+    ("kd", "kd", "A.s/m", "derivative gain, above zero"),
+    ("kd", "rolloff", "s", "time constant of the differentiator's pole"),
+)
 
 
 def _terminals(output: bool) -> tuple[Terminal, ...]:
@@ -97,24 +78,6 @@ def _terminals(output: bool) -> tuple[Terminal, ...]:
     )
 
 
-def sense_resistance(control: Control, *, output: bool = True) -> float:
-    """Volts of the command for each ampere of coil current.
-
-    Its own output stage measures with a resistor that gives 10 V at the current limit, at most
-    100 Ohm, so that no limit is beyond the rails; to a driver it says 100 V for each ampere.
-    """
-    return min(SENSE, COMMAND / control.current_limit) if output else SENSE
-
-
-def compliance(control: Control, load: float) -> float:
-    """Supply [V] of an output stage that drives the current limit through ``load`` [Ohm] of coils.
-
-    In steps of 100 V, at least 400 V: what is left over slews the current.
-    """
-    needed = HEADROOM * control.current_limit * (load + sense_resistance(control))
-    return max(SUPPLY, 100.0 * math.ceil(needed / 100.0))
-
-
 def pid_subcircuit(
     header: Header,
     control: Control,
@@ -125,24 +88,30 @@ def pid_subcircuit(
 ) -> Subcircuit:
     """The controller between the height ``y``, ``enable`` and the coils at ``drive`` and ``sense``.
 
-    ``load`` [Ohm] is what the coils are between them. Without its ``output`` stage it ends at
-    ``command``, 100 V for each ampere that it wants.
+    Its own output stage measures with a resistor that gives 10 V at the current limit, at most
+    100 Ohm, so that no limit is beyond the rails; its supply, in steps of 100 V, drives that limit
+    through the ``load`` [Ohm] of the coils, and what is left over slews the current. Without it the
+    controller ends at ``command``, 100 V for each ampere that it wants.
     """
-    sense = sense_resistance(control, output=output)
-    supply = positive("compliance", compliance(control, load), "V", "supply of the output stage")
-    rail = max(15.0, HEADROOM * sense * control.current_limit)
-    ideal = control.form == "ideal"
-    amplifiers = (
-        Param("offset", 0.0, "V", "input offset of the error amplifier; 1 mV is 1 um of height"),
-        positive("rail", rail, "V", "supply of the signal amplifiers"),
-        *((supply,) if output else ()),
-    )
-    params = (
-        Param("setpoint", control.setpoint, "m", "height of the sphere's centre"),
-        *_gains(control),
-        positive("current_limit", control.current_limit, "A", "largest coil current"),
-        *(() if ideal else amplifiers),
-    )
+    limit, ideal = control.current_limit, control.form == "ideal"
+    sense = min(SENSE, COMMAND / limit) if output else SENSE
+    supply = max(SUPPLY, 100.0 * math.ceil(HEADROOM * limit * (load + sense) / 100.0))
+    params = [Param("setpoint", control.setpoint, "m", "height of the sphere's centre")]
+    params += [
+        positive(each, getattr(control, each), unit, doc)
+        for gain, each, unit, doc in GAINS
+        if getattr(control, gain)
+    ]
+    params += [positive("current_limit", limit, "A", "largest coil current")]
+    if not ideal:
+        doc = "input offset of the error amplifier; 1 mV is 1 um of height"
+        rail = max(15.0, HEADROOM * sense * limit)
+        params += [
+            Param("offset", 0.0, "V", doc),
+            positive("rail", rail, "V", "supply of the signal amplifiers"),
+        ]
+        if output:
+            params += [positive("compliance", supply, "V", "supply of the output stage")]
     gains = [param.name for param in params]
     part = library(
         "pid_ideal" if ideal else "pid",
@@ -150,7 +119,7 @@ def pid_subcircuit(
         name,
         "controller of the sphere's height",
         _terminals(output),
-        params,
+        tuple(params),
         rating="its output stays within current_limit" + " and compliance" * (output and not ideal),
         gains=gains,
         weights=[f"gain_{gain[1]}" for gain in ("kp", "ki", "kd") if gain in gains],
@@ -198,6 +167,8 @@ class Pid(PartType):
             got, expected = f"height {keys.setpoint:g} m", f"between {low:g} and {high:g} m"
             hint = f"{coils.name}.y_min and {coils.name}.y_max set the table's range"
             yield part.wrong("setpoint", "outside the force table", got, expected, hint)
+        if not max(keys.kp, keys.ki, keys.kd):
+            yield part.wrong("kp", "no gain at all", "kp = ki = kd = 0", "one of them above zero")
         times = [time for time, _ in keys.switching]
         states = [state for _, state in keys.switching]
         if min(times) < 0 or states != ([1.0, 0.0] * len(states))[: len(states)]:

@@ -90,6 +90,11 @@ class SourceKeys(Section):
         return self
 
     @property
+    def shape(self) -> str:
+        """The key that says its values over time."""
+        return next((name for name in SHAPES if getattr(self, name) is not None), "dc")
+
+    @property
     def unit(self) -> str:
         """SI unit of its values."""
         return KINDS[self.kind].unit
@@ -142,11 +147,10 @@ class Source(PartType):
     def at_rest(self, part: Part, scene: Scene, model: Any | None = None) -> Rest:
         pair = (("out", "ret"),)
         if KINDS[part.keys.kind].letter == "V":
-            shape = next((s for s in SHAPES if getattr(part.keys, s) is not None), "dc")
             wave = part.keys.waveform(scene.home)
             moves = wave.amplitude or np.ptp([value for _, value in wave.points])
             kinked = part.keys.kind == "displacement" and moves  # a sine too, where it starts
-            return Rest(pair, pair, kinked=shape if kinked else "")
+            return Rest(pair, pair, kinked=part.keys.shape if kinked else "")
         constant = part.keys.kind == "force" and part.keys.waveform(scene.home)(np.zeros(1))[0]
         return Rest(pushed=("out", "ret") if constant else ())
 
@@ -218,8 +222,7 @@ class Source(PartType):
         return laws.Equations((law,), pins, results, {"dc": (n, 1.0)})
 
     def detail(self, part: Part, scene: Scene) -> str:
-        shape = next((name for name in SHAPES if getattr(part.keys, name) is not None), "dc")
-        return f"{part.keys.kind}, {shape}"
+        return f"{part.keys.kind}, {part.keys.shape}"
 
 
 def drive_scales(name: str, wave: Waveform) -> Iterator[Numerics]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -53,21 +53,15 @@ def within(
 ) -> Iterator[UsageError]:
     """The error for a value outside ``low`` to ``high``, with the physical reason; else nothing."""
     if not low <= value <= high:
+        slips = _SLIPS.get(unit, {}).items()
+        fits = (name for name, size in slips if low <= value * size <= high)
         yield ImplausibleError(
             f"hardly exists: {why}",
             where=where,
             got=f"{value:.4g} {unit}",
             expected=f"{low:g} to {high:g} {unit}",
-            hint=_meant(value, unit, low, high),
+            hint=next((f'did you mean "{value:g} {name}"?' for name in fits), None),
         )
-
-
-def _meant(value: float, unit: str, low: float, high: float) -> str | None:
-    """The same number in another unit that would be within the range."""
-    for name, size in _SLIPS.get(unit, {}).items():
-        if low <= value * size <= high:
-            return f'did you mean "{value:g} {name}"?'
-    return None
 
 
 def dimensions(where: str, keys: BaseModel) -> Iterator[UsageError]:
@@ -95,24 +89,12 @@ def layers(
     than its ``plate``."""
     rows = list(found)
     metal = max((width for width, _, ceramic in rows if not ceramic), default=0.0)
+    thick = f"no layer is more than {FLAT:g} times as thick as it is wide"
+    wide = "ceramic that is wider than its plate breaks off"
     for k, (width, thickness, ceramic) in enumerate(rows):
-        yield from within(
-            f"{where}.{k}.thickness",
-            thickness,
-            "m",
-            0.0,
-            FLAT * width,
-            f"no layer is more than {FLAT:g} times as thick as it is wide",
-        )
+        yield from within(f"{where}.{k}.thickness", thickness, "m", 0.0, FLAT * width, thick)
         if plate and ceramic and metal:
-            yield from within(
-                f"{where}.{k}.diameter",
-                width,
-                "m",
-                0.0,
-                OVERHANG * metal,
-                "ceramic that is wider than its plate breaks off",
-            )
+            yield from within(f"{where}.{k}.diameter", width, "m", 0.0, OVERHANG * metal, wide)
 
 
 def drives(scene: Scene) -> Iterator[UsageError]:
@@ -120,34 +102,26 @@ def drives(scene: Scene) -> Iterator[UsageError]:
 
     What is beyond the rating, but not by far, or far below it, is a warning.
     """
-    limits: dict[str, float] = {}
-    for (name, _), pin in scene.terminals.items():
-        if pin.rated:
-            limits.setdefault(name, pin.rated)
-    for body, limit in limits.items():
+    rated = {name: pin.rated for (name, _), pin in scene.terminals.items() if pin.rated}
+    for body, limit in rated.items():
         for name, peak in _voltages(body, scene):
             told = f"{peak:.4g} V at {body}, whose ceramic stands {limit:.4g} V"
+            # The same number in kilovolts, volts or millivolts, where that would fit the rating.
+            units = {f"{1e3 * peak:g} V": 1e3 * peak, f"{peak:g} mV": 1e-3 * peak}
+            fits = (text for text, volts in units.items() if WHISPER * limit <= volts <= limit)
+            hint = next((f"did you mean {text}?" for text in fits), None)
             if peak > BREAKDOWN * limit:
                 yield UsageError(
                     "the ceramic depolarises or breaks down",
                     where=name,
                     got=told,
                     expected=f"at most {limit:.4g} V",
-                    hint=_volts(peak, limit),
+                    hint=hint,
                 )
             elif peak > limit:
                 warnings.warn(f"{name}: {told}: it may depolarise", stacklevel=2)
             elif 0.0 < peak < WHISPER * limit:
-                hint = _volts(peak, limit)
                 warnings.warn(f"{name}: {told}: {hint or 'is the unit right?'}", stacklevel=2)
-
-
-def _volts(peak: float, limit: float) -> str | None:
-    """The same number in kilovolts, volts or millivolts, where that would fit the rating."""
-    for name, factor in (("V", 1e3), ("mV", 1e-3)):
-        if WHISPER * limit <= factor * peak <= limit:
-            return f"did you mean {1e3 * peak if name == 'V' else peak:g} {name}?"
-    return None
 
 
 def _voltages(body: str, scene: Scene) -> Iterator[tuple[str, float]]:
@@ -167,15 +141,10 @@ def _voltages(body: str, scene: Scene) -> Iterator[tuple[str, float]]:
 def built(build: Build) -> Iterator[UsageError]:
     """What the facts of built models say, such as the mass of a mesh."""
     for part in build.scene.parts.values():
-        if build.model(part) is None:
-            continue
-        facts: Mapping[str, float] = build.facts(part)
+        facts = {} if build.model(part) is None else build.facts(part)
         for rule in RULES:
-            for fact in rule.keys:
-                if fact in facts:
-                    yield from within(
-                        part.name, facts[fact], rule.unit, rule.low, rule.high, rule.why
-                    )
+            for fact in set(rule.keys) & set(facts):
+                yield from within(part.name, facts[fact], rule.unit, rule.low, rule.high, rule.why)
 
 
 def judged(found: Iterable[UsageError], action: str) -> Iterator[UsageError]:

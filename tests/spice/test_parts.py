@@ -9,14 +9,6 @@ from kc2spice.parts.pid import Control, pid_subcircuit
 from kc2spice.sim.log import classify
 from kc2spice.sim.ngspice import run_deck
 
-# ---------------------------------------------------------------------------------- contact
-
-
-# ------------------------------------------------------------------------------------ catch
-
-
-# --------------------------------------------------------------------------------------- pid
-
 
 def controller(header, control, position, stop, enable=1e-6, load=0.0):
     """The controller on two resistors as coils, looking at a prescribed height [um]."""

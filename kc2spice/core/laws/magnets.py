@@ -58,32 +58,31 @@ class Coenergy:
 
     def inductances(self, y: Any) -> np.ndarray:
         """Symmetric L (..., 2, 2) [H]. Raises as :meth:`inside`."""
-        return self._second(self.terms(self.inside(y, "catch")))
-
-    @staticmethod
-    def _second(p: np.ndarray) -> np.ndarray:
-        """Second derivatives (..., 2, 2) by the currents."""
-        l11, l12, l22 = 2 * p[..., 3], p[..., 4], 2 * p[..., 5]
-        return np.stack([np.stack([l11, l12], -1), np.stack([l12, l22], -1)], -1)
-
-    def _by_currents(self, p: np.ndarray, i: np.ndarray) -> np.ndarray:
-        return np.asarray(p[1:3] + self._second(p) @ i)
+        return _quadratic(self.terms(self.inside(y, "catch")))
 
     def pull(self, y: float, i: np.ndarray) -> tuple[float, float, np.ndarray]:
         """The force, and its slopes by the height and by the currents (2,)."""
         first, second = (slope(y) for slope in self._slopes)
         q = products(*i)
-        return float(first @ q), float(second @ q), self._by_currents(first, i)
+        return float(first @ q), float(second @ q), first[1:3] + _quadratic(first) @ i
 
     def fluxes(self, y: float, i: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Flux linkages (2,), and their slopes by the height (2,) and the currents (2, 2)."""
         p, slopes = self.terms(y), self._slopes[0](y)
-        return self._by_currents(p, i), self._by_currents(slopes, i), self._second(p)
+        own, changed = _quadratic(p), _quadratic(slopes)
+        return p[1:3] + own @ i, slopes[1:3] + changed @ i, own
 
     def stored(self, y: float, i: np.ndarray) -> float:
         """Energy ``i' L i / 2 - p0(y)`` [J] of both coils and between the magnets."""
         p = self.terms(y)
-        return float(i @ self._second(p) @ i / 2 - p[0])
+        return float(i @ _quadratic(p) @ i / 2 - p[0])
+
+
+def _quadratic(p: np.ndarray) -> np.ndarray:
+    """Second derivatives (..., 2, 2) of ``p . products`` by the currents."""
+    return np.stack([2 * p[..., 3], p[..., 4], p[..., 4], 2 * p[..., 5]], -1).reshape(
+        *p.shape[:-1], 2, 2
+    )
 
 
 @dataclass(frozen=True)
