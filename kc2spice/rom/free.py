@@ -7,6 +7,7 @@ and kept apart from all other unknowns: a basis and a peak are those of the rest
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 import scipy
@@ -19,34 +20,45 @@ ROUNDING = 8.0  # times n eps of the largest: a stiffness, a damping or a coupli
 # leaves half of the digits of a pair, and a free motion that something slows down.
 ZERO, SLOW = 1e-6, 1e-2
 DEPENDENT = 1e-9  # rates per band's end: a chain of integrators in first order
+Rounding: TypeAlias = tuple[np.ndarray, ...]  # bounds on that of each coefficient's entries
 
 
-def apart(
-    pencil: Pencil, omega: float, rounding: float | None = None
-) -> tuple[Pencil, np.ndarray, bool]:
-    """A dense pencil in coordinates of which the first ``free`` ones are its free motion, these as
-    columns, and whether all others have a static answer; the pencil itself where none is free.
+class Apart(NamedTuple):
+    """A ``pencil`` whose first ``free`` coordinates are its free motion, the columns of all of them
+    in the original, whether all but those have a static answer, and the ``projected`` pencil before
+    the rounding of what is zero was taken out of it, where the form was kept.
+    """
+
+    pencil: Pencil
+    columns: np.ndarray
+    static: bool
+    projected: Pencil | None = None
+
+
+def apart(pencil: Pencil, omega: float, rounding: Rounding | None = None) -> Apart:
+    """A dense pencil in coordinates of which the first ones are its free motion; the pencil itself
+    where none is free.
 
     Where ``K X = 0`` and ``X'K = 0``, as in symmetric and dissipative models, the form is kept:
     ``V'PV`` with the others orthogonal to X in the inertia. Damping may couple both. All other
-    models are turned to first order
-    and split at their poles near zero (of ``omega``), by both invariant subspaces. ``rounding`` is
-    that of the entries of K, known of projections.
+    models are turned to first order and split at their poles near zero (of ``omega``), by both
+    invariant subspaces. ``rounding`` is known of projections.
     """
     rest, inertia = pencil.coefficients[0], pencil.coefficients[-1]
-    X = _null_space(rest, rounding)
+    rounding = rounding or _rounding(pencil)
+    X = _null_space(rest, rounding[0])
     free = X.shape[1]
     if not free:
-        return pencil, np.eye(pencil.size), True
-    still = (np.abs(X.T @ rest) <= np.maximum(_noise(X.T, rest), rounding or 0.0)).all()
-    if symmetric(inertia) and still:
+        return Apart(pencil, np.eye(pencil.size), True)
+    if symmetric(inertia) and _without_force(rest.T, X, rounding[0].T):
         others = scipy.linalg.null_space((inertia @ X).T)
         if others.shape[1] + free == pencil.size:
-            X = _driven(pencil, X)
+            X = _driven(pencil, X, rounding)
             V = np.hstack([X, others])
-            return congruent(pencil, V, X.shape[1]), V, True
+            found, projected = congruent(pencil, V, X.shape[1], rounding)
+            return Apart(found, V, True, projected)
     found, V = _oblique(first_order(pencil, omega), omega)
-    return (found, V, True) if found.free else (pencil, np.eye(pencil.size), False)
+    return Apart(found, V, True) if found.free else Apart(pencil, np.eye(pencil.size), False)
 
 
 def free_part(pencil: Pencil, omega: float) -> Pencil | None:
@@ -56,52 +68,61 @@ def free_part(pencil: Pencil, omega: float) -> Pencil | None:
     return pencil.leading(pencil.free) if pencil.free else None
 
 
-def _null_space(K: np.ndarray, rounding: float | None) -> np.ndarray:
-    """Orthonormal columns that K takes to zero but for ``rounding``; by default for that of each of
-    its entries, however stiff others are."""
-    columns = np.ones(len(K))
-    if rounding is None:
-        rows = np.abs(K).max(axis=1)
-        K = K / np.where(rows > 0, rows, 1.0)[:, None]
-        largest_of = np.abs(K).max(axis=0)
-        columns = 1 / np.where(largest_of > 0, largest_of, 1.0)
-        K = K * columns
-    _, size, Vt = np.linalg.svd(K)
-    limit = rounding or ROUNDING * np.finfo(float).eps * len(K) * size.max(initial=0.0)
+def _rounding(pencil: Pencil) -> Rounding:
+    """That of the entries of a pencil that is given as it is."""
+    limit = ROUNDING * np.finfo(float).eps * pencil.size
+    return tuple(limit * np.abs(P) for P in pencil.coefficients)
+
+
+def _null_space(K: np.ndarray, rounding: np.ndarray) -> np.ndarray:
+    """Orthonormal columns that K takes to zero but for ``rounding`` of each of its entries, however
+    stiff others are."""
+    rows = rounding.max(axis=1)
+    rows = 1 / np.where(rows > 0, rows, 1.0)[:, None]
+    columns = (rows * rounding).max(axis=0)
+    columns = 1 / np.where(columns > 0, columns, 1.0)
+    _, size, Vt = np.linalg.svd(rows * K * columns)
+    limit = np.linalg.norm(rows * rounding * columns, 2)
     return np.linalg.qr(columns[:, None] * Vt[size <= limit].T)[0]
 
 
-def _driven(pencil: Pencil, X: np.ndarray) -> np.ndarray:
+def _without_force(P: np.ndarray, X: np.ndarray, rounding: np.ndarray) -> bool:
+    """Whether ``P X`` is zero but for the ``rounding`` of P's entries, and X's own."""
+    return bool((np.abs(P @ X) <= rounding.sum(axis=1)[:, None] * np.abs(X).max(axis=0)).all())
+
+
+def _driven(pencil: Pencil, X: np.ndarray, rounding: Rounding) -> np.ndarray:
     """Those of the free motions X that an input moves; all where the outputs are others, or damping
     joins them."""
     *between, inertia = pencil.coefficients
-    if not pencil.collocated or any((np.abs(P @ X) > _noise(P, X)).any() for P in between):
+    slowed = not all(_without_force(P, X, R) for P, R in zip(between, rounding, strict=False))
+    if slowed or not pencil.collocated:
         return X
     X = X @ np.linalg.inv(np.linalg.cholesky(X.T @ inertia @ X)).T
     U, size, _ = np.linalg.svd(X.T @ pencil.B)
-    moved = int((size > largest(_noise(X.T, pencil.B))).sum())
+    K, held = pencil.coefficients[0], inertia @ X
+    held *= np.sqrt(largest(K)) / largest(held)
+    # rounding of K turns X towards what it takes no force to move: inputs see their own answers
+    answer = np.linalg.solve(K + held @ held.T, pencil.B)
+    own = ROUNDING * np.finfo(float).eps * pencil.size * np.abs(pencil.B)
+    noise = np.abs(X.T) @ (own + rounding[0] @ np.abs(answer))
+    moved = int((size > largest(noise)).sum())
     return X @ U[:, :moved]
 
 
-def _noise(P: np.ndarray, X: np.ndarray) -> np.ndarray:
-    """What rounding makes of the entries of ``P X`` that are zero."""
-    limit = ROUNDING * np.finfo(float).eps * len(X)
-    return np.asarray(limit * (np.abs(P) @ np.abs(X)))
-
-
-def congruent(pencil: Pencil, V: np.ndarray, free: int) -> Pencil:
+def congruent(
+    pencil: Pencil, V: np.ndarray, free: int, rounding: Rounding | None = None
+) -> tuple[Pencil, Pencil]:
     """``V'PV`` of a dense pencil, the first columns of V being ``free`` motions, without the
-    rounding of what is zero."""
+    rounding of what is zero, and with it."""
     found, parts = pencil.project_exactly(V), []
-    limit = ROUNDING * np.finfo(float).eps * pencil.size
-    for P, R in zip(pencil.coefficients, found.coefficients, strict=True):
-        noise = limit * (np.abs(V).T @ (np.abs(P) @ np.abs(V)))
-        zero = np.abs(R) <= noise
+    for P, noise in zip(found.coefficients, rounding or _rounding(pencil), strict=True):
+        zero = np.abs(P) <= np.abs(V).T @ (noise @ np.abs(V))
         zero[free:, free:] = False
-        parts.append(np.where(zero, 0.0, R))
+        parts.append(np.where(zero, 0.0, P))
     parts[0][:free] = parts[0][:, :free] = 0.0
     parts[-1][:free, free:] = parts[-1][free:, :free] = 0.0
-    return replace(found, coefficients=tuple(parts), free=free)
+    return replace(found, coefficients=tuple(parts), free=free), found
 
 
 def _oblique(pencil: Pencil, omega: float) -> tuple[Pencil, np.ndarray]:

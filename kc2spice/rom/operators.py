@@ -113,6 +113,13 @@ def dense(matrix: Matrix) -> np.ndarray:
     return np.asarray(matrix if isinstance(matrix, np.ndarray) else matrix.toarray(), dtype=float)
 
 
+def magnitudes(matrix: Matrix) -> Matrix:
+    """Absolute values of the entries, of a :class:`Schur` those of its leading block."""
+    if isinstance(matrix, Sum):
+        return sum(abs(c) * magnitudes(P) for c, P in matrix.terms)
+    return abs(matrix.uu if isinstance(matrix, Schur) else matrix)
+
+
 def largest(matrix: Matrix) -> float:
     """Largest absolute entry; of a :class:`Schur` that of its leading block."""
     if isinstance(matrix, Schur):

@@ -64,7 +64,7 @@ def structure(
 def _poles(pencil: Pencil, omega: float) -> np.ndarray:
     """All poles, those of a free motion from that alone: rounding moves the pair of a rigid body by
     half of the digits."""
-    found = pencil if pencil.free else apart(pencil.scaled(omega).dense(), omega)[0]
+    found = pencil if pencil.free else apart(pencil.scaled(omega).dense(), omega).pencil
     if not found.detached:
         return pencil.poles(omega)
     return np.r_[found.leading(found.free).poles(omega), found.held.poles(omega)]

@@ -25,7 +25,7 @@ import scipy
 from kc2spice.core.errors import SimulationError
 from kc2spice.rom.free import apart, congruent
 from kc2spice.rom.krylov import DEFLATION, extend, real_parts
-from kc2spice.rom.operators import Schur, symmetric
+from kc2spice.rom.operators import magnitudes, symmetric
 from kc2spice.rom.pencil import Pencil
 from kc2spice.rom.response import (
     FLANK,
@@ -134,8 +134,7 @@ def is_definite(pencil: Pencil, *, undamped_too: bool = False) -> bool:
         x, y = solve(pencil.B), solve(load)
     except SimulationError:
         return False
-    K = pencil.coefficients[0]
-    K = abs(K.uu if isinstance(K, Schur) else K)
+    K = magnitudes(pencil.coefficients[0])
     # Rounding may give a body that is free to move a factor: then its softest motion, which a
     # random load excites, has no more energy than the rounding of K itself.
     size = abs(y).T @ (K @ abs(y))
@@ -177,11 +176,11 @@ def _whole(full: Pencil, band: tuple[float, float], limit: float) -> Subspace | 
     SimulationError : two solutions are further apart than ``limit``.
     """
     given = full
-    full, V, static = apart(given, 2 * np.pi * band[1])
+    full, V, static, projected = apart(given, 2 * np.pi * band[1])
     T = _undamped_modes(full.held) if static else None
     if T is not None:
         V = V @ scipy.linalg.block_diag(np.eye(full.free), T)
-        full = congruent(given, V, full.free)
+        full, projected = congruent(given, V, full.free)
     response = Response(full)
     if not response.decoupled and (
         full.degree * full.size > WHOLE or (response.modes is None and full.size > DIRECT)
@@ -208,9 +207,19 @@ def _whole(full: Pencil, band: tuple[float, float], limit: float) -> Subspace | 
         # products and solutions round its entries
         if T is None or full.free or full.size < given.size:
             floor = SPREAD * float(size.max())
+    if projected is not None:
+        floor = max(floor, _taken_out(projected, full, band))
     found = Subspace(full, error, static, proof, floor)
     found.__dict__["response"] = response  # as the cached property would
     return found
+
+
+def _taken_out(given: Pencil, free: Pencil, band: tuple[float, float]) -> float:
+    """What the stiffness that rounding leaves to a motion without force makes of the response at
+    the lowest frequency that counts, where it is most."""
+    s = 2j * np.pi * grid(band, 2, False)[:1]
+    H = free.transfer(s)
+    return float(relative_size(given.transfer(s) - H, H).max())
 
 
 def _undamped_modes(full: Pencil) -> np.ndarray | None:
@@ -329,7 +338,8 @@ def _rational(pencil: Pencil, band: tuple[float, float], target: float, limit: f
         raise _unsettled(search.response, band, worst, limit)
     proof = f"checked against the full model at {search.points} frequencies"
     small = search.response.pencil
-    found = Subspace(small, worst, search.static or small.free > 0, proof)
+    floor = _taken_out(search.projected, small, band) if small.free else 0.0
+    found = Subspace(small, worst, search.static or small.free > 0, proof, floor)
     return _with_rounding(pencil, search.modal, band, found)
 
 
@@ -355,7 +365,7 @@ def _with_rounding(
         size[:, exact.cancelled(2j * np.pi * points)] = 0.0
         apart = max(apart, SPREAD * float(size.max()))
     proof = f"{found.proof}, which rounding moves by {apart:.0e}"
-    return replace(found, floor=apart, proof=proof)
+    return replace(found, floor=max(found.floor, apart), proof=proof)
 
 
 def _explain(response: Response, band: tuple[float, float], error: float, target: float) -> None:
@@ -470,24 +480,23 @@ class _Search:
         for side in self._sides:
             side.extend(fresh)
         self.turn = _modes(self.pencil.project(self.basis))
-        small = self.pencil.project(self.modal)
+        small = self.projected = self.pencil.project(self.modal)
         if not self.static:
             small, turn = self._apart(small)
             self.turn = self.turn @ turn
         self._previous, self.response = self.response, Response(small)
 
     def _apart(self, small: Pencil) -> tuple[Pencil, np.ndarray]:
-        """The free motion of the projected model, within rounding of the full one's stiffness."""
-        K, V = self.pencil.coefficients[0], np.abs(self.modal)
-        K = abs(K.uu if isinstance(K, Schur) else K)
-        size = np.einsum("ij,ij->j", V, K @ V)
-        stiffness = np.abs(np.diag(small.coefficients[0]))
-        soft = stiffness <= FREE * np.finfo(float).eps * size
-        if not soft.any():
+        """The free motion of the projected model, within rounding of the full one's entries."""
+        V, sizes = np.abs(self.modal), map(magnitudes, self.pencil.coefficients)
+        rounding = [FREE * np.finfo(float).eps * (V.T @ (next(sizes) @ V))]
+        if (np.abs(np.diag(small.coefficients[0])) > np.diag(rounding[0])).all():
             return small, np.eye(small.size)
-        limit = 2 * float(stiffness[soft].max())
-        found, turn, _ = apart(small, 2 * np.pi * self.band[1], limit)
-        return (found, turn) if found.degree == small.degree else (small, np.eye(small.size))
+        rounding += [FREE * np.finfo(float).eps * (V.T @ (P @ V)) for P in sizes]
+        found = apart(small, 2 * np.pi * self.band[1], tuple(rounding))
+        if found.pencil.degree != small.degree:
+            return small, np.eye(small.size)
+        return found.pencil, found.columns
 
     @property
     def modal(self) -> np.ndarray:

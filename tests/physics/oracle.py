@@ -50,10 +50,15 @@ def poles(P):
 def direct(model, frequency):
     """(frequencies, outputs, inputs), one solution after the other."""
     P, B, C, D = model
-    found = [
-        C @ np.linalg.solve(sum(s**k * each for k, each in enumerate(P)), B.astype(complex)) + D
-        for s in 2j * np.pi * np.asarray(frequency)
-    ]
+    fine, columns, found = [np.asarray(each, np.longdouble) for each in P], B.shape[1], []
+    for s in 2j * np.pi * np.asarray(frequency):
+        whole = sum(s**k * each for k, each in enumerate(P))
+        x = np.linalg.solve(whole, B.astype(complex))
+        # refined: the slow motion of a free body is the small difference of large forces
+        parts = (each @ np.hstack([x.real, x.imag]).astype(np.longdouble) for each in fine)
+        parts = (each[:, :columns] + 1j * each[:, columns:] for each in parts)
+        rest = B - sum(np.clongdouble(s) ** k * each for k, each in enumerate(parts))
+        found.append(C @ (x + np.linalg.solve(whole, rest.astype(complex))) + D)
     return np.array(found)
 
 
