@@ -73,19 +73,21 @@ def _link(
     """Sort what ``file`` and its includes hold into ``scope``."""
     held = files[file]
     tree = read(held, file, title=not chain) if isinstance(held, str) else held
+    chain = (*chain, file)
 
     def fill(scope: Scope, items: tuple[Item, ...]) -> None:
         for item in items:
             match item:
                 case Element():
-                    scope.elements.append(_known(item))
+                    _require_known(item)
+                    scope.elements.append(item)
                 case Circuit():
                     fill(_opened(item, scope), item.items)
                 case Model():
-                    _add_model(item, scope)
+                    _require_same(item, scope.models.maps[0].get(item.name.lower(), item))
+                    scope.models[item.name.lower()] = item
                 case Directive(keyword) if keyword in INCLUDES:
-                    target = _included(item, file, files, (*chain, file))
-                    _link(target, files, scope, (*chain, file))
+                    _link(_included(item, file, files, chain), files, scope, chain)
                 case Directive(".control" | ".end"):
                     pass
                 case _:
@@ -98,20 +100,18 @@ def _link(
     fill(scope, tree.items)
 
 
-def _known(part: Element) -> Element:
-    if part.kind in NODES or part.kind == "x":
-        return part
-    letters = "".join(sorted(NODES)).upper()
-    raise UsageError(
-        "unknown kind of element",
-        where=part.where,
-        got=part.name,
-        expected=f"a name that begins with one of {letters}X",
-    )
+def _require_known(part: Element) -> None:
+    if part.kind not in NODES and part.kind != "x":
+        letters = "".join(sorted(NODES)).upper()
+        raise UsageError(
+            "unknown kind of element",
+            where=part.where,
+            got=part.name,
+            expected=f"a name that begins with one of {letters}X",
+        )
 
 
-def _add_model(model: Model, scope: Scope) -> None:
-    first = scope.models.maps[0].get(model.name.lower(), model)
+def _require_same(model: Model, first: Model) -> None:
     if first.where.partition(":")[0] != model.where.partition(":")[0] and not first.same(model):
         raise UsageError(
             "two models have one name",
@@ -120,7 +120,6 @@ def _add_model(model: Model, scope: Scope) -> None:
             expected=f"one definition; the first is in {first.where}",
             hint="rename one, or put it into its .subckt",
         )
-    scope.models[model.name.lower()] = model
 
 
 def _included(
@@ -128,6 +127,8 @@ def _included(
 ) -> str:
     written = " ".join(s.words).strip("\"'")
     target = beside(file, written)
+    if target in chain:
+        raise UsageError("include goes in a circle", where=s.where, got=" -> ".join(chain))
     if target not in files:
         raise UsageError(
             "included file is not there",
@@ -135,14 +136,11 @@ def _included(
             got=written or "no file name",
             expected="one of " + ", ".join(sorted(set(files) - set(chain))),
         )
-    if target in chain:
-        raise UsageError("include goes in a circle", where=s.where, got=" -> ".join(chain))
     return target
 
 
 def _opened(each: Circuit, parent: Scope) -> Scope:
-    key = each.name.lower()
-    if first := parent.subcircuits.maps[0].get(key):
+    if first := parent.subcircuits.maps[0].get(each.name.lower()):
         raise UsageError(
             "two subcircuits have one name",
             where=each.where,
@@ -150,7 +148,7 @@ def _opened(each: Circuit, parent: Scope) -> Scope:
             expected=f"one definition; the first is in {first.where}",
         )
     defaults = {key.lower(): value for key, value in each.defaults.items()}
-    parent.subcircuits[key] = Scope(
+    scope = Scope(
         each.name,
         each.where,
         parent,
@@ -161,7 +159,8 @@ def _opened(each: Circuit, parent: Scope) -> Scope:
         parent.functions.new_child(),
         parent.subcircuits.new_child(),
     )
-    return parent.subcircuits[key]
+    parent.subcircuits[each.name.lower()] = scope
+    return scope
 
 
 def has_vector(top: Scope, text: str) -> bool:
@@ -169,27 +168,23 @@ def has_vector(top: Scope, text: str) -> bool:
     found = vector(text.lower())
     if found is None:
         return False
-    scope = inside(top, found.path)
     if found.quantity == "v":
-        return all(_has_node(top, name) for name in found.names)
+        return all(_has_node(top, *name.split(".")) for name in found.names)
+    scope = inside(top, found.path)
     return scope is not None and any(e.key == found.names[0] for e in scope.elements)
 
 
-def _has_node(top: Scope, name: str) -> bool:
-    *path, node = name.split(".")
-    scope = inside(top, tuple(path))
-    if scope is None:
-        return False
-    return node == "0" or node in scope.pins or any(node in e.ends for e in scope.elements)
+def _has_node(top: Scope, *path: str) -> bool:
+    node, scope = path[-1], inside(top, path[:-1])
+    return scope is not None and (
+        node == "0" or node in scope.pins or any(node in e.ends for e in scope.elements)
+    )
 
 
 def inside(top: Scope, path: tuple[str, ...]) -> Scope | None:
     """The scope of the instance ``xa.xb`` …; None where there is none."""
-    scope = top
+    scope: Scope | None = top
     for name in path:
-        called = next((e.model for e in scope.elements if e.key == name), None)
-        found = scope.find(called) if called else None
-        if found is None:
-            return None
-        scope = found
+        called = next((e.model for e in scope.elements if e.key == name), None) if scope else None
+        scope = scope.find(called) if scope and called else None
     return scope
