@@ -9,6 +9,7 @@ import numpy as np
 from pydantic import Field
 
 from kc2spice.core import laws
+from kc2spice.core.magnets import PositionForce
 from kc2spice.core.quantities import Current, Section
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.netlist.cards import number
@@ -95,7 +96,7 @@ class CurrentCases(PartType):
         results, nets, names = {f"{sphere}.y": laws.reading(f"{n}.out")}, [], _forces(part, build)
         for k, (force, pair) in enumerate(zip(names, cases(part), strict=True)):
             own = f"{coils.name} {k}"  # no part has a blank in its name
-            found.append(laws.PositionForce(own, coenergy, (1.0, 1.0)))
+            found.append(PositionForce(own, coenergy, (1.0, 1.0)))
             for coil, current in enumerate(pair, 1):
                 found.append(laws.Source(f"{own}_{coil}", "signal", still(current)))
                 nets.append((f"{own}_{coil}.out", f"{own}.i{coil}"))

@@ -2,7 +2,7 @@
 
 The force is six functions of the sphere's height, exact in both currents. With ideal current drive
 the coils are resistors; real coils have inductance and back-EMF from the same table. The law
-itself, in numpy, is :class:`kc2spice.core.laws.magnets.Coenergy`.
+itself, in numpy, is :class:`kc2spice.core.magnets.Coenergy`.
 """
 
 from __future__ import annotations
@@ -20,6 +20,7 @@ from kc2spice.core import laws
 from kc2spice.core.cache import cached
 from kc2spice.core.errors import UsageError
 from kc2spice.core.figure import Curve, Figure, Panel, Shape
+from kc2spice.core.magnets import CoilForce, PositionForce
 from kc2spice.core.piecewise import cubic_spline
 from kc2spice.core.quantities import si
 from kc2spice.core.waveforms import Waveforms
@@ -470,7 +471,7 @@ class RingMagnetCoils(Touching):
         prefix, offset = label(part), spheres.offset(part, "y", scene)
         currents = (f"{prefix}.lower.current", f"{prefix}.upper.current")
         if real(part, scene):
-            law = laws.CoilForce(n, table.coenergy, table.resistance, offset)
+            law = CoilForce(n, table.coenergy, table.resistance, offset)
             ends = (("lp", "a1"), ("ln", "b1"), ("up", "a2"), ("un", "b2"), ("y", "y"))
             results = {c: laws.reading(f"{n}.i{k}") for k, c in enumerate(currents, 1)}
             results[f"{prefix}.voltage"] = laws.difference(f"{n}.a2", f"{n}.a1")
@@ -478,7 +479,7 @@ class RingMagnetCoils(Touching):
         feeds = scene.joined(n, "drive")
         if any(scene.parts[other].type.name != "pid" for other, _ in feeds):
             return None
-        force_law = laws.PositionForce(n, table.coenergy, (-1.0, 1.0), offset)
+        force_law = PositionForce(n, table.coenergy, (-1.0, 1.0), offset)
         pins = (("y", f"{n}.y"), ("drive", f"{n}.i1"), ("drive", f"{n}.i2"))
         results = {c: laws.reading(f"{n}.coil{k}") for k, c in enumerate(currents, 1)}
         return laws.Equations((force_law,), pins if feeds else pins[:1], results)

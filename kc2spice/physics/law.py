@@ -42,7 +42,6 @@ class DeclaredLaw(Device):
 
     @property
     def pins(self) -> tuple[Pin, ...]:
-        """Both pins of every branch."""
         found: dict[str, Pin] = {}
         for b in self.declaration.branches:
             found.setdefault(b.plus, Pin(b.plus, _KIND[b.kind]))
@@ -53,29 +52,24 @@ class DeclaredLaw(Device):
 
     @property
     def taps(self) -> tuple[Tap, ...]:
-        """What lies across every branch, and the velocities that matter."""
         across = [Tap(b.plus, b.minus, less=b.less) for b in self.declaration.branches]
         rates = (Tap(b.plus, b.minus, True, b.less) for b in self.declaration.damped)
         return (*across, *rates)
 
     @property
     def flows(self) -> tuple[Flow, ...]:
-        """One a branch."""
         return tuple(Flow(b.plus, b.minus, b.less) for b in self.declaration.branches)
 
     @property
     def charged(self) -> tuple[int, ...]:
-        """Flows that are the rates of charges besides."""
         return tuple(k for k, b in enumerate(self.declaration.branches) if b.kind == "voltage")
 
     @property
     def states(self) -> tuple[str, ...]:
-        """The currents."""
         return tuple(b.name for b in self._of("current"))
 
     @property
     def scales(self) -> tuple[float, ...]:
-        """Of the currents."""
         return (_SMALL,) * len(self.states)
 
     @cached_property
@@ -87,7 +81,6 @@ class DeclaredLaw(Device):
 
     @cached_property
     def affine(self) -> bool:
-        """Whether all slopes are constant while one-sided expressions stay on their sides."""
         d = self.declaration
         trees = [d.direct(b) for b in d.branches if b.kind == "displacement"]
         slopes = (flagged(derivative(t, n), self._corners) for t in trees for n in self._seen)
@@ -142,7 +135,6 @@ class DeclaredLaw(Device):
         return found[:count], found[count:].reshape(count, e.size)
 
     def evaluate(self, t: float, e: np.ndarray, mode: Any) -> tuple[np.ndarray, np.ndarray]:
-        """Through quantities but for those of charges, and voltages that change fluxes."""
         return self._split(self._out, e, mode)
 
     def store(self, e: np.ndarray, mode: Any = None) -> tuple[np.ndarray, np.ndarray]:
@@ -150,7 +142,6 @@ class DeclaredLaw(Device):
         return self._split(self._kept, e, mode or self.mode(0.0, e))
 
     def mode(self, t: float, e: np.ndarray, before: Any = None) -> tuple[int, ...]:
-        """Which one-sided expressions are above zero."""
         flags: tuple[int, ...] = (0,) * len(self._corners)
         for k in range(len(flags)):  # one may depend on those before
             above = self._called(self._guards, e, flags)[k] > 0.0
@@ -158,17 +149,14 @@ class DeclaredLaw(Device):
         return flags
 
     def guards(self, t: float, e: np.ndarray, mode: Any) -> np.ndarray:
-        """Positive while every one-sided expression stays on its side."""
         return self._called(self._guards, e, mode) * np.where(np.array(mode) > 0, 1.0, -1.0)
 
     def switch(self, mode: Any, guard: int) -> tuple[Any, str]:
-        """One expression changes its sign."""
         now = (*mode[:guard], 1 - mode[guard], *mode[guard + 1 :])
         side = "above" if now[guard] else "below"
         return now, f"{text(self._corners[guard])} {side} zero"
 
     def check(self, t: float, e: np.ndarray) -> None:
-        """Raise SimulationError beyond a limit."""
         found = self._called(self._bounds, e, self.mode(t, e))
         for what, value in zip(self.declaration.bounds, found, strict=True):
             if value <= 0.0:
@@ -180,11 +168,9 @@ class DeclaredLaw(Device):
                 )
 
     def energy(self, e: np.ndarray, mode: Any) -> float:
-        """Energy stored [J]."""
         return float(self._called(self._energies, e, mode)[0])
 
     def loss(self, t: float, e: np.ndarray, mode: Any) -> float:
-        """Power that becomes heat [W]."""
         if self.declaration.lost == ZERO:
             return 0.0
         return float(self._called(self._energies, e, mode)[1])

@@ -7,7 +7,7 @@ from functools import cached_property
 
 import numpy as np
 
-from kc2spice.core.laws.magnets import Coenergy, products
+from kc2spice.core.magnets import Coenergy, products
 from kc2spice.core.piecewise import Piecewise, cubic_spline
 
 FORCE = ("c0", "c1", "c2", "c11", "c12", "c22")

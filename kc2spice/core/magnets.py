@@ -9,8 +9,7 @@ from typing import Any
 import numpy as np
 
 from kc2spice.core.errors import SimulationError
-from kc2spice.core.laws.device import Device, Flow, Tap
-from kc2spice.core.laws.pin import Pin
+from kc2spice.core.laws import Device, Flow, Pin, Tap
 from kc2spice.core.piecewise import Piecewise
 
 
@@ -101,21 +100,18 @@ class PositionForce(Device):
     extra = ("coil1", "coil2", "force")
 
     def evaluate(self, t: float, e: np.ndarray, mode: Any) -> tuple[np.ndarray, np.ndarray]:
-        """Reaction and its slopes in y and the currents."""
         i = np.multiply(self.gains, e[2:])
         force, stiffness, slopes = self.coenergy.pull(e[0] + self.offset, i)
         return np.array([-force]), -np.array([[stiffness, 0.0, *(slopes * self.gains)]])
 
     def check(self, t: float, e: np.ndarray) -> None:
-        """Raise SimulationError outside the table."""
         self.coenergy.inside(e[0] + self.offset, f"{self.name} at t = {t:.6e} s")
 
     def loss(self, t: float, e: np.ndarray, mode: Any) -> float:
-        """Minus the work on the moving part: magnets and current sources give it."""
+        # minus the work on the moving part: magnets and current sources give it
         return float(self.evaluate(t, e, mode)[0][0] * e[1])
 
     def waves(self, t: float, e: np.ndarray, mode: Any) -> dict[str, float]:
-        """Coil currents and force."""
         values = (*np.multiply(self.gains, e[2:]), -self.evaluate(t, e, mode)[0][0])
         return dict(zip(self.extra, map(float, values), strict=True))
 
@@ -140,7 +136,6 @@ class CoilForce(Device):
     scales = (1e-3, 1e-3)
 
     def evaluate(self, t: float, e: np.ndarray, mode: Any) -> tuple[np.ndarray, np.ndarray]:
-        """Reaction, currents, and ``d lambda/dt = v - R i``."""
         i = e[3:]
         force, stiffness, slopes = self.coenergy.pull(e[0] + self.offset, i)
         jac = np.zeros((5, 5))
@@ -150,18 +145,14 @@ class CoilForce(Device):
         return np.array([-force, *i, *(e[1:3] - self.resistance * i)]), jac
 
     def store(self, e: np.ndarray, mode: Any = None) -> tuple[np.ndarray, np.ndarray]:
-        """Flux linkages [Wb] with their slopes."""
         fluxes, by_height, by_current = self.coenergy.fluxes(e[0] + self.offset, e[3:])
         return fluxes, np.column_stack((by_height, np.zeros((2, 2)), by_current))
 
     def check(self, t: float, e: np.ndarray) -> None:
-        """Raise SimulationError outside the table."""
         self.coenergy.inside(e[0] + self.offset, f"{self.name} at t = {t:.6e} s")
 
     def energy(self, e: np.ndarray, mode: Any) -> float:
-        """``i' L i / 2 - int c0 dy``."""
         return self.coenergy.stored(e[0] + self.offset, e[3:])
 
     def loss(self, t: float, e: np.ndarray, mode: Any) -> float:
-        """``R i^2``."""
         return float(self.resistance @ e[3:] ** 2)

@@ -1,0 +1,708 @@
+"""Laws of parts: what each type of part says of itself to the independent integrator.
+
+A law is plain data in SI with named, typed pins. It knows no scene and no netlist. A pin's kind
+says which *across* quantity all pins of a net share and which *through* ones sum to zero there:
+
+================  ===================  ==========================
+kind              across               through
+================  ===================  ==========================
+``electrical``    voltage [V]          current into the part [A]
+``displacement``  displacement [m]     force on the part [N]
+``rotation``      angle [rad]          torque on the part [N m]
+``signal``        value                none; one pin of a net sets it
+================  ===================  ==========================
+
+Linear laws are stamped into matrices by the assembler (:mod:`kc2spice.reference.assemble`). Every
+nonlinear or switched law is a :class:`Device`: smooth expressions within a *mode*, and guards whose
+zeros end the mode.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any, Protocol
+
+import numpy as np
+
+from kc2spice.core.errors import SimulationError, UsageError
+
+MECHANICAL = ("displacement", "rotation")
+GROUND = "gnd"
+
+
+@dataclass(frozen=True)
+class Pin:
+    """A named pin; one that is ``grounded`` lies on the reference where nothing else is joined."""
+
+    name: str
+    kind: str
+    grounded: bool = False
+
+
+class Law(Protocol):
+    """What all laws have in common."""
+
+    @property
+    def name(self) -> str:
+        """Name of the part."""
+        ...
+
+    @property
+    def pins(self) -> tuple[Pin, ...]:
+        """Pins in the order of the part."""
+        ...
+
+
+@dataclass(frozen=True)
+class Reading:
+    """A result by the integrator's waves: ``sum factor wave + constant``; ``terms`` are the pairs
+    ``(factor, wave)``. ``charge`` divides an ac result by ``j omega``: a current becomes a charge.
+    """
+
+    terms: tuple[tuple[float, str], ...]
+    constant: float = 0.0
+    charge: bool = False
+
+
+def reading(wave: str, factor: float = 1.0, constant: float = 0.0) -> Reading:
+    """``factor`` times one wave, plus ``constant``."""
+    return Reading(((factor, wave),), constant)
+
+
+def difference(plus: str, minus: str) -> Reading:
+    """One wave less another."""
+    return Reading(((1.0, plus), (-1.0, minus)))
+
+
+@dataclass(frozen=True)
+class Equations:
+    """The laws of a part and how they stand for it.
+
+    ``pins`` maps pins of the part to pins of the laws (``NAME.pin``); a pin that is missing has no
+    counterpart, because another one stands for it or because it feels nothing. Two pins of the part
+    may share a pin of a law: a netlist has a velocity and a displacement node where the law has one
+    coordinate. ``nets`` are pins of the laws that meet inside of the part. ``results`` maps the
+    part's results to waves, ``sweeps`` its keys that a dc analysis moves to the name of a source
+    and its value per SI unit of the key.
+    """
+
+    laws: tuple[Law, ...] = ()
+    pins: tuple[tuple[str, str], ...] = ()
+    results: dict[str, Reading] = field(default_factory=dict)
+    sweeps: dict[str, tuple[str, float]] = field(default_factory=dict)
+    nets: tuple[tuple[str, ...], ...] = ()
+
+
+class Waveform(Protocol):
+    """A function of time that is smooth between its corners."""
+
+    def value(self, t: Any) -> Any:
+        """Value at one time or an array of them."""
+        ...
+
+    def rate(self, t: Any, within: float, order: int = 1) -> Any:
+        """Time derivative at ``t``, of the smooth piece that holds the time ``within``."""
+        ...
+
+    def corners(self, stop: float) -> np.ndarray:
+        """Times up to ``stop`` where the derivative jumps."""
+        ...
+
+
+@dataclass(frozen=True)
+class Line:
+    """Straight lines through ``points`` ((t, value), ...), constant before and after.
+
+    Raises UsageError unless times increase strictly (edges take time).
+    """
+
+    points: tuple[tuple[float, float], ...]
+
+    def __post_init__(self) -> None:
+        times = np.array([t for t, _ in self.points])
+        if times.size == 0 or np.any(np.diff(times) <= 0.0):
+            raise UsageError("times of a waveform must increase strictly", got=times.tolist())
+
+    @classmethod
+    def constant(cls, value: float) -> Line:
+        """The same value at all times."""
+        return cls(((0.0, value),))
+
+    @cached_property
+    def knots(self) -> tuple[np.ndarray, np.ndarray]:
+        """Times and values of the points."""
+        times, values = np.array(self.points, dtype=float).T
+        return times, values
+
+    def value(self, t: Any) -> Any:
+        """Value at the times ``t``."""
+        return np.interp(t, *self.knots)
+
+    def rate(self, t: Any, within: float, order: int = 1) -> Any:
+        """Slope of the straight piece that holds ``within``, whatever ``t``."""
+        times, values = self.knots
+        k = int(np.searchsorted(times, within)) - 1
+        inside = 0 <= k < times.size - 1 and order == 1
+        slope = (values[k + 1] - values[k]) / (times[k + 1] - times[k]) if inside else 0.0
+        return slope + 0.0 * np.asarray(t)
+
+    def corners(self, stop: float) -> np.ndarray:
+        """All points up to ``stop``."""
+        times = self.knots[0]
+        return times[(times > 0.0) & (times < stop)] if times.size > 1 else np.empty(0)
+
+
+@dataclass(frozen=True)
+class Recorded:
+    """A smooth curve through ``values`` at ``times`` (n,) of cubics (Akima, J. ACM 17, 589, 1970).
+
+    Every 16th sample is a corner: no step of an integrator is longer than what was sampled
+    there, so that an event after a long rest is not stepped over.
+    """
+
+    times: np.ndarray
+    values: np.ndarray
+
+    @cached_property
+    def _curve(self) -> Any:
+        from scipy.interpolate import Akima1DInterpolator
+
+        return Akima1DInterpolator(self.times, self.values)
+
+    def value(self, t: Any) -> Any:
+        """Value at the times ``t``, constant before and after the samples."""
+        return self._curve(np.clip(t, self.times[0], self.times[-1]))
+
+    def rate(self, t: Any, within: float, order: int = 1) -> Any:
+        """Derivative at the times ``t``."""
+        return self._curve(np.clip(t, self.times[0], self.times[-1]), order)
+
+    def corners(self, stop: float) -> np.ndarray:
+        """Every 16th sample up to ``stop``."""
+        times = self.times[::16]
+        return times[(times > 0.0) & (times < stop)]
+
+
+@dataclass(frozen=True)
+class Sine:
+    """``offset + amplitude sin(2 pi frequency (t - start))`` from ``start`` on."""
+
+    amplitude: float
+    frequency: float
+    start: float = 0.0
+    offset: float = 0.0
+
+    @property
+    def pace(self) -> float:
+        """Largest step that cannot miss what the wave makes a guard do [s]."""
+        return 0.05 / self.frequency
+
+    def value(self, t: Any) -> Any:
+        """Value at the times ``t``."""
+        s = np.maximum(np.asarray(t) - self.start, 0.0)
+        return self.offset + self.amplitude * np.sin(2 * np.pi * self.frequency * s)
+
+    def rate(self, t: Any, within: float, order: int = 1) -> Any:
+        """Derivative at ``t``; zero before ``start``."""
+        w = 2 * np.pi * self.frequency
+        turned = np.sin(w * (np.asarray(t) - self.start) + 0.5 * np.pi * order)
+        return float(within > self.start) * self.amplitude * w**order * turned
+
+    def corners(self, stop: float) -> np.ndarray:
+        """The start."""
+        return np.array([self.start]) if 0.0 < self.start < stop else np.empty(0)
+
+
+@dataclass(frozen=True)
+class Port:
+    """A port of a :class:`LinearBody`: one column of B, one row of C.
+
+    Electrical: voltage in, charge out; ``ret`` names the pin of its return. Mechanical: force in,
+    displacement out. ``acceleration``: acceleration of the base in [m/s^2] (a signal pin), reaction
+    force out [N], seen in the wave ``NAME.PORT.reaction``.
+    """
+
+    name: str
+    kind: str
+    ret: str = ""
+
+
+@dataclass(frozen=True)
+class LinearBody:
+    """``M x'' + E x' + K x = B in``, ``out = C x + D in``.
+
+    ``M``, ``E``, ``K`` (n, n) or (n,) for diagonal ones; ``B`` (n, p), ``C`` (p, n), ``D`` (p, p).
+    A port with ``D`` must be electrical or have an own positive compliance.
+    """
+
+    name: str
+    M: np.ndarray
+    E: np.ndarray
+    K: np.ndarray
+    B: np.ndarray
+    C: np.ndarray
+    D: np.ndarray
+    ports: tuple[Port, ...]
+
+    @property
+    def pins(self) -> tuple[Pin, ...]:
+        return port_pins(self.ports)
+
+
+def port_pins(ports: tuple[Port, ...]) -> tuple[Pin, ...]:
+    """One pin a port, and the returns; accelerations, inputs and outputs are signals."""
+    found: list[Pin] = []
+    for port in ports:
+        kind = port.kind if port.kind in (*MECHANICAL, "electrical") else "signal"
+        found.append(Pin(port.name, kind))
+        if port.ret and port.ret not in {p.name for p in found}:
+            found.append(Pin(port.ret, kind, grounded=True))
+    return tuple(found)
+
+
+@dataclass(frozen=True)
+class SignalBlock:
+    """``E x' = A x + B u``, ``y = C x + D u`` from signals to signals."""
+
+    name: str
+    E: np.ndarray
+    A: np.ndarray
+    B: np.ndarray
+    C: np.ndarray
+    D: np.ndarray
+    inputs: tuple[str, ...]
+    outputs: tuple[str, ...]
+
+    @property
+    def pins(self) -> tuple[Pin, ...]:
+        return tuple(Pin(n, "signal") for n in (*self.inputs, *self.outputs))
+
+
+@dataclass(frozen=True)
+class Mass:
+    """A rigid mass [kg] on pin ``a``.
+
+    ``position`` and ``velocity`` start it there; None starts it where the rest of the system holds
+    it in equilibrium. ``gravity`` [m/s^2] pulls towards smaller displacements.
+    """
+
+    name: str
+    mass: float
+    gravity: float = 0.0
+    position: float | None = None
+    velocity: float = 0.0
+
+    @property
+    def pins(self) -> tuple[Pin, ...]:
+        return (Pin("a", "displacement"),)
+
+
+@dataclass(frozen=True)
+class TwoTerminal:
+    """``through = value d^order/dt^order`` of the voltage, or of the velocity, from ``a`` to ``b``.
+
+    ``order`` -1 stores energy by the integral (inductor, spring), 0 dissipates it (resistor,
+    damper), 1 stores it by the value itself (capacitor, inerter). ``value`` is in SI: 1/H, N/m,
+    1/Ohm, N s/m, F or kg.
+    """
+
+    name: str
+    order: int
+    value: float
+    kind: str = "electrical"
+
+    @property
+    def pins(self) -> tuple[Pin, ...]:
+        return (Pin("a", self.kind), Pin("b", self.kind, grounded=True))
+
+
+@dataclass(frozen=True)
+class Source:
+    """A prescribed quantity between ``out`` and ``ret``.
+
+    ``kind``: ``voltage`` [V], ``current`` [A] out of ``out``, ``force`` [N] on what is joined to
+    ``out``, ``displacement`` [m], ``acceleration``
+    [m/s^2] (a signal pin), ``signal``. ``ac`` is the complex amplitude of an ac analysis.
+    """
+
+    name: str
+    kind: str
+    wave: Waveform
+    ac: complex = 0.0
+
+    @property
+    def pins(self) -> tuple[Pin, ...]:
+        if self.kind in ("signal", "acceleration"):
+            return (Pin("out", "signal"),)
+        kind = "electrical" if self.kind in ("voltage", "current") else "displacement"
+        return (Pin("out", kind), Pin("ret", kind, grounded=True))
+
+
+@dataclass(frozen=True)
+class Sensor:
+    """Signal ``out = gain across(a)``."""
+
+    name: str
+    gain: float
+    kind: str
+
+    @property
+    def pins(self) -> tuple[Pin, ...]:
+        return (Pin("a", self.kind), Pin("out", "signal"))
+
+
+@dataclass(frozen=True)
+class Tap:
+    """An input of a device: across of ``pin`` less those of ``minus`` and ``less``, or its rate."""
+
+    pin: str
+    minus: str = ""
+    rate: bool = False
+    less: str = ""
+
+
+@dataclass(frozen=True)
+class Flow:
+    """An output of a device: a through quantity into it at ``pin``, out of it at ``minus``, and as
+    much at ``less``."""
+
+    pin: str
+    minus: str = ""
+    less: str = ""
+
+
+class Device(ABC):
+    """A nonlinear or switched law; subclasses are frozen dataclasses with a ``name``.
+
+    With the taps and then the own states as its inputs ``e`` (m,), in a mode that is any value::
+
+        out = [through of every flow, rate of every state's store, value of every signal it drives]
+        d/dt store(e) = rate,   store(e) = the states themselves unless said otherwise
+
+    Flows that are ``charged`` are the rates of further entries of ``store`` besides.
+    A mode lasts while every guard is positive.
+    """
+
+    name: str
+
+    @property
+    @abstractmethod
+    def pins(self) -> tuple[Pin, ...]:
+        """All pins."""
+
+    @property
+    @abstractmethod
+    def taps(self) -> tuple[Tap, ...]:
+        """What it sees."""
+
+    @property
+    def flows(self) -> tuple[Flow, ...]:
+        """What it exerts."""
+        return ()
+
+    @property
+    def charged(self) -> tuple[int, ...]:
+        """Places of the flows to which the rate of a stored quantity adds, such as a charge's."""
+        return ()
+
+    @property
+    def states(self) -> tuple[str, ...]:
+        """Names of its own states."""
+        return ()
+
+    @property
+    def drives(self) -> tuple[str, ...]:
+        """Signal pins that it sets."""
+        return ()
+
+    @property
+    def scales(self) -> tuple[float, ...]:
+        """Sizes of the states that errors are judged by."""
+        return (1.0,) * len(self.states)
+
+    @property
+    def affine(self) -> bool:
+        """Whether ``evaluate`` is affine in ``e`` and constant in time within a mode."""
+        return False
+
+    def initial(self, taps: np.ndarray) -> np.ndarray | None:
+        """States at the start (len(states),), given the taps then; None: those in equilibrium."""
+        return None
+
+    @abstractmethod
+    def evaluate(self, t: float, e: np.ndarray, mode: Any) -> tuple[np.ndarray, np.ndarray]:
+        """``out`` (k,) and its derivative (k, m) by ``e``."""
+
+    def store(self, e: np.ndarray, mode: Any = None) -> tuple[np.ndarray, np.ndarray]:
+        """Stored quantities (len(states) + len(charged),) and their derivatives by ``e``."""
+        k, m = len(self.states), len(e)
+        return e[m - k :], np.eye(k, m, m - k)
+
+    def small(self, s: complex, e: np.ndarray, mode: Any) -> tuple[np.ndarray, np.ndarray]:
+        """Derivatives of ``out`` (k, m) and of the store (len(states), m) for small signals
+        ``exp(s t)`` about ``e``; complex where they depend on the frequency."""
+        return self.evaluate(0.0, e, mode)[1], self.store(e, mode)[1]
+
+    def mode(self, t: float, e: np.ndarray, before: Any = None) -> Any:
+        """Mode at ``t``: the first one, or after one of its own corners or a switched guard."""
+        return None
+
+    def corners(self, stop: float) -> np.ndarray:
+        """Times at which the mode is asked for anew."""
+        return np.empty(0)
+
+    def guards(self, t: float, e: np.ndarray, mode: Any) -> np.ndarray:
+        """(g,) values that are positive within the mode."""
+        return np.empty(0)
+
+    def switch(self, mode: Any, guard: int) -> tuple[Any, str]:
+        """Mode after ``guard`` fell to zero, and the words of the event ('' keeps it quiet)."""
+        return mode, ""
+
+    def check(self, t: float, e: np.ndarray) -> None:  # noqa: B027 (most laws hold anywhere)
+        """Raise SimulationError where the inputs leave the law's range."""
+
+    def energy(self, e: np.ndarray, mode: Any) -> float:
+        """Energy stored [J]."""
+        return 0.0
+
+    def loss(self, t: float, e: np.ndarray, mode: Any) -> float:
+        """Power that it turns into heat [W]; negative for what it brings in from outside."""
+        return 0.0
+
+    def stores(self, first: np.ndarray, last: np.ndarray, mode: Any) -> float | None:
+        """Energy [J] that is stored between two instants of a mode where :meth:`loss` is all power
+        that comes in; None where it is that of heat."""
+        return None
+
+    @property
+    def extra(self) -> tuple[str, ...]:
+        """Names of further quantities to record as ``NAME.EXTRA``."""
+        return ()
+
+    def waves(self, t: float, e: np.ndarray, mode: Any) -> dict[str, float]:
+        """Their values."""
+        return {}
+
+
+def inside(value: float, low: float, high: float, side: int) -> tuple[float, float]:
+    """Guards of a clip: towards its low and its high limit while inside, back while outside."""
+    if side == 0:
+        return value - low, high - value
+    return (low - value, 1.0) if side < 0 else (1.0, value - high)
+
+
+MICRO = 1e-6  # m, in which displacements are balanced
+
+
+GROWING = 1e3  # 1/s, of a load on a body that is free to move
+
+
+@dataclass(frozen=True, eq=False)
+class Relation:
+    """``y = H a + free`` for the loads ``a`` (inputs,) and answers ``y`` (outputs,) of a body.
+
+    At rest, at one frequency, and within one stage of an implicit time step a linear body is this
+    and nothing else; ``free`` is then what its past makes it do.
+    """
+
+    H: np.ndarray
+    free: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class PortBody(Device):
+    """A linear model of any size by what it does at its ``ports``: its mode is a :class:`Relation`.
+
+    Loads are forces [N], voltages [V], accelerations and signals, in the order of the ports with a
+    column of B; answers are displacements [m], charges [C] and signals, in that of the rows of C.
+    Forces and currents are unknowns of the device, held by ``u = y(a)`` and ``dq(a)/dt = i``.
+
+    ``model`` has a ``pencil`` with ``transfer(s)``; the relation at rest and that at a frequency
+    are taken from it, those of time steps from whoever steps.
+    """
+
+    name: str
+    model: Any
+    ports: tuple[Port, ...]
+    known: dict[complex, np.ndarray] = field(default_factory=dict)
+
+    @cached_property
+    def _loads(self) -> tuple[Port, ...]:
+        return tuple(port for port in self.ports if port.kind != "output")
+
+    @cached_property
+    def _own(self) -> tuple[Port, ...]:
+        """Ports whose through quantity is an unknown."""
+        return tuple(p for p in self.ports if p.kind == "electrical" or p.kind in MECHANICAL)
+
+    @property
+    def pins(self) -> tuple[Pin, ...]:
+        return port_pins(self.ports)
+
+    @property
+    def taps(self) -> tuple[Tap, ...]:
+        return tuple(Tap(port.name, port.ret) for port in self._loads)
+
+    @property
+    def flows(self) -> tuple[Flow, ...]:
+        return tuple(Flow(port.name, port.ret) for port in self._own)
+
+    @property
+    def states(self) -> tuple[str, ...]:
+        return tuple(f"{port.name}.through" for port in self._own)
+
+    @property
+    def scales(self) -> tuple[float, ...]:
+        return (1e-3,) * len(self._own)
+
+    @property
+    def drives(self) -> tuple[str, ...]:
+        return tuple(port.name for port in self.ports if port.kind == "output")
+
+    @cached_property
+    def _maps(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """``a = load @ e``, ``charges = stored @ y`` and ``out = direct @ e + answered @ y``."""
+        n, k, drives = len(self._loads), len(self._own), len(self.drives)
+        rows = [port for port in self.ports if port.kind != "input"]
+        load, stored = np.zeros((n, n + k)), np.zeros((k, len(rows)))
+        direct, answered = np.zeros((2 * k + drives, n + k)), np.zeros((2 * k + drives, len(rows)))
+        direct[:k, n:] = np.eye(k)
+        for row, port in enumerate(self._loads):
+            force = port.kind in MECHANICAL
+            load[row, n + self._own.index(port) if force else row] = 1.0
+        for at, port in enumerate(self._own):
+            if port.kind == "electrical":
+                stored[at, rows.index(port)] = direct[k + at, n + at] = 1.0
+            else:
+                direct[k + at, self._loads.index(port)] = 1 / MICRO
+                answered[k + at, rows.index(port)] = -1 / MICRO
+        for at, name in enumerate(self.drives, 2 * k):
+            answered[at, [port.name for port in rows].index(name)] = 1.0
+        return load, stored, direct, answered
+
+    def loads(self, e: np.ndarray) -> np.ndarray:
+        """``a`` (inputs,) of the inputs ``e`` of the device."""
+        return self._maps[0] @ e
+
+    @cached_property
+    def at_rest(self) -> Relation:
+        """What it does to constant loads. A body that is free to move meets none (a scene with one
+        is refused): any finite answer holds it where it is, here that to a load that grows."""
+        try:
+            H = self.transfer(0.0)
+        except SimulationError:
+            H = self.known[0.0] = self.transfer(GROWING)
+        return Relation(H.real, np.zeros(len(H)))
+
+    def transfer(self, s: complex) -> np.ndarray:
+        """``H(s)`` (outputs, inputs), kept: copies of a body share it."""
+        if s not in self.known:
+            self.known[s] = self.model.pencil.transfer(np.array([s]))[0]
+        return self.known[s]
+
+    def mode(self, t: float, e: np.ndarray, before: Any = None) -> Relation:
+        return self.at_rest
+
+    def evaluate(self, t: float, e: np.ndarray, mode: Any) -> tuple[np.ndarray, np.ndarray]:
+        slope = self._slope(mode.H)
+        return slope @ e + self._maps[3] @ mode.free, slope
+
+    def _slope(self, H: np.ndarray) -> np.ndarray:
+        load, _, direct, answered = self._maps
+        return direct + answered @ H @ load
+
+    def store(self, e: np.ndarray, mode: Any = None) -> tuple[np.ndarray, np.ndarray]:
+        load, stored, _, _ = self._maps
+        slope = stored @ mode.H @ load
+        return slope @ e + stored @ mode.free, slope
+
+    def small(self, s: complex, e: np.ndarray, mode: Any) -> tuple[np.ndarray, np.ndarray]:
+        load, stored, _, _ = self._maps
+        H = self.transfer(s) if s else self.at_rest.H
+        return self._slope(H), stored @ H @ load
+
+
+@dataclass(frozen=True)
+class Pid(Device):
+    """``out = clip(kp e + I + kd d, -limit, limit)``, ``e = setpoint - (across(y) + offset)``.
+
+    ``d = (e - f) / rolloff``, ``f' = d`` is the rolled-off rate; ``I' = ki e`` while switched on
+    and not at the limit. Switched on and off at the times ``enable`` and ``disable``; 0 while off.
+    """
+
+    name: str
+    kp: float
+    ki: float
+    kd: float
+    rolloff: float
+    limit: float
+    setpoint: float
+    offset: float = 0.0
+    enable: tuple[float, ...] = (0.0,)
+    disable: tuple[float, ...] = ()
+    kind: str = "displacement"
+
+    taps = (Tap("y"),)
+    states = ("followed", "integral")
+    drives = ("out",)
+    affine = True
+    extra = ("error",)
+
+    @property
+    def pins(self) -> tuple[Pin, ...]:
+        return (Pin("y", self.kind), Pin("out", "signal"))
+
+    @property
+    def scales(self) -> tuple[float, ...]:
+        return (1e-6, 0.01 * self.limit)
+
+    def initial(self, taps: np.ndarray) -> np.ndarray:
+        return np.array([self._error(taps), 0.0])
+
+    def _error(self, e: np.ndarray) -> float:
+        return self.setpoint - self.offset - float(e[0])
+
+    def demand(self, e: np.ndarray) -> float:
+        """What it asks for before the limit."""
+        error = self._error(e)
+        return self.kp * error + e[2] + self.kd * (error - e[1]) / self.rolloff
+
+    def corners(self, stop: float) -> np.ndarray:
+        return np.array([t for t in (*self.enable, *self.disable) if 0.0 < t < stop])
+
+    def mode(self, t: float, e: np.ndarray, before: Any = None) -> tuple[bool, int]:
+        """On or off, and the sign of the limit that holds: -1, 0 or 1."""
+        last_on = max((s for s in self.enable if s <= t), default=-np.inf)
+        last_off = max((s for s in self.disable if s <= t), default=-np.inf)
+        on = last_on > last_off
+        demand = self.demand(e)
+        return on, (int(demand > self.limit) - int(demand < -self.limit) if on else 0)
+
+    def guards(self, t: float, e: np.ndarray, mode: Any) -> np.ndarray:
+        on, side = mode
+        return np.array(inside(self.demand(e), -self.limit, self.limit, side)) if on else np.ones(2)
+
+    def switch(self, mode: Any, guard: int) -> tuple[Any, str]:
+        on, side = mode
+        now = 0 if side else (1 if guard else -1)
+        return (on, now), f"out {'meets' if now else 'leaves'} its limit"
+
+    def evaluate(self, t: float, e: np.ndarray, mode: Any) -> tuple[np.ndarray, np.ndarray]:
+        on, side = mode
+        error = self._error(e)
+        out, jac = np.zeros(3), np.zeros((3, 3))
+        out[0] = (error - e[1]) / self.rolloff
+        jac[0, :2] = -1.0 / self.rolloff
+        if on and side == 0:
+            out[1], jac[1, 0] = self.ki * error, -self.ki
+            out[2] = self.demand(e)
+            jac[2] = -self.kp - self.kd / self.rolloff, -self.kd / self.rolloff, 1.0
+        elif on:
+            out[2] = side * self.limit
+        return out, jac
+
+    def waves(self, t: float, e: np.ndarray, mode: Any) -> dict[str, float]:
+        return {"error": self._error(e)}
