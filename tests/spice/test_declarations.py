@@ -14,12 +14,16 @@ import pytest
 import kc2spice as kc
 from kc2spice.core.foreign import parse_toml
 from kc2spice.netlist.expression import Number
-from kc2spice.netlist.translate import dialect_files
+from kc2spice.netlist.translate import dialect_files, translate_text
+from kc2spice.parts.contact import contact_subcircuit
 from kc2spice.parts.two_terminal_types import TABLE
-from kc2spice.physics import cards, law
+from kc2spice.physics import cards, contact, law
+from kc2spice.physics.contact import Normal, contact_law
+from kc2spice.physics.expression import times
 from kc2spice.physics.part import DeclaredPart
 from kc2spice.scene.load import load_scene
 from kc2spice.scene.parttype import Build, part_types
+from kc2spice.spice.header import Header
 
 DECLARED = {n: kind for n, kind in part_types().items() if isinstance(kind, DeclaredPart)}
 DIALECTS = ("ngspice", "xyce", "ltspice", "verilog-a")
@@ -37,8 +41,8 @@ def quad(f, x):
     return sum(w * f(x * (n + 1) / 2) for n, w in zip(nodes, weights, strict=True)) * x / 2
 
 
-def positive(_, x):
-    return x if np.real(x) > 0 else 0.0 * x
+def positive(floor, x):
+    return x if np.real(x) > floor else floor + 0.0 * x
 
 
 def stated(text, values):
@@ -110,6 +114,8 @@ class Network:
                 case "B":
                     kind, _, value = line.split(None, 3)[3].partition("=")
                     self.parts.append((kind, name, a, b, value.strip("{}")))
+                case "I":
+                    self.parts.append(("I", name, a, b, rest[0].strip("{}")))
                 case "R":
                     self.parts.append(("I", name, a, b, f"{across}/({rest[0].strip('{}')})"))
                 case "C":
@@ -150,6 +156,7 @@ class Network:
     def evaluated(self, values):
         """Currents, charges and voltages of all sources where unknowns are ``values``."""
         known = {**self.values, "max": positive, "exp": np.exp, "ln": np.log, "sqrt": np.sqrt}
+        known["min"] = lambda a, b: b if np.real(b) < a else a + 0.0 * b
 
         def V(*nodes):
             return values[nodes[0]] - (values[nodes[1]] if nodes[1:] else 0.0)
@@ -365,6 +372,89 @@ def test_the_law_is_what_is_stated(name):
     assert worst_slope(name) < 1e-12
 
 
+# --- contacts, whose declaration depends on the scene ---------------------------------------------
+
+GAPS = np.array([0.0, 2e-7])
+CURVE = (1.0, 0.2, -0.1, 0.1, 0.0, 0.1)
+NORMALS = {
+    "linear": Normal(4e8), "hertz": Normal(1e10, 1.5), "damped": Normal(1e7, damping=0.5),
+    "dry": Normal(1e10, 1.5, damping=0.5, friction=0.3, creep=1e-3),
+    "pressure": Normal(1e9, 1.5, curve=CURVE, depth=1e-5, pace=1e-8, radius=1e-3),
+}  # fmt: skip
+
+
+def touching(normal, count=20):
+    """Random overlaps of two ports, their rates and the speed of sliding, and the forces there."""
+    rng = np.random.default_rng(3)
+    for _ in range(count):
+        x, rate = rng.uniform(-1e-6, 3e-6, 2), rng.uniform(-5.0, 5.0, 2)
+        slide, deep = rng.uniform(-3e-3, 3e-3), np.maximum(x, 0.0)
+        if normal.pace:
+            deep = np.maximum(x + normal.pace * rate, 0.0)
+        root = np.sqrt(deep / normal.depth)
+        force = normal.stiffness * deep**normal.power * np.polyval(normal.curve[::-1], root)
+        force = force * np.maximum(0.0, 1.0 + normal.damping * rate)
+        drag = normal.friction * force.sum() * np.clip(slide / normal.creep, -1, 1)
+        yield x, rate, slide, [*force, *([drag] if normal.friction else [])]
+
+
+def worst_cards(kind, dialect):
+    """Largest difference of a contact's printed forces from its law, relative to the largest; at
+    rest where they follow with a lag, whose square of time the cards leave out."""
+    normal, made = NORMALS[kind], Header("law", "0")
+    part = contact_subcircuit(made, ("p", "q"), GAPS, normal, rigid=(False, False))
+    text = part.text
+    if dialect == "verilog-a":
+        (text,) = dialect_files(None, [part], dialect).values()
+    elif dialect != "ngspice":
+        text = translate_text(text, part.filename, dialect)
+    values = {p.name: p.default for p in part.params}
+    if normal.radius:  # the network has no lags
+        normal = replace(normal, pace=0.0)
+    network, errors = Network(text, values), []
+    for x, rate, slide, wanted in touching(normal):
+        still = 0.0 if normal.radius else 1.0
+        drives = {"base": 0.0, "b": 3.0, "rail": 0.2, "slide": 0.2}
+        drives |= {"p": 3.0 + 1e6 * (x[0] + GAPS[0]), "q": 3.0 + 1e6 * (x[1] + GAPS[1])}
+        rates = {**dict.fromkeys(drives, 0.0), "b": 1e5 * still, "slide": 1e6 * slide}
+        rates |= {"p": still * (1e5 + 1e6 * rate[0]), "q": still * (1e5 + 1e6 * rate[1])}
+        answers = network.answers(drives, rates)
+        found = [answers[f"I pin {pin}"] for pin in ("p", "q", "slide")]
+        size = max(map(abs, wanted)) or 1.0
+        errors += [abs(a - b) / size for a, b in zip(found, wanted, strict=False)]
+    return max(errors)
+
+
+CARDS = [(kind, d) for kind in NORMALS for d in DIALECTS if (kind, d) != ("dry", "verilog-a")]
+
+
+@pytest.mark.parametrize(("kind", "dialect"), CARDS)  # a module has no friction, which is refused
+def test_the_cards_of_a_contact_are_its_law(kind, dialect):
+    assert worst_cards(kind, dialect) < 1e-8
+
+
+@pytest.mark.parametrize("kind", NORMALS)
+def test_the_law_of_a_contact_is_what_is_stated(kind):
+    normal = NORMALS[kind]
+    own = contact_law("law", ("p", "q"), normal, GAPS)
+    for x, rate, slide, wanted in touching(normal):
+        known = {"p": x[0] + GAPS[0], "q": x[1] + GAPS[1], "slide": 0.0}
+        speeds = {"p": rate[0], "q": rate[1], "slide": slide}
+        e = np.array([(speeds if tap.rate else known)[tap.pin] for tap in own.taps])
+        mode = own.mode(0.0, e)
+        out, by = own.evaluate(0.0, e, mode)
+        np.testing.assert_allclose(out, wanted, rtol=1e-12, atol=1e-12)
+        exact = [np.imag(own._out(*(e + 1j * H * unit), *mode, *own.values)[: len(out)]) / H
+                 for unit in np.eye(e.size)]  # fmt: skip
+        np.testing.assert_allclose(by, np.array(exact).T, rtol=1e-12, atol=1e-12)
+        moving = np.array([0.0 if tap.rate else speeds[tap.pin] for tap in own.taps])
+        rise = np.imag(own._energies(*(e + 1j * H * moving), *mode, *own.values)[0]) / H
+        brought = sum(f * speeds[flow.pin] for f, flow in zip(out, own.flows, strict=True))
+        lost = own.loss(0.0, e, mode)
+        assert abs(brought - rise - lost) <= 1e-12 * (abs(brought) + abs(rise) + abs(lost))
+        assert normal.pace or lost >= -1e-12 * abs(brought)
+
+
 # --- that all this can fail ----------------------------------------------------------------------
 
 
@@ -395,6 +485,17 @@ def test_a_lost_term_of_a_derivative_is_seen(monkeypatch):
     monkeypatch.setattr(law, "derivative", lambda tree, name: Number("0"))
     monkeypatch.setattr(part_types()["cubic_spring"], "declaration", fresh)
     assert worst_slope("cubic_spring") > 0.1
+
+
+def test_a_wrong_force_of_a_contact_is_seen(monkeypatch):
+    def wrong(tree, name):
+        return times(Number("1.00001"), law.derivative(tree, name))
+
+    contact._laws.cache_clear()
+    with monkeypatch.context() as patch:
+        patch.setattr(contact, "derivative", wrong)
+        assert worst_cards("hertz", "xyce") > 1e-6
+    contact._laws.cache_clear()
 
 
 def test_energy_that_is_made_is_seen(monkeypatch):
