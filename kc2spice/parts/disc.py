@@ -18,7 +18,7 @@ from dataclasses import replace
 from itertools import accumulate, chain, pairwise
 from typing import Any, Literal
 
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from kc2spice.bodies.blocks import Block, Bonded, Box, depoling_voltage
 from kc2spice.core.errors import UsageError
@@ -56,6 +56,21 @@ class Layer(Section):
     poling: Literal["up", "down"] = Field("up", description="of a ceramic")
     quality: Ratio | None = Field(None, gt=0, description="for damping.per_material")
 
+    @model_validator(mode="after")
+    def _possible(self) -> Layer:
+        largest, ring = self.electrodes or self.diameter, self.feedback
+        if largest > self.diameter * (1 + 1e-9):
+            raise ValueError(f"electrodes larger than the layer of {self.diameter:g} m")
+        if ring is not None:
+            inner, outer = ring.inner / 2 - ring.gap, ring.outer / 2 + ring.gap
+            filled = inner <= 0 and outer >= largest / 2
+            if filled or not ring.inner < ring.outer <= largest:
+                raise ValueError(
+                    "no room for the feedback electrode: inner < outer, within the electrode of "
+                    f"{largest:g} m, some of it left"
+                )
+        return self
+
 
 class Node(Section):
     """A knife edge under the body."""
@@ -79,6 +94,15 @@ class DiscKeys(FieldKeys):
     damping: Damping = Damping()
     mesh: Mesh = Mesh()
 
+    @model_validator(mode="after")
+    def _possible(self) -> DiscKeys:
+        widest, top = max(x.diameter for x in self.layers), self.layers[-1].diameter
+        if isinstance(self.support, Node) and self.support.node > widest:
+            raise ValueError(f"support: the node lies outside the body of {widest:g} m")
+        if self.centre is not None and self.centre > top * (1 + 1e-9):
+            raise ValueError(f"centre: the port is wider than the top layer of {top:g} m")
+        return self
+
 
 def structure(keys: DiscKeys | Mapping[str, Any], where: str = "disc") -> Bonded:
     """The layers with electrodes, support and port.
@@ -98,13 +122,14 @@ def structure(keys: DiscKeys | Mapping[str, Any], where: str = "disc") -> Bonded
             ring = _face(layer.feedback.inner / 2, layer.feedback.outer / 2, piece.box[1][1])
             electrodes.setdefault("feedback", []).append(ring)
     top, across = pieces[-1].box[1][1], max(layer.diameter for layer in disc.layers)
+    patch = disc.centre or min(top, disc.layers[-1].diameter)
     stack = [(p.material, x.thickness) for x, p in zip(disc.layers, pieces, strict=True)]
     return Bonded(
         pieces,
         electrodes,
         conductors[1:-1] if series else (),
-        {"centre": _centre(disc, top, where)},
-        _supports(disc, pieces, across / 2, where),
+        {"centre": _face(0.0, patch / 2, top)},
+        _supports(disc, pieces, across / 2),
         size=max(top, across) / (2 * _CELLS),
         refine=disc.mesh.refine,
         damping=disc.damping,
@@ -126,13 +151,6 @@ def _blocks(disc: DiscKeys, where: str) -> list[Block]:
         if layer.electrodes is not None and not one.piezoelectric:
             problem = "an electrode on a material that is not piezoelectric"
             raise UsageError(problem, where=here, got=one.name)
-        if layer.electrodes is not None and layer.electrodes > layer.diameter * (1 + 1e-9):
-            raise UsageError(
-                "electrodes larger than the layer",
-                where=f"{here}.electrodes",
-                got=f"{layer.electrodes:g} m",
-                expected=f"at most {layer.diameter:g} m",
-            )
         poled = one.poled((0, 0, 1 if layer.poling == "up" else -1))
         quality = layer.quality or one.quality
         poled = replace(poled, name=f"layers[{i}] ({one.name})", quality=quality)
@@ -179,50 +197,21 @@ def _plane(disc: DiscKeys, ceramic: list[int], height: float, below: int, where:
     if ring is None:
         return [_face(0.0, radius, height)]
     inner, outer = ring.inner / 2 - ring.gap, ring.outer / 2 + ring.gap
-    if not ring.inner < ring.outer <= 2 * radius or (inner <= 0 and outer >= radius):
-        raise UsageError(
-            "no room for the feedback electrode",
-            where=f"{where}.layers.{below}.feedback",
-            got=f"{ring.inner:g} to {ring.outer:g} m, gap {ring.gap:g} m",
-            expected=f"inner < outer, within the electrode of {2 * radius:g} m, some of it left",
-        )
     return [_face(*pair, height) for pair in ((0.0, inner), (outer, radius)) if pair[0] < pair[1]]
 
 
-def _supports(
-    disc: DiscKeys, pieces: list[Block], radius: float, where: str
-) -> list[tuple[str, Box]]:
+def _supports(disc: DiscKeys, pieces: list[Block], radius: float) -> list[tuple[str, Box]]:
     if disc.support == "free":
         return []
     if isinstance(disc.support, Node):
         r = disc.support.node / 2
-        lowest = next((piece.box[1][0] for piece in pieces if piece.box[0][1] >= r), None)
-        if lowest is None:
-            raise UsageError(
-                "the node lies outside the body",
-                where=f"{where}.support.node",
-                got=f"{2 * r:g} m",
-                expected=f"at most {2 * radius:g} m",
-            )
+        lowest = next(piece.box[1][0] for piece in pieces if piece.box[0][1] >= r)
         return [("z", _face(r, r, lowest))]
     rim = [piece.box[1] for piece in pieces if piece.box[0][1] >= radius * (1 - 1e-9)]
     z = rim[0][0], rim[-1][1]
     if disc.support == "clamped":
         return [("xz", ((radius, radius), z))]
     return [("z", _face(radius, radius, sum(z) / 2))]
-
-
-def _centre(disc: DiscKeys, height: float, where: str) -> Box:
-    smallest = disc.layers[-1].diameter
-    diameter = disc.centre or min(height, smallest)
-    if diameter > smallest * (1 + 1e-9):
-        raise UsageError(
-            "the centre port is wider than the top layer",
-            where=f"{where}.centre",
-            got=f"{diameter:g} m",
-            expected=f"at most {smallest:g} m",
-        )
-    return _face(0.0, diameter / 2, height)
 
 
 class Disc(BondedBody):

@@ -89,6 +89,24 @@ class LangevinKeys(FieldKeys):
     damping: Damping = Damping()
     mesh: Mesh = Mesh()
 
+    @model_validator(mode="after")
+    def _fits(self) -> LangevinKeys:
+        bolt, inner, masses = self.bolt, self.rings.inner, (*self.front, *self.back)
+        depth, head = bolt.depth or self.front[0].length, bolt.head_diameter or math.inf
+        wrong = {
+            "bolt.diameter: the bolt does not pass through the rings": bolt.diameter >= inner,
+            "bolt.diameter: the bolt is thicker than a mass": bolt.diameter
+            >= min(step.diameter for step in masses),
+            "bolt.depth: the bolt reaches through the front mass": depth
+            > sum(step.length for step in self.front) * (1 + 1e-9),
+            "rings.inner: a mass falls through the rings": inner
+            >= min(self.front[0].diameter, self.back[0].diameter),
+            "bolt.head_diameter: the head is no wider than the bolt": head <= bolt.diameter,
+        }
+        if found := [problem for problem, holds in wrong.items() if holds]:
+            raise ValueError(found[0])
+        return self
+
 
 def structure(keys: LangevinKeys | Mapping[str, Any], where: str = "langevin") -> Bonded:
     """The pieces with electrodes, support and ports.
@@ -98,7 +116,6 @@ def structure(keys: LangevinKeys | Mapping[str, Any], where: str = "langevin") -
     UsageError : a key is wrong, or the parts do not fit into one another.
     """
     body = validated(LangevinKeys, keys, where)
-    _require_fit(body, where)
     pieces, rings = _blocks(body, where), body.rings
     heights = [height for piece in pieces for height in piece.box[1]]
     bottom, top = min(heights), max(heights)
@@ -119,28 +136,6 @@ def structure(keys: LangevinKeys | Mapping[str, Any], where: str = "langevin") -
         rated=depoling_voltage([(pieces[0].material, rings.thickness)]),
         where=where,
     )
-
-
-def _require_fit(body: LangevinKeys, where: str) -> None:
-    depth = body.bolt.depth or body.front[0].length
-    narrowest = min(step.diameter for step in (*body.front, *body.back))
-    thick, inner, head = body.bolt.diameter, body.rings.inner, body.bolt.head_diameter or math.inf
-    length = sum(step.length for step in body.front)
-    beside = min(body.front[0].diameter, body.back[0].diameter)
-    for wrong, key, got, message in (
-        (thick >= inner, "bolt.diameter", thick, "the bolt does not pass through the rings"),
-        (thick >= narrowest, "bolt.diameter", thick, "the bolt is thicker than a mass"),
-        (
-            depth > length * (1 + 1e-9),
-            "bolt.depth",
-            depth,
-            "the bolt reaches through the front mass",
-        ),
-        (beside <= inner, "rings.inner", inner, "a mass falls through the rings"),
-        (head <= thick, "bolt.head_diameter", head, "the head is no wider than the bolt"),
-    ):
-        if wrong:
-            raise UsageError(message, where=f"{where}.{key}", got=f"{got:g} m")
 
 
 def _blocks(body: LangevinKeys, where: str) -> list[Block]:

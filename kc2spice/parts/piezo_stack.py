@@ -87,6 +87,12 @@ class Drive(Section):
     period: Time | None = Field(None, gt=0, description="of a train of pulses")
     count: Count | None = Field(None, ge=1, description="pulses of a train; without end if absent")
 
+    @model_validator(mode="after")
+    def _edges(self) -> Drive:
+        if self.edge > self.width:
+            raise ValueError("the edges of the pulse are longer than the pulse: edge above width")
+        return self
+
     @property
     def waveform(self) -> Waveform:
         """The pulse as a function of time."""
@@ -118,6 +124,17 @@ class Stack(Chip, FieldKeys):
         if not short or "harmonic" in short or data.get("electrical", "driven") != "driven":
             return data
         return {"drive": {}, **data}
+
+    @model_validator(mode="after")
+    def _possible(self) -> Stack:
+        if self.fields and (self.mesh.order != 1 or self.mesh.layers_per_element != 1):
+            raise ValueError(
+                "fields need linear elements of one layer each: mesh.order = 1, "
+                "mesh.layers_per_element = 1"
+            )
+        if self.driver and self.electrical != "driven":
+            raise ValueError('a driver, but electrodes that are not driven: electrical = "driven"')
+        return self
 
 
 class PiezoStack(MeshedBody):
@@ -161,8 +178,15 @@ class PiezoStack(MeshedBody):
 
     def problems(self, part: Part, scene: Scene) -> Iterator[UsageError]:
         yield from super().problems(part, scene)
-        yield from _problems(part, scene)
-        keys, name = part.keys, part.name
+        keys, name, drive = part.keys, part.name, part.keys.drive
+        transient = scene.analysis.type == "transient"
+        if keys.mounting == "free" and scene.of("contact") and transient:
+            problem = "nothing holds the chip under what rests on it"
+            yield part.wrong("mounting", problem, "free", "roller, glued or a stiffness per area")
+        if drive and keys.electrical == "driven" and transient and drive.start >= scene.stop:
+            expected = f"before the end of the simulation, {scene.stop:g} s"
+            problem = "the kick starts after the simulation ends"
+            yield part.wrong("drive.start", problem, f"{drive.start:g} s", expected)
         made = "multilayer ceramics are sintered from 0.1 mm to 0.1 m"
         wide = "side" if keys.diameter is None else "diameter"
         yield from within(f"{name}.{wide}", 2 * max(keys.half), "m", 1e-4, 0.1, made)
@@ -170,9 +194,9 @@ class PiezoStack(MeshedBody):
         layer = keys.height / keys.layers
         tape = "ceramic tape is cast from 1 um to some millimetres; height over layers"
         yield from within(f"{name}.layers", layer, "m a layer", 1e-6, 5e-3, tape)
-        if keys.drive is not None and keys.driver is None:
-            field = abs(keys.drive.voltage) / layer
-            why = f"{keys.drive.voltage:g} V across {layer:.3g} m; the ceramic breaks down"
+        if drive is not None and keys.driver is None:
+            field = abs(drive.voltage) / layer
+            why = f"{drive.voltage:g} V across {layer:.3g} m; the ceramic breaks down"
             yield from within(f"{name}.drive.voltage", field, "V/m", 0.0, 2e7, why)
 
     def surface(self, part: Part, scene: Scene, ports: tuple[str, ...] = ()) -> Surface:
@@ -455,38 +479,6 @@ def top_material(keys: Chip) -> Material:
     if keys.top_cap is not None and keys.top_cap.material is not None:
         return material(keys.top_cap.material, "top_cap.material")
     return keys.ceramic
-
-
-def _problems(part: Part, scene: Scene) -> Iterator[UsageError]:
-    keys, drive = part.keys, part.keys.drive
-    outermost, half = keys.mesh.rings * keys.mesh.ring_spacing, min(keys.half)
-    if outermost >= half:
-        problem = f"the outermost of {keys.mesh.rings} contact rings lies beyond the chip"
-        expected = f"less than half the chip's smaller side, {half:g} m"
-        yield part.wrong("mesh.ring_spacing", problem, f"ring radius {outermost:g} m", expected)
-    if keys.mounting == "free" and scene.of("contact") and scene.analysis.type == "transient":
-        problem = "nothing holds the chip under what rests on it"
-        yield part.wrong("mounting", problem, "free", "roller, glued or a stiffness per area")
-    order, several = keys.mesh.order, keys.mesh.layers_per_element
-    if keys.fields and (order != 1 or several != 1):
-        problem = "fields need linear elements of one layer each"
-        got = f"order {order}, layers_per_element {several}"
-        yield part.wrong("mesh", problem, got, "order = 1, layers_per_element = 1")
-    if keys.driver and keys.electrical != "driven":
-        expected = f"{part.name}.electrical = 'driven'"
-        problem = "the chip's electrodes are not driven"
-        yield part.wrong("driver", problem, keys.electrical, expected)
-    if drive is None:
-        return
-    if drive.edge > drive.width:
-        problem = "the edges of the pulse are longer than the pulse"
-        expected = f"at most {part.name}.drive.width, {drive.width:g} s"
-        yield part.wrong("drive.edge", problem, f"{drive.edge:g} s", expected)
-    late = scene.analysis.type == "transient" and drive.start >= scene.stop
-    if keys.electrical == "driven" and late:
-        expected = f"before the end of the simulation, {scene.stop:g} s"
-        problem = "the kick starts after the simulation ends"
-        yield part.wrong("drive.start", problem, f"{drive.start:g} s", expected)
 
 
 def _dents(part: Part, shape: PressureBasis) -> LocalCompliance:

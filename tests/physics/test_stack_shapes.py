@@ -141,7 +141,7 @@ def test_impossible_stacks_are_refused(keys, says):
 
 def test_rings_must_fit_the_smaller_side():
     with pytest.raises(UsageError, match="smaller side"):
-        stack(side=3e-3, depth=0.2e-3, mesh={**SMALL, "rings": 3})
+        validated(Chip, {"depth": 0.2e-3, "mesh": {**SMALL, "rings": 3}}, "stack")
 
 
 def test_a_stack_that_nothing_holds_is_reduced_as_one():

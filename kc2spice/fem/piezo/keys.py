@@ -38,6 +38,12 @@ class ChipMesh(Section):
         1, ge=1, le=100, description="at most, in elements that grow with their depth below the top"
     )
 
+    @model_validator(mode="after")
+    def _even(self) -> ChipMesh:
+        if self.sectors % 2:
+            raise ValueError("sectors: no mesh line meets the chip's corner, give an even number")
+        return self
+
 
 class ChipDamping(Damping):
     """The ratio is met at a frequency of the paper's chip unless ``at`` says another."""
@@ -100,6 +106,12 @@ class Chip(Section):
             if "height" in self.model_fields_set and not math.isclose(height, self.height):
                 raise ValueError("give height or layer_thickness; height is layers times it")
             object.__setattr__(self, "height", height)
+        outermost, half = self.mesh.rings * self.mesh.ring_spacing, min(self.half)
+        if outermost > half * (1 - 1e-6):
+            raise ValueError(
+                f"mesh.rings: a contact ring of radius {outermost:g} m lies beyond the chip, half "
+                f"of whose smaller side is {half:g} m"
+            )
         if self.poling == "x" and self.mounting in ("roller", "free"):
             raise ValueError('a stack that shears needs a mounting that holds it: "glued"')
         try:

@@ -16,7 +16,6 @@ from dataclasses import dataclass
 import numpy as np
 from skfem import MeshHex1, MeshHex2
 
-from kc2spice.core.errors import UsageError
 from kc2spice.fem.piezo.keys import Cap, Chip
 from kc2spice.linalg.memory import require_bytes
 
@@ -58,10 +57,8 @@ def kick_mesh(kick: Chip) -> KickMesh:
 
     Raises
     ------
-    UsageError : the rings do not fit on the chip, no mesh line would meet its corner, or the factor
-        of its stiffness would not fit into the memory that is free now.
+    UsageError : the factor of its stiffness would not fit into the memory that is free now.
     """
-    _check(kick)
     _require_memory(kick)
     steps = kick.mesh.refine * kick.mesh.order
     lattice = _in_plane(kick, steps)
@@ -129,25 +126,6 @@ def cap_layers(kick: Chip, cap: Cap | None) -> int:
     if cap is None:
         return 0
     return int(np.clip(np.ceil(cap.thickness * kick.layers / kick.height - 1e-9), 2, 16))
-
-
-def _check(kick: Chip) -> None:
-    mesh, half = kick.mesh, min(kick.half)
-    if mesh.rings * mesh.ring_spacing > half * (1 - 1e-6):
-        raise UsageError(
-            "contact ring beyond the chip",
-            where="kick.mesh",
-            got=f"outermost ring radius {mesh.rings * mesh.ring_spacing:g} m",
-            expected=f"less than half the smaller side, {half:g} m",
-            hint="lower kick.mesh.rings or kick.mesh.ring_spacing",
-        )
-    if mesh.sectors % 2:
-        raise UsageError(
-            "no mesh line meets the chip's corner",
-            where="kick.mesh.sectors",
-            got=mesh.sectors,
-            expected="an even number",
-        )
 
 
 def _require_memory(kick: Chip) -> None:
