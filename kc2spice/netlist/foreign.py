@@ -26,8 +26,8 @@ from kc2spice.core.foreign import name_threat, plain_name, read_bounded
 from kc2spice.netlist.cards import comment
 from kc2spice.netlist.read import OPTION_CARDS, Statement, split_comment, statements
 
-LARGEST = 4_000_000  # bytes of one file, and characters of the whole text
-MOST = 64  # files of one circuit
+MOST_BYTES = 4_000_000  # bytes of one file, and characters of the whole text
+MOST_FILES = 64  # files of one circuit
 # The simulator takes any word that begins like this, behind blanks or not.
 _INCLUDE = re.compile(r"(?i)\s*\.inc\S*(.*)", re.DOTALL)
 _TARGET = re.compile(r"\"([^\"]*)\"|'([^']*)'|([^\s\"']+)")
@@ -139,19 +139,19 @@ class _Reader:
 
     def _text(self, name: str, real: Path, where: str) -> str:
         self.files += 1
-        if self.files > MOST:
-            expected = f"at most {MOST}"
+        if self.files > MOST_FILES:
+            expected = f"at most {MOST_FILES}"
             raise UsageError("includes too many files", where=str(self.main), expected=expected)
         if self._forbidden(real):
             message = "the include leads out of the circuit's directory"
             raise UsageError(message, where=where, got=name)
         try:
-            data = read_bounded(real, LARGEST - self.size)
+            data = read_bounded(real, MOST_BYTES - self.size)
             self.size += len(data)
             return _decoded(data).replace("\r\n", "\n").replace("\r", "\n")
         except (OSError, ValueError) as error:
             reason = getattr(error, "strerror", None) or str(error)
-            expected = f"a text file, at most {LARGEST} bytes with all that it includes"
+            expected = f"a text file, at most {MOST_BYTES} bytes with all that it includes"
             raise UsageError(
                 "cannot include this", where=where, got=f"{name}: {reason}", expected=expected
             ) from None
@@ -188,7 +188,7 @@ def _canonical(raw: str, goes_on: bool) -> tuple[str, bool]:
 
 def _readable(path: Path) -> bool:
     try:
-        return path.is_file() and path.stat().st_size <= LARGEST
+        return path.is_file() and path.stat().st_size <= MOST_BYTES
     except OSError:  # a name too long, a directory that is closed
         return False
 

@@ -185,7 +185,7 @@ def project(deck: Deck) -> dict[str, str]:
     for net in (net for net in once if once[net] == 1 and net not in GROUND):
         named = {"Reference": f"TP{len(items) + 1}", "Value": net}
         items.append(_placed(plain["PROBE"], plain["PROBE"].fields | named, (net,)))
-    title = deck.files[deck.main].partition("\n")[0].lstrip("* ").removeprefix(f"{deck.name}: ")
+    title = deck.title.removeprefix(f"{deck.name}: ")
     sources = {e.key: _reference(e.name) for e in top.elements}
     commands = [
         " ".join(_renamed(word, sources) for word in Printer().card(card).split())
