@@ -30,23 +30,6 @@ class BlockModel:
     C: np.ndarray
     D: np.ndarray
 
-    @property
-    def states(self) -> int:
-        """Number of first-order states."""
-        return int(self.B.shape[0])
-
-    def response(self, frequency: np.ndarray) -> np.ndarray:
-        """``H(j 2 pi f)``, (frequencies, outputs, inputs) complex."""
-        total = np.broadcast_to(self.D.astype(complex), (len(frequency), *self.D.shape))
-        start = 0
-        for block in self.blocks:
-            rows = slice(start, start + len(block))
-            start += len(block)
-            s = 2j * np.pi * np.asarray(frequency)[:, None, None]
-            right = np.broadcast_to(self.B[rows], (len(s), len(block), self.B.shape[1]))
-            total = total + self.C[:, rows] @ np.linalg.solve(s * np.eye(len(block)) - block, right)
-        return np.asarray(total)
-
 
 def block_model(model: LinearModel, *, dense: bool = False) -> BlockModel:
     """The reduced model in decoupled blocks, or as one block if ``dense``.

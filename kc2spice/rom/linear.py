@@ -309,12 +309,6 @@ class LinearModel:
         self.pencil.share(found.pencil)
         return found
 
-    def with_facts(self, facts: Mapping[str, float]) -> LinearModel:
-        """The same model with these facts."""
-        found = replace(self, facts=facts)
-        self.pencil.share(found.pencil)
-        return found
-
     def __repr__(self) -> str:
         form = "first" if self.first_order else "second"
         ports = ", ".join(f"{p.name} [{p.across}]" for p in self.ports)

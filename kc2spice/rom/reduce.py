@@ -15,6 +15,7 @@ the subspace model's own error in the full model.
 
 from __future__ import annotations
 
+import time
 import warnings
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -39,6 +40,7 @@ from kc2spice.rom.response import (
     around,
     grid,
     inexact,
+    relative_error,
     telling,
 )
 from kc2spice.rom.structure import FORM, Structure, structure
@@ -64,6 +66,7 @@ TAIL_DECAY = 4  # power of the fall of the tail's weight: contact forces are smo
 # launch within 2.7e-4; with weights of at most 1e-2 21 states at 2e-7 are up to 9e-4 off.
 TAIL_WEIGHTS = 4e-3, 5e-2
 TAIL_PER_ROOT = 120.0  # per root of the tolerance, as errors go with its square
+EXACT, CHECKS = 1e-10, 10  # error of a surrogate, and direct solutions that measure it
 
 
 def reduce(
@@ -542,3 +545,42 @@ def _principal(columns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         columns = np.asarray(np.linalg.qr(columns.T, mode="r")).T
     U, size, _ = np.linalg.svd(columns, full_matrices=False)
     return U, size
+
+
+@dataclass(frozen=True)
+class Surrogate:
+    """A small ``model`` that equals a full one within ``error``, the largest of ``solved`` direct
+    solutions of ``seconds`` each."""
+
+    model: LinearModel
+    error: float
+    solved: int
+    seconds: float
+
+
+def surrogate(model: LinearModel, band: tuple[float, float], *, blocks: int = 10) -> Surrogate:
+    """A projected model that equals the full one over ``band``, and its largest measured error.
+
+    The basis is built at s = 0 alone; ``CHECKS`` direct solutions of the full model, spread over
+    the band so that none repeats a sampling frequency, are compared in all port pairs.
+
+    Raises
+    ------
+    SimulationError : the largest relative error exceeds ``EXACT``; solve directly instead.
+    """
+    small = reduce(model, order=blocks * len(model.inputs), band=band)
+    golden = (np.sqrt(5) - 1) / 2  # never a rational fraction of the band
+    frequency = band[0] + (band[1] - band[0]) * np.sort(golden * np.arange(1, CHECKS + 1) % 1)
+    started = time.perf_counter()
+    direct = model.transfer(frequency)
+    seconds = (time.perf_counter() - started) / CHECKS
+    error = relative_error(small.transfer(frequency), direct)
+    if error > EXACT:
+        raise SimulationError(
+            "the basis cannot replace the full model",
+            where="harmonic reference",
+            got=f"largest relative error {error:.1e} with {small.order} states",
+            expected=f"at most {EXACT:g}",
+            hint="narrow the band, or solve the full model at every frequency",
+        )
+    return Surrogate(small, error, CHECKS, seconds)

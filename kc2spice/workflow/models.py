@@ -8,7 +8,7 @@ from typing import Any
 
 from kc2spice.core.progress import Clock
 from kc2spice.rom.linear import LinearModel
-from kc2spice.rom.mode_table import mode_table
+from kc2spice.rom.modal import mode_table
 from kc2spice.scene.model import Scene
 from kc2spice.scene.parttype import Build
 from kc2spice.workflow.decks import libraries, shared

@@ -13,8 +13,7 @@ from kc2spice.fem.piezo.keys import Chip
 from kc2spice.parts.piezo_stack import Drive
 from kc2spice.parts.sphere import SphereKeys
 from kc2spice.rom.modal import resonators
-from kc2spice.rom.reduce import reduce
-from kc2spice.rom.surrogate import surrogate
+from kc2spice.rom.reduce import reduce, surrogate
 from laboratory.usual.contact import contact_surface
 from laboratory.usual.statics import imprint, imprint_refactorised
 from laboratory.usual.system import quarter

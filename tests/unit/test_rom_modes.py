@@ -9,8 +9,7 @@ from scipy.signal import StateSpace, lsim
 from kc2spice.rom.linear import Certificate, LinearModel, Port
 from kc2spice.rom.march import chip_response
 from kc2spice.rom.massless import without_inertia
-from kc2spice.rom.modal import Resonators
-from kc2spice.rom.mode_table import mode_table
+from kc2spice.rom.modal import Resonators, mode_table
 
 RNG = np.random.default_rng(12)
 TIP = Port("mech", "mechanical")

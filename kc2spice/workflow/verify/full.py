@@ -22,7 +22,7 @@ from kc2spice.reference.assemble import System
 from kc2spice.reference.integrate import Result
 from kc2spice.reference.steps import steps
 from kc2spice.rom.linear import LinearModel
-from kc2spice.rom.surrogate import surrogate
+from kc2spice.rom.reduce import surrogate
 from kc2spice.scene.parttype import Build
 from kc2spice.workflow.verify.bodies import held_band
 from kc2spice.workflow.verify.circuit import Circuit, Reference, moving, read, steady

@@ -10,9 +10,8 @@ import numpy as np
 from kc2spice.bodies.piezo_stack import stack_device
 from kc2spice.rom.linear import LinearModel
 from kc2spice.rom.modal import resonators
-from kc2spice.rom.reduce import reduce
+from kc2spice.rom.reduce import reduce, surrogate
 from kc2spice.rom.response import relative_error
-from kc2spice.rom.surrogate import surrogate
 from laboratory.fullmodel import chip
 from laboratory.points import (
     Outcome,
