@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.optimize import least_squares
+from scipy.optimize import OptimizeResult, least_squares
+from scipy.signal import find_peaks
+from scipy.stats import qmc
 
 from kc2spice.bodies.readers.measured import Measured, read_measured
 from kc2spice.core.errors import UsageError
@@ -17,230 +20,403 @@ from kc2spice.core.files import staged
 from kc2spice.core.progress import Clock, Progress, silent
 from kc2spice.core.units import quantity
 from kc2spice.parts._linear_body import LinearBody
-from kc2spice.rom.reduce import reduce as reduce_model
+from kc2spice.report.fit_page import write_fit
+from kc2spice.rom.linear import LinearModel
+from kc2spice.rom.parametric import Axis, Parametric, modal_transfer, parametric
 from kc2spice.scene.load import load_scene
+from kc2spice.scene.model import Scene
 
 SPREAD, LOSSES = 1.3, 10.0  # range of a key by its value: ceramics differ by 30 %, losses by tens
 _LOSSY = re.compile(r"damping|quality|ratio|loss")
-STEP = 1e-3  # of finite differences, in logarithms: meshes and reductions are smooth to 1e-5
-TOLERANCE = 1e-4  # of the reduction of one evaluation
-LEAST_NOISE = 1e-3  # relative: the error of mesh and reduction, which data may be better than
-STARTS = 3
+LEAST_NOISE = 1e-3  # relative: the error of the mesh, which data may be better than
+DRAWS, STARTS = 64, 4  # points of the ranges that are looked at; descents, the scene's values first
+NARROWER, NARROW = 0.25, 0.01  # of a range, in logarithms, around the best values, again and again
+DEGREE = 3  # of polynomials in a narrow range
+ROUNDS = 6
+SETTLED = 0.1  # of the noise, or of what is left: difference of the reduced model to the mesh
+STEP = 1e-5  # of finite differences, in logarithms of values
 FAR = 0.5  # of |Y|, rms at the end: another resonance was matched, or another part measured
+APART = 2.0  # times the cost of the best end: another minimum
+PROMINENT, ABOVE_NOISE = 0.005, 8.0  # of the largest conductance, of the noise: a resonance
+Box = dict[str, Axis]
 
 
 @dataclass(frozen=True)
 class Varied:
-    """A key below the part, with its value at the start and its range, all of one sign."""
+    """A key below the part, its value in the scene and its range, all of one sign."""
 
     key: str
     start: float
     low: float
     high: float
 
-    def value(self, x: float) -> float:
-        """The value whose logarithm of its share of the start is ``x``."""
-        return self.start * float(np.exp(x))
-
-    @property
-    def bounds(self) -> tuple[float, float]:
-        """Range of ``x``."""
-        ends = np.log([self.low / self.start, self.high / self.start])
-        return float(ends.min()), float(ends.max())
+    def around(self, value: float, half: float) -> Axis:
+        """The part of the range within a factor ``exp(half)`` of a value."""
+        ends = sorted((value * np.exp(-half), value * np.exp(half)))
+        low, high = sorted((self.low, self.high))
+        return Axis(self.key, max(low, ends[0]), min(high, ends[1]))
 
 
 def fit(
-    target: str,
-    data: Path | str,
-    vary: Sequence[str],
+    scene: Scene | str | Path | Mapping[str, Any],
+    part: str,
+    data: Path | str | Measured,
+    vary: Sequence[str] | Mapping[str, tuple[float, float] | None],
     out: Path | None = None,
     progress: Progress = silent,
 ) -> dict[str, Any]:
-    """Vary keys of ``SCENE:PART`` until its admittance is that of ``data``, and write ``fit.toml``.
+    """Vary keys of a body until its admittance is the measured one; write values and a page.
 
     Least squares of ``log(Y_model / Y)``, real and imaginary part over the noise of the data, over
-    logarithms of the values within their ranges, by finite differences of the body's own model,
-    from the scene's values and two more starts. Standard errors are those of the linearised
-    problem, with the deviation that is left where that is more than the noise.
+    logarithms of the values within their ranges. The model is a :class:`Parametric` one of the
+    whole box for four descents from the scene's values and from the best of 64 draws, then of
+    narrower boxes around the best values until the mesh itself answers as it does. Standard errors
+    are those of the linearised problem, with the deviation that is left where that is more than
+    the noise.
 
     Raises
     ------
     UsageError : no such body, key or data; a key that does not move the admittance; an end that
         is not the measured part.
     """
-    name, colon, part = target.rpartition(":")
-    if not colon or not vary:
-        expected = "SCENE:PART and at least one --vary KEY or KEY=low:high"
-        raise UsageError("nothing to fit", where=target, expected=expected)
-    measured = read_measured(Path(data))
+    measured = data if isinstance(data, Measured) else read_measured(Path(data))
     if measured.Y.shape[1] != 1:
         got = f"{measured.Y.shape[1]} ports"
         raise UsageError("has several ports", where=measured.where, got=got, expected="one port")
-    keys = [_varied(name, part, text) for text in vary]
-    problem = _Problem(name, part, keys, measured, progress)
-    ends = [problem.solve(x) for x in problem.starts()]
-    record = problem.record(min(ends, key=lambda end: float(end.cost)), ends)
+    if not vary:
+        raise UsageError("nothing to vary", where=part, expected="--vary KEY or KEY=low:high")
+    loaded = load_scene(scene)
+    keys = _varied(loaded, part, vary)
+    body = _Body(loaded, part, measured, keys, progress)
+    ends = _descents(body)
+    end = _refined(body, ends[0])
+    record = _record(body, end, ends)
     directory = Path(f"{part}_fit") if out is None else Path(out)
     lines = [f'"{part}.{key}" = {each["value"]!r}' for key, each in record["parameters"].items()]
     with staged(directory) as work:
         (work / "fit.toml").write_text("\n".join(lines) + "\n", encoding="utf-8")
-    return {**record, "overrides": str(directory / "fit.toml")}
+        before = body.exact({each.key: each.start for each in keys})
+        write_fit(work / "report.html", record, measured, before, end.exact)
+    files = {"overrides": str(directory / "fit.toml"), "page": str(directory / "report.html")}
+    return {**record, **files}
 
 
-def _varied(scene: str, part: str, text: str) -> Varied:
-    key, _, span = text.partition("=")
-    keys = load_scene(scene).part(part, where=part).keys.model_dump()
-    for word in re.findall(r"\w+", key):
-        found = keys.get(word) if isinstance(keys, Mapping) else None
-        if isinstance(keys, (list, tuple)) and word.isdigit() and int(word) < len(keys):
-            found = keys[int(word)]
-        keys = found
-    if not isinstance(keys, float | int) or isinstance(keys, bool) or not keys:
-        hint = "a material by its name has no keys: write it as a table; give a value to start from"
-        raise UsageError(
-            "has no value to vary", where=key, got=keys, expected="a number but zero", hint=hint
-        )
-    value, factor = float(keys), LOSSES if _LOSSY.search(key) else SPREAD
-    low, high = value / factor, value * factor
-    if span:
-        ends = span.split(":")
-        if len(ends) != 2:
-            raise UsageError("not a range", where=key, got=span, expected="low:high in SI")
-        low, high = (quantity(float(end) if _plain(end) else end, "", where=key) for end in ends)
-    if not min(low / value, high / value) < 1 < max(low / value, high / value) or low * high <= 0:
-        expected = f"two numbers of one sign about the scene's value, {value:g}"
-        raise UsageError("not a range", where=key, got=f"{low:g}:{high:g}", expected=expected)
-    return Varied(key, value, low, high)
+def _varied(
+    scene: Scene, part: str, vary: Sequence[str] | Mapping[str, tuple[float, float] | None]
+) -> list[Varied]:
+    texts = dict.fromkeys(vary) if not isinstance(vary, Mapping) else dict(vary)
+    found = []
+    for text, span in texts.items():
+        key, _, ends = text.partition("=")
+        if ends:
+            span = _range(key, ends)
+        found.append(_one(scene, part, key, span))
+    names = [each.key for each in found]
+    if len(set(names)) < len(names):
+        raise UsageError("a key is varied twice", where=part, got=", ".join(names))
+    return found
+
+
+def _range(key: str, text: str) -> tuple[float, float]:
+    ends = text.split(":")
+    if len(ends) != 2:
+        raise UsageError("not a range", where=key, got=text, expected="low:high in SI")
+    low, high = (quantity(float(end) if _plain(end) else end, "", where=key) for end in ends)
+    return low, high
 
 
 def _plain(text: str) -> bool:
     return re.fullmatch(r"[-+]?[\d.]+([eE][-+]?\d+)?", text) is not None
 
 
-class _Problem:
-    """Deviations of a body's admittance from a measurement over logarithms of its keys."""
+def _one(scene: Scene, part: str, key: str, span: tuple[float, float] | None) -> Varied:
+    found: Any = scene.part(part, where=part).keys.model_dump()
+    for word in re.findall(r"\w+", key):
+        if isinstance(found, (list, tuple)) and word.isdigit() and int(word) < len(found):
+            found = found[int(word)]
+        else:
+            found = found.get(word) if isinstance(found, Mapping) else None
+    if not isinstance(found, float | int) or isinstance(found, bool) or not found:
+        hint = "a material by its name has no keys: write it as a table; give a value to start from"
+        raise UsageError(
+            "has no value to vary", where=key, got=found, expected="a number but zero", hint=hint
+        )
+    value, factor = float(found), LOSSES if _LOSSY.search(key) else SPREAD
+    low, high = span or (value / factor, value * factor)
+    if low * high <= 0 or not min(low, high) <= value <= max(low, high) or low == high:
+        expected = f"two numbers of one sign about the scene's value, {value:g}"
+        raise UsageError("not a range", where=key, got=f"{low:g}:{high:g}", expected=expected)
+    return Varied(key, value, low, high)
 
-    def __init__(
-        self, scene: str, part: str, keys: Sequence[Varied], data: Measured, progress: Progress
-    ) -> None:
-        self.scene, self.part, self.keys, self.data = scene, part, keys, data
-        self.Y = data.Y[:, 0, 0]
-        self.noise = max(data.noise, LEAST_NOISE)
-        self.progress, self.count = progress, 0
-        self.known: dict[tuple[float, ...], np.ndarray] = {}
 
-    def admittance(self, x: np.ndarray) -> np.ndarray:
-        """Y (n,) of the body at ``x``; what a simulation of the scene takes, reduced."""
-        asked = tuple(float(v) for v in x)
-        if asked not in self.known:
-            self.count += 1
-            self.progress("fit", None, f"model {self.count}")
-            values = {
-                f"{self.part}.{each.key}": each.value(v)
-                for each, v in zip(self.keys, asked, strict=True)
-            }
-            loaded = load_scene(self.scene, values)
-            part = loaded.part(self.part, where=self.part)
-            if not isinstance(part.type, LinearBody):
-                raise UsageError(
-                    "has no linear model", where=self.part, got=part.type.name, expected="a body"
-                )
-            full = part.type.full(part, loaded, Clock())
-            electrical = [port.name for port in full.ports if port.kind == "electrical"]
-            if not electrical:
-                raise UsageError("has no electrodes", where=self.part, expected="a piezo part")
-            f = self.data.f
-            chosen = full.select(electrical[:1])
-            small = reduce_model(chosen, tolerance=TOLERANCE, band=(0.0, 1.02 * float(f[-1])))
-            self.known[asked] = 2j * np.pi * f * small.transfer(f)[:, 0, 0]
-        return self.known[asked]
+@dataclass(frozen=True, eq=False)
+class _Body:
+    """The body, its keys and the measurement."""
+
+    scene: Scene
+    part: str
+    data: Measured
+    keys: Sequence[Varied]
+    progress: Progress
+    counted: list[int] = None  # type: ignore[assignment]
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "counted", [0])
+
+    @property
+    def Y(self) -> np.ndarray:
+        """Measured admittance (n,) [S]."""
+        return self.data.Y[:, 0, 0]
+
+    @property
+    def noise(self) -> float:
+        """Standard deviation of either part of log Y."""
+        return max(self.data.noise, LEAST_NOISE)
+
+    @property
+    def band(self) -> tuple[float, float]:
+        """That of the data [Hz]."""
+        return float(self.data.f[0]), float(self.data.f[-1])
+
+    def full(self, values: Mapping[str, float]) -> LinearModel:
+        """The full model at values of the keys, with its first electrical port.
+
+        Raises
+        ------
+        UsageError : the part has none.
+        """
+        self.counted[0] += 1
+        self.progress("fit", None, f"finite element model {self.counted[0]}")
+        loaded = load_scene(self.scene, {f"{self.part}.{k}": v for k, v in values.items()})
+        part = loaded.part(self.part, where=self.part)
+        if not isinstance(part.type, LinearBody):
+            got = part.type.name
+            raise UsageError("has no linear model", where=self.part, got=got, expected="a body")
+        model = part.type.full(part, loaded, Clock())
+        electrical = [port.name for port in model.ports if port.kind == "electrical"]
+        if not electrical:
+            raise UsageError("has no electrodes", where=self.part, expected="a piezoelectric part")
+        return replace(model.select(electrical[:1]), name=self.part)
+
+    def exact(self, values: Mapping[str, float]) -> np.ndarray:
+        """Admittance (n,) [S] of the full model."""
+        f = self.data.f
+        return np.asarray(2j * np.pi * f * modal_transfer(self.full(values), f)[:, 0, 0])
+
+    def response(self, made: Parametric, values: Mapping[str, float]) -> np.ndarray:
+        """Admittance (n,) [S] of a reduced model."""
+        f = self.data.f
+        return np.asarray(2j * np.pi * f * made.transfer(values, f)[:, 0, 0])
+
+    def parametric(self, box: Box, degree: int | None = None) -> Parametric:
+        """The reduced model over a box."""
+        return parametric(self.full, list(box.values()), self.band, degree=degree, checks=0)
+
+
+@dataclass(frozen=True)
+class _End:
+    """Where a descent ended: values, the linearised problem there, its reduced model's box."""
+
+    values: dict[str, float]
+    solved: OptimizeResult
+    box: Box
+    exact: np.ndarray | None = None
+
+    @property
+    def cost(self) -> float:
+        """Half of the sum of squares."""
+        return float(self.solved.cost)
+
+
+@dataclass(frozen=True, eq=False)
+class _Descent:
+    """Least squares of a reduced model within its box, over logarithms of the values."""
+
+    body: _Body
+    made: Parametric
+    box: Box
+
+    @cached_property
+    def bounds(self) -> tuple[np.ndarray, np.ndarray]:
+        """Ends (keys,) of the logarithms of the absolute values."""
+        ends = np.log(np.abs([[axis.low, axis.high] for axis in self.box.values()]))
+        return ends.min(axis=1), ends.max(axis=1)
+
+    def values(self, x: np.ndarray) -> dict[str, float]:
+        """Values of the keys."""
+        low, high = self.bounds
+        inside = np.exp(np.clip(x, low, high))
+        return {
+            name: float(np.sign(axis.low) * v)
+            for (name, axis), v in zip(self.box.items(), inside, strict=True)
+        }
 
     def deviation(self, x: np.ndarray) -> np.ndarray:
         """(2 n,) real and imaginary part of the logarithm of both admittances' ratio, by noise."""
-        ratio = np.log(self.admittance(x) / self.Y)
-        return np.concatenate([ratio.real, ratio.imag]) / self.noise
+        ratio = np.log(self.body.response(self.made, self.values(x)) / self.body.Y)
+        return np.concatenate([ratio.real, ratio.imag]) / self.body.noise
 
     def jacobian(self, x: np.ndarray) -> np.ndarray:
-        """(2 n, keys) by forward differences, backward at an upper bound."""
-        here, columns = self.deviation(x), []
-        for k, each in enumerate(self.keys):
-            step = STEP if x[k] + STEP <= each.bounds[1] else -STEP
-            moved = x + step * (np.arange(len(x)) == k)
-            columns.append((self.deviation(moved) - here) / step)
+        """(2 n, keys) by central differences, one-sided at a bound."""
+        low, high = self.bounds
+        columns = []
+        for k in range(len(x)):
+            ends = np.tile(x, (2, 1))
+            ends[:, k] = np.clip(x[k] + np.array([-STEP, STEP]), low[k], high[k])
+            change = self.deviation(ends[1]) - self.deviation(ends[0])
+            columns.append(change / (ends[1, k] - ends[0, k]))
         return np.column_stack(columns)
 
-    def starts(self) -> list[np.ndarray]:
-        """The scene's values, and others in the middle half of the ranges."""
-        low, high = np.array([each.bounds for each in self.keys]).T
-        draws = np.random.default_rng(1).uniform(0.25, 0.75, (STARTS - 1, len(low)))
-        return [np.zeros(len(low)), *(low + draws * (high - low))]
+    def start(self, values: Mapping[str, float]) -> np.ndarray:
+        """Coordinates of values, within the box."""
+        return np.clip(np.log(np.abs([values[name] for name in self.box])), *self.bounds)
 
-    def solve(self, start: np.ndarray) -> Any:
+    def solve(self, values: Mapping[str, float]) -> _End:
         """The end of one descent."""
-        low, high = np.array([each.bounds for each in self.keys]).T
-        return least_squares(
-            self.deviation, start, jac=self.jacobian, bounds=(low, high), loss="linear",
-            x_scale="jac", xtol=1e-6, ftol=1e-6, max_nfev=30,
+        solved = least_squares(
+            self.deviation, self.start(values), jac=self.jacobian, bounds=self.bounds,
+            x_scale="jac", xtol=1e-10, ftol=1e-10, max_nfev=60,
         )  # fmt: skip
+        return _End(self.values(solved.x), solved, self.box)
 
-    def record(self, best: Any, ends: Sequence[Any]) -> dict[str, Any]:
-        """What ``fit --json`` says."""
-        x, J = best.x, best.jac
-        relative = np.abs(self.Y / self.admittance(x)) - 1
-        rms = float(np.sqrt(np.mean(np.abs(np.expm1(self.noise * _complex(best.fun))) ** 2)))
-        low, high = np.array([each.bounds for each in self.keys]).T
-        still = [e.key for e, c in zip(self.keys, J.T, strict=True) if np.linalg.norm(c) < 1.0]
-        if still:
-            raise UsageError(
-                "does not move the impedance",
-                where=", ".join(still),
-                got="less than the noise of the data over its range",
-                expected="a key that the data tell something of",
-            )
-        if rms > FAR:
-            raise UsageError(
-                "no value in the ranges makes this part the measured one",
-                where=self.data.where,
-                got=f"{rms:.2g} of |Y| left over, rms, from {len(ends)} starts",
-                expected=f"less than {FAR:g}",
-                hint="is it the same part, the unit of the frequency right, the range wide enough? "
-                "vary one key alone first, such as a thickness",
-            )
-        _, s, Vt = np.linalg.svd(J, full_matrices=False)
-        degrees = max(len(best.fun) - len(x), 1)
-        more = max(1.0, float(2 * best.cost / degrees))
-        covariance = more * Vt.T @ np.diag(1 / np.maximum(s, 1e-12) ** 2) @ Vt
-        sigma = np.sqrt(np.diag(covariance))
-        weak = np.sqrt(more) / np.maximum(s, 1e-12) > 0.25 * float((high - low).max())
-        parameters = {
-            each.key: {
-                "value": each.value(x[k]),
-                "sigma": abs(each.value(x[k])) * float(sigma[k]),
-                "low": each.low,
-                "high": each.high,
-                "at_bound": bool(min(x[k] - low[k], high[k] - x[k]) < 1e-4),
-            }
-            for k, each in enumerate(self.keys)
+
+def _descents(body: _Body) -> list[_End]:
+    """Ends in the whole ranges, the best first."""
+    box = {each.key: Axis(each.key, *sorted((each.low, each.high))) for each in body.keys}
+    descent = _Descent(body, body.parametric(box), box)
+    low, high = descent.bounds
+    draws = qmc.scale(qmc.Sobol(len(box), seed=1).random(DRAWS), low, high)
+    costs = [float(np.sum(descent.deviation(x) ** 2)) for x in draws]
+    best = [descent.values(draws[k]) for k in np.argsort(costs)[: STARTS - 1]]
+    starts = [{each.key: each.start for each in body.keys}, *best]
+    return sorted((descent.solve(values) for values in starts), key=lambda end: end.cost)
+
+
+def _refined(body: _Body, end: _End) -> _End:
+    """The end in ever narrower ranges around it, until the mesh answers as the reduced model.
+
+    Raises
+    ------
+    UsageError : it does not settle.
+    """
+    width = {
+        each.key: 0.5 * abs(float(np.log(each.high / each.low))) * NARROWER for each in body.keys
+    }
+    for _ in range(ROUNDS):
+        box = {each.key: each.around(end.values[each.key], width[each.key]) for each in body.keys}
+        descent = _Descent(body, body.parametric(box, DEGREE), box)
+        found = descent.solve(end.values)
+        exact = body.exact(found.values)
+        end = replace(found, exact=exact)
+        made = body.response(descent.made, found.values)
+        apart = float(np.sqrt(np.mean(np.abs(np.log(made / exact)) ** 2)))
+        left = body.noise * float(np.sqrt(2 * found.cost / len(body.Y)))
+        at_edge = any(_met(axis, found.values[name]) and not _ends(each, axis, found.values[name])
+                      for each in body.keys for name, axis in box.items() if name == each.key)  # fmt: skip
+        if apart < SETTLED * max(body.noise, left) and not at_edge:
+            return end
+        if not at_edge:
+            width = {key: max(NARROWER * half, NARROW) for key, half in width.items()}
+    raise UsageError(
+        "the fit does not settle",
+        where=body.data.where,
+        got=f"mesh and reduced model differ by {apart:.2g} after {ROUNDS} rounds",
+        expected=f"less than {SETTLED:g} of what is left over",
+        hint="vary fewer keys, or give narrower ranges",
+    )
+
+
+def _met(axis: Axis, value: float) -> bool:
+    return abs(axis.coordinate(value)) > 1 - 1e-3
+
+
+def _ends(each: Varied, axis: Axis, value: float) -> bool:
+    """Whether the end of a box that a value meets is that of the key's whole range."""
+    end = axis.high if axis.coordinate(value) > 0 else axis.low
+    return bool(np.isclose(end, each.high) or np.isclose(end, each.low))
+
+
+def _record(body: _Body, end: _End, ends: Sequence[_End]) -> dict[str, Any]:
+    """What ``fit --json`` says."""
+    solved, keys = end.solved, body.keys
+    J = solved.jac
+    still = [each.key for each, c in zip(keys, J.T, strict=True)
+             if np.linalg.norm(c) * abs(np.log(each.high / each.low)) < 1.0]  # fmt: skip
+    if still:
+        raise UsageError(
+            "does not move the impedance",
+            where=", ".join(still),
+            got="less than the noise of the data over its range",
+            expected="a key that the data tell something of",
+        )
+    relative = np.abs(end.exact / body.Y - 1)
+    size = np.abs(np.abs(body.Y / end.exact) - 1)  # of |Z|
+    rms = float(np.sqrt(np.mean(relative**2)))
+    if rms > FAR:
+        raise UsageError(
+            "no values in the ranges make this part the measured one",
+            where=body.data.where,
+            got=f"{rms:.2g} of |Y| left over, rms, from {len(ends)} starts",
+            expected=f"less than {FAR:g}",
+            hint="is it the same part, the unit of the frequency right, the range wide enough? "
+            "vary one key alone first, such as a thickness",
+        )
+    _, s, Vt = np.linalg.svd(J, full_matrices=False)
+    s = np.maximum(s, 1e-12)
+    degrees = max(len(solved.fun) - len(keys), 1)
+    more = max(1.0, float(2 * solved.cost / degrees))
+    covariance = more * (Vt.T / s**2) @ Vt
+    sigma = np.sqrt(np.diag(covariance))
+    widest = max(abs(float(np.log(each.high / each.low))) for each in keys)
+    weak = np.sqrt(more) / s > 0.25 * widest
+    parameters = {
+        each.key: {
+            "value": end.values[each.key],
+            "sigma": abs(end.values[each.key]) * float(sigma[k]),
+            "low": each.low,
+            "high": each.high,
+            "at_bound": _at_bound(each, end.values[each.key]),
         }
-        return {
-            "parameters": parameters,
-            "error": {"rms": float(np.sqrt(np.mean(relative**2))),
-                      "largest": float(np.abs(relative).max())},
-            "identifiable": not weak.any(),
-            "undetermined": [
-                dict(zip(parameters, map(float, row), strict=True)) for row in Vt[weak]
-            ],
-            "correlation": (covariance / np.outer(sigma, sigma)).tolist(),
-            "noise": self.data.noise,
-            "starts": [
-                {e.key: e.value(v) for e, v in zip(self.keys, end.x, strict=True)}
-                | {"cost": float(end.cost)}
-                for end in ends
-            ],
-            "models": self.count,
-        }  # fmt: skip
+        for k, each in enumerate(keys)
+    }
+    best = min(ends, key=lambda each: each.cost)
+    return {
+        "part": body.part,
+        "data": body.data.where,
+        "parameters": parameters,
+        "error": {"rms": float(np.sqrt(np.mean(size**2))), "largest": float(size.max())},
+        "identifiable": not weak.any(),
+        "undetermined": [dict(zip(parameters, map(float, row), strict=True)) for row in Vt[weak]],
+        "correlation": (covariance / np.outer(sigma, sigma)).tolist(),
+        "noise": body.data.noise,
+        "resonances": _matched(body, end),
+        "starts": [{**each.values, "cost": each.cost} for each in ends],
+        "other_minima": sum(each.cost > APART * best.cost for each in ends),
+        "models": body.counted[0],
+        "notes": list(body.data.notes),
+    }
 
 
-def _complex(stacked: np.ndarray) -> np.ndarray:
-    half = len(stacked) // 2
-    return np.asarray(stacked[:half] + 1j * stacked[half:])
+def _at_bound(each: Varied, value: float) -> bool:
+    nearest = min(abs(np.log(value / each.low)), abs(np.log(value / each.high)))
+    return bool(nearest < 1e-4 * abs(np.log(each.high / each.low)))
+
+
+def _matched(body: _Body, end: _End) -> list[dict[str, float | None]]:
+    """Resonances of the measurement, of the scene's values and of the end, in their order: peaks of
+    the conductance."""
+    start = body.exact({each.key: each.start for each in body.keys})
+    rows = [_peaks(body.data.f, Y, body.data.noise) for Y in (body.Y, start, end.exact)]
+    longest = max(map(len, rows))
+    padded = [[*map(float, row), *[None] * (longest - len(row))] for row in rows]
+    return [
+        {"measured_hz": m, "start_hz": s, "fitted_hz": f}
+        for m, s, f in zip(*padded, strict=True)
+    ]
+
+
+def _peaks(f: np.ndarray, Y: np.ndarray, noise: float) -> np.ndarray:
+    """Frequencies at which the conductance stands out of its surroundings and of the noise."""
+    least = np.maximum(PROMINENT * float(Y.real.max()), ABOVE_NOISE * noise * np.abs(Y))
+    found, _ = find_peaks(Y.real, prominence=least)
+    return np.asarray(f[found])

@@ -1,0 +1,65 @@
+"""The page of a fit: what was measured, what the scene's values give, and what the fitted ones."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from kc2spice.bodies.readers.measured import Measured
+from kc2spice.core.figure import Curve, Figure, Panel, scale_axis
+from kc2spice.report.html import Section, write_page
+
+
+def write_fit(
+    path: Path, record: Mapping[str, Any], data: Measured, before: np.ndarray, after: np.ndarray
+) -> None:
+    """Write the page of ``record``; ``before`` and ``after`` (n,) are admittances [S]."""
+    rows = [
+        (key, f"{each['value']:.6g}", f"{each['sigma']:.2g}",
+         f"{each['low']:g} to {each['high']:g}", "met" if each["at_bound"] else "")
+        for key, each in record["parameters"].items()
+    ]  # fmt: skip
+    words = "identifiable" if record["identifiable"] else "not all are determined by the data"
+    resonances = [
+        tuple("" if value is None else f"{value:.6g}" for value in row.values())
+        for row in record["resonances"]
+    ]
+    sections = [
+        Section("Values", rows, ("key", "value", "standard error", "range", "bound"),
+                note=f"{words}; {record['models']} finite element models",
+                figures=fit_figures(data, before, after)),
+        Section("Resonances", resonances, ("measured in Hz", "at the scene's values", "fitted"),
+                note="peaks of the conductance, in their order"),
+        Section("Starts", [tuple(f"{value:.6g}" for value in each.values())
+                           for each in record["starts"]],
+                (*record["parameters"], "half the sum of squares"),
+                note=f"{record['other_minima']} of them ended in another minimum"),
+        Section("Correlation", [(key, *(f"{value:+.3f}" for value in row)) for key, row in
+                                zip(record["parameters"], record["correlation"], strict=True)],
+                ("", *record["parameters"])),
+    ]  # fmt: skip
+    error = record["error"]
+    lead = f"|Z| of {record['part']} is within {error['rms']:.2g} rms of {Path(record['data']).name}, "
+    lead += f"{error['largest']:.2g} at most; noise of the data {record['noise']:.2g}."
+    write_page(path, f"{record['part']}, fitted", lead, sections)
+
+
+def fit_figures(data: Measured, before: np.ndarray, after: np.ndarray) -> tuple[Figure, ...]:
+    """Impedance and phase of all three, and what is left over."""
+    x, factor = scale_axis("frequency", data.f)
+    f, Y = factor * data.f, data.Y[:, 0, 0]
+    three = {"measured": (Y, "o"), "scene": (before, "--"), "fitted": (after, "-")}
+    size = [Curve(name, f, np.abs(1 / y), style) for name, (y, style) in three.items()]
+    phase = [Curve(name, f, np.rad2deg(np.angle(1 / y)), style)
+             for name, (y, style) in three.items()]  # fmt: skip
+    left = Curve("fitted over measured", f, 100 * (np.abs(Y / after) - 1))
+    panels = (
+        Panel(x, "|Z| in Ω", tuple(size), log_y=True),
+        Panel(x, "phase in °", tuple(phase)),
+        Panel(x, "difference of |Z| in %", (left,)),
+    )
+    caption = "Measured impedance, that of the scene's values and that of the fitted ones."
+    return (Figure("fit", "Impedance", caption, panels),)

@@ -1,0 +1,343 @@
+"""A linear model whose matrices depend on parameters, reduced once for a whole box of them.
+
+One basis V spans the modes and the static answers of full models at samples of the box, so that
+``V'M V``, ``V'K V``, ``V'B`` and D are smooth functions of the parameters: products of Chebyshev
+polynomials of their logarithms, exact at the samples. The projection keeps definiteness and needs
+no modes to be told apart: they may cross or repel each other inside of the box. The mesh has to
+move with the parameters and keep its topology. Parameters that scale the damping alone are exact
+and take no samples.
+(P. Benner, S. Gugercin, K. Willcox, SIAM Review 57 (2015) 483, section 4: a global basis.)
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from itertools import combinations_with_replacement, product
+
+import numpy as np
+import scipy
+
+from kc2spice.core.errors import UsageError
+from kc2spice.rom.linear import LinearModel
+from kc2spice.rom.operators import Matrix, Schur, dense
+from kc2spice.rom.pencil import Pencil
+
+DENSE = 700  # unknowns up to which all modes are as fast as a few
+ABOVE = 2.0  # times the band, up to which modes are kept
+LEAST = 10  # modes
+DEGREES = {0: 0, 1: 6, 2: 5, 3: 4, 4: 3}  # of the polynomials by number of parameters; of more, 2
+CHECKS = 3  # full models that no polynomial has seen
+POINTS = 100  # frequencies of a check
+DEPENDENT = 1e-12  # of the largest: squares of what a column adds to the others that are dropped
+
+Values = Mapping[str, float]
+Full = Callable[[Values], LinearModel]
+
+
+@dataclass(frozen=True)
+class Axis:
+    """A parameter and its range; its coordinate is logarithmic, -1 at ``low``, 1 at ``high``.
+
+    Raises
+    ------
+    UsageError : the ends are not two different numbers of one sign.
+    """
+
+    name: str
+    low: float
+    high: float
+
+    def __post_init__(self) -> None:
+        if not self.low * self.high > 0 or self.low == self.high:
+            raise UsageError(
+                "not the range of a parameter",
+                where=self.name,
+                got=f"{self.low:g} to {self.high:g}",
+                expected="two different numbers of one sign",
+            )
+
+    @property
+    def middle(self) -> float:
+        """The value in the middle of the logarithms."""
+        return self.value(0.0)
+
+    def value(self, x: float) -> float:
+        """The parameter at a coordinate."""
+        return self.low * float((self.high / self.low) ** (0.5 * (x + 1)))
+
+    def coordinate(self, value: float) -> float:
+        """The coordinate of a value."""
+        return float(2 * np.log(value / self.low) / np.log(self.high / self.low) - 1)
+
+
+@dataclass(frozen=True)
+class Loss:
+    """A parameter that multiplies alpha and beta of Rayleigh damping by powers of itself."""
+
+    axis: Axis
+    alpha: float
+    beta: float
+
+
+@dataclass(frozen=True, eq=False)
+class Parametric:
+    """Reduced models over the box of ``axes`` and ``losses``.
+
+    ``terms`` has for each of M, K, B, D and E (or ``rayleigh``) the coefficients (terms, …) of the
+    polynomials with ``exponents`` (terms, axes). ``error`` is the largest relative difference of
+    the response to full models at parameters that no sample had, nan where none was checked.
+    """
+
+    axes: tuple[Axis, ...]
+    losses: tuple[Loss, ...]
+    frame: LinearModel
+    exponents: np.ndarray
+    terms: Mapping[str, np.ndarray]
+    error: float = float("nan")
+
+    @cached_property
+    def box(self) -> dict[str, Axis]:
+        """Every parameter's axis by its name."""
+        return {axis.name: axis for axis in (*self.axes, *(each.axis for each in self.losses))}
+
+    def at(self, values: Values) -> LinearModel:
+        """The reduced model at ``values`` of all parameters.
+
+        Raises
+        ------
+        UsageError : a parameter is missing or outside of its range.
+        """
+        for name, axis in self.box.items():
+            if name not in values or not abs(axis.coordinate(values[name])) <= 1 + 1e-9:
+                raise UsageError(
+                    "outside of the box of a parametric model",
+                    where=name,
+                    got=values.get(name),
+                    expected=f"{axis.low:g} to {axis.high:g}",
+                )
+        x = np.array([[axis.coordinate(values[axis.name]) for axis in self.axes]])
+        weights = _polynomials(x, self.exponents)[0]
+        found = {letter: np.tensordot(weights, c, 1) for letter, c in self.terms.items()}
+        M, K, E = found["M"], found["K"], found.get("E")
+        if E is None:
+            alpha, beta = found["rayleigh"]
+            for loss in self.losses:
+                share = values[loss.axis.name] / loss.axis.middle
+                alpha, beta = alpha * share**loss.alpha, beta * share**loss.beta
+            E = alpha * M + beta * K
+        return LinearModel(
+            M=M, E=E, K=K, B=found["B"], D=found["D"], ports=self.frame.ports, name=self.frame.name
+        )
+
+    def transfer(self, values: Values, frequency: np.ndarray) -> np.ndarray:
+        """``H(j 2 pi f)`` (frequencies, outputs, inputs), where damping is Rayleigh's by modes.
+
+        Raises
+        ------
+        numpy.linalg.LinAlgError : the polynomials give no positive inertia there.
+        """
+        model = self.at(values)
+        s = 2j * np.pi * np.asarray(frequency, dtype=float)
+        if "E" in self.terms:
+            return model.pencil.transfer(s)
+        w2, V = scipy.linalg.eigh(model.K, model.M)
+        damping = np.einsum("ik,ij,jk->k", V, model.E, V)
+        B = V.T @ model.B
+        answers = 1 / (w2 + s[:, None] * damping + s[:, None] ** 2)
+        return np.asarray(np.einsum("fk,ki,kj->fij", answers, B, B) + model.D)
+
+
+def parametric(
+    full: Full,
+    axes: Sequence[Axis],
+    band: tuple[float, float],
+    *,
+    degree: int | None = None,
+    checks: int = CHECKS,
+    progress: Callable[[int, int], None] = lambda done, of: None,
+) -> Parametric:
+    """The models ``full(values)`` over the box of ``axes``, good up to the end of ``band`` [Hz].
+
+    ``degree`` is the total degree of the polynomials. ``progress`` is told how many full models of
+    how many were computed.
+
+    Raises
+    ------
+    UsageError : a model that is not symmetric, of second order and with collocated ports, or whose
+        number of unknowns changes within the box.
+    """
+    middle = {axis.name: axis.middle for axis in axes}
+    frame = _required(full(middle), None)
+    losses = tuple(found for axis in axes if (found := _loss(full, axis, middle, frame)))
+    own = tuple(axis for axis in axes if axis not in [loss.axis for loss in losses])
+    exponents, points = _design(len(own), DEGREES.get(len(own), 2) if degree is None else degree)
+    models = []
+    for number, x in enumerate(points):
+        progress(number + 1, len(points) + checks)
+        values = {axis.name: axis.value(v) for axis, v in zip(own, x, strict=True)}
+        models.append(_required(full(middle | values), frame))
+    V = _independent([_answers(model.pencil, band) for model in models], frame.M)
+    pencils = [model.pencil.project(V) for model in models]
+    rows = {
+        "M": [p.coefficients[2] for p in pencils],
+        "K": [p.coefficients[0] for p in pencils],
+        "B": [p.B for p in pencils],
+        "D": [p.D for p in pencils],
+    }
+    if frame.rayleigh is None:
+        rows["E"] = [p.coefficients[1] for p in pencils]
+    else:
+        rows["rayleigh"] = [np.array(model.rayleigh) for model in models]
+    table = _polynomials(points, exponents)
+    terms = {
+        letter: np.linalg.solve(table, np.reshape(values, (len(points), -1))).reshape(
+            -1, *np.shape(values[0])
+        )
+        for letter, values in rows.items()
+    }
+    made = Parametric(own, losses, replace(frame, facts={}), exponents, terms)
+    if not checks:
+        return made
+    draw, worst = np.random.default_rng(7), 0.0
+    for number in range(checks):
+        progress(len(points) + number + 1, len(points) + checks)
+        values = {name: axis.value(draw.uniform(-1, 1)) for name, axis in made.box.items()}
+        worst = max(worst, difference(made, full(values), values, band))
+    return replace(made, error=worst)
+
+
+def difference(
+    made: Parametric, model: LinearModel, values: Values, band: tuple[float, float]
+) -> float:
+    """Largest relative difference of any entry to the full ``model`` at ``values`` in the band."""
+    f = np.linspace(max(band[0], 1e-3 * band[1]), band[1], POINTS)
+    return float(np.max(np.abs(made.transfer(values, f) / modal_transfer(model, f) - 1)))
+
+
+def modal_transfer(model: LinearModel, frequency: np.ndarray) -> np.ndarray:
+    """``H(j 2 pi f)`` (frequencies, outputs, inputs) of a full model by its modes to twice the
+    highest frequency and the static rest: a second where a solution at each takes minutes."""
+    f = np.asarray(frequency, dtype=float)
+    V = _independent([_answers(model.pencil, (0.0, float(f.max())))], model.M)
+    return model.pencil.project(V).transfer(2j * np.pi * f)
+
+
+def natural_modes(pencil: Pencil, top: float) -> tuple[np.ndarray, np.ndarray]:
+    """Squares (k,) of the natural frequencies below ``top`` [rad/s], of :data:`LEAST` at least, and
+    their M-orthonormal shapes (n, k)."""
+    K, M = pencil.coefficients[0], pencil.coefficients[2]
+    n = pencil.size
+    if n <= DENSE:
+        w2, V = scipy.linalg.eigh(dense(K), dense(M))
+        count = min(n, max(LEAST, int(np.searchsorted(w2, top**2))))
+        return w2[:count], V[:, :count]
+    shift, count = (0.1 * top) ** 2, LEAST
+    operator = scipy.sparse.linalg.LinearOperator
+    inverse = operator((n, n), pencil.pencil_solver(-shift).solve, dtype=float)
+    applied = K if not isinstance(K, Schur) else operator((n, n), K.__matmul__, dtype=float)
+    start = np.random.default_rng(0).normal(size=n)
+    while True:
+        w2, V = scipy.sparse.linalg.eigsh(
+            applied, count, M=M, sigma=-shift, OPinv=inverse, v0=start
+        )
+        order = np.argsort(w2)
+        if w2[order[-1]] >= top**2 or 2 * count >= n:
+            return w2[order], V[:, order]
+        count *= 2
+
+
+def _required(model: LinearModel, frame: LinearModel | None) -> LinearModel:
+    if model.first_order or not model.symmetric:
+        expected = "a symmetric model of second order with collocated ports"
+        raise UsageError("has no parametric model", where=model.name, expected=expected)
+    if frame is not None and model.order != frame.order:
+        raise UsageError(
+            "the mesh changes its cells within the ranges of the parameters",
+            where=model.name,
+            got=f"{model.order} unknowns beside {frame.order}",
+            expected="one mesh for all: narrower ranges",
+        )
+    return model
+
+
+def _answers(pencil: Pencil, band: tuple[float, float]) -> np.ndarray:
+    """Modes to above the band, and what they leave of the answers to the ports at rest, nearly."""
+    top = 2 * np.pi * band[1]
+    _, V = natural_modes(pencil, ABOVE * top)
+    still = pencil.pencil_solver(-((top / 3) ** 2)).solve(pencil.B)
+    M = pencil.coefficients[2]
+    for _ in range(2):
+        still = still - V @ (V.T @ (M @ still))
+    return np.column_stack([V, still])
+
+
+def _independent(columns: Sequence[np.ndarray], M: Matrix) -> np.ndarray:
+    """M-orthonormal columns that span all of ``columns`` but for rounding."""
+    V = np.hstack(columns)
+    size = np.sqrt(np.einsum("ij,ij->j", V, M @ V))
+    V = V[:, size > 0] / size[size > 0]
+    for least in (DEPENDENT, 0.0):  # the second time orthonormal to rounding
+        w, T = np.linalg.eigh(V.T @ (M @ V))
+        kept = w > least * w[-1]
+        V = V @ (T[:, kept] / np.sqrt(w[kept]))
+    return np.asarray(V)
+
+
+def _loss(full: Full, axis: Axis, middle: Values, frame: LinearModel) -> Loss | None:
+    """The parameter as one of damping alone; None of any other."""
+    if frame.rayleigh is None:
+        return None
+    places = (-1.0, 1.0, 0.3)
+    models = [full({**middle, axis.name: axis.value(x)}) for x in places]
+    for model in models:
+        if model.rayleigh is None or not _same(model, frame):
+            return None
+    share = np.log([axis.value(x) / axis.middle for x in places])
+    powers = []
+    for at_middle, *sizes in zip(frame.rayleigh, *(m.rayleigh for m in models), strict=True):
+        if at_middle == 0.0 and not any(sizes):
+            powers.append(0.0)
+            continue
+        if at_middle <= 0.0 or min(sizes) <= 0.0:
+            return None
+        power = np.log(np.array(sizes) / at_middle) / share
+        if np.ptp(power) > 1e-6:
+            return None
+        powers.append(float(np.round(power.mean(), 6)))
+    return Loss(axis, *powers) if any(powers) else None
+
+
+def _same(one: LinearModel, other: LinearModel) -> bool:
+    """Equal but for their damping."""
+    if one.order != other.order:
+        return False
+    pairs = [(one.M, other.M), (one.B, other.B), (one.D, other.D)]
+    if isinstance(one.K, Schur) and isinstance(other.K, Schur):
+        pairs += [(getattr(one.K, k), getattr(other.K, k)) for k in ("uu", "up", "pp")]
+    else:
+        pairs += [(one.K, other.K)]
+    return all(a.shape == b.shape and not (min(a.shape) and abs(a - b).max()) for a, b in pairs)
+
+
+def _design(axes: int, degree: int) -> tuple[np.ndarray, np.ndarray]:
+    """Exponents (terms, axes) of all polynomials up to a total degree, and as many samples
+    (terms, axes) that determine them well: approximate Fekete points of Chebyshev's grid."""
+    exponents = np.array(
+        [
+            np.bincount(chosen, minlength=axes)
+            for total in range(degree + 1)
+            for chosen in combinations_with_replacement(range(axes), total)
+        ]
+    ).reshape(-1, axes)
+    grid = np.cos(np.pi * np.arange(degree + 1) / max(degree, 1))
+    points = np.array(list(product(grid, repeat=axes)))
+    *_, order = scipy.linalg.qr(_polynomials(points, exponents).T, mode="economic", pivoting=True)
+    return exponents, points[np.sort(order[: len(exponents)])]
+
+
+def _polynomials(x: np.ndarray, exponents: np.ndarray) -> np.ndarray:
+    """Products of Chebyshev polynomials (points, terms) at coordinates (points, axes)."""
+    angles = np.arccos(np.clip(x, -1.0, 1.0))
+    return np.asarray(np.cos(angles[:, None, :] * exponents[None]).prod(axis=2))
