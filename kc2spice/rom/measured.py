@@ -16,7 +16,6 @@ from __future__ import annotations
 import numpy as np
 from scipy.optimize import least_squares, nnls
 
-from kc2spice.core.errors import UsageError
 from kc2spice.rom.linear import Certificate, LinearModel, Port
 from kc2spice.rom.modal import Resonators
 
@@ -88,15 +87,12 @@ class _Basis:
         return min(ends, key=lambda each: _rms(self.amplitudes(each)[1]))
 
 
-def one_port(f: np.ndarray, Y: np.ndarray, noise: float, where: str) -> LinearModel:
+def one_port(f: np.ndarray, Y: np.ndarray, noise: float) -> tuple[LinearModel | None, float]:
     """The circuit of admittances ``Y`` (n,) [S] at ``f`` (n,) [Hz] as a model with one electrical
     port, ``anode``. Its certificate is the largest relative deviation from the samples.
 
-    ``noise`` is the relative standard deviation of one component of Y.
-
-    Raises
-    ------
-    UsageError : no such circuit comes near the data.
+    ``noise`` is the relative standard deviation of one component of Y. Gives also what is left,
+    root of the mean square of the relative deviation; no model where that is :data:`POOR`.
     """
     basis = _Basis(f, Y)
     modes = np.empty((0, 2))
@@ -111,21 +107,14 @@ def one_port(f: np.ndarray, Y: np.ndarray, noise: float, where: str) -> LinearMo
     largest = int(np.argmax(np.abs(deviation)))
     error = float(np.abs(deviation[largest]))
     if rms > POOR or not x.any():
-        raise UsageError(
-            "no sum of resonances comes near the measurement",
-            where=where,
-            got=f"{rms:.2g} of |Y| left over by {len(modes)} resonances",
-            expected=f"less than {POOR:g}",
-            hint="is the unit of the frequency right, are two columns swapped, are there enough "
-            "points on every resonance?",
-        )
+        return None, rms
     told = (
         f"{len(modes)} resonances fitted to {len(f)} samples: largest deviation {error:.2g} at "
         f"{f[largest]:.6g} Hz, rms {rms:.2g}, noise of the samples {np.sqrt(2) * noise:.2g}; above "
         "and below the band the circuit is a capacitor, at rest an open one"
     )
     certificate = Certificate((float(f[0]), float(f[-1])), error, told, True, True)
-    return _resonators(basis, modes, x, certificate).linear()
+    return _resonators(basis, modes, x, certificate).linear(), rms
 
 
 def _resonators(

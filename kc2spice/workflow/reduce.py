@@ -76,20 +76,27 @@ def reduce(
 def _reduce_measured(
     path: Path, out: Path | None, told: dict[str, Any], progress: Progress
 ) -> dict[str, Any]:
-    """A measured one-port as the passive circuit that comes nearest."""
+    """A measured part as the passive circuit that comes nearest: resonances and losses beside a
+    capacitance of one port where they do, else poles of any kind."""
     for option, value in told.items():
         if value is not None:
             expected = "nothing: noise decides the order of a measured response, its file the band"
             raise UsageError("is not for measurements", where=option, got=value, expected=expected)
     progress("reduce", None, "reading the measurement")
     data = read_measured(path)
-    if data.Y.shape[1] != 1:
-        got = f"{data.Y.shape[1]} ports"
-        raise UsageError("has several ports", where=data.where, got=got, expected="one port")
     progress("reduce", None, f"fitting {len(data.f)} frequencies")
-    reduced = one_port(data.f, data.Y[:, 0, 0], data.noise, data.where)
+    notes = list(data.notes)
+    reduced = None
+    if data.Y.shape[1] == 1:
+        reduced, left = one_port(data.f, data.Y[:, 0, 0], data.noise)
+        if reduced is None:
+            notes.append(f"resonances beside a capacitance leave {left:.2g}: poles of any kind")
+    if reduced is None:
+        from kc2spice.rom.multiport import multi_port  # late: what few need
+
+        reduced = multi_port(data.f, data.Y, data.noise, data.where)
     found = _written(data.name, len(data.f), reduced, out)
-    return found | {"notes": list(data.notes), "noise": data.noise}
+    return found | {"notes": notes, "noise": data.noise}
 
 
 def _written(
