@@ -75,7 +75,7 @@ def test_tables_of_many_forms_say_the_same(tmp_path):
         ("f_hz,r_ohm,x_ohm", lambda Z: (Z.real, F, Z.imag), "up and down"),
         ("a,b,c", lambda Z: (F, Z.real, Z.imag), "columns a, b, c"),
         ("f_hz,r_ohm,x_ohm", lambda Z: (F[:5], Z.real[:5], Z.imag[:5]), "5 frequencies"),
-        ("f_hz,r_ohm,x_ohm", lambda Z: (F, 1 + F / F, np.sin(F**2)), "no sum of resonances"),
+        ("f_hz,r_ohm,x_ohm", lambda Z: (F, 1 + F / F, np.sin(F**2)), "no passive model"),
     ],
 )
 def test_bad_measurements_are_refused(tmp_path, header, columns, said):

@@ -181,13 +181,16 @@ def _touchstone(text: str, ports: int) -> tuple[np.ndarray, np.ndarray, tuple[st
         P = P.swapaxes(1, 2)
     z0 = np.broadcast_to(reference if len(reference) == n else reference[:1], (n,)).astype(float)
     one, old = np.eye(n), "version" not in keys
-    if kind == "s":
-        root = np.diag(1 / np.sqrt(z0))
-        P = root @ np.linalg.solve(one + P, one - P) @ root
-    elif kind == "z":
-        P = np.linalg.inv(P * (z0[0] if old else 1.0))  # version 1 normalises
-    elif old:
-        P = P / z0[0]
+    try:
+        if kind == "s":
+            root = np.diag(1 / np.sqrt(z0))
+            P = root @ np.linalg.solve(one + P, one - P) @ root
+        elif kind == "z":
+            P = np.linalg.inv(P * (z0[0] if old else 1.0))  # version 1 normalises
+        elif old:
+            P = P / z0[0]
+    except np.linalg.LinAlgError:
+        raise ValueError("an ideal short circuit, which has no admittance") from None
     factor = {"hz": 1.0, "khz": 1e3, "mhz": 1e6, "ghz": 1e9}[unit]
     return factor * table[:, 0], P, ()
 
