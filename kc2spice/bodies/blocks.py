@@ -26,6 +26,7 @@ from kc2spice.bodies.device import (
     part_named,
     spread,
 )
+from kc2spice.core.errors import UsageError
 from kc2spice.fem.keys import Damping
 from kc2spice.fem.materials import Material
 from kc2spice.fem.solid import Solid
@@ -58,6 +59,7 @@ class Bonded:
     masses : [kg] spread over faces.
     moved : whether the acceleration of what holds it is the port ``base``, upwards.
     grid : lines along each axis, or none: cells of at most ``size`` [m], each cut in ``refine``.
+    like : another body of the same blocks in other sizes, whose mesh this one has, moved.
     rated : largest voltage [V] that its materials stand, None if not known.
     where : the part, for errors.
     """
@@ -72,6 +74,7 @@ class Bonded:
     grid: Sequence[np.ndarray] = ()
     size: float = np.inf
     refine: int = 1
+    like: Bonded | None = None
     damping: Damping = field(default_factory=Damping)
     rated: float | None = None
     where: str = "body"
@@ -92,7 +95,7 @@ class Bonded:
         Raises
         ------
         UsageError : electrodes that touch each other; in a body of revolution a material that is
-            not isotropic about its axis.
+            not isotropic about its axis; edges in another order than those of :attr:`like`.
         """
         grid = self.grid or self._lines()
         near = 1e-3 * min(float(np.diff(lines).min()) for lines in grid)
@@ -102,20 +105,31 @@ class Bonded:
 
     def _lines(self) -> list[np.ndarray]:
         """Along each axis all edges and equal cells between them."""
-        faces = [*self.ports.values(), *(box for _, box in self.fixed)]
-        faces += chain(*self.electrodes.values(), *self.floating)
-        found: list[np.ndarray] = []
-        for spans in zip(*(block.box for block in self.blocks), strict=True):
-            axis = len(found)
-            points = np.unique([*chain(*spans), *chain(*(box[axis] for box in faces))])
-            points = points[np.r_[True, np.diff(points) > 1e-9 * np.ptp(points)]]
-            counts = np.ceil(np.diff(points) / self.size - 1e-9).astype(int)
+        model = self if self.like is None else self.like
+        found = []
+        for own, others in zip(self._edges(), model._edges(), strict=True):
+            (points, place), (counted, alike) = _distinct(own), _distinct(others)
+            if not np.array_equal(place, alike):
+                raise UsageError(
+                    "the body's edges change their order: no mesh of one shape moves into the other",
+                    where=self.where,
+                    expected="sizes that keep which edge lies beyond which: narrower ranges",
+                )
+            counts = np.ceil(np.diff(counted) / model.size - 1e-9).astype(int)
             cut = [
                 np.linspace(*pair, self.refine * max(1, count) + 1)[:-1]
                 for pair, count in zip(pairwise(points), counts, strict=True)
             ]
             found.append(np.concatenate([*cut, points[-1:]]))
         return found
+
+    def _edges(self) -> list[np.ndarray]:
+        """Along each axis where blocks, electrodes, supports and ports begin and end, always in
+        the same order of them."""
+        faces = [*self.ports.values(), *(box for _, box in self.fixed)]
+        faces += chain(*self.electrodes.values(), *self.floating)
+        boxes = [*(block.box for block in self.blocks), *faces]
+        return [np.array([*chain(*spans)]) for spans in zip(*boxes, strict=True)]
 
     def _solid(self, grid: Sequence[np.ndarray], near: float) -> Solid:
         mesh = (MeshQuad if len(grid) == 2 else MeshHex).init_tensor(*grid)
@@ -161,6 +175,13 @@ class Bonded:
             lumped=np.sum(lumped, axis=0) if lumped else None,
             damping=self.damping,
         )
+
+
+def _distinct(edges: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Increasing edges, each once but for rounding, and which of them each one is."""
+    points = np.unique(edges)
+    points = points[np.r_[True, np.diff(points) > 1e-9 * np.ptp(points)]]
+    return points, np.searchsorted(points, edges + 1e-9 * np.ptp(points), side="right") - 1
 
 
 def _within(box: Box, places: np.ndarray, near: float) -> np.ndarray:

@@ -110,6 +110,10 @@ class LinearBody(Touching):
     def full(self, part: Part, scene: Scene, clock: Any) -> LinearModel:
         """The full model of the whole device."""
 
+    def varied(self, part: Part, scene: Scene, clock: Any, like: Part) -> LinearModel:
+        """:meth:`full` on the mesh that ``like`` has, a part of other values, moved to these."""
+        return self.full(part, scene, clock)
+
     def headline(self, part: Part) -> str:
         """First line of its library: what it is and what it assumes."""
         return self.title

@@ -12,7 +12,7 @@ import json
 import re
 from abc import abstractmethod
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -240,6 +240,9 @@ class BondedBody(MeshedBody):
 
     def make(self, part: Part, scene: Scene) -> Device:
         return self.bonded(part).device()
+
+    def varied(self, part: Part, scene: Scene, clock: Any, like: Part) -> LinearModel:
+        return replace(self.bonded(part), like=self.bonded(like)).device().model
 
     def by_material(self, part: Part) -> float | None:
         return self.bonded(part).rated

@@ -178,8 +178,9 @@ class _Body:
         """That of the data [Hz]."""
         return float(self.data.f[0]), float(self.data.f[-1])
 
-    def full(self, values: Mapping[str, float]) -> LinearModel:
-        """The full model at values of the keys, with its first electrical port.
+    def full(self, values: Mapping[str, float], moved: bool = True) -> LinearModel:
+        """The full model at values of the keys, with its first electrical port; on the mesh of the
+        scene's values, ``moved``, or its own.
 
         Raises
         ------
@@ -192,16 +193,20 @@ class _Body:
         if not isinstance(part.type, LinearBody):
             got = part.type.name
             raise UsageError("has no linear model", where=self.part, got=got, expected="a body")
-        model = part.type.full(part, loaded, Clock())
+        if moved:
+            like = self.scene.part(self.part, where=self.part)
+            model = part.type.varied(part, loaded, Clock(), like)
+        else:
+            model = part.type.full(part, loaded, Clock())
         electrical = [port.name for port in model.ports if port.kind == "electrical"]
         if not electrical:
             raise UsageError("has no electrodes", where=self.part, expected="a piezoelectric part")
         return replace(model.select(electrical[:1]), name=self.part)
 
-    def exact(self, values: Mapping[str, float]) -> np.ndarray:
+    def exact(self, values: Mapping[str, float], moved: bool = False) -> np.ndarray:
         """Admittance (n,) [S] of the full model."""
         f = self.data.f
-        return np.asarray(2j * np.pi * f * modal_transfer(self.full(values), f)[:, 0, 0])
+        return np.asarray(2j * np.pi * f * modal_transfer(self.full(values, moved), f)[:, 0, 0])
 
     def response(self, made: Parametric, values: Mapping[str, float]) -> np.ndarray:
         """Admittance (n,) [S] of a reduced model."""
@@ -306,15 +311,15 @@ def _refined(body: _Body, end: _End) -> _End:
         box = {each.key: each.around(end.values[each.key], width[each.key]) for each in body.keys}
         descent = _Descent(body, body.parametric(box, DEGREE), box)
         found = descent.solve(end.values)
-        exact = body.exact(found.values)
-        end = replace(found, exact=exact)
+        exact = body.exact(found.values, moved=True)
+        end = found
         made = body.response(descent.made, found.values)
         apart = float(np.sqrt(np.mean(np.abs(np.log(made / exact)) ** 2)))
         left = body.noise * float(np.sqrt(2 * found.cost / len(body.Y)))
         at_edge = any(_met(axis, found.values[name]) and not _ends(each, axis, found.values[name])
                       for each in body.keys for name, axis in box.items() if name == each.key)  # fmt: skip
         if apart < SETTLED * max(body.noise, left) and not at_edge:
-            return end
+            return replace(end, exact=body.exact(end.values))
         if not at_edge:
             width = {key: max(NARROWER * half, NARROW) for key, half in width.items()}
     raise UsageError(
