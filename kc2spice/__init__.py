@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from kc2spice.scene.model import Scene, Terminal
     from kc2spice.scene.parttype import PartType
     from kc2spice.spice.realize import subcircuit
+    from kc2spice.workflow.fit import fit
 
 __all__ = [
     "Certificate",
@@ -42,6 +43,7 @@ __all__ = [
     "build",
     "deck",
     "errors",
+    "fit",
     "load_scene",
     "read_lib",
     "read_model",
@@ -59,6 +61,7 @@ _HOMES = {
     "Deck": "netlist.deck",
     "PartType": "scene.parttype",
     "Section": "core.quantities",
+    "fit": "workflow.fit",
     "load_scene": "scene.load",
     "read_lib": "netlist.read",
     "read_model": "bodies.readers",

@@ -111,7 +111,7 @@ class Bonded:
             (points, place), (counted, alike) = _distinct(own), _distinct(others)
             if not np.array_equal(place, alike):
                 raise UsageError(
-                    "the body's edges change their order: no mesh of one shape moves into the other",
+                    "the body's edges change their order, which no mesh that moves can follow",
                     where=self.where,
                     expected="sizes that keep which edge lies beyond which: narrower ranges",
                 )

@@ -289,17 +289,24 @@ def fit(
     data: Path,
     vary: list[str] | None = None,
     out: Path | None = None,
+    set_: list[str] | None = None,
 ) -> None:
     """Vary keys of a body until its impedance is the measured one.
 
-    Every evaluation is a finite element model, so a fit takes minutes. Writes fit.toml with the
-    values into DIR.
+    Writes fit.toml with the values, for --set, and report.html into DIR. Tens of finite element
+    models make a reduced one of the whole range, in which several starts descend: seconds of a
+    disc, minutes of a solid.
     """
     from kc2spice.cli.tables import show_fit
+    from kc2spice.scene.load import load_scene
     from kc2spice.workflow.fit import fit as fit_study
 
+    name, colon, part = target.rpartition(":")
+    if not colon:
+        raise UsageError("names no part", where=target, expected="SCENE:PART")
+    scene = load_scene(name, set_ or [])
     with caller.progress() as progress:
-        found = fit_study(target, data, vary or (), out, progress)
+        found = fit_study(scene, part, data, vary or (), out or Path(f"{part}_fit"), progress)
     caller.answer(found, lambda: show_fit(found))
 
 
@@ -359,12 +366,13 @@ def sweep(
     why.
     """
     from kc2spice.cli.tables import show_sweep
+    from kc2spice.scene.load import override_texts
     from kc2spice.workflow.sweep import run as study
     from kc2spice.workflow.sweep import workers as pools
 
     table = study.table_name(table_format)
     wanted: dict[str, Any] = {"zipped": zipped, "latin": latin, "seed": seed, "timeout": timeout}
-    found = study.named_sweep(scene, set_ or (), metrics=metric or (), **wanted)
+    found = study.named_sweep(scene, override_texts(set_ or ()), metrics=metric or (), **wanted)
     out = out or Path(f"{found.scene.name}_sweep")
     count = workers or pools.cores()
     pool = pools.processes(count) if dask is None else pools.dask(dask, count)

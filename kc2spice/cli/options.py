@@ -51,8 +51,8 @@ PARAMETERS = {
     "set_": typer.Option(
         "--set",
         metavar="KEY=VALUE",
-        help="Override a key, e.g. --set kick.drive.voltage=80 or --set control.kd='25 A s/m'. "
-        "Repeatable; numbers are SI.",
+        help="Override a key, e.g. --set kick.drive.voltage=80 or --set control.kd='25 A s/m', or "
+        "all that a TOML file has, such as that of a fit. Repeatable; numbers are SI.",
     ),
     "sweep.set_": typer.Option(
         "--set",

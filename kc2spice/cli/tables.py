@@ -172,7 +172,9 @@ def show_fit(found: Mapping[str, Any]) -> None:
         ("deviation of |Z|", f"{found['error']['rms']:.2g} rms, {found['error']['largest']:.2g}"),
         ("noise of the data", f"{found['noise']:.2g}"),
         ("ends of all starts", ", ".join(f"{each['cost']:.4g}" for each in found["starts"])),
-        ("values", str(found["overrides"])),
+        ("finite element models", str(found["models"])),
+        ("values", f"{found['overrides']}, for --set"),
+        ("page", str(found["page"])),
     ]
     for each in found["undetermined"]:
         told = ", ".join(f"{weight:+.2f} log {key}" for key, weight in each.items())

@@ -42,7 +42,9 @@ def write_fit(
                 ("", *record["parameters"])),
     ]  # fmt: skip
     error = record["error"]
-    lead = f"|Z| of {record['part']} is within {error['rms']:.2g} rms of {Path(record['data']).name}, "
+    lead = (
+        f"|Z| of {record['part']} is within {error['rms']:.2g} rms of {Path(record['data']).name}, "
+    )
     lead += f"{error['largest']:.2g} at most; noise of the data {record['noise']:.2g}."
     write_page(path, f"{record['part']}, fitted", lead, sections)
 

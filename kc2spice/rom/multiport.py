@@ -2,10 +2,10 @@
 
 Scattering parameters S of a reference resistance R are fitted by common poles (B. Gustavsen,
 A. Semlyen, IEEE Trans. Power Delivery 14 (1999) 1052; scikit-rf does it), more of them until what
-is left is the noise of the data; residues are then changed as little as makes the model passive
-everywhere (scikit-rf, by singular values). Whether it is passive is judged by the Hamiltonian of
-the state space, which knows all frequencies (S. Boyd, V. Balakrishnan, P. Kabamba, Math. Control
-Signals Systems 2 (1989) 207). With ``b = S a``, ``a, b = (v / r +- r i) / 2``, ``r = sqrt(R)``::
+is left is the noise of the data. The nearest passive model of the same poles follows by the bounded
+real lemma; the Hamiltonian of the state space, which knows all frequencies, judges it (S. Boyd, V.
+Balakrishnan, P. Kabamba, Math. Control Signals Systems 2 (1989) 207). With ``b = S a``,
+``a, b = (v / r +- r i) / 2``, ``r = sqrt(R)``::
 
     x' = A x + B a            x' = (A - B T C) x + B T v / r,      T = (1 + D)^-1
     b  = C x + D a            i  = (-2 T C x + (1 - D) T v / r) / r
@@ -26,18 +26,20 @@ from kc2spice.rom.linear import Certificate, LinearModel, Port
 from kc2spice.rom.statespace import ABCD
 
 MOST = 60  # poles, pairs counted once
-NOISE = 1.2  # times the noise of the data: what a good fit leaves
+STATES = 48  # of them all: the search for the nearest passive model takes their sixth power
+NOISE, ENOUGH = 1.2, 1e-5  # times the noise of the data, or of the largest: a good fit
 GAIN, PATIENCE = 0.1, 2  # three poles more take that share of the deviation, or two times not
 CLOSE = 1.5  # times the deviation without passivity: a passive fit as good as any
 POOR = 0.2  # of the largest: what no rational function comes near
+ROUNDING = 1e-6  # of an optimum on the edge of what is passive
 INSIDE = 1e-7  # below one, of the largest singular value that counts as passive
 Fit = Any  # skrf.vectorFitting.VectorFitting: scikit-rf has no types
 
 
 def multi_port(f: np.ndarray, Y: np.ndarray, noise: float, where: str) -> LinearModel:
     """The state space of admittances ``Y`` (n, ports, ports) [S] at ``f`` (n,) [Hz], with the
-    electrical ports ``port1`` … against ``ref``. Its certificate is the largest deviation of any entry
-    from the samples, relative to the entry's peak.
+    electrical ports ``port1`` … against ``ref``. Its certificate is the largest deviation of any
+    entry from the samples, relative to the entry's peak.
 
     ``noise`` is the relative standard deviation of one component of Y.
 
@@ -62,7 +64,7 @@ def _best(f: np.ndarray, S: np.ndarray, noise: float, where: str) -> ABCD:
     for left, fit in fits:
         if left > least:
             break
-        model = _passive(fit, f, len(S[0]))
+        model = _passive(fit, f, S)
         if model is None:
             continue
         error = _deviation(_transfer(model, f), S)
@@ -107,28 +109,99 @@ def _fits(f: np.ndarray, S: np.ndarray, noise: float, where: str) -> list[tuple[
                 fit.vector_fit(n_poles_real=2, n_poles_cmplx=poles, enforce_dc=False)
             except (np.linalg.LinAlgError, ValueError):
                 continue
+        if len(_state_space(fit, len(S[0]))[0]) > STATES:
+            break
         left = _deviation(_response(fit, f, len(S[0])), S)
         least = min((each for each, _ in found), default=np.inf)
         useless = useless + 1 if left > (1 - GAIN) * least else 0
         found.append((left, fit))
-        if left < NOISE * noise or useless == PATIENCE:
+        if left < max(NOISE * noise, ENOUGH) or useless == PATIENCE:
             break
     return sorted(found, key=lambda each: each[0])
 
 
-def _passive(fit: Fit, f: np.ndarray, ports: int) -> ABCD | None:
-    """The state space of a fit with residues that make it passive; None where they cannot."""
-    model = _state_space(fit, ports)
-    if passive(*model):
-        return model
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # judged here
-        try:
-            fit.passivity_enforce(n_samples=4 * len(f), f_max=10 * float(f[-1]))
-        except (np.linalg.LinAlgError, ValueError):
+def _nearest(model: ABCD, f: np.ndarray, S: np.ndarray) -> ABCD | None:
+    """The passive state space of the same poles nearest to the samples; None where there is none.
+
+    Least squares over C and D under the bounded real lemma, a linear matrix inequality in them and
+    in a storage function ``x'Px`` (S. Grivet-Talocia, B. Gustavsen, Passive Macromodeling, 2016,
+    section 9.4)::
+
+        [ A'P + PA   PB   C' ]
+        [ B'P        -1   D' ]  <= 0
+        [ C           D   -1 ]
+    """
+    from cvxopt import matrix, solvers
+
+    A, B, _, _ = model
+    n, m = B.shape
+    top = 2 * np.pi * float(f[-1])
+    states = np.linalg.solve(2j * np.pi * f[:, None, None] * np.eye(n) - A, B.astype(complex)[None])
+    size = np.sqrt((np.abs(states) ** 2).mean(axis=(0, 2)))  # of each state in the samples
+    A, B, states = A / top * size / size[:, None], B / size[:, None] / top, states / size[:, None]
+    X = np.concatenate([states, np.broadcast_to(np.eye(m), (len(f), m, m))], axis=1)
+    X = np.moveaxis(X, 1, 2).reshape(-1, n + m)  # (samples and inputs, states and inputs)
+    target = np.moveaxis(S, 1, 2).reshape(-1, m)
+    Q, R = np.linalg.qr(np.concatenate([X.real, X.imag]))
+    q = Q.T @ np.concatenate([target.real, target.imag])
+    scale = np.linalg.norm(q) or 1.0
+
+    pairs = [(i, j) for i in range(n) for j in range(i + 1)]
+    count, order = len(pairs) + m * (n + m), n + 2 * m
+    lmi = np.zeros((count + 1, order, order))
+    for k, (i, j) in enumerate(pairs):
+        P = np.zeros((n, n))
+        P[i, j] = P[j, i] = 1.0
+        lmi[k, :n, :n] = A.T @ P + P @ A
+        lmi[k, :n, n : n + m] = P @ B
+        lmi[k, n : n + m, :n] = B.T @ P
+    for row in range(m):  # entries of (C, D), row by row
+        for column in range(n + m):
+            k = len(pairs) + row * (n + m) + column
+            lmi[k, n + m + row, column] = lmi[k, column, n + m + row] = 1.0
+    least = np.eye(order)
+    least[:n, :n] = 0.0
+    cone = np.zeros((1 + m * (n + m), count + 1))
+    cone[0, -1] = -1.0
+    for row in range(m):
+        at = slice(1 + row * (n + m), 1 + (row + 1) * (n + m))
+        start = len(pairs) + row * (n + m)
+        cone[at, start : start + n + m] = R / scale
+    G = np.vstack([cone, lmi.reshape(count + 1, -1).T])
+    h = np.concatenate([[0.0], (q.T / scale).ravel(), least.ravel()])
+    cost = np.zeros(count + 1)
+    cost[-1] = 1.0
+    dims = {"l": 0, "q": [len(cone)], "s": [order]}
+    try:
+        found = solvers.conelp(
+            matrix(cost), matrix(G), matrix(h), dims, options={"show_progress": False}
+        )
+    except (ValueError, ArithmeticError):
+        return None
+    if found["x"] is None:
+        return None
+    CD = np.array(found["x"]).ravel()[len(pairs) : -1].reshape(m, n + m)
+    C, D = CD[:, :n] / size, CD[:, n:]
+    B = B * top * size[:, None]
+    return model[0], B, C, D
+
+
+def _passive(fit: Fit, f: np.ndarray, S: np.ndarray) -> ABCD | None:
+    """The state space of a fit, as near to the samples as a passive one of its poles can be."""
+    model: ABCD | None = _state_space(fit, len(S[0]))
+    if model is None or (np.linalg.eigvals(model[0]).real >= 0).any():
+        return None
+    if not passive(*model):
+        model = _nearest(model, f, S)
+    if model is None:
+        return None
+    A, B, C, D = model
+    gain = 1.0
+    while not passive(A, B, C / gain, D / gain):  # rounding of the optimum
+        gain += ROUNDING
+        if gain > 1 + 20 * ROUNDING:
             return None
-    model = _state_space(fit, ports)
-    return model if passive(*model) else None
+    return A, B, C / gain, D / gain
 
 
 def _transfer(model: ABCD, f: np.ndarray) -> np.ndarray:
@@ -212,10 +285,10 @@ def _admittance(
     n, m = len(A), len(D)
     wide = np.zeros((n + m, n + m))
     wide[:n, :n] = inner
-    ports = tuple(Port(f"port{k + 1}", "electrical", pins=(f"port{k + 1}", "ref")) for k in range(m))
-    return LinearModel(
-        A=wide, B=np.vstack([drive, one]), C=np.hstack([charge, rest]), ports=ports
+    ports = tuple(
+        Port(f"port{k + 1}", "electrical", pins=(f"port{k + 1}", "ref")) for k in range(m)
     )
+    return LinearModel(A=wide, B=np.vstack([drive, one]), C=np.hstack([charge, rest]), ports=ports)
 
 
 def _certified(

@@ -68,7 +68,9 @@ class Axis:
         return self.low * float((self.high / self.low) ** (0.5 * (x + 1)))
 
     def coordinate(self, value: float) -> float:
-        """The coordinate of a value."""
+        """The coordinate of a value; nan of one of the other sign."""
+        if not value / self.low > 0:
+            return float("nan")
         return float(2 * np.log(value / self.low) / np.log(self.high / self.low) - 1)
 
 
@@ -296,7 +298,8 @@ def _loss(full: Full, axis: Axis, middle: Values, frame: LinearModel) -> Loss | 
             return None
     share = np.log([axis.value(x) / axis.middle for x in places])
     powers = []
-    for at_middle, *sizes in zip(frame.rayleigh, *(m.rayleigh for m in models), strict=True):
+    for k, at_middle in enumerate(frame.rayleigh):
+        sizes = [model.rayleigh[k] for model in models if model.rayleigh]
         if at_middle == 0.0 and not any(sizes):
             powers.append(0.0)
             continue

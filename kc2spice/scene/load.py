@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -58,8 +59,9 @@ def load_scene(
         tables of such a file as a mapping, or a scene to be changed.
     overrides : ``dotted.key=value`` texts, whose values are TOML (``80``, ``"80 V"``, ``[0, 1e5]``)
         or a bare word or quantity (``80 V``, ``antiparallel``), or a mapping of dotted keys to
-        values; numbers are SI. An entry of a list is counted from 0, from its end by negative
-        numbers: ``beam.layers[0].thickness``, ``disc.layers[-1].material``.
+        values; numbers are SI; the path of a TOML file of such keys stands for them. An entry of a
+        list is counted from 0, from its end by negative numbers: ``beam.layers[0].thickness``,
+        ``disc.layers[-1].material``.
 
     Raises
     ------
@@ -79,7 +81,7 @@ def load_scene(
     if isinstance(overrides, Mapping):
         changes = [(name, value, f"{name}={value}") for name, value in overrides.items()]
     else:
-        changes = [(*_override(text), text) for text in overrides]
+        changes = [(*_override(text), text) for text in override_texts(overrides)]
     for name, value, text in changes:
         source.overrides[_put(data, name, value, text)] = text
     try:
@@ -330,6 +332,31 @@ def _open(name_or_path: str | Path) -> _Source:
         raise UsageError(f"cannot be read: {reason}", where=name) from None
     folder = Path.cwd() if path.parent == Path() else path.parent  # Path() is: no folder
     return _Source(name, path.stem, text, folder)
+
+
+def override_texts(texts: Sequence[str]) -> list[str]:
+    """Overrides, each ``dotted.key=value``; a TOML file gives all that it has.
+
+    Raises
+    ------
+    UsageError : a file that is not there, or not TOML.
+    """
+    found: list[str] = []
+    for text in texts:
+        plain = "=" in text or not text.endswith(".toml")
+        found += (
+            [text] if plain else [f"{k}={json.dumps(v)}" for k, v in _flat(_open(text).parse())]
+        )
+    return found
+
+
+def _flat(table: Mapping[str, Any], above: str = "") -> Iterator[tuple[str, Any]]:
+    """Dotted keys and values of tables in tables."""
+    for key, value in table.items():
+        if isinstance(value, Mapping):
+            yield from _flat(value, f"{above}{key}.")
+        else:
+            yield f"{above}{key}", value
 
 
 def _override(text: str) -> tuple[str, Any]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -32,12 +32,13 @@ LEAST_NOISE = 1e-3  # relative: the error of the mesh, which data may be better 
 DRAWS, STARTS = 64, 4  # points of the ranges that are looked at; descents, the scene's values first
 NARROWER, NARROW = 0.25, 0.01  # of a range, in logarithms, around the best values, again and again
 DEGREE = 3  # of polynomials in a narrow range
-ROUNDS = 6
+ROUNDS, GAINED = 8, 1e-3  # and the share of the cost that one has to gain
 SETTLED = 0.1  # of the noise, or of what is left: difference of the reduced model to the mesh
 STEP = 1e-5  # of finite differences, in logarithms of values
 FAR = 0.5  # of |Y|, rms at the end: another resonance was matched, or another part measured
 APART = 2.0  # times the cost of the best end: another minimum
 PROMINENT, ABOVE_NOISE = 0.005, 8.0  # of the largest conductance, of the noise: a resonance
+VALUES, PAGE = "fit.toml", "report.html"
 Box = dict[str, Axis]
 
 
@@ -65,7 +66,11 @@ def fit(
     out: Path | None = None,
     progress: Progress = silent,
 ) -> dict[str, Any]:
-    """Vary keys of a body until its admittance is the measured one; write values and a page.
+    """Vary keys of a body until its admittance is the measured one.
+
+    ``vary`` are keys below the part, with ``=low:high`` in SI or with a pair as its range; else
+    30 % about the scene's value, of losses ten times. Given ``out``, values (``fit.toml``) and a
+    page are written there.
 
     Least squares of ``log(Y_model / Y)``, real and imaginary part over the noise of the data, over
     logarithms of the values within their ranges. The model is a :class:`Parametric` one of the
@@ -91,14 +96,13 @@ def fit(
     ends = _descents(body)
     end = _refined(body, ends[0])
     record = _record(body, end, ends)
-    directory = Path(f"{part}_fit") if out is None else Path(out)
-    lines = [f'"{part}.{key}" = {each["value"]!r}' for key, each in record["parameters"].items()]
-    with staged(directory) as work:
-        (work / "fit.toml").write_text("\n".join(lines) + "\n", encoding="utf-8")
-        before = body.exact({each.key: each.start for each in keys})
-        write_fit(work / "report.html", record, measured, before, end.exact)
-    files = {"overrides": str(directory / "fit.toml"), "page": str(directory / "report.html")}
-    return {**record, **files}
+    if out is None:
+        return record
+    lines = [f'"{key}" = {value!r}' for key, value in record["values"].items()]
+    with staged(Path(out)) as work:
+        (work / VALUES).write_text("\n".join(lines) + "\n", encoding="utf-8")
+        write_fit(work / PAGE, record, measured, body.at_start, end.exact)
+    return {**record, "overrides": str(Path(out) / VALUES), "page": str(Path(out) / PAGE)}
 
 
 def _varied(
@@ -158,10 +162,7 @@ class _Body:
     data: Measured
     keys: Sequence[Varied]
     progress: Progress
-    counted: list[int] = None  # type: ignore[assignment]
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "counted", [0])
+    counted: list[int] = field(default_factory=lambda: [0])
 
     @property
     def Y(self) -> np.ndarray:
@@ -208,6 +209,11 @@ class _Body:
         f = self.data.f
         return np.asarray(2j * np.pi * f * modal_transfer(self.full(values, moved), f)[:, 0, 0])
 
+    @cached_property
+    def at_start(self) -> np.ndarray:
+        """That of the scene's values."""
+        return self.exact({each.key: each.start for each in self.keys})
+
     def response(self, made: Parametric, values: Mapping[str, float]) -> np.ndarray:
         """Admittance (n,) [S] of a reduced model."""
         f = self.data.f
@@ -225,7 +231,7 @@ class _End:
     values: dict[str, float]
     solved: OptimizeResult
     box: Box
-    exact: np.ndarray | None = None
+    exact: np.ndarray = field(default_factory=lambda: np.empty(0))
 
     @property
     def cost(self) -> float:
@@ -311,13 +317,14 @@ def _refined(body: _Body, end: _End) -> _End:
         box = {each.key: each.around(end.values[each.key], width[each.key]) for each in body.keys}
         descent = _Descent(body, body.parametric(box, DEGREE), box)
         found = descent.solve(end.values)
+        gained = end.cost / max(found.cost, 1e-300) - 1  # nothing along what is not determined
         exact = body.exact(found.values, moved=True)
         end = found
         made = body.response(descent.made, found.values)
         apart = float(np.sqrt(np.mean(np.abs(np.log(made / exact)) ** 2)))
         left = body.noise * float(np.sqrt(2 * found.cost / len(body.Y)))
-        at_edge = any(_met(axis, found.values[name]) and not _ends(each, axis, found.values[name])
-                      for each in body.keys for name, axis in box.items() if name == each.key)  # fmt: skip
+        at_edge = any(_between(each, box[each.key], found.values[each.key]) for each in body.keys)
+        at_edge &= gained > GAINED
         if apart < SETTLED * max(body.noise, left) and not at_edge:
             return replace(end, exact=body.exact(end.values))
         if not at_edge:
@@ -331,14 +338,11 @@ def _refined(body: _Body, end: _End) -> _End:
     )
 
 
-def _met(axis: Axis, value: float) -> bool:
-    return abs(axis.coordinate(value)) > 1 - 1e-3
-
-
-def _ends(each: Varied, axis: Axis, value: float) -> bool:
-    """Whether the end of a box that a value meets is that of the key's whole range."""
-    end = axis.high if axis.coordinate(value) > 0 else axis.low
-    return bool(np.isclose(end, each.high) or np.isclose(end, each.low))
+def _between(each: Varied, axis: Axis, value: float) -> bool:
+    """Whether a value meets an end of a box that is not one of the key's whole range."""
+    x = axis.coordinate(value)
+    end = axis.high if x > 0 else axis.low
+    return abs(x) > 1 - 1e-3 and not np.isclose([each.low, each.high], end).any()
 
 
 def _record(body: _Body, end: _End, ends: Sequence[_End]) -> dict[str, Any]:
@@ -389,6 +393,7 @@ def _record(body: _Body, end: _End, ends: Sequence[_End]) -> dict[str, Any]:
         "part": body.part,
         "data": body.data.where,
         "parameters": parameters,
+        "values": {f"{body.part}.{key}": value for key, value in end.values.items()},
         "error": {"rms": float(np.sqrt(np.mean(size**2))), "largest": float(size.max())},
         "identifiable": not weak.any(),
         "undetermined": [dict(zip(parameters, map(float, row), strict=True)) for row in Vt[weak]],
@@ -410,13 +415,11 @@ def _at_bound(each: Varied, value: float) -> bool:
 def _matched(body: _Body, end: _End) -> list[dict[str, float | None]]:
     """Resonances of the measurement, of the scene's values and of the end, in their order: peaks of
     the conductance."""
-    start = body.exact({each.key: each.start for each in body.keys})
-    rows = [_peaks(body.data.f, Y, body.data.noise) for Y in (body.Y, start, end.exact)]
+    rows = [_peaks(body.data.f, Y, body.data.noise) for Y in (body.Y, body.at_start, end.exact)]
     longest = max(map(len, rows))
     padded = [[*map(float, row), *[None] * (longest - len(row))] for row in rows]
     return [
-        {"measured_hz": m, "start_hz": s, "fitted_hz": f}
-        for m, s, f in zip(*padded, strict=True)
+        {"measured_hz": m, "start_hz": s, "fitted_hz": f} for m, s, f in zip(*padded, strict=True)
     ]
 
 
