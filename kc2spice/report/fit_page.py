@@ -8,15 +8,20 @@ from typing import Any
 
 import numpy as np
 
-from kc2spice.bodies.readers.measured import Measured
 from kc2spice.core.figure import Curve, Figure, Panel, scale_axis
 from kc2spice.report.html import Section, write_page
 
 
 def write_fit(
-    path: Path, record: Mapping[str, Any], data: Measured, before: np.ndarray, after: np.ndarray
+    path: Path,
+    record: Mapping[str, Any],
+    f: np.ndarray,
+    Y: np.ndarray,
+    before: np.ndarray,
+    after: np.ndarray,
 ) -> None:
-    """Write the page of ``record``; ``before`` and ``after`` (n,) are admittances [S]."""
+    """Write the page of ``record``; ``Y``, ``before`` and ``after`` (n,) are admittances [S] at
+    ``f`` [Hz]."""
     rows = [
         (key, f"{each['value']:.6g}", f"{each['sigma']:.2g}",
          f"{each['low']:g} to {each['high']:g}", "met" if each["at_bound"] else "")
@@ -30,7 +35,7 @@ def write_fit(
     sections = [
         Section("Values", rows, ("key", "value", "standard error", "range", "bound"),
                 note=f"{words}; {record['models']} finite element models",
-                figures=fit_figures(data, before, after)),
+                figures=fit_figures(f, Y, before, after)),
         Section("Resonances", resonances, ("measured in Hz", "at the scene's values", "fitted"),
                 note="peaks of the conductance, in their order"),
         Section("Starts", [tuple(f"{value:.6g}" for value in each.values())
@@ -49,10 +54,12 @@ def write_fit(
     write_page(path, f"{record['part']}, fitted", lead, sections)
 
 
-def fit_figures(data: Measured, before: np.ndarray, after: np.ndarray) -> tuple[Figure, ...]:
+def fit_figures(
+    f: np.ndarray, Y: np.ndarray, before: np.ndarray, after: np.ndarray
+) -> tuple[Figure, ...]:
     """Impedance and phase of all three, and what is left over."""
-    x, factor = scale_axis("frequency", data.f)
-    f, Y = factor * data.f, data.Y[:, 0, 0]
+    x, factor = scale_axis("frequency", f)
+    f = factor * f
     three = {"measured": (Y, "o"), "scene": (before, "--"), "fitted": (after, "-")}
     size = [Curve(name, f, np.abs(1 / y), style) for name, (y, style) in three.items()]
     phase = [Curve(name, f, np.rad2deg(np.angle(1 / y)), style)

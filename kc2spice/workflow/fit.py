@@ -101,7 +101,7 @@ def fit(
     lines = [f'"{key}" = {value!r}' for key, value in record["values"].items()]
     with staged(Path(out)) as work:
         (work / VALUES).write_text("\n".join(lines) + "\n", encoding="utf-8")
-        write_fit(work / PAGE, record, measured, body.at_start, end.exact)
+        write_fit(work / PAGE, record, measured.f, body.Y, body.at_start, end.exact)
     return {**record, "overrides": str(Path(out) / VALUES), "page": str(Path(out) / PAGE)}
 
 

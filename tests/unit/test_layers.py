@@ -29,7 +29,7 @@ MAY = {
     "pyspice": "core netlist",
     "cli": "core netlist scene sim report workflow",
     "__main__": "cli",
-    "__init__": "core netlist rom bodies scene spice api",
+    "__init__": "core netlist rom bodies scene spice api workflow",
 }
 LAZY = ("gmsh", "PySpice", "matplotlib")
 
