@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from importlib.util import find_spec
 from io import BytesIO
 from pathlib import Path
@@ -20,7 +19,7 @@ SKY, PURPLE, BLACK, GREY = "#56B4E9", "#CC79A7", "#222222", "#8A8A8A"
 PALETTE = (BLUE, ORANGE, GREEN, RED, PURPLE, SKY, BLACK)
 
 MANY = 4  # labels in one line above the axes; more stand beside them, where they cover no data
-ABOVE: Any = {
+_ABOVE: Any = {
     "loc": "lower left",
     "bbox_to_anchor": (0.0, 1.0),
     "ncols": MANY,
@@ -28,7 +27,7 @@ ABOVE: Any = {
     "handlelength": 1.6,
     "columnspacing": 1.4,
 }
-BESIDE: Any = {"loc": "upper left", "bbox_to_anchor": (1.01, 1.0), "borderaxespad": 0.0}
+_BESIDE: Any = {"loc": "upper left", "bbox_to_anchor": (1.01, 1.0), "borderaxespad": 0.0}
 _MARKS = ("o", "s", "^", "D", "v", "P")
 _LINES: dict[str, Any] = {
     "-": {"ls": "-"},
@@ -84,8 +83,15 @@ def require_matplotlib() -> None:
 def draw_all(directory: Path, figures: Sequence[Figure]) -> list[str]:
     """Draw every figure into ``directory`` as ``NAME.png``; return the names of the files."""
     for figure in figures:
-        with sheet(directory / f"{figure.name}.png", _size(figure)) as page:
-            _fill(page, figure)
+        page = notebook_figure(figure)
+        # The layout once, here: left to savefig, it would cost another drawing of everything.
+        page.get_layout_engine().execute(page)
+        page.set_layout_engine("none")
+        page.savefig(
+            directory / f"{figure.name}.png",
+            metadata={"Software": "kc2spice"},
+            pil_kwargs={"compress_level": 2},  # the default takes longer than all the drawing
+        )
     return [f"{figure.name}.png" for figure in figures]
 
 
@@ -104,30 +110,13 @@ def notebook_figure(figure: Figure) -> Any:
 
     with matplotlib.rc_context(_STYLE):
         page = Shown(figsize=_size(figure), layout="constrained")
-        _fill(page, figure)
+        count, columns = len(figure.panels), figure.columns
+        axes = page.subplots(-(-count // columns), columns, sharex=columns == 1, squeeze=False)
+        for each, panel in zip(axes.flat, figure.panels, strict=False):
+            _draw_panel(each, panel)
+        for spare in axes.flat[count:]:
+            spare.set_axis_off()
     return page
-
-
-@contextmanager
-def sheet(path: Path, size: tuple[float, float]) -> Iterator[Any]:
-    """A matplotlib figure of ``size`` in inches to fill, written as PNG to ``path`` after."""
-    import matplotlib
-    from matplotlib.figure import Figure as Sheet
-    from matplotlib.layout_engine import ConstrainedLayoutEngine
-
-    with matplotlib.rc_context(_STYLE):
-        layout = ConstrainedLayoutEngine()
-        page = Sheet(figsize=size, layout=layout)
-        yield page
-        # The layout once, here: left to savefig, it would cost another drawing of everything.
-        layout.execute(page)
-        page.set_layout_engine("none")
-        page.savefig(
-            path,
-            format="png",
-            metadata={"Software": "kc2spice"},
-            pil_kwargs={"compress_level": 2},  # the default takes longer than all the drawing
-        )
 
 
 def _size(figure: Figure) -> tuple[float, float]:
@@ -135,15 +124,6 @@ def _size(figure: Figure) -> tuple[float, float]:
     if columns == 1:
         return 7.0, 4.0 if count == 1 else 2.6 * count
     return 3.6 * columns, 2.7 * -(-count // columns)
-
-
-def _fill(page: Any, figure: Figure) -> None:
-    count, columns = len(figure.panels), figure.columns
-    axes = page.subplots(-(-count // columns), columns, sharex=columns == 1, squeeze=False)
-    for each, panel in zip(axes.flat, figure.panels, strict=False):
-        _draw_panel(each, panel)
-    for spare in axes.flat[count:]:
-        spare.set_axis_off()
 
 
 def _draw_panel(axes: Any, panel: Panel) -> None:
@@ -176,7 +156,7 @@ def _draw_panel(axes: Any, panel: Panel) -> None:
     axes.set(xlabel=panel.x, ylabel=panel.y)
     labels = len(axes.get_legend_handles_labels()[1])
     if labels > 1:
-        axes.legend(**(BESIDE if labels > MANY else ABOVE))
+        axes.legend(**(_BESIDE if labels > MANY else _ABOVE))
 
 
 def _draw_curve(axes: Any, k: int, curve: Curve) -> None:

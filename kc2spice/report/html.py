@@ -42,15 +42,8 @@ def write_page(path: Path, title: str, lead: str, sections: Sequence[Section]) -
 
     ``lead`` stands below the title.
     """
-    environment = Environment(
-        loader=FileSystemLoader(template_directory()),
-        undefined=StrictUndefined,
-        autoescape=True,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    environment.filters["figure"] = figure_html
-    text = environment.get_template("report.html.j2").render(
+    text = rendered(
+        "report.html.j2",
         title=title,
         lead=lead,
         sections=[s for s in sections if s.rows or s.figures or s.drawing or s.links],
@@ -59,6 +52,19 @@ def write_page(path: Path, title: str, lead: str, sections: Sequence[Section]) -
     )
     path.write_text(text, encoding="utf-8")
     return path
+
+
+def rendered(template: str, **values: object) -> str:
+    """A page or a drawing; whatever text it is given stays text in it."""
+    environment = Environment(
+        loader=FileSystemLoader(template_directory()),
+        undefined=StrictUndefined,
+        autoescape=True,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    environment.filters.update(figure=figure_html, px="{:.1f}".format)
+    return environment.get_template(template).render(**values)
 
 
 def figure_html(figure: Figure) -> str:

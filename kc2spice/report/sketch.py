@@ -2,28 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from html import escape
 
 from kc2spice.core.figure import Shape
-from kc2spice.report.figures import BLACK, BLUE, GREEN, GREY
-from kc2spice.scene.model import Scene, Terminal
+from kc2spice.report.figures import BLUE, GREEN, GREY
+from kc2spice.report.html import rendered
+from kc2spice.scene.model import Scene
 
 WIDE, HIGH = 520.0, 300.0  # of the devices, in units of the page
 LETTER = 6.2  # width of a letter
 TRACK, BOX = 24.0, 74.0  # between two nets; height of a part
 ORANGE = "#B86E00"
-_FILLS = {"ceramic": "#F3D9A4", "metal": "#D9D9D9", "magnet": "#B8C9E6", "coil": "#E3B7A0"}
-_COLOURS = {"A": BLUE, "N": ORANGE, "Nm": ORANGE, "-": GREEN}
-_SVG = (
-    '<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {w:.0f} {h:.0f}" role="img" '
-    'style="max-width:{w:.0f}px;width:100%" font-family="system-ui, \'DejaVu Sans\', '
-    'sans-serif" font-size="11">{body}</svg>'
-)
-
-
-# --- devices ------------------------------------------------------------------------------------
+FILLS = {"ceramic": "#F3D9A4", "metal": "#D9D9D9", "magnet": "#B8C9E6", "coil": "#E3B7A0"}
+COLOURS = {"A": BLUE, "N": ORANGE, "Nm": ORANGE, "-": GREEN}
 
 
 def devices(scene: Scene) -> str:
@@ -36,26 +28,34 @@ def devices(scene: Scene) -> str:
     top = max(s.y + s.height / 2 for s in shapes)
     bottom = min(s.y - s.height / 2 for s in shapes)
     scale = min(WIDE / (right - left), HIGH / (top - bottom))
-    place = lambda x, y: (10 + scale * (x - left), 10 + scale * (top - y))  # noqa: E731
-    width, height = scale * (right - left), scale * (top - bottom)
-    items = [_shape(shape, *place(shape.x, shape.y), scale) for shape in shapes]
-    named = sorted((s for s in shapes if s.label), key=lambda s: -s.y)
-    line = 0.0
-    for shape in named:
-        x, y = place(shape.x + shape.width / 2 * (0.7 if shape.round else 0.9), shape.y)
-        line = max(line + 16, y)
-        items += [
-            _line(x, y, width + 26, line, GREY, 'stroke-width="0.7"'),
-            _text(width + 30, line + 4, shape.label),
-        ]
-    longest = max((len(s.label) for s in named), default=0)
-    bar = _round(0.25 * (right - left))
-    low = max(height, line) + 34
-    items += [
-        _line(10, low, 10 + scale * bar, low, BLACK, 'stroke-width="2"'),
-        _text(10, low - 5, f"{1e3 * bar:g} mm"),
+    placed = [
+        (
+            shape,
+            10 + scale * (shape.x - left),
+            10 + scale * (top - shape.y),
+            scale * shape.width,
+            max(scale * shape.height, 1.5),
+        )
+        for shape in shapes
     ]
-    return _SVG.format(w=width + 50 + LETTER * longest, h=low + 10, body="".join(items))
+    labels, line = [], 0.0
+    for shape, x, y, width, _ in sorted(placed, key=lambda row: row[2]):
+        if shape.label:
+            line = max(line + 16, y)
+            edge = x + width / 2 * (0.7 if shape.round else 0.9)
+            labels.append((shape.label, edge, y, line))
+    side = scale * (right - left)
+    return rendered(
+        "devices.svg.j2",
+        shapes=placed,
+        fills=FILLS,
+        labels=labels,
+        side=side,
+        scale=scale,
+        bar=float(f"{0.25 * (right - left):.0e}"),  # one digit
+        low=max(scale * (top - bottom), line) + 34,
+        width=side + 50 + LETTER * max((len(label) for label, *_ in labels), default=0),
+    )
 
 
 def _side_by_side(scene: Scene) -> list[Shape]:
@@ -73,51 +73,41 @@ def _side_by_side(scene: Scene) -> list[Shape]:
     return found
 
 
-def _shape(shape: Shape, x: float, y: float, scale: float) -> str:
-    w, h = scale * shape.width, max(scale * shape.height, 1.5)
-    look = f'fill="{_FILLS[shape.kind]}" stroke="#555" stroke-width="0.8"'
-    if shape.round:
-        return f'<circle cx="{x:.1f}" cy="{y:.1f}" r="{w / 2:.1f}" {look}/>'
-    rectangle = (
-        f'<rect x="{x - w / 2:.1f}" y="{y - h / 2:.1f}" width="{w:.1f}" height="{h:.1f}" {look}/>'
-    )
-    count = shape.layers if h > 2 * shape.layers else 1
-    lines = (y - h / 2 + k * h / count for k in range(1, count))
-    thin = 'stroke-width="0.4"'
-    return rectangle + "".join(_line(x - w / 2, v, x + w / 2, v, "#555", thin) for v in lines)
-
-
-def _round(length: float) -> float:
-    """One digit, for a scale bar."""
-    return float(f"{length:.0e}")
-
-
-# --- circuit ------------------------------------------------------------------------------------
-
-
 def circuit(scene: Scene) -> str:
     """Parts as boxes in a row; each net is a line above them, under its name in the netlist."""
-    spots: dict[str, list[tuple[float, Terminal]]] = {}
+    spots: dict[str, list[tuple[float, str, str]]] = {}
     boxes, x = [], 10.0
     for part in scene.parts.values():
         pins = part.type.pins(part, scene)
         steps = [max(30.0, LETTER * len(pin.name) + 10) for pin in pins]
         width = max(sum(steps), LETTER * max(len(part.name), len(part.type.name)) + 16)
-        boxes.append((x, width, part.name, part.type.name))
+        boxes.append((x, width, part.name, part.type.name.replace("_", " ")))
         at = x + (width - sum(steps)) / 2
         for pin, step in zip(pins, steps, strict=True):
-            spots.setdefault(scene.net(part.name, pin.name), []).append((at + step / 2, pin))
+            end = (at + step / 2, pin.name, COLOURS.get(pin.flow, GREY))
+            spots.setdefault(scene.net(part.name, pin.name), []).append(end)
             at += step
         x += width + 22
-    levels = _levels({n: [p for p, _ in s] for n, s in spots.items() if n != "0" and len(s) > 1})
+    places = {net: [place for place, *_ in ends] for net, ends in spots.items()}
+    levels = _levels({net: at for net, at in places.items() if net != "0" and len(at) > 1})
     top = TRACK * (1 + max(levels.values(), default=0)) + 18
-    items = [_box(*box, top) for box in boxes]
-    for net, ends in spots.items():
-        items += _net(net, ends, top, top - TRACK * (levels[net] + 1) if net in levels else None)
-    return _SVG.format(w=x, h=top + BOX + 26, body="".join(items))
+    nets = [
+        {
+            "name": net,
+            "ends": ends,
+            "colour": ends[0][2],
+            "first": min(places[net]),
+            "last": max(places[net]),
+            "level": top - TRACK * (levels[net] + 1) if net in levels else None,
+        }
+        for net, ends in spots.items()
+    ]
+    return rendered(
+        "circuit.svg.j2", boxes=boxes, nets=nets, top=top, box=BOX, width=x, blue=BLUE, grey=GREY
+    )
 
 
-def _levels(nets: dict[str, Sequence[float]]) -> dict[str, int]:
+def _levels(nets: Mapping[str, Sequence[float]]) -> dict[str, int]:
     """Height of each net, short ones lowest; two of one height do not overlap."""
     taken: list[list[tuple[float, float]]] = []
     found = {}
@@ -132,52 +122,3 @@ def _levels(nets: dict[str, Sequence[float]]) -> dict[str, int]:
         taken[level].append((low, high))
         found[net] = level
     return found
-
-
-def _net(
-    net: str, ends: Sequence[tuple[float, Terminal]], top: float, level: float | None
-) -> list[str]:
-    colour = _COLOURS.get(ends[0][1].flow, GREY)
-    items = [
-        _text(x, top + 13, pin.name, "middle", _COLOURS.get(pin.flow, GREY)) for x, pin in ends
-    ]
-    if net == "0":  # the sign of ground under the box
-        for x, _ in ends:
-            items.append(_line(x, top + BOX, x, top + BOX + 8, GREY))
-            items += [
-                _line(x - s, top + BOX + y, x + s, top + BOX + y, GREY)
-                for s, y in ((8, 8), (5, 11), (2, 14))
-            ]
-    elif level is None:
-        items += [_line(x, top, x, top - 8, colour) for x, _ in ends]
-    else:
-        places = [x for x, _ in ends]
-        items.append(_line(min(places), level, max(places), level, colour))
-        items += [_line(x, top, x, level, colour) for x in places]
-        items += [
-            f'<circle cx="{x:.1f}" cy="{level:.1f}" r="2.5" fill="{colour}"/>' for x in places
-        ]
-        items.append(_text(min(places) + 4, level - 3, net, colour=GREY, extra='font-size="9"'))
-    return items
-
-
-def _box(x: float, width: float, name: str, kind: str, top: float) -> str:
-    middle = x + width / 2
-    frame = (
-        f'<rect x="{x:.1f}" y="{top:.1f}" width="{width:.1f}" height="{BOX:.0f}" rx="5" '
-        f'fill="#F5F8FB" stroke="{BLUE}"/>'
-    )
-    words = _text(middle, top + 42, name, "middle", BLACK, 'font-weight="bold"')
-    return frame + words + _text(middle, top + 58, kind.replace("_", " "), "middle", GREY)
-
-
-def _line(x1: float, y1: float, x2: float, y2: float, colour: str, extra: str = "") -> str:
-    ends = f'x1="{x1:.1f}" y1="{y1:.1f}" x2="{x2:.1f}" y2="{y2:.1f}"'
-    return f'<line {ends} stroke="{colour}" {extra}/>'
-
-
-def _text(
-    x: float, y: float, text: str, anchor: str = "start", colour: str = BLACK, extra: str = ""
-) -> str:
-    place = f'x="{x:.1f}" y="{y:.1f}" text-anchor="{anchor}"'
-    return f'<text {place} fill="{colour}" {extra}>{escape(text)}</text>'
