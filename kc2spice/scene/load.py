@@ -30,7 +30,7 @@ from kc2spice.scene.compose import allocated, composed
 from kc2spice.scene.model import GROUND, SHORT, Frame, Part, Scene
 from kc2spice.scene.parttype import Build, PartType, part_type, type_names
 from kc2spice.scene.plausible import drives, judged
-from kc2spice.scene.rest import without_equilibrium, without_finite_force
+from kc2spice.scene.rest import unsettled
 
 _WORD, _INDEX = r"[A-Za-z_][A-Za-z0-9_]*", r"\[-?[0-9]{1,6}\]"
 _KEY = re.compile(rf"{_WORD}({_INDEX})*(\.{_WORD}({_INDEX})*)*")
@@ -124,9 +124,8 @@ def _scene(data: dict[str, Any], home: Path) -> Scene:
     for problem in problems(scene):
         raise problem
     scene = composed(_driven(scene))
-    build = Build(scene, {})
     wild = judged(drives(scene), scene.checks.plausible)
-    for problem in chain(without_equilibrium(build), without_finite_force(build), wild):
+    for problem in chain(unsettled(Build(scene, {})), wild):
         raise problem
     return scene
 

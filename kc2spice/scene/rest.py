@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
 from kc2spice.core.errors import UsageError
 from kc2spice.scene.compose import Groups
 from kc2spice.scene.model import GROUND, Part, Scene
-from kc2spice.scene.parttype import Build
+from kc2spice.scene.parttype import Build, Rest
 
 HELD = "a spring, a contact, a clamped body or a displacement source between it and gnd"
 
@@ -18,14 +18,11 @@ class Free:
     """Nets that are held against each other at most: they move together without any force.
 
     ``nets`` are those of displacements, none for a sphere, whose pins are a velocity and signals.
-    ``parts`` have a pin there: ``heavy`` ones move along, ``bodies`` by states of their own, and
-    ``pushed`` ones put a constant force on them at t = 0.
+    ``parts`` have a pin there, ``bodies`` of them move along by states of their own.
     """
 
     nets: tuple[str, ...]
     parts: tuple[str, ...]
-    heavy: tuple[str, ...]
-    pushed: tuple[str, ...]
     bodies: tuple[str, ...]
 
 
@@ -34,10 +31,7 @@ def free(build: Build) -> tuple[Free, ...]:
 
     Parts whose model is not built yet count as held.
     """
-    scene = build.scene
-    parts = scene.parts.values()
-    held = [(part, part.type.at_rest(part, scene, build.model(part)).held) for part in parts]
-    return tuple(_free(group, scene) for group in _groups(scene, held) if "0" not in group)
+    return tuple(_free(group, build.scene) for group in _unheld(build, _rests(build)))
 
 
 def rigid(scene: Scene, without: str = "") -> list[frozenset[str]]:
@@ -47,49 +41,67 @@ def rigid(scene: Scene, without: str = "") -> list[frozenset[str]]:
     return _groups(scene, [(part, part.type.at_rest(part, scene).ideal) for part in parts])
 
 
-def without_equilibrium(build: Build) -> Iterator[UsageError]:
-    """Why the analysis has no operating point to begin at, one error a group of nets."""
-    kind = build.scene.analysis.type
-    for group in free(build):
-        named = (*group.bodies, *group.heavy, *group.parts)[0]
-        by = ", ".join(group.pushed)
-        if kind in ("op", "dc"):
-            yield UsageError(
-                f"nothing holds {named}: it has no operating point",
-                where=named,
-                got=f"analysis {kind}" + (f", pushed by {by}" if by else ""),
-                expected=HELD,
-                hint='analysis.type = "transient" lets it move',
-            )
-        elif by and kind == "ac":
-            yield UsageError(
-                f"nothing holds {named} against a constant force: there is no point at rest to "
-                "linearise about",
-                where=named,
-                got=f"pushed by {by}",
-                expected=f"no constant force, or {HELD}",
-                hint="ac = … without dc; weight = false",
-            )
-        elif by and group.bodies:
-            yield UsageError(
-                f"nothing holds {named} against a constant force at t = 0: a transient cannot "
-                "begin at rest",
-                where=named,
-                got=f"pushed by {by}",
-                expected="a force that is zero at t = 0, such as a pulse, or a support",
-            )
+def unsettled(build: Build) -> Iterator[UsageError]:
+    """Why the analysis cannot begin: nets without an operating point, and sources that make the
+    velocity of inertia jump with nothing that yields in between. Their force is an impulse, and a
+    simulator gives what its step makes of it, ringing after it.
 
-
-def without_finite_force(build: Build) -> Iterator[UsageError]:
-    """Sources that make the velocity of inertia jump, with nothing that yields in between: the
-    force is an impulse, and a simulator gives what its step makes of it, ringing after it.
-
-    Bodies whose model is not built yet count as yielding.
+    Parts whose model is not built yet count as held and as yielding.
     """
+    rests, kind = _rests(build), build.scene.analysis.type
+    for group in _unheld(build, rests):
+        yield from _unheld_problem(group, build.scene, rests)
+    if kind == "transient":
+        yield from _jumps(build.scene, rests)
+
+
+def _rests(build: Build) -> list[tuple[Part, Rest]]:
     scene = build.scene
-    if scene.analysis.type != "transient":
-        return
-    rests = [(p, p.type.at_rest(p, scene, build.model(p))) for p in scene.parts.values()]
+    return [(p, p.type.at_rest(p, scene, build.model(p))) for p in scene.parts.values()]
+
+
+def _unheld(build: Build, rests: list[tuple[Part, Rest]]) -> Iterator[frozenset[str]]:
+    held = [(part, rest.held) for part, rest in rests]
+    return (group for group in _groups(build.scene, held) if "0" not in group)
+
+
+def _unheld_problem(
+    group: frozenset[str], scene: Scene, rests: list[tuple[Part, Rest]]
+) -> Iterator[UsageError]:
+    """Why the analysis has no operating point of these nets to begin at."""
+    found, kind = _free(group, scene), scene.analysis.type
+    heavy = [name for name in found.parts if scene.parts[name].type.heavy]
+    named = (*found.bodies, *heavy, *found.parts)[0]
+    pushed = [p.name for p, rest in rests if any(scene.nets[p.name, x] in group for x in rest.pushed)]
+    by = "pushed by " + ", ".join(pushed) if pushed else ""
+    if kind in ("op", "dc"):
+        yield UsageError(
+            f"nothing holds {named}: it has no operating point",
+            where=named,
+            got=", ".join(filter(None, (f"analysis {kind}", by))),
+            expected=HELD,
+            hint='analysis.type = "transient" lets it move',
+        )
+    elif by and kind == "ac":
+        yield UsageError(
+            f"nothing holds {named} against a constant force: there is no point at rest to "
+            "linearise about",
+            where=named,
+            got=by,
+            expected=f"no constant force, or {HELD}",
+            hint="ac = … without dc; weight = false",
+        )
+    elif by and found.bodies:
+        yield UsageError(
+            f"nothing holds {named} against a constant force at t = 0: a transient cannot begin "
+            "at rest",
+            where=named,
+            got=by,
+            expected="a force that is zero at t = 0, such as a pulse, or a support",
+        )
+
+
+def _jumps(scene: Scene, rests: list[tuple[Part, Rest]]) -> Iterator[UsageError]:
     inert = {scene.nets[p.name, pin]: p.name for p, rest in rests for pin in rest.inert}
     inert.pop("0", None)
     for part, rest in rests:
@@ -117,7 +129,7 @@ def _moving(scene: Scene) -> dict[str, str]:
 
 
 def _groups(
-    scene: Scene, joined: list[tuple[Part, tuple[tuple[str, str], ...]]]
+    scene: Scene, joined: Iterable[tuple[Part, tuple[tuple[str, str], ...]]]
 ) -> list[frozenset[str]]:
     """Nets that move by what pairs of pins join; pairs of others, such as voltages, say nothing."""
     union = Groups(nets := _moving(scene))
@@ -131,14 +143,6 @@ def _groups(
 
 def _free(group: frozenset[str], scene: Scene) -> Free:
     ends = (key for key, pin in scene.terminals.items() if pin.moving and scene.nets[key] in group)
-    parts = {name: scene.parts[name] for name, _ in ends}
-    rests = {name: part.type.at_rest(part, scene) for name, part in parts.items()}
-    pushed = tuple(
-        name
-        for name, rest in rests.items()
-        if any(scene.nets[name, pin] in group for pin in rest.pushed)
-    )
-    bodies = tuple(name for name, part in parts.items() if part.type.reduced)
-    nets = tuple(n for n, unit in _moving(scene).items() if n in group and unit == "um")
-    heavy = tuple(name for name, rest in rests.items() if rest.inert)
-    return Free(nets, tuple(parts), heavy, pushed, bodies)
+    parts = tuple(dict.fromkeys(name for name, _ in ends))
+    nets = tuple(net for net, unit in _moving(scene).items() if net in group and unit == "um")
+    return Free(nets, parts, tuple(name for name in parts if scene.parts[name].type.reduced))

@@ -15,7 +15,7 @@ from kc2spice.scene.model import Scene, scene_hash
 from kc2spice.scene.parttype import Build, begins, numerics
 from kc2spice.scene.plan import MAX_STEP
 from kc2spice.scene.plausible import built, judged
-from kc2spice.scene.rest import free, without_equilibrium, without_finite_force
+from kc2spice.scene.rest import free, unsettled
 from kc2spice.spice.header import Header, plan_lines
 from kc2spice.workflow.meters import powers, replaced, result_vectors, swept
 from kc2spice.workflow.steps import largest_step
@@ -34,7 +34,7 @@ def make_deck(build: Build) -> Deck:
     """
     scene = build.scene
     wild = judged(built(build), scene.checks.plausible)
-    for problem in chain(without_equilibrium(build), without_finite_force(build), wild):
+    for problem in chain(unsettled(build), wild):
         raise problem
     header = _header(scene)
     parts = tuple(_libraries(build, header))
