@@ -18,7 +18,7 @@ from typing import Any, overload
 
 import numpy as np
 
-from kc2spice.core.errors import UsageError
+from kc2spice.core.errors import UsageError, unknown
 from kc2spice.core.figure import Curve, Figure, Panel
 from kc2spice.core.files import staged
 from kc2spice.core.progress import Clock
@@ -279,9 +279,8 @@ class Result:
         log, by_unit = self.scale == "frequency", dict[str, list[Curve]]()
         for name in names or known:
             if name not in known:
-                expected = ", ".join([*self.figures, *known])
-                message = "no such wave or figure"
-                raise UsageError(message, where=self.scene, got=repr(name), expected=expected)
+                known_names = [*self.figures, *known]
+                raise unknown("no such wave or figure", name, known_names, self.scene)
             y = self.waves[name]
             curve = Curve(name, self.waves[self.scale], np.abs(y) if np.iscomplexobj(y) else y)
             by_unit.setdefault(self.units.get(name, ""), []).append(curve)
@@ -385,7 +384,7 @@ class Table:
         if isinstance(column, int):
             return self.rows[column]
         if column not in self.columns:
-            raise UsageError("no such column", got=column, expected=", ".join(self.columns))
+            raise unknown("no such column", column, self.columns)
         return [row[column] for row in self.rows]
 
     def save(self, path: str | Path) -> Path:

@@ -19,7 +19,7 @@ from typing import Any
 
 import numpy as np
 
-from kc2spice.core.errors import UsageError
+from kc2spice.core.errors import UsageError, unknown
 
 _FEWEST = 7  # samples around the resonance, for six real coefficients
 _PASSES = 8
@@ -74,7 +74,7 @@ def impedance(model: Any, frequency: np.ndarray, port: str | None = None) -> np.
     electrical = [p.name for p in model.ports if p.kind == "electrical"]
     name = electrical[0] if port is None and electrical else port
     if name not in electrical:
-        raise UsageError("no electrical port", got=port, expected=", ".join(electrical) or "one")
+        raise unknown("no electrical port", port, electrical)
     index = [p.name for p in model.ports].index(name)
     frequency = np.asarray(frequency, float)
     return 1 / (2j * np.pi * frequency * model.transfer(frequency)[:, index, index])

@@ -72,6 +72,16 @@ class SimulationError(Kc2spiceError):
     exit_code = 5
 
 
+def unknown(
+    message: str, name: object, known: Iterable[str], where: str | None = None
+) -> UsageError:
+    """The error of a ``name`` that is none of the ``known`` ones, with what is near it."""
+    choices = list(known)
+    expected = "one of " + ", ".join(choices) if choices else None
+    near = did_you_mean(str(name), choices)
+    return UsageError(message, where=where, got=repr(name), expected=expected, hint=near)
+
+
 def did_you_mean(word: str, choices: Iterable[str]) -> str | None:
     """``did you mean 'x'?`` for a near miss; of dotted keys only the last parts are compared."""
     import difflib  # late: most errors need none of it

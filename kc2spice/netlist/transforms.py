@@ -7,7 +7,7 @@ import math
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
 
-from kc2spice.core.errors import UsageError, did_you_mean
+from kc2spice.core.errors import UsageError, unknown
 from kc2spice.netlist.cards import number
 from kc2spice.netlist.circuit import LEAST, Circuit, Element, Item, Param, Subcircuit
 from kc2spice.netlist.deck import Block, Deck
@@ -93,12 +93,8 @@ def with_parameters(deck: Deck, values: Iterable[tuple[str, float]]) -> Deck:
     known, parts = declared(deck), list(deck.parts)
     for key, value in values:
         if key not in known:
-            raise UsageError(
-                "no part of this scene has such a parameter",
-                where=f"param.{key}",
-                expected=", ".join(known),
-                hint=did_you_mean(key, known),
-            )
+            message = "no part of this scene has such a parameter"
+            raise unknown(message, key, known, f"param.{key}")
         library, _, name = key.partition(".")
         parts = [_changed(part, library, name, value) for part in parts]
     return replace(deck, parts=tuple(parts))

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 from dataclasses import replace
 
-from kc2spice.core.errors import UsageError
+from kc2spice.core.errors import UsageError, unknown
 from kc2spice.netlist.circuit import Directive, Subcircuit
 from kc2spice.netlist.deck import ANALYSES, Deck, retold
 from kc2spice.netlist.expression import added, terms
@@ -33,9 +33,7 @@ def translate(deck: Deck, dialect: str) -> Deck:
     if dialect == "ngspice":
         return deck
     if dialect not in PRINTERS:
-        raise UsageError(
-            "unknown dialect", where="--dialect", got=dialect, expected=", ".join(DIALECTS)
-        )
+        raise unknown("unknown dialect", dialect, DIALECTS, "--dialect")
     printer = PRINTERS[dialect](_setup(deck))
     main = retold(deck.trees[deck.main], f"* Run it with:  {printer.command} {deck.main}")
     trees = {**deck.trees, deck.main: main}

@@ -17,7 +17,7 @@ from pydantic import Field
 
 from kc2spice.core import laws
 from kc2spice.core.cache import cached, remembered
-from kc2spice.core.errors import UsageError
+from kc2spice.core.errors import UsageError, unknown
 from kc2spice.core.figure import Figure
 from kc2spice.core.quantities import Section, Voltage
 from kc2spice.core.waveforms import Waveforms, running
@@ -515,15 +515,10 @@ class LinearBody(Touching):
 
 
 def _require_ports(
-    part: Part, unknown: Sequence[str], known: Sequence[str], kind: str = ""
+    part: Part, missing: Sequence[str], known: Sequence[str], kind: str = ""
 ) -> None:
-    for name in unknown:
-        raise UsageError(
-            f"{part.name} has no such {kind}port",
-            where=part.name,
-            got=repr(name),
-            expected=", ".join(known) or "none",
-        )
+    for name in missing:
+        raise unknown(f"{part.name} has no such {kind}port", name, known, part.name)
 
 
 def _charge_kept(part: Part, build: Build) -> Iterator[Check]:

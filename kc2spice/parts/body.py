@@ -41,7 +41,7 @@ from kc2spice.bodies.device import (
     spread,
 )
 from kc2spice.core.cache import cached
-from kc2spice.core.errors import UsageError
+from kc2spice.core.errors import UsageError, unknown
 from kc2spice.core.figure import Curve, Figure, Panel
 from kc2spice.core.foreign import beside
 from kc2spice.core.quantities import Count, Length, Notch, Section, validated
@@ -271,12 +271,7 @@ class _Groups:
         """The group, if it has one of these codimensions."""
         group = self.found.get(name)
         if group is None:
-            raise UsageError(
-                "no such group in the mesh",
-                where=where,
-                got=name,
-                expected=", ".join(sorted(self.found)) or "physical groups in the file",
-            )
+            raise unknown("no such group in the mesh", name, sorted(self.found), where)
         if not group.members.size:
             raise UsageError("group is empty", where=where, got=name)
         if codimensions and group.codimension not in codimensions:

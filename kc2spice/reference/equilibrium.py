@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from kc2spice.core.errors import SimulationError, UsageError
+from kc2spice.core.errors import SimulationError, unknown
 from kc2spice.core.laws import Line
 from kc2spice.reference.assemble import System
 from kc2spice.reference.interval import Interval
@@ -32,7 +32,7 @@ def dc(system: System, source: str, values: np.ndarray) -> dict[str, np.ndarray]
     """
     names = [p.name for p in system.sources]
     if source not in names:
-        raise UsageError("no such source to sweep", got=source, expected=", ".join(names))
+        raise unknown("no such source to sweep", source, names)
     z, found = None, []
     for value in np.asarray(values, dtype=float):
         now = _with_waves(system, {source: value})

@@ -12,7 +12,7 @@ import numpy as np
 import scipy.linalg as sla
 
 from kc2spice.core import laws as L
-from kc2spice.core.errors import UsageError
+from kc2spice.core.errors import unknown
 from kc2spice.reference.assemble import System
 from kc2spice.reference.equilibrium import equilibrium
 from kc2spice.reference.interval import Interval
@@ -142,7 +142,7 @@ def ac(system: System, frequencies: np.ndarray, source: str | None = None) -> di
     """
     names = [p.name for p in system.sources]
     if source is not None and source not in names:
-        raise UsageError("no such source", got=source, expected=", ".join(names))
+        raise unknown("no such source", source, names)
     amplitude = np.array(
         [complex(p.ac) if source is None else float(p.name == source) for p in system.sources],
         dtype=complex,

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 import scipy
 
-from kc2spice.core.errors import MissingToolError, UsageError
+from kc2spice.core.errors import MissingToolError, UsageError, unknown
 from kc2spice.rom.operators import Matrix, Schur, symmetric
 from kc2spice.rom.pencil import Pencil
 from kc2spice.rom.statespace import ABCD, state_space
@@ -61,12 +61,8 @@ class Port:
 
     def __post_init__(self) -> None:
         if self.kind not in (*CONSERVATIVE, "input", "output"):
-            raise UsageError(
-                "unknown kind of port",
-                where=self.name,
-                got=self.kind,
-                expected=", ".join((*CONSERVATIVE, "input", "output")),
-            )
+            kinds = (*CONSERVATIVE, "input", "output")
+            raise unknown("unknown kind of port", self.kind, kinds, self.name)
         across, flow = UNITS.get(self.kind, ("-", "-"))
         object.__setattr__(self, "across", self.across or across)
         object.__setattr__(self, "flow", self.flow or flow)
@@ -297,9 +293,7 @@ class LinearModel:
         known = [p.name for p in self.ports]
         for name in names:
             if name not in known:
-                raise UsageError(
-                    "no such port", where=self.name, got=name, expected=", ".join(known)
-                )
+                raise unknown("no such port", name, known, self.name)
         columns = [self.inputs.index(n) for n in self.inputs if n in names]
         rows = [self.outputs.index(n) for n in self.outputs if n in names]
         ports = tuple(p for p in self.ports if p.name in names)

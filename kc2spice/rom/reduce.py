@@ -24,7 +24,7 @@ from typing import get_args
 import numpy as np
 from scipy.linalg import LinAlgError, block_diag, cholesky, solve_triangular
 
-from kc2spice.core.errors import SimulationError, UsageError
+from kc2spice.core.errors import SimulationError, UsageError, unknown
 from kc2spice.linalg.memory import require_factors
 from kc2spice.rom import balance
 from kc2spice.rom.band import natural_band
@@ -106,7 +106,7 @@ def reduce(
     if order is not None and order < 1:
         raise UsageError("not an order", where="order", got=order, expected="1 or more")
     if norm not in get_args(Norm):
-        raise UsageError("unknown norm", where="norm", got=norm, expected=", ".join(get_args(Norm)))
+        raise unknown("unknown norm", norm, get_args(Norm), "norm")
     pencil = proportional(eliminated(model.pencil))
     if not pencil.B.any() or not pencil.C.any():
         raise UsageError("has no effective input or output", where=model.name)

@@ -13,7 +13,7 @@ from itertools import combinations
 from string import ascii_lowercase
 from typing import Any, TypeVar
 
-from kc2spice.core.errors import UsageError, did_you_mean
+from kc2spice.core.errors import UsageError, did_you_mean, unknown
 from kc2spice.scene.model import GROUND, Part, Scene, Terminal
 from kc2spice.scene.parttype import METER, Build, PartType
 
@@ -67,10 +67,7 @@ def _joins(part: Part, scene: Scene) -> Iterator[tuple[str, str, str]]:
     for pin, target in part.pins.items():
         where = f"{part.name}.pins.{pin}"
         if pin not in own:
-            expected = "one of " + ", ".join(sorted(own))
-            hint = did_you_mean(pin, own)
-            message = f"{part.type.name} has no such pin"
-            raise part.wrong(f"pins.{pin}", message, repr(pin), expected, hint)
+            raise unknown(f"{part.type.name} has no such pin", pin, sorted(own), where)
         yield pin, target, where
     links = {k: v for k, v in part.type.default_joins(part, scene).items() if k not in part.pins}
     yield from ((pin, target, part.name) for pin, target in links.items())

@@ -14,7 +14,7 @@ from typing import Any
 
 from pydantic import BaseModel, ValidationError
 
-from kc2spice.core.errors import UsageError, did_you_mean
+from kc2spice.core.errors import UsageError, did_you_mean, unknown
 from kc2spice.core.findings import clipped, dotted, entries, shown, told
 from kc2spice.core.foreign import (
     DEEPEST,
@@ -218,13 +218,7 @@ def _type(name: str, table: Mapping[str, Any]) -> PartType:
         )
     found = part_type(chosen) if isinstance(chosen, str) else None
     if found is None:
-        raise UsageError(
-            "unknown part type",
-            where=f"{name}.part",
-            got=shown(chosen),
-            expected="one of " + ", ".join(type_names()),
-            hint=did_you_mean(str(chosen), type_names()),
-        )
+        raise unknown("unknown part type", chosen, type_names(), f"{name}.part")
     return found
 
 

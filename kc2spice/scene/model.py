@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from pydantic import Field, model_validator
 
-from kc2spice.core.errors import UsageError
+from kc2spice.core.errors import UsageError, unknown
 from kc2spice.core.quantities import (
     Acceleration,
     Count,
@@ -238,9 +238,7 @@ class Scene:
         UsageError : there is none.
         """
         if name not in self.parts:
-            raise UsageError(
-                "no such part", where=where, got=repr(name), expected=", ".join(self.parts)
-            )
+            raise unknown("no such part", name, self.parts, where)
         return self.parts[name]
 
     def meant(self, part: Part, kind: str, key: str = "", table: str = "") -> Part:

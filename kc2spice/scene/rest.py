@@ -70,9 +70,11 @@ def _unheld_problem(
 ) -> Iterator[UsageError]:
     """Why the analysis has no operating point of these nets to begin at."""
     found, kind = _free(group, scene), scene.analysis.type
-    heavy = [name for name in found.parts if scene.parts[name].type.heavy]
+    heavy = [part.name for part, rest in rests if rest.inert and part.name in found.parts]
     named = (*found.bodies, *heavy, *found.parts)[0]
-    pushed = [p.name for p, rest in rests if any(scene.nets[p.name, x] in group for x in rest.pushed)]
+    pushed = [
+        p.name for p, rest in rests if any(scene.nets[p.name, x] in group for x in rest.pushed)
+    ]
     by = "pushed by " + ", ".join(pushed) if pushed else ""
     if kind in ("op", "dc"):
         yield UsageError(

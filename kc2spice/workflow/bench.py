@@ -22,7 +22,7 @@ from typing import Any
 
 import numpy as np
 
-from kc2spice.core.errors import SimulationError, UsageError, did_you_mean
+from kc2spice.core.errors import SimulationError, UsageError, unknown
 from kc2spice.core.files import staged
 from kc2spice.core.progress import Clock, Progress, silent
 from kc2spice.report.bench_page import write_bench
@@ -293,13 +293,7 @@ def _wanted(run: Run, names: Sequence[str]) -> tuple[str, ...]:
     for name in names:
         hits = [known for known in run.values if known == name or known.startswith(f"{name}.")]
         if not hits:
-            raise UsageError(
-                "this scene has no such metric",
-                where="--metric",
-                got=name,
-                expected=", ".join(run.values),
-                hint=did_you_mean(name, run.values),
-            )
+            raise unknown("this scene has no such metric", name, run.values, "--metric")
         found += hits
     numbers = {name: v for name, v in run.values.items() if v.dtype.kind != "b"}
     scalars = [name for name, v in numbers.items() if v.ndim == 0]

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 
-from kc2spice.core.errors import UsageError
+from kc2spice.core.errors import UsageError, unknown
 from kc2spice.core.files import staged
 from kc2spice.core.progress import Clock, Progress, silent
 from kc2spice.netlist.deck import Deck
@@ -44,12 +44,8 @@ def export(
     """
     known = DIALECTS if count is None else DECKS
     if dialect not in known:
-        raise UsageError(
-            "unknown dialect" if count is None else "no array of copies in this dialect",
-            where="--dialect",
-            got=dialect,
-            expected=", ".join(known),
-        )
+        message = "unknown dialect" if count is None else "no array of copies in this dialect"
+        raise unknown(message, dialect, known, "--dialect")
     clock = Clock(progress)
     with staged(out) as work:
         build = build_models(composed(replace(scene, ports="declared")), clock, trust=trust)

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from kc2spice.core.errors import UsageError
+from kc2spice.core.errors import UsageError, unknown
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.scene.judge import Balance, Check, Verdict
 from kc2spice.scene.model import Probe
@@ -81,12 +81,8 @@ def take(probe: Probe, waves: Waveforms, name: str) -> float | None:
     UsageError : the run has no such vector.
     """
     if probe.of not in waves:
-        raise UsageError(
-            "no such vector",
-            where=f"probes.{name}.of",
-            got=repr(probe.of),
-            expected="one of " + ", ".join(list(waves.data)[1:]),
-        )
+        known = list(waves.data)[1:]
+        raise unknown("no such vector", probe.of, known, f"probes.{name}.of")
     scale, values = next(iter(waves.data.values())), waves[probe.of]
     if probe.at is not None:
         return _value(scale.real, values, probe.at, name)

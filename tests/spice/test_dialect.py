@@ -246,7 +246,7 @@ def test_xyce_is_told_what_it_does_otherwise():
 def test_unknown_dialects_are_refused(loop):
     with pytest.raises(UsageError, match="unknown dialect") as caught:
         translate(loop, "hspice")
-    assert caught.value.expected == ", ".join(DIALECTS)
+    assert caught.value.expected == "one of " + ", ".join(DIALECTS)
 
 
 # ---------------------------------------------------------------------------------- meaning

@@ -12,7 +12,7 @@ from typing import Any
 
 from pydantic import TypeAdapter
 
-from kc2spice.core.errors import MissingToolError, UsageError, did_you_mean
+from kc2spice.core.errors import MissingToolError, UsageError, unknown
 from kc2spice.workflow.sweep.plan import Plan
 from kc2spice.workflow.sweep.point import Outcome, toml
 
@@ -100,9 +100,7 @@ def require_columns(outcome: Outcome, wanted: Sequence[str], scene: str) -> None
     known = {**outcome.metrics, **outcome.facts}
     for name in wanted:
         if name not in known:
-            expected, hint = ", ".join(outcome.metrics), did_you_mean(name, known)
-            message = "the result has no such number"
-            raise UsageError(message, where="--metric", got=name, expected=expected, hint=hint)
+            raise unknown("the result has no such number", name, known, "--metric")
     if not wanted and not outcome.metrics:
         raise UsageError(
             "nothing to tabulate: every metric is a curve",
