@@ -495,8 +495,6 @@ def inside(value: float, low: float, high: float, side: int) -> tuple[float, flo
 
 
 MICRO = 1e-6  # m, in which displacements are balanced
-
-
 GROWING = 1e3  # 1/s, of a load on a body that is free to move
 
 

@@ -130,3 +130,24 @@ def test_inductors_in_series_share_the_voltage_of_a_ramp() -> None:
     waves = transient(system, 1e-3, 1e-9, times).waves
     np.testing.assert_allclose(waves["two.a"], 2 / 3 * times / 1e-3, atol=1e-9)
     np.testing.assert_allclose(waves["one.a.through"], times**2 / 2e-3 / 3e-3, atol=1e-9)
+
+
+def test_what_rings_freely_under_a_falling_ball_is_followed_exactly() -> None:
+    """112 periods in far fewer steps than periods, with the energy that they lose."""
+    edge, stop, ball = 1e-4, 5e-3, 1e-9
+    system = assemble(
+        [piezo("p"), L.Source("push", "force", L.Line(((0, 0), (edge, 1)))),
+         L.Mass("ball", ball, gravity=9.81, position=1e-2),
+         contact_law("touch", ("a",), Normal(1e5), np.zeros(1))],
+        {"tip": ["p.top", "push.out", "touch.a"], "y": ["ball.a", "touch.b"], "gnd": ["p.anode"]},
+    )  # fmt: skip
+    times = np.linspace(edge, stop, 50)
+    result = transient(system, stop, 1e-9, times)
+    # States x, v, F, F'.
+    a = np.array([[0, 1, 0, 0], [-2e7 / 1e-3, -2 / 1e-3, 1 / 1e-3, 0], [0, 0, 0, 1], [0] * 4])
+    begun = (expm(a * edge) @ [0, 0, 0, 1 / edge]) * [1, 1, 1, 0]
+    exact = [(expm(a * (t - edge)) @ begun)[0] for t in times]
+    assert np.abs(result.waves["p.top"] - np.array(exact)).max() < 1e-14
+    np.testing.assert_allclose(result.waves["ball.a"], 1e-2 - 9.81 / 2 * times**2, rtol=1e-9)
+    assert sum(len(segment.steps) for segment in result.segments) < 300
+    assert balanced(result, 1e-8)
