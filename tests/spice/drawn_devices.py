@@ -336,7 +336,9 @@ def elastic(d):
     E, nu, density = d.value(5e10, 4e11), d.rng.uniform(0.15, 0.4), d.value(2e3, 1.2e4)
     stuff = {"density": density, "youngs_modulus": E, "poisson_ratio": nu}
     shear = 5e11  # of the chip, whose Poisson ratio is 1/4
-    hard = [shear * c for c in (3, 1, 1, 3, 1, 1)]
+    shares = {"c11": 3, "c12": 1, "c13": 1, "c33": 3, "c44": 1, "c66": 1}
+    hard = {name: shear * share for name, share in shares.items()}
+    still = dict.fromkeys(("e31", "e33", "e15"), 0.0)
     radius, speed = d.value(0.5e-3, 2e-3), d.value(0.02, 0.15)
     mass = density * 4 / 3 * np.pi * radius**3
     modulus = 1 / ((1 - nu**2) / E + (1 - 0.25**2) / (2.5 * shear))
@@ -344,7 +346,7 @@ def elastic(d):
     d.part("sphere", name="ball", radius=radius, material=stuff, elastic=True)
     width = float(f"{np.sqrt(radius * depth):.4g}")
     d.part("piezo_stack", name="kick", layers=3, electrical="open",
-           material={"stiffness": hard, "coupling": [0.0, 0.0, 0.0]},
+           material={"stiffness": hard, "stress_coupling": still},
            mesh={"ring_spacing": 1.25 * width, "rings": 2})  # fmt: skip
     d.part("contact", name="contact", shape="pressure", spacing=width / 8)
     d.part("throw", velocity=-speed, gap=0.0)
