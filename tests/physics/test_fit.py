@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -9,6 +10,7 @@ import pytest
 import kc2spice as kc
 from kc2spice.bodies.readers.measured import Measured
 from kc2spice.cli.main import main
+from kc2spice.rom.parametric import modal_transfer
 from kc2spice.workflow.fit import fit
 
 DISC = {
@@ -30,35 +32,71 @@ BENDER = {
     ],
     "damping": {"quality": 60},
 }
-# Part, keys and how far the truth is from the scene's values, frequencies [Hz].
+TRANSDUCER = {
+    "part": "langevin",
+    "front": [{"material": "aluminium", "diameter": 40e-3, "length": 30e-3}],
+    "back": [{"material": "steel", "diameter": 40e-3, "length": 25e-3}],
+    "rings": {"material": "PZT-4", "outer": 38e-3, "inner": 15e-3, "thickness": 5e-3, "count": 2},
+    "bolt": {"material": "steel", "diameter": 12e-3},
+    "damping": {"quality": 200},
+}
+STACK = {
+    "part": "piezo_stack",
+    "side": 3e-3,
+    "depth": 2e-3,
+    "layers": 60,
+    "layer_thickness": 60e-6,
+    "material": {"like": "PIC255", "density": 7800.0},
+    "mounting": "free",
+    "mesh": {"sectors": 4, "rings": 1, "ring_spacing": 0.3e-3, "outer_rings": 2},
+    "damping": {"ratio": 0.01, "at": 135e3},
+}
+BAR = Path(__file__).parents[2] / "docs" / "examples" / "bar" / "bar.toml"
+# Part, keys whose truth is near the scene's values, frequencies [Hz].
 PARTS = {
     "disc": (DISC, ("layers[0].thickness", "damping.quality"), (2e3, 9e3)),
-    "disc of three": (
-        DISC, ("layers[0].thickness", "layers[1].thickness", "damping.quality"), (3e3, 40e3),
-    ),
     "disc by its ceramic": (DISC, ("layers[1].diameter", "damping.quality"), (3e3, 12e3)),
+    "transducer": (TRANSDUCER, ("front[0].length", "damping.quality"), (20e3, 34e3)),
+    "stack": (STACK, ("layer_thickness", "damping.ratio"), (100e3, 500e3)),
     "bender": (BENDER, ("length", "damping.quality"), (200.0, 900.0)),
+    "bar": (
+        BAR, ("materials.ceramic.compliance.s11", "damping.quality"), (115e3, 138e3),
+    ),
 }  # fmt: skip
+
+
+def scene_of(body, overrides=()):
+    """A scene of the part alone, under the name it has there."""
+    if isinstance(body, Path):
+        return kc.load_scene(body, {f"bar.{key}": v for key, v in dict(overrides).items()}), "bar"
+    changes = {f"body.{key}": value for key, value in dict(overrides).items()}
+    return kc.load_scene({"name": "part", "body": body}, changes), "body"
 
 
 def measured(body, true, band, noise, seed, points=150):
     """What an analyser would see of a body: its full model solved at every frequency."""
-    overrides = {f"body.{key}": value for key, value in true.items()}
-    model = kc.build(kc.load_scene({"name": "part", "body": body}, overrides))["body"]
+    scene, name = scene_of(body, true)
+    model = kc.build(scene)[name]
     f = np.linspace(*band, points)
-    Y = 2j * np.pi * f * model.select(["anode"]).transfer(f)[:, 0, 0]
+    solved = model.select(["anode"])
+    Y = 2j * np.pi * f * (solved.transfer if solved.order < 3000 else modes_of(solved))(f)[:, 0, 0]
     draw = np.random.default_rng(seed).normal(size=(2, points))
     Y = Y * (1 + noise * (draw[0] + 1j * draw[1]))
     return Measured("part", "part.csv", f, Y[:, None, None])
 
 
+def modes_of(model):
+    """Responses of a large model by its modes: solving it at every frequency takes minutes."""
+    return lambda f: modal_transfer(model, f)
+
+
 def truth(body, keys, seed):
     """Values up to 8 % from the scene's, of losses up to twice."""
     draw = np.random.default_rng(seed)
-    scene = kc.load_scene({"name": "part", "body": body})
+    scene, name = scene_of(body)
     found = {}
     for key in keys:
-        value = scene.part("body").keys.model_dump()
+        value = scene.part(name).keys.model_dump()
         for word in key.replace("[", ".").replace("]", "").split("."):
             value = value[int(word) if word.isdigit() else word]
         found[key] = value * np.exp(draw.uniform(-1, 1) * (0.7 if "damping" in key else 0.08))
@@ -69,7 +107,7 @@ def inside(name, seed, noise):
     body, keys, band = PARTS[name]
     true = truth(body, keys, seed)
     data = measured(body, true, band, noise, seed)
-    found = fit({"name": "part", "body": body}, "body", data, keys)
+    found = fit(*scene_of(body), data, keys)
     rows = found["parameters"]
     off = {key: abs(rows[key]["value"] - true[key]) / rows[key]["sigma"] for key in keys}
     small = {key: abs(rows[key]["value"] / true[key] - 1) for key in keys}
@@ -89,7 +127,7 @@ def test_a_fit_finds_the_values_that_made_the_data():
 
 @pytest.mark.slow
 @pytest.mark.campaign
-@pytest.mark.parametrize("noise", [0.001, 0.005, 0.01, 0.02, 0.03])
+@pytest.mark.parametrize("noise", [0.001, 0.005, 0.01, 0.03])
 @pytest.mark.parametrize("name", PARTS)
 def test_campaign_of_parts(name, noise):
     """Two standard errors, and a thousandth for what meshes are worth."""
