@@ -150,7 +150,8 @@ def _hats(part: Part, scene: Scene) -> PressureBasis:
 def _contact(part: Part, scene: Scene) -> Part:
     """The one contact of the sphere, by pressure."""
     owner = scene.parts[part.keys.of]
-    found = [c for c in scene.of("contact") if Pair(c, scene).b.elastic == part.name]
+    pairs = ((contact, Pair(contact, scene)) for contact in scene.of("contact"))
+    found = [contact for contact, p in pairs if part.name in (p.a.elastic, p.b.elastic)]
     if len(found) != 1:
         got = ", ".join(c.name for c in found) or "none"
         expected = 'one, with shape = "pressure" and a body in a'

@@ -36,9 +36,10 @@ def state_space(pencil: Pencil, top_hz: float | None = None) -> ABCD:
     top = largest(K) / largest(M) if largest(K) and largest(M) else 1.0
     omega = 2 * np.pi * top_hz if top_hz is not None else float(np.sqrt(top))
     if semidefinite(M):
-        mass = np.linalg.eigvalsh(M)
-        if mass[0] > MASSLESS * mass[-1]:
-            return _modal(pencil, omega)
+        for each in (pencil, pencil.scaled(omega)):  # a free motion's units may hide an inertia
+            mass = np.linalg.eigvalsh(each.coefficients[2])
+            if mass[0] > MASSLESS * mass[-1]:
+                return _modal(each, omega)
         pencil = _without_static(pencil)
     elif _singular(M, M):
         raise UsageError(
