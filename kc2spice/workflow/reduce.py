@@ -46,9 +46,10 @@ def reduce(
     The band is the one given, else that of ``NAME.toml``, else up to the fifth natural frequency.
     Without tolerance and order, the tolerance is 1e-4.
     ``norm`` is 'pointwise' or 'peak', for models whose ports are all signals unless told.
-    ``SCENE:PART`` instead of a path is the full model of a scene's body. A measured one-port
-    (``.s1p``, ``.ts``, ``.csv``, ``.txt``, ``.tsv``) becomes the passive circuit of
-    :func:`kc2spice.rom.measured.one_port`; its order and band follow from the data.
+    ``SCENE:PART`` instead of a path is the full model of a scene's body. A measured response
+    (``.s1p``, ``.s2p``, ``.ts``, ``.csv``, ``.txt``, ``.tsv``) becomes the passive circuit of
+    :func:`kc2spice.rom.measured.one_port` or of :func:`kc2spice.rom.multiport.multi_port`; its order
+    and band follow from the data.
 
     Raises
     ------
