@@ -190,7 +190,16 @@ class _Body:
         """
         self.counted[0] += 1
         self.progress("fit", None, f"finite element model {self.counted[0]}")
-        loaded = load_scene(self.scene, {f"{self.part}.{k}": v for k, v in values.items()})
+        try:
+            loaded = load_scene(self.scene, {f"{self.part}.{k}": v for k, v in values.items()})
+        except UsageError as error:
+            raise UsageError(
+                "the ranges hold values that the part cannot have",
+                where=", ".join(each.key for each in self.keys),
+                got=error.message if error.got is None else f"{error.message}: {error.got}",
+                expected="ranges of possible parts",
+                hint="give a narrower one: --vary KEY=low:high",
+            ) from None
         part = loaded.part(self.part, where=self.part)
         if not isinstance(part.type, LinearBody):
             got = part.type.name

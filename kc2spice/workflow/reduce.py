@@ -48,8 +48,8 @@ def reduce(
     ``norm`` is 'pointwise' or 'peak', for models whose ports are all signals unless told.
     ``SCENE:PART`` instead of a path is the full model of a scene's body. A measured response
     (``.s1p``, ``.s2p``, ``.ts``, ``.csv``, ``.txt``, ``.tsv``) becomes the passive circuit of
-    :func:`kc2spice.rom.measured.one_port` or of :func:`kc2spice.rom.multiport.multi_port`; its order
-    and band follow from the data.
+    :func:`kc2spice.rom.measured.one_port`, or of :func:`kc2spice.rom.multiport.multi_port`; its
+    order and band follow from the data.
 
     Raises
     ------

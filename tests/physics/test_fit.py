@@ -24,7 +24,7 @@ BUZZER = "buzzer_7bb_20_3"
 # Scene, part, keys, frequencies [Hz].
 PARTS = {
     "disc": (BUZZER, "disc", ("layers[0].thickness", "damping.quality"), (2e3, 9e3)),
-    "its ceramic": (BUZZER, "disc", ("layers[1].diameter", "damping.quality"), (2e3, 9e3)),
+    "its ceramic": (BUZZER, "disc", ("layers[1].thickness", "damping.quality"), (2e3, 9e3)),
     "transducer": (
         {"horn": TRANSDUCER}, "horn", ("front[0].length", "damping.quality"), (20e3, 34e3),
     ),
@@ -126,6 +126,8 @@ def test_other_parts_and_several_ports_are_refused():
     data = measured(BUZZER, "disc", {"layers[0].thickness": 0.3e-3}, (5e3, 30e3), 0.01, 8)
     with pytest.raises(kc.errors.UsageError, match=r"no values in the ranges|does not settle"):
         kc.fit(BUZZER, "disc", data, ["layers[0].thickness"])
+    with pytest.raises(kc.errors.UsageError, match="cannot have"):  # less than its electrodes
+        kc.fit(BUZZER, "disc", data, ["layers[1].diameter"])
     two = Measured("two", "two.s2p", data.f, np.tile(np.eye(2), (len(data.f), 1, 1)))
     with pytest.raises(kc.errors.UsageError, match="several ports"):
         kc.fit(BUZZER, "disc", two, ["layers[0].thickness"])
