@@ -268,8 +268,9 @@ def _answers(pencil: Pencil, band: tuple[float, float]) -> np.ndarray:
     """Modes to above the band, and what they leave of the answers to the ports at rest, nearly."""
     top = 2 * np.pi * band[1]
     _, V = natural_modes(pencil, ABOVE * top)
-    still = pencil.pencil_solver(-((top / 3) ** 2)).solve(pencil.B)
-    M = pencil.coefficients[2]
+    inverse, M = pencil.pencil_solver(-((top / 3) ** 2)), pencil.coefficients[2]
+    still = inverse.solve(pencil.B)
+    still = np.column_stack([still, inverse.solve(M @ still)])  # and how it changes with s^2
     for _ in range(2):
         still = still - V @ (V.T @ (M @ still))
     return np.column_stack([V, still])

@@ -49,13 +49,14 @@ def found_and_off(name, noise):
     """A fit of a part whose sizes are up to 8 % from the scene's, its losses up to twice, and how
     many standard errors each value is from the truth."""
     scene, part, keys, band = PARTS[name]
-    draw, true = np.random.default_rng(int(1e4 * noise)), {}
+    seed = [int(1e4 * noise), len(name)]
+    draw, true = np.random.default_rng(seed), {}
     for key in keys:
         value = kc.load_scene(scene).part(part).keys.model_dump()
         for word in key.replace("[", ".").replace("]", "").split("."):
             value = value[int(word) if word.isdigit() else word]
         true[key] = value * np.exp(draw.uniform(-1, 1) * (0.7 if "damping" in key else 0.08))
-    found = kc.fit(scene, part, measured(scene, part, true, band, noise, 1), keys)
+    found = kc.fit(scene, part, measured(scene, part, true, band, noise, seed), keys)
     rows = found["parameters"]
     return found, max(abs(rows[key]["value"] - true[key]) / rows[key]["sigma"] for key in keys)
 
