@@ -86,10 +86,11 @@ def test_imprint_of_an_isotropic_chip_follows_hertz():
     """F = 4/3 E/(1-nu^2) sqrt(R) d^1.5 on a half space; finite chip, rings 1/8 of the contact."""
     young, nu = 70e9, 0.3
     lame, shear = young * nu / (1 + nu) / (1 - 2 * nu), young / 2 / (1 + nu)
-    stiffness = (lame + 2 * shear, lame, lame, lame + 2 * shear, shear, shear)
+    c = {"c11": lame + 2 * shear, "c12": lame, "c13": lame, "c33": lame + 2 * shear,
+         "c44": shear, "c66": shear}  # fmt: skip
     kick = Chip(
         side=3e-3, layers=40,
-        material={"stiffness": stiffness, "coupling": (0, 0, 0)},
+        material={"stiffness": c, "stress_coupling": {"e31": 0.0, "e33": 0.0, "e15": 0.0}},
         mesh={"rings": 10, "ring_spacing": 25e-6, "outer_rings": 11},
     )  # fmt: skip
     surface = contact_surface(kick, 1e13, 1e-3)
