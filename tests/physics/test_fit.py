@@ -77,8 +77,7 @@ def test_campaign_of_parts():
     """All true values within two standard errors in nine parts of ten, as errors are drawn."""
     cases = [(name, noise) for name in PARTS for noise in (0.001, 0.005, 0.01, 0.03)]
     worst = {case: round(found_and_off(*case)[1], 2) for case in cases}
-    print(worst)
-    assert sum(off < 2 for off in worst.values()) >= 0.9 * len(cases)
+    assert sum(off < 2 for off in worst.values()) >= 0.9 * len(cases), worst
 
 
 def test_keys_that_the_data_cannot_tell_apart_are_named():
