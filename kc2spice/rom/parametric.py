@@ -293,10 +293,12 @@ def _loss(full: Full, axis: Axis, middle: Values, frame: LinearModel) -> Loss | 
     if frame.rayleigh is None:
         return None
     places = (-1.0, 1.0, 0.3)
-    models = [full({**middle, axis.name: axis.value(x)}) for x in places]
-    for model in models:
+    models = []
+    for x in places:  # of a parameter of the matrices the first one tells
+        model = full({**middle, axis.name: axis.value(x)})
         if model.rayleigh is None or not _same(model, frame):
             return None
+        models.append(model)
     share = np.log([axis.value(x) / axis.middle for x in places])
     powers = []
     for k, at_middle in enumerate(frame.rayleigh):
