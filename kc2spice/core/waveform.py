@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import Literal
+from functools import cached_property
+from typing import Any, Literal, Protocol
 
 import numpy as np
 
+from kc2spice.core.errors import UsageError
 from kc2spice.core.quantities import Count, Frequency, Section, Time
 
 TOP = 1e-6  # flat top of a repeated triangle, of its edge
@@ -33,12 +36,40 @@ class SineKeys(Section):
     start: Time = 0.0
 
 
+class Function(Protocol):
+    """A function of time that is smooth between its corners."""
+
+    @property
+    def straight(self) -> bool:
+        """Whether it is straight between them."""
+        ...
+
+    @property
+    def pace(self) -> float:
+        """Largest step [s] that cannot miss what it makes a guard do."""
+        ...
+
+    def __call__(self, t: Any) -> Any:
+        """Values at the times ``t`` [s]."""
+        ...
+
+    def rate(self, t: Any, within: Any, order: int = 1) -> Any:
+        """Time derivatives at ``t``, of the smooth pieces that hold the times ``within``."""
+        ...
+
+    def corners(self, stop: float) -> np.ndarray:
+        """Times [s] up to ``stop`` where the derivative jumps."""
+        ...
+
+
 @dataclass(frozen=True)
 class Waveform:
     """A function of time in SI: constant, piecewise linear or a sine from ``start`` on.
 
     ``points`` (n, 2) are times [s] and values, held before the first and behind the last. With a
     ``period`` [s] the part from the first point on repeats, which a ``PULSE`` writes shortly.
+
+    Raises UsageError unless times increase strictly (edges take time).
     """
 
     kind: Literal["constant", "linear", "sine"]
@@ -48,29 +79,61 @@ class Waveform:
     frequency: float = 0.0
     start: float = 0.0
 
-    def __call__(self, t: np.ndarray | float) -> np.ndarray:
-        """Values at times [s]."""
-        t = np.asarray(t, dtype=float)
-        if self.kind == "sine":
-            phase = 2 * np.pi * self.frequency * (t - self.start)
-            return np.where(t < self.start, 0.0, self.amplitude * np.sin(phase))
-        times, values = np.array(self.points).T
+    def __post_init__(self) -> None:
+        times = [t for t, _ in self.points]
+        if not times or np.any(np.diff(times) <= 0.0):
+            raise UsageError("times of a waveform must increase strictly", got=times)
+
+    @property
+    def straight(self) -> bool:
+        return self.kind != "sine"
+
+    @property
+    def pace(self) -> float:
+        return np.inf if self.straight else 0.05 / self.frequency
+
+    @cached_property
+    def _once(self) -> tuple[np.ndarray, np.ndarray]:
+        times, values = np.array(self.points, dtype=float).T
+        return times, values
+
+    def _folded(self, t: Any) -> np.ndarray:
+        """The same instants within the first period."""
+        t, first = np.asarray(t, dtype=float), self.points[0][0]
+        if self.period is None:
+            return t
+        return np.where(t > first, first + np.mod(t - first, self.period), t)
+
+    def __call__(self, t: Any) -> Any:
+        if self.straight:
+            return np.interp(self._folded(t), *self._once)
+        return self._turned(t, t, 0)
+
+    def _turned(self, t: Any, within: Any, order: int) -> Any:
+        w = 2 * np.pi * self.frequency
+        turned = np.sin(w * (np.asarray(t) - self.start) + 0.5 * np.pi * order)
+        return (np.asarray(within) > self.start) * self.amplitude * w**order * turned
+
+    def rate(self, t: Any, within: Any, order: int = 1) -> Any:
+        if not self.straight:
+            return self._turned(t, within, order)
+        times, values = self._once
+        slopes = np.concatenate(([0.0], np.diff(values) / np.diff(times), [0.0]))
+        piece = np.searchsorted(times, self._folded(within))
+        return slopes[piece] * (order == 1) + 0.0 * np.asarray(t)
+
+    def knots(self, stop: float) -> tuple[np.ndarray, np.ndarray]:
+        """Times [s] of all points and values there, those of periods that begin up to ``stop``."""
+        times, values = self._once
         if self.period is not None:
-            t = np.where(t > times[0], times[0] + np.mod(t - times[0], self.period), t)
-        return np.interp(t, times, values)
+            turns = self.period * np.arange(max(1, int((stop - times[0]) / self.period) + 1))
+            times, first = np.unique((times + turns[:, None]).ravel(), return_index=True)
+            values = np.tile(values, turns.size)[first]
+        return times, values
 
     def corners(self, stop: float) -> np.ndarray:
-        """Times [s] up to ``stop`` at which the slope jumps."""
-        if self.kind == "sine":
-            found = np.array([self.start])
-        elif self.kind == "constant":
-            return np.empty(0)
-        else:
-            found = np.array(self.points)[:, 0]
-            if self.period is not None:
-                turns = np.arange(int((stop - found[0]) / self.period) + 1)
-                found = (found[None, :] + self.period * turns[:, None]).ravel()
-        return found[(found > 0) & (found < stop)]
+        found = np.array([self.start]) if self.kind == "sine" else self.knots(stop)[0]
+        return found[(found > 0) & (found < stop) & (self.kind != "constant")]
 
     def spice(self, scale: float = 1.0) -> str:
         """What stands behind the nodes of an independent source, values times ``scale``.
@@ -118,7 +181,7 @@ def sine(amplitude: float, frequency: float, start: float = 0.0) -> Waveform:
     return Waveform("sine", ((start, 0.0),), None, amplitude, frequency, start)
 
 
-def linear(points: np.ndarray) -> Waveform:
+def linear(points: Iterable[tuple[float, float]] | np.ndarray) -> Waveform:
     """Straight lines through ``points`` (n, 2)."""
     return Waveform("linear", tuple((float(t), float(v)) for t, v in points))
 
@@ -143,6 +206,37 @@ def pulse(
     many = [(start + k * period + t, v) for k in range(count) for t, v in edges]
     unique = [p for k, p in enumerate(many) if k + 1 == len(many) or p[0] < many[k + 1][0]]
     return Waveform("linear", tuple(unique))
+
+
+@dataclass(frozen=True)
+class Recorded:
+    """A smooth curve through ``values`` at ``times`` (n,) of cubics (Akima, J. ACM 17, 589, 1970),
+    constant before and after.
+
+    Every 16th sample is a corner: no step of an integrator is longer than what was sampled
+    there, so that an event after a long rest is not stepped over.
+    """
+
+    times: np.ndarray
+    values: np.ndarray
+    straight = False
+    pace = np.inf
+
+    @cached_property
+    def _curve(self) -> Any:
+        from scipy.interpolate import Akima1DInterpolator  # late: loads scipy
+
+        return Akima1DInterpolator(self.times, self.values)
+
+    def __call__(self, t: Any) -> Any:
+        return self.rate(t, t, 0)
+
+    def rate(self, t: Any, within: Any, order: int = 1) -> Any:
+        return self._curve(np.clip(t, self.times[0], self.times[-1]), order)
+
+    def corners(self, stop: float) -> np.ndarray:
+        times = self.times[::16]
+        return times[(times > 0.0) & (times < stop)]
 
 
 def _span(first: float, last: float) -> float:

@@ -11,6 +11,7 @@ from pydantic import Field
 from kc2spice.core import laws
 from kc2spice.core.magnets import PositionForce
 from kc2spice.core.quantities import Current, Section
+from kc2spice.core.waveform import constant
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.netlist.cards import number
 from kc2spice.parts.ring_magnet_coils import sphere_of
@@ -91,14 +92,14 @@ class CurrentCases(PartType):
     def law(self, part: Part, build: Build) -> laws.Equations:
         """The height is a source's; a force on it is the reaction to what the coils exert."""
         n, sphere, coils = part.name, _sphere(part, build.scene), _coils(part, build.scene)
-        coenergy, still = build.model(coils).coenergy, laws.Line.constant
-        found: list[laws.Law] = [laws.Source(n, "displacement", still(0.0))]
+        coenergy = build.model(coils).coenergy
+        found: list[laws.Law] = [laws.Source(n, "displacement", constant(0.0))]
         results, nets, names = {f"{sphere}.y": laws.reading(f"{n}.out")}, [], _forces(part, build)
         for k, (force, pair) in enumerate(zip(names, cases(part), strict=True)):
             own = f"{coils.name} {k}"  # no part has a blank in its name
             found.append(PositionForce(own, coenergy, (1.0, 1.0)))
             for coil, current in enumerate(pair, 1):
-                found.append(laws.Source(f"{own}_{coil}", "signal", still(current)))
+                found.append(laws.Source(f"{own}_{coil}", "signal", constant(current)))
                 nets.append((f"{own}_{coil}.out", f"{own}.i{coil}"))
             results[force] = laws.reading(f"{own}.force")
         height = (f"{n}.out", *(f"{coils.name} {k}.y" for k in range(len(names))))

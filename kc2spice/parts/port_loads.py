@@ -14,6 +14,7 @@ from kc2spice.core import laws
 from kc2spice.core.errors import UsageError
 from kc2spice.core.figure import Curve, Figure, Panel
 from kc2spice.core.quantities import Count, Frequency, Notch, Section
+from kc2spice.core.waveform import constant
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.netlist.cards import number
 from kc2spice.scene.judge import PAIRS, Gate
@@ -148,7 +149,7 @@ class PortLoads(PartType):
         found: list[laws.Law] = []
         nets: list[tuple[str, ...]] = []
         results: dict[str, laws.Reading] = {}
-        still = laws.Line.constant(0.0)
+        still = constant(0.0)
         for load in (*rings, "anode"):
             name = f"{body.name} {load}"  # no part has a blank in its name
             found.append(replace(law, name=name))

@@ -10,6 +10,7 @@ from pydantic import Field
 from kc2spice.core import laws
 from kc2spice.core.errors import UsageError
 from kc2spice.core.quantities import Count, Length, Section
+from kc2spice.core.waveform import constant
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.parts._touching import Penetration, Touching, only_pair
 from kc2spice.parts.throw import sphere
@@ -105,7 +106,7 @@ class Push(Touching):
 
     def law(self, part: Part, build: Build) -> laws.Equations:
         n = part.name
-        source = laws.Source(n, "displacement", laws.Line.constant(0.0))
+        source = laws.Source(n, "displacement", constant(0.0))
         results = {f"{n}.depth": laws.reading(f"{n}.out", -1.0)}
         return laws.Equations((source,), (("bottom", f"{n}.out"),), results, {"depth": (n, -1.0)})
 

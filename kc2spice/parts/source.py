@@ -208,9 +208,9 @@ class Source(PartType):
 
     def law(self, part: Part, build: Build) -> laws.Equations:
         n, keys = part.name, part.keys
-        shape = part.keys.waveform(build.scene.home)
+        wave = part.keys.waveform(build.scene.home)
         told = keys.kind == "voltage" and _unloaded(part, build)
-        ac, wave = quantity(keys.ac, keys.unit), smooth_pieces(shape, build.scene.stop)
+        ac = quantity(keys.ac, keys.unit)
         law = laws.Source(n, "signal" if told else keys.kind, wave, complex(ac))
         signal = told or keys.kind == "acceleration"
         pins = (("out", f"{n}.out"),) if signal else (("out", f"{n}.out"), ("ret", f"{n}.ret"))
@@ -247,21 +247,6 @@ def _unloaded(part: Part, build: Build) -> bool:
         if terminal.name == pin
     ]
     return bool(found) and set(found) == {"-"} and build.net(part, "ret") == "0"
-
-
-def smooth_pieces(wave: Waveform, stop: float) -> laws.Waveform:
-    """The same function of time for the integrator, which restarts at its corners."""
-    if wave.kind == "sine":
-        return laws.Sine(wave.amplitude, wave.frequency, wave.start)
-    if wave.kind == "constant":
-        return laws.Line.constant(wave.points[0][1])
-    points = list(wave.points)
-    if wave.period is not None:
-        turns = int((stop - points[0][0]) / wave.period) + 1
-        points = [(t + k * wave.period, v) for k in range(max(1, turns)) for t, v in points]
-        last = [k for k, (t, _) in enumerate(points) if k == 0 or t > points[k - 1][0]]
-        points = [points[k] for k in last]
-    return laws.Line(tuple(points))
 
 
 def _rising(points: np.ndarray, what: str) -> Waveform:

@@ -90,9 +90,7 @@ class System:
         """Derivatives of this ``order`` of the sources, and the next ones, (2 sources,) or
         (2 sources, nt) at ``t``, of the smooth pieces that hold the time ``within``."""
         waves = [p.wave for p in self.sources]
-        found = [
-            w.rate(t, within, k) if k else w.value(t) for k in (order, order + 1) for w in waves
-        ]
+        found = [w.rate(t, within, k) if k else w(t) for k in (order, order + 1) for w in waves]
         return np.array(found, dtype=float).reshape(len(found), *np.shape(t))
 
 

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from kc2spice.core.errors import SimulationError, unknown
-from kc2spice.core.laws import Line
+from kc2spice.core.waveform import constant
 from kc2spice.reference.assemble import System
 from kc2spice.reference.interval import Interval
 
@@ -44,8 +44,8 @@ def dc(system: System, source: str, values: np.ndarray) -> dict[str, np.ndarray]
 
 def _with_waves(system: System, values: dict[str, float]) -> System:
     """All sources constant, at ``values`` or what they are at t = 0."""
-    waves = [(p, values.get(p.name, float(p.wave.value(0.0)))) for p in system.sources]
-    sources = (replace(p, wave=Line.constant(value)) for p, value in waves)
+    waves = [(p, values.get(p.name, float(p.wave(0.0)))) for p in system.sources]
+    sources = (replace(p, wave=constant(value)) for p, value in waves)
     return replace(system, sources=tuple(sources))
 
 

@@ -12,7 +12,6 @@ import numpy as np
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import connected_components
 
-from kc2spice.core.laws import Line
 from kc2spice.reference.interval import Interval
 
 _WORST_BASIS = 1e7  # condition of the eigenvectors beyond which the steps are integrated
@@ -94,7 +93,7 @@ def free_modes(interval: Interval) -> FreeModes | None:
         bent |= used
         pattern = pattern | np.outer(used, used)
     moving = [
-        not isinstance(p.wave, Line) or p.wave.rate(interval.within, interval.within) != 0.0
+        not p.wave.straight or p.wave.rate(interval.within, interval.within) != 0.0
         for p in system.sources
     ]
     varying = np.flatnonzero(moving * 2) + n

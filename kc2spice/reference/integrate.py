@@ -148,7 +148,7 @@ def _run(
     z = interval.settled(t, z)
     free, before = free_modes(interval), interval.guards(t, z)
     solver = Radau(interval, t, z, rtol)
-    pace = min((getattr(p.wave, "pace", np.inf) for p in interval.system.sources), default=np.inf)
+    pace = min((p.wave.pace for p in interval.system.sources), default=np.inf)
     steps: list[Step] = []
     h = 0.0
     while solver.t < end * (1 - 1e-16):

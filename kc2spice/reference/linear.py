@@ -13,6 +13,7 @@ import scipy.linalg as sla
 
 from kc2spice.core import laws as L
 from kc2spice.core.errors import unknown
+from kc2spice.core.waveform import Function, Waveform
 from kc2spice.reference.assemble import System
 from kc2spice.reference.equilibrium import equilibrium
 from kc2spice.reference.interval import Interval
@@ -110,7 +111,7 @@ class Linear:
         level = self.C0[:, : n + k] @ np.concatenate([rest, s0]) + self.constants
         return Modes(rates, out, np.asarray(drive), reading @ off, level)
 
-    def motion(self, waves: tuple[L.Waveform, ...], stop: float) -> Motion | None:
+    def motion(self, waves: tuple[Function, ...], stop: float) -> Motion | None:
         """The exact motion up to ``stop`` [s] under the sources' waveforms; None where a source has
         another shape than straight lines and sines, or a mode has no end."""
         modes = self.modes
@@ -118,13 +119,12 @@ class Linear:
             return None
         lines, sines = [], []
         for k, wave in enumerate(waves):
-            if isinstance(wave, L.Sine) and wave.start >= 0:
-                if wave.amplitude:
-                    sines.append((k, wave))
-            elif isinstance(wave, L.Line):
-                lines += _kinks(k, wave, stop)
-            else:
+            if not isinstance(wave, Waveform) or wave.start < 0:
                 return None
+            if wave.straight:
+                lines += _kinks(k, wave, stop)
+            elif wave.amplitude:
+                sines.append((k, wave))
         unit = np.eye(len(waves))
         small = 1e-5 * np.abs(modes.rates).min()
         pairs = [(self.answer(small, u).real, self.answer(-small, u).real) for u in unit]
@@ -173,9 +173,9 @@ def _split(F: np.ndarray) -> tuple[Any, np.ndarray, np.ndarray, np.ndarray]:
     return rates, Q[:, :k] @ S, reading, left[k:]
 
 
-def _kinks(k: int, wave: L.Line, stop: float) -> list[tuple[float, int, float]]:
+def _kinks(k: int, wave: Waveform, stop: float) -> list[tuple[float, int, float]]:
     """Times from zero on at which the slope of source ``k`` jumps, and by how much."""
-    times, values = wave.knots
+    times, values = wave.knots(stop)
     slopes = np.diff(values) / np.diff(times)
     jumps = np.diff(np.concatenate([[0.0], slopes, [0.0]]))
     before = times < 0
@@ -209,9 +209,9 @@ class Motion:
 
     linear: Linear
     modes: Modes
-    waves: tuple[L.Waveform, ...]
+    waves: tuple[Function, ...]
     kinks: tuple[tuple[float, int, float], ...]  # time, source, jump of its slope
-    sines: tuple[tuple[int, L.Sine], ...]
+    sines: tuple[tuple[int, Waveform], ...]
     still: np.ndarray  # (sources, ny) static gains
     drift: np.ndarray  # (sources, ny) by the slope of the source
     stop: float
@@ -239,9 +239,9 @@ class Motion:
         moved = own if rates is None else rates(own)
         y = np.tile(self.modes.level[outputs], (t.size, 1)).astype(float)
         for k, wave in enumerate(self.waves):
-            if isinstance(wave, L.Line):
-                y += np.outer(wave.value(t) - wave.value(0.0), self.still[k][outputs])
-                y += np.outer(_slope(wave, t), self.drift[k][outputs])
+            if wave.straight:
+                y += np.outer(wave(t) - wave(0.0), self.still[k][outputs])
+                y += np.outer(wave.rate(t, t), self.drift[k][outputs])
         unit = np.eye(len(self.waves))
         for k, wave in self.sines:
             jw = np.array([2j * np.pi * wave.frequency])
@@ -288,9 +288,3 @@ class Motion:
         behind = np.geomspace(0.1 / np.abs(self.modes.rates).max(), self.stop, 120)
         close = (some[:, None] + behind).ravel()
         return np.unique(np.concatenate([spread, close[close <= self.stop]]))
-
-
-def _slope(wave: L.Line, t: np.ndarray) -> np.ndarray:
-    times, values = wave.knots
-    slopes = np.concatenate([[0.0], np.diff(values) / np.diff(times), [0.0]])
-    return np.asarray(slopes[np.searchsorted(times, t, side="right")])

@@ -5,6 +5,7 @@ import pytest
 from scipy import sparse
 
 from kc2spice.core import laws
+from kc2spice.core.waveform import constant, linear
 from kc2spice.reference.assemble import assemble
 from kc2spice.reference.equilibrium import operating_point
 from kc2spice.reference.linear import ac
@@ -35,8 +36,8 @@ def risen(t: np.ndarray) -> np.ndarray:
 
 
 def test_steps_follow_a_closed_form_with_an_error_of_second_order() -> None:
-    force = laws.Source("f", "force", laws.Line(((0.0, 0.0), (RAMP, 1.0))))
-    still = laws.Source("v", "voltage", laws.Line.constant(0.0))
+    force = laws.Source("f", "force", linear(((0.0, 0.0), (RAMP, 1.0))))
+    still = laws.Source("v", "voltage", constant(0.0))
     body = laws.PortBody("x", oscillator(), KICK)
     joins = {"a": ("x.tip", "f.out"), "b": ("x.anode", "v.out")}
     system, errors = assemble((body, force, still), joins), []
@@ -62,7 +63,7 @@ def test_a_body_at_its_ports_is_the_same_as_with_its_states() -> None:
         parts = (
             body, laws.TwoTerminal("c", 1, 2e-9), laws.TwoTerminal("k", -1, 3e4, "displacement"),
             laws.Mass("lifted", 1e-3, gravity=-30.0),
-            laws.Source("f", "force", laws.Line.constant(0.1), 1.0),
+            laws.Source("f", "force", constant(0.1), 1.0),
         )  # fmt: skip
         joins = {"a": ("x.tip", "k.a", "lifted.a", "f.out"), "b": ("x.anode", "c.a")}
         system = assemble(parts, joins)

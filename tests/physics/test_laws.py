@@ -8,6 +8,7 @@ from scipy.linalg import expm
 
 from kc2spice.core import laws as L
 from kc2spice.core.errors import SimulationError
+from kc2spice.core.waveform import linear, sine
 from kc2spice.physics.contact import Normal, contact_law
 from kc2spice.reference.assemble import assemble
 from kc2spice.reference.equilibrium import operating_point
@@ -23,7 +24,7 @@ def balanced(result: Result, share: float) -> bool:
 def test_rlc_answers_a_ramp_as_the_matrix_exponential() -> None:
     r, ind, c, edge = 100.0, 1e-3, 1e-6, 20e-6
     system = assemble(
-        [L.Source("v", "voltage", L.Line(((0, 0), (edge, 1)))), L.TwoTerminal("r", 0, 1 / r),
+        [L.Source("v", "voltage", linear(((0, 0), (edge, 1)))), L.TwoTerminal("r", 0, 1 / r),
          L.TwoTerminal("l", -1, 1 / ind), L.TwoTerminal("c", 1, c)],
         {"in": ["v.out", "r.a"], "mid": ["r.b", "l.a"], "out": ["l.b", "c.a"]},
     )  # fmt: skip
@@ -83,7 +84,7 @@ def test_piezo_with_a_resistor_as_its_load() -> None:
         [
             piezo("p"),
             L.TwoTerminal("load", 0, 1 / 1e4),
-            L.Source("push", "force", L.Line(((0, 0), (1e-4, 1)))),
+            L.Source("push", "force", linear(((0, 0), (1e-4, 1)))),
         ],
         {"hot": ["p.anode", "load.a"], "tip": ["p.top", "push.out"]},
     )
@@ -115,7 +116,7 @@ def test_falling_mass_without_a_start_has_no_equilibrium() -> None:
 
 def test_a_shaken_mass_pulls_at_what_shakes_it() -> None:
     size, f, mass = 1e-6, 1e3, 1e-3
-    parts = [L.Source("table", "displacement", L.Sine(size, f)), L.Mass("block", mass)]
+    parts = [L.Source("table", "displacement", sine(size, f)), L.Mass("block", mass)]
     system = assemble(parts, {"x": ["table.out", "block.a"]})
     times = np.linspace(0.0, 2e-3, 41)
     result = transient(system, 2e-3, 1e-9, times)
@@ -127,7 +128,7 @@ def test_a_shaken_mass_pulls_at_what_shakes_it() -> None:
 def test_inductors_in_series_share_the_voltage_of_a_ramp() -> None:
     """Index 2: v = (L1 + L2) i', with as much at each as its inductance."""
     system = assemble(
-        [L.Source("v", "voltage", L.Line(((0, 0), (1e-3, 1)))), L.TwoTerminal("one", -1, 1e3),
+        [L.Source("v", "voltage", linear(((0, 0), (1e-3, 1)))), L.TwoTerminal("one", -1, 1e3),
          L.TwoTerminal("two", -1, 0.5e3)],
         {"in": ["v.out", "one.a"], "mid": ["one.b", "two.a"]},
     )  # fmt: skip
@@ -141,7 +142,7 @@ def test_what_rings_freely_under_a_falling_ball_is_followed_exactly() -> None:
     """112 periods in far fewer steps than periods, with the energy that they lose."""
     edge, stop, ball = 1e-4, 5e-3, 1e-9
     system = assemble(
-        [piezo("p"), L.Source("push", "force", L.Line(((0, 0), (edge, 1)))),
+        [piezo("p"), L.Source("push", "force", linear(((0, 0), (edge, 1)))),
          L.Mass("ball", ball, gravity=9.81, position=1e-2),
          contact_law("touch", ("a",), Normal(1e5), np.zeros(1))],
         {"tip": ["p.top", "push.out", "touch.a"], "y": ["ball.a", "touch.b"], "gnd": ["p.anode"]},

@@ -15,11 +15,11 @@ from kc2spice.core.laws import (
     LinearBody,
     PortBody,
     Reading,
-    Recorded,
     Sensor,
     SignalBlock,
     Source,
 )
+from kc2spice.core.waveform import Recorded
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.reference import equilibrium
 from kc2spice.reference.assemble import System, assemble, has_store
