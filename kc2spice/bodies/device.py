@@ -192,15 +192,32 @@ def _depoling_voltage(solid: Solid, setup: Setup) -> float | None:
     return float(min(known) * min(near.query(places[nodes])[0].min() for nodes in pins))
 
 
-def _damped(model: LinearModel, solid: Solid, P: sparse.csc_array, setup: Setup) -> LinearModel:
-    """Rayleigh damping, or of each material's elastic stiffness by its quality."""
-    facts, damping = model.facts, setup.damping
+def by_rayleigh(model: LinearModel, damping: Damping) -> LinearModel:
+    """The model with Rayleigh damping, of all its materials alike.
+
+    Raises
+    ------
+    UsageError : there is no resonance that says at which frequency.
+    """
+    first = _damped_at(model, damping)
+    rayleigh = damping.rayleigh(first) if damping.zeta and first else (damping.alpha, 0.0)
+    return replace(model, E=None, rayleigh=rayleigh)
+
+
+def _damped_at(model: LinearModel, damping: Damping) -> float | None:
+    facts = model.facts
     first = damping.frequency(facts.get("resonance_short_hz", facts.get("resonance_hz")))
     if first is None and (damping.zeta or damping.per_material):
         raise UsageError("no resonance to damp at", where="damping.at", expected="a frequency")
+    return first
+
+
+def _damped(model: LinearModel, solid: Solid, P: sparse.csc_array, setup: Setup) -> LinearModel:
+    """Rayleigh damping, or of each material's elastic stiffness by its quality."""
+    damping = setup.damping
     if not damping.per_material:
-        rayleigh = damping.rayleigh(first) if damping.zeta and first else (damping.alpha, 0.0)
-        return replace(model, E=None, rayleigh=rayleigh)
+        return by_rayleigh(model, damping)
+    first = _damped_at(model, damping)
     assert first is not None
     omega = 2 * np.pi * first
     E = damping.alpha * model.M

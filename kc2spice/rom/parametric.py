@@ -22,7 +22,7 @@ import scipy
 from kc2spice.core.errors import UsageError
 from kc2spice.rom.linear import LinearModel
 from kc2spice.rom.operators import Matrix, Schur, dense
-from kc2spice.rom.pencil import Pencil
+from kc2spice.rom.pencil import Inverse, Pencil
 
 DENSE = 700  # unknowns up to which all modes are as fast as a few
 ABOVE = 2.0  # times the band, up to which modes are kept
@@ -170,6 +170,7 @@ def parametric(
     UsageError : a model that is not symmetric, of second order and with collocated ports, or whose
         number of unknowns changes within the box.
     """
+    full = _once(full)
     middle = {axis.name: axis.middle for axis in axes}
     frame = _required(full(middle), None)
     losses = tuple(found for axis in axes if (found := _loss(full, axis, middle, frame)))
@@ -226,28 +227,40 @@ def modal_transfer(model: LinearModel, frequency: np.ndarray) -> np.ndarray:
     return model.pencil.project(V).transfer(2j * np.pi * f)
 
 
-def natural_modes(pencil: Pencil, top: float) -> tuple[np.ndarray, np.ndarray]:
+def natural_modes(
+    pencil: Pencil, top: float, square: float, inverse: Inverse
+) -> tuple[np.ndarray, np.ndarray]:
     """Squares (k,) of the natural frequencies below ``top`` [rad/s], of :data:`LEAST` at least, and
-    their M-orthonormal shapes (n, k)."""
+    their M-orthonormal shapes (n, k), by the ``inverse`` of ``K - square M``."""
     K, M = pencil.coefficients[0], pencil.coefficients[2]
     n = pencil.size
     if n <= DENSE:
         w2, V = scipy.linalg.eigh(dense(K), dense(M))
         count = min(n, max(LEAST, int(np.searchsorted(w2, top**2))))
         return w2[:count], V[:, :count]
-    shift, count = (0.1 * top) ** 2, LEAST
-    operator = scipy.sparse.linalg.LinearOperator
-    inverse = operator((n, n), pencil.pencil_solver(-shift).solve, dtype=float)
+    count, operator = LEAST, scipy.sparse.linalg.LinearOperator
+    solve = operator((n, n), inverse.solve, dtype=float)
     applied = K if not isinstance(K, Schur) else operator((n, n), K.__matmul__, dtype=float)
     start = np.random.default_rng(0).normal(size=n)
     while True:
-        w2, V = scipy.sparse.linalg.eigsh(
-            applied, count, M=M, sigma=-shift, OPinv=inverse, v0=start
-        )
+        w2, V = scipy.sparse.linalg.eigsh(applied, count, M=M, sigma=square, OPinv=solve, v0=start)
         order = np.argsort(w2)
         if w2[order[-1]] >= top**2 or 2 * count >= n:
             return w2[order], V[:, order]
         count *= 2
+
+
+def _once(full: Full) -> Full:
+    """``full``, asked once for the same values."""
+    known: dict[tuple[float, ...], LinearModel] = {}
+
+    def remembered(values: Values) -> LinearModel:
+        key = tuple(values[name] for name in sorted(values))
+        if key not in known:
+            known[key] = full(values)
+        return known[key]
+
+    return remembered
 
 
 def _required(model: LinearModel, frame: LinearModel | None) -> LinearModel:
@@ -266,9 +279,10 @@ def _required(model: LinearModel, frame: LinearModel | None) -> LinearModel:
 
 def _answers(pencil: Pencil, band: tuple[float, float]) -> np.ndarray:
     """Modes to above the band, and what they leave of the answers to the ports at rest, nearly."""
-    top = 2 * np.pi * band[1]
-    _, V = natural_modes(pencil, ABOVE * top)
-    inverse, M = pencil.pencil_solver(-((top / 3) ** 2)), pencil.coefficients[2]
+    top, M = 2 * np.pi * band[1], pencil.coefficients[2]
+    square = 0.0 if pencil.factorised else -((top / 3) ** 2)  # of a body held, K itself
+    inverse = pencil.pencil_solver(square)
+    _, V = natural_modes(pencil, ABOVE * top, square, inverse)
     still = inverse.solve(pencil.B)
     still = np.column_stack([still, inverse.solve(M @ still)])  # and how it changes with s^2
     for _ in range(2):
@@ -337,7 +351,7 @@ def _design(axes: int, degree: int) -> tuple[np.ndarray, np.ndarray]:
             for chosen in combinations_with_replacement(range(axes), total)
         ]
     ).reshape(-1, axes)
-    grid = np.cos(np.pi * np.arange(degree + 1) / max(degree, 1))
+    grid = np.sin(0.5 * np.pi * np.arange(-degree, degree + 1, 2) / max(degree, 1))
     points = np.array(list(product(grid, repeat=axes)))
     *_, order = scipy.linalg.qr(_polynomials(points, exponents).T, mode="economic", pivoting=True)
     return exponents, points[np.sort(order[: len(exponents)])]

@@ -156,6 +156,11 @@ class Pencil:
             self._at_rest.append(self._rest_solver())
         return self._at_rest[0]
 
+    @property
+    def factorised(self) -> bool:
+        """Whether factors of K are known."""
+        return bool(self._at_rest)
+
     @cached_property
     def _at_rest(self) -> list[Inverse]:
         """Factors of K, once there are any: stages of a reduction and further ones need them."""

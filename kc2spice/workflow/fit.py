@@ -14,6 +14,7 @@ from scipy.optimize import OptimizeResult, least_squares
 from scipy.signal import find_peaks
 from scipy.stats import qmc
 
+from kc2spice.bodies.device import by_rayleigh
 from kc2spice.bodies.readers.measured import Measured, read_measured
 from kc2spice.core.errors import UsageError
 from kc2spice.core.files import staged
@@ -32,8 +33,8 @@ LEAST_NOISE = 1e-3  # relative: the error of the mesh, which data may be better 
 DRAWS, STARTS = 64, 4  # points of the ranges that are looked at; descents, the scene's values first
 NARROWER, NARROW = 0.25, 0.01  # of a range, in logarithms, around the best values, again and again
 DEGREE = 3  # of polynomials in a narrow range
-ROUNDS, GAINED = 8, 1e-3  # and the share of the cost that one has to gain
-SETTLED = 0.1  # of the noise, or of what is left: difference of the reduced model to the mesh
+ROUNDS, CORRECTIONS = 8, 4  # of ranges, and of the mesh in each of them
+SETTLED = 0.1  # standard errors that the mesh would still move the values by
 STEP = 1e-5  # of finite differences, in logarithms of values
 FAR = 0.5  # of |Y|, rms at the end: another resonance was matched, or another part measured
 APART = 2.0  # times the cost of the best end: another minimum
@@ -93,15 +94,19 @@ def fit(
     loaded = load_scene(scene)
     keys = _varied(loaded, part, vary)
     body = _Body(loaded, part, measured, keys, progress, loaded)
-    ends = _descents(body)
-    end = _refined(body, ends[0])
-    record = _record(body, end, ends)
+    whole = body.descent(
+        {each.key: Axis(each.key, *sorted((each.low, each.high))) for each in keys}
+    )
+    ends = _descents(whole)
+    end = _refined(whole, ends[0])
+    start = body.response(whole.made, {each.key: each.start for each in keys})
+    record = _record(body, start, end, ends)
     if out is None:
         return record
     lines = [f'"{key}" = {value!r}' for key, value in record["values"].items()]
     with staged(Path(out)) as work:
         (work / VALUES).write_text("\n".join(lines) + "\n", encoding="utf-8")
-        write_fit(work / PAGE, record, measured.f, body.Y, body.at_start, end.exact)
+        write_fit(work / PAGE, record, measured.f, body.Y, start, end.exact)
     return {**record, "overrides": str(Path(out) / VALUES), "page": str(Path(out) / PAGE)}
 
 
@@ -164,6 +169,7 @@ class _Body:
     progress: Progress
     like: Scene
     counted: list[int] = field(default_factory=lambda: [0])
+    last: dict[object, LinearModel] = field(default_factory=dict)
 
     @property
     def Y(self) -> np.ndarray:
@@ -188,8 +194,6 @@ class _Body:
         ------
         UsageError : the part has none.
         """
-        self.counted[0] += 1
-        self.progress("fit", None, f"finite element model {self.counted[0]}")
         try:
             loaded = load_scene(self.scene, {f"{self.part}.{k}": v for k, v in values.items()})
         except UsageError as error:
@@ -204,6 +208,12 @@ class _Body:
         if not isinstance(part.type, LinearBody):
             got = part.type.name
             raise UsageError("has no linear model", where=self.part, got=got, expected="a body")
+        rest = {k: v for k, v in values.items() if not k.startswith("damping.")}
+        key, damping = (id(self.like) if moved else 0, *rest.items()), part.keys.damping
+        if key in self.last and not damping.per_material:
+            return by_rayleigh(self.last[key], damping)
+        self.counted[0] += 1
+        self.progress("fit", None, f"finite element model {self.counted[0]}")
         if moved:
             like = self.like.part(self.part, where=self.part)
             model = part.type.varied(part, loaded, Clock(), like)
@@ -212,26 +222,25 @@ class _Body:
         electrical = [port.name for port in model.ports if port.kind == "electrical"]
         if not electrical:
             raise UsageError("has no electrodes", where=self.part, expected="a piezoelectric part")
-        return replace(model.select(electrical[:1]), name=self.part)
+        model = replace(model.select(electrical[:1]), name=self.part)
+        self.last.clear()
+        self.last[key] = model
+        return model
 
     def exact(self, values: Mapping[str, float], moved: bool = False) -> np.ndarray:
         """Admittance (n,) [S] of the full model."""
         f = self.data.f
         return np.asarray(2j * np.pi * f * modal_transfer(self.full(values, moved), f)[:, 0, 0])
 
-    @cached_property
-    def at_start(self) -> np.ndarray:
-        """That of the scene's values."""
-        return self.exact({each.key: each.start for each in self.keys})
-
     def response(self, made: Parametric, values: Mapping[str, float]) -> np.ndarray:
         """Admittance (n,) [S] of a reduced model."""
         f = self.data.f
         return np.asarray(2j * np.pi * f * made.transfer(values, f)[:, 0, 0])
 
-    def parametric(self, box: Box, degree: int | None = None) -> Parametric:
-        """The reduced model over a box."""
-        return parametric(self.full, list(box.values()), self.band, degree=degree, checks=0)
+    def descent(self, box: Box, degree: int | None = None) -> _Descent:
+        """Least squares of the reduced model of a box."""
+        made = parametric(self.full, list(box.values()), self.band, degree=degree, checks=0)
+        return _Descent(self, made, box)
 
 
 @dataclass(frozen=True)
@@ -274,7 +283,11 @@ class _Descent:
 
     def deviation(self, x: np.ndarray) -> np.ndarray:
         """(2 n,) real and imaginary part of the logarithm of both admittances' ratio, by noise."""
-        ratio = np.log(self.body.response(self.made, self.values(x)) / self.body.Y)
+        return self.left_over(self.body.response(self.made, self.values(x)))
+
+    def left_over(self, Y: np.ndarray) -> np.ndarray:
+        """The same of an admittance (n,) [S]."""
+        ratio = np.log(Y / self.body.Y)
         return np.concatenate([ratio.real, ratio.imag]) / self.body.noise
 
     def jacobian(self, x: np.ndarray) -> np.ndarray:
@@ -301,51 +314,66 @@ class _Descent:
         return _End(self.values(solved.x), solved, self.box)
 
 
-def _descents(body: _Body) -> list[_End]:
+def _descents(descent: _Descent) -> list[_End]:
     """Ends in the whole ranges, the best first."""
-    box = {each.key: Axis(each.key, *sorted((each.low, each.high))) for each in body.keys}
-    descent = _Descent(body, body.parametric(box), box)
     low, high = descent.bounds
-    draws = qmc.scale(qmc.Sobol(len(box), seed=1).random(DRAWS), low, high)
+    draws = qmc.scale(qmc.Sobol(len(low), seed=1).random(DRAWS), low, high)
     costs = [float(np.sum(descent.deviation(x) ** 2)) for x in draws]
     best = [descent.values(draws[k]) for k in np.argsort(costs)[: STARTS - 1]]
-    starts = [{each.key: each.start for each in body.keys}, *best]
+    starts = [{each.key: each.start for each in descent.body.keys}, *best]
     return sorted((descent.solve(values) for values in starts), key=lambda end: end.cost)
 
 
-def _refined(body: _Body, end: _End) -> _End:
-    """The end in ever narrower ranges around it, until the mesh answers as the reduced model.
+def _corrected(descent: _Descent, end: _End) -> _End | None:
+    """The end moved by what the mesh leaves over, with the reduced model's derivatives, until that
+    pulls at no combination of the keys by more than :data:`SETTLED` of its standard error; None
+    where it does not within the box."""
+    body, (low, high) = descent.body, descent.bounds
+    x = descent.start(end.values)
+    for _ in range(CORRECTIONS):
+        values = descent.values(x)
+        exact = body.exact(values)
+        left, J = descent.left_over(exact), descent.jacobian(x)
+        found = OptimizeResult(fun=left, jac=J, cost=0.5 * float(left @ left))
+        free = np.array([not _at_bound(each, values[each.key]) for each in body.keys])
+        U, s, Vt = np.linalg.svd(J[:, free], full_matrices=False)
+        pull = np.where(s * _widest(body.keys) > 4 * _more(found), U.T @ left, 0.0)
+        if np.abs(pull).max(initial=0.0) < SETTLED * _more(found):
+            return _End(values, found, end.box, exact)
+        x[free] -= Vt.T @ (pull / np.maximum(s, 1e-12))
+        if (x < low).any() or (x > high).any():
+            break
+    return None
+
+
+def _refined(descent: _Descent, end: _End) -> _End:
+    """The end for the mesh itself; where the derivatives of the reduced model do not lead there,
+    in ever narrower ranges.
 
     Raises
     ------
     UsageError : it does not settle.
     """
+    body = descent.body
     width = {
         each.key: 0.5 * abs(float(np.log(each.high / each.low))) * NARROWER for each in body.keys
     }
     for _ in range(ROUNDS):
+        found = _corrected(descent, end)
+        if found is not None:
+            return found
         values = {f"{body.part}.{key}": value for key, value in end.values.items()}
         body = replace(body, like=load_scene(body.scene, values))  # whose mesh is its own there
         box = {each.key: each.around(end.values[each.key], width[each.key]) for each in body.keys}
-        descent = _Descent(body, body.parametric(box, DEGREE), box)
-        found = descent.solve(end.values)
-        gained = end.cost / max(found.cost, 1e-300) - 1  # nothing along what is not determined
-        exact = body.exact(found.values, moved=True)
-        end = found
-        made = body.response(descent.made, found.values)
-        apart = float(np.sqrt(np.mean(np.abs(np.log(made / exact)) ** 2)))
-        left = body.noise * float(np.sqrt(2 * found.cost / len(body.Y)))
-        at_edge = any(_between(each, box[each.key], found.values[each.key]) for each in body.keys)
-        at_edge &= gained > GAINED
-        if apart < SETTLED * max(body.noise, left) and not at_edge:
-            return replace(end, exact=body.exact(end.values))
-        if not at_edge:
+        descent = body.descent(box, DEGREE)
+        end = descent.solve(end.values)
+        if not any(_between(each, box[each.key], end.values[each.key]) for each in body.keys):
             width = {key: max(NARROWER * half, NARROW) for key, half in width.items()}
     raise UsageError(
         "the fit does not settle",
         where=body.data.where,
-        got=f"mesh and reduced model differ by {apart:.2g} after {ROUNDS} rounds",
-        expected=f"less than {SETTLED:g} of what is left over",
+        got=f"no end in {ROUNDS} rounds at which mesh and reduced model agree",
+        expected=f"within {SETTLED:g} standard errors",
         hint="vary fewer keys, or give narrower ranges",
     )
 
@@ -357,8 +385,8 @@ def _between(each: Varied, axis: Axis, value: float) -> bool:
     return abs(x) > 1 - 1e-3 and not np.isclose([each.low, each.high], end).any()
 
 
-def _record(body: _Body, end: _End, ends: Sequence[_End]) -> dict[str, Any]:
-    """What ``fit --json`` says."""
+def _record(body: _Body, start: np.ndarray, end: _End, ends: Sequence[_End]) -> dict[str, Any]:
+    """What ``fit --json`` says; ``start`` is the admittance (n,) [S] of the scene's values."""
     solved, keys = end.solved, body.keys
     J = solved.jac
     still = [each.key for each, c in zip(keys, J.T, strict=True)
@@ -384,12 +412,9 @@ def _record(body: _Body, end: _End, ends: Sequence[_End]) -> dict[str, Any]:
         )
     _, s, Vt = np.linalg.svd(J, full_matrices=False)
     s = np.maximum(s, 1e-12)
-    degrees = max(len(solved.fun) - len(keys), 1)
-    more = max(1.0, float(2 * solved.cost / degrees))
-    covariance = more * (Vt.T / s**2) @ Vt
+    covariance = _more(solved) ** 2 * (Vt.T / s**2) @ Vt
     sigma = np.sqrt(np.diag(covariance))
-    widest = max(abs(float(np.log(each.high / each.low))) for each in keys)
-    weak = np.sqrt(more) / s > 0.25 * widest
+    weak = 4 * _more(solved) > s * _widest(keys)
     parameters = {
         each.key: {
             "value": end.values[each.key],
@@ -411,7 +436,7 @@ def _record(body: _Body, end: _End, ends: Sequence[_End]) -> dict[str, Any]:
         "undetermined": [dict(zip(parameters, map(float, row), strict=True)) for row in Vt[weak]],
         "correlation": (covariance / np.outer(sigma, sigma)).tolist(),
         "noise": body.data.noise,
-        "resonances": _matched(body, end),
+        "resonances": _matched(body, start, end),
         "starts": [{**each.values, "cost": each.cost} for each in ends],
         "other_minima": sum(each.cost > APART * best.cost for each in ends),
         "models": body.counted[0],
@@ -419,15 +444,26 @@ def _record(body: _Body, end: _End, ends: Sequence[_End]) -> dict[str, Any]:
     }
 
 
+def _more(solved: OptimizeResult) -> float:
+    """What is left over by the noise, where it is more."""
+    degrees = max(solved.jac.shape[0] - solved.jac.shape[1], 1)
+    return max(1.0, float(np.sqrt(2 * solved.cost / degrees)))
+
+
+def _widest(keys: Sequence[Varied]) -> float:
+    """The widest range in logarithms."""
+    return max(abs(float(np.log(each.high / each.low))) for each in keys)
+
+
 def _at_bound(each: Varied, value: float) -> bool:
     nearest = min(abs(np.log(value / each.low)), abs(np.log(value / each.high)))
     return bool(nearest < 1e-4 * abs(np.log(each.high / each.low)))
 
 
-def _matched(body: _Body, end: _End) -> list[dict[str, float | None]]:
+def _matched(body: _Body, start: np.ndarray, end: _End) -> list[dict[str, float | None]]:
     """Resonances of the measurement, of the scene's values and of the end, in their order: peaks of
     the conductance."""
-    rows = [_peaks(body.data.f, Y, body.data.noise) for Y in (body.Y, body.at_start, end.exact)]
+    rows = [_peaks(body.data.f, Y, body.data.noise) for Y in (body.Y, start, end.exact)]
     longest = max(map(len, rows))
     padded = [[*map(float, row), *[None] * (longest - len(row))] for row in rows]
     return [
