@@ -639,9 +639,10 @@ def inert_ports(model: LinearModel) -> tuple[str, ...]:
         return ()
     mass = model.pencil.dense().coefficients[2]
     yields = np.diag(model.D) + np.abs(model.B[~mass.any(axis=0)]).sum(axis=0)
+    driven = (port for port in model.ports if port.kind != "output")
     return tuple(
         port.terminals[0]
-        for port, own in zip(model.ports, yields, strict=True)
+        for port, own in zip(driven, yields, strict=True)
         if port.kind == "mechanical" and own <= 0
     )
 

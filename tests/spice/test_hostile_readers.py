@@ -28,10 +28,11 @@ def test_broken_files_end_in_a_clear_word(tmp_path):
     judged(said(tmp_path, ("pickle",), FEW))
 
 
-def test_honest_files_are_taken(tmp_path, monkeypatch):
-    """Lest a product that refuses everything should pass: as they are, all but two are read."""
+@pytest.mark.parametrize("kind", ["csv", "sidecar"])
+def test_honest_files_are_taken(kind, tmp_path, monkeypatch):
+    """Lest a product that refuses everything should pass: as they are, they are read."""
     monkeypatch.setitem(files.MUTATIONS, "none", lambda data: data)
-    for home, commands in readers.prepared("csv", "none", tmp_path):
+    for home, commands in readers.prepared(kind, "none", tmp_path):
         assert readers.ask(readers.COMMANDS["export"], home)[0] == 0, commands
 
 
