@@ -2,17 +2,12 @@
 
 from __future__ import annotations
 
-import sys
-from pathlib import Path
-
+import device
 import pytest
 
 from kc2spice.rom.modal import Resonators
 from kc2spice.scene.load import load_scene
 from kc2spice.scene.parttype import Build
-
-sys.path[:0] = [str(Path(__file__).parent), str(Path(__file__).parents[1] / "spice")]
-import device  # noqa: E402
 
 
 @pytest.fixture(scope="session")

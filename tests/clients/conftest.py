@@ -8,18 +8,15 @@ from __future__ import annotations
 import os
 import shutil
 import subprocess
-import sys
 from dataclasses import replace
 from pathlib import Path
 
+import device
 import pytest
 
 from kc2spice.core.progress import Clock, silent
 from kc2spice.scene.load import load_scene
 from kc2spice.workflow.decks import make_deck
-
-sys.path.insert(0, str(Path(__file__).parents[1] / "spice"))
-import device
 
 ROOT = Path(__file__).parents[2]
 CACHE = Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache")) / "kc2spice-clients"

@@ -1,11 +1,10 @@
 """Certificates of random models against direct solutions at fine sets of frequencies."""
 
-import sys
 import time
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
+import oracle
 import pytest
 from scipy import sparse
 
@@ -14,9 +13,6 @@ from kc2spice.rom.linear import LinearModel
 from kc2spice.rom.reduce import ordered, reduce
 from kc2spice.rom.subspace import subspace
 from laboratory.beam import hermite_beam
-
-sys.path.insert(0, str(Path(__file__).parent))
-import oracle
 
 
 def random_case(seed):
@@ -54,7 +50,7 @@ def check(seed, norm="pointwise"):
     assert estimate <= 3 * error + oracle.ROUNDING, (seed, error, estimate)
 
 
-@pytest.mark.parametrize("seed", [1, 6, 374])
+@pytest.mark.parametrize("seed", [1, 6, pytest.param(374, marks=pytest.mark.slow)])
 def test_estimate_is_between_the_error_and_three_times_it(seed):
     """The last two: sharp notches, and points that rounding alone sets apart."""
     check(seed)
@@ -79,7 +75,7 @@ def chain(unknowns, dashpot):
 
 @pytest.mark.parametrize(
     ("unknowns", "dashpot", "way"), [(90, 0.0, "being all"), (310, 0.3, "checked"),
-                                     (1310, 0.0, "settled")],
+                                     pytest.param(1310, 0.0, "settled", marks=pytest.mark.slow)],
 )  # fmt: skip
 def test_a_subspace_says_how_far_it_is_from_the_full_model(unknowns, dashpot, way):
     """It stops as early as it may, so that its error is large where it is not all of the model."""

@@ -3,20 +3,16 @@ refused with a reason, or ends in bounded time.
 """
 
 import signal
-import sys
 from contextlib import contextmanager
-from pathlib import Path
 
 import numpy as np
+import oracle
 import pytest
 
 from kc2spice.core.errors import SimulationError, UsageError
 from kc2spice.rom.linear import LinearModel
 from kc2spice.rom.reduce import reduce
 from kc2spice.spice.realize import subcircuit
-
-sys.path.insert(0, str(Path(__file__).parent))
-import oracle
 
 SECONDS = 60
 REASONS = "not that accurate", "no state-space form", "out of reach", "does not settle"

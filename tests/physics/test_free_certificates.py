@@ -5,10 +5,8 @@ reduced model; what is certified is the rest, relative to the response and, in i
 millionth of the largest response without that motion.
 """
 
-import sys
-from pathlib import Path
-
 import numpy as np
+import oracle
 import pytest
 import skfem
 from scipy.linalg import eigh, null_space
@@ -18,9 +16,6 @@ from skfem.models.elasticity import lame_parameters, linear_elasticity
 
 from kc2spice.rom.linear import LinearModel
 from kc2spice.rom.reduce import reduce
-
-sys.path.insert(0, str(Path(__file__).parent))
-import oracle
 
 
 def chain(rng, damping, n=40):
@@ -153,7 +148,7 @@ def as_first_order(M, E, K, B):
 @pytest.mark.parametrize("norm", ["pointwise", "peak"])
 @pytest.mark.parametrize("order", [1, 2])
 @pytest.mark.parametrize(
-    "seed", [1, 2, *(pytest.param(s, marks=pytest.mark.slow) for s in range(3, 20))]
+    "seed", [1, *(pytest.param(s, marks=pytest.mark.slow) for s in range(2, 20))]
 )
 def test_free_chains_of_any_length_are_as_good_as_certified_down_to_zero(seed, order, norm):
     """The motion of the whole chain, a mass line, is exact and hides nothing at the band's end."""

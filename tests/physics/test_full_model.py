@@ -1,8 +1,5 @@
 """Full-model references: harmonic, imprint, impact and kick, each against an independent oracle."""
 
-from dataclasses import replace
-from functools import cache
-
 import numpy as np
 import pytest
 
@@ -15,19 +12,13 @@ from kc2spice.parts.sphere import SphereKeys
 from kc2spice.rom.modal import resonators
 from kc2spice.rom.reduce import reduce, surrogate
 from laboratory.usual.contact import contact_surface
-from laboratory.usual.statics import imprint, imprint_refactorised
+from laboratory.usual.statics import imprint
 from laboratory.usual.system import quarter
 from laboratory.usual.transient import Ball, transient
 
 SMALL = {"sectors": 4, "rings": 2, "ring_spacing": 300e-6, "outer_rings": 2}
 MASS = SphereKeys().mass / 4
 PULSE = Drive(start=0.0).waveform
-
-
-@cache
-def small(per_node: bool = False, **change):
-    kick = Chip(layers=3, mesh={**SMALL, **change})
-    return quarter(kick), contact_surface(kick, 1e8, 1e-3, per_node=per_node)
 
 
 @pytest.fixture(scope="module")
@@ -54,16 +45,6 @@ def test_surrogate_is_checked_against_direct_solutions():
     np.testing.assert_allclose(model.transfer(frequency), full.transfer(frequency), rtol=1e-9)
     with pytest.raises(SimulationError, match="cannot replace"):
         surrogate(full, (0.0, 500e3), blocks=6)  # 4e-8
-
-
-@pytest.mark.parametrize("electrical", ["open", "short"])
-@pytest.mark.parametrize("change", [{}, {"order": 2}])
-def test_both_roads_of_the_imprint_agree(electrical, change):
-    system, surface = small(**change)
-    depth = np.array([0.0, 1e-6, 5e-6, 100e-6])
-    fast = imprint(system, surface, depth, electrical)
-    slow = imprint_refactorised(system, surface, depth, electrical)
-    np.testing.assert_allclose(fast.ring_force, slow.ring_force, rtol=1e-10, atol=1e-12)
 
 
 @pytest.mark.slow
@@ -98,36 +79,6 @@ def test_imprint_of_an_isotropic_chip_follows_hertz():
     force = 4 * imprint(quarter(kick), surface, depth, "short").force
     hertz = 4 / 3 * young / (1 - nu**2) * np.sqrt(1e-3) * depth**1.5
     np.testing.assert_allclose(force, hertz, rtol=0.08)  # measured 6 %
-
-
-@pytest.mark.parametrize(
-    ("voltage", "per_node", "alpha"), [(None, True, 0.0), (lambda t: 0.0, False, 5e6)]
-)
-def test_both_roads_of_the_impact_agree(voltage, per_node, alpha):
-    system, surface = small(per_node)
-    system = replace(system, alpha=alpha)
-    ball = Ball(MASS, 1e-7, -1.0, 9.81)
-    fast, slow = (
-        transient(system, surface, ball, step=50e-9, stop=4e-6, voltage=voltage, road=road)
-        for road in ("low_rank", "refactorise")
-    )
-    assert fast.force.max() > 0.1
-    assert slow.factorisations > 80 > fast.factorisations == 1
-    np.testing.assert_allclose(fast.ring_force, slow.ring_force, atol=1e-9 * fast.force.max())
-    # Springs that just open magnify rounding; measured 3e-10.
-    np.testing.assert_allclose(fast.height, slow.height, rtol=1e-8, atol=1e-16)
-
-
-@pytest.mark.slow
-def test_an_impact_keeps_the_impulse_and_98_percent_of_the_energy(default):
-    system, surface = default
-    result = transient(
-        system, surface, Ball(MASS, 1e-6, -1.0), step=50e-9, stop=12e-6, voltage=None
-    )
-    assert result.height.min() == pytest.approx(-3.112e-6, rel=1e-3)
-    assert result.velocity[-1] == pytest.approx(0.990, abs=1e-3)
-    impulse = np.sum((result.force[1:] + result.force[:-1]) / 2) * 50e-9
-    assert MASS * (result.velocity[-1] + 1) == pytest.approx(impulse, rel=1e-9)
 
 
 @pytest.mark.slow

@@ -1,9 +1,8 @@
 """Models of other tools: matrices to ROM to subcircuit to ngspice, against the full matrices."""
 
-import sys
 from functools import cache
-from pathlib import Path
 
+import mor_families as families
 import numpy as np
 import pytest
 from scipy.linalg import eig, eigvals
@@ -13,9 +12,6 @@ from kc2spice.rom.linear import LinearModel
 from kc2spice.rom.reduce import ordered, reduce
 from kc2spice.rom.subspace import subspace
 from kc2spice.spice.realize import subcircuit
-
-sys.path.insert(0, str(Path(__file__).parent))
-import mor_families as families
 
 FAMILIES = {
     "beam": families.beam,

@@ -4,10 +4,8 @@ Both solution methods of the product take their matrices, rings and contact from
 here elements, boundary conditions, rings, gaps, contact and time steps are other code.
 """
 
-import sys
-from pathlib import Path
-
 import numpy as np
+import own_elements
 import pytest
 from scipy.integrate import solve_ivp
 from scipy.linalg import eigh
@@ -18,9 +16,6 @@ from laboratory.usual.contact import contact_surface
 from laboratory.usual.statics import imprint
 from laboratory.usual.system import quarter
 from laboratory.usual.transient import Ball, transient
-
-sys.path.insert(0, str(Path(__file__).parent))
-import own_elements
 
 RADIUS, PENALTY, MASS = 1e-3, 1e8, 8e-6
 CHIP = Chip(layers=2, mesh={"sectors": 4, "rings": 2, "ring_spacing": 100e-6, "outer_rings": 2})

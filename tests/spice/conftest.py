@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import sys
-from pathlib import Path
-
+import device
 import numpy as np
 import pytest
 
@@ -21,9 +19,6 @@ from kc2spice.scene.load import load_scene
 from kc2spice.scene.model import Scene
 from kc2spice.spice.header import Header
 from kc2spice.spice.realize import subcircuit
-
-sys.path.insert(0, str(Path(__file__).parent))
-import device
 
 LOOP = {
     "name": "loop", "kick": {"drive": {"voltage": 80.0}}, "contact": {"rings": "all"},

@@ -147,19 +147,6 @@ def test_a_source_that_is_not_as_defined_fails_the_run(kind, tmp_path):
         simulate(build, replace(deck, blocks=wrong), tmp_path)
 
 
-def test_a_source_without_sense_is_refused():
-    for keys, message in (
-        ({"pulse": {"width": 1e-6, "edge": 2e-6}}, "edges are longer"),
-        ({"pulse": {"width": 5e-6, "edge": 1e-6, "period": 5.5e-6}}, "pulses overlap"),
-        ({"dc": 1.0, "sine": {"frequency": 1e3}}, "two shapes: dc and sine"),
-        ({"pwl": [[0.0, 1.0], [1e-6, 2.0], [0.5e-6, 0.0]]}, "must rise"),
-        ({"file": "none.csv"}, "cannot be read"),
-    ):
-        with pytest.raises(UsageError, match=message) as caught:
-            load_scene(rlc(keys, {"stop": 1e-4}))
-        assert "supply" in str(caught.value)
-
-
 # ------------------------------------------------------------------------------------ probes
 
 

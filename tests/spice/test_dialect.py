@@ -3,7 +3,6 @@
 import math
 import re
 from dataclasses import replace
-from functools import partial
 
 import numpy as np
 import pyparsing as pp
@@ -250,15 +249,6 @@ def test_unknown_dialects_are_refused(loop):
 
 
 # ---------------------------------------------------------------------------------- meaning
-
-
-def value(law, volts, params, *, table):
-    """A law evaluated by Python, without the product's parser."""
-    text = re.sub(r"\b[Vv]\((\w+)\)", lambda m: f"V['{m[1].lower()}']", law)
-    text = text.replace("{", "(").replace("}", ")")
-    known = {"V": volts, "max": max, "pwl": table, "table": table, "floor": math.floor}
-    known["uramp"] = partial(max, 0.0)
-    return eval(text, {**known, **params})
 
 
 def flat(x, *points):

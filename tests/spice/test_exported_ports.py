@@ -82,5 +82,8 @@ def test_the_exported_deck_runs_as_an_edited_one(chain, tmp_path):
 
 
 def test_the_exported_deck_is_verified_with_its_ports(chain, tmp_path):
+    path = tmp_path / "pushed.toml"
+    ac = 'analysis = { type = "ac", start = 100, stop = 2e3, points = 9 }'
+    path.write_text(re.sub("analysis = .*", ac, SCENE).replace("sine", "ac = 1.0\nsine"))
     chain("export", "pushed.toml", "-o", "out", "-q")
     chain("verify", "pushed.toml", "--deck", "out/pushed.cir", "-o", "verified", "-q")

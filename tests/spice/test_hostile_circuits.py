@@ -13,12 +13,10 @@ import sys
 from pathlib import Path
 
 import pytest
+from hostile.circuits import honest, write_all
 
 import kc2spice
 from kc2spice.sim.ngspice import find_ngspice
-
-sys.path.insert(0, str(Path(__file__).parent))
-from hostile.circuits import honest, write_all
 
 CHILD = Path(__file__).parent / "hostile" / "child.py"
 CALL = re.compile(r"^(\d+) +(execve|openat|creat)\((?:AT_FDCWD, )?\"((?:[^\"\\]|\\.)*)\"(.*)$")

@@ -96,6 +96,7 @@ def models(tmp_path_factory):
     assert code == 0, said
 
 
+@pytest.mark.slow
 def test_a_kill_of_each_command_leaves_no_torn_result(tmp_path):
     campaign(3, 1, tmp_path)
 

@@ -170,6 +170,7 @@ def test_a_sweep_that_was_killed_goes_on_and_loses_nothing(undisturbed, tmp_path
     assert 2 <= goes_on(scene, out, undisturbed) < 8
 
 
+@pytest.mark.slow  # the kill of a whole sweep takes the same way back
 @pytest.mark.skipif(sys.platform != "linux", reason="reads /proc")
 def test_a_killed_worker_loses_no_point(undisturbed, tmp_path):
     scene, out = circuit(tmp_path), tmp_path / "o"

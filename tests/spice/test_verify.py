@@ -191,7 +191,7 @@ row = 1
 POLE = 2e4  # 1/s, of both poles
 
 
-@pytest.mark.parametrize("kind", ["transient", "ac"])
+@pytest.mark.parametrize("kind", [pytest.param("transient", marks=pytest.mark.slow), "ac"])
 def test_a_signal_input_listens_to_a_loaded_node(kind: str, tmp_path: Path) -> None:
     """Two poles one after the other, the second of a model whose input takes no current."""
     np.savez(tmp_path / "filter.npz", A=[[-POLE]], B=[[POLE]], C=[[1.0]], E=[[1.0]])

@@ -169,7 +169,9 @@ SMALL = ("kick.layers=2", "kick.mesh.sectors=4", "kick.mesh.rings=1", "kick.mesh
 BODIES = {"kick_and_catch": SMALL, "harvester": ()}
 
 
-@pytest.mark.parametrize("scene", BODIES)
+@pytest.mark.parametrize(
+    "scene", ["kick_and_catch", pytest.param("harvester", marks=pytest.mark.slow)]
+)
 def test_every_module_that_a_build_runs_is_part_of_its_key(scene, monkeypatch):
     """Watched while it runs, so that a module that joins the build later cannot be forgotten."""
     missed, root = {}, Path(kc2spice.__file__).parents[1]

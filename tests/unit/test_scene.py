@@ -76,22 +76,11 @@ MISTAKES = [
     ("kick.layers=true", ["not a whole number"]),
     ("kick.layers=0", ["out of range", ">= 1"]),
     ("kick.poling=x", [": a stack that shears needs a mounting"]),
-    ("kick.mesh.ring_spacing=0.4 mm", ["beyond the chip"]),
-    ("kick.drive.edge=1 ms", ["longer than the pulse"]),
-    ("kick.drive.start=1", ["after the simulation ends"]),
     ("contact.penalty=nan", ["not a finite number"]),
     ("sphere.density=-1 kg/m3", ["out of range", "> 0 kg/m3"]),
-    ("sphere.radius=0.2 mm", ["beyond the sphere"]),
     ("catch.polarity=antiparalel", ["did you mean 'antiparallel'"]),
-    ("catch.y_min=8 mm", ["empty range"]),
-    ("catch.ring={height=1}", ["beyond the modelled air"]),
     ("catch.ring.y=1 mm", []),  # ring magnet and coil side by side are fine
-    ("catch.lower.outer=20 mm", ["beyond the modelled air"]),
-    ("catch.lower.inner=0.5 mm", ["does not fit through"]),
-    ("catch.lower.y=3 mm", ["overlaps"]),
-    ("control.setpoint=9 mm", ["outside the force table"]),
     ("control.current_limit=0", ["out of range"]),
-    ("control.enable_at=5 ms", ["after the simulation ends"]),
     ("rom.band=[5, 2]", ["empty band"]),
     ("rom.band=[5]", ["rom.band[1] is missing"]),
     ("rom={order=3, tolerance=1e-4}", ["both set"]),
@@ -198,7 +187,7 @@ VALUES = st.one_of(
 )
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=40, deadline=None)
 @given(st.lists(st.tuples(st.sampled_from(KEYS), VALUES), max_size=3))
 def test_any_override_gives_a_scene_or_one_clear_error(overrides):
     try:

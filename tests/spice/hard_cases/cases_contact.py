@@ -116,7 +116,7 @@ Xcontact ring0 v bottom 0 contact
     return abs(energy[-1] / (speed**2 / 2 + 9.81 * height) - 1) + abs(missed)
 
 
-@case("two kicks 50 us apart", "launch, relative", 2e-4)
+@case("two kicks 50 us apart", "launch, relative", 2e-4, slow=True)
 def two_kicks(bench):
     """The sphere is gone when the second pulse comes; oracle: plain equations by DOP853."""
     voltage = 20.0

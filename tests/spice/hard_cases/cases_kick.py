@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from device import chip, deck_of
+from device import chip
 from hard_cases.cases_contact import launch_error
 from hard_cases.kit import (
     HEADER,
@@ -15,7 +15,6 @@ from hard_cases.kit import (
     kick,
     leaves,
     relative,
-    rewritten,
 )
 from scipy.linalg import expm
 
@@ -147,41 +146,6 @@ for reltol, limit in (("1e-3", 1e-3), ("1e-7", 1e-5)):
 def reltol_1e_2_is_noticed(bench):
     bench.scene(kick("solver.reltol=3e-2"))
     return 0.0
-
-
-@case("ten actuators in one deck", "worst launch, relative", 2e-4, slow=True)
-def ten_actuators(bench):
-    """Ten chips and spheres, kicked by 40 to 130 V, each against its own integration."""
-    model, study = chip(6), kick()
-    deck = deck_of(study, model)
-    body, tail = {}, []
-    volts = range(40, 140, 10)
-    for line in deck.files[deck.main].splitlines():
-        if line.startswith(("Vkick", "Xkick", "Xsphere", "Xcontact")):
-            body[line.split()[0]] = line.split()[-1]  # its subcircuit
-        elif not line.startswith((".save", ".print", ".end")):
-            tail.append(line)
-    assert set(body) == {"Vkick_drive", "Xkick", "Xsphere", "Xcontact"}
-    rings = " ".join(f"r{i}" for i in range(6))
-    vectors, copies = {}, []
-    for k, volt in enumerate(volts):
-        pins = " ".join(f"{r}_{k}" for r in rings.split())
-        copies += [
-            f"Vkick{k} a{k} 0 PULSE(0 {volt} 1e-05 1e-07 1e-07 2.49e-05)",
-            f"Xkick{k} a{k} 0 {pins} 0 {body['Xkick']}",
-            f"Xsphere{k} v{k} bottom{k} y{k} 0 {body['Xsphere']}",
-            f"Xcontact{k} {pins} v{k} bottom{k} 0 {body['Xcontact']}",
-        ]
-        vectors[f"v{k}"] = (f"v(v{k})", 1.0)
-    saved = [f".save {name}" for name, _ in vectors.values()]
-    main = "\n".join([*tail, *copies, *saved, ".end", ""])
-    waves = bench.run(rewritten(deck, main, vectors))
-    worst = 0.0
-    for k, volt in enumerate(volts):
-        own = kick(f"kick.drive.voltage={volt} V")
-        found = exact(own, waves, model)
-        worst = max(worst, relative(waves[f"v{k}"][-1], found["sphere.v"][-1]))
-    return worst
 
 
 @case("node names that collide", "ports called as inner nodes are", refused="name is taken")

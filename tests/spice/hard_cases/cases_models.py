@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 
+import mor_families as families
 import numpy as np
 from device import chip, deck_of
 from hard_cases.kit import HEADER, Bench, bench_deck, case
@@ -14,9 +14,6 @@ from kc2spice.rom.linear import LinearModel
 from kc2spice.rom.reduce import reduce
 from kc2spice.scene.load import load_scene
 from kc2spice.spice.realize import subcircuit
-
-sys.path.insert(0, str(Path(__file__).parents[2] / "physics"))
-import mor_families as families
 
 RESPONSE = "worst response over peak"
 SIZE = 40

@@ -6,18 +6,15 @@ after finitely many active sets, at the exact solution.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
-from scipy import sparse
 
 from kc2spice.bodies.piezo_stack import free_displacements, ring_shapes
 from kc2spice.bodies.pressure import ITERATIONS
 from kc2spice.core.errors import SimulationError
 from kc2spice.fem.piezo.keys import Chip
 from kc2spice.fem.piezo.mesh import kick_mesh
-from kc2spice.rom.linear import LinearModel
-from laboratory.usual.system import PiezoSystem
 
 
 @dataclass(frozen=True)
@@ -44,28 +41,17 @@ def sphere_gap(radius: float, distance: np.ndarray) -> np.ndarray:
     return distance**2 / (radius + np.sqrt(radius**2 - distance**2))
 
 
-def contact_surface(
-    kick: Chip, stiffness: float, radius: float, *, per_node: bool = False
-) -> ContactSurface:
-    """One spring per ring (paper 2.3, grouped forces), or one per node with the ring's share.
+def contact_surface(kick: Chip, stiffness: float, radius: float) -> ContactSurface:
+    """One spring per ring (paper 2.3, grouped forces).
 
-    ``stiffness`` [N/m] is that of a ring of the sector in both cases, ``radius`` [m] the sphere's;
-    nodes on a symmetry
-    plane get half of their neighbours' share.
+    ``stiffness`` [N/m] is that of a ring of the sector, ``radius`` [m] the sphere's.
     """
     mesh = kick_mesh(kick)
     free = free_displacements(mesh, kick)
     rings = np.column_stack([each.weights[free] for each in ring_shapes(mesh, kick.poling)])
     radii = kick.mesh.ring_spacing * np.arange(rings.shape[1])
-    if not per_node:
-        penalty = np.full(rings.shape[1], stiffness)
-        return ContactSurface(rings, sphere_gap(radius, radii), penalty, np.arange(len(radii)))
-    dof, ring = np.nonzero(rings)
-    shapes = np.zeros((rings.shape[0], dof.size))
-    shapes[dof, np.arange(dof.size)] = 1.0
-    return ContactSurface(
-        shapes, sphere_gap(radius, radii[ring]), stiffness * rings[dof, ring], ring
-    )
+    gap, penalty = sphere_gap(radius, radii), np.full(radii.size, stiffness)
+    return ContactSurface(rings, gap, penalty, np.arange(radii.size))
 
 
 def resting_forces(
@@ -104,25 +90,3 @@ def unsettled() -> SimulationError:
         expected="a set that repeats",
         hint="the sphere may move too far in one step: make the step smaller",
     )
-
-
-def as_system(rom: LinearModel, full: PiezoSystem) -> PiezoSystem:
-    """The reduced device as one sector in the form that the full-model solvers take: states for
-    displacements. Like :func:`laboratory.usual.system.quarter_of`."""
-    n = full.sectors
-    return replace(
-        full,
-        M=sparse.csc_array(rom.M / n),
-        K_uu=sparse.csc_array(rom.K / n),
-        K_up=sparse.csc_array((rom.order, 0)),
-        K_pp=sparse.csc_array((0, 0)),
-        k_uV=-rom.B[:, -1] / n,
-        k_pV=np.zeros(0),
-        c_VV=float(rom.D[-1, -1]) / n,
-        B=rom.B[:, :-1],
-    )
-
-
-def on_reduced(surface: ContactSurface, rom: LinearModel) -> ContactSurface:
-    """A surface with one spring per ring, as the reduced model's ring ports see it."""
-    return replace(surface, shapes=rom.B[:, :-1])

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import sparse
 
-from kc2spice.bodies.device import Device
 from kc2spice.bodies.piezo_stack import stack_device
 from kc2spice.fem.piezo.keys import SECTORS, Chip
 from kc2spice.linalg.factor import factorise
@@ -46,11 +45,7 @@ class PiezoSystem:
 
 def quarter(kick: Chip) -> PiezoSystem:
     """Of the chip."""
-    return quarter_of(stack_device(kick))
-
-
-def quarter_of(device: Device) -> PiezoSystem:
-    """Of the device of all of them."""
+    device = stack_device(kick)
     n, model = SECTORS, device.model
     b, C0, K = model.B[:, -1] / n, model.D[-1, -1] / n, model.K
     k_pV, lift = -device.lift[:, 0] / n, np.zeros(device.lift.shape[0])
