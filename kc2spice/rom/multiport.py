@@ -7,8 +7,8 @@ real lemma; the Hamiltonian of the state space, which knows all frequencies, jud
 Balakrishnan, P. Kabamba, Math. Control Signals Systems 2 (1989) 207). With ``b = S a``,
 ``a, b = (v / r +- r i) / 2``, ``r = sqrt(R)``::
 
-    x' = A x + B a            x' = (A - B T C) x + B T v / r,      T = (1 + D)^-1
-    b  = C x + D a            i  = (-2 T C x + (1 - D) T v / r) / r
+    x' = A x + B a            v / r = C x + (1 + D) a
+    b  = C x + D a            i = (2 a - v / r) / r
 
 whose charge is the output of an electrical port: a resistance at zero frequency integrates.
 """
@@ -227,8 +227,12 @@ def _state_space(fit: Fit, ports: int) -> ABCD:
     blocks, inputs, outputs = [], [], []
     for k, pole in enumerate(np.asarray(fit.poles)):
         U, size, Vh = np.linalg.svd(residues[:, :, k])
-        for column in range(int(np.sum(size > 1e-9 * size[0])) if size[0] > 0 else 0):
-            c, b = U[:, column] * size[column], Vh[column]
+        rank = int(np.sum(size > 1e-9 * size[0])) if size[0] > 0 else 0
+        into, out = Vh, U * size
+        if rank == ports:  # each input its own states: the fewest entries
+            into, out = np.eye(ports), residues[:, :, k]
+        for column in range(rank):
+            c, b = out[:, column], into[column]
             if pole.imag == 0:
                 blocks.append(np.array([[pole.real]]))
                 scale = c[np.argmax(np.abs(c))] / abs(c[np.argmax(np.abs(c))])
@@ -275,20 +279,31 @@ def _gain(A: np.ndarray, B: np.ndarray, C: np.ndarray, D: np.ndarray, s: complex
 def _admittance(
     A: np.ndarray, B: np.ndarray, C: np.ndarray, D: np.ndarray, R: float
 ) -> LinearModel:
-    """The state space of charges [C] by voltages [V]."""
-    one, r = np.eye(len(D)), np.sqrt(R)
-    T = np.linalg.inv(one + D)
-    inner, drive = A - B @ T @ C, B @ T / r
-    current, direct = -2 * T @ C / r, (one - D) @ T / R
-    charge = np.linalg.solve(inner.T, current.T).T  # its rate is the current but for rest
-    rest = direct - charge @ drive  # conductance at zero frequency
-    n, m = len(A), len(D)
-    wide = np.zeros((n + m, n + m))
-    wide[:n, :n] = inner
+    """The state space of charges [C] by voltages [V]; waves ``a`` stay signals of their own, so
+    that the poles of the fit stay apart in their blocks::
+
+        x' = A x + B a,    q' = (2 a - v / r) / r,    0 = v / r - C x - (1 + D) a
+    """
+    n, m = B.shape
+    one, r = np.eye(m), np.sqrt(R)
+    zero = np.zeros((m, m))
+    wide = np.block(
+        [
+            [A, np.zeros((n, m)), B],
+            [np.zeros((m, n)), zero, 2 * one / r],
+            [-C, zero, -one - D],
+        ]
+    )
     ports = tuple(
         Port(f"port{k + 1}", "electrical", pins=(f"port{k + 1}", "ref")) for k in range(m)
     )
-    return LinearModel(A=wide, B=np.vstack([drive, one]), C=np.hstack([charge, rest]), ports=ports)
+    return LinearModel(
+        A=wide,
+        E=np.diag(np.r_[np.ones(n + m), np.zeros(m)]),
+        B=np.vstack([np.zeros((n, m)), -one / R, one / r]),
+        C=np.hstack([np.zeros((m, n)), one, zero]),
+        ports=ports,
+    )
 
 
 def _certified(
@@ -300,7 +315,7 @@ def _certified(
     error, at = float(deviation[worst]), float(f[worst[0]])
     rms = float(np.sqrt(np.mean(deviation**2)))
     told = (
-        f"{model.order - Y.shape[1]} states fitted to {len(f)} samples: largest deviation "
+        f"{model.order - 2 * Y.shape[1]} states fitted to {len(f)} samples: largest deviation "
         f"{error:.2g} of an entry's peak (Y{worst[1] + 1}{worst[2] + 1} at {at:.6g} Hz), rms "
         f"{rms:.2g}, noise of the samples {np.sqrt(2) * noise:.2g}; passive at all frequencies, "
         "measured in the band alone"

@@ -81,6 +81,7 @@ _STATES = """\
 *
 * scaled so that a constant input of 1 V sets states of about 1 V. {base} is the reference of all
 * pins that are not electrical: wire it to node 0."""
+_LOOPED = "no states, but signals that close loops: the currents into each node are zero"
 _FREE_STATE = f"* The leak gives a free integrator its operating point: {_NOTES}#leaks"
 _CLAMPED = f"""
 * Electrical port{{name}}: the clamped capacitance of {{farad:.6g}} F in series with a voltage, \
@@ -578,19 +579,33 @@ def _blocks(
     band = rom.certificate.band_hz if rom.certificate else rom.band
     farad = 1 / (2 * np.pi * (band[1] if band else 1.0))
     B, C = model.B.copy(), model.C.copy()
+    loops = model.loops or [
+        np.zeros((len(B), 0)),
+        np.zeros((0, len(B))),
+        B[:0],
+        C[:, :0],
+        B[:0, :0],
+    ]
+    F, P, Q, R, S = (each.copy() for each in loops)
     scaled, held, start = [], [], 0
     for block in model.blocks:
         rows = slice(start, start + len(block))
         start += len(block)
-        block, free, scale = _balanced(block, B[rows], 1 / farad)
+        block, free, scale = _balanced(block, np.hstack([B[rows], F[rows]]), 1 / farad)
         B[rows] /= scale[:, None]
+        F[rows] /= scale[:, None]
         C[:, rows] *= scale
+        P[:, rows] *= scale
         scaled.append(block)
         held.append(free)
-    numbers = [f"{k}" for k in range(1, start + 1)]
+    numbers = [f"{k}" for k in range(1, start + len(S) + 1)]
     units = [[t.unit] for t in terminals if t.row is not None]
     states = _States(
-        [f"z{k}" for k in numbers], numbers, block_diag(*scaled), B, C / np.array(units)
+        [f"z{k}" for k in numbers],
+        numbers,
+        np.block([[block_diag(*scaled), F], [P / farad, S / farad]]),
+        np.vstack([B, Q / farad]),
+        np.hstack([C, R]) / np.array(units),
     )
     wired = _wired(terminals, states, model.D, rom, base)
     ports = [t for t in wired if t.port.conservative]
@@ -604,20 +619,25 @@ def _blocks(
             *(card.onto(base, f"sum{index}", f"Gt{index}_") for card in t.through),
         ]
     at = 0
-    for block, free in zip(scaled, held, strict=True):
+    signals: list[tuple[np.ndarray, bool | None]] = [(S, None)] if len(S) else []
+    for block, drifts in [*zip(scaled, held, strict=True), *signals]:
         first, at = at, at + len(block)
-        body.append(f"\n* States {first + 1} to {at}: {comment(_description(block))}")
+        told = _LOOPED if drifts is None else comment(_description(block))
+        body.append(f"\n* States {first + 1} to {at}: {told}")
         for k in range(first, at):
             index, node = k + 1, f"z{k + 1}"
-            body.append(f"C{node} {node} {base} {number(farad)}")
-            if free:
+            if drifts is not None:
+                body.append(f"C{node} {node} {base} {number(farad)}")
+            if drifts:
                 body += [_FREE_STATE, f"G{node} {node} {base} {node} {base} {number(LEAK)}"]
             cards = states.cards(farad * states.A[k], base)
             body += [card.onto(base, node, f"Ga{index}_") for card in cards]
             body += [
-                t.driven(f"{t.column + 1}", farad * B[k], base).onto(base, node, f"Gb{index}_")
+                t.driven(f"{t.column + 1}", farad * states.B[k], base).onto(
+                    base, node, f"Gb{index}_"
+                )
                 for t in terminals
-                if t.column is not None and B[k, t.column]
+                if t.column is not None and states.B[k, t.column]
             ]
     about = _STATES.format(farad=number(farad), base=base).split("\n")
     return ([*_OUTWARDS, *about] if ports else about), body

@@ -38,9 +38,10 @@ RATIOS = {
     "loop_cpu_s", "loop_vs_scipy", "loop_vs_scipy_specialised", "loop_vs_floor", "harmonic",
     "imprint_refactor", "imprint_low_rank", "impact_refactor", "impact_low_rank",
     "em_superposition", "dense_vs_resonator_30", "dense_vs_resonator_348", "start_help_s",
-    "start_rerun_s", "start_first_s",
+    "start_rerun_s", "start_first_s", "scikit_rf_vs_ours_ac", "scikit_rf_vs_ours_tran",
+    "resonators_vs_states_ac", "resonators_vs_states_tran",
 }  # fmt: skip
-PLANES = {"loop", "impact", "imprint", "harmonic", "em", "dense"}
+PLANES = {"loop", "impact", "imprint", "harmonic", "em", "dense", "writers"}
 
 
 @pytest.fixture(scope="module")

@@ -2,8 +2,10 @@
 
 import numpy as np
 import pytest
+from scipy.linalg import block_diag
 
 from kc2spice.core.errors import UsageError
+from kc2spice.rom.blocks import block_model, decoupled
 from kc2spice.rom.linear import LinearModel
 
 N = 6
@@ -74,3 +76,29 @@ def test_energy_shows_in_the_form():
 def test_what_has_no_state_space_is_refused(parts, says):
     with pytest.raises(UsageError, match=says):
         LinearModel(**parts, B=B, C=C).state_space()
+
+
+def test_blocks_stay_small_while_the_response_keeps_its_digits():
+    """Eigenvectors of condition 1e6, above which the first bound keeps states together; a true
+    Jordan block stays one."""
+    rng = np.random.default_rng(3)
+    n = 12
+    A = np.diag(-np.arange(1.0, n + 1)) + 12 * np.triu(rng.standard_normal((n, n)), 1)
+    Q = np.linalg.qr(rng.standard_normal((n, n)))[0]
+    model = LinearModel(A=Q @ A @ Q.T, B=rng.standard_normal((n, 2)), C=rng.standard_normal((2, n)))
+    assert np.linalg.cond(np.linalg.eig(A)[1]) > 1e5
+    assert len(decoupled(model.A)[0]) == 1
+    found = block_model(model)
+    assert max(map(len, found.blocks)) == 1
+    s = 1j * np.geomspace(0.1, 100, 30)[:, None, None]
+    given, small = (
+        C @ np.linalg.solve(s * np.eye(n) - inner, B.astype(complex)[None])
+        for inner, B, C in (
+            (model.A, model.B, model.C),
+            (block_diag(*found.blocks), found.B, found.C),
+        )
+    )
+    assert np.abs(small - given).max() < 1e-9 * np.abs(given).max()
+    defective = np.diag(-np.ones(4)) + np.eye(4, k=1)
+    kept = block_model(LinearModel(A=defective, B=np.ones((4, 1)), C=np.ones((1, 4))))
+    assert [len(block) for block in kept.blocks] == [4]

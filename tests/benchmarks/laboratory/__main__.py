@@ -35,7 +35,7 @@ from laboratory.setup import Setup
 
 # Each part is the function of its own name in the module of that name. What a user waits for comes
 # first: many a machine slows down under the minutes of load that the others are.
-PARTS = ("start", "loop", "impact", "imprint", "harmonic", "em", "dense")
+PARTS = ("start", "loop", "impact", "imprint", "harmonic", "em", "dense", "writers")
 
 
 def bench(out: Path, parts: list[str], *, quick: bool, repeats: int) -> None:
