@@ -1,27 +1,14 @@
 """Scenes of a user's own, from one TOML file to run, sweep and verify, by the command line."""
 
-import json
-import os
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
+from commands import asked
 from kicked import kicked
 
 ROOT = Path(__file__).parents[2]
 TWO_STACKS = ROOT / "docs" / "examples" / "two_stacks.toml"
-
-
-def kc2spice(*words, cwd):
-    """What the command says under ``--json``; it must end with exit code 0."""
-    done = subprocess.run(
-        [sys.executable, "-m", "kc2spice", *words, "--json"], cwd=cwd, capture_output=True,
-        text=True, check=False, env={**os.environ, "PYTHONPATH": str(ROOT)},
-    )  # fmt: skip
-    assert done.returncode == 0, done.stderr + done.stdout
-    return json.loads(done.stdout)
 
 
 @pytest.mark.slow  # 20 s of the independent integrator for the two stacks
@@ -35,13 +22,13 @@ def kc2spice(*words, cwd):
 )
 def test_a_scene_from_scratch_runs_sweeps_and_verifies(write, swept, metric, tmp_path):
     scene = str(write(tmp_path))
-    run = kc2spice("run", scene, "--out", "run", cwd=tmp_path)
+    run = asked("run", scene, "--out", tmp_path / "run", "--json")
     assert run["metrics"][metric] > 0
-    sweep = kc2spice("sweep", scene, "--set", swept, "--out", "sweep", cwd=tmp_path)
+    sweep = asked("sweep", scene, "--set", swept, "--out", tmp_path / "sweep", "--json")
     assert (sweep["points"], sweep["failed"]) == (3, 0)
     rows = np.genfromtxt(tmp_path / sweep["table"], delimiter=",", names=True)
     assert np.ptp(rows[metric]) > 0.05 * rows[metric].max()
-    verified = kc2spice("verify", scene, "--out", "verify", cwd=tmp_path)
+    verified = asked("verify", scene, "--out", tmp_path / "verify", "--json")
     assert verified["passed"]
     names = [check["name"] for check in verified["checks"]]
     assert any(name.startswith("every wave") for name in names)

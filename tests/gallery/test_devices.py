@@ -3,8 +3,6 @@
 import math
 import runpy
 import shutil
-import subprocess
-import sys
 import tomllib
 from itertools import product
 from pathlib import Path
@@ -12,6 +10,7 @@ from pathlib import Path
 import meshio
 import numpy as np
 import pytest
+from commands import asked
 
 import kc2spice as kc
 from kc2spice.scene.load import load_scene
@@ -223,9 +222,7 @@ def test_slower_drivers_kick_lower(results):
 def test_bracket_of_a_stranger_becomes_a_library_by_one_command(tmp_path):
     shutil.copy(EXAMPLE / "bracket.toml", tmp_path)
     runpy.run_path(str(EXAMPLE / "make_bracket.py"))["draw"](str(tmp_path / "bracket.step"))
-    command = [sys.executable, "-m", "kc2spice", "export", "bracket.toml", "-o", "out"]
-    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr
+    asked("export", tmp_path / "bracket.toml", "-o", tmp_path / "out")
     text = (tmp_path / "out" / "bracket.lib").read_text("utf-8")
     pins = [line.split()[3] for line in text.splitlines() if line.startswith("* @pin")]
     assert pins == ["anode", "cathode", "tip", "base", "ground"]

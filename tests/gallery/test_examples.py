@@ -1,11 +1,9 @@
 """The examples of the docs run as they stand, in an empty directory."""
 
-import os
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
+from commands import python
 
 ROOT = Path(__file__).parents[2]
 # Those that ask for a library of the reader run in tests/clients.
@@ -16,7 +14,7 @@ EXAMPLES = [
 ]
 
 
-SLOW = ("error_budget", "own_driver", "python_controller", "tune")
+SLOW = ("error_budget", "fit", "sweep", "own_driver", "python_controller", "tune")
 
 
 @pytest.mark.parametrize(
@@ -25,11 +23,4 @@ SLOW = ("error_budget", "own_driver", "python_controller", "tune")
     ids=lambda path: path.stem,
 )
 def test_example_runs(path, tmp_path):
-    environment = {**os.environ, "OMP_NUM_THREADS": "1", "PYTHONPATH": str(ROOT)}
-    done = subprocess.run(
-        [sys.executable, "-W", "error::DeprecationWarning", str(path)],
-        cwd=tmp_path, env=environment, capture_output=True, text=True, check=False,
-    )  # fmt: skip
-    assert done.returncode == 0, done.stderr
-    assert done.stdout
-    assert "Traceback" not in done.stderr
+    assert python(tmp_path, "-W", "error::DeprecationWarning", str(path))

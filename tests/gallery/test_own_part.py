@@ -1,13 +1,11 @@
 """The page on own parts works as it stands: its files, its package, its commands."""
 
-import os
 import re
 import shlex
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
+from commands import python, typed
 
 ROOT = Path(__file__).parents[2]
 PAGE = (ROOT / "docs" / "own_part.md").read_text(encoding="utf-8")
@@ -33,24 +31,14 @@ def package(tmp_path_factory):
     return folder
 
 
-def run(package, *words):
-    path = os.pathsep.join([str(ROOT), str(package)])
-    done = subprocess.run(
-        [sys.executable, *words], cwd=package, capture_output=True, text=True, check=False,
-        env={**os.environ, "OMP_NUM_THREADS": "1", "PYTHONPATH": path},
-    )  # fmt: skip
-    assert done.returncode == 0, f"{words}\n{done.stderr}"
-    return done.stdout
-
-
 def test_the_file_and_its_closed_form_run(package):
     (package / "trial.py").write_text("\n".join(blocks("python")), encoding="utf-8")
-    run(package, "trial.py")
+    python(package, "trial.py", path=[package])
 
 
 def test_the_commands_know_the_installed_part(package):
-    for line in "".join(blocks("sh")).splitlines():
-        run(package, "-m", *shlex.split(line))
+    commands = [shlex.split(line)[1:] for line in "".join(blocks("sh")).splitlines()]
+    typed(package, commands, path=[package])
     assert (package / "xyce" / "solenoid.lib").is_file()
     assert "I(" in (package / "modules" / "solenoid.va").read_text(encoding="utf-8")
     head = (package / "xyce" / "solenoid.lib").read_text(encoding="utf-8")

@@ -1,14 +1,12 @@
 """The commands that the README shows work as they stand."""
 
 import json
-import os
 import re
 import shlex
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
+from commands import asked, python, typed
 
 from kc2spice.report.words import quantity
 from laboratory.page import bench_tables
@@ -26,24 +24,9 @@ def test_readme_shows_the_commands_of_its_table():
     assert {"make demo", "make test"} <= {line.split("#")[0].strip() for line in LINES}
 
 
-def run(words, folder, **options):
-    return subprocess.run(
-        [sys.executable, "-m", "kc2spice", *words],
-        cwd=folder, capture_output=True, text=True, check=False,
-        env={**os.environ, "OMP_NUM_THREADS": "1", "PYTHONPATH": str(ROOT)}, **options,
-    )  # fmt: skip
-
-
-@pytest.fixture(scope="module")
-def folder(tmp_path_factory):
-    """One directory for all commands, as a reader has: some use files of others."""
-    return tmp_path_factory.mktemp("reader")
-
-
-def test_commands_work_in_their_order(folder):
-    for command in COMMANDS:
-        done = run(shlex.split(command, comments=True)[1:], folder)
-        assert done.returncode == 0, f"{command}\n{done.stderr}"
+def test_commands_work_in_their_order(tmp_path):
+    """In one directory, as a reader has: some use files of others."""
+    typed(tmp_path, [shlex.split(command, comments=True)[1:] for command in COMMANDS])
 
 
 @pytest.mark.parametrize("page", ["README.md", "docs/journeys/matrices.md"])
@@ -52,26 +35,20 @@ def test_python_blocks_run(page, tmp_path):
     blocks = re.findall(r"```python\n(.*?)```", text, re.DOTALL)
     assert blocks
     (tmp_path / "block.py").write_text("\n".join(blocks), encoding="utf-8")
-    done = subprocess.run(
-        [sys.executable, "block.py"], cwd=tmp_path, capture_output=True, text=True, check=False,
-        env={**os.environ, "OMP_NUM_THREADS": "1", "PYTHONPATH": str(ROOT)},
-    )  # fmt: skip
-    assert done.returncode == 0, done.stderr
+    python(tmp_path, "block.py")
 
 
 def test_buzzer_of_the_journey_runs(tmp_path):
     page = (ROOT / "docs" / "journeys" / "device.md").read_text(encoding="utf-8")
     scene, probes = re.findall(r"```toml\n(.*?)```", page, re.DOTALL)
     (tmp_path / "buzzer.toml").write_text(scene + probes, encoding="utf-8")
-    done = run(["run", "buzzer.toml", "-o", "out", "--json"], tmp_path)
-    assert done.returncode == 0, done.stderr
-    assert json.loads(done.stdout)["metrics"]["resonance_hz"] == pytest.approx(6300, rel=0.1)
-    assert "peak_a" in done.stdout
+    metrics = asked("run", tmp_path / "buzzer.toml", "-o", tmp_path / "out", "--json")["metrics"]
+    assert metrics["resonance_hz"] == pytest.approx(6300, rel=0.1)
+    assert "peak_a" in metrics
 
 
 def test_numbers_of_the_main_job_are_those_of_a_run(tmp_path):
-    done = run(["run", "kick_and_catch", "-o", "out", "--json"], tmp_path)
-    result = json.loads(done.stdout)
+    result = asked("run", "kick_and_catch", "-o", tmp_path / "out", "--json")
     metrics, chip = result["metrics"], result["model"]["kick"]
     readme = (ROOT / "README.md").read_text(encoding="utf-8")
     for shown in (f"{metrics['launch_velocity_m_s']:.2f} m/s",

@@ -108,7 +108,11 @@ def test_error_is_within_the_tolerance_and_its_estimate_is_sharp(name, tolerance
     "dense",
     [pytest.param(False, id="blocks"), pytest.param(True, id="dense", marks=pytest.mark.slow)],
 )
-@pytest.mark.parametrize("name", COSTLY)
+@pytest.mark.parametrize(
+    "name",
+    [pytest.param(n, marks=pytest.mark.slow if n in ("rotor", "triple chain") else ())
+     for n in FAMILIES],
+)  # fmt: skip
 def test_ngspice_runs_the_emitted_subcircuit_as_asked(name, dense, truth, tmp_path):
     tolerance = 1e-5
     matrices, _, band = built(name)

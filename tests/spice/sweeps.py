@@ -1,10 +1,10 @@
 """What tests of sweeps share: a circuit of milliseconds, the command line, tables."""
 
 import csv
-import json
-import subprocess
 import sys
 from pathlib import Path
+
+from commands import asked
 
 # A capacitor charged over a resistor: after the time t it has 1 - exp(-t / RC) of the voltage.
 CIRCUIT = """
@@ -40,14 +40,11 @@ def command(scene, *sets, out, more=()):
     return [sys.executable, "-m", "kc2spice", "sweep", str(scene), *pairs, "-o", str(out), *more]
 
 
-def sweep(scene, *sets, out, more=(), code=0, **options):
+def sweep(scene, *sets, out, more=(), code=0):
     """The summary of the command, or what it says where it is to fail."""
     workers = () if "--workers" in more else ("--workers", "1")
     words = command(scene, *sets, out=out, more=("--json", "--quiet", *workers, *more))
-    done = subprocess.run(words, capture_output=True, text=True, check=False, **options)
-    assert done.returncode == code, done.stderr
-    assert "Traceback" not in done.stderr
-    return json.loads(done.stdout) if code == 0 else done.stderr
+    return asked(*words[3:], code=code)
 
 
 def rows(summary):

@@ -412,7 +412,7 @@ def worst_cards(kind, dialect):
     if normal.radius:  # the network has no lags
         normal = replace(normal, pace=0.0)
     network, errors = Network(text, values), []
-    for x, rate, slide, wanted in touching(normal):
+    for x, rate, slide, wanted in touching(normal, 6):
         still = 0.0 if normal.radius else 1.0
         drives = {"base": 0.0, "b": 3.0, "rail": 0.2, "slide": 0.2}
         drives |= {"p": 3.0 + 1e6 * (x[0] + GAPS[0]), "q": 3.0 + 1e6 * (x[1] + GAPS[1])}

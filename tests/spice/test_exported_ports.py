@@ -5,9 +5,7 @@ import subprocess
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
-
-from kc2spice.cli.main import app
+from commands import asked
 
 NODES = 4
 K = 1e4 * (2 * np.eye(NODES) - np.eye(NODES, k=1) - np.eye(NODES, k=-1))  # N/m
@@ -37,12 +35,7 @@ def chain(tmp_path, monkeypatch):
     (tmp_path / "chain.toml").write_text("band = [0, 2e3]\n" + "".join(tables))
     (tmp_path / "pushed.toml").write_text(SCENE)
 
-    def command(*words):
-        done = CliRunner().invoke(app, [*words])
-        assert done.exit_code == 0, done.stderr
-        return " ".join(done.stdout.split())
-
-    return command
+    return lambda *words: " ".join(asked(*words).split())
 
 
 def pins(library):

@@ -105,10 +105,11 @@ def unused(sources: dict[str, str], others: str = "", api: frozenset[Object] = f
     nodes = {name: walked(tree) for name, tree in trees.items()}
     used = {one for name, own in nodes.items() for one in uses(name, own, set(trees))} | api
     called = {word for own in nodes.values() for word in attributes(own)}
-    called |= set(re.findall(r"\w+", others))
+    words = set(re.findall(r"\w+", others))
+    called |= words
     for module, tree in trees.items():
         for name, methods in public(tree):
-            if name[0] != "_" and (module, name) not in used and name not in others:
+            if name[0] != "_" and (module, name) not in used and name not in words:
                 yield f"{module}: {name}"
             if (module, name) not in api:
                 yield from (f"{module}: {name}.{m}" for m in methods if m not in called | ALSO)

@@ -1,18 +1,17 @@
-"""What the hard cases share: how one is declared, run and judged, and their scenes."""
+"""What the hard cases share: how one is declared and run, and their scenes."""
 
 from __future__ import annotations
 
-import re
-import tempfile
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+import pytest
 from device import bench as bench_deck  # noqa: F401
 from device import built, chip, magnets
 
-from kc2spice.core.errors import Kc2spiceError
 from kc2spice.core.progress import Clock, silent
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.fem.magnetics.table import EMTable
@@ -32,22 +31,6 @@ from kc2spice.workflow.verify.circuit import solve
 
 HEADER = Header("hard case", "0")
 TIMEOUT = 300.0  # s; a case that needs more has failed
-
-
-@dataclass(frozen=True)
-class Case:
-    """One hard case: ``measure`` returns the error, which must not exceed ``limit``.
-
-    ``refused`` is a pattern: the case must end in an error that matches it, and in no other way.
-    """
-
-    name: str
-    entry: str
-    what: str
-    limit: float
-    refused: str | None
-    slow: bool
-    measure: Callable[[Bench], float]
 
 
 @dataclass
@@ -83,32 +66,22 @@ class Bench:
         return waves
 
 
-CASES: list[Case] = []
+CASES: list[Any] = []
 
 
 def case(
     entry: str, what: str, limit: float = 0.0, *, refused: str | None = None, slow: bool = False
 ) -> Callable[[Callable[[Bench], float]], Callable[[Bench], float]]:
-    """Register a case under its function's name."""
+    """Register a case: ``measure`` returns the error of ``what``, which must not exceed ``limit``;
+    one that is ``refused`` ends in an error that matches this pattern."""
 
     def register(measure: Callable[[Bench], float]) -> Callable[[Bench], float]:
+        marks = [pytest.mark.slow] if slow else []
         name = measure.__name__.replace("_", " ")
-        CASES.append(Case(name, entry, what, limit, refused, slow, measure))
+        CASES.append(pytest.param(measure, limit, refused, id=name, marks=marks))
         return measure
 
     return register
-
-
-def judge(case: Case) -> tuple[bool, str]:
-    """Whether one case is met, in a directory of its own, and how it ended."""
-    with tempfile.TemporaryDirectory() as directory:
-        try:
-            error = float(case.measure(Bench(Path(directory))))
-        except Kc2spiceError as refusal:
-            said = " ".join(str(refusal).split())
-            met = case.refused is not None and re.search(case.refused, said) is not None
-            return met, f"refused: {said}"
-    return case.refused is None and error <= case.limit, f"{error:.1e}, limit {case.limit:.0e}"
 
 
 def scene(name: str, *overrides: str) -> Scene:

@@ -1,0 +1,44 @@
+"""The command line as a reader uses it, in a process of its own, and in this one."""
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+from typer.testing import CliRunner
+
+from kc2spice.cli.main import app
+
+ROOT = Path(__file__).parents[2]
+EACH = """
+import json, sys
+from kc2spice.cli.main import app
+for words in json.loads(sys.argv[1]):
+    if code := app(words, standalone_mode=False):
+        sys.exit(f"{words}: exit code {code}")
+"""
+
+
+def python(folder, *words, path=()):
+    """Output of a Python program in ``folder``, which must succeed; ``path`` has more modules."""
+    path = os.pathsep.join(map(str, (ROOT, *path)))
+    done = subprocess.run(
+        [sys.executable, *words], cwd=folder, capture_output=True, text=True, check=False,
+        env={**os.environ, "OMP_NUM_THREADS": "1", "PYTHONPATH": path},
+    )  # fmt: skip
+    assert done.returncode == 0, f"{words}\n{done.stderr}{done.stdout}"
+    return done.stdout
+
+
+def typed(folder, commands, path=()):
+    """What ``kc2spice`` says to commands that are lists of words, one after the other."""
+    return python(folder, "-c", EACH, json.dumps(commands), path=path)
+
+
+def asked(*words, code=0):
+    """What a command says in this process: the record under ``--json``, else all of its text."""
+    done = CliRunner().invoke(app, list(map(str, words)))
+    assert done.exit_code == code, done.output
+    assert "Traceback" not in done.output
+    return json.loads(done.stdout) if "--json" in words and code == 0 else done.output
