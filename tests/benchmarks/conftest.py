@@ -11,11 +11,6 @@ from kc2spice.scene.parttype import Build
 
 
 @pytest.fixture(scope="session")
-def model() -> Resonators:
-    return device.chip()
-
-
-@pytest.fixture(scope="session")
 def loop(model: Resonators) -> Build:
     """The whole loop around the made-up chip and field."""
     return device.built(load_scene("kick_and_catch"), model, device.magnets())

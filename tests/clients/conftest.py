@@ -70,9 +70,3 @@ def run():
         return done.stdout + done.stderr
 
     return execute
-
-
-@pytest.fixture(scope="session")
-def model():
-    """The made-up chip."""
-    return device.chip()

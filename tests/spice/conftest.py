@@ -14,7 +14,6 @@ from kc2spice.parts.contact import Normal, contact_subcircuit
 from kc2spice.parts.pid import Control, pid_subcircuit
 from kc2spice.parts.ring_magnet_coils import catch_subcircuit, coil_subcircuit
 from kc2spice.parts.sphere import SphereKeys, sphere_subcircuit
-from kc2spice.rom.modal import Resonators
 from kc2spice.scene.load import load_scene
 from kc2spice.scene.model import Scene
 from kc2spice.spice.header import Header
@@ -29,11 +28,6 @@ LOOP = {
 @pytest.fixture(scope="session")
 def radii() -> np.ndarray:
     return device.RADII
-
-
-@pytest.fixture(scope="session")
-def model() -> Resonators:
-    return device.chip()
 
 
 @pytest.fixture(scope="session")

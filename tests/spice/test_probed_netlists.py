@@ -4,9 +4,6 @@ import json
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
-
-from kc2spice.cli.main import app
 
 SCENE = """
 name = "divided"
@@ -43,13 +40,12 @@ POLE = 1 / np.sqrt(1 + (2 * np.pi * 1e3 * 1e3 * 100e-9) ** 2)  # of 1 kOhm and 1
 
 
 @pytest.fixture
-def looked(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
+def looked(tmp_path, cli):
     (tmp_path / "filter.lib").write_text(FILTER)
 
     def run(node):
         (tmp_path / "divided.toml").write_text(SCENE.format(node=node))
-        return CliRunner().invoke(app, ["run", "divided.toml", "-o", "out", "--json"])
+        return cli("run", "divided.toml", "-o", "out", "--json")
 
     return run
 

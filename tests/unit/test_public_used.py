@@ -109,7 +109,7 @@ def unused(sources: dict[str, str], others: str = "", api: frozenset[Object] = f
     called |= words
     for module, tree in trees.items():
         for name, methods in public(tree):
-            if name[0] != "_" and (module, name) not in used and name not in words:
+            if name[0] != "_" and (module, name) not in used and name not in others:
                 yield f"{module}: {name}"
             if (module, name) not in api:
                 yield from (f"{module}: {name}.{m}" for m in methods if m not in called | ALSO)

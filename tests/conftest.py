@@ -1,5 +1,6 @@
 """What several files of tests begin with."""
 
+import device
 import pytest
 from typer.testing import CliRunner
 
@@ -12,6 +13,12 @@ def cli(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     monkeypatch.delenv("KC2SPICE_DEBUG", raising=False)
     return lambda *words: CliRunner().invoke(app, list(words))
+
+
+@pytest.fixture(scope="session")
+def model():
+    """The made-up chip."""
+    return device.chip()
 
 
 @pytest.fixture
