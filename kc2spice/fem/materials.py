@@ -23,7 +23,7 @@ from __future__ import annotations
 import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeAlias
 
@@ -189,18 +189,18 @@ def bond(R: np.ndarray) -> np.ndarray:
 
 def _components(unit: str) -> BeforeValidator:
     """A tensor as named components or as nested lists, each number with or without unit."""
+    return BeforeValidator(partial(_converted, unit))
 
-    def convert(value: object) -> object:
-        if isinstance(value, Mapping):
-            return {str(key): convert(item) for key, item in value.items()}
-        if isinstance(value, (list, tuple)):
-            return [convert(item) for item in value]
-        try:
-            return quantity(value, unit)
-        except UsageError as error:
-            raise ValueError(f"{error.message}: {error.got}; expected {error.expected}") from None
 
-    return BeforeValidator(convert)
+def _converted(unit: str, value: object) -> object:
+    if isinstance(value, Mapping):
+        return {str(key): _converted(unit, item) for key, item in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_converted(unit, item) for item in value]
+    try:
+        return quantity(value, unit)
+    except UsageError as error:
+        raise ValueError(f"{error.message}: {error.got}; expected {error.expected}") from None
 
 
 _Tensor: TypeAlias = dict[str, float] | list[list[float]]

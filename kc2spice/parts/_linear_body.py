@@ -19,8 +19,10 @@ from kc2spice.core import laws
 from kc2spice.core.cache import cached, remembered
 from kc2spice.core.errors import UsageError, unknown
 from kc2spice.core.figure import Figure
+from kc2spice.core.progress import Clock
 from kc2spice.core.quantities import Section, Voltage
 from kc2spice.core.waveforms import Waveforms, running
+from kc2spice.parts._box import corners, varied, with_values
 from kc2spice.parts._pictures import (
     impedance_figure,
     own_impedances,
@@ -31,7 +33,9 @@ from kc2spice.parts._touching import Surface, Touching
 from kc2spice.rom.linear import Certificate, LinearModel, Port
 from kc2spice.rom.march import chip_response
 from kc2spice.rom.modal import Resonators, resonators
+from kc2spice.rom.parametric import Axis, Loss
 from kc2spice.rom.structure import structure
+from kc2spice.rom.varying import Varying
 from kc2spice.scene.judge import Balance, Check
 from kc2spice.scene.model import GROUND, Part, Scene, Terminal
 from kc2spice.scene.parttype import (
@@ -65,6 +69,7 @@ RESONANT = 1.5  # times its lowest resonance: a kick whose band ended below that
 STILL = 1e-9  # of a run: time points that are one
 FEEDING = 1e-3  # negative share of an impedance that is no rounding of a lossless body
 KEPT = 1e-4  # share of a floating electrode's charge that a run may lose by the netlist's leak
+UNASKED = 1e-4  # tolerance over a box of parameters where an order is the default
 NO_ENERGY = 1e-13  # of the stiffest motion's: rounding
 LEAST = 10e3  # Hz of a transient's band at least: what switches in the circuit is not known
 MOTIONS = 20  # natural frequencies that a band reaches unasked: above them the mesh decides
@@ -175,6 +180,7 @@ class LinearBody(Touching):
 
     def problems(self, part: Part, scene: Scene) -> Iterator[UsageError]:
         yield from dimensions(part.name, part.keys)
+        yield from corners(part, scene)
 
     def surface(self, part: Part, scene: Scene, ports: tuple[str, ...] = ()) -> Surface | None:
         mechanical = [p.name for p in self.ports(part, scene) if p.kind == "mechanical"]
@@ -210,11 +216,10 @@ class LinearBody(Touching):
     def reduction(self, part: Part, scene: Scene) -> Rom:
         """Reduction of this body: its own, else the scene's."""
         own: Rom | None = getattr(part.keys, "rom", None)
-        if own is not None:
+        if own is not None and own.model_fields_set != {"parameters"}:
             return own
-        if "rom" in scene.frame.model_fields_set:
-            return scene.rom
-        return self.usual(scene)
+        found = scene.rom if "rom" in scene.frame.model_fields_set else self.usual(scene)
+        return found if own is None else found.model_copy(update={"parameters": own.parameters})
 
     def usual(self, scene: Scene) -> Rom:
         """Where nothing is said: a tolerance over the band that the analysis sees.
@@ -234,7 +239,9 @@ class LinearBody(Touching):
     def sure(self, part: Part, scene: Scene) -> float | None:
         """What the band of a transient reaches at least [Hz], whatever natural frequencies the body
         has; None where somebody chose the band."""
-        chosen = getattr(part.keys, "rom", None) or "rom" in scene.frame.model_fields_set
+        own = getattr(part.keys, "rom", None)
+        chosen = own and own.model_fields_set != {"parameters"}
+        chosen = chosen or "rom" in scene.frame.model_fields_set
         if chosen or scene.analysis.type != "transient":
             return None
         rows = numerics(scene)
@@ -249,7 +256,54 @@ class LinearBody(Touching):
         reached = {} if sure is None else {"sure": sure, "motions": MOTIONS}
         return found | reached | {"massless": massless(part, scene)}
 
+    def varying(self, part: Part, scene: Scene, clock: Any) -> Varying:
+        """The resonators over the box of ``rom.parameters``, which no value of these changes."""
+        keys = varied(part)
+        middle = with_values(part, {each.key: each.axis.middle for each in keys})
+        target, asked = self.reduction(part, scene), self.model_key(middle, scene)
+        if target.order is not None and "order" in target.model_fields_set and part.keys.rom.order:
+            raise UsageError(
+                "a netlist with parameters has as many states as its tolerance takes",
+                where=f"{part.name}.rom.order",
+                got=target.order,
+                expected="rom.tolerance",
+            )
+        asked = {**asked, "box": [[each.key, each.low, each.high] for each in keys]}
+
+        def build() -> Varying:
+            from kc2spice.rom.band import reach
+            from kc2spice.rom.varying import over_box
+
+            def full(values: Mapping[str, float]) -> LinearModel:
+                other = with_values(part, values)
+                return self.varied(other, scene, clock, middle).select(asked["ports"])
+
+            band, sure = target.band, asked.get("sure")
+            if sure is not None and band[1] > sure:
+                pencil = full({each.key: each.axis.middle for each in keys}).pencil
+                band = band[0], min(band[1], max(sure, reach(pencil, MOTIONS, band[1])))
+            text = f"model of {part.name} over {len(keys)} parameters"
+            with clock.stage("reduce", text) as told:
+                return over_box(
+                    full,
+                    [each.axis for each in keys],
+                    band,
+                    target.tolerance or UNASKED,
+                    lambda done, of: told(done / of),
+                )
+
+        found, _ = cached(
+            "box",
+            asked,
+            build,
+            classes=(Varying, Axis, Loss, Certificate, Port),
+            sources=self.sources(),
+        )
+        return found
+
     def build(self, part: Part, scene: Scene, clock: Any) -> LinearModel:
+        if keys := varied(part):
+            return self.varying(part, scene, clock).at({each.key: each.value for each in keys})
         # Asked here, as parts of the key: what runs within ``build`` is hashed with its modules.
         target, asked = self.reduction(part, scene), self.model_key(part, scene)
         sure = asked.get("sure")
@@ -297,6 +351,18 @@ class LinearBody(Touching):
         if not volts and any(port.kind == "electrical" for port in build.model(part).ports):
             rating += "; key rated_voltage states the largest voltage, a run then warns beyond it"
         title = self.headline(part)
+        if keys := varied(part):
+            from kc2spice.spice.parametric import parametric_subcircuit
+
+            found = self.varying(part, build.scene, Clock())
+            known = {each.key: each.param for each in keys}
+            params = [known[key] for key in found.box]
+            watch = self.watch(part, build.scene)
+            return (
+                parametric_subcircuit(
+                    found, name, params, header, title=title, rating=rating, watch=watch
+                ),
+            )
         model, watch = build.model(part), self.watch(part, build.scene)
         return (subcircuit(model, name, header, title=title, rating=rating, watch=watch),)
 
@@ -489,7 +555,11 @@ class LinearBody(Touching):
         return laws.Equations((law,), tuple(joins), _readings(part, model))
 
     def full_model(self, part: Part, build: Build, clock: Any) -> LinearModel:
-        return self.full(part, build.scene, clock).select([p.name for p in build.model(part).ports])
+        names = [port.name for port in build.model(part).ports]
+        if keys := varied(part):  # on the mesh that all values of the box share
+            middle = with_values(part, {each.key: each.axis.middle for each in keys})
+            return self.varied(part, build.scene, clock, middle).select(names)
+        return self.full(part, build.scene, clock).select(names)
 
     def detail(self, part: Part, scene: Scene) -> str:
         rom = self.reduction(part, scene)

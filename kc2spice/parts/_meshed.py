@@ -233,7 +233,7 @@ class BondedBody(MeshedBody):
 
     def bonded(self, part: Part) -> Bonded:
         """Its blocks, electrodes, supports and ports."""
-        return _bonded(self, part.keys.model_dump_json(), part.name)
+        return _bonded(self, part.keys.model_dump_json(exclude={"rom"}), part.name)
 
     def ports(self, part: Part, scene: Scene) -> tuple[Port, ...]:
         return self.bonded(part).every_port

@@ -41,6 +41,12 @@ class Rom(Section):
         None, description="of the error; peak where all ports are signals, else pointwise"
     )
 
+    parameters: dict[str, tuple[float | str, float | str]] | None = Field(
+        None,
+        description="of the netlist: keys of the body with their ranges, four at most; the error "
+        "then holds over all of them",
+    )
+
     @model_validator(mode="before")
     @classmethod
     def _one_target(cls, data: Any) -> Any:

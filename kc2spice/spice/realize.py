@@ -30,8 +30,8 @@ FREE = 1e-11
 # Cross terms of D this far below the diagonal are rounding.
 CROSS = 1e-13
 JUMP = 1e-9  # of C B by its summands: a rate that jumps with an input; less is rounding
-_INNER = r"tick|(inner|current|charge)\w*|sum\d+|[qpz]\d+"  # nodes of our own
-_MOVING = ("mechanical", "rotational")
+INNER = r"tick|(inner|current|charge)\w*|sum\d+|[qpz]\d+"  # nodes of our own
+MOVING = ("mechanical", "rotational")
 _DRIVES = {"mechanical": "f", "rotational": "f", "electrical": "v", "acceleration": "s"}
 
 
@@ -53,7 +53,7 @@ FOLLOWED = Watch(3.0, 2, 0.01)  # the body's own ringing is a result
 STRIKING = Watch(3.0, 6, 0.01)  # until it has struck: a quarter fewer points at an equal launch
 COARSE = Watch(8.0, 6, 1e-6)  # only what a contact throws is: half the time points
 _NOTES = "docs/notes/netlist.md"
-_PIVOTS = f"""
+PIVOTS = f"""
 * Three breakpoints at a picosecond fix the pivots: {_NOTES}#pivots
 Vtick tick {{base}} PWL(0 0 1e-12 0 2e-12 0)
 Rtick tick {{base}} 1"""
@@ -121,7 +121,7 @@ class _Card:
 
 
 @dataclass(frozen=True)
-class _Terminal:
+class PortTerminal:
     """A port as its cards need it: ``column`` of B and ``row`` of C, ``clamped`` farad.
 
     ``sums`` are its output by states, ``through`` by the inputs of ports.
@@ -155,7 +155,7 @@ class _Terminal:
         """The nodes between which the port's input in SI is a voltage."""
         if self.kind == "electrical":
             return self.pins[0], self.pins[1]
-        return (f"f{self.pins[0]}" if self.kind in _MOVING else self.pins[0]), base
+        return (f"f{self.pins[0]}" if self.kind in MOVING else self.pins[0]), base
 
     def driven(self, label: str, row: np.ndarray, base: str) -> _Card:
         """The card of its input, whose weight stands in a ``row`` of inputs."""
@@ -223,10 +223,10 @@ def subcircuit(
     if ports is not None:
         rom = rom.select(list(ports))
     form = _form(rom, dense)
-    terminals = _terminals(rom, form.D, name)
-    pins, base = _pins(terminals)
-    moved = (t.pins[0].lower() for t in terminals if t.kind in _MOVING)
-    inner = "|".join([_INNER, *(f"[uf]{pin}" for pin in moved)])
+    terminals = model_terminals(rom, form.D, name)
+    pins, base = subcircuit_pins(terminals)
+    moved = (t.pins[0].lower() for t in terminals if t.kind in MOVING)
+    inner = "|".join([INNER, *(f"[uf]{pin}" for pin in moved)])
     distinct([pin.name for pin in pins], inner, where=name)
     params: tuple[Param, ...] = ()
     if isinstance(form, Resonators):
@@ -255,7 +255,7 @@ def subcircuit(
         *(pin.name for pin in pins),
         *([parameter_list(params)] * bool(params)),
     ]
-    start = _PIVOTS.format(base=base)
+    start = PIVOTS.format(base=base)
     lines = ["", *about, f".subckt {' '.join(words)}", start, *body, f".ends {name}"]
     text = head + "\n".join(lines) + "\n"
     return Subcircuit(name, pins, params, text)
@@ -294,7 +294,7 @@ def _modal(rom: LinearModel) -> Resonators | None:
 # ------------------------------------------------------------------------------- ports and pins
 
 
-def _terminals(rom: LinearModel, D: np.ndarray, where: str) -> list[_Terminal]:
+def model_terminals(rom: LinearModel, D: np.ndarray, where: str) -> list[PortTerminal]:
     several = sum(port.kind == "electrical" for port in rom.ports) > 1
     found, column, row = [], 0, 0
     for port in rom.ports:
@@ -315,11 +315,11 @@ def _terminals(rom: LinearModel, D: np.ndarray, where: str) -> list[_Terminal]:
         if clamped < 0:
             raise UsageError("negative capacitance", where=where, got=port.name)
         tag = f"_{checked_name(port.name)}" if electrical and several else ""
-        found.append(_Terminal(port, pins, tag, into, out, clamped))
+        found.append(PortTerminal(port, pins, tag, into, out, clamped))
     return found
 
 
-def _pins(terminals: list[_Terminal]) -> tuple[tuple[Pin, ...], str]:
+def subcircuit_pins(terminals: list[PortTerminal]) -> tuple[tuple[Pin, ...], str]:
     """Electrical pairs, other conservative pins and the base; signals as they come, before ref."""
 
     def of(*kinds: str) -> list[Pin]:
@@ -332,7 +332,7 @@ def _pins(terminals: list[_Terminal]) -> tuple[tuple[Pin, ...], str]:
 
     # electrical ports against one cathode share its pin
     electrical, signals = list(dict.fromkeys(of("electrical"))), of("input", "output")
-    moving = of(*_MOVING, "acceleration")
+    moving = of(*MOVING, "acceleration")
     if not electrical and not moving:
         return (*signals, Pin("ref", "V", "A")), "ref"
     base = reference([t.port for t in terminals])
@@ -346,8 +346,8 @@ def reference(ports: Sequence[Port]) -> str:
 
 
 def _wired(
-    terminals: list[_Terminal], states: _States, D: np.ndarray, rom: LinearModel, base: str
-) -> list[_Terminal]:
+    terminals: list[PortTerminal], states: _States, D: np.ndarray, rom: LinearModel, base: str
+) -> list[PortTerminal]:
     """The terminals with the cards of their outputs.
 
     Of y = C z + D u an electrical port without capacitance of its own needs the current
@@ -368,7 +368,7 @@ def _wired(
             if t.column is not None and abs(row[t.column]) > CROSS * size
         )
 
-    def wired(t: _Terminal) -> _Terminal:
+    def wired(t: PortTerminal) -> PortTerminal:
         if t.row is None:
             return t
         row, direct = states.C[t.row], D[t.row] / t.unit
@@ -407,19 +407,19 @@ def _wired(
     return [wired(t) for t in terminals]
 
 
-def _conservative(terminals: Iterable[_Terminal], base: str, share: float) -> list[str]:
+def _conservative(terminals: Iterable[PortTerminal], base: str, share: float) -> list[str]:
     """Cards of the ports: electrical ones, motions, accelerations of the frame."""
-    order = (("electrical",), _MOVING, ("acceleration",))
+    order = (("electrical",), MOVING, ("acceleration",))
     ports = [t for kinds in order for t in terminals if t.kind in kinds]
     return [line for t in ports for line in _port(t, base, share)]
 
 
-def _port(t: _Terminal, base: str, share: float) -> Iterator[str]:
+def _port(t: PortTerminal, base: str, share: float) -> Iterator[str]:
     pin, tag = t.pins[0], t.tag
     if t.kind == "acceleration":
         yield _SHAKEN.format(pin=pin)
         yield from (card.onto(pin, base, f"Ga{pin}_") for card in t.sums + t.through)
-    elif t.kind in _MOVING:
+    elif t.kind in MOVING:
         yield (_ROTATION if t.kind == "rotational" else _MOTION).format(pin=pin)
         yield f"Ru{pin} u{pin} {base} 1"
         yield f"Gf{pin} {base} f{pin} {pin} u{pin} 1"
@@ -450,7 +450,7 @@ def _port(t: _Terminal, base: str, share: float) -> Iterator[str]:
 
 
 def _resonators(
-    model: Resonators, rom: LinearModel, terminals: list[_Terminal], base: str, watch: Watch
+    model: Resonators, rom: LinearModel, terminals: list[PortTerminal], base: str, watch: Watch
 ) -> tuple[list[str], list[str]]:
     """With ``z_j'' + d_j z_j' + w_j^2 z_j = sum_k g_jk u_k`` and ``s_j = max_k |g_jk|`` over the
     mechanical ports, the states are ``q_j = s_j z_j`` and ``p_j = q_j' / w_j`` in um (or, of a
@@ -533,10 +533,10 @@ def _relaxation(j: int, omega: float, damp: float, _: float, base: str) -> Itera
     yield f"Gq{j} q{j} {base} q{j} {base} {number(SIEMENS)}"
 
 
-def _drives(index: int, row: np.ndarray, terminals: list[_Terminal], base: str) -> list[_Card]:
+def _drives(index: int, row: np.ndarray, terminals: list[PortTerminal], base: str) -> list[_Card]:
     """What ports drive a mode with: forces, voltages, accelerations."""
 
-    def label(t: _Terminal) -> str:
+    def label(t: PortTerminal) -> str:
         own = f"{index}{t.tag}" if t.kind == "electrical" else f"{t.pins[0]}_{index}"
         return f"G{_DRIVES[t.kind]}{own}"
 
@@ -568,7 +568,7 @@ def _observable(model: Resonators) -> Resonators:
 
 
 def _blocks(
-    model: BlockModel, rom: LinearModel, terminals: list[_Terminal], base: str
+    model: BlockModel, rom: LinearModel, terminals: list[PortTerminal], base: str
 ) -> tuple[list[str], list[str]]:
     """The states of every block of :func:`kc2spice.rom.blocks.block_model` are voltages on
     ``C = 1 / (2 pi f1)``, f1 the end of the band, so that conductances in the band are about 1 S.
@@ -643,7 +643,7 @@ def _blocks(
     return ([*_OUTWARDS, *about] if ports else about), body
 
 
-def _signals(terminals: list[_Terminal], base: str) -> list[str]:
+def _signals(terminals: list[PortTerminal], base: str) -> list[str]:
     """Leaks of the signal inputs."""
     pins = [t.pins[0] for t in terminals if t.kind == "input"]
     leaks = [f"Gleak{k} {p} {base} {p} {base} {number(LEAK)}" for k, p in enumerate(pins, 1)]

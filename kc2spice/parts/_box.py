@@ -1,0 +1,153 @@
+"""Keys of a body that ``rom.parameters`` makes parameters of its netlist, and bodies of other
+values of them."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
+from itertools import pairwise, product
+from typing import Any
+
+from pydantic import BaseModel
+
+from kc2spice.core.errors import UsageError
+from kc2spice.core.findings import unit_of
+from kc2spice.core.quantities import validated
+from kc2spice.fem.materials import MaterialTable
+from kc2spice.netlist.circuit import Param
+from kc2spice.rom.parametric import Axis
+from kc2spice.scene.model import Part, Scene
+
+MOST = 4  # parameters: more need hundreds of full models
+LEAST = 1e-3  # relative width of a range
+
+
+@dataclass(frozen=True)
+class Varied:
+    """A key below the part (``layers[1].thickness``), its SI unit, the part's value, its range."""
+
+    key: str
+    unit: str
+    value: float
+    low: float
+    high: float
+
+    @property
+    def axis(self) -> Axis:
+        """Its range."""
+        return Axis(self.key, self.low, self.high)
+
+    @property
+    def param(self) -> Param:
+        """The netlist's parameter."""
+        name = re.sub(r"\W+", "_", self.key).strip("_")
+        return Param(name, self.value, self.unit or "-", self.key, self.low, self.high)
+
+
+def varied(part: Part) -> tuple[Varied, ...]:
+    """The keys that ``rom.parameters`` names.
+
+    Raises
+    ------
+    UsageError : too many, a key that the part does not have or that is no number, a range that is
+        none or without the part's value, values that the part cannot have.
+    """
+    rom = getattr(part.keys, "rom", None)
+    ranges = (rom.parameters if rom else None) or {}
+    where = f"{part.name}.rom.parameters"
+    if len(ranges) > MOST:
+        got, expected = f"{len(ranges)}", f"at most {MOST}"
+        raise UsageError("too many parameters", where=where, got=got, expected=expected)
+    found = []
+    for key, ends in ranges.items():
+        value, unit = _value(part, key)
+        low, high = (_value(with_values(part, {key: end}), key)[0] for end in ends)
+        low, high = min(low, high), max(low, high)
+        if low * high <= 0 or high - low < LEAST * abs(high) or not low <= value <= high:
+            raise UsageError(
+                "not the range of a parameter",
+                where=f"{where}.{key}",
+                got=f"{low:g} to {high:g}",
+                expected=f"two different numbers of one sign, the part's value {value:g} between",
+            )
+        found.append(Varied(key, unit, value, low, high))
+    return tuple(found)
+
+
+def corners(part: Part, scene: Scene) -> Iterator[UsageError]:
+    """What is wrong with the box, before any full model is made."""
+    try:
+        keys = varied(part)
+        for ends in product(*((each.low, each.high) for each in keys)):
+            corner = with_values(part, {k.key: v for k, v in zip(keys, ends, strict=True)})
+            corner.type.ports(corner, scene)  # type: ignore[attr-defined]
+    except UsageError as error:
+        yield error
+
+
+def with_values(part: Part, values: Mapping[str, Any]) -> Part:
+    """The part with other values of some keys.
+
+    Raises
+    ------
+    UsageError : values that the part cannot have.
+    """
+    table = part.keys.model_dump(exclude_unset=True)
+    table.pop("rom", None)
+    for key, value in values.items():
+        steps = _steps(key)
+        holder = table
+        try:
+            for step, after in pairwise(steps):
+                inner = holder.get(step, {}) if isinstance(holder, dict) else holder[step]
+                holder[step] = list(inner) if isinstance(after, int) else dict(inner)
+                holder = holder[step]
+            holder[steps[-1]] = value
+        except (KeyError, IndexError, TypeError, ValueError):
+            raise _no_key(part, key) from None
+    try:
+        keys = validated(type(part.keys), table, part.name)
+        return replace(part, keys=keys.model_copy(update={"rom": part.keys.rom}))
+    except UsageError as error:
+        raise UsageError(
+            "the ranges of the parameters hold values that the part cannot have",
+            where=error.where,
+            got=error.message if error.got is None else f"{error.message}: {error.got}",
+            expected="narrower ranges of possible parts in rom.parameters",
+        ) from None
+
+
+def _steps(key: str) -> list[str | int]:
+    return [int(word) if word.isdigit() else word for word in re.findall(r"\w+", key)]
+
+
+def _no_key(part: Part, key: str) -> UsageError:
+    return UsageError(
+        "not a number of the part that can vary",
+        where=f"{part.name}.rom.parameters",
+        got=key,
+        expected="keys below the part, such as layers[1].thickness or damping.ratio, with a value",
+        hint='a material by its name has no keys: write it as a table, { like = "PZT-5A", … }',
+    )
+
+
+def _value(part: Part, key: str) -> tuple[float, str]:
+    """The number that a key has, and its SI unit."""
+    found: Any = part.keys
+    unit = ""
+    for step in _steps(key):
+        if isinstance(found, BaseModel) and step in type(found).model_fields:
+            unit = unit_of(type(found).model_fields[str(step)]) or ""
+            found = getattr(found, str(step))
+            if step == "material" and isinstance(found, Mapping):
+                found = validated(MaterialTable, found, f"{part.name}.{key}")
+        elif isinstance(found, Mapping) and step in found:
+            found = found[str(step)]
+        elif isinstance(found, list | tuple) and isinstance(step, int) and step < len(found):
+            found = found[step]
+        else:
+            raise _no_key(part, key)
+    if isinstance(found, bool | int) or not isinstance(found, float):
+        raise _no_key(part, key)
+    return found, unit

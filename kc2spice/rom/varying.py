@@ -1,0 +1,472 @@
+"""Decoupled resonators whose frequencies, gains and capacitances are polynomials over a box.
+
+A :class:`~kc2spice.rom.parametric.Parametric` model is small, but dense. At many points of its box
+this takes its modes up to above the band and, orthogonal to them, the Ritz vectors of what the
+ports' loads do besides. Modes that come close to each other anywhere in the box stay together as a
+block in a frame that turns smoothly with the parameters (the one nearest to that of the middle), so
+that nothing jumps where they cross or repel; all others are resonators of their own. The stiffness
+of a block is ``L L'``, and polynomials give the logarithms of the diagonal of L, of the clamped
+capacitances' Cholesky factor and of the damping: masses, stiffness and damping are positive
+everywhere in the box, and the model is passive by its form.
+(Nearest frame: P. H. Schoenemann, Psychometrika 31 (1966) 1. Invariant subspaces are analytic where
+a gap stays: T. Kato, Perturbation Theory for Linear Operators, II.4.)
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise, product
+
+import numpy as np
+import scipy
+from scipy.stats import qmc
+
+from kc2spice.core.errors import SimulationError, UsageError
+from kc2spice.rom.linear import Certificate, LinearModel, Port
+from kc2spice.rom.parametric import (
+    Axis,
+    Full,
+    Loss,
+    Parametric,
+    Values,
+    exponents_to,
+    parametric,
+    polynomials,
+)
+from kc2spice.rom.response import Judge, Response, telling
+from kc2spice.rom.structure import structure
+from kc2spice.rom.subspace import subspace
+
+ABOVE = 1.2  # times the band's end, up to which modes are kept at least
+MORE = 8  # modes beyond that among which the widest gap is looked for
+STILL = 1e-6  # of the next one's square: square of the frequency of a motion without stiffness
+SILENT = 1e-9  # of the largest share of a mode in a port
+GRID = {0: 1, 1: 33, 2: 13, 3: 7, 4: 5}  # points along each axis by number of axes
+DEGREES = {0: 0, 1: 16, 2: 10, 3: 6, 4: 4}  # highest total degree
+GAPS = 0.1, 0.3, 0.8, np.inf  # logarithms of squared frequencies: what is nearer stays together
+MOMENTS = 4  # blocks of static answers and their changes with frequency
+OVERLAP = 0.2  # of a frame with that of the middle, at least
+DRAWS = 16  # points of the box at which the fit is judged
+SHARE = 0.3  # of the tolerance that the space itself may take
+MOVED = 1e-6  # share of a port in a motion without stiffness that is rounding
+WHOLE = 8.0  # gap of squared frequencies that all modes of a model count as
+WORTH = 0.02  # of the logarithm of a gap that one state more has to bring
+DEPENDENT = 1e-9  # of the largest: squares of Ritz vectors that add nothing
+CHECKS = 4  # and a corner: full models that nothing is made from
+OWN, SAFETY = 0.4, 1.5  # share of the tolerance for the resonators; margin on points of the box
+FINE = 1e-3  # of the tolerance: grain of coefficients
+
+
+@dataclass(frozen=True, eq=False)
+class Varying:
+    """``z'' + E z' + L L' z = g u``, ``y = g' z + D u`` with ``E = alpha + beta L L'``.
+
+    With ``T`` (terms,) the products of Chebyshev polynomials of the coordinates of ``axes`` with
+    ``exponents`` (terms, axes): ``exp(T diagonal)`` (q,) is the diagonal of L and ``T below``
+    (q, q) what is below it, within blocks of the sizes ``blocks``; ``T gain`` (q, ports) is g;
+    ``capacitance`` (the logarithms of the diagonal), and ``shared`` below it, make the Cholesky
+    factor of D among electrical ports alike. ``exp(T rayleigh)`` (2,), zero where ``damped`` says
+    so, times the powers of ``losses`` are alpha and beta. ``facts`` are polynomials too.
+    """
+
+    axes: tuple[Axis, ...]
+    losses: tuple[Loss, ...]
+    ports: tuple[Port, ...]
+    exponents: np.ndarray
+    blocks: tuple[int, ...]
+    diagonal: np.ndarray
+    below: np.ndarray
+    gain: np.ndarray
+    capacitance: np.ndarray
+    shared: np.ndarray
+    rayleigh: np.ndarray
+    damped: tuple[bool, bool]
+    facts: Mapping[str, np.ndarray]
+    name: str = "model"
+    certificate: Certificate | None = None
+
+    @property
+    def box(self) -> dict[str, Axis]:
+        """Every parameter's axis by its name."""
+        return {axis.name: axis for axis in (*self.axes, *(each.axis for each in self.losses))}
+
+    @property
+    def order(self) -> int:
+        """Number of states, each a displacement and its velocity."""
+        return int(self.diagonal.shape[1])
+
+    @property
+    def electrical(self) -> list[int]:
+        """Columns of the electrical ports."""
+        return [k for k, port in enumerate(self.ports) if port.kind == "electrical"]
+
+    def at(self, values: Values) -> LinearModel:
+        """The model at values of all parameters.
+
+        Raises
+        ------
+        UsageError : a parameter is missing or outside of its range.
+        """
+        inside(self.box, values)
+        x = np.array([[axis.coordinate(values[axis.name]) for axis in self.axes]])
+        T = polynomials(x.reshape(1, -1), self.exponents)[0]
+        L = np.tensordot(T, self.below, 1) + np.diag(np.exp(T @ self.diagonal))
+        alpha, beta = (
+            float(v) if on else 0.0
+            for v, on in zip(np.exp(T @ self.rayleigh), self.damped, strict=True)
+        )
+        for loss in self.losses:
+            share = values[loss.axis.name] / loss.axis.middle
+            alpha, beta = alpha * share**loss.alpha, beta * share**loss.beta
+        D = np.zeros((len(self.ports),) * 2)
+        if self.electrical:
+            factor = np.tensordot(T, self.shared, 1) + np.diag(np.exp(T @ self.capacitance))
+            D[np.ix_(self.electrical, self.electrical)] = factor @ factor.T
+        K = L @ L.T
+        return LinearModel(
+            M=np.eye(self.order),
+            E=alpha * np.eye(self.order) + beta * K,
+            K=K,
+            B=np.tensordot(T, self.gain, 1),
+            D=D,
+            ports=self.ports,
+            certificate=self.certificate,
+            facts={name: float(T @ c) for name, c in self.facts.items()},
+            name=self.name,
+        )
+
+
+def inside(box: Mapping[str, Axis], values: Values) -> None:
+    """Require every value within its range.
+
+    Raises
+    ------
+    UsageError : a parameter is missing or outside of its range.
+    """
+    for name, axis in box.items():
+        if name not in values or not abs(axis.coordinate(values[name])) <= 1 + 1e-9:
+            raise UsageError(
+                "outside of the box of a parametric model",
+                where=name,
+                got=values.get(name),
+                expected=f"{axis.low:g} to {axis.high:g}",
+                hint="nothing is extrapolated: widen its range in rom.parameters",
+            )
+
+
+def over_box(
+    full: Full,
+    axes: Sequence[Axis],
+    band: tuple[float, float],
+    tolerance: float,
+    progress: Callable[[int, int], None] = lambda done, of: None,
+) -> Varying:
+    """The models ``full(values)`` over the box of ``axes`` with a certificate for all of it.
+
+    The certified error is the largest relative difference, pointwise, to full models at
+    :data:`CHECKS` points of the box that nothing was made from, and to the dense model at others,
+    times :data:`SAFETY` for what lies between them. ``facts`` of the full models are kept.
+
+    Raises
+    ------
+    UsageError : a model that is not symmetric, of second order, damped in proportion and with
+        collocated ports; whose mesh changes its cells in the box; or that a port moves freely.
+    SimulationError : the tolerance is not met.
+    """
+    facts: list[tuple[dict[str, float], Mapping[str, float]]] = []
+
+    def told(values: Values) -> LinearModel:
+        model = full(values)
+        facts.append((dict(values), model.facts))
+        if model.rayleigh is None:
+            raise UsageError(
+                "parameters in the netlist need damping in proportion to mass and stiffness",
+                where=model.name,
+                expected="one damping for the whole body",
+            )
+        return model
+
+    made, left = parametric(told, axes, band, checks=0, progress=progress), 0.0
+    found, inner = varying(made, band, OWN * tolerance)
+    draws = qmc.Sobol(len(axes), seed=11).random(CHECKS) * 2 - 1
+    for k, x in enumerate([*draws, np.sign(draws[0])]):
+        progress(k, CHECKS + 1)
+        values = _values(found.box, x)
+        model = told(values)
+        space = subspace(model.pencil, band, 0.01 * tolerance, 0.3 * tolerance)
+        judge = Judge(space.response, space.points(band), band)
+        own = Response(found.at(values).pencil)
+        left = max(left, judge.error(own) + space.error)
+    error = SAFETY * max(left, inner)
+    if error > tolerance:
+        raise SimulationError(
+            "the error cannot be certified over the box of the parameters",
+            where=made.frame.name,
+            got=f"{error:.2g} at a point that nothing was made from",
+            expected=f"at most {tolerance:.2g}",
+            hint="narrow a range, or ask for a larger rom.tolerance",
+        )
+    form = structure(found.at(_values(found.box, np.zeros(len(axes)))).pencil.dense(), band)
+    certificate = Certificate(
+        band_hz=band,
+        error_estimate=error,
+        method=f"over the box: difference to {CHECKS + 1} full models that nothing was made from",
+        stable=form.stable,
+        passive=form.passive,
+    )
+    return replace(found, certificate=certificate, facts=_facts(found, facts))
+
+
+def _facts(
+    found: Varying, known: Sequence[tuple[dict[str, float], Mapping[str, float]]]
+) -> dict[str, np.ndarray]:
+    """Polynomials of what all full models state, of as high a degree as their number allows."""
+    x = [[axis.coordinate(values[axis.name]) for axis in found.axes] for values, _ in known]
+    total = found.exponents.sum(axis=1, initial=0)
+    used = np.array([(total <= degree).sum() for degree in total]) <= max(1, len(known) // 2)
+    T = polynomials(np.reshape(x, (len(known), -1)), found.exponents[used])
+    names = set.intersection(*(set(each) for _, each in known))
+    made = {name: np.zeros(len(total)) for name in sorted(names)}
+    for name, c in made.items():
+        c[used] = np.linalg.lstsq(T, np.array([each[name] for _, each in known]), rcond=None)[0]
+    return made
+
+
+def varying(made: Parametric, band: tuple[float, float], tolerance: float) -> tuple[Varying, float]:
+    """``made`` as resonators over its box, and their largest relative difference at draws of it.
+
+    The fewest Ritz vectors, the smallest blocks and the lowest degree that meet the tolerance.
+
+    Raises
+    ------
+    UsageError : a motion without stiffness that a port moves.
+    SimulationError : no frame is smooth enough over the box for the tolerance.
+    """
+    modes = _Modes(made, band)
+    judged = list(_judged(made, band))
+    best = np.inf
+    for moments in range(1, MOMENTS + 1):
+        space = _Space(modes, moments)
+        exact = max(judge.error(Response(space.at(x).pencil)) for x, judge in judged[:3])
+        if exact > SHARE * tolerance and moments < MOMENTS:
+            continue
+        for gap in GAPS:
+            for degree in range(min(2, DEGREES[modes.axes]), DEGREES[modes.axes] + 1, 2):
+                found = space.fitted(gap, degree, tolerance)
+                if found is None:
+                    break
+                error = 0.0
+                for x, judge in judged:
+                    model = found.at(_values(found.box, x))
+                    error = max(error, judge.error(Response(model.pencil)))
+                    if error > tolerance:
+                        break
+                best = min(best, max(error, exact))
+                if error <= tolerance:
+                    return found, error
+    raise SimulationError(
+        "the box of the parameters is too wide for polynomials of its modes",
+        where=made.frame.name,
+        got=f"an error of {best:.2g}",
+        expected=f"at most {tolerance:.2g}",
+        hint="narrow a range, or ask for a larger rom.tolerance",
+    )
+
+
+def _values(box: Mapping[str, Axis], x: np.ndarray) -> dict[str, float]:
+    """Those at coordinates of the first axes, the middle of the others."""
+    known = {axis.name: axis.value(float(v)) for axis, v in zip(box.values(), x, strict=False)}
+    return {name: known.get(name, axis.middle) for name, axis in box.items()}
+
+
+def _judged(made: Parametric, band: tuple[float, float]) -> Iterator[tuple[np.ndarray, Judge]]:
+    """Points of the box, the middle and two corners first, with the dense model as a judge."""
+    count = len(made.box)
+    draws = qmc.Sobol(count, seed=3).random(DRAWS) * 2 - 1
+    for x in (np.zeros(count), np.ones(count), -np.ones(count), *draws):
+        response = Response(made.at(_values(made.box, x)).pencil)
+        yield x, Judge(response, telling(response, band, False), band)
+
+
+@dataclass(frozen=True, eq=False)
+class _Point:
+    """A dense model: squared frequencies (n,) and M-orthonormal shapes (n, n)."""
+
+    model: LinearModel
+    w2: np.ndarray
+    V: np.ndarray
+
+
+class _Modes:
+    """Modes of a dense model over its box; ``kept`` of them, all in the band, are modes of what is
+    made from it."""
+
+    def __init__(self, made: Parametric, band: tuple[float, float]) -> None:
+        self.made, self.band, self.axes, self.free = made, band, len(made.axes), 0
+        line = np.cos(np.pi * (np.arange(GRID[self.axes]) + 0.5) / GRID[self.axes])
+        self.grid = np.array([np.zeros(self.axes), *product(line, repeat=self.axes)])
+        points = [self.at(x) for x in self.grid]
+        while any(p.w2[self.free] < STILL * p.w2[self.free + 1] for p in points):
+            self.free += 1
+        for p in points:
+            share = np.abs(p.V.T @ p.model.B)
+            if (share[: self.free].max(axis=0, initial=0.0) > MOVED * share.max(axis=0)).any():
+                raise UsageError(
+                    "a port moves a body that nothing holds: no parameters in its netlist",
+                    where=made.frame.name,
+                    expected="a support, or electrical ports alone",
+                )
+        self.points = [self._held(p) for p in points]
+        w2 = np.array([p.w2 for p in self.points])
+        least = max(1, int((w2 < (ABOVE * 2 * np.pi * band[1]) ** 2).any(axis=0).sum()))
+        counts = np.arange(least, min(least + MORE, w2.shape[1]) + 1)
+        above = np.hstack([w2, WHOLE * w2[:, -1:]])
+        gaps = np.log(above[:, counts] / w2[:, counts - 1]).min(axis=0)
+        self.kept = int(counts[np.argmax(gaps - WORTH * np.arange(len(counts)))])
+
+    def at(self, x: np.ndarray) -> _Point:
+        """Modes at coordinates of the axes, without motions that have no stiffness."""
+        model = self.made.at(_values(self.made.box, x))
+        return self._held(_Point(model, *scipy.linalg.eigh(model.K, model.M)))
+
+    def _held(self, p: _Point) -> _Point:
+        return _Point(p.model, p.w2[self.free :], p.V[:, self.free :])
+
+
+class _Space:
+    """The modes that are kept and Ritz vectors of what loads do besides: ``sum_i phi_i phi_i' B /
+    (w_i^2 - s)^j`` over the others, j to ``moments``, s half of the squared end of the band."""
+
+    def __init__(self, modes: _Modes, moments: int) -> None:
+        self.modes, self.moments = modes, moments
+        self.shift = 0.5 * (2 * np.pi * modes.band[1]) ** 2
+        rest = modes.points[0].w2[modes.kept :]
+        self.unit = rest[0] - self.shift if rest.size else 1.0
+        answers = [self._answers(p) for p in modes.points]
+        size = np.linalg.norm(answers[0], axis=0)
+        size[size == 0] = 1.0
+        w, T = np.linalg.eigh(sum((a / size).T @ (a / size) for a in answers))
+        large = w > max(DEPENDENT * w[-1], 0.0)
+        self.T = T[:, large] / size[:, None]
+        pairs = [self._ritz(p) for p in modes.points]
+        self.w2 = np.array([w2 for w2, _ in pairs])
+        self.Z = [Z for _, Z in pairs]
+        self._known: dict[tuple[int, int], tuple[np.ndarray, np.ndarray] | None] = {}
+
+    def _answers(self, p: _Point) -> np.ndarray:
+        """In coordinates of the modes that are not kept."""
+        k = self.modes.kept
+        load, share = p.V[:, k:].T @ p.model.B, self.unit / (p.w2[k:, None] - self.shift)
+        return np.hstack([share**j * load for j in range(1, self.moments + 1)])
+
+    def _ritz(self, p: _Point) -> tuple[np.ndarray, np.ndarray]:
+        """Squared frequencies (q,) and shapes (n, q), the rest nearest to its vectors."""
+        k = self.modes.kept
+        U, _, R = np.linalg.svd(self._answers(p) @ self.T, full_matrices=False)
+        W = U @ R
+        ritz, Q = np.linalg.eigh(W.T @ (p.w2[k:, None] * W))
+        return np.r_[p.w2[:k], ritz], np.hstack([p.V[:, :k], p.V[:, k:] @ (W @ Q)])
+
+    def at(self, x: np.ndarray) -> LinearModel:
+        """The model in this space at coordinates of the axes."""
+        p = self.modes.at(x)
+        w2, Z = self._ritz(p)
+        alpha, beta = _rayleigh(p.model)
+        K = np.diag(w2)
+        one = np.eye(len(w2))
+        return replace(
+            p.model, M=one, E=alpha * one + beta * K, K=K, B=Z.T @ p.model.B, C=(Z.T @ p.model.B).T
+        )
+
+    def _block(self, a: int, b: int) -> tuple[np.ndarray, np.ndarray] | None:
+        """Stiffness (points, n, n) and gain (points, n, ports) of the states a to b - 1 in frames
+        nearest to that of the middle; None where one has turned too far from it."""
+        if (a, b) not in self._known:
+            M, first, rows = self.modes.points[0].model.M, self.Z[0][:, a:b], []
+            for p, w2, Z in zip(self.modes.points, self.w2, self.Z, strict=True):
+                U, near, R = np.linalg.svd(Z[:, a:b].T @ M @ first)
+                if near.min() < OVERLAP:
+                    self._known[a, b] = None
+                    return None
+                Q = U @ R
+                rows.append(((Q.T * w2[a:b]) @ Q, Q.T @ (Z[:, a:b].T @ p.model.B)))
+            self._known[a, b] = np.array([k for k, _ in rows]), np.array([g for _, g in rows])
+        return self._known[a, b]
+
+    def fitted(self, gap: float, degree: int, tolerance: float) -> Varying | None:
+        """Polynomials of the data of blocks that stay apart by ``gap``, the least logarithm of the
+        ratio of squared frequencies; None where a block has no smooth frame."""
+        modes, made = self.modes, self.modes.made
+        apart = np.log(self.w2[:, 1:] / self.w2[:, :-1]).min(axis=0) > gap
+        ends = [0, *(np.flatnonzero(apart) + 1), self.w2.shape[1]]
+        found = [self._block(int(a), int(b)) for a, b in pairwise(ends)]
+        if any(block is None for block in found):
+            return None
+        port = np.max([np.abs(block[1]).max(axis=(0, 1)) for block in found if block], axis=0)
+        port[port == 0] = 1.0
+        blocks = [
+            (K, g)
+            for K, g in (block for block in found if block)
+            if (np.abs(g) / port).max() > SILENT
+        ]
+        exponents = exponents_to(modes.axes, degree)
+        fit = np.linalg.pinv(polynomials(modes.grid, exponents))
+        ratio = min(_ratio(p, modes.band) for p in modes.points)
+        fine = FINE * tolerance
+
+        def smooth(values: np.ndarray, grain: float | np.ndarray) -> np.ndarray:
+            """Coefficients (terms, …) to a grain, below which nothing is left."""
+            c = np.tensordot(fit, values, 1)
+            return np.asarray(np.round(c / grain) * grain)
+
+        count = sum(K.shape[1] for K, _ in blocks)
+        below = np.zeros((len(exponents), count, count))
+        diagonal, gain, at = [], [], 0
+        for K, g in blocks:
+            L = np.linalg.cholesky(K)
+            own = np.diagonal(L, axis1=1, axis2=2)
+            rows = slice(at, at + K.shape[1])
+            at += K.shape[1]
+            below[:, rows, rows] = smooth(np.tril(L, -1), fine * ratio * own.min())
+            diagonal.append(smooth(np.log(own), fine * ratio))
+            gain.append(
+                smooth(g, fine * np.minimum(np.abs(g).max(axis=(0, 1)) + SILENT * port, port))
+            )
+        electrical = [k for k, each in enumerate(made.frame.ports) if each.kind == "electrical"]
+        D = np.array([p.model.D[np.ix_(electrical, electrical)] for p in modes.points])
+        F = np.linalg.cholesky(D) if electrical else D
+        own = np.diagonal(F, axis1=1, axis2=2)
+        damping = np.array([_rayleigh(p.model) for p in modes.points])
+        damped = damping > 0
+        return Varying(
+            axes=made.axes,
+            losses=made.losses,
+            ports=made.frame.ports,
+            exponents=exponents,
+            blocks=tuple(K.shape[1] for K, _ in blocks),
+            diagonal=np.hstack(diagonal),
+            below=below,
+            gain=np.concatenate(gain, axis=1),
+            capacitance=smooth(np.log(own), fine),
+            shared=smooth(np.tril(F, -1), fine * (own.min() if own.size else 1.0)),
+            rayleigh=smooth(np.log(np.where(damped, damping, 1.0)), fine),
+            damped=(bool(damped[:, 0].all()), bool(damped[:, 1].all())),
+            facts={},
+            name=made.frame.name,
+        )
+
+
+def _rayleigh(model: LinearModel) -> tuple[float, float]:
+    """alpha and beta of ``E = alpha M + beta K``, zeros without damping."""
+    M, E, K = (np.asarray(P).ravel() for P in (model.M, model.E, model.K))
+    scale = np.abs(K).max() / np.abs(M).max()
+    (alpha, beta), *_ = np.linalg.lstsq(np.column_stack([M, K / scale]), E, rcond=None)
+    return float(alpha), float(beta / scale)
+
+
+def _ratio(p: _Point, band: tuple[float, float]) -> float:
+    """Least damping ratio of the modes in the band."""
+    alpha, beta = _rayleigh(p.model)
+    w = np.sqrt(p.w2[p.w2 < (ABOVE * 2 * np.pi * band[1]) ** 2])
+    return float(np.clip((alpha / w + beta * w).min(initial=2.0) / 2, 1e-5, 1.0))

@@ -1,0 +1,322 @@
+"""Resonators over a box of parameters as one subcircuit that has the parameters itself.
+
+Numbers that depend on them are ``.param`` expressions, evaluated once when a simulator expands the
+subcircuit: in a run it costs what any other resonators cost.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterator, Sequence
+
+import numpy as np
+
+from kc2spice.core.errors import UsageError
+from kc2spice.netlist.cards import distinct, number
+from kc2spice.netlist.circuit import Param, Subcircuit
+from kc2spice.rom.varying import Varying
+from kc2spice.spice.header import OUTWARDS, Header, parameter_list, part_header, rom_line
+from kc2spice.spice.realize import (
+    FOLLOWED,
+    INNER,
+    LEAK,
+    MICRO,
+    MOVING,
+    PIVOTS,
+    STATE,
+    UNRATED,
+    PortTerminal,
+    Watch,
+    model_terminals,
+    subcircuit_pins,
+)
+
+# Names of our own among parameters.
+_TAKEN = r"(x|w|l|k|g|c|f|b|t)\d*(_\d+)*|alpha|beta|damping|inside\d+"
+_ABOUT = """\
+* Resonators whose frequencies, couplings, capacitances and damping depend on the parameters: they
+* are polynomials (Chebyshev's, of the parameters' logarithms) that are evaluated once, when the
+* subcircuit is expanded. x1, x2, ... count from -1 at the low end of a range to 1 at its high end.
+* Every mode is two integrators, q (displacement) and p (q'/omega), scaled so that 1 V is the mode's
+* largest displacement of a port in um. Modes that come near each other in the box are one block
+* with stiffness k and stay positive: k = L L'.
+* The base is the mechanical and signal reference: wire it to node 0. Electrical pins float."""
+_STOP = """
+* Outside of its range a parameter stops the simulator at these cards: nothing is extrapolated."""
+
+
+def parametric_subcircuit(
+    model: Varying,
+    name: str,
+    parameters: Sequence[Param],
+    header: Header | None = None,
+    *,
+    title: str = "reduced linear model of the whole device",
+    rating: str = UNRATED,
+    watch: Watch = FOLLOWED,
+) -> Subcircuit:
+    """One ``.subckt`` with the pins of every port and the parameters of the box.
+
+    ``parameters`` are those of ``model.box`` in its order, each with the name that the netlist has
+    for it, its default, unit, low and high end; scales of states are those of the defaults.
+
+    Raises
+    ------
+    UsageError : a name that the subcircuit has for itself, a port that shakes the frame.
+    """
+    values = {key: p.default for key, p in zip(model.box, parameters, strict=True)}
+    rom = model.at(values)
+    shaken = [port.name for port in model.ports if not port.kind.startswith(("e", "m", "r"))]
+    if shaken:
+        raise UsageError(
+            "parameters in the netlist need electrical, mechanical or rotational ports",
+            where=name,
+            got=", ".join(shaken),
+            hint="leave rom.parameters out, or leave that port open",
+        )
+    distinct([p.name for p in parameters], _TAKEN, where=name)
+    terminals = model_terminals(rom, rom.D, name)
+    pins, base = subcircuit_pins(terminals)
+    moved = (t.pins[0].lower() for t in terminals if t.kind in MOVING)
+    distinct(
+        [pin.name for pin in pins], "|".join([INNER, *(f"[uf]{p}" for p in moved)]), where=name
+    )
+    damping = Param("damping", 1.0, "-", "scale of the damping of all modes")
+    params = (*parameters, *([damping] if any(model.damped) else []))
+    certificate = model.certificate
+    band = f" up to {certificate.band_hz[1]:g} Hz" if certificate else ""
+    head = part_header(
+        header or Header(model.name, "-"),
+        f"{name}: {title}",
+        pins,
+        params,
+        rom=rom_line(model.order, certificate) if certificate else "",
+        sign=OUTWARDS,
+        rating=rating,
+        validity=f"small signals{band}, parameters within their ranges, at the temperature of its "
+        "data (20 to 25 C, of built-in materials); no hysteresis, depolarisation or heating",
+    )
+    lines = [
+        "",
+        _ABOUT,
+        f".subckt {' '.join([name, *(pin.name for pin in pins), parameter_list(params)])}",
+        *_expressions(model, parameters),
+        PIVOTS.format(base=base),
+        _STOP,
+        *_stops(parameters, base),
+        *_cards(model, rom.B, np.sqrt(np.diag(rom.K)), terminals, base, watch),
+        f".ends {name}",
+    ]
+    return Subcircuit(name, pins, params, head + "\n".join(lines) + "\n")
+
+
+def _stops(parameters: Sequence[Param], base: str) -> Iterator[str]:
+    """Resistors of an ohm within the ranges, of no number beyond: their names are the message."""
+    for k, p in enumerate(parameters, 1):
+        words = f"{p.name}_must_be_{p.low:.6g}_to_{p.high:.6g}"
+        told = re.sub(r"\W", lambda c: {".": "p", "-": "m", "+": ""}[c[0]], words)
+        yield f"R{told} tick {base} {{sqrt(inside{k})}}"
+
+
+def _expressions(model: Varying, parameters: Sequence[Param]) -> Iterator[str]:
+    """``.param`` cards: coordinates, polynomials of them, what the cards of states need."""
+    own = parameters[: len(model.axes)]
+    yield "* 1 within the range of a parameter, -1 outside of it"
+    for k, p in enumerate(parameters, 1):
+        room = 1e-9 * (p.high - p.low)
+        low, high = number(p.low - room), number(p.high + room)
+        # two factors that are positive inside; || and && are spelled differently elsewhere
+        yield f".param inside{k}={{({p.name}-{low})*({high}-{p.name}) >= 0 ? 1 : -1}}"
+    highest = model.exponents.max(axis=0, initial=0) if len(own) else []
+    for k, (p, axis, top) in enumerate(zip(own, model.axes, highest, strict=True), 1):
+        slope = 2 / np.log(axis.high / axis.low)
+        yield f".param x{k}={{{number(slope)}*ln({p.name}/{number(axis.middle)})}}"
+        names = ["1", f"x{k}"]
+        for power in range(2, int(top) + 1):
+            names.append(f"t{k}_{power}")
+            yield f".param {names[-1]}={{2*x{k}*{names[-2]}-{names[-3]}}}"
+    terms = []
+    for row in model.exponents:
+        factors = [f"x{k}" if e == 1 else f"t{k}_{e}" for k, e in enumerate(row, 1) if e]
+        if len(factors) > 1:
+            term = "b_" + "_".join(map(str, row))
+            yield f".param {term}={{{'*'.join(factors)}}}"
+            factors = [term]
+        terms.append("".join(factors))
+
+    def polynomial(c: np.ndarray) -> str:
+        """Its text; what is zero is left out."""
+        words = [
+            f"{value:+.12g}" + (f"*{term}" if term else "")
+            for value, term in zip(c, terms, strict=True)
+            if value
+        ]
+        return "".join(words).removeprefix("+") or "0"
+
+    losses = {0: "", 1: ""}
+    for loss, p in zip(model.losses, parameters[len(own) :], strict=True):
+        for k, share in enumerate((loss.alpha, loss.beta)):
+            if share:
+                losses[k] += f"*exp({number(share)}*ln({p.name}/{number(loss.axis.middle)}))"
+    for k, word in enumerate(("alpha", "beta")):
+        if model.damped[k]:
+            value = f"exp({polynomial(model.rayleigh[:, k])}){losses[k]}"
+            yield f".param {word}={{{value}}}"
+    at = 0
+    for size in model.blocks:
+        yield from _block(model, at, size, polynomial)
+        at += size
+    for k in range(len(model.electrical)):
+        yield f".param f{k + 1}_{k + 1}={{exp({polynomial(model.capacitance[:, k])})}}"
+        for n in range(k):
+            yield f".param f{k + 1}_{n + 1}={{{polynomial(model.shared[:, k, n])}}}"
+    for k in range(len(model.electrical)):
+        for n in range(k + 1):
+            products = [f"f{k + 1}_{i}*f{n + 1}_{i}" for i in range(1, n + 2)]
+            yield f".param c{k + 1}_{n + 1}={{{'+'.join(products)}}}"
+
+
+def _block(
+    model: Varying, at: int, size: int, polynomial: Callable[[np.ndarray], str]
+) -> Iterator[str]:
+    """Frequencies of a resonator, or stiffness of a block; gains of both."""
+    names = range(at + 1, at + size + 1)
+    for i in names:
+        diagonal = f"exp({polynomial(model.diagonal[:, i - 1])})"
+        yield f".param {'w' if size == 1 else 'l'}{i}{'' if size == 1 else f'_{i}'}={{{diagonal}}}"
+        for j in range(at + 1, i):
+            if model.below[:, i - 1, j - 1].any():
+                yield f".param l{i}_{j}={{{polynomial(model.below[:, i - 1, j - 1])}}}"
+    for i, j in _coupled(model, at, size):
+        products = [
+            f"l{i}_{n}*l{j}_{n}"
+            for n in range(at + 1, min(i, j) + 1)
+            if _has(model, i, n) and _has(model, j, n)
+        ]
+        if size > 1 and j <= i:
+            yield f".param k{i}_{j}={{{'+'.join(products)}}}"
+    for i in names:
+        for k in range(len(model.ports)):
+            if model.gain[:, i - 1, k].any():
+                yield f".param g{i}_{k + 1}={{{polynomial(model.gain[:, i - 1, k])}}}"
+
+
+def _has(model: Varying, i: int, n: int) -> bool:
+    return i == n or bool(model.below[:, i - 1, n - 1].any())
+
+
+def _coupled(model: Varying, at: int, size: int) -> list[tuple[int, int]]:
+    """Pairs of states whose stiffness ``sum_n l_in l_jn`` is not zero."""
+    names = range(at + 1, at + size + 1)
+    return [
+        (i, j)
+        for i in names
+        for j in names
+        if any(_has(model, i, n) and _has(model, j, n) for n in range(at + 1, min(i, j) + 1))
+    ]
+
+
+def _cards(
+    model: Varying,
+    gain: np.ndarray,
+    omega: np.ndarray,
+    terminals: Sequence[PortTerminal],
+    base: str,
+    watch: Watch,
+) -> Iterator[str]:
+    """Elements: ports, then states; ``gain`` and ``omega`` are those of the defaults, which scale
+    states as :func:`kc2spice.spice.realize.subcircuit` scales them."""
+    mechanical = [t.kind == "mechanical" for t in terminals]
+    scale = np.abs(gain[:, mechanical]).max(axis=1, initial=0.0)
+    scale = np.where(scale > 0, scale, np.abs(gain).max(axis=1))
+    scale = np.where(scale > 0, scale, 1.0)
+    farad = STATE * np.minimum(1.0, (omega / (watch.full * omega.min())) ** watch.power)
+    order = {id(t): k for k, t in enumerate(t for t in terminals if t.kind == "electrical")}
+    for t in (t for t in terminals if t.kind == "electrical"):
+        yield from _electrical(order[id(t)], t, base, watch.share, terminals)
+    for t in (t for t in terminals if t.kind in MOVING):
+        pin = t.pins[0]
+        yield f"\n* Port {pin}: the modes sum to its displacement (um) or angle (rad)."
+        yield f"Ru{pin} u{pin} {base} 1"
+        yield f"Gf{pin} {base} f{pin} {pin} u{pin} 1"
+        yield f"Gp{pin} {pin} {base} f{pin} {base} 1"
+    at, blocks = 0, model.blocks
+    for size in blocks:
+        names = range(at + 1, at + size + 1)
+        hertz = ", ".join(f"{w:.6g}" for w in omega[at : at + size] / (2 * np.pi))
+        yield f"\n* {'Mode' if size == 1 else 'Block'} of {hertz} Hz at the defaults"
+        coupled = _coupled(model, at, size)
+        at += size
+        for i in names:
+            c, w = number(farad[i - 1]), number(omega[i - 1])
+            yield f"Cq{i} q{i} {base} {c}"
+            yield f"Cp{i} p{i} {base} {c}"
+            if size == 1:
+                yield f"Gq{i} {base} q{i} p{i} {base} {{{c}*w{i}}}"
+                yield f"Gp{i} p{i} {base} q{i} {base} {{{c}*w{i}}}"
+                if lost := _lost(model, f"w{i}*w{i}", own=True):
+                    yield f"Gd{i} p{i} {base} p{i} {base} {{damping*{c}*({lost})}}"
+            else:
+                yield f"Gq{i} {base} q{i} p{i} {base} {number(farad[i - 1] * omega[i - 1])}"
+                yield from _stiffness(model, i, coupled, farad, omega, scale, base)
+            drive = number(farad[i - 1] * scale[i - 1] / MICRO)
+            rate = f"w{i}" if size == 1 else w
+            for k, t in enumerate(terminals):
+                if not model.gain[:, i - 1, k].any():
+                    continue
+                kind = "v" if t.kind == "electrical" else "f"
+                plus, minus = t.control(base)
+                g = f"g{i}_{k + 1}"
+                yield f"G{kind}{i}_{k + 1} {base} p{i} {plus} {minus} {{{drive}*{g}/{rate}}}"
+                share = number(MICRO / t.unit / scale[i - 1])
+                onto = f"charge{t.tag}" if t.kind == "electrical" else f"u{t.pins[0]}"
+                yield f"Gc{i}_{k + 1} {base} {onto} q{i} {base} {{{share}*{g}}}"
+
+
+def _stiffness(
+    model: Varying,
+    i: int,
+    coupled: Sequence[tuple[int, int]],
+    farad: np.ndarray,
+    omega: np.ndarray,
+    scale: np.ndarray,
+    base: str,
+) -> Iterator[str]:
+    """What a block's other states push one with, and its damping: ``C p_i' = - C / w_i sum_j (s_i /
+    s_j) (k_ij q_j + e_ij w_j p_j)``."""
+    for j in (j for one, j in coupled if one == i):
+        a, b = i - 1, j - 1
+        k = f"k{max(i, j)}_{min(i, j)}"
+        push = farad[a] / omega[a] * scale[a] / scale[b]
+        yield f"Gp{i}_{j} p{i} {base} q{j} {base} {{{number(push)}*{k}}}"
+        if lost := _lost(model, k, own=i == j):
+            drag = number(push * omega[b])
+            yield f"Gd{i}_{j} p{i} {base} p{j} {base} {{damping*{drag}*({lost})}}"
+
+
+def _lost(model: Varying, stiffness: str, *, own: bool) -> str:
+    """Damping that belongs to a stiffness, of a state itself or between two."""
+    words = ["alpha"] * (model.damped[0] and own) + [f"beta*{stiffness}"] * model.damped[1]
+    return "+".join(words)
+
+
+def _electrical(
+    k: int, t: PortTerminal, base: str, share: float, terminals: Sequence[PortTerminal]
+) -> Iterator[str]:
+    """The clamped capacitance, as of any resonators; see docs/notes/netlist.md."""
+    (a, b), tag, c = t.pins, t.tag, f"c{k + 1}_{k + 1}"
+    yield f"\n* Electrical port {t.label}: clamped capacitance and the charge of the modes, uC."
+    yield f"Cclamped{tag} {a} inner{tag} {{{number(share)}*{c}}}"
+    yield f"Gmore{tag} {a} {b} current{tag} {base} {number(1 - share)}"
+    yield f"Gleak{tag} {a} {b} {a} inner{tag} {number(LEAK)}"
+    yield f"Ginner{tag} {base} current{tag} inner{tag} {b} 1"
+    yield f"Gcharge{tag} {base} current{tag} charge{tag} {base} {{1e-6/{c}}}"
+    yield f"Gcurrent{tag} inner{tag} {b} current{tag} {base} {number(share)}"
+    yield f"Rcharge{tag} charge{tag} {base} 1"
+    others = [other for other in terminals if other.kind == "electrical"]
+    for n, other in enumerate(others):
+        if n != k:
+            pair = f"c{max(k, n) + 1}_{min(k, n) + 1}"
+            plus, minus = other.control(base)
+            value = f"{{{number(1 / MICRO)}*{pair}}}"
+            yield f"Gc{tag}_u{n + 1} {base} charge{tag} {plus} {minus} {value}"

@@ -1,0 +1,128 @@
+"""Parameters in a netlist: errors over the box against full models that nothing was made from,
+modes that cross and repel, ends of ranges, and bad boxes."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import kc2spice as kc
+from kc2spice.core.errors import SimulationError, UsageError
+from kc2spice.core.progress import Clock
+from kc2spice.netlist.deck import Block
+from kc2spice.rom.linear import LinearModel, Port
+from kc2spice.rom.parametric import Axis
+from kc2spice.rom.varying import over_box
+
+KEY, LOSS = "layers[1].thickness", "damping.quality"
+BUZZER = {
+    "title": "a buzzer with parameters",
+    "disc": {
+        "part": "disc",
+        "layers": [
+            {"material": "brass", "diameter": "20 mm", "thickness": "0.1 mm"},
+            {"material": "PZT-5A", "diameter": "14 mm", "thickness": "0.12 mm"},
+        ],
+        "damping": {"quality": 50.0},
+        "pins": {"anode": "drive.out", "cathode": "gnd"},
+        "rom": {"parameters": {KEY: ["0.11 mm", "0.13 mm"], LOSS: [20, 100]}},
+    },
+    "drive": {"part": "source", "kind": "voltage", "ac": "1 V"},
+    "analysis": {"type": "ac", "start": "500 Hz", "stop": "8 kHz", "points": 200},
+}
+
+
+def _with(parameters: dict) -> dict:
+    disc = {**BUZZER["disc"], "rom": {"parameters": parameters}}
+    return {**BUZZER, "disc": disc}
+
+
+@pytest.fixture(scope="module")
+def deck() -> kc.Deck:
+    return kc.deck(kc.load_scene(BUZZER))
+
+
+def _at(deck: kc.Deck, **values: float) -> kc.Deck:
+    """The same libraries, with other parameters on the instance."""
+    words = "".join(f" {name}={value!r}" for name, value in values.items())
+    blocks = tuple(
+        Block(b.title, tuple(c + words if c.endswith(" disc") else c for c in b.cards))
+        for b in deck.blocks
+    )
+    assert blocks != deck.blocks
+    return replace(deck, blocks=blocks)
+
+
+def test_ngspice_gives_fresh_full_models_within_the_certified_error(deck):
+    (head,) = [line for line in deck.parts[0].text.splitlines() if line.startswith("* rom")]
+    certified = float(head.partition("error=")[2].split()[0])
+    assert certified < 1e-3
+    draw, largest = np.random.default_rng(5), 0.0
+    for _ in range(4):
+        t, q = float(draw.uniform(1.1e-4, 1.3e-4)), float(draw.uniform(20, 100))
+        found = kc.simulate(_at(deck, layers_1_thickness=t, damping_quality=q))
+        f = found.waves["frequency"].real
+        fresh = kc.load_scene(_with({}), {f"disc.{KEY}": t, f"disc.{LOSS}": q})
+        part = fresh.parts["disc"]
+        like = kc.load_scene(_with({}), {f"disc.{KEY}": np.sqrt(1.1e-4 * 1.3e-4)}).parts["disc"]
+        full = part.type.varied(part, fresh, Clock(), like).select(["anode"])
+        exact = 2j * np.pi * f * full.transfer(f)[:, 0, 0]
+        current = found.waves["disc.current"]
+        largest = max(largest, float(np.abs(current / exact - 1).max()))
+    assert 0.02 * certified < largest < certified  # and the netlist does depend on them
+
+
+@pytest.mark.parametrize("value", [1.09e-4, 1.31e-4])
+def test_outside_of_the_box_the_simulator_stops_with_the_range(deck, value):
+    with pytest.raises(SimulationError) as told:
+        kc.simulate(_at(deck, layers_1_thickness=value))
+    assert "layers_1_thickness_must_be_0p00011_to_0p00013" in str(told.value)
+
+
+@pytest.mark.parametrize("repelling", [0.0, 0.003, 0.1])
+def test_modes_that_cross_or_repel_in_the_box_do_not_jump(repelling):
+    """Two oscillators, one tuned through the other, and a third far above."""
+    M = np.diag([1.0, 2.0, 0.5])
+
+    def full(values: dict) -> LinearModel:
+        a = values["a"]
+        K = np.array([[a, repelling, 0.02], [repelling, 2.0, 0.01], [0.02, 0.01, 20.0]])
+        B = np.array([[1.0, 0.1], [0.3 * a, 1.0], [0.2, 0.4]])
+        ports = (Port("one", "mechanical"), Port("two", "mechanical"))
+        return LinearModel(M=M, K=K, B=B, rayleigh=(0.004, 0.01), ports=ports)
+
+    band = (0.0, 2 / (2 * np.pi))
+    found = over_box(full, [Axis("a", 0.7, 1.4)], band, 1e-4)
+    assert max(found.blocks) >= 2  # the two that meet are one block
+    f = np.linspace(0.1, 1, 200) * band[1]
+    for a in np.linspace(0.7, 1.4, 41):
+        H, exact = (model.transfer(f) for model in (found.at({"a": a}), full({"a": a})))
+        error = np.abs(H - exact) / np.maximum(np.abs(exact), 1e-6 * np.abs(exact).max(axis=0))
+        assert error.max() < found.certificate.error_estimate
+        K = found.at({"a": a}).K
+        assert np.linalg.eigvalsh(K).min() > 0
+
+
+@pytest.mark.parametrize(
+    ("parameters", "word"),
+    [
+        ({"layers[1].thicknes": [1e-4, 2e-4]}, "not a number of the part"),
+        ({"layers[1].material.density": [7e3, 8e3]}, "not a number of the part"),
+        ({KEY: [1.3e-4, 1.4e-4]}, "not the range"),
+        ({KEY: [-1e-4, 2e-4]}, "cannot have"),
+        ({LOSS: [50, 50]}, "not the range"),
+        ({"layers[0].thickness": ["0 mm", "0.2 mm"]}, "cannot have"),
+        ({k: [1, 2] for k in "abcde"}, "too many"),
+    ],
+)
+def test_bad_boxes_are_told_before_any_mesh(parameters, word, monkeypatch):
+    monkeypatch.setattr("kc2spice.bodies.blocks.Bonded.device", None)
+    with pytest.raises(UsageError, match=word):
+        kc.run(kc.load_scene(_with(parameters)))
+
+
+def test_the_example_without_parameters_keeps_its_netlist(tmp_path: Path):
+    assert "inside1" not in kc.deck(kc.load_scene(_with({}))).parts[0].text
