@@ -35,11 +35,11 @@ PARAMETERS = {
         help="NAME of Matrix Market or Harwell-Boeing files NAME.M .E .K .B .C (first order .A "
         ".B .C .D .E; heat .E .K), also NAME_K.mtx; a .npz or .mat file with such matrices; "
         "files of Abaqus, CalculiX, Nastran, Ansys; SCENE:PART for a scene's body; a measured "
-        "response (.s1p, .s2p, .csv, .txt), which becomes a passive circuit. NAME.toml "
+        "response (.s1p, .s2p, .csv, .txt, .mat), which becomes a passive circuit. NAME.toml "
         "beside it names ports, units, supports and band; docs/matrices.md lists its keys.",
     ),
     "target": typer.Argument(metavar="SCENE:PART", help="A body of a scene."),
-    "data": typer.Argument(metavar="DATA", help="Its measured impedance: .s1p, .csv, .txt."),
+    "data": typer.Argument(metavar="DATA", help="Its measured impedance: .s1p, .csv, .txt, .mat."),
     "out": typer.Option(
         "--out",
         "-o",

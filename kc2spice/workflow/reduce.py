@@ -47,9 +47,9 @@ def reduce(
     Without tolerance and order, the tolerance is 1e-4.
     ``norm`` is 'pointwise' or 'peak', for models whose ports are all signals unless told.
     ``SCENE:PART`` instead of a path is the full model of a scene's body. A measured response
-    (``.s1p``, ``.s2p``, ``.ts``, ``.csv``, ``.txt``, ``.tsv``) becomes the passive circuit of
-    :func:`kc2spice.rom.measured.one_port`, or of :func:`kc2spice.rom.multiport.multi_port`; its
-    order and band follow from the data.
+    (``.s1p``, ``.s2p``, ``.ts``, ``.csv``, ``.txt``, ``.tsv``, ``.mat``) becomes the passive
+    circuit of :func:`kc2spice.rom.measured.one_port`, or of
+    :func:`kc2spice.rom.multiport.multi_port`; its order and band follow from the data.
 
     Raises
     ------

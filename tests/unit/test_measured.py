@@ -4,10 +4,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import scipy
 import skrf
 
 import kc2spice as kc
-from kc2spice.bodies.readers.measured import read_measured
+from kc2spice.bodies.readers.measured import is_measured, read_measured
 from kc2spice.netlist.deck import ac
 from kc2spice.rom.io import read_rom
 from kc2spice.workflow.reduce import first_deck, reduce
@@ -64,6 +65,40 @@ def test_tables_of_many_forms_say_the_same(tmp_path):
     decimal.write_text("! made by hand\n" + given[1].read_text().replace(".", ","))
     for one in [*given, decimal]:
         assert np.abs(read_measured(one).Y[:, 0, 0] / Y - 1).max() < 1e-6, one.name
+
+
+def test_matlab_files_say_what_tables_say(tmp_path):
+    """Real vectors under names of columns; complex ones, of several ports as MATLAB has them."""
+    Y = admittance()
+    Z = 1 / Y
+    S = skrf.network.y2s(Y[:, None, None], 75.0)[:, 0, 0]
+    given = [
+        {"frequency": F, "Z": Z},
+        {"f_kHz": F[:, None] / 1e3, "Y_mS": 1e3 * Y, "note": "of a part"},
+        {"freq": F, "s11": S, "z0": 75.0},
+        {"freq_khz": F / 1e3, "real_kohm": Z.real / 1e3, "imag_kohm": Z.imag / 1e3},
+    ]
+    for k, variables in enumerate(given):
+        path = tmp_path / f"part{k}.mat"
+        scipy.io.savemat(path, variables, oned_as="row" if k % 2 else "column")
+        assert is_measured(path)
+        assert np.abs(read_measured(path).Y[:, 0, 0] / Y - 1).max() < 1e-9, variables
+    f = np.linspace(1e6, 9e6, 40)
+    two = pi_network(f)
+    scipy.io.savemat(tmp_path / "two.mat", {"f": f, "y": np.moveaxis(two, 0, 2)})
+    assert np.abs(read_measured(tmp_path / "two.mat").Y - two).max() < 1e-12
+    wrong = {
+        "swapped": {"f": F, "r": Z.imag, "x": Z.real},
+        "gives power": {"f": F, "z": -Z},
+        "up and down": {"f": Z.real, "r": Z.real, "x": Z.imag},
+        "beside 401 frequencies": {"f": F, "z": Z[:50]},
+    }
+    for said, variables in wrong.items():
+        scipy.io.savemat(tmp_path / "bad.mat", variables)
+        with pytest.raises(kc.errors.UsageError, match=said):
+            reduce(tmp_path / "bad.mat", tmp_path / "out")
+    scipy.io.savemat(tmp_path / "fe.mat", {"K": np.eye(3), "M": np.eye(3), "f": np.ones(3)})
+    assert not is_measured(tmp_path / "fe.mat")
 
 
 @pytest.mark.parametrize(

@@ -56,6 +56,26 @@ def unpack(path: str, wanted: dict[str, str]) -> dict[str, np.ndarray]:
     return parts
 
 
+def vectors(path: str) -> dict[str, np.ndarray]:
+    """Numeric arrays of a MATLAB file with a measured response, all that is not sparse; none of a
+    file that has the matrices of a model.
+
+    Raises
+    ------
+    ValueError, NotImplementedError : nearly anything that is wrong with it.
+    """
+    kinds = {name: (shape, kind) for name, shape, kind in io.whosmat(path, appendmat=False)}
+    numbers = ("double", "single", "int8", "int16", "int32", "uint8", "uint16", "uint32")
+    plain = [name for name, (_, kind) in kinds.items() if kind in numbers]
+    if {"M", "K", "A"} & set(kinds):
+        return {}
+    size = sum(8 * np.prod(kinds[name][0], dtype=float) for name in plain)
+    if size > unpacked(Path(path)):
+        raise ValueError(f"its variables of {size:g} bytes are too large")
+    found = io.loadmat(path, appendmat=False, variable_names=plain) if plain else {}
+    return {name: np.asarray(found[name]) for name in plain if found[name].size}
+
+
 def _plain(name: str, matrix: Any) -> Any:
     if sparse.issparse(matrix):
         return _real(matrix.tocsc())

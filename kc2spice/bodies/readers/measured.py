@@ -1,8 +1,11 @@
-"""Measured responses: Touchstone files of version 1 and 2, and tables of impedance analysers.
+"""Measured responses: Touchstone files of version 1 and 2, tables of impedance analysers, MATLAB.
 
 A table has a header whose words say what its columns are, in any order and with units in brackets
 or behind an underscore: frequency, and one of the pairs of :data:`_PAIRS`. Fields lie between
 semicolons, tabs, commas or blanks; a decimal comma is read where commas do not separate.
+
+Variables of a MATLAB file are named as columns are; a complex one is ``z``, ``y`` or ``s``, of n
+frequencies or (ports, ports, n) as MATLAB has it, ``s`` with its resistance ``z0`` beside it.
 """
 
 from __future__ import annotations
@@ -10,11 +13,13 @@ from __future__ import annotations
 import re
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
 
 from kc2spice.bodies.readers.limits import guarded, present, refused
+from kc2spice.core.child import in_child
 from kc2spice.core.errors import UsageError
 from kc2spice.core.foreign import read_bounded
 
@@ -25,6 +30,10 @@ ACTIVE = 0.05  # of |Z|: a resistance so far below zero at a tenth of the points
 HINT = "name the columns in a header, such as: frequency_hz, real_ohm, imag_ohm"
 _TOUCHSTONE = re.compile(r"\.(s(\d+)p|ts)", re.IGNORECASE)
 _TABLES = (".csv", ".txt", ".tsv")
+_VECTORS = "kc2spice.bodies.readers.matfile:vectors"
+_CHILD = {"memory": 1_300_000_000, "seconds": 20}  # bytes and of the processor, libraries included
+_COMPLEX = {"z": r"z|impedance", "y": r"y|admittance", "s": r"s|s11|sparameters|scattering"}
+_RESISTANCE = ("z0", "r0", "zref", "reference")
 _MATRIX = re.compile(r".*[._][MEKABCD]", re.DOTALL)  # NAME_K.txt
 # Words of a header without its units, by what they say.
 _WORDS = {
@@ -79,11 +88,16 @@ def is_measured(path: Path) -> bool:
     named = _TOUCHSTONE.fullmatch(path.suffix) or (
         path.suffix.lower() in _TABLES and not _MATRIX.fullmatch(path.stem)
     )
+    if path.suffix.lower() == ".mat" and present(path):
+        try:
+            return any(_is(_WORDS["f"], name) for name in _variables(path, path.stat().st_mtime))
+        except (ValueError, NotImplementedError):  # which the reader of matrices tells
+            return False
     return bool(named) and present(path)
 
 
 def read_measured(path: Path) -> Measured:
-    """The response in a Touchstone file or a table.
+    """The response in a Touchstone file, a table or a MATLAB file.
 
     Raises
     ------
@@ -94,6 +108,8 @@ def read_measured(path: Path) -> Measured:
     expected = "a Touchstone file" if match else f"a table of an impedance analyser; {HINT}"
 
     def read() -> tuple[np.ndarray, np.ndarray, tuple[str, ...]]:
+        if path.suffix.lower() == ".mat":
+            return _matlab(_variables(path, path.stat().st_mtime))
         data = read_bounded(path, MAX_BYTES)
         try:
             text = data.decode("utf-8-sig")
@@ -196,7 +212,12 @@ def _touchstone(text: str, ports: int) -> tuple[np.ndarray, np.ndarray, tuple[st
 
 
 def _table(text: str) -> tuple[np.ndarray, np.ndarray, tuple[str, ...]]:
-    header, rows = _rows(text)
+    return _response(*_rows(text))
+
+
+def _response(
+    header: list[str], rows: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, tuple[str, ...]]:
     columns, notes = _columns(header, rows)
     pair = next((pair for pair in _PAIRS if set(pair) <= set(columns)), None)
     if "f" not in columns or pair is None:
@@ -206,6 +227,49 @@ def _table(text: str) -> tuple[np.ndarray, np.ndarray, tuple[str, ...]]:
     if not ((steps >= 0).all() or (steps <= 0).all()):
         raise ValueError("the frequency column goes up and down: is it another one?")
     return f, _PAIRS[pair](columns, 2 * np.pi * f)[:, None, None], tuple(notes)
+
+
+@lru_cache(maxsize=1)
+def _variables(path: Path, changed: float) -> dict[str, np.ndarray]:
+    """Numeric arrays of a MATLAB file by name, none of one that has matrices of a model."""
+    return in_child(_VECTORS, {"path": str(path.absolute())}, **_CHILD)
+
+
+def _is(words: str, name: str) -> bool:
+    return bool(re.fullmatch(words, _split(name)[0], re.I))
+
+
+def _matlab(found: dict[str, np.ndarray]) -> tuple[np.ndarray, np.ndarray, tuple[str, ...]]:
+    """Real vectors are columns; a complex array says all itself, its parts are those of one."""
+    first = next((name for name in found if _is(_WORDS["f"], name)), None)
+    if first is None:
+        raise ValueError(f"variables {', '.join(found)}, none of them the frequency")
+    n, said = found[first].size, ", ".join(found)
+    columns = {
+        name: a.ravel() for name, a in found.items() if a.size == n and a.dtype.kind in "fiu"
+    }
+    kinds = [(k, name) for k, words in _COMPLEX.items() for name in found if _is(words, name)]
+    kinds = [(k, name) for k, name in kinds if found[name].dtype.kind == "c"]
+    if not kinds:
+        return _response(list(columns), np.column_stack(list(columns.values())))
+    kind, name = kinds[0]
+    P = found[name]
+    if P.ndim == 3 and P.shape[2] == n and P.shape[0] == P.shape[1]:
+        P = np.moveaxis(P, 2, 0)
+    elif P.size == n:
+        P = P.reshape(n, 1, 1)
+    if P.ndim != 3 or P.shape[0] != n or P.shape[1] != P.shape[2]:
+        raise ValueError(f"{name} of {P.shape} beside {n} frequencies in {said}")
+    f, notes = _columns([first], found[first].reshape(n, 1))
+    unit = _UNIT.fullmatch(_split(name)[1])
+    P = P * _PREFIX.get((unit[1] if unit else "") or "", 1.0)
+    one = np.eye(P.shape[1])
+    if kind == "s":
+        given = next((found[k] for k in found if k.lower() in _RESISTANCE), None)
+        R = 50.0 if given is None else float(given.ravel()[0].real)
+        notes += [f"{name}: no reference resistance, taken as 50 Ohm"] if given is None else []
+        P = np.linalg.solve(R * (one + P), one - P)
+    return f["f"], np.linalg.inv(P) if kind == "z" else P, tuple(notes)
 
 
 def _rows(text: str) -> tuple[list[str], np.ndarray]:
