@@ -25,6 +25,7 @@ NOISE = 1.1  # times the noise of the data: all that a circuit can reach
 POOR = 0.2  # relative deviation of something that is no such part
 QUALITIES = (5.0, 30.0, 200.0, 1500.0)
 SMALL = 1e-12  # of the largest amplitude
+LEAST = 1e-6  # of the least |Y/s|: a clamped capacitance below loses the digits of a netlist
 
 
 class _Basis:
@@ -131,7 +132,7 @@ def _resonators(
         omega=omega,
         damp=np.r_[np.exp(modes[order, 1]), basis.rates[relaxing]],
         gain=(np.sqrt(size) * omega)[:, None],
-        D=np.array([[max(float(x[0]), SMALL * float(x.max()))]]),
+        D=np.array([[max(float(x[0]), LEAST * float(np.abs(basis.H).min()))]]),
         ports=(Port("anode", "electrical", pins=("anode", "cathode")),),
         certificate=certificate,
         massless=len(relaxing),

@@ -1,6 +1,8 @@
 """Measured one-ports: files against scikit-rf and against themselves, circuits against ngspice."""
 
+import re
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -202,6 +204,33 @@ def test_a_passive_fit_stays_near_data_that_lie_on_the_edge(tmp_path):
     assert (power > -1e-6 * np.linalg.norm(Y, 2, axis=(1, 2))).all()
     back = skrf.network.y2s(2j * np.pi * f[:, None, None] * rom.transfer(f), 50.0)
     assert np.sqrt(np.mean(np.abs(back - S) ** 2)) < 3 * 3e-3 * np.sqrt(2)
+
+
+JOURNEY = Path(__file__).parents[2] / "docs" / "journeys" / "measurement.md"
+PUBLISHED = re.findall(r"^\| `(.+\.s\dp)` \|.*\| (\S+) of", JOURNEY.read_text(), re.M)
+
+
+@pytest.mark.parametrize(("name", "deviation"), PUBLISHED)
+def test_published_files_become_circuits_as_near_as_stated(tmp_path, name, deviation):
+    """What the journey says is what the product says, and what ngspice finds against scikit-rf's
+    reading of the file, all of whose frequencies lie on one grid."""
+    path = Path(skrf.__file__).parent / "data" / name
+    net = skrf.Network(str(path))
+    found = reduce(path, tmp_path)
+    assert found["passive"]
+    assert found["error_estimate"] == pytest.approx(float(deviation), rel=0.03)
+    rom = read_rom(found["rom"])
+    deck = first_deck(rom, kc.subcircuit(rom, "published"))
+    linear = ac(float(net.f[0]), float(net.f[-1]), len(net.f), "linear")
+    waves = kc.simulate(replace(deck, command=linear)).waves
+    first = net.y[:, :, 0]
+    size = np.abs(first) if found["norm"] == "pointwise" else np.abs(first).max(axis=0)
+    currents = [waves[f"{port.name}.current"] for port in rom.ports]
+    seen = np.abs(np.column_stack(currents) - first) / size
+    if len(rom.ports) == 1:
+        assert seen.max() == pytest.approx(found["error_estimate"], rel=2e-3)
+    else:  # of one of its two columns, to the digits that ngspice has
+        assert 1e-10 < seen.max() < 1.001 * found["error_estimate"] + 1e-8
 
 
 def test_an_amplifier_has_no_passive_model(tmp_path):

@@ -31,7 +31,7 @@ HINT = "name the columns in a header, such as: frequency_hz, real_ohm, imag_ohm"
 _TOUCHSTONE = re.compile(r"\.(s(\d+)p|ts)", re.IGNORECASE)
 _TABLES = (".csv", ".txt", ".tsv")
 _VECTORS = "kc2spice.bodies.readers.matfile:vectors"
-_CHILD = {"memory": 1_300_000_000, "seconds": 20}  # bytes and of the processor, libraries included
+_MEMORY, _SECONDS = 1_300_000_000, 20  # of the process that reads it, libraries included
 _COMPLEX = {"z": r"z|impedance", "y": r"y|admittance", "s": r"s|s11|sparameters|scattering"}
 _RESISTANCE = ("z0", "r0", "zref", "reference")
 _MATRIX = re.compile(r".*[._][MEKABCD]", re.DOTALL)  # NAME_K.txt
@@ -232,7 +232,8 @@ def _response(
 @lru_cache(maxsize=1)
 def _variables(path: Path, changed: float) -> dict[str, np.ndarray]:
     """Numeric arrays of a MATLAB file by name, none of one that has matrices of a model."""
-    return in_child(_VECTORS, {"path": str(path.absolute())}, **_CHILD)
+    request = {"path": str(path.absolute())}
+    return in_child(_VECTORS, request, memory=_MEMORY, seconds=_SECONDS)
 
 
 def _is(words: str, name: str) -> bool:
