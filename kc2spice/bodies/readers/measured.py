@@ -19,6 +19,7 @@ from pathlib import Path
 import numpy as np
 
 from kc2spice.bodies.readers.limits import guarded, present, refused
+from kc2spice.bodies.readers.matfile import vectors
 from kc2spice.core.child import in_child
 from kc2spice.core.errors import UsageError
 from kc2spice.core.foreign import read_bounded
@@ -30,7 +31,6 @@ ACTIVE = 0.05  # of |Z|: a resistance so far below zero at a tenth of the points
 HINT = "name the columns in a header, such as: frequency_hz, real_ohm, imag_ohm"
 _TOUCHSTONE = re.compile(r"\.(s(\d+)p|ts)", re.IGNORECASE)
 _TABLES = (".csv", ".txt", ".tsv")
-_VECTORS = "kc2spice.bodies.readers.matfile:vectors"
 _MEMORY, _SECONDS = 1_300_000_000, 20  # of the process that reads it, libraries included
 _COMPLEX = {"z": r"z|impedance", "y": r"y|admittance", "s": r"s|s11|sparameters|scattering"}
 _RESISTANCE = ("z0", "r0", "zref", "reference")
@@ -233,7 +233,9 @@ def _response(
 def _variables(path: Path, changed: float) -> dict[str, np.ndarray]:
     """Numeric arrays of a MATLAB file by name, none of one that has matrices of a model."""
     request = {"path": str(path.absolute())}
-    return in_child(_VECTORS, request, memory=_MEMORY, seconds=_SECONDS)
+    return in_child(
+        f"{vectors.__module__}:{vectors.__name__}", request, memory=_MEMORY, seconds=_SECONDS
+    )
 
 
 def _is(words: str, name: str) -> bool:
