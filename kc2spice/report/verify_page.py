@@ -13,7 +13,7 @@ from kc2spice.core.figure import Curve, Figure, Panel, scale_axis
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.report.html import Section, write_page
 from kc2spice.report.words import fact, quantity
-from kc2spice.scene.judge import PAIRS, Limit
+from kc2spice.scene.judge import PAIRS, Check
 
 MET = {True: "met", False: "missed"}
 MOST = 4  # panels of one figure
@@ -31,7 +31,7 @@ class Findings:
     each solution: ``ngspice``, ``rom`` (laws) and ``fom`` (with full models, as far as followed).
     """
 
-    checks: list[Limit] = field(default_factory=list)
+    checks: list[Check] = field(default_factory=list)
     errors: dict[str, float] = field(default_factory=dict)
     metrics: dict[str, Any] = field(default_factory=dict)
     answers: dict[str, Mapping[str, Any]] = field(default_factory=dict)
@@ -92,8 +92,8 @@ def _scene(scene: str, findings: Findings) -> list[Section]:
     ]
 
 
-def _with_unit(value: float | None, unit: str) -> str:
-    return quantity(value, "" if unit == "1" else unit, 3)
+def _with_unit(value: float, unit: str) -> str:
+    return quantity(None if np.isnan(value) else value, "" if unit == "1" else unit, 3)
 
 
 # --- figures: solutions over each other, and their differences ----------------------------------

@@ -20,6 +20,8 @@ Measure = Literal["relative", "absolute", "travel", "largest", "spectral"]
 class Check:
     """One check: ``value`` must not exceed ``limit``; ``advice`` is for the case that it does.
 
+    A value that was not reached is no number.
+
     ``action`` says what a violation does to the run. A ``coarse`` check fails for too large steps,
     which tighter tolerances may cure. A ``wiring`` check holds the netlist against the scene, from
     which a deck that somebody edited may differ on purpose. ``mend`` is a dotted key and its value
@@ -29,8 +31,8 @@ class Check:
     name: str
     value: float
     limit: float
-    unit: str
-    advice: str
+    unit: str = "1"
+    advice: str = ""
     action: Action = "fail"
     coarse: bool = False
     wiring: bool = False
@@ -105,21 +107,6 @@ def stepping(solver: Solver) -> float:
     At the usual tolerances 1e-5 to 3e-5 are found; errors fall as ``(reltol chgtol)^0.55``.
     """
     return float(4e-5 * (solver.reltol * solver.chgtol / 1e-12) ** 0.55)
-
-
-@dataclass(frozen=True)
-class Limit:
-    """A number against its gate. ``value`` None (not reached) fails."""
-
-    name: str
-    value: float | None
-    limit: float
-    unit: str = "1"
-
-    @property
-    def passed(self) -> bool:
-        """Whether the value is within the limit; False for what is no number."""
-        return self.value is not None and self.value <= self.limit
 
 
 @dataclass(frozen=True)

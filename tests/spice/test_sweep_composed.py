@@ -1,37 +1,16 @@
-"""Sweeps in the general grammar: two devices, probes, files, parameters of subcircuits."""
+"""Sweeps of a scene with files of its own."""
 
-import contextlib
-import csv
 import shutil
 from concurrent.futures import ThreadPoolExecutor
-from pathlib import Path
+from contextlib import nullcontext
 
 import numpy as np
 import pytest
 from scipy.io import mmwrite
+from sweeps import rows
 
 from kc2spice.workflow.sweep import run
 from kc2spice.workflow.sweep.point import scene_text
-
-
-def study(path, *sets, **options):
-    return run.make_sweep(scene_text(path), sets, **options)
-
-
-def threads():
-    """Workers of this process."""
-    return contextlib.nullcontext((ThreadPoolExecutor(1), 1))
-
-
-def rows(summary):
-    with Path(summary["table"]).open(encoding="utf-8", newline="") as file:
-        return list(csv.DictReader(file))
-
-
-# --- parameters ---------------------------------------------------------------------------------
-
-
-# --- files --------------------------------------------------------------------------------------
 
 OWN = """
 name = "own"
@@ -74,12 +53,13 @@ def test_files_of_the_parts_travel_with_the_sweep(own, tmp_path):
     path = str(own / "own.toml")
     names = {name for name, _ in scene_text(path).files}
     assert names == {"push.csv", "beam.toml", "stiff.mtx", *(f"beam.{x}.mtx" for x in "MEBC")}
-    found = study(path, "solver.reltol=1e-3,1e-4")
+    found = run.make_sweep(scene_text(path), ("solver.reltol=1e-3,1e-4",))
     before = found.digest
     (own / "push.csv").write_text("0,0\n1e-4,2\n1,2\n")
-    assert study(path, "solver.reltol=1e-3,1e-4").digest != before
+    again = run.make_sweep(scene_text(path), ("solver.reltol=1e-3,1e-4",))
+    assert again.digest != before
     shutil.rmtree(own)  # as on another machine
-    summary = run.sweep(found, tmp_path / "o", threads)
+    summary = run.sweep(found, tmp_path / "o", lambda: nullcontext((ThreadPoolExecutor(1), 1)))
     assert summary["failed"] == 0
     # A step of 1 N within a fifth of the period: static 3e-4 m, overshoot below twice of it.
     assert all(3e-4 < float(row["top"]) < 6e-4 for row in rows(summary))

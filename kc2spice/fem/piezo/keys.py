@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from functools import cached_property
 from typing import Any, Literal
 
 from pydantic import Field, model_validator
@@ -120,7 +121,7 @@ class Chip(Section):
             raise ValueError(str(error)) from None
         return self
 
-    @property
+    @cached_property
     def ceramic(self) -> Material:
         """What its layers are made of, poled along z.
 

@@ -21,7 +21,7 @@ from kc2spice.rom.linear import LinearModel, Port
 from kc2spice.rom.modal import resonators
 from kc2spice.rom.response import Response, relative_error, telling
 from kc2spice.rom.structure import structure as form
-from kc2spice.scene.judge import Limit
+from kc2spice.scene.judge import Check
 from kc2spice.scene.model import Part
 from kc2spice.scene.parttype import Build
 from kc2spice.sim.ngspice import run_deck
@@ -65,7 +65,7 @@ def verify_body(
         certificate = rom.certificate
         limit = ROUNDING if certificate is None else max(certificate.error_estimate, ROUNDING)
         words = f"{part.name}: ROM to full model, at {at.size} frequencies with its resonances"
-        found.checks.append(Limit(words, errors["rom_vs_fom"], limit))
+        found.checks.append(Check(words, errors["rom_vs_fom"], limit))
         curves[f"{part.name}: full model"] = _waves(at, exact, rom)
     else:
         found.notes.append(f"{part.name}: no full model here; its reduced model is taken as it is")
@@ -82,7 +82,7 @@ def verify_body(
 
 def netlist_checks(
     name: str, rom: LinearModel, frequency: np.ndarray, found: np.ndarray, gate: float
-) -> list[Limit]:
+) -> list[Check]:
     """The netlist's response ``found`` (frequencies, outputs, inputs) against the reduced model's:
     all ports together, capacitance and charge for each load at each electrical port by their own
     sizes, and what a passive and reciprocal body cannot do. ``gate`` is the largest error."""
@@ -99,7 +99,7 @@ def netlist_checks(
         if others.size:
             rows.append((f": charge by loads of {port}", row, others, LEAKED * lost))
     checks = [
-        Limit(name + words, relative_error(found[:, row, cols], exact[:, row, cols]), max(gate, by))
+        Check(name + words, relative_error(found[:, row, cols], exact[:, row, cols]), max(gate, by))
         for words, row, cols, by in rows
     ]
     if all(port.conservative for port in rom.ports):
@@ -118,7 +118,7 @@ def leakage(rom: LinearModel, frequency: np.ndarray) -> np.ndarray:
     return np.divide(LEAK, w * clamped, out=np.zeros_like(clamped), where=clamped > 0)
 
 
-def own_structure(name: str, rom: LinearModel, band: tuple[float, float]) -> list[Limit]:
+def own_structure(name: str, rom: LinearModel, band: tuple[float, float]) -> list[Check]:
     """Poles not in the right half plane; passivity and reciprocity of the reduced model.
 
     Growth ``Re p`` of a general model is a share of ``max(|p|, w)``, ``w`` the end of the band.
@@ -135,14 +135,14 @@ def own_structure(name: str, rom: LinearModel, band: tuple[float, float]) -> lis
             poles = rom.poles()
             size = np.maximum(np.abs(poles), 2 * np.pi * band[1])
             rightmost = float((poles.real / size).max(initial=-1.0))
-    found = [Limit(f"{name}: ROM, growth of its poles", rightmost, limit)]
+    found = [Check(f"{name}: ROM, growth of its poles", rightmost, limit)]
     if all(port.conservative for port in rom.ports) and rom.symmetric:
         frequency = np.linspace(0.0, band[1], 202)[1:]
         found += structure(f"{name}: ROM", frequency, rom.transfer(frequency), OWN_ROUNDING)
     return found
 
 
-def structure(name: str, frequency: np.ndarray, H: np.ndarray, limit: float) -> list[Limit]:
+def structure(name: str, frequency: np.ndarray, H: np.ndarray, limit: float) -> list[Check]:
     """``Re (s H)`` positive semi-definite and ``H`` symmetric.
 
     ``s H`` maps forces and voltages to velocities and currents; a network is passive if its
@@ -154,10 +154,10 @@ def structure(name: str, frequency: np.ndarray, H: np.ndarray, limit: float) -> 
     Y = 2j * np.pi * frequency[:, None, None] * H
     hermitian = (Y + Y.conj().transpose(0, 2, 1)) / 2
     lowest = np.linalg.eigvalsh(hermitian)[:, 0] / np.abs(Y).max(axis=(1, 2))
-    found = [Limit(f"{name}, active power over all frequencies", max(0.0, -lowest.min()), limit)]
+    found = [Check(f"{name}, active power over all frequencies", max(0.0, -lowest.min()), limit)]
     if len(balance) > 1:
         asymmetry = relative_error(H.transpose(0, 2, 1), H)
-        found.append(Limit(f"{name}, reciprocity", asymmetry, limit))
+        found.append(Check(f"{name}, reciprocity", asymmetry, limit))
     return found
 
 

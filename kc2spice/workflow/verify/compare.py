@@ -14,7 +14,7 @@ import numpy as np
 
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.report.words import unit_of
-from kc2spice.scene.judge import Gate, Limit
+from kc2spice.scene.judge import Check, Gate
 from kc2spice.scene.parttype import Build
 from kc2spice.workflow.judge import probed
 
@@ -56,7 +56,7 @@ def solution(waves: Waveforms, build: Build) -> Solution:
 
 def gate_limits(
     gates: Iterable[Gate], pair: str, ours: Solution, exact: Solution
-) -> tuple[list[Limit], float | None]:
+) -> tuple[list[Check], float | None]:
     """Every gate of this pair, and the largest value of those that stand for the scene."""
     limits, leading = [], []
     words = pair.replace("rom", "ROM").replace("fom", "full model").replace("_vs_", " to ")
@@ -66,7 +66,8 @@ def gate_limits(
             continue
         if pair in gate.limits:
             name = f"{gate.words}, {words}"
-            limits.append(Limit(name, value, gate.limits[pair], gate.unit))
+            reached = math.nan if value is None else value
+            limits.append(Check(name, reached, gate.limits[pair], gate.unit))
         if gate.leads and value is not None:
             leading.append(value)
     return limits, max(leading, default=None)

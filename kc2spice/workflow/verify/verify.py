@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
@@ -18,7 +19,7 @@ from kc2spice.netlist.foreign import checked
 from kc2spice.netlist.read import subcircuits
 from kc2spice.report.verify_page import Findings, comparison, write_verify
 from kc2spice.scene.compose import composed
-from kc2spice.scene.judge import PAIRS, Gate, Limit
+from kc2spice.scene.judge import PAIRS, Check, Gate
 from kc2spice.scene.model import Scene
 from kc2spice.scene.parttype import Build
 from kc2spice.sim.ngspice import find_ngspice, run_deck, write_deck
@@ -195,7 +196,7 @@ class _Verification:
         if reference.imbalance is not None:
             limit = RECORDED_BALANCE if self.taken else build.scene.gates.energy
             found.checks.append(
-                Limit("energy of the reference integration", reference.imbalance, limit)
+                Check("energy of the reference integration", reference.imbalance, limit)
             )
         full = full_build(build, self.clock)
         followed = full and full_solution(
@@ -231,7 +232,7 @@ class _Verification:
 
     def _generic(
         self, solutions: Mapping[str, Solution], outputs: Sequence[OutputError]
-    ) -> Iterable[Limit]:
+    ) -> Iterable[Check]:
         scene = self.build.scene
         gates, solver = scene.gates, scene.solver
         timed = scene.analysis.type == "transient"
@@ -241,11 +242,11 @@ class _Verification:
         errors = dict(metric_errors(solutions["ngspice"], solutions["rom"], self.units))
         missed = [name for name, error in errors.items() if error is None]
         if missed:
-            yield Limit(f"metric {missed[0]}, reached by one of both", None, metric)
+            yield Check(f"metric {missed[0]}, reached by one of both", math.nan, metric)
         known = {name: error for name, error in errors.items() if error is not None}
         if known:
             worst = max(known, key=lambda name: known[name])
-            yield Limit(f"every metric, worst {worst}, ngspice to laws", known[worst], metric)
+            yield Check(f"every metric, worst {worst}, ngspice to laws", known[worst], metric)
         # what rings on after a launch is coarse by choice: the body's own waves and its drive's
         coarse = [n for n, p in scene.parts.items() if p.type.reduced]
         coarse = coarse if solver.ringing == "coarse" else []
@@ -253,12 +254,12 @@ class _Verification:
         outputs = [o for o, n in owners if not any(n == c or n.startswith(f"{c}_") for c in coarse)]
         if outputs:
             last = max(outputs, key=lambda output: output.rms)
-            yield Limit(f"every wave (rms), worst {last.output}, ngspice to laws", last.rms, wave)
+            yield Check(f"every wave (rms), worst {last.output}, ngspice to laws", last.rms, wave)
 
     def _own_checks(self, waves: Waveforms) -> None:
         """Physics of the netlist's run that nobody told the simulator."""
         self.found.checks += [
-            Limit(f"{check.name}, ngspice", check.value, check.limit, check.unit)
+            replace(check, name=f"{check.name}, ngspice")
             for check in verdict(waves, self.build).checks
             if check.action == "fail" or check.name.startswith("jump")
         ]
@@ -319,6 +320,6 @@ def _libraries(deck: Deck) -> tuple[Subcircuit, ...]:
 
 def _record(found: Findings) -> dict[str, Any]:
     record = {key: value for key, value in vars(found).items() if key != "figures"}
-    checks = [{**asdict(check), "passed": check.passed} for check in found.checks]
+    checks = [check.record() for check in found.checks]
     outputs = [asdict(output) for output in found.outputs]
     return {"passed": found.passed, **record, "checks": checks, "outputs": outputs}
