@@ -3,7 +3,8 @@
 python tools/published_table.py [SCENE ...]
 
 Every device is a scene of the gallery or of docs/published; nothing is fitted. With names, only
-these are computed and printed, and no file is written. Takes some minutes.
+these are computed and printed, and of the page's files only their curves are written. Takes some
+minutes.
 """
 
 from __future__ import annotations
@@ -20,7 +21,9 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from kc2spice.bodies.impedance import analyse, impedance
+from kc2spice.core.figure import Curve, Figure, Panel, scale_axis
 from kc2spice.core.progress import Clock
+from kc2spice.report.figures import draw_all
 from kc2spice.rom.linear import LinearModel
 from kc2spice.scene.load import load_scene
 from kc2spice.scene.model import Scene
@@ -34,15 +37,12 @@ UNITS = {
     "resonance_hz": ("resonance", 1e3, "kHz"),
     "capacitance_f": ("capacitance", 1e-9, "nF"),
     "feedback_capacitance_f": ("feedback capacitance", 1e-9, "nF"),
-    "resonance_short_hz": ("resonance, shorted", 1.0, "Hz"),
-    "resonance_open_hz": ("resonance, open", 1.0, "Hz"),
-    "power_w": ("peak power per g² at 35 kΩ", 1e-3, "mW"),
     "tone_hz": ("tone", 1e3, "kHz"),
     "launch_velocity_m_s": ("launch speed", 1.0, "m/s"),
     "sub_impacts": ("contacts in one blow", 1.0, ""),
     "antiresonance_hz": ("antiresonance", 1e3, "kHz"),
 }
-SUFFIXES = {"_m_s": "m/s", "_m": "m", "_n": "N", "_s": "s", "_v": "V", "_siemens": "S"}
+SUFFIXES = {"_m_s": "m/s", "_m": "m", "_n": "N", "_s": "s", "_v": "V", "_a": "A", "_siemens": "S"}
 PREFIXES = ((1e3, "k"), (1.0, ""), (1e-3, "m"), (1e-6, "µ"), (1e-9, "n"))
 PICTURES = {
     "buzzer_ft_20t_6_5a1": "disc_impedance.png",
@@ -55,13 +55,11 @@ PICTURES = {
     "kick_slew": "sphere_trajectory.png",
 }
 EDGES = (0.1, 1.0, 5.0, 10.0, 20.0)  # us, of the kick's drive
-SHORT, OPEN = 1.0, 1e9  # Ohm, loads that are a short circuit and none
 HEAD = """# Devices with published numbers
 
-Textbook materials and the dimensions of the sheet or paper; no property is fitted. The harvester
-has the damping ratio of its paper; rows marked *assumed* rest on a key that the source does not
-give. Discs are free plates (sheets measure at the node, which changes the resonance by a tenth of
-a percent).
+Textbook materials and the dimensions of the sheet or paper; no property is fitted. Rows
+marked *assumed* rest on a key that the source does not give. Discs are free plates (sheets measure
+at the node, which changes the resonance by a tenth of a percent).
 *full* is the finite-element model, *reduced* what the subcircuit is made from, *ngspice* a run of
 the emitted netlist; of the cases with complete inputs *full* and *reduced* are the independent
 integration of the laws with the full and the reduced models. What a column cannot give is "-".
@@ -145,52 +143,6 @@ def buzzer(name: str, entry: Mapping[str, Any]) -> tuple[dict[str, Answer], Path
     return found, seen.out
 
 
-def loaded(model: LinearModel, frequency: np.ndarray, load: float) -> tuple[np.ndarray, np.ndarray]:
-    """Voltage [V] and tip displacement [m] (frequencies,) per m/s^2 of the base.
-
-    The charge ``q = H_qV V + H_qa a`` flows through the load: ``j w q = -V / R``.
-    """
-    H = model.transfer(frequency)
-    row, column = model.outputs.index, model.inputs.index
-    jw = 2j * np.pi * frequency
-    H_qa, H_qV = H[:, row("anode"), column("base")], H[:, row("anode"), column("anode")]
-    V = -jw * H_qa / (1 / load + jw * H_qV)
-    return V, H[:, row("tip"), column("base")] + H[:, row("tip"), column("anode")] * V
-
-
-def harvester(name: str, entry: Mapping[str, Any]) -> tuple[dict[str, Answer], Path]:
-    """Resonances are those of the tip with the load shorted and absent."""
-    full, reduced = models(load_scene(name, []), "beam")
-    grid = np.linspace(40, 60, 401)
-    load = entry["power_w"]["load_ohm"]
-    found = {}
-    for quantity, resistance in {"resonance_short_hz": SHORT, "resonance_open_hz": OPEN}.items():
-        waves = simulate(name, f"load.resistance={resistance}")[1]
-        tip = loaded(reduced, grid, resistance)[1]
-        found[quantity] = Answer(
-            full.facts[quantity], float(grid[np.abs(tip).argmax()]),
-            float(waves["frequency"].real[np.abs(waves["beam.u.tip"]).argmax()]),
-        )  # fmt: skip
-    _, waves, out = simulate(name, f"load.resistance={load}")
-    voltage = np.abs(loaded(reduced, grid, load)[0])
-    at = grid[voltage.argmax()]
-    exact = np.abs(loaded(full, np.array([at]), load)[0])[0]
-    found["power_w"] = Answer(
-        (9.81 * exact) ** 2 / load, (9.81 * voltage.max()) ** 2 / load,
-        float(np.abs(waves["load.v"]).max() ** 2 / load),
-    )  # fmt: skip
-    return found, out
-
-
-def stack(name: str, entry: Mapping[str, Any]) -> tuple[dict[str, Answer], Path]:
-    """Impedance of a stack."""
-    seen, quantity = analysed(name, "stack"), "resonance_hz"
-    near = np.linspace(0.99, 1.01, 21) * seen.reduced[quantity]
-    admittance = np.abs(1 / impedance(seen.full.select(["anode"]), near, "anode"))
-    exact = float(near[admittance.argmax()])
-    return {quantity: Answer(exact, seen.reduced[quantity], seen.ngspice[quantity])}, seen.out
-
-
 def tone(name: str, entry: Mapping[str, Any]) -> tuple[dict[str, Answer], Path]:
     """Frequency of the self-oscillating circuit."""
     record, _, out = simulate(name)
@@ -220,7 +172,7 @@ def case(name: str, entry: Mapping[str, Any]) -> tuple[dict[str, Answer], Path]:
         told = verify([scene], out)[scene.name]["answers"]
     else:
         told = {"ngspice": run(scene, out)["metrics"]}
-    names = [key for key, value in entry.items() if isinstance(value, dict) and key != "misses"]
+    names = [key for key, value in entry.items() if isinstance(value, dict) and "value" in value]
     paths = [told.get(path, {}) for path in ("fom", "rom", "ngspice")]
     return {key: Answer(*(path.get(key) for path in paths)) for key in names}, out
 
@@ -239,8 +191,7 @@ def shown(quantity: str) -> tuple[str, float, str]:
 
 
 SOLVERS: dict[str, Solver] = {
-    "harvester": harvester, "stack_p882": stack, "buzzer_self": tone, "kick_slew": kick,
-    "sphere_on_beam": blow,
+    "buzzer_self": tone, "kick_slew": kick, "sphere_on_beam": blow,
 }  # fmt: skip
 
 
@@ -299,6 +250,7 @@ def page(published: Mapping[str, Any]) -> str:
         found, out = solver(name, entry)(name, entry)
         lines += rows(name, entry, found)
         pictures += _picture(name, entry["device"], out, figures)
+        pictures += drawn(name, entry, figures)
     for name in PICTURES.keys() - published.keys():
         _, _, out = simulate(name, *(["beam.fields=true"] if name == "harvester_bridge" else []))
         pictures += _picture(name, load_scene(name, []).title, out, figures)
@@ -331,6 +283,32 @@ def page(published: Mapping[str, Any]) -> str:
     return HEAD + "\n\n".join(parts) + "\n"
 
 
+def drawn(name: str, entry: Mapping[str, Any], figures: Path) -> list[str]:
+    """Published points of ``curve = { of, points, … }`` over the scene's wave ``of``, as a file.
+
+    ``points`` are pairs of a place on the scale (s, Hz, or what a dc analysis sweeps) and a value,
+    both in SI; ``y`` is the label and ``factor`` what its unit takes of SI; ``log`` a logarithmic
+    axis. Complex waves are drawn by their size.
+    """
+    if "curve" not in entry:
+        return []
+    plan, out = entry["curve"], Path(tempfile.mkdtemp()) / name
+    run(load_scene(str(CASES / entry["scene"]), entry.get("set", [])), out)
+    with np.load(out / "waveforms.npz", allow_pickle=False) as waves:
+        scale = next(iter(waves))
+        x, y = waves[scale].real, waves[plan["of"]]
+    x_label, unit = scale_axis(scale, x)
+    at, values = np.array(plan["points"], dtype=float).T
+    factor, y = plan.get("factor", 1.0), np.abs(y) if np.iscomplexobj(y) else y
+    curves = (
+        Curve("predicted", unit * x, factor * y),
+        Curve("published", unit * at, factor * values, "o"),
+    )
+    panel = Panel(plan.get("x", x_label), plan["y"], curves, log_y=plan.get("log", False))
+    draw_all(figures, [Figure(name, entry["device"], "", (panel,))])
+    return [f"`{name}`: {entry['device']}\n\n![{entry['device']}](figures/devices/{name}.png)"]
+
+
 def _picture(name: str, title: str, out: Path, figures: Path) -> list[str]:
     if name not in PICTURES:
         return []
@@ -346,6 +324,7 @@ def main(names: list[str]) -> None:
     for name in names:
         found, _ = solver(name, published[name])(name, published[name])
         print("\n".join(rows(name, published[name], found)))
+        drawn(name, published[name], ROOT / "docs" / "figures" / "devices")
 
 
 if __name__ == "__main__":
