@@ -7,6 +7,8 @@ from device import bench
 from kc2spice.parts._drivers import Load
 from kc2spice.parts._template import opamp_subcircuit, parameters
 from kc2spice.parts.driver_types import (
+    ChargeDrive,
+    ChargeKeys,
     HalfBridge,
     HalfBridgeKeys,
     LinearDrive,
@@ -87,6 +89,20 @@ def test_half_bridge_limits_current_and_charge(header, tmp_path):
     assert end == pytest.approx(50.0, rel=0.01)
 
 
+def test_charge_drive_gives_its_charge_to_any_capacitance(header, tmp_path):
+    """A volt of command is 150 nC, whatever the chip has: 15 V across 100 nF from 10 V."""
+    part = ChargeDrive().netlist(header, "charge", parameters(ChargeKeys()))
+    cards = """Vcommand command 0 PULSE(0 10 1e-06 1e-07 1e-07 1)
+Xdriver command anode cathode 0 charge
+Cchip anode cathode 1e-07
+.options reltol=1e-5 trtol=1
+.tran 1e-08 3e-05 0 1e-07"""
+    vectors = {"a": ("v(anode)", 1.0), "c": ("v(cathode)", 1.0)}
+    parts = [opamp_subcircuit(header, "slew"), part]
+    waves = run_deck(bench(parts, cards, vectors, 3e-5), tmp_path)
+    assert waves["a"][-1] - waves["c"][-1] == pytest.approx(15.0, rel=2e-3)  # finite gain
+
+
 # ------------------------------------------------------------------------ drivers of the coils
 
 
@@ -129,3 +145,9 @@ def test_pwm_follows_with_the_ripple_of_the_inductance(header, tmp_path):
     share = 10e-3 * (LOAD.resistance + 2.0) / drive.rail  # of the rail, on average
     ripple = drive.rail * (1 - share**2) / (2 * drive.frequency * LOAD.inductance)
     assert np.ptp(i[late]) == pytest.approx(ripple, rel=0.05)  # of two-level modulation
+    # Of one pole w and what passes the loop, g: the step misses (1 - g) / w of its height times
+    # time; the modulator's delay and an eighth of a period's ripple are a fifth of that.
+    w, g = 2 * np.pi * drive.bandwidth, 100.0 * drive.rail / (10.0 * (LOAD.resistance + 2.0))
+    early = (t > 10e-6) & (t < 210e-6)
+    missed = np.trapezoid(mean - i[early], t[early])
+    assert missed == pytest.approx(mean * (1 - g) / w, rel=0.2)
