@@ -3,20 +3,25 @@ modes that cross and repel, ends of ranges, and bad boxes."""
 
 from __future__ import annotations
 
+import re
+import subprocess
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.stats import norm, qmc
 
 import kc2spice as kc
 from kc2spice.core.errors import SimulationError, UsageError
 from kc2spice.core.progress import Clock
 from kc2spice.netlist.deck import Block
+from kc2spice.parts._box import with_values
 from kc2spice.rom.linear import LinearModel, Port
 from kc2spice.rom.parametric import Axis
 from kc2spice.rom.varying import over_box
 
+EXAMPLE = Path(__file__).parents[2] / "docs" / "examples" / "monte_carlo"
 KEY, LOSS = "layers[1].thickness", "damping.quality"
 BUZZER = {
     "title": "a buzzer with parameters",
@@ -126,3 +131,32 @@ def test_bad_boxes_are_told_before_any_mesh(parameters, word, monkeypatch):
 
 def test_the_example_without_parameters_keeps_its_netlist(tmp_path: Path):
     assert "inside1" not in kc.deck(kc.load_scene(_with({}))).parts[0].text
+
+
+def test_monte_carlo_of_ngspice_has_mean_and_spread_of_fresh_full_models(tmp_path):
+    """The example's deck, by a Latin hypercube of full models and by first-order propagation."""
+    scene = kc.load_scene(EXAMPLE / "buzzer.toml")
+    (tmp_path / "netlists").mkdir()
+    (library,) = kc.deck(scene).parts
+    library.write(tmp_path / "netlists")
+    command = ["ngspice", "-b", str(EXAMPLE / "monte_carlo.cir")]
+    log = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False).stdout
+    mean, spread = (float(re.search(rf"^{w} = (\S+)", log, re.M)[1]) for w in ("middle", "spread"))
+    part = scene.parts["disc"]
+
+    def resonance(thickness: float, modulus: float) -> float:
+        keys = {"layers[1].thickness": thickness, "layers[0].material.youngs_modulus": modulus}
+        other = with_values(part, keys)
+        return part.type.varied(other, scene, Clock(), part).facts["resonance_short_hz"]
+
+    nominal = np.array([120e-6, 110e9])
+    draws = norm.ppf(qmc.LatinHypercube(2, rng=1).random(30))
+    fresh = np.array([resonance(*(nominal * (1 + 0.02 * z))) for z in draws])
+    slopes = [
+        resonance(*(nominal * (1 + 0.01 * e))) - resonance(*(nominal * (1 - 0.01 * e)))
+        for e in np.eye(2)
+    ]
+    first = float(np.hypot(*slopes))  # 0.02 of each value
+    assert mean == pytest.approx(fresh.mean(), abs=4 * first / np.sqrt(300))
+    assert fresh.std() == pytest.approx(first, rel=0.1)  # a sample of 30, in strata
+    assert spread == pytest.approx(first, rel=0.13)  # three standard errors of 300 draws
