@@ -34,7 +34,8 @@ def write_fit(
     ]
     sections = [
         Section("Values", rows, ("key", "value", "standard error", "range", "bound"),
-                note=f"{words}; {record['models']} finite element models",
+                note=f"{words}; {record['models']} finite element models; export with "
+                "--set fit.toml --set box.toml writes a netlist with these keys as parameters",
                 figures=fit_figures(f, Y, before, after)),
         Section("Resonances", resonances, ("measured in Hz", "at the scene's values", "fitted"),
                 note="peaks of the conductance, in their order"),

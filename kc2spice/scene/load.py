@@ -337,19 +337,23 @@ def override_texts(texts: Sequence[str]) -> list[str]:
     found: list[str] = []
     for text in texts:
         plain = "=" in text or not text.endswith(".toml")
-        found += (
-            [text] if plain else [f"{k}={json.dumps(v)}" for k, v in _flat(_open(text).parse())]
-        )
+        found += [text] if plain else [f"{k}={_toml(v)}" for k, v in _flat(_open(text).parse())]
     return found
 
 
 def _flat(table: Mapping[str, Any], above: str = "") -> Iterator[tuple[str, Any]]:
-    """Dotted keys and values of tables in tables."""
+    """Dotted keys and values of tables in tables; one whose own keys are dotted is a value."""
     for key, value in table.items():
-        if isinstance(value, Mapping):
+        if isinstance(value, Mapping) and not any(re.search(r"[.\[]", name) for name in value):
             yield from _flat(value, f"{above}{key}.")
         else:
             yield f"{above}{key}", value
+
+
+def _toml(value: Any) -> str:
+    if not isinstance(value, Mapping):
+        return json.dumps(value)
+    return "{" + ", ".join(f"{json.dumps(key)} = {_toml(v)}" for key, v in value.items()) + "}"
 
 
 def _override(text: str) -> tuple[str, Any]:

@@ -39,7 +39,8 @@ STEP = 1e-5  # of finite differences, in logarithms of values
 FAR = 0.5  # of |Y|, rms at the end: another resonance was matched, or another part measured
 APART = 2.0  # times the cost of the best end: another minimum
 PROMINENT, ABOVE_NOISE = 0.005, 8.0  # of the largest conductance, of the noise: a resonance
-VALUES, PAGE = "fit.toml", "report.html"
+VALUES, BOX, PAGE = "fit.toml", "box.toml", "report.html"
+LIKELY, NARROWEST = 2.0, 1.1e-3  # standard errors of a key's range in a netlist, its relative half
 Box = dict[str, Axis]
 
 
@@ -70,8 +71,9 @@ def fit(
     """Vary keys of a body until its admittance is the measured one.
 
     ``vary`` are keys below the part, with ``=low:high`` in SI or with a pair as its range; else
-    30 % about the scene's value, of losses ten times. Given ``out``, values (``fit.toml``) and a
-    page are written there.
+    30 % about the scene's value, of losses ten times. Given ``out``, values (``fit.toml``), their
+    ranges of two standard errors as parameters of the netlist (``box.toml``) and a page are written
+    there.
 
     Least squares of ``log(Y_model / Y)``, real and imaginary part over the noise of the data, over
     logarithms of the values within their ranges. The model is a :class:`Parametric` one of the
@@ -106,8 +108,14 @@ def fit(
     lines = [f'"{key}" = {value!r}' for key, value in record["values"].items()]
     with staged(Path(out)) as work:
         (work / VALUES).write_text("\n".join(lines) + "\n", encoding="utf-8")
+        (work / BOX).write_text(_box(part, record["parameters"]), encoding="utf-8")
         write_fit(work / PAGE, record, measured.f, body.Y, start, end.exact)
-    return {**record, "overrides": str(Path(out) / VALUES), "page": str(Path(out) / PAGE)}
+    return {
+        **record,
+        "overrides": str(Path(out) / VALUES),
+        "box": str(Path(out) / BOX),
+        "page": str(Path(out) / PAGE),
+    }
 
 
 def _varied(
@@ -453,6 +461,18 @@ def _more(solved: OptimizeResult) -> float:
 def _widest(keys: Sequence[Varied]) -> float:
     """The widest range in logarithms."""
     return max(abs(float(np.log(each.high / each.low))) for each in keys)
+
+
+def _box(part: str, parameters: Mapping[str, Mapping[str, Any]]) -> str:
+    """``rom.parameters`` of the part: every key within :data:`LIKELY` standard errors of its value
+    and within its range, so that draws in a simulator are draws of the calibrated part."""
+    found = []
+    for key, each in parameters.items():
+        half = max(LIKELY * each["sigma"], NARROWEST * abs(each["value"]))
+        low, high = sorted((each["low"], each["high"]))
+        ends = max(low, each["value"] - half), min(high, each["value"] + half)
+        found.append(f'"{key}" = [{ends[0]!r}, {ends[1]!r}]')
+    return f'"{part}.rom.parameters" = {{ {", ".join(found)} }}\n'
 
 
 def _at_bound(each: Varied, value: float) -> bool:

@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 
@@ -115,8 +116,14 @@ def test_the_command_writes_values_for_set_and_a_page(tmp_path, capsys, monkeypa
     assert found["overrides"] == "out/fit.toml"
     assert "measured" in (tmp_path / found["page"]).read_text()
     fitted = kc.load_scene(BUZZER, ["out/fit.toml"]).part("disc").keys.layers[0].thickness
-    assert fitted == found["parameters"]["layers[0].thickness"]["value"]
-    assert fitted == pytest.approx(0.105e-3, rel=3e-3)
+    value, sigma = (found["parameters"]["layers[0].thickness"][key] for key in ("value", "sigma"))
+    assert fitted == value == pytest.approx(0.105e-3, rel=3e-3)
+    library = kc.deck(kc.load_scene(BUZZER, ["out/fit.toml", "out/box.toml"])).parts[0].text
+    default, low, high = re.search(r"@param layers_0_thickness=(\S+) .*range=(\S+)\.\.(\S+) ",
+                                   library).groups()  # fmt: skip
+    half = max(2 * sigma, 1.1e-3 * value)
+    ends = [float(low), float(default), float(high)]
+    assert ends == pytest.approx([value - half, value, value + half], rel=1e-5)
 
 
 @pytest.mark.parametrize(
