@@ -41,6 +41,8 @@ UNITS = {
     "launch_velocity_m_s": ("launch speed", 1.0, "m/s"),
     "sub_impacts": ("contacts in one blow", 1.0, ""),
     "antiresonance_hz": ("antiresonance", 1e3, "kHz"),
+    "gap_stiffness_n_m": ("stiffness of the film", 1e3, "N/mm"),
+    "gap_damping_n_s_m": ("damping of the film", 1e-3, "mN s/m"),
 }
 SUFFIXES = {"_m_s": "m/s", "_m": "m", "_n": "N", "_s": "s", "_v": "V", "_a": "A", "_siemens": "S"}
 PREFIXES = ((1e3, "k"), (1.0, ""), (1e-3, "m"), (1e-6, "µ"), (1e-9, "n"))

@@ -158,6 +158,8 @@ class Source(PartType):
         kind, ends = KINDS[part.keys.kind], [build.net(part, pin) for pin in ("out", "ret")]
         if kind.letter == "I":  # what leaves the source at "out" flows from "ret" through it
             ends.reverse()
+        if _returns(part, build.scene):
+            return tuple(_returning(part, build, kind, ends))
         text = part.keys.waveform(build.scene.home).spice(kind.scale)
         size = kind.scale * quantity(part.keys.ac, kind.unit)
         ac = f" AC {number(size)}" if size else ""
@@ -168,7 +170,13 @@ class Source(PartType):
 
     def settable(self, part: Part, build: Build) -> Mapping[str, Swept]:
         kind = KINDS[part.keys.kind]
+        if _returns(part, build.scene):
+            return {"dc": Swept(f"V{build.own(part, part.name, 'swept')}", kind.scale)}
         return {"dc": Swept(f"{kind.letter}{part.name}", kind.scale)}
+
+    def own_names(self, part: Part, scene: Scene) -> Iterator[tuple[str, ...]]:
+        if _returns(part, scene):
+            yield from ((part.name, "swept"), (part.name, "folded"))
 
     def vectors(self, part: Part, build: Build) -> Mapping[str, Vector]:
         n, kind, found = part.name, KINDS[part.keys.kind], {}
@@ -223,6 +231,27 @@ class Source(PartType):
 
     def detail(self, part: Part, scene: Scene) -> str:
         return f"{part.keys.kind}, {part.keys.shape}"
+
+
+def _returns(part: Part, scene: Scene) -> bool:
+    """Whether a dc sweep moves it to the end and back."""
+    chosen = scene.analysis
+    return chosen.type == "dc" and chosen.back and chosen.sweep == f"{part.name}.dc"
+
+
+def _returning(part: Part, build: Build, kind: Kind, ends: list[str]) -> Iterator[str]:
+    """What the simulator sweeps is a voltage that goes on growing; the source has its mirror image
+    beyond ``to``, so that all is one sweep and each point begins at the one before."""
+    chosen = build.scene.analysis
+    first, last = (kind.scale * quantity(v, kind.unit) for v in (chosen.from_, chosen.to))
+    swept, folded = (build.own(part, part.name, word) for word in ("swept", "folded"))
+    value = f"{number(last)}{'-' if first < last else '+'}abs(V({swept})-({number(last)}))"
+    yield f"V{swept} {swept} 0 {number(first)}"
+    if kind.letter == "I":
+        yield f"BI{part.name} {' '.join(ends)} I={{{value}}}"
+    else:
+        yield f"B{folded} {folded} {ends[1]} V={{{value}}}"
+        yield f"V{part.name} {ends[0]} {folded} 0"
 
 
 def drive_scales(name: str, wave: Waveform) -> Iterator[Numerics]:

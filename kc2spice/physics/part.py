@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -49,29 +48,33 @@ class DeclaredPart(PartType):
 
     # --- pins and netlist -------------------------------------------------------------------
 
-    @cached_property
-    def _pins(self) -> tuple[Pin, ...]:
+    def declared(self, part: Part, scene: Scene) -> Declaration:
+        """The physics of a part; that of its type, unless its keys say how many branches it has."""
+        return self.declaration
+
+    def _pins(self, part: Part, scene: Scene) -> tuple[Pin, ...]:
         found: dict[str, Pin] = {}
-        for b in self.declaration.branches:
+        for b in self.declared(part, scene).branches:
             for pin in (b.plus, b.minus):
                 found.setdefault(checked(pin), Pin(pin, *_NODE[b.kind]))
         return tuple(found.values())
 
     def pins(self, part: Part, scene: Scene) -> tuple[Terminal, ...]:
-        plus = {b.plus for b in self.declaration.branches}
+        plus = {b.plus for b in self.declared(part, scene).branches}
         return tuple(
             Terminal(p.name, p.unit, p.flow, required=True)
             if p.name in plus or scene.named(part.name, p.name)
             else Terminal(p.name, p.unit, p.flow, "gnd")
-            for p in self._pins
+            for p in self._pins(part, scene)
         )
 
     def at_rest(self, part: Part, scene: Scene, model: Any | None = None) -> Rest:
         """Holds displacements with a stiffness at rest."""
-        values = self.declaration.values(part.keys)
-        moved = [b for b in self.declaration.branches if b.kind == "displacement"]
-        slopes = [derivative(self.declaration.direct(b), b.name) for b in moved]
-        stiff = [float(evaluated(self.declaration.at_rest(slope), values)) for slope in slopes]
+        d = self.declared(part, scene)
+        values = d.values(part.keys)
+        moved = [b for b in d.branches if b.kind == "displacement"]
+        slopes = [derivative(d.direct(b), b.name) for b in moved]
+        stiff = [float(evaluated(d.at_rest(slope), values)) for slope in slopes]
         pairs = ((b.plus, b.minus) for b, found in zip(moved, stiff, strict=True) if found)
         return Rest(tuple(pairs))
 
@@ -88,23 +91,24 @@ class DeclaredPart(PartType):
     def subcircuits(self, part: Part, build: Build, header: Header) -> tuple[Any, ...]:
         from kc2spice.spice.header import parameter_list, part_header  # loads scipy
 
-        d, name, params = self.declaration, build.libraries[part.name], self._parameters(part)
+        d, pins = self.declared(part, build.scene), self._pins(part, build.scene)
+        name, params = build.libraries[part.name], self._parameters(part)
         head = part_header(
             header,
             f"{name}: {d.title}",
-            self._pins,
+            pins,
             params,
             rating=d.rating,
             validity=d.validity,
             sign=_SIGN,
         )
-        pins = " ".join(pin.name for pin in self._pins)
-        cards = f".subckt {name} {pins} {parameter_list(params)}\n{body(d)}.ends {name}\n"
-        return (Subcircuit(name, self._pins, params, head + cards),)
+        named = " ".join(pin.name for pin in pins)
+        cards = f".subckt {name} {named} {parameter_list(params)}\n{body(d)}.ends {name}\n"
+        return (Subcircuit(name, pins, params, head + cards),)
 
     def numerics(self, part: Part, scene: Scene) -> Iterator[Numerics]:
         """Where a sweep begins each point at the one before, Newton's method stops at once."""
-        if scene.analysis.type in ("dc", "op") and not self.declaration.linear:
+        if scene.analysis.type in ("dc", "op") and not self.declared(part, scene).linear:
             change = "1e-6", "change at which Newton's method stops: nonlinear parts"
             yield Numerics(part.name, options={"reltol": change})
 
@@ -112,7 +116,7 @@ class DeclaredPart(PartType):
 
     def vectors(self, part: Part, build: Build) -> Mapping[str, Vector]:
         found = {}
-        for b in self.declaration.branches:
+        for b in self.declared(part, build.scene).branches:
             unit, flow = _NODE[b.kind]
             across = across_pins(build, part, b)
             if b.kind == "displacement":
@@ -129,7 +133,7 @@ class DeclaredPart(PartType):
         return found
 
     def current(self, part: Part, pin: str, build: Build) -> Vector | None:
-        found = [b for b in self.declaration.branches if pin in (b.plus, b.minus)]
+        found = [b for b in self.declared(part, build.scene).branches if pin in (b.plus, b.minus)]
         if len(found) != 1 or found[0].kind == "displacement":
             return None
         vector = self.vectors(part, build)[f"{part.name}.{found[0].through}"]
@@ -138,29 +142,29 @@ class DeclaredPart(PartType):
 
     def force_on(self, part: Part, pin: str, build: Build, waves: Waveforms) -> np.ndarray | None:
         total = None
-        for b in self.declaration.branches:
+        for b in self.declared(part, build.scene).branches:
             wave = waves.data.get(f"{part.name}.{b.through}")
             if b.kind == "displacement" and pin in (b.plus, b.minus) and wave is not None:
                 total = (0.0 if total is None else total) + (-wave if pin == b.plus else wave)
         return total
 
     def law(self, part: Part, build: Build) -> laws.Equations:
-        n, d = part.name, self.declaration
+        n, d = part.name, self.declared(part, build.scene)
         results = {}
         for b in d.branches:
             across = "v" if b.kind == "current" else b.name
             results[f"{n}.{across}"] = laws.difference(f"{n}.{b.plus}", f"{n}.{b.minus}")
             results[f"{n}.{b.through}"] = laws.reading(f"{n}.{b.plus}.through")
         law = DeclaredLaw(n, d, tuple(d.values(part.keys).values()))
-        pins = tuple((pin.name, f"{n}.{pin.name}") for pin in self._pins)
+        pins = tuple((pin.name, f"{n}.{pin.name}") for pin in self._pins(part, build.scene))
         return laws.Equations((law,), pins, results)
 
     # --- what a run says --------------------------------------------------------------------
 
     def checks(self, part: Part, build: Build, waves: Waveforms) -> Iterator[Check | Balance]:
         """Its limits, strikes, and what pins bring in against what is stored and lost."""
-        d = self.declaration
-        known = {} if "frequency" in waves else self._seen(part, waves)
+        d = self.declared(part, build.scene)
+        known = {} if "frequency" in waves else self._seen(part, build, waves)
         for what, tree in d.bounds.items():
             if names(tree) - set(d.parameters) <= set(known):
                 value = float(np.min(evaluated(tree, d.values(part.keys) | known)))
@@ -180,18 +184,19 @@ class DeclaredPart(PartType):
                 strikes = float(np.count_nonzero(met[1:] & ~met[:-1]))
                 yield Check(f"strikes of {part.name}", strikes, STRIKES, "", REBOUND, "warn")
 
-    def _seen(self, part: Part, waves: Waveforms) -> dict[str, np.ndarray]:
+    def _seen(self, part: Part, build: Build, waves: Waveforms) -> dict[str, np.ndarray]:
         """Coordinates over time, as far as the run has them."""
-        found = {b.name: waves.data.get(f"{part.name}.{b.name}") for b in self.declaration.branches}
+        names = self.declared(part, build.scene).coordinates
+        found = {name: waves.data.get(f"{part.name}.{name}") for name in names}
         return {name: wave for name, wave in found.items() if wave is not None}
 
     # --- what explain says ------------------------------------------------------------------
 
     def detail(self, part: Part, scene: Scene) -> str:
-        return "; ".join(self.declaration.equations)
+        return "; ".join(self.declared(part, scene).equations)
 
     def neglected(self, part: Part, scene: Scene) -> Iterator[Neglected]:
-        yield from (Neglected(*row) for row in self.declaration.neglected)
+        yield from (Neglected(*row) for row in self.declared(part, scene).neglected)
 
 
 def across_pins(build: Build, part: Part, branch: Branch) -> str:
@@ -221,7 +226,8 @@ def energies(
     for b in declaration.branches:  # a jump of a current is no jump of a charge
         through, over = seen[b.name], over_time(declaration.kept(b))
         if b in moved:
-            through, over = waves[f"{part.name}.{b.through}"], seen[b.name]
+            through = waves.data.get(f"{part.name}.{b.through}", np.zeros_like(time))
+            over = seen[b.name]
         brought = brought + running(through, over)
     missing = brought - heat - (stored - stored[0])
     turned = float(np.abs(np.diff(brought)).sum() + np.abs(heat[-1]))

@@ -93,10 +93,12 @@ def equilibrium(system: System, guess: np.ndarray | None = None) -> tuple[np.nda
     z[system.velocity] = 0.0
     if rest.h.size and guess is None:
         z = z + np.linalg.lstsq(rest.H, rest.h - rest.H @ z, rcond=None)[0]
-    friction = np.zeros((n, n))
+    friction, moved = np.zeros((n, n)), []
     for v in np.flatnonzero(system.velocity):  # the row of p' = speed v tells whose velocity it is
         p = int(np.flatnonzero((system.F[:, v] != 0.0) & _kinematic(system))[0])
         friction[v, p] = 1.0
+        moved.append((int(v), p))
+    forces, places = np.array(moved, dtype=int).reshape(-1, 2).T
     # A guess is mostly near: Newton's method alone first, the slow motion where that fails.
     pace, direct = (1e-6, 0) if guess is None else (1e13, _DIRECT)
     start = z
@@ -106,8 +108,11 @@ def equilibrium(system: System, guess: np.ndarray | None = None) -> tuple[np.nda
         interval = rest.interval(z)
         f, J = rest.equations(interval, z)
         step = _solve(rest, interval, z, f, J - friction / pace if pace < 1e13 else J)
-        z = z + step
         small = np.abs(step).max(initial=0.0) <= 1e-11 * (1e-3 + np.abs(z).max(initial=0.0))
+        if guess is not None and not small and count >= direct and f[forces] @ step[places] < 0.0:
+            pace *= 0.01  # past a fold a long step leads back, against its forces
+            continue
+        z = z + step
         if pace >= 1e13 and small and not np.any(interval.guards(0.0, z) < -1e-18):
             return _moving(system, z), interval.modes
         pace = min(10.0 * pace, 1e13)

@@ -75,6 +75,15 @@ def _analysis(scene: Scene) -> Iterator[UsageError]:
             expected='type = "dc", or no sweep',
             hint="kc2spice sweep SCENE --set KEY=FROM:TO:POINTS runs an analysis at each value",
         )
+    if chosen.back:
+        source = scene.parts.get((chosen.sweep or "").removesuffix(".dc"))
+        if chosen.type != "dc" or source is None or source.type.name != "source":
+            yield UsageError(
+                "only the dc value of a source returns",
+                where="analysis.back",
+                got=f"{chosen.type} of {chosen.sweep}",
+                expected='type = "dc" and sweep = "SOURCE.dc", or back = false',
+            )
     if chosen.type == "ac" and not chosen.start < (chosen.stop or 0.0):
         yield UsageError(
             "empty frequency range",

@@ -17,7 +17,7 @@ from kc2spice.scene.plan import MAX_STEP
 from kc2spice.scene.plausible import built, judged
 from kc2spice.scene.rest import free, unsettled
 from kc2spice.spice.header import Header, plan_lines
-from kc2spice.workflow.meters import powers, replaced, result_vectors, swept
+from kc2spice.workflow.meters import powers, replaced, result_vectors, sweep_values, swept
 from kc2spice.workflow.steps import largest_step
 
 HOLD = 1e30  # H: a constraint at rest, and above 1 uHz less than a millionth of 1 fg
@@ -202,9 +202,8 @@ def _command(build: Build) -> Command:
     if chosen.type == "op":
         return Command("op", ())
     _, _, found = swept(build)
-    assert found.range is not None
-    first, last = found.range
-    return dc(found.source, found.scale * first, found.scale * last, chosen.points)
+    values = sweep_values(build)
+    return dc(found.source, found.scale * values[0], found.scale * values[-1], values.size)
 
 
 def _initial(build: Build) -> dict[str, float]:

@@ -118,6 +118,15 @@ def swept(build: Build) -> tuple[Part, str, Swept]:
     return part, key, replace(found, range=found.range or _range(part, key, scene.analysis))
 
 
+def sweep_values(build: Build) -> np.ndarray:
+    """What a dc analysis steps through; beyond the last value of its range on the way back, where
+    the source has ``2 last - value``."""
+    first, last = swept(build)[2].range or (0.0, 0.0)
+    chosen, turns = build.scene.analysis, 2 if build.scene.analysis.back else 1
+    points = turns * (chosen.points - 1) + 1
+    return np.linspace(first, first + turns * (last - first), points)
+
+
 def _range(part: Part, key: str, chosen: object) -> tuple[float, float]:
     units = {each.name: each.unit for each in model_keys(type(part.keys))}
     unit = getattr(part.keys, "unit", None) or units.get(key) or ""

@@ -1,0 +1,255 @@
+"""A gap between faces of a body and a fixed electrode: pull-in, contact, release, squeezed film.
+
+The face is one port or a row of them, each a patch with its own displacement; x is how far a patch
+has come towards the electrode, ``d = gap - x`` what is left there. Of each patch of area A the
+coenergy is ``C v^2 / 2`` with ``C = permittivity eps0 A / d``; with ``fringing`` that of a strip of
+width w and thickness t instead, per length ``eps0 permittivity (w/d + 0.77 + 1.06 (w/d)^(1/4) +
+1.06 (t/d)^(1/2))`` (N. van der Meijs, J. T. Fokkema, Integration 2 (1984) 85). The stop is a spring
+beyond ``travel``.
+
+The film of gas is that of a rectangle vented on all sides (J. J. Blech, J. Lubr. Technol. 105
+(1983) 615). Its pressure is a series of ``sin(m pi x / l) sin(n pi y / w)``, m and n odd, and each
+term a damper c in series with the spring of the trapped gas k, moved by the patches' share of the
+term::
+
+    S = 4 l w / (pi^2 m n)     q^2 = pi^2 (m^2 / l^2 + n^2 / w^2)
+    c = 48 viscosity S^2 / (q^2 gap^3 l w)     k = 4 pressure S^2 / (gap l w)
+
+The largest ``branches`` of them have their spring, the dampers of all others are one. All dampers
+grow as ``(gap / mean d)^3`` when the gap closes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from functools import lru_cache
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from pydantic import Field
+
+from kc2spice.core.errors import UsageError
+from kc2spice.core.quantities import Count, Length, Pressure, Ratio, Section, Stiffness, si
+from kc2spice.core.units import EPSILON_0
+from kc2spice.core.waveforms import Waveforms
+from kc2spice.parts._linear_body import LinearBody
+from kc2spice.physics import Declaration, DeclaredPart, displacement, voltage
+from kc2spice.scene.model import Part, Scene, Terminal
+from kc2spice.scene.parttype import Build, Vector, register
+
+PATCH = "patch"  # begins the names of a body's ports that are one row of patches
+TERMS = 99  # odd m and n up to this; what is left out damps 1e-4 less
+
+
+class Fringing(Section):
+    """Of a strip over a plane."""
+
+    width: Length = Field(gt=0, description="of the strip")
+    thickness: Length = Field(gt=0, description="of the strip")
+
+
+class Film(Section):
+    """Gas between the faces, vented on all sides; the patches are strips across the length."""
+
+    length: Length = Field(gt=0, description="of the face, along the row of patches")
+    width: Length = Field(gt=0, description="of the face")
+    viscosity: Annotated[float, si("Pa s")] = Field(18.3e-6, gt=0, description="of the gas")
+    pressure: Pressure = Field(101325.0, gt=0, description="of the gas around")
+    branches: Count = Field(
+        3, ge=1, le=40, description="terms of the series that keep the spring of trapped gas"
+    )
+
+
+class GapKeys(Section):
+    """``a`` is a body with a row of patches, a port such as ``beam.tip``, or a list of ports."""
+
+    a: str | tuple[str, ...] = Field(description="body with patches, or its ports")
+    area: Annotated[float, si("m2")] = Field(gt=0, description="of the electrode, all patches")
+    gap: Length = Field(gt=0, description="at rest without voltage")
+    side: Literal["below", "above"] = Field("below", description="of the body, the electrode's")
+    permittivity: Ratio = Field(1.0, gt=0, description="relative, of what is in the gap")
+    travel: Length = Field(gt=0, description="of a patch to its stop, less than the gap")
+    stop: Stiffness = Field(1e6, gt=0, description="of the stop, all patches")
+    shares: tuple[float, ...] | None = Field(
+        None, description="parts of the area that the patches have; equal unless told"
+    )
+    fringing: Fringing | None = Field(None, description="field beside a strip")
+    film: Film | None = Field(None, description="squeezed gas; none unless told")
+
+
+class Gap(DeclaredPart):
+    """The part type; how many branches it has is up to its keys."""
+
+    def declared(self, part: Part, scene: Scene) -> Declaration:
+        return _declared(part.keys.model_dump_json(), len(_ports(part, scene)))
+
+    def pins(self, part: Part, scene: Scene) -> tuple[Terminal, ...]:
+        ends = {"minus": "gnd", "b": "gnd"}
+        return tuple(
+            Terminal(p.name, p.unit, p.flow, ends.get(p.name), required=p.name == "plus")
+            for p in self._pins(part, scene)
+        )
+
+    def default_joins(self, part: Part, scene: Scene) -> Mapping[str, str]:
+        return {f"p{k}": port for k, port in enumerate(_ports(part, scene), 1)}
+
+    def problems(self, part: Part, scene: Scene) -> Iterator[UsageError]:
+        keys, ports = part.keys, _ports(part, scene)
+        if not keys.travel < keys.gap:
+            got, expected = f"{keys.travel:g} m", f"less than the gap, {keys.gap:g} m"
+            yield part.wrong("travel", "the stop lies beyond the electrode", got, expected)
+        if keys.shares is not None and len(ports) != len(keys.shares):
+            got, expected = f"{len(keys.shares)} shares", f"{len(ports)}, as many as patches"
+            yield part.wrong("shares", "patches and shares of the area differ", got, expected)
+
+    def vectors(self, part: Part, build: Build) -> Mapping[str, Vector]:
+        """Without what nothing but rounding flows into: the films' own pins are joined nowhere."""
+        found = super().vectors(part, build)
+        return {name: row for name, row in found.items() if ".film_force" not in name}
+
+    def metrics(self, part: Part, build: Build, waves: Waveforms) -> Mapping[str, Any]:
+        """Voltage at which a patch first meets the stop, and at which the last one then leaves it,
+        each the mean of the two points around, and the largest travel; in ``ac`` the real part of
+        force over displacement, and the imaginary one over ``2 pi f``, at the last frequency."""
+        of = {word: [w for n, w in waves.data.items() if n.startswith(f"{part.name}.{word}")]
+              for word in ("x", "force")}  # fmt: skip
+        volts = waves.data.get(f"{part.name}.v")
+        if volts is None or not of["x"]:
+            return {}
+        if "frequency" in waves:
+            moved, force = np.mean(of["x"], axis=0)[-1], np.sum(of["force"], axis=0)[-1]
+            law = force / moved if moved else 0.0
+            omega = 2 * np.pi * waves["frequency"][-1].real
+            return {"gap_stiffness_n_m": law.real, "gap_damping_n_s_m": law.imag / omega}
+        stroke, size = np.max(of["x"], axis=0), np.abs(volts)
+        steps = np.flatnonzero(np.diff((stroke >= part.keys.travel).astype(int)))
+        ends = {"pull_in_v": steps[:1], "release_v": steps[1:][-1:]}
+        found = {
+            name: float(size[k[0]] + size[k[0] + 1]) / 2 if k.size else None
+            for name, k in ends.items()
+        }
+        return found | {"largest_travel_m": float(stroke.max())}
+
+
+def _ports(part: Part, scene: Scene) -> tuple[str, ...]:
+    """Ports of the body that its patches are, in their order."""
+    given = part.keys.a
+    if not isinstance(given, str):
+        return tuple(given)
+    if "." in given:
+        return (given,)
+    body = scene.part(given, f"{part.name}.a")
+    offered = body.type.ports(body, scene) if isinstance(body.type, LinearBody) else ()
+    row = [port.name for port in offered if port.name.startswith(PATCH)]
+    if not row:
+        problem, hint = f"{given} has no patches", "patches = 10, or name its ports"
+        raise part.wrong("a", problem, repr(given), "a body with patches, or ports", hint)
+    return tuple(f"{given}.{port}" for port in row)
+
+
+@lru_cache(maxsize=32)
+def _declared(text: str, count: int) -> Declaration:
+    """The physics of a gap with so many patches."""
+    keys = GapKeys.model_validate_json(text)
+    shares = keys.shares or (1 / count,) * count
+    numbers: dict[str, float | str] = {"eps0": EPSILON_0}
+    numbers |= {f"share{k}": share for k, share in enumerate(shares, 1)}
+    patches = range(1, count + 1)
+    ends = [("b", f"p{k}") if keys.side == "below" else (f"p{k}", "b") for k in patches]
+    branches = [voltage("v", "plus", "minus")]
+    branches += [displacement(f"x{k}", *ends[k - 1], f"force{k}") for k in patches]
+    # Of the gap, 1 at rest: ngspice adds 1e-32 to what it divides by.
+    left = {k: f"(1 - x{k}/gap)" for k in patches}
+    each = {k: f"share{k}*area/gap/{left[k]}" for k in patches}
+    if keys.fringing is not None:
+        numbers |= {"width": keys.fringing.width, "thickness": keys.fringing.thickness}
+        for k, d in left.items():
+            root = f"1.06*sqrt(sqrt(width/gap/{d})) + 1.06*sqrt(thickness/gap/{d})"
+            each[k] = f"share{k}*area/width*(width/gap/{d} + 0.77 + {root})"
+    energy = [f"0.5*share{k}*stop*max(0, x{k} - travel)^2" for k in patches]
+    content = []
+    if keys.film is not None:
+        mean = f"({'+'.join(f'share{k}*{left[k]}' for k in patches)})"
+        terms, rest = _film(keys.film, count)
+        for n, (damper, spring, parts) in enumerate(terms, 1):
+            numbers |= {f"c{n}": f"{damper!r}/gap^3", f"k{n}": f"{spring!r}/gap"}
+            branches.append(displacement(f"y{n}", f"film{n}", "b", f"film_force{n}"))
+            moved = "+".join(f"{share:.17g}*x{k}" for k, share in enumerate(parts, 1))
+            energy.append(f"0.5*k{n}*({moved} - y{n})^2")
+            content.append(f"0.5*c{n}/{mean}^3*y{n}_rate^2")
+        numbers |= {"rest": f"{rest!r}/gap^3"}
+        content += [f"0.5*rest*share{k}/{left[k]}^3*x{k}_rate^2" for k in patches]
+    constants = {name: str(value) for name, value in numbers.items()}
+    return Declaration(
+        "gap",
+        "gap between faces of a body and an electrode: pull-in, contact, squeezed film",
+        GapKeys,
+        tuple(branches),
+        constants=constants,
+        energy=" + ".join(energy),
+        coenergy=f"0.5*eps0*permittivity*v^2*({' + '.join(each.values())})",
+        content=" + ".join(content) or "0",
+        limits={f"what is left of the gap at patch {k}": f"gap - x{k}" for k in patches},
+        neglected=tuple(_neglected(keys)),
+        rating="not known; compare v / gap with the breakdown of what is in the gap",
+        example=EXAMPLE,
+    )
+
+
+def _neglected(keys: GapKeys) -> Iterator[tuple[str, str, str]]:
+    if keys.fringing is None:
+        yield "fringing field", "no key fringing", "of the order of gap / width"
+    if keys.film is None:
+        yield "squeezed gas", "no key film", "not estimated"
+    else:
+        what = "pressure that is odd along the face, rarefaction, inertia of the gas"
+        yield what, "Blech's series of a face that moves alike on both sides", "not estimated"
+        what = "a spring of the gas that stiffens as the gap closes"
+        yield what, "it is that at rest", "of the order of gap / what is left"
+    yield "tilt within a patch", "one displacement each", "more patches show it"
+    yield "rebound losses of the stop", "it is elastic", "not estimated"
+
+
+def _film(film: Film, count: int) -> tuple[list[tuple[float, float, np.ndarray]], float]:
+    """Terms (damper times gap^3, spring times gap, part of each patch in its motion) that keep
+    their spring, the largest dampers first, and the dampers of all others times gap^3."""
+    area, odd = film.length * film.width, np.arange(1, TERMS + 1, 2)
+    m, n = (a.ravel() for a in np.meshgrid(odd, odd))
+    S = 4 * area / (np.pi**2 * m * n)
+    q = np.pi**2 * (m**2 / film.length**2 + n**2 / film.width**2)
+    dampers, springs = 48 * film.viscosity * S**2 / (q * area), 4 * film.pressure * S**2 / area
+    order = np.argsort(-dampers)
+    edges = np.linspace(0, 1, count + 1)
+    kept = order[: film.branches]
+    found = []
+    for k in kept:
+        parts = -np.diff(np.cos(m[k] * np.pi * edges)) / 2
+        found.append((float(dampers[k]), float(springs[k]), parts))
+    return found, float(dampers.sum() - dampers[kept].sum())
+
+
+EXAMPLE = """
+[gap]
+part = "gap"
+a = "mass.a"
+area = "0.01 mm2"
+gap = "2 um"
+travel = "1.5 um"
+side = "above"
+pins = { plus = "drive.out" }
+
+[mass]
+part = "mass"
+mass = "1 ug"
+pins = { a = "spring.a" }
+
+[spring]
+part = "spring"
+stiffness = "1 N/m"
+
+[drive]
+part = "source"
+dc = "3 V"
+"""
+_USUAL = GapKeys(a="mass.a", area=1e-8, gap=2e-6, travel=1.5e-6, side="above")
+register(Gap(_declared(_USUAL.model_dump_json(), 1)))
