@@ -4,34 +4,18 @@ from __future__ import annotations
 
 import json
 import math
-import os
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
+from commands import python
 
+from kc2spice.core.errors import UsageError
 from laboratory.__main__ import PARTS
+from laboratory.__main__ import bench as bench_of
 
 pytestmark = [pytest.mark.slow, pytest.mark.campaign]  # other programs, every scene
 
-ENVIRONMENT = {
-    **os.environ,
-    "PYTHONPATH": os.pathsep.join(
-        [
-            str(Path(__file__).parent),
-            str(Path(__file__).parents[2]),
-            os.environ.get("PYTHONPATH", ""),
-        ]
-    ),
-}
-
-
-def run(*words):
-    """What a user's ``python -m`` gives."""
-    return subprocess.run(
-        [sys.executable, "-m", *words], capture_output=True, text=True, env=ENVIRONMENT, check=False
-    )
+HERE = [Path(__file__).parent]
 
 
 RATIOS = {
@@ -47,8 +31,7 @@ PLANES = {"loop", "impact", "imprint", "harmonic", "em", "dense", "writers"}
 @pytest.fixture(scope="module")
 def bench(tmp_path_factory):
     out = tmp_path_factory.mktemp("bench")
-    done = run("laboratory", "--quick", "--repeats", "1", "--out", str(out))
-    assert done.returncode == 0, done.stderr
+    python(out, "-m", "laboratory", "--quick", "--repeats", "1", "--out", str(out), path=HERE)
     return json.loads((out / "bench.json").read_text()), out
 
 
@@ -99,15 +82,15 @@ def test_methods_that_must_agree_do(bench):
     assert impact["full model, low rank"]["error"] == impact["full model, refactorising"]["error"]
 
 
-def test_the_table_of_sizes_is_made_by_the_documented_command():
-    done = run("laboratory.reduction_scaling", "--sizes", "300", "900")
-    assert done.returncode == 0, done.stderr
-    rows = [line.split("|") for line in done.stdout.splitlines() if "| plate |" in line]
+def test_the_table_of_sizes_is_made_by_the_documented_command(tmp_path):
+    words = ("-m", "laboratory.reduction_scaling", "--sizes", "300", "900")
+    said = python(tmp_path, *words, path=HERE)
+    rows = [line.split("|") for line in said.splitlines() if "| plate |" in line]
     assert [int(row[2]) for row in rows] == [300, 867]
 
 
 def test_parts_can_be_chosen_and_wrong_ones_are_named(tmp_path):
-    done = run("laboratory", "--part", "loops", "--out", str(tmp_path / "out"))
-    assert done.returncode == 2
-    assert all(part in done.stderr for part in ("--part", "loops", *PARTS))
+    with pytest.raises(UsageError) as caught:
+        bench_of(tmp_path / "out", ["loops"], quick=True, repeats=1)
+    assert all(part in str(caught.value) for part in ("--part", "loops", *PARTS))
     assert not (tmp_path / "out").exists()

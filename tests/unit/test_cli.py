@@ -42,14 +42,9 @@ def study(monkeypatch):
             "files": ["result.json"],
         }
 
-    def export(scene, out, dialect, progress, *, trust, count=None):
-        fake.calls.append((scene, out, dialect))
-        return [out / "kick.lib"]
-
-    fake.run, fake.export = run, export
-    for module in ("run", "export"):
-        monkeypatch.setitem(sys.modules, f"kc2spice.workflow.{module}", fake)
-        monkeypatch.setattr(f"kc2spice.workflow.{module}", fake, raising=False)
+    fake.run = run
+    monkeypatch.setitem(sys.modules, "kc2spice.workflow.run", fake)
+    monkeypatch.setattr("kc2spice.workflow.run", fake, raising=False)
     return fake
 
 
@@ -101,23 +96,6 @@ def test_run_prints_tables(cli, study, tmp_path):
                  "compliance at 1e+06 Hz", "0.11 off, above the band"):  # fmt: skip
         assert word in done.stdout
     assert "mesh: building" in done.stderr
-
-
-def test_run_json_has_one_object_on_stdout(cli, study, tmp_path):
-    done = cli("run", "kick_and_catch", "-o", "there", "--json")
-    found = json.loads(done.stdout)
-    assert found["metrics"]["caught"] is True
-    assert found["directory"] == str(tmp_path / "there")
-    assert "mesh: building" in done.stderr
-    assert str(study.calls[0][1]) == "there"
-
-
-def test_export(cli, study, tmp_path):
-    done = cli("export", "kick_and_catch", "-o", "x", "--tolerance", "1e-5", "--json")
-    scene, _, dialect = study.calls[0]
-    assert (scene.rom.order, scene.rom.tolerance, dialect) == (None, 1e-5, "ngspice")
-    found = {"scene": "kick_and_catch", "directory": str(tmp_path / "x"), "files": ["kick.lib"]}
-    assert json.loads(done.stdout) == found
 
 
 @pytest.mark.parametrize(
