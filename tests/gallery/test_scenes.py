@@ -1,32 +1,19 @@
 """Every shipped scene from the command line to its files, as a user runs it."""
 
 import json
-import os
 import re
 import subprocess
-import sys
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
+from commands import asked
 
-from kc2spice.cli.main import app
 from kc2spice.scene.load import gallery
 
 CONTRACT = {
     "scene", "version", "netlist", "simulator", "model", "steps", "metrics", "wall_s", "files",
 }  # fmt: skip
 STAGES = {"mesh", "assemble", "reduce", "magnetics", "export", "simulate", "report"}
-
-
-def kc2spice(*arguments, expect=0):
-    run = subprocess.run(
-        [sys.executable, "-m", "kc2spice", *arguments],
-        capture_output=True, text=True, check=False, env={**os.environ, "OMP_NUM_THREADS": "1"},
-    )  # fmt: skip
-    assert run.returncode == expect, run.stderr
-    assert "Traceback" not in run.stderr
-    return run
 
 
 @pytest.fixture(scope="module")
@@ -37,9 +24,7 @@ def results(tmp_path_factory):
     def result(name):
         if name not in found:
             out = tmp_path_factory.mktemp(name)
-            done = CliRunner().invoke(app, ["run", name, "-o", str(out), "--json"])
-            assert done.exit_code == 0, done.output
-            found[name] = json.loads(done.stdout), out
+            found[name] = asked("run", name, "-o", out, "--json"), out
         return found[name]
 
     return result
@@ -102,8 +87,8 @@ def test_emitted_deck_runs_as_it_stands(results, tmp_path):
 
 def test_changed_gain_takes_the_models_from_the_cache(results, tmp_path):
     results("kick_and_catch")
-    arguments = ("--set", "control.kp=4.5e4", "-o", str(tmp_path), "--json")
-    result = json.loads(kc2spice("run", "kick_and_catch", *arguments).stdout)
+    more = ("--set", "control.kp=4.5e4", "-o", tmp_path, "--json")
+    result = asked("run", "kick_and_catch", *more)
     spent = result["wall_s"]
     assert [spent[k] for k in ("mesh", "assemble", "reduce", "magnetics")] == [0, 0, 0, 0]
     assert result["metrics"]["caught"] is True
@@ -113,8 +98,8 @@ def test_imprint_is_verified_three_ways_and_a_missed_gate_is_exit_code_4(tmp_pat
     """On a third of the layers; one gate is below rounding, where no solution path can meet it."""
     words = ("kick.layers=12", "imprint.steps=60", "gates.imprint_ngspice=1e-15")
     changes = [part for word in words for part in ("--set", word)]
-    done = kc2spice("verify", "imprint", "-o", str(tmp_path), "--json", *changes, expect=4)
-    found = json.loads(done.stdout)
+    asked("verify", "imprint", "-o", tmp_path, "-q", *changes, code=4)
+    found = json.loads((tmp_path / "verify.json").read_text())["scenes"]["imprint"]
     assert found["passed"] is False
     missed = {check["name"] for check in found["checks"] if not check["passed"]}
     assert missed == {"static force, ngspice to ROM", "static force, ngspice to full model"}
@@ -126,4 +111,4 @@ def test_imprint_is_verified_three_ways_and_a_missed_gate_is_exit_code_4(tmp_pat
 @pytest.mark.slow
 @pytest.mark.parametrize("name", sorted(gallery()))
 def test_scene_meets_its_gates(name, tmp_path):
-    kc2spice("verify", name, "-o", str(tmp_path), "--json")  # exit code 4 where one is missed
+    asked("verify", name, "-o", tmp_path, "-q")  # exit code 4 where one is missed
