@@ -40,19 +40,10 @@ def show_result(result: Mapping[str, Any], directory: Path) -> None:
 
 def show_verdicts(found: Mapping[str, Mapping[str, Any]], directory: Path) -> None:
     """What ``verify`` found."""
+    from kc2spice.report.verify_page import verdict_sections
+
     for name, record in found.items():
-        rows = [
-            (
-                "ok" if check["passed"] else "MISSED",
-                check["name"],
-                "-" if check["value"] is None else f"{check['value']:.3g}",
-                f"{check['limit']:.3g}" + ("" if check["unit"] == "1" else f" {check['unit']}"),
-            )
-            for check in record["checks"]
-        ]
-        print_table(f"{name}: gates", rows, header=("", "check", "value", "limit"))
-        times = [(stage, f"{time:.3g} s") for stage, time in record["wall_s"].items()]
-        print_table(f"{name}: time", times, header=("stage", "wall time"))
+        show_sections(verdict_sections(name, record))
         for note in record["notes"]:
             print(f"  {note}")
     print(f"all of it, with errors and plots: {directory / 'verify.html'}")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +15,7 @@ from kc2spice.report.html import Section, write_page
 from kc2spice.report.words import fact, quantity
 from kc2spice.scene.judge import PAIRS, Check
 
-MET = {True: "met", False: "missed"}
+MET = {True: "ok", False: "MISSED"}
 MOST = 4  # panels of one figure
 FLOOR = 1e-17  # a difference of nothing, on a logarithmic axis
 
@@ -46,6 +46,13 @@ class Findings:
         """Whether every check is."""
         return all(check.passed for check in self.checks)
 
+    def record(self) -> dict[str, Any]:
+        """Of ``verify.json``."""
+        found = {key: value for key, value in vars(self).items() if key != "figures"}
+        checks = [check.record() for check in self.checks]
+        outputs = [asdict(output) for output in self.outputs]
+        return {"passed": self.passed, **found, "checks": checks, "outputs": outputs}
+
 
 def write_verify(path: Path, found: Mapping[str, Findings]) -> Path:
     """Write the page for the findings of each scene, by its name."""
@@ -60,40 +67,43 @@ def write_verify(path: Path, found: Mapping[str, Findings]) -> Path:
     head = ("scene", "gates", "reduced − full", "ngspice − reduced", "ngspice − full")
     sections = [Section("Summary", rows, head, "Errors are the largest relative ones.")]
     for scene, findings in found.items():
-        sections += _scene(scene, findings)
+        sections += [*verdict_sections(scene, findings.record()), *_details(scene, findings)]
     lead = "Full model, reduced model and ngspice on the emitted netlist, against each other."
     kept = [s for s in sections if s.rows or s.figures or s.note]
     return write_page(path, "Verification", lead, kept)
 
 
-def _scene(scene: str, findings: Findings) -> list[Section]:
+def verdict_sections(scene: str, record: Mapping[str, Any]) -> list[Section]:
+    """Gates and times of one scene's record, for the page and for the terminal."""
     checks = [
-        (c.name, _with_unit(c.value, c.unit), _with_unit(c.limit, c.unit), MET[c.passed])
-        for c in findings.checks
+        (MET[c["passed"]], c["name"], *(_with_unit(c[k], c["unit"]) for k in ("value", "limit")))
+        for c in record["checks"]
     ]
+    times = [(stage, quantity(time, "s", 3)) for stage, time in record["wall_s"].items()]
+    return [
+        Section(f"{scene}: gates", checks, ("", "check", "value", "limit")),
+        Section(f"{scene}: time", times, ("stage", "wall time")),
+    ]
+
+
+def _details(scene: str, findings: Findings) -> list[Section]:
     outputs = [
         (e.pair.replace("_vs_", " to "), e.output, f"{e.largest:.2g}", f"{e.rms:.2g}")
         for e in findings.outputs
     ]
     numbers = {k: v for k, v in findings.metrics.items() if not isinstance(v, Mapping)}
-    times = [(stage, quantity(time, "s", 3)) for stage, time in findings.wall_s.items()]
+    head = ("solutions", "output", "largest error", "rms error")
+    facts, notes = [fact(key, value) for key, value in numbers.items()], " ".join(findings.notes)
     return [
-        Section(f"{scene}: gates", checks, ("check", "value", "limit", "")),
-        Section(f"{scene}: time", times, ("stage", "wall time")),
-        Section(
-            f"{scene}: each output", outputs, ("solutions", "output", "largest error", "rms error")
-        ),
-        Section(
-            f"{scene}: results",
-            [fact(key, value) for key, value in numbers.items()],
-            note=" ".join(findings.notes),
-        ),
+        Section(f"{scene}: each output", outputs, head),
+        Section(f"{scene}: results", facts, note=notes),
         Section(f"{scene}: figures", figures=findings.figures),
     ]
 
 
-def _with_unit(value: float, unit: str) -> str:
-    return quantity(None if np.isnan(value) else value, "" if unit == "1" else unit, 3)
+def _with_unit(value: float | None, unit: str) -> str:
+    reached = None if value is None or np.isnan(value) else value
+    return quantity(reached, "" if unit == "1" else unit, 3)
 
 
 # --- figures: solutions over each other, and their differences ----------------------------------

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, cast
@@ -97,7 +97,7 @@ def verify(
                 result = _Verification(build, clock, Path(scratch), full, deck).findings()
             found[scene.name] = result
         write_verify(work / "verify.html", found)
-        records = {name: _record(each) for name, each in found.items()}
+        records = {name: each.record() for name, each in found.items()}
         passed = all(record["passed"] for record in records.values())
         write_record({"passed": passed, "scenes": records}, work, "verify.json")
     return cast(dict[str, dict[str, Any]], plain(records))
@@ -316,10 +316,3 @@ def _libraries(deck: Deck) -> tuple[Subcircuit, ...]:
     if deck.text is None:
         return deck.parts
     return tuple(part for name, text in deck.more.items() for part in subcircuits(text, name))
-
-
-def _record(found: Findings) -> dict[str, Any]:
-    record = {key: value for key, value in vars(found).items() if key != "figures"}
-    checks = [check.record() for check in found.checks]
-    outputs = [asdict(output) for output in found.outputs]
-    return {"passed": found.passed, **record, "checks": checks, "outputs": outputs}
