@@ -261,6 +261,13 @@ class LinearBody(Touching):
         keys = varied(part)
         middle = with_values(part, {each.key: each.axis.middle for each in keys})
         target, asked = self.reduction(part, scene), self.model_key(middle, scene)
+        if loss_tangent(part):
+            raise UsageError(
+                "a netlist with parameters has no loss of its dielectric",
+                where=f"{part.name}.damping.loss_tangent",
+                got=loss_tangent(part),
+                expected="0",
+            )
         if target.order is not None and "order" in target.model_fields_set and part.keys.rom.order:
             raise UsageError(
                 "a netlist with parameters has as many states as its tolerance takes",
@@ -306,7 +313,7 @@ class LinearBody(Touching):
             return self.varying(part, scene, clock).at({each.key: each.value for each in keys})
         # Asked here, as parts of the key: what runs within ``build`` is hashed with its modules.
         target, asked = self.reduction(part, scene), self.model_key(part, scene)
-        sure = asked.get("sure")
+        sure, tangent = asked.get("sure"), loss_tangent(part)
 
         def build() -> LinearModel:
             from kc2spice.rom.band import reach
@@ -326,10 +333,21 @@ class LinearBody(Touching):
                     chosen, order=order, tolerance=target.tolerance, band=band, norm=norm
                 )
             modal = modal_form(small)  # whose later use needs no eigenvalues
+            if modal is None and tangent:
+                raise UsageError(
+                    "a loss tangent needs a body of resonators",
+                    where=f"{part.name}.damping.loss_tangent",
+                    got="damping that couples its modes, or a motion that nothing holds",
+                    expected="ratio, quality or loss_factor",
+                )
             if modal is None:
                 return small
             if asked["massless"]:
                 modal = without_inertia(modal, target.tolerance)
+            if tangent:
+                from kc2spice.rom.dielectric import lossy
+
+                modal = lossy(modal, tangent)
             return replace(modal.linear(), name=small.name, facts=small.facts, band=small.band)
 
         model, _ = cached(
@@ -554,7 +572,9 @@ class LinearBody(Touching):
         joins += [(pin, f"{n}.{pin}") for port in ports for pin in port.terminals[1:]]
         return laws.Equations((law,), tuple(joins), _readings(part, model))
 
-    def full_model(self, part: Part, build: Build, clock: Any) -> LinearModel:
+    def full_model(self, part: Part, build: Build, clock: Any) -> LinearModel | None:
+        if loss_tangent(part):  # which the matrices of a full model cannot have
+            return None
         names = [port.name for port in build.model(part).ports]
         if keys := varied(part):  # on the mesh that all values of the box share
             middle = with_values(part, {each.key: each.axis.middle for each in keys})
@@ -581,7 +601,18 @@ class LinearBody(Touching):
             if self.declares:
                 why = "nothing joins them: a run leaves them out, an export keeps them"
             yield Neglected(what, why, "none")
+        if tangent := loss_tangent(part):
+            what = f"{part.name}: what a lossy dielectric changes of its stiffness"
+            why = "its loss acts on the clamped capacitance"
+            yield Neglected(
+                what, why, f"{tangent:g} of the energy of fields inside at open electrodes"
+            )
         yield from self.unfollowed(part, scene)
+
+
+def loss_tangent(part: Part) -> float:
+    """tan delta of the dielectric that a body's damping states."""
+    return float(getattr(getattr(part.keys, "damping", None), "loss_tangent", 0.0))
 
 
 def _require_ports(

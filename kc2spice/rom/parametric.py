@@ -361,7 +361,7 @@ def exponents_to(axes: int, degree: int) -> np.ndarray:
         for total in range(degree + 1)
         for chosen in combinations_with_replacement(range(axes), total)
     ]
-    return np.array(rows, dtype=int).reshape(-1, axes)
+    return np.array(rows, dtype=int).reshape(len(rows), axes)
 
 
 def polynomials(x: np.ndarray, exponents: np.ndarray) -> np.ndarray:

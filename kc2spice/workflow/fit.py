@@ -20,8 +20,9 @@ from kc2spice.core.errors import UsageError
 from kc2spice.core.files import staged
 from kc2spice.core.progress import Clock, Progress, silent
 from kc2spice.core.units import quantity
-from kc2spice.parts._linear_body import LinearBody
+from kc2spice.parts._linear_body import LinearBody, loss_tangent
 from kc2spice.report.fit_page import write_fit
+from kc2spice.rom.dielectric import permittivity
 from kc2spice.rom.linear import LinearModel
 from kc2spice.rom.parametric import Axis, Parametric, modal_transfer, parametric
 from kc2spice.scene.load import load_scene
@@ -39,6 +40,7 @@ STEP = 1e-5  # of finite differences, in logarithms of values
 FAR = 0.5  # of |Y|, rms at the end: another resonance was matched, or another part measured
 APART = 2.0  # times the cost of the best end: another minimum
 PROMINENT, ABOVE_NOISE = 0.005, 8.0  # of the largest conductance, of the noise: a resonance
+TANGENT = "damping.loss_tangent"  # which no finite element model has
 VALUES, BOX, PAGE = "fit.toml", "box.toml", "report.html"
 LIKELY, NARROWEST = 2.0, 1.1e-3  # standard errors of a key's range in a netlist, its relative half
 Box = dict[str, Axis]
@@ -237,17 +239,24 @@ class _Body:
 
     def exact(self, values: Mapping[str, float], moved: bool = False) -> np.ndarray:
         """Admittance (n,) [S] of the full model."""
+        model, f = self.full(values, moved), self.data.f
+        return self.lossy(modal_transfer(model, f)[:, 0, 0], float(model.D[0, 0]), values)
+
+    def lossy(self, charge: np.ndarray, clamped: float, values: Mapping[str, float]) -> np.ndarray:
+        """Admittance (n,) [S] of charges per volt, with the loss of the clamped capacitance."""
         f = self.data.f
-        return np.asarray(2j * np.pi * f * modal_transfer(self.full(values, moved), f)[:, 0, 0])
+        tangent = values.get(TANGENT, loss_tangent(self.scene.part(self.part)))
+        return np.asarray(2j * np.pi * f * (charge + clamped * (permittivity(f, tangent) - 1)))
 
     def response(self, made: Parametric, values: Mapping[str, float]) -> np.ndarray:
         """Admittance (n,) [S] of a reduced model."""
-        f = self.data.f
-        return np.asarray(2j * np.pi * f * made.transfer(values, f)[:, 0, 0])
+        clamped = float(made.at(values).D[0, 0])
+        return self.lossy(made.transfer(values, self.data.f)[:, 0, 0], clamped, values)
 
     def descent(self, box: Box, degree: int | None = None) -> _Descent:
         """Least squares of the reduced model of a box."""
-        made = parametric(self.full, list(box.values()), self.band, degree=degree, checks=0)
+        axes = [axis for name, axis in box.items() if name != TANGENT]
+        made = parametric(self.full, axes, self.band, degree=degree, checks=0)
         return _Descent(self, made, box)
 
 

@@ -1,0 +1,84 @@
+"""Loss of a dielectric: closed forms of a complex capacitance, passivity, ngspice, and its fit."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import kc2spice as kc
+from kc2spice.bodies.readers.measured import Measured
+from kc2spice.core.errors import UsageError
+from kc2spice.core.progress import Clock, silent
+from kc2spice.netlist.deck import ac
+from kc2spice.rom.dielectric import foster
+from kc2spice.workflow.models import build_models
+from kc2spice.workflow.reduce import first_deck
+
+BUZZER, TANGENT = "buzzer_7bb_20_3", 0.02
+
+
+def closed(f, tangent):
+    """Complex permittivity of constant phase, real part stated at 1 kHz without loss."""
+    m = 2 * np.arctan(tangent) / np.pi
+    return (f / 1e3) ** -m * np.exp(-0.5j * np.pi * m)
+
+
+@pytest.mark.parametrize("tangent", [0.001, 0.02, 0.3])
+@pytest.mark.parametrize("band", [(0.0, 500e3), (50.0, 90.0), (1e3, 1e6)])
+def test_relaxations_lose_the_same_share_at_all_frequencies(tangent, band):
+    a, rates, off = foster(tangent, band, 1e-3 * tangent)
+    f = np.geomspace(max(band[0], band[1] / 1e4), band[1], 997)
+    eps = a[0] + (a[1:] / (1 + 2j * np.pi * f[:, None] / rates)).sum(axis=1)
+    assert (a >= 0).all()
+    assert np.abs(eps / closed(f, tangent) - 1).max() <= 1.001 * off <= 0.02 * tangent
+    assert -eps.imag / eps.real == pytest.approx(np.full(997, tangent), rel=0.03)
+
+
+@pytest.fixture(scope="module")
+def models():
+    """The same body without and with the loss."""
+    scenes = [kc.load_scene(BUZZER, {"disc.damping.loss_tangent": t}) for t in (0.0, TANGENT)]
+    return [build_models(scene, Clock(silent)).models["disc"] for scene in scenes]
+
+
+def test_a_body_has_its_clamped_capacitance_complex(models):
+    """Against the lossless model and the closed form; what it takes is positive far beyond."""
+    plain, lossy = (model.select(["anode"]) for model in models)
+    f = np.linspace(lossy.certificate.band_hz[1] / 50, lossy.certificate.band_hz[1], 60)
+    wanted = plain.transfer(f)[:, 0, 0] + plain.D[0, 0] * (closed(f, TANGENT) - 1)
+    assert np.abs(lossy.transfer(f)[:, 0, 0] / wanted - 1).max() < 2e-3
+    assert "0.02 by" in lossy.certificate.method
+    assert lossy.certificate.error_estimate > plain.certificate.error_estimate
+    wide = np.geomspace(1e-2, 1e9, 500)
+    assert (lossy.transfer(wide)[:, 0, 0].imag <= 0).all()
+
+
+def test_ngspice_gives_what_the_lossy_model_says(models):
+    model = models[1].select(["anode"])
+    deck = first_deck(model, kc.subcircuit(model, "lossy"))
+    low, high = 1e3, model.certificate.band_hz[1]
+    waves = kc.simulate(replace(deck, command=ac(low, high, 50, "linear"))).waves
+    f = np.linspace(low, high, 50)
+    Y = 2j * np.pi * f * model.transfer(f)[:, 0, 0]
+    assert np.abs(waves["anode.current"] / Y - 1).max() < 1e-6
+
+
+def test_a_fit_tells_losses_of_the_dielectric_from_those_of_the_motion():
+    true = {"damping.quality": 60.0, "damping.loss_tangent": 0.031}
+    f, draw = np.linspace(2e3, 9e3, 150), np.random.default_rng(5).normal(size=(2, 150))
+    scene = kc.load_scene(BUZZER, {"disc.damping.quality": 60.0})
+    model = kc.build(scene)["disc"].select(["anode"])
+    charge = model.transfer(f)[:, 0, 0] + model.D[0, 0] * (closed(f, 0.031) - 1)
+    Y = 2j * np.pi * f * charge * (1 + 0.003 * (draw[0] + 1j * draw[1]))
+    start = kc.load_scene(BUZZER, {"disc.damping.loss_tangent": 0.01})
+    found = kc.fit(start, "disc", Measured("part", "part.csv", f, Y[:, None, None]), list(true))
+    for key, value in true.items():
+        row = found["parameters"][key]
+        assert abs(row["value"] - value) < 3 * row["sigma"] < 0.1 * value
+
+
+def test_what_has_no_loss_of_its_dielectric_says_so():
+    lossy = {"disc.damping.loss_tangent": 0.02}
+    box = {"disc.rom.parameters": {"damping.quality": [20.0, 90.0]}}
+    with pytest.raises(UsageError, match="no loss of its dielectric"):
+        build_models(kc.load_scene(BUZZER, lossy | box), Clock(silent))
