@@ -83,6 +83,7 @@ def reduce(
     order: int | None = None,
     band: tuple[float | str, float | str] | None = None,
     norm: Norm | None = None,
+    contact: bool = False,
 ) -> LinearModel:
     """Reduce a linear model to the smallest one within ``tolerance``, or to ``order`` states.
 
@@ -90,6 +91,7 @@ def reduce(
     to ``model``: the largest error of any transfer function over ``band``, two frequencies in Hz or
     as texts (``"20 kHz"``), relative at every frequency (``norm="pointwise"``) or to the entry's
     largest value in the band (``"peak"``, unless told for models whose ports are all signals).
+    ``contact`` keeps some of what a contact excites above the band, as models of scenes do.
     Without a band it is the model's own, else up to a little above the fifth natural frequency. An
     order of a symmetric definite model is the block Arnoldi reduction at s0 = 0 of Schütz, Maeter
     and Bechtold, Actuators 10 (2021) 279, section 2.3.
@@ -115,7 +117,9 @@ def reduce(
     if tolerance is not None:
         tolerance = quantity(tolerance, "", where="tolerance")
     norm = norm or reduction.default_norm(model)
-    return reduction.reduce(model, tolerance=tolerance, order=order, band=band, norm=norm)
+    return reduction.reduce(
+        model, tolerance=tolerance, order=order, band=band, norm=norm, contact=contact
+    )
 
 
 def deck(scene: AnyScene, *, trust: bool = False) -> Deck:

@@ -329,8 +329,14 @@ class LinearBody(Touching):
                 if sure is not None and band[1] > sure:
                     band = band[0], min(band[1], max(sure, reach(chosen.pencil, MOTIONS, band[1])))
                 norm = target.norm or default_norm(chosen)
+                # what a contact, a switch or a table excites above the band
                 small = reduce(
-                    chosen, order=order, tolerance=target.tolerance, band=band, norm=norm
+                    chosen,
+                    order=order,
+                    tolerance=target.tolerance,
+                    band=band,
+                    norm=norm,
+                    contact=True,
                 )
             modal = modal_form(small)  # whose later use needs no eigenvalues
             if modal is None and tangent:

@@ -2,12 +2,10 @@
 
 Over all frequencies by the Gramians of a stable model, or over a band by samples of its states and
 of those of its dual, weighted by the norm that the reduction is certified in: what is small in the
-response counts little relative to its peak, and as much as anything else pointwise. Samples whose
-error is largest are given more weight and the balancing is repeated, as a minimax fit asks.
+response counts little relative to its peak, and as much as anything else pointwise.
 
 Sources: square root method, Laub, Heath, Paige and Ward, IEEE Trans. Autom. Control 32 (1987) 115;
-balancing by quadrature, Gosea, Gugercin and Beattie, SIAM J. Sci. Comput. 44 (2022) A408; weights,
-Lawson 1961.
+balancing by quadrature, Gosea, Gugercin and Beattie, SIAM J. Sci. Comput. 44 (2022) A408.
 """
 
 from __future__ import annotations

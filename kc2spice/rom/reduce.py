@@ -33,6 +33,7 @@ from kc2spice.rom.linear import Certificate, LinearModel, Norm
 from kc2spice.rom.pencil import Pencil, eliminated, proportional
 from kc2spice.rom.response import (
     FLANK,
+    FLOOR,
     SHARPEST,
     Judge,
     Response,
@@ -66,6 +67,11 @@ TAIL_DECAY = 4  # power of the fall of the tail's weight: contact forces are smo
 # launch within 2.7e-4; with weights of at most 1e-2 21 states at 2e-7 are up to 9e-4 off.
 TAIL_WEIGHTS = 4e-3, 5e-2
 TAIL_PER_ROOT = 120.0  # per root of the tolerance, as errors go with its square
+NEARBY = 0.8  # of an order: where a smaller one may be as good
+# States up to which directions are turned to save some; how often; the directions that they are
+# taken from, beyond a third, and how good all of these must be; the least change of a weight; how
+# the tail fades.
+TIGHTENED, TRIALS, SPARE, SPARED, LEAST, FADING = 150, 12, 20, 0.5, 0.05, 0.5
 EXACT, CHECKS = 1e-10, 10  # error of a surrogate, and direct solutions that measure it
 
 
@@ -76,6 +82,7 @@ def reduce(
     order: int | None = None,
     band: tuple[float, float] | None = None,
     norm: Norm = "pointwise",
+    contact: bool = False,
 ) -> LinearModel:
     """The smallest model found within ``tolerance`` over ``band`` [Hz], or the one of ``order``.
 
@@ -83,6 +90,7 @@ def reduce(
     :class:`Certificate`. Models whose ports are signals are reduced by balanced truncation too, to
     first order, where that needs fewer states and no passive resonators are lost. An order of a
     symmetric positive definite model is the paper's reduction (2.3): block Arnoldi at s0 = 0.
+    Contact excites a body above any band: ``contact`` keeps some of it, a third more states.
     Without a band it is the model's own, else up to a little above the fifth natural frequency.
     Where rounding of the full model's entries moves its response by more than ``tolerance``, the
     certificate holds that too, and a warning says so.
@@ -124,7 +132,7 @@ def reduce(
             "frequency response says nothing of them; check signs and halves of the matrices",
             stacklevel=2,
         )
-    found = _reduced(model, pencil, band, tolerance, order, norm)
+    found = _reduced(model, pencil, band, tolerance, order, norm, contact)
     certificate = found.certificate
     assert certificate is not None
     both = (full.stable, certificate.stable)
@@ -145,6 +153,7 @@ def _reduced(
     tolerance: float | None,
     order: int | None,
     norm: Norm,
+    contact: bool,
 ) -> LinearModel:
     if order is not None and is_definite(pencil):
         return _krylov(model, pencil, band, order, norm)
@@ -159,7 +168,14 @@ def _reduced(
         within = within if within > 0.5 * tolerance else tolerance
         orders = [each.smallest(within) for each in found]
         best = int(np.argmin(orders))
-        chosen, least = _with_or_without_form(model, found[best], orders[best], within)
+        chosen, least = found[best], orders[best]
+        if default_norm(model) == "pointwise" and not contact:
+            chosen, least = tightened(chosen, least, within, _tail(model, tolerance))
+        chosen, least = _with_or_without_form(model, chosen, least, within)
+        if not contact and default_norm(model) == "peak" and chosen.pencil is found[best].pencil:
+            chosen, least = tightened(chosen, least, within, None)
+        if not contact:
+            least = chosen.nearby(least, within)
         if space.floor > tolerance:
             warnings.warn(
                 f"the full model itself is only good to {space.floor:.1e}: so far rounding of its "
@@ -207,6 +223,52 @@ def _with_or_without_form(
         return replace(free, origin=text), less
     text = f"{kept.states(order)} first-order states, {less} without keeping the form; "
     return replace(kept, origin=text), order
+
+
+def tightened(
+    found: Reduction, order: int, tolerance: float, tail: float | None
+) -> tuple[Reduction, int]:
+    """Other directions of which fewer than ``order`` meet the tolerance, as long as there are any.
+
+    Snapshots weigh more where the error of one state fewer is largest (Lawson's minimax fit), and
+    those of the ``tail`` above the band, which no certificate sees, less and less.
+    """
+    size, kept = min(found.size, max(3 * order, order + SPARE)), max(found.first, 1)
+    if order <= kept or order > TIGHTENED or found.error(size) > SPARED * tolerance:
+        return found, order
+    held = found.pencil.leading(size)
+    response = Response(held)
+    static = found.space.static and not held.free
+    inside, far = _snapshots(response, found.band, static, tail)
+    s = 2j * np.pi * np.r_[inside, far[0]]
+    H, count = found.whole.transfer(s), inside.size
+    floor = found.reference[1] * (1.0 if found.norm == "peak" else FLOOR)
+    base = np.maximum(np.abs(H[:count]), floor) + np.finfo(float).tiny
+    sides = [_weighted(response, s, np.ones(len(s)), H, found.norm)]
+    if not (held.symmetric and held.collocated):
+        dual = Response(held.transposed())
+        sides.append(_weighted(dual, s, np.ones(len(s)), H.swapaxes(1, 2), found.norm))
+    weight, share, best = np.ones(count), 1.0, found
+    for _ in range(TRIALS):
+        both = np.r_[weight, share * far[1]]
+        columns = np.hstack(
+            [side * np.tile(np.repeat(both, side.shape[1] // (2 * len(s))), 2) for side in sides]
+        )
+        V = block_diag(np.eye(found.first), _principal(columns[found.first :])[0])
+        trial = replace(found, pencil=replace(held.project(V), free=held.free))
+        trial.__dict__["_judge"] = found._judge  # the same exact model
+        while order > kept:
+            fewer = trial.pencil.leading(order - 1)
+            off = np.abs(Response(fewer).transfer(s[:count]) - H[:count]) / base
+            if off.max() > tolerance or trial.error(order - 1) > tolerance:
+                break
+            if trial.structure(order - 1).stable is False:
+                break
+            best, order = trial, order - 1
+        largest = off.max(axis=(1, 2))
+        weight = weight * np.sqrt(largest / largest.max() + LEAST)
+        weight, share = weight / weight.max(), FADING * share
+    return best, order
 
 
 def default_norm(model: LinearModel) -> Norm:
@@ -335,6 +397,16 @@ class Reduction:
             high -= 2
         return high
 
+    def nearby(self, order: int, tolerance: float) -> int:
+        """A smaller order that is as good: errors do not fall with every direction."""
+        keep = self.structure(order).stable is not False
+        below = range(max(self.first, 1, int(NEARBY * order)), order) if order <= TIGHTENED else ()
+        for fewer in below:
+            stable = not keep or self.structure(fewer).stable is not False
+            if stable and self.error(fewer) <= tolerance:
+                return fewer
+        return order
+
     def model(self, order: int) -> LinearModel:
         """The reduced model with its certificate."""
         found = self.structure(order)
@@ -444,8 +516,9 @@ def ordered(
         first = _range(np.linalg.solve(K[free:, free:], np.hstack(loads)))
     elif space.static and ((static and band[0] == 0) or conservative):
         first = _range(response.states(np.zeros(1))[0].real)
-    frequency, weight = _snapshots(response, band, static, conservative, tolerance)
-    s = 2j * np.pi * frequency
+    inside, far = _snapshots(response, band, static, _tail(model, tolerance))
+    weight = np.r_[np.ones(inside.size), far[1]]
+    s = 2j * np.pi * np.r_[inside, far[0]]
     H = whole.transfer(s)
     sets = [_weighted(response, s, weight, H, norm)]
     if two_sided:
@@ -477,25 +550,26 @@ def _energy_basis(pencil: Pencil, omega: float, *, static: bool) -> np.ndarray:
     return np.eye(pencil.size)  # no definite energy: the scaled unknowns must do
 
 
+def _tail(model: LinearModel, tolerance: float | None) -> float | None:
+    """Weight of what is above the band, where contact may act; a basis fitted to the band alone is
+    erratic there."""
+    if not any(p.kind in ("mechanical", "rotational") for p in model.ports):
+        return None
+    return float(np.clip(TAIL_PER_ROOT * np.sqrt(tolerance or 0.0), *TAIL_WEIGHTS))
+
+
 def _snapshots(
-    response: Response,
-    band: tuple[float, float],
-    static: bool,
-    conservative: bool,
-    tolerance: float | None,
-) -> tuple[np.ndarray, np.ndarray]:
-    """Frequencies [Hz] and their weights: the band, its resonances and, where contact may act, a
-    tail above the band; a basis fitted to the band alone is erratic there."""
+    response: Response, band: tuple[float, float], static: bool, tail: float | None
+) -> tuple[np.ndarray, tuple[np.ndarray, np.ndarray]]:
+    """Frequencies [Hz] of the band and its resonances; those of a tail above with their weights."""
     frequency = grid(band, FIT, static)
     at, ratio = response.within(band)
     frequency = np.union1d(frequency, around(at, ratio, np.array([0.0, 1.0])))
-    weight = np.ones(frequency.size)
-    if conservative:
-        share = np.clip(TAIL_PER_ROOT * np.sqrt(tolerance or 0.0), *TAIL_WEIGHTS)
-        tail = np.linspace(band[1], TAIL * band[1], TAIL_SAMPLES)
-        far = share * (band[1] / tail) ** TAIL_DECAY * np.sqrt(FIT / TAIL_SAMPLES)
-        frequency, weight = np.r_[frequency, tail], np.r_[weight, far]
-    return frequency, weight
+    if tail is None:
+        return frequency, (np.empty(0), np.empty(0))
+    far = np.linspace(band[1], TAIL * band[1], TAIL_SAMPLES)
+    weight = tail * (band[1] / far) ** TAIL_DECAY * np.sqrt(FIT / TAIL_SAMPLES)
+    return frequency, (far, weight)
 
 
 def _weighted(

@@ -10,6 +10,7 @@ from kc2spice.bodies.piezo_stack import stack_device
 from kc2spice.core.errors import UsageError
 from kc2spice.fem.piezo.keys import Chip
 from kc2spice.rom.reduce import reduce
+from kc2spice.rom.response import relative_error
 
 SMALL = {"sectors": 4, "rings": 2, "ring_spacing": 300e-6, "outer_rings": 2}
 
@@ -67,6 +68,19 @@ def test_facts_of_the_default_chip(default):
     assert facts["capacitance_clamped_f"] == pytest.approx(34.87e-9, rel=5e-4)
     assert facts["resonance_short_hz"] == pytest.approx(270.4e3, rel=5e-3)
     assert facts["resonance_open_hz"] == pytest.approx(365.7e3, rel=5e-3)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("tolerance", "states"), [(1e-5, 16), (2e-7, 20), (1e-10, 25)])
+def test_few_states_reach_the_tolerance(default, tolerance, states):
+    """Ten Krylov blocks equal the full model to 1e-12 up to 500 kHz."""
+    frequency = np.linspace(0, 500e3, 463)
+    exact = reduce(default, order=70, band=BAND).transfer(frequency)
+    rom = reduce(default, tolerance=tolerance, band=BAND)
+    error = relative_error(rom.transfer(frequency), exact)
+    assert rom.order <= states
+    assert error <= rom.certificate.error_estimate <= tolerance
+    assert rom.certificate.passive
 
 
 def test_unreachable_tolerance_is_refused():
