@@ -39,8 +39,8 @@ class Damping(Section):
         None, description="where the ratio holds; the first resonance unless told"
     )
     alpha: Rate = Field(0.0, ge=0, description="part proportional to mass")
-    loss_tangent: Ratio = Field(
-        0.0, ge=0, le=1, description="of the dielectric, tan delta, the same at all frequencies"
+    loss_tangent: Ratio | None = Field(
+        None, ge=0, le=1, description="of the dielectric, tan delta, the same at all frequencies"
     )
 
     @model_validator(mode="after")

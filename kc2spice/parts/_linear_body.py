@@ -618,7 +618,7 @@ class LinearBody(Touching):
 
 def loss_tangent(part: Part) -> float:
     """tan delta of the dielectric that a body's damping states."""
-    return float(getattr(getattr(part.keys, "damping", None), "loss_tangent", 0.0))
+    return float(getattr(getattr(part.keys, "damping", None), "loss_tangent", None) or 0.0)
 
 
 def _require_ports(
