@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import dataclasses
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -84,9 +83,3 @@ def bench(
     text += "\n".join(f".save {v}" for n, _ in vectors.values() for v in n.split("+")) + "\n.end\n"
     more = {p.filename: p.text for p in parts}
     return Deck(name="bench", text=text, more=more, vectors=vectors, stop=stop)
-
-
-def edited(deck: Deck, change: Callable[[str], str]) -> Deck:
-    """The same deck with every library changed."""
-    parts = tuple(dataclasses.replace(part, text=change(part.text)) for part in deck.parts)
-    return dataclasses.replace(deck, parts=parts)

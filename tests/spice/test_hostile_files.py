@@ -2,9 +2,6 @@
 
 import json
 import os
-import resource
-import subprocess
-import sys
 
 import pytest
 from hostile import meshes
@@ -125,15 +122,3 @@ def test_an_honest_mesh_is_read_in_every_format(name, home):
     model = api.build(str(home / "hostile.toml"))["bar"]
     expected = meshes.VOLUME * material("steel").density
     assert model.facts["mass_kg"] == pytest.approx(expected, rel=1e-9)
-
-
-def command(home, *words, limit=None, stdout=subprocess.PIPE):
-    def before():
-        if limit:
-            resource.setrlimit(resource.RLIMIT_AS, (limit, limit))
-
-    return subprocess.run(
-        [sys.executable, "-m", "kc2spice", *words], stdout=stdout, stderr=subprocess.PIPE,
-        text=True, check=False, cwd=home, preexec_fn=before,
-        env={**os.environ, "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"},
-    )  # fmt: skip

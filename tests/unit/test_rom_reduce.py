@@ -113,13 +113,3 @@ def test_what_the_form_proves():
         slow = np.diag([-1e6 * growth, 1.0, 1.0])
         assert of(1e12 * one, slow, one)[0] is stable
         assert of(np.diag([1.0, -2 * np.pi * growth / 2, 1.0]), one)[0] is stable
-
-
-# ----------------------------------------------------------------------------------- subspaces
-
-
-def loose(n):
-    """A chain without walls with a dashpot inside."""
-    links = np.eye(n - 1, n) - np.eye(n - 1, n, k=1)
-    dash = np.outer(links[n // 2], links[n // 2])
-    return LinearModel(M=np.eye(n), E=0.3 * dash, K=links.T @ links, B=np.eye(n)[:, [0]])

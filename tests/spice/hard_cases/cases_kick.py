@@ -19,8 +19,6 @@ from hard_cases.kit import (
 from scipy.linalg import expm
 
 from kc2spice.core.waveforms import Waveforms
-from kc2spice.parts._template import opamp_subcircuit, parameters
-from kc2spice.parts.driver_types import ChargeDrive, ChargeKeys
 from kc2spice.rom.linear import Port
 from kc2spice.spice.realize import subcircuit
 
@@ -95,25 +93,6 @@ Rcharge charge 0 1e12
     state = np.linalg.solve(a, (expm(a * (2e-6 - 0.5e-9)) - np.eye(2 * n)) @ push)
     charge = model.D[-1, -1] * 100.0 + model.gain[:, -1] @ state[:n]
     return relative(waves["q"][-1], charge)
-
-
-@case("charge drive with floating anode", "charge of the chip, relative", 5e-3)
-def charge_drive_on_a_floating_chip(bench):
-    """150 nF times the command's volts on the sense capacitor, the chip in between."""
-    model = chip(6)
-    driver = ChargeDrive().netlist(HEADER, "charge", parameters(ChargeKeys()))
-    parts = [opamp_subcircuit(HEADER, "slew"), driver,
-             subcircuit(model.linear(), "kick", HEADER, ports=("anode",))]  # fmt: skip
-    cards = """Vcommand command 0 PULSE(0 20 1e-06 1e-07 1e-07 1)
-Xdriver command anode cathode 0 charge
-Xkick anode cathode 0 kick
-.options reltol=1e-4 trtol=1
-.tran 1e-08 1e-04 0 2e-07"""
-    vectors = {"a": ("v(anode)", 1.0), "c": ("v(cathode)", 1.0)}
-    waves = bench.run(bench_deck(parts, cards, vectors, 1e-4))
-    free = model.D[-1, -1] + (model.gain[:, -1] ** 2 / model.omega**2).sum()
-    charge = free * (waves["a"] - waves["c"])[-1]
-    return relative(charge, 150e-9 * 20.0)
 
 
 def _order(order, reltol="1e-4", slow=False):

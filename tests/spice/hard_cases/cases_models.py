@@ -54,11 +54,6 @@ def inputs_that_differ_by_1e_12(bench):
     return response_error(bench, chain(B=ports))
 
 
-@case("a port repeated twice", RESPONSE, 1e-5)
-def port_repeated(bench):
-    return response_error(bench, chain(B=chain()["B"][:, [0, 0, 1]]))
-
-
 @case("an unconstrained model", RESPONSE, 1e-5)
 def rigid_body(bench):
     free = chain()["K"]

@@ -12,7 +12,6 @@ import pytest
 from device import bench as bench_deck  # noqa: F401
 from device import built, chip, magnets
 
-from kc2spice.core.progress import Clock, silent
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.fem.magnetics.table import EMTable
 from kc2spice.netlist.deck import Deck
@@ -26,7 +25,6 @@ from kc2spice.sim.ngspice import run_deck
 from kc2spice.spice.header import Header
 from kc2spice.workflow.decks import make_deck
 from kc2spice.workflow.judge import verdict
-from kc2spice.workflow.models import build_models
 from kc2spice.workflow.verify.circuit import solve
 
 HEADER = Header("hard case", "0")
@@ -53,11 +51,6 @@ class Bench:
     ) -> Waveforms:
         """What ``kc2spice run`` does with a scene: the deck, ngspice, then the physics checks."""
         return self.judged(built(scene, model or chip(), table or magnets()))
-
-    def own(self, scene: Scene) -> tuple[Build, Waveforms]:
-        """The same with the scene's own bodies."""
-        build = build_models(scene, Clock(silent))
-        return build, self.judged(build)
 
     def judged(self, build: Build) -> Waveforms:
         """The deck's waveforms, which keep the physics checks."""
