@@ -22,7 +22,7 @@ from kc2spice.core.figure import Figure
 from kc2spice.core.progress import Clock
 from kc2spice.core.quantities import Section, Voltage
 from kc2spice.core.waveforms import Waveforms, running
-from kc2spice.parts._box import corners, varied, with_values
+from kc2spice.parts._box import Varied, corners, varied, with_values
 from kc2spice.parts._pictures import (
     impedance_figure,
     own_impedances,
@@ -69,6 +69,7 @@ RESONANT = 1.5  # times its lowest resonance: a kick whose band ended below that
 STILL = 1e-9  # of a run: time points that are one
 FEEDING = 1e-3  # negative share of an impedance that is no rounding of a lossless body
 KEPT = 1e-4  # share of a floating electrode's charge that a run may lose by the netlist's leak
+STEP = 1e-2  # relative, of a parameter: its sensitivities are central differences
 UNASKED = 1e-4  # tolerance over a box of parameters where an order is the default
 NO_ENERGY = 1e-13  # of the stiffest motion's: rounding
 LEAST = 10e3  # Hz of a transient's band at least: what switches in the circuit is not known
@@ -413,9 +414,40 @@ class LinearBody(Touching):
         frequency = waves["frequency"].real
         figures = {"frequency_hz": frequency.tolist(), "impedance_ohm": np.abs(z).tolist()}
         try:
-            return {**figures, **analyse(frequency, z).metrics()}
+            found = {**figures, **analyse(frequency, z).metrics()}
         except UsageError:  # no resonance in the range: nothing to read off but the curve
             return figures
+        if keys := varied(part):
+            found["sensitivity"] = self._sensitivity(part, build, keys, frequency)
+        return found
+
+    def _sensitivity(
+        self, part: Part, build: Build, keys: Sequence[Varied], frequency: np.ndarray
+    ) -> dict[str, dict[str, float]]:
+        """``d ln(metric) / d ln(key)`` of the body's impedance, by key and metric: central
+        differences over :data:`STEP` within the ranges."""
+        from kc2spice.bodies.impedance import analyse
+
+        box = self.varying(part, build.scene, Clock())
+        port = next(port.name for port in box.ports if port.kind == "electrical")
+        found: dict[str, dict[str, float]] = {}
+        for key in keys:
+            ends = np.clip(key.value * (1 + STEP * np.array([-1, 1])), key.low, key.high)
+            read = []
+            for end in ends:
+                model = box.at({each.key: each.value for each in keys} | {key.key: float(end)})
+                H = model.select([port]).transfer(frequency)[:, 0, 0]
+                read.append(analyse(frequency, 1 / (2j * np.pi * frequency * H)))
+            names = ("resonance_hz", "antiresonance_hz", "quality", "coupling", "capacitance_f")
+            change = math.log(ends[1] / ends[0])
+            found[key.param.name] = {
+                name.removesuffix("_hz").removesuffix("_f"): math.log(
+                    getattr(read[1], name) / getattr(read[0], name)
+                )
+                / change
+                for name in names
+            }
+        return found
 
     def checks(self, part: Part, build: Build, waves: Waveforms) -> Iterator[Check | Balance]:
         model: LinearModel = build.model(part)

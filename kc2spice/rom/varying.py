@@ -44,7 +44,13 @@ STILL = 1e-6  # of the next one's square: square of the frequency of a motion wi
 SILENT = 1e-9  # of the largest share of a mode in a port
 GRID = {0: 1, 1: 33, 2: 13, 3: 7, 4: 5}  # points along each axis by number of axes
 DEGREES = {0: 0, 1: 16, 2: 10, 3: 6, 4: 4}  # highest total degree
-GAPS = 0.1, 0.3, 0.8, np.inf  # logarithms of squared frequencies: what is nearer stays together
+GAPS = (
+    0.03,
+    0.1,
+    0.3,
+    0.8,
+    np.inf,
+)  # logarithms of squared frequencies: what is nearer stays together
 MOMENTS = 4  # blocks of static answers and their changes with frequency
 OVERLAP = 0.2  # of a frame with that of the middle, at least
 DRAWS = 16  # points of the box at which the fit is judged

@@ -32,7 +32,7 @@ from kc2spice.spice.realize import (
 )
 
 # Names of our own among parameters.
-_TAKEN = r"(x|w|l|k|g|c|f|b|t)\d*(_\d+)*|alpha|beta|damping|inside\d+"
+_TAKEN = r"[xwlkgcfbt]_?\d+(_\d+)*|alpha|beta|damping|inside\d+"
 _ABOUT = """\
 * Resonators whose frequencies, couplings, capacitances and damping depend on the parameters: they
 * are polynomials (Chebyshev's, of the parameters' logarithms) that are evaluated once, when the

@@ -22,6 +22,7 @@ from kc2spice.rom.parametric import Axis
 from kc2spice.rom.varying import over_box
 
 EXAMPLE = Path(__file__).parents[2] / "docs" / "examples" / "monte_carlo"
+MODULUS = "layers_0_material_youngs_modulus"
 KEY, LOSS = "layers[1].thickness", "damping.quality"
 BUZZER = {
     "title": "a buzzer with parameters",
@@ -157,6 +158,9 @@ def test_monte_carlo_of_ngspice_has_mean_and_spread_of_fresh_full_models(tmp_pat
         for e in np.eye(2)
     ]
     first = float(np.hypot(*slopes))  # 0.02 of each value
+    told = kc.run(scene).metrics["sensitivity"]  # relative, as 0.02 of each value is
+    ours = [told[name]["resonance"] for name in ("layers_1_thickness", MODULUS)]
+    assert ours == pytest.approx(np.array(slopes) / (0.02 * fresh.mean()), rel=0.01)
     assert mean == pytest.approx(fresh.mean(), abs=4 * first / np.sqrt(300))
     assert fresh.std() == pytest.approx(first, rel=0.1)  # a sample of 30, in strata
     assert spread == pytest.approx(first, rel=0.13)  # three standard errors of 300 draws
