@@ -74,6 +74,20 @@ def test_a_fit_finds_the_values_that_made_the_data():
     assert matched["fitted_hz"] == pytest.approx(matched["measured_hz"], rel=0.01)
 
 
+def test_damping_at_two_frequencies_takes_no_finite_elements():
+    """Rayleigh's two coefficients by three resonances: the model of the start and of the end."""
+    start = {"disc.damping": {"ratio": [0.01, 0.03], "at": [3e3, 30e3]}}
+    scene = kc.load_scene(BUZZER, start)
+    true = {"damping.ratio[0]": 0.012, "damping.ratio[1]": 0.024}
+    data = measured(scene, "disc", true, (2e3, 40e3), 0.005, 3, points=300)
+    vary = ["damping.ratio[0]=0.007:0.014", "damping.ratio[1]=0.015:0.05"]
+    found = kc.fit(scene, "disc", data, vary)
+    assert found["models"] == 2
+    for key, value in true.items():
+        row = found["parameters"][key]
+        assert abs(row["value"] - value) < 3 * row["sigma"] < 0.05 * value
+
+
 def deviations(case):
     """Standard errors that values are off the truth, and how many finite element models it took."""
     found, off = found_and_off(*case)
