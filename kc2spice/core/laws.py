@@ -326,6 +326,11 @@ class Device(ABC):
         ``exp(s t)`` about ``e``; complex where they depend on the frequency."""
         return self.evaluate(0.0, e, mode)[1], self.store(e, mode)[1]
 
+    def noise(self, s: complex, e: np.ndarray, mode: Any) -> tuple[np.ndarray, np.ndarray] | None:
+        """What sources of unit density add to ``out`` (k, sources) and to the store (stored,
+        sources), where ``4 k T`` times their square is its noise; None of what has none."""
+        return None
+
     def mode(self, t: float, e: np.ndarray, before: Any = None) -> Any:
         """Mode at ``t``: the first one, or after one of its own corners or a switched guard."""
         return None
@@ -502,6 +507,18 @@ class PortBody(Device):
         load, stored, _, _ = self._maps
         H = self.transfer(s) if s else self.at_rest.H
         return self._slope(H), stored @ H @ load
+
+    def noise(self, s: complex, e: np.ndarray, mode: Any) -> tuple[np.ndarray, np.ndarray] | None:
+        """Answers have the density ``4 k T (s H + (s H)^H) / (2 |s|^2)`` (loads times rates of
+        answers are power)."""
+        if any(port.kind in ("input", "output") for port in self.ports):
+            return None
+        _, stored, _, answered = self._maps
+        Y = s * self.transfer(s)
+        size = np.sqrt(np.abs(np.diagonal(Y)))
+        lost, shapes = np.linalg.eigh((Y + Y.conj().T) / (2 * np.outer(size, size)))
+        y = size[:, None] * shapes * np.sqrt(np.maximum(lost, 0.0)) / s
+        return answered @ y, stored @ y
 
 
 @dataclass(frozen=True)

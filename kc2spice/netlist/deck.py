@@ -16,7 +16,7 @@ from kc2spice.netlist.expression import terms
 from kc2spice.netlist.read import LARGEST, OPTION_CARDS, beside, read, statements
 from kc2spice.netlist.scope import INCLUDES, Scope, circuit
 
-ANALYSES = frozenset((".tran", ".ac", ".dc", ".op"))
+ANALYSES = frozenset((".tran", ".ac", ".dc", ".op", ".noise"))
 
 
 @dataclass(frozen=True)
@@ -63,10 +63,20 @@ def transient(stop: float, max_step: float, *, uic: bool) -> Command:
 
 def ac(start: float, stop: float, points: int, scale: str) -> Command:
     """``.ac`` at about ``points`` frequencies [Hz], equally spaced on a log or linear scale."""
+    return Command("ac", _range(start, stop, points, scale))
+
+
+def noise(output: str, source: str, start: float, stop: float, points: int, scale: str) -> Command:
+    """``.noise`` of the voltage ``output`` at frequencies as :func:`ac` has them; the simulator
+    asks for a ``source`` that it could refer the noise to."""
+    return Command("noise", (output, source, *_range(start, stop, points, scale)))
+
+
+def _range(start: float, stop: float, points: int, scale: str) -> tuple[str, ...]:
     if scale == "linear":
-        return Command("ac", ("lin", str(points), number(start), number(stop)))
+        return "lin", str(points), number(start), number(stop)
     decade = math.ceil(points / max(math.log10(stop / start), 1e-9))
-    return Command("ac", ("dec", str(decade), number(start), number(stop)))
+    return "dec", str(decade), number(start), number(stop)
 
 
 def dc(source: str, first: float, last: float, points: int) -> Command:
@@ -179,7 +189,8 @@ class Deck:
         for option in self.options:
             yield from (f"* {option.key}: {comment(option.reason)}", option.card)
         yield self.command.card
-        yield from (f".save {vector}" for vector in self.saved)
+        totals = ("onoise_total",) if self.command.kind == "noise" else ()  # of its second plot
+        yield from (f".save {vector}" for vector in (*self.saved, *totals))
         yield " ".join((".print", self.command.kind, *self.saved[:2]))
 
     def option(self, key: str) -> str | None:

@@ -16,6 +16,7 @@ from kc2spice.netlist.printers.ngspice import printed
 
 Parameters = tuple[tuple[str, float], ...]  # ("PART.NAME", value)
 MOST = 10_000  # copies
+DIGITS = "0123456789"
 _ORIGIN = ("* tool:", "* scene:", "* licence:", "* sign:", "* validity:", "* rating:", "* @")
 
 
@@ -30,6 +31,26 @@ def self_contained(part: Subcircuit, helpers: Iterable[Subcircuit]) -> Subcircui
         inner = tuple(_without_origin(item) for item in renamed(helper.circuit, names).items)
         tree = renamed(tree, names)
         tree = replace(tree, items=tree.items + inner)
+    return printed(part, tree)
+
+
+def quiet(part: Subcircuit, noisy: Iterable[str]) -> Subcircuit:
+    """``part`` with no noise of resistors but those called ``noisy`` and a number: the others are
+    arithmetic."""
+    names = {name.lower() for name in noisy}
+
+    def item(each: Item) -> Item:
+        if isinstance(each, Circuit):
+            return replace(each, items=tuple(map(item, each.items)))
+        if (
+            isinstance(each, Element)
+            and each.kind == "r"
+            and not names & {each.key, each.key.rstrip(DIGITS)}
+        ):
+            return replace(each, parameters={**each.parameters, "noisy": "0"})
+        return each
+
+    tree = replace(part.circuit, items=tuple(map(item, part.circuit.items)))
     return printed(part, tree)
 
 

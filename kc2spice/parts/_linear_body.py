@@ -103,6 +103,7 @@ class LinearBody(Touching):
     """
 
     reduced = True
+    resistive = ("Rnoise",)
     #: what the reduced model's head and ``explain`` call it
     source = "FE, linear"
 
@@ -230,7 +231,7 @@ class LinearBody(Touching):
         frequencies reach. A thousandth is a tenth of what meshes are off, and above what rounding
         does to a thin plate that is free to move (some 1e-4 at its resonances).
         """
-        if scene.analysis.type == "ac":
+        if scene.analysis.small:
             low, high = scene.analysis.start, float(scene.analysis.stop or 1.0)
             return Rom(tolerance=1e-3, band=(0.8 * low, 1.2 * high))
         rows = numerics(scene)
@@ -389,7 +390,8 @@ class LinearBody(Touching):
                 ),
             )
         model, watch = build.model(part), self.watch(part, build.scene)
-        return (subcircuit(model, name, header, title=title, rating=rating, watch=watch),)
+        words: dict[str, Any] = {"title": title, "rating": rating, "watch": watch}
+        return (subcircuit(model, name, header, **words, noise=build.noisy),)
 
     def vectors(self, part: Part, build: Build) -> Mapping[str, Vector]:
         found: dict[str, Vector] = {}

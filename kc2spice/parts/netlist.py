@@ -89,7 +89,7 @@ class Netlist(PartType):
         for name, node in _probed(part, scene):
             scope = scope or _scope(part, scene)
             if node in pins or has_vector(scope, _inside(node)):
-                if scene.analysis.type == "ac" and "@" in _inside(node):
+                if scene.analysis.small and "@" in _inside(node):
                     yield UsageError(
                         "has no small-signal current to read",
                         where=f"probes.{name}.of",

@@ -111,7 +111,8 @@ class LinearElement(DeclaredPart):
         return float(evaluated(tree, self.declaration.values(part.keys)))
 
     def own_names(self, part: Part, scene: Scene) -> tuple[tuple[str, ...], ...]:
-        return (_meter(part), _inner(part)) if self._letter == "C" else ()
+        noise = _noise(part) if scene.analysis.type == "noise" and self._lossy else ()
+        return (*((_meter(part), _inner(part)) if self._letter == "C" else ()), *noise)
 
     def subcircuits(self, part: Part, build: Build, header: Any) -> tuple[Any, ...]:
         return ()
@@ -121,12 +122,25 @@ class LinearElement(DeclaredPart):
         admittance = times(self._unit, self.linear[1])
         if self._letter != "C":
             value = number(self._number(part, over(ONE, admittance)))
-            return (f"{self._letter}{part.name} {a} {b} {value}",)
+            silent = " noisy=0" if build.noisy and self._letter == "R" and not self._lossy else ""
+            return (f"{self._letter}{part.name} {a} {b} {value}{silent}",)
         inner, value = build.own(part, *_inner(part)), number(self._number(part, admittance))
         return (
             f"{build.own(part, *_meter(part))} {a} {inner} 0",
             f"C{part.name} {inner} {b} {value}",
+            *(self._noise_cards(part, build, a, b) if build.noisy and self._lossy else ()),
         )
+
+    @cached_property
+    def _lossy(self) -> bool:
+        """Whether it is a damper or a resistor."""
+        return self.linear[0] == 0
+
+    def _noise_cards(self, part: Part, build: Build, a: str, b: str) -> tuple[str, ...]:
+        """Force noise ``4 k T c`` [N^2/Hz]: the voltage noise of a resistor of c ohms."""
+        R, G, node = (build.own(part, *words) for words in _noise(part))
+        value = number(self._number(part, self.linear[1]))
+        return f"{R} {node} 0 {value}", f"{G} {a} {b} {node} 0 1"
 
     def vectors(self, part: Part, build: Build) -> Mapping[str, Vector]:
         across, n = across_pins(build, part, self.branch), part.name
@@ -161,6 +175,10 @@ class LinearElement(DeclaredPart):
 
 def _meter(part: Part) -> tuple[str, ...]:
     return (f"V{part.name}", "meter")
+
+
+def _noise(part: Part) -> tuple[tuple[str, str], ...]:
+    return ((f"R{part.name}", "noise"), (f"G{part.name}", "noise"), (part.name.lower(), "noise"))
 
 
 def _inner(part: Part) -> tuple[str, ...]:

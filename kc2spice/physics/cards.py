@@ -8,9 +8,9 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 
-from kc2spice.netlist.expression import Binary, Name, Number, Probe, Tree, replaced
+from kc2spice.netlist.expression import Binary, Call, Name, Number, Probe, Tree, replaced
 from kc2spice.physics.declaration import RATE, Branch, Declaration
-from kc2spice.physics.expression import ZERO, derivative, kinks, names, text
+from kc2spice.physics.expression import ZERO, derivative, kinks, names, plus, text, times
 
 _MICRO, _FARAD = Number("1e-6"), "1e-06"
 _EDGE = ".model edge SW(VT=0 VH=0 RON=1e6 ROFF=2e6)"
@@ -21,24 +21,37 @@ _HEAD = {
     "rate flows from {plus} to {minus}",
     "flux": "flux of the current from {plus} to {minus} on the node {node}, 1 V = {scale} webers; "
     "its rate is a part of the voltage",
+    "noise": "of the temperature of a loss, 4 k T times {loss}: this resistor has noise",
     "edge": "a switch without function: ngspice puts a time point where {argument} is zero",
 }  # fmt: skip
 
 
-def body(declaration: Declaration) -> str:
+def body(declaration: Declaration, noise: bool = False) -> str:
     """Cards between ``.subckt`` and ``.ends``, with their comments."""
-    return "\n".join(_lines(declaration)) + "\n"
+    return "\n".join(_lines(declaration, noise)) + "\n"
 
 
-def _lines(declaration: Declaration) -> Iterator[str]:
+def noisy(declaration: Declaration) -> tuple[str, ...]:
+    """Names of the resistors whose noise is that of the losses."""
+    return tuple(f"Rnoise_{b.name}" for b in declaration.branches if declaration.loss(b) != ZERO)
+
+
+def _lines(declaration: Declaration, noise: bool) -> Iterator[str]:
     for name, tree in declaration.fixed.items():
         yield f".param {name}={{{text(tree)}}}"
     nodes = _probes(declaration)
     for branch in declaration.damped:
         yield from _velocity(branch)
+    added: dict[str, Tree] = dict.fromkeys(declaration.coordinates, ZERO)
+    for branch in declaration.branches if noise else ():
+        if (loss := declaration.loss(branch)) != ZERO:
+            source = Probe("v", (f"noise_{branch.name}", branch.minus))
+            added[branch.name] = times(source, Call("sqrt", (loss,)))
+            yield _comment("noise", branch, loss=text(loss))
+            yield f"Rnoise_{branch.name} noise_{branch.name} {branch.minus} 1"
     for branch in declaration.branches:
         make = {"displacement": _force, "voltage": _charge, "current": _flux}[branch.kind]
-        yield from make(declaration, branch, nodes)
+        yield from make(declaration, branch, nodes, added[branch.name])
     yield from _edges(declaration, nodes)
 
 
@@ -84,11 +97,13 @@ def _velocity(b: Branch) -> Iterator[str]:
     yield from _differentiated(b.name, f"copy_{b.name}", b.minus)
 
 
-def _force(declaration: Declaration, b: Branch, nodes: Mapping[str, Tree]) -> Iterator[str]:
+def _force(
+    declaration: Declaration, b: Branch, nodes: Mapping[str, Tree], noise: Tree
+) -> Iterator[str]:
     node = force_node(b)
     yield _comment("force", b, node=node)
     yield f"*   {b.through} = {text(declaration.direct(b))}"
-    yield f"B{node} {b.minus} {node} I={{{_placed(declaration.direct(b), nodes)}}}"
+    yield f"B{node} {b.minus} {node} I={{{_placed(plus(declaration.direct(b), noise), nodes)}}}"
     yield f"R{node} {node} {b.minus} 1"
     yield f"G{node} {b.plus} {b.minus} {node} {b.minus} 1"
 
@@ -104,7 +119,9 @@ def _scaled(
     yield from _differentiated(b.name, node, b.minus)
 
 
-def _charge(declaration: Declaration, b: Branch, nodes: Mapping[str, Tree]) -> Iterator[str]:
+def _charge(
+    declaration: Declaration, b: Branch, nodes: Mapping[str, Tree], noise: Tree
+) -> Iterator[str]:
     kept, direct, inner = declaration.kept(b), declaration.direct(b), f"in_{b.name}"
     yield f"{meter(b)} {b.plus} {inner} 0"
     if kept != ZERO:
@@ -114,10 +131,12 @@ def _charge(declaration: Declaration, b: Branch, nodes: Mapping[str, Tree]) -> I
         yield f"Fq_{b.name} {inner} {b.minus} Vrate_{b.name} {{scale_{b.name}*1e6}}"
     if direct != ZERO or kept == ZERO:
         yield f"*   {b.through} = {text(direct)}"
-        yield f"Bi_{b.name} {inner} {b.minus} I={{{_placed(direct, nodes)}}}"
+        yield f"Bi_{b.name} {inner} {b.minus} I={{{_placed(plus(direct, noise), nodes)}}}"
 
 
-def _flux(declaration: Declaration, b: Branch, nodes: Mapping[str, Tree]) -> Iterator[str]:
+def _flux(
+    declaration: Declaration, b: Branch, nodes: Mapping[str, Tree], noise: Tree
+) -> Iterator[str]:
     kept, drop, inner = declaration.kept(b), declaration.direct(b), f"in_{b.name}"
     yield f"{meter(b)} {b.plus} {inner} 0"
     if kept != ZERO:
@@ -127,7 +146,7 @@ def _flux(declaration: Declaration, b: Branch, nodes: Mapping[str, Tree]) -> Ite
         yield f"Hl_{b.name} {inner} rest_{b.name} Vrate_{b.name} {{scale_{b.name}*1e6}}"
         inner = f"rest_{b.name}"
     yield f"*   voltage besides that of the flux = {text(drop)}"
-    yield f"Bv_{b.name} {inner} {b.minus} V={{{_placed(drop, nodes)}}}"
+    yield f"Bv_{b.name} {inner} {b.minus} V={{{_placed(plus(drop, noise), nodes)}}}"
 
 
 def _edges(declaration: Declaration, nodes: Mapping[str, Tree]) -> Iterator[str]:

@@ -197,6 +197,11 @@ class Declaration:
         lost = derivative(self._content, branch.name + RATE)
         return plus(stored, lost, self._forces.get(branch.name, ZERO))
 
+    def loss(self, branch: Branch) -> Tree:
+        """Damping, conductance or resistance of a branch, for small signals."""
+        own = branch.name + RATE * (branch.kind == "displacement")
+        return derivative(derivative(self._content, own), own)
+
     def kept(self, branch: Branch) -> Tree:
         """Charge or flux of a branch, whose rate adds to :meth:`direct`."""
         return ZERO if branch.kind == "displacement" else derivative(self._coenergy, branch.name)

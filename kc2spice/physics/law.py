@@ -156,6 +156,19 @@ class DeclaredLaw(Device):
         side = "above" if now[guard] else "below"
         return now, f"{text(self._corners[guard])} {side} zero"
 
+    @cached_property
+    def _loss(self) -> _Made:
+        return self._made(map(self.declaration.loss, self.declaration.branches))
+
+    def noise(self, s: complex, e: np.ndarray, mode: Any) -> tuple[np.ndarray, np.ndarray] | None:
+        """A force, a current, or a voltage in series with every loss."""
+        branches, currents = self.declaration.branches, self._of("current")
+        root = np.sqrt(self._called(self._loss, e, mode))
+        out = np.zeros((len(branches) + len(currents), len(branches)))
+        for k, b in enumerate(branches):
+            out[len(branches) + currents.index(b) if b in currents else k, k] = root[k]
+        return out, np.zeros((len(currents) + len(self.charged), len(branches)))
+
     def check(self, t: float, e: np.ndarray) -> None:
         found = self._called(self._bounds, e, self.mode(t, e))
         for what, value in zip(self.declaration.bounds, found, strict=True):

@@ -12,7 +12,7 @@ from kc2spice.core.waveforms import Waveforms, running
 from kc2spice.netlist.cards import name as checked
 from kc2spice.netlist.circuit import Param, Pin, Subcircuit
 from kc2spice.netlist.expression import Tree
-from kc2spice.physics.cards import body, force_node, meter
+from kc2spice.physics.cards import body, force_node, meter, noisy
 from kc2spice.physics.declaration import RATE, Branch, Declaration
 from kc2spice.physics.expression import derivative, evaluated, kinks, names
 from kc2spice.physics.law import DeclaredLaw
@@ -44,6 +44,7 @@ class DeclaredPart(PartType):
             title=declaration.title,
             schema=declaration.keys,
             example=declaration.example,
+            resistive=noisy(declaration),
         )
 
     # --- pins and netlist -------------------------------------------------------------------
@@ -103,7 +104,8 @@ class DeclaredPart(PartType):
             sign=_SIGN,
         )
         named = " ".join(pin.name for pin in pins)
-        cards = f".subckt {name} {named} {parameter_list(params)}\n{body(d)}.ends {name}\n"
+        inner = body(d, build.noisy)
+        cards = f".subckt {name} {named} {parameter_list(params)}\n{inner}.ends {name}\n"
         return (Subcircuit(name, pins, params, head + cards),)
 
     def numerics(self, part: Part, scene: Scene) -> Iterator[Numerics]:

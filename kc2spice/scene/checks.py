@@ -84,19 +84,26 @@ def _analysis(scene: Scene) -> Iterator[UsageError]:
                 got=f"{chosen.type} of {chosen.sweep}",
                 expected='type = "dc" and sweep = "SOURCE.dc", or back = false',
             )
-    if chosen.type == "ac" and not chosen.start < (chosen.stop or 0.0):
+    if chosen.small and not chosen.start < (chosen.stop or 0.0):
         yield UsageError(
             "empty frequency range",
             where="analysis.stop",
             got=f"{chosen.start:g} … {chosen.stop} Hz",
             expected="start < stop",
         )
-    if chosen.type == "ac" and chosen.scale == "log" and chosen.start <= 0:
+    if chosen.small and chosen.scale == "log" and chosen.start <= 0:
         yield UsageError(
             "a logarithmic range cannot begin at zero",
             where="analysis.start",
             got=f"{chosen.start:g} Hz",
             expected='above 0, or scale = "linear"',
+        )
+    if (chosen.type == "noise") != (chosen.output is not None):
+        yield UsageError(
+            "noise is that of an output",
+            where="analysis.output",
+            got=f"{chosen.type} of {chosen.output}",
+            expected='type = "noise" with output = "PART.RESULT" or "PART.PIN", or neither',
         )
     if chosen.type == "dc":
         name, _, _ = (chosen.sweep or "").partition(".")
@@ -115,14 +122,15 @@ def _analysis(scene: Scene) -> Iterator[UsageError]:
                 got=f"take = {probe.take!r}",
                 expected='take = "value" and at, or neither',
             )
-        ends = {"ac": (chosen.start, chosen.stop or 0.0), "transient": (0.0, scene.stop)}
+        band = (chosen.start, chosen.stop or 0.0)
+        ends = {"ac": band, "noise": band, "transient": (0.0, scene.stop)}
         first, last = ends.get(chosen.type, (-inf, inf))
         if probe.at is not None and not first <= probe.at <= last:
             yield UsageError(
                 "outside the analysis",
                 where=f"probes.{name}.at",
                 got=f"{probe.at:g}",
-                expected=f"{first:g} … {last:g} {'Hz' if chosen.type == 'ac' else 's'}",
+                expected=f"{first:g} … {last:g} {'Hz' if chosen.small else 's'}",
             )
         if (probe.take == "crossing") != (probe.level is not None):
             yield UsageError(

@@ -115,11 +115,12 @@ class Part:
 class Analysis(Section):
     """What the simulator does with the circuit."""
 
-    type: Literal["transient", "ac", "dc", "op"] = "transient"
+    type: Literal["transient", "ac", "dc", "op", "noise"] = "transient"
     stop: Time | Frequency | None = Field(None, description="end of a transient, or highest Hz")
-    start: Frequency = Field(0.0, ge=0, description="lowest frequency of ac")
+    start: Frequency = Field(0.0, ge=0, description="lowest frequency of ac and noise")
     points: Annotated[Count, Notch(2.0, spaces=True)] = Field(200, ge=2, le=200_000)
     scale: Literal["log", "linear"] = Field("log", description="of ac; linear from 0 Hz on")
+    output: str | None = Field(None, description="of noise: a result such as disc.u, or PART.PIN")
     sweep: str | None = Field(None, description="PART.KEY that dc moves")
     from_: Any = Field(0.0, alias="from", description="first value of a dc sweep")
     to: Any = Field(1.0, description="last value of a dc sweep")
@@ -130,9 +131,14 @@ class Analysis(Section):
     @model_validator(mode="after")
     def _from_zero(self) -> Analysis:
         """A range from 0 Hz is linear, unless its author says otherwise."""
-        if self.type == "ac" and self.start == 0 and "scale" not in self.model_fields_set:
+        if self.small and self.start == 0 and "scale" not in self.model_fields_set:
             self.__dict__["scale"] = "linear"
         return self
+
+    @property
+    def small(self) -> bool:
+        """Whether it is linear in signals about an operating point, over frequency."""
+        return self.type in ("ac", "noise")
 
 
 class Probe(Section):

@@ -156,6 +156,11 @@ class Build:
 
         return plan(self)
 
+    @property
+    def noisy(self) -> bool:
+        """Whether the netlist has sources of noise."""
+        return self.scene.analysis.type == "noise"
+
     def model(self, part: str | Part) -> Any:
         """The model of a part, None where it has none."""
         return self.models.get(part if isinstance(part, str) else part.name)
@@ -205,6 +210,8 @@ class PartType:
     declares: ClassVar[bool] = False
     #: whether it measures a motion and acts on it, which closes a loop
     controls: ClassVar[bool] = False
+    #: cards of its subcircuit that are resistors of the device, which have noise; others are not
+    resistive: ClassVar[tuple[str, ...]] = ()
 
     # --- scene: keys, pins, what a part brings along -------------------------------------------
 

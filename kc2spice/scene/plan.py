@@ -84,7 +84,7 @@ def _axes(build: Build) -> Iterator[Axis]:
         if step is not None:
             axis = _axis(MAX_STEP, step, Solver.model_fields["max_step"])
             yield replace(axis, low=min(step, scene.stop / MOST_POINTS))
-    elif scene.analysis.type == "ac" and "analysis" in scene.tables:
+    elif scene.analysis.small and "analysis" in scene.tables:
         (axis,) = _marked(scene.analysis, "analysis")
         yield replace(axis, decades=_decades(scene.analysis))
     yield from _reductions(build)
@@ -206,7 +206,7 @@ def plan(build: Build) -> Plan:
     scene = build.scene
     parts = scene.parts.values()
     left_out = [row for part in parts for row in part.type.neglected(part, scene)]
-    certified = scene.analysis.type == "ac"  # steps and contacts excite what is above the band
+    certified = scene.analysis.small  # steps and contacts excite what is above the band
     return Plan(
         parts=tuple(Modelled(p.name, p.type.source, p.type.detail(p, scene)) for p in parts),
         joins=drawing(scene),

@@ -84,7 +84,7 @@ def _unheld_problem(
             expected=HELD,
             hint='analysis.type = "transient" lets it move',
         )
-    elif by and kind == "ac":
+    elif by and scene.analysis.small:
         yield UsageError(
             f"nothing holds {named} against a constant force: there is no point at rest to "
             "linearise about",

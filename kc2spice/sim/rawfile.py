@@ -10,6 +10,7 @@ import numpy as np
 from kc2spice.core.errors import SimulationError
 
 _BINARY = b"Binary:\n"
+_NEXT = b"Title:"
 _HEAD = 1 << 20  # bytes in which the header must end
 
 
@@ -100,8 +101,17 @@ def _plot(path: Path) -> _Plot | None:
     kind = np.dtype(np.complex128 if "complex" in fields.get("Flags", "") else np.float64)
     offset = end + len(_BINARY)
     held, left = divmod(path.stat().st_size - offset, kind.itemsize * count)
+    if held >= promised > 0 and _follows(path, offset + promised * kind.itemsize * count):
+        held, left = promised, 0
     table = np.memmap(path, kind, "r", offset, (held, count)) if held else np.empty((0, count))
     return _Plot(names, promised, table, left)
+
+
+def _follows(path: Path, offset: int) -> bool:
+    """Whether another plot begins there, as that of totals does behind a noise spectrum."""
+    with path.open("rb") as stream:
+        stream.seek(offset)
+        return stream.read(len(_NEXT)) == _NEXT
 
 
 def _corrupt(path: Path, what: str) -> SimulationError:

@@ -30,7 +30,7 @@ FREE = 1e-11
 # Cross terms of D this far below the diagonal are rounding.
 CROSS = 1e-13
 JUMP = 1e-9  # of C B by its summands: a rate that jumps with an input; less is rounding
-INNER = r"tick|(inner|current|charge)\w*|sum\d+|[qpz]\d+"  # nodes of our own
+INNER = r"tick|(inner|current|charge)\w*|sum\d+|[qpz]\d+|noise\d+"  # nodes of our own
 MOVING = ("mechanical", "rotational")
 _DRIVES = {"mechanical": "f", "rotational": "f", "electrical": "v", "acceleration": "s"}
 
@@ -103,6 +103,9 @@ _ROTATION = """
 _SHAKEN = """
 * Acceleration {pin} of the frame that the body is fixed to (1 V = 1 m/s2); the force that it
 * takes to move the body flows into the pin (1 A = 1 N)."""
+_NOISE = """\
+* Every loss has the force noise of its temperature, 4 k T times the damping: the voltage noise of a
+* resistor of as many ohms. No other resistor here has noise."""
 UNRATED = "not known; keep field and stress within the limits of its materials"
 
 
@@ -192,6 +195,7 @@ def subcircuit(
     ports: Sequence[str] | None = None,
     dense: bool = False,
     watch: Watch = FOLLOWED,
+    noise: bool = False,
 ) -> Subcircuit:
     """One ``.subckt`` with the pins of every port of ``rom``.
 
@@ -211,6 +215,7 @@ def subcircuit(
     title, rating : what the device is and what it stands, for the head of the library.
     ports : names of the ports to bring out, all by default; the others see no load.
     watch : how closely step control follows the modes of the resonator form.
+    noise : whether its losses have thermal noise.
 
     Raises
     ------
@@ -232,7 +237,7 @@ def subcircuit(
     if isinstance(form, Resonators):
         if np.any(form.damp > 0):
             params = (Param("damping", 1.0, "-", "scale of the damping of all modes"),)
-        about, body = _resonators(form, rom, terminals, base, watch)
+        about, body = _resonators(form, rom, terminals, base, watch, noise)
     else:
         about, body = _blocks(form, rom, terminals, base)
         if base == "ref":
@@ -256,6 +261,8 @@ def subcircuit(
         *([parameter_list(params)] * bool(params)),
     ]
     start = PIVOTS.format(base=base)
+    if noise:
+        about = [*about, *_NOISE.split("\n")]
     lines = ["", *about, f".subckt {' '.join(words)}", start, *body, f".ends {name}"]
     text = head + "\n".join(lines) + "\n"
     return Subcircuit(name, pins, params, text)
@@ -450,7 +457,12 @@ def _port(t: PortTerminal, base: str, share: float) -> Iterator[str]:
 
 
 def _resonators(
-    model: Resonators, rom: LinearModel, terminals: list[PortTerminal], base: str, watch: Watch
+    model: Resonators,
+    rom: LinearModel,
+    terminals: list[PortTerminal],
+    base: str,
+    watch: Watch,
+    noise: bool,
 ) -> tuple[list[str], list[str]]:
     """With ``z_j'' + d_j z_j' + w_j^2 z_j = sum_k g_jk u_k`` and ``s_j = max_k |g_jk|`` over the
     mechanical ports, the states are ``q_j = s_j z_j`` and ``p_j = q_j' / w_j`` in um (or, of a
@@ -489,7 +501,8 @@ def _resonators(
     slowest = omega[heavy].min(initial=np.inf)
     farad = STATE * np.minimum(1.0, (omega / (watch.full * slowest)) ** watch.power)
     siemens = np.where(heavy, farad * omega, SIEMENS)
-    drive = siemens[:, None] * scale * gain / (omega[:, None] ** 2 * MICRO)
+    force = siemens * scale[:, 0] / (omega**2 * MICRO)
+    drive = force[:, None] * gain
     about = _RESONATORS.format(full=watch.full, power=watch.power, silent=SILENT).split("\n")
     wired = _wired(terminals, states, rom.D, rom, base)
     body = _conservative(
@@ -500,6 +513,9 @@ def _resonators(
         body += make(j + 1, omega[j], damp[j], farad[j], base)
         node = f"p{j + 1}" if heavy[j] else f"q{j + 1}"
         body += [card.onto(base, node) for card in _drives(j + 1, drive[j], terminals, base)]
+        if noise and damp[j] > 0:
+            body.append(f"Rnoise{j + 1} noise{j + 1} {base} {{damping*{number(damp[j])}}}")
+            body.append(f"Gn{j + 1} {base} {node} noise{j + 1} {base} {number(force[j])}")
         body += [
             _Card(f"Gc{j + 1}{t.tag}", f"q{j + 1}", base, gain[j, k] / scale[j, 0]).onto(
                 base,

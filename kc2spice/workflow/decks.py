@@ -10,6 +10,7 @@ from kc2spice.core.errors import UsageError, did_you_mean
 from kc2spice.netlist.cards import comment, number, tidy
 from kc2spice.netlist.circuit import Subcircuit
 from kc2spice.netlist.deck import Block, Command, Deck, Option, ac, dc, transient
+from kc2spice.netlist.transforms import quiet
 from kc2spice.scene.compose import allocated
 from kc2spice.scene.model import Scene, scene_hash
 from kc2spice.scene.parttype import Build, begins, numerics
@@ -17,6 +18,7 @@ from kc2spice.scene.plan import MAX_STEP
 from kc2spice.scene.plausible import built, judged
 from kc2spice.scene.rest import free, unsettled
 from kc2spice.spice.header import Header, plan_lines
+from kc2spice.workflow import noise
 from kc2spice.workflow.meters import powers, replaced, result_vectors, sweep_values, swept
 from kc2spice.workflow.steps import largest_step
 
@@ -128,6 +130,8 @@ def _libraries(build: Build, header: Header) -> Iterator[Subcircuit]:
     known: dict[str, Subcircuit] = {}
     for part in build.scene.parts.values():
         for found in part.type.subcircuits(part, build, header):
+            if build.noisy and not part.netlist:
+                found = quiet(found, part.type.resistive)
             same = known.get(found.filename.lower())
             if same is None:
                 known[found.filename.lower()] = found
@@ -148,8 +152,12 @@ def _blocks(build: Build) -> Iterator[Block]:
         cards = () if part.name in copied else part.type.cards(part, build)
         if cards:
             yield Block(f"{part.name}: {part.type.title}", tuple(cards))
+    if build.noisy:
+        source, node = noise.reference(build)
+        title = "drives nothing: what the analysis could refer the noise to"
+        yield Block(title, (f"{source} {node} 0 DC 0 AC 1", f"R{node} {node} 0 1 noisy=0"))
     nets = [group.nets[0] for group in free(build) if group.nets]
-    if scene.analysis.type == "ac" and nets:
+    if scene.analysis.small and nets:
         names = allocated(((n, f"{n}_held") for n in nets), {name.lower() for name in scene.parts})
         held = tuple(f"L{name} {net} 0 {number(HOLD)}" for net, name in names.items())
         yield Block("held at the operating point alone: nothing else does", held)
@@ -199,6 +207,8 @@ def _command(build: Build) -> Command:
         # of two linear points ngspice gives the first alone
         points = 3 if (chosen.points, chosen.scale) == (2, "linear") else chosen.points
         return ac(chosen.start, float(chosen.stop or 0.0), points, chosen.scale)
+    if chosen.type == "noise":
+        return noise.command(build)
     if chosen.type == "op":
         return Command("op", ())
     _, _, found = swept(build)

@@ -15,6 +15,7 @@ from kc2spice.scene.compose import electrical, metered
 from kc2spice.scene.keys import model_keys
 from kc2spice.scene.model import Part, Scene
 from kc2spice.scene.parttype import Build, Swept, Vector
+from kc2spice.workflow import noise
 
 Pairs = tuple[tuple[str, str], ...]  # names of a voltage and of the current that belongs to it
 
@@ -30,6 +31,8 @@ def result_vectors(build: Build) -> dict[str, Vector]:
     Of devices' own parameters (``@b1[i]``) ngspice gives the operating point in an ac analysis,
     which is no response: they are no results there.
     """
+    if build.noisy:
+        return noise.result(build)
     copied = replaced(build.scene)
     found: dict[str, Vector] = {}
     for part in build.scene.parts.values():

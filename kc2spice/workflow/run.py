@@ -23,6 +23,7 @@ from kc2spice.scene.model import Scene
 from kc2spice.scene.parttype import Build
 from kc2spice.sim.ngspice import Simulator, find_ngspice, write_files
 from kc2spice.sim.retries import Outcome, RetriesFailedError
+from kc2spice.workflow import noise
 from kc2spice.workflow.decks import make_deck
 from kc2spice.workflow.edited import edited_deck
 from kc2spice.workflow.judge import metrics, probe_units
@@ -46,7 +47,9 @@ class Completed:
     def figures(self) -> tuple[Figure, ...]:
         """What its probes and parts show of it."""
         build, waves = self.build, self.outcome.waves
-        found = [*probe_figures(build.scene.probes, waves, self.outcome.deck.units)]
+        units = self.outcome.deck.units
+        found = [*noise.figures(waves, units.get(noise.WAVE, ""))]
+        found += probe_figures(build.scene.probes, waves, units)
         for part in build.scene.parts.values():
             found += part.type.figures(part, build, waves)
         return tuple(found)

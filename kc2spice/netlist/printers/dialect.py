@@ -25,7 +25,7 @@ from kc2spice.netlist.expression import Binary, Call, Choice, Number, Trace, Tre
 from kc2spice.netlist.printers.ngspice import Printer
 from kc2spice.netlist.scope import INCLUDES
 
-_SAME = frozenset({".end", ".ic", ".nodeset", *ANALYSES, *INCLUDES})
+_SAME = frozenset({".end", ".ic", ".nodeset", *ANALYSES, *INCLUDES}) - {".noise"}
 _SHARED = frozenset("rclvikfhxdqjmbegs")  # written alike, but for braces and parameters
 # Models that all three read alike: SPICE2's own parameters.
 _SEMICONDUCTORS = {

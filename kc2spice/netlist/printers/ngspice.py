@@ -23,7 +23,7 @@ _BARE = frozenset({"time", "temper", "hertz", "pi"})  # no parameters
 _WIDTH = 96
 CURVES = 6  # of one window
 _PREFIX = {1e-6: "u", 1e-3: "m", 1.0: ""}
-_AXIS = {"tran": "", "ac": " xlog", "dc": ""}
+_AXIS = {"tran": "", "ac": " xlog", "dc": "", "noise": " loglog"}
 
 
 class Printer(Writer):
@@ -153,4 +153,5 @@ def plot_script(deck: Deck) -> dict[str, str]:
         for unit, vectors in windows.items()
     ]
     head = ["*ng_script", f"* Run it with:  ngspice {deck.name}_plot.sp", f"source {deck.main}"]
-    return {f"{deck.name}_plot.sp": "\n".join([*head, "run", *lines]) + "\n"}
+    run = ("run", "setplot noise1") if deck.command.kind == "noise" else ("run",)
+    return {f"{deck.name}_plot.sp": "\n".join([*head, *run, *lines]) + "\n"}

@@ -292,7 +292,7 @@ def held_band(rom: LinearModel, build: Build) -> tuple[float, float]:
     if rom.certificate is not None:
         return rom.certificate.band_hz
     scene = build.scene
-    return scene.rom.band if scene.analysis.type != "ac" else (0.0, float(scene.analysis.stop))
+    return scene.rom.band if not scene.analysis.small else (0.0, float(scene.analysis.stop))
 
 
 def _sampled(rom: LinearModel, band: tuple[float, float]) -> np.ndarray:

@@ -18,6 +18,7 @@ from kc2spice.core.laws import (
     Sensor,
     SignalBlock,
     Source,
+    reading,
 )
 from kc2spice.core.waveform import Recorded
 from kc2spice.core.waveforms import Waveforms
@@ -25,8 +26,10 @@ from kc2spice.reference import equilibrium
 from kc2spice.reference.assemble import System, assemble, has_store
 from kc2spice.reference.integrate import Result, transient
 from kc2spice.reference.linear import ac
+from kc2spice.reference.noise import noise
 from kc2spice.scene.parttype import Build
 from kc2spice.workflow.meters import replaced, swept
+from kc2spice.workflow.noise import WAVE
 
 RTOL = 1.5e-9  # of the integrator; at 1e-8 a sphere ringing at megahertz loses 5e-7 of its energy
 # Kind of a pin: the source that can stand for a part there, and the factor to SI of ngspice's node.
@@ -280,8 +283,21 @@ def steady(parts: Iterable[Circuit], build: Build, waves: Waveforms) -> Waveform
     points = points.real
     data = {scale: points}
     for circuit in parts:
-        data |= read(circuit, _steady(circuit, build, points), points)
+        if build.noisy:
+            data |= _noise(circuit, build, points)
+        else:
+            data |= read(circuit, _steady(circuit, build, points), points)
     return Waveforms(data, {})
+
+
+def _noise(circuit: Circuit, build: Build, points: np.ndarray) -> dict[str, np.ndarray]:
+    """Density of the output's noise, where this circuit has it."""
+    name = str(build.scene.analysis.output)
+    ends = {f"{part}.{pin}": end for _, part, pin, end in _laws(build).ends}
+    of = circuit.readings.get(name) or (reading(ends[name]) if name in ends else None)
+    if of is None or _owner(of.terms[0][1]) not in {law.name for law in circuit.laws}:
+        return {}
+    return {WAVE: noise(circuit.laws, circuit.joins, of, points)}
 
 
 def _steady(circuit: Circuit, build: Build, points: np.ndarray) -> Mapping[str, np.ndarray]:
@@ -332,13 +348,13 @@ def read(
     """Results of a circuit; a reading of a wave that this analysis has not is left out."""
     known = set(waves)
     found = {}
-    for name, reading in circuit.readings.items():
-        if not {wave for _, wave in reading.terms} <= known:
+    for name, each in circuit.readings.items():
+        if not {wave for _, wave in each.terms} <= known:
             continue
-        value = np.asarray(sum(factor * waves[wave] for factor, wave in reading.terms))
+        value = np.asarray(sum(factor * waves[wave] for factor, wave in each.terms))
         if np.iscomplexobj(value):  # small signals have no constant part
-            value = value / (2j * np.pi * scale) if reading.charge else value
+            value = value / (2j * np.pi * scale) if each.charge else value
         else:
-            value = value + reading.constant
+            value = value + each.constant
         found[name] = value
     return found

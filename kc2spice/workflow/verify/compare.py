@@ -16,6 +16,7 @@ from kc2spice.core.waveforms import Waveforms
 from kc2spice.report.words import unit_of
 from kc2spice.scene.judge import Check, Gate
 from kc2spice.scene.parttype import Build
+from kc2spice.workflow import noise
 from kc2spice.workflow.judge import probed
 
 LOADED = 1e-6  # of the largest value: below, a relative error says nothing
@@ -51,6 +52,7 @@ def solution(waves: Waveforms, build: Build) -> Solution:
     for metrics in told:
         with suppress(KeyError):  # a wave that this solution path does not have
             found |= metrics()
+    found |= {noise.WAVE: noise.total(waves)} if noise.WAVE in waves else {}
     return Solution(waves, found)
 
 

@@ -96,7 +96,7 @@ def full_solution(
     """
     parts = moving(full, ours, taken)
     if build.scene.analysis.type != "transient":
-        if build.scene.analysis.type == "ac":
+        if build.scene.analysis.small:
             parts = _with_surrogates(parts, float(build.scene.analysis.stop or 0.0), clock, whole)
         with clock.stage("full model", "at its ports"):
             return FullSolution(steady(parts, full, ours))

@@ -49,6 +49,7 @@ SOLUTIONS = {"ngspice": "netlist, ngspice", "rom": "laws", "fom": "full model"}
 METRICS, WAVES = 10.0, 200.0  # times solver.reltol: gates of a transient unless the scene says
 ANY_WAVE = 0.05  # of a wave's rms, whatever reltol: more is another wave
 STEADY_METRICS, STEADY_WAVES = 5e-9, 3e-8  # the same for analyses without time steps
+NOISE = 1e-6  # the same of noise: Boltzmann's constant has seven digits in ngspice
 # What was recorded on a net is as good as its samples: its slope, thus the current into a
 # capacitance, is right to some 1e-3 (2.5e-3 at the edges of a half-bridge), its work to 5e-6.
 RECORDED, RECORDED_BALANCE = 5.0, 1e-5
@@ -236,9 +237,10 @@ class _Verification:
         scene = self.build.scene
         gates, solver = scene.gates, scene.solver
         timed = scene.analysis.type == "transient"
-        metric = gates.metrics or (METRICS * solver.reltol if timed else STEADY_METRICS)
+        steady = (NOISE, NOISE) if self.build.noisy else (STEADY_METRICS, STEADY_WAVES)
+        metric = gates.metrics or (METRICS * solver.reltol if timed else steady[0])
         metric *= RECORDED if self.taken else 1.0
-        wave = gates.waves or (min(WAVES * solver.reltol, ANY_WAVE) if timed else STEADY_WAVES)
+        wave = gates.waves or (min(WAVES * solver.reltol, ANY_WAVE) if timed else steady[1])
         errors = dict(metric_errors(solutions["ngspice"], solutions["rom"], self.units))
         missed = [name for name, error in errors.items() if error is None]
         if missed:

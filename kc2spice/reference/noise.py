@@ -1,0 +1,97 @@
+"""Thermal noise of a linear circuit about its operating point, by fluctuation and dissipation.
+
+A linear law with the admittance ``Y`` (through by rate of across) has through quantities of the
+spectral density ``4 k T (Y + Y^H) / 2`` (H. B. Callen, T. A. Welton, Phys. Rev. 83 (1951) 34; one
+sided, per Hz). A body is taken by the answers at its ports, whatever its states are: not by the
+force noise of each mode, as its netlist is.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from kc2spice.core import laws as L
+from kc2spice.core.waveform import constant
+from kc2spice.reference.assemble import System, assemble
+from kc2spice.reference.linear import Linear
+
+BOLTZMANN = 1.380649e-23  # J/K, exact (SI, 2019)
+TEMPERATURE = 300.15  # K, of the simulator unless told
+
+
+@dataclass(frozen=True, eq=False)
+class _Answers:
+    """A body's matrices by what they answer at a frequency."""
+
+    law: L.LinearBody
+
+    @property
+    def pencil(self) -> _Answers:
+        """Itself."""
+        return self
+
+    def transfer(self, s: np.ndarray) -> np.ndarray:
+        """``H(s)`` (frequencies, outputs, inputs)."""
+        law = self.law
+        M, E, K = (np.diag(P) if P.ndim == 1 else P for P in (law.M, law.E, law.K))
+        found = [law.C @ np.linalg.solve(w * w * M + w * E + K, law.B) + law.D for w in s]
+        return np.array(found)
+
+
+def noise(
+    laws: Iterable[L.Law], joins: Mapping[str, Iterable[str]], of: L.Reading, f: np.ndarray
+) -> np.ndarray:
+    """Spectral density (nf,) of a reading, in its unit per root Hz, at the frequencies ``f`` [Hz].
+
+    ``joins`` are those of :func:`kc2spice.reference.assemble.assemble`.
+    """
+    nets, found, weights = {k: list(pins) for k, pins in joins.items()}, [], {}
+    for law in laws:
+        if isinstance(law, L.LinearBody):
+            law = L.PortBody(law.name, _Answers(law), law.ports)
+        found.append(law)
+        if isinstance(law, L.TwoTerminal) and law.order == 0:
+            kind = "current" if law.kind == "electrical" else "force"
+            found.append(L.Source(f"{law.name} noise", kind, constant(0.0)))
+            weights[f"{law.name} noise"] = law.value
+            for pin, end in (("a", "out"), ("b", "ret")):
+                own = next((k for k, pins in nets.items() if f"{law.name}.{pin}" in pins), None)
+                nets.setdefault(own or (L.GROUND if pin == "b" else f"{law.name} free"), [])
+                nets[own or (L.GROUND if pin == "b" else f"{law.name} free")] += [
+                    f"{law.name} noise.{end}",
+                    *([] if own else [f"{law.name}.{pin}"]),
+                ]
+    system = assemble(found, nets)
+    sizes = np.array([weights.get(source.name, 0.0) for source in system.sources])
+    rest = Linear(system)
+    point = rest.z0, rest.held
+    power = [_power(system, Linear(system, s, point), of, sizes, s) for s in 2j * np.pi * f]
+    return np.sqrt(4 * BOLTZMANN * TEMPERATURE * np.array(power))
+
+
+def _power(system: System, at: Linear, of: L.Reading, sizes: np.ndarray, s: complex) -> float:
+    """Sum of what all sources of a unit density add, by the adjoint of the circuit."""
+    n, k = system.size, len(system.sources)
+    names = list(at.names)
+    C0 = sum(factor * at.C0[names.index(wave)] for factor, wave in of.terms)
+    C1 = sum(factor * at.C1[names.index(wave)] for factor, wave in of.terms)
+    row = C0 + s * C1
+    P = s * at.G - at.F
+    level = np.abs(P[:, :n]).max(axis=1)
+    adjoint = np.linalg.solve((P[:, :n] / level[:, None]).T, row[:n]) / level
+    given = np.vstack([np.eye(k), s * np.eye(k)])
+    power = float(np.abs((row[n:] - adjoint @ P[:, n:]) @ given) ** 2 @ sizes)
+    for device, held in zip(system.devices, at.held, strict=True):
+        e = device.inputs @ np.concatenate([at.z0, np.zeros(2 * k)])
+        found = device.law.noise(s, e, held)
+        if found is None:
+            continue
+        out, kept = found
+        drive = device.into @ out
+        if device.stores is not None:
+            drive = drive - s * device.stores @ kept
+        power += float((np.abs(adjoint @ drive) ** 2).sum())
+    return power

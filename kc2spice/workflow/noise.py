@@ -1,0 +1,118 @@
+"""Noise of a scene: the voltage that the simulator takes it of, its wave, metric, check, figure."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from kc2spice.core.errors import UsageError, did_you_mean
+from kc2spice.core.figure import Curve, Figure, Panel, scale_axis
+from kc2spice.core.waveforms import Waveforms
+from kc2spice.netlist.deck import Command, noise
+from kc2spice.netlist.expression import terms, vector
+from kc2spice.scene.compose import allocated
+from kc2spice.scene.judge import Check
+from kc2spice.scene.parttype import Build, Vector
+
+WAVE = "noise"  # spectral density of the output, and the metric of its rms value
+DENSITY = "/sqrt(Hz)"
+RESOLVED = 0.02  # of the rms value, which every second frequency may change
+
+
+def output(build: Build) -> Vector:
+    """What the scene asks the noise of: a result, or what a pin shows.
+
+    Raises
+    ------
+    UsageError : there is no such result, or it is no voltage of the netlist.
+    """
+    parts, name = build.scene.parts, str(build.scene.analysis.output)
+    known = {k: v for part in parts.values() for k, v in part.type.vectors(part, build).items()}
+    for part in parts.values():
+        pins = (pin.name for pin in part.type.pins(part, build.scene))
+        known |= {
+            each: build.across(part, pin)
+            for pin in pins
+            if (each := f"{part.name}.{pin}") not in known and build.net(part, pin) != "0"
+        }
+    voltages = {each: found for each, found in known.items() if _ends(found) is not None}
+    if name not in voltages:
+        raise UsageError(
+            "noise is that of a voltage or a motion",
+            where="analysis.output",
+            got=repr(name),
+            expected="one of " + ", ".join(voltages),
+            hint=did_you_mean(name, voltages),
+        )
+    return voltages[name]
+
+
+def _ends(found: Vector) -> str | None:
+    """The voltage as the simulator's card has it, None where the vector is none."""
+    read = [(sign, vector(text)) for sign, text in terms(found.expression)]
+    if any(v is None or v.quantity != "v" or len(v.names) > 1 for _, v in read) or len(read) > 2:
+        return None
+    nodes = [v.names[0] for sign, v in sorted(read, key=lambda row: -row[0]) if v is not None]
+    return f"v({','.join(nodes)})" if sum(sign for sign, _ in read) in (0, 1, -1) else None
+
+
+def result(build: Build) -> dict[str, Vector]:
+    """The only result of a noise analysis."""
+    found = output(build)
+    return {WAVE: Vector("onoise_spectrum", abs(found.factor), f"{found.unit}{DENSITY}")}
+
+
+def reference(build: Build) -> tuple[str, str]:
+    """Names of a source that drives nothing, which the analysis asks for, and of its node."""
+    taken = {*map(str.lower, build.scene.parts), *build.scene.nets.values()}
+    name = allocated([(WAVE, "noise_input")], taken)[WAVE]
+    return f"V{name}", name
+
+
+def command(build: Build) -> Command:
+    """The card of the analysis."""
+    chosen, ends = build.scene.analysis, _ends(output(build))
+    first, last = chosen.start, float(chosen.stop or 0.0)
+    return noise(str(ends), reference(build)[0], first, last, chosen.points, chosen.scale)
+
+
+def total(waves: Waveforms) -> float:
+    """rms value over the band."""
+    return _rms(waves["frequency"].real, waves[WAVE])
+
+
+def _rms(f: np.ndarray, density: np.ndarray) -> float:
+    return float(np.sqrt(np.trapezoid(np.abs(density) ** 2, f)))
+
+
+def checks(waves: Waveforms) -> Iterator[Check]:
+    """Whether there are enough frequencies for the sharpest resonance."""
+    if WAVE in waves and (f := waves["frequency"].real).size > 4:
+        even = f.size - (f.size + 1) % 2
+        f, density = f[:even], waves[WAVE][:even]
+        off = abs(_rms(f[::2], density[::2]) / (_rms(f, density) or 1.0) - 1.0)
+        told = "a resonance lies between the frequencies: raise analysis.points, or narrow the band"
+        yield Check(
+            "noise against every second frequency", off, RESOLVED, "of its rms", told, "warn"
+        )
+
+
+def figures(waves: Waveforms, unit: str) -> Iterator[Figure]:
+    """The spectral density, and what it adds up to from the lowest frequency on."""
+    if WAVE not in waves:
+        return
+    f, density = waves["frequency"].real, np.abs(waves[WAVE])
+    steps = np.diff(f) * (density[1:] ** 2 + density[:-1] ** 2) / 2
+    label, factor = scale_axis("frequency", f)
+    log = bool(f[0] > 0 and f[-1] / f[0] > 20)
+    rising = np.sqrt(np.concatenate([[0.0], np.cumsum(steps)]))
+    rows = (
+        (f"density in {unit}", density),
+        (f"rms from the lowest on in {unit.removesuffix(DENSITY)}", rising),
+    )
+    panels = [
+        Panel(label, words, (Curve("noise", factor * f, y),), log_x=log, log_y=y is density)
+        for words, y in rows
+    ]
+    yield Figure("noise", "Noise", "Of the scene's output, at 27 °C.", tuple(panels))

@@ -1,0 +1,98 @@
+"""Noise against equipartition and against what a body answers at its port."""
+
+import numpy as np
+import pytest
+
+import kc2spice as kc
+
+KT = 1.380649e-23 * 300.15  # J
+CIRCUIT = """
+[analysis]
+type = "noise"
+output = "{output}"
+start = {start}
+stop = {stop}
+points = {points}
+"""
+OSCILLATOR = """
+[mass]
+part = "mass"
+mass = "1 ug"
+pins = { a = "spring.a" }
+[spring]
+part = "spring"
+stiffness = "10 N/m"
+[damper]
+part = "damper"
+damping = "1e-5 N s/m"
+pins = { a = "spring.a" }
+"""
+FILTER = """
+[r]
+part = "resistor"
+resistance = "1 MOhm"
+pins = { a = "c.a" }
+[c]
+part = "capacitor"
+capacitance = "1 nF"
+"""
+BEAM = """
+[beam]
+part = "bimorph"
+length = "10 mm"
+width = "2 mm"
+layers = [{ material = "PZT-5A", thickness = "0.1 mm" }, { material = "PZT-5A", thickness = "0.1 mm" }]
+wiring = "series"
+damping = { ratio = 0.01 }
+pins = { anode = "gnd", base = "gnd", tip = "rest.a" }
+[rest]
+part = "spring"
+stiffness = "1 uN/m"
+"""  # noqa: E501
+COIL = """
+[coil]
+part = "voice_coil"
+resistance = "6 Ohm"
+inductance = "0.5 mH"
+bl = "5 N/A"
+cms = "1 mm/N"
+damping = "1 N s/m"
+pins = { plus = "gnd", minus = "gnd", a = "cone.a" }
+[cone]
+part = "mass"
+mass = "10 g"
+"""
+
+
+def noise(tmp_path, parts, **words):
+    scene = tmp_path / "noisy.toml"
+    scene.write_text(parts + CIRCUIT.format(**words))
+    return kc.run(scene)
+
+
+@pytest.mark.parametrize(
+    ("parts", "output", "total", "unit"),
+    [
+        (OSCILLATOR, "mass.x", np.sqrt(KT / 10), "m"),
+        (FILTER, "c.v", np.sqrt(KT / 1e-9), "V"),
+        (COIL, "coil.x", np.sqrt(KT * 1e-3), "m"),
+    ],
+)
+def test_equipartition(tmp_path, parts, output, total, unit):
+    found = noise(tmp_path, parts, output=output, start=0.01, stop=1e7, points=4000)
+    # of the band: 0.01 Hz misses 1e-4 of the power of the filter, the rule of integration 1e-5
+    assert found.metrics["noise"] == pytest.approx(total, rel=1e-4)
+    assert found.record["metric_units"]["noise"] == unit
+
+
+def test_a_body_has_the_noise_of_its_dissipation(tmp_path):
+    with pytest.warns(UserWarning, match="every second frequency"):  # nor are these meant to
+        found = noise(tmp_path, BEAM, output="beam.tip", start=100, stop=3000, points=40)
+    f = found.frequency
+    full = kc.build(tmp_path / "noisy.toml")["beam"]
+    s = 2j * np.pi * f
+    tip = full.inputs.index("tip")
+    compliance = 1 / (1e-6 + 1 / full.transfer(f)[:, tip, tip])
+    density = np.sqrt(4 * KT * (s * compliance).real) / np.abs(s)
+    # the reduction's tolerance on a peak of a hundredth of damping
+    np.testing.assert_allclose(found.waves["noise"], density, rtol=3e-3)
