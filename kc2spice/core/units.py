@@ -16,6 +16,9 @@ from kc2spice.core.errors import UsageError
 
 EPSILON_0 = 8.8541878188e-12  # F/m, CODATA 2022; scipy.constants takes long to load
 
+BOLTZMANN = 1.380649e-23  # J/K, exact (SI, 2019)
+TEMPERATURE = 300.15  # K, of a simulation unless told
+
 _PREFIX = {
     "f": -15, "p": -12, "n": -9, "u": -6, "µ": -6, "μ": -6, "m": -3, "c": -2,
     "k": 3, "M": 6, "G": 9, "T": 12,

@@ -33,6 +33,7 @@ class Diode(TemplatePart):
     title = heading = "junction diode"
     schema = DiodeKeys
     template = "diode"
+    noise = "shot noise, thermal noise in series at 27 C"
     rating = "it breaks through at bv; its largest current is in the diode's data sheet"
     validity = "27 C, or what .options temp says; it does not heat up"
     fixed = tuple(Terminal(pin, "V", "A", required=True) for pin in ("anode", "cathode"))

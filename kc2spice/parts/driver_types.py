@@ -46,6 +46,7 @@ class Amplifier(Driver):
     name, title = "amplifier", "high-voltage amplifier with slew rate and current limit"
     schema = AmplifierKeys
     template, heading = "driver_amplifier", "high-voltage amplifier for the chip"
+    resistive = ("R", "Rout")
     constants: ClassVar = {"sink": -10}  # V, the lower rail
 
     def limits(self, part: Part, build: Build, time: np.ndarray, wave: Waves) -> Iterable[Check]:
@@ -82,6 +83,7 @@ class ChargeDrive(Driver):
     name, title = "charge_drive", "charge drive for a floating capacitive load"
     schema = ChargeKeys
     template, heading = "driver_charge", "charge drive for the chip"
+    resistive = ("Rout",)
     terminals, fixed = ("anode", "cathode"), driver.ends("anode", "cathode")
 
     def limits(self, part: Part, build: Build, time: np.ndarray, wave: Waves) -> Iterable[Check]:
@@ -118,6 +120,7 @@ class HalfBridge(Driver):
     name, title = "half_bridge", "half-bridge with gate resistors and reservoir"
     schema = HalfBridgeKeys
     template, heading = "driver_half_bridge", "half-bridge for the chip"
+    resistive = ("Rout", "Rsupply", "Rhigh", "Rlow")
     opamp = None
     # V, V, F to the source and F to the drain, A of the diode in each transistor
     constants: ClassVar = {
@@ -175,6 +178,7 @@ class LinearDrive(CoilDriver):
     name, title = "linear_drive", "current source for coils, linear amplifier between two rails"
     schema = LinearKeys
     template, heading = "driver_linear", "current source for the coils"
+    resistive = ("R", "Rout", "Rsense")
     constants: ClassVar = {"sense": SENSE}
 
     def for_load(self, keys: Any, load: Load) -> tuple[tuple[Param, ...], Mapping[str, Any]]:

@@ -56,6 +56,7 @@ class NetlistKeys(Section):
 
 class Netlist(PartType):
     name = "netlist"
+    noise = "that of its own cards"
     title = "the user's own subcircuit"
     schema = NetlistKeys
     source = "yours"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping
 from typing import Any
 
@@ -9,6 +10,7 @@ from pydantic import Field
 
 from kc2spice.core.errors import UsageError
 from kc2spice.core.quantities import Frequency, Length, Section
+from kc2spice.core.units import BOLTZMANN, TEMPERATURE
 from kc2spice.netlist.circuit import Param
 from kc2spice.parts._template import TemplatePart
 from kc2spice.scene.model import Part, Scene, Terminal
@@ -33,6 +35,7 @@ class Sensor(TemplatePart):
     schema = SensorKeys
     source = "closed form"
     template, heading = "sensor", "position sensor"
+    resistive = ("Rnoise",)
     rating = "no range: compare the reading with that of your sensor"
     validity = "linear, one pole, constant temperature"
     fixed = (
@@ -53,10 +56,10 @@ dc = "1 um"
 """
 
     def problems(self, part: Part, scene: Scene) -> Iterator[UsageError]:
-        if part.keys.noise and scene.analysis.type != "transient":
-            yield part.wrong(
-                "noise", "noise is drawn in time", scene.analysis.type, "a transient, or no noise"
-            )
+        kinds = ("transient", "noise")
+        if part.keys.noise and scene.analysis.type not in kinds:
+            words = "noise is drawn in time, or analysed"
+            yield part.wrong("noise", words, scene.analysis.type, f"{' or '.join(kinds)}, or none")
 
     def design(self, part: Part, build: Build) -> tuple[tuple[Param, ...], Mapping[str, Any]]:
         keys = part.keys
@@ -64,7 +67,10 @@ dc = "1 um"
             Param("bandwidth", keys.bandwidth, "Hz", "of the reading", 0.0),
             Param("offset", keys.offset, "m", "added to the reading"),
         )
-        return params, {"noise": keys.noise, "step": 0.5 / keys.bandwidth}
+        # white up to the bandwidth, over the noise voltage of an ohm
+        root = math.sqrt(4 * BOLTZMANN * TEMPERATURE * keys.bandwidth)
+        gain = 1e6 * keys.noise / root if build.noisy else 0.0
+        return params, {"noise": keys.noise, "step": 0.5 / keys.bandwidth, "gain": gain}
 
     def vectors(self, part: Part, build: Build) -> Mapping[str, Vector]:
         return {f"{part.name}.y": build.across(part, "out")}

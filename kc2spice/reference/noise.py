@@ -14,12 +14,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from kc2spice.core import laws as L
+from kc2spice.core.units import BOLTZMANN, TEMPERATURE
 from kc2spice.core.waveform import constant
 from kc2spice.reference.assemble import System, assemble
 from kc2spice.reference.linear import Linear
-
-BOLTZMANN = 1.380649e-23  # J/K, exact (SI, 2019)
-TEMPERATURE = 300.15  # K, of the simulator unless told
 
 
 @dataclass(frozen=True, eq=False)

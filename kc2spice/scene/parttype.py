@@ -212,6 +212,8 @@ class PartType:
     controls: ClassVar[bool] = False
     #: cards of its subcircuit that are resistors of the device, which have noise; others are not
     resistive: ClassVar[tuple[str, ...]] = ()
+    #: in words what has noise, where that is not the thermal one of those
+    noise: ClassVar[str] = ""
 
     # --- scene: keys, pins, what a part brings along -------------------------------------------
 

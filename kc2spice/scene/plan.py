@@ -201,6 +201,12 @@ class Plan:
     settings: tuple[Setting, ...]
 
 
+def _noise(part: Part, build: Build) -> str:
+    """What of a part has noise, where the scene asks for it."""
+    own = "thermal noise at 27 C" if part.type.resistive else "no noise"
+    return f"; {part.type.noise or own}" if build.noisy else ""
+
+
 def plan(build: Build) -> Plan:
     """Parts, joins, omissions and settings; omissions of several parts stand once."""
     scene = build.scene
@@ -208,7 +214,10 @@ def plan(build: Build) -> Plan:
     left_out = [row for part in parts for row in part.type.neglected(part, scene)]
     certified = scene.analysis.small  # steps and contacts excite what is above the band
     return Plan(
-        parts=tuple(Modelled(p.name, p.type.source, p.type.detail(p, scene)) for p in parts),
+        parts=tuple(
+            Modelled(p.name, p.type.source, p.type.detail(p, scene) + _noise(p, build))
+            for p in parts
+        ),
         joins=drawing(scene),
         left_out=tuple(dict.fromkeys(left_out)),
         error_budget=scene.error_budget,

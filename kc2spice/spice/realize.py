@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import re
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
@@ -106,6 +107,8 @@ _SHAKEN = """
 _NOISE = """\
 * Every loss has the force noise of its temperature, 4 k T times the damping: the voltage noise of a
 * resistor of as many ohms. No other resistor here has noise."""
+_INNER_FORCE = re.compile(r"noise\d+")
+LOST = 1e-14  # of the largest loss of a model: rounding
 UNRATED = "not known; keep field and stress within the limits of its materials"
 
 
@@ -220,7 +223,8 @@ def subcircuit(
     Raises
     ------
     UsageError : an unknown port, a name that the subcircuit has for itself, a model without
-        state-space form, capacitances between electrodes that no passive network has.
+        state-space form or, with ``noise``, without symmetric matrices, capacitances between
+        electrodes that no passive network has.
     """
     if header is None:
         digest = hashlib.sha256(rom.B.tobytes() + rom.C.tobytes() + rom.D.tobytes())
@@ -228,8 +232,11 @@ def subcircuit(
     if ports is not None:
         rom = rom.select(list(ports))
     form = _form(rom, dense)
+    if noise and not isinstance(form, Resonators):
+        rom = _with_forces(rom)
+        form = _form(rom, dense)
     terminals = model_terminals(rom, form.D, name)
-    pins, base = subcircuit_pins(terminals)
+    pins, base = subcircuit_pins([t for t in terminals if not _INNER_FORCE.fullmatch(t.label)])
     moved = (t.pins[0].lower() for t in terminals if t.kind in MOVING)
     inner = "|".join([INNER, *(f"[uf]{pin}" for pin in moved)])
     distinct([pin.name for pin in pins], inner, where=name)
@@ -660,10 +667,39 @@ def _blocks(
 
 
 def _signals(terminals: list[PortTerminal], base: str) -> list[str]:
-    """Leaks of the signal inputs."""
+    """Leaks of the signal inputs, resistors of forces that are noise."""
     pins = [t.pins[0] for t in terminals if t.kind == "input"]
+    own = [pin for pin in pins if _INNER_FORCE.fullmatch(pin)]
+    pins = [pin for pin in pins if pin not in own]
     leaks = [f"Gleak{k} {p} {base} {p} {base} {number(LEAK)}" for k, p in enumerate(pins, 1)]
-    return ["* An input that is left open is zero.", *leaks] if pins else []
+    noise = [f"R{pin} {pin} {base} 1" for pin in own]
+    return [*noise, *(["* An input that is left open is zero.", *leaks] if pins else [])]
+
+
+def _with_forces(rom: LinearModel) -> LinearModel:
+    """``rom`` with an input for the force of every loss: ``E`` is the sum of squares of their
+    columns of B, so that each has the noise of a loss of one.
+
+    Raises
+    ------
+    UsageError : matrices whose losses are not those of ``E`` alone.
+    """
+    if rom.first_order or not rom.symmetric or not all(port.conservative for port in rom.ports):
+        raise UsageError(
+            "the noise of this model is not known",
+            where=rom.name,
+            got="a first-order model, one that is not symmetric, or ports that are signals",
+            expected="symmetric M, E, K and conservative ports",
+            hint="a transient or ac does without",
+        )
+    K, E, M = rom.pencil.dense().coefficients
+    lost, shapes = np.linalg.eigh(E)
+    kept = lost > LOST * lost.max(initial=0.0)
+    forces = shapes[:, kept] * np.sqrt(lost[kept])
+    ports = tuple(Port(f"noise{k}", "input") for k in range(1, forces.shape[1] + 1))
+    D = np.hstack([rom.D, np.zeros((len(rom.D), len(ports)))])
+    B, every = np.hstack([rom.B, forces]), (*rom.ports, *ports)
+    return replace(rom, M=M, E=E, K=K, rayleigh=None, B=B, C=rom.C, D=D, ports=every)
 
 
 def _balanced(

@@ -96,3 +96,35 @@ def test_a_body_has_the_noise_of_its_dissipation(tmp_path):
     density = np.sqrt(4 * KT * (s * compliance).real) / np.abs(s)
     # the reduction's tolerance on a peak of a hundredth of damping
     np.testing.assert_allclose(found.waves["noise"], density, rtol=3e-3)
+
+
+def test_damping_that_couples_modes(tmp_path):
+    """Two masses whose damper is on one of them: no modes of their own, but a body's blocks."""
+    M, K, E = np.diag([1e-6, 2e-6]), np.array([[3e2, -1e2], [-1e2, 2e2]]), np.diag([1e-3, 0.0])
+    np.savez(tmp_path / "two.npz", M=M, K=K, E=E, B=np.array([[0.0], [1.0]]))
+    (tmp_path / "two.toml").write_text('[[ports]]\nname = "tip"\nkind = "mechanical"\ncolumn = 1\n')
+    body = '[body]\npart = "matrices"\nfile = "two.npz"\n[rest]\npart = "spring"\n'
+    body += 'stiffness = "1 uN/m"\npins = { a = "body.tip" }\n'
+    found = noise(tmp_path, body, output="body.tip", start=100, stop=1e4, points=600)
+    s = 2j * np.pi * found.frequency
+    P = s[:, None, None] ** 2 * M + s[:, None, None] * E + K + np.diag([0.0, 1e-6])
+    compliance = np.linalg.inv(P)[:, 1, 1]
+    density = np.sqrt(4 * KT * (s * compliance).real) / np.abs(s)
+    np.testing.assert_allclose(found.waves["noise"], density, rtol=1e-6)
+
+
+def test_a_sensor_has_the_noise_that_it_states(tmp_path):
+    """1 nm rms up to 10 kHz: 10 pm per root Hz."""
+    parts = """
+[sensor]
+part = "sensor"
+bandwidth = "10 kHz"
+noise = "1 nm"
+pins = { of = "push.out" }
+[push]
+part = "source"
+kind = "displacement"
+dc = "0 um"
+"""
+    found = noise(tmp_path, parts, output="sensor.y", start=10, stop=1e4, points=20)
+    np.testing.assert_allclose(found.waves["noise"], 1e-11, rtol=1e-6)
