@@ -67,9 +67,9 @@ def ac(start: float, stop: float, points: int, scale: str) -> Command:
 
 
 def noise(output: str, source: str, start: float, stop: float, points: int, scale: str) -> Command:
-    """``.noise`` of the voltage ``output`` at frequencies as :func:`ac` has them; the simulator
-    asks for a ``source`` that it could refer the noise to."""
-    return Command("noise", (output, source, *_range(start, stop, points, scale)))
+    """``.noise`` of the voltage ``output`` at frequencies as :func:`ac` has them, each with what
+    every device adds; the simulator asks for a ``source`` that it could refer the noise to."""
+    return Command("noise", (output, source, *_range(start, stop, points, scale), "1"))
 
 
 def _range(start: float, stop: float, points: int, scale: str) -> tuple[str, ...]:

@@ -55,7 +55,7 @@ def make_deck(build: Build) -> Deck:
             )
     told = "".join(f"\n{line}" for line in _reductions(parts))
     ours = () if scene.solver.max_step else (MAX_STEP,)  # a line of its own says why
-    return Deck(
+    made = Deck(
         name=scene.name,
         title=f"{scene.name}: {scene.title}",
         notes=f"{header.origin()}\n{plan_lines(build.plan, ours)}{told}{_step_line(build)}",
@@ -69,6 +69,7 @@ def make_deck(build: Build) -> Deck:
         initial=_initial(build),
         controlled=any(part.type.controls for part in scene.parts.values()),
     )
+    return noise.sources(made, build) if build.noisy else made
 
 
 def _reductions(parts: Iterable[Subcircuit]) -> Iterator[str]:

@@ -62,7 +62,7 @@ def metrics(waves: Waveforms, build: Build) -> dict[str, Any]:
         for part, each in found.items()
         for name, value in each.items()
     }
-    own |= {noise.WAVE: noise.total(waves)} if noise.WAVE in waves else {}
+    own |= noise.metrics(waves)
     return own | {name: take(probe, waves, name) for name, probe in scene.probes.items()}
 
 

@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
 from kc2spice.core.errors import UsageError, did_you_mean
 from kc2spice.core.figure import Curve, Figure, Panel, scale_axis
 from kc2spice.core.waveforms import Waveforms
-from kc2spice.netlist.deck import Command, noise
+from kc2spice.netlist.deck import Command, Deck, noise
 from kc2spice.netlist.expression import terms, vector
+from kc2spice.netlist.scope import Scope
 from kc2spice.scene.compose import allocated
 from kc2spice.scene.judge import Check
 from kc2spice.scene.parttype import Build, Vector
@@ -63,6 +66,50 @@ def result(build: Build) -> dict[str, Vector]:
     return {WAVE: Vector("onoise_spectrum", abs(found.factor), f"{found.unit}{DENSITY}")}
 
 
+def sources(deck: Deck, build: Build) -> Deck:
+    """``deck`` with what each resistor that has noise adds, as ``noise.PART.NAME``."""
+    found = dict(_noisy(deck.scope, ""))
+    parts = sorted(build.scene.parts, key=len, reverse=True)
+    _, factor = deck.vectors[WAVE]
+    vectors = {}
+    for name, path in found.items():
+        own = path.partition(".")[0][1:]
+        part = next((p for p in parts if own.startswith(p.lower())), None)
+        if part is not None:
+            vectors[f"{WAVE}.{part}.{path.rpartition('.')[2]}"] = (f"onoise_{name}", factor)
+    units = dict.fromkeys(vectors, deck.units[WAVE])
+    return replace(deck, vectors={**deck.vectors, **vectors}, units={**deck.units, **units})
+
+
+def _noisy(scope: Scope, path: str) -> Iterator[tuple[str, str]]:
+    """Resistors with noise, as the simulator calls them, and their paths of instances."""
+    for each in scope.elements:
+        if each.kind == "x" and (inner := scope.find(each.model)) is not None:
+            yield from _noisy(inner, f"{path}{each.key}.")
+        elif each.kind == "r" and each.settings.get("noisy") != "0":
+            yield f"r.{path}{each.key}" if path else each.key, f"{path}{each.key}"
+
+
+def by_part(waves: Waveforms) -> dict[str, np.ndarray]:
+    """Density (nf,) of what each part adds, where the run tells it."""
+    power: dict[str, np.ndarray] = {}
+    for name, density in waves.data.items():
+        word, _, rest = name.partition(".")
+        if word == WAVE and rest:
+            part = rest.partition(".")[0]
+            power[part] = power.get(part, 0.0) + np.abs(density) ** 2
+    return {part: np.sqrt(found) for part, found in power.items()}
+
+
+def metrics(waves: Waveforms) -> dict[str, Any]:
+    """rms values over the band: of the output, and what each part adds to it."""
+    if WAVE not in waves:
+        return {}
+    f, parts = waves["frequency"].real, by_part(waves)
+    added = {"noise_by_part": {part: _rms(f, found) for part, found in parts.items()}}
+    return {WAVE: _rms(f, waves[WAVE])} | (added if len(parts) > 1 else {})
+
+
 def reference(build: Build) -> tuple[str, str]:
     """Names of a source that drives nothing, which the analysis asks for, and of its node."""
     taken = {*map(str.lower, build.scene.parts), *build.scene.nets.values()}
@@ -75,11 +122,6 @@ def command(build: Build) -> Command:
     chosen, ends = build.scene.analysis, _ends(output(build))
     first, last = chosen.start, float(chosen.stop or 0.0)
     return noise(str(ends), reference(build)[0], first, last, chosen.points, chosen.scale)
-
-
-def total(waves: Waveforms) -> float:
-    """rms value over the band."""
-    return _rms(waves["frequency"].real, waves[WAVE])
 
 
 def _rms(f: np.ndarray, density: np.ndarray) -> float:
@@ -111,8 +153,16 @@ def figures(waves: Waveforms, unit: str) -> Iterator[Figure]:
         (f"density in {unit}", density),
         (f"rms from the lowest on in {unit.removesuffix(DENSITY)}", rising),
     )
+    parts = by_part(waves)
+    added = [Curve(f"of {part}", factor * f, found, "--") for part, found in parts.items()]
     panels = [
-        Panel(label, words, (Curve("noise", factor * f, y),), log_x=log, log_y=y is density)
+        Panel(
+            label,
+            words,
+            (Curve("noise", factor * f, y), *(added if y is density and len(parts) > 1 else ())),
+            log_x=log,
+            log_y=y is density,
+        )
         for words, y in rows
     ]
     yield Figure("noise", "Noise", "Of the scene's output, at 27 °C.", tuple(panels))

@@ -83,6 +83,8 @@ def test_equipartition(tmp_path, parts, output, total, unit):
     # of the band: 0.01 Hz misses 1e-4 of the power of the filter, the rule of integration 1e-5
     assert found.metrics["noise"] == pytest.approx(total, rel=1e-4)
     assert found.record["metric_units"]["noise"] == unit
+    added = [wave for name, wave in found.waves.items() if name.startswith("noise.")]
+    np.testing.assert_allclose(np.linalg.norm(added, axis=0), found.waves["noise"], rtol=1e-6)
 
 
 def test_a_body_has_the_noise_of_its_dissipation(tmp_path):

@@ -52,7 +52,7 @@ def solution(waves: Waveforms, build: Build) -> Solution:
     for metrics in told:
         with suppress(KeyError):  # a wave that this solution path does not have
             found |= metrics()
-    found |= {noise.WAVE: noise.total(waves)} if noise.WAVE in waves else {}
+    found |= {k: v for k, v in noise.metrics(waves).items() if k == noise.WAVE}
     return Solution(waves, found)
 
 
