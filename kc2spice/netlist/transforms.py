@@ -35,18 +35,18 @@ def self_contained(part: Subcircuit, helpers: Iterable[Subcircuit]) -> Subcircui
 
 
 def quiet(part: Subcircuit, noisy: Iterable[str]) -> Subcircuit:
-    """``part`` with no noise of resistors but those called ``noisy`` and a number: the others are
-    arithmetic."""
+    """``part`` with no noise of resistors but those that are noise, ``Rnoise…``, and those called
+    ``noisy`` and a number: the others are arithmetic."""
     names = {name.lower() for name in noisy}
+
+    def silent(each: Element) -> bool:
+        own = each.key.startswith("rnoise") or names & {each.key, each.key.rstrip(DIGITS)}
+        return each.kind == "r" and not own
 
     def item(each: Item) -> Item:
         if isinstance(each, Circuit):
             return replace(each, items=tuple(map(item, each.items)))
-        if (
-            isinstance(each, Element)
-            and each.kind == "r"
-            and not names & {each.key, each.key.rstrip(DIGITS)}
-        ):
+        if isinstance(each, Element) and silent(each):
             return replace(each, parameters={**each.parameters, "noisy": "0"})
         return each
 

@@ -80,6 +80,8 @@ class GapKeys(Section):
 class Gap(DeclaredPart):
     """The part type; how many branches it has is up to its keys."""
 
+    noise = "thermal noise of the film at 27 C"
+
     def declared(self, part: Part, scene: Scene) -> Declaration:
         return _declared(part.keys.model_dump_json(), len(_ports(part, scene)))
 

@@ -31,9 +31,9 @@ def body(declaration: Declaration, noise: bool = False) -> str:
     return "\n".join(_lines(declaration, noise)) + "\n"
 
 
-def noisy(declaration: Declaration) -> tuple[str, ...]:
-    """Names of the resistors whose noise is that of the losses."""
-    return tuple(f"Rnoise_{b.name}" for b in declaration.branches if declaration.loss(b) != ZERO)
+def noisy(declaration: Declaration) -> bool:
+    """Whether anything is lost."""
+    return any(declaration.loss(b) != ZERO for b in declaration.branches)
 
 
 def _lines(declaration: Declaration, noise: bool) -> Iterator[str]:

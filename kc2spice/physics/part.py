@@ -44,7 +44,7 @@ class DeclaredPart(PartType):
             title=declaration.title,
             schema=declaration.keys,
             example=declaration.example,
-            resistive=noisy(declaration),
+            resistive=("Rnoise",) if noisy(declaration) else (),
         )
 
     # --- pins and netlist -------------------------------------------------------------------
