@@ -169,6 +169,7 @@ swing_m = { of = "langevin.u.front", take = "max" }
 """
 
 
+@pytest.mark.slow
 def test_free_sandwich_is_driven_far_below_its_limits(tmp_path, results):
     """Free to move over a band of 200 kHz; the field of a ring is the drive over its thickness and
     what its stress adds."""

@@ -14,7 +14,16 @@ EXAMPLES = [
 ]
 
 
-SLOW = ("error_budget", "fit", "sweep", "own_driver", "python_controller", "tune")
+SLOW = (
+    "error_budget",
+    "fit",
+    "impedance",
+    "own_driver",
+    "pyspice_parts",
+    "python_controller",
+    "sweep",
+    "tune",
+)
 
 
 @pytest.mark.parametrize(

@@ -162,6 +162,7 @@ def test_chain_of_600_lightly_damped_masses_takes_seconds():
     np.testing.assert_allclose(poles[: low.size], low, rtol=1e-6)
 
 
+@pytest.mark.slow
 def test_a_free_chain_stays_free_when_it_is_reduced():
     """Far below the band a chain of masses under a force is their sum: ``x = -F / (n m w^2)``."""
     n, k, m = 310, 4e6, 1e-6

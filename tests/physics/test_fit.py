@@ -106,6 +106,7 @@ def test_campaign_of_parts():
     assert max(models for _, models in found.values()) <= 14, found
 
 
+@pytest.mark.slow  # seconds
 def test_keys_that_the_data_cannot_tell_apart_are_named():
     """Far below any resonance there is a capacitance alone: area over thickness."""
     data = measured(BUZZER, "disc", {}, (300.0, 600.0), 0.03, 4)

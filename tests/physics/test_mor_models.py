@@ -20,9 +20,10 @@ FAMILIES = {
     "heat rod": families.heat_rod,
     "rotor": families.rotor,
 }
-# The rotor's model is not symmetric and costs five seconds a test.
+# Some seconds a test.
 COSTLY = [
-    pytest.param(name, marks=pytest.mark.slow if name == "rotor" else ()) for name in FAMILIES
+    pytest.param(name, marks=pytest.mark.slow if name in ("rotor", "triple chain") else ())
+    for name in FAMILIES
 ]
 FLOOR = 1e-6  # of an entry's peak; below it a relative error says nothing
 
@@ -110,7 +111,7 @@ def test_error_is_within_the_tolerance_and_its_estimate_is_sharp(name, tolerance
 )
 @pytest.mark.parametrize(
     "name",
-    [pytest.param(n, marks=pytest.mark.slow if n in ("rotor", "triple chain") else ())
+    [pytest.param(n, marks=pytest.mark.slow if n not in ("beam", "building") else ())
      for n in FAMILIES],
 )  # fmt: skip
 def test_ngspice_runs_the_emitted_subcircuit_as_asked(name, dense, truth, tmp_path):

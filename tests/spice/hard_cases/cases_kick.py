@@ -57,7 +57,7 @@ Xkick a 0 r 0 kick
     return waves["u"], waves["time"], static
 
 
-@case("kick with 1 ns edges", LAUNCH, 2e-4)
+@case("kick with 1 ns edges", LAUNCH, 2e-4, slow=True)
 def edges_of_1_ns(bench):
     return launch_error(bench, kick("kick.drive.edge=1 ns"))
 
