@@ -164,3 +164,32 @@ def test_monte_carlo_of_ngspice_has_mean_and_spread_of_fresh_full_models(tmp_pat
     assert mean == pytest.approx(fresh.mean(), abs=4 * first / np.sqrt(300))
     assert fresh.std() == pytest.approx(first, rel=0.1)  # a sample of 30, in strata
     assert spread == pytest.approx(first, rel=0.13)  # three standard errors of 300 draws
+
+
+@pytest.mark.slow
+def test_the_chip_over_height_damping_and_d33_is_within_its_certificate():
+    """The paper's stack from every port to every port, at points that nothing was made from."""
+    d = {"d31": -3.212e-10, "d33": 7.124e-10, "d15": 9.503e-10}  # C/N, of the paper's e and c
+    ranges = {
+        "height": ["1.9 mm", "2.1 mm"],
+        "damping.ratio": [0.005, 0.02],
+        "material.strain_coupling.d33": [6.625e-10, 7.622e-10],
+    }
+    kick = {
+        "part": "piezo_stack",
+        "material": {"like": "THP51", "strain_coupling": d},
+        "damping": {"ratio": 0.01, "at": 250e3},
+        "rom": {"tolerance": 1e-3, "band": [0, 500e3], "parameters": ranges},
+        "pins": {"anode": "drive.out", "cathode": "gnd"},
+    }
+    analysis = {"type": "ac", "start": "1 kHz", "stop": "500 kHz", "points": 400}
+    scene = kc.load_scene({"title": "chip", **BUZZER, "disc": kick, "analysis": analysis})
+    part = scene.parts["disc"]
+    found = part.type.varying(part, scene, Clock())
+    f, draw = np.linspace(5e3, 500e3, 25), np.random.default_rng(4)
+    for _ in range(3):
+        values = {key: axis.value(draw.uniform(-1, 1)) for key, axis in found.box.items()}
+        full = part.type.full(with_values(part, values), scene, Clock())
+        exact = full.select([port.name for port in found.ports]).transfer(f)
+        error = np.abs(found.at(values).transfer(f) / exact - 1).max()
+        assert error < found.certificate.error_estimate < 1e-3
