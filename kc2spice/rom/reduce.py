@@ -54,6 +54,7 @@ FIXED_ORDER_TARGET = 1e-8  # of the subspace when the order is given
 SAFETY = 1.15  # on differences at samples, for what lies between them
 SOFT = 1e12  # condition of an energy that holds a motion which costs none but for rounding
 BALANCED = 1200  # first-order states at most
+UNSCALED = 500  # of them where Gramians cost less than the rest: entries of one size need no scale
 CHEAP = 200  # of them where balancing only tells what the form costs
 # Definite matrices become resonators, which prove their stability: they are given up for a model
 # of this share of their states, not for one with few fewer.
@@ -469,6 +470,11 @@ def balanced(like: Reduction, order: int, tolerance: float) -> tuple[Reduction, 
     model = Response(balance.standard(core, top))
     H, peak = like.reference
     ways = {"balanced truncation": lambda: balance.by_gramians(model.pencil, *balance.scales(peak))}
+    if model.pencil.size <= UNSCALED:
+        one = [np.ones(len(each)) for each in balance.scales(peak)]
+        ways["balanced truncation of outputs as they are"] = lambda: balance.by_gramians(
+            model.pencil, *one
+        )
     if model.quick:
         ways["balanced truncation over the band"] = lambda: balance.by_samples(
             model, 1j * like.frequency / top, *balance.weights(like.frequency, H, peak, like.norm)
