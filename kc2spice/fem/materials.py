@@ -77,6 +77,7 @@ class Material:
     tensile_strength, depoling_field, breakdown_field : largest principal stress [Pa], field
         against the poling and field in any direction [V/m] that it stands, None if not known.
     sources : where each number comes from.
+    residual_stress : (3,) normal stresses at rest along x, y, z [Pa], which supports must hold.
     axis : (3,) unit vector of its z axis (the poling of a ceramic) in the axes of the body.
     dielectric : has a field between its electrodes even where that is coupled to no stress.
     """
@@ -95,6 +96,7 @@ class Material:
     sources: Mapping[str, str] = field(default_factory=dict)
     axis: np.ndarray = field(default_factory=lambda: np.array([0.0, 0.0, 1.0]))
     dielectric: bool = False
+    residual_stress: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
     def __repr__(self) -> str:
         kind = "piezoelectric" if self.piezoelectric else "elastic"
@@ -260,6 +262,9 @@ class MaterialTable(Section):
     )
     breakdown_field: Annotated[float, si("V/m")] | None = Field(
         None, gt=0, description="in any direction"
+    )
+    residual_stress: tuple[Pressure, Pressure, Pressure] = Field(
+        (0.0, 0.0, 0.0), description="at rest along x, y, z of the body, which its supports hold"
     )
     source: str = Field("", description="of all numbers")
     sources: dict[str, str] = Field(default_factory=dict, description="of single keys")

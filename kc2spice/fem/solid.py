@@ -192,6 +192,8 @@ def assemble(solid: Solid, *, only: int | None = None) -> Operators:
         for (N, B, G), w in zip(strains(solid, basis), weights.T[:, :, None, None], strict=True):
             m = m + w * material.density * N[:, :, None] * N[:, None]
             k = k + w * (B.transpose(0, 2, 1) @ (material.C @ B))
+            if any(material.residual_stress):
+                k = k + w * _stressed(solid, material, N, B, G)
             if field:
                 c = c + w * (B.transpose(0, 2, 1) @ (material.e.T @ G))
                 p = p + w * (G.transpose(0, 2, 1) @ (material.eps_S @ G))
@@ -205,6 +207,20 @@ def assemble(solid: Solid, *, only: int | None = None) -> Operators:
     m, K_uu, K_up, K_pp = (_gather(p, s) for p, s in zip(parts, shapes, strict=True))
     M = sparse.csc_array(sparse.kron(_symmetric(m), np.eye(d)))
     return Operators(M, _symmetric(K_uu), K_up, _symmetric(K_pp))
+
+
+def _stressed(
+    solid: Solid, material: Material, N: np.ndarray, B: np.ndarray, G: np.ndarray
+) -> np.ndarray:
+    """``grad v . sigma0 grad u`` of each component, (elements, l d, l d): how a stress at rest
+    stiffens. A turning of the hoop direction adds ``sigma0_y v_r u_r / r^2``."""
+    d, sigma = solid.components, np.array(material.residual_stress)
+    each = G.transpose(0, 2, 1) @ (sigma[:, None] * G)
+    found = np.einsum("eab,ij->eaibj", each, np.eye(d))
+    if solid.axisymmetric:
+        hoop = B.reshape(len(B), 6, -1, d)[:, 1, :, 0]
+        found[:, :, 0, :, 0] += sigma[1] * hoop[:, :, None] * hoop[:, None]
+    return np.asarray(found.reshape(len(found), each.shape[1] * d, -1))
 
 
 def _chunks(solid: Solid, only: int | None) -> Iterator[tuple[Material, np.ndarray]]:

@@ -33,7 +33,7 @@ from pydantic import Field, StringConstraints, model_validator
 
 from kc2spice.bodies.blocks import Block, Bonded, Box, depoling_voltage
 from kc2spice.core.errors import UsageError
-from kc2spice.core.quantities import Length, Section, si, validated
+from kc2spice.core.quantities import Count, Length, Section, si, validated
 from kc2spice.fem.keys import Damping, Mesh
 from kc2spice.fem.materials import material
 from kc2spice.parts._meshed import BondedBody, FieldKeys
@@ -71,13 +71,16 @@ class BimorphKeys(FieldKeys):
     ] = Field(
         default_factory=dict, description="further ports on the top by distance from the clamp"
     )
+    patches: Count = Field(
+        0, ge=0, le=64, description="ports patch1 … on equal strips of the bottom, from the clamp"
+    )
     damping: Damping = Damping()
     mesh: Mesh = Mesh()
 
     @model_validator(mode="after")
     def _consistent(self) -> BimorphKeys:
         for name, x in self.points.items():
-            if name in ("tip", "base", "anode", "cathode"):
+            if name in ("tip", "base", "anode", "cathode") or name.startswith("patch"):
                 raise ValueError(f"points: {name} is a port already")
             if not 0 <= x <= self.length:
                 raise ValueError(f"points.{name} is not on the beam")
@@ -143,6 +146,12 @@ def structure(keys: BimorphKeys | Mapping[str, Any], where: str = "bimorph") -> 
     ports = {} if beam.support == "clamped" else {"tip": end}
     middle = (width / 2, width / 2)
     ports |= {name: across(x, middle, (top, top)) for name, x in beam.points.items()}
+    edges = np.linspace(0, length, beam.patches + 1)
+    ports |= {
+        f"patch{k}": ((low, high), whole, (0.0, 0.0))
+        for k, (low, high) in enumerate(pairwise(edges.tolist()), 1)
+        if beam.patches
+    }
     return Bonded(
         blocks,
         {pin: [*chain(*found)] for pin, found in electrodes.items()} if active else {},
@@ -165,7 +174,9 @@ def _grid(beam: BimorphKeys, heights: list[float]) -> tuple[np.ndarray, ...]:
     """Lines along the beam, finer towards clamps, across it and through the layers."""
     refine = beam.mesh.refine
     s = np.linspace(0, 1, LENGTHWISE * refine + 1)
-    if beam.support == "cantilever":
+    if beam.patches:  # as many in each
+        s = np.linspace(0, 1, -(-LENGTHWISE * refine // beam.patches) * beam.patches + 1)
+    elif beam.support == "cantilever":
         s = s**GRADING
     elif beam.support == "clamped":
         s = 0.5 + 0.5 * np.sign(s - 0.5) * (1 - (1 - np.abs(2 * s - 1)) ** GRADING)

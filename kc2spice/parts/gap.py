@@ -1,11 +1,11 @@
 """A gap between faces of a body and a fixed electrode: pull-in, contact, release, squeezed film.
 
 The face is one port or a row of them, each a patch with its own displacement; x is how far a patch
-has come towards the electrode, ``d = gap - x`` what is left there. Of each patch of area A the
-coenergy is ``C v^2 / 2`` with ``C = permittivity eps0 A / d``; with ``fringing`` that of a strip of
-width w and thickness t instead, per length ``eps0 permittivity (w/d + 0.77 + 1.06 (w/d)^(1/4) +
-1.06 (t/d)^(1/2))`` (N. van der Meijs, J. T. Fokkema, Integration 2 (1984) 85). The stop is a spring
-beyond ``travel``.
+has risen, ``d = gap - x`` what is left under an electrode above it, ``gap + x`` over one below. Of
+each patch of area A the coenergy is ``C v^2 / 2`` with ``C = permittivity eps0 A / d``; with
+``fringing`` that of a strip of width w and thickness t instead, per length ``eps0 permittivity (w/d
++ 0.77 + 1.06 (w/d)^(1/4) + 1.06 (t/d)^(1/2))`` (N. van der Meijs, J. T. Fokkema, Integration 2
+(1984) 85). The stop is a spring beyond ``travel``.
 
 The film of gas is that of a rectangle vented on all sides (J. J. Blech, J. Lubr. Technol. 105
 (1983) 615). Its pressure is a series of ``sin(m pi x / l) sin(n pi y / w)``, m and n odd, and each
@@ -34,10 +34,13 @@ from kc2spice.core.units import EPSILON_0
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.parts._linear_body import LinearBody
 from kc2spice.physics import Declaration, DeclaredPart, displacement, voltage
+from kc2spice.physics.expression import evaluated
+from kc2spice.scene.judge import Balance, Check
 from kc2spice.scene.model import Part, Scene, Terminal
 from kc2spice.scene.parttype import Build, Vector, register
 
 PATCH = "patch"  # begins the names of a body's ports that are one row of patches
+UNSTABLE = 1e-5  # of the capacitance: above the last digits of ngspice where nothing moves
 TERMS = 99  # odd m and n up to this; what is left out damps 1e-4 less
 
 
@@ -83,7 +86,7 @@ class Gap(DeclaredPart):
     noise = "thermal noise of the film at 27 C"
 
     def declared(self, part: Part, scene: Scene) -> Declaration:
-        return _declared(part.keys.model_dump_json(), len(_ports(part, scene)))
+        return _declared(part.keys.model_dump_json(), len(patches(part, scene)))
 
     def pins(self, part: Part, scene: Scene) -> tuple[Terminal, ...]:
         ends = {"minus": "gnd", "b": "gnd"}
@@ -93,10 +96,10 @@ class Gap(DeclaredPart):
         )
 
     def default_joins(self, part: Part, scene: Scene) -> Mapping[str, str]:
-        return {f"p{k}": port for k, port in enumerate(_ports(part, scene), 1)}
+        return {f"p{k}": port for k, port in enumerate(patches(part, scene), 1)}
 
     def problems(self, part: Part, scene: Scene) -> Iterator[UsageError]:
-        keys, ports = part.keys, _ports(part, scene)
+        keys, ports = part.keys, patches(part, scene)
         if not keys.travel < keys.gap:
             got, expected = f"{keys.travel:g} m", f"less than the gap, {keys.gap:g} m"
             yield part.wrong("travel", "the stop lies beyond the electrode", got, expected)
@@ -108,6 +111,22 @@ class Gap(DeclaredPart):
         """Without what nothing but rounding flows into: the films' own pins are joined nowhere."""
         found = super().vectors(part, build)
         return {name: row for name, row in found.items() if ".film_force" not in name}
+
+    def checks(self, part: Part, build: Build, waves: Waveforms) -> Iterator[Check | Balance]:
+        """After a dc sweep also that no point is on the branch between pull-in and release: what
+        rests has a capacitance that never falls with ``v^2``, as the coenergy's least is convex."""
+        yield from super().checks(part, build, waves)
+        d, seen = self.declared(part, build.scene), self._seen(part, build, waves)
+        if "sweep" not in waves or set(seen) != set(d.coordinates):
+            return
+        (branch,) = (b for b in d.branches if b.kind == "voltage")
+        unit = d.values(part.keys) | seen | {branch.name: 1.0}
+        capacitance = np.asarray(evaluated(d.kept(branch), unit))
+        rises = np.diff(capacitance) * -np.sign(np.diff(np.abs(seen[branch.name])))
+        name, most = f"{part.name} where nothing rests", float(rises.max() / capacitance.max())
+        advice = "the sweep turns next to a fold, or steps over it: other points, or a wider one"
+        what = "of its capacitance, more as the voltage falls"
+        yield Check(name, most, UNSTABLE, what, advice)
 
     def metrics(self, part: Part, build: Build, waves: Waveforms) -> Mapping[str, Any]:
         """Voltage at which a patch first meets the stop, and at which the last one then leaves it,
@@ -123,7 +142,8 @@ class Gap(DeclaredPart):
             law = force / moved if moved else 0.0
             omega = 2 * np.pi * waves["frequency"][-1].real
             return {"gap_stiffness_n_m": law.real, "gap_damping_n_s_m": law.imag / omega}
-        stroke, size = np.max(of["x"], axis=0), np.abs(volts)
+        side = -1.0 if part.keys.side == "below" else 1.0
+        stroke, size = np.max(side * np.array(of["x"]), axis=0), np.abs(volts)
         steps = np.flatnonzero(np.diff((stroke >= part.keys.travel).astype(int)))
         ends = {"pull_in_v": steps[:1], "release_v": steps[1:][-1:]}
         found = {
@@ -133,8 +153,8 @@ class Gap(DeclaredPart):
         return found | {"largest_travel_m": float(stroke.max())}
 
 
-def _ports(part: Part, scene: Scene) -> tuple[str, ...]:
-    """Ports of the body that its patches are, in their order."""
+def patches(part: Part, scene: Scene) -> tuple[str, ...]:
+    """Ports of the body that a part's patches are, in their order."""
     given = part.keys.a
     if not isinstance(given, str):
         return tuple(given)
@@ -156,19 +176,20 @@ def _declared(text: str, count: int) -> Declaration:
     shares = keys.shares or (1 / count,) * count
     numbers: dict[str, float | str] = {"eps0": EPSILON_0}
     numbers |= {f"share{k}": share for k, share in enumerate(shares, 1)}
-    patches = range(1, count + 1)
-    ends = [("b", f"p{k}") if keys.side == "below" else (f"p{k}", "b") for k in patches]
+    patches, sign = range(1, count + 1), "-" if keys.side == "below" else "+"
     branches = [voltage("v", "plus", "minus")]
-    branches += [displacement(f"x{k}", *ends[k - 1], f"force{k}") for k in patches]
+    branches += [displacement(f"x{k}", f"p{k}", "b", f"force{k}") for k in patches]
     # Of the gap, 1 at rest: ngspice adds 1e-32 to what it divides by.
-    left = {k: f"(1 - x{k}/gap)" for k in patches}
+    left = {k: f"(1 - {sign}1*x{k}/gap)" for k in patches}
     each = {k: f"share{k}*area/gap/{left[k]}" for k in patches}
-    if keys.fringing is not None:
+    if keys.fringing is not None:  # whose roots no iterate may take of what is below zero
+        left = {k: f"(least + max(0, {d[1:-1]} - least))" for k, d in left.items()}
+        numbers |= {"least": "0.5*(1 - travel/gap)"}
         numbers |= {"width": keys.fringing.width, "thickness": keys.fringing.thickness}
         for k, d in left.items():
             root = f"1.06*sqrt(sqrt(width/gap/{d})) + 1.06*sqrt(thickness/gap/{d})"
             each[k] = f"share{k}*area/width*(width/gap/{d} + 0.77 + {root})"
-    energy = [f"0.5*share{k}*stop*max(0, x{k} - travel)^2" for k in patches]
+    energy = [f"0.5*share{k}*stop*max(0, {sign}1*x{k} - travel)^2" for k in patches]
     content = []
     if keys.film is not None:
         mean = f"({'+'.join(f'share{k}*{left[k]}' for k in patches)})"
@@ -191,7 +212,7 @@ def _declared(text: str, count: int) -> Declaration:
         energy=" + ".join(energy),
         coenergy=f"0.5*eps0*permittivity*v^2*({' + '.join(each.values())})",
         content=" + ".join(content) or "0",
-        limits={f"what is left of the gap at patch {k}": f"gap - x{k}" for k in patches},
+        limits={f"what is left of the gap at patch {k}": f"gap - {sign}1*x{k}" for k in patches},
         neglected=tuple(_neglected(keys)),
         rating="not known; compare v / gap with the breakdown of what is in the gap",
         example=EXAMPLE,

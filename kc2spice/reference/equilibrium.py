@@ -96,8 +96,11 @@ def equilibrium(system: System, guess: np.ndarray | None = None) -> tuple[np.nda
     friction, moved = np.zeros((n, n)), []
     for v in np.flatnonzero(system.velocity):  # the row of p' = speed v tells whose velocity it is
         p = int(np.flatnonzero((system.F[:, v] != 0.0) & _kinematic(system))[0])
-        friction[v, p] = 1.0
         moved.append((int(v), p))
+    if guess is not None and not moved:  # nothing has a mass: the row of a net balances its forces
+        moved = [(int(k), int(k)) for k in _nets(system)]
+    for row, column in moved:
+        friction[row, column] = 1.0
     forces, places = np.array(moved, dtype=int).reshape(-1, 2).T
     # A guess is mostly near: Newton's method alone first, the slow motion where that fails.
     pace, direct = (1e-6, 0) if guess is None else (1e13, _DIRECT)
@@ -121,6 +124,13 @@ def equilibrium(system: System, guess: np.ndarray | None = None) -> tuple[np.nda
         where="operating point",
         hint="does something hold every part? give a mass a position to start it in flight",
     )
+
+
+def _nets(system: System) -> np.ndarray:
+    """Unknowns that are displacements of nets."""
+    names = {name: k for k, name in enumerate(system.names)}
+    moving = [k for name, k in names.items() if f"{name}.rate" in names]
+    return np.flatnonzero((system.now[moving, : system.size] != 0.0).any(axis=0))
 
 
 def _kinematic(system: System) -> np.ndarray:

@@ -263,7 +263,8 @@ def driven(branches, state, rates, rng):
     drives, changes = {}, {}
     for b in branches:
         micro = 1e6 if b.kind == "displacement" else 1.0
-        drives[b.minus], changes[b.minus] = rng.uniform(-1, 1), rng.uniform(-1, 1)
+        if b.minus not in drives:  # which branches may share
+            drives[b.minus], changes[b.minus] = rng.uniform(-1, 1), rng.uniform(-1, 1)
         key = ("I", b.plus) if b.kind == "current" else b.plus
         base = (0.0, 0.0) if b.kind == "current" else (drives[b.minus], changes[b.minus])
         drives[key], changes[key] = base[0] + micro * state[b.name], base[1] + micro * rates[b.name]

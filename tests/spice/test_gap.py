@@ -5,7 +5,11 @@ import pytest
 
 import kc2spice as kc
 from kc2spice.core.errors import UsageError
+from kc2spice.core.waveforms import Waveforms
+from kc2spice.parts.bimorph import structure
+from kc2spice.physics.expression import evaluated
 from kc2spice.scene.load import load_scene
+from kc2spice.scene.parttype import Build
 
 EPS, AREA, GAP, TRAVEL, K = 8.8541878188e-12, 1e-8, 3e-6, 2e-6, 1.2152
 LENGTH, WIDTH, FILM, VISCOSITY, PRESSURE = 2e-3, 1e-3, 5e-6, 18.3e-6, 1e5
@@ -70,6 +74,18 @@ def test_a_film_is_blechs(branches, count, within):
         assert abs(found / exact - 1) < within
 
 
+def test_a_branch_that_nothing_rests_on_fails_a_sweep():
+    """A body that comes nearer, or goes, while the voltage falls."""
+    scene = load_scene(loop())
+    part, build = scene.parts["plate"], Build(scene, {})
+    for rise, passed in ((1e-7, True), (-1e-7, False)):
+        volts = np.linspace(10, 8, 21)
+        waves = Waveforms({"sweep": volts, "plate.v": volts,
+                           "plate.x1": 1e-6 + rise * (volts - 8)}, {})  # fmt: skip
+        found = [c for c in part.type.checks(part, build, waves) if "rests" in c.name]
+        assert [c.passed for c in found] == [passed]
+
+
 def test_bad_keys_say_what_they_are():
     with pytest.raises(UsageError, match="stop lies beyond"):
         load_scene(loop(travel=GAP))
@@ -79,3 +95,43 @@ def test_bad_keys_say_what_they_are():
         load_scene(loop(a="spring"))
     with pytest.raises(UsageError, match="only the dc value of a source returns"):
         load_scene(loop() | {"analysis": {"type": "op", "back": True}})
+
+
+@pytest.mark.parametrize("count", [10, 19])
+def test_a_bent_beam_is_longer(count):
+    """``w = a (1 - cos(2 pi x / l)) / 2`` lengthens it by ``(pi a)^2 / (4 l)``; the energy is
+    off by the fourth power of a strip, 7e-3 of 10, as slopes are exact for cubics."""
+    edges = np.linspace(0, 1, count + 1)
+    means = 0.5 - count * np.diff(np.sin(2 * np.pi * edges)) / (4 * np.pi)
+    scene = load_scene({
+        "name": "beam",
+        "stretch": {"part": "stretch", "a": ["spring.a"] * count, "length": 1.0, "stiffness": 2.0},
+        "spring": {"part": "spring", "stiffness": 1.0},
+        "push": {"part": "source", "kind": "force", "pins": {"out": "spring.a"}},
+        "analysis": {"type": "op"},
+    })  # fmt: skip
+    declared = scene.parts["stretch"].type.declared(scene.parts["stretch"], scene)
+    known = {f"x{k}": 0.1 * w for k, w in enumerate(means, 1)}
+    energy = evaluated(declared.stored, {"length": 1.0, "stiffness": 2.0, "tension": 0.0} | known)
+    assert energy == pytest.approx(((np.pi * 0.1) ** 2 / 4) ** 2, rel=80 / count**4)
+
+
+def test_a_beam_under_tension_is_stiffer():
+    """Deflection of its middle under a load q per length, clamped, with ``k^2 = N / (E I)``:
+    ``q l^2 / (8 N) - q l tanh(k l / 4) / (2 N k)``; 5e-3 is the mesh and shear."""
+    length, width, thick, modulus, stress = 300e-6, 10e-6, 3e-6, 169e9, 80e6
+    layer = {"thickness": thick, "material": {
+        "density": 2330.0, "youngs_modulus": modulus, "poisson_ratio": 0.0,
+        "residual_stress": [stress, 0.0, 0.0]}}  # fmt: skip
+    keys = {"length": length, "width": width, "support": "clamped", "patches": 5,
+            "points": {"middle": length / 2}, "layers": [layer], "mesh": {"refine": 2}}  # fmt: skip
+    model = structure(keys).device().model
+    names = [port.name for port in model.ports]
+    static = model.transfer(np.array([0.0]))[0].real[names.index("middle")]
+    found = sum(static[k] for k, name in enumerate(names) if name.startswith("patch")) / 5
+    tension = stress * width * thick
+    k = np.sqrt(tension / (modulus * width * thick**3 / 12))
+    load = 1 / length
+    exact = load * length**2 / (8 * tension)
+    exact -= load * length * np.tanh(k * length / 4) / (2 * tension * k)
+    assert found == pytest.approx(exact, rel=5e-3)

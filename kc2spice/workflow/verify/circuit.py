@@ -28,7 +28,7 @@ from kc2spice.reference.integrate import Result, transient
 from kc2spice.reference.linear import ac
 from kc2spice.reference.noise import noise
 from kc2spice.scene.parttype import Build
-from kc2spice.workflow.meters import replaced, swept
+from kc2spice.workflow.meters import replaced, sweep_values, swept
 from kc2spice.workflow.noise import WAVE
 
 RTOL = 1.5e-9  # of the integrator; at 1e-8 a sphere ringing at megahertz loses 5e-7 of its energy
@@ -308,7 +308,9 @@ def _steady(circuit: Circuit, build: Build, points: np.ndarray) -> Mapping[str, 
     if kind == "dc":
         part, key, found = swept(build)
         assert found.range is not None
-        values = np.linspace(*found.range, build.scene.analysis.points)
+        values, last = sweep_values(build), found.range[1]
+        if build.scene.analysis.back:
+            values = last - np.sign(last - found.range[0]) * np.abs(values - last)
         source = circuit.sweeps.get((part.name, key))
     if source is not None:
         return equilibrium.dc(system, source[0], source[1] * values)
