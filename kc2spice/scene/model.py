@@ -124,8 +124,8 @@ class Analysis(Section):
     sweep: str | None = Field(None, description="PART.KEY that dc moves")
     from_: Any = Field(0.0, alias="from", description="first value of a dc sweep")
     to: Any = Field(1.0, description="last value of a dc sweep")
-    back: bool = Field(
-        False, description="the dc value of a source returns to from; its scale goes on growing"
+    back: bool | None = Field(
+        None, description="the dc value of a source returns to from; its scale goes on growing"
     )
 
     @model_validator(mode="after")
