@@ -7,6 +7,7 @@ differentiated by the current of a capacitor that a source charges.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from dataclasses import replace
 
 from kc2spice.netlist.expression import Binary, Call, Name, Number, Probe, Tree, replaced
 from kc2spice.physics.declaration import RATE, Branch, Declaration
@@ -39,17 +40,23 @@ def noisy(declaration: Declaration) -> bool:
 def _lines(declaration: Declaration, noise: bool) -> Iterator[str]:
     for name, tree in declaration.fixed.items():
         yield f".param {name}={{{text(tree)}}}"
-    nodes = _probes(declaration)
+    nodes, reference = _probes(declaration), _reference(declaration)
+    for tree, name in declaration.polynomials.items():
+        yield f"* the power series {name}"
+        yield f"B{name} {name} {reference} V={{{text(replaced(tree, nodes))}}}"
     for branch in declaration.damped:
         yield from _velocity(branch)
     added: dict[str, Tree] = dict.fromkeys(declaration.coordinates, ZERO)
-    for branch in declaration.branches if noise else ():
+    branches = [
+        b if b.plus else replace(b, plus=reference, minus=reference) for b in declaration.branches
+    ]
+    for branch in branches if noise else ():
         if (loss := declaration.loss(branch)) != ZERO:
             source = Probe("v", (f"noise_{branch.name}", branch.minus))
             added[branch.name] = times(source, Call("sqrt", (loss,)))
             yield _comment("noise", branch, loss=text(loss))
             yield f"Rnoise_{branch.name} noise_{branch.name} {branch.minus} 1"
-    for branch in declaration.branches:
+    for branch in branches:
         make = {"displacement": _force, "voltage": _charge, "current": _flux}[branch.kind]
         yield from make(declaration, branch, nodes, added[branch.name])
     yield from _edges(declaration, nodes)
@@ -57,7 +64,10 @@ def _lines(declaration: Declaration, noise: bool) -> Iterator[str]:
 
 def _probes(declaration: Declaration) -> Mapping[str, Tree]:
     """What stands for each coordinate and rate."""
-    found: dict[str, Tree] = {}
+    reference = _reference(declaration)
+    found: dict[str, Tree] = {
+        name: Probe("v", (name, reference)) for name in declaration.polynomials.values()
+    }
     for b in declaration.branches:
         across: Tree = Probe("v", (b.plus, b.minus))
         if b.kind == "displacement":
@@ -65,6 +75,12 @@ def _probes(declaration: Declaration) -> Mapping[str, Tree]:
         found[b.name] = Probe("i", (meter(b),)) if b.kind == "current" else across
         found[b.name + RATE] = Probe("i", (f"Vrate_{b.name}",))
     return found
+
+
+def _reference(declaration: Declaration) -> str:
+    """The pin on which loops and inner nodes rest."""
+    pins = (b.minus for b in declaration.branches if b.kind == "displacement")
+    return next(pins, declaration.open[0].minus)
 
 
 def meter(branch: Branch) -> str:
@@ -81,8 +97,8 @@ def _comment(kind: str, branch: Branch, **words: str) -> str:
     return f"* {_HEAD[kind].format(plus=branch.plus, minus=branch.minus, **words)}"
 
 
-def _placed(tree: Tree, nodes: Mapping[str, Tree]) -> str:
-    return text(replaced(tree, nodes))
+def _placed(declaration: Declaration, tree: Tree, nodes: Mapping[str, Tree]) -> str:
+    return text(replaced(declaration.named(tree), nodes))
 
 
 def _differentiated(name: str, node: str, minus: str) -> Iterator[str]:
@@ -102,8 +118,9 @@ def _force(
 ) -> Iterator[str]:
     node = force_node(b)
     yield _comment("force", b, node=node)
-    yield f"*   {b.through} = {text(declaration.direct(b))}"
-    yield f"B{node} {b.minus} {node} I={{{_placed(plus(declaration.direct(b), noise), nodes)}}}"
+    direct = declaration.direct(b)
+    yield f"*   {b.through} = {text(declaration.named(direct))}"
+    yield f"B{node} {b.minus} {node} I={{{_placed(declaration, plus(direct, noise), nodes)}}}"
     yield f"R{node} {node} {b.minus} 1"
     yield f"G{node} {b.plus} {b.minus} {node} {b.minus} 1"
 
@@ -114,7 +131,7 @@ def _scaled(
     """What is kept, in units of its derivative at rest, so that its voltages are those of ``b``."""
     scale = declaration.at_rest(derivative(kept, b.name))
     yield f".param scale_{b.name}={{{text(scale if scale != ZERO else Number('1e-12'))}}}"
-    amount = Binary("/", replaced(kept, nodes), Name(f"scale_{b.name}"))
+    amount = Binary("/", replaced(declaration.named(kept), nodes), Name(f"scale_{b.name}"))
     yield f"B{node} {node} {b.minus} V={{{text(amount)}}}"
     yield from _differentiated(b.name, node, b.minus)
 
@@ -126,12 +143,13 @@ def _charge(
     yield f"{meter(b)} {b.plus} {inner} 0"
     if kept != ZERO:
         yield _comment("charge", b, node=f"q_{b.name}", scale=f"scale_{b.name}")
-        yield f"*   charge = {text(kept)}"
+        yield f"*   charge = {text(declaration.named(kept))}"
         yield from _scaled(declaration, b, kept, f"q_{b.name}", nodes)
         yield f"Fq_{b.name} {inner} {b.minus} Vrate_{b.name} {{scale_{b.name}*1e6}}"
     if direct != ZERO or kept == ZERO:
-        yield f"*   {b.through} = {text(direct)}"
-        yield f"Bi_{b.name} {inner} {b.minus} I={{{_placed(plus(direct, noise), nodes)}}}"
+        yield f"*   {b.through} = {text(declaration.named(direct))}"
+        whole = _placed(declaration, plus(direct, noise), nodes)
+        yield f"Bi_{b.name} {inner} {b.minus} I={{{whole}}}"
 
 
 def _flux(
@@ -141,12 +159,12 @@ def _flux(
     yield f"{meter(b)} {b.plus} {inner} 0"
     if kept != ZERO:
         yield _comment("flux", b, node=f"l_{b.name}", scale=f"scale_{b.name}")
-        yield f"*   flux = {text(kept)}"
+        yield f"*   flux = {text(declaration.named(kept))}"
         yield from _scaled(declaration, b, kept, f"l_{b.name}", nodes)
         yield f"Hl_{b.name} {inner} rest_{b.name} Vrate_{b.name} {{scale_{b.name}*1e6}}"
         inner = f"rest_{b.name}"
     yield f"*   voltage besides that of the flux = {text(drop)}"
-    yield f"Bv_{b.name} {inner} {b.minus} V={{{_placed(plus(drop, noise), nodes)}}}"
+    yield f"Bv_{b.name} {inner} {b.minus} V={{{_placed(declaration, plus(drop, noise), nodes)}}}"
 
 
 def _edges(declaration: Declaration, nodes: Mapping[str, Tree]) -> Iterator[str]:

@@ -24,13 +24,13 @@ Electromechanical Energy Conversion, 1966; content: W. Millar, Phil. Mag. 42 (19
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Literal
 
 from kc2spice.core.errors import UsageError
 from kc2spice.core.quantities import Section
-from kc2spice.netlist.expression import Name, Tree, Writer, replaced
+from kc2spice.netlist.expression import Call, Name, Tree, Writer, rebuilt, replaced, walk
 from kc2spice.physics.expression import (
     ZERO,
     derivative,
@@ -43,6 +43,7 @@ from kc2spice.physics.expression import (
 )
 
 Kind = Literal["displacement", "voltage", "current"]
+LOOPS = "loops"
 RATE = "_rate"  # ends the name of a displacement's velocity
 
 
@@ -57,6 +58,13 @@ class Branch:
     minus: str
     through: str
     less: str = ""
+
+    @property
+    def across(self) -> str:
+        """Word of the result across it: a coordinate's, or a current's voltage."""
+        if self.kind != "current":
+            return self.name
+        return "v" if self.name == "i" else f"{self.name}_v"
 
 
 def displacement(
@@ -74,6 +82,11 @@ def voltage(name: str = "v", plus: str = "plus", minus: str = "minus", flow: str
 def current(name: str = "i", plus: str = "plus", minus: str = "minus") -> Branch:
     """``name`` [A] flows from ``plus`` to ``minus``; a flux follows it."""
     return Branch("current", name, plus, minus, name)
+
+
+def loop(name: str) -> Branch:
+    """``name`` [A] flows in a closed loop of the part; a flux follows it."""
+    return Branch("current", name, "", "", name)
 
 
 @dataclass(frozen=True)
@@ -140,6 +153,32 @@ class Declaration:
     def rates(self) -> tuple[str, ...]:
         """Names of the velocities."""
         return tuple(b.name + RATE for b in self.branches if b.kind == "displacement")
+
+    @cached_property
+    def open(self) -> tuple[Branch, ...]:
+        """Branches between pins: all but loops."""
+        return tuple(branch for branch in self.branches if branch.plus)
+
+    @cached_property
+    def closed(self) -> Declaration:
+        """The same with loops that begin and end at one inner pin, ``loops``."""
+        if self.open == self.branches:
+            return self
+        own = (b if b.plus else replace(b, plus=LOOPS, minus=LOOPS) for b in self.branches)
+        return replace(self, branches=tuple(own))
+
+    @cached_property
+    def polynomials(self) -> dict[Tree, str]:
+        """Names of all power series in what is through the branches and kept."""
+        trees = [tree for b in self.branches for tree in (self.direct(b), self.kept(b))]
+        calls = (node for tree in trees for node in walk(tree))
+        found = dict.fromkeys(c for c in calls if isinstance(c, Call) and c.function == "poly")
+        return {call: f"poly{k}" for k, call in enumerate(found, 1)}
+
+    def named(self, tree: Tree) -> Tree:
+        """``tree`` with the names of its power series in their places."""
+        name = self.polynomials.get(tree)
+        return rebuilt(tree, self.named) if name is None else Name(name)
 
     @cached_property
     def numbers(self) -> tuple[str, ...]:
@@ -224,6 +263,11 @@ class Declaration:
         own = (times(Name(name + RATE), tree) for name, tree in self._forces.items())
         return plus(*map(self._heat, self.rates), *own)
 
+    @cached_property
+    def heated(self) -> Tree:
+        """The part of :attr:`lost` that voltages and currents between pins lose."""
+        return plus(*(self._heat(b.name) for b in self.open if b.kind != "displacement"))
+
     def _heat(self, rate: str) -> Tree:
         return times(Name(rate), derivative(self._content, rate))
 
@@ -233,10 +277,10 @@ class Declaration:
         return tuple(filter(None, map(self._equation, self.branches)))
 
     def _equation(self, branch: Branch) -> str:
-        direct, kept = self.direct(branch), self.kept(branch)
+        direct, kept = self.named(self.direct(branch)), self.named(self.kept(branch))
         terms = [f"d/dt ({Writer().write(kept)})"] if kept != ZERO else []
         terms += [Writer().write(direct)] if direct != ZERO else []
-        name = "v" if branch.kind == "current" else branch.through
+        name = branch.across if branch.kind == "current" else branch.through
         return f"{name} = {' + '.join(terms)}" if terms else ""
 
     def at_rest(self, tree: Tree) -> Tree:

@@ -2,8 +2,9 @@
 
 The trees are those of :mod:`kc2spice.netlist.expression`. Besides arithmetic there are ``exp``,
 ``ln``, ``sqrt``, ``sin``, ``cos``, ``sinh``, ``cosh``, ``tanh``, ``atan``, the one-sided
-``max(0, e)``, ``clip(e)``, which is e between -1 and 1, and ``integral(f, x)``, that of ``f(x)``
-from zero to ``x``, which exists as a number and by its derivative but has no text in a netlist.
+``max(0, e)``, ``clip(e)``, which is e between -1 and 1, ``poly(e, c0, c1, ...)``, a power series
+of numbers, and ``integral(f, x)``, that of ``f(x)`` from zero to ``x``, which exists as a number
+and by its derivative but has no text in a netlist.
 """
 
 from __future__ import annotations
@@ -61,6 +62,8 @@ def expression(text: str, where: str = "expression") -> Tree:
                 continue
             case Call("integral", (_, Name(_))) | Call("clip", (_,)):
                 continue
+            case Call("poly", (_, *series)) if series and not any(map(names, series)):
+                continue
             case Call(name, (_,)) if name in _CHAIN:
                 continue
             case Call(name, _):
@@ -68,7 +71,8 @@ def expression(text: str, where: str = "expression") -> Tree:
                     "no such function in physics",
                     where=where,
                     got=name,
-                    expected=f"max(0, …), clip(…), integral(…, x), {', '.join(_CHAIN)}",
+                    expected="max(0, …), clip(…), poly(…, numbers), integral(…, x), "
+                    + ", ".join(_CHAIN),
                 )
             case Choice() | Probe():
                 raise UsageError(
@@ -87,6 +91,8 @@ class _Card(Writer):
                 return f"sqrt(max(1e-12, {self.write(value)}))"
             case "clip", (value,):
                 return f"max(-1, min(1, {self.write(value)}))"
+            case "poly", (value, *series):
+                return f"({self.write(horner(value, series))})"
         return super().call(function, arguments)
 
 
@@ -168,6 +174,11 @@ def _derivative(tree: Tree, name: str) -> Tree:
             return f if x == name else inner if name in names(f) else ZERO
         case Call("max", (_, value)):
             return Binary("*", _step(value), _derivative(value, name))
+        case Call("poly", (value, _, *higher)):
+            sizes = [k * float(evaluated(c, {})) for k, c in enumerate(higher, 1)]
+            series = [Number(f"{size:.{_DIGITS}g}") for size in sizes]
+            slope = Call("poly", (value, *series)) if series else ZERO
+            return Binary("*", slope, _derivative(value, name))
         case Call("clip", (value,)):
             free = Binary("-", ONE, Binary("+", *map(_step, _ends(value))))
             return Binary("*", free, _derivative(value, name))
@@ -175,6 +186,14 @@ def _derivative(tree: Tree, name: str) -> Tree:
             outer = replaced(parse(_CHAIN[function]), {"u": value})
             return Binary("*", outer, _derivative(value, name))
     return ZERO  # numbers, and steps, which are level on either side
+
+
+def horner(value: Tree, series: Iterable[Tree]) -> Tree:
+    """The power series of ``value``, lowest power first, as nested products."""
+    *lower, whole = series
+    for each in reversed(lower):
+        whole = Binary("+", each, Binary("*", value, whole))
+    return whole
 
 
 def _step(value: Tree) -> Tree:
@@ -342,6 +361,8 @@ class _Python(Writer):
         if function == "integral":
             f, x = arguments
             return f"integral(lambda {self.write(x)}: {self.write(f)}, {self.write(x)})"
+        if function == "poly":
+            return f"({self.write(horner(arguments[0], arguments[1:]))})"
         return super().call(_NUMPY.get(function, function), arguments)
 
 

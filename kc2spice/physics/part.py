@@ -13,7 +13,7 @@ from kc2spice.netlist.cards import name as checked
 from kc2spice.netlist.circuit import Param, Pin, Subcircuit
 from kc2spice.netlist.expression import Tree
 from kc2spice.physics.cards import body, force_node, meter, noisy
-from kc2spice.physics.declaration import RATE, Branch, Declaration
+from kc2spice.physics.declaration import LOOPS, RATE, Branch, Declaration
 from kc2spice.physics.expression import derivative, evaluated, kinks, names
 from kc2spice.physics.law import DeclaredLaw
 from kc2spice.scene.judge import Balance, Check
@@ -55,7 +55,7 @@ class DeclaredPart(PartType):
 
     def _pins(self, part: Part, scene: Scene) -> tuple[Pin, ...]:
         found: dict[str, Pin] = {}
-        for b in self.declared(part, scene).branches:
+        for b in self.declared(part, scene).open:
             for pin in (b.plus, b.minus):
                 found.setdefault(checked(pin), Pin(pin, *_NODE[b.kind]))
         return tuple(found.values())
@@ -120,16 +120,15 @@ class DeclaredPart(PartType):
         found = {}
         for b in self.declared(part, build.scene).branches:
             unit, flow = _NODE[b.kind]
-            across = across_pins(build, part, b)
+            across = across_pins(build, part, b) if b.plus else ""
             if b.kind == "displacement":
                 found[f"{part.name}.{b.name}"] = Vector(across, 1e-6, "m")
                 through = f"v(x{part.name}.{force_node(b)})"
                 if (minus := build.net(part, b.minus)) != "0":
                     through += f"-v({minus})"
             else:
-                found[f"{part.name}.{'v' if b.kind == 'current' else b.name}"] = Vector(
-                    across, 1.0, unit
-                )
+                if across:
+                    found[f"{part.name}.{b.across}"] = Vector(across, 1.0, unit)
                 through = f"i(v.x{part.name}.{meter(b)})"
             found[f"{part.name}.{b.through}"] = Vector(through.lower(), 1.0, flow)
         return found
@@ -154,12 +153,17 @@ class DeclaredPart(PartType):
         n, d = part.name, self.declared(part, build.scene)
         results = {}
         for b in d.branches:
-            across = "v" if b.kind == "current" else b.name
-            results[f"{n}.{across}"] = laws.difference(f"{n}.{b.plus}", f"{n}.{b.minus}")
-            results[f"{n}.{b.through}"] = laws.reading(f"{n}.{b.plus}.through")
-        law = DeclaredLaw(n, d, tuple(d.values(part.keys).values()))
+            wave = f"{n}.{b.plus}.through" if b.plus else f"{n}.{b.name}"
+            results[f"{n}.{b.through}"] = laws.reading(wave)
+        for b in d.open:
+            results[f"{n}.{b.across}"] = laws.difference(f"{n}.{b.plus}", f"{n}.{b.minus}")
+        law = DeclaredLaw(n, d.closed, tuple(d.values(part.keys).values()))
         pins = tuple((pin.name, f"{n}.{pin.name}") for pin in self._pins(part, build.scene))
-        return laws.Equations((law,), pins, results)
+        if d.closed is d:
+            return laws.Equations((law,), pins, results)
+        ground = laws.TwoTerminal(f"{n}_{LOOPS}", 0, 1.0)  # no current flows to it
+        nets = ((f"{n}.{LOOPS}", f"{n}_{LOOPS}.a"),)
+        return laws.Equations((law, ground), pins, results, nets=nets)
 
     # --- what a run says --------------------------------------------------------------------
 
@@ -224,8 +228,8 @@ def energies(
         return np.asarray(evaluated(tree, known) * np.ones_like(time))
 
     stored, heat = over_time(declaration.stored), running(over_time(declaration.lost), time)
-    brought = heat - running(over_time(declaration.dragged), time)
-    for b in declaration.branches:  # a jump of a current is no jump of a charge
+    brought = running(over_time(declaration.heated), time)
+    for b in declaration.open:  # a jump of a current is no jump of a charge
         through, over = seen[b.name], over_time(declaration.kept(b))
         if b in moved:
             through = waves.data.get(f"{part.name}.{b.through}", np.zeros_like(time))

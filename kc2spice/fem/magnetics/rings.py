@@ -1,0 +1,287 @@
+"""A conducting body of revolution in the field of coaxial coils: rings, and few modes of them.
+
+The body is divided into rings of equal square or rectangular section, ``L di/dt + R i = -d/dt m j``
+for the currents i of the rings and j of the coils. L and R are constant in the body's frame; only
+the mutual inductances m depend on its height y. In the modes of ``R v = rate L v`` with ``v' L v =
+1`` the body is a set of loops of 1 H and ``rate`` Ohm, coupled to the coils by ``v' m(y)`` alone.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import product
+
+import numpy as np
+from numpy.polynomial import chebyshev
+
+from kc2spice.core.errors import UsageError
+
+MU_0 = 4e-7 * np.pi  # H/m
+NODES = 40  # heights at which the couplings are computed, Chebyshev's
+FINE = 24  # divisions of a coil's longer side, for its own inductance
+POINTS = 16  # along it, for that with others
+SLIVER = 0.02  # of a section, below which a ring carries nothing
+NEAR = 4  # cells from the axis
+GAUSS = (-0.5 / 3**0.5, 0.5 / 3**0.5)  # of a section
+DIGITS = 11  # that ngspice keeps of a literal in an expression
+
+
+def mutual(r: np.ndarray, z: np.ndarray, other: np.ndarray, height: np.ndarray) -> np.ndarray:
+    """Mutual inductance [H] of two coaxial circles of the radii ``r`` and ``other`` [m] at the
+    heights ``z`` and ``height`` (Maxwell, A Treatise on Electricity and Magnetism, art. 701);
+    arguments broadcast. Infinite where both coincide."""
+    from scipy.special import ellipe, ellipkm1
+
+    apart = (z - height) ** 2
+    across = (r + other) ** 2 + apart
+    # K by 1 - k^2, which is exact where the circles are close
+    k2, rest = 4 * r * other / across, ((r - other) ** 2 + apart) / across
+    found = (1 - k2 / 2) * ellipkm1(rest) - ellipe(k2)
+    return np.asarray(MU_0 * np.sqrt(across) * found)
+
+
+@dataclass(frozen=True)
+class Cells:
+    """Rings of equal sections ``size`` (radial, axial) [m] about ``r`` (n,) and ``z`` (n,), of
+    which the shares ``filled`` (n,) carry current."""
+
+    r: np.ndarray
+    z: np.ndarray
+    size: tuple[float, float]
+    filled: np.ndarray
+
+    @cached_property
+    def inductance(self) -> np.ndarray:
+        """(n, n) [H], of currents spread evenly over each section.
+
+        The logarithm in that of circles is replaced by its mean over both sections (J. C. Maxwell,
+        Trans. R. Soc. Edinburgh 26 (1872) 729). The rest of it is taken between the middles, near
+        the axis, where it is no smoother, between four points of each.
+        """
+        r, z, size = self.r, self.z, self.size
+        x, y = np.subtract.outer(r, r), np.subtract.outer(z, z)
+        logs = _mean_log(x, y, *size)
+        found, near = _averaged(r, z, r, z, logs), r < NEAR * size[0]
+        steps = [(i * size[0], j * size[1]) for i in GAUSS for j in GAUSS]
+        part = np.zeros((np.count_nonzero(near), r.size))
+        for (u, v), (s, t) in product(steps, steps):
+            part += _averaged(r[near] + u, z[near] + v, r + s, z + t, logs[near]) / len(steps) ** 2
+        found[near], found[:, near] = part, part.T
+        return found
+
+    @cached_property
+    def resistance(self) -> np.ndarray:
+        """(n,) [Ohm] at 1 S/m."""
+        return 2 * np.pi * self.r / (self.size[0] * self.size[1] * self.filled)
+
+
+def _averaged(
+    r: np.ndarray, z: np.ndarray, other: np.ndarray, height: np.ndarray, logs: np.ndarray
+) -> np.ndarray:
+    """:func:`mutual` (n, m) with ``logs`` for the logarithm of the distance in it."""
+    r, z = r[:, None], z[:, None]
+    same = (r == other) & (z == height)
+    distance = np.where(same, 1.0, np.hypot(r - other, z - height))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        between = np.where(same, MU_0 * r * (np.log(8 * r) - 2), mutual(r, z, other, height))
+    return np.asarray(between + MU_0 * np.sqrt(r * other) * (np.log(distance) - logs))
+
+
+def _mean_log(x: np.ndarray, y: np.ndarray, a: float, b: float) -> np.ndarray:
+    """Mean of the logarithm of the distance of two rectangles ``a`` times ``b``, ``x`` and ``y``
+    apart: fourth difference of an integral of ``ln(x^2 + y^2) / 2``."""
+    found = np.zeros_like(x)
+    for i, p in ((-1, 1), (0, -2), (1, 1)):
+        for j, q in ((-1, 1), (0, -2), (1, 1)):
+            u, v = np.abs(x + i * a) + 1e-30, np.abs(y + j * b) + 1e-30
+            angles = u**3 * v * np.arctan2(v, u) + u * v**3 * np.arctan2(u, v)
+            logs = (u**2 * v**2 / 4 - (u**4 + v**4) / 24) * np.log(u**2 + v**2)
+            found += p * q * (logs + angles / 3 - 25 / 24 * u**2 * v**2)
+    return found / (2 * a**2 * b**2)
+
+
+def divided(
+    inner: float,
+    outer: float,
+    low: float,
+    high: float,
+    count: int,
+    inside: Callable[[np.ndarray, np.ndarray], np.ndarray] | None = None,
+) -> Cells:
+    """A section of about ``count`` nearly square cells; those that ``inside(r, z)`` cuts have a
+    share."""
+    wide, tall = outer - inner, high - low
+    side = np.sqrt(wide * tall / count)
+    # three layers at least: the skin effect is across the thinnest side
+    n, m = (max(3, round(length / side)) for length in (wide, tall))
+    size = wide / n, tall / m
+    r, z = np.meshgrid(inner + size[0] * (np.arange(n) + 0.5), low + size[1] * (np.arange(m) + 0.5))
+    r, z, filled = r.ravel(), z.ravel(), np.ones(n * m)
+    if inside is not None:
+        offsets = (np.arange(16) + 0.5) / 16 - 0.5
+        u, v = (part.ravel() for part in np.meshgrid(offsets * size[0], offsets * size[1]))
+        filled = inside(r[:, None] + u, z[:, None] + v).mean(axis=1)
+        kept = filled > SLIVER
+        r, z, filled = r[kept], z[kept], filled[kept]
+    return Cells(r, z, size, filled)
+
+
+@dataclass(frozen=True)
+class Winding:
+    """``turns`` spread evenly over a rectangle about the mean ``radius`` and the height ``y``."""
+
+    radius: float
+    width: float
+    height: float
+    y: float
+    turns: float
+
+    @cached_property
+    def cells(self) -> Cells:
+        """Its section in cells."""
+        half, longest = (self.width / 2, self.height / 2), max(self.width, self.height)
+        parts = [max(2, round(FINE * side / longest)) for side in (self.width, self.height)]
+        r = self.radius - half[0] + self.width * (np.arange(parts[0]) + 0.5) / parts[0]
+        z = self.y - half[1] + self.height * (np.arange(parts[1]) + 0.5) / parts[1]
+        r, z = (each.ravel() for each in np.meshgrid(r, z))
+        size = self.width / parts[0], self.height / parts[1]
+        return Cells(r, z, size, np.ones_like(r))
+
+    def coupling(self, r: np.ndarray, z: np.ndarray) -> np.ndarray:
+        """Mutual inductance [H] with circles (...), by Gauss's points of the section."""
+        sides = np.array([self.width, self.height])
+        counts = np.maximum(3, np.round(POINTS * sides / sides.max())).astype(int)
+        (x, p), (y, q) = (np.polynomial.legendre.leggauss(n) for n in counts)
+        at, height = self.radius + self.width / 2 * x, self.y + self.height / 2 * y
+        found = mutual(r[..., None, None], z[..., None, None], at[:, None], height)
+        return np.asarray(self.turns * np.einsum("...ij,i,j->...", found, p / 2, q / 2))
+
+    def with_other(self, other: Winding) -> float:
+        """Mutual inductance [H] with another winding; its own with itself."""
+        if other == self:
+            return float(self.turns**2 * self.cells.inductance.mean())
+        return float(other.turns * self.coupling(other.cells.r, other.cells.z).mean())
+
+
+@dataclass(frozen=True)
+class Ladder:
+    """A body as loops of 1 H and ``rates`` (k,) Ohm at 1 S/m, where ``inductance`` (c, c) [H] is
+    that of the coils and ``couplings`` (c, k, degree + 1), with magnets (c + 1, k, degree + 1), are
+    polynomials of ``2 (y - low) / (high - low) - 1``, lowest power first. ``error`` is the largest
+    of what the currents of more loops change in the coils' flux and in the force, of the largest;
+    ``rings`` are those of the body.
+    """
+
+    rates: np.ndarray
+    couplings: np.ndarray
+    inductance: np.ndarray
+    low: float
+    high: float
+    error: float
+    rings: int
+
+
+def ladder(
+    body: Cells,
+    coils: Sequence[Winding],
+    magnets: Sequence[Winding],
+    low: float,
+    high: float,
+    conductivity: float,
+    frequency: float,
+    tolerance: float,
+) -> Ladder:
+    """The loops of a ``body`` at the heights ``low`` to ``high`` [m] up to ``frequency`` [Hz].
+
+    The turns of ``magnets`` are amperes on their surfaces; what all of them couple to the loops is
+    a flux [Wb]. The subspace of the body's currents is that of its answers to each coil, and to the
+    magnets, at some heights and frequencies, as small as the ``tolerance`` lets it be; the loops
+    are the modes within it, so that energy and loss are those of currents that the body can carry.
+
+    Raises
+    ------
+    UsageError : the couplings are no smooth functions of the height, as where body and coil meet.
+    """
+    nodes = chebyshev.chebpts1(NODES)
+    heights = low + (nodes + 1) * (high - low) / 2
+    own = np.array([[a.with_other(b) for b in coils] for a in coils])
+    at = body.r, body.z + heights[:, None]
+    m = [c.coupling(*at) for c in coils]  # (c, y, n)
+    if magnets:
+        m.append(sum((c.coupling(*at) for c in magnets), np.zeros_like(at[1])))
+    from scipy.linalg import eigh
+
+    rates, modes = eigh(np.diag(body.resistance), body.inductance)
+    seen = np.array(m) @ modes
+    seen /= np.linalg.norm(seen, axis=2).max(axis=1)[:, None, None]
+    speeds = 2 * np.pi * frequency * conductivity * np.geomspace(1e-3, 1, 13)
+    basis, error = _subspace(rates, seen, speeds, nodes, tolerance)
+    reduced, turn = np.linalg.eigh(basis.T * rates @ basis)
+    found = np.array(m) @ modes @ basis @ turn
+    polynomials = _polynomials(nodes, found, tolerance)
+    return Ladder(reduced, polynomials, own, low, high, error, body.r.size)
+
+
+def _subspace(
+    rates: np.ndarray, seen: np.ndarray, speeds: np.ndarray, nodes: np.ndarray, tolerance: float
+) -> tuple[np.ndarray, float]:
+    """Orthonormal columns that hold the answers to the couplings ``seen`` (c, y, n) of coils at
+    every other one of the angular frequencies ``speeds``, and how much others miss by them."""
+
+    def answers(some: np.ndarray, couplings: np.ndarray) -> np.ndarray:
+        return couplings[:, :, None, :] * (1j * some / (rates[:, None] + 1j * some)).T
+
+    sampled = answers(speeds[::2], seen[:, ::3]).reshape(-1, rates.size)
+    left, _, _ = np.linalg.svd(np.concatenate([sampled.real, sampled.imag]).T, full_matrices=False)
+    slopes = chebyshev.chebval(nodes, chebyshev.chebder(_fitted(nodes, seen))).transpose(0, 2, 1)
+
+    def acted(rate: np.ndarray, at: np.ndarray, slope: np.ndarray) -> list[np.ndarray]:
+        share = 1j * speeds / (rate[:, None] + 1j * speeds)
+        return [np.einsum("iyn,jyn,nf->ijyf", at, other, share) for other in (at, slope)]
+
+    whole = acted(rates, seen, slopes)
+    error = np.inf
+    for count in range(1, left.shape[1] + 1):
+        basis = left[:, :count]
+        reduced, turn = np.linalg.eigh(basis.T * rates @ basis)
+        part = acted(reduced, seen @ basis @ turn, slopes @ basis @ turn)
+        error = max(np.abs(a - b).max() / np.abs(a).max() for a, b in zip(whole, part, strict=True))
+        if error < tolerance:
+            break
+    return basis, float(error)
+
+
+def _fitted(nodes: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """Chebyshev coefficients (NODES, c, k) of ``values`` (c, NODES, k)."""
+    count, _, k = values.shape
+    table = values.transpose(1, 0, 2).reshape(nodes.size, -1)
+    found = chebyshev.chebvander(nodes, nodes.size - 1).T @ table * (2 / nodes.size)
+    found[0] /= 2
+    return found.reshape(nodes.size, count, k)
+
+
+def _polynomials(nodes: np.ndarray, values: np.ndarray, tolerance: float) -> np.ndarray:
+    """Power series (c, k, degree + 1) of ``values`` (c, NODES, k), as short as lets each coil's
+    slopes miss by a tenth of the ``tolerance``."""
+    c = _fitted(nodes, values)
+    order = np.arange(nodes.size)[:, None, None] ** 2  # slope of a Chebyshev polynomial, at most
+    size = np.abs(chebyshev.chebval(nodes, chebyshev.chebder(c))).max(axis=(1, 2))
+    tails = np.cumsum((order * np.abs(c))[::-1], axis=0)[::-1].max(axis=2) / size
+    degree = next(
+        (n for n in range(2, nodes.size) if tails[n + 1 :].max(initial=0.0) < tolerance / 10), 0
+    )
+    if not 0 < degree < 3 * nodes.size // 4:
+        raise UsageError(
+            "couplings change too fast with the height",
+            got=f"a polynomial of degree {nodes.size} misses their slopes by "
+            f"{tails[3 * nodes.size // 4].max():.1g}",
+            expected=f"{tolerance / 10:g}",
+            hint="a smaller range from y_min to y_max, further from the windings",
+        )
+    flat = c[: degree + 1].reshape(degree + 1, -1)
+    series = [chebyshev.cheb2poly(column) for column in flat.T]
+    powers = np.array([np.pad(each, (0, degree + 1 - each.size)) for each in series])
+    short = np.vectorize(lambda x: float(f"{x:.{DIGITS}g}"))(powers)
+    return np.asarray(short.reshape(*values.shape[::2], degree + 1))

@@ -1,0 +1,345 @@
+"""A conducting body of revolution that moves along coils and magnets: eddy currents as loops."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
+from functools import cache
+from itertools import combinations_with_replacement
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from pydantic import Field
+
+from kc2spice.core import laws
+from kc2spice.core.cache import cached
+from kc2spice.core.errors import UsageError
+from kc2spice.core.figure import Curve, Figure, Panel, Shape
+from kc2spice.core.quantities import (
+    Count,
+    FluxDensity,
+    Frequency,
+    Length,
+    Notch,
+    Ratio,
+    Resistance,
+    Section,
+    si,
+)
+from kc2spice.core.waveforms import Waveforms
+from kc2spice.fem.magnetics.keys import Ring
+from kc2spice.fem.magnetics.rings import MU_0, Ladder, Winding, divided, ladder
+from kc2spice.physics import Declaration, DeclaredPart, current, displacement, loop
+from kc2spice.scene.judge import Balance, Check
+from kc2spice.scene.model import Part, Scene, Terminal
+from kc2spice.scene.parttype import Build, Neglected, PartType, Rest, Vector, register
+
+Conductivity = Annotated[float, si("1/(Ohm m)")]
+SOURCES = ("kc2spice.fem.magnetics.rings", __name__)
+CLOSER = 0.1  # tolerance of the full model, of that of the reduced one
+SWING = 0.05
+MOST_TURNS = 5
+FINER = 2  # rings of the full model, of those of the reduced one
+
+
+class CoilKeys(Section):
+    """A winding of rectangular section about the axis."""
+
+    radius: Length = Field(gt=0, description="mean radius")
+    width: Length = Field(gt=0, description="of the section, along the radius")
+    height: Length = Field(gt=0, description="of the section, along the axis")
+    y: Length = Field(description="of the middle of the section")
+    turns: Ratio = Field(gt=0)
+    resistance: Resistance = Field(gt=0, description="of the wire")
+
+
+class MagnetKeys(Ring):
+    """A ring or cylinder that is magnetised along the axis, of the permeability of air."""
+
+    remanence: FluxDensity = Field(description="upwards")
+
+
+class Conduction(Section):
+    """What the loops of a body depend on in its netlist."""
+
+    conductivity: Conductivity = Field(gt=0, description="of the body, such as 3.4e7 1/(Ohm m)")
+
+
+class MovingConductorKeys(Conduction):
+    """Disc, ring or sphere in the field of coils and magnets about one axis; y is the height of its
+    lowest point. Its mass is a part ``mass`` at the pin ``a``."""
+
+    shape: Literal["disc", "sphere"] = Field("disc", description="a disc with a hole is a ring")
+    radius: Length = Field(gt=0, description="outer one")
+    inner: Length = Field(0.0, ge=0, description="radius of the hole of a disc")
+    thickness: Length | None = Field(None, description="of a disc, along the axis")
+    coils: dict[str, CoilKeys] = Field({}, description="by name; pins NAME_p and NAME_n")
+    magnets: dict[str, MagnetKeys] = Field({}, description="fixed ones, by name")
+    y_min: Length = Field(description="lowest height")
+    y_max: Length = Field(description="largest height")
+    frequency: Frequency = Field(1e3, gt=0, description="up to which eddy currents are resolved")
+    tolerance: Annotated[Ratio, Notch(0.1, model=True)] = Field(
+        1e-3, gt=1e-8, lt=0.1, description="of flux and force, for the number of loops"
+    )
+    rings: Annotated[Count, Notch(2.0, model=True)] = Field(
+        400, ge=20, le=3000, description="into which the body is divided"
+    )
+
+
+def _coil(name: str) -> str:
+    return f"i_{name}"
+
+
+def _branches(keys: MovingConductorKeys, loops: int) -> tuple[Any, ...]:
+    coils = (current(_coil(n), f"{n}_p", f"{n}_n") for n in keys.coils)
+    return (*coils, displacement("y", "a", "b"), *(loop(f"eddy{k + 1}") for k in range(loops)))
+
+
+@cache
+def _declared(branches: tuple[Any, ...], **physics: Any) -> DeclaredPart:
+    limits = physics.pop("low", ""), physics.pop("high", "")
+    words = "y above y_min", "y below y_max"
+    named = {word: limit for word, limit in zip(words, limits, strict=True) if limit}
+    declaration = Declaration(
+        "moving_conductor",
+        MovingConductor.title,
+        Conduction,
+        branches,
+        limits=named,
+        rating="not known; i^2 resistance heats each coil, the eddy currents the body",
+        validity="heights from y_min to y_max; rigid, not magnetic, constant temperature",
+        **physics,
+    )
+    return DeclaredPart(declaration)
+
+
+def declared(part: Part, model: Ladder) -> DeclaredPart:
+    """Its coenergy ``i' L i / 2`` with the couplings as power series of the height, and losses."""
+    keys, coils = part.keys, [_coil(name) for name in part.keys.coils]
+    loops = [f"eddy{k + 1}" for k in range(model.rates.size)]
+    place = f"(y - {(model.low + model.high) / 2:.11g})/{(model.high - model.low) / 2:.11g}"
+    energy = [f"0.5*{loop}^2" for loop in loops]
+    for (j, a), (k, b) in combinations_with_replacement(enumerate(coils), 2):
+        energy.append(f"{0.5 if j == k else 1.0}*{model.inductance[j, k]:.11g}*{a}*{b}")
+    for coil, row in zip((*coils, "1"), model.couplings, strict=False):
+        for eddy, series in zip(loops, row, strict=True):
+            numbers = ", ".join(f"{c:.11g}" for c in series)
+            energy.append(f"{coil}*{eddy}*poly({place}, {numbers})")
+    rates = zip(loops, model.rates, strict=True)
+    heat = [f"0.5*{rate:.11g}/conductivity*{eddy}^2" for eddy, rate in rates]
+    heat += [f"0.5*{c.resistance:.11g}*{_coil(name)}^2" for name, c in keys.coils.items()]
+    return _declared(
+        _branches(keys, len(loops)),
+        coenergy=" + ".join(energy),
+        content=" + ".join(heat),
+        low=f"y - {model.low:.11g}",
+        high=f"{model.high:.11g} - y",
+    )
+
+
+class MovingConductor(PartType):
+    name = "moving_conductor"
+    title = "conducting body that moves along coils and magnets (eddy currents)"
+    schema = MovingConductorKeys
+    source = "rings (integral equation, axisymmetric), reduced"
+    example = """
+[moving_conductor]
+part = "moving_conductor"
+radius = "65 mm"
+thickness = "3 mm"
+conductivity = 3.4e7
+y_min = "2 mm"
+y_max = "20 mm"
+rings = 60
+pins = { coil_p = "drive.out", a = "disc.a" }
+
+[moving_conductor.coils.coil]
+radius = "41 mm"
+width = "28 mm"
+height = "52 mm"
+y = "-26 mm"
+turns = 960
+resistance = "5 Ohm"
+
+[disc]
+part = "mass"
+mass = "0.107 kg"
+position = "5 mm"
+
+[drive]
+part = "source"
+sine = { amplitude = "10 V", frequency = "50 Hz" }
+"""
+
+    def pins(self, part: Part, scene: Scene) -> tuple[Terminal, ...]:
+        return _declared(_branches(part.keys, 0)).pins(part, scene)
+
+    def at_rest(self, part: Part, scene: Scene, model: Any | None = None) -> Rest:
+        return Rest()
+
+    def problems(self, part: Part, scene: Scene) -> Iterator[UsageError]:
+        keys = part.keys
+        if keys.y_min >= keys.y_max:
+            got = f"{keys.y_min:g} … {keys.y_max:g} m"
+            yield part.wrong("y_min", "empty range of heights", got, "y_min < y_max")
+        if not keys.coils and not keys.magnets:
+            yield part.wrong("coils", "neither coil nor magnet", "{}", "tables by name")
+        if keys.shape == "disc" and not keys.thickness:
+            yield part.wrong("thickness", "a disc without one", "none", "a length above zero")
+        if keys.shape == "sphere" and (keys.inner or keys.thickness):
+            got = f"inner {keys.inner:g} m, thickness {keys.thickness}"
+            yield part.wrong("shape", "a sphere has a radius alone", got, "neither of them")
+        if keys.inner >= keys.radius:
+            expected = f"less than radius, {keys.radius:g} m"
+            yield part.wrong("inner", "no material left", f"{keys.inner:g} m", expected)
+        for name, coil in keys.coils.items():
+            if not name.isidentifier():
+                yield part.wrong(f"coils.{name}", "no name", name, "letters, digits and _")
+            if coil.width >= 2 * coil.radius:
+                got, expected = f"{coil.width:g} m", f"less than twice the radius, {coil.radius:g}"
+                yield part.wrong(f"coils.{name}.width", "reaches over the axis", got, expected)
+            apart = coil.radius - coil.width / 2 >= keys.radius or (
+                coil.radius + coil.width / 2 <= keys.inner
+            )
+            below = coil.y + coil.height / 2 <= keys.y_min
+            above = coil.y - coil.height / 2 >= keys.y_max + _tall(keys)
+            if not (apart or below or above):
+                got = f"y_min {keys.y_min:g} m, y_max {keys.y_max:g} m"
+                yield part.wrong(f"coils.{name}", "the body meets the winding", got, "room for it")
+
+    def outline(self, part: Part, scene: Scene) -> Iterator[Shape]:
+        for name, coil in part.keys.coils.items():
+            for side in (-1, 1):
+                label = f"{part.name}: coil {name}, {coil.turns:g} turns" if side > 0 else ""
+                yield Shape(side * coil.radius, coil.y, coil.width, coil.height, "coil", label)
+
+    # --- model ------------------------------------------------------------------------------
+
+    def build(self, part: Part, scene: Scene, clock: Any) -> Ladder:
+        return self._ladder(part, clock, part.keys.tolerance, part.keys.rings)
+
+    def full_model(self, part: Part, build: Build, clock: Any) -> Ladder:
+        """More loops of more rings."""
+        keys = part.keys
+        return self._ladder(part, clock, CLOSER * keys.tolerance, FINER * keys.rings)
+
+    def _ladder(self, part: Part, clock: Any, tolerance: float, rings: int) -> Ladder:
+        keys: MovingConductorKeys = part.keys
+        settings = keys.y_min, keys.y_max, keys.conductivity, keys.frequency, tolerance
+        radius, box = keys.radius, (keys.inner, keys.radius, 0.0, _tall(keys), rings)
+
+        def ball(r: np.ndarray, z: np.ndarray) -> np.ndarray:
+            return np.asarray(r**2 + (z - radius) ** 2 < radius**2)
+
+        def build() -> Ladder:
+            with clock.stage("magnetics", f"eddy currents in {part.name}"):
+                body = divided(*box, ball if keys.shape == "sphere" else None)
+                return ladder(body, _windings(keys), _sheets(keys), *settings)
+
+        shape = {"tolerance", "rings"}
+        key = {"keys": keys.model_dump(exclude=shape, mode="json"), "of": (tolerance, rings)}
+        return cached("conductor", key, build, classes=(Ladder,), sources=SOURCES)[0]
+
+    def _declared(self, part: Part, build: Build) -> DeclaredPart:
+        return declared(part, build.model(part))
+
+    def subcircuits(self, part: Part, build: Build, header: Any) -> tuple[Any, ...]:
+        return self._declared(part, build).subcircuits(part, build, header)
+
+    def vectors(self, part: Part, build: Build) -> Mapping[str, Vector]:
+        return self._declared(part, build).vectors(part, build)
+
+    def current(self, part: Part, pin: str, build: Build) -> Vector | None:
+        return self._declared(part, build).current(part, pin, build)
+
+    def force_on(self, part: Part, pin: str, build: Build, waves: Waveforms) -> np.ndarray | None:
+        return self._declared(part, build).force_on(part, pin, build, waves)
+
+    def law(self, part: Part, build: Build) -> laws.Equations:
+        """That of its declaration; currents of loops are no results, a full model has others."""
+        found = self._declared(part, build).law(part, build)
+        own = f"{part.name}.eddy"
+        kept = {n: reading for n, reading in found.results.items() if not n.startswith(own)}
+        return replace(found, results=kept)
+
+    def metrics(self, part: Part, build: Build, waves: Waveforms) -> Mapping[str, Any]:
+        """Heights and times at which it turns back, see :func:`turns`."""
+        if "time" not in waves or f"{part.name}.y" not in waves:
+            return {}
+        found = turns(waves["time"], waves[f"{part.name}.y"])
+        names = [f"{part.name}_turn{k}" for k in range(1, MOST_TURNS + 1)]
+        rows = zip(names, found, strict=False)
+        return {f"{n}_{unit}": v for n, row in rows for unit, v in zip("sm", row, strict=True)}
+
+    def checks(self, part: Part, build: Build, waves: Waveforms) -> Iterator[Check | Balance]:
+        found: Ladder = build.model(part)
+        loops, limit = found.rates.size, part.keys.tolerance
+        what, advice = f"{loops} loops of {part.name}", "more rings, or a lower frequency"
+        yield Check(what, found.error, limit, "of flux and force", advice, "warn")
+        yield from self._declared(part, build).checks(part, build, waves)
+
+    def figures(self, part: Part, build: Build, waves: Waveforms) -> Iterator[Figure]:
+        y = waves.data.get(f"{part.name}.y")
+        if y is not None and "time" in waves:
+            path = Curve(part.name, 1e3 * waves["time"], 1e3 * y)
+            panel = Panel("time in ms", "height in mm", (path,))
+            caption = f"Height of the lowest point of {part.name}."
+            yield Figure(f"{part.name}_height", f"Path of {part.name}", caption, (panel,))
+
+    def detail(self, part: Part, scene: Scene) -> str:
+        keys = part.keys
+        return (
+            f"{len(keys.coils)} coils, eddy currents as loops to {keys.tolerance:g} of flux and "
+            f"force up to {keys.frequency:g} Hz, exact in currents, power series of the height"
+        )
+
+    def neglected(self, part: Part, scene: Scene) -> Iterator[Neglected]:
+        keys = part.keys
+        depth = 1 / math.sqrt(math.pi * keys.frequency * 4e-7 * math.pi * keys.conductivity)
+        yield Neglected(
+            "currents thinner than the skin depth",
+            f"loops up to {keys.frequency:g} Hz, where it is {1e3 * depth:.2g} mm",
+            "compare with a larger frequency and more rings",
+        )
+        yield Neglected("eddy currents in the coils' wires", "thin wires", "not estimated")
+        yield Neglected("tilting and sideways motion", "one degree of freedom", "not estimated")
+
+
+def turns(time: np.ndarray, y: np.ndarray) -> list[tuple[float, float]]:
+    """Times [s] and heights [m] of highest and lowest places in turn, between which ``y`` moves by
+    more than ``SWING`` of its range: what a ripple makes does not count."""
+    found, best, way = [], 0, 0
+    least = SWING * np.ptp(y)
+    for k in range(1, y.size):
+        gone = y[k] - y[best]
+        if not way and abs(gone) > least:
+            way = int(np.sign(gone))
+        if way * gone > 0:
+            best = k
+        elif way and abs(gone) > least:
+            found.append((float(time[best]), float(y[best])))
+            best, way = k, -way
+    return found
+
+
+def _windings(keys: MovingConductorKeys) -> list[Winding]:
+    return [Winding(c.radius, c.width, c.height, c.y, c.turns) for c in keys.coils.values()]
+
+
+def _sheets(keys: MovingConductorKeys) -> list[Winding]:
+    """The currents on the surfaces of its magnets."""
+    return [
+        Winding(radius, 0.0, m.height, m.y, sign * m.remanence * m.height / MU_0)
+        for m in keys.magnets.values()
+        for sign, radius in ((1.0, m.outer), (-1.0, m.inner))
+        if radius
+    ]
+
+
+def _tall(keys: MovingConductorKeys) -> float:
+    """Its height [m]."""
+    return 2 * keys.radius if keys.thickness is None else keys.thickness
+
+
+register(MovingConductor())
