@@ -66,11 +66,11 @@ def build(scene: AnyScene) -> dict[str, LinearModel]:
     ------
     UsageError : as :func:`kc2spice.load_scene`, or a model's file cannot be read.
     """
-    from kc2spice.parts._linear_body import LinearBody
+    from kc2spice.parts._linear_body import LinearBody, full_alone
 
     loaded = load_scene(scene)
     return {
-        part.name: replace(part.type.full(part, loaded, Clock()), name=part.name)
+        part.name: replace(full_alone(part, loaded, Clock()), name=part.name)
         for part in loaded.parts.values()
         if isinstance(part.type, LinearBody)
     }

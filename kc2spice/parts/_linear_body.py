@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import math
 import stat
+import warnings
 from abc import abstractmethod
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
@@ -653,6 +654,18 @@ class LinearBody(Touching):
 def loss_tangent(part: Part) -> float:
     """tan delta of the dielectric that a body's damping states."""
     return float(getattr(getattr(part.keys, "damping", None), "loss_tangent", None) or 0.0)
+
+
+def full_alone(part: Part, scene: Scene, clock: Any) -> LinearModel:
+    """The full model of a body outside its scene, with a warning of what matrices cannot hold."""
+    if tangent := loss_tangent(part):
+        warnings.warn(
+            f"{part.name}.damping.loss_tangent: {tangent:g}: matrices have no constant loss of a "
+            "dielectric: this model is without it; run and export the scene to have it",
+            stacklevel=3,
+        )
+    model: LinearModel = part.type.full(part, scene, clock)
+    return model
 
 
 def _require_ports(

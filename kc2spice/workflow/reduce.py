@@ -17,7 +17,7 @@ from kc2spice.netlist.circuit import Subcircuit
 from kc2spice.netlist.deck import Block, Deck, ac
 from kc2spice.netlist.printers.ngspice import plot_script
 from kc2spice.netlist.translate import DIALECTS, dialect_files, symbol_files
-from kc2spice.parts._linear_body import LinearBody
+from kc2spice.parts._linear_body import LinearBody, full_alone
 from kc2spice.rom.io import read_rom, write_rom
 from kc2spice.rom.linear import LinearModel
 from kc2spice.rom.measured import one_port
@@ -138,7 +138,7 @@ def _scene_body(text: str) -> LinearModel | None:
             got=f"a part of type {part.type.name}",
             expected=", ".join(bodies) or "a body; this scene has none",
         )
-    full = part.type.full(part, scene, Clock())
+    full = full_alone(part, scene, Clock())
     kept = full.select([port.name for port in part.type.kept(part, scene)])
     return replace(kept, name=f"{scene.name}_{part.name}")
 

@@ -53,6 +53,11 @@ def test_a_body_has_its_clamped_capacitance_complex(models):
     assert (lossy.transfer(wide)[:, 0, 0].imag <= 0).all()
 
 
+def test_a_full_model_says_that_it_has_no_loss():
+    with pytest.warns(UserWarning, match="loss_tangent: 0.02: .* without it"):
+        kc.build(kc.load_scene(BUZZER, {"disc.damping.loss_tangent": TANGENT}))
+
+
 def test_ngspice_gives_what_the_lossy_model_says(models):
     model = models[1].select(["anode"])
     deck = first_deck(model, kc.subcircuit(model, "lossy"))
