@@ -154,9 +154,11 @@ def _draw_panel(axes: Any, panel: Panel) -> None:
     elif panel.map is None and panel.curves and panel.curves[0].style in _LINES:
         axes.set_xlim(panel.curves[0].x[0], panel.curves[0].x[-1])
     axes.set(xlabel=panel.x, ylabel=panel.y)
-    labels = len(axes.get_legend_handles_labels()[1])
-    if labels > 1:
-        axes.legend(**(_BESIDE if labels > MANY else _ABOVE))
+    labels = axes.get_legend_handles_labels()[1]
+    if len(labels) > 1:
+        inches = axes.get_window_extent().width / axes.figure.dpi
+        long = sum(map(len, labels)) + 6 * len(labels) > 16 * inches  # letters and handles
+        axes.legend(**(_BESIDE if len(labels) > MANY or long else _ABOVE))
 
 
 def _draw_curve(axes: Any, k: int, curve: Curve) -> None:
