@@ -288,8 +288,8 @@ def page(published: Mapping[str, Any]) -> str:
 def drawn(name: str, entry: Mapping[str, Any], figures: Path) -> list[str]:
     """Published points of ``curve = { of, points, … }`` over the scene's wave ``of``, as a file.
 
-    ``points`` are pairs of a place on the scale (s, Hz, or what a dc analysis sweeps) and a value,
-    both in SI; ``y`` is the label and ``factor`` what its unit takes of SI; ``log`` a logarithmic
+    ``points`` are pairs of a place on the scale (s, Hz, what a dc analysis sweeps, or the wave
+    ``against``) and a value, both in SI; ``y`` is the label and ``factor`` what its unit takes of SI; ``log`` a logarithmic
     axis. Complex waves are drawn by their size.
     """
     if "curve" not in entry:
@@ -297,7 +297,7 @@ def drawn(name: str, entry: Mapping[str, Any], figures: Path) -> list[str]:
     plan, out = entry["curve"], Path(tempfile.mkdtemp()) / name
     run(load_scene(str(CASES / entry["scene"]), entry.get("set", [])), out)
     with np.load(out / "waveforms.npz", allow_pickle=False) as waves:
-        scale = next(iter(waves))
+        scale = plan.get("against", next(iter(waves)))
         x, y = waves[scale].real, waves[plan["of"]]
     x_label, unit = scale_axis(scale, x)
     at, values = np.array(plan["points"], dtype=float).T

@@ -152,7 +152,7 @@ def _draw_panel(axes: Any, panel: Panel) -> None:
     elif panel.span is not None:
         axes.set_xlim(*panel.span)
     elif panel.map is None and panel.curves and panel.curves[0].style in _LINES:
-        axes.set_xlim(panel.curves[0].x[0], panel.curves[0].x[-1])
+        axes.set_xlim(panel.curves[0].x.min(), panel.curves[0].x.max())  # a loop goes back
     axes.set(xlabel=panel.x, ylabel=panel.y)
     labels = axes.get_legend_handles_labels()[1]
     if len(labels) > 1:
