@@ -263,8 +263,8 @@ class MaterialTable(Section):
     breakdown_field: Annotated[float, si("V/m")] | None = Field(
         None, gt=0, description="in any direction"
     )
-    residual_stress: tuple[Pressure, Pressure, Pressure] = Field(
-        (0.0, 0.0, 0.0), description="at rest along x, y, z of the body, which its supports hold"
+    residual_stress: tuple[Pressure, Pressure, Pressure] | None = Field(
+        None, description="at rest along x, y, z of the body, which its supports hold"
     )
     source: str = Field("", description="of all numbers")
     sources: dict[str, str] = Field(default_factory=dict, description="of single keys")
@@ -327,8 +327,8 @@ class MaterialTable(Section):
         stated = {key for key in type(self).model_fields if getattr(self, key) is not None}
         stated -= {"like", "source", "sources", "symmetry", "permittivity_at", "conductor"}
         sources = {key: self.sources.get(key, self.source) for key in sorted(stated)}
-        given = {key: getattr(self, key) for key in same} | {"sources": sources}
-        return Material(name=name, C=C, e=e, eps_S=eps, **given)
+        given = {key: value for key in same if (value := getattr(self, key)) is not None}
+        return Material(name=name, C=C, e=e, eps_S=eps, **{**given, "sources": sources})
 
     def _stiffness(self) -> np.ndarray:
         if self.stiffness is not None:

@@ -71,8 +71,8 @@ class BimorphKeys(FieldKeys):
     ] = Field(
         default_factory=dict, description="further ports on the top by distance from the clamp"
     )
-    patches: Count = Field(
-        0, ge=0, le=64, description="ports patch1 … on equal strips of the bottom, from the clamp"
+    patches: Count | None = Field(
+        None, ge=1, le=64, description="ports patch1 … on equal strips of the bottom, from the clamp"
     )
     damping: Damping = Damping()
     mesh: Mesh = Mesh()
@@ -146,11 +146,10 @@ def structure(keys: BimorphKeys | Mapping[str, Any], where: str = "bimorph") -> 
     ports = {} if beam.support == "clamped" else {"tip": end}
     middle = (width / 2, width / 2)
     ports |= {name: across(x, middle, (top, top)) for name, x in beam.points.items()}
-    edges = np.linspace(0, length, beam.patches + 1)
+    edges = np.linspace(0, length, (beam.patches or 0) + 1)
     ports |= {
         f"patch{k}": ((low, high), whole, (0.0, 0.0))
         for k, (low, high) in enumerate(pairwise(edges.tolist()), 1)
-        if beam.patches
     }
     return Bonded(
         blocks,

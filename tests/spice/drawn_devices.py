@@ -22,9 +22,9 @@ STEP = 1e-9  # s, of the chip's oracle
 # --- energies ------------------------------------------------------------------------------------
 
 
-def moved(d, device, mass, stiffness, loss, size):
-    """A mass, a spring that may stiffen or soften, and a damper on the pin ``a`` of a device."""
-    pins, cubic = {"a": f"{device}.a"}, 0.0
+def moved(d, device, mass, stiffness, loss, size, pin="a", wave="x"):
+    """A mass, a spring that may stiffen or soften, and a damper on a pin of a device."""
+    pins, cubic = {"a": f"{device}.{pin}"}, 0.0
     d.part("mass", mass=mass, pins=pins)
     d.part("damper", damping=loss, pins=pins)
     if d.rng.random() < 0.5:
@@ -32,7 +32,7 @@ def moved(d, device, mass, stiffness, loss, size):
         d.part("cubic_spring", stiffness=stiffness, cubic=cubic, pins=pins)
     else:
         d.part("spring", stiffness=stiffness, pins=pins)
-    d.compared[f"{device}.x"] = 0
+    d.compared[f"{device}.{wave}"] = 0
     return lambda x: stiffness * x + cubic * x**3
 
 
@@ -43,7 +43,7 @@ def electrostatic(d):
     k, loss = mass * w**2, mass * w / d.value(1, 50)
     stop = k * d.value(10, 300)
     keys, wave = d.wave(volts)
-    source = d.part("source", **keys)
+    source, own = d.part("source", **keys), ("a", "x")
     if d.rng.random() < 0.5:
         travel, thick = gap * d.value(0.5, 5), d.value(5e-6, 5e-5)
         reach, overlap = travel * d.value(0.1, 1.5), travel * d.value(3, 5)
@@ -59,12 +59,16 @@ def electrostatic(d):
         share = d.rng.choice([d.value(0.2, 0.9), d.value(1.2, 2)])  # of what pulls it in
         stop *= 30  # stiffer than what pulls it in
         reach, area = gap / 3, 8 * k * gap**3 / (27 * EPSILON) * (share / volts) ** 2
-        one = d.part("parallel_plate", area=area, gap=gap, travel=travel, stop=stop)
+        shape = {"area": area, "gap": gap, "travel": travel, "stop": stop}
+        if d.rng.random() < 0.5:
+            one = d.part("parallel_plate", **shape)
+        else:  # the same physics as a patch of what is joined to it
+            own, one = ("p1", "x1"), d.part("gap", a=["mass1.a"], side="above", **shape)
 
         def farad(x):
             return EPSILON * area / (gap - x), EPSILON * area / (gap - x) ** 2
 
-    spring = moved(d, one, mass, k, loss, reach)
+    spring = moved(d, one, mass, k, loss, reach, *own)
     ohm = d.value(0.01, 1) / w / farad(0.0)[0]
     behind = ohm < 1e8 and d.rng.random() < 0.7
     pin = f"{source}.out"

@@ -472,8 +472,8 @@ def test_a_charge_that_is_scaled_wrongly_is_seen(monkeypatch):
 def test_a_force_that_acts_the_wrong_way_is_seen(monkeypatch):
     good = cards._force
 
-    def turned(declaration, b, nodes):
-        return good(declaration, replace(b, plus=b.minus, minus=b.plus), nodes)
+    def turned(declaration, b, *rest):
+        return good(declaration, replace(b, plus=b.minus, minus=b.plus), *rest)
 
     monkeypatch.setattr(cards, "_force", turned)
     assert worst_printed("cubic_spring", "verilog-a") > 1.0
