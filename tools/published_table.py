@@ -289,8 +289,8 @@ def drawn(name: str, entry: Mapping[str, Any], figures: Path) -> list[str]:
     """Published points of ``curve = { of, points, … }`` over the scene's wave ``of``, as a file.
 
     ``points`` are pairs of a place on the scale (s, Hz, what a dc analysis sweeps, or the wave
-    ``against``) and a value, both in SI; ``y`` is the label and ``factor`` what its unit takes of SI; ``log`` a logarithmic
-    axis. Complex waves are drawn by their size.
+    ``against``) and a value, both in SI; ``y`` is the label and ``factor`` what its unit takes of
+    SI; ``log`` a logarithmic axis. Complex waves are drawn by their size.
     """
     if "curve" not in entry:
         return []

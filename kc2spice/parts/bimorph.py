@@ -72,7 +72,7 @@ class BimorphKeys(FieldKeys):
         default_factory=dict, description="further ports on the top by distance from the clamp"
     )
     patches: Count | None = Field(
-        None, ge=1, le=64, description="ports patch1 … on equal strips of the bottom, from the clamp"
+        None, ge=1, le=64, description="ports patch1 … on equal strips of the bottom"
     )
     damping: Damping = Damping()
     mesh: Mesh = Mesh()
