@@ -664,8 +664,9 @@ def full_alone(part: Part, scene: Scene, clock: Any) -> LinearModel:
             "dielectric: this model is without it; run and export the scene to have it",
             stacklevel=3,
         )
-    model: LinearModel = part.type.full(part, scene, clock)
-    return model
+    kind = part.type
+    assert isinstance(kind, LinearBody)
+    return kind.full(part, scene, clock)
 
 
 def _require_ports(
