@@ -31,8 +31,8 @@ def quantity(value: float | None, unit: str, digits: int = 5) -> str:
         return "—"
     if value == 0.0 or not math.isfinite(value):
         return f"{value:g} {unit}".strip()
-    if not unit:
-        return f"{value:.{digits}g}"
+    if not unit or (" " in unit and " per " not in unit):  # words take no prefix
+        return f"{value:.{digits}g} {unit}".strip()
     if unit == "kg":  # its prefix is part of the unit: write grams
         return quantity(1e3 * value, "g", digits)
     power = 3 * math.floor(math.log10(abs(value)) / 3)

@@ -20,9 +20,15 @@ from kc2spice.core.waveforms import Waveforms
 from kc2spice.report.figures import draw_all
 from kc2spice.report.html import Section, figure_html, write_page
 from kc2spice.report.run_page import write_run
+from kc2spice.report.words import quantity
 from kc2spice.scene.load import load_scene
 from kc2spice.scene.parttype import Build
 from kc2spice.workflow.judge import metrics
+
+
+def test_words_take_no_prefix():
+    assert quantity(-3.84e-6, "over the limit") == "-3.84e-06 over the limit"
+    assert quantity(2.35e-6, "m per 100 V") == "2.35 µm per 100 V"
 
 
 def loop_waves() -> Waveforms:
