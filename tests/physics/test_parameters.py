@@ -167,6 +167,7 @@ def test_monte_carlo_of_ngspice_has_mean_and_spread_of_fresh_full_models(tmp_pat
 
 
 @pytest.mark.slow
+@pytest.mark.campaign
 def test_the_chip_over_height_damping_and_d33_is_within_its_certificate():
     """The paper's stack impedance, at points that nothing was made from."""
     d = {"d31": -3.212e-10, "d33": 7.124e-10, "d15": 9.503e-10}  # C/N, of the paper's e and c
