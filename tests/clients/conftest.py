@@ -50,7 +50,7 @@ def deck_of():
         others = {
             part.name: part.type.build(part, scene, Clock(silent))
             for part in scene.parts.values()
-            if part.type.reduced and part.name not in build.models
+            if part.name not in build.models
         }
         return make_deck(replace(build, models={**build.models, **others}))
 
