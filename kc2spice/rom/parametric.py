@@ -114,14 +114,7 @@ class Parametric:
         ------
         UsageError : a parameter is missing or outside of its range.
         """
-        for name, axis in self.box.items():
-            if name not in values or not abs(axis.coordinate(values[name])) <= 1 + 1e-9:
-                raise UsageError(
-                    "outside of the box of a parametric model",
-                    where=name,
-                    got=values.get(name),
-                    expected=f"{axis.low:g} to {axis.high:g}",
-                )
+        inside(self.box, values)
         x = np.array([[axis.coordinate(values[axis.name]) for axis in self.axes]])
         weights = polynomials(x, self.exponents)[0]
         found = {letter: np.tensordot(weights, c, 1) for letter, c in self.terms.items()}
@@ -152,6 +145,24 @@ class Parametric:
         B = V.T @ model.B
         answers = 1 / (w2 + s[:, None] * damping + s[:, None] ** 2)
         return np.asarray(np.einsum("fk,ki,kj->fij", answers, B, B) + model.D)
+
+
+def inside(box: Mapping[str, Axis], values: Values) -> None:
+    """Require every value within its range.
+
+    Raises
+    ------
+    UsageError : a parameter is missing or outside of its range.
+    """
+    for name, axis in box.items():
+        if name not in values or not abs(axis.coordinate(values[name])) <= 1 + 1e-9:
+            raise UsageError(
+                "outside of the box of a parametric model",
+                where=name,
+                got=values.get(name),
+                expected=f"{axis.low:g} to {axis.high:g}",
+                hint="nothing is extrapolated: widen its range in rom.parameters",
+            )
 
 
 def parametric(

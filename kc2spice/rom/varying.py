@@ -31,6 +31,7 @@ from kc2spice.rom.parametric import (
     Parametric,
     Values,
     exponents_to,
+    inside,
     parametric,
     polynomials,
 )
@@ -141,24 +142,6 @@ class Varying:
             facts={name: float(T @ c) for name, c in self.facts.items()},
             name=self.name,
         )
-
-
-def inside(box: Mapping[str, Axis], values: Values) -> None:
-    """Require every value within its range.
-
-    Raises
-    ------
-    UsageError : a parameter is missing or outside of its range.
-    """
-    for name, axis in box.items():
-        if name not in values or not abs(axis.coordinate(values[name])) <= 1 + 1e-9:
-            raise UsageError(
-                "outside of the box of a parametric model",
-                where=name,
-                got=values.get(name),
-                expected=f"{axis.low:g} to {axis.high:g}",
-                hint="nothing is extrapolated: widen its range in rom.parameters",
-            )
 
 
 def over_box(
