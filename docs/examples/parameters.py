@@ -21,6 +21,7 @@ Xdisc anode 0 0 disc layers_1_thickness={thickness} layers_0_material_youngs_mod
 Vdrive anode 0 dc 0 ac 1
 .control
 set numdgt=10
+setplot const
 let k = 0
 let point = vector(2)
 dowhile k < 1000
@@ -40,7 +41,7 @@ dowhile k < 1000
 end
 .endc
 .end
-""".replace("let k = 0", "setplot const\nlet k = 0")
+"""
 Path("sweep.cir").write_text(loops)
 start = time.perf_counter()
 log = subprocess.run(["ngspice", "-b", "sweep.cir"], capture_output=True, text=True).stdout

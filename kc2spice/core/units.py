@@ -15,6 +15,7 @@ from typing import NamedTuple
 from kc2spice.core.errors import UsageError
 
 EPSILON_0 = 8.8541878188e-12  # F/m, CODATA 2022; scipy.constants takes long to load
+MU_0 = 4e-7 * math.pi  # H/m
 
 BOLTZMANN = 1.380649e-23  # J/K, exact (SI, 2019)
 TEMPERATURE = 300.15  # K, of a simulation unless told

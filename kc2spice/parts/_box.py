@@ -79,7 +79,8 @@ def corners(part: Part, scene: Scene) -> Iterator[UsageError]:
     """What is wrong with the box, before any full model is made."""
     try:
         keys = varied(part)
-        for ends in product(*((each.low, each.high) for each in keys)):
+        ranges = [(each.low, each.high) for each in keys]
+        for ends in product(*ranges) if ranges else ():
             corner = with_values(part, {k.key: v for k, v in zip(keys, ends, strict=True)})
             corner.type.ports(corner, scene)  # type: ignore[attr-defined]
     except UsageError as error:

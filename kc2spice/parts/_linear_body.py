@@ -219,7 +219,7 @@ class LinearBody(Touching):
     def reduction(self, part: Part, scene: Scene) -> Rom:
         """Reduction of this body: its own, else the scene's."""
         own: Rom | None = getattr(part.keys, "rom", None)
-        if own is not None and own.model_fields_set != {"parameters"}:
+        if own is not None and _chosen(own):
             return own
         found = scene.rom if "rom" in scene.frame.model_fields_set else self.usual(scene)
         return found if own is None else found.model_copy(update={"parameters": own.parameters})
@@ -243,9 +243,8 @@ class LinearBody(Touching):
         """What the band of a transient reaches at least [Hz], whatever natural frequencies the body
         has; None where somebody chose the band."""
         own = getattr(part.keys, "rom", None)
-        chosen = own and own.model_fields_set != {"parameters"}
-        chosen = chosen or "rom" in scene.frame.model_fields_set
-        if chosen or scene.analysis.type != "transient":
+        chosen = own is not None and _chosen(own)
+        if chosen or "rom" in scene.frame.model_fields_set or scene.analysis.type != "transient":
             return None
         rows = numerics(scene)
         return max([LEAST, *(row.content for row in rows if math.isfinite(row.step))])
@@ -649,6 +648,11 @@ class LinearBody(Touching):
                 what, why, f"{tangent:g} of the energy of fields inside at open electrodes"
             )
         yield from self.unfollowed(part, scene)
+
+
+def _chosen(rom: Rom) -> bool:
+    """Whether it says more than which keys are parameters of the netlist."""
+    return rom.model_fields_set != {"parameters"}
 
 
 def loss_tangent(part: Part) -> float:

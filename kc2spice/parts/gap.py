@@ -80,13 +80,8 @@ class GapKeys(Section):
     film: Film | None = Field(None, description="squeezed gas; none unless told")
 
 
-class Gap(DeclaredPart):
-    """The part type; how many branches it has is up to its keys."""
-
-    noise = "thermal noise of the film at 27 C"
-
-    def declared(self, part: Part, scene: Scene) -> Declaration:
-        return _declared(part.keys.model_dump_json(), len(patches(part, scene)))
+class Patched(DeclaredPart):
+    """What acts on a row of patches ``p1`` …, as many as its key ``a`` says."""
 
     def pins(self, part: Part, scene: Scene) -> tuple[Terminal, ...]:
         ends = {"minus": "gnd", "b": "gnd"}
@@ -97,6 +92,15 @@ class Gap(DeclaredPart):
 
     def default_joins(self, part: Part, scene: Scene) -> Mapping[str, str]:
         return {f"p{k}": port for k, port in enumerate(patches(part, scene), 1)}
+
+
+class Gap(Patched):
+    """The part type; how many branches it has is up to its keys."""
+
+    noise = "thermal noise of the film at 27 C"
+
+    def declared(self, part: Part, scene: Scene) -> Declaration:
+        return _declared(part.keys.model_dump_json(), len(patches(part, scene)))
 
     def problems(self, part: Part, scene: Scene) -> Iterator[UsageError]:
         keys, ports = part.keys, patches(part, scene)

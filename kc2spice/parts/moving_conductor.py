@@ -27,9 +27,10 @@ from kc2spice.core.quantities import (
     Section,
     si,
 )
+from kc2spice.core.units import MU_0
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.fem.magnetics.keys import Ring
-from kc2spice.fem.magnetics.rings import MU_0, Ladder, Winding, divided, ladder
+from kc2spice.fem.magnetics.rings import Ladder, Winding, divided, ladder
 from kc2spice.physics import Declaration, DeclaredPart, current, displacement, loop
 from kc2spice.scene.judge import Balance, Check
 from kc2spice.scene.model import Part, Scene, Terminal
@@ -296,7 +297,7 @@ sine = { amplitude = "10 V", frequency = "50 Hz" }
 
     def neglected(self, part: Part, scene: Scene) -> Iterator[Neglected]:
         keys = part.keys
-        depth = 1 / math.sqrt(math.pi * keys.frequency * 4e-7 * math.pi * keys.conductivity)
+        depth = 1 / math.sqrt(math.pi * keys.frequency * MU_0 * keys.conductivity)
         yield Neglected(
             "currents thinner than the skin depth",
             f"loops up to {keys.frequency:g} Hz, where it is {1e3 * depth:.2g} mm",

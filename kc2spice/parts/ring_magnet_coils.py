@@ -23,6 +23,7 @@ from kc2spice.core.figure import Curve, Figure, Panel, Shape
 from kc2spice.core.magnets import CoilForce, PositionForce
 from kc2spice.core.piecewise import cubic_spline
 from kc2spice.core.quantities import si
+from kc2spice.core.units import MU_0
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.fem.magnetics.keys import Catch, Ring
 from kc2spice.fem.magnetics.table import FORCE, EMTable
@@ -45,7 +46,6 @@ from kc2spice.scene.plausible import within
 from kc2spice.spice.header import Header
 from kc2spice.spice.library import library
 
-MU_0 = 4e-7 * np.pi  # H/m
 MAGNET_CONDUCTIVITY = 150e3  # S/m, paper table A1
 
 UNRATED = "not known; compare the coils' currents with what their wire stands"

@@ -9,16 +9,15 @@ of equal strips of width d, from clamp to clamp; between two of them ``w' = (15 
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from functools import lru_cache
 from typing import Annotated
 
 from pydantic import Field
 
 from kc2spice.core.quantities import Length, Section, Stiffness, si
-from kc2spice.parts.gap import patches
-from kc2spice.physics import Declaration, DeclaredPart, displacement
-from kc2spice.scene.model import Part, Scene, Terminal
+from kc2spice.parts.gap import Patched, patches
+from kc2spice.physics import Declaration, displacement
+from kc2spice.scene.model import Part, Scene
 from kc2spice.scene.parttype import register
 
 
@@ -33,20 +32,11 @@ class StretchKeys(Section):
     )
 
 
-class Stretch(DeclaredPart):
+class Stretch(Patched):
     """The part type; how many branches it has is up to its keys."""
 
     def declared(self, part: Part, scene: Scene) -> Declaration:
         return _declared(len(patches(part, scene)))
-
-    def pins(self, part: Part, scene: Scene) -> tuple[Terminal, ...]:
-        return tuple(
-            Terminal(p.name, p.unit, p.flow, "gnd" if p.name == "b" else None)
-            for p in self._pins(part, scene)
-        )
-
-    def default_joins(self, part: Part, scene: Scene) -> Mapping[str, str]:
-        return {f"p{k}": port for k, port in enumerate(patches(part, scene), 1)}
 
 
 @lru_cache(maxsize=32)

@@ -56,12 +56,12 @@ def noise(
             found.append(L.Source(f"{law.name} noise", kind, constant(0.0)))
             weights[f"{law.name} noise"] = law.value
             for pin, end in (("a", "out"), ("b", "ret")):
-                own = next((k for k, pins in nets.items() if f"{law.name}.{pin}" in pins), None)
-                nets.setdefault(own or (L.GROUND if pin == "b" else f"{law.name} free"), [])
-                nets[own or (L.GROUND if pin == "b" else f"{law.name} free")] += [
-                    f"{law.name} noise.{end}",
-                    *([] if own else [f"{law.name}.{pin}"]),
-                ]
+                joined = f"{law.name}.{pin}"
+                net = next((k for k, pins in nets.items() if joined in pins), None)
+                if net is None:
+                    net = L.GROUND if pin == "b" else f"{law.name} free"
+                    nets.setdefault(net, []).append(joined)
+                nets[net].append(f"{law.name} noise.{end}")
     system = assemble(found, nets)
     sizes = np.array([weights.get(source.name, 0.0) for source in system.sources])
     rest = Linear(system)

@@ -58,11 +58,15 @@ def block_model(model: LinearModel, *, dense: bool = False) -> BlockModel:
         return BlockModel((A,), B, C, D)
     certificate, best = model.certificate, None
     kept = max(KEPT, SHARE * certificate.error_estimate) if certificate else KEPT
+    s, exact = _between_poles(A), None
     for growth in (GROWTH, *MORE):
         blocks, X, inverse = decoupled(A, growth)
         found = BlockModel(blocks, inverse @ B, C @ X, D)
-        if best is not None and _change(found, (A, B, C, D)) > kept:
-            break
+        if best is not None and s.size:
+            exact = _answers(A, B, C, D, s) if exact is None else exact
+            given = block_diag(*found.blocks), found.B, found.C, found.D
+            if relative_error(_answers(*given, s), exact) > kept:
+                break
         best = found
         if max(map(len, blocks), default=0) <= WIDE:
             break
@@ -70,17 +74,20 @@ def block_model(model: LinearModel, *, dense: bool = False) -> BlockModel:
     return best
 
 
-def _change(found: BlockModel, given: tuple[np.ndarray, ...]) -> float:
-    """Relative change of the response at frequencies across the poles."""
-    size = np.abs(np.linalg.eigvals(given[0]))
+def _between_poles(A: np.ndarray) -> np.ndarray:
+    """Frequencies ``j w`` (n, 1, 1) across the poles, none where all of these are zero."""
+    size = np.abs(np.linalg.eigvals(A))
     size = size[size > SAME * size.max(initial=0.0)]
     if not size.size:
-        return 0.0
-    s = 1j * np.geomspace(0.1 * size.min(), 3 * size.max(), POINTS)[:, None, None]
-    both = []
-    for A, B, C, D in (given, (block_diag(*found.blocks), found.B, found.C, found.D)):
-        both.append(C @ np.linalg.solve(s * np.eye(len(A)) - A, B.astype(complex)[None]) + D)
-    return relative_error(both[1], both[0])
+        return np.empty((0, 1, 1), complex)
+    return np.asarray(1j * np.geomspace(0.1 * size.min(), 3 * size.max(), POINTS)[:, None, None])
+
+
+def _answers(
+    A: np.ndarray, B: np.ndarray, C: np.ndarray, D: np.ndarray, s: np.ndarray
+) -> np.ndarray:
+    """Responses (n, outputs, inputs)."""
+    return np.asarray(C @ np.linalg.solve(s * np.eye(len(A)) - A, B.astype(complex)[None]) + D)
 
 
 def _looped(model: LinearModel) -> BlockModel | None:

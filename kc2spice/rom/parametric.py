@@ -11,7 +11,7 @@ and take no samples.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import combinations_with_replacement, product
@@ -105,7 +105,7 @@ class Parametric:
     @cached_property
     def box(self) -> dict[str, Axis]:
         """Every parameter's axis by its name."""
-        return {axis.name: axis for axis in (*self.axes, *(each.axis for each in self.losses))}
+        return every_axis(self.axes, self.losses)
 
     def at(self, values: Values) -> LinearModel:
         """The reduced model at ``values`` of all parameters.
@@ -120,10 +120,7 @@ class Parametric:
         found = {letter: np.tensordot(weights, c, 1) for letter, c in self.terms.items()}
         M, K, E = found["M"], found["K"], found.get("E")
         if E is None:
-            alpha, beta = found["rayleigh"]
-            for loss in self.losses:
-                share = values[loss.axis.name] / loss.axis.middle
-                alpha, beta = alpha * share**loss.alpha, beta * share**loss.beta
+            alpha, beta = damped(found["rayleigh"], self.losses, values)
             E = alpha * M + beta * K
         return LinearModel(
             M=M, E=E, K=K, B=found["B"], D=found["D"], ports=self.frame.ports, name=self.frame.name
@@ -145,6 +142,22 @@ class Parametric:
         B = V.T @ model.B
         answers = 1 / (w2 + s[:, None] * damping + s[:, None] ** 2)
         return np.asarray(np.einsum("fk,ki,kj->fij", answers, B, B) + model.D)
+
+
+def every_axis(axes: Iterable[Axis], losses: Iterable[Loss]) -> dict[str, Axis]:
+    """Every parameter's axis by its name."""
+    return {axis.name: axis for axis in (*axes, *(each.axis for each in losses))}
+
+
+def damped(
+    rayleigh: Iterable[float], losses: Iterable[Loss], values: Values
+) -> tuple[float, float]:
+    """alpha and beta, those where every loss is in the middle of its axis, at ``values``."""
+    alpha, beta = rayleigh
+    for loss in losses:
+        share = values[loss.axis.name] / loss.axis.middle
+        alpha, beta = alpha * share**loss.alpha, beta * share**loss.beta
+    return alpha, beta
 
 
 def inside(box: Mapping[str, Axis], values: Values) -> None:

@@ -30,6 +30,8 @@ from kc2spice.rom.parametric import (
     Loss,
     Parametric,
     Values,
+    damped,
+    every_axis,
     exponents_to,
     inside,
     parametric,
@@ -96,7 +98,7 @@ class Varying:
     @property
     def box(self) -> dict[str, Axis]:
         """Every parameter's axis by its name."""
-        return {axis.name: axis for axis in (*self.axes, *(each.axis for each in self.losses))}
+        return every_axis(self.axes, self.losses)
 
     @property
     def order(self) -> int:
@@ -119,13 +121,8 @@ class Varying:
         x = np.array([[axis.coordinate(values[axis.name]) for axis in self.axes]])
         T = polynomials(x.reshape(1, -1), self.exponents)[0]
         L = np.tensordot(T, self.below, 1) + np.diag(np.exp(T @ self.diagonal))
-        alpha, beta = (
-            float(v) if on else 0.0
-            for v, on in zip(np.exp(T @ self.rayleigh), self.damped, strict=True)
-        )
-        for loss in self.losses:
-            share = values[loss.axis.name] / loss.axis.middle
-            alpha, beta = alpha * share**loss.alpha, beta * share**loss.beta
+        pair = np.where(self.damped, np.exp(T @ self.rayleigh), 0.0).tolist()
+        alpha, beta = damped(pair, self.losses, values)
         D = np.zeros((len(self.ports),) * 2)
         if self.electrical:
             factor = np.tensordot(T, self.shared, 1) + np.diag(np.exp(T @ self.capacitance))
@@ -189,13 +186,9 @@ def over_box(
         left = max(left, judge.error(own) + space.error)
     error = SAFETY * max(left, inner)
     if error > tolerance:
-        raise SimulationError(
-            "the error cannot be certified over the box of the parameters",
-            where=made.frame.name,
-            got=f"{error:.2g} at a point that nothing was made from",
-            expected=f"at most {tolerance:.2g}",
-            hint="narrow a range, or ask for a larger rom.tolerance",
-        )
+        problem = "the error cannot be certified over the box of the parameters"
+        got = f"{error:.2g} at a point that nothing was made from"
+        raise _too_wide(problem, made, got, tolerance)
     form = structure(found.at(_values(found.box, np.zeros(len(axes)))).pencil.dense(), band)
     certificate = Certificate(
         band_hz=band,
@@ -254,10 +247,15 @@ def varying(made: Parametric, band: tuple[float, float], tolerance: float) -> tu
                 best = min(best, max(error, exact))
                 if error <= tolerance:
                     return found, error
-    raise SimulationError(
-        "the box of the parameters is too wide for polynomials of its modes",
+    problem = "the box of the parameters is too wide for polynomials of its modes"
+    raise _too_wide(problem, made, f"an error of {best:.2g}", tolerance)
+
+
+def _too_wide(problem: str, made: Parametric, got: str, tolerance: float) -> SimulationError:
+    return SimulationError(
+        problem,
         where=made.frame.name,
-        got=f"an error of {best:.2g}",
+        got=got,
         expected=f"at most {tolerance:.2g}",
         hint="narrow a range, or ask for a larger rom.tolerance",
     )

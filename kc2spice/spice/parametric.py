@@ -187,13 +187,10 @@ def _block(
         for j in range(at + 1, i):
             if model.below[:, i - 1, j - 1].any():
                 yield f".param l{i}_{j}={{{polynomial(model.below[:, i - 1, j - 1])}}}"
-    for i, j in _coupled(model, at, size):
-        products = [
-            f"l{i}_{n}*l{j}_{n}"
-            for n in range(at + 1, min(i, j) + 1)
-            if _has(model, i, n) and _has(model, j, n)
-        ]
-        if size > 1 and j <= i:
+    for i, j in _coupled(model, at, size) if size > 1 else ():
+        if j <= i:
+            both = (n for n in range(at + 1, j + 1) if _has(model, i, n) and _has(model, j, n))
+            products = [f"l{i}_{n}*l{j}_{n}" for n in both]
             yield f".param k{i}_{j}={{{'+'.join(products)}}}"
     for i in names:
         for k in range(len(model.ports)):

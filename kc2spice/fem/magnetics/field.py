@@ -31,13 +31,13 @@ from skfem import Basis, BilinearForm, ElementTriP2, LinearForm, MeshTri2, conde
 from skfem.models.poisson import laplace
 
 from kc2spice.core.errors import SimulationError
+from kc2spice.core.units import MU_0
 from kc2spice.fem.magnetics import mesh as magmesh
 from kc2spice.fem.magnetics.keys import Catch, Ring
 from kc2spice.fem.magnetics.table import EMTable
 from kc2spice.linalg.cholesky import Cholesky
 from kc2spice.linalg.factor import Factor
 
-MU0 = 4e-7 * pi
 RING, SPHERE, LOWER, UPPER = range(4)  # columns of loads and of the fields that they make
 Progress = Callable[[int, int], None]
 
@@ -229,7 +229,7 @@ def _body(
         loads[:, column] = size * form.assemble(_basis(mesh, np.flatnonzero(inside)))
     coo = _stiffness.coo_data(basis)
     rows, cols = coo.indices.reshape(2, -1, mesh.nelements)
-    reluctivity = np.where(magnet, 1 / catch.mu_r, 1.0) / MU0
+    reluctivity = np.where(magnet, 1 / catch.mu_r, 1.0) / MU_0
     local = coo.data.reshape(-1, mesh.nelements) * reluctivity
     centres = mesh.p[:, mesh.t].mean(axis=1)
     return Body(basis.doflocs, centres, rows, cols, local, loads)
@@ -244,7 +244,7 @@ def _stretched(mesh: MeshTri2, sphere: np.ndarray, rim: np.ndarray) -> sparse.cs
     g[core] = 1.0
     g = solve(*condense(laplace.assemble(basis), x=g, D=np.union1d(core, rim)))
     air = _basis(mesh, np.flatnonzero(~sphere))
-    return sparse.csr_array(_stretch.assemble(air, g=air.interpolate(g)) / MU0)
+    return sparse.csr_array(_stretch.assemble(air, g=air.interpolate(g)) / MU_0)
 
 
 def _basis(mesh: MeshTri2, elements: np.ndarray | None = None) -> Basis:
@@ -253,7 +253,7 @@ def _basis(mesh: MeshTri2, elements: np.ndarray | None = None) -> Basis:
 
 
 def _coercivity(catch: Catch) -> float:
-    return catch.remanence / (catch.mu_r * MU0)
+    return catch.remanence / (catch.mu_r * MU_0)
 
 
 def _within(part: Ring, points: np.ndarray) -> np.ndarray:

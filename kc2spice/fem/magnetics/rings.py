@@ -17,15 +17,14 @@ import numpy as np
 from numpy.polynomial import chebyshev
 
 from kc2spice.core.errors import UsageError
+from kc2spice.core.units import MU_0
 
-MU_0 = 4e-7 * np.pi  # H/m
 NODES = 40  # heights at which the couplings are computed, Chebyshev's
 FINE = 24  # divisions of a coil's longer side, for its own inductance
 POINTS = 16  # along it, for that with others
 SLIVER = 0.02  # of a section, below which a ring carries nothing
 NEAR = 4  # cells from the axis
 GAUSS = (-0.5 / 3**0.5, 0.5 / 3**0.5)  # of a section
-DIGITS = 11  # that ngspice keeps of a literal in an expression
 
 
 def mutual(r: np.ndarray, z: np.ndarray, other: np.ndarray, height: np.ndarray) -> np.ndarray:
@@ -283,5 +282,4 @@ def _polynomials(nodes: np.ndarray, values: np.ndarray, tolerance: float) -> np.
     flat = c[: degree + 1].reshape(degree + 1, -1)
     series = [chebyshev.cheb2poly(column) for column in flat.T]
     powers = np.array([np.pad(each, (0, degree + 1 - each.size)) for each in series])
-    short = np.vectorize(lambda x: float(f"{x:.{DIGITS}g}"))(powers)
-    return np.asarray(short.reshape(*values.shape[::2], degree + 1))
+    return powers.reshape(*values.shape[::2], degree + 1)
