@@ -12,6 +12,7 @@ from hard_cases.modal_kick import Kick, pressed
 from own_equations import integrated
 from scipy.interpolate import CubicSpline
 from scipy.linalg import eigh
+from scipy.special import ellipe, ellipk
 
 import kc2spice as kc
 
@@ -127,6 +128,111 @@ def voice(d):
     def solve(points):
         t, y = integrated(rate, np.zeros(3), wave.corners, d.stop, points)
         return t, lambda column: (far * y[:, 0], None, amp * y[:, 2])[column]
+
+    d.solve = solve
+
+
+def stretched(d):
+    """Three masses on springs that a beam's tension couples: cubic by ``e = l / 3 sum w'^2 / 2``."""
+    a, length, m = d.value(1e-8, 1e-5), d.value(1e-4, 1e-3), d.value(1e-10, 1e-6)
+    w = 2 * np.pi * d.f * d.value(0.5, 3)
+    k, loss = m * w**2, m * w / d.value(1, 30)
+    slopes = np.array([[-14, 15, -1], [1, -15, 14]]) / (12 * length / 3)
+
+    def longer(x):
+        return length / 6 * np.sum((slopes @ x) ** 2), length / 3 * slopes.T @ (slopes @ x)
+
+    e, slope = longer(np.array([0.0, a, 0.0]))
+    stiffness = d.value(0.1, 10) * k * a / (e * slope[1])
+    tension = d.value(0.1, 3) * k * a / slope[1]
+    keys, wave = d.wave(k * a * d.value(0.3, 3))
+    ports = []
+    for n in range(3):
+        one = d.part("mass", mass=m)
+        d.part("spring", stiffness=k, pins={"a": f"{one}.a"})
+        d.part("damper", damping=loss, pins={"a": f"{one}.a"})
+        d.compared[f"{one}.x"] = n
+        ports.append(f"{one}.a")
+    d.part("source", kind="force", pins={"out": ports[1]}, **keys)
+    d.part("stretch", a=ports, length=length, stiffness=stiffness, tension=tension)
+
+    def rate(t, y):
+        x, v = a * y[:3], a * w * y[3:]
+        e, slope = longer(x)
+        force = np.array([0.0, wave(t), 0.0]) - k * x - loss * v - (stiffness * e + tension) * slope
+        return [*(v / a), *(force / m / (a * w))]
+
+    def solve(points):
+        t, y = integrated(rate, np.zeros(6), wave.corners, d.stop, points)
+        return t, lambda column: a * y[:, column]
+
+    d.solve = solve
+
+
+# --- eddy currents -------------------------------------------------------------------------------
+
+
+def circles(a, b, apart):
+    """Maxwell's mutual inductance of two coaxial circles, and its slope by their distance."""
+    n = 4 * a * b / ((a + b) ** 2 + apart**2)
+    K, E = ellipk(n), ellipe(n)
+    m = MU * np.sqrt(a * b) * ((2 - n) * K - 2 * E) / np.sqrt(n)
+    slope = (
+        -MU
+        * apart
+        / np.sqrt((a + b) ** 2 + apart**2)
+        * ((a * a + b * b + apart**2) / ((a - b) ** 2 + apart**2) * E - K)
+    )
+    return m, slope
+
+
+def thrown(d):
+    """A thin ring of metal that a coil of one wire pushes off: two circles, two currents."""
+    d.f = d.value(50, 400)
+    d.stop = d.rng.uniform(2, 4) / d.f
+    w, side, top = 2 * np.pi * d.f, 1e-3, d.value(4e-3, 8e-3)
+    ring, coil, turns, metal = d.value(15e-3, 30e-3), d.value(8e-3, 13e-3), 100, d.value(1e7, 6e7)
+
+    def own(r, wide):
+        return MU * r * (np.log(8 * r / (0.2235 * 2 * wide)) - 2)
+
+    L = np.array([turns**2 * own(coil, 1e-4), own(ring, side)])
+    loss = 2 * np.pi * ring / (metal * side**2)
+    ohm, amp = w * L[0] * d.value(0.5, 5), d.value(1, 100)
+    m, slope = (turns * each for each in circles(ring, coil, top + side / 2))
+    induced = amp * w * m / np.hypot(loss, w * L[1])
+    mass = float(f"{abs(slope) * amp * induced * d.stop**2 / d.value(4e-3, 4e-2):.4g}")
+    keys, wave = d.wave(amp * np.hypot(ohm, w * L[0]))
+    source = d.part("source", **keys)
+    winding = {"radius": coil, "width": 1e-4, "height": 1e-4, "y": 0.0, "turns": turns,
+               "resistance": ohm}  # fmt: skip
+    one = d.part("moving_conductor", radius=ring + side / 2, inner=ring - side / 2,
+                 thickness=side, conductivity=metal, y_min=1e-3, y_max=40e-3, rings=20,
+                 coils={"c": winding}, pins={"c_p": f"{source}.out", "a": "mass1.a"})  # fmt: skip
+    d.part("mass", mass=mass, position=top)
+    d.compared |= {f"{one}.y": 0, f"{one}.i_c": 1}
+
+    def currents(x):
+        m, slope = (turns * each for each in circles(ring, coil, x[0] + side / 2))
+        return np.linalg.solve([[L[0], m], [m, L[1]]], x[2:]), slope
+
+    def rate(t, y):
+        x = y * size
+        i, slope = currents(x)
+        grown = [x[1], i[0] * i[1] * slope / mass, wave(t) - ohm * i[0], -loss * i[1]]
+        return list(grown / size)
+
+    size = np.array([1e-3, 1e-3 * w, L[0] * amp, L[1] * induced])
+
+    def solve(points):
+        t, y = integrated(rate, np.array([top, 0, 0, 0]) / size, wave.corners, d.stop, points)
+        path = y * size
+        return (
+            t,
+            lambda column: (
+                path[:, 0] if column == 0 else np.array([currents(x)[0][0] for x in path])
+            ),
+        )
 
     d.solve = solve
 

@@ -17,7 +17,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from drawn_devices import catch, elastic, electrostatic, field, stack, voice
+from drawn_devices import catch, elastic, electrostatic, field, stack, stretched, thrown, voice
 from own_equations import Equations, Wave
 from scipy.integrate import solve_ivp
 
@@ -488,7 +488,7 @@ def controller(d):
 
 FAMILIES = (
     circuit, rectifier, motion, touch, matrices, body, bounce, driver, sensor, controller,
-    electrostatic, voice, field, catch, stack, elastic,
+    electrostatic, voice, field, catch, stack, elastic, stretched, thrown,
 )  # fmt: skip
 QUICK = (0, 2, 6, 7, 8, 9, 29, 42, 78)  # of most families, seconds in all
 
@@ -575,7 +575,6 @@ def test_a_scene_of_any_parts_is_right(number, tmp_path):
 
 def test_all_types_of_parts_are_drawn(tmp_path):
     found, left = set(BODIES), len(FAMILIES) * 40
-    found |= {"stretch", "moving_conductor"}  # test_gap.py, test_moving_conductor.py
     for number in range(left):  # a body builds its model while it is drawn
         if FAMILIES[number % len(FAMILIES)] is not body:
             drawn(number, tmp_path)
