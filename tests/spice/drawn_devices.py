@@ -133,7 +133,7 @@ def voice(d):
 
 
 def stretched(d):
-    """Three masses on springs that a beam's tension couples: cubic by ``e = l / 3 sum w'^2 / 2``."""
+    """Three masses on springs that a beam's tension couples, by how much longer it is."""
     a, length, m = d.value(1e-8, 1e-5), d.value(1e-4, 1e-3), d.value(1e-10, 1e-6)
     w = 2 * np.pi * d.f * d.value(0.5, 3)
     k, loss = m * w**2, m * w / d.value(1, 30)
