@@ -12,7 +12,7 @@ import tempfile
 import time
 import warnings
 from collections import Counter
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 import numpy as np
@@ -578,8 +578,9 @@ def test_all_types_of_parts_are_drawn(tmp_path):
     for number in range(left):  # a body builds its model while it is drawn
         if FAMILIES[number % len(FAMILIES)] is not body:
             drawn(number, tmp_path)
-            parts = load_scene(tmp_path / "drawn.toml").parts.values()
-            found |= {part.type.name for part in parts}
+            with suppress(Kc2spiceError):  # a draw that is refused shows no type
+                parts = load_scene(tmp_path / "drawn.toml").parts.values()
+                found |= {part.type.name for part in parts}
         if found == set(part_types()):
             return
     raise AssertionError(set(part_types()) - found)
