@@ -23,7 +23,7 @@ from skfem import Basis
 from skfem.mesh import MeshHex, MeshQuad, MeshTet
 
 from kc2spice.bodies.device import Device
-from kc2spice.core.errors import MissingToolError, UsageError
+from kc2spice.core.errors import UsageError
 from kc2spice.fem.solid import Solid, strains
 from kc2spice.rom.krylov import block_arnoldi
 from kc2spice.rom.march import resonant
@@ -35,9 +35,6 @@ SLOWEST = 1e-4  # angle over the whole run of a mode that is free to move
 # many, and more where points times instants stay below this.
 INSTANTS, WORK = 200, 2_000_000
 CHUNK = 20
-_HEX_EDGES = ((0, 1), (1, 2), (2, 3), (3, 0), (4, 5), (5, 6), (6, 7), (7, 4), (0, 4), (1, 5),
-              (2, 6), (3, 7))  # fmt: skip
-_HEX_FACES = ((0, 7), (1, 6), (0, 5), (3, 6), (0, 2), (4, 6))  # opposite corners
 
 
 @dataclass(frozen=True)
@@ -293,17 +290,9 @@ def _instants(motion: Motion, count: int) -> np.ndarray:
 def write_vtu(path: Path, device: Device, z: np.ndarray, voltages: np.ndarray) -> None:
     """Displacement [m], potential [V], field [V/m], stress [Pa] and largest principal stress at
     the nodes of every element, as a VTU file of cells that share no points.
-
-    Raises
-    ------
-    MissingToolError : meshio is not installed.
     """
-    try:
-        import meshio
-    except ImportError as error:
-        raise MissingToolError(
-            "meshio cannot be loaded", where="fields", got=str(error), hint="pip install meshio"
-        ) from error
+    import meshio
+
     probe = Probe(device, gauss=False)
     fields = probe(z, voltages)
     mesh = device.solid.mesh
@@ -324,18 +313,13 @@ def write_vtu(path: Path, device: Device, z: np.ndarray, voltages: np.ndarray) -
     meshio.Mesh(where, [(kind, cells)], point_data=data).write(path, file_format="vtu")
 
 
-def _vtk(solid: Solid) -> tuple[str, np.ndarray]:
+def _vtk(solid: Solid) -> tuple[str, list[int]]:
     """meshio's name of the cell and the places of VTK's nodes among scikit-fem's."""
-    mesh = solid.mesh
-    if isinstance(mesh, MeshTet):
-        return "tetra10", np.arange(10)
-    if isinstance(mesh, MeshQuad):
-        return "quad9", np.arange(9)
-    if not isinstance(mesh, MeshHex):
-        return "triangle6", np.arange(6)
-    corners = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0],
-                        [0, 0, 1], [1, 0, 1], [1, 1, 1], [0, 1, 1]], float)  # fmt: skip
-    middles = [corners[list(pair)].mean(axis=0) for pair in (*_HEX_EDGES, *_HEX_FACES)]
-    wanted = np.vstack([corners, middles, [[0.5, 0.5, 0.5]]])[: 27 if solid.order == 2 else 8]
-    order = np.argmin(np.abs(wanted[:, None] - solid.element.doflocs).sum(axis=-1), axis=1)
-    return f"hexahedron{27 if solid.order == 2 else ''}", order
+    from skfem.io.meshio import HEX_MAPPING
+
+    count = len(solid.element.doflocs)
+    if isinstance(solid.mesh, MeshHex):
+        return "hexahedron27" if count == 27 else "hexahedron", HEX_MAPPING[:count]
+    kind = {MeshTet: "tetra10", MeshQuad: "quad9"}
+    found = (name for each, name in kind.items() if isinstance(solid.mesh, each))
+    return next(found, "triangle6"), list(range(count))

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from importlib import import_module
+from typing import Any
 
 LONGEST = 200  # characters of a word that is compared with others
 
@@ -70,6 +72,20 @@ class SimulationError(Kc2spiceError):
     """A solver or simulator failed, or a truth check after it did: exit code 5."""
 
     exit_code = 5
+
+
+def needed(module: str, package: str, where: str, extra: str) -> Any:
+    """The ``module`` of a package that only some need and ``kc2spice[extra]`` brings.
+
+    Raises
+    ------
+    MissingToolError : it is not installed.
+    """
+    try:
+        return import_module(module)
+    except ImportError:
+        hint = f"pip install 'kc2spice[{extra}]'"
+        raise MissingToolError(f"{package} is not installed", where=where, hint=hint) from None
 
 
 def unknown(

@@ -11,8 +11,7 @@ from kc2spice.netlist.transforms import self_contained
 from kc2spice.scene.keys import model_keys
 from kc2spice.scene.model import Part, Terminal
 from kc2spice.scene.parttype import Build, PartType
-from kc2spice.spice.header import ROOM, SIGN, Header
-from kc2spice.spice.library import library
+from kc2spice.spice.header import ROOM, SIGN, Header, library
 
 BANDWIDTH = 1e9  # Hz, gain-bandwidth product of a fast decompensated amplifier
 

@@ -41,8 +41,7 @@ from kc2spice.scene.parttype import (
     mover,
     register,
 )
-from kc2spice.spice.header import Header
-from kc2spice.spice.library import library
+from kc2spice.spice.header import Header, library
 
 # Gate of a launch against the full model: of the reduction's certified error, whose band it
 # exceeds; what it is where there is no certificate.

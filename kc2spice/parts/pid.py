@@ -21,8 +21,7 @@ from kc2spice.parts.ring_magnet_coils import label
 from kc2spice.scene.judge import Check
 from kc2spice.scene.model import Part, Scene, Terminal
 from kc2spice.scene.parttype import Build, PartType, Vector, register
-from kc2spice.spice.header import Header
-from kc2spice.spice.library import library
+from kc2spice.spice.header import Header, library
 
 SENSOR = 2e3  # V/m, 5 V at the paper's set point
 SENSE = 100.0  # Ohm, 10 V at the paper's 0.1 A

@@ -43,8 +43,7 @@ from kc2spice.scene.parttype import (
     register,
 )
 from kc2spice.scene.plausible import within
-from kc2spice.spice.header import Header
-from kc2spice.spice.library import library
+from kc2spice.spice.header import Header, library
 
 MAGNET_CONDUCTIVITY = 150e3  # S/m, paper table A1
 

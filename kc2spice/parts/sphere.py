@@ -31,8 +31,7 @@ from kc2spice.scene.parttype import (
     register,
 )
 from kc2spice.scene.plausible import within
-from kc2spice.spice.header import Header
-from kc2spice.spice.library import library
+from kc2spice.spice.header import Header, library
 
 AIR_DENSITY = 1.204  # kg/m^3, 20 degC
 AIR_VISCOSITY = 1.825e-5  # Pa s

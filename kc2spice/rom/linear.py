@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 import scipy
 
-from kc2spice.core.errors import MissingToolError, UsageError, unknown
+from kc2spice.core.errors import UsageError, needed, unknown
 from kc2spice.rom.operators import Matrix, Schur, symmetric
 from kc2spice.rom.pencil import Pencil
 from kc2spice.rom.statespace import ABCD, state_space
@@ -272,16 +272,11 @@ class LinearModel:
         ------
         MissingToolError : pyMOR is not installed.
         """
-        try:
-            from pymor.models.iosys import LTIModel, SecondOrderModel
-        except ImportError:
-            raise MissingToolError(
-                "pyMOR is not installed", where="to_pymor", hint="pip install 'kc2spice[pymor]'"
-            ) from None
+        models = needed("pymor.models.iosys", "pyMOR", "to_pymor", "pymor")
         if self.first_order:
-            return LTIModel.from_matrices(self.A, self.B, self.C, D=self.D, E=self.E)
+            return models.LTIModel.from_matrices(self.A, self.B, self.C, D=self.D, E=self.E)
         letters = (self.M, self.E, self.K, self.B)
-        return SecondOrderModel.from_matrices(*letters, Cp=self.C, D=self.D)
+        return models.SecondOrderModel.from_matrices(*letters, Cp=self.C, D=self.D)
 
     def select(self, names: Sequence[str]) -> LinearModel:
         """The same model with only the ports ``names``; the others are left open.

@@ -21,7 +21,7 @@ from typing import Any
 
 import numpy as np
 
-from kc2spice.core.errors import MissingToolError, UsageError
+from kc2spice.core.errors import UsageError, needed
 from kc2spice.rom.linear import Certificate, LinearModel, Port
 from kc2spice.rom.statespace import ABCD
 
@@ -88,21 +88,12 @@ def _best(f: np.ndarray, S: np.ndarray, noise: float, where: str) -> ABCD:
 
 def _fits(f: np.ndarray, S: np.ndarray, noise: float, where: str) -> list[tuple[float, Fit]]:
     """Fits with more and more poles, with their deviations, the least first."""
-    try:
-        import skrf
-        from skrf.vectorFitting import VectorFitting
-    except ImportError:
-        raise MissingToolError(
-            "scikit-rf is not installed",
-            where=where,
-            expected="it to fit several ports",
-            hint="pip install 'kc2spice[measured]'",
-        ) from None
+    skrf = needed("skrf", "scikit-rf", where, "measured")
     network = skrf.Network(frequency=skrf.Frequency.from_f(f, unit="hz"), s=S, z0=1.0)
     found: list[tuple[float, Fit]] = []
     useless = 0
     for poles in range(2, MOST + 1, 3):
-        fit = VectorFitting(network)
+        fit = skrf.vectorFitting.VectorFitting(network)
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # of iterations that end early; the deviation decides
             try:

@@ -1,16 +1,19 @@
-"""The head of every library file: where it comes from and what each pin and parameter means."""
+"""Libraries of parts whose cards are templates, and the head of every one: where it comes from and
+what each pin and parameter means."""
 
 from __future__ import annotations
 
 import math
 import textwrap
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
 from kc2spice.core.version import __version__
 from kc2spice.netlist.cards import comment, name, number, word
-from kc2spice.netlist.circuit import Param, Pin
+from kc2spice.netlist.circuit import Param, Pin, Subcircuit
+from kc2spice.netlist.render import render
 from kc2spice.rom.linear import Certificate
+from kc2spice.scene.model import Terminal
 from kc2spice.scene.plan import Plan
 
 SIGN = "um, m/s and N count upwards, out of the chip; 1 A into a pin pushes the part up with 1 N"
@@ -116,3 +119,32 @@ def _range(param: Param) -> str:
 def parameter_list(params: tuple[Param, ...]) -> str:
     """Parameters with their defaults as they stand behind the pins of a ``.subckt`` card."""
     return " ".join(f"{name(p.name)}={number(p.default)}" for p in params)
+
+
+def library(
+    template: str,
+    header: Header,
+    name: str,
+    title: str,
+    terminals: Sequence[Terminal],
+    params: tuple[Param, ...] = (),
+    *,
+    rating: str,
+    validity: str = ROOM,
+    sign: str = SIGN,
+    no_module: str = "",
+    **values: object,
+) -> Subcircuit:
+    """``templates/TEMPLATE.j2`` under its head, see :func:`part_header`.
+
+    Besides ``values`` the template has the names of its ``pins`` and the ``card`` behind
+    ``.subckt``: name, pins and parameters with their defaults.
+    """
+    pins = tuple(Pin(each.name, each.unit, each.flow) for each in terminals)
+    words = {"rating": rating, "validity": validity, "sign": sign}
+    names = [pin.name for pin in pins]
+    card = " ".join((name, *names, parameter_list(params)))
+    head = part_header(header, f"{name}: {title}", pins, params, **words)
+    cards = render(f"{template}.j2", card=card, pins=names, **values)
+    text = f"{head}\n{cards}.ends {name}\n"
+    return Subcircuit(name, pins, params, text, no_module=no_module)

@@ -8,6 +8,8 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
+from itertools import chain
 
 import numpy as np
 
@@ -15,31 +17,32 @@ from kc2spice.core.errors import UsageError
 from kc2spice.netlist.cards import distinct, number
 from kc2spice.netlist.circuit import Param, Subcircuit
 from kc2spice.rom.varying import Varying
-from kc2spice.spice.header import OUTWARDS, Header, parameter_list, part_header, rom_line
+from kc2spice.spice.header import Header
 from kc2spice.spice.realize import (
+    DAMPING,
     FOLLOWED,
-    INNER,
-    LEAK,
     MICRO,
-    MOVING,
-    PIVOTS,
-    STATE,
     UNRATED,
+    Card,
     PortTerminal,
     Watch,
+    conservative,
+    drives,
+    enclosed,
     model_terminals,
+    scales,
     subcircuit_pins,
 )
 
 # Names of our own among parameters.
-_TAKEN = r"[xwlkgcfbt]_?\d+(_\d+)*|alpha|beta|damping|inside\d+"
+_TAKEN = r"[xlkgcfbt]_?\d+(_\d+)*|alpha|beta|damping|inside\d+"
 _ABOUT = """\
 * Resonators whose frequencies, couplings, capacitances and damping depend on the parameters: they
 * are polynomials (Chebyshev's, of the parameters' logarithms) that are evaluated once, when the
 * subcircuit is expanded. x1, x2, ... count from -1 at the low end of a range to 1 at its high end.
-* Every mode is two integrators, q (displacement) and p (q'/omega), scaled so that 1 V is the mode's
-* largest displacement of a port in um. Modes that come near each other in the box are one block
-* with stiffness k and stay positive: k = L L'.
+* Every mode is two integrators, q (displacement) and p (q'/omega of the defaults), whose 1 V is the
+* mode's largest displacement of a port in um. Modes that come near each other in the box are one
+* block. Their stiffness stays positive: k = L L'.
 * The base is the mechanical and signal reference: wire it to node 0. Electrical pins float."""
 _STOP = """
 * Outside of its range a parameter stops the simulator at these cards: nothing is extrapolated."""
@@ -76,38 +79,17 @@ def parametric_subcircuit(
         )
     distinct([p.name for p in parameters], _TAKEN, where=name)
     terminals = model_terminals(rom, rom.D, name)
-    pins, base = subcircuit_pins(terminals)
-    moved = (t.pins[0].lower() for t in terminals if t.kind in MOVING)
-    distinct(
-        [pin.name for pin in pins], "|".join([INNER, *(f"[uf]{p}" for p in moved)]), where=name
-    )
-    damping = Param("damping", 1.0, "-", "scale of the damping of all modes")
-    params = (*parameters, *([damping] if any(model.damped) else []))
-    certificate = model.certificate
-    band = f" up to {certificate.band_hz[1]:g} Hz" if certificate else ""
-    head = part_header(
-        header or Header(model.name, "-"),
-        f"{name}: {title}",
-        pins,
-        params,
-        rom=rom_line(model.order, certificate) if certificate else "",
-        sign=OUTWARDS,
-        rating=rating,
-        validity=f"small signals{band}, parameters within their ranges, at the temperature of its "
-        "data (20 to 25 C, of built-in materials); no hysteresis, depolarisation or heating",
-    )
-    lines = [
-        "",
-        _ABOUT,
-        f".subckt {' '.join([name, *(pin.name for pin in pins), parameter_list(params)])}",
+    pins, base = subcircuit_pins(terminals, name)
+    body = [
         *_expressions(model, parameters),
-        PIVOTS.format(base=base),
         _STOP,
         *_stops(parameters, base),
         *_cards(model, rom.B, np.sqrt(np.diag(rom.K)), terminals, base, watch),
-        f".ends {name}",
     ]
-    return Subcircuit(name, pins, params, head + "\n".join(lines) + "\n")
+    params = (*parameters, *([DAMPING] if any(model.damped) else []))
+    words = {"title": title, "rating": rating, "within": ", parameters within their ranges,"}
+    head = header or Header(model.name, "-")
+    return enclosed(rom, name, pins, base, params, head, ([_ABOUT], body), **words)
 
 
 def _stops(parameters: Sequence[Param], base: str) -> Iterator[str]:
@@ -179,15 +161,14 @@ def _expressions(model: Varying, parameters: Sequence[Param]) -> Iterator[str]:
 def _block(
     model: Varying, at: int, size: int, polynomial: Callable[[np.ndarray], str]
 ) -> Iterator[str]:
-    """Frequencies of a resonator, or stiffness of a block; gains of both."""
+    """Stiffness and gains of a block."""
     names = range(at + 1, at + size + 1)
     for i in names:
-        diagonal = f"exp({polynomial(model.diagonal[:, i - 1])})"
-        yield f".param {'w' if size == 1 else 'l'}{i}{'' if size == 1 else f'_{i}'}={{{diagonal}}}"
+        yield f".param l{i}_{i}={{exp({polynomial(model.diagonal[:, i - 1])})}}"
         for j in range(at + 1, i):
             if model.below[:, i - 1, j - 1].any():
                 yield f".param l{i}_{j}={{{polynomial(model.below[:, i - 1, j - 1])}}}"
-    for i, j in _coupled(model, at, size) if size > 1 else ():
+    for i, j in _coupled(model, at, size):
         if j <= i:
             both = (n for n in range(at + 1, j + 1) if _has(model, i, n) and _has(model, j, n))
             products = [f"l{i}_{n}*l{j}_{n}" for n in both]
@@ -222,98 +203,60 @@ def _cards(
     watch: Watch,
 ) -> Iterator[str]:
     """Elements: ports, then states; ``gain`` and ``omega`` are those of the defaults, which scale
-    states as :func:`kc2spice.spice.realize.subcircuit` scales them."""
-    mechanical = [t.kind == "mechanical" for t in terminals]
-    scale = np.abs(gain[:, mechanical]).max(axis=1, initial=0.0)
-    scale = np.where(scale > 0, scale, np.abs(gain).max(axis=1))
-    scale = np.where(scale > 0, scale, 1.0)
-    farad = STATE * np.minimum(1.0, (omega / (watch.full * omega.min())) ** watch.power)
-    order = {id(t): k for k, t in enumerate(t for t in terminals if t.kind == "electrical")}
-    for t in (t for t in terminals if t.kind == "electrical"):
-        yield from _electrical(order[id(t)], t, base, watch.share, terminals)
-    for t in (t for t in terminals if t.kind in MOVING):
-        pin = t.pins[0]
-        yield f"\n* Port {pin}: the modes sum to its displacement (um) or angle (rad)."
-        yield f"Ru{pin} u{pin} {base} 1"
-        yield f"Gf{pin} {base} f{pin} {pin} u{pin} 1"
-        yield f"Gp{pin} {pin} {base} f{pin} {base} 1"
-    at, blocks = 0, model.blocks
-    for size in blocks:
+    states as :func:`kc2spice.spice.realize.subcircuit` scales them::
+
+        C p_i' = -C / w_i sum_j (s_i / s_j) (k_ij q_j + e_ij w_j p_j) + (C s_i / w_i) sum_k g_ik u_k
+    """
+    scale, farad = scales(gain, terminals), watch.farad(omega, omega.min())
+    order = [t for t in terminals if t.kind == "electrical"]
+
+    def seen(i: int, k: int, label: str) -> list[Card]:
+        """What port k sees of state i."""
+        share = number(MICRO / terminals[k].unit / scale[i - 1])
+        there = model.gain[:, i - 1, k].any()
+        return [Card(label, f"q{i}", base, f"{share}*g{i}_{k + 1}")] if there else []
+
+    def wired(k: int, t: PortTerminal) -> PortTerminal:
+        if t.kind != "electrical":
+            sums = (seen(i, k, f"{i}") for i in range(1, model.order + 1))
+            return replace(t, sums=tuple(chain.from_iterable(sums)))
+        n = order.index(t)
+        shared = tuple(
+            Card(f"u{m + 1}", *o.control(base), f"{number(1 / MICRO)}*{_capacitance(n, m)}")
+            for m, o in enumerate(order)
+            if o is not t
+        )
+        return replace(t, capacitance=_capacitance(n, n), through=shared)
+
+    yield from conservative((wired(k, t) for k, t in enumerate(terminals)), base, watch.share)
+    at = 0
+    for size in model.blocks:
         names = range(at + 1, at + size + 1)
         hertz = ", ".join(f"{w:.6g}" for w in omega[at : at + size] / (2 * np.pi))
         yield f"\n* {'Mode' if size == 1 else 'Block'} of {hertz} Hz at the defaults"
         coupled = _coupled(model, at, size)
         at += size
         for i in names:
-            c, w = number(farad[i - 1]), number(omega[i - 1])
-            yield f"Cq{i} q{i} {base} {c}"
-            yield f"Cp{i} p{i} {base} {c}"
-            if size == 1:
-                yield f"Gq{i} {base} q{i} p{i} {base} {{{c}*w{i}}}"
-                yield f"Gp{i} p{i} {base} q{i} {base} {{{c}*w{i}}}"
-                if lost := _lost(model, f"w{i}*w{i}", own=True):
-                    yield f"Gd{i} p{i} {base} p{i} {base} {{damping*{c}*({lost})}}"
-            else:
-                yield f"Gq{i} {base} q{i} p{i} {base} {number(farad[i - 1] * omega[i - 1])}"
-                yield from _stiffness(model, i, coupled, farad, omega, scale, base)
-            drive = number(farad[i - 1] * scale[i - 1] / MICRO)
-            rate = f"w{i}" if size == 1 else w
-            for k, t in enumerate(terminals):
-                if not model.gain[:, i - 1, k].any():
-                    continue
-                kind = "v" if t.kind == "electrical" else "f"
-                plus, minus = t.control(base)
-                g = f"g{i}_{k + 1}"
-                yield f"G{kind}{i}_{k + 1} {base} p{i} {plus} {minus} {{{drive}*{g}/{rate}}}"
-                share = number(MICRO / t.unit / scale[i - 1])
-                onto = f"charge{t.tag}" if t.kind == "electrical" else f"u{t.pins[0]}"
-                yield f"Gc{i}_{k + 1} {base} {onto} q{i} {base} {{{share}*{g}}}"
+            c, w, s = farad[i - 1], omega[i - 1], scale[i - 1]
+            yield f"Cq{i} q{i} {base} {number(c)}"
+            yield f"Cp{i} p{i} {base} {number(c)}"
+            yield f"Gq{i} {base} q{i} p{i} {base} {number(c * w)}"
+            for j in (j for one, j in coupled if one == i):
+                k, push = f"k{max(i, j)}_{min(i, j)}", c / w * s / scale[j - 1]
+                yield f"Gp{i}_{j} p{i} {base} q{j} {base} {{{number(push)}*{k}}}"
+                lost = ["alpha"] * (model.damped[0] and i == j) + [f"beta*{k}"] * model.damped[1]
+                if lost:
+                    drag = f"{{damping*{number(push * omega[j - 1])}*({'+'.join(lost)})}}"
+                    yield f"Gd{i}_{j} p{i} {base} p{j} {base} {drag}"
+            force = number(c * s / w / MICRO)
+            moved = np.any(model.gain[:, i - 1], axis=0).tolist()
+            row = [f"{force}*g{i}_{n}" if there else "" for n, there in enumerate(moved, 1)]
+            pushes = (card for card in drives(i, row, terminals, base) if card.value)
+            yield from (card.onto(base, f"p{i}") for card in pushes)
+            for t in order:
+                charges = seen(i, t.column or 0, f"Gc{i}{t.tag}")
+                yield from (card.onto(base, f"charge{t.tag}") for card in charges)
 
 
-def _stiffness(
-    model: Varying,
-    i: int,
-    coupled: Sequence[tuple[int, int]],
-    farad: np.ndarray,
-    omega: np.ndarray,
-    scale: np.ndarray,
-    base: str,
-) -> Iterator[str]:
-    """What a block's other states push one with, and its damping: ``C p_i' = - C / w_i sum_j (s_i /
-    s_j) (k_ij q_j + e_ij w_j p_j)``."""
-    for j in (j for one, j in coupled if one == i):
-        a, b = i - 1, j - 1
-        k = f"k{max(i, j)}_{min(i, j)}"
-        push = farad[a] / omega[a] * scale[a] / scale[b]
-        yield f"Gp{i}_{j} p{i} {base} q{j} {base} {{{number(push)}*{k}}}"
-        if lost := _lost(model, k, own=i == j):
-            drag = number(push * omega[b])
-            yield f"Gd{i}_{j} p{i} {base} p{j} {base} {{damping*{drag}*({lost})}}"
-
-
-def _lost(model: Varying, stiffness: str, *, own: bool) -> str:
-    """Damping that belongs to a stiffness, of a state itself or between two."""
-    words = ["alpha"] * (model.damped[0] and own) + [f"beta*{stiffness}"] * model.damped[1]
-    return "+".join(words)
-
-
-def _electrical(
-    k: int, t: PortTerminal, base: str, share: float, terminals: Sequence[PortTerminal]
-) -> Iterator[str]:
-    """The clamped capacitance, as of any resonators; see docs/notes/netlist.md."""
-    (a, b), tag, c = t.pins, t.tag, f"c{k + 1}_{k + 1}"
-    yield f"\n* Electrical port {t.label}: clamped capacitance and the charge of the modes, uC."
-    yield f"Cclamped{tag} {a} inner{tag} {{{number(share)}*{c}}}"
-    yield f"Gmore{tag} {a} {b} current{tag} {base} {number(1 - share)}"
-    yield f"Gleak{tag} {a} {b} {a} inner{tag} {number(LEAK)}"
-    yield f"Ginner{tag} {base} current{tag} inner{tag} {b} 1"
-    yield f"Gcharge{tag} {base} current{tag} charge{tag} {base} {{1e-6/{c}}}"
-    yield f"Gcurrent{tag} inner{tag} {b} current{tag} {base} {number(share)}"
-    yield f"Rcharge{tag} charge{tag} {base} 1"
-    others = [other for other in terminals if other.kind == "electrical"]
-    for n, other in enumerate(others):
-        if n != k:
-            pair = f"c{max(k, n) + 1}_{min(k, n) + 1}"
-            plus, minus = other.control(base)
-            value = f"{{{number(1 / MICRO)}*{pair}}}"
-            yield f"Gc{tag}_u{n + 1} {base} charge{tag} {plus} {minus} {value}"
+def _capacitance(k: int, n: int) -> str:
+    return f"c{max(k, n) + 1}_{min(k, n) + 1}"

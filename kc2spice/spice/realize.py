@@ -6,7 +6,7 @@ import hashlib
 import re
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 
@@ -48,6 +48,10 @@ class Watch:
     full: float
     power: int
     share: float
+
+    def farad(self, omega: np.ndarray, slowest: float) -> np.ndarray:
+        """On which modes of the frequencies ``omega`` sit."""
+        return STATE * np.minimum(1.0, (omega / (self.full * slowest)) ** self.power)
 
 
 FOLLOWED = Watch(3.0, 2, 0.01)  # the body's own ringing is a result
@@ -107,28 +111,42 @@ _SHAKEN = """
 _NOISE = """\
 * Every loss has the force noise of its temperature, 4 k T times the damping: the voltage noise of a
 * resistor of as many ohms. No other resistor here has noise."""
+DAMPING = Param("damping", 1.0, "-", "scale of the damping of all modes")
 _INNER_FORCE = re.compile(r"noise\d+")
 LOST = 1e-14  # of the largest loss of a model: rounding
 UNRATED = "not known; keep field and stress within the limits of its materials"
 
 
+Value: TypeAlias = float | str  # a number, or an expression of the subcircuit's parameters
+
+
+def written(value: Value) -> str:
+    """A value as a word of a card."""
+    return f"{{{value}}}" if isinstance(value, str) else number(value)
+
+
+def times(factor: float, value: Value) -> Value:
+    return f"{number(factor)}*{value}" if isinstance(value, str) else factor * value
+
+
 @dataclass(frozen=True)
-class _Card:
+class Card:
     """One controlled source: ``value`` amperes per volt between ``plus`` and ``minus``."""
 
     label: str
     plus: str
     minus: str
-    value: float
+    value: Value
 
     def onto(self, a: str, b: str, prefix: str = "") -> str:
         """The card with its current from ``a`` to ``b``."""
-        return f"{prefix}{self.label} {a} {b} {self.plus} {self.minus} {number(self.value)}"
+        return f"{prefix}{self.label} {a} {b} {self.plus} {self.minus} {written(self.value)}"
 
 
 @dataclass(frozen=True)
 class PortTerminal:
-    """A port as its cards need it: ``column`` of B and ``row`` of C, ``clamped`` farad.
+    """A port as its cards need it: ``column`` of B and ``row`` of C, ``clamped`` farad, or the
+    expression ``capacitance``.
 
     ``sums`` are its output by states, ``through`` by the inputs of ports.
     """
@@ -139,8 +157,9 @@ class PortTerminal:
     column: int | None
     row: int | None
     clamped: float
-    sums: tuple[_Card, ...] = ()
-    through: tuple[_Card, ...] = ()
+    capacitance: str = ""
+    sums: tuple[Card, ...] = ()
+    through: tuple[Card, ...] = ()
 
     @property
     def kind(self) -> str:
@@ -163,9 +182,9 @@ class PortTerminal:
             return self.pins[0], self.pins[1]
         return (f"f{self.pins[0]}" if self.kind in MOVING else self.pins[0]), base
 
-    def driven(self, label: str, row: np.ndarray, base: str) -> _Card:
+    def driven(self, label: str, row: np.ndarray | Sequence[Value], base: str) -> Card:
         """The card of its input, whose weight stands in a ``row`` of inputs."""
-        return _Card(label, *self.control(base), float(row[self.column or 0]))
+        return Card(label, *self.control(base), row[self.column or 0])
 
 
 @dataclass(frozen=True)
@@ -179,10 +198,10 @@ class _States:
     B: np.ndarray
     C: np.ndarray
 
-    def cards(self, row: np.ndarray, base: str) -> tuple[_Card, ...]:
+    def cards(self, row: np.ndarray, base: str) -> tuple[Card, ...]:
         """The sum of states with the weights ``row``."""
         return tuple(
-            _Card(label, node, base, float(value))
+            Card(label, node, base, float(value))
             for label, node, value in zip(self.labels, self.nodes, row, strict=True)
             if value
         )
@@ -236,43 +255,52 @@ def subcircuit(
         rom = _with_forces(rom)
         form = _form(rom, dense)
     terminals = model_terminals(rom, form.D, name)
-    pins, base = subcircuit_pins([t for t in terminals if not _INNER_FORCE.fullmatch(t.label)])
-    moved = (t.pins[0].lower() for t in terminals if t.kind in MOVING)
-    inner = "|".join([INNER, *(f"[uf]{pin}" for pin in moved)])
-    distinct([pin.name for pin in pins], inner, where=name)
+    shown = [t for t in terminals if not _INNER_FORCE.fullmatch(t.label)]
+    pins, base = subcircuit_pins(shown, name)
     params: tuple[Param, ...] = ()
     if isinstance(form, Resonators):
-        if np.any(form.damp > 0):
-            params = (Param("damping", 1.0, "-", "scale of the damping of all modes"),)
+        params = (DAMPING,) if np.any(form.damp > 0) else ()
         about, body = _resonators(form, rom, terminals, base, watch, noise)
     else:
         about, body = _blocks(form, rom, terminals, base)
         if base == "ref":
             title = f"reduced linear model, {len(rom.inputs)} inputs, {len(rom.outputs)} outputs"
-    certificate = rom.certificate
+    if noise:
+        about = [*about, *_NOISE.split("\n")]
+    cards = about, body
+    return enclosed(rom, name, pins, base, params, header, cards, title=title, rating=rating)
+
+
+def enclosed(
+    rom: LinearModel,
+    name: str,
+    pins: tuple[Pin, ...],
+    base: str,
+    params: tuple[Param, ...],
+    header: Header,
+    cards: tuple[Iterable[str], Iterable[str]],
+    within: str = "",
+    **words: str,
+) -> Subcircuit:
+    """The subcircuit of ``cards``, comments about them and their lines, under the head of ``rom``;
+    ``words`` are its title and rating."""
+    certificate, (about, body) = rom.certificate, cards
     band = f" up to {certificate.band_hz[1]:g} Hz" if certificate else ""
     head = part_header(
         header,
-        f"{name}: {title}",
+        f"{name}: {words['title']}",
         pins,
         params,
         rom=rom_line(rom.order, certificate) if certificate else "",
         sign=OUTWARDS,
-        rating=rating,
-        validity=f"small signals{band} at the temperature of its data (20 to 25 C, of "
+        rating=words["rating"],
+        validity=f"small signals{band}{within} at the temperature of its data (20 to 25 C, of "
         "built-in materials); no hysteresis, depolarisation or heating",
     )
-    words = [
-        checked_name(name),
-        *(pin.name for pin in pins),
-        *([parameter_list(params)] * bool(params)),
-    ]
-    start = PIVOTS.format(base=base)
-    if noise:
-        about = [*about, *_NOISE.split("\n")]
-    lines = ["", *about, f".subckt {' '.join(words)}", start, *body, f".ends {name}"]
-    text = head + "\n".join(lines) + "\n"
-    return Subcircuit(name, pins, params, text)
+    called = [name, *(pin.name for pin in pins), *([parameter_list(params)] * bool(params))]
+    start = [f".subckt {' '.join(called)}", PIVOTS.format(base=base)]
+    text = "\n".join(["", *about, *start, *body, f".ends {name}"])
+    return Subcircuit(name, pins, params, f"{head}{text}\n")
 
 
 def _form(rom: LinearModel, dense: bool) -> Resonators | BlockModel:
@@ -333,8 +361,13 @@ def model_terminals(rom: LinearModel, D: np.ndarray, where: str) -> list[PortTer
     return found
 
 
-def subcircuit_pins(terminals: list[PortTerminal]) -> tuple[tuple[Pin, ...], str]:
-    """Electrical pairs, other conservative pins and the base; signals as they come, before ref."""
+def subcircuit_pins(terminals: Sequence[PortTerminal], name: str) -> tuple[tuple[Pin, ...], str]:
+    """Electrical pairs, other conservative pins and the base; signals as they come, before ref.
+
+    Raises
+    ------
+    UsageError : a name that the subcircuit ``name`` has for itself.
+    """
 
     def of(*kinds: str) -> list[Pin]:
         return [
@@ -347,10 +380,14 @@ def subcircuit_pins(terminals: list[PortTerminal]) -> tuple[tuple[Pin, ...], str
     # electrical ports against one cathode share its pin
     electrical, signals = list(dict.fromkeys(of("electrical"))), of("input", "output")
     moving = of(*MOVING, "acceleration")
+    base, unit = reference([t.port for t in terminals]), ("um", "N")
     if not electrical and not moving:
-        return (*signals, Pin("ref", "V", "A")), "ref"
-    base = reference([t.port for t in terminals])
-    return (*electrical, *moving, *signals, Pin(base, "um", "N")), base
+        base, unit = "ref", ("V", "A")
+    pins = (*electrical, *moving, *signals, Pin(base, *unit))
+    moved = (t.pins[0].lower() for t in terminals if t.kind in MOVING)
+    inner = "|".join([INNER, *(f"[uf]{pin}" for pin in moved)])
+    distinct([pin.name for pin in pins], inner, where=checked_name(name))
+    return pins, base
 
 
 def reference(ports: Sequence[Port]) -> str:
@@ -374,7 +411,7 @@ def _wired(
         capacitance of its own that shares charge.
     """
 
-    def through(row: np.ndarray) -> tuple[_Card, ...]:
+    def through(row: np.ndarray) -> tuple[Card, ...]:
         size = np.abs(row).max(initial=0.0)
         return tuple(
             t.driven(f"u{t.column + 1}", row, base)
@@ -421,7 +458,7 @@ def _wired(
     return [wired(t) for t in terminals]
 
 
-def _conservative(terminals: Iterable[PortTerminal], base: str, share: float) -> list[str]:
+def conservative(terminals: Iterable[PortTerminal], base: str, share: float) -> list[str]:
     """Cards of the ports: electrical ones, motions, accelerations of the frame."""
     order = (("electrical",), MOVING, ("acceleration",))
     ports = [t for kinds in order for t in terminals if t.kind in kinds]
@@ -443,12 +480,13 @@ def _port(t: PortTerminal, base: str, share: float) -> Iterator[str]:
     elif t.clamped:
         words = {"name": f" {t.label}" if tag else "", "farad": t.clamped, "share": share}
         yield _CLAMPED.format(**words)
-        a, b = t.pins
-        yield f"Cclamped{tag} {a} inner{tag} {number(share * t.clamped)}"
+        (a, b), c = t.pins, t.capacitance or t.clamped
+        inverse = f"{number(MICRO)}/{c}" if isinstance(c, str) else MICRO / c
+        yield f"Cclamped{tag} {a} inner{tag} {written(times(share, c))}"
         yield f"Gmore{tag}    {a} {b} current{tag} {base} {number(1 - share)}"
         yield f"Gleak{tag}    {a} {b} {a} inner{tag} {number(LEAK)}"
         yield f"Ginner{tag}   {base} current{tag} inner{tag} {b} 1"
-        yield f"Gcharge{tag}  {base} current{tag} charge{tag} {base} {number(1e-6 / t.clamped)}"
+        yield f"Gcharge{tag}  {base} current{tag} charge{tag} {base} {written(inverse)}"
         yield f"Gcurrent{tag} inner{tag} {b} current{tag} {base} {number(share)}"
         yield f"Rcharge{tag}  charge{tag} {base} 1"
         yield from (card.onto(base, f"charge{tag}", f"Gc{tag}_") for card in t.sums + t.through)
@@ -487,11 +525,7 @@ def _resonators(
     order = np.lexsort((kept.omega, kept.inertia == 0.0))
     omega, damp, gain = kept.omega[order], kept.damp[order], kept.gain[order]
     heavy = np.arange(kept.order) < kept.order - kept.massless
-    mechanical = [t.kind == "mechanical" for t in terminals]
-    scale = np.abs(gain[:, mechanical]).max(axis=1, initial=0.0)
-    scale = np.where(scale > 0, scale, np.abs(gain).max(axis=1))
-    scale = np.where(scale > 0, scale, 1.0)[:, None]
-
+    scale = scales(gain, terminals)[:, None]
     numbers = range(1, kept.order + 1)
     nothing = np.zeros((kept.order,) * 2)
     turn = omega * heavy  # the others have no velocity, and no node for it
@@ -505,26 +539,23 @@ def _resonators(
             [(gain / scale).T * [[MICRO / t.unit] for t in terminals], np.zeros_like(gain.T)]
         ),
     )
-    slowest = omega[heavy].min(initial=np.inf)
-    farad = STATE * np.minimum(1.0, (omega / (watch.full * slowest)) ** watch.power)
+    farad = watch.farad(omega, omega[heavy].min(initial=np.inf))
     siemens = np.where(heavy, farad * omega, SIEMENS)
     force = siemens * scale[:, 0] / (omega**2 * MICRO)
     drive = force[:, None] * gain
     about = _RESONATORS.format(full=watch.full, power=watch.power, silent=SILENT).split("\n")
     wired = _wired(terminals, states, rom.D, rom, base)
-    body = _conservative(
-        [replace(t, sums=()) if t.clamped else t for t in wired], base, watch.share
-    )
+    body = conservative([replace(t, sums=()) if t.clamped else t for t in wired], base, watch.share)
     for j in range(kept.order):
         make = _mode if heavy[j] else _relaxation
         body += make(j + 1, omega[j], damp[j], farad[j], base)
         node = f"p{j + 1}" if heavy[j] else f"q{j + 1}"
-        body += [card.onto(base, node) for card in _drives(j + 1, drive[j], terminals, base)]
+        body += [card.onto(base, node) for card in drives(j + 1, drive[j], terminals, base)]
         if noise and damp[j] > 0:
             body.append(f"Rnoise{j + 1} noise{j + 1} {base} {{damping*{number(damp[j])}}}")
             body.append(f"Gn{j + 1} {base} {node} noise{j + 1} {base} {number(force[j])}")
         body += [
-            _Card(f"Gc{j + 1}{t.tag}", f"q{j + 1}", base, gain[j, k] / scale[j, 0]).onto(
+            Card(f"Gc{j + 1}{t.tag}", f"q{j + 1}", base, gain[j, k] / scale[j, 0]).onto(
                 base,
                 f"charge{t.tag}",  # uC per um
             )
@@ -556,19 +587,28 @@ def _relaxation(j: int, omega: float, damp: float, _: float, base: str) -> Itera
     yield f"Gq{j} q{j} {base} q{j} {base} {number(SIEMENS)}"
 
 
-def _drives(index: int, row: np.ndarray, terminals: list[PortTerminal], base: str) -> list[_Card]:
+def scales(gain: np.ndarray, terminals: Sequence[PortTerminal]) -> np.ndarray:
+    """Largest share (q,) of each mode in a displacement, or in any port."""
+    mechanical = [t.kind == "mechanical" for t in terminals]
+    scale = np.abs(gain[:, mechanical]).max(axis=1, initial=0.0)
+    scale = np.where(scale > 0, scale, np.abs(gain).max(axis=1))
+    return np.where(scale > 0, scale, 1.0)
+
+
+def drives(
+    index: int,
+    row: np.ndarray | Sequence[Value],
+    terminals: Sequence[PortTerminal],
+    base: str,
+) -> list[Card]:
     """What ports drive a mode with: forces, voltages, accelerations."""
 
     def label(t: PortTerminal) -> str:
         own = f"{index}{t.tag}" if t.kind == "electrical" else f"{t.pins[0]}_{index}"
         return f"G{_DRIVES[t.kind]}{own}"
 
-    return [
-        t.driven(label(t), row, base)
-        for letter in "fvs"
-        for t in terminals
-        if _DRIVES[t.kind] == letter
-    ]
+    ordered = sorted(terminals, key=lambda t: "fvs".index(_DRIVES[t.kind]))
+    return [t.driven(label(t), row, base) for t in ordered]
 
 
 def _observable(model: Resonators) -> Resonators:
@@ -632,7 +672,7 @@ def _blocks(
     )
     wired = _wired(terminals, states, model.D, rom, base)
     ports = [t for t in wired if t.port.conservative]
-    body = _signals(terminals, base) + _conservative(ports, base, FOLLOWED.share)
+    body = _signals(terminals, base) + conservative(ports, base, FOLLOWED.share)
     for index, t in enumerate((t for t in wired if t.kind == "output"), 1):
         body += [
             f"\n* Output {t.pins[0]}",

@@ -9,7 +9,7 @@ from scipy import sparse
 
 from kc2spice.bodies.readers.archive import packed
 from kc2spice.bodies.readers.raw import CODES
-from kc2spice.core.errors import MissingToolError
+from kc2spice.core.errors import needed
 from kc2spice.rom.matrix_market import mirrored
 
 # Ansys counts freedoms in this file from 0.
@@ -27,16 +27,7 @@ def unpack(path: str, wanted: dict[str, str]) -> dict[str, np.ndarray]:
     ------
     MissingToolError : ansys-mapdl-reader is not installed.
     """
-    try:
-        from ansys.mapdl.reader.full import FullFile
-    except ImportError:
-        raise MissingToolError(
-            "ansys-mapdl-reader is not installed",
-            where=path,
-            expected="it to read .full files",
-            hint="pip install 'kc2spice[ansys]'",
-        ) from None
-    file = FullFile(path)
+    file = needed("ansys.mapdl.reader.full", "ansys-mapdl-reader", path, "ansys").FullFile(path)
     place, stiffness, mass = file.load_km()
     place = np.asarray(place, dtype=np.int64)
     kind = np.array([CODES[_KINDS[int(k)]] for k in place[:, 1]])

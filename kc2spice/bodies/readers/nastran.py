@@ -16,7 +16,7 @@ from scipy import sparse
 from kc2spice.bodies.readers.archive import packed
 from kc2spice.bodies.readers.limits import bounded, parsed, refused
 from kc2spice.bodies.readers.raw import Raw, keyed, labelled, whole
-from kc2spice.core.errors import MissingToolError
+from kc2spice.core.errors import needed
 
 _FIRST = {"K": "K", "M": "M", "B": "E"}
 _SHORT_EXPONENT = re.compile(r"(?<=[0-9.])([+-]\d+)$")  # 1.5+7 is 1.5e+7
@@ -142,15 +142,7 @@ def unpack_op4(path: str, wanted: Mapping[str, str]) -> dict[str, np.ndarray]:
     UsageError : too large, or no stiffness in it.
     MissingToolError : pyyeti is not installed.
     """
-    try:
-        from pyyeti.nastran import op4
-    except ImportError:
-        raise MissingToolError(
-            "pyyeti is not installed",
-            where=path,
-            expected="it to read OUTPUT4 files",
-            hint="pip install 'kc2spice[nastran]'",
-        ) from None
+    op4 = needed("pyyeti.nastran.op4", "pyyeti", path, "nastran")
     names, sizes, _, _ = op4.dir(path, verbose=False)
     chosen = choose(list(names), wanted, Path(path))
     for letter, name in chosen.items():

@@ -17,7 +17,7 @@ from contextlib import AbstractContextManager, ExitStack, contextmanager, suppre
 from itertools import chain, repeat
 from typing import Any
 
-from kc2spice.core.errors import MissingToolError
+from kc2spice.core.errors import MissingToolError, needed
 
 # Opens an executor, and again after it was lost; gives it with the number of its workers.
 Workers = Callable[[], AbstractContextManager[tuple[Executor, int]]]
@@ -95,12 +95,7 @@ def dask(address: str, count: int, patience: float = 10.0) -> Workers:
 
     @contextmanager
     def opened() -> Iterator[tuple[Executor, int]]:
-        try:
-            from distributed import Client, LocalCluster
-        except ImportError:
-            hint = "pip install 'kc2spice[dask]'"
-            message = "dask.distributed is not installed"
-            raise MissingToolError(message, where="--dask", hint=hint) from None
+        distributed = needed("distributed", "dask.distributed", "--dask", "dask")
         # A scheduler that comes back is no reason for the tracebacks that Dask would print.
         logging.getLogger("distributed").setLevel(logging.CRITICAL)
         limit, target = next(limits), address
@@ -108,8 +103,10 @@ def dask(address: str, count: int, patience: float = 10.0) -> Workers:
             try:
                 if address == "local":
                     options = {"threads_per_worker": 1, "dashboard_address": None}
-                    target = stack.enter_context(LocalCluster(n_workers=count, **options))
-                client = Client(target, timeout=limit)
+                    target = stack.enter_context(
+                        distributed.LocalCluster(n_workers=count, **options)
+                    )
+                client = distributed.Client(target, timeout=limit)
                 stack.callback(_disconnect, client)
                 client.wait_for_workers(1, timeout=limit)
             except (OSError, TimeoutError, ValueError) as error:
