@@ -12,9 +12,9 @@ kind              across               through
 ``signal``        value                none; one pin of a net sets it
 ================  ===================  ==========================
 
-Linear laws are stamped into matrices by the assembler (:mod:`kc2spice.reference.assemble`). Every
-nonlinear or switched law is a :class:`Device`: smooth expressions within a *mode*, and guards whose
-zeros end the mode.
+Bodies, masses and sources are stamped into matrices by the assembler
+(:mod:`kc2spice.reference.assemble`). Every other law is a :class:`Device`: smooth expressions
+within a *mode*, and guards whose zeros end the mode; a linear one becomes constant matrices too.
 """
 
 from __future__ import annotations
@@ -144,24 +144,6 @@ def port_pins(ports: tuple[Port, ...]) -> tuple[Pin, ...]:
 
 
 @dataclass(frozen=True)
-class SignalBlock:
-    """``E x' = A x + B u``, ``y = C x + D u`` from signals to signals."""
-
-    name: str
-    E: np.ndarray
-    A: np.ndarray
-    B: np.ndarray
-    C: np.ndarray
-    D: np.ndarray
-    inputs: tuple[str, ...]
-    outputs: tuple[str, ...]
-
-    @property
-    def pins(self) -> tuple[Pin, ...]:
-        return tuple(Pin(n, "signal") for n in (*self.inputs, *self.outputs))
-
-
-@dataclass(frozen=True)
 class Mass:
     """A rigid mass [kg] on pin ``a``.
 
@@ -178,25 +160,6 @@ class Mass:
     @property
     def pins(self) -> tuple[Pin, ...]:
         return (Pin("a", "displacement"),)
-
-
-@dataclass(frozen=True)
-class TwoTerminal:
-    """``through = value d^order/dt^order`` of the voltage, or of the velocity, from ``a`` to ``b``.
-
-    ``order`` -1 stores energy by the integral (inductor, spring), 0 dissipates it (resistor,
-    damper), 1 stores it by the value itself (capacitor, inerter). ``value`` is in SI: 1/H, N/m,
-    1/Ohm, N s/m, F or kg.
-    """
-
-    name: str
-    order: int
-    value: float
-    kind: str = "electrical"
-
-    @property
-    def pins(self) -> tuple[Pin, ...]:
-        return (Pin("a", self.kind), Pin("b", self.kind, grounded=True))
 
 
 @dataclass(frozen=True)
@@ -222,19 +185,6 @@ class Source:
 
 
 @dataclass(frozen=True)
-class Sensor:
-    """Signal ``out = gain across(a)``."""
-
-    name: str
-    gain: float
-    kind: str
-
-    @property
-    def pins(self) -> tuple[Pin, ...]:
-        return (Pin("a", self.kind), Pin("out", "signal"))
-
-
-@dataclass(frozen=True)
 class Tap:
     """An input of a device: across of ``pin`` less those of ``minus`` and ``less``, or its rate."""
 
@@ -255,7 +205,7 @@ class Flow:
 
 
 class Device(ABC):
-    """A nonlinear or switched law; subclasses are frozen dataclasses with a ``name``.
+    """A law of its inputs, rates and states; subclasses are frozen dataclasses with a ``name``.
 
     With the taps and then the own states as its inputs ``e`` (m,), in a mode that is any value::
 
@@ -306,6 +256,12 @@ class Device(ABC):
     @property
     def affine(self) -> bool:
         """Whether ``evaluate`` is affine in ``e`` and constant in time within a mode."""
+        return False
+
+    @property
+    def linear(self) -> bool:
+        """Whether it has one mode, in which ``evaluate`` and ``store`` are affine, and energy and
+        loss quadratic."""
         return False
 
     def initial(self, taps: np.ndarray) -> np.ndarray | None:
@@ -519,6 +475,55 @@ class PortBody(Device):
         lost, shapes = np.linalg.eigh((Y + Y.conj().T) / (2 * np.outer(size, size)))
         y = size[:, None] * shapes * np.sqrt(np.maximum(lost, 0.0)) / s
         return answered @ y, stored @ y
+
+
+@dataclass(frozen=True)
+class SignalBlock(Device):
+    """``E x' = A x + B u``, ``y = C x + D u`` from what is across ``inputs`` to signals."""
+
+    name: str
+    E: np.ndarray
+    A: np.ndarray
+    B: np.ndarray
+    C: np.ndarray
+    D: np.ndarray
+    inputs: tuple[str, ...]
+    outputs: tuple[str, ...]
+    kind: str = "signal"  # of the inputs
+
+    linear = True
+
+    @property
+    def pins(self) -> tuple[Pin, ...]:
+        kinds = dict.fromkeys(self.inputs, self.kind) | dict.fromkeys(self.outputs, "signal")
+        return tuple(Pin(*pin) for pin in kinds.items())
+
+    @property
+    def taps(self) -> tuple[Tap, ...]:
+        return tuple(map(Tap, self.inputs))
+
+    @property
+    def states(self) -> tuple[str, ...]:
+        return tuple(f"x{k}" for k in range(len(self.A)))
+
+    @property
+    def drives(self) -> tuple[str, ...]:
+        return self.outputs
+
+    def evaluate(self, t: float, e: np.ndarray, mode: Any) -> tuple[np.ndarray, np.ndarray]:
+        slope = np.block([[self.B, self.A], [self.D, self.C]])
+        return slope @ e, slope
+
+    def store(self, e: np.ndarray, mode: Any = None) -> tuple[np.ndarray, np.ndarray]:
+        kept = np.hstack([0.0 * self.B, self.E])
+        return kept @ e, kept
+
+
+def sensor(name: str, gain: float, kind: str) -> SignalBlock:
+    """Signal ``out = gain across(a)``."""
+    none, column = np.zeros((0, 0)), np.zeros((0, 1))
+    D = np.array([[gain]])
+    return SignalBlock(name, none, none, column, column.T, D, ("a",), ("out",), kind)
 
 
 @dataclass(frozen=True)

@@ -17,6 +17,7 @@ from kc2spice.core.quantities import Count, Frequency, Notch, Section
 from kc2spice.core.waveform import constant
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.netlist.cards import number
+from kc2spice.parts.two_terminal_types import element
 from kc2spice.scene.judge import PAIRS, Gate
 from kc2spice.scene.model import Analysis, Part, Scene
 from kc2spice.scene.parttype import Build, PartType, Vector, register
@@ -161,7 +162,7 @@ class PortLoads(PartType):
                 found.append(volts)
                 nets.append((f"{name}.anode", f"{name}_volts.out"))
             elif load == "anode":
-                speck = laws.TwoTerminal(f"{name}_speck", 1, SPECK)
+                speck = element(f"{name}_speck", "capacitor", SPECK)
                 found += [replace(volts, ac=1.0 / SPECK), speck]
                 nets += [(f"{name}_volts.out", f"{name}_speck.a")]
                 nets += [(f"{name}.anode", f"{name}_speck.b")]

@@ -12,12 +12,12 @@ from typing import Annotated, Any, NamedTuple
 
 from pydantic import Field, create_model
 
-from kc2spice.core import laws
 from kc2spice.core.quantities import Section, si
 from kc2spice.netlist.cards import number
 from kc2spice.netlist.expression import Number, Tree
 from kc2spice.physics.declaration import RATE, Branch, Declaration, current, displacement, voltage
 from kc2spice.physics.expression import ONE, ZERO, derivative, evaluated, over, times
+from kc2spice.physics.law import DeclaredLaw
 from kc2spice.physics.part import DeclaredPart, across_pins
 from kc2spice.scene.model import Part, Scene
 from kc2spice.scene.parttype import Build, Vector, register
@@ -154,20 +154,6 @@ class LinearElement(DeclaredPart):
             return {f"{n}.{self.branch.through}": through}
         return {f"{n}.v": Vector(across, 1.0, "V"), f"{n}.i": through}
 
-    def law(self, part: Part, build: Build) -> laws.Equations:
-        n, kind = part.name, self.branch.kind
-        order, admittance = self.linear
-        law = laws.TwoTerminal(
-            n,
-            order,
-            self._number(part, admittance),
-            "displacement" if kind == "displacement" else "electrical",
-        )
-        results = {f"{n}.{self.branch.through}": laws.reading(f"{n}.a.through")}
-        if kind != "displacement":
-            results[f"{n}.v"] = laws.difference(f"{n}.a", f"{n}.b")
-        return laws.Equations((law,), (("a", f"{n}.a"), ("b", f"{n}.b")), results)
-
     def detail(self, part: Part, scene: Scene) -> str:
         row = next(row for row in TABLE if row.name == self.name)
         return f"{row.name} of {getattr(part.keys, row.key):g} {row.unit}"
@@ -185,5 +171,13 @@ def _inner(part: Part) -> tuple[str, ...]:
     return (part.name.lower(), "metered")
 
 
-for _row in TABLE:
-    register(LinearElement(declaration(_row)))
+DECLARED = {row.name: declaration(row) for row in TABLE}
+
+
+def element(name: str, kind: str, value: float) -> DeclaredLaw:
+    """The law of an element of this ``kind``, such as ``spring``, whose key has ``value`` in SI."""
+    return DeclaredLaw(name, DECLARED[kind], (value,))
+
+
+for _declared in DECLARED.values():
+    register(LinearElement(_declared))

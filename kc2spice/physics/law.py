@@ -12,7 +12,7 @@ import numpy as np
 from kc2spice.core.errors import SimulationError
 from kc2spice.core.laws import Device, Flow, Pin, Tap
 from kc2spice.netlist.expression import Name, Tree
-from kc2spice.physics.declaration import RATE, Branch, Declaration
+from kc2spice.physics.declaration import LOOPS, RATE, Branch, Declaration
 from kc2spice.physics.expression import (
     ZERO,
     derivative,
@@ -44,7 +44,8 @@ class DeclaredLaw(Device):
     def pins(self) -> tuple[Pin, ...]:
         found: dict[str, Pin] = {}
         for b in self.declaration.branches:
-            found.setdefault(b.plus, Pin(b.plus, _KIND[b.kind]))
+            loop = b.plus == LOOPS  # no current flows to it
+            found.setdefault(b.plus, Pin(b.plus, _KIND[b.kind], grounded=loop))
             found.setdefault(b.minus, Pin(b.minus, _KIND[b.kind], grounded=True))
             if b.less:
                 found.setdefault(b.less, Pin(b.less, _KIND[b.kind]))
@@ -86,6 +87,10 @@ class DeclaredLaw(Device):
         slopes = (flagged(derivative(t, n), self._corners) for t in trees for n in self._seen)
         constant = not any(names(slope) & set(self._seen) for slope in slopes)
         return constant and len(trees) == len(d.branches)
+
+    @property
+    def linear(self) -> bool:
+        return self.declaration.linear
 
     @cached_property
     def _corners(self) -> tuple[Tree, ...]:

@@ -13,7 +13,7 @@ from kc2spice.netlist.cards import name as checked
 from kc2spice.netlist.circuit import Param, Pin, Subcircuit
 from kc2spice.netlist.expression import Tree
 from kc2spice.physics.cards import body, force_node, meter, noisy
-from kc2spice.physics.declaration import LOOPS, RATE, Branch, Declaration
+from kc2spice.physics.declaration import RATE, Branch, Declaration
 from kc2spice.physics.expression import derivative, evaluated, kinks, names
 from kc2spice.physics.law import DeclaredLaw
 from kc2spice.scene.judge import Balance, Check
@@ -159,11 +159,7 @@ class DeclaredPart(PartType):
             results[f"{n}.{b.across}"] = laws.difference(f"{n}.{b.plus}", f"{n}.{b.minus}")
         law = DeclaredLaw(n, d.closed, tuple(d.values(part.keys).values()))
         pins = tuple((pin.name, f"{n}.{pin.name}") for pin in self._pins(part, build.scene))
-        if d.closed is d:
-            return laws.Equations((law,), pins, results)
-        ground = laws.TwoTerminal(f"{n}_{LOOPS}", 0, 1.0)  # no current flows to it
-        nets = ((f"{n}.{LOOPS}", f"{n}_{LOOPS}.a"),)
-        return laws.Equations((law, ground), pins, results, nets=nets)
+        return laws.Equations((law,), pins, results)
 
     # --- what a run says --------------------------------------------------------------------
 

@@ -9,7 +9,7 @@ space leaves n unknowns z; with the sources s and their rates s' they make ``X =
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from functools import singledispatch
 from typing import Any
@@ -70,6 +70,7 @@ class System:
     velocity: np.ndarray  # (n,) bool
     sources: tuple[L.Source, ...]
     devices: tuple[Attached, ...]
+    linear: tuple[Attached, ...]  # whose outputs and stores are in ``G``, ``F`` and ``const``
     held: tuple[Held, ...]
     names: tuple[str, ...]
     now: np.ndarray  # (W, N)
@@ -129,6 +130,7 @@ class _Assembly:
         self.lifted = np.zeros(n)
         self.flows: dict[str, tuple[np.ndarray, np.ndarray]] = {}
         self.attached: list[tuple[L.Device, np.ndarray, np.ndarray]] = []
+        self.linear: list[tuple[L.Device, np.ndarray, np.ndarray]] = []
         self.held: list[tuple[np.ndarray, float, np.ndarray, float]] = []
         for form in self.rigid:
             self.constrain(form, -1)
@@ -224,11 +226,6 @@ class _Assembly:
             self.moving += np.outer(form[: self.nq], form[: self.nq])
         return row
 
-    def branch(self, law: L.Law, form: np.ndarray, through: np.ndarray) -> None:
-        """A two-pole with ``through @ y`` from its first pin to its second."""
-        self.A -= np.outer(form, through)
-        self.flows[f"{law.name}.{law.pins[0].name}"] = (through, np.zeros(self.size))
-
     def term(self, kind: str, rows: np.ndarray, weight: Any) -> None:
         """Account for ``y' weight y`` that is stored, lost or dragged, ``y = rows @ raw``."""
         rows = np.atleast_2d(rows)
@@ -237,6 +234,14 @@ class _Assembly:
     def constrain(self, form: np.ndarray, source: int) -> None:
         """Demand ``form @ raw = s[source]``, or zero where that is -1."""
         self.constraints.append((form, np.arange(len(self.sources)) == source))
+
+    def states(self, law: L.Device) -> np.ndarray:
+        """Places of a device's own states."""
+        return np.array([self.own[f"{law.name}.{s}"] for s in law.states], dtype=int)
+
+    def stores(self, law: L.Device, outputs: np.ndarray) -> np.ndarray:
+        """Into which balances the rates of what a device stores go, (size, stored)."""
+        return np.hstack([np.eye(self.size)[:, self.states(law)], -outputs[:, list(law.charged)]])
 
     # --- reduction --------------------------------------------------------------------------
 
@@ -326,16 +331,18 @@ class _Assembly:
         F[:, size : size + len(self.sources)] += W.T @ self.S
         devices, differential = [], np.abs(M).max(axis=0) > 0.0
         first = 0
-        for law, taps, into in self.attached:
-            where = np.array([self.own[f"{law.name}.{s}"] for s in law.states], dtype=int)
+        for law, taps, into in (*self.attached, *self.linear):
+            where = self.states(law)
             small, stores = where - n + size, None
             if has_store(law):
-                charges = -into[:, list(law.charged)]
-                stores = W.T @ np.hstack([np.eye(n)[:, where], charges])
-                differential[small] = True
-                differential |= (charges.T @ T).any(axis=0)
+                kept = self.stores(law, into)
+                stores = W.T @ kept
+                if not law.linear:
+                    differential[small] = True
+                    differential |= (kept[:, small.size :].T @ T).any(axis=0)
             devices.append(Attached(law, taps @ expansion, W.T @ into, stores, small, first))
-            first += into.shape[1]
+            first += 0 if law.linear else into.shape[1]
+        devices, linear = (devices[: len(self.attached)], devices[len(self.attached) :])
         return System(
             G=G,
             F=F,
@@ -344,6 +351,7 @@ class _Assembly:
             velocity=np.isin(np.arange(size), np.arange(p, p + d)),
             sources=self.sources,
             devices=tuple(devices),
+            linear=tuple(linear),
             held=tuple(
                 Held(r @ expansion, x, v @ expansion, y, W.T @ r) for r, x, v, y in self.held
             ),
@@ -426,10 +434,6 @@ def states_of(law: L.Law) -> list[tuple[str, float]]:
     """Names and sizes of the unknowns that a law brings besides its pins'."""
     if isinstance(law, L.Device):
         return list(zip(law.states, law.scales, strict=True))
-    if isinstance(law, L.TwoTerminal) and law.order < 0 and law.kind == "electrical":
-        return [("i", 1e-3)]
-    if isinstance(law, L.SignalBlock):
-        return [(f"x{k}", 1.0) for k in range(len(law.A))]
     if isinstance(law, L.LinearBody):
         return [
             (port.name, 1e-3)
@@ -506,21 +510,6 @@ def _body(law: L.LinearBody, into: _Assembly) -> None:
 
 
 @stamp.register
-def _signals(law: L.SignalBlock, into: _Assembly) -> None:
-    A, B = np.atleast_2d(law.A), np.atleast_2d(law.B)
-    C, D = np.atleast_2d(law.C), np.atleast_2d(law.D)
-    x = [into.own[f"{law.name}.x{k}"] for k in range(len(A))]
-    u = np.array([into.form(law, p) for p in law.inputs])
-    into.M[np.ix_(x, x)] += np.atleast_2d(law.E)
-    into.A[np.ix_(x, x)] += A
-    into.A[x] += B @ u
-    for k, pin in enumerate(law.outputs):
-        out = into.form(law, pin)
-        into.A[:, x] += np.outer(out, C[k])
-        into.A += np.outer(out, D[k] @ u)
-
-
-@stamp.register
 def _mass(law: L.Mass, into: _Assembly) -> None:
     form = into.form(law, "a")
     speed = into.rate(form)
@@ -531,31 +520,6 @@ def _mass(law: L.Mass, into: _Assembly) -> None:
     into.flows[f"{law.name}.a"] = (np.zeros(into.size), law.mass * speed)
     if law.position is not None:
         into.held.append((form, law.position, speed, law.velocity))
-
-
-@stamp.register
-def _two_terminal(law: L.TwoTerminal, into: _Assembly) -> None:
-    form, value = into.gap(law, "a", "b"), law.value
-    if law.order >= 0:
-        flow = into.rate(form) if law.kind in L.MECHANICAL else form
-        if law.order == 0:
-            into.branch(law, form, value * flow)
-            into.term("lost", flow, value)
-        else:
-            into.M += value * np.outer(form, flow)
-            into.flows[f"{law.name}.a"] = (np.zeros(into.size), value * flow)
-            into.term("stored", flow, 0.5 * value)
-        return
-    if law.kind in L.MECHANICAL:  # the displacement is the integral
-        into.branch(law, form, value * form)
-        into.term("stored", form, 0.5 * value)
-        return
-    at = into.own[f"{law.name}.i"]
-    current = np.eye(1, into.size, at)[0]
-    into.M[at, at] += 1.0 / value
-    into.A[at] += form
-    into.branch(law, form, current)
-    into.term("stored", current, 0.5 / value)
 
 
 @stamp.register
@@ -573,23 +537,46 @@ def _source(law: L.Source, into: _Assembly) -> None:
 
 
 @stamp.register
-def _sensor(law: L.Sensor, into: _Assembly) -> None:
-    into.A += law.gain * np.outer(into.form(law, "out"), into.form(law, "a"))
-
-
-@stamp.register
 def _device(law: L.Device, into: _Assembly) -> None:
     taps = [into.gap(law, t.pin, t.minus, t.less) for t in law.taps]
     taps = [into.rate(form) if t.rate else form for t, form in zip(law.taps, taps, strict=True)]
-    own = [np.eye(1, into.size, into.own[f"{law.name}.{s}"])[0] for s in law.states]
+    own = np.eye(into.size)[into.states(law)]
     through = [-into.gap(law, f.pin, f.minus, f.less) for f in law.flows]
     driven = [into.form(law, pin) for pin in law.drives]
-    if own and not has_store(law):
-        for form in own:
-            into.M += np.outer(form, form)
-    empty = np.zeros((0, into.size))
+    inputs = np.array([*taps, *own]).reshape(-1, into.size)
+    outputs = np.array([*through, *own, *driven]).reshape(-1, into.size).T
+    if law.linear:
+        _linear(law, into, inputs, outputs)
+        return
+    if not has_store(law):
+        into.M += own.T @ own
     for k in law.charged:
         into.charged += np.outer(through[k], through[k])
-    inputs = np.array([*taps, *own]) if taps or own else empty
-    outputs = np.array([*through, *own, *driven])
-    into.attached.append((law, inputs, outputs.T))
+    into.attached.append((law, inputs, outputs))
+
+
+def _linear(law: L.Device, into: _Assembly, inputs: np.ndarray, outputs: np.ndarray) -> None:
+    """Constant matrices of its outputs, stores, energy and loss."""
+    still = np.zeros(len(inputs))
+    mode = law.mode(0.0, still)
+    (out, slope), (_, kept) = law.evaluate(0.0, still, mode), law.store(still, mode)
+    into.A += outputs @ slope @ inputs
+    into.const += outputs @ out
+    into.M += into.stores(law, outputs) @ kept @ inputs
+    rated = dict(zip(law.charged, kept[len(law.states) :] @ inputs, strict=True))
+    for k, flow in enumerate(law.flows):
+        into.flows[f"{law.name}.{flow.pin}"] = (slope[k] @ inputs, rated.get(k, 0.0 * inputs[0]))
+    if type(law).energy is not L.Device.energy:
+        stored, lifted = _quadratic(lambda e: law.energy(e, mode), len(inputs))
+        into.term("stored", inputs, stored)
+        into.lifted += lifted @ inputs
+        into.term("lost", inputs, _quadratic(lambda e: law.loss(0.0, e, mode), len(inputs))[0])
+    into.linear.append((law, inputs, outputs))
+
+
+def _quadratic(f: Callable[[np.ndarray], float], n: int) -> tuple[np.ndarray, np.ndarray]:
+    """``Q`` (n, n) and ``b`` (n,) of a function ``e' Q e + b' e``."""
+    each = np.array([f(e) for e in np.eye(n)])
+    both = np.array([[f(a + b) for b in np.eye(n)] for a in np.eye(n)])
+    Q = (both - each[:, None] - each) / 2
+    return Q, each - Q.diagonal()

@@ -15,7 +15,6 @@ import numpy as np
 
 from kc2spice.core import laws as L
 from kc2spice.core.units import BOLTZMANN, TEMPERATURE
-from kc2spice.core.waveform import constant
 from kc2spice.reference.assemble import System, assemble
 from kc2spice.reference.linear import Linear
 
@@ -39,6 +38,12 @@ class _Answers:
         return np.array(found)
 
 
+def _answering(law: L.Law) -> L.Law:
+    if isinstance(law, L.LinearBody):
+        return L.PortBody(law.name, _Answers(law), law.ports)
+    return law
+
+
 def noise(
     laws: Iterable[L.Law], joins: Mapping[str, Iterable[str]], of: L.Reading, f: np.ndarray
 ) -> np.ndarray:
@@ -46,45 +51,31 @@ def noise(
 
     ``joins`` are those of :func:`kc2spice.reference.assemble.assemble`.
     """
-    nets, found, weights = {k: list(pins) for k, pins in joins.items()}, [], {}
-    for law in laws:
-        if isinstance(law, L.LinearBody):
-            law = L.PortBody(law.name, _Answers(law), law.ports)
-        found.append(law)
-        if isinstance(law, L.TwoTerminal) and law.order == 0:
-            kind = "current" if law.kind == "electrical" else "force"
-            found.append(L.Source(f"{law.name} noise", kind, constant(0.0)))
-            weights[f"{law.name} noise"] = law.value
-            for pin, end in (("a", "out"), ("b", "ret")):
-                joined = f"{law.name}.{pin}"
-                net = next((k for k, pins in nets.items() if joined in pins), None)
-                if net is None:
-                    net = L.GROUND if pin == "b" else f"{law.name} free"
-                    nets.setdefault(net, []).append(joined)
-                nets[net].append(f"{law.name} noise.{end}")
-    system = assemble(found, nets)
-    sizes = np.array([weights.get(source.name, 0.0) for source in system.sources])
+    whole = (
+        L.PortBody(law.name, _Answers(law), law.ports) if isinstance(law, L.LinearBody) else law
+        for law in laws
+    )
+    system = assemble(whole, joins)
     rest = Linear(system)
     point = rest.z0, rest.held
-    power = [_power(system, Linear(system, s, point), of, sizes, s) for s in 2j * np.pi * f]
+    power = [_power(system, Linear(system, s, point), of, s) for s in 2j * np.pi * f]
     return np.sqrt(4 * BOLTZMANN * TEMPERATURE * np.array(power))
 
 
-def _power(system: System, at: Linear, of: L.Reading, sizes: np.ndarray, s: complex) -> float:
+def _power(system: System, at: Linear, of: L.Reading, s: complex) -> float:
     """Sum of what all sources of a unit density add, by the adjoint of the circuit."""
     n, k = system.size, len(system.sources)
     names = list(at.names)
     C0 = sum(factor * at.C0[names.index(wave)] for factor, wave in of.terms)
     C1 = sum(factor * at.C1[names.index(wave)] for factor, wave in of.terms)
-    row = C0 + s * C1
-    P = s * at.G - at.F
-    level = np.abs(P[:, :n]).max(axis=1)
-    adjoint = np.linalg.solve((P[:, :n] / level[:, None]).T, row[:n]) / level
-    given = np.vstack([np.eye(k), s * np.eye(k)])
-    power = float(np.abs((row[n:] - adjoint @ P[:, n:]) @ given) ** 2 @ sizes)
-    for device, held in zip(system.devices, at.held, strict=True):
+    P = (s * at.G - at.F)[:, :n]
+    level = np.abs(P).max(axis=1)
+    adjoint = np.linalg.solve((P / level[:, None]).T, (C0 + s * C1)[:n]) / level
+    power = 0.0
+    held = (*at.held, *(() for _ in system.linear))
+    for device, mode in zip((*system.devices, *system.linear), held, strict=True):
         e = device.inputs @ np.concatenate([at.z0, np.zeros(2 * k)])
-        found = device.law.noise(s, e, held)
+        found = device.law.noise(s, e, mode)
         if found is None:
             continue
         out, kept = found

@@ -6,6 +6,7 @@ from scipy import sparse
 
 from kc2spice.core import laws
 from kc2spice.core.waveform import constant, linear
+from kc2spice.parts.two_terminal_types import element
 from kc2spice.reference.assemble import assemble
 from kc2spice.reference.equilibrium import operating_point
 from kc2spice.reference.linear import ac
@@ -61,7 +62,7 @@ def test_a_body_at_its_ports_is_the_same_as_with_its_states() -> None:
     found = []
     for body in (states, laws.PortBody("x", full, KICK)):
         parts = (
-            body, laws.TwoTerminal("c", 1, 2e-9), laws.TwoTerminal("k", -1, 3e4, "displacement"),
+            body, element("c", "capacitor", 2e-9), element("k", "spring", 3e4),
             laws.Mass("lifted", 1e-3, gravity=-30.0),
             laws.Source("f", "force", constant(0.1), 1.0),
         )  # fmt: skip

@@ -9,6 +9,7 @@ from scipy.linalg import expm
 from kc2spice.core import laws as L
 from kc2spice.core.errors import SimulationError
 from kc2spice.core.waveform import linear, sine
+from kc2spice.parts.two_terminal_types import element
 from kc2spice.physics.contact import Normal, contact_law
 from kc2spice.reference.assemble import assemble
 from kc2spice.reference.equilibrium import operating_point
@@ -24,8 +25,8 @@ def balanced(result: Result, share: float) -> bool:
 def test_rlc_answers_a_ramp_as_the_matrix_exponential() -> None:
     r, ind, c, edge = 100.0, 1e-3, 1e-6, 20e-6
     system = assemble(
-        [L.Source("v", "voltage", linear(((0, 0), (edge, 1)))), L.TwoTerminal("r", 0, 1 / r),
-         L.TwoTerminal("l", -1, 1 / ind), L.TwoTerminal("c", 1, c)],
+        [L.Source("v", "voltage", linear(((0, 0), (edge, 1)))), element("r", "resistor", r),
+         element("l", "inductor", ind), element("c", "capacitor", c)],
         {"in": ["v.out", "r.a"], "mid": ["r.b", "l.a"], "out": ["l.b", "c.a"]},
     )  # fmt: skip
     times = np.linspace(0.0, 1e-3, 101)
@@ -70,6 +71,21 @@ def test_sphere_bounces_on_a_spring_without_loss() -> None:
     assert balanced(result, 1e-8)
 
 
+def test_every_element_tells_what_flows_through_it() -> None:
+    """Under a ramp of voltage, or of displacement, each alone."""
+    kinds = {"voltage": ["resistor", "capacitor", "inductor"], "displacement": ["spring", "damper"]}
+    value, stop, t = 2e-3, 1e-3, np.linspace(0.0, 1e-3, 7)
+    exact = {"resistor": t / value, "capacitor": value + 0 * t, "inductor": t**2 / (2 * value),
+             "spring": value * t, "damper": value + 0 * t}  # fmt: skip
+    for drive, found in kinds.items():
+        for kind in found:
+            ramp = L.Source("ramp", drive, linear(((0, 0), (stop, stop))))
+            system = assemble([ramp, element("e", kind, value)], {"net": ["ramp.out", "e.a"]})
+            waves = transient(system, stop, 1e-9, t).waves
+            np.testing.assert_allclose(waves["e.a.through"], exact[kind], atol=1e-9 * value)
+            np.testing.assert_allclose(waves["ramp.out.through"], -exact[kind], atol=1e-9 * value)
+
+
 def piezo(name: str, stiffness: float = 2e7, mass: float = 1e-3) -> L.LinearBody:
     """One mode, 0.4 N/V, 100 nF clamped, whose top moves with the mode."""
     gain, c0 = 0.4, 100e-9
@@ -83,7 +99,7 @@ def test_piezo_with_a_resistor_as_its_load() -> None:
     system = assemble(
         [
             piezo("p"),
-            L.TwoTerminal("load", 0, 1 / 1e4),
+            element("load", "resistor", 1e4),
             L.Source("push", "force", linear(((0, 0), (1e-4, 1)))),
         ],
         {"hot": ["p.anode", "load.a"], "tip": ["p.top", "push.out"]},
@@ -128,8 +144,8 @@ def test_a_shaken_mass_pulls_at_what_shakes_it() -> None:
 def test_inductors_in_series_share_the_voltage_of_a_ramp() -> None:
     """Index 2: v = (L1 + L2) i', with as much at each as its inductance."""
     system = assemble(
-        [L.Source("v", "voltage", linear(((0, 0), (1e-3, 1)))), L.TwoTerminal("one", -1, 1e3),
-         L.TwoTerminal("two", -1, 0.5e3)],
+        [L.Source("v", "voltage", linear(((0, 0), (1e-3, 1)))), element("one", "inductor", 1e-3),
+         element("two", "inductor", 2e-3)],
         {"in": ["v.out", "one.a"], "mid": ["one.b", "two.a"]},
     )  # fmt: skip
     times = np.linspace(0.0, 1e-3, 11)

@@ -15,10 +15,9 @@ from kc2spice.core.laws import (
     LinearBody,
     PortBody,
     Reading,
-    Sensor,
-    SignalBlock,
     Source,
     reading,
+    sensor,
 )
 from kc2spice.core.waveform import Recorded
 from kc2spice.core.waveforms import Waveforms
@@ -174,7 +173,8 @@ def taken_nets(build: Build) -> dict[str, str] | None:
         joined = next((pins for pins in joins.values() if target in pins), (target,))
         if others & {*found.missing} and not any(_holds(laws, each) for each in joined):
             met[net] = kinds[target] if met.get(net, "signal") == "signal" else met[net]
-    coils = any(isinstance(law, Device) and has_store(law) for law in laws.values())
+    curved = (law for law in laws.values() if isinstance(law, Device) and not law.linear)
+    coils = any(map(has_store, curved))
     elastic = any(isinstance(law, LinearBody) for law in laws.values())
     known = laws and set(met.values()) <= set(SOURCES)
     return met if known and not (coils and elastic) else None
@@ -193,9 +193,7 @@ def _holds(laws: Mapping[str, Law], pin: str) -> bool:
     law = laws[name]
     if isinstance(law, Source):
         return own == "out" and law.kind not in ("current", "force")
-    if isinstance(law, SignalBlock):
-        return own in law.outputs
-    return own in (law.drives if isinstance(law, Device) else ("out",) * isinstance(law, Sensor))
+    return isinstance(law, Device) and own in law.drives
 
 
 def circuits(build: Build, taken: Mapping[str, Source] | None = None) -> tuple[Circuit, ...]:
@@ -241,10 +239,10 @@ def _listening(
         if net == GROUND or not heard or not rest:
             continue
         kind = kinds[rest[0]]
-        sensor = Sensor(f"{net} heard", 1 / SOURCES.get(kind, ("", 1.0))[1], kind)
-        sensors.append(sensor)
-        found[net] = (*rest, f"{sensor.name}.a")
-        found[sensor.name] = (*heard, f"{sensor.name}.out")
+        name = f"{net} heard"
+        sensors.append(sensor(name, 1 / SOURCES.get(kind, ("", 1.0))[1], kind))
+        found[net] = (*rest, f"{name}.a")
+        found[name] = (*heard, f"{name}.out")
     return [*laws, *sensors], found
 
 
