@@ -167,14 +167,8 @@ def _reduced(
         assert tolerance is not None
         within = tolerance - space.floor  # what rounding leaves, where that leaves most of it
         within = within if within > 0.5 * tolerance else tolerance
-        orders = [each.smallest(within) for each in found]
-        best = int(np.argmin(orders))
-        chosen, least = found[best], orders[best]
-        if default_norm(model) == "pointwise" and not contact:
-            chosen, least = tightened(chosen, least, within, _tail(model, tolerance))
-        chosen, least = _with_or_without_form(model, chosen, least, within)
-        if not contact and default_norm(model) == "peak" and chosen.pencil is found[best].pencil:
-            chosen, least = tightened(chosen, least, within, None)
+        tail = None if contact else (_tail(model, tolerance),)
+        chosen, least = _fewest(found, default_norm(model) == "peak", within, tail)
         if not contact:
             least = chosen.nearby(least, within)
         if space.floor > tolerance:
@@ -205,25 +199,41 @@ def _reduced(
     )
 
 
-def _with_or_without_form(
-    model: LinearModel, kept: Reduction, order: int, tolerance: float
+def _fewest(
+    found: list[Reduction], signals: bool, tolerance: float, tail: tuple[float | None] | None
 ) -> tuple[Reduction, int]:
-    """The congruence, or the balanced model that needs fewer states where all ports are signals and
-    no passive resonators would be lost. Either says what the other needs."""
-    free_to_choose = default_norm(model) == "peak"
-    if not free_to_choose and kept.states(kept.pencil.size) > CHEAP:
-        return kept, order
-    other = balanced(kept, order, tolerance)
-    if other is None:
-        return kept, order
-    free, less = other
-    form = "second" if kept.pencil.degree == 2 else "first"
-    resonators = kept.pencil.degree == 2 and kept.structure(order).passive
-    if free_to_choose and not resonators:
-        text = f"{free.origin}, where a congruence needs {order} of {form} order; "
-        return replace(free, origin=text), less
-    text = f"{kept.states(order)} first-order states, {less} without keeping the form; "
-    return replace(kept, origin=text), order
+    """The congruence, or the balanced model that needs fewer states where all ports are ``signals``
+    and no passive resonators would be lost. Either says what the other needs.
+
+    Directions of a congruence are turned to save more, unless ``tail`` is None.
+    """
+    first, free = found[0], None
+    form = first.pencil.degree == 2 and first.structure(first.size)
+    share = FORM_SHARE if form and form.proof == FORM else 1.0
+    if signals and not (form and form.passive):
+        free = balanced(first, first.states(first.size) + 1, tolerance)
+    if free is None:
+        orders = [each.smallest(tolerance) for each in found]
+        best = int(np.argmin(orders))
+        kept, order = found[best], orders[best]
+    else:
+        most = int(free[1] / share)
+        within = [(each, each.fewer(tolerance, most + 1)) for each in found]
+        few = [(order, k) for k, (_, order) in enumerate(within) if order is not None]
+        if not few:
+            text = f"{free[0].origin}, where a congruence needs more than {most} states; "
+            return replace(free[0], origin=text), free[1]
+        order, k = min(few)
+        kept = found[k]
+    if tail is not None:
+        kept, order = tightened(kept, order, tolerance, tail[0])
+    states = kept.states(order)
+    if free is None and (signals or kept.states(kept.pencil.size) <= CHEAP):
+        free = balanced(kept, int(np.ceil(share * states)), tolerance)
+    if free is not None and free[1] < states:
+        text = f"{states} first-order states, {free[1]} without keeping the form; "
+        kept = replace(kept, origin=text)
+    return kept, order
 
 
 def tightened(
@@ -261,7 +271,7 @@ def tightened(
         while order > kept:
             fewer = trial.pencil.leading(order - 1)
             off = np.abs(Response(fewer).transfer(s[:count]) - H[:count]) / base
-            if off.max() > tolerance or trial.error(order - 1) > tolerance:
+            if off.max() > tolerance or trial.error(order - 1, tolerance) > tolerance:
                 break
             if trial.structure(order - 1).stable is False:
                 break
@@ -288,7 +298,7 @@ def _krylov(
     large = pencil.project(V)
     reduced = large.leading(order)
     reference = Response(large)
-    frequency = telling(reference, band, True)
+    frequency = telling(reference, band, True, norm)
     error = SAFETY * Judge(reference, frequency, band, norm=norm).error(Response(reduced))
     method = f"difference to {large.size} states at resonances, flanks and notches"
     form = structure(reduced, band)
@@ -322,7 +332,7 @@ class Reduction:
         """:meth:`smallest` of those with fewer than ``states`` first-order states, if
         one of them is stable, else None."""
         most = min(self.size, (states - 1) // self.pencil.degree)
-        while most > 0 and self.error(most) <= tolerance:
+        while most > 0 and self.error(most, tolerance) <= tolerance:
             if self.structure(most).stable:
                 break
             most -= 1
@@ -345,10 +355,11 @@ class Reduction:
     def _judge(self) -> Judge:
         return Judge(self.whole, self.frequency, self.band, self.norm)
 
-    def error(self, order: int) -> float:
-        """Estimated largest relative error of any transfer function over the band."""
-        error = self.space.error + SAFETY * self._judge.error(self._leading(order))
-        return max(error, ROUNDING)
+    def error(self, order: int, limit: float = np.inf) -> float:
+        """Estimated largest relative error of any transfer function over the band; above ``limit``
+        something that shows it."""
+        error = self._judge.error(self._leading(order), (limit - self.space.error) / SAFETY)
+        return max(self.space.error + SAFETY * error, ROUNDING)
 
     def structure(self, order: int) -> Structure:
         """Stability and passivity of the model of this order."""
@@ -376,7 +387,7 @@ class Reduction:
         keep = self.structure(self.size).stable is not False
 
         def good(order: int) -> bool:
-            return self.error(order) <= tolerance and (
+            return self.error(order, tolerance) <= tolerance and (
                 not keep or self.structure(order).stable is not False
             )
 
@@ -404,7 +415,7 @@ class Reduction:
         below = range(max(self.first, 1, int(NEARBY * order)), order) if order <= TIGHTENED else ()
         for fewer in below:
             stable = not keep or self.structure(fewer).stable is not False
-            if stable and self.error(fewer) <= tolerance:
+            if stable and self.error(fewer, tolerance) <= tolerance:
                 return fewer
         return order
 
@@ -459,10 +470,10 @@ def _certified(
     return result
 
 
-def balanced(like: Reduction, order: int, tolerance: float) -> tuple[Reduction, int] | None:
+def balanced(like: Reduction, states: int, tolerance: float) -> tuple[Reduction, int] | None:
     """The same subspace model in first order and balanced coordinates, over all frequencies or over
-    the band, if that has fewer states than ``like`` of this ``order``; None where it has not, or
-    the model is free to move or too large."""
+    the band, if that has fewer than so many ``states``; None where it has not, or the model is free
+    to move or too large."""
     core, top = like.whole.held.pencil, like.band[1]
     free = like.whole.pencil.free
     if not like.space.static or core.free or like.states(like.whole.pencil.size) > BALANCED:
@@ -480,9 +491,6 @@ def balanced(like: Reduction, order: int, tolerance: float) -> tuple[Reduction, 
             model, 1j * like.frequency / top, *balance.weights(like.frequency, H, peak, like.norm)
         )
     best = None
-    states = like.states(order)
-    if like.pencil.degree == 2 and like.structure(order).proof == FORM:  # worth a few states
-        states = int(np.ceil(FORM_SHARE * states))
     for name, way in ways.items():
         small = way()
         if small is None:
@@ -534,7 +542,7 @@ def ordered(
     pencil = replace(pencil, free=free)
     if core is not whole:
         pencil = pencil.beside(whole.pencil.leading(whole.pencil.free))
-    points = space.points(band)
+    points = space.points(band, norm)
     kept = pencil.free + (first.shape[1] if conservative else 0)
     return Reduction(model, pencil, space, band, kept, points, whole, norm)
 

@@ -25,6 +25,7 @@ import scipy
 from kc2spice.core.errors import SimulationError
 from kc2spice.rom.free import apart, congruent
 from kc2spice.rom.krylov import DEFLATION, extend, real_parts
+from kc2spice.rom.linear import Norm
 from kc2spice.rom.operators import magnitudes, symmetric
 from kc2spice.rom.pencil import Pencil
 from kc2spice.rom.response import (
@@ -81,14 +82,15 @@ class Subspace:
         """Its frequency response."""
         return Response(self.pencil)
 
-    def points(self, band: tuple[float, float]) -> np.ndarray:
+    def points(self, band: tuple[float, float], norm: Norm = "pointwise") -> np.ndarray:
         """Frequencies [Hz] over the band at which its errors show."""
-        if band not in self._points:
-            self._points[band] = telling(self.response, band, self.static and not self.pencil.free)
-        return self._points[band]
+        if (band, norm) not in self._points:
+            static = self.static and not self.pencil.free
+            self._points[band, norm] = telling(self.response, band, static, norm)
+        return self._points[band, norm]
 
     @cached_property
-    def _points(self) -> dict[tuple[float, float], np.ndarray]:
+    def _points(self) -> dict[tuple[tuple[float, float], Norm], np.ndarray]:
         return {}
 
 
@@ -107,7 +109,7 @@ def subspace(pencil: Pencil, band: tuple[float, float], target: float, limit: fl
             whole = _whole(full, band, limit)
         except SimulationError as error:
             inaccurate = error
-        sound = whole is not None and whole.response.quick
+        sound = whole is not None and whole.response.diagonal
         # Without an energy a congruence needs well-conditioned modes to converge.
         if pencil.degree == 1 and not sound and not dissipative(full):
             try:
