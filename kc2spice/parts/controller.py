@@ -85,9 +85,6 @@ wiring = "parallel"
             expected = 'names of its input pins, such as inputs = ["y"]'
             yield part.wrong("inputs", "sees nothing", "no input", expected)
 
-    def own_names(self, part: Part, scene: Scene) -> tuple[tuple[str, ...], ...]:
-        return ((part.name.lower(), "held"),)
-
     def cards(self, part: Part, build: Build) -> tuple[str, ...]:
         out, ret = build.net(part, "out"), build.net(part, "ret")
         if part.keys.output == "voltage":

@@ -44,11 +44,6 @@ class CurrentCases(PartType):
     def replaces(self, part: Part, scene: Scene) -> tuple[str, ...]:
         return (_coils(part, scene).name,)
 
-    def own_names(self, part: Part, scene: Scene) -> Iterator[tuple[str, ...]]:
-        yield ("Vheight",)
-        own = ("Xcatch", "lower", "upper", "force", "Ilower", "Iupper", "Rforce")
-        yield from ((f"{name}{k}",) for k in range(len(cases(part))) for name in own)
-
     def cards(self, part: Part, build: Build) -> tuple[str, ...]:
         library, y = build.libraries[_coils(part, build.scene).name], build.net(part, "y")
         cards = [f"{build.own(part, 'Vheight')} {y} 0 0"]

@@ -33,8 +33,8 @@ from kc2spice.fem.magnetics.keys import Ring
 from kc2spice.fem.magnetics.rings import Ladder, Winding, divided, ladder
 from kc2spice.physics import Declaration, DeclaredPart, current, displacement, loop
 from kc2spice.scene.judge import Balance, Check
-from kc2spice.scene.model import Part, Scene, Terminal
-from kc2spice.scene.parttype import Build, Neglected, PartType, Rest, Vector, register
+from kc2spice.scene.model import Part, Scene
+from kc2spice.scene.parttype import Build, Neglected, register
 
 Conductivity = Annotated[float, si("1/(Ohm m)")]
 SOURCES = ("kc2spice.fem.magnetics.rings", __name__)
@@ -98,11 +98,11 @@ def _branches(keys: MovingConductorKeys, loops: int) -> tuple[Any, ...]:
 
 
 @cache
-def _declared(branches: tuple[Any, ...], **physics: Any) -> DeclaredPart:
+def _declared(branches: tuple[Any, ...], **physics: Any) -> Declaration:
     limits = physics.pop("low", ""), physics.pop("high", "")
     words = "y above y_min", "y below y_max"
     named = {word: limit for word, limit in zip(words, limits, strict=True) if limit}
-    declaration = Declaration(
+    return Declaration(
         "moving_conductor",
         MovingConductor.title,
         Conduction,
@@ -112,10 +112,9 @@ def _declared(branches: tuple[Any, ...], **physics: Any) -> DeclaredPart:
         validity="heights from y_min to y_max; rigid, not magnetic, constant temperature",
         **physics,
     )
-    return DeclaredPart(declaration)
 
 
-def declared(part: Part, model: Ladder) -> DeclaredPart:
+def declared(part: Part, model: Ladder) -> Declaration:
     """Its coenergy ``i' L i / 2`` with the couplings as power series of the height, and losses."""
     keys, coils = part.keys, [_coil(name) for name in part.keys.coils]
     loops = [f"eddy{k + 1}" for k in range(model.rates.size)]
@@ -139,7 +138,7 @@ def declared(part: Part, model: Ladder) -> DeclaredPart:
     )
 
 
-class MovingConductor(PartType):
+class MovingConductor(DeclaredPart):
     name = "moving_conductor"
     title = "conducting body that moves along coils and magnets (eddy currents)"
     schema = MovingConductorKeys
@@ -173,11 +172,14 @@ part = "source"
 sine = { amplitude = "10 V", frequency = "50 Hz" }
 """
 
-    def pins(self, part: Part, scene: Scene) -> tuple[Terminal, ...]:
-        return _declared(_branches(part.keys, 0)).pins(part, scene)
+    def __init__(self) -> None:
+        """What it declares follows from its keys and its model."""
 
-    def at_rest(self, part: Part, scene: Scene, model: Any | None = None) -> Rest:
-        return Rest()
+    def declared(self, part: Part, scene: Scene) -> Declaration:
+        return _declared(_branches(part.keys, 0))
+
+    def built(self, part: Part, build: Build) -> Declaration:
+        return declared(part, build.model(part))
 
     def problems(self, part: Part, scene: Scene) -> Iterator[UsageError]:
         keys = part.keys
@@ -242,24 +244,9 @@ sine = { amplitude = "10 V", frequency = "50 Hz" }
         key = {"keys": keys.model_dump(exclude=shape, mode="json"), "of": (tolerance, rings)}
         return cached("conductor", key, build, classes=(Ladder,), sources=SOURCES)[0]
 
-    def _declared(self, part: Part, build: Build) -> DeclaredPart:
-        return declared(part, build.model(part))
-
-    def subcircuits(self, part: Part, build: Build, header: Any) -> tuple[Any, ...]:
-        return self._declared(part, build).subcircuits(part, build, header)
-
-    def vectors(self, part: Part, build: Build) -> Mapping[str, Vector]:
-        return self._declared(part, build).vectors(part, build)
-
-    def current(self, part: Part, pin: str, build: Build) -> Vector | None:
-        return self._declared(part, build).current(part, pin, build)
-
-    def force_on(self, part: Part, pin: str, build: Build, waves: Waveforms) -> np.ndarray | None:
-        return self._declared(part, build).force_on(part, pin, build, waves)
-
     def law(self, part: Part, build: Build) -> laws.Equations:
         """That of its declaration; currents of loops are no results, a full model has others."""
-        found = self._declared(part, build).law(part, build)
+        found = super().law(part, build)
         own = f"{part.name}.eddy"
         kept = {n: reading for n, reading in found.results.items() if not n.startswith(own)}
         return replace(found, results=kept)
@@ -278,7 +265,7 @@ sine = { amplitude = "10 V", frequency = "50 Hz" }
         loops, limit = found.rates.size, part.keys.tolerance
         what, advice = f"{loops} loops of {part.name}", "more rings, or a lower frequency"
         yield Check(what, found.error, limit, "of flux and force", advice, "warn")
-        yield from self._declared(part, build).checks(part, build, waves)
+        yield from super().checks(part, build, waves)
 
     def figures(self, part: Part, build: Build, waves: Waveforms) -> Iterator[Figure]:
         y = waves.data.get(f"{part.name}.y")

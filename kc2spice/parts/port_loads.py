@@ -61,15 +61,6 @@ class PortLoads(PartType):
     def replaces(self, part: Part, scene: Scene) -> tuple[str, ...]:
         return (body_of(part, scene).name,)
 
-    def own_names(self, part: Part, scene: Scene) -> Iterator[tuple[str, ...]]:
-        rings = _rings(body_of(part, scene), scene)
-        for load in (*rings, "anode"):
-            yield from ((ring, load) for ring in rings)
-            yield from ((f"X{load}",), (f"I{load}",), ("anode", load), ("charge", load))
-            cards = ("Vanode", "Fcharge", "Ccharge", "Rcharge")
-            yield from ((name, load) for name in cards)
-        yield from (("load",), ("Vload",), ("Cload",), ("Fload",))
-
     def cards(self, part: Part, build: Build) -> tuple[str, ...]:
         body, own = body_of(part, build.scene), partial(build.own, part)
         rings, library = _rings(body, build.scene), build.libraries[body.name]

@@ -174,10 +174,6 @@ class Source(PartType):
             return {"dc": Swept(f"V{build.own(part, part.name, 'swept')}", kind.scale)}
         return {"dc": Swept(f"{kind.letter}{part.name}", kind.scale)}
 
-    def own_names(self, part: Part, scene: Scene) -> Iterator[tuple[str, ...]]:
-        if _returns(part, scene):
-            yield from ((part.name, "swept"), (part.name, "folded"))
-
     def vectors(self, part: Part, build: Build) -> Mapping[str, Vector]:
         n, kind, found = part.name, KINDS[part.keys.kind], {}
         word, si = kind.through

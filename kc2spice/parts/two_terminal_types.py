@@ -110,10 +110,6 @@ class LinearElement(DeclaredPart):
     def _number(self, part: Part, tree: Tree) -> float:
         return float(evaluated(tree, self.declaration.values(part.keys)))
 
-    def own_names(self, part: Part, scene: Scene) -> tuple[tuple[str, ...], ...]:
-        noise = _noise(part) if scene.analysis.type == "noise" and self._lossy else ()
-        return (*((_meter(part), _inner(part)) if self._letter == "C" else ()), *noise)
-
     def subcircuits(self, part: Part, build: Build, header: Any) -> tuple[Any, ...]:
         return ()
 
@@ -124,10 +120,10 @@ class LinearElement(DeclaredPart):
             value = number(self._number(part, over(ONE, admittance)))
             silent = " noisy=0" if build.noisy and self._letter == "R" and not self._lossy else ""
             return (f"{self._letter}{part.name} {a} {b} {value}{silent}",)
-        inner, value = build.own(part, *_inner(part)), number(self._number(part, admittance))
+        inner = build.own(part, part.name.lower(), "metered")
         return (
-            f"{build.own(part, *_meter(part))} {a} {inner} 0",
-            f"C{part.name} {inner} {b} {value}",
+            f"{_meter(part, build)} {a} {inner} 0",
+            f"C{part.name} {inner} {b} {number(self._number(part, admittance))}",
             *(self._noise_cards(part, build, a, b) if build.noisy and self._lossy else ()),
         )
 
@@ -138,8 +134,8 @@ class LinearElement(DeclaredPart):
 
     def _noise_cards(self, part: Part, build: Build, a: str, b: str) -> tuple[str, ...]:
         """Force noise ``4 k T c`` [N^2/Hz]: the voltage noise of a resistor of c ohms."""
-        R, G, node = (build.own(part, *words) for words in _noise(part))
-        value = number(self._number(part, self.linear[1]))
+        n, value = part.name, number(self._number(part, self.linear[1]))
+        R, G, node = (build.own(part, own, "noise") for own in (f"R{n}", f"G{n}", n.lower()))
         return f"{R} {node} 0 {value}", f"{G} {a} {b} {node} 0 1"
 
     def vectors(self, part: Part, build: Build) -> Mapping[str, Vector]:
@@ -148,7 +144,7 @@ class LinearElement(DeclaredPart):
         if self._letter == "R":
             through = Vector(across, self._number(part, times(self._unit, self.linear[1])), unit)
         else:
-            own = build.own(part, *_meter(part)) if self._letter == "C" else f"l{n}"
+            own = _meter(part, build) if self._letter == "C" else f"l{n}"
             through = Vector(f"i({own.lower()})", 1.0, unit)
         if unit == "N":
             return {f"{n}.{self.branch.through}": through}
@@ -159,16 +155,8 @@ class LinearElement(DeclaredPart):
         return f"{row.name} of {getattr(part.keys, row.key):g} {row.unit}"
 
 
-def _meter(part: Part) -> tuple[str, ...]:
-    return (f"V{part.name}", "meter")
-
-
-def _noise(part: Part) -> tuple[tuple[str, str], ...]:
-    return ((f"R{part.name}", "noise"), (f"G{part.name}", "noise"), (part.name.lower(), "noise"))
-
-
-def _inner(part: Part) -> tuple[str, ...]:
-    return (part.name.lower(), "metered")
+def _meter(part: Part, build: Build) -> str:
+    return build.own(part, f"V{part.name}", "meter")
 
 
 DECLARED = {row.name: declaration(row) for row in TABLE}

@@ -53,6 +53,10 @@ class DeclaredPart(PartType):
         """The physics of a part; that of its type, unless its keys say how many branches it has."""
         return self.declaration
 
+    def built(self, part: Part, build: Build) -> Declaration:
+        """The same, of a part that may have a model."""
+        return self.declared(part, build.scene)
+
     def _pins(self, part: Part, scene: Scene) -> tuple[Pin, ...]:
         found: dict[str, Pin] = {}
         for b in self.declared(part, scene).open:
@@ -79,21 +83,16 @@ class DeclaredPart(PartType):
         pairs = ((b.plus, b.minus) for b, found in zip(moved, stiff, strict=True) if found)
         return Rest(tuple(pairs))
 
-    def _parameters(self, part: Part) -> tuple[Param, ...]:
-        units = {
-            key.name: ((key.unit or "-").replace(" ", "*"), key.doc)
-            for key in model_keys(self.schema)
-        }
-        return tuple(
-            Param(name, float(getattr(part.keys, name)), *units[name])
-            for name in self.declaration.numbers
-        )
-
     def subcircuits(self, part: Part, build: Build, header: Header) -> tuple[Any, ...]:
         from kc2spice.spice.header import parameter_list, part_header  # loads scipy
 
-        d, pins = self.declared(part, build.scene), self._pins(part, build.scene)
-        name, params = build.libraries[part.name], self._parameters(part)
+        d, pins = self.built(part, build), self._pins(part, build.scene)
+        name, values = build.libraries[part.name], d.values(part.keys)
+        params = tuple(
+            Param(key.name, values[key.name], (key.unit or "-").replace(" ", "*"), key.doc)
+            for key in model_keys(d.keys)
+            if key.name in d.numbers
+        )
         head = part_header(
             header,
             f"{name}: {d.title}",
@@ -118,7 +117,7 @@ class DeclaredPart(PartType):
 
     def vectors(self, part: Part, build: Build) -> Mapping[str, Vector]:
         found = {}
-        for b in self.declared(part, build.scene).branches:
+        for b in self.built(part, build).branches:
             unit, flow = _NODE[b.kind]
             across = across_pins(build, part, b) if b.plus else ""
             if b.kind == "displacement":
@@ -134,7 +133,7 @@ class DeclaredPart(PartType):
         return found
 
     def current(self, part: Part, pin: str, build: Build) -> Vector | None:
-        found = [b for b in self.declared(part, build.scene).branches if pin in (b.plus, b.minus)]
+        found = [b for b in self.built(part, build).branches if pin in (b.plus, b.minus)]
         if len(found) != 1 or found[0].kind == "displacement":
             return None
         vector = self.vectors(part, build)[f"{part.name}.{found[0].through}"]
@@ -143,14 +142,14 @@ class DeclaredPart(PartType):
 
     def force_on(self, part: Part, pin: str, build: Build, waves: Waveforms) -> np.ndarray | None:
         total = None
-        for b in self.declared(part, build.scene).branches:
+        for b in self.built(part, build).branches:
             wave = waves.data.get(f"{part.name}.{b.through}")
             if b.kind == "displacement" and pin in (b.plus, b.minus) and wave is not None:
                 total = (0.0 if total is None else total) + (-wave if pin == b.plus else wave)
         return total
 
     def law(self, part: Part, build: Build) -> laws.Equations:
-        n, d = part.name, self.declared(part, build.scene)
+        n, d = part.name, self.built(part, build)
         results = {}
         for b in d.branches:
             wave = f"{n}.{b.plus}.through" if b.plus else f"{n}.{b.name}"
@@ -165,7 +164,7 @@ class DeclaredPart(PartType):
 
     def checks(self, part: Part, build: Build, waves: Waveforms) -> Iterator[Check | Balance]:
         """Its limits, strikes, and what pins bring in against what is stored and lost."""
-        d = self.declared(part, build.scene)
+        d = self.built(part, build)
         known = {} if "frequency" in waves else self._seen(part, build, waves)
         for what, tree in d.bounds.items():
             if names(tree) - set(d.parameters) <= set(known):
@@ -188,7 +187,7 @@ class DeclaredPart(PartType):
 
     def _seen(self, part: Part, build: Build, waves: Waveforms) -> dict[str, np.ndarray]:
         """Coordinates over time, as far as the run has them."""
-        names = self.declared(part, build.scene).coordinates
+        names = self.built(part, build).coordinates
         found = {name: waves.data.get(f"{part.name}.{name}") for name in names}
         return {name: wave for name, wave in found.items() if wave is not None}
 

@@ -14,7 +14,7 @@ from string import ascii_lowercase
 from typing import Any, TypeVar
 
 from kc2spice.core.errors import UsageError, did_you_mean, unknown
-from kc2spice.scene.model import GROUND, Part, Scene, Terminal
+from kc2spice.scene.model import GROUND, Names, Part, Scene, Terminal
 from kc2spice.scene.parttype import METER, Build, PartType
 
 Pin = tuple[str, str]
@@ -142,19 +142,13 @@ def _names(groups: list[list[Pin]], scene: Scene) -> dict[Pin, str]:
     return {pin: nets[pin] for pin in scene.terminals}
 
 
-def _own(scene: Scene) -> dict[tuple[str, ...], str]:
-    """Names of nodes and cards that parts have besides their pins and ``LETTERname``."""
-    cards = (f"{letter}{name.lower()}" for name in scene.parts for letter in ascii_lowercase)
-    wanted = (
-        ((part.name, *words), "_".join(words))
-        for part in scene.parts.values()
-        for words in part.type.own_names(part, scene)
-    )
-    meters = (
-        ((part, pin, METER), f"v{part}_{pin}_{METER}".lower())
-        for part, pin in dict.fromkeys(metered(scene))
-    )
-    return allocated((*wanted, *meters), {*scene.nets.values(), *cards})
+def _own(scene: Scene) -> Names:
+    """Names besides those of nets and of cards ``LETTERname``: meters, and what parts ask for."""
+    cards = (f"{letter}{name}" for name in scene.parts for letter in ascii_lowercase)
+    names = Names((*scene.nets.values(), *cards))
+    for part, pin in metered(scene):
+        names.name((part, pin, METER), f"v{part}_{pin}_{METER}".lower())
+    return names
 
 
 def electrical(part: Part, scene: Scene) -> tuple[str, ...]:
@@ -191,17 +185,9 @@ def _told(part: Part, pin: str, scene: Scene) -> bool:
 
 
 def allocated(wanted: Iterable[tuple[Key, str]], taken: Collection[str]) -> dict[Key, str]:
-    """A name for each key, the wanted one unless it is taken; case does not tell names apart."""
-    used = set(taken)
-    found: dict[Key, str] = {}
-    for key, name in wanted:
-        free, count = name, 1
-        while free.lower() in used:
-            count += 1
-            free = f"{name}_{count}"
-        used.add(free.lower())
-        found[key] = free
-    return found
+    """A name for each key, see :class:`Names`."""
+    names = Names(taken)
+    return {key: names.name(key, name) for key, name in wanted}
 
 
 def _required(scene: Scene, alone: Collection[Pin]) -> None:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Mapping
+from collections.abc import Hashable, Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -197,23 +197,42 @@ class Frame(Section):
     )
 
 
+class Names:
+    """A name for each key, the wanted one unless it is ``taken``, in whatever case."""
+
+    def __init__(self, taken: Iterable[str] = ()) -> None:
+        self.taken = {name.lower() for name in taken}
+        self.given: dict[Hashable, str] = {}
+
+    def name(self, key: Hashable, wanted: str) -> str:
+        """The name of ``key``, given when it is first asked for."""
+        if key not in self.given:
+            free, count = wanted, 1
+            while free.lower() in self.taken:
+                count += 1
+                free = f"{wanted}_{count}"
+            self.taken.add(free.lower())
+            self.given[key] = free
+        return self.given[key]
+
+
 @dataclass(frozen=True)
 class Scene:
     """A checked scene. ``parts`` are in the order of the file, what they expand to behind them.
 
     ``terminals`` has every pin by ``(part, pin)``, ``nets`` its node of the netlist (``"0"`` is
-    ground); ``own`` maps ``(part, *words)`` to what else the part names there
-    (:meth:`PartType.own_names`); ``home`` is the folder of the scene's file, ``tables`` what it
-    says with all overrides. Bodies keep the ``ports`` that are needed, in an export all that their
-    author declares, joined or not (:attr:`kc2spice.scene.parttype.PartType.declares`), for
-    documentation all of them.
+    ground); ``own`` gives ``(part, *words)`` the name of what else the part has there
+    (:meth:`kc2spice.scene.parttype.Build.own`); ``home`` is the folder of the scene's file,
+    ``tables`` what it says with all overrides. Bodies keep the ``ports`` that are needed, in an
+    export all that their author declares, joined or not
+    (:attr:`kc2spice.scene.parttype.PartType.declares`), for documentation all of them.
     """
 
     frame: Frame
     parts: Mapping[str, Part]
     terminals: Mapping[tuple[str, str], Terminal] = field(default_factory=dict, compare=False)
     nets: Mapping[tuple[str, str], str] = field(default_factory=dict)
-    own: Mapping[tuple[str, ...], str] = field(default_factory=dict)
+    own: Names = field(default_factory=lambda: Names(), compare=False)
     home: Path = Path()
     tables: Mapping[str, Any] = field(default_factory=dict, compare=False)
     ports: Literal["needed", "declared", "all"] = "needed"

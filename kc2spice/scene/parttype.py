@@ -182,11 +182,12 @@ class Build:
 
     def meter(self, part: Part, pin: str) -> str | None:
         """Name of the ammeter at a pin and of the node behind it, None where no probe asks."""
-        return self.scene.own.get((part.name, pin, METER))
+        return self.scene.own.given.get((part.name, pin, METER))
 
     def own(self, part: Part, *words: str) -> str:
-        """Name of a node or card of a part's own, see :meth:`PartType.own_names`."""
-        return self.scene.own[part.name, *words]
+        """Name of a node or card of a part besides its pins' nodes and ``LETTERname``: the words
+        with ``_`` in between, or one like it where that is taken."""
+        return self.scene.own.name((part.name, *words), "_".join(words))
 
 
 class PartType:
@@ -290,13 +291,6 @@ class PartType:
         nodes = " ".join({**pins, **meters}.values())
         read = (f"{name} {pins[pin]} {name} 0" for pin, name in meters.items())
         return (f"X{part.name} {nodes} {build.libraries[part.name]}", *read)
-
-    def own_names(self, part: Part, scene: Scene) -> Iterable[tuple[str, ...]]:
-        """Words of every name that its cards have besides its pins' nodes and ``LETTERname``.
-
-        The name is the words with ``_`` in between, or one like it where that is taken.
-        """
-        return ()
 
     def replaces(self, part: Part, scene: Scene) -> tuple[str, ...]:
         """Parts without cards and results of their own, as its cards have copies of them."""

@@ -142,7 +142,7 @@ def test_what_a_state_stores_and_pulls_is_one_coenergy():
     part = load_scene("levitated_disc").parts["conductor"]
     coils = [Winding(c.radius, c.width, c.height, c.y, c.turns) for c in part.keys.coils.values()]
     found = ladder(divided(0, 65e-3, 0, 3e-3, 60), coils, [], 2e-3, 22e-3, ALUMINIUM, 1e3, 1e-3)
-    law = DeclaredLaw("c", declared(part, found).declaration.closed, (ALUMINIUM,))
+    law = DeclaredLaw("c", declared(part, found).closed, (ALUMINIUM,))
     first = len(law.taps)
     rng = np.random.default_rng(5)
     for _ in range(5):
