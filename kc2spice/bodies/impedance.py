@@ -19,7 +19,7 @@ from typing import Any
 
 import numpy as np
 
-from kc2spice.core.errors import UsageError, unknown
+from kc2spice.core.errors import UsageError
 
 _FEWEST = 7  # samples around the resonance, for six real coefficients
 _PASSES = 8
@@ -60,24 +60,6 @@ class Reading:
         bvd = vars(self.bvd)
         names = ("resonance_hz", "antiresonance_hz", "quality", "coupling", "capacitance_f")
         return {name: getattr(self, name) for name in names} | {"bvd": dict(bvd)}
-
-
-def impedance(model: Any, frequency: np.ndarray, port: str | None = None) -> np.ndarray:
-    """Z (n,) of an electrical port of a LinearModel, all other electrical ports shorted.
-
-    ``transfer`` gives charge per voltage, so ``Z = 1/(j w H)``.
-
-    Raises
-    ------
-    UsageError : the model has no such electrical port.
-    """
-    electrical = [p.name for p in model.ports if p.kind == "electrical"]
-    name = electrical[0] if port is None and electrical else port
-    if name not in electrical:
-        raise unknown("no electrical port", port, electrical)
-    index = [p.name for p in model.ports].index(name)
-    frequency = np.asarray(frequency, float)
-    return 1 / (2j * np.pi * frequency * model.transfer(frequency)[:, index, index])
 
 
 def analyse(frequency: np.ndarray, impedance_ohm: np.ndarray) -> Reading:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import hashlib
+import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TypeAlias
@@ -9,9 +11,8 @@ from typing import TypeAlias
 import numpy as np
 import scipy
 
-from kc2spice.core.errors import SimulationError
-from kc2spice.linalg.cholesky import Cholesky
-from kc2spice.linalg.ordering import nested_dissection
+from kc2spice.core.errors import MissingToolError, SimulationError
+from kc2spice.core.gmsh_session import gmsh_session
 
 Inverse: TypeAlias = Callable[[np.ndarray], np.ndarray]
 
@@ -23,6 +24,9 @@ REFINEMENTS = 3
 NARROW = 600
 # From so many unknowns on nested dissection repays its own time.
 LARGE = 5000
+_LINE = 1  # gmsh's number of the element type with two nodes
+_KEPT = 2  # orders: a reduction factorises matrices of one pattern, or of two
+_orders: dict[bytes, np.ndarray | None] = {}
 
 
 @dataclass(frozen=True)
@@ -64,6 +68,37 @@ class Factor:
         """Normwise: ``|r| / (|A| |x| + |rhs|)``, zero where nothing is asked."""
         scale = self.norm * np.abs(x).max(initial=0.0) + np.abs(rhs).max(initial=0.0)
         return float(np.abs(residual).max(initial=0.0) / scale) if scale else 0.0
+
+
+class Cholesky:
+    """``A[p][:, p] = L L'`` of a real matrix by CHOLMOD in cvxopt, supernodal, in the order ``p``,
+    None for that of minimum degree.
+
+    Raises
+    ------
+    RuntimeError : not positive definite.
+    """
+
+    def __init__(self, matrix: scipy.sparse.csc_array, order: np.ndarray | None) -> None:
+        import cvxopt.cholmod  # one of three solvers: loaded where it is chosen
+
+        self._library = cvxopt
+        lower = scipy.sparse.coo_array(scipy.sparse.tril(matrix))
+        entries = cvxopt.spmatrix(
+            lower.data, lower.row.astype(np.int64), lower.col.astype(np.int64), matrix.shape
+        )
+        chosen = {} if order is None else {"p": cvxopt.matrix(order.astype(np.int64))}
+        self._factor = cvxopt.cholmod.symbolic(entries, uplo="L", **chosen)
+        try:
+            cvxopt.cholmod.numeric(entries, self._factor)
+        except ArithmeticError:
+            raise RuntimeError("not positive definite") from None
+
+    def solve(self, rhs: np.ndarray) -> np.ndarray:
+        """Solution (n,) or (n, k)."""
+        x = self._library.matrix(np.asarray(rhs, dtype=float).reshape(len(rhs), -1))
+        self._library.cholmod.solve(self._factor, x)
+        return np.array(x).reshape(rhs.shape)
 
 
 def factorise(matrix: scipy.sparse.csc_array, *, definite: bool) -> Factor:
@@ -165,5 +200,62 @@ def inverses(matrix: scipy.sparse.csc_array, *, symmetric: bool) -> tuple[Invers
 
 
 def _order(matrix: scipy.sparse.csc_array) -> np.ndarray | None:
-    """Nested dissection of large matrices; None leaves the order to the solver."""
-    return nested_dissection(matrix) if matrix.shape[0] >= LARGE else None
+    """Order ``p`` (n,) in which factors of ``matrix[p][:, p]`` stay sparse, by nested dissection of
+    METIS in gmsh; None, which leaves the order to the solver, of small matrices and, with a
+    warning, where gmsh is missing.
+
+    Unknowns whose columns have the same pattern (those of one node) are kept together, so that the
+    graph is that of the mesh. Only time and memory depend on the order, never a result's accuracy.
+    Orders of the last patterns are kept.
+
+    Source: G. Karypis, V. Kumar, SIAM J. Sci. Comput. 20 (1998) 359.
+    """
+    if matrix.shape[0] < LARGE:
+        return None
+    pattern = hashlib.blake2b(matrix.indptr.tobytes())
+    pattern.update(matrix.indices.tobytes())
+    key = pattern.digest()
+    if key not in _orders:
+        _orders[key] = _dissected(matrix)
+        for old in list(_orders)[:-_KEPT]:
+            del _orders[old]
+    return _orders[key]
+
+
+def _dissected(matrix: scipy.sparse.csc_array) -> np.ndarray | None:
+    group, first = _nodes(matrix)
+    columns = scipy.sparse.coo_array(matrix[:, first])
+    pairs = np.sort(np.column_stack([group[columns.row], columns.col]), axis=1).astype(np.int64)
+    pairs = pairs[pairs[:, 0] != pairs[:, 1]]
+    key = np.sort(pairs[:, 0] * first.size + pairs[:, 1])
+    key = key[np.diff(key, prepend=-1) > 0]  # numpy's unique takes as long as METIS
+    place = np.full(first.size, first.size)
+    if key.size:
+        try:
+            old, new = _renumbered(np.column_stack([key // first.size, key % first.size]))
+        except MissingToolError as error:
+            warnings.warn(f"large matrices are factorised in a slower order: {error}", stacklevel=2)
+            return None
+        place[old] = new
+    return np.argsort(place[group], kind="stable")
+
+
+def _nodes(matrix: scipy.sparse.csc_array) -> tuple[np.ndarray, np.ndarray]:
+    """Group of every unknown and the first unknown of each, by a hash of the columns' patterns."""
+    words = np.random.default_rng(0).integers(0, 2**63, matrix.shape[0], dtype=np.uint64)
+    total = np.r_[np.uint64(0), np.cumsum(words[matrix.indices], dtype=np.uint64)]
+    mark = total[matrix.indptr[1:]] - total[matrix.indptr[:-1]]
+    _, first, group = np.unique(mark, return_index=True, return_inverse=True)
+    return group, first
+
+
+def _renumbered(edges: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Nodes of a graph of ``edges`` (m, 2) and their places, from a mesh of lines."""
+    nodes = int(edges.max()) + 1
+    with gmsh_session("graph") as gmsh:
+        gmsh.model.addDiscreteEntity(1, 1)
+        gmsh.model.mesh.addNodes(1, 1, np.arange(1, nodes + 1), np.zeros(3 * nodes))
+        numbers = np.arange(1, len(edges) + 1)
+        gmsh.model.mesh.addElementsByType(1, _LINE, numbers, (edges + 1).ravel())
+        old, new = gmsh.model.mesh.computeRenumbering("Metis")
+    return np.asarray(old, dtype=np.int64) - 1, np.asarray(new, dtype=np.int64) - 1

@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
 from dataclasses import asdict
+from itertools import chain
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any
 
 import numpy as np
 from scipy import io
 
 from kc2spice.core.errors import UsageError
 from kc2spice.core.foreign import read_archive, read_bounded, text_of
-from kc2spice.rom.linear import Certificate, LinearModel, Port, PortKind
+from kc2spice.rom.linear import Certificate, LinearModel, Port
 from kc2spice.rom.matrix_market import read_market
 
 MAX_BYTES = 1_000_000_000
@@ -91,44 +91,31 @@ def _bounded(shape: tuple[int, int], entries: int) -> None:
         raise ValueError(f"a matrix of {shape[0]} x {shape[1]}, {entries} entries")
 
 
-def _port(name: str, kind: str, across: str, flow: str, pins: Sequence[str] = ()) -> Port:
-    """A port whose words can stand in a netlist's header, where a line break begins a card."""
-    if kind not in get_args(PortKind):
-        raise ValueError(f"a port of the kind {str(kind)[:40]!r}")
-    for text in (name, across, flow, *pins):
-        if len(_printable(text, MAX_TEXT).split()) != 1:
-            raise ValueError(f"not one word: {text!r}")
-    return Port(name, kind, across, flow, tuple(pins))  # type: ignore[arg-type]
-
-
-def _printable(text: Any, longest: int) -> str:
-    if not isinstance(text, str) or not text.isprintable() or len(text) > longest:
-        raise ValueError(f"not plain text: {str(text)[:40]!r}")
+def _plain(text: str, longest: int) -> str:
+    """Text that can stand in a netlist's header, where a line break begins a card."""
+    if not text.isprintable() or len(text) > longest:
+        raise ValueError(f"not plain text: {text[:40]!r}")
     return text
 
 
 def _model(matrices: dict[str, Any], record: dict[str, Any]) -> LinearModel:
-    ports = tuple(_port(**port) for port in record["ports"])
-    facts = record["certificate"]
-    low, high = (float(frequency) for frequency in facts["band_hz"])
+    from pydantic import TypeAdapter  # late: a run reads no such file
+
+    ports = TypeAdapter(tuple[Port, ...]).validate_python(record["ports"])
+    words = ((p["name"], p["across"], p["flow"], *p.get("pins", ())) for p in record["ports"])
+    for text in chain.from_iterable(words):
+        if len(_plain(text, MAX_TEXT).split()) != 1:
+            raise ValueError(f"not one word: {text!r}")
+    certificate = TypeAdapter(Certificate).validate_python(record["certificate"])
+    _plain(certificate.method, 1000)
+    low, high = certificate.band_hz
     if not 0 <= low <= high < np.inf:
         raise ValueError(f"band {low} … {high} Hz")
-    certificate = Certificate(
-        (low, high),
-        float(facts["error_estimate"]),
-        _printable(facts["method"], 1000),
-        None if facts["stable"] is None else bool(facts["stable"]),
-        bool(facts["passive"]),
-        tuple((float(f), float(error)) for f, error in facts.get("above", ())),
-        "peak" if facts.get("norm") == "peak" else "pointwise",
-    )
     letters = _letters("A" in matrices)
     arrays: dict[str, Any] = {letter: np.asarray(matrices[letter]) for letter in letters}
     if any(array.dtype.kind != "f" for array in arrays.values()):
         raise ValueError("a matrix that is not of real numbers")
-    if not np.isfinite([*certificate.band_hz, certificate.error_estimate]).all() or not all(
-        np.isfinite(pair).all() for pair in certificate.above
-    ):
+    if not np.isfinite([certificate.error_estimate, *chain(*certificate.above)]).all():
         raise ValueError("the certificate is not finite")
     return LinearModel(ports=ports, certificate=certificate, **arrays)
 

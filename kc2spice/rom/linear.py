@@ -6,7 +6,7 @@ A reductor maps one :class:`LinearModel` to a smaller one and attaches a :class:
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -104,14 +104,8 @@ class Certificate:
 
     def record(self) -> dict[str, Any]:
         """Its entries of ``result.json`` and of ``reduce --json``."""
-        found: dict[str, Any] = {
-            "band_hz": list(self.band_hz),
-            "error_estimate": self.error_estimate,
-            "norm": self.norm,
-            "method": self.method,
-            "stable": self.stable,
-            "passive": self.passive,
-        }
+        found = asdict(self) | {"band_hz": list(self.band_hz)}
+        del found["above"]
         if self.above:
             frequency, error = map(list, zip(*self.above, strict=True))
             found |= {"above_band_hz": frequency, "above_band_compliance_error": error}
@@ -200,7 +194,7 @@ class LinearModel:
                     where=self.name,
                     got=" x ".join(map(str, matrix.shape)),
                     expected=" x ".join(map(str, shape)) + ", at least one row and column",
-                    hint="damping is E; D goes from inputs to outputs without any state"
+                    hint="damping is E: a damping matrix is called E, D is the feedthrough"
                     if letter == "D" and matrix.shape == (n, n)
                     else None,
                 )

@@ -258,13 +258,9 @@ def passive(A: np.ndarray, B: np.ndarray, C: np.ndarray, D: np.ndarray) -> bool:
     )
     values = np.linalg.eigvals(H)
     size = np.abs(values).max()
-    crossing = np.abs(values[np.abs(values.real) < 1e-9 * size].imag)
-    s = 1j * crossing
-    return not any(_gain(A, B, C, D, each) > g * (1 - INSIDE) for each in s)
-
-
-def _gain(A: np.ndarray, B: np.ndarray, C: np.ndarray, D: np.ndarray, s: complex) -> float:
-    return float(np.linalg.norm(C @ np.linalg.solve(s * np.eye(len(A)) - A, B) + D, 2))
+    crossing = np.abs(values[np.abs(values.real) < 1e-9 * size].imag) / (2 * np.pi)
+    gain = np.linalg.norm(_transfer((A, B, C, D), crossing), 2, axis=(1, 2))
+    return bool((gain <= g * (1 - INSIDE)).all())
 
 
 def _admittance(

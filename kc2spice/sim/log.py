@@ -1,4 +1,4 @@
-"""What ngspice said: failures told from warnings, both from harmless notes, and whom it blames."""
+"""What ngspice said: failures and struggles told from harmless notes, and whom it blames."""
 
 from __future__ import annotations
 
@@ -29,7 +29,6 @@ _STRUGGLE = re.compile(
     r"transient op|nodeset",
     re.IGNORECASE,
 )
-_WARNING = re.compile(r"\bwarning\b", re.IGNORECASE)
 # A node, or an instance as in 'trouble with b-instance b.x1.b2'.
 _NODE = re.compile(
     r'trouble with (?:node |\S+-instance )?"?([^\s"]+?)"?(?:[:\s]|$)|check node (\S+)', re.I
@@ -56,7 +55,6 @@ class LogReport:
 
     errors: tuple[str, ...]
     struggles: tuple[str, ...]
-    warnings: tuple[str, ...]
     cause: str | None
     node: str | None
     time: float | None
@@ -65,13 +63,10 @@ class LogReport:
 
 def classify(text: str) -> LogReport:
     """Sort the lines of ``text`` (standard output and error of one run)."""
-    sorted_lines: tuple[list[str], ...] = ([], [], [])
-    for line in re.split(r"[\r\n]+", _CARD.sub(r"error in the card \1: \2", text)):
-        for pattern, lines in zip((_FATAL, _STRUGGLE, _WARNING), sorted_lines, strict=True):
-            if pattern.search(line):
-                lines.append(line.strip())
-                break
-    errors, struggles, warnings = map(tuple, sorted_lines)
+    lines = re.split(r"[\r\n]+", _CARD.sub(r"error in the card \1: \2", text))
+    errors = tuple(line.strip() for line in lines if _FATAL.search(line))
+    others = (line for line in lines if not _FATAL.search(line))
+    struggles = tuple(line.strip() for line in others if _STRUGGLE.search(line))
     cause = next((line for line in errors if _NODE.search(line)), errors[0] if errors else None)
     suspects = [cause, *errors, *struggles] if cause else []
     kind: Kind | None = None
@@ -83,7 +78,6 @@ def classify(text: str) -> LogReport:
     return LogReport(
         errors,
         struggles,
-        warnings,
         cause,
         next((m[1] or m[2] for m in map(_NODE.search, suspects) if m), None),
         next((float(m[1]) for m in map(_TIME.search, suspects) if m), None),

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from kc2spice.bodies.readers import sidecar as _sidecar
-from kc2spice.bodies.readers.assemble import assemble
+from kc2spice.bodies.readers.assemble import Rows, assemble
 from kc2spice.bodies.readers.mesh import read_mesh
 from kc2spice.bodies.readers.source import described, open_source
 from kc2spice.rom.linear import LinearModel
@@ -37,8 +37,8 @@ def read_model(path: Path | str, sidecar: Path | str | None = None) -> LinearMod
         what was found and what was expected.
     MissingToolError : the format needs a package that is not installed; the message says which.
     """
-    found = open_source(Path(path), None if sidecar is None else Path(sidecar))
-    return assemble(found)
+    name, said, raw = open_source(Path(path), None if sidecar is None else Path(sidecar))
+    return assemble(Rows(name, str(path), said, raw))
 
 
 def extent(path: Path, sidecar: Path | None) -> np.ndarray | None:

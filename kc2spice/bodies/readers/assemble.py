@@ -2,99 +2,77 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from scipy import sparse
 
-from kc2spice.bodies.readers.limits import MAX_WIDE
 from kc2spice.bodies.readers.mesh import Mesh, read_mesh
-from kc2spice.bodies.readers.raw import DOFS, ROTATIONS, TRANSLATIONS, VOLT, Dofs
-from kc2spice.bodies.readers.sidecar import FORCES, LENGTHS, Place, PortEntry
-from kc2spice.bodies.readers.source import Source
+from kc2spice.bodies.readers.raw import DOFS, MAX_WIDE, ROTATIONS, TRANSLATIONS, VOLT, Dofs, Raw
+from kc2spice.bodies.readers.sidecar import FORCES, LENGTHS, Place, PortEntry, Sidecar
 from kc2spice.core.errors import UsageError
 from kc2spice.rom.linear import LinearModel, Port, half_stored, with_potentials
 from kc2spice.rom.matrix_market import mirrored
 from kc2spice.rom.operators import Matrix
 
-FEEDTHROUGH = "D is the feedthrough, y = C x + D u; a damping matrix is called E: rename it"
 
-
-def assemble(source: Source) -> LinearModel:
-    """The model of ``source`` in SI with the ports of its sidecar.
+def assemble(rows: Rows) -> LinearModel:
+    """The model of ``rows`` in SI with the ports of its sidecar.
 
     Raises
     ------
     UsageError : letters missing or too many, shapes that do not fit, matrices that are zero or
         half stored, freedoms or nodes that do not exist; the message names file and key.
     """
-    given = _Rows(source, _whole(source, _complete(source)))
-    rows = replace(given, found=given.in_si())
-    if any(entry.kind == "electrical" and entry.placed for entry in source.sidecar.ports):
+    rows = rows.holding(_whole(rows, _complete(rows)))
+    rows = rows.holding(rows.in_si())
+    if any(entry.kind == "electrical" and entry.placed for entry in rows.said.ports):
         return _with_electrodes(rows)
     return _plain(rows)
 
 
-def _complete(source: Source) -> dict[str, Matrix]:
+def _complete(rows: Rows) -> dict[str, Matrix]:
     """All matrices by letter, shapes fitting; heat ``E x' + K x = B u`` is of first order."""
-    found = dict(source.raw.matrices)
-    if "A" not in found and "K" in found and "E" in found and "M" not in found:
-        found["A"] = -found.pop("K")
-    first = "A" in found
-    missing = [k for k in (("A",) if first else ("M", "K")) if k not in found]
-    missing += [] if source.sidecar.ports or "B" in found else ["B or [[ports]]"]
-    if missing or (first and {"M", "K"} & set(found)):
+    given = rows.found
+    if "B" not in given and not rows.said.ports:
         raise UsageError(
             "is not a complete model",
-            where=source.where,
-            got="matrices " + ", ".join(sorted(source.raw.matrices)) or "no matrix",
-            expected="M, K and as needed E; E and K; or A and as needed E; with B, or with "
-            "[[ports]] in the TOML file",
-            hint=f"missing: {', '.join(missing)}" if missing else "A excludes M and K",
+            where=rows.where,
+            got="matrices " + ", ".join(sorted(given)),
+            expected="B, or [[ports]] in the TOML file",
         )
-    n = found["A" if first else "K"].shape[0]
-    inputs = found["B"].shape[1] if "B" in found else None
-    outputs = found["C"].shape[0] if "C" in found else inputs
-    shapes = {"B": (n, inputs), "C": (outputs, n), "D": (outputs, inputs)}
-    for letter, matrix in found.items():
-        pairs = list(zip(shapes.get(letter, (n, n)), matrix.shape, strict=True))
-        if 0 in matrix.shape or any(want not in (None, has) for want, has in pairs):
-            raise UsageError(
-                f"matrix {letter} does not fit",
-                where=source.where,
-                got=" x ".join(map(str, matrix.shape)),
-                expected=" x ".join("any" if want is None else str(want) for want, _ in pairs)
-                + ", at least one row and column",
-                hint=FEEDTHROUGH if letter == "D" and matrix.shape == (n, n) else None,
-            )
-    return found
+    size = max((matrix.shape[0] for k, matrix in given.items() if k in "MEKA"), default=1)
+    model = LinearModel(**{"B": np.ones((size, 1)), **given}, name=rows.where)
+    kept = (set(given) - {"K"}) | {"A"} if model.first_order else set(given)
+    return {letter: getattr(model, letter) for letter in kept}
 
 
-def _whole(source: Source, found: dict[str, Matrix]) -> dict[str, Matrix]:
+def _whole(rows: Rows, found: dict[str, Matrix]) -> Mapping[str, Matrix]:
     """Mirror halves if told so; refuse to guess. What moves and holds a model is not zero."""
-    said, square = source.sidecar.symmetric, {k: found[k] for k in "MEKA" if k in found}
+    said, square = rows.said.symmetric, {k: found[k] for k in "MEKA" if k in found}
     halves = [k for k, matrix in square.items() if half_stored(matrix)]
     if said is None and halves:
         raise UsageError(
             "only one triangle is stored, but the file says 'general'",
-            where=source.where,
+            where=rows.where,
             got=f"matrix {', '.join(halves)}",
             expected="the whole matrix",
-            hint=f"in {source.name}.toml: symmetric = true for halves, false if it is triangular",
+            hint=f"in {rows.name}.toml: symmetric = true for halves, false if it is triangular",
         )
     square |= {k: mirrored(square[k]) for k in halves if said}
     for letter, matrix in square.items():
         if said and abs(matrix - matrix.T).max() > 1e-9 * abs(matrix).max():
-            expected = f"what symmetric = true in {source.sidecar.where} says"
+            expected = f"what symmetric = true in {rows.said.where} says"
             raise UsageError(
-                f"matrix {letter} is not symmetric", where=source.where, expected=expected
+                f"matrix {letter} is not symmetric", where=rows.where, expected=expected
             )
         if letter != "E" and not matrix.count_nonzero():
             hint = "leave M out for a first-order model E x' + K x = B u" if letter == "M" else None
             raise UsageError(
                 f"matrix {letter} is zero",
-                where=source.where,
+                where=rows.where,
                 expected=f"entries in {letter}",
                 hint=hint,
             )
@@ -106,11 +84,23 @@ def _cut(matrix: Matrix, keep: np.ndarray) -> Matrix:
 
 
 @dataclass(frozen=True)
-class _Rows:
-    """The matrices of a source by letter: which row is which freedom, and where the nodes are."""
+class Rows:
+    """A model as its files have it, ``raw``, with what its sidecar has ``said``: which row is which
+    freedom, and where the nodes are. ``where`` is the path to quote."""
 
-    source: Source
-    found: dict[str, Matrix]
+    name: str
+    where: str
+    said: Sidecar
+    raw: Raw
+
+    @property
+    def found(self) -> Mapping[str, Matrix]:
+        """Its matrices by letter."""
+        return self.raw.matrices
+
+    def holding(self, matrices: Mapping[str, Matrix]) -> Rows:
+        """The same with other matrices."""
+        return replace(self, raw=replace(self.raw, matrices=matrices))
 
     # --- freedoms ---------------------------------------------------------------------------------
 
@@ -121,7 +111,7 @@ class _Rows:
 
     def dofs(self, where: str) -> Dofs:
         """The names of the rows, which ``where`` asks for."""
-        dofs = self.source.raw.dofs
+        dofs = self.raw.dofs
         if dofs is None:
             expected = "a column of B, or 'dofs = \"rows.csv\"' with node,dof of each row"
             raise UsageError("the matrices do not name their rows", where=where, expected=expected)
@@ -133,7 +123,7 @@ class _Rows:
         return dofs
 
     def _mesh(self, where: str) -> Mesh:
-        path = self.source.sidecar.mesh
+        path = self.said.mesh
         if path is None:
             expected = 'mesh = "FILE" with nodes and node sets in the TOML file'
             raise UsageError("there is no mesh to look into", where=where, expected=expected)
@@ -149,7 +139,7 @@ class _Rows:
     def find(self, place: Place, kinds: tuple[int, ...]) -> list[np.ndarray]:
         """Rows of the freedoms ``kinds`` at the nodes of ``place``, one array per kind; of all
         freedoms there, each its own, without any kind. None of a set's nodes need be missing."""
-        where = self.source.sidecar.of(place)
+        where = self.said.of(place)
         dofs, nodes = self.dofs(where), self._nodes(place, where)
         here = np.isin(dofs.node, nodes)
         missing = nodes[~np.isin(nodes, dofs.node)]
@@ -174,9 +164,9 @@ class _Rows:
                 )
         return rows if kinds else [np.flatnonzero(here)]
 
-    def in_si(self) -> dict[str, Matrix]:
+    def in_si(self) -> Mapping[str, Matrix]:
         """Matrices in metres and newtons: virtual work is what both unit systems agree on."""
-        said = self.source.sidecar
+        said = self.said
         length, force = LENGTHS[said.length], FORCES[said.force]
         if length == force == 1:
             return self.found
@@ -193,8 +183,8 @@ class _Rows:
     def held(self) -> np.ndarray:
         """Mask (rows,) of those that the tool or the sidecar holds at zero."""
         held = np.zeros(self.size, dtype=bool)
-        held[self.source.raw.held] = True
-        for fixed in self.source.sidecar.fixed:
+        held[self.raw.held] = True
+        for fixed in self.said.fixed:
             held[np.concatenate(self.find(fixed, fixed.dof))] = True
         return held
 
@@ -204,7 +194,7 @@ class _Rows:
         """What a unit of a port does to every row (of an output, what it sees of every row)."""
         if entry.column is not None or entry.row is not None:
             return self._listed(entry)
-        where, load = self.source.sidecar.of(entry), np.zeros(self.size)
+        where, load = self.said.of(entry), np.zeros(self.size)
         axis = entry.axis or (0.0, 0.0, 0.0)
         if entry.kind == "acceleration":  # of the frame: -M r
             if "M" not in self.found:
@@ -237,7 +227,7 @@ class _Rows:
         """A column of B or row of C; conservative ports see what they drive, so a C must agree."""
         B = self.found.get("B", np.zeros((self.size, 0)))
         C = self.found.get("C", B.T)
-        where, place = self.source.sidecar.of(entry), entry.column or entry.row or 0
+        where, place = self.said.of(entry), entry.column or entry.row or 0
         table, what = (B.T, "columns of B") if entry.row is None else (C, "rows of C")
         if place > len(table):
             expected = f"1 to {len(table)} ({what})"
@@ -257,7 +247,7 @@ class _Rows:
 
     def ports(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, tuple[Port, ...]]:
         """B, C, D over all rows and the ports, in the order of the sidecar."""
-        said = self.source.sidecar
+        said = self.said
         if not said.ports:
             B = self.found["B"]
             C = self.found.get("C", B.T)
@@ -287,9 +277,9 @@ class _Rows:
         )
 
 
-def _plain(rows: _Rows) -> LinearModel:
+def _plain(rows: Rows) -> LinearModel:
     """Rows that nothing holds, with the damping of the sidecar on top."""
-    source, said = rows.source, rows.source.sidecar
+    said = rows.said
     keep = np.flatnonzero(~rows.held())
     if not keep.size:
         raise UsageError("every freedom is fixed", where=said.where)
@@ -299,16 +289,16 @@ def _plain(rows: _Rows) -> LinearModel:
     if empty.size:  # an unknown that nothing determines: a gap in the numbering
         raise UsageError(
             "an equation is empty in all matrices",
-            where=source.where,
+            where=rows.where,
             got=f"row {empty[0] + 1} of the free ones, {empty.size} such in all",
             expected="no gaps in the numbering",
-            hint="fix the freedom in [[fixed]]" if source.raw.dofs is not None else None,
+            hint="fix the freedom in [[fixed]]" if rows.raw.dofs is not None else None,
         )
     B, C, D, ports = rows.ports()
     if not B[keep].any() or not C[:, keep].any():
         raise UsageError(
             "has no effective input or output",
-            where=source.where,
+            where=rows.where,
             expected="B, C not zero, on freedoms that are not fixed",
         )
     alpha, beta = said.damping.rayleigh
@@ -328,19 +318,19 @@ def _plain(rows: _Rows) -> LinearModel:
         D=D,
         ports=ports,
         facts={"unknowns": len(keep)},
-        name=source.name,
+        name=rows.name,
         band=said.band,
         **operators,
         **damping,
     )
 
 
-def _with_electrodes(rows: _Rows) -> LinearModel:
+def _with_electrodes(rows: Rows) -> LinearModel:
     """Electrodes at nodes: their potentials are driven, all other free ones eliminated exactly.
 
     The tool's matrix is ``[[K_uu, K_up], [K_up', -K_pp]]``, as Ansys and Abaqus write it.
     """
-    source, said = rows.source, rows.source.sidecar
+    said = rows.said
     if "A" in rows.found or any(e.kind in ("input", "output") for e in said.ports):
         raise UsageError(
             "electrodes at nodes go with M and K and conservative ports", where=said.where
@@ -350,7 +340,7 @@ def _with_electrodes(rows: _Rows) -> LinearModel:
     if E is not None and (alpha or beta):
         expected = "matrix E or 'damping'"
         raise UsageError("damping is given twice", where=said.where, expected=expected)
-    potential = rows.dofs(source.where).kind == VOLT
+    potential = rows.dofs(rows.where).kind == VOLT
     taken = rows.held()
     electrodes = [entry for entry in said.ports if entry.kind == "electrical"]
     T = np.zeros((rows.size, len(electrodes)))
@@ -366,7 +356,7 @@ def _with_electrodes(rows: _Rows) -> LinearModel:
     if M[:, potential].count_nonzero() or (np.diag(c) <= 0).any():
         raise UsageError(
             "potentials are not as expected",
-            where=source.where,
+            where=rows.where,
             got="mass on a potential, or a positive dielectric block",
             expected="K = [[K_uu, K_up], [K_up', -K_pp]] with K_pp positive definite",
         )
@@ -385,6 +375,6 @@ def _with_electrodes(rows: _Rows) -> LinearModel:
         beta=beta,
         E=None if E is None else _cut(E, u),
         facts={"unknowns": len(u) + len(p)},
-        name=source.name,
+        name=rows.name,
     )
     return replace(model, band=said.band)

@@ -18,8 +18,8 @@ from pathlib import Path
 
 import numpy as np
 
-from kc2spice.bodies.readers.limits import guarded, present, refused
-from kc2spice.bodies.readers.matfile import vectors
+from kc2spice.bodies.readers.archive import vectors
+from kc2spice.bodies.readers.raw import guarded, present, refused
 from kc2spice.core.child import in_child
 from kc2spice.core.errors import UsageError
 from kc2spice.core.foreign import read_bounded
@@ -115,7 +115,7 @@ def read_measured(path: Path) -> Measured:
             text = data.decode("utf-8-sig")
         except UnicodeDecodeError:
             text = data.decode("latin-1")
-        return _touchstone(text, int(match[2] or 0)) if match else _table(text)
+        return _touchstone(text, int(match[2] or 0)) if match else _response(*_rows(text))
 
     f, Y, notes = guarded(path, expected, read)
     if not (np.isfinite(f).all() and np.isfinite(Y).all() and f.min(initial=1.0) >= 0):
@@ -209,10 +209,6 @@ def _touchstone(text: str, ports: int) -> tuple[np.ndarray, np.ndarray, tuple[st
         raise ValueError("an ideal short circuit, which has no admittance") from None
     factor = {"hz": 1.0, "khz": 1e3, "mhz": 1e6, "ghz": 1e9}[unit]
     return factor * table[:, 0], P, ()
-
-
-def _table(text: str) -> tuple[np.ndarray, np.ndarray, tuple[str, ...]]:
-    return _response(*_rows(text))
 
 
 def _response(

@@ -14,9 +14,9 @@ from pathlib import Path
 
 import numpy as np
 
-from kc2spice.bodies.readers.limits import MAX_SIZE, parsed
 from kc2spice.bodies.readers.nastran import cards, real
-from kc2spice.core.errors import UsageError
+from kc2spice.bodies.readers.raw import MAX_SIZE, parsed
+from kc2spice.core.errors import UsageError, unknown
 
 _EXPECTED = "an .inp, .cdb, .bdf, .dat, .nas, .pch or .csv file with the nodes"
 
@@ -41,9 +41,7 @@ class Mesh:
         """
         found = self.sets.get(name.upper())
         if found is None or not len(found):
-            got = f"{name!r} in {self.where}"
-            expected = ", ".join(sorted(self.sets)) or "node sets in the mesh file"
-            raise UsageError("no such node set", where=where, got=got, expected=expected)
+            raise unknown(f"no such node set in {self.where}", name, sorted(self.sets), where)
         return found
 
     def nearest(self, place: tuple[float, ...], within: float | None, where: str) -> int:

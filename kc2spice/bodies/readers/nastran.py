@@ -14,8 +14,16 @@ import numpy as np
 from scipy import sparse
 
 from kc2spice.bodies.readers.archive import packed
-from kc2spice.bodies.readers.limits import bounded, parsed, refused
-from kc2spice.bodies.readers.raw import Raw, keyed, labelled, whole
+from kc2spice.bodies.readers.raw import (
+    Raw,
+    Triple,
+    bounded,
+    keyed,
+    labelled,
+    parsed,
+    refused,
+    whole,
+)
 from kc2spice.core.errors import needed
 
 _FIRST = {"K": "K", "M": "M", "B": "E"}
@@ -63,14 +71,13 @@ def read_dmig(path: Path, wanted: Mapping[str, str]) -> Raw:
     expected = "real, square DMIG cards"
     forms, entries = parsed(path, expected, _dmig)
     chosen = choose([n for n, f in forms.items() if f in (_SQUARE, _SYMMETRIC)], wanted, path)
-    tables = {k: np.array(entries[name]).reshape(-1, 5) for k, name in chosen.items()}
-    matrices, dofs = labelled({letter: keyed(table) for letter, table in tables.items()})
+    matrices, dofs = labelled({letter: entries[name] for letter, name in chosen.items()})
     symmetric = {k for k, name in chosen.items() if forms[name] == _SYMMETRIC}
     return Raw({k: whole(m) if k in symmetric else m for k, m in matrices.items()}, dofs)
 
 
-def _dmig(data: bytes) -> tuple[dict[str, int], dict[str, list[tuple[float, ...]]]]:
-    """Form of each matrix by name, and its (row grid, component, column grid, component, value)."""
+def _dmig(data: bytes) -> tuple[dict[str, int], dict[str, Triple]]:
+    """Form of each matrix by name, and its keys of rows and columns and values."""
     forms: dict[str, int] = {}
     entries: dict[str, list[tuple[float, ...]]] = {}
     if data and not data.endswith(b"\n"):
@@ -89,11 +96,9 @@ def _dmig(data: bytes) -> tuple[dict[str, int], dict[str, list[tuple[float, ...]
             grid, component, value = [*cells[at : at + 3], "", ""][:3]
             if grid.strip():
                 entries[name].append((int(grid), _component(component), *column, real(value)))
-    for table in entries.values():
-        keyed(np.array(table).reshape(-1, 5))
     if not forms:
         raise ValueError("no DMIG card")
-    return forms, entries
+    return forms, {name: keyed(np.array(e).reshape(-1, 5)) for name, e in entries.items()}
 
 
 def cards(data: bytes, name: str) -> Iterator[list[str]]:

@@ -64,8 +64,7 @@ from pydantic import (
 )
 from pydantic_core import PydanticCustomError
 
-from kc2spice.bodies.readers.limits import existing, guarded
-from kc2spice.bodies.readers.raw import CODES, DOFS
+from kc2spice.bodies.readers.raw import CODES, DOFS, existing, guarded
 from kc2spice.core.foreign import MAX_BYTES, parse_toml, read_bounded, text_of
 from kc2spice.core.quantities import Count, Section, validated
 from kc2spice.rom.linear import CONSERVATIVE, Port, PortKind

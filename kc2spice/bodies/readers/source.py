@@ -4,16 +4,16 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
-from kc2spice.bodies.readers import abaqus, ansys_full, matfile, nastran
-from kc2spice.bodies.readers import harwell_boeing as boeing
-from kc2spice.bodies.readers.archive import read_archive, read_in_child
-from kc2spice.bodies.readers.calculix import SUFFIXES, read_calculix
-from kc2spice.bodies.readers.limits import (
+from kc2spice.bodies.readers import abaqus, ansys, nastran
+from kc2spice.bodies.readers.archive import in_own_process, read_archive, unpack_matlab
+from kc2spice.bodies.readers.raw import (
     LETTERS,
+    Dofs,
+    Raw,
     bounded,
     checked,
     existing,
@@ -22,19 +22,10 @@ from kc2spice.bodies.readers.limits import (
     present,
     refused,
 )
-from kc2spice.bodies.readers.raw import Dofs, Raw
 from kc2spice.bodies.readers.sidecar import Sidecar, read_sidecar
 from kc2spice.core.errors import UsageError
 from kc2spice.rom.matrix_market import BANNER, numbers, read_market
 from kc2spice.rom.operators import Matrix
-
-Reader = Callable[[Path, Mapping[str, str]], Raw]
-
-
-def _in_child(function: Callable[..., object]) -> Reader:
-    name = f"{function.__module__}:{function.__name__}"
-    return lambda path, wanted: read_in_child(path, name, wanted)
-
 
 # What may stand behind NAME.K or NAME_K.
 _TAILS = ("", ".mtx", ".mm", ".txt", ".matrix", ".hb", ".rsa", ".rua")
@@ -44,15 +35,15 @@ _ARRAYS = (
     "arrays of numbers; a scipy.sparse K as K.data, K.indices, K.indptr, K.shape and K.format, or "
     "in a file of its own, NAME.K.mtx, by scipy.io.mmwrite"
 )
-_JOB = f"{', '.join(SUFFIXES)} of one job"
+_JOB = f"{', '.join(abaqus.SUFFIXES)} of one job"
 # One file with all matrices, by its suffix: what it should be, and its reader, which gets the names
 # that the sidecar has for matrices.
-READERS: Mapping[str, tuple[str, Reader]] = {
-    ".npz": (_ARRAYS, lambda path, wanted: read_archive(path)),
-    ".mat": (_MATLAB, _in_child(matfile.unpack)),
-    ".full": ("a symmetric .full file of Ansys", _in_child(ansys_full.unpack)),
-    ".op4": ("a Nastran OUTPUT4 file", _in_child(nastran.unpack_op4)),
-    **dict.fromkeys(SUFFIXES, (_JOB, lambda path, wanted: read_calculix(path))),
+READERS: Mapping[str, tuple[str, Callable[[Path, Mapping[str, str]], Raw]]] = {
+    ".npz": (_ARRAYS, read_archive),
+    ".mat": (_MATLAB, in_own_process(unpack_matlab)),
+    ".full": ("a symmetric .full file of Ansys", in_own_process(ansys.unpack_full)),
+    ".op4": ("a Nastran OUTPUT4 file", in_own_process(nastran.unpack_op4)),
+    **dict.fromkeys(abaqus.SUFFIXES, (_JOB, abaqus.read_calculix)),
     **dict.fromkeys(
         (".pch", ".pch1", ".bdf", ".dat", ".nas", ".dmig"),
         ("a punch file of Nastran", nastran.read_dmig),
@@ -60,18 +51,8 @@ READERS: Mapping[str, tuple[str, Reader]] = {
 }
 
 
-@dataclass(frozen=True)
-class Source:
-    """One model on disk: its name, the path to quote, its sidecar and what its files hold."""
-
-    name: str
-    where: str
-    sidecar: Sidecar
-    raw: Raw
-
-
-def open_source(path: Path, sidecar: Path | None) -> Source:
-    """Read the files of the model at ``path``.
+def open_source(path: Path, sidecar: Path | None) -> tuple[str, Sidecar, Raw]:
+    """Name and sidecar of the model at ``path``, and what its files hold.
 
     Raises
     ------
@@ -89,7 +70,7 @@ def open_source(path: Path, sidecar: Path | None) -> Source:
     sound = {k: checked(m, k, raw.files.get(k, path)) for k, m in raw.matrices.items()}
     if said.dofs is not None:
         raw = replace(raw, dofs=parsed(said.dofs, "lines 'node,dof', one for each row", _rows))
-    return Source(base.name, str(path), said, replace(raw, matrices=sound))
+    return base.name, said, replace(raw, matrices=sound)
 
 
 def source_files(path: Path, sidecar: Path | None) -> tuple[Path, ...]:
@@ -194,9 +175,9 @@ def _matrices(files: dict[str, Path]) -> Raw:
         if head[: len(BANNER)].lower() == BANNER:
             expected = "a Matrix Market file, 'coordinate' or 'array', 'real' or 'integer'"
             found[letter] = parsed(path, expected, partial(read_market, allowed=allowed))
-        elif boeing.is_harwell_boeing(head):
-            read = partial(boeing.read_harwell_boeing, allowed=allowed)
-            found[letter] = parsed(path, boeing.EXPECTED, read)
+        elif ansys.is_harwell_boeing(head):
+            read = partial(ansys.read_harwell_boeing, allowed=allowed)
+            found[letter] = parsed(path, ansys.EXPECTED, read)
             mapped += (path.with_suffix(suffix) for suffix in (".mapping", ".MAPPING"))
         elif letter in "MEK" and path.suffix.lower() == ".mtx":  # Abaqus' square matrices
             tables[letter] = path
@@ -209,7 +190,7 @@ def _matrices(files: dict[str, Path]) -> Raw:
     if names and dofs is None:
         size = next(m.shape[0] for k, m in found.items() if k in "MEKA")
         expected = f"lines of equation, node and freedom for {size} equations"
-        dofs = parsed(names[0], expected, partial(boeing.mapping, size=size))
+        dofs = parsed(names[0], expected, partial(ansys.mapping, size=size))
     return Raw(found, dofs, raw.held, files)
 
 

@@ -35,8 +35,7 @@ from kc2spice.core.units import MU_0
 from kc2spice.fem.magnetics import mesh as magmesh
 from kc2spice.fem.magnetics.keys import Catch, Ring
 from kc2spice.fem.magnetics.table import EMTable
-from kc2spice.linalg.cholesky import Cholesky
-from kc2spice.linalg.factor import Factor
+from kc2spice.linalg.factor import Cholesky, Factor
 
 RING, SPHERE, LOWER, UPPER = range(4)  # columns of loads and of the fields that they make
 Progress = Callable[[int, int], None]

@@ -1,7 +1,8 @@
-"""Harwell-Boeing files, symmetric ones too, and the mapping that Ansys writes beside them.
+"""What Ansys writes: the binary ``.full`` file, read through its makers' ansys-mapdl-reader, and
+``HBMAT``'s Harwell-Boeing files, symmetric ones too, with the mapping beside them.
 
-scipy's ``hb_read`` refuses symmetric matrices, which is what ``HBMAT`` writes. Fields have a fixed
-width and may touch, so they are cut by the widths that the header states.
+scipy's ``hb_read`` refuses symmetric matrices. Fields have a fixed width and may touch, so they are
+cut by the widths that the header states.
 Format: Duff, Grimes, Lewis, Users' Guide for the Harwell-Boeing Sparse Matrix Collection (1992).
 """
 
@@ -13,14 +14,42 @@ from collections.abc import Callable
 import numpy as np
 from scipy import sparse
 
+from kc2spice.bodies.readers.archive import packed
 from kc2spice.bodies.readers.raw import CODES, Dofs
+from kc2spice.core.errors import needed
 from kc2spice.rom.matrix_market import indices, mirrored
 
+# Ansys counts freedoms in this file from 0.
+_KINDS = dict(enumerate((
+    "ux", "uy", "uz", "rx", "ry", "rz", "ax", "ay", "az", "vx", "vy", "vz", "", "", "", "warp",
+    "conc", "hdsp", "pres", "temp", "volt", "mag", "enke", "ends", "emf", "curr",
+)))  # fmt: skip
 EXPECTED = "an assembled, real Harwell-Boeing file: type RSA, RUA, RZA or RRA, in ASCII"
 _FORMAT = re.compile(rb"\(?\s*(?:\d*P,?)?\s*(\d*)\s*[IFEDG](\d+)", re.IGNORECASE)
 _TYPE = re.compile(rb"\s*([RCPrcp][SUHZRsuhzr][AEae])\s")
 _LONGEST = 10_000  # characters of a line
 _ANSYS = {"ROTX": "rx", "ROTY": "ry", "ROTZ": "rz"}
+
+
+def unpack_full(path: str, wanted: dict[str, str]) -> dict[str, np.ndarray]:
+    """Stiffness and mass of a ``.full`` file as arrays of an archive, with the freedoms that Ansys
+    constrains as ``held``; ``wanted`` means nothing here.
+
+    Raises
+    ------
+    MissingToolError : ansys-mapdl-reader is not installed.
+    """
+    file = needed("ansys.mapdl.reader.full", "ansys-mapdl-reader", path, "ansys").FullFile(path)
+    place, stiffness, mass = file.load_km()
+    place = np.asarray(place, dtype=np.int64)
+    kind = np.array([CODES[_KINDS[int(k)]] for k in place[:, 1]])
+    const = np.asarray(file.const, dtype=np.int64).reshape(-1, 2)  # whose rows are left empty
+    keys, constrained = (each[:, 0] * 64 + each[:, 1] for each in (place, const))
+    held = np.flatnonzero(np.isin(keys, constrained))
+    found = {"nodes": place[:, 0], "dofs": kind, "held": held}
+    for letter, matrix in (("K", stiffness), ("M", mass)):  # the upper triangle is stored
+        found |= packed(letter, mirrored(sparse.csc_array(matrix)))
+    return found
 
 
 def is_harwell_boeing(head: bytes) -> bool:
