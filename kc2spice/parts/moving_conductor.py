@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from functools import cache
 from itertools import combinations_with_replacement
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
 from pydantic import Field
@@ -32,9 +32,10 @@ from kc2spice.core.waveforms import Waveforms
 from kc2spice.fem.magnetics.keys import Ring
 from kc2spice.fem.magnetics.rings import Ladder, Winding, divided, ladder
 from kc2spice.physics import Declaration, DeclaredPart, current, displacement, loop
+from kc2spice.physics.part import settling
 from kc2spice.scene.judge import Balance, Check
 from kc2spice.scene.model import Part, Scene
-from kc2spice.scene.parttype import Build, Neglected, register
+from kc2spice.scene.parttype import Build, Neglected, Numerics, register
 
 Conductivity = Annotated[float, si("1/(Ohm m)")]
 SOURCES = ("kc2spice.fem.magnetics.rings", __name__)
@@ -67,22 +68,27 @@ class Conduction(Section):
     conductivity: Conductivity = Field(gt=0, description="of the body, such as 3.4e7 1/(Ohm m)")
 
 
-class MovingConductorKeys(Conduction):
-    """Disc, ring or sphere in the field of coils and magnets about one axis; y is the height of its
-    lowest point. Its mass is a part ``mass`` at the pin ``a``."""
+class Moving(Section):
+    """A body in the field of coils and magnets about one axis; y is the height of its lowest point.
+    Its mass is a part ``mass`` at the pin ``a``."""
 
-    shape: Literal["disc", "sphere"] = Field("disc", description="a disc with a hole is a ring")
     radius: Length = Field(gt=0, description="outer one")
     inner: Length = Field(0.0, ge=0, description="radius of the hole of a disc")
-    thickness: Length | None = Field(None, description="of a disc, along the axis")
+    thickness: Length | None = Field(None, gt=0, description="of a disc, along the axis")
     coils: dict[str, CoilKeys] = Field({}, description="by name; pins NAME_p and NAME_n")
     magnets: dict[str, MagnetKeys] = Field({}, description="fixed ones, by name")
     y_min: Length = Field(description="lowest height")
     y_max: Length = Field(description="largest height")
-    frequency: Frequency = Field(1e3, gt=0, description="up to which eddy currents are resolved")
     tolerance: Annotated[Ratio, Notch(0.1, model=True)] = Field(
         1e-3, gt=1e-8, lt=0.1, description="of flux and force, for the number of loops"
     )
+
+
+class MovingConductorKeys(Conduction, Moving):
+    """Disc, ring or sphere."""
+
+    shape: Literal["disc", "sphere"] = Field("disc", description="a disc with a hole is a ring")
+    frequency: Frequency = Field(1e3, gt=0, description="up to which eddy currents are resolved")
     rings: Annotated[Count, Notch(2.0, model=True)] = Field(
         400, ge=20, le=3000, description="into which the body is divided"
     )
@@ -92,47 +98,50 @@ def _coil(name: str) -> str:
     return f"i_{name}"
 
 
-def _branches(keys: MovingConductorKeys, loops: int) -> tuple[Any, ...]:
+def _branches(keys: Moving, loops: int) -> tuple[Any, ...]:
     coils = (current(_coil(n), f"{n}_p", f"{n}_n") for n in keys.coils)
     return (*coils, displacement("y", "a", "b"), *(loop(f"eddy{k + 1}") for k in range(loops)))
 
 
 @cache
-def _declared(branches: tuple[Any, ...], **physics: Any) -> Declaration:
+def _declared(kind: MovingConductor, branches: tuple[Any, ...], **physics: Any) -> Declaration:
     limits = physics.pop("low", ""), physics.pop("high", "")
     words = "y above y_min", "y below y_max"
     named = {word: limit for word, limit in zip(words, limits, strict=True) if limit}
     return Declaration(
-        "moving_conductor",
-        MovingConductor.title,
-        Conduction,
+        kind.name,
+        kind.title,
+        kind.parameters,
         branches,
         limits=named,
-        rating="not known; i^2 resistance heats each coil, the eddy currents the body",
+        rating=kind.rating,
         validity="heights from y_min to y_max; rigid, not magnetic, constant temperature",
         **physics,
     )
 
 
 def declared(part: Part, model: Ladder) -> Declaration:
-    """Its coenergy ``i' L i / 2`` with the couplings as power series of the height, and losses."""
+    """Its coenergy ``i' L i / 2`` with the couplings as power series of the height, and losses. Of
+    a magnet, which has no loop with a rate, they are those of a tesla."""
     keys, coils = part.keys, [_coil(name) for name in part.keys.coils]
-    loops = [f"eddy{k + 1}" for k in range(model.rates.size)]
+    eddies = [f"eddy{k + 1}" for k in range(model.rates.size)]
+    loops = eddies or ["remanence"]
     place = f"(y - {(model.low + model.high) / 2:.11g})/{(model.high - model.low) / 2:.11g}"
-    energy = [f"0.5*{loop}^2" for loop in loops]
+    energy = [f"0.5*{loop}^2" for loop in eddies]
     for (j, a), (k, b) in combinations_with_replacement(enumerate(coils), 2):
         energy.append(f"{0.5 if j == k else 1.0}*{model.inductance[j, k]:.11g}*{a}*{b}")
     for coil, row in zip((*coils, "1"), model.couplings, strict=False):
-        for eddy, series in zip(loops, row, strict=True):
+        for current_, series in zip(loops, row, strict=True):
             numbers = ", ".join(f"{c:.11g}" for c in series)
-            energy.append(f"{coil}*{eddy}*poly({place}, {numbers})")
-    rates = zip(loops, model.rates, strict=True)
+            energy.append(f"{coil}*{current_}*poly({place}, {numbers})")
+    rates = zip(eddies, model.rates, strict=True)
     heat = [f"0.5*{rate:.11g}/conductivity*{eddy}^2" for eddy, rate in rates]
     heat += [f"0.5*{c.resistance:.11g}*{_coil(name)}^2" for name, c in keys.coils.items()]
     return _declared(
-        _branches(keys, len(loops)),
+        part.type,
+        _branches(keys, len(eddies)),
         coenergy=" + ".join(energy),
-        content=" + ".join(heat),
+        content=" + ".join(heat) or "0",
         low=f"y - {model.low:.11g}",
         high=f"{model.high:.11g} - y",
     )
@@ -141,7 +150,9 @@ def declared(part: Part, model: Ladder) -> Declaration:
 class MovingConductor(DeclaredPart):
     name = "moving_conductor"
     title = "conducting body that moves along coils and magnets (eddy currents)"
-    schema = MovingConductorKeys
+    schema: ClassVar[type[Section]] = MovingConductorKeys
+    parameters: ClassVar[type[Section]] = Conduction
+    rating = "not known; i^2 resistance heats each coil, the eddy currents the body"
     source = "rings (integral equation, axisymmetric), reduced"
     example = """
 [moving_conductor]
@@ -175,8 +186,11 @@ sine = { amplitude = "10 V", frequency = "50 Hz" }
     def __init__(self) -> None:
         """What it declares follows from its keys and its model."""
 
+    def numerics(self, part: Part, scene: Scene) -> Iterator[Numerics]:
+        return settling(part, scene)
+
     def declared(self, part: Part, scene: Scene) -> Declaration:
-        return _declared(_branches(part.keys, 0))
+        return _declared(self, _branches(part.keys, 0))
 
     def built(self, part: Part, build: Build) -> Declaration:
         return declared(part, build.model(part))
@@ -188,11 +202,7 @@ sine = { amplitude = "10 V", frequency = "50 Hz" }
             yield part.wrong("y_min", "empty range of heights", got, "y_min < y_max")
         if not keys.coils and not keys.magnets:
             yield part.wrong("coils", "neither coil nor magnet", "{}", "tables by name")
-        if keys.shape == "disc" and not keys.thickness:
-            yield part.wrong("thickness", "a disc without one", "none", "a length above zero")
-        if keys.shape == "sphere" and (keys.inner or keys.thickness):
-            got = f"inner {keys.inner:g} m, thickness {keys.thickness}"
-            yield part.wrong("shape", "a sphere has a radius alone", got, "neither of them")
+        yield from self.misshapen(part)
         if keys.inner >= keys.radius:
             expected = f"less than radius, {keys.radius:g} m"
             yield part.wrong("inner", "no material left", f"{keys.inner:g} m", expected)
@@ -210,6 +220,15 @@ sine = { amplitude = "10 V", frequency = "50 Hz" }
             if not (apart or below or above):
                 got = f"y_min {keys.y_min:g} m, y_max {keys.y_max:g} m"
                 yield part.wrong(f"coils.{name}", "the body meets the winding", got, "room for it")
+
+    def misshapen(self, part: Part) -> Iterator[UsageError]:
+        """What is wrong with its shape."""
+        keys = part.keys
+        if keys.shape == "disc" and not keys.thickness:
+            yield part.wrong("thickness", "a disc without one", "none", "a length above zero")
+        if keys.shape == "sphere" and (keys.inner or keys.thickness):
+            got = f"inner {keys.inner:g} m, thickness {keys.thickness}"
+            yield part.wrong("shape", "a sphere has a radius alone", got, "neither of them")
 
     def outline(self, part: Part, scene: Scene) -> Iterator[Shape]:
         for name, coil in part.keys.coils.items():
@@ -236,9 +255,10 @@ sine = { amplitude = "10 V", frequency = "50 Hz" }
             return np.asarray(r**2 + (z - radius) ** 2 < radius**2)
 
         def build() -> Ladder:
+            magnets = [s for m in keys.magnets.values() for s in sheets(m, m.remanence)]
             with clock.stage("magnetics", f"eddy currents in {part.name}"):
                 body = divided(*box, ball if keys.shape == "sphere" else None)
-                return ladder(body, _windings(keys), _sheets(keys), *settings)
+                return ladder(body, windings(keys), magnets, *settings)
 
         shape = {"tolerance", "rings"}
         key = {"keys": keys.model_dump(exclude=shape, mode="json"), "of": (tolerance, rings)}
@@ -264,7 +284,8 @@ sine = { amplitude = "10 V", frequency = "50 Hz" }
         found: Ladder = build.model(part)
         loops, limit = found.rates.size, part.keys.tolerance
         what, advice = f"{loops} loops of {part.name}", "more rings, or a lower frequency"
-        yield Check(what, found.error, limit, "of flux and force", advice, "warn")
+        if loops:
+            yield Check(what, found.error, limit, "of flux and force", advice, "warn")
         yield from super().checks(part, build, waves)
 
     def figures(self, part: Part, build: Build, waves: Waveforms) -> Iterator[Figure]:
@@ -311,21 +332,21 @@ def turns(time: np.ndarray, y: np.ndarray) -> list[tuple[float, float]]:
     return found
 
 
-def _windings(keys: MovingConductorKeys) -> list[Winding]:
+def windings(keys: Moving) -> list[Winding]:
+    """Its coils."""
     return [Winding(c.radius, c.width, c.height, c.y, c.turns) for c in keys.coils.values()]
 
 
-def _sheets(keys: MovingConductorKeys) -> list[Winding]:
-    """The currents on the surfaces of its magnets."""
+def sheets(ring: Ring, remanence: float) -> list[Winding]:
+    """The currents [A] on the surfaces of a magnet of the ``remanence`` [T]."""
     return [
-        Winding(radius, 0.0, m.height, m.y, sign * m.remanence * m.height / MU_0)
-        for m in keys.magnets.values()
-        for sign, radius in ((1.0, m.outer), (-1.0, m.inner))
+        Winding(radius, 0.0, ring.height, ring.y, sign * remanence * ring.height / MU_0)
+        for sign, radius in ((1.0, ring.outer), (-1.0, ring.inner))
         if radius
     ]
 
 
-def _tall(keys: MovingConductorKeys) -> float:
+def _tall(keys: Moving) -> float:
     """Its height [m]."""
     return 2 * keys.radius if keys.thickness is None else keys.thickness
 

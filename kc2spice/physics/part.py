@@ -31,6 +31,13 @@ REBOUND = "what follows may hang on every step: error_budget estimates the error
 _UNEXPLAINED = 1e-3  # share of what pins bring in that the steps of a run may lose
 
 
+def settling(part: Part, scene: Scene) -> Iterator[Numerics]:
+    """Where a sweep begins each point at the one before, Newton's method stops at once."""
+    if scene.analysis.type in ("dc", "op"):
+        change = "1e-6", "change at which Newton's method stops: nonlinear parts"
+        yield Numerics(part.name, options={"reltol": change})
+
+
 class DeclaredPart(PartType):
     """The part type of a declaration."""
 
@@ -108,10 +115,8 @@ class DeclaredPart(PartType):
         return (Subcircuit(name, pins, params, head + cards),)
 
     def numerics(self, part: Part, scene: Scene) -> Iterator[Numerics]:
-        """Where a sweep begins each point at the one before, Newton's method stops at once."""
-        if scene.analysis.type in ("dc", "op") and not self.declared(part, scene).linear:
-            change = "1e-6", "change at which Newton's method stops: nonlinear parts"
-            yield Numerics(part.name, options={"reltol": change})
+        if not self.declared(part, scene).linear:
+            yield from settling(part, scene)
 
     # --- results ----------------------------------------------------------------------------
 

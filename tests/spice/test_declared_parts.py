@@ -142,3 +142,23 @@ def test_beyond_its_limit_a_part_fails_by_name():
     }  # fmt: skip
     with pytest.raises(kc.errors.SimulationError, match="the stretch at which it gives way"):
         kc.run(scene)
+
+
+@pytest.mark.parametrize(("core", "magnet", "amps"), [(0.0, 0.0, 0.5), (4.5e5, 300.0, 0.2)])
+def test_a_keeper_rests_where_spring_and_flux_are_even(core, magnet, amps):
+    """Force ``flux^2 / (MU_0 area)`` of two gaps, against the root of a cubic in what is left."""
+    area, gap, turns, k = 1e-4, 2e-3, 400.0, 3e5
+    scene = {
+        "name": "keeper",
+        "yoke": {"part": "reluctance", "area": area, "gap": gap, "gaps": 2, "core": core,
+                 "magnet": magnet, "turns": turns, "resistance": 1.0, "travel": 1.8e-3,
+                 "pins": {"plus": "drive.out", "a": "keeper.a"}},
+        "keeper": {"part": "spring", "stiffness": k},
+        "drive": {"part": "source", "kind": "current", "dc": amps},
+        "analysis": {"type": "op"},
+    }  # fmt: skip
+    mu = 4e-7 * np.pi
+    whole, left = turns * amps + magnet, np.polynomial.Polynomial([core, 2 / (mu * area)])
+    balance = k * np.polynomial.Polynomial([gap, -1]) * left**2 * mu * area - whole**2
+    rest = gap - max(r.real for r in balance.roots() if abs(r.imag) < 1e-12)
+    assert kc.run(scene).waves["yoke.x"][-1] == pytest.approx(rest, rel=1e-6)

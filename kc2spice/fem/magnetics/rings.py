@@ -157,8 +157,25 @@ class Winding:
         found = mutual(r[..., None, None], z[..., None, None], at[:, None], height)
         return np.asarray(self.turns * np.einsum("...ij,i,j->...", found, p / 2, q / 2))
 
+    def through(self, sheet: Winding, heights: np.ndarray) -> np.ndarray:
+        """Mutual inductance [H] (n,) with a winding without width that is moved up by ``heights``
+        (n,), by Gauss's points along it."""
+        x, p = np.polynomial.legendre.leggauss(POINTS)
+        z = heights[:, None] + sheet.y + sheet.height / 2 * x
+        return np.asarray(sheet.turns * self.coupling(np.full_like(z, sheet.radius), z) @ p / 2)
+
     def with_other(self, other: Winding) -> float:
-        """Mutual inductance [H] with another winding; its own with itself."""
+        """Mutual inductance [H] with another winding; its own with itself.
+
+        Its own as a sheet without width is that of L. Lorenz, Ann. Phys. 7 (1879) 161.
+        """
+        if other == self and not self.width:
+            from scipy.special import ellipe, ellipkm1
+
+            k2 = 4 * self.radius**2 / (4 * self.radius**2 + self.height**2)
+            shape = (2 * k2 - 1) * ellipe(k2) + (1 - k2) * ellipkm1(1 - k2)
+            scale = 8 * MU_0 * self.radius**3 / (3 * self.height**2)
+            return float(self.turns**2 * scale * (shape / k2**1.5 - 1))
         if other == self:
             return float(self.turns**2 * self.cells.inductance.mean())
         return float(other.turns * self.coupling(other.cells.r, other.cells.z).mean())
@@ -203,9 +220,8 @@ def ladder(
     ------
     UsageError : the couplings are no smooth functions of the height, as where body and coil meet.
     """
-    nodes = chebyshev.chebpts1(NODES)
-    heights = low + (nodes + 1) * (high - low) / 2
-    own = np.array([[a.with_other(b) for b in coils] for a in coils])
+    nodes, heights = _nodes(low, high)
+    own = _inductance(coils)
     at = body.r, body.z + heights[:, None]
     m = [c.coupling(*at) for c in coils]  # (c, y, n)
     if magnets:
@@ -221,6 +237,34 @@ def ladder(
     found = np.array(m) @ modes @ basis @ turn
     polynomials = _polynomials(nodes, found, tolerance)
     return Ladder(reduced, polynomials, own, low, high, error, body.r.size)
+
+
+def carried(
+    sheets: Sequence[Winding],
+    coils: Sequence[Winding],
+    magnets: Sequence[Winding],
+    low: float,
+    high: float,
+    tolerance: float,
+) -> Ladder:
+    """A body that carries the constant currents of ``sheets``, at the heights ``low`` to ``high``
+    [m], as one loop without a rate. What is fixed and what is raised are as in :func:`ladder`."""
+    nodes, heights = _nodes(low, high)
+    m = [sum(c.through(s, heights) for s in sheets) for c in coils]
+    if magnets:
+        m.append(sum(c.through(s, heights) for c in magnets for s in sheets))
+    polynomials = _polynomials(nodes, np.array(m)[:, :, None], tolerance)
+    return Ladder(np.empty(0), polynomials, _inductance(coils), low, high, 0.0, 0)
+
+
+def _nodes(low: float, high: float) -> tuple[np.ndarray, np.ndarray]:
+    """Chebyshev's points from -1 to 1, and as heights [m]."""
+    nodes = chebyshev.chebpts1(NODES)
+    return nodes, low + (nodes + 1) * (high - low) / 2
+
+
+def _inductance(coils: Sequence[Winding]) -> np.ndarray:
+    return np.array([[a.with_other(b) for b in coils] for a in coils])
 
 
 def _subspace(

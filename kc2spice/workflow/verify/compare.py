@@ -21,6 +21,7 @@ from kc2spice.workflow.judge import probed
 
 LOADED = 1e-6  # of the largest value: below, a relative error says nothing
 STILL = 1e-9  # of its size: what rests moves less, by rounding alone
+NOTHING = 1e-150  # its square is zero: what rounding leaves of no current
 SMALL = 1e-3  # of the largest wave of its unit: smaller metrics are judged by that
 
 
@@ -153,7 +154,7 @@ def output_errors(pair: str, waves: Waveforms, exact: Waveforms) -> list[OutputE
             continue
         at, a, b = _aligned(waves, exact, name)
         size = float(np.abs(b).max(initial=0.0))
-        if size <= _resting(name, exact):
+        if size <= max(_resting(name, exact), NOTHING):
             continue
         error = np.abs(a - b)
         power = (

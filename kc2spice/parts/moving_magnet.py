@@ -1,0 +1,131 @@
+"""A magnet that moves along coils and fixed magnets: shakers, buzzers, harvesters, levitation."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from typing import Annotated, Any
+
+from pydantic import Field
+
+from kc2spice.core.cache import cached
+from kc2spice.core.errors import UsageError
+from kc2spice.core.quantities import FluxDensity, Length, Notch, Ratio, Section
+from kc2spice.core.units import MU_0
+from kc2spice.fem.magnetics.keys import Ring
+from kc2spice.fem.magnetics.rings import Ladder, Winding, carried
+from kc2spice.parts.moving_conductor import Moving, MovingConductor, sheets, windings
+from kc2spice.scene.model import Part, Scene
+from kc2spice.scene.parttype import Build, Neglected, register
+
+SOURCES = ("kc2spice.fem.magnetics.rings", "kc2spice.parts.moving_conductor", __name__)
+CLOSER = 0.1  # tolerance of the full model, of that of the reduced one
+
+
+class Magnetisation(Section):
+    """What the field of a magnet depends on in its netlist."""
+
+    remanence: FluxDensity = Field(description="upwards")
+
+
+class MovingMagnetKeys(Magnetisation, Moving):
+    """Cylinder or ring that is magnetised along the axis.
+
+    Its magnetisation is the even one ``remanence / (MU_0 (1 + N (mu_r - 1)))`` of the mean field
+    of its own, with the demagnetising factor N of its shape: currents ``thickness`` times that on
+    its surfaces, so that flux and force are integrals of Maxwell's coaxial circles.
+    """
+
+    thickness: Length = Field(gt=0, description="along the axis")
+    mu_r: Ratio = Field(1.0, ge=1, description="recoil permeability: remanence / (MU_0 coercivity)")
+    tolerance: Annotated[Ratio, Notch(0.1, model=True)] = Field(
+        1e-5, gt=1e-8, lt=0.1, description="of flux and force, for the power series"
+    )
+
+
+def demagnetising(inner: float, outer: float, height: float) -> float:
+    """Mean (magnetometric) factor of a ring or cylinder along its axis: the mean field of the
+    currents on its surfaces is ``(1 - N)`` times that of an endless one."""
+    own = [Winding(r, 0.0, height, 0.0, s) for r, s in ((outer, 1.0), (inner, -1.0)) if r]
+    linked = sum(a.with_other(b) for a in own for b in own)
+    return 1 - linked * height / (MU_0 * math.pi * (outer**2 - inner**2))
+
+
+class MovingMagnet(MovingConductor):
+    name = "moving_magnet"
+    title = "magnet that moves along coils and magnets"
+    schema = MovingMagnetKeys
+    parameters = Magnetisation
+    rating = "not known; i^2 resistance heats each coil, heat and opposing fields demagnetise"
+    source = "closed form (coaxial circles)"
+    example = """
+[moving_magnet]
+part = "moving_magnet"
+radius = "3 mm"
+thickness = "4 mm"
+remanence = "1.2 T"
+mu_r = 1.05
+y_min = "-2 mm"
+y_max = "2 mm"
+pins = { coil_p = "drive.out", a = "spring.a" }
+
+[moving_magnet.coils.coil]
+radius = "4 mm"
+width = "2 mm"
+height = "3 mm"
+y = "-4 mm"
+turns = 200
+resistance = "10 Ohm"
+
+[spring]
+part = "spring"
+stiffness = "200 N/m"
+
+[drive]
+part = "source"
+sine = { amplitude = "1 V", frequency = "50 Hz" }
+"""
+
+    def misshapen(self, part: Part) -> Iterator[UsageError]:
+        return iter(())
+
+    def build(self, part: Part, scene: Scene, clock: Any) -> Ladder:
+        return self._magnet(part, part.keys.tolerance)
+
+    def full_model(self, part: Part, build: Build, clock: Any) -> Ladder:
+        """Couplings of a closer fit."""
+        return self._magnet(part, CLOSER * part.keys.tolerance)
+
+    def _magnet(self, part: Part, tolerance: float) -> Ladder:
+        keys: MovingMagnetKeys = part.keys
+        shape = keys.inner, keys.radius, keys.thickness
+
+        def build() -> Ladder:
+            share = 1 / (1 + demagnetising(*shape) * (keys.mu_r - 1))
+            ring = Ring(height=shape[2], outer=shape[1], inner=shape[0], y=shape[2] / 2)
+            body = sheets(ring, share)
+            settings = keys.y_min, keys.y_max, tolerance
+            fixed = [s for m in keys.magnets.values() for s in sheets(m, m.remanence)]
+            return carried(body, windings(keys), fixed, *settings)
+
+        key = {"keys": keys.model_dump(exclude={"tolerance"}, mode="json"), "of": tolerance}
+        return cached("magnet", key, build, classes=(Ladder,), sources=SOURCES)[0]
+
+    def detail(self, part: Part, scene: Scene) -> str:
+        return f"{len(part.keys.coils)} coils, exact in currents, power series of the height"
+
+    def neglected(self, part: Part, scene: Scene) -> Iterator[Neglected]:
+        keys: MovingMagnetKeys = part.keys
+        extra = keys.mu_r - 1
+        factor = demagnetising(keys.inner, keys.radius, keys.thickness)
+        yield Neglected(
+            "an uneven magnetisation",
+            f"the recoil permeability {keys.mu_r:g} feels the mean field of its own alone",
+            f"that is {100 * extra * factor / (1 + extra * factor):.2g} % of its remanence; "
+            f"other fields add {100 * extra:.2g} % of themselves",
+        )
+        yield Neglected("eddy currents in the magnet", "no current flows in it", "not estimated")
+        yield Neglected("tilting and sideways motion", "one degree of freedom", "not estimated")
+
+
+register(MovingMagnet())
