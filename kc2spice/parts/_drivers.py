@@ -89,7 +89,8 @@ class Driver(TemplatePart):
         return self.limits(part, build, waves["time"], wave)
 
     def detail(self, part: Part, scene: Scene) -> str:
-        return f"{self.name}, " + ", ".join(f"{key} {value:g}" for key, value in part.keys)
+        given = (f"{key} {value:g}" for key, value in part.keys if value is not None)
+        return f"{self.name}, " + ", ".join(given)
 
     def current(self, part: Part, pin: str, build: Build) -> Vector | None:
         return _through(part) if pin == self.terminals[0] else None

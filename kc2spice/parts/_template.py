@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from typing import Any, ClassVar, Literal
 
-from kc2spice.core.quantities import Section
+from pydantic import Field
+
+from kc2spice.core.quantities import Current, Section, Voltage
+from kc2spice.core.units import BOLTZMANN, TEMPERATURE
 from kc2spice.netlist.circuit import Param, Subcircuit, positive
 from kc2spice.netlist.transforms import self_contained
 from kc2spice.scene.keys import model_keys
@@ -17,6 +21,17 @@ BANDWIDTH = 1e9  # Hz, gain-bandwidth product of a fast decompensated amplifier
 
 Level = Literal["pole", "slew"]
 _NOTHING: Mapping[str, Any] = {}
+
+
+class InputNoise(Section):
+    """White noise of an operational amplifier's inputs, in a noise analysis alone."""
+
+    noise_voltage: Voltage | None = Field(
+        None, gt=0, description="between its amplifier's inputs, rms in 1 Hz; none unless told"
+    )
+    noise_current: Current | None = Field(
+        None, gt=0, description="out of each of them, rms in 1 Hz; none unless told"
+    )
 
 
 class TemplatePart(PartType):
@@ -40,7 +55,10 @@ class TemplatePart(PartType):
 
     def subcircuits(self, part: Part, build: Build, header: Any) -> tuple[Any, ...]:
         name, pins = build.libraries[part.name], self.pins(part, build.scene)
-        return (self.netlist(header, name, *self.design(part, build), pins),)
+        params, values = self.design(part, build)
+        if build.noisy and isinstance(part.keys, InputNoise):
+            values = {**values, "input_noise": part.keys}
+        return (self.netlist(header, name, params, values, pins),)
 
     def netlist(
         self,
@@ -67,7 +85,11 @@ class TemplatePart(PartType):
             params,
             **words,
         )
-        return self_contained(made, [opamp_subcircuit(header, self.opamp)]) if self.opamp else made
+        if not self.opamp:
+            return made
+        return self_contained(
+            made, [opamp_subcircuit(header, self.opamp, values.get("input_noise"))]
+        )
 
 
 def parameters(keys: Section, *names: str) -> tuple[Param, ...]:
@@ -75,15 +97,18 @@ def parameters(keys: Section, *names: str) -> tuple[Param, ...]:
     return tuple(
         positive(key.name, getattr(keys, key.name), key.unit or "-", key.doc)
         for key in model_keys(type(keys))
-        if not names or key.name in names
+        if (not names or key.name in names) and key.name not in InputNoise.model_fields
     )
 
 
-def opamp_subcircuit(header: Header, level: Level = "pole") -> Subcircuit:
+def opamp_subcircuit(
+    header: Header, level: Level = "pole", noise: InputNoise | None = None
+) -> Subcircuit:
     """``V(out) = A(s) (V(inp) - V(inn))``, ``A = a0 / (1 + s a0 / (2 pi gbw))``, between the rails
     ``vee`` and ``vcc``, behind an output resistance and with an input offset.
 
-    ``slew``: the same with limited slew rate and output current, as ``opamp_slew``.
+    ``slew``: the same with limited slew rate and output current, as ``opamp_slew``, and with the
+    ``noise`` of its inputs: voltages of resistors of 1 Ohm, ``sqrt(4 k T 1 Ohm)``, times a gain.
     """
     pins = [Terminal(pin, "V", "A") for pin in ("inp", "inn", "out", "vcc", "vee", "ref")]
     params = (
@@ -101,4 +126,8 @@ def opamp_subcircuit(header: Header, level: Level = "pole") -> Subcircuit:
         positive("current_limit", 1.0, "A", "largest output current"),
     )
     title += " with slew rate and current limit"
-    return library("opamp_slew", header, "opamp_slew", title, pins, params + limits, rating=rating)
+    ohm = math.sqrt(4 * BOLTZMANN * TEMPERATURE)
+    found = (noise.noise_voltage, noise.noise_current) if noise else (None, None)
+    volts, amperes = (each / ohm if each else None for each in found)
+    told: dict[str, Any] = {"rating": rating, "volts": volts, "amperes": amperes}
+    return library("opamp_slew", header, "opamp_slew", title, pins, params + limits, **told)

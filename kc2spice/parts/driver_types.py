@@ -23,7 +23,7 @@ from kc2spice.core.waveforms import running
 from kc2spice.netlist.circuit import Param, positive
 from kc2spice.parts import _drivers as driver
 from kc2spice.parts._drivers import LAG, SLACK, CoilDriver, Driver, Load, relaxed, stage
-from kc2spice.parts._template import parameters
+from kc2spice.parts._template import InputNoise, parameters
 from kc2spice.parts.pid import SENSE
 from kc2spice.scene.judge import Check
 from kc2spice.scene.model import Part, Scene
@@ -32,7 +32,7 @@ from kc2spice.scene.parttype import Build, Numerics, register
 Waves = Mapping[str, np.ndarray]
 
 
-class AmplifierKeys(Section):
+class AmplifierKeys(InputNoise):
     """High-voltage operational amplifier with a class-AB output stage, gain 20."""
 
     rail: Voltage = Field(120.0, gt=0, description="supply")
@@ -65,7 +65,7 @@ class Amplifier(Driver):
         )
 
 
-class ChargeKeys(Section):
+class ChargeKeys(InputNoise):
     """Amplifier that sets the chip's charge, ``capacitance`` times the kick pulse's voltage."""
 
     capacitance: Capacitance = Field(
@@ -83,7 +83,7 @@ class ChargeDrive(Driver):
     name, title = "charge_drive", "charge drive for a floating capacitive load"
     schema = ChargeKeys
     template, heading = "driver_charge", "charge drive for the chip"
-    resistive = ("Rout",)
+    resistive = ("Rout", "Rsense", "Rchip")
     terminals, fixed = ("anode", "cathode"), driver.ends("anode", "cathode")
 
     def limits(self, part: Part, build: Build, time: np.ndarray, wave: Waves) -> Iterable[Check]:
@@ -166,7 +166,7 @@ class HalfBridge(Driver):
         yield driver.check(part.name, "follows its command", value, LAG, "of its rail")
 
 
-class LinearKeys(Section):
+class LinearKeys(InputNoise):
     """Current source for the coils: operational amplifier between two rails, sense resistor."""
 
     rail: Voltage = Field(48.0, gt=0, description="supplies of plus and minus this voltage")
@@ -232,6 +232,7 @@ class PwmDrive(CoilDriver):
     schema = PwmKeys
     template, heading = "driver_pwm", "H-bridge for the coils"
     opamp = "pole"
+    noise = "no noise: it switches, which an operating point knows nothing of"
     # V, peak of the triangle, and the controller's rails over it; Ohm, in the return, and V for
     # each ampere in it
     constants: ClassVar = {"carrier": 10.0, "headroom": 1.2, "shunt": 1, "sense": SENSE}

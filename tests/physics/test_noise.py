@@ -115,6 +115,28 @@ def test_damping_that_couples_modes(tmp_path):
     np.testing.assert_allclose(found.waves["noise"], density, rtol=1e-6)
 
 
+AMPLIFIER = """
+[amplifier]
+part = "amplifier"
+{given}
+pins = {{ command = "gnd", out = "load.a" }}
+[load]
+part = "resistor"
+resistance = "1 GOhm"
+"""
+
+
+@pytest.mark.parametrize(("volts", "amperes"), [(0.0, 0.0), (20e-9, 0.0), (0.0, 50e-12)])
+def test_an_amplifier_has_the_noise_of_its_inputs(tmp_path, volts, amperes):
+    """Times its gain of 20, of which each input's divider has 950 Ohm; behind it are 2 Ohm."""
+    given = f"noise_voltage = {volts}" if volts else f"noise_current = {amperes}" * bool(amperes)
+    parts = AMPLIFIER.format(given=given)
+    found = noise(tmp_path, parts, output="load.v", start=10, stop=1e3, points=20)
+    power = 400 * (volts**2 + 2 * (950 * amperes) ** 2 + 2 * 4 * KT * 950) + 4 * KT * 2
+    # a gain of 1e7 at rest leaves 2e-6, a bandwidth of 2 MHz less
+    np.testing.assert_allclose(found.waves["noise"], np.sqrt(power), rtol=1e-5)
+
+
 def test_a_sensor_has_the_noise_that_it_states(tmp_path):
     """1 nm rms up to 10 kHz: 10 pm per root Hz."""
     parts = """
