@@ -44,7 +44,10 @@ UNITS = {
     "gap_stiffness_n_m": ("stiffness of the film", 1e3, "N/mm"),
     "gap_damping_n_s_m": ("damping of the film", 1e-3, "mN s/m"),
 }
-SUFFIXES = {"_m_s": "m/s", "_m": "m", "_n": "N", "_s": "s", "_v": "V", "_a": "A", "_siemens": "S"}
+SUFFIXES = {
+    "_m_s": "m/s", "_m": "m", "_n": "N", "_s": "s", "_v": "V", "_a": "A", "_hz": "Hz",
+    "_siemens": "S",
+}  # fmt: skip
 PREFIXES = ((1e3, "k"), (1.0, ""), (1e-3, "m"), (1e-6, "µ"), (1e-9, "n"))
 PICTURES = {
     "buzzer_ft_20t_6_5a1": "disc_impedance.png",

@@ -96,9 +96,14 @@ def full_solution(
     """
     parts = moving(full, ours, taken)
     if build.scene.analysis.type != "transient":
+        words = "at its ports"
         if build.scene.analysis.small:
             parts = _with_surrogates(parts, float(build.scene.analysis.stop or 0.0), clock, whole)
-        with clock.stage("full model", "at its ports"):
+            points = next(iter(ours.data.values())).size
+            for law in (law for c in parts for law in c.laws if isinstance(law, PortBody)):
+                if law.model.order > DIRECT:  # no basis is as good: a solution each
+                    words = f"{law.model.order} unknowns at {points} frequencies, solved at each"
+        with clock.stage("full model", words):
             return FullSolution(steady(parts, full, ours))
     parts = [c for c in parts if any(isinstance(law, PortBody) for law in c.laws)]
     if not parts:
