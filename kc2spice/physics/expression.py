@@ -10,7 +10,7 @@ and by its derivative but has no text in a netlist.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import cache, reduce
@@ -149,6 +149,7 @@ def _joined(op: str, trees: Iterable[Tree]) -> Tree:
 # --- derivatives ----------------------------------------------------------------------------------
 
 
+@cache
 def derivative(tree: Tree, name: str) -> Tree:
     """The exact derivative by a name, in plain form."""
     return tidy(_derivative(tree, name))
@@ -161,14 +162,14 @@ def _derivative(tree: Tree, name: str) -> Tree:
         case Unary(op, value):
             return Unary(op, _derivative(value, name))
         case Binary("+" | "-" as op, left, right):
-            return Binary(op, _derivative(left, name), _derivative(right, name))
+            return _sum(op, _derivative(left, name), _derivative(right, name))
         case Binary("*", left, right):
-            first = Binary("*", _derivative(left, name), right)
-            return Binary("+", first, Binary("*", left, _derivative(right, name)))
+            first = _product(_derivative(left, name), right)
+            return _sum("+", first, _product(left, _derivative(right, name)))
         case Binary("/", above, below):
-            slope = _derivative(below, name)
-            fall = Binary("/", Binary("*", above, slope), Binary("*", below, below))
-            return Binary("-", Binary("/", _derivative(above, name), below), fall)
+            slope = _product(above, _derivative(below, name))
+            fall = slope if slope == ZERO else Binary("/", slope, Binary("*", below, below))
+            return _sum("-", Binary("/", _derivative(above, name), below), fall)
         case Call("integral", (f, Name(x))):
             inner = Call("integral", (derivative(f, name), Name(x)))
             return f if x == name else inner if name in names(f) else ZERO
@@ -186,6 +187,15 @@ def _derivative(tree: Tree, name: str) -> Tree:
             outer = replaced(parse(_CHAIN[function]), {"u": value})
             return Binary("*", outer, _derivative(value, name))
     return ZERO  # numbers, and steps, which are level on either side
+
+
+def _product(left: Tree, right: Tree) -> Tree:
+    """Of which nothing is written if either is zero: most derivatives of a long sum are."""
+    return ZERO if ZERO in (left, right) else Binary("*", left, right)
+
+
+def _sum(op: str, left: Tree, right: Tree) -> Tree:
+    return left if right == ZERO else Binary(op, left, right)
 
 
 def horner(value: Tree, series: Iterable[Tree]) -> Tree:
@@ -261,7 +271,10 @@ def _kept(found: Counter[Tree]) -> tuple[Tree, ...]:
 @cache
 def tidy(tree: Tree) -> Tree:
     """Equal terms added, equal factors cancelled, numbers worked out exactly."""
-    found = [term for term in _terms(tree) if term.size]
+    return _whole([term for term in _terms(tree) if term.size])
+
+
+def _whole(found: list[_Product]) -> Tree:
     if not found:
         return ZERO
     first, *rest = sorted(found, key=lambda term: term.size < 0)
@@ -275,14 +288,8 @@ def _terms(tree: Tree) -> list[_Product]:
     match tree:
         case Number(value):
             return [_Product(Fraction(value))]
-        case Unary("-", value):
-            return [_Product(-t.size, t.above, t.below) for t in _terms(value)]
-        case Unary("+", value):
-            return _terms(value)
-        case Binary("+", left, right):
-            return _merged([*_terms(left), *_terms(right)])
-        case Binary("-", left, right):
-            return _terms(Binary("+", left, Unary("-", right)))
+        case Unary("-" | "+", _) | Binary("+" | "-", _, _):
+            return _merged(_added(tree))
         case Binary("*", left, right):
             return [_single(left).times(_single(right))]
         case Binary("/", left, right):
@@ -294,6 +301,18 @@ def _terms(tree: Tree) -> list[_Product]:
                 "a power that is no whole number", got=Writer().write(tree), hint="exp(n*ln(x))"
             )
     return [_Product(Fraction(1), (rebuilt(tree, tidy),))] if _lives(tree) else []
+
+
+def _added(tree: Tree, sign: int = 1) -> Iterator[_Product]:
+    """The terms of nested sums one by one, so that equal ones are looked for but once."""
+    match tree:
+        case Unary("-" | "+" as op, value):
+            yield from _added(value, -sign if op == "-" else sign)
+        case Binary("+" | "-" as op, left, right):
+            yield from _added(left, sign)
+            yield from _added(right, -sign if op == "-" else sign)
+        case _:
+            yield from (_Product(sign * t.size, t.above, t.below) for t in _terms(tree))
 
 
 def _lives(tree: Tree) -> bool:
@@ -308,7 +327,7 @@ def _single(tree: Tree) -> _Product:
     found = [term for term in _terms(tree) if term.size]
     if len(found) == 1:
         return found[0]
-    return _Product(Fraction(1), (tidy(tree),)) if found else _Product(Fraction(0))
+    return _Product(Fraction(1), (_whole(found),)) if found else _Product(Fraction(0))
 
 
 def _merged(found: Iterable[_Product]) -> list[_Product]:
