@@ -64,6 +64,12 @@ def within(name, quantity, value):
     return inside != (quantity in PUBLISHED[name].get("misses", {}))
 
 
+# Coarser than what is published, and still within its tolerances.
+COARSE = {
+    "beam_pull_in": ("beam.mesh.refine=1", "analysis.points=75"),
+    "stressed_beam": ("beam.mesh.refine=1", "analysis.from=170", "analysis.points=31",
+                      "analysis.to=176"),
+}  # fmt: skip
 CASES = [n for n, entry in PUBLISHED.items() if "scene" in entry]
 SOLID = pytest.mark.slow  # three-dimensional
 
@@ -74,7 +80,7 @@ SOLID = pytest.mark.slow  # three-dimensional
 def test_cases_with_complete_inputs_meet_their_targets(name, results):
     entry = PUBLISHED[name]
     scene = ROOT / "docs" / "published" / entry["scene"]
-    metrics = results(str(scene), *entry.get("set", []))[0]["metrics"]
+    metrics = results(str(scene), *entry.get("set", []), *COARSE.get(name, ()))[0]["metrics"]
     compared = [key for key, value in entry.items() if key in metrics and "value" in value]
     assert compared
     assert all(within(name, quantity, metrics[quantity]) for quantity in compared)

@@ -19,6 +19,7 @@ SLOW = (
     "fit",
     "impedance",
     "own_driver",
+    "parameters",
     "pyspice_parts",
     "python_controller",
     "sweep",

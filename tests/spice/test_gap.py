@@ -97,7 +97,7 @@ def test_bad_keys_say_what_they_are():
         load_scene(loop() | {"analysis": {"type": "op", "back": True}})
 
 
-@pytest.mark.parametrize("count", [10, 19])
+@pytest.mark.parametrize("count", [5, 10])
 def test_a_bent_beam_is_longer(count):
     """``w = a (1 - cos(2 pi x / l)) / 2`` lengthens it by ``(pi a)^2 / (4 l)``; the energy is
     off by the fourth power of a strip, 7e-3 of 10, as slopes are exact for cubics."""

@@ -10,6 +10,7 @@ import struct
 import sys
 import time
 import zipfile
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -33,7 +34,7 @@ def market(name, text, **others):
 def npz(zeros=0, **members):
     """An archive of given bytes, and megabytes of zeros behind those that shall explode."""
     stream = io.BytesIO()
-    with zipfile.ZipFile(stream, "w", zipfile.ZIP_DEFLATED) as archive:
+    with zipfile.ZipFile(stream, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive:
         for name, data in members.items():
             with archive.open(f"{name.replace('__', '.')}.npy", "w") as member:
                 member.write(data)
@@ -107,10 +108,10 @@ BOMBS = {
         K__shape=array((2,), np.array([HUGE, HUGE]).tobytes(), "<i8"),
         **{f"K__{part}": array((1,), bytes(8), "<i8") for part in ("data", "row", "col")},
     ),
-    "npz bomb": npz(392, K=array((7000, 7000)), M=array((3, 3), bytes(72))),
-    "npz bomb of rows": npz(400, nodes=array((50_000_000,), kind="<i8")),
+    "npz bomb": partial(npz, 392, K=array((7000, 7000)), M=array((3, 3), bytes(72))),
+    "npz bomb of rows": partial(npz, 400, nodes=array((50_000_000,), kind="<i8")),
     "mat 4": {"m.mat": struct.pack("<5i", 0, HUGE, HUGE, 0, 2) + b"K\0" + bytes(80)},
-    "mat bomb": saved(np.zeros((7000, 7000), np.int8)),
+    "mat bomb": lambda: saved(np.zeros((7000, 7000), np.int8)),
     "mat sparse": saved(sparse.csc_array((2_147_483_000, 3))),
     "Harwell-Boeing rows": boeing(HUGE, 6),
     "Harwell-Boeing entries": boeing(3, 10**12),
@@ -156,6 +157,7 @@ def main(root: Path, chosen: list[str]) -> None:
         home = root / name.replace(" ", "_")
         home.mkdir()
         model = BOMBS[name]
+        model = model() if callable(model) else model
         for file, data in model.items():
             (home / file).write_bytes(data)
         opened = files.opened(model)
@@ -168,7 +170,7 @@ def main(root: Path, chosen: list[str]) -> None:
         for command, words in commands.items():
             begun = time.process_time()
             code, said = readers.ask(words, home)
-            found[f"{name}, {command}"] = [code, time.process_time() - begun, said]
+            found[f"{name}, {command}"] = [code, time.process_time() - begun, said, sorted(model)]
     usage = (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)
     memory = max(1024 * resource.getrusage(who).ru_maxrss for who in usage)
     print(json.dumps({"memory": memory, "found": found}))
