@@ -131,6 +131,17 @@ class LinearBody:
     def pins(self) -> tuple[Pin, ...]:
         return port_pins(self.ports)
 
+    @property
+    def states(self) -> tuple[str, ...]:
+        """Forces at mechanical ports that have a compliance of their own besides the modes."""
+        pairs = zip(self.ports, self.D, strict=True)
+        return tuple(port.name for port, row in pairs if port.kind in MECHANICAL and row.any())
+
+    @property
+    def scales(self) -> tuple[float, ...]:
+        """Sizes that errors of these are judged by."""
+        return (1e-3,) * len(self.states)
+
 
 def port_pins(ports: tuple[Port, ...]) -> tuple[Pin, ...]:
     """One pin a port, and the returns; accelerations, inputs and outputs are signals."""
@@ -313,27 +324,6 @@ class Device(ABC):
     def loss(self, t: float, e: np.ndarray, mode: Any) -> float:
         """Power that it turns into heat [W]; negative for what it brings in from outside."""
         return 0.0
-
-    def stores(self, first: np.ndarray, last: np.ndarray, mode: Any) -> float | None:
-        """Energy [J] that is stored between two instants of a mode where :meth:`loss` is all power
-        that comes in; None where it is that of heat."""
-        return None
-
-    @property
-    def extra(self) -> tuple[str, ...]:
-        """Names of further quantities to record as ``NAME.EXTRA``."""
-        return ()
-
-    def waves(self, t: float, e: np.ndarray, mode: Any) -> dict[str, float]:
-        """Their values."""
-        return {}
-
-
-def inside(value: float, low: float, high: float, side: int) -> tuple[float, float]:
-    """Guards of a clip: towards its low and its high limit while inside, back while outside."""
-    if side == 0:
-        return value - low, high - value
-    return (low - value, 1.0) if side < 0 else (1.0, value - high)
 
 
 MICRO = 1e-6  # m, in which displacements are balanced
@@ -550,7 +540,6 @@ class Pid(Device):
     states = ("followed", "integral")
     drives = ("out",)
     affine = True
-    extra = ("error",)
 
     @property
     def pins(self) -> tuple[Pin, ...]:
@@ -584,7 +573,10 @@ class Pid(Device):
 
     def guards(self, t: float, e: np.ndarray, mode: Any) -> np.ndarray:
         on, side = mode
-        return np.array(inside(self.demand(e), -self.limit, self.limit, side)) if on else np.ones(2)
+        if not on:
+            return np.ones(2)
+        below, above = self.demand(e) + self.limit, self.limit - self.demand(e)
+        return np.array([(below, above), (1.0, -above), (-below, 1.0)][side])
 
     def switch(self, mode: Any, guard: int) -> tuple[Any, str]:
         on, side = mode
@@ -604,6 +596,3 @@ class Pid(Device):
         elif on:
             out[2] = side * self.limit
         return out, jac
-
-    def waves(self, t: float, e: np.ndarray, mode: Any) -> dict[str, float]:
-        return {"error": self._error(e)}

@@ -97,7 +97,6 @@ class PositionForce(Device):
     pins = (Pin("y", "displacement"), *(Pin(n, "signal", grounded=True) for n in ("i1", "i2")))
     taps = (Tap("y"), Tap("y", rate=True), Tap("i1"), Tap("i2"))
     flows = (Flow("y"),)
-    extra = ("coil1", "coil2", "force")
 
     def evaluate(self, t: float, e: np.ndarray, mode: Any) -> tuple[np.ndarray, np.ndarray]:
         i = np.multiply(self.gains, e[2:])
@@ -110,10 +109,6 @@ class PositionForce(Device):
     def loss(self, t: float, e: np.ndarray, mode: Any) -> float:
         # minus the work on the moving part: magnets and current sources give it
         return float(self.evaluate(t, e, mode)[0][0] * e[1])
-
-    def waves(self, t: float, e: np.ndarray, mode: Any) -> dict[str, float]:
-        values = (*np.multiply(self.gains, e[2:]), -self.evaluate(t, e, mode)[0][0])
-        return dict(zip(self.extra, map(float, values), strict=True))
 
 
 @dataclass(frozen=True)

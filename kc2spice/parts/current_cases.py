@@ -96,7 +96,7 @@ class CurrentCases(PartType):
             for coil, current in enumerate(pair, 1):
                 found.append(laws.Source(f"{own}_{coil}", "signal", constant(current)))
                 nets.append((f"{own}_{coil}.out", f"{own}.i{coil}"))
-            results[force] = laws.reading(f"{own}.force")
+            results[force] = laws.reading(f"{own}.y.through", -1.0)
         height = (f"{n}.out", *(f"{coils.name} {k}.y" for k in range(len(names))))
         return laws.Equations(
             tuple(found), (("y", f"{n}.out"),), results, {"height": (n, 1.0)}, (height, *nets)

@@ -204,7 +204,8 @@ class Pid(PartType):
         limits = keys.rolloff, keys.current_limit, keys.setpoint
         law = laws.Pid(n, *gains, *limits, height, on, tuple(keys.disable_at))
         pins = (("y", f"{n}.y"), ("drive", f"{n}.out"))
-        return laws.Equations((law,), pins, {f"{n}.error": laws.reading(f"{n}.error")})
+        error = laws.reading(f"{n}.y", -1.0, keys.setpoint - height)
+        return laws.Equations((law,), pins, {f"{n}.error": error})
 
     def metrics(self, part: Part, build: Build, waves: Waveforms) -> Mapping[str, Any]:
         ball = sphere.controlled(part, build.scene)

@@ -478,9 +478,11 @@ class RingMagnetCoils(Touching):
         feeds = scene.joined(n, "drive")
         if any(scene.parts[other].type.name != "pid" for other, _ in feeds):
             return None
-        force_law = PositionForce(n, table.coenergy, (-1.0, 1.0), offset)
+        gains = (-1.0, 1.0)
+        force_law = PositionForce(n, table.coenergy, gains, offset)
         pins = (("y", f"{n}.y"), ("drive", f"{n}.i1"), ("drive", f"{n}.i2"))
-        results = {c: laws.reading(f"{n}.coil{k}") for k, c in enumerate(currents, 1)}
+        signals = zip(currents, ("i1", "i2"), gains, strict=True)
+        results = {c: laws.reading(f"{n}.{i}", gain) for c, i, gain in signals}
         return laws.Equations((force_law,), pins if feeds else pins[:1], results)
 
     def metrics(self, part: Part, build: Build, waves: Waveforms) -> Mapping[str, Any]:

@@ -126,9 +126,6 @@ class Sphere(Touching):
         r, label = part.keys.radius, f"{part.name}: radius {1e3 * part.keys.radius:g} mm"
         yield Shape(0.0, r, 2 * r, 2 * r, "metal", label, round=True)
 
-    def cards(self, part: Part, build: Build) -> tuple[str, ...]:
-        return () if _moved(part, build.scene) else super().cards(part, build)
-
     def moves(self, part: Part, scene: Scene) -> Mapping[str, State]:
         keys = part.keys
         given = keys.velocity or keys.height
@@ -140,8 +137,6 @@ class Sphere(Touching):
         return Rest((("base", GROUND),), pushed=("v",) if scene.gravity else (), inert=("v",))
 
     def initial(self, part: Part, build: Build) -> Mapping[str, float]:
-        if _moved(part, build.scene):
-            return {}
         held = build.scene.joined(part.name, "v")
         if held or build.scene.joined(part.name, "bottom") or part.name in begins(build.scene):
             return {}
@@ -149,16 +144,12 @@ class Sphere(Touching):
         return {build.net(part, "v"): 0.0, build.net(part, "bottom"): 0.0}
 
     def subcircuits(self, part: Part, build: Build, header: Any) -> tuple[Any, ...]:
-        if _moved(part, build.scene):
-            return ()
         keys, begin = part.keys, begins(build.scene).get(part.name, State(0.0, 0.0))
         numbers = keys.mass, keys.radius, build.scene.gravity
         name, at = build.libraries[part.name], {"velocity": begin.velocity, "height": begin.height}
         return (sphere_subcircuit(header, *numbers, **at, name=name),)
 
     def vectors(self, part: Part, build: Build) -> Mapping[str, Vector]:
-        if _moved(part, build.scene):
-            return {}
         return {f"{part.name}.{pin}": build.across(part, pin) for pin in ("y", "v")}
 
     def metrics(self, part: Part, build: Build, waves: Waveforms) -> Mapping[str, Any]:
@@ -221,8 +212,6 @@ class Sphere(Touching):
     def law(self, part: Part, build: Build) -> laws.Equations:
         """Its coordinate is the height of its lowest point over touching."""
         n, scene = part.name, build.scene
-        if _moved(part, scene):
-            return laws.Equations()
         states = begins(scene)
         begin = states.get(n, State(0.0, 0.0))
         held = scene.joined(n, "v") or scene.joined(n, "bottom")

@@ -151,7 +151,7 @@ class _Assembly:
         moved: dict[str, list[tuple[slice, np.ndarray]]] = {}
         for b in bodies:
             for k, port in enumerate(b.ports):
-                if port.kind in L.MECHANICAL and not compliant(b, k):
+                if port.kind in L.MECHANICAL and port.name not in b.states:
                     net = self.nets[f"{b.name}.{port.name}"]
                     moved.setdefault(net, []).append((self.body[b.name], np.asarray(b.C)[k]))
         own = [n for n in used if self.kinds[n] in L.MECHANICAL and n not in moved]
@@ -171,10 +171,10 @@ class _Assembly:
         self.own: dict[str, int] = {}
         extra = [1.0] * (at - 2 * self.nq)
         for law in self.laws:
-            for state, size in states_of(law):
-                self.own[f"{law.name}.{state}"] = at
-                extra.append(size)
-                at += 1
+            if isinstance(law, L.Device | L.LinearBody):
+                extra += law.scales
+                self.own |= {f"{law.name}.{state}": k for k, state in enumerate(law.states, at)}
+                at += len(law.states)
         self.size = at
         self.rigid: list[np.ndarray] = []
         for net, members in moved.items():
@@ -420,27 +420,9 @@ def _split(basis: np.ndarray, pattern: np.ndarray) -> tuple[np.ndarray, np.ndarr
     return basis, acted
 
 
-def compliant(body: L.LinearBody, k: int) -> bool:
-    """Whether mechanical port ``k`` has a compliance of its own besides the modes."""
-    return bool(body.D[k].any())
-
-
 def has_store(law: L.Device) -> bool:
     """Whether the device stores something else than its states."""
     return type(law).store is not L.Device.store and bool(law.states or law.charged)
-
-
-def states_of(law: L.Law) -> list[tuple[str, float]]:
-    """Names and sizes of the unknowns that a law brings besides its pins'."""
-    if isinstance(law, L.Device):
-        return list(zip(law.states, law.scales, strict=True))
-    if isinstance(law, L.LinearBody):
-        return [
-            (port.name, 1e-3)
-            for k, port in enumerate(law.ports)
-            if port.kind in L.MECHANICAL and compliant(law, k)
-        ]
-    return []
 
 
 # --- stamps ---------------------------------------------------------------------------------------
@@ -486,7 +468,7 @@ def _body(law: L.LinearBody, into: _Assembly) -> None:
             charge = C[k] @ motion + sum((D[k, j] * f for j, f in volts.items()), np.zeros(n))
             into.M += np.outer(volts[k], charge)
             into.flows[f"{law.name}.{port.name}"] = (np.zeros(n), charge)
-        elif compliant(law, k):  # u = C x + D F with the force F on the part as an unknown
+        elif port.name in law.states:  # u = C x + D F with the force F on the part as an unknown
             at = into.own[f"{law.name}.{port.name}"]
             force = np.eye(1, n, at)[0]
             into.A[x, at] += B[:, k]

@@ -245,14 +245,11 @@ def _exchanged(system: System, segment: Segment) -> tuple[list[float], list[floa
                 if step.free is not None:
                     own = form[np.ix_(step.free.modes.where, step.free.modes.where)]
                     went[-1] += step.free.lost(step.start, step.end, own, dragged)
-    ends = [interval.inputs(*at) for at in ((steps[0].start, steps[0].first),
-                                            (steps[-1].end, steps[-1].last))]  # fmt: skip
-    for device, mode, first, last in zip(system.devices, interval.modes, *ends, strict=True):
+    for device, mode in zip(system.devices, interval.modes, strict=True):
         law = device.law
         if type(law).loss is not Device.loss:
             seen = zip(t.tolist(), (device.inputs @ X).T, strict=True)
             gained = np.array([law.loss(at, e, mode) for at, e in seen])
-            kept = law.stores(first, last, mode)
-            went.append(float(np.maximum(gained, 0.0) @ w) if kept is None else gained @ w - kept)
-            came.append(float(-np.minimum(gained, 0.0) @ w) if kept is None else 0.0)
+            went.append(float(np.maximum(gained, 0.0) @ w))
+            came.append(float(-np.minimum(gained, 0.0) @ w))
     return came, went

@@ -51,16 +51,13 @@ class Interval:
     def waves(self, t: np.ndarray, z: np.ndarray, r: np.ndarray) -> dict[str, np.ndarray]:
         """All waves (nt,) at times ``t`` (nt,) by states and their rates (n, nt)."""
         system, X, dX = self.system, self.seen(t, z), self.rates(t, r)
-        outputs, more = [np.zeros((0, t.size))], {}
+        outputs = [np.zeros((0, t.size))]
         for device, mode in zip(system.devices, self.modes, strict=True):
-            law, seen = device.law, (device.inputs @ X).T
-            points = zip(t.tolist(), seen, (device.inputs @ dX).T, strict=True)
+            seen, rates = (device.inputs @ X).T, (device.inputs @ dX).T
+            points = zip(t.tolist(), seen, rates, strict=True)
             outputs.append(np.array([device.out(*point, mode) for point in points]).T)
-            extra = [law.waves(*at, mode) for at in zip(t, seen, strict=True)] if law.extra else []
-            for key in law.extra:
-                more[f"{law.name}.{key}"] = np.array([row[key] for row in extra])
         y = system.now @ X + system.rated @ dX + system.direct @ np.concatenate(outputs)
-        return dict(zip(system.names, y + system.constant[:, None], strict=True)) | more
+        return dict(zip(system.names, y + system.constant[:, None], strict=True))
 
     def energy(self, t: float, z: np.ndarray) -> float:
         """Energy stored [J]."""

@@ -13,7 +13,7 @@ from kc2spice.netlist.deck import Block, Command, Deck, Option, ac, dc, transien
 from kc2spice.netlist.transforms import quiet
 from kc2spice.scene.compose import allocated
 from kc2spice.scene.model import Scene, scene_hash
-from kc2spice.scene.parttype import Build, begins, numerics
+from kc2spice.scene.parttype import Build, begins, mover, numerics
 from kc2spice.scene.plan import MAX_STEP
 from kc2spice.scene.plausible import built, judged
 from kc2spice.scene.rest import free, unsettled
@@ -130,6 +130,8 @@ def _header(scene: Scene) -> Header:
 def _libraries(build: Build, header: Header) -> Iterator[Subcircuit]:
     known: dict[str, Subcircuit] = {}
     for part in build.scene.parts.values():
+        if mover(part.name, build.scene):
+            continue
         for found in part.type.subcircuits(part, build, header):
             if build.noisy and not part.netlist:
                 found = quiet(found, part.type.resistive)
@@ -221,7 +223,8 @@ def _initial(build: Build) -> dict[str, float]:
     parts = build.scene.parts
     if build.scene.analysis.type != "transient":
         return {}
-    states = {name: part.type.initial(part, build) for name, part in parts.items()}
+    own = (part for part in parts.values() if not mover(part.name, build.scene))
+    states = {part.name: part.type.initial(part, build) for part in own}
     found = {node: value for each in states.values() for node, value in each.items()}
     for group in free(build):
         if group.nets and not group.bodies and not any(states[name] for name in group.parts):

@@ -14,15 +14,16 @@ from kc2spice.core.waveforms import Waveforms
 from kc2spice.scene.compose import electrical, metered
 from kc2spice.scene.keys import model_keys
 from kc2spice.scene.model import Part, Scene
-from kc2spice.scene.parttype import Build, Swept, Vector
+from kc2spice.scene.parttype import Build, Swept, Vector, mover
 from kc2spice.workflow import noise
 
 Pairs = tuple[tuple[str, str], ...]  # names of a voltage and of the current that belongs to it
 
 
 def replaced(scene: Scene) -> set[str]:
-    """Parts without cards of their own, as those of others have copies of them."""
-    return {name for part in scene.parts.values() for name in part.type.replaces(part, scene)}
+    """Parts without cards of their own, as those of others have copies of them or move them."""
+    copied = {name for part in scene.parts.values() for name in part.type.replaces(part, scene)}
+    return copied | {name for name in scene.parts if mover(name, scene)}
 
 
 def result_vectors(build: Build) -> dict[str, Vector]:
