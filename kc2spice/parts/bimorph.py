@@ -191,22 +191,6 @@ class Bimorph(BondedBody):
     name = "bimorph"
     title = "layered beam that bends (3-D piezoelectric FE, reduced)"
     schema = BimorphKeys
-    example = """
-[bimorph]
-part = "bimorph"
-length = "30 mm"
-width = "5 mm"
-layers = [
-  { material = "PZT-5A", thickness = "0.3 mm" },
-  { material = "PZT-5A", thickness = "0.3 mm" },
-]
-wiring = "parallel"
-pins = { anode = "drive.out" }
-
-[drive]
-part = "source"
-dc = "50 V"
-"""
     source = "FE (piezoelectric, hexahedra)"
     structure = staticmethod(structure)
 

@@ -44,24 +44,6 @@ register(
                 ),
             ),
             rating="not known; compare the field v / gap with the breakdown of what is in the gap",
-            example="""
-[comb_drive]
-part = "comb_drive"
-fingers = 50
-thickness = "25 um"
-gap = "2 um"
-overlap = "20 um"
-travel = "30 um"
-pins = { plus = "drive.out", a = "spring.a" }
-
-[spring]
-part = "spring"
-stiffness = "1 N/m"
-
-[drive]
-part = "source"
-dc = "10 V"
-""",
         )
     )
 )

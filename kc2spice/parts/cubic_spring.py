@@ -28,18 +28,6 @@ register(
             neglected=(
                 ("mass of the spring", "it joins two pins without inertia", "not estimated"),
             ),
-            example="""
-[cubic_spring]
-part = "cubic_spring"
-stiffness = "100 N/m"
-cubic = "1e10 N/m3"
-pins = { a = "push.out" }
-
-[push]
-part = "source"
-kind = "force"
-dc = "10 mN"
-""",
         )
     )
 )

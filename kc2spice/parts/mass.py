@@ -45,17 +45,6 @@ class PointMass(Touching, TemplatePart):
     rating, validity = "none: rigid", "rigid, in vacuum, at any temperature"
     sign = "um and N count along the pin's direction; 1 A into a pin pushes it that way"
     fixed = (Terminal("a", "um", "N", required=True), Terminal("base", "um", "N", "gnd"))
-    example = """
-[mass]
-part = "mass"
-mass = "1 mg"
-pins = { a = "push.out" }
-
-[push]
-part = "source"
-kind = "force"
-pulse = { high = "10 mN", width = "1 ms", edge = "1 us" }
-"""
 
     def at_rest(self, part: Part, scene: Scene, model: Any | None = None) -> Rest:
         falls = part.keys.weight and scene.gravity

@@ -154,34 +154,6 @@ class MovingConductor(DeclaredPart):
     parameters: ClassVar[type[Section]] = Conduction
     rating = "not known; i^2 resistance heats each coil, the eddy currents the body"
     source = "rings (integral equation, axisymmetric), reduced"
-    example = """
-[moving_conductor]
-part = "moving_conductor"
-radius = "65 mm"
-thickness = "3 mm"
-conductivity = 3.4e7
-y_min = "2 mm"
-y_max = "20 mm"
-rings = 60
-pins = { coil_p = "drive.out", a = "disc.a" }
-
-[moving_conductor.coils.coil]
-radius = "41 mm"
-width = "28 mm"
-height = "52 mm"
-y = "-26 mm"
-turns = 960
-resistance = "5 Ohm"
-
-[disc]
-part = "mass"
-mass = "0.107 kg"
-position = "5 mm"
-
-[drive]
-part = "source"
-sine = { amplitude = "10 V", frequency = "50 Hz" }
-"""
 
     def __init__(self) -> None:
         """What it declares follows from its keys and its model."""

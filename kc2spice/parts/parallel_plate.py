@@ -44,22 +44,6 @@ register(
                 ("rebound losses of the stop", "it is elastic", "not estimated"),
             ),
             rating="not known; compare v / (gap - x) with the breakdown of what is in the gap",
-            example="""
-[parallel_plate]
-part = "parallel_plate"
-area = "0.01 mm2"
-gap = "2 um"
-travel = "1.5 um"
-pins = { plus = "drive.out", a = "spring.a" }
-
-[spring]
-part = "spring"
-stiffness = "1 N/m"
-
-[drive]
-part = "source"
-dc = "3 V"
-""",
         )
     )
 )

@@ -46,28 +46,6 @@ register(
                 ("mass of coil and cone", "a mass at a stands for it", "none where it is there"),
             ),
             rating="not known; i^2 resistance is the power that heats the coil",
-            example="""
-[voice_coil]
-part = "voice_coil"
-resistance = "6 Ohm"
-inductance = "0.5 mH"
-bl = "5 N/A"
-bl1 = "-100 N/(A m)"
-bl2 = "-5e4 N/(A m2)"
-cms = "1 mm/N"
-cms1 = "0.02 1/N"
-cms2 = "-10 1/(N m)"
-damping = "1 N s/m"
-pins = { plus = "drive.out", a = "cone.a" }
-
-[cone]
-part = "mass"
-mass = "10 g"
-
-[drive]
-part = "source"
-sine = { amplitude = "1 V", frequency = "50 Hz" }
-""",
         )
     )
 )

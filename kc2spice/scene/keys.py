@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import Any, get_args
@@ -85,7 +86,7 @@ def _with_unit(key: Key, unit: Any) -> Key:
 
 @dataclass(frozen=True)
 class PartDoc:
-    """One part type; ``scene`` is the built-in scene that the pins are taken from, if any."""
+    """One part type; ``scene`` is the built-in scene that pins and example are from, if any."""
 
     name: str
     title: str
@@ -103,18 +104,22 @@ def part_docs() -> Iterator[PartDoc]:
     for name, kind in part_types().items():
         scene_name: str | None = None
         pins: tuple[Terminal, ...] = ()
-        if kind.example:
-            pins = _pins(load_scene({"name": "example", **parse_toml(kind.example)}), kind)
+        example = kind.example
+        if example:
+            pins = _pins(load_scene({"name": "example", **parse_toml(example)}), kind)
         elif name in shown:
             scene_name, part, scene = shown[name]
             pins = kind.pins(part, replace(scene, ports="all"))
+            tables = gallery()[scene_name].read_text().split("\n\n")
+            own = rf"(#.*\n)*\[{part.name}[].]"
+            example = "\n\n".join(table for table in tables if re.match(own, table))
         yield PartDoc(
             name,
             kind.title,
             " ".join((kind.schema.__doc__ or "").split()),
             pins,
             tuple(model_keys(kind.schema)),
-            kind.example.strip(),
+            example.strip(),
             scene_name,
             (SHORT[name],) if name in SHORT else (),
         )

@@ -20,12 +20,11 @@ from kc2spice.parts.two_terminal_types import TABLE
 from kc2spice.physics import cards, contact, law
 from kc2spice.physics.contact import Normal, contact_law
 from kc2spice.physics.expression import times
-from kc2spice.physics.part import DeclaredPart
-from kc2spice.scene.load import load_scene
+from kc2spice.scene.load import gallery, load_scene
 from kc2spice.scene.parttype import Build, part_types
 from kc2spice.spice.header import Header
 
-DECLARED = {n: kind for n, kind in part_types().items() if isinstance(kind, DeclaredPart)}
+DECLARED = {n: kind for n, kind in part_types().items() if hasattr(kind, "declaration")}
 DIALECTS = ("ngspice", "xyce", "ltspice", "verilog-a")
 PLAIN = {row.name for row in TABLE}  # cards of a deck, of which there is no module
 PRINTED = [(n, d) for n in sorted(DECLARED) for d in DIALECTS if d != "verilog-a" or n not in PLAIN]
@@ -224,7 +223,10 @@ def probes(text):
 
 
 def example(name):
-    scene = load_scene({"name": "example", **parse_toml(part_types()[name].example)})
+    if given := part_types()[name].example:
+        scene = load_scene({"name": "example", **parse_toml(given)})
+    else:
+        scene = next(each for each in map(load_scene, gallery()) if each.of(name))
     return scene, scene.of(name)[0]
 
 
