@@ -287,13 +287,13 @@ def dented(shape: PressureBasis, compliance: np.ndarray, gap: np.ndarray) -> Ind
 def pressing(compliance: np.ndarray, gap: np.ndarray, depth: np.ndarray) -> np.ndarray:
     """(depths, n) forces [N]: pressure where, and only where, the sphere meets the surface."""
     rigid = np.full(gap.size, RIGID / compliance.diagonal().max())
-    return np.array([contact_forces(compliance, x - gap, rigid)[0] for x in depth])
+    return np.array([contact_forces(compliance, x - gap, rigid) for x in depth])
 
 
 def contact_forces(
     compliance: np.ndarray, penetration: np.ndarray, penalty: np.ndarray
-) -> tuple[np.ndarray, int]:
-    """Solve ``f = penalty * max(0, penetration - compliance f)`` for f >= 0; also the iterations.
+) -> np.ndarray:
+    """Solve ``f = penalty * max(0, penetration - compliance f)`` for f >= 0.
 
     ``compliance`` (c, c) is symmetric positive semi-definite, which makes the solution unique.
     The iteration stops only when the set of closed springs repeats, that is at the solution.
@@ -303,14 +303,14 @@ def contact_forces(
     SimulationError : no set repeats within the limit.
     """
     closed = penetration > 0
-    for iteration in range(1, ITERATIONS + 1):
+    for _ in range(ITERATIONS):
         force = np.zeros_like(penetration)
         index = np.flatnonzero(closed)
         system = compliance[np.ix_(index, index)] + np.diag(1 / penalty[index])
         force[index] = np.linalg.solve(system, penetration[index])
         now = penetration - compliance @ force > 0
         if np.array_equal(now, closed):
-            return force, iteration
+            return force
         closed = now
     raise SimulationError(
         "contact does not settle",

@@ -13,6 +13,17 @@ _TOKEN = re.compile(
     r"|(?P<name>[A-Za-z_]\w*)"
     r"|(?P<op>\*\*|<=|>=|==|!=|&&|\|\||[-+*/^<>?:(),{}!~%]))"
 )
+# Functions that all simulators have; those of ngspice's behavioural sources, where ``limit`` is of
+# its statistics and returns 0; and its words.
+EVERYWHERE = frozenset((
+    "abs", "acos", "asin", "atan", "cos", "cosh", "exp", "floor", "ln", "max", "min", "sin",
+    "sinh", "sqrt", "tan", "tanh",
+))  # fmt: skip
+FUNCTIONS = EVERYWHERE.union((
+    "acosh", "asinh", "atanh", "buf", "ceil", "inv", "log", "log10", "nint", "pow", "pwl", "pwr",
+    "sgn", "u", "u2", "uramp",
+))  # fmt: skip
+BUILT_IN = frozenset(("boltz", "e", "gmin", "hertz", "pi", "temp", "temper", "time", "vt"))
 _LEVELS = (("||",), ("&&",), ("==", "!=", "<", ">", "<=", ">="), ("+", "-"), ("*", "/"))
 _RANK = {op: rank for rank, ops in enumerate(_LEVELS) for op in ops}
 _SUFFIX = {"meg": 1e6, "mil": 25.4e-6, "t": 1e12, "g": 1e9, "k": 1e3, "m": 1e-3, "u": 1e-6,

@@ -17,13 +17,14 @@ element sits on whatever node of the deck has the name of its own.
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 
 from kc2spice.core.errors import UsageError
 from kc2spice.core.foreign import name_threat, plain_name, read_bounded
 from kc2spice.netlist.cards import comment
+from kc2spice.netlist.expression import BUILT_IN, FUNCTIONS
 from kc2spice.netlist.read import OPTION_CARDS, Statement, split_comment, statements
 
 MOST_BYTES = 4_000_000  # bytes of one file, and characters of the whole text
@@ -204,15 +205,12 @@ def _decoded(data: bytes) -> str:
 # --- cards that act on a whole deck ---
 
 # fmt: off
-FUNCTIONS = frozenset((
-    "abs", "acos", "acosh", "agauss", "arctan", "asin", "asinh", "atan", "atan2", "atanh", "aunif",
-    "buf", "ceil", "cos", "cosh", "db", "ddt", "exp", "floor", "gauss", "hypot", "i", "if", "int",
-    "inv", "limit", "ln", "log", "log10", "max", "min", "nint", "pow", "pwl", "pwr", "pwrs", "sgn",
-    "sign", "sin", "sinh", "sqr", "sqrt", "stp", "table", "tan", "tanh", "ternary_fcn", "u", "u2",
-    "unif", "uramp", "v",
+# Names of every card, not of sources alone.
+_FUNCTIONS = FUNCTIONS.union((
+    "agauss", "arctan", "atan2", "aunif", "db", "ddt", "gauss", "hypot", "i", "if", "int", "limit",
+    "pwrs", "sign", "sqr", "stp", "table", "ternary_fcn", "unif", "v",
 ))
-CONSTANTS = frozenset(("boltz", "c", "e", "echarge", "false", "gmin", "hertz", "kelvin", "pi",
-                       "planck", "temp", "temper", "time", "true", "vt"))
+_CONSTANTS = BUILT_IN.union(("c", "echarge", "false", "kelvin", "planck", "true"))
 # Options that change what is printed and nothing that is computed.
 HARMLESS = frozenset(("acct", "list", "noacct", "node", "nomod", "nopage", "numdgt", "opts", "post",
                       "probe", "warn", "width"))
@@ -225,33 +223,17 @@ _PARTS = "a file of subcircuits with their models, parameters and functions"
 _Reason = tuple[str, str, str]  # what the netlist does, what is expected, what to do
 
 
-def refuse_in_part(cards: Iterable[tuple[Statement, str]]) -> None:
-    """Nothing, if a part's netlist keeps to itself; ``cards`` come with ``file:line`` of each.
+def refuse(cards: Iterable[tuple[Statement, str]], *, part: bool) -> None:
+    """Nothing, if a part's netlist keeps to itself, or an edited deck of ours leaves its parts what
+    they are; ``cards`` come with ``file:line`` of each.
 
     Raises
     ------
-    UsageError : an analysis, an output, a global node, a temperature, an option that is more than
-        one of printing, a built-in function or constant that is defined again, or an element or
-        initial condition outside of every subcircuit; it names file and line.
+    UsageError : a global node, or a built-in function or constant that is defined again; of a part
+        an analysis, an output, a temperature, an option that is more than one of printing, or an
+        element or initial condition outside of every subcircuit; of a deck results at interpolated
+        times. It names file and line.
     """
-    _refuse(cards, _of_part)
-
-
-def refuse_in_deck(cards: Iterable[tuple[Statement, str]]) -> None:
-    """Nothing, if an edited deck of ours leaves its parts what they are.
-
-    Raises
-    ------
-    UsageError : a global node, a built-in function or constant that is defined again, or results
-        at interpolated times; it names file and line.
-    """
-    _refuse(cards, _of_deck)
-
-
-def _refuse(
-    cards: Iterable[tuple[Statement, str]],
-    reasons: Callable[[Statement, bool], Iterator[_Reason]],
-) -> None:
     depth, commands = 0, False
     for card, where in cards:
         key = card.keyword
@@ -259,7 +241,8 @@ def _refuse(
             commands = key != ".endc"
             continue
         depth += (key == ".subckt") - (key == ".ends")
-        for what, expected, hint in (*reasons(card, depth == 0), *_everywhere(card, depth == 0)):
+        own = _of_part(card, depth == 0) if part else _of_deck(card)
+        for what, expected, hint in (*own, *_everywhere(card, depth == 0)):
             got = card.text[:120]
             raise UsageError(
                 f"the netlist {what}", where=where, got=got, expected=expected, hint=hint
@@ -283,7 +266,7 @@ def _of_part(card: Statement, outside: bool) -> Iterator[_Reason]:
         yield what, _PARTS, "put it into the .subckt or drop it"
 
 
-def _of_deck(card: Statement, outside: bool) -> Iterator[_Reason]:
+def _of_deck(card: Statement) -> Iterator[_Reason]:
     if "interp" in accuracy((card,)):
         hint = "drop it: events lie between the points that it keeps"
         yield "sets the option interp", "results at every time point", hint
@@ -296,7 +279,7 @@ def _everywhere(card: Statement, outside: bool) -> Iterator[_Reason]:
         yield "makes nodes global", "nodes of subcircuits", hint
     defined = _FUNCTION.match(card.text)
     given = card.words[1:] if card.keyword in (".param", ".params") else ()
-    again = (defined and defined[1].lower() in FUNCTIONS) or CONSTANTS.intersection(
+    again = (defined and defined[1].lower() in _FUNCTIONS) or _CONSTANTS.intersection(
         word.partition("=")[0].lower() for word in given
     )
     if outside and again:
@@ -387,7 +370,7 @@ def included_netlist(name: str, home: Path, *, trust: bool = False) -> Flat:
             hint="copy the netlist beside the scene, or repeat with --trust",
         )
     found = checked(home / name, trust=trust, home=home)
-    refuse_in_part(found.cards())
+    refuse(found.cards(), part=True)
     return found
 
 
@@ -401,7 +384,7 @@ def looked_at(name: str, home: Path) -> Flat:
     """
     path = home / name
     found = flatten(path, path.parent if home == Path() else home, trust=True, inside=True)
-    refuse_in_part(found.cards())
+    refuse(found.cards(), part=True)
     return found
 
 

@@ -9,17 +9,21 @@ from collections.abc import Collection, Iterable, Iterator
 from kc2spice.core.errors import UsageError
 from kc2spice.netlist.circuit import Card, Circuit, Element, Function, Parameters
 from kc2spice.netlist.deck import Deck
-from kc2spice.netlist.expression import Binary, Call, Name, Number, Probe, Tree, parse, walk
+from kc2spice.netlist.expression import (
+    BUILT_IN,
+    FUNCTIONS,
+    Binary,
+    Call,
+    Name,
+    Number,
+    Probe,
+    Tree,
+    parse,
+    walk,
+)
 from kc2spice.netlist.read import declared_pins
 from kc2spice.netlist.scope import GROUND, Scope
 
-BUILT_IN = frozenset({"time", "temper", "temp", "hertz", "pi", "e", "boltz", "gmin", "vt"})
-# Functions of ngspice's behavioural sources; ``limit`` is among its statistics and returns 0.
-FUNCTIONS = frozenset(
-    ("abs", "acos", "acosh", "asin", "asinh", "atan", "atanh", "ceil", "cos", "cosh", "exp",
-     "floor", "ln", "log", "log10", "max", "min", "nint", "pow", "pwl", "pwr", "sgn", "sin",
-     "sinh", "sqrt", "tan", "tanh", "u", "u2", "uramp", "buf", "inv")
-)  # fmt: skip
 _ODD = tuple(Number(text) for text in ("1", "3", "5", "7", "9"))
 # What LTspice adds to elements, and the element that says the same everywhere.
 _PARASITIC = {"rser": "R in series", "lser": "L in series", "rpar": "R across it",

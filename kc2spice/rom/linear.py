@@ -327,11 +327,7 @@ def with_potentials(
     K_up: Matrix = None,
     K_pp: Matrix = None,
     k_pV: np.ndarray | None = None,
-    alpha: float = 0.0,
-    beta: float = 0.0,
-    E: Matrix = None,
-    facts: Mapping[str, float] | None = None,
-    name: str = "model",
+    **others: Any,
 ) -> LinearModel:
     """Voltage-driven piezoelectric model with its free potentials eliminated exactly.
 
@@ -353,7 +349,7 @@ def with_potentials(
     k_uV, k_pV, c_VV : (n, e), (m, e) and (e, e) in the order of the electrical ports; one
         electrode may leave the second dimension out.
     ports : all ports in any order.
-    alpha, beta : ``E = alpha M + beta K`` with the condensed K; or ``E`` (n, n) itself.
+    others : of :class:`LinearModel`; its ``rayleigh`` is that of the condensed K, none by default.
 
     Raises
     ------
@@ -376,7 +372,7 @@ def with_potentials(
     if is_electrode.sum() != electrodes or (~is_electrode).sum() != B.shape[1]:
         raise UsageError(
             "ports do not fit",
-            where=name,
+            where=others.get("name"),
             got=[p.name for p in ports],
             expected=f"{electrodes} electrical and {B.shape[1]} others",
         )
@@ -384,18 +380,9 @@ def with_potentials(
     drive, D = np.empty((len(B), count)), np.zeros((count, count))
     drive[:, is_electrode], drive[:, ~is_electrode] = b, B
     D[np.ix_(is_electrode, is_electrode)] = 0.5 * (C0 + C0.T)
-    rayleigh = (alpha, beta) if E is None else None
-    return LinearModel(
-        M=M,
-        E=E,
-        K=K,
-        B=drive,
-        D=D,
-        ports=tuple(ports),
-        rayleigh=rayleigh,
-        facts=facts or {},
-        name=name,
-    )
+    if "E" not in others:
+        others = {"rayleigh": (0.0, 0.0), **others}
+    return LinearModel(M=M, K=K, B=drive, D=D, ports=tuple(ports), **others)
 
 
 def negated(matrix: Matrix) -> Matrix:

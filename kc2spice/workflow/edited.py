@@ -12,7 +12,7 @@ from kc2spice.core.errors import UsageError
 from kc2spice.netlist.circuit import Element
 from kc2spice.netlist.deck import Command, Deck
 from kc2spice.netlist.expression import literal, vector
-from kc2spice.netlist.foreign import ANALYSES, HARMLESS, accuracy, checked, refuse_in_deck
+from kc2spice.netlist.foreign import ANALYSES, HARMLESS, accuracy, checked, refuse
 from kc2spice.netlist.read import Statement
 from kc2spice.netlist.scope import circuit, has_vector
 from kc2spice.scene.parttype import Build
@@ -37,7 +37,7 @@ def edited_deck(build: Build, path: Path) -> tuple[Deck, Build]:
     own = make_deck(build)
     found = checked(path, trust=build.trust)
     text, placed = found.text, list(found.cards(title=True))
-    refuse_in_deck(placed)
+    refuse(placed, part=False)
     cards = [card for card, _ in placed]
     analyses = [s for s in cards if s.keyword in ANALYSES]
     if [s.keyword for s in analyses] != [f".{own.command.kind}"]:

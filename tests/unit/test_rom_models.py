@@ -89,7 +89,7 @@ def test_free_potentials_are_eliminated_exactly(potentials, damping):
     B = rng(4).standard_normal((n, 2))
     kinds = ("mechanical", "electrical", "mechanical", "electrical")
     ports = tuple(Port(f"p{k}", kind) for k, kind in enumerate(kinds))
-    given = {"E": E} if damping == "E" else {"alpha": 0.3, "beta": 0.02}
+    given = {"E": E} if damping == "E" else {"rayleigh": (0.3, 0.02)}
     if m:
         given |= {"K_up": up, "K_pp": sparse.csc_array(pp), "k_pV": pV}
     model = with_potentials(

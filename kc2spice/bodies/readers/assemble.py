@@ -336,8 +336,7 @@ def _with_electrodes(rows: Rows) -> LinearModel:
             "electrodes at nodes go with M and K and conservative ports", where=said.where
         )
     K, M, E = rows.found["K"], rows.found["M"], rows.found.get("E")
-    alpha, beta = said.damping.rayleigh
-    if E is not None and (alpha or beta):
+    if E is not None and any(said.damping.rayleigh):
         expected = "matrix E or 'damping'"
         raise UsageError("damping is given twice", where=said.where, expected=expected)
     potential = rows.dofs(rows.where).kind == VOLT
@@ -361,7 +360,8 @@ def _with_electrodes(rows: Rows) -> LinearModel:
             expected="K = [[K_uu, K_up], [K_up', -K_pp]] with K_pp positive definite",
         )
     loads = [rows.load(entry)[u] for entry in said.ports if entry.kind != "electrical"]
-    model = with_potentials(
+    damping = {"rayleigh": said.damping.rayleigh} if E is None else {"E": _cut(E, u)}
+    return with_potentials(
         M=_cut(M, u),
         K_uu=_cut(K, u),
         K_up=sparse.csc_array(K[u][:, p]),
@@ -371,10 +371,8 @@ def _with_electrodes(rows: Rows) -> LinearModel:
         c_VV=c,
         B=np.reshape(loads, (len(loads), len(u))).T,
         ports=[entry.port for entry in said.ports],
-        alpha=alpha,
-        beta=beta,
-        E=None if E is None else _cut(E, u),
         facts={"unknowns": len(u) + len(p)},
         name=rows.name,
+        band=said.band,
+        **damping,
     )
-    return replace(model, band=said.band)

@@ -21,7 +21,17 @@ from kc2spice.netlist.circuit import (
     Parameters,
 )
 from kc2spice.netlist.deck import ANALYSES
-from kc2spice.netlist.expression import Binary, Call, Choice, Number, Trace, Tree, Unary, vector
+from kc2spice.netlist.expression import (
+    EVERYWHERE,
+    Binary,
+    Call,
+    Choice,
+    Number,
+    Trace,
+    Tree,
+    Unary,
+    vector,
+)
 from kc2spice.netlist.printers.ngspice import Printer
 from kc2spice.netlist.scope import INCLUDES
 
@@ -37,11 +47,7 @@ _SEMICONDUCTORS = {
 _SEMICONDUCTORS |= {
     p: _SEMICONDUCTORS[n] for p, n in (("pnp", "npn"), ("pmos", "nmos"), ("pjf", "njf"))
 }
-COMMON = frozenset(
-    ("abs", "acos", "acosh", "asin", "asinh", "atan", "atanh", "ceil", "cos", "cosh", "exp",
-     "floor", "int", "ln", "log10", "max", "min", "sgn", "sin", "sinh", "sqrt", "tan", "tanh",
-     "uramp")
-)  # fmt: skip
+COMMON = EVERYWHERE.union(["acosh", "asinh", "atanh", "ceil", "int", "log10", "sgn", "uramp"])
 _EULER = "2.718281828459045"
 
 

@@ -24,6 +24,7 @@ from kc2spice.netlist.circuit import (
 )
 from kc2spice.netlist.deck import Deck, retold
 from kc2spice.netlist.expression import (
+    EVERYWHERE,
     Binary,
     Name,
     Probe,
@@ -63,10 +64,6 @@ _WORDS = (
     "zi_zd zi_zp electrical V I"
 )
 _RESERVED = frozenset(_WORDS.split())
-_FUNCTIONS = frozenset(
-    ("abs", "acos", "asin", "atan", "cos", "cosh", "exp", "floor", "ln", "max", "min", "sin",
-     "sinh", "sqrt", "tan", "tanh")
-)  # fmt: skip
 HOLD = 1e9  # S, of initial conditions
 SERIES = 1e-15  # Ohm, of a source of voltage
 _SWITCH = {"vt": "0.0", "vh": "0.0", "ron": "1.0", "roff": "1e12"}
@@ -184,7 +181,7 @@ class Names(Writer):
             x = self.write(arguments[0])
             return f"({x} > 0.0 ? 1.0 : ({x} < 0.0 ? -1.0 : 0.0))"
         spelled = "ln" if function == "log" else function
-        if spelled not in _FUNCTIONS:
+        if spelled not in EVERYWHERE:
             raise UsageError("Verilog-A cannot say this function", where=self.where, got=function)
         return super().call(spelled, arguments)
 
