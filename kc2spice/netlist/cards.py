@@ -1,12 +1,15 @@
-"""How numbers and names are spelled on a netlist card."""
+"""How numbers and names are spelled on a netlist card, and templates that a person reads."""
 
 from __future__ import annotations
 
 import math
 import re
 from collections.abc import Sequence
+from functools import cache
+from pathlib import Path
+from typing import Any
 
-from kc2spice.core.errors import UsageError
+from kc2spice.core.errors import MissingToolError, UsageError
 
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,63}")
 # Simulators read these as ground, clock, temperature, a constant, a multiplier, a function.
@@ -85,3 +88,45 @@ def distinct(names: Sequence[str], inner: str, *, where: str) -> None:
 def comment(text: str) -> str:
     """``text`` on one line, so that no word of it can ever become a card."""
     return " ".join("".join(ch if ch.isprintable() else " " for ch in text).split())
+
+
+# --- templates ---
+
+
+def template_directory() -> Path:
+    """``kc2spice/templates`` of a wheel, else ``templates`` beside the package in a checkout."""
+    package = Path(__file__).resolve().parent.parent
+    for place in (package / "templates", package.parent / "templates"):
+        if place.is_dir():
+            return place
+    raise MissingToolError(
+        "the netlist templates are not installed", where=str(package), hint="reinstall kc2spice"
+    )
+
+
+@cache
+def _environment() -> Any:
+    from jinja2 import Environment, FileSystemLoader, StrictUndefined
+
+    environment = Environment(
+        loader=FileSystemLoader(template_directory()),
+        undefined=StrictUndefined,  # a missing value is an error, never an empty field
+        trim_blocks=True,
+        lstrip_blocks=True,
+        keep_trailing_newline=True,
+        line_comment_prefix="##",
+    )
+    environment.filters.update(n=number, name=name, comment=comment, q=quoted)
+    return environment
+
+
+def quoted(text: str) -> str:
+    """``text`` as a string of an S-expression."""
+    escaped = text.replace("\\", "\\\\").replace('"', '\\"').replace("\n", "\\n")
+    return f'"{escaped}"'
+
+
+def render(template: str, **values: object) -> str:
+    """Text of ``template``; filters are ``n`` (number), ``name`` (checked), ``comment``
+    and ``q`` (a string of an S-expression)."""
+    return _environment().get_template(template).render(**values)

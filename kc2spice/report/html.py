@@ -18,7 +18,7 @@ from jinja2.utils import htmlsafe_json_dumps
 
 from kc2spice.core.figure import Curve, Figure, Map
 from kc2spice.core.version import __version__
-from kc2spice.netlist.render import template_directory
+from kc2spice.netlist.cards import template_directory
 
 SHOWN = 4000  # points of a curve in a page
 

@@ -9,9 +9,8 @@ from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
 from kc2spice.core.version import __version__
-from kc2spice.netlist.cards import comment, name, number, word
+from kc2spice.netlist.cards import comment, name, number, render, word
 from kc2spice.netlist.circuit import Param, Pin, Subcircuit
-from kc2spice.netlist.render import render
 from kc2spice.rom.linear import Certificate
 from kc2spice.scene.model import Terminal
 from kc2spice.scene.plan import Plan

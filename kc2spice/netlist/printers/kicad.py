@@ -19,13 +19,13 @@ from types import SimpleNamespace
 from uuid import NAMESPACE_URL, uuid5
 
 from kc2spice.core.errors import UsageError
+from kc2spice.netlist.cards import render
 from kc2spice.netlist.circuit import Directive, Element, Subcircuit
 from kc2spice.netlist.deck import Deck
 from kc2spice.netlist.expression import vector
 from kc2spice.netlist.printers.box import Box, Place, layout
 from kc2spice.netlist.printers.ngspice import Printer
 from kc2spice.netlist.read import subcircuits
-from kc2spice.netlist.render import render
 from kc2spice.netlist.scope import GROUND, Scope
 
 GRID = 2.54  # mm, 100 mil
