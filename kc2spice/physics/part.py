@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 _NODE = {"displacement": ("um", "N"), "voltage": ("V", "A"), "current": ("V", "A")}
 _SIGN = "um and N count along plus less minus; 1 A into a pin pushes the part that way with 1 N"
-STRIKES = 2.0  # of a stop; plates that struck it four to nine times were 1 to 20 % off
+STRIKES = 1.0  # of a stop; plates that struck it twice to nine times were up to 20 % off
 REBOUND = "what follows may hang on every step: error_budget estimates the error of each metric"
 _UNEXPLAINED = 1e-3  # share of what pins bring in that the steps of a run may lose
 

@@ -162,3 +162,31 @@ def test_a_keeper_rests_where_spring_and_flux_are_even(core, magnet, amps):
     balance = k * np.polynomial.Polynomial([gap, -1]) * left**2 * mu * area - whole**2
     rest = gap - max(r.real for r in balance.roots() if abs(r.imag) < 1e-12)
     assert kc.run(scene).waves["yoke.x"][-1] == pytest.approx(rest, rel=1e-6)
+
+
+@pytest.mark.parametrize(("stop", "warned"), [(0.4e-3, False), (0.8e-3, True)])
+def test_a_mass_thrown_at_a_stop_and_what_is_said_of_its_second_strike(stop, warned):
+    """On a spring, in pieces of sines: between strikes near pull-in an error of steps grows."""
+    m, k, hard, travel, speed = 1e-6, 100.0, 1e6, 2e-6, 0.05
+    comb = {"fingers": 10, "thickness": "1 um", "gap": "1 um", "overlap": "1 mm"}
+    result = kc.run({
+        "name": "bouncing",
+        "drive": {"part": "source", "dc": 0.0},
+        "comb": {"part": "comb_drive", "travel": travel, "stop": hard, **comb,
+                 "pins": {"plus": "drive.out", "a": "mass.a"}},
+        "mass": {"part": "mass", "mass": m, "velocity": speed},
+        "spring": {"part": "spring", "stiffness": k, "pins": {"a": "mass.a"}},
+        "analysis": {"type": "transient", "stop": stop},
+    })  # fmt: skip
+    w, inner, rest = np.sqrt(k / m), np.sqrt((k + hard) / m), hard * travel / (k + hard)
+    angle = np.arcsin(travel * w / speed)  # of the free motion where it meets the stop
+    off, fast = travel - rest, speed * np.cos(angle) / inner
+    closed, free = 2 * np.arctan2(fast, off) / inner, (np.pi + 2 * angle) / w
+    since = (result.waves["time"] - angle / w) % (closed + free)
+    inside = rest + off * np.cos(inner * since) + fast * np.sin(inner * since)
+    outside = speed / w * np.sin(np.pi - angle + w * (since - closed))
+    exact, share = np.where(since < closed, inside, outside), np.gradient(result.waves["time"])
+    error = np.sqrt(share @ (result.waves["comb.x"] - exact) ** 2 / (share @ exact**2))
+    assert error < 1e-3
+    (strikes,) = (c for c in result.record["checks"] if c["name"] == "strikes of comb")
+    assert strikes["passed"] is not warned
