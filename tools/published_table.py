@@ -3,7 +3,7 @@
 python tools/published_table.py [SCENE ...]
 
 Every device is a scene of the gallery or of docs/published; nothing is fitted. With names, only
-these are computed and printed, and of the page's files only their curves are written. Takes some
+these are computed, and the page keeps its rows and pictures of all others; all of them take some
 minutes.
 """
 
@@ -13,14 +13,14 @@ import shutil
 import sys
 import tempfile
 import tomllib
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeAlias
 
 import numpy as np
 
-from kc2spice.bodies.impedance import analyse, impedance
+from kc2spice.bodies.impedance import analyse
 from kc2spice.core.figure import Curve, Figure, Panel, scale_axis
 from kc2spice.core.progress import Clock
 from kc2spice.report.figures import draw_all
@@ -63,8 +63,9 @@ EDGES = (0.1, 1.0, 5.0, 10.0, 20.0)  # us, of the kick's drive
 HEAD = """# Devices with published numbers
 
 Textbook materials and the dimensions of the sheet or paper; no property is fitted. Rows
-marked *assumed* rest on a key that the source does not give. Discs are free plates (sheets measure
-at the node, which changes the resonance by a tenth of a percent).
+marked *assumed* rest on a key that the source does not give. Those marked *measured* are of one
+device on a bench; the others are of sheets, closed forms and finite elements of others. Discs are
+free plates (sheets measure at the node, which changes the resonance by a tenth of a percent).
 *full* is the finite-element model, *reduced* what the subcircuit is made from, *ngspice* a run of
 the emitted netlist; of the cases with complete inputs *full* and *reduced* are the independent
 integration of the laws with the full and the reduced models. What a column cannot give is "-".
@@ -128,7 +129,9 @@ def analysed(name: str, part: str) -> Analyser:
     full, reduced = models(load_scene(name, []), part)
     record, waves, out = simulate(name)
     frequency = waves["frequency"].real
-    read = analyse(frequency, impedance(reduced, frequency, "anode")).metrics()
+    at = [port.name for port in reduced.ports].index("anode")
+    charge = reduced.transfer(frequency)[:, at, at]
+    read = analyse(frequency, 1 / (2j * np.pi * frequency * charge)).metrics()
     return Analyser(full, read, record["metrics"], out)
 
 
@@ -221,6 +224,8 @@ def rows(name: str, entry: Mapping[str, Any], found: Mapping[str, Answer]) -> li
         limit = f"{sheet['value'] / unit:.3g} {text} ± {100 * sheet['tolerance']:.3g} %"
         if sheet.get("at_least"):
             inside, limit = answer.best >= sheet["value"], f"at least {sheet['value']}"
+        if entry.get("measured"):
+            limit += ", measured"
         values = (answer.full, answer.reduced, answer.ngspice)
         verdict = "yes" if inside else "**no**"
         if entry.get("assumed"):
@@ -246,19 +251,33 @@ def slew() -> list[str]:
     return lines
 
 
-def page(published: Mapping[str, Any]) -> str:
-    """The whole text; copies the pictures beside it."""
+def page(published: Mapping[str, Any], names: Collection[str], old: str) -> str:
+    """The whole text, in which what is not among the ``names`` is as in the ``old`` one; copies the
+    pictures beside it."""
     figures = ROOT / "docs" / "figures" / "devices"
     figures.mkdir(parents=True, exist_ok=True)
-    lines, pictures = [], []
+    lines: list[str] = []
+    shared = {name: load_scene(name, []).title for name in PICTURES.keys() - published.keys()}
     for name, entry in published.items():
+        if name not in names:
+            lines += [line for line in old.splitlines() if line.startswith(f"| `{name}` |")]
+            continue
         found, out = solver(name, entry)(name, entry)
         lines += rows(name, entry, found)
-        pictures += _picture(name, entry["device"], out, figures)
-        pictures += drawn(name, entry, figures)
-    for name in PICTURES.keys() - published.keys():
+        _picture(name, out, figures)
+        drawn(name, entry, figures)
+    for name in shared.keys() & set(names):
         _, _, out = simulate(name, *(["beam.fields=true"] if name == "harvester_bridge" else []))
-        pictures += _picture(name, load_scene(name, []).title, out, figures)
+        _picture(name, out, figures)
+    titles = {name: entry["device"] for name, entry in published.items()} | shared
+    pictures = [
+        f"`{name}`: {title}\n\n![{title}](figures/devices/{name}.png)"
+        for name, title in titles.items()
+        if name in PICTURES or "curve" in published.get(name, {})
+    ]
+    edges = ["| edge |" + old.split("| edge |")[1].split("\n\n")[0]]
+    if "kick_slew" in names:
+        edges = slew()
     reasons = [
         f"- `{name}`, {shown(quantity)[0]}: {reason}."
         for name, entry in published.items()
@@ -282,21 +301,21 @@ def page(published: Mapping[str, Any]) -> str:
         "\n".join(lines), "What misses, and why:", "\n".join(reasons),
         "What the source does not say and the scene assumes (no verdict on the model):",
         "\n".join(assumed),
-        "## Height of the kick over the slew of the driver", "\n".join(kicks), "\n".join(slew()),
+        "## Height of the kick over the slew of the driver", "\n".join(kicks), "\n".join(edges),
         "## Pictures", "\n\n".join(sorted(pictures)), "## Sources", "\n".join(sources),
     ]  # fmt: skip
     return HEAD + "\n\n".join(parts) + "\n"
 
 
-def drawn(name: str, entry: Mapping[str, Any], figures: Path) -> list[str]:
+def drawn(name: str, entry: Mapping[str, Any], figures: Path) -> None:
     """Published points of ``curve = { of, points, … }`` over the scene's wave ``of``, as a file.
 
     ``points`` are pairs of a place on the scale (s, Hz, what a dc analysis sweeps, or the wave
-    ``against``) and a value, both in SI; ``y`` is the label and ``factor`` what its unit takes of
-    SI; ``log`` a logarithmic axis. Complex waves are drawn by their size.
+    ``against``) and a value, both in SI; ``x`` and ``y`` are labels, ``x_factor`` and ``factor``
+    what their units take of SI; ``log`` a logarithmic axis. Complex waves are drawn by their size.
     """
     if "curve" not in entry:
-        return []
+        return
     plan, out = entry["curve"], Path(tempfile.mkdtemp()) / name
     run(load_scene(str(CASES / entry["scene"]), entry.get("set", [])), out)
     with np.load(out / "waveforms.npz", allow_pickle=False) as waves:
@@ -305,31 +324,26 @@ def drawn(name: str, entry: Mapping[str, Any], figures: Path) -> list[str]:
     x_label, unit = scale_axis(scale, x)
     at, values = np.array(plan["points"], dtype=float).T
     factor, y = plan.get("factor", 1.0), np.abs(y) if np.iscomplexobj(y) else y
+    unit = plan.get("x_factor", unit)
     curves = (
         Curve("predicted", unit * x, factor * y),
         Curve("published", unit * at, factor * values, "o"),
     )
     panel = Panel(plan.get("x", x_label), plan["y"], curves, log_y=plan.get("log", False))
     draw_all(figures, [Figure(name, entry["device"], "", (panel,))])
-    return [f"`{name}`: {entry['device']}\n\n![{entry['device']}](figures/devices/{name}.png)"]
 
 
-def _picture(name: str, title: str, out: Path, figures: Path) -> list[str]:
-    if name not in PICTURES:
-        return []
-    shutil.copy(out / PICTURES[name], figures / f"{name}.png")
-    return [f"`{name}`: {title}\n\n![{title}](figures/devices/{name}.png)"]
+def _picture(name: str, out: Path, figures: Path) -> None:
+    if name in PICTURES:
+        shutil.copy(out / PICTURES[name], figures / f"{name}.png")
 
 
 def main(names: list[str]) -> None:
-    """Write the page, or print the rows of some scenes."""
+    """Write the page; of some scenes anew."""
     published = tomllib.loads((ROOT / "docs" / "published.toml").read_text("utf-8"))
-    if not names:
-        (ROOT / "docs" / "devices.md").write_text(page(published), encoding="utf-8")
-    for name in names:
-        found, _ = solver(name, published[name])(name, published[name])
-        print("\n".join(rows(name, published[name], found)))
-        drawn(name, published[name], ROOT / "docs" / "figures" / "devices")
+    path = ROOT / "docs" / "devices.md"
+    new = page(published, names or {**published, **PICTURES}, path.read_text("utf-8"))
+    path.write_text(new, encoding="utf-8")
 
 
 if __name__ == "__main__":
