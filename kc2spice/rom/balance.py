@@ -11,7 +11,7 @@ balancing by quadrature, Gosea, Gugercin and Beattie, SIAM J. Sci. Comput. 44 (2
 from __future__ import annotations
 
 import numpy as np
-from scipy.linalg import solve_continuous_lyapunov
+from scipy.linalg import lapack, schur
 
 from kc2spice.rom.linear import Norm
 from kc2spice.rom.pencil import Pencil
@@ -36,21 +36,34 @@ def in_hertz(pencil: Pencil, top: float) -> Pencil:
     return Pencil((omega * rest, one), omega * pencil.B, pencil.C, pencil.D, free=pencil.free)
 
 
-def by_gramians(model: Pencil, rows: np.ndarray, columns: np.ndarray) -> Pencil | None:
-    """The standard model balanced over all frequencies, outputs over ``rows`` and inputs over
-    ``columns``; None where it is not strictly stable."""
-    A, B, C = -model.coefficients[0], model.B / columns, model.C / rows[:, None]
-    if np.linalg.eigvals(A).real.max() > -STRICT:
-        return None
-    reached, seen = (_root(solve_continuous_lyapunov(P, -Q @ Q.T)) for P, Q in ((A, B), (A.T, C.T)))
-    return _balanced(model, reached, seen)
+class Gramians:
+    """Those of a standard model over all frequencies, by one Schur form."""
+
+    def __init__(self, model: Pencil) -> None:
+        self.model = model
+        self._T, self._Z = schur(-model.coefficients[0], output="real")
+
+    def balanced(self, rows: np.ndarray, columns: np.ndarray) -> Pencil | None:
+        """The model balanced, outputs over ``rows`` and inputs over ``columns``; None where it is
+        not strictly stable."""
+        if np.linalg.eigvals(self._T).real.max() > -STRICT:
+            return None
+        B, C = self._Z.T @ (self.model.B / columns), (self.model.C / rows[:, None]) @ self._Z
+        reached, seen = (self._Z @ _root(self._solve(Q, way)) for Q, way in ((B, "N"), (C.T, "T")))
+        return _balanced(self.model, reached, seen)
+
+    def _solve(self, Q: np.ndarray, way: str) -> np.ndarray:
+        """X of ``T X + X T' = -Q Q'``, or with T transposed."""
+        other = "T" if way == "N" else "N"
+        X, scale, _ = lapack.dtrsyl(self._T, self._T, -Q @ Q.T, trana=way, tranb=other)
+        return np.asarray(X / scale)
 
 
 def by_samples(model: Response, s: np.ndarray, inputs: np.ndarray, outputs: np.ndarray) -> Pencil:
     """The standard model balanced over samples at ``s``, with weights (len(s), inputs) and
     (len(s), outputs) on its answers and on those of its dual."""
     reached = _columns(model.states(s) * inputs[:, None, :])
-    seen = _columns(Response(model.pencil.transposed()).states(s) * outputs[:, None, :])
+    seen = _columns(model.dual.states(s) * outputs[:, None, :])
     return _balanced(model.pencil, reached, seen)
 
 

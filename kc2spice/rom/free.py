@@ -19,6 +19,7 @@ ROUNDING = 8.0  # times n eps of the largest: a stiffness, a damping or a coupli
 # Poles of a first-order model below these shares of the band's end: zero but for rounding, which
 # leaves half of the digits of a pair, and a free motion that something slows down.
 ZERO, SLOW = 1e-6, 1e-2
+SURELY = 10.0  # times what would be singular: a matrix that is not
 DEPENDENT = 1e-9  # rates per band's end: a chain of integrators in first order
 Rounding: TypeAlias = tuple[np.ndarray, ...]  # bounds on that of each coefficient's entries
 
@@ -81,8 +82,13 @@ def _null_space(K: np.ndarray, rounding: np.ndarray) -> np.ndarray:
     rows = 1 / np.where(rows > 0, rows, 1.0)[:, None]
     columns = (rows * rounding).max(axis=0)
     columns = 1 / np.where(columns > 0, columns, 1.0)
+    noise = rows * rounding * columns
+    lu, _, singular = scipy.linalg.lapack.dgetrf(rows * K * columns)
+    inverse = 0.0 if singular else scipy.linalg.lapack.dgecon(lu, 1.0)[0]
+    if inverse > SURELY * np.sqrt(len(K)) * np.linalg.norm(noise):  # by an estimate, of other norms
+        return np.empty((len(K), 0))
     _, size, Vt = np.linalg.svd(rows * K * columns)
-    limit = np.linalg.norm(rows * rounding * columns, 2)
+    limit = np.linalg.norm(noise, 2)
     return np.linalg.qr(columns[:, None] * Vt[size <= limit].T)[0]
 
 

@@ -17,6 +17,7 @@ from __future__ import annotations
 
 import time
 import warnings
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import get_args
@@ -53,8 +54,9 @@ DIGITS = 4.0  # times rounding over a damping ratio: how well any solution knows
 FIXED_ORDER_TARGET = 1e-8  # of the subspace when the order is given
 SAFETY = 1.15  # on differences at samples, for what lies between them
 SOFT = 1e12  # condition of an energy that holds a motion which costs none but for rounding
-BALANCED = 1200  # first-order states at most
+BALANCED = 2000  # first-order states at most
 UNSCALED = 500  # of them where Gramians cost less than the rest: entries of one size need no scale
+SAMPLED = 900  # of them where samples cost no more than Gramians
 CHEAP = 200  # of them where balancing only tells what the form costs
 # Definite matrices become resonators, which prove their stability: they are given up for a model
 # of this share of their states, not for one with few fewer.
@@ -73,6 +75,8 @@ NEARBY = 0.8  # of an order: where a smaller one may be as good
 # taken from, beyond a third, and how good all of these must be; the least change of a weight; how
 # the tail fades.
 TIGHTENED, TRIALS, SPARE, SPARED, LEAST, FADING = 150, 12, 20, 0.5, 0.05, 0.5
+# Orders that may fail in a row; errors of a fit, per tolerance, that stay, and that are enough.
+MISSES, HOPELESS, CLOSER = 4, 1.5, 0.97
 EXACT, CHECKS = 1e-10, 10  # error of a surrogate, and direct solutions that measure it
 
 
@@ -126,14 +130,25 @@ def reduce(
         )
     band = float(band[0]), float(band[1])
     require_factors(pencil.bordered(1.0, 1.0, 1.0))
-    full = structure(pencil, band)
-    if full.stable is False:
-        warnings.warn(
-            "the full model is unstable: some of its motions grow without any drive, and a "
-            "frequency response says nothing of them; check signs and halves of the matrices",
-            stacklevel=2,
-        )
-    found = _reduced(model, pencil, band, tolerance, order, norm, contact)
+    target = FIXED_ORDER_TARGET if tolerance is None else max(MARGIN * tolerance, 0.1 * LOWEST)
+    limit = np.inf if tolerance is None else 0.5 * tolerance
+    space = None
+    try:
+        if order is None or not is_definite(pencil):
+            space = subspace(pencil, band, target, limit)
+    finally:
+        full = structure(pencil, band, space.poles if space else None)
+        if full.stable is False:
+            warnings.warn(
+                "the full model is unstable: some of its motions grow without any drive, and a "
+                "frequency response says nothing of them; check signs and halves of the matrices",
+                stacklevel=2,
+            )
+    if space is None:
+        assert order is not None
+        found = _krylov(model, pencil, band, order, norm)
+    else:
+        found = _reduced(model, pencil, space, band, tolerance, order, norm, contact)
     certificate = found.certificate
     assert certificate is not None
     both = (full.stable, certificate.stable)
@@ -150,27 +165,28 @@ def reduce(
 def _reduced(
     model: LinearModel,
     pencil: Pencil,
+    space: Subspace,
     band: tuple[float, float],
     tolerance: float | None,
     order: int | None,
     norm: Norm,
     contact: bool,
 ) -> LinearModel:
-    if order is not None and is_definite(pencil):
-        return _krylov(model, pencil, band, order, norm)
-    target = FIXED_ORDER_TARGET if tolerance is None else max(MARGIN * tolerance, 0.1 * LOWEST)
-    limit = np.inf if tolerance is None else 0.5 * tolerance
-    space = subspace(pencil, band, target, limit)
-    sides = (False,) if pencil.symmetric and pencil.collocated else (False, True)
-    found = [ordered(model, space, band, two_sided, tolerance, norm) for two_sided in sides]
+    signals, plain = default_norm(model) == "peak", subspace_model(model, space, band, norm)
+
+    def congruences() -> list[Reduction]:
+        both = not (pencil.symmetric and pencil.collocated)
+        return [ordered(plain, two_sided, tolerance) for two_sided in (False, True)[: 1 + both]]
+
     if order is None:
         assert tolerance is not None
         within = tolerance - space.floor  # what rounding leaves, where that leaves most of it
         within = within if within > 0.5 * tolerance else tolerance
         tail = None if contact else (_tail(model, tolerance),)
-        chosen, least = _fewest(found, default_norm(model) == "peak", within, tail)
+        chosen, least = _fewest(plain, congruences, signals, within, tail)
         if not contact:
             least = chosen.nearby(least, within)
+            chosen, least = refitted(chosen, least, within)
         if space.floor > tolerance:
             warnings.warn(
                 f"the full model itself is only good to {space.floor:.1e}: so far rounding of its "
@@ -187,6 +203,7 @@ def _reduced(
                 stacklevel=2,
             )
         return result
+    found = congruences()
     if order > max(each.size for each in found):
         raise UsageError(
             "no model of this order",
@@ -200,18 +217,26 @@ def _reduced(
 
 
 def _fewest(
-    found: list[Reduction], signals: bool, tolerance: float, tail: tuple[float | None] | None
+    plain: Reduction,
+    congruences: Callable[[], list[Reduction]],
+    signals: bool,
+    tolerance: float,
+    tail: tuple[float | None] | None,
 ) -> tuple[Reduction, int]:
-    """The congruence, or the balanced model that needs fewer states where all ports are ``signals``
-    and no passive resonators would be lost. Either says what the other needs.
+    """A congruence, or the balanced model of the ``plain`` one that needs fewer states where all
+    ports are ``signals`` and no passive resonators would be lost.
 
     Directions of a congruence are turned to save more, unless ``tail`` is None.
     """
-    first, free = found[0], None
-    form = first.pencil.degree == 2 and first.structure(first.size)
-    share = FORM_SHARE if form and form.proof == FORM else 1.0
+    free, share = None, 1.0
+    form = plain.pencil.degree == 2 and structure(plain.pencil, plain.band)
+    if form and form.proof == FORM:
+        share = FORM_SHARE
     if signals and not (form and form.passive):
-        free = balanced(first, first.states(first.size) + 1, tolerance)
+        free = balanced(plain, plain.states(plain.size) + 1, tolerance)
+    if free is not None and not form:  # nothing that a congruence would keep
+        return replace(free[0], origin=f"{free[0].origin}; "), free[1]
+    found = congruences()
     if free is None:
         orders = [each.smallest(tolerance) for each in found]
         best = int(np.argmin(orders))
@@ -257,8 +282,7 @@ def tightened(
     base = np.maximum(np.abs(H[:count]), floor) + np.finfo(float).tiny
     sides = [_weighted(response, s, np.ones(len(s)), H, found.norm)]
     if not (held.symmetric and held.collocated):
-        dual = Response(held.transposed())
-        sides.append(_weighted(dual, s, np.ones(len(s)), H.swapaxes(1, 2), found.norm))
+        sides.append(_weighted(response.dual, s, np.ones(len(s)), H.swapaxes(1, 2), found.norm))
     weight, share, best = np.ones(count), 1.0, found
     for _ in range(TRIALS):
         both = np.r_[weight, share * far[1]]
@@ -280,6 +304,43 @@ def tightened(
         weight = weight * np.sqrt(largest / largest.max() + LEAST)
         weight, share = weight / weight.max(), FADING * share
     return best, order
+
+
+def refitted(found: Reduction, order: int, tolerance: float) -> tuple[Reduction, int]:
+    """A balanced model of fewer than ``order`` states, as long as there is one that meets the
+    tolerance in the peak norm with other outputs: those of least largest error (Lawson)."""
+    if found.norm != "peak" or not found.balanced or order > TIGHTENED:
+        return found, order
+    inside, _ = _snapshots(found.whole, found.band, found.space.static, None)
+    s = 2j * np.pi * inside
+    H, peak = found.whole.transfer(s), found.reference[1]
+    rows, columns = balance.scales(peak)
+    wanted = (H - found.pencil.D) / (rows[:, None] * columns)
+    best, fewer, enough = (found, order), order - 1, CLOSER * tolerance / SAFETY
+    while fewer >= max(1, found.pencil.free, best[1] - MISSES):
+        part = found.pencil.leading(fewer)
+        x = Response(part).states(s) / columns
+        weight = np.ones((len(s), 1, x.shape[2]))
+        for _ in range(TRIALS):
+            C = _least_squares(x * weight, wanted * weight) * rows[:, None]
+            off = np.abs(C @ (x * columns) + part.D - H) / (peak + np.finfo(float).tiny)
+            if not enough < off.max() < HOPELESS * tolerance:
+                break
+            weight = weight * np.sqrt(off.max(axis=1, keepdims=True) / off.max() + LEAST)
+        trial = replace(found, pencil=replace(part, C=C))
+        stable = trial.structure(fewer).stable is not False
+        if off.max() <= enough and stable and trial.error(fewer, tolerance) <= tolerance:
+            best = trial, fewer
+        fewer -= 1
+    return best
+
+
+def _least_squares(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """Real C with ``C x`` next to ``y``, over all frequencies and inputs."""
+    left, right = (np.moveaxis(P, 1, 2).reshape(-1, P.shape[1]) for P in (x, y))
+    both = [np.vstack([P.real, P.imag]) for P in (left, right)]
+    size = np.linalg.norm(both[0], axis=0) + np.finfo(float).tiny
+    return np.asarray(np.linalg.lstsq(both[0] / size, both[1], rcond=None)[0].T / size)
 
 
 def default_norm(model: LinearModel) -> Norm:
@@ -323,6 +384,7 @@ class Reduction:
     whole: Response
     norm: Norm = "pointwise"
     origin: str = ""
+    balanced: bool = False
 
     def states(self, order: int) -> int:
         """First-order states of the model of this order."""
@@ -480,13 +542,12 @@ def balanced(like: Reduction, states: int, tolerance: float) -> tuple[Reduction,
         return None
     model = Response(balance.standard(core, top))
     H, peak = like.reference
-    ways = {"balanced truncation": lambda: balance.by_gramians(model.pencil, *balance.scales(peak))}
+    gramians = balance.Gramians(model.pencil)
+    ways = {"balanced truncation": lambda: gramians.balanced(*balance.scales(peak))}
     if model.pencil.size <= UNSCALED:
         one = [np.ones(len(each)) for each in balance.scales(peak)]
-        ways["balanced truncation of outputs as they are"] = lambda: balance.by_gramians(
-            model.pencil, *one
-        )
-    if model.quick:
+        ways["balanced truncation of outputs as they are"] = lambda: gramians.balanced(*one)
+    if model.pencil.size <= SAMPLED and model.quick:
         ways["balanced truncation over the band"] = lambda: balance.by_samples(
             model, 1j * like.frequency / top, *balance.weights(like.frequency, H, peak, like.norm)
         )
@@ -498,22 +559,24 @@ def balanced(like: Reduction, states: int, tolerance: float) -> tuple[Reduction,
         if free:
             small = small.beside(balance.standard(like.whole.pencil.leading(free), top))
         pencil = balance.in_hertz(small, top)
-        other = replace(like, pencil=pencil, first=pencil.free, origin=name)
+        other = replace(like, pencil=pencil, first=pencil.free, origin=name, balanced=True)
         fewer = other.fewer(tolerance, states)
         if fewer is not None:
             best, states = (other, fewer), fewer
     return best
 
 
-def ordered(
-    model: LinearModel,
-    space: Subspace,
-    band: tuple[float, float],
-    two_sided: bool,
-    tolerance: float | None,
-    norm: Norm = "pointwise",
+def subspace_model(
+    model: LinearModel, space: Subspace, band: tuple[float, float], norm: Norm
 ) -> Reduction:
-    """Order the directions of the subspace by what they contribute to the response."""
+    """The subspace model as it is, before its directions are ordered."""
+    points = space.points(band, norm)
+    return Reduction(model, space.pencil, space, band, 0, points, space.response, norm)
+
+
+def ordered(plain: Reduction, two_sided: bool, tolerance: float | None) -> Reduction:
+    """Order the directions of the ``plain`` subspace by what they contribute to the response."""
+    model, space, band, norm = plain.full, plain.space, plain.band, plain.norm
     whole = space.response
     core, omega = whole.held, 2 * np.pi * band[1]
     free = core.pencil.free  # motions that damping couples to the others are kept as they are
@@ -536,15 +599,14 @@ def ordered(
     H = whole.transfer(s)
     sets = [_weighted(response, s, weight, H, norm)]
     if two_sided:
-        sets.append(_weighted(Response(pencil.transposed()), s, weight, H.swapaxes(1, 2), norm))
+        sets.append(_weighted(response.dual, s, weight, H.swapaxes(1, 2), norm))
     directions = _directions(np.hstack(sets)[free:], first)
     pencil = pencil.project(block_diag(np.eye(free), directions))
     pencil = replace(pencil, free=free)
     if core is not whole:
         pencil = pencil.beside(whole.pencil.leading(whole.pencil.free))
-    points = space.points(band, norm)
     kept = pencil.free + (first.shape[1] if conservative else 0)
-    return Reduction(model, pencil, space, band, kept, points, whole, norm)
+    return replace(plain, pencil=pencil, first=kept)
 
 
 def _energy_basis(pencil: Pencil, omega: float, *, static: bool) -> np.ndarray:

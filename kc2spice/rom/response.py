@@ -33,7 +33,7 @@ NOTCHES, ZOOM, ROUNDS = 60, 9, 20
 SAME = 1e-12  # of a frequency, by which rounding alone sets two apart
 STEEP = 1.5  # times a minimum: what is larger beside it, or smaller between, shows a deeper one
 PEAKS, PEAK_ROUNDS = 40, 3
-FEW, MANY = 12, 900  # unknowns, and states, between which eigenvectors pay
+FEW, MANY = 12, 2000  # unknowns, and states, between which eigenvectors pay
 REPRODUCED = 1e-10  # relative difference to direct solutions
 SEVERAL = 16  # solutions that cost as much as a Schur form
 STRIP, COLUMNS = 24, 256  # rows and right sides of a triangular solution done at once
@@ -46,24 +46,37 @@ Modes: TypeAlias = tuple[np.ndarray, np.ndarray, tuple[np.ndarray, ...]]
 class Response:
     """A dense pencil with coordinates in which it is diagonal, where it has well-conditioned ones.
 
-    ``modes`` is None, or ``(T, b, diagonals)``: ``x = T diag(1 / sum_k s^k diagonals_k) b``.
-    ``decoupled`` says that T is a real congruence (``b = T'B``). A free motion that is detached is
+    ``modes`` is None, or ``(T, L, diagonals)``: ``x = T diag(1 / sum_k s^k diagonals_k) L B``.
+    ``decoupled`` says that T is a real congruence (``L = T'``). A free motion that is detached is
     solved apart, and all this is that of ``held``, the others' response; else that is this one.
     """
 
-    def __init__(self, pencil: Pencil) -> None:
+    def __init__(self, pencil: Pencil, modes: Modes | None = None) -> None:
         self.pencil = pencil
         self.held: Response = self
-        self.modes: Modes | None
         self.decoupled: bool
         if pencil.detached:
             self.held = Response(pencil.held)
-            self.modes, self.decoupled = self.held.modes, self.held.decoupled
+            self.decoupled = self.held.decoupled
             return
-        self.modes = _decoupled(pencil)
-        self.decoupled = self.modes is not None
-        if self.modes is None and FEW < pencil.size <= MANY / pencil.degree:
-            self.modes = _eigenvectors(pencil)
+        self._known = modes or _decoupled(pencil)
+        self.decoupled = modes is None and self._known is not None
+
+    @cached_property
+    def modes(self) -> Modes | None:
+        """See above; eigenvectors are computed when they are asked for."""
+        if self.held is not self:
+            return self.held.modes
+        pays = FEW < self.pencil.size <= MANY / self.pencil.degree
+        return self._known or (_eigenvectors(self.pencil) if pays else None)
+
+    @cached_property
+    def dual(self) -> Response:
+        """That of the transposed pencil, in the same coordinates."""
+        if self.modes is None or self.held is not self:
+            return Response(self.pencil.transposed())
+        T, L, diagonals = self.modes
+        return Response(self.pencil.transposed(), (L.T, T.T, diagonals))
 
     @property
     def diagonal(self) -> bool:
@@ -78,8 +91,8 @@ class Response:
     @cached_property
     def _triangular(self) -> Triangular | None:
         """A Schur form, where that reproduces direct solutions to rounding."""
-        small = self.pencil.size <= FEW or not self.pencil.is_dense
-        return None if small else _triangular(self.pencil)
+        pays = FEW < self.pencil.size <= MANY / self.pencil.degree and self.pencil.is_dense
+        return _triangular(self.pencil) if pays else None
 
     def states(self, s: np.ndarray) -> np.ndarray:
         """``P(s)^-1 B`` (len(s), n, m) in the pencil's own coordinates."""
@@ -90,8 +103,8 @@ class Response:
             if len(s) <= SEVERAL or self._triangular is None:
                 return self.pencil.states(s)
             return self._triangular.solve(s, None)
-        T, drive, _ = self.modes
-        return np.asarray(T @ (self._gains(s)[:, :, None] * drive))
+        T, L, _ = self.modes
+        return np.asarray(T @ (self._gains(s)[:, :, None] * (L @ self.pencil.B)))
 
     def transfer(self, s: np.ndarray) -> np.ndarray:
         """``C P(s)^-1 B + D`` (len(s), outputs, inputs)."""
@@ -102,8 +115,8 @@ class Response:
             if len(s) <= SEVERAL or self._triangular is None:
                 return self.pencil.transfer(s)
             return self._triangular.solve(s, self.pencil.C) + self.pencil.D
-        T, drive, _ = self.modes
-        residues = (self.pencil.C @ T).T[:, :, None] * drive[:, None, :]
+        T, L, _ = self.modes
+        residues = (self.pencil.C @ T).T[:, :, None] * (L @ self.pencil.B)[:, None, :]
         found = self._gains(s) @ residues.reshape(len(residues), -1)
         return np.asarray(found.reshape(-1, *self.pencil.D.shape) + self.pencil.D)
 
@@ -232,22 +245,23 @@ def _eigenvectors(pencil: Pencil) -> Modes | None:
     """Eigenvectors of the first-order form, if they reproduce direct solutions to rounding."""
     n, inertia = pencil.size, pencil.coefficients[-1]
     try:
-        inner = np.linalg.solve(inertia, np.hstack([*pencil.coefficients[:-1], pencil.B]))
+        inner = np.linalg.solve(inertia, np.hstack([*pencil.coefficients[:-1], np.eye(n)]))
         A, drive = -inner[:, :n], inner[:, pencil.degree * n :]
         if pencil.degree == 2:
             A = np.block([[np.zeros((n, n)), np.eye(n)], [A, -inner[:, n : 2 * n]]])
             drive = np.vstack([np.zeros_like(drive), drive])
         poles, X = np.linalg.eig(A)
-        if np.linalg.cond(X) > DEFECTIVE:
+        inverse = np.linalg.inv(X)
+        if np.linalg.norm(X) * np.linalg.norm(inverse) > DEFECTIVE:
             return None
-        T, drive = X[:n], np.linalg.solve(X, drive)
+        T, L = X[:n], inverse @ drive
     except (np.linalg.LinAlgError, ValueError):
         return None
 
     def states(s: np.ndarray) -> np.ndarray:
-        return np.asarray(T @ (drive / (s[:, None] - poles)[:, :, None]))
+        return np.asarray(T @ ((L @ pencil.B) / (s[:, None] - poles)[:, :, None]))
 
-    found = T, drive, (-poles, np.ones(poles.size))
+    found = T, L, (-poles, np.ones(poles.size))
     return found if _reproduced(pencil, float(np.median(np.abs(poles))), states) else None
 
 
@@ -268,14 +282,14 @@ def _decoupled(pencil: Pencil) -> Modes | None:
             return None
         ends = k, np.ones(pencil.size)
     if pencil.degree == 1:
-        return T, T.T @ pencil.B, ends
+        return T, T.T, ends
     damping = T.T @ pencil.coefficients[1] @ T
     diagonal = np.diag(damping).copy()
     # of both modes' own: one without damping is coupled by any, and solved as it stands
     limit = COUPLING * np.sqrt(np.abs(np.outer(diagonal, diagonal)))
     if (np.abs(damping - np.diag(diagonal)) > limit).any():
         return None
-    return T, T.T @ pencil.B, (ends[0], diagonal, ends[1])
+    return T, T.T, (ends[0], diagonal, ends[1])
 
 
 def grid(band: tuple[float, float], count: int, static: bool) -> np.ndarray:

@@ -123,15 +123,20 @@ def sampled(
 
 
 def uncertainty(
-    pencil: Pencil, frequency: np.ndarray, states: np.ndarray | None = None
+    pencil: Pencil,
+    frequency: np.ndarray,
+    states: np.ndarray | None = None,
+    dual: np.ndarray | None = None,
 ) -> np.ndarray:
     """How far the last digits of a dense model's entries move its response (relative) at each
     ``frequency`` [Hz]: ``eps |y_i P_ij x_j|``, root of the sum of squares.
 
-    ``states`` x (frequencies, n, inputs) may be known better than from solutions here."""
+    ``states`` x (frequencies, n, inputs), and those of the ``dual``, may be known better than from
+    solutions here."""
     s = 2j * np.pi * frequency
     x = pencil.states(s) if states is None else states
-    y = x if pencil.symmetric and pencil.collocated else pencil.transposed().states(s)
+    y = x if pencil.symmetric and pencil.collocated else dual
+    y = pencil.transposed().states(s) if y is None else y
     found = []
     for each, right, left in zip(s, np.abs(x) ** 2, np.abs(y) ** 2, strict=True):
         squares = sum(np.abs(each**k * P) ** 2 for k, P in enumerate(pencil.coefficients))

@@ -49,7 +49,7 @@ def structure(
         passive = pencil.collocated and semidefinite(pencil.D + pencil.D.T)
         return Structure(True, passive, FORM)
     states = pencil.degree * pencil.size
-    if states > DENSE:
+    if states > DENSE and poles is None:
         return Structure(None, False, f"nothing: {states} states are too many to know all poles")
     omega = 2 * np.pi * band[1]
     values = _poles(pencil, omega) if poles is None else poles

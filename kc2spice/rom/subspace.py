@@ -46,8 +46,9 @@ from kc2spice.rom.structure import dissipative
 
 EXTENDED = 500  # unknowns up to which a model is turned into its modes with 19 digits
 UNCERTAIN = 1e-9  # a response of less uncertainty needs no word
-# Unknowns of decoupled models, states of others up to which nothing is sampled.
-WHOLE_DECOUPLED, WHOLE = 1300, 600
+# Unknowns of decoupled models, states of others up to which nothing is sampled, and states of
+# those that so many samples do not settle: many resonances.
+WHOLE_DECOUPLED, WHOLE, DENSE = 1300, 600, 2000
 DIRECT = 150  # unknowns up to which every frequency may be solved by itself
 # K x = B solved to less than this of B: the model is free to move at zero frequency.
 SINGULAR = 1e-6
@@ -76,11 +77,18 @@ class Subspace:
     static: bool
     proof: str
     floor: float = 0.0
+    whole: bool = False  # all of the full model
 
     @cached_property
     def response(self) -> Response:
         """Its frequency response."""
         return Response(self.pencil)
+
+    @property
+    def poles(self) -> np.ndarray | None:
+        """Those of the full model [1/s], where they are known from this one."""
+        known = self.whole and not self.pencil.free and not self.response.decoupled
+        return self.response.poles if known else None
 
     def points(self, band: tuple[float, float], norm: Norm = "pointwise") -> np.ndarray:
         """Frequencies [Hz] over the band at which its errors show."""
@@ -122,7 +130,16 @@ def subspace(pencil: Pencil, band: tuple[float, float], target: float, limit: fl
             return whole
     if is_definite(pencil, undamped_too=True):
         return _block_krylov(pencil, band, target, limit)
-    return _rational(pencil.scaled(2 * np.pi * band[1]), band, target, limit)
+    scaled = pencil.scaled(2 * np.pi * band[1])
+    dense = pencil.degree == 1 and WHOLE < pencil.size <= DENSE
+    if not (dense and pencil.is_dense):
+        try:
+            return _rational(scaled, band, target, limit, MANY if dense else MAX_POINTS)
+        except SimulationError:
+            if not dense:
+                raise
+    found = _whole(scaled.dense(), band, limit, DENSE)
+    return found or _rational(scaled, band, target, limit, MAX_POINTS)
 
 
 def is_definite(pencil: Pencil, *, undamped_too: bool = False) -> bool:
@@ -170,7 +187,9 @@ def _told(at: np.ndarray, size: np.ndarray, tolerance: float) -> str:
     return f", {text} by the last digits of its matrices" if size[worst] > UNCERTAIN else ""
 
 
-def _whole(full: Pencil, band: tuple[float, float], limit: float) -> Subspace | None:
+def _whole(
+    full: Pencil, band: tuple[float, float], limit: float, most: int = WHOLE
+) -> Subspace | None:
     """All of a small model; None where its response would take too long to evaluate.
 
     Raises
@@ -185,7 +204,7 @@ def _whole(full: Pencil, band: tuple[float, float], limit: float) -> Subspace | 
         full, projected = congruent(given, V, full.free)
     response = Response(full)
     if not response.decoupled and (
-        full.degree * full.size > WHOLE or (response.modes is None and full.size > DIRECT)
+        full.degree * full.size > most or (full.size > DIRECT and not response.quick)
     ):
         return None
     error = _solution_error(response, band)
@@ -202,8 +221,12 @@ def _whole(full: Pencil, band: tuple[float, float], limit: float) -> Subspace | 
     if at.size:
         looked = np.union1d(np.argsort(at)[:SHARP], np.argsort(ratio)[:SHARP])
         at = at[looked] * (1 + FLANK * (ratio[looked] < SHARPEST))
-        states = None if T is None else V @ response.states(2j * np.pi * at)
-        size = uncertainty(given, at, states)
+        s, states, dual = 2j * np.pi * at, None, None
+        if T is not None:
+            states = V @ response.states(s)
+        elif response.modes is not None and given is full:
+            states, dual = response.states(s), response.dual.states(s)
+        size = uncertainty(given, at, states, dual)
         if T is not None:
             proof += _told(at, size, 2 * limit)
         # products and solutions round its entries
@@ -211,7 +234,7 @@ def _whole(full: Pencil, band: tuple[float, float], limit: float) -> Subspace | 
             floor = SPREAD * float(size.max())
     if projected is not None:
         floor = max(floor, _taken_out(projected, full, band))
-    found = Subspace(full, error, static, proof, floor)
+    found = Subspace(full, error, static, proof, floor, whole=True)
     found.__dict__["response"] = response  # as the cached property would
     return found
 
@@ -320,11 +343,13 @@ def _unsettled(
 # ------------------------------------------------------------------------- all other models
 
 
-def _rational(pencil: Pencil, band: tuple[float, float], target: float, limit: float) -> Subspace:
+def _rational(
+    pencil: Pencil, band: tuple[float, float], target: float, limit: float, most: int
+) -> Subspace:
     search = _Search(pencil, band)
     met, error, recent, idle = 0, np.inf, [np.inf], 0
     search.add(2j * np.pi * band[1])
-    while search.points < MAX_POINTS and search.basis.shape[1] < STATES:
+    while search.points < most and search.basis.shape[1] < STATES:
         error, grown = search.check(search.next_point())
         met = met + 1 if max(error, search.change) <= target else 0
         if search.points == MANY + 1 and pencil.size >= COSTLY:
@@ -439,8 +464,7 @@ class _Search:
         if self.points % 2:
             measure = self._sides[0].residual(s, self.turn @ self.response.states(s))
             if self.two_sided:
-                dual = Response(self.response.pencil.transposed())
-                measure = measure * self._sides[1].residual(s, dual.states(s))
+                measure = measure * self._sides[1].residual(s, self.response.dual.states(s))
         return complex(s[np.argmax(np.where(fresh, measure, -1.0))])
 
     def _candidates(self) -> np.ndarray:

@@ -9,7 +9,7 @@ from scipy.linalg import eig, eigvals
 
 from kc2spice.core.errors import UsageError
 from kc2spice.rom.linear import LinearModel
-from kc2spice.rom.reduce import ordered, reduce
+from kc2spice.rom.reduce import ordered, reduce, subspace_model
 from kc2spice.rom.subspace import subspace
 from kc2spice.spice.realize import subcircuit
 
@@ -169,7 +169,8 @@ def check_every_order(seed, step):
     model = LinearModel(**families.as_files(matrices), name="random")
     band = (0.0, top)
     space = subspace(model.pencil, band, 1e-5, 1e-5)
-    found = ordered(model, space, band, False, None)
+    plain = subspace_model(model, space, band, "pointwise")
+    found = ordered(plain, False, None)
     omega = 2 * np.pi * top
     for order in {*range(1, found.size + 1, step), found.size}:
         claim = found.structure(order)
