@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 
@@ -141,6 +141,11 @@ class Circuit(Card):
     def subcircuits(self) -> tuple[Circuit, ...]:
         """The subcircuits that it defines."""
         return tuple(item for item in self.items if isinstance(item, Circuit))
+
+    def changed(self, change: Callable[[Item], Item]) -> Circuit:
+        """The same with every item changed, what stands in subcircuits first."""
+        inner = (i.changed(change) if isinstance(i, Circuit) else i for i in self.items)
+        return replace(self, items=tuple(map(change, inner)))
 
 
 Item = Element | Model | Parameters | Function | Directive | Circuit

@@ -158,7 +158,7 @@ class Deck:
         ------
         UsageError : a broken card, a missing or circular include, a name defined twice.
         """
-        return circuit(self.main, self.trees)
+        return circuit(self.trees[self.main], self.trees, self.main)
 
     @cached_property
     def _main(self) -> str:

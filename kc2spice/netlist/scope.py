@@ -17,7 +17,7 @@ from kc2spice.netlist.circuit import (
     Parameters,
 )
 from kc2spice.netlist.expression import vector
-from kc2spice.netlist.read import NODES, beside, read
+from kc2spice.netlist.read import NODES, beside
 
 GROUND = frozenset({"0", "gnd", "!gnd"})
 INCLUDES = (".include", ".inc")
@@ -54,8 +54,8 @@ class Scope:
             yield from child.inwards()
 
 
-def circuit(main: str, files: Mapping[str, str | Circuit]) -> Scope:
-    """The whole circuit of a deck, its includes followed; a file is its text or its tree.
+def circuit(tree: Circuit, files: Mapping[str, Circuit] | None = None, file: str = "") -> Scope:
+    """The whole circuit of a ``file``'s tree, the includes of it and of other ``files`` followed.
 
     Raises
     ------
@@ -63,16 +63,14 @@ def circuit(main: str, files: Mapping[str, str | Circuit]) -> Scope:
         names file and line.
     """
     top = Scope("")
-    _link(main, files, top, ())
+    _link(tree, file, files or {}, top, ())
     return top
 
 
 def _link(
-    file: str, files: Mapping[str, str | Circuit], scope: Scope, chain: tuple[str, ...]
+    tree: Circuit, file: str, files: Mapping[str, Circuit], scope: Scope, chain: tuple[str, ...]
 ) -> None:
     """Sort what ``file`` and its includes hold into ``scope``."""
-    held = files[file]
-    tree = read(held, file, title=not chain) if isinstance(held, str) else held
     chain = (*chain, file)
 
     def fill(scope: Scope, items: tuple[Item, ...]) -> None:
@@ -87,7 +85,8 @@ def _link(
                     _require_same(item, scope.models.maps[0].get(item.name.lower(), item))
                     scope.models[item.name.lower()] = item
                 case Directive(keyword) if keyword in INCLUDES:
-                    _link(_included(item, file, files, chain), files, scope, chain)
+                    target = _included(item, file, files, chain)
+                    _link(files[target], target, files, scope, chain)
                 case Directive(".control" | ".end"):
                     pass
                 case _:
@@ -122,9 +121,7 @@ def _require_same(model: Model, first: Model) -> None:
         )
 
 
-def _included(
-    s: Directive, file: str, files: Mapping[str, str | Circuit], chain: tuple[str, ...]
-) -> str:
+def _included(s: Directive, file: str, files: Mapping[str, Circuit], chain: tuple[str, ...]) -> str:
     written = " ".join(s.words).strip("\"'")
     target = beside(file, written)
     if target in chain:

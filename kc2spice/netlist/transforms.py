@@ -39,19 +39,14 @@ def quiet(part: Subcircuit, noisy: Iterable[str]) -> Subcircuit:
     ``noisy`` and a number: the others are arithmetic."""
     names = {name.lower() for name in noisy}
 
-    def silent(each: Element) -> bool:
-        own = each.key.startswith("rnoise") or names & {each.key, each.key.rstrip(DIGITS)}
-        return each.kind == "r" and not own
-
     def item(each: Item) -> Item:
-        if isinstance(each, Circuit):
-            return replace(each, items=tuple(map(item, each.items)))
-        if isinstance(each, Element) and silent(each):
-            return replace(each, parameters={**each.parameters, "noisy": "0"})
-        return each
+        if not isinstance(each, Element) or each.kind != "r" or each.key.startswith("rnoise"):
+            return each
+        if names & {each.key, each.key.rstrip(DIGITS)}:
+            return each
+        return replace(each, parameters={**each.parameters, "noisy": "0"})
 
-    tree = replace(part.circuit, items=tuple(map(item, part.circuit.items)))
-    return printed(part, tree)
+    return printed(part, part.circuit.changed(item))
 
 
 def _without_origin(item: Item) -> Item:
@@ -66,13 +61,12 @@ def renamed(circuit: Circuit, names: Mapping[str, str]) -> Circuit:
 
     def item(each: Item) -> Item:
         if isinstance(each, Circuit):
-            name = new.get(each.name.lower(), each.name)
-            return replace(each, name=name, items=tuple(map(item, each.items)))
+            return replace(each, name=new.get(each.name.lower(), each.name))
         if isinstance(each, Element) and each.kind == "x":
             return replace(each, model=new.get(each.model.lower(), each.model))
         return each
 
-    return replace(circuit, items=tuple(map(item, circuit.items)))
+    return circuit.changed(item)
 
 
 # --- parameters without a new netlist: param.PART.NAME ---

@@ -18,6 +18,7 @@ from kc2spice.core.waveforms import Waveforms
 from kc2spice.netlist.cards import name as checked
 from kc2spice.netlist.circuit import Pin, Subcircuit
 from kc2spice.netlist.foreign import included_netlist, looked_at
+from kc2spice.netlist.read import read
 from kc2spice.netlist.scope import Scope, circuit, has_vector
 from kc2spice.parts._drivers import SLACK, potentials, slewing, within
 from kc2spice.scene.judge import Check
@@ -239,9 +240,8 @@ def _inside(node: str, part: str = "") -> str:
 
 def _scope(part: Part, scene: Scene) -> Scope:
     """Its subcircuit as elements with nodes."""
-    read = looked_at(part.keys.file, scene.home)
-    deck = {"": f"* its first line is a card\n.include {read.file}", read.file: read.text}
-    found = circuit("", deck).find(part.keys.subckt)
+    flat = looked_at(part.keys.file, scene.home)
+    found = circuit(read(flat.text, flat.file)).find(part.keys.subckt)
     if found is None:
         raise part.wrong("subckt", "no such subcircuit", part.keys.subckt)
     return found

@@ -5,9 +5,9 @@ from __future__ import annotations
 import time
 import warnings
 from collections.abc import Callable, Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 from kc2spice.core.errors import SimulationError
 from kc2spice.core.waveforms import Waveforms
@@ -98,7 +98,8 @@ RETRIES = (
 
 @dataclass(frozen=True)
 class Attempt:
-    """One setting that was tried: ``cause`` is None for the one that succeeded."""
+    """One setting that was tried, as ``result.json`` has it: ``cause`` is None for the one that
+    succeeded."""
 
     setting: str
     settings: str
@@ -108,10 +109,6 @@ class Attempt:
     part: str | None
     wall_s: float
     points: int | None
-
-    def record(self) -> dict[str, Any]:
-        """Its entry in ``result.json``."""
-        return asdict(self)
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,7 @@ from kc2spice.netlist.circuit import Element
 from kc2spice.netlist.deck import Command, Deck
 from kc2spice.netlist.expression import literal, vector
 from kc2spice.netlist.foreign import ANALYSES, HARMLESS, accuracy, checked, refuse
-from kc2spice.netlist.read import Statement
+from kc2spice.netlist.read import Statement, read
 from kc2spice.netlist.scope import circuit, has_vector
 from kc2spice.scene.parttype import Build
 from kc2spice.workflow.decks import make_deck
@@ -105,7 +105,7 @@ def _require_results(own: Deck, text: str, path: Path) -> None:
     ------
     UsageError : names the vectors, and the card that brings back a current.
     """
-    now, before = circuit(path.name, {path.name: text}), own.scope
+    now, before = circuit(read(text, path.name, title=True)), own.scope
     missing = [v for v in own.saved if not has_vector(now, v) and has_vector(before, v)]
     if not missing:
         return

@@ -68,7 +68,7 @@ class Completed:
                 "version": self.simulator.version,
                 "engine": "batch",
                 "setting": attempts[-1].setting,
-                "attempts": [attempt.record() for attempt in attempts],
+                "attempts": [asdict(attempt) for attempt in attempts],
             },
             "model": model_facts(build),
             **rom_facts(build),

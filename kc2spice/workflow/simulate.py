@@ -8,7 +8,7 @@ import shutil
 import warnings
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 
 from kc2spice.core.errors import SimulationError
@@ -127,7 +127,7 @@ def _write_failure(error: SimulationError, kept: Path, scene: str) -> None:
     record |= {"got": error.got, "next": error.hint, "waveforms": None, "attempts": []}
     if isinstance(error, RetriesFailedError):
         failure = error.failure
-        record["attempts"] = [attempt.record() for attempt in error.attempts]
+        record["attempts"] = [asdict(attempt) for attempt in error.attempts]
         if failure is not None:
             record |= {"node": failure.node, "time_s": failure.time, "part": failure.part}
         if failure is not None and failure.partial is not None:

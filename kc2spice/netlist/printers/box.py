@@ -63,8 +63,8 @@ def layout(part: Subcircuit) -> Box:
 
 def inputs(part: Subcircuit) -> frozenset[str]:
     """Pins, in lower case, that elements of ``part`` sense but none draws current from."""
-    top = circuit("part", {"part": part.circuit})
-    return frozenset({p.name.lower() for p in part.pins} & _sensed(top.find(part.name)))
+    found = circuit(part.circuit).find(part.name)
+    return frozenset({p.name.lower() for p in part.pins} & _sensed(found))
 
 
 def _sensed(scope: Scope | None) -> set[str]:

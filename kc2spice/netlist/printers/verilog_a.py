@@ -201,7 +201,7 @@ def library(
             raise UsageError(part.no_module, where=part.filename, hint="it stays a library")
     files = {part.filename: part.circuit for part in known or parts}
     main = Circuit(items=tuple(Directive(".include", (name,)) for name in files))
-    top = circuit("parts", {"parts": main, **files})
+    top = circuit(main, files)
     return {p.filename.removesuffix(".lib") + ".va": _module(p, top) for p in parts}
 
 
