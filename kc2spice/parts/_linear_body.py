@@ -310,7 +310,10 @@ class LinearBody(Touching):
         )
         return found
 
-    def build(self, part: Part, scene: Scene, clock: Any) -> LinearModel:
+    def build(self, part: Part, scene: Scene, clock: Any, full: bool = False) -> LinearModel | None:
+        return self._full(part, scene, clock) if full else self._reduced(part, scene, clock)
+
+    def _reduced(self, part: Part, scene: Scene, clock: Any) -> LinearModel:
         if keys := varied(part):
             return self.varying(part, scene, clock).at({each.key: each.value for each in keys})
         # Asked here, as parts of the key: what runs within ``build`` is hashed with its modules.
@@ -566,12 +569,6 @@ class LinearBody(Touching):
         exactly = {} if pressed else answers
         return Balance(entries, float(np.abs(gap).max()), scale, STORED, exact=exactly)
 
-    def static_compliance(self, part: Part, build: Build, ports: tuple[str, ...]) -> np.ndarray:
-        """(ports, ports) displacement [m] per force [N] at rest, electrodes at constant voltage."""
-        model: LinearModel = build.model(part)
-        rows = [model.outputs.index(name) for name in ports]
-        return np.asarray(model.transfer(np.zeros(1))[0][np.ix_(rows, rows)].real)
-
     def figures(self, part: Part, build: Build, waves: Waveforms) -> Iterator[Figure]:
         yield from port_figures(part.name, waves)
         z = measured(part, waves)
@@ -612,14 +609,14 @@ class LinearBody(Touching):
         joins += [(pin, f"{n}.{pin}") for port in ports for pin in port.terminals[1:]]
         return laws.Equations((law,), tuple(joins), _readings(part, model))
 
-    def full_model(self, part: Part, build: Build, clock: Any) -> LinearModel | None:
+    def _full(self, part: Part, scene: Scene, clock: Any) -> LinearModel | None:
         if loss_tangent(part):  # which the matrices of a full model cannot have
             return None
-        names = [port.name for port in build.model(part).ports]
+        names = [port.name for port in self.kept(part, scene)]
         if keys := varied(part):  # on the mesh that all values of the box share
             middle = with_values(part, {each.key: each.axis.middle for each in keys})
-            return self.varied(part, build.scene, clock, middle).select(names)
-        return self.full(part, build.scene, clock).select(names)
+            return self.varied(part, scene, clock, middle).select(names)
+        return self.full(part, scene, clock).select(names)
 
     def detail(self, part: Part, scene: Scene) -> str:
         rom = self.reduction(part, scene)

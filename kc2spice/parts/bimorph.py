@@ -1,14 +1,6 @@
 """The part ``bimorph``: a layered rectangular beam or plate that bends.
 
-Unimorphs, series and parallel bimorphs, and beams of metal alone (then without electrical pins)::
-
-    [harvester]
-    part = "bimorph"
-    length = "50.8 mm"
-    width = "31.8 mm"
-    layers = [{ material = "PZT-5A", thickness = "0.26 mm" }, …]   # from the bottom up
-    wiring = "series"
-    tip_mass = "12 g"
+Unimorphs, series and parallel bimorphs, and beams of metal alone (then without electrical pins).
 
 x runs along the length from the clamp, y along the width, z up. Every layer is a solid of
 quadratic hexahedra, so plate action, the clamp's hindrance of lateral contraction and the field

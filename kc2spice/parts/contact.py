@@ -29,6 +29,7 @@ from kc2spice.netlist.cards import distinct
 from kc2spice.netlist.circuit import Param, Subcircuit, positive
 from kc2spice.parts._touching import PATCH, Pair, busy_until, separation
 from kc2spice.physics.contact import Normal, contact_law
+from kc2spice.rom.linear import LinearModel
 from kc2spice.scene.judge import PAIRS, Balance, Check, Gate, stepping
 from kc2spice.scene.model import GROUND, Part, Scene, Terminal
 from kc2spice.scene.parttype import (
@@ -426,9 +427,10 @@ def _open_ports(pair: Pair, build: Build, waves: Waveforms, place: np.ndarray) -
     if pair.b.radius is None or len(a.ports) < 2:
         return
     force, body = np.array([waves[f"{n}.force.{name}"] for name in ports]), pair.scene.parts[a.part]
-    compliance = getattr(body.type, "static_compliance", None)
-    if len(ports) < len(a.ports) and compliance is not None:
-        static = compliance(body, build, ports)[:, -1]
+    model = build.model(body)
+    if len(ports) < len(a.ports) and isinstance(model, LinearModel):
+        rows = [model.outputs.index(name) for name in ports]
+        static = model.transfer(np.zeros(1))[0][rows, rows[-1]].real
         rise = waves[f"{a.part}.u.{ports[-1]}"] + static @ force - place
         gap, highest = float(pair.gaps[len(ports)]), float(rise.max())
         advice = f"set {n}.rings to more than {len(ports)}, or to 'all'"

@@ -210,16 +210,11 @@ class MovingConductor(DeclaredPart):
 
     # --- model ------------------------------------------------------------------------------
 
-    def build(self, part: Part, scene: Scene, clock: Any) -> Ladder:
-        return self._ladder(part, clock, part.keys.tolerance, part.keys.rings)
-
-    def full_model(self, part: Part, build: Build, clock: Any) -> Ladder:
-        """More loops of more rings."""
-        keys = part.keys
-        return self._ladder(part, clock, CLOSER * keys.tolerance, FINER * keys.rings)
-
-    def _ladder(self, part: Part, clock: Any, tolerance: float, rings: int) -> Ladder:
+    def build(self, part: Part, scene: Scene, clock: Any, full: bool = False) -> Ladder:
+        """In ``full`` more loops of more rings."""
         keys: MovingConductorKeys = part.keys
+        tolerance = (CLOSER if full else 1.0) * keys.tolerance
+        rings = (FINER if full else 1) * keys.rings
         settings = keys.y_min, keys.y_max, keys.conductivity, keys.frequency, tolerance
         radius, box = keys.radius, (keys.inner, keys.radius, 0.0, _tall(keys), rings)
 

@@ -16,7 +16,7 @@ from kc2spice.fem.magnetics.keys import Ring
 from kc2spice.fem.magnetics.rings import Ladder, Winding, carried
 from kc2spice.parts.moving_conductor import Moving, MovingConductor, sheets, windings
 from kc2spice.scene.model import Part, Scene
-from kc2spice.scene.parttype import Build, Neglected, register
+from kc2spice.scene.parttype import Neglected, register
 
 SOURCES = ("kc2spice.fem.magnetics.rings", "kc2spice.parts.moving_conductor", __name__)
 CLOSER = 0.1  # tolerance of the full model, of that of the reduced one
@@ -89,15 +89,10 @@ sine = { amplitude = "1 V", frequency = "50 Hz" }
     def misshapen(self, part: Part) -> Iterator[UsageError]:
         return iter(())
 
-    def build(self, part: Part, scene: Scene, clock: Any) -> Ladder:
-        return self._magnet(part, part.keys.tolerance)
-
-    def full_model(self, part: Part, build: Build, clock: Any) -> Ladder:
-        """Couplings of a closer fit."""
-        return self._magnet(part, CLOSER * part.keys.tolerance)
-
-    def _magnet(self, part: Part, tolerance: float) -> Ladder:
+    def build(self, part: Part, scene: Scene, clock: Any, full: bool = False) -> Ladder:
+        """In ``full`` couplings of a closer fit."""
         keys: MovingMagnetKeys = part.keys
+        tolerance = (CLOSER if full else 1.0) * keys.tolerance
         shape = keys.inner, keys.radius, keys.thickness
 
         def build() -> Ladder:

@@ -386,22 +386,16 @@ class RingMagnetCoils(Touching):
         catch = self._unit(part, part.keys.positions).model_dump(mode="json")
         return {"catch": catch, "radius": sphere_of(part, scene).keys.radius}
 
-    def build(self, part: Part, scene: Scene, clock: Any) -> EMTable:
-        return self._table(part, scene, clock, part.keys.positions)
-
-    def full_model(self, part: Part, build: Build, clock: Any) -> EMTable:
-        """A table so dense that its splines interpolate ``DENSER**4`` times better."""
-        dense = DENSER * (part.keys.positions - 1) + 1
-        return self._table(part, build.scene, clock, dense)
-
-    def _table(self, part: Part, scene: Scene, clock: Any, count: int) -> EMTable:
-        """With ``count`` heights; what the remanence, a factor, and the shift change is exact.
+    def build(self, part: Part, scene: Scene, clock: Any, full: bool = False) -> EMTable:
+        """What the remanence, a factor, and the shift change is exact; a ``full`` table is so dense
+        that its splines interpolate ``DENSER**4`` times better.
 
         In linear materials the pull between the magnets grows with the square of the remanence,
         what a current adds in proportion, and what currents do alone not at all. Air box and ring
         move together.
         """
-        keys, unit = part.keys, self._unit(part, count)
+        keys, count = part.keys, (DENSER if full else 1) * (part.keys.positions - 1) + 1
+        unit = self._unit(part, count)
 
         def build() -> EMTable:
             from kc2spice.fem.magnetics.field import catch_table

@@ -67,7 +67,8 @@ class System:
     F: np.ndarray  # (n, N)
     const: np.ndarray
     differential: np.ndarray  # (n,) bool
-    velocity: np.ndarray  # (n,) bool
+    velocity: np.ndarray  # (m,) places of velocities among the unknowns
+    moved: np.ndarray  # (m,) places of the displacements whose they are
     sources: tuple[L.Source, ...]
     devices: tuple[Attached, ...]
     linear: tuple[Attached, ...]  # whose outputs and stores are in ``G``, ``F`` and ``const``
@@ -348,7 +349,8 @@ class _Assembly:
             F=F,
             const=W.T @ self.const,
             differential=differential,
-            velocity=np.isin(np.arange(size), np.arange(p, p + d)),
+            velocity=np.arange(p, p + d),
+            moved=cols,
             sources=self.sources,
             devices=tuple(devices),
             linear=tuple(linear),

@@ -93,15 +93,10 @@ def equilibrium(system: System, guess: np.ndarray | None = None) -> tuple[np.nda
     z[system.velocity] = 0.0
     if rest.h.size and guess is None:
         z = z + np.linalg.lstsq(rest.H, rest.h - rest.H @ z, rcond=None)[0]
-    friction, moved = np.zeros((n, n)), []
-    for v in np.flatnonzero(system.velocity):  # the row of p' = speed v tells whose velocity it is
-        p = int(np.flatnonzero((system.F[:, v] != 0.0) & _kinematic(system))[0])
-        moved.append((int(v), p))
-    if guess is not None and not moved:  # nothing has a mass: the row of a net balances its forces
-        moved = [(int(k), int(k)) for k in _nets(system)]
-    for row, column in moved:
-        friction[row, column] = 1.0
-    forces, places = np.array(moved, dtype=int).reshape(-1, 2).T
+    friction, forces, places = np.zeros((n, n)), system.velocity, system.moved
+    if guess is not None and not places.size:  # nothing has a mass: a net's row balances its forces
+        forces = places = _nets(system)
+    friction[forces, places] = 1.0
     # A guess is mostly near: Newton's method alone first, the slow motion where that fails.
     pace, direct = (1e-6, 0) if guess is None else (1e13, _DIRECT)
     start = z
@@ -131,13 +126,6 @@ def _nets(system: System) -> np.ndarray:
     names = {name: k for k, name in enumerate(system.names)}
     moving = [k for name, k in names.items() if f"{name}.rate" in names]
     return np.flatnonzero((system.now[moving, : system.size] != 0.0).any(axis=0))
-
-
-def _kinematic(system: System) -> np.ndarray:
-    """Rows ``p' = speed v``: a rate of a displacement, moved by nothing but one velocity."""
-    M, A = system.G[:, : system.size] != 0.0, system.F[:, : system.size] != 0.0
-    velocity = A[:, system.velocity].any(axis=1) & ~M[:, system.velocity].any(axis=1)
-    return (M.sum(axis=1) == 1) & (A.sum(axis=1) == 1) & velocity
 
 
 def _solve(

@@ -131,14 +131,12 @@ def _switched(
     system: System, modes: list[Any], fired: int, t: float
 ) -> tuple[list[Any], list[Event]]:
     """Modes after guard number ``fired`` fell to zero."""
-    now, zero = list(modes), 0
-    for k, device in enumerate(system.devices):
-        count = len(device.law.guards(t, np.zeros(len(device.inputs)), modes[k]))
-        if fired < zero + count:
-            now[k], what = device.law.switch(modes[k], fired - zero)
-            return now, [Event(t, device.law.name, what)] if what else []
-        zero += count
-    raise AssertionError("guard out of range")
+    each = zip(system.devices, modes, strict=True)
+    counts = [len(d.law.guards(t, np.zeros(len(d.inputs)), mode)) for d, mode in each]
+    k = int(np.searchsorted(np.cumsum(counts), fired, side="right"))
+    law, now = system.devices[k].law, list(modes)
+    now[k], what = law.switch(modes[k], fired - sum(counts[:k]))
+    return now, [Event(t, law.name, what)] if what else []
 
 
 def _run(

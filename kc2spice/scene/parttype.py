@@ -271,8 +271,13 @@ class PartType:
         """Settings of its reduction, None where its model is not a reduced one."""
         return None
 
-    def build(self, part: Part, scene: Scene, clock: Any) -> Any:
-        """Its model: fields, reduced matrices, tables; cached by all that it depends on."""
+    def build(self, part: Part, scene: Scene, clock: Any, full: bool = False) -> Any:
+        """Its model: fields, reduced matrices, tables; cached by all that it depends on.
+
+        In ``full`` what that approximates, in the same form: the full
+        :class:`kc2spice.rom.linear.LinearModel` of a reduced one, a table of more nodes. ``verify``
+        solves the scene with it; None where there is none.
+        """
         return None
 
     def library(self, part: Part, scene: Scene) -> str:
@@ -345,12 +350,6 @@ class PartType:
     def gates(self, part: Part, build: Build) -> Iterable[Gate]:
         """Results that the scene is run for, and how far two solution paths may differ in them."""
         return ()
-
-    def full_model(self, part: Part, build: Build, clock: Any) -> Any | None:
-        """What its model approximates, in the same form: the full
-        :class:`kc2spice.rom.linear.LinearModel` of a reduced one, a table of more nodes. ``verify``
-        solves the scene with it; None where there is none."""
-        return None
 
     def figures(self, part: Part, build: Build, waves: Waveforms) -> Iterable[Any]:
         """Plots of its results (:class:`kc2spice.core.figure.Figure`) for the report."""

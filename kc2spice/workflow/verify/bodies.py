@@ -55,7 +55,7 @@ def verify_body(
     band = held_band(rom, build)
     errors, curves = {}, {}
     at = _sampled(rom, band)
-    full = part.type.full_model(part, build, clock)
+    full = part.type.build(part, build.scene, clock, full=True)
     if full is not None:
         count = at.size if whole or full.order <= SMALL else FEW
         at = _first(rom, at, min(count, MANY))

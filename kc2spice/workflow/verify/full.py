@@ -59,7 +59,7 @@ def full_build(build: Build, clock: Any) -> Build | None:
     found = {}
     for part in build.scene.parts.values():
         if part.type.reduced or not timed:
-            full = part.type.full_model(part, build, clock)
+            full = part.type.build(part, build.scene, clock, full=True)
             if full is not None:
                 found[part.name] = _sparse(full) if isinstance(full, LinearModel) else full
     return replace(build, models={**build.models, **found}) if found else None
