@@ -128,7 +128,7 @@ class Declaration:
         allowed = {"energy": "displacement", "coenergy": "displacement voltage current"}
         for what, kinds in allowed.items():
             coordinates = {b.name for b in self.branches if b.kind in kinds.split()}
-            strange = names(getattr(self, f"_{what}")) - coordinates - set(self.parameters)
+            strange = names(self._tree(what)) - coordinates - set(self.parameters)
             if strange:
                 raise UsageError(
                     f"the {what} does not depend on this",
@@ -138,9 +138,8 @@ class Declaration:
                 )
 
     def _stated(self) -> Iterable[tuple[str, Tree]]:
-        yield from (("energy", self._energy), ("coenergy", self._coenergy))
-        yield from (("content", self._content), *self._forces.items())
-        yield from (*self.bounds.items(), *self.fixed.items())
+        yield from ((what, self._tree(what)) for what in ("energy", "coenergy", "content"))
+        yield from (*self._forces.items(), *self.bounds.items(), *self.fixed.items())
 
     # --- names ------------------------------------------------------------------------------
 
@@ -200,17 +199,12 @@ class Declaration:
 
     # --- what follows -----------------------------------------------------------------------
 
-    @cached_property
-    def _energy(self) -> Tree:
-        return expression(self.energy, f"energy of {self.name}")
+    def _tree(self, what: str) -> Tree:
+        """Of the energy, coenergy or content."""
+        return expression(getattr(self, what), f"{what} of {self.name}")
 
-    @cached_property
-    def _coenergy(self) -> Tree:
-        return expression(self.coenergy, f"coenergy of {self.name}")
-
-    @cached_property
-    def _content(self) -> Tree:
-        return expression(self.content, f"content of {self.name}")
+    def _slope(self, what: str, name: str) -> Tree:
+        return derivative(self._tree(what), name)
 
     @cached_property
     def _forces(self) -> dict[str, Tree]:
@@ -229,27 +223,25 @@ class Declaration:
         """What is through a branch at once: force, or current besides that of the charge; of a
         current, the voltage besides that of the flux."""
         if branch.kind != "displacement":
-            return derivative(self._content, branch.name)
-        stored = minus(
-            derivative(self._energy, branch.name), derivative(self._coenergy, branch.name)
-        )
-        lost = derivative(self._content, branch.name + RATE)
+            return self._slope("content", branch.name)
+        stored = minus(self._slope("energy", branch.name), self._slope("coenergy", branch.name))
+        lost = self._slope("content", branch.name + RATE)
         return plus(stored, lost, self._forces.get(branch.name, ZERO))
 
     def loss(self, branch: Branch) -> Tree:
         """Damping, conductance or resistance of a branch, for small signals."""
         own = branch.name + RATE * (branch.kind == "displacement")
-        return derivative(derivative(self._content, own), own)
+        return derivative(self._slope("content", own), own)
 
     def kept(self, branch: Branch) -> Tree:
         """Charge or flux of a branch, whose rate adds to :meth:`direct`."""
-        return ZERO if branch.kind == "displacement" else derivative(self._coenergy, branch.name)
+        return ZERO if branch.kind == "displacement" else self._slope("coenergy", branch.name)
 
     @cached_property
     def stored(self) -> Tree:
         """The stored energy [J]."""
         both = [times(Name(b.name), self.kept(b)) for b in self.branches]
-        return plus(minus(self._energy, self._coenergy), *both)
+        return plus(minus(self._tree("energy"), self._tree("coenergy")), *both)
 
     @cached_property
     def lost(self) -> Tree:
@@ -269,7 +261,7 @@ class Declaration:
         return plus(*(self._heat(b.name) for b in self.open if b.kind != "displacement"))
 
     def _heat(self, rate: str) -> Tree:
-        return times(Name(rate), derivative(self._content, rate))
+        return times(Name(rate), self._slope("content", rate))
 
     @cached_property
     def equations(self) -> tuple[str, ...]:
@@ -297,7 +289,7 @@ class Declaration:
     @cached_property
     def damped(self) -> tuple[Branch, ...]:
         """Displacements whose velocities matter."""
-        found = names(self._content).union(*map(names, self._forces.values()))
+        found = names(self._tree("content")).union(*map(names, self._forces.values()))
         return tuple(b for b in self.branches if b.name + RATE in found)
 
     def values(self, keys: Section) -> dict[str, float]:
