@@ -275,9 +275,10 @@ class Declaration:
         name = branch.across if branch.kind == "current" else branch.through
         return f"{name} = {' + '.join(terms)}" if terms else ""
 
-    def at_rest(self, tree: Tree) -> Tree:
-        """``tree`` where all coordinates and rates are zero."""
-        return plus(replaced(tree, dict.fromkeys((*self.coordinates, *self.rates), ZERO)))
+    def at_rest(self, tree: Tree, but: str = "") -> Tree:
+        """``tree`` where all coordinates and rates are zero, but for one of that name."""
+        still = {*self.coordinates, *self.rates} - {but}
+        return plus(replaced(tree, dict.fromkeys(still, ZERO)))
 
     @cached_property
     def linear(self) -> bool:

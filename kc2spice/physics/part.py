@@ -85,7 +85,8 @@ class DeclaredPart(PartType):
         d = self.declared(part, scene)
         values = d.values(part.keys)
         moved = [b for b in d.branches if b.kind == "displacement"]
-        slopes = [derivative(d.direct(b), b.name) for b in moved]
+        # all others at rest first: what a long sum leaves of it has a short derivative
+        slopes = [derivative(d.at_rest(d.direct(b), b.name), b.name) for b in moved]
         stiff = [float(evaluated(d.at_rest(slope), values)) for slope in slopes]
         pairs = ((b.plus, b.minus) for b, found in zip(moved, stiff, strict=True) if found)
         return Rest(tuple(pairs))
