@@ -59,7 +59,7 @@ def building(storeys=60):
     return {"M": M, "E": 1e-3 * K + D, "K": K, "B": B, "C": np.eye(storeys)[[-1, 5]]}, 2.0
 
 
-def heat_rod(n=400):
+def heat_rod(n=250):
     """Heat conduction along a rod of unit length, ends held at zero: heat in at a third,
     temperature out at two thirds and at the middle. First order; Chahlaoui and Van Dooren,
     SLICOT 2002-2.
