@@ -23,6 +23,13 @@ class Card:
     where: str = field(default="", compare=False)
     written: str = field(default="", compare=False)
 
+    def error(
+        self, message: str, got: str = "", expected: str | None = None, hint: str | None = None
+    ) -> UsageError:
+        """That something is wrong with it; ``got`` is how it was written unless given."""
+        got = got or self.written[:80]
+        return UsageError(message, where=self.where, got=got, expected=expected, hint=hint)
+
 
 @dataclass(frozen=True)
 class Element(Card):

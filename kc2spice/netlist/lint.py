@@ -58,12 +58,6 @@ def problems(deck: Deck) -> list[UsageError]:
     return [p for scope in deck.scope.inwards() for p in _scope_problems(scope, signals)]
 
 
-def _problem(
-    card: Card, message: str, got: str, expected: str | None = None, hint: str | None = None
-) -> UsageError:
-    return UsageError(message, where=card.where, got=got, expected=expected, hint=hint)
-
-
 def _signal_pins(circuits: Iterable[Circuit]) -> Iterator[tuple[str, str]]:
     for each in circuits:
         signals = (pin.name.lower() for pin in declared_pins(each) if pin.flow == "-")
@@ -105,7 +99,7 @@ def _duplicates(scope: Scope) -> Iterator[UsageError]:
         first = seen.setdefault(part.key, part)
         if first is not part:
             other = f"another name; the first {part.key} is in {first.where}"
-            yield _problem(part, "two parts have one name", part.name, other)
+            yield part.error("two parts have one name", part.name, other)
 
 
 def _defined_twice(scope: Scope) -> Iterator[UsageError]:
@@ -121,8 +115,7 @@ def _defined_twice(scope: Scope) -> Iterator[UsageError]:
             first, place = seen.setdefault(what, (value, card))
             files = {each.where.rpartition(":")[0] for each in (place, card)}
             if len(files) > 1 and first != value:
-                yield _problem(
-                    card,
+                yield card.error(
                     f"two files define the {what}",
                     card.written,
                     f"one definition; the first is in {place.where}",
@@ -134,30 +127,28 @@ def _instance(part: Element, scope: Scope) -> Iterator[UsageError]:
     called = scope.find(part.model)
     if called is None:
         near = _nearest(part.model, scope.subcircuits)
-        yield _problem(part, "no such subcircuit", part.model, near)
+        yield part.error("no such subcircuit", part.model, near)
         return
     if len(part.nodes) != len(called.pins):
         short = len(part.nodes) < len(called.pins)
         which = called.pins[len(part.nodes) :] if short else part.ends[len(called.pins) :]
-        yield _problem(
-            part,
+        yield part.error(
             f"{'missing' if short else 'too many'} pins of {called.name}: {' '.join(which)}",
             f"{len(part.nodes)} nodes: {' '.join(part.ends)}",
             f"{len(called.pins)} pins: {' '.join(called.pins)}",
         )
     for param in (name for name in part.settings if name not in called.defaults):
         near = _nearest(param, called.defaults)
-        yield _problem(part, f"{called.name} has no such parameter", param, near)
+        yield part.error(f"{called.name} has no such parameter", param, near)
 
 
 def _references(part: Element, scope: Scope) -> Iterator[UsageError]:
     """Models and controlling sources of a primitive part."""
     if part.model and part.model.lower() not in scope.models:
-        yield _problem(part, "no such model", part.model, _nearest(part.model, scope.models))
+        yield part.error("no such model", part.model, _nearest(part.model, scope.models))
     for param in part.settings if part.kind in "rlcvi" else ():
         if instead := _PARASITIC.get(param):
-            yield _problem(
-                part,
+            yield part.error(
                 "ngspice has no such parameter of an element, LTspice has",
                 f"{param}={part.settings[param]} of {part.name}",
                 f"{instead}, as an element of its own",
@@ -167,7 +158,7 @@ def _references(part: Element, scope: Scope) -> Iterator[UsageError]:
     present = [e.key for e in scope.elements if e.kind == kind]
     for source in map(str.lower, part.sources):
         if source not in present:
-            yield _problem(part, "no such controlling part", source, _nearest(source, present))
+            yield part.error("no such controlling part", source, _nearest(source, present))
 
 
 def _unknown_names(card: Card, tree: Tree, scope: Scope) -> Iterator[UsageError]:
@@ -176,12 +167,12 @@ def _unknown_names(card: Card, tree: Tree, scope: Scope) -> Iterator[UsageError]
     for leaf in walk(tree):
         if isinstance(leaf, Name) and leaf.text.lower() not in BUILT_IN.union(scope.params):
             near = _nearest(leaf.text, scope.params)
-            yield _problem(card, "no such parameter", leaf.text, near)
+            yield card.error("no such parameter", leaf.text, near)
         elif isinstance(leaf, Probe):
             what, present = ("node", nodes) if leaf.kind == "v" else ("source", sources)
             for name in map(str.lower, leaf.names):
                 if name not in present:
-                    yield _problem(card, f"no such {what}", name, _nearest(name, present))
+                    yield card.error(f"no such {what}", name, _nearest(name, present))
 
 
 def _unknown_functions(part: Element, tree: Tree, scope: Scope) -> Iterator[UsageError]:
@@ -190,10 +181,10 @@ def _unknown_functions(part: Element, tree: Tree, scope: Scope) -> Iterator[Usag
     for leaf in walk(tree):
         if isinstance(leaf, Call) and leaf.function not in known:
             near = _nearest(leaf.function, known)
-            yield _problem(part, "ngspice has no such function", leaf.function, near)
+            yield part.error("ngspice has no such function", leaf.function, near)
         if isinstance(leaf, Binary) and leaf.op == "^" and leaf.right in _ODD:
             message = "ngspice takes odd powers of the absolute value"
-            yield _problem(part, message, part.written, "a product")
+            yield part.error(message, part.written, "a product")
 
 
 def _constants(part: Element) -> Iterator[str]:
@@ -222,8 +213,7 @@ def _dangling(scope: Scope, signals: frozenset[tuple[str, str]]) -> Iterator[Usa
             known = called is not None and position < len(called.pins)
             pin = called.pins[position] if called and known else str(position + 1)
             if (part.model.lower(), pin) not in signals:
-                yield _problem(
-                    part,
+                yield part.error(
                     f"floating port: nothing else is wired to node {node}",
                     f"pin {pin} of {part.name}",
                     _nearest(node, [n for n in uses if n != node]),

@@ -407,12 +407,9 @@ def declared_pins(circuit: Circuit) -> list[Pin]:
 def _part(circuit: Circuit, text: str, file: str) -> Subcircuit:
     pins = declared_pins(circuit)
     if pins and [p.name.lower() for p in pins] != [n.lower() for n in circuit.pins]:
-        raise UsageError(
-            "the head does not list the pins of its subcircuit",
-            where=circuit.where,
-            got=" ".join(p.name for p in pins),
-            expected=" ".join(circuit.pins),
-        )
+        listed = " ".join(p.name for p in pins)
+        message = "the head does not list the pins of its subcircuit"
+        raise circuit.error(message, listed, " ".join(circuit.pins))
     told = {m[1].lower(): m for m in map(_PARAM.match, circuit.notes) if m}
     params = tuple(
         _param(name, default, told.get(name.lower()), circuit.where)

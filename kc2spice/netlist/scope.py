@@ -6,7 +6,6 @@ from collections import ChainMap
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 
-from kc2spice.core.errors import UsageError
 from kc2spice.netlist.circuit import (
     Circuit,
     Directive,
@@ -102,48 +101,32 @@ def _link(
 def _require_known(part: Element) -> None:
     if part.kind not in NODES and part.kind != "x":
         letters = "".join(sorted(NODES)).upper()
-        raise UsageError(
-            "unknown kind of element",
-            where=part.where,
-            got=part.name,
-            expected=f"a name that begins with one of {letters}X",
-        )
+        expected = f"a name that begins with one of {letters}X"
+        raise part.error("unknown kind of element", part.name, expected)
 
 
 def _require_same(model: Model, first: Model) -> None:
     if first.where.partition(":")[0] != model.where.partition(":")[0] and not first.same(model):
-        raise UsageError(
-            "two models have one name",
-            where=model.where,
-            got=model.name,
-            expected=f"one definition; the first is in {first.where}",
-            hint="rename one, or put it into its .subckt",
-        )
+        expected = f"one definition; the first is in {first.where}"
+        hint = "rename one, or put it into its .subckt"
+        raise model.error("two models have one name", model.name, expected, hint)
 
 
 def _included(s: Directive, file: str, files: Mapping[str, Circuit], chain: tuple[str, ...]) -> str:
     written = " ".join(s.words).strip("\"'")
     target = beside(file, written)
     if target in chain:
-        raise UsageError("include goes in a circle", where=s.where, got=" -> ".join(chain))
+        raise s.error("include goes in a circle", " -> ".join(chain))
     if target not in files:
-        raise UsageError(
-            "included file is not there",
-            where=s.where,
-            got=written or "no file name",
-            expected="one of " + ", ".join(sorted(set(files) - set(chain))),
-        )
+        expected = "one of " + ", ".join(sorted(set(files) - set(chain)))
+        raise s.error("included file is not there", written or "no file name", expected)
     return target
 
 
 def _opened(each: Circuit, parent: Scope) -> Scope:
     if first := parent.subcircuits.maps[0].get(each.name.lower()):
-        raise UsageError(
-            "two subcircuits have one name",
-            where=each.where,
-            got=each.name,
-            expected=f"one definition; the first is in {first.where}",
-        )
+        expected = f"one definition; the first is in {first.where}"
+        raise each.error("two subcircuits have one name", each.name, expected)
     defaults = {key.lower(): value for key, value in each.defaults.items()}
     scope = Scope(
         each.name,

@@ -46,6 +46,7 @@ def _complete(rows: Rows) -> dict[str, Matrix]:
     size = max((matrix.shape[0] for k, matrix in given.items() if k in "MEKA"), default=1)
     model = LinearModel(**{"B": np.ones((size, 1)), **given}, name=rows.where)
     kept = (set(given) - {"K"}) | {"A"} if model.first_order else set(given)
+    kept |= set("CD") if "B" in given else set()
     return {letter: getattr(model, letter) for letter in kept}
 
 
@@ -226,7 +227,7 @@ class Rows:
     def _listed(self, entry: PortEntry) -> np.ndarray:
         """A column of B or row of C; conservative ports see what they drive, so a C must agree."""
         B = self.found.get("B", np.zeros((self.size, 0)))
-        C = self.found.get("C", B.T)
+        C = self.found.get("C", B.T)  # the file's, or what goes with nodes alone
         where, place = self.said.of(entry), entry.column or entry.row or 0
         table, what = (B.T, "columns of B") if entry.row is None else (C, "rows of C")
         if place > len(table):
@@ -249,9 +250,7 @@ class Rows:
         """B, C, D over all rows and the ports, in the order of the sidecar."""
         said = self.said
         if not said.ports:
-            B = self.found["B"]
-            C = self.found.get("C", B.T)
-            return B, C, self.found.get("D", np.zeros((len(C), B.shape[1]))), ()
+            return self.found["B"], self.found["C"], self.found["D"], ()
         if self.size * len(said.ports) > MAX_WIDE:
             got = f"{len(said.ports)} ports of {self.size} rows"
             raise UsageError("too many ports", where=said.where, got=got, expected="fewer ports")

@@ -62,11 +62,10 @@ from pydantic import (
     ValidationInfo,
     model_validator,
 )
-from pydantic_core import PydanticCustomError
 
 from kc2spice.bodies.readers.raw import CODES, DOFS, existing, guarded
 from kc2spice.core.foreign import MAX_BYTES, parse_toml, read_bounded, text_of
-from kc2spice.core.quantities import Count, Section, validated
+from kc2spice.core.quantities import Count, Section, refused, validated
 from kc2spice.rom.linear import CONSERVATIVE, Port, PortKind
 
 LENGTHS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "in": 0.0254, "ft": 0.3048}
@@ -74,22 +73,17 @@ FORCES = {"N": 1.0, "mN": 1e-3, "uN": 1e-6, "kN": 1e3, "lbf": 4.4482216152605}
 _AXES = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
 
 
-def wrong(message: str, expected: str) -> PydanticCustomError:
-    """What a validator says of a value that it does not take."""
-    return PydanticCustomError("sidecar", "{message}", {"message": message, "expected": expected})
-
-
 def _printable(value: str) -> str:
     """Names end up in netlists, where a line is a command."""
     if not value.isprintable():
-        raise wrong("is no name", "printable characters in one line")
+        raise refused("is no name", "printable characters in one line")
     return value
 
 
 def _word(value: str) -> str:
     """A unit goes into the header of a netlist."""
     if value and len(value.split()) != 1:
-        raise wrong("is no unit", "one word")
+        raise refused("is no unit", "one word")
     return value
 
 
@@ -97,7 +91,7 @@ def _beside(value: Path, info: ValidationInfo) -> Path:
     """Never elsewhere, so that a stranger's file cannot look around."""
     _printable(str(value))
     if value.is_absolute() or ".." in value.parts:
-        raise wrong("is not beside the TOML file", "a relative path")
+        raise refused("is not beside the TOML file", "a relative path")
     folder: Path = (info.context or {}).get("folder", Path())
     return folder / value
 
@@ -105,7 +99,7 @@ def _beside(value: Path, info: ValidationInfo) -> Path:
 def _dof(value: object) -> int:
     code = CODES.get(value.lower()) if isinstance(value, str) else value
     if type(code) is not int or code not in DOFS:
-        raise wrong("no such degree of freedom", ", ".join(CODES))
+        raise refused("no such degree of freedom", ", ".join(CODES))
     return code
 
 
@@ -116,7 +110,7 @@ def _direction(value: object) -> object:
 def _unit_vector(value: tuple[float, float, float]) -> tuple[float, float, float]:
     length = math.hypot(*value)
     if length == 0.0:
-        raise wrong("is no axis", "'x', 'y', 'z' or a direction [x, y, z]")
+        raise refused("is no axis", "'x', 'y', 'z' or a direction [x, y, z]")
     x, y, z = (each / length for each in value)
     return x, y, z
 
@@ -151,9 +145,9 @@ class Place(Section):
     def _once(self) -> Place:
         given = [k for k in ("node", "nodes", "nodeset", "at") if getattr(self, k) is not None]
         if len(given) > 1:
-            raise wrong(f"nodes are given twice: {', '.join(given)}", "one of them")
+            raise refused(f"nodes are given twice: {', '.join(given)}", "one of them")
         if self.within is not None and self.at is None:
-            raise wrong("'within' stands without 'at'", "a distance, with 'at'")
+            raise refused("'within' stands without 'at'", "a distance, with 'at'")
         return self
 
     @property
@@ -175,7 +169,7 @@ class Fixed(Place):
     @model_validator(mode="after")
     def _somewhere(self) -> Fixed:
         if not self.placed:
-            raise wrong("says nothing of where", "node, nodes, nodeset or at")
+            raise refused("says nothing of where", "node, nodes, nodeset or at")
         return self
 
 
@@ -195,27 +189,27 @@ class PortEntry(Place):
     @model_validator(mode="after")
     def _one_port(self) -> PortEntry:
         if self.scale != 1 and self.kind in CONSERVATIVE:
-            raise wrong("a conservative port has no scale", "'scale' of inputs and outputs only")
+            raise refused("a conservative port has no scale", "'scale' of inputs and outputs only")
         if self.row is not None and self.kind != "output":
-            raise wrong("row", "'row' for an output; 'column' for every other port")
+            raise refused("row", "'row' for an output; 'column' for every other port")
         if self.column is not None and self.kind == "output":
-            raise wrong("column", "'row' for an output")
+            raise refused("column", "'row' for an output")
         directed = self.dof is not None or self.axis is not None
         if self.column is not None or self.row is not None:
             if self.placed or directed:
-                raise wrong("column or row beside nodes", "either of them")
+                raise refused("column or row beside nodes", "either of them")
         elif self.kind == "acceleration":
             if self.axis is None or self.placed or self.dof is not None:
                 got = "no axis" if self.axis is None else "a node"
-                raise wrong(f"acceleration with {got}", "'axis' and nothing else")
+                raise refused(f"acceleration with {got}", "'axis' and nothing else")
         elif not self.placed:
-            raise wrong("no place", "node, nodes, nodeset, at, column or row")
+            raise refused("no place", "node, nodes, nodeset, at, column or row")
         elif self.kind == "electrical":
             if self.axis is not None or self.dof not in (None, CODES["volt"]):
-                raise wrong("a direction", "nodes only, their freedom is 'volt'")
+                raise refused("a direction", "nodes only, their freedom is 'volt'")
         elif (self.dof is None) == (self.axis is None):
             got = "dof and axis" if self.axis else "neither dof nor axis"
-            raise wrong(got, "'dof' or 'axis'")
+            raise refused(got, "'dof' or 'axis'")
         return self
 
     @property
@@ -236,7 +230,7 @@ class Damping(Section):
     def _either(self) -> Damping:
         given = self.model_fields_set
         if given & {"ratio", "at"} and given != {"ratio", "at"}:
-            raise wrong("is no damping", "alpha and beta, or ratio and at [Hz]")
+            raise refused("is no damping", "alpha and beta, or ratio and at [Hz]")
         return self
 
     @property
@@ -288,7 +282,7 @@ class Sidecar(Section):
         for number, table in enumerate(tables):
             match table:
                 case {"column": _} | {"row": _}:
-                    raise wrong(f"port[{number}] has a column or row", "[[ports]], with a kind")
+                    raise refused(f"port[{number}] has a column or row", "[[ports]], with a kind")
                 case {"direction": "in", **rest}:
                     columns += 1
                     ports.append({**rest, "kind": "input", "column": columns})
@@ -299,17 +293,17 @@ class Sidecar(Section):
                     columns, rows = columns + 1, rows + 1
                     ports.append({**rest, "column": columns})
                 case _:
-                    raise wrong(f"port[{number}] has no direction", "'in', 'out' or 'both'")
+                    raise refused(f"port[{number}] has no direction", "'in', 'out' or 'both'")
         return {**{key: data[key] for key in data if key != "port"}, "ports": ports}
 
     @model_validator(mode="after")
     def _fits(self) -> Sidecar:
         if self.band is not None and not self.band[0] < self.band[1]:
-            raise wrong("band is none", "[f0, f1] with 0 <= f0 < f1, Hz")
+            raise refused("band is none", "[f0, f1] with 0 <= f0 < f1, Hz")
         names = [port.name.lower() for port in self.ports]
         twice = [name for name, times in Counter(names).items() if times > 1]
         if twice:
-            raise wrong(f"two ports have one name: {', '.join(twice[:5])}", "a name for each")
+            raise refused(f"two ports have one name: {', '.join(twice[:5])}", "a name for each")
         return self
 
 

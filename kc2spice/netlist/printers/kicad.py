@@ -18,7 +18,6 @@ from textwrap import shorten
 from types import SimpleNamespace
 from uuid import NAMESPACE_URL, uuid5
 
-from kc2spice.core.errors import UsageError
 from kc2spice.netlist.cards import render
 from kc2spice.netlist.circuit import Directive, Element, Subcircuit
 from kc2spice.netlist.deck import Deck
@@ -240,16 +239,14 @@ def _item(element: Element, parts: dict[str, Symbol], plain: dict[str, Symbol]) 
     if letter == "X":
         symbol = parts.get(element.model.lower())
         if symbol is None or len(symbol.places) != len(nets):
-            raise UsageError("no such subcircuit", where=element.where, got=element.model)
+            raise element.error("no such subcircuit", element.model)
         fields = symbol.fields | ({"Sim.Params": given} if given else {})
         return _placed(symbol, fields | {"Reference": name}, nets)
     symbol = plain.get(letter)
     if symbol is None or len(symbol.places) != len(nets):
-        raise UsageError(
-            "the sheet has no symbol for this card",
-            where=element.where,
-            got=element.written[:80],
-            expected=f"one of {', '.join(sorted(k for k in plain if len(k) == 1))} or X",
+        known = ", ".join(sorted(k for k in plain if len(k) == 1))
+        raise element.error(
+            "the sheet has no symbol for this card", expected=f"one of {known} or X"
         )
     law = f"{element.quantity}={element.expression}" if element.quantity else ""
     words = (*map(_reference, element.sources), *element.values, given, law)

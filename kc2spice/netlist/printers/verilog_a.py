@@ -13,7 +13,6 @@ from dataclasses import dataclass, field, replace
 from kc2spice.core.errors import UsageError
 from kc2spice.netlist.cards import number
 from kc2spice.netlist.circuit import (
-    Card,
     Circuit,
     Directive,
     Element,
@@ -64,6 +63,7 @@ _WORDS = (
     "zi_zd zi_zp electrical V I"
 )
 _RESERVED = frozenset(_WORDS.split())
+_UNSAID = "Verilog-A cannot say this card"
 HOLD = 1e9  # S, of initial conditions
 SERIES = 1e-15  # Ohm, of a source of voltage
 _SWITCH = {"vt": "0.0", "vh": "0.0", "ron": "1.0", "roff": "1e12"}
@@ -244,7 +244,7 @@ def _expand(
     for card in scope.commands:
         names.where = card.where
         if isinstance(card, Directive) or card.written.startswith(".csparam"):
-            raise _unsaid(card)
+            raise card.error(_UNSAID)
         for key, text in card.values.items() if isinstance(card, Parameters) else ():
             names.params[key.lower()] = module.variable(prefix + key, names.value(text))
     for part in scope.elements:
@@ -259,7 +259,7 @@ def _expand(
 def _nested(part: Element, scope: Scope, outer: Names) -> None:
     called = scope.find(part.model)
     if called is None or len(called.pins) != len(part.nodes):
-        raise UsageError("no such subcircuit", where=part.where, got=part.model)
+        raise part.error("no such subcircuit", part.model)
     prefix = f"{outer.prefix}{part.key}_"
     pins = dict(zip(called.pins, map(outer.node, part.nodes), strict=True))
     params = {}
@@ -317,17 +317,13 @@ def _right(part: Element, names: Names, across: str) -> str:
             # OpenVAF makes one node of the ends of a plain 0 V, and its current zero
             read = part.key in _currents(names.scope)
             return _steady(part, names) + (f" + {number(SERIES)}*{own}" if read else "")
-    raise _unsaid(part)
-
-
-def _unsaid(card: Card, what: str = "Verilog-A cannot say this card") -> UsageError:
-    return UsageError(what, where=card.where, got=card.written[:80])
+    raise part.error(_UNSAID)
 
 
 def _value(part: Element, names: Names) -> str:
     """The one value of a card; a second one, a multiplier or a model would be left out."""
     if len(part.values) != 1 or set(part.settings) - ({"ic"} if part.kind == "c" else set()):
-        raise _unsaid(part)
+        raise part.error(_UNSAID)
     return names.value(part.values[0])
 
 
@@ -341,7 +337,7 @@ def _steady(part: Element, names: Names) -> str:
     points = [literal(word, where=part.where) for word in listed]
     if points and None not in points and not any(points[1::2]):
         return "0.0"
-    raise _unsaid(part, "a module has no sources with waveforms")
+    raise part.error("a module has no sources with waveforms")
 
 
 def _switch(part: Element, names: Names) -> str:
@@ -349,7 +345,7 @@ def _switch(part: Element, names: Names) -> str:
     given = _SWITCH | ({k.lower(): v for k, v in model.parameters.items()} if model else {})
     worth = {k: literal(v, where=names.where) for k, v in given.items()}
     if not model or worth.keys() != _SWITCH.keys() or None in worth.values() or worth["vh"]:
-        raise _unsaid(part, "Verilog-A cannot say this switch")
+        raise part.error("Verilog-A cannot say this switch")
     on, off, level = (names.value(given[k]) for k in ("ron", "roff", "vt"))
     return f"({names.across(part.nodes[2:])} > {level} ? {on} : {off})"
 
@@ -358,7 +354,7 @@ def _mutual(part: Element, names: Names) -> list[str]:
     inductors = {e.key: e for e in names.scope.elements if e.kind == "l"}
     coils = [inductors[s.lower()] for s in part.sources if s.lower() in inductors]
     if len(coils) != 2:
-        raise _unsaid(part)
+        raise part.error(_UNSAID)
     product = "*".join(names.value(coil.values[0]) for coil in coils)
     mutual = f"{_value(part, names)}*sqrt({product})"
     one, two = (names.branch(coil.name) for coil in coils)
