@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import replace
 from functools import cache
 from itertools import combinations_with_replacement
@@ -184,14 +185,17 @@ class MovingConductor(DeclaredPart):
             if coil.width >= 2 * coil.radius:
                 got, expected = f"{coil.width:g} m", f"less than twice the radius, {coil.radius:g}"
                 yield part.wrong(f"coils.{name}.width", "reaches over the axis", got, expected)
-            apart = coil.radius - coil.width / 2 >= keys.radius or (
-                coil.radius + coil.width / 2 <= keys.inner
-            )
-            below = coil.y + coil.height / 2 <= keys.y_min
-            above = coil.y - coil.height / 2 >= keys.y_max + _tall(keys)
+        coils = [
+            (f"coils.{n}", "winding", w) for n, w in zip(keys.coils, windings(keys), strict=True)
+        ]
+        magnets = [(f"magnets.{n}", "magnet", _section(m)) for n, m in keys.magnets.items()]
+        for where, what, w in (*coils, *magnets):
+            apart = w.radius - w.width / 2 >= keys.radius or w.radius + w.width / 2 <= keys.inner
+            below = w.y + w.height / 2 <= keys.y_min
+            above = w.y - w.height / 2 >= keys.y_max + _tall(keys)
             if not (apart or below or above):
                 got = f"y_min {keys.y_min:g} m, y_max {keys.y_max:g} m"
-                yield part.wrong(f"coils.{name}", "the body meets the winding", got, "room for it")
+                yield part.wrong(where, f"the body meets the {what}", got, "room for it")
 
     def misshapen(self, part: Part) -> Iterator[UsageError]:
         """What is wrong with its shape."""
@@ -229,7 +233,8 @@ class MovingConductor(DeclaredPart):
 
         shape = {"tolerance", "rings"}
         key = {"keys": keys.model_dump(exclude=shape, mode="json"), "of": (tolerance, rings)}
-        return cached("conductor", key, build, classes=(Ladder,), sources=SOURCES)[0]
+        with ranged(part):
+            return cached("conductor", key, build, classes=(Ladder,), sources=SOURCES)[0]
 
     def law(self, part: Part, build: Build) -> laws.Equations:
         """That of its declaration; currents of loops are no results, a full model has others."""
@@ -311,6 +316,23 @@ def sheets(ring: Ring, remanence: float) -> list[Winding]:
         for sign, radius in ((1.0, ring.outer), (-1.0, ring.inner))
         if radius
     ]
+
+
+def _section(ring: Ring) -> Winding:
+    """The room that it takes."""
+    middle, width = (ring.inner + ring.outer) / 2, ring.outer - ring.inner
+    return Winding(middle, width, ring.height, ring.y, 0.0)
+
+
+@contextmanager
+def ranged(part: Part) -> Iterator[None]:
+    """What its field cannot be built for is told of its range of heights."""
+    try:
+        yield
+    except UsageError as error:
+        raise part.wrong(
+            "y_max", str(error.message), error.got, error.expected, error.hint
+        ) from None
 
 
 def _tall(keys: Moving) -> float:

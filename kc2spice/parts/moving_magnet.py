@@ -14,7 +14,7 @@ from kc2spice.core.quantities import FluxDensity, Length, Notch, Ratio, Section
 from kc2spice.core.units import MU_0
 from kc2spice.fem.magnetics.keys import Ring
 from kc2spice.fem.magnetics.rings import Ladder, Winding, carried
-from kc2spice.parts.moving_conductor import Moving, MovingConductor, sheets, windings
+from kc2spice.parts.moving_conductor import Moving, MovingConductor, ranged, sheets, windings
 from kc2spice.scene.model import Part, Scene
 from kc2spice.scene.parttype import Neglected, register
 
@@ -104,7 +104,8 @@ sine = { amplitude = "1 V", frequency = "50 Hz" }
             return carried(body, windings(keys), fixed, *settings)
 
         key = {"keys": keys.model_dump(exclude={"tolerance"}, mode="json"), "of": tolerance}
-        return cached("magnet", key, build, classes=(Ladder,), sources=SOURCES)[0]
+        with ranged(part):
+            return cached("magnet", key, build, classes=(Ladder,), sources=SOURCES)[0]
 
     def detail(self, part: Part, scene: Scene) -> str:
         return f"{len(part.keys.coils)} coils, exact in currents, power series of the height"

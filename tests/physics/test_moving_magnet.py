@@ -1,17 +1,22 @@
 """A magnet that moves along coils: its field as that of charges on its faces, not of currents."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from scipy.integrate import quad, solve_ivp
 from scipy.special import ellipe, ellipk, j1
 
 import kc2spice as kc
+from kc2spice.core.errors import UsageError
 from kc2spice.fem.magnetics.rings import Winding, carried
 from kc2spice.parts.moving_magnet import demagnetising
 
 MU_0 = 4e-7 * np.pi
 COIL = Winding(1.75e-3, 0.46e-3, 1.5e-3, 2.72e-3, 280.0)
 RADIUS, TALL, BR = 1.5e-3, 1.6e-3, 1.02
+SCENE = str(Path(__file__).parents[2] / "docs" / "published" / "magnet_over_coil.toml")
+FIXED = {"outer": 1e-3, "inner": 0.0, "height": 1e-3, "y": 0.0, "remanence": 1.0}
 SHEET = Winding(RADIUS, 0.0, TALL, TALL / 2, BR * TALL / MU_0)
 
 
@@ -124,3 +129,16 @@ def test_a_magnet_over_a_loaded_coil_is_braked_as_by_its_law():
                       t_eval=waves["time"], max_step=1e-4).y[0]  # fmt: skip
     assert np.ptp(exact[-50:]) < np.ptp(exact[:200])  # it is braked
     assert np.abs(waves["magnet.y"] - exact).max() < 2e-3 * np.ptp(exact)
+
+
+@pytest.mark.parametrize(
+    ("given", "words"),
+    [
+        ({"magnet.y_max": "1 mm"}, "magnet.y_max: couplings change too fast"),
+        ({"magnet.y_max": "1 mm", "magnet.radius": "1.6 mm"}, "coils.coil: the body meets the win"),
+        ({"magnet.magnets.m": FIXED}, "the body meets the magnet"),
+    ],
+)
+def test_a_range_that_meets_a_coil_or_a_magnet_is_refused_by_key(given, words, tmp_path):
+    with pytest.raises(UsageError, match=words):
+        kc.run(SCENE, tmp_path, overrides=given)
