@@ -103,7 +103,6 @@ class LinearBody(Touching):
     whole device with them.
     """
 
-    reduced = True
     resistive = ("Rnoise",)
     #: what the reduced model's head and ``explain`` call it
     source = "FE, linear"
@@ -130,14 +129,11 @@ class LinearBody(Touching):
         """Largest voltage [V] that the material stands between electrodes, None if not known."""
         return None
 
-    def rated(self, part: Part) -> float | None:
-        """Largest voltage [V] that it stands between electrodes, None if not known."""
-        known: float | None = part.keys.rated_voltage or self.by_material(part)
-        return known
-
-    def limit(self, part: Part, build: Build) -> float | None:
+    def rated(self, part: Part, build: Build | None = None) -> float | None:
         """Largest voltage [V] between electrodes: as its keys, its layers or its mesh say."""
-        return self.rated(part) or build.model(part).facts.get("depoling_voltage_v")
+        mesh = {} if build is None else build.model(part).facts
+        known = part.keys.rated_voltage or self.by_material(part)
+        return known or mesh.get("depoling_voltage_v")
 
     def full_key(self, part: Part, scene: Scene) -> Mapping[str, Any]:
         """What the full model depends on."""
@@ -375,7 +371,7 @@ class LinearBody(Touching):
 
     def subcircuits(self, part: Part, build: Build, header: Header) -> tuple[Any, ...]:
         name = build.libraries[part.name]
-        volts = self.limit(part, build)
+        volts = self.rated(part, build)
         rating = f"{volts:.4g} V between {RATED}" if volts else UNRATED
         if not volts and any(port.kind == "electrical" for port in build.model(part).ports):
             rating += "; key rated_voltage states the largest voltage, a run then warns beyond it"
@@ -470,7 +466,7 @@ class LinearBody(Touching):
         if found is not None:
             yield from self._excited(part, build, waves, found)
         yield from _charge_kept(part, build)
-        volts, ports = self.limit(part, build), self.kept(part, build.scene)
+        volts, ports = self.rated(part, build), self.kept(part, build.scene)
         if volts is None:
             return
         for port in ports:

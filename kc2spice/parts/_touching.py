@@ -361,11 +361,6 @@ def _dented_by(nodes: bytes, compliance: bytes, radius: float) -> Indented:
 # --- how far a sphere can come --------------------------------------------------------------------
 
 
-def fall(height: float, gravity: float) -> float:
-    """Speed [m/s] gained over ``height`` [m]."""
-    return math.sqrt(max(0.0, 2 * gravity * height))
-
-
 def landing(sphere: Part, scene: Scene, speed: float, why: str) -> Iterator[Penetration]:
     """How deep a sphere that arrives with ``speed`` [m/s] goes into the bodies that it touches.
 

@@ -7,6 +7,7 @@ itself, in numpy, is :class:`kc2spice.core.magnets.Coenergy`.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from itertools import combinations
@@ -31,7 +32,7 @@ from kc2spice.netlist.cards import number
 from kc2spice.netlist.circuit import Subcircuit, positive
 from kc2spice.parts import sphere as spheres
 from kc2spice.parts._pictures import impedances
-from kc2spice.parts._touching import Penetration, Touching, fall, landing
+from kc2spice.parts._touching import Penetration, Touching, landing
 from kc2spice.parts.netlist import driver
 from kc2spice.scene.judge import Check
 from kc2spice.scene.model import Part, Scene, Terminal
@@ -359,7 +360,8 @@ class RingMagnetCoils(Touching):
 
     def penetrations(self, part: Part, scene: Scene) -> Iterator[Penetration]:
         sphere = sphere_of(part, scene)
-        speed = fall(part.keys.y_max - sphere.keys.radius, scene.gravity)
+        drop = 2 * scene.gravity * (part.keys.y_max - sphere.keys.radius)
+        speed = math.sqrt(max(0.0, drop))
         yield from landing(sphere, scene, speed, f"fall from {part.name}.y_max")
 
     def outline(self, part: Part, scene: Scene) -> Iterator[Shape]:

@@ -16,7 +16,6 @@ from kc2spice.core.waveforms import Waveforms
 from kc2spice.parts._touching import (
     Penetration,
     Touching,
-    fall,
     landing,
     only_pair,
     separation,
@@ -58,12 +57,11 @@ class Throw(Touching):
 
     def numerics(self, part: Part, scene: Scene) -> Iterator[Numerics]:
         """What a step may miss shrinks with the speed of the impact."""
-        drop = 2.0 * max(scene.gravity, 0.0) * part.keys.gap
-        speed = max(1e-3, math.sqrt(part.keys.velocity**2 + drop))
+        speed = max(1e-3, _arriving(part, scene))
         yield Numerics(f"impact at {speed:.3g} m/s", chgtol=min(1.0, speed))
 
     def penetrations(self, part: Part, scene: Scene) -> Iterator[Penetration]:
-        speed = math.hypot(part.keys.velocity, fall(part.keys.gap, scene.gravity))
+        speed = _arriving(part, scene)
         yield from landing(sphere(part, scene), scene, speed, f"impact at {speed:.3g} m/s")
 
     def metrics(self, part: Part, build: Build, waves: Waveforms) -> Mapping[str, Any]:
@@ -102,6 +100,11 @@ class Throw(Touching):
     def detail(self, part: Part, scene: Scene) -> str:
         keys = part.keys
         return f"{keys.velocity:g} m/s from {keys.gap:g} m"
+
+
+def _arriving(part: Part, scene: Scene) -> float:
+    """Speed [m/s] of the impact."""
+    return math.sqrt(part.keys.velocity**2 + 2 * max(scene.gravity, 0.0) * part.keys.gap)
 
 
 def sphere(part: Part, scene: Scene) -> Part:

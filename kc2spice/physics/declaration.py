@@ -246,14 +246,9 @@ class Declaration:
     @cached_property
     def lost(self) -> Tree:
         """The power [W] that becomes heat."""
-        own = [b.name for b in self.branches if b.kind != "displacement"]
-        return plus(self.dragged, *(self._heat(name) for name in own))
-
-    @cached_property
-    def dragged(self) -> Tree:
-        """The part of :attr:`lost` that motion loses."""
         own = (times(Name(name + RATE), tree) for name, tree in self._forces.items())
-        return plus(*map(self._heat, self.rates), *own)
+        others = (b.name for b in self.branches if b.kind != "displacement")
+        return plus(*map(self._heat, self.rates), *own, *map(self._heat, others))
 
     @cached_property
     def heated(self) -> Tree:

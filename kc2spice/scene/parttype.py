@@ -205,8 +205,6 @@ class PartType:
     source: ClassVar[str] = "circuit"
     #: its pins where all parts of the type have the same
     fixed: ClassVar[tuple[Terminal, ...]] = ()
-    #: whether its model is a reduced one, so that ``rom`` matters
-    reduced: ClassVar[bool] = False
     #: whether its ports are those that the scene's author declares, which an export all keeps
     declares: ClassVar[bool] = False
     #: whether it measures a motion and acts on it, which closes a loop
@@ -264,6 +262,11 @@ class PartType:
     def excites(self, part: Part, scene: Scene) -> bool:
         """Whether it drives small signals (``ac``)."""
         return False
+
+    @property
+    def reduced(self) -> bool:
+        """Whether its models are reduced ones, so that ``rom`` matters."""
+        return type(self).reduction is not PartType.reduction
 
     # --- models and netlist --------------------------------------------------------------------
 
