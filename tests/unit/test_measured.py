@@ -89,16 +89,9 @@ def test_matlab_files_say_what_tables_say(tmp_path):
     two = pi_network(f)
     scipy.io.savemat(tmp_path / "two.mat", {"f": f, "y": np.moveaxis(two, 0, 2)})
     assert np.abs(read_measured(tmp_path / "two.mat").Y - two).max() < 1e-12
-    wrong = {
-        "swapped": {"f": F, "r": Z.imag, "x": Z.real},
-        "gives power": {"f": F, "z": -Z},
-        "up and down": {"f": Z.real, "r": Z.real, "x": Z.imag},
-        "beside 401 frequencies": {"f": F, "z": Z[:50]},
-    }
-    for said, variables in wrong.items():
-        scipy.io.savemat(tmp_path / "bad.mat", variables)
-        with pytest.raises(kc.errors.UsageError, match=said):
-            reduce(tmp_path / "bad.mat", tmp_path / "out")
+    scipy.io.savemat(tmp_path / "bad.mat", {"f": F, "z": Z[:50]})
+    with pytest.raises(kc.errors.UsageError, match="beside 401 frequencies"):
+        reduce(tmp_path / "bad.mat", tmp_path / "out")
     scipy.io.savemat(tmp_path / "fe.mat", {"K": np.eye(3), "M": np.eye(3), "f": np.ones(3)})
     assert not is_measured(tmp_path / "fe.mat")
 
