@@ -22,15 +22,13 @@ def write_bench(directory: Path, title: str, record: Mapping[str, Any]) -> None:
     sections = [
         Section("Recommended", recommendation(record)),
         Section("Error against time", figures=[_figure(record)]),
+        Section("Settings", point_rows(record), HEAD),
         Section(
-            "Settings",
-            point_rows(record),
-            HEAD,
+            "Settings without a result",
+            [(each["label"], each["why"]) for each in record["failed"]],
+            ("setting", "why"),
         ),
     ]
-    if record["failed"]:
-        rows = [(each["label"], each["why"]) for each in record["failed"]]
-        sections.append(Section("Settings without a result", rows, ("setting", "why")))
     lead = f"{record['simulator']}; CPU time of the simulator, median of {record['repeats']}"
     write_page(directory / "bench.html", f"Settings of {title}", lead, sections)
 

@@ -69,8 +69,7 @@ def write_verify(path: Path, found: Mapping[str, Findings]) -> Path:
     for scene, findings in found.items():
         sections += [*verdict_sections(scene, findings.record()), *_details(scene, findings)]
     lead = "Full model, reduced model and ngspice on the emitted netlist, against each other."
-    kept = [s for s in sections if s.rows or s.figures or s.note]
-    return write_page(path, "Verification", lead, kept)
+    return write_page(path, "Verification", lead, sections)
 
 
 def verdict_sections(scene: str, record: Mapping[str, Any]) -> list[Section]:

@@ -127,13 +127,6 @@ def test_ngspice_runs_the_emitted_subcircuit_as_asked(name, dense, truth, tmp_pa
     assert worst(found, families.full_response(matrices, frequency), peak) <= tolerance
 
 
-def chain(n=40, k=1.0):
-    K = k * (2 * np.eye(n) - np.eye(n, k=1) - np.eye(n, k=-1))
-    B = np.zeros((n, 2))
-    B[0, 0] = B[n // 2, 1] = 1.0
-    return {"M": np.eye(n), "E": 0.02 * K, "K": K, "B": B}
-
-
 def test_improper_models_are_refused_with_the_reason():
     n = 3
     E = np.diag([1.0, 0.0, 0.0])

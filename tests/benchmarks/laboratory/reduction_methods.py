@@ -122,28 +122,8 @@ def compare(model: Model, top: float) -> list[tuple[Norm, float, str, int, float
             rows.append((norm, tolerance, "kc2spice", len(a), error, took))
             least = [q for q, each in errors.items() if each[norm] <= tolerance]
             same = [q for q, each in errors.items() if each[norm] <= error]
-            if least:
-                rows.append(
-                    (
-                        norm,
-                        tolerance,
-                        "balanced truncation",
-                        least[0],
-                        errors[least[0]][norm],
-                        spent,
-                    )
-                )
-            if same:
-                rows.append(
-                    (
-                        norm,
-                        tolerance,
-                        "the same at our error",
-                        same[0],
-                        errors[same[0]][norm],
-                        spent,
-                    )
-                )
+            for method, found in (("balanced truncation", least), ("the same at our error", same)):
+                rows += [(norm, tolerance, method, q, errors[q][norm], spent) for q in found[:1]]
     return rows
 
 

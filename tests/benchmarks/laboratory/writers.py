@@ -22,7 +22,6 @@ from laboratory.setup import Setup
 OHM, TOP = 50.0, 1e9  # of the scattering parameters, Hz
 STEP, STOP = 5e-11, 1e-7  # s of the transient
 SOURCE = "DC 0 AC 1 SIN(0 1 3e8)"
-TRANSIENT = 2e-3  # what ngspice's default tolerances leave between two forms
 
 
 def writers(setup: Setup) -> Outcome:

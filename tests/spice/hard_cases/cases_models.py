@@ -19,14 +19,6 @@ RESPONSE = "worst response over peak"
 SIZE = 40
 
 
-def chain(**changed: np.ndarray) -> dict[str, np.ndarray]:
-    """Forty masses between springs, pushed at one end and in the middle."""
-    stiffness = 2 * np.eye(SIZE) - np.eye(SIZE, k=1) - np.eye(SIZE, k=-1)
-    ports = np.zeros((SIZE, 2))
-    ports[0, 0] = ports[SIZE // 2, 1] = 1.0
-    return {"M": np.eye(SIZE), "E": 0.02 * stiffness, "K": stiffness, "B": ports, **changed}
-
-
 def response_error(bench: Bench, matrices: dict[str, np.ndarray], top: float = 0.1) -> float:
     """Reduced, written, run in ngspice, against ``C (s^2 M + s E + K)^-1 B`` in full."""
     model = LinearModel(**families.as_files(matrices), name="hard")
@@ -49,44 +41,46 @@ def response_error(bench: Bench, matrices: dict[str, np.ndarray], top: float = 0
 
 @case("nearly parallel Krylov vectors", RESPONSE, 1e-5)
 def inputs_that_differ_by_1e_12(bench):
-    ports = chain()["B"][:, [0, 0, 1]]
+    ports = families.chain()["B"][:, [0, 0, 1]]
     ports[3, 1] = 1e-12
-    return response_error(bench, chain(B=ports))
+    return response_error(bench, families.chain() | {"B": ports})
 
 
 @case("an unconstrained model", RESPONSE, 1e-5)
 def rigid_body(bench):
-    free = chain()["K"]
+    free = families.chain()["K"]
     free[0, 0] = free[-1, -1] = 1.0
-    return response_error(bench, chain(K=free, E=0.02 * free))
+    return response_error(bench, families.chain() | {"K": free, "E": 0.02 * free})
 
 
 @case("singular K", RESPONSE, 1e-5)
 def masses_that_nothing_holds(bench):
     """Ten of forty masses hang in the air by dashpots: K has rank 30."""
-    loose = chain()["K"]
+    loose = families.chain()["K"]
     loose[30:, :] = loose[:, 30:] = 0.0
-    drag = chain()["E"] + np.diag(np.r_[np.zeros(30), np.ones(10)])
+    drag = families.chain()["E"] + np.diag(np.r_[np.zeros(30), np.ones(10)])
     drag[29, 30] = drag[30, 29] = 0.0
-    return response_error(bench, chain(K=loose, E=drag))
+    return response_error(bench, families.chain() | {"K": loose, "E": drag})
 
 
 @case("indefinite K", RESPONSE, 1e-5)
 def indefinite_stiffness(bench):
     """Unstable, and the certificate says so; its response is right all the same."""
-    bent = chain()["K"] - np.diag(np.r_[0.0, 5.0, np.zeros(SIZE - 2)])
-    return response_error(bench, chain(K=bent))
+    bent = families.chain()["K"] - np.diag(np.r_[0.0, 5.0, np.zeros(SIZE - 2)])
+    return response_error(bench, families.chain() | {"K": bent})
 
 
 @case("non-symmetric K", RESPONSE, 1e-5)
 def unsymmetric_stiffness(bench):
-    return response_error(bench, chain(K=chain()["K"] + 0.01 * np.eye(SIZE, k=1)))
+    return response_error(
+        bench, families.chain() | {"K": families.chain()["K"] + 0.01 * np.eye(SIZE, k=1)}
+    )
 
 
 def _scaled(name: str, mass: float, stiffness: float) -> None:
     def measure(bench):
         rate = np.sqrt(stiffness / mass)
-        given = chain()
+        given = families.chain()
         matrices = {"M": mass * given["M"], "E": stiffness / rate * given["E"],
                     "K": stiffness * given["K"], "B": given["B"]}  # fmt: skip
         return response_error(bench, matrices, 0.1 * rate)

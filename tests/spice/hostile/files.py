@@ -11,7 +11,6 @@ import numpy as np
 from scipy import io as scipy_io
 
 DATA = Path(__file__).parents[2] / "data" / "matrices"
-SLOW = ("mat 4", "mat 5", "op4", "full")  # each starts a process
 K = np.array([[2.0, -1.0, 0.0], [-1.0, 2.0, -1.0], [0.0, -1.0, 1.5]])
 PORT = '[[ports]]\nname = "tip"\nkind = "mechanical"\nnode = 1\ndof = "ux"\n'
 
