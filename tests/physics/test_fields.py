@@ -233,6 +233,9 @@ def test_file_holds_what_another_reader_finds(tmp_path, kind, cell):
     for k, (a, b) in enumerate(map(int, pair) for pair in ends.split()):
         halfway = (found.points[nodes[:, a]] + found.points[nodes[:, b]]) / 2
         assert found.points[nodes[:, corners + k]] == pytest.approx(halfway, abs=1e-12)
+    if cell == "hexahedron27":
+        edges = found.points[nodes[:, (1, 3, 4)]] - found.points[nodes[:, :1]]
+        assert (np.linalg.det(edges) > 0).all()  # right-handed, as VTK has them
     z_at = found.points[:, 2]
     assert found.point_data["potential"] == pytest.approx(7.0 * z_at / 0.5e-3, abs=1e-6)
     assert found.point_data["field"][:, 2] == pytest.approx(-14e3, rel=1e-6)
