@@ -15,7 +15,7 @@ from laboratory.beam import heat, structure
 @pytest.mark.parametrize(
     ("case", "most", "tolerance"),
     [
-        (heat(), 0.5, 1e-4),
+        (heat(80), 0.5, 1e-4),
         pytest.param(heat(), 0.5, 1e-6, marks=pytest.mark.slow),
         pytest.param(structure(60, 2), 0.96, 1e-2, marks=pytest.mark.slow),
     ],
@@ -43,7 +43,7 @@ def test_the_peak_norm_needs_fewer_states_and_holds(case, most, tolerance):
 
 
 def test_the_command_takes_the_norm_of_the_ports_or_the_one_asked_for(tmp_path):
-    rod, _, (_, top) = heat()
+    rod, _, (_, top) = heat(80)
     np.savez(tmp_path / "rod.npz", A=rod.A, B=rod.B, C=rod.C)
     words = ["reduce", str(tmp_path / "rod.npz"), "--band", "0", str(top), "--json"]
     found = {}
