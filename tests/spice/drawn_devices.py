@@ -12,7 +12,8 @@ from hard_cases.modal_kick import Kick, pressed
 from own_equations import integrated
 from scipy.interpolate import CubicSpline
 from scipy.linalg import eigh
-from scipy.special import ellipe, ellipk
+from scipy.optimize import brentq
+from scipy.special import ellipe, ellipk, j1
 
 import kc2spice as kc
 
@@ -99,6 +100,8 @@ def voice(d):
     """A voice coil whose motor weakens and whose suspension stiffens away from rest."""
     d.f = d.value(20, 1e3)
     d.stop = d.rng.uniform(3, 8) / d.f
+    if d.rng.random() < 0.5:
+        return pulled(d)
     w, mass, ohm = 2 * np.pi * d.f * d.value(0.3, 3), d.value(1e-3, 3e-2), d.value(3, 16)
     give, far = 1 / (mass * w**2), d.value(1e-5, 2e-3)
     bl = np.sqrt(ohm * mass * w * d.value(0.1, 2))
@@ -128,6 +131,53 @@ def voice(d):
     def solve(points):
         t, y = integrated(rate, np.zeros(3), wave.corners, d.stop, points)
         return t, lambda column: (far * y[:, 0], None, amp * y[:, 2])[column]
+
+    d.solve = solve
+
+
+def pulled(d):
+    """Iron that a coil or magnet pulls across air gaps, up to a stop: flux, force, ``flux' N``."""
+    rng, w = d.rng, 2 * np.pi * d.f * d.value(0.3, 3)
+    mass, area, gap = d.value(1e-3, 1e-1), d.value(1e-5, 1e-3), d.value(1e-4, 3e-3)
+    gaps = rng.choice([1.0, 2.0])
+    turns, k, loss = float(rng.randint(50, 2000)), mass * w**2, mass * w / d.value(1, 20)
+    travel, stop = gap * rng.uniform(0.3, 0.7), k * d.value(100, 3000)
+    per = gaps / (MU * area)  # 1/H of a metre
+    core = per * gap * d.value(0.01, 1)
+    most = np.sqrt(8 / 27 * per * k * (gap + core / per) ** 3)  # ampere turns that pull it in
+    magnet = most * rng.choice([0.0, rng.uniform(-0.6, 0.6)])
+    ohm = d.f * turns**2 / (core + per * gap) * d.value(1, 20)
+    amp = most / turns * rng.choice([d.value(0.2, 0.9), d.value(1.2, 2)])
+    keys, wave = d.wave(ohm * amp)
+    source = d.part("source", **keys)
+    shape = {"area": area, "gap": gap, "gaps": gaps, "core": core, "travel": travel, "stop": stop}
+    one = d.part("reluctance", magnet=magnet, turns=turns, resistance=ohm, **shape,
+                 pins={"plus": f"{source}.out"})  # fmt: skip
+    spring = moved(d, one, mass, k, loss, travel)
+    d.compared[f"{one}.i"] = 2
+
+    def reluctance(x):
+        return core + per * (gap - x)
+
+    def force(x, flux):
+        return gaps * flux**2 / (2 * MU * area) - spring(x) - stop * max(0.0, x - travel)
+
+    def current(x, flux):
+        return (flux * reluctance(x) - magnet) / turns
+
+    size = np.array([gap, gap * w, turns * amp / reluctance(0.0)])
+
+    def rate(t, y):
+        x, v, flux = y * size
+        grown = (wave(t) - ohm * current(x, flux)) / turns
+        return np.array([v, (force(x, flux) - loss * v) / mass, grown]) / size
+
+    def solve(points):
+        rest = magnet and brentq(lambda x: force(x, magnet / reluctance(x)), 0.0, 0.3 * gap)
+        start = np.array([rest, 0.0, magnet / reluctance(rest)]) / size
+        t, y = integrated(rate, start, wave.corners, d.stop, points)
+        x, _, flux = size[:, None] * y.T
+        return t, lambda column: current(x, flux) if column else x
 
     d.solve = solve
 
@@ -188,6 +238,8 @@ def circles(a, b, apart):
 
 def thrown(d):
     """A thin ring of metal that a coil of one wire pushes off: two circles, two currents."""
+    if d.rng.random() < 0.5:
+        return shaken(d)
     d.f = d.value(50, 400)
     d.stop = d.rng.uniform(2, 4) / d.f
     w, side, top = 2 * np.pi * d.f, 1e-3, d.value(4e-3, 8e-3)
@@ -227,12 +279,103 @@ def thrown(d):
     def solve(points):
         t, y = integrated(rate, np.array([top, 0, 0, 0]) / size, wave.corners, d.stop, points)
         path = y * size
-        return (
-            t,
-            lambda column: (
-                path[:, 0] if column == 0 else np.array([currents(x)[0][0] for x in path])
-            ),
-        )
+        return t, [path[:, 0], np.array([currents(x)[0][0] for x in path])].__getitem__
+
+    d.solve = solve
+
+
+def linked(one, other, heights=0.0):
+    """Mutual inductance of two windings (radius, width, height, middle, turns), the first raised by
+    ``heights``: circles at Gauss's points of both, of two orders so that they never meet."""
+    circle = []
+    for order, (radius, width, height, middle, turns) in enumerate((one, other)):
+        x, p = np.polynomial.legendre.leggauss(8 + order if width else 1)
+        s, q = np.polynomial.legendre.leggauss(24 + order)
+        at, z = np.meshgrid(radius + width / 2 * x, middle + height / 2 * s, indexing="ij")
+        circle.append((at.ravel(), z.ravel(), turns / 4 * np.outer(p, q).ravel()))
+    (a, z, p), (b, s, q) = circle
+    apart = np.asarray(heights)[..., None, None] + z[:, None] - s
+    return p @ circles(a[:, None], b, apart)[0] @ q
+
+
+def demagnetised(inner, outer, tall):
+    """Mean field of both charged faces within a ring, of its magnetisation: Hankel's integral."""
+    k = np.linspace(1e-6, 800, 80001) / outer
+    face = (outer * j1(k * outer) - inner * j1(k * inner)) / k
+    return 2 / (tall * (outer**2 - inner**2)) * np.trapezoid((1 - np.exp(-k * tall)) * face**2, k)
+
+
+def shaken(d):
+    """A magnet on a spring along a coil, a loaded one and a fixed magnet: currents on its sides."""
+    rng = d.rng
+    d.f = d.value(20, 400)
+    d.stop = rng.uniform(3, 8) / d.f
+    outer, remanence, recoil = d.value(2e-3, 8e-3), d.value(0.2, 1.3), rng.choice([1.0, 1.05, 1.2])
+    inner, tall = outer * rng.choice([0.0, rng.uniform(0.2, 0.6)]), outer * d.value(0.4, 2)
+    reach, quality, w = outer * d.value(0.05, 0.3), d.value(1, 10), 2 * np.pi * d.f
+    w, mass = w * d.value(0.3, 3), 7500 * np.pi * (outer**2 - inner**2) * tall
+    k, loss, remanence = mass * w**2, mass * w / quality, remanence * rng.choice([-1, 1])
+
+    def sheets(middle, inner, outer, tall, tesla):
+        sides = ((outer, tesla), (inner, -tesla))
+        return [(r, 0.0, tall, middle, b * tall / MU) for r, b in sides if r]
+
+    share = remanence / (1 + (recoil - 1) * demagnetised(inner, outer, tall))
+    body, heights = sheets(tall / 2, inner, outer, tall, share), np.linspace(-1.1, 1.1, 201) * reach
+
+    def through(windings):
+        return CubicSpline(heights, sum(linked(s, w, heights) for s in body for w in windings))
+
+    high, low = outer * d.value(0.2, 1), outer * rng.uniform(-1, 1)
+    coils, tables, flux, ohms = [], {}, [], []
+    names = ("radius", "width", "height", "y", "turns", "resistance")
+    for n in range(rng.randint(1, 2)):
+        wide, turns = outer * d.value(0.1, 0.5), rng.randint(50, 500)
+        radius = outer * d.value(1.25, 1.6) + wide / 2
+        ohm = turns**2 * 2 * np.pi * radius / (3e7 * wide * high)
+        coils.append((radius, wide, high, low + 1.3 * n * high, turns))
+        tables[f"c{n}"] = dict(zip(names, (*coils[-1], ohm), strict=True))
+        flux.append(through(coils[-1:])), ohms.append(ohm)
+    L = np.array([[linked(a, b) for b in coils] for a in coils])
+    amp = k * reach * d.value(0.1, 0.5) / quality / np.abs(flux[0](heights, 1)).max()
+    keys, wave = d.wave(amp * ohms[0])
+    source = d.part("source", **keys)
+    pins, magnet, fixed = {"c0_p": f"{source}.out"}, {}, lambda y, order: 0.0
+    if len(coils) > 1:
+        load = ohms[1] * d.value(0.1, 10)
+        pins["c1_p"] = d.part("resistor", resistance=load) + ".a"
+        ohms[1] += load
+    if rng.random() < 0.5:
+        shape = outer * d.value(0.1, 0.4), outer * d.value(0.5, 1.5), outer * d.value(0.3, 1.5)
+        middle = -reach - outer * d.value(0.3, 1) - shape[2] / 2
+        tesla = k * reach * rng.uniform(-0.2, 0.2)
+        tesla = float(tesla / through(sheets(middle, *shape, 1.0))(0.0, 1))
+        fixed = through(sheets(middle, *shape, tesla))
+        names = ("inner", "outer", "height", "y", "remanence")
+        magnet["magnets"] = {"m": dict(zip(names, (*shape, middle, tesla), strict=True))}
+    box = {"inner": inner, "radius": outer, "thickness": tall, "y_min": -reach, "y_max": reach}
+    one = d.part("moving_magnet", remanence=remanence, mu_r=recoil, **box, **magnet,
+                 coils=tables, pins=pins)  # fmt: skip
+    spring = moved(d, one, mass, k, loss, reach, wave="y")
+    d.compared |= {f"{one}.i_c{n}": n + 1 for n in range(len(coils))}
+    size = np.array([reach, reach * w, *(amp * np.diag(L))])
+
+    def currents(y, total):
+        return np.linalg.solve(L, total - np.array([each(y) for each in flux]))
+
+    def rate(t, state):
+        y, v, *total = state * size
+        i = currents(y, total)
+        force = i @ [each(y, 1) for each in flux] + fixed(y, 1) - spring(y) - loss * v
+        return np.array([v, force / mass, *(wave(t) * np.eye(i.size)[0] - ohms * i)]) / size
+
+    def solve(points):
+        rest = brentq(lambda y: fixed(y, 1) - spring(y), -reach, reach)
+        start = np.array([rest, 0.0, *(each(rest) for each in flux)]) / size
+        t, y = integrated(rate, start, wave.corners, d.stop, points)
+        path = y * size
+        found = np.array([currents(row[0], row[2:]) for row in path])
+        return t, lambda column: found[:, column - 1] if column else path[:, 0]
 
     d.solve = solve
 

@@ -490,7 +490,7 @@ FAMILIES = (
     circuit, rectifier, motion, touch, matrices, body, bounce, driver, sensor, controller,
     electrostatic, voice, field, catch, stack, elastic, stretched, thrown,
 )  # fmt: skip
-QUICK = (0, 2, 6, 7, 8, 9, 29, 42, 78)  # of most families, seconds in all
+QUICK = (0, 2, 6, 7, 8, 9, 17, 29, 42, 78)  # of most families, seconds in all
 
 
 def drawn(number, folder):
