@@ -70,6 +70,7 @@ TAIL_DECAY = 4  # power of the fall of the tail's weight: contact forces are smo
 # launch within 2.7e-4; with weights of at most 1e-2 21 states at 2e-7 are up to 9e-4 off.
 TAIL_WEIGHTS = 4e-3, 5e-2
 TAIL_PER_ROOT = 120.0  # per root of the tolerance, as errors go with its square
+FEWER = 0, 1, 2, 4, 8  # states less
 NEARBY = 0.8  # of an order: where a smaller one may be as good
 # States up to which directions are turned to save some; how often; the directions that they are
 # taken from, beyond a third, and how good all of these must be; the least change of a weight; how
@@ -391,16 +392,13 @@ class Reduction:
         return order * self.pencil.degree
 
     def fewer(self, tolerance: float, states: int) -> int | None:
-        """:meth:`smallest` of those with fewer than ``states`` first-order states, if
-        one of them is stable, else None."""
+        """:meth:`smallest` of those with fewer than ``states`` first-order states, where the
+        largest few show one that is stable and within the tolerance, else None."""
         most = min(self.size, (states - 1) // self.pencil.degree)
-        while most > 0 and self.error(most, tolerance) <= tolerance:
-            if self.structure(most).stable:
-                break
-            most -= 1
-        else:
-            return None
-        return replace(self, pencil=self.pencil.leading(most)).smallest(tolerance)
+        for order in (most - k for k in FEWER if k < most):  # errors do not fall with every state
+            if self.error(order, tolerance) <= tolerance and self.structure(order).stable:
+                return replace(self, pencil=self.pencil.leading(order)).smallest(tolerance)
+        return None
 
     @property
     def size(self) -> int:
