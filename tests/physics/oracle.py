@@ -1,10 +1,11 @@
 """Poles and responses of matrices by scipy and numpy alone: what certificates are judged by."""
 
 import numpy as np
-from scipy.linalg import eigvals
+from scipy.linalg import eigvals, lu_factor, lu_solve
 
 FLOOR = 1e-6  # of an entry's peak; below it errors count against this part of the peak
 ROUNDING = 1e-9  # of either solution
+SHARP = 3e-7  # damping ratio, nearly, of a pole that counts as undamped
 FLANK = 1e-4  # relative distance from an undamped pole, which no frequency hits exactly
 
 
@@ -47,63 +48,83 @@ def poles(P):
     return found[np.abs(found) < 1e9 * np.median(np.abs(found) + 1e-30)]  # infinite ones, rounded
 
 
-def direct(model, frequency):
-    """(frequencies, outputs, inputs), one solution after the other."""
+def direct(model, frequency, refined=True):
+    """(frequencies, outputs, inputs), one solution after the other, refined unless told."""
     P, B, C, D = model
-    fine, columns, found = [np.asarray(each, np.longdouble) for each in P], B.shape[1], []
+    exact, columns, found = [np.asarray(each, np.longdouble) for each in P], B.shape[1], []
     for s in 2j * np.pi * np.asarray(frequency):
-        whole = sum(s**k * each for k, each in enumerate(P))
-        x = np.linalg.solve(whole, B.astype(complex))
-        # refined: the slow motion of a free body is the small difference of large forces
-        parts = (each @ np.hstack([x.real, x.imag]).astype(np.longdouble) for each in fine)
-        parts = (each[:, :columns] + 1j * each[:, columns:] for each in parts)
-        rest = B - sum(np.clongdouble(s) ** k * each for k, each in enumerate(parts))
-        found.append(C @ (x + np.linalg.solve(whole, rest.astype(complex))) + D)
+        factors = lu_factor(sum(s**k * each for k, each in enumerate(P)), check_finite=False)
+        x = lu_solve(factors, B.astype(complex), check_finite=False)
+        if refined:  # the slow motion of a free body is the small difference of large forces
+            parts = (each @ np.hstack([x.real, x.imag]).astype(np.longdouble) for each in exact)
+            parts = (each[:, :columns] + 1j * each[:, columns:] for each in parts)
+            rest = B - sum(np.clongdouble(s) ** k * each for k, each in enumerate(parts))
+            x = x + lu_solve(factors, rest.astype(complex), check_finite=False)
+        found.append(C @ x + D)
     return np.array(found)
 
 
 def fine(model, band, found):
     """On and beside every pole near the band and in between, then into the notches, where relative
     errors are largest."""
-    found = found[found.imag > 1e-7 * 2 * np.pi * band[1]] / (2 * np.pi)
-    found = found[found.imag < 1.1 * band[1]]
-    width = np.abs(found.real)
-    sharp = width < 3e-7 * found.imag
-    width = np.where(sharp, FLANK * found.imag, width)
+    near = found[(found.imag > 1e-7 * 2 * np.pi * band[1]) & (found.imag < 2.2 * np.pi * band[1])]
+    at, width = near.imag / (2 * np.pi), np.abs(near.real) / (2 * np.pi)
+    width = np.where(width < SHARP * at, FLANK * at, width)
     offsets = np.r_[0.3, 0.7, 1.0, 1.7, 3.0, 10.0, 40.0]
-    near = found.imag[:, None] + width[:, None] * np.r_[-offsets, 0.0, offsets]
+    beside = at[:, None] + width[:, None] * np.r_[-offsets, 0.0, offsets]
     between = np.r_[np.linspace(*band, 150), np.geomspace(1e-4, 1, 60) * band[1]]
-
-    def kept(points):
-        points = np.unique(points[(points >= band[0]) & (points <= band[1]) & (points > 0)])
-        clear = np.abs(points[:, None] - found.imag[sharp]) >= 0.99 * FLANK * found.imag[sharp]
-        return points[clear.all(axis=1)]
-
-    every = kept(np.r_[near.ravel(), between])
+    every, known = clear(np.r_[beside.ravel(), between], band, found), {}
     for _ in range(3):
-        size = np.abs(direct(model, every)).reshape(len(every), -1)
+        new = [f for f in every if f not in known]
+        known |= {f: np.abs(H).ravel() for f, H in zip(new, direct(model, new, False), strict=True)}
+        size = np.pad([known[f] for f in every], ((1, 1), (0, 0)), constant_values=np.inf)
         lowest = (size[1:-1] < size[:-2]) & (size[1:-1] <= size[2:])
-        every = kept(zoomed(every, np.flatnonzero(lowest.any(axis=1))))
+        every = clear(zoomed(every, np.flatnonzero(lowest.any(axis=1))), band, found)
     return every
 
 
+def clear(points, band, found):
+    """Those of the ``points`` in the band, at zero none, that keep clear of undamped poles."""
+    at = found.imag[np.abs(found.real) < SHARP * found.imag] / (2 * np.pi)
+    points = np.unique(points[(points >= band[0]) & (points <= band[1]) & (points > 0)])
+    return points[(np.abs(points[:, None] - at) >= 0.99 * FLANK * at).all(axis=1)]
+
+
 def zoomed(frequency, at):
-    """``frequency`` with more points in the gaps beside the inner point of each ``at``."""
-    return np.unique(np.r_[frequency, *(np.linspace(*frequency[[k, k + 2]], 7) for k in at)])
+    """``frequency`` with more points on both sides of each ``at``."""
+    ends = np.maximum(at - 1, 0), np.minimum(at + 1, len(frequency) - 1)
+    return np.unique(np.r_[frequency, *np.linspace(*frequency[np.array(ends)], 7, axis=1)])
 
 
 def largest_error(model, reduced, band, free=None, share=FLOOR):
-    """Of all entries over the band, at the points of :func:`fine`, relative to each entry or to a
-    ``share`` of its peak.
+    """Of all entries over the band, at the points of :func:`fine` and closer and closer around the
+    largest, relative to each entry or to a ``share`` of its peak.
 
     The motion ``free`` (n, motions) of a body that nothing holds grows without bound: the peak that
     notches count against is that of the response without it.
     """
-    frequency = fine(model, band, poles(model[0]))
+    found = poles(model[0])
+    frequency = fine(model, band, found)
     exact = direct(model, frequency)
     whole = 0.0
     if free is not None:
         P, B, C, D = model
         whole = direct(([free.T @ each @ free for each in P], free.T @ B, C @ free, D), frequency)
-    base = np.maximum(np.abs(exact), share * np.abs(exact - whole).max(axis=0))
-    return float((np.abs(direct(reduced, frequency) - exact) / base).max())
+    peak = share * np.abs(exact - whole).max(axis=0)
+
+    def errors(frequency, exact):
+        difference = np.abs(direct(reduced, frequency) - exact)
+        return (difference / np.maximum(np.abs(exact), peak)).max(axis=(1, 2))
+
+    error = errors(frequency, exact)
+    for _ in range(4):
+        beside = np.pad(error, 1, constant_values=-1.0)
+        top = np.flatnonzero((error >= beside[:-2]) & (error >= beside[2:]))
+        top = top[np.argsort(error[top])[-8:]]
+        new = np.setdiff1d(clear(zoomed(frequency, top), band, found), frequency)
+        if not new.size:
+            break
+        both = np.r_[frequency, new]
+        order = np.argsort(both)
+        frequency, error = both[order], np.r_[error, errors(new, direct(model, new))][order]
+    return float(error.max())
