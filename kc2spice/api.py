@@ -84,6 +84,7 @@ def reduce(
     band: tuple[float | str, float | str] | None = None,
     norm: Norm | None = None,
     contact: bool = False,
+    parameters: Mapping[str, Any] | None = None,
 ) -> LinearModel:
     """Reduce a linear model to the smallest one within ``tolerance``, or to ``order`` states.
 
@@ -99,11 +100,20 @@ def reduce(
     Raises
     ------
     UsageError : not exactly one of ``tolerance`` and ``order``, or one that is out of range; an
-        unknown norm.
+        unknown norm; ``parameters``, which matrices have none of: a body of a scene has them.
     SimulationError : the tolerance cannot be met, or a point of the band is a pole.
     """
     from kc2spice.rom import reduce as reduction
 
+    if parameters:
+        raise UsageError(
+            "matrices say nothing of other values of parameters",
+            where="parameters",
+            got=", ".join(parameters),
+            expected="keys of a body in a scene, under its rom.parameters",
+            hint='kc.deck(kc.load_scene(SCENE, {"PART.rom": {"parameters": {KEY: [LOW, HIGH]}}})), '
+            "whose parts are the subcircuits",
+        )
     if band is not None:
         if isinstance(band, (str, float, int)) or len(band) != 2:
             raise UsageError(

@@ -20,6 +20,7 @@ from kc2spice.rom.parametric import Axis
 from kc2spice.scene.model import Part, Scene
 
 MOST = 4  # parameters: more need hundreds of full models
+PARAMETERS = "rom.parameters"
 LEAST = 1e-3  # relative width of a range
 
 
@@ -55,24 +56,36 @@ def varied(part: Part) -> tuple[Varied, ...]:
     """
     rom = getattr(part.keys, "rom", None)
     ranges = (rom.parameters if rom else None) or {}
-    where = f"{part.name}.rom.parameters"
+    where = f"{part.name}.{PARAMETERS}"
     if len(ranges) > MOST:
         got, expected = f"{len(ranges)}", f"at most {MOST}"
         raise UsageError("too many parameters", where=where, got=got, expected=expected)
     found = []
     for key, ends in ranges.items():
-        value, unit = _value(part, key)
-        low, high = (_value(with_values(part, {key: end}), key)[0] for end in ends)
-        low, high = min(low, high), max(low, high)
-        if low * high <= 0 or high - low < LEAST * abs(high) or not low <= value <= high:
-            raise UsageError(
-                "not the range of a parameter",
-                where=f"{where}.{key}",
-                got=f"{low:g} to {high:g}",
-                expected=f"two different numbers of one sign, the part's value {value:g} between",
-            )
-        found.append(Varied(key, unit, value, low, high))
+        value, unit = number_of(part, key, where)
+        low, high = (number_of(with_values(part, {key: end}), key, where)[0] for end in ends)
+        found.append(ranged(key, unit, value, (low, high), f"{where}.{key}"))
     return tuple(found)
+
+
+def ranged(
+    key: str, unit: str, value: float, ends: tuple[float, float], where: str | None = None
+) -> Varied:
+    """The key with its range, the ends of which may come in either order.
+
+    Raises
+    ------
+    UsageError : a range that is none, or without the value.
+    """
+    low, high = min(ends), max(ends)
+    if not low * high > 0 or high - low < LEAST * abs(high) or not low <= value <= high:
+        raise UsageError(
+            "not the range of a parameter",
+            where=where or key,
+            got=f"{low:g} to {high:g}",
+            expected=f"two different numbers of one sign, the part's value {value:g} between",
+        )
+    return Varied(key, unit, value, low, high)
 
 
 def corners(part: Part, scene: Scene) -> Iterator[UsageError]:
@@ -106,7 +119,7 @@ def with_values(part: Part, values: Mapping[str, Any]) -> Part:
                 holder = holder[step]
             holder[steps[-1]] = value
         except (KeyError, IndexError, TypeError, ValueError):
-            raise _no_key(part, key) from None
+            raise _no_key(part, key, f"{part.name}.{PARAMETERS}") from None
     try:
         keys = validated(type(part.keys), table, part.name)
         return replace(part, keys=keys.model_copy(update={"rom": part.keys.rom}))
@@ -123,18 +136,23 @@ def _steps(key: str) -> list[str | int]:
     return [int(word) if word.isdigit() else word for word in re.findall(r"\w+", key)]
 
 
-def _no_key(part: Part, key: str) -> UsageError:
+def _no_key(part: Part, key: str, where: str) -> UsageError:
     return UsageError(
         "not a number of the part that can vary",
-        where=f"{part.name}.rom.parameters",
+        where=where,
         got=key,
         expected="keys below the part, such as layers[1].thickness or damping.ratio, with a value",
         hint='a material by its name has no keys: write it as a table, { like = "PZT-5A", … }',
     )
 
 
-def _value(part: Part, key: str) -> tuple[float, str]:
-    """The number that a key has, and its SI unit."""
+def number_of(part: Part, key: str, where: str) -> tuple[float, str]:
+    """The number that a key below the part has, and its SI unit.
+
+    Raises
+    ------
+    UsageError : there is no such key, or it is no number that can vary.
+    """
     found: Any = part.keys
     unit = ""
     for step in _steps(key):
@@ -148,7 +166,7 @@ def _value(part: Part, key: str) -> tuple[float, str]:
         elif isinstance(found, list | tuple) and isinstance(step, int) and step < len(found):
             found = found[step]
         else:
-            raise _no_key(part, key)
+            raise _no_key(part, key, where)
     if isinstance(found, bool | int) or not isinstance(found, float):
-        raise _no_key(part, key)
+        raise _no_key(part, key, where)
     return found, unit

@@ -87,6 +87,9 @@ SOURCES = (
 )  # fmt: skip
 
 
+_boxes: dict[str, tuple[Mapping[str, Any], Varying]] = {}  # by part: the last one and its key
+
+
 class LinearKeys(Section):
     """Keys of every linear body."""
 
@@ -295,16 +298,15 @@ class LinearBody(Touching):
                     band,
                     target.tolerance or UNASKED,
                     lambda done, of: told(done / of),
+                    target.norm or "pointwise",
                 )
 
-        found, _ = cached(
-            "box",
-            asked,
-            build,
-            classes=(Varying, Axis, Loss, Certificate, Port),
-            sources=self.sources(),
-        )
-        return found
+        known = _boxes.get(part.name)
+        if known is None or known[0] != asked:
+            classes = (Varying, Axis, Loss, Certificate, Port)
+            found, _ = cached("box", asked, build, classes=classes, sources=self.sources())
+            known = _boxes[part.name] = asked, found
+        return known[1]
 
     def build(self, part: Part, scene: Scene, clock: Any, full: bool = False) -> LinearModel | None:
         return self._full(part, scene, clock) if full else self._reduced(part, scene, clock)

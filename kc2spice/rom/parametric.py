@@ -118,13 +118,9 @@ class Parametric:
         x = np.array([[axis.coordinate(values[axis.name]) for axis in self.axes]])
         weights = polynomials(x, self.exponents)[0]
         found = {letter: np.tensordot(weights, c, 1) for letter, c in self.terms.items()}
-        M, K, E = found["M"], found["K"], found.get("E")
-        if E is None:
-            alpha, beta = damped(found["rayleigh"], self.losses, values)
-            E = alpha * M + beta * K
-        return LinearModel(
-            M=M, E=E, K=K, B=found["B"], D=found["D"], ports=self.frame.ports, name=self.frame.name
-        )
+        pair = found.pop("rayleigh", None)
+        rayleigh = None if pair is None else damped(pair, self.losses, values)
+        return LinearModel(**found, rayleigh=rayleigh, ports=self.frame.ports, name=self.frame.name)
 
     def transfer(self, values: Values, frequency: np.ndarray) -> np.ndarray:
         """``H(j 2 pi f)`` (frequencies, outputs, inputs), where damping is Rayleigh's by modes.
@@ -135,12 +131,12 @@ class Parametric:
         """
         model = self.at(values)
         s = 2j * np.pi * np.asarray(frequency, dtype=float)
-        if "E" in self.terms:
+        if model.rayleigh is None:
             return model.pencil.transfer(s)
         w2, V = scipy.linalg.eigh(model.K, model.M)
-        damping = np.einsum("ik,ij,jk->k", V, model.E, V)
+        alpha, beta = model.rayleigh
         B = V.T @ model.B
-        answers = 1 / (w2 + s[:, None] * damping + s[:, None] ** 2)
+        answers = 1 / (w2 + s[:, None] * (alpha + beta * w2) + s[:, None] ** 2)
         return np.asarray(np.einsum("fk,ki,kj->fij", answers, B, B) + model.D)
 
 

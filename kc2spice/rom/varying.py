@@ -23,7 +23,7 @@ import scipy
 from scipy.stats import qmc
 
 from kc2spice.core.errors import SimulationError, UsageError
-from kc2spice.rom.linear import Certificate, LinearModel, Port
+from kc2spice.rom.linear import Certificate, LinearModel, Norm, Port
 from kc2spice.rom.parametric import (
     Axis,
     Full,
@@ -147,10 +147,11 @@ def over_box(
     band: tuple[float, float],
     tolerance: float,
     progress: Callable[[int, int], None] = lambda done, of: None,
+    norm: Norm = "pointwise",
 ) -> Varying:
     """The models ``full(values)`` over the box of ``axes`` with a certificate for all of it.
 
-    The certified error is the largest relative difference, pointwise, to full models at
+    The certified error is the largest relative difference, in the ``norm``, to full models at
     :data:`CHECKS` points of the box that nothing was made from, and to the dense model at others,
     times :data:`SAFETY` for what lies between them. ``facts`` of the full models are kept.
 
@@ -174,14 +175,14 @@ def over_box(
         return model
 
     made, left = parametric(told, axes, band, checks=0, progress=progress), 0.0
-    found, inner = varying(made, band, OWN * tolerance)
+    found, inner = varying(made, band, OWN * tolerance, norm)
     draws = qmc.Sobol(len(axes), seed=11).random(CHECKS) * 2 - 1
     for k, x in enumerate([*draws, np.sign(draws[0])]):
         progress(k, CHECKS + 1)
         values = _values(found.box, x)
         model = told(values)
         space = subspace(model.pencil, band, 0.01 * tolerance, 0.3 * tolerance)
-        judge = Judge(space.response, space.points(band), band)
+        judge = Judge(space.response, space.points(band, norm), band, norm)
         own = Response(found.at(values).pencil)
         left = max(left, judge.error(own) + space.error)
     error = SAFETY * max(left, inner)
@@ -196,6 +197,7 @@ def over_box(
         method=f"over the box: difference to {CHECKS + 1} full models that nothing was made from",
         stable=form.stable,
         passive=form.passive,
+        norm=norm,
     )
     return replace(found, certificate=certificate, facts=_facts(found, facts))
 
@@ -215,7 +217,9 @@ def _facts(
     return made
 
 
-def varying(made: Parametric, band: tuple[float, float], tolerance: float) -> tuple[Varying, float]:
+def varying(
+    made: Parametric, band: tuple[float, float], tolerance: float, norm: Norm = "pointwise"
+) -> tuple[Varying, float]:
     """``made`` as resonators over its box, and their largest relative difference at draws of it.
 
     The fewest Ritz vectors, the smallest blocks and the lowest degree that meet the tolerance.
@@ -226,7 +230,7 @@ def varying(made: Parametric, band: tuple[float, float], tolerance: float) -> tu
     SimulationError : no frame is smooth enough over the box for the tolerance.
     """
     modes = _Modes(made, band)
-    judged = list(_judged(made, band))
+    judged = list(_judged(made, band, norm))
     best = np.inf
     for moments in range(1, MOMENTS + 1):
         space = _Space(modes, moments)
@@ -267,13 +271,15 @@ def _values(box: Mapping[str, Axis], x: np.ndarray) -> dict[str, float]:
     return {name: known.get(name, axis.middle) for name, axis in box.items()}
 
 
-def _judged(made: Parametric, band: tuple[float, float]) -> Iterator[tuple[np.ndarray, Judge]]:
+def _judged(
+    made: Parametric, band: tuple[float, float], norm: Norm
+) -> Iterator[tuple[np.ndarray, Judge]]:
     """Points of the box, the middle and two corners first, with the dense model as a judge."""
     count = len(made.box)
     draws = qmc.Sobol(count, seed=3).random(DRAWS) * 2 - 1
     for x in (np.zeros(count), np.ones(count), -np.ones(count), *draws):
         response = Response(made.at(_values(made.box, x)).pencil)
-        yield x, Judge(response, telling(response, band, False), band)
+        yield x, Judge(response, telling(response, band, False, norm), band, norm)
 
 
 @dataclass(frozen=True, eq=False)
@@ -359,12 +365,8 @@ class _Space:
         """The model in this space at coordinates of the axes."""
         p = self.modes.at(x)
         w2, Z = self._ritz(p)
-        alpha, beta = _rayleigh(p.model)
-        K = np.diag(w2)
-        one = np.eye(len(w2))
-        return replace(
-            p.model, M=one, E=alpha * one + beta * K, K=K, B=Z.T @ p.model.B, C=(Z.T @ p.model.B).T
-        )
+        B = Z.T @ p.model.B
+        return replace(p.model, M=np.eye(len(w2)), K=np.diag(w2), B=B, C=B.T)
 
     def _block(self, a: int, b: int) -> tuple[np.ndarray, np.ndarray] | None:
         """Stiffness (points, n, n) and gain (points, n, ports) of the states a to b - 1 in frames
@@ -424,7 +426,7 @@ class _Space:
         D = np.array([p.model.D[np.ix_(electrical, electrical)] for p in modes.points])
         F = np.linalg.cholesky(D) if electrical else D
         own = np.diagonal(F, axis1=1, axis2=2)
-        damping = np.array([_rayleigh(p.model) for p in modes.points])
+        damping = np.array([p.model.rayleigh for p in modes.points])
         damped = damping > 0
         return Varying(
             axes=made.axes,
@@ -444,16 +446,8 @@ class _Space:
         )
 
 
-def _rayleigh(model: LinearModel) -> tuple[float, float]:
-    """alpha and beta of ``E = alpha M + beta K``, zeros without damping."""
-    M, E, K = (np.asarray(P).ravel() for P in (model.M, model.E, model.K))
-    scale = np.abs(K).max() / np.abs(M).max()
-    (alpha, beta), *_ = np.linalg.lstsq(np.column_stack([M, K / scale]), E, rcond=None)
-    return float(alpha), float(beta / scale)
-
-
 def _ratio(p: _Point, band: tuple[float, float]) -> float:
     """Least damping ratio of the modes in the band."""
-    alpha, beta = _rayleigh(p.model)
+    alpha, beta = p.model.rayleigh or (0.0, 0.0)
     w = np.sqrt(p.w2[p.w2 < (ABOVE * 2 * np.pi * band[1]) ** 2])
     return float(np.clip((alpha / w + beta * w).min(initial=2.0) / 2, 1e-5, 1.0))

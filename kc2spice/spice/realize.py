@@ -241,10 +241,18 @@ def subcircuit(
 
     Raises
     ------
-    UsageError : an unknown port, a name that the subcircuit has for itself, a model without
-        state-space form or, with ``noise``, without symmetric matrices, capacitances between
-        electrodes that no passive network has.
+    UsageError : no linear model, an unknown port, a name that the subcircuit has for itself, a
+        model without state-space form or, with ``noise``, without symmetric matrices, capacitances
+        between electrodes that no passive network has.
     """
+    if not isinstance(rom, LinearModel):
+        raise UsageError(
+            "not a linear model",
+            where=name,
+            got=type(rom).__name__,
+            expected="a LinearModel, such as of kc.reduce",
+            hint="a body over a box of parameters: kc.deck(SCENE).parts, by its rom.parameters",
+        )
     if header is None:
         digest = hashlib.sha256(rom.B.tobytes() + rom.C.tobytes() + rom.D.tobytes())
         header = Header(rom.name, digest.hexdigest()[:16])

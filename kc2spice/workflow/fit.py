@@ -20,6 +20,7 @@ from kc2spice.core.errors import UsageError
 from kc2spice.core.files import staged
 from kc2spice.core.progress import Clock, Progress, silent
 from kc2spice.core.units import quantity
+from kc2spice.parts._box import Varied, number_of, ranged
 from kc2spice.parts._linear_body import LinearBody, loss_tangent
 from kc2spice.report.fit_page import write_fit
 from kc2spice.rom.dielectric import permittivity
@@ -44,22 +45,6 @@ TANGENT = "damping.loss_tangent"  # which no finite element model has
 VALUES, BOX, PAGE = "fit.toml", "box.toml", "report.html"
 LIKELY, NARROWEST = 2.0, 1.1e-3  # standard errors of a key's range in a netlist, its relative half
 Box = dict[str, Axis]
-
-
-@dataclass(frozen=True)
-class Varied:
-    """A key below the part, its value in the scene and its range, all of one sign."""
-
-    key: str
-    start: float
-    low: float
-    high: float
-
-    def around(self, value: float, half: float) -> Axis:
-        """The part of the range within a factor ``exp(half)`` of a value."""
-        ends = sorted((value * np.exp(-half), value * np.exp(half)))
-        low, high = sorted((self.low, self.high))
-        return Axis(self.key, max(low, ends[0]), min(high, ends[1]))
 
 
 def fit(
@@ -98,12 +83,10 @@ def fit(
     loaded = load_scene(scene)
     keys = _varied(loaded, part, vary)
     body = _Body(loaded, part, measured, keys, progress, loaded)
-    whole = body.descent(
-        {each.key: Axis(each.key, *sorted((each.low, each.high))) for each in keys}
-    )
+    whole = body.descent({each.key: each.axis for each in keys})
     ends = _descents(whole)
     end = _refined(whole, ends[0])
-    start = body.response(whole.made, {each.key: each.start for each in keys})
+    start = body.response(whole.made, {each.key: each.value for each in keys})
     record = _record(body, start, end, ends)
     if out is None:
         return record
@@ -149,23 +132,9 @@ def _plain(text: str) -> bool:
 
 
 def _one(scene: Scene, part: str, key: str, span: tuple[float, float] | None) -> Varied:
-    found: Any = scene.part(part, where=part).keys.model_dump()
-    for word in re.findall(r"\w+", key):
-        if isinstance(found, (list, tuple)) and word.isdigit() and int(word) < len(found):
-            found = found[int(word)]
-        else:
-            found = found.get(word) if isinstance(found, Mapping) else None
-    if not isinstance(found, float | int) or isinstance(found, bool) or not found:
-        hint = "a material by its name has no keys: write it as a table; give a value to start from"
-        raise UsageError(
-            "has no value to vary", where=key, got=found, expected="a number but zero", hint=hint
-        )
-    value, factor = float(found), LOSSES if _LOSSY.search(key) else SPREAD
-    low, high = span or (value / factor, value * factor)
-    if low * high <= 0 or not min(low, high) <= value <= max(low, high) or low == high:
-        expected = f"two numbers of one sign about the scene's value, {value:g}"
-        raise UsageError("not a range", where=key, got=f"{low:g}:{high:g}", expected=expected)
-    return Varied(key, value, low, high)
+    value, unit = number_of(scene.part(part, where=part), key, key)
+    factor = LOSSES if _LOSSY.search(key) else SPREAD
+    return ranged(key, unit, value, span or (value / factor, value * factor))
 
 
 @dataclass(frozen=True, eq=False)
@@ -337,7 +306,7 @@ def _descents(descent: _Descent) -> list[_End]:
     draws = qmc.scale(qmc.Sobol(len(low), seed=1).random(DRAWS), low, high)
     costs = [float(np.sum(descent.deviation(x) ** 2)) for x in draws]
     best = [descent.values(draws[k]) for k in np.argsort(costs)[: STARTS - 1]]
-    starts = [{each.key: each.start for each in descent.body.keys}, *best]
+    starts = [{each.key: each.value for each in descent.body.keys}, *best]
     return sorted((descent.solve(values) for values in starts), key=lambda end: end.cost)
 
 
@@ -381,7 +350,7 @@ def _refined(descent: _Descent, end: _End) -> _End:
             return found
         values = {f"{body.part}.{key}": value for key, value in end.values.items()}
         body = replace(body, like=load_scene(body.scene, values))  # whose mesh is its own there
-        box = {each.key: each.around(end.values[each.key], width[each.key]) for each in body.keys}
+        box = {each.key: _around(each, end.values[each.key], width[each.key]) for each in body.keys}
         descent = body.descent(box, DEGREE)
         end = descent.solve(end.values)
         if not any(_between(each, box[each.key], end.values[each.key]) for each in body.keys):
@@ -393,6 +362,12 @@ def _refined(descent: _Descent, end: _End) -> _End:
         expected=f"within {SETTLED:g} standard errors",
         hint="vary fewer keys, or give narrower ranges",
     )
+
+
+def _around(each: Varied, value: float, half: float) -> Axis:
+    """The part of the range within a factor ``exp(half)`` of a value."""
+    ends = sorted((value * np.exp(-half), value * np.exp(half)))
+    return Axis(each.key, max(each.low, ends[0]), min(each.high, ends[1]))
 
 
 def _between(each: Varied, axis: Axis, value: float) -> bool:

@@ -150,7 +150,9 @@ def test_the_command_writes_values_for_set_and_a_page(tmp_path, capsys, monkeypa
 def test_keys_that_cannot_be_varied(vary):
     f = np.linspace(3e3, 8e3, 50)
     data = Measured("part", "part.csv", f, (2e-9j * np.pi * f)[:, None, None])
-    with pytest.raises(kc.errors.UsageError, match=r"no value to vary|not a range|to vary|twice"):
+    with pytest.raises(
+        kc.errors.UsageError, match=r"can vary|not the range|not a range|to vary|twice"
+    ):
         kc.fit(BUZZER, "disc", data, vary)
 
 

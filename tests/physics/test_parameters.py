@@ -88,9 +88,8 @@ def test_outside_of_the_box_the_simulator_stops_with_the_range(deck, value):
     assert "layers_1_thickness_must_be_0p00011_to_0p00013" in str(told.value)
 
 
-@pytest.mark.parametrize("repelling", [0.0, 0.003, 0.1])
-def test_modes_that_cross_or_repel_in_the_box_do_not_jump(repelling):
-    """Two oscillators, one tuned through the other, and a third far above."""
+def oscillators(repelling: float):
+    """Two oscillators, one tuned by ``a`` through the other, and a third far above."""
     M = np.diag([1.0, 2.0, 0.5])
 
     def full(values: dict) -> LinearModel:
@@ -100,16 +99,45 @@ def test_modes_that_cross_or_repel_in_the_box_do_not_jump(repelling):
         ports = (Port("one", "mechanical"), Port("two", "mechanical"))
         return LinearModel(M=M, K=K, B=B, rayleigh=(0.004, 0.01), ports=ports)
 
-    band = (0.0, 2 / (2 * np.pi))
-    found = over_box(full, [Axis("a", 0.7, 1.4)], band, 1e-4)
+    return full
+
+
+@pytest.mark.parametrize(
+    ("repelling", "norm"),
+    [(0.0, "pointwise"), (0.003, "pointwise"), (0.1, "pointwise"), (0.003, "peak")],
+)
+def test_modes_that_cross_or_repel_in_the_box_do_not_jump(repelling, norm):
+    full, band = oscillators(repelling), (0.0, 2 / (2 * np.pi))
+    found = over_box(full, [Axis("a", 0.7, 1.4)], band, 1e-4, norm=norm)
     assert max(found.blocks) >= 2  # the two that meet are one block
-    f = np.linspace(0.1, 1, 200) * band[1]
+    assert found.certificate.norm == norm
+    f, share = np.linspace(0.1, 1, 200) * band[1], 1.0 if norm == "peak" else 1e-6
     for a in np.linspace(0.7, 1.4, 41):
         H, exact = (model.transfer(f) for model in (found.at({"a": a}), full({"a": a})))
-        error = np.abs(H - exact) / np.maximum(np.abs(exact), 1e-6 * np.abs(exact).max(axis=0))
+        error = np.abs(H - exact) / np.maximum(np.abs(exact), share * np.abs(exact).max(axis=0))
         assert error.max() < found.certificate.error_estimate
         K = found.at({"a": a}).K
         assert np.linalg.eigvalsh(K).min() > 0
+
+
+def test_the_norm_of_a_scene_is_that_of_its_box(monkeypatch):
+    def told(*given):
+        raise UsageError(f"norm {given[-1]}")
+
+    monkeypatch.setattr("kc2spice.rom.varying.over_box", told)
+    disc = {**BUZZER["disc"], "rom": {**BUZZER["disc"]["rom"], "norm": "peak"}}
+    with pytest.raises(UsageError, match="norm peak"):
+        kc.deck(kc.load_scene({**BUZZER, "disc": disc}))
+
+
+def test_matrices_have_no_parameters_and_a_box_no_matrices():
+    """What has them instead is named."""
+    full = oscillators(0.1)({"a": 1.0})
+    with pytest.raises(UsageError, match=r"say nothing of other values") as told:
+        kc.reduce(full, tolerance=1e-3, parameters={"a": (0.7, 1.4)})
+    assert "kc.deck" in told.value.hint
+    with pytest.raises(UsageError, match="not a linear model"):
+        kc.subcircuit(oscillators, "box")
 
 
 @pytest.mark.parametrize(
