@@ -228,7 +228,7 @@ def _cards(
         )
         return replace(t, capacitance=_capacitance(n, n), through=shared)
 
-    yield from conservative((wired(k, t) for k, t in enumerate(terminals)), base, watch.share)
+    yield from conservative([wired(k, t) for k, t in enumerate(terminals)], base, watch.share)
     at = 0
     for size in model.blocks:
         names = range(at + 1, at + size + 1)

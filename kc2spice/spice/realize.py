@@ -466,7 +466,7 @@ def _wired(
     return [wired(t) for t in terminals]
 
 
-def conservative(terminals: Iterable[PortTerminal], base: str, share: float) -> list[str]:
+def conservative(terminals: Sequence[PortTerminal], base: str, share: float) -> list[str]:
     """Cards of the ports: electrical ones, motions, accelerations of the frame."""
     order = (("electrical",), MOVING, ("acceleration",))
     ports = [t for kinds in order for t in terminals if t.kind in kinds]

@@ -20,6 +20,7 @@ from kc2spice.parts._box import with_values
 from kc2spice.rom.linear import LinearModel, Port
 from kc2spice.rom.parametric import Axis
 from kc2spice.rom.varying import over_box
+from kc2spice.spice.parametric import parametric_subcircuit
 
 EXAMPLE = Path(__file__).parents[2] / "docs" / "examples" / "monte_carlo"
 MODULUS = "layers_0_material_youngs_modulus"
@@ -118,6 +119,26 @@ def test_modes_that_cross_or_repel_in_the_box_do_not_jump(repelling, norm):
         assert error.max() < found.certificate.error_estimate
         K = found.at({"a": a}).K
         assert np.linalg.eigvalsh(K).min() > 0
+
+
+def test_mechanical_ports_of_a_box_answer_in_ngspice_as_the_full_model(tmp_path):
+    """1 N into the first port, at a value of the parameter that is not the default."""
+    full, band = oscillators(0.1), (0.0, 2 / (2 * np.pi))
+    found = over_box(full, [Axis("a", 0.7, 1.4)], band, 1e-4)
+    part = parametric_subcircuit(found, "box", [kc.Param("a", 1.0, "-", "tuning", 0.7, 1.4)])
+    assert [pin.name for pin in part.pins] == ["one", "two", "base"]
+    deck = [
+        "* two ports", part.text, "Xbox one two 0 box a=1.25", "Ione 0 one dc 0 ac 1",
+        ".control", "set wr_singlescale", f"ac lin 40 {0.1 * band[1]!r} {band[1]!r}",
+        "wrdata out.txt v(one) v(two)", "quit", ".endc", ".end",
+    ]  # fmt: skip
+    (tmp_path / "box.cir").write_text("\n".join(deck))
+    subprocess.run(
+        ["ngspice", "-b", "-n", "box.cir"], cwd=tmp_path, capture_output=True, check=True
+    )
+    f, *parts = np.loadtxt(tmp_path / "out.txt").T
+    moved = 1e-6 * (np.array(parts[::2]) + 1j * np.array(parts[1::2])).T  # 1 V = 1 um
+    assert moved == pytest.approx(full({"a": 1.25}).transfer(f)[:, :, 0], rel=2e-4)
 
 
 def test_the_norm_of_a_scene_is_that_of_its_box(monkeypatch):
