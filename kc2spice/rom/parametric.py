@@ -118,9 +118,17 @@ class Parametric:
         x = np.array([[axis.coordinate(values[axis.name]) for axis in self.axes]])
         weights = polynomials(x, self.exponents)[0]
         found = {letter: np.tensordot(weights, c, 1) for letter, c in self.terms.items()}
-        pair = found.pop("rayleigh", None)
-        rayleigh = None if pair is None else damped(pair, self.losses, values)
-        return LinearModel(**found, rayleigh=rayleigh, ports=self.frame.ports, name=self.frame.name)
+        pair = found.get("rayleigh")
+        return LinearModel(
+            M=found["M"],
+            E=found.get("E"),
+            K=found["K"],
+            B=found["B"],
+            D=found["D"],
+            rayleigh=None if pair is None else damped(pair, self.losses, values),
+            ports=self.frame.ports,
+            name=self.frame.name,
+        )
 
     def transfer(self, values: Values, frequency: np.ndarray) -> np.ndarray:
         """``H(j 2 pi f)`` (frequencies, outputs, inputs), where damping is Rayleigh's by modes.
