@@ -137,7 +137,7 @@ def voice(d):
 
 def pulled(d):
     """Iron that a coil or magnet pulls across air gaps, up to a stop: flux, force, ``flux' N``."""
-    rng, w = d.rng, 2 * np.pi * d.f * d.value(0.3, 3)
+    rng, w = d.rng, 2 * np.pi * d.f * d.value(0.7, 5)
     mass, area, gap = d.value(1e-3, 1e-1), d.value(1e-5, 1e-3), d.value(1e-4, 3e-3)
     gaps = rng.choice([1.0, 2.0])
     turns, k, loss = float(rng.randint(50, 2000)), mass * w**2, mass * w / d.value(1, 20)
@@ -146,8 +146,8 @@ def pulled(d):
     core = per * gap * d.value(0.01, 1)
     most = np.sqrt(8 / 27 * per * k * (gap + core / per) ** 3)  # ampere turns that pull it in
     magnet = most * rng.choice([0.0, rng.uniform(-0.6, 0.6)])
-    ohm = d.f * turns**2 / (core + per * gap) * d.value(1, 20)
-    amp = most / turns * rng.choice([d.value(0.2, 0.9), d.value(1.2, 2)])
+    ohm = d.f * turns**2 / (core + per * gap) * d.value(5, 50)
+    amp = most / turns * rng.choice([d.value(0.2, 0.9), d.value(1.2, 3)])
     keys, wave = d.wave(ohm * amp)
     source = d.part("source", **keys)
     shape = {"area": area, "gap": gap, "gaps": gaps, "core": core, "travel": travel, "stop": stop}
