@@ -135,3 +135,17 @@ def test_a_beam_under_tension_is_stiffer():
     exact = load * length**2 / (8 * tension)
     exact -= load * length * np.tanh(k * length / 4) / (2 * tension * k)
     assert found == pytest.approx(exact, rel=5e-3)
+
+
+def test_the_current_of_a_small_gap_is_that_of_its_capacitance():
+    """0.1 fF: ngspice adds 1e-32 to the square of what it divides by when it differentiates."""
+    found = kc.run({
+        "name": "small",
+        "plate": {"part": "gap", "a": "spring.a", "area": 1e-11, "gap": GAP, "travel": TRAVEL,
+                  "side": "above", "pins": {"plus": "drive.out"}},
+        "spring": {"part": "spring", "stiffness": K},
+        "drive": {"part": "source", "ac": 1.0},
+        "analysis": {"type": "ac", "start": 1e5, "stop": 1e6, "points": 2},
+    }).waves  # fmt: skip
+    exact = 2j * np.pi * found["frequency"].real * EPS * 1e-11 / GAP
+    np.testing.assert_allclose(found["plate.i"], exact, rtol=1e-6)
