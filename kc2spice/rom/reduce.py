@@ -312,7 +312,8 @@ def refitted(found: Reduction, order: int, tolerance: float) -> tuple[Reduction,
     tolerance in the peak norm with other outputs: those of least largest error (Lawson)."""
     if found.norm != "peak" or not found.balanced or order > TIGHTENED:
         return found, order
-    inside, _ = _snapshots(found.whole, found.band, found.space.static, None)
+    static = found.space.static and not found.whole.pencil.free
+    inside, _ = _snapshots(found.whole, found.band, static, None)
     s = 2j * np.pi * inside
     H, peak = found.whole.transfer(s), found.reference[1]
     rows, columns = balance.scales(peak)
