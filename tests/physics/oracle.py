@@ -1,9 +1,14 @@
 """Poles and responses of matrices by scipy and numpy alone: what certificates are judged by."""
 
+import signal
+from contextlib import contextmanager
+
 import numpy as np
 from scipy.linalg import eigvals, lu_factor, lu_solve
 
 FLOOR = 1e-6  # of an entry's peak; below it errors count against this part of the peak
+SHARES = {"pointwise": FLOOR, "peak": 1.0}  # of an entry's peak that its errors count against
+SECONDS = 60  # that any reduction may take
 ROUNDING = 1e-9  # of either solution
 SHARP = 3e-7  # damping ratio, nearly, of a pole that counts as undamped
 FLANK = 1e-4  # relative distance from an undamped pole, which no frequency hits exactly
@@ -128,3 +133,19 @@ def largest_error(model, reduced, band, free=None, share=FLOOR):
         order = np.argsort(both)
         frequency, error = both[order], np.r_[error, errors(new, direct(model, new))][order]
     return float(error.max())
+
+
+@contextmanager
+def bounded(seconds=SECONDS):
+    """Of processor time: a machine that others use too takes longer by the clock."""
+
+    def late(*_):
+        raise AssertionError(f"no end after {seconds} s")
+
+    before = signal.signal(signal.SIGPROF, late)
+    signal.setitimer(signal.ITIMER_PROF, seconds)
+    try:
+        yield
+    finally:
+        signal.setitimer(signal.ITIMER_PROF, 0)
+        signal.signal(signal.SIGPROF, before)

@@ -2,9 +2,6 @@
 refused with a reason, or ends in bounded time.
 """
 
-import signal
-from contextlib import contextmanager
-
 import numpy as np
 import oracle
 import pytest
@@ -14,7 +11,6 @@ from kc2spice.rom.linear import LinearModel
 from kc2spice.rom.reduce import reduce
 from kc2spice.spice.realize import subcircuit
 
-SECONDS = 60
 REASONS = "not that accurate", "no state-space form", "out of reach", "does not settle"
 
 
@@ -170,36 +166,21 @@ def band_of(P, rng):
     return 0.0, float(top or 1.0) * 1.03 / (2 * np.pi)
 
 
-@contextmanager
-def bounded(seconds):
-    """Of processor time: a machine that others use too takes longer by the clock."""
-
-    def late(*_):
-        raise AssertionError(f"no end after {seconds} s")
-
-    before = signal.signal(signal.SIGPROF, late)
-    signal.setitimer(signal.ITIMER_PROF, seconds)
-    try:
-        yield
-    finally:
-        signal.setitimer(signal.ITIMER_PROF, 0)
-        signal.signal(signal.SIGPROF, before)
-
-
-def outcome(kind, seed):
+def outcome(kind, seed, norm):
     """What became of one model: its certificate is checked, anything but a refusal raises."""
     rng = np.random.default_rng([KINDS.index(kind), seed])
     matrices = kind(rng)
     model = oracle.system(matrices)
     band, tolerance = band_of(model[0], rng), 10 ** rng.uniform(-6, -2)
     try:
-        with bounded(SECONDS):
-            rom = reduce(LinearModel(**matrices, name="foreign"), tolerance=tolerance, band=band)
+        with oracle.bounded():
+            full = LinearModel(**matrices, name="foreign")
+            rom = reduce(full, tolerance=tolerance, band=band, norm=norm)
             subcircuit(rom, "foreign")
     except (UsageError, SimulationError) as refused:
         return f"refused: {refused}"
     small = oracle.system_of(rom)
-    error = oracle.largest_error(model, small, band)
+    error = oracle.largest_error(model, small, band, share=oracle.SHARES[norm])
     estimate = rom.certificate.error_estimate
     said = f"error {error:.1e}, estimate {estimate:.1e}, tolerance {tolerance:.1e}"
     assert error <= estimate + oracle.ROUNDING, said
@@ -211,8 +192,8 @@ def outcome(kind, seed):
     return said
 
 
-def check(kind, seed):
-    said = outcome(kind, seed)
+def check(kind, seed, norm="pointwise"):
+    said = outcome(kind, seed, norm)
     if said.startswith("refused"):
         assert any(reason in said for reason in REASONS), said
 
@@ -231,7 +212,8 @@ def test_foreign_models_are_certified_rightly_or_refused(kind, seed):
 
 @pytest.mark.slow
 @pytest.mark.campaign
+@pytest.mark.parametrize("norm", oracle.SHARES)
 @pytest.mark.parametrize("seed", range(12))
 @pytest.mark.parametrize("kind", KINDS)
-def test_foreign_models_are_certified_rightly_or_refused_in_all(kind, seed):
-    check(kind, seed)
+def test_foreign_models_are_certified_rightly_or_refused_in_all(kind, seed, norm):
+    check(kind, seed, norm)

@@ -218,7 +218,9 @@ def test_monte_carlo_of_ngspice_has_mean_and_spread_of_fresh_full_models(tmp_pat
 @pytest.mark.slow
 @pytest.mark.campaign
 def test_the_chip_over_height_damping_and_d33_is_within_its_certificate():
-    """The paper's stack impedance, at points that nothing was made from."""
+    """The paper's stack on a coarse mesh, at 50 points that nothing was made from: every response
+    of its anode and rings within the certificate. What it throws depends on what contact excites
+    above the band too, which no certificate holds."""
     d = {"d31": -3.212e-10, "d33": 7.124e-10, "d15": 9.503e-10}  # C/N, of the paper's e and c
     ranges = {
         "height": ["1.9 mm", "2.1 mm"],
@@ -228,18 +230,37 @@ def test_the_chip_over_height_damping_and_d33_is_within_its_certificate():
     kick = {
         "part": "piezo_stack",
         "material": {"like": "THP51", "strain_coupling": d},
+        "mesh": {"sectors": 4, "rings": 3, "outer_rings": 4, "layers_per_element": 4},
         "damping": {"ratio": 0.01, "at": 250e3},
-        "rom": {"tolerance": 1e-3, "band": [0, 500e3], "parameters": ranges},
         "pins": {"anode": "drive.out", "cathode": "gnd"},
     }
-    analysis = {"type": "ac", "start": "1 kHz", "stop": "500 kHz", "points": 400}
-    scene = kc.load_scene({"title": "chip", **BUZZER, "disc": kick, "analysis": analysis})
-    part = scene.parts["disc"]
-    found = part.type.varying(part, scene, Clock())
-    f, draw = np.linspace(5e3, 500e3, 25), np.random.default_rng(4)
-    for _ in range(3):
+    pulse = {"high": 100, "width": "25 us", "edge": "0.1 us", "start": "10 us"}
+
+    def scene(rom: dict, **over: float) -> kc.Scene:
+        tables = {
+            "title": "chip", "gravity": 9.81, "kick": {**kick, "rom": rom},
+            "drive": {"part": "source", "kind": "voltage", "pulse": pulse},
+            "sphere": {"part": "sphere", "radius": "1 mm", "density": 7850},
+            "contact": {"part": "contact", "a": "kick", "b": "sphere", "penalty": 1e8},
+            "analysis": {"type": "transient", "stop": "60 us"},
+        }  # fmt: skip
+        return kc.load_scene(tables, {"solver.reltol": 1e-5, **over})
+
+    boxed = {"tolerance": 1e-3, "band": [0, 700e3], "parameters": ranges}
+    whole = scene(boxed)
+    part = whole.parts["kick"]
+    found = part.type.varying(part, whole, Clock())
+    f, draw = np.linspace(5e3, 700e3, 25), np.random.default_rng(4)
+    for point in range(50):
         values = {key: axis.value(draw.uniform(-1, 1)) for key, axis in found.box.items()}
-        full = part.type.full(with_values(part, values), scene, Clock())
+        full = part.type.full(with_values(part, values), whole, Clock())
         exact = full.select([port.name for port in found.ports]).transfer(f)
-        error = np.abs(found.at(values).transfer(f) / exact - 1).max()
+        base = np.maximum(np.abs(exact), 1e-6 * np.abs(exact).max(axis=0))
+        error = (np.abs(found.at(values).transfer(f) - exact) / base).max()
         assert error < found.certificate.error_estimate < 1e-3
+        if point < 4:
+            over = {f"kick.{key}": value for key, value in values.items()}
+            fresh = scene({"tolerance": 1e-6, "band": [0, 2e6]}, **over)  # 4 MHz: the same to 4e-7
+            thrown = [kc.run(each).metrics["launch_velocity_m_s"]
+                      for each in (scene(boxed, **over), fresh)]  # fmt: skip
+            assert thrown[0] == pytest.approx(thrown[1], rel=2e-3)
