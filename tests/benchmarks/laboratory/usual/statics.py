@@ -21,7 +21,7 @@ class ImprintResult:
     """Contact force of the sector against imprint; SI.
 
     ``depth`` (steps,), ``force`` (steps,), ``ring_force`` (steps, rings), ``iterations`` (steps,)
-    Newton iterations.
+    those that factorised the model.
     """
 
     depth: np.ndarray
@@ -45,10 +45,8 @@ def imprint(
         x = surface.shapes.T @ answers[:, -1]
         G = G - np.outer(x, x) / (capacitance + b @ answers[:, -1])
     G = 0.5 * (G + G.T)
-    solved = [contact_forces(G, d - surface.gap, surface.penalty) for d in depth]
-    force = np.array([f for f, _ in solved])
-    iterations = np.array([n for _, n in solved])
-    return _result(surface, depth, force, iterations)
+    force = np.array([contact_forces(G, d - surface.gap, surface.penalty) for d in depth])
+    return _result(surface, depth, force, np.zeros(len(depth)))
 
 
 def imprint_refactorised(
