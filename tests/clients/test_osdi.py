@@ -46,12 +46,14 @@ def test_compiled_modules_do_what_the_netlists_do(name, deck_of, program, run, t
     nodes = [n for n in theirs if re.fullmatch(r"v\(\w+\)", n) and n in ours]
     assert nodes
     if deck.stop is None:  # linear, or a sweep: the same points and the same equations
+        # a resonance of quality 1600, softened by an operating point that iterations leave at 1e-9
+        same = 1e-5 if name == "gap_biased" else 1e-9
         for node in [*nodes, *(n for n in theirs if n.startswith("i("))]:
             scale = np.abs(ours[node]).max()
-            np.testing.assert_allclose(theirs[node], ours[node], rtol=1e-9, atol=1e-9 * scale)
+            np.testing.assert_allclose(theirs[node], ours[node], rtol=same, atol=same * scale)
         return
     assert theirs["time"][-1] == pytest.approx(ours["time"][-1])
-    strokes = [n for n in nodes if re.search(r"_(ring0|centre|middle|tip)\)", n)]
+    strokes = [n for n in nodes if re.search(r"_(ring0|centre|middle|tip|p1)\)", n)]
     # rigid spheres alone, or a mass
     strokes = strokes or [n for n in nodes if n.endswith(("_y)", "_a)"))]
     assert strokes
