@@ -17,7 +17,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
-from itertools import accumulate, chain, pairwise
+from itertools import accumulate, chain, pairwise, product
 from typing import Annotated, Any, Literal, TypeAlias
 
 import numpy as np
@@ -46,8 +46,10 @@ class Layer(Section):
 
 class BimorphKeys(FieldKeys):
     """``support``: *cantilever* (clamped at x = 0), *clamped* (at both ends), *simply_supported*
-    (on knife edges under both ends) or *free*. ``tip_mass`` is spread over the end face. ``points``
-    are further ports on the centre line of the top, by distance from the clamp.
+    (on knife edges under both ends), *free*, or *quarter*: clamped at x = 0 and y = 0, with mirror
+    planes at the other sides, a quarter of a plate held all round and of its loads. ``tip_mass``
+    is spread over the end face. ``points`` are further ports on the centre line of the top (of the
+    whole plate), by distance from the clamp.
     """
 
     length: Length = Field(gt=0, description="along the beam, free part")
@@ -55,7 +57,7 @@ class BimorphKeys(FieldKeys):
     layers: tuple[Layer, ...] = Field(min_length=1)
     wiring: Literal["series", "parallel"] | None = Field(None, description="of two ceramic layers")
     tip_mass: Mass = Field(0.0, ge=0, description="spread over the end face")
-    support: Literal["cantilever", "clamped", "simply_supported", "free"] = Field(
+    support: Literal["cantilever", "clamped", "simply_supported", "free", "quarter"] = Field(
         "cantilever", description="what holds it"
     )
     points: dict[
@@ -64,13 +66,16 @@ class BimorphKeys(FieldKeys):
         default_factory=dict, description="further ports on the top by distance from the clamp"
     )
     patches: Count | None = Field(
-        None, ge=1, le=64, description="ports patch1 … on equal strips of the bottom"
+        None, ge=1, le=64, description="ports patch1 … on equal strips of the bottom, of each row"
     )
+    rows: Count = Field(1, ge=1, le=16, description="of patches across, one after the other")
     damping: Damping = Damping()
     mesh: Mesh = Mesh()
 
     @model_validator(mode="after")
     def _consistent(self) -> BimorphKeys:
+        if self.rows > 1 and self.patches is None:
+            raise ValueError("rows: there are no patches")
         for name, x in self.points.items():
             if name in ("tip", "base", "anode", "cathode") or name.startswith("patch"):
                 raise ValueError(f"points: {name} is a port already")
@@ -134,14 +139,22 @@ def structure(keys: BimorphKeys | Mapping[str, Any], where: str = "bimorph") -> 
             *(("y", across(x, (0.0, 0.0), (0.0, 0.0))) for x in (0.0, length)),
         ],
         "free": [],
+        "quarter": [
+            clamp,
+            ("xyz", ((0.0, length), (0.0, 0.0), (0.0, top))),
+            ("x", end),
+            ("y", ((0.0, length), (width, width), (0.0, top))),
+        ],
     }[beam.support]
-    ports = {} if beam.support == "clamped" else {"tip": end}
-    middle = (width / 2, width / 2)
+    held = beam.support in ("clamped", "quarter")
+    ports = {} if held else {"tip": end}
+    middle = (width, width) if beam.support == "quarter" else (width / 2, width / 2)
     ports |= {name: across(x, middle, (top, top)) for name, x in beam.points.items()}
-    edges = np.linspace(0, length, (beam.patches or 0) + 1)
+    strips = pairwise(np.linspace(0, length, (beam.patches or 0) + 1).tolist())
+    rows = pairwise(np.linspace(0, width, beam.rows + 1).tolist())
     ports |= {
-        f"patch{k}": ((low, high), whole, (0.0, 0.0))
-        for k, (low, high) in enumerate(pairwise(edges.tolist()), 1)
+        f"patch{k}": (strip, row, (0.0, 0.0))
+        for k, (row, strip) in enumerate(product(rows, strips), 1)
     }
     return Bonded(
         blocks,
@@ -174,7 +187,7 @@ def _grid(beam: BimorphKeys, heights: list[float]) -> tuple[np.ndarray, ...]:
     cuts = [np.linspace(*pair, (refine + 1) // 2 + 1)[:-1] for pair in pairwise(heights)]
     return (
         np.union1d(beam.length * s, list(beam.points.values())),
-        np.linspace(0, beam.width, ACROSS * refine + 1),
+        np.linspace(0, beam.width, -(-ACROSS * refine // beam.rows) * beam.rows + 1),
         np.append(np.concatenate(cuts), heights[-1]),
     )
 

@@ -116,6 +116,66 @@ def test_a_bent_beam_is_longer(count):
     assert energy == pytest.approx(((np.pi * 0.1) ** 2 / 4) ** 2, rel=80 / count**4)
 
 
+@pytest.mark.parametrize(("along", "rows"), [(5, 4), (6, 5)])
+def test_a_bent_plate_stretches_in_both_directions(along, rows):
+    """``w = a (1 - cos(2 pi x / l)) (1 - cos(2 pi y / b)) / 4`` has the integral ``3 (pi a)^2 / 16
+    (b / l + l / b)`` of ``|grad w|^2``, and energy ``E h / (8 (1 - nu^2) l b)`` times its square;
+    patches are off by the fourth power of one."""
+    length, width, amplitude = 1.2, 0.8, 0.1
+
+    def means(count):
+        return 1 - count * np.diff(np.sin(2 * np.pi * np.linspace(0, 1, count + 1))) / (2 * np.pi)
+
+    keys = {"length": length, "width": width, "rows": rows, "stiffness": 2.0}
+    scene = load_scene({
+        "name": "plate",
+        "stretch": {"part": "stretch", "a": ["spring.a"] * (along * rows), **keys},
+        "spring": {"part": "spring", "stiffness": 1.0},
+        "push": {"part": "source", "kind": "force", "pins": {"out": "spring.a"}},
+        "analysis": {"type": "op"},
+    })  # fmt: skip
+    declared = scene.parts["stretch"].type.declared(scene.parts["stretch"], scene)
+    w = amplitude / 4 * np.outer(means(rows), means(along)).ravel()
+    known = {f"x{k}": value for k, value in enumerate(w, 1)} | keys | {"tension": 0.0}
+    integral = 3 * (np.pi * amplitude) ** 2 / 16 * (width / length + length / width)
+    along_plate = 2.0 * length / width  # E h / (1 - nu^2)
+    exact = along_plate / (8 * length * width) * integral**2
+    assert evaluated(declared.stored, known) == pytest.approx(exact, rel=65 / rows**4)
+
+
+def test_a_quarter_bends_as_a_quarter_of_a_plate():
+    """A square plate of side a held all round sinks by 0.00126 q a^4 / D in its middle (S.
+    Timoshenko, S. Woinowsky-Krieger, Theory of Plates and Shells, 1959, table 35); 1 % is the
+    mesh, the table's last digit and shear."""
+    half, thick, modulus, ratio = 1e-3, 20e-6, 100e9, 0.3
+    layer = {"thickness": thick, "material": {
+        "density": 2000.0, "youngs_modulus": modulus, "poisson_ratio": ratio}}  # fmt: skip
+    model = structure({
+        "length": half, "width": half, "support": "quarter", "patches": 3, "rows": 4,
+        "points": {"middle": half}, "layers": [layer], "mesh": {"refine": 2},
+    }).device().model  # fmt: skip
+    names = [port.name for port in model.ports]
+    static = model.transfer(np.array([0.0]))[0].real[names.index("middle")]
+    found = sum(static[k] for k, name in enumerate(names) if name.startswith("patch")) / 12
+    rigidity = modulus * thick**3 / (12 * (1 - ratio**2))
+    assert found == pytest.approx(0.00126 * (2 * half) ** 4 / rigidity / half**2, rel=0.01)
+
+
+def test_rows_of_a_plate_have_a_width_and_patches_alike():
+    for keys, what in (
+        ({"rows": 2, "width": 1.0}, "do not fill the rows"),
+        ({"rows": 3}, "a width"),
+    ):
+        scene = {
+            "name": "plate",
+            "stretch": {"part": "stretch", "a": ["spring.a"] * 3, "length": 1.0, "stiffness": 2.0},
+            "spring": {"part": "spring", "stiffness": 1.0},
+        }
+        scene["stretch"] |= keys
+        with pytest.raises(UsageError, match=what):
+            load_scene(scene)
+
+
 def test_a_beam_under_tension_is_stiffer():
     """Deflection of its middle under a load q per length, clamped, with ``k^2 = N / (E I)``:
     ``q l^2 / (8 N) - q l tanh(k l / 4) / (2 N k)``; 5e-3 is the mesh and shear."""
