@@ -93,7 +93,7 @@ def unknown(
 ) -> UsageError:
     """The error of a ``name`` that is none of the ``known`` ones, with what is near it."""
     choices = list(known)
-    expected = "one of " + ", ".join(choices) if choices else None
+    expected = "one of " + ", ".join(choices) if choices else "one of those there are: none"
     near = did_you_mean(str(name), choices)
     return UsageError(message, where=where, got=repr(name), expected=expected, hint=near)
 

@@ -131,8 +131,12 @@ def _scaled(
     """What is kept, in units of its derivative at rest, so that its voltages are those of ``b``."""
     scale = declaration.at_rest(derivative(kept, b.name))
     yield f".param scale_{b.name}={{{text(scale if scale != ZERO else Number('1e-12'))}}}"
-    yield f".param per_{b.name}={{1/scale_{b.name}}}"  # a quotient's slope has 1e-32 in scale^2
-    amount = Binary("*", Name(f"per_{b.name}"), replaced(declaration.named(kept), nodes))
+    amount = replaced(declaration.named(kept), nodes)
+    if b.kind == "voltage":  # a quotient's slope has 1e-32 beside scale^2, which may be that small
+        yield f".param per_{b.name}={{1/scale_{b.name}}}"
+        amount = Binary("*", Name(f"per_{b.name}"), amount)
+    else:
+        amount = Binary("/", amount, Name(f"scale_{b.name}"))
     yield f"B{node} {node} {b.minus} V={{{text(amount)}}}"
     yield from _differentiated(b.name, node, b.minus)
 
