@@ -68,13 +68,15 @@ class BimorphKeys(FieldKeys):
     patches: Count | None = Field(
         None, ge=1, le=64, description="ports patch1 … on equal strips of the bottom, of each row"
     )
-    rows: Count = Field(1, ge=1, le=16, description="of patches across, one after the other")
+    rows: Count | None = Field(
+        None, ge=2, le=16, description="of patches across, one after the other; one unless told"
+    )
     damping: Damping = Damping()
     mesh: Mesh = Mesh()
 
     @model_validator(mode="after")
     def _consistent(self) -> BimorphKeys:
-        if self.rows > 1 and self.patches is None:
+        if self.rows and self.patches is None:
             raise ValueError("rows: there are no patches")
         for name, x in self.points.items():
             if name in ("tip", "base", "anode", "cathode") or name.startswith("patch"):
@@ -151,7 +153,7 @@ def structure(keys: BimorphKeys | Mapping[str, Any], where: str = "bimorph") -> 
     middle = (width, width) if beam.support == "quarter" else (width / 2, width / 2)
     ports |= {name: across(x, middle, (top, top)) for name, x in beam.points.items()}
     strips = pairwise(np.linspace(0, length, (beam.patches or 0) + 1).tolist())
-    rows = pairwise(np.linspace(0, width, beam.rows + 1).tolist())
+    rows = pairwise(np.linspace(0, width, (beam.rows or 1) + 1).tolist())
     ports |= {
         f"patch{k}": (strip, row, (0.0, 0.0))
         for k, (row, strip) in enumerate(product(rows, strips), 1)
@@ -176,7 +178,7 @@ def structure(keys: BimorphKeys | Mapping[str, Any], where: str = "bimorph") -> 
 
 def _grid(beam: BimorphKeys, heights: list[float]) -> tuple[np.ndarray, ...]:
     """Lines along the beam, finer towards clamps, across it and through the layers."""
-    refine = beam.mesh.refine
+    refine, rows = beam.mesh.refine, beam.rows or 1
     s = np.linspace(0, 1, LENGTHWISE * refine + 1)
     if beam.patches:  # as many in each
         s = np.linspace(0, 1, -(-LENGTHWISE * refine // beam.patches) * beam.patches + 1)
@@ -187,7 +189,7 @@ def _grid(beam: BimorphKeys, heights: list[float]) -> tuple[np.ndarray, ...]:
     cuts = [np.linspace(*pair, (refine + 1) // 2 + 1)[:-1] for pair in pairwise(heights)]
     return (
         np.union1d(beam.length * s, list(beam.points.values())),
-        np.linspace(0, beam.width, -(-ACROSS * refine // beam.rows) * beam.rows + 1),
+        np.linspace(0, beam.width, -(-ACROSS * refine // rows) * rows + 1),
         np.append(np.concatenate(cuts), heights[-1]),
     )
 
