@@ -185,7 +185,8 @@ def _plain_log(axis: Any) -> None:
     from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 
     low, high = axis.get_data_interval()
-    few = low > 0 and high < 1e3 * low
+    decades = 2 if axis.axis_name == "x" else 3  # beyond, labels side by side would overlap
+    few = low > 0 and high < 10**decades * low
     axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if few else (1.0,)))
     axis.set_minor_locator(NullLocator())
     axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
