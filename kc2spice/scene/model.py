@@ -232,7 +232,7 @@ class Scene:
     parts: Mapping[str, Part]
     terminals: Mapping[tuple[str, str], Terminal] = field(default_factory=dict, compare=False)
     nets: Mapping[tuple[str, str], str] = field(default_factory=dict)
-    own: Names = field(default_factory=lambda: Names(), compare=False)
+    own: Names = field(default_factory=Names, compare=False)
     home: Path = Path()
     tables: Mapping[str, Any] = field(default_factory=dict, compare=False)
     ports: Literal["needed", "declared", "all"] = "needed"
