@@ -9,6 +9,7 @@ says that it does not. One line of JSON for every draw, so that ranges can be re
 
 from __future__ import annotations
 
+import contextlib
 import json
 import random
 import sys
@@ -277,7 +278,12 @@ def judged(number: int) -> Budgeted:
     """Run one draw and compare it with its oracle."""
     family = list(FAMILIES)[number % len(FAMILIES)]
     draw, judge = FAMILIES[family]
-    tables = {"name": f"drawn_{number}", **draw(np.random.default_rng((7, number)))}
+    with tempfile.TemporaryDirectory() as work, contextlib.chdir(work):  # of files that are drawn
+        tables = {"name": f"drawn_{number}", **draw(np.random.default_rng((7, number)))}
+        return _compared(family, tables, judge)
+
+
+def _compared(family: str, tables: dict[str, Any], judge: Judge) -> Budgeted:
     budget, why = tables["error_budget"], "timed out"
     try:
         with patience(PATIENCE), tempfile.TemporaryDirectory() as work, warnings.catch_warnings():
