@@ -13,6 +13,7 @@ writes these of any scene. KiCad finds the models by a path variable of the user
 
 from __future__ import annotations
 
+import argparse
 import json
 import re
 import shutil
@@ -195,4 +196,9 @@ def package(target: Path) -> None:
 
 
 if __name__ == "__main__":
-    package(Path(sys.argv[1])) if len(sys.argv) > 1 else write()
+    options = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawTextHelpFormatter
+    )
+    options.add_argument("package", type=Path, nargs="?", help="write this .zip instead")
+    target = options.parse_args().package
+    package(target) if target else write()
