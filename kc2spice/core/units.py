@@ -10,7 +10,6 @@ import math
 import re
 from decimal import Decimal
 from numbers import Real
-from typing import NamedTuple
 
 from kc2spice.core.errors import UsageError
 
@@ -26,73 +25,47 @@ _PREFIX = {
 }  # fmt: skip
 
 
-class _Unit(NamedTuple):
-    """A power of ten times powers of the base units (kg, m, s, A, K)."""
-
-    exponent: int
-    dimension: tuple[int, int, int, int, int]
-
-
+# Of each unit the power of ten and those of the base units kg, m, s, A, K.
 _UNITS = {
-    "g": _Unit(-3, (1, 0, 0, 0, 0)),
-    "m": _Unit(0, (0, 1, 0, 0, 0)),
-    "s": _Unit(0, (0, 0, 1, 0, 0)),
-    "A": _Unit(0, (0, 0, 0, 1, 0)),
-    "K": _Unit(0, (0, 0, 0, 0, 1)),
-    "1": _Unit(0, (0, 0, 0, 0, 0)),
-    "%": _Unit(-2, (0, 0, 0, 0, 0)),
-    "Hz": _Unit(0, (0, 0, -1, 0, 0)),
-    "N": _Unit(0, (1, 1, -2, 0, 0)),
-    "Pa": _Unit(0, (1, -1, -2, 0, 0)),
-    "J": _Unit(0, (1, 2, -2, 0, 0)),
-    "W": _Unit(0, (1, 2, -3, 0, 0)),
-    "C": _Unit(0, (0, 0, 1, 1, 0)),
-    "V": _Unit(0, (1, 2, -3, -1, 0)),
-    "Ohm": _Unit(0, (1, 2, -3, -2, 0)),
-    "F": _Unit(0, (-1, -2, 4, 2, 0)),
-    "H": _Unit(0, (1, 2, -2, -2, 0)),
-    "Wb": _Unit(0, (1, 2, -2, -1, 0)),
-    "T": _Unit(0, (1, 0, -2, -1, 0)),
-}
+    "g": (-3, 1, 0, 0, 0, 0), "m": (0, 0, 1, 0, 0, 0), "s": (0, 0, 0, 1, 0, 0),
+    "A": (0, 0, 0, 0, 1, 0), "K": (0, 0, 0, 0, 0, 1), "1": (0, 0, 0, 0, 0, 0),
+    "%": (-2, 0, 0, 0, 0, 0), "Hz": (0, 0, 0, -1, 0, 0), "N": (0, 1, 1, -2, 0, 0),
+    "Pa": (0, 1, -1, -2, 0, 0), "J": (0, 1, 2, -2, 0, 0), "W": (0, 1, 2, -3, 0, 0),
+    "C": (0, 0, 0, 1, 1, 0), "V": (0, 1, 2, -3, -1, 0), "Ohm": (0, 1, 2, -3, -2, 0),
+    "F": (0, -1, -2, 4, 2, 0), "H": (0, 1, 2, -2, -2, 0), "Wb": (0, 1, 2, -2, -1, 0),
+    "T": (0, 1, 0, -2, -1, 0),
+}  # fmt: skip
 _NUMBER = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d{1,4})?)\s*(.*?)\s*", re.DOTALL)
 _FACTOR = re.compile(r"([A-Za-zµμ%]+|1)\^?(\d?)")
 _SPELLINGS = str.maketrans({"\u2126": "Ohm", "Ω": "Ohm", "²": "2", "³": "3", "·": " ", "*": " "})
 _LONGEST = 200  # characters; nothing sensible comes near it
 
 
-def _symbol(text: str) -> _Unit | None:
+def _symbol(text: str) -> tuple[int, ...] | None:
     """A unit with or without prefix; the unprefixed reading wins (``m`` is metre, ``T`` tesla)."""
     if text in _UNITS:
         return _UNITS[text]
     unit, shift = _UNITS.get(text[1:]), _PREFIX.get(text[:1])
-    return None if unit is None or shift is None else unit._replace(exponent=unit.exponent + shift)
+    return None if unit is None or shift is None else (unit[0] + shift, *unit[1:])
 
 
-def _product(text: str) -> _Unit | None:
-    """``"A s"`` or ``"m2"``: factors between blanks, each with an optional one-digit power."""
-    exponent, dimension = 0, [0, 0, 0, 0, 0]
-    for factor in text.split():
-        match = _FACTOR.fullmatch(factor)
-        unit = _symbol(match[1]) if match else None
-        if match is None or unit is None or (factor == "1" and factor != text.strip()):
-            return None
-        power = int(match[2] or 1)
-        exponent += power * unit.exponent
-        dimension = [a + power * b for a, b in zip(dimension, unit.dimension, strict=True)]
-    return _Unit(exponent, tuple(dimension))  # type: ignore[arg-type]
-
-
-def _parse_unit(text: str) -> _Unit | None:
-    """``"A/(m s)"``: one product over another one; None where the text is no unit."""
+def _parse_unit(text: str) -> tuple[int, ...] | None:
+    """``"A/(m s)"``: one product over another one, of factors between blanks, each with an optional
+    one-digit power; None where the text is no unit."""
     top, slash, bottom = text.translate(_SPELLINGS).partition("/")
     if slash and not bottom.strip():
         return None
-    above = _product(top)
-    below = _product(bottom.strip().removeprefix("(").removesuffix(")"))
-    if above is None or below is None:
-        return None
-    dimension = tuple(a - b for a, b in zip(above.dimension, below.dimension, strict=True))
-    return _Unit(above.exponent - below.exponent, dimension)  # type: ignore[arg-type]
+    below = bottom.strip().removeprefix("(").removesuffix(")")
+    found = [0] * 6
+    for product, sign in ((top, 1), (below, -1)):
+        for factor in product.split():
+            match = _FACTOR.fullmatch(factor)
+            unit = _symbol(match[1]) if match else None
+            if match is None or unit is None or (factor == "1" and factor != product.strip()):
+                return None
+            power = sign * int(match[2] or 1)
+            found = [a + power * b for a, b in zip(found, unit, strict=True)]
+    return tuple(found)
 
 
 def _from_text(text: str, si: str) -> float:
@@ -106,9 +79,9 @@ def _from_text(text: str, si: str) -> float:
     assert target is not None, f"{si!r} is not a unit"
     if unit is None:
         raise ValueError(f"unknown unit {match[2]!r}")
-    if unit.dimension != target.dimension:
+    if unit[1:] != target[1:]:
         raise ValueError(f"wrong unit {match[2]!r}")
-    return float(Decimal(match[1]).scaleb(unit.exponent - target.exponent))
+    return float(Decimal(match[1]).scaleb(unit[0] - target[0]))
 
 
 def quantity(value: object, si: str, *, where: str | None = None) -> float:

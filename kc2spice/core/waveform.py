@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, Literal, Protocol
+from typing import Any, Literal
 
 import numpy as np
 
@@ -36,32 +36,6 @@ class SineKeys(Section):
     start: Time = 0.0
 
 
-class Function(Protocol):
-    """A function of time that is smooth between its corners."""
-
-    @property
-    def straight(self) -> bool:
-        """Whether it is straight between them."""
-        ...
-
-    @property
-    def pace(self) -> float:
-        """Largest step [s] that cannot miss what it makes a guard do."""
-        ...
-
-    def __call__(self, t: Any) -> Any:
-        """Values at the times ``t`` [s]."""
-        ...
-
-    def rate(self, t: Any, within: Any, order: int = 1) -> Any:
-        """Time derivatives at ``t``, of the smooth pieces that hold the times ``within``."""
-        ...
-
-    def corners(self, stop: float) -> np.ndarray:
-        """Times [s] up to ``stop`` where the derivative jumps."""
-        ...
-
-
 @dataclass(frozen=True)
 class Waveform:
     """A function of time in SI: constant, piecewise linear or a sine from ``start`` on.
@@ -86,10 +60,12 @@ class Waveform:
 
     @property
     def straight(self) -> bool:
+        """Whether it is straight between its corners."""
         return self.kind != "sine"
 
     @property
     def pace(self) -> float:
+        """Largest step [s] that cannot miss what it makes a guard do."""
         return np.inf if self.straight else 0.05 / self.frequency
 
     @cached_property
@@ -115,6 +91,7 @@ class Waveform:
         return (np.asarray(within) > self.start) * self.amplitude * w**order * turned
 
     def rate(self, t: Any, within: Any, order: int = 1) -> Any:
+        """Time derivatives at ``t``, of the smooth pieces that hold the times ``within``."""
         if not self.straight:
             return self._turned(t, within, order)
         times, values = self._once
@@ -132,6 +109,7 @@ class Waveform:
         return times, values
 
     def corners(self, stop: float) -> np.ndarray:
+        """Times [s] up to ``stop`` where the derivative jumps."""
         found = np.array([self.start]) if self.kind == "sine" else self.knots(stop)[0]
         return found[(found > 0) & (found < stop) & (self.kind != "constant")]
 
@@ -154,20 +132,19 @@ class Waveform:
 
     def _pulse(self, scale: float) -> str | None:
         """The short form of a trapezoid with a flat top, or of triangles without end."""
+        if len(self.points) not in (3, 4):
+            return None
+        (t0, v0), (t1, v1), *_, (t2, v2), (last, end) = self.points[:2] + self.points[-2:]
         if len(self.points) == 3 and self.period is not None:
-            (t0, v0), (t1, v1), (t2, _) = self.points
             rise = _span(t0, t1)
             top = TOP * rise  # a width of zero means "until the end"
-            numbers = (scale * v0, scale * v1, t0, rise, _span(t1, t2) - top, top, self.period)
-            return f"PULSE({' '.join(map(_number, numbers))})"
-        if len(self.points) != 4:
-            return None
-        (t0, v0), (t1, v1), (t2, v2), (t3, v3) = self.points
-        if v0 != v3 or v1 != v2 or not t1 < t2:
+            fall = _span(t1, last) - top
+        elif len(self.points) == 4 and v0 == end and v1 == v2:
+            rise, fall, top = _span(t0, t1), _span(t2, last), _span(t1, t2)
+        else:
             return None
         period = NEVER if self.period is None else self.period
-        edges = (_span(t0, t1), _span(t2, t3), _span(t1, t2))
-        numbers = (scale * v0, scale * v1, t0, *edges, period)
+        numbers = (scale * v0, scale * v1, t0, rise, fall, top, period)
         return f"PULSE({' '.join(map(_number, numbers))})"
 
 
@@ -198,9 +175,7 @@ def pulse(
     """Trapezoids of ``width`` at half height, one, ``count`` of them, or without end."""
     edges = ((0.0, low), (edge, high), (width, high), (width + edge, low))
     one = tuple((start + t, v) for t, v in edges)
-    if period is None:
-        return Waveform("linear", one if width > edge else (one[0], one[1], one[3]))
-    if count is None:
+    if period is None or count is None:
         shape = one if width > edge else (one[0], one[1], one[3])
         return Waveform("linear", shape, period)
     many = [(start + k * period + t, v) for k in range(count) for t, v in edges]
@@ -237,6 +212,9 @@ class Recorded:
     def corners(self, stop: float) -> np.ndarray:
         times = self.times[::16]
         return times[(times > 0.0) & (times < stop)]
+
+
+Function = Waveform | Recorded
 
 
 def _span(first: float, last: float) -> float:

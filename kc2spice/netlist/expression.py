@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
+from typing import Any
 
 from kc2spice.core.errors import UsageError
 
@@ -122,30 +123,16 @@ def walk(tree: Tree) -> Iterator[Tree]:
 
 def children(tree: Tree) -> tuple[Tree, ...]:
     """What stands directly below ``tree``."""
-    match tree:
-        case Call(_, arguments):
-            return arguments
-        case Unary(_, value):
-            return (value,)
-        case Binary(_, left, right):
-            return (left, right)
-        case Choice(test, yes, no):
-            return (test, yes, no)
-    return ()
+    below = tree.arguments if isinstance(tree, Call) else vars(tree).values()
+    return tuple(each for each in below if isinstance(each, Tree))
 
 
 def rebuilt(tree: Tree, change: Callable[[Tree], Tree]) -> Tree:
     """``tree`` with what stands directly below it changed."""
-    match tree:
-        case Call(function, arguments):
-            return Call(function, tuple(map(change, arguments)))
-        case Unary(op, value):
-            return Unary(op, change(value))
-        case Binary(op, left, right):
-            return Binary(op, change(left), change(right))
-        case Choice(test, yes, no):
-            return Choice(change(test), change(yes), change(no))
-    return tree
+    if isinstance(tree, Call):
+        return Call(tree.function, tuple(map(change, tree.arguments)))
+    kind: Any = type(tree)
+    return kind(*(change(x) if isinstance(x, Tree) else x for x in vars(tree).values()))
 
 
 def replaced(tree: Tree, values: Mapping[str, Tree]) -> Tree:

@@ -38,12 +38,6 @@ class _Answers:
         return np.array(found)
 
 
-def _answering(law: L.Law) -> L.Law:
-    if isinstance(law, L.LinearBody):
-        return L.PortBody(law.name, _Answers(law), law.ports)
-    return law
-
-
 def noise(
     laws: Iterable[L.Law], joins: Mapping[str, Iterable[str]], of: L.Reading, f: np.ndarray
 ) -> np.ndarray:
