@@ -1,8 +1,4 @@
-"""What all drivers share: electronics between a command and electrodes or coils.
-
-Their checks ask the saved waveforms alone, so that a driver's netlist is held against its keys by
-arithmetic that the netlist has no part in.
-"""
+"""What all drivers share: electronics between a command and electrodes or coils."""
 
 from __future__ import annotations
 
@@ -13,7 +9,7 @@ from typing import Any, ClassVar, NamedTuple
 import numpy as np
 
 from kc2spice.core.errors import UsageError
-from kc2spice.core.waveforms import Waveforms, running
+from kc2spice.core.waveforms import Waveforms
 from kc2spice.netlist.circuit import Param
 from kc2spice.parts._template import Level, TemplatePart
 from kc2spice.scene.judge import Check
@@ -21,9 +17,8 @@ from kc2spice.scene.model import Part, Scene, Terminal
 from kc2spice.scene.parttype import Build, Vector
 
 SLACK = 1e-3  # of the span or the current: rails give by millivolts, saved points have reltol
-LAG = 2e-3  # of the swing: saved points with trapezoids between them; up to 2e-4 was found
-LINEAR = 0.98  # of slew rate and current up to which a stage is linear
-MEANING = "the driver's netlist is not its keys: please report it"
+OUTPUT = 0.1  # Ohm, of the amplifier in it
+LOADED = "its load drives it beyond its rails, where diodes of a real output would conduct"
 
 
 class Load(NamedTuple):
@@ -67,12 +62,9 @@ class Driver(TemplatePart):
     def library(self, part: Part, scene: Scene) -> str:
         return self.template.removeprefix("driver_") if len(scene.of(self.name)) == 1 else part.name
 
-    @abstractmethod
-    def limits(
-        self, part: Part, build: Build, time: np.ndarray, wave: Mapping[str, np.ndarray]
-    ) -> Iterable[Check]:
-        """What its output obeys by its keys: ``wave`` has ``i``, the current [A] out of the first
-        terminal, and the voltages [V] of its pins over ``ref``."""
+    def rails(self, keys: Any) -> tuple[float, float] | None:
+        """Between what [V] its output stays, None where its own diodes see to it."""
+        return None
 
     def vectors(self, part: Part, build: Build) -> Mapping[str, Vector]:
         if build.scene.analysis.type != "transient":
@@ -80,13 +72,13 @@ class Driver(TemplatePart):
         found = potentials(part, build, ("command", *self.terminals))
         return found | {f"{part.name}.i": _through(part)}
 
-    def checks(self, part: Part, build: Build, waves: Waveforms) -> Iterable[Check]:
-        if "time" not in waves or f"{part.name}.i" not in waves:
-            return ()
-        still = np.zeros_like(waves["time"])  # a pin on ref
-        pins = ("i", "command", *self.terminals)
-        wave = {pin: waves.data.get(f"{part.name}.{pin}", still) for pin in pins}
-        return self.limits(part, build, waves["time"], wave)
+    def checks(self, part: Part, build: Build, waves: Waveforms) -> Iterator[Check]:
+        """Whether its load drives its output, behind all resistance, beyond its rails."""
+        keys, name = part.keys, f"{part.name}.{self.terminals[0]}"
+        rails, i = self.rails(keys), waves.data.get(f"{part.name}.i")
+        if "time" in waves and rails and i is not None and name in waves:
+            inner = waves[name] + (getattr(keys, "resistance", 0.0) + OUTPUT) * i
+            yield within(part.name, inner, *rails, SLACK * (rails[1] - rails[0]), LOADED)
 
     def detail(self, part: Part, scene: Scene) -> str:
         given = (f"{key} {value:g}" for key, value in part.keys if value is not None)
@@ -146,90 +138,9 @@ def _neighbour(part: Part, pin: str, scene: Scene, kind: str) -> Part | None:
     return next((other for other in joined if other.type.name == kind), None)
 
 
-# --- what waveforms must obey -------------------------------------------------------------------
-
-
-def check(
-    name: str, what: str, value: float, limit: float, unit: str, advice: str = MEANING
-) -> Check:
-    """A check of a driver, which an edited deck may violate on purpose."""
-    return Check(f"{name} {what}", value, limit, unit, advice, wiring=True)
-
-
 def within(
-    name: str,
-    volts: np.ndarray,
-    low: np.ndarray | float,
-    high: np.ndarray | float,
-    slack: float,
-    advice: str = MEANING,
+    name: str, volts: np.ndarray, low: float, high: float, slack: float, advice: str
 ) -> Check:
-    """``low <= volts <= high`` but for ``slack`` [V]."""
-    beyond = float(np.maximum(volts - high, low - volts).max())
-    return check(name, "within its rails", max(0.0, beyond), slack, "V beyond", advice)
-
-
-def bounded(name: str, current: np.ndarray, limit: float) -> Check:
-    """``|current| <= limit`` [A]."""
-    most = float(np.abs(current).max(initial=0.0))
-    return check(name, "within its current", most, (1 + SLACK) * limit, "A")
-
-
-def slewing(
-    name: str, time: np.ndarray, volts: np.ndarray, slew: float, slack: float, advice: str = MEANING
-) -> Check:
-    """``|volts(t2) - volts(t1)| <= slew (t2 - t1)`` for every two times, but for ``slack`` [V]."""
-    most = 0.0
-    for sign in (1.0, -1.0):
-        ahead = sign * volts - slew * time
-        most = max(most, float((ahead - np.minimum.accumulate(ahead)).max(initial=0.0)))
-    return check(name, "within its slew rate", most, slack, "V ahead", advice)
-
-
-def stage(
-    name: str,
-    time: np.ndarray,
-    error: np.ndarray,
-    volts: np.ndarray,
-    current: np.ndarray,
-    rails: tuple[float, float],
-    slew: float,
-    limit: float,
-    gbw: float,
-    feedback: float = 1.0,
-) -> Iterator[Check]:
-    """A power stage: ``d volts/dt = 2 pi gbw error`` between rails, with slew rate and current.
-
-    ``error`` [V] is what stands between its inputs, ``volts`` and ``current`` are those of its
-    output behind 0.1 Ohm; ``feedback`` is the share of the output that returns. It follows its
-    command where the mean of ``error - (d volts/dt) / (2 pi gbw)`` over a time constant of the
-    loop, as a voltage at the output, is nothing wherever it is linear.
-    """
-    (low, high), span, pace = rails, rails[1] - rails[0], 2 * np.pi * gbw
-    inner = volts + 0.1 * current  # before the output resistance
-    free = np.abs(current) < LINEAR * limit
-    loaded = "its load drives it beyond its rails, where diodes of a real output would conduct"
-    yield within(name, inner, low, high, SLACK * span, loaded)
-    yield bounded(name, current, limit)
-    yield slewing(name, time[free], inner[free], slew, LAG * span)
-    linear = free & (inner < high - SLACK * span) & (inner > low + SLACK * span)
-    linear &= np.abs(error) * pace < LINEAR * slew
-    missing = running(error, time) - inner / pace
-    breaks = np.r_[0, np.cumsum(~(linear[1:] & linear[:-1]))]  # the same within linear pieces
-    last = np.searchsorted(time, time + 1 / (pace * feedback)).clip(max=time.size - 1)
-    good = (last > np.arange(time.size)) & (breaks[last] == breaks)
-    off = (missing[last] - missing)[good] / (time[last] - time)[good]
-    lag = float(np.abs(off).max(initial=0.0)) / feedback
-    swing = max(float(np.ptp(inner)), SLACK * span)
-    yield check(name, "follows its command", lag / swing, LAG, "of its swing")
-
-
-def relaxed(time: np.ndarray, towards: np.ndarray, constant: float) -> np.ndarray:
-    """``x' = (towards - x) / constant`` from rest, by trapezoids."""
-    found = np.empty_like(towards)
-    found[0] = towards[0]
-    share = np.diff(time) / (2 * constant)
-    drive = share * (towards[1:] + towards[:-1])
-    for k in range(share.size):
-        found[k + 1] = ((1 - share[k]) * found[k] + drive[k]) / (1 + share[k])
-    return found
+    """``low <= volts <= high`` but for ``slack`` [V]; an edited deck may differ on purpose."""
+    beyond = max(0.0, float(np.maximum(volts - high, low - volts).max()))
+    return Check(f"{name} within its rails", beyond, slack, "V beyond", advice, wiring=True)

@@ -1,4 +1,4 @@
-"""The drivers: what each is made of, what its keys are, and what its output obeys by them."""
+"""The drivers: what each is made of and what its keys are."""
 
 from __future__ import annotations
 
@@ -6,7 +6,6 @@ import math
 from collections.abc import Iterable, Mapping
 from typing import Any, ClassVar
 
-import numpy as np
 from pydantic import Field
 
 from kc2spice.core.quantities import (
@@ -19,17 +18,12 @@ from kc2spice.core.quantities import (
     Time,
     Voltage,
 )
-from kc2spice.core.waveforms import running
 from kc2spice.netlist.circuit import Param, positive
-from kc2spice.parts import _drivers as driver
-from kc2spice.parts._drivers import LAG, SLACK, CoilDriver, Driver, Load, relaxed, stage
+from kc2spice.parts._drivers import CoilDriver, Driver, Load, ends
 from kc2spice.parts._template import InputNoise, parameters
 from kc2spice.parts.pid import SENSE
-from kc2spice.scene.judge import Check
 from kc2spice.scene.model import Part, Scene
-from kc2spice.scene.parttype import Build, Numerics, register
-
-Waves = Mapping[str, np.ndarray]
+from kc2spice.scene.parttype import Numerics, register
 
 
 class AmplifierKeys(InputNoise):
@@ -49,20 +43,8 @@ class Amplifier(Driver):
     resistive = ("R", "Rout")
     constants: ClassVar = {"sink": -10}  # V, the lower rail
 
-    def limits(self, part: Part, build: Build, time: np.ndarray, wave: Waves) -> Iterable[Check]:
-        keys = part.keys
-        volts = wave["out"] + keys.resistance * wave["i"]
-        return stage(
-            part.name,
-            time,
-            wave["command"] - volts,
-            volts,
-            wave["i"] + volts / 20e3,  # what returns the output
-            (self.constants["sink"], keys.rail),
-            keys.slew,
-            keys.current_limit,
-            keys.bandwidth,
-        )
+    def rails(self, keys: Any) -> tuple[float, float]:
+        return self.constants["sink"], keys.rail
 
 
 class ChargeKeys(InputNoise):
@@ -84,23 +66,10 @@ class ChargeDrive(Driver):
     schema = ChargeKeys
     template, heading = "driver_charge", "charge drive for the chip"
     resistive = ("Rout", "Rsense", "Rchip")
-    terminals, fixed = ("anode", "cathode"), driver.ends("anode", "cathode")
+    terminals, fixed = ("anode", "cathode"), ends("anode", "cathode")
 
-    def limits(self, part: Part, build: Build, time: np.ndarray, wave: Waves) -> Iterable[Check]:
-        keys = part.keys
-        share = keys.capacitance / (keys.sense + keys.capacitance)
-        return stage(
-            part.name,
-            time,
-            wave["command"] * keys.capacitance / keys.sense - wave["cathode"],
-            wave["anode"] + keys.resistance * wave["i"],
-            wave["i"],
-            (-keys.rail, keys.rail),
-            keys.slew,
-            keys.current_limit,
-            keys.bandwidth / share,
-            share,
-        )
+    def rails(self, keys: Any) -> tuple[float, float]:
+        return -keys.rail, keys.rail
 
 
 class HalfBridgeKeys(Section):
@@ -122,48 +91,6 @@ class HalfBridge(Driver):
     template, heading = "driver_half_bridge", "half-bridge for the chip"
     resistive = ("Rout", "Rsupply", "Rhigh", "Rlow")
     opamp = None
-    # V, V, F to the source and F to the drain, A of the diode in each transistor
-    constants: ClassVar = {
-        "gate": 12,
-        "threshold": 3,
-        "source": 5e-10,
-        "miller": 2e-11,
-        "diode": 1e-14,
-    }
-
-    def limits(self, part: Part, build: Build, time: np.ndarray, wave: Waves) -> Iterable[Check]:
-        """Between the rails but for the diodes and for charge that returns to the reservoir; the
-        gates' currents come on top of a transistor's. Long after its command reached a rail, and
-        far from saturation, the bridge is as far from the reservoir or from ``ref`` as ``i = limit
-        (1 - (1 - v / (gate - threshold))^2)`` of a transistor says."""
-        keys, i, command, own = part.keys, wave["i"], wave["command"], self.constants
-        bridge, rail = wave["out"] + keys.resistance * i, keys.rail
-        drop = 0.03 * np.log1p(np.abs(i).max() / own["diode"])  # V for a factor e, at 75 C
-        charge = running(i, time)
-        back = float((np.maximum.accumulate(charge) - charge).max()) / keys.reservoir
-        yield driver.within(part.name, bridge, -drop, rail + drop + back, SLACK * rail)
-        inside = (bridge > 0) & (bridge < rail)
-        most = keys.current_limit + own["gate"] / keys.gate_resistance
-        yield driver.bounded(part.name, i[inside], most)
-        supply = keys.supply_resistance
-        tank = rail - supply * i * (command > rail / 2)
-        tank = relaxed(time, tank, supply * keys.reservoir)
-        off = np.zeros_like(time)
-        share = i / keys.current_limit
-        opened = own["gate"] - own["threshold"]
-        across = opened * (1 - np.sqrt(1 - np.minimum(np.abs(share), 1)))
-        settled = 10 * keys.gate_resistance * (own["source"] + own["miller"])
-        for on, end, beyond in (
-            (command >= rail, tank, bridge >= tank),
-            (command <= 0, 0.0, bridge <= 0),
-        ):  # beyond it a diode conducts as well
-            lasted = time - np.maximum.accumulate(np.where(on, time[0], time))
-            judged = (lasted > settled) & (np.abs(share) < 0.9)
-            judged &= ~beyond | (across < LAG * rail)
-            found = np.abs(bridge - end + np.sign(i) * across)
-            off = np.maximum(off, np.where(judged, found, 0.0))
-        value = float(off.max()) / rail
-        yield driver.check(part.name, "follows its command", value, LAG, "of its rail")
 
 
 class LinearKeys(InputNoise):
@@ -196,25 +123,8 @@ class LinearDrive(CoilDriver):
             "gbw": 5 * keys.bandwidth * (1 + ratio),
         }
 
-    def limits(self, part: Part, build: Build, time: np.ndarray, wave: Waves) -> Iterable[Check]:
-        keys, load = part.keys, self.load(part, build)
-        _, made = self.for_load(keys, load)
-        ratio, volts, sensed = made["ratio"], wave["drive"], SENSE * wave["i"]
-        lasting = (1 + 1 / ratio) * made["constant"]
-        held = relaxed(time, sensed - volts, lasting)  # by the integral's capacitor
-        back = (ratio * sensed + volts + held) / (1 + ratio)
-        return stage(
-            part.name,
-            time,
-            wave["command"] - back,
-            volts + wave["i"],
-            wave["i"],
-            (-keys.rail, keys.rail),
-            keys.slew,
-            2 * load.current,
-            made["gbw"],
-            1 / (1 + ratio),
-        )
+    def rails(self, keys: Any) -> tuple[float, float]:
+        return -keys.rail, keys.rail
 
 
 class PwmKeys(Section):
@@ -255,38 +165,6 @@ class PwmDrive(CoilDriver):
     def numerics(self, part: Part, scene: Scene) -> Iterable[Numerics]:
         f, edge = part.keys.frequency, part.keys.edge
         return (Numerics(f"a tenth of a period of the carrier of {part.name}", 0.1 / f, 1 / edge),)
-
-    def limits(self, part: Part, build: Build, time: np.ndarray, wave: Waves) -> Iterable[Check]:
-        """Both legs between 0 and the rail, one against the other, and on as long as the controller
-        asks for; an edge lies anywhere within a time step."""
-        keys, i, rail, own = part.keys, wave["i"], part.keys.rail, self.constants
-        leg = wave["drive"] + keys.resistance * i
-        other = wave["ret"] - (own["shunt"] + keys.resistance) * i
-        yield driver.within(part.name, np.r_[leg, other], 0.0, rail, SLACK * rail)
-        apart = float(np.abs(leg + other - rail).max()) / rail
-        yield driver.check(part.name, "legs against each other", apart, LAG, "of its rail")
-        wanted = rail * self._duty(part, build, time, wave)
-        off = float(np.trapezoid(np.abs(leg - wanted), time) / np.ptp(time)) / rail
-        yield driver.check(part.name, "follows its command", off, 0.1, "of its rail on average")
-
-    def _duty(self, part: Part, build: Build, time: np.ndarray, wave: Waves) -> np.ndarray:
-        """Share of the rail on the first leg, of the controller that :meth:`for_load` states and
-        whose output ends at the amplifier's rails."""
-        keys, own = part.keys, self.constants
-        _, made = self.for_load(keys, self.load(part, build))
-        carrier, ratio = own["carrier"], made["r2"] / 1e5 / keys.rail
-        lasting, most = (1 + 1 / ratio) * made["constant"], own["headroom"] * carrier
-        seen = SENSE * wave["i"]
-        wanted = (1 + ratio) * wave["command"] - ratio * seen
-        # Middles of the steps: an integral of their beginnings drifts away with the ripple.
-        asked, mean = ((v + np.append(v[1:], v[-1])) / 2 for v in (wanted, seen))
-        u, held = np.empty_like(time), 0.0  # V, of the integral's capacitor
-        for k, step in enumerate(np.diff(time, append=time[-1])):
-            u[k] = np.clip(wanted[k] - held, -most, most)
-            held += step * (mean[k] - np.clip(asked[k] - held, -most, most) - held) / lasting
-        triangle = 2 * carrier / math.pi * np.arcsin(np.sin(2 * math.pi * keys.frequency * time))
-        steep = 2 * carrier * keys.frequency * keys.edge
-        return np.asarray(0.5 + 0.5 * np.clip((u - triangle) / steep, -1.0, 1.0))
 
 
 for _driver in (Amplifier, ChargeDrive, HalfBridge, LinearDrive, PwmDrive):

@@ -20,7 +20,7 @@ from kc2spice.netlist.circuit import Pin, Subcircuit
 from kc2spice.netlist.foreign import included_netlist, looked_at
 from kc2spice.netlist.read import read
 from kc2spice.netlist.scope import Scope, circuit, has_vector
-from kc2spice.parts._drivers import SLACK, potentials, slewing, within
+from kc2spice.parts._drivers import SLACK, potentials, within
 from kc2spice.scene.judge import Check
 from kc2spice.scene.model import FileName, Part, Scene, Terminal
 from kc2spice.scene.parttype import Build, PartType, Vector, register
@@ -154,7 +154,10 @@ class Netlist(PartType):
             high = np.inf if rating.high is None else rating.high
             yield within(name, volts, low, high, slack, RATED)
             if rating.slew is not None:
-                yield slewing(name, waves["time"], volts, rating.slew, slack, RATED)
+                ahead = [sign * volts - rating.slew * waves["time"] for sign in (1.0, -1.0)]
+                most = max(float((a - np.minimum.accumulate(a)).max()) for a in ahead)
+                name = f"{name} within its slew rate"
+                yield Check(name, most, slack, "V ahead", RATED, wiring=True)
 
     def detail(self, part: Part, scene: Scene) -> str:
         return f".subckt {part.keys.subckt} of {part.keys.file}"

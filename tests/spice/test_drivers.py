@@ -7,6 +7,8 @@ from device import bench
 from kc2spice.parts._drivers import Load
 from kc2spice.parts._template import opamp_subcircuit, parameters
 from kc2spice.parts.driver_types import (
+    Amplifier,
+    AmplifierKeys,
     ChargeDrive,
     ChargeKeys,
     HalfBridge,
@@ -67,11 +69,28 @@ Rlow low 0 1000
 # ------------------------------------------------------------------------- drivers of the chip
 
 
-def charging(header, parts, name, cards, tmp_path, stop=20e-6):
+def test_amplifier_follows_by_one_pole(header, tmp_path):
+    """``e (1 + 0.1 Y) = A(s) (command - e) / 20`` at its output, with the chip's and the feedback's
+    admittance Y."""
+    part = Amplifier().netlist(header, "amplifier", parameters(AmplifierKeys()))
+    cards = """Vcommand command 0 AC 1
+Xdriver command out 0 amplifier bandwidth=1e6 resistance=5
+Cchip out 0 1e-08
+.ac dec 3 1e4 1e7"""
+    parts = [opamp_subcircuit(header, "slew"), part]
+    waves = run_deck(bench(parts, cards, {"out": ("v(out)", 1.0)}), tmp_path)
+    s = 2j * np.pi * waves["frequency"].real
+    chip = 5 + 1 / (s * 1e-8)
+    gain = 1 / (1e-7 + s / (2 * np.pi * 20e6)) / 20
+    drive = gain / (gain + 1 + 0.1 * (1 / chip + 1 / 20e3))
+    np.testing.assert_allclose(waves["out"], drive / (1 + 5 * s * 1e-8), rtol=1e-5)
+
+
+def charging(header, parts, name, cards, tmp_path, stop=20e-6, load="Cchip out 0 1e-07"):
     """A pulse into 100 nF in place of the chip, in a driver with ``out``."""
     text = f"""Vcommand command 0 PULSE(0 100 1e-06 1e-07 1e-07 9.9e-06)
 Xdriver command out 0 {name} {cards}
-Cchip out 0 1e-07
+{load}
 .options reltol=1e-5 trtol=1
 .tran 1e-08 {stop} 0 2e-08"""
     vectors = {"out": ("v(out)", 1.0), "i": ("@r.xdriver.rout[i]", 1.0)}
@@ -87,6 +106,16 @@ def test_half_bridge_limits_current_and_charge(header, tmp_path):
     # 100 nF of reservoir at 100 V shared with 100 nF of load
     end = np.interp(10e-6, waves["time"], waves["out"])
     assert end == pytest.approx(50.0, rel=0.01)
+
+
+def test_half_bridge_drops_what_its_transistor_takes(header, tmp_path):
+    """``i = limit (1 - (1 - v / 9 V)^2)`` at a gate of 12 V and a threshold of 3 V."""
+    part = HalfBridge().netlist(header, "half_bridge", parameters(HalfBridgeKeys()))
+    cards = "current_limit=6 resistance=2 reservoir=1"
+    waves = charging(header, [part], "half_bridge", cards, tmp_path, load="Rload out 0 23")
+    i = np.interp(8e-6, waves["time"], waves["i"])
+    v = 100 - 25 * i
+    assert i == pytest.approx(6 * (1 - (1 - v / 9) ** 2), rel=1e-4)
 
 
 def test_charge_drive_gives_its_charge_to_any_capacitance(header, tmp_path):
@@ -116,6 +145,21 @@ Lcoils middle ret {LOAD.inductance}
 .tran 1e-06 {stop} 0 1e-06"""
     vectors = {"i": ("i(lcoils)", 1.0), "u": ("v(drive)", 1.0)}
     return run_deck(bench(parts, text, vectors, stop), tmp_path)
+
+
+def test_linear_drive_closes_like_one_pole(header, tmp_path):
+    """Its amplifier of five times the bandwidth adds 2 % to the pole, the command that goes past
+    the controller 3 % well below it."""
+    part = LinearDrive().netlist(header, "linear", *LinearDrive().for_load(LinearKeys(), LOAD))
+    cards = f"""Vwanted wanted 0 AC 100
+Xdriver wanted drive ret 0 linear
+Rcoils drive middle {LOAD.resistance}
+Lcoils middle ret {LOAD.inductance}
+.ac dec 1 5e2 5e4"""
+    parts = [opamp_subcircuit(header, "slew"), part]
+    waves = run_deck(bench(parts, cards, {"i": ("i(lcoils)", 1.0)}), tmp_path)
+    f = waves["frequency"].real / LinearKeys().bandwidth
+    np.testing.assert_allclose(np.abs(waves["i"]), np.abs(1 / (1 + 1j * f)), rtol=0.03)
 
 
 def test_linear_drive_is_bound_by_its_rails(header, tmp_path):
