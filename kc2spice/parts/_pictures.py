@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
+from itertools import combinations
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -155,59 +156,36 @@ def _map(device: Device, corners: np.ndarray, values: np.ndarray, label: str) ->
     mesh = device.solid.mesh
     values = values.reshape(len(corners), -1)[:, : corners.shape[1]]
     if mesh.dim() == 2:
-        element, local = np.arange(len(corners)), np.arange(corners.shape[1])[None]
-        local = np.repeat(local, len(corners), axis=0)
+        element = np.arange(len(corners))
+        local = np.tile(np.arange(corners.shape[1]), (len(corners), 1))
     else:
         facets = mesh.boundary_facets()
         element, nodes = mesh.f2t[0, facets], mesh.facets[:, facets].T
         local = np.argmax(mesh.t[:, element].T[:, None, :] == nodes[:, :, None], axis=2)
-    around = local[:, _around(corners[element[:, None], local])]
-    points, own = corners[element[:, None], around], values[element[:, None], around]
-    flat = 1e3 * np.stack(
-        (points[..., 0] + OBLIQUE * points[..., 1], points[..., 2] + OBLIQUE * points[..., 1]), -1
-    )
-    fan = [(0, k, k + 1) for k in range(1, flat.shape[1] - 1)]
-    triangles = np.concatenate([flat[:, t] for t in fan])
-    depth = np.concatenate([points[:, t, 1] for t in fan]).mean(axis=1)
-    colours = np.concatenate([own[:, t] for t in fan])
-    low, high = triangles.min(axis=(0, 1)), triangles.max(axis=(0, 1))
+    points, own = corners[element[:, None], local], values[element[:, None], local, None]
+    flat = 1e3 * (points[..., [0, 2]] + OBLIQUE * points[..., [1]])
+    # every three corners: of a face with four all their triangles, whatever the corners' order
+    shown = np.concatenate([flat, points[..., [1]], own], axis=-1)
+    triangles = np.concatenate([shown[:, t] for t in combinations(range(shown.shape[1]), 3)])
+    low, high = flat.min(axis=(0, 1)), flat.max(axis=(0, 1))
     dot = float((high - low).max()) / DOTS
     count = np.maximum(np.ceil((high - low) / dot).astype(int), 1)
     x, y = (low[k] + dot * (np.arange(count[k]) + 0.5) for k in (0, 1))
+    wide = np.ptp(triangles[..., :2], axis=1).max(axis=1) / dot
+    steps = 2 ** np.ceil(np.log2(np.maximum(2 * wide, 1.0))).astype(int)  # two to a dot at least
+    dots = np.concatenate([_points_of(triangles[steps == n], n) for n in np.unique(steps)])
+    dots = dots[np.argsort(-dots[:, 2])]  # the nearest last
+    column, row = np.clip(((dots[:, :2] - low) / dot).astype(int), 0, count - 1).T
     z = np.full((count[1], count[0]), np.nan)
-    for k in np.argsort(-depth):  # the nearest last
-        _paint(z, triangles[k], colours[k], low, dot)
+    z[row, column] = dots[:, 3]
     return Map(x, y, z, label)
 
 
-def _around(corners: np.ndarray) -> list[int]:
-    """Order of the vertices of a face around it: the diagonals of a four-sided one are longest."""
-    if corners.shape[1] < 4:
-        return [0, 1, 2]
-    first = corners[0]
-    far = int(np.argmax(np.linalg.norm(first - first[0], axis=1)))
-    others = [k for k in (1, 2, 3) if k != far]
-    return [0, others[0], far, others[1]]
-
-
-def _paint(
-    z: np.ndarray, corners: np.ndarray, values: np.ndarray, low: np.ndarray, dot: float
-) -> None:
-    """Values of a triangle, linear between its corners (3, 2), on the dots within it."""
-    a, b, c = (corners - low) / dot - 0.5
-    first = np.maximum(np.ceil(np.minimum(np.minimum(a, b), c) - 0.5).astype(int), 0)
-    last = np.minimum(np.floor(np.maximum(np.maximum(a, b), c) + 0.5).astype(int) + 1, z.T.shape)
-    area = (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])
-    if area == 0 or (last <= first).any():
-        return
-    x, y = np.arange(first[0], last[0])[None, :], np.arange(first[1], last[1])[:, None]
-    v = ((x - a[0]) * (c[1] - a[1]) - (y - a[1]) * (c[0] - a[0])) / area
-    w = ((b[0] - a[0]) * (y - a[1]) - (b[1] - a[1]) * (x - a[0])) / area
-    slack = 0.5 / max(np.sqrt(abs(area)), 1.0)  # half a dot, lest seams stay open
-    inside = (v >= -slack) & (w >= -slack) & (v + w <= 1 + slack)
-    found = values[0] + v * (values[1] - values[0]) + w * (values[2] - values[0])
-    part = z[first[1] : last[1], first[0] : last[0]]
-    part[inside] = np.clip(found, values.min(), values.max())[inside]
+def _points_of(triangles: np.ndarray, steps: int) -> np.ndarray:
+    """Points (n, 4) of triangles (t, 3, 4), ``steps`` of them along each side."""
+    a, b = (part.ravel() / steps for part in np.indices((steps + 1, steps + 1)))
+    weights = np.column_stack([a, b, 1 - a - b])[a + b <= 1]
+    return np.asarray((weights @ triangles).reshape(-1, 4))
 
 
 def outline(mesh: Any) -> tuple[np.ndarray, np.ndarray]:
