@@ -55,9 +55,7 @@ def kicked(folder):
     B[-1] = 1.0
     for letter, values in {"M": m * np.eye(n), "K": K, "E": 1e-8 * K, "B": B, "C": B.T}.items():
         mmwrite(folder / f"beam.{letter}.mtx", values)
-    (folder / "beam.toml").write_text(
-        '[[port]]\nname = "tip"\nkind = "mechanical"\ndirection = "both"\n'
-    )
+    (folder / "beam.toml").write_text('[[ports]]\nname = "tip"\nkind = "mechanical"\ncolumn = 1\n')
     path = folder / "kicked.toml"
     path.write_text(KICKED)
     return path

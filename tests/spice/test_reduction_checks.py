@@ -32,14 +32,14 @@ stop = "20 us"
 max_step = "0.2 us"
 """
 PORTS = """band = [0, 4e5]
-[[port]]
+[[ports]]
 name = "left"
 kind = "mechanical"
-direction = "both"
-[[port]]
+column = 1
+[[ports]]
 name = "right"
 kind = "mechanical"
-direction = "both"
+column = 2
 """
 
 

@@ -318,12 +318,13 @@ def test_every_mesh_format_finds_the_nodes(labelled, tmp_path, name, text):
         np.testing.assert_allclose(model.B.max(), 0.5)
 
 
-def test_columns_and_rows_of_the_file_become_ports_in_order(tmp_path):
+def test_columns_and_rows_of_the_file_become_ports(tmp_path):
     rng = np.random.default_rng(2)
     B, C, D = rng.normal(size=(N, 2)), rng.normal(size=(2, N)), rng.normal(size=(2, 2))
     np.savez(tmp_path / "m.npz", K=K, M=M, B=B, C=C, D=D)
-    port = '[[port]]\nname = "{}"\ndirection = "{}"\nscale = {}\n'
-    given = [("a", "in", 2.0), ("b", "in", 1.0), ("c", "out", 1.0), ("d", "out", 4.0)]
+    port = '[[ports]]\nname = "{}"\nkind = "{}"\n{} = {}\nscale = {}\n'
+    given = [("a", "input", "column", 1, 2.0), ("b", "input", "column", 2, 1.0)]
+    given += [("c", "output", "row", 1, 1.0), ("d", "output", "row", 2, 4.0)]
     model = read_model(
         tmp_path / "m.npz", sidecar(tmp_path, "".join(port.format(*each) for each in given))
     )

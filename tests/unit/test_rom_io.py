@@ -84,9 +84,9 @@ def test_formats_give_the_same_model(tmp_path, writer, matrices):
 def test_ports_have_the_names_units_and_scale_of_the_table(tmp_path):
     base = write_family(tmp_path, rod())
     (tmp_path / "model.toml").write_text(
-        'band = [0, 1.5]\n[[port]]\nname = "q1"\ndirection = "in"\nunit = "mW"\nscale = 1e-3\n'
-        '[[port]]\nname = "q2"\ndirection = "in"\n'
-        '[[port]]\nname = "T"\ndirection = "out"\nunit = "K"\n'
+        'band = [0, 1.5]\n[[ports]]\nname = "q1"\nkind = "input"\ncolumn = 1\nunit = "mW"\n'
+        'scale = 1e-3\n[[ports]]\nname = "q2"\nkind = "input"\ncolumn = 2\n'
+        '[[ports]]\nname = "T"\nkind = "output"\nrow = 1\nunit = "K"\n'
     )
     model = read_model(base)
     assert [(p.name, p.across, p.flow) for p in model.ports] == [

@@ -39,9 +39,6 @@ them. A port of kind ``acceleration`` moves the frame that the fixed freedoms st
 only ``axis``. An ``electrical`` port at nodes ties their ``volt`` freedoms to one electrode. Ports
 with ``column`` of a conservative kind take the same row of C; without ``[[ports]]`` the columns of
 B and rows of C are signals ``u1`` ..., ``y1`` ....
-
-``[[port]]`` with ``direction = "in"``, ``"out"`` or ``"both"`` instead of ``kind``, ``column`` and
-``row`` takes the columns of B and the rows of C in order.
 """
 
 from __future__ import annotations
@@ -50,7 +47,7 @@ import math
 from collections import Counter
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 from pydantic import (
     AfterValidator,
@@ -270,31 +267,6 @@ class Sidecar(Section):
                     name = f" ({entry.name})" if isinstance(entry, PortEntry) else ""
                     return f"{self.where}: {word}[{number}]{name}"
         return self.where
-
-    @model_validator(mode="before")
-    @classmethod
-    def _in_order(cls, data: dict[str, Any]) -> dict[str, Any]:
-        """``[[port]]`` tables with a direction as ``[[ports]]`` with columns and rows."""
-        if "port" not in data or "ports" in data:
-            return data
-        tables = data["port"] if isinstance(data["port"], list) else [data["port"]]
-        columns, rows, ports = 0, 0, []
-        for number, table in enumerate(tables):
-            match table:
-                case {"column": _} | {"row": _}:
-                    raise refused(f"port[{number}] has a column or row", "[[ports]], with a kind")
-                case {"direction": "in", **rest}:
-                    columns += 1
-                    ports.append({**rest, "kind": "input", "column": columns})
-                case {"direction": "out", **rest}:
-                    rows += 1
-                    ports.append({**rest, "kind": "output", "row": rows})
-                case {"direction": "both", **rest}:
-                    columns, rows = columns + 1, rows + 1
-                    ports.append({**rest, "column": columns})
-                case _:
-                    raise refused(f"port[{number}] has no direction", "'in', 'out' or 'both'")
-        return {**{key: data[key] for key in data if key != "port"}, "ports": ports}
 
     @model_validator(mode="after")
     def _fits(self) -> Sidecar:
