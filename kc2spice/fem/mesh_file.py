@@ -2,14 +2,14 @@
 
 ``.msh`` files bring elements and physical groups. ``.step`` and ``.brep`` files are meshed here;
 their solids are first made to share faces. Their groups are the labels of the file and what a
-:class:`Pick` selects.
+:func:`read_mesh` picks.
 """
 
 from __future__ import annotations
 
 import json
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -18,7 +18,7 @@ import numpy as np
 from skfem.mesh import Mesh, MeshTet, MeshTet2, MeshTri, MeshTri2
 
 from kc2spice.core.child import in_child
-from kc2spice.core.errors import UsageError
+from kc2spice.core.errors import UsageError, unknown
 from kc2spice.core.foreign import read_bounded
 from kc2spice.core.units import quantity
 
@@ -42,17 +42,6 @@ _STEP_TEXT = re.compile(rb"'(?:[^']|'')*'|/\*.*?\*/", re.DOTALL)
 
 
 @dataclass(frozen=True)
-class Pick:
-    """Entities of a CAD file: those that contain one of the points ``at`` (n, 3), or that lie in
-    ``box`` (two corners). ``dimension`` 0 to 3 counts points, curves, faces, solids. Metres.
-    """
-
-    dimension: int
-    at: np.ndarray | Sequence[Sequence[float]] = ()
-    box: np.ndarray | Sequence[Sequence[float]] | None = None
-
-
-@dataclass(frozen=True)
 class Group:
     """One named set: elements (``codimension`` 0), facets (1) or nodes (2, 3) of the mesh.
 
@@ -71,18 +60,45 @@ class GroupedMesh:
     mesh: Mesh
     groups: Mapping[str, Group]
 
+    def group(self, name: str, where: str, *codimensions: int) -> Group:
+        """The group, which has one of these codimensions; ``where`` is the key that asks for it.
+
+        Raises
+        ------
+        UsageError : there is none, an empty one, or one of another kind.
+        """
+        found = self.groups.get(name)
+        if found is None:
+            raise unknown("no such group in the mesh", name, sorted(self.groups), where)
+        if not found.members.size:
+            raise UsageError("group is empty", where=where, got=name)
+        if codimensions and found.codimension not in codimensions:
+            kinds = ("elements", "faces", "curves", "points")
+            if self.mesh.dim() == 2:
+                kinds = ("elements", "curves", "points", "")
+            raise UsageError(
+                "group of the wrong kind",
+                where=where,
+                got=f"{name}, {kinds[found.codimension]}",
+                expected=" or ".join(kinds[c] for c in codimensions),
+            )
+        return found
+
 
 def read_mesh(
     path: Path,
     *,
     unit: float,
     size: float | None = None,
-    picks: Mapping[str, Pick] | None = None,
+    picks: Mapping[str, Mapping[str, Any]] | None = None,
     dimension: int = 3,
     splits: int = 0,
 ) -> GroupedMesh:
     """Read or make the mesh; ``unit`` is the file's unit of length [m], ``size`` the largest edge
-    of the elements of a CAD file [m], ``splits`` how often every edge is halved.
+    of the elements of a CAD file [m], ``splits`` how often every edge is halved. ``picks`` are
+    groups of a CAD file by name: entities of a ``dimension`` (0 to 3: points, curves, faces,
+    solids) that contain one of the points ``at`` (n, 3), or that lie in a ``box`` of two corners
+    [m].
 
     Raises
     ------
@@ -112,9 +128,9 @@ def read_mesh(
         )
     scaled = {
         name: {
-            "dimension": pick.dimension,
-            "at": (np.reshape(pick.at, (-1, 3)) / unit).tolist(),
-            "box": None if pick.box is None else (np.asarray(pick.box) / unit).tolist(),
+            **pick,
+            "at": np.divide(pick["at"], unit).tolist(),
+            "box": pick["box"] and np.divide(pick["box"], unit).tolist(),
         }
         for name, pick in (picks or {}).items()
     }

@@ -41,7 +41,7 @@ from kc2spice.bodies.device import (
     spread,
 )
 from kc2spice.core.cache import cached
-from kc2spice.core.errors import UsageError, unknown
+from kc2spice.core.errors import UsageError
 from kc2spice.core.figure import Curve, Figure, Panel
 from kc2spice.core.foreign import beside
 from kc2spice.core.quantities import Count, Length, Notch, Section, validated
@@ -49,9 +49,7 @@ from kc2spice.core.waveforms import Waveforms
 from kc2spice.fem.keys import Damping
 from kc2spice.fem.materials import material
 from kc2spice.fem.mesh_file import (
-    Group,
     GroupedMesh,
-    Pick,
     extent,
     length_unit,
     read_mesh,
@@ -70,7 +68,6 @@ Vector: TypeAlias = tuple[float, float, float]
 Name: TypeAlias = Annotated[str, StringConstraints(pattern=r"^[A-Za-z][A-Za-z0-9_]{0,30}$")]
 _MOTIONS = ("x", "y", "z", "rx", "ry", "rz")
 _REFERENCES = ("cathode", "gnd", "ground")
-_KINDS = ("elements", "faces", "curves", "points")
 
 
 class GroupKeys(Section):
@@ -91,11 +88,15 @@ class GroupKeys(Section):
             raise ValueError("pick solids, faces, curves or points: one of them")
         return self
 
-    def pick(self) -> Pick:
+    def pick(self) -> dict[str, Any]:
         """What the mesh reader looks for."""
         kind = next(iter(self.model_fields_set)).removesuffix("_in")
         dimension = ("points", "curves", "faces", "solids").index(kind)
-        return Pick(dimension, getattr(self, kind), getattr(self, f"{kind}_in"))
+        return {
+            "dimension": dimension,
+            "at": getattr(self, kind),
+            "box": getattr(self, f"{kind}_in"),
+        }
 
 
 class FixedKeys(Section):
@@ -251,45 +252,20 @@ def device(keys: BodyKeys | Mapping[str, Any], home: Path, where: str = "body") 
             dimension=2 if keys.axisymmetric else 3,
             splits=0 if keys.size else int(np.ceil(np.log2(keys.refine))),
         )
-        groups = _Groups(found, keys)
-        solid = _solid(keys, groups)
-        made = make_device(solid, _setup(keys, groups, solid))
+        solid = _solid(keys, found)
+        made = make_device(solid, _setup(keys, found, solid))
     axes = ("radius", "height") if keys.axisymmetric else "xyz"
     sides = zip(axes, 1e3 * np.ptp(found.mesh.p, axis=1), strict=True)
     facts = {**made.model.facts, **{f"extent_{axis}_mm": float(side) for axis, side in sides}}
     return replace(made, model=replace(made.model, facts=facts))
 
 
-class _Groups:
-    """Groups of a mesh by name, with errors that name the key which asks for them."""
-
-    def __init__(self, found: GroupedMesh, keys: BodyKeys) -> None:
-        self.mesh, self.found = found.mesh, found.groups
-        self.kinds = ("elements", "curves", "points") if keys.axisymmetric else _KINDS
-
-    def get(self, name: str, where: str, *codimensions: int) -> Group:
-        """The group, if it has one of these codimensions."""
-        group = self.found.get(name)
-        if group is None:
-            raise unknown("no such group in the mesh", name, sorted(self.found), where)
-        if not group.members.size:
-            raise UsageError("group is empty", where=where, got=name)
-        if codimensions and group.codimension not in codimensions:
-            raise UsageError(
-                "group of the wrong kind",
-                where=where,
-                got=f"{name}, {self.kinds[group.codimension]}",
-                expected=" or ".join(self.kinds[c] for c in codimensions),
-            )
-        return group
-
-
-def _solid(keys: BodyKeys, groups: _Groups) -> Solid:
+def _solid(keys: BodyKeys, groups: GroupedMesh) -> Solid:
     owner = np.full(groups.mesh.nelements, -1)
     materials = []
     for number, (name, given) in enumerate(keys.materials.items()):
         where = f"materials.{name}"
-        cells = groups.get(name, where, 0).members
+        cells = groups.group(name, where, 0).members
         if (owner[cells] >= 0).any():
             other = list(keys.materials)[int(owner[cells].max())]
             raise UsageError("elements with two materials", where=where, got=f"also in {other}")
@@ -301,12 +277,12 @@ def _solid(keys: BodyKeys, groups: _Groups) -> Solid:
             "elements without material",
             where="materials",
             got=f"{np.sum(owner < 0)} elements",
-            expected=f"every element in one of {', '.join(sorted(groups.found))}",
+            expected=f"every element in one of {', '.join(sorted(groups.groups))}",
         )
     return Solid(groups.mesh, tuple(materials), owner, keys.axisymmetric)
 
 
-def _setup(keys: BodyKeys, groups: _Groups, solid: Solid) -> Setup:
+def _setup(keys: BodyKeys, groups: GroupedMesh, solid: Solid) -> Setup:
     electrodes = {}
     for pin, given in keys.electrodes.items():
         names = [given] if isinstance(given, str) else given
@@ -335,9 +311,9 @@ def _facet_nodes(solid: Solid, facets: np.ndarray) -> np.ndarray:
     return np.unique(solid.basis(1).get_dofs(facets).flatten())
 
 
-def _electrode(solid: Solid, groups: _Groups, name: str, where: str) -> np.ndarray:
+def _electrode(solid: Solid, groups: GroupedMesh, name: str, where: str) -> np.ndarray:
     """Nodes of an electrode, which must lie on something piezoelectric."""
-    facets = groups.get(name, where, 1).members
+    facets = groups.group(name, where, 1).members
     active = np.array([m.piezoelectric for m in solid.materials])[solid.owner]
     sides = solid.mesh.f2t[:, facets]
     if not (active[sides] & (sides >= 0)).any():
@@ -351,13 +327,13 @@ def _electrode(solid: Solid, groups: _Groups, name: str, where: str) -> np.ndarr
     return _facet_nodes(solid, facets)
 
 
-def _fixed(keys: BodyKeys, groups: _Groups, solid: Solid) -> np.ndarray:
+def _fixed(keys: BodyKeys, groups: GroupedMesh, solid: Solid) -> np.ndarray:
     d, nodes = solid.components, solid.places.shape[1]
     fixed = np.zeros((nodes, d), bool)
     letters = "xyz" if d == 3 else "xz"
     for entry in keys.fixed:
         support = FixedKeys(group=entry) if isinstance(entry, str) else entry
-        group = groups.get(support.group, "fixed")
+        group = groups.group(support.group, "fixed")
         members = group.members
         if group.codimension == 0:
             members = solid.nodes(members)
@@ -371,14 +347,14 @@ def _fixed(keys: BodyKeys, groups: _Groups, solid: Solid) -> np.ndarray:
     return fixed.ravel()
 
 
-def _shares(port: PortKeys, groups: _Groups, solid: Solid) -> np.ndarray:
+def _shares(port: PortKeys, groups: GroupedMesh, solid: Solid) -> np.ndarray:
     """Parts (nodes,) of a unit force over the port's group."""
     shares = np.zeros(solid.places.shape[1])
     if port.at is not None:
         point = np.array(port.at)[[0, 2] if solid.axisymmetric else [0, 1, 2]]
         shares[np.argmin(np.linalg.norm(solid.places.T - point, axis=1))] = 1.0
         return shares
-    group = groups.get(str(port.group), f"ports.{port.name}")
+    group = groups.group(str(port.group), f"ports.{port.name}")
     if group.codimension == 0:
         return node_shares(solid, elements=group.members)
     if group.codimension == 1:
@@ -387,11 +363,11 @@ def _shares(port: PortKeys, groups: _Groups, solid: Solid) -> np.ndarray:
     return shares
 
 
-def _rigid(port: PortKeys, groups: _Groups, solid: Solid) -> RigidFace:
+def _rigid(port: PortKeys, groups: GroupedMesh, solid: Solid) -> RigidFace:
     where = f"ports.{port.name}"
     if solid.axisymmetric:
         raise UsageError("no rigid faces in axisymmetric bodies", where=where)
-    nodes = _facet_nodes(solid, groups.get(str(port.group), where, 1).members)
+    nodes = _facet_nodes(solid, groups.group(str(port.group), where, 1).members)
     unit = dict(zip(_MOTIONS, np.eye(6), strict=True))
     return RigidFace(
         nodes, [*zip(port.ports, (unit[motion] for motion in port.motions), strict=True)]
