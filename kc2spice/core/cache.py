@@ -21,7 +21,6 @@ import time
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
-from contextvars import ContextVar
 from dataclasses import fields
 from functools import cache
 from pathlib import Path
@@ -94,33 +93,6 @@ def cached(
                 _store(path, result := build(), known)
                 return result, False
     return cast(T, found[0]), True
-
-
-_memory: ContextVar[dict[str, tuple[str, Any]] | None] = ContextVar("memory", default=None)
-
-
-@contextmanager
-def remembering(memory: dict[str, tuple[str, Any]]) -> Iterator[None]:
-    """Within this block :func:`remembered` keeps the last result of each kind in ``memory``."""
-    token = _memory.set(memory)
-    try:
-        yield
-    finally:
-        _memory.reset(token)
-
-
-def remembered(kind: str, key: Any, build: Callable[[], T]) -> T:
-    """``build()``, or what it gave last for an equal ``key`` where :func:`remembering` says so.
-
-    For what is too large for the disk and needed again at once, such as a full model.
-    """
-    memory, text = _memory.get(), json.dumps(key, sort_keys=True, default=_plain)
-    if memory is None:
-        return build()
-    if memory.get(kind, ("", None))[0] != text:
-        memory.pop(kind, None)  # before the next one is built: two would need twice the memory
-        memory[kind] = (text, build())
-    return cast(T, memory[kind][1])
 
 
 @contextmanager

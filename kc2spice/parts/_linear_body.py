@@ -17,7 +17,7 @@ import numpy as np
 from pydantic import Field
 
 from kc2spice.core import laws
-from kc2spice.core.cache import cached, remembered
+from kc2spice.core.cache import cached
 from kc2spice.core.errors import UsageError, unknown
 from kc2spice.core.figure import Figure
 from kc2spice.core.progress import Clock
@@ -35,6 +35,7 @@ from kc2spice.rom.linear import Certificate, LinearModel, Port
 from kc2spice.rom.march import chip_response
 from kc2spice.rom.modal import Resonators, resonators
 from kc2spice.rom.parametric import Axis, Loss
+from kc2spice.rom.pencil import first_order
 from kc2spice.rom.structure import structure
 from kc2spice.rom.varying import Varying
 from kc2spice.scene.judge import Balance, Check
@@ -323,9 +324,7 @@ class LinearBody(Touching):
             from kc2spice.rom.massless import without_inertia
             from kc2spice.rom.reduce import default_norm, reduce
 
-            key = [self.name, asked["full"]]
-            full = remembered("full", key, lambda: self.full(part, scene, clock))
-            chosen = full.select(asked["ports"])
+            chosen = self.full(part, scene, clock).select(asked["ports"])
             with clock.stage("reduce", f"reduction of {part.name}"):
                 order = None if target.order is None else min(target.order, chosen.order)
                 band = target.band
@@ -716,17 +715,10 @@ def _readings(part: Part, model: LinearModel) -> dict[str, laws.Reading]:
 
 
 def _signal_law(name: str, model: LinearModel) -> laws.SignalBlock:
-    """Signals in, signals out, in first order: ``x = [q, q']`` where the model has inertia."""
-    *rest, last = model.pencil.dense().coefficients
-    B, C = model.B, model.C
-    if model.first_order:
-        E, A = last, -rest[0]
-    else:
-        one, none = np.eye(model.order), np.zeros((model.order, model.order))
-        E = np.block([[one, none], [none, last]])
-        A = np.block([[none, one], [-rest[0], -rest[1]]])
-        B, C = np.vstack([0.0 * B, B]), np.hstack([C, 0.0 * C])
-    return laws.SignalBlock(name, E, A, B, C, model.D, model.inputs, model.outputs)
+    """Signals in, signals out, in first order."""
+    found = first_order(model.pencil.dense(), 1.0)
+    rest, E = found.coefficients
+    return laws.SignalBlock(name, E, -rest, found.B, found.C, found.D, model.inputs, model.outputs)
 
 
 def aim(rom: Rom) -> str:

@@ -17,7 +17,6 @@ from typing import Any
 
 import numpy as np
 
-from kc2spice.core.cache import remembering
 from kc2spice.core.errors import Kc2spiceError, MissingToolError, UsageError
 from kc2spice.core.files import FULL
 from kc2spice.core.foreign import MAX_BYTES, read_bounded, text_of
@@ -242,8 +241,6 @@ def _disk_is_full() -> bool:
         return True
 
 
-# The last full model of each kind, which points share that differ in their reduction alone.
-_full_models: dict[str, tuple[str, Any]] = {}
 _lock = threading.Lock()  # threads of one worker must not build the same model side by side
 
 
@@ -255,8 +252,7 @@ def testbench(job: Job, values: Mapping[str, Any]) -> tuple[Build, Deck]:
 
 @lru_cache(maxsize=_KEPT)
 def _testbench(job: Job) -> tuple[Build, Deck]:
-    with remembering(_full_models):
-        build = build_models(job.load({}), Clock())
+    build = build_models(job.load({}), Clock())
     return build, make_deck(build)
 
 
