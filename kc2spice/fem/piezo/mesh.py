@@ -173,10 +173,7 @@ def _growth(length: float, first: float, count: int) -> float:
     """Ratio g with ``first (1 + g + ... + g^(count-1)) = length``: no jump at the last ring."""
     if count == 1 or length <= first * count:
         return 1.0
-    powers = np.arange(count)
-    growth, step = length / first, 1.0  # Newton's method from above: convex, so it never overshoots
-    while step > 1e-13 * growth:
-        sizes = growth**powers
-        step = (sizes.sum() - length / first) / (powers * sizes / growth).sum()
-        growth -= step
-    return float(growth)
+    from scipy.optimize import brentq  # late: few meshes are made
+
+    powers, ratio = np.arange(count), length / first
+    return float(brentq(lambda g: (g**powers).sum() - ratio, 1.0, ratio, xtol=1e-15))
