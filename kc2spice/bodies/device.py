@@ -21,6 +21,7 @@ import numpy as np
 from scipy import sparse
 from scipy.sparse.csgraph import connected_components
 from scipy.sparse.linalg import LinearOperator, eigsh
+from skfem import LinearForm
 
 from kc2spice.core.errors import UsageError
 from kc2spice.fem.keys import Damping
@@ -239,13 +240,9 @@ def node_shares(
 ) -> np.ndarray:
     """``int N / int 1`` (nodes,) over facets or elements, of the full turn if axisymmetric."""
     basis = solid.face(facets, 4) if facets is not None else solid.basis(4, elements=elements)
-    weights = basis.dx
-    if solid.axisymmetric:
-        weights = weights * np.asarray(basis.global_coordinates())[0]
-    shares = np.zeros(basis.N)
-    for nodes, function in zip(basis.element_dofs, basis.basis, strict=True):
-        np.add.at(shares, nodes, (np.asarray(function[0]) * weights).sum(axis=1))
-    return np.asarray(shares / weights.sum())
+    form = LinearForm(lambda v, w: v * w.x[0] if solid.axisymmetric else v)
+    shares = form.assemble(basis)
+    return np.asarray(shares / shares.sum())
 
 
 def spread(shares: np.ndarray, axis: np.ndarray, solid: Solid) -> np.ndarray:

@@ -20,7 +20,6 @@ from pathlib import Path
 import numpy as np
 from scipy.linalg import eigh
 from skfem import Basis
-from skfem.mesh import MeshHex, MeshQuad, MeshTet
 
 from kc2spice.bodies.device import Device
 from kc2spice.core.errors import UsageError
@@ -35,6 +34,11 @@ SLOWEST = 1e-4  # angle over the whole run of a mode that is free to move
 # many, and more where points times instants stay below this.
 INSTANTS, WORK = 200, 2_000_000
 CHUNK = 20
+# meshio's cell of each element.
+_VTK = {
+    "ElementHex1": "hexahedron", "ElementHex2": "hexahedron27", "ElementTetP2": "tetra10",
+    "ElementQuad2": "quad9", "ElementTriP2": "triangle6",
+}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -52,12 +56,6 @@ class Motion:
         """Inputs of the electrical ports (times, e)."""
         ports = self.device.model.ports
         return self.inputs[:, [port.kind == "electrical" for port in ports]]
-
-    @property
-    def outputs(self) -> np.ndarray:
-        """(times, ports) in SI, to be compared with the run's own."""
-        model = self.device.model
-        return np.asarray(self.states @ (model.C @ self.basis).T + self.inputs @ model.D.T)
 
     def at(self, instant: float) -> tuple[np.ndarray, np.ndarray]:
         """Displacements z (n,) and voltages (e,) at the sample nearest to ``instant`` [s]."""
@@ -115,23 +113,11 @@ def _modes(device: Device, order: int, span: float) -> tuple[np.ndarray, np.ndar
     return V @ X, omega, np.einsum("ij,ik,kj->j", X, E, X)
 
 
-@dataclass(frozen=True)
-class Fields:
-    """Stress (points, 6) [Pa] in Voigt order, field (points, 3) [V/m], displacement (points, 3)
-    and potential (points,) at points of the elements; element by element, point by point.
-    """
-
-    stress: np.ndarray
-    field: np.ndarray
-    displacement: np.ndarray
-    potential: np.ndarray
-
-
 class Probe:
     """Evaluates fields at the same points of every element: its nodes, or Gauss points."""
 
     def __init__(self, device: Device, *, gauss: bool) -> None:
-        self.device, self.gauss = device, gauss
+        self.device = device
         solid = device.solid
         self.basis = _points(solid, gauss)
         self.owner = np.repeat(solid.owner, self.basis.X.shape[-1])
@@ -145,21 +131,6 @@ class Probe:
             # K.pp is -K_pp: p = K_pp^-1 (K_up' z + lift V)
             phi = phi - device.potential @ K.inner.solve(K.pu @ z + device.lift @ voltages)
         return device.displacement @ z, phi
-
-    def __call__(self, z: np.ndarray, voltages: np.ndarray) -> Fields:
-        """Fields of one state z (n,) with voltages (e,)."""
-        u, phi = (x[..., 0] for x in self.nodal(z[:, None], voltages[:, None]))
-        T, E = self.stress(u[:, None], phi[:, None])
-        solid = self.device.solid
-        d, nodes = solid.components, self.basis.element_dofs.T
-        N = np.stack([value for value, _, _ in self._operators], 1)
-        if not self.gauss:  # strains may be taken beside the nodes
-            N = np.broadcast_to(np.eye(N.shape[1]), N.shape)
-        moves = np.zeros((*N.shape[:2], 3))
-        axes = [0, 1, 2] if d == 3 else [0, 2]
-        moves[..., axes] = np.einsum("eql,elc->eqc", N, u.reshape(-1, d)[nodes])
-        potential = np.einsum("eql,el->eq", N, phi[nodes])
-        return Fields(T[..., 0], E[..., 0], moves.reshape(-1, 3), potential.ravel())
 
     def stress(self, u: np.ndarray, phi: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Stress (points, 6, k) and field (points, 3, k) of nodal columns."""
@@ -176,6 +147,20 @@ class Probe:
             fields.append(E)
         T, E = np.stack(stresses, 1), np.stack(fields, 1)
         return T.reshape(-1, *T.shape[2:]), E.reshape(-1, *E.shape[2:])
+
+
+def at_nodes(device: Device, z: np.ndarray, voltages: np.ndarray) -> dict[str, np.ndarray]:
+    """At the nodes of the elements, element by element and node by node, under z (n,) and voltages
+    (e,): ``displacement`` (points, 3) [m], ``potential`` (points,) [V], ``field`` (points, 3)
+    [V/m], ``stress`` (points, 6) [Pa] in Voigt order, and the number of each ``material``."""
+    probe = Probe(device, gauss=False)
+    u, phi = probe.nodal(z[:, None], voltages[:, None])
+    T, E = probe.stress(u, phi)
+    nodes, d = probe.basis.element_dofs.T.ravel(), device.solid.components
+    moves = np.zeros((nodes.size, 3))
+    moves[:, [0, 1, 2] if d == 3 else [0, 2]] = u.reshape(-1, d)[nodes]
+    found = {"displacement": moves, "potential": phi[nodes, 0], "field": E[..., 0]}
+    return found | {"stress": T[..., 0], "material": probe.owner.astype(float)}
 
 
 def _points(solid: Solid, gauss: bool) -> Basis:
@@ -292,34 +277,15 @@ def write_vtu(path: Path, device: Device, z: np.ndarray, voltages: np.ndarray) -
     the nodes of every element, as a VTU file of cells that share no points.
     """
     import meshio
-
-    probe = Probe(device, gauss=False)
-    fields = probe(z, voltages)
-    mesh = device.solid.mesh
-    where = np.moveaxis(mesh.mapping().F(device.solid.element.doflocs.T), 0, -1)
-    where = where.reshape(-1, mesh.dim())
-    if mesh.dim() == 2:
-        where = np.column_stack([where[:, 0], np.zeros(len(where)), where[:, 1]])
-    kind, order = _vtk(device.solid)
-    cells = np.arange(len(where)).reshape(mesh.nelements, -1)[:, order]
-    data = {
-        "displacement": fields.displacement,
-        "potential": fields.potential,
-        "field": fields.field,
-        "stress": fields.stress,
-        "principal_stress": principal(fields.stress),
-        "material": probe.owner.astype(float),
-    }
-    meshio.Mesh(where, [(kind, cells)], point_data=data).write(path, file_format="vtu")
-
-
-def _vtk(solid: Solid) -> tuple[str, list[int]]:
-    """meshio's name of the cell and the places of VTK's nodes among scikit-fem's."""
     from skfem.io.meshio import HEX_MAPPING
 
-    count = len(solid.element.doflocs)
-    if isinstance(solid.mesh, MeshHex):
-        return "hexahedron27" if count == 27 else "hexahedron", HEX_MAPPING[:count]
-    kind = {MeshTet: "tetra10", MeshQuad: "quad9"}
-    found = (name for each, name in kind.items() if isinstance(solid.mesh, each))
-    return next(found, "triangle6"), list(range(count))
+    data, mesh, element = at_nodes(device, z, voltages), device.solid.mesh, device.solid.element
+    where = np.moveaxis(mesh.mapping().F(element.doflocs.T), 0, -1).reshape(-1, mesh.dim())
+    if mesh.dim() == 2:
+        where = np.column_stack([where[:, 0], np.zeros(len(where)), where[:, 1]])
+    cells = np.arange(len(where)).reshape(mesh.nelements, -1)
+    kind = _VTK[type(element).__name__]
+    if kind.startswith("hexahedron"):
+        cells = cells[:, HEX_MAPPING[: cells.shape[1]]]
+    data["principal_stress"] = principal(data["stress"])
+    meshio.Mesh(where, [(kind, cells)], point_data=data).write(path, file_format="vtu")

@@ -23,8 +23,10 @@ of one depth (:func:`dented`), which a circuit evaluates at the cost of one spri
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
+from skfem import LinearForm
 from skfem.mesh import MeshQuad
 
 from kc2spice.bodies.device import Device, Setup, Shape, constrained
@@ -153,7 +155,8 @@ def stressed(chip: Chip, shape: PressureBasis, force: np.ndarray, cells: int = C
     stack = _stack(chip, shape, cells)
     probe, model = Probe(stack, gauss=True), stack.model
     z = model.pencil.pencil_solver(0.0).solve(-model.B[:, : len(force)] @ force)
-    T = probe(z, np.zeros(1)).stress
+    T, _ = probe.stress(*probe.nodal(z[:, None], np.zeros((1, 1))))
+    T = T[..., 0]
     shear = (principal(T) + principal(-T)) / 2
     height = np.asarray(probe.basis.global_coordinates())[1].ravel()
     return Stressed(
@@ -186,14 +189,13 @@ def _stack(chip: Chip, shape: PressureBasis, cells: int) -> Device:
 
 def hat_loads(solid: Solid, shape: PressureBasis, facets: np.ndarray) -> np.ndarray:
     """(nodes, hats) unit axial forces, spread as the hats are over what the facets project."""
-    basis = solid.face(facets, 5)
-    r = np.asarray(basis.global_coordinates())[0]
-    area = basis.dx * r * np.abs(np.asarray(basis.normals)[1])
-    loads = np.zeros((int(basis.N), len(shape.nodes) - 1))
-    for j, column in enumerate(loads.T):
-        pressure = np.interp(r, shape.nodes, np.eye(len(shape.nodes))[j], right=0.0)
-        for nodes, function in zip(basis.element_dofs, basis.basis, strict=True):
-            np.add.at(column, nodes, (np.asarray(function[0]) * area * pressure).sum(1))
+    basis, hats = solid.face(facets, 5), np.eye(len(shape.nodes))[:-1]
+
+    def load(hat: np.ndarray) -> LinearForm:
+        profile = partial(np.interp, xp=shape.nodes, fp=hat, right=0.0)
+        return LinearForm(lambda v, w: profile(w.x[0]) * w.x[0] * np.abs(w.n[1]) * v)
+
+    loads = np.column_stack([load(hat).assemble(basis) for hat in hats])
     return loads / loads.sum(axis=0)
 
 

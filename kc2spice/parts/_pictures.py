@@ -112,11 +112,11 @@ def port_figures(name: str, waves: Waveforms) -> Iterator[Figure]:
 def deformed(device: Device, z: np.ndarray, voltages: np.ndarray) -> tuple[Panel, float]:
     """The body under displacements z (n,) and voltages (e,), coloured by the largest principal
     stress, over its edges at rest; and by how much displacements are enlarged."""
-    from kc2spice.bodies.fields import Probe, principal
+    from kc2spice.bodies.fields import at_nodes, principal
 
-    found = Probe(device, gauss=False)(z, voltages)
-    stress = 1e-6 * principal(found.stress)
-    moved, factor = _enlarged(device, found.displacement)
+    found = at_nodes(device, z, voltages)
+    stress = 1e-6 * principal(found["stress"])
+    moved, factor = _enlarged(device, found["displacement"])
     at_rest = _wires("at rest", device.solid.mesh, ":", fine=0)
     label = "largest principal stress in MPa"
     panel = Panel("mm", "mm", (at_rest,), equal=True, map=_map(device, moved, stress, label))
@@ -125,12 +125,11 @@ def deformed(device: Device, z: np.ndarray, voltages: np.ndarray) -> tuple[Panel
 
 def shapes(device: Device, hertz: np.ndarray, columns: np.ndarray) -> Iterator[Panel]:
     """A panel for each mode, ``columns`` (n, modes)."""
-    from kc2spice.bodies.fields import Probe
+    from kc2spice.bodies.fields import at_nodes
 
-    probe = Probe(device, gauss=False)
     still = np.zeros(device.drive.shape[1])
     for f, z in zip(hertz, columns.T, strict=True):
-        found = probe(z, still).displacement
+        found = at_nodes(device, z, still)["displacement"]
         moved, _ = _enlarged(device, found)
         size = np.linalg.norm(found, axis=1)
         colours = _map(device, moved, size / size.max(), "of the largest")
