@@ -775,3 +775,32 @@ def _description(block: np.ndarray) -> str:
     ]
     more = f"; and {len(texts) - 3} more" if len(texts) > 3 else ""
     return "; ".join(texts[:3]) + more
+
+
+def loaded(
+    model: LinearModel, library: Subcircuit, load: Port, tag: str = ""
+) -> tuple[list[str], dict[str, tuple[str, float]]]:
+    """Cards of one copy of the subcircuit of ``model`` under a unit load, and by each port that
+    answers the vector that does and its factor to SI.
+
+    The other electrodes are shorted, mechanical ports are free, frames stand still, other inputs
+    are zero, as in :meth:`LinearModel.transfer`; an electrode answers with its current, a frame
+    with its force. ``tag`` is what the copy's names have behind them.
+    """
+    ends = {port.terminals[0].lower() for port in model.ports}
+    names = [pin.name if pin.name.lower() in ends else "" for pin in library.pins]
+    nodes = {name.lower(): f"{name}{tag}" for name in names if name}
+    joined = " ".join(f"{name}{tag}" if name else "0" for name in names)
+    cards, found = [f"X{library.name}{tag} {joined} {library.name}"], {}
+    for port in model.ports:
+        node, size = nodes[port.terminals[0].lower()], " AC 1" if port == load else ""
+        if port.kind in MOVING:
+            cards += [f"I{node} 0 {node} DC 0{size}"] if size else []
+            found[port.name] = (f"v({node})", MICRO if port.kind == "mechanical" else 1.0)
+        elif port.kind == "output":
+            found[port.name] = (f"v({node})", 1.0)
+        else:
+            cards.append(f"V{node} {node} 0 DC 0{size}")
+            if port.kind != "input":
+                found[port.name] = (f"i(v{node.lower()})", -1.0)
+    return cards, found

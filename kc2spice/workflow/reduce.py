@@ -26,9 +26,12 @@ from kc2spice.rom.reduce import reduce as reduce_model
 from kc2spice.scene.load import gallery, load_scene
 from kc2spice.sim.ngspice import write_files
 from kc2spice.spice.header import Header
-from kc2spice.spice.realize import subcircuit
+from kc2spice.spice.realize import loaded, subcircuit
 
 TOLERANCE = 1e-4
+# Behind the name of a port, what it answers with.
+_ANSWERS = {"electrical": ".current", "mechanical": ".moved", "rotational": ".moved",
+            "acceleration": ".force", "output": ""}  # fmt: skip
 
 
 def reduce(
@@ -189,30 +192,13 @@ def export_rom(
 
 
 def first_deck(model: LinearModel, part: Subcircuit) -> Deck:
-    """The response of ``model`` to 1 V, 1 N or one unit at its first port, over its band.
-
-    The other electrodes are shorted, mechanical ports are free, frames stand still, other inputs
-    are zero, as in :meth:`LinearModel.transfer`.
-    """
+    """The response of ``model`` to 1 V, 1 N or one unit at its first port, over its band, with the
+    other ports as :func:`kc2spice.spice.realize.loaded` has them."""
     drivable = [port for port in model.ports if port.kind != "output"]
     order = ("electrical", "mechanical", "rotational", "acceleration", "input")
     driven = min(drivable, key=lambda port: order.index(port.kind))
-    grounds = {port.terminals[1] for port in model.ports if port.kind == "electrical"}
-    grounds |= {"base", "ref", "ground"} - {port.terminals[0] for port in model.ports}
-    nodes = ["0" if pin.name in grounds else pin.name for pin in part.pins]
-    sources, vectors = [], {}
-    for port in model.ports:
-        pin, size = port.terminals[0], "AC 1" if port is driven else ""
-        if port.kind in ("mechanical", "rotational"):
-            unit = 1e-6 if port.kind == "mechanical" else 1.0
-            vectors[f"{port.name}.moved"] = (f"v({pin})", unit)
-            sources += [f"I{pin} 0 {pin} DC 0 {size}"] if size else []
-        elif port.kind == "output":
-            vectors[port.name] = (f"v({pin})", 1.0)
-        else:
-            sources.append(f"V{pin} {pin} 0 DC 0 {size}".rstrip())
-        if port.kind == "electrical":
-            vectors[f"{port.name}.current"] = (f"i(v{pin.lower()})", -1.0)
+    (instance, *sources), answers = loaded(model, part, driven)
+    kinds = {port.name: port.kind for port in model.ports}
     low, high = model.certificate.band_hz if model.certificate else (1.0, 1e6)
     low = max(low, high / 1e3)
     what = {"electrical": "1 V", "mechanical": "1 N", "rotational": "1 N m"}
@@ -221,10 +207,10 @@ def first_deck(model: LinearModel, part: Subcircuit) -> Deck:
         name=f"{part.name}_response",
         title=title,
         parts=(part,),
-        vectors=vectors,
+        vectors={f"{name}{_ANSWERS[kinds[name]]}": found for name, found in answers.items()},
         notes=f"* Over the band of the certificate, {low:g} to {high:g} Hz.",
         blocks=(
-            Block("the model", (f"X{part.name} {' '.join(nodes)} {part.name}",)),
+            Block("the model", (instance,)),
             Block("what drives it, and what holds the other ports", tuple(sources)),
         ),
         command=ac(low, high, 400, "log"),

@@ -25,7 +25,7 @@ from kc2spice.scene.judge import Check
 from kc2spice.scene.model import Part
 from kc2spice.scene.parttype import Build
 from kc2spice.sim.ngspice import run_deck
-from kc2spice.spice.realize import LEAK
+from kc2spice.spice.realize import LEAK, loaded
 
 FEW, MANY = 3, 40  # frequencies at which a large full model is solved: a sample, the whole
 SMALL = 3000  # unknowns up to which all are affordable
@@ -34,7 +34,6 @@ LEAKED = 2.0  # times what the leaks of the electrical ports explain
 ROUNDING = 1e-9  # what two direct solutions of a full model may differ by
 NETLIST_ROUNDING = 1e-9  # of a response that ngspice sums from modes, with its leaks
 OWN_ROUNDING = 1e-11  # of the reduced model's own response
-MICRO = 1e-6
 
 
 def verify_body(
@@ -223,11 +222,10 @@ def _deck(
     rom: LinearModel = build.model(part)
     blocks: list[Block] = []
     vectors: dict[str, tuple[str, float]] = {}
-    inputs = [port for port in rom.ports if port.kind != "output"]
-    for load in inputs:
-        cards, found = _copy(rom, own, load)
+    for k, load in enumerate(port for port in rom.ports if port.kind != "output"):
+        cards, answers = loaded(rom, own, load, f"_{k}")
         blocks.append(Block(f"load on {load.name}", tuple(cards)))
-        vectors |= found
+        vectors |= {f"{load.name}>{name}": found for name, found in answers.items()}
     return Deck(
         name=f"{part.name}_response",
         title=f"frequency response of {part.name}",
@@ -236,37 +234,6 @@ def _deck(
         vectors=vectors,
         command=ac(band[1] / POINTS, band[1], POINTS, "linear"),
     )
-
-
-def _copy(
-    rom: LinearModel, library: Subcircuit, load: Port
-) -> tuple[list[str], dict[str, tuple[str, float]]]:
-    """One copy with a unit load: its cards and what it answers with."""
-    tag = f"{rom.ports.index(load)}"
-    known = {pin.lower() for port in rom.ports for pin in port.terminals}
-    nodes = {
-        pin.name: f"n{k}_{tag}" if pin.name.lower() in known else "0"
-        for k, pin in enumerate(library.pins)
-    }
-    low = {name.lower(): node for name, node in nodes.items()}
-    cards, found = [f"Xbody{tag} {' '.join(nodes.values())} {library.name}"], {}
-    returns = {low[p.terminals[1].lower()] for p in rom.ports if p.kind == "electrical"}
-    cards += [f"Vret_{node} {node} 0 0" for node in sorted(returns)]
-    for k, port in enumerate(rom.ports):
-        node, size = low[port.terminals[0].lower()], int(port == load)
-        name = f"{load.name}>{port.name}"
-        if port.kind in ("mechanical", "rotational"):
-            cards += [f"I{k}_{tag} 0 {node} DC 0 AC 1"] if size else []
-            found[name] = (f"v({node})", MICRO if port.kind == "mechanical" else 1.0)
-        elif port.kind == "output":
-            cards.append(f"R{k}_{tag} {node} 0 1e9")
-            found[name] = (f"v({node})", 1.0)
-        else:
-            minus = low[port.terminals[1].lower()] if port.kind == "electrical" else "0"
-            cards.append(f"V{k}_{tag} {node} {minus} DC 0 AC {size}")
-            if port.kind != "input":
-                found[name] = (f"i(v{k}_{tag})", -1.0)
-    return cards, found
 
 
 def _solved(part: Part, build: Build, full: LinearModel, at: np.ndarray) -> np.ndarray:
