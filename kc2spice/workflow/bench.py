@@ -15,7 +15,7 @@ only if the sum of what each of its values does alone is so too::
 from __future__ import annotations
 
 import statistics
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -27,7 +27,7 @@ from kc2spice.core.files import staged
 from kc2spice.core.progress import Clock, Progress, silent
 from kc2spice.report.bench_page import write_bench
 from kc2spice.scene.model import Scene
-from kc2spice.scene.plan import axes, keys_at
+from kc2spice.scene.plan import Axis, axes, keys_at
 from kc2spice.sim.ngspice import find_ngspice
 from kc2spice.workflow import refine
 from kc2spice.workflow.refine import Run, Runs, changes
@@ -41,32 +41,23 @@ UNSTEADY = 1e-2  # a metric that still moves by so much at the finest settings m
 SLOW = 5.0  # times the scene's own: such a setting is timed once
 ALIKE = 1.05  # ratio of times that are the same for the choice between two errors
 
-Place = tuple[int, ...]  # of a setting: on each axis, which of the NOTCHES
+Place = tuple[float, ...]  # of a setting: the notches of each axis
 Errors = dict[str, float]  # of each metric
 
 
 @dataclass
 class _Point:
-    """A setting that was run: its errors and the CPU seconds of each run.
-
-    ``bound`` is the sum of what its values do alone, 0 while that is not known.
-    """
+    """A setting that was run: its errors and the CPU seconds of each run."""
 
     place: Place
     settings: dict[str, Any]
     run: Run
     errors: Errors
     times: list[float]
-    bound: float = 0.0
 
     @property
     def error(self) -> float:
         return max(self.errors.values())
-
-    @property
-    def guarded(self) -> float:
-        """Error that does not hang on errors which cancel."""
-        return max(self.error, self.bound)
 
     @property
     def time(self) -> float:
@@ -76,15 +67,6 @@ class _Point:
         """Whether it is better in error or time, and not worse in the other."""
         ours, theirs = (self.error, self.time), (other.error, other.time)
         return ours != theirs and ours[0] <= theirs[0] and ours[1] <= theirs[1]
-
-    def record(self) -> dict[str, Any]:
-        return {
-            "label": _label(self.settings),
-            "settings": self.settings,
-            "error": self.error,
-            "bound": self.bound,
-            "time_s": self.time,
-        }
 
 
 class _Plane:
@@ -98,86 +80,77 @@ class _Plane:
         self.points: dict[str, _Point] = {}
         self.failed: dict[str, dict[str, Any]] = {}
         self.names: tuple[str, ...] = ()
-        self.alone: list[list[Errors]] = []
-        self.own = (NOTCHES.index(0.0),) * len(self.axes)
+        self.known: dict[tuple[str, float], Errors] = {}
         if not self.axes:
             where = f"bench {own.build.scene.name}"
             raise UsageError("has no setting that trades time for error", where=where)
 
-    def all_at(self, notch: float) -> dict[str, float]:
-        """Every axis moved alike."""
-        return {axis.name: notch for axis in self.axes}
+    def notches(self, place: Place) -> dict[str, float]:
+        """Those of each axis by its name."""
+        return {axis.name: notch for axis, notch in zip(self.axes, place, strict=True)}
+
+    def all_at(self, notch: float) -> Run:
+        """The run with every axis moved alike."""
+        return self.runs.at(self.notches((notch,) * len(self.axes)))
 
     def visit(self, place: Place) -> None:
         """Run a setting, unless that was done."""
-        pairs = zip(self.axes, place, strict=True)
-        notches = {axis.name: NOTCHES[k] for axis, k in pairs}
-        settings = keys_at(self.axes, notches)
+        settings = keys_at(self.axes, self.notches(place))
         label = _label(settings)
         if label in self.points or label in self.failed:
             return
         try:
-            run = self.runs.at(notches)
-            errors = _errors(run, self.runs.at(self.all_at(REFERENCE)), self.names)
+            run = self.runs.at(self.notches(place))
+            errors = _errors(run, self.all_at(REFERENCE), self.names)
         except (SimulationError, UsageError) as error:
             why = " ".join(f"{error.message} {error.got or ''}".split())
             self.failed[label] = {"label": label, "settings": settings, "why": why}
         else:
-            bound = self.bound(place)
-            self.points[label] = _Point(place, settings, run, errors, [run.cpu_s], bound)
+            self.points[label] = _Point(place, settings, run, errors, [run.cpu_s])
 
-    def bound(self, place: Place) -> float:
-        """Sum of the errors of the values of ``place``, each alone."""
-        values = [column[k] for column, k in zip(self.alone, place, strict=False)]
-        return max(sum(errors[name] for errors in values) for name in self.names)
+    def alone(self, axis: Axis, notch: float) -> Errors:
+        """What one value of an axis does by itself, never less than a finer one does."""
+        if (axis.name, notch) not in self.known:
+            finer = next((n for n in NOTCHES if n > notch), None)
+            found = dict.fromkeys(self.names, 0.0) if finer is None else self.alone(axis, finer)
+            change = dict.fromkeys(self.names, np.inf)
+            if (point := self.points.get(_label(axis.at(notch)))) is not None:
+                change = _errors(point.run, self.runs.at({axis.name: REFERENCE}), self.names)
+            self.known[axis.name, notch] = {n: max(found[n], change[n]) for n in self.names}
+        return self.known[axis.name, notch]
 
-    def measure_alone(self) -> None:
-        """What each value of each axis does by itself, never less than a finer one does."""
-        for axis in self.axes:
-            finest = self.runs.at({axis.name: REFERENCE})
-            known = dict.fromkeys(self.names, 0.0)
-            column: list[Errors] = []
-            for notch in reversed(NOTCHES):
-                point = self.points.get(_label(axis.at(notch)))
-                change = dict.fromkeys(self.names, np.inf)
-                if point is not None:
-                    change = _errors(point.run, finest, self.names)
-                known = {name: max(known[name], change[name]) for name in self.names}
-                column.insert(0, known)
-            self.alone.append(column)
-        for point in self.points.values():
-            point.bound = self.bound(point.place)
+    def bound(self, point: _Point) -> float:
+        """Sum of the errors of its values, each alone."""
+        each = [self.alone(axis, n) for axis, n in zip(self.axes, point.place, strict=True)]
+        return max(sum(errors[name] for errors in each) for name in self.names)
+
+    def guarded(self, point: _Point) -> float:
+        """Error that does not hang on errors which cancel."""
+        return max(point.error, self.bound(point))
 
     def cheapest(self, limit: float) -> _Point | None:
         """Cheapest point within ``limit``; of those that take the same time the most exact."""
-        kept = [point for point in self.points.values() if point.guarded <= limit]
+        kept = [point for point in self.points.values() if self.guarded(point) <= limit]
         least = min((point.time for point in kept), default=0.0)
         alike = [point for point in kept if point.time <= ALIKE * least]
-        return min(alike, key=lambda point: point.guarded, default=None)
+        return min(alike, key=self.guarded, default=None)
 
     def search(self, limit: float, progress: Progress) -> None:
         """Move one axis at a time, then walk to the cheapest settings in the limit and the own."""
-        first = list(self._star())
-        for done, place in enumerate(first):
-            progress("settings", done / len(first), f"{done} of {len(first)}")
+        own = (0.0,) * len(self.axes)
+        star = [own, *(_moved(own, k, n) for k in range(len(own)) for n in NOTCHES)]
+        star += [(n,) * len(own) for n in NOTCHES if n > 0]
+        for done, place in enumerate(star):
+            progress("settings", done / len(star), f"{done} of {len(star)}")
             self.visit(place)
-            for failed in self.failed.values():
-                if not failed["settings"]:
-                    raise SimulationError(
-                        "the scene as it is gives another result than its reference",
-                        where="bench",
-                        got=failed["why"],
-                    )
-        self.measure_alone()
-        for wanted in sorted({limit, self.points[_label({})].guarded}):
+            if failed := self.failed.get(_label({})):
+                raise SimulationError(
+                    "the scene as it is gives another result than its reference",
+                    where="bench",
+                    got=failed["why"],
+                )
+        for wanted in sorted({limit, self.guarded(self.points[_label({})])}):
             self._walk(wanted, progress)
-
-    def _star(self) -> Iterator[Place]:
-        """The scene as it is, with one axis moved at a time, and with all of them finer."""
-        yield self.own
-        for k in range(len(self.axes)):
-            yield from (_moved(self.own, k, value) for value in range(len(NOTCHES)))
-        yield from ((value,) * len(self.axes) for value in range(self.own[0] + 1, len(NOTCHES)))
 
     def _walk(self, limit: float, progress: Progress) -> None:
         """Along the axes from the cheapest setting in ``limit``, as long as that gives a cheaper
@@ -187,41 +160,41 @@ class _Plane:
             known = count
             start = self.cheapest(limit)
             step = 1 if start is None else -1
-            start = start or min(self.points.values(), key=lambda point: point.guarded)
+            start = start or min(self.points.values(), key=self.guarded)
             progress("search", None, f"{known} settings, now {_label(start.settings)}")
-            for k, value in enumerate(start.place):
-                if 0 <= value + step < len(NOTCHES):
-                    self.visit(_moved(start.place, k, value + step))
+            for k, notch in enumerate(start.place):
+                beside = NOTCHES.index(notch) + step
+                if 0 <= beside < len(NOTCHES):
+                    self.visit(_moved(start.place, k, NOTCHES[beside]))
 
     def time(self, repeats: int, progress: Progress) -> None:
         """Rounds over all settings but the slow ones."""
-        least, turns = SLOW * self.points[_label({})].time, repeats - 1
+        least = SLOW * self.points[_label({})].time
         again = [point for point in self.points.values() if point.time <= least]
-        for turn in range(turns):
-            for k, point in enumerate(again):
-                share = (turn * len(again) + k) / (len(again) * turns)
-                progress("times", share, f"round {turn + 1} of {turns}")
+        for turn in range(1, repeats):
+            progress("times", turn / repeats, f"round {turn} of {repeats - 1}")
+            for point in again:
                 point.times.append(refine.time_again(point.run))
 
-    def record(self) -> list[dict[str, Any]]:
-        """All points, the quickest first."""
-        points = sorted(self.points.values(), key=lambda point: point.time)
-        return [
-            {
-                **point.record(),
-                "front": not any(other.beats(point) for other in points),
-                "own": not point.settings,
-                "errors": point.errors,
-                "time_low_s": min(point.times),
-                "time_high_s": max(point.times),
-                "repeats": len(point.times),
-            }
-            for point in points
-        ]
+    def record(self, point: _Point) -> dict[str, Any]:
+        """One of its points."""
+        return {
+            "label": _label(point.settings),
+            "settings": point.settings,
+            "error": point.error,
+            "bound": self.bound(point),
+            "time_s": point.time,
+            "front": not any(other.beats(point) for other in self.points.values()),
+            "own": not point.settings,
+            "errors": point.errors,
+            "time_low_s": min(point.times),
+            "time_high_s": max(point.times),
+            "repeats": len(point.times),
+        }
 
 
-def _moved(place: Place, axis: int, value: int) -> Place:
-    return (*place[:axis], value, *place[axis + 1 :])
+def _moved(place: Place, axis: int, notch: float) -> Place:
+    return (*place[:axis], notch, *place[axis + 1 :])
 
 
 def bench(
@@ -256,8 +229,9 @@ def bench(
         check = _steady(plane, wanted, all_of_them=bool(asked))
         plane.search(error, progress)
         plane.time(repeats, progress)
-        finest = keys_at(plane.axes, plane.all_at(REFERENCE))
+        finest = keys_at(plane.axes, plane.notches((REFERENCE,) * len(plane.axes)))
         best = plane.cheapest(error)
+        points = sorted(plane.points.values(), key=lambda point: point.time)
         record = {
             "scene": scene.name,
             "simulator": f"{simulator.name} {simulator.version}",
@@ -265,13 +239,13 @@ def bench(
             "repeats": repeats,
             "metrics": plane.names,
             "left_out": {name: check.get(name) for name in wanted if name not in plane.names},
-            "points": plane.record(),
+            "points": [plane.record(point) for point in points],  # the quickest first
             "failed": list(plane.failed.values()),
-            "recommended": best and {**best.record(), "set": _words(best.settings)},
+            "recommended": best and {**plane.record(best), "set": _words(best.settings)},
             "reference": {
                 "label": _label(finest),
                 "settings": finest,
-                "time_s": plane.runs.at(plane.all_at(REFERENCE)).cpu_s,
+                "time_s": plane.all_at(REFERENCE).cpu_s,
                 "error": max(check[name] for name in plane.names),
             },
         }
@@ -308,7 +282,7 @@ def _steady(plane: _Plane, wanted: Sequence[str], *, all_of_them: bool) -> Error
     ------
     SimulationError : none converges.
     """
-    own, finer, exact = (plane.runs.at(plane.all_at(n)) for n in (0.0, CHECK, REFERENCE))
+    own, finer, exact = map(plane.all_at, (0.0, CHECK, REFERENCE))
     moved, changed = changes(finer, exact), changes(own, exact)
     known = {name for name, by in moved.items() if max(by, changed[name]) < np.inf}
     present = [name for name in wanted if name in known and exact.values[name].any()]
