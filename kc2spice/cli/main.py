@@ -183,7 +183,6 @@ def verify(
     Writes verify.json and verify.html into DIR. Exit code 4 when a gate of the scene is missed.
     """
     from kc2spice.cli.tables import show_verdicts
-    from kc2spice.netlist.deck import read_deck
     from kc2spice.scene.load import gallery, load_scene
     from kc2spice.workflow.verify.verify import verify as verify_scenes
 
@@ -191,9 +190,8 @@ def verify(
         raise UsageError("give either a SCENE or --all", where="verify")
     loaded = [load_scene(name, set_ or []) for name in ([scene] if scene else gallery())]
     out = out or Path("verify" if all_ else f"{loaded[0].name}_verify")
-    shipped = None if deck is None else read_deck(deck)
     with caller.progress() as progress:
-        found = verify_scenes(loaded, out, full=full, deck=shipped, trust=trust, progress=progress)
+        found = verify_scenes(loaded, out, full=full, deck=deck, trust=trust, progress=progress)
     passed = all(record["passed"] for record in found.values())
     record = {"passed": passed, "scenes": found} if all_ else next(iter(found.values()))
     caller.answer(record, lambda: show_verdicts(found, out), out)

@@ -6,15 +6,12 @@ import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from pathlib import Path
 
-from kc2spice.core.errors import UsageError
-from kc2spice.core.foreign import read_bounded, text_of
 from kc2spice.netlist.cards import comment, number, tidy
 from kc2spice.netlist.circuit import Circuit, Subcircuit
 from kc2spice.netlist.expression import terms
-from kc2spice.netlist.read import LARGEST, OPTION_CARDS, beside, read, statements
-from kc2spice.netlist.scope import INCLUDES, Scope, circuit
+from kc2spice.netlist.read import OPTION_CARDS, read, statements
+from kc2spice.netlist.scope import Scope, circuit
 
 ANALYSES = frozenset((".tran", ".ac", ".dc", ".op", ".noise"))
 
@@ -221,33 +218,6 @@ class Deck:
         words = list(self.command.words)
         words[3] = tidy(factor * float(words[3]))
         return replace(self, command=Command("tran", tuple(words)))
-
-
-def read_deck(main: Path) -> Deck:
-    """A deck from disk: ``main`` and the files in its directory that it includes.
-
-    Raises
-    ------
-    UsageError : a file is missing or no text.
-    """
-    files: dict[str, str] = {}
-    waiting = [main.name]
-    while waiting:
-        name = waiting.pop()
-        try:
-            text = text_of(read_bounded(main.parent / name, LARGEST))
-            files[name] = text.replace("\r\n", "\n")
-        except (OSError, ValueError) as error:
-            if name == main.name:
-                raise UsageError("cannot read netlist", where=str(main), got=str(error)) from None
-            continue  # named with its line when the circuit is linked
-        for s in statements(files[name], name):
-            named = s.text.split(None, 1)[1:]
-            if s.keyword in INCLUDES and named:
-                target = beside(name, named[0].strip("\"' "))
-                waiting += [target] if target not in files else []
-    text = files.pop(main.name)
-    return Deck(name=main.stem, text=text, more=files)
 
 
 def retold(tree: Circuit, *usage: str) -> Circuit:

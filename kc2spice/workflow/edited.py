@@ -16,12 +16,11 @@ from kc2spice.netlist.foreign import ANALYSES, HARMLESS, accuracy, checked, refu
 from kc2spice.netlist.read import Statement, read
 from kc2spice.netlist.scope import circuit, has_vector
 from kc2spice.scene.parttype import Build
-from kc2spice.workflow.decks import make_deck
 
 
-def edited_deck(build: Build, path: Path) -> tuple[Deck, Build]:
-    """A netlist of the scene that somebody edited, with the results of the scene's own deck; and
-    ``build`` without judgement of parts whose cards are others there, or joined otherwise.
+def edited_deck(build: Build, own: Deck, path: Path) -> tuple[Deck, Build]:
+    """A netlist of the scene that somebody edited, with the results of the scene's ``own`` deck;
+    and ``build`` without judgement of parts whose cards are others there, or joined otherwise.
 
     What it includes from its own directory is written into its place; it is refused if it could
     act on the machine, unless the build is trusted.
@@ -34,7 +33,6 @@ def edited_deck(build: Build, path: Path) -> tuple[Deck, Build]:
 
     Warns of options that are not the scene's: they decide how accurate its results are.
     """
-    own = make_deck(build)
     found = checked(path, trust=build.trust)
     text, placed = found.text, list(found.cards(title=True))
     refuse(placed, part=False)

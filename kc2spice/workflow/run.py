@@ -143,10 +143,9 @@ def complete(
     while True:
         build = build_models(scene, clock, trust=trust, functions=functions)
         with clock.stage("export", "netlists"):
-            if deck is None:
-                chosen = make_deck(build)
-            else:
-                chosen, build = edited_deck(build, deck)
+            chosen = make_deck(build)
+            if deck is not None:
+                chosen, build = edited_deck(build, chosen, deck)
             lint(chosen)  # wrong wiring is named with file and line before a simulator sees it
             write_files(chosen.files, work)
         try:

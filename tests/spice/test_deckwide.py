@@ -115,4 +115,4 @@ def test_an_edited_deck_that_changes_what_others_mean_is_refused(tmp_path, monke
             lambda text, line=line: text.replace(".tran", f"{line}\n.tran"),
         )
         with pytest.raises(UsageError, match=said):
-            edited_deck(build, tmp_path / "edited" / deck.main)
+            edited_deck(build, make_deck(build), tmp_path / "edited" / deck.main)

@@ -5,7 +5,7 @@ import pytest
 
 from kc2spice.core.errors import UsageError
 from kc2spice.netlist import read_lib
-from kc2spice.netlist.deck import Deck, read_deck
+from kc2spice.netlist.deck import Deck
 from kc2spice.netlist.transforms import with_parameters
 from kc2spice.parts.contact import Normal, contact_subcircuit
 from kc2spice.parts.pid import Control, pid_subcircuit
@@ -44,23 +44,6 @@ def test_a_library_without_parts_is_refused(tmp_path):
     (tmp_path / "a.lib").write_text("R1 a 0 1\n")
     with pytest.raises(UsageError, match="no subcircuit in this library"):
         read_lib(tmp_path / "a.lib")
-
-
-def test_decks_are_read_with_all_that_they_include(tmp_path):
-    (tmp_path / "sub").mkdir()
-    (tmp_path / "main.cir").write_bytes(
-        b"title\r\n.include sub/a.lib\r\n.INC 'sub/b c.lib'\r\n.include\r\n.include none.lib\r\n"
-        b".include absent.lib\r\n"
-    )
-    (tmp_path / "sub" / "a.lib").write_text('.include "b c.lib"\n.include a.lib\n')
-    (tmp_path / "sub" / "b c.lib").write_text("R1 a 0 1\n")
-    deck = read_deck(tmp_path / "main.cir")
-    assert (deck.name, deck.main) == ("main", "main.cir")
-    assert deck.text.splitlines()[:2] == ["title", ".include sub/a.lib"]
-    assert "\r" not in deck.text
-    assert set(deck.more) == {"sub/a.lib", "sub/b c.lib"}
-    with pytest.raises(UsageError, match="cannot read netlist"):
-        read_deck(tmp_path / "none.cir")
 
 
 @pytest.mark.parametrize("pins", ["a b", "0"])

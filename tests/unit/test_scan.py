@@ -4,7 +4,7 @@ import pytest
 
 from kc2spice.core.errors import UsageError
 from kc2spice.core.foreign import name_threat
-from kc2spice.netlist.deck import Deck, read_deck
+from kc2spice.netlist.deck import Deck
 from kc2spice.netlist.foreign import checked, included_netlist
 from kc2spice.netlist.lint import lint
 from kc2spice.scene.load import load_scene
@@ -130,8 +130,8 @@ def test_hostile_decks_are_not_verified(name, tmp_path):
     for line in (".include\tpart.lib", f".inc\t{tmp_path}/part.lib", AMPLIFIER + text):
         deck.write_bytes(f"* deck\n{line}\n.end\n".encode())
         with pytest.raises(UsageError) as caught:
-            verify([load_scene("harmonic")], tmp_path / "out", deck=read_deck(deck))
-        assert caught.value.where.startswith(("deck.cir", "file name"))
+            verify([load_scene("harmonic")], tmp_path / "out", deck=deck)
+        assert "deck.cir" in caught.value.where
     assert not (tmp_path / "out").exists()
 
 
@@ -183,7 +183,6 @@ def test_paths_count_from_the_file_they_stand_in(tmp_path):
     text = checked(main).text
     assert "\n* inner\n" in text
     lint(Deck(name="user", text=text))
-    assert len(read_deck(main).files) == 3
 
 
 @pytest.mark.parametrize(

@@ -15,15 +15,16 @@ from kc2spice.core.progress import Clock, Progress, silent
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.netlist.circuit import Subcircuit
 from kc2spice.netlist.deck import Deck
-from kc2spice.netlist.foreign import checked
+from kc2spice.netlist.foreign import Flat, checked
 from kc2spice.netlist.read import subcircuits
 from kc2spice.report.verify_page import Findings, comparison, write_verify
 from kc2spice.scene.compose import composed
 from kc2spice.scene.judge import PAIRS, Check, Gate
 from kc2spice.scene.model import Scene
 from kc2spice.scene.parttype import Build
-from kc2spice.sim.ngspice import find_ngspice, run_deck, write_deck
+from kc2spice.sim.ngspice import find_ngspice, run_deck
 from kc2spice.workflow.decks import make_deck
+from kc2spice.workflow.edited import edited_deck
 from kc2spice.workflow.judge import verdict
 from kc2spice.workflow.models import build_models
 from kc2spice.workflow.results import plain, write_record
@@ -60,7 +61,7 @@ def verify(
     out: Path,
     *,
     full: bool = False,
-    deck: Deck | None = None,
+    deck: Path | None = None,
     trust: bool = False,
     progress: Progress = silent,
 ) -> dict[str, dict[str, Any]]:
@@ -77,25 +78,27 @@ def verify(
 
     Raises
     ------
-    UsageError : a ``deck`` for several scenes, one without the scene's subcircuits, or one with a
-        line that could act on the machine.
+    UsageError : a ``deck`` for several scenes, one without the scene's subcircuits, or as
+        :func:`kc2spice.workflow.edited.edited_deck`.
     MissingToolError : no ngspice; noticed before any FE is computed.
     SimulationError : a solution path ended without a result.
     """
     if deck is not None and len(scenes) != 1:
         raise UsageError("one deck is one scene's", where="--deck", got=f"{len(scenes)} scenes")
-    if deck is not None and not trust:
-        _refuse_threats(deck)
+    libraries = () if deck is None else _libraries(checked(deck, trust=trust))
     find_ngspice()
     found: dict[str, Findings] = {}
     with staged(out) as work:
         for scene in scenes:
             progress("verify", None, scene.name)
             clock = Clock(progress)
-            asked = scene if deck is None else _as_shipped(scene, deck)
-            build = build_models(asked, clock, trust=trust)
+            build = build_models(_as_shipped(scene, libraries), clock, trust=trust)
+            made = make_deck(build)
+            emitted = libraries or made.parts
+            if deck is not None:
+                made, build = edited_deck(build, made, deck)
             with TemporaryDirectory() as scratch:
-                result = _Verification(build, clock, Path(scratch), full, deck).findings()
+                result = _Verification(build, clock, Path(scratch), full).findings(made, emitted)
             found[scene.name] = result
         write_verify(work / "verify.html", found)
         records = {name: each.record() for name, each in found.items()}
@@ -104,26 +107,25 @@ def verify(
     return cast(dict[str, dict[str, Any]], plain(records))
 
 
-def _refuse_threats(deck: Deck) -> None:
-    """Its texts as they will be run, in a folder with nothing else to include."""
-    with TemporaryDirectory() as folder:
-        try:
-            checked(write_deck(deck, Path(folder)))
-        except UsageError as error:
-            error.where = (error.where or "").replace(f"{folder}/", "")
-            raise
+def _libraries(flat: Flat) -> tuple[Subcircuit, ...]:
+    """The subcircuits of the files that a deck includes."""
+    files: dict[str, list[str]] = {}
+    for line in flat.lines:
+        files.setdefault(line.where.rpartition(":")[0], []).append(line.text)
+    _, *included = files.items()
+    return tuple(part for name, text in included for part in subcircuits("\n".join(text), name))
 
 
-def _as_shipped(scene: Scene, deck: Deck) -> Scene:
-    """``scene`` with the ports that an export keeps although nothing joins them, if ``deck`` is one
-    that has them."""
+def _as_shipped(scene: Scene, libraries: Sequence[Subcircuit]) -> Scene:
+    """``scene`` with the ports that an export keeps although nothing joins them, if the libraries
+    have them."""
     exported = composed(replace(scene, ports="declared"))
     more = {
         tuple(pin.name for pin in part.type.pins(part, exported))
         for part in exported.parts.values()
         if part.type.reduced and part.type.pins(part, exported) != part.type.pins(part, scene)
     }
-    shipped = {tuple(pin.name for pin in library.pins) for library in _libraries(deck)}
+    shipped = {tuple(pin.name for pin in library.pins) for library in libraries}
     return exported if more & shipped else scene
 
 
@@ -135,17 +137,15 @@ class _Verification:
     clock: Clock
     work: Path
     whole: bool
-    shipped: Deck | None
     found: Findings = field(default_factory=Findings)
     units: Mapping[str, str] = field(default_factory=dict)
     taken: Mapping[str, str] = field(default_factory=dict)
 
-    def findings(self) -> Findings:
-        """Bodies, then the scene, then what full models say of it."""
+    def findings(self, deck: Deck, libraries: Sequence[Subcircuit]) -> Findings:
+        """Bodies by their ``libraries``, then the scene, then what full models say of it."""
         found, build = self.found, self.build
-        deck = _with_text(make_deck(build), self.shipped)
         self.units = deck.units
-        self._bodies(_libraries(deck))
+        self._bodies(libraries)
         found.left_out = without_law(build)
         timed = build.scene.analysis.type == "transient"
         taken = taken_nets(build) if found.left_out and timed else None
@@ -292,14 +292,6 @@ class _Verification:
                 found.metrics["unknowns"] = model.facts["unknowns"]
 
 
-def _with_text(own: Deck, shipped: Deck | None) -> Deck:
-    """The scene's deck, or the shipped one with the names that the scene gives its results."""
-    if shipped is None:
-        return own
-    text = {name: getattr(shipped, name) for name in ("name", "text", "more")}
-    return replace(own, **text, parts=(), blocks=(), options=())
-
-
 def _until(waves: Waveforms, end: float | None) -> Waveforms:
     """The points up to ``end``, all of them where no time passes."""
     if end is None:
@@ -311,10 +303,3 @@ def _until(waves: Waveforms, end: float | None) -> Waveforms:
 def _gates(build: Build) -> list[Gate]:
     parts = build.scene.parts.values()
     return [gate for part in parts for gate in part.type.gates(part, build)]
-
-
-def _libraries(deck: Deck) -> tuple[Subcircuit, ...]:
-    """Subcircuits of a deck, emitted or from disk."""
-    if deck.text is None:
-        return deck.parts
-    return tuple(part for name, text in deck.more.items() for part in subcircuits(text, name))
