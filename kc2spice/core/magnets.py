@@ -61,9 +61,10 @@ class Coenergy:
 
     def pull(self, y: float, i: np.ndarray) -> tuple[float, float, np.ndarray]:
         """The force, and its slopes by the height and by the currents (2,)."""
-        first, second = (slope(y) for slope in self._slopes)
-        q = products(*i)
-        return float(first @ q), float(second @ q), first[1:3] + _quadratic(first) @ i
+        (first, second), (a, b) = (slope(y) for slope in self._slopes), i
+        q = np.array([1.0, a, b, a * a, a * b, b * b])
+        by = np.array([(0.0, 0.0), (1.0, 0.0), (0.0, 1.0), (2 * a, 0.0), (b, a), (0.0, 2 * b)])
+        return float(first @ q), float(second @ q), first @ by
 
     def fluxes(self, y: float, i: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Flux linkages (2,), and their slopes by the height (2,) and the currents (2, 2)."""

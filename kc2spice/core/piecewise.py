@@ -24,7 +24,7 @@ class Piecewise:
     def __call__(self, x: np.ndarray | float) -> np.ndarray:
         """Values (..., m) at ``x`` (...)."""
         x = np.asarray(x, dtype=float)
-        cell = np.clip(np.searchsorted(self.knots, x, side="right") - 1, 0, self.knots.size - 2)
+        cell = np.searchsorted(self.knots[1:-1], x, side="right")
         step = (x - self.knots[cell])[..., None]
         value = self.c[-1, cell]
         for power in self.c[-2::-1]:

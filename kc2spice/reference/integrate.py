@@ -14,7 +14,6 @@ from kc2spice.core.errors import SimulationError
 from kc2spice.core.laws import Device
 from kc2spice.reference.assemble import System
 from kc2spice.reference.equilibrium import equilibrium
-from kc2spice.reference.free import free_modes
 from kc2spice.reference.interval import Interval
 from kc2spice.reference.radau import NODES, WEIGHTS, Radau, Step
 
@@ -144,25 +143,14 @@ def _run(
 ) -> tuple[list[Step], int | None]:
     """Steps to ``end``, or to the first guard that falls to zero, and its number."""
     z = interval.settled(t, z)
-    free, before = free_modes(interval), interval.guards(t, z)
+    before = interval.guards(t, z)
     solver = Radau(interval, t, z, rtol)
     pace = min((p.wave.pace for p in interval.system.sources), default=np.inf)
     steps: list[Step] = []
     h = 0.0
     while solver.t < end * (1 - 1e-16):
-        if free is not None and solver.free is None:
-            motion = free.from_state(solver.t, solver.z)
-            if motion.clear(solver.t, before):
-                solver.begin(interval, solver.t, solver.z, motion)
-                h = 0.0
         step, h_next = solver.advance(min(h or solver.guess(end), pace), end)
         after = interval.guards(step.end, step.last)
-        if solver.free is not None and not _clear(interval, step):
-            h = 0.25 * step.length
-            if h * np.abs(solver.free.modes.rates).max() < 1.0:
-                solver.begin(interval, solver.t, solver.z)
-                free, h = None, 0.0
-            continue
         wrong = np.flatnonzero((before < 0.0) & (after < before))
         if wrong.size:
             return steps, int(wrong[0])
@@ -177,15 +165,6 @@ def _run(
         solver.accept(step)
         before, h = after, h_next
     return steps, None
-
-
-def _clear(interval: Interval, step: Step) -> bool:
-    """Whether the free motion makes no guard fall to zero within ``step``."""
-    assert step.free is not None
-    times = step.start + step.length * np.linspace(0.0, 1.0, 9)[1:]
-    states = step.at(times).T
-    guards = [interval.guards(t, z) for t, z in zip(times, states, strict=True)]
-    return all(step.free.clear(t, g, 1.0) for t, g in zip(times, guards, strict=True))
 
 
 def _located(interval: Interval, solver: Radau, step: Step, fell: np.ndarray) -> tuple[Step, int]:
@@ -206,7 +185,7 @@ def _located(interval: Interval, solver: Radau, step: Step, fell: np.ndarray) ->
     def shortened(h: float) -> Step:
         """On the polynomial where Newton's method fails."""
         stages = step.at(t0 + h * NODES) - step.first[:, None]
-        rough = Step(t0, h, step.first, stages, step.differential, step.free)
+        rough = Step(t0, h, step.first, stages, step.differential)
         return solver.take(h) or rough
 
     at, guard = min((root(int(k)), int(k)) for k in fell)
@@ -236,13 +215,9 @@ def _exchanged(system: System, segment: Segment) -> tuple[list[float], list[floa
             what = ".rate" if source.kind in ("force", "displacement") else ""
             high, low = (waves[f"{source.name}.{pin}{what}"] for pin in ("out", "ret"))
             came.append(float(-waves[f"{source.name}.out.through"] * (high - low) @ w))
-    for form, y, dragged in ((system.lost, X, False), (system.dragged, dX, True)):
+    for form, y in ((system.lost, X), (system.dragged, dX)):
         if form.any():
             went.append(float(np.einsum("it,ij,jt,t", y, form, y, w, optimize=True)))
-            for step in steps:
-                if step.free is not None:
-                    own = form[np.ix_(step.free.modes.where, step.free.modes.where)]
-                    went[-1] += step.free.lost(step.start, step.end, own, dragged)
     for device, mode in zip(system.devices, interval.modes, strict=True):
         law = device.law
         if type(law).loss is not Device.loss:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 from typing import Any
 
 import numpy as np
@@ -30,15 +29,6 @@ class Interval:
         for device in system.devices:
             if device.stores is not None:
                 self.rows = self.rows | device.stores.any(axis=1)
-        self.active = system.differential  # unknowns whose error is judged
-        self.moving = np.ones(system.size, dtype=bool)  # unknowns that are integrated
-
-    def without(self, free: np.ndarray) -> Interval:
-        """The same with the unknowns ``free`` (n,) kept as they are; no other acts on them."""
-        found = copy.copy(self)
-        found.F, found.const = np.where(free[:, None], 0.0, self.F), np.where(free, 0.0, self.const)
-        found.active, found.moving = self.active & ~free, ~free
-        return found
 
     def seen(self, t: np.ndarray | float, z: np.ndarray) -> np.ndarray:
         """``X`` (N,) at one time, (N, nt) at many."""

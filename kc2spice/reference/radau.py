@@ -15,7 +15,6 @@ import numpy as np
 from scipy.linalg import lapack
 
 from kc2spice.core.errors import SimulationError
-from kc2spice.reference.free import FreeMotion
 from kc2spice.reference.interval import Interval
 
 _S6 = np.sqrt(6.0)
@@ -36,15 +35,13 @@ _SQUARE = np.linalg.inv(NODES[:, None] ** (_POWERS - 1))
 
 @dataclass(frozen=True)
 class Step:
-    """An accepted step: start, length, state at the start and increments (n, 3) at the stages, and
-    the ``free`` motion of some of the unknowns meanwhile."""
+    """An accepted step: start, length, state at the start, increments (n, 3) at the stages."""
 
     start: float
     length: float
     first: np.ndarray
     increments: np.ndarray
     differential: np.ndarray
-    free: FreeMotion | None = None
 
     @property
     def end(self) -> float:
@@ -60,19 +57,13 @@ class Step:
         """States (n, nt) on the collocation polynomial."""
         x = (np.atleast_1d(t) - self.start) / self.length
         powers = x ** np.arange(4)[:, None]
-        found = self.first[:, None] + self._polynomials(powers[1:], powers[:3])
-        if self.free is not None:
-            found[self.free.modes.where] = self.free.at(t)
-        return found
+        return self.first[:, None] + self._polynomials(powers[1:], powers[:3])
 
     def rate(self, t: np.ndarray | float) -> np.ndarray:
         """Time derivatives (n, nt); those of algebraic unknowns are of low order."""
         x = (np.atleast_1d(t) - self.start) / self.length
         square = np.array([0.0 * x, x**0, 2 * x])
-        found = self._polynomials(np.array([x**0, 2 * x, 3 * x**2]), square) / self.length
-        if self.free is not None:
-            found[self.free.modes.where] = self.free.rate(t)
-        return found
+        return self._polynomials(np.array([x**0, 2 * x, 3 * x**2]), square) / self.length
 
     def _polynomials(self, cubic: np.ndarray, square: np.ndarray) -> np.ndarray:
         through_start = self.increments @ _CUBIC.T @ cubic
@@ -80,15 +71,8 @@ class Step:
         return np.where(self.differential[:, None], through_start, alone)
 
     def nodes(self) -> tuple[np.ndarray, np.ndarray]:
-        """States and rates (n, 3) at the stages, for quadrature over the step; means of the free
-        unknowns, whose linear forms are then exact."""
-        at = self.start + self.length * NODES
-        z, r = self.first[:, None] + self.increments, self.rate(at)
-        if self.free is not None:
-            where = self.free.modes.where
-            z[where] = self.free.mean(self.start, self.end)[:, None]
-            r[where] = self.increments[where, 2:] / self.length
-        return z, r
+        """States and rates (n, 3) at the stages, for quadrature over the step."""
+        return self.first[:, None] + self.increments, self.rate(self.start + self.length * NODES)
 
 
 class Radau:
@@ -97,14 +81,8 @@ class Radau:
     def __init__(self, interval: Interval, t: float, z: np.ndarray, rtol: float) -> None:
         self.rtol = rtol
         self.newton_tol = max(10 * np.finfo(float).eps / rtol, min(0.03, rtol**0.5))
-        self.begin(interval, t, z)
-
-    def begin(
-        self, interval: Interval, t: float, z: np.ndarray, free: FreeMotion | None = None
-    ) -> None:
-        """Go on from the state ``z`` at ``t``, some of whose unknowns are ``free``."""
-        self.free, self.interval = free, interval if free is None else free.modes.others
-        self.active, self.rows = self.interval.active, interval.rows
+        self.interval, self.rows = interval, interval.rows
+        self.active = interval.system.differential  # unknowns whose error is judged
         self.before: Step | None = None
         self.kept: tuple[float, float] | None = None  # length and error of the step before
         self._start(t, z)
@@ -154,9 +132,9 @@ class Radau:
         self._factor(h)
         p, t = self.interval, self.t + h * NODES
         given = p.system.given(t, p.within)
-        Z, moving = np.zeros((self.z.size, 3)), p.moving
+        Z = np.zeros((self.z.size, 3))
         if self.before is not None:
-            Z = np.where(moving[:, None], self.before.at(t) - self.z[:, None], 0.0)
+            Z = self.before.at(t) - self.z[:, None]
         scale = self.rtol * (1.0 + np.abs(self.z))
         scale = np.where(self.active, scale, 1e3 * scale)  # these carry no error onwards
         last = 0.0
@@ -166,7 +144,7 @@ class Radau:
             real = np.outer(self._solve(r @ _BACK[_REAL].real, 0), _vectors[:, _REAL].real)
             pair = np.outer(self._solve(r @ _BACK[_PAIR], 1), _vectors[:, _PAIR])
             change = real + 2.0 * pair.real
-            size = _norm((change / scale[:, None])[moving])
+            size = _norm(change / scale[:, None])
             rate = size / last if last > 0.0 else 0.0
             if not np.isfinite(size) or (rate >= 1.0 and size > 1e-2):  # below it is rounding
                 return None
@@ -176,16 +154,9 @@ class Radau:
                 done |= rate >= 1.0 or rate / (1 - min(rate, 0.9)) * size < self.newton_tol
             if done:
                 self.iterations = k + 1
-                return self._step(h, Z)
+                return Step(self.t, h, self.z, Z, self.active)
             last = size
         return None
-
-    def _step(self, h: float, increments: np.ndarray) -> Step:
-        differential = self.interval.system.differential
-        if self.free is not None:
-            moved = self.free.at(self.t + h * NODES) - self.free.at(self.t)
-            increments[self.free.modes.where] = moved
-        return Step(self.t, h, self.z, increments, differential, self.free)
 
     def accept(self, step: Step) -> None:
         """Go on from the end of ``step``."""
