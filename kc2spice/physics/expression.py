@@ -322,6 +322,7 @@ def _lives(tree: Tree) -> bool:
     )
 
 
+@cache  # the derivative of a product has the same sums many times
 def _single(tree: Tree) -> _Product:
     """The tree as one product; a sum is a factor of it."""
     found = [term for term in _terms(tree) if term.size]
