@@ -11,7 +11,7 @@ balancing by quadrature, Gosea, Gugercin and Beattie, SIAM J. Sci. Comput. 44 (2
 from __future__ import annotations
 
 import numpy as np
-from scipy.linalg import lapack, schur
+from scipy.linalg import lapack, qr, schur
 
 from kc2spice.rom.linear import Norm
 from kc2spice.rom.pencil import Pencil
@@ -23,10 +23,12 @@ RANK = 1e-13  # singular values below this are rounding
 
 
 def standard(pencil: Pencil, top: float) -> Pencil:
-    """``x' = A x + B u`` with rates per rad at ``top`` [Hz]."""
+    """``x' = A x + B u`` with rates per rad at ``top`` [Hz] and A in real Schur form, with which
+    Gramians and eigenvectors begin."""
     omega = 2 * np.pi * top
     A, B, C, D = state_space(pencil, top)
-    return Pencil((-A / omega, np.eye(len(A))), B / omega, C, D)
+    T, Z = schur(A / omega, output="real")
+    return Pencil((-T, np.eye(len(T))), Z.T @ B / omega, C @ Z, D)
 
 
 def in_hertz(pencil: Pencil, top: float) -> Pencil:
@@ -36,27 +38,21 @@ def in_hertz(pencil: Pencil, top: float) -> Pencil:
     return Pencil((omega * rest, one), omega * pencil.B, pencil.C, pencil.D, free=pencil.free)
 
 
-class Gramians:
-    """Those of a standard model over all frequencies, by one Schur form."""
+def by_gramians(model: Pencil, rows: np.ndarray, columns: np.ndarray) -> Pencil | None:
+    """The :func:`standard` model balanced over all frequencies, outputs over ``rows`` and inputs
+    over ``columns``; None where it is not strictly stable."""
+    T = -model.coefficients[0]
+    if np.linalg.eigvals(T).real.max() > -STRICT:
+        return None
+    loads = (model.B / columns, "N", "T"), ((model.C / rows[:, None]).T, "T", "N")
+    reached, seen = (_root(_lyapunov(T, Q, *ways)) for Q, *ways in loads)
+    return _balanced(model, reached, seen)
 
-    def __init__(self, model: Pencil) -> None:
-        self.model = model
-        self._T, self._Z = schur(-model.coefficients[0], output="real")
 
-    def balanced(self, rows: np.ndarray, columns: np.ndarray) -> Pencil | None:
-        """The model balanced, outputs over ``rows`` and inputs over ``columns``; None where it is
-        not strictly stable."""
-        if np.linalg.eigvals(self._T).real.max() > -STRICT:
-            return None
-        B, C = self._Z.T @ (self.model.B / columns), (self.model.C / rows[:, None]) @ self._Z
-        reached, seen = (self._Z @ _root(self._solve(Q, way)) for Q, way in ((B, "N"), (C.T, "T")))
-        return _balanced(self.model, reached, seen)
-
-    def _solve(self, Q: np.ndarray, way: str) -> np.ndarray:
-        """X of ``T X + X T' = -Q Q'``, or with T transposed."""
-        other = "T" if way == "N" else "N"
-        X, scale, _ = lapack.dtrsyl(self._T, self._T, -Q @ Q.T, trana=way, tranb=other)
-        return np.asarray(X / scale)
+def _lyapunov(T: np.ndarray, Q: np.ndarray, way: str, other: str) -> np.ndarray:
+    """X of ``T X + X T' = -Q Q'``, or with T transposed."""
+    X, scale, _ = lapack.dtrsyl(T, T, -Q @ Q.T, trana=way, tranb=other)
+    return np.asarray(X / scale)
 
 
 def by_samples(model: Response, s: np.ndarray, inputs: np.ndarray, outputs: np.ndarray) -> Pencil:
@@ -104,4 +100,4 @@ def _columns(x: np.ndarray) -> np.ndarray:
     """A square root of the sum of ``x x*`` over all samples, real."""
     columns = np.moveaxis(x, 0, 1).reshape(x.shape[1], -1)
     both = np.hstack([columns.real, columns.imag])
-    return np.asarray(np.linalg.qr(both.T, mode="r")).T
+    return np.asarray(qr(both.T, mode="r", overwrite_a=True, check_finite=False)[0][: len(both)].T)

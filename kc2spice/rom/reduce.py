@@ -42,6 +42,7 @@ from kc2spice.rom.response import (
     around,
     grid,
     inexact,
+    leading_transfers,
     relative_error,
     telling,
 )
@@ -70,8 +71,8 @@ TAIL_DECAY = 4  # power of the fall of the tail's weight: contact forces are smo
 # launch within 2.7e-4; with weights of at most 1e-2 21 states at 2e-7 are up to 9e-4 off.
 TAIL_WEIGHTS = 4e-3, 5e-2
 TAIL_PER_ROOT = 120.0  # per root of the tolerance, as errors go with its square
-FEWER = 0, 1, 2, 4, 8  # states less
-NEARBY = 0.8  # of an order: where a smaller one may be as good
+LOOKED, SPREAD = 32, 6  # orders looked at together; frequencies at which that begins
+RECENT = 24  # of those where models failed
 # States up to which directions are turned to save some; how often; the directions that they are
 # taken from, beyond a third, and how good all of these must be; the least change of a weight; how
 # the tail fades.
@@ -186,7 +187,6 @@ def _reduced(
         tail = None if contact else (_tail(model, tolerance),)
         chosen, least = _fewest(plain, congruences, signals, within, tail)
         if not contact:
-            least = chosen.nearby(least, within)
             chosen, least = refitted(chosen, least, within)
         if space.floor > tolerance:
             warnings.warn(
@@ -230,7 +230,7 @@ def _fewest(
     Directions of a congruence are turned to save more, unless ``tail`` is None.
     """
     free, share = None, 1.0
-    form = plain.pencil.degree == 2 and structure(plain.pencil, plain.band)
+    form = plain.pencil.degree == 2 and structure(plain.pencil, plain.judge.band)
     if form and form.proof == FORM:
         share = FORM_SHARE
     if signals and not (form and form.passive):
@@ -239,13 +239,14 @@ def _fewest(
         return replace(free[0], origin=f"{free[0].origin}; "), free[1]
     found = congruences()
     if free is None:
-        orders = [each.smallest(tolerance) for each in found]
+        search = Reduction.smallest if tail is None else Reduction.fewest
+        orders = [search(each, tolerance) or each.smallest(tolerance) for each in found]
         best = int(np.argmin(orders))
         kept, order = found[best], orders[best]
     else:
         most = int(free[1] / share)
-        within = [(each, each.fewer(tolerance, most + 1)) for each in found]
-        few = [(order, k) for k, (_, order) in enumerate(within) if order is not None]
+        within = [each.fewest(tolerance, most + 1) for each in found]
+        few = [(order, k) for k, order in enumerate(within) if order is not None]
         if not few:
             text = f"{free[0].origin}, where a congruence needs more than {most} states; "
             return replace(free[0], origin=text), free[1]
@@ -253,6 +254,7 @@ def _fewest(
         kept = found[k]
     if tail is not None:
         kept, order = tightened(kept, order, tolerance, tail[0])
+        order = kept.fewest(tolerance, kept.states(order)) or order
     states = kept.states(order)
     if free is None and (signals or kept.states(kept.pencil.size) <= CHEAP):
         free = balanced(kept, int(np.ceil(share * states)), tolerance)
@@ -276,14 +278,15 @@ def tightened(
     held = found.pencil.leading(size)
     response = Response(held)
     static = found.space.static and not held.free
-    inside, far = _snapshots(response, found.band, static, tail)
+    judge = found.judge
+    inside, far = _snapshots(response, judge.band, static, tail)
     s = 2j * np.pi * np.r_[inside, far[0]]
-    H, count = found.whole.transfer(s), inside.size
-    floor = found.reference[1] * (1.0 if found.norm == "peak" else FLOOR)
+    H, count = judge.exact.transfer(s), inside.size
+    floor = judge.reference[1] * (1.0 if judge.norm == "peak" else FLOOR)
     base = np.maximum(np.abs(H[:count]), floor) + np.finfo(float).tiny
-    sides = [_weighted(response, s, np.ones(len(s)), H, found.norm)]
+    sides = [_weighted(response, s, np.ones(len(s)), H, judge.norm)]
     if not (held.symmetric and held.collocated):
-        sides.append(_weighted(response.dual, s, np.ones(len(s)), H.swapaxes(1, 2), found.norm))
+        sides.append(_weighted(response.dual, s, np.ones(len(s)), H.swapaxes(1, 2), judge.norm))
     weight, share, best = np.ones(count), 1.0, found
     for _ in range(TRIALS):
         both = np.r_[weight, share * far[1]]
@@ -292,7 +295,6 @@ def tightened(
         )
         V = block_diag(np.eye(found.first), _principal(columns[found.first :])[0])
         trial = replace(found, pencil=replace(held.project(V), free=held.free))
-        trial.__dict__["_judge"] = found._judge  # the same exact model
         while order > kept:
             fewer = trial.pencil.leading(order - 1)
             off = np.abs(Response(fewer).transfer(s[:count]) - H[:count]) / base
@@ -310,12 +312,13 @@ def tightened(
 def refitted(found: Reduction, order: int, tolerance: float) -> tuple[Reduction, int]:
     """A balanced model of fewer than ``order`` states, as long as there is one that meets the
     tolerance in the peak norm with other outputs: those of least largest error (Lawson)."""
-    if found.norm != "peak" or not found.balanced or order > TIGHTENED:
+    judge = found.judge
+    if judge.norm != "peak" or not found.balanced or order > TIGHTENED:
         return found, order
-    static = found.space.static and not found.whole.pencil.free
-    inside, _ = _snapshots(found.whole, found.band, static, None)
+    static = found.space.static and not judge.exact.pencil.free
+    inside, _ = _snapshots(judge.exact, judge.band, static, None)
     s = 2j * np.pi * inside
-    H, peak = found.whole.transfer(s), found.reference[1]
+    H, peak = judge.exact.transfer(s), judge.reference[1]
     rows, columns = balance.scales(peak)
     wanted = (H - found.pencil.D) / (rows[:, None] * columns)
     best, fewer, enough = (found, order), order - 1, CLOSER * tolerance / SAFETY
@@ -371,20 +374,16 @@ def _krylov(
 @dataclass(frozen=True)
 class Reduction:
     """The subspace model in ordered directions, so that the model of order q is its leading part,
-    and the frequencies [Hz] where errors are measured.
-
-    ``whole`` is the subspace model in coordinates that may decouple; ``first`` directions are free
-    motions and the static answers that conservative ports keep.
+    and the ``judge`` of their errors, who knows the subspace model in coordinates that may
+    decouple. ``first`` directions are free motions and the static answers that conservative ports
+    keep.
     """
 
     full: LinearModel
     pencil: Pencil
     space: Subspace
-    band: tuple[float, float]
-    first: int
-    frequency: np.ndarray
-    whole: Response
-    norm: Norm = "pointwise"
+    judge: Judge
+    first: int = 0
     origin: str = ""
     balanced: bool = False
 
@@ -392,40 +391,21 @@ class Reduction:
         """First-order states of the model of this order."""
         return order * self.pencil.degree
 
-    def fewer(self, tolerance: float, states: int) -> int | None:
-        """:meth:`smallest` of those with fewer than ``states`` first-order states, where the
-        largest few show one that is stable and within the tolerance, else None."""
-        most = min(self.size, (states - 1) // self.pencil.degree)
-        for order in (most - k for k in FEWER if k < most):  # errors do not fall with every state
-            if self.error(order, tolerance) <= tolerance and self.structure(order).stable:
-                return replace(self, pencil=self.pencil.leading(order)).smallest(tolerance)
-        return None
-
     @property
     def size(self) -> int:
         """Largest order."""
         return self.pencil.size
 
-    @cached_property
-    def reference(self) -> tuple[np.ndarray, np.ndarray]:
-        """Response of the subspace model at the frequencies and peaks of its entries."""
-        H = self.whole.transfer(2j * np.pi * self.frequency)
-        return H, self.whole.peaks(self.frequency, H)
-
-    @cached_property
-    def _judge(self) -> Judge:
-        return Judge(self.whole, self.frequency, self.band, self.norm)
-
     def error(self, order: int, limit: float = np.inf) -> float:
         """Estimated largest relative error of any transfer function over the band; above ``limit``
         something that shows it."""
-        error = self._judge.error(self._leading(order), (limit - self.space.error) / SAFETY)
+        error = self.judge.error(self._leading(order), (limit - self.space.error) / SAFETY)
         return max(self.space.error + SAFETY * error, ROUNDING)
 
     def structure(self, order: int) -> Structure:
         """Stability and passivity of the model of this order."""
         found = self._leading(order)
-        return structure(found.pencil, self.band, None if found.decoupled else found.poles)
+        return structure(found.pencil, self.judge.band, None if found.decoupled else found.poles)
 
     def _leading(self, order: int) -> Response:
         if order not in self._models:
@@ -436,26 +416,62 @@ class Reduction:
     def _models(self) -> dict[int, Response]:
         return {}
 
-    def smallest(self, tolerance: float) -> int:
-        """Bisect for an order whose estimate is within ``tolerance`` while one less is not.
+    @cached_property
+    def _keeps(self) -> bool:
+        """Whether smaller models must be stable: a stable subspace model must not lose that."""
+        return self.balanced or self.structure(self.size).stable is not False
 
-        A stable subspace model must not lose its stability on the way.
+    def good(self, order: int, tolerance: float) -> bool:
+        """Whether the model of this order is within the tolerance, and as stable as it must be."""
+        if not self.error(order, tolerance) <= tolerance:
+            return False
+        stable = self.structure(order).stable
+        return bool(stable) if self.balanced else stable is not False or not self._keeps
+
+    def fewest(self, tolerance: float, states: float = np.inf) -> int | None:
+        """The least order within the tolerance, of those with fewer first-order ``states``; None
+        where there is none.
+
+        Errors do not fall with every direction. Of all orders at once they are known at the few
+        frequencies where others failed; the least order that passes there is judged everywhere,
+        and where it fails adds the frequency to those (an exchange, as Remez's).
+        """
+        most = int(min(self.size, (states - 1) // self.pencil.degree))
+        looked, failed, rejected = min(most, LOOKED), self.judge.failed, set[int]()
+        points = self.judge.frequency
+        failed += points[:: max(1, len(points) // SPREAD)].tolist() if not failed else []
+        known, error = 0, np.zeros(looked)
+        while True:
+            new = np.unique(failed[known:][-RECENT:])
+            s, known = 2j * np.pi * new, len(failed)
+            if len(new):
+                H = self.judge.exact.transfer(s)
+                off = leading_transfers(self.pencil.leading(looked), s) - H
+                sizes = np.nan_to_num(self.judge.sizes(off, H), nan=np.inf).max(axis=1)
+                error = np.maximum(error, sizes)
+            good = np.flatnonzero(self.space.error + SAFETY * error <= tolerance) + 1
+            untried = set(good[good >= self.first].tolist()) - rejected
+            if untried:
+                if self.good(order := min(untried), tolerance):
+                    return order
+                rejected.add(order)
+            elif looked == most:
+                return None
+            else:
+                looked, known = min(most, 2 * looked), 0
+                error = np.zeros(looked)
+
+    def smallest(self, tolerance: float) -> int:
+        """Bisect for an order that is :meth:`good` while one less is not.
 
         Raises
         ------
         SimulationError : not even all directions meet the tolerance.
         """
-        keep = self.structure(self.size).stable is not False
-
-        def good(order: int) -> bool:
-            return self.error(order, tolerance) <= tolerance and (
-                not keep or self.structure(order).stable is not False
-            )
-
         least = low = max(0, min(self.first, self.size) - 1)
         # The last directions may be rounding and add but that: then fewer are better.
         fewer = [self.size, *(self.size - 2**k for k in range(10) if self.size - 2**k > low)]
-        high = next((order for order in fewer if good(order)), None)
+        high = next((order for order in fewer if self.good(order, tolerance)), None)
         if high is None:
             raise inexact(
                 "the tolerance is out of reach",
@@ -465,20 +481,10 @@ class Reduction:
             )
         while high - low > 1:
             middle = (low + high) // 2
-            low, high = (low, middle) if good(middle) else (middle, high)
-        while high - 2 > least and good(high - 2):  # directions may come in pairs
+            low, high = (low, middle) if self.good(middle, tolerance) else (middle, high)
+        while high - 2 > least and self.good(high - 2, tolerance):  # directions may come in pairs
             high -= 2
         return high
-
-    def nearby(self, order: int, tolerance: float) -> int:
-        """A smaller order that is as good: errors do not fall with every direction."""
-        keep = self.structure(order).stable is not False
-        below = range(max(self.first, 1, int(NEARBY * order)), order) if order <= TIGHTENED else ()
-        for fewer in below:
-            stable = not keep or self.structure(fewer).stable is not False
-            if stable and self.error(fewer, tolerance) <= tolerance:
-                return fewer
-        return order
 
     def model(self, order: int) -> LinearModel:
         """The reduced model with its certificate."""
@@ -489,8 +495,8 @@ class Reduction:
         if not self.space.static or self.space.pencil.free:
             method += "; free to move at zero frequency"
         reduced, error = self.pencil.leading(order), self.error(order) + self.space.floor
-        more = error, method, found, self.norm
-        return _certified(self.full, reduced, self.whole, self.band, *more)
+        more = error, method, found, self.judge.norm
+        return _certified(self.full, reduced, self.judge.exact, self.judge.band, *more)
 
 
 def _certified(
@@ -535,20 +541,24 @@ def balanced(like: Reduction, states: int, tolerance: float) -> tuple[Reduction,
     """The same subspace model in first order and balanced coordinates, over all frequencies or over
     the band, if that has fewer than so many ``states``; None where it has not, or the model is free
     to move or too large."""
-    core, top = like.whole.held.pencil, like.band[1]
-    free = like.whole.pencil.free
-    if not like.space.static or core.free or like.states(like.whole.pencil.size) > BALANCED:
+    judge, free = like.judge, like.judge.exact.pencil.free
+    core, top = judge.exact.held.pencil, judge.band[1]
+    if not like.space.static or core.free or like.states(judge.exact.pencil.size) > BALANCED:
         return None
     model = Response(balance.standard(core, top))
-    H, peak = like.reference
-    gramians = balance.Gramians(model.pencil)
-    ways = {"balanced truncation": lambda: gramians.balanced(*balance.scales(peak))}
-    if model.pencil.size <= UNSCALED:
-        one = [np.ones(len(each)) for each in balance.scales(peak)]
-        ways["balanced truncation of outputs as they are"] = lambda: gramians.balanced(*one)
+    H, peak = judge.reference
+    scales = balance.scales(peak)
+    ways = {"balanced truncation": lambda: balance.by_gramians(model.pencil, *scales)}
+    if model.pencil.size <= UNSCALED and peak.size > 1:
+        one = [np.ones(len(each)) for each in scales]
+        ways["balanced truncation of outputs as they are"] = lambda: balance.by_gramians(
+            model.pencil, *one
+        )
     if model.pencil.size <= SAMPLED and model.quick:
         ways["balanced truncation over the band"] = lambda: balance.by_samples(
-            model, 1j * like.frequency / top, *balance.weights(like.frequency, H, peak, like.norm)
+            model,
+            1j * judge.frequency / top,
+            *balance.weights(judge.frequency, H, peak, judge.norm),
         )
     best = None
     for name, way in ways.items():
@@ -556,10 +566,10 @@ def balanced(like: Reduction, states: int, tolerance: float) -> tuple[Reduction,
         if small is None:
             continue
         if free:
-            small = small.beside(balance.standard(like.whole.pencil.leading(free), top))
+            small = small.beside(balance.standard(judge.exact.pencil.leading(free), top))
         pencil = balance.in_hertz(small, top)
         other = replace(like, pencil=pencil, first=pencil.free, origin=name, balanced=True)
-        fewer = other.fewer(tolerance, states)
+        fewer = other.fewest(tolerance, states)
         if fewer is not None:
             best, states = (other, fewer), fewer
     return best
@@ -569,13 +579,13 @@ def subspace_model(
     model: LinearModel, space: Subspace, band: tuple[float, float], norm: Norm
 ) -> Reduction:
     """The subspace model as it is, before its directions are ordered."""
-    points = space.points(band, norm)
-    return Reduction(model, space.pencil, space, band, 0, points, space.response, norm)
+    judge = Judge(space.response, space.points(band, norm), band, norm)
+    return Reduction(model, space.pencil, space, judge)
 
 
 def ordered(plain: Reduction, two_sided: bool, tolerance: float | None) -> Reduction:
     """Order the directions of the ``plain`` subspace by what they contribute to the response."""
-    model, space, band, norm = plain.full, plain.space, plain.band, plain.norm
+    model, space, band, norm = plain.full, plain.space, plain.judge.band, plain.judge.norm
     whole = space.response
     core, omega = whole.held, 2 * np.pi * band[1]
     free = core.pencil.free  # motions that damping couples to the others are kept as they are

@@ -37,6 +37,7 @@ FEW, MANY = 12, 2000  # unknowns, and states, between which eigenvectors pay
 REPRODUCED = 1e-10  # relative difference to direct solutions
 SEVERAL = 16  # solutions that cost as much as a Schur form
 STRIP, COLUMNS = 24, 256  # rows and right sides of a triangular solution done at once
+PANEL = 8  # columns eliminated at once
 COARSE = 8  # every so many points first: a model that is far off shows at those
 SOFT = 1e8  # ratio of squared frequencies of neighbours: the lower is a motion without force
 DEFECTIVE = 1e10  # condition of eigenvectors: a free body moves on in a Jordan block
@@ -104,7 +105,9 @@ class Response:
                 return self.pencil.states(s)
             return self._triangular.solve(s, None)
         T, L, _ = self.modes
-        return np.asarray(T @ (self._gains(s)[:, :, None] * (L @ self.pencil.B)))
+        parts = self._gains(s).T[:, :, None] * (L @ self.pencil.B)[:, None, :]
+        found = T @ parts.reshape(len(parts), -1)  # one product: many small ones take longer
+        return np.asarray(found.reshape(-1, *parts.shape[1:]).swapaxes(0, 1))
 
     def transfer(self, s: np.ndarray) -> np.ndarray:
         """``C P(s)^-1 B + D`` (len(s), outputs, inputs)."""
@@ -419,42 +422,83 @@ class Judge:
     norm: Norm = "pointwise"
 
     @cached_property
-    def _known(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """The exact response, which entries are not zero but for rounding, their floors."""
-        s = 2j * np.pi * self.frequency
-        reference = self.exact.transfer(s)
-        peak = self.exact.peaks(self.frequency, reference)
-        share = FLOOR if self.norm == "pointwise" else 1.0
-        return reference, ~self.exact.cancelled(s), share * peak
+    def reference(self) -> tuple[np.ndarray, np.ndarray]:
+        """The exact response, and the peaks of its entries."""
+        H = self.exact.transfer(2j * np.pi * self.frequency)
+        return H, self.exact.peaks(self.frequency, H)
+
+    @cached_property
+    def _counted(self) -> np.ndarray:
+        """Which entries are not zero but for rounding."""
+        return ~self.exact.cancelled(2j * np.pi * self.frequency)
+
+    @cached_property
+    def failed(self) -> list[float]:
+        """Frequencies [Hz] at which models were furthest off, the last ones last."""
+        return []
+
+    def sizes(self, difference: np.ndarray, H: np.ndarray) -> np.ndarray:
+        """Largest error (..., frequencies) of any entry, for differences to the response H."""
+        floor = (FLOOR if self.norm == "pointwise" else 1.0) * self.reference[1]
+        base = np.maximum(np.abs(H), floor) + np.finfo(float).tiny
+        return np.asarray((np.abs(difference) / base * self._counted).max(axis=(-2, -1)))
 
     def error(self, found: Response, limit: float = np.inf) -> float:
         """:func:`relative_error` over the band, in the ``norm``: at ``frequency``, then closer and
         closer around where it is largest. Above ``limit`` any error that shows it is enough."""
-        reference, counted, floor = self._known
-        frequency = self.frequency
+        reference, frequency = self.reference[0], self.frequency
 
         def sizes(points: np.ndarray, H: np.ndarray) -> np.ndarray:
-            difference = np.abs(found.transfer(2j * np.pi * points) - H)
-            base = np.maximum(np.abs(H), floor) + np.finfo(float).tiny
-            return np.asarray((difference / base * counted).max(axis=(1, 2)))
+            return self.sizes(found.transfer(2j * np.pi * points) - H, H)
+
+        def largest() -> float:
+            if not (worst := float(error.max())) <= limit:
+                at = int(np.nan_to_num(error, nan=np.inf).argmax())
+                self.failed.append(float(points[at]))
+            return worst
 
         at, ratio = self.exact.within((0.9 * self.band[0], 1.1 * self.band[1]))
-        error = sizes(frequency[::COARSE], reference[::COARSE])
-        if not error.max() <= limit:
+        points = frequency[::COARSE]
+        error = sizes(points, reference[::COARSE])
+        if not largest() <= limit:
             return float(error.max())
-        error = sizes(frequency, reference)
+        points, error = frequency, sizes(frequency, reference)
         for _ in range(PEAK_ROUNDS):
             inner = np.r_[True, error[1:] >= error[:-1]] & np.r_[error[:-1] >= error[1:], True]
             top = np.argsort(np.where(inner, error, -1.0))[-PEAKS:]
             low, high = np.maximum(top - 1, 0), np.minimum(top + 1, len(error) - 1)
-            new = clear_of_poles(_zoomed(frequency, low, high), at, ratio)
+            new = clear_of_poles(_zoomed(points, low, high), at, ratio)
             if not new.size:
                 break
             error = np.r_[error, sizes(new, self.exact.transfer(2j * np.pi * new))]
-            frequency = np.r_[frequency, new]
-            order = np.argsort(frequency)
-            frequency, error = frequency[order], error[order]
-        return float(error.max())
+            points = np.r_[points, new]
+            order = np.argsort(points)
+            points, error = points[order], error[order]
+        return largest()
+
+
+def leading_transfers(pencil: Pencil, s: np.ndarray) -> np.ndarray:
+    """Responses (n, len(s), outputs, inputs) of the first 1, 2, ... n unknowns of a dense pencil.
+
+    One elimination without pivoting of ``[[P, B], [C, 0]]`` for each s: what it leaves at the lower
+    right after q steps is ``-C_q P_q^-1 B_q``. It finds the models worth a look; a pivot next to
+    zero, a pole of the smaller model, may cost digits.
+    """
+    n, (p, m) = pencil.size, pencil.D.shape
+    W = np.zeros((len(s), n + p, n + m), complex)
+    for k, P in enumerate(pencil.coefficients):
+        W[:, :n, :n] += s[:, None, None] ** k * P
+    W[:, :n, n:], W[:, n:, :n] = pencil.B, pencil.C
+    with np.errstate(all="ignore"):
+        for start in range(0, n, PANEL):
+            end = min(start + PANEL, n)
+            for k in range(start, end):
+                W[:, k + 1 :, k] /= W[:, k, k, None]
+                W[:, k + 1 :, k + 1 : end] -= W[:, k + 1 :, k, None] * W[:, k, None, k + 1 : end]
+                W[:, k + 1 : end, end:] -= W[:, k + 1 : end, k, None] * W[:, k, None, end:]
+            W[:, end:, end:] -= W[:, end:, start:end] @ W[:, start:end, end:]
+        terms = W[:, n:, :n].swapaxes(1, 2)[:, :, :, None] * W[:, :n, None, n:]
+    return np.asarray(terms.cumsum(axis=1).swapaxes(0, 1) + pencil.D)
 
 
 def above_band(
