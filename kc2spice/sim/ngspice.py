@@ -288,10 +288,8 @@ def named(deck: Deck, vectors: Mapping[str, np.ndarray]) -> dict[str, np.ndarray
 
 
 def _vector(deck: Deck, vectors: Mapping[str, np.ndarray], name: str) -> np.ndarray:
-    """One vector. Currents of devices are ``i(@device[i])`` in a raw file; in the library ``v(y)``
-    is ``y``, and ``i(vkick)`` is ``vkick#branch``."""
-    within = name[2:-1] + "#branch" * name.startswith("i(")
-    for spelling in (name, f"i({name})", within):
+    """One vector; currents of devices are ``i(@device[i])`` in a raw file."""
+    for spelling in (name, f"i({name})"):
         if spelling in vectors:
             return vectors[spelling]
     raise SimulationError("ngspice did not save a vector", where=deck.main, got=name)

@@ -17,7 +17,7 @@ import shutil
 import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from ctypes import CFUNCTYPE, POINTER, byref, c_bool, c_char_p, c_double, c_int, c_short, c_void_p
+from ctypes import CFUNCTYPE, POINTER, byref, c_bool, c_char_p, c_double, c_int, c_void_p
 from pathlib import Path
 from typing import Any
 
@@ -30,6 +30,7 @@ from kc2spice.netlist.scope import INCLUDES
 from kc2spice.scene.parttype import Sampled
 from kc2spice.sim.log import failed_run, statistics
 from kc2spice.sim.ngspice import named
+from kc2spice.sim.rawfile import read_raw
 
 _HINT = "Debian or Ubuntu: apt-get install libngspice0"
 
@@ -38,15 +39,7 @@ def _structure(**fields: Any) -> Any:
     return type("Structure", (ctypes.Structure,), {"_fields_": tuple(fields.items())})
 
 
-# vector_info, vecvalues and vecvaluesall of sharedspice.h
-_Vector = _structure(
-    name=c_char_p,
-    type=c_int,
-    flags=c_short,
-    real=POINTER(c_double),
-    complex=POINTER(c_double),
-    length=c_int,
-)
+# vecvalues and vecvaluesall of sharedspice.h
 _Value = _structure(name=c_char_p, real=c_double, imag=c_double, is_scale=c_bool, is_complex=c_bool)
 _Values = _structure(count=c_int, index=c_int, vectors=POINTER(POINTER(_Value)))
 
@@ -131,8 +124,8 @@ def run_shared(
             raise SimulationError(
                 "the function in the loop failed", where=deck.name, got=repr(library.broken)
             ) from library.broken
-        vectors = library.vectors() if ran else {}
         said = library.said
+        vectors = library.vectors() if ran else {}
     finally:
         library.clear()
     time = vectors.get("time", np.zeros(1))
@@ -141,7 +134,7 @@ def run_shared(
         raise SimulationError(
             failed.message, where=deck.name, got=failed.got, expected=failed.expected
         )
-    data = named(deck, {"time": time, **vectors})
+    data = named(deck, vectors)
     return Waveforms(data, {"accepted": float(time.size)} | statistics(said))
 
 
@@ -180,9 +173,6 @@ class Library:
         self.broken: Exception | None = None
         self._loop: _Sampler | None = None
         self._library = _private_copy()
-        self._library.ngSpice_AllVecs.restype = POINTER(c_char_p)
-        self._library.ngSpice_CurPlot.restype = c_char_p
-        self._library.ngGet_Vec_Info.restype = POINTER(_Vector)
         # ngspice keeps these pointers: they live as long as this object does.
         self._kept = (
             _SEND_CHAR(self._on_text),
@@ -209,18 +199,12 @@ class Library:
         return self._command("run")
 
     def vectors(self) -> dict[str, np.ndarray]:
-        """Results of the last analysis by lower-case name, real or complex, as copies."""
-        plot = self._library.ngSpice_CurPlot()
-        found: dict[str, np.ndarray] = {}
-        names = self._library.ngSpice_AllVecs(plot)
-        listed: list[bytes] = []
-        while names and names[len(listed)]:  # the list is ngspice's own and changes: read it first
-            listed.append(names[len(listed)])
-        for name in listed:
-            info = self._library.ngGet_Vec_Info(plot + b"." + name)
-            if info and info.contents.length > 0:
-                found[name.decode().lower()] = _copied(info.contents)
-        return found
+        """Results of the last analysis by the names that the batch engine has for them."""
+        with tempfile.TemporaryDirectory(prefix="kc2spice-") as folder:
+            raw = Path(folder) / "out.raw"
+            self._command("set filetype=binary")
+            self._command(f"write '{raw}'")
+            return read_raw(raw) if raw.is_file() else {}
 
     def clear(self) -> None:
         """Remove circuit and results."""
@@ -265,12 +249,6 @@ class Library:
 
     def _on_step(self, loop: _Sampler, time: float, step: Any, *_: object) -> None:
         step[0] = min(step[0], loop.limit(time, step[0]))
-
-
-def _copied(vector: Any) -> np.ndarray:
-    if vector.real:
-        return np.ctypeslib.as_array(vector.real, (vector.length,)).copy()
-    return np.ctypeslib.as_array(vector.complex, (2 * vector.length,)).copy().view(complex)
 
 
 def _private_copy() -> ctypes.CDLL:
