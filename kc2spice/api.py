@@ -8,13 +8,13 @@ from __future__ import annotations
 
 import tempfile
 import warnings
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import Executor, ThreadPoolExecutor
 from contextlib import ExitStack, nullcontext
 from dataclasses import dataclass, field, replace
 from html import escape
 from pathlib import Path
-from typing import Any, overload
+from typing import Any
 
 import numpy as np
 
@@ -197,30 +197,21 @@ def run(
     return result
 
 
-def simulate(
-    deck: Deck | AnyScene,
-    *,
-    timeout: float | None = None,
-    functions: Mapping[str, Function] | None = None,
-) -> Result:
-    """Run a deck in ngspice; a scene is run as by :func:`run`.
+def simulate(deck: Deck, *, timeout: float | None = None) -> Result:
+    """Run a deck in ngspice, for its waveforms; ``timeout`` is in seconds of wall clock.
 
-    A deck alone gives waveforms. Metrics and checks are those of a scene's parts, so they need the
-    scene: ``kc.run(scene, deck=FILE)``. ``timeout`` is in seconds of wall clock and for decks;
-    ``functions`` are for scenes, as in :func:`run`.
+    Metrics and checks are those of a scene's parts, so they need the scene: :func:`run`, with an
+    edited netlist as its ``deck``.
 
     Raises
     ------
-    UsageError : ``functions`` with a deck, ``timeout`` with a scene.
+    UsageError : not a deck.
     MissingToolError : no ngspice.
     SimulationError : ngspice failed or stopped early; the message says where.
     """
     if not isinstance(deck, Deck):
-        if timeout is not None:
-            raise UsageError("a time limit is for decks", hint="kc.simulate(kc.deck(scene), …)")
-        return run(deck, functions=functions)
-    if functions:
-        raise UsageError("functions are called by parts of a scene", hint="give the scene instead")
+        got = type(deck).__name__
+        raise UsageError("not a deck", where="deck", got=got, hint="kc.run runs a scene")
     with tempfile.TemporaryDirectory(prefix="kc2spice-") as work:
         outcome = run_with_retries(deck, Path(work), retries=0, timeout=timeout)
     record = {"scene": deck.name, "version": __version__, "netlist": deck.main}
@@ -372,34 +363,23 @@ def _result(
     return Result(record["scene"], metrics, waves.data, units, checks, record, deck, **more)
 
 
-@dataclass(frozen=True, repr=False, eq=False)
-class Table:
-    """Rows of a sweep: one column for each swept key, each metric that is one number, ``status``.
+class Table(tuple[dict[str, Any], ...]):
+    """Rows of a sweep, each a mapping; ``columns`` names each swept key, each metric that is one
+    number, ``status``.
 
     ``status`` is ``"ok"``, or ``"failed: "`` and the reason why a point has no metrics (they are
     None then).
     """
 
     columns: tuple[str, ...]
-    rows: tuple[dict[str, Any], ...]
 
-    def __len__(self) -> int:
-        return len(self.rows)
-
-    def __iter__(self) -> Iterator[dict[str, Any]]:
-        return iter(self.rows)
-
-    @overload
-    def __getitem__(self, column: str) -> list[Any]: ...
-    @overload
-    def __getitem__(self, column: int) -> dict[str, Any]: ...
-    def __getitem__(self, column: str | int) -> list[Any] | dict[str, Any]:
+    def __getitem__(self, column: Any) -> Any:
         """A column by name, or a row by number."""
-        if isinstance(column, int):
-            return self.rows[column]
+        if not isinstance(column, str):
+            return super().__getitem__(column)
         if column not in self.columns:
             raise unknown("no such column", column, self.columns)
-        return [row[column] for row in self.rows]
+        return [row[column] for row in self]
 
     def save(self, path: str | Path) -> Path:
         """Write the table as CSV."""
@@ -409,15 +389,13 @@ class Table:
         return Path(path)
 
     def _cells(self) -> list[list[str]]:
-        return [[_shown(row[name]) for name in self.columns] for row in self.rows]
+        return [[_shown(value) for value in row.values()] for row in self]
 
     def __repr__(self) -> str:
         cells = [list(self.columns), *self._cells()]
-        widths = [max(len(row[k]) for row in cells) for k in range(len(self.columns))]
-        return "\n".join(
-            "  ".join(text.rjust(width) for text, width in zip(row, widths, strict=True))
-            for row in cells
-        )
+        widths = [max(map(len, column)) for column in zip(*cells, strict=True)]
+        lines = (map(str.rjust, row, widths) for row in cells)
+        return "\n".join(map("  ".join, lines))
 
     def _repr_html_(self) -> str:
         return _html(self.columns, self._cells())
@@ -479,5 +457,6 @@ def sweep(
             if progress is not None:
                 progress(len(found), plan.size)
     table = columns(found, plan)
-    rows = (dict(zip(table, row, strict=True)) for row in zip(*table.values(), strict=True))
-    return Table(tuple(table), tuple(rows))
+    rows = Table(dict(zip(table, row, strict=True)) for row in zip(*table.values(), strict=True))
+    rows.columns = tuple(table)
+    return rows

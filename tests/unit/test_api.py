@@ -82,7 +82,7 @@ def test_ac_against_the_closed_form():
     scene = kc.load_scene(
         {**CIRCUIT, "analysis": {"type": "ac", "start": 10, "stop": 1e4, "points": 50}}
     )
-    result = kc.simulate(scene)
+    result = kc.run(scene)
     wanted = 1 / (1 + 2j * np.pi * result.frequency * 1e-3)
     np.testing.assert_allclose(result.waves["store.v"], wanted, rtol=1e-6)
 
