@@ -263,26 +263,21 @@ def held_band(rom: LinearModel, build: Build) -> tuple[float, float]:
 
 
 def _sampled(rom: LinearModel, band: tuple[float, float]) -> np.ndarray:
-    """Frequencies [Hz] where an error shows: resonances first."""
-    response = Response(rom.pencil.dense())
-    found = telling(response, band, static=False)
-    poles, _ = response.within(band)
-    near = [found[np.abs(found - pole).argmin()] for pole in poles]
+    """Frequencies [Hz] where an error shows, such as resonances, ascending."""
+    found = telling(Response(rom.pencil.dense()), band, static=False)
     # four digits: models that differ by their ports alone share their samples
-    both = np.concatenate([np.array(near), found])
-    kept = [float(f"{f:.4g}") for f in both if f > 0]
-    return np.array(list(dict.fromkeys(kept)))
+    return np.unique([float(f"{f:.4g}") for f in found if f > 0])
 
 
 def _first(rom: LinearModel, at: np.ndarray, count: int) -> np.ndarray:
     """``count`` of the frequencies: half where the response is largest, half spread over all."""
     if at.size <= count:
-        return np.sort(at)
+        return at
     size = np.abs(rom.transfer(at))
     top = size.max(axis=0)
     peak = (size / np.where(top > 0, top, 1.0)).max(axis=(1, 2))  # a pair that answers nothing is 0
     tall = list(at[np.argsort(-peak, kind="stable")[: (count + 1) // 2]])
-    spread = np.sort(at)[np.linspace(0, at.size - 1, count + 2).astype(int)[1:-1]]
+    spread = at[np.linspace(0, at.size - 1, count + 2).astype(int)[1:-1]]
     return np.array(sorted(dict.fromkeys([*tall, *spread][:count])))
 
 
