@@ -85,11 +85,10 @@ def show_reduced(found: Mapping[str, Any]) -> None:
 
 def show_bench(record: Mapping[str, Any], given: str, out: Path) -> None:
     """What ``bench`` measured of a scene with overrides, ``given`` as words of the command line."""
-    from kc2spice.report.bench_page import HEAD, point_rows, recommendation
+    from kc2spice.report.bench_page import bench_sections
 
-    front = {**record, "points": [p for p in record["points"] if p["front"] or p["own"]]}
-    print_table("front", point_rows(front), HEAD)
-    print_table("bench", recommendation(record))
+    front = [point for point in record["points"] if point["front"] or point["own"]]
+    show_sections(bench_sections({**record, "points": front}))
     if record["recommended"] is not None:
         print(f"kc2spice run {given} {shlex.join(record['recommended']['set'])}".rstrip())
     print(f"all of it: {out / 'bench.html'}")
@@ -151,23 +150,7 @@ def show_findings(findings: Iterable[Finding]) -> None:
 
 def show_fit(found: Mapping[str, Any]) -> None:
     """What ``fit`` found."""
-    rows = [
-        (
-            key,
-            f"{each['value']:.6g} +- {each['sigma']:.2g}" + " at its bound" * each["at_bound"],
-        )
-        for key, each in found["parameters"].items()
-    ]
-    print_table("fitted", rows)
-    rows = [
-        ("deviation of |Z|", f"{found['error']['rms']:.2g} rms, {found['error']['largest']:.2g}"),
-        ("noise of the data", f"{found['noise']:.2g}"),
-        ("ends of all starts", ", ".join(f"{each['cost']:.4g}" for each in found["starts"])),
-        ("finite element models", str(found["models"])),
-        ("values", f"{found['overrides']}, for --set"),
-        ("page", str(found["page"])),
-    ]
-    for each in found["undetermined"]:
-        told = ", ".join(f"{weight:+.2f} log {key}" for key, weight in each.items())
-        rows.append(("not determined", told))
-    print_table("fit", rows)
+    from kc2spice.report.fit_page import fit_sections
+
+    show_sections(fit_sections(found))
+    print(f"values, for --set: {found['overrides']}\nwith plots: {found['page']}")

@@ -13,24 +13,39 @@ from kc2spice.core.figure import Curve, Figure, Panel
 from kc2spice.report.html import Section, write_page
 from kc2spice.report.words import quantity
 
-HEAD = ("setting", "error", "sum of errors", "CPU time", "spread", "")
 _LEAST = 1e-16  # an error of zero is drawn here
 
 
 def write_bench(directory: Path, title: str, record: Mapping[str, Any]) -> None:
     """Write the page of the ``record`` of ``bench``."""
     sections = [
-        Section("Recommended", recommendation(record)),
         Section("Error against time", figures=[_figure(record)]),
-        Section("Settings", point_rows(record), HEAD),
-        Section(
-            "Settings without a result",
-            [(each["label"], each["why"]) for each in record["failed"]],
-            ("setting", "why"),
-        ),
+        *bench_sections(record),
     ]
     lead = f"{record['simulator']}; CPU time of the simulator, median of {record['repeats']}"
     write_page(directory / "bench.html", f"Settings of {title}", lead, sections)
+
+
+def bench_sections(record: Mapping[str, Any]) -> list[Section]:
+    """What ``bench`` found, for the page and for the terminal: settings the quickest first."""
+    points = [
+        (
+            point["label"],
+            f"{point['error']:.1e}",
+            f"{point['bound']:.1e}",
+            quantity(point["time_s"], "s", 3),
+            f"{quantity(point['time_low_s'], 's', 3)} … {quantity(point['time_high_s'], 's', 3)}",
+            "front" if point["front"] else "",
+        )
+        for point in record["points"]
+    ]
+    failed = [(each["label"], each["why"]) for each in record["failed"]]
+    head = ("setting", "error", "sum of errors", "CPU time", "spread", "")
+    return [
+        Section("Recommended", recommendation(record)),
+        Section("Settings", points, head),
+        Section("Settings without a result", failed, ("setting", "why")),
+    ]
 
 
 def recommendation(record: Mapping[str, Any]) -> list[tuple[str, str]]:
@@ -52,21 +67,6 @@ def recommendation(record: Mapping[str, Any]) -> list[tuple[str, str]]:
         why = "no value" if change is None else f"changes by {change:.1e} at the finest settings"
         rows.append(("left out", f"{name}: {why}"))
     return rows
-
-
-def point_rows(record: Mapping[str, Any]) -> list[tuple[str, ...]]:
-    """One row for each setting, the quickest first."""
-    return [
-        (
-            point["label"],
-            f"{point['error']:.1e}",
-            f"{point['bound']:.1e}",
-            quantity(point["time_s"], "s", 3),
-            f"{quantity(point['time_low_s'], 's', 3)} … {quantity(point['time_high_s'], 's', 3)}",
-            "front" if point["front"] else "",
-        )
-        for point in record["points"]
-    ]
 
 
 def _names(metrics: Sequence[str]) -> str:

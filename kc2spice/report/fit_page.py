@@ -22,37 +22,52 @@ def write_fit(
 ) -> None:
     """Write the page of ``record``; ``Y``, ``before`` and ``after`` (n,) are admittances [S] at
     ``f`` [Hz]."""
-    rows = [
+    sections = [
+        *fit_sections(record),
+        Section("Impedance", figures=fit_figures(f, Y, before, after)),
+    ]
+    lead = (
+        f"The values for which {record['part']} is that of {Path(record['data']).name}. Export "
+        "with --set fit.toml --set box.toml writes a netlist with these keys as parameters."
+    )
+    write_page(path, f"{record['part']}, fitted", lead, sections)
+
+
+def fit_sections(record: Mapping[str, Any]) -> list[Section]:
+    """What ``fit`` found, for the page and for the terminal."""
+    values = [
         (key, f"{each['value']:.6g}", f"{each['sigma']:.2g}",
          f"{each['low']:g} to {each['high']:g}", "met" if each["at_bound"] else "")
         for key, each in record["parameters"].items()
     ]  # fmt: skip
-    words = "identifiable" if record["identifiable"] else "not all are determined by the data"
+    error = record["error"]
+    facts = [
+        ("deviation of |Z|", f"{error['rms']:.2g} rms, {error['largest']:.2g} at most"),
+        ("noise of the data", f"{record['noise']:.2g}"),
+        ("finite element models", str(record["models"])),
+        ("starts that ended in another minimum", str(record["other_minima"])),
+    ]
+    for each in record["undetermined"]:
+        told = ", ".join(f"{weight:+.2f} log {key}" for key, weight in each.items())
+        facts.append(("not determined by the data", told))
     resonances = [
         tuple("" if value is None else f"{value:.6g}" for value in row.values())
         for row in record["resonances"]
     ]
-    sections = [
-        Section("Values", rows, ("key", "value", "standard error", "range", "bound"),
-                note=f"{words}; {record['models']} finite element models; export with "
-                "--set fit.toml --set box.toml writes a netlist with these keys as parameters",
-                figures=fit_figures(f, Y, before, after)),
+    starts = [tuple(f"{value:.6g}" for value in each.values()) for each in record["starts"]]
+    keys = tuple(record["parameters"])
+    correlation = [
+        (key, *(f"{value:+.3f}" for value in row))
+        for key, row in zip(keys, record["correlation"], strict=True)
+    ]
+    return [
+        Section("Values", values, ("key", "value", "standard error", "range", "bound")),
+        Section("Fit", facts),
         Section("Resonances", resonances, ("measured in Hz", "at the scene's values", "fitted"),
                 note="peaks of the conductance, in their order"),
-        Section("Starts", [tuple(f"{value:.6g}" for value in each.values())
-                           for each in record["starts"]],
-                (*record["parameters"], "half the sum of squares"),
-                note=f"{record['other_minima']} of them ended in another minimum"),
-        Section("Correlation", [(key, *(f"{value:+.3f}" for value in row)) for key, row in
-                                zip(record["parameters"], record["correlation"], strict=True)],
-                ("", *record["parameters"])),
+        Section("Starts", starts, (*keys, "half the sum of squares")),
+        Section("Correlation", correlation, ("", *keys)),
     ]  # fmt: skip
-    error = record["error"]
-    lead = (
-        f"|Z| of {record['part']} is within {error['rms']:.2g} rms of {Path(record['data']).name}, "
-    )
-    lead += f"{error['largest']:.2g} at most; noise of the data {record['noise']:.2g}."
-    write_page(path, f"{record['part']}, fitted", lead, sections)
 
 
 def fit_figures(
