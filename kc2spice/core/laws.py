@@ -22,7 +22,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
@@ -40,20 +40,6 @@ class Pin:
     name: str
     kind: str
     grounded: bool = False
-
-
-class Law(Protocol):
-    """What all laws have in common."""
-
-    @property
-    def name(self) -> str:
-        """Name of the part."""
-        ...
-
-    @property
-    def pins(self) -> tuple[Pin, ...]:
-        """Pins in the order of the part."""
-        ...
 
 
 @dataclass(frozen=True)
@@ -325,6 +311,8 @@ class Device(ABC):
         """Power that it turns into heat [W]; negative for what it brings in from outside."""
         return 0.0
 
+
+Law = LinearBody | Mass | Source | Device
 
 MICRO = 1e-6  # m, in which displacements are balanced
 GROWING = 1e3  # 1/s, of a load on a body that is free to move

@@ -59,8 +59,7 @@ class System:
     """Reduced equations and how to read everything from their unknowns; made by `assemble`.
 
     Waves are ``now X + d/dt (rated X) + direct (outputs of all devices) + constant`` in the order
-    of ``names``. Linear laws store ``X' stored X + lifted X`` [J] and lose
-    ``X' lost X + X'' dragged X'`` [W], with the rate of ``X`` in the last.
+    of ``names``. Linear laws store ``X' stored X + lifted X`` [J] and lose ``X' lost X`` [W].
     """
 
     G: np.ndarray  # (n, N)
@@ -81,7 +80,6 @@ class System:
     stored: np.ndarray  # (N, N)
     lifted: np.ndarray  # (N,)
     lost: np.ndarray
-    dragged: np.ndarray
 
     @property
     def size(self) -> int:
@@ -122,12 +120,11 @@ class _Assembly:
         n = self.size
         self.M, self.A, self.const = np.zeros((n, n)), np.zeros((n, n)), np.zeros(n)
         self.moving = np.zeros((self.nq, self.nq))  # which displacements need velocities
-        self.drag = np.zeros((self.nq, self.nq))  # damping of displacements without inertia
         self.charged = np.zeros((n, n))  # which voltages charges of devices follow
         self.sources = tuple(p for p in laws if isinstance(p, L.Source))
         self.S = np.zeros((n, len(self.sources)))
         self.constraints: list[tuple[np.ndarray, np.ndarray]] = []  # forms, and of which sources
-        self.forms: dict[str, Any] = {k: np.zeros((n, n)) for k in ("stored", "lost", "dragged")}
+        self.forms: dict[str, Any] = {k: np.zeros((n, n)) for k in ("stored", "lost")}
         self.lifted = np.zeros(n)
         self.flows: dict[str, tuple[np.ndarray, np.ndarray]] = {}
         self.attached: list[tuple[L.Device, np.ndarray, np.ndarray]] = []
@@ -228,7 +225,7 @@ class _Assembly:
         return row
 
     def term(self, kind: str, rows: np.ndarray, weight: Any) -> None:
-        """Account for ``y' weight y`` that is stored, lost or dragged, ``y = rows @ raw``."""
+        """Account for ``y' weight y`` that is stored or lost, ``y = rows @ raw``."""
         rows = np.atleast_2d(rows)
         self.forms[kind] += rows.T @ np.atleast_2d(weight) @ rows
 
@@ -270,17 +267,6 @@ class _Assembly:
         free[mixed, others.size :] = vt[rank:].T
         return sizes[:, None] * free, sizes[:, None] * R
 
-    def _relaxed(self, Nq: np.ndarray, vel: slice) -> tuple[np.ndarray, np.ndarray]:
-        """:func:`_split` of the displacements; damped ones without inertia that nothing else moves
-        are states of first order, the others need a velocity."""
-        pattern = self.M[: self.nq, vel] - self.A[: self.nq, vel] + self.moving
-        basis, moving = _split(Nq, pattern)
-        if not (self.drag @ basis)[:, moving].any():
-            self.M[: self.nq, : self.nq] += self.drag
-            return basis, moving
-        self.A[: self.nq, vel] -= self.drag
-        return _split(Nq, pattern + self.drag)
-
     def system(self) -> System:
         """Eliminate the constraints, split off what has no inertia, and scale."""
         nq, n = self.nq, self.size
@@ -288,7 +274,7 @@ class _Assembly:
         Nq, Rq = self._null(slice(0, nq), self.sizes)
         Nv, Rv = self._null(vol, rest[: len(self.node)])
         mass = self.M[:nq, vel]
-        Nq, moving = self._relaxed(Nq, vel)
+        Nq, moving = _split(Nq, self.M[:nq, vel] - self.A[:nq, vel] + self.moving)
         charge = self.M[vol, :]
         follows = charge[:, vol] + np.diag(np.abs(charge[:, :nq]).sum(axis=1))
         Nv, _ = _split(Nv, follows + self.charged[vol, vol])
@@ -447,13 +433,9 @@ def _body(law: L.LinearBody, into: _Assembly) -> None:
     x, nq, n = into.body[law.name], into.nq, into.size
     v = slice(nq + x.start, nq + x.stop)
     M, E, K = _square(law.M), _square(law.E), _square(law.K)
-    light = ~M.any(axis=0) & ~M.any(axis=1)
-    alone = light & ~E[:, ~light].any(axis=1) & ~E[~light].any(axis=0)
-    drag = np.where(np.outer(alone, alone), E, 0.0)
     into.M[x, v] += M
     into.A[x, x] -= K
-    into.A[x, v] -= E - drag
-    into.drag[x, x] += drag
+    into.A[x, v] -= E
     B, C = np.asarray(law.B, dtype=float), np.asarray(law.C, dtype=float)
     D = np.asarray(law.D, dtype=float)
     motion, volts = np.zeros((C.shape[1], n)), {}
@@ -486,8 +468,7 @@ def _body(law: L.LinearBody, into: _Assembly) -> None:
     moving[:, v] = np.eye(C.shape[1])
     into.term("stored", motion, 0.5 * K)
     into.term("stored", moving, 0.5 * M)
-    into.term("lost", moving, E - drag)
-    into.term("dragged", motion, drag)
+    into.term("lost", moving, E)
     if volts:
         keys = list(volts)
         into.term("stored", np.array(list(volts.values())), 0.5 * D[np.ix_(keys, keys)])

@@ -207,7 +207,7 @@ def _exchanged(system: System, segment: Segment) -> tuple[list[float], list[floa
     t = np.concatenate([s.start + s.length * NODES for s in steps])
     w = np.concatenate([s.length * WEIGHTS for s in steps])
     z, r = (np.hstack(rows) for rows in zip(*(s.nodes() for s in steps), strict=True))
-    X, dX = interval.seen(t, z), interval.rates(t, r)
+    X = interval.seen(t, z)
     came, went = [], []
     waves = interval.waves(t, z, r) if system.sources else {}
     for source in system.sources:
@@ -215,9 +215,8 @@ def _exchanged(system: System, segment: Segment) -> tuple[list[float], list[floa
             what = ".rate" if source.kind in ("force", "displacement") else ""
             high, low = (waves[f"{source.name}.{pin}{what}"] for pin in ("out", "ret"))
             came.append(float(-waves[f"{source.name}.out.through"] * (high - low) @ w))
-    for form, y in ((system.lost, X), (system.dragged, dX)):
-        if form.any():
-            went.append(float(np.einsum("it,ij,jt,t", y, form, y, w, optimize=True)))
+    if system.lost.any():
+        went.append(float(np.einsum("it,ij,jt,t", X, system.lost, X, w, optimize=True)))
     for device, mode in zip(system.devices, interval.modes, strict=True):
         law = device.law
         if type(law).loss is not Device.loss:

@@ -84,7 +84,6 @@ class Radau:
         self.interval, self.rows = interval, interval.rows
         self.active = interval.system.differential  # unknowns whose error is judged
         self.before: Step | None = None
-        self.kept: tuple[float, float] | None = None  # length and error of the step before
         self._start(t, z)
         self._linearise()
 
@@ -180,10 +179,8 @@ class Radau:
                 continue
             size = self._error(step, rejected)
             safety = 0.9 * (2 * _MAX_NEWTON + 1) / (2 * _MAX_NEWTON + self.iterations)
-            factor = safety * self._change(h, size)
+            factor = min(10.0, safety * max(size, 1e-4) ** -0.25)
             if size <= 1.0:
-                self.kept = h, max(size, 1e-10)
-                factor = min(10.0, factor)
                 return step, h if 1.0 <= factor < 1.2 else h * factor
             h, rejected = h * max(0.2, factor), True
 
@@ -201,13 +198,6 @@ class Radau:
             f = np.where(self.rows, p.at(self.t, self.z + error)[1], 0.0)
             size = _norm((self._solve(f + moved, 0) / scale)[self.active])
         return size
-
-    def _change(self, h: float, size: float) -> float:
-        """Factor of the step by the errors of this one and of the one before (Gustafsson)."""
-        if size == 0.0:
-            return 10.0
-        factor = h / self.kept[0] * (self.kept[1] / size) ** 0.25 if self.kept else 1.0
-        return min(1.0, factor) * size**-0.25
 
 
 def _norm(x: np.ndarray) -> float:
