@@ -15,6 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -232,33 +233,37 @@ def extremes(motion: Motion) -> list[Extreme]:
     T_V, E_V = probe.stress(*probe.nodal(still, np.eye(electrodes)))
     T, E = np.concatenate([T, T_V], -1), np.concatenate([E, E_V], -1)
     states = np.hstack([motion.states, motion.voltages])[chosen]
-    names = np.array([material.name for material in solid.materials])
-    own = {name: np.flatnonzero(names[probe.owner] == name) for name in dict.fromkeys(names)}
-    poling = np.array([material.axis for material in solid.materials])[probe.owner]
-    active = {material.name: material.piezoelectric for material in solid.materials}
-    asked = [(m, quantity) for m in own for quantity in list(QUANTITIES)[: 3 if active[m] else 1]]
-    curves = {key: np.empty((2, len(chosen))) for key in asked}
-    for start in range(0, len(chosen), CHUNK):
-        part = slice(start, min(start + CHUNK, len(chosen)))
-        field = np.moveaxis(E @ states[part].T, -1, 0)
-        values = {
-            "principal_stress": principal(np.moveaxis(T @ states[part].T, -1, 0)),
-            "electric_field": np.linalg.norm(field, axis=-1),
-            "opposing_field": 0.0 - np.einsum("kpi,pi->kp", field, poling),
-        }
-        for name, quantity in curves:
-            inside = values[quantity][:, own[name]]
-            best = inside.argmax(axis=1)
-            curves[name, quantity][:, part] = inside.max(axis=1), own[name][best]
+    names = np.array([material.name for material in solid.materials])[probe.owner]
     found = []
-    for (name, quantity), (curve, points) in curves.items():
-        k = int(curve.argmax())
-        (unit, limit), point = QUANTITIES[quantity], int(points[k])
-        known = getattr(solid.materials[probe.owner[point]], limit)
-        instant, place = float(motion.time[chosen[k]]), tuple(places[:, point])
-        largest = float(curve[k]), known, instant, place
-        found.append(Extreme(name, quantity, unit, *largest, motion.time[chosen], curve))
+    for name in dict.fromkeys(material.name for material in solid.materials):
+        own = np.flatnonzero(names == name)
+        made_of = [solid.materials[k] for k in probe.owner[own]]
+        poling = np.array([each.axis for each in made_of])
+        for quantity, (unit, limit) in QUANTITIES.items():
+            if quantity != "principal_stress" and not made_of[0].piezoelectric:
+                continue
+            values = partial(_values, quantity, T[own], E[own], poling)
+            parts = map(values, np.array_split(states, -(-len(states) // CHUNK)))
+            rows = [(part.max(axis=1), part.argmax(axis=1)) for part in parts]
+            curve, points = (np.concatenate(each) for each in zip(*rows, strict=True))
+            k = int(curve.argmax())
+            point = int(points[k])
+            at, place = float(motion.time[chosen[k]]), tuple(places[:, own[point]])
+            largest = float(curve[k]), getattr(made_of[point], limit), at, place
+            found.append(Extreme(name, quantity, unit, *largest, motion.time[chosen], curve))
     return found
+
+
+def _values(
+    quantity: str, T: np.ndarray, E: np.ndarray, poling: np.ndarray, states: np.ndarray
+) -> np.ndarray:
+    """One of :data:`QUANTITIES` (states, points) from the stress and the field of each state."""
+    if quantity == "principal_stress":
+        return principal(np.moveaxis(T @ states.T, -1, 0))
+    field = np.moveaxis(E @ states.T, -1, 0)
+    if quantity == "electric_field":
+        return np.asarray(np.linalg.norm(field, axis=-1))
+    return np.asarray(0.0 - np.einsum("kpi,pi->kp", field, poling))
 
 
 def _instants(motion: Motion, count: int) -> np.ndarray:

@@ -140,30 +140,23 @@ def _compliance(stack: Device) -> np.ndarray:
     return np.asarray(loads.T @ model.pencil.pencil_solver(0.0).solve(loads))
 
 
-@dataclass(frozen=True)
-class Stressed:
-    """Largest values in a stack under a contact: the ``pressure`` [Pa], and the ``shear`` [Pa],
-    half the difference of principal stresses, with its ``depth`` [m] below the top."""
-
-    pressure: float
-    shear: float
-    depth: float
-
-
-def stressed(chip: Chip, shape: PressureBasis, force: np.ndarray, cells: int = CELLS) -> Stressed:
-    """What ``force`` (n,) [N] on the hats does inside, on the graded mesh, at Gauss points."""
+def stressed(
+    chip: Chip, shape: PressureBasis, force: np.ndarray, cells: int = CELLS
+) -> dict[str, float]:
+    """What ``force`` (n,) [N] on the hats does inside, on the graded mesh, at Gauss points: the
+    largest ``pressure_pa``, and the largest ``shear_pa``, half the difference of principal
+    stresses, with its ``shear_depth_m`` below the top."""
     stack = _stack(chip, shape, cells)
     probe, model = Probe(stack, gauss=True), stack.model
     z = model.pencil.pencil_solver(0.0).solve(-model.B[:, : len(force)] @ force)
     T, _ = probe.stress(*probe.nodal(z[:, None], np.zeros((1, 1))))
-    T = T[..., 0]
-    shear = (principal(T) + principal(-T)) / 2
+    shear = (principal(T[..., 0]) + principal(-T[..., 0])) / 2
     height = np.asarray(probe.basis.global_coordinates())[1].ravel()
-    return Stressed(
-        float((force / shape.areas).max()),
-        float(shear.max()),
-        float(stack.solid.mesh.p[1].max() - height[shear.argmax()]),
-    )
+    return {
+        "pressure_pa": float((force / shape.areas).max()),
+        "shear_pa": float(shear.max()),
+        "shear_depth_m": float(stack.solid.mesh.p[1].max() - height[shear.argmax()]),
+    }
 
 
 def _stack(chip: Chip, shape: PressureBasis, cells: int) -> Device:

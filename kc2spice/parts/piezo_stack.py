@@ -325,11 +325,7 @@ class PiezoStack(MeshedBody):
         if most <= 0:
             return {}
         found = stressed(chip_of(part.keys), shape, Pair(scene.parts[name], scene).hat_forces(most))
-        return {
-            f"{name}_pressure_pa": found.pressure,
-            f"{name}_shear_pa": found.shear,
-            f"{name}_shear_depth_m": found.depth,
-        }
+        return {f"{name}_{what}": value for what, value in found.items()}
 
     def indentation_modulus(self, part: Part) -> float:
         return top_material(part.keys).indentation_modulus

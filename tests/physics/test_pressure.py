@@ -138,9 +138,9 @@ def test_stress_below_a_sphere_is_that_of_hertz_and_huber():
     axial = -1 / (1 + z**2)
     radial = -(1 + nu) * (1 - z * np.arctan(1 / z)) - axial / 2
     shear = np.abs(axial - radial) / 2
-    assert found.pressure == pytest.approx(p0, rel=1e-2)
-    assert found.shear == pytest.approx(shear.max() * p0, rel=1e-2)
-    assert found.depth == pytest.approx(z[shear.argmax()] * a, rel=0.1)  # of a flat maximum
+    assert found["pressure_pa"] == pytest.approx(p0, rel=1e-2)
+    assert found["shear_pa"] == pytest.approx(shear.max() * p0, rel=1e-2)
+    assert found["shear_depth_m"] == pytest.approx(z[shear.argmax()] * a, rel=0.1)
 
 
 @pytest.mark.slow  # the potentials of 33 layers
