@@ -21,6 +21,7 @@ from kc2spice.fem.solid import Solid
 from kc2spice.rom.linear import Port
 
 UPWARDS = np.array([0.0, 0.0, 1.0])
+_NEAR = 1e-9  # of the stack's size
 _FINE = 8  # of a quadrature that meets the corners of a pressure anywhere in a cell
 
 Profile = tuple[np.ndarray, np.ndarray]
@@ -66,13 +67,12 @@ def stack_setup(
         solid = Solid(
             mesh.mesh, materials, owner[mesh.level], order=kick.mesh.order, numbers=mesh.numbers
         )
-    shapes = ring_shapes(mesh, kick.poling) if pressure is None else [_patch(mesh, solid, pressure)]
-    electrodes, graded = _electrodes(mesh)
+    electrodes, graded = _electrodes(mesh, solid)
     return solid, Setup(
-        ~free_displacements(mesh, kick),
+        _fixed(kick, solid),
         electrodes,
         "cathode",
-        shapes=shapes,
+        shapes=_rings(kick, solid) if pressure is None else [_patch(mesh, solid, pressure)],
         graded=graded,
         springs=springs(mesh, solid, kick),
         sectors=SECTORS,
@@ -109,54 +109,53 @@ def layer_materials(
     return tuple(materials), owner
 
 
-def free_displacements(mesh: KickMesh, kick: Chip) -> np.ndarray:
-    """Mask of the unconstrained displacements ``3 node + axis``, plane by plane."""
-    tolerance = 1e-9 * mesh.heights[-1]
-    x, y = np.abs(mesh.plane.T) < tolerance
-    free = np.ones((len(mesh.heights), len(mesh.plane), 3), dtype=bool)
-    for axis in (0,) if kick.poling == "z" else (1, 2):
-        free[:, x, axis] = False
-    free[:, y, 1] = False
-    held = {"roller": (2,), "glued": (0, 1, 2)}.get(str(kick.mounting), ())
-    for axis in held:
-        free[0, :, axis] = False
-    return free.ravel()
+def _fixed(kick: Chip, solid: Solid) -> np.ndarray:
+    """Mask of the displacements ``3 node + axis`` that mirror planes and the mounting hold."""
+    fixed = np.zeros(solid.places.T.shape, dtype=bool)
+    near = _NEAR * solid.places.max()
+    held = {"roller": "z", "glued": "xyz"}.get(str(kick.mounting), "")
+    sides = ("x" if kick.poling == "z" else "yz", "y", held)
+    for axes, height in zip(sides, solid.places, strict=True):
+        for axis in axes:
+            fixed[height < near, "xyz".index(axis)] = True
+    return fixed.ravel()
 
 
-def _electrodes(mesh: KickMesh) -> tuple[dict[str, np.ndarray], Profile | None]:
+def _electrodes(mesh: KickMesh, solid: Solid) -> tuple[dict[str, np.ndarray], Profile | None]:
     """Nodes on the electrodes, and the potentials of those between the ones within a level."""
-    steps, active, each = mesh.steps, np.flatnonzero(mesh.spans), len(mesh.plane)
-    planes = steps * np.r_[active, active[-1] + 1]
+    active, z = np.flatnonzero(mesh.spans), solid.places[2]
+    planes = mesh.faces[np.r_[active, active[-1] + 1]]
+    on = np.abs(z[:, None] - planes) < _NEAR * planes[-1]
+    pins = {"anode": on[:, 1::2], "cathode": on[:, ::2]}
+    several = np.r_[False, mesh.spans[active] > 1, False][np.searchsorted(planes, z)]
+    within = np.flatnonzero(several & ~on.any(axis=1))
+    part = np.interp(z[within], planes, np.arange(planes.size) % 2)
+    return (
+        {pin: np.flatnonzero(each.any(axis=1)) for pin, each in pins.items()},
+        (within, part) if within.size else None,
+    )
 
-    def nodes(chosen: np.ndarray) -> np.ndarray:
-        return np.add.outer(each * chosen, np.arange(each)).ravel()
 
-    within = np.add.outer(planes[:-1][mesh.spans[active] > 1], np.arange(1, steps)).ravel()
-    part = 1 - np.abs((within - planes[0]) % (2 * steps) / steps - 1)
-    pins = {"anode": nodes(planes[1::2]), "cathode": nodes(planes[::2])}
-    return pins, (nodes(within), np.repeat(part, each)) if within.size else None
-
-
-def ring_shapes(mesh: KickMesh, axis: str = "z") -> list[Shape]:
-    """Unit ring forces along ``axis``, equal along the circle.
+def _rings(kick: Chip, solid: Solid) -> list[Shape]:
+    """Unit ring forces along z, or along x where that is the poling, equal along the circle.
 
     Nodes on a symmetry plane carry half (the other half acts on the mirror image). Weights sum to
     one, so the transpose averages the displacement (paper 2.2.2, eq. 8).
     """
-    shapes, top = [], len(mesh.plane) * (len(mesh.heights) - 1)
-    for number, ring in enumerate(mesh.rings):
-        share = np.ones(len(ring))
-        if len(ring) > 1:
-            share[[0, -1]] = 0.5
-        weights = np.zeros(3 * len(mesh.plane) * len(mesh.heights))
-        weights[3 * (top + ring) + "xyz".index(axis)] = share / share.sum()
+    shapes, (x, y, z), axis = [], solid.places, np.eye(3)["xyz".index(kick.poling)]
+    near = _NEAR * solid.places.max()
+    for number in range(kick.mesh.rings + 1):
+        away = np.abs(np.hypot(x, y) - number * kick.mesh.ring_spacing)
+        ring = (away < near) & (z > z.max() - near)
+        share = np.where((x < near) | (y < near), 0.5, 1.0) * ring
+        weights = spread(share / share.sum(), axis, solid)
         shapes.append(Shape(Port(f"ring{number}", "mechanical"), weights))
     return shapes
 
 
 def _patch(mesh: KickMesh, solid: Solid, pressure: Profile) -> Shape:
     """A unit axial force on the top, spread as the pressure is."""
-    basis = solid.face(_facets(mesh, mesh.heights[-1]), _FINE)
+    basis = solid.face(_facets(mesh, mesh.faces[-1]), _FINE)
 
     def load(v, w):  # type: ignore[no-untyped-def]
         return np.interp(np.hypot(w.x[0], w.x[1]), *pressure, right=0.0) * v
@@ -171,7 +170,7 @@ def springs(mesh: KickMesh, solid: Solid, kick: Chip) -> sparse.csc_array | None
     if isinstance(kick.mounting, float):
         found.append(sparse.kron(_face(mesh, solid, 0.0), kick.mounting * np.eye(3)))
     if kick.preload_spring is not None:
-        face = _face(mesh, solid, mesh.heights[-1])
+        face = _face(mesh, solid, mesh.faces[-1])
         share = kick.preload_spring / SECTORS / face.sum() * face
         found.append(sparse.kron(share, np.diag(UPWARDS)))
     return sparse.csc_array(sum(found)) if found else None
@@ -185,5 +184,5 @@ def _face(mesh: KickMesh, solid: Solid, height: float) -> sparse.csc_array:
 
 
 def _facets(mesh: KickMesh, height: float) -> np.ndarray:
-    near = 1e-6 * mesh.heights[1]
+    near = 1e-6 * mesh.faces[1]
     return np.asarray(mesh.mesh.facets_satisfying(lambda x: np.abs(x[2] - height) < near))

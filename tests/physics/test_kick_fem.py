@@ -14,7 +14,7 @@ from kc2spice.core.errors import UsageError
 from kc2spice.core.quantities import validated
 from kc2spice.fem.materials import material
 from kc2spice.fem.piezo.keys import Chip
-from kc2spice.fem.piezo.mesh import kick_mesh, level_spans
+from kc2spice.fem.piezo.mesh import level_spans
 from kc2spice.fem.solid import assemble
 from laboratory.usual.system import quarter
 
@@ -27,12 +27,6 @@ TOGETHER = [{"layers_per_element": 5}, {"layers_per_element": 3, "refine": 2}]
 
 def small_kick(layers: int = 3, **mesh) -> Chip:
     return Chip(layers=layers, mesh={**SMALL, **mesh})
-
-
-def nodes(mesh) -> np.ndarray:
-    """Positions (N, 3) in node order."""
-    plane = np.tile(mesh.plane, (len(mesh.heights), 1))
-    return np.column_stack([plane, np.repeat(mesh.heights, len(mesh.plane))])
 
 
 def compliance_form() -> tuple[np.ndarray, np.ndarray]:
@@ -60,7 +54,8 @@ def static_gains(system) -> tuple[np.ndarray, float]:
 def test_constant_strain_and_field_are_reproduced_exactly(change):
     """Patch test with coupling on a distorted swept mesh, collapsed hexahedra included."""
     kick = small_kick(layers=1, **{**change, "refine": 2})
-    mesh, (solid, _) = kick_mesh(kick), stack_setup(kick)
+    solid, _ = stack_setup(kick)
+    plane, heights = solid.places[:2, solid.places[2] == 0].T, np.unique(solid.places[2])
     x, y, z = solid.mesh.doflocs
     bent = np.array([x * (1 + 80 * y) + 60 * y**2, y * (1 - 90 * x), z])
     solid = replace(solid, mesh=type(solid.mesh)(bent, solid.mesh.t))
@@ -83,10 +78,10 @@ def test_constant_strain_and_field_are_reproduced_exactly(change):
     assert u @ force == pytest.approx(volume * strain @ stress, rel=1e-11)
     assert phi @ charge == pytest.approx(volume * slope @ displacement, rel=1e-11)
 
-    rim = np.isclose(mesh.plane, 0, atol=1e-9).any(axis=1)
-    rim |= np.isclose(mesh.plane.max(axis=1), mesh.plane.max(), atol=1e-9)
-    inner_planes = np.arange(1, len(mesh.heights) - 1)
-    inside = np.add.outer(inner_planes * len(mesh.plane), np.flatnonzero(~rim)).ravel()
+    rim = np.isclose(plane, 0, atol=1e-9).any(axis=1)
+    rim |= np.isclose(plane.max(axis=1), plane.max(), atol=1e-9)
+    inner_planes = np.arange(1, len(heights) - 1)
+    inside = np.add.outer(inner_planes * len(plane), np.flatnonzero(~rim)).ravel()
     assert inside.size
     assert np.abs(force.reshape(-1, 3)[inside]).max() < 1e-11 * np.abs(force).max()
     assert np.abs(charge[inside]).max() < 1e-11 * np.abs(charge).max()
@@ -94,8 +89,9 @@ def test_constant_strain_and_field_are_reproduced_exactly(change):
 
 def test_an_unsupported_chip_has_six_rigid_body_modes_and_no_more():
     chip = Chip(layers=2, mesh={"sectors": 2, "rings": 1, "outer_rings": 1})
-    full, mesh = assemble(stack_setup(chip)[0]), kick_mesh(chip)
-    M, K, (x, y, z) = full.M, full.K_uu, nodes(mesh).T
+    solid, _ = stack_setup(chip)
+    full, (x, y, z) = assemble(solid), solid.places
+    M, K = full.M, full.K_uu
     zero, one = np.zeros_like(x), np.ones_like(x)
     rigid = [
         np.column_stack(c).ravel()

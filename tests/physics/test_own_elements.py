@@ -10,8 +10,8 @@ import pytest
 from scipy.integrate import solve_ivp
 from scipy.linalg import eigh
 
+from kc2spice.bodies.piezo_stack import stack_setup
 from kc2spice.fem.piezo.keys import Chip
-from kc2spice.fem.piezo.mesh import kick_mesh
 from laboratory.usual.contact import contact_surface
 from laboratory.usual.statics import imprint
 from laboratory.usual.system import quarter
@@ -23,8 +23,9 @@ CHIP = Chip(layers=2, mesh={"sectors": 4, "rings": 2, "ring_spacing": 100e-6, "o
 
 @pytest.fixture(scope="module")
 def own():
-    mesh = kick_mesh(CHIP)
-    M, K, k, c, free, top = own_elements.chip(mesh.plane, 5, mesh.heights)
+    x, y, z = stack_setup(CHIP)[0].places
+    plane = np.column_stack([x, y])[z == 0]
+    M, K, k, c, free, top = own_elements.chip(plane, 5, np.unique(z))
     return M, K, k, c, own_elements.ring_shapes(free, top, (0, 1, 2), 5)
 
 

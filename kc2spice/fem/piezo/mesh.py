@@ -32,23 +32,17 @@ class KickMesh:
     ----------
     mesh : hexahedra, trilinear, or triquadratic and isoparametric; those at the axis have one edge
         collapsed.
-    numbers : of the nodes of each triquadratic hexahedron, one on the axis per plane; None of
-        trilinear ones, whose nodes are the vertices.
+    numbers : of the nodes of each hexahedron, plane by plane, in each the centre first, then ring
+        by ring from the x to the y axis.
     level : (cells,) of each hexahedron, from the bottom up.
-    plane : (nodes per plane, 2) positions [m], the centre first, then ring by ring.
-    heights : (planes,) [m]. Node ``k * len(plane) + i`` is node ``i`` of plane ``k``.
-    steps : planes per level.
-    rings : node numbers within the plane for ring0 (centre), ring1, ... from the x to the y axis.
+    faces : (levels + 1,) heights [m] between them.
     spans : piezoelectric layers in each level, from the bottom up; 0 in the caps.
     """
 
     mesh: MeshHex1
-    numbers: np.ndarray | None
+    numbers: np.ndarray
     level: np.ndarray
-    plane: np.ndarray
-    heights: np.ndarray
-    steps: int
-    rings: tuple[np.ndarray, ...]
+    faces: np.ndarray
     spans: np.ndarray
 
 
@@ -62,15 +56,11 @@ def kick_mesh(kick: Chip) -> KickMesh:
     _require_memory(kick)
     steps = kick.mesh.refine * kick.mesh.order
     lattice = _in_plane(kick, steps)
-    spokes = lattice.shape[1]
-    stations = steps * np.arange(1, kick.mesh.rings + 1)
-    rings = [np.array([0])] + [1 + (i - 1) * spokes + np.arange(spokes) for i in stations]
     spans, heights = _levels(kick, steps)
     mesh, numbers = _hexahedra(lattice, heights, kick.mesh.order)
     cells = mesh.nelements // (len(heights) - 1) * kick.mesh.order
     level = np.arange(mesh.nelements) // (cells * kick.mesh.refine)
-    plane = np.vstack([lattice[0, 0], lattice[1:].reshape(-1, 2)])
-    return KickMesh(mesh, numbers, level, plane, heights, steps, tuple(rings), spans)
+    return KickMesh(mesh, numbers, level, heights[::steps], spans)
 
 
 def _levels(kick: Chip, steps: int) -> tuple[np.ndarray, np.ndarray]:
@@ -87,11 +77,9 @@ def _levels(kick: Chip, steps: int) -> tuple[np.ndarray, np.ndarray]:
     return np.pad(spans, counts), heights
 
 
-def _hexahedra(
-    lattice: np.ndarray, heights: np.ndarray, order: int
-) -> tuple[MeshHex1, np.ndarray | None]:
+def _hexahedra(lattice: np.ndarray, heights: np.ndarray, order: int) -> tuple[MeshHex1, np.ndarray]:
     """A box in (ring, spoke, plane) coordinates whose nodes are then moved in place, with the
-    numbers of the nodes of quadratic hexahedra.
+    numbers of the nodes of its hexahedra.
 
     The box gives regular hexahedra and their numbering; the nodes of its face ring = 0 become one
     node per plane, which collapses those hexahedra into exact wedges.
@@ -104,11 +92,7 @@ def _hexahedra(
     spokes, per_plane = lattice.shape[1], 1 + counts[0] * lattice.shape[1]
     number = np.where(i == 0, 0, 1 + (i - 1) * spokes + j) + k * per_plane
     places = np.array([*lattice[i, j].T, heights[k]])
-    if order == 2:
-        return MeshHex2(places, box.t), number[box.dofs.element_dofs]
-    located = np.empty((3, per_plane * len(heights)))
-    located[:, number] = places
-    return MeshHex1(located, np.ascontiguousarray(number[box.t])), None
+    return type(box)(places, box.t), number[box.dofs.element_dofs]
 
 
 def level_spans(kick: Chip) -> np.ndarray:

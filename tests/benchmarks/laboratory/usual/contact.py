@@ -10,11 +10,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from kc2spice.bodies.piezo_stack import free_displacements, ring_shapes
+from kc2spice.bodies.piezo_stack import stack_setup
 from kc2spice.bodies.pressure import ITERATIONS
 from kc2spice.core.errors import SimulationError
 from kc2spice.fem.piezo.keys import Chip
-from kc2spice.fem.piezo.mesh import kick_mesh
 
 
 @dataclass(frozen=True)
@@ -46,9 +45,8 @@ def contact_surface(kick: Chip, stiffness: float, radius: float) -> ContactSurfa
 
     ``stiffness`` [N/m] is that of a ring of the sector, ``radius`` [m] the sphere's.
     """
-    mesh = kick_mesh(kick)
-    free = free_displacements(mesh, kick)
-    rings = np.column_stack([each.weights[free] for each in ring_shapes(mesh, kick.poling)])
+    _, setup = stack_setup(kick)
+    rings = np.column_stack([each.weights[~setup.fixed] for each in setup.shapes])
     radii = kick.mesh.ring_spacing * np.arange(rings.shape[1])
     gap, penalty = sphere_gap(radius, radii), np.full(radii.size, stiffness)
     return ContactSurface(rings, gap, penalty, np.arange(radii.size))
