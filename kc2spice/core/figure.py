@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 if TYPE_CHECKING:
@@ -110,3 +112,11 @@ def scale_axis(name: str, x: np.ndarray) -> tuple[str, float]:
     if name == "frequency":
         return ("frequency in kHz", 1e-3) if x[-1] > 5e3 else ("frequency in Hz", 1.0)
     return name, 1.0
+
+
+@dataclass(frozen=True)
+class Written:
+    """A further file of a run: ``write`` puts it where its argument says."""
+
+    name: str
+    write: Callable[[Path], None]

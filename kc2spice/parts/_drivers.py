@@ -70,7 +70,8 @@ class Driver(TemplatePart):
         if build.scene.analysis.type != "transient":
             return {}
         found = potentials(part, build, ("command", *self.terminals))
-        return found | {f"{part.name}.i": _through(part)}
+        read = f"@r.x{part.name.lower()}.rout[i]"
+        return found | {f"{part.name}.i": Vector(read, 1.0, "A", self.terminals[:1])}
 
     def checks(self, part: Part, build: Build, waves: Waveforms) -> Iterator[Check]:
         """Whether its load drives its output, behind all resistance, beyond its rails."""
@@ -83,9 +84,6 @@ class Driver(TemplatePart):
     def detail(self, part: Part, scene: Scene) -> str:
         given = (f"{key} {value:g}" for key, value in part.keys if value is not None)
         return f"{self.name}, " + ", ".join(given)
-
-    def current(self, part: Part, pin: str, build: Build) -> Vector | None:
-        return _through(part) if pin == self.terminals[0] else None
 
 
 class CoilDriver(Driver):
@@ -100,9 +98,6 @@ class CoilDriver(Driver):
     @abstractmethod
     def for_load(self, keys: Any, load: Load) -> tuple[tuple[Param, ...], Mapping[str, Any]]:
         """Parameters and values of its template for these coils."""
-
-    def current(self, part: Part, pin: str, build: Build) -> Vector | None:
-        return None
 
     def default_joins(self, part: Part, scene: Scene) -> Mapping[str, str]:
         control = scene.only("pid")
@@ -126,10 +121,6 @@ class CoilDriver(Driver):
         series = np.array([1.0, -1.0])
         inductance = float(series @ table.coenergy.inductances(height) @ series)
         return Load(inductance, float(table.resistance.sum()), float(current))
-
-
-def _through(part: Part) -> Vector:
-    return Vector(f"@r.x{part.name.lower()}.rout[i]", 1.0, "A")
 
 
 def _neighbour(part: Part, pin: str, scene: Scene, kind: str) -> Part | None:

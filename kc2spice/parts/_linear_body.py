@@ -19,7 +19,7 @@ from pydantic import Field
 from kc2spice.core import laws
 from kc2spice.core.cache import cached
 from kc2spice.core.errors import UsageError, unknown
-from kc2spice.core.figure import Figure
+from kc2spice.core.figure import Figure, Written
 from kc2spice.core.progress import Clock
 from kc2spice.core.quantities import Section, Voltage
 from kc2spice.core.waveforms import Waveforms, running
@@ -45,6 +45,7 @@ from kc2spice.scene.parttype import (
     Neglected,
     Rest,
     Vector,
+    current,
     numerics,
 )
 from kc2spice.scene.plausible import dimensions
@@ -107,7 +108,7 @@ class LinearBody(Touching):
     whole device with them.
     """
 
-    resistive = ("Rnoise",)
+    noise = ("Rnoise",)
     #: what the reduced model's head and ``explain`` call it
     source = "FE, linear"
 
@@ -159,7 +160,7 @@ class LinearBody(Touching):
         names = wanted(part, scene)
         known = {"base", "ground", "ref", *(t for p in every for t in (p.name, *p.terminals))}
         _require_ports(part, sorted(names - known), [port.name for port in every])
-        if scene.ports == "declared" and self.declares:
+        if scene.ports == "declared" and part.declares(scene):
             return every
         used = [
             p
@@ -566,7 +567,7 @@ class LinearBody(Touching):
         exactly = {} if pressed else answers
         return Balance(entries, float(np.abs(gap).max()), scale, STORED, exact=exactly)
 
-    def figures(self, part: Part, build: Build, waves: Waveforms) -> Iterator[Figure]:
+    def figures(self, part: Part, build: Build, waves: Waveforms) -> Iterator[Figure | Written]:
         yield from port_figures(part.name, waves)
         z = measured(part, waves)
         if z is not None:
@@ -632,7 +633,7 @@ class LinearBody(Touching):
         if rest:
             what = f"{part.name}: ports {', '.join(rest)}"
             why = "nothing of the scene needs them"
-            if self.declares:
+            if part.declares(scene):
                 why = "nothing joins them: a run leaves them out, an export keeps them"
             yield Neglected(what, why, "none")
         if tangent := loss_tangent(part):
@@ -738,7 +739,8 @@ def wanted(part: Part, scene: Scene) -> set[str]:
     for other in scene.parts.values():
         names = (*other.pins.values(), *other.type.default_joins(other, scene).values())
         found |= {name.removeprefix(prefix) for name in names if name.startswith(prefix)}
-        if part.name in other.type.replaces(other, scene):  # copies of it, with loads on all ports
+        # copies of it, with loads on all ports
+        if other.type.governs(other, scene).get(part.name) == "copied":
             found |= {port.name for port in part.type.ports(part, scene) if port.kind in ANSWERS}
     for probe in scene.probes.values():
         if probe.of.startswith((f"{prefix}u.", f"{prefix}angle.", f"{prefix}a.")):
@@ -866,7 +868,7 @@ def _electrical(part: Part, port: Port, prefix: str, build: Build) -> dict[str, 
     if len(joined) == 1:  # a source with other loads tells the sum of their currents
         ((name, pin),) = joined
         other = build.scene.parts[name]
-        meter = other.type.current(other, pin, build)
+        meter = current(other, pin, build)
         if meter is not None:
-            found[f"{prefix}.current"] = Vector(meter.expression, meter.factor, "A")
+            found[f"{prefix}.current"] = meter
     return found

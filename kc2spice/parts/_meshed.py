@@ -13,15 +13,14 @@ import re
 from abc import abstractmethod
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache
-from pathlib import Path
+from functools import lru_cache, partial
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import numpy as np
 from pydantic import Field
 
 from kc2spice.core.errors import UsageError
-from kc2spice.core.figure import Curve, Figure, Panel, Shape
+from kc2spice.core.figure import Curve, Figure, Panel, Shape, Written
 from kc2spice.core.quantities import Time
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.parts._linear_body import LinearBody, LinearKeys
@@ -147,22 +146,27 @@ class MeshedBody(LinearBody):
                 advice = _QUANTITIES[each.quantity][-1]
                 yield Check(name, each.value, each.limit, each.unit, advice, "warn")
 
-    def figures(self, part: Part, build: Build, waves: Waveforms) -> Iterator[Figure]:
+    def figures(self, part: Part, build: Build, waves: Waveforms) -> Iterator[Figure | Written]:
         yield from super().figures(part, build, waves)
         if part.keys.fields:
             yield from self._shapes(part, build)
         recovered = self.recovered(part, build, waves)
         if recovered is not None:
+            from kc2spice.bodies.fields import write_vtu
+
             yield _over_time(part.name, recovered)
             worst = recovered.worst
             said = f"the instant of the worst stress: {1e-6 * worst.value:.3g} MPa in "
             instants = {"": (worst.instant, said + worst.material)}
             instants |= {f"_{k}": (t, "as chosen") for k, t in enumerate(chosen(part), 1)}
             for stem, (t, what) in instants.items():
-                panel, factor = deformed(recovered.motion.device, *recovered.motion.at(t))
+                device, seen = recovered.motion.device, recovered.motion.at(t)
+                panel, factor = deformed(device, *seen)
                 caption = f"At {1e3 * t:.4g} ms, {what}; displacements times {factor:g}."
                 name = f"{part.name}_deformed{stem}"
                 yield Figure(name, f"Deformed {part.name}", caption, (panel,))
+                fields = partial(write_vtu, device=device, z=seen[0], voltages=seen[1])
+                yield Written(f"{part.name}_fields{stem}.vtu", fields)
 
     def _shapes(self, part: Part, build: Build) -> Iterator[Figure]:
         from kc2spice.bodies.fields import lowest_modes
@@ -179,20 +183,6 @@ class MeshedBody(LinearBody):
                 tuple(shapes(device, hertz, columns)),
                 columns=3,
             )
-
-    def write(self, part: Part, build: Build, waves: Waveforms, folder: Path) -> Iterator[str]:
-        recovered = self.recovered(part, build, waves)
-        if recovered is None:
-            return
-        from kc2spice.bodies.fields import write_vtu
-
-        motion = recovered.motion
-        instants = {"fields": recovered.worst.instant}
-        instants |= {f"fields_{k}": t for k, t in enumerate(chosen(part), 1)}
-        for stem, instant in instants.items():
-            name = f"{part.name}_{stem}.vtu"
-            write_vtu(folder / name, motion.device, *motion.at(instant))
-            yield name
 
     def recovered(self, part: Part, build: Build, waves: Waveforms) -> Recovered | None:
         """What the run says of the body's inside; None where nobody asks.

@@ -13,7 +13,7 @@ from kc2spice.core.units import BOLTZMANN, TEMPERATURE
 from kc2spice.netlist.circuit import Param, Subcircuit, positive
 from kc2spice.netlist.transforms import self_contained
 from kc2spice.scene.keys import model_keys
-from kc2spice.scene.model import Part, Terminal
+from kc2spice.scene.model import Part, Scene, Terminal
 from kc2spice.scene.parttype import Build, PartType
 from kc2spice.spice.header import ROOM, SIGN, Header, library
 
@@ -37,17 +37,21 @@ class InputNoise(Section):
 class TemplatePart(PartType):
     """A part whose cards are ``templates/TEMPLATE.j2``, with an amplifier of the level ``opamp``.
 
-    ``heading`` says in its library's first line what it is; ``constants`` are numbers of the
-    template that no key sets.
+    ``heading`` says in its library's first line what it is; ``fixed`` are its pins, ``constants``
+    numbers of the template that no key sets.
     """
 
     template: ClassVar[str]
     heading: ClassVar[str]
+    fixed: ClassVar[tuple[Terminal, ...]]
     rating: ClassVar[str]
     validity: ClassVar[str] = ROOM
     sign: ClassVar[str] = SIGN
     opamp: ClassVar[Level | None] = None
     constants: ClassVar[Mapping[str, float]] = {}
+
+    def pins(self, part: Part, scene: Scene) -> tuple[Terminal, ...]:
+        return self.fixed
 
     def design(self, part: Part, build: Build) -> tuple[tuple[Param, ...], Mapping[str, Any]]:
         """Parameters of its netlist, and further values that the template asks for."""

@@ -42,7 +42,7 @@ from kc2spice.bodies.device import (
 )
 from kc2spice.core.cache import cached
 from kc2spice.core.errors import UsageError
-from kc2spice.core.figure import Curve, Figure, Panel
+from kc2spice.core.figure import Curve, Figure, Panel, Written
 from kc2spice.core.foreign import beside
 from kc2spice.core.quantities import Count, Length, Notch, Section, validated
 from kc2spice.core.waveforms import Waveforms
@@ -378,7 +378,6 @@ class Body(MeshedBody):
     name = "body"
     title = "the user's own mesh (piezoelectric FE, reduced)"
     schema = BodyKeys
-    declares = True
     source = "FE (piezoelectric, the user's mesh)"
 
     def ports(self, part: Part, scene: Scene) -> tuple[Port, ...]:
@@ -417,7 +416,7 @@ class Body(MeshedBody):
     def full_key(self, part: Part, scene: Scene) -> dict[str, Any]:
         return {**super().full_key(part, scene), "file": file_stamp(_path(part, scene))}
 
-    def figures(self, part: Part, build: Build, waves: Waveforms) -> Iterator[Figure]:
+    def figures(self, part: Part, build: Build, waves: Waveforms) -> Iterator[Figure | Written]:
         """Its mesh, then what all bodies show."""
         x, y = cached(
             "outline",

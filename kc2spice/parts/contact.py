@@ -182,18 +182,15 @@ class Contact(PartType):
     def vectors(self, part: Part, build: Build) -> Mapping[str, Vector]:
         pair, card = Pair(part, build.scene), f"@b.x{part.name.lower()}.b{{}}[i]"
         each = {f"{part.name}.force.{r}": card.format(r.lower()) for r in pair.ports}
-        found = {f"{part.name}.force": Vector("+".join(each.values()), 1.0, "N")}
+        ends = ("v", "b", CARRIED), ("va",)
+        found = {f"{part.name}.force": Vector("+".join(each.values()), 1.0, "N", *ends)}
         if part.keys.friction:
-            found[f"{part.name}.friction"] = Vector(card.format("slide"), 1.0, "N")
+            row = Vector(card.format("slide"), 1.0, "N", ("rail",), ("slide",))
+            found[f"{part.name}.friction"] = row
         if (s := pair.flank) is not None:
             found[f"{part.name}.flank"] = Vector("+".join(each.values()), 1 / (2 * s), "N")
-        return found | {name: Vector(text, 1.0, "N") for name, text in each.items()}
-
-    def force_on(self, part: Part, pin: str, build: Build, waves: Waveforms) -> np.ndarray | None:
-        words = dict.fromkeys(("v", "b", CARRIED, "va"), "force")
-        words |= dict.fromkeys(("slide", "rail"), "friction")
-        force = waves.data.get(f"{part.name}.{words.get(pin, f'force.{pin}')}")
-        return force if force is None or pin in ("v", "b", CARRIED, "rail") else -force
+        rows = zip(pair.ports, each.items(), strict=True)
+        return found | {n: Vector(text, 1.0, "N", enters=(port,)) for port, (n, text) in rows}
 
     def metrics(self, part: Part, build: Build, waves: Waveforms) -> Mapping[str, Any]:
         pair = Pair(part, build.scene)
@@ -207,8 +204,17 @@ class Contact(PartType):
             "launch_time_s": launch[0] if launch else None,
         }
 
-    def checks(self, part: Part, build: Build, waves: Waveforms) -> Iterator[Check | Balance]:
-        pair = Pair(part, build.scene)
+    def checks(
+        self, part: Part, build: Build, waves: Waveforms
+    ) -> Iterator[Check | Balance | Gate]:
+        pair, gates = Pair(part, build.scene), build.scene.gates
+        if "time" in waves and not pair.thrown:
+            steps = stepping(build.scene.solver)
+            certificate = getattr(build.models.get(pair.a.part), "certificate", None)
+            reduced = REDUCED * certificate.error_estimate if certificate else BEYOND
+            limits = dict.fromkeys(PAIRS, gates.launch_full_model or steps + reduced)
+            limits["ngspice_vs_rom"] = gates.launch_velocity or steps
+            yield Gate("launch velocity", "launch_velocity_m_s", limits, leads=True)
         place = pair.place(waves)
         if "time" in waves:
             yield from _events(pair, waves)
@@ -241,16 +247,6 @@ class Contact(PartType):
         panel = Panel(x, "contact force in N", tuple(curves))
         caption = f"Force between {sides}, whole device, at each port that closes."
         yield Figure(f"{part.name}_force", f"Contact of {sides}", caption, (panel,))
-
-    def gates(self, part: Part, build: Build) -> Iterator[Gate]:
-        pair, gates = Pair(part, build.scene), build.scene.gates
-        if build.scene.analysis.type == "transient" and not pair.thrown:
-            steps = stepping(build.scene.solver)
-            certificate = getattr(build.models.get(pair.a.part), "certificate", None)
-            reduced = REDUCED * certificate.error_estimate if certificate else BEYOND
-            limits = dict.fromkeys(PAIRS, gates.launch_full_model or steps + reduced)
-            limits["ngspice_vs_rom"] = gates.launch_velocity or steps
-            yield Gate("launch velocity", "launch_velocity_m_s", limits, leads=True)
 
     def law(self, part: Part, build: Build) -> laws.Equations:
         n, pair = part.name, Pair(part, build.scene)

@@ -44,7 +44,6 @@ class Controller(PartType):
     title = "controller that is a Python function, sampled"
     schema = ControllerKeys
     source = "Python function"
-    controls = True
     example = """
 [controller]
 part = "controller"

@@ -16,8 +16,8 @@ from kc2spice.core.waveforms import Waveforms
 from kc2spice.netlist.cards import number
 from kc2spice.parts.ring_magnet_coils import sphere_of
 from kc2spice.scene.judge import PAIRS, Check, Gate
-from kc2spice.scene.model import Analysis, Part, Scene, Terminal
-from kc2spice.scene.parttype import Build, PartType, Swept, Vector, register
+from kc2spice.scene.model import Part, Scene, Terminal
+from kc2spice.scene.parttype import Build, Governed, PartType, Swept, Vector, register
 
 HEIGHTS = 2001  # at which the lookup is read: five per segment
 
@@ -33,16 +33,16 @@ class CurrentCases(PartType):
     title = "force on a sphere over height for every pair of coil currents"
     schema = CurrentCasesKeys
     source = "ideal sources"
-    fixed = (Terminal("y", "um", "-", signal_out=True), Terminal("v", "m/s", "N", "gnd"))
 
-    def analysis(self, part: Part, scene: Scene) -> Analysis:
-        return Analysis(type="dc", sweep=f"{part.name}.height", points=HEIGHTS)
+    def expand(self, part: Part, data: Mapping[str, Any]) -> Mapping[str, Mapping[str, Any]]:
+        sweep = {"type": "dc", "sweep": f"{part.name}.height", "points": HEIGHTS}
+        return {"analysis": sweep}
 
-    def moves(self, part: Part, scene: Scene) -> Mapping[str, None]:
-        return {_sphere(part, scene): None}
+    def pins(self, part: Part, scene: Scene) -> tuple[Terminal, ...]:
+        return Terminal("y", "um", "-", signal_out=True), Terminal("v", "m/s", "N", "gnd")
 
-    def replaces(self, part: Part, scene: Scene) -> tuple[str, ...]:
-        return (_coils(part, scene).name,)
+    def governs(self, part: Part, scene: Scene) -> Mapping[str, Governed]:
+        return {_sphere(part, scene): "moved", _coils(part, scene).name: "copied"}
 
     def cards(self, part: Part, build: Build) -> tuple[str, ...]:
         library, y = build.libraries[_coils(part, build.scene).name], build.net(part, "y")
@@ -78,12 +78,6 @@ class CurrentCases(PartType):
             "force_n": [force.tolist() for force in forces],
         }
 
-    def gates(self, part: Part, build: Build) -> Iterator[Gate]:
-        gates = build.scene.gates
-        limits = dict.fromkeys(PAIRS, gates.field) | {"ngspice_vs_rom": gates.lookup}
-        of = f"{_coils(part, build.scene).name}.force.*"
-        yield Gate("force, of the largest", of, limits, "largest", leads=True)
-
     def law(self, part: Part, build: Build) -> laws.Equations:
         """The height is a source's; a force on it is the reaction to what the coils exert."""
         n, sphere, coils = part.name, _sphere(part, build.scene), _coils(part, build.scene)
@@ -102,7 +96,7 @@ class CurrentCases(PartType):
             tuple(found), (("y", f"{n}.out"),), results, {"height": (n, 1.0)}, (height, *nets)
         )
 
-    def checks(self, part: Part, build: Build, waves: Waveforms) -> Iterator[Check]:
+    def checks(self, part: Part, build: Build, waves: Waveforms) -> Iterator[Check | Gate]:
         """Largest change of slope from one segment of the lookup to the next, of the largest slope;
         the heights are finer than the lookup, so that a jump shows at full size."""
         forces = np.array([waves[name] for name in _forces(part, build)])
@@ -112,6 +106,10 @@ class CurrentCases(PartType):
         advice = f"raise {_coils(part, build.scene).name}.points"
         name, unit = "jump of the lookup's slope", "of the largest slope"
         yield Check(name, jump, limit, unit, advice, "warn")
+        gates = build.scene.gates
+        limits = dict.fromkeys(PAIRS, gates.field) | {"ngspice_vs_rom": gates.lookup}
+        of = f"{_coils(part, build.scene).name}.force.*"
+        yield Gate("force, of the largest", of, limits, "largest", leads=True)
 
     def detail(self, part: Part, scene: Scene) -> str:
         return f"{len(cases(part))} pairs of currents"

@@ -51,11 +51,8 @@ class Diode(TemplatePart):
         return params, {}
 
     def vectors(self, part: Part, build: Build) -> Mapping[str, Vector]:
-        return {f"{part.name}.i": Vector(f"@d.x{part.name.lower()}.djunction[id]", 1.0, "A")}
-
-    def current(self, part: Part, pin: str, build: Build) -> Vector | None:
-        sign = -1.0 if pin == "anode" else 1.0
-        return Vector(f"@d.x{part.name.lower()}.djunction[id]", sign, "A")
+        read, ends = f"@d.x{part.name.lower()}.djunction[id]", (("cathode",), ("anode",))
+        return {f"{part.name}.i": Vector(read, 1.0, "A", *ends)}
 
     def detail(self, part: Part, scene: Scene) -> str:
         keys = part.keys

@@ -40,7 +40,7 @@ class Amplifier(Driver):
     name, title = "amplifier", "high-voltage amplifier with slew rate and current limit"
     schema = AmplifierKeys
     template, heading = "driver_amplifier", "high-voltage amplifier for the chip"
-    resistive = ("R", "Rout")
+    noise = ("R", "Rout")
     constants: ClassVar = {"sink": -10}  # V, the lower rail
 
     def rails(self, keys: Any) -> tuple[float, float]:
@@ -65,7 +65,7 @@ class ChargeDrive(Driver):
     name, title = "charge_drive", "charge drive for a floating capacitive load"
     schema = ChargeKeys
     template, heading = "driver_charge", "charge drive for the chip"
-    resistive = ("Rout", "Rsense", "Rchip")
+    noise = ("Rout", "Rsense", "Rchip")
     terminals, fixed = ("anode", "cathode"), ends("anode", "cathode")
 
     def rails(self, keys: Any) -> tuple[float, float]:
@@ -89,7 +89,7 @@ class HalfBridge(Driver):
     name, title = "half_bridge", "half-bridge with gate resistors and reservoir"
     schema = HalfBridgeKeys
     template, heading = "driver_half_bridge", "half-bridge for the chip"
-    resistive = ("Rout", "Rsupply", "Rhigh", "Rlow")
+    noise = ("Rout", "Rsupply", "Rhigh", "Rlow")
     opamp = None
 
 
@@ -105,7 +105,7 @@ class LinearDrive(CoilDriver):
     name, title = "linear_drive", "current source for coils, linear amplifier between two rails"
     schema = LinearKeys
     template, heading = "driver_linear", "current source for the coils"
-    resistive = ("R", "Rout", "Rsense")
+    noise = ("R", "Rout", "Rsense")
     constants: ClassVar = {"sense": SENSE}
 
     def for_load(self, keys: Any, load: Load) -> tuple[tuple[Param, ...], Mapping[str, Any]]:

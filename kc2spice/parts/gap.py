@@ -97,8 +97,6 @@ class Patched(DeclaredPart):
 class Gap(Patched):
     """The part type; how many branches it has is up to its keys."""
 
-    noise = "thermal noise of the film at 27 C"
-
     def declared(self, part: Part, scene: Scene) -> Declaration:
         return _declared(part.keys.model_dump_json(), len(patches(part, scene)))
 

@@ -133,7 +133,7 @@ def start(part: Part, build: Build) -> tuple[float, float] | None:
     if _given(part):
         for name, pin in scene.joined(part.name, "a"):
             other = scene.parts[name]
-            moved = other.type.name == part.type.name or other.type.reduced
+            moved = other.type.name == part.type.name or other.reduced
             if moved or other.type.at_rest(other, scene).ideal:
                 problem = "begins where and as fast as what it is fixed to"
                 hint = "a stiff spring between both lets each have its own"

@@ -34,7 +34,6 @@ class Matrices(LinearBody):
     name = "matrices"
     title = "linear model from the matrices of another tool, reduced"
     schema = MatricesKeys
-    declares = True
     source = "matrices of another tool"
 
     def ports(self, part: Part, scene: Scene) -> tuple[Port, ...]:

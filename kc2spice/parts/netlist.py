@@ -23,7 +23,7 @@ from kc2spice.netlist.scope import Scope, circuit, has_vector
 from kc2spice.parts._drivers import SLACK, potentials, within
 from kc2spice.scene.judge import Check
 from kc2spice.scene.model import FileName, Part, Scene, Terminal
-from kc2spice.scene.parttype import Build, PartType, Vector, register
+from kc2spice.scene.parttype import Build, Numerics, PartType, Vector, register
 
 # Letter of an element and its parameter that is its current; "" for those that have a branch.
 _CURRENTS = {"r": "i", "c": "i", "l": "i", "b": "i", "d": "id", "m": "id", "j": "id", "q": "ic",
@@ -113,9 +113,9 @@ class Netlist(PartType):
             if name not in pins:
                 yield part.wrong("ratings", "no such pin", name, ", ".join(pins))
 
-    def excites(self, part: Part, scene: Scene) -> bool:
-        """Whether a source of the file has an ``AC`` value."""
-        return _read(part.keys.file, scene.home, _stamp(part, scene)).excites
+    def numerics(self, part: Part, scene: Scene) -> Iterator[Numerics]:
+        drives = _read(part.keys.file, scene.home, _stamp(part, scene)).excites
+        yield Numerics(f"a source with AC of {part.name}", drives=drives)
 
     def library(self, part: Part, scene: Scene) -> str:
         return str(part.keys.subckt)

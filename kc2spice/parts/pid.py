@@ -135,7 +135,6 @@ class Pid(PartType):
     name = "pid"
     title = "PID controller of a sphere's height"
     schema = Control
-    controls = True
 
     def expand(self, part: Part, data: Mapping[str, Any]) -> Mapping[str, Mapping[str, Any]]:
         switching, pins = part.keys.switching, {"out": f"{part.name}.enable"}

@@ -19,8 +19,8 @@ from kc2spice.core.waveforms import Waveforms
 from kc2spice.netlist.cards import number
 from kc2spice.parts.two_terminal_types import element
 from kc2spice.scene.judge import PAIRS, Gate
-from kc2spice.scene.model import Analysis, Part, Scene
-from kc2spice.scene.parttype import Build, PartType, Vector, register
+from kc2spice.scene.model import Part, Scene
+from kc2spice.scene.parttype import Build, Governed, Numerics, PartType, Vector, register
 
 SPECK = 1e-24  # F; in series with 1/SPECK volts it carries one coulomb, whatever the anode does
 
@@ -40,13 +40,13 @@ class PortLoads(PartType):
     schema = PortLoadsKeys
     source = "unit loads"
 
-    def analysis(self, part: Part, scene: Scene) -> Analysis:
-        keys = part.keys
-        first = keys.start + (keys.stop - keys.start) / keys.steps
-        return Analysis(type="ac", start=first, stop=keys.stop, points=keys.steps, scale="linear")
+    def expand(self, part: Part, data: Mapping[str, Any]) -> Mapping[str, Mapping[str, Any]]:
+        start, stop, points = part.keys.start, part.keys.stop, part.keys.steps
+        linear = {"scale": "linear", "points": points, "stop": stop}
+        return {"analysis": {"type": "ac", "start": start + (stop - start) / points, **linear}}
 
-    def excites(self, part: Part, scene: Scene) -> bool:
-        return True
+    def numerics(self, part: Part, scene: Scene) -> Iterator[Numerics]:
+        yield Numerics(part.name, drives=True)
 
     def problems(self, part: Part, scene: Scene) -> Iterator[UsageError]:
         body_of(part, scene)
@@ -58,8 +58,8 @@ class PortLoads(PartType):
                 "start < stop",
             )
 
-    def replaces(self, part: Part, scene: Scene) -> tuple[str, ...]:
-        return (body_of(part, scene).name,)
+    def governs(self, part: Part, scene: Scene) -> Mapping[str, Governed]:
+        return {body_of(part, scene).name: "copied"}
 
     def cards(self, part: Part, build: Build) -> tuple[str, ...]:
         body, own = body_of(part, build.scene), partial(build.own, part)
@@ -110,7 +110,7 @@ class PortLoads(PartType):
                 amplitude.setdefault(source, {})[sink] = np.abs(response).tolist()
         return {"frequency_hz": waves["frequency"].tolist(), "amplitude": amplitude}
 
-    def gates(self, part: Part, build: Build) -> Iterator[Gate]:
+    def checks(self, part: Part, build: Build, waves: Waveforms) -> Iterator[Gate]:
         """What was asked of the reduction bounds what it may cost."""
         gates, asked = build.scene.gates, body_of(part, build.scene).keys.rom or build.scene.rom
         rom = min(gates.harmonic_rom, asked.tolerance or gates.harmonic_rom)
@@ -177,7 +177,7 @@ def body_of(part: Part, scene: Scene) -> Part:
     """
     if part.keys.of is not None:
         return scene.part(part.keys.of, f"{part.name}.of")
-    found = [p for p in scene.parts.values() if p.type.reduced]
+    found = [p for p in scene.parts.values() if p.reduced]
     if len(found) != 1:
         problem = f"{part.name} needs to know which body it loads"
         got, hint = ", ".join(p.name for p in found) or "no body", "add [kick]; an empty table "

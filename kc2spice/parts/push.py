@@ -15,8 +15,8 @@ from kc2spice.core.waveforms import Waveforms
 from kc2spice.parts._touching import Penetration, Touching, only_pair
 from kc2spice.parts.throw import sphere
 from kc2spice.scene.judge import Gate, Measure
-from kc2spice.scene.model import Analysis, Part, Scene, Terminal
-from kc2spice.scene.parttype import Build, Numerics, Swept, Vector, register
+from kc2spice.scene.model import Part, Scene, Terminal
+from kc2spice.scene.parttype import Build, Governed, Numerics, Swept, Vector, register
 
 
 class PushKeys(Section):
@@ -32,14 +32,16 @@ class Push(Touching):
     title = "sphere pushed down in equal steps, each an operating point"
     schema = PushKeys
     source = "prescribed"
-    fixed = (Terminal("bottom", "um", "-", signal_out=True), Terminal("v", "m/s", "N", "gnd"))
 
-    def analysis(self, part: Part, scene: Scene) -> Analysis:
+    def expand(self, part: Part, data: Mapping[str, Any]) -> Mapping[str, Mapping[str, Any]]:
         points = part.keys.steps + 1
-        return Analysis(type="dc", sweep=f"{part.name}.depth", points=points)
+        return {"analysis": {"type": "dc", "sweep": f"{part.name}.depth", "points": points}}
 
-    def moves(self, part: Part, scene: Scene) -> Mapping[str, None]:
-        return {sphere(part, scene).name: None}
+    def pins(self, part: Part, scene: Scene) -> tuple[Terminal, ...]:
+        return Terminal("bottom", "um", "-", signal_out=True), Terminal("v", "m/s", "N", "gnd")
+
+    def governs(self, part: Part, scene: Scene) -> Mapping[str, Governed]:
+        return {sphere(part, scene).name: "moved"}
 
     def problems(self, part: Part, scene: Scene) -> Iterator[UsageError]:
         ball = sphere(part, scene)
@@ -90,7 +92,7 @@ class Push(Touching):
             "force_n": force.tolist(),
         }
 
-    def gates(self, part: Part, build: Build) -> Iterator[Gate]:
+    def checks(self, part: Part, build: Build, waves: Waveforms) -> Iterator[Gate]:
         pair, gates = only_pair(build.scene), build.scene.gates
         assert pair is not None
         # The first depths are contacts of one hat, which the law does not resolve: all errors are

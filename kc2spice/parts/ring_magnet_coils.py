@@ -11,7 +11,6 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from itertools import combinations
-from pathlib import Path
 from typing import Annotated, Any, Literal, NamedTuple
 
 import numpy as np
@@ -20,7 +19,7 @@ from pydantic import Field
 from kc2spice.core import laws
 from kc2spice.core.cache import cached
 from kc2spice.core.errors import UsageError
-from kc2spice.core.figure import Curve, Figure, Panel, Shape
+from kc2spice.core.figure import Curve, Figure, Panel, Shape, Written
 from kc2spice.core.magnets import CoilForce, PositionForce
 from kc2spice.core.piecewise import cubic_spline
 from kc2spice.core.quantities import si
@@ -509,14 +508,7 @@ class RingMagnetCoils(Touching):
         advice += "or kick it less"
         yield Check("table_left", beyond(build.model(part), y), 0.0, "m", advice, action)
 
-    def write(self, part: Part, build: Build, waves: Waveforms, folder: Path) -> tuple[str, ...]:
-        table = build.model(part)
-        file = "em_table.npz" if len(build.scene.of(self.name)) == 1 else f"{part.name}_table.npz"
-        arrays = {name: getattr(table, name) for name in ("y", *FORCE)}
-        np.savez_compressed(folder / file, **arrays)
-        return (file,)
-
-    def figures(self, part: Part, build: Build, waves: Waveforms) -> Iterator[Figure]:
+    def figures(self, part: Part, build: Build, waves: Waveforms) -> Iterator[Figure | Written]:
         prefix = label(part)
         names = [f"{prefix}.{coil}.current" for coil in ("upper", "lower")]
         if "time" in waves and all(name in waves for name in names):
@@ -534,6 +526,10 @@ class RingMagnetCoils(Touching):
         if real(part, build.scene):
             yield coil_impedance(part, build)
         yield force_map(part, build)
+        table, alone = build.model(part), len(build.scene.of(self.name)) == 1
+        arrays = {name: getattr(table, name) for name in ("y", *FORCE)}
+        file = "em_table.npz" if alone else f"{part.name}_table.npz"
+        yield Written(file, lambda path: np.savez_compressed(path, **arrays))
 
     def detail(self, part: Part, scene: Scene) -> str:
         detail = f"{part.keys.positions} heights, force quadratic in both coil currents (exact)"

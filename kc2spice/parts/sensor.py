@@ -35,7 +35,7 @@ class Sensor(TemplatePart):
     schema = SensorKeys
     source = "closed form"
     template, heading = "sensor", "position sensor"
-    resistive = ("Rnoise",)
+    noise = ("Rnoise",)
     rating = "no range: compare the reading with that of your sensor"
     validity = "linear, one pole, constant temperature"
     fixed = (

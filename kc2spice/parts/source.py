@@ -143,6 +143,7 @@ class Source(PartType):
 
     def numerics(self, part: Part, scene: Scene) -> Iterator[Numerics]:
         yield from drive_scales(part.name, part.keys.waveform(scene.home))
+        yield Numerics(part.name, drives=quantity(part.keys.ac, part.keys.unit) != 0)
 
     def at_rest(self, part: Part, scene: Scene, model: Any | None = None) -> Rest:
         pair = (("out", "ret"),)
@@ -165,9 +166,6 @@ class Source(PartType):
         ac = f" AC {number(size)}" if size else ""
         return (f"{kind.letter}{part.name} {' '.join(ends)} {text}{ac}",)
 
-    def excites(self, part: Part, scene: Scene) -> bool:
-        return quantity(part.keys.ac, part.keys.unit) != 0
-
     def settable(self, part: Part, build: Build) -> Mapping[str, Swept]:
         kind = KINDS[part.keys.kind]
         if _returns(part, build.scene):
@@ -178,25 +176,16 @@ class Source(PartType):
         n, kind, found = part.name, KINDS[part.keys.kind], {}
         word, si = kind.through
         if kind.letter == "V":
-            found[f"{n}.{word}"] = Vector(f"i(v{n.lower()})", -1.0, si)
+            found[f"{n}.{word}"] = Vector(f"i(v{n.lower()})", -1.0, si, ("out",), ("ret",))
         elif build.scene.analysis.type == "transient":
-            found[f"{n}.{word}"] = Vector(f"@i{n.lower()}[current]", 1.0, si)
+            pushed = (("out",), ("ret",)) if si == "N" else ()
+            found[f"{n}.{word}"] = Vector(f"@i{n.lower()}[current]", 1.0, si, *pushed)
         out, ret = build.net(part, "out"), build.net(part, "ret")
         if out != ret and (kind.letter == "V" or ret == "0"):
             word, si = kind.across
             ends = "".join(f"{s}v({net})" for s, net in (("", out), ("-", ret)) if net != "0")
             found[f"{n}.{word}"] = Vector(ends, 1e-6 if si == "m" else 1.0, si)
         return found
-
-    def current(self, part: Part, pin: str, build: Build) -> Vector | None:
-        if KINDS[part.keys.kind].letter != "V":
-            return None
-        sign = -1.0 if pin == "out" else 1.0
-        return Vector(f"i(v{part.name.lower()})", sign, "A")
-
-    def force_on(self, part: Part, pin: str, build: Build, waves: Waveforms) -> np.ndarray | None:
-        found = waves.data.get(f"{part.name}.force")
-        return found if pin == "out" or found is None else -found
 
     def checks(self, part: Part, build: Build, waves: Waveforms) -> Iterator[Check]:
         """The source did what it says: compared over the whole run, at every time point."""

@@ -83,7 +83,7 @@ class Sphere(Touching):
     title = "rigid sphere, vertical motion"
     schema = SphereKeys
     source = "closed form"
-    fixed = (
+    terminals = (
         Terminal("v", "m/s", "N"),
         Terminal("bottom", "um", "-", signal_out=True),
         Terminal("y", "um", "-", signal_out=True),
@@ -97,10 +97,10 @@ class Sphere(Touching):
         return {_carried(part): table if given is True else {**given, **table}}
 
     def pins(self, part: Part, scene: Scene) -> tuple[Terminal, ...]:
-        return () if _moved(part, scene) else self.fixed
+        return () if _moved(part, scene) else self.terminals
 
     def problems(self, part: Part, scene: Scene) -> Iterator[UsageError]:
-        bodies = [p.name for p in scene.parts.values() if p.type.reduced]
+        bodies = [p.name for p in scene.parts.values() if p.reduced]
         if bodies and not scene.of("contact") and scene.analysis.type == "transient":
             yield UsageError(
                 "nothing touches the sphere",
@@ -126,7 +126,7 @@ class Sphere(Touching):
         r, label = part.keys.radius, f"{part.name}: radius {1e3 * part.keys.radius:g} mm"
         yield Shape(0.0, r, 2 * r, 2 * r, "metal", label, round=True)
 
-    def moves(self, part: Part, scene: Scene) -> Mapping[str, State]:
+    def governs(self, part: Part, scene: Scene) -> Mapping[str, State]:
         keys = part.keys
         given = keys.velocity or keys.height
         return {part.name: State(keys.velocity, keys.height)} if given else {}
@@ -161,13 +161,20 @@ class Sphere(Touching):
         rising = v is not None and y[-1] == y.max() and v[-1] > 0
         return found | {"still_rising": True} if rising else found
 
-    def checks(self, part: Part, build: Build, waves: Waveforms) -> Iterator[Balance]:
+    def checks(self, part: Part, build: Build, waves: Waveforms) -> Iterator[Balance | Gate]:
         """Work of all forces on the sphere against its kinetic energy.
 
         The scale is all work that was turned over, in whichever direction.
         """
         if "time" not in waves or f"{part.name}.v" not in waves:
             return
+        scene, words, of = build.scene, f"height of {part.name}", f"{part.name}.y"
+        if part.name not in begins(scene):
+            given, usual = scene.gates.trajectory, {"ngspice_vs_rom": stepping(scene.solver)}
+            if given is None:
+                yield Gate(f"{words} over its way", of, usual, "travel")
+            else:
+                yield Gate(words, of, {"ngspice_vs_rom": given}, "absolute", "m")
         t, v, mass = waves["time"], waves[f"{part.name}.v"], part.keys.mass
         forces = {"weight": np.full_like(t, -mass * build.scene.gravity)}
         for name, pin in build.scene.joined(part.name, "v"):
@@ -197,17 +204,6 @@ class Sphere(Touching):
         panel = Panel("time in ms", "height of the centre in mm", (path,), levels, bands)
         caption = f"Vertical position of {part.name}."
         yield Figure(f"{part.name}_trajectory", f"Path of {part.name}", caption, (panel,))
-
-    def gates(self, part: Part, build: Build) -> Iterator[Gate]:
-        scene, words, of = build.scene, f"height of {part.name}", f"{part.name}.y"
-        if scene.analysis.type != "transient" or part.name in begins(scene):
-            return
-        if (given := scene.gates.trajectory) is not None:
-            yield Gate(words, of, {"ngspice_vs_rom": given}, "absolute", "m")
-        else:
-            yield Gate(
-                f"{words} over its way", of, {"ngspice_vs_rom": stepping(scene.solver)}, "travel"
-            )
 
     def law(self, part: Part, build: Build) -> laws.Equations:
         """Its coordinate is the height of its lowest point over touching."""
@@ -317,7 +313,7 @@ def sphere_subcircuit(
         header,
         name,
         Sphere.title,
-        Sphere.fixed,
+        Sphere.terminals,
         params,
         rating="none: rigid",
         validity="rigid, in vacuum, at any temperature; moves along its axis only",

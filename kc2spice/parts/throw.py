@@ -52,7 +52,7 @@ class Throw(Touching):
                 "negative (downwards)",
             )
 
-    def moves(self, part: Part, scene: Scene) -> Mapping[str, State]:
+    def governs(self, part: Part, scene: Scene) -> Mapping[str, State]:
         return {sphere(part, scene).name: State(part.keys.velocity, part.keys.gap)}
 
     def numerics(self, part: Part, scene: Scene) -> Iterator[Numerics]:
@@ -82,7 +82,7 @@ class Throw(Touching):
             "max_force_n": float(force.max() / pair.a.sectors),
         }
 
-    def gates(self, part: Part, build: Build) -> Iterator[Gate]:
+    def checks(self, part: Part, build: Build, waves: Waveforms) -> Iterator[Gate]:
         gates, ball = build.scene.gates, sphere(part, build.scene).name
         pair = only_pair(build.scene)
         hats = pair.unresolved() if pair else 0.0

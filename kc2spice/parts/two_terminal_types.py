@@ -142,10 +142,11 @@ class LinearElement(DeclaredPart):
         across, n = across_pins(build, part, self.branch), part.name
         unit = "N" if self.branch.kind == "displacement" else "A"
         if self._letter == "R":
-            through = Vector(across, self._number(part, times(self._unit, self.linear[1])), unit)
+            factor = self._number(part, times(self._unit, self.linear[1]))
+            through = Vector(across, factor, unit, ("b",), ("a",))
         else:
             own = _meter(part, build) if self._letter == "C" else f"l{n}"
-            through = Vector(f"i({own.lower()})", 1.0, unit)
+            through = Vector(f"i({own.lower()})", 1.0, unit, ("b",), ("a",))
         if unit == "N":
             return {f"{n}.{self.branch.through}": through}
         return {f"{n}.v": Vector(across, 1.0, "V"), f"{n}.i": through}

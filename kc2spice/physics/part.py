@@ -51,7 +51,7 @@ class DeclaredPart(PartType):
             title=declaration.title,
             schema=declaration.keys,
             example=declaration.example,
-            resistive=("Rnoise",) if noisy(declaration) else (),
+            noise=("Rnoise",) if noisy(declaration) else (),
         )
 
     # --- pins and netlist -------------------------------------------------------------------
@@ -135,24 +135,9 @@ class DeclaredPart(PartType):
                 if across:
                     found[f"{part.name}.{b.across}"] = Vector(across, 1.0, unit)
                 through = f"i(v.x{part.name}.{meter(b)})"
-            found[f"{part.name}.{b.through}"] = Vector(through.lower(), 1.0, flow)
+            ends = (b.minus,), (b.plus,)
+            found[f"{part.name}.{b.through}"] = Vector(through.lower(), 1.0, flow, *ends)
         return found
-
-    def current(self, part: Part, pin: str, build: Build) -> Vector | None:
-        found = [b for b in self.built(part, build).branches if pin in (b.plus, b.minus)]
-        if len(found) != 1 or found[0].kind == "displacement":
-            return None
-        vector = self.vectors(part, build)[f"{part.name}.{found[0].through}"]
-        sign = -1.0 if pin == found[0].plus else 1.0
-        return Vector(vector.expression, sign * vector.factor, "A")
-
-    def force_on(self, part: Part, pin: str, build: Build, waves: Waveforms) -> np.ndarray | None:
-        total = None
-        for b in self.built(part, build).branches:
-            wave = waves.data.get(f"{part.name}.{b.through}")
-            if b.kind == "displacement" and pin in (b.plus, b.minus) and wave is not None:
-                total = (0.0 if total is None else total) + (-wave if pin == b.plus else wave)
-        return total
 
     def law(self, part: Part, build: Build) -> laws.Equations:
         n, d = part.name, self.built(part, build)

@@ -64,7 +64,7 @@ def _side_by_side(scene: Scene) -> list[Shape]:
     end = None
     for part in scene.parts.values():
         shapes = list(part.type.outline(part, scene))
-        if part.type.reduced and shapes:
+        if part.reduced and shapes:
             half = max(s.width for s in shapes) / 2
             move = 0.0 if end is None else end + 1.5 * half
             end = move + half

@@ -15,7 +15,7 @@ from typing import Any, TypeVar
 
 from kc2spice.core.errors import UsageError, did_you_mean, unknown
 from kc2spice.scene.model import GROUND, Names, Part, Scene, Terminal
-from kc2spice.scene.parttype import METER, Build, PartType
+from kc2spice.scene.parttype import METER, Build, PartType, current
 
 Pin = tuple[str, str]
 Key = TypeVar("Key", bound=Hashable)
@@ -179,9 +179,9 @@ def metered(scene: Scene) -> Iterator[tuple[str, str]]:
 
 def _told(part: Part, pin: str, scene: Scene) -> bool:
     """Whether the one part at this pin of a body tells what goes into it."""
-    joined = scene.joined(part.name, pin) if part.type.reduced else ()
+    joined = scene.joined(part.name, pin) if part.reduced else ()
     others = [(scene.parts[name], end) for name, end in joined]
-    return len(others) == 1 and others[0][0].type.current(*others[0], Build(scene, {})) is not None
+    return len(others) == 1 and current(*others[0], Build(scene, {})) is not None
 
 
 def allocated(wanted: Iterable[tuple[Key, str]], taken: Collection[str]) -> dict[Key, str]:

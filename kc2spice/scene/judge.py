@@ -77,10 +77,11 @@ class Balance:
 
 @dataclass(frozen=True)
 class Verdict:
-    """All checks of a run, and the energy balances behind some of them."""
+    """All checks of a run, the energy balances behind some of them, and the gates of ``verify``."""
 
     checks: tuple[Check, ...] = ()
     balances: tuple[tuple[str, Balance], ...] = ()
+    gates: tuple[Gate, ...] = ()
 
 
 def require(checks: tuple[Check, ...], where: str) -> None:

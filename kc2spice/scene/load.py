@@ -27,8 +27,8 @@ from kc2spice.core.foreign import (
 )
 from kc2spice.scene.checks import problems
 from kc2spice.scene.compose import allocated, composed
-from kc2spice.scene.model import GROUND, SHORT, Frame, Part, Scene
-from kc2spice.scene.parttype import Build, PartType, part_type, type_names
+from kc2spice.scene.model import GROUND, SHORT, Analysis, Frame, Part, Scene
+from kc2spice.scene.parttype import Build, PartType, numerics, part_type, type_names
 from kc2spice.scene.plausible import drives, judged
 from kc2spice.scene.rest import unsettled
 
@@ -108,8 +108,12 @@ def _scene(data: dict[str, Any], home: Path) -> Scene:
     for name, kind in types.items():
         short = () if "part" in data[name] else tuple(data)
         parts[name] = _part(name, data[name], kind, home, short=short)
+    asked = None
     for part in list(parts.values()):
         for name, table in part.type.expand(part, data).items():
+            if name == "analysis":
+                asked = asked or _validated(Analysis, table, (part.name,))
+                continue
             if name.lower() in map(str.lower, parts):
                 expected = f"another name: {part.name} brings a part of this one along"
                 raise UsageError("this name is taken", where=name, got=name, expected=expected)
@@ -117,10 +121,8 @@ def _scene(data: dict[str, Any], home: Path) -> Scene:
             at = tuple(table.get("at", (name,)))
             parts[name] = _part(name, own, _type(name, own), home, at)
     scene = replace(scene, parts=parts, tables=_copied(data))
-    if "analysis" not in data:
-        asked = (part.type.analysis(part, scene) for part in parts.values())
-        chosen = next((each for each in asked if each is not None), scene.frame.analysis)
-        scene = replace(scene, frame=scene.frame.model_copy(update={"analysis": chosen}))
+    if asked is not None and "analysis" not in data:
+        scene = replace(scene, frame=scene.frame.model_copy(update={"analysis": asked}))
     for problem in problems(scene):
         raise problem
     scene = composed(_driven(scene))
@@ -138,10 +140,10 @@ def _driven(scene: Scene) -> Scene:
     UsageError : nothing drives it, and there is no such port or something is joined to it.
     """
     parts = scene.parts
-    if scene.analysis.type != "ac" or any(p.type.excites(p, scene) for p in parts.values()):
+    if scene.analysis.type != "ac" or any(row.drives for row in numerics(scene)):
         return scene
     whole = replace(scene, ports="all")
-    bodies = [part for part in parts.values() if part.type.reduced]
+    bodies = [part for part in parts.values() if part.reduced]
     electrical = ([p for p in part.type.pins(part, whole) if p.unit == "V"] for part in bodies)
     ports = [(b.name, pins[0].name) for b, pins in zip(bodies, electrical, strict=True) if pins]
     if len(ports) != 1 or ports[0][1] in parts[ports[0][0]].pins or scene.named(*ports[0]):

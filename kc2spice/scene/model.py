@@ -95,6 +95,15 @@ class Part:
         """Whether it is a subcircuit out of a file of the user's, which has names of its own."""
         return hasattr(self.keys, "subckt")
 
+    @property
+    def reduced(self) -> bool:
+        """Whether it is a body, whose model is a reduced one, so that ``rom`` matters."""
+        return hasattr(self.keys, "rom")
+
+    def declares(self, scene: Scene) -> bool:
+        """Whether it is a body out of files, whose author declares its ports."""
+        return self.reduced and bool(self.type.files(self, scene))
+
     def wrong(
         self,
         key: str,
@@ -225,7 +234,7 @@ class Scene:
     (:meth:`kc2spice.scene.parttype.Build.own`); ``home`` is the folder of the scene's file,
     ``tables`` what it says with all overrides. Bodies keep the ``ports`` that are needed, in an
     export all that their author declares, joined or not
-    (:attr:`kc2spice.scene.parttype.PartType.declares`), for documentation all of them.
+    (:meth:`Part.declares`), for documentation all of them.
     """
 
     frame: Frame
@@ -334,10 +343,8 @@ def scene_hash(scene: Scene) -> str:
         ]
         for part in scene.parts.values()
     }
-    whole = [part.name for part in scene.parts.values() if part.type.declares]
-    if (
-        scene.ports == "declared" and whole and len(scene.parts) > 1
-    ):  # a single part keeps all in any case
+    several = scene.parts.values() if len(scene.parts) > 1 else ()  # one keeps all in any case
+    if scene.ports == "declared" and (whole := [p.name for p in several if p.declares(scene)]):
         content["every_port"] = whole
     text = json.dumps(content, sort_keys=True, separators=(",", ":"))
     return hashlib.sha256(text.encode()).hexdigest()[:16]

@@ -17,18 +17,17 @@ from dataclasses import dataclass, field
 from functools import cache, cached_property
 from importlib import import_module
 from importlib.metadata import EntryPoint, entry_points
-from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar, Literal
+
+import numpy as np
 
 from kc2spice.core.errors import UsageError
-from kc2spice.core.figure import Shape
+from kc2spice.core.figure import Figure, Shape, Written
 from kc2spice.core.quantities import Section
-from kc2spice.scene.model import GROUND, Analysis, Part, Scene, Terminal
+from kc2spice.scene.model import GROUND, Part, Scene, Terminal
 from kc2spice.scene.settings import Rom
 
 if TYPE_CHECKING:
-    import numpy as np
-
     from kc2spice.core.laws import Equations
     from kc2spice.core.waveforms import Waveforms
     from kc2spice.scene.judge import Balance, Check, Gate
@@ -56,6 +55,11 @@ class State:
     height: float
 
 
+#: All motion of a part, which has none of its own, or a part without cards and results of its own,
+#: as cards of another one have copies of it.
+Governed = Literal["moved", "copied"]
+
+
 @dataclass(frozen=True)
 class Rest:
     """What a part does to its pins that move at rest.
@@ -75,11 +79,14 @@ class Rest:
 
 @dataclass(frozen=True)
 class Vector:
-    """A result: an ngspice expression (``a+b`` is a sum), the factor to SI, the SI unit."""
+    """A result: an ngspice expression (``a+b`` is a sum), the factor to SI, the SI unit; the pins
+    where, as a current or force, it ``leaves`` and ``enters`` the part."""
 
     expression: str
     factor: float
     unit: str
+    leaves: tuple[str, ...] = ()
+    enters: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -117,14 +124,16 @@ class StepLimit:
 @dataclass(frozen=True)
 class Numerics:
     """What a part does in time by itself: the longest ``step`` [s] that resolves it, and the
-    ``content`` [Hz] up to which it excites others. A step that ``decides`` stands whatever else the
-    scene has. ``reltol`` and ``chgtol`` are factors, 1 or less, of the solver's tolerances that it
-    needs to be as exact as anything else, ``options`` the simulator's by name: value and reason.
+    ``content`` [Hz] up to which it excites others; whether it ``drives`` small signals (``ac``). A
+    step that ``decides`` stands whatever else the scene has. ``reltol`` and ``chgtol`` are factors,
+    1 or less, of the solver's tolerances that it needs to be as exact as anything else, ``options``
+    the simulator's by name: value and reason.
     """
 
     what: str
     step: float = math.inf
     content: float = 0.0
+    drives: bool = False
     decides: bool = False
     reltol: float = 1.0
     chgtol: float = 1.0
@@ -203,16 +212,8 @@ class PartType:
     example: ClassVar[str] = ""
     #: where its model comes from, for ``explain``
     source: ClassVar[str] = "circuit"
-    #: its pins where all parts of the type have the same
-    fixed: ClassVar[tuple[Terminal, ...]] = ()
-    #: whether its ports are those that the scene's author declares, which an export all keeps
-    declares: ClassVar[bool] = False
-    #: whether it measures a motion and acts on it, which closes a loop
-    controls: ClassVar[bool] = False
-    #: cards of its subcircuit that are resistors of the device, which have noise; others are not
-    resistive: ClassVar[tuple[str, ...]] = ()
-    #: in words what has noise, where that is not the thermal one of those
-    noise: ClassVar[str] = ""
+    #: what has noise: cards of its subcircuit that are resistors of the device, or words for it
+    noise: ClassVar[tuple[str, ...] | str] = ()
 
     # --- scene: keys, pins, what a part brings along -------------------------------------------
 
@@ -220,12 +221,13 @@ class PartType:
         """Tables of further parts that this one stands for; ``data`` is the whole scene.
 
         Where the file has such a table itself, ``at`` in it names its keys: ``("kick", "drive")``.
+        A table ``analysis`` is the one that it asks for where the scene has none.
         """
         return {}
 
     def pins(self, part: Part, scene: Scene) -> tuple[Terminal, ...]:
         """Its pins in the order of its subcircuit."""
-        return self.fixed
+        return ()
 
     def default_joins(self, part: Part, scene: Scene) -> Mapping[str, str]:
         """Joins ``pin: target`` that follow from its keys; the scene's ``pins`` come first."""
@@ -235,9 +237,9 @@ class PartType:
         """Names of the files beside the scene that it reads."""
         return ()
 
-    def moves(self, part: Part, scene: Scene) -> Mapping[str, State | None]:
-        """Parts whose motion it decides: all of it (None), so that they have none of their own, or
-        how it begins."""
+    def governs(self, part: Part, scene: Scene) -> Mapping[str, State | Governed]:
+        """Parts of which it decides how their motion begins, all of their motion, or that they are
+        copied, see :class:`State` and :data:`Governed`."""
         return {}
 
     def at_rest(self, part: Part, scene: Scene, model: Any | None = None) -> Rest:
@@ -254,19 +256,6 @@ class PartType:
         warnings or nothing by ``checks.plausible``.
         """
         return ()
-
-    def analysis(self, part: Part, scene: Scene) -> Analysis | None:
-        """The analysis that this part asks for, if the scene has none."""
-        return None
-
-    def excites(self, part: Part, scene: Scene) -> bool:
-        """Whether it drives small signals (``ac``)."""
-        return False
-
-    @property
-    def reduced(self) -> bool:
-        """Whether its models are reduced ones, so that ``rom`` matters."""
-        return type(self).reduction is not PartType.reduction
 
     # --- models and netlist --------------------------------------------------------------------
 
@@ -300,10 +289,6 @@ class PartType:
         read = (f"{name} {pins[pin]} {name} 0" for pin, name in meters.items())
         return (f"X{part.name} {nodes} {build.libraries[part.name]}", *read)
 
-    def replaces(self, part: Part, scene: Scene) -> tuple[str, ...]:
-        """Parts without cards and results of their own, as its cards have copies of them."""
-        return ()
-
     def settable(self, part: Part, build: Build) -> Mapping[str, Swept | Sampled]:
         """Sources that something outside of the netlist sets: by key what a dc sweep of it moves,
         and the function that runs beside the simulator."""
@@ -322,13 +307,12 @@ class PartType:
         """Its results by name."""
         return {}
 
-    def current(self, part: Part, pin: str, build: Build) -> Vector | None:
-        """The current that leaves it through an electrical pin, where it can be read."""
-        return None
-
     def force_on(self, part: Part, pin: str, build: Build, waves: Waveforms) -> np.ndarray | None:
-        """Force [N] over time that it puts on what its mechanical pin is joined to."""
-        return None
+        """Force [N] over time that it puts on what its mechanical pin is joined to: the sum of the
+        results that leave it there."""
+        rows = flows(part, pin, build).items()
+        found = [sign * waves[name] for name, (_, sign) in rows if name in waves]
+        return np.sum(found, axis=0) if found else None
 
     # --- what a run says -----------------------------------------------------------------------
 
@@ -336,26 +320,20 @@ class PartType:
         """Numbers that describe what it did."""
         return {}
 
-    def checks(self, part: Part, build: Build, waves: Waveforms) -> Iterable[Check | Balance]:
+    def checks(
+        self, part: Part, build: Build, waves: Waveforms
+    ) -> Iterable[Check | Balance | Gate]:
         """Physics that the simulator was not told; after a transient its energy balance too, where
-        the run has all that it needs."""
-        return ()
-
-    def write(self, part: Part, build: Build, waves: Waveforms, folder: Path) -> Iterable[str]:
-        """Further files of a run, arrays or fields; writes them into ``folder`` and gives their
-        names."""
+        the run has all that it needs; and the results that the scene is run for, with how far two
+        solution paths may differ in them."""
         return ()
 
     def law(self, part: Part, build: Build) -> Equations | None:
         """Its equations for the independent integrator; None where it has none."""
         return None
 
-    def gates(self, part: Part, build: Build) -> Iterable[Gate]:
-        """Results that the scene is run for, and how far two solution paths may differ in them."""
-        return ()
-
-    def figures(self, part: Part, build: Build, waves: Waveforms) -> Iterable[Any]:
-        """Plots of its results (:class:`kc2spice.core.figure.Figure`) for the report."""
+    def figures(self, part: Part, build: Build, waves: Waveforms) -> Iterable[Figure | Written]:
+        """Plots of its results for the report, and further files of a run, arrays or fields."""
         return ()
 
     def outline(self, part: Part, scene: Scene) -> Iterable[Shape]:
@@ -375,8 +353,8 @@ class PartType:
 
 def mover(name: str, scene: Scene) -> str | None:
     """The part that prescribes all motion of another one, None where that moves by itself."""
-    rows = ((p.name, p.type.moves(p, scene)) for p in scene.parts.values())
-    return next((each for each, moved in rows if moved.get(name, ...) is None), None)
+    rows = ((p.name, p.type.governs(p, scene)) for p in scene.parts.values())
+    return next((each for each, governed in rows if governed.get(name) == "moved"), None)
 
 
 def begins(scene: Scene) -> dict[str, State]:
@@ -386,10 +364,30 @@ def begins(scene: Scene) -> dict[str, State]:
     """
     found: dict[str, State] = {}
     for part in scene.parts.values():
-        for name, state in part.type.moves(part, scene).items():
-            if state is not None and (name != part.name or name not in found):
+        for name, state in part.type.governs(part, scene).items():
+            if isinstance(state, State) and (name != part.name or name not in found):
                 found[name] = state
     return found
+
+
+def flows(part: Part, pin: str, build: Build) -> dict[str, tuple[Vector, float]]:
+    """Results of a part that are currents or forces at a pin, by name: with 1 where they leave it
+    there, with -1 where they enter."""
+    rows = part.type.vectors(part, build).items()
+    return {
+        name: (row, 1.0 if pin in row.leaves else -1.0)
+        for name, row in rows
+        if pin in (*row.leaves, *row.enters)
+    }
+
+
+def current(part: Part, pin: str, build: Build) -> Vector | None:
+    """The current that leaves a part through an electrical pin, where one result tells it."""
+    found = list(flows(part, pin, build).values())
+    if len(found) != 1:
+        return None
+    ((row, sign),) = found
+    return Vector(row.expression, sign * row.factor, row.unit)
 
 
 def numerics(scene: Scene) -> list[Numerics]:

@@ -203,8 +203,9 @@ class Plan:
 
 def _noise(part: Part, build: Build) -> str:
     """What of a part has noise, where the scene asks for it."""
-    own = "thermal noise at 27 C" if part.type.resistive else "no noise"
-    return f"; {part.type.noise or own}" if build.noisy else ""
+    found = part.type.noise
+    told = found if isinstance(found, str) else "thermal noise at 27 C" if found else "no noise"
+    return f"; {told}" if build.noisy else ""
 
 
 def plan(build: Build) -> Plan:

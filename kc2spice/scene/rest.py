@@ -147,4 +147,4 @@ def _free(group: frozenset[str], scene: Scene) -> Free:
     ends = (key for key, pin in scene.terminals.items() if pin.moving and scene.nets[key] in group)
     parts = tuple(dict.fromkeys(name for name, _ in ends))
     nets = tuple(net for net, unit in _moving(scene).items() if net in group and unit == "um")
-    return Free(nets, parts, tuple(name for name in parts if scene.parts[name].type.reduced))
+    return Free(nets, parts, tuple(name for name in parts if scene.parts[name].reduced))

@@ -12,7 +12,7 @@ from kc2spice.netlist.circuit import Subcircuit
 from kc2spice.netlist.deck import Block, Command, Deck, Option, ac, dc, transient
 from kc2spice.netlist.transforms import quiet
 from kc2spice.scene.compose import allocated
-from kc2spice.scene.model import Scene, scene_hash
+from kc2spice.scene.model import Part, Scene, scene_hash
 from kc2spice.scene.parttype import Build, begins, mover, numerics
 from kc2spice.scene.plan import MAX_STEP
 from kc2spice.scene.plausible import built, judged
@@ -67,9 +67,17 @@ def make_deck(build: Build) -> Deck:
         units={name: v.unit for name, v in results.items()} | dict.fromkeys(watts, "W"),
         stop=scene.stop if scene.analysis.type == "transient" else None,
         initial=_initial(build),
-        controlled=any(part.type.controls for part in scene.parts.values()),
+        controlled=any(_controls(part, scene) for part in scene.parts.values()),
     )
     return noise.sources(made, build) if build.noisy else made
+
+
+def _controls(part: Part, scene: Scene) -> bool:
+    """Whether it measures a motion and sets a voltage or current, which may close a loop."""
+    pins = [pin for (name, _), pin in scene.terminals.items() if name == part.name]
+    sees = any(p.flow == "-" and p.unit in ("um", "m/s") and not p.signal_out for p in pins)
+    acts = any(p.flow == "A" and p.default is None for p in pins)
+    return sees and acts and not any(p.moving for p in pins)
 
 
 def _reductions(parts: Iterable[Subcircuit]) -> Iterator[str]:
@@ -106,7 +114,7 @@ def shared(build: Build) -> Build:
     header, names = _header(build.scene), dict(build.libraries)
     for kind in {part.type.name: part.type for part in build.scene.parts.values()}.values():
         parts = [part for part in build.scene.of(kind.name) if part.name in names]
-        if len(parts) < 2 or kind.reduced or parts[0].netlist:
+        if len(parts) < 2 or parts[0].reduced or parts[0].netlist:
             continue
         trial = replace(build, libraries={**names, **{part.name: kind.name for part in parts}})
         alike: dict[tuple[str, ...], list[str]] = {}
@@ -134,7 +142,8 @@ def _libraries(build: Build, header: Header) -> Iterator[Subcircuit]:
             continue
         for found in part.type.subcircuits(part, build, header):
             if build.noisy and not part.netlist:
-                found = quiet(found, part.type.resistive)
+                noise = part.type.noise
+                found = quiet(found, () if isinstance(noise, str) else noise)
             same = known.get(found.filename.lower())
             if same is None:
                 known[found.filename.lower()] = found

@@ -11,7 +11,7 @@ import numpy as np
 
 from kc2spice.core.errors import UsageError, unknown
 from kc2spice.core.waveforms import Waveforms
-from kc2spice.scene.judge import Balance, Check, Verdict
+from kc2spice.scene.judge import Balance, Check, Gate, Verdict
 from kc2spice.scene.model import Probe
 from kc2spice.scene.parttype import Build
 from kc2spice.workflow import noise
@@ -46,7 +46,8 @@ def verdict(waves: Waveforms, build: Build) -> Verdict:
         )
         for name, found in balances.items()
     ]
-    return Verdict(tuple(c for c in checks if c.action != "off"), tuple(balances.items()))
+    gates = tuple(row for _, row in rows if isinstance(row, Gate))
+    return Verdict(tuple(c for c in checks if c.action != "off"), tuple(balances.items()), gates)
 
 
 def metrics(waves: Waveforms, build: Build) -> dict[str, Any]:

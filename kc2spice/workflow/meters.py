@@ -14,7 +14,7 @@ from kc2spice.core.waveforms import Waveforms
 from kc2spice.scene.compose import electrical, metered
 from kc2spice.scene.keys import model_keys
 from kc2spice.scene.model import Part, Scene
-from kc2spice.scene.parttype import Build, Swept, Vector, mover
+from kc2spice.scene.parttype import Build, Swept, Vector
 from kc2spice.workflow import noise
 
 Pairs = tuple[tuple[str, str], ...]  # names of a voltage and of the current that belongs to it
@@ -22,8 +22,8 @@ Pairs = tuple[tuple[str, str], ...]  # names of a voltage and of the current tha
 
 def replaced(scene: Scene) -> set[str]:
     """Parts without cards of their own, as those of others have copies of them or move them."""
-    copied = {name for part in scene.parts.values() for name in part.type.replaces(part, scene)}
-    return copied | {name for name in scene.parts if mover(name, scene)}
+    governed = [part.type.governs(part, scene) for part in scene.parts.values()]
+    return {name for each in governed for name, what in each.items() if isinstance(what, str)}
 
 
 def result_vectors(build: Build) -> dict[str, Vector]:

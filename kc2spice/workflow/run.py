@@ -9,7 +9,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any, cast
 
-from kc2spice.core.figure import Figure
+from kc2spice.core.figure import Figure, Written
 from kc2spice.core.files import staged
 from kc2spice.core.progress import Clock, Progress, silent
 from kc2spice.core.version import __version__
@@ -44,15 +44,20 @@ class Completed:
     converged: Converged | None = None
 
     @cached_property
-    def figures(self) -> tuple[Figure, ...]:
-        """What its probes and parts show of it."""
+    def shown(self) -> tuple[Figure | Written, ...]:
+        """What its probes and parts show of it, and further files."""
         build, waves = self.build, self.outcome.waves
         units = self.outcome.deck.units
-        found = [*noise.figures(waves, units.get(noise.WAVE, ""))]
+        found: list[Figure | Written] = [*noise.figures(waves, units.get(noise.WAVE, ""))]
         found += probe_figures(build.scene.probes, waves, units)
         for part in build.scene.parts.values():
             found += part.type.figures(part, build, waves)
         return tuple(found)
+
+    @property
+    def figures(self) -> tuple[Figure, ...]:
+        """What is shown."""
+        return tuple(each for each in self.shown if isinstance(each, Figure))
 
     @cached_property
     def record(self) -> dict[str, Any]:
@@ -196,8 +201,10 @@ def write_run_files(
         script = plot_script(deck)
         write_files(script, work)
         files = [*sorted(deck.files | script), *write_waveforms(waves, deck.units, work)]
-        for part in scene.parts.values():
-            files += part.type.write(part, done.build, waves, work)
+        for each in done.shown:
+            if isinstance(each, Written):
+                each.write(work / each.name)
+                files.append(each.name)
         files += draw_all(work, shown) if png else []
     spare = [work / f"{scene.name}.raw", *work.glob(f"{scene.name}*.log")]
     files += [path.name for path in spare if keep and path.exists()]

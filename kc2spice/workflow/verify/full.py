@@ -58,7 +58,7 @@ def full_build(build: Build, clock: Any) -> Build | None:
     timed = build.scene.analysis.type == "transient"
     found = {}
     for part in build.scene.parts.values():
-        if part.type.reduced or not timed:
+        if part.reduced or not timed:
             full = part.type.build(part, build.scene, clock, full=True)
             if full is not None:
                 found[part.name] = _sparse(full) if isinstance(full, LinearModel) else full

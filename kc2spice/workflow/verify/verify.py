@@ -19,7 +19,7 @@ from kc2spice.netlist.foreign import Flat, checked
 from kc2spice.netlist.read import subcircuits
 from kc2spice.report.verify_page import Findings, comparison, write_verify
 from kc2spice.scene.compose import composed
-from kc2spice.scene.judge import PAIRS, Check, Gate
+from kc2spice.scene.judge import PAIRS, Check, Verdict
 from kc2spice.scene.model import Scene
 from kc2spice.scene.parttype import Build
 from kc2spice.sim.ngspice import find_ngspice, run_deck
@@ -123,7 +123,7 @@ def _as_shipped(scene: Scene, libraries: Sequence[Subcircuit]) -> Scene:
     more = {
         tuple(pin.name for pin in part.type.pins(part, exported))
         for part in exported.parts.values()
-        if part.type.reduced and part.type.pins(part, exported) != part.type.pins(part, scene)
+        if part.reduced and part.type.pins(part, exported) != part.type.pins(part, scene)
     }
     shipped = {tuple(pin.name for pin in library.pins) for library in libraries}
     return exported if more & shipped else scene
@@ -140,6 +140,7 @@ class _Verification:
     found: Findings = field(default_factory=Findings)
     units: Mapping[str, str] = field(default_factory=dict)
     taken: Mapping[str, str] = field(default_factory=dict)
+    verdict: Verdict = field(default_factory=Verdict)
 
     def findings(self, deck: Deck, libraries: Sequence[Subcircuit]) -> Findings:
         """Bodies by their ``libraries``, then the scene, then what full models say of it."""
@@ -162,7 +163,7 @@ class _Verification:
         self.taken = taken or {}
         if found.left_out and taken is None:
             waves = self._ngspice(deck)
-            self._own_checks(waves)
+            self._own_checks()
             found.metrics |= solution(waves, build).metrics
         else:
             vectors = taken_vectors(self.taken)
@@ -174,11 +175,14 @@ class _Verification:
     def _ngspice(self, deck: Deck) -> Waveforms:
         with self.clock.stage("simulate", f"ngspice, {self.build.scene.name}") as share:
             shared = shared_engine(self.build, share)
-            return shared(deck) if shared else run_deck(deck, self.work / "scene", progress=share)
+            folder = self.work / "scene"
+            waves = shared(deck) if shared else run_deck(deck, folder, progress=share)
+        self.verdict = verdict(waves, self.build)
+        return waves
 
     def _bodies(self, libraries: Sequence[Subcircuit]) -> None:
         for part in self.build.scene.parts.values():
-            if part.type.reduced:
+            if part.reduced:
                 folder = self.work / part.name
                 verify_body(part, self.build, libraries, self.clock, folder, self.whole, self.found)
 
@@ -193,7 +197,7 @@ class _Verification:
         found.answers |= {key: each.metrics for key, each in solutions.items()}
         outputs = self._pairs("scene", solutions)
         found.checks += self._generic(solutions, outputs)
-        self._own_checks(waves)
+        self._own_checks()
         if reference.imbalance is not None:
             limit = RECORDED_BALANCE if self.taken else build.scene.gates.energy
             found.checks.append(
@@ -219,7 +223,7 @@ class _Verification:
         outputs: list[OutputError] = []
         for pair in (p for p in PAIRS if p.endswith(last)):
             ours, exact = solutions[pair.partition("_")[0]], solutions[last]
-            limits, leading = gate_limits(_gates(self.build), pair, ours, exact)
+            limits, leading = gate_limits(self.verdict.gates, pair, ours, exact)
             self.found.checks += limits
             errors = output_errors(pair, ours.waves, exact.waves)
             leading = max((e.rms for e in errors), default=None) if leading is None else leading
@@ -250,7 +254,7 @@ class _Verification:
             worst = max(known, key=lambda name: known[name])
             yield Check(f"every metric, worst {worst}, ngspice to laws", known[worst], metric)
         # what rings on after a launch is coarse by choice: the body's own waves and its drive's
-        coarse = [n for n, p in scene.parts.items() if p.type.reduced]
+        coarse = [n for n, p in scene.parts.items() if p.reduced]
         coarse = coarse if solver.ringing == "coarse" else []
         owners = [(output, output.output.partition(".")[0]) for output in outputs]
         outputs = [o for o, n in owners if not any(n == c or n.startswith(f"{c}_") for c in coarse)]
@@ -258,18 +262,18 @@ class _Verification:
             last = max(outputs, key=lambda output: output.rms)
             yield Check(f"every wave (rms), worst {last.output}, ngspice to laws", last.rms, wave)
 
-    def _own_checks(self, waves: Waveforms) -> None:
+    def _own_checks(self) -> None:
         """Physics of the netlist's run that nobody told the simulator."""
         self.found.checks += [
             replace(check, name=f"{check.name}, ngspice")
-            for check in verdict(waves, self.build).checks
+            for check in self.verdict.checks
             if check.action == "fail" or check.name.startswith("jump")
         ]
 
     def _stepped(self, waves: Waveforms, coarse: Waveforms) -> None:
         """What steps twice as long change must not decide over a gate."""
         ours, exact = solution(coarse, self.build), solution(waves, self.build)
-        for limit in gate_limits(_gates(self.build), "rom_vs_fom", ours, exact)[0]:
+        for limit in gate_limits(self.verdict.gates, "rom_vs_fom", ours, exact)[0]:
             words = limit.name.replace("ROM to full model", "full model, steps halved")
             self.found.checks.append(replace(limit, name=words))
         moved = output_errors("steps", coarse, waves)
@@ -284,7 +288,7 @@ class _Verification:
         found, parts = self.found, self.build.scene.parts.values()
         if "rom_vs_fom" in found.errors:
             found.metrics["rom_error"] = found.errors["rom_vs_fom"]
-        bodies = [part for part in parts if part.type.reduced]
+        bodies = [part for part in parts if part.reduced]
         if len(bodies) == 1:
             model = self.build.model(bodies[0])
             found.metrics["rom_order"] = model.order
@@ -298,8 +302,3 @@ def _until(waves: Waveforms, end: float | None) -> Waveforms:
         return waves
     kept = waves["time"] <= end * (1 + 1e-12)
     return Waveforms({name: values[kept] for name, values in waves.data.items()}, waves.stats)
-
-
-def _gates(build: Build) -> list[Gate]:
-    parts = build.scene.parts.values()
-    return [gate for part in parts for gate in part.type.gates(part, build)]
