@@ -18,7 +18,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path, PurePosixPath
 
 from kc2spice.core.errors import UsageError
@@ -57,11 +57,11 @@ class Flat:
         """The lines as one text."""
         return "\n".join(line.text for line in self.lines)
 
-    def cards(self, *, title: bool = False) -> Iterator[tuple[Statement, str]]:
+    def cards(self, *, title: bool = False) -> Iterator[Statement]:
         """Every card, its continuation lines joined, with ``file:line`` of where it begins."""
         for card in statements(self.text, "", title=title):
-            if card.text:
-                yield card, self.lines[card.line - 1].where
+            if card.written:
+                yield replace(card, where=self.lines[card.line - 1].where)
 
 
 def flatten(path: Path, home: Path, *, trust: bool, inside: bool = False) -> Flat:
@@ -223,9 +223,9 @@ _PARTS = "a file of subcircuits with their models, parameters and functions"
 _Reason = tuple[str, str, str]  # what the netlist does, what is expected, what to do
 
 
-def refuse(cards: Iterable[tuple[Statement, str]], *, part: bool) -> None:
+def refuse(cards: Iterable[Statement], *, part: bool) -> None:
     """Nothing, if a part's netlist keeps to itself, or an edited deck of ours leaves its parts what
-    they are; ``cards`` come with ``file:line`` of each.
+    they are.
 
     Raises
     ------
@@ -235,7 +235,7 @@ def refuse(cards: Iterable[tuple[Statement, str]], *, part: bool) -> None:
         times. It names file and line.
     """
     depth, commands = 0, False
-    for card, where in cards:
+    for card in cards:
         key = card.keyword
         if commands or key == ".control":  # only a trusted netlist has any
             commands = key != ".endc"
@@ -243,10 +243,7 @@ def refuse(cards: Iterable[tuple[Statement, str]], *, part: bool) -> None:
         depth += (key == ".subckt") - (key == ".ends")
         own = _of_part(card, depth == 0) if part else _of_deck(card)
         for what, expected, hint in (*own, *_everywhere(card, depth == 0)):
-            got = card.text[:120]
-            raise UsageError(
-                f"the netlist {what}", where=where, got=got, expected=expected, hint=hint
-            )
+            raise card.error(f"the netlist {what}", card.written[:120], expected, hint)
 
 
 def _of_part(card: Statement, outside: bool) -> Iterator[_Reason]:
@@ -277,7 +274,7 @@ def _everywhere(card: Statement, outside: bool) -> Iterator[_Reason]:
     if card.keyword.startswith(".global"):
         hint = "make it a pin: it would be one with any node of its name"
         yield "makes nodes global", "nodes of subcircuits", hint
-    defined = _FUNCTION.match(card.text)
+    defined = _FUNCTION.match(card.written)
     given = card.words[1:] if card.keyword in (".param", ".params") else ()
     again = (defined and defined[1].lower() in _FUNCTIONS) or _CONSTANTS.intersection(
         word.partition("=")[0].lower() for word in given
@@ -395,8 +392,8 @@ def _threats(found: Flat) -> Iterator[tuple[str, str, str]]:
         text = line.raw.rstrip("\r")
         shown = repr(text) if _HIDDEN.search(text) else text
         yield from ((line.where, reason, shown) for reason in _raw_reasons(text))
-    for card, where in found.cards():
-        yield from ((where, reason, card.text) for reason in _reasons(card))
+    for card in found.cards():
+        yield from ((card.where, reason, card.written) for reason in _reasons(card))
 
 
 def _raw_reasons(text: str) -> Iterator[str]:
@@ -427,7 +424,7 @@ def _reasons(card: Statement) -> Iterator[str]:
         names = (word.partition("=")[0].lower() for word in card.words[1:])
         for unknown in (name for name in names if name not in OPTIONS):
             yield f"sets the option {unknown[:40]}, which is more than one of accuracy"
-    if _FILES.search(card.text):
+    if _FILES.search(card.written):
         yield "reads or writes a file"
-    if _PROGRAMS.search(card.text):
+    if _PROGRAMS.search(card.written):
         yield "uses a code model that can run programs"

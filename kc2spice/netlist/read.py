@@ -7,12 +7,13 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import combinations_with_replacement, count, takewhile
-from pathlib import Path, PurePosixPath
+from pathlib import Path
 from typing import Any
 
 from kc2spice.core.errors import UsageError
 from kc2spice.core.foreign import read_bounded, text_of
 from kc2spice.netlist.circuit import (
+    Card,
     Circuit,
     Directive,
     Element,
@@ -46,37 +47,22 @@ _INLINE = re.compile(r";|(?<=\s)\$(?=\s)|//")  # what starts a comment behind a 
 # --- logical lines ---
 
 
-@dataclass(frozen=True)
-class Statement:
-    """One logical line.
+@dataclass(frozen=True, kw_only=True)
+class Statement(Card):
+    """One logical line, ``written`` with its continuation lines joined and without comments;
+    ``line`` counts from 1 and is that of its first physical line."""
 
-    ``text`` has its continuation lines joined and no comments; ``comments`` are the raw comment
-    and blank lines above it; ``line`` counts from 1 and is that of its first physical line.
-    """
-
-    file: str
     line: int
-    text: str
-    comments: tuple[str, ...] = ()
-
-    @property
-    def where(self) -> str:
-        """``file:line`` for error messages."""
-        return f"{self.file}:{self.line}"
 
     @property
     def keyword(self) -> str:
         """First word in lower case, ``""`` for trailing comments."""
-        return self.text.split(None, 1)[0].lower() if self.text else ""
-
-    def error(self, message: str, expected: str | None = None) -> UsageError:
-        """That it is no card that can be read."""
-        return UsageError(message, where=self.where, got=self.text[:120], expected=expected)
+        return self.written.split(None, 1)[0].lower() if self.written else ""
 
     @cached_property
     def words(self) -> list[str]:
         """Words; brackets and quotes hold together, ``a = b`` is one word ``a=b``."""
-        return words(self.text)
+        return words(self.written)
 
 
 def statements(text: str, file: str, *, title: bool = False) -> list[Statement]:
@@ -102,7 +88,9 @@ def statements(text: str, file: str, *, title: bool = False) -> list[Statement]:
         heads.append((len(lines) + 1, tuple(pending)))
         texts.append([])
     return [
-        Statement(file, number, " ".join(parts).rstrip(), notes)
+        Statement(
+            line=number, where=f"{file}:{number}", written=" ".join(parts).rstrip(), notes=notes
+        )
         for (number, notes), parts in zip(heads, texts, strict=True)
     ]
 
@@ -110,11 +98,6 @@ def statements(text: str, file: str, *, title: bool = False) -> list[Statement]:
 def words(text: str) -> list[str]:
     """Split on blanks outside brackets and quotes; blanks around a bare ``=`` are dropped."""
     return list(_split(_tight(text)))
-
-
-def beside(file: str, target: str) -> str:
-    """Name of the file that ``file`` includes as ``target``: paths count from where they stand."""
-    return str(PurePosixPath(file).parent / target)
 
 
 def split_comment(line: str) -> tuple[str, str]:
@@ -176,17 +159,17 @@ def _items(
             raise s.error(".ends without .subckt")
         if s.keyword == ".ends" or not s.keyword:
             if s.keyword or head is None:
-                return tuple(found), s.comments
+                return tuple(found), s.notes
             break
         if s.keyword == ".control":
-            block = tuple(c.text for c in takewhile(lambda c: c.keyword != ".endc", cards))
+            block = tuple(c.written for c in takewhile(lambda c: c.keyword != ".endc", cards))
             found.append(Directive(".control", block, **_told(s)))
         else:
             found.append(_subckt(s, cards) if s.keyword == ".subckt" else _item(s))
         if s.keyword == ".end":
             break
     if head is not None:
-        raise head.error("subcircuit is not closed", f".ends {head.words[1]}")
+        raise head.error("subcircuit is not closed", expected=f".ends {head.words[1]}")
     return tuple(found), ()
 
 
@@ -197,7 +180,7 @@ def _subckt(s: Statement, cards: Iterator[Statement]) -> Circuit:
     pins = tuple(w for w in rest[1:] if "=" not in w)
     low = [pin.lower() for pin in pins]
     if len(set(low)) < len(low):
-        raise UsageError("a pin name stands twice", where=s.where, got=" ".join(low))
+        raise s.error("a pin name stands twice", " ".join(low))
     defaults = _assignments([w for w in rest[1:] if "=" in w], s)
     items, closing = _items(cards, s)
     return Circuit(rest[0], pins, defaults, items, closing, **_told(s))
@@ -224,12 +207,12 @@ def _item(s: Statement) -> Item:
 
 def _told(s: Statement) -> dict[str, Any]:
     """Where a card stands, how it is written, and below which comments."""
-    return {"notes": s.comments, "where": s.where, "written": s.text}
+    return {"notes": s.notes, "where": s.where, "written": s.written}
 
 
 def _function(s: Statement) -> Function | None:
     """``.func f(x) {law}`` and ``.param f(x) = {law}``."""
-    name, opening, rest = s.text[len(s.keyword) :].strip().partition("(")
+    name, opening, rest = s.written[len(s.keyword) :].strip().partition("(")
     inside, closing, law = rest.partition(")")
     if not (opening and closing and law.strip() and name.strip().isidentifier()):
         return None
@@ -246,7 +229,7 @@ def _assignments(given: Sequence[str], s: Statement) -> dict[str, str]:
     pairs = {}
     for word in (each.strip(",") for each in given):
         if not _assigned(word):
-            raise UsageError("not a parameter", where=s.where, got=word, expected="name=value")
+            raise s.error("not a parameter", word, "name=value")
         name, _, value = word.partition("=")
         pairs[name] = value
     return pairs
@@ -259,7 +242,7 @@ def _assigned(word: str) -> bool:
 
 def element(s: Statement) -> Element:
     """Split one element card; of a letter that we do not know, all words are values."""
-    kind, told = s.text[0].lower(), _told(s)
+    kind, told = s.written[0].lower(), _told(s)
     if kind == "b":
         return _behaviour(s)
     name, *rest = _without_keyword(s.words)
@@ -301,17 +284,17 @@ def _connected(
     needed = count + controls + (kind in _MODELLED or kind not in "vi")
     if len(rest) < needed or any("=" in w or "(" in w for w in rest[:count]):
         more = ", then a value or model" if kind not in "vi" else ""
-        raise s.error("element is not complete", f"{count} nodes{more}")
+        raise s.error("element is not complete", expected=f"{count} nodes{more}")
     end = count + controls
     return tuple(rest[:count]), tuple(rest[count:end]), rest[end:]
 
 
 def _behaviour(s: Statement) -> Element:
     """A B source; its expression runs to the end of the card."""
-    name, *rest = s.text.split(None, 3)
+    name, *rest = s.written.split(None, 3)
     quantity, _, law = rest[2].partition("=") if len(rest) > 2 else ("", "", "")
     if quantity.strip().upper() not in ("V", "I") or not law.strip():
-        raise s.error("behavioural source without a law", "I=expression or V=expression")
+        raise s.error("behavioural source without a law", expected="I=… or V=expression")
     told = _told(s) | {"quantity": quantity.strip().upper(), "expression": law.strip()}
     return Element("b", name, tuple(rest[:2]), **told)
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import ChainMap
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
+from pathlib import PurePosixPath
 
 from kc2spice.netlist.circuit import (
     Circuit,
@@ -16,7 +17,7 @@ from kc2spice.netlist.circuit import (
     Parameters,
 )
 from kc2spice.netlist.expression import vector
-from kc2spice.netlist.read import NODES, beside
+from kc2spice.netlist.read import NODES
 
 GROUND = frozenset({"0", "gnd", "!gnd"})
 INCLUDES = (".include", ".inc")
@@ -114,7 +115,7 @@ def _require_same(model: Model, first: Model) -> None:
 
 def _included(s: Directive, file: str, files: Mapping[str, Circuit], chain: tuple[str, ...]) -> str:
     written = " ".join(s.words).strip("\"'")
-    target = beside(file, written)
+    target = str(PurePosixPath(file).parent / written)  # from where the file stands
     if target in chain:
         raise s.error("include goes in a circle", " -> ".join(chain))
     if target not in files:

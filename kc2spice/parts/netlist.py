@@ -268,7 +268,7 @@ class _File:
 def _read(file: str, home: Path, stamp: int) -> _File:
     """What a scene must know of a file, which is of the age ``stamp``."""
     found, excites = {}, False
-    for card, _ in looked_at(file, home).cards():
+    for card in looked_at(file, home).cards():
         words = [word.lower() for word in card.words]
         excites = excites or (card.keyword[:1] in ("v", "i") and "ac" in words[3:])
         if card.keyword == ".subckt" and len(card.words) > 1:

@@ -9,7 +9,8 @@ force noise of each mode, as its netlist is.
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from functools import partial
+from types import SimpleNamespace
 
 import numpy as np
 
@@ -19,23 +20,17 @@ from kc2spice.reference.assemble import System, assemble
 from kc2spice.reference.linear import Linear
 
 
-@dataclass(frozen=True, eq=False)
-class _Answers:
-    """A body's matrices by what they answer at a frequency."""
+def _answers(law: L.LinearBody, s: np.ndarray) -> np.ndarray:
+    """``H(s)`` (frequencies, outputs, inputs) of a body's matrices."""
+    M, E, K = (np.diag(P) if P.ndim == 1 else P for P in (law.M, law.E, law.K))
+    return np.array([law.C @ np.linalg.solve(w * w * M + w * E + K, law.B) + law.D for w in s])
 
-    law: L.LinearBody
 
-    @property
-    def pencil(self) -> _Answers:
-        """Itself."""
-        return self
-
-    def transfer(self, s: np.ndarray) -> np.ndarray:
-        """``H(s)`` (frequencies, outputs, inputs)."""
-        law = self.law
-        M, E, K = (np.diag(P) if P.ndim == 1 else P for P in (law.M, law.E, law.K))
-        found = [law.C @ np.linalg.solve(w * w * M + w * E + K, law.B) + law.D for w in s]
-        return np.array(found)
+def _answering(law: L.Law) -> L.Law:
+    if not isinstance(law, L.LinearBody):
+        return law
+    pencil = SimpleNamespace(transfer=partial(_answers, law))
+    return L.PortBody(law.name, SimpleNamespace(pencil=pencil), law.ports)
 
 
 def noise(
@@ -45,11 +40,7 @@ def noise(
 
     ``joins`` are those of :func:`kc2spice.reference.assemble.assemble`.
     """
-    whole = (
-        L.PortBody(law.name, _Answers(law), law.ports) if isinstance(law, L.LinearBody) else law
-        for law in laws
-    )
-    system = assemble(whole, joins)
+    system = assemble(map(_answering, laws), joins)
     rest = Linear(system)
     point = rest.z0, rest.held
     power = [_power(system, Linear(system, s, point), of, s) for s in 2j * np.pi * f]

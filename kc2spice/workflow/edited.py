@@ -34,15 +34,14 @@ def edited_deck(build: Build, own: Deck, path: Path) -> tuple[Deck, Build]:
     Warns of options that are not the scene's: they decide how accurate its results are.
     """
     found = checked(path, trust=build.trust)
-    text, placed = found.text, list(found.cards(title=True))
-    refuse(placed, part=False)
-    cards = [card for card, _ in placed]
+    text, cards = found.text, list(found.cards(title=True))
+    refuse(cards, part=False)
     analyses = [s for s in cards if s.keyword in ANALYSES]
     if [s.keyword for s in analyses] != [f".{own.command.kind}"]:
         raise UsageError(
             "not the scene's analysis",
             where=str(path),
-            got=" and ".join(s.text for s in analyses) or "none",
+            got=" and ".join(s.written for s in analyses) or "none",
             expected=own.command.card,
             hint="one analysis of the same kind; its numbers are free",
         )

@@ -86,7 +86,7 @@ def _text(path: Path) -> str:
 
 def _cards(text: str, name: str) -> list[str]:
     """What a simulator reads of it."""
-    return [card.text for card in statements(text, name) if card.text]
+    return [card.written for card in statements(text, name) if card.written]
 
 
 def _linted(build: Build) -> Deck:
