@@ -14,17 +14,9 @@ EXAMPLES = [
 ]
 
 
-SLOW = (
-    "error_budget",
-    "fit",
-    "impedance",
-    "own_driver",
-    "parameters",
-    "pyspice_parts",
-    "python_controller",
-    "sweep",
-    "tune",
-)
+# Of what they show other tests are quick.
+SLOW = ("edited_deck", "error_budget", "fit", "impedance", "own_driver", "own_part", "parameters",
+        "pyspice_parts", "python_controller", "sweep", "tune")  # fmt: skip
 
 
 @pytest.mark.parametrize(

@@ -108,7 +108,7 @@ def steel_rod(length=0.1, width=0.01):
     return M.tocsc(), K.tocsc(), B
 
 
-@pytest.mark.parametrize("ratio", [1e-3, 1e-6])
+@pytest.mark.parametrize("ratio", [pytest.param(1e-3, marks=pytest.mark.slow), 1e-6])
 def test_a_free_rod_of_bricks_keeps_the_form_that_proves_it_stable(ratio):
     """What rounding of large matrices leaves of its free motions would hide the form."""
     M, K, B = steel_rod()

@@ -197,7 +197,7 @@ class Network:
             return out
 
         y, speed, charging = np.zeros(len(names)), np.zeros(len(names)), np.zeros(len(parts))
-        for _ in range(8):
+        for _ in range(20):
             for _ in range(3):
                 f = np.real(residual(y.astype(complex), charging, drives))
                 J = np.array([np.imag(residual(y + 1j * H * u, charging, drives)) / H
@@ -208,8 +208,10 @@ class Network:
             forced = np.imag(residual(y.astype(complex), charging, ahead)) / H
             speed = -np.linalg.solve(J / size[:, None], forced / size)
             moved = self.evaluated(dict(zip(names, y + 1j * H * speed, strict=True)))
-            charging = np.imag(moved) / H
-        return dict(zip(names, y, strict=True))
+            before, charging = charging, np.imag(moved) / H
+            if np.allclose(charging, before, rtol=1e-14, atol=0.0):
+                return dict(zip(names, y, strict=True))
+        raise AssertionError("does not settle")
 
 
 def probes(text):

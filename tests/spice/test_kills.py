@@ -12,7 +12,8 @@ import time
 import numpy as np
 import pytest
 
-SHORT = ("--set", "solver.stop=6e-6", "--set", "rom.order=12", "--quiet")
+SHORT = ("--set", "solver.stop=6e-6", "--set", "rom.order=12", "--set", "kick.mesh.sectors=2",
+         "--set", "kick.mesh.outer_rings=2", "--quiet")  # fmt: skip
 COMMAND = (sys.executable, "-m", "kc2spice")
 LONGEST = {"run": 4.0, "export": 1.5, "sweep": 3.0}  # s in which most kills fall
 

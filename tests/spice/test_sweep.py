@@ -80,7 +80,7 @@ def test_another_sweep_does_not_overwrite_it(charge):
 
 def test_an_unknown_column_is_refused_with_the_nearest(charge, tmp_path):
     scene, _, _ = charge
-    said = sweep(scene, *GRID, out=tmp_path / "o", more=("--metric", "chargd"), code=2)
+    said = sweep(scene, GRID[1], out=tmp_path / "o", more=("--metric", "chargd"), code=2)
     assert "charged" in said
     assert not (tmp_path / "o" / "sweep.csv").exists()
 
