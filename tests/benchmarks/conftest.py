@@ -1,7 +1,5 @@
 """The made-up device of the ngspice tests, and the loop around it."""
 
-from __future__ import annotations
-
 import device
 import pytest
 

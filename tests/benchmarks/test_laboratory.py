@@ -1,7 +1,5 @@
 """The laboratory's quick run: the record's shape, and errors that are errors; never times."""
 
-from __future__ import annotations
-
 import json
 import math
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Lower bound and peers against the event-driven reference, forms in .ac."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

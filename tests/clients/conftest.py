@@ -3,8 +3,6 @@
 ``tools/clients.sh`` fetches them into a folder of their own; the tests look there and on the path.
 """
 
-from __future__ import annotations
-
 import os
 import shutil
 import subprocess

@@ -1,7 +1,5 @@
 """Shipped scenes find their operating point straight away: no word of a struggle in the log."""
 
-from __future__ import annotations
-
 import dataclasses
 import re
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The integrator of any composition against closed forms, its balances, and the loop's own law."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.linalg import expm

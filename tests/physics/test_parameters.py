@@ -1,8 +1,6 @@
 """Parameters in a netlist: errors over the box against full models that nothing was made from,
 modes that cross and repel, ends of ranges, and bad boxes."""
 
-from __future__ import annotations
-
 import re
 import subprocess
 from dataclasses import replace

@@ -5,8 +5,6 @@ dents it by ``2 / E*`` times ``P(k) / k`` (Johnson, Contact Mechanics, 1985; of 
 isotropic body with the modulus of Delafargue and Ulm 2004, evaluated here from its two roots).
 """
 
-from __future__ import annotations
-
 from functools import cache
 
 import numpy as np

@@ -5,8 +5,6 @@ harmonics phi_n (Love, A Treatise on the Mathematical Theory of Elasticity, 1944
 traction of each hat expanded on the surface, and a uniform body force against its resultant.
 """
 
-from __future__ import annotations
-
 from functools import cache
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Fixtures of the ngspice tests: the made-up device and the loop around it."""
 
-from __future__ import annotations
-
 import device
 import numpy as np
 import pytest

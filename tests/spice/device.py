@@ -1,7 +1,5 @@
 """A device small enough for fast tests, made from formulas: no FE, no reduction."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Error budgets of random devices against oracles of their own: none is missed in silence."""
 
-from __future__ import annotations
-
 import pytest
 from hard_cases.budgets import COUNT, judged
 

@@ -1,7 +1,5 @@
 """Laws beside the penalty spring, each against a closed form or plain equations in scipy."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp

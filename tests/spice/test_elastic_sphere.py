@@ -1,7 +1,5 @@
 """The elastic sphere in scenes: what is refused, and an impact on what hardly gives, by Hertz."""
 
-from __future__ import annotations
-
 import pytest
 
 from kc2spice.core.errors import UsageError

@@ -1,7 +1,5 @@
 """Masses and bodies that nothing holds, or something soft: closed forms, and what has none."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Every hard case is met, or refused with the true reason."""
 
-from __future__ import annotations
-
 import re
 
 import pytest

@@ -1,7 +1,5 @@
 """The netlist of a pressure under a sphere against its law: at rest, and where contact ends."""
 
-from __future__ import annotations
-
 import pytest
 
 from kc2spice.core.progress import Clock, silent

@@ -1,7 +1,5 @@
 """``bench SCENE``: choice of settings on a made-up simulator whose errors and times are known."""
 
-from __future__ import annotations
-
 import json
 from types import SimpleNamespace
 

@@ -1,7 +1,5 @@
 """Metrics against waveforms whose numbers are known in closed form."""
 
-from __future__ import annotations
-
 import json
 
 import numpy as np

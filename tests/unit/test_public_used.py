@@ -4,8 +4,6 @@ A function or class is used where some module imports that very object, reaches 
 imported module, or mentions it beside its definition; a method where some attribute has its name.
 """
 
-from __future__ import annotations
-
 import ast
 import re
 from collections.abc import Iterator

@@ -1,7 +1,5 @@
 """The run's figures and page from small synthetic waveforms: complete, self-contained, safe."""
 
-from __future__ import annotations
-
 import base64
 import json
 import re

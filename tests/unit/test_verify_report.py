@@ -1,7 +1,5 @@
 """What a verification compares: every wave and pair of a gate, points, metrics without a unit."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -4,8 +4,6 @@ Measures speed against error: ngspice, its peers and a lower bound. Writes bench
 a plot of each plane. A target that is missed is a row of the table, not a failure.
 """
 
-from __future__ import annotations
-
 import argparse
 import platform
 import shutil

@@ -1,7 +1,5 @@
 """Made-up models for tests: a beam of Hermite elements, a rod that conducts heat, random modes."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from kc2spice.rom.linear import LinearModel

@@ -1,7 +1,5 @@
 """Chip and sphere with a given set of closed rings: a linear system and its eigenvectors."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

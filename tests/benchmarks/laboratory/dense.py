@@ -1,7 +1,5 @@
 """Plane ``dense``: one device as decoupled resonators and as generic exporters write it, in .ac."""
 
-from __future__ import annotations
-
 from functools import partial
 
 import numpy as np

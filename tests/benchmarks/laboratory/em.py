@@ -1,7 +1,5 @@
 """Plane ``em``: the table of the magnets' force, by number of heights, and case by case."""
 
-from __future__ import annotations
-
 from functools import partial
 
 import numpy as np

@@ -4,8 +4,6 @@ One writer for any state-space form, in the manner of generic exporters (a capac
 state, a controlled source for every entry of A, B and C), with the pins of the product's own part.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The full model of a scene's chip: contact transients, what usual code costs."""
 
-from __future__ import annotations
-
 from functools import lru_cache
 
 import numpy as np

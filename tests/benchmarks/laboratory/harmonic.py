@@ -1,7 +1,5 @@
 """Plane ``harmonic``: all responses of the chip over the sweep, by every kind of reduction."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from functools import partial
 

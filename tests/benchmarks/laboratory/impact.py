@@ -1,7 +1,5 @@
 """Plane ``impact``: a free sphere hits the chip, the full model among the solution methods."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

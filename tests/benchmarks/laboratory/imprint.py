@@ -1,7 +1,5 @@
 """Plane ``imprint``: the sphere pushed into the chip in 250 static steps."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from kc2spice.sim.ngspice import run_deck

@@ -1,7 +1,5 @@
 """The compiled part of the lower bound: the sphere's flight in C, built once by the compiler."""
 
-from __future__ import annotations
-
 import ctypes
 import hashlib
 import shutil

@@ -1,7 +1,5 @@
 """Event-driven integration of the loop and of the free impact: located contacts, exact flights."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Plane ``loop``: five milliseconds of kick, flight and catch, and its ratios."""
 
-from __future__ import annotations
-
 from laboratory.points import Outcome, Plane, Point, Ratio, fastest
 from laboratory.setup import Setup
 from laboratory.transient import Transient

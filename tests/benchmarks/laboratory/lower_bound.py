@@ -6,8 +6,6 @@ ring closes or opens is located on that exact solution. Far from the chip the sp
 ``flight.c``). Benchmark code: it serves this loop only, not a circuit.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, field
 

@@ -1,7 +1,5 @@
 """The benchmark as tables and figures."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 

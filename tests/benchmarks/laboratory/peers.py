@@ -4,8 +4,6 @@ Contact and clamp are kinks that the step control must find; an integrator that 
 the edges steps over the kick.
 """
 
-from __future__ import annotations
-
 from functools import partial
 
 import numpy as np

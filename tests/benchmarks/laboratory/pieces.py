@@ -1,7 +1,5 @@
 """Smooth pieces of the motion: coupled ones near contact, and flights with exact modes."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial

@@ -1,7 +1,5 @@
 """What a benchmark measures: points of error and time, planes of points, ratios with targets."""
 
-from __future__ import annotations
-
 import math
 import resource
 import statistics

@@ -7,8 +7,6 @@ beam of steel and the paper's chip. Errors are those at frequencies that the red
 from solutions of the full model; balanced truncation is one of its own, by scipy alone.
 """
 
-from __future__ import annotations
-
 import argparse
 import time
 from collections.abc import Callable, Iterator

@@ -3,8 +3,6 @@
 ``python -m laboratory.reduction_scaling --help`` prints the table of docs/reduction.md.
 """
 
-from __future__ import annotations
-
 import argparse
 import os
 import resource

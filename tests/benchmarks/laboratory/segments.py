@@ -1,7 +1,5 @@
 """Stretches of a transient between the corners of its drive, and where it starts."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from itertools import pairwise
 

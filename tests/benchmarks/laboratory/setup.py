@@ -1,7 +1,5 @@
 """Scenes, models and effort of a benchmark."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Part ``start``: what a user waits for: help, a changed gain, the very first run."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """Equilibrium and imprint of the resonator model in closed form."""
 
-from __future__ import annotations
-
 import numpy as np
 from scipy.optimize import brentq
 

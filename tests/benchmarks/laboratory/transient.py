@@ -1,7 +1,5 @@
 """The planes of impact and loop: launch or rebound error against CPU time, all methods."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial

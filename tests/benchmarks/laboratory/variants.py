@@ -1,7 +1,5 @@
 """Decks of a transient scene with one thing changed, as points of speed against error."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass

@@ -2,8 +2,6 @@
 product does, and states of first order beside resonators, in .ac and .tran.
 """
 
-from __future__ import annotations
-
 from functools import partial
 from types import SimpleNamespace
 

@@ -7,8 +7,6 @@ and voice coils by the plain equations of ``test_random_parts.py``. The budget h
 says that it does not. One line of JSON for every draw, so that ranges can be resumed.
 """
 
-from __future__ import annotations
-
 import contextlib
 import json
 import random

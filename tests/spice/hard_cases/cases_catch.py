@@ -1,7 +1,5 @@
 """Flight and catch: table limits."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 from device import chip, magnets

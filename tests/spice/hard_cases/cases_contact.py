@@ -1,7 +1,5 @@
 """Contact: stiffness, grazing, rest, chatter, bounces; oracles: scipy, closed forms, energy."""
 
-from __future__ import annotations
-
 import numpy as np
 from device import RADII, chip, deck_of
 from hard_cases.kit import (

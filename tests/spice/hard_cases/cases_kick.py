@@ -1,7 +1,5 @@
 """The kick: damping, edges, electrical ports, orders, tolerances; oracles: scipy, closed forms."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

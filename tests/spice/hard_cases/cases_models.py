@@ -1,7 +1,5 @@
 """Models of other tools and circuits of users; oracles: full matrices in numpy, closed forms."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import mor_families as families

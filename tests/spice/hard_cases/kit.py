@@ -1,7 +1,5 @@
 """What the hard cases share: how one is declared and run, and their scenes."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path

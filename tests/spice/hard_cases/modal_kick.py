@@ -7,8 +7,6 @@ with their inertia. On lightly damped chips models of 39 to 160 states scatter b
 launch, those of 240, 320 and 480 differ by 5e-4 and 1e-4.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -4,8 +4,6 @@ The contact law is piecewise linear, so a semi-smooth Newton method on the few c
 after finitely many active sets, at the exact solution.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

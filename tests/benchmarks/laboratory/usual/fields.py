@@ -1,7 +1,5 @@
 """A field per case: the usual code of the force table, which superposition does without."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

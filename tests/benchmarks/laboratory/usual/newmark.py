@@ -1,7 +1,5 @@
 """One time step of chip and sphere: accelerations under contact, on two roads."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from typing import Protocol

@@ -5,8 +5,6 @@ need this one operator. K = K_uu + K_up K_pp^-1 K_up' is dense where potentials 
 lives as the pair (displacement, potential).
 """
 
-from __future__ import annotations
-
 import numpy as np
 from scipy import sparse
 

@@ -1,7 +1,5 @@
 """Imprint of the sphere into the full model, statically (paper 3.2, Fig. 8)."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from typing import Literal
 

@@ -1,7 +1,5 @@
 """One quarter of the chip in the form of the paper's equations, as the usual solvers take it."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -4,8 +4,6 @@ Newmark's average acceleration (beta = 1/4, gamma = 1/2) for chip and sphere tog
 order and free of numerical damping.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal, NamedTuple
