@@ -58,6 +58,8 @@ SOFT = 1e12  # condition of an energy that holds a motion which costs none but f
 BALANCED = 2000  # first-order states at most
 UNSCALED = 500  # of them where Gramians cost less than the rest: entries of one size need no scale
 SAMPLED = 900  # of them where samples cost no more than Gramians
+ALL = "balanced truncation"
+THINNED = 4  # every so many samples are enough where no notches count
 CHEAP = 200  # of them where balancing only tells what the form costs
 # Definite matrices become resonators, which prove their stability: they are given up for a model
 # of this share of their states, not for one with few fewer.
@@ -321,10 +323,11 @@ def refitted(found: Reduction, order: int, tolerance: float) -> tuple[Reduction,
     H, peak = judge.exact.transfer(s), judge.reference[1]
     rows, columns = balance.scales(peak)
     wanted = (H - found.pencil.D) / (rows[:, None] * columns)
-    best, fewer, enough = (found, order), order - 1, CLOSER * tolerance / SAFETY
-    while fewer >= max(1, found.pencil.free, best[1] - MISSES):
-        part = found.pencil.leading(fewer)
-        x = Response(part).states(s) / columns
+    best, fewer, enough = (found, order), order, CLOSER * tolerance / SAFETY
+    while fewer > max(1, found.pencil.free, best[1] - MISSES):
+        fewer -= 1
+        response = found.leading(fewer)
+        part, x = response.pencil, response.states(s) / columns
         weight = np.ones((len(s), 1, x.shape[2]))
         for _ in range(TRIALS):
             C = _least_squares(x * weight, wanted * weight) * rows[:, None]
@@ -332,11 +335,11 @@ def refitted(found: Reduction, order: int, tolerance: float) -> tuple[Reduction,
             if not enough < off.max() < HOPELESS * tolerance:
                 break
             weight = weight * np.sqrt(off.max(axis=1, keepdims=True) / off.max() + LEAST)
-        trial = replace(found, pencil=replace(part, C=C))
-        stable = trial.structure(fewer).stable is not False
-        if off.max() <= enough and stable and trial.error(fewer, tolerance) <= tolerance:
-            best = trial, fewer
-        fewer -= 1
+        if off.max() <= enough:
+            trial = replace(found, pencil=replace(part, C=C))
+            trial._models[fewer] = Response(trial.pencil, response.modes)
+            if trial.good(fewer, tolerance):
+                best = trial, fewer
     return best
 
 
@@ -399,15 +402,16 @@ class Reduction:
     def error(self, order: int, limit: float = np.inf) -> float:
         """Estimated largest relative error of any transfer function over the band; above ``limit``
         something that shows it."""
-        error = self.judge.error(self._leading(order), (limit - self.space.error) / SAFETY)
+        error = self.judge.error(self.leading(order), (limit - self.space.error) / SAFETY)
         return max(self.space.error + SAFETY * error, ROUNDING)
 
     def structure(self, order: int) -> Structure:
         """Stability and passivity of the model of this order."""
-        found = self._leading(order)
+        found = self.leading(order)
         return structure(found.pencil, self.judge.band, None if found.decoupled else found.poles)
 
-    def _leading(self, order: int) -> Response:
+    def leading(self, order: int) -> Response:
+        """Response of the model of this order."""
         if order not in self._models:
             self._models[order] = Response(self.pencil.leading(order))
         return self._models[order]
@@ -548,18 +552,16 @@ def balanced(like: Reduction, states: int, tolerance: float) -> tuple[Reduction,
     model = Response(balance.standard(core, top))
     H, peak = judge.reference
     scales = balance.scales(peak)
-    ways = {"balanced truncation": lambda: balance.by_gramians(model.pencil, *scales)}
+    ways = {ALL: lambda: balance.by_gramians(model.pencil, *scales)}
     if model.pencil.size <= UNSCALED and peak.size > 1:
         one = [np.ones(len(each)) for each in scales]
-        ways["balanced truncation of outputs as they are"] = lambda: balance.by_gramians(
-            model.pencil, *one
-        )
+        ways[f"{ALL} of outputs as they are"] = lambda: balance.by_gramians(model.pencil, *one)
     if model.pencil.size <= SAMPLED and model.quick:
-        ways["balanced truncation over the band"] = lambda: balance.by_samples(
-            model,
-            1j * judge.frequency / top,
-            *balance.weights(judge.frequency, H, peak, judge.norm),
-        )
+        step = 1 if judge.norm == "pointwise" else THINNED
+        f = judge.frequency[::step]
+        weights = balance.weights(f, H[::step], peak, judge.norm)
+        over = {f"{ALL} over the band": lambda: balance.by_samples(model, 1j * f / top, *weights)}
+        ways = over | ways if judge.norm == "pointwise" else ways | over
     best = None
     for name, way in ways.items():
         small = way()
@@ -572,6 +574,8 @@ def balanced(like: Reduction, states: int, tolerance: float) -> tuple[Reduction,
         fewer = other.fewest(tolerance, states)
         if fewer is not None:
             best, states = (other, fewer), fewer
+            if judge.norm == "pointwise":
+                break  # Gramians know nothing of notches
     return best
 
 
