@@ -54,7 +54,7 @@ class CurrentCases(PartType):
                 f"{build.own(part, f'Xcatch{k}')} {a} 0 {b} 0 {y} {force} 0 {library}",
                 f"{build.own(part, f'Ilower{k}')} 0 {a} {number(lower)}",
                 f"{build.own(part, f'Iupper{k}')} 0 {b} {number(upper)}",
-                f"{build.own(part, f'Rforce{k}')} {force} 0 1",
+                f"{build.own(part, f'Vforce{k}')} {force} 0 0",
             ]
         return tuple(cards)
 
@@ -66,7 +66,7 @@ class CurrentCases(PartType):
     def vectors(self, part: Part, build: Build) -> Mapping[str, Vector]:
         found = {f"{_sphere(part, build.scene)}.y": build.across(part, "y")}
         for k, name in enumerate(_forces(part, build)):
-            found[name] = Vector(f"v({build.own(part, f'force{k}')})", 1.0, "N")
+            found[name] = Vector(f"i({build.own(part, f'Vforce{k}').lower()})", 1.0, "N")
         return found
 
     def metrics(self, part: Part, build: Build, waves: Waveforms) -> Mapping[str, Any]:

@@ -8,7 +8,7 @@ itself, in numpy, is :class:`kc2spice.core.magnets.Coenergy`.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from itertools import combinations
 from typing import Annotated, Any, Literal, NamedTuple
@@ -54,7 +54,6 @@ COARSE = 1e-2  # of the largest force; the spline between the table's heights ma
 COPPER = 3.45e6  # J/(m3 K), of volume: 385 J/(kg K) at 8960 kg/m3
 COILS = ("lower", "upper")
 SOURCES = ("kc2spice.linalg", "kc2spice.fem", "kc2spice.core.gmsh_session", __name__)
-NEGLIGIBLE = 1e-6  # share of the largest force below which a coefficient is left out
 
 
 class Coils(Catch):
@@ -69,25 +68,13 @@ class Coils(Catch):
     )
 
 
-class Term(NamedTuple):
-    """One summand of the force: a function of height, times ``currents``.
-
-    The function is the sum of the table's coefficients, each times its entry in ``weights`` (6,).
-    """
-
-    name: str
-    currents: tuple[str, ...]
-    weights: Sequence[float] | np.ndarray
-
-
-PRODUCTS = ((), ("i1",), ("i2",), ("i1", "i1"), ("i1", "i2"), ("i2", "i2"))
-SEPARATE = tuple(Term(*row) for row in zip(FORCE, PRODUCTS, np.eye(6), strict=True))
-# One current i through both coils, i2 = i and i1 = -i, as the control loop wires them.
-SERIES = (
-    Term("c0", (), (1, 0, 0, 0, 0, 0)),
-    Term("d1", ("i",), (0, -1, 1, 0, 0, 0)),
-    Term("d2", ("i", "i"), (0, 0, 0, 1, -1, 1)),
-)
+# One current i through both coils, i2 = i and i1 = -i, as the control loop wires them: functions of
+# height, by powers of i, each the sum of the table's coefficients times these weights.
+SERIES = {
+    "c0": (1, 0, 0, 0, 0, 0),
+    "d1": (0, -1, 1, 0, 0, 0),
+    "d2": (0, 0, 0, 1, -1, 1),
+}
 UNITS = ("N", "N/A and V s/m", "N/A and V s/m", "N/A^2", "N/A^2", "N/A^2")
 
 PLACE = Terminal("y", "um", "-"), Terminal("v", "m/s", "N"), Terminal("base", "um", "N", "gnd")
@@ -113,70 +100,64 @@ def rated_heating(keys: Coils) -> float:
     return float(keys.rated_rise * COPPER * section**2 / keys.resistivity)
 
 
-def _pulls(values: np.ndarray, terms: tuple[Term, ...], current: float) -> np.ndarray:
-    """What each term adds (terms, heights) to the force up to ``current`` [A], where the table's
-    coefficients are ``values`` (heights, 6)."""
-    return np.array([current ** len(t.currents) * (values @ t.weights) for t in terms])
+def _pulls(values: np.ndarray, current: float) -> np.ndarray:
+    """What each of :data:`SERIES` adds (3, heights) to the force at ``current`` [A], where the
+    table's coefficients are ``values`` (heights, 6)."""
+    weights = np.array(list(SERIES.values()), dtype=float)
+    return current ** np.arange(3)[:, None] * (weights @ values.T)
 
 
-def catch_subcircuit(
+def coils_subcircuit(
     header: Header,
     table: EMTable,
-    current: float,
+    name: str = "coil",
     *,
-    series: bool = False,
+    apart: bool = True,
     points: int = POINTS,
-    name: str = "catch",
     rating: str = UNRATED,
 ) -> Subcircuit:
     """The coils and the force they put on the sphere's node ``v``.
 
-    Two coils ``lp ln`` and ``up un``, or with ``series`` both between ``drive`` and ``ret``, the
+    ``apart`` between ``lp ln`` and ``up un`` with ``v = R i + d(lambda)/dt``: the state of coil k
+    is its inductive flux linkage ``psi_k = sum_l L_kl(y) i_l`` on a capacitor; the magnets' part of
+    the flux enters as ``c_k(y) v`` with the force's own coefficient, which closes the energy
+    balance whatever the lookup's error. Else both as resistors between ``drive`` and ``ret``, the
     lower one reversed: three functions of height instead of six, and the same force.
 
-    Parameters
-    ----------
-    current : largest coil current [A] that the circuit drives; decides what is negligible.
-    points : heights of the resampled lookups, equally spaced over the table.
+    ``points`` are the heights of the resampled lookups, equally spaced over the table.
     """
-    terms = SERIES if series else SEPARATE
-    size = np.abs(_pulls(table.coefficients, terms, current)).max(axis=1)
-    kept = [t for t, share in zip(terms, size, strict=True) if share > NEGLIGIBLE * size.max()]
-    values = table.splines(np.linspace(table.y[0], table.y[-1], points))
-    return _actuator(
-        "catch",
+    height = np.linspace(table.y[0], table.y[-1], points)
+    low, spacing = 1e6 * height[0], 1e6 * (height[1] - height[0])
+    values = _inductive(table, height) if apart else _resistive(table, height)
+    return library(
+        "coil" if apart else "catch",
         header,
         name,
-        table,
-        points,
-        rating,
-        title="electromagnetic catch actuator",
-        series=series,
-        law=" + ".join(" ".join((f"{term.name}(y)", *term.currents)) for term in terms),
-        left_out=[term.name for term in terms if term not in kept],
-        negligible=NEGLIGIBLE,
-        functions=[
-            Lookup(t.name, *smooth(values @ t.weights), "".join(f"V({i})*" for i in t.currents))
-            for t in kept
-        ],
+        "catch actuator with real coils" if apart else "electromagnetic catch actuator",
+        PINS if apart else SERIES_PINS,
+        tuple(
+            positive(f"resistance_{coil}", float(ohm), "Ohm", f"of the {coil} coil")
+            for coil, ohm in zip(COILS, table.resistance, strict=True)
+        ),
+        validity=f"sphere's centre from {low:g} to {1e6 * height[-1]:g} um, constant forces "
+        "beyond; linear magnetics; coils at the temperature of their data, nothing heats up",
+        rating=rating,
+        points=points,
+        lowest=low,
+        spacing=spacing,
+        **values,
     )
 
 
-def coil_subcircuit(
-    header: Header,
-    table: EMTable,
-    *,
-    points: int = POINTS,
-    name: str = "coil",
-    rating: str = UNRATED,
-) -> Subcircuit:
-    """Two coils ``lp ln`` and ``up un`` with ``v = R i + d(lambda)/dt`` and the sphere's force.
+def _resistive(table: EMTable, height: np.ndarray) -> dict[str, Any]:
+    """What the template ``catch`` asks for."""
+    values = table.splines(height)
+    rows = enumerate(SERIES.items())
+    return {"functions": [Lookup(n, *smooth(values @ w), "V(i)*" * k) for k, (n, w) in rows]}
 
-    The state of coil k is its inductive flux linkage ``psi_k = sum_l L_kl(y) i_l`` on a capacitor;
-    the magnets' part of the flux enters as ``c_k(y) v`` with the force's own coefficient, which
-    closes the energy balance whatever the lookup's error. Pins as those of the ideal catch.
-    """
-    height = np.linspace(table.y[0], table.y[-1], points)
+
+def _inductive(table: EMTable, height: np.ndarray) -> dict[str, Any]:
+    """What the template ``coil`` asks for."""
     henry = float(np.mean(table.inductance[:, (0, 1), (0, 1)]))
     inverse = henry * np.linalg.inv(table.coenergy.inductances(height))
     usual = inverse.mean(axis=0)
@@ -188,58 +169,11 @@ def coil_subcircuit(
         g = f"g{k + 1}{l + 1}"
         doc = f"{g}(y): {henry:.6g} H times the inverse of L, less its mean"
         functions.append(Lookup(g, *smooth((inverse - usual)[:, k, l]), doc))
-    return _actuator(
-        "coil",
-        header,
-        name,
-        table,
-        points,
-        rating,
-        title="catch actuator with real coils",
-        henry=henry,
-        coils=[
-            {"k": 1, "name": "lower", "plus": "lp", "minus": "ln", "own": usual[0, 0]},
-            {"k": 2, "name": "upper", "plus": "up", "minus": "un", "own": usual[1, 1]},
-        ],
-        mutual=usual[0, 1],
-        functions=functions,
-    )
-
-
-def _actuator(
-    template: str,
-    header: Header,
-    name: str,
-    table: EMTable,
-    points: int,
-    rating: str,
-    *,
-    title: str,
-    series: bool = False,
-    **values: Any,
-) -> Subcircuit:
-    """What both netlists have: resistances that a deck may change, and the heights [um] of their
-    lookups."""
-    low, high = 1e6 * table.y[0], 1e6 * table.y[-1]
-    return library(
-        template,
-        header,
-        name,
-        title,
-        SERIES_PINS if series else PINS,
-        tuple(
-            positive(f"resistance_{coil}", float(ohm), "Ohm", f"of the {coil} coil")
-            for coil, ohm in zip(COILS, table.resistance, strict=True)
-        ),
-        validity=f"sphere's centre from {low:g} to {high:g} um, constant forces beyond; linear "
-        "magnetics; coils at the temperature of their data, nothing heats up",
-        rating=rating,
-        points=points,
-        lowest=low,
-        spacing=1e6 * np.diff(np.linspace(table.y[0], table.y[-1], points)[:2])[0],
-        series=series,
-        **values,
-    )
+    coils = [
+        {"k": 1, "name": "lower", "plus": "lp", "minus": "ln", "own": usual[0, 0]},
+        {"k": 2, "name": "upper", "plus": "up", "minus": "un", "own": usual[1, 1]},
+    ]
+    return {"henry": henry, "coils": coils, "mutual": usual[0, 1], "functions": functions}
 
 
 def smooth(values: np.ndarray) -> tuple[list[str], list[str]]:
@@ -417,24 +351,15 @@ class RingMagnetCoils(Touching):
         )
 
     def library(self, part: Part, scene: Scene) -> str:
-        return "coil" if real(part, scene) and part.name == "catch" else part.name
+        return "coil" if _apart(part, scene) and part.name == "catch" else part.name
 
     def subcircuits(self, part: Part, build: Build, header: Any) -> tuple[Any, ...]:
-        table, keys = build.model(part), part.keys
-        told: dict[str, Any] = {
-            "points": keys.points,
-            "name": build.libraries[part.name],
-            "rating": f"{rated_heating(keys):.3g} A^2 s in each coil, the integral of i^2 that "
-            f"warms its copper by {keys.rated_rise:g} K without cooling; steady current: not "
-            "known, it depends on that",
-        }
-        if real(part, build.scene):
-            return (coil_subcircuit(header, table, **told),)
-        for cases in build.scene.of("current_cases"):  # which feeds both coils on their own
-            pairs = max(map(abs, cases.keys.currents))
-            return (catch_subcircuit(header, table, pairs, **told),)
-        current = largest_current(part, build.scene)
-        return (catch_subcircuit(header, table, current, series=True, **told),)
+        keys, name, apart = part.keys, build.libraries[part.name], _apart(part, build.scene)
+        rating = f"{rated_heating(keys):.3g} A^2 s in each coil, the integral of i^2 that "
+        rating += f"warms its copper by {keys.rated_rise:g} K without cooling; steady current: not "
+        rating += "known, it depends on that"
+        words: dict[str, Any] = {"apart": apart, "points": keys.points, "rating": rating}
+        return (coils_subcircuit(header, build.model(part), name, **words),)
 
     def vectors(self, part: Part, build: Build) -> Mapping[str, Vector]:
         if not _driven(part, build.scene):
@@ -606,6 +531,11 @@ def real(part: Part, scene: Scene) -> bool:
     return bool(part.keys.driver) or named
 
 
+def _apart(part: Part, scene: Scene) -> bool:
+    """Whether its netlist has terminals of both coils: real ones, or of cases that feed each."""
+    return real(part, scene) or bool(scene.of("current_cases"))
+
+
 def _driven(part: Part, scene: Scene) -> bool:
     targets = {f"{part.name}.{pin}" for pin in ("drive", "ret", *ENDS)}
     joined = (
@@ -635,11 +565,11 @@ def interpolation_error(table: EMTable, current: float) -> float:
     or less of a fall where every fourth height shows less, and none where these are too few.
     """
     values = table.coefficients
-    largest = float(np.abs(_pulls(values, SERIES, current)).sum(axis=0).max())
+    largest = float(np.abs(_pulls(values, current)).sum(axis=0).max())
 
     def missed(step: int) -> float:
         found = cubic_spline(table.y[::step], values[::step])(table.y)
-        off = _pulls(found - values, SERIES, current)
+        off = _pulls(found - values, current)
         return float(np.abs(off).sum(axis=0).max()) / largest
 
     half = missed(2)

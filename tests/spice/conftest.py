@@ -10,7 +10,7 @@ from kc2spice.parts._template import opamp_subcircuit
 from kc2spice.parts._touching import ring_gaps
 from kc2spice.parts.contact import Normal, contact_subcircuit
 from kc2spice.parts.pid import Control, pid_subcircuit
-from kc2spice.parts.ring_magnet_coils import catch_subcircuit, coil_subcircuit
+from kc2spice.parts.ring_magnet_coils import coils_subcircuit
 from kc2spice.parts.sphere import SphereKeys, sphere_subcircuit
 from kc2spice.scene.load import load_scene
 from kc2spice.scene.model import Scene
@@ -47,8 +47,8 @@ def parts(header, model, radii, table) -> dict[str, Subcircuit]:
         subcircuit(model.linear(), "kick", header),
         sphere_subcircuit(header, ball.mass, ball.radius, 9.81),
         contact_subcircuit(header, rings, ring_gaps(radii, ball.radius), Normal(4e8)),
-        catch_subcircuit(header, table, 0.1, points=81),
-        coil_subcircuit(header, table, points=81),
+        coils_subcircuit(header, table, "catch", apart=False, points=81),
+        coils_subcircuit(header, table, points=81),
         opamp_subcircuit(header),
         pid_subcircuit(header, Control()),
     )

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 from device import bench, deck_of
 
-from kc2spice.parts.ring_magnet_coils import coil_subcircuit
+from kc2spice.parts.ring_magnet_coils import coils_subcircuit
 from kc2spice.scene.load import load_scene
 from kc2spice.sim.ngspice import run_deck
 
@@ -55,7 +55,7 @@ def coils_ring(header, table, tmp_path, values=""):
         ]  # fmt: skip
         vectors[f"i{k}"] = (f"v(xcoil{k}.i1)", 1.0)
     cards += [".options reltol=1e-3 trtol=7 chgtol=1e-11", ".tran 1e-06 3e-04 0 6e-06"]
-    deck = bench([coil_subcircuit(header, coils, points=21)], "\n".join(cards), vectors, 3e-4)
+    deck = bench([coils_subcircuit(header, coils, points=21)], "\n".join(cards), vectors, 3e-4)
     return run_deck(deck, tmp_path), vectors
 
 
