@@ -81,9 +81,9 @@ class Driver(TemplatePart):
             inner = waves[name] + (getattr(keys, "resistance", 0.0) + OUTPUT) * i
             yield within(part.name, inner, *rails, SLACK * (rails[1] - rails[0]), LOADED)
 
-    def detail(self, part: Part, scene: Scene) -> str:
+    def notes(self, part: Part, scene: Scene) -> Iterator[str]:
         given = (f"{key} {value:g}" for key, value in part.keys if value is not None)
-        return f"{self.name}, " + ", ".join(given)
+        yield f"{self.name}, " + ", ".join(given)
 
 
 class CoilDriver(Driver):

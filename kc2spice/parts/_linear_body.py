@@ -616,18 +616,11 @@ class LinearBody(Touching):
             return self.varied(part, scene, clock, middle).select(names)
         return self.full(part, scene, clock).select(names)
 
-    def detail(self, part: Part, scene: Scene) -> str:
+    def notes(self, part: Part, scene: Scene) -> Iterator[str | Neglected]:
         rom = self.reduction(part, scene)
         ports = ", ".join(port.name for port in self.kept(part, scene))
         reach = "" if self.sure(part, scene) is None else f", or {MOTIONS} natural frequencies"
-        return f"reduced to {aim(rom)}{reach}; ports {ports}"
-
-    def sources(self) -> tuple[str, ...]:
-        """Modules whose text the models of this type depend on, for the cache."""
-        own = (kind.__module__ for kind in type(self).__mro__ if issubclass(kind, LinearBody))
-        return (*SOURCES, *own)
-
-    def neglected(self, part: Part, scene: Scene) -> Iterator[Neglected]:
+        yield f"reduced to {aim(rom)}{reach}; ports {ports}"
         kept = self.kept(part, scene)
         rest = [port.name for port in self.ports(part, scene) if port not in kept]
         if rest:
@@ -643,6 +636,11 @@ class LinearBody(Touching):
                 what, why, f"{tangent:g} of the energy of fields inside at open electrodes"
             )
         yield from self.unfollowed(part, scene)
+
+    def sources(self) -> tuple[str, ...]:
+        """Modules whose text the models of this type depend on, for the cache."""
+        own = (kind.__module__ for kind in type(self).__mro__ if issubclass(kind, LinearBody))
+        return (*SOURCES, *own)
 
 
 def _chosen(rom: Rom) -> bool:

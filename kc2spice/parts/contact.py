@@ -266,7 +266,7 @@ class Contact(PartType):
         pins = tuple((pin, f"{n}.{end}") for pin, end in ends.items())
         return laws.Equations((law,), pins, results)
 
-    def detail(self, part: Part, scene: Scene) -> str:
+    def notes(self, part: Part, scene: Scene) -> Iterator[str | Neglected]:
         keys, pair = part.keys, Pair(part, scene)
         own = pair.normal
         if keys.shape == "pressure":
@@ -282,9 +282,7 @@ class Contact(PartType):
             detail += f", damping of Hunt and Crossley {keys.damping:g} s/m"
         if own.friction:
             detail += f", friction {keys.friction:g}, viscous below {own.creep:g} m/s"
-        return detail
-
-    def neglected(self, part: Part, scene: Scene) -> Iterator[Neglected]:
+        yield detail
         pair = Pair(part, scene)
         a, kept = pair.a, len(pair.ports)
         if len(a.ports) > 1:

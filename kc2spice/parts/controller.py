@@ -130,9 +130,9 @@ wiring = "parallel"
             raise part.wrong("function", "the file has no such function", keys.function)
         return found
 
-    def detail(self, part: Part, scene: Scene) -> str:
+    def notes(self, part: Part, scene: Scene) -> Iterator[str]:
         keys = part.keys
-        return f"{keys.output} every {keys.period:g} s, held from {keys.delay:g} s later on"
+        yield f"{keys.output} every {keys.period:g} s, held from {keys.delay:g} s later on"
 
 
 register(Controller())

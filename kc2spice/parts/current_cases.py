@@ -111,8 +111,8 @@ class CurrentCases(PartType):
         of = f"{_coils(part, build.scene).name}.force.*"
         yield Gate("force, of the largest", of, limits, "largest", leads=True)
 
-    def detail(self, part: Part, scene: Scene) -> str:
-        return f"{len(cases(part))} pairs of currents"
+    def notes(self, part: Part, scene: Scene) -> Iterator[str]:
+        yield f"{len(cases(part))} pairs of currents"
 
 
 def cases(part: Part) -> list[tuple[float, float]]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 from pydantic import Field
@@ -54,12 +54,10 @@ class Diode(TemplatePart):
         read, ends = f"@d.x{part.name.lower()}.djunction[id]", (("cathode",), ("anode",))
         return {f"{part.name}.i": Vector(read, 1.0, "A", *ends)}
 
-    def detail(self, part: Part, scene: Scene) -> str:
+    def notes(self, part: Part, scene: Scene) -> Iterator[str | Neglected]:
         keys = part.keys
-        return f"diode, IS {keys.saturation_current:g} A, N {keys.emission:g}"
-
-    def neglected(self, part: Part, scene: Scene) -> tuple[Neglected, ...]:
-        return (Neglected("heating of diodes", "27 °C throughout", "not estimated"),)
+        yield f"diode, IS {keys.saturation_current:g} A, N {keys.emission:g}"
+        yield Neglected("heating of diodes", "27 °C throughout", "not estimated")
 
 
 register(Diode())

@@ -111,8 +111,8 @@ elastic = true
         why = "steps let go of it once nothing presses on the sphere, whose path it is no part of"
         yield Neglected(f"free ringing of {part.keys.of}", why, "none of the path")
 
-    def neglected(self, part: Part, scene: Scene) -> Iterator[Neglected]:
-        yield from super().neglected(part, scene)
+    def notes(self, part: Part, scene: Scene) -> Iterator[str | Neglected]:
+        yield from super().notes(part, scene)
         deep = Pair(_contact(part, scene), scene).normal.depth / _body(part, scene).radius
         yield Neglected(
             f"slope of {part.keys.of} under the contact",

@@ -111,8 +111,8 @@ class PointMass(Touching, TemplatePart):
             f"{part.name}_speed_m_s": float(np.abs(v).max()),
         }
 
-    def detail(self, part: Part, scene: Scene) -> str:
-        return f"mass {part.keys.mass:g}"
+    def notes(self, part: Part, scene: Scene) -> Iterator[str]:
+        yield f"mass {part.keys.mass:g}"
 
 
 def _given(part: Part) -> bool:

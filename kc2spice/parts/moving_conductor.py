@@ -268,14 +268,12 @@ class MovingConductor(DeclaredPart):
             caption = f"Height of the lowest point of {part.name}."
             yield Figure(f"{part.name}_height", f"Path of {part.name}", caption, (panel,))
 
-    def detail(self, part: Part, scene: Scene) -> str:
+    def notes(self, part: Part, scene: Scene) -> Iterator[str | Neglected]:
         keys = part.keys
-        return (
+        yield (
             f"{len(keys.coils)} coils, eddy currents as loops to {keys.tolerance:g} of flux and "
             f"force up to {keys.frequency:g} Hz, exact in currents, power series of the height"
         )
-
-    def neglected(self, part: Part, scene: Scene) -> Iterator[Neglected]:
         keys = part.keys
         depth = 1 / math.sqrt(math.pi * keys.frequency * MU_0 * keys.conductivity)
         yield Neglected(

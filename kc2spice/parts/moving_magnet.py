@@ -107,10 +107,8 @@ sine = { amplitude = "1 V", frequency = "50 Hz" }
         with ranged(part):
             return cached("magnet", key, build, classes=(Ladder,), sources=SOURCES)[0]
 
-    def detail(self, part: Part, scene: Scene) -> str:
-        return f"{len(part.keys.coils)} coils, exact in currents, power series of the height"
-
-    def neglected(self, part: Part, scene: Scene) -> Iterator[Neglected]:
+    def notes(self, part: Part, scene: Scene) -> Iterator[str | Neglected]:
+        yield f"{len(part.keys.coils)} coils, exact in currents, power series of the height"
         keys: MovingMagnetKeys = part.keys
         extra = keys.mu_r - 1
         factor = demagnetising(keys.inner, keys.radius, keys.thickness)

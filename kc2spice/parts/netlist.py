@@ -159,8 +159,8 @@ class Netlist(PartType):
                 name = f"{name} within its slew rate"
                 yield Check(name, most, slack, "V ahead", RATED, wiring=True)
 
-    def detail(self, part: Part, scene: Scene) -> str:
-        return f".subckt {part.keys.subckt} of {part.keys.file}"
+    def notes(self, part: Part, scene: Scene) -> Iterator[str]:
+        yield f".subckt {part.keys.subckt} of {part.keys.file}"
 
 
 def driver(part: Part, known: Mapping[str, str], data: Mapping[str, Any]) -> dict[str, Any]:

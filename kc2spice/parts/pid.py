@@ -231,10 +231,10 @@ class Pid(PartType):
         advice, action = f"{advice}{part.name}.current_limit", build.scene.checks.saturation
         yield Check("saturation", share, SATURATED, "of the time", advice, action)
 
-    def detail(self, part: Part, scene: Scene) -> str:
+    def notes(self, part: Part, scene: Scene) -> Iterator[str]:
         coils = "real coils" if _remote(part, scene) else "current-driven coils"
         form = "ideal" if part.keys.form == "ideal" else "op-amp"
-        return f"{form} PID, output clamped at {part.keys.current_limit:g} A, {coils}"
+        yield f"{form} PID, output clamped at {part.keys.current_limit:g} A, {coils}"
 
 
 def _coils(part: Part, scene: Scene) -> Part:

@@ -330,15 +330,13 @@ class PiezoStack(MeshedBody):
     def indentation_modulus(self, part: Part) -> float:
         return top_material(part.keys).indentation_modulus
 
-    def detail(self, part: Part, scene: Scene) -> str:
+    def notes(self, part: Part, scene: Scene) -> Iterator[str | Neglected]:
         keys, rom = part.keys, self.reduction(part, scene)
         ports = f"{kept_rings(part, scene)} rings as ports"
         if pressure_hats(part, scene) is not None:
             ports = "a patch of pressure as port"
         detail = f"quarter chip, {keys.layers} layers, {mounted(keys)}, reduced to {aim(rom)}, "
-        return f"{detail}anode {keys.electrical}, {ports}"
-
-    def neglected(self, part: Part, scene: Scene) -> Iterator[Neglected]:
+        yield f"{detail}anode {keys.electrical}, {ports}"
         yield from self.unfollowed(part, scene)
         yield Neglected("electrodes, coating and glue", "thin and compliant", "not estimated")
         if part.keys.mounting == "roller":

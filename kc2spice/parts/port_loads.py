@@ -163,9 +163,9 @@ class PortLoads(PartType):
             results[f"{load}>anode"] = laws.reading(f"{name}.anode") if is_open else charge
         return laws.Equations(tuple(found), (), results, nets=tuple(nets))
 
-    def detail(self, part: Part, scene: Scene) -> str:
+    def notes(self, part: Part, scene: Scene) -> Iterator[str]:
         keys = part.keys
-        return f"{keys.steps} frequencies, {keys.start:g} … {keys.stop:g} Hz"
+        yield f"{keys.steps} frequencies, {keys.start:g} … {keys.stop:g} Hz"
 
 
 def body_of(part: Part, scene: Scene) -> Part:

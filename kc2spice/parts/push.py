@@ -112,9 +112,9 @@ class Push(Touching):
         results = {f"{n}.depth": laws.reading(f"{n}.out", -1.0)}
         return laws.Equations((source,), (("bottom", f"{n}.out"),), results, {"depth": (n, -1.0)})
 
-    def detail(self, part: Part, scene: Scene) -> str:
+    def notes(self, part: Part, scene: Scene) -> Iterator[str]:
         keys = part.keys
-        return f"{keys.steps} steps down to {keys.depth:g} m"
+        yield f"{keys.steps} steps down to {keys.depth:g} m"
 
 
 register(Push())

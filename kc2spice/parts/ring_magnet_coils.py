@@ -456,14 +456,11 @@ class RingMagnetCoils(Touching):
         file = "em_table.npz" if alone else f"{part.name}_table.npz"
         yield Written(file, lambda path: np.savez_compressed(path, **arrays))
 
-    def detail(self, part: Part, scene: Scene) -> str:
-        detail = f"{part.keys.positions} heights, force quadratic in both coil currents (exact)"
-        if real(part, scene):
-            detail += "; coils with R, L(y), M(y) and back-EMF"
-        return detail
-
-    def neglected(self, part: Part, scene: Scene) -> Iterator[Neglected]:
+    def notes(self, part: Part, scene: Scene) -> Iterator[str | Neglected]:
         """Eddy currents die away with the diffusion time ``mu sigma R^2 / pi^2`` of a sphere."""
+        yield f"{part.keys.positions} heights, force quadratic in both coil currents (exact)"
+        if real(part, scene):
+            yield "coils with R, L(y), M(y) and back-EMF"
         keys, radius = part.keys, sphere_of(part, scene).keys.radius
         diffusion = MU_0 * keys.mu_r * MAGNET_CONDUCTIVITY * (radius / np.pi) ** 2
         yield Neglected(

@@ -75,9 +75,9 @@ dc = "1 um"
     def vectors(self, part: Part, build: Build) -> Mapping[str, Vector]:
         return {f"{part.name}.y": build.across(part, "out")}
 
-    def detail(self, part: Part, scene: Scene) -> str:
+    def notes(self, part: Part, scene: Scene) -> Iterator[str]:
         keys = part.keys
-        return f"{keys.bandwidth:g} Hz, offset {keys.offset:g} m, noise {keys.noise:g} m rms"
+        yield f"{keys.bandwidth:g} Hz, offset {keys.offset:g} m, noise {keys.noise:g} m rms"
 
 
 register(Sensor())

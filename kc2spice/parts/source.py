@@ -214,8 +214,8 @@ class Source(PartType):
             results[f"{n}.i"] = results[f"{n}.force"] = laws.reading(f"{n}.out.through", -1.0)
         return laws.Equations((law,), pins, results, {"dc": (n, 1.0)})
 
-    def detail(self, part: Part, scene: Scene) -> str:
-        return f"{part.keys.kind}, {part.keys.shape}"
+    def notes(self, part: Part, scene: Scene) -> Iterator[str]:
+        yield f"{part.keys.kind}, {part.keys.shape}"
 
 
 def _returns(part: Part, scene: Scene) -> bool:

@@ -220,11 +220,9 @@ class Sphere(Touching):
         pins = tuple((pin, f"{n}.a") for pin in ("v", "bottom", "y"))
         return laws.Equations((law,), pins, results)
 
-    def detail(self, part: Part, scene: Scene) -> str:
+    def notes(self, part: Part, scene: Scene) -> Iterator[str | Neglected]:
         keys = part.keys
-        return f"{keys.mass * 1e6:.4g} mg, vertical motion, gravity {scene.gravity:g} m/s2"
-
-    def neglected(self, part: Part, scene: Scene) -> Iterator[Neglected]:
+        yield f"{keys.mass * 1e6:.4g} mg, vertical motion, gravity {scene.gravity:g} m/s2"
         linear = any(contact.keys.law == "linear" for contact in scene.of("contact"))
         if linear and part.keys.elastic is None:
             why = f"the part is rigid unless {part.name}.elastic"

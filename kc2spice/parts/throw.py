@@ -97,9 +97,9 @@ class Throw(Touching):
         """None of its own: the sphere starts as it says."""
         return laws.Equations()
 
-    def detail(self, part: Part, scene: Scene) -> str:
+    def notes(self, part: Part, scene: Scene) -> Iterator[str]:
         keys = part.keys
-        return f"{keys.velocity:g} m/s from {keys.gap:g} m"
+        yield f"{keys.velocity:g} m/s from {keys.gap:g} m"
 
 
 def _arriving(part: Part, scene: Scene) -> float:

@@ -6,7 +6,7 @@ results, the law of the independent integrator and documentation follow from it.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from functools import cached_property
 from typing import Annotated, Any, NamedTuple
 
@@ -151,9 +151,9 @@ class LinearElement(DeclaredPart):
             return {f"{n}.{self.branch.through}": through}
         return {f"{n}.v": Vector(across, 1.0, "V"), f"{n}.i": through}
 
-    def detail(self, part: Part, scene: Scene) -> str:
+    def notes(self, part: Part, scene: Scene) -> Iterator[str]:
         row = next(row for row in TABLE if row.name == self.name)
-        return f"{row.name} of {getattr(part.keys, row.key):g} {row.unit}"
+        yield f"{row.name} of {getattr(part.keys, row.key):g} {row.unit}"
 
 
 def _meter(part: Part, build: Build) -> str:

@@ -184,10 +184,8 @@ class DeclaredPart(PartType):
 
     # --- what explain says ------------------------------------------------------------------
 
-    def detail(self, part: Part, scene: Scene) -> str:
-        return "; ".join(self.declared(part, scene).equations)
-
-    def neglected(self, part: Part, scene: Scene) -> Iterator[Neglected]:
+    def notes(self, part: Part, scene: Scene) -> Iterator[str | Neglected]:
+        yield "; ".join(self.declared(part, scene).equations)
         yield from (Neglected(*row) for row in self.declared(part, scene).neglected)
 
 

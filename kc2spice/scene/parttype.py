@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import math
 import pkgutil
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import cache, cached_property
 from importlib import import_module
@@ -342,13 +342,9 @@ class PartType:
 
     # --- what explain says ---------------------------------------------------------------------
 
-    def detail(self, part: Part, scene: Scene) -> str:
-        """What is modelled of it, for ``explain``."""
-        return self.title
-
-    def neglected(self, part: Part, scene: Scene) -> Iterable[Neglected]:
-        """Effects that it has no model of."""
-        return ()
+    def notes(self, part: Part, scene: Scene) -> Iterator[str | Neglected]:
+        """What is modelled of it, in words, and effects that it has no model of."""
+        yield self.title
 
 
 def mover(name: str, scene: Scene) -> str | None:

@@ -212,12 +212,13 @@ def plan(build: Build) -> Plan:
     """Parts, joins, omissions and settings; omissions of several parts stand once."""
     scene = build.scene
     parts = scene.parts.values()
-    left_out = [row for part in parts for row in part.type.neglected(part, scene)]
+    notes = {part.name: list(part.type.notes(part, scene)) for part in parts}
+    left_out = (row for rows in notes.values() for row in rows if isinstance(row, Neglected))
+    told = {n: "; ".join(row for row in rows if isinstance(row, str)) for n, rows in notes.items()}
     certified = scene.analysis.small  # steps and contacts excite what is above the band
     return Plan(
         parts=tuple(
-            Modelled(p.name, p.type.source, p.type.detail(p, scene) + _noise(p, build))
-            for p in parts
+            Modelled(p.name, p.type.source, told[p.name] + _noise(p, build)) for p in parts
         ),
         joins=drawing(scene),
         left_out=tuple(dict.fromkeys(left_out)),
