@@ -60,7 +60,6 @@ class Bonded:
     moved : whether the acceleration of what holds it is the port ``base``, upwards.
     grid : lines along each axis, or none: cells of at most ``size`` [m], each cut in ``refine``.
     like : another body of the same blocks in other sizes, whose mesh this one has, moved.
-    rated : largest voltage [V] that its materials stand, None if not known.
     where : the part, for errors.
     """
 
@@ -76,7 +75,6 @@ class Bonded:
     refine: int = 1
     like: Bonded | None = None
     damping: Damping = field(default_factory=Damping)
-    rated: float | None = None
     where: str = "body"
 
     @property
@@ -88,6 +86,18 @@ class Bonded:
             *(Port(name, "mechanical") for name in self.ports),
             *([Port("base", "acceleration")] if self.moved else []),
         )
+
+    @property
+    def rated(self) -> float | None:
+        """Voltage [V] at which one of the ceramics reaches its depoling field, the same field in
+        all of them where electrodes between them float; None where no limit is known."""
+        active = [block for block in self.blocks if block.material.piezoelectric]
+        thick = np.array([block.box[-1][1] - block.box[-1][0] for block in active])
+        limits = [block.material.depoling_field for block in active]
+        if not active or None in limits:
+            return None
+        fields = np.array(limits, dtype=float)
+        return float(fields.min() * thick.sum() if self.floating else (fields * thick).min())
 
     def device(self) -> Device:
         """Its mesh and full model.
@@ -190,17 +200,3 @@ def _within(box: Box, places: np.ndarray, near: float) -> np.ndarray:
         (x > low - near) & (x < high + near) for x, (low, high) in zip(places, box, strict=True)
     ]
     return np.all(inside, axis=0)
-
-
-def depoling_voltage(
-    layers: Sequence[tuple[Material, float]], *, series: bool = False
-) -> float | None:
-    """Voltage [V] at which one of the layers (material, thickness [m]) reaches its depoling field,
-    the same field in all of them in series; None where no limit is known."""
-    active = [(one.depoling_field, thick) for one, thick in layers if one.piezoelectric]
-    known = [(limit, thick) for limit, thick in active if limit is not None]
-    if not known or len(known) < len(active):
-        return None
-    if series:
-        return float(min(limit for limit, _ in known) * sum(thick for _, thick in known))
-    return float(min(limit * thick for limit, thick in known))

@@ -122,8 +122,8 @@ def make_device(solid: Solid, setup: Setup) -> Device:
 
     Raises
     ------
-    UsageError : electrodes or rigid faces touch each other, an electrode touches nothing
-        piezoelectric, or damping per material lacks a quality.
+    UsageError : electrodes or rigid faces touch each other, or damping per material lacks a
+        quality.
     """
     volts = _depoling_voltage(solid, setup)
     return damped(
@@ -301,16 +301,8 @@ def _potentials(
     """``Q`` and ``R`` of ``phi = Q p + R V``, and the electrical ports."""
     live = K_pp.diagonal() > 0
     taken = np.zeros(len(live), int)
-    for pin, nodes in [*setup.electrodes.items(), *((None, n) for n in setup.floating)]:
-        where = "floating electrode" if pin is None else f"electrodes.{pin}"
-        nodes = nodes[live[nodes]]
-        if not nodes.size:
-            raise UsageError(
-                "electrode on a material that is not piezoelectric",
-                where=where,
-                expected="a face of a piezoelectric group",
-            )
-        taken[nodes] += 1
+    for nodes in (*setup.electrodes.values(), *setup.floating):
+        taken[nodes[live[nodes]]] += 1
     if taken.max(initial=0) > 1:
         raise UsageError(
             "electrodes touch each other",

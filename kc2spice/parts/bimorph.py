@@ -23,7 +23,7 @@ from typing import Annotated, Any, Literal, TypeAlias
 import numpy as np
 from pydantic import Field, StringConstraints, model_validator
 
-from kc2spice.bodies.blocks import Block, Bonded, Box, depoling_voltage
+from kc2spice.bodies.blocks import Block, Bonded, Box
 from kc2spice.core.errors import UsageError
 from kc2spice.core.quantities import Count, Length, Section, si, validated
 from kc2spice.fem.keys import Damping, Mesh
@@ -168,10 +168,6 @@ def structure(keys: BimorphKeys | Mapping[str, Any], where: str = "bimorph") -> 
         moved=beam.support != "free",
         grid=_grid(beam, heights),
         damping=beam.damping,
-        rated=depoling_voltage(
-            [*zip(materials, (layer.thickness for layer in beam.layers), strict=True)],
-            series=series,
-        ),
         where=where,
     )
 

@@ -20,7 +20,7 @@ from typing import Any, Literal
 
 from pydantic import Field, model_validator
 
-from kc2spice.bodies.blocks import Block, Bonded, Box, depoling_voltage
+from kc2spice.bodies.blocks import Block, Bonded, Box
 from kc2spice.core.errors import UsageError
 from kc2spice.core.quantities import Length, Ratio, Section, validated
 from kc2spice.fem.keys import Damping, Mesh
@@ -123,7 +123,6 @@ def structure(keys: DiscKeys | Mapping[str, Any], where: str = "disc") -> Bonded
             electrodes.setdefault("feedback", []).append(ring)
     top, across = pieces[-1].box[1][1], max(layer.diameter for layer in disc.layers)
     patch = disc.centre or min(top, disc.layers[-1].diameter)
-    stack = [(p.material, x.thickness) for x, p in zip(disc.layers, pieces, strict=True)]
     return Bonded(
         pieces,
         electrodes,
@@ -133,7 +132,6 @@ def structure(keys: DiscKeys | Mapping[str, Any], where: str = "disc") -> Bonded
         size=max(top, across) / (2 * _CELLS),
         refine=disc.mesh.refine,
         damping=disc.damping,
-        rated=depoling_voltage(stack, series=series),
         where=where,
     )
 

@@ -20,7 +20,7 @@ from typing import Any, Literal
 
 from pydantic import Field, model_validator
 
-from kc2spice.bodies.blocks import Block, Bonded, Box, depoling_voltage
+from kc2spice.bodies.blocks import Block, Bonded, Box
 from kc2spice.core.errors import UsageError
 from kc2spice.core.quantities import Count, Length, Ratio, Section, validated
 from kc2spice.fem.keys import Damping, Mesh
@@ -133,7 +133,6 @@ def structure(keys: LangevinKeys | Mapping[str, Any], where: str = "langevin") -
         size=max(piece.box[0][1] for piece in pieces) / _CELLS,
         refine=body.mesh.refine,
         damping=body.damping,
-        rated=depoling_voltage([(pieces[0].material, rings.thickness)]),
         where=where,
     )
 
