@@ -38,7 +38,7 @@ def read_model(path: Path | str, sidecar: Path | str | None = None) -> LinearMod
     MissingToolError : the format needs a package that is not installed; the message says which.
     """
     name, said, raw = open_source(Path(path), None if sidecar is None else Path(sidecar))
-    return assemble(Rows(name, str(path), said, raw))
+    return assemble(Rows(name, str(path), said, raw, raw.matrices))
 
 
 def extent(path: Path, sidecar: Path | None) -> np.ndarray | None:

@@ -26,8 +26,8 @@ def assemble(rows: Rows) -> LinearModel:
     UsageError : letters missing or too many, shapes that do not fit, matrices that are zero or
         half stored, freedoms or nodes that do not exist; the message names file and key.
     """
-    rows = rows.holding(_whole(rows, _complete(rows)))
-    rows = rows.holding(rows.in_si())
+    rows = replace(rows, found=_whole(rows, _complete(rows)))
+    rows = replace(rows, found=rows.in_si())
     if any(entry.kind == "electrical" and entry.placed for entry in rows.said.ports):
         return _with_electrodes(rows)
     return _plain(rows)
@@ -87,21 +87,14 @@ def _cut(matrix: Matrix, keep: np.ndarray) -> Matrix:
 @dataclass(frozen=True)
 class Rows:
     """A model as its files have it, ``raw``, with what its sidecar has ``said``: which row is which
-    freedom, and where the nodes are. ``where`` is the path to quote."""
+    freedom, and where the nodes are. ``where`` is the path to quote, ``found`` are its matrices by
+    letter."""
 
     name: str
     where: str
     said: Sidecar
     raw: Raw
-
-    @property
-    def found(self) -> Mapping[str, Matrix]:
-        """Its matrices by letter."""
-        return self.raw.matrices
-
-    def holding(self, matrices: Mapping[str, Matrix]) -> Rows:
-        """The same with other matrices."""
-        return replace(self, raw=replace(self.raw, matrices=matrices))
+    found: Mapping[str, Matrix]
 
     # --- freedoms ---------------------------------------------------------------------------------
 
@@ -196,30 +189,17 @@ class Rows:
         if entry.column is not None or entry.row is not None:
             return self._listed(entry)
         where, load = self.said.of(entry), np.zeros(self.size)
-        axis = entry.axis or (0.0, 0.0, 0.0)
         if entry.kind == "acceleration":  # of the frame: -M r
             if "M" not in self.found:
                 expected = "a second-order model"
                 raise UsageError("needs a mass matrix", where=where, expected=expected)
             kind = self.dofs(where).kind
-            for k, weight in zip(TRANSLATIONS, axis, strict=True):
+            for k, weight in entry.weights.items():
                 load[kind == k] = weight
             return -np.asarray(self.found["M"] @ load)
-        group = ROTATIONS if entry.kind == "rotational" else TRANSLATIONS
-        weights = {k: weight for k, weight in zip(group, axis, strict=True) if weight}
-        if entry.dof is not None:
-            weights = {entry.dof: 1.0}
-        if entry.kind in ("mechanical", "rotational") and not weights.keys() <= set(group):
-            raise UsageError(
-                f"is no freedom of a {entry.kind} port",
-                where=f"{where}.dof",
-                got=", ".join(DOFS[k] for k in weights),
-                expected=", ".join(DOFS[k] for k in group),
-            )
-        for rows, weight in zip(
-            self.find(entry, tuple(weights)), weights.values(), strict=True
-        ):  # the mean displacement along its direction is its product with x
-            load[rows] += weight / len(rows)
+        found = self.find(entry, tuple(entry.weights))
+        for rows, weight in zip(found, entry.weights.values(), strict=True):
+            load[rows] += weight / len(rows)  # their mean displacement is its product with x
         if not load[~self.held()].any():
             raise UsageError("the port is on fixed freedoms", where=where, expected="a free node")
         return load

@@ -60,7 +60,7 @@ from pydantic import (
     model_validator,
 )
 
-from kc2spice.bodies.readers.raw import CODES, DOFS, existing, guarded
+from kc2spice.bodies.readers.raw import CODES, DOFS, ROTATIONS, TRANSLATIONS, existing, guarded
 from kc2spice.core.foreign import MAX_BYTES, parse_toml, read_bounded, text_of
 from kc2spice.core.quantities import Count, Section, refused, validated
 from kc2spice.rom.linear import CONSERVATIVE, Port, PortKind
@@ -207,7 +207,24 @@ class PortEntry(Place):
         elif (self.dof is None) == (self.axis is None):
             got = "dof and axis" if self.axis else "neither dof nor axis"
             raise refused(got, "'dof' or 'axis'")
+        elif self.kind in ("mechanical", "rotational") and not self.weights.keys() <= {
+            *self._group
+        }:
+            expected = ", ".join(DOFS[k] for k in self._group)
+            raise refused(f"{DOFS[self.dof or 0]} is no freedom of a {self.kind} port", expected)
         return self
+
+    @property
+    def _group(self) -> tuple[int, ...]:
+        return ROTATIONS if self.kind == "rotational" else TRANSLATIONS
+
+    @property
+    def weights(self) -> dict[int, float]:
+        """Freedoms of its nodes that it acts on, and with which share."""
+        if self.dof is not None:
+            return {self.dof: 1.0}
+        axis = zip(self._group, self.axis or (0.0, 0.0, 0.0), strict=True)
+        return {kind: weight for kind, weight in axis if weight}
 
     @property
     def port(self) -> Port:
