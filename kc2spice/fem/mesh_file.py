@@ -28,7 +28,6 @@ FORMATS = {
     ".msh": (b"$MeshFormat", "mesh.msh"), ".brep": (b"DBRep_DrawableShape", "mesh.brep"),
     ".step": (b"ISO-10303-21;", "mesh.step"), ".stp": (b"ISO-10303-21;", "mesh.step"),
 }  # fmt: skip
-VERSIONS = ("2", "2.0", "2.1", "2.2", "4", "4.0", "4.1")  # of .msh files
 MAX_BYTES = 2_000_000_000  # of a file
 _HEAD = 200  # bytes that tell its format
 LENGTHS = ("m", "cm", "mm", "um")  # that a file without unit may be in
@@ -38,6 +37,11 @@ _CURVED = {
     4: (MeshTet, MeshTet2, ((0, 1), (1, 2), (2, 0), (3, 0), (3, 2), (3, 1))),
     3: (MeshTri, MeshTri2, ((0, 1), (1, 2), (2, 0))),
 }
+# Versions of .msh files that are read; what follows tells text from binary numbers of either order.
+_MSH = re.compile(
+    rb"\$MeshFormat[ \t\r]*\n[ \t]*(2|2\.[012]|4|4\.[01])[ \t]+"
+    rb"(0[ \t]+8[ \t\r]*\n\s*\$EndMeshFormat|1[ \t]+8[ \t\r]*\n(\x01\0\0\0|\0\0\0\x01))"
+)
 _STEP_TEXT = re.compile(rb"'(?:[^']|'')*'|/\*.*?\*/", re.DOTALL)
 
 
@@ -219,7 +223,7 @@ def require_format(path: Path, head: bytes | None = None) -> None:
     magic = known[0]
     got, expected, hint = head[:20], f"{magic.decode()} as its very first characters", None
     if head.startswith(magic):
-        if magic != b"$MeshFormat" or _is_mesh(head):
+        if magic != b"$MeshFormat" or _MSH.match(head):
             return
         got, expected = head[:40], "a header of version 2 or 4, as text or binary"
         hint = 'gmsh.option.setNumber("Mesh.MshFileVersion", 4.1) before gmsh.write'
@@ -250,19 +254,6 @@ def _content(path: Path) -> bytes:
             hint="export it without external references",
         )
     return data
-
-
-def _is_mesh(head: bytes) -> bool:
-    """Whether the lines of ``$MeshFormat`` are those of a version that is read."""
-    first, second, rest = [*head.split(b"\n", 2), b"", b""][:3]
-    words = second.decode("ascii", "replace").split()
-    if first.strip() != b"$MeshFormat" or len(words) != 3:
-        return False
-    version, binary, width = words
-    if version not in VERSIONS or width != "8" or binary not in ("0", "1"):
-        return False
-    one = rest[:4] in (b"\1\0\0\0", b"\0\0\0\1")
-    return one if binary == "1" else rest.lstrip().startswith(b"$EndMeshFormat")
 
 
 def _collect(
