@@ -61,7 +61,7 @@ from kc2spice.parts._meshed import FieldKeys, MeshedBody
 from kc2spice.parts._pictures import outline
 from kc2spice.rom.linear import Port
 from kc2spice.scene.model import Part, Scene
-from kc2spice.scene.parttype import Build, register
+from kc2spice.scene.parttype import Build, Neglected, register
 
 Point: TypeAlias = tuple[Length, Length, Length]
 Vector: TypeAlias = tuple[float, float, float]
@@ -400,7 +400,7 @@ class Body(MeshedBody):
                 error.where = f"{part.name}.unit"
             yield error
 
-    def detail(self, part: Part, scene: Scene) -> str:
+    def notes(self, part: Part, scene: Scene) -> Iterator[str | Neglected]:
         """The bounding box of its file, then what all bodies say."""
 
         def size() -> str:
@@ -411,7 +411,8 @@ class Body(MeshedBody):
 
         key = {"file": file_stamp(_path(part, scene)), "unit": part.keys.unit}
         text, _ = cached("extent", key, size, sources=self.sources())
-        return f"{text}; {super().detail(part, scene)}"
+        yield text
+        yield from super().notes(part, scene)
 
     def full_key(self, part: Part, scene: Scene) -> dict[str, Any]:
         return {**super().full_key(part, scene), "file": file_stamp(_path(part, scene))}
