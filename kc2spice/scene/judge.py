@@ -77,11 +77,12 @@ class Balance:
 
 @dataclass(frozen=True)
 class Verdict:
-    """All checks of a run, the energy balances behind some of them, and the gates of ``verify``."""
+    """All checks of a run, the energy balances behind some of them, and the gates of ``verify``, by
+    the parts that have them."""
 
     checks: tuple[Check, ...] = ()
     balances: tuple[tuple[str, Balance], ...] = ()
-    gates: tuple[Gate, ...] = ()
+    gates: tuple[tuple[str, Gate], ...] = ()
 
 
 def require(checks: tuple[Check, ...], where: str) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from typing import Any
 
 import numpy as np
@@ -46,17 +47,19 @@ def verdict(waves: Waveforms, build: Build) -> Verdict:
         )
         for name, found in balances.items()
     ]
-    gates = tuple(row for _, row in rows if isinstance(row, Gate))
+    gates = tuple((name, row) for name, row in rows if isinstance(row, Gate))
     return Verdict(tuple(c for c in checks if c.action != "off"), tuple(balances.items()), gates)
 
 
-def metrics(waves: Waveforms, build: Build) -> dict[str, Any]:
-    """Metrics of all parts, then of the probes.
+def metrics(waves: Waveforms, build: Build, *, partial: bool = False) -> dict[str, Any]:
+    """Metrics of all parts, then of the probes; of ``partial`` waves those that they tell.
 
     A name that several parts have gets the part's name in front: ``left.kick_stroke_m``.
     """
-    scene = build.scene
-    found = {p.name: p.type.metrics(p, build, waves) for p in scene.parts.values()}
+    scene, found = build.scene, dict[str, Mapping[str, Any]]()
+    for part in scene.parts.values():
+        with suppress(*([KeyError] if partial else [])):
+            found[part.name] = part.type.metrics(part, build, waves)
     count = Counter(name for each in found.values() for name in each)
     own = {
         name if count[name] == 1 else f"{part}.{name}": value
@@ -64,16 +67,12 @@ def metrics(waves: Waveforms, build: Build) -> dict[str, Any]:
         for name, value in each.items()
     }
     own |= noise.metrics(waves)
-    return own | {name: take(probe, waves, name) for name, probe in scene.probes.items()}
-
-
-def probed(name: str, probe: Probe, waves: Waveforms) -> dict[str, float | None]:
-    """What a probe takes by its name, nothing where these waves do not have its vector or end
-    before its place."""
-    scale = next(iter(waves.data.values()))
-    if probe.of not in waves or (probe.at is not None and abs(probe.at) > abs(scale[-1])):
-        return {}
-    return {name: take(probe, waves, name)}
+    last = abs(next(iter(waves.data.values()))[-1])
+    return own | {
+        name: take(probe, waves, name)
+        for name, probe in scene.probes.items()
+        if not partial or (probe.of in waves and (probe.at is None or abs(probe.at) <= last))
+    }
 
 
 def take(probe: Probe, waves: Waveforms, name: str) -> float | None:

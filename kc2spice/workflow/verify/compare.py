@@ -5,9 +5,7 @@ from __future__ import annotations
 import fnmatch
 import math
 from collections.abc import Iterable, Iterator, Mapping
-from contextlib import suppress
 from dataclasses import dataclass
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -16,8 +14,7 @@ from kc2spice.core.waveforms import Waveforms
 from kc2spice.report.words import unit_of
 from kc2spice.scene.judge import Check, Gate
 from kc2spice.scene.parttype import Build
-from kc2spice.workflow import noise
-from kc2spice.workflow.judge import probed
+from kc2spice.workflow.judge import metrics
 
 LOADED = 1e-6  # of the largest value: below, a relative error says nothing
 STILL = 1e-9  # of its size: what rests moves less, by rounding alone
@@ -46,15 +43,7 @@ class OutputError:
 
 def solution(waves: Waveforms, build: Build) -> Solution:
     """A solution with those metrics of the scene's parts and probes that its waves tell."""
-    told = [
-        partial(part.type.metrics, part, build, waves) for part in build.scene.parts.values()
-    ] + [partial(probed, name, probe, waves) for name, probe in build.scene.probes.items()]
-    found: dict[str, Any] = {}
-    for metrics in told:
-        with suppress(KeyError):  # a wave that this solution path does not have
-            found |= metrics()
-    found |= {k: v for k, v in noise.metrics(waves).items() if k == noise.WAVE}
-    return Solution(waves, found)
+    return Solution(waves, metrics(waves, build, partial=True))
 
 
 def gate_limits(

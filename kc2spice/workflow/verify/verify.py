@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -92,9 +92,10 @@ def verify(
         for scene in scenes:
             progress("verify", None, scene.name)
             clock = Clock(progress)
-            build = build_models(_as_shipped(scene, libraries), clock, trust=trust)
+            asked = scene if deck is None else _as_shipped(scene, libraries)
+            build = build_models(asked, clock, trust=trust)
             made = make_deck(build)
-            emitted = libraries or made.parts
+            emitted = made.parts if deck is None else libraries
             if deck is not None:
                 made, build = edited_deck(build, made, deck)
             with TemporaryDirectory() as scratch:
@@ -223,7 +224,7 @@ class _Verification:
         outputs: list[OutputError] = []
         for pair in (p for p in PAIRS if p.endswith(last)):
             ours, exact = solutions[pair.partition("_")[0]], solutions[last]
-            limits, leading = gate_limits(self.verdict.gates, pair, ours, exact)
+            limits, leading = gate_limits(_gates(self.verdict, exact), pair, ours, exact)
             self.found.checks += limits
             errors = output_errors(pair, ours.waves, exact.waves)
             leading = max((e.rms for e in errors), default=None) if leading is None else leading
@@ -273,7 +274,7 @@ class _Verification:
     def _stepped(self, waves: Waveforms, coarse: Waveforms) -> None:
         """What steps twice as long change must not decide over a gate."""
         ours, exact = solution(coarse, self.build), solution(waves, self.build)
-        for limit in gate_limits(self.verdict.gates, "rom_vs_fom", ours, exact)[0]:
+        for limit in gate_limits(_gates(self.verdict, exact), "rom_vs_fom", ours, exact)[0]:
             words = limit.name.replace("ROM to full model", "full model, steps halved")
             self.found.checks.append(replace(limit, name=words))
         moved = output_errors("steps", coarse, waves)
@@ -302,3 +303,10 @@ def _until(waves: Waveforms, end: float | None) -> Waveforms:
         return waves
     kept = waves["time"] <= end * (1 + 1e-12)
     return Waveforms({name: values[kept] for name, values in waves.data.items()}, waves.stats)
+
+
+def _gates(found: Verdict, exact: Solution) -> Iterator[Gate]:
+    """Those of all parts, of a metric that several have each its own."""
+    for part, gate in found.gates:
+        own = f"{part}.{gate.of}"
+        yield replace(gate, of=own) if own in exact.metrics else gate
