@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from dataclasses import replace
 from itertools import chain
 
 from kc2spice.core.errors import UsageError, did_you_mean
@@ -38,7 +37,7 @@ def make_deck(build: Build) -> Deck:
     wild = judged(built(build), scene.checks.plausible)
     for problem in chain(unsettled(build), wild):
         raise problem
-    header = _header(scene)
+    header = Header(scene.name, scene_hash(scene))
     parts = tuple(_libraries(build, header))
     results = result_vectors(build)
     watts = powers(build, results)
@@ -86,53 +85,6 @@ def _reductions(parts: Iterable[Subcircuit]) -> Iterator[str]:
         head = (line for item in part.circuit.items for line in item.notes)
         told = (line[2:].partition(" (")[0] for line in head if line.startswith("* rom: "))
         yield from (f"* {part.name}, {line}" for line in told)
-
-
-def libraries(scene: Scene) -> dict[str, str]:
-    """Name of every part's subcircuit; parts of two types that would share a name get their own."""
-    parts = scene.parts
-    names = {part.name: part.type.library(part, scene) for part in parts.values()}
-    owners: dict[str, set[str]] = {}
-    for part, name in names.items():
-        owners.setdefault(name.lower(), set()).add(parts[part].type.name)
-    users = {part for part in parts if parts[part].netlist}
-    own = {
-        part: (parts[part].type.name, name if len(owners[name.lower()]) == 1 else part)
-        for part, name in names.items()
-        if part not in users
-    }
-    found = allocated(
-        ((library, library[1]) for library in dict.fromkeys(own.values())),
-        {names[part].lower() for part in users},
-    )
-    return {part: names[part] if part in users else found[own[part]] for part in parts}
-
-
-def shared(build: Build) -> Build:
-    """``build`` where parts of a type whose subcircuits are alike have one: under the type's name
-    if all are alike, else under that of the first of each kind."""
-    header, names = _header(build.scene), dict(build.libraries)
-    for kind in {part.type.name: part.type for part in build.scene.parts.values()}.values():
-        parts = [part for part in build.scene.of(kind.name) if part.name in names]
-        if len(parts) < 2 or parts[0].reduced or parts[0].netlist:
-            continue
-        trial = replace(build, libraries={**names, **{part.name: kind.name for part in parts}})
-        alike: dict[tuple[str, ...], list[str]] = {}
-        for part in parts:
-            texts = tuple(found.text for found in kind.subcircuits(part, trial, header))
-            alike.setdefault(texts, []).append(part.name)
-        free = kind.name not in {name.lower() for name in names.values()}
-        whole = len(alike) == 1 and free
-        names |= {
-            each: kind.name if whole else names[group[0]]
-            for group in alike.values()
-            for each in group
-        }
-    return replace(build, libraries=names)
-
-
-def _header(scene: Scene) -> Header:
-    return Header(scene.name, scene_hash(scene))
 
 
 def _libraries(build: Build, header: Header) -> Iterator[Subcircuit]:

@@ -9,9 +9,10 @@ from typing import Any
 from kc2spice.core.progress import Clock
 from kc2spice.rom.linear import LinearModel
 from kc2spice.rom.modal import mode_table
-from kc2spice.scene.model import Scene
+from kc2spice.scene.compose import allocated
+from kc2spice.scene.model import Scene, scene_hash
 from kc2spice.scene.parttype import Build
-from kc2spice.workflow.decks import libraries, shared
+from kc2spice.spice.header import Header
 from kc2spice.workflow.steps import largest_step
 
 
@@ -32,6 +33,49 @@ def build_models(
     if scene.analysis.type != "transient":
         return build
     return replace(build, largest=largest_step(build))
+
+
+def libraries(scene: Scene) -> dict[str, str]:
+    """Name of every part's subcircuit; parts of two types that would share a name get their own."""
+    parts = scene.parts
+    names = {part.name: part.type.library(part, scene) for part in parts.values()}
+    owners: dict[str, set[str]] = {}
+    for part, name in names.items():
+        owners.setdefault(name.lower(), set()).add(parts[part].type.name)
+    users = {part for part in parts if parts[part].netlist}
+    own = {
+        part: (parts[part].type.name, name if len(owners[name.lower()]) == 1 else part)
+        for part, name in names.items()
+        if part not in users
+    }
+    found = allocated(
+        ((library, library[1]) for library in dict.fromkeys(own.values())),
+        {names[part].lower() for part in users},
+    )
+    return {part: names[part] if part in users else found[own[part]] for part in parts}
+
+
+def shared(build: Build) -> Build:
+    """``build`` where parts of a type whose subcircuits are alike have one: under the type's name
+    if all are alike, else under that of the first of each kind."""
+    header, names = Header(build.scene.name, scene_hash(build.scene)), dict(build.libraries)
+    for kind in {part.type.name: part.type for part in build.scene.parts.values()}.values():
+        parts = [part for part in build.scene.of(kind.name) if part.name in names]
+        if len(parts) < 2 or parts[0].reduced or parts[0].netlist:
+            continue
+        trial = replace(build, libraries={**names, **{part.name: kind.name for part in parts}})
+        alike: dict[tuple[str, ...], list[str]] = {}
+        for part in parts:
+            texts = tuple(found.text for found in kind.subcircuits(part, trial, header))
+            alike.setdefault(texts, []).append(part.name)
+        free = kind.name not in {name.lower() for name in names.values()}
+        whole = len(alike) == 1 and free
+        names |= {
+            each: kind.name if whole else names[group[0]]
+            for group in alike.values()
+            for each in group
+        }
+    return replace(build, libraries=names)
 
 
 def model_facts(build: Build) -> dict[str, dict[str, float]]:

@@ -11,7 +11,8 @@ from kc2spice.rom.linear import Certificate, Port
 from kc2spice.rom.modal import Resonators
 from kc2spice.scene.model import Scene
 from kc2spice.scene.parttype import Build
-from kc2spice.workflow.decks import libraries, make_deck
+from kc2spice.workflow.decks import make_deck
+from kc2spice.workflow.models import libraries
 
 RADII = 50e-6 * np.arange(6)
 

@@ -10,8 +10,9 @@ from kc2spice.core.waveforms import Waveforms
 from kc2spice.scene.load import load_scene
 from kc2spice.scene.parttype import Build
 from kc2spice.sim.ngspice import run_deck
-from kc2spice.workflow.decks import libraries, make_deck
+from kc2spice.workflow.decks import make_deck
 from kc2spice.workflow.judge import verdict
+from kc2spice.workflow.models import libraries
 from kc2spice.workflow.verify.circuit import solve
 
 MASS = 4 / 3 * np.pi * 1e-9 * 7850.0

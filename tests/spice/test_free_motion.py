@@ -9,8 +9,9 @@ from kc2spice.rom.linear import LinearModel, Port
 from kc2spice.scene.load import load_scene
 from kc2spice.scene.parttype import Build
 from kc2spice.sim.ngspice import run_deck
-from kc2spice.workflow.decks import libraries, make_deck
+from kc2spice.workflow.decks import make_deck
 from kc2spice.workflow.judge import verdict
+from kc2spice.workflow.models import libraries
 from kc2spice.workflow.verify.circuit import solve
 
 MASS, G = 1e-6, 9.81

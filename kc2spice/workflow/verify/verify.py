@@ -19,7 +19,7 @@ from kc2spice.netlist.foreign import Flat, checked
 from kc2spice.netlist.read import subcircuits
 from kc2spice.report.verify_page import Findings, comparison, write_verify
 from kc2spice.scene.compose import composed
-from kc2spice.scene.judge import PAIRS, Check, Verdict
+from kc2spice.scene.judge import PAIRS, Check, Gate, Verdict
 from kc2spice.scene.model import Scene
 from kc2spice.scene.parttype import Build
 from kc2spice.sim.ngspice import find_ngspice, run_deck
