@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 
 from kc2spice.core.errors import UsageError, unknown
-from kc2spice.core.figure import Curve, Figure, Panel
+from kc2spice.core.figure import Figure
 from kc2spice.core.files import staged
 from kc2spice.core.progress import Clock
 from kc2spice.core.units import quantity
@@ -30,7 +30,7 @@ from kc2spice.netlist.lint import lint
 from kc2spice.rom.linear import LinearModel, Norm
 from kc2spice.scene.judge import Check
 from kc2spice.scene.load import load_scene
-from kc2spice.scene.model import Scene
+from kc2spice.scene.model import Probe, Scene
 from kc2spice.scene.parttype import register as register_part
 from kc2spice.sim.ngspice import find_ngspice, write_deck
 from kc2spice.sim.retries import run_with_retries
@@ -272,30 +272,23 @@ class Result:
 
         Raises
         ------
-        UsageError : no such wave or figure.
+        UsageError : no such wave or figure, or a single point.
         """
         from kc2spice.report.figures import notebook_figure
+        from kc2spice.report.run_page import probe_figures
 
         if not names and self.figures:
             names = (next(iter(self.figures)),)
         if len(names) == 1 and names[0] in self.figures:
             return notebook_figure(self.figures[names[0]])
         known = [name for name in self.waves if name != self.scale]
-        log, by_unit = self.scale == "frequency", dict[str, list[Curve]]()
-        for name in names or known:
+        for name in names:
             if name not in known:
-                known_names = [*self.figures, *known]
-                raise unknown("no such wave or figure", name, known_names, self.scene)
-            y = self.waves[name]
-            curve = Curve(name, self.waves[self.scale], np.abs(y) if np.iscomplexobj(y) else y)
-            by_unit.setdefault(self.units.get(name, ""), []).append(curve)
-        panels = [
-            Panel("", f"in {unit}" if unit else "", tuple(curves), log_x=log, log_y=log)
-            for unit, curves in by_unit.items()
-        ]
-        unit = _SCALES.get(self.scale, "")
-        panels[-1] = replace(panels[-1], x=f"{self.scale} in {unit}" if unit else self.scale)
-        return notebook_figure(Figure(self.scene, self.scene, "", tuple(panels)))
+                raise unknown("no such wave or figure", name, [*self.figures, *known], self.scene)
+        probes = {name: Probe(of=name) for name in names or known}
+        for figure in probe_figures(probes, Waveforms(dict(self.waves), {}), self.units):
+            return notebook_figure(figure)
+        raise UsageError("a single point is no curve", where=self.scene, got=self.scale)
 
     def save(self, out: str | Path, *, png: bool = False) -> Path:
         """Write deck, libraries, waveforms, ``result.json`` and, of a scene, ``report.html``; with

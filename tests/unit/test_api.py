@@ -100,7 +100,7 @@ def test_saved_result_is_what_was_returned(tmp_path):
 def test_plots_show_waves_and_refuse_others(tmp_path):
     result = kc.run(PULSE)
     figure = result.plot("store.v", "upper.i")
-    assert [axes.get_ylabel() for axes in figure.axes] == ["in V", "in A"]
+    assert [axes.get_ylabel() for axes in figure.axes] == ["value in V", "value in A"]
     np.testing.assert_array_equal(figure.axes[0].lines[0].get_ydata(), result.waves["store.v"])
     assert figure._repr_png_().startswith(b"\x89PNG")
     with pytest.raises(kc.errors.UsageError, match=r"store\.v"):
