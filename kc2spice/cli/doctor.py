@@ -6,9 +6,6 @@ import ctypes
 import ctypes.util
 import importlib.metadata
 import os
-import re
-import shutil
-import subprocess
 import sys
 import tempfile
 from collections.abc import Iterator
@@ -16,9 +13,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from kc2spice.core.cache import cache_dir
-from kc2spice.core.errors import Kc2spiceError
+from kc2spice.core.errors import Kc2spiceError, MissingToolError
 from kc2spice.netlist.deck import Deck
-from kc2spice.sim.ngspice import run_deck
+from kc2spice.sim.ngspice import find_ngspice, run_deck
 
 _PYTHON = (
     "numpy", "scipy", "scikit-fem", "gmsh", "PySpice", "matplotlib", "typer", "rich", "pydantic",
@@ -53,6 +50,13 @@ R1 out 0 1
 .save @b1[i]
 .end
 """
+# What is probed, by which deck, the last value of these vectors, and what mends it.
+_PROBES = (
+    ("ngspice runs our netlists", _FEATURE_DECK, ("v(out)", "@b1[i]"), 4.0,
+     "install a complete ngspice, version 39 or later"),
+    ("XSPICE code models", _XSPICE_DECK, ("v(out)",), 2.0,
+     "reinstall ngspice; its code models (*.cm) or its spinit file are missing"),
+)  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -110,43 +114,27 @@ def _gmsh_libraries() -> Finding:
 def _ngspice() -> Iterator[Finding]:
     """The program, the language that our netlists use, whatever the version says, and code models,
     which op-amp benches of users may need."""
-    program = shutil.which("ngspice")
-    if program is None:
-        fix = "apt-get install ngspice"
-        yield Finding("ngspice", False, "not on PATH", fix)
-        yield Finding("ngspice runs our netlists", False, "no ngspice", fix)
-        yield Finding("XSPICE code models", False, "no ngspice", fix, needed=False)
-        return
-    version = re.search(r"ngspice-(\S+)", _output([program, "--version"]))
-    told = f"{version[1]} ({program})" if version else f"{program} does not answer to --version"
-    yield Finding("ngspice", version is not None, told, "apt-get install ngspice")
-    vectors = {"out": ("v(out)", 1.0), "source": ("@b1[i]", 1.0)}
-    deck = Deck(name="probe", text=_FEATURE_DECK, vectors=vectors, stop=1e-5)
-    with tempfile.TemporaryDirectory() as folder:
-        try:
-            waves = run_deck(deck, Path(folder), timeout=20)
-            ends = float(waves["out"][-1]), float(abs(waves["source"][-1]))
-            ok = all(abs(end - 4.0) < 1e-6 for end in ends)
-            told = "a probe does" if ok else f"got {ends}"
-        except Kc2spiceError as error:
-            ok, told = False, error.message
-    fix = "install a complete ngspice, version 39 or later"
-    yield Finding("ngspice runs our netlists", ok, told, fix)
-    with tempfile.TemporaryDirectory() as folder:
-        probe = Path(folder) / "probe.cir"
-        probe.write_text(_XSPICE_DECK)
-        text = _output([program, "-b", "-n", str(probe)])
-    ok = re.search(r"^\s*out\s+2\.0*e\+00", text, re.MULTILINE | re.IGNORECASE) is not None
-    fix = "reinstall ngspice; its code models (*.cm) or its spinit file are missing"
-    yield Finding("XSPICE code models", ok, "load" if ok else "do not load", fix, needed=False)
-
-
-def _output(command: list[str]) -> str:
+    find_ngspice.cache_clear()
+    install, missing = "apt-get install ngspice", None
     try:
-        done = subprocess.run(command, capture_output=True, text=True, timeout=20, check=False)
-    except (OSError, subprocess.TimeoutExpired):
-        return ""
-    return done.stdout + done.stderr
+        found = find_ngspice()
+        yield Finding("ngspice", True, f"{found.version} ({found.path})")
+    except MissingToolError as error:
+        missing = error
+        yield Finding("ngspice", False, f"{error.message} ({error.where})", install)
+    for name, text, vectors, wanted, fix in _PROBES:
+        ok, told, needed = False, "no ngspice", text == _FEATURE_DECK
+        if missing is None:
+            deck = Deck(name="probe", text=text, vectors={k: (k, 1.0) for k in vectors})
+            with tempfile.TemporaryDirectory() as folder:
+                try:
+                    waves = run_deck(deck, Path(folder), timeout=20)
+                    ends = [float(abs(waves[vector][-1])) for vector in vectors]
+                    ok = all(abs(end - wanted) < 1e-6 for end in ends)
+                    told = "a probe does" if ok else f"got {ends}"
+                except Kc2spiceError as error:
+                    told = error.message
+        yield Finding(name, ok, told, fix if missing is None else install, needed)
 
 
 def _libngspice() -> Finding:
