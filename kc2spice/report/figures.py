@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from importlib.util import find_spec
 from io import BytesIO
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from kc2spice.core.errors import MissingToolError
 from kc2spice.core.figure import Curve, Figure, Panel
 
 # Okabe and Ito, "Color Universal Design" (2008): told apart with every colour vision.
@@ -62,22 +60,6 @@ _STYLE: Any = {
     "figure.dpi": 150,
     "savefig.dpi": "figure",
 }
-
-
-def require_matplotlib() -> None:
-    """Before anything is computed.
-
-    Raises
-    ------
-    MissingToolError : matplotlib is not installed.
-    """
-    if find_spec("matplotlib") is None:
-        raise MissingToolError(
-            "matplotlib is not installed",
-            where="Python",
-            expected="matplotlib, for PNG files",
-            hint="pip install matplotlib, or leave out --png: report.html needs none",
-        )
 
 
 def draw_all(directory: Path, figures: Sequence[Figure]) -> list[str]:

@@ -12,7 +12,7 @@ from kc2spice.core.figure import Curve, Figure, Panel, scale_axis
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.report.html import Section, write_page
 from kc2spice.report.sketch import circuit, devices
-from kc2spice.report.words import fact, flat, quantity, worded
+from kc2spice.report.words import fact, leaves, quantity, worded
 from kc2spice.scene.model import Probe, Scene
 
 WIDE = 20.0  # a range of frequencies beyond this ratio has a logarithmic axis
@@ -156,7 +156,7 @@ def plan_sections(
 
 
 def _facts(facts: Mapping[str, Any], units: Mapping[str, str] | None = None) -> Rows:
-    return [fact(k, v, unit=(units or {}).get(k, "")) for k, v in flat(facts).items()]
+    return [fact(k, v, unit=(units or {}).get(k, "")) for k, v in leaves(facts, "_")]
 
 
 def _modes(part: str, found: Mapping[str, Any]) -> Section:

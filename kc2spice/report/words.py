@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 _PREFIXES = {-15: "f", -12: "p", -9: "n", -6: "µ", -3: "m", 0: "", 3: "k", 6: "M", 9: "G"}
@@ -50,13 +50,13 @@ def _suffix(key: str) -> tuple[str, str]:
     return next(((s, u) for s, u in _SUFFIXES if key.endswith(s)), ("", ""))
 
 
-def flat(facts: Mapping[str, Any]) -> dict[str, Any]:
-    """A result's numbers with those of tables within it under ``TABLE_NAME``."""
-    found: dict[str, Any] = {}
-    for name, value in facts.items():
-        inner = flat(value) if isinstance(value, Mapping) else None
-        found |= {name: value} if inner is None else {f"{name}_{k}": v for k, v in inner.items()}
-    return found
+def leaves(value: Any, joint: str = ".", path: str = "") -> Iterator[tuple[str, Any]]:
+    """What stands below mappings in mappings, by its names joined to one."""
+    if isinstance(value, Mapping):
+        for name, each in value.items():
+            yield from leaves(each, joint, f"{path}{joint}{name}" if path else str(name))
+    else:
+        yield path, value
 
 
 def fact(key: str, value: Any, digits: int = 5, unit: str = "") -> tuple[str, str]:

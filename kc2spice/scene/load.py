@@ -339,7 +339,7 @@ def override_texts(texts: Sequence[str]) -> list[str]:
     found: list[str] = []
     for text in texts:
         plain = "=" in text or not text.endswith(".toml")
-        found += [text] if plain else [f"{k}={_toml(v)}" for k, v in _flat(_open(text).parse())]
+        found += [text] if plain else [f"{k}={toml(v)}" for k, v in _flat(_open(text).parse())]
     return found
 
 
@@ -352,10 +352,15 @@ def _flat(table: Mapping[str, Any], above: str = "") -> Iterator[tuple[str, Any]
             yield f"{above}{key}", value
 
 
-def _toml(value: Any) -> str:
-    if not isinstance(value, Mapping):
-        return json.dumps(value)
-    return "{" + ", ".join(f"{json.dumps(key)} = {_toml(v)}" for key, v in value.items()) + "}"
+def toml(value: Any) -> str:
+    """A value as the text that a scene file would have for it, to the last bit."""
+    if isinstance(value, Mapping):
+        return "{" + ", ".join(f"{json.dumps(key)} = {toml(v)}" for key, v in value.items()) + "}"
+    if hasattr(value, "tolist"):  # of numpy
+        return toml(value.tolist())
+    if isinstance(value, (list, tuple)):
+        return "[" + ", ".join(map(toml, value)) + "]"
+    return repr(value) if isinstance(value, float) else json.dumps(value, default=str)
 
 
 def _override(text: str) -> tuple[str, Any]:

@@ -19,7 +19,6 @@ from kc2spice.bodies.readers.measured import Measured, read_measured
 from kc2spice.core.errors import UsageError
 from kc2spice.core.files import staged
 from kc2spice.core.progress import Clock, Progress, silent
-from kc2spice.core.units import quantity
 from kc2spice.parts._box import Varied, number_of, ranged
 from kc2spice.parts._linear_body import LinearBody, loss_tangent
 from kc2spice.report.fit_page import write_fit
@@ -28,6 +27,7 @@ from kc2spice.rom.linear import LinearModel
 from kc2spice.rom.parametric import Axis, Parametric, modal_transfer, parametric
 from kc2spice.scene.load import load_scene
 from kc2spice.scene.model import Scene
+from kc2spice.workflow.sweep.plan import number
 
 SPREAD, LOSSES = 1.3, 10.0  # range of a key by its value: ceramics differ by 30 %, losses by tens
 _LOSSY = re.compile(r"damping|quality|ratio|loss")
@@ -123,12 +123,8 @@ def _range(key: str, text: str) -> tuple[float, float]:
     ends = text.split(":")
     if len(ends) != 2:
         raise UsageError("not a range", where=key, got=text, expected="low:high in SI")
-    low, high = (quantity(float(end) if _plain(end) else end, "", where=key) for end in ends)
+    low, high = (number(end, "", key) for end in ends)
     return low, high
-
-
-def _plain(text: str) -> bool:
-    return re.fullmatch(r"[-+]?[\d.]+([eE][-+]?\d+)?", text) is not None
 
 
 def _one(scene: Scene, part: str, key: str, span: tuple[float, float] | None) -> Varied:

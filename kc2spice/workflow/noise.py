@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from kc2spice.core.errors import UsageError, did_you_mean
+from kc2spice.core.errors import unknown
 from kc2spice.core.figure import Curve, Figure, Panel, scale_axis
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.netlist.deck import Command, Deck, noise
@@ -41,13 +41,8 @@ def output(build: Build) -> Vector:
         }
     voltages = {each: found for each, found in known.items() if _ends(found) is not None}
     if name not in voltages:
-        raise UsageError(
-            "noise is that of a voltage or a motion",
-            where="analysis.output",
-            got=repr(name),
-            expected="one of " + ", ".join(voltages),
-            hint=did_you_mean(name, voltages),
-        )
+        message = "noise is that of a voltage or a motion"
+        raise unknown(message, name, voltages, "analysis.output")
     return voltages[name]
 
 

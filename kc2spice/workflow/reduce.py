@@ -9,7 +9,7 @@ from typing import Any
 
 from kc2spice.bodies.readers import read_model
 from kc2spice.bodies.readers.measured import is_measured, read_measured
-from kc2spice.core.errors import GateMissedError, UsageError
+from kc2spice.core.errors import GateMissedError, UsageError, unknown
 from kc2spice.core.files import staged
 from kc2spice.core.foreign import identifier
 from kc2spice.core.progress import Clock, Progress, silent
@@ -175,8 +175,7 @@ def export_rom(
         be written; nothing was written.
     """
     if dialect not in DIALECTS:
-        expected = ", ".join(DIALECTS)
-        raise UsageError("unknown dialect", where="--dialect", got=dialect, expected=expected)
+        raise unknown("unknown dialect", dialect, DIALECTS, "--dialect")
     path = Path(path)
     reduced = read_rom(path)
     name = identifier(path.stem, "rom")

@@ -20,6 +20,7 @@ import numpy as np
 
 from kc2spice.core.errors import SimulationError, UsageError
 from kc2spice.core.progress import Clock
+from kc2spice.report.words import leaves
 from kc2spice.scene.judge import Check
 from kc2spice.scene.load import load_scene
 from kc2spice.scene.model import Scene
@@ -31,7 +32,6 @@ from kc2spice.sim.retries import Outcome
 from kc2spice.workflow.decks import make_deck
 from kc2spice.workflow.judge import metrics
 from kc2spice.workflow.models import build_models
-from kc2spice.workflow.results import leaves
 from kc2spice.workflow.simulate import simulate
 
 MOST = 16  # runs besides the scene's own

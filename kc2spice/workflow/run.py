@@ -15,7 +15,7 @@ from kc2spice.core.progress import Clock, Progress, silent
 from kc2spice.core.version import __version__
 from kc2spice.netlist.lint import lint
 from kc2spice.netlist.printers.ngspice import plot_script
-from kc2spice.report.figures import draw_all, require_matplotlib
+from kc2spice.report.figures import draw_all
 from kc2spice.report.run_page import probe_figures, write_run
 from kc2spice.scene.judge import require
 from kc2spice.scene.load import load_scene
@@ -113,12 +113,10 @@ def run(
     Raises
     ------
     UsageError : ``deck`` does not save what the scene's metrics need.
-    MissingToolError : no ngspice, or for ``png`` no matplotlib; noticed before any FE is computed.
+    MissingToolError : no ngspice; noticed before any FE is computed.
     SimulationError : a stage failed. Nothing was written to ``out``; the deck and its log are kept
         beside it in ``<out>.failed`` until a run into ``out`` succeeds.
     """
-    if png:
-        require_matplotlib()
     with staged(out) as work:
         with kept_on_failure(work, out, scene.name):
             done = complete(scene, work, progress, trust=trust, deck=deck)

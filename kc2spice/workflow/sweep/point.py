@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 import os
 import re
@@ -24,14 +23,14 @@ from kc2spice.core.progress import Clock
 from kc2spice.netlist.deck import Deck
 from kc2spice.netlist.foreign import included_netlist
 from kc2spice.netlist.transforms import Parameters, cards, declared, library_of, with_parameters
-from kc2spice.scene.load import gallery, load_scene
+from kc2spice.report.words import leaves
+from kc2spice.scene.load import gallery, load_scene, toml
 from kc2spice.scene.model import Scene
 from kc2spice.scene.parttype import Build
 from kc2spice.sim.retries import Outcome as Simulated
 from kc2spice.workflow.decks import make_deck
 from kc2spice.workflow.judge import metrics
 from kc2spice.workflow.models import build_models, model_facts, rom_facts
-from kc2spice.workflow.results import leaves
 from kc2spice.workflow.simulate import simulate
 from kc2spice.workflow.sweep.plan import PARAMETER
 
@@ -162,17 +161,6 @@ class Outcome:
     facts: Mapping[str, Number] = field(default_factory=dict)
     failure: str | None = None
     interrupted: bool = False
-
-
-def toml(value: Any) -> str:
-    """A value as the text that a scene file would have for it, to the last bit."""
-    if isinstance(value, Mapping):
-        return "{" + ", ".join(f"{key} = {toml(item)}" for key, item in value.items()) + "}"
-    if isinstance(value, (list, tuple)):
-        return "[" + ", ".join(map(toml, value)) + "]"
-    if isinstance(value, (np.generic, np.ndarray)):
-        return toml(value.tolist())
-    return repr(value) if isinstance(value, float) else json.dumps(value, default=str)
 
 
 def _overrides(values: Mapping[str, Any]) -> tuple[str, ...]:

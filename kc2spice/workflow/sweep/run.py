@@ -19,13 +19,14 @@ from typing import Any
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from kc2spice.core.errors import UsageError
+from kc2spice.core.errors import UsageError, needed, unknown
 from kc2spice.core.files import staged
 from kc2spice.core.foreign import MAX_BYTES, parse_toml, read_bounded, text_of
 from kc2spice.core.progress import Progress, silent
 from kc2spice.core.version import __version__
 from kc2spice.netlist.transforms import with_parameters
 from kc2spice.scene.keys import keys_of
+from kc2spice.scene.load import toml
 from kc2spice.scene.model import Scene, scene_hash
 from kc2spice.workflow.sweep.plan import (
     PARAMETER,
@@ -46,13 +47,11 @@ from kc2spice.workflow.sweep.point import (
     scene_files,
     scene_text,
     testbench,
-    toml,
 )
 from kc2spice.workflow.sweep.table import (
     WRITERS,
     RowStore,
     columns,
-    need_parquet,
     require_columns,
 )
 from kc2spice.workflow.sweep.workers import Workers, is_lost
@@ -353,10 +352,9 @@ def table_name(table_format: str) -> str:
     MissingToolError : no pyarrow for Parquet.
     """
     if table_format not in WRITERS:
-        expected = " or ".join(WRITERS)
-        raise UsageError("no such format", where="--format", got=table_format, expected=expected)
+        raise unknown("no such format", table_format, WRITERS, "--format")
     if table_format == "parquet":
-        need_parquet()
+        needed("pyarrow.parquet", "pyarrow", "--format", "parquet")
     return f"sweep.{table_format}"
 
 

@@ -12,9 +12,10 @@ from typing import Any
 
 from pydantic import TypeAdapter
 
-from kc2spice.core.errors import MissingToolError, UsageError, unknown
+from kc2spice.core.errors import UsageError, needed, unknown
+from kc2spice.scene.load import toml
 from kc2spice.workflow.sweep.plan import Plan
-from kc2spice.workflow.sweep.point import Outcome, toml
+from kc2spice.workflow.sweep.point import Outcome
 
 OK = "ok"
 _OPEN = """
@@ -139,23 +140,15 @@ def write_csv(table: Mapping[str, Sequence[Any]], path: Path) -> None:
             writer.writerow([v if v is None or isinstance(v, str) else toml(v) for v in row])
 
 
-def need_parquet() -> Any:
-    """The module ``pyarrow``; MissingToolError where it is not installed."""
-    try:
-        import pyarrow.parquet
-    except ImportError:
-        hint = "pip install pyarrow, or --format csv"
-        raise MissingToolError("pyarrow is not installed", where="--format", hint=hint) from None
-    return pyarrow
-
-
 def write_parquet(table: Mapping[str, Sequence[Any]], path: Path) -> None:
     """The same table, numbers as such."""
-    arrow = need_parquet()
+    parquet = needed("pyarrow.parquet", "pyarrow", "--format", "parquet")
+    import pyarrow as arrow
+
     empty = {name for name, column in table.items() if all(value is None for value in column)}
     kinds = {name: arrow.float64() if name in empty else None for name in table}
     arrays = {name: arrow.array(column, kinds[name]) for name, column in table.items()}
-    arrow.parquet.write_table(arrow.table(arrays), path)
+    parquet.write_table(arrow.table(arrays), path)
 
 
 WRITERS = {"csv": write_csv, "parquet": write_parquet}
