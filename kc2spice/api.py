@@ -36,7 +36,7 @@ from kc2spice.sim.ngspice import find_ngspice, write_deck
 from kc2spice.sim.retries import run_with_retries
 from kc2spice.workflow.decks import make_deck
 from kc2spice.workflow.models import build_models
-from kc2spice.workflow.results import write_record, write_waveforms
+from kc2spice.workflow.results import SCALES, write_record, write_waveforms
 from kc2spice.workflow.run import Completed, complete, write_run_files
 from kc2spice.workflow.simulate import kept_on_failure
 
@@ -53,7 +53,6 @@ __all__ = [
 ]
 AnyScene = Scene | str | Path | Mapping[str, Any]  # what :func:`kc2spice.load_scene` takes
 Function = Callable[[float, Mapping[str, float]], float]
-_SCALES = {"time": "s", "frequency": "Hz"}
 
 
 def build(scene: AnyScene) -> dict[str, LinearModel]:
@@ -351,7 +350,7 @@ def _result(
     **more: Any,
 ) -> Result:
     scale = next(iter(waves.data))
-    units = {scale: _SCALES.get(scale, ""), **deck.units}
+    units = {scale: SCALES.get(scale, ""), **deck.units}
     metrics = record.get("metrics", {})
     return Result(record["scene"], metrics, waves.data, units, checks, record, deck, **more)
 

@@ -106,13 +106,14 @@ def fit(
 def _varied(
     scene: Scene, part: str, vary: Sequence[str] | Mapping[str, tuple[float, float] | None]
 ) -> list[Varied]:
-    texts = dict.fromkeys(vary) if not isinstance(vary, Mapping) else dict(vary)
+    ends = dict(vary) if isinstance(vary, Mapping) else dict.fromkeys(vary)
     found = []
-    for text, span in texts.items():
-        key, _, ends = text.partition("=")
-        if ends:
-            span = _range(key, ends)
-        found.append(_one(scene, part, key, span))
+    for text, span in ends.items():
+        key, _, told = text.partition("=")
+        value, unit = number_of(scene.part(part, where=part), key, key)
+        factor = LOSSES if _LOSSY.search(key) else SPREAD
+        span = (_range(key, told) if told else span) or (value / factor, value * factor)
+        found.append(ranged(key, unit, value, span))
     names = [each.key for each in found]
     if len(set(names)) < len(names):
         raise UsageError("a key is varied twice", where=part, got=", ".join(names))
@@ -125,12 +126,6 @@ def _range(key: str, text: str) -> tuple[float, float]:
         raise UsageError("not a range", where=key, got=text, expected="low:high in SI")
     low, high = (number(end, "", key) for end in ends)
     return low, high
-
-
-def _one(scene: Scene, part: str, key: str, span: tuple[float, float] | None) -> Varied:
-    value, unit = number_of(scene.part(part, where=part), key, key)
-    factor = LOSSES if _LOSSY.search(key) else SPREAD
-    return ranged(key, unit, value, span or (value / factor, value * factor))
 
 
 @dataclass(frozen=True, eq=False)
@@ -202,9 +197,9 @@ class _Body:
         self.last[key] = model
         return model
 
-    def exact(self, values: Mapping[str, float], moved: bool = False) -> np.ndarray:
+    def exact(self, values: Mapping[str, float]) -> np.ndarray:
         """Admittance (n,) [S] of the full model."""
-        model, f = self.full(values, moved), self.data.f
+        model, f = self.full(values, moved=False), self.data.f
         return self.lossy(modal_transfer(model, f)[:, 0, 0], float(model.D[0, 0]), values)
 
     def lossy(self, charge: np.ndarray, clamped: float, values: Mapping[str, float]) -> np.ndarray:

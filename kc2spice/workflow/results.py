@@ -12,7 +12,7 @@ import numpy as np
 
 from kc2spice.core.waveforms import Waveforms
 
-_SCALES = {"time": "s", "frequency": "Hz"}
+SCALES = {"time": "s", "frequency": "Hz"}  # units
 
 
 def write_waveforms(waves: Waveforms, units: Mapping[str, str], directory: Path) -> list[str]:
@@ -21,7 +21,7 @@ def write_waveforms(waves: Waveforms, units: Mapping[str, str], directory: Path)
     columns = {
         head: values
         for name in waves.data
-        for head, values in _columns(name, waves[name], units.get(name) or _SCALES.get(name, ""))
+        for head, values in _columns(name, waves[name], units.get(name) or SCALES.get(name, ""))
     }
     head, table = ",".join(columns), np.column_stack(list(columns.values()))
     np.savetxt(directory / "waveforms.csv", table, "%.10g", ",", header=head, comments="")

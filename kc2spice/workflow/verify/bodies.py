@@ -246,12 +246,8 @@ def _solved(part: Part, build: Build, full: LinearModel, at: np.ndarray) -> np.n
         "ports": list(full.inputs + full.outputs),
     }
 
-    def solve() -> dict[str, np.ndarray]:
-        response = full.transfer(at)
-        return {"real": response.real.copy(), "imag": response.imag.copy()}
-
-    found, _ = cached("response", depends, solve, sources=part.type.sources())
-    return np.asarray(found["real"] + 1j * found["imag"])
+    found, _ = cached("transfer", depends, lambda: full.transfer(at), sources=part.type.sources())
+    return np.asarray(found)
 
 
 def held_band(rom: LinearModel, build: Build) -> tuple[float, float]:
