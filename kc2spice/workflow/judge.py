@@ -31,7 +31,7 @@ def verdict(waves: Waveforms, build: Build) -> Verdict:
     rows = [(part.name, row) for part in parts for row in part.type.checks(part, build, waves)]
     checks = [row for _, row in rows if isinstance(row, Check)]
     balances = {name: row for name, row in rows if isinstance(row, Balance)}
-    checks += [*step_checks(build, waves, balances), *noise.checks(waves)]
+    checks += noise.checks(waves) if build.noisy else step_checks(build, waves, balances)
     if scene.checks.energy == "off":
         balances = {}
     slack = max(1.0, BUDGET_SHARE * (scene.error_budget or 0.0) / 1e-4)
@@ -66,7 +66,7 @@ def metrics(waves: Waveforms, build: Build, *, partial: bool = False) -> dict[st
         for part, each in found.items()
         for name, value in each.items()
     }
-    own |= noise.metrics(waves)
+    own |= noise.metrics(waves) if noise.WAVE in waves else {}
     last = abs(next(iter(waves.data.values()))[-1])
     return own | {
         name: take(probe, waves, name)

@@ -98,8 +98,6 @@ def by_part(waves: Waveforms) -> dict[str, np.ndarray]:
 
 def metrics(waves: Waveforms) -> dict[str, Any]:
     """rms values over the band: of the output, and what each part adds to it."""
-    if WAVE not in waves:
-        return {}
     f, parts = waves["frequency"].real, by_part(waves)
     added = {"noise_by_part": {part: _rms(f, found) for part, found in parts.items()}}
     return {WAVE: _rms(f, waves[WAVE])} | (added if len(parts) > 1 else {})
@@ -125,7 +123,7 @@ def _rms(f: np.ndarray, density: np.ndarray) -> float:
 
 def checks(waves: Waveforms) -> Iterator[Check]:
     """Whether there are enough frequencies for the sharpest resonance."""
-    if WAVE in waves and (f := waves["frequency"].real).size > 4:
+    if (f := waves["frequency"].real).size > 4:
         even = f.size - (f.size + 1) % 2
         f, density = f[:even], waves[WAVE][:even]
         off = abs(_rms(f[::2], density[::2]) / (_rms(f, density) or 1.0) - 1.0)
@@ -137,8 +135,6 @@ def checks(waves: Waveforms) -> Iterator[Check]:
 
 def figures(waves: Waveforms, unit: str) -> Iterator[Figure]:
     """The spectral density, and what it adds up to from the lowest frequency on."""
-    if WAVE not in waves:
-        return
     f, density = waves["frequency"].real, np.abs(waves[WAVE])
     steps = np.diff(f) * (density[1:] ** 2 + density[:-1] ** 2) / 2
     label, factor = scale_axis("frequency", f)

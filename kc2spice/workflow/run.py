@@ -48,7 +48,9 @@ class Completed:
         """What its probes and parts show of it, and further files."""
         build, waves = self.build, self.outcome.waves
         units = self.outcome.deck.units
-        found: list[Figure | Written] = [*noise.figures(waves, units.get(noise.WAVE, ""))]
+        found: list[Figure | Written] = []
+        if build.noisy:
+            found += noise.figures(waves, units[noise.WAVE])
         found += probe_figures(build.scene.probes, waves, units)
         for part in build.scene.parts.values():
             found += part.type.figures(part, build, waves)
