@@ -101,7 +101,7 @@ def folder(scene: str) -> Path:
 def cards(path: Path) -> tuple[str, ...]:
     """The cards of a netlist without its comments."""
     found = statements(path.read_text(encoding="utf-8"), path.name)
-    return tuple(s.text for s in found if s.text)
+    return tuple(s.written for s in found if s.written)
 
 
 def symbols() -> Iterator[Symbol]:

@@ -409,38 +409,36 @@ def testbench(deck: Deck, modules: Collection[Subcircuit]) -> dict[str, str]:
         f"* Run it with:  {compiled} && ngspice -b -r {deck.name}.raw {main}",
         "* Each part is a Verilog-A module, compiled by OpenVAF and loaded by ngspice 39 or later.",
     )
-    models: list[Item] = []
-    items: list[Item] = []
-    notes: tuple[str, ...] = ()
-    for item in tree.items:
-        notes += item.notes
-        if kept := _changed(item, stems, replaced, models):
-            items.append(replace(kept, notes=notes))
-            notes = ()
-    first, *rest = items
+    items = [_changed(item, stems, replaced) for item in tree.items]
     loads = tuple(f"pre_osdi {stem}.osdi" for stem in stems.values())
-    control = Directive(".control", loads, notes=first.notes)
-    tree = replace(tree, items=(control, *models, replace(first, notes=()), *rest))
+    control = Directive(".control", loads, notes=items[0].notes)
+    models = (
+        Model(f"m{item.key}", item.model, item.parameters)
+        for item in tree.items
+        if isinstance(item, Element) and item.model.lower() in stems
+    )
+    tree = replace(tree, items=(control, *models, replace(items[0], notes=()), *items[1:]))
     files = {main: Printer().file(tree)}
     return files | {n: text for n, text in deck.files.items() if n not in {deck.main, *replaced}}
 
 
-def _changed(
-    item: Item, stems: Mapping[str, str], replaced: Collection[str], models: list[Item]
-) -> Item | None:
-    """An item of the deck as it is among modules; ``models`` are added to."""
+def _changed(item: Item, stems: Mapping[str, str], replaced: Collection[str]) -> Item:
+    """An item of the deck as it is among modules: an N card with a model of its own, to which
+    parameters go, for an X card of one; no card where it has no place there."""
     if isinstance(item, Element) and item.model.lower() in stems:
-        return _compiled(item, models)
+        name = f"N{item.name[1:]}"
+        return replace(item, kind="n", name=name, model=f"m{item.key}", parameters={})
     if not isinstance(item, Directive):
         return item
-    if item.keyword == ".print" or (item.keyword in INCLUDES and item.words[0] in replaced):
-        return None
+    words = item.words
     if item.keyword == ".save":
-        kept = tuple(word for word in item.words if _outer(word))
-        return replace(item, words=kept) if kept else None
-    if item.keyword == ".tran":
-        return replace(item, words=tuple(w for w in item.words if w.lower() != "uic"))
-    return item
+        words = tuple(word for word in words if _outer(word))
+    elif item.keyword == ".tran":
+        words = tuple(word for word in words if word.lower() != "uic")
+    elif item.keyword == ".print" or (item.keyword in INCLUDES and words[0] in replaced):
+        words = ()
+    dropped = item.words and not words
+    return replace(item, keyword="" if dropped else item.keyword, words=words)
 
 
 def _outer(text: str) -> bool:
@@ -452,10 +450,3 @@ def _outer(text: str) -> bool:
         and "." not in found.names[0]
         and (found.quantity == "v" or found.names[0].lower().startswith("v"))
     )
-
-
-def _compiled(part: Element, models: list[Item]) -> Element:
-    """An N card with a model of its own for an X card; parameters go to the model."""
-    name = f"m{part.key}"
-    models.append(Model(name, part.model, part.parameters))
-    return replace(part, kind="n", name=f"N{part.name[1:]}", model=name, parameters={})
