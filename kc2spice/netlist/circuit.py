@@ -94,11 +94,6 @@ class Model(Card):
     type: str
     parameters: Mapping[str, str]
 
-    def same(self, other: Model) -> bool:
-        """Whether both say the same; case does not tell words apart."""
-        first, second = (f"{m.name} {m.type} {m.parameters}".lower() for m in (self, other))
-        return first == second
-
 
 @dataclass(frozen=True)
 class Parameters(Card):

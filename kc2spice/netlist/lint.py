@@ -7,7 +7,7 @@ from collections import Counter
 from collections.abc import Collection, Iterable, Iterator
 
 from kc2spice.core.errors import UsageError
-from kc2spice.netlist.circuit import Card, Circuit, Element, Function, Parameters
+from kc2spice.netlist.circuit import Card, Circuit, Element, Parameters
 from kc2spice.netlist.deck import Deck
 from kc2spice.netlist.expression import (
     BUILT_IN,
@@ -67,7 +67,6 @@ def _signal_pins(circuits: Iterable[Circuit]) -> Iterator[tuple[str, str]]:
 
 def _scope_problems(scope: Scope, signals: frozenset[tuple[str, str]]) -> Iterator[UsageError]:
     yield from _duplicates(scope)
-    yield from _defined_twice(scope)
     for card in scope.commands:
         for text in card.values.values() if isinstance(card, Parameters) else ():
             yield from _expression(card, text, scope)
@@ -100,27 +99,6 @@ def _duplicates(scope: Scope) -> Iterator[UsageError]:
         if first is not part:
             other = f"another name; the first {part.key} is in {first.where}"
             yield part.error("two parts have one name", part.name, other)
-
-
-def _defined_twice(scope: Scope) -> Iterator[UsageError]:
-    """Parameters and functions of a whole deck that two of its files define differently."""
-    seen: dict[str, tuple[str, Card]] = {}
-    for card in scope.commands if scope.parent is None else ():
-        defined: dict[str, str] = {}
-        if isinstance(card, Function):
-            defined = {f"function {card.name.lower()}": card.expression}
-        elif isinstance(card, Parameters):
-            defined = {f"parameter {name.lower()}": text for name, text in card.values.items()}
-        for what, value in defined.items():
-            first, place = seen.setdefault(what, (value, card))
-            files = {each.where.rpartition(":")[0] for each in (place, card)}
-            if len(files) > 1 and first != value:
-                yield card.error(
-                    f"two files define the {what}",
-                    card.written,
-                    f"one definition; the first is in {place.where}",
-                    "rename one, or put it into its .subckt",
-                )
 
 
 def _instance(part: Element, scope: Scope) -> Iterator[UsageError]:

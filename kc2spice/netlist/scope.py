@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from pathlib import PurePosixPath
 
 from kc2spice.netlist.circuit import (
+    Card,
     Circuit,
     Directive,
     Element,
@@ -28,7 +29,7 @@ class Scope:
     """A subcircuit or the top level (``name == ""``): what names in lower case mean in it.
 
     Mappings look from the inside out; their first map is what it defines itself. ``defaults`` are
-    the parameters that an instance may set, ``params`` those and its own.
+    the parameters that an instance may set, ``params`` those and its own; ``defined`` says where.
     """
 
     name: str
@@ -42,6 +43,7 @@ class Scope:
     subcircuits: ChainMap[str, Scope] = field(default_factory=ChainMap)
     elements: list[Element] = field(default_factory=list)
     commands: list[Parameters | Function | Directive] = field(default_factory=list)
+    defined: dict[str, tuple[str, Card]] = field(default_factory=dict)
 
     def find(self, name: str) -> Scope | None:
         """The subcircuit ``name`` as this scope sees it."""
@@ -81,9 +83,9 @@ def _link(
                     scope.elements.append(item)
                 case Circuit():
                     fill(_opened(item, scope), item.items)
-                case Model():
-                    _require_same(item, scope.models.maps[0].get(item.name.lower(), item))
-                    scope.models[item.name.lower()] = item
+                case Model(name, kind, given):
+                    _require_same(scope, f"model {name}", f"{kind} {given}", item)
+                    scope.models[name.lower()] = item
                 case Directive(keyword) if keyword in INCLUDES:
                     target = _included(item, file, files, chain)
                     _link(files[target], target, files, scope, chain)
@@ -92,8 +94,11 @@ def _link(
                 case _:
                     scope.commands.append(item)
                     if isinstance(item, Parameters):
-                        scope.params |= {k.lower(): v for k, v in item.values.items()}
+                        for key, value in item.values.items():
+                            _require_same(scope, f"parameter {key}", value, item)
+                            scope.params[key.lower()] = value
                     elif isinstance(item, Function):
+                        _require_same(scope, f"function {item.name}", item.expression, item)
                         scope.functions[item.name.lower()] = item
 
     fill(scope, tree.items)
@@ -106,11 +111,15 @@ def _require_known(part: Element) -> None:
         raise part.error("unknown kind of element", part.name, expected)
 
 
-def _require_same(model: Model, first: Model) -> None:
-    if first.where.partition(":")[0] != model.where.partition(":")[0] and not first.same(model):
-        expected = f"one definition; the first is in {first.where}"
+def _require_same(scope: Scope, what: str, value: str, card: Card) -> None:
+    """That no two files define something differently."""
+    what, value = what.lower(), value.lower()
+    first, place = scope.defined.setdefault(what, (value, card))
+    files = {each.where.rpartition(":")[0] for each in (place, card)}
+    if len(files) > 1 and first != value:
+        expected = f"one definition; the first is in {place.where}"
         hint = "rename one, or put it into its .subckt"
-        raise model.error("two models have one name", model.name, expected, hint)
+        raise card.error(f"two files define the {what}", card.written, expected, hint)
 
 
 def _included(s: Directive, file: str, files: Mapping[str, Circuit], chain: tuple[str, ...]) -> str:

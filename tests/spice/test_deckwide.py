@@ -85,7 +85,7 @@ def test_what_a_netlist_says_to_itself_runs(text, tmp_path, monkeypatch):
     [
         (".param gain=2", ".param gain=3", "parameter gain"),
         (".func f(x) {x}", ".FUNC F(x) {2*x}", "function f"),
-        (".model DX D(IS=1e-14)", ".model dx D(IS=1e-9)", "two models"),
+        (".model DX D(IS=1e-14)", ".model dx D(IS=1e-9)", "model dx"),
     ],
 )
 def test_two_files_that_define_one_name_are_refused(one, other, said, tmp_path, monkeypatch):
