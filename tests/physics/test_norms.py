@@ -8,8 +8,10 @@ import pytest
 from typer.testing import CliRunner
 
 from kc2spice.cli.main import app
+from kc2spice.rom.linear import LinearModel
 from kc2spice.rom.reduce import reduce
 from laboratory.beam import heat, structure
+from laboratory.reduction_methods import Truncated, largest, schur
 
 
 @pytest.mark.parametrize(
@@ -63,3 +65,19 @@ def test_the_command_takes_the_norm_of_the_ports_or_the_one_asked_for(tmp_path):
     wrong = CliRunner().invoke(app, [*words, "--norm", "largest", "-o", str(tmp_path / "no")])
     assert wrong.exit_code == 2
     assert "pointwise, peak" in wrong.stderr
+
+
+def test_fitted_outputs_need_fewer_states_than_any_balanced_truncation():
+    """Fifteen damped modes, two by two: truncations by scipy, and errors by its Schur form."""
+    rng, n = np.random.default_rng(3), 15
+    w, ratio = np.linspace(1, 5, n), rng.uniform(0.05, 0.2, n)
+    A, B, C = np.zeros((2 * n, 2 * n)), np.zeros((2 * n, 2)), np.zeros((2, 2 * n))
+    A[::2, 1::2], A[1::2, ::2], A[1::2, 1::2] = np.diag(w), -np.diag(w), -2 * np.diag(ratio * w)
+    B[1::2] = rng.standard_normal((n, 2)) / w[:, None] ** 2
+    C[:, ::2] = rng.standard_normal((2, n)) / w**2
+    rom = reduce(LinearModel(A=A, B=B, C=C), tolerance=0.0144, band=(0, 2.5 / np.pi), norm="peak")
+    plain, at = (A, B, C, np.zeros((2, 2))), np.linspace(0, 5, 1500)
+    exact = schur(plain)(at)
+    error = largest(rom.transfer(at / (2 * np.pi)), exact, "peak")
+    assert error <= rom.certificate.error_estimate <= 0.0144
+    assert rom.order <= Truncated(plain, at, exact).least(0.0144, "peak") - 4  # 13 without the fit
