@@ -212,6 +212,7 @@ def _order(matrix: scipy.sparse.csc_array) -> np.ndarray | None:
     """
     if matrix.shape[0] < LARGE:
         return None
+    matrix = matrix if matrix.has_sorted_indices else matrix.sorted_indices()
     pattern = hashlib.blake2b(matrix.indptr.tobytes())
     pattern.update(matrix.indices.tobytes())
     key = pattern.digest()

@@ -75,9 +75,12 @@ def dissipative(pencil: Pencil) -> bool:
     rest, *others = pencil.coefficients
     loss = others[0] if others[1:] else rest
     loss = loss if isinstance(loss, (Schur, Sum)) else loss + loss.T
-    if not (semidefinite(others[-1]) and semidefinite(loss)):
+    follows = pencil.rayleigh is not None and min(pencil.rayleigh) >= 0  # from mass and stiffness
+    if not (semidefinite(others[-1]) and (follows or semidefinite(loss))):
         return False
-    return pencil.degree == 1 or semidefinite(rest)
+    # a factor of K that solutions were made with shows it as well
+    held = pencil.factorised and pencil.symmetric and not isinstance(rest, Schur)
+    return pencil.degree == 1 or held or semidefinite(rest)
 
 
 def semidefinite(matrix: Matrix) -> bool:
