@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Iterator, Mapping
+from dataclasses import replace
 from typing import Annotated, Any, Literal
 
 import numpy as np
@@ -25,10 +25,11 @@ from kc2spice.core.quantities import (
     si,
 )
 from kc2spice.core.waveforms import Waveforms, running
-from kc2spice.netlist.cards import distinct
-from kc2spice.netlist.circuit import Param, Subcircuit, positive
 from kc2spice.parts._touching import PATCH, Pair, busy_until, separation
-from kc2spice.physics.contact import Normal, contact_law
+from kc2spice.physics import Declaration, DeclaredPart
+from kc2spice.physics.cards import force_node
+from kc2spice.physics.contact import Normal, contact
+from kc2spice.physics.part import pins_of
 from kc2spice.rom.linear import LinearModel
 from kc2spice.scene.judge import PAIRS, Balance, Check, Gate, stepping
 from kc2spice.scene.model import GROUND, Part, Scene, Terminal
@@ -36,20 +37,17 @@ from kc2spice.scene.parttype import (
     Build,
     Neglected,
     Numerics,
-    PartType,
     Rest,
     Vector,
     mover,
     register,
 )
-from kc2spice.spice.header import Header, library
 
 # Gate of a launch against the full model: of the reduction's certified error, whose band it
 # exceeds; what it is where there is no certificate.
 REDUCED, BEYOND = 0.4, 1e-3
 MISSING = 1e-3  # energy that the springs may make or lose, of what went through them
 STIFFEST = 1e15  # N/m; a gram on it rings at 160 GHz, which no simulator ends to follow
-RATING = "not known; compare the force with the strength of both surfaces (Hertz)"
 CARRYING = 3.0  # hats of 10 um under a contact as wide are 5e-3 off, half as many 3e-2
 OPEN = 0.95  # of its gap that the bound of a ring that was left out may reach
 # Contact events of a kick that a reltol is good for, times that reltol: every event adds the error
@@ -59,8 +57,6 @@ ALOFT = 1e-8  # m over the body at t = 0 that a sphere at rest on it may have
 EXCITED = 500e3  # Hz that a contact excites bodies at
 CURVED, DAMPED = 0.1, 0.01  # of solver.reltol under contacts by Hertz, and under damped ones
 FEW = 20  # events that are not too many for any reltol
-# A block between compiled modules alone ended 35 mm away instead of 0.2, without an error message.
-SLIPS = "compiled modules lose the digits that friction below its creep speed needs"
 CARRIED = "dent"  # pin that meets the port of an elastic sphere
 
 
@@ -112,16 +108,29 @@ class ContactKeys(Section):
     )
 
 
-class Contact(PartType):
+class Contact(DeclaredPart):
+    """Its physics is up to its keys and to what touches."""
+
     name = "contact"
     title = "unilateral penalty contact"
     schema = ContactKeys
-    source = "closed form"
+
+    def __init__(self) -> None:
+        pass
+
+    def declared(self, part: Part, scene: Scene) -> Declaration:
+        pair = Pair(part, scene)
+        radius, distance = pair.b.radius, pair.a.distance
+        under = None if radius is None else (radius, tuple(map(float, distance)))
+        return _declared(pair, pair.normal, under, part.keys.groove)
 
     def pins(self, part: Part, scene: Scene) -> tuple[Terminal, ...]:
-        pair = Pair(part, scene)
-        rigid = pair.a.rigid, pair.b.rigid
-        return _terminals(pair.ports, rigid, bool(pair.b.elastic), bool(part.keys.friction))
+        d = _declared(Pair(part, scene), Normal(1.0, friction=part.keys.friction))
+        ends = {"rail": "gnd", "base": "gnd"}
+        return tuple(
+            Terminal(p.name, p.unit, p.flow, ends.get(p.name), required=p.name == "slide")
+            for p in pins_of(d)
+        )
 
     def default_joins(self, part: Part, scene: Scene) -> Mapping[str, str]:
         pair = Pair(part, scene)
@@ -163,34 +172,23 @@ class Contact(PartType):
         else:
             assert pair.normal  # says what it cannot know
 
-    def subcircuits(self, part: Part, build: Build, header: Any) -> tuple[Any, ...]:
-        pair = Pair(part, build.scene)
-        a, b, count = pair.a, pair.b, len(pair.ports)
-        made = contact_subcircuit(
-            header,
-            pair.ports,
-            np.full(count, part.keys.gap),
-            pair.normal,
-            under=None if b.radius is None else (b.radius, np.array(a.distance[:count])),
-            rigid=(a.rigid, b.rigid),
-            elastic=bool(b.elastic),
-            groove=part.keys.groove,
-            name=build.libraries[part.name],
-        )
-        return (made,)
-
     def vectors(self, part: Part, build: Build) -> Mapping[str, Vector]:
-        pair, card = Pair(part, build.scene), f"@b.x{part.name.lower()}.b{{}}[i]"
-        each = {f"{part.name}.force.{r}": card.format(r.lower()) for r in pair.ports}
-        ends = ("v", "b", CARRIED), ("va",)
-        found = {f"{part.name}.force": Vector("+".join(each.values()), 1.0, "N", *ends)}
+        n, pair, d = part.name, Pair(part, build.scene), self.declared(part, build.scene)
+        card = f"@b.x{n}.b{{}}[i]"
+        each = {b.through: card.format(force_node(b)).lower() for b in d.branches}
+        found = {
+            f"{n}.force.{port}": Vector(each[f"force.{port}"], 1.0, "N", enters=(port,))
+            for port in pair.ports
+        }
         if part.keys.friction:
-            row = Vector(card.format("slide"), 1.0, "N", ("rail",), ("slide",))
-            found[f"{part.name}.friction"] = row
-        if (s := pair.flank) is not None:
-            found[f"{part.name}.flank"] = Vector("+".join(each.values()), 1 / (2 * s), "N")
-        rows = zip(pair.ports, each.items(), strict=True)
-        return found | {n: Vector(text, 1.0, "N", enters=(port,)) for port, (n, text) in rows}
+            row = Vector(each["friction"], 1.0, "N", ("rail",), ("slide",))
+            found[f"{n}.friction"] = row
+        total = "+".join(each[f"force.{port}"] for port in pair.ports)
+        ends = {"force": (("v", "b", CARRIED), ("va",))}
+        return found | {
+            f"{n}.{word}": Vector(total, by, "N", *ends.get(word, ()))
+            for word, by in _sums(pair).items()
+        }
 
     def metrics(self, part: Part, build: Build, waves: Waveforms) -> Mapping[str, Any]:
         pair = Pair(part, build.scene)
@@ -249,22 +247,13 @@ class Contact(PartType):
         yield Figure(f"{part.name}_force", f"Contact of {sides}", caption, (panel,))
 
     def law(self, part: Part, build: Build) -> laws.Equations:
-        n, pair = part.name, Pair(part, build.scene)
-        ports, own, carried = pair.ports, pair.normal, CARRIED if pair.b.elastic else ""
-        law = contact_law(n, ports, own, pair.gaps[: len(ports)], carried)
-        ends = dict(zip(("a",) if pair.a.rigid else ports, ports, strict=True))
-        ends["bottom" if pair.b.rigid else "b"] = "b"
-        ends |= {carried: carried} if carried else {}
-        results = {f"{n}.force.{r}": laws.reading(f"{n}.{r}.through") for r in ports}
-        if own.friction:
-            ends |= {"slide": "slide", "rail": "rail"}
-            results[f"{n}.friction"] = laws.reading(f"{n}.slide.through")
-        sums = {"force": 1.0} | ({} if (s := pair.flank) is None else {"flank": 1 / (2 * s)})
-        for word, share in sums.items():
-            every = tuple((share, f"{n}.{r}.through") for r in ports)
-            results[f"{n}.{word}"] = laws.Reading(every)
-        pins = tuple((pin, f"{n}.{end}") for pin, end in ends.items())
-        return laws.Equations((law,), pins, results)
+        n, pair, found = part.name, Pair(part, build.scene), super().law(part, build)
+        each = [found.results[f"{n}.force.{port}"].terms[0][1] for port in pair.ports]
+        sums = {
+            f"{n}.{word}": laws.Reading(tuple((share, wave) for wave in each))
+            for word, share in _sums(pair).items()
+        }
+        return replace(found, results=found.results | sums)
 
     def notes(self, part: Part, scene: Scene) -> Iterator[str | Neglected]:
         keys, pair = part.keys, Pair(part, scene)
@@ -307,6 +296,23 @@ class Contact(PartType):
             last = f" to {a.ports[-1]}" if kept + 1 < len(a.ports) else ""
             error = "none while they stay open, checked after the run"
             yield Neglected(f"contact at {a.ports[kept]}{last}", why, error)
+
+
+def _declared(
+    pair: Pair,
+    law: Normal,
+    under: tuple[float, tuple[float, ...]] | None = None,
+    groove: float | None = None,
+) -> Declaration:
+    ports, rigid = pair.ports, (pair.a.rigid, pair.b.rigid)
+    carried, gaps = CARRIED if pair.b.elastic else "", (pair.keys.gap,) * len(ports)
+    words = {"rigid": rigid, "under": under, "carried": carried, "groove": groove}
+    return contact(ports, gaps, law, **words)
+
+
+def _sums(pair: Pair) -> dict[str, float]:
+    """Results that are the sum of all forces, and by what times: in a groove that on a flank."""
+    return {"force": 1.0} | ({} if pair.flank is None else {"flank": 1 / (2 * pair.flank)})
 
 
 def _pressure_problems(pair: Pair) -> Iterator[UsageError]:
@@ -450,95 +456,6 @@ def _within_law(pair: Pair, waves: Waveforms, place: np.ndarray) -> Iterator[Che
         advice = "so few of them carry that the force is more than 5e-3 off: lower "
         advice += f"{pair.part.name}.spacing"
         yield Check("hats of the contact", spacing, widest, "m", advice, checks.penetration)
-
-
-# --- the subcircuit -------------------------------------------------------------------------------
-
-
-def contact_subcircuit(
-    header: Header,
-    rings: tuple[str, ...],
-    gaps: np.ndarray,
-    law: Normal,
-    *,
-    rigid: tuple[bool, bool] = (False, True),
-    under: tuple[float, np.ndarray] | None = None,
-    elastic: bool = False,
-    groove: float | None = None,
-    name: str = "contact",
-) -> Subcircuit:
-    """``law`` of the penetration ``u - bottom - gap`` between ring pins and the other side.
-
-    ``law`` is that of a whole ring, ``gaps`` [m] one per ring. Given the radius of the sphere that
-    the rings are ``under`` and their own [m], the gaps follow from the parameter ``radius`` as
-    ``r^2 / (R + sqrt(R^2 - r^2))``, and ``gaps`` are added to them. A side that is a ``rigid`` body
-    has the pins ``v`` and ``bottom`` (the first ``va`` and ``a``), an elastic one its ports or
-    ``b``. A rigid one that is ``elastic`` carries a patch, whose displacement adds to it.
-    """
-    pins = _terminals(rings, rigid, elastic, bool(law.friction))
-    named = "|".join(re.escape(pin.lower()) for pin in (*rings, "b", "slide"))
-    inner = rf"(f|x|near|edge|lag|late|copy|sensed|rate)({named})"  # nodes of the template
-    distinct([pin.name for pin in pins], inner, where=name)
-    radii = () if under is None else under[1][: len(rings)]
-    doc = "gap at {} when both sides are at rest" if under is None else "added to the gap at {}"
-    what = "contact penalty of a whole ring" if law.power == 1 else "Hertz: 4/3 E* sqrt(R)"
-    damping, friction = "of Hunt and Crossley", "Coulomb's coefficient"
-    if groove is not None:
-        s = f"s = sin({groove:g}/2 deg)"
-        what = f"along the axis of a groove, 2 s^{1 + law.power:g} times one flank's, {s}"
-        damping, friction = f"s times that of a flank, {s}", f"1/s times Coulomb's coefficient, {s}"
-    params = [positive("eps", law.stiffness, f"N/m{'' if law.power == 1 else '^1.5'}", what)]
-    radius = "m", "radius of the sphere"
-    if law.radius:
-        pace = Param("pace", law.pace, "s", "in which the surfaces follow the pressure")
-        params += [Param("radius", law.radius, *radius, law.depth), pace]
-    elif under is not None:
-        params.append(Param("radius", under[0], *radius, float(max(radii))))
-    for ring, gap in zip(rings, gaps, strict=True):
-        params.append(Param(f"gap_{ring}", float(gap), "m", doc.format(ring)))
-    if law.damping:
-        params.append(positive("damping", law.damping, "s/m", damping))
-    if law.friction:
-        params.append(positive("friction", law.friction, "1", friction))
-        params.append(positive("creep", law.creep, "m/s", "speed of full friction"))
-    kind = "elastic but for its damping" if law.damping else "elastic"
-    along, absent = (" and along", "") if law.friction else ("", "friction, ")
-    return library(
-        "contact",
-        header,
-        name,
-        "penalty contact",
-        pins,
-        tuple(params),
-        rating=RATING,
-        validity=f"{kind} and normal to{along} the surface, at any temperature: no {absent}"
-        "adhesion or plastic flow",
-        no_module=SLIPS if law.friction else "",
-        rings=rings,
-        ends={ring: ("va", "a") if rigid[0] else (ring, ring) for ring in rings},
-        squares=[] if law.radius else [float(r) ** 2 for r in radii],
-        force="v" if rigid[1] else "b",
-        place="bottom" if rigid[1] else "b",
-        carried=CARRIED if elastic else "",
-        law=law,
-        rubbed=law.rubbed,
-        series=[c / (1e6 * law.depth) ** (k / 2) for k, c in enumerate(law.curve)],
-        rates={ring: "va" if rigid[0] else f"rate{ring}" for ring in rings if law.damping},
-        rate="v" if rigid[1] else "rateb",
-    )
-
-
-def _terminals(
-    rings: tuple[str, ...], rigid: tuple[bool, bool], elastic: bool, friction: bool
-) -> tuple[Terminal, ...]:
-    """Pins of a contact: both sides, what a rigid one that is elastic carries, along, the base."""
-    speeds = Terminal("va", "m/s", "N"), Terminal("v", "m/s", "N")
-    heights = Terminal("a", "um", "-"), Terminal("bottom", "um", "-")
-    pins = [speeds[0], heights[0]] if rigid[0] else [Terminal(ring, "um", "N") for ring in rings]
-    pins += [speeds[1], heights[1]] if rigid[1] else [Terminal("b", "um", "N")]
-    pins += [Terminal(CARRIED, "um", "N")] if elastic else []
-    slide, rail = Terminal("slide", "um", "N", required=True), Terminal("rail", "um", "N", "gnd")
-    return (*pins, *([slide, rail] if friction else []), Terminal("base", "um", "N", "gnd"))
 
 
 register(Contact())

@@ -35,6 +35,7 @@ from kc2spice.core.waveforms import Waveforms
 from kc2spice.parts._linear_body import LinearBody
 from kc2spice.physics import Declaration, DeclaredPart, displacement, voltage
 from kc2spice.physics.expression import evaluated
+from kc2spice.physics.part import pins_of
 from kc2spice.scene.judge import Balance, Check
 from kc2spice.scene.model import Part, Scene, Terminal
 from kc2spice.scene.parttype import Build, Vector, register
@@ -87,7 +88,7 @@ class Patched(DeclaredPart):
         ends = {"minus": "gnd", "b": "gnd"}
         return tuple(
             Terminal(p.name, p.unit, p.flow, ends.get(p.name), required=p.name == "plus")
-            for p in self._pins(part, scene)
+            for p in pins_of(self.declared(part, scene))
         )
 
     def default_joins(self, part: Part, scene: Scene) -> Mapping[str, str]:

@@ -16,7 +16,8 @@ from kc2spice.core.figure import Curve, Figure, Panel, Shape
 from kc2spice.core.quantities import Density, Length, Section, Velocity
 from kc2spice.core.waveforms import Waveforms, running
 from kc2spice.fem.materials import Material, material
-from kc2spice.netlist.circuit import Param, Subcircuit, positive
+from kc2spice.netlist.circuit import Param, positive
+from kc2spice.parts._template import TemplatePart
 from kc2spice.parts._touching import Pair, Surface, Touching
 from kc2spice.scene.judge import Balance, Gate, stepping
 from kc2spice.scene.model import GROUND, Part, Scene, Terminal
@@ -31,10 +32,10 @@ from kc2spice.scene.parttype import (
     register,
 )
 from kc2spice.scene.plausible import within
-from kc2spice.spice.header import Header, library
 
 AIR_DENSITY = 1.204  # kg/m^3, 20 degC
 AIR_VISCOSITY = 1.825e-5  # Pa s
+AT_REST = State(0.0, 0.0)
 SETTLING_BAND = 0.05  # of the step from rest to set point
 WORK = 1e-4  # share of the work that may be unexplained; then a launch is wrong by about 1e-3
 
@@ -78,12 +79,14 @@ class SphereKeys(Section):
         return 4 / 3 * math.pi * self.radius**3 * self.density
 
 
-class Sphere(Touching):
+class Sphere(Touching, TemplatePart):
     name = "sphere"
     title = "rigid sphere, vertical motion"
     schema = SphereKeys
     source = "closed form"
-    terminals = (
+    template, heading, rating = name, title, "none: rigid"
+    validity = "rigid, in vacuum, at any temperature; moves along its axis only"
+    fixed = (
         Terminal("v", "m/s", "N"),
         Terminal("bottom", "um", "-", signal_out=True),
         Terminal("y", "um", "-", signal_out=True),
@@ -97,7 +100,7 @@ class Sphere(Touching):
         return {_carried(part): table if given is True else {**given, **table}}
 
     def pins(self, part: Part, scene: Scene) -> tuple[Terminal, ...]:
-        return () if _moved(part, scene) else self.terminals
+        return () if _moved(part, scene) else self.fixed
 
     def problems(self, part: Part, scene: Scene) -> Iterator[UsageError]:
         bodies = [p.name for p in scene.parts.values() if p.reduced]
@@ -143,11 +146,9 @@ class Sphere(Touching):
         # nothing holds the sphere: it starts at rest where it would touch
         return {build.net(part, "v"): 0.0, build.net(part, "bottom"): 0.0}
 
-    def subcircuits(self, part: Part, build: Build, header: Any) -> tuple[Any, ...]:
-        keys, begin = part.keys, begins(build.scene).get(part.name, State(0.0, 0.0))
-        numbers = keys.mass, keys.radius, build.scene.gravity
-        name, at = build.libraries[part.name], {"velocity": begin.velocity, "height": begin.height}
-        return (sphere_subcircuit(header, *numbers, **at, name=name),)
+    def design(self, part: Part, build: Build) -> tuple[tuple[Param, ...], Mapping[str, Any]]:
+        begin = begins(build.scene).get(part.name, AT_REST)
+        return numbers(part.keys.mass, part.keys.radius, build.scene.gravity, begin), {}
 
     def vectors(self, part: Part, build: Build) -> Mapping[str, Vector]:
         return {f"{part.name}.{pin}": build.across(part, pin) for pin in ("y", "v")}
@@ -209,7 +210,7 @@ class Sphere(Touching):
         """Its coordinate is the height of its lowest point over touching."""
         n, scene = part.name, build.scene
         states = begins(scene)
-        begin = states.get(n, State(0.0, 0.0))
+        begin = states.get(n, AT_REST)
         held = scene.joined(n, "v") or scene.joined(n, "bottom")
         height = None if held and not states else begin.height
         law = laws.Mass(n, part.keys.mass, scene.gravity, height, begin.velocity)
@@ -241,6 +242,19 @@ def made_of(part: Part) -> Material:
 def _carried(part: Part) -> str:
     """The part that is its elasticity, "" where it is rigid."""
     return "" if part.keys.elastic is None else f"{part.name}_elastic"
+
+
+def numbers(
+    mass: float, radius: float, gravity: float, begin: State = AT_REST
+) -> tuple[Param, ...]:
+    """Parameters of its netlist; without ``uic`` ngspice starts from the operating point."""
+    return (
+        positive("mass", mass, "kg", "mass of the sphere"),
+        positive("radius", radius, "m", "radius of the sphere"),
+        Param("gravity", gravity, "m/s2", "gravity, downwards"),
+        Param("velocity", begin.velocity, "m/s", "initial velocity, used with uic"),
+        Param("height", begin.height, "m", "initial height of the lowest point, used with uic"),
+    )
 
 
 def controlled(pid: Part, scene: Scene) -> Part | None:
@@ -282,40 +296,6 @@ def _air_drag(keys: SphereKeys) -> Neglected:
     drag = 0.5 * AIR_DENSITY * speed**2 * area * coefficient
     share = drag / (keys.mass * 9.81)
     return Neglected("drag of the air", "small", f"{share:.2g} of the weight at 1 m/s")
-
-
-def sphere_subcircuit(
-    header: Header,
-    mass: float,
-    radius: float,
-    gravity: float,
-    *,
-    velocity: float = 0.0,
-    height: float = 0.0,
-    name: str = "sphere",
-) -> Subcircuit:
-    """Mass on the node ``v``, heights of the lowest point (``bottom``) and the centre (``y``).
-
-    ``velocity`` [m/s] and ``height`` [m, of the lowest point] are the state at t = 0 of a
-    transient with ``uic``; without it ngspice starts from the operating point.
-    """
-    params = (
-        positive("mass", mass, "kg", "mass of the sphere"),
-        positive("radius", radius, "m", "radius of the sphere"),
-        Param("gravity", gravity, "m/s2", "gravity, downwards"),
-        Param("velocity", velocity, "m/s", "initial velocity, used with uic"),
-        Param("height", height, "m", "initial height of the lowest point, used with uic"),
-    )
-    return library(
-        "sphere",
-        header,
-        name,
-        Sphere.title,
-        Sphere.terminals,
-        params,
-        rating="none: rigid",
-        validity="rigid, in vacuum, at any temperature; moves along its axis only",
-    )
 
 
 register(Sphere())

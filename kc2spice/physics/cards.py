@@ -11,12 +11,14 @@ from dataclasses import replace
 
 from kc2spice.netlist.expression import Binary, Call, Name, Number, Probe, Tree, replaced
 from kc2spice.physics.declaration import RATE, Branch, Declaration
-from kc2spice.physics.expression import ZERO, derivative, kinks, names, plus, text, times
+from kc2spice.physics.expression import ZERO, derivative, kinks, minus, names, plus, text, times
 
 _MICRO, _FARAD = Number("1e-6"), "1e-06"
 _EDGE = ".model edge SW(VT=0 VH=0 RON=1e6 ROFF=2e6)"
 _HEAD = {
     "force": "force into {plus}, out of {minus}, 1 V = 1 N on {node}; x = 1e-6 V({plus},{minus})",
+    "direct": "force into {plus}, out of {minus}; x = 1e-6 V({plus},{minus})",
+    "place": "in um on {node}: {plus} less {minus}{words}",
     "rate": "velocity of {plus} less that of {minus} [m/s]: the current of 1 uF on that voltage",
     "charge": "charge between {plus} and {minus} on the node {node}, 1 V = {scale} coulombs; its "
     "rate flows from {plus} to {minus}",
@@ -44,8 +46,11 @@ def _lines(declaration: Declaration, noise: bool) -> Iterator[str]:
     for tree, name in declaration.polynomials.items():
         yield f"* the power series {name}"
         yield f"B{name} {name} {reference} V={{{text(replaced(tree, nodes))}}}"
-    for branch in declaration.damped:
-        yield from _velocity(branch)
+    for branch in declaration.branches:
+        if branch.less or branch.name in declaration.lags:
+            yield from _own_place(declaration, branch)
+        elif branch in declaration.damped:
+            yield from _velocity(declaration, branch)
     added: dict[str, Tree] = dict.fromkeys(declaration.coordinates, ZERO)
     branches = [
         b if b.plus else replace(b, plus=reference, minus=reference) for b in declaration.branches
@@ -69,18 +74,27 @@ def _probes(declaration: Declaration) -> Mapping[str, Tree]:
         name: Probe("v", (name, reference)) for name in declaration.polynomials.values()
     }
     for b in declaration.branches:
-        across: Tree = Probe("v", (b.plus, b.minus))
+        across: Tree = Probe("v", _place(declaration, b))
         if b.kind == "displacement":
             across = Binary("*", _MICRO, across)
         found[b.name] = Probe("i", (meter(b),)) if b.kind == "current" else across
-        found[b.name + RATE] = Probe("i", (f"Vrate_{b.name}",))
+        ends = (declaration.speeds.get(pin) for pin in (b.plus, b.minus))
+        high, low = (Probe("v", (end,)) if end else ZERO for end in ends)
+        sensed = Probe("i", (f"Vrate_{b.name}",)) if ZERO in (high, low) else ZERO
+        found[b.name + RATE] = plus(sensed, minus(high, low))
     return found
+
+
+def _place(declaration: Declaration, b: Branch) -> tuple[str, str]:
+    """Nodes between which a branch's coordinate is."""
+    own = b.less or b.name in declaration.lags
+    return (f"x_{b.name}", _reference(declaration)) if own else (b.plus, b.minus)
 
 
 def _reference(declaration: Declaration) -> str:
     """The pin on which loops and inner nodes rest."""
     pins = (b.minus for b in declaration.branches if b.kind == "displacement")
-    return next(pins, declaration.open[0].minus)
+    return declaration.base or next(pins, declaration.open[0].minus)
 
 
 def meter(branch: Branch) -> str:
@@ -107,22 +121,54 @@ def _differentiated(name: str, node: str, minus: str) -> Iterator[str]:
     yield f"Vrate_{name} sense_{name} {minus} 0"
 
 
-def _velocity(b: Branch) -> Iterator[str]:
-    yield _comment("rate", b)
-    yield f"Ecopy_{b.name} copy_{b.name} {b.minus} {b.plus} {b.minus} 1"
-    yield from _differentiated(b.name, f"copy_{b.name}", b.minus)
+def _velocity(declaration: Declaration, b: Branch) -> Iterator[str]:
+    """Of the ends without a node of their velocity."""
+    base = declaration.base or b.minus
+    plus, minus = (base if pin in declaration.speeds else pin for pin in (b.plus, b.minus))
+    if plus != minus:
+        yield _comment("rate", replace(b, plus=plus, minus=minus))
+        yield f"Ecopy_{b.name} copy_{b.name} {base} {plus} {minus} 1"
+        yield from _differentiated(b.name, f"copy_{b.name}", base)
+
+
+def _own_place(declaration: Declaration, b: Branch) -> Iterator[str]:
+    """A node for what is not between two pins. With two lags of a quarter of the time in a row,
+    ``x + lag x'`` is ``x + 4 (2 x - first + second - first)`` but for the time squared."""
+    n, base, lag = b.name, _reference(declaration), declaration.lags.get(b.name)
+    node = f"in_{n}" if lag else f"x_{n}"
+    words = f" less {b.less}" * bool(b.less) + f" + {lag} times its rate" * bool(lag)
+    yield _comment("place", b, node=f"x_{n}", words=words)
+    yield f"G{node} {base} {node} {b.plus} {b.minus} 1"
+    if b.less:
+        yield f"Gless_{n} {node} {base} {b.less} {base} 1"
+    yield f"R{node} {node} {base} 1"
+    if lag:
+        for before, name in ((node, f"first_{n}"), (f"first_{n}", f"second_{n}")):
+            yield f"G{name} {base} {name} {before} {base} 1"
+            yield f"R{name} {name} {base} 1"
+            yield f"C{name} {name} {base} {{{lag}/4}}"
+        yield f"Gnow_{n} {base} x_{n} {node} {base} 9"
+        yield f"Gthen_{n} x_{n} {base} first_{n} {base} 12"
+        yield f"Gbefore_{n} {base} x_{n} second_{n} {base} 4"
+        yield f"Rx_{n} x_{n} {base} 1"
 
 
 def _force(
     declaration: Declaration, b: Branch, nodes: Mapping[str, Tree], noise: Tree
 ) -> Iterator[str]:
-    node = force_node(b)
-    yield _comment("force", b, node=node)
-    direct = declaration.direct(b)
-    yield f"*   {b.through} = {text(declaration.named(direct))}"
-    yield f"B{node} {b.minus} {node} I={{{_placed(declaration, plus(direct, noise), nodes)}}}"
-    yield f"R{node} {node} {b.minus} 1"
-    yield f"G{node} {b.plus} {b.minus} {node} {b.minus} 1"
+    node, base = force_node(b), declaration.base or b.minus
+    high, low = (declaration.speeds.get(pin, pin) for pin in (b.plus, b.minus))
+    force = declaration.followed(b)
+    metered = declaration.metered or b.less
+    ends = (base, node) if metered else (high, low)
+    yield _comment("force" if metered else "direct", b, node=node)
+    yield f"*   {b.through} = {text(declaration.named(force))}"
+    yield f"B{node} {' '.join(ends)} I={{{_placed(declaration, plus(force, noise), nodes)}}}"
+    if metered:
+        yield f"R{node} {node} {base} 1"
+        yield f"G{node} {high} {low} {node} {base} 1"
+    if b.less:
+        yield f"Gless_{node} {base} {b.less} {node} {base} 1"
 
 
 def _scaled(
@@ -173,17 +219,24 @@ def _flux(
 
 
 def _edges(declaration: Declaration, nodes: Mapping[str, Tree]) -> Iterator[str]:
-    """Watches of displacements against thresholds."""
-    moving = [b for b in declaration.branches if b.kind == "displacement"]
-    coordinates = {b.name: b for b in moving}
-    found = [e for b in moving for e in kinks(declaration.direct(b))]
+    """Watches of displacements against thresholds, 10 kV per um."""
+    coordinates = {b.name: b for b in declaration.branches if b.kind == "displacement"}
+    found = [e for b in coordinates.values() for e in kinks(declaration.followed(b))]
     for k, argument in enumerate(dict.fromkeys(found)):
         seen = names(argument) & set(declaration.coordinates)
         if len(seen) != 1 or not seen <= set(coordinates):
             continue
         b = coordinates[next(iter(seen))]
+        base = declaration.base or b.minus
         yield _comment("edge", b, argument=text(argument))
         yield _EDGE if not k else f"* edge {k + 1}"
-        watched = Binary("*", Number("1e10"), replaced(argument, nodes))
-        yield f"Bedge{k} edge{k} {b.minus} V={{{text(watched)}}}"
-        yield f"Sedge{k} edge{k} {b.minus} edge{k} {b.minus} edge"
+        if declaration.metered:
+            watched = Binary("*", Number("1e10"), replaced(argument, nodes))
+            yield f"Bedge{k} edge{k} {base} V={{{text(watched)}}}"
+        else:
+            slope = times(Number("1e4"), derivative(argument, b.name))
+            past = times(Number("-1e10"), declaration.at_rest(argument))
+            yield f"Gedge{k} {base} edge{k} {' '.join(_place(declaration, b))} {{{text(slope)}}}"
+            yield f"Iedge{k} edge{k} {base} {{{text(past)}}}"
+            yield f"Redge{k} edge{k} {base} 1"
+        yield f"Sedge{k} edge{k} {base} edge{k} {base} edge"

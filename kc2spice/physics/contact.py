@@ -1,27 +1,24 @@
-"""The normal law of a contact and its friction, stated by energy and lost forces."""
+"""A contact: penalty, Hertz, pressure, damping and friction, stated by energy and lost forces."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
 
 from kc2spice.core.quantities import Section
-from kc2spice.netlist.expression import Name, Tree, Writer, parse, replaced
+from kc2spice.netlist.circuit import Param, positive
+from kc2spice.netlist.expression import Name, Tree, Writer, replaced
 from kc2spice.physics.declaration import RATE, Declaration, displacement
-from kc2spice.physics.expression import (
-    derivative,
-    evaluated,
-    expression,
-    minus,
-    plus,
-    text,
-    times,
-)
-from kc2spice.physics.law import DeclaredLaw
+from kc2spice.physics.expression import derivative, evaluated, expression, minus, over, plus, times
+
+RATING = "not known; compare the force with the strength of both surfaces (Hertz)"
+# A block between compiled modules alone ended 35 mm away instead of 0.2, without an error message.
+SLIPS = "compiled modules lose the digits that friction below its creep speed needs"
+SIGN = "um, m/s and N count upwards, out of the chip; 1 A into a pin pushes the part up with 1 N"
 
 
 @dataclass(frozen=True)
@@ -51,10 +48,9 @@ class Normal:
 
     @property
     def numbers(self) -> dict[str, float]:
-        """Parameters of the law by name, in SI."""
-        found = {"eps": self.stiffness, "damping": self.damping}
-        found |= {f"c{k}": c / self.depth ** (k / 2) for k, c in enumerate(self.curve) if k}
-        return found | {"pace": self.pace, "friction": self.friction, "creep": self.creep}
+        """Stiffness and coefficients of the law by name, in SI."""
+        found = {f"c{k}": c / self.depth ** (k / 2) for k, c in enumerate(self.curve) if k}
+        return {"eps": self.stiffness} | found
 
     @property
     def _laws(self) -> tuple[Tree, Tree, Tree]:
@@ -67,15 +63,6 @@ class Normal:
     def force(self, x: np.ndarray) -> np.ndarray:
         """``f(x)`` [N], 0 where nothing touches."""
         return np.asarray(evaluated(self._laws[1], self.numbers | {"x": x}))
-
-    def text(self, x: str, closing: str, scale: str) -> str:
-        """``F`` on a card, of the overlap ``x`` and the speed ``closing``, as they stand there."""
-        values: Mapping[str, Tree] = {"x": parse(x), "eps": Name(scale)}
-        return text(replaced(self._laws[2], {**values, "x_rate": parse(closing)}))
-
-    def rubbed(self, pressed: Sequence[str], speed: str) -> str:
-        """The friction on a card, of the forces that press and the ``speed`` of sliding."""
-        return text(replaced(_rubbed(map(parse, pressed)), {"slide_rate": parse(speed)}))
 
 
 @cache
@@ -92,39 +79,107 @@ def _laws(power: float, count: int, damped: bool) -> tuple[Tree, Tree, Tree]:
     return energy, elastic, force
 
 
-def _rubbed(pressed: Iterable[Tree]) -> Tree:
-    return times(expression("friction*clip(slide_rate/creep)"), plus(*pressed))
+@cache
+def contact(
+    ports: tuple[str, ...],
+    gaps: tuple[float, ...],
+    law: Normal,
+    *,
+    rigid: tuple[bool, bool] = (False, True),
+    under: tuple[float, tuple[float, ...]] | None = None,
+    carried: str = "",
+    groove: float | None = None,
+) -> Declaration:
+    """``law`` of the overlap ``u - bottom - gap`` of each of the ``ports`` and the other side.
 
+    ``law`` is that of a whole ring, ``gaps`` [m] one per ring. Given the radius of the sphere that
+    the rings are ``under`` and their own [m], the gaps follow from the parameter ``radius`` as
+    ``r^2 / (R + sqrt(R^2 - r^2))``, and ``gaps`` are added to them. A side that is a ``rigid`` body
+    has the pins ``v`` and ``bottom`` (the first ``va`` and ``a``), an elastic one its ports or
+    ``b``; a pin that a rigid one has ``carried`` adds its displacement. With friction ``slide``
+    moves over ``rail``. ``groove`` is the opening angle in degrees of which the law tells.
 
-def contact_law(
-    name: str, ports: Sequence[str], normal: Normal, gaps: np.ndarray, carried: str = ""
-) -> DeclaredLaw:
-    """The law of a contact from the pins ``ports`` to the pin ``b``, ``gaps`` (n,) [m] apart at
-    rest; with friction of the pin ``slide`` over ``rail`` besides. The surface of ``b`` may carry
-    another pin, whose displacement adds to its own and on which the forces act as well."""
-    energies, pressed, forces = [], [], {}
-    for k in range(len(ports)):
-        overlap = expression(f"x{k} - gap{k}")
-        moved = {"x": overlap, "x_rate": Name(f"x{k}{RATE}")}
-        energy, elastic, force = (replaced(law, moved) for law in normal._laws)
-        if normal.pace:
-            followed = {"x": expression(f"x{k} + pace*x{k}{RATE} - gap{k}")}
-            force = replaced(normal._laws[2], {**moved, **followed})
-        energies.append(energy)
-        pressed.append(force)
-        forces[f"x{k}"] = Writer().write(minus(force, elastic))
-    branches = [displacement(f"x{k}", port, "b", less=carried) for k, port in enumerate(ports)]
-    if normal.friction:
-        branches.append(displacement("slide", "slide", "rail"))
-        forces["slide"] = Writer().write(_rubbed(pressed))
-    numbers = normal.numbers | {f"gap{k}": float(gap) for k, gap in enumerate(gaps)}
-    declared = Declaration(
+    A pressure is that of the overlap times ``share`` of the radius that it was computed for.
+    """
+    high, low = ("a",) if rigid[0] else ports, "bottom" if rigid[1] else "b"
+    constants = {name: repr(value) for name, value in law.numbers.items() if name != "eps"}
+    share = "1"
+    if law.radius:
+        share, constants["share"] = "share", f"radius/{law.radius!r}"
+    branches, energies, pressed, forces = [], [], [], {}
+    for k, (port, pin) in enumerate(zip(ports, high, strict=True)):
+        x, gap = f"x_{port}", f"gap_{port}"
+        if under is not None and not law.radius and under[1][k]:
+            square, gap = repr(under[1][k] ** 2), f"rest_{port}"
+            constants[gap] = f"{square}/(radius + sqrt(radius*radius - {square})) + gap_{port}"
+        rate = Name(x + RATE)
+        moved = {"x": expression(f"{share}*({x} - {gap})"), "x_rate": rate}
+        late = moved
+        if law.pace:
+            late = {"x": expression(f"{share}*({x} + pace*{x}{RATE} - {gap})"), "x_rate": rate}
+        energy, elastic, force = law._laws
+        energies.append(over(replaced(energy, moved), expression(f"{share}^2")))
+        pressed.append(over(replaced(force, late), expression(share)))
+        lost = minus(pressed[-1], over(replaced(elastic, moved), expression(share)))
+        branches.append(displacement(x, pin, low, f"force.{port}", carried))
+        forces[x] = Writer().write(lost)
+    sides = ("a", "va", rigid[0]), ("bottom", "v", rigid[1])
+    lags = dict.fromkeys(forces, "pace") if law.pace else {}
+    kind, along, absent = "elastic", "", "friction, "
+    if law.damping:
+        kind = "elastic but for its damping"
+    if law.friction:
+        along, absent = " and along", ""
+        branches.append(displacement("slide", "slide", "rail", "friction"))
+        rubbed = times(expression(f"friction*clip(slide{RATE}/creep)"), plus(*pressed))
+        forces["slide"] = Writer().write(rubbed)
+    return Declaration(
         "contact",
-        "contact",
+        "penalty contact",
         Section,
         tuple(branches),
         energy=Writer().write(plus(*energies)),
         forces=forces,
-        constants={key: repr(value) for key, value in numbers.items()},
+        given=tuple(_parameters(ports, gaps, law, under, groove)),
+        constants=constants,
+        rating=RATING,
+        validity=f"{kind} and normal to{along} the surface, at any temperature: no {absent}"
+        "adhesion or plastic flow",
+        sign=SIGN,
+        speeds={pin: speed for pin, speed, is_rigid in sides if is_rigid},
+        lags=lags,
+        base="base",
+        metered=False,
+        no_module=SLIPS if law.friction else "",
     )
-    return DeclaredLaw(name, declared, tuple(numbers.values()))
+
+
+def _parameters(
+    ports: tuple[str, ...],
+    gaps: tuple[float, ...],
+    law: Normal,
+    under: tuple[float, tuple[float, ...]] | None,
+    groove: float | None,
+) -> Iterator[Param]:
+    """What an instance may set."""
+    linear = law.power == 1
+    what = "contact penalty of a whole ring" if linear else "Hertz: 4/3 E* sqrt(R)"
+    damping, friction = "of Hunt and Crossley", "Coulomb's coefficient"
+    if groove is not None:
+        s = f"s = sin({groove:g}/2 deg)"
+        what = f"along the axis of a groove, 2 s^{1 + law.power:g} times one flank's, {s}"
+        damping, friction = f"s times that of a flank, {s}", f"1/s times Coulomb's coefficient, {s}"
+    yield positive("eps", law.stiffness, "N/m" if linear else "N/m^1.5", what)
+    if law.radius:
+        yield Param("radius", law.radius, "m", "radius of the sphere", law.depth)
+        yield Param("pace", law.pace, "s", "in which the surfaces follow the pressure")
+    elif under is not None:
+        yield Param("radius", under[0], "m", "radius of the sphere", max(under[1][: len(ports)]))
+    doc = "gap at {} when both sides are at rest" if under is None else "added to the gap at {}"
+    for port, gap in zip(ports, gaps, strict=True):
+        yield Param(f"gap_{port}", gap, "m", doc.format(port))
+    if law.damping:
+        yield positive("damping", law.damping, "s/m", damping)
+    if law.friction:
+        yield positive("friction", law.friction, "1", friction)
+        yield positive("creep", law.creep, "m/s", "speed of full friction")

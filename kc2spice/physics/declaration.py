@@ -30,6 +30,7 @@ from typing import Literal
 
 from kc2spice.core.errors import UsageError
 from kc2spice.core.quantities import Section
+from kc2spice.netlist.circuit import Param
 from kc2spice.netlist.expression import Call, Name, Tree, Writer, rebuilt, replaced, walk
 from kc2spice.physics.expression import (
     ZERO,
@@ -93,11 +94,19 @@ def loop(name: str) -> Branch:
 class Declaration:
     """The physics of a part type: everything else is generated.
 
-    ``keys`` are the type's keys, whose numbers (in SI) the expressions know by name; ``constants``
-    are further names with their expressions of keys and of constants before them. ``forces`` are
+    ``keys`` are the type's keys, whose numbers (in SI) the expressions know by name, as those of
+    the parameters ``given``; ``constants`` are further names with their expressions of these and of
+    constants before them. ``forces`` are
     lost ones by displacement, of coordinates and rates. ``limits`` maps
     words for a limit to an expression that must stay above zero. ``neglected`` are rows of an
     effect, why it has no model, and what its absence changes.
+
+    Of netlists alone: ``speeds`` are the nodes of velocities of rigid bodies, which take the force,
+    by the pins of their displacements; ``lags`` the time by which the force on a displacement x
+    follows, whose law has ``x + lag x_rate`` in all places of x; ``base`` is the pin on which inner
+    nodes rest. Forces that are not ``metered`` cost a third of the devices: no nodes of their own,
+    watches of overlaps that are linear in x, and nobody reads them in small signals.
+    ``no_module`` says why no compiled module can be it.
     """
 
     name: str
@@ -108,12 +117,21 @@ class Declaration:
     coenergy: str = "0"
     content: str = "0"
     forces: Mapping[str, str] = field(default_factory=dict)
+    given: tuple[Param, ...] = ()
     constants: Mapping[str, str] = field(default_factory=dict)
     limits: Mapping[str, str] = field(default_factory=dict)
     neglected: tuple[tuple[str, str, str], ...] = ()
     rating: str = "not known"
     validity: str = "constant temperature; nothing here heats up, ages or breaks"
+    sign: str = (
+        "um and N count along plus less minus; 1 A into a pin pushes the part that way with 1 N"
+    )
     example: str = ""
+    speeds: Mapping[str, str] = field(default_factory=dict)
+    lags: Mapping[str, str] = field(default_factory=dict)
+    base: str = ""
+    metered: bool = True
+    no_module: str = ""
 
     def __post_init__(self) -> None:
         known = {*self.parameters, *self.coordinates, *self.rates}
@@ -181,9 +199,10 @@ class Declaration:
 
     @cached_property
     def numbers(self) -> tuple[str, ...]:
-        """Keys that are numbers."""
+        """Keys that are numbers, and what is given."""
         fields = self.keys.model_fields
-        return tuple(name for name, found in fields.items() if found.annotation is float)
+        own = (name for name, found in fields.items() if found.annotation is float)
+        return (*own, *(param.name for param in self.given))
 
     @cached_property
     def parameters(self) -> tuple[str, ...]:
@@ -227,6 +246,11 @@ class Declaration:
         stored = minus(self._slope("energy", branch.name), self._slope("coenergy", branch.name))
         lost = self._slope("content", branch.name + RATE)
         return plus(stored, lost, self._forces.get(branch.name, ZERO))
+
+    def followed(self, branch: Branch) -> Tree:
+        """The same of a displacement that has followed its lag."""
+        tree = self.direct(branch)
+        return plus(replaced(tree, {f"{name}{RATE}": ZERO for name in self.lags}))
 
     def loss(self, branch: Branch) -> Tree:
         """Damping, conductance or resistance of a branch, for small signals."""
@@ -290,7 +314,8 @@ class Declaration:
 
     def values(self, keys: Section) -> dict[str, float]:
         """Parameters of a part by name, in SI."""
-        found = {name: float(getattr(keys, name)) for name in self.numbers}
+        given = {param.name: param.default for param in self.given}
+        found = {n: given[n] if n in given else float(getattr(keys, n)) for n in self.numbers}
         for name, tree in self.fixed.items():
             found[name] = float(evaluated(tree, found))
         return found

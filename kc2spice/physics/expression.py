@@ -88,7 +88,7 @@ class _Card(Writer):
     def call(self, function: str, arguments: tuple[Tree, ...]) -> str:
         match function, arguments:
             case "sqrt", (Call("max", (_, value)),):  # so that its slope at zero is finite
-                return f"sqrt(max(1e-12, {self.write(value)}))"
+                return f"sqrt(max(1e-18, {self.write(value)}))"
             case "clip", (value,):
                 return f"max(-1, min(1, {self.write(value)}))"
             case "poly", (value, *series):
@@ -97,8 +97,8 @@ class _Card(Writer):
 
 
 def text(tree: Tree) -> str:
-    """``tree`` as it stands on a card; a root of less than 1e-12 of one-sided things is that of
-    1e-12.
+    """``tree`` as it stands on a card; a root of less than 1e-18 of one-sided things is that of
+    1e-18.
 
     Raises
     ------

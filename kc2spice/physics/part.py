@@ -9,11 +9,12 @@ import numpy as np
 
 from kc2spice.core import laws
 from kc2spice.core.waveforms import Waveforms, running
+from kc2spice.netlist.cards import distinct
 from kc2spice.netlist.cards import name as checked
 from kc2spice.netlist.circuit import Param, Pin, Subcircuit
 from kc2spice.netlist.expression import Tree
 from kc2spice.physics.cards import body, force_node, meter, noisy
-from kc2spice.physics.declaration import RATE, Branch, Declaration
+from kc2spice.physics.declaration import LOOPS, RATE, Branch, Declaration
 from kc2spice.physics.expression import derivative, evaluated, kinks, names
 from kc2spice.physics.law import DeclaredLaw
 from kc2spice.scene.judge import Balance, Check
@@ -25,9 +26,9 @@ if TYPE_CHECKING:
     from kc2spice.spice.header import Header
 
 _NODE = {"displacement": ("um", "N"), "voltage": ("V", "A"), "current": ("V", "A")}
-_SIGN = "um and N count along plus less minus; 1 A into a pin pushes the part that way with 1 N"
 STRIKES = 1.0  # of a stop; plates that struck it twice to nine times were up to 20 % off
 REBOUND = "what follows may hang on every step: error_budget estimates the error of each metric"
+_INNER = r"(?:f|x|in|q|l|rest|copy|sense|first|second|noise)_.+|(?:edge|poly)\d+"  # nodes
 _UNEXPLAINED = 1e-3  # share of what pins bring in that the steps of a run may lose
 
 
@@ -64,20 +65,13 @@ class DeclaredPart(PartType):
         """The same, of a part that may have a model."""
         return self.declared(part, build.scene)
 
-    def _pins(self, part: Part, scene: Scene) -> tuple[Pin, ...]:
-        found: dict[str, Pin] = {}
-        for b in self.declared(part, scene).open:
-            for pin in (b.plus, b.minus):
-                found.setdefault(checked(pin), Pin(pin, *_NODE[b.kind]))
-        return tuple(found.values())
-
     def pins(self, part: Part, scene: Scene) -> tuple[Terminal, ...]:
         plus = {b.plus for b in self.declared(part, scene).branches}
         return tuple(
             Terminal(p.name, p.unit, p.flow, required=True)
             if p.name in plus or scene.named(part.name, p.name)
             else Terminal(p.name, p.unit, p.flow, "gnd")
-            for p in self._pins(part, scene)
+            for p in pins_of(self.declared(part, scene))
         )
 
     def at_rest(self, part: Part, scene: Scene, model: Any | None = None) -> Rest:
@@ -92,28 +86,8 @@ class DeclaredPart(PartType):
         return Rest(tuple(pairs))
 
     def subcircuits(self, part: Part, build: Build, header: Header) -> tuple[Any, ...]:
-        from kc2spice.spice.header import parameter_list, part_header  # loads scipy
-
-        d, pins = self.built(part, build), self._pins(part, build.scene)
-        name, values = build.libraries[part.name], d.values(part.keys)
-        params = tuple(
-            Param(key.name, values[key.name], (key.unit or "-").replace(" ", "*"), key.doc)
-            for key in model_keys(d.keys)
-            if key.name in d.numbers
-        )
-        head = part_header(
-            header,
-            f"{name}: {d.title}",
-            pins,
-            params,
-            rating=d.rating,
-            validity=d.validity,
-            sign=_SIGN,
-        )
-        named = " ".join(pin.name for pin in pins)
-        inner = body(d, build.noisy)
-        cards = f".subckt {name} {named} {parameter_list(params)}\n{inner}.ends {name}\n"
-        return (Subcircuit(name, pins, params, head + cards),)
+        d, name = self.built(part, build), build.libraries[part.name]
+        return (subcircuit(header, name, d, d.values(part.keys), build.noisy),)
 
     def numerics(self, part: Part, scene: Scene) -> Iterator[Numerics]:
         if not self.declared(part, scene).linear:
@@ -145,15 +119,15 @@ class DeclaredPart(PartType):
         for b in d.branches:
             wave = f"{n}.{b.plus}.through" if b.plus else f"{n}.{b.name}"
             results[f"{n}.{b.through}"] = laws.reading(wave)
-        for b in d.open:
+        for b in d.open if d.metered else ():
             results[f"{n}.{b.across}"] = laws.difference(f"{n}.{b.plus}", f"{n}.{b.minus}")
         law = DeclaredLaw(n, d.closed, tuple(d.values(part.keys).values()))
-        pins = tuple((pin.name, f"{n}.{pin.name}") for pin in self._pins(part, build.scene))
+        pins = tuple((pin.name, f"{n}.{pin.name}") for pin in law.pins if pin.name != LOOPS)
         return laws.Equations((law,), pins, results)
 
     # --- what a run says --------------------------------------------------------------------
 
-    def checks(self, part: Part, build: Build, waves: Waveforms) -> Iterator[Check | Balance]:
+    def checks(self, part: Part, build: Build, waves: Waveforms) -> Iterator[Any]:
         """Its limits, strikes, and what pins bring in against what is stored and lost."""
         d = self.built(part, build)
         known = {} if "frequency" in waves else self._seen(part, build, waves)
@@ -187,6 +161,47 @@ class DeclaredPart(PartType):
     def notes(self, part: Part, scene: Scene) -> Iterator[str | Neglected]:
         yield "; ".join(self.declared(part, scene).equations)
         yield from (Neglected(*row) for row in self.declared(part, scene).neglected)
+
+
+def pins_of(declaration: Declaration) -> tuple[Pin, ...]:
+    """In the order of its branches; with a base, all upper ends before the lower ones. The velocity
+    of a rigid body stands before its place."""
+    found: dict[str, Pin] = {}
+    ends = [(b, (b.plus, b.minus, b.less)) for b in declaration.open]
+    pairs = [(k, b.kind, pin) for b, three in ends for k, pin in enumerate(three) if pin]
+    for _, kind, pin in sorted(pairs, key=lambda p: p[0]) if declaration.base else pairs:
+        unit, flow = _NODE[kind]
+        if speed := declaration.speeds.get(pin):
+            found.setdefault(checked(speed), Pin(speed, "m/s", flow))
+        found.setdefault(checked(pin), Pin(pin, unit, "-" if speed else flow))
+    if declaration.base:
+        found[declaration.base] = Pin(declaration.base, "um", "N")
+    return tuple(found.values())
+
+
+def subcircuit(
+    header: Header,
+    name: str,
+    declaration: Declaration,
+    values: Mapping[str, float],
+    noise: bool = False,
+) -> Subcircuit:
+    """Its netlist, with ``values`` of its keys as defaults; ``noise`` is that of what it loses."""
+    from kc2spice.spice.header import parameter_list, part_header  # loads scipy
+
+    d, pins = declaration, pins_of(declaration)
+    distinct([pin.name for pin in pins], _INNER, where=name)
+    keys = tuple(
+        Param(key.name, values[key.name], (key.unit or "-").replace(" ", "*"), key.doc)
+        for key in model_keys(d.keys)
+        if key.name in d.numbers
+    )
+    params = keys + d.given
+    words = {"rating": d.rating, "validity": d.validity, "sign": d.sign}
+    head = part_header(header, f"{name}: {d.title}", pins, params, **words)
+    named = " ".join(pin.name for pin in pins)
+    cards = f".subckt {name} {named} {parameter_list(params)}\n{body(d, noise)}.ends {name}\n"
+    return Subcircuit(name, pins, params, head + cards, no_module=d.no_module)
 
 
 def across_pins(build: Build, part: Part, branch: Branch) -> str:

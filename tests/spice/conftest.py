@@ -8,10 +8,11 @@ from kc2spice.fem.magnetics.table import EMTable
 from kc2spice.netlist.circuit import Subcircuit
 from kc2spice.parts._template import opamp_subcircuit
 from kc2spice.parts._touching import ring_gaps
-from kc2spice.parts.contact import Normal, contact_subcircuit
 from kc2spice.parts.pid import Control, pid_subcircuit
 from kc2spice.parts.ring_magnet_coils import coils_subcircuit
-from kc2spice.parts.sphere import SphereKeys, sphere_subcircuit
+from kc2spice.parts.sphere import Sphere, SphereKeys, numbers
+from kc2spice.physics.contact import Normal, contact
+from kc2spice.physics.part import subcircuit as declared
 from kc2spice.scene.load import load_scene
 from kc2spice.scene.model import Scene
 from kc2spice.spice.header import Header
@@ -43,10 +44,11 @@ def parts(header, model, radii, table) -> dict[str, Subcircuit]:
     """The subcircuits of kick and catch, by name."""
     ball = SphereKeys()
     rings = tuple(f"ring{i}" for i in range(6))
+    gaps = tuple(ring_gaps(radii, ball.radius).tolist())
     made = (
         subcircuit(model.linear(), "kick", header),
-        sphere_subcircuit(header, ball.mass, ball.radius, 9.81),
-        contact_subcircuit(header, rings, ring_gaps(radii, ball.radius), Normal(4e8)),
+        Sphere().netlist(header, "sphere", numbers(ball.mass, ball.radius, 9.81)),
+        declared(header, "contact", contact(rings, gaps, Normal(4e8)), {}),
         coils_subcircuit(header, table, "catch", apart=False, points=81),
         coils_subcircuit(header, table, points=81),
         opamp_subcircuit(header),

@@ -15,11 +15,11 @@ import kc2spice as kc
 from kc2spice.core.foreign import parse_toml
 from kc2spice.netlist.expression import Number
 from kc2spice.netlist.translate import dialect_files, translate_text
-from kc2spice.parts.contact import contact_subcircuit
 from kc2spice.parts.two_terminal_types import TABLE
-from kc2spice.physics import cards, contact, law
-from kc2spice.physics.contact import Normal, contact_law
+from kc2spice.physics import cards, contact, declaration, law
+from kc2spice.physics.contact import Normal
 from kc2spice.physics.expression import times
+from kc2spice.physics.part import subcircuit
 from kc2spice.scene.load import gallery, load_scene
 from kc2spice.scene.parttype import Build, part_types
 from kc2spice.spice.header import Header
@@ -379,13 +379,17 @@ def test_the_law_is_what_is_stated(name):
 
 # --- contacts, whose declaration depends on the scene ---------------------------------------------
 
-GAPS = np.array([0.0, 2e-7])
+GAPS = (0.0, 2e-7)
 CURVE = (1.0, 0.2, -0.1, 0.1, 0.0, 0.1)
 NORMALS = {
     "linear": Normal(4e8), "hertz": Normal(1e10, 1.5), "damped": Normal(1e7, damping=0.5),
     "dry": Normal(1e10, 1.5, damping=0.5, friction=0.3, creep=1e-3),
     "pressure": Normal(1e9, 1.5, curve=CURVE, depth=1e-5, pace=1e-8, radius=1e-3),
 }  # fmt: skip
+
+
+def pressing(normal):
+    return contact.contact(("p", "q"), GAPS, normal, rigid=(False, False))
 
 
 def touching(normal, count=20):
@@ -407,7 +411,7 @@ def worst_cards(kind, dialect):
     """Largest difference of a contact's printed forces from its law, relative to the largest; at
     rest where they follow with a lag, whose square of time the cards leave out."""
     normal, made = NORMALS[kind], Header("law", "0")
-    part = contact_subcircuit(made, ("p", "q"), GAPS, normal, rigid=(False, False))
+    part = subcircuit(made, "contact", pressing(normal), {})
     text = part.text
     if dialect == "verilog-a":
         (text,) = dialect_files(None, [part], dialect).values()
@@ -441,7 +445,8 @@ def test_the_cards_of_a_contact_are_its_law(kind, dialect):
 @pytest.mark.parametrize("kind", NORMALS)
 def test_the_law_of_a_contact_is_what_is_stated(kind):
     normal = NORMALS[kind]
-    own = contact_law("law", ("p", "q"), normal, GAPS)
+    stated_ = pressing(normal)
+    own = law.DeclaredLaw("law", stated_, tuple(stated_.values(stated_.keys()).values()))
     for x, rate, slide, wanted in touching(normal):
         known = {"p": x[0] + GAPS[0], "q": x[1] + GAPS[1], "slide": 0.0}
         speeds = {"p": rate[0], "q": rate[1], "slide": slide}
@@ -496,11 +501,8 @@ def test_a_wrong_force_of_a_contact_is_seen(monkeypatch):
     def wrong(tree, name):
         return times(Number("1.00001"), law.derivative(tree, name))
 
-    contact._laws.cache_clear()
-    with monkeypatch.context() as patch:
-        patch.setattr(contact, "derivative", wrong)
-        assert worst_cards("hertz", "xyce") > 1e-6
-    contact._laws.cache_clear()
+    monkeypatch.setattr(declaration, "derivative", wrong)
+    assert worst_cards("hertz", "xyce") > 1e-6
 
 
 def test_energy_that_is_made_is_seen(monkeypatch):

@@ -12,7 +12,8 @@ from device import deck_of
 from kc2spice.core.errors import UsageError
 from kc2spice.netlist.deck import Deck
 from kc2spice.netlist.translate import DIALECTS, dialect_files, translate, translate_text
-from kc2spice.parts.contact import Normal, contact_subcircuit
+from kc2spice.physics.contact import Normal, contact
+from kc2spice.physics.part import subcircuit as declared
 from kc2spice.sim.ngspice import run_deck
 from kc2spice.spice.header import Header
 
@@ -156,7 +157,7 @@ LAWS = {
 
 def pressing(law):
     header = Header("laws", "0")
-    return contact_subcircuit(header, ("patch",), np.zeros(1), law)
+    return declared(header, "contact", contact(("patch",), (0.0,), law), {})
 
 
 @pytest.mark.parametrize("dialect", ["xyce", "ltspice"])

@@ -108,9 +108,13 @@ class Netlist:
                 return float(text)
             return eval(text.strip("{}").lower(), {"sqrt": np.sqrt}, numbers)
 
+        def drop(ends):
+            plus, *minus = (self.node(n, pins, prefix)[1] for n in ends.split(","))
+            return plus - sum(minus)
+
         def law(text):
-            spots = re.sub(r"\b[vV]\((\w+)\)", r"V('\1')", text.strip("{}"))
-            names = {"V": lambda n: self.node(n, pins, prefix)[1], **FUNCTIONS}
+            spots = re.sub(r"\b[vV]\(([\w,]+)\)", r"V('\1')", text.strip("{}"))
+            names = {"V": drop, **FUNCTIONS}
             return eval(spots, names, folded(text))
 
         def folded(text):

@@ -1,27 +1,27 @@
 """Libraries read back: pins, units, parameters with their ranges."""
 
-import numpy as np
 import pytest
 
 from kc2spice.core.errors import UsageError
 from kc2spice.netlist import read_lib
 from kc2spice.netlist.deck import Deck
 from kc2spice.netlist.transforms import with_parameters
-from kc2spice.parts.contact import Normal, contact_subcircuit
 from kc2spice.parts.pid import Control, pid_subcircuit
-from kc2spice.parts.sphere import sphere_subcircuit
+from kc2spice.parts.sphere import Sphere, numbers
+from kc2spice.physics.contact import Normal, contact
+from kc2spice.physics.part import subcircuit as declared
 from kc2spice.spice.header import Header
 
 HEADER = Header("test", "0")
-RADII = np.array([0.0, 5e-5])
+CONTACT = contact(("ring0", "ring1"), (0.0, 5e-5), Normal(4e8), under=(1e-3, (0.0, 5e-5)))
 
 
 @pytest.mark.parametrize(
     "part",
     [
         pid_subcircuit(HEADER, Control()),
-        sphere_subcircuit(HEADER, 1e-5, 1e-3, 9.81),
-        contact_subcircuit(HEADER, ("ring0", "ring1"), RADII, Normal(4e8), under=(1e-3, RADII)),
+        Sphere().netlist(HEADER, "sphere", numbers(1e-5, 1e-3, 9.81)),
+        declared(HEADER, "contact", CONTACT, {}),
     ],
     ids=lambda part: part.name,
 )
@@ -59,7 +59,7 @@ def test_a_head_that_does_not_fit_is_refused(pins, tmp_path):
 
 def test_parameters_outside_their_range_are_refused():
     """A sphere without mass would leave at 6.7e8 m/s, and nothing else tells."""
-    part = sphere_subcircuit(HEADER, 3e-5, 1e-3, 9.81)
+    part = Sphere().netlist(HEADER, "sphere", numbers(3e-5, 1e-3, 9.81))
     deck = Deck(name="d", parts=(part,))
     assert "mass=2e-05" in with_parameters(deck, [("sphere.mass", 2e-5)]).files["sphere.lib"]
     for name in ("mass", "radius"):

@@ -16,8 +16,10 @@ from hard_cases.kit import (
 from hard_cases.modal_kick import Kick
 from scipy.integrate import solve_ivp
 
-from kc2spice.parts.contact import Normal, contact_subcircuit
-from kc2spice.parts.sphere import SphereKeys, sphere_subcircuit
+from kc2spice.parts.sphere import Sphere, SphereKeys, numbers
+from kc2spice.physics.contact import Normal, contact
+from kc2spice.physics.part import subcircuit as declared
+from kc2spice.scene.parttype import State
 from kc2spice.spice.realize import subcircuit
 from laboratory.distance import compare
 
@@ -54,8 +56,8 @@ def flat_contact(bench):
     model, gap, velocity, stop = chip(6), 1e-6, -1.0, 10e-6
     parts = [
         subcircuit(model.linear(), "kick", HEADER),
-        contact_subcircuit(HEADER, RINGS, np.zeros(6), Normal(4e8)),
-        sphere_subcircuit(HEADER, MASS, 1e-3, 0.0, velocity=velocity, height=gap),
+        declared(HEADER, "contact", contact(RINGS, (0.0,) * 6, Normal(4e8)), {}),
+        Sphere().netlist(HEADER, "sphere", numbers(MASS, 1e-3, 0.0, State(velocity, gap))),
     ]
     rings = " ".join(RINGS)
     cards = f"""Xkick 0 0 {rings} 0 kick
@@ -105,8 +107,8 @@ def chatter_after_a_kick_of_one_volt(bench):
 def hundred_bounces_on_a_rigid_plane(bench):
     """A sphere falls 5 um a hundred times."""
     speed, height, landings = 0.01, 1e-7, 100
-    ground = contact_subcircuit(HEADER, ("ring0",), np.zeros(1), Normal(4e8))
-    sphere = sphere_subcircuit(HEADER, MASS, 1e-3, 9.81, velocity=-speed, height=height)
+    ground = declared(HEADER, "contact", contact(("ring0",), (0.0,), Normal(4e8)), {})
+    sphere = Sphere().netlist(HEADER, "sphere", numbers(MASS, 1e-3, 9.81, State(-speed, height)))
     stop = (landings + 0.5) * (2 * speed / 9.81 + np.pi * np.sqrt(MASS / 4e8))
     cards = f"""Xsphere v bottom y 0 sphere
 Vground ring0 0 0
