@@ -80,3 +80,7 @@ def test_the_exported_deck_is_verified_with_its_ports(chain, tmp_path):
     path.write_text(re.sub("analysis = .*", ac, SCENE).replace("sine", "ac = 1.0\nsine"))
     chain("export", "pushed.toml", "-o", "out", "-q")
     chain("verify", "pushed.toml", "--deck", "out/pushed.cir", "-o", "verified", "-q")
+    deck, library = tmp_path / "out" / "pushed.cir", tmp_path / "out" / "chain.lib"
+    deck.write_text(deck.read_text().replace(".include chain.lib", library.read_text()))
+    said = asked("verify", "pushed.toml", "--deck", str(deck), "-o", "inline", "-q", code=2)
+    assert "no subcircuit of this part" in said  # what stands beside it is not taken for it

@@ -7,6 +7,7 @@ from kc2spice.core.waveforms import Waveforms
 from kc2spice.scene.judge import Gate
 from kc2spice.workflow.verify.compare import (
     Solution,
+    gate_limits,
     measured,
     metric_errors,
     output_errors,
@@ -68,3 +69,16 @@ def test_a_metric_without_unit_is_judged_by_itself_and_not_by_frequencies() -> N
     assert found["coupling"] == pytest.approx(0.1)
     assert found["least_ohm"] == pytest.approx(1e-4 / 3e-3)  # a thousandth of the largest
     assert found["zero"] == 0.25
+
+
+def test_parts_that_have_a_metric_of_one_name_are_judged_each_by_its_own() -> None:
+    """Of two throws one is right; alone, a part's metric has no name in front."""
+    none = Waveforms({"time": np.arange(2.0)}, {})
+    gate = Gate("speed", "speed_m_s", {"ngspice_vs_rom": 0.1})
+    gates = [("left", gate), ("right", gate)]
+    ours, exact = ({"left.speed_m_s": v, "right.speed_m_s": 2.0} for v in (1.5, 1.0))
+    rows, _ = gate_limits(gates, "ngspice_vs_rom", Solution(none, ours), Solution(none, exact))
+    assert [row.value for row in rows] == [pytest.approx(0.5), 0.0]
+    alone = (Solution(none, {"speed_m_s": v}) for v in (1.5, 1.0))
+    ((row,), _) = gate_limits(gates[:1], "ngspice_vs_rom", *alone)
+    assert row.value == pytest.approx(0.5)

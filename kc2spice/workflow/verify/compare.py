@@ -5,7 +5,7 @@ from __future__ import annotations
 import fnmatch
 import math
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -47,12 +47,18 @@ def solution(waves: Waveforms, build: Build) -> Solution:
 
 
 def gate_limits(
-    gates: Iterable[Gate], pair: str, ours: Solution, exact: Solution
+    gates: Iterable[tuple[str, Gate]], pair: str, ours: Solution, exact: Solution
 ) -> tuple[list[Check], float | None]:
-    """Every gate of this pair, and the largest value of those that stand for the scene."""
+    """Every gate of this pair, and the largest value of those that stand for the scene.
+
+    ``gates`` are by the part that has them: of a metric that several parts have each judges its
+    own.
+    """
     limits, leading = [], []
     words = pair.replace("rom", "ROM").replace("fom", "full model").replace("_vs_", " to ")
-    for gate in gates:
+    for part, each in gates:
+        own = f"{part}.{each.of}"
+        gate = replace(each, of=own) if own in exact.metrics else each
         value = measured(gate, ours, exact)
         if value is _ABSENT:
             continue

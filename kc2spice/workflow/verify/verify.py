@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -19,7 +19,7 @@ from kc2spice.netlist.foreign import Flat, checked
 from kc2spice.netlist.read import subcircuits
 from kc2spice.report.verify_page import Findings, comparison, write_verify
 from kc2spice.scene.compose import composed
-from kc2spice.scene.judge import PAIRS, Check, Gate, Verdict
+from kc2spice.scene.judge import PAIRS, Check, Verdict
 from kc2spice.scene.model import Scene
 from kc2spice.scene.parttype import Build
 from kc2spice.sim.ngspice import find_ngspice, run_deck
@@ -224,7 +224,7 @@ class _Verification:
         outputs: list[OutputError] = []
         for pair in (p for p in PAIRS if p.endswith(last)):
             ours, exact = solutions[pair.partition("_")[0]], solutions[last]
-            limits, leading = gate_limits(_gates(self.verdict, exact), pair, ours, exact)
+            limits, leading = gate_limits(self.verdict.gates, pair, ours, exact)
             self.found.checks += limits
             errors = output_errors(pair, ours.waves, exact.waves)
             leading = max((e.rms for e in errors), default=None) if leading is None else leading
@@ -274,7 +274,7 @@ class _Verification:
     def _stepped(self, waves: Waveforms, coarse: Waveforms) -> None:
         """What steps twice as long change must not decide over a gate."""
         ours, exact = solution(coarse, self.build), solution(waves, self.build)
-        for limit in gate_limits(_gates(self.verdict, exact), "rom_vs_fom", ours, exact)[0]:
+        for limit in gate_limits(self.verdict.gates, "rom_vs_fom", ours, exact)[0]:
             words = limit.name.replace("ROM to full model", "full model, steps halved")
             self.found.checks.append(replace(limit, name=words))
         moved = output_errors("steps", coarse, waves)
@@ -303,10 +303,3 @@ def _until(waves: Waveforms, end: float | None) -> Waveforms:
         return waves
     kept = waves["time"] <= end * (1 + 1e-12)
     return Waveforms({name: values[kept] for name, values in waves.data.items()}, waves.stats)
-
-
-def _gates(found: Verdict, exact: Solution) -> Iterator[Gate]:
-    """Those of all parts, of a metric that several have each its own."""
-    for part, gate in found.gates:
-        own = f"{part}.{gate.of}"
-        yield replace(gate, of=own) if own in exact.metrics else gate
