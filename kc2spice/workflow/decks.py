@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from itertools import chain
 
 from kc2spice.core.errors import UsageError, did_you_mean
@@ -15,7 +15,7 @@ from kc2spice.scene.model import Part, Scene, scene_hash
 from kc2spice.scene.parttype import Build, begins, mover, numerics
 from kc2spice.scene.plan import MAX_STEP
 from kc2spice.scene.plausible import built, judged
-from kc2spice.scene.rest import free, unsettled
+from kc2spice.scene.rest import Free, free, unsettled
 from kc2spice.spice.header import Header, plan_lines
 from kc2spice.workflow import noise
 from kc2spice.workflow.meters import powers, replaced, result_vectors, sweep_values, swept
@@ -53,19 +53,20 @@ def make_deck(build: Build) -> Deck:
                 hint=did_you_mean(probe.of, known),
             )
     told = "".join(f"\n{line}" for line in _reductions(parts))
+    loose = free(build)
     ours = () if scene.solver.max_step else (MAX_STEP,)  # a line of its own says why
     made = Deck(
         name=scene.name,
         title=f"{scene.name}: {scene.title}",
         notes=f"{header.origin()}\n{plan_lines(build.plan, ours)}{told}{_step_line(build)}",
         parts=parts,
-        blocks=tuple(_blocks(build)),
+        blocks=tuple(_blocks(build, loose)),
         options=tuple(_options(build)),
         command=_command(build),
         vectors={name: (v.expression, v.factor) for name, v in results.items()},
         units={name: v.unit for name, v in results.items()} | dict.fromkeys(watts, "W"),
         stop=scene.stop if scene.analysis.type == "transient" else None,
-        initial=_initial(build),
+        initial=_initial(build, loose),
         controlled=any(_controls(part, scene) for part in scene.parts.values()),
     )
     return noise.sources(made, build) if build.noisy else made
@@ -110,7 +111,7 @@ def _libraries(build: Build, header: Header) -> Iterator[Subcircuit]:
                 )
 
 
-def _blocks(build: Build) -> Iterator[Block]:
+def _blocks(build: Build, loose: Sequence[Free]) -> Iterator[Block]:
     scene, copied = build.scene, replaced(build.scene)
     for part in scene.parts.values():
         cards = () if part.name in copied else part.type.cards(part, build)
@@ -120,7 +121,7 @@ def _blocks(build: Build) -> Iterator[Block]:
         source, node = noise.reference(build)
         title = "drives nothing: what the analysis could refer the noise to"
         yield Block(title, (f"{source} {node} 0 DC 0 AC 1", f"R{node} {node} 0 1 noisy=0"))
-    nets = [group.nets[0] for group in free(build) if group.nets]
+    nets = [group.nets[0] for group in loose if group.nets]
     if scene.analysis.small and nets:
         names = allocated(((n, f"{n}_held") for n in nets), {name.lower() for name in scene.parts})
         held = tuple(f"L{name} {net} 0 {number(HOLD)}" for net, name in names.items())
@@ -180,14 +181,14 @@ def _command(build: Build) -> Command:
     return dc(found.source, found.scale * values[0], found.scale * values[-1], values.size)
 
 
-def _initial(build: Build) -> dict[str, float]:
+def _initial(build: Build, loose: Sequence[Free]) -> dict[str, float]:
     parts = build.scene.parts
     if build.scene.analysis.type != "transient":
         return {}
     own = (part for part in parts.values() if not mover(part.name, build.scene))
     states = {part.name: part.type.initial(part, build) for part in own}
     found = {node: value for each in states.values() for node, value in each.items()}
-    for group in free(build):
+    for group in loose:
         if group.nets and not group.bodies and not any(states[name] for name in group.parts):
             found[group.nets[0]] = 0.0  # dampers alone
     return found
