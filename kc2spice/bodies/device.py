@@ -125,19 +125,13 @@ def make_device(solid: Solid, setup: Setup) -> Device:
     UsageError : electrodes or rigid faces touch each other, or damping per material lacks a
         quality.
     """
-    volts = _depoling_voltage(solid, setup)
-    return damped(
-        constrained(solid, setup), setup, {} if volts is None else {"depoling_voltage_v": volts}
-    )
-
-
-def damped(bare: Device, setup: Setup, facts: Mapping[str, float]) -> Device:
-    """A constrained device with its damping and facts, beside those that are given."""
+    bare, volts = constrained(solid, setup), _depoling_voltage(solid, setup)
     unknowns = bare.displacement.shape[1] + bare.potential.shape[1]
-    facts = {"unknowns": unknowns, "mass_kg": bare.mass, **facts}
+    facts = {"unknowns": unknowns, "mass_kg": bare.mass}
+    facts |= {} if volts is None else {"depoling_voltage_v": volts}
     facts |= electromechanical(bare.model, bare.shift)
     model = replace(bare.model, facts=facts)
-    return replace(bare, model=_damped(model, bare.solid, bare.displacement, setup))
+    return replace(bare, model=_damped(model, solid, bare.displacement, setup))
 
 
 def constrained(solid: Solid, setup: Setup) -> Device:

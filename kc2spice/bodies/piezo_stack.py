@@ -13,7 +13,7 @@ import numpy as np
 from scipy import sparse
 from skfem import BilinearForm, LinearForm
 
-from kc2spice.bodies.device import Device, Setup, Shape, constrained, damped, part_named, spread
+from kc2spice.bodies.device import Device, Setup, Shape, make_device, part_named, spread
 from kc2spice.fem.materials import Material, material
 from kc2spice.fem.piezo.keys import PATCH, SECTORS, Chip
 from kc2spice.fem.piezo.mesh import KickMesh, kick_mesh
@@ -49,8 +49,9 @@ def stack_device(
         for the memory.
     """
     solid, setup = stack_setup(kick, breakdown, pressure)
-    device = damped(constrained(solid, setup), setup, {})
+    device = make_device(solid, setup)
     facts = dict(device.model.facts)
+    facts.pop("depoling_voltage_v", None)  # its key rated_field says it
     facts["unknowns"] += 1  # as the paper counts them: with one anode
     for name in [name for name in facts if name.endswith("_m_per_v")]:
         facts[name.replace("_m_per_v", "_m_per_100v")] = 100 * facts.pop(name)  # as data sheets do

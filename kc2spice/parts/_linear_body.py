@@ -440,15 +440,12 @@ class LinearBody(Touching):
             for end in ends:
                 model = box.at({each.key: each.value for each in keys} | {key.key: float(end)})
                 H = model.select([port]).transfer(frequency)[:, 0, 0]
-                read.append(analyse(frequency, 1 / (2j * np.pi * frequency * H)))
-            names = ("resonance_hz", "antiresonance_hz", "quality", "coupling", "capacitance_f")
+                read.append(analyse(frequency, 1 / (2j * np.pi * frequency * H)).metrics())
             change = math.log(ends[1] / ends[0])
             found[key.param.name] = {
-                name.removesuffix("_hz").removesuffix("_f"): math.log(
-                    getattr(read[1], name) / getattr(read[0], name)
-                )
-                / change
-                for name in names
+                name.removesuffix("_hz").removesuffix("_f"): math.log(read[1][name] / low) / change
+                for name, low in read[0].items()
+                if name != "bvd"
             }
         return found
 

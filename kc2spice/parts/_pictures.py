@@ -117,7 +117,7 @@ def deformed(device: Device, z: np.ndarray, voltages: np.ndarray) -> tuple[Panel
     found = at_nodes(device, z, voltages)
     stress = 1e-6 * principal(found["stress"])
     moved, factor = _enlarged(device, found["displacement"])
-    at_rest = _wires("at rest", device.solid.mesh, ":", fine=0)
+    at_rest = edges("at rest", device.solid.mesh, ":", fine=0)
     label = "largest principal stress in MPa"
     panel = Panel("mm", "mm", (at_rest,), equal=True, map=_map(device, moved, stress, label))
     return panel, factor
@@ -133,7 +133,7 @@ def shapes(device: Device, hertz: np.ndarray, columns: np.ndarray) -> Iterator[P
         moved, _ = _enlarged(device, found)
         size = np.linalg.norm(found, axis=1)
         colours = _map(device, moved, size / size.max(), "of the largest")
-        at_rest = _wires("at rest", device.solid.mesh, ":", fine=0)
+        at_rest = edges("at rest", device.solid.mesh, ":", fine=0)
         word = f"{f / 1e3:.4g} kHz" if f >= 1e3 else f"{f:.4g} Hz"
         yield Panel(f"mm, {word}", "mm", (at_rest,), equal=True, map=colours)
 
@@ -187,12 +187,6 @@ def _points_of(triangles: np.ndarray, steps: int) -> np.ndarray:
     return np.asarray((weights @ triangles).reshape(-1, 4))
 
 
-def outline(mesh: Any) -> tuple[np.ndarray, np.ndarray]:
-    """Edges of a mesh's surface as one line with gaps, x and y [mm] of an oblique projection."""
-    found = _wires("", mesh, "-")
-    return found.x, found.y
-
-
 def _edges(mesh: Any, fine: int) -> np.ndarray:
     """Vertices (2, edges) of the surface mesh; of more lines than ``fine`` only those where faces
     meet at an angle."""
@@ -214,7 +208,7 @@ def _edges(mesh: Any, fine: int) -> np.ndarray:
     return np.asarray(mesh.edges[:, edge[value[:, -2] > BENT * value[:, -1]]])
 
 
-def _wires(label: str, mesh: Any, style: str, fine: int = FINE) -> Curve:
+def edges(label: str, mesh: Any, style: str = "-", fine: int = FINE) -> Curve:
     """Edges of a mesh in oblique projection, separated by points that are not numbers [mm]."""
     points, edges = mesh.p[:, : mesh.nvertices], _edges(mesh, fine)  # no nodes on edges
     flat = points if len(points) == 2 else points[[0, 2]] + OBLIQUE * points[1]

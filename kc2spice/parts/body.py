@@ -58,7 +58,7 @@ from kc2spice.fem.mesh_file import (
 from kc2spice.fem.solid import Solid
 from kc2spice.parts._linear_body import file_stamp
 from kc2spice.parts._meshed import FieldKeys, MeshedBody
-from kc2spice.parts._pictures import outline
+from kc2spice.parts._pictures import edges
 from kc2spice.rom.linear import Port
 from kc2spice.scene.model import Part, Scene
 from kc2spice.scene.parttype import Build, Neglected, register
@@ -419,13 +419,14 @@ class Body(MeshedBody):
 
     def figures(self, part: Part, build: Build, waves: Waveforms) -> Iterator[Figure | Written]:
         """Its mesh, then what all bodies show."""
-        x, y = cached(
+        curve, _ = cached(
             "outline",
             self.full_key(part, build.scene),
-            lambda: outline(self.device(part, build.scene).solid.mesh),
+            lambda: edges("", self.device(part, build.scene).solid.mesh),
+            classes=(Curve,),
             sources=self.sources(),
-        )[0]
-        panel = Panel("mm", "mm", (Curve("", x, y),), equal=True)
+        )
+        panel = Panel("mm", "mm", (curve,), equal=True)
         caption = f"Edges of the mesh {part.keys.mesh}."
         yield Figure(f"{part.name}_mesh", f"Mesh of {part.name}", caption, (panel,))
         yield from super().figures(part, build, waves)
