@@ -522,16 +522,12 @@ class Pid(Device):
     offset: float = 0.0
     enable: tuple[float, ...] = (0.0,)
     disable: tuple[float, ...] = ()
-    kind: str = "displacement"
 
+    pins = (Pin("y", "displacement"), Pin("out", "signal"))
     taps = (Tap("y"),)
     states = ("followed", "integral")
     drives = ("out",)
     affine = True
-
-    @property
-    def pins(self) -> tuple[Pin, ...]:
-        return (Pin("y", self.kind), Pin("out", "signal"))
 
     @property
     def scales(self) -> tuple[float, ...]:

@@ -73,21 +73,10 @@ class TemplatePart(PartType):
         pins: Sequence[Terminal] = (),
     ) -> Subcircuit:
         """Its library under this name."""
-        words: dict[str, Any] = {
-            "rating": self.rating,
-            "validity": self.validity,
-            "sign": self.sign,
-            **self.constants,
-            **values,
-        }
+        told = {"rating": self.rating, "validity": self.validity, "sign": self.sign}
+        words: dict[str, Any] = {**told, **self.constants, **values}
         made = library(
-            self.template,
-            header,
-            name,
-            self.heading,
-            pins or self.fixed,
-            params,
-            **words,
+            self.template, header, name, self.heading, pins or self.fixed, params, **words
         )
         if not self.opamp:
             return made

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
 from dataclasses import replace
 from functools import cache
 from itertools import combinations_with_replacement
@@ -214,27 +213,37 @@ class MovingConductor(DeclaredPart):
 
     # --- model ------------------------------------------------------------------------------
 
-    def build(self, part: Part, scene: Scene, clock: Any, full: bool = False) -> Ladder:
-        """In ``full`` more loops of more rings."""
-        keys: MovingConductorKeys = part.keys
-        tolerance = (CLOSER if full else 1.0) * keys.tolerance
-        rings = (FINER if full else 1) * keys.rings
-        settings = keys.y_min, keys.y_max, keys.conductivity, keys.frequency, tolerance
-        radius, box = keys.radius, (keys.inner, keys.radius, 0.0, _tall(keys), rings)
+    def field(self, keys: Any, fixed: list[Winding], tolerance: float, rings: int) -> Ladder:
+        """Couplings of its loops with its coils and with ``fixed`` currents, and their rates."""
+        ball = keys.shape == "sphere"
+        box = keys.inner, keys.radius, 0.0, _tall(keys), rings
 
-        def ball(r: np.ndarray, z: np.ndarray) -> np.ndarray:
-            return np.asarray(r**2 + (z - radius) ** 2 < radius**2)
+        def inside(r: np.ndarray, z: np.ndarray) -> np.ndarray:
+            return np.asarray(r**2 + (z - keys.radius) ** 2 < keys.radius**2)
+
+        body = divided(*box, inside if ball else None)
+        settings = keys.y_min, keys.y_max, keys.conductivity, keys.frequency, tolerance
+        return ladder(body, windings(keys), fixed, *settings)
+
+    def build(self, part: Part, scene: Scene, clock: Any, full: bool = False) -> Ladder:
+        """In ``full`` more loops of more rings, couplings of a closer fit."""
+        keys = part.keys
+        tolerance = (CLOSER if full else 1.0) * keys.tolerance
+        rings = (FINER if full else 1) * getattr(keys, "rings", 1)
 
         def build() -> Ladder:
-            magnets = [s for m in keys.magnets.values() for s in sheets(m, m.remanence)]
-            with clock.stage("magnetics", f"eddy currents in {part.name}"):
-                body = divided(*box, ball if keys.shape == "sphere" else None)
-                return ladder(body, windings(keys), magnets, *settings)
+            fixed = [s for m in keys.magnets.values() for s in sheets(m, m.remanence)]
+            with clock.stage("magnetics", f"field of {part.name}"):
+                return self.field(keys, fixed, tolerance, rings)
 
         shape = {"tolerance", "rings"}
         key = {"keys": keys.model_dump(exclude=shape, mode="json"), "of": (tolerance, rings)}
-        with ranged(part):
-            return cached("conductor", key, build, classes=(Ladder,), sources=SOURCES)[0]
+        sources = (*SOURCES, type(self).__module__)
+        try:
+            return cached(self.name, key, build, classes=(Ladder,), sources=sources)[0]
+        except UsageError as error:  # of its range of heights
+            told = str(error.message), error.got, error.expected, error.hint
+            raise part.wrong("y_max", *told) from None
 
     def law(self, part: Part, build: Build) -> laws.Equations:
         """That of its declaration; currents of loops are no results, a full model has others."""
@@ -320,17 +329,6 @@ def _section(ring: Ring) -> Winding:
     """The room that it takes."""
     middle, width = (ring.inner + ring.outer) / 2, ring.outer - ring.inner
     return Winding(middle, width, ring.height, ring.y, 0.0)
-
-
-@contextmanager
-def ranged(part: Part) -> Iterator[None]:
-    """What its field cannot be built for is told of its range of heights."""
-    try:
-        yield
-    except UsageError as error:
-        raise part.wrong(
-            "y_max", str(error.message), error.got, error.expected, error.hint
-        ) from None
 
 
 def _tall(keys: Moving) -> float:

@@ -8,18 +8,14 @@ from typing import Annotated, Any
 
 from pydantic import Field
 
-from kc2spice.core.cache import cached
 from kc2spice.core.errors import UsageError
 from kc2spice.core.quantities import FluxDensity, Length, Notch, Ratio, Section
 from kc2spice.core.units import MU_0
 from kc2spice.fem.magnetics.keys import Ring
 from kc2spice.fem.magnetics.rings import Ladder, Winding, carried
-from kc2spice.parts.moving_conductor import Moving, MovingConductor, ranged, sheets, windings
+from kc2spice.parts.moving_conductor import Moving, MovingConductor, sheets, windings
 from kc2spice.scene.model import Part, Scene
 from kc2spice.scene.parttype import Neglected, register
-
-SOURCES = ("kc2spice.fem.magnetics.rings", "kc2spice.parts.moving_conductor", __name__)
-CLOSER = 0.1  # tolerance of the full model, of that of the reduced one
 
 
 class Magnetisation(Section):
@@ -89,23 +85,13 @@ sine = { amplitude = "1 V", frequency = "50 Hz" }
     def misshapen(self, part: Part) -> Iterator[UsageError]:
         return iter(())
 
-    def build(self, part: Part, scene: Scene, clock: Any, full: bool = False) -> Ladder:
-        """In ``full`` couplings of a closer fit."""
-        keys: MovingMagnetKeys = part.keys
-        tolerance = (CLOSER if full else 1.0) * keys.tolerance
+    def field(self, keys: Any, fixed: list[Winding], tolerance: float, rings: int) -> Ladder:
         shape = keys.inner, keys.radius, keys.thickness
-
-        def build() -> Ladder:
-            share = 1 / (1 + demagnetising(*shape) * (keys.mu_r - 1))
-            ring = Ring(height=shape[2], outer=shape[1], inner=shape[0], y=shape[2] / 2)
-            body = sheets(ring, share)
-            settings = keys.y_min, keys.y_max, tolerance
-            fixed = [s for m in keys.magnets.values() for s in sheets(m, m.remanence)]
-            return carried(body, windings(keys), fixed, *settings)
-
-        key = {"keys": keys.model_dump(exclude={"tolerance"}, mode="json"), "of": tolerance}
-        with ranged(part):
-            return cached("magnet", key, build, classes=(Ladder,), sources=SOURCES)[0]
+        share = 1 / (1 + demagnetising(*shape) * (keys.mu_r - 1))
+        ring = Ring(height=shape[2], outer=shape[1], inner=shape[0], y=shape[2] / 2)
+        return carried(
+            sheets(ring, share), windings(keys), fixed, keys.y_min, keys.y_max, tolerance
+        )
 
     def notes(self, part: Part, scene: Scene) -> Iterator[str | Neglected]:
         yield f"{len(part.keys.coils)} coils, exact in currents, power series of the height"
