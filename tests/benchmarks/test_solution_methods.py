@@ -27,13 +27,13 @@ def test_lower_bound_flies_the_loop_exactly(loop, exact):
     waves = LowerBound(law(loop)).run(loop.scene)
     error = compare(waves, exact)
     # The magnets' pull is linearised for 2 us at a time during contact; all else is exact.
-    assert error["velocity_relative"] < 1e-5
+    assert error["launch"] < 1e-5
     assert abs(opens(waves) - opens(exact)) < 1e-11
-    assert error["trajectory_m"] < 2e-8
+    assert error["position_m"] < 2e-8
 
 
 def test_ngspice_flies_the_same_loop(loop, exact, tmp_path):
     """The netlist comes from the parts, the exact solution from the laboratory's own equations."""
     error = compare(run_deck(make_deck(loop), tmp_path), exact)
-    assert error["velocity_relative"] < 1e-4
-    assert error["trajectory_m"] < 1e-6
+    assert error["launch"] < 1e-4
+    assert error["position_m"] < 1e-6

@@ -9,7 +9,7 @@ import numpy as np
 import oracle
 import pytest
 import skfem
-from scipy.linalg import eigh, null_space
+from scipy.linalg import eigh
 from scipy.sparse.linalg import splu
 from skfem.helpers import dot
 from skfem.models.elasticity import lame_parameters, linear_elasticity
@@ -46,17 +46,6 @@ def plate(rng, damping):
     return np.eye(2 * n), damping * K, K, np.eye(2 * n)[:, [0, 31]], free
 
 
-def random_free(rng, damping):
-    """Two motions that cost nothing, full matrices, a dashpot that couples the modes."""
-    n = 50
-    links = rng.standard_normal((n - 2, n)) * np.exp(rng.uniform(-2, 1, n - 2))[:, None]
-    root = rng.standard_normal((n, n)) / np.sqrt(n) + np.eye(n)
-    K, M = links.T @ links, root.T @ root
-    E = damping * K
-    E += damping * np.outer(links[0], links[0])
-    return M, E, K, rng.standard_normal((n, 2)), null_space(links)
-
-
 def slowed(rng, damping):
     """A chain that slides on a viscous film: its free motion is slowed down within the band."""
     M, E, K, B, free = chain(rng, damping)
@@ -77,9 +66,8 @@ def check(body, top, damping, tolerance):
 
 @pytest.mark.parametrize(
     ("body", "top", "damping", "tolerance"),
-    [(chain, 0.15, 1e-2, 1e-4), (plate, 0.15, 1e-2, 1e-2), (random_free, 0.5, 1e-4, 1e-4),
-     (slowed, 0.15, 1e-2, 1e-4)],
-)  # fmt: skip
+    [(chain, 0.15, 1e-2, 1e-4), (plate, 0.15, 1e-2, 1e-2), (slowed, 0.15, 1e-2, 1e-4)],
+)
 def test_a_free_body_is_as_good_as_its_certificate_says(body, top, damping, tolerance):
     check(body, top, damping, tolerance)
 
@@ -87,9 +75,7 @@ def test_a_free_body_is_as_good_as_its_certificate_says(body, top, damping, tole
 @pytest.mark.slow
 @pytest.mark.campaign
 @pytest.mark.parametrize(("damping", "tolerance"), [(1e-2, 1e-2), (1e-4, 1e-4), (1e-2, 1e-6)])
-@pytest.mark.parametrize(
-    ("body", "top"), [(chain, 0.15), (plate, 0.25), (random_free, 0.5), (slowed, 0.15)]
-)
+@pytest.mark.parametrize(("body", "top"), [(chain, 0.15), (plate, 0.25), (slowed, 0.15)])
 def test_a_free_body_is_as_good_as_its_certificate_says_in_all(body, top, damping, tolerance):
     check(body, top, damping, tolerance)
 

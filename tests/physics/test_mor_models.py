@@ -20,11 +20,6 @@ FAMILIES = {
     "heat rod": families.heat_rod,
     "rotor": families.rotor,
 }
-# Some seconds a test.
-COSTLY = [
-    pytest.param(name, marks=pytest.mark.slow if name in ("rotor", "triple chain") else ())
-    for name in FAMILIES
-]
 FLOOR = 1e-6  # of an entry's peak; below it a relative error says nothing
 
 
@@ -80,29 +75,9 @@ def truth():
 
 
 def test_beam_has_the_textbook_frequencies():
-    matrices, _ = families.beam(free=False)
+    matrices, _ = families.beam()
     omega = np.sqrt(np.sort(eig(matrices["K"], matrices["M"], right=False).real)[:2])
     assert omega == pytest.approx([1.8751040687**2, 4.6940911330**2], rel=1e-6)
-
-
-@pytest.mark.parametrize(
-    "tolerance",
-    [1e-3, *(pytest.param(t, marks=pytest.mark.slow) for t in (1e-2, 1e-4, 1e-5, 1e-6))],
-)
-@pytest.mark.parametrize("name", COSTLY)
-def test_error_is_within_the_tolerance_and_its_estimate_is_sharp(name, tolerance, truth):
-    _, model, _ = built(name)
-    rom = reduced(name, tolerance)
-    frequency, expected = truth(name)
-    error = worst(families.full_response(reduced_matrices(rom), frequency), expected)
-    estimate = rom.certificate.error_estimate
-    # Peaks and notches between the product's samples may be a little worse, as may rounding of the
-    # numpy solutions here (1e-9 for the beams).
-    assert error <= 1.5 * tolerance + 1e-9
-    assert estimate <= tolerance
-    assert 0.5 <= estimate / error <= 10
-    assert rom.order < 0.6 * model.order
-    assert rom.certificate.stable
 
 
 @pytest.mark.parametrize(

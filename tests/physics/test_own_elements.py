@@ -95,7 +95,7 @@ def test_impact_by_hand(own):
     exact = solve_ivp(slope, (0, stop), start, "Radau", rtol=1e-7, atol=1e-13, jac=jacobian)
     found = transient(
         quarter(CHIP), contact_surface(CHIP, PENALTY, RADIUS), Ball(MASS, 1e-7, -1.0),
-        step=5e-9, stop=stop, voltage=lambda t: 0.0,
+        step=5e-9, stop=stop, is_open=False,
     )  # fmt: skip
     travel = 1e-7 - found.height.min()
     assert travel > 1e-6

@@ -21,15 +21,10 @@ def uneven(stop: float, n: int = 4001) -> np.ndarray:
     return stop * (s + 0.9 * np.sin(2 * np.pi * 5 * s) / (2 * np.pi * 5))
 
 
-def throw(t: np.ndarray, bounces: tuple[tuple[float, float], ...] = ()) -> Waveforms:
-    """At rest until LAUNCH, then ballistic; the load decays linearly to zero at LAUNCH.
-
-    ``bounces`` are further (start, end) stretches of load, which do not bend the path.
-    """
+def throw(t: np.ndarray) -> Waveforms:
+    """At rest until LAUNCH, then ballistic; the load decays linearly to zero at LAUNCH."""
     s = np.maximum(0.0, t - LAUNCH)
     force = 3.0 * np.clip((LAUNCH - t) / 1e-6, 0.0, 1.0)
-    for start, end in bounces:
-        force = np.where((t >= start) & (t < end), 1.0, force)
     y = RADIUS + SPEED * s - 0.5 * DECEL * s**2
     v = np.where(t > LAUNCH, SPEED - DECEL * s, 0.0)
     stroke = 4.2e-6 * np.exp(-(((t - 5.02e-4) / 2e-6) ** 2))

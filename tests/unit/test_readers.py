@@ -29,11 +29,8 @@ K, M = chain()
 ROWS = [(node, kind) for node in NODES for kind in KINDS]
 
 
-def write_market(path, matrix, symmetric=False):
-    scipy_io.mmwrite(
-        str(path), sparse.coo_array(np.atleast_2d(matrix)),
-        symmetry="symmetric" if symmetric else "general",
-    )  # fmt: skip
+def write_market(path, matrix):
+    scipy_io.mmwrite(str(path), sparse.coo_array(np.atleast_2d(matrix)), symmetry="general")
     written = path if path.exists() else path.with_name(path.name + ".mtx")
     if written != path:
         written.rename(path)

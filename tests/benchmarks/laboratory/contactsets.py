@@ -55,11 +55,8 @@ class ContactSets:
         """``A`` over ``[a, b, p, v, d]`` with the springs of the closed rings."""
         law, q, A = self.law, self.law.q, np.zeros((self.n, self.n))
         diag, p, v, d = np.arange(q), 2 * q, 2 * q + 1, 2 * q + 2
-        A[diag, q + diag], A[q + diag, diag], A[q + diag, q + diag] = (
-            law.omega,
-            -law.omega,
-            -law.damp,
-        )
+        A[diag, q + diag], A[q + diag, diag] = law.omega, -law.omega
+        A[q + diag, q + diag] = -law.damp
         rings = law.rings[closed]
         A[q:p, :q] -= law.stiffness * (law.inverse_mass[:, None] * rings.T) @ rings
         if law.electrical == "open":

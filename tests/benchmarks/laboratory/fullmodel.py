@@ -46,11 +46,6 @@ def factorisations(ring_force: np.ndarray) -> int:
     return len(closed) + int(changed.sum()) + int(closed[0].any())
 
 
-def converged(coarse: TransientResult, fine: TransientResult, radius: float, n: int) -> Waveforms:
-    """Limit of steps 2 h and h, ``n`` sectors."""
-    return limit(as_waveforms(coarse, radius, n), as_waveforms(fine, radius, n), "contact.force")
-
-
 def as_waveforms(result: TransientResult, radius: float, n: int) -> Waveforms:
     """Whole-device waveforms of a sector's transient; ``radius`` [m] of the sphere."""
     data = {
@@ -61,13 +56,12 @@ def as_waveforms(result: TransientResult, radius: float, n: int) -> Waveforms:
     return Waveforms(data, {})
 
 
-def limit(coarse: Waveforms, fine: Waveforms, loads: str) -> Waveforms:
+def limit(coarse: Waveforms, fine: Waveforms) -> Waveforms:
     """Richardson's limit of average acceleration (second order) from steps 2 h and h.
 
-    Waves named ``loads`` are taken as they are: extrapolation would leave false load where one
-    step size has just lost contact.
+    The load is taken as it is: extrapolation would leave false load where one step size has just
+    lost contact.
     """
     data = {name: fine[name][::2] + (fine[name][::2] - coarse[name]) / 3 for name in coarse.data}
-    data["time"] = coarse["time"]
-    data |= {name: fine[name][::2] for name in data if name.startswith(loads)}
+    data |= {"time": coarse["time"], "contact.force": fine["contact.force"][::2]}
     return Waveforms(data, {})

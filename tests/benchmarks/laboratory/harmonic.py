@@ -111,13 +111,8 @@ def balanced(
     set_log_levels({"pymor": "ERROR"})
     unit = 2 * np.pi * frequency[-1]
     port = 1 / np.sqrt(np.diag(large.C @ np.linalg.solve(large.K, large.B)))
-    matrices = (
-        large.M * unit**2,
-        large.E * unit,
-        large.K,
-        large.B * port,
-        (large.B * port).T,
-    )
+    drive = large.B * port
+    matrices = large.M * unit**2, large.E * unit, large.K, drive, drive.T
     reductor = SOBTpReductor(SecondOrderModel.from_matrices(*matrices))
     for order in orders:
         small = reductor.reduce(order).transfer_function

@@ -7,24 +7,10 @@ import numpy as np
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.scene.model import Scene
 from laboratory.distance import compare
-from laboratory.fullmodel import (
-    as_waveforms,
-    converged,
-    factorisations,
-    full_surface,
-    full_system,
-)
-from laboratory.points import (
-    Outcome,
-    Point,
-    Ratio,
-    Timing,
-    fastest,
-    scaled,
-    timed,
-)
+from laboratory.fullmodel import as_waveforms, factorisations, full_surface, full_system, limit
+from laboratory.points import Outcome, Point, Ratio, Timing, fastest, scaled, timed
 from laboratory.setup import Setup, keys_of
-from laboratory.transient import FIELDS, Transient
+from laboratory.transient import Transient
 from laboratory.usual.transient import Ball, Road, TransientResult, transient
 
 PAPER_STEP = 50e-9  # s, of the paper's Newmark integration (2.2.2)
@@ -77,12 +63,11 @@ class _FullModel:
         steps = round(self.stop / step)
         with setup.clock.stage("impact", "full model, converged in time"):
             fine = step if setup.quick else step / 5
-            pair = (self._run(2 * fine), self._run(fine))
-            self.exact = converged(*pair, self.radius, self.system.sectors)
+            self.exact = limit(self._waves(self._run(2 * fine)), self._waves(self._run(fine)))
         self.travel = float(np.ptp(self.exact["sphere.y"]))
         with setup.clock.stage("impact", "full model, low rank"):
             result, self.low_rank = timed(lambda: self._run(step), 1)
-        self.waves = as_waveforms(result, self.radius, self.system.sectors)
+        self.waves = self._waves(result)
         touching = replace(self.ball, height=0.0)  # the timed steps are all in contact
         with setup.clock.stage("impact", f"full model, {SAMPLED} refactorising steps"):
             taken, sample = timed(
@@ -101,8 +86,11 @@ class _FullModel:
     ) -> TransientResult:  # fmt: skip
         return transient(
             self.system, self.surface, ball or self.ball, step=step, stop=stop or self.stop,
-            voltage=None, road=road,
+            is_open=True, road=road,
         )  # fmt: skip
+
+    def _waves(self, result: TransientResult) -> Waveforms:
+        return as_waveforms(result, self.radius, self.system.sectors)
 
     def points(self) -> tuple[Point, ...]:
         """Errors here are against the full model, which is this method's own limit."""
@@ -118,7 +106,4 @@ class _FullModel:
 
     def errors(self, waves: Waveforms) -> dict[str, float | None]:
         """Of some method against the full model at its limit."""
-        found = compare(waves, self.exact)
-        return {name: found[key] for name, key in FIELDS.items()} | {
-            "of_travel": found["trajectory_relative"]
-        }
+        return compare(waves, self.exact)

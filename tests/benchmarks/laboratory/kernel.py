@@ -42,7 +42,6 @@ class Flown:
     time: float
     state: np.ndarray
     saturated: int
-    low: bool
     track: np.ndarray
 
 
@@ -101,8 +100,7 @@ def flyer(law: Law, rtol: float) -> Fly:
         )  # fmt: skip
         if count < 0:
             raise SimulationError("the flight's integration failed", where=f"t = {now.value} s")
-        low = mode.value == 2
-        clamp = saturated if low else mode.value
-        return Flown(now.value, x, clamp, low, track[:count].copy())
+        clamp = saturated if mode.value == 2 else mode.value  # 2: it is near
+        return Flown(now.value, x, clamp, track[:count].copy())
 
     return run

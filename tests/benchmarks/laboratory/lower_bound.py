@@ -7,7 +7,6 @@ ring closes or opens is located on that exact solution. Far from the chip the sp
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
 
 import numpy as np
 from scipy.linalg import lu_solve
@@ -22,19 +21,10 @@ from laboratory.law import Law
 from laboratory.segments import Segment, initial, saturation, segments
 
 Values = Callable[[np.ndarray], np.ndarray]
+Log = list[tuple[np.ndarray, ...]]  # pieces of: time, p, v, u (rings), closed (rings)
 
 SPAN = 2e-6  # s after which the magnets' pull is linearised anew
 PIECES = 20_000
-
-
-@dataclass
-class _Log:
-    """Columns of the waveforms, piece by piece: time, p, v, u (rings), closed (rings)."""
-
-    parts: list[tuple[np.ndarray, ...]] = field(default_factory=list)
-
-    def add(self, *columns: np.ndarray) -> None:
-        self.parts.append(columns)
 
 
 class LowerBound:
@@ -52,7 +42,7 @@ class LowerBound:
         ------
         SimulationError : contact chatters, or the controller is not at its limit during contact.
         """
-        log, x = _Log(), initial(self.law, scene)
+        log, x = [], initial(self.law, scene)
         closed = self._penetration(x) > 0.0
         for segment in segments(self.law, scene.stop):
             t, saturated = segment.start, saturation(self.law, x, segment.enabled)
@@ -66,7 +56,7 @@ class LowerBound:
 
     def _piece(
         self, segment: Segment, t: float, x: np.ndarray, closed: np.ndarray, saturated: int,
-        log: _Log,
+        log: Log,
     ) -> tuple[float, np.ndarray, np.ndarray, int]:  # fmt: skip
         if closed.any():
             return (*self._linear(segment, t, x, closed, saturated, log), saturated)
@@ -82,12 +72,12 @@ class LowerBound:
         flown = self.fly(sphere, t, segment.end, reach, saturated, segment.enabled)
         ahead = self._at(modes, y, still, np.array([flown.time - t]))[:, 0]
         zero = np.zeros((len(self.law.gaps), len(flown.track)))
-        log.add(*flown.track.T, zero, zero)
+        log.append((*flown.track.T, zero, zero))
         return flown.time, np.append(ahead, flown.state), closed, flown.saturated
 
     def _linear(
         self, segment: Segment, t: float, x: np.ndarray, closed: np.ndarray, saturated: int,
-        log: _Log,
+        log: Log,
     ) -> tuple[float, np.ndarray, np.ndarray]:  # fmt: skip
         """Exact motion until a ring toggles, the pull must be linearised anew, or the end."""
         law, closed_any = self.law, bool(closed.any())
@@ -121,10 +111,8 @@ class LowerBound:
             keep = times < stop
             times = np.append(times[keep], stop)
             rows = np.hstack([rows[:, keep], values(times[-1:])])
-        log.add(
-            t + times, rows[-2], rows[-1], rows[:-2],
-            np.repeat(closed[:, None], times.size, axis=1),
-        )  # fmt: skip
+        touching = np.repeat(closed[:, None], times.size, axis=1)
+        log.append((t + times, rows[-2], rows[-1], rows[:-2], touching))
         end = x.copy()
         ahead = self._at(modes, y, still, np.array([stop]))[:, 0]
         end[:size] = ahead
@@ -224,10 +212,8 @@ class LowerBound:
     def _penetration(self, x: np.ndarray) -> np.ndarray:
         return self.law.rings @ x[: self.law.q] - x[2 * self.law.q] - self.law.gaps
 
-    def _waveforms(self, log: _Log) -> Waveforms:
-        t, p, v, u, closed = (
-            np.concatenate(part, axis=-1) for part in zip(*log.parts, strict=True)
-        )
+    def _waveforms(self, log: Log) -> Waveforms:
+        t, p, v, u, closed = (np.concatenate(part, axis=-1) for part in zip(*log, strict=True))
         over = u - p - self.law.gaps[:, None]
         force = self.law.stiffness * np.where(closed, np.maximum(over, 0.0), 0.0)
         data = {

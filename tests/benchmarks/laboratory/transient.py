@@ -26,7 +26,6 @@ Work = list[tuple[str, Callable[[], Point]]]
 RTOL = (1e-3, 1e-4, 5e-4, 3e-4, 2e-4, 5e-5, 3e-5, 2e-5, 1e-5, 1e-6)
 METHODS = ("Radau", "LSODA", "BDF", "DOP853")
 FACTS = ("accepted", "rejected", "iterations")
-FIELDS = {"launch": "velocity_relative", "position_m": "trajectory_m"}
 
 
 class Transient:
@@ -89,7 +88,7 @@ class Transient:
     ) -> Point:  # fmt: skip
         """A point from its waveforms; ``against`` another exact solution than the plane's."""
         found = compare(waves, against or self.exact)
-        errors = {name: found[key] for name, key in FIELDS.items()}
+        errors = {name: found[name] for name in ("launch", "position_m")}
         if errors["launch"] is None:
             raise SimulationError("the sphere does not leave", where=label)
         facts = {name: waves.stats[name] for name in FACTS if name in waves.stats}

@@ -7,6 +7,7 @@ from types import SimpleNamespace
 
 import numpy as np
 
+from kc2spice.core.waveforms import Waveforms
 from kc2spice.netlist.circuit import Subcircuit
 from kc2spice.netlist.deck import Deck
 from kc2spice.rom.linear import Certificate, LinearModel, Port
@@ -14,7 +15,7 @@ from kc2spice.rom.multiport import _admittance, _state_space
 from kc2spice.sim.ngspice import run_deck
 from kc2spice.spice.realize import subcircuit
 from laboratory.forms import rotation, synthetic
-from laboratory.points import Outcome, Plane, Point, Ratio, timed
+from laboratory.points import Outcome, Plane, Point, Ratio, Timing, timed
 from laboratory.setup import Setup
 
 OHM, TOP = 50.0, 1e9  # of the scattering parameters, Hz
@@ -40,17 +41,12 @@ def writers(setup: Setup) -> Outcome:
     known = {".ac": answer(frequency)}
     for analysis in (".ac", ".tran"):
         for form, part in parts.items():
-            deck = _deck(part, ports, analysis, len(frequency))
-            found, time = timed(partial(run_deck, deck, setup.work / "writers"), setup.repeats,
-                                "children")  # fmt: skip
+            found, time = _run(setup, part, _cards(part, ports, analysis, len(frequency)), "port2")
             wave = found.data["out"]
             if analysis == ".tran":
                 wave = np.interp(np.linspace(0, STOP, 500), found.data["time"], wave)
-            exact = known.setdefault(analysis, wave)
-            error = max(float(np.abs(wave - exact).max() / np.abs(exact).max()), 1e-16)
-            facts = {"controlled sources": float(_sources(part))}
             label = f"{2 * pairs + 5} poles, {ports} ports, {analysis}, {form}"
-            points.append(Point(form, label, error, time, {"response": error}, facts))
+            points.append(_point(form, label, part, wave, known.setdefault(analysis, wave), time))
         peer, own = points[-3:-1]
         ratios.append(
             Ratio(
@@ -107,24 +103,33 @@ def _scikit(setup: Setup, fit: SimpleNamespace, ports: int) -> Subcircuit:
     return Subcircuit("dut", (), (), file.read_text())
 
 
-def _deck(part: Subcircuit, ports: int, analysis: str, count: int) -> Deck:
+def _cards(part: Subcircuit, ports: int, analysis: str, count: int) -> list[str]:
     names = [f"port{k + 1}" for k in range(ports)]
     pins = [pin.name for pin in part.pins] or names
-    grounded = ("ref", "base")
     commands = {".ac": f".ac lin {count} {TOP / 1000!r} {TOP!r}", ".tran": f".tran {STEP} {STOP}"}
-    lines = [
-        "* one multiport", f".include {part.filename}", f"V1 port1 0 {SOURCE}",
-        *(f"R{name} {name} 0 {OHM}" for name in names[1:]),
-        f"Xdut {' '.join('0' if pin in grounded else pin for pin in pins)} dut",
-        commands[analysis], ".save v(port2)", ".end", "",
+    return [
+        f"V1 port1 0 {SOURCE}", *(f"R{name} {name} 0 {OHM}" for name in names[1:]),
+        f"Xdut {' '.join('0' if p in ('ref', 'base') else p for p in pins)} dut",
+        commands[analysis],
     ]  # fmt: skip
-    return Deck(
-        name="writers", text="\n".join(lines), vectors={"out": ("v(port2)", 1.0)}, parts=(part,)
-    )
 
 
-def _sources(part: Subcircuit) -> int:
-    return sum(line[:1] in "GEF" for line in part.text.splitlines())
+def _run(setup: Setup, part: Subcircuit, cards: list[str], seen: str) -> tuple[Waveforms, Timing]:
+    """The voltage ``seen`` as ``out`` in a deck of these cards, and the CPU time of ngspice."""
+    lines = ["* one model", f".include {part.filename}", *cards, f".save v({seen})", ".end", ""]
+    vectors = {"out": (f"v({seen})", 1.0)}
+    deck = Deck(name="writers", text="\n".join(lines), vectors=vectors, parts=(part,))
+    return timed(partial(run_deck, deck, setup.work / "writers"), setup.repeats, "children")
+
+
+def _point(
+    family: str, label: str, part: Subcircuit, found: np.ndarray, exact: np.ndarray, time: Timing,
+    same_model: bool = True,
+) -> Point:  # fmt: skip
+    error = max(float(np.abs(found - exact).max() / np.abs(exact).max()), 1e-16)
+    sources = sum(line[:1] in "GEF" for line in part.text.splitlines())
+    facts, errors = {"controlled sources": float(sources)}, {"response": error}
+    return Point(family, label, error, time, errors, facts, same_model=same_model)
 
 
 def _first_order(setup: Setup, ratios: list[Ratio]) -> list[Point]:
@@ -153,30 +158,18 @@ def _first_order(setup: Setup, ratios: list[Ratio]) -> list[Point]:
             seen = "y0" if name == "states" else "ring0"
             pins = [pin.name for pin in part.pins]
             command = f".ac lin {len(f)} 1e3 1e6" if analysis == ".ac" else ".tran 1e-9 5e-6 0 1e-9"
-            lines = [
-                "* one model", f".include {part.filename}", f"V1 {driven} 0 DC 0 AC 1",
+            cards = [
+                f"V1 {driven} 0 DC 0 AC 1",
                 f"Xdut {' '.join('0' if p in ('ref', 'base', 'cathode') else p for p in pins)} dut",
                 *(f"G{p} {p} 0 {p} 0 1e-12" for p in pins if p.startswith("ring")),
                 *(f"V{p} {p} 0 0" for p in pins if p.startswith("u") and p != driven),
-                ".options reltol=1", command, f".save v({seen})", ".end", "",
+                ".options reltol=1", command,
             ]  # fmt: skip
-            deck = Deck(
-                name="writers",
-                text="\n".join(lines),
-                vectors={"out": (f"v({seen})", 1.0)},
-                parts=(part,),
-            )
-            found, time = timed(
-                partial(run_deck, deck, setup.work / "writers"), setup.repeats, "children"
-            )
-            error = 0.0
-            if analysis == ".ac":
-                off = np.abs(found.data["out"][: len(f)] - exact[name])
-                error = float(off.max() / np.abs(exact[name]).max())
-            facts = {"controlled sources": float(_sources(part))}
-            label, errors = f"{size} {name}, {ports} ports, {analysis}", {"response": error}
-            more = {"facts": facts, "same_model": False}
-            rows.append(Point(name, label, max(error, 1e-16), time, errors, **more))
+            found, time = _run(setup, part, cards, seen)
+            wave = found.data["out"][: len(f)]
+            known = exact[name] if analysis == ".ac" else wave  # timed alone
+            label = f"{size} {name}, {ports} ports, {analysis}"
+            rows.append(_point(name, label, part, wave, known, time, same_model=False))
     for k, analysis in enumerate(("ac", "tran")):
         value = rows[k].time.median / rows[2 + k].time.median
         what = f"{size} resonators over {size} first-order states, .{analysis}"

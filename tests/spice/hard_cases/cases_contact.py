@@ -85,7 +85,7 @@ def grazing_at_1_mm_s(bench):
     study = scene("impact", "impact.velocity=-1 mm/s", "impact.gap=1 nm", "solver.stop=15 us",
                   "kick.electrical=short")  # fmt: skip
     waves = bench.scene(study)
-    return compare(waves, exact(study, waves))["trajectory_relative"]
+    return compare(waves, exact(study, waves))["of_travel"]
 
 
 @case("resting contact", "force over weight, relative", 1e-4)
@@ -100,7 +100,7 @@ def chatter_after_a_kick_of_one_volt(bench):
     """The sphere hops by nanometres: steps must resolve them, or the run must notice."""
     study = kick("kick.drive.voltage=1 V", "solver.stop=0.2 ms")
     waves = bench.scene(study)
-    return compare(waves, exact(study, waves))["trajectory_relative"]
+    return compare(waves, exact(study, waves))["of_travel"]
 
 
 @case("100 elastic bounces", "energy gained or lost, relative", 1e-3)

@@ -50,33 +50,6 @@ def contact_surface(kick: Chip, stiffness: float, radius: float) -> ContactSurfa
     return ContactSurface(rings, gap, penalty, np.arange(radii.size))
 
 
-def resting_forces(
-    compliance: np.ndarray, gap: np.ndarray, penalty: np.ndarray, weight: float
-) -> tuple[np.ndarray, float]:
-    """Spring forces under a sphere of given weight at rest, and the height of its lowest point.
-
-    On the closed springs ``(compliance + 1/penalty) f + y = -gap`` and ``sum(f) = weight``.
-
-    Raises
-    ------
-    SimulationError : no set of closed springs repeats within the limit.
-    """
-    closed = gap <= gap.min()
-    for _ in range(ITERATIONS):
-        index = np.flatnonzero(closed)
-        matrix = np.ones((len(index) + 1,) * 2)
-        matrix[:-1, :-1] = compliance[np.ix_(index, index)] + np.diag(1 / penalty[index])
-        matrix[-1, -1] = 0.0
-        *closed_force, height = np.linalg.solve(matrix, np.append(-gap[index], weight))
-        force = np.zeros_like(gap)
-        force[index] = closed_force
-        now = -compliance @ force - height - gap > 0
-        if np.array_equal(now, closed):
-            return force, float(height)
-        closed = now
-    raise unsettled()
-
-
 def unsettled() -> SimulationError:
     """The error of a semi-smooth Newton iteration that visits ever new sets."""
     return SimulationError(

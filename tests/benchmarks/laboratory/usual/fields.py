@@ -1,18 +1,12 @@
 """A field per case: the usual code of the force table, which superposition does without."""
 
-from collections.abc import Callable
-
 import numpy as np
 
 from kc2spice.fem.magnetics.field import positions, ring_sign, systems
 from kc2spice.fem.magnetics.keys import Catch
 
-Progress = Callable[[int, int], None]
 
-
-def brute_force(
-    catch: Catch, radius: float, currents: np.ndarray, progress: Progress | None = None
-) -> np.ndarray:
+def brute_force(catch: Catch, radius: float, currents: np.ndarray) -> np.ndarray:
     """Force (m, n) [N] of the m pairs ``currents`` (m, 2) at n heights, case by case.
 
     The paper's road and the baseline of :func:`catch_table`: on the same meshes, each case
@@ -21,10 +15,8 @@ def brute_force(
     y = positions(catch)
     amplitudes = [np.array([ring_sign(catch), 1.0, i1, i2]) for i1, i2 in currents]
     result = np.empty((len(amplitudes), y.size))
-    for done, (index, system) in enumerate(systems(catch, radius), 1):
+    for index, system in systems(catch, radius):
         for case, amplitude in enumerate(amplitudes):
             field = system.solve(system.loads @ amplitude[:, None])
             result[case, index] = system.force(field)[0, 0]
-        if progress is not None:
-            progress(done, y.size)
     return result

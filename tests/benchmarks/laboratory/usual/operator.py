@@ -1,8 +1,7 @@
 """Solves with ``a M + c K`` where K is the stiffness with the internal potentials eliminated.
 
-Statics (a = 0, c = 1), time steps, harmonic response (complex a and c) and expansion points all
-need this one operator. K = K_uu + K_up K_pp^-1 K_up' is dense where potentials are free, so it
-lives as the pair (displacement, potential).
+Statics (a = 0, c = 1) and time steps need this one operator. K = K_uu + K_up K_pp^-1 K_up' is dense
+where potentials are free, so it lives as the pair (displacement, potential).
 """
 
 import numpy as np
@@ -36,17 +35,14 @@ def stiffness(system: PiezoSystem, potentials: Factor | None, u: np.ndarray) -> 
 
 
 class ShiftedSolver:
-    """Factorised ``a M + c K``; positive ``a >= 0`` and ``c > 0`` are real and definite.
+    """Factorised ``a M + c K`` with ``a >= 0`` and ``c > 0``.
 
     Raises
     ------
-    SimulationError : singular, or not definite for real non-negative coefficients.
+    SimulationError : singular, or not definite.
     """
 
-    def __init__(self, system: PiezoSystem, a: complex, c: complex) -> None:
-        if np.isreal(a) and np.isreal(c):
-            a, c = float(np.real(a)), float(np.real(c))
-        definite = not isinstance(a, complex) and a >= 0 and c > 0
+    def __init__(self, system: PiezoSystem, a: float, c: float) -> None:
         matrix = c * system.K_uu + a * system.M if a else c * system.K_uu
         self._potentials = system.K_pp.shape[0]
         if self._potentials:
@@ -54,8 +50,7 @@ class ShiftedSolver:
             volt = np.sqrt(system.K_uu.diagonal().max() / system.K_pp.diagonal().max())
             K_up, K_pp = c * volt * system.K_up, c * volt**2 * system.K_pp
             matrix = sparse.block_array([[matrix, K_up], [K_up.T, -K_pp]])
-            definite = False
-        self._factor = factorise(sparse.csc_array(matrix), definite=definite)
+        self._factor = factorise(sparse.csc_array(matrix), definite=not self._potentials)
 
     def solve(self, force: np.ndarray) -> np.ndarray:
         """Displacements (n,) or (n, k) under the forces."""

@@ -1,21 +1,18 @@
-"""Sphere against the full model in time: impact and kick with true penalty contact (Fig. 9).
+"""Sphere against the full model in time: impact with true penalty contact (Fig. 9).
 
 Newmark's average acceleration (beta = 1/4, gamma = 1/2) for chip and sphere together: second
 order and free of numerical damping.
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal, NamedTuple
 
 import numpy as np
 
-from laboratory.usual.contact import ContactSurface, resting_forces
+from laboratory.usual.contact import ContactSurface
 from laboratory.usual.newmark import Advance, Chip, LowRank, Refactorise
-from laboratory.usual.operator import ShiftedSolver
 from laboratory.usual.system import PiezoSystem
 
-Voltage = Callable[[float], float]
 Road = Literal["low_rank", "refactorise"]
 
 
@@ -67,17 +64,14 @@ def transient(
     *,
     step: float,
     stop: float,
-    voltage: Voltage | None,
-    resting: bool = False,
+    is_open: bool,
     road: Road = "low_rank",
 ) -> TransientResult:
-    """Integrate chip and sphere from rest to ``stop`` in equal steps.
+    """Integrate chip and sphere from rest to ``stop`` in equal steps, the chip undeformed at first.
 
-    ``voltage`` None leaves the anode open (Q = 0), else it is V(t), zero at the start.
-    ``resting`` starts from the static equilibrium of the sphere lying on the chip, else the chip
-    is undeformed. Every step solves
+    ``is_open`` leaves the anode without charge, else it is at 0 V. Every step solves
 
-        (M + h/2 E + h^2/4 K) a = b V - E v* - K u* - W f,     m c = sum(f) - m g,
+        (M + h/2 E + h^2/4 K) a = -E v* - K u* - W f,     m c = sum(f) - m g,
         f = penalty max(0, W'u - y - gap),     u = u* + h^2/4 a,     y = y* + h^2/4 c
 
     to the exact set of closed springs. Both roads give the same result.
@@ -86,14 +80,13 @@ def transient(
     ------
     SimulationError : the set of closed springs does not settle.
     """
-    chip = Chip(system, surface, ball.mass, step, voltage is None)
+    chip = Chip(system, surface, ball.mass, step, is_open)
     advance = LowRank(chip) if road == "low_rank" else Refactorise(chip)
-    state = _rest(chip, ball) if resting else _at_start(chip, ball)
+    state = _at_start(chip, ball)
     heights, forces, springs = [], [], []
     for k in range(round(stop / step) + 1):
         if k:
-            volts = voltage(k * step) if voltage else 0.0
-            state = _step(chip, advance, state, ball.gravity, volts)
+            state = _step(chip, advance, state, ball.gravity)
         heights.append(state.ball)
         forces.append(state.force)
         springs.append(surface.shapes.T @ state.u)
@@ -108,13 +101,13 @@ def transient(
     )
 
 
-def _step(chip: Chip, advance: Advance, state: _State, gravity: float, volts: float) -> _State:
+def _step(chip: Chip, advance: Advance, state: _State, gravity: float) -> _State:
     h, quarter, shapes = chip.step, chip.quarter, chip.surface.shapes
     u = state.u + h * state.v + quarter * state.a
     v = state.v + h / 2 * state.a
     y, w, c = state.ball
     y, w = y + h * w + quarter * c, w + h / 2 * c
-    load = chip.b * volts - chip.damping(v) - chip.stiff(u)
+    load = -chip.damping(v) - chip.stiff(u)
     a, c, force = advance(load, -gravity, shapes.T @ u - y - chip.surface.gap)
     ball = np.array([y + quarter * c, w + h / 2 * c, c])
     return _State(u + quarter * a, v + h / 2 * a, a, ball, force)
@@ -124,16 +117,3 @@ def _at_start(chip: Chip, ball: Ball) -> _State:
     zero = np.zeros(chip.b.size)
     sphere = np.array([ball.height, ball.velocity, -ball.gravity])
     return _State(zero, zero, zero, sphere, np.zeros(len(chip.surface.gap)))
-
-
-def _rest(chip: Chip, ball: Ball) -> _State:
-    """The sphere's weight on the closed springs, everything at rest."""
-    shapes, count = chip.surface.shapes, len(chip.surface.gap)
-    answers = ShiftedSolver(chip.system, 0.0, 1.0).solve(np.column_stack([shapes, chip.b]))
-    W, unit = answers[:, :count], answers[:, count]
-    if chip.open:
-        W = W - np.outer(unit, chip.b @ W) / (chip.capacitance + chip.b @ unit)
-    weight = ball.mass * ball.gravity
-    force, y = resting_forces(shapes.T @ W, chip.surface.gap, chip.surface.penalty, weight)
-    zero = np.zeros(len(W))
-    return _State(-W @ force, zero, zero, np.array([y, 0.0, 0.0]), force)
