@@ -116,7 +116,7 @@ class Equations:
 
     def force(self, node, wave):
         for row, weight in self.rates(node).items():
-            self.drive(row, Scaled(wave, weight))
+            self.drive(row, Wave(lambda t, w=weight: w * wave(t), wave.corners))
 
     def contact(self, a, b, gap, law):
         """``law(depth, rate)`` of what ``a``, below, presses on ``b``."""
@@ -151,7 +151,7 @@ class Equations:
 
     # --- solution ---------------------------------------------------------------------------------
 
-    def solve(self, stop, points, rtol=1e-8):
+    def solve(self, stop, points):
         """Times and a reader of names; starts from rest with nothing driven."""
         for _, row, column, _ in self.stamps:
             self.unknown(row), self.unknown(column)
@@ -199,12 +199,13 @@ class Equations:
                             missing[at[row]] -= sign * flow / level[at[row]]
             return slope @ (Ur.T @ missing)
 
-        marks = sorted({0.0, stop, *(t for t in self.corners if 0 < t < stop)})
         if self.curved:
-            t, a = _integrated(rate, r, marks, points, rtol)
+            t, a = integrated(
+                rate, np.zeros(r), self.corners, stop, points, rtol=1e-8, atol=_of_any_size
+            )
         else:
             J = -slope @ Ur.T @ A @ (Vr - Vn @ rest @ Un.T @ A @ Vr)
-            t = np.union1d(points, marks)
+            t = np.union1d(points, [0.0, stop, *(t for t in self.corners if 0 < t < stop)])
             g = np.array([rate(time, np.zeros(r)) for time in t])
             a = _exact(J, t, g)
         y = np.array([size * whole(time, row) for time, row in zip(t, a, strict=True)])
@@ -217,37 +218,27 @@ class Equations:
         return t, wave
 
 
-def _integrated(rate, size, marks, points, rtol):
-    """By scipy, from corner to corner."""
-    t, a, state = [np.array([0.0])], [np.zeros((1, size))], np.zeros(size)
-    for begin, end in pairwise(marks):
-        grid = np.union1d(points[(points > begin) & (points < end)], [end])
-        typical = np.abs(np.concatenate(a)).max(axis=0) + 1e-15
-        atol = 1e-12 if len(a) == 1 else 1e-9 * np.maximum(typical, typical.max() * 1e-6)
-        done = solve_ivp(
-            rate, (begin, end), state, method="Radau", t_eval=grid, rtol=rtol, atol=atol,
-            max_step=(end - begin) / 4,
-        )  # fmt: skip
-        if not done.success:
-            raise ArithmeticError(done.message)
-        t.append(done.t), a.append(done.y.T)
-        state = done.y[:, -1]
-    return np.concatenate(t), np.concatenate(a)
-
-
-def integrated(rate, start, corners, stop, points, method="Radau", rtol=1e-9):
-    """Times and states (nt, n) of order one, by scipy, from corner to corner."""
+def integrated(rate, start, corners, stop, points, method="Radau", rtol=1e-9, atol=None):
+    """Times and states (nt, n) by scipy, from corner to corner; ``atol`` of the states before, a
+    tenth of ``rtol`` for those of order one."""
     marks = sorted({0.0, stop, *(t for t in corners if 0 < t < stop)})
     t, found, state = [np.array([0.0])], [start[None]], start
     for begin, end in pairwise(marks):
         grid = np.union1d(points[(points > begin) & (points < end)], [end])
-        done = solve_ivp(rate, (begin, end), state, method, t_eval=grid, rtol=rtol, atol=rtol / 10,
+        close = atol(np.concatenate(found)) if atol else rtol / 10
+        done = solve_ivp(rate, (begin, end), state, method, t_eval=grid, rtol=rtol, atol=close,
                          max_step=(end - begin) / 4)  # fmt: skip
         if not done.success:
             raise ArithmeticError(done.message)
         t.append(done.t), found.append(done.y.T)
         state = done.y[:, -1]
     return np.concatenate(t), np.concatenate(found)
+
+
+def _of_any_size(states):
+    """Tolerances of states whose size is known by those before."""
+    typical = np.abs(states).max(axis=0) + 1e-15
+    return 1e-12 if len(states) == 1 else 1e-9 * np.maximum(typical, typical.max() * 1e-6)
 
 
 def _exact(J, t, g):
@@ -289,16 +280,3 @@ class Wave:
 
     def __call__(self, t):
         return self.value(t)
-
-
-@dataclass(frozen=True)
-class Scaled:
-    wave: Wave
-    factor: float
-
-    @property
-    def corners(self):
-        return self.wave.corners
-
-    def __call__(self, t):
-        return self.factor * self.wave(t)
