@@ -18,7 +18,7 @@ from kc2spice.fem.magnetics.table import EMTable
 MU0 = 4e-7 * np.pi
 # Ten times the default air cylinder: truncation falls with its cube, to 3e-5 of max|F0|.
 RADIUS = 1e-3
-FREE = Catch(mu_r=1.0, air_radius=0.1, air_height=0.3, positions=21)
+FREE = Catch(mu_r=1.0, air_radius=0.1, air_height=0.3, positions=13)
 
 
 def dipole_moment(catch: Catch) -> float:

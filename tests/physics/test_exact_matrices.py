@@ -89,7 +89,7 @@ def test_what_is_judged_beside_its_resonances_is_said():
     assert said == {0.0: True, 1e-3: False}
 
 
-@pytest.mark.parametrize("elements", [40, 60])
+@pytest.mark.parametrize("elements", [pytest.param(40, marks=pytest.mark.slow), 60])
 def test_a_beam_in_first_order_is_reduced_as_it_was_given(elements):
     """``inv(M) K`` spans 14 decades: neither its eigenvectors nor projections on orthonormal
     vectors keep a digit of the lowest modes."""
