@@ -40,6 +40,12 @@ def triple_chain(length=100):
     return {"M": M, "E": E, "K": K, "B": B}, 0.08
 
 
+def chain(n=40, k=1.0):
+    """Masses between springs, pushed at one end and in the middle."""
+    K = k * (2 * np.eye(n) - np.eye(n, k=1) - np.eye(n, k=-1))
+    return {"M": np.eye(n), "E": 0.02 * K, "K": K, "B": np.eye(n)[:, [0, n // 2]]}
+
+
 def building(storeys=60):
     """Shear building: ground acceleration in, drift of the roof and of the sixth floor out.
 
