@@ -70,28 +70,23 @@ def statements(text: str, file: str, *, title: bool = False) -> list[Statement]:
 
     ``title``: the first line is the deck's title, whatever it says, and counts as a comment.
     """
-    heads: list[tuple[int, tuple[str, ...]]] = []  # first line and comments of each statement
-    texts: list[list[str]] = []
+    found: list[tuple[int, list[str], list[str]]] = []  # first line, comments above, pieces
     pending: list[str] = []  # comment lines behind the newest statement
     lines = text.splitlines()
     for number, raw in enumerate(lines, 1):
         line = raw.strip()
         if not line or line.startswith("*") or (title and number == 1):
             pending.append(raw.rstrip())
-        elif line.startswith("+") and texts:
-            texts[-1].append(split_comment(line[1:])[0])
+        elif line.startswith("+") and found:
+            found[-1][2].append(split_comment(line[1:])[0])
         elif line := split_comment(line)[0]:
-            heads.append((number, tuple(pending)))
-            texts.append([line])
+            found.append((number, pending, [line]))
             pending = []
     if pending:
-        heads.append((len(lines) + 1, tuple(pending)))
-        texts.append([])
+        found.append((len(lines) + 1, pending, []))
     return [
-        Statement(
-            line=number, where=f"{file}:{number}", written=" ".join(parts).rstrip(), notes=notes
-        )
-        for (number, notes), parts in zip(heads, texts, strict=True)
+        Statement(line=k, where=f"{file}:{k}", written=" ".join(parts).rstrip(), notes=tuple(notes))
+        for k, notes, parts in found
     ]
 
 
