@@ -177,15 +177,15 @@ class Radau:
             if step is None:
                 h, rejected = 0.5 * h, True
                 continue
-            size = self._error(step, rejected)
+            size = self._error(step)
             safety = 0.9 * (2 * _MAX_NEWTON + 1) / (2 * _MAX_NEWTON + self.iterations)
             factor = min(10.0, safety * max(size, 1e-4) ** -0.25)
             if size <= 1.0:
                 return step, h if 1.0 <= factor < 1.2 else h * factor
             h, rejected = h * max(0.2, factor), True
 
-    def _error(self, step: Step, again: bool) -> float:
-        """Estimated error in units of the tolerance, filtered ``again`` where it was too large."""
+    def _error(self, step: Step) -> float:
+        """Estimated error in units of the tolerance."""
         p, t, h = self.interval, self.t + step.length * NODES, step.length
         given = p.system.given(t, p.within)
         # of what is stored, not of ``M`` times the unknowns: that is of an earlier state
@@ -193,11 +193,7 @@ class Radau:
         moved = np.where(self.rows, (late - self.g[:, None]) @ _ERROR / h, 0.0)
         scale = self.rtol * (1.0 + np.maximum(np.abs(self.z), np.abs(step.last)))
         error = self._solve(self.f + moved, 0)
-        size = _norm((error / scale)[self.active])
-        if again and size > 1.0:
-            f = np.where(self.rows, p.at(self.t, self.z + error)[1], 0.0)
-            size = _norm((self._solve(f + moved, 0) / scale)[self.active])
-        return size
+        return _norm((error / scale)[self.active])
 
 
 def _norm(x: np.ndarray) -> float:
