@@ -69,7 +69,7 @@ class Normal:
 def _laws(power: float, count: int, damped: bool) -> tuple[Tree, Tree, Tree]:
     """Energy, which is what is stated, elastic force and force, of ``x`` and ``x_rate``."""
     terms = []
-    for k in range(count):
+    for k in range(count):  # max(0, x), in this order, is closed at x = 0, where Newton starts
         order = power + 1 + k / 2
         closed = f"{f'c{k}*' if k else ''}max(0, x)^{int(order)}"
         terms.append(f"eps*{closed}{'*sqrt(max(0, x))' if order % 1 else ''}/{order:g}")

@@ -131,7 +131,6 @@ def library(
     rating: str,
     validity: str = ROOM,
     sign: str = SIGN,
-    no_module: str = "",
     **values: object,
 ) -> Subcircuit:
     """``templates/TEMPLATE.j2`` under its head, see :func:`part_header`.
@@ -146,4 +145,4 @@ def library(
     head = part_header(header, f"{name}: {title}", pins, params, **words)
     cards = render(f"{template}.j2", card=card, pins=names, **values)
     text = f"{head}\n{cards}.ends {name}\n"
-    return Subcircuit(name, pins, params, text, no_module=no_module)
+    return Subcircuit(name, pins, params, text)
