@@ -149,9 +149,9 @@ def test_each_solution_is_compared_with_both_others(
 
 def test_points_that_steps_do_not_resolve_are_not_compared() -> None:
     """Those within the step of an event, and beside a step whose end only one model is at."""
-    steps = Difference(np.arange(6.0), {}, np.arange(6) == 4)
+    steps = Difference(np.arange(6.0), {}, np.arange(6) == 4, (0.5,))
     points = np.array([0.0, 0.2, 0.8, 1.0, 2.9, 3.0, 4.5, 5.0])
-    assert steps.resolved(points, [0.5]).tolist() == [True, *2 * [False], *2 * [True], *3 * [False]]
+    assert steps.resolved(points).tolist() == [True, *2 * [False], *2 * [True], *3 * [False]]
 
 
 # --- signals -------------------------------------------------------------------------------------

@@ -9,7 +9,7 @@ which cancels but for a share of their difference. That is measured by steps twi
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -108,22 +108,22 @@ def full_solution(
     parts = [c for c in parts if any(isinstance(law, PortBody) for law in c.laws)]
     if not parts:
         return None
-    found = [_followed(c, build, exact, clock, whole) for c in parts]
-    end = min(each.end for each in found)
-    waves, coarse = (_added(exact, found, end, twice) for twice in (False, True))
-    return FullSolution(waves, coarse, end, tuple(each.note for each in found))
+    fine, coarse, notes = zip(
+        *(_followed(c, build, exact, clock, whole) for c in parts), strict=True
+    )
+    end = min(float(each.time[-1]) for each in fine)
+    return FullSolution(_added(exact, fine, end), _added(exact, coarse, end), end, notes)
 
 
-def _added(exact: Reference, found: list[_Followed], end: float, twice: bool) -> Waveforms:
+def _added(exact: Reference, found: Sequence[Difference], end: float) -> Waveforms:
     """The reduced models' solution up to ``end`` with what full models do otherwise; without the
     points around events that the steps do not resolve."""
     time = exact.results["time"]
-    differences = [each.coarse if twice else each.fine for each in found]
     kept = time <= end * (1 + 1e-12)
-    for each, difference in zip(found, differences, strict=True):
-        kept &= difference.resolved(time, each.events)
+    for difference in found:
+        kept &= difference.resolved(time)
     waves = {name: values[kept] for name, values in exact.results.data.items()}
-    for difference in differences:
+    for difference in found:
         for name, change in difference.results.items():
             waves[name] = waves[name] + np.interp(time[kept], difference.time, change, left=0.0)
     return Waveforms(waves, {})
@@ -154,13 +154,15 @@ def _with_surrogates(
 @dataclass(frozen=True)
 class Difference:
     """Results of a circuit with full models less those with reduced ones, by the same steps;
-    ``apart`` (nt,) where their devices are in different modes."""
+    ``apart`` (nt,) where their devices are in different modes, ``events`` [s] of the run with the
+    reduced ones."""
 
     time: np.ndarray
     results: dict[str, np.ndarray]
     apart: np.ndarray
+    events: tuple[float, ...]
 
-    def resolved(self, time: np.ndarray, events: Iterable[float]) -> np.ndarray:
+    def resolved(self, time: np.ndarray) -> np.ndarray:
         """Where both models are in one mode: not within the step of an event, nor beside a step at
         whose end only one of them has changed its mode."""
         grid, found = self.time, np.ones(time.size, dtype=bool)
@@ -169,84 +171,61 @@ class Difference:
         spans = [(grid[max(k - 1, 0)], grid[min(k + 1, last)]) for k in apart]
         for first, end in spans:
             found &= (time < first) | (time > end)
-        for event in events:
+        for event in self.events:
             if grid[0] < event < grid[-1]:
                 k = int(np.searchsorted(grid, event))
                 found &= (time <= grid[k - 1]) | (time >= grid[k])
         return found
 
 
-@dataclass(frozen=True)
-class _Followed:
-    """What a circuit's full models do otherwise, from steps and from steps twice as long;
-    ``events`` [s] of the run with the reduced models."""
-
-    fine: Difference
-    coarse: Difference
-    events: tuple[float, ...]
-    end: float
-    note: str
-
-
 def _followed(
     circuit: Circuit, build: Build, exact: Reference, clock: Any, whole: bool
-) -> _Followed:
+) -> tuple[Difference, Difference, str]:
+    """What a circuit's full models do otherwise, from steps and from steps twice as long, and which
+    steps these were."""
     bodies = [law for law in circuit.laws if isinstance(law, PortBody)]
-    reduced = _with_models(circuit, {law.name: build.model(law.name) for law in bodies})
+    models = {law.name: build.model(law.name) for law in bodies}
+    laws = (
+        PortBody(law.name, models[law.name], law.ports) if isinstance(law, PortBody) else law
+        for law in circuit.laws
+    )
+    reduced, names = replace(circuit, laws=tuple(laws)), ", ".join(models)
     stop = build.scene.stop
     run = next(run for own, run in exact.runs if _names(own) == _names(circuit))
+    events = tuple(event.time for event in run.events)
     begin, given = _still_until(bodies, run)
-    top = max(held_band(build.model(law.name), build)[1] for law in bodies)
+    top = max(held_band(model, build)[1] for model in models.values())
     size = sum(law.model.order for law in bodies)
     most = max(2 * round(min(MOST, WORK / size) / 2), 100) * (WHOLE if whole else 1.0)
     step = min(max((stop - begin) / most, 1 / (FINEST * top)), 1 / (PER_PERIOD * top))
     count = 2 * math.ceil(min((stop - begin) / step, most) / 2)
     if begin + count * step > stop:
         step = (stop - begin) / count
-    names = ", ".join(law.name for law in bodies)
-    both = circuit, reduced
-    with clock.stage("full model", f"{names}: {count} steps of {step:.3g} s") as share:
-        fine = _difference(both, begin, step, count, given, share)
-    with clock.stage("full model", f"{names}: half as many") as share:
-        coarse = _difference(both, begin, 2 * step, count // 2, given, share)
+
+    def difference(times: int, told: str) -> Difference:
+        with clock.stage("full model", f"{names}: {told}") as share:
+            first, second = (
+                steps(c.system(), begin, times * step, count // times, given, share)
+                for c in (circuit, reduced)
+            )
+        ours = read(circuit, first.waves, first.time)
+        other = read(reduced, second.waves, second.time)
+        apart = [a != b for a, b in zip(first.modes, second.modes, strict=True)]
+        results = {name: ours[name] - other[name] for name in ours}
+        return Difference(first.time, results, np.array(apart), events)
+
+    fine = difference(1, f"{count} steps of {step:.3g} s")
+    coarse = difference(2, "half as many")
     end = begin + count * step
     note = (
         f"full model of {names}: {size} unknowns in {count} steps of {step:.3g} s, from "
         f"{begin:.6g} s to {end:.6g} s" + (f" of {stop:.6g} s" if end < 0.999 * stop else "")
     )
-    events = tuple(event.time for event in run.events)
-    return _Followed(fine, coarse, events, end, note)
+    return fine, coarse, note
 
 
 def _names(circuit: Circuit) -> set[str]:
     return {law.name for law in circuit.laws}
-
-
-def _with_models(circuit: Circuit, models: Mapping[str, LinearModel]) -> Circuit:
-    laws = [
-        PortBody(law.name, models[law.name], law.ports) if isinstance(law, PortBody) else law
-        for law in circuit.laws
-    ]
-    return replace(circuit, laws=tuple(laws))
-
-
-def _difference(
-    circuits: tuple[Circuit, Circuit],
-    begin: float,
-    step: float,
-    count: int,
-    given: Callable[[System, np.ndarray], np.ndarray] | None,
-    progress: Callable[[float], None],
-) -> Difference:
-    """Of the first of both circuits and the second."""
-    first, second = (steps(c.system(), begin, step, count, given, progress) for c in circuits)
-    ours, exact = (
-        read(c, each.waves, each.time) for c, each in zip(circuits, (first, second), strict=True)
-    )
-    apart = [a != b for a, b in zip(first.modes, second.modes, strict=True)]
-    return Difference(
-        first.time, {name: ours[name] - exact[name] for name in ours}, np.array(apart)
-    )
 
 
 def _still_until(
