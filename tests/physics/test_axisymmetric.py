@@ -9,6 +9,7 @@ from scipy.optimize import brentq
 from scipy.special import i0, i1, j0, j1
 
 from kc2spice.bodies.blocks import Block, Bonded
+from kc2spice.bodies.device import node_shares
 from kc2spice.core.errors import UsageError
 from kc2spice.fem.keys import Damping
 from kc2spice.fem.materials import material
@@ -56,6 +57,15 @@ def ceramic(radius, thickness, refine=1, size=None, electrode=None):
 
 
 # -- patch tests ----------------------------------------------------------------------------------
+
+
+def test_a_mean_is_that_of_the_full_turn():
+    """Of ``r^2`` over a disc or a cylinder of radius a it is ``a^2 / 2``."""
+    radius, thickness = 3e-3, 1e-3
+    solid = ceramic(radius, thickness).solid
+    top = solid.mesh.facets_satisfying(lambda x: x[1] > thickness * (1 - 1e-9))
+    for where in ({"facets": top}, {"elements": np.arange(solid.mesh.nelements)}):
+        assert node_shares(solid, **where) @ solid.places[0] ** 2 == approx(radius**2 / 2, rel=1e-9)
 
 
 def test_a_free_ceramic_has_its_free_permittivity_and_strain():
