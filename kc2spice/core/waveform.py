@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 
@@ -38,7 +38,7 @@ class SineKeys(Section):
 
 @dataclass(frozen=True)
 class Waveform:
-    """A function of time in SI: constant, piecewise linear or a sine from ``start`` on.
+    """A function of time in SI: straight lines, or with a ``frequency`` a sine from ``start`` on.
 
     ``points`` (n, 2) are times [s] and values, held before the first and behind the last. With a
     ``period`` [s] the part from the first point on repeats, which a ``PULSE`` writes shortly.
@@ -46,7 +46,6 @@ class Waveform:
     Raises UsageError unless times increase strictly (edges take time).
     """
 
-    kind: Literal["constant", "linear", "sine"]
     points: tuple[tuple[float, float], ...]
     period: float | None = None
     amplitude: float = 0.0
@@ -61,7 +60,7 @@ class Waveform:
     @property
     def straight(self) -> bool:
         """Whether it is straight between its corners."""
-        return self.kind != "sine"
+        return not self.frequency
 
     @property
     def pace(self) -> float:
@@ -110,8 +109,8 @@ class Waveform:
 
     def corners(self, stop: float) -> np.ndarray:
         """Times [s] up to ``stop`` where the derivative jumps."""
-        found = np.array([self.start]) if self.kind == "sine" else self.knots(stop)[0]
-        return found[(found > 0) & (found < stop) & (self.kind != "constant")]
+        found = self.knots(stop)[0] if self.straight else np.array([self.start])
+        return found[(found > 0) & (found < stop)]
 
     def spice(self, scale: float = 1.0) -> str:
         """What stands behind the nodes of an independent source, values times ``scale``.
@@ -119,11 +118,11 @@ class Waveform:
         A flat top of zero length is written as corners: ngspice reads a ``PULSE`` width of zero as
         "until the end".
         """
-        if self.kind == "constant":
-            return f"DC {_number(scale * self.points[0][1])}"
-        if self.kind == "sine":
+        if not self.straight:
             numbers = (0.0, scale * self.amplitude, self.frequency, self.start)
             return f"SIN({' '.join(map(_number, numbers))})"
+        if len(self.points) == 1:
+            return f"DC {_number(scale * self.points[0][1])}"
         pulse = self._pulse(scale)
         if pulse is not None:
             return pulse
@@ -150,17 +149,17 @@ class Waveform:
 
 def constant(value: float) -> Waveform:
     """The same at all times."""
-    return Waveform("constant", ((0.0, value),))
+    return Waveform(((0.0, value),))
 
 
 def sine(amplitude: float, frequency: float, start: float = 0.0) -> Waveform:
     """A sine from ``start`` on."""
-    return Waveform("sine", ((start, 0.0),), None, amplitude, frequency, start)
+    return Waveform(((start, 0.0),), None, amplitude, frequency, start)
 
 
 def linear(points: Iterable[tuple[float, float]] | np.ndarray) -> Waveform:
     """Straight lines through ``points`` (n, 2)."""
-    return Waveform("linear", tuple((float(t), float(v)) for t, v in points))
+    return Waveform(tuple((float(t), float(v)) for t, v in points))
 
 
 def pulse(
@@ -177,10 +176,10 @@ def pulse(
     one = tuple((start + t, v) for t, v in edges)
     if period is None or count is None:
         shape = one if width > edge else (one[0], one[1], one[3])
-        return Waveform("linear", shape, period)
+        return Waveform(shape, period)
     many = [(start + k * period + t, v) for k in range(count) for t, v in edges]
     unique = [p for k, p in enumerate(many) if k + 1 == len(many) or p[0] < many[k + 1][0]]
-    return Waveform("linear", tuple(unique))
+    return Waveform(tuple(unique))
 
 
 @dataclass(frozen=True)

@@ -433,5 +433,5 @@ def busy_until(scene: Scene) -> float:
         if all(scene.parts[name].type.name == "pid" for name, _ in joined):
             continue
         corners = wave.corners(scene.stop)
-        ends.append(math.inf if wave.kind == "sine" else float(max(corners, default=0.0)))
+        ends.append(float(max(corners, default=0.0)) if wave.straight else math.inf)
     return max((end for end in ends if end > 0), default=math.inf)

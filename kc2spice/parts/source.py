@@ -241,11 +241,11 @@ def _returning(part: Part, build: Build, kind: Kind, ends: list[str]) -> Iterato
 
 def drive_scales(name: str, wave: Waveform) -> Iterator[Numerics]:
     """A sine that is switched on excites more than its own frequency; of an edge see ``EDGE``."""
-    if wave.kind == "sine":
+    if not wave.straight:
         f = wave.frequency
         what = f"1/{PER_PERIOD} of a period of {name}, a sine at {f:g} Hz"
         yield Numerics(what, 1 / (PER_PERIOD * f), HARMONICS * f)
-    elif wave.kind == "linear":
+    else:
         times, values = np.array(wave.points).T
         moving = np.diff(times)[np.diff(values) != 0]
         if moving.size:

@@ -134,7 +134,7 @@ def _voltages(body: str, scene: Scene) -> Iterator[tuple[str, float]]:
         if scene.nets[source.name, "out"] in nets:
             wave = source.keys.waveform(scene.home)
             corners = np.concatenate([[0.0], wave.corners(scene.stop), [scene.stop]])
-            peak = abs(wave.amplitude) if wave.kind == "sine" else np.abs(wave(corners)).max()
+            peak = np.abs(wave(corners)).max() if wave.straight else abs(wave.amplitude)
             yield source.name, float(peak)
 
 
