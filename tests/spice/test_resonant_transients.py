@@ -29,56 +29,30 @@ support = { node = "13 mm" }
 damping = { quality = QUALITY }
 pins = { anode = "drive.out", cathode = "gnd" }
 """
-# port whose displacement is judged, highest frequency of the oracle's model [Hz]
-BODIES = {"disc": (DISC, "centre", 3e5)}  # others are drawn in test_random_parts.py
+PORT, HIGH = "centre", 3e5  # judged there; highest frequency of the oracle's model [Hz]
 FREQUENCY = {"rlc": 10e3, "oscillator": 5e3}
 
 
 def circuit(family, quality):
     """Text of a scene, its output, and M, E, K, B, C of it with the drive as input."""
-    if family in BODIES:
-        text, port, _ = BODIES[family]
-        text = (
-            text.replace("QUALITY", f"{quality:g}")
-            + f"\n[probes]\np = {{ of = 'body.u.{port}' }}\n"
-        )
-        return text, f"body.u.{port}", None
+    if family == "disc":
+        text = DISC.replace("QUALITY", f"{quality:g}")
+        return f"{text}\n[probes]\np = {{ of = 'body.u.{PORT}' }}\n", f"body.u.{PORT}", None
     w = 2 * np.pi * FREQUENCY[family]
+    scale = 1e-3  # H, or kg
+    loss, stiff = scale * w / quality, scale * w**2
+    parts = [("l", "inductor", "inductance", scale, "r.b"), ("c", "capacitor", "capacitance",
+             1 / stiff, "l.b"), ("r", "resistor", "resistance", loss, "drive.out")]  # fmt: skip
+    if family == "oscillator":
+        parts = [("m", "mass", "mass", scale, "k.a"), ("d", "damper", "damping", loss, "m.a"),
+                 ("k", "spring", "stiffness", stiff, "drive.out")]  # fmt: skip
+    text = "".join(
+        f'[{name}]\npart = "{kind}"\n{key} = {value!r}\npins = {{ a = "{pin}" }}\n'
+        for name, kind, key, value, pin in parts
+    )
     if family == "rlc":
-        L, C = 1e-3, 1 / (1e-3 * w**2)
-        R = w * L / quality
-        text = f"""
-[r]
-part = "resistor"
-resistance = {R!r}
-pins = {{ a = "drive.out" }}
-[l]
-part = "inductor"
-inductance = {L!r}
-pins = {{ a = "r.b" }}
-[c]
-part = "capacitor"
-capacitance = {C!r}
-pins = {{ a = "l.b" }}
-"""
-        return text, "c.v", (1.0, w / quality, w**2, w**2, 1.0)
-    m, k = 1e-3, 1e-3 * w**2
-    d = m * w / quality
-    text = f"""
-[m]
-part = "mass"
-mass = {m!r}
-pins = {{ a = "k.a" }}
-[k]
-part = "spring"
-stiffness = {k!r}
-pins = {{ a = "drive.out" }}
-[d]
-part = "damper"
-damping = {d!r}
-pins = {{ a = "m.a" }}
-"""
-    return text, "m.x", (m, d, k, 1.0, 1.0)
+        return text, "c.v", (scale, loss, stiff, stiff, 1.0)
+    return text, "m.x", (scale, loss, stiff, 1.0, 1.0)
 
 
 def drive(shape, f, family, cycles):
@@ -93,11 +67,10 @@ def drive(shape, f, family, cycles):
         f"pulse = {{ high = 1.0, width = {period / 2!r}, edge = {edge!r}, "
         f"period = {period!r}, count = {count} }}"
     )
+    corners = [0, edge, period / 2, period / 2 + edge, period]
 
     def value(t):
-        inside = np.interp(
-            np.mod(t, period), [0, edge, period / 2, period / 2 + edge, period], [0, 1, 1, 0, 0]
-        )
+        inside = np.interp(np.mod(t, period), corners, [0, 1, 1, 0, 0])
         return np.where(t < count * period, inside, 0.0)
 
     return kind + text, value, cycles / f
@@ -120,17 +93,17 @@ def oracle(matrices, value, stop, f):
     return t, y
 
 
-def body_matrices(text, port, high, folder):
+def body_matrices(text, folder):
     """The body's matrices from voltage to displacement, and its strongest resonance [Hz]."""
     path = folder / "wide.toml"
     path.write_text(
-        'name = "wide"\n' + text + f"\n[rom]\ntolerance = 1e-5\nband = [0, {high!r}]\n"
+        'name = "wide"\n' + text + f"\n[rom]\ntolerance = 1e-5\nband = [0, {HIGH!r}]\n"
         '[drive]\npart = "source"\nac = 1.0\n[analysis]\ntype = "ac"\nstart = 1\nstop = 2\n'
     )
     model = build_models(load_scene(path), Clock(silent)).model("body")
     K, E, M = model.pencil.dense().coefficients
-    i, o = model.inputs.index("anode"), model.outputs.index(port)
-    f = np.geomspace(high / 300, high, 6000)
+    i, o = model.inputs.index("anode"), model.outputs.index(PORT)
+    f = np.geomspace(HIGH / 300, HIGH, 6000)
     s = 2j * np.pi * f[:, None, None]
     x = np.linalg.solve(s**2 * M + s * E + K, np.tile(model.B[:, [i]], (f.size, 1, 1)))
     peak = f[np.abs(model.C[o] @ x[..., 0].T).argmax()]
@@ -142,8 +115,7 @@ def judged(family, quality, shape, folder, cycles, detune=0.0):
     text, output, matrices = circuit(family, quality)
     f = FREQUENCY.get(family)
     if matrices is None:
-        _, port, high = BODIES[family]
-        matrices, f = body_matrices(text, port, high, folder)
+        matrices, f = body_matrices(text, folder)
     f *= 1 + detune / quality
     table, value, stop = drive(shape, f, family, cycles)
     path = folder / "case.toml"
@@ -160,13 +132,12 @@ def judged(family, quality, shape, folder, cycles, detune=0.0):
     found = np.load(folder / "out" / "waveforms.npz")
     t, exact = oracle(matrices, value, stop, f)
     ours = np.interp(t, found["time"], found[output])
-    errors = []
-    for part in np.array_split(np.arange(t.size), 8):
-        a, b = ours[part], exact[part]
-        errors.append(abs(np.sqrt(np.mean(a**2)) - np.sqrt(np.mean(b**2))))
-    peak = np.abs(exact).max()
-    rms = max(np.sqrt(np.mean(exact[part] ** 2)) for part in np.array_split(np.arange(t.size), 8))
-    return max(errors) / rms, np.abs(ours - exact).max() / peak
+    found, rms = (
+        np.array([np.sqrt(np.mean(part**2)) for part in np.array_split(wave, 8)])
+        for wave in (ours, exact)
+    )
+    amplitude = np.abs(found - rms).max() / rms.max()
+    return amplitude, np.abs(ours - exact).max() / np.abs(exact).max()
 
 
 FEW = [
