@@ -5,6 +5,13 @@ import pytest
 
 import kc2spice as kc
 from kc2spice.core.errors import UsageError
+from kc2spice.core.progress import Clock, silent
+from kc2spice.scene.load import load_scene
+from kc2spice.scene.parttype import current
+from kc2spice.workflow.decks import make_deck
+from kc2spice.workflow.meters import result_vectors
+from kc2spice.workflow.models import build_models
+from kc2spice.workflow.simulate import simulate
 
 OWN = """.subckt own in out ref
 Ebuffer mid ref in ref 1
@@ -109,3 +116,33 @@ def test_a_source_of_the_name_of_a_meter_keeps_its_own(scene):
 def test_what_no_part_has_is_refused_before_a_run(scene, name):
     with pytest.raises(UsageError, match=r"no such (pin|vector)"):
         kc.deck(scene("type='op'", "dc = 1.0", probes={"x": name}))
+
+
+def test_what_leaves_parts_at_a_net_is_nothing_together(tmp_path):
+    """Newton's third law and Kirchhoff's: of forces on a mass, and of currents at a source."""
+    scene = load_scene({
+        "name": "sums", "analysis": {"type": "transient", "stop": 5e-3}, "gravity": 0.0,
+        "push": {"part": "source", "kind": "force", "pins": {"out": "mass.a"},
+                 "sine": {"amplitude": 0.1, "frequency": 300.0}},
+        "mass": {"part": "mass", "mass": 1e-3},
+        "spring": {"part": "spring", "stiffness": 1e3, "pins": {"a": "mass.a", "b": "gnd"}},
+        "damper": {"part": "damper", "damping": 0.1, "pins": {"b": "mass.a", "a": "gnd"}},
+        "coil": {"part": "voice_coil", "resistance": 5.0, "inductance": 1e-4, "bl": 1.0,
+                 "cms": 1e-3, "pins": {"a": "mass.a", "plus": "drive.out"}},
+        "drive": {"part": "source", "sine": {"amplitude": 1.0, "frequency": 200.0}},
+        "diode": {"part": "diode", "pins": {"anode": "drive.out", "cathode": "load.a"}},
+        "load": {"part": "resistor", "resistance": 50.0, "pins": {"b": "gnd"}},
+    })  # fmt: skip
+    build = build_models(scene, Clock(silent))
+    waves = simulate(build, make_deck(build), tmp_path).waves
+    at_mass = [("mass", "a"), *scene.joined("mass", "a")]
+    forces = [scene.parts[n].type.force_on(scene.parts[n], p, build, waves) for n, p in at_mass]
+    assert len(forces) == 5
+    assert forces[1].max() == pytest.approx(0.1, rel=1e-3)  # the source pushes upwards
+    assert np.abs(sum(forces)).max() < 1e-6 * max(np.abs(f).max() for f in forces)
+    results = {v.expression: waves[n] for n, v in result_vectors(build).items()}
+    at_drive = [("drive", "out"), *scene.joined("drive", "out")]
+    read = [current(scene.parts[n], p, build) for n, p in at_drive]
+    factors = {v.expression: v.factor for v in result_vectors(build).values()}
+    amperes = [v.factor / factors[v.expression] * results[v.expression] for v in read]
+    assert np.abs(sum(amperes)).max() < 1e-6 * np.abs(amperes[0]).max()
