@@ -138,7 +138,10 @@ def _reductions(build: Build) -> Iterator[Axis]:
             certificate = getattr(build.model(part), "certificate", None)
             band = rom.band if certificate is None else certificate.band_hz
         axis = _axis(f"{prefix}.tolerance", rom.tolerance, Rom.model_fields["tolerance"])
-        yield replace(axis, band=band, wider=WIDER if timed else 1.0)
+        # At the values of a run no box is needed, nor a band as narrow as polynomials want it.
+        plain: dict[str, Any] = {f"{prefix}.parameters": {}} if rom.parameters else {}
+        wider = (WIDER**2 if plain else WIDER) if timed else 1.0
+        yield replace(axis, band=band, wider=wider, finer=plain)
 
 
 def _alone(part: Part, scene: Scene) -> bool:
