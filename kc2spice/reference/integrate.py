@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
@@ -88,12 +89,17 @@ class Result:
 
 
 def transient(
-    system: System, stop: float, rtol: float = 1e-9, times: np.ndarray | None = None
+    system: System,
+    stop: float,
+    rtol: float = 1e-9,
+    times: np.ndarray | None = None,
+    progress: Callable[[float], None] = lambda share: None,
 ) -> Result:
     """Integrate from equilibrium to ``stop`` [s].
 
     Segments end at corners of sources, instants of devices and located zeros of their guards.
-    ``times`` of the waves default to the accepted steps. Raises SimulationError.
+    ``times`` of the waves default to the accepted steps. ``progress`` is told the share done.
+    Raises SimulationError.
     """
     z, modes = equilibrium(system)
     own = [d.law.corners(stop) for d in system.devices]
@@ -112,7 +118,7 @@ def transient(
             if len(segments) > _MAX_SEGMENTS:
                 raise SimulationError("contact chatters without end", where=f"t = {t:.9e} s")
             interval = Interval(system, modes, within)
-            steps, fired = _run(interval, t, z, end, rtol)
+            steps, fired = _run(interval, t, z, end, rtol, lambda t: progress(t / stop))
             if steps:
                 segments.append(Segment(interval, tuple(steps)))
                 t, z = steps[-1].end, steps[-1].last
@@ -139,7 +145,12 @@ def _switched(
 
 
 def _run(
-    interval: Interval, t: float, z: np.ndarray, end: float, rtol: float
+    interval: Interval,
+    t: float,
+    z: np.ndarray,
+    end: float,
+    rtol: float,
+    reached: Callable[[float], None],
 ) -> tuple[list[Step], int | None]:
     """Steps to ``end``, or to the first guard that falls to zero, and its number."""
     z = interval.settled(t, z)
@@ -163,6 +174,7 @@ def _run(
         if fired is not None:
             return steps, fired
         solver.accept(step)
+        reached(step.end)
         before, h = after, h_next
     return steps, None
 

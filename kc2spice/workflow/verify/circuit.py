@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -249,7 +249,12 @@ def _listening(
 # --- analyses -------------------------------------------------------------------------------------
 
 
-def solve(build: Build, waves: Waveforms, taken: Mapping[str, str] | None = None) -> Reference:
+def solve(
+    build: Build,
+    waves: Waveforms,
+    taken: Mapping[str, str] | None = None,
+    progress: Callable[[float], None] = lambda share: None,
+) -> Reference:
     """The analysis of the scene at the points of ``waves``, those of ngspice.
 
     On the nets ``taken`` (see :func:`taken_nets`) it is given what ngspice has there.
@@ -264,7 +269,7 @@ def solve(build: Build, waves: Waveforms, taken: Mapping[str, str] | None = None
         return Reference(steady(parts, build, waves))
     stop = build.scene.stop
     times = np.minimum(np.unique(waves["time"]), stop)
-    runs = [(c, transient(c.system(), stop, RTOL, times)) for c in parts]
+    runs = [(c, transient(c.system(), stop, RTOL, times, progress)) for c in parts]
     grid = np.unique(np.concatenate([times, *(run.time for _, run in runs)]))
     data = {"time": grid}
     for circuit, run in runs:

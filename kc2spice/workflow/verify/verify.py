@@ -191,8 +191,8 @@ class _Verification:
         """The scene in ngspice, by its laws, and by those with full models as far as these are
         followed: each two of the three."""
         build, waves, found = self.build, self._ngspice(deck), self.found
-        with self.clock.stage("reference", "laws of the reduced models, events located"):
-            reference = solve(build, waves, self.taken)
+        with self.clock.stage("reference", "laws of the reduced models, events located") as told:
+            reference = solve(build, waves, self.taken, told)
         solutions = {"ngspice": solution(waves, build), "rom": solution(reference.results, build)}
         found.metrics |= solutions["ngspice"].metrics
         found.answers |= {key: each.metrics for key, each in solutions.items()}
