@@ -69,13 +69,13 @@ def test_ngspice_gives_fresh_full_models_within_the_certified_error(deck):
     for _ in range(4):
         t, q = float(draw.uniform(1.1e-4, 1.3e-4)), float(draw.uniform(20, 100))
         found = kc.simulate(_at(deck, layers_1_thickness=t, damping_quality=q))
-        f = found.waves["frequency"].real
+        f = found.waves["frequency"].real[::4]
         fresh = kc.load_scene(_with({}), {f"disc.{KEY}": t, f"disc.{LOSS}": q})
         part = fresh.parts["disc"]
         like = kc.load_scene(_with({}), {f"disc.{KEY}": np.sqrt(1.1e-4 * 1.3e-4)}).parts["disc"]
         full = part.type.varied(part, fresh, Clock(), like).select(["anode"])
         exact = 2j * np.pi * f * full.transfer(f)[:, 0, 0]
-        current = found.waves["disc.current"]
+        current = found.waves["disc.current"][::4]
         largest = max(largest, float(np.abs(current / exact - 1).max()))
     assert 0.02 * certified < largest < certified  # and the netlist does depend on them
 
@@ -84,7 +84,7 @@ def test_a_budget_holds_the_box_against_the_plain_reduction_at_its_value():
     """Refined runs need no box, which a tenth of its tolerance could not be certified for."""
     own = {"analysis.points": 40, "error_budget": 0.5, f"disc.{KEY}": 1.15e-4}
     found = kc.run(kc.load_scene(BUZZER, own))
-    fine = {**own, "analysis.points": 4000, "disc.rom.tolerance": 1e-6, "disc.rom.parameters": {}}
+    fine = {**own, "analysis.points": 1000, "disc.rom.tolerance": 1e-6, "disc.rom.parameters": {}}
     del fine["error_budget"]
     exact = kc.run(kc.load_scene(BUZZER, fine)).metrics["resonance_hz"]
     stated = found.record["convergence"]["errors"]["resonance_hz"]
