@@ -41,6 +41,7 @@ from kc2spice.scene.model import Part, Scene, Terminal
 from kc2spice.scene.parttype import Build, Vector, register
 
 PATCH = "patch"  # begins the names of a body's ports that are one row of patches
+ROUNDED = 1e-9  # of force over displacement, by which iterations leave an operating point
 UNSTABLE = 1e-5  # of the capacitance: above the last digits of ngspice where nothing moves
 TERMS = 99  # odd m and n up to this; what is left out damps 1e-4 less
 
@@ -134,7 +135,8 @@ class Gap(Patched):
     def metrics(self, part: Part, build: Build, waves: Waveforms) -> Mapping[str, Any]:
         """Voltage at which a patch first meets the stop, and at which the last one then leaves it,
         each the mean of the two points around, and the largest travel; in ``ac`` the real part of
-        force over displacement, and the imaginary one over ``2 pi f``, at the last frequency."""
+        force over displacement, and the imaginary one over ``2 pi f``, none where that is rounding,
+        at the last frequency."""
         of = {word: [w for n, w in waves.data.items() if n.startswith(f"{part.name}.{word}")]
               for word in ("x", "force")}  # fmt: skip
         volts = waves.data.get(f"{part.name}.v")
@@ -144,7 +146,8 @@ class Gap(Patched):
             moved, force = np.mean(of["x"], axis=0)[-1], np.sum(of["force"], axis=0)[-1]
             law = force / moved if moved else 0.0
             omega = 2 * np.pi * waves["frequency"][-1].real
-            return {"gap_stiffness_n_m": law.real, "gap_damping_n_s_m": law.imag / omega}
+            lost = law.imag if abs(law.imag) > ROUNDED * abs(law) else 0.0
+            return {"gap_stiffness_n_m": law.real, "gap_damping_n_s_m": lost / omega}
         side = -1.0 if part.keys.side == "below" else 1.0
         stroke, size = np.max(side * np.array(of["x"]), axis=0), np.abs(volts)
         steps = np.flatnonzero(np.diff((stroke >= part.keys.travel).astype(int)))
