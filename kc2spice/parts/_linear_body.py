@@ -615,10 +615,10 @@ class LinearBody(Touching):
 
     def notes(self, part: Part, scene: Scene) -> Iterator[str | Neglected]:
         rom = self.reduction(part, scene)
-        ports = ", ".join(port.name for port in self.kept(part, scene))
+        kept = self.kept(part, scene)
+        ports = ", ".join(port.name for port in kept)
         reach = "" if self.sure(part, scene) is None else f", or {MOTIONS} natural frequencies"
         yield f"reduced to {aim(rom)}{reach}; ports {ports}"
-        kept = self.kept(part, scene)
         rest = [port.name for port in self.ports(part, scene) if port not in kept]
         if rest:
             what = f"{part.name}: ports {', '.join(rest)}"

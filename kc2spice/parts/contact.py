@@ -272,7 +272,6 @@ class Contact(DeclaredPart):
         if own.friction:
             detail += f", friction {keys.friction:g}, viscous below {own.creep:g} m/s"
         yield detail
-        pair = Pair(part, scene)
         a, kept = pair.a, len(pair.ports)
         if len(a.ports) > 1:
             why = f"one force per port of {a.part} stands for it"

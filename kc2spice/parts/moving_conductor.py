@@ -283,7 +283,6 @@ class MovingConductor(DeclaredPart):
             f"{len(keys.coils)} coils, eddy currents as loops to {keys.tolerance:g} of flux and "
             f"force up to {keys.frequency:g} Hz, exact in currents, power series of the height"
         )
-        keys = part.keys
         depth = 1 / math.sqrt(math.pi * keys.frequency * MU_0 * keys.conductivity)
         yield Neglected(
             "currents thinner than the skin depth",
