@@ -25,7 +25,7 @@ OWN = Path(os.environ.get("KC2SPICE_CLIENTS", CACHE)) / "bin"
 def program():
     """``program(name, own=False)``: its path; the test is skipped where it is not installed."""
 
-    def find(name: str, *, own: bool = False) -> str:
+    def find(name, *, own=False):
         path = shutil.which(name, path=str(OWN)) or (None if own else shutil.which(name))
         if path is None:
             pytest.skip(f"{name} is not installed; tools/clients.sh fetches all but Xyce")
@@ -38,7 +38,7 @@ def program():
 def deck_of():
     """``deck_of(scene, **solver)``: a gallery scene around made-up chip and magnets, exported."""
 
-    def make(name: str, **solver):
+    def make(name, **solver):
         stops = load_scene(name).analysis.stop is not None and "stop" in solver
         given = {f"solver.{key}": value for key, value in solver.items()}
         if stops:
@@ -59,7 +59,7 @@ def deck_of():
 def run():
     """``run(command, folder)``: its output; it must succeed."""
 
-    def execute(command: list[str], folder: Path) -> str:
+    def execute(command, folder):
         environment = {**os.environ, "PYTHONPATH": str(ROOT)}
         done = subprocess.run(
             command, cwd=folder, env=environment, capture_output=True, text=True, check=False

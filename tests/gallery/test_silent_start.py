@@ -15,7 +15,7 @@ NETLISTS = Path(__file__).parents[2] / "netlists"
 SHORT = 1e-6  # s: long enough for the operating point and the first steps
 
 
-def committed(name: str) -> Deck:
+def committed(name):
     """The scene's committed deck, its transient cut to a microsecond."""
     (path,) = NETLISTS.glob(f"*/{name}.cir")
     files = {library.name: library.read_text() for library in path.parent.glob("*.lib")}

@@ -1,11 +1,8 @@
 """Fixtures of the ngspice tests: the made-up device and the loop around it."""
 
 import device
-import numpy as np
 import pytest
 
-from kc2spice.fem.magnetics.table import EMTable
-from kc2spice.netlist.circuit import Subcircuit
 from kc2spice.parts._template import opamp_subcircuit
 from kc2spice.parts._touching import ring_gaps
 from kc2spice.parts.pid import Control, pid_subcircuit
@@ -14,7 +11,6 @@ from kc2spice.parts.sphere import Sphere, SphereKeys, numbers
 from kc2spice.physics.contact import Normal, contact
 from kc2spice.physics.part import subcircuit as declared
 from kc2spice.scene.load import load_scene
-from kc2spice.scene.model import Scene
 from kc2spice.spice.header import Header
 from kc2spice.spice.realize import subcircuit
 
@@ -25,22 +21,22 @@ LOOP = {
 
 
 @pytest.fixture(scope="session")
-def radii() -> np.ndarray:
+def radii():
     return device.RADII
 
 
 @pytest.fixture(scope="session")
-def table() -> EMTable:
+def table():
     return device.magnets()
 
 
 @pytest.fixture(scope="session")
-def header() -> Header:
+def header():
     return Header("test", "0")
 
 
 @pytest.fixture(scope="session")
-def parts(header, model, radii, table) -> dict[str, Subcircuit]:
+def parts(header, model, radii, table):
     """The subcircuits of kick and catch, by name."""
     ball = SphereKeys()
     rings = tuple(f"ring{i}" for i in range(6))
@@ -58,7 +54,7 @@ def parts(header, model, radii, table) -> dict[str, Subcircuit]:
 
 
 @pytest.fixture(scope="session")
-def scene() -> Scene:
+def scene():
     """The loop at a voltage that launches the made-up device at about 1 m/s."""
     return load_scene(LOOP)
 
@@ -67,7 +63,7 @@ def scene() -> Scene:
 def varied():
     """The same loop with other keys, or ``None`` for a part that is left out."""
 
-    def vary(tables: dict | None = None, **keys: object) -> Scene:
+    def vary(tables=None, **keys):
         data = {**LOOP, **(tables or {})}
         return load_scene({k: v for k, v in data.items() if v is not None}, keys)
 

@@ -1,6 +1,5 @@
 """A device small enough for fast tests, made from formulas: no FE, no reduction."""
 
-from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -9,7 +8,6 @@ from kc2spice.fem.magnetics.table import EMTable
 from kc2spice.netlist.deck import Deck
 from kc2spice.rom.linear import Certificate, Port
 from kc2spice.rom.modal import Resonators
-from kc2spice.scene.model import Scene
 from kc2spice.scene.parttype import Build
 from kc2spice.workflow.decks import make_deck
 from kc2spice.workflow.models import libraries
@@ -17,7 +15,7 @@ from kc2spice.workflow.models import libraries
 RADII = 50e-6 * np.arange(6)
 
 
-def chip(modes: int = 30, damping: float = 0.01) -> Resonators:
+def chip(modes=30, damping=0.01):
     """Modes from 270 kHz to 30 MHz with the chip's stroke, capacitance and compliances."""
     rng = np.random.default_rng(1)
     omega = 2 * np.pi * np.geomspace(270e3, 30e6, modes)
@@ -40,11 +38,11 @@ def chip(modes: int = 30, damping: float = 0.01) -> Resonators:
     )
 
 
-def magnets() -> EMTable:
+def magnets():
     """Two coils around 1 and 4 mm, 0.65 N/A together in the middle, a small magnet force."""
     y = np.linspace(-2.5e-3, 7.5e-3, 41)
 
-    def coil(u: np.ndarray) -> np.ndarray:
+    def coil(u):
         return -u / 1.5e-3 / (1 + (u / 2.5e-3) ** 2) ** 2.5
 
     scale = 0.325 / abs(coil(np.array(1.5e-3)))
@@ -57,7 +55,7 @@ def magnets() -> EMTable:
     )  # fmt: skip
 
 
-def built(scene: Scene, model: Resonators | None = None, table: EMTable | None = None) -> Build:
+def built(scene, model=None, table=None):
     """The scene with made-up models: those ports of ``model`` that it needs, and ``table``."""
     models: dict[str, Any] = {}
     for part in scene.parts.values():
@@ -69,14 +67,12 @@ def built(scene: Scene, model: Resonators | None = None, table: EMTable | None =
     return Build(scene, models, libraries(scene))
 
 
-def deck_of(scene: Scene, model: Resonators | None = None, table: EMTable | None = None) -> Deck:
+def deck_of(scene, model=None, table=None):
     """The testbench of a scene with made-up models."""
     return make_deck(built(scene, model, table))
 
 
-def bench(
-    parts: Any, cards: str, vectors: Mapping[str, tuple[str, float]], stop: float | None = None
-) -> Deck:
+def bench(parts, cards, vectors, stop=None):
     """A deck by hand around subcircuits."""
     text = "* bench\n" + "".join(f".include {p.filename}\n" for p in parts) + cards + "\n"
     text += "\n".join(f".save {v}" for n, _ in vectors.values() for v in n.split("+")) + "\n.end\n"

@@ -32,7 +32,7 @@ def interface(text):
     return dict(w.split("=") for w in card.split() if "=" in w)
 
 
-def overridden(base: Deck, other: Deck) -> tuple[Deck, dict[str, str]]:
+def overridden(base, other):
     """``base`` with the parameters of ``other`` set on its instances, and what was set."""
     deck, given = base, {}
     for ours, theirs in zip(base.parts, other.parts, strict=True):
@@ -45,16 +45,16 @@ def overridden(base: Deck, other: Deck) -> tuple[Deck, dict[str, str]]:
     return deck, given
 
 
-def kind(name: str) -> str:
+def kind(name):
     """Name of a subcircuit without what tells it from others of its kind."""
     return re.sub(r"_[0-9a-f]{6}$", "", name)
 
 
-def with_words(deck: Deck, subcircuit: str, words: str) -> Deck:
+def with_words(deck, subcircuit, words):
     """``words`` behind the instance of a subcircuit."""
     count = 0
 
-    def change(card: str) -> str:
+    def change(card):
         nonlocal count
         if re.fullmatch(rf"X.* {subcircuit}(_[0-9a-f]{{6}})?", card):
             count += 1
@@ -66,7 +66,7 @@ def with_words(deck: Deck, subcircuit: str, words: str) -> Deck:
     return replace(deck, blocks=blocks)
 
 
-def short(deck: Deck) -> Deck:
+def short(deck):
     first, _, *rest = deck.command.words
     return replace(deck, command=Command("tran", (first, repr(STOP), *rest)), stop=STOP)
 

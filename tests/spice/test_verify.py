@@ -3,7 +3,6 @@
 import dataclasses
 import importlib
 import re
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -49,15 +48,15 @@ top = { of = "c.v", take = "max" }
 
 
 @pytest.fixture
-def kicked(tmp_path: Path) -> Path:
+def kicked(tmp_path):
     return write_kicked(tmp_path)
 
 
-def failed(record: dict) -> list[str]:
+def failed(record):
     return [check["name"] for check in record["checks"] if not check["passed"]]
 
 
-def test_a_circuit_of_plain_parts_is_verified(tmp_path: Path) -> None:
+def test_a_circuit_of_plain_parts_is_verified(tmp_path):
     (tmp_path / "rlc.toml").write_text(RLC)
     scene = load_scene(tmp_path / "rlc.toml")
     record = verify([scene], tmp_path / "out")["rlc"]
@@ -68,7 +67,7 @@ def test_a_circuit_of_plain_parts_is_verified(tmp_path: Path) -> None:
     assert (tmp_path / "out" / "verify.html").stat().st_size > 10_000
 
 
-def test_laws_of_a_circuit_against_its_closed_form(tmp_path: Path) -> None:
+def test_laws_of_a_circuit_against_its_closed_form(tmp_path):
     """A step into a series RLC: ``v = 1 - exp(-a t) (cos w t + a / w sin w t)``."""
     text = RLC.replace(
         'pulse = { high = 10, width = "20 us", edge = "1 us", start = "2 us" }',
@@ -85,7 +84,7 @@ def test_laws_of_a_circuit_against_its_closed_form(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_a_body_of_foreign_matrices_kicks_a_mass(kicked: Path, tmp_path: Path) -> None:
+def test_a_body_of_foreign_matrices_kicks_a_mass(kicked, tmp_path):
     record = verify([load_scene(kicked)], tmp_path / "out")["kicked"]
     assert record["passed"], failed(record)
     # all six states integrated with located events: 0.08364828 m/s, four of them 0.08358288 m/s
@@ -100,16 +99,14 @@ SMALL = ("kick.layers=2", "kick.mesh.sectors=4", "kick.mesh.rings=1", "kick.mesh
          "rom.order=8", "imprint.steps=4")  # fmt: skip
 
 
-def scaled(waves: Waveforms) -> Waveforms:
+def scaled(waves):
     """With all contact forces one per cent larger."""
     more = {name: 1.01 * each for name, each in waves.data.items() if ".force" in name}
     return Waveforms(waves.data | more, waves.stats)
 
 
 @pytest.mark.parametrize("wrong", ["nothing", "fom", "rom", "ngspice"])
-def test_each_solution_is_compared_with_both_others(
-    wrong: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_each_solution_is_compared_with_both_others(wrong, tmp_path, monkeypatch):
     """Whichever of the three is off, its two pairs fail and the third does not."""
     scene = load_scene("imprint", list(SMALL))
     if wrong == "fom":
@@ -147,7 +144,7 @@ def test_each_solution_is_compared_with_both_others(
         assert f"kick: {words}" in names
 
 
-def test_points_that_steps_do_not_resolve_are_not_compared() -> None:
+def test_points_that_steps_do_not_resolve_are_not_compared():
     """Those within the step of an event, and beside a step whose end only one model is at."""
     steps = Difference(np.arange(6.0), {}, np.arange(6) == 4, (0.5,))
     points = np.array([0.0, 0.2, 0.8, 1.0, 2.9, 3.0, 4.5, 5.0])
@@ -192,7 +189,7 @@ POLE = 2e4  # 1/s, of both poles
 
 
 @pytest.mark.parametrize("kind", [pytest.param("transient", marks=pytest.mark.slow), "ac"])
-def test_a_signal_input_listens_to_a_loaded_node(kind: str, tmp_path: Path) -> None:
+def test_a_signal_input_listens_to_a_loaded_node(kind, tmp_path):
     """Two poles one after the other, the second of a model whose input takes no current."""
     np.savez(tmp_path / "filter.npz", A=[[-POLE]], B=[[POLE]], C=[[1.0]], E=[[1.0]])
     (tmp_path / "filter.toml").write_text(FILTER)
@@ -217,7 +214,7 @@ def test_a_signal_input_listens_to_a_loaded_node(kind: str, tmp_path: Path) -> N
     assert found["filter.y"] == pytest.approx(exact, abs=1e-4)
 
 
-def test_a_signal_that_drives_a_load_is_taken_from_ngspice(tmp_path: Path) -> None:
+def test_a_signal_that_drives_a_load_is_taken_from_ngspice(tmp_path):
     np.savez(tmp_path / "filter.npz", A=[[-POLE]], B=[[POLE]], C=[[1.0]], E=[[1.0]])
     (tmp_path / "filter.toml").write_text(FILTER)
     drive, analysis = "dc = 1.0", "type = 'transient'\nstop = 1e-4"

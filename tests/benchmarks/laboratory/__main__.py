@@ -28,7 +28,7 @@ from kc2spice.sim.ngspice import find_ngspice
 from kc2spice.workflow.results import plain, write_record
 from kc2spice.workflow.sweep.workers import cores
 from laboratory.page import bench_figures, bench_tables
-from laboratory.points import Plane, pareto
+from laboratory.points import pareto
 from laboratory.setup import Setup
 
 # Each part is the function of its own name in the module of that name. What a user waits for comes
@@ -36,7 +36,7 @@ from laboratory.setup import Setup
 PARTS = ("start", "loop", "impact", "imprint", "harmonic", "em", "dense", "writers")
 
 
-def bench(out: Path, parts: list[str], *, quick: bool, repeats: int) -> None:
+def bench(out, parts, *, quick, repeats):
     """Measure ``parts`` (all of them if there are none) and write the files into ``out``.
 
     ``quick`` takes coarse models and few points: the record has the same shape, its numbers mean
@@ -72,7 +72,7 @@ def bench(out: Path, parts: list[str], *, quick: bool, repeats: int) -> None:
         draw_all(directory, [*bench_figures(record)])
 
 
-def _points(plane: Plane) -> list[dict[str, Any]]:
+def _points(plane):
     # The lower bound solves this loop and nothing else: it is no choice, only a bound.
     front = pareto([point for point in plane.points if point.family != "lower bound"])
     return [
@@ -87,7 +87,7 @@ def _points(plane: Plane) -> list[dict[str, Any]]:
     ]  # fmt: skip
 
 
-def machine() -> dict[str, str | int]:
+def machine():
     """Processor, cores that may be used, system, and the versions of what was timed."""
     compiler, info = shutil.which("cc"), Path("/proc/cpuinfo")
     said = [compiler and subprocess.run([compiler, "--version"], capture_output=True, text=True)]
@@ -106,7 +106,7 @@ def machine() -> dict[str, str | int]:
     }
 
 
-def main() -> int:
+def main():
     """The exit code is that of ``kc2spice``."""
     parser = argparse.ArgumentParser(prog="python -m laboratory", description=__doc__)
     parser.add_argument("--part", action="append", default=[], help=f"only {', '.join(PARTS)}")

@@ -4,12 +4,8 @@ import numpy as np
 
 from kc2spice.rom.linear import LinearModel
 
-Case = tuple[LinearModel, float, tuple[float, float]]  # model, tolerance, band [Hz]
 
-
-def hermite_beam(
-    elements: int, bending: float = 1.0, line: float = 1.0, *, scaled: bool = False
-) -> tuple[np.ndarray, np.ndarray]:
+def hermite_beam(elements, bending=1.0, line=1.0, *, scaled=False):
     """Mass and stiffness of a free beam of unit length; deflection and slope of each node in turn.
 
     ``bending`` is E I, ``line`` the mass per length; ``scaled`` slopes are times the length of an
@@ -30,21 +26,21 @@ def hermite_beam(
     return M, K
 
 
-def steel_cantilever(elements: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def steel_cantilever(elements):
     """Mass, stiffness and force at the free end of a beam of steel, 1 m by 10 mm by 5 mm."""
     M, K = hermite_beam(elements, 210e9 * 1e-2 * 5e-3**3 / 12, 7850 * 1e-2 * 5e-3)
     return M[2:, 2:], K[2:, 2:], np.eye(2 * elements)[:, [-2]]
 
 
-def heat(cells: int = 200) -> Case:
-    """A rod, heated at a third, measured at two thirds."""
+def heat(cells=200):
+    """A rod, heated at a third, measured at two thirds; a tolerance, a band [Hz]."""
     n = cells
     A = 1e-2 * (n + 1) ** 2 * (np.eye(n, k=1) + np.eye(n, k=-1) - 2 * np.eye(n))
     model = LinearModel(A=A, B=(n + 1) * np.eye(n)[:, [n // 3]], C=np.eye(n)[[2 * n // 3]])
     return model, 1e-4, (0.0, 1e3 / (2 * np.pi))
 
 
-def structure(states: int, ports: int) -> Case:
+def structure(states, ports):
     """Random lightly damped modes over two decades in first order, none left out by symmetry."""
     rng = np.random.default_rng(states)
     n = states // 2

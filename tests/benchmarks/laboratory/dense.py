@@ -4,15 +4,12 @@ from functools import partial
 
 import numpy as np
 
-from kc2spice.core.waveforms import Waveforms
 from kc2spice.netlist.deck import Deck
-from kc2spice.rom.modal import Resonators
 from kc2spice.sim.ngspice import run_deck
 from kc2spice.spice.header import Header
 from kc2spice.spice.realize import subcircuit
 from laboratory.forms import FORMS, synthetic, with_form
 from laboratory.points import Outcome, Plane, Point, Ratio, fastest, timed
-from laboratory.setup import Setup
 
 PORTS = 7
 # Name of the ratio, modes, frequencies, target. 30 is the order of the scenes' reduced chip, 348
@@ -22,7 +19,7 @@ QUICK_SIZES = (("30", 15, 50, 5.0), ("348", 30, 5, 50.0))
 EQUAL = 1e-6
 
 
-def dense(setup: Setup) -> Outcome:
+def dense(setup):
     """Time of an .ac sweep of each form, error against the closed form of the response."""
     points: list[Point] = []
     ratios: list[Ratio] = []
@@ -60,7 +57,7 @@ def dense(setup: Setup) -> Outcome:
     return Outcome((plane,), tuple(ratios))
 
 
-def ac_deck(model: Resonators, count: int) -> tuple[Deck, np.ndarray]:
+def ac_deck(model, count):
     """Unit voltage on the anode over ``count`` frequencies to 1 MHz; displacements in closed form.
 
     The second result is (frequencies, rings) in um.
@@ -85,6 +82,6 @@ def ac_deck(model: Resonators, count: int) -> tuple[Deck, np.ndarray]:
     return Deck(name="dense", text="\n".join(lines), vectors=vectors, parts=(part,)), exact
 
 
-def _error(waves: Waveforms, exact: np.ndarray) -> float:
+def _error(waves, exact):
     found = np.column_stack([values for name, values in waves.data.items() if name != "frequency"])
     return float((np.abs(found - exact) / np.abs(exact).max(axis=0)).max())

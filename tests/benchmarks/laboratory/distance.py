@@ -3,11 +3,10 @@
 import numpy as np
 from scipy.interpolate import CubicHermiteSpline
 
-from kc2spice.core.waveforms import Waveforms
 from kc2spice.parts._touching import separation
 
 
-def compare(waves: Waveforms, reference: Waveforms) -> dict[str, float | None]:
+def compare(waves, reference):
     """Errors of a transient against a reference, both on their own time points.
 
     ``launch`` is relative, of the velocity at the separation (None without one), ``position_m`` the
@@ -24,10 +23,10 @@ def compare(waves: Waveforms, reference: Waveforms) -> dict[str, float | None]:
     return {"launch": launch, "position_m": largest, "of_travel": largest / travel}
 
 
-def _height(waves: Waveforms) -> CubicHermiteSpline:
+def _height(waves):
     t, unique = np.unique(waves["time"], return_index=True)
     return CubicHermiteSpline(t, waves["sphere.y"][unique], waves["sphere.v"][unique])
 
 
-def _leaves(waves: Waveforms) -> tuple[float, float] | None:
+def _leaves(waves):
     return separation(waves["time"], waves["contact.force"], waves["sphere.v"])

@@ -4,23 +4,22 @@ from functools import partial
 
 import numpy as np
 
-from kc2spice.fem.magnetics.field import catch_table
-from kc2spice.fem.magnetics.table import EMTable, em_cases
+from kc2spice.fem.magnetics.field import catch_table, positions, ring_sign, systems
+from kc2spice.fem.magnetics.table import em_cases
 from laboratory.points import Outcome, Plane, Point, Ratio, timed
-from laboratory.setup import Setup, keys_of
-from laboratory.usual.fields import brute_force
+from laboratory.setup import keys_of
 
 HEIGHTS, QUICK_HEIGHTS, FINE_HEIGHTS = (41, 21, 81), (5, 9), 161
 
 
-def em(setup: Setup) -> Outcome:
+def em(setup):
     """Error of the spline between heights, and the time of superposition against brute force."""
     scene = setup.scene("em_force")
     catch, radius = keys_of(scene, "ring_magnet_coils"), keys_of(scene, "sphere").radius
     currents = np.array(keys_of(scene, "current_cases").currents)
     cases = np.array([(lower, upper) for lower in currents for upper in currents])
 
-    def table(heights: int) -> EMTable:
+    def table(heights):
         return catch_table(catch.model_copy(update={"positions": heights}), radius)
 
     dense = table(17 if setup.quick else FINE_HEIGHTS)
@@ -51,3 +50,19 @@ def em(setup: Setup) -> Outcome:
         f"brute force over superposition, {count} cases; error: between the two",
     )  # fmt: skip
     return Outcome((plane,), (ratio,))
+
+
+def brute_force(catch, radius, currents):
+    """Force (m, n) [N] of the m pairs ``currents`` (m, 2) at n heights, case by case.
+
+    The paper's code and the baseline of :func:`catch_table`: on the same meshes, each case
+    assembles, factorises and solves for the sum of its sources and takes that one field's force.
+    """
+    y = positions(catch)
+    amplitudes = [np.array([ring_sign(catch), 1.0, i1, i2]) for i1, i2 in currents]
+    result = np.empty((len(amplitudes), y.size))
+    for index, system in systems(catch, radius):
+        for case, amplitude in enumerate(amplitudes):
+            field = system.solve(system.loads @ amplitude[:, None])
+            result[case, index] = system.force(field)[0, 0]
+    return result

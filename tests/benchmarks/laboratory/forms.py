@@ -9,8 +9,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from kc2spice.netlist.cards import number
-from kc2spice.netlist.circuit import Subcircuit
-from kc2spice.netlist.deck import Deck
 from kc2spice.rom.linear import Certificate, Port
 from kc2spice.rom.modal import Resonators
 
@@ -28,7 +26,7 @@ class StateSpace:
     clamped: float
 
 
-def state_space(model: Resonators, form: str) -> StateSpace:
+def state_space(model, form):
     """``model`` as decoupled resonators, or turned into other coordinates by a fixed rotation.
 
     *second order* keeps displacements and velocities apart, with dense stiffness and damping;
@@ -56,12 +54,12 @@ def state_space(model: Resonators, form: str) -> StateSpace:
     return StateSpace(A, B, C, float(model.D[anode, anode]))
 
 
-def rotation(size: int) -> np.ndarray:
+def rotation(size):
     """An orthogonal matrix without zeros, always the same."""
     return np.linalg.qr(np.random.default_rng(7).standard_normal((size, size)))[0]
 
 
-def written(model: Resonators, part: Subcircuit, form: str) -> Subcircuit:
+def written(model, part, form):
     """``part``, the product's subcircuit of ``model``, with the inside of another form."""
     pins = [pin.name for pin in part.pins]
     rings = [pin.name for pin in part.pins if pin.flow == "N" and pin.name != "base"]
@@ -99,20 +97,20 @@ def written(model: Resonators, part: Subcircuit, form: str) -> Subcircuit:
     return replace(part, text="\n".join(lines) + "\n")
 
 
-def with_form(deck: Deck, model: Resonators, form: str, *, name: str = "kick") -> Deck:
+def with_form(deck, model, form, *, name="kick"):
     """``deck`` with its part ``name`` written in another form."""
     part = next(part for part in deck.parts if part.filename == f"{name}.lib")
     return with_text(deck, name, written(model, part, form).text)
 
 
-def with_text(deck: Deck, name: str, text: str) -> Deck:
+def with_text(deck, name, text):
     """``deck`` with another text in the library of its part ``name``."""
     file = f"{name}.lib"
     parts = tuple(replace(p, text=text) if p.filename == file else p for p in deck.parts)
     return replace(deck, parts=parts)
 
 
-def synthetic(modes: int, ports: int) -> Resonators:
+def synthetic(modes, ports):
     """A chip-like model of any size: resonances from 270 kHz to 30 MHz, ``ports`` with an anode."""
     rng = np.random.default_rng(modes * 1000 + ports)
     omega = 2 * np.pi * np.geomspace(270e3, 30e6, modes)

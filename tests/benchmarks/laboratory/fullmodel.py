@@ -2,40 +2,36 @@
 
 from functools import lru_cache
 
-import numpy as np
-
 from kc2spice.core.waveforms import Waveforms
-from kc2spice.fem.piezo.keys import Chip
 from kc2spice.parts.piezo_stack import chip_of
-from kc2spice.scene.model import Scene
+from laboratory.law import waveforms
 from laboratory.setup import keys_of
-from laboratory.usual.contact import ContactSurface, contact_surface
-from laboratory.usual.system import PiezoSystem, quarter
-from laboratory.usual.transient import TransientResult
+from laboratory.usual.contact import contact_surface
+from laboratory.usual.system import quarter
 
 
-def chip(scene: Scene) -> Chip:
+def chip(scene):
     """What the full model of the scene's chip depends on."""
     return chip_of(keys_of(scene, "piezo_stack"))
 
 
 @lru_cache(maxsize=1)
-def _assembled(keys: Chip) -> PiezoSystem:
+def _assembled(keys):
     return quarter(keys)
 
 
-def full_system(scene: Scene) -> PiezoSystem:
+def full_system(scene):
     """One sector of the scene's chip."""
     return _assembled(chip(scene))
 
 
-def full_surface(scene: Scene) -> ContactSurface:
+def full_surface(scene):
     """The grouped contact springs of the scene on that sector."""
     penalty, radius = keys_of(scene, "contact").penalty, keys_of(scene, "sphere").radius
     return contact_surface(chip(scene), penalty, radius)
 
 
-def factorisations(ring_force: np.ndarray) -> int:
+def factorisations(ring_force):
     """How often the usual code factorises at least, forces (steps, rings) being known.
 
     It starts each step from the closed springs of the last one: once to find that they stay, once
@@ -46,17 +42,13 @@ def factorisations(ring_force: np.ndarray) -> int:
     return len(closed) + int(changed.sum()) + int(closed[0].any())
 
 
-def as_waveforms(result: TransientResult, radius: float, n: int) -> Waveforms:
+def as_waveforms(result, radius, n):
     """Whole-device waveforms of a sector's transient; ``radius`` [m] of the sphere."""
-    data = {
-        "time": result.time, "sphere.y": result.height + radius, "sphere.v": result.velocity,
-        "contact.force": n * result.force,
-    }  # fmt: skip
-    data |= {f"kick.u.ring{k}": row for k, row in enumerate(result.spring_displacement.T)}
-    return Waveforms(data, {})
+    force, u = n * result.ring_force.sum(axis=1), result.spring_displacement.T
+    return waveforms(result.time, result.height + radius, result.velocity, force, u, len(force))
 
 
-def limit(coarse: Waveforms, fine: Waveforms) -> Waveforms:
+def limit(coarse, fine):
     """Richardson's limit of average acceleration (second order) from steps 2 h and h.
 
     The load is taken as it is: extrapolation would leave false load where one step size has just

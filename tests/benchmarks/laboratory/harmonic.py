@@ -1,12 +1,10 @@
 """Plane ``harmonic``: all responses of the chip over the sweep, by every kind of reduction."""
 
-from collections.abc import Iterator
 from functools import partial
 
 import numpy as np
 
 from kc2spice.bodies.piezo_stack import stack_device
-from kc2spice.rom.linear import LinearModel
 from kc2spice.rom.modal import resonators
 from kc2spice.rom.reduce import reduce, surrogate
 from kc2spice.rom.response import relative_error
@@ -16,13 +14,12 @@ from laboratory.points import (
     Plane,
     Point,
     Ratio,
-    Timing,
     fastest,
     quick_timed,
     scaled,
     timed,
 )
-from laboratory.setup import Setup, keys_of
+from laboratory.setup import keys_of
 
 ORDERS = (30, 21, 24, 35, 42)
 TOLERANCES = (1e-6, 1e-2, 1e-3, 1e-4, 1e-5, 1e-8)
@@ -30,10 +27,8 @@ BALANCED = (20, 14, 17, 24, 28)
 SAMPLED = 3  # direct solves that are timed
 LIMIT, TARGET = 1e-5, 20_000.0
 
-Models = Iterator[tuple[str, str, LinearModel]]
 
-
-def harmonic(setup: Setup) -> Outcome:
+def harmonic(setup):
     """Error over all pairs of ports and all frequencies, time of the sweep with that model."""
     scene = setup.scene("harmonic")
     sweep = keys_of(scene, "port_loads")
@@ -82,7 +77,7 @@ def harmonic(setup: Setup) -> Outcome:
     return Outcome((plane,), (ratio,))
 
 
-def _models(model: LinearModel, band: tuple[float, float], setup: Setup) -> Models:
+def _models(model, band, setup):
     """Family, label and model of every reduction."""
     for tolerance in setup.some(TOLERANCES):
         reduced = reduce(model, tolerance=tolerance, band=band)
@@ -92,9 +87,7 @@ def _models(model: LinearModel, band: tuple[float, float], setup: Setup) -> Mode
         yield "Krylov at s = 0", f"Krylov, order {order}", reduced
 
 
-def balanced(
-    large: LinearModel, orders: tuple[int, ...], frequency: np.ndarray, repeats: int
-) -> Iterator[tuple[str, np.ndarray, Timing]]:
+def balanced(large, orders, frequency, repeats):
     """pyMOR's second-order balanced truncation (positions) of a model: label, response, time.
 
     Frequencies count in band ends and every port in its static answer, so that errors in one port

@@ -4,14 +4,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from kc2spice.core.waveforms import Waveforms
-from kc2spice.scene.model import Scene
 from laboratory.distance import compare
 from laboratory.fullmodel import as_waveforms, factorisations, full_surface, full_system, limit
-from laboratory.points import Outcome, Point, Ratio, Timing, fastest, scaled, timed
-from laboratory.setup import Setup, keys_of
+from laboratory.points import Outcome, Point, Ratio, fastest, scaled, timed
+from laboratory.setup import keys_of
 from laboratory.transient import Transient
-from laboratory.usual.transient import Ball, Road, TransientResult, transient
+from laboratory.usual.transient import Ball, transient
 
 PAPER_STEP = 50e-9  # s, of the paper's Newmark integration (2.2.2)
 SAMPLED = 6  # steps of the refactorising code that are timed
@@ -19,11 +17,11 @@ LIMIT = 1e-4  # of rebound velocity and travel
 REFACTOR, LOW_RANK = 1784.0, 100.0  # the paper's speed-up, and the one against the same trick
 
 
-def impact(setup: Setup) -> Outcome:
+def impact(setup):
     """All methods of the impact; speed-ups of the netlist over both codes of the full model."""
     scene = setup.scene("impact")
     transient = Transient(scene, setup)
-    plane, full = transient.plane(), _FullModel(scene, setup, transient)
+    plane, full = transient.plane(), _FullModel(scene, setup)
     limits = {"launch": LIMIT, "position_m": LIMIT * full.travel}
     own = fastest((p for p in plane.points if p.label in transient.decks), limits)
     errors = {} if own is None else full.errors(transient.decks[own.label])
@@ -51,48 +49,43 @@ def impact(setup: Setup) -> Outcome:
 class _FullModel:
     """Both codes of the full model at the paper's step, and its limit of small steps."""
 
-    def __init__(self, scene: Scene, setup: Setup, transient: Transient) -> None:
-        self.scene, self.stop = scene, scene.stop
-        self.system = full_system(scene)
-        self.surface = full_surface(scene)
+    def __init__(self, scene, setup):
+        self.stop, self.system, self.surface = scene.stop, full_system(scene), full_surface(scene)
         throw, sphere = keys_of(scene, "throw"), keys_of(scene, "sphere")
-        self.radius = sphere.radius
         mass = sphere.mass / self.system.sectors
         self.ball = Ball(mass, throw.gap, throw.velocity, scene.gravity)
+
+        def waves(result):
+            return as_waveforms(result, sphere.radius, self.system.sectors)
+
         step = 2.5 * PAPER_STEP if setup.quick else PAPER_STEP
         steps = round(self.stop / step)
         with setup.clock.stage("impact", "full model, converged in time"):
             fine = step if setup.quick else step / 5
-            self.exact = limit(self._waves(self._run(2 * fine)), self._waves(self._run(fine)))
+            self.exact = limit(waves(self._run(2 * fine)), waves(self._run(fine)))
         self.travel = float(np.ptp(self.exact["sphere.y"]))
         with setup.clock.stage("impact", "full model, low rank"):
             result, self.low_rank = timed(lambda: self._run(step), 1)
-        self.waves = self._waves(result)
+        self.waves = waves(result)
         touching = replace(self.ball, height=0.0)  # the timed steps are all in contact
         with setup.clock.stage("impact", f"full model, {SAMPLED} refactorising steps"):
             taken, sample = timed(
                 lambda: self._run(step, touching, SAMPLED * step, "refactorise"), 1
             )
         whole = factorisations(result.ring_force[1:])
-        self.refactorising: Timing = scaled(sample, whole / taken.factorisations)
+        self.refactorising = scaled(sample, whole / taken.factorisations)
         self.how = (
             f"from {taken.factorisations} of the {whole} factorisations that the closed springs of "
             f"its {steps} steps need"
         )
 
-    def _run(
-        self, step: float, ball: Ball | None = None, stop: float | None = None,
-        road: Road = "low_rank",
-    ) -> TransientResult:  # fmt: skip
+    def _run(self, step, ball=None, stop=None, method="low_rank"):
         return transient(
             self.system, self.surface, ball or self.ball, step=step, stop=stop or self.stop,
-            is_open=True, road=road,
+            is_open=True, method=method,
         )  # fmt: skip
 
-    def _waves(self, result: TransientResult) -> Waveforms:
-        return as_waveforms(result, self.radius, self.system.sectors)
-
-    def points(self) -> tuple[Point, ...]:
+    def points(self):
         """Errors here are against the full model, which is this method's own limit."""
         errors = self.errors(self.waves)
         error = errors["launch"] or 0.0
@@ -104,6 +97,6 @@ class _FullModel:
             )
         )
 
-    def errors(self, waves: Waveforms) -> dict[str, float | None]:
+    def errors(self, waves):
         """Of some method against the full model at its limit."""
         return compare(waves, self.exact)

@@ -7,21 +7,20 @@ from kc2spice.workflow.decks import make_deck
 from laboratory.fullmodel import factorisations, full_surface, full_system
 from laboratory.law import law
 from laboratory.points import Outcome, Plane, Point, Ratio, quick_timed, scaled, timed
-from laboratory.setup import Setup, keys_of
+from laboratory.setup import keys_of
 from laboratory.statics import pushed
-from laboratory.usual.statics import Electrical, imprint_refactorised
 from laboratory.usual.statics import imprint as full_imprint
+from laboratory.usual.statics import imprint_refactorised
 
 REFACTOR, LOW_RANK = 374.0, 100.0  # the paper's speed-up, and the one against the same trick
 SAMPLED = 4  # depths of the refactorising code that are timed
 
 
-def imprint(setup: Setup) -> Outcome:
+def imprint(setup):
     """Static force over depth: both codes of the full model, the ROM, ngspice on its netlist."""
     scene = setup.scene("imprint")
     build, push = setup.build(scene), keys_of(scene, "push")
-    is_open = keys_of(scene, "piezo_stack").electrical == "open"
-    electrical: Electrical = "open" if is_open else "short"
+    electrical = keys_of(scene, "piezo_stack").electrical
     depth = np.linspace(0.0, push.depth, push.steps + 1)
     equations = law(build)
     rom, rom_time = quick_timed(lambda: pushed(equations, depth), setup.repeats)
@@ -40,7 +39,7 @@ def imprint(setup: Setup) -> Outcome:
     refactor = scaled(sample, whole / count)
     exact = system.sectors * full.force
 
-    def error(force: np.ndarray) -> float:
+    def error(force):
         loaded = exact > 1e-6 * exact.max()
         return float((np.abs(force - exact)[loaded] / exact[loaded]).max())
 

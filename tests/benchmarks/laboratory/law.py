@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TypeVar
 
 import numpy as np
 from scipy.interpolate import CubicSpline
@@ -20,10 +19,7 @@ from kc2spice.fem.piezo.keys import SECTORS
 from kc2spice.parts.pid import Control
 from kc2spice.parts.piezo_stack import Drive
 from kc2spice.rom.modal import resonators
-from kc2spice.scene.parttype import Build
 from laboratory.setup import keys_of
-
-Real = TypeVar("Real", float, np.ndarray)
 
 # States after the 2 q modal ones, and their number.
 HEIGHT, SPEED, RATE, INTEGRAL = range(4)
@@ -38,13 +34,14 @@ class Mode:
     itself tells.
     """
 
-    start: float = 0.0
-    volt: float = 0.0
-    slope: float = 0.0
-    enabled: bool = False
-    saturated: int | None = 0
+    start: float
+    volt: float
+    slope: float
+    enabled: bool
+    end: float
+    saturated: int | None = None
 
-    def voltage(self, t: Real) -> Real:
+    def voltage(self, t):
         """Prescribed anode voltage [V] at one time or an array of them."""
         return self.volt + self.slope * (t - self.start)
 
@@ -61,13 +58,13 @@ class ForceMap:
     coefficients: np.ndarray
 
     @classmethod
-    def of(cls, table: EMTable) -> ForceMap:
+    def of(cls, table):
         """Combine the six coefficient functions for opposed equal currents."""
         columns = (table.c0, table.c2 - table.c1, table.c11 - table.c12 + table.c22)
         spline = CubicSpline(table.y, np.column_stack(columns), bc_type="not-a-knot")
         return cls(spline.x, spline.c)
 
-    def __call__(self, y: float, current: float) -> tuple[float, float, float]:
+    def __call__(self, y, current):
         """Force [N], dF/dy [N/m] and dF/di [N/A] at one position; the end cubics go on outside."""
         j = min(max(int(self.knots.searchsorted(y, side="right")) - 1, 0), self.knots.size - 2)
         s = y - self.knots[j]
@@ -112,17 +109,17 @@ class Law:
     drive: Drive | None
 
     @property
-    def q(self) -> int:
+    def q(self):
         """Number of modes."""
         return self.omega.size
 
     @property
-    def inverse_mass(self) -> np.ndarray:
+    def inverse_mass(self):
         """(q,) ``scale^2 / omega``: a generalised force ``gain / scale`` drives ``b`` by this."""
         return self.scale**2 / self.omega
 
     @cached_property
-    def linear(self) -> np.ndarray:
+    def linear(self):
         """(n, n): modes, the charge of a floating anode, kinematics and roll-off."""
         q = self.q
         A, diag = np.zeros((2 * q + EXTRA, 2 * q + EXTRA)), np.arange(q)
@@ -135,31 +132,38 @@ class Law:
             A[2 * q + RATE, [2 * q + SPEED, 2 * q + RATE]] = -1.0 / self.control.rolloff
         return A
 
+    def with_contact(self, closed):
+        """``linear`` with the springs of the closed rings."""
+        q, A = self.q, self.linear.copy()
+        p, v, rings = 2 * q + HEIGHT, 2 * q + SPEED, self.rings[closed]
+        if len(rings):
+            pull = self.stiffness * rings.sum(axis=0)
+            A[q : 2 * q, :q] -= self.stiffness * (self.inverse_mass[:, None] * rings.T) @ rings
+            A[q : 2 * q, p] = self.inverse_mass * pull
+            A[v, :q] = pull / self.mass
+            A[v, p] = -self.stiffness * len(rings) / self.mass
+        return A
+
     @cached_property
-    def sphere(self) -> Law:
+    def sphere(self):
         """The sphere alone: the law without any mode."""
         none = np.zeros(0)
         return replace(
             self, omega=none, damp=none, scale=none, rings=self.rings[:, :0], charge=none
         )
 
-    def penetration(self, x: np.ndarray) -> np.ndarray:
+    def penetration(self, x):
         """(n,) or (n, nt) ring penetrations [m] of one state or of columns of states."""
         gaps = self.gaps if x.ndim == 1 else self.gaps[:, None]
         return self.rings @ x[: self.q] - x[2 * self.q + HEIGHT] - gaps
 
-    def waveforms(self, t: np.ndarray, x: np.ndarray, steps: int) -> Waveforms:
+    def waveforms(self, t, x, steps):
         """Results of the states (n, nt) at the times ``t``, from so many steps."""
-        p, u = x[2 * self.q + HEIGHT], self.rings @ x[: self.q]
-        force = self.stiffness * np.maximum(0.0, self.penetration(x))
-        data = {
-            "time": t, "sphere.y": p + self.radius, "sphere.v": x[2 * self.q + SPEED],
-            "contact.force": force.sum(axis=0),
-        }  # fmt: skip
-        data |= {f"kick.u.ring{k}": row for k, row in enumerate(u)}
-        return Waveforms(data, {"accepted": float(steps)})
+        u, force = self.rings @ x[: self.q], np.maximum(0.0, self.penetration(x))
+        y, v = x[2 * self.q + HEIGHT] + self.radius, x[2 * self.q + SPEED]
+        return waveforms(t, y, v, self.stiffness * force.sum(axis=0), u, steps)
 
-    def check_height(self, height: np.ndarray) -> None:
+    def check_height(self, height):
         """Raise SimulationError if the sphere was outside the force table."""
         if self.force_map is None:
             return
@@ -175,19 +179,19 @@ class Law:
                 hint="widen catch.y_min .. catch.y_max, or check the gains and the polarity",
             )
 
-    def demand(self, rest: np.ndarray) -> float:
+    def demand(self, rest):
         """Current that the controller asks for before the clamp [A], from the last four states."""
         c, (p, _, rate, integral) = self.control, rest.tolist()
         assert c is not None
         return float(c.kp * (c.setpoint - self.radius - p) + integral + c.kd * rate)
 
-    def clamped(self, rest: np.ndarray) -> float:
+    def clamped(self, rest):
         """The demand within the controller's limits [A]."""
         assert self.control is not None
         limit = self.control.current_limit
         return min(max(self.demand(rest), -limit), limit)
 
-    def _current(self, x: np.ndarray, mode: Mode) -> tuple[float, bool]:
+    def _current(self, x, mode):
         """Coil current [A], and whether its integral part follows the error."""
         if self.control is None or not mode.enabled:
             return 0.0, False
@@ -196,7 +200,7 @@ class Law:
             return current, current == self.demand(x[-EXTRA:])
         return current, mode.saturated == 0
 
-    def rhs(self, t: float, x: np.ndarray, mode: Mode) -> np.ndarray:
+    def rhs(self, t, x, mode):
         """Rates of the state, as lean as numpy allows."""
         q, p = self.q, float(x[2 * self.q + HEIGHT])
         force = self.stiffness * np.maximum(self.rings @ x[:q] - p - self.gaps, 0.0)
@@ -210,17 +214,10 @@ class Law:
             rates[2 * q + INTEGRAL] = self.control.ki * (self.control.setpoint - self.radius - p)
         return rates
 
-    def jacobian(self, t: float, x: np.ndarray, mode: Mode) -> np.ndarray:
+    def jacobian(self, t, x, mode):
         """Analytic derivative of ``rhs``; contact enters by the rings that are closed."""
-        q, J = self.q, self.linear.copy()
-        p, v = 2 * q + HEIGHT, 2 * q + SPEED
-        closed = self.rings[self.penetration(x) > 0.0]
-        if len(closed):
-            pull = self.stiffness * closed.sum(axis=0)
-            J[q : 2 * q, :q] -= self.stiffness * (self.inverse_mass[:, None] * closed.T) @ closed
-            J[q : 2 * q, p] = self.inverse_mass * pull
-            J[v, :q] = pull / self.mass
-            J[v, p] = -self.stiffness * len(closed) / self.mass
+        q, closed = self.q, self.penetration(x) > 0.0
+        p, v, J = 2 * q + HEIGHT, 2 * q + SPEED, self.with_contact(closed)
         if self.force_map is not None:
             current, follows = self._current(x, mode)
             _, slope, gain = self.force_map(float(x[p]) + self.radius, current)
@@ -232,7 +229,14 @@ class Law:
         return J
 
 
-def law(build: Build) -> Law:
+def waveforms(t, y, v, force, u, steps):
+    """Height and velocity of the sphere, force on it, and rows of displacements of the rings."""
+    data = {"time": t, "sphere.y": y, "sphere.v": v, "contact.force": force}
+    data |= {f"kick.u.ring{k}": row for k, row in enumerate(u)}
+    return Waveforms(data, {"accepted": float(steps)})
+
+
+def law(build):
     """The equations of a scene with one chip, one contact and one sphere.
 
     The scene's contact penalty is that of a ring of one symmetry sector (paper eq. 10).

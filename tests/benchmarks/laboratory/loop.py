@@ -1,7 +1,6 @@
 """Plane ``loop``: five milliseconds of kick, flight and catch, and its ratios."""
 
-from laboratory.points import Outcome, Plane, Point, Ratio, fastest
-from laboratory.setup import Setup
+from laboratory.points import Outcome, Ratio, fastest
 from laboratory.transient import Transient
 from laboratory.variants import NO_INERTIA
 
@@ -9,7 +8,7 @@ LIMITS = {"launch": 1e-4, "position_m": 1e-7}
 TARGET = 0.05  # s of CPU
 
 
-def loop(setup: Setup) -> Outcome:
+def loop(setup):
     """Methods of ``kick_and_catch``; ratios are taken between points within ``LIMITS``."""
     plane = Transient(setup.scene("kick_and_catch"), setup).plane()
     every = _family(plane, "ngspice")
@@ -37,17 +36,15 @@ def loop(setup: Setup) -> Outcome:
     return Outcome((plane,), ratios)
 
 
-def _family(plane: Plane, start: str) -> list[Point]:
+def _family(plane, start):
     return [point for point in plane.points if point.family.startswith(start)]
 
 
-def _label(point: Point | None) -> str:
+def _label(point):
     return "none" if point is None else point.label
 
 
-def _ratio(
-    name: str, over: Point | None, ours: Point | None, target: float | None, what: str
-) -> Ratio:
+def _ratio(name, over, ours, target, what):
     """Time of ``over`` in times of ``ours``, with the error of the less exact of the two."""
     if over is None or ours is None:
         return Ratio(name, None, None, target, what)

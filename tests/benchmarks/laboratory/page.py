@@ -1,6 +1,6 @@
 """The benchmark as tables and figures."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -14,7 +14,7 @@ POINTS = ("method", "setting", "error", "time", "spread", "more")
 LEAST = 1e-16  # an error of zero is drawn here
 
 
-def bench_tables(record: Record) -> str:
+def bench_tables(record):
     """The whole record as Markdown."""
     text = f"# Speed against error\n\n{_machine_line(record)}\n"
     if record["ratios"]:
@@ -26,13 +26,13 @@ def bench_tables(record: Record) -> str:
     return text
 
 
-def _section(title: str, head: Sequence[str], rows: Iterator[Sequence[str]], note: str) -> str:
+def _section(title, head, rows, note):
     lines = (head, ["---"] * len(head), *rows)
     cells = ("| " + " | ".join(c.replace("|", r"\|") for c in line) + " |" for line in lines)
     return "\n".join([f"\n## {title}\n", *cells, "", note, ""])
 
 
-def _machine_line(record: Record) -> str:
+def _machine_line(record):
     """Processor and versions in one line, with a warning where the numbers mean nothing."""
     m = record["machine"]
     took = sum(record["seconds"].values())
@@ -48,7 +48,7 @@ def _machine_line(record: Record) -> str:
     return line + quick if record["quick"] else line
 
 
-def _ratio(item: tuple[str, Record]) -> tuple[str, ...]:
+def _ratio(item):
     name, ratio = item
     sign, value, unit = "≥" if ratio["at_least"] else "≤", ratio["value"], ratio["unit"]
     target = ratio["target"]
@@ -62,7 +62,7 @@ def _ratio(item: tuple[str, Record]) -> tuple[str, ...]:
     )
 
 
-def _point(point: Record) -> tuple[str, ...]:
+def _point(point):
     more = [*point["errors"].items(), *point["facts"].items()]
     extra = [f"{key} {_number(value)}" for key, value in more]
     return (
@@ -75,13 +75,13 @@ def _point(point: Record) -> tuple[str, ...]:
     )
 
 
-def _number(value: Any) -> str:
+def _number(value):
     if value is None:
         return "—"
     return value if isinstance(value, str) else f"{value:.3g}"
 
 
-def bench_figures(record: Record) -> Iterator[Figure]:
+def bench_figures(record):
     """Time over error of each plane; lower left is better."""
     for name, points in record["planes"].items():
         words = record["titles"][name]
@@ -97,6 +97,6 @@ def bench_figures(record: Record) -> Iterator[Figure]:
         yield Figure(f"bench_{name}", words["title"], "", (panel,))
 
 
-def _curve(label: str, points: Sequence[Record], style: Any) -> Curve:
+def _curve(label, points, style):
     error = np.maximum([p["error"] for p in points], LEAST)
     return Curve(label, error, np.array([p["time_s"] for p in points]), style)

@@ -4,12 +4,9 @@ import math
 import resource
 import statistics
 import time
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Literal, TypeVar
 
-T = TypeVar("T")
-Who = Literal["self", "children"]
 ENOUGH = 1.0  # s of CPU after which a point is not run again: long runs scatter little
 
 
@@ -71,7 +68,7 @@ class Ratio:
     errors: Mapping[str, float | None] = field(default_factory=dict)
 
     @property
-    def met(self) -> bool:
+    def met(self):
         """Whether the value is on the good side of the target, if there is one."""
         if self.target is None:
             return True
@@ -80,7 +77,7 @@ class Ratio:
         return self.value >= self.target if self.at_least else self.value <= self.target
 
 
-def timed(work: Callable[[], T], repeats: int, who: Who = "self") -> tuple[T, Timing]:
+def timed(work, repeats, who="self"):
     """Run ``work`` so often, or until ``ENOUGH`` was spent; its last result and the CPU time of
     this process or its children.
     """
@@ -92,19 +89,19 @@ def timed(work: Callable[[], T], repeats: int, who: Who = "self") -> tuple[T, Ti
     return result, timing(seconds)
 
 
-def rounds(seconds: Sequence[float], repeats: int) -> int:
+def rounds(seconds, repeats):
     """How often to run what took ``seconds`` so far: until ``ENOUGH`` is spent."""
     return min(repeats, math.ceil(ENOUGH / max(min(seconds), 1e-9))) if seconds else repeats
 
 
-def quick_timed(work: Callable[[], T], repeats: int, least: float = 0.02) -> tuple[T, Timing]:
+def quick_timed(work, repeats, least=0.02):
     """As :func:`timed` for work of microseconds: each repeat runs it for ``least`` seconds."""
     start = time.process_time()
     result = work()
     once = max(time.process_time() - start, 1e-7)
     count = max(1, min(100_000, round(least / once)))
 
-    def many() -> None:
+    def many():
         for _ in range(count):
             work()
 
@@ -112,17 +109,17 @@ def quick_timed(work: Callable[[], T], repeats: int, least: float = 0.02) -> tup
     return result, Timing(whole.median / count, whole.low / count, whole.high / count, repeats)
 
 
-def timing(seconds: Sequence[float]) -> Timing:
+def timing(seconds):
     """Median and range of some runs."""
     return Timing(statistics.median(seconds), min(seconds), max(seconds), len(seconds))
 
 
-def scaled(taken: Timing, factor: float) -> Timing:
+def scaled(taken, factor):
     """Time of the whole work where only a share of it was run."""
     return Timing(taken.median * factor, taken.low * factor, taken.high * factor, taken.repeats)
 
 
-def cpu_seconds(who: Who) -> float:
+def cpu_seconds(who):
     """CPU time so far of this process, or of all child processes that have ended."""
     if who == "self":
         return time.process_time()
@@ -130,20 +127,20 @@ def cpu_seconds(who: Who) -> float:
     return used.ru_utime + used.ru_stime
 
 
-def pareto(points: Sequence[Point]) -> list[Point]:
+def pareto(points):
     """Those that no other beats: in error or in time, and is not worse in the other."""
     return [point for point in points if not any(_beats(other, point) for other in points)]
 
 
-def _beats(one: Point, other: Point) -> bool:
+def _beats(one, other):
     error, cost = one.error - other.error, one.time.median - other.time.median
     return error <= 0.0 and cost <= 0.0 and (error < 0.0 or cost < 0.0)
 
 
-def fastest(points: Iterable[Point], limits: dict[str, float]) -> Point | None:
+def fastest(points, limits):
     """Fastest of the points whose ``errors`` keep all ``limits``, None if there is none."""
 
-    def keeps(point: Point) -> bool:
+    def keeps(point):
         errors = ((point.errors.get(name), limit) for name, limit in limits.items())
         return all(error is not None and error <= limit for error, limit in errors)
 

@@ -9,7 +9,7 @@ from solutions of the full model; balanced truncation is one of its own, by scip
 
 import argparse
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -27,25 +27,15 @@ from kc2spice.scene.load import load_scene
 from laboratory.beam import steel_cantilever
 from laboratory.fullmodel import chip
 
-NORMS: tuple[Norm, ...] = ("pointwise", "peak")
+NORMS = ("pointwise", "peak")
 TOLERANCES = (1e-2, 1e-3, 1e-4, 1e-5)
-HEAD: tuple[str, ...] = (
-    "model",
-    "states",
-    "norm",
-    "asked",
-    "ours",
-    "CPU [s]",
-    "certified",
-    "true error",
-)
-HEAD += ("balanced truncation within what was asked", "within our error", "CPU [s]")
+HEAD = ("model", "states", "norm", "asked", "ours", "CPU [s]", "certified", "true error",
+        "balanced truncation within what was asked", "within our error", "CPU [s]")  # fmt: skip
 POINTS, FLOOR, REFINEMENTS = 1200, 1e-6, 3
 LARGE = 1000  # states from which one norm and one tolerance are looked at: minutes
 # Published systems with the end of the band [rad/s]; what a plot of each usually shows.
 PUBLISHED = {"CDplayer": 1e5, "heat-cont": 1e3, "iss1R": 1e2, "beam": 1e3, "build": 1e2}
 PUBLISHED |= {"heatmodel": 1e3, "ISS12A": 1e2}
-Model = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
 
 
 @dataclass(frozen=True)
@@ -56,12 +46,12 @@ class Case:
     full: LinearModel
     band: tuple[float, float]  # rad/s
     answers: Callable[[np.ndarray], np.ndarray]
-    plain: Model
+    plain: tuple
     tolerances: tuple[float, ...] = TOLERANCES
     norms: tuple[Norm, ...] = NORMS
 
 
-def cases(folder: Path) -> Iterator[Case]:
+def cases(folder):
     """The published systems that are there, then those made here."""
     for name, top in PUBLISHED.items():
         if not (folder / f"{name}.mat").is_file():
@@ -86,7 +76,7 @@ def cases(folder: Path) -> Iterator[Case]:
                state_space(small.pencil, 5e5), (1e-5, 2e-7), NORMS[:1])  # fmt: skip
 
 
-def schur(model: Model) -> Callable[[np.ndarray], np.ndarray]:
+def schur(model):
     """``C (j w - A)^-1 B + D``: one triangular solution for each w."""
     A, B, C, D = model
     T, Z = scipy.linalg.schur(A.astype(complex), output="complex")
@@ -95,9 +85,7 @@ def schur(model: Model) -> Callable[[np.ndarray], np.ndarray]:
     return lambda w: np.array([outer @ solve(1j * x * one - T, inner) + D for x in w])
 
 
-def direct(
-    model: tuple[tuple[np.ndarray, ...], np.ndarray, np.ndarray], w: np.ndarray
-) -> np.ndarray:
+def direct(model, w):
     """``C P(j w)^-1 B`` with residuals in extended precision: a thin beam's matrices need it."""
     P, B, C = model
     fine, found = [each.astype(np.longdouble) for each in P], []
@@ -112,11 +100,11 @@ def direct(
     return np.array(found)
 
 
-def balanced(model: Model) -> Model:
+def balanced(model):
     """All states in balanced order (square root method)."""
     A, B, C, D = model
 
-    def root(P: np.ndarray) -> np.ndarray:
+    def root(P):
         values, vectors = np.linalg.eigh(0.5 * (P + P.T))
         return vectors * np.sqrt(np.maximum(values, 0))
 
@@ -129,7 +117,7 @@ def balanced(model: Model) -> Model:
     return W.T @ A @ T, W.T @ B, C @ T, D
 
 
-def largest(found: np.ndarray, exact: np.ndarray, norm: Norm) -> float:
+def largest(found, exact, norm):
     """Largest error of any entry in the norm."""
     size = np.abs(exact)
     peak = size.max(axis=0)
@@ -140,14 +128,14 @@ def largest(found: np.ndarray, exact: np.ndarray, norm: Norm) -> float:
 class Truncated:
     """Balanced truncation at any order, and its errors at ``w``."""
 
-    def __init__(self, plain: Model, w: np.ndarray, exact: np.ndarray) -> None:
+    def __init__(self, plain, w, exact):
         begin = time.process_time()
         self.order = balanced(plain)
         self.seconds = time.process_time() - begin
         self.size, self._w, self._exact = len(self.order[0]), w, exact
-        self.errors: dict[tuple[int, Norm], float] = {}
+        self.errors = {}
 
-    def error(self, q: int, norm: Norm) -> float:
+    def error(self, q, norm):
         """Of the first q states."""
         if (q, norm) not in self.errors:
             A, B, C, D = self.order
@@ -155,7 +143,7 @@ class Truncated:
             self.errors |= {(q, each): largest(found, self._exact, each) for each in NORMS}
         return self.errors[q, norm]
 
-    def least(self, error: float, norm: Norm) -> int | None:
+    def least(self, error, norm):
         """Fewest states within an error: bisected, then every one of the ten below."""
         low, high = 0, self.size
         if not self.error(high, norm) <= error:
@@ -167,10 +155,7 @@ class Truncated:
         return next((q for q in below if self.error(q, norm) <= error), high)
 
 
-Row = tuple[Norm, float, int, float, float, float, int | None, int | None, float]
-
-
-def compare(case: Case) -> tuple[list[Row], Truncated]:
+def compare(case):
     """Rows as in ``HEAD``, from the norm on."""
     low, top = case.band
     rng = np.random.default_rng(5)
@@ -179,7 +164,7 @@ def compare(case: Case) -> tuple[list[Row], Truncated]:
     w = np.unique(np.r_[w, poles[(poles > low) & (poles < top)]])
     exact = case.answers(w)
     other = Truncated(case.plain, w, exact)
-    rows: list[Row] = []
+    rows = []
     for norm in case.norms:
         for tolerance in case.tolerances:
             begin = time.process_time()
@@ -192,7 +177,6 @@ def compare(case: Case) -> tuple[list[Row], Truncated]:
                 print("refused:", case.name, tolerance, str(refused).splitlines()[0])
                 continue
             took = time.process_time() - begin
-            assert rom.certificate is not None
             error = largest(rom.transfer(w / (2 * np.pi)), exact, norm)
             states = rom.order * (1 if rom.first_order else 2)
             both = other.least(tolerance, norm), other.least(error, norm)
@@ -201,14 +185,14 @@ def compare(case: Case) -> tuple[list[Row], Truncated]:
     return rows, other
 
 
-def picture(name: str, rows: list[Row], other: Truncated) -> Figure:
+def picture(name, rows, other):
     """States over the true error, by norm and method."""
     curves = []
     for norm in {row[0]: None for row in rows}:
         ours = sorted((row[5], row[2]) for row in rows if row[0] == norm)
         theirs = sorted((error, q) for (q, each), error in other.errors.items() if each == norm)
         ends = 0.3 * ours[0][0], 3 * ours[-1][0]
-        front: list[tuple[float, int]] = []
+        front = []
         for error, q in theirs:
             if ends[0] < error < ends[1] and (not front or q < front[-1][1]):
                 front.append((error, q))
@@ -223,7 +207,7 @@ def picture(name: str, rows: list[Row], other: Truncated) -> Figure:
     )
 
 
-def _main() -> None:
+def _main():
     parser = argparse.ArgumentParser(
         prog="python -m laboratory.reduction_methods", description=__doc__
     )

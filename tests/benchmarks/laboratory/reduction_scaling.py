@@ -24,7 +24,7 @@ THREADS = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THR
 KINDS = {"plate": 2, "solid": 3}
 
 
-def grid_model(unknowns: int, dimension: int) -> LinearModel:
+def grid_model(unknowns, dimension):
     """Plate (dimension 2) or solid (3) of multilinear elements with three coupled fields, held all
     around, light proportional damping, two ports: the pattern of a structural FE model.
     """
@@ -41,14 +41,14 @@ def grid_model(unknowns: int, dimension: int) -> LinearModel:
     return LinearModel(M=M, E=0.01 * K, K=K, B=B, name="grid")
 
 
-def _product(factors: list[sparse.dia_array]) -> sparse.csr_array:
+def _product(factors):
     product = factors[0]
     for factor in factors[1:]:
         product = sparse.kron(product, factor)
     return sparse.csr_array(product)
 
 
-def _measure(unknowns: int, dimension: int) -> str:
+def _measure(unknowns, dimension):
     """Equations, states, wall and processor time, and the peak memory of the whole process, of
     which Python and its libraries take 0.1 GB: cells of a row."""
     model = grid_model(unknowns, dimension)
@@ -59,7 +59,7 @@ def _measure(unknowns: int, dimension: int) -> str:
     return " | ".join([str(model.order), str(rom.order), *(f"{x:.3g}" for x in (*spent, memory))])
 
 
-def _main() -> None:
+def _main():
     parser = argparse.ArgumentParser(
         prog="python -m laboratory.reduction_scaling", description=__doc__
     )

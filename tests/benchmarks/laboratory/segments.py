@@ -1,27 +1,14 @@
 """Stretches of a transient between the corners of its drive, and where it starts."""
 
-from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
 
-from kc2spice.scene.model import Scene
-from laboratory.law import EXTRA, HEIGHT, SPEED, Law
+from laboratory.law import EXTRA, HEIGHT, SPEED, Mode
 from laboratory.statics import rest
 
 
-@dataclass(frozen=True)
-class Segment:
-    """From ``start`` to ``end`` the anode's voltage is ``volt + slope (t - start)``."""
-
-    start: float
-    end: float
-    volt: float
-    slope: float
-    enabled: bool
-
-
-def segments(law: Law, stop: float) -> list[Segment]:
+def segments(law, stop):
     """All stretches up to ``stop``: not restarted there, integrators miss the kick."""
     corners, volts = np.array([0.0]), np.array([0.0])
     if law.drive is not None:
@@ -30,15 +17,15 @@ def segments(law: Law, stop: float) -> list[Segment]:
         corners, volts = np.append(corners, rise), np.append(volts, [0.0, d.voltage, d.voltage, 0])
     enable = law.control.switching[0][0] if law.control is not None else np.inf
     marks = np.unique(np.concatenate((corners, [enable, stop])))
-    marks = marks[marks <= stop]
-    level = np.interp(marks, corners, volts)
+    marks = marks[marks <= stop].tolist()
+    level = np.interp(marks, corners, volts).tolist()
     return [
-        Segment(float(a), float(b), float(u), float((w - u) / (b - a)), bool(a >= enable))
+        Mode(a, u, (w - u) / (b - a), a >= enable, b)
         for (a, b), (u, w) in zip(pairwise(marks), pairwise(level), strict=True)
     ]
 
 
-def initial(law: Law, scene: Scene) -> np.ndarray:
+def initial(law, scene):
     """State ``[a, b, p, v, d, I]``: the sphere at rest on the chip, or thrown at it."""
     throw = scene.only("throw")
     if throw is None:
@@ -48,7 +35,7 @@ def initial(law: Law, scene: Scene) -> np.ndarray:
     return x
 
 
-def saturation(law: Law, x: np.ndarray, enabled: bool) -> int:
+def saturation(law, x, enabled):
     """-1, 0 or +1: the limit at which the current is in the state ``x``."""
     if not enabled:
         return 0

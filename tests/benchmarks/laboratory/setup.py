@@ -1,19 +1,12 @@
 """Scenes, models and effort of a benchmark."""
 
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, TypeVar
 
 from kc2spice.core.errors import UsageError
 from kc2spice.core.progress import Clock
 from kc2spice.scene.load import load_scene
-from kc2spice.scene.model import Scene
-from kc2spice.scene.parttype import Build
-from kc2spice.scene.settings import Rom
 from kc2spice.workflow.models import build_models
-
-T = TypeVar("T")
 
 # A chip of a tenth of the unknowns and a field table of a quarter of the heights.
 COARSE = ("kick.mesh.sectors=2", "kick.mesh.outer_rings=2", "kick.layers=33")
@@ -33,7 +26,7 @@ class Setup:
     work: Path
     clock: Clock
 
-    def scene(self, name: str, *, lumped: bool = True) -> Scene:
+    def scene(self, name, *, lumped=True):
         """A gallery scene, coarse in a quick run.
 
         Contact ports keep their inertia: the laboratory's integrators know the paper's form alone.
@@ -44,18 +37,18 @@ class Setup:
         with_mass = lumped and "contact" in load_scene(name).parts
         return load_scene(name, (*chosen, *(("contact.inertia=lumped",) if with_mass else ())))
 
-    def build(self, scene: Scene, rom: Rom | None = None) -> Build:
+    def build(self, scene, rom=None):
         """``scene`` with its models, or with those of another reduction."""
         if rom is not None:
             scene = replace(scene, frame=scene.frame.model_copy(update={"rom": rom}))
         return build_models(scene, self.clock)
 
-    def some(self, values: tuple[T, ...], quick: int = 2) -> tuple[T, ...]:
+    def some(self, values, quick=2):
         """All ``values``, or the first few in a quick run."""
         return values[:quick] if self.quick else values
 
 
-def keys_of(scene: Scene, kind: str) -> Any:
+def keys_of(scene, kind):
     """The keys of the only part of a type.
 
     Raises
@@ -68,6 +61,6 @@ def keys_of(scene: Scene, kind: str) -> Any:
     return part.keys
 
 
-def changed(build: Build, keys: Mapping[str, Any]) -> Build:
+def changed(build, keys):
     """The same models under a scene with other dotted keys, none of which they depend on."""
     return replace(build, scene=load_scene(build.scene, keys))

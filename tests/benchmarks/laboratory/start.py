@@ -9,7 +9,7 @@ from pathlib import Path
 
 from kc2spice.core.errors import SimulationError
 from laboratory.points import Outcome, Ratio, timing
-from laboratory.setup import COARSE, COARSE_CATCH, Setup
+from laboratory.setup import COARSE, COARSE_CATCH
 
 SCENE = ("run", "kick_and_catch", "--quiet", "--json", "--out")
 GAIN = "control.kd=21 A s/m"
@@ -18,7 +18,7 @@ GAIN = "control.kd=21 A s/m"
 RUNS = 7  # of each; their median counts
 
 
-def start(setup: Setup) -> Outcome:
+def start(setup):
     """Wall time of whole commands, in new processes, the first run with an empty cache."""
     runs = min(RUNS, setup.repeats) if setup.quick else RUNS
     with tempfile.TemporaryDirectory(prefix="kc2spice-start-") as folder:
@@ -41,17 +41,17 @@ def start(setup: Setup) -> Outcome:
     )
 
 
-def _limit(name: str, taken: list[float], limit: float, what: str) -> Ratio:
+def _limit(name, taken, limit, what):
     spread = f"{what}, wall time, median of {len(taken)}, {min(taken):.3g} to {max(taken):.3g} s"
     return Ratio(name, timing(taken).median, None, limit, spread, at_least=False, unit="s")
 
 
-def _command(arguments: list[str], cache: Path) -> float:
+def _command(arguments, cache):
     """Seconds of one command of kc2spice with a cache of its own."""
     return _seconds([sys.executable, "-m", "kc2spice", *arguments], cache)
 
 
-def _seconds(command: list[str], cache: Path) -> float:
+def _seconds(command, cache):
     environment = {**os.environ, "KC2SPICE_CACHE": str(cache)}
     environment.pop("PYTHONDONTWRITEBYTECODE", None)  # what is installed has its bytecode
     begin = time.perf_counter()

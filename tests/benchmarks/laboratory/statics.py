@@ -4,10 +4,10 @@ import numpy as np
 from scipy.optimize import brentq
 
 from kc2spice.core.errors import SimulationError
-from laboratory.law import EXTRA, HEIGHT, Law
+from laboratory.law import EXTRA, HEIGHT
 
 
-def compliance(equations: Law) -> np.ndarray:
+def compliance(equations):
     """(n, n) static compliance of the rings [m/N]: anode shorted, or floating with no charge.
 
     ``S = G' diag(1/omega^2) G``; a floating anode takes off ``s s' / (c0 + e' diag(1/omega^2) e)``.
@@ -21,7 +21,7 @@ def compliance(equations: Law) -> np.ndarray:
     return shorted - np.outer(cross, cross) / (equations.c0 + (weight * charge) @ charge)
 
 
-def contact_forces(compliant: np.ndarray, stiffness: float, overlap: np.ndarray) -> np.ndarray:
+def contact_forces(compliant, stiffness, overlap):
     """Ring forces (m, n) [N] with ``F = k max(0, overlap - S F)`` by semi-smooth Newton.
 
     ``overlap`` (m, n) are the penetrations that would be there without forces, of m cases; cases
@@ -43,14 +43,14 @@ def contact_forces(compliant: np.ndarray, stiffness: float, overlap: np.ndarray)
     raise SimulationError("static contact did not converge", where="contact", got=f"{overlap}")
 
 
-def rest(equations: Law) -> np.ndarray:
+def rest(equations):
     """Full state of the sphere resting on the chip, coils dead and anode at 0 V."""
     soft = compliance(equations)
 
-    def forces(p: float) -> np.ndarray:
+    def forces(p):
         return contact_forces(soft, equations.stiffness, (-p - equations.gaps)[None])[0]
 
-    def surplus(p: float) -> float:
+    def surplus(p):
         pull = 0.0
         if equations.force_map is not None:
             pull = equations.force_map(p + equations.radius, 0.0)[0]
@@ -78,7 +78,7 @@ def rest(equations: Law) -> np.ndarray:
     return x
 
 
-def pushed(equations: Law, depth: np.ndarray) -> np.ndarray:
+def pushed(equations, depth):
     """Whole contact force [N] (m,) at each imprint ``depth`` [m] (paper Fig. 8)."""
     soft = compliance(equations)
     force = contact_forces(soft, equations.stiffness, depth[:, None] - equations.gaps)

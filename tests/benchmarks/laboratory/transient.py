@@ -1,26 +1,18 @@
 """The planes of impact and loop: launch or rebound error against CPU time, all methods."""
 
-from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 
 from kc2spice.core.errors import MissingToolError, SimulationError
-from kc2spice.core.waveforms import Waveforms
-from kc2spice.scene.model import Scene
-from kc2spice.scene.parttype import Build
 from kc2spice.sim.ngspice import run_deck
 from kc2spice.workflow.decks import make_deck
 from kc2spice.workflow.verify.circuit import solve
 from laboratory.distance import compare
-from laboratory.law import Law, law
-from laboratory.located import located
+from laboratory.law import law
+from laboratory.located import integrate, located
 from laboratory.lower_bound import LowerBound
-from laboratory.peers import integrate
-from laboratory.points import Plane, Point, Timing, rounds, timed, timing
-from laboratory.setup import Setup
-from laboratory.variants import SHORT, Variant, fixed_steps, launches, variants
-
-Work = list[tuple[str, Callable[[], Point]]]
+from laboratory.points import Plane, Point, rounds, timed, timing
+from laboratory.variants import SHORT, fixed_steps, launches, variants
 
 # As fine as the steps of ngspice's own tolerances, so that both are tuned alike.
 RTOL = (1e-3, 1e-4, 5e-4, 3e-4, 2e-4, 5e-5, 3e-5, 2e-5, 1e-5, 1e-6)
@@ -31,17 +23,17 @@ FACTS = ("accepted", "rejected", "iterations")
 class Transient:
     """One scene with its exact solution; points are measured against that."""
 
-    def __init__(self, scene: Scene, setup: Setup) -> None:
+    def __init__(self, scene, setup):
         self.scene, self.setup = scene, setup
         self.thrown = scene.only("throw") is not None
         self.build = setup.build(scene)
-        self.decks: dict[str, Waveforms] = {}  # what ngspice gave, by label
-        self.law: Law = law(self.build)
-        self.massless: Waveforms | None = None  # exact solution of the form without inertia
+        self.decks = {}  # what ngspice gave, by label
+        self.law = law(self.build)
+        self.massless = None  # exact solution of the form without inertia
         with setup.clock.stage(scene.name, "exact solution"):
             self.exact = located(self.law, scene)
 
-    def plane(self) -> Plane:
+    def plane(self):
         """All methods on the scene's reduced model."""
         points, notes = self._rounds([*self._ngspice(), *self._scipy(), *self._lower_bound()])
         what = "rebound" if self.thrown else "launch"
@@ -58,15 +50,12 @@ class Transient:
             f"relative error of the {what} velocity", "CPU time [s]", tuple(points), tuple(notes),
         )  # fmt: skip
 
-    def _rounds(self, work: Work) -> tuple[list[Point], list[str]]:
+    def _rounds(self, work):
         """All points, each measured once a round: a slow minute of the machine meets them alike.
 
         Long ones are measured in the first rounds only; what fails there is a note.
         """
-        points: dict[str, Point] = {}
-        seconds: dict[str, list[float]] = {}
-        notes = []
-        repeats = self.setup.repeats
+        points, seconds, notes, repeats = {}, {}, [], self.setup.repeats
         for turn in range(repeats):
             for done, (label, measure) in enumerate(work):
                 if turn and (label not in points or turn >= rounds(seconds[label], repeats)):
@@ -82,10 +71,7 @@ class Transient:
                 seconds.setdefault(label, []).append(point.time.median)
         return [replace(p, time=timing(seconds[label])) for label, p in points.items()], notes
 
-    def point(
-        self, family: str, label: str, waves: Waveforms, time: Timing, note: str = "",
-        against: Waveforms | None = None,
-    ) -> Point:  # fmt: skip
+    def point(self, family, label, waves, time, note="", against=None):
         """A point from its waveforms; ``against`` another exact solution than the plane's."""
         found = compare(waves, against or self.exact)
         errors = {name: found[name] for name in ("launch", "position_m")}
@@ -94,11 +80,11 @@ class Transient:
         facts = {name: waves.stats[name] for name in FACTS if name in waves.stats}
         return Point(family, label, errors["launch"], time, errors, facts, note)
 
-    def _ngspice(self) -> Work:
+    def _ngspice(self):
         found = [*variants(self.build, self.setup)]
         if not self.thrown:
             found.append(fixed_steps(self.build))
-        work: Work = [(v.label, partial(self._deck, v)) for v in found]
+        work = [(v.label, partial(self._deck, v)) for v in found]
         if not self.thrown:
             build = self.setup.build(self.setup.scene(self.scene.name, lumped=False))
             work += [
@@ -106,7 +92,7 @@ class Transient:
             ]
         return work
 
-    def _massless(self, variant: Variant, build: Build) -> Point:
+    def _massless(self, variant, build):
         """A deck without inertia behind the contact, against the reference of ``build``.
 
         That is the product's own integration, located events included; no netlist in it.
@@ -116,15 +102,15 @@ class Transient:
             self.massless = solve(build, fine).results
         return self._deck(variant, self.massless)
 
-    def _deck(self, variant: Variant, against: Waveforms | None = None) -> Point:
+    def _deck(self, variant, against=None):
         folder = self.setup.work / self.scene.name
         waves, time = timed(lambda: run_deck(variant.deck, folder), 1, "children")
         point = self.point(variant.family, variant.label, waves, time, variant.note, against)
         self.decks[variant.label] = waves
         return point
 
-    def _scipy(self) -> Work:
-        work: Work = []
+    def _scipy(self):
+        work = []
         for method in self.setup.some(METHODS, 1):
             if method in ("BDF", "DOP853") and self.scene.stop > SHORT:
                 continue
@@ -136,19 +122,19 @@ class Transient:
             work.append((label, partial(self._located, rtol, label)))
         return work
 
-    def _solve_ivp(self, method: str, rtol: float, label: str) -> Point:
+    def _solve_ivp(self, method, rtol, label):
         waves, time = timed(lambda: integrate(self.law, self.scene, method, rtol), 1)
         return self.point(f"scipy, {method}", label, waves, time, "restarted at the pulse's edges")
 
-    def _located(self, rtol: float, label: str) -> Point:
+    def _located(self, rtol, label):
         waves, time = timed(lambda: located(law(self.build), self.scene, rtol), 1)
         note = "not a general integrator: knows that nothing but contact couples the modes"
         return self.point("scipy, specialised", label, waves, time, note)
 
-    def _lower_bound(self) -> Work:
+    def _lower_bound(self):
         bound = LowerBound(self.law)
 
-        def kept() -> Point:
+        def kept():
             bound.run(self.scene)
             run = timed(lambda: bound.run(self.scene), 1)
             note = "exact steps, eigenvectors of every contact set kept; flight compiled"

@@ -1,15 +1,13 @@
 """Decks of a transient scene with one thing changed, as points of speed against error."""
 
 import re
-from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
 from kc2spice.netlist.cards import number
 from kc2spice.netlist.deck import Deck
-from kc2spice.scene.parttype import Build
 from kc2spice.workflow.decks import make_deck
 from laboratory.forms import with_text
-from laboratory.setup import Setup, changed
+from laboratory.setup import changed
 
 RELTOL = (1e-3, 1e-4, 1e-5, 1e-2, 1e-6, 1e-7)
 # reltol, chgtol [C], longest step [s], heights looked up: room left by a launch error of 1e-4.
@@ -36,7 +34,7 @@ class Variant:
     note: str = ""
 
 
-def variants(build: Build, setup: Setup) -> Iterator[Variant]:
+def variants(build, setup):
     """Decks of one reduced model: tolerances, methods, ceilings, lookups."""
     scene, own = build.scene, make_deck(build)
     catch = scene.only("ring_magnet_coils")
@@ -56,7 +54,7 @@ def variants(build: Build, setup: Setup) -> Iterator[Variant]:
         yield Variant("ngspice, for 1e-4", label, deck)
 
 
-def launches(build: Build, setup: Setup) -> Iterator[Variant]:
+def launches(build, setup):
     """Decks of a loop whose contact ports have no inertia: as it is, and for a launch alone."""
     yield Variant(NO_INERTIA, "no inertia, the scene as it is", make_deck(build))
     catch, control = build.scene.only("ring_magnet_coils"), build.scene.only("pid")
@@ -72,7 +70,7 @@ def launches(build: Build, setup: Setup) -> Iterator[Variant]:
         yield Variant(NO_INERTIA, f"no inertia, {words}", _deck(build, keys))
 
 
-def fixed_steps(build: Build) -> Variant:
+def fixed_steps(build):
     """The paper's fixed system step: ngspice with error control and watched contacts taken away."""
     deck = _deck(build, {"solver.max_step": PAPER_STEP})
     deck = _option(_option(deck, "trtol", 1e12), "chgtol", 1.0)
@@ -84,10 +82,10 @@ def fixed_steps(build: Build) -> Variant:
     )  # fmt: skip
 
 
-def _deck(build: Build, keys: Mapping[str, object]) -> Deck:
+def _deck(build, keys):
     return make_deck(changed(build, keys))
 
 
-def _option(deck: Deck, name: str, value: float) -> Deck:
+def _option(deck, name, value):
     """``deck`` with one simulator option set to another value."""
     return deck.with_options({name: number(value)}, "of the laboratory")

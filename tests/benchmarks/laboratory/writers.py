@@ -7,7 +7,6 @@ from types import SimpleNamespace
 
 import numpy as np
 
-from kc2spice.core.waveforms import Waveforms
 from kc2spice.netlist.circuit import Subcircuit
 from kc2spice.netlist.deck import Deck
 from kc2spice.rom.linear import Certificate, LinearModel, Port
@@ -15,15 +14,14 @@ from kc2spice.rom.multiport import _admittance, _state_space
 from kc2spice.sim.ngspice import run_deck
 from kc2spice.spice.realize import subcircuit
 from laboratory.forms import rotation, synthetic
-from laboratory.points import Outcome, Plane, Point, Ratio, Timing, timed
-from laboratory.setup import Setup
+from laboratory.points import Outcome, Plane, Point, Ratio, timed
 
 OHM, TOP = 50.0, 1e9  # of the scattering parameters, Hz
 STEP, STOP = 5e-11, 1e-7  # s of the transient
 SOURCE = "DC 0 AC 1 SIN(0 1 3e8)"
 
 
-def writers(setup: Setup) -> Outcome:
+def writers(setup):
     """CPU time of ngspice by form; error of the response in closed form, in .tran to the other."""
     pairs, ports = (4, 2) if setup.quick else (50, 4)
     fit, answer = multiport(5, pairs, ports)
@@ -62,7 +60,7 @@ def writers(setup: Setup) -> Outcome:
     return Outcome((plane,), tuple(ratios))
 
 
-def multiport(real: int, pairs: int, ports: int):  # type: ignore[no-untyped-def]
+def multiport(real, pairs, ports):  # type: ignore[no-untyped-def]
     """A passive reciprocal scattering matrix as a fit has it; what port 2 of it answers to a source
     of 1 V at port 1 while all others see 50 ohm."""
     rng = np.random.default_rng(0)
@@ -75,7 +73,7 @@ def multiport(real: int, pairs: int, ports: int):  # type: ignore[no-untyped-def
     R = (R + R.swapaxes(1, 2)) * 0.08 / ports * np.abs(poles.real)[:, None, None]
     D = np.diag(rng.uniform(-0.3, 0.3, ports))
 
-    def answer(frequency: np.ndarray) -> np.ndarray:
+    def answer(frequency):
         s, one = 2j * np.pi * frequency[:, None, None], np.eye(ports)
         S = D + sum(
             r / (s - p) + (p.imag > 0) * r.conj() / (s - p.conj())
@@ -88,7 +86,7 @@ def multiport(real: int, pairs: int, ports: int):  # type: ignore[no-untyped-def
     return SimpleNamespace(poles=poles, residues=residues, constant_coeff=D.ravel()), answer
 
 
-def _scikit(setup: Setup, fit: SimpleNamespace, ports: int) -> Subcircuit:
+def _scikit(setup, fit, ports):
     import skrf
     from skrf.vectorFitting import VectorFitting
 
@@ -103,7 +101,7 @@ def _scikit(setup: Setup, fit: SimpleNamespace, ports: int) -> Subcircuit:
     return Subcircuit("dut", (), (), file.read_text())
 
 
-def _cards(part: Subcircuit, ports: int, analysis: str, count: int) -> list[str]:
+def _cards(part, ports, analysis, count):
     names = [f"port{k + 1}" for k in range(ports)]
     pins = [pin.name for pin in part.pins] or names
     commands = {".ac": f".ac lin {count} {TOP / 1000!r} {TOP!r}", ".tran": f".tran {STEP} {STOP}"}
@@ -114,7 +112,7 @@ def _cards(part: Subcircuit, ports: int, analysis: str, count: int) -> list[str]
     ]  # fmt: skip
 
 
-def _run(setup: Setup, part: Subcircuit, cards: list[str], seen: str) -> tuple[Waveforms, Timing]:
+def _run(setup, part, cards, seen):
     """The voltage ``seen`` as ``out`` in a deck of these cards, and the CPU time of ngspice."""
     lines = ["* one model", f".include {part.filename}", *cards, f".save v({seen})", ".end", ""]
     vectors = {"out": (f"v({seen})", 1.0)}
@@ -122,10 +120,7 @@ def _run(setup: Setup, part: Subcircuit, cards: list[str], seen: str) -> tuple[W
     return timed(partial(run_deck, deck, setup.work / "writers"), setup.repeats, "children")
 
 
-def _point(
-    family: str, label: str, part: Subcircuit, found: np.ndarray, exact: np.ndarray, time: Timing,
-    same_model: bool = True,
-) -> Point:  # fmt: skip
+def _point(family, label, part, found, exact, time, same_model=True):
     size = np.abs(exact).max() or 1.0  # at rest, where time alone is looked at
     error = max(float(np.abs(found - exact).max() / size), 1e-16)
     sources = sum(line[:1] in "GEF" for line in part.text.splitlines())
@@ -133,7 +128,7 @@ def _point(
     return Point(family, label, error, time, errors, facts, same_model=same_model)
 
 
-def _first_order(setup: Setup, ratios: list[Ratio]) -> list[Point]:
+def _first_order(setup, ratios):
     """100 states of first order, coordinates mixed, and 100 resonators, 8 ports each, in .ac and
     in .tran of fixed steps."""
     size, ports = (10, 3) if setup.quick else (100, 8)

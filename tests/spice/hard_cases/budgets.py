@@ -65,7 +65,7 @@ class Budgeted:
     scene: Mapping[str, Any]
 
 
-def between(rng: np.random.Generator, low: float, high: float) -> float:
+def between(rng, low, high):
     """Log-uniform, four digits."""
     return float(f"{np.exp(rng.uniform(np.log(low), np.log(high))):.4g}")
 
@@ -73,7 +73,7 @@ def between(rng: np.random.Generator, low: float, high: float) -> float:
 # --- a kick --------------------------------------------------------------------------------------
 
 
-def kick(rng: np.random.Generator) -> dict[str, Any]:
+def kick(rng):
     """A small chip, damped by 1 % or 0.3 %, under a sphere and a pulse."""
     width, damping = between(rng, 2e-6, 2e-5), float(rng.choice([1e-2, 3e-3]))
     edge = min(between(rng, 1e-8, 2e-6), width)
@@ -90,7 +90,7 @@ def kick(rng: np.random.Generator) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def kick_error(done: Completed) -> float:
+def kick_error(done):
     """Relative error of the launch velocity."""
     waves, scene = done.outcome.waves, done.build.scene
     time, ball, chip = waves["time"], scene.parts["sphere"].keys, scene.parts["kick"].keys
@@ -116,21 +116,21 @@ def kick_error(done: Completed) -> float:
 # --- full models of bodies -----------------------------------------------------------------------
 
 
-def _full(done: Completed, part: str) -> Any:
+def _full(done, part):
     """The full model of a body of the drawn scene on a finer mesh."""
     tables = {k: v for k, v in done.build.scene.tables.items() if k != "error_budget"}
     drawn = load_scene({**tables, part: {**tables[part], "mesh": {"refine": FINER[part]}}})
     return kc.build(drawn)[part]
 
 
-def _whole(K: Any) -> tuple[sparse.csc_array, int]:
+def _whole(K):
     """The stiffness with its electric potentials, and how many of its unknowns move."""
     if sparse.issparse(K):
         return sparse.csc_array(K), K.shape[0]
     return sparse.csc_array(sparse.bmat([[K.uu, K.up], [K.pu, K.pp]])), K.shape[0]
 
 
-def _padded(matrix: Any, size: int) -> sparse.csc_array:
+def _padded(matrix, size):
     found = sparse.coo_array(matrix)
     return sparse.csc_array((found.data, found.coords), shape=(size, size))
 
@@ -138,7 +138,7 @@ def _padded(matrix: Any, size: int) -> sparse.csc_array:
 # --- a buzzer ------------------------------------------------------------------------------------
 
 
-def buzzer(rng: np.random.Generator) -> dict[str, Any]:
+def buzzer(rng):
     """A ceramic on a plate of brass, its current at one frequency and at its peak."""
     wide, thick = between(rng, 10e-3, 30e-3), between(rng, 0.1e-3, 0.3e-3)
     ceramic = float(f"{wide * rng.uniform(0.5, 0.85):.4g}")
@@ -161,7 +161,7 @@ def buzzer(rng: np.random.Generator) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def buzzer_error(done: Completed) -> float:
+def buzzer_error(done):
     """Relative error of the current at the probe's frequency."""
     model = _full(done, "disc")
     s = 2j * np.pi * done.build.scene.probes["current_a"].at
@@ -179,7 +179,7 @@ def buzzer_error(done: Completed) -> float:
 # --- a bimorph -----------------------------------------------------------------------------------
 
 
-def bimorph(rng: np.random.Generator) -> dict[str, Any]:
+def bimorph(rng):
     """A cantilever of two layers under a pulse."""
     thick = between(rng, 0.2e-3, 0.5e-3)
     layers = [{"material": "PZT-5A", "thickness": thick}] * 2
@@ -198,14 +198,14 @@ def bimorph(rng: np.random.Generator) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def bimorph_error(done: Completed) -> float:
+def bimorph_error(done):
     """Relative error of the largest displacement of the tip."""
     model = _full(done, "beam")
     alpha, beta = model.rayleigh
     K, moving = _whole(model.K)
     rest = splu(K)
 
-    def inverse(b: np.ndarray) -> np.ndarray:
+    def inverse(b):
         load = np.zeros(K.shape[0])
         load[:moving] = b.ravel()
         return np.asarray(rest.solve(load)[:moving])
@@ -231,16 +231,16 @@ def bimorph_error(done: Completed) -> float:
 # --- plain equations -----------------------------------------------------------------------------
 
 
-def drawn(family: Callable[[Drawn], Any]) -> tuple[Draw, Judge]:
+def drawn(family):
     """A family of ``test_random_parts.py`` with a budget for the peak to peak of a wave, which its
     own equations have too."""
 
-    def under_way(seed: int) -> Drawn:
+    def under_way(seed):
         found = Drawn(random.Random(seed), Path("."))
         family(found)
         return found
 
-    def draw(rng: np.random.Generator) -> dict[str, Any]:
+    def draw(rng):
         seed, budget = int(rng.integers(2**31)), between(rng, 1e-4, 2e-2)
         d = under_way(seed)
         return tomllib.loads("\n".join(d.text)) | {
@@ -249,7 +249,7 @@ def drawn(family: Callable[[Drawn], Any]) -> tuple[Draw, Judge]:
             "probes": {"range": {"of": next(iter(d.compared)), "take": "peak_to_peak"}},
         }  # fmt: skip
 
-    def judge(done: Completed) -> float:
+    def judge(done):
         d = under_way(int(done.build.scene.tables["title"]))
         points = np.linspace(0.0, d.stop, POINTS)
         _, wave = d.solve(points) if hasattr(d, "solve") else d.own.solve(d.stop, points)
@@ -272,7 +272,7 @@ FAMILIES: dict[str, tuple[Draw, Judge]] = {
 METRICS = {"kick": "launch_velocity_m_s", "buzzer": "current_a", "bimorph": "stroke_m"}
 
 
-def judged(number: int) -> Budgeted:
+def judged(number):
     """Run one draw and compare it with its oracle."""
     family = list(FAMILIES)[number % len(FAMILIES)]
     draw, judge = FAMILIES[family]
@@ -281,7 +281,7 @@ def judged(number: int) -> Budgeted:
         return _compared(family, tables, judge)
 
 
-def _compared(family: str, tables: dict[str, Any], judge: Judge) -> Budgeted:
+def _compared(family, tables, judge):
     budget, why = tables["error_budget"], "timed out"
     try:
         with patience(PATIENCE), tempfile.TemporaryDirectory() as work, warnings.catch_warnings():
@@ -302,7 +302,7 @@ def _compared(family: str, tables: dict[str, Any], judge: Judge) -> Budgeted:
     return Budgeted(family, why, budget, np.nan, np.nan, "", 0, tables)
 
 
-def main() -> None:
+def main():
     """Every draw, then how many budgets held."""
     count = Counter[str]()
     for number in range(*map(int, sys.argv[1:3])):

@@ -1,11 +1,9 @@
 """Models of other tools and circuits of users; oracles: full matrices in numpy, closed forms."""
 
-from pathlib import Path
-
 import mor_families as families
 import numpy as np
 from device import chip, deck_of
-from hard_cases.kit import HEADER, Bench, bench_deck, case
+from hard_cases.kit import HEADER, bench_deck, case
 
 from kc2spice.parts._template import opamp_subcircuit
 from kc2spice.rom.linear import LinearModel
@@ -17,7 +15,7 @@ RESPONSE = "worst response over peak"
 SIZE = 40
 
 
-def response_error(bench: Bench, matrices: dict[str, np.ndarray], top: float = 0.1) -> float:
+def response_error(bench, matrices, top=0.1):
     """Reduced, written, run in ngspice, against ``C (s^2 M + s E + K)^-1 B`` in full."""
     model = LinearModel(**families.as_files(matrices), name="hard")
     rom = reduce(model, band=(0.0, top), tolerance=1e-6)
@@ -75,7 +73,7 @@ def unsymmetric_stiffness(bench):
     )
 
 
-def _scaled(name: str, mass: float, stiffness: float) -> None:
+def _scaled(name, mass, stiffness):
     def measure(bench):
         rate = np.sqrt(stiffness / mass)
         given = families.chain()
@@ -110,7 +108,7 @@ R2 out n 10000
     return max(abs(rail / 15 - 1), abs(back / 11 - 1))
 
 
-def included(text: str, directory: Path) -> str:
+def included(text, directory):
     """A scene file that drives the chip through a user's subcircuit."""
     (directory / "mine.lib").write_text(text)
     path = directory / "mine.toml"
@@ -121,7 +119,7 @@ def included(text: str, directory: Path) -> str:
     return str(path)
 
 
-def users_circuit(bench: Bench, text: str) -> None:
+def users_circuit(bench, text):
     """Run a kick through the user's circuit, as ``kc2spice run`` does."""
     study = load_scene(included(text, bench.directory))
     bench.run(deck_of(study, chip(6)))

@@ -1,6 +1,5 @@
 """What the hard cases share: how one is declared and run, and their scenes."""
 
-from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -10,15 +9,9 @@ import pytest
 from device import bench as bench_deck  # noqa: F401
 from device import built, chip, magnets
 
-from kc2spice.core.waveforms import Waveforms
-from kc2spice.fem.magnetics.table import EMTable
-from kc2spice.netlist.deck import Deck
 from kc2spice.parts._touching import separation
-from kc2spice.rom.modal import Resonators
 from kc2spice.scene.judge import require
 from kc2spice.scene.load import load_scene
-from kc2spice.scene.model import Scene
-from kc2spice.scene.parttype import Build
 from kc2spice.sim.ngspice import run_deck
 from kc2spice.spice.header import Header
 from kc2spice.workflow.decks import make_deck
@@ -36,21 +29,16 @@ class Bench:
     directory: Path
     decks: int = 0
 
-    def run(self, deck: Deck) -> Waveforms:
+    def run(self, deck):
         """The deck's waveforms."""
         self.decks += 1
         return run_deck(deck, self.directory / str(self.decks), timeout=TIMEOUT)
 
-    def scene(
-        self,
-        scene: Scene,
-        model: Resonators | None = None,
-        table: EMTable | None = None,
-    ) -> Waveforms:
+    def scene(self, scene, model=None, table=None):
         """What ``kc2spice run`` does with a scene: the deck, ngspice, then the physics checks."""
         return self.judged(built(scene, model or chip(), table or magnets()))
 
-    def judged(self, build: Build) -> Waveforms:
+    def judged(self, build):
         """The deck's waveforms, which keep the physics checks."""
         waves = self.run(make_deck(build))
         require(verdict(waves, build).checks, build.scene.name)
@@ -60,13 +48,11 @@ class Bench:
 CASES: list[Any] = []
 
 
-def case(
-    entry: str, what: str, limit: float = 0.0, *, refused: str | None = None, slow: bool = False
-) -> Callable[[Callable[[Bench], float]], Callable[[Bench], float]]:
+def case(entry, what, limit=0.0, *, refused=None, slow=False):
     """Register a case: ``measure`` returns the error of ``what``, which must not exceed ``limit``;
     one that is ``refused`` ends in an error that matches this pattern."""
 
-    def register(measure: Callable[[Bench], float]) -> Callable[[Bench], float]:
+    def register(measure):
         marks = [pytest.mark.slow] if slow else []
         name = measure.__name__.replace("_", " ")
         CASES.append(pytest.param(measure, limit, refused, id=name, marks=marks))
@@ -75,14 +61,14 @@ def case(
     return register
 
 
-def scene(name: str, *overrides: str) -> Scene:
+def scene(name, *overrides):
     """A scene of the gallery; the made-up device needs 80 V for a launch at 1 m/s."""
     first = ["kick.drive.voltage=80 V"] if name == "kick_and_catch" else []
     rings = ["contact.rings=all"] if "contact" in load_scene(name).parts else []
     return load_scene(name, [*rings, *first, *overrides])
 
 
-def kick(*overrides: str) -> Scene:
+def kick(*overrides):
     """The kick alone: no catch, no controller, 30 us after the pulse has begun."""
     tables = {
         "name": "kick_and_catch", "kick": {"drive": {"voltage": 80.0, "start": 10e-6}},
@@ -91,29 +77,25 @@ def kick(*overrides: str) -> Scene:
     return load_scene(tables, overrides)
 
 
-def exact(
-    study: Scene, waves: Waveforms, model: Resonators | None = None, table: EMTable | None = None
-) -> Waveforms:
+def exact(study, waves, model=None, table=None):
     """The scene by the independent integrator in Python, at the points of ``waves``."""
     return solve(built(study, model or chip(), table), waves).results
 
 
-def rewritten(
-    deck: Deck, text: str, vectors: Mapping[str, tuple[str, float]] | None = None
-) -> Deck:
+def rewritten(deck, text, vectors=None):
     """The deck with the text of its main file replaced, its libraries kept."""
     return replace(
         deck, text=text, options=(), vectors=deck.vectors if vectors is None else vectors
     )
 
 
-def leaves(waves: Waveforms) -> tuple[float, float]:
+def leaves(waves):
     """Time and velocity of the launch or rebound; not numbers where there is none."""
     found = separation(waves["time"], waves["contact.force"], waves["sphere.v"])
     return found if found is not None else (np.nan, np.nan)
 
 
-def relative(found: float | None, expected: float | None) -> float:
+def relative(found, expected):
     """Relative difference; a number that is missing is infinitely wrong."""
     if found is None or expected is None:
         return np.inf

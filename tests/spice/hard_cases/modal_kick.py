@@ -32,7 +32,7 @@ class Kick:
     other: np.ndarray
     start: tuple[float, float] | None = None  # height [m] and velocity [m/s]; at rest on the chip
 
-    def flight(self, step: float, stop: float) -> tuple[np.ndarray, np.ndarray, np.ndarray, float]:
+    def flight(self, step, stop):
         """Times [s], heights [m] over the plane of contact, velocities [m/s] up to ``stop``, and
         when it last touched."""
         poles, residue, gain = self._poles()
@@ -91,7 +91,7 @@ class Kick:
                 break
         return times, heights, speeds, touched
 
-    def _poles(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def _poles(self):
         """``z = Re sum r p``, ``p' = s p + f``: one pole of a pair, both of overdamped modes."""
         root = np.sqrt(self.omega**2 - (self.damp / 2) ** 2 + 0j)
         rings = root.real > 0
@@ -104,7 +104,7 @@ class Kick:
         )  # fmt: skip
 
 
-def pressed(mean: np.ndarray, soft: np.ndarray) -> np.ndarray:
+def pressed(mean, soft):
     """Ring forces, none negative, with ``soft force = mean`` where they are closed."""
     closed, force = mean > 0, np.zeros_like(mean)
     for _ in range(2 * mean.size):
@@ -119,15 +119,15 @@ def pressed(mean: np.ndarray, soft: np.ndarray) -> np.ndarray:
     return np.maximum(force, 0.0)
 
 
-def _flat(values: np.ndarray) -> np.ndarray:
+def _flat(values):
     return np.ascontiguousarray(values).view(float)
 
 
-def _real(weights: np.ndarray) -> np.ndarray:
+def _real(weights):
     """(2 n, rings) such that ``_flat(p) @ it = Re(p @ weights)``."""
     return np.stack([weights.real, -weights.imag], axis=1).reshape(-1, weights.shape[1])
 
 
-def _pairs(gain: np.ndarray) -> np.ndarray:
+def _pairs(gain):
     """Gains of a real force on the states as ``_flat`` sees them."""
     return np.stack([gain, np.zeros_like(gain)], axis=1).reshape(-1, gain.shape[1])

@@ -151,7 +151,7 @@ CHILDREN = (".mat", ".op4")  # whose reader starts a process, which takes second
 ALL = ("mat 4", "OP4 columns")  # of them, with every command
 
 
-def main(root: Path, chosen: list[str]) -> None:
+def main(root, chosen):
     found = {}
     for name in chosen or BOMBS:
         home = root / name.replace(" ", "_")

@@ -15,7 +15,7 @@ from kc2spice.workflow.decks import make_deck
 from kc2spice.workflow.models import build_models
 
 
-def main(root: str) -> None:
+def main(root):
     said = {}
     for path in sorted(Path(root).glob("v*/hostile.toml")):
         try:

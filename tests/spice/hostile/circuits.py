@@ -1,7 +1,5 @@
 """Circuits of others that try to act: spelling by spelling, each with the files that it needs."""
 
-from pathlib import Path
-
 BLOCK = ".control\nshell touch pwned\n.endc\n"
 GOOD = """.subckt mine command out ref
 Rmine command out 2
@@ -23,7 +21,7 @@ stop = "5 us"
 OUTSIDE = "outside/payload.lib"  # beside the scene's directory
 
 
-def includes() -> dict[str, str]:
+def includes():
     """Include cards: spelling, separator and target crossed."""
     words = (".include", ".INCLUDE", ".Inc", ".includeX", ".incore", "\t.include", "  .inc_x")
     blanks = (" ", "\t", "  \t ", "\x0b", "\x0c")
@@ -39,7 +37,7 @@ def includes() -> dict[str, str]:
     return found
 
 
-def blocks() -> dict[str, str]:
+def blocks():
     """Everything else that a netlist could act by."""
     shell = "shell touch pwned"
     cards = {
@@ -92,12 +90,12 @@ def blocks() -> dict[str, str]:
     return cards
 
 
-def honest() -> tuple[str, ...]:
+def honest():
     """What must run, lest a product that refuses everything should pass."""
     return "* nothing\n", ".include\textra.lib\n", '.INC "extra.lib" ; x\n'
 
 
-def names() -> dict[str, str]:
+def names():
     """Names in the scene itself; files of those names exist where a name may be one."""
     return {
         "line break": f"extra.lib\n.control\n{'shell touch pwned'}\n.endc\n*.lib",
@@ -113,7 +111,7 @@ def names() -> dict[str, str]:
     }
 
 
-def write_all(root: Path) -> list[Path]:
+def write_all(root):
     """Write every variant into a directory of its own below ``root``; return their scenes."""
     outside = root / OUTSIDE
     outside.parent.mkdir()

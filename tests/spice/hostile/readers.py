@@ -11,7 +11,6 @@ import sys
 import tempfile
 import traceback
 import warnings
-from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -40,7 +39,7 @@ SCRIPT = b"import os\nos.system('touch pwned')\ndef control(t, inputs):\n    ret
 SCENE = ("run", "explain", "export", "verify", "sweep")
 
 
-def kinds() -> dict[str, tuple[str, dict[str, bytes], tuple[str, ...]]]:
+def kinds():
     """Place: the file that turns hostile, all files, the commands that open it."""
     plain = CIRCUIT.format(drive=PULSE, more="").encode()
     found: dict[str, tuple[str, dict[str, bytes], tuple[str, ...]]] = {
@@ -103,11 +102,11 @@ COMMANDS = {
 class Watch:
     """What is executed and what is opened for writing while it is on."""
 
-    def __init__(self) -> None:
+    def __init__(self):
         self.on, self.seen, self.allowed = False, [], ()
         sys.addaudithook(self.hear)
 
-    def hear(self, event: str, args: tuple) -> None:
+    def hear(self, event, args):
         if not self.on:
             return
         if event in ("subprocess.Popen", "os.exec", "os.posix_spawn", "os.system"):
@@ -128,7 +127,7 @@ class Watch:
                 self.seen.append(f"writes {path}")
 
 
-def prepared(kind: str, mutation: str, root: Path) -> Iterator[tuple[Path, tuple[str, ...]]]:
+def prepared(kind, mutation, root):
     """The folder of a hostile file, with what an honest run leaves where one is needed."""
     name, all_files, commands = kinds()[kind]
     home = root / f"{kind} {mutation}".replace(" ", "_")
@@ -152,7 +151,7 @@ def prepared(kind: str, mutation: str, root: Path) -> Iterator[tuple[Path, tuple
     yield home, commands
 
 
-def honest(kind: str, root: Path) -> Path:
+def honest(kind, root):
     """What the product itself wrote of that kind."""
     home = root / f"honest {kind}"
     if home.exists():
@@ -174,7 +173,7 @@ def honest(kind: str, root: Path) -> Path:
     return home
 
 
-def ask(words: tuple[str, ...], home: Path) -> tuple[int, str]:
+def ask(words, home):
     """Exit code and all that was said."""
     from typer.testing import CliRunner
 
@@ -191,7 +190,7 @@ def ask(words: tuple[str, ...], home: Path) -> tuple[int, str]:
     return result.exit_code, said
 
 
-def main(root: Path, mutations: list[str], chosen: list[str]) -> None:
+def main(root, mutations, chosen):
     (root / "tmp").mkdir(exist_ok=True)
     tempfile.tempdir = os.environ["TMPDIR"] = str(root / "tmp")
     watch, found = Watch(), {}

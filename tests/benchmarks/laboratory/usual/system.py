@@ -1,12 +1,12 @@
 """One quarter of the chip in the form of the paper's equations, as the usual solvers take it."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy import sparse
 
 from kc2spice.bodies.piezo_stack import stack_device
-from kc2spice.fem.piezo.keys import SECTORS, Chip
+from kc2spice.fem.piezo.keys import SECTORS
 from kc2spice.linalg.factor import factorise
 from kc2spice.rom.linear import Port
 from kc2spice.rom.operators import Schur
@@ -41,7 +41,7 @@ class PiezoSystem:
     sectors: int = SECTORS
 
 
-def quarter(kick: Chip) -> PiezoSystem:
+def quarter(kick):
     """Of the chip."""
     device = stack_device(kick)
     n, model = SECTORS, device.model
@@ -58,3 +58,63 @@ def quarter(kick: Chip) -> PiezoSystem:
         M=model.M / n, K_uu=K_uu, K_up=K_up, K_pp=K_pp, k_uV=K_up @ lift - b, k_pV=k_pV,
         c_VV=float(C0 + k_pV @ lift), B=model.B[:, :-1], ports=model.ports, alpha=alpha, beta=beta,
     )  # fmt: skip
+
+
+def electrical_port(system):
+    """``b`` (n,), clamped capacitance C0 [F] and the factor of K_pp (None without potentials).
+
+    With ``p = K_pp^-1 (K_up' u - k_pV V)`` the model becomes ``M u'' + E u' + K u = B f + b V``
+    and ``Q = b' u + C0 V``, where ``b = -(k_uV - K_up K_pp^-1 k_pV)`` and
+    ``C0 = c_VV - k_pV' K_pp^-1 k_pV > 0``.
+    """
+    if system.K_pp.shape[0] == 0:
+        return -system.k_uV, system.c_VV, None
+    potentials = factorise(system.K_pp, definite=True)
+    lift = potentials.solve(system.k_pV)
+    capacitance = system.c_VV - float(system.k_pV @ lift)
+    return system.K_up @ lift - system.k_uV, capacitance, potentials
+
+
+def stiffness(system, potentials, u):
+    """``K u`` for one or several displacement fields (short-circuited anode)."""
+    force = system.K_uu @ u
+    if potentials is not None:
+        force = force + system.K_up @ potentials.solve(system.K_up.T @ u)
+    return force
+
+
+def solver(system, a, c, b, open_by):
+    """Inverse of ``a M + c K + open_by b b'`` on forces (n,) or (n, k).
+
+    K = K_uu + K_up K_pp^-1 K_up' is dense where potentials are free, so it lives as the pair
+    (displacement, potential); the last term is that of an open anode.
+    """
+    matrix, count = c * system.K_uu + a * system.M if a else c * system.K_uu, system.K_pp.shape[0]
+    if count:
+        # A unit of potential that makes both diagonal blocks equally large.
+        volt = np.sqrt(system.K_uu.diagonal().max() / system.K_pp.diagonal().max())
+        K_up, K_pp = c * volt * system.K_up, c * volt**2 * system.K_pp
+        matrix = sparse.block_array([[matrix, K_up], [K_up.T, -K_pp]])
+    factor = factorise(sparse.csc_array(matrix), definite=not count)
+
+    def solve(force):
+        free = np.zeros((count, *force.shape[1:]))
+        return factor.solve(np.concatenate([force, free]))[: force.shape[0]]
+
+    if not open_by:
+        return solve
+    b = np.pad(b, (0, system.M.shape[0] - b.size))
+    unit = solve(b)
+    weight = open_by / (1 + open_by * (b @ unit))
+
+    def solve_open(force):
+        x = solve(force)
+        return x - np.multiply.outer(unit, weight * (b @ x))
+
+    return solve_open
+
+
+def stiffened(system, shapes, penalty):
+    """The model with ``shapes diag(penalty) shapes'`` added to K_uu."""
+    springs = sparse.csc_array(shapes * np.sqrt(penalty))
+    return replace(system, K_uu=sparse.csc_array(system.K_uu + springs @ springs.T))

@@ -4,16 +4,14 @@ Newmark's average acceleration (beta = 1/4, gamma = 1/2) for chip and sphere tog
 order and free of numerical damping.
 """
 
-from dataclasses import dataclass
-from typing import Literal, NamedTuple
+from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy import sparse
 
-from laboratory.usual.contact import ContactSurface
-from laboratory.usual.newmark import Advance, Chip, LowRank, Refactorise
-from laboratory.usual.system import PiezoSystem
-
-Road = Literal["low_rank", "refactorise"]
+from kc2spice.bodies.pressure import contact_forces
+from laboratory.usual.contact import settled
+from laboratory.usual.system import electrical_port, solver, stiffened, stiffness
 
 
 @dataclass(frozen=True)
@@ -41,32 +39,78 @@ class TransientResult:
     spring_displacement: np.ndarray
     factorisations: int
 
-    @property
-    def force(self) -> np.ndarray:
-        """Total contact force of the sector [N]."""
-        return self.ring_force.sum(axis=1)
+
+class _Chip:
+    """The chip in one time step; ``is_open`` leaves the anode without charge."""
+
+    def __init__(self, system, surface, mass, step, is_open):
+        self.system, self.surface, self.mass = system, surface, mass
+        self.b, capacitance, self.potentials = electrical_port(system)
+        self.open_by, self.quarter, self.factorisations = is_open / capacitance, step**2 / 4, 0
+        self.a = 1 + system.alpha * step / 2
+        self.c = system.beta * step / 2 + self.quarter
+
+    def load(self, u, v):
+        """``-E v - K u`` with ``E = alpha M + beta K``, and with the field of an open anode."""
+        system = self.system
+        force = stiffness(system, self.potentials, system.beta * v + u)
+        return -force - system.alpha * (system.M @ v) - self.open_by * (self.b @ u) * self.b
+
+    def inverse(self, system):
+        """Of ``M + h/2 E + h^2/4 K`` for this or a bordered system."""
+        self.factorisations += 1
+        return solver(system, self.a, self.c, self.b, self.open_by * self.quarter)
 
 
-class _State(NamedTuple):
-    """Chip displacement, velocity, acceleration; the same of the sphere; spring forces."""
+def _low_rank(chip):
+    """Accelerations by one factorisation: contact lives in the compliance between the springs."""
+    solve, shapes = chip.inverse(chip.system), chip.surface.shapes
+    answers = solve(shapes)
+    G = shapes.T @ answers
+    compliance = chip.quarter * (0.5 * (G + G.T) + 1 / chip.mass)
 
-    u: np.ndarray
-    v: np.ndarray
-    a: np.ndarray
-    ball: np.ndarray
-    force: np.ndarray
+    def advance(load, fall, penetration):
+        a = solve(load)
+        free = penetration + chip.quarter * (shapes.T @ a - fall)
+        force = contact_forces(compliance, free, chip.surface.penalty)
+        return a - answers @ force, fall + force.sum() / chip.mass, force
+
+    return advance
 
 
-def transient(
-    system: PiezoSystem,
-    surface: ContactSurface,
-    ball: Ball,
-    *,
-    step: float,
-    stop: float,
-    is_open: bool,
-    road: Road = "low_rank",
-) -> TransientResult:
+def _refactorise(chip):
+    """Accelerations the usual way: closed springs join the matrix, the sphere is its last row."""
+    system, mass, last = chip.system, chip.mass / chip.a, chip.system.K_up.shape[1]
+    bordered = replace(  # numbered last: next to the top plane
+        system,
+        M=sparse.csc_array(sparse.block_diag([system.M, [[mass]]])),
+        K_uu=sparse.csc_array(sparse.block_diag([system.K_uu, [[0.0]]])),
+        K_up=sparse.csc_array(sparse.vstack([system.K_up, sparse.csc_array((1, last))])),
+    )
+    penalty, start = chip.surface.penalty, np.zeros(chip.surface.gap.size, dtype=bool)
+    all_shapes = np.vstack([chip.surface.shapes, -np.ones(penalty.size)])
+
+    def advance(load, fall, penetration):
+        nonlocal start
+
+        def solve(closed):
+            shapes, springs = all_shapes[:, closed], penalty[closed]
+            stiff = stiffened(bordered, shapes, springs * (chip.quarter / chip.c))
+            rhs = np.append(load, chip.mass * fall) - shapes @ (springs * penetration[closed])
+            x = chip.inverse(stiff)(rhs)
+            return x, penetration + chip.quarter * (all_shapes.T @ x)
+
+        x, reached, _ = settled(start, solve)
+        start = reached > 0
+        return x[:-1], x[-1], penalty * np.maximum(reached, 0)
+
+    return advance
+
+
+METHODS = {"low_rank": _low_rank, "refactorise": _refactorise}
+
+
+def transient(system, surface, ball, *, step, stop, is_open, method="low_rank"):
     """Integrate chip and sphere from rest to ``stop`` in equal steps, the chip undeformed at first.
 
     ``is_open`` leaves the anode without charge, else it is at 0 V. Every step solves
@@ -74,46 +118,19 @@ def transient(
         (M + h/2 E + h^2/4 K) a = -E v* - K u* - W f,     m c = sum(f) - m g,
         f = penalty max(0, W'u - y - gap),     u = u* + h^2/4 a,     y = y* + h^2/4 c
 
-    to the exact set of closed springs. Both roads give the same result.
-
-    Raises
-    ------
-    SimulationError : the set of closed springs does not settle.
+    to the exact set of closed springs. Both methods give the same result.
     """
-    chip = Chip(system, surface, ball.mass, step, is_open)
-    advance = LowRank(chip) if road == "low_rank" else Refactorise(chip)
-    state = _at_start(chip, ball)
-    heights, forces, springs = [], [], []
-    for k in range(round(stop / step) + 1):
-        if k:
-            state = _step(chip, advance, state, ball.gravity)
-        heights.append(state.ball)
-        forces.append(state.force)
-        springs.append(surface.shapes.T @ state.u)
-    height, velocity, _ = np.array(heights).T
-    return TransientResult(
-        time=step * np.arange(len(heights)),
-        height=height,
-        velocity=velocity,
-        ring_force=surface.per_ring(np.array(forces)),
-        spring_displacement=np.array(springs),
-        factorisations=chip.factorisations,
-    )
-
-
-def _step(chip: Chip, advance: Advance, state: _State, gravity: float) -> _State:
-    h, quarter, shapes = chip.step, chip.quarter, chip.surface.shapes
-    u = state.u + h * state.v + quarter * state.a
-    v = state.v + h / 2 * state.a
-    y, w, c = state.ball
-    y, w = y + h * w + quarter * c, w + h / 2 * c
-    load = -chip.damping(v) - chip.stiff(u)
-    a, c, force = advance(load, -gravity, shapes.T @ u - y - chip.surface.gap)
-    ball = np.array([y + quarter * c, w + h / 2 * c, c])
-    return _State(u + quarter * a, v + h / 2 * a, a, ball, force)
-
-
-def _at_start(chip: Chip, ball: Ball) -> _State:
-    zero = np.zeros(chip.b.size)
-    sphere = np.array([ball.height, ball.velocity, -ball.gravity])
-    return _State(zero, zero, zero, sphere, np.zeros(len(chip.surface.gap)))
+    chip = _Chip(system, surface, ball.mass, step, is_open)
+    advance, W = METHODS[method](chip), surface.shapes
+    u, v, a = np.zeros((3, chip.b.size))
+    y, w, c, force = ball.height, ball.velocity, -ball.gravity, np.zeros(surface.gap.size)
+    rows = [(y, w, force, W.T @ u)]
+    for _ in range(round(stop / step)):
+        u, v = u + step * v + chip.quarter * a, v + step / 2 * a
+        y, w = y + step * w + chip.quarter * c, w + step / 2 * c
+        a, c, force = advance(chip.load(u, v), -ball.gravity, W.T @ u - y - surface.gap)
+        u, v = u + chip.quarter * a, v + step / 2 * a
+        y, w = y + chip.quarter * c, w + step / 2 * c
+        rows.append((y, w, force, W.T @ u))
+    histories = map(np.array, zip(*rows, strict=True))
+    return TransientResult(step * np.arange(len(rows)), *histories, chip.factorisations)
