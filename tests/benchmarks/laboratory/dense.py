@@ -5,11 +5,11 @@ from functools import partial
 import numpy as np
 
 from kc2spice.netlist.deck import Deck
+from kc2spice.rom.linear import Certificate, LinearModel, Port
+from kc2spice.rom.modal import Resonators
 from kc2spice.sim.ngspice import run_deck
-from kc2spice.spice.header import Header
 from kc2spice.spice.realize import subcircuit
-from laboratory.forms import FORMS, synthetic, with_form
-from laboratory.points import Outcome, Plane, Point, Ratio, fastest, timed
+from laboratory.points import Outcome, Plane, Point, fastest, speed_up, timed
 
 PORTS = 7
 # Name of the ratio, modes, frequencies, target. 30 is the order of the scenes' reduced chip, 348
@@ -17,38 +17,42 @@ PORTS = 7
 SIZES = (("30", 30, 5000, 5.0), ("348", 174, 20, 50.0))
 QUICK_SIZES = (("30", 15, 50, 5.0), ("348", 30, 5, 50.0))
 EQUAL = 1e-6
+FORMS = ("resonators", "second order", "first order")
 
 
 def dense(setup):
-    """Time of an .ac sweep of each form, error against the closed form of the response."""
-    points: list[Point] = []
-    ratios: list[Ratio] = []
+    """Time of an .ac sweep of each form, error against the closed form of the response.
+
+    Unit voltage on the anode, frequencies to 1 MHz, displacements in um.
+    """
+    points, ratios = [], []
     for size, modes, frequencies, target in QUICK_SIZES if setup.quick else SIZES:
-        model = synthetic(modes, PORTS)
-        deck, exact = ac_deck(model, frequencies)
-        found = {}
+        model, found = synthetic(modes, PORTS), {}
+        step, rings = 1e6 / frequencies, [port.name for port in model.ports[:-1]]
+        frequency = np.linspace(step, 1e6, frequencies)
+        exact = 1e6 * model.transfer(frequency)[:, :-1, -1]
+        cards = ["V1 anode 0 DC 0 AC 1", f"Xkick anode 0 {' '.join(rings)} 0 kick",
+                 *(f"G{ring} {ring} 0 {ring} 0 1e-12" for ring in rings),
+                 f".ac lin {frequencies} {step!r} 1e6"]  # fmt: skip
         for form in FORMS:
             setup.clock.progress("dense", None, f"{modes} modes, {form}")
-            other = with_form(deck, model, form)
+            part = subcircuit(written(model, form), "kick", dense=form != FORMS[0])
             repeats = 1 if modes > 100 and form != FORMS[0] else setup.repeats
-            waves, time = timed(partial(run_deck, other, setup.work / "dense"), repeats, "children")
-            error = _error(waves, exact)
-            sources = sum(line.startswith("G") for line in other.files["kick.lib"].splitlines())
-            facts = {"controlled sources": float(sources)}
+            waves, time = ran(setup, part, cards, rings, repeats)
+            answers = np.column_stack([waves[ring] for ring in rings])
+            error = float((np.abs(answers - exact) / np.abs(exact).max(axis=0)).max())
             label = f"{modes} modes, {frequencies} frequencies, {form}"
-            found[form] = Point(form, label, error, time, {"response": error}, facts)
+            found[form] = Point(form, label, error, time, {"response": error}, sources(part))
         points += found.values()
         slow = fastest((found[form] for form in FORMS[1:]), {"response": EQUAL})
         ours = found[FORMS[0]]
-        ratios.append(
-            Ratio(
-                f"dense_vs_resonator_{size}",
-                None if slow is None else slow.time.median / ours.time.median,
-                max(ours.error, ours.error if slow is None else slow.error), target,
-                f"faster dense form over resonators, {modes} modes ({2 * modes} states), {PORTS} "
-                f"ports, .ac at {frequencies} frequencies, whole process",
-            )
-        )  # fmt: skip
+        what = (
+            f"faster dense form over resonators, {modes} modes ({2 * modes} states), {PORTS} "
+            f"ports, .ac at {frequencies} frequencies, whole process"
+        )
+        error = max(each.error for each in (ours, slow) if each is not None)
+        name = f"dense_vs_resonator_{size}"
+        ratios.append(speed_up(name, slow and slow.time, ours, target, what, error=error))
     notes = ("made-up devices of the chip's kind, resonances from 270 kHz to 30 MHz",)
     plane = Plane(
         "dense", "Forms of one device in .ac", "largest relative error of any response",
@@ -57,31 +61,57 @@ def dense(setup):
     return Outcome((plane,), tuple(ratios))
 
 
-def ac_deck(model, count):
-    """Unit voltage on the anode over ``count`` frequencies to 1 MHz; displacements in closed form.
+def ran(setup, part, cards, nodes, repeats):
+    """The voltages of ``nodes`` in a deck of these cards, and the CPU time of ngspice."""
+    saved = " ".join(f"v({node})" for node in nodes)
+    lines = ["* one model", f".include {part.filename}", *cards, f".save {saved}", ".end", ""]
+    vectors = {node: (f"v({node})", 1.0) for node in nodes}
+    deck = Deck(name="dense", text="\n".join(lines), vectors=vectors, parts=(part,))
+    return timed(partial(run_deck, deck, setup.work / "dense"), repeats, "children")
 
-    The second result is (frequencies, rings) in um.
+
+def sources(part):
+    """How many of them are in a netlist."""
+    count = sum(line[:1] in "GEF" for line in part.text.splitlines() if line)
+    return {"controlled sources": float(count)}
+
+
+def written(model, form):
+    """``model`` as decoupled resonators, or turned into other coordinates by a fixed rotation.
+
+    *second order* keeps displacements and velocities apart, with dense stiffness and damping;
+    *first order* mixes all states, which is what a rational fit or a general reduction gives.
     """
-    part = subcircuit(model.linear(), "kick", Header("forms", "0"))
-    rings = [port.name for port in model.ports if port.kind == "mechanical"]
-    step = 1e6 / count
-    lines = [
-        "* one device",
-        f".include {part.filename}",
-        "V1 anode 0 DC 0 AC 1",
-        f"Xkick anode 0 {' '.join(rings)} 0 {part.name}",
-        *(f"G{ring} {ring} 0 {ring} 0 1e-12" for ring in rings),
-        f".ac lin {count} {step!r} 1e6",
-        *(f".save v({ring})" for ring in rings),
-        ".end",
-        "",
-    ]
-    vectors = {ring: (f"v({ring.lower()})", 1.0) for ring in rings}  # fmt: skip
-    frequency = np.linspace(step, 1e6, count)
-    exact = 1e6 * model.transfer(frequency)[:, : len(rings), -1]
-    return Deck(name="dense", text="\n".join(lines), vectors=vectors, parts=(part,)), exact
+    if form == "resonators":
+        return model.linear()
+    omega, q = model.omega, model.omega.size
+    stiff, damp, drive, zero = np.diag(omega**2), np.diag(model.damp), model.gain, np.zeros((q, q))
+    if form == "second order":
+        T, omega = rotation(q), np.full(q, np.exp(np.log(omega).mean()))
+        stiff, damp, drive = T @ stiff @ T.T, T @ damp @ T.T, T @ drive
+    A = np.block([[zero, np.diag(omega)], [-stiff / omega[:, None], -damp]])
+    B, C = np.vstack([0 * drive, drive / omega[:, None]]), np.hstack([drive.T, 0 * drive.T])
+    if form == "first order":
+        T = rotation(2 * q)
+        A, B, C = T @ A @ T.T, T @ B, C @ T.T
+    return LinearModel(A=A, B=B, C=C, D=model.D, ports=model.ports, certificate=model.certificate)
 
 
-def _error(waves, exact):
-    found = np.column_stack([values for name, values in waves.data.items() if name != "frequency"])
-    return float((np.abs(found - exact) / np.abs(exact).max(axis=0)).max())
+def rotation(size):
+    """An orthogonal matrix without zeros, always the same."""
+    return np.linalg.qr(np.random.default_rng(7).standard_normal((size, size)))[0]
+
+
+def synthetic(modes, ports):
+    """A chip-like model of any size: resonances from 270 kHz to 30 MHz, ``ports`` with an anode."""
+    rng = np.random.default_rng(modes * 1000 + ports)
+    omega = 2 * np.pi * np.geomspace(270e3, 30e6, modes)
+    gain = rng.uniform(0.2, 1.0, (modes, ports)) * rng.choice((-1.0, 1.0), (modes, ports))
+    gain *= 50.0 / np.sqrt(modes)
+    gain[:, -1] *= 1e-2
+    rings = tuple(Port(f"ring{k}", "mechanical") for k in range(ports - 1))
+    D = np.zeros((ports, ports))
+    D[-1, -1] = 35e-9
+    certificate = Certificate((0.0, 500e3), 0.0, "synthetic", True, True)
+    named = (*rings, Port("anode", "electrical", pins=("anode", "cathode")))
+    return Resonators(omega, 0.02 * omega, gain, D, named, certificate)

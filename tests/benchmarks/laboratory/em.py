@@ -6,7 +6,7 @@ import numpy as np
 
 from kc2spice.fem.magnetics.field import catch_table, positions, ring_sign, systems
 from kc2spice.fem.magnetics.table import em_cases
-from laboratory.points import Outcome, Plane, Point, Ratio, timed
+from laboratory.points import Outcome, Plane, Point, speed_up, timed
 from laboratory.setup import keys_of
 
 HEIGHTS, QUICK_HEIGHTS, FINE_HEIGHTS = (41, 21, 81), (5, 9), 161
@@ -45,10 +45,8 @@ def em(setup):
         "force error over the largest force", "CPU time [s]", tuple(points),
         (f"error: of the spline between heights, against FE at {dense.y.size} heights",),
     )  # fmt: skip
-    ratio = Ratio(
-        "em_superposition", brute_time.median / superposed.time.median, equal, 8.0,
-        f"brute force over superposition, {count} cases; error: between the two",
-    )  # fmt: skip
+    what = f"brute force over superposition, {count} cases; error: between the two"
+    ratio = speed_up("em_superposition", brute_time, superposed, 8.0, what, error=equal)
     return Outcome((plane,), (ratio,))
 
 

@@ -9,16 +9,7 @@ from kc2spice.rom.modal import resonators
 from kc2spice.rom.reduce import reduce, surrogate
 from kc2spice.rom.response import relative_error
 from laboratory.fullmodel import chip
-from laboratory.points import (
-    Outcome,
-    Plane,
-    Point,
-    Ratio,
-    fastest,
-    quick_timed,
-    scaled,
-    timed,
-)
+from laboratory.points import Outcome, Plane, Point, fastest, quick_timed, scaled, speed_up, timed
 from laboratory.setup import keys_of
 
 ORDERS = (30, 21, 24, 35, 42)
@@ -42,8 +33,7 @@ def harmonic(setup):
         found = surrogate(model, (0.0, float(frequency[-1])))
     large, certified = found.model, found.error
     exact = large.transfer(frequency)
-    points: list[Point] = []
-    notes: list[str] = []
+    points, notes = [], []
     band = (0.0, float(frequency[-1]))
     for family, label, small in _models(model, band, setup):
         form = resonators(small)
@@ -53,19 +43,16 @@ def harmonic(setup):
         points.append(Point(family, label, error, time, {"response": error}, facts))
     best = fastest(points, {"response": LIMIT})
     try:
-        for label, response, time in balanced(
-            large, setup.some(BALANCED), frequency, setup.repeats
-        ):
+        orders = setup.some(BALANCED)
+        for label, response, time in balanced(large, orders, frequency, setup.repeats):
             error = relative_error(response, exact)
             points.append(Point("pyMOR", label, error, time, {"response": error}))
     except ImportError:
         notes.append("pyMOR is not installed: its reductors are left out")
     points.append(Point("full model", "full model, direct", certified, full))
-    ratio = Ratio(
-        "harmonic", None if best is None else full.median / best.time.median,
-        None if best is None else best.error, TARGET,
-        f"full model over {'none' if best is None else best.label}, {frequency.size} frequencies "
-        f"and all {exact.shape[1] ** 2} responses", errors={} if best is None else best.errors,
+    ratio = speed_up(
+        "harmonic", full, best, TARGET, f"full model over {best and best.label}, "
+        f"{frequency.size} frequencies and all {exact.shape[1] ** 2} responses",
     )  # fmt: skip
     plane = Plane(
         "harmonic", f"{scene.title}: {frequency.size} frequencies",

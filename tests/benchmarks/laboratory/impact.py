@@ -6,7 +6,7 @@ import numpy as np
 
 from laboratory.distance import compare
 from laboratory.fullmodel import as_waveforms, factorisations, full_surface, full_system, limit
-from laboratory.points import Outcome, Point, Ratio, fastest, scaled, timed
+from laboratory.points import Outcome, Point, fastest, scaled, speed_up, timed
 from laboratory.setup import keys_of
 from laboratory.transient import Transient
 from laboratory.usual.transient import Ball, transient
@@ -26,13 +26,12 @@ def impact(setup):
     own = fastest((p for p in plane.points if p.label in transient.decks), limits)
     errors = {} if own is None else full.errors(transient.decks[own.label])
     ratios = tuple(
-        Ratio(
-            f"impact_{name}", None if own is None else time.median / own.time.median,
-            errors.get("launch"), target,
+        speed_up(
+            f"impact_{name}", time, own, target,
             f"full model, {what}, over ngspice, both without the making of "
-            f"their matrices, at {'none' if own is None else own.label}, the "
+            f"their matrices, at {own and own.label}, the "
             f"fastest within {LIMIT:g} of the exact reduced model; errors against the full model "
-            "at converged time step", errors=errors,
+            "at converged time step", error=errors.get("launch"), errors=errors,
         )
         for name, time, target, what in (
             ("low_rank", full.low_rank, LOW_RANK,

@@ -6,7 +6,7 @@ from kc2spice.sim.ngspice import run_deck
 from kc2spice.workflow.decks import make_deck
 from laboratory.fullmodel import factorisations, full_surface, full_system
 from laboratory.law import law
-from laboratory.points import Outcome, Plane, Point, Ratio, quick_timed, scaled, timed
+from laboratory.points import Outcome, Plane, Point, quick_timed, scaled, speed_up, timed
 from laboratory.setup import keys_of
 from laboratory.statics import pushed
 from laboratory.usual.statics import imprint as full_imprint
@@ -44,23 +44,24 @@ def imprint(setup):
         return float((np.abs(force - exact)[loaded] / exact[loaded]).max())
 
     rom_error, deck_error = error(rom), error(waves["contact.force"])
+    reduced = Point("ROM", "ROM, numpy", rom_error, rom_time, {"force": rom_error})
     plane = Plane(
         "imprint", f"{scene.title}: {depth.size - 1} depths", "relative error of the force",
         "CPU time [s]",
         (
             Point("full model", "full model, refactorising", 0.0, refactor, {"force": 0.0}),
             Point("full model", "full model, low rank", 0.0, low_rank, {"force": 0.0}),
-            Point("ROM", "ROM, numpy", rom_error, rom_time, {"force": rom_error}),
+            reduced,
             Point("ngspice", "netlist, ngspice", deck_error, deck_time, {"force": deck_error}),
         ),
         (f"refactorising full model from {count} of its {whole} factorisations",),
     )  # fmt: skip
     ratios = tuple(
-        Ratio(
-            f"imprint_{name}", time.median / rom_time.median, rom_error, target,
+        speed_up(
+            f"imprint_{name}", time, reduced, target,
             f"full model, {what}, over the reduced model in numpy, both without the making of "
             f"their matrices; the netlist in ngspice takes {deck_time.median:.3g} s at "
-            f"{deck_error:.1e}", errors={"force": rom_error},
+            f"{deck_error:.1e}",
         )
         for name, time, target, what in (
             ("low_rank", low_rank, LOW_RANK,

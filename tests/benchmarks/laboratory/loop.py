@@ -1,7 +1,7 @@
 """Plane ``loop``: five milliseconds of kick, flight and catch, and its ratios."""
 
-from laboratory.points import Outcome, Ratio, fastest
-from laboratory.transient import Transient
+from laboratory.points import Outcome, Ratio, fastest, speed_up
+from laboratory.transient import SPECIALISED, Transient
 from laboratory.variants import NO_INERTIA
 
 LIMITS = {"launch": 1e-4, "position_m": 1e-7}
@@ -11,44 +11,32 @@ TARGET = 0.05  # s of CPU
 def loop(setup):
     """Methods of ``kick_and_catch``; ratios are taken between points within ``LIMITS``."""
     plane = Transient(setup.scene("kick_and_catch"), setup).plane()
-    every = _family(plane, "ngspice")
-    ours = fastest(every, LIMITS)
-    # peers and lower bound solve the form with inertia behind the contact
-    same = fastest((p for p in every if p.family != NO_INERTIA), LIMITS)
-    scipy = fastest(
-        (p for p in _family(plane, "scipy") if p.family != "scipy, specialised"), LIMITS
-    )
-    special = fastest(_family(plane, "scipy, specialised"), LIMITS)
-    bound = fastest(_family(plane, "lower bound"), LIMITS)
+
+    def best(family, but=None):
+        found = (p for p in plane.points if p.family.startswith(family) and p.family != but)
+        return fastest(found, LIMITS)
+
+    ours = best("ngspice")
+    same = best("ngspice", NO_INERTIA)  # peers and lower bound solve the form with inertia
+
+    def over(name, other, target, what):
+        """With the error of the less exact of the two."""
+        both = [each for each in (other, same) if each is not None]
+        worse = max(both, key=lambda point: point.error, default=None)
+        what = f"{what} over ngspice {at}: {' / '.join(each.label for each in both)}"
+        taken = {} if worse is None else {"error": worse.error, "errors": worse.errors}
+        return speed_up(name, other and other.time, same, target, what, **taken)
+
     at = "at launch error 1e-4 and position error 0.1 um"
     ratios = (
         Ratio(
-            "loop_cpu_s", None if ours is None else ours.time.median,
-            None if ours is None else ours.error, TARGET, f"ngspice, 5 ms, {at}: {_label(ours)}",
-            at_least=False, unit="s", errors={} if ours is None else ours.errors,
+            "loop_cpu_s", ours and ours.time.median, ours and ours.error, TARGET,
+            f"ngspice, 5 ms, {at}: {ours and ours.label}",
+            at_least=False, unit="s", errors=ours.errors if ours else {},
         ),
-        _ratio("loop_vs_scipy", scipy, same, 2.0,
-               f"fastest general scipy integrator over ngspice {at}"),
-        _ratio("loop_vs_scipy_specialised", special, same, 2.0,
-               f"scipy with exact modes in flight and located events over ngspice {at}"),
-        _ratio("loop_vs_floor", bound, same, None, f"lower bound over ngspice {at}"),
+        over("loop_vs_scipy", best("scipy", SPECIALISED), 2.0, "fastest general scipy integrator"),
+        over("loop_vs_scipy_specialised", best(SPECIALISED), 2.0,
+             "scipy with exact modes in flight and located events"),
+        over("loop_vs_floor", best("lower bound"), None, "lower bound"),
     )  # fmt: skip
     return Outcome((plane,), ratios)
-
-
-def _family(plane, start):
-    return [point for point in plane.points if point.family.startswith(start)]
-
-
-def _label(point):
-    return "none" if point is None else point.label
-
-
-def _ratio(name, over, ours, target, what):
-    """Time of ``over`` in times of ``ours``, with the error of the less exact of the two."""
-    if over is None or ours is None:
-        return Ratio(name, None, None, target, what)
-    worse = max((over, ours), key=lambda point: point.error)
-    what = f"{what}: {over.label} / {ours.label}"
-    value = over.time.median / ours.time.median
-    return Ratio(name, value, worse.error, target, what, errors=worse.errors)

@@ -77,11 +77,19 @@ class Ratio:
         return self.value >= self.target if self.at_least else self.value <= self.target
 
 
+def speed_up(name, over, ours, target, what, **taken_at):
+    """Time ``over`` in times of that of ``ours``, a point that may not be there; its error."""
+    value = None if ours is None or over is None else over.median / ours.time.median
+    error, errors = (None, {}) if ours is None else (ours.error, ours.errors)
+    return Ratio(name, value, target=target, what=what,
+                 **{"error": error, "errors": errors, **taken_at})  # fmt: skip
+
+
 def timed(work, repeats, who="self"):
     """Run ``work`` so often, or until ``ENOUGH`` was spent; its last result and the CPU time of
     this process or its children.
     """
-    seconds: list[float] = []
+    seconds = []
     while len(seconds) < rounds(seconds, repeats):
         start = cpu_seconds(who)
         result = work()
@@ -129,12 +137,11 @@ def cpu_seconds(who):
 
 def pareto(points):
     """Those that no other beats: in error or in time, and is not worse in the other."""
-    return [point for point in points if not any(_beats(other, point) for other in points)]
-
-
-def _beats(one, other):
-    error, cost = one.error - other.error, one.time.median - other.time.median
-    return error <= 0.0 and cost <= 0.0 and (error < 0.0 or cost < 0.0)
+    costs = [(point.error, point.time.median) for point in points]
+    return [
+        point for point, (e, t) in zip(points, costs, strict=True)
+        if not any(a <= e and b <= t and (a < e or b < t) for a, b in costs)
+    ]  # fmt: skip
 
 
 def fastest(points, limits):

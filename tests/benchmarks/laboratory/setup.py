@@ -37,10 +37,8 @@ class Setup:
         with_mass = lumped and "contact" in load_scene(name).parts
         return load_scene(name, (*chosen, *(("contact.inertia=lumped",) if with_mass else ())))
 
-    def build(self, scene, rom=None):
-        """``scene`` with its models, or with those of another reduction."""
-        if rom is not None:
-            scene = replace(scene, frame=scene.frame.model_copy(update={"rom": rom}))
+    def build(self, scene):
+        """``scene`` with its models."""
         return build_models(scene, self.clock)
 
     def some(self, values, quick=2):

@@ -17,6 +17,7 @@ from laboratory.variants import SHORT, fixed_steps, launches, variants
 # As fine as the steps of ngspice's own tolerances, so that both are tuned alike.
 RTOL = (1e-3, 1e-4, 5e-4, 3e-4, 2e-4, 5e-5, 3e-5, 2e-5, 1e-5, 1e-6)
 METHODS = ("Radau", "LSODA", "BDF", "DOP853")
+SPECIALISED = "scipy, specialised"
 FACTS = ("accepted", "rejected", "iterations")
 
 
@@ -129,7 +130,7 @@ class Transient:
     def _located(self, rtol, label):
         waves, time = timed(lambda: located(law(self.build), self.scene, rtol), 1)
         note = "not a general integrator: knows that nothing but contact couples the modes"
-        return self.point("scipy, specialised", label, waves, time, note)
+        return self.point(SPECIALISED, label, waves, time, note)
 
     def _lower_bound(self):
         bound = LowerBound(self.law)

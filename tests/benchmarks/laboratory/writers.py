@@ -2,19 +2,16 @@
 product does, and states of first order beside resonators, in .ac and .tran.
 """
 
-from functools import partial
 from types import SimpleNamespace
 
 import numpy as np
 
 from kc2spice.netlist.circuit import Subcircuit
-from kc2spice.netlist.deck import Deck
 from kc2spice.rom.linear import Certificate, LinearModel, Port
 from kc2spice.rom.multiport import _admittance, _state_space
-from kc2spice.sim.ngspice import run_deck
 from kc2spice.spice.realize import subcircuit
-from laboratory.forms import rotation, synthetic
-from laboratory.points import Outcome, Plane, Point, Ratio, timed
+from laboratory.dense import ran, rotation, sources, synthetic
+from laboratory.points import Outcome, Plane, Point, speed_up
 
 OHM, TOP = 50.0, 1e9  # of the scattering parameters, Hz
 STEP, STOP = 5e-11, 1e-7  # s of the transient
@@ -34,24 +31,20 @@ def writers(setup):
     parts = {"scikit-rf, state space of S": theirs, "ours": subcircuit(waves, "dut"),
              "ours, loops closed": subcircuit(closed, "dut")}  # fmt: skip
     frequency = np.linspace(TOP / 1000, TOP, 20 if setup.quick else 1000)
-    points: list[Point] = []
-    ratios: list[Ratio] = []
+    points, ratios = [], []
     known = {".ac": answer(frequency)}
     for analysis in (".ac", ".tran"):
         for form, part in parts.items():
-            found, time = _run(setup, part, _cards(part, ports, analysis, len(frequency)), "port2")
-            wave = found.data["out"]
+            cards = _cards(part, ports, analysis, len(frequency))
+            found, time = ran(setup, part, cards, ["port2"], setup.repeats)
+            wave = found["port2"]
             if analysis == ".tran":
                 wave = np.interp(np.linspace(0, STOP, 500), found.data["time"], wave)
             label = f"{2 * pairs + 5} poles, {ports} ports, {analysis}, {form}"
             points.append(_point(form, label, part, wave, known.setdefault(analysis, wave), time))
         peer, own = points[-3:-1]
-        ratios.append(
-            Ratio(
-                f"scikit_rf_vs_ours_{analysis[1:]}", peer.time.median / own.time.median,
-                own.error, 1.0, f"scikit-rf's netlist over ours, {analysis}, the same poles",
-            )
-        )  # fmt: skip
+        what = f"scikit-rf's netlist over ours, {analysis}, the same poles"
+        ratios.append(speed_up(f"scikit_rf_vs_ours_{analysis[1:]}", peer.time, own, 1.0, what))
     points += _first_order(setup, ratios)
     plane = Plane(
         "writers", "Netlists of the same poles", "largest error over the largest response",
@@ -112,20 +105,11 @@ def _cards(part, ports, analysis, count):
     ]  # fmt: skip
 
 
-def _run(setup, part, cards, seen):
-    """The voltage ``seen`` as ``out`` in a deck of these cards, and the CPU time of ngspice."""
-    lines = ["* one model", f".include {part.filename}", *cards, f".save v({seen})", ".end", ""]
-    vectors = {"out": (f"v({seen})", 1.0)}
-    deck = Deck(name="writers", text="\n".join(lines), vectors=vectors, parts=(part,))
-    return timed(partial(run_deck, deck, setup.work / "writers"), setup.repeats, "children")
-
-
 def _point(family, label, part, found, exact, time, same_model=True):
     size = np.abs(exact).max() or 1.0  # at rest, where time alone is looked at
     error = max(float(np.abs(found - exact).max() / size), 1e-16)
-    sources = sum(line[:1] in "GEF" for line in part.text.splitlines())
-    facts, errors = {"controlled sources": float(sources)}, {"response": error}
-    return Point(family, label, error, time, errors, facts, same_model=same_model)
+    errors = {"response": error}
+    return Point(family, label, error, time, errors, sources(part), same_model=same_model)
 
 
 def _first_order(setup, ratios):
@@ -161,13 +145,13 @@ def _first_order(setup, ratios):
                 *(f"V{p} {p} 0 0" for p in pins if p.startswith("u") and p != driven),
                 ".options reltol=1", command,
             ]  # fmt: skip
-            found, time = _run(setup, part, cards, seen)
-            wave = found.data["out"][: len(f)]
+            found, time = ran(setup, part, cards, [seen], setup.repeats)
+            wave = found[seen][: len(f)]
             known = exact[name] if analysis == ".ac" else wave  # timed alone
             label = f"{size} {name}, {ports} ports, {analysis}"
             rows.append(_point(name, label, part, wave, known, time, same_model=False))
     for k, analysis in enumerate(("ac", "tran")):
-        value = rows[k].time.median / rows[2 + k].time.median
         what = f"{size} resonators over {size} first-order states, .{analysis}"
-        ratios.append(Ratio(f"resonators_vs_states_{analysis}", value, rows[2].error, 1.0, what))
+        name, error = f"resonators_vs_states_{analysis}", rows[2].error
+        ratios.append(speed_up(name, rows[k].time, rows[2 + k], 1.0, what, error=error))
     return rows
