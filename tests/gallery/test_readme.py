@@ -29,7 +29,10 @@ def test_commands_work_in_their_order(tmp_path):
     typed(tmp_path, [shlex.split(command, comments=True)[1:] for command in COMMANDS])
 
 
-@pytest.mark.parametrize("page", ["README.md", "docs/journeys/matrices.md"])
+PAGES = ["README.md", "docs/journeys/matrices.md", "docs/matrices.md"]
+
+
+@pytest.mark.parametrize("page", PAGES)
 def test_python_blocks_run(page, tmp_path):
     text = (ROOT / page).read_text(encoding="utf-8")
     blocks = re.findall(r"```python\n(.*?)```", text, re.DOTALL)

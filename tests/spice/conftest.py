@@ -11,6 +11,7 @@ from kc2spice.parts.sphere import Sphere, SphereKeys, numbers
 from kc2spice.physics.contact import Normal, contact
 from kc2spice.physics.part import subcircuit as declared
 from kc2spice.scene.load import load_scene
+from kc2spice.sim.ngspice import run_deck
 from kc2spice.spice.header import Header
 from kc2spice.spice.realize import subcircuit
 
@@ -57,6 +58,18 @@ def parts(header, model, radii, table):
 def scene():
     """The loop at a voltage that launches the made-up device at about 1 m/s."""
     return load_scene(LOOP)
+
+
+@pytest.fixture(scope="session")
+def loop(scene, model, table):
+    """Its deck."""
+    return device.deck_of(scene, model, table)
+
+
+@pytest.fixture(scope="session")
+def waves(loop, tmp_path_factory):
+    """What ngspice makes of it."""
+    return run_deck(loop, tmp_path_factory.mktemp("loop"))
 
 
 @pytest.fixture(scope="session")

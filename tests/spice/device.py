@@ -4,13 +4,18 @@ from typing import Any
 
 import numpy as np
 
+from kc2spice.core.progress import Clock, silent
 from kc2spice.fem.magnetics.table import EMTable
 from kc2spice.netlist.deck import Deck
 from kc2spice.rom.linear import Certificate, Port
 from kc2spice.rom.modal import Resonators
+from kc2spice.scene.load import load_scene
 from kc2spice.scene.parttype import Build
+from kc2spice.sim.ngspice import run_deck
 from kc2spice.workflow.decks import make_deck
-from kc2spice.workflow.models import libraries
+from kc2spice.workflow.judge import verdict
+from kc2spice.workflow.models import build_models, libraries
+from kc2spice.workflow.verify.circuit import solve
 
 RADII = 50e-6 * np.arange(6)
 
@@ -65,6 +70,19 @@ def built(scene, model=None, table=None):
         if part.type.name == "ring_magnet_coils" and table is not None:
             models[part.name] = table
     return Build(scene, models, libraries(scene))
+
+
+def models(scene, *sets):
+    """A scene, by its name, file or tables, with what its parts are made of."""
+    return build_models(load_scene(scene, list(sets)), Clock(silent))
+
+
+def both(scene, folder):
+    """What ngspice and the independent integrator make of a scene, and its failed checks."""
+    build = models(scene)
+    waves = run_deck(make_deck(build), folder)
+    failed = [check for check in verdict(waves, build).checks if not check.passed]
+    return waves, solve(build, waves).results, failed
 
 
 def deck_of(scene, model=None, table=None):

@@ -4,15 +4,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from device import models
 
 import kc2spice as kc
 from kc2spice.core.errors import SimulationError, UsageError
-from kc2spice.core.progress import Clock, silent
 from kc2spice.netlist.lint import lint
 from kc2spice.scene.load import load_scene
 from kc2spice.workflow.decks import make_deck
 from kc2spice.workflow.judge import metrics
-from kc2spice.workflow.models import build_models
 from kc2spice.workflow.simulate import simulate
 
 R, L, C = 50.0, 1e-3, 1e-6
@@ -22,7 +21,7 @@ OMEGA, ZETA = 1 / np.sqrt(L * C), R / 2 * np.sqrt(C / L)
 def run(tables, directory):
     """Waveforms and metrics of a scene; no check may fail."""
     scene = load_scene(tables)
-    build = build_models(scene, Clock(silent))
+    build = models(scene)
     deck = make_deck(build)
     lint(deck)
     waves = simulate(build, deck, directory).waves
@@ -112,7 +111,7 @@ def test_a_source_follows_a_file(tmp_path):
         '[supply]\npart = "source"\nfile = "drive.csv"\npins = { out = "ohm.a" }\n'
         '[ohm]\npart = "resistor"\nresistance = 1.0\n'
     )
-    build = build_models(load_scene(tmp_path / "a.toml"), Clock(silent))
+    build = models(tmp_path / "a.toml")
     waves = simulate(build, make_deck(build), tmp_path / "out").waves
     exact = np.interp(waves["time"], [0, 1e-5, 3e-5], [0, 2.5, -1])
     np.testing.assert_allclose(waves["supply.v"], exact, atol=1e-6)
@@ -135,7 +134,7 @@ def test_a_source_that_is_not_as_defined_fails_the_run(kind, tmp_path):
         f'[load]\n{LOADS[kind]}\n[tie]\n{LOADS[kind]}\npins = {{ a = "load.b" }}\n'
         "[analysis]\nstop = 1e-5\n"
     )
-    build = build_models(load_scene(tmp_path / "a.toml"), Clock(silent))
+    build = models(tmp_path / "a.toml")
     deck = make_deck(build)
     checks = simulate(build, deck, tmp_path).verdict.checks
     assert any("drives as defined" in c.name for c in checks)

@@ -2,29 +2,16 @@
 
 import numpy as np
 import pytest
+from device import both, models
 from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 
 from kc2spice.core.errors import UsageError
-from kc2spice.core.waveforms import Waveforms
 from kc2spice.scene.load import load_scene
-from kc2spice.scene.parttype import Build
 from kc2spice.sim.ngspice import run_deck
 from kc2spice.workflow.decks import make_deck
-from kc2spice.workflow.judge import verdict
-from kc2spice.workflow.models import libraries
-from kc2spice.workflow.verify.circuit import solve
 
 MASS = 4 / 3 * np.pi * 1e-9 * 7850.0
-
-
-def ran(scene, directory):
-    """The deck's waveforms with the physics checks, and the independent integrator's ends."""
-    build = Build(scene, {}, libraries(scene))
-    waves = run_deck(make_deck(build), directory)
-    failed = [check for check in verdict(waves, build).checks if not check.passed]
-    ends = Waveforms({"time": np.array([0.0, scene.stop])}, {})
-    return waves, solve(build, ends).results, failed
 
 
 def bounce(**keys):
@@ -40,7 +27,7 @@ def bounce(**keys):
 def test_restitution_is_that_of_hunt_and_crossley(damping, law, tmp_path):
     """``ln((1 + c v) / (1 - c e v)) = c v (1 + e)`` at any exponent (Marhefka and Orin 1999)."""
     keys = {"modulus": 100e9} if law == "hertz" else {"penalty": 1e7}
-    waves, exact, failed = ran(bounce(law=law, damping=damping, **keys), tmp_path)
+    waves, exact, failed = both(bounce(law=law, damping=damping, **keys), tmp_path)
     e = brentq(lambda e: np.log((1 + damping) / (1 - damping * e)) - damping * (1 + e),
                1e-3, min(1.0, 1 / damping) * (1 - 1e-12))  # fmt: skip
     assert exact["sphere.v"][-1] == pytest.approx(e, rel=1e-8)
@@ -56,7 +43,7 @@ def test_a_sphere_in_a_groove_leans_on_both_flanks(angle, tmp_path):
         "contact": {"part": "contact", "a": "gnd", "penalty": 1e6, "groove": angle},
         "solver": {"stop": 1e-3, "max_step": 1e-4},
     })  # fmt: skip
-    waves, exact, _ = ran(scene, tmp_path)
+    waves, exact, _ = both(scene, tmp_path)
     s = np.sin(np.radians(angle) / 2)
     dent = -MASS * 9.81 / (2 * 1e6 * s**2)
     for found in (waves, exact):
@@ -80,7 +67,7 @@ def block(force, until, stop):
 
 def test_a_pushed_block_slides_as_far_as_coulomb_says(tmp_path):
     """``x = a T^2 / 2 + (a T)^2 / (2 mu g)`` with ``a = F / m - mu g``."""
-    waves, exact, failed = ran(block(0.1, 5e-3, 30e-3), tmp_path)
+    waves, exact, failed = both(block(0.1, 5e-3, 30e-3), tmp_path)
     drag = 0.3 * 9.81
     a = 0.1 / 10e-3 - drag
     slid = a * 5e-3**2 / 2 + (a * 5e-3) ** 2 / (2 * drag)
@@ -93,8 +80,7 @@ def test_a_pushed_block_slides_as_far_as_coulomb_says(tmp_path):
 def test_newtons_cradle_against_plain_equations(tmp_path):
     """Momentum and energy are closed; each sphere as DOP853 has it."""
     scene = load_scene("newtons_cradle")
-    build = Build(scene, {}, libraries(scene))
-    waves = run_deck(make_deck(build), tmp_path)
+    waves = run_deck(make_deck(models(scene)), tmp_path)
     mass = 4 / 3 * np.pi * 1e-6 * 7860.0
     K = 4 / 3 * (211.9e9 / (1 - 0.291**2) / 2) * np.sqrt(5e-3)
 
@@ -120,7 +106,7 @@ def test_hertz_asks_for_what_it_cannot_know():
 def test_a_ceiling_is_a_plane_above(tmp_path):
     """``x = (F + eps gap) / (k + eps)`` of what a spring holds and a force presses against it."""
     force, stiffness, penalty, gap = 1.0, 1e3, 1e5, 1e-4
-    waves, _, failed = ran(
+    waves, _, failed = both(
         load_scene({
             "name": "ceiling", "gravity": 0.0, "analysis": {"type": "op"},
             "block": {"part": "mass", "mass": 1e-3, "pins": {"a": "spring.a"}},

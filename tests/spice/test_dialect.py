@@ -7,7 +7,6 @@ from dataclasses import replace
 import numpy as np
 import pyparsing as pp
 import pytest
-from device import deck_of
 
 from kc2spice.core.errors import UsageError
 from kc2spice.netlist.deck import Deck
@@ -18,11 +17,6 @@ from kc2spice.sim.ngspice import run_deck
 from kc2spice.spice.header import Header
 
 pp.ParserElement.set_default_whitespace_chars(" \t\n")
-
-
-@pytest.fixture(scope="module")
-def loop(scene, model, table):
-    return deck_of(scene, model, table)
 
 
 # -------------------------------------------------------------------- the published grammars

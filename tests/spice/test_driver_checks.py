@@ -1,18 +1,16 @@
 """Checks of what drivers and netlists of users give."""
 
 import pytest
+from device import models
 
 from kc2spice.core.errors import SimulationError
-from kc2spice.core.progress import Clock, silent
-from kc2spice.scene.load import load_scene
 from kc2spice.workflow.decks import make_deck
-from kc2spice.workflow.models import build_models
 from kc2spice.workflow.simulate import simulate
 
 
 def test_an_amplifier_is_not_driven_beyond_its_rails(tmp_path):
     """3 A for 1 us into an output that takes 1 A: the rest charges 10 nF to 200 V."""
-    scene = load_scene({
+    build = models({
         "name": "driven", "analysis": {"type": "transient", "stop": 2e-6},
         "amplifier": {"part": "amplifier", "current_limit": 1.0, "pins": {"out": "push.out"}},
         "command": {"part": "source", "pins": {"out": "amplifier.command"}},
@@ -20,7 +18,6 @@ def test_an_amplifier_is_not_driven_beyond_its_rails(tmp_path):
                  "pulse": {"high": 3.0, "width": 1e-6, "edge": 1e-7}},
         "load": {"part": "capacitor", "capacitance": 10e-9, "pins": {"a": "push.out", "b": "gnd"}},
     })  # fmt: skip
-    build = build_models(scene, Clock(silent))
     with pytest.raises(SimulationError, match="amplifier within its rails"):
         simulate(build, make_deck(build), tmp_path)
 
@@ -54,7 +51,7 @@ def test_what_a_netlist_states_of_itself_is_checked(rating, violated, tmp_path):
         "[load]\npart = 'resistor'\nresistance = 1000.0\n"
         "[analysis]\nstop = 2e-5\n[solver]\nmax_step = 5e-8\n"
     )
-    build = build_models(load_scene(tmp_path / "a.toml"), Clock(silent))
+    build = models(tmp_path / "a.toml")
     if violated is None:
         names = [c.name for c in simulate(build, make_deck(build), tmp_path).verdict.checks]
         assert {"mine.out within its rails", "mine.out within its slew rate"} <= set(names)

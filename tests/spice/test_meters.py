@@ -2,15 +2,14 @@
 
 import numpy as np
 import pytest
+from device import models
 
 import kc2spice as kc
 from kc2spice.core.errors import UsageError
-from kc2spice.core.progress import Clock, silent
 from kc2spice.scene.load import load_scene
 from kc2spice.scene.parttype import current
 from kc2spice.workflow.decks import make_deck
 from kc2spice.workflow.meters import result_vectors
-from kc2spice.workflow.models import build_models
 from kc2spice.workflow.simulate import simulate
 
 OWN = """.subckt own in out ref
@@ -133,7 +132,7 @@ def test_what_leaves_parts_at_a_net_is_nothing_together(tmp_path):
         "diode": {"part": "diode", "pins": {"anode": "drive.out", "cathode": "load.a"}},
         "load": {"part": "resistor", "resistance": 50.0, "pins": {"b": "gnd"}},
     })  # fmt: skip
-    build = build_models(scene, Clock(silent))
+    build = models(scene)
     waves = simulate(build, make_deck(build), tmp_path).waves
     at_mass = [("mass", "a"), *scene.joined("mass", "a")]
     forces = [scene.parts[n].type.force_on(scene.parts[n], p, build, waves) for n, p in at_mass]

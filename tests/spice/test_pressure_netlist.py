@@ -1,13 +1,11 @@
 """The netlist of a pressure under a sphere against its law: at rest, and where contact ends."""
 
 import pytest
+from device import models
 
-from kc2spice.core.progress import Clock, silent
 from kc2spice.parts._touching import separation
-from kc2spice.scene.load import load_scene
 from kc2spice.sim.ngspice import run_deck
 from kc2spice.workflow.decks import make_deck
-from kc2spice.workflow.models import build_models
 from kc2spice.workflow.verify.circuit import solve
 
 KEYS = ("contact.shape=pressure", "kick.layers=3", "kick.height=150 um")
@@ -17,7 +15,7 @@ KEYS = ("contact.shape=pressure", "kick.layers=3", "kick.height=150 um")
 def solved(request, tmp_path):
     """Waves of ngspice, and the laws at the same points."""
     scene, *keys = request.param
-    build = build_models(load_scene(scene, [*KEYS, *keys]), Clock(silent))
+    build = models(scene, *KEYS, *keys)
     waves = run_deck(make_deck(build), tmp_path)
     return waves, solve(build, waves)
 

@@ -17,15 +17,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from device import models
 from drawn_devices import catch, elastic, electrostatic, field, stack, stretched, thrown, voice
 from own_equations import Equations, Wave
 from scipy.integrate import solve_ivp
 
 from kc2spice.core.errors import Kc2spiceError
-from kc2spice.core.progress import Clock, silent
 from kc2spice.scene.load import load_scene
 from kc2spice.scene.parttype import part_types
-from kc2spice.workflow.models import build_models
 from kc2spice.workflow.run import run
 
 PATIENCE = 120  # s
@@ -341,7 +340,7 @@ def body(d):
         + '[analysis]\ntype = "ac"\nstart = 1\nstop = 2\n'
     )  # fmt: skip
     (d.folder / "wide.toml").write_text(wide)
-    model = build_models(load_scene(d.folder / "wide.toml"), Clock(silent)).model("dev")
+    model = models(d.folder / "wide.toml").model("dev")
     K, E, M = model.pencil.dense().coefficients
     row = model.C[model.outputs.index(port)]
     if kind == "body":

@@ -9,13 +9,12 @@ import warnings
 
 import numpy as np
 import pytest
+from device import models
 from scipy.signal import lsim
 
 import kc2spice as kc
 from kc2spice.core.errors import SimulationError
-from kc2spice.core.progress import Clock, silent
 from kc2spice.scene.load import load_scene
-from kc2spice.workflow.models import build_models
 from kc2spice.workflow.run import run
 
 DISC = """
@@ -100,7 +99,7 @@ def body_matrices(text, folder):
         'name = "wide"\n' + text + f"\n[rom]\ntolerance = 1e-5\nband = [0, {HIGH!r}]\n"
         '[drive]\npart = "source"\nac = 1.0\n[analysis]\ntype = "ac"\nstart = 1\nstop = 2\n'
     )
-    model = build_models(load_scene(path), Clock(silent)).model("body")
+    model = models(path).model("body")
     K, E, M = model.pencil.dense().coefficients
     i, o = model.inputs.index("anode"), model.outputs.index(PORT)
     f = np.geomspace(HIGH / 300, HIGH, 6000)

@@ -4,7 +4,7 @@ import dataclasses
 
 import numpy as np
 import pytest
-from device import built, deck_of
+from device import built
 
 from kc2spice.netlist.deck import Deck
 from kc2spice.sim.retries import RetriesFailedError, run_with_retries
@@ -62,8 +62,3 @@ def test_the_last_failure_names_node_time_part_and_all_settings(tmp_path):
     partial = error.failure.partial
     assert 0 < partial["time"][-1] <= error.failure.time < 1e-3
     assert np.isfinite(partial["b"]).all()
-
-
-@pytest.fixture(scope="module")
-def loop(scene, model, table):
-    return deck_of(scene, model, table)

@@ -4,7 +4,6 @@ import re
 from dataclasses import replace
 
 import pytest
-from device import deck_of
 
 from kc2spice.netlist.deck import Block
 from kc2spice.netlist.translate import symbol_files
@@ -14,9 +13,8 @@ asy_reader = pytest.importorskip("spicelib.editor.asy_reader")
 
 
 @pytest.fixture(scope="module")
-def deck(parts, scene, model, table):
+def deck(parts, loop):
     """A loop, and an operational amplifier whose output nothing else is wired to."""
-    loop = deck_of(scene, model, table)
     cards = "Xamp sphere_y 0 spare 0 0 0 opamp a0=1e5", "Fmirror mirror 0 Vkick_drive 0.5"
     more = Block("more", cards)
     return replace(loop, parts=(*loop.parts, parts["opamp"]), blocks=(*loop.blocks, more))

@@ -6,6 +6,7 @@ import re
 
 import numpy as np
 import pytest
+from device import models
 from kicked import kicked as write_kicked
 
 from kc2spice.core.progress import Clock, silent
@@ -14,7 +15,6 @@ from kc2spice.netlist.read import subcircuits
 from kc2spice.scene.load import load_scene
 from kc2spice.sim.ngspice import run_deck
 from kc2spice.workflow.decks import make_deck
-from kc2spice.workflow.models import build_models
 from kc2spice.workflow.verify import bodies
 from kc2spice.workflow.verify.circuit import solve
 from kc2spice.workflow.verify.full import Difference, full_solution
@@ -74,7 +74,7 @@ def test_laws_of_a_circuit_against_its_closed_form(tmp_path):
         "pwl = [[0, 0], [1e-12, 10], [1, 10]]",
     )
     (tmp_path / "rlc.toml").write_text(text)
-    build = build_models(load_scene(tmp_path / "rlc.toml"), Clock(silent))
+    build = models(tmp_path / "rlc.toml")
     t = np.linspace(0.0, 1e-4, 301)
     found = solve(build, Waveforms({"time": t}, {})).results
     a, w0 = 50 / 2e-3, 1 / np.sqrt(1e-3 * 1e-8)
@@ -202,7 +202,7 @@ def test_a_signal_input_listens_to_a_loaded_node(kind, tmp_path):
     record = verify([scene], tmp_path / "out")["heard"]
     assert record["passed"], failed(record)
     assert record["left_out"] == []
-    build = build_models(scene, Clock(silent))
+    build = models(scene)
     if kind == "ac":
         f = np.geomspace(100, 1e5, 20)
         found = solve(build, Waveforms({"frequency": f}, {})).results
@@ -239,7 +239,7 @@ ABOVE_THE_BAND = re.compile(r"Cp6 ")
 
 @pytest.fixture(scope="module")
 def chip():
-    build = build_models(load_scene("kick_and_catch", list(CHIP)), Clock(silent))
+    build = models("kick_and_catch", *CHIP)
     text = make_deck(build).files["kick.lib"]
     return build, text
 

@@ -4,7 +4,6 @@ import re
 
 import numpy as np
 import pytest
-from device import deck_of
 
 from kc2spice.core.errors import UsageError
 from kc2spice.netlist.circuit import Param, Pin, Subcircuit
@@ -205,10 +204,9 @@ def test_residuals_and_jacobian(parts, modules, name):
 # ----------------------------------------------------------------------------- what is said
 
 
-def test_the_dialect_writes_modules(scene, model, table, parts):
-    deck = deck_of(scene, model, table)
-    files = dialect_files(deck, [*deck.parts, parts["coil"], parts["opamp"]], "verilog-a")
-    (kick,) = (part for part in deck.parts if part.filename == "kick.lib")
+def test_the_dialect_writes_modules(loop, parts):
+    files = dialect_files(loop, [*loop.parts, parts["coil"], parts["opamp"]], "verilog-a")
+    (kick,) = (part for part in loop.parts if part.filename == "kick.lib")
     assert set(files) == {f"{name}.va" for name in NAMES} | {"loop_osdi.cir"}
     bench = files["loop_osdi.cir"]
     assert "pre_osdi kick.osdi" in bench
