@@ -9,7 +9,7 @@ from __future__ import annotations
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-from kc2spice.core.version import __version__ as __version__
+from kc2spice.core import __version__ as __version__
 
 if TYPE_CHECKING:
     from kc2spice.api import Result, Table, build, deck, reduce, register_part, run, simulate, sweep

@@ -18,12 +18,12 @@ from typing import Any
 
 import numpy as np
 
+from kc2spice.core import __version__
 from kc2spice.core.errors import UsageError, unknown
 from kc2spice.core.figure import Figure
 from kc2spice.core.files import staged
 from kc2spice.core.progress import Clock
-from kc2spice.core.units import quantity
-from kc2spice.core.version import __version__
+from kc2spice.core.quantities import quantity
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.netlist.deck import Deck
 from kc2spice.netlist.lint import lint
@@ -32,13 +32,11 @@ from kc2spice.scene.judge import Check
 from kc2spice.scene.load import load_scene
 from kc2spice.scene.model import Probe, Scene
 from kc2spice.scene.parttype import register as register_part
-from kc2spice.sim.ngspice import find_ngspice, write_deck
-from kc2spice.sim.retries import run_with_retries
+from kc2spice.sim.ngspice import find_ngspice, run_with_retries, write_deck
 from kc2spice.workflow.decks import make_deck
 from kc2spice.workflow.models import build_models
-from kc2spice.workflow.results import SCALES, write_record, write_waveforms
 from kc2spice.workflow.run import Completed, complete, write_run_files
-from kc2spice.workflow.simulate import kept_on_failure
+from kc2spice.workflow.simulate import SCALES, kept_on_failure, write_record, write_waveforms
 
 __all__ = [
     "Result",
@@ -375,7 +373,7 @@ class Table(tuple[dict[str, Any], ...]):
 
     def save(self, path: str | Path) -> Path:
         """Write the table as CSV."""
-        from kc2spice.workflow.sweep.table import write_csv
+        from kc2spice.workflow.sweep.run import write_csv
 
         write_csv({name: self[name] for name in self.columns}, Path(path))
         return Path(path)
@@ -425,9 +423,7 @@ def sweep(
     """
     from kc2spice.workflow.sweep.plan import make_plan
     from kc2spice.workflow.sweep.point import Job, LoadedScene, scene_text
-    from kc2spice.workflow.sweep.run import outcomes, planned
-    from kc2spice.workflow.sweep.table import columns, require_columns
-    from kc2spice.workflow.sweep.workers import cores
+    from kc2spice.workflow.sweep.run import columns, cores, outcomes, planned, require_columns
 
     if not values or not all(len(each) for each in values.values()):
         raise UsageError("nothing to sweep", where="values", expected="{key: [value, …]}")

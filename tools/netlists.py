@@ -26,7 +26,7 @@ from tempfile import TemporaryDirectory
 
 import kc2spice
 from kc2spice.netlist import read_lib
-from kc2spice.netlist.printers.box import layout
+from kc2spice.netlist.printers import layout
 from kc2spice.netlist.printers.kicad import Symbol, element_symbols, library, part_symbol
 from kc2spice.netlist.read import statements
 from kc2spice.scene.load import gallery, load_scene

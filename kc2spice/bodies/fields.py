@@ -25,8 +25,8 @@ from skfem import Basis
 from kc2spice.bodies.device import Device
 from kc2spice.core.errors import UsageError
 from kc2spice.fem.solid import Solid, strains
-from kc2spice.rom.krylov import block_arnoldi
-from kc2spice.rom.march import resonant
+from kc2spice.rom.modal import resonant
+from kc2spice.rom.subspace import block_arnoldi
 
 ORDER = 40
 STILL = 1e-6  # of the highest frequency: a motion without stiffness

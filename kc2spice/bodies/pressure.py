@@ -14,7 +14,7 @@ put back where it is missing. What differs between the round stack and the real 
 the same for all hats, and dynamic: the patch has it. The matrix is positive semi-definite because
 ``S - s 1 1'`` is (s is the least compliance of all shares) and a coarse mesh is too stiff.
 
-The hats answer at once, as residual modes do (:mod:`kc2spice.rom.massless`): the dents' own modes
+The hats answer at once, as residual modes do (:mod:`kc2spice.rom.modal`): the dents' own modes
 lie above the sound's frequency over the patch, ten megahertz. Nothing but the depth x by which a
 sphere is pressed into them beyond the patch's motion sets them therefore, and their sum is one law
 of one depth (:func:`dented`), which a circuit evaluates at the cost of one spring.
@@ -32,8 +32,8 @@ from skfem.mesh import MeshQuad
 from kc2spice.bodies.device import Device, Setup, Shape, constrained
 from kc2spice.bodies.fields import Probe, principal
 from kc2spice.bodies.piezo_stack import layer_materials, stack_setup
+from kc2spice.bodies.stack_keys import Chip
 from kc2spice.core.errors import SimulationError
-from kc2spice.fem.piezo.keys import Chip
 from kc2spice.fem.solid import Solid
 from kc2spice.rom.linear import Port
 

@@ -26,9 +26,9 @@ from skfem.mesh import MeshQuad, MeshQuad2
 
 from kc2spice.bodies.device import electromechanical
 from kc2spice.bodies.pressure import CELLS, GROWTH, Pressed, PressureBasis, hat_loads
+from kc2spice.bodies.stack_keys import PATCH
 from kc2spice.fem.keys import Damping
 from kc2spice.fem.materials import Material
-from kc2spice.fem.piezo.keys import PATCH
 from kc2spice.fem.solid import Solid, assemble
 from kc2spice.rom.linear import LinearModel, Port, with_potentials
 

@@ -1,19 +1,181 @@
-"""What the commands print for a person: results, verdicts, plans, keys and findings as tables."""
+"""What a person sees in the terminal: progress on stderr, results, verdicts, plans, keys and
+findings as tables on stdout, errors in one block.
+"""
 
 from __future__ import annotations
 
+import contextlib
+import json
+import os
 import shlex
+import sys
 import textwrap
-from collections.abc import Iterable, Mapping
+import time
+import traceback
+import warnings
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager, contextmanager, nullcontext
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from kc2spice.cli.console import COLUMNS, print_table
+import typer
+
+from kc2spice.core.errors import Kc2spiceError, SimulationError, UsageError
+from kc2spice.core.files import FULL
+from kc2spice.core.progress import Progress, silent
 
 if TYPE_CHECKING:
     from kc2spice.cli.doctor import Finding
     from kc2spice.report.html import Section
     from kc2spice.scene.keys import Key, PartDoc
+COLUMNS = 80  # of what is piped
+_EVERY = 10.0  # s between two lines of progress of one stage
+INTERRUPTED = 130  # what a shell reports after Ctrl-C
+
+
+@dataclass(frozen=True)
+class Caller:
+    """Who gave a command: a program that asked for JSON, a person, or one who wants it quiet."""
+
+    as_json: bool
+    quiet: bool
+
+    def progress(self) -> AbstractContextManager[Progress]:
+        """Shows the progress of a block."""
+        return shown_progress(self.quiet)
+
+    def note(self, text: str) -> None:
+        """A line beside the answer."""
+        if not self.quiet:
+            print(text, file=sys.stderr)
+
+    def answer(self, record: Any, show: Callable[[], None], out: Path | None = None) -> None:
+        """``record`` and its directory ``out`` as JSON, or what ``show`` prints of it."""
+        if self.as_json and out is not None:
+            record = {**record, "directory": str(out.absolute())}
+        if self.as_json:
+            print(json.dumps(record))
+        elif not self.quiet:
+            show()
+
+
+def shown_progress(quiet: bool) -> AbstractContextManager[Progress]:
+    """Progress bars in a terminal, one line for each stage elsewhere, nothing when quiet."""
+    if not quiet and sys.stderr.isatty():
+        return _bars()
+    return nullcontext(silent if quiet else _Lines())
+
+
+@contextmanager
+def _bars() -> Iterator[Progress]:
+    """One bar for each stage; that of an earlier one is full."""
+    from rich import progress as rich
+    from rich.console import Console
+
+    stage, text = "{task.fields[stage]:<10}", rich.TextColumn("{task.description}", markup=False)
+    left = (rich.SpinnerColumn(), rich.TextColumn(stage), rich.BarColumn(24))
+    right = (rich.TimeElapsedColumn(), text)
+    with rich.Progress(*left, *right, console=Console(stderr=True)) as bars:
+
+        def fill() -> None:
+            for task in bars.tasks:
+                bars.update(task.id, total=1, completed=1)
+
+        def show(stage: str, done: float | None, text: str) -> None:
+            tasks = {task.fields["stage"]: task.id for task in bars.tasks}
+            if stage not in tasks:
+                fill()
+                tasks[stage] = bars.add_task(text, total=None, stage=stage)
+            total = None if done is None else 1.0
+            bars.update(tasks[stage], description=text, total=total, completed=done or 0.0)
+
+        yield show
+        fill()
+
+
+class _Lines:
+    """For logs and pipes: a line when a stage begins, then what has changed now and then."""
+
+    def __init__(self) -> None:
+        self._stage, self._text, self._last = "", "", 0.0
+
+    def __call__(self, stage: str, done: float | None, text: str) -> None:
+        late = time.monotonic() - self._last > _EVERY or done == 1.0
+        if stage != self._stage or (late and text != self._text):
+            self._stage, self._text, self._last = stage, text, time.monotonic()
+            print(f"{stage}: {text}", file=sys.stderr, flush=True)
+
+
+@contextmanager
+def reported_errors() -> Iterator[None]:
+    """Turn exceptions into one message and the exit code of the contract."""
+    warnings.showwarning = _show_warning
+    try:
+        yield
+        sys.stdout.flush()  # what cannot be written is told here, not by the interpreter's end
+    except Kc2spiceError as error:
+        _fail(str(error))
+        raise typer.Exit(error.exit_code) from None
+    except KeyboardInterrupt:
+        _fail("interrupted; nothing was written")
+        raise typer.Exit(INTERRUPTED) from None
+    except BrokenPipeError:  # the reader of a pipe left, as in `kc2spice scenes | head`
+        _drop_stdout()
+        raise typer.Exit(0) from None
+    except typer.Exit:
+        raise
+    except MemoryError:
+        _fail("the memory is exhausted\n  next:     a coarser mesh, fewer points or more memory")
+        raise typer.Exit(SimulationError.exit_code) from None
+    except Exception as error:
+        if isinstance(error, OSError) and error.errno in FULL:
+            _drop_stdout()
+            _fail(f"cannot be written: {error.strerror}\n  next:     free some space")
+            raise typer.Exit(UsageError.exit_code) from None
+        if os.environ.get("KC2SPICE_DEBUG"):
+            traceback.print_exc()
+        detail = f"{type(error).__name__}: {error}".splitlines()[0]
+        _fail(f"internal error: {detail}\n  next:     set KC2SPICE_DEBUG=1 for the details")
+        raise typer.Exit(SimulationError.exit_code) from None
+
+
+def _drop_stdout() -> None:
+    """What is still to be written goes nowhere."""
+    with contextlib.suppress(OSError, ValueError):  # a stream without a file
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+
+
+def _fail(text: str) -> None:
+    print(f"kc2spice: error: {text}", file=sys.stderr, flush=True)
+
+
+def _show_warning(message: Any, *_: Any, **__: Any) -> None:
+    print(f"kc2spice: warning: {message}", file=sys.stderr, flush=True)
+
+
+def print_table(
+    title: str,
+    rows: Sequence[Sequence[str]],
+    header: Sequence[str] = (),
+    *,
+    names: int | None = None,
+) -> None:
+    """A small table on stdout; plain text where stdout is no terminal.
+
+    The column ``names`` is never broken: what stands there is meant to be searched and copied.
+    """
+    from rich.console import Console
+    from rich.table import Table
+
+    table = Table(title=title, title_justify="left", title_style="bold", box=None, pad_edge=False)
+    table.show_header = bool(header)
+    for k, name in enumerate(header or [""] * max((len(row) for row in rows), default=0)):
+        table.add_column(name, overflow="fold", no_wrap=k == names)
+    for row in rows:
+        table.add_row(*(cell.replace("[", r"\[") for cell in row))
+    width = None if sys.stdout.isatty() else COLUMNS
+    Console(width=width).print(table)
 
 
 def show_sections(sections: Iterable[Section]) -> None:
@@ -40,7 +202,7 @@ def show_result(result: Mapping[str, Any], directory: Path) -> None:
 
 def show_verdicts(found: Mapping[str, Mapping[str, Any]], directory: Path) -> None:
     """What ``verify`` found."""
-    from kc2spice.report.verify_page import verdict_sections
+    from kc2spice.report.pages import verdict_sections
 
     for name, record in found.items():
         show_sections(verdict_sections(name, record))
@@ -85,7 +247,7 @@ def show_reduced(found: Mapping[str, Any]) -> None:
 
 def show_bench(record: Mapping[str, Any], given: str, out: Path) -> None:
     """What ``bench`` measured of a scene with overrides, ``given`` as words of the command line."""
-    from kc2spice.report.bench_page import bench_sections
+    from kc2spice.report.pages import bench_sections
 
     front = [point for point in record["points"] if point["front"] or point["own"]]
     show_sections(bench_sections({**record, "points": front}))
@@ -150,7 +312,7 @@ def show_findings(findings: Iterable[Finding]) -> None:
 
 def show_fit(found: Mapping[str, Any]) -> None:
     """What ``fit`` found."""
-    from kc2spice.report.fit_page import fit_sections
+    from kc2spice.report.pages import fit_sections
 
     show_sections(fit_sections(found))
     print(f"values, for --set: {found['overrides']}\nwith plots: {found['page']}")

@@ -27,7 +27,7 @@ from typing import Any
 import numpy as np
 
 from kc2spice.core.errors import SimulationError
-from kc2spice.core.waveform import Function
+from kc2spice.core.waveforms import Function
 
 MECHANICAL = ("displacement", "rotation")
 GROUND = "gnd"

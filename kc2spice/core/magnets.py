@@ -1,4 +1,8 @@
-"""Two coils and a magnet that moves: one coenergy of height and currents."""
+"""Two coils and a magnet that moves: one coenergy of height and currents, and its table.
+
+Splines are in numpy alone: scipy's would be most of what a run with cached models spends on loading
+modules.
+"""
 
 from __future__ import annotations
 
@@ -10,7 +14,75 @@ import numpy as np
 
 from kc2spice.core.errors import SimulationError
 from kc2spice.core.laws import Device, Flow, Pin, Tap
-from kc2spice.core.piecewise import Piecewise
+
+
+@dataclass(frozen=True)
+class Piecewise:
+    """``p(x) = sum_k c[k, j] (x - knots[j])^k`` in the cell j that holds ``x``.
+
+    ``knots`` (n,) ascend; ``c`` (degree + 1, n - 1, m) are m functions. The polynomials of the
+    outer cells go on beyond the knots.
+    """
+
+    knots: np.ndarray
+    c: np.ndarray
+
+    def __call__(self, x: np.ndarray | float) -> np.ndarray:
+        """Values (..., m) at ``x`` (...)."""
+        x = np.asarray(x, dtype=float)
+        cell = np.searchsorted(self.knots[1:-1], x, side="right")
+        step = (x - self.knots[cell])[..., None]
+        value = self.c[-1, cell]
+        for power in self.c[-2::-1]:
+            value = value * step + power[cell]
+        return value
+
+    def integral(self) -> Piecewise:
+        """Antiderivative, continuous and 0 at the first knot."""
+        power = np.arange(1, self.c.shape[0] + 1)[:, None, None]
+        rising = self.c / power
+        cells = np.sum(rising * np.diff(self.knots)[:, None] ** power, axis=0)
+        start = np.cumsum(cells, axis=0) - cells
+        return Piecewise(self.knots, np.concatenate([start[None], rising]))
+
+    def derivative(self) -> Piecewise:
+        """Slopes; what jumps at the knots is that of the cell above."""
+        return Piecewise(self.knots, self.c[1:] * np.arange(1, self.c.shape[0])[:, None, None])
+
+    def raised(self, by: np.ndarray) -> Piecewise:
+        """The same functions plus the constants ``by`` (m,)."""
+        return Piecewise(self.knots, np.concatenate([self.c[:1] + by, self.c[1:]]))
+
+
+def cubic_spline(x: np.ndarray, values: np.ndarray) -> Piecewise:
+    """Not-a-knot cubic spline through ``values`` (n, m) at ascending ``x`` (n,), n at least 2; of
+    two or three the line or the parabola.
+
+    Unknown are the second derivatives s at the nodes; equal slopes from both sides, with
+    ``h = diff(x)`` and ``d = diff(values) / h``, ask for ::
+
+        h[j-1] s[j-1] + 2 (h[j-1] + h[j]) s[j] + h[j] s[j+1] = 6 (d[j] - d[j-1])
+
+    and the first two and the last two cells share one cubic: ``diff(s) / h`` is equal there
+    (de Boor, A Practical Guide to Splines, ch. IV).
+    """
+    n, h = x.size, np.diff(x)
+    d = np.diff(values, axis=0) / h[:, None]
+    matrix, right = np.eye(n), np.zeros_like(values)
+    inner = np.arange(1, n - 1)
+    matrix[inner, inner - 1] = h[:-1]
+    matrix[inner, inner] = 2 * (h[:-1] + h[1:])
+    matrix[inner, inner + 1] = h[1:]
+    right[1:-1] = 6 * np.diff(d, axis=0)
+    if n == 3:
+        matrix[[0, 2], 1] = -1.0
+    for row, first in ((0, 0), (n - 1, n - 3)) if n > 3 else ():
+        a, b = h[first : first + 2]
+        matrix[row, first : first + 3] = b, -(a + b), a
+    s = np.linalg.solve(matrix, right)
+    h = h[:, None]
+    slope = d - h * (2 * s[:-1] + s[1:]) / 6
+    return Piecewise(x, np.stack([values[:-1], slope, s[:-1] / 2, np.diff(s, axis=0) / (6 * h)]))
 
 
 def products(i1: Any, i2: Any) -> np.ndarray:
@@ -152,3 +224,82 @@ class CoilForce(Device):
 
     def loss(self, t: float, e: np.ndarray, mode: Any) -> float:
         return float(self.resistance @ e[3:] ** 2)
+
+
+FORCE = ("c0", "c1", "c2", "c11", "c12", "c22")
+
+
+@dataclass(frozen=True)
+class EMTable:
+    """Result of the magnetostatic FE sweep; exact in the currents because materials are linear.
+
+    With the currents ``i1`` (lower coil) and ``i2`` (upper coil) at position ``y``::
+
+        F(y, i1, i2) = c0 + c1 i1 + c2 i2 + c11 i1^2 + c12 i1 i2 + c22 i2^2
+        lambda_k(y, i1, i2) = flux0[:, k] + sum_l inductance[:, k, l] i_l
+
+    ``y`` (n,) is the height of the sphere's centre above the kick actuator's top [m], forces in
+    N, flux linkages in Wb, inductances in H, coil resistances in Ohm. A positive current gives
+    B_y > 0 on the axis; the sphere's moment points to +y.
+    """
+
+    y: np.ndarray
+    c0: np.ndarray
+    c1: np.ndarray
+    c2: np.ndarray
+    c11: np.ndarray
+    c12: np.ndarray
+    c22: np.ndarray
+    flux0: np.ndarray  # (n, 2)
+    inductance: np.ndarray  # (n, 2, 2)
+    resistance: np.ndarray  # (2,)
+    unknowns: int
+
+    @cached_property
+    def coefficients(self) -> np.ndarray:
+        """The force's coefficients (n, 6) in the order of :data:`FORCE`."""
+        return np.column_stack([getattr(self, name) for name in FORCE])
+
+    @cached_property
+    def splines(self) -> Piecewise:
+        """Not-a-knot cubic splines of the six coefficients (..., 6) through the nodes.
+
+        They keep the FE's accuracy between 41 nodes; other end conditions and monotone
+        interpolants do not.
+        """
+        return cubic_spline(self.y, self.coefficients)
+
+    @cached_property
+    def coenergy(self) -> Coenergy:
+        """Integrals over y of the splines.
+
+        Integrating the force keeps force and flux consistent exactly and smooths, where a
+        differentiated flux would lose an order; the free constants put the mean over the nodes on
+        the FE fluxes.
+        """
+        integrals = self.splines.integral()
+        half = self.inductance / 2
+        nodes = np.column_stack(
+            [self.flux0, half[:, 0, 0], self.inductance[:, 0, 1], half[:, 1, 1]],
+        )
+        offset = np.mean(nodes - integrals(self.y)[:, 1:], axis=0)
+        return Coenergy(integrals.raised(np.concatenate([[0.0], offset])))
+
+    @cached_property
+    def facts(self) -> dict[str, float]:
+        """The numbers by which an engineer knows the actuator: the force is the largest of the nine
+        pairs of -0.1, 0 and 0.1 A in the coils."""
+        steps = (-0.1, 0.0, 0.1)
+        forces = em_cases(self, np.array([(i1, i2) for i1 in steps for i2 in steps]))
+        return {
+            "unknowns": self.unknowns,
+            "force_max_n": float(abs(forces).max()),
+            "coil_resistance_ohm": float(self.resistance[0]),
+            "coil_inductance_h": float(self.inductance[:, 0, 0].mean()),
+            "coil_mutual_h": float(self.inductance[:, 0, 1].mean()),
+        }
+
+
+def em_cases(table: EMTable, currents: np.ndarray) -> np.ndarray:
+    """Force (m, n) [N] at the nodes for ``currents`` (m, 2): the curves of the paper's Fig. 6."""
+    return np.array([products(i1, i2) @ table.coefficients.T for i1, i2 in currents])

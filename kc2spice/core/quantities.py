@@ -1,20 +1,261 @@
 """What the keys of a scene are made of: numbers in SI with their units, and frozen tables, checked
-with errors that name the key.
+with errors that name the key in the words of its author.
+
+``"0.5 mm"`` becomes ``5e-4``. All factors are powers of ten, so a quantity is a decimal number with
+a shifted exponent and is rounded once, when it becomes a float: ``"50 um"`` equals ``50e-6``.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import math
+import re
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from decimal import Decimal
 from functools import partial
-from typing import Annotated, Any, Literal, TypeVar
+from numbers import Real
+from typing import Annotated, Any, Literal, TypeVar, get_args
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Strict, ValidationError
-from pydantic_core import PydanticCustomError
+from pydantic.fields import FieldInfo
+from pydantic_core import ErrorDetails, PydanticCustomError
 
-from kc2spice.core.errors import UsageError
-from kc2spice.core.findings import dotted, told
-from kc2spice.core.units import quantity
+from kc2spice.core.errors import UsageError, did_you_mean
+
+KeyPath = tuple[str | int, ...]
+
+
+def told(
+    error: ValidationError, schema: type[BaseModel], at: KeyPath = (), also: Sequence[str] = ()
+) -> tuple[KeyPath, dict[str, Any]]:
+    """The path of the one finding to tell, and its message, got, expected and hint.
+
+    An unknown key comes before one that is missing, which it may stand for. ``at`` is where the
+    table stands, ``also`` are keys that it may have beside those of the ``schema``.
+    """
+    every = error.errors()
+    found = next((each for each in every if each["type"] == "extra_forbidden"), every[0])
+    message, expected, hint = _words(found, schema, (*at, *found["loc"]), also)
+    silent = found["type"] in ("extra_forbidden", "missing") or _contradicts(found)
+    got = None if silent else shown(found["input"])
+    return (*at, *found["loc"]), {
+        "message": message,
+        "got": got,
+        "expected": expected,
+        "hint": hint,
+    }
+
+
+def _contradicts(found: ErrorDetails) -> bool:
+    """Whether it is about keys that contradict each other: the message says what is wrong."""
+    return found["type"] == "value_error" and isinstance(found["input"], Mapping)
+
+
+def _words(
+    found: ErrorDetails, schema: type[BaseModel], whole: KeyPath, also: Sequence[str]
+) -> tuple[str, str | None, str | None]:
+    path, context = found["loc"], found.get("ctx", {})
+    match found["type"]:
+        case "extra_forbidden":
+            fields = [*_table(schema, path).model_fields, *(also if len(path) == 1 else ())]
+            word, every = str(path[-1]), (dotted(each) for each, _ in entries(schema))
+            near = did_you_mean(word, fields) or did_you_mean(word, every)
+            return "unknown key", "one of " + ", ".join(fields), near
+        case "missing":
+            return f"{dotted(whole)} is missing", None, None
+        case "string_pattern_mismatch":
+            expected = "a letter, then letters, digits and _, at most 64 in all"
+            if whole[0] in ("title", "include"):  # it ends up in the netlist: a line is a command
+                expected = "one line of text without control characters"
+            return "not allowed", expected, None
+        case "quantity":
+            return context["reason"], context["expected"], None
+        case "literal_error":
+            choices = re.findall(r"'?(\w+)'?(?:, | or |$)", context["expected"])
+            near = did_you_mean(str(found["input"]), choices)
+            return "no such choice", f"one of {', '.join(choices)}", near
+        case "int_type":
+            return "not a whole number", "a whole number, without quotes", None
+        case "model_type" | "dict_type":
+            entry = not whole or isinstance(whole[-1], int)  # of a list
+            table = "{ KEY = VALUE, … }" if entry else f"[{dotted(whole)}]"
+            return "not a table", f"a table, {table}", None
+        case "tuple_type" | "list_type":
+            return "not a list", f"a list, {whole[-1]} = [{_entry(found['input'])}]", None
+        case "too_short" | "too_long" as kind:
+            few = kind == "too_short"
+            count = context["min_length" if few else "max_length"]
+            bound = f"{'least' if few else 'most'} {count} entr{'y' if count == 1 else 'ies'}"
+            return f"too {'few' if few else 'many'} entries", f"a list of at {bound}", None
+        case "greater_than" | "greater_than_equal" | "less_than" | "less_than_equal":
+            sign = {"gt": ">", "ge": ">=", "lt": "<", "le": "<="}
+            limit = ", ".join(f"{sign[key]} {bound:g}" for key, bound in context.items())
+            names = tuple(part for part in path if isinstance(part, str))
+            unit = next((unit_of(field) for each, field in entries(schema) if each == names), None)
+            return "out of range", f"{limit} {unit or ''}".rstrip(), None
+        case "value_error":
+            return str(context["error"]), None, None
+    return found["msg"], context.get("expected"), None
+
+
+def _table(schema: type[BaseModel], path: KeyPath) -> type[BaseModel]:
+    """The innermost schema on the way to ``path``."""
+    for step in path[:-1]:
+        if step in schema.model_fields:
+            schema = submodel(schema.model_fields[str(step)].annotation) or schema
+    return schema
+
+
+def entries(schema: type[BaseModel]) -> Iterator[tuple[tuple[str, ...], FieldInfo]]:
+    """All keys of a schema in its order, those of its tables behind their names."""
+    for name, field in schema.model_fields.items():
+        section, own = submodel(field.annotation), (field.alias or name,)
+        if section is None:
+            yield own, field
+        else:
+            yield from ((own + below, each) for below, each in entries(section))
+
+
+def submodel(annotation: Any) -> type[BaseModel] | None:
+    """The section behind a field's annotation (``Kick`` for ``Kick | None``), if it is one."""
+    for candidate in (annotation, *get_args(annotation)):
+        if isinstance(candidate, type) and issubclass(candidate, BaseModel):
+            return candidate
+    return None
+
+
+def unit_of(field: FieldInfo) -> str | None:
+    """SI unit that the validator of a number (or of each number of a list) converts to."""
+    nested = [meta for arg in get_args(field.annotation) for meta in get_args(arg)[1:]]
+    for meta in (*field.metadata, *nested):
+        if isinstance(meta, BeforeValidator) and isinstance(meta.func, partial):
+            return str(meta.func.args[0])
+    return None
+
+
+def _entry(value: Any) -> str:
+    """How one entry of a list is written that stands there without its brackets."""
+    if isinstance(value, Mapping):
+        return "{ " + ", ".join(f"{key} = …" for key in value) + " }"
+    return " … "
+
+
+def dotted(path: KeyPath) -> str:
+    """``layers[0].thickness`` of its words and numbers."""
+    text = "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in path)
+    return text.removeprefix(".")
+
+
+def shown(value: Any) -> str:
+    """``repr``, or what can be said of a number of more digits than Python prints."""
+    try:
+        return clipped(repr(value))
+    except ValueError:
+        return f"a {type(value).__name__} that is too long to print"
+
+
+def clipped(text: str, limit: int = 120) -> str:
+    """At most so many characters of a text."""
+    return text if len(text) <= limit else text[:limit] + " …"
+
+
+EPSILON_0 = 8.8541878188e-12  # F/m, CODATA 2022; scipy.constants takes long to load
+MU_0 = 4e-7 * math.pi  # H/m
+
+BOLTZMANN = 1.380649e-23  # J/K, exact (SI, 2019)
+TEMPERATURE = 300.15  # K, of a simulation unless told
+
+_PREFIX = {
+    "f": -15, "p": -12, "n": -9, "u": -6, "µ": -6, "μ": -6, "m": -3, "c": -2,
+    "k": 3, "M": 6, "G": 9, "T": 12,
+}  # fmt: skip
+
+
+# Of each unit the power of ten and those of the base units kg, m, s, A, K.
+_UNITS = {
+    "g": (-3, 1, 0, 0, 0, 0), "m": (0, 0, 1, 0, 0, 0), "s": (0, 0, 0, 1, 0, 0),
+    "A": (0, 0, 0, 0, 1, 0), "K": (0, 0, 0, 0, 0, 1), "1": (0, 0, 0, 0, 0, 0),
+    "%": (-2, 0, 0, 0, 0, 0), "Hz": (0, 0, 0, -1, 0, 0), "N": (0, 1, 1, -2, 0, 0),
+    "Pa": (0, 1, -1, -2, 0, 0), "J": (0, 1, 2, -2, 0, 0), "W": (0, 1, 2, -3, 0, 0),
+    "C": (0, 0, 0, 1, 1, 0), "V": (0, 1, 2, -3, -1, 0), "Ohm": (0, 1, 2, -3, -2, 0),
+    "F": (0, -1, -2, 4, 2, 0), "H": (0, 1, 2, -2, -2, 0), "Wb": (0, 1, 2, -2, -1, 0),
+    "T": (0, 1, 0, -2, -1, 0),
+}  # fmt: skip
+_NUMBER = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d{1,4})?)\s*(.*?)\s*", re.DOTALL)
+_FACTOR = re.compile(r"([A-Za-zµμ%]+|1)\^?(\d?)")
+_SPELLINGS = str.maketrans({"\u2126": "Ohm", "Ω": "Ohm", "²": "2", "³": "3", "·": " ", "*": " "})
+_LONGEST = 200  # characters; nothing sensible comes near it
+
+
+def _symbol(text: str) -> tuple[int, ...] | None:
+    """A unit with or without prefix; the unprefixed reading wins (``m`` is metre, ``T`` tesla)."""
+    if text in _UNITS:
+        return _UNITS[text]
+    unit, shift = _UNITS.get(text[1:]), _PREFIX.get(text[:1])
+    return None if unit is None or shift is None else (unit[0] + shift, *unit[1:])
+
+
+def _parse_unit(text: str) -> tuple[int, ...] | None:
+    """``"A/(m s)"``: one product over another one, of factors between blanks, each with an optional
+    one-digit power; None where the text is no unit."""
+    top, slash, bottom = text.translate(_SPELLINGS).partition("/")
+    if slash and not bottom.strip():
+        return None
+    below = bottom.strip().removeprefix("(").removesuffix(")")
+    found = [0] * 6
+    for product, sign in ((top, 1), (below, -1)):
+        for factor in product.split():
+            match = _FACTOR.fullmatch(factor)
+            unit = _symbol(match[1]) if match else None
+            if match is None or unit is None or (factor == "1" and factor != product.strip()):
+                return None
+            power = sign * int(match[2] or 1)
+            found = [a + power * b for a, b in zip(found, unit, strict=True)]
+    return tuple(found)
+
+
+def _from_text(text: str, si: str) -> float:
+    """Value of a number with a unit; ValueError says in a few words what is wrong with it."""
+    match = _NUMBER.fullmatch(text) if len(text) <= _LONGEST else None
+    if match is None:
+        raise ValueError("not a quantity")
+    if not match[2] and si:
+        raise ValueError("a quantity in quotes needs its unit")
+    unit, target = _parse_unit(match[2]), _parse_unit(si)
+    assert target is not None, f"{si!r} is not a unit"
+    if unit is None:
+        raise ValueError(f"unknown unit {match[2]!r}")
+    if unit[1:] != target[1:]:
+        raise ValueError(f"wrong unit {match[2]!r}")
+    return float(Decimal(match[1]).scaleb(unit[0] - target[0]))
+
+
+def quantity(value: object, si: str, *, where: str | None = None) -> float:
+    """Return ``value`` in the SI unit ``si`` (``""`` for a plain number, where ``%`` is a unit).
+
+    A number is taken as SI already; a string is a number with a unit (``"100 V"``, ``"25 us"``).
+
+    Raises
+    ------
+    UsageError : not a finite number, or a unit of another dimension.
+    """
+    expected = f'a number in {si}, or a string with a unit such as "1 {si}"'
+    if not si:
+        expected = "a plain number"
+    try:
+        if isinstance(value, str):
+            result = _from_text(value, si)
+        elif isinstance(value, Real) and not isinstance(value, bool):
+            result = float(value)
+        else:
+            raise ValueError("not a quantity")
+        if not math.isfinite(result):
+            raise ValueError("not a finite number")
+    except (ValueError, OverflowError) as error:
+        got = repr(value) if len(repr(value)) <= _LONGEST else repr(value)[:_LONGEST] + " ..."
+        message = "not a finite number" if isinstance(error, OverflowError) else str(error)
+        raise UsageError(message, where=where, got=got, expected=expected) from None
+    return result
 
 
 def refused(reason: str, expected: str | None) -> PydanticCustomError:

@@ -1,11 +1,18 @@
-"""What a simulation gives back."""
+"""Waveforms: what a source prescribes, one definition for netlist, reference and checks, and what a
+simulation gives back.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
 
 import numpy as np
+
+from kc2spice.core.errors import UsageError
+from kc2spice.core.quantities import Count, Frequency, Section, Time
 
 
 @dataclass(frozen=True)
@@ -34,3 +41,221 @@ def running(values: np.ndarray, over: np.ndarray) -> np.ndarray:
     steps = (values[..., 1:] + values[..., :-1]) / 2 * np.diff(over)
     start = np.zeros((*np.shape(steps)[:-1], 1))
     return np.concatenate([start, np.cumsum(steps, axis=-1)], axis=-1)
+
+
+TOP = 1e-6  # flat top of a repeated triangle, of its edge
+NEVER = 1e4  # s; a period that no run reaches (newer ngspice repeats a pulse that has none)
+
+
+class PulseKeys(Section):
+    """From ``low`` to ``high`` from ``start`` on within ``edge``; ``width`` at half height."""
+
+    high: float | str = 1.0
+    low: float | str = 0.0
+    width: Time
+    edge: Time = 1e-9
+    start: Time = 0.0
+    period: Time | None = None
+    count: Count | None = None
+
+
+class SineKeys(Section):
+    """``amplitude sin(2 pi frequency (t - start))`` from ``start`` on, zero before."""
+
+    amplitude: float | str = 1.0
+    frequency: Frequency
+    start: Time = 0.0
+
+
+@dataclass(frozen=True)
+class Waveform:
+    """A function of time in SI: straight lines, or with a ``frequency`` a sine from ``start`` on.
+
+    ``points`` (n, 2) are times [s] and values, held before the first and behind the last. With a
+    ``period`` [s] the part from the first point on repeats, which a ``PULSE`` writes shortly.
+
+    Raises UsageError unless times increase strictly (edges take time).
+    """
+
+    points: tuple[tuple[float, float], ...]
+    period: float | None = None
+    amplitude: float = 0.0
+    frequency: float = 0.0
+    start: float = 0.0
+
+    def __post_init__(self) -> None:
+        times = [t for t, _ in self.points]
+        if not times or np.any(np.diff(times) <= 0.0):
+            raise UsageError("times of a waveform must increase strictly", got=times)
+
+    @property
+    def straight(self) -> bool:
+        """Whether it is straight between its corners."""
+        return not self.frequency
+
+    @property
+    def pace(self) -> float:
+        """Largest step [s] that cannot miss what it makes a guard do."""
+        return np.inf if self.straight else 0.05 / self.frequency
+
+    @cached_property
+    def _once(self) -> tuple[np.ndarray, np.ndarray]:
+        times, values = np.array(self.points, dtype=float).T
+        return times, values
+
+    def _folded(self, t: Any) -> np.ndarray:
+        """The same instants within the first period."""
+        t, first = np.asarray(t, dtype=float), self.points[0][0]
+        if self.period is None:
+            return t
+        return np.where(t > first, first + np.mod(t - first, self.period), t)
+
+    def __call__(self, t: Any) -> Any:
+        if self.straight:
+            return np.interp(self._folded(t), *self._once)
+        return self._turned(t, t, 0)
+
+    def _turned(self, t: Any, within: Any, order: int) -> Any:
+        w = 2 * np.pi * self.frequency
+        turned = np.sin(w * (np.asarray(t) - self.start) + 0.5 * np.pi * order)
+        return (np.asarray(within) > self.start) * self.amplitude * w**order * turned
+
+    def rate(self, t: Any, within: Any, order: int = 1) -> Any:
+        """Time derivatives at ``t``, of the smooth pieces that hold the times ``within``."""
+        if not self.straight:
+            return self._turned(t, within, order)
+        times, values = self._once
+        slopes = np.concatenate(([0.0], np.diff(values) / np.diff(times), [0.0]))
+        piece = np.searchsorted(times, self._folded(within))
+        return slopes[piece] * (order == 1) + 0.0 * np.asarray(t)
+
+    def knots(self, stop: float) -> tuple[np.ndarray, np.ndarray]:
+        """Times [s] of all points and values there, those of periods that begin up to ``stop``."""
+        times, values = self._once
+        if self.period is not None:
+            turns = self.period * np.arange(max(1, int((stop - times[0]) / self.period) + 1))
+            times, first = np.unique((times + turns[:, None]).ravel(), return_index=True)
+            values = np.tile(values, turns.size)[first]
+        return times, values
+
+    def corners(self, stop: float) -> np.ndarray:
+        """Times [s] up to ``stop`` where the derivative jumps."""
+        found = self.knots(stop)[0] if self.straight else np.array([self.start])
+        return found[(found > 0) & (found < stop)]
+
+    def spice(self, scale: float = 1.0) -> str:
+        """What stands behind the nodes of an independent source, values times ``scale``.
+
+        A flat top of zero length is written as corners: ngspice reads a ``PULSE`` width of zero as
+        "until the end".
+        """
+        if not self.straight:
+            numbers = (0.0, scale * self.amplitude, self.frequency, self.start)
+            return f"SIN({' '.join(map(_number, numbers))})"
+        if len(self.points) == 1:
+            return f"DC {_number(scale * self.points[0][1])}"
+        pulse = self._pulse(scale)
+        if pulse is not None:
+            return pulse
+        corners = [number for t, v in self.points for number in (t, scale * v)]
+        return f"PWL({' '.join(map(_number, corners))})"
+
+    def _pulse(self, scale: float) -> str | None:
+        """The short form of a trapezoid with a flat top, or of triangles without end."""
+        if len(self.points) not in (3, 4):
+            return None
+        (t0, v0), (t1, v1), *_, (t2, v2), (last, end) = self.points[:2] + self.points[-2:]
+        if len(self.points) == 3 and self.period is not None:
+            rise = _span(t0, t1)
+            top = TOP * rise  # a width of zero means "until the end"
+            fall = _span(t1, last) - top
+        elif len(self.points) == 4 and v0 == end and v1 == v2:
+            rise, fall, top = _span(t0, t1), _span(t2, last), _span(t1, t2)
+        else:
+            return None
+        period = NEVER if self.period is None else self.period
+        numbers = (scale * v0, scale * v1, t0, rise, fall, top, period)
+        return f"PULSE({' '.join(map(_number, numbers))})"
+
+
+def constant(value: float) -> Waveform:
+    """The same at all times."""
+    return Waveform(((0.0, value),))
+
+
+def sine(amplitude: float, frequency: float, start: float = 0.0) -> Waveform:
+    """A sine from ``start`` on."""
+    return Waveform(((start, 0.0),), None, amplitude, frequency, start)
+
+
+def linear(points: Iterable[tuple[float, float]] | np.ndarray) -> Waveform:
+    """Straight lines through ``points`` (n, 2)."""
+    return Waveform(tuple((float(t), float(v)) for t, v in points))
+
+
+def pulse(
+    low: float,
+    high: float,
+    start: float,
+    width: float,
+    edge: float,
+    period: float | None = None,
+    count: int | None = None,
+) -> Waveform:
+    """Trapezoids of ``width`` at half height, one, ``count`` of them, or without end."""
+    edges = ((0.0, low), (edge, high), (width, high), (width + edge, low))
+    one = tuple((start + t, v) for t, v in edges)
+    if period is None or count is None:
+        shape = one if width > edge else (one[0], one[1], one[3])
+        return Waveform(shape, period)
+    many = [(start + k * period + t, v) for k in range(count) for t, v in edges]
+    unique = [p for k, p in enumerate(many) if k + 1 == len(many) or p[0] < many[k + 1][0]]
+    return Waveform(tuple(unique))
+
+
+@dataclass(frozen=True)
+class Recorded:
+    """A smooth curve through ``values`` at ``times`` (n,) of cubics (Akima, J. ACM 17, 589, 1970),
+    constant before and after.
+
+    Every 16th sample is a corner: no step of an integrator is longer than what was sampled
+    there, so that an event after a long rest is not stepped over.
+    """
+
+    times: np.ndarray
+    values: np.ndarray
+    straight = False
+    pace = np.inf
+
+    @cached_property
+    def _curve(self) -> Any:
+        from scipy.interpolate import Akima1DInterpolator  # late: loads scipy
+
+        return Akima1DInterpolator(self.times, self.values)
+
+    def __call__(self, t: Any) -> Any:
+        return self.rate(t, t, 0)
+
+    def rate(self, t: Any, within: Any, order: int = 1) -> Any:
+        return self._curve(np.clip(t, self.times[0], self.times[-1]), order)
+
+    def corners(self, stop: float) -> np.ndarray:
+        times = self.times[::16]
+        return times[(times > 0.0) & (times < stop)]
+
+
+Function = Waveform | Recorded
+
+
+def _span(first: float, last: float) -> float:
+    """``last - first`` with the fewest digits that rounding of both leaves open."""
+    exact = last - first
+    slack = 2 * np.spacing(max(abs(first), abs(last)))
+    rounded = (float(f"{exact:.{digits}g}") for digits in range(1, 17))
+    return next((value for value in rounded if abs(value - exact) <= slack), exact)
+
+
+def _number(value: float) -> str:
+    """As a person would write it: 15 digits where the value is that but for rounding of a sum."""
+    short = float(f"{value:.15g}")
+    return repr(short if abs(short - value) <= 4 * np.spacing(abs(value)) else float(value))

@@ -31,8 +31,16 @@ import numpy as np
 from pydantic import BeforeValidator, Field, model_validator
 
 from kc2spice.core.errors import UsageError
-from kc2spice.core.quantities import Density, Pressure, Ratio, Section, si, validated
-from kc2spice.core.units import EPSILON_0, quantity
+from kc2spice.core.quantities import (
+    EPSILON_0,
+    Density,
+    Pressure,
+    Ratio,
+    Section,
+    quantity,
+    si,
+    validated,
+)
 
 # Point groups as data sheets name them, whose free components are those of a class below; "32" is
 # that of quartz (3m has other piezoelectric components), "6mm" that of poled ceramics.

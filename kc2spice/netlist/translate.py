@@ -9,8 +9,7 @@ from kc2spice.core.errors import UsageError, unknown
 from kc2spice.netlist.circuit import Directive, Subcircuit
 from kc2spice.netlist.deck import ANALYSES, Deck, retold
 from kc2spice.netlist.expression import added, terms
-from kc2spice.netlist.printers import ltspice
-from kc2spice.netlist.printers.box import layout
+from kc2spice.netlist.printers import layout, ltspice
 from kc2spice.netlist.printers.dialect import Dialect, Setup
 from kc2spice.netlist.printers.kicad import project
 from kc2spice.netlist.printers.verilog_a import library, testbench

@@ -12,8 +12,7 @@ from typing import Any
 from pydantic import BaseModel
 
 from kc2spice.core.errors import UsageError
-from kc2spice.core.findings import unit_of
-from kc2spice.core.quantities import validated
+from kc2spice.core.quantities import unit_of, validated
 from kc2spice.fem.materials import MaterialTable
 from kc2spice.netlist.circuit import Param
 from kc2spice.rom.parametric import Axis

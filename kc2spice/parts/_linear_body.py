@@ -32,14 +32,13 @@ from kc2spice.parts._pictures import (
 )
 from kc2spice.parts._touching import Surface, Touching
 from kc2spice.rom.linear import Certificate, LinearModel, Port
-from kc2spice.rom.march import chip_response
-from kc2spice.rom.modal import Resonators, resonators
+from kc2spice.rom.modal import Resonators, chip_response, resonators
 from kc2spice.rom.parametric import Axis, Loss
 from kc2spice.rom.pencil import first_order
 from kc2spice.rom.structure import structure
 from kc2spice.rom.varying import Varying
 from kc2spice.scene.judge import Balance, Check
-from kc2spice.scene.model import GROUND, Part, Scene, Terminal
+from kc2spice.scene.model import GROUND, Part, Rom, Scene, Terminal
 from kc2spice.scene.parttype import (
     Build,
     Neglected,
@@ -49,7 +48,6 @@ from kc2spice.scene.parttype import (
     numerics,
 )
 from kc2spice.scene.plausible import dimensions
-from kc2spice.scene.settings import Rom
 from kc2spice.spice.header import Header
 from kc2spice.spice.realize import COARSE, FOLLOWED, LEAK, UNRATED, Watch, reference, subcircuit
 
@@ -84,8 +82,8 @@ UNPRESSED = 1e-9  # of the largest force or energy, far above their rounding
 # Packages and modules that every full and reduced model depends on.
 SOURCES = (
     "kc2spice.linalg", "kc2spice.fem", "kc2spice.rom", "kc2spice.bodies",
-    "kc2spice.core.units", "kc2spice.core.quantities",
-    "kc2spice.core.gmsh_session", "kc2spice.core.child",
+    "kc2spice.core.quantities", "kc2spice.core.quantities",
+    "kc2spice.core.gmsh_session", "kc2spice.core.foreign",
 )  # fmt: skip
 
 
@@ -281,7 +279,7 @@ class LinearBody(Touching):
         asked = {**asked, "box": [[each.key, each.low, each.high] for each in keys]}
 
         def build() -> Varying:
-            from kc2spice.rom.band import reach
+            from kc2spice.rom.reduce import reach
             from kc2spice.rom.varying import over_box
 
             def full(values: Mapping[str, float]) -> LinearModel:
@@ -321,9 +319,8 @@ class LinearBody(Touching):
         sure, tangent = asked.get("sure"), loss_tangent(part)
 
         def build() -> LinearModel:
-            from kc2spice.rom.band import reach
-            from kc2spice.rom.massless import without_inertia
-            from kc2spice.rom.reduce import default_norm, reduce
+            from kc2spice.rom.modal import without_inertia
+            from kc2spice.rom.reduce import default_norm, reach, reduce
 
             chosen = self.full(part, scene, clock).select(asked["ports"])
             with clock.stage("reduce", f"reduction of {part.name}"):
@@ -354,7 +351,7 @@ class LinearBody(Touching):
             if asked["massless"]:
                 modal = without_inertia(modal, target.tolerance)
             if tangent:
-                from kc2spice.rom.dielectric import lossy
+                from kc2spice.rom.modal import lossy
 
                 modal = lossy(modal, tangent)
             return replace(modal.linear(), name=small.name, facts=small.facts, band=small.band)

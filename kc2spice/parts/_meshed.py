@@ -32,8 +32,7 @@ from kc2spice.scene.parttype import Build
 from kc2spice.scene.plausible import layers as plausible_layers
 
 if TYPE_CHECKING:
-    from kc2spice.bodies.blocks import Bonded
-    from kc2spice.bodies.device import Device
+    from kc2spice.bodies.device import Bonded, Device
     from kc2spice.bodies.fields import Extreme, Motion
 
 MOST = 20  # instants that one run writes

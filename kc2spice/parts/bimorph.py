@@ -23,7 +23,7 @@ from typing import Annotated, Any, Literal, TypeAlias
 import numpy as np
 from pydantic import Field, StringConstraints, model_validator
 
-from kc2spice.bodies.blocks import Block, Bonded, Box
+from kc2spice.bodies.device import Block, Bonded, Box
 from kc2spice.core.errors import UsageError
 from kc2spice.core.quantities import Count, Length, Section, si, validated
 from kc2spice.fem.keys import Damping, Mesh

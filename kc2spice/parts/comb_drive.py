@@ -2,8 +2,7 @@
 
 from pydantic import Field
 
-from kc2spice.core.quantities import Length, Ratio, Section, Stiffness
-from kc2spice.core.units import EPSILON_0
+from kc2spice.core.quantities import EPSILON_0, Length, Ratio, Section, Stiffness
 from kc2spice.physics import Declaration, DeclaredPart, displacement, voltage
 from kc2spice.scene.parttype import register
 

@@ -11,8 +11,7 @@ from pydantic import Field
 from kc2spice.core import laws
 from kc2spice.core.magnets import PositionForce
 from kc2spice.core.quantities import Current, Section
-from kc2spice.core.waveform import constant
-from kc2spice.core.waveforms import Waveforms
+from kc2spice.core.waveforms import Waveforms, constant
 from kc2spice.netlist.cards import number
 from kc2spice.parts.ring_magnet_coils import sphere_of
 from kc2spice.scene.judge import PAIRS, Check, Gate

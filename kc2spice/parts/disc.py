@@ -20,7 +20,7 @@ from typing import Any, Literal
 
 from pydantic import Field, model_validator
 
-from kc2spice.bodies.blocks import Block, Bonded, Box
+from kc2spice.bodies.device import Block, Bonded, Box
 from kc2spice.core.errors import UsageError
 from kc2spice.core.quantities import Length, Ratio, Section, validated
 from kc2spice.fem.keys import Damping, Mesh

@@ -19,8 +19,7 @@ from kc2spice.core.quantities import (
     Voltage,
 )
 from kc2spice.netlist.circuit import Param, positive
-from kc2spice.parts._drivers import CoilDriver, Driver, Load, ends
-from kc2spice.parts._template import InputNoise, parameters
+from kc2spice.parts._template import CoilDriver, Driver, InputNoise, Load, ends, parameters
 from kc2spice.parts.pid import SENSE
 from kc2spice.scene.model import Part, Scene
 from kc2spice.scene.parttype import Numerics, register

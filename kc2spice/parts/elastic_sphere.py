@@ -14,9 +14,8 @@ from kc2spice.parts._linear_body import LinearBody, LinearKeys
 from kc2spice.parts._touching import PATCH, LocalCompliance, Pair, Surface
 from kc2spice.parts.sphere import made_of
 from kc2spice.rom.linear import LinearModel, Port
-from kc2spice.scene.model import Part, Scene
+from kc2spice.scene.model import Part, Rom, Scene
 from kc2spice.scene.parttype import Neglected, register
-from kc2spice.scene.settings import Rom
 
 if TYPE_CHECKING:
     from kc2spice.bodies.pressure import Pressed, PressureBasis

@@ -29,8 +29,16 @@ import numpy as np
 from pydantic import Field
 
 from kc2spice.core.errors import UsageError
-from kc2spice.core.quantities import Count, Length, Pressure, Ratio, Section, Stiffness, si
-from kc2spice.core.units import EPSILON_0
+from kc2spice.core.quantities import (
+    EPSILON_0,
+    Count,
+    Length,
+    Pressure,
+    Ratio,
+    Section,
+    Stiffness,
+    si,
+)
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.parts._linear_body import LinearBody
 from kc2spice.physics import Declaration, DeclaredPart, displacement, voltage

@@ -15,6 +15,7 @@ from kc2spice.core.waveforms import Waveforms
 from kc2spice.netlist.circuit import Param, positive
 from kc2spice.parts._template import TemplatePart
 from kc2spice.parts._touching import Surface, Touching
+from kc2spice.scene.compose import free, rigid
 from kc2spice.scene.model import GROUND, Part, Scene, Terminal
 from kc2spice.scene.parttype import (
     Build,
@@ -24,7 +25,6 @@ from kc2spice.scene.parttype import (
     register,
 )
 from kc2spice.scene.plausible import dimensions
-from kc2spice.scene.rest import free, rigid
 
 
 class MassKeys(Section):

@@ -10,8 +10,7 @@ from typing import Any
 
 from pydantic import Field
 
-from kc2spice.bodies.readers import extent, read_model
-from kc2spice.bodies.readers.source import source_files
+from kc2spice.bodies.readers import extent, read_model, source_files
 from kc2spice.core.figure import Shape
 from kc2spice.core.foreign import beside
 from kc2spice.core.progress import Clock

@@ -17,6 +17,7 @@ from kc2spice.core.cache import cached
 from kc2spice.core.errors import UsageError
 from kc2spice.core.figure import Curve, Figure, Panel, Shape
 from kc2spice.core.quantities import (
+    MU_0,
     Count,
     FluxDensity,
     Frequency,
@@ -27,10 +28,9 @@ from kc2spice.core.quantities import (
     Section,
     si,
 )
-from kc2spice.core.units import MU_0
 from kc2spice.core.waveforms import Waveforms
-from kc2spice.fem.magnetics.keys import Ring
-from kc2spice.fem.magnetics.rings import Ladder, Winding, divided, ladder
+from kc2spice.fem.magnet_keys import Ring
+from kc2spice.fem.magnet_rings import Ladder, Winding, divided, ladder
 from kc2spice.physics import Declaration, DeclaredPart, current, displacement, loop
 from kc2spice.physics.part import settling
 from kc2spice.scene.judge import Balance, Check
@@ -38,7 +38,7 @@ from kc2spice.scene.model import Part, Scene
 from kc2spice.scene.parttype import Build, Neglected, Numerics, register
 
 Conductivity = Annotated[float, si("1/(Ohm m)")]
-SOURCES = ("kc2spice.fem.magnetics.rings", __name__)
+SOURCES = ("kc2spice.fem.magnet_rings", __name__)
 CLOSER = 0.1  # tolerance of the full model, of that of the reduced one
 SWING = 0.05
 MOST_TURNS = 5

@@ -9,10 +9,9 @@ from typing import Annotated, Any
 from pydantic import Field
 
 from kc2spice.core.errors import UsageError
-from kc2spice.core.quantities import FluxDensity, Length, Notch, Ratio, Section
-from kc2spice.core.units import MU_0
-from kc2spice.fem.magnetics.keys import Ring
-from kc2spice.fem.magnetics.rings import Ladder, Winding, carried
+from kc2spice.core.quantities import MU_0, FluxDensity, Length, Notch, Ratio, Section
+from kc2spice.fem.magnet_keys import Ring
+from kc2spice.fem.magnet_rings import Ladder, Winding, carried
 from kc2spice.parts.moving_conductor import Moving, MovingConductor, sheets, windings
 from kc2spice.scene.model import Part, Scene
 from kc2spice.scene.parttype import Neglected, register

@@ -20,7 +20,7 @@ from kc2spice.netlist.circuit import Pin, Subcircuit
 from kc2spice.netlist.foreign import included_netlist, looked_at
 from kc2spice.netlist.read import read
 from kc2spice.netlist.scope import Scope, circuit, has_vector
-from kc2spice.parts._drivers import SLACK, potentials, within
+from kc2spice.parts._template import SLACK, potentials, within
 from kc2spice.scene.judge import Check
 from kc2spice.scene.model import FileName, Part, Scene, Terminal
 from kc2spice.scene.parttype import Build, Numerics, PartType, Vector, register

@@ -11,20 +11,19 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import numpy as np
 from pydantic import Field, ValidationInfo, model_validator
 
+from kc2spice.bodies.stack_keys import PATCH, SECTORS, Chip
 from kc2spice.core.cache import cached
 from kc2spice.core.errors import UsageError
 from kc2spice.core.figure import Shape
 from kc2spice.core.quantities import Count, Section, Time, Voltage, si
-from kc2spice.core.waveform import Waveform, pulse
-from kc2spice.core.waveforms import Waveforms, running
+from kc2spice.core.waveforms import Waveform, Waveforms, pulse, running
 from kc2spice.fem.materials import Material, material
-from kc2spice.fem.piezo.keys import PATCH, SECTORS, Chip
 from kc2spice.parts._linear_body import SOURCES, aim, wanted
 from kc2spice.parts._meshed import FieldKeys, MeshedBody
 from kc2spice.parts._touching import LocalCompliance, Pair, Penetration, Surface
 from kc2spice.parts.netlist import driver
 from kc2spice.rom.linear import Port
-from kc2spice.scene.model import Part, Scene
+from kc2spice.scene.model import Part, Rom, Scene
 from kc2spice.scene.parttype import (
     Build,
     Neglected,
@@ -32,7 +31,6 @@ from kc2spice.scene.parttype import (
     register,
 )
 from kc2spice.scene.plausible import within
-from kc2spice.scene.settings import Rom
 from kc2spice.spice.realize import STRIKING, Watch
 
 # What builds is imported where it builds: most runs find their models in the cache.

@@ -14,8 +14,7 @@ from kc2spice.core import laws
 from kc2spice.core.errors import UsageError
 from kc2spice.core.figure import Curve, Figure, Panel
 from kc2spice.core.quantities import Count, Frequency, Notch, Section
-from kc2spice.core.waveform import constant
-from kc2spice.core.waveforms import Waveforms
+from kc2spice.core.waveforms import Waveforms, constant
 from kc2spice.netlist.cards import number
 from kc2spice.parts.two_terminal_types import element
 from kc2spice.scene.judge import PAIRS, Gate

@@ -10,8 +10,7 @@ from pydantic import Field
 from kc2spice.core import laws
 from kc2spice.core.errors import UsageError
 from kc2spice.core.quantities import Count, Length, Section
-from kc2spice.core.waveform import constant
-from kc2spice.core.waveforms import Waveforms
+from kc2spice.core.waveforms import Waveforms, constant
 from kc2spice.parts._touching import Penetration, Touching, only_pair
 from kc2spice.parts.throw import sphere
 from kc2spice.scene.judge import Gate, Measure

@@ -4,8 +4,16 @@ from typing import Annotated
 
 from pydantic import Field
 
-from kc2spice.core.quantities import Current, Length, Ratio, Resistance, Section, Stiffness, si
-from kc2spice.core.units import MU_0
+from kc2spice.core.quantities import (
+    MU_0,
+    Current,
+    Length,
+    Ratio,
+    Resistance,
+    Section,
+    Stiffness,
+    si,
+)
 from kc2spice.physics import Declaration, DeclaredPart, current, displacement
 from kc2spice.scene.parttype import register
 

@@ -20,13 +20,10 @@ from kc2spice.core import laws
 from kc2spice.core.cache import cached
 from kc2spice.core.errors import UsageError
 from kc2spice.core.figure import Curve, Figure, Panel, Shape, Written
-from kc2spice.core.magnets import CoilForce, PositionForce
-from kc2spice.core.piecewise import cubic_spline
-from kc2spice.core.quantities import si
-from kc2spice.core.units import MU_0
+from kc2spice.core.magnets import FORCE, CoilForce, EMTable, PositionForce, cubic_spline
+from kc2spice.core.quantities import MU_0, si
 from kc2spice.core.waveforms import Waveforms
-from kc2spice.fem.magnetics.keys import Catch, Ring
-from kc2spice.fem.magnetics.table import FORCE, EMTable
+from kc2spice.fem.magnet_keys import Catch, Ring
 from kc2spice.netlist.cards import number
 from kc2spice.netlist.circuit import Subcircuit, positive
 from kc2spice.parts import sphere as spheres
@@ -333,7 +330,7 @@ class RingMagnetCoils(Touching):
         unit = self._unit(part, count)
 
         def build() -> EMTable:
-            from kc2spice.fem.magnetics.field import catch_table
+            from kc2spice.fem.magnet_field import catch_table
 
             with clock.stage("magnetics", "field of the catch actuator") as share:
                 radius = sphere_of(part, scene).keys.radius

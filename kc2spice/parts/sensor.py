@@ -9,8 +9,7 @@ from typing import Any
 from pydantic import Field
 
 from kc2spice.core.errors import UsageError
-from kc2spice.core.quantities import Frequency, Length, Section
-from kc2spice.core.units import BOLTZMANN, TEMPERATURE
+from kc2spice.core.quantities import BOLTZMANN, TEMPERATURE, Frequency, Length, Section
 from kc2spice.netlist.circuit import Param
 from kc2spice.parts._template import TemplatePart
 from kc2spice.scene.model import Part, Scene, Terminal

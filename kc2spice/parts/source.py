@@ -11,13 +11,11 @@ import numpy as np
 from pydantic import ValidationInfo, model_validator
 
 from kc2spice.core import laws
-from kc2spice.core import waveform as waves_
+from kc2spice.core import waveforms as waves_
 from kc2spice.core.errors import UsageError
 from kc2spice.core.foreign import beside, read_bounded
-from kc2spice.core.quantities import Section, refused
-from kc2spice.core.units import quantity
-from kc2spice.core.waveform import PulseKeys, SineKeys, Waveform
-from kc2spice.core.waveforms import Waveforms
+from kc2spice.core.quantities import Section, quantity, refused
+from kc2spice.core.waveforms import PulseKeys, SineKeys, Waveform, Waveforms
 from kc2spice.netlist.cards import number
 from kc2spice.scene.judge import Check
 from kc2spice.scene.model import Part, Scene, Terminal

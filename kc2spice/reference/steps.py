@@ -25,8 +25,7 @@ from kc2spice.core.errors import SimulationError
 from kc2spice.core.laws import PortBody, Relation
 from kc2spice.linalg.factor import factorise
 from kc2spice.reference.assemble import System
-from kc2spice.reference.equilibrium import equilibrium
-from kc2spice.reference.interval import Interval
+from kc2spice.reference.equilibrium import Interval, equilibrium
 
 GAMMA = 1.0 - np.sqrt(0.5)
 ITERATIONS = 60  # of a stage, modes of devices among them

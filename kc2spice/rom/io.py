@@ -1,20 +1,153 @@
-"""Reduced models as files with their certificate: one ``.npz``, and a Matrix Market family."""
+"""Models as files: reduced ones with their certificate (one ``.npz``, a Matrix Market family), and
+Matrix Market files of others, read so that no damage in them can reach further than an error.
+
+scipy's ``mmread`` (1.17) silently reads Fortran's ``1.5D+3`` as 1.5, doubles a symmetric matrix of
+which both triangles are stored, and fills a symmetric array that is not square with numbers that
+the file does not hold; here every count is compared with what the file holds, and every index with
+the size, before it is used.
+Format: Boisvert, Pozo, Remington, NIST IR 5935 (1996).
+"""
 
 from __future__ import annotations
 
 import json
+import warnings
+from collections.abc import Callable
 from dataclasses import asdict
 from itertools import chain
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy import io
+from scipy import io, sparse
 
 from kc2spice.core.errors import UsageError
 from kc2spice.core.foreign import read_archive, read_bounded, text_of
 from kc2spice.rom.linear import Certificate, LinearModel, Port
-from kc2spice.rom.matrix_market import read_market
+from kc2spice.rom.pencil import Matrix
+
+BANNER = b"%%matrixmarket"
+_FORMS = ("coordinate", "array")
+_FIELDS = ("real", "double", "integer")
+_SYMMETRIES = ("general", "symmetric", "skew-symmetric")
+_FORTRAN = bytes.maketrans(b"Dd,", b"EE ")  # exponents, and the separator of comma lists
+
+
+def read_market(data: bytes, allowed: Callable[[tuple[int, int], int], None]) -> Matrix:
+    """The matrix of a file's content: csc for 'coordinate', dense for 'array'.
+
+    ``allowed(shape, entries)`` raises where the declared size is too large, before memory is taken.
+
+    Raises
+    ------
+    ValueError : not a real matrix in this format, with the reason: numbers missing, too many or
+        unreadable, or an index outside the matrix.
+    """
+    end = data.find(b"\n", 0, 1000)
+    banner = data[: max(end, 0)].decode("ascii", "replace").lower().split()
+    if banner[:2] != ["%%matrixmarket", "matrix"] or len(banner) != 5:
+        raise ValueError("the first line is not that of a Matrix Market file")
+    form, field, symmetry = banner[2:]
+    if form not in _FORMS or symmetry not in _SYMMETRIES:
+        raise ValueError(f"'{form} {symmetry}' is not read")
+    if field not in _FIELDS:
+        raise ValueError(f"it is a {field} matrix")
+    sizes, start = _sizes(data, end + 1)
+    if len(sizes) != (3 if form == "coordinate" else 2) or min(sizes) < 0:
+        raise ValueError("the line of sizes is damaged")
+    rows, columns = sizes[:2]
+    if symmetry != "general" and rows != columns:
+        raise ValueError(f"{symmetry}, but {rows} x {columns}")
+    entries = sizes[2] if form == "coordinate" else _stored(rows, columns, symmetry)
+    allowed((rows, columns), entries)
+    count = 3 * entries if form == "coordinate" else entries
+    if 2 * count > len(data) - start + 2:
+        raise ValueError(f"{len(data)} bytes cannot hold {entries} entries: it is cut off")
+    values = numbers(data[start:])
+    if values.size != count:
+        raise ValueError(f"{values.size} numbers instead of {count}: is it cut off?")
+    make = _coordinate if form == "coordinate" else _array
+    return make(rows, columns, symmetry, values)
+
+
+def _sizes(data: bytes, start: int) -> tuple[list[int], int]:
+    """The line of sizes behind the comments, and where the numbers begin."""
+    while start < len(data):
+        end = data.find(b"\n", start)
+        end = len(data) if end < 0 else end
+        line = data[start:end].strip()
+        start = end + 1
+        if line and not line.startswith(b"%"):
+            return [int(word) for word in line[:200].split()], start
+    raise ValueError("the line of sizes is missing")
+
+
+def _stored(rows: int, columns: int, symmetry: str) -> int:
+    if symmetry == "general":
+        return rows * columns
+    return rows * (rows + 1) // 2 if symmetry == "symmetric" else rows * (rows - 1) // 2
+
+
+def _coordinate(rows: int, columns: int, symmetry: str, values: np.ndarray) -> Matrix:
+    row, column = indices(values[0::3], rows), indices(values[1::3], columns)
+    matrix = sparse.csc_array((values[2::3], (row, column)), shape=(rows, columns))
+    if symmetry == "general":
+        return matrix
+    skew = symmetry != "symmetric"
+    if (row < column).any() or (skew and (row == column).any()):
+        raise ValueError(f"{symmetry}, but an entry is not in the lower triangle")
+    return mirrored(matrix, -1 if skew else 1)
+
+
+def _array(rows: int, columns: int, symmetry: str, values: np.ndarray) -> Matrix:
+    if symmetry == "general":
+        return values.reshape(columns, rows).T.copy()
+    skew = symmetry != "symmetric"
+    upper = np.zeros((rows, rows))
+    upper[np.triu_indices(rows, k=int(skew))] = values  # columns of the lower triangle
+    return upper.T - upper if skew else upper.T + np.triu(upper, 1)
+
+
+# --- what readers of other text formats use as well -----------------------------------------------
+
+
+def numbers(text: bytes) -> np.ndarray:
+    """All numbers of ``text``, separated by blanks or commas, in time linear in its length.
+
+    Fortran's ``1.5D+3`` is a number.
+
+    Raises
+    ------
+    ValueError : something else stands among them.
+    """
+    if not text.strip():
+        return np.empty(0)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")  # numpy stops at damage with a warning only
+        try:
+            return np.fromstring(text.translate(_FORTRAN), dtype=float, sep=" ")
+        except (DeprecationWarning, ValueError):
+            raise ValueError("something in it is not a number") from None
+
+
+def indices(values: np.ndarray, size: int) -> np.ndarray:
+    """``values`` counted from 1 as integers counted from 0.
+
+    Raises
+    ------
+    ValueError : one is not a whole number from 1 to ``size``.
+    """
+    sound = (values >= 1) & (values <= size) & (values == np.floor(values))
+    if not sound.all():
+        raise ValueError(f"an index is {values[~sound][0]:g}, the matrix has {size} rows")
+    return values.astype(np.int64) - 1
+
+
+def mirrored(matrix: sparse.csc_array, sign: int = 1) -> sparse.csc_array:
+    """The symmetric (or, ``sign`` -1, skew) matrix of which one triangle is stored."""
+    diagonal = sparse.diags_array(matrix.diagonal(), format="csc")
+    return sparse.csc_array(matrix + sign * matrix.T - sign * diagonal)
+
 
 MAX_BYTES = 1_000_000_000
 MAX_ENTRIES = 50_000_000  # of one matrix

@@ -1,9 +1,32 @@
 """A symmetric model as decoupled resonators, and its modes as an engineer reads them: frequency, Q,
-and how each port sees them."""
+and how each port sees them; their exact answers to recorded loads.
+
+Residual modes without inertia
+    A reduced model keeps the compliance of its ports exact by some stiff modes far above its band.
+    They are none of the body's, yet behind the spring of a contact their inertia is a lump of mass
+    that rattles. Component mode synthesis with a massless boundary leaves it out and keeps their
+    compliance and damping (Monjaraz Tec, Gross and Krack 2021, arXiv 2111.07693)::
+
+        damp z' + omega^2 z = g u        instead of        z'' + damp z' + omega^2 z = g u
+
+A constant loss tangent of the dielectric
+    What loses the same share of its energy at every frequency has, by causality, the permittivity
+    of a constant-phase element (A. K. Jonscher, Nature 267 (1977) 673)::
+
+        eps(s) = eps (s / w0)^-m,    m = (2 / pi) arctan(tan delta),    w0 / (2 pi) = 1 kHz
+
+    the frequency at which sheets state permittivities. In a netlist it is Foster's sum ``a_0 +
+    sum_k a_k / (1 + s t_k)``, all ``a_k >= 0``, of a capacitor and series R C, passive by its form,
+    whose amplitudes are non-negative least squares over the band. Of a body with the same tangent
+    everywhere it multiplies the clamped capacitances; what it changes of the stiffness by fields
+    inside of the body is neglected, tan delta times the share of the electric energy at constant
+    charge in a mode.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -11,6 +34,7 @@ import scipy
 
 from kc2spice.core.errors import UsageError
 from kc2spice.rom.linear import Certificate, LinearModel, Port
+from kc2spice.rom.response import Judge, Response, above_band, telling
 
 # Proportional damping is exact by construction; anything above rounding is another damping.
 COUPLING_LIMIT = 1e-8
@@ -194,3 +218,267 @@ def _by_poles(
     share = -2 * np.real(into * out.T / weight[:, None] / values[rows, None])
     size = np.abs(values[rows]) * scale
     return size, -2 * values[rows].real * scale, share, np.diag(model.D)
+
+
+AT_REST = 1e-3  # of a port's static compliance: what its answer at the band's end may change by
+# The same where the lowest mode that is left out would ring: its damping ratio is below RINGS. Such
+# modes are the mesh's, ring on for hundreds of periods, and are what the steps of a lightly damped
+# kick follow. Launches of a chip damped by 0.01 % move by 1.2e-3, a quarter of their distance to
+# the full model on finer rings and towards it; the time points become a third.
+RINGING_SHARE, RINGS = 1e-2, 0.02
+FAR = 2.0  # times the band's end: no lower mode answers at once
+EQUAL = 1e-9  # relative difference of relaxation times that is none
+RANK = 1e-12  # of singular values: no port moves such a combination of modes
+
+
+def without_inertia(model: Resonators, tolerance: float | None = None) -> Resonators:
+    """``model`` with its highest modes as states without inertia and its certificate widened.
+
+    The cut: from the highest mode down, as long as the inertia left out changes the answer of every
+    mechanical port at the end f of the certificate's band by less than ``AT_REST`` of its static
+    compliance, ``sum_j (g_j / w_j)^2 (f / f_j)^2`` (``RINGING_SHARE`` where the lowest of these
+    modes would ring), and the certified error stays within ``tolerance``. Statics stay exact, the
+    form stays passive. Modes that relax at one pace, as all do under damping proportional to
+    stiffness, become as many states as ports move independently. An acceleration port does not see
+    these states.
+    """
+    certificate = model.certificate
+    if certificate is None:
+        return model
+    band = certificate.band_hz
+    exact = Response(model.linear().pencil)
+    judge = Judge(exact, telling(exact, band, True), band)
+    for count in range(_beyond(model, band[1]), 0, -1):
+        found = _without_inertia(model, count)
+        error = certificate.error_estimate
+        light = Response(found.linear().pencil)
+        error += judge.error(light)
+        if tolerance is None or error <= tolerance:
+            cut = found.omega[found.order - found.massless] / (2 * np.pi)
+            method = f"{certificate.method}; no inertia from {cut:.3g} Hz on, measured"
+            more = dict(above_band(model.ports, exact, light, band))
+            above = tuple((f, before + more.get(f, 0.0)) for f, before in certificate.above)
+            return replace(
+                found,
+                certificate=replace(certificate, error_estimate=error, method=method, above=above),
+            )
+    return model
+
+
+def _beyond(model: Resonators, top: float) -> int:
+    """Number of the highest modes whose inertia decides nothing up to ``top`` [Hz]."""
+    moved = [port.kind in ("mechanical", "rotational") for port in model.ports]
+    down = np.argsort(model.omega)[::-1]
+    omega, ratio = model.omega[down], 2 * np.pi * top / model.omega[down]
+    share = (model.gain[down][:, moved] / omega[:, None]) ** 2
+    share /= share.sum(axis=0) + np.finfo(float).tiny
+    missing = np.cumsum(share * ratio[:, None] ** 2, axis=0).max(axis=1)
+    limit = np.where(model.damp[down] < 2 * RINGS * omega, RINGING_SHARE, AT_REST)
+    beyond = np.flatnonzero((missing <= limit) & (FAR * ratio <= 1))
+    return int(beyond[-1]) + 1 if beyond.size else 0
+
+
+def _without_inertia(model: Resonators, count: int) -> Resonators:
+    """``model`` without the inertia of its ``count`` highest modes."""
+    for port, own in zip(model.ports, np.diag(model.D), strict=True):
+        if port.kind == "electrical" and own <= 0:
+            raise UsageError(
+                "an electrode without capacitance of its own on a body with a massless contact",
+                where=port.name,
+                hint='set contact.inertia = "lumped"',
+            )
+    order = np.argsort(model.omega)
+    low, high = order[:-count], order[-count:]
+    omega, damp, gain = model.omega[high], model.damp[high], model.gain[high].copy()
+    gain[:, [port.kind == "acceleration" for port in model.ports]] = 0.0
+    pace = damp / omega**2
+    if np.ptp(pace) <= EQUAL * pace.max():
+        _, size, shapes = np.linalg.svd(gain / omega[:, None], full_matrices=False)
+        kept = size > RANK * size[0]
+        omega = np.full(int(kept.sum()), omega[0])
+        damp, gain = pace[0] * omega**2, omega[:, None] * size[kept, None] * shapes[kept]
+        gain *= np.sign(gain[np.arange(len(gain)), np.abs(gain).argmax(axis=1)])[:, None]
+    return Resonators(
+        np.r_[model.omega[low], omega],
+        np.r_[model.damp[low], damp],
+        np.vstack([model.gain[low], gain]),
+        model.D,
+        model.ports,
+        None,
+        omega.size,
+    )
+
+
+_BLOCK = 4096  # steps whose propagators are in memory at a time
+
+
+@dataclass(frozen=True)
+class ChipResponse:
+    """Over the points of time: ``output`` (n, ports) in m and C, ``stored`` (n,) energy [J]."""
+
+    output: np.ndarray
+    stored: np.ndarray
+
+
+def chip_response(model: Resonators, t: np.ndarray, load: np.ndarray) -> ChipResponse:
+    """Response to ``load`` (n, ports; N into the chip and V), linear between the times ``t`` (n,).
+
+    Each mode ``z'' + d z' + w^2 z = r`` is split by its roots a, b into two states
+
+        x' = a x + r,    x(t + h) = e^(ah) x + h p1(ah) r + h p2(ah) (r(t + h) - r)
+
+    with ``p1 = (e^s - 1)/s`` and ``p2 = (e^s - 1 - s)/s^2``; then ``z = (x_a - x_b)/(a - b)``.
+    Exact for such loads whatever the step. A state without inertia is one such state by itself.
+    The chip starts in equilibrium with ``load[0]``.
+    """
+    drive, heavy = load @ model.gain.T, model.order - model.massless
+    z = np.empty_like(drive)
+    z[:, :heavy], rate = resonant(model.omega[:heavy], model.damp[:heavy], t, drive[:, :heavy])
+    z[:, heavy:] = _relaxing(model.omega[heavy:], model.damp[heavy:], t, drive[:, heavy:])
+    stored = (rate**2).sum(axis=1) / 2 + ((model.omega * z) ** 2).sum(axis=1) / 2
+    stored += np.einsum("nk,kl,nl->n", load, model.D, load) / 2
+    return ChipResponse(z @ model.gain + load @ model.D, stored)
+
+
+def resonant(
+    omega: np.ndarray, damp: np.ndarray, t: np.ndarray, drive: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Displacements and rates (n, modes) of ``z'' + damp z' + omega^2 z = drive``, which starts in
+    equilibrium and is linear between the times."""
+    a, b = _roots(omega, damp)
+    if (b == a.conj()).all():  # then x_b is the conjugate of x_a
+        x_a = _march(a, t, drive)
+        x_b = x_a.conj()
+    else:
+        both = _march(np.concatenate([a, b]), t, np.tile(drive, 2))
+        x_a, x_b = both[:, : a.size], both[:, a.size :]
+    return ((x_a - x_b) / (a - b)).real, ((a * x_a - b * x_b) / (a - b)).real
+
+
+def _relaxing(omega: np.ndarray, damp: np.ndarray, t: np.ndarray, drive: np.ndarray) -> np.ndarray:
+    """Displacements (n, modes) of ``d z' + w^2 z = r``; undamped ones follow at once."""
+    z = drive / omega**2
+    slow = damp > 0
+    z[:, slow] = _march(-(omega[slow] ** 2) / damp[slow], t, drive[:, slow] / damp[slow]).real
+    return z
+
+
+def _march(roots: np.ndarray, t: np.ndarray, drive: np.ndarray) -> np.ndarray:
+    """(n, roots) of ``x' = a x + r`` from equilibrium.
+
+    Rows of steps are followed side by side from zero, then each from where the one before ends.
+    """
+    states = np.empty((t.size, roots.size), dtype=np.result_type(roots, drive))
+    states[0] = state = drive[0] / -roots
+    for begin in range(0, t.size - 1, _BLOCK):
+        part = slice(begin, min(begin + _BLOCK, t.size - 1) + 1)
+        count = part.stop - part.start - 1
+        side = math.isqrt(count - 1) + 1
+        shape = (side, side, roots.size)
+        grow, push = (np.resize(each, shape) for each in _steps(roots, t[part], drive[part]))
+        for k in range(1, side):
+            push[:, k] += grow[:, k] * push[:, k - 1]
+            grow[:, k] *= grow[:, k - 1]
+        for row in range(side):
+            push[row] += grow[row] * state
+            state = push[row, -1]
+        states[part][1:] = push.reshape(side**2, roots.size)[:count]
+        state = states[part.stop - 1]
+    return states
+
+
+def _roots(omega: np.ndarray, damp: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Roots of ``s^2 + damp s + omega^2``; equal ones are moved apart by 1e-4 of omega."""
+    half = np.sqrt(damp.astype(complex) ** 2 / 4 - omega**2)
+    half = np.where(np.abs(half) < 1e-4 * omega, 1e-4 * omega, half)
+    fast = -damp / 2 - half
+    # their sum would lose the slow one of a mode damped hard
+    return np.where(fast.imag == 0, omega**2 / fast, fast.conj()), fast
+
+
+def _steps(roots: np.ndarray, t: np.ndarray, drive: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """``e^(ah)`` and what the load adds in each step, both (steps, roots)."""
+    h = np.diff(t)[:, None]
+    s = h * roots
+    small = np.abs(s) < 1e-2
+    safe = np.where(small, 1.0, s)
+    grow = np.exp(s)
+    p1 = np.where(small, 1 + s / 2 * (1 + s / 3 * (1 + s / 4)), (grow - 1) / safe)
+    p2 = np.where(small, (1 + s / 3 * (1 + s / 4 * (1 + s / 5))) / 2, (p1 - 1) / safe)
+    return grow, h * (p1 * drive[:-1] + p2 * np.diff(drive, axis=0))
+
+
+STATED_AT = 1e3  # Hz
+DECADES = 4.0  # of a band from zero
+POINTS = 30  # a decade
+MOST = 6  # relaxations a decade
+LOSS_SHARE = 0.1  # of the tangent, or of a certified error: what the sum may be off
+
+
+def permittivity(frequency: np.ndarray, tangent: float) -> np.ndarray:
+    """``eps(s) / eps`` (n,) at ``frequency`` (n,) [Hz]."""
+    m = 2 / np.pi * np.arctan(tangent)
+    return np.asarray((1j * np.asarray(frequency) / STATED_AT) ** -m)
+
+
+def foster(
+    tangent: float, band: tuple[float, float], error: float
+) -> tuple[np.ndarray, np.ndarray, float]:
+    """Amplitudes ``a`` (k + 1,) and rates ``1/t`` (k,) [1/s] of the sum, and its largest relative
+    difference to :func:`permittivity` in the band: the fewest relaxations within ``error``, or the
+    best there is."""
+    low, high = max(band[0], band[1] / 10**DECADES), band[1]
+    decades = np.log10(high / low) + 1e-9
+    f = np.geomspace(low, high, int(POINTS * decades) + POINTS)
+    wanted, s = permittivity(f, tangent), 2j * np.pi * f[:, None]
+    best = np.inf
+    found = np.ones(1), np.empty(0)
+    for each in range(1, MOST + 1):
+        count = int(np.ceil(each * decades)) + 2
+        rates = 2 * np.pi * np.geomspace(low / 3, 3 * high, count)
+        A = np.column_stack([np.ones(len(f)), 1 / (1 + s / rates)]) / wanted[:, None]
+        one = np.r_[np.ones(len(f)), np.zeros(len(f))]
+        a = scipy.optimize.nnls(np.concatenate([A.real, A.imag]), one)[0]
+        off = float(np.abs(A @ a - 1).max())
+        if off < best:
+            best, found = off, (a, rates)
+        if best <= error:
+            break
+    return *found, best
+
+
+def lossy(model: Resonators, tangent: float) -> Resonators:
+    """``model`` with a dielectric of that loss tangent in the band of its certificate, which the
+    error of the sum widens.
+
+    Raises
+    ------
+    UsageError : it has no electrodes.
+    """
+    known = model.certificate
+    electrical = [k for k, port in enumerate(model.ports) if port.kind == "electrical"]
+    if known is None or not electrical:
+        raise UsageError("no dielectric to lose energy in", where="damping.loss_tangent")
+    amplitude, rates, off = foster(tangent, known.band_hz, LOSS_SHARE * min(tangent, 0.01))
+    D = model.D[np.ix_(electrical, electrical)]
+    w, V = np.linalg.eigh(D)
+    root = (V * np.sqrt(np.maximum(w, 0.0)))[:, w > 0]
+    used = amplitude[1:] > 0
+    omega = np.repeat(rates[used], root.shape[1])
+    gain = np.zeros((len(omega), len(model.ports)))
+    gain[:, electrical] = omega[:, None] * np.vstack(
+        [np.sqrt(a) * root.T for a in amplitude[1:][used]]
+    )
+    clamped = model.D.copy()
+    clamped[np.ix_(electrical, electrical)] = amplitude[0] * D
+    told = f"{known.method}; a loss tangent of {tangent:g} by {used.sum()} relaxations within "
+    told += f"{off:.1e} of a constant one"
+    return replace(
+        model,
+        omega=np.r_[model.omega, omega],
+        damp=np.r_[model.damp, omega],
+        gain=np.vstack([model.gain, gain]),
+        D=clamped,
+        massless=model.massless + len(omega),
+        certificate=replace(known, error_estimate=known.error_estimate + off, method=told),
+    )

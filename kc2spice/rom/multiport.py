@@ -22,8 +22,7 @@ from typing import Any
 import numpy as np
 
 from kc2spice.core.errors import UsageError, needed
-from kc2spice.rom.linear import Certificate, LinearModel, Port
-from kc2spice.rom.statespace import ABCD
+from kc2spice.rom.linear import ABCD, Certificate, LinearModel, Port
 
 MOST = 60  # poles, pairs counted once
 STATES = 48  # of them all: the search for the nearest passive model takes their sixth power

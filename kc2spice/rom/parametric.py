@@ -21,8 +21,7 @@ import scipy
 
 from kc2spice.core.errors import UsageError
 from kc2spice.rom.linear import LinearModel
-from kc2spice.rom.operators import Matrix, Schur, dense
-from kc2spice.rom.pencil import Inverse, Pencil
+from kc2spice.rom.pencil import Inverse, Matrix, Pencil, Schur, dense
 
 DENSE = 700  # unknowns up to which all modes are as fast as a few
 ABOVE = 2.0  # times the band, up to which modes are kept

@@ -1,5 +1,7 @@
 """Reduction of any linear model: a tolerance (or an order) and a band in, a certified model out.
 
+The band, when nobody names one, ends at the fifth lowest natural frequency.
+
 Two stages. A *subspace model* that is far more accurate than asked comes first: all of a model of
 up to a thousand unknowns or so, else block Krylov vectors (symmetric definite models: at zero,
 then at real shifts) or multi-point rational Krylov vectors with their derivatives (all others).
@@ -24,14 +26,13 @@ from typing import get_args
 
 import numpy as np
 from scipy.linalg import LinAlgError, block_diag, cholesky, solve_triangular
+from scipy.sparse.linalg import ArpackError, LinearOperator, eigs
 
 from kc2spice.core.errors import SimulationError, UsageError, unknown
-from kc2spice.linalg.memory import require_factors
-from kc2spice.rom import balance
-from kc2spice.rom.band import natural_band
-from kc2spice.rom.krylov import block_arnoldi
+from kc2spice.linalg.factor import require_factors
+from kc2spice.rom import blocks
 from kc2spice.rom.linear import Certificate, LinearModel, Norm
-from kc2spice.rom.pencil import Pencil, eliminated, proportional
+from kc2spice.rom.pencil import Pencil, dense, eliminated, largest, proportional
 from kc2spice.rom.response import (
     FLANK,
     FLOOR,
@@ -47,7 +48,92 @@ from kc2spice.rom.response import (
     telling,
 )
 from kc2spice.rom.structure import FORM, Structure, structure
-from kc2spice.rom.subspace import Subspace, is_definite, subspace
+from kc2spice.rom.subspace import Subspace, block_arnoldi, is_definite, subspace
+
+MODES = 5
+SMALL = 200  # equations up to which all poles are computed
+BEYOND = 1.1  # the band ends a little past the mode, not on it
+SHIFT = 1e-3  # of the band: below it nothing need be resolved
+CLOSE = 1e-4  # of the rates, whose fifth is only rounded up to a band
+
+
+def natural_band(pencil: Pencil) -> tuple[float, float]:
+    """``(0, f)`` [Hz], f a little above the fifth lowest undamped natural frequency (second order)
+    or corner frequency (first order) of the full model.
+
+    Raises
+    ------
+    UsageError : the model is free to move or has no such frequency; a band must be given. Or it is
+        too large for this machine.
+    """
+    try:
+        rates = _small(pencil) if pencil.size <= SMALL else _lowest(pencil)
+    except (SimulationError, ArpackError):
+        rates = np.empty(0)
+    rates = np.sort(rates[rates > 0])[:MODES]
+    if not rates.size:
+        raise UsageError(
+            "no natural frequency suggests a band",
+            where="band",
+            hint="name the frequencies of interest: --band 0 2e4",
+        )
+    return 0.0, float(BEYOND * rates[-1] / (2 * np.pi))
+
+
+def reach(pencil: Pencil, count: int, high: float) -> float:
+    """Frequency [Hz] of the ``count``-th lowest natural motion, at most ``high``; ``high`` where
+    there are not so many, or they are not to be had.
+
+    A shift far below ``high`` lets the body be free to move.
+    """
+    pencil = proportional(eliminated(pencil))
+    if pencil.degree != 2 or not pencil.symmetric or pencil.size <= count + 2:
+        return high
+    shift = 2 * np.pi * high * SHIFT
+    M = pencil.coefficients[-1]
+    try:
+        solve = pencil.pencil_solver(-(shift**2)).solve
+        inverse = LinearOperator((pencil.size,) * 2, matvec=lambda x: solve(M @ x), dtype=float)
+        start = solve(pencil.B[:, 0])
+        values = eigs(inverse, count, v0=start, tol=CLOSE, return_eigenvectors=False)
+    except (SimulationError, UsageError, ArpackError):
+        return high
+    squares = 1 / np.abs(values) - shift**2
+    return min(high, float(np.sqrt(max(squares.max(), 0.0)) / (2 * np.pi)))
+
+
+def _small(pencil: Pencil) -> np.ndarray:
+    rest, inertia = (dense(P) for P in (pencil.coefficients[0], pencil.coefficients[-1]))
+    if largest(rest) == 0 or largest(inertia) == 0:
+        return np.empty(0)
+    rates = np.abs(Pencil((rest, inertia), pencil.B, pencil.C, pencil.D).poles())
+    rates = rates[rates > 1e-12 * rates.max(initial=0.0)]
+    return np.asarray(rates if pencil.degree == 1 else np.sqrt(rates))
+
+
+def _lowest(pencil: Pencil) -> np.ndarray:
+    """Reciprocals of the largest eigenvalues of ``P(0)^-1`` times the inertia."""
+    require_factors(pencil.bordered(1.0, 1.0, 1.0))
+    solve = _at_rest(pencil)
+    inertia = pencil.coefficients[-1]
+    n = pencil.size
+    inverse = LinearOperator((n, n), matvec=lambda x: solve(inertia @ x), dtype=float)
+    values = np.abs(
+        eigs(inverse, MODES + 1, v0=solve(pencil.B[:, 0]), tol=CLOSE, return_eigenvectors=False)
+    )
+    rates = 1 / values[values > 0]
+    return np.asarray(rates if pencil.degree == 1 else np.sqrt(rates))
+
+
+def _at_rest(pencil: Pencil) -> Callable[[np.ndarray], np.ndarray]:
+    """``P(0)^-1``, by the factors that the reduction will use where K is definite."""
+    if pencil.degree == 2 and pencil.symmetric:
+        try:
+            return pencil.pencil_solver(0.0).solve
+        except SimulationError:
+            pass  # indefinite
+    return pencil.solver(0.0)[0].solve
+
 
 ROUNDING = 1e-11  # no estimate says less: direct solutions are hardly better in the response
 LOWEST, MARGIN = 1e-10, 0.02  # tolerances that can be certified; the subspace model's part of one
@@ -321,7 +407,7 @@ def refitted(found: Reduction, order: int, tolerance: float) -> tuple[Reduction,
     inside, _ = _snapshots(judge.exact, judge.band, static, None)
     s = 2j * np.pi * inside
     H, peak = judge.exact.transfer(s), judge.reference[1]
-    rows, columns = balance.scales(peak)
+    rows, columns = blocks.scales(peak)
     wanted = (H - found.pencil.D) / (rows[:, None] * columns)
     best, fewer, enough = (found, order), order, CLOSER * tolerance / SAFETY
     while fewer > max(1, found.pencil.free, best[1] - MISSES):
@@ -549,18 +635,18 @@ def balanced(like: Reduction, states: int, tolerance: float) -> tuple[Reduction,
     core, top = judge.exact.held.pencil, judge.band[1]
     if not like.space.static or core.free or like.states(judge.exact.pencil.size) > BALANCED:
         return None
-    model = Response(balance.standard(core, top))
+    model = Response(blocks.standard(core, top))
     H, peak = judge.reference
-    scales = balance.scales(peak)
-    ways = {ALL: lambda: balance.by_gramians(model.pencil, *scales)}
+    scales = blocks.scales(peak)
+    ways = {ALL: lambda: blocks.by_gramians(model.pencil, *scales)}
     if model.pencil.size <= UNSCALED and peak.size > 1:
         one = [np.ones(len(each)) for each in scales]
-        ways[f"{ALL} of outputs as they are"] = lambda: balance.by_gramians(model.pencil, *one)
+        ways[f"{ALL} of outputs as they are"] = lambda: blocks.by_gramians(model.pencil, *one)
     if model.pencil.size <= SAMPLED and model.quick:
         step = 1 if judge.norm == "pointwise" else THINNED
         f = judge.frequency[::step]
-        weights = balance.weights(f, H[::step], peak, judge.norm)
-        over = {f"{ALL} over the band": lambda: balance.by_samples(model, 1j * f / top, *weights)}
+        weights = blocks.weights(f, H[::step], peak, judge.norm)
+        over = {f"{ALL} over the band": lambda: blocks.by_samples(model, 1j * f / top, *weights)}
         ways = over | ways if judge.norm == "pointwise" else ways | over
     best = None
     for name, way in ways.items():
@@ -568,8 +654,8 @@ def balanced(like: Reduction, states: int, tolerance: float) -> tuple[Reduction,
         if small is None:
             continue
         if free:
-            small = small.beside(balance.standard(judge.exact.pencil.leading(free), top))
-        pencil = balance.in_hertz(small, top)
+            small = small.beside(blocks.standard(judge.exact.pencil.leading(free), top))
+        pencil = blocks.in_hertz(small, top)
         other = replace(like, pencil=pencil, first=pencil.free, origin=name, balanced=True)
         fewer = other.fewest(tolerance, states)
         if fewer is not None:

@@ -8,13 +8,12 @@ from functools import cached_property
 from typing import TypeAlias
 
 import numpy as np
-from scipy.linalg import LinAlgError, eigh, schur
+import scipy
 
 from kc2spice.core.errors import SimulationError
-from kc2spice.rom.free import free_part
 from kc2spice.rom.linear import Norm, Port
-from kc2spice.rom.operators import largest
-from kc2spice.rom.pencil import INFINITE, Pencil, first_order
+from kc2spice.rom.pencil import INFINITE, Pencil, first_order, largest
+from kc2spice.rom.structure import free_part
 
 # Errors of entries this far below their own peak are measured against this part of the peak.
 FLOOR = 1e-6
@@ -225,7 +224,7 @@ def _triangular(pencil: Pencil) -> Triangular | None:
     rest, inertia = whole.coefficients
     try:
         inner = np.linalg.solve(rest + shift * inertia, np.hstack([inertia, whole.B]))
-        T, Z = schur(inner[:, : len(rest)], output="complex")
+        T, Z = scipy.linalg.schur(inner[:, : len(rest)], output="complex")
     except (np.linalg.LinAlgError, ValueError):
         return None
     form = Triangular(shift, T, Z[: pencil.size], Z.conj().T @ inner[:, len(rest) :])
@@ -274,14 +273,14 @@ def _decoupled(pencil: Pencil) -> Modes | None:
         return None
     rest, inertia = pencil.coefficients[0], pencil.coefficients[-1]
     try:
-        mu, T = eigh(inertia, rest)
+        mu, T = scipy.linalg.eigh(inertia, rest)
         if (mu[1:] > SOFT * np.abs(mu[:-1])).any():  # what rounding lets pass for stiffness
-            raise LinAlgError
+            raise scipy.linalg.LinAlgError
         ends = np.ones(pencil.size), mu
-    except LinAlgError:
+    except scipy.linalg.LinAlgError:
         try:
-            k, T = eigh(rest, inertia)
-        except LinAlgError:
+            k, T = scipy.linalg.eigh(rest, inertia)
+        except scipy.linalg.LinAlgError:
             return None
         ends = k, np.ones(pencil.size)
     if pencil.degree == 1:

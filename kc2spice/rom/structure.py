@@ -1,20 +1,194 @@
-"""What the form of a model proves: stability and passivity without a single frequency."""
+"""What the form of a model proves, stability and passivity, without a single frequency, and the
+motions that nothing holds at rest: rigid bodies and integrators, with what slows them down.
+
+The part of the latter of a response grows without bound towards zero frequency. It is found once,
+made exact, and kept apart from all other unknowns: a basis and a peak are those of the rest.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 import scipy
 
 from kc2spice.core.errors import SimulationError
 from kc2spice.linalg.factor import factorise
-from kc2spice.rom.free import apart
-from kc2spice.rom.operators import Matrix, Schur, Sum, largest, symmetric
-from kc2spice.rom.pencil import Pencil
+from kc2spice.rom.pencil import Matrix, Pencil, Schur, Sum, first_order, largest, symmetric
+
+ROUNDING = 8.0  # times n eps of the largest: a stiffness, a damping or a coupling that is zero
+# Poles of a first-order model below these shares of the band's end: zero but for rounding, which
+# leaves half of the digits of a pair, and a free motion that something slows down.
+ZERO, SLOW = 1e-6, 1e-2
+SURELY = 10.0  # times what would be singular: a matrix that is not
+DEPENDENT = 1e-9  # rates per band's end: a chain of integrators in first order
+Rounding: TypeAlias = tuple[np.ndarray, ...]  # bounds on that of each coefficient's entries
+
+
+class Apart(NamedTuple):
+    """A ``pencil`` whose first ``free`` coordinates are its free motion, the columns of all of them
+    in the original, whether all but those have a static answer, and the ``projected`` pencil before
+    the rounding of what is zero was taken out of it, where the form was kept.
+    """
+
+    pencil: Pencil
+    columns: np.ndarray
+    static: bool
+    projected: Pencil | None = None
+
+
+def apart(pencil: Pencil, omega: float, rounding: Rounding | None = None) -> Apart:
+    """A dense pencil in coordinates of which the first ones are its free motion; the pencil itself
+    where none is free.
+
+    Where ``K X = 0`` and ``X'K = 0``, as in symmetric and dissipative models, the form is kept:
+    ``V'PV`` with the others orthogonal to X in the inertia. Damping may couple both. All other
+    models are turned to first order and split at their poles near zero (of ``omega``), by both
+    invariant subspaces. ``rounding`` is known of projections.
+    """
+    rest, inertia = pencil.coefficients[0], pencil.coefficients[-1]
+    rounding = rounding or _rounding(pencil)
+    X = _null_space(rest, rounding[0])
+    free = X.shape[1]
+    if not free:
+        return Apart(pencil, np.eye(pencil.size), True)
+    if symmetric(inertia) and _without_force(rest.T, X, rounding[0].T):
+        others = scipy.linalg.null_space((inertia @ X).T)
+        if others.shape[1] + free == pencil.size:
+            X = _driven(pencil, X, rounding)
+            V = np.hstack([X, others])
+            found, projected = congruent(pencil, V, X.shape[1], rounding)
+            return Apart(found, V, True, projected)
+    found, V = _oblique(first_order(pencil, omega), omega)
+    return Apart(found, V, True) if found.free else Apart(pencil, np.eye(pencil.size), False)
+
+
+def free_part(pencil: Pencil, omega: float) -> Pencil | None:
+    """The free motion alone, whose response is the part without bound; None if there is none."""
+    if pencil.free and not pencil.detached:
+        pencil = _oblique(first_order(pencil, omega), omega)[0]
+    return pencil.leading(pencil.free) if pencil.free else None
+
+
+def _rounding(pencil: Pencil) -> Rounding:
+    """That of the entries of a pencil that is given as it is."""
+    limit = ROUNDING * np.finfo(float).eps * pencil.size
+    return tuple(limit * np.abs(P) for P in pencil.coefficients)
+
+
+def _null_space(K: np.ndarray, rounding: np.ndarray) -> np.ndarray:
+    """Orthonormal columns that K takes to zero but for ``rounding`` of each of its entries, however
+    stiff others are."""
+    rows = rounding.max(axis=1)
+    rows = 1 / np.where(rows > 0, rows, 1.0)[:, None]
+    columns = (rows * rounding).max(axis=0)
+    columns = 1 / np.where(columns > 0, columns, 1.0)
+    noise = rows * rounding * columns
+    lu, _, singular = scipy.linalg.lapack.dgetrf(rows * K * columns)
+    inverse = 0.0 if singular else scipy.linalg.lapack.dgecon(lu, 1.0)[0]
+    if inverse > SURELY * np.sqrt(len(K)) * np.linalg.norm(noise):  # by an estimate, of other norms
+        return np.empty((len(K), 0))
+    _, size, Vt = np.linalg.svd(rows * K * columns)
+    limit = np.linalg.norm(noise, 2)
+    return np.linalg.qr(columns[:, None] * Vt[size <= limit].T)[0]
+
+
+def _without_force(P: np.ndarray, X: np.ndarray, rounding: np.ndarray) -> bool:
+    """Whether ``P X`` is zero but for the ``rounding`` of P's entries, and X's own."""
+    return bool((np.abs(P @ X) <= rounding.sum(axis=1)[:, None] * np.abs(X).max(axis=0)).all())
+
+
+def _driven(pencil: Pencil, X: np.ndarray, rounding: Rounding) -> np.ndarray:
+    """Those of the free motions X that an input moves; all where the outputs are others, or damping
+    joins them."""
+    *between, inertia = pencil.coefficients
+    slowed = not all(_without_force(P, X, R) for P, R in zip(between, rounding, strict=False))
+    if slowed or not pencil.collocated:
+        return X
+    X = X @ np.linalg.inv(np.linalg.cholesky(X.T @ inertia @ X)).T
+    U, size, _ = np.linalg.svd(X.T @ pencil.B)
+    K, held = pencil.coefficients[0], inertia @ X
+    held *= np.sqrt(largest(K)) / largest(held)
+    # rounding of K turns X towards what it takes no force to move: inputs see their own answers
+    answer = np.linalg.solve(K + held @ held.T, pencil.B)
+    own = ROUNDING * np.finfo(float).eps * pencil.size * np.abs(pencil.B)
+    noise = np.abs(X.T) @ (own + rounding[0] @ np.abs(answer))
+    moved = int((size > largest(noise)).sum())
+    return X @ U[:, :moved]
+
+
+def congruent(
+    pencil: Pencil, V: np.ndarray, free: int, rounding: Rounding | None = None
+) -> tuple[Pencil, Pencil]:
+    """``V'PV`` of a dense pencil, the first columns of V being ``free`` motions, without the
+    rounding of what is zero, and with it."""
+    found, parts = pencil.project_exactly(V), []
+    for P, noise in zip(found.coefficients, rounding or _rounding(pencil), strict=True):
+        zero = np.abs(P) <= np.abs(V).T @ (noise @ np.abs(V))
+        zero[free:, free:] = False
+        parts.append(np.where(zero, 0.0, P))
+    parts[0][:free] = parts[0][:, :free] = 0.0
+    parts[-1][:free, free:] = parts[-1][free:, :free] = 0.0
+    return replace(found, coefficients=tuple(parts), free=free), found
+
+
+def _oblique(pencil: Pencil, omega: float) -> tuple[Pencil, np.ndarray]:
+    """``W'PV`` with the right and left invariant subspaces of the poles near zero in front, there
+    in coordinates that show the chains of integrators."""
+    rest, inertia = pencil.coefficients
+    try:
+        X, Y = _slow(rest, inertia, omega), _slow(rest.T, inertia.T, omega)
+        inner = Y.T @ inertia @ X
+        if X.shape != Y.shape or not X.size:
+            return pencil, np.eye(pencil.size)
+        Y = np.linalg.solve(inner, Y.T).T
+    except np.linalg.LinAlgError:
+        return pencil, np.eye(pencil.size)
+    A, Q = _chains(-(Y.T @ rest @ X) / omega)
+    X, Y = X @ Q, Y @ Q
+    V, W = (
+        np.hstack([X, scipy.linalg.null_space(Y.T @ inertia)]),
+        np.hstack([Y, scipy.linalg.null_space((inertia @ X).T)]),
+    )
+    free = len(A)
+    parts = [
+        scipy.linalg.block_diag(first, (W.T @ P @ V)[free:, free:])
+        for first, P in ((-omega * A, rest), (np.eye(free), inertia))
+    ]
+    return Pencil(tuple(parts), W.T @ pencil.B, pencil.C @ V, pencil.D, free=free), V
+
+
+def _slow(rest: np.ndarray, inertia: np.ndarray, omega: float) -> np.ndarray:
+    """Orthonormal basis of the invariant subspace of poles that are zero, or real and slow."""
+    shifted = np.linalg.solve(rest + omega * inertia, omega * inertia)
+
+    def chosen(x: float, y: float) -> bool:
+        pole = 1 - 1 / (complex(x, y) or np.finfo(float).tiny)
+        return abs(pole) < ZERO or (abs(pole) < SLOW and abs(pole.imag) < ZERO)
+
+    _, Z, count = scipy.linalg.schur(shifted, output="real", sort=chosen)
+    return np.asarray(Z[:, :count])
+
+
+def _chains(A: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """``Q'AQ`` with Q orthogonal, block triangular with exact zeros: first what does not move, then
+    what moves that at a constant rate, and so on."""
+    A, Q, start = A.copy(), np.eye(len(A)), 0
+    while start < len(A):
+        _, size, Vt = np.linalg.svd(A[start:, start:])
+        still = int((size <= DEPENDENT * max(1.0, size[0])).sum())
+        if not still:
+            break
+        turn = scipy.linalg.block_diag(np.eye(start), np.roll(Vt, still, axis=0).T)
+        A, Q = turn.T @ A @ turn, Q @ turn
+        A[start:, start : start + still] = 0.0
+        start += still
+    return A, Q
+
 
 # Rounding of a congruence: a semi-definite matrix may show eigenvalues this far below zero.
-ROUNDING = 1e-12
+ASYMMETRY = 1e-12
 # Growth by e in a hundred million radians is rounding of an eigenvalue on the imaginary axis.
 GROWTH = 1e-8
 FORM = "definite matrices"
@@ -99,10 +273,10 @@ def semidefinite(matrix: Matrix) -> bool:
         return _factorises(scipy.sparse.csc_array(matrix))
     if matrix.size == 0:
         return True
-    if largest(matrix - matrix.T) > ROUNDING * largest(matrix):
+    if largest(matrix - matrix.T) > ASYMMETRY * largest(matrix):
         return False
     values = np.linalg.eigvalsh(matrix)
-    return bool(values[0] >= -ROUNDING * abs(values[-1]))
+    return bool(values[0] >= -ASYMMETRY * abs(values[-1]))
 
 
 def _factorises(matrix: Matrix) -> bool:
@@ -116,7 +290,7 @@ def _factorises(matrix: Matrix) -> bool:
         return False
     T = scipy.sparse.diags_array(1 / np.sqrt(np.where(empty, 1.0, own)))
     scaled = T @ (0.5 * (matrix + matrix.T)) @ T
-    shift = ROUNDING * float(abs(scaled).sum(axis=0).max())
+    shift = ASYMMETRY * float(abs(scaled).sum(axis=0).max())
     lift = scipy.sparse.diags_array(np.where(empty, 1.0, shift))
     try:
         factorise(scipy.sparse.csc_array(scaled + lift), definite=True)

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Literal
 
 from kc2spice.core.errors import SimulationError
-from kc2spice.scene.settings import Action, Solver
+from kc2spice.scene.model import Action, Solver
 
 if TYPE_CHECKING:
     import numpy as np

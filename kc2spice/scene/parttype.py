@@ -24,8 +24,7 @@ import numpy as np
 from kc2spice.core.errors import UsageError
 from kc2spice.core.figure import Figure, Shape, Written
 from kc2spice.core.quantities import Section
-from kc2spice.scene.model import GROUND, Part, Scene, Terminal
-from kc2spice.scene.settings import Rom
+from kc2spice.scene.model import GROUND, Part, Rom, Scene, Terminal
 
 if TYPE_CHECKING:
     from kc2spice.core.laws import Equations

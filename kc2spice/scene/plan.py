@@ -17,9 +17,8 @@ from pydantic.fields import FieldInfo
 
 from kc2spice.core.quantities import Notch
 from kc2spice.scene.compose import drawing
-from kc2spice.scene.model import Analysis, Part, Scene
+from kc2spice.scene.model import Analysis, Part, Rom, Scene, Solver
 from kc2spice.scene.parttype import Build, Neglected
-from kc2spice.scene.settings import Rom, Solver
 
 MAX_STEP = "solver.max_step"
 MOST_POINTS = 2e5  # of a transient

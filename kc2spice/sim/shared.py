@@ -28,9 +28,8 @@ from kc2spice.core.waveforms import Waveforms
 from kc2spice.netlist.deck import Deck
 from kc2spice.netlist.scope import INCLUDES
 from kc2spice.scene.parttype import Sampled
-from kc2spice.sim.log import failed_run, statistics
 from kc2spice.sim.ngspice import named
-from kc2spice.sim.rawfile import read_raw
+from kc2spice.sim.output import failed_run, read_raw, statistics
 
 _HINT = "Debian or Ubuntu: apt-get install libngspice0"
 

@@ -8,7 +8,7 @@ import textwrap
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
-from kc2spice.core.version import __version__
+from kc2spice.core import __version__
 from kc2spice.netlist.cards import comment, name, number, render, word
 from kc2spice.netlist.circuit import Param, Pin, Subcircuit
 from kc2spice.rom.linear import Certificate

@@ -25,13 +25,13 @@ import numpy as np
 from kc2spice.core.errors import SimulationError, UsageError, unknown
 from kc2spice.core.files import staged
 from kc2spice.core.progress import Clock, Progress, silent
-from kc2spice.report.bench_page import write_bench
+from kc2spice.report.pages import write_bench
 from kc2spice.scene.model import Scene
 from kc2spice.scene.plan import Axis, axes, keys_at
 from kc2spice.sim.ngspice import find_ngspice
 from kc2spice.workflow import refine
 from kc2spice.workflow.refine import Run, Runs, changes
-from kc2spice.workflow.results import plain, write_record
+from kc2spice.workflow.simulate import plain, write_record
 
 ERROR = 1e-4
 NOTCHES = (-2.0, -1.0, -0.5, 0.0, 0.5, 1.0)  # of every axis, from coarse to fine

@@ -1,23 +1,33 @@
-"""From a scene and the models of its parts to a deck: every part is asked, none is known."""
+"""From a scene and the models of its parts to a deck: every part is asked, none is known.
+
+A deck of the scene that somebody edited by hand.
+"""
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import replace
 from itertools import chain
+from pathlib import Path
+from typing import Any
 
 from kc2spice.core.errors import UsageError, did_you_mean
 from kc2spice.netlist.cards import comment, number, tidy
-from kc2spice.netlist.circuit import Subcircuit
+from kc2spice.netlist.circuit import Element, Subcircuit
 from kc2spice.netlist.deck import Block, Command, Deck, Option, ac, dc, transient
+from kc2spice.netlist.expression import literal, vector
+from kc2spice.netlist.foreign import ANALYSES, HARMLESS, accuracy, checked, refuse
+from kc2spice.netlist.read import Statement, read
+from kc2spice.netlist.scope import circuit, has_vector
 from kc2spice.netlist.transforms import quiet
-from kc2spice.scene.compose import allocated
+from kc2spice.scene.compose import Free, allocated, free, unsettled
 from kc2spice.scene.model import Part, Scene, scene_hash
 from kc2spice.scene.parttype import Build, begins, mover, numerics
 from kc2spice.scene.plan import MAX_STEP
 from kc2spice.scene.plausible import built, judged
-from kc2spice.scene.rest import Free, free, unsettled
 from kc2spice.spice.header import Header, plan_lines
-from kc2spice.workflow import noise
+from kc2spice.workflow import meters
 from kc2spice.workflow.meters import powers, replaced, result_vectors, sweep_values, swept
 from kc2spice.workflow.steps import largest_step
 
@@ -69,7 +79,7 @@ def make_deck(build: Build) -> Deck:
         initial=_initial(build, loose),
         controlled=any(_controls(part, scene) for part in scene.parts.values()),
     )
-    return noise.sources(made, build) if build.noisy else made
+    return meters.sources(made, build) if build.noisy else made
 
 
 def _controls(part: Part, scene: Scene) -> bool:
@@ -95,8 +105,8 @@ def _libraries(build: Build, header: Header) -> Iterator[Subcircuit]:
             continue
         for found in part.type.subcircuits(part, build, header):
             if build.noisy and not part.netlist:
-                noise = part.type.noise
-                found = quiet(found, () if isinstance(noise, str) else noise)
+                meters = part.type.noise
+                found = quiet(found, () if isinstance(meters, str) else meters)
             same = known.get(found.filename.lower())
             if same is None:
                 known[found.filename.lower()] = found
@@ -118,7 +128,7 @@ def _blocks(build: Build, loose: Sequence[Free]) -> Iterator[Block]:
         if cards:
             yield Block(f"{part.name}: {part.type.title}", tuple(cards))
     if build.noisy:
-        source, node = noise.reference(build)
+        source, node = meters.reference(build)
         title = "drives nothing: what the analysis could refer the noise to"
         yield Block(title, (f"{source} {node} 0 DC 0 AC 1", f"R{node} {node} 0 1 noisy=0"))
     nets = [group.nets[0] for group in loose if group.nets]
@@ -173,7 +183,7 @@ def _command(build: Build) -> Command:
         points = 3 if (chosen.points, chosen.scale) == (2, "linear") else chosen.points
         return ac(chosen.start, float(chosen.stop or 0.0), points, chosen.scale)
     if chosen.type == "noise":
-        return noise.command(build)
+        return meters.command(build)
     if chosen.type == "op":
         return Command("op", ())
     _, _, found = swept(build)
@@ -192,3 +202,138 @@ def _initial(build: Build, loose: Sequence[Free]) -> dict[str, float]:
         if group.nets and not group.bodies and not any(states[name] for name in group.parts):
             found[group.nets[0]] = 0.0  # dampers alone
     return found
+
+
+def edited_deck(build: Build, own: Deck, path: Path) -> tuple[Deck, Build]:
+    """A netlist of the scene that somebody edited, with the results of the scene's ``own`` deck;
+    and ``build`` without judgement of parts whose cards are others there, or joined otherwise.
+
+    What it includes from its own directory is written into its place; it is refused if it could
+    act on the machine, unless the build is trusted.
+
+    Raises
+    ------
+    UsageError : no such file, a line that could act on the machine, a card that changes what the
+        parts of the deck mean, another analysis than the scene's, vectors that the file no longer
+        saves or that nothing in it has.
+
+    Warns of options that are not the scene's: they decide how accurate its results are.
+    """
+    found = checked(path, trust=build.trust)
+    text, cards = found.text, list(found.cards(title=True))
+    refuse(cards, part=False)
+    analyses = [s for s in cards if s.keyword in ANALYSES]
+    if [s.keyword for s in analyses] != [f".{own.command.kind}"]:
+        raise UsageError(
+            "not the scene's analysis",
+            where=str(path),
+            got=" and ".join(s.written for s in analyses) or "none",
+            expected=own.command.card,
+            hint="one analysis of the same kind; its numbers are free",
+        )
+    saved = {vector(w.lower()) for s in cards if s.keyword == ".save" for w in s.words[1:]}
+    missing = [v for v in own.saved if vector(v.lower()) not in saved]
+    if saved and vector("all") not in saved and missing:
+        raise UsageError(
+            "the scene's metrics need vectors that this deck does not save",
+            where=str(path),
+            got=", ".join(missing),
+            expected=".save " + " ".join(missing),
+            hint="add this line; a node that was renamed needs its old name",
+        )
+    _require_results(own, text, path)
+    _tell_options(own, cards, path)
+    words = tuple(analyses[0].words[1:])
+    stop = None if own.stop is None else _seconds(words, analyses[0].where)
+    deck = replace(
+        own,
+        text=text,
+        parts=(),
+        blocks=(),
+        options=(),
+        initial={},
+        stop=stop,
+        command=Command(own.command.kind, words),
+    )
+    return deck, replace(build, unjudged=build.unjudged | _edits(own, deck))
+
+
+def _edits(own: Deck, edited: Deck) -> set[str]:
+    """Parts of the scene whose cards are others in the ``edited`` deck: their keys no longer say
+    what is there. Also names of cards that it has besides, and of instances joined otherwise."""
+    owner = {
+        card.split()[0].lower(): block.title.partition(":")[0]
+        for block in own.blocks
+        for card in block.cards
+    }
+    before, now = ({e.key: e for e in deck.scope.elements} for deck in (own, edited))
+    found = set()
+    for key in before.keys() | now.keys():
+        a, b = before.get(key), now.get(key)
+        if a is None or b is None or _said(a) != _said(b):
+            found.add(owner.get(key, key))
+        elif a.ends != b.ends:  # an instance is still the part that its keys tell
+            found.add(key if key.startswith("x") else owner.get(key, key))
+    return found
+
+
+def _said(card: Element) -> tuple[Any, ...]:
+    return card.model, card.values, card.settings, card.expression
+
+
+def _require_results(own: Deck, text: str, path: Path) -> None:
+    """Refuse a deck without the nodes and devices that results are read from.
+
+    Raises
+    ------
+    UsageError : names the vectors, and the card that brings back a current.
+    """
+    now, before = circuit(read(text, path.name, title=True)), own.scope
+    missing = [v for v in own.saved if not has_vector(now, v) and has_vector(before, v)]
+    if not missing:
+        return
+    hints = []
+    sources = {f"i({e.key})": e for e in before.elements if e.kind == "v"}
+    for source in (sources[v.lower()] for v in missing if v.lower() in sources):
+        node = source.nodes[0]
+        hints.append(
+            f"a 0 V source of its name reads the current of whatever drives {node}: "
+            f"{source.name} {node} NODE 0, with your driver's output at NODE"
+        )
+    if len(hints) < len(missing):
+        hints.append("nodes and devices that were renamed need their old names")
+    raise UsageError(
+        "the scene's results are read from what this deck does not have",
+        where=str(path),
+        got=", ".join(missing),
+        expected="nodes and devices of these names",
+        hint="; ".join(hints),
+    )
+
+
+def _tell_options(own: Deck, cards: Iterable[Statement], path: Path) -> None:
+    """Warn of options that decide the accuracy and are not those of the scene's own deck."""
+    before, now = {o.key: o.value for o in own.options if o.key not in HARMLESS}, accuracy(cards)
+    pairs = {key: (before.get(key), now.get(key)) for key in [*before, *now]}
+    changed = [
+        f"{key} = {b or 'default'} ({a or 'default'})"
+        for key, (a, b) in pairs.items()
+        if _value(a) != _value(b)
+    ]
+    if changed:
+        told = ", ".join(changed)
+        warnings.warn(f"{path}: options are not the scene's, in brackets: {told}", stacklevel=2)
+
+
+def _value(text: str | None) -> float | str | None:
+    """Of an option, as a number where it is one."""
+    number = literal(text) if text else None
+    return text if number is None else number
+
+
+def _seconds(words: tuple[str, ...], where: str) -> float:
+    """End of the transient whose card has these words."""
+    stop = literal(words[1], where=where) if len(words) > 1 else None
+    if stop is None:
+        raise UsageError("the end of the transient is no number", where=where, got=" ".join(words))
+    return stop

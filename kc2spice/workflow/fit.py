@@ -21,9 +21,9 @@ from kc2spice.core.files import staged
 from kc2spice.core.progress import Clock, Progress, silent
 from kc2spice.parts._box import Varied, number_of, ranged
 from kc2spice.parts._linear_body import LinearBody, loss_tangent
-from kc2spice.report.fit_page import write_fit
-from kc2spice.rom.dielectric import permittivity
+from kc2spice.report.pages import write_fit
 from kc2spice.rom.linear import LinearModel
+from kc2spice.rom.modal import permittivity
 from kc2spice.rom.parametric import Axis, Parametric, modal_transfer, parametric
 from kc2spice.scene.load import load_scene
 from kc2spice.scene.model import Scene

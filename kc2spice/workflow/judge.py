@@ -15,7 +15,7 @@ from kc2spice.core.waveforms import Waveforms
 from kc2spice.scene.judge import Balance, Check, Gate, Verdict
 from kc2spice.scene.model import Probe
 from kc2spice.scene.parttype import Build
-from kc2spice.workflow import noise
+from kc2spice.workflow import meters
 from kc2spice.workflow.steps import step_checks
 
 BUDGET_SHARE = 0.03  # of a larger error_budget, a tenth of what its time stepping gets
@@ -31,7 +31,7 @@ def verdict(waves: Waveforms, build: Build) -> Verdict:
     rows = [(part.name, row) for part in parts for row in part.type.checks(part, build, waves)]
     checks = [row for _, row in rows if isinstance(row, Check)]
     balances = {name: row for name, row in rows if isinstance(row, Balance)}
-    checks += noise.checks(waves) if build.noisy else step_checks(build, waves, balances)
+    checks += meters.checks(waves) if build.noisy else step_checks(build, waves, balances)
     if scene.checks.energy == "off":
         balances = {}
     slack = max(1.0, BUDGET_SHARE * (scene.error_budget or 0.0) / 1e-4)
@@ -66,7 +66,7 @@ def metrics(waves: Waveforms, build: Build, *, partial: bool = False) -> dict[st
         for part, each in found.items()
         for name, value in each.items()
     }
-    own |= noise.metrics(waves) if noise.WAVE in waves else {}
+    own |= meters.metrics(waves) if meters.WAVE in waves else {}
     last = abs(next(iter(waves.data.values()))[-1])
     return own | {
         name: take(probe, waves, name)
@@ -144,8 +144,8 @@ def probe_units(
     scale = {"time": "s", "frequency": "Hz"}.get(next(iter(waves.data)), "")
     along = {"argmax": scale, "crossing": scale, "frequency": "Hz"}
     found = {n: along.get(p.take, units.get(p.of, "")) for n, p in probes.items()}
-    if noise.WAVE in units:
-        found[noise.WAVE] = units[noise.WAVE].removesuffix(noise.DENSITY)
+    if meters.WAVE in units:
+        found[meters.WAVE] = units[meters.WAVE].removesuffix(meters.DENSITY)
     return {name: unit for name, unit in found.items() if unit}
 
 

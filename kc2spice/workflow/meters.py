@@ -1,21 +1,168 @@
 """What is read of a deck and what moves it: vectors of the parts, currents and powers that probes
-ask for, the source of a dc sweep."""
+ask for, the source of a dc sweep, the voltage that noise is taken of.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
-from kc2spice.core.errors import UsageError
-from kc2spice.core.units import quantity
+from kc2spice.core.errors import UsageError, unknown
+from kc2spice.core.figure import Curve, Figure, Panel, scale_axis
+from kc2spice.core.quantities import quantity
 from kc2spice.core.waveforms import Waveforms
-from kc2spice.scene.compose import electrical, metered
+from kc2spice.netlist.deck import Command, Deck, noise
+from kc2spice.netlist.expression import terms, vector
+from kc2spice.netlist.scope import Scope
+from kc2spice.scene.compose import allocated, electrical, metered
+from kc2spice.scene.judge import Check
 from kc2spice.scene.keys import model_keys
 from kc2spice.scene.model import Part, Scene
 from kc2spice.scene.parttype import Build, Swept, Vector
-from kc2spice.workflow import noise
+
+WAVE = "noise"  # spectral density of the output, and the metric of its rms value
+DENSITY = "/sqrt(Hz)"
+RESOLVED = 0.02  # of the rms value, which every second frequency may change
+
+
+def output(build: Build) -> Vector:
+    """What the scene asks the noise of: a result, or what a pin shows.
+
+    Raises
+    ------
+    UsageError : there is no such result, or it is no voltage of the netlist.
+    """
+    parts, name = build.scene.parts, str(build.scene.analysis.output)
+    known = {k: v for part in parts.values() for k, v in part.type.vectors(part, build).items()}
+    for part in parts.values():
+        pins = (pin.name for pin in part.type.pins(part, build.scene))
+        known |= {
+            each: build.across(part, pin)
+            for pin in pins
+            if (each := f"{part.name}.{pin}") not in known and build.net(part, pin) != "0"
+        }
+    voltages = {each: found for each, found in known.items() if _ends(found) is not None}
+    if name not in voltages:
+        message = "noise is that of a voltage or a motion"
+        raise unknown(message, name, voltages, "analysis.output")
+    return voltages[name]
+
+
+def _ends(found: Vector) -> str | None:
+    """The voltage as the simulator's card has it, None where the vector is none."""
+    read = [(sign, vector(text)) for sign, text in terms(found.expression)]
+    if any(v is None or v.quantity != "v" or len(v.names) > 1 for _, v in read) or len(read) > 2:
+        return None
+    nodes = [v.names[0] for sign, v in sorted(read, key=lambda row: -row[0]) if v is not None]
+    return f"v({','.join(nodes)})" if sum(sign for sign, _ in read) in (0, 1, -1) else None
+
+
+def result(build: Build) -> dict[str, Vector]:
+    """The only result of a noise analysis."""
+    found = output(build)
+    return {WAVE: Vector("onoise_spectrum", abs(found.factor), f"{found.unit}{DENSITY}")}
+
+
+def sources(deck: Deck, build: Build) -> Deck:
+    """``deck`` with what each resistor that has noise adds, as ``noise.PART.NAME``."""
+    found = dict(_noisy(deck.scope, ""))
+    parts = sorted(build.scene.parts, key=len, reverse=True)
+    _, factor = deck.vectors[WAVE]
+    vectors = {}
+    for name, path in found.items():
+        own = path.partition(".")[0][1:]
+        part = next((p for p in parts if own.startswith(p.lower())), None)
+        if part is not None:
+            vectors[f"{WAVE}.{part}.{path.rpartition('.')[2]}"] = (f"onoise_{name}", factor)
+    units = dict.fromkeys(vectors, deck.units[WAVE])
+    return replace(deck, vectors={**deck.vectors, **vectors}, units={**deck.units, **units})
+
+
+def _noisy(scope: Scope, path: str) -> Iterator[tuple[str, str]]:
+    """Resistors with noise, as the simulator calls them, and their paths of instances."""
+    for each in scope.elements:
+        if each.kind == "x" and (inner := scope.find(each.model)) is not None:
+            yield from _noisy(inner, f"{path}{each.key}.")
+        elif each.kind == "r" and each.settings.get("noisy") != "0":
+            yield f"r.{path}{each.key}" if path else each.key, f"{path}{each.key}"
+
+
+def by_part(waves: Waveforms) -> dict[str, np.ndarray]:
+    """Density (nf,) of what each part adds, where the run tells it."""
+    power: dict[str, np.ndarray] = {}
+    for name, density in waves.data.items():
+        word, _, rest = name.partition(".")
+        if word == WAVE and rest:
+            part = rest.partition(".")[0]
+            power[part] = power.get(part, 0.0) + np.abs(density) ** 2
+    return {part: np.sqrt(found) for part, found in power.items()}
+
+
+def metrics(waves: Waveforms) -> dict[str, Any]:
+    """rms values over the band: of the output, and what each part adds to it."""
+    f, parts = waves["frequency"].real, by_part(waves)
+    added = {"noise_by_part": {part: _rms(f, found) for part, found in parts.items()}}
+    return {WAVE: _rms(f, waves[WAVE])} | (added if len(parts) > 1 else {})
+
+
+def reference(build: Build) -> tuple[str, str]:
+    """Names of a source that drives nothing, which the analysis asks for, and of its node."""
+    taken = {*map(str.lower, build.scene.parts), *build.scene.nets.values()}
+    name = allocated([(WAVE, "noise_input")], taken)[WAVE]
+    return f"V{name}", name
+
+
+def command(build: Build) -> Command:
+    """The card of the analysis."""
+    chosen, ends = build.scene.analysis, _ends(output(build))
+    first, last = chosen.start, float(chosen.stop or 0.0)
+    return noise(str(ends), reference(build)[0], first, last, chosen.points, chosen.scale)
+
+
+def _rms(f: np.ndarray, density: np.ndarray) -> float:
+    return float(np.sqrt(np.trapezoid(np.abs(density) ** 2, f)))
+
+
+def checks(waves: Waveforms) -> Iterator[Check]:
+    """Whether there are enough frequencies for the sharpest resonance."""
+    if (f := waves["frequency"].real).size > 4:
+        even = f.size - (f.size + 1) % 2
+        f, density = f[:even], waves[WAVE][:even]
+        off = abs(_rms(f[::2], density[::2]) / (_rms(f, density) or 1.0) - 1.0)
+        told = "a resonance lies between the frequencies: raise analysis.points, or narrow the band"
+        yield Check(
+            "noise against every second frequency", off, RESOLVED, "of its rms", told, "warn"
+        )
+
+
+def figures(waves: Waveforms, unit: str) -> Iterator[Figure]:
+    """The spectral density, and what it adds up to from the lowest frequency on."""
+    f, density = waves["frequency"].real, np.abs(waves[WAVE])
+    steps = np.diff(f) * (density[1:] ** 2 + density[:-1] ** 2) / 2
+    label, factor = scale_axis("frequency", f)
+    log = bool(f[0] > 0 and f[-1] / f[0] > 20)
+    rising = np.sqrt(np.concatenate([[0.0], np.cumsum(steps)]))
+    rows = (
+        (f"density in {unit}", density),
+        (f"rms from the lowest on in {unit.removesuffix(DENSITY)}", rising),
+    )
+    parts = by_part(waves)
+    added = [Curve(f"of {part}", factor * f, found, "--") for part, found in parts.items()]
+    panels = [
+        Panel(
+            label,
+            words,
+            (Curve("noise", factor * f, y), *(added if y is density and len(parts) > 1 else ())),
+            log_x=log,
+            log_y=y is density,
+        )
+        for words, y in rows
+    ]
+    yield Figure("noise", "Noise", "Of the scene's output, at 27 °C.", tuple(panels))
+
 
 Pairs = tuple[tuple[str, str], ...]  # names of a voltage and of the current that belongs to it
 
@@ -33,7 +180,7 @@ def result_vectors(build: Build) -> dict[str, Vector]:
     which is no response: they are no results there.
     """
     if build.noisy:
-        return noise.result(build)
+        return result(build)
     copied = replaced(build.scene)
     found: dict[str, Vector] = {}
     for part in build.scene.parts.values():

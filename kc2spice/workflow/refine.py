@@ -20,15 +20,13 @@ import numpy as np
 
 from kc2spice.core.errors import SimulationError, UsageError
 from kc2spice.core.progress import Clock
-from kc2spice.report.words import leaves
+from kc2spice.report.html import leaves
 from kc2spice.scene.judge import Check
 from kc2spice.scene.load import load_scene
-from kc2spice.scene.model import Scene
+from kc2spice.scene.model import Action, Scene
 from kc2spice.scene.parttype import Build
 from kc2spice.scene.plan import Axis, axes, keys_at
-from kc2spice.scene.settings import Action
-from kc2spice.sim.ngspice import run_deck
-from kc2spice.sim.retries import Outcome
+from kc2spice.sim.ngspice import Outcome, run_deck
 from kc2spice.workflow.decks import make_deck
 from kc2spice.workflow.judge import metrics
 from kc2spice.workflow.models import build_models

@@ -9,10 +9,10 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any, cast
 
+from kc2spice.core import __version__
 from kc2spice.core.figure import Figure, Written
 from kc2spice.core.files import staged
 from kc2spice.core.progress import Clock, Progress, silent
-from kc2spice.core.version import __version__
 from kc2spice.netlist.lint import lint
 from kc2spice.netlist.printers.ngspice import plot_script
 from kc2spice.report.figures import draw_all
@@ -21,16 +21,20 @@ from kc2spice.scene.judge import require
 from kc2spice.scene.load import load_scene
 from kc2spice.scene.model import Scene
 from kc2spice.scene.parttype import Build
-from kc2spice.sim.ngspice import Simulator, find_ngspice, write_files
-from kc2spice.sim.retries import Outcome, RetriesFailedError
-from kc2spice.workflow import noise
-from kc2spice.workflow.decks import make_deck
-from kc2spice.workflow.edited import edited_deck
+from kc2spice.sim.ngspice import Outcome, RetriesFailedError, Simulator, find_ngspice, write_files
+from kc2spice.workflow import meters
+from kc2spice.workflow.decks import edited_deck, make_deck
 from kc2spice.workflow.judge import metrics, probe_units
 from kc2spice.workflow.models import build_models, mode_tables, model_facts, rom_facts
 from kc2spice.workflow.refine import Converged, converge
-from kc2spice.workflow.results import plain, write_record, write_waveforms
-from kc2spice.workflow.simulate import kept_on_failure, simulate, warn_of
+from kc2spice.workflow.simulate import (
+    kept_on_failure,
+    plain,
+    simulate,
+    warn_of,
+    write_record,
+    write_waveforms,
+)
 
 
 @dataclass(frozen=True)
@@ -50,7 +54,7 @@ class Completed:
         units = self.outcome.deck.units
         found: list[Figure | Written] = []
         if build.noisy:
-            found += noise.figures(waves, units[noise.WAVE])
+            found += meters.figures(waves, units[meters.WAVE])
         found += probe_figures(build.scene.probes, waves, units)
         for part in build.scene.parts.values():
             found += part.type.figures(part, build, waves)

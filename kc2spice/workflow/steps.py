@@ -19,7 +19,7 @@ import numpy as np
 from kc2spice.core import laws as L
 from kc2spice.core.errors import SimulationError, UsageError
 from kc2spice.core.waveforms import Waveforms
-from kc2spice.report.words import quantity
+from kc2spice.report.html import quantity
 from kc2spice.scene.judge import Balance, Check
 from kc2spice.scene.parttype import Build, StepLimit, Vector, numerics
 from kc2spice.workflow.meters import result_vectors

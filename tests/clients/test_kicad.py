@@ -12,7 +12,7 @@ import pytest
 from kc2spice.netlist.translate import symbol_files
 from kc2spice.scene.load import gallery, load_scene
 from kc2spice.sim.ngspice import write_files
-from kc2spice.sim.rawfile import read_raw
+from kc2spice.sim.output import read_raw
 
 # KiCad writes instances in an order of its own, in which sums are rounded otherwise: so may another
 # processor. These scenes have many switching instants that follow from their state; what rounding

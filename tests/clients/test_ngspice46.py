@@ -3,7 +3,7 @@
 import pytest
 
 from kc2spice.sim.ngspice import write_files
-from kc2spice.sim.rawfile import read_raw
+from kc2spice.sim.output import read_raw
 
 
 def test_newer_ngspice_agrees(deck_of, program, run, tmp_path):

@@ -8,7 +8,7 @@ import pytest
 from kc2spice.netlist.translate import dialect_files
 from kc2spice.scene.load import gallery, load_scene
 from kc2spice.sim.ngspice import write_files
-from kc2spice.sim.rawfile import read_raw
+from kc2spice.sim.output import read_raw
 
 QUICK = ("buzzer_7bb_20_6", "sphere_on_beam")
 SCENES = [

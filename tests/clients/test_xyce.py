@@ -5,7 +5,7 @@ import pytest
 
 from kc2spice.netlist.translate import translate
 from kc2spice.sim.ngspice import run_deck, write_deck
-from kc2spice.sim.rawfile import read_raw
+from kc2spice.sim.output import read_raw
 
 
 @pytest.mark.parametrize("name", ["impact", "kick_and_catch"])

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 from commands import asked, python, typed
 
-from kc2spice.report.words import quantity
+from kc2spice.report.html import quantity
 from laboratory.page import bench_tables
 
 ROOT = Path(__file__).parents[2]

@@ -6,7 +6,7 @@ from typer.testing import CliRunner
 import kc2spice as kc
 from kc2spice.cli.main import app
 from kc2spice.core.errors import SimulationError, UsageError
-from kc2spice.core.units import quantity
+from kc2spice.core.quantities import quantity
 from kc2spice.sim import ngspice
 
 RC = {

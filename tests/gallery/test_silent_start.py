@@ -8,8 +8,8 @@ import pytest
 
 from kc2spice.netlist.deck import Deck
 from kc2spice.scene.load import gallery
-from kc2spice.sim.log import classify
 from kc2spice.sim.ngspice import run_deck
+from kc2spice.sim.output import classify
 
 NETLISTS = Path(__file__).parents[2] / "netlists"
 SHORT = 1e-6  # s: long enough for the operating point and the first steps

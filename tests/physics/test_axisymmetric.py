@@ -8,8 +8,7 @@ from scipy.linalg import eigh
 from scipy.optimize import brentq
 from scipy.special import i0, i1, j0, j1
 
-from kc2spice.bodies.blocks import Block, Bonded
-from kc2spice.bodies.device import node_shares
+from kc2spice.bodies.device import Block, Bonded, node_shares
 from kc2spice.core.errors import UsageError
 from kc2spice.fem.keys import Damping
 from kc2spice.fem.materials import material

@@ -11,9 +11,9 @@ import pytest
 from scipy.integrate import quad
 from scipy.special import j0, j1, struve
 
-from kc2spice.fem.magnetics.field import catch_table
-from kc2spice.fem.magnetics.keys import Catch, Ring
-from kc2spice.fem.magnetics.table import EMTable
+from kc2spice.core.magnets import EMTable
+from kc2spice.fem.magnet_field import catch_table
+from kc2spice.fem.magnet_keys import Catch, Ring
 
 MU0 = 4e-7 * np.pi
 # Ten times the default air cylinder: truncation falls with its cube, to 3e-5 of max|F0|.

@@ -5,9 +5,9 @@ import pytest
 from scipy.interpolate import CubicSpline
 from skfem import Basis, ElementTriP2, Functional
 
-from kc2spice.fem.magnetics import mesh as magmesh
-from kc2spice.fem.magnetics.field import LOWER, SPHERE, assemble, catch_table
-from kc2spice.fem.magnetics.keys import Catch
+from kc2spice.fem import magnet_mesh as magmesh
+from kc2spice.fem.magnet_field import LOWER, SPHERE, assemble, catch_table
+from kc2spice.fem.magnet_keys import Catch
 
 RADIUS = 1e-3
 

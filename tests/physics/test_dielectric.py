@@ -10,7 +10,7 @@ from kc2spice.bodies.readers.measured import Measured
 from kc2spice.core.errors import UsageError
 from kc2spice.core.progress import Clock, silent
 from kc2spice.netlist.deck import ac
-from kc2spice.rom.dielectric import foster
+from kc2spice.rom.modal import foster
 from kc2spice.workflow.models import build_models
 from kc2spice.workflow.reduce import first_deck
 

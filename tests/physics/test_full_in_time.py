@@ -5,7 +5,7 @@ import pytest
 from scipy import sparse
 
 from kc2spice.core import laws
-from kc2spice.core.waveform import constant, linear
+from kc2spice.core.waveforms import constant, linear
 from kc2spice.parts.two_terminal_types import element
 from kc2spice.reference.assemble import assemble
 from kc2spice.reference.equilibrium import operating_point

@@ -5,8 +5,8 @@ import pytest
 
 from kc2spice.bodies.piezo_stack import stack_device
 from kc2spice.bodies.pressure import contact_forces
+from kc2spice.bodies.stack_keys import Chip
 from kc2spice.core.errors import SimulationError
-from kc2spice.fem.piezo.keys import Chip
 from kc2spice.rom.reduce import reduce, surrogate
 from laboratory.usual.contact import contact_surface
 from laboratory.usual.statics import imprint

@@ -9,12 +9,11 @@ from scipy.linalg import eigh
 from scipy.sparse import block_array
 from scipy.sparse.linalg import eigsh, spsolve
 
-from kc2spice.bodies.piezo_stack import stack_device, stack_setup
+from kc2spice.bodies.piezo_stack import level_spans, stack_device, stack_setup
+from kc2spice.bodies.stack_keys import Chip
 from kc2spice.core.errors import UsageError
 from kc2spice.core.quantities import validated
 from kc2spice.fem.materials import material
-from kc2spice.fem.piezo.keys import Chip
-from kc2spice.fem.piezo.mesh import level_spans
 from kc2spice.fem.solid import assemble
 from laboratory.usual.system import quarter
 

@@ -7,8 +7,8 @@ import pytest
 
 from kc2spice.bodies.device import Device
 from kc2spice.bodies.piezo_stack import stack_device
+from kc2spice.bodies.stack_keys import Chip
 from kc2spice.core.errors import UsageError
-from kc2spice.fem.piezo.keys import Chip
 from kc2spice.rom.reduce import reduce
 from kc2spice.rom.response import relative_error
 

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from kc2spice.bodies.piezo_stack import stack_device, stack_setup
+from kc2spice.bodies.stack_keys import Chip, ChipMesh
 from kc2spice.core.errors import UsageError
-from kc2spice.fem.piezo.keys import Chip, ChipMesh
 from kc2spice.scene.load import load_scene
 
 MESH = ChipMesh(sectors=4, rings=2, outer_rings=4)

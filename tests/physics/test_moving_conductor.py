@@ -8,7 +8,7 @@ from scipy.special import ellipe, ellipk, j1, spherical_jn
 
 import kc2spice as kc
 from kc2spice.core.errors import UsageError
-from kc2spice.fem.magnetics.rings import Winding, divided, ladder
+from kc2spice.fem.magnet_rings import Winding, divided, ladder
 from kc2spice.parts.moving_conductor import declared
 from kc2spice.physics.law import DeclaredLaw
 from kc2spice.scene.load import load_scene

@@ -9,7 +9,7 @@ from scipy.special import ellipe, ellipk, j1
 
 import kc2spice as kc
 from kc2spice.core.errors import UsageError
-from kc2spice.fem.magnetics.rings import Winding, carried
+from kc2spice.fem.magnet_rings import Winding, carried
 from kc2spice.parts.moving_magnet import demagnetising
 
 MU_0 = 4e-7 * np.pi

@@ -11,7 +11,7 @@ from scipy.integrate import solve_ivp
 from scipy.linalg import eigh
 
 from kc2spice.bodies.piezo_stack import stack_setup
-from kc2spice.fem.piezo.keys import Chip
+from kc2spice.bodies.stack_keys import Chip
 from laboratory.usual.contact import contact_surface
 from laboratory.usual.statics import imprint
 from laboratory.usual.system import quarter

@@ -20,9 +20,9 @@ from kc2spice.bodies.pressure import (
     pressing,
     stressed,
 )
+from kc2spice.bodies.stack_keys import Chip
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.fem.materials import material
-from kc2spice.fem.piezo.keys import Chip
 from kc2spice.parts._touching import Pair
 from kc2spice.scene.load import load_scene
 from kc2spice.scene.parttype import Build

@@ -7,10 +7,10 @@ from skfem.mesh import MeshHex
 
 from kc2spice.bodies.device import Setup, Shape, make_device, node_shares, spread
 from kc2spice.bodies.piezo_stack import stack_device
+from kc2spice.bodies.stack_keys import Chip
 from kc2spice.core.errors import UsageError
 from kc2spice.core.quantities import validated
 from kc2spice.fem.materials import material
-from kc2spice.fem.piezo.keys import Chip
 from kc2spice.fem.solid import Solid
 from kc2spice.rom.linear import Port
 from kc2spice.rom.reduce import reduce

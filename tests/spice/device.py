@@ -4,8 +4,8 @@ from typing import Any
 
 import numpy as np
 
+from kc2spice.core.magnets import EMTable
 from kc2spice.core.progress import Clock, silent
-from kc2spice.fem.magnetics.table import EMTable
 from kc2spice.netlist.deck import Deck
 from kc2spice.rom.linear import Certificate, Port
 from kc2spice.rom.modal import Resonators

@@ -7,8 +7,7 @@ from kc2spice.core.errors import UsageError
 from kc2spice.netlist.lint import lint
 from kc2spice.scene.load import load_scene
 from kc2spice.sim.ngspice import run_deck
-from kc2spice.workflow.decks import make_deck
-from kc2spice.workflow.edited import edited_deck
+from kc2spice.workflow.decks import edited_deck, make_deck
 
 FOLLOWER = ".subckt half in out ref\nRa in out 1k\nRb out ref 1k\n.ends half\n"
 

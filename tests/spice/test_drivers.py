@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 from device import bench
 
-from kc2spice.parts._drivers import Load
-from kc2spice.parts._template import opamp_subcircuit, parameters
+from kc2spice.parts._template import Load, opamp_subcircuit, parameters
 from kc2spice.parts.driver_types import (
     Amplifier,
     AmplifierKeys,

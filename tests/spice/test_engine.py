@@ -9,7 +9,7 @@ from kc2spice.core.errors import MissingToolError, SimulationError
 from kc2spice.netlist.deck import Deck
 from kc2spice.sim import ngspice
 from kc2spice.sim.ngspice import run_deck
-from kc2spice.sim.rawfile import read_raw
+from kc2spice.sim.output import read_raw
 
 
 def raw_text(points, flags="real", names=("time", "v(a)")):

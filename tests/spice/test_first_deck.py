@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from kc2spice.sim.ngspice import find_ngspice
-from kc2spice.sim.rawfile import read_raw
+from kc2spice.sim.output import read_raw
 from kc2spice.workflow.reduce import export_rom, reduce
 
 N = 6

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from kc2spice.netlist.read import read_lib
-from kc2spice.sim.rawfile import read_raw
+from kc2spice.sim.output import read_raw
 
 NETLISTS = Path(__file__).parents[2] / "netlists"
 LIBRARIES = sorted(NETLISTS.glob("*/*.lib"))

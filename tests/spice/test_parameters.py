@@ -8,7 +8,7 @@ import pytest
 from device import deck_of
 
 from kc2spice.bodies.piezo_stack import stack_device
-from kc2spice.fem.piezo.keys import Chip
+from kc2spice.bodies.stack_keys import Chip
 from kc2spice.netlist.deck import Block, Command, Deck
 from kc2spice.netlist.lint import lint
 from kc2spice.rom.reduce import reduce

@@ -6,8 +6,8 @@ from device import bench
 
 from kc2spice.parts._template import opamp_subcircuit
 from kc2spice.parts.pid import Control, pid_subcircuit
-from kc2spice.sim.log import classify
 from kc2spice.sim.ngspice import run_deck
+from kc2spice.sim.output import classify
 
 
 def controller(header, control, position, stop, enable=1e-6, load=0.0):

@@ -7,7 +7,7 @@ import pytest
 from device import built
 
 from kc2spice.netlist.deck import Deck
-from kc2spice.sim.retries import RetriesFailedError, run_with_retries
+from kc2spice.sim.ngspice import RetriesFailedError, run_with_retries
 from kc2spice.workflow.decks import make_deck
 from kc2spice.workflow.judge import verdict
 

@@ -9,7 +9,7 @@ import pytest
 
 from kc2spice.workflow.sweep import run
 from kc2spice.workflow.sweep.point import SceneText
-from kc2spice.workflow.sweep.workers import dask, processes
+from kc2spice.workflow.sweep.run import dask, processes
 
 pytest.importorskip("distributed")
 

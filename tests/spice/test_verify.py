@@ -16,8 +16,7 @@ from kc2spice.scene.load import load_scene
 from kc2spice.sim.ngspice import run_deck
 from kc2spice.workflow.decks import make_deck
 from kc2spice.workflow.verify import bodies
-from kc2spice.workflow.verify.circuit import solve
-from kc2spice.workflow.verify.full import Difference, full_solution
+from kc2spice.workflow.verify.circuit import Difference, full_solution, solve
 from kc2spice.workflow.verify.verify import verify
 
 module = importlib.import_module("kc2spice.workflow.verify.verify")

@@ -12,10 +12,10 @@ import numpy as np
 import pytest
 
 import kc2spice
+from kc2spice.bodies.stack_keys import Chip
 from kc2spice.core import cache
 from kc2spice.core.cache import cached
 from kc2spice.core.progress import Clock, silent
-from kc2spice.fem.piezo.keys import Chip
 from kc2spice.parts import _linear_body, ring_magnet_coils
 from kc2spice.scene.load import load_scene
 from kc2spice.workflow.models import build_models
@@ -83,7 +83,7 @@ def test_round_trip_is_bit_exact(outer):
     [
         {"key": {"kick": Chip(layers=34)}},
         {"key": {"kick": Chip(), "more": np.float64(1)}},
-        {"sources": ("kc2spice.core.units",)},
+        {"sources": ("kc2spice.core.quantities",)},
         {"kind": "other"},
     ],
 )

@@ -16,7 +16,7 @@ MAY = {
     "linalg": "core",
     "rom": "core linalg",
     "fem": "core linalg",
-    "bodies": "core fem rom",
+    "bodies": "core fem linalg rom",
     "scene": "core",
     "netlist": "core",
     "spice": "core netlist rom scene",

@@ -14,7 +14,7 @@ from kc2spice.netlist.deck import Deck
 from kc2spice.netlist.foreign import checked
 from kc2spice.netlist.lint import lint
 from kc2spice.scene.load import gallery
-from kc2spice.sim.rawfile import read_raw
+from kc2spice.sim.output import read_raw
 
 # Per sort of input: how many by default, how many in all.
 FAST = {"scene": 50, "matrix": 10, "archive": 8, "raw": 60, "include": 50}

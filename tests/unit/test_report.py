@@ -16,9 +16,8 @@ import pytest
 from kc2spice.core.figure import Curve, Figure, Panel
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.report.figures import draw_all
-from kc2spice.report.html import Section, figure_html, write_page
+from kc2spice.report.html import Section, figure_html, quantity, write_page
 from kc2spice.report.run_page import write_run
-from kc2spice.report.words import quantity
 from kc2spice.scene.load import load_scene
 from kc2spice.scene.parttype import Build
 from kc2spice.workflow.judge import metrics

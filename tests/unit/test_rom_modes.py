@@ -7,9 +7,7 @@ import pytest
 from scipy.signal import StateSpace, lsim
 
 from kc2spice.rom.linear import Certificate, LinearModel, Port
-from kc2spice.rom.march import chip_response
-from kc2spice.rom.massless import without_inertia
-from kc2spice.rom.modal import Resonators, mode_table
+from kc2spice.rom.modal import Resonators, chip_response, mode_table, without_inertia
 
 RNG = np.random.default_rng(12)
 TIP = Port("mech", "mechanical")

@@ -7,7 +7,7 @@ import pytest
 from kc2spice.core.errors import MissingToolError, SimulationError
 from kc2spice.netlist.deck import Deck
 from kc2spice.sim import ngspice
-from kc2spice.sim.log import classify
+from kc2spice.sim.output import classify
 
 # ----------------------------------------------------------------------------------------- log
 

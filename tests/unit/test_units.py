@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from kc2spice.core.errors import UsageError
-from kc2spice.core.units import quantity
+from kc2spice.core.quantities import quantity
 
 
 @pytest.mark.parametrize(

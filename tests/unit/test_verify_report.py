@@ -5,7 +5,7 @@ import pytest
 
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.scene.judge import Gate
-from kc2spice.workflow.verify.compare import (
+from kc2spice.workflow.verify.verify import (
     Solution,
     gate_limits,
     measured,

@@ -16,7 +16,7 @@ import numpy as np
 from scipy.optimize import brentq
 
 import kc2spice as kc
-from kc2spice.fem.magnetics.rings import Winding, divided
+from kc2spice.fem.magnet_rings import Winding, divided
 from kc2spice.parts.moving_conductor import turns
 
 ROOT = Path(__file__).parents[3]

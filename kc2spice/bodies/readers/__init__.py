@@ -1,16 +1,39 @@
-"""Matrices of other tools: any of their files to a linear model with ports."""
+"""Matrices of other tools: from a path over the files of one model to a linear model with ports."""
 
 from __future__ import annotations
 
+import re
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 
+from kc2spice.bodies.readers import codes
 from kc2spice.bodies.readers import sidecar as _sidecar
 from kc2spice.bodies.readers.assemble import Rows, assemble
 from kc2spice.bodies.readers.mesh import read_mesh
-from kc2spice.bodies.readers.source import described, open_source
+from kc2spice.bodies.readers.raw import (
+    LETTERS,
+    Dofs,
+    Raw,
+    bounded,
+    checked,
+    existing,
+    guarded,
+    in_own_process,
+    parsed,
+    present,
+    read_archive,
+    refused,
+    unpack_matlab,
+)
+from kc2spice.bodies.readers.sidecar import Sidecar, read_sidecar
+from kc2spice.core.errors import UsageError
+from kc2spice.rom.io import BANNER, numbers, read_market
 from kc2spice.rom.linear import LinearModel
+from kc2spice.rom.pencil import Matrix
 
 FORMATS = """\
 NAME of Matrix Market or Harwell-Boeing files NAME.M .E .K .B .C (first order .A .B .C .D .E; heat
@@ -52,3 +75,183 @@ def extent(path: Path, sidecar: Path | None) -> np.ndarray | None:
     if said.mesh is None:
         return None
     return np.asarray(_sidecar.LENGTHS[said.length] * np.ptp(read_mesh(said.mesh).at, axis=0))
+
+
+# What may stand behind NAME.K or NAME_K.
+_TAILS = ("", ".mtx", ".mm", ".txt", ".matrix", ".hb", ".rsa", ".rua")
+_MEMBER = re.compile(r"(.+)([._])([MEKABCD])(\.(?:mtx|mm|txt|matrix|hb|rsa|rua))?")
+_MATLAB = "a MATLAB file of version 5 to 7.2 with matrices, or with one mphmatrix struct"
+_ARRAYS = (
+    "arrays of numbers; a scipy.sparse K as K.data, K.indices, K.indptr, K.shape and K.format, or "
+    "in a file of its own, NAME.K.mtx, by scipy.io.mmwrite"
+)
+_JOB = f"{', '.join(codes.SUFFIXES)} of one job"
+# One file with all matrices, by its suffix: what it should be, and its reader, which gets the names
+# that the sidecar has for matrices.
+READERS: Mapping[str, tuple[str, Callable[[Path, Mapping[str, str]], Raw]]] = {
+    ".npz": (_ARRAYS, read_archive),
+    ".mat": (_MATLAB, in_own_process(unpack_matlab)),
+    ".full": ("a symmetric .full file of Ansys", in_own_process(codes.unpack_full)),
+    ".op4": ("a Nastran OUTPUT4 file", in_own_process(codes.unpack_op4)),
+    **dict.fromkeys(codes.SUFFIXES, (_JOB, codes.read_calculix)),
+    **dict.fromkeys(
+        (".pch", ".pch1", ".bdf", ".dat", ".nas", ".dmig"),
+        ("a punch file of Nastran", codes.read_dmig),
+    ),
+}
+
+
+def open_source(path: Path, sidecar: Path | None) -> tuple[str, Sidecar, Raw]:
+    """Name and sidecar of the model at ``path``, and what its files hold.
+
+    Raises
+    ------
+    UsageError : no such model, or a file that is damaged or too large.
+    MissingToolError : a package that the format needs is not installed.
+    """
+    if "\0" in str(path):
+        existing(path)  # says that there is none
+    if not path.name:
+        expected = "the name of a model, such as FOLDER/NAME"
+        raise UsageError("is a folder, not a model", where=str(path), expected=expected)
+    base, files = _family(path)
+    _, said = described(path, sidecar)
+    raw = _read(path, {**files, **said.files}, said.matrices)
+    sound = {k: checked(m, k, raw.files.get(k, path)) for k, m in raw.matrices.items()}
+    if said.dofs is not None:
+        raw = replace(raw, dofs=parsed(said.dofs, "lines 'node,dof', one for each row", _rows))
+    return base.name, said, replace(raw, matrices=sound)
+
+
+def source_files(path: Path, sidecar: Path | None) -> tuple[Path, ...]:
+    """Existing files of the model at ``path``: all of its name, and those that its sidecar names.
+
+    Raises
+    ------
+    UsageError : a sidecar that is wrong.
+    """
+    base, files = _family(path)
+    chosen, said = described(path, sidecar)
+    named = [path, chosen, *files.values(), *said.files.values(), said.mesh, said.dofs]
+    named += [*base.parent.glob(f"{base.name}.*"), *base.parent.glob(f"{base.name}_*")]
+    return tuple(sorted({item for item in named if item is not None and item.is_file()}))
+
+
+def described(path: Path, sidecar: Path | None) -> tuple[Path, Sidecar]:
+    """The TOML file of the model at ``path``, which need not exist unless given, and what it says.
+
+    Raises
+    ------
+    UsageError : a sidecar that is wrong.
+    """
+    base, _ = _family(path)
+    beside = path if path.suffix == ".toml" else base.with_name(f"{base.name}.toml")
+    chosen, given = sidecar or beside, sidecar is not None or path.suffix == ".toml"
+    return chosen, read_sidecar(chosen) if given or present(beside) else Sidecar()
+
+
+def _family(path: Path) -> tuple[Path, dict[str, Path]]:
+    """The model's name with its directory, and the files that hold one matrix each."""
+    job = codes.siblings(path)
+    if job:
+        match = codes.NAME.fullmatch(path.name)
+        assert match is not None  # siblings() matched it
+        return path.with_name(match[1]), job
+    if path.suffix == ".toml":
+        return path.with_suffix(""), {}
+    match = _member(path)
+    base = path.with_name(match[1]) if match else path
+    separators = (match[2],) if match else (".", "_")
+    found: dict[str, Path] = {}
+    for letter in LETTERS:
+        fits = [
+            other
+            for separator in separators
+            for tail in _TAILS
+            if (tail or separator == ".")
+            and present(other := base.with_name(f"{base.name}{separator}{letter}{tail}"))
+        ]
+        if len(fits) > 1:
+            got = ", ".join(other.name for other in fits)
+            raise UsageError(
+                f"two files for matrix {letter}", where=str(base), got=got, expected="one of them"
+            )
+        if fits:
+            found[letter] = fits[0]
+    if found:
+        return base, found
+    return (path.with_suffix("") if present(path) else path), {}
+
+
+def _member(path: Path) -> re.Match[str] | None:
+    """Parts of the name of a file of one matrix; ``NAME.K`` may stand for ``NAME.K.mtx``."""
+    match = _MEMBER.fullmatch(path.name)
+    if match is None or present(path):
+        return match
+    tails = () if match[4] else _TAILS[1:]
+    return match if any(present(path.with_name(path.name + tail)) for tail in tails) else None
+
+
+def _read(path: Path, files: dict[str, Path], wanted: Mapping[str, str]) -> Raw:
+    suffix = path.suffix.lower()
+    if files:
+        return _matrices(files)
+    if not present(path) or suffix == ".toml":
+        raise UsageError(
+            "no such model",
+            where=str(path),
+            expected=f"{path.name}.M .E .K .B .C (or .A), .mtx, .matrix, .mat, .npz, .op4, .pch, "
+            ".sti or .full; or a TOML file with 'files'",
+        )
+    if suffix not in READERS:
+        raise refused(
+            path,
+            "one file that is not called after its matrix",
+            "NAME.K, NAME_K.mtx, JOB_STIF1.mtx",
+            hint='or name the files in NAME.toml: files = { K = "...", M = "..." }',
+        )
+    expected, read = READERS[suffix]
+    return guarded(path, expected, lambda: read(path, wanted))
+
+
+def _matrices(files: dict[str, Path]) -> Raw:
+    """One file a matrix; Matrix Market and Harwell-Boeing may stand side by side."""
+    found: dict[str, Matrix] = {}
+    tables: dict[str, Path] = {}
+    mapped: list[Path] = []
+    for letter, path in files.items():
+        head = _head(path)
+        allowed = partial(bounded, path, letter)
+        if head[: len(BANNER)].lower() == BANNER:
+            expected = "a Matrix Market file, 'coordinate' or 'array', 'real' or 'integer'"
+            found[letter] = parsed(path, expected, partial(read_market, allowed=allowed))
+        elif codes.is_harwell_boeing(head):
+            read = partial(codes.read_harwell_boeing, allowed=allowed)
+            found[letter] = parsed(path, codes.EXPECTED, read)
+            mapped += (path.with_suffix(suffix) for suffix in (".mapping", ".MAPPING"))
+        elif letter in "MEK" and path.suffix.lower() == ".mtx":  # Abaqus' square matrices
+            tables[letter] = path
+        else:
+            expected = "Matrix Market, Harwell-Boeing, or an .mtx file of Abaqus"
+            raise refused(path, f"matrix {letter} in an unknown format", expected)
+    raw = codes.read_abaqus(tables) if tables else Raw({})
+    found |= raw.matrices
+    dofs, names = raw.dofs, [path for path in mapped if present(path)]
+    if names and dofs is None:
+        size = next(m.shape[0] for k, m in found.items() if k in "MEKA")
+        expected = f"lines of equation, node and freedom for {size} equations"
+        dofs = parsed(names[0], expected, partial(codes.mapping, size=size))
+    return Raw(found, dofs, raw.held, files)
+
+
+def _head(path: Path) -> bytes:
+    with existing(path).open("rb") as stream:
+        return stream.read(2000).removeprefix(b"\xef\xbb\xbf")
+
+
+def _rows(data: bytes) -> Dofs:
+    """``node,dof`` of each row in order, dofs by number."""
+    values = numbers(data)
+    if values.size == 0 or values.size % 2:
+        raise ValueError(f"{values.size} numbers in two columns")
+    return Dofs(*values.reshape(-1, 2).T)

@@ -13,9 +13,9 @@ from kc2spice.bodies.readers.mesh import Mesh, read_mesh
 from kc2spice.bodies.readers.raw import DOFS, MAX_WIDE, ROTATIONS, TRANSLATIONS, VOLT, Dofs, Raw
 from kc2spice.bodies.readers.sidecar import FORCES, LENGTHS, Place, PortEntry, Sidecar
 from kc2spice.core.errors import UsageError
+from kc2spice.rom.io import mirrored
 from kc2spice.rom.linear import LinearModel, Port, half_stored, with_potentials
-from kc2spice.rom.matrix_market import mirrored
-from kc2spice.rom.operators import Matrix
+from kc2spice.rom.pencil import Matrix
 
 
 def assemble(rows: Rows) -> LinearModel:

@@ -18,11 +18,9 @@ from pathlib import Path
 
 import numpy as np
 
-from kc2spice.bodies.readers.archive import vectors
-from kc2spice.bodies.readers.raw import guarded, present, refused
-from kc2spice.core.child import in_child
+from kc2spice.bodies.readers.raw import guarded, present, refused, vectors
 from kc2spice.core.errors import UsageError
-from kc2spice.core.foreign import read_bounded
+from kc2spice.core.foreign import in_child, read_bounded
 
 MAX_BYTES = 20_000_000
 MOST = 20_000  # frequencies: no analyser has as many, and a fit would take hours

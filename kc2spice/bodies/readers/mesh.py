@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from kc2spice.bodies.readers.nastran import cards, real
+from kc2spice.bodies.readers.codes import cards, real
 from kc2spice.bodies.readers.raw import MAX_SIZE, parsed
 from kc2spice.core.errors import UsageError, unknown
 

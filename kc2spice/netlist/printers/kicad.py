@@ -22,7 +22,7 @@ from kc2spice.netlist.cards import render
 from kc2spice.netlist.circuit import Directive, Element, Subcircuit
 from kc2spice.netlist.deck import Deck
 from kc2spice.netlist.expression import vector
-from kc2spice.netlist.printers.box import Box, Place, layout
+from kc2spice.netlist.printers import Box, Place, layout
 from kc2spice.netlist.printers.ngspice import Printer
 from kc2spice.netlist.read import subcircuits
 from kc2spice.netlist.scope import GROUND, Scope

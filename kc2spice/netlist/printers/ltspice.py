@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from kc2spice.netlist.cards import number
 from kc2spice.netlist.circuit import Element
 from kc2spice.netlist.expression import Trace, simplified
-from kc2spice.netlist.printers.box import Box, Place
+from kc2spice.netlist.printers import Box, Place
 from kc2spice.netlist.printers.dialect import Dialect, Setup
 
 GRID = 32  # LTspice's units, two of its grid: pins must lie on multiples of 16

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from kc2spice.core.errors import UsageError
-from kc2spice.core.units import quantity
+from kc2spice.core.quantities import quantity
 from kc2spice.scene.keys import Key
 from kc2spice.scene.load import override_value
 

@@ -23,11 +23,11 @@ from kc2spice.core.progress import Clock
 from kc2spice.netlist.deck import Deck
 from kc2spice.netlist.foreign import included_netlist
 from kc2spice.netlist.transforms import Parameters, cards, declared, library_of, with_parameters
-from kc2spice.report.words import leaves
+from kc2spice.report.html import leaves
 from kc2spice.scene.load import gallery, load_scene, toml
 from kc2spice.scene.model import Scene
 from kc2spice.scene.parttype import Build
-from kc2spice.sim.retries import Outcome as Simulated
+from kc2spice.sim.ngspice import Outcome as Simulated
 from kc2spice.workflow.decks import make_deck
 from kc2spice.workflow.judge import metrics
 from kc2spice.workflow.models import build_models, model_facts, rom_facts

@@ -1,42 +1,55 @@
-"""Run a sweep: check it, share the models, run and record the points, write the table."""
+"""Run a sweep: check it, share the models, run and record the points, write the table.
+
+Points run in processes of this machine or on a Dask scheduler's workers: both are an
+:class:`concurrent.futures.Executor`, and whatever else has that interface will do. Their rows go to
+a database that takes them in any order, then into one sorted table.
+"""
 
 from __future__ import annotations
 
+import csv
 import hashlib
 import json
+import logging
+import os
+import signal
+import sqlite3
+import subprocess
+import tempfile
+import threading
 import time
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from concurrent.futures import FIRST_COMPLETED, Future, wait
-from contextlib import ExitStack, closing
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from concurrent.futures import (
+    FIRST_COMPLETED,
+    BrokenExecutor,
+    CancelledError,
+    Executor,
+    Future,
+    ProcessPoolExecutor,
+    wait,
+)
+from contextlib import AbstractContextManager, ExitStack, closing, contextmanager, suppress
+from dataclasses import asdict, dataclass
 from datetime import timedelta
 from functools import cached_property
 from importlib import resources
 from importlib.resources.abc import Traversable
-from itertools import islice
+from itertools import chain, islice, repeat
 from pathlib import Path
 from typing import Any
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
 
-from kc2spice.core.errors import UsageError, needed, unknown
+from kc2spice.core import __version__
+from kc2spice.core.errors import MissingToolError, UsageError, needed, unknown
 from kc2spice.core.files import staged
 from kc2spice.core.foreign import MAX_BYTES, parse_toml, read_bounded, text_of
 from kc2spice.core.progress import Progress, silent
-from kc2spice.core.version import __version__
 from kc2spice.netlist.transforms import with_parameters
 from kc2spice.scene.keys import keys_of
 from kc2spice.scene.load import toml
 from kc2spice.scene.model import Scene, scene_hash
-from kc2spice.workflow.sweep.plan import (
-    PARAMETER,
-    Plan,
-    form,
-    key_of,
-    make_plan,
-    number,
-    parse,
-)
+from kc2spice.workflow.sweep.plan import PARAMETER, Plan, form, key_of, make_plan, number, parse
 from kc2spice.workflow.sweep.point import (
     Job,
     LoadedScene,
@@ -48,13 +61,251 @@ from kc2spice.workflow.sweep.point import (
     scene_text,
     testbench,
 )
-from kc2spice.workflow.sweep.table import (
-    WRITERS,
-    RowStore,
-    columns,
-    require_columns,
-)
-from kc2spice.workflow.sweep.workers import Workers, is_lost
+
+# Opens an executor, and again after it was lost; gives it with the number of its workers.
+Workers = Callable[[], AbstractContextManager[tuple[Executor, int]]]
+PATIENCE = 60.0  # s that a lost scheduler may take to come back
+# Losses of workers and schedulers, told by name so that Dask need not be imported.
+_LOST = {
+    "KilledWorker",
+    "FutureCancelledError",
+    "FuturesCancelledError",
+    "CommClosedError",
+    "FutureLostError",
+}
+
+
+def cores() -> int:
+    """Processors that this process may use."""
+    try:
+        return len(os.sched_getaffinity(0))
+    except AttributeError:  # not on Linux
+        return os.cpu_count() or 1
+
+
+def is_lost(error: BaseException) -> bool:
+    """Whether a call failed with its worker or scheduler, not by itself."""
+    kinds = {kind.__name__ for kind in type(error).__mro__}
+    return isinstance(error, (BrokenExecutor, CancelledError, OSError)) or bool(_LOST & kinds)
+
+
+def processes(count: int) -> Workers:
+    """So many processes of this machine."""
+    from multiprocessing import get_context
+
+    @contextmanager
+    def opened() -> Iterator[tuple[Executor, int]]:
+        with tempfile.TemporaryDirectory(prefix="kc2spice-sweep-") as scratch:
+            pool = ProcessPoolExecutor(count, get_context("spawn"), _worker_starts, (scratch,))
+            try:
+                yield pool, count
+            finally:
+                pool.shutdown(wait=True, cancel_futures=True)
+
+    return opened
+
+
+def _worker_starts(scratch: str) -> None:
+    """Leave Ctrl-C to the parent; when that is killed, end with ngspice and leave no files."""
+    from multiprocessing import connection, parent_process
+
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    tempfile.tempdir = scratch
+    parent, group = parent_process(), hasattr(os, "setpgrp")
+    if group:
+        os.setpgrp()
+
+    def watch() -> None:
+        if parent is None:
+            return
+        connection.wait([parent.sentinel])
+        if group:  # files go after all who might still write one, hence by another process
+            clean = 'kill -9 "-$0"; sleep 0.1; rm -rf -- "$1"'
+            words = ["sh", "-c", clean, str(os.getpgrp()), scratch]
+            subprocess.Popen(words, start_new_session=True)
+        else:
+            os._exit(1)
+
+    threading.Thread(target=watch, daemon=True).start()
+
+
+def dask(address: str, count: int, patience: float = 10.0) -> Workers:
+    """The workers of a Dask scheduler, or ``count`` on this machine for the address ``local``.
+
+    A scheduler gets ``patience`` seconds for its first answer, and a minute to come back.
+    """
+    limits = chain([patience], repeat(PATIENCE))
+
+    @contextmanager
+    def opened() -> Iterator[tuple[Executor, int]]:
+        distributed = needed("distributed", "dask.distributed", "--dask", "dask")
+        # A scheduler that comes back is no reason for the tracebacks that Dask would print.
+        logging.getLogger("distributed").setLevel(logging.CRITICAL)
+        limit, target = next(limits), address
+        with ExitStack() as stack:
+            try:
+                if address == "local":
+                    options = {"threads_per_worker": 1, "dashboard_address": None}
+                    target = stack.enter_context(
+                        distributed.LocalCluster(n_workers=count, **options)
+                    )
+                client = distributed.Client(target, timeout=limit)
+                stack.callback(_disconnect, client)
+                client.wait_for_workers(1, timeout=limit)
+            except (OSError, TimeoutError, ValueError) as error:
+                raise MissingToolError(
+                    "no Dask scheduler with workers answers",
+                    where="--dask",
+                    got=address,
+                    expected="an address such as tcp://host:8786, or local",
+                    hint=f"{type(error).__name__}: {error}".splitlines()[0][:200],
+                ) from None
+            yield client.get_executor(pure=False, retries=0), sum(client.nthreads().values())
+
+    return opened
+
+
+def _disconnect(client: Any) -> None:
+    with suppress(Exception):  # the scheduler may be gone already
+        client.close(timeout=5)
+
+
+OK = "ok"
+_OPEN = """
+pragma trusted_schema = off;
+pragma locking_mode = exclusive;  -- another process that writes here is refused at once
+pragma journal_mode = delete;
+pragma synchronous = off;         -- a row survives the end of this process, which is enough
+begin exclusive;
+create table if not exists sweep (digest text);
+create table if not exists row (point integer primary key, outcome text);
+commit;
+"""
+_OUTCOME = TypeAdapter(Outcome)
+
+
+class RowStore:
+    """``outcomes`` by point, and an SQLite file where each is complete or not there at all.
+
+    ``digest`` is that of the sweep; ``failed`` are the points that have no numbers.
+
+    Raises
+    ------
+    UsageError : another process writes to it, it holds another sweep or something else than rows.
+    """
+
+    def __init__(self, path: Path, points: int, digest: str) -> None:
+        self.path, self.outcomes, self.failed = path, dict[int, Outcome](), set[int]()
+        if path.is_symlink() or (path.exists() and not path.is_file()):
+            raise UsageError("is no file of a sweep", where=str(path), hint="remove it")
+        try:
+            self._rows = sqlite3.connect(path, timeout=0.0, isolation_level=None)
+            self._rows.executescript(_OPEN)
+            (held,) = self._rows.execute("select digest from sweep").fetchone() or (None,)
+            if held is None:
+                self._rows.execute("insert into sweep values (?)", (digest,))
+            for point, text in self._rows.execute("select * from row") if held == digest else ():
+                if point not in range(points):
+                    raise ValueError(f"point {str(point)[:80]!r}")
+                self._keep(point, _OUTCOME.validate_json(text, strict=True))
+        except (sqlite3.Error, ValueError) as error:
+            hint = "remove it: what it held is run again"
+            message = "is damaged or cannot be written: not the rows of this sweep"
+            if "locked" in str(error):
+                message, hint = "another sweep writes here now", "wait for it, or choose another"
+            got = str(error).splitlines()[0][:200]
+            raise UsageError(message, where=str(path), got=got, hint=hint) from None
+        if held not in (None, digest):
+            raise UsageError(
+                "holds another sweep",
+                where=str(path.parent),
+                got=f"plan {held}"[:80],
+                expected=f"plan {digest}",
+                hint="choose another --out, or remove the old one",
+            )
+
+    def record(self, point: int, outcome: Outcome) -> None:
+        """Write one row in place of an earlier one of the same point.
+
+        Raises
+        ------
+        UsageError : the disk is full, or the file cannot be written.
+        """
+        row = (point, json.dumps(asdict(outcome)))
+        try:
+            self._rows.execute("insert or replace into row values (?, ?)", row)
+        except sqlite3.Error as error:
+            hint = "the rows so far are kept: make room and give the same command again"
+            message = f"cannot be written: {error}"
+            raise UsageError(message, where=str(self.path), hint=hint) from None
+        self._keep(point, outcome)
+
+    def _keep(self, point: int, outcome: Outcome) -> None:
+        self.outcomes[point] = outcome
+        (self.failed.discard if outcome.failure is None else self.failed.add)(point)
+
+    def close(self) -> None:
+        """Let go of the file."""
+        self._rows.close()
+
+
+def require_columns(outcome: Outcome, wanted: Sequence[str], scene: str) -> None:
+    """Raise UsageError if a run of ``scene`` has no such numbers, or none at all to tabulate."""
+    known = {**outcome.metrics, **outcome.facts}
+    for name in wanted:
+        if name not in known:
+            raise unknown("the result has no such number", name, known, "--metric")
+    if not wanted and not outcome.metrics:
+        raise UsageError(
+            "nothing to tabulate: every metric is a curve",
+            where=scene,
+            expected="a scene with metrics that are numbers, or with [probes]",
+            hint="'kc2spice run' writes the curve of one point; --set works there too",
+        )
+
+
+def columns(
+    outcomes: Mapping[int, Outcome], plan: Plan, wanted: Sequence[str] = ()
+) -> dict[str, list[Any]]:
+    """The table: swept keys, ``wanted`` numbers (or every metric that a run has), ``status``.
+
+    A point without a number has None there.
+    """
+    rows = sorted(outcomes.items())
+    names = wanted or dict.fromkeys(name for _, each in rows for name in each.metrics)
+    table: dict[str, list[Any]] = {name: [] for name in (*plan.keys, *names, "status")}
+    for point, outcome in rows:
+        numbers = {**outcome.facts, **outcome.metrics}
+        found = {name: numbers.get(name) for name in names} | plan.values(point)
+        why = outcome.failure
+        found["status"] = OK if why is None else f"failed: {' '.join(why.split())}"
+        for name, value in found.items():
+            table[name].append(value)
+    return table
+
+
+def write_csv(table: Mapping[str, Sequence[Any]], path: Path) -> None:
+    """Floats with all their digits, ``true`` and ``false``, nothing for None."""
+    with path.open("w", encoding="utf-8", newline="") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(table)
+        for row in zip(*table.values(), strict=True):
+            writer.writerow([v if v is None or isinstance(v, str) else toml(v) for v in row])
+
+
+def write_parquet(table: Mapping[str, Sequence[Any]], path: Path) -> None:
+    """The same table, numbers as such."""
+    parquet = needed("pyarrow.parquet", "pyarrow", "--format", "parquet")
+    import pyarrow as arrow
+
+    empty = {name for name, column in table.items() if all(value is None for value in column)}
+    kinds = {name: arrow.float64() if name in empty else None for name in table}
+    arrays = {name: arrow.array(column, kinds[name]) for name, column in table.items()}
+    parquet.write_table(arrow.table(arrays), path)
+
+
+WRITERS = {"csv": write_csv, "parquet": write_parquet}
+
 
 ROWS, PAGE = "rows.sqlite", "sweep.html"
 LOST = Outcome(failure="its worker process died, twice", interrupted=True)
@@ -374,7 +625,7 @@ def _open_rows(found: Sweep, out: Path, table_format: str) -> RowStore:
 
 def _publish(found: Sweep, rows: RowStore, out: Path, table_format: str) -> dict[str, Any]:
     """Write table, figures and page; what the summary says of them."""
-    from kc2spice.report.sweep_page import write_sweep, yields
+    from kc2spice.report.pages import write_sweep, yields
 
     table = columns(rows.outcomes, found.plan, found.metrics)
     name = table_name(table_format)

@@ -16,7 +16,7 @@ from kc2spice.core.waveforms import Waveforms
 from kc2spice.netlist.circuit import Subcircuit
 from kc2spice.netlist.deck import Block, Deck, ac
 from kc2spice.parts._linear_body import LinearBody
-from kc2spice.report.verify_page import Findings, responses
+from kc2spice.report.pages import Findings, responses
 from kc2spice.rom.linear import LinearModel, Port
 from kc2spice.rom.modal import resonators
 from kc2spice.rom.response import Response, relative_error, telling

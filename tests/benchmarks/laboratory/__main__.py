@@ -25,8 +25,8 @@ from kc2spice.core.files import staged
 from kc2spice.core.progress import Clock
 from kc2spice.report.figures import draw_all
 from kc2spice.sim.ngspice import find_ngspice
-from kc2spice.workflow.results import plain, write_record
-from kc2spice.workflow.sweep.workers import cores
+from kc2spice.workflow.simulate import plain, write_record
+from kc2spice.workflow.sweep.run import cores
 from laboratory.page import bench_figures, bench_tables
 from laboratory.points import pareto
 from laboratory.setup import Setup

@@ -4,8 +4,8 @@ from functools import partial
 
 import numpy as np
 
-from kc2spice.fem.magnetics.field import catch_table, positions, ring_sign, systems
-from kc2spice.fem.magnetics.table import em_cases
+from kc2spice.core.magnets import em_cases
+from kc2spice.fem.magnet_field import catch_table, positions, ring_sign, systems
 from laboratory.points import Outcome, Plane, Point, speed_up, timed
 from laboratory.setup import keys_of
 

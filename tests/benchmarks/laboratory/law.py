@@ -12,10 +12,10 @@ from functools import cached_property
 import numpy as np
 from scipy.interpolate import CubicSpline
 
+from kc2spice.bodies.stack_keys import SECTORS
 from kc2spice.core.errors import SimulationError
+from kc2spice.core.magnets import EMTable
 from kc2spice.core.waveforms import Waveforms
-from kc2spice.fem.magnetics.table import EMTable
-from kc2spice.fem.piezo.keys import SECTORS
 from kc2spice.parts.pid import Control
 from kc2spice.parts.piezo_stack import Drive
 from kc2spice.rom.modal import resonators

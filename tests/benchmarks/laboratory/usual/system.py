@@ -6,10 +6,10 @@ import numpy as np
 from scipy import sparse
 
 from kc2spice.bodies.piezo_stack import stack_device
-from kc2spice.fem.piezo.keys import SECTORS
+from kc2spice.bodies.stack_keys import SECTORS
 from kc2spice.linalg.factor import factorise
 from kc2spice.rom.linear import Port
-from kc2spice.rom.operators import Schur
+from kc2spice.rom.pencil import Schur
 
 
 @dataclass(frozen=True)

@@ -10,14 +10,7 @@ from typing import Any, Literal
 from pydantic import Field, model_validator
 
 from kc2spice.core.errors import UsageError
-from kc2spice.core.quantities import (
-    Count,
-    Frequency,
-    Length,
-    Mounting,
-    Section,
-    Stiffness,
-)
+from kc2spice.core.quantities import Count, Frequency, Length, Mounting, Section, Stiffness
 from kc2spice.fem.keys import Damping
 from kc2spice.fem.materials import Material, material
 

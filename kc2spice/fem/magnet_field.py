@@ -31,10 +31,10 @@ from skfem import Basis, BilinearForm, ElementTriP2, LinearForm, MeshTri2, conde
 from skfem.models.poisson import laplace
 
 from kc2spice.core.errors import SimulationError
-from kc2spice.core.units import MU_0
-from kc2spice.fem.magnetics import mesh as magmesh
-from kc2spice.fem.magnetics.keys import Catch, Ring
-from kc2spice.fem.magnetics.table import EMTable
+from kc2spice.core.magnets import EMTable
+from kc2spice.core.quantities import MU_0
+from kc2spice.fem import magnet_mesh as magmesh
+from kc2spice.fem.magnet_keys import Catch, Ring
 from kc2spice.linalg.factor import Cholesky, Factor
 
 RING, SPHERE, LOWER, UPPER = range(4)  # columns of loads and of the fields that they make

@@ -18,7 +18,7 @@ from skfem import MeshTri, MeshTri2
 
 from kc2spice.core.errors import UsageError
 from kc2spice.core.gmsh_session import gmsh_session
-from kc2spice.fem.magnetics.keys import Catch, Ring
+from kc2spice.fem.magnet_keys import Catch, Ring
 
 # Mesh sizes at refine = 1 as fractions of the sphere's radius, and growth per distance. They put
 # the force within 1e-5 of its maximum. The parts' surroundings matter most: an uneven mesh in the

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.polynomial import chebyshev
 
 from kc2spice.core.errors import UsageError
-from kc2spice.core.units import MU_0
+from kc2spice.core.quantities import MU_0
 
 NODES = 40  # heights at which the couplings are computed, Chebyshev's
 FINE = 24  # divisions of a coil's longer side, for its own inductance

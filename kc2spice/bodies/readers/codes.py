@@ -1,0 +1,413 @@
+"""Matrices that FE codes write, in the form of each.
+
+Abaqus' ``JOB_STIF2.mtx``, ``JOB_MASS2.mtx`` ... of ``*MATRIX GENERATE``, each a text file of one
+triangle, have, by ``FORMAT=MATRIX INPUT`` (or ``LABELS``), ``node, dof, node, dof, value``; by
+``FORMAT=COORDINATE`` ``row column value`` of both triangles, without the names of the rows. A
+freedom that a boundary condition of the step holds has 1e36 on the diagonal of the stiffness.
+
+CalculiX' ``JOB.sti``, ``JOB.mas`` and ``JOB.dof`` of ``*FREQUENCY, SOLVER=MATRIXSTORAGE`` have
+``row column value``, and one ``node.direction`` per row: 1 to 6, and 0 for temperature.
+
+Ansys writes the binary ``.full`` file, read through its makers' ansys-mapdl-reader, and by
+``HBMAT`` Harwell-Boeing files with the mapping beside them, of which scipy's ``hb_read`` refuses
+the symmetric ones. Fields have a fixed width and may touch, so they are cut by the widths that the
+header states (Duff, Grimes, Lewis, Users' Guide for the Harwell-Boeing Sparse Matrix Collection,
+1992).
+
+Nastran has DMIG cards of a punch file, and OUTPUT4 files, read through pyyeti. ``K...`` is the
+stiffness, ``M...`` the mass, ``B...`` the viscous damping, unless the sidecar's ``matrices`` names
+others. DMIG: MSC Nastran Quick Reference Guide; large, small and free fields.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterator, Mapping
+from pathlib import Path
+
+import numpy as np
+from scipy import sparse
+
+from kc2spice.bodies.readers.raw import (
+    CODES,
+    MAX_SIZE,
+    Dofs,
+    Raw,
+    Triple,
+    bounded,
+    keyed,
+    labelled,
+    packed,
+    parsed,
+    present,
+    refused,
+    whole,
+)
+from kc2spice.core.errors import needed
+from kc2spice.rom.io import indices, mirrored, numbers
+
+NAME = re.compile(r"(.*)_(STIF|MASS|DMPV)(\d*)\.mtx", re.IGNORECASE)
+_LETTER = {"STIF": "K", "MASS": "M", "DMPV": "E"}
+_HELD = 1e35
+_EXPECTED = "an .mtx file of *MATRIX OUTPUT, FORMAT=MATRIX INPUT or COORDINATE"
+SUFFIXES = (".sti", ".mas", ".dof")
+
+
+def siblings(path: Path) -> dict[str, Path]:
+    """Stiffness, mass and viscous damping of the job and step that ``path`` belongs to."""
+    match = NAME.fullmatch(path.name)
+    if match is None:
+        return {}
+    found = {}
+    for word, letter in _LETTER.items():
+        for spelled in (word, word.lower()):
+            other = path.with_name(f"{match[1]}_{spelled}{match[3]}{path.suffix}")
+            if present(other):
+                found[letter] = other
+    return found
+
+
+def read_abaqus(files: dict[str, Path]) -> Raw:
+    """Matrices by letter from the files of one job.
+
+    Raises
+    ------
+    UsageError : damaged, formats mixed, too large, or entries that are not those of one matrix.
+    """
+    read = {letter: parsed(path, _EXPECTED, _entries) for letter, path in files.items()}
+    tables, dofs = {letter: table for letter, (_, table) in read.items()}, None
+    if len({named for named, _ in read.values()}) > 1:
+        one = next(iter(files.values()))
+        raise refused(one, "MATRIX INPUT and COORDINATE", "one format for all matrices")
+    if all(named for named, _ in read.values()):
+        found, dofs = labelled(tables)
+        found = {letter: whole(matrix) for letter, matrix in found.items()}
+    else:
+        n = 1 + max(int(side.max()) for row, column, _ in tables.values() for side in (row, column))
+        found = {k: sparse.csc_array((v, (i, j)), (n, n)) for k, (i, j, v) in tables.items()}
+    held = found["K"].diagonal() >= _HELD if "K" in found else np.empty(0, dtype=bool)
+    return Raw(found, dofs, np.flatnonzero(held))
+
+
+def _entries(data: bytes) -> tuple[bool, Triple]:
+    """Whether lines name nodes and freedoms; rows and columns, by key or from 0, and values."""
+    if data.startswith(b"*") or b"\n*" in data:
+        lines = data.split(b"\n")
+        data = b"\n".join(line for line in lines if not line.startswith(b"*"))
+    width = len(data.lstrip().split(b"\n", 1)[0].replace(b",", b" ").split())
+    values = numbers(data)
+    if width not in (3, 5) or values.size == 0 or values.size % width:
+        raise ValueError(f"{values.size} numbers in {width} columns: is it cut off?")
+    table = values.reshape(-1, width)
+    if width == 5:
+        return True, keyed(table)
+    return False, (indices(table[:, 0], MAX_SIZE), indices(table[:, 1], MAX_SIZE), table[:, 2])
+
+
+def read_calculix(path: Path, _: object) -> Raw:
+    """Stiffness and mass of the job of which ``path`` is a ``.sti``, ``.mas`` or ``.dof`` file.
+
+    Raises
+    ------
+    UsageError : a file is missing, damaged, too large, or they do not fit together.
+    """
+    stiffness, mass, rows = (path.with_suffix(suffix) for suffix in SUFFIXES)
+    for file in (stiffness, mass, rows):
+        if not present(file):
+            hint = f"{file.suffix} is written by *FREQUENCY, SOLVER=MATRIXSTORAGE"
+            expected = f"{', '.join(SUFFIXES)} side by side"
+            raise refused(path, f"no {file.name}", expected, hint=hint)
+    dofs = parsed(rows, "lines node.direction", _dofs)
+    expected = f"lines 'row column value' for {len(dofs)} rows"
+    files = {"K": stiffness, "M": mass}
+    found = {
+        letter: parsed(file, expected, lambda data: _triangle(data, len(dofs)))
+        for letter, file in files.items()
+    }
+    return Raw(found, dofs, files=files)
+
+
+def _dofs(data: bytes) -> Dofs:
+    words = data.split()
+    if not 0 < len(words) <= MAX_SIZE:
+        raise ValueError(f"{len(words)} rows")
+    pairs = [word.partition(b".")[::2] for word in words]  # 12.3 is node 12, never a number
+    node, kind = np.array([[int(a), int(b)] for a, b in pairs], dtype=np.int64).T
+    if not ((kind >= 0) & (kind <= 6)).all():
+        raise ValueError(f"direction {kind[(kind < 0) | (kind > 6)][0]}")
+    return Dofs(node, np.where(kind == 0, CODES["temp"], kind))
+
+
+def _triangle(data: bytes, n: int) -> sparse.csc_array:
+    values = numbers(data)
+    if values.size == 0 or values.size % 3:
+        raise ValueError(f"{values.size} numbers in 3 columns: is it cut off?")
+    row, column = indices(values[0::3], n), indices(values[1::3], n)
+    bare = np.bincount(row[row == column], minlength=n) == 0
+    if bare.any():  # CalculiX writes every diagonal entry, zeros too
+        raise ValueError(f"row {bare.argmax() + 1} has no diagonal entry: is it cut off?")
+    return whole(sparse.csc_array((values[2::3], (row, column)), shape=(n, n)))
+
+
+# Ansys counts freedoms in this file from 0.
+_KINDS = dict(enumerate((
+    "ux", "uy", "uz", "rx", "ry", "rz", "ax", "ay", "az", "vx", "vy", "vz", "", "", "", "warp",
+    "conc", "hdsp", "pres", "temp", "volt", "mag", "enke", "ends", "emf", "curr",
+)))  # fmt: skip
+EXPECTED = "an assembled, real Harwell-Boeing file: type RSA, RUA, RZA or RRA, in ASCII"
+_FORMAT = re.compile(rb"\(?\s*(?:\d*P,?)?\s*(\d*)\s*[IFEDG](\d+)", re.IGNORECASE)
+_TYPE = re.compile(rb"\s*([RCPrcp][SUHZRsuhzr][AEae])\s")
+_LONGEST = 10_000  # characters of a line
+_ANSYS = {"ROTX": "rx", "ROTY": "ry", "ROTZ": "rz"}
+
+
+def unpack_full(path: str, wanted: dict[str, str]) -> dict[str, np.ndarray]:
+    """Stiffness and mass of a ``.full`` file as arrays of an archive, with the freedoms that Ansys
+    constrains as ``held``; ``wanted`` means nothing here.
+
+    Raises
+    ------
+    MissingToolError : ansys-mapdl-reader is not installed.
+    """
+    file = needed("ansys.mapdl.reader.full", "ansys-mapdl-reader", path, "ansys").FullFile(path)
+    place, stiffness, mass = file.load_km()
+    place = np.asarray(place, dtype=np.int64)
+    kind = np.array([CODES[_KINDS[int(k)]] for k in place[:, 1]])
+    const = np.asarray(file.const, dtype=np.int64).reshape(-1, 2)  # whose rows are left empty
+    keys, constrained = (each[:, 0] * 64 + each[:, 1] for each in (place, const))
+    held = np.flatnonzero(np.isin(keys, constrained))
+    found = {"nodes": place[:, 0], "dofs": kind, "held": held}
+    for letter, matrix in (("K", stiffness), ("M", mass)):  # the upper triangle is stored
+        found |= packed(letter, mirrored(sparse.csc_array(matrix)))
+    return found
+
+
+def is_harwell_boeing(head: bytes) -> bool:
+    """Whether the first lines of a file are a Harwell-Boeing header."""
+    lines = head.split(b"\n", 4)
+    return len(lines) > 3 and _TYPE.match(lines[2] + b" ") is not None
+
+
+def read_harwell_boeing(
+    data: bytes, allowed: Callable[[tuple[int, int], int], None]
+) -> sparse.csc_array:
+    """The matrix of a file's content, whole: the stored triangle of RSA is mirrored.
+
+    ``allowed(shape, entries)`` raises where the declared size is too large, before memory is taken.
+
+    Raises
+    ------
+    ValueError : binary, elemental, complex, a pattern or damaged.
+    """
+    lines = data.splitlines()
+    if len(lines) < 5:
+        raise ValueError("the header is cut off")
+    match = _TYPE.match(lines[2] + b" ")
+    if match is None:
+        raise ValueError(f"the third line is {lines[2][:40]!r}")
+    kind = match[1].decode().upper()
+    if kind not in ("RSA", "RUA", "RZA", "RRA"):
+        raise ValueError(f"type {kind}")
+    counts = [int(word) for word in lines[1].split()[:4]]
+    rows, columns, entries = (int(word) for word in lines[2].split()[1:4])
+    allowed((rows, columns), entries)
+    if min(counts) < 0 or (kind in ("RSA", "RZA") and rows != columns):
+        raise ValueError("the header is damaged")
+    formats = _FORMAT.findall(lines[3])
+    if len(formats) < 3:
+        raise ValueError("the line of formats is damaged")
+    start = 5 if len(counts) > 3 and _right_hand_sides(lines[1]) else 4
+    parts = []
+    for (repeat, width), length, number in zip(
+        formats, counts[1:], (columns + 1, entries, entries), strict=False
+    ):
+        section = lines[start : start + length]
+        parts.append(_cut_out(section, int(repeat or 1), int(width), number))
+        start += length
+    pointer, row = parts[0], indices(parts[1], rows)
+    sound = pointer[0] == 1 and pointer[-1] == entries + 1 and (np.diff(pointer) >= 0).all()
+    if not sound:
+        raise ValueError("column pointers do not rise from 1 to the number of entries")
+    inner = (parts[2], row, pointer.astype(np.int64) - 1)
+    matrix = sparse.csc_array(inner, shape=(rows, columns))
+    if kind in ("RUA", "RRA"):
+        return matrix
+    triangle = sparse.coo_array(matrix)
+    if (triangle.row < triangle.col).any() and (triangle.row > triangle.col).any():
+        raise ValueError(f"type {kind} with entries on both sides, not one triangle")
+    return mirrored(matrix, 1 if kind == "RSA" else -1)
+
+
+def _right_hand_sides(counts: bytes) -> bool:
+    words = counts.split()
+    return len(words) > 4 and int(words[4]) > 0
+
+
+def _cut_out(lines: list[bytes], repeat: int, width: int, number: int) -> np.ndarray:
+    """``number`` values of ``width`` characters, ``repeat`` of them on each line."""
+    if len(lines) * repeat < number:
+        raise ValueError(f"{len(lines)} lines for {number} numbers: is it cut off?")
+    if not 0 < repeat * width <= _LONGEST:
+        raise ValueError(f"lines of {repeat} fields of {width} characters")
+    text = b"".join(line[: repeat * width].ljust(repeat * width) for line in lines)
+    text = text.translate(bytes.maketrans(b"Dd", b"EE"))
+    values = np.frombuffer(text, dtype=f"S{width}")[:number]
+    return np.char.strip(values).astype(float)
+
+
+def mapping(data: bytes, size: int) -> Dofs:
+    """Node and freedom of each of ``size`` equations from Ansys' ``NAME.mapping``.
+
+    Raises
+    ------
+    ValueError : damaged, an equation missing or twice, a freedom that is not known.
+    """
+    rows = [line.split() for line in data.decode("ascii", "replace").splitlines()]
+    rows = [row for row in rows if row and row[0].isdigit()]
+    if len(rows) != size or any(len(row) != 3 for row in rows):
+        raise ValueError(f"{len(rows)} equations")
+    names = [_ANSYS.get(row[2].upper(), row[2].lower()) for row in rows]
+    unknown = sorted(set(names) - set(CODES))
+    if unknown:
+        raise ValueError(f"freedom {unknown[0]}")
+    place = indices(np.array([float(row[0]) for row in rows]), size)
+    if len(np.unique(place)) < size:
+        raise ValueError("an equation stands there twice")
+    node, kind = np.empty(size, dtype=np.int64), np.empty(size, dtype=np.int64)
+    node[place] = [int(row[1]) for row in rows]
+    kind[place] = [CODES[name] for name in names]
+    return Dofs(node, kind)
+
+
+_FIRST = {"K": "K", "M": "M", "B": "E"}
+_SHORT_EXPONENT = re.compile(r"(?<=[0-9.])([+-]\d+)$")  # 1.5+7 is 1.5e+7
+_SQUARE, _SYMMETRIC = 1, 6
+
+
+def choose(names: list[str], wanted: Mapping[str, str], path: Path) -> dict[str, str]:
+    """Which of the file's matrices stands for which letter.
+
+    Raises
+    ------
+    UsageError : a name that is not there, or two that may stand for one letter.
+    """
+    known = {name.upper(): name for name in names}
+    chosen = {}
+    for letter, name in wanted.items():
+        if name.upper() not in known:
+            raise refused(path, f"no matrix {name}", f"one of {', '.join(names)}")
+        chosen[letter] = known[name.upper()]
+    for first, letter in _FIRST.items():
+        fits = [n for u, n in known.items() if u.startswith(first) and not u.startswith("K4")]
+        if letter in chosen or not fits or wanted:
+            continue
+        if len(fits) > 1:
+            raise refused(
+                path,
+                f"matrices {', '.join(fits)}",
+                f"one that is {letter}",
+                hint=f'matrices = {{ {letter} = "{fits[0]}" }} in the TOML file',
+            )
+        chosen[letter] = fits[0]
+    if not chosen:
+        raise refused(path, f"matrices {', '.join(names)}", "K..., M... and as needed B...")
+    return chosen
+
+
+def read_dmig(path: Path, wanted: Mapping[str, str]) -> Raw:
+    """Matrices of the DMIG cards in ``path``, rows named by grid and component.
+
+    Raises
+    ------
+    UsageError : no such cards, complex or rectangular ones, or damage.
+    """
+    expected = "real, square DMIG cards"
+    forms, entries = parsed(path, expected, _dmig)
+    chosen = choose([n for n, f in forms.items() if f in (_SQUARE, _SYMMETRIC)], wanted, path)
+    matrices, dofs = labelled({letter: entries[name] for letter, name in chosen.items()})
+    symmetric = {k for k, name in chosen.items() if forms[name] == _SYMMETRIC}
+    return Raw({k: whole(m) if k in symmetric else m for k, m in matrices.items()}, dofs)
+
+
+def _dmig(data: bytes) -> tuple[dict[str, int], dict[str, Triple]]:
+    """Form of each matrix by name, and its keys of rows and columns and values."""
+    forms: dict[str, int] = {}
+    entries: dict[str, list[tuple[float, ...]]] = {}
+    if data and not data.endswith(b"\n"):
+        raise ValueError("the last line has no end: is it cut off?")
+    for cells in cards(data, "DMIG"):
+        name = cells[0].strip().upper()
+        if cells[1].strip() == "0":
+            forms[name], entries[name] = int(cells[2]), []
+            if int(cells[3]) not in (1, 2):
+                raise ValueError(f"matrix {name} is complex")
+            continue
+        if name not in forms:
+            raise ValueError(f"matrix {name} has no header card")
+        column = (int(cells[1]), _component(cells[2]))
+        for at in range(4, len(cells), 4):
+            grid, component, value = [*cells[at : at + 3], "", ""][:3]
+            if grid.strip():
+                entries[name].append((int(grid), _component(component), *column, real(value)))
+    if not forms:
+        raise ValueError("no DMIG card")
+    return forms, {name: keyed(np.array(e).reshape(-1, 5)) for name, e in entries.items()}
+
+
+def cards(data: bytes, name: str) -> Iterator[list[str]]:
+    """The fields of each card of this name behind it, continuation lines joined; bulk data in
+    small, large and free fields."""
+    cells: list[str] = []
+    for line in data.decode("ascii", "replace").splitlines():
+        line = line.split("$", 1)[0].rstrip()
+        begins = line[: len(name)].upper() == name
+        continues = line[:1] in ("*", "+", ",") or (line and not line[:8].strip())
+        if cells and line and not (continues and not begins):
+            yield cells
+            cells = []
+        if begins or (cells and continues):
+            cells += _fields(line)
+    if cells:
+        yield cells
+
+
+def _fields(line: str) -> list[str]:
+    if "," in line:
+        cells = line.split(",")[1:9]
+        return cells + [""] * (8 - len(cells))
+    width, count = (16, 4) if "*" in line[:8] else (8, 8)
+    return [line[8 + k * width : 8 + (k + 1) * width] for k in range(count)]
+
+
+def _component(text: str) -> int:
+    value = int(text.strip() or 0)
+    if not 0 <= value <= 6:
+        raise ValueError(f"component {value}")
+    return value
+
+
+def real(text: str) -> float:
+    """A number as Fortran writes it: 1.5D+7, or 1.5+7."""
+    return float(_SHORT_EXPONENT.sub(r"E\1", text.strip().upper().replace("D", "E")))
+
+
+def unpack_op4(path: str, wanted: Mapping[str, str]) -> dict[str, np.ndarray]:
+    """The matrices of an OUTPUT4 file, text or binary, of either byte order, as arrays of an
+    archive.
+
+    Raises
+    ------
+    UsageError : too large, or no stiffness in it.
+    MissingToolError : pyyeti is not installed.
+    """
+    op4 = needed("pyyeti.nastran.op4", "pyyeti", path, "nastran")
+    names, sizes, _, _ = op4.dir(path, verbose=False)
+    chosen = choose(list(names), wanted, Path(path))
+    for letter, name in chosen.items():
+        bounded(Path(path), letter, sizes[names.index(name)], None)
+    loaded = op4.load(path, list(chosen.values()), sparse=True)
+    found: dict[str, np.ndarray] = {}
+    for letter, name in chosen.items():
+        matrix, form = sparse.csc_array(loaded[name][0]), loaded[name][1]
+        found |= packed(letter, whole(matrix) if form == _SYMMETRIC else matrix)
+    return found

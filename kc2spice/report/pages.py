@@ -1,0 +1,541 @@
+"""Pages beside that of a run: ``bench.html``, the plane of a scene's settings; that of a fit;
+``sweep.html``; ``verify.html``, every scene's checks, errors, times and figures.
+
+The figures of a sweep follow what was swept: curves over one key, maps over two that are crossed,
+and of draws or more keys a histogram of each metric and its values over each key.
+"""
+
+from __future__ import annotations
+
+import shlex
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.stats import binomtest
+
+from kc2spice.core.figure import Curve, Figure, Map, Panel, scale_axis
+from kc2spice.core.waveforms import Waveforms
+from kc2spice.report.html import Section, fact, quantity, unit_of, write_page
+from kc2spice.scene.judge import PAIRS, Check
+from kc2spice.scene.model import Scene
+
+_LEAST = 1e-16  # an error of zero is drawn here
+
+
+def write_bench(directory: Path, title: str, record: Mapping[str, Any]) -> None:
+    """Write the page of the ``record`` of ``bench``."""
+    sections = [
+        Section("Error against time", figures=[_figure(record)]),
+        *bench_sections(record),
+    ]
+    lead = f"{record['simulator']}; CPU time of the simulator, median of {record['repeats']}"
+    write_page(directory / "bench.html", f"Settings of {title}", lead, sections)
+
+
+def bench_sections(record: Mapping[str, Any]) -> list[Section]:
+    """What ``bench`` found, for the page and for the terminal: settings the quickest first."""
+    points = [
+        (
+            point["label"],
+            f"{point['error']:.1e}",
+            f"{point['bound']:.1e}",
+            quantity(point["time_s"], "s", 3),
+            f"{quantity(point['time_low_s'], 's', 3)} … {quantity(point['time_high_s'], 's', 3)}",
+            "front" if point["front"] else "",
+        )
+        for point in record["points"]
+    ]
+    failed = [(each["label"], each["why"]) for each in record["failed"]]
+    head = ("setting", "error", "sum of errors", "CPU time", "spread", "")
+    return [
+        Section("Recommended", recommendation(record)),
+        Section("Settings", points, head),
+        Section("Settings without a result", failed, ("setting", "why")),
+    ]
+
+
+def recommendation(record: Mapping[str, Any]) -> list[tuple[str, str]]:
+    """What to use, what the scene uses, and what errors are against."""
+    own = next(point for point in record["points"] if point["own"])
+    best, reference = record["recommended"], record["reference"]
+    rows = [("error of", _names(record["metrics"])), ("the scene as it is", _cost(own))]
+    if best is None:
+        nearest = min(record["points"], key=lambda p: max(p["error"], p["bound"]))
+        rows.append((f"within {record['limit']:g}", "none of the settings"))
+        rows.append(("nearest", f"{nearest['label']}: {_cost(nearest)}"))
+    else:
+        words = " ".join(map(shlex.quote, best["set"])) or "the scene as it is"
+        rows.append((f"cheapest within {record['limit']:.2g}", words))
+        rows.append(("", _cost(best)))
+    rows.append(("reference", f"{reference['label']}: {quantity(reference['time_s'], 's', 3)}"))
+    rows.append(("uncertainty of the reference", f"{reference['error']:.1e}"))
+    for name, change in record["left_out"].items():
+        why = "no value" if change is None else f"changes by {change:.1e} at the finest settings"
+        rows.append(("left out", f"{name}: {why}"))
+    return rows
+
+
+def _names(metrics: Sequence[str]) -> str:
+    """Names in one line, those of one group by the group."""
+    groups: dict[str, int] = {}
+    for name in metrics:
+        first = name.partition(".")[0]
+        groups[first] = groups.get(first, 0) + 1
+    return ", ".join(n if count == 1 else f"{n} ({count} curves)" for n, count in groups.items())
+
+
+def _cost(point: Mapping[str, Any]) -> str:
+    bound = f"{point['bound']:.1e} if nothing cancelled"
+    return f"error {point['error']:.1e} ({bound}) in {quantity(point['time_s'], 's', 3)} of CPU"
+
+
+def _figure(record: Mapping[str, Any]) -> Figure:
+    points, best = record["points"], record["recommended"]
+
+    def curve(label: str, chosen: list[Mapping[str, Any]], style: str = "o") -> Curve:
+        error = np.maximum([p["error"] for p in chosen], _LEAST)
+        time = np.array([p["time_s"] for p in chosen])
+        return Curve(label, error, time, style, tuple(p["label"] for p in chosen))
+
+    front = sorted((p for p in points if p["front"]), key=lambda p: p["error"])
+    curves = [curve("settings", points), curve("front", front, "step")]
+    curves.append(curve("the scene as it is", [p for p in points if p["own"]]))
+    if best is not None:
+        curves.append(curve("recommended", [best]))
+    limit, unsure = max(record["limit"], _LEAST), record["reference"]["error"]
+    marks = [(limit, f"error {limit:.2g}")]
+    if unsure > 0.0:
+        marks.append((unsure, "uncertainty of the reference"))
+    ends = [*curves[0].x, *(place for place, _ in marks)]
+    panel = Panel(
+        "largest relative error",
+        "CPU time of the simulator in s",
+        tuple(curves),
+        marks=tuple(marks),
+        span=(0.5 * min(ends), 2.0 * max(ends)),
+        log_x=True,
+        log_y=True,
+    )
+    return Figure("bench", "Error against time", "Lower left is better.", (panel,))
+
+
+def write_fit(
+    path: Path,
+    record: Mapping[str, Any],
+    f: np.ndarray,
+    Y: np.ndarray,
+    before: np.ndarray,
+    after: np.ndarray,
+) -> None:
+    """Write the page of ``record``; ``Y``, ``before`` and ``after`` (n,) are admittances [S] at
+    ``f`` [Hz]."""
+    sections = [
+        *fit_sections(record),
+        Section("Impedance", figures=fit_figures(f, Y, before, after)),
+    ]
+    lead = (
+        f"The values for which {record['part']} is that of {Path(record['data']).name}. Export "
+        "with --set fit.toml --set box.toml writes a netlist with these keys as parameters."
+    )
+    write_page(path, f"{record['part']}, fitted", lead, sections)
+
+
+def fit_sections(record: Mapping[str, Any]) -> list[Section]:
+    """What ``fit`` found, for the page and for the terminal."""
+    values = [
+        (key, f"{each['value']:.6g}", f"{each['sigma']:.2g}",
+         f"{each['low']:g} to {each['high']:g}", "met" if each["at_bound"] else "")
+        for key, each in record["parameters"].items()
+    ]  # fmt: skip
+    error = record["error"]
+    facts = [
+        ("deviation of |Z|", f"{error['rms']:.2g} rms, {error['largest']:.2g} at most"),
+        ("noise of the data", f"{record['noise']:.2g}"),
+        ("finite element models", str(record["models"])),
+        ("starts that ended in another minimum", str(record["other_minima"])),
+    ]
+    for each in record["undetermined"]:
+        told = ", ".join(f"{weight:+.2f} log {key}" for key, weight in each.items())
+        facts.append(("not determined by the data", told))
+    resonances = [
+        tuple("" if value is None else f"{value:.6g}" for value in row.values())
+        for row in record["resonances"]
+    ]
+    starts = [tuple(f"{value:.6g}" for value in each.values()) for each in record["starts"]]
+    keys = tuple(record["parameters"])
+    correlation = [
+        (key, *(f"{value:+.3f}" for value in row))
+        for key, row in zip(keys, record["correlation"], strict=True)
+    ]
+    return [
+        Section("Values", values, ("key", "value", "standard error", "range", "bound")),
+        Section("Fit", facts),
+        Section("Resonances", resonances, ("measured in Hz", "at the scene's values", "fitted"),
+                note="peaks of the conductance, in their order"),
+        Section("Starts", starts, (*keys, "half the sum of squares")),
+        Section("Correlation", correlation, ("", *keys)),
+    ]  # fmt: skip
+
+
+def fit_figures(
+    f: np.ndarray, Y: np.ndarray, before: np.ndarray, after: np.ndarray
+) -> tuple[Figure, ...]:
+    """Impedance and phase of all three, and what is left over."""
+    x, factor = scale_axis("frequency", f)
+    f = factor * f
+    three = {"measured": (Y, "o"), "scene": (before, "--"), "fitted": (after, "-")}
+    size = [Curve(name, f, np.abs(1 / y), style) for name, (y, style) in three.items()]
+    phase = [Curve(name, f, np.rad2deg(np.angle(1 / y)), style)
+             for name, (y, style) in three.items()]  # fmt: skip
+    left = Curve("fitted over measured", f, 100 * (np.abs(Y / after) - 1))
+    panels = (
+        Panel(x, "|Z| in Ω", tuple(size), log_y=True),
+        Panel(x, "phase in °", tuple(phase)),
+        Panel(x, "difference of |Z| in %", (left,)),
+    )
+    caption = "Measured impedance, that of the scene's values and that of the fitted ones."
+    return (Figure("fit", "Impedance", caption, panels),)
+
+
+CONFIDENCE = 0.95
+
+Table = Mapping[str, Sequence[Any]]
+Axis = tuple[str, np.ndarray]  # label that ends in the unit, numbers in it
+
+
+def _is_flag(column: Sequence[Any]) -> bool:
+    return {type(value) for value in column} - {type(None)} == {bool}
+
+
+def _is_number(column: Sequence[Any]) -> bool:
+    return {type(value) for value in column} - {type(None)} in ({float}, {int}, {bool})
+
+
+def _numbers(column: Sequence[Any]) -> np.ndarray:
+    return np.array([np.nan if value is None else value for value in column], dtype=float)
+
+
+def yields(table: Table, keys: Sequence[str]) -> dict[str, dict[str, float]]:
+    """Share of all points at which each flag is true, with its exact confidence interval.
+
+    A point that failed counts as false. The interval is that of Clopper and Pearson (1934), which
+    covers at least ``confidence``; it speaks of the swept population only where keys were drawn.
+    """
+    found = {}
+    for name, column in table.items():
+        if name not in keys and _is_flag(column):
+            count, total = sum(map(bool, column)), len(column)
+            interval = binomtest(count, total).proportion_ci(CONFIDENCE, method="exact")
+            ends = {"low": float(interval.low), "high": float(interval.high)}
+            found[name] = {"share": count / total, **ends, "confidence": CONFIDENCE}
+    return found
+
+
+def write_sweep(
+    path: Path,
+    scene: Scene,
+    table: Table,
+    units: Mapping[str, str],
+    random: Sequence[str],
+    plan: str,
+    shares: Mapping[str, Mapping[str, float]],
+) -> None:
+    """Write the page of a finished ``table`` to ``path``.
+
+    ``units`` are those of the swept keys, in their order; ``random`` are the keys that were drawn,
+    ``plan`` says how much was run, ``shares`` are the :func:`yields`.
+    """
+    metrics = [name for name in table if name not in units and _is_number(table[name])]
+    spread = [_spread(name, table[name]) for name in metrics if not _is_flag(table[name])]
+    head = ("metric", "points", "least", "5 %", "median", "95 %", "largest")
+    failed = Counter(text for text in table["status"] if text != "ok").most_common(20)
+    note = "Of all points; a point that failed counts as a miss."
+    sections = [
+        Section("Plan", [("points", plan), *(_swept(key, table[key], units) for key in units)]),
+        Section("Yield", [(fact(n, 0)[0], _share(s)) for n, s in shares.items()], note=note),
+        Section("Metrics", spread, head),
+        Section("Points that failed", [(str(n), why) for why, n in failed], ("points", "why")),
+        Section("Figures", figures=tuple(figures(table, units, metrics, random))),
+    ]
+    shown = [section for section in sections if section.rows or section.figures]
+    write_page(path, f"Sweep of {scene.name}", scene.title, shown)
+
+
+def _share(share: Mapping[str, float]) -> str:
+    low, high, level = (100 * share[name] for name in ("low", "high", "confidence"))
+    return f"{100 * share['share']:.4g} % ({level:.3g} % confidence: {low:.4g} … {high:.4g} %)"
+
+
+def _swept(key: str, column: Sequence[Any], units: Mapping[str, str]) -> tuple[str, str]:
+    distinct = list({repr(value): value for value in column}.values())
+    ends = ", ".join(map(str, distinct[:10]))
+    if _is_number(column):
+        ends = f"{min(distinct):g} … {max(distinct):g} {units[key]}".rstrip()
+    return key, f"{len(distinct)} values, {ends}"
+
+
+def _spread(name: str, column: Sequence[Any]) -> tuple[str, ...]:
+    values = _numbers(column)
+    values = values[np.isfinite(values)]
+    shares = np.quantile(values, (0.0, 0.05, 0.5, 0.95, 1.0))
+    return (fact(name, 0)[0], str(values.size), *(fact(name, float(v))[1] for v in shares))
+
+
+def figures(
+    table: Table, units: Mapping[str, str], metrics: Sequence[str], random: Sequence[str]
+) -> Iterator[Figure]:
+    """The ``metrics`` of a table over its swept keys, whose ``units`` are given."""
+    keys = [key for key in units if _is_number(table[key])]
+    if not keys or not metrics:
+        return
+    x = {key: (_label(key, units[key]), _numbers(table[key])) for key in keys}
+    y = {name: (_label(fact(name, 0)[0], unit_of(name)), _numbers(table[name])) for name in metrics}
+    crossed = np.prod([np.unique(x[key][1]).size for key in keys]) == len(table["status"])
+    if not random and len(keys) == 1:
+        words = zip(*(table[key] for key in units if key not in x), strict=True)
+        labels = [" ".join(map(str, each)) for each in words]
+        panels = [_curves(x[keys[0]], labels, axis) for axis in y.values()]
+        yield Figure("curves", "Curves", "A gap is a point without that metric.", tuple(panels))
+    elif not random and len(keys) == len(units) == 2 and crossed:
+        for name, axis in y.items():
+            panel = _map(x[keys[0]], x[keys[1]], axis)
+            yield Figure(f"map_{name}", axis[0], "Grey where there is none.", (panel,))
+    else:
+        caption = "Lines at the median and at 5 and 95 % of the points."
+        panels = [_histogram(axis) for axis in y.values()]
+        yield Figure("histograms", "Distributions", caption, tuple(panels), columns=3)
+        for name, (label, values) in y.items():
+            panels = [Panel(k, label, (Curve("", v, values, "o"),)) for k, v in x.values()]
+            yield Figure(f"over_{name}", label, "Over each key.", tuple(panels), columns=3)
+
+
+def _label(name: str, unit: str) -> str:
+    return f"{name.replace('_', ' ')} in {unit}" if unit else name.replace("_", " ")
+
+
+def _curves(x: Axis, words: Sequence[str], y: Axis) -> Panel:
+    """One curve for each combination of the swept words."""
+    labels = np.array(words) if words else np.full(x[1].size, "")
+    curves = []
+    for label in np.unique(labels):
+        mine = np.flatnonzero(labels == label)
+        mine = mine[np.argsort(x[1][mine])]
+        curves.append(Curve(str(label), x[1][mine], y[1][mine], "o-"))
+    ends = (float(x[1].min()), float(x[1].max()))
+    return Panel(x[0], y[0], tuple(curves), span=ends, log_x=_logarithmic(x[1]))
+
+
+def _logarithmic(values: np.ndarray) -> bool:
+    """Equally spaced in the logarithm rather than in the values."""
+    x = np.unique(values)
+    if x.size < 3 or x[0] <= 0:
+        return False
+    return bool(np.ptp(np.diff(np.log(x))) < 1e-6 * np.log(x[-1] / x[0]))
+
+
+def _map(x: Axis, y: Axis, z: Axis) -> Panel:
+    columns, i = np.unique(x[1], return_inverse=True)
+    rows, j = np.unique(y[1], return_inverse=True)
+    field = np.full((rows.size, columns.size), np.nan)
+    field[j, i] = z[1]
+    log_x, log_y = _logarithmic(columns), _logarithmic(rows)
+    return Panel(x[0], y[0], (), log_x=log_x, log_y=log_y, map=Map(columns, rows, field, z[0]))
+
+
+def _histogram(axis: Axis) -> Panel:
+    values = axis[1][np.isfinite(axis[1])]
+    counts, edges = np.histogram(values, bins="auto" if values.size > 1 else 1)
+    bars = Curve("", (edges[:-1] + edges[1:]) / 2, counts.astype(float), "bar")
+    low, middle, high = np.quantile(values, (0.05, 0.5, 0.95)).tolist()
+    marks = ((low, "5 %"), (middle, "median"), (high, "95 %"))
+    return Panel(axis[0], "points", (bars,), marks=marks)
+
+
+MET = {True: "ok", False: "MISSED"}
+MOST = 4  # panels of one figure
+FLOOR = 1e-17  # a difference of nothing, on a logarithmic axis
+
+Solutions = Mapping[str, Waveforms]
+
+
+@dataclass
+class Findings:
+    """What one scene's verification has found.
+
+    ``errors`` has those of :data:`kc2spice.scene.judge.PAIRS` (largest relative), ``wall_s`` the
+    time of each stage; ``left_out`` names the parts without a law. ``answers`` has the metrics of
+    each solution: ``ngspice``, ``rom`` (laws) and ``fom`` (with full models, as far as followed).
+    """
+
+    checks: list[Check] = field(default_factory=list)
+    errors: dict[str, float] = field(default_factory=dict)
+    metrics: dict[str, Any] = field(default_factory=dict)
+    answers: dict[str, Mapping[str, Any]] = field(default_factory=dict)
+    left_out: tuple[str, ...] = ()
+    outputs: list[Any] = field(default_factory=list)
+    wall_s: dict[str, float] = field(default_factory=dict)
+    notes: list[str] = field(default_factory=list)
+    figures: list[Figure] = field(default_factory=list)
+
+    @property
+    def passed(self) -> bool:
+        """Whether every check is."""
+        return all(check.passed for check in self.checks)
+
+    def record(self) -> dict[str, Any]:
+        """Of ``verify.json``."""
+        found = {key: value for key, value in vars(self).items() if key != "figures"}
+        checks = [check.record() for check in self.checks]
+        outputs = [asdict(output) for output in self.outputs]
+        return {"passed": self.passed, **found, "checks": checks, "outputs": outputs}
+
+
+def write_verify(path: Path, found: Mapping[str, Findings]) -> Path:
+    """Write the page for the findings of each scene, by its name."""
+    rows = [
+        (
+            scene,
+            MET[findings.passed],
+            *(quantity(findings.errors.get(pair), "", 2) for pair in PAIRS),
+        )
+        for scene, findings in found.items()
+    ]
+    head = ("scene", "gates", "reduced − full", "ngspice − reduced", "ngspice − full")
+    sections = [Section("Summary", rows, head, "Errors are the largest relative ones.")]
+    for scene, findings in found.items():
+        sections += [*verdict_sections(scene, findings.record()), *_details(scene, findings)]
+    lead = "Full model, reduced model and ngspice on the emitted netlist, against each other."
+    return write_page(path, "Verification", lead, sections)
+
+
+def verdict_sections(scene: str, record: Mapping[str, Any]) -> list[Section]:
+    """Gates and times of one scene's record, for the page and for the terminal."""
+    checks = [
+        (MET[c["passed"]], c["name"], *(_with_unit(c[k], c["unit"]) for k in ("value", "limit")))
+        for c in record["checks"]
+    ]
+    times = [(stage, quantity(time, "s", 3)) for stage, time in record["wall_s"].items()]
+    return [
+        Section(f"{scene}: gates", checks, ("", "check", "value", "limit")),
+        Section(f"{scene}: time", times, ("stage", "wall time")),
+    ]
+
+
+def _details(scene: str, findings: Findings) -> list[Section]:
+    outputs = [
+        (e.pair.replace("_vs_", " to "), e.output, f"{e.largest:.2g}", f"{e.rms:.2g}")
+        for e in findings.outputs
+    ]
+    numbers = {k: v for k, v in findings.metrics.items() if not isinstance(v, Mapping)}
+    head = ("solutions", "output", "largest error", "rms error")
+    facts, notes = [fact(key, value) for key, value in numbers.items()], " ".join(findings.notes)
+    return [
+        Section(f"{scene}: each output", outputs, head),
+        Section(f"{scene}: results", facts, note=notes),
+        Section(f"{scene}: figures", figures=findings.figures),
+    ]
+
+
+def _with_unit(value: float | None, unit: str) -> str:
+    reached = None if value is None or np.isnan(value) else value
+    return quantity(reached, "" if unit == "1" else unit, 3)
+
+
+# --- figures: solutions over each other, and their differences ----------------------------------
+
+
+def comparison(
+    name: str, title: str, solutions: Solutions, units: Mapping[str, str]
+) -> Iterator[Figure]:
+    """The waves that all solutions have, the first one as the reference, with their differences.
+
+    One panel for each of the largest waves of a unit, one for the differences of all of these.
+    """
+    (first, exact), *others = solutions.items()
+    scale = next(iter(exact))
+    label, factor = scale_axis(scale, exact[scale].real)
+    common = [n for n in exact if n != scale and all(n in w for _, w in others)]
+    chosen = _largest(common, exact, units)
+    if not chosen or np.ptp(exact[scale]) == 0:
+        return
+    panels = []
+    for wave in chosen:
+        curves = tuple(
+            Curve(n, factor * w[scale].real, _size(w[wave]), "-" if k else "reference")
+            for k, (n, w) in enumerate(solutions.items())
+        )
+        unit = units.get(wave, "")
+        panels.append(Panel(label, f"{wave} in {unit}" if unit else wave, curves))
+    yield Figure(
+        f"{name}_solutions",
+        f"{title}: solutions over each other",
+        f"Reference (dotted): {first}.",
+        tuple(panels),
+    )
+    x = exact[scale].real
+    errors = tuple(
+        Curve(f"{n}, {wave}", factor * x, np.maximum(_difference(w, exact, scale, wave), FLOOR))
+        for n, w in others
+        for wave in chosen
+    )
+    yield Figure(
+        f"{name}_differences",
+        f"{title}: differences",
+        f"Differences to {first}, each over the wave's largest value.",
+        (Panel(label, f"difference to {first} / largest value", errors, log_y=True),),
+    )
+
+
+def responses(name: str, curves: Solutions) -> Iterator[Figure]:
+    """Responses of one body port by port to itself, every solution of it."""
+    last = list(curves.values())[-1]
+    pairs = [n for n in last if ">" in n and len({*n.split(">")}) == 1][:MOST]
+    end = float(last["frequency"].real[-1]) / 1e3
+    panels = []
+    for pair in pairs:
+        lines = tuple(
+            Curve(
+                label,
+                waves["frequency"].real / 1e3,
+                np.abs(waves[pair]),
+                "o" if waves["frequency"].size < 60 and len(curves) > 1 else "-",
+            )
+            for label, waves in curves.items()
+        )
+        panels.append(Panel("frequency in kHz", f"|{pair}|", lines, span=(0.0, end), log_y=True))
+    if panels:
+        yield Figure(
+            f"{name}_response",
+            f"{name}: response of the emitted subcircuit",
+            "Each port's answer to a unit load on itself; points are direct solutions of the full "
+            "model.",
+            tuple(panels),
+        )
+
+
+def _largest(names: list[str], waves: Waveforms, units: Mapping[str, str]) -> list[str]:
+    """The largest wave of each unit, in order."""
+    best: dict[str, str] = {}
+    for name in names:
+        unit = units.get(name, "")
+        size = np.abs(waves[name]).max(initial=0.0)
+        if size > 0 and (unit not in best or size > np.abs(waves[best[unit]]).max()):
+            best[unit] = name
+    return list(best.values())[:MOST]
+
+
+def _size(values: np.ndarray) -> np.ndarray:
+    return np.abs(values) if np.iscomplexobj(values) else values
+
+
+def _difference(waves: Waveforms, exact: Waveforms, scale: str, name: str) -> np.ndarray:
+    """At the points of ``exact``, over its largest value."""
+    ours, y = waves[name], exact[name]
+    if ours.shape != y.shape or scale == "time":
+        t, unique = np.unique(waves[scale].real, return_index=True)
+        ours = np.interp(exact[scale].real, t, ours[unique])
+    return np.abs(ours - y) / np.abs(y).max()
