@@ -4,6 +4,7 @@ import re
 
 import numpy as np
 import pytest
+from networks import H, Network
 
 from kc2spice.core.errors import UsageError
 from kc2spice.netlist.circuit import Param, Pin, Subcircuit
@@ -53,129 +54,29 @@ class Compiled:
         return f, q, jacobian, reactive
 
 
-# ------------------------------------------- the netlist in numpy, its slopes by a complex step
-
-STEP = 1e-30
-
-
-def larger(a, b):
-    return a if np.real(a) > np.real(b) else b
-
-
-def lookup(x, *points):
-    at, values = np.array(points[::2]), np.array(points[1::2])
-    k = int(np.clip(np.searchsorted(at, np.real(x), side="right") - 1, 0, len(at) - 2))
-    return values[k] + (values[k + 1] - values[k]) / (at[k + 1] - at[k]) * (x - at[k])
-
-
-FUNCTIONS = {"max": larger, "pwl": lookup, "floor": lambda x: np.floor(np.real(x)),
-             "uramp": lambda x: larger(x, 0.0)}  # fmt: skip
-
-
-def cards(text):
-    lines = [line for line in text.splitlines() if line.strip() and not line.startswith("*")]
-    return "\n".join(lines).replace("\n+", " ").splitlines()
-
-
-class Netlist:
-    """Stamps of a ``.subckt``, read word by word: the sum of currents out of every node."""
-
-    def __init__(self, parts, part, at, x, params):
-        self.parts, self.at, self.x = parts, at, x
-        self.f, self.q = np.zeros((2, len(at)), dtype=complex)
-        self.expand(part, {}, params, "")
-
-    def node(self, name, pins, prefix):
-        name = name.lower()
-        index = self.at[pins.get(name, prefix + name)]
-        return index, self.x[index]
-
-    def flow(self, a, b, current):
-        self.f[a] += current
-        self.f[b] -= current
-
-    def expand(self, part, pins, params, prefix):
-        head, *body = cards(part.text)
-        assert head.startswith(".subckt")
-        body = body[: next(k for k, card in enumerate(body) if card.startswith(".ends"))]
-        numbers = {
-            k.lower(): float(v) for k, v in (w.split("=") for w in head.split() if "=" in w)
-        } | {k.lower(): v for k, v in params.items()}
-
-        def worth(text):
-            if "{" not in text:
-                return float(text)
-            return eval(text.strip("{}").lower(), {"sqrt": np.sqrt}, numbers)
-
-        def drop(ends):
-            plus, *minus = (self.node(n, pins, prefix)[1] for n in ends.split(","))
-            return plus - sum(minus)
-
-        def law(text):
-            spots = re.sub(r"\b[vV]\(([\w,]+)\)", r"V('\1')", text.strip("{}"))
-            names = {"V": drop, **FUNCTIONS}
-            return eval(spots, names, folded(text))
-
-        def folded(text):
-            return {w: numbers[w.lower()] for w in re.findall(r"\w+", text) if w.lower() in numbers}
-
-        models = {c.split()[1]: dict(re.findall(r"(\w+)=([^\s)]+)", c)) for c in body
-                  if c.startswith(".model")}  # fmt: skip
-        for card in body:
-            words = card.split()
-            kind = words[0][0].lower()
-            if words[0] == ".param":
-                key, text = words[1].split("=", 1)
-                numbers[key.lower()] = worth(text)
-            if kind == ".":
-                continue
-            if kind == "x":
-                given = dict(w.split("=") for w in words if "=" in w)
-                words = [w for w in words if "=" not in w]
-                called = self.parts[words[-1].removeprefix(f"{part.name}_")]
-                inner = [w.lower() for w in cards(called.text)[0].split()[2:] if "=" not in w]
-                outer = [pins.get(w.lower(), prefix + w.lower()) for w in words[1:-1]]
-                nested = f"{prefix}{words[0].lower()}_"
-                values = {name: worth(text) for name, text in given.items()}
-                self.expand(called, dict(zip(inner, outer, strict=True)), values, nested)
-                continue
-            (a, va), (b, vb) = (self.node(w, pins, prefix) for w in words[1:3])
-            across = va - vb
-            if kind == "r":
-                self.flow(a, b, across * (1 / worth(words[3])))
-            elif kind == "c":
-                self.q[a] += across * worth(words[3])
-                self.q[b] -= across * worth(words[3])
-            elif kind == "g":
-                (_, vc), (_, vd) = (self.node(w, pins, prefix) for w in words[3:5])
-                self.flow(a, b, (vc - vd) * worth(words[5]))
-            elif kind == "i":
-                self.flow(a, b, worth(words[3]))
-            elif kind == "b":
-                self.flow(a, b, law(re.split("I=", card, maxsplit=1)[1]))
-            elif kind == "s":
-                (_, vc), (_, vd) = (self.node(w, pins, prefix) for w in words[3:5])
-                model = models[words[5]]
-                on = np.real(vc - vd) > float(model["VT"])
-                self.flow(a, b, across * (1 / float(model["RON" if on else "ROFF"])))
-            elif kind == "v" and "PWL" in card:
-                assert np.real(va) == np.real(vb)  # the compiler joins the nodes
-            elif kind == "v":
-                row, current = self.node(f"flow(br_{prefix}{words[0].lower()})", {}, "")
-                self.flow(a, b, current)
-                self.f[row] += worth(words[3]) - across
-            else:
-                raise AssertionError(card)
-
-
 def linearised(parts, part, at, x, params):
-    """Residual and charge, and their slopes, as a compiled module has them."""
-    here = Netlist(parts, part, at, x.astype(complex), params)
-    moved = [Netlist(parts, part, at, x + 1j * STEP * unit, params) for unit in np.eye(len(x))]
-    jacobian, reactive = (
-        np.column_stack([getattr(each, which).imag for each in moved]) / STEP for which in "fq"
-    )
-    return here.f.real, here.q.real, jacobian, reactive
+    """Residual and charge of the netlist, and their slopes, as a compiled module has them."""
+    network = Network(part.text, params, parts, switches=True)
+    flows = {name: f"flow(br_{name})" for kind, name, *_ in network.elements if kind == "V"}
+
+    def stamps(x):
+        """What flows out of every node, and rows of voltages."""
+        f, q = np.zeros((2, len(at)), dtype=complex)
+        known = {name: x[k] for name, k in at.items()}
+        known |= {f"I {name}": x[at[flow]] for name, flow in flows.items()}
+        values = network.evaluated(known)
+        for (kind, name, a, b, *_), value in zip(network.elements, values, strict=True):
+            if kind == "V":
+                row = at[flows[name]]
+                f[row] += value - (x[at[a]] - x[at[b]])
+                value = x[row]
+            into = q if kind == "Q" else f
+            into[at[a]] += value
+            into[at[b]] -= value
+        return np.array([f, q])
+
+    slopes = np.array([stamps(x + 1j * H * unit).imag for unit in np.eye(len(x))]) / H
+    return *stamps(x.astype(complex)).real, *np.moveaxis(slopes, 0, 2)
 
 
 @pytest.mark.parametrize("name", NAMES)
