@@ -20,7 +20,6 @@ from itertools import pairwise, product
 
 import numpy as np
 import scipy
-from scipy.stats import qmc
 
 from kc2spice.core.errors import SimulationError, UsageError
 from kc2spice.rom.linear import Certificate, LinearModel, Norm, Port
@@ -176,7 +175,7 @@ def over_box(
 
     made, left = parametric(told, axes, band, checks=0, progress=progress), 0.0
     found, inner = varying(made, band, OWN * tolerance, norm)
-    draws = qmc.Sobol(len(axes), seed=11).random(CHECKS) * 2 - 1
+    draws = scipy.stats.qmc.Sobol(len(axes), seed=11).random(CHECKS) * 2 - 1
     for k, x in enumerate([*draws, np.sign(draws[0])]):
         progress(k, CHECKS + 1)
         values = _values(found.box, x)
@@ -276,7 +275,7 @@ def _judged(
 ) -> Iterator[tuple[np.ndarray, Judge]]:
     """Points of the box, the middle and two corners first, with the dense model as a judge."""
     count = len(made.box)
-    draws = qmc.Sobol(count, seed=3).random(DRAWS) * 2 - 1
+    draws = scipy.stats.qmc.Sobol(count, seed=3).random(DRAWS) * 2 - 1
     for x in (np.zeros(count), np.ones(count), -np.ones(count), *draws):
         response = Response(made.at(_values(made.box, x)).pencil)
         yield x, Judge(response, telling(response, band, False, norm), band, norm)

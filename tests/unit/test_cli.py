@@ -62,8 +62,12 @@ LATE = {"numpy", "scipy", "pydantic", "jinja2"}
 
 @pytest.mark.parametrize(
     ("module", "heavy"),
-    [("cli.main", BUILDERS | LATE), ("workflow.run", BUILDERS)],
-    ids=["help", "run with cached models"],
+    [
+        ("cli.main", BUILDERS | LATE),
+        ("workflow.run", BUILDERS),
+        ("parts.piezo_stack", BUILDERS | {"scipy.stats"}),
+    ],
+    ids=["help", "run with cached models", "its body"],
 )
 def test_what_answers_at_once_loads_nothing_heavy(module, heavy):
     """What keeps --help and a run with another gain quick, without timing them."""
