@@ -4,16 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 from device import chip
-from hard_cases.cases_contact import launch_error
-from hard_cases.kit import (
-    HEADER,
-    bench_deck,
-    case,
-    exact,
-    kick,
-    leaves,
-    relative,
-)
+from hard_cases.kit import HEADER, bench_deck, case, exact, kick, launch_error, leaves, relative
 from scipy.linalg import expm
 
 from kc2spice.core.waveforms import Waveforms
@@ -55,11 +46,6 @@ Xkick a 0 r 0 kick
     return waves["u"], waves["time"], static
 
 
-@case("kick with 1 ns edges", LAUNCH, 2e-4, slow=True)
-def edges_of_1_ns(bench):
-    return launch_error(bench, kick("kick.drive.edge=1 ns"))
-
-
 @case("50 ms of flight", "height after 50 ms [m]", 1e-6, slow=True)
 def flight_of_50_ms(bench):
     """The launch from scipy, then the parabola of free fall."""
@@ -93,33 +79,26 @@ Rcharge charge 0 1e12
     return relative(waves["q"][-1], charge)
 
 
-def _order(order, reltol="1e-4", slow=False):
-    def measure(bench):
-        return launch_error(bench, kick(f"solver.reltol={reltol}"), chip(order))
-
-    measure.__name__ = f"order_{order}"
-    case("orders 1 to 120", LAUNCH, 2e-4, slow=slow)(measure)
-
-
-_order(120, slow=True)
-_order(1, "3e-7")  # all rings on one hard mode: "energy of kick" refuses every looser run
-
-
-def _tolerance(reltol, limit):
-    def measure(bench):
-        return launch_error(bench, kick(f"solver.reltol={reltol}"))
-
-    measure.__name__ = f"reltol_{reltol}"
-    slow = float(reltol) < 1e-5
-    case("tolerances 1e-2 to 1e-7", LAUNCH, limit, slow=slow)(measure)
+PENALTIES, ORDERS = "penalty 1e6 to 1e12 N/m", "orders 1 to 120"
+TOLERANCES = "tolerances 1e-2 to 1e-7"
+LAUNCHES = [  # entry, name, key, modes, limit, slow
+    (PENALTIES, "penalty 1e6", "contact.penalty=1e6 N/m", 30, 2e-4, False),
+    (PENALTIES, "penalty 1e11", "contact.penalty=1e11 N/m", 30, 2e-4, True),
+    ("kick with 1 ns edges", "edges of 1 ns", "kick.drive.edge=1 ns", 30, 2e-4, True),
+    (ORDERS, "order 120", "solver.reltol=1e-4", 120, 2e-4, True),
+    # all rings on one hard mode: "energy of kick" refuses every looser run
+    (ORDERS, "order 1", "solver.reltol=3e-7", 1, 2e-4, False),
+    # Measured errors fall with the square root of reltol; limits leave a factor of two and more.
+    (TOLERANCES, "reltol 1e-3", "solver.reltol=1e-3", 30, 1e-3, False),
+    (TOLERANCES, "reltol 1e-7", "solver.reltol=1e-7", 30, 1e-5, True),
+]
+for entry, name, key, modes, limit, slow in LAUNCHES:
+    case(entry, LAUNCH, limit, slow=slow, name=name)(
+        lambda bench, key=key, modes=modes: launch_error(bench, kick(key), chip(modes))
+    )
 
 
-# Measured errors fall with the square root of reltol; the limits leave a factor of two and more.
-for reltol, limit in (("1e-3", 1e-3), ("1e-7", 1e-5)):
-    _tolerance(reltol, limit)
-
-
-@case("tolerances 1e-2 to 1e-7", "a launch that is wrong by a percent", refused="energy of")
+@case(TOLERANCES, "a launch that is wrong by a percent", refused="energy of")
 def reltol_1e_2_is_noticed(bench):
     bench.scene(kick("solver.reltol=3e-2"))
     return 0.0
@@ -128,11 +107,8 @@ def reltol_1e_2_is_noticed(bench):
 @case("node names that collide", "ports called as inner nodes are", refused="name is taken")
 def ports_named_like_inner_nodes(bench):
     """q1 and charge are nodes of the subcircuit itself: two nodes would become one in silence."""
-    model = _renamed(chip(6), ("q1", "charge"))
-    subcircuit(model.linear(), "kick", HEADER, ports=("q1", "charge", "anode"))
-    return 0.0
-
-
-def _renamed(model, names):
+    model, names = chip(6), ("q1", "charge")
     ports = [Port(name, "mechanical", "um", "N") for name in names]
-    return replace(model, ports=(*ports, *model.ports[len(names) :]))
+    model = replace(model, ports=(*ports, *model.ports[2:]))
+    subcircuit(model.linear(), "kick", HEADER, ports=(*names, "anode"))
+    return 0.0

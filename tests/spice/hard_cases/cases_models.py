@@ -73,20 +73,14 @@ def unsymmetric_stiffness(bench):
     )
 
 
-def _scaled(name, mass, stiffness):
-    def measure(bench):
-        rate = np.sqrt(stiffness / mass)
-        given = families.chain()
-        matrices = {"M": mass * given["M"], "E": stiffness / rate * given["E"],
-                    "K": stiffness * given["K"], "B": given["B"]}  # fmt: skip
-        return response_error(bench, matrices, 0.1 * rate)
+SIZES = {"a chain of attograms": (1e-21, 1e3), "a chain of buildings": (1e9, 1e-3)}  # kg, N/m
+for name, size in SIZES.items():
 
-    measure.__name__ = name
-    case("unit scale extremes", RESPONSE, 1e-5)(measure)
-
-
-_scaled("a_chain_of_attograms", 1e-21, 1e3)
-_scaled("a_chain_of_buildings", 1e9, 1e-3)
+    @case("unit scale extremes", RESPONSE, 1e-5, name=name)
+    def scaled(bench, size=size):
+        rate, given = np.sqrt(size[1] / size[0]), families.chain()
+        scale = {"M": size[0], "E": size[1] / rate, "K": size[1], "B": 1.0}
+        return response_error(bench, {k: v * given[k] for k, v in scale.items()}, 0.1 * rate)
 
 
 @case("op-amp at its rails", "output to rail, relative", 1e-3)
@@ -108,27 +102,10 @@ R2 out n 10000
     return max(abs(rail / 15 - 1), abs(back / 11 - 1))
 
 
-def included(text, directory):
-    """A scene file that drives the chip through a user's subcircuit."""
-    (directory / "mine.lib").write_text(text)
-    path = directory / "mine.toml"
-    path.write_text(
-        'name = "mine"\ninclude = ["mine.lib"]\n[kick.driver.user]\nsubckt = "mine"\n'
-        '[kick.drive]\nstart = 1e-5\n[contact]\nrings = "all"\n[sphere]\n[solver]\nstop = 4e-5\n'
-    )
-    return str(path)
-
-
-def users_circuit(bench, text):
-    """Run a kick through the user's circuit, as ``kc2spice run`` does."""
-    study = load_scene(included(text, bench.directory))
-    bench.run(deck_of(study, chip(6)))
-
-
 @case("a user circuit that fails", "the log's own reason", refused="(?i)failed|iteration|timestep")
 def users_circuit_without_an_operating_point(bench):
     """A latch of exponentials that contradicts itself: no solution exists."""
-    users_circuit(bench, """.subckt mine command out ref
+    (bench.directory / "mine.lib").write_text(""".subckt mine command out ref
 Rin command ref 1000
 Rout command out 1
 Ifeed ref x 1
@@ -137,4 +114,10 @@ Bbad y ref V={V(y)*V(y) + 1 + V(y)}
 Rbad y ref 1
 .ends mine
 """)  # fmt: skip
+    path = bench.directory / "mine.toml"
+    path.write_text(
+        'name = "mine"\ninclude = ["mine.lib"]\n[kick.driver.user]\nsubckt = "mine"\n'
+        '[kick.drive]\nstart = 1e-5\n[contact]\nrings = "all"\n[sphere]\n[solver]\nstop = 4e-5\n'
+    )
+    bench.run(deck_of(load_scene(path), chip(6)))
     return 0.0

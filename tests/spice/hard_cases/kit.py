@@ -1,6 +1,6 @@
 """What the hard cases share: how one is declared and run, and their scenes."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -36,10 +36,7 @@ class Bench:
 
     def scene(self, scene, model=None, table=None):
         """What ``kc2spice run`` does with a scene: the deck, ngspice, then the physics checks."""
-        return self.judged(built(scene, model or chip(), table or magnets()))
-
-    def judged(self, build):
-        """The deck's waveforms, which keep the physics checks."""
+        build = built(scene, model or chip(), table or magnets())
         waves = self.run(make_deck(build))
         require(verdict(waves, build).checks, build.scene.name)
         return waves
@@ -48,14 +45,14 @@ class Bench:
 CASES: list[Any] = []
 
 
-def case(entry, what, limit=0.0, *, refused=None, slow=False):
+def case(entry, what, limit=0.0, *, refused=None, slow=False, name=None):
     """Register a case: ``measure`` returns the error of ``what``, which must not exceed ``limit``;
     one that is ``refused`` ends in an error that matches this pattern."""
 
     def register(measure):
         marks = [pytest.mark.slow] if slow else []
-        name = measure.__name__.replace("_", " ")
-        CASES.append(pytest.param(measure, limit, refused, id=name, marks=marks))
+        called = name or measure.__name__.replace("_", " ")
+        CASES.append(pytest.param(measure, limit, refused, id=called, marks=marks))
         return measure
 
     return register
@@ -82,13 +79,6 @@ def exact(study, waves, model=None, table=None):
     return solve(built(study, model or chip(), table), waves).results
 
 
-def rewritten(deck, text, vectors=None):
-    """The deck with the text of its main file replaced, its libraries kept."""
-    return replace(
-        deck, text=text, options=(), vectors=deck.vectors if vectors is None else vectors
-    )
-
-
 def leaves(waves):
     """Time and velocity of the launch or rebound; not numbers where there is none."""
     found = separation(waves["time"], waves["contact.force"], waves["sphere.v"])
@@ -100,3 +90,10 @@ def relative(found, expected):
     if found is None or expected is None:
         return np.inf
     return abs(found / expected - 1.0)
+
+
+def launch_error(bench, study, model=None):
+    """Launch velocity of a kick against scipy, relative."""
+    model = model or chip()
+    waves = bench.scene(study, model)
+    return relative(leaves(waves)[1], leaves(exact(study, waves, model))[1])
