@@ -1,5 +1,6 @@
 """The command line as a reader uses it, in a process of its own, and in this one."""
 
+import contextlib
 import json
 import os
 import subprocess
@@ -34,6 +35,17 @@ def python(folder, *words, path=()):
 def typed(folder, commands, path=()):
     """What ``kc2spice`` says to commands that are lists of words, one after the other."""
     return python(folder, "-c", EACH, json.dumps(commands), path=path)
+
+
+def session(leader):
+    """Living processes of the session that ``leader`` began, with what they run."""
+    found = {}
+    for path in Path("/proc").glob("[0-9]*/stat"):
+        with contextlib.suppress(OSError):  # it ended meanwhile
+            state, _, _, number, *_ = path.read_text().rpartition(")")[2].split()
+            if int(number) == leader and state != "Z":
+                found[int(path.parent.name)] = (path.parent / "cmdline").read_bytes()
+    return found
 
 
 def asked(*words, code=0):

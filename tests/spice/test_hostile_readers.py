@@ -1,22 +1,17 @@
 """Hostile files in every place where a command opens one: none acts, each ends in a clear word."""
 
 import json
-import subprocess
-import sys
-from pathlib import Path
 
 import pytest
+from commands import python
 from hostile import bombs, files, readers
 
-PROGRAM = Path(readers.__file__)
 FEW = ("csv", "deck", "rom", "plan")
 
 
-def said(root, mutations, kinds):
-    command = [sys.executable, str(PROGRAM), str(root), "|".join(mutations), "|".join(kinds)]
-    ran = subprocess.run(command, capture_output=True, text=True, check=False)
-    assert ran.returncode == 0, ran.stderr[-3000:]
-    return json.loads(ran.stdout.splitlines()[-1])
+def said(program, root, *words):
+    """The last line of a program in a process of its own."""
+    return json.loads(python(root, program.__file__, root, *words).splitlines()[-1])
 
 
 def judged(found):
@@ -25,7 +20,7 @@ def judged(found):
 
 
 def test_broken_files_end_in_a_clear_word(tmp_path):
-    judged(said(tmp_path, ("pickle",), FEW))
+    judged(said(readers, tmp_path, "pickle", "|".join(FEW)))
 
 
 @pytest.mark.parametrize("kind", ["csv", "sidecar"])
@@ -43,10 +38,7 @@ def test_small_files_that_declare_too_much_end_in_time_and_memory(rest, tmp_path
     """Every format under every command: exit code 2, and what is expected instead."""
     names = list(bombs.BOMBS)
     names = names[rest::3] if rest else names[::13]
-    command = [sys.executable, bombs.__file__, str(tmp_path), *names]
-    ran = subprocess.run(command, capture_output=True, text=True, check=False)
-    assert ran.returncode == 0, ran.stderr[-3000:]
-    last = json.loads(ran.stdout.splitlines()[-1])
+    last = said(bombs, tmp_path, *names)
     wrong = {
         case: (code, seconds, words[-1000:])
         for case, (code, seconds, words, files) in last["found"].items()
@@ -67,6 +59,6 @@ def test_small_files_that_declare_too_much_end_in_time_and_memory(rest, tmp_path
 @pytest.mark.campaign
 @pytest.mark.parametrize("kind", sorted(readers.kinds()))
 def test_no_hostile_file_acts_on_any_command(kind, tmp_path):
-    found = said(tmp_path, tuple(files.MUTATIONS), (kind,))
+    found = said(readers, tmp_path, "|".join(files.MUTATIONS), kind)
     assert len(found) >= len(files.MUTATIONS)
     judged(found)

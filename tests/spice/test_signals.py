@@ -6,10 +6,10 @@ import signal
 import subprocess
 import sys
 import time
-from pathlib import Path
 
 import numpy as np
 import pytest
+from commands import session
 from spicelib import RawRead
 
 from kc2spice.scene.load import load_scene
@@ -31,47 +31,35 @@ max_step = "10 ns"
 """
 
 
-def children(pid):
-    found = subprocess.run(["pgrep", "-P", str(pid), "ngspice"], capture_output=True, text=True)
-    return [int(each) for each in found.stdout.split()]
+def within(seconds, condition):
+    deadline = time.monotonic() + seconds
+    while not (found := condition()):
+        assert time.monotonic() < deadline
+        time.sleep(0.05)
+    return found
 
 
-def started(folder, **environment):
+def started(folder):
+    """A run in a session of its own whose ngspice is under way."""
     (folder / "long.toml").write_text(LONG)
     # Tests that run under nohup would hand the signal down as one that is ignored.
     command = [shutil.which("env"), "--default-signal=HUP", sys.executable, "-m", "kc2spice"]
     command += ["run", "long.toml", "-o", "out"]
     process = subprocess.Popen(
-        command, cwd=folder, env={**os.environ, **environment}, stderr=subprocess.PIPE, text=True
+        command, cwd=folder, stderr=subprocess.PIPE, text=True, start_new_session=True
     )
-    deadline = time.monotonic() + 60
-    while time.monotonic() < deadline and process.poll() is None:
-        if simulators := children(process.pid):
-            return process, simulators
-        time.sleep(0.05)
-    process.kill()
-    raise AssertionError(process.communicate()[1])
-
-
-def gone(pid):
-    for _ in range(100):
-        try:
-            os.kill(pid, 0)
-            if Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] == "Z":
-                return True
-        except (ProcessLookupError, FileNotFoundError):
-            return True
-        time.sleep(0.05)
-    return False
+    within(60, lambda: any(w.startswith(b"ngspice") or b"/ngspice" in w.split(b"\0")[0]
+                           for w in session(process.pid).values()))  # fmt: skip
+    return process
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="reads /proc")
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGKILL])
 def test_a_signal_ends_the_simulator_too(number, tmp_path):
-    process, simulators = started(tmp_path)
+    process = started(tmp_path)
     process.send_signal(number)
     said = process.communicate(timeout=120)[1]
-    assert all(gone(pid) for pid in simulators)
+    assert within(5, lambda: not session(process.pid))
     assert "Traceback" not in said
     if number != signal.SIGKILL:  # which nothing can clear up after; the next run does
         assert process.returncode == 128 + number

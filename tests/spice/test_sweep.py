@@ -1,6 +1,5 @@
 """Sweeps by the command line: right numbers, equal tables everywhere, nothing lost to any kill."""
 
-import contextlib
 import math
 import os
 import shutil
@@ -11,6 +10,7 @@ import time
 from pathlib import Path
 
 import pytest
+from commands import session
 from sweeps import circuit, command, rows, sweep
 
 from kc2spice.workflow.sweep import run
@@ -131,17 +131,6 @@ def begun(scene, out, count=2, **options):
 def recorded(out):
     path = out / run.ROWS
     return path.read_bytes().count(b'"interrupted": ') if path.exists() else 0
-
-
-def session(leader):
-    """Living processes of the session that ``leader`` began, with what they run."""
-    found = {}
-    for path in Path("/proc").glob("[0-9]*/stat"):
-        with contextlib.suppress(OSError):  # it ended meanwhile
-            state, _, _, number, *_ = path.read_text().rpartition(")")[2].split()
-            if int(number) == leader and state != "Z":
-                found[int(path.parent.name)] = (path.parent / "cmdline").read_bytes()
-    return found
 
 
 def goes_on(scene, out, undisturbed, code=0):
