@@ -24,19 +24,16 @@ from kc2spice.core.figure import Figure
 from kc2spice.core.files import staged
 from kc2spice.core.progress import Clock
 from kc2spice.core.quantities import quantity
-from kc2spice.core.waveforms import Waveforms
+from kc2spice.core.waveforms import SCALES, Waveforms, write_record, write_waveforms
 from kc2spice.netlist.deck import Deck
-from kc2spice.netlist.lint import lint
 from kc2spice.rom.linear import LinearModel, Norm
 from kc2spice.scene.judge import Check
 from kc2spice.scene.load import load_scene
 from kc2spice.scene.model import Probe, Scene
 from kc2spice.scene.parttype import register as register_part
-from kc2spice.sim.ngspice import find_ngspice, run_with_retries, write_deck
-from kc2spice.workflow.decks import make_deck
-from kc2spice.workflow.models import build_models
+from kc2spice.sim.ngspice import find_ngspice, run_with_retries, write_files
+from kc2spice.workflow.decks import prepared
 from kc2spice.workflow.run import Completed, complete, write_run_files
-from kc2spice.workflow.simulate import SCALES, kept_on_failure, write_record, write_waveforms
 
 __all__ = [
     "Result",
@@ -139,9 +136,7 @@ def deck(scene: AnyScene, *, trust: bool = False) -> Deck:
     ------
     UsageError : as :func:`kc2spice.load_scene`, or a circuit that is wired wrongly.
     """
-    made = make_deck(build_models(load_scene(scene), Clock(), trust=trust))
-    lint(made)
-    return made
+    return prepared(load_scene(scene), Clock(), trust=trust)[1]
 
 
 def run(
@@ -181,12 +176,10 @@ def run(
         )
     loaded = load_scene(scene, overrides or {})
     edited = None if deck is None else Path(deck)
-    with tempfile.TemporaryDirectory(prefix="kc2spice-") as name, ExitStack() as kept:
-        work = Path(name)
-        if out is not None:
-            kept.enter_context(kept_on_failure(work, Path(out), loaded.name))
-        done = complete(loaded, work, trust=trust, deck=edited, functions=functions)
-    found = done.outcome
+    kept = None if out is None else Path(out)
+    with tempfile.TemporaryDirectory(prefix="kc2spice-") as name:
+        done = complete(loaded, Path(name), out=kept, trust=trust, deck=edited, functions=functions)
+    found = done.run
     more: dict[str, Any] = {"figures": {each.name: each for each in done.figures}, "_done": done}
     result = _result(found.deck, found.waves, done.record, found.verdict.checks, **more)
     if out is not None:
@@ -298,10 +291,10 @@ class Result:
         UsageError : ``out`` cannot be written.
         """
         with staged(out) as work:
-            write_deck(self.deck, work)
             if self._done is not None:
                 write_run_files(self._done, work, png=png)
             else:
+                write_files(self.deck.files, work)
                 waves = Waveforms(dict(self.waves), {})
                 files = [*self.deck.files, *write_waveforms(waves, self.units, work)]
                 write_record({**self.record, "files": [*files, "result.json"]}, work)

@@ -1,12 +1,15 @@
 """Waveforms: what a source prescribes, one definition for netlist, reference and checks, and what a
-simulation gives back.
+simulation gives back, with its files.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+import json
+import math
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -26,6 +29,11 @@ class Waveforms:
     data: dict[str, np.ndarray]
     stats: dict[str, float]
 
+    @property
+    def scale(self) -> np.ndarray:
+        """What all others are over."""
+        return next(iter(self.data.values()))
+
     def __getitem__(self, name: str) -> np.ndarray:
         return self.data[name]
 
@@ -34,6 +42,36 @@ class Waveforms:
 
     def __iter__(self) -> Iterator[str]:
         return iter(self.data)
+
+
+SCALES = {"time": "s", "frequency": "Hz"}  # units
+
+
+def write_waveforms(waves: Waveforms, units: Mapping[str, str], directory: Path) -> list[str]:
+    """``waveforms.npz`` with every digit and ``waveforms.csv`` with units in its head."""
+    save_arrays(waves, directory / "waveforms.npz")
+    columns = {
+        head: values
+        for name in waves.data
+        for head, values in _columns(name, waves[name], units.get(name) or SCALES.get(name, ""))
+    }
+    head, table = ",".join(columns), np.column_stack(list(columns.values()))
+    np.savetxt(directory / "waveforms.csv", table, "%.10g", ",", header=head, comments="")
+    return ["waveforms.npz", "waveforms.csv"]
+
+
+def save_arrays(waves: Waveforms, path: Path) -> None:
+    """All arrays of ``waves`` in one npz file."""
+    np.savez_compressed(path, **waves.data)  # type: ignore[arg-type]
+
+
+def _columns(name: str, values: np.ndarray, unit: str) -> Iterator[tuple[str, np.ndarray]]:
+    """Heads and columns of one array; real and imaginary part of a complex one."""
+    if np.iscomplexobj(values):
+        yield f"{name} real", values.real
+        yield f"{name} imag", values.imag
+    else:
+        yield (f"{name} [{unit}]" if unit else name), values
 
 
 def running(values: np.ndarray, over: np.ndarray) -> np.ndarray:
@@ -259,3 +297,22 @@ def _number(value: float) -> str:
     """As a person would write it: 15 digits where the value is that but for rounding of a sum."""
     short = float(f"{value:.15g}")
     return repr(short if abs(short - value) <= 4 * np.spacing(abs(value)) else float(value))
+
+
+def write_record(
+    record: Mapping[str, Any], directory: Path, name: str = "result.json"
+) -> dict[str, Any]:
+    """Write one JSON file and return what it says: numbers that are not finite are null there."""
+    found: dict[str, Any] = _plain(record)
+    (directory / name).write_text(json.dumps(found, indent=2) + "\n", encoding="utf-8")
+    return found
+
+
+def _plain(value: Any) -> Any:
+    """``value`` in types that JSON has."""
+    value = value.item() if isinstance(value, np.generic) else value
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    if isinstance(value, Mapping):
+        return {key: _plain(item) for key, item in value.items()}
+    return [_plain(item) for item in value] if isinstance(value, (list, tuple)) else value

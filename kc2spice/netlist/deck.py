@@ -91,7 +91,8 @@ class Deck:
     """A testbench with its libraries.
 
     ``parts`` are the subcircuits, each one library file; ``vectors`` maps result names to ngspice
-    expressions and the factor to SI, ``units`` to SI units. ``stop`` is the last time point [s] of
+    expressions and the factor to SI, ``units`` to SI units, ``powers`` to the voltages and currents
+    that they are sums of products of. ``stop`` is the last time point [s] of
     a transient, None otherwise. A deck that somebody wrote by hand has its ``text`` and the files
     that it includes in ``more``. ``controlled`` says whether a controller closes a loop, which some
     simulators only follow in short steps; it may where nobody knows.
@@ -106,6 +107,7 @@ class Deck:
     command: Command = Command("op", ())
     vectors: Mapping[str, tuple[str, float]] = field(default_factory=dict)
     units: Mapping[str, str] = field(default_factory=dict)
+    powers: Mapping[str, tuple[tuple[str, str], ...]] = field(default_factory=dict)
     stop: float | None = None
     initial: Mapping[str, float] = field(default_factory=dict)
     text: str | None = None

@@ -25,13 +25,14 @@ import numpy as np
 from kc2spice.core.errors import SimulationError, UsageError, unknown
 from kc2spice.core.files import staged
 from kc2spice.core.progress import Clock, Progress, silent
+from kc2spice.core.waveforms import write_record
 from kc2spice.report.pages import write_bench
 from kc2spice.scene.model import Scene
 from kc2spice.scene.plan import Axis, axes, keys_at
 from kc2spice.sim.ngspice import find_ngspice
 from kc2spice.workflow import refine
-from kc2spice.workflow.refine import Run, Runs, changes
-from kc2spice.workflow.simulate import plain, write_record
+from kc2spice.workflow.refine import Runs, changes
+from kc2spice.workflow.simulate import Run
 
 ERROR = 1e-4
 NOTCHES = (-2.0, -1.0, -0.5, 0.0, 0.5, 1.0)  # of every axis, from coarse to fine
@@ -250,8 +251,7 @@ def bench(
             },
         }
         write_bench(work, scene.title or scene.name, record)
-        write_record(record, work, "bench.json")
-    return dict(plain(record))
+        return write_record(record, work, "bench.json")
 
 
 def _wanted(run: Run, names: Sequence[str]) -> tuple[str, ...]:

@@ -6,18 +6,20 @@ A deck of the scene that somebody edited by hand.
 from __future__ import annotations
 
 import warnings
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from itertools import chain
 from pathlib import Path
 from typing import Any
 
 from kc2spice.core.errors import UsageError, did_you_mean
+from kc2spice.core.progress import Clock
 from kc2spice.netlist.cards import comment, number, tidy
 from kc2spice.netlist.circuit import Element, Subcircuit
 from kc2spice.netlist.deck import Block, Command, Deck, Option, ac, dc, transient
 from kc2spice.netlist.expression import literal, vector
 from kc2spice.netlist.foreign import ANALYSES, HARMLESS, accuracy, checked, refuse
+from kc2spice.netlist.lint import lint
 from kc2spice.netlist.read import Statement, read
 from kc2spice.netlist.scope import circuit, has_vector
 from kc2spice.netlist.transforms import quiet
@@ -29,9 +31,32 @@ from kc2spice.scene.plausible import built, judged
 from kc2spice.spice.header import Header, plan_lines
 from kc2spice.workflow import meters
 from kc2spice.workflow.meters import powers, replaced, result_vectors, sweep_values, swept
+from kc2spice.workflow.models import build_models
 from kc2spice.workflow.steps import largest_step
 
 HOLD = 1e30  # H: a constraint at rest, and above 1 uHz less than a millionth of 1 fg
+
+
+def prepared(
+    scene: Scene,
+    clock: Clock,
+    *,
+    trust: bool = False,
+    functions: Mapping[str, Any] | None = None,
+    edited: Path | None = None,
+) -> tuple[Build, Deck]:
+    """Models and deck of ``scene``, or the deck ``edited`` by hand; wrong wiring is named with file
+    and line before a simulator sees it. ``functions`` are those of controllers, by part.
+
+    Raises as :func:`make_deck` and :func:`edited_deck` do.
+    """
+    build = build_models(scene, clock, trust=trust, functions=functions)
+    with clock.stage("export", "netlists"):
+        deck = make_deck(build)
+        if edited is not None:
+            deck, build = edited_deck(build, deck, edited)
+        lint(deck)
+    return build, deck
 
 
 def make_deck(build: Build) -> Deck:
@@ -75,6 +100,7 @@ def make_deck(build: Build) -> Deck:
         command=_command(build),
         vectors={name: (v.expression, v.factor) for name, v in results.items()},
         units={name: v.unit for name, v in results.items()} | dict.fromkeys(watts, "W"),
+        powers=watts,
         stop=scene.stop if scene.analysis.type == "transient" else None,
         initial=_initial(build, loose),
         controlled=any(_controls(part, scene) for part in scene.parts.values()),

@@ -9,18 +9,14 @@ from pathlib import Path
 from kc2spice.core.errors import UsageError, unknown
 from kc2spice.core.files import staged
 from kc2spice.core.progress import Clock, Progress, silent
-from kc2spice.netlist.deck import Deck
-from kc2spice.netlist.lint import lint
 from kc2spice.netlist.printers.ngspice import plot_script
 from kc2spice.netlist.read import statements
 from kc2spice.netlist.transforms import array_deck
 from kc2spice.netlist.translate import DECKS, DIALECTS, dialect_files, symbol_files
 from kc2spice.scene.compose import composed
 from kc2spice.scene.model import Scene
-from kc2spice.scene.parttype import Build
 from kc2spice.sim.ngspice import write_files
-from kc2spice.workflow.decks import make_deck
-from kc2spice.workflow.models import build_models
+from kc2spice.workflow.decks import prepared
 
 
 def export(
@@ -48,9 +44,8 @@ def export(
         raise unknown(message, dialect, known, "--dialect")
     clock = Clock(progress)
     with staged(out) as work:
-        build = build_models(composed(replace(scene, ports="declared")), clock, trust=trust)
+        _, deck = prepared(composed(replace(scene, ports="declared")), clock, trust=trust)
         with clock.stage("export", "netlists and symbols"):
-            deck = _linted(build)
             if count is not None:
                 deck = array_deck(deck, count)
             files = dict(dialect_files(deck, deck.parts, dialect))
@@ -87,10 +82,3 @@ def _text(path: Path) -> str:
 def _cards(text: str, name: str) -> list[str]:
     """What a simulator reads of it."""
     return [card.written for card in statements(text, name) if card.written]
-
-
-def _linted(build: Build) -> Deck:
-    """The scene's deck; wrong wiring is named with file and line before a simulator sees it."""
-    deck = make_deck(build)
-    lint(deck)
-    return deck

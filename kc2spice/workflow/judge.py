@@ -67,7 +67,7 @@ def metrics(waves: Waveforms, build: Build, *, partial: bool = False) -> dict[st
         for name, value in each.items()
     }
     own |= meters.metrics(waves) if meters.WAVE in waves else {}
-    last = abs(next(iter(waves.data.values()))[-1])
+    last = abs(waves.scale[-1])
     return own | {
         name: take(probe, waves, name)
         for name, probe in scene.probes.items()
@@ -85,7 +85,7 @@ def take(probe: Probe, waves: Waveforms, name: str) -> float | None:
     if probe.of not in waves:
         known = list(waves.data)[1:]
         raise unknown("no such vector", probe.of, known, f"probes.{name}.of")
-    scale, values = next(iter(waves.data.values())), waves[probe.of]
+    scale, values = waves.scale, waves[probe.of]
     if probe.at is not None:
         return _value(scale.real, values, probe.at, name)
     sizes = np.abs(values) if np.iscomplexobj(values) else values
@@ -135,18 +135,6 @@ _TAKEN: dict[str, Callable[[np.ndarray, np.ndarray, float], float | None]] = {
     "frequency": lambda scale, values, _: frequency(scale, values),
     "crossing": crossing,
 }
-
-
-def probe_units(
-    probes: Mapping[str, Probe], waves: Waveforms, units: Mapping[str, str]
-) -> dict[str, str]:
-    """SI unit of each probe's metric, of those that have one."""
-    scale = {"time": "s", "frequency": "Hz"}.get(next(iter(waves.data)), "")
-    along = {"argmax": scale, "crossing": scale, "frequency": "Hz"}
-    found = {n: along.get(p.take, units.get(p.of, "")) for n, p in probes.items()}
-    if meters.WAVE in units:
-        found[meters.WAVE] = units[meters.WAVE].removesuffix(meters.DENSITY)
-    return {name: unit for name, unit in found.items() if unit}
 
 
 def _value(scale: np.ndarray, values: np.ndarray, place: float, name: str) -> float:

@@ -225,19 +225,6 @@ def powers(build: Build, known: Mapping[str, Vector]) -> dict[str, Pairs]:
     return found
 
 
-def with_powers(waves: Waveforms, pairs: Mapping[str, Pairs]) -> Waveforms:
-    """The waves and these powers: at every instant, or in ``ac`` the mean over a period."""
-
-    def power(v: np.ndarray, i: np.ndarray) -> np.ndarray:
-        return (v * i.conj()).real / 2 if np.iscomplexobj(v) else v * i
-
-    found = {
-        name: np.asarray(sum(power(waves[v], waves[i]) for v, i in each))
-        for name, each in pairs.items()
-    }
-    return replace(waves, data={**waves.data, **found})
-
-
 def _asked(build: Build, what: str) -> list[Part]:
     names = dict.fromkeys(
         p.of.partition(".")[0]

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import math
 import tempfile
-import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -20,17 +19,13 @@ import numpy as np
 
 from kc2spice.core.errors import SimulationError, UsageError
 from kc2spice.core.progress import Clock
-from kc2spice.report.html import leaves
 from kc2spice.scene.judge import Check
 from kc2spice.scene.load import load_scene
 from kc2spice.scene.model import Action, Scene
-from kc2spice.scene.parttype import Build
 from kc2spice.scene.plan import Axis, axes, keys_at
-from kc2spice.sim.ngspice import Outcome, run_deck
-from kc2spice.workflow.decks import make_deck
-from kc2spice.workflow.judge import metrics
-from kc2spice.workflow.models import build_models
-from kc2spice.workflow.simulate import simulate
+from kc2spice.sim.ngspice import run_deck
+from kc2spice.workflow.decks import prepared
+from kc2spice.workflow.simulate import Run, children_cpu, simulate
 
 MOST = 16  # runs besides the scene's own
 LIMIT = 1e-2  # error_budget where checks.reduction asks without one
@@ -45,18 +40,6 @@ Notches = Mapping[str, float]  # by how many notches an axis is moved, by its na
 
 
 # --- runs ---------------------------------------------------------------------------------------
-
-
-@dataclass(frozen=True)
-class Run:
-    """``values`` of the metrics by dotted name, over the points of ``scale`` where they are curves
-    of the analysis; ``cpu_s`` of the simulator's process, with all its retries."""
-
-    values: Mapping[str, np.ndarray]
-    scale: np.ndarray
-    cpu_s: float
-    build: Build
-    outcome: Outcome
 
 
 class Runs:
@@ -93,40 +76,17 @@ def evaluate(
     retries: int | None = None,
 ) -> Run:
     """Build, write, simulate and measure ``scene``; raises as :func:`simulate` does."""
-    build = build_models(scene, clock, trust=trust, functions=functions)
+    build, deck = prepared(scene, clock, trust=trust, functions=functions)
     with clock.stage("refined run", text), tempfile.TemporaryDirectory() as folder:
-        begin = _children_cpu()
-        outcome = simulate(build, make_deck(build), Path(folder), retries=retries)
-        return measured(build, outcome, _children_cpu() - begin)
-
-
-def measured(build: Build, outcome: Outcome, cpu_s: float = 0.0) -> Run:
-    """The run that gave ``outcome``: numbers and arrays of numbers; what is missing is nan."""
-    scale = next(iter(outcome.waves.data.values())).real
-    values = {
-        name: np.asarray(np.nan if value is None else value)
-        for name, value in leaves(metrics(outcome.waves, build))
-    }
-    numbers = {name: value for name, value in values.items() if value.dtype.kind in "bif"}
-    return Run(numbers, scale, cpu_s, build, outcome)
+        return simulate(build, deck, Path(folder), retries=retries)
 
 
 def time_again(run: Run) -> float:
     """CPU seconds [s] of the simulator for the deck of ``run``, once more."""
     with tempfile.TemporaryDirectory() as folder:
-        begin = _children_cpu()
-        run_deck(run.outcome.deck, Path(folder))
-        return _children_cpu() - begin
-
-
-def _children_cpu() -> float:
-    """CPU seconds so far of all child processes that have ended; wall time where nobody tells."""
-    try:
-        import resource
-    except ImportError:
-        return time.perf_counter()
-    used = resource.getrusage(resource.RUSAGE_CHILDREN)
-    return used.ru_utime + used.ru_stime
+        begin = children_cpu()
+        run_deck(run.deck, Path(folder))
+        return children_cpu() - begin
 
 
 def changes(run: Run, finer: Run, near_zero: float = 0.0) -> dict[str, float]:
@@ -145,8 +105,9 @@ def changes(run: Run, finer: Run, near_zero: float = 0.0) -> dict[str, float]:
     for name, value in exact.items():
         mine = run.values.get(name)
         scale = max(float(np.abs(value).max()), least[name.rpartition("_")[2]])
-        if mine is not None and value.shape == finer.scale.shape and mine.shape == run.scale.shape:
-            value = np.interp(run.scale, finer.scale, value)
+        ours, theirs = run.waves.scale.real, finer.waves.scale.real
+        if mine is not None and value.shape == theirs.shape and mine.shape == ours.shape:
+            value = np.interp(ours, theirs, value)
         if mine is None or mine.shape != value.shape or not np.isfinite(mine).all():
             found[name] = np.inf
         else:
@@ -205,17 +166,17 @@ class Converged:
         }
 
 
-def converge(build: Build, outcome: Outcome, clock: Clock) -> Converged | None:
+def converge(own: Run, clock: Clock) -> Converged | None:
     """Refine the scene until the estimated error of every metric is within ``error_budget``.
 
     Without a budget ``checks.reduction`` asks for one estimate; None where neither does.
     """
-    scene, budget = build.scene, build.scene.error_budget
+    scene, budget = own.build.scene, own.build.scene.error_budget
     action: Action = scene.checks.reduction or ("off" if budget is None else "warn")
     if action == "off":
         return None
-    limit, own = budget or LIMIT, measured(build, outcome)
-    runs = Runs(own, axes(build), clock)
+    limit = budget or LIMIT
+    runs = Runs(own, axes(own.build), clock)
     tried: list[Estimate] = []
     shares: dict[str, float] = {}
     notches: Notches = {}

@@ -7,51 +7,40 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 from kc2spice.core import __version__
 from kc2spice.core.figure import Figure, Written
 from kc2spice.core.files import staged
 from kc2spice.core.progress import Clock, Progress, silent
-from kc2spice.netlist.lint import lint
+from kc2spice.core.waveforms import SCALES, Waveforms, write_record, write_waveforms
 from kc2spice.netlist.printers.ngspice import plot_script
 from kc2spice.report.figures import draw_all
 from kc2spice.report.run_page import probe_figures, write_run
 from kc2spice.scene.judge import require
 from kc2spice.scene.load import load_scene
-from kc2spice.scene.model import Scene
-from kc2spice.scene.parttype import Build
-from kc2spice.sim.ngspice import Outcome, RetriesFailedError, Simulator, find_ngspice, write_files
+from kc2spice.scene.model import Probe, Scene
+from kc2spice.sim.ngspice import RetriesFailedError, Simulator, find_ngspice, write_files
 from kc2spice.workflow import meters
-from kc2spice.workflow.decks import edited_deck, make_deck
-from kc2spice.workflow.judge import metrics, probe_units
-from kc2spice.workflow.models import build_models, mode_tables, model_facts, rom_facts
+from kc2spice.workflow.decks import prepared
+from kc2spice.workflow.models import mode_tables, model_facts, rom_facts
 from kc2spice.workflow.refine import Converged, converge
-from kc2spice.workflow.simulate import (
-    kept_on_failure,
-    plain,
-    simulate,
-    warn_of,
-    write_record,
-    write_waveforms,
-)
+from kc2spice.workflow.simulate import Run, kept_on_failure, simulate
 
 
 @dataclass(frozen=True)
 class Completed:
-    """A finished simulation of a scene: models, simulator, waveforms and verdict, times."""
+    """A finished simulation of a scene, the simulator and the times that it took."""
 
-    build: Build
+    run: Run
     simulator: Simulator
-    outcome: Outcome
     clock: Clock
     converged: Converged | None = None
 
     @cached_property
     def shown(self) -> tuple[Figure | Written, ...]:
         """What its probes and parts show of it, and further files."""
-        build, waves = self.build, self.outcome.waves
-        units = self.outcome.deck.units
+        build, waves, units = self.run.build, self.run.waves, self.run.deck.units
         found: list[Figure | Written] = []
         if build.noisy:
             found += meters.figures(waves, units[meters.WAVE])
@@ -68,12 +57,12 @@ class Completed:
     @cached_property
     def record(self) -> dict[str, Any]:
         """``result.json`` without the names of files."""
-        build, outcome, step = self.build, self.outcome, self.build.largest
-        waves, attempts, found = outcome.waves, outcome.attempts, outcome.verdict
+        run, build, step = self.run, self.run.build, self.run.build.largest
+        waves, attempts = run.waves, run.attempts
         record = {
             "scene": build.scene.name,
             "version": __version__,
-            "netlist": outcome.deck.main,
+            "netlist": run.deck.main,
             "simulator": {
                 "name": self.simulator.name,
                 "version": self.simulator.version,
@@ -88,16 +77,28 @@ class Completed:
             "steps": {name: int(waves.stats.get(name, 0)) for name in ("accepted", "rejected")},
             "largest_step": None if step is None else {"s": step.step, "why": step.why},
             "simulator_cpu_s": waves.stats.get("cpu_s"),
-            "metrics": metrics(waves, build),
-            "metric_units": probe_units(build.scene.probes, waves, outcome.deck.units),
-            "checks": [check.record() for check in found.checks],
-            "energy_j": {name: balance.entries for name, balance in found.balances},
+            "metrics": run.metrics,
+            "metric_units": _probe_units(build.scene.probes, waves, run.deck.units),
+            "checks": [check.record() for check in run.verdict.checks],
+            "energy_j": {name: balance.entries for name, balance in run.verdict.balances},
             "plan": asdict(build.plan),
             "wall_s": self.clock.wall_s,
         }
         if self.converged is not None:
             record["convergence"] = self.converged.record()
         return record
+
+
+def _probe_units(
+    probes: Mapping[str, Probe], waves: Waveforms, units: Mapping[str, str]
+) -> dict[str, str]:
+    """SI unit of each probe's metric, of those that have one."""
+    scale = SCALES.get(next(iter(waves)), "")
+    along = {"argmax": scale, "crossing": scale, "frequency": "Hz"}
+    found = {n: along.get(p.take, units.get(p.of, "")) for n, p in probes.items()}
+    if meters.WAVE in units:
+        found[meters.WAVE] = units[meters.WAVE].removesuffix(meters.DENSITY)
+    return {name: unit for name, unit in found.items() if unit}
 
 
 def run(
@@ -124,8 +125,7 @@ def run(
         beside it in ``<out>.failed`` until a run into ``out`` succeeds.
     """
     with staged(out) as work:
-        with kept_on_failure(work, out, scene.name):
-            done = complete(scene, work, progress, trust=trust, deck=deck)
+        done = complete(scene, work, progress, out=out, trust=trust, deck=deck)
         return write_run_files(done, work, keep=keep, png=png)
 
 
@@ -134,77 +134,70 @@ def complete(
     work: Path,
     progress: Progress = silent,
     *,
+    out: Path | None = None,
     trust: bool = False,
     deck: Path | None = None,
     functions: Mapping[str, Any] | None = None,
 ) -> Completed:
     """Build, reduce, export and simulate ``scene`` in the directory ``work``.
 
-    ``functions`` are those of controllers, by part.
+    ``functions`` are those of controllers, by part; ``out`` is where the result will be, beside
+    which a failed run is kept.
 
     Where the scene leaves a key to us and what we took for it proves too little, such as the rings
     that a contact needs, it runs again with more, and says so.
 
     Raises as :func:`run` does; warns of checks that fail without failing the run.
     """
-    simulator = find_ngspice()
-    clock = Clock(progress)
-    while True:
-        build = build_models(scene, clock, trust=trust, functions=functions)
-        with clock.stage("export", "netlists"):
-            chosen = make_deck(build)
-            if deck is not None:
-                chosen, build = edited_deck(build, chosen, deck)
-            lint(chosen)  # wrong wiring is named with file and line before a simulator sees it
-            write_files(chosen.files, work)
-        try:
-            with clock.stage("simulate", f"{simulator.name} {simulator.version}") as share:
-                outcome = simulate(build, chosen, work, progress=share)
-            break
-        except RetriesFailedError as error:
-            if deck is not None or not error.mends:
-                raise
-            told = ", ".join(f"{key} = {value}" for key, value in error.mends.items())
-            warnings.warn(f"{error.message}, {error.got}: run again with {told}", stacklevel=2)
-            scene = load_scene(scene, error.mends)
-    converged = None
-    if deck is None:
-        build, outcome, converged = _judged(build, outcome, clock, work)
-    warn_of(outcome.verdict.checks)
-    return Completed(build, simulator, outcome, clock, converged)
+    simulator, clock = find_ngspice(), Clock(progress)
+    with kept_on_failure(work, out, scene.name):
+        while True:
+            build, made = prepared(scene, clock, trust=trust, functions=functions, edited=deck)
+            try:
+                with clock.stage("simulate", f"{simulator.name} {simulator.version}") as share:
+                    found = simulate(build, made, work, progress=share)
+                break
+            except RetriesFailedError as error:
+                if deck is not None or not error.mends:
+                    raise
+                told = ", ".join(f"{key} = {value}" for key, value in error.mends.items())
+                warnings.warn(f"{error.message}, {error.got}: run again with {told}", stacklevel=2)
+                scene = load_scene(scene, error.mends)
+        converged = converge(found, clock) if deck is None else None
+        if converged is not None:
+            found = _judged(converged)
+    for check in found.verdict.checks:
+        if not check.passed:
+            limit = f"limit {check.limit:.3g}: {check.advice}"
+            told = f"check {check.name}: {check.value:.3g} {check.unit}, {limit}"
+            warnings.warn(told, stacklevel=2)
+    return Completed(found, simulator, clock, converged)
 
 
-def _judged(
-    build: Build, outcome: Outcome, clock: Clock, work: Path
-) -> tuple[Build, Outcome, Converged | None]:
+def _judged(converged: Converged) -> Run:
     """The run that holds the error budget, with the check of its estimate."""
-    found = converge(build, outcome, clock)
-    if found is None:
-        return build, outcome, None
-    taken = found.taken
+    taken, check = converged.taken, converged.check
     if taken.settings:
         told = ", ".join(taken.settings)
         warnings.warn(
-            f"error_budget {found.check.limit:g}: finer {told}; the deck and models are those",
+            f"error_budget {check.limit:g}: finer {told}; the deck and models are those",
             stacklevel=2,
         )
-        write_files(taken.run.outcome.deck.files, work)
-    require((found.check,), build.scene.name)
-    build, outcome = taken.run.build, taken.run.outcome
-    verdict = replace(outcome.verdict, checks=(*outcome.verdict.checks, found.check))
-    return build, replace(outcome, verdict=verdict), found
+    require((check,), taken.run.build.scene.name)
+    verdict = taken.run.verdict
+    return replace(taken.run, verdict=replace(verdict, checks=(*verdict.checks, check)))
 
 
 def write_run_files(
     done: Completed, work: Path, *, keep: bool = False, png: bool = False
 ) -> dict[str, Any]:
-    """Write all files of a run into ``work``, where the deck is already; return ``result.json``."""
-    scene, deck, waves = done.build.scene, done.outcome.deck, done.outcome.waves
+    """Write all files of a run into ``work``; return ``result.json``."""
+    scene, deck, waves = done.run.build.scene, done.run.deck, done.run.waves
     with done.clock.stage("report", "metrics and page"):
-        record, shown = dict(done.record), done.figures
-        script = plot_script(deck)
-        write_files(script, work)
-        files = [*sorted(deck.files | script), *write_waveforms(waves, deck.units, work)]
+        record = dict(done.record)
+        texts = deck.files | plot_script(deck)
+        write_files(texts, work)
+        files, shown = [*sorted(texts), *write_waveforms(waves, deck.units, work)], done.figures
         for each in done.shown:
             if isinstance(each, Written):
                 each.write(work / each.name)
@@ -214,7 +207,7 @@ def write_run_files(
     files += [path.name for path in spare if keep and path.exists()]
     record["files"] = [*files, "report.html", "result.json"]
     write_run(work / "report.html", record, scene, shown)
-    write_record(record, work)
+    found = write_record(record, work)
     for path in spare if not keep else ():
         path.unlink(missing_ok=True)
-    return cast(dict[str, Any], plain(record))
+    return found

@@ -1,83 +1,49 @@
-"""One deck through the simulator: retries, checks, files of the result, and what is kept of a run
+"""One deck of a scene through the simulator: retries, verdict, metrics, and what is kept of a run
 that failed.
 """
 
 from __future__ import annotations
 
 import contextlib
-import json
-import math
 import os
 import shutil
-import warnings
-from collections.abc import Callable, Iterable, Iterator, Mapping
+import time
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import asdict, replace
+from dataclasses import asdict, dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from kc2spice.core.errors import SimulationError
-from kc2spice.core.waveforms import Waveforms
+from kc2spice.core.waveforms import Waveforms, save_arrays, write_record
 from kc2spice.netlist.deck import Deck
-from kc2spice.scene.judge import Check, Verdict
+from kc2spice.report.html import leaves
+from kc2spice.scene.judge import Verdict
 from kc2spice.scene.parttype import Build, Sampled
-from kc2spice.sim.ngspice import Outcome, RetriesFailedError, run_with_retries
-from kc2spice.workflow.judge import verdict
-from kc2spice.workflow.meters import powers, result_vectors, with_powers
-
-SCALES = {"time": "s", "frequency": "Hz"}  # units
-
-
-def write_waveforms(waves: Waveforms, units: Mapping[str, str], directory: Path) -> list[str]:
-    """``waveforms.npz`` with every digit and ``waveforms.csv`` with units in its head."""
-    save_arrays(waves, directory / "waveforms.npz")
-    columns = {
-        head: values
-        for name in waves.data
-        for head, values in _columns(name, waves[name], units.get(name) or SCALES.get(name, ""))
-    }
-    head, table = ",".join(columns), np.column_stack(list(columns.values()))
-    np.savetxt(directory / "waveforms.csv", table, "%.10g", ",", header=head, comments="")
-    return ["waveforms.npz", "waveforms.csv"]
-
-
-def save_arrays(waves: Waveforms, path: Path) -> None:
-    """All arrays of ``waves`` in one npz file."""
-    np.savez_compressed(path, **waves.data)  # type: ignore[arg-type]
-
-
-def _columns(name: str, values: np.ndarray, unit: str) -> Iterator[tuple[str, np.ndarray]]:
-    """Heads and columns of one array; real and imaginary part of a complex one."""
-    if np.iscomplexobj(values):
-        yield f"{name} real", values.real
-        yield f"{name} imag", values.imag
-    else:
-        yield (f"{name} [{unit}]" if unit else name), values
-
-
-def write_record(record: Mapping[str, Any], directory: Path, name: str = "result.json") -> None:
-    """One JSON file; a number that is not finite would not be JSON, so it becomes null."""
-    text = json.dumps(plain(record), indent=2)
-    (directory / name).write_text(text + "\n", encoding="utf-8")
-
-
-def plain(value: Any) -> Any:
-    """``value`` in types that JSON has; what is not finite becomes None."""
-    if isinstance(value, np.generic):
-        value = value.item()
-    if isinstance(value, float):
-        return value if math.isfinite(value) else None
-    if isinstance(value, Mapping):
-        return {key: plain(item) for key, item in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [plain(item) for item in value]
-    return value
-
+from kc2spice.sim.ngspice import Outcome, RetriesFailedError, run_with_retries, write_files
+from kc2spice.workflow.judge import metrics, verdict
 
 PARTIAL = "waveforms.partial.npz"
 FAILURE = "failure.json"
+
+
+@dataclass(frozen=True)
+class Run(Outcome):
+    """What the simulation of a scene gave: deck, waves, verdict, attempts, the models behind them,
+    its metrics, and the CPU seconds of the simulator's process with all its retries."""
+
+    build: Build
+    metrics: Mapping[str, Any]
+    cpu_s: float
+
+    @cached_property
+    def values(self) -> dict[str, np.ndarray]:
+        """Metrics that are numbers or arrays of numbers by dotted name; what is missing is nan."""
+        found = {n: np.asarray(np.nan if v is None else v) for n, v in leaves(self.metrics)}
+        return {name: value for name, value in found.items() if value.dtype.kind in "bif"}
 
 
 def simulate(
@@ -88,7 +54,7 @@ def simulate(
     progress: Callable[[float], None] | None = None,
     timeout: float | None = None,
     retries: int | None = None,
-) -> Outcome:
+) -> Run:
     """Run ``deck`` with the scene's retries, its result judged by the scene's parts; where a deck
     edited by hand is not wired as the scene, that is a warning.
 
@@ -100,19 +66,37 @@ def simulate(
         if deck.text is None:
             return found
         checks = (replace(c, action="warn") if c.wiring else c for c in found.checks)
-        return Verdict(tuple(checks), found.balances)
+        return replace(found, checks=tuple(checks))
 
+    engine = shared_engine(build, progress)
+    write_files(deck.files, directory)  # whatever comes of it
+    begin = children_cpu()
     found = run_with_retries(
         deck,
         directory,
         retries=build.scene.solver.retries if retries is None else retries,
         judge=judge,
-        engine=shared_engine(build, progress),
+        engine=engine,
         progress=progress,
         timeout=timeout,
     )
-    pairs = powers(build, result_vectors(build))
-    return replace(found, waves=with_powers(found.waves, pairs))
+    used = children_cpu() - begin
+    waves = _with_powers(found.waves, deck)
+    return Run(deck=found.deck, waves=waves, verdict=found.verdict, attempts=found.attempts,
+               build=build, metrics=metrics(waves, build), cpu_s=used)  # fmt: skip
+
+
+def _with_powers(waves: Waveforms, deck: Deck) -> Waveforms:
+    """The waves and these powers: at every instant, or in ``ac`` the mean over a period."""
+
+    def power(v: np.ndarray, i: np.ndarray) -> np.ndarray:
+        return (v * i.conj()).real / 2 if np.iscomplexobj(v) else v * i
+
+    found = {
+        name: np.asarray(sum(power(waves[v], waves[i]) for v, i in each))
+        for name, each in deck.powers.items()
+    }
+    return replace(waves, data={**waves.data, **found})
 
 
 def shared_engine(
@@ -139,31 +123,32 @@ def shared_engine(
     return shared if sampled else None
 
 
-def warn_of(checks: Iterable[Check]) -> None:
-    """One warning for each violated check."""
-    for check in checks:
-        if not check.passed:
-            limit = f"limit {check.limit:.3g}: {check.advice}"
-            warnings.warn(
-                f"check {check.name}: {check.value:.3g} {check.unit}, {limit}", stacklevel=2
-            )
+def children_cpu() -> float:
+    """CPU seconds so far of all child processes that have ended; wall time where nobody tells."""
+    try:
+        import resource
+    except ImportError:
+        return time.perf_counter()
+    used = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return used.ru_utime + used.ru_stime
 
 
 @contextmanager
-def kept_on_failure(work: Path, out: Path, scene: str) -> Iterator[None]:
+def kept_on_failure(work: Path, out: Path | None, scene: str) -> Iterator[None]:
     """Keep deck, logs and partial waveforms of a failed run in ``<out>.failed``, until a later one
     succeeds. No result is looked for there; ``failure.json`` says what the files are."""
-    kept = _kept(Path(out).absolute())
+    kept = None if out is None else _kept(Path(out).absolute())
     try:
         yield
     except SimulationError as error:
-        with contextlib.suppress(OSError):  # a full disk must not hide the first error
-            shutil.rmtree(kept, ignore_errors=True)
-            shutil.copytree(work, kept)
-            _write_failure(error, kept, scene)
-            error.where = error.where and error.where.replace(str(work), str(kept))
+        if kept is not None:
+            with contextlib.suppress(OSError):  # a full disk must not hide the first error
+                shutil.rmtree(kept, ignore_errors=True)
+                shutil.copytree(work, kept)
+                _write_failure(error, kept, scene)
+                error.where = error.where and error.where.replace(str(work), str(kept))
         raise
-    if (kept / FAILURE).is_file():
+    if kept is not None and (kept / FAILURE).is_file():
         shutil.rmtree(kept, ignore_errors=True)
 
 
@@ -187,6 +172,5 @@ def _write_failure(error: SimulationError, kept: Path, scene: str) -> None:
             record |= {"node": failure.node, "time_s": failure.time, "part": failure.part}
         if failure is not None and failure.partial is not None:
             save_arrays(failure.partial, kept / PARTIAL)
-            scale = next(iter(failure.partial.data.values()))
-            record |= {"waveforms": PARTIAL, "last_point": float(scale[-1])}
+            record |= {"waveforms": PARTIAL, "last_point": float(failure.partial.scale[-1])}
     write_record(record, kept, FAILURE)

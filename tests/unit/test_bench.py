@@ -6,9 +6,9 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from kc2spice.core.waveforms import Waveforms
 from kc2spice.scene.load import load_scene
 from kc2spice.workflow import bench, refine
-from kc2spice.workflow.refine import Run
 
 
 def simulator(scene, *_, **__):
@@ -18,7 +18,8 @@ def simulator(scene, *_, **__):
     build = SimpleNamespace(scene=scene, largest=None, trust=False, functions={}, model=dict)
     cost = 1e-2 * order / reltol**0.5
     rest = {"caught": np.asarray(True), "noise": np.asarray(np.sin(1e9 * reltol))}
-    return Run({"speed": np.asarray(value), **rest}, np.arange(2), cost, build, None)
+    values, waves = {"speed": np.asarray(value), **rest}, Waveforms({"time": np.arange(2)}, {})
+    return SimpleNamespace(values=values, waves=waves, cpu_s=cost, build=build)
 
 
 @pytest.fixture(autouse=True, scope="module")

@@ -27,11 +27,9 @@ from kc2spice.report.html import leaves
 from kc2spice.scene.load import gallery, load_scene, toml
 from kc2spice.scene.model import Scene
 from kc2spice.scene.parttype import Build
-from kc2spice.sim.ngspice import Outcome as Simulated
-from kc2spice.workflow.decks import make_deck
-from kc2spice.workflow.judge import metrics
-from kc2spice.workflow.models import build_models, model_facts, rom_facts
-from kc2spice.workflow.simulate import simulate
+from kc2spice.workflow.decks import prepared
+from kc2spice.workflow.models import model_facts, rom_facts
+from kc2spice.workflow.simulate import Run, simulate
 from kc2spice.workflow.sweep.plan import PARAMETER
 
 _SIGNAL = re.compile(r"exit code -\d+")  # somebody ended the simulator
@@ -186,7 +184,7 @@ def run_point(job: Job, values: Mapping[str, Any]) -> Outcome:
         changed = (*job.parameters, *parameters(values))
         build, deck = judged(build, deck, changed), with_parameters(deck, changed)
         with tempfile.TemporaryDirectory(prefix="kc2spice-") as directory:
-            return _numbers(build, simulate(build, deck, Path(directory), timeout=job.timeout))
+            return _numbers(simulate(build, deck, Path(directory), timeout=job.timeout))
     except MissingToolError:
         raise
     except Kc2spiceError as error:
@@ -240,21 +238,20 @@ def testbench(job: Job, values: Mapping[str, Any]) -> tuple[Build, Deck]:
 
 @lru_cache(maxsize=_KEPT)
 def _testbench(job: Job) -> tuple[Build, Deck]:
-    build = build_models(job.load({}), Clock())
-    return build, make_deck(build)
+    return prepared(job.load({}), Clock())
 
 
-def _numbers(build: Build, simulated: Simulated) -> Outcome:
-    stats = simulated.waves.stats
+def _numbers(run: Run) -> Outcome:
+    stats = run.waves.stats
     facts: dict[str, Any] = {
-        "model": model_facts(build),
-        **rom_facts(build),
+        "model": model_facts(run.build),
+        **rom_facts(run.build),
         "steps": {name: stats.get(name) for name in ("accepted", "rejected")},
-        "checks": {check.name: check.value for check in simulated.verdict.checks},
-        "energy_j": {name: balance.entries for name, balance in simulated.verdict.balances},
+        "checks": {check.name: check.value for check in run.verdict.checks},
+        "energy_j": {name: balance.entries for name, balance in run.verdict.balances},
         "simulator_cpu_s": stats.get("cpu_s"),
     }
-    return Outcome(_scalars(metrics(simulated.waves, build)), _scalars(facts))
+    return Outcome(_scalars(run.metrics), _scalars(facts))
 
 
 def _scalars(value: Mapping[str, Any]) -> dict[str, Number]:

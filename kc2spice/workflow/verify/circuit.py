@@ -448,7 +448,7 @@ def full_solution(
         words = "at its ports"
         if build.scene.analysis.small:
             parts = _with_surrogates(parts, float(build.scene.analysis.stop or 0.0), clock, whole)
-            points = next(iter(ours.data.values())).size
+            points = ours.scale.size
             for law in (law for c in parts for law in c.laws if isinstance(law, PortBody)):
                 if law.model.order > DIRECT:  # no basis is as good: a solution each
                     words = f"{law.model.order} unknowns at {points} frequencies, solved at each"

@@ -10,14 +10,14 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 
 from kc2spice.core.errors import UsageError
 from kc2spice.core.files import staged
 from kc2spice.core.progress import Clock, Progress, silent
-from kc2spice.core.waveforms import Waveforms
+from kc2spice.core.waveforms import Waveforms, write_record
 from kc2spice.netlist.circuit import Subcircuit
 from kc2spice.netlist.deck import Deck
 from kc2spice.netlist.foreign import Flat, checked
@@ -29,10 +29,9 @@ from kc2spice.scene.judge import PAIRS, Check, Gate, Verdict
 from kc2spice.scene.model import Scene
 from kc2spice.scene.parttype import Build
 from kc2spice.sim.ngspice import find_ngspice, run_deck
-from kc2spice.workflow.decks import edited_deck, make_deck
+from kc2spice.workflow.decks import prepared
 from kc2spice.workflow.judge import metrics, verdict
-from kc2spice.workflow.models import build_models
-from kc2spice.workflow.simulate import plain, shared_engine, write_record
+from kc2spice.workflow.simulate import shared_engine
 from kc2spice.workflow.verify.bodies import verify_body
 from kc2spice.workflow.verify.circuit import (
     full_build,
@@ -115,7 +114,7 @@ def measured(gate: Gate, ours: Solution, exact: Solution) -> float | None:
         return _ABSENT
     pairs = [_aligned(ours.waves, exact.waves, name)[1:] for name in names]
     if gate.share < 1.0:
-        scale = next(iter(exact.waves.data.values()))
+        scale = exact.waves.scale
         low = scale <= gate.share * scale[-1]
         pairs = [(a[low], b[low]) for a, b in pairs]
     if gate.measure == "spectral":
@@ -268,7 +267,7 @@ def verify(
     Raises
     ------
     UsageError : a ``deck`` for several scenes, one without the scene's subcircuits, or as
-        :func:`kc2spice.workflow.decks.edited_deck`.
+        :func:`kc2spice.workflow.decks.prepared`.
     MissingToolError : no ngspice; noticed before any FE is computed.
     SimulationError : a solution path ended without a result.
     """
@@ -282,19 +281,17 @@ def verify(
             progress("verify", None, scene.name)
             clock = Clock(progress)
             asked = scene if deck is None else _as_shipped(scene, libraries)
-            build = build_models(asked, clock, trust=trust)
-            made = make_deck(build)
+            build, made = prepared(asked, clock, trust=trust, edited=deck)
             emitted = made.parts if deck is None else libraries
-            if deck is not None:
-                made, build = edited_deck(build, made, deck)
             with TemporaryDirectory() as scratch:
                 result = _Verification(build, clock, Path(scratch), full).findings(made, emitted)
             found[scene.name] = result
         write_verify(work / "verify.html", found)
         records = {name: each.record() for name, each in found.items()}
         passed = all(record["passed"] for record in records.values())
-        write_record({"passed": passed, "scenes": records}, work, "verify.json")
-    return cast(dict[str, dict[str, Any]], plain(records))
+        record = write_record({"passed": passed, "scenes": records}, work, "verify.json")
+    scenes_found: dict[str, dict[str, Any]] = record["scenes"]
+    return scenes_found
 
 
 def _libraries(flat: Flat) -> tuple[Subcircuit, ...]:

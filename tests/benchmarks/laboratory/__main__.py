@@ -23,9 +23,9 @@ import kc2spice
 from kc2spice.core.errors import Kc2spiceError, UsageError
 from kc2spice.core.files import staged
 from kc2spice.core.progress import Clock
+from kc2spice.core.waveforms import write_record
 from kc2spice.report.figures import draw_all
 from kc2spice.sim.ngspice import find_ngspice
-from kc2spice.workflow.simulate import plain, write_record
 from kc2spice.workflow.sweep.run import cores
 from laboratory.page import bench_figures, bench_tables
 from laboratory.points import pareto
@@ -66,8 +66,7 @@ def bench(out, parts, *, quick, repeats):
             for ratio in outcome.ratios:
                 record["ratios"][ratio.name] = {**asdict(ratio), "met": ratio.met}
             record["seconds"][part] = time.perf_counter() - begin
-        record = plain(record)
-        write_record(record, directory, "bench.json")
+        record = write_record(record, directory, "bench.json")
         (directory / "bench.md").write_text(bench_tables(record), encoding="utf-8")
         draw_all(directory, [*bench_figures(record)])
 

@@ -29,7 +29,6 @@ from scipy.sparse.linalg import LinearOperator, eigsh, splu
 import kc2spice as kc
 from kc2spice.core.errors import SimulationError, UsageError
 from kc2spice.scene.load import load_scene
-from kc2spice.workflow.judge import metrics
 from kc2spice.workflow.run import Completed, complete
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
@@ -92,7 +91,7 @@ def kick(rng):
 
 def kick_error(done):
     """Relative error of the launch velocity."""
-    waves, scene = done.outcome.waves, done.build.scene
+    waves, scene = done.run.waves, done.run.build.scene
     time, ball, chip = waves["time"], scene.parts["sphere"].keys, scene.parts["kick"].keys
     tables = {k: v for k, v in scene.tables.items() if k not in ("error_budget", "rom")}
     model = kc.build(load_scene(tables))["kick"]
@@ -108,7 +107,7 @@ def kick_error(done):
         np.stack([corners, volts], axis=1), weight,
     )  # fmt: skip
     times, _, speeds, touched = oracle.flight(STEP, float(time[-1]))
-    at = max(touched, float(metrics(waves, done.build)["launch_time_s"]))
+    at = max(touched, float(done.run.metrics["launch_time_s"]))
     exact = float(np.interp(at, times, speeds))
     return float(abs(np.interp(at, time, waves["sphere.v"]) / exact - 1))
 
@@ -118,7 +117,7 @@ def kick_error(done):
 
 def _full(done, part):
     """The full model of a body of the drawn scene on a finer mesh."""
-    tables = {k: v for k, v in done.build.scene.tables.items() if k != "error_budget"}
+    tables = {k: v for k, v in done.run.build.scene.tables.items() if k != "error_budget"}
     drawn = load_scene({**tables, part: {**tables[part], "mesh": {"refine": FINER[part]}}})
     return kc.build(drawn)[part]
 
@@ -164,7 +163,7 @@ def buzzer(rng):
 def buzzer_error(done):
     """Relative error of the current at the probe's frequency."""
     model = _full(done, "disc")
-    s = 2j * np.pi * done.build.scene.probes["current_a"].at
+    s = 2j * np.pi * done.run.build.scene.probes["current_a"].at
     alpha, beta = model.rayleigh
     K, moving = _whole(model.K)
     P = (1 + s * beta) * K + (s**2 + s * alpha) * _padded(model.M, K.shape[0])
@@ -173,7 +172,7 @@ def buzzer_error(done):
     load[:moving] = model.B[:, port]
     x = splu(sparse.csc_array(P)).solve(load)[:moving]
     exact = abs(s * (model.C[port] @ x + model.D[port, port]))
-    return float(abs(metrics(done.outcome.waves, done.build)["current_a"] / exact - 1))
+    return float(abs(done.run.metrics["current_a"] / exact - 1))
 
 
 # --- a bimorph -----------------------------------------------------------------------------------
@@ -217,7 +216,7 @@ def bimorph_error(done):
     )  # fmt: skip
     push, show = model.B[:, model.inputs.index("anode")], model.C[model.outputs.index("tip")]
     gain = (modes.T @ push) * (show @ modes)  # modes' M modes = 1
-    wave = done.build.scene.parts["drive"].keys.pulse
+    wave = done.run.build.scene.parts["drive"].keys.pulse
     corners = wave.start + np.array([0.0, wave.edge, wave.width, wave.width + wave.edge])
     time = np.linspace(0, STEP_END, 30_001)
     volts = np.interp(time, corners, wave.high * np.array([0.0, 1.0, 1.0, 0.0]))
@@ -225,7 +224,7 @@ def bimorph_error(done):
     for square, g in zip(squares, gain, strict=True):
         tip += signal.lsim(([g], [1.0, alpha + beta * square, square]), volts, time)[1]
     exact = float(tip.max())
-    return float(abs(metrics(done.outcome.waves, done.build)["stroke_m"] / exact - 1))
+    return float(abs(done.run.metrics["stroke_m"] / exact - 1))
 
 
 # --- plain equations -----------------------------------------------------------------------------
@@ -250,11 +249,11 @@ def drawn(family):
         }  # fmt: skip
 
     def judge(done):
-        d = under_way(int(done.build.scene.tables["title"]))
+        d = under_way(int(done.run.build.scene.tables["title"]))
         points = np.linspace(0.0, d.stop, POINTS)
         _, wave = d.solve(points) if hasattr(d, "solve") else d.own.solve(d.stop, points)
         exact = np.ptp(wave(next(iter(d.compared.values()))))
-        return float(abs(metrics(done.outcome.waves, done.build)["range"] / exact - 1))
+        return float(abs(done.run.metrics["range"] / exact - 1))
 
     return draw, judge
 
