@@ -18,24 +18,40 @@ The hats answer at once, as residual modes do (:mod:`kc2spice.rom.modal`): the d
 lie above the sound's frequency over the patch, ten megahertz. Nothing but the depth x by which a
 sphere is pressed into them beyond the patch's motion sets them therefore, and their sum is one law
 of one depth (:func:`dented`), which a circuit evaluates at the cost of one spring.
+
+The other side may be a free elastic :class:`Sphere` under the same hats, on quadrilaterals that
+grow away from its lowest point. The conformal map ``zeta = w / (1 - i w / 2R)`` of ``zeta = r + i
+h`` takes the quarter plane ``w = 2R (tan x/2 + i tan y/2)`` to the half disc, h the height above
+the pole: a grid of the angles x, along the surface, and y, along the axis, has right angles
+everywhere and, at the pole, the lines of the hats. The other pole lies at infinity; there a pit of
+``R / 30`` is left out, 1e-5 of the mass.
+
+Its displacements are relative to the centre of mass. With the motion t (n,) of the whole along the
+axis and the mass ``m = t' M t``, forces F at the ports B act with the inertia that balances them,
+``B - M t t' B / m``, and so do not move the whole; a spring ``(M t) (M t)' w^2 / m`` on it, as one
+unknown that is eliminated, makes K definite and is neither moved nor seen. Any uniform force, such
+as weight, adds nothing.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
+from scipy import sparse
 from skfem import LinearForm
-from skfem.mesh import MeshQuad
+from skfem.mesh import MeshQuad, MeshQuad2
 
-from kc2spice.bodies.device import Device, Setup, Shape, constrained
+from kc2spice.bodies.device import Device, Setup, Shape, constrained, electromechanical
 from kc2spice.bodies.fields import Probe, principal
 from kc2spice.bodies.piezo_stack import layer_materials, stack_setup
-from kc2spice.bodies.stack_keys import Chip
+from kc2spice.bodies.stack_keys import PATCH, Chip
 from kc2spice.core.errors import SimulationError
-from kc2spice.fem.solid import Solid
-from kc2spice.rom.linear import Port
+from kc2spice.fem.keys import Damping
+from kc2spice.fem.materials import Material
+from kc2spice.fem.solid import Solid, assemble
+from kc2spice.rom.linear import LinearModel, Port, with_potentials
 
 CELLS = 3  # of the graded mesh between two hats
 GROWTH = 1.3  # from cell to cell away from the hats
@@ -46,6 +62,9 @@ DEGREE = 5  # of its polynomial in the contact's radius
 DEPTHS = 300  # that it is fitted to
 ITERATIONS = 60  # of the closed hats
 RIGID = 1e7  # stiffness of what keeps surfaces apart, of a hat's own
+OBLATE = 2.65  # 2 pi f R / c of the lowest mode, c of shear waves (Lamb 1882, nu = 0.25)
+ANGLE = 1 / 8  # rad, of a cell at most
+PIT = 1 / 60  # rad around the upper pole without cells
 
 
 @dataclass(frozen=True)
@@ -92,29 +111,36 @@ def hats(spacing: float, patch: float) -> PressureBasis:
 
 
 @dataclass(frozen=True)
-class Pressed:
-    """``shares`` (n,) of the hats in the patch, what they give more than it (n, n) [m/N], and what
-    it gives on the coarse mesh [m/N]."""
+class LocalCompliance:
+    """``compliance`` (n, n) [m/N]: what hats of pressure give more than the patch that they are in,
+    which itself gives ``patch`` [m/N]."""
 
-    shares: np.ndarray
     compliance: np.ndarray
     patch: float
 
+    @property
+    def shares(self) -> np.ndarray:
+        """(n,) of the hats in the patch, which move all of them alike."""
+        found = np.linalg.solve(self.compliance + self.patch, np.ones(len(self.compliance)))
+        return np.asarray(found / found.sum())
 
-def pressed(chip: Chip, shape: PressureBasis, cells: int = CELLS) -> Pressed:
-    """Shares and additional compliance [m/N] of the hats on the stack's top.
+
+def pressed(chip: Chip, shape: PressureBasis) -> LocalCompliance:
+    """What the hats give on the stack's top, and their patch on the coarse mesh.
 
     Raises
     ------
     SimulationError : the coarse mesh is softer than the graded one, which no good mesh is.
     """
-    S = dents(chip, shape, cells)
-    shares = np.linalg.solve(S, np.ones(len(S)))
-    shares /= shares.sum()
-    own = stack_setup(_round(chip), pressure=shape.pressure(shares))
-    coarse = float(_compliance(constrained(*own))[0, 0])
-    added = S - coarse
-    lowest = float(np.linalg.eigvalsh(added)[0])
+    S = dents(chip, shape)
+    # the round stack of the same layers and the same mesh under the hats
+    alike = ("height", "layers", "bottom_cap", "top_cap", "material", "mesh", "damping")
+    own = {name: getattr(chip, name) for name in alike} | {"diameter": 2 * min(chip.half)}
+    pressure = shape.pressure(LocalCompliance(S, 0.0).shares)
+    coarse = float(
+        _compliance(constrained(*stack_setup(Chip(**own), pressure=pressure)).model)[0, 0]
+    )
+    lowest = float(np.linalg.eigvalsh(S - coarse)[0])
     if lowest < 0:
         raise SimulationError(
             "the mesh of the stack is softer than a graded one under a patch of pressure",
@@ -123,30 +149,27 @@ def pressed(chip: Chip, shape: PressureBasis, cells: int = CELLS) -> Pressed:
             expected="above 0",
             hint="raise kick.mesh.sectors, or lower contact.spacing",
         )
-    return Pressed(shares, added, coarse)
+    return LocalCompliance(S - coarse, coarse)
 
 
 def dents(chip: Chip, shape: PressureBasis, cells: int = CELLS) -> np.ndarray:
     """(n, n) mean displacement [m] of each hat per force [N] on each, of a round stack as wide as
     the chip's smaller side, on a roller, electrodes at constant voltage."""
-    S = _compliance(_stack(chip, shape, cells))
-    return (S + S.T) / 2
+    return _compliance(_stack(chip, shape, cells).model)
 
 
-def _compliance(stack: Device) -> np.ndarray:
+def _compliance(model: LinearModel) -> np.ndarray:
     """(n, n) static displacements [m] of the mechanical ports, which come first, per force [N]."""
-    model = stack.model
     loads = model.B[:, [port.kind == "mechanical" for port in model.ports]]
-    return np.asarray(loads.T @ model.pencil.pencil_solver(0.0).solve(loads))
+    S = loads.T @ model.pencil.pencil_solver(0.0).solve(loads)
+    return np.asarray((S + S.T) / 2)
 
 
-def stressed(
-    chip: Chip, shape: PressureBasis, force: np.ndarray, cells: int = CELLS
-) -> dict[str, float]:
+def stressed(chip: Chip, shape: PressureBasis, force: np.ndarray) -> dict[str, float]:
     """What ``force`` (n,) [N] on the hats does inside, on the graded mesh, at Gauss points: the
     largest ``pressure_pa``, and the largest ``shear_pa``, half the difference of principal
     stresses, with its ``shear_depth_m`` below the top."""
-    stack = _stack(chip, shape, cells)
+    stack = _stack(chip, shape, CELLS)
     probe, model = Probe(stack, gauss=True), stack.model
     z = model.pencil.pencil_solver(0.0).solve(-model.B[:, : len(force)] @ force)
     T, _ = probe.stress(*probe.nodal(z[:, None], np.zeros((1, 1))))
@@ -160,63 +183,64 @@ def stressed(
 
 
 def _stack(chip: Chip, shape: PressureBasis, cells: int) -> Device:
-    """The round stack on a roller, with a port for every hat."""
-    heights, planes, solid = _graded(chip, shape, cells)
-    r, z = solid.places
-    near = 1e-9 * heights[-1]
-
-    def level(at: np.ndarray) -> np.ndarray:
-        return np.flatnonzero((np.abs(z[:, None] - at) < near).any(axis=1))
-
-    top = solid.mesh.facets_satisfying(lambda x: np.abs(x[1] - heights[-1]) < near)
-    loads = np.zeros((2 * z.size, len(shape.nodes) - 1))
-    loads[1::2] = hat_loads(solid, shape, top)
-    setup = Setup(
-        np.column_stack([r < near, z < near]).ravel(),
-        {"anode": level(planes[1::2]), "cathode": level(planes[::2])},
-        "cathode",
-        shapes=[Shape(Port(f"hat{k}", "mechanical"), load) for k, load in enumerate(loads.T)],
-    )
-    return constrained(solid, setup)
-
-
-def hat_loads(solid: Solid, shape: PressureBasis, facets: np.ndarray) -> np.ndarray:
-    """(nodes, hats) unit axial forces, spread as the hats are over what the facets project."""
-    basis, hats = solid.face(facets, 5), np.eye(len(shape.nodes))[:-1]
-
-    def load(hat: np.ndarray) -> LinearForm:
-        profile = partial(np.interp, xp=shape.nodes, fp=hat, right=0.0)
-        return LinearForm(lambda v, w: profile(w.x[0]) * w.x[0] * np.abs(w.n[1]) * v)
-
-    loads = np.column_stack([load(hat).assemble(basis) for hat in hats])
-    return loads / loads.sum(axis=0)
-
-
-def _graded(chip: Chip, shape: PressureBasis, cells: int) -> tuple[np.ndarray, np.ndarray, Solid]:
-    """Heights [m] of the layers' faces, those with electrodes, and quadrilaterals that grow away
-    from the hats, with a line at every height."""
-    below, above = (cap.thickness if cap else 0.0 for cap in (chip.bottom_cap, chip.top_cap))
-    caps = (int(below > 0), int(above > 0))
-    thickness = np.r_[
-        [below] * caps[0], [chip.height / chip.layers] * chip.layers, [above] * caps[1]
-    ]
-    heights, radius = np.r_[0.0, np.cumsum(thickness)], min(chip.half)
-    planes = heights[caps[0] :][: chip.layers + 1]
-    ends = zip(shape.nodes[:-1], shape.nodes[1:], strict=True)
-    inner = np.concatenate(
-        [*(np.linspace(a, b, cells + 1)[:-1] for a, b in ends), shape.nodes[-1:]]
-    )
-    r = np.concatenate([inner, _growing(inner[-1], radius, inner[-1] - inner[-2])[1:]])
+    """The round stack on a roller, with a port for every hat, on quadrilaterals that grow away from
+    the hats, with a line at every face of a layer."""
+    ends = [cap.thickness if cap else 0.0 for cap in (chip.bottom_cap, chip.top_cap)]
+    caps = [int(end > 0) for end in ends]
+    layers = [chip.height / chip.layers] * chip.layers
+    heights = np.r_[0.0, np.cumsum([*ends[:1] * caps[0], *layers, *ends[1:] * caps[1]])]
+    planes, near = heights[caps[0] :][: chip.layers + 1], 1e-9 * heights[-1]
+    inner = _divided(shape.nodes, cells)
+    outer = _growing(inner[-1], min(chip.half), inner[-1] - inner[-2])
     lines, step = [heights[-1:]], shape.nodes[1] / cells
     for low, high in zip(heights[-2::-1], heights[:0:-1], strict=True):
         down = _growing(0.0, high - low, step)
         lines.append(np.r_[high - down[1:-1], low])
         step = down[-1] - down[-2]
-    mesh = MeshQuad.init_tensor(r, np.concatenate(lines)[::-1])
-    middle = mesh.p[1][mesh.t].mean(axis=0)
+    mesh = MeshQuad.init_tensor(np.r_[inner, outer[1:]], np.concatenate(lines)[::-1])
     materials, owner = layer_materials(chip, np.pad(np.ones(chip.layers, int), caps))
-    layer = np.searchsorted(heights, middle) - 1
-    return heights, planes, Solid(mesh, materials, owner[layer], axisymmetric=True)
+    layer = np.searchsorted(heights, mesh.p[1][mesh.t].mean(axis=0)) - 1
+    solid = Solid(mesh, materials, owner[layer], axisymmetric=True)
+    r, z = solid.places
+
+    def level(at: np.ndarray) -> np.ndarray:
+        return np.flatnonzero((np.abs(z[:, None] - at) < near).any(axis=1))
+
+    top = mesh.facets_satisfying(lambda x: np.abs(x[1] - heights[-1]) < near)
+    ports = _hat_ports(shape)
+    setup = Setup(
+        np.column_stack([r < near, z < near]).ravel(),
+        {"anode": level(planes[1::2]), "cathode": level(planes[::2])},
+        "cathode",
+        shapes=[*map(Shape, ports, _hat_loads(solid, shape, top).T)],
+    )
+    return constrained(solid, setup)
+
+
+def _hat_ports(shape: PressureBasis) -> list[Port]:
+    return [Port(f"hat{k}", "mechanical") for k in range(len(shape.nodes) - 1)]
+
+
+def _hat_loads(solid: Solid, shape: PressureBasis, facets: np.ndarray) -> np.ndarray:
+    """(2 nodes, hats) unit axial forces, spread as the hats are over what the facets project."""
+    basis, found = (
+        solid.face(facets, 5),
+        np.zeros((2 * solid.places.shape[1], len(shape.nodes) - 1)),
+    )
+
+    def load(hat: np.ndarray) -> LinearForm:
+        profile = partial(np.interp, xp=shape.nodes, fp=hat, right=0.0)
+        return LinearForm(lambda v, w: profile(w.x[0]) * w.x[0] * np.abs(w.n[1]) * v)
+
+    for column, hat in zip(found.T, np.eye(len(shape.nodes)), strict=False):
+        column[1::2] = load(hat).assemble(basis)
+    return found / found.sum(axis=0)
+
+
+def _divided(points: np.ndarray, count: int) -> np.ndarray:
+    """Every interval in ``count`` equal ones."""
+    parts = np.arange(count * (len(points) - 1) + 1) / count
+    return np.interp(parts, np.arange(len(points)), points)
 
 
 def _growing(start: float, end: float, step: float) -> np.ndarray:
@@ -225,15 +249,6 @@ def _growing(start: float, end: float, step: float) -> np.ndarray:
     while points[-1] + 1.5 * (step := GROWTH * step) < end:
         points.append(points[-1] + step)
     return np.array([*points, end])
-
-
-def _round(chip: Chip) -> Chip:
-    """The round stack of the same layers and the same mesh under the hats."""
-    given = {
-        name: getattr(chip, name)
-        for name in ("height", "layers", "bottom_cap", "top_cap", "material", "mesh", "damping")
-    }
-    return Chip(**given, diameter=2 * min(chip.half))
 
 
 @dataclass(frozen=True)
@@ -314,3 +329,93 @@ def contact_forces(
         expected="a set that repeats",
         hint="the sphere may move too far in one step: make the step smaller",
     )
+
+
+@dataclass(frozen=True)
+class Sphere:
+    """``radius`` [m] and what it is made of; isotropic about the axis."""
+
+    radius: float
+    material: Material
+    damping: Damping
+
+    @property
+    def oblate(self) -> float:
+        """Frequency [Hz] of its lowest mode, which makes it oblong, but for 1 % by the ratio nu."""
+        sound = np.sqrt(self.material.C[5, 5] / self.material.density)
+        return float(OBLATE * sound / (2 * np.pi * self.radius))
+
+    @property
+    def rayleigh(self) -> tuple[float, float]:
+        """``alpha`` [1/s] and ``beta`` [s] of ``E = alpha M + beta K``, by that frequency."""
+        return self.damping.rayleigh(self.oblate) if self.damping.zeta else (self.damping.alpha, 0)
+
+
+def sphere(body: Sphere, shares: np.ndarray, shape: PressureBasis, refine: int = 1) -> LinearModel:
+    """The sphere with the port ``patch``, upwards: ``shares`` (n,) of the hats; see the module.
+
+    ``refine`` divides every cell along each axis.
+    """
+    free, port = _free(body, shape, refine), Port(PATCH, "mechanical")
+    load = free.B @ shares[:, None]
+    model = replace(free, B=load, C=load.T, D=np.zeros((1, 1)), ports=(port,))
+    facts = {**free.facts, **electromechanical(model)}
+    return replace(model, E=None, rayleigh=body.rayleigh, facts=facts)
+
+
+def pressed_sphere(body: Sphere, shape: PressureBasis, refine: int = 1) -> LocalCompliance:
+    """What the hats give on the sphere, and their patch."""
+    S = compliance(body, shape, refine)
+    patch = float(1 / np.linalg.solve(S, np.ones(len(S))).sum())
+    return LocalCompliance(S - patch, patch)
+
+
+def compliance(body: Sphere, shape: PressureBasis, refine: int = 1) -> np.ndarray:
+    """(n, n) static displacement [m] of each hat per force [N] on each."""
+    return _compliance(_free(body, shape, refine))
+
+
+def _free(body: Sphere, shape: PressureBasis, refine: int) -> LinearModel:
+    """The undamped sphere with a port for every hat, on the mapped grid of the module."""
+    radius = body.radius
+    x = _onwards(np.arcsin(_divided(shape.nodes, CELLS) / radius))
+    y = _onwards(np.array([0.0, x[1]]))
+    mesh = MeshQuad2.from_mesh(MeshQuad.init_tensor(_divided(x, refine), _divided(y, refine)))
+    w = np.tan(mesh.doflocs[0] / 2) + 1j * np.tan(mesh.doflocs[1] / 2)
+    zeta = 2 * radius * w / (1 - 1j * w)
+    mesh = MeshQuad2(np.ascontiguousarray([zeta.real, zeta.imag]), mesh.t)
+    solid = Solid(mesh, (body.material,), np.zeros(mesh.nelements, int), axisymmetric=True)
+    r, h = mesh.p[:, mesh.facets]  # those on the sphere within the patch around the lower pole
+    under = np.abs(np.hypot(r, h - radius) - radius).max(axis=0) < 1e-9 * radius
+    under &= (r.max(axis=0) < (1 + 1e-9) * shape.nodes[-1]) & (h.max(axis=0) < radius)
+    free = np.ones((solid.places.shape[1], 2), dtype=bool)
+    free[solid.places[0] < 1e-6 * shape.nodes[1], 0] = False
+    kept = np.flatnonzero(free.ravel())
+    full = assemble(solid)
+    M, K = (sparse.csc_array(P[kept][:, kept]) for P in (full.M, full.K_uu))
+    along = (kept % 2).astype(float)
+    momentum = M @ along
+    mass = float(along @ momentum)
+    slow = np.linalg.eigvalsh(body.material.C)[0] / body.material.density / radius**2
+    loads = _hat_loads(solid, shape, np.flatnonzero(under))[kept]
+    return with_potentials(
+        M=M,
+        K_uu=K,
+        K_up=sparse.csc_array(momentum[:, None]),
+        K_pp=sparse.csc_array([[mass / slow]]),
+        k_uV=np.zeros((len(kept), 0)),
+        c_VV=np.zeros((0, 0)),
+        B=loads - momentum[:, None] / mass,
+        ports=_hat_ports(shape),
+        facts={"unknowns": float(len(kept)), "mass_kg": mass},
+    )
+
+
+def _onwards(angles: np.ndarray) -> np.ndarray:
+    """``angles`` [rad] and further ones, whose steps grow and shrink again towards pi."""
+    found = list(angles)
+    while found[-1] + 2 * (step := min(GROWTH * (found[-1] - found[-2]), ANGLE)) < np.pi:
+        found.append(found[-1] + step)
+    while np.pi - found[-1] > 2 * PIT:
+        found.append((found[-1] + np.pi) / 2)
+    return np.array(found)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from typing import TYPE_CHECKING, Any
 
@@ -15,7 +15,7 @@ from kc2spice.scene.model import GROUND, Part, Scene
 from kc2spice.scene.parttype import PartType, begins, mover
 
 if TYPE_CHECKING:
-    from kc2spice.bodies.pressure import Indented, PressureBasis
+    from kc2spice.bodies.pressure import Indented, LocalCompliance, PressureBasis
     from kc2spice.core.waveforms import Waveforms
 
 FLOOR = "floor"  # port of a rigid plane
@@ -26,23 +26,14 @@ _SPARE = 1.25  # of a dent: a body is neither a half-space nor pressed on more t
 
 
 @dataclass(frozen=True)
-class LocalCompliance:
-    """``compliance`` (n, n) [m/N]: what hats of pressure give more than the patch that they are in,
-    which itself gives ``patch`` [m/N]; they follow the pressure within ``pace`` [s]."""
-
-    compliance: np.ndarray
-    patch: float
-    pace: float
-
-
-@dataclass(frozen=True)
 class Surface:
     """What a part offers to a contact: its pins there and their distance from the axis [m].
 
     ``ports`` give the position in um and take the force, but for a rigid part, where it acts on the
     ``velocity`` pin. ``radius`` [m] is that of a sphere, None for a plane.
     ``sectors`` is the number of symmetry sectors that a stiffness per sector stands for. A port
-    that is a patch of pressure has its radius ``patch`` [m], and its ``dents`` under hats of it.
+    that is a patch of pressure has its radius ``patch`` [m], and its ``dents`` under hats of it,
+    which follow within ``pace`` [s].
     ``elastic`` is the part whose port ``patch`` a rigid surface carries. ``modulus`` [Pa] is that
     of indentation of the half-space that a contact presses on, where it is one.
     """
@@ -55,6 +46,7 @@ class Surface:
     sectors: int = 1
     patch: float = 0.0
     dents: Callable[[PressureBasis], LocalCompliance] | None = None
+    pace: float = 0.0
     elastic: str = ""
     modulus: float | None = None
 
@@ -224,10 +216,11 @@ class Pair:
         keys, along = self.keys, (self.keys.damping, self.keys.friction, self.keys.creep)
         if keys.shape == "pressure":
             assert self.b.radius is not None
-            found, dents = _dented(self.shape, self.dents.compliance, self.b.radius), self.dents
+            dents, pace = self.dents
+            found = _dented(self.shape, dents.compliance, self.b.radius)
             first, *_ = found.coefficients
             curve = tuple(c / first for c in found.coefficients)
-            stiffness, of = first / found.depth**1.5, (found.depth, dents.pace, self.b.radius)
+            stiffness, of = first / found.depth**1.5, (found.depth, pace, self.b.radius)
             return Normal(stiffness, 1.5, *along, curve, *of)
         value, power = self.a.sectors * float(keys.penalty), 1.0
         if keys.law == "hertz":
@@ -273,24 +266,24 @@ class Pair:
         return hats(self.keys.spacing, self.a.patch)
 
     @cached_property
-    def dents(self) -> LocalCompliance:
-        """Of both sides together under these hats."""
+    def dents(self) -> tuple[LocalCompliance, float]:
+        """Of both sides together under these hats, and the time [s] in which they follow."""
         return self._dents(self.shape)
 
-    def _dents(self, shape: PressureBasis) -> LocalCompliance:
+    def _dents(self, shape: PressureBasis) -> tuple[LocalCompliance, float]:
         """Both sides follow the pressure within the mean of their times."""
         assert self.a.dents is not None
         found = self.a.dents(shape)
         if not self.b.elastic:
-            return found
+            return found, self.a.pace
         surface = surface_of(self.scene.parts[self.b.elastic], self.scene, (PATCH,))
         assert surface is not None
         assert surface.dents is not None
         other = surface.dents(shape)
         whole = found.compliance + other.compliance
         share = float(np.trace(other.compliance) / np.trace(whole))
-        pace = (1 - share) * found.pace + share * other.pace
-        return LocalCompliance(whole, found.patch + other.patch, pace)
+        pace = (1 - share) * self.a.pace + share * surface.pace
+        return replace(found, compliance=whole, patch=found.patch + other.patch), pace
 
     def hat_forces(self, force: float) -> np.ndarray:
         """(n,) [N] on each hat of pressure where they carry ``force`` together."""
@@ -300,7 +293,7 @@ class Pair:
         depths = np.linspace(0.0, self.normal.depth, 1000)
         depth = np.interp(force, self.normal.force(depths), depths)
         gap = ring_gaps(self.shape.distances, self.b.radius)
-        found = pressing(self.dents.compliance, gap, np.array([depth]))[0]
+        found = pressing(self.dents[0].compliance, gap, np.array([depth]))[0]
         return np.asarray(force / found.sum() * found)
 
     def unresolved(self) -> float:
@@ -317,7 +310,7 @@ class Pair:
         forces = []
         for wider in (1.0, 0.5):
             shape = hats(wider * self.keys.spacing, self.a.patch)
-            found = self._dents(shape)
+            found, _ = self._dents(shape)
             law = _dented(shape, found.compliance + found.patch, self.b.radius)
             deepest = min(self.reach.depth or math.inf, law.depth)
             forces.append(law.force(np.linspace(0.5, 1.0, 50) * deepest))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from pydantic import Field
@@ -11,15 +12,14 @@ from kc2spice.core.cache import cached
 from kc2spice.core.errors import UsageError
 from kc2spice.fem.keys import Damping, Mesh
 from kc2spice.parts._linear_body import LinearBody, LinearKeys
-from kc2spice.parts._touching import PATCH, LocalCompliance, Pair, Surface
+from kc2spice.parts._touching import PATCH, Pair, Surface
 from kc2spice.parts.sphere import made_of
 from kc2spice.rom.linear import LinearModel, Port
 from kc2spice.scene.model import Part, Rom, Scene
 from kc2spice.scene.parttype import Neglected, register
 
 if TYPE_CHECKING:
-    from kc2spice.bodies.pressure import Pressed, PressureBasis
-    from kc2spice.bodies.sphere import Sphere
+    from kc2spice.bodies.pressure import LocalCompliance, PressureBasis, Sphere
 
 BAND = 2.0  # times the lowest mode's frequency: the sphere breathes below
 
@@ -69,11 +69,8 @@ elastic = true
         if ports != (PATCH,):
             return None
 
-        def dents(shape: PressureBasis) -> LocalCompliance:
-            found = self._pressed(part, scene, shape)
-            return LocalCompliance(found.compliance, found.patch, _body(part, scene).rayleigh[1])
-
-        return Surface(part.name, ports, (0.0,), dents=dents)
+        dents, pace = partial(self._dents, part, scene), _body(part, scene).rayleigh[1]
+        return Surface(part.name, ports, (0.0,), dents=dents, pace=pace)
 
     def full_key(self, part: Part, scene: Scene) -> Mapping[str, Any]:
         body, own = _body(part, scene), part.keys.model_dump(mode="json", include={"mesh"})
@@ -87,11 +84,11 @@ elastic = true
         }
 
     def full(self, part: Part, scene: Scene, clock: Any) -> LinearModel:
-        from kc2spice.bodies.sphere import sphere
+        from kc2spice.bodies.pressure import sphere
 
         shape = _hats(part, scene)
         with clock.stage("assemble", f"mesh and matrices of {part.name}"):
-            shares = self._pressed(part, scene, shape).shares
+            shares = self._dents(part, scene, shape).shares
             return sphere(_body(part, scene), shares, shape, part.keys.mesh.refine)
 
     def reduction(self, part: Part, scene: Scene) -> Rom:
@@ -119,23 +116,19 @@ elastic = true
             f"at most {deep:.1g} of the dent, by its depth over the radius",
         )
 
-    def _pressed(self, part: Part, scene: Scene, shape: PressureBasis) -> Pressed:
-        from kc2spice.bodies.pressure import Pressed
-        from kc2spice.bodies.sphere import pressed
+    def _dents(self, part: Part, scene: Scene, shape: PressureBasis) -> LocalCompliance:
+        from kc2spice.bodies.pressure import LocalCompliance, pressed_sphere
 
         key = {**self.full_key(part, scene), "hats": shape.nodes.tolist()}
+        made, kinds = (_body(part, scene), shape, part.keys.mesh.refine), (LocalCompliance,)
         found, _ = cached(
-            "pressed",
-            key,
-            lambda: pressed(_body(part, scene), shape, part.keys.mesh.refine),
-            classes=(Pressed,),
-            sources=self.sources(),
+            "pressed", key, lambda: pressed_sphere(*made), classes=kinds, sources=self.sources()
         )
         return found
 
 
 def _body(part: Part, scene: Scene) -> Sphere:
-    from kc2spice.bodies.sphere import Sphere
+    from kc2spice.bodies.pressure import Sphere
 
     owner = scene.parts[part.keys.of]
     return Sphere(owner.keys.radius, made_of(owner), part.keys.damping)

@@ -20,7 +20,7 @@ from kc2spice.core.waveforms import Waveform, Waveforms, pulse, running
 from kc2spice.fem.materials import Material, material
 from kc2spice.parts._linear_body import SOURCES, aim, wanted
 from kc2spice.parts._meshed import FieldKeys, MeshedBody
-from kc2spice.parts._touching import LocalCompliance, Pair, Penetration, Surface
+from kc2spice.parts._touching import Pair, Penetration, Surface
 from kc2spice.parts.netlist import driver
 from kc2spice.rom.linear import Port
 from kc2spice.scene.model import Part, Rom, Scene
@@ -36,7 +36,7 @@ from kc2spice.spice.realize import STRIKING, Watch
 # What builds is imported where it builds: most runs find their models in the cache.
 if TYPE_CHECKING:
     from kc2spice.bodies.device import Device
-    from kc2spice.bodies.pressure import Pressed, PressureBasis
+    from kc2spice.bodies.pressure import LocalCompliance, PressureBasis
 
 USUAL = 250e3  # Hz, where the paper's chip is damped by 1 %
 # Damping ratio there below which modes ring on through a kick, so that the errors of steps add up:
@@ -218,6 +218,7 @@ class PiezoStack(MeshedBody):
             sectors=SECTORS,
             patch=float(shape.nodes[-1]),
             dents=partial(_dents, part),
+            pace=part.keys.damping.beta,
             modulus=modulus,
         )
 
@@ -289,7 +290,7 @@ class PiezoStack(MeshedBody):
         from kc2spice.bodies.piezo_stack import stack_device
 
         chip, shape = chip_of(part.keys), pressure_hats(part, scene)
-        pressure = None if shape is None else shape.pressure(_pressed(chip, shape).shares)
+        pressure = None if shape is None else shape.pressure(_dents(part, shape).shares)
         return stack_device(chip, part.keys.rated_field, pressure)
 
     def metrics(self, part: Part, build: Build, waves: Waveforms) -> Mapping[str, Any]:
@@ -474,27 +475,13 @@ def top_material(keys: Chip) -> Material:
 
 
 def _dents(part: Part, shape: PressureBasis) -> LocalCompliance:
-    found = _pressed(chip_of(part.keys), shape)
-    return LocalCompliance(found.compliance, found.patch, part.keys.damping.beta)
+    from kc2spice.bodies.pressure import LocalCompliance, pressed
 
-
-def _pressed(chip: Chip, shape: PressureBasis) -> Pressed:
-    from kc2spice.bodies.pressure import Pressed, pressed
-
-    found, _ = cached(
-        "pressed",
-        _hatted(chip, shape),
-        lambda: pressed(chip, shape),
-        classes=(Pressed,),
-        sources=SOURCES,
-    )
-    return found
-
-
-def _hatted(chip: Chip, shape: PressureBasis) -> dict[str, Any]:
-    """What the statics of a chip under hats depend on."""
+    chip, kinds = chip_of(part.keys), (LocalCompliance,)
     own = chip.model_dump(mode="json", exclude={"damping"})
-    return {"chip": own, "hats": shape.nodes.tolist()}
+    key = {"chip": own, "hats": shape.nodes.tolist()}
+    found, _ = cached("pressed", key, lambda: pressed(chip, shape), classes=kinds, sources=SOURCES)
+    return found
 
 
 register(PiezoStack())

@@ -12,8 +12,7 @@ import pytest
 from scipy.optimize import brentq
 from scipy.special import j0, spherical_jn
 
-from kc2spice.bodies.pressure import PressureBasis, dented, hats
-from kc2spice.bodies.sphere import Sphere, compliance, sphere
+from kc2spice.bodies.pressure import PressureBasis, Sphere, compliance, dented, hats, sphere
 from kc2spice.fem.keys import Damping
 from kc2spice.fem.materials import material
 from kc2spice.rom.modal import resonators
