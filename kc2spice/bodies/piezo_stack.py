@@ -13,7 +13,7 @@ appendix A.2.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from scipy import sparse
@@ -29,45 +29,72 @@ from kc2spice.rom.linear import Port
 GROWTH = 0.25  # of a level's thickness with its depth
 # Fill of sparse factors of a solid grows as n^(4/3); 152 000 unknowns took 5.8 GB.
 SPARSE_BYTES = 700.0
+UPWARDS = np.array([0.0, 0.0, 1.0])
+_NEAR = 1e-9  # of the stack's size
+_FINE = 8  # of a quadrature that meets the corners of a pressure anywhere in a cell
+
+Profile = tuple[np.ndarray, np.ndarray]
 
 
-@dataclass(frozen=True)
-class KickMesh:
-    """Quarter chip ``0 <= x, y``, ``0 <= z``, its bottom cap included.
+def stack_device(
+    kick: Chip, breakdown: float | None = None, pressure: Profile | None = None
+) -> Device:
+    """The stack with ring ports ring0, ring1, ... and the anode, voltage driven, and its facts.
 
-    Attributes
-    ----------
-    mesh : hexahedra, trilinear, or triquadratic and isoparametric; those at the axis have one edge
-        collapsed.
-    numbers : of the nodes of each hexahedron, plane by plane, in each the centre first, then ring
-        by ring from the x to the y axis.
-    level : (cells,) of each hexahedron, from the bottom up.
-    faces : (levels + 1,) heights [m] between them.
-    spans : piezoelectric layers in each level, from the bottom up; 0 in the caps.
-    """
+    Boundary conditions: u_x = 0 on x = 0 and u_y = 0 on y = 0. On the bottom face z = 0, by
+    ``kick.mounting``: u_z = 0 on a frictionless ``roller``, u = 0 where ``glued``, nothing where
+    ``free``, or springs against all three axes, each ``mounting`` N/m per m^2. A stack poled along
+    x moves antisymmetrically in x: u_y = u_z = 0 on x = 0 instead. Free potentials exist only where
+    a plane of nodes lies inside an active layer.
 
-    mesh: MeshHex1
-    numbers: np.ndarray
-    level: np.ndarray
-    faces: np.ndarray
-    spans: np.ndarray
-
-
-def kick_mesh(kick: Chip) -> KickMesh:
-    """Mesh the quarter chip as ``kick.mesh`` says (paper 2.2.2, Fig. 3b).
+    The unknowns are those of one quarter. A force on a whole ring is shared by the quarters, which
+    all answer with the displacement of one. ``breakdown`` [V/m] is the field that a layer stands.
+    ``pressure``, straight lines over radii [m] and nothing beyond them, is the one mechanical port
+    in place of the rings.
 
     Raises
     ------
-    UsageError : the factor of its stiffness would not fit into the memory that is free now.
+    UsageError : rings beyond the chip, odd sector count, impossible material, too many unknowns
+        for the memory.
+    """
+    solid, setup = stack_setup(kick, breakdown, pressure)
+    device = make_device(solid, setup)
+    facts = dict(device.model.facts)
+    facts.pop("depoling_voltage_v", None)  # its key rated_field says it
+    facts["unknowns"] += 1  # as the paper counts them: with one anode
+    for name in [name for name in facts if name.endswith("_m_per_v")]:
+        facts[name.replace("_m_per_v", "_m_per_100v")] = 100 * facts.pop(name)  # as data sheets do
+    return replace(device, model=replace(device.model, facts=facts, name="piezo_stack"))
+
+
+def stack_setup(
+    kick: Chip, breakdown: float | None = None, pressure: Profile | None = None
+) -> tuple[Solid, Setup]:
+    """Mesh and materials of the quarter ``0 <= x, y``, ``0 <= z``, its bottom cap included (paper
+    2.2.2, Fig. 3b), and what is done to it.
+
+    Nodes are numbered plane by plane, in each the centre first, then ring by ring from the x to
+    the y axis; elements from the bottom up.
     """
     _require_memory(kick)
     steps = kick.mesh.refine * kick.mesh.order
-    lattice = _in_plane(kick, steps)
     spans, heights = _levels(kick, steps)
-    mesh, numbers = _hexahedra(lattice, heights, kick.mesh.order)
-    cells = mesh.nelements // (len(heights) - 1) * kick.mesh.order
-    level = np.arange(mesh.nelements) // (cells * kick.mesh.refine)
-    return KickMesh(mesh, numbers, level, heights[::steps], spans)
+    mesh, numbers = _hexahedra(_in_plane(kick, steps), heights, kick.mesh.order)
+    materials, owner = layer_materials(kick, spans, breakdown)
+    level = np.arange(mesh.nelements) * len(spans) // mesh.nelements
+    with part_named("kick"):
+        solid = Solid(mesh, materials, owner[level], order=kick.mesh.order, numbers=numbers)
+    electrodes, graded = _electrodes(spans, heights[::steps], solid)
+    return solid, Setup(
+        _fixed(kick, solid),
+        electrodes,
+        "cathode",
+        shapes=_rings(kick, solid) if pressure is None else [_patch(solid, pressure)],
+        graded=graded,
+        springs=springs(solid, kick),
+        sectors=SECTORS,
+        damping=kick.damping,
+    )
 
 
 def _levels(kick: Chip, steps: int) -> tuple[np.ndarray, np.ndarray]:
@@ -170,67 +197,6 @@ def _growth(length: float, first: float, count: int) -> float:
     return float(brentq(lambda g: (g**powers).sum() - ratio, 1.0, ratio, xtol=1e-15))
 
 
-UPWARDS = np.array([0.0, 0.0, 1.0])
-_NEAR = 1e-9  # of the stack's size
-_FINE = 8  # of a quadrature that meets the corners of a pressure anywhere in a cell
-
-Profile = tuple[np.ndarray, np.ndarray]
-
-
-def stack_device(
-    kick: Chip, breakdown: float | None = None, pressure: Profile | None = None
-) -> Device:
-    """The stack with ring ports ring0, ring1, ... and the anode, voltage driven, and its facts.
-
-    Boundary conditions: u_x = 0 on x = 0 and u_y = 0 on y = 0. On the bottom face z = 0, by
-    ``kick.mounting``: u_z = 0 on a frictionless ``roller``, u = 0 where ``glued``, nothing where
-    ``free``, or springs against all three axes, each ``mounting`` N/m per m^2. A stack poled along
-    x moves antisymmetrically in x: u_y = u_z = 0 on x = 0 instead. Free potentials exist only where
-    a plane of nodes lies inside an active layer.
-
-    The unknowns are those of one quarter. A force on a whole ring is shared by the quarters, which
-    all answer with the displacement of one. ``breakdown`` [V/m] is the field that a layer stands.
-    ``pressure``, straight lines over radii [m] and nothing beyond them, is the one mechanical port
-    in place of the rings.
-
-    Raises
-    ------
-    UsageError : rings beyond the chip, odd sector count, impossible material, too many unknowns
-        for the memory.
-    """
-    solid, setup = stack_setup(kick, breakdown, pressure)
-    device = make_device(solid, setup)
-    facts = dict(device.model.facts)
-    facts.pop("depoling_voltage_v", None)  # its key rated_field says it
-    facts["unknowns"] += 1  # as the paper counts them: with one anode
-    for name in [name for name in facts if name.endswith("_m_per_v")]:
-        facts[name.replace("_m_per_v", "_m_per_100v")] = 100 * facts.pop(name)  # as data sheets do
-    return replace(device, model=replace(device.model, facts=facts, name="piezo_stack"))
-
-
-def stack_setup(
-    kick: Chip, breakdown: float | None = None, pressure: Profile | None = None
-) -> tuple[Solid, Setup]:
-    """Mesh and materials of the quarter, and what is done to it."""
-    mesh = kick_mesh(kick)
-    materials, owner = layer_materials(kick, mesh.spans, breakdown)
-    with part_named("kick"):
-        solid = Solid(
-            mesh.mesh, materials, owner[mesh.level], order=kick.mesh.order, numbers=mesh.numbers
-        )
-    electrodes, graded = _electrodes(mesh, solid)
-    return solid, Setup(
-        _fixed(kick, solid),
-        electrodes,
-        "cathode",
-        shapes=_rings(kick, solid) if pressure is None else [_patch(mesh, solid, pressure)],
-        graded=graded,
-        springs=springs(mesh, solid, kick),
-        sectors=SECTORS,
-        damping=kick.damping,
-    )
-
-
 def layer_materials(
     kick: Chip, spans: np.ndarray, breakdown: float | None = None
 ) -> tuple[tuple[Material, ...], np.ndarray]:
@@ -272,13 +238,16 @@ def _fixed(kick: Chip, solid: Solid) -> np.ndarray:
     return fixed.ravel()
 
 
-def _electrodes(mesh: KickMesh, solid: Solid) -> tuple[dict[str, np.ndarray], Profile | None]:
-    """Nodes on the electrodes, and the potentials of those between the ones within a level."""
-    active, z = np.flatnonzero(mesh.spans), solid.places[2]
-    planes = mesh.faces[np.r_[active, active[-1] + 1]]
+def _electrodes(
+    spans: np.ndarray, faces: np.ndarray, solid: Solid
+) -> tuple[dict[str, np.ndarray], Profile | None]:
+    """Nodes on the electrodes, and the potentials of those between the ones within a level, of so
+    many layers (none in a cap) between its ``faces`` [m]."""
+    active, z = np.flatnonzero(spans), solid.places[2]
+    planes = faces[np.r_[active, active[-1] + 1]]
     on = np.abs(z[:, None] - planes) < _NEAR * planes[-1]
     pins = {"anode": on[:, 1::2], "cathode": on[:, ::2]}
-    several = np.r_[False, mesh.spans[active] > 1, False][np.searchsorted(planes, z)]
+    several = np.r_[False, spans[active] > 1, False][np.searchsorted(planes, z)]
     within = np.flatnonzero(several & ~on.any(axis=1))
     part = np.interp(z[within], planes, np.arange(planes.size) % 2)
     return (
@@ -304,36 +273,35 @@ def _rings(kick: Chip, solid: Solid) -> list[Shape]:
     return shapes
 
 
-def _patch(mesh: KickMesh, solid: Solid, pressure: Profile) -> Shape:
+def _patch(solid: Solid, pressure: Profile) -> Shape:
     """A unit axial force on the top, spread as the pressure is."""
-    basis = solid.face(_facets(mesh, mesh.faces[-1]), _FINE)
 
     def load(v, w):  # type: ignore[no-untyped-def]
         return np.interp(np.hypot(w.x[0], w.x[1]), *pressure, right=0.0) * v
 
-    share = LinearForm(load).assemble(basis)
+    share = LinearForm(load).assemble(solid.face(_facets(solid, solid.places[2].max()), _FINE))
     return Shape(Port(PATCH, "mechanical"), spread(share / share.sum(), UPWARDS, solid))
 
 
-def springs(mesh: KickMesh, solid: Solid, kick: Chip) -> sparse.csc_array | None:
+def springs(solid: Solid, kick: Chip) -> sparse.csc_array | None:
     """Springs of one quarter under the bottom face and on the top face, None without any."""
+
+    def face(height: float) -> sparse.csc_array:
+        """``int N_i N_j dA`` over the face at a height."""
+        basis = solid.face(_facets(solid, height), solid.quadrature + 1)
+        local = sparse.csc_array(BilinearForm(lambda u, v, _: u * v).assemble(basis))
+        return (local + local.T) / 2
+
     found = []
     if isinstance(kick.mounting, float):
-        found.append(sparse.kron(_face(mesh, solid, 0.0), kick.mounting * np.eye(3)))
+        found.append(sparse.kron(face(0.0), kick.mounting * np.eye(3)))
     if kick.preload_spring is not None:
-        face = _face(mesh, solid, mesh.faces[-1])
-        share = kick.preload_spring / SECTORS / face.sum() * face
+        top = face(solid.places[2].max())
+        share = kick.preload_spring / SECTORS / top.sum() * top
         found.append(sparse.kron(share, np.diag(UPWARDS)))
     return sparse.csc_array(sum(found)) if found else None
 
 
-def _face(mesh: KickMesh, solid: Solid, height: float) -> sparse.csc_array:
-    """``int N_i N_j dA`` over the face at a height."""
-    basis = solid.face(_facets(mesh, height), solid.quadrature + 1)
-    local = sparse.csc_array(BilinearForm(lambda u, v, _: u * v).assemble(basis))
-    return (local + local.T) / 2
-
-
-def _facets(mesh: KickMesh, height: float) -> np.ndarray:
-    near = 1e-6 * mesh.faces[1]
-    return np.asarray(mesh.mesh.facets_satisfying(lambda x: np.abs(x[2] - height) < near))
+def _facets(solid: Solid, height: float) -> np.ndarray:
+    near = _NEAR * solid.places.max()
+    return np.asarray(solid.mesh.facets_satisfying(lambda x: np.abs(x[2] - height) < near))

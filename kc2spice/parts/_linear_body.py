@@ -7,7 +7,7 @@ import math
 import stat
 import warnings
 from abc import abstractmethod
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
@@ -39,14 +39,7 @@ from kc2spice.rom.structure import structure
 from kc2spice.rom.varying import Varying
 from kc2spice.scene.judge import Balance, Check
 from kc2spice.scene.model import GROUND, Part, Rom, Scene, Terminal
-from kc2spice.scene.parttype import (
-    Build,
-    Neglected,
-    Rest,
-    Vector,
-    current,
-    numerics,
-)
+from kc2spice.scene.parttype import Build, Neglected, Rest, Vector, current, numerics
 from kc2spice.scene.plausible import dimensions
 from kc2spice.spice.header import Header
 from kc2spice.spice.realize import COARSE, FOLLOWED, LEAK, UNRATED, Watch, reference, subcircuit
@@ -82,8 +75,7 @@ UNPRESSED = 1e-9  # of the largest force or energy, far above their rounding
 # Packages and modules that every full and reduced model depends on.
 SOURCES = (
     "kc2spice.linalg", "kc2spice.fem", "kc2spice.rom", "kc2spice.bodies",
-    "kc2spice.core.quantities", "kc2spice.core.quantities",
-    "kc2spice.core.gmsh_session", "kc2spice.core.foreign",
+    "kc2spice.core.quantities", "kc2spice.core.gmsh_session", "kc2spice.core.foreign",
 )  # fmt: skip
 
 
@@ -168,7 +160,26 @@ class LinearBody(Touching):
         return tuple(used) or every[:1]
 
     def pins(self, part: Part, scene: Scene) -> tuple[Terminal, ...]:
-        return tuple(_terminals(part, self.kept(part, scene), scene, self.rated(part)))
+        """In the order of the subcircuit."""
+        ports, rated = self.kept(part, scene), self.rated(part)
+        electrical = [p for p in ports if p.kind == "electrical"]
+        moved = [p for p in ports if p.kind in ANSWERS]
+        found: list[Terminal] = []
+        shared: set[str] = set()
+        for port in electrical:
+            plus, minus = port.terminals
+            found.append(Terminal(plus, port.across, port.flow, rated=rated))
+            if minus not in shared:
+                floating = minus in wanted(part, scene) - set(part.pins)
+                found.append(Terminal(minus, port.across, port.flow, None if floating else "gnd"))
+            shared.add(minus)
+        found += [Terminal(port.terminals[0], port.across, port.flow) for port in moved]
+        for port in ports:
+            if port.kind in ("input", "output"):
+                out = port.kind == "output"
+                found.append(Terminal(port.terminals[0], port.across, "-", signal_out=out))
+        ends = (reference(ports), "um", "N") if electrical or moved else ("ref", "V", "A")
+        return (*found, Terminal(*ends, "gnd"))
 
     def at_rest(self, part: Part, scene: Scene, model: Any | None = None) -> Rest:
         found = super().at_rest(part, scene).held
@@ -215,38 +226,39 @@ class LinearBody(Touching):
 
     # --- model and netlist ----------------------------------------------------------------------
 
-    def reduction(self, part: Part, scene: Scene) -> Rom:
-        """Reduction of this body: its own, else the scene's."""
-        own: Rom | None = getattr(part.keys, "rom", None)
-        if own is not None and _chosen(own):
+    def _chosen(self, part: Part, scene: Scene) -> Rom | None:
+        """The reduction that somebody chose: the body's own, which may as well say no more than
+        which keys are parameters of the netlist, else the scene's."""
+        own: Rom | None = part.keys.rom
+        if own is not None and own.model_fields_set != {"parameters"}:
             return own
-        found = scene.rom if "rom" in scene.frame.model_fields_set else self.usual(scene)
-        return found if own is None else found.model_copy(update={"parameters": own.parameters})
+        return scene.rom if "rom" in scene.frame.model_fields_set else None
 
-    def usual(self, scene: Scene) -> Rom:
-        """Where nothing is said: a tolerance over the band that the analysis sees.
+    def reduction(self, part: Part, scene: Scene) -> Rom:
+        """As chosen, else a tolerance over the band that the analysis sees.
 
         That is the range of ``ac`` and a fifth more. In a transient it is what the scene excites,
         see :meth:`PartType.numerics`, as far as the body's first :data:`MOTIONS` natural
         frequencies reach. A thousandth is a tenth of what meshes are off, and above what rounding
         does to a thin plate that is free to move (some 1e-4 at its resonances).
         """
-        if scene.analysis.small:
+        own, found = part.keys.rom, self._chosen(part, scene)
+        if found is None and scene.analysis.small:
             low, high = scene.analysis.start, float(scene.analysis.stop or 1.0)
-            return Rom(tolerance=1e-3, band=(0.8 * low, 1.2 * high))
-        rows = numerics(scene)
-        content = max((row.content for row in rows), default=0.0)
-        return Rom(tolerance=1e-4, band=(0.0, max(content, LEAST)))
+            found = Rom(tolerance=1e-3, band=(0.8 * low, 1.2 * high))
+        elif found is None:
+            content = max((row.content for row in numerics(scene)), default=0.0)
+            found = Rom(tolerance=1e-4, band=(0.0, max(content, LEAST)))
+        if own is None or found is own:
+            return found
+        return found.model_copy(update={"parameters": own.parameters})
 
     def sure(self, part: Part, scene: Scene) -> float | None:
         """What the band of a transient reaches at least [Hz], whatever natural frequencies the body
         has; None where somebody chose the band."""
-        own = getattr(part.keys, "rom", None)
-        chosen = own is not None and _chosen(own)
-        if chosen or "rom" in scene.frame.model_fields_set or scene.analysis.type != "transient":
+        if self._chosen(part, scene) is not None or scene.analysis.type != "transient":
             return None
-        rows = numerics(scene)
-        return max([LEAST, *(row.content for row in rows if math.isfinite(row.step))])
+        return max([LEAST, *(r.content for r in numerics(scene) if math.isfinite(r.step))])
 
     def model_key(self, part: Part, scene: Scene) -> Mapping[str, Any]:
         rom = self.reduction(part, scene)
@@ -279,17 +291,15 @@ class LinearBody(Touching):
         asked = {**asked, "box": [[each.key, each.low, each.high] for each in keys]}
 
         def build() -> Varying:
-            from kc2spice.rom.reduce import reach
             from kc2spice.rom.varying import over_box
 
             def full(values: Mapping[str, float]) -> LinearModel:
                 other = with_values(part, values)
                 return self.varied(other, scene, clock, middle).select(asked["ports"])
 
-            band, sure = target.band, asked.get("sure")
-            if sure is not None and band[1] > sure:
-                pencil = full({each.key: each.axis.middle for each in keys}).pencil
-                band = band[0], min(band[1], max(sure, reach(pencil, MOTIONS, band[1])))
+            band = _reaching(
+                target.band, asked, lambda: full({each.key: each.axis.middle for each in keys})
+            )
             text = f"model of {part.name} over {len(keys)} parameters"
             with clock.stage("reduce", text) as told:
                 return over_box(
@@ -309,35 +319,32 @@ class LinearBody(Touching):
         return known[1]
 
     def build(self, part: Part, scene: Scene, clock: Any, full: bool = False) -> LinearModel | None:
-        return self._full(part, scene, clock) if full else self._reduced(part, scene, clock)
-
-    def _reduced(self, part: Part, scene: Scene, clock: Any) -> LinearModel:
-        if keys := varied(part):
+        keys, names = varied(part), [port.name for port in self.kept(part, scene)]
+        if full and loss_tangent(part):  # which the matrices of a full model cannot have
+            return None
+        if full and keys:  # on the mesh that all values of the box share
+            middle = with_values(part, {each.key: each.axis.middle for each in keys})
+            return self.varied(part, scene, clock, middle).select(names)
+        if full:
+            return self.full(part, scene, clock).select(names)
+        if keys:
             return self.varying(part, scene, clock).at({each.key: each.value for each in keys})
         # Asked here, as parts of the key: what runs within ``build`` is hashed with its modules.
         target, asked = self.reduction(part, scene), self.model_key(part, scene)
-        sure, tangent = asked.get("sure"), loss_tangent(part)
+        tangent = loss_tangent(part)
 
         def build() -> LinearModel:
-            from kc2spice.rom.modal import without_inertia
-            from kc2spice.rom.reduce import default_norm, reach, reduce
+            from kc2spice.rom.modal import lossy, without_inertia
+            from kc2spice.rom.reduce import default_norm, reduce
 
             chosen = self.full(part, scene, clock).select(asked["ports"])
             with clock.stage("reduce", f"reduction of {part.name}"):
                 order = None if target.order is None else min(target.order, chosen.order)
-                band = target.band
-                if sure is not None and band[1] > sure:
-                    band = band[0], min(band[1], max(sure, reach(chosen.pencil, MOTIONS, band[1])))
+                band = _reaching(target.band, asked, lambda: chosen)
                 norm = target.norm or default_norm(chosen)
                 # what a contact, a switch or a table excites above the band
-                small = reduce(
-                    chosen,
-                    order=order,
-                    tolerance=target.tolerance,
-                    band=band,
-                    norm=norm,
-                    contact=True,
-                )
+                aims: dict[str, Any] = {"order": order, "tolerance": target.tolerance}
+                small = reduce(chosen, **aims, band=band, norm=norm, contact=True)
             modal = modal_form(small)  # whose later use needs no eigenvalues
             if modal is None and tangent:
                 raise UsageError(
@@ -351,18 +358,11 @@ class LinearBody(Touching):
             if asked["massless"]:
                 modal = without_inertia(modal, target.tolerance)
             if tangent:
-                from kc2spice.rom.modal import lossy
-
                 modal = lossy(modal, tangent)
             return replace(modal.linear(), name=small.name, facts=small.facts, band=small.band)
 
-        model, _ = cached(
-            "body",
-            asked,
-            build,
-            classes=(LinearModel, Certificate, Port),
-            sources=self.sources(),
-        )
+        kinds = (LinearModel, Certificate, Port)
+        model, _ = cached("body", asked, build, classes=kinds, sources=self.sources())
         return model
 
     def library(self, part: Part, scene: Scene) -> str:
@@ -374,22 +374,16 @@ class LinearBody(Touching):
         rating = f"{volts:.4g} V between {RATED}" if volts else UNRATED
         if not volts and any(port.kind == "electrical" for port in build.model(part).ports):
             rating += "; key rated_voltage states the largest voltage, a run then warns beyond it"
-        title = self.headline(part)
+        words: dict[str, Any] = {"title": self.headline(part), "rating": rating}
+        words["watch"] = self.watch(part, build.scene)
         if keys := varied(part):
             from kc2spice.spice.parametric import parametric_subcircuit
 
             found = self.varying(part, build.scene, Clock())
             known = {each.key: each.param for each in keys}
             params = [known[key] for key in found.box]
-            watch = self.watch(part, build.scene)
-            return (
-                parametric_subcircuit(
-                    found, name, params, header, title=title, rating=rating, watch=watch
-                ),
-            )
-        model, watch = build.model(part), self.watch(part, build.scene)
-        words: dict[str, Any] = {"title": title, "rating": rating, "watch": watch}
-        return (subcircuit(model, name, header, **words, noise=build.noisy),)
+            return (parametric_subcircuit(found, name, params, header, **words),)
+        return (subcircuit(build.model(part), name, header, **words, noise=build.noisy),)
 
     def vectors(self, part: Part, build: Build) -> Mapping[str, Vector]:
         found: dict[str, Vector] = {}
@@ -449,8 +443,16 @@ class LinearBody(Touching):
     def checks(self, part: Part, build: Build, waves: Waveforms) -> Iterator[Check | Balance]:
         model: LinearModel = build.model(part)
         found = model.certificate
-        if found is not None:
-            yield from _reduction_checks(part.name, model, found)
+        if (
+            found is not None
+        ):  # its certified error, and that the full model does not grow by itself
+            error = found.error_estimate
+            limit, action = (WRONG, "fail") if error > WRONG else (COARSE_ROM, "warn")
+            yield Check(f"reduction of {part.name}", error, limit, "", REDUCED, action)  # type: ignore[arg-type]
+            if found.stable is False:
+                lost = structure(model.pencil.dense(), found.band_hz).stable
+                advice, then = (LOST, "fail") if lost else (GROWS, "warn")
+                yield Check(f"stability of {part.name}", 1.0, 0.0, "", advice, then)  # type: ignore[arg-type]
         if found is not None and "frequency" in waves:
             highest = float(waves["frequency"].real.max())
             limit = (1 + 1e-9) * found.band_hz[1]  # a last point that is rounded
@@ -590,7 +592,9 @@ class LinearBody(Touching):
         if not model.pencil.is_dense:
             law = laws.PortBody(n, model, own)
         elif signals:
-            law = _signal_law(n, model)
+            A = first_order(model.pencil.dense(), 1.0)
+            rest, E = A.coefficients
+            law = laws.SignalBlock(n, E, -rest, A.B, A.C, A.D, model.inputs, model.outputs)
         elif (modal := modal_form(model)) is not None:
             M, E, K, B = modal.inertia, modal.damp, modal.omega**2, modal.gain
             law = laws.LinearBody(n, M, E, K, B, B.T, modal.D, own)
@@ -599,16 +603,15 @@ class LinearBody(Touching):
             law = laws.LinearBody(n, M, E, K, model.B, model.C, model.D, own)
         joins = [(port.terminals[0], f"{n}.{port.name}") for port in ports]
         joins += [(pin, f"{n}.{pin}") for port in ports for pin in port.terminals[1:]]
-        return laws.Equations((law,), tuple(joins), _readings(part, model))
-
-    def _full(self, part: Part, scene: Scene, clock: Any) -> LinearModel | None:
-        if loss_tangent(part):  # which the matrices of a full model cannot have
-            return None
-        names = [port.name for port in self.kept(part, scene)]
-        if keys := varied(part):  # on the mesh that all values of the box share
-            middle = with_values(part, {each.key: each.axis.middle for each in keys})
-            return self.varied(part, scene, clock, middle).select(names)
-        return self.full(part, scene, clock).select(names)
+        results: dict[str, laws.Reading] = {}  # under the names of vectors
+        for port in ports:
+            mine, name = f"{n}.{port.name}", wave_name(n, ports, port)
+            if port.kind == "electrical":
+                results[f"{name}.voltage"] = laws.difference(mine, f"{n}.{port.terminals[1]}")
+                results[f"{name}.current"] = laws.reading(f"{mine}.through")
+            else:
+                results[name] = laws.reading(mine)
+        return laws.Equations((law,), tuple(joins), results)
 
     def notes(self, part: Part, scene: Scene) -> Iterator[str | Neglected]:
         rom = self.reduction(part, scene)
@@ -635,11 +638,6 @@ class LinearBody(Touching):
         """Modules whose text the models of this type depend on, for the cache."""
         own = (kind.__module__ for kind in type(self).__mro__ if issubclass(kind, LinearBody))
         return (*SOURCES, *own)
-
-
-def _chosen(rom: Rom) -> bool:
-    """Whether it says more than which keys are parameters of the netlist."""
-    return rom.model_fields_set != {"parameters"}
 
 
 def loss_tangent(part: Part) -> float:
@@ -682,36 +680,16 @@ def _charge_kept(part: Part, build: Build) -> Iterator[Check]:
             yield Check(name, lost, KEPT, "of it lost", advice, "warn")
 
 
-def _reduction_checks(name: str, model: LinearModel, found: Certificate) -> Iterator[Check]:
-    """What every run with a reduced body is checked for: its certified error, and that the full
-    model does not grow by itself."""
-    error = found.error_estimate
-    limit, action = (WRONG, "fail") if error > WRONG else (COARSE_ROM, "warn")
-    yield Check(f"reduction of {name}", error, limit, "", REDUCED, action)  # type: ignore[arg-type]
-    if found.stable is False:
-        lost = structure(model.pencil.dense(), found.band_hz).stable
-        advice, then = (LOST, "fail") if lost else (GROWS, "warn")
-        yield Check(f"stability of {name}", 1.0, 0.0, "", advice, then)  # type: ignore[arg-type]
+def _reaching(
+    band: tuple[float, float], asked: Mapping[str, Any], full: Callable[[], LinearModel]
+) -> tuple[float, float]:
+    """The band up to the natural frequencies that the full model has in it, see ``sure``."""
+    from kc2spice.rom.reduce import reach
 
-
-def _readings(part: Part, model: LinearModel) -> dict[str, laws.Reading]:
-    """Results of a body with conservative ports, under the names of :meth:`LinearBody.vectors`."""
-    found: dict[str, laws.Reading] = {}
-    for port in model.ports:
-        own, name = f"{part.name}.{port.name}", wave_name(part.name, model.ports, port)
-        if port.kind == "electrical":
-            found[f"{name}.voltage"] = laws.difference(own, f"{part.name}.{port.terminals[1]}")
-            found[f"{name}.current"] = laws.reading(f"{own}.through")
-        else:
-            found[name] = laws.reading(own)
-    return found
-
-
-def _signal_law(name: str, model: LinearModel) -> laws.SignalBlock:
-    """Signals in, signals out, in first order."""
-    found = first_order(model.pencil.dense(), 1.0)
-    rest, E = found.coefficients
-    return laws.SignalBlock(name, E, -rest, found.B, found.C, found.D, model.inputs, model.outputs)
+    (low, high), sure = band, asked.get("sure")
+    if sure is not None and high > sure:
+        high = min(high, max(sure, reach(full().pencil, MOTIONS, high)))
+    return low, high
 
 
 def aim(rom: Rom) -> str:
@@ -822,32 +800,6 @@ def wave_name(name: str, ports: Sequence[Port], port: Port) -> str:
         return name if port == first else f"{name}.{port.name}"
     _, _, word = ANSWERS.get(port.kind, (1.0, "", ""))
     return ".".join(filter(None, (name, word, port.name)))
-
-
-def _terminals(
-    part: Part, ports: tuple[Port, ...], scene: Scene, rated: float | None
-) -> Iterator[Terminal]:
-    """Pins in the order of the subcircuit."""
-    electrical = [p for p in ports if p.kind == "electrical"]
-    moved = [p for p in ports if p.kind in ANSWERS]
-    signals = [p for p in ports if p.kind in ("input", "output")]
-    shared: set[str] = set()
-    for port in electrical:
-        plus, minus = port.terminals
-        yield Terminal(plus, port.across, port.flow, rated=rated)
-        if minus not in shared:
-            floating = minus in wanted(part, scene) - set(part.pins)
-            yield Terminal(minus, port.across, port.flow, None if floating else "gnd")
-        shared.add(minus)
-    for port in moved:
-        yield Terminal(port.terminals[0], port.across, port.flow)
-    for port in signals:
-        out = port.kind == "output"
-        yield Terminal(port.terminals[0], port.across, "-", signal_out=out)
-    if electrical or moved:
-        yield Terminal(reference(ports), "um", "N", "gnd")
-    if not electrical and not moved:
-        yield Terminal("ref", "V", "A", "gnd")
 
 
 def _electrical(part: Part, port: Port, prefix: str, build: Build) -> dict[str, Vector]:

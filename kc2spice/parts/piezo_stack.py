@@ -17,19 +17,14 @@ from kc2spice.core.errors import UsageError
 from kc2spice.core.figure import Shape
 from kc2spice.core.quantities import Count, Section, Time, Voltage, si
 from kc2spice.core.waveforms import Waveform, Waveforms, pulse, running
-from kc2spice.fem.materials import Material, material
+from kc2spice.fem.materials import material
 from kc2spice.parts._linear_body import SOURCES, aim, wanted
 from kc2spice.parts._meshed import FieldKeys, MeshedBody
 from kc2spice.parts._touching import Pair, Penetration, Surface
 from kc2spice.parts.netlist import driver
 from kc2spice.rom.linear import Port
 from kc2spice.scene.model import Part, Rom, Scene
-from kc2spice.scene.parttype import (
-    Build,
-    Neglected,
-    Numerics,
-    register,
-)
+from kc2spice.scene.parttype import Build, Neglected, Numerics, register
 from kc2spice.scene.plausible import within
 from kc2spice.spice.realize import STRIKING, Watch
 
@@ -62,17 +57,8 @@ HELD = {  # what key mounting says, in words
     "free": "nothing holds its bottom face",
 }
 PAPER_ORDER = 30
-GEOMETRY = (  # what makes it the paper's chip
-    "side",
-    "depth",
-    "diameter",
-    "height",
-    "layers",
-    "bottom_cap",
-    "top_cap",
-    "material",
-    "poling",
-)
+# Keys that leave it the paper's chip.
+FREE = {"mesh", "damping", "mounting", "preload_spring", "layer_thickness"}
 
 
 class Drive(Section):
@@ -161,7 +147,7 @@ class PiezoStack(MeshedBody):
         return {f"{part.name}_drive": source, name: {**table, "pins": pins}}
 
     def ports(self, part: Part, scene: Scene) -> tuple[Port, ...]:
-        names = [f"ring{k}" for k in range(rings(part))]
+        names = [f"ring{k}" for k in range(part.keys.mesh.rings + 1)]
         if pressure_hats(part, scene) is not None:
             names = [PATCH]
         own = (Port(name, "mechanical") for name in names)
@@ -230,7 +216,8 @@ class PiezoStack(MeshedBody):
         """
         if not scene.of("contact"):
             return
-        close = math.sqrt(min(1.0, max(_damped(part), UNDAMPED) / RINGING))
+        ratio = math.pi * USUAL * part.keys.damping.beta
+        close = math.sqrt(min(1.0, max(ratio, UNDAMPED) / RINGING))
         speed = _kick_speed(part, scene)
         if self.coarse(part, scene) and speed is not None:
             slow = LOW_KICK if _behind_driver(part, scene) else max(speed**8, LOW_KICK)
@@ -279,7 +266,10 @@ class PiezoStack(MeshedBody):
         if not asked.left_open:
             return asked
         plain = type(part.keys)()
-        if all(getattr(part.keys, key) == getattr(plain, key) for key in GEOMETRY):
+        if all(
+            getattr(part.keys, key) == getattr(plain, key)
+            for key in Chip.model_fields.keys() - FREE
+        ):
             return Rom(order=PAPER_ORDER, band=asked.band)
         if "band" in asked.model_fields_set:
             return asked
@@ -327,34 +317,35 @@ class PiezoStack(MeshedBody):
         return {f"{name}_{what}": value for what, value in found.items()}
 
     def indentation_modulus(self, part: Part) -> float:
-        return top_material(part.keys).indentation_modulus
+        keys, cap = part.keys, part.keys.top_cap
+        own = cap is None or cap.material is None
+        top = keys.ceramic if own else material(cap.material, "top_cap.material")
+        return float(top.indentation_modulus)
 
     def notes(self, part: Part, scene: Scene) -> Iterator[str | Neglected]:
         keys, rom = part.keys, self.reduction(part, scene)
-        ports = f"{kept_rings(part, scene)} rings as ports"
-        if pressure_hats(part, scene) is not None:
-            ports = "a patch of pressure as port"
+        pressed = pressure_hats(part, scene) is not None
+        kept, last = kept_rings(part, scene), keys.mesh.rings
+        ports = "a patch of pressure as port" if pressed else f"{kept} rings as ports"
         detail = f"quarter chip, {keys.layers} layers, {mounted(keys)}, reduced to {aim(rom)}, "
         yield f"{detail}anode {keys.electrical}, {ports}"
         yield from self.unfollowed(part, scene)
         yield Neglected("electrodes, coating and glue", "thin and compliant", "not estimated")
-        if part.keys.mounting == "roller":
+        if keys.mounting == "roller":
             why = "its bottom face slides without friction on a plane"
             error = f"compare with {part.name}.mounting = 'glued'; the usual chip: stroke -16 %, "
             yield Neglected(f"what holds {part.name}", why, error + "first resonance +14 %")
         yield Neglected("hysteresis and depolarisation", "linear material law", "not estimated")
-        if part.keys.fields and pressure_hats(part, scene) is not None:
+        if keys.fields and pressed:
             why = "its own mesh is too coarse for it; pressure and shear are those of a graded one"
             yield Neglected(f"tension around the contact on {part.name}", why, "not estimated")
-        if (several := part.keys.mesh.layers_per_element) > 1:
+        if (several := keys.mesh.layers_per_element) > 1:
             why = f"{several} layers share one: mesh.layers_per_element"
-            error = f"{(several / part.keys.layers) ** 2:.2g} of the first resonances, at most; "
+            error = f"{(several / keys.layers) ** 2:.2g} of the first resonances, at most; "
             error += "stroke and capacitance are those of the layers"
             yield Neglected(f"layers of {part.name} within an element", why, error)
-        kept, every = kept_rings(part, scene), rings(part)
-        if kept < every and pressure_hats(part, scene) is None:
-            effect = f"{part.name}: ports at ring{kept}"
-            effect += f" to ring{every - 1}" if kept + 1 < every else ""
+        if kept <= last and not pressed:
+            effect = f"{part.name}: ports at ring{kept}" + f" to ring{last}" * (kept < last)
             yield Neglected(effect, "nothing of the scene needs them", "checked after the run")
 
 
@@ -383,11 +374,6 @@ def _behind_driver(part: Part, scene: Scene) -> bool:
     behind an amplifier of 5 A, which is 1.5e-3 off at the settings of 1 m/s."""
     joined = scene.joined(part.name, "anode")
     return any(scene.parts[name].type.name != "source" for name, _ in joined)
-
-
-def _damped(part: Part) -> float:
-    """Its damping ratio at the usual frequency."""
-    return float(math.pi * USUAL * part.keys.damping.beta)
 
 
 def mounted(keys: Chip) -> str:
@@ -435,17 +421,10 @@ def kept_rings(part: Part, scene: Scene) -> int:
     return 1 + max((_ring(part, name) for name in names if name.startswith("ring")), default=-1)
 
 
-def rings(part: Part) -> int:
-    """How many rings there are, the centre counted."""
-    return int(part.keys.mesh.rings) + 1
-
-
 def _ring(part: Part, name: str) -> int:
-    match, count = re.fullmatch(r"ring(\d{1,3})", name), rings(part)
-    if match is None or int(match[1]) >= count:
-        raise part.wrong(
-            "", f"{part.name} has no such port", repr(name), f"ring0 to ring{count - 1}"
-        )
+    match, last = re.fullmatch(r"ring(\d{1,3})", name), part.keys.mesh.rings
+    if match is None or int(match[1]) > last:
+        raise part.wrong("", f"{part.name} has no such port", repr(name), f"ring0 to ring{last}")
     return int(match[1])
 
 
@@ -465,13 +444,6 @@ def free_stroke(keys: Chip, voltage: float) -> float:
     one that shears."""
     axis, strain = (2, 2) if keys.poling == "z" else (0, 4)
     return keys.layers * abs(keys.ceramic.d[axis, strain] * voltage)
-
-
-def top_material(keys: Chip) -> Material:
-    """What something on the top face presses on."""
-    if keys.top_cap is not None and keys.top_cap.material is not None:
-        return material(keys.top_cap.material, "top_cap.material")
-    return keys.ceramic
 
 
 def _dents(part: Part, shape: PressureBasis) -> LocalCompliance:
