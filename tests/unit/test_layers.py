@@ -2,7 +2,7 @@
 
 import ast
 from functools import cache
-from graphlib import CycleError, TopologicalSorter
+from graphlib import TopologicalSorter
 from pathlib import Path
 
 import pytest
@@ -35,68 +35,41 @@ MAY = {
 LAZY = ("gmsh", "PySpice", "matplotlib")
 
 
-def module_name(path, root=ROOT):
-    parts = path.relative_to(root.parent).with_suffix("").parts
-    return ".".join(parts).removesuffix(".__init__")
+MODULES = {
+    ".".join(path.relative_to(ROOT.parent).with_suffix("").parts).removesuffix(".__init__"): path
+    for path in sorted(ROOT.rglob("*.py"))
+}
 
 
-def modules(root=ROOT):
-    """Every module of the package below ``root`` by its dotted name."""
-    return {module_name(path, root): path for path in sorted(root.rglob("*.py"))}
-
-
-MODULES = modules()
-
-
-def package(dotted, known=MODULES):
+def package(dotted):
     """``a`` of ``kc2spice.a.b``; ``__init__`` of the public face and of names that it has."""
     parts = dotted.split(".")
-    return parts[1] if len(parts) > 1 and ".".join(parts[:2]) in known else "__init__"
+    return parts[1] if len(parts) > 1 and ".".join(parts[:2]) in MODULES else "__init__"
 
 
 @cache
 def walked(path):
+    """What stands at the top level of a module, and its imports and constants."""
     tree = ast.parse(path.read_text(encoding="utf-8"))
     kinds = ast.Import | ast.ImportFrom | ast.Constant
-    return tree, [node for node in ast.walk(tree) if isinstance(node, kinds)]
+    return set(tree.body), [node for node in ast.walk(tree) if isinstance(node, kinds)]
 
 
-@cache
-def statements(path):
-    """What stands at the top level of a module, by id, and its import statements."""
-    tree, nodes = walked(path)
-    found = [n for n in nodes if isinstance(n, ast.Import | ast.ImportFrom)]
-    return {id(node) for node in tree.body}, found
-
-
-def imports(path, known=MODULES):
+def imports(path):
     """Dotted names that a module imports, with whether the import is at its top level.
 
     A name taken from a package is the submodule where there is one, else the package.
     """
-    top, nodes = statements(path)
+    top, nodes = walked(path)
     for node in nodes:
         if isinstance(node, ast.Import):
             for alias in node.names:
-                yield alias.name, id(node) in top
+                yield alias.name, node in top
         elif isinstance(node, ast.ImportFrom):
             assert node.level == 0, f"{path}: relative import"
             for alias in node.names:
                 full = f"{node.module}.{alias.name}"
-                yield full if full in known else node.module, id(node) in top
-
-
-def circle(known):
-    """A circle of modules that import each other at their top level, if there is one."""
-    graph = {
-        name: {i for i, top in imports(path, known) if top and i in known and i != name}
-        for name, path in known.items()
-    }
-    try:
-        TopologicalSorter(graph).prepare()
-    except CycleError as found:
-        return found.args[1]
-    return None
+                yield full if full in MODULES else node.module, node in top
 
 
 def graph():
@@ -117,7 +90,10 @@ def test_packages_form_no_circle():
 
 
 def test_no_modules_import_each_other():
-    assert circle(MODULES) is None
+    TopologicalSorter({
+        name: {i for i, top in imports(path) if top and i in MODULES and i != name}
+        for name, path in MODULES.items()
+    }).prepare()  # fmt: skip
 
 
 @pytest.mark.parametrize("library", LAZY)
