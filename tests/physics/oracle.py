@@ -32,10 +32,13 @@ def system(matrices):
     return polynomial(matrices), matrices["B"], C, D
 
 
-def system_of(rom):
-    """The same of a reduced model."""
-    found = {k: getattr(rom, k) for k in ("AEB" if rom.first_order else "MEKB")}
-    return polynomial(found), rom.B, rom.C, rom.D
+def system_of(model):
+    """The same of a model of the product, full or reduced."""
+    given = {k: getattr(model, k) for k in ("AE" if model.first_order else "MEK")}
+    dense = {k: v.toarray() if hasattr(v, "toarray") else v for k, v in given.items()}
+    if model.rayleigh is not None:
+        dense["E"] = model.rayleigh[0] * dense["M"] + model.rayleigh[1] * dense["K"]
+    return polynomial(dense), model.B, model.C, model.D
 
 
 def poles(P):

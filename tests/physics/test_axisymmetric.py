@@ -3,6 +3,7 @@
 from functools import partial
 
 import numpy as np
+import oracle
 import pytest
 from scipy.linalg import eigh
 from scipy.optimize import brentq
@@ -18,27 +19,6 @@ approx = partial(pytest.approx, abs=0.0)  # its default of 1e-12 is a picofarad
 PZT = material("PZT-5A")
 STEEL = material("steel")
 UNDAMPED = Damping(ratio=0)
-
-
-def matrices(model):
-    """Dense K, E and M."""
-    K, M = model.K.toarray(), model.M.toarray()
-    if model.rayleigh is None:
-        return K, model.E.toarray(), M
-    alpha, beta = model.rayleigh
-    return K, alpha * M + beta * K, M
-
-
-def column(model, name):
-    return [port.name for port in model.ports].index(name)
-
-
-def admittance(model, frequency):
-    """Y of the anode by direct solution of the model's equations."""
-    K, E, M = matrices(model)
-    w, a = 2 * np.pi * frequency, column(model, "anode")
-    x = np.linalg.solve(K + 1j * w * E - w**2 * M, model.B[:, a])
-    return 1j * w * (model.D[a, a] + model.C[a] @ x)
 
 
 def static(K, load, rigid=0):
@@ -150,14 +130,15 @@ def test_a_thin_ceramic_disc_has_the_admittance_of_the_radial_theory():
     assert model.facts["resonance_short_hz"] == approx(pole, rel=5e-4)
     assert model.facts["resonance_open_hz"] == approx(zero, rel=5e-4)
     away = (np.abs(f - pole) > 5e3) & (np.abs(f - zero) > 5e3)
-    computed = np.array([admittance(model, x).imag for x in f[away]])
-    np.testing.assert_allclose(computed, theory[away], rtol=5e-3)
+    charge = oracle.direct(oracle.system_of(model.select(["anode"])), f[away])[:, 0, 0]
+    np.testing.assert_allclose(2 * np.pi * f[away] * charge.real, theory[away], rtol=5e-3)
 
 
 def test_smooth_modes_converge_with_the_fourth_power_of_the_cell():
     first = []
     for refine in (1, 2, 4):
-        K, _, M = matrices(ceramic(2e-3, 2e-3, refine, size=1e-3).model)
+        model = ceramic(2e-3, 2e-3, refine, size=1e-3).model
+        K, M = model.K.toarray(), model.M.toarray()
         values = eigh(K, M, eigvals_only=True, subset_by_index=[1, 3])
         first.append(np.sqrt(values))
     steps = np.abs(np.diff(first, axis=0))

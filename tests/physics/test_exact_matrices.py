@@ -4,8 +4,9 @@ that 16 digits of a solution keep few: against elimination with 19 digits."""
 import warnings
 
 import numpy as np
+import oracle
 import pytest
-from scipy.linalg import eigh, eigvals
+from scipy.linalg import eigh
 
 from kc2spice.rom.linear import LinearModel
 from kc2spice.rom.reduce import reduce
@@ -69,7 +70,7 @@ def test_a_gyroscopic_model_is_as_good_on_its_sharp_resonances_as_it_says(ratio)
     M, K, B = np.eye(n), 0.5 * (K + K.T), rng.standard_normal((n, 2))
     band = 0.0, w[n // 3] * 1.03 / (2 * np.pi)
     rom = reduce(LinearModel(M=M, E=E, K=K, B=B), tolerance=1.8e-7, band=band)
-    poles = eigvals(np.block([[np.zeros((n, n)), np.eye(n)], [-K, -E]])) / (2 * np.pi)
+    poles = oracle.poles((K, E, M)) / (2 * np.pi)
     poles = poles[(poles.imag > 0) & (poles.imag < band[1])]
     frequency = (poles.imag[:, None] + np.abs(poles.real[:, None]) * np.r_[-1, 0, 1]).ravel()
     exact = eliminated((M, E, K, B, B.T), frequency)
