@@ -5,6 +5,7 @@ from functools import partial
 import numpy as np
 import oracle
 import pytest
+from closed_forms import rod_resonance
 from scipy.linalg import eigh
 from scipy.optimize import brentq
 from scipy.special import i0, i1, j0, j1
@@ -149,24 +150,6 @@ def test_smooth_modes_converge_with_the_fourth_power_of_the_cell():
 # -- Langevin -------------------------------------------------------------------------------------
 
 
-def line_resonance(sections):
-    """First free-free longitudinal resonance of sections (area, modulus, density, length)."""
-
-    def end_force(frequency):
-        w, state = 2 * np.pi * frequency, np.array([1.0, 0.0])  # displacement, force
-        for area, modulus, density, length in sections:
-            k = w * np.sqrt(density / modulus)
-            z = area * modulus * k
-            c, s = np.cos(k * length), np.sin(k * length)
-            state = np.array([[c, s / z], [-z * s, c]]) @ state
-        return state[1]
-
-    f = np.linspace(1e3, 30e3, 400)
-    force = np.array([end_force(x) for x in f])
-    at = np.flatnonzero(np.diff(np.sign(force)))[0]
-    return brentq(end_force, f[at], f[at + 1])
-
-
 def test_a_slender_langevin_resonates_as_a_transmission_line():
     keys = {
         "front": [{"material": "aluminium", "diameter": "10 mm", "length": "80 mm"}],
@@ -190,7 +173,7 @@ def test_a_slender_langevin_resonates_as_a_transmission_line():
         (full, thread / full, weight / full, 10e-3),
         (full, 70.3e9, 2700, 70e-3),
     ]
-    assert model.facts["resonance_short_hz"] == approx(line_resonance(sections), rel=0.01)
+    assert model.facts["resonance_short_hz"] == approx(rod_resonance(sections, 30e3), rel=0.01)
     mass = full * 60e-3 * 7860 + mass * 20e-3 + weight * 10e-3 + full * 70e-3 * 2700
     assert model.facts["mass_kg"] == approx(mass, rel=1e-9)
     capacitance = 4 * pzt.eps_T[2, 2] * ring / 5e-3

@@ -2,9 +2,10 @@
 
 import numpy as np
 import pytest
+from closed_forms import MU_0, circles
 from scipy.integrate import quad, quad_vec, solve_ivp
 from scipy.linalg import eigh
-from scipy.special import ellipe, ellipk, j1, spherical_jn
+from scipy.special import j1, spherical_jn
 
 import kc2spice as kc
 from kc2spice.core.errors import UsageError
@@ -13,14 +14,7 @@ from kc2spice.parts.moving_conductor import declared
 from kc2spice.physics.law import DeclaredLaw
 from kc2spice.scene.load import load_scene
 
-MU_0 = 4e-7 * np.pi
 ALUMINIUM = 3.4e7
-
-
-def circles(a: float, b: float, apart: float) -> float:
-    """Maxwell's mutual inductance of two circles."""
-    m = 4 * a * b / ((a + b) ** 2 + apart**2)
-    return MU_0 * np.sqrt(a * b) * ((2 - m) * ellipk(m) - 2 * ellipe(m)) / np.sqrt(m)
 
 
 def seen(found, y: float, s: complex) -> np.ndarray:

@@ -4,15 +4,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from closed_forms import MU_0, circles
 from scipy.integrate import quad, solve_ivp
-from scipy.special import ellipe, ellipk, j1
+from scipy.special import j1
 
 import kc2spice as kc
 from kc2spice.core.errors import UsageError
 from kc2spice.fem.magnet_rings import Winding, carried
 from kc2spice.parts.moving_magnet import demagnetising
 
-MU_0 = 4e-7 * np.pi
 COIL = Winding(1.75e-3, 0.46e-3, 1.5e-3, 2.72e-3, 280.0)
 RADIUS, TALL, BR = 1.5e-3, 1.6e-3, 1.02
 SCENE = str(Path(__file__).parents[2] / "docs" / "published" / "magnet_over_coil.toml")
@@ -98,10 +98,6 @@ def test_a_magnet_over_a_loaded_coil_is_braked_as_by_its_law():
         "solver": {"reltol": 1e-6, "max_step": 1e-5, "stop": 20e-3},
     }  # fmt: skip
     waves = kc.run(scene).waves
-
-    def circles(a, b, apart):
-        m = 4 * a * b / ((a + b) ** 2 + apart**2)
-        return MU_0 * np.sqrt(a * b) * ((2 - m) * ellipk(m) - 2 * ellipe(m)) / np.sqrt(m)
 
     x, p = np.polynomial.legendre.leggauss(24)
     s = TALL / 2 * (1 + x)
