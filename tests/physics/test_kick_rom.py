@@ -1,41 +1,27 @@
 """Reduction of the kick actuator against the unreduced model and exact properties."""
 
-from functools import cache
-
 import numpy as np
 import pytest
 
-from kc2spice.bodies.device import Device
 from kc2spice.bodies.piezo_stack import stack_device
 from kc2spice.bodies.stack_keys import Chip
-from kc2spice.core.errors import UsageError
 from kc2spice.rom.reduce import reduce
 from kc2spice.rom.response import relative_error
 
 SMALL = {"sectors": 4, "rings": 2, "ring_spacing": 300e-6, "outer_rings": 2}
 
 
-@cache
-def small(**change) -> Device:
-    return stack_device(Chip(layers=3, mesh={**SMALL, **change}))
-
-
 BAND = (0.0, 500e3)
 
 
 @pytest.fixture(scope="module")
-def device():
-    return stack_device(Chip())
-
-
-@pytest.fixture(scope="module")
-def default(device):
-    return device.model
+def default():
+    return stack_device(Chip()).model
 
 
 @pytest.fixture(scope="module")
 def model():
-    return small(refine=2).model
+    return stack_device(Chip(layers=3, mesh={**SMALL, "refine": 2})).model
 
 
 @pytest.mark.parametrize("order", [1, 5, 9, 20, 40])
@@ -81,8 +67,3 @@ def test_few_states_reach_the_tolerance(default, tolerance, states):
     assert rom.order <= states
     assert error <= rom.certificate.error_estimate <= tolerance
     assert rom.certificate.passive
-
-
-def test_unreachable_tolerance_is_refused():
-    with pytest.raises(UsageError, match="certified"):
-        reduce(small().model, tolerance=1e-18, band=BAND)
