@@ -16,7 +16,7 @@ from kc2spice.core.progress import Clock
 from kc2spice.netlist.deck import Block
 from kc2spice.parts._box import with_values
 from kc2spice.rom.linear import LinearModel, Port
-from kc2spice.rom.parametric import Axis
+from kc2spice.rom.parametric import Axis, parametric
 from kc2spice.rom.varying import over_box
 from kc2spice.spice.parametric import parametric_subcircuit
 
@@ -222,6 +222,97 @@ def test_monte_carlo_of_ngspice_has_mean_and_spread_of_fresh_full_models(tmp_pat
     assert mean == pytest.approx(fresh.mean(), abs=4 * first / np.sqrt(300))
     assert fresh.std() == pytest.approx(first, rel=0.1)  # a sample of 30, in strata
     assert spread == pytest.approx(first, rel=0.13)  # three standard errors of 300 draws
+
+
+def thick(**values: float | str) -> kc.Scene:
+    """The buzzer without parameters, twice as thick."""
+    sizes = {"layers[0].thickness": 0.2e-3, "layers[1].thickness": 0.22e-3}
+    changed = {f"disc.{key}": value for key, value in (sizes | values).items()}
+    return kc.load_scene(_with({}), {**changed, "checks.plausible": "off"})
+
+
+def buzzer(values: dict) -> LinearModel:
+    """The disc with its electrical port, on the mesh of the scene above."""
+    scene = thick(**values)
+    part = scene.part("disc")
+    return part.type.varied(part, scene, Clock(), thick().part("disc")).select(["anode"])
+
+
+def two_masses(values):
+    """On springs that a weak one couples; their frequencies cross where k1 = 2 N/m."""
+    k1, k2, weak = values["k"], 2.0, 0.02
+    K = np.array([[k1 + weak, -weak], [-weak, k2 + weak]])
+    return LinearModel(M=np.eye(2), K=K, B=np.eye(2), rayleigh=(0.02, 0.0))
+
+
+def test_frequencies_may_cross_within_the_box():
+    made = parametric(two_masses, [Axis("k", 1.0, 4.0)], (0.01, 0.5), degree=9)
+    f = np.linspace(0.05, 0.5, 200)
+    for k in (1.1, 1.97, 2.0, 2.05, 3.7):
+        exact = two_masses({"k": k}).transfer(f)
+        assert made.transfer({"k": k}, f) == pytest.approx(exact, rel=1e-6, abs=1e-9)
+
+
+def test_sizes_and_losses_of_a_disc_within_the_stated_error():
+    """Full models are solved at every frequency; the box is ten per cent of sizes, ten times of a
+    loss, which is exact."""
+    start = {"layers[0].thickness": 0.2e-3, "layers[1].diameter": 14e-3, "damping.quality": 50.0}
+    axes = [Axis(key, value / 1.05, 1.05 * value) for key, value in start.items()][:2]
+    axes += [Axis("damping.quality", 10.0, 100.0)]
+    band = (1e3, 25e3)
+    made = parametric(buzzer, axes, band, degree=6)
+    assert [loss.axis.name for loss in made.losses] == ["damping.quality"]
+    assert made.error < 2e-3
+    f, draw = np.linspace(*band, 20), np.random.default_rng(5)
+    for _ in range(3):
+        values = {axis.name: axis.value(draw.uniform(-1, 1)) for axis in axes}
+        exact = buzzer(values).transfer(f)
+        assert np.max(np.abs(made.transfer(values, f) / exact - 1)) < max(2 * made.error, 1e-4)
+
+
+def test_a_moved_mesh_is_that_of_the_body_itself():
+    """Sizes that change nothing give the same matrices; others the same answer as their own mesh
+    within what meshes are worth."""
+    f = np.linspace(2e3, 25e3, 40)
+    own = kc.build(thick())["disc"].select(["anode"])
+    assert np.array_equal(buzzer({}).K.uu.toarray(), own.K.uu.toarray())
+    larger = {"layers[0].diameter": 21.5e-3}
+    exact = kc.build(thick(**larger))["disc"].select(["anode"]).transfer(f)
+    assert np.max(np.abs(buzzer(larger).transfer(f) / exact - 1)) < 2e-2
+
+
+def test_sizes_that_change_places_are_refused():
+    with pytest.raises(UsageError, match="change their order"):
+        buzzer({"layers[1].diameter": 22e-3})
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (lambda model, k: replace(model, C=2 * model.C), "no parametric model"),
+        (lambda model, k: model if k < 2 else kc.LinearModel(M=[[1.0]], K=[[k]], B=[[1.0, 0.0]]),
+         "changes its cells"),
+    ],
+)  # fmt: skip
+def test_models_without_a_common_form_are_refused(change, said):
+    def full(values):
+        return change(two_masses(values), values["k"])
+
+    with pytest.raises(UsageError, match=said):
+        parametric(full, [Axis("k", 1.0, 3.0)], (0.01, 0.5))
+
+
+@pytest.mark.parametrize("ends", [(1.0, 1.0), (-1.0, 1.0), (0.0, 1.0), (np.nan, 1.0)])
+def test_a_range_has_two_ends_of_one_sign(ends):
+    with pytest.raises(UsageError, match="not the range"):
+        Axis("k", *ends)
+
+
+def test_parameters_outside_of_the_box_are_refused():
+    made = parametric(two_masses, [Axis("k", 1.0, 4.0)], (0.01, 0.5), degree=3, checks=0)
+    for values in ({"k": 4.1}, {"k": -2.0}, {}):
+        with pytest.raises(UsageError, match="outside"):
+            made.at(values)
 
 
 @pytest.mark.slow
