@@ -111,12 +111,23 @@ BENIGN = {
 }
 
 
+@pytest.fixture
+def user(tmp_path):
+    """Writes files by their names and checks the first of them."""
+
+    def check(files, **more):
+        for name, text in files.items():
+            (tmp_path / name).parent.mkdir(exist_ok=True)
+            (tmp_path / name).write_bytes(text.encode())
+        return checked(tmp_path / next(iter(files)), **more)
+
+    return check
+
+
 @pytest.mark.parametrize("text", HOSTILE.values(), ids=HOSTILE)
-def test_hostile_circuits_are_refused(text, tmp_path):
-    path = tmp_path / "user.lib"
-    path.write_bytes((AMPLIFIER + text + "\n").encode())
+def test_hostile_circuits_are_refused(text, user):
     with pytest.raises(UsageError) as caught:
-        checked(path)
+        user({"user.lib": AMPLIFIER + text + "\n"})
     assert caught.value.exit_code == 2
     assert "user.lib" in str(caught.value)
 
@@ -136,51 +147,39 @@ def test_hostile_decks_are_not_verified(name, tmp_path):
 
 
 @pytest.mark.parametrize("text", BENIGN.values(), ids=BENIGN)
-def test_benign_circuits_pass(text, tmp_path):
-    path = tmp_path / "user.lib"
-    path.write_bytes(text.encode())
-    found = checked(path)
+def test_benign_circuits_pass(text, user):
+    found = user({"user.lib": text})
     assert found.file == "user.lib"
     assert "\r" not in found.text
-    (tmp_path / "again").mkdir()
-    (tmp_path / "again" / "user.lib").write_text(found.text)
-    checked(tmp_path / "again" / "user.lib")
+    user({"user.lib": found.text})
 
 
-def test_the_line_is_named(tmp_path):
-    path = tmp_path / "user.lib"
-    path.write_text(AMPLIFIER + "* one more\n.control\n.endc\n")
+def test_the_line_is_named(user):
     with pytest.raises(UsageError, match=r"user\.lib:7") as caught:
-        checked(path)
+        user({"user.lib": AMPLIFIER + "* one more\n.control\n.endc\n"})
     assert caught.value.got == ".control"
     assert "--trust" in str(caught.value.hint)
 
 
-def test_trust_takes_the_circuit_as_it_is(tmp_path):
-    path = tmp_path / "user.lib"
-    path.write_text(AMPLIFIER + ".control\n.endc\n")
-    assert ".control" in checked(path, trust=True).text
+def test_trust_takes_the_circuit_as_it_is(user):
+    found = user({"user.lib": AMPLIFIER + ".control\n.endc\n"}, trust=True)
+    assert ".control" in found.text
 
 
-def test_included_files_come_along_and_are_scanned(tmp_path):
-    (tmp_path / "models").mkdir()
-    (tmp_path / "models" / "amp.lib").write_text(AMPLIFIER)
-    main = tmp_path / "user.cir"
-    main.write_text(".include models/amp.lib\nX1 a b c amp\n")
+def test_included_files_come_along_and_are_scanned(user):
+    main = {"user.cir": ".include models/amp.lib\nX1 a b c amp\n"}
     text = f"* begin of models/amp.lib\n{AMPLIFIER}\n* end of models/amp.lib\nX1 a b c amp\n"
-    assert checked(main).text == text
-    (tmp_path / "models" / "amp.lib").write_text(AMPLIFIER + ".control\n")
+    assert user(main | {"models/amp.lib": AMPLIFIER}).text == text
     with pytest.raises(UsageError, match=r"amp\.lib:6"):
-        checked(main)
+        user(main | {"models/amp.lib": AMPLIFIER + ".control\n"})
 
 
-def test_paths_count_from_the_file_they_stand_in(tmp_path):
-    (tmp_path / "models").mkdir()
-    (tmp_path / "models" / "amp.lib").write_text(".include inner.lib\n" + AMPLIFIER)
-    (tmp_path / "models" / "inner.lib").write_text("* inner\n")
-    main = tmp_path / "user.cir"
-    main.write_text("* user\n.include models/amp.lib\nV1 a 0 1\nR2 c 0 1\nX1 a 0 c amp\n")
-    text = checked(main).text
+def test_paths_count_from_the_file_they_stand_in(user):
+    text = user({
+        "user.cir": "* user\n.include models/amp.lib\nV1 a 0 1\nR2 c 0 1\nX1 a 0 c amp\n",
+        "models/amp.lib": ".include inner.lib\n" + AMPLIFIER,
+        "models/inner.lib": "* inner\n",
+    }).text  # fmt: skip
     assert "\n* inner\n" in text
     lint(Deck(name="user", text=text))
 
@@ -195,16 +194,14 @@ def test_paths_count_from_the_file_they_stand_in(tmp_path):
         ".include ~/inner.lib",
     ],
 )  # fmt: skip
-def test_no_include_is_left_for_the_simulator(card, tmp_path):
-    (tmp_path / "inner.lib").write_text("Rinner a 0 1\n")
-    (tmp_path / "two words.lib").write_text("Rinner a 0 1\n")
-    main = tmp_path / "user.cir"
-    main.write_text(f"* user\n{card}\nR2 a 0 1\n")
+def test_no_include_is_left_for_the_simulator(card, user):
+    inner = dict.fromkeys(("inner.lib", "two words.lib"), "Rinner a 0 1\n")
+    files = {"user.cir": f"* user\n{card}\nR2 a 0 1\n", **inner}
     if any(word in card for word in ("..", "~", "other")):
         with pytest.raises(UsageError, match="includes"):
-            checked(main)
+            user(files)
         return
-    text = checked(main).text
+    text = user(files).text
     assert "\nRinner a 0 1\n" in text
     assert ".inc" not in text.lower()
 
@@ -225,27 +222,23 @@ def test_what_is_copied_beside_a_scene_is_read_before(tmp_path):
         included_netlist("user.cir", tmp_path)
 
 
-def test_a_card_that_goes_on_over_two_files_is_seen_whole(tmp_path):
-    (tmp_path / "inner.lib").write_text('+ file="/etc/passwd"\n')
-    main = tmp_path / "user.lib"
-    main.write_text("V1 a 0 PWL\n.include inner.lib\n")
-    with pytest.raises(UsageError, match="reads or writes a file"):
-        checked(main)
+MULTIPLIED = {f"{i}.lib": f".include {i + 1}.lib\n" * 2 for i in range(10)}
 
 
-def test_includes_in_a_circle_are_refused(tmp_path):
-    (tmp_path / "a.lib").write_text(".include b.lib\n")
-    (tmp_path / "b.lib").write_text(".include a.lib\n")
-    with pytest.raises(UsageError, match="circle"):
-        checked(tmp_path / "a.lib")
-
-
-def test_includes_that_multiply_are_refused(tmp_path):
-    for i in range(10):
-        (tmp_path / f"{i}.lib").write_text(f".include {i + 1}.lib\n" * 2)
-    (tmp_path / "10.lib").write_text("* end\n")
-    with pytest.raises(UsageError, match="too many files"):
-        checked(tmp_path / "0.lib")
+@pytest.mark.parametrize(
+    ("files", "said"),
+    [
+        ({"user.lib": "V1 a 0 PWL\n.include inner.lib\n", "inner.lib": '+ file="/etc/passwd"\n'},
+         "reads or writes a file"),  # a card that goes on over two files
+        ({"a.lib": ".include b.lib\n", "b.lib": ".include a.lib\n"}, "circle"),
+        (MULTIPLIED | {"10.lib": "* end\n"}, "too many files"),
+        ({"user.cir": ".include missing.lib\n"}, "cannot include this"),
+        ({"user.cir": ".include .\n"}, "cannot include this"),
+    ],
+)  # fmt: skip
+def test_what_cannot_be_included_is_refused(files, said, user):
+    with pytest.raises(UsageError, match=said):
+        user(files)
 
 
 @pytest.mark.parametrize(
@@ -274,13 +267,6 @@ def test_links_do_not_lead_out(tmp_path):
     (home / "user.cir").write_text(".include link.lib\n")
     with pytest.raises(UsageError, match="leads out"):
         checked(home / "user.cir")
-
-
-@pytest.mark.parametrize("name", ["missing.lib", "."])
-def test_unreadable_circuits_are_named(name, tmp_path):
-    (tmp_path / "user.cir").write_text(f".include {name}\n")
-    with pytest.raises(UsageError, match="cannot include this"):
-        checked(tmp_path / "user.cir")
 
 
 def test_pins_are_looked_up_beside_the_scene_alone(tmp_path):
