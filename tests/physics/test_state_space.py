@@ -1,6 +1,7 @@
 """State space of models of every form: the same transfer function, in coordinates of the energy."""
 
 import numpy as np
+import oracle
 import pytest
 from scipy.linalg import block_diag
 
@@ -42,13 +43,10 @@ MODELS = {
 def test_the_transfer_function_is_that_of_the_matrices(name):
     parts = MODELS[name]
     a, b, c, d = LinearModel(**parts, B=B, C=C, D=D).state_space()
-    for s in (0.3j, 1.0 + 2.0j, 40.0j):
-        if "A" in parts:
-            P = s * parts["E"] - parts["A"]
-        else:
-            P = s**2 * parts["M"] + s * parts["E"] + parts["K"]
-        found = c @ np.linalg.solve(s * np.eye(len(a)) - a, b) + d
-        np.testing.assert_allclose(found, C @ np.linalg.solve(P, B) + D, rtol=1e-8, atol=1e-9)
+    frequency = np.array([0.3j, 1.0 + 2.0j, 40.0j]) / (2j * np.pi)
+    exact = oracle.direct((oracle.polynomial(parts), B, C, D), frequency)
+    found = oracle.direct((oracle.polynomial({"A": a}), b, c, d), frequency)
+    np.testing.assert_allclose(found, exact, rtol=1e-8, atol=1e-9)
 
 
 def test_energy_shows_in_the_form():

@@ -5,12 +5,8 @@ import re
 import pytest
 
 from kc2spice.core.errors import UsageError
-from kc2spice.core.quantities import Resistance, Section
-from kc2spice.scene import parttype
 from kc2spice.scene.compose import drawing
 from kc2spice.scene.load import load_scene
-from kc2spice.scene.model import Terminal
-from kc2spice.scene.parttype import PartType, part_types, register
 
 DIVIDER = """\
 [supply]
@@ -131,6 +127,14 @@ MISTAKES = {
         _changed("resistance = 3e3", 'resistance = 3e3\npins = { b = "supply.ret" }'),
         1, "supply", ["nothing of this circuit is on ground", "supply.out, supply.ret, upper.a"],
     ),
+    "two bodies that say where they are": (
+        '[one]\npart = "sphere"\n[two]\npart = "sphere"\npins = { y = "one.y" }\n',
+        5, "two.pins.y", ["two outputs set one net"],
+    ),
+    "a body that says where ground is": (
+        '[one]\npart = "sphere"\npins = { y = "gnd" }\n',
+        3, "one.pins.y", ["two outputs set one net"],
+    ),
     "names that differ in case only": (
         DIVIDER + '\n[Lower]\npart = "resistor"\nresistance = 1.0\npins = { a = "lower.a" }\n',
         18, "Lower", ["differ in case only", "lower and Lower"],
@@ -170,60 +174,3 @@ def test_a_mistake_is_named_with_file_line_and_key(name, scene_file):
     assert re.search(rf"my\.toml, line {line}, key {re.escape(key)}\b", said), said
     for word in words:
         assert word in said
-
-
-def test_two_outputs_on_one_net_are_refused(scene_file):
-    """Two bodies that say where they are cannot be joined as one signal."""
-    text = (
-        '[one]\npart = "sphere"\n[two]\npart = "sphere"\npins = { y = "one.y" }\n'
-    )  # fmt: skip
-    with pytest.raises(UsageError, match=r"line 5, key two\.pins\.y: two outputs set one net"):
-        load_scene(scene_file(text))
-    grounded = '[one]\npart = "sphere"\npins = { y = "gnd" }\n'
-    with pytest.raises(UsageError, match="two outputs set one net"):
-        load_scene(scene_file(grounded))
-
-
-class _Keys(Section):
-    """Two equal resistors in series."""
-
-    each: Resistance = 50.0
-
-
-class Tee(PartType):
-    """A part type as another package would write it."""
-
-    name = "test_tee"
-    title = "two resistors with a tap"
-    schema = _Keys
-
-    def pins(self, part, scene):
-        return (
-            Terminal("a", "V", "A", required=True), Terminal("tap", "V", "A"),
-            Terminal("b", "V", "A", "gnd"),
-        )  # fmt: skip
-
-    def cards(self, part, build):
-        a, tap, b = (build.net(part, pin) for pin in ("a", "tap", "b"))
-        return (
-            f"R{part.name}1 {a} {tap} {part.keys.each!r}",
-            f"R{part.name}2 {tap} {b} {part.keys.each!r}",
-        )
-
-
-@pytest.fixture
-def tee(monkeypatch):
-    part_types()  # all that the package has, before one is added
-    monkeypatch.setattr(parttype, "_types", dict(parttype._types))
-    return register(Tee())
-
-
-def test_a_registered_part_type_is_one_among_all(tee, scene_file):
-    assert part_types()["test_tee"] is tee
-    text = DIVIDER.replace(
-        'part = "resistor"\nresistance = 3e3', 'part = "test_tee"\neach = "5 Ohm"'
-    )
-    scene = load_scene(scene_file(text))
-    assert scene.parts["lower"].keys.each == 5.0
-    with pytest.raises(UsageError, match="did you mean 'test_tee'"):
-        load_scene(scene_file(text.replace("test_tee", "test_te")))

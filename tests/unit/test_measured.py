@@ -35,14 +35,18 @@ def table(path, header, *columns, sep=","):
     return path
 
 
+def touchstone(path, f, S, z0=50, form="ri"):
+    net = skrf.Network(f=f, s=S, z0=z0, f_unit="hz")
+    net.write_touchstone(str(path), form=form)
+    return path
+
+
 @pytest.mark.parametrize("form", ["ri", "ma", "db"])
 @pytest.mark.parametrize("ports", [1, 2, 3])
 def test_touchstone_as_scikit_rf_reads_it(tmp_path, form, ports):
     draw = np.random.default_rng(ports).normal(size=(2, 20, ports, ports))
     S = 0.2 * (draw[0] + 1j * draw[1]) / ports
-    net = skrf.Network(f=np.linspace(1e6, 9e6, 20), s=S, z0=75, f_unit="hz")
-    net.write_touchstone(str(tmp_path / "n"), form=form)
-    path = tmp_path / f"n.s{ports}p"
+    path = touchstone(tmp_path / f"n.s{ports}p", np.linspace(1e6, 9e6, 20), S, 75, form)
     found = read_measured(path)
     other = skrf.Network(str(path))
     assert found.f == pytest.approx(other.f)
@@ -157,10 +161,7 @@ def test_a_measured_two_port_becomes_a_passive_circuit(tmp_path):
     Y = pi_network(f)
     draw = np.random.default_rng(1).normal(size=(2, *Y.shape))
     noisy = Y * (1 + 1e-3 * (draw[0] + 1j * draw[1]))
-    path = tmp_path / "pi.s2p"
-    skrf.Network(f=f, s=skrf.network.y2s(noisy, 50.0), z0=50, f_unit="hz").write_touchstone(
-        str(path)
-    )
+    path = touchstone(tmp_path / "pi.s2p", f, skrf.network.y2s(noisy, 50.0))
     found = reduce(path, tmp_path / "out")
     assert found["passive"]
     assert found["norm"] == "peak"
@@ -187,8 +188,7 @@ def test_a_passive_fit_stays_near_data_that_lie_on_the_edge(tmp_path):
     Z = np.moveaxis(np.array([[z + 1 / y, 1 / y], [1 / y, z + 1 / y]]), 2, 0)
     draw = np.random.default_rng(2).normal(size=(2, 200, 2, 2))
     S = skrf.network.z2s(Z, 50.0) + 3e-3 * (draw[0] + 1j * draw[1])
-    path = tmp_path / "filter.s2p"
-    skrf.Network(f=f, s=S, z0=50, f_unit="hz").write_touchstone(str(path))
+    path = touchstone(tmp_path / "filter.s2p", f, S)
     found = reduce(path, tmp_path / "out")
     rom = read_rom(found["rom"])
     wide = np.geomspace(1e3, 1e11, 4000)
@@ -229,8 +229,7 @@ def test_published_files_become_circuits_as_near_as_stated(tmp_path, name, devia
 def test_an_amplifier_has_no_passive_model(tmp_path):
     S = np.zeros((50, 2, 2), complex)
     S[:, 1, 0] = 3.0
-    path = tmp_path / "gain.s2p"
-    skrf.Network(f=np.linspace(1e6, 9e6, 50), s=S, z0=50, f_unit="hz").write_touchstone(str(path))
+    path = touchstone(tmp_path / "gain.s2p", np.linspace(1e6, 9e6, 50), S)
     with pytest.raises(kc.errors.UsageError, match=r"passive"):
         reduce(path, tmp_path / "out")
     assert not (tmp_path / "out").exists()

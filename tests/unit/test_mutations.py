@@ -3,8 +3,6 @@
 import random
 import re
 import struct
-import sys
-import types
 
 import numpy as np
 import pytest
@@ -16,9 +14,6 @@ from kc2spice.netlist.lint import lint
 from kc2spice.scene.load import gallery
 from kc2spice.sim.output import read_raw
 
-# Per sort of input: how many by default, how many in all.
-FAST = {"scene": 50, "matrix": 10, "archive": 8, "raw": 60, "include": 50}
-FULL = {"scene": 900, "matrix": 300, "archive": 200, "raw": 200, "include": 400}
 TOKENS = (
     "nan", "inf", "-1", "0", "1e999", "1e-400", "-1e30", '""', '"1 parsec"', '"3"', "true", "[]",
     "{}", "99999999999999999999", '"\\u0000"', "'", '"', "[", "]", "{", "=", "\x00", "\r", "\u2028",
@@ -26,11 +21,10 @@ TOKENS = (
 )  # fmt: skip
 
 
-def seeds(kind):
-    """Seeds of all cases of one kind; those beyond the fast ones are marked as slow."""
-    fast = FAST[kind]
+def seeds(fast, full):
+    """Of all cases of one kind; those beyond the fast ones are marked as slow."""
     late = [pytest.param(range(k, k + 50), marks=[pytest.mark.slow, pytest.mark.campaign])
-            for k in range(fast, FULL[kind], 50)]  # fmt: skip
+            for k in range(fast, full, 50)]  # fmt: skip
     return [range(fast), *late]
 
 
@@ -94,12 +88,10 @@ def refused(done, place):
     assert re.search(place, done.output), done.output
 
 
-@pytest.mark.parametrize("chunk", seeds("scene"))
+@pytest.mark.parametrize("chunk", seeds(50, 900))
 def test_damaged_scenes_are_refused_with_key_or_line(chunk, cli, tmp_path, monkeypatch):
     """``run`` gets as far as the study, which is replaced, or says which line or key is wrong."""
-    fake = types.SimpleNamespace(run=lambda *_, **__: {"wall_s": {}, "files": []})
-    monkeypatch.setattr("kc2spice.workflow.run", fake, raising=False)
-    monkeypatch.setitem(sys.modules, "kc2spice.workflow.run", fake)
+    monkeypatch.setattr("kc2spice.workflow.run.run", lambda *_, **__: {"wall_s": {}, "files": []})
     texts = [path.read_text(encoding="utf-8") for path in gallery().values()]
     bad = 0
     for seed in chunk:
@@ -116,7 +108,7 @@ def test_damaged_scenes_are_refused_with_key_or_line(chunk, cli, tmp_path, monke
     assert bad > len(chunk) / 3
 
 
-@pytest.mark.parametrize("chunk", seeds("raw"))
+@pytest.mark.parametrize("chunk", seeds(60, 200))
 def test_damaged_raw_files_are_refused_or_finite(chunk, tmp_path):
     head = (
         b"Title: t\nDate: d\nPlotname: Transient Analysis\nFlags: real\nNo. Variables: 3\n"
@@ -152,7 +144,7 @@ R1 d 0 1k
 """
 
 
-@pytest.mark.parametrize("chunk", seeds("include"))
+@pytest.mark.parametrize("chunk", seeds(50, 400))
 def test_damaged_circuits_are_refused_with_their_line(chunk, tmp_path):
     text = (gallery()["bring_your_own"].parent / "bring_your_own.lib").read_text(encoding="utf-8")
     name = re.search(r"(?im)^\.subckt\s+(\w+)", text)[1]

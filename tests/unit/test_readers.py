@@ -115,32 +115,34 @@ def test_matrix_market_families(tmp_path, pattern, opened):
     assert np.array_equal(model.C, model.B.T)
 
 
-def test_comsol_second_order_struct(tmp_path):
-    """E u'' + D u' + K u = L: what COMSOL calls E is the mass, and D the damping."""
-    load = np.arange(1.0, N + 1)[:, None]
-    fields = {"K": 2 * K, "Kc": sparse.csc_array(K + 0j), "Ec": sparse.csc_array(M),
-              "Dc": sparse.csc_array(0.1 * K), "Lc": load, "N": np.ones((1, N))}  # fmt: skip
+LOAD = np.arange(1.0, N + 1)[:, None]
+# E u'' + D u' + K u = L: what COMSOL calls E is the mass, and D the damping.
+COMSOL = {
+    "second order": (
+        {"K": 2 * K, "Kc": sparse.csc_array(K + 0j), "Ec": sparse.csc_array(M),
+         "Dc": sparse.csc_array(0.1 * K), "Lc": LOAD, "N": np.ones((1, N))},
+        {"K": K, "M": M, "E": 0.1 * K},
+    ),
+    "heat": (
+        {"K": K, "D": sparse.csc_array(M), "E": sparse.csc_array((N, N)), "L": LOAD},
+        {"A": -K, "E": M},
+    ),
+    "state space": (
+        {"MA": -K, "MB": LOAD, "Mc": M, "C": np.eye(N)[:2], "D": np.zeros((2, 1))},
+        {"A": -K, "E": M, "C": np.eye(N)[:2]},
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", COMSOL)
+def test_comsol_structs(tmp_path, name):
+    fields, expected = COMSOL[name]
     scipy_io.savemat(tmp_path / "m.mat", {"MA": fields})
     model = read_model(tmp_path / "m.mat")
-    same(model)
-    np.testing.assert_allclose(model.E.toarray(), 0.1 * K)
-    np.testing.assert_array_equal(model.B, load)
-
-
-def test_comsol_heat_struct_is_first_order(tmp_path):
-    fields = {"K": K, "D": sparse.csc_array(M), "E": sparse.csc_array((N, N)), "L": np.ones((N, 1))}
-    scipy_io.savemat(tmp_path / "m.mat", {"MA": fields})
-    model = read_model(tmp_path / "m.mat")
-    np.testing.assert_allclose(model.A.toarray(), -K)
-    np.testing.assert_allclose(model.E.toarray(), M)
-
-
-def test_comsol_state_space_struct(tmp_path):
-    fields = {"MA": -K, "MB": np.ones((N, 1)), "Mc": M, "C": np.eye(N)[:2], "D": np.zeros((2, 1))}
-    scipy_io.savemat(tmp_path / "m.mat", {"S": fields})
-    model = read_model(tmp_path / "m.mat")
-    np.testing.assert_allclose(model.A.toarray(), -K)
-    assert [p.kind for p in model.ports] == ["input", "output", "output"]
+    for letter, matrix in {**expected, "B": LOAD}.items():
+        found = getattr(model, letter)
+        found = found if isinstance(found, np.ndarray) else found.toarray()
+        np.testing.assert_allclose(found, matrix, rtol=1e-14, atol=1e-13)
 
 
 def test_comsol_constraints_that_are_not_eliminated_are_refused(tmp_path):
@@ -319,13 +321,14 @@ def test_columns_and_rows_of_the_file_become_ports(tmp_path):
     rng = np.random.default_rng(2)
     B, C, D = rng.normal(size=(N, 2)), rng.normal(size=(2, N)), rng.normal(size=(2, 2))
     np.savez(tmp_path / "m.npz", K=K, M=M, B=B, C=C, D=D)
-    port = '[[ports]]\nname = "{}"\nkind = "{}"\n{} = {}\nscale = {}\n'
+    port = '[[ports]]\nname = "{}"\nkind = "{}"\n{} = {}\nscale = {}\nunit = "mW"\n'
     given = [("a", "input", "column", 1, 2.0), ("b", "input", "column", 2, 1.0)]
     given += [("c", "output", "row", 1, 1.0), ("d", "output", "row", 2, 4.0)]
     model = read_model(
         tmp_path / "m.npz", sidecar(tmp_path, "".join(port.format(*each) for each in given))
     )
     into, out = np.array([2.0, 1.0]), np.array([[1.0], [4.0]])
+    assert [(p.name, p.across, p.flow) for p in model.ports] == [(k, "mW", "-") for k in "abcd"]
     np.testing.assert_allclose(model.B, B * into)
     np.testing.assert_allclose(model.C, C / out)
     np.testing.assert_allclose(model.D, D * into / out)

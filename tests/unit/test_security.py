@@ -14,7 +14,7 @@ from kc2spice.bodies.readers import read_model
 from kc2spice.cli.main import app
 from kc2spice.core.errors import UsageError
 from kc2spice.core.foreign import MAX_BYTES, name_threat, parse_toml, plain_name, read_bounded
-from kc2spice.netlist.circuit import Pin
+from kc2spice.netlist.circuit import Param, Pin, positive
 from kc2spice.rom.io import read_rom, write_rom
 from kc2spice.rom.linear import Certificate, LinearModel, Port
 from kc2spice.scene.load import load_scene
@@ -165,6 +165,10 @@ def test_every_text_of_a_record_is_checked(place, evil, tmp_path):
 def test_a_header_takes_no_line_break():
     with pytest.raises(UsageError, match="not one word"):
         part_header(Header("s", "h"), "t", (Pin("a", EVIL, "A"),), rating="none")
+    params = (Param("k", 2.0, "N/m", EVIL), positive("c", 1e-9, "F", "size"))
+    text = part_header(Header(EVIL, "h"), "t", (Pin("a", "V", "A"),), params, rating="none")
+    assert all(line.startswith("* ") for line in text.splitlines())
+    assert "* @param c=1e-09 unit=F range=1e-30..inf size\n" in text
 
 
 @pytest.mark.parametrize(
