@@ -21,6 +21,16 @@ EPSILON, MU = 8.8541878188e-12, 4e-7 * np.pi
 STEP = 1e-9  # s, of the chip's oracle
 
 
+def by(d, rate, start, corners, read, **how):
+    """The draw's own solution, by scipy from ``start()``: ``read`` gives waves of the states."""
+
+    def solve(points):
+        t, y = integrated(rate, start(), corners, d.stop, points, **how)
+        return t, read(y).__getitem__
+
+    d.solve = solve
+
+
 # --- energies ------------------------------------------------------------------------------------
 
 
@@ -87,13 +97,11 @@ def electrostatic(d):
         charged = (wave(t) - u) / (ohm * farad(0.0)[0]) if behind else 0.0
         return [v / gap, force / mass / (gap * w), charged]
 
-    def solve(points):
-        t, y = integrated(rate, np.zeros(3), wave.corners, d.stop, points)
+    def read(y):
         x = gap * y[:, 0]
-        u = y[:, 2] * farad(0.0)[0] / farad(x)[0]
-        return t, lambda column: x if column == 0 else u
+        return {0: x, 2: y[:, 2] * farad(0.0)[0] / farad(x)[0]}
 
-    d.solve = solve
+    by(d, rate, lambda: np.zeros(3), wave.corners, read)
 
 
 def voice(d):
@@ -128,11 +136,8 @@ def voice(d):
         force = pull * i - held - spring(x) - 1.3 * loss * v
         return [v / far, force / mass / (far * w), (wave(t) - ohm * i - pull * v) / henry / amp]
 
-    def solve(points):
-        t, y = integrated(rate, np.zeros(3), wave.corners, d.stop, points)
-        return t, lambda column: (far * y[:, 0], None, amp * y[:, 2])[column]
-
-    d.solve = solve
+    size = np.array([far, far * w, amp])
+    by(d, rate, lambda: np.zeros(3), wave.corners, lambda y: (y * size).T)
 
 
 def pulled(d):
@@ -172,14 +177,15 @@ def pulled(d):
         grown = (wave(t) - ohm * current(x, flux)) / turns
         return np.array([v, (force(x, flux) - loss * v) / mass, grown]) / size
 
-    def solve(points):
+    def start():
         rest = magnet and brentq(lambda x: force(x, magnet / reluctance(x)), 0.0, 0.3 * gap)
-        start = np.array([rest, 0.0, magnet / reluctance(rest)]) / size
-        t, y = integrated(rate, start, wave.corners, d.stop, points)
-        x, _, flux = size[:, None] * y.T
-        return t, lambda column: current(x, flux) if column else x
+        return np.array([rest, 0.0, magnet / reluctance(rest)]) / size
 
-    d.solve = solve
+    def read(y):
+        x, _, flux = size[:, None] * y.T
+        return {0: x, 2: current(x, flux)}
+
+    by(d, rate, start, wave.corners, read)
 
 
 def stretched(d):
@@ -212,11 +218,7 @@ def stretched(d):
         force = np.array([0.0, wave(t), 0.0]) - k * x - loss * v - (stiffness * e + tension) * slope
         return [*(v / a), *(force / m / (a * w))]
 
-    def solve(points):
-        t, y = integrated(rate, np.zeros(6), wave.corners, d.stop, points)
-        return t, lambda column: a * y[:, column]
-
-    d.solve = solve
+    by(d, rate, lambda: np.zeros(6), wave.corners, lambda y: a * y.T)
 
 
 # --- eddy currents -------------------------------------------------------------------------------
@@ -276,12 +278,11 @@ def thrown(d):
 
     size = np.array([1e-3, 1e-3 * w, L[0] * amp, L[1] * induced])
 
-    def solve(points):
-        t, y = integrated(rate, np.array([top, 0, 0, 0]) / size, wave.corners, d.stop, points)
+    def read(y):
         path = y * size
-        return t, [path[:, 0], np.array([currents(x)[0][0] for x in path])].__getitem__
+        return path[:, 0], np.array([currents(x)[0][0] for x in path])
 
-    d.solve = solve
+    by(d, rate, lambda: np.array([top, 0, 0, 0]) / size, wave.corners, read)
 
 
 def linked(one, other, heights=0.0):
@@ -369,15 +370,15 @@ def shaken(d):
         force = i @ [each(y, 1) for each in flux] + fixed(y, 1) - spring(y) - loss * v
         return np.array([v, force / mass, *(wave(t) * np.eye(i.size)[0] - ohms * i)]) / size
 
-    def solve(points):
+    def start():
         rest = brentq(lambda y: fixed(y, 1) - spring(y), -reach, reach)
-        start = np.array([rest, 0.0, *(each(rest) for each in flux)]) / size
-        t, y = integrated(rate, start, wave.corners, d.stop, points)
-        path = y * size
-        found = np.array([currents(row[0], row[2:]) for row in path])
-        return t, lambda column: found[:, column - 1] if column else path[:, 0]
+        return np.array([rest, 0.0, *(each(rest) for each in flux)]) / size
 
-    d.solve = solve
+    def read(y):
+        path = y * size
+        return path[:, 0], *np.array([currents(row[0], row[2:]) for row in path]).T
+
+    by(d, rate, start, wave.corners, read)
 
 
 # --- the catch -----------------------------------------------------------------------------------
@@ -611,8 +612,5 @@ def elastic(d):
         force = 4 / 3 * modulus * np.sqrt(radius) * x**1.5
         return [y[1] * speed / depth, (force / mass - 9.81) / speed]
 
-    def solve(points):
-        t, y = integrated(rate, np.array([0.0, -1.0]), (), d.stop, points)
-        return t, lambda k: speed * y[:, 1] if k else depth * y[:, 0] + radius
-
-    d.solve = solve
+    size, off = np.array([depth, speed]), np.array([radius, 0.0])
+    by(d, rate, lambda: np.array([0.0, -1.0]), (), lambda y: (y * size + off).T)

@@ -31,6 +31,10 @@ PATIENCE = 120  # s
 LIMIT = 1e-2  # rms in time of the difference over that of the wave
 
 
+KEYS = {"resistor": "resistance", "capacitor": "capacitance", "spring": "stiffness",
+        "damper": "damping"}  # fmt: skip
+
+
 class Drawn:
     """A scene under way: text of its tables, the test's own equations, what is compared."""
 
@@ -52,6 +56,13 @@ class Drawn:
             lines.append(f"pins = {_toml(pins)}")
         self.text.append("\n".join(lines))
         return name
+
+    def two(self, kind, value, pin, node, to="0", other=None):
+        """A part of two ends, the second one on ground or at ``other``, and in the equations."""
+        pins = {"a": pin} | ({"b": other} if other else {})
+        one = self.part(kind, **{KEYS[kind]: value}, pins=pins)
+        getattr(self.own, kind)(node, to, value)
+        return one
 
     def value(self, low, high):
         return float(f"{10 ** self.rng.uniform(np.log10(low), np.log10(high)):.4g}")
@@ -106,13 +117,10 @@ def driven(d, size, rectified=False):
     if kind == "voltage":
         source = d.part("source", **keys)
         d.own.voltage("i source", "s", wave)
-        r = d.part("resistor", resistance=ohm, pins={"a": f"{source}.out"})
-        d.own.resistor("s", "n0", ohm)
-        return f"{r}.b", "n0", ohm
+        return d.two("resistor", ohm, f"{source}.out", "s", "n0") + ".b", "n0", ohm
     keys, wave = _smaller(keys, wave, ohm)
     source = d.part("source", kind="current", **keys)
-    d.part("resistor", resistance=ohm, pins={"a": f"{source}.out"})
-    d.own.resistor("n0", "0", ohm)
+    d.two("resistor", ohm, f"{source}.out", "n0")
     d.own.drive("n0", wave)
     return f"{source}.out", "n0", ohm
 
@@ -132,8 +140,7 @@ def circuit(d, rectified=False):
     pin, node, ohm = driven(d, d.value(0.5, 50), rectified)
     if rectified:
         across = d.value(0.1, 10) / (2 * np.pi * d.f * ohm)
-        d.part("capacitor", capacitance=across, pins={"a": pin})
-        d.own.capacitor(node, "0", across)
+        d.two("capacitor", across, pin, node)
     for k in range(d.rng.randint(1, 3)):
         below = f"n{k + 1}"
         farad = d.value(0.05, 5) / (2 * np.pi * d.f * ohm)
@@ -163,23 +170,17 @@ def circuit(d, rectified=False):
                 d.text[-1] = d.text[-1].replace('"tee"', f'"tee{k}"')
         else:
             r = d.value(0.1, 3) * ohm
-            one = d.part("resistor", resistance=r, pins={"a": pin})
-            d.own.resistor(node, f"r{k}" if kind == "rl" else below, r)
-            pin = f"{one}.b"
+            pin = d.two("resistor", r, pin, node, f"r{k}" if kind == "rl" else below) + ".b"
             if kind == "rl":
                 henry = d.value(0.02, 2) * r / (2 * np.pi * d.f)
                 one = d.part("inductor", inductance=henry, pins={"a": pin})
                 d.own.inductor(f"i l{k}", f"r{k}", below, henry)
                 d.compared[f"{one}.i"] = f"i l{k}"
                 pin = f"{one}.b"
-        one = d.part("capacitor", capacitance=farad, pins={"a": pin})
-        d.own.capacitor(below, "0", farad)
-        d.compared[f"{one}.v"] = below
+        d.compared[d.two("capacitor", farad, pin, below) + ".v"] = below
         node = below
     if rectified or d.rng.random() < 0.5:
-        load = d.value(1, 30) * ohm
-        d.part("resistor", resistance=load, pins={"a": pin})
-        d.own.resistor(node, "0", load)
+        d.two("resistor", d.value(1, 30) * ohm, pin, node)
     return pin, node, ohm
 
 
@@ -212,11 +213,9 @@ def motion(d, masses=None):
             d.own.damper(one, "0", damper)
             d.own.force(one, Wave(lambda t, s=spring, w=wave: s * w(t), wave.corners))
         else:
-            ends = {"a": f"{one}.a"} | ({"b": f"{below}.a"} if below else {})
-            d.part("spring", stiffness=spring, pins=ends)
-            d.part("damper", damping=damper, pins=ends)
-            d.own.spring(one, below or "0", spring)
-            d.own.damper(one, below or "0", damper)
+            ends = f"{one}.a", one, below or "0", below and f"{below}.a"
+            d.two("spring", spring, *ends)
+            d.two("damper", damper, *ends)
         found.append(one)
     if pushed:
         target = d.rng.choice(found)
@@ -239,10 +238,8 @@ def touch(d):
         d.own.moving(one)
         d.own.mass(one, float(d.text[-1].split("mass = ")[1].split("\n")[0]))
         spring, damper = stiff * d.value(0.5, 2), stiff / w / d.value(2, 50)
-        d.part("spring", stiffness=spring, pins={"a": f"{one}.a"})
-        d.part("damper", damping=damper, pins={"a": f"{one}.a"})
-        d.own.spring(one, "0", spring)
-        d.own.damper(one, "0", damper)
+        d.two("spring", spring, f"{one}.a", one)
+        d.two("damper", damper, f"{one}.a", one)
         d.compared[f"{one}.x"] = one
         ends.append(one)
     keys, wave = d.wave(wave_size, smooth=True)
@@ -281,19 +278,15 @@ def matrices(d):
 
 def loaded(d, body, port, m, stiff):
     """A mass, a spring and a damper, or none of them, on a port of a body."""
-    pins = {"a": f"{body}.{port}"}
+    pin = f"{body}.{port}"
     if d.rng.random() < 0.6:
         own = m * d.value(0.1, 3)
-        d.part("mass", mass=own, pins=pins)
+        d.part("mass", mass=own, pins={"a": pin})
         d.own.mass(port, own)
     if d.rng.random() < 0.6:
-        own = stiff * d.value(0.01, 1)
-        d.part("spring", stiffness=own, pins=pins)
-        d.own.spring(port, "0", own)
+        d.two("spring", stiff * d.value(0.01, 1), pin, port)
     if d.rng.random() < 0.4:
-        own = stiff / (2 * np.pi * d.f) * d.value(0.001, 0.1)
-        d.part("damper", damping=own, pins=pins)
-        d.own.damper(port, "0", own)
+        d.two("damper", stiff / (2 * np.pi * d.f) * d.value(0.001, 0.1), pin, port)
 
 
 LAYERS = {
@@ -593,22 +586,29 @@ def test_no_scene_of_any_parts_is_silently_off(number, tmp_path):
     assert word != "OFF, SILENT", (family, worst)
 
 
-def main():
-    """One line of JSON for every draw, with its scene where that is off; then how many are what."""
+def campaign(draw):
+    """One line of JSON for every number of the range that is asked for; how many are what."""
     count = Counter()
     for number in range(*map(int, sys.argv[1:3])):
         begun = time.monotonic()
-        with tempfile.TemporaryDirectory() as folder, warnings.catch_warnings():
+        with warnings.catch_warnings():
             warnings.simplefilter("ignore")
-            family, word, worst = compared(number, Path(folder))
-            line = {"draw": number, "family": family, "word": word, "error": worst,
-                    "time_s": round(time.monotonic() - begun, 1)}  # fmt: skip
-            if "off" in word.lower():
-                line["scene"] = (Path(folder) / "drawn.toml").read_text()
+            word, line = draw(number)
         count[word.partition(":")[0]] += 1
-        print(json.dumps(line), flush=True)
+        spent = round(time.monotonic() - begun, 1)
+        print(json.dumps({"draw": number, **line, "time_s": spent}), flush=True)
     print(json.dumps(count))
 
 
+def told(number):
+    """The word for a draw, and its line, with its scene where that is off."""
+    with tempfile.TemporaryDirectory() as folder:
+        family, word, worst = compared(number, Path(folder))
+        line = {"family": family, "word": word, "error": worst}
+        if "off" in word.lower():
+            line["scene"] = (Path(folder) / "drawn.toml").read_text()
+    return word, line
+
+
 if __name__ == "__main__":
-    main()
+    campaign(told)

@@ -8,15 +8,12 @@ says that it does not. One line of JSON for every draw, so that ranges can be re
 """
 
 import contextlib
-import json
 import random
 import sys
 import tempfile
-import time
 import tomllib
 import warnings
-from collections import Counter
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -29,14 +26,13 @@ from scipy.sparse.linalg import LinearOperator, eigsh, splu
 import kc2spice as kc
 from kc2spice.core.errors import SimulationError, UsageError
 from kc2spice.scene.load import load_scene
-from kc2spice.workflow.run import Completed, complete
+from kc2spice.workflow.run import complete
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 from drawn_devices import voice
 from hard_cases.modal_kick import Kick
-from test_random_parts import Drawn, motion, patience, rectifier
+from test_random_parts import Drawn, campaign, motion, patience, rectifier
 
-Draw, Judge = Callable[[np.random.Generator], dict[str, Any]], Callable[[Completed], float]
 COUNT = 50
 PATIENCE = 120  # s of this process' time, for a draw
 FINER = {"disc": 3, "beam": 2}  # cells of the oracle along the edge of one of the scene
@@ -260,7 +256,7 @@ def drawn(family):
 
 # --- all of them ---------------------------------------------------------------------------------
 
-FAMILIES: dict[str, tuple[Draw, Judge]] = {
+FAMILIES = {
     "kick": (kick, kick_error),
     "buzzer": (buzzer, buzzer_error),
     "bimorph": (bimorph, bimorph_error),
@@ -301,19 +297,13 @@ def _compared(family, tables, judge):
     return Budgeted(family, why, budget, np.nan, np.nan, "", 0, tables)
 
 
-def main():
-    """Every draw, then how many budgets held."""
-    count = Counter[str]()
-    for number in range(*map(int, sys.argv[1:3])):
-        begun = time.monotonic()
-        line = asdict(judged(number))
-        if line["outcome"] in ("holds", "said"):
-            del line["scene"]
-        count[line["outcome"].partition(":")[0]] += 1
-        spent = round(time.monotonic() - begun, 1)
-        print(json.dumps({"draw": number, **line, "time_s": spent}), flush=True)
-    print(json.dumps(count))
+def told(number):
+    """The outcome of a draw, and its line, with its scene where that is neither held nor said."""
+    line = asdict(judged(number))
+    if line["outcome"] in ("holds", "said"):
+        del line["scene"]
+    return line["outcome"], line
 
 
 if __name__ == "__main__":
-    main()
+    campaign(told)
