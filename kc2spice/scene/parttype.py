@@ -352,6 +352,12 @@ def mover(name: str, scene: Scene) -> str | None:
     return next((each for each, governed in rows if governed.get(name) == "moved"), None)
 
 
+def replaced(scene: Scene) -> set[str]:
+    """Parts without cards of their own, as those of others have copies of them or move them."""
+    governed = [part.type.governs(part, scene) for part in scene.parts.values()]
+    return {name for each in governed for name, what in each.items() if isinstance(what, str)}
+
+
 def begins(scene: Scene) -> dict[str, State]:
     """The parts whose state at t = 0 is given; a transient then has no operating point.
 

@@ -25,12 +25,12 @@ from kc2spice.netlist.scope import circuit, has_vector
 from kc2spice.netlist.transforms import quiet
 from kc2spice.scene.compose import Free, allocated, free, unsettled
 from kc2spice.scene.model import Part, Scene, scene_hash
-from kc2spice.scene.parttype import Build, begins, mover, numerics
+from kc2spice.scene.parttype import Build, begins, mover, numerics, replaced
 from kc2spice.scene.plan import MAX_STEP
 from kc2spice.scene.plausible import built, judged
 from kc2spice.spice.header import Header, plan_lines
 from kc2spice.workflow import meters
-from kc2spice.workflow.meters import powers, replaced, result_vectors, sweep_values, swept
+from kc2spice.workflow.meters import readings, sweep_values, swept
 from kc2spice.workflow.models import build_models
 from kc2spice.workflow.steps import largest_step
 
@@ -69,13 +69,13 @@ def make_deck(build: Build) -> Deck:
         operating point to begin at.
     """
     scene = build.scene
-    wild = judged(built(build), scene.checks.plausible)
+    loose, wild = free(build), judged(built(build), scene.checks.plausible)
     for problem in chain(unsettled(build), wild):
         raise problem
     header = Header(scene.name, scene_hash(scene))
-    parts = tuple(_libraries(build, header))
-    results = result_vectors(build)
-    watts = powers(build, results)
+    ours = () if scene.solver.max_step else (MAX_STEP,)  # a line of its own says why
+    notes = f"{header.origin()}\n{plan_lines(build.plan, ours)}"
+    results, watts = readings(build)
     for name, probe in scene.probes.items():
         known = {*results, *watts}
         if "." in probe.of and probe.of not in known:  # without a dot: time, frequency
@@ -87,13 +87,12 @@ def make_deck(build: Build) -> Deck:
                 "pins, or one of " + ", ".join(results),
                 hint=did_you_mean(probe.of, known),
             )
+    parts = tuple(_libraries(build, header))
     told = "".join(f"\n{line}" for line in _reductions(parts))
-    loose = free(build)
-    ours = () if scene.solver.max_step else (MAX_STEP,)  # a line of its own says why
     made = Deck(
         name=scene.name,
         title=f"{scene.name}: {scene.title}",
-        notes=f"{header.origin()}\n{plan_lines(build.plan, ours)}{told}{_step_line(build)}",
+        notes=f"{notes}{told}{_step_line(build)}",
         parts=parts,
         blocks=tuple(_blocks(build, loose)),
         options=tuple(_options(build)),

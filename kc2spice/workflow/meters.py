@@ -20,8 +20,8 @@ from kc2spice.netlist.scope import Scope
 from kc2spice.scene.compose import allocated, electrical, metered
 from kc2spice.scene.judge import Check
 from kc2spice.scene.keys import model_keys
-from kc2spice.scene.model import Part, Scene
-from kc2spice.scene.parttype import Build, Swept, Vector
+from kc2spice.scene.model import Part
+from kc2spice.scene.parttype import Build, Swept, Vector, replaced
 
 WAVE = "noise"  # spectral density of the output, and the metric of its rms value
 DENSITY = "/sqrt(Hz)"
@@ -167,10 +167,10 @@ def figures(waves: Waveforms, unit: str) -> Iterator[Figure]:
 Pairs = tuple[tuple[str, str], ...]  # names of a voltage and of the current that belongs to it
 
 
-def replaced(scene: Scene) -> set[str]:
-    """Parts without cards of their own, as those of others have copies of them or move them."""
-    governed = [part.type.governs(part, scene) for part in scene.parts.values()]
-    return {name for each in governed for name, what in each.items() if isinstance(what, str)}
+def readings(build: Build) -> tuple[dict[str, Vector], dict[str, Pairs]]:
+    """All results, and powers that are made of them."""
+    found = result_vectors(build)
+    return found, _powers(build, found)
 
 
 def result_vectors(build: Build) -> dict[str, Vector]:
@@ -209,7 +209,7 @@ def _meter_vectors(build: Build, known: Mapping[str, Vector]) -> dict[str, Vecto
     return {name: vector for name, vector in found.items() if name not in known}
 
 
-def powers(build: Build, known: Mapping[str, Vector]) -> dict[str, Pairs]:
+def _powers(build: Build, known: Mapping[str, Vector]) -> dict[str, Pairs]:
     """``PART.power`` [W] that probes ask for, by what it is the sum of: all that goes into a
     part, and what a source gives."""
     found: dict[str, Pairs] = {}

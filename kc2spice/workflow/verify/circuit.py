@@ -37,8 +37,8 @@ from kc2spice.reference.linear import ac, noise
 from kc2spice.reference.steps import steps
 from kc2spice.rom.linear import LinearModel
 from kc2spice.rom.reduce import surrogate
-from kc2spice.scene.parttype import Build
-from kc2spice.workflow.meters import WAVE, replaced, sweep_values, swept
+from kc2spice.scene.parttype import Build, replaced
+from kc2spice.workflow.meters import WAVE, sweep_values, swept
 from kc2spice.workflow.verify.bodies import held_band
 
 RTOL = 1.5e-9  # of the integrator; at 1e-8 a sphere ringing at megahertz loses 5e-7 of its energy
