@@ -332,8 +332,6 @@ def verify(
 @_command
 def explain(caller: Caller, scene: str, set_: list[str] | None = None) -> None:
     """Say what is modelled, its numerical settings, what was left out and why."""
-    from dataclasses import asdict
-
     from kc2spice.cli.tables import show_plan
     from kc2spice.core.progress import Clock
     from kc2spice.scene.load import load_scene
@@ -346,7 +344,7 @@ def explain(caller: Caller, scene: str, set_: list[str] | None = None) -> None:
     build = build_models(loaded, Clock()) if timed else Build(loaded, {})
     step = None if build.largest is None else {"s": build.largest.step, "why": build.largest.why}
     head = {"scene": loaded.name, "hash": scene_hash(loaded), "largest_step": step}
-    record = {**head, **asdict(build.plan)}
+    record = {**head, **build.plan}
     caller.answer(record, lambda: show_plan(record, loaded.title))
 
 

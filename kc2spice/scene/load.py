@@ -52,15 +52,11 @@ def problems(scene: Scene) -> Iterator[UsageError]:
         else:
             yield each
     yield from judged(doubtful, scene.checks.plausible)
-    yield from _settings(scene)
     yield from _analysis(scene)
 
 
-def _settings(scene: Scene) -> Iterator[UsageError]:
-    low, high = scene.rom.band
-    if not 0 <= low < high:
-        got = f"{low:g} … {high:g} Hz"
-        yield UsageError("empty band", where="rom.band", got=got, expected="0 <= low < high")
+def _analysis(scene: Scene) -> Iterator[UsageError]:
+    chosen, solver = scene.analysis, scene.solver
     if scene.include and not any(part.netlist for part in scene.parts.values()):
         yield UsageError(
             "nothing uses these netlists",
@@ -68,10 +64,6 @@ def _settings(scene: Scene) -> Iterator[UsageError]:
             got=", ".join(scene.include),
             expected="a part that names a subcircuit out of them",
         )
-
-
-def _analysis(scene: Scene) -> Iterator[UsageError]:
-    chosen, solver = scene.analysis, scene.solver
     if chosen.type == "transient" and (solver.max_step or 0.0) > scene.stop:
         yield UsageError(
             "longer than the whole simulation",
@@ -137,13 +129,6 @@ def _analysis(scene: Scene) -> Iterator[UsageError]:
                 expected="PART.KEY with a part of the scene: " + ", ".join(scene.parts),
             )
     for name, probe in scene.probes.items():
-        if (probe.take == "value") != (probe.at is not None):
-            yield UsageError(
-                "at goes with a value",
-                where=f"probes.{name}",
-                got=f"take = {probe.take!r}",
-                expected='take = "value" and at, or neither',
-            )
         band = (chosen.start, chosen.stop or 0.0)
         ends = {"ac": band, "noise": band, "transient": (0.0, scene.stop)}
         first, last = ends.get(chosen.type, (-inf, inf))
@@ -153,13 +138,6 @@ def _analysis(scene: Scene) -> Iterator[UsageError]:
                 where=f"probes.{name}.at",
                 got=f"{probe.at:g}",
                 expected=f"{first:g} … {last:g} {'Hz' if chosen.small else 's'}",
-            )
-        if (probe.take == "crossing") != (probe.level is not None):
-            yield UsageError(
-                "level goes with crossing",
-                where=f"probes.{name}",
-                got=f"take = {probe.take!r}",
-                expected='take = "crossing" and a level, or neither',
             )
 
 

@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
-from pydantic import Field, model_validator
+from pydantic import Field, field_validator, model_validator
 
 from kc2spice.core.errors import UsageError, unknown
 from kc2spice.core.quantities import (
@@ -73,6 +73,13 @@ class Rom(Section):
         if self.order is None and self.tolerance is None:
             self.__dict__["tolerance"] = 1e-4  # frozen; not among the fields that are set
         return self
+
+    @field_validator("band")
+    @classmethod
+    def _some_band(cls, band: tuple[float, float]) -> tuple[float, float]:
+        if not 0 <= band[0] < band[1]:
+            raise refused("empty band", "0 <= low < high")
+        return band
 
     @property
     def left_open(self) -> bool:
@@ -315,6 +322,13 @@ class Probe(Section):
     @classmethod
     def _value_at(cls, data: Any) -> Any:
         return {"take": "value", **data} if isinstance(data, dict) and "at" in data else data
+
+    @model_validator(mode="after")
+    def _goes_together(self) -> Self:
+        for take, key in (("value", "at"), ("crossing", "level")):
+            if (self.take == take) != (getattr(self, key) is not None):
+                raise refused(f"{key} goes with {take}", f'take = "{take}" and {key}, or neither')
+        return self
 
 
 class Frame(Section):

@@ -30,7 +30,6 @@ if TYPE_CHECKING:
     from kc2spice.core.laws import Equations
     from kc2spice.core.waveforms import Waveforms
     from kc2spice.scene.judge import Balance, Check, Gate
-    from kc2spice.scene.plan import Plan
 
 PACKAGE = "kc2spice.parts"
 METER = "meter"  # word of an ammeter's name, behind those of its pin
@@ -158,7 +157,7 @@ class Build:
     largest: StepLimit | None = None
 
     @cached_property
-    def plan(self) -> Plan:
+    def plan(self) -> Mapping[str, Any]:
         """What runs: parts, joins, omissions and numerical settings."""
         from kc2spice.scene.plan import plan
 

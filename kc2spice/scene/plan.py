@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
 from annotated_types import Ge, Le, Lt
@@ -173,36 +173,6 @@ def keys_at(found: Sequence[Axis], notches: Mapping[str, float]) -> dict[str, An
     return {k: v for axis in found for k, v in axis.at(notches.get(axis.name, 0.0)).items()}
 
 
-@dataclass(frozen=True)
-class Modelled:
-    """A part of the deck: where it comes from and how large its model is."""
-
-    part: str
-    source: str
-    detail: str
-
-
-@dataclass(frozen=True)
-class Setting:
-    """A numerical setting by its key, its value, and the relative ``error`` known of it before a
-    run: None where only a refined run can tell."""
-
-    key: str
-    value: float
-    error: float | None
-
-
-@dataclass(frozen=True)
-class Plan:
-    """What runs for a scene. ``joins`` are the nets, ``settings`` what trades time for error."""
-
-    parts: tuple[Modelled, ...]
-    joins: tuple[str, ...]
-    left_out: tuple[Neglected, ...]
-    error_budget: float | None
-    settings: tuple[Setting, ...]
-
-
 def _noise(part: Part, build: Build) -> str:
     """What of a part has noise, where the scene asks for it."""
     found = part.type.noise
@@ -210,27 +180,27 @@ def _noise(part: Part, build: Build) -> str:
     return f"; {told}" if build.noisy else ""
 
 
-def plan(build: Build) -> Plan:
-    """Parts, joins, omissions and settings; omissions of several parts stand once."""
+def plan(build: Build) -> dict[str, Any]:
+    """What runs for a scene, as ``plan`` of ``result.json`` has it: ``parts`` with ``source`` and
+    ``detail``, ``joins`` (the nets), ``left_out`` (effects; those of several parts once), and
+    ``settings``, what trades time for error, with the relative ``error`` known of each before a
+    run: None where only a refined run can tell."""
     scene = build.scene
     parts = scene.parts.values()
     notes = {part.name: list(part.type.notes(part, scene)) for part in parts}
     left_out = (row for rows in notes.values() for row in rows if isinstance(row, Neglected))
     told = {n: "; ".join(row for row in rows if isinstance(row, str)) for n, rows in notes.items()}
-    certified = scene.analysis.small  # steps and contacts excite what is above the band
-    return Plan(
-        parts=tuple(
-            Modelled(p.name, p.type.source, told[p.name] + _noise(p, build)) for p in parts
-        ),
-        joins=drawing(scene),
-        left_out=tuple(dict.fromkeys(left_out)),
-        error_budget=scene.error_budget,
-        settings=tuple(
-            Setting(
-                axis.name,
-                axis.value,
-                axis.value if certified and axis.name.endswith("rom.tolerance") else None,
-            )
-            for axis in axes(build)
-        ),
-    )
+    detail = {part.name: told[part.name] + _noise(part, build) for part in parts}
+    settings = [{"key": axis.name, "value": axis.value, "error": None} for axis in axes(build)]
+    for each in settings if scene.analysis.small else ():  # else steps excite what is above a band
+        if str(each["key"]).endswith("rom.tolerance"):
+            each["error"] = each["value"]
+    return {
+        "parts": [
+            {"part": p.name, "source": p.type.source, "detail": detail[p.name]} for p in parts
+        ],
+        "joins": drawing(scene),
+        "left_out": [asdict(row) for row in dict.fromkeys(left_out)],
+        "error_budget": scene.error_budget,
+        "settings": settings,
+    }

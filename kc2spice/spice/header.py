@@ -5,15 +5,15 @@ from __future__ import annotations
 
 import math
 import textwrap
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 from kc2spice.core import __version__
 from kc2spice.netlist.cards import comment, name, number, render, word
 from kc2spice.netlist.circuit import Param, Pin, Subcircuit
 from kc2spice.rom.linear import Certificate
 from kc2spice.scene.model import Terminal
-from kc2spice.scene.plan import Plan
 
 SIGN = "um, m/s and N count upwards, out of the chip; 1 A into a pin pushes the part up with 1 N"
 FLOW = "1 V counts from the reference, 1 A into the pin"
@@ -40,15 +40,21 @@ class Header:
         )
 
 
-def plan_lines(found: Plan, without: Collection[str] = ()) -> str:
+def plan_lines(found: Mapping[str, Any], without: Collection[str] = ()) -> str:
     """What a deck models, what it leaves out and its numerical settings, as comment lines."""
-    error = "not estimated" if found.error_budget is None else f"budget {found.error_budget:g}"
+    error = (
+        "not estimated" if found["error_budget"] is None else f"budget {found['error_budget']:g}"
+    )
     facts = {
-        "modelled": ", ".join(part.part for part in found.parts),
+        "modelled": ", ".join(part["part"] for part in found["parts"]),
         f"numerical settings (error {error})": ", ".join(
-            f"{each.key} {each.value:g}" for each in found.settings if each.key not in without
+            f"{each['key']} {each['value']:g}"
+            for each in found["settings"]
+            if each["key"] not in without
         ),
-        "left out (sizes: kc2spice explain)": "; ".join(each.effect for each in found.left_out),
+        "left out (sizes: kc2spice explain)": "; ".join(
+            each["effect"] for each in found["left_out"]
+        ),
     }
     lines = [f"{head}: {text}" for head, text in facts.items() if text]
     wrapped = [textwrap.fill(comment(line), 96, subsequent_indent="  ") for line in lines]

@@ -58,27 +58,24 @@ def export(
 
 def _spare_other_decks(out: Path, files: Mapping[str, str]) -> None:
     """Refuse to change a library under another deck in ``out``: it would run another part."""
-    for deck in sorted(out.glob("*.cir")) if out.is_dir() else ():
-        if deck.name in files:
-            continue
-        for card in statements(_text(deck), deck.name, title=True):
+
+    def text(path: Path) -> str:
+        return path.read_text(encoding="utf-8", errors="replace")
+
+    decks = sorted(out.glob("*.cir")) if out.is_dir() else ()
+    for deck in (each for each in decks if each.name not in files):
+        for card in statements(text(deck), deck.name, title=True):
             name = card.words[-1].strip("\"'") if card.keyword == ".include" else ""
-            library = out / name
-            if name in files and library.is_file():
-                old, new = (_cards(text, name) for text in (_text(library), files[name]))
-                if old != new:
-                    raise UsageError(
-                        f"this deck there includes another {name}",
-                        where=str(deck),
-                        got=f"{name} with other cards",
-                        hint="choose another --out",
-                    )
-
-
-def _text(path: Path) -> str:
-    return path.read_text(encoding="utf-8", errors="replace")
-
-
-def _cards(text: str, name: str) -> list[str]:
-    """What a simulator reads of it."""
-    return [card.written for card in statements(text, name) if card.written]
+            if name not in files or not (out / name).is_file():
+                continue
+            old, new = (
+                [each.written for each in statements(known, name) if each.written]
+                for known in (text(out / name), files[name])
+            )
+            if old != new:  # what a simulator reads of them
+                raise UsageError(
+                    f"this deck there includes another {name}",
+                    where=str(deck),
+                    got=f"{name} with other cards",
+                    hint="choose another --out",
+                )

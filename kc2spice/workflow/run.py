@@ -81,7 +81,7 @@ class Completed:
             "metric_units": _probe_units(build.scene.probes, waves, run.deck.units),
             "checks": [check.record() for check in run.verdict.checks],
             "energy_j": {name: balance.entries for name, balance in run.verdict.balances},
-            "plan": asdict(build.plan),
+            "plan": build.plan,
             "wall_s": self.clock.wall_s,
         }
         if self.converged is not None:

@@ -6,7 +6,7 @@ import re
 import shutil
 import struct
 import subprocess
-from dataclasses import asdict, replace
+from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
 
@@ -103,7 +103,7 @@ def page(tmp_path_factory: pytest.TempPathFactory) -> Page:
     waves, scene = loop_waves(), load_scene("kick_and_catch", [])
     result = {
         "metrics": metrics(waves, Build(scene, {})),
-        "plan": asdict(Build(scene, {}).plan),
+        "plan": Build(scene, {}).plan,
         "wall_s": {"mesh": 1.5, "simulate": 0.5},
         "simulator": {"name": "ngspice", "version": "39", "engine": "<batch>"},
         "steps": {"accepted": 1234, "rejected": 5},
