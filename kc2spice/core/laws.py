@@ -12,7 +12,7 @@ kind              across               through
 ``signal``        value                none; one pin of a net sets it
 ================  ===================  ==========================
 
-Bodies, masses and sources are stamped into matrices by the assembler
+Bodies and sources are stamped into matrices by the assembler
 (:mod:`kc2spice.reference.assemble`). Every other law is a :class:`Device`: smooth expressions
 within a *mode*, and guards whose zeros end the mode; a linear one becomes constant matrices too.
 """
@@ -141,25 +141,6 @@ def port_pins(ports: tuple[Port, ...]) -> tuple[Pin, ...]:
 
 
 @dataclass(frozen=True)
-class Mass:
-    """A rigid mass [kg] on pin ``a``.
-
-    ``position`` and ``velocity`` start it there; None starts it where the rest of the system holds
-    it in equilibrium. ``gravity`` [m/s^2] pulls towards smaller displacements.
-    """
-
-    name: str
-    mass: float
-    gravity: float = 0.0
-    position: float | None = None
-    velocity: float = 0.0
-
-    @property
-    def pins(self) -> tuple[Pin, ...]:
-        return (Pin("a", "displacement"),)
-
-
-@dataclass(frozen=True)
 class Source:
     """A prescribed quantity between ``out`` and ``ret``.
 
@@ -210,10 +191,12 @@ class Device(ABC):
         d/dt store(e) = rate,   store(e) = the states themselves unless said otherwise
 
     Flows that are ``charged`` are the rates of further entries of ``store`` besides.
-    A mode lasts while every guard is positive.
+    A mode lasts while every guard is positive. What ``start`` [m], [m/s] is given to the first tap
+    and its rate holds there at t = 0; without it they begin where the system holds them.
     """
 
     name: str
+    start: tuple[float, float] | None = None
 
     @property
     @abstractmethod
@@ -312,7 +295,7 @@ class Device(ABC):
         return 0.0
 
 
-Law = LinearBody | Mass | Source | Device
+Law = LinearBody | Source | Device
 
 MICRO = 1e-6  # m, in which displacements are balanced
 GROWING = 1e3  # 1/s, of a load on a body that is free to move

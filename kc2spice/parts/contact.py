@@ -115,9 +115,6 @@ class Contact(DeclaredPart):
     title = "unilateral penalty contact"
     schema = ContactKeys
 
-    def __init__(self) -> None:
-        pass
-
     def declared(self, part: Part, scene: Scene) -> Declaration:
         pair = Pair(part, scene)
         radius, distance = pair.b.radius, pair.a.distance

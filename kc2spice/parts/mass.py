@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from dataclasses import replace
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -13,10 +15,10 @@ from kc2spice.core.errors import UsageError
 from kc2spice.core.quantities import Length, Mass, Section, Velocity
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.netlist.circuit import Param, positive
-from kc2spice.parts._template import TemplatePart
 from kc2spice.parts._touching import Surface, Touching
+from kc2spice.physics import Declaration, DeclaredPart, displacement
 from kc2spice.scene.compose import free, rigid
-from kc2spice.scene.model import GROUND, Part, Scene, Terminal
+from kc2spice.scene.model import GROUND, Part, Scene
 from kc2spice.scene.parttype import (
     Build,
     Rest,
@@ -38,13 +40,37 @@ class MassKeys(Section):
     velocity: Velocity = Field(0.0, description="at t = 0, if given or if nothing holds it")
 
 
-class PointMass(Touching, TemplatePart):
+@cache
+def point_mass(
+    mass: float, gravity: float = 0.0, position: float = 0.0, velocity: float = 0.0
+) -> Declaration:
+    """The physics of a mass at the pin ``a``."""
+    return Declaration(
+        "mass",
+        "point mass",
+        Section,
+        (displacement("x", "a", "base"),),
+        kinetic="0.5*mass*x_rate^2",
+        energy="mass*gravity*x",
+        starts={"x": ("position", "velocity")},
+        given=(
+            positive("mass", mass, "kg", "mass"),
+            Param("gravity", gravity, "m/s2", "gravity, downwards"),
+            Param("position", position, "m", "at t = 0, used with uic"),
+            Param("velocity", velocity, "m/s", "at t = 0, used with uic"),
+        ),
+        rating="none: rigid",
+        validity="rigid, in vacuum, at any temperature",
+        sign="um and N count along the pin's direction; 1 A into a pin pushes it that way",
+    )
+
+
+class PointMass(Touching, DeclaredPart):
     name, title, schema = "mass", "point mass at a displacement pin", MassKeys
-    source = "closed form"
-    template, heading = "mass", "point mass"
-    rating, validity = "none: rigid", "rigid, in vacuum, at any temperature"
-    sign = "um and N count along the pin's direction; 1 A into a pin pushes it that way"
-    fixed = (Terminal("a", "um", "N", required=True), Terminal("base", "um", "N", "gnd"))
+
+    def declared(self, part: Part, scene: Scene) -> Declaration:
+        keys, gravity = part.keys, scene.gravity if part.keys.weight else 0.0
+        return point_mass(keys.mass, gravity, keys.position, keys.velocity)
 
     def at_rest(self, part: Part, scene: Scene, model: Any | None = None) -> Rest:
         falls = part.keys.weight and scene.gravity
@@ -61,46 +87,26 @@ class PointMass(Touching, TemplatePart):
         if state is None:
             return {}
         inner = f"x{part.name.lower()}"
-        return {f"{inner}.pos": 1e6 * state[0], f"{inner}.v": state[1]}
+        return {f"{inner}.place_x": 1e6 * state[0], f"{inner}.speed_x": state[1]}
 
     def surface(self, part: Part, scene: Scene, ports: tuple[str, ...] = ()) -> Surface:
         return Surface(part.name, ("a",), (0.0,))
 
-    def design(self, part: Part, build: Build) -> tuple[tuple[Param, ...], Mapping[str, Any]]:
-        gravity = build.scene.gravity if part.keys.weight else 0.0
-        params = (
-            positive("mass", part.keys.mass, "kg", "mass"),
-            Param("gravity", gravity, "m/s2", "gravity, downwards"),
-            Param("position", part.keys.position, "m", "at t = 0, used with uic"),
-            Param("velocity", part.keys.velocity, "m/s", "at t = 0, used with uic"),
-        )
-        return params, {}
-
     def vectors(self, part: Part, build: Build) -> Mapping[str, Vector]:
-        n, inner = part.name, f"x{part.name.lower()}"
-        return {
-            f"{n}.x": build.across(part, "a"),
-            f"{n}.v": Vector(f"v({inner}.v)", 1.0, "m/s"),
-            f"{n}.force": Vector(f"i(v.{inner}.vmass)", 1.0, "N"),
-        }
+        speed = Vector(f"v(x{part.name.lower()}.speed_x)", 1.0, "m/s")
+        return {**super().vectors(part, build), f"{part.name}.v": speed}
 
-    def law(self, part: Part, build: Build) -> laws.Equations | None:
-        if build.net(part, "base") != "0":
-            return None
-        n = part.name
-        gravity = build.scene.gravity if part.keys.weight else 0.0
-        words = {"x": "a", "v": "a.rate", "force": "a.through"}
-        results = {f"{n}.{word}": laws.reading(f"{n}.{of}") for word, of in words.items()}
-        position, velocity = start(part, build) or (None, 0.0)
-        law = laws.Mass(n, part.keys.mass, gravity, position, velocity)
-        return laws.Equations((law,), (("a", f"{n}.a"),), results)
+    def begins(self, part: Part, build: Build) -> tuple[float, float] | None:
+        return start(part, build)
+
+    def law(self, part: Part, build: Build) -> laws.Equations:
+        n, found = part.name, super().law(part, build)
+        speed = {f"{n}.v": laws.reading(f"{n}.a.rate")}
+        return replace(found, results=found.results | speed)
 
     def force_on(self, part: Part, pin: str, build: Build, waves: Waveforms) -> np.ndarray | None:
-        inertia = waves.data.get(f"{part.name}.force")
-        if inertia is None or pin != "a":
-            return None
-        gravity = build.scene.gravity if part.keys.weight else 0.0
-        return -inertia - part.keys.mass * gravity
+        force = waves.data.get(f"{part.name}.force")
+        return None if force is None or pin != "a" else -force
 
     def metrics(self, part: Part, build: Build, waves: Waveforms) -> Mapping[str, Any]:
         if "time" not in waves:

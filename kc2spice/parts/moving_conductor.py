@@ -155,9 +155,6 @@ class MovingConductor(DeclaredPart):
     rating = "not known; i^2 resistance heats each coil, the eddy currents the body"
     source = "rings (integral equation, axisymmetric), reduced"
 
-    def __init__(self) -> None:
-        """What it declares follows from its keys and its model."""
-
     def numerics(self, part: Part, scene: Scene) -> Iterator[Numerics]:
         return settling(part, scene)
 

@@ -16,9 +16,10 @@ from kc2spice.core.figure import Curve, Figure, Panel, Shape
 from kc2spice.core.quantities import Density, Length, Section, Velocity
 from kc2spice.core.waveforms import Waveforms, running
 from kc2spice.fem.materials import Material, material
-from kc2spice.netlist.circuit import Param, positive
-from kc2spice.parts._template import TemplatePart
+from kc2spice.netlist.circuit import positive
 from kc2spice.parts._touching import Pair, Surface, Touching
+from kc2spice.parts.mass import point_mass
+from kc2spice.physics import Declaration, DeclaredPart, displacement
 from kc2spice.scene.judge import Balance, Gate, stepping
 from kc2spice.scene.model import GROUND, Part, Scene, Terminal
 from kc2spice.scene.parttype import (
@@ -32,6 +33,7 @@ from kc2spice.scene.parttype import (
     register,
 )
 from kc2spice.scene.plausible import within
+from kc2spice.spice.header import SIGN
 
 AIR_DENSITY = 1.204  # kg/m^3, 20 degC
 AIR_VISCOSITY = 1.825e-5  # Pa s
@@ -79,19 +81,44 @@ class SphereKeys(Section):
         return 4 / 3 * math.pi * self.radius**3 * self.density
 
 
-class Sphere(Touching, TemplatePart):
+def rigid_sphere(
+    mass: float, radius: float, gravity: float, velocity: float = 0.0, height: float = 0.0
+) -> Declaration:
+    """Of the height x of its lowest point over touching: counted from the centre, a resting contact
+    of a picometre would drown in rounding. Without ``uic`` ngspice starts from the operating point.
+    """
+    own = point_mass(mass, gravity, height, velocity)
+    weight, pull, place, fast = own.given
+    size = positive("radius", radius, "m", "radius of the sphere")
+    place = replace(place, name="height", doc="of the lowest point at t = 0, used with uic")
+    return replace(
+        own,
+        title=Sphere.title,
+        branches=(displacement("x", "bottom", "base"),),
+        starts={"x": ("height", "velocity")},
+        outputs={"y": "x + radius"},
+        speeds={"bottom": "v"},
+        given=(weight, size, pull, fast, place),
+        base="base",
+        validity=f"{own.validity}; moves along its axis only",
+        sign=SIGN,
+    )
+
+
+class Sphere(Touching, DeclaredPart):
     name = "sphere"
     title = "rigid sphere, vertical motion"
     schema = SphereKeys
-    source = "closed form"
-    template, heading, rating = name, title, "none: rigid"
-    validity = "rigid, in vacuum, at any temperature; moves along its axis only"
     fixed = (
         Terminal("v", "m/s", "N"),
         Terminal("bottom", "um", "-", signal_out=True),
         Terminal("y", "um", "-", signal_out=True),
         Terminal("base", "um", "N", "gnd"),
     )
+
+    def declared(self, part: Part, scene: Scene) -> Declaration:
+        keys, begin = part.keys, begins(scene).get(part.name, AT_REST)
+        return rigid_sphere(keys.mass, keys.radius, scene.gravity, begin.velocity, begin.height)
 
     def expand(self, part: Part, data: Mapping[str, Any]) -> Mapping[str, Mapping[str, Any]]:
         if (given := part.keys.elastic) is None:
@@ -145,10 +172,6 @@ class Sphere(Touching, TemplatePart):
             return {}
         # nothing holds the sphere: it starts at rest where it would touch
         return {build.net(part, "v"): 0.0, build.net(part, "bottom"): 0.0}
-
-    def design(self, part: Part, build: Build) -> tuple[tuple[Param, ...], Mapping[str, Any]]:
-        begin = begins(build.scene).get(part.name, AT_REST)
-        return numbers(part.keys.mass, part.keys.radius, build.scene.gravity, begin), {}
 
     def vectors(self, part: Part, build: Build) -> Mapping[str, Vector]:
         return {f"{part.name}.{pin}": build.across(part, pin) for pin in ("y", "v")}
@@ -206,20 +229,21 @@ class Sphere(Touching, TemplatePart):
         caption = f"Vertical position of {part.name}."
         yield Figure(f"{part.name}_trajectory", f"Path of {part.name}", caption, (panel,))
 
-    def law(self, part: Part, build: Build) -> laws.Equations:
-        """Its coordinate is the height of its lowest point over touching."""
-        n, scene = part.name, build.scene
-        states = begins(scene)
+    def begins(self, part: Part, build: Build) -> tuple[float, float] | None:
+        n, scene, states = part.name, build.scene, begins(build.scene)
+        if not states and (scene.joined(n, "v") or scene.joined(n, "bottom")):
+            return None
         begin = states.get(n, AT_REST)
-        held = scene.joined(n, "v") or scene.joined(n, "bottom")
-        height = None if held and not states else begin.height
-        law = laws.Mass(n, part.keys.mass, scene.gravity, height, begin.velocity)
+        return begin.height, begin.velocity
+
+    def law(self, part: Part, build: Build) -> laws.Equations:
+        n, found = part.name, super().law(part, build)
         results = {
-            f"{n}.y": laws.reading(f"{n}.a", constant=part.keys.radius),
-            f"{n}.v": laws.reading(f"{n}.a.rate"),
+            f"{n}.y": laws.reading(f"{n}.bottom", constant=part.keys.radius),
+            f"{n}.v": laws.reading(f"{n}.bottom.rate"),
         }
-        pins = tuple((pin, f"{n}.a") for pin in ("v", "bottom", "y"))
-        return laws.Equations((law,), pins, results)
+        pins = tuple((pin, f"{n}.bottom") for pin in ("v", "bottom", "y"))
+        return replace(found, pins=pins, results=results)
 
     def notes(self, part: Part, scene: Scene) -> Iterator[str | Neglected]:
         keys = part.keys
@@ -242,19 +266,6 @@ def made_of(part: Part) -> Material:
 def _carried(part: Part) -> str:
     """The part that is its elasticity, "" where it is rigid."""
     return "" if part.keys.elastic is None else f"{part.name}_elastic"
-
-
-def numbers(
-    mass: float, radius: float, gravity: float, begin: State = AT_REST
-) -> tuple[Param, ...]:
-    """Parameters of its netlist; without ``uic`` ngspice starts from the operating point."""
-    return (
-        positive("mass", mass, "kg", "mass of the sphere"),
-        positive("radius", radius, "m", "radius of the sphere"),
-        Param("gravity", gravity, "m/s2", "gravity, downwards"),
-        Param("velocity", begin.velocity, "m/s", "initial velocity, used with uic"),
-        Param("height", begin.height, "m", "initial height of the lowest point, used with uic"),
-    )
 
 
 def controlled(pid: Part, scene: Scene) -> Part | None:

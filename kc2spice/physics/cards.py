@@ -24,6 +24,10 @@ _HEAD = {
     "rate flows from {plus} to {minus}",
     "flux": "flux of the current from {plus} to {minus} on the node {node}, 1 V = {scale} webers; "
     "its rate is a part of the voltage",
+    "mass": "mass of {plus}: velocity on {speed} (1 V = 1 m/s), place on {place} (1 V = 1 um)",
+    "held": "{node} has no other equation than {plus} = {place}: the force that makes it true, "
+    "1 V = 1 N, accelerates the mass; at an operating point something else holds {plus}",
+    "output": "{plus} in um: {words}",
     "noise": "of the temperature of a loss, 4 k T times {loss}: this resistor has noise",
     "edge": "a switch without function: ngspice puts a time point where {argument} is zero",
 }  # fmt: skip
@@ -49,7 +53,7 @@ def _lines(declaration: Declaration, noise: bool) -> Iterator[str]:
     for branch in declaration.branches:
         if branch.less or branch.name in declaration.lags:
             yield from _own_place(declaration, branch)
-        elif branch in declaration.damped:
+        elif branch in declaration.damped and declaration.mass(branch) == ZERO:
             yield from _velocity(declaration, branch)
     added: dict[str, Tree] = dict.fromkeys(declaration.coordinates, ZERO)
     branches = [
@@ -65,6 +69,43 @@ def _lines(declaration: Declaration, noise: bool) -> Iterator[str]:
         make = {"displacement": _force, "voltage": _charge, "current": _flux}[branch.kind]
         yield from make(declaration, branch, nodes, added[branch.name])
     yield from _edges(declaration, nodes)
+    for name, tree in declaration.read.items():
+        (b,) = (b for b in declaration.branches if b.name in names(tree))
+        yield _comment("output", replace(b, plus=name), words=text(tree))
+        micro = times(Number("-1e6"), declaration.at_rest(tree))
+        yield from _affine(declaration, b, name, derivative(tree, b.name), micro)
+
+
+def _affine(
+    declaration: Declaration, b: Branch, node: str, slope: Tree, rest: Tree
+) -> Iterator[str]:
+    """The node has ``slope`` times the coordinate in um, less ``rest``."""
+    base = declaration.base or b.minus
+    yield f"G{node} {base} {node} {' '.join(_place(declaration, b))} {{{text(slope)}}}"
+    yield f"I{node} {node} {base} {{{text(rest)}}}"
+    yield f"R{node} {node} {base} 1"
+
+
+def _mass(declaration: Declaration, b: Branch) -> Iterator[str]:
+    """A velocity with the mass for a capacitance and a place that integrates it. What pins force
+    into it is a node, and once more a current, whose tolerance is closer, unless its velocity is a
+    pin."""
+    n, base, speed = b.name, declaration.base or b.minus, declaration.speeds.get(b.plus)
+    v, place = (speed, b.plus) if speed else (f"speed_{n}", f"place_{n}")
+    start, fast = declaration.starts[n]
+    yield _comment("mass", b, speed=v, place=place)
+    end = base if speed else f"pushed_{n}"
+    yield f"Cplace_{n} {place} {base} {_FARAD} IC={{{start}*1e6}}"
+    yield f"Gplace_{n} {base} {place} {v} {base} 1"
+    yield f"Cmass_{n} {v} {end} {{{text(declaration.mass(b))}}} IC={{{fast}}}"
+    if (weight := declaration.direct(b)) != ZERO:
+        yield f"Iweight_{n} {v} {base} {{{text(weight)}}}"
+    if not speed:
+        yield f"Vmass_{n} {end} {base} 0"
+        yield _comment("held", b, node=force_node(b), place=place)
+        yield f"Gheld_{n} {base} {force_node(b)} {b.plus} {place} 1"
+        yield f"G{force_node(b)} {b.plus} {base} {force_node(b)} {base} 1"
+        yield f"Gpush_{n} {base} {v} {force_node(b)} {base} 1"
 
 
 def _probes(declaration: Declaration) -> Mapping[str, Tree]:
@@ -156,6 +197,9 @@ def _own_place(declaration: Declaration, b: Branch) -> Iterator[str]:
 def _force(
     declaration: Declaration, b: Branch, nodes: Mapping[str, Tree], noise: Tree
 ) -> Iterator[str]:
+    if declaration.mass(b) != ZERO:
+        yield from _mass(declaration, b)
+        return
     node, base = force_node(b), declaration.base or b.minus
     high, low = (declaration.speeds.get(pin, pin) for pin in (b.plus, b.minus))
     force = declaration.followed(b)
@@ -238,7 +282,5 @@ def _edges(declaration: Declaration, nodes: Mapping[str, Tree]) -> Iterator[str]
         else:
             slope = times(Number("1e4"), derivative(argument, b.name))
             past = times(Number("-1e10"), declaration.at_rest(argument))
-            yield f"Gedge{k} {base} edge{k} {' '.join(_place(declaration, b))} {{{text(slope)}}}"
-            yield f"Iedge{k} edge{k} {base} {{{text(past)}}}"
-            yield f"Redge{k} edge{k} {base} 1"
+            yield from _affine(declaration, b, f"edge{k}", slope, past)
         yield f"Sedge{k} edge{k} {base} edge{k} {base} edge"

@@ -8,14 +8,15 @@ branch                  coordinate           through, into ``plus``     its rate
 :func:`current`         i [A]                the coordinate itself
 ======================  ===================  =========================  =====================
 
-With the energy ``U`` (of displacements), the coenergy ``W`` (of displacements, voltages, currents)
-and the content ``R`` (of rates, voltages, currents)::
+With the kinetic energy ``T`` (of rates), the energy ``U`` (of displacements), the coenergy ``W``
+(of displacements, voltages, currents) and the content ``R`` (of rates, voltages, currents)::
 
-    force  = dU/dx - dW/dx + dR/dx_rate + any of ``forces``, which friction has no content for
+    force  = d/dt (dT/dx_rate) + dU/dx - dW/dx + dR/dx_rate
+             + any of ``forces``, which friction has no content for
     i      = d/dt (dW/dv) + dR/dv           charge q = dW/dv
     v      = d/dt (dW/di) + dR/di           flux   l = dW/di
 
-The energy that is stored is ``U - W + sum v q + sum i l``, the power that becomes heat
+The energy that is stored is ``T + U - W + sum v q + sum i l``, the power that becomes heat
 ``sum x_rate dR/dx_rate + sum v dR/dv + sum i dR/di``: what pins bring in is what is stored and what
 is lost, whatever the expressions say; so are rates times ``forces``. (J. Meisel, Principles of
 Electromechanical Energy Conversion, 1966; content: W. Millar, Phil. Mag. 42 (1951) 1150.)
@@ -45,6 +46,7 @@ from kc2spice.physics.expression import (
 
 Kind = Literal["displacement", "voltage", "current"]
 LOOPS = "loops"
+_STATED = ("kinetic", "energy", "coenergy", "content")
 RATE = "_rate"  # ends the name of a displacement's velocity
 
 
@@ -96,12 +98,14 @@ class Declaration:
 
     ``keys`` are the type's keys, whose numbers (in SI) the expressions know by name, as those of
     the parameters ``given``; ``constants`` are further names with their expressions of these and of
-    constants before them. ``forces`` are
-    lost ones by displacement, of coordinates and rates. ``limits`` maps
-    words for a limit to an expression that must stay above zero. ``neglected`` are rows of an
-    effect, why it has no model, and what its absence changes.
+    constants before them. ``kinetic`` is ``1/2 m x_rate^2`` of a mass m, on which nothing but a
+    constant weight acts besides its pins, and ``starts`` names the parameters that are its
+    displacement and velocity at t = 0. ``forces`` are lost ones by displacement, of coordinates and
+    rates. ``limits`` maps words for a limit to an expression that must stay above zero.
+    ``neglected`` are rows of an effect, why it has no model, and what its absence changes.
 
-    Of netlists alone: ``speeds`` are the nodes of velocities of rigid bodies, which take the force,
+    Of netlists alone: ``outputs`` are pins of displacements that are affine in one of a branch;
+    ``speeds`` are the nodes of velocities of rigid bodies, which take the force,
     by the pins of their displacements; ``lags`` the time by which the force on a displacement x
     follows, whose law has ``x + lag x_rate`` in all places of x; ``base`` is the pin on which inner
     nodes rest. Forces that are not ``metered`` cost a third of the devices: no nodes of their own,
@@ -113,6 +117,8 @@ class Declaration:
     title: str
     keys: type[Section]
     branches: tuple[Branch, ...]
+    kinetic: str = "0"
+    starts: Mapping[str, tuple[str, str]] = field(default_factory=dict)
     energy: str = "0"
     coenergy: str = "0"
     content: str = "0"
@@ -127,6 +133,7 @@ class Declaration:
         "um and N count along plus less minus; 1 A into a pin pushes the part that way with 1 N"
     )
     example: str = ""
+    outputs: Mapping[str, str] = field(default_factory=dict)
     speeds: Mapping[str, str] = field(default_factory=dict)
     lags: Mapping[str, str] = field(default_factory=dict)
     base: str = ""
@@ -156,8 +163,9 @@ class Declaration:
                 )
 
     def _stated(self) -> Iterable[tuple[str, Tree]]:
-        yield from ((what, self._tree(what)) for what in ("energy", "coenergy", "content"))
+        yield from ((what, self._tree(what)) for what in _STATED)
         yield from (*self._forces.items(), *self.bounds.items(), *self.fixed.items())
+        yield from self.read.items()
 
     # --- names ------------------------------------------------------------------------------
 
@@ -219,7 +227,7 @@ class Declaration:
     # --- what follows -----------------------------------------------------------------------
 
     def _tree(self, what: str) -> Tree:
-        """Of the energy, coenergy or content."""
+        """Of one of the energies, or of the content."""
         return expression(getattr(self, what), f"{what} of {self.name}")
 
     def _slope(self, what: str, name: str) -> Tree:
@@ -238,9 +246,16 @@ class Declaration:
             name: expression(text, f"limit of {self.name}") for name, text in self.limits.items()
         }
 
+    @cached_property
+    def read(self) -> dict[str, Tree]:
+        """The outputs' expressions."""
+        return {
+            name: expression(text, f"output of {self.name}") for name, text in self.outputs.items()
+        }
+
     def direct(self, branch: Branch) -> Tree:
-        """What is through a branch at once: force, or current besides that of the charge; of a
-        current, the voltage besides that of the flux."""
+        """What is through a branch at once: force besides that of inertia, or current besides that
+        of the charge; of a current, the voltage besides that of the flux."""
         if branch.kind != "displacement":
             return self._slope("content", branch.name)
         stored = minus(self._slope("energy", branch.name), self._slope("coenergy", branch.name))
@@ -258,14 +273,22 @@ class Declaration:
         return derivative(self._slope("content", own), own)
 
     def kept(self, branch: Branch) -> Tree:
-        """Charge or flux of a branch, whose rate adds to :meth:`direct`."""
-        return ZERO if branch.kind == "displacement" else self._slope("coenergy", branch.name)
+        """Momentum, charge or flux of a branch, whose rate adds to :meth:`direct`."""
+        if branch.kind == "displacement":
+            return self._slope("kinetic", branch.name + RATE)
+        return self._slope("coenergy", branch.name)
+
+    def mass(self, branch: Branch) -> Tree:
+        """Of a displacement."""
+        return derivative(self.kept(branch), branch.name + RATE)
 
     @cached_property
     def stored(self) -> Tree:
         """The stored energy [J]."""
-        both = [times(Name(b.name), self.kept(b)) for b in self.branches]
-        return plus(minus(self._tree("energy"), self._tree("coenergy")), *both)
+        others = (b for b in self.branches if b.kind != "displacement")
+        both = [times(Name(b.name), self.kept(b)) for b in others]
+        whole = plus(self._tree("kinetic"), self._tree("energy"), *both)
+        return minus(whole, self._tree("coenergy"))
 
     @cached_property
     def lost(self) -> Tree:
@@ -309,7 +332,8 @@ class Declaration:
     @cached_property
     def damped(self) -> tuple[Branch, ...]:
         """Displacements whose velocities matter."""
-        found = names(self._tree("content")).union(*map(names, self._forces.values()))
+        stated = (self._tree("kinetic"), self._tree("content"), *self._forces.values())
+        found = frozenset[str]().union(*map(names, stated))
         return tuple(b for b in self.branches if b.name + RATE in found)
 
     def values(self, keys: Section) -> dict[str, float]:

@@ -36,6 +36,7 @@ class DeclaredLaw(Device):
     name: str
     declaration: Declaration
     values: tuple[float, ...]
+    start: tuple[float, float] | None = None  # of its mass
 
     def _of(self, *kinds: str) -> tuple[Branch, ...]:
         return tuple(b for b in self.declaration.branches if b.kind in kinds)
@@ -63,7 +64,12 @@ class DeclaredLaw(Device):
 
     @property
     def charged(self) -> tuple[int, ...]:
-        return tuple(k for k, b in enumerate(self.declaration.branches) if b.kind == "voltage")
+        d = self.declaration
+        return tuple(
+            k
+            for k, b in enumerate(d.branches)
+            if b.kind == "voltage" or (b.kind != "current" and d.kept(b) != ZERO)
+        )
 
     @property
     def states(self) -> tuple[str, ...]:
@@ -116,7 +122,7 @@ class DeclaredLaw(Device):
 
     @cached_property
     def _kept(self) -> _Made:
-        stored = (*self._of("current"), *self._of("voltage"))
+        stored = (*self._of("current"), *(self.declaration.branches[k] for k in self.charged))
         return self._made([self.declaration.kept(b) for b in stored], slopes=True)
 
     @cached_property
@@ -143,7 +149,7 @@ class DeclaredLaw(Device):
         return self._split(self._out, e, mode)
 
     def store(self, e: np.ndarray, mode: Any = None) -> tuple[np.ndarray, np.ndarray]:
-        """Fluxes of the currents, then charges of the voltages."""
+        """Fluxes of the currents, then charges of the voltages and momenta."""
         return self._split(self._kept, e, mode or self.mode(0.0, e))
 
     def mode(self, t: float, e: np.ndarray, before: Any = None) -> tuple[int, ...]:

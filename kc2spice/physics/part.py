@@ -15,7 +15,7 @@ from kc2spice.netlist.circuit import Param, Pin, Subcircuit
 from kc2spice.netlist.expression import Tree
 from kc2spice.physics.cards import body, force_node, meter, noisy
 from kc2spice.physics.declaration import LOOPS, RATE, Branch, Declaration
-from kc2spice.physics.expression import derivative, evaluated, kinks, names
+from kc2spice.physics.expression import ZERO, derivative, evaluated, kinks, names
 from kc2spice.physics.law import DeclaredLaw
 from kc2spice.scene.judge import Balance, Check
 from kc2spice.scene.keys import model_keys
@@ -28,7 +28,8 @@ if TYPE_CHECKING:
 _NODE = {"displacement": ("um", "N"), "voltage": ("V", "A"), "current": ("V", "A")}
 STRIKES = 1.0  # of a stop; plates that struck it twice to nine times were up to 20 % off
 REBOUND = "what follows may hang on every step: error_budget estimates the error of each metric"
-_INNER = r"(?:f|x|in|q|l|rest|copy|sense|first|second|noise)_.+|(?:edge|poly)\d+"  # nodes
+_OWN = "f|x|in|q|l|rest|copy|sense|first|second|noise|speed|place|pushed"
+_INNER = rf"(?:{_OWN})_.+|(?:edge|poly)\d+"  # nodes
 _UNEXPLAINED = 1e-3  # share of what pins bring in that the steps of a run may lose
 
 
@@ -44,7 +45,10 @@ class DeclaredPart(PartType):
 
     source = "closed form"
 
-    def __init__(self, declaration: Declaration) -> None:
+    def __init__(self, declaration: Declaration | None = None) -> None:
+        """Without one, what it declares follows from a part's keys and the scene."""
+        if declaration is None:
+            return
         self.declaration = declaration
         # Names of a type are constants of its class elsewhere; here of its one instance.
         vars(self).update(
@@ -113,6 +117,10 @@ class DeclaredPart(PartType):
             found[f"{part.name}.{b.through}"] = Vector(through.lower(), 1.0, flow, *ends)
         return found
 
+    def begins(self, part: Part, build: Build) -> tuple[float, float] | None:
+        """Displacement [m] and velocity [m/s] at t = 0, None where the system holds it."""
+        return None
+
     def law(self, part: Part, build: Build) -> laws.Equations:
         n, d = part.name, self.built(part, build)
         results = {}
@@ -121,7 +129,8 @@ class DeclaredPart(PartType):
             results[f"{n}.{b.through}"] = laws.reading(wave)
         for b in d.open if d.metered else ():
             results[f"{n}.{b.across}"] = laws.difference(f"{n}.{b.plus}", f"{n}.{b.minus}")
-        law = DeclaredLaw(n, d.closed, tuple(d.values(part.keys).values()))
+        values = tuple(d.values(part.keys).values())
+        law = DeclaredLaw(n, d.closed, values, self.begins(part, build))
         pins = tuple((pin.name, f"{n}.{pin.name}") for pin in law.pins if pin.name != LOOPS)
         return laws.Equations((law,), pins, results)
 
@@ -174,7 +183,9 @@ def pins_of(declaration: Declaration) -> tuple[Pin, ...]:
         if speed := declaration.speeds.get(pin):
             found.setdefault(checked(speed), Pin(speed, "m/s", flow))
         found.setdefault(checked(pin), Pin(pin, unit, "-" if speed else flow))
+    found |= {checked(pin): Pin(pin, "um", "-") for pin in declaration.outputs}
     if declaration.base:
+        found.pop(declaration.base, None)
         found[declaration.base] = Pin(declaration.base, "um", "N")
     return tuple(found.values())
 
@@ -220,7 +231,12 @@ def energies(
     time, moved = waves["time"], [b for b in declaration.branches if b.kind == "displacement"]
     if not moved or set(seen) != set(declaration.coordinates):
         return
-    rates = {b.name + RATE: np.gradient(seen[b.name], time) for b in declaration.damped}
+    rates = {
+        b.name + RATE: np.gradient(seen[b.name], time)
+        if declaration.mass(b) == ZERO
+        else waves[f"{part.name}.v"]  # by which the trapezoidal rule keeps the balance exactly
+        for b in declaration.damped
+    }
     known = declaration.values(part.keys) | dict(seen) | rates
 
     def over_time(tree: Tree) -> np.ndarray:

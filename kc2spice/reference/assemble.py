@@ -126,7 +126,7 @@ class _Assembly:
         self.constraints: list[tuple[np.ndarray, np.ndarray]] = []  # forms, and of which sources
         self.forms: dict[str, Any] = {k: np.zeros((n, n)) for k in ("stored", "lost")}
         self.lifted = np.zeros(n)
-        self.flows: dict[str, tuple[np.ndarray, np.ndarray]] = {}
+        self.flows: dict[str, tuple[np.ndarray, np.ndarray, float]] = {}
         self.attached: list[tuple[L.Device, np.ndarray, np.ndarray]] = []
         self.linear: list[tuple[L.Device, np.ndarray, np.ndarray]] = []
         self.held: list[tuple[np.ndarray, float, np.ndarray, float]] = []
@@ -360,8 +360,8 @@ class _Assembly:
                 rows[name] = (form @ expansion, 0.0, 0.0, 0.0)
                 if pin.kind in L.MECHANICAL:
                     rows[f"{name}.rate"] = (self.rate(form, False) @ expansion, 0.0, 0.0, 0.0)
-        for name, (at_once, rated) in self.flows.items():
-            rows[f"{name}.through"] = (at_once @ expansion, rated @ expansion, 0.0, 0.0)
+        for name, (at_once, rated, constant) in self.flows.items():
+            rows[f"{name}.through"] = (at_once @ expansion, rated @ expansion, 0.0, constant)
         for device in devices:
             law, outputs = device.law, np.eye(count)[device.first :]
             for flow, one in zip(law.flows, outputs, strict=False):
@@ -446,12 +446,12 @@ def _body(law: L.LinearBody, into: _Assembly) -> None:
     for k, port in enumerate(law.ports):
         if port.kind == "acceleration":
             into.A[x] += np.outer(B[:, k], into.form(law, port.name))
-            into.flows[f"{law.name}.{port.name}"] = (C[k] @ motion, np.zeros(n))
+            into.flows[f"{law.name}.{port.name}"] = (C[k] @ motion, np.zeros(n), 0.0)
         elif port.kind == "electrical":
             into.A[x] += np.outer(B[:, k], volts[k])
             charge = C[k] @ motion + sum((D[k, j] * f for j, f in volts.items()), np.zeros(n))
             into.M += np.outer(volts[k], charge)
-            into.flows[f"{law.name}.{port.name}"] = (np.zeros(n), charge)
+            into.flows[f"{law.name}.{port.name}"] = (np.zeros(n), charge, 0.0)
         elif port.name in law.states:  # u = C x + D F with the force F on the part as an unknown
             at = into.own[f"{law.name}.{port.name}"]
             force = np.eye(1, n, at)[0]
@@ -462,7 +462,7 @@ def _body(law: L.LinearBody, into: _Assembly) -> None:
             for j, other in enumerate(law.ports):
                 if D[k, j] and other.kind in L.MECHANICAL:
                     into.A[at, into.own[f"{law.name}.{other.name}"]] -= D[k, j]
-            into.flows[f"{law.name}.{port.name}"] = (force, np.zeros(n))
+            into.flows[f"{law.name}.{port.name}"] = (force, np.zeros(n), 0.0)
             into.term("stored", force, 0.5 * D[k, k])
     moving = np.zeros((C.shape[1], n))
     moving[:, v] = np.eye(C.shape[1])
@@ -472,19 +472,6 @@ def _body(law: L.LinearBody, into: _Assembly) -> None:
     if volts:
         keys = list(volts)
         into.term("stored", np.array(list(volts.values())), 0.5 * D[np.ix_(keys, keys)])
-
-
-@stamp.register
-def _mass(law: L.Mass, into: _Assembly) -> None:
-    form = into.form(law, "a")
-    speed = into.rate(form)
-    into.M += law.mass * np.outer(form, speed)
-    into.const -= law.mass * law.gravity * form
-    into.term("stored", speed, 0.5 * law.mass)
-    into.lifted += law.mass * law.gravity * form
-    into.flows[f"{law.name}.a"] = (np.zeros(into.size), law.mass * speed)
-    if law.position is not None:
-        into.held.append((form, law.position, speed, law.velocity))
 
 
 @stamp.register
@@ -505,6 +492,8 @@ def _source(law: L.Source, into: _Assembly) -> None:
 def _device(law: L.Device, into: _Assembly) -> None:
     taps = [into.gap(law, t.pin, t.minus, t.less) for t in law.taps]
     taps = [into.rate(form) if t.rate else form for t, form in zip(law.taps, taps, strict=True)]
+    if law.start is not None:
+        into.held.append((taps[0], law.start[0], into.rate(taps[0]), law.start[1]))
     own = np.eye(into.size)[into.states(law)]
     through = [-into.gap(law, f.pin, f.minus, f.less) for f in law.flows]
     driven = [into.form(law, pin) for pin in law.drives]
@@ -530,7 +519,8 @@ def _linear(law: L.Device, into: _Assembly, inputs: np.ndarray, outputs: np.ndar
     into.M += into.stores(law, outputs) @ kept @ inputs
     rated = dict(zip(law.charged, kept[len(law.states) :] @ inputs, strict=True))
     for k, flow in enumerate(law.flows):
-        into.flows[f"{law.name}.{flow.pin}"] = (slope[k] @ inputs, rated.get(k, 0.0 * inputs[0]))
+        rate = rated.get(k, 0.0 * inputs[0])
+        into.flows[f"{law.name}.{flow.pin}"] = slope[k] @ inputs, rate, float(out[k])
     if type(law).energy is not L.Device.energy:
         stored, lifted = _quadratic(lambda e: law.energy(e, mode), len(inputs))
         into.term("stored", inputs, stored)

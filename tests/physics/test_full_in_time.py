@@ -6,7 +6,9 @@ from scipy import sparse
 
 from kc2spice.core import laws
 from kc2spice.core.waveforms import constant, linear
+from kc2spice.parts.mass import point_mass
 from kc2spice.parts.two_terminal_types import element
+from kc2spice.physics.law import DeclaredLaw
 from kc2spice.reference.assemble import assemble
 from kc2spice.reference.equilibrium import operating_point
 from kc2spice.reference.linear import ac
@@ -63,7 +65,7 @@ def test_a_body_at_its_ports_is_the_same_as_with_its_states() -> None:
     for body in (states, laws.PortBody("x", full, KICK)):
         parts = (
             body, element("c", "capacitor", 2e-9), element("k", "spring", 3e4),
-            laws.Mass("lifted", 1e-3, gravity=-30.0),
+            DeclaredLaw("lifted", point_mass(1e-3, -30.0), (1e-3, -30.0, 0.0, 0.0)),
             laws.Source("f", "force", constant(0.1), 1.0),
         )  # fmt: skip
         joins = {"a": ("x.tip", "k.a", "lifted.a", "f.out"), "b": ("x.anode", "c.a")}

@@ -7,6 +7,7 @@ from scipy.linalg import expm
 from kc2spice.core import laws as L
 from kc2spice.core.errors import SimulationError
 from kc2spice.core.waveforms import linear, sine
+from kc2spice.parts.mass import point_mass
 from kc2spice.parts.two_terminal_types import element
 from kc2spice.physics.contact import Normal, contact
 from kc2spice.physics.law import DeclaredLaw
@@ -20,6 +21,12 @@ def touching(name: str, stiffness: float) -> DeclaredLaw:
     """A spring that pin ``a`` closes upwards against pin ``b``."""
     stated = contact(("a",), (0.0,), Normal(stiffness), rigid=(False, False))
     return DeclaredLaw(name, stated, tuple(stated.values(stated.keys()).values()))
+
+
+def mass(
+    name: str, kg: float, gravity: float = 0.0, start: tuple[float, float] | None = None
+) -> DeclaredLaw:
+    return DeclaredLaw(name, point_mass(kg, gravity), (kg, gravity, 0.0, 0.0), start)
 
 
 def balanced(result: Result, share: float) -> bool:
@@ -59,7 +66,7 @@ def test_rlc_answers_a_ramp_as_the_matrix_exponential() -> None:
 def test_sphere_bounces_on_a_spring_without_loss() -> None:
     m, k, h = 1e-3, 1e5, 1e-3
     system = assemble(
-        [L.Mass("ball", m, gravity=9.81, position=h),
+        [mass("ball", m, 9.81, (h, 0.0)),
          touching("floor", k)],
         {"y": ["ball.a", "floor.b"], "gnd": ["floor.a"]},
     )  # fmt: skip
@@ -132,17 +139,17 @@ def test_piezo_with_a_resistor_as_its_load() -> None:
 
 def test_falling_mass_without_a_start_has_no_equilibrium() -> None:
     with pytest.raises(SimulationError, match="equilibrium"):
-        operating_point(assemble([L.Mass("m", 1.0, gravity=9.81)], {}))
+        operating_point(assemble([mass("m", 1.0, 9.81)], {}))
 
 
 def test_a_shaken_mass_pulls_at_what_shakes_it() -> None:
-    size, f, mass = 1e-6, 1e3, 1e-3
-    parts = [L.Source("table", "displacement", sine(size, f)), L.Mass("block", mass)]
+    size, f, m = 1e-6, 1e3, 1e-3
+    parts = [L.Source("table", "displacement", sine(size, f)), mass("block", m)]
     system = assemble(parts, {"x": ["table.out", "block.a"]})
     times = np.linspace(0.0, 2e-3, 41)
     result = transient(system, 2e-3, 1e-9, times)
     w = 2 * np.pi * f
-    exact = mass * size * w**2 * np.sin(w * times)
+    exact = m * size * w**2 * np.sin(w * times)
     assert np.abs(result.waves["table.out.through"] - exact).max() < 1e-9 * exact.max()
 
 
@@ -164,7 +171,7 @@ def test_what_rings_freely_under_a_falling_ball_is_followed() -> None:
     edge, stop, ball = 1e-4, 5e-3, 1e-9
     system = assemble(
         [piezo("p"), L.Source("push", "force", linear(((0, 0), (edge, 1)))),
-         L.Mass("ball", ball, gravity=9.81, position=1e-2),
+         mass("ball", ball, 9.81, (1e-2, 0.0)),
          touching("touch", 1e5)],
         {"tip": ["p.top", "push.out", "touch.a"], "y": ["ball.a", "touch.b"], "gnd": ["p.anode"]},
     )  # fmt: skip

@@ -7,7 +7,7 @@ from kc2spice.parts._template import opamp_subcircuit
 from kc2spice.parts._touching import ring_gaps
 from kc2spice.parts.pid import Control, pid_subcircuit
 from kc2spice.parts.ring_magnet_coils import coils_subcircuit
-from kc2spice.parts.sphere import Sphere, SphereKeys, numbers
+from kc2spice.parts.sphere import SphereKeys, rigid_sphere
 from kc2spice.physics.contact import Normal, contact
 from kc2spice.physics.part import subcircuit as declared
 from kc2spice.scene.load import load_scene
@@ -44,7 +44,7 @@ def parts(header, model, radii, table):
     gaps = tuple(ring_gaps(radii, ball.radius).tolist())
     made = (
         subcircuit(model.linear(), "kick", header),
-        Sphere().netlist(header, "sphere", numbers(ball.mass, ball.radius, 9.81)),
+        declared(header, "sphere", rigid_sphere(ball.mass, ball.radius, 9.81), {}),
         declared(header, "contact", contact(rings, gaps, Normal(4e8)), {}),
         coils_subcircuit(header, table, "catch", apart=False, points=81),
         coils_subcircuit(header, table, points=81),

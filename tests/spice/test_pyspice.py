@@ -9,7 +9,8 @@ from device import deck_of
 from kc2spice.core.errors import SimulationError
 from kc2spice.netlist.deck import Deck
 from kc2spice.parts._template import opamp_subcircuit
-from kc2spice.parts.sphere import Sphere, numbers
+from kc2spice.parts.sphere import rigid_sphere
+from kc2spice.physics.part import subcircuit as declared
 from kc2spice.pyspice import subcircuit
 from kc2spice.scene.parttype import Sampled
 from kc2spice.sim.ngspice import run_deck
@@ -66,7 +67,7 @@ def test_parts_are_pyspice_subcircuits(header):
     sys.modules.get("PySpice") or pytest.importorskip("PySpice")
     from PySpice.Spice.Netlist import Circuit
 
-    part = Sphere().netlist(header, "sphere", numbers(1e-5, 1e-3, 9.81))
+    part = declared(header, "sphere", rigid_sphere(1e-5, 1e-3, 9.81), {})
     circuit = Circuit("a sphere in Python")
     circuit.subcircuit(subcircuit(part))
     circuit.subcircuit(subcircuit(opamp_subcircuit(header)))

@@ -7,7 +7,7 @@ from kc2spice.netlist import read_lib
 from kc2spice.netlist.deck import Deck
 from kc2spice.netlist.transforms import with_parameters
 from kc2spice.parts.pid import Control, pid_subcircuit
-from kc2spice.parts.sphere import Sphere, numbers
+from kc2spice.parts.sphere import rigid_sphere
 from kc2spice.physics.contact import Normal, contact
 from kc2spice.physics.part import subcircuit as declared
 from kc2spice.spice.header import Header
@@ -20,7 +20,7 @@ CONTACT = contact(("ring0", "ring1"), (0.0, 5e-5), Normal(4e8), under=(1e-3, (0.
     "part",
     [
         pid_subcircuit(HEADER, Control()),
-        Sphere().netlist(HEADER, "sphere", numbers(1e-5, 1e-3, 9.81)),
+        declared(HEADER, "sphere", rigid_sphere(1e-5, 1e-3, 9.81), {}),
         declared(HEADER, "contact", CONTACT, {}),
     ],
     ids=lambda part: part.name,
@@ -59,7 +59,7 @@ def test_a_head_that_does_not_fit_is_refused(pins, tmp_path):
 
 def test_parameters_outside_their_range_are_refused():
     """A sphere without mass would leave at 6.7e8 m/s, and nothing else tells."""
-    part = Sphere().netlist(HEADER, "sphere", numbers(3e-5, 1e-3, 9.81))
+    part = declared(HEADER, "sphere", rigid_sphere(3e-5, 1e-3, 9.81), {})
     deck = Deck(name="d", parts=(part,))
     assert "mass=2e-05" in with_parameters(deck, [("sphere.mass", 2e-5)]).files["sphere.lib"]
     for name in ("mass", "radius"):

@@ -8,10 +8,9 @@ from hard_cases.kit import HEADER, bench_deck, case, exact, kick, relative, scen
 from hard_cases.modal_kick import Kick
 from scipy.integrate import solve_ivp
 
-from kc2spice.parts.sphere import Sphere, SphereKeys, numbers
+from kc2spice.parts.sphere import SphereKeys, rigid_sphere
 from kc2spice.physics.contact import Normal, contact
 from kc2spice.physics.part import subcircuit as declared
-from kc2spice.scene.parttype import State
 from kc2spice.spice.realize import subcircuit
 from laboratory.distance import compare
 
@@ -30,7 +29,7 @@ def flat_contact(bench):
     parts = [
         subcircuit(model.linear(), "kick", HEADER),
         declared(HEADER, "contact", contact(RINGS, (0.0,) * 6, Normal(4e8)), {}),
-        Sphere().netlist(HEADER, "sphere", numbers(MASS, 1e-3, 0.0, State(velocity, gap))),
+        declared(HEADER, "sphere", rigid_sphere(MASS, 1e-3, 0.0, velocity, gap), {}),
     ]
     rings = " ".join(RINGS)
     cards = f"""Xkick 0 0 {rings} 0 kick
@@ -81,7 +80,7 @@ def hundred_bounces_on_a_rigid_plane(bench):
     """A sphere falls 5 um a hundred times."""
     speed, height, landings = 0.01, 1e-7, 100
     ground = declared(HEADER, "contact", contact(("ring0",), (0.0,), Normal(4e8)), {})
-    sphere = Sphere().netlist(HEADER, "sphere", numbers(MASS, 1e-3, 9.81, State(-speed, height)))
+    sphere = declared(HEADER, "sphere", rigid_sphere(MASS, 1e-3, 9.81, -speed, height), {})
     stop = (landings + 0.5) * (2 * speed / 9.81 + np.pi * np.sqrt(MASS / 4e8))
     cards = f"""Xsphere v bottom y 0 sphere
 Vground ring0 0 0
