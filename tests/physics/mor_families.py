@@ -47,6 +47,15 @@ def chain(n=40, k=1.0):
     return {"M": np.eye(n), "E": 0.02 * K, "K": K, "B": np.eye(n)[:, [0, n // 2]]}
 
 
+def damped_chain(n, dashpot=0.0, heaviest=1.0):
+    """Masses of 1 to ``heaviest``, driven inside and at an end; a ``dashpot`` couples the modes."""
+    K = 2 * np.eye(n) - np.eye(n, k=1) - np.eye(n, k=-1)
+    E = 1e-2 * K
+    E[0, 0] += dashpot
+    M, B = np.diag(np.linspace(1, heaviest, n)), np.eye(n)[:, [n // 5, n - 1]]
+    return {"M": M, "E": E, "K": K, "B": B}
+
+
 def building(storeys=60):
     """Shear building: ground acceleration in, drift of the roof and of the sixth floor out.
 

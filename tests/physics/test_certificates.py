@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import oracle
 import pytest
+from mor_families import damped_chain
 from scipy import sparse
 
 from kc2spice.parts import disc
@@ -62,29 +63,20 @@ def test_estimate_is_between_the_error_and_three_times_it(seed, norm):
     assert estimate <= 3 * error + oracle.ROUNDING, (seed, error, estimate)
 
 
-def chain(unknowns, dashpot):
-    """Masses of 1 to 3 on springs, driven inside and at an end; a ``dashpot`` couples the modes."""
-    K = 2 * np.eye(unknowns) - np.eye(unknowns, k=1) - np.eye(unknowns, k=-1)
-    E = 1e-2 * K
-    E[0, 0] += dashpot
-    M = np.diag(np.linspace(1, 3, unknowns))
-    return M, E, K, np.eye(unknowns)[:, [unknowns // 5, unknowns - 1]]
-
-
 @pytest.mark.parametrize(
     ("unknowns", "dashpot", "way"), [(90, 0.0, "being all"), (310, 0.3, "checked"),
                                      pytest.param(1310, 0.0, "settled", marks=pytest.mark.slow)],
 )  # fmt: skip
 def test_a_subspace_says_how_far_it_is_from_the_full_model(unknowns, dashpot, way):
     """It stops as early as it may, so that its error is large where it is not all of the model."""
-    M, E, K, B = chain(unknowns, dashpot)
-    rayleigh = None if dashpot else (0.0, 1e-2)
-    full = LinearModel(M=M, E=E if dashpot else None, K=K, B=B, rayleigh=rayleigh)
+    matrices = damped_chain(unknowns, dashpot, 3.0)
+    damping = {} if dashpot else {"E": None, "rayleigh": (0.0, 1e-2)}
+    full = LinearModel(**matrices | damping)
     band = 0.0, 10.0 / unknowns / (2 * np.pi)
     space = subspace(full.pencil, band, np.inf, np.inf)
     assert space.proof.startswith(way)
     frequency = np.linspace(0.31, 0.97, 4) * band[1]
-    exact = oracle.direct(oracle.system({"M": M, "E": E, "K": K, "B": B}), frequency)
+    exact = oracle.direct(oracle.system(matrices), frequency)
     error = (np.abs(space.pencil.transfer(2j * np.pi * frequency) / exact - 1)).max()
     rounding = 1e-11 if way == "being all" else 0.0  # numpy's solution is 4e-12 off, ours 6e-14
     assert 0 < error <= space.error + rounding

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from mor_families import damped_chain
 
 from kc2spice.core.errors import UsageError
 from kc2spice.rom.linear import LinearModel, Port
@@ -10,13 +11,8 @@ from kc2spice.rom.reduce import reduce
 from kc2spice.rom.structure import structure
 
 
-def chain(n, dashpot=0.0, rayleighed=False, **more):
-    K = 2 * np.eye(n) - np.eye(n, k=1) - np.eye(n, k=-1)
-    E = 1e-2 * K
-    E[0, 0] += dashpot
-    if rayleighed:
-        return LinearModel(M=np.eye(n), K=K, B=np.eye(n)[:, [n // 5, n - 1]], rayleigh=(0.0, 1e-2))
-    return LinearModel(M=np.eye(n), E=E, K=K, B=np.eye(n)[:, [n // 5, n - 1]], **more)
+def chain(n, dashpot, **more):
+    return LinearModel(**damped_chain(n, dashpot), **more)
 
 
 # --------------------------------------------------------------------------- what is asked for
