@@ -17,7 +17,6 @@ from kc2spice.netlist.expression import (
     Name,
     Number,
     Probe,
-    Tree,
     parse,
     walk,
 )
@@ -55,7 +54,8 @@ def problems(deck: Deck) -> list[UsageError]:
     UsageError : the text cannot be read at all (missing include, broken card, unclosed subcircuit).
     """
     signals = frozenset(_signal_pins(deck.trees.values()))
-    return [p for scope in deck.scope.inwards() for p in _scope_problems(scope, signals)]
+    checks = ((*_wrong_cards(each), *_dangling(each, signals)) for each in deck.scope.inwards())
+    return [problem for found in checks for problem in found]
 
 
 def _signal_pins(circuits: Iterable[Circuit]) -> Iterator[tuple[str, str]]:
@@ -65,40 +65,19 @@ def _signal_pins(circuits: Iterable[Circuit]) -> Iterator[tuple[str, str]]:
         yield from _signal_pins(each.subcircuits)
 
 
-def _scope_problems(scope: Scope, signals: frozenset[tuple[str, str]]) -> Iterator[UsageError]:
-    yield from _duplicates(scope)
-    for card in scope.commands:
-        for text in card.values.values() if isinstance(card, Parameters) else ():
-            yield from _expression(card, text, scope)
+def _wrong_cards(scope: Scope) -> Iterator[UsageError]:
+    first: dict[str, Element] = {}
     for part in scope.elements:
-        yield from _instance(part, scope) if part.kind == "x" else _references(part, scope)
-        for text in _constants(part):
-            yield from _expression(part, text, scope)
-        if part.quantity:
-            yield from _expression(part, "", scope)
-    yield from _dangling(scope, signals)
-
-
-def _expression(card: Card, text: str, scope: Scope) -> Iterator[UsageError]:
-    """What is wrong with an expression of ``card``, its law where there is no ``text``."""
-    law = isinstance(card, Element) and not text
-    try:
-        tree = card.law if isinstance(card, Element) and law else parse(text, where=card.where)
-    except UsageError as error:
-        yield error
-        return
-    yield from _unknown_names(card, tree, scope)
-    if isinstance(card, Element) and law:
-        yield from _unknown_functions(card, tree, scope)
-
-
-def _duplicates(scope: Scope) -> Iterator[UsageError]:
-    seen: dict[str, Element] = {}
-    for part in scope.elements:
-        first = seen.setdefault(part.key, part)
-        if first is not part:
-            other = f"another name; the first {part.key} is in {first.where}"
+        if first.setdefault(part.key, part) is not part:
+            other = f"another name; the first {part.key} is in {first[part.key].where}"
             yield part.error("two parts have one name", part.name, other)
+    kinds = {"v": {n for part in scope.elements for n in part.ends}.union(scope.pins, GROUND),
+             "i": {e.key for e in scope.elements if e.kind in "vlehb"}}  # fmt: skip
+    for card in (*scope.commands, *scope.elements):
+        if isinstance(card, Element):
+            yield from _instance(card, scope) if card.kind == "x" else _references(card, scope)
+        for text in _expressions(card):
+            yield from _misread(card, text, scope, kinds)
 
 
 def _instance(part: Element, scope: Scope) -> Iterator[UsageError]:
@@ -139,37 +118,45 @@ def _references(part: Element, scope: Scope) -> Iterator[UsageError]:
             yield part.error("no such controlling part", source, _nearest(source, present))
 
 
-def _unknown_names(card: Card, tree: Tree, scope: Scope) -> Iterator[UsageError]:
-    nodes = {n for part in scope.elements for n in part.ends} | set(scope.pins) | GROUND
-    sources = {e.key for e in scope.elements if e.kind in "vlehb"}
+def _expressions(card: Card) -> Iterator[str]:
+    """Those of a card, its law last."""
+    if isinstance(card, Parameters):
+        yield from card.values.values()
+    elif isinstance(card, Element):
+        for value in (*card.values, *card.parameters.values()):
+            yield from (f"{{{piece.partition('}')[0]}}}" for piece in value.split("{")[1:])
+            if value.startswith("'"):
+                yield value
+        if card.quantity:
+            yield card.expression
+
+
+def _misread(
+    card: Card, text: str, scope: Scope, kinds: dict[str, set[str]]
+) -> Iterator[UsageError]:
+    """What is wrong with an expression: unknown names, nodes and sources, which are listed in
+    ``kinds``; in a law functions that ngspice does not have, or has differently."""
+    law = isinstance(card, Element) and text is card.expression
+    try:
+        tree = card.law if isinstance(card, Element) and law else parse(text, where=card.where)
+    except UsageError as error:
+        yield error
+        return
+    functions = FUNCTIONS.union(scope.functions)
     for leaf in walk(tree):
-        if isinstance(leaf, Name) and leaf.text.lower() not in BUILT_IN.union(scope.params):
-            near = _nearest(leaf.text, scope.params)
-            yield card.error("no such parameter", leaf.text, near)
-        elif isinstance(leaf, Probe):
-            what, present = ("node", nodes) if leaf.kind == "v" else ("source", sources)
-            for name in map(str.lower, leaf.names):
-                if name not in present:
-                    yield card.error(f"no such {what}", name, _nearest(name, present))
-
-
-def _unknown_functions(part: Element, tree: Tree, scope: Scope) -> Iterator[UsageError]:
-    """Functions of a behavioural source that ngspice does not have, or has differently."""
-    known = FUNCTIONS.union(scope.functions)
-    for leaf in walk(tree):
-        if isinstance(leaf, Call) and leaf.function not in known:
-            near = _nearest(leaf.function, known)
-            yield part.error("ngspice has no such function", leaf.function, near)
-        if isinstance(leaf, Binary) and leaf.op == "^" and leaf.right in _ODD:
-            message = "ngspice takes odd powers of the absolute value"
-            yield part.error(message, part.written, "a product")
-
-
-def _constants(part: Element) -> Iterator[str]:
-    for value in (*part.values, *part.parameters.values()):
-        yield from (f"{{{piece.partition('}')[0]}}}" for piece in value.split("{")[1:])
-        if value.startswith("'"):
-            yield value
+        match leaf:
+            case Name(name) if name.lower() not in BUILT_IN.union(scope.params):
+                yield card.error("no such parameter", name, _nearest(name, scope.params))
+            case Probe(kind, names):
+                for name in map(str.lower, names):
+                    if name not in kinds[kind]:
+                        what = f"no such {'node' if kind == 'v' else 'source'}"
+                        yield card.error(what, name, _nearest(name, kinds[kind]))
+            case Call(name) if law and name not in functions:
+                yield card.error("ngspice has no such function", name, _nearest(name, functions))
+            case Binary("^", _, power) if law and power in _ODD:
+                message = "ngspice takes odd powers of the absolute value"
+                yield card.error(message, card.written, "a product")
 
 
 def _dangling(scope: Scope, signals: frozenset[tuple[str, str]]) -> Iterator[UsageError]:
@@ -184,12 +171,12 @@ def _dangling(scope: Scope, signals: frozenset[tuple[str, str]]) -> Iterator[Usa
     }
     watched.update(*(part.sensed for part in scope.elements))
     for part in scope.elements:
+        called = scope.find(part.model) if part.kind == "x" else None
+        pins = dict(enumerate(called.pins if called else ()))
         for position, node in enumerate(part.ends):
             if uses[node] > 1 or node in GROUND or node in watched or node.startswith("nc"):
                 continue
-            called = scope.find(part.model) if part.kind == "x" else None
-            known = called is not None and position < len(called.pins)
-            pin = called.pins[position] if called and known else str(position + 1)
+            pin = pins.get(position, str(position + 1))
             if (part.model.lower(), pin) not in signals:
                 yield part.error(
                     f"floating port: nothing else is wired to node {node}",
