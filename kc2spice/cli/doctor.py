@@ -72,43 +72,36 @@ class Finding:
 
 def examine() -> Iterator[Finding]:
     """All checks, the quick ones first."""
-    yield _python()
-    for library in _PYTHON:
-        yield _library(library)
-    if sys.platform == "linux":
-        yield _gmsh_libraries()
-    yield from _ngspice()
-    yield _libngspice()
-    yield _cache()
-
-
-def _python() -> Finding:
     version = ".".join(map(str, sys.version_info[:3]))
-    return Finding("Python", sys.version_info >= (3, 11), version, "install Python 3.11 or newer")
-
-
-def _library(name: str) -> Finding:
-    fix = f"{sys.executable} -m pip install {name}"
-    try:
-        return Finding(name, True, importlib.metadata.version(name))
-    except importlib.metadata.PackageNotFoundError:
-        return Finding(name, False, "not installed", fix)
+    yield Finding("Python", sys.version_info >= (3, 11), version, "install Python 3.11 or newer")
+    for library in _PYTHON:
+        try:
+            yield Finding(library, True, importlib.metadata.version(library))
+        except importlib.metadata.PackageNotFoundError:
+            fix = f"{sys.executable} -m pip install {library}"
+            yield Finding(library, False, "not installed", fix)
+    if sys.platform == "linux":
+        missing = [soname for soname in _GMSH if not _loads(soname)]
+        found = "missing " + ", ".join(missing) if missing else f"{len(_GMSH)} found"
+        fix = " ".join(("apt-get install", *(_GMSH[each] for each in missing))) if missing else ""
+        yield Finding("system libraries of gmsh", not missing, found, fix)
+    yield from _ngspice()
+    named = (os.environ.get("NGSPICE_LIBRARY_PATH"), ctypes.util.find_library("ngspice"))
+    loaded = next((n for n in (*named, "libngspice.so.0") if n and _loads(n)), None)
+    fix = "" if loaded else "apt-get install libngspice0"
+    yield Finding("libngspice", loaded is not None, loaded or "not found", fix, needed=False)
+    folder = cache_dir()
+    existing = next(path for path in (folder, *folder.parents) if os.path.exists(path))
+    ok = os.path.isdir(existing) and os.access(existing, os.W_OK | os.X_OK)
+    fix = "set KC2SPICE_CACHE to a directory that you can write to"
+    yield Finding("cache", ok, f"{folder}{'' if ok else ' cannot be written'}", fix, needed=False)
 
 
 def _loads(soname: str) -> bool:
     try:
-        ctypes.CDLL(soname)
+        return bool(ctypes.CDLL(soname))
     except OSError:
         return False
-    return True
-
-
-def _gmsh_libraries() -> Finding:
-    missing = [soname for soname in _GMSH if not _loads(soname)]
-    fix = "apt-get install " + " ".join(_GMSH[soname] for soname in missing)
-    if missing:
-        return Finding("system libraries of gmsh", False, "missing " + ", ".join(missing), fix)
-    return Finding("system libraries of gmsh", True, f"{len(_GMSH)} found")
 
 
 def _ngspice() -> Iterator[Finding]:
@@ -135,21 +128,3 @@ def _ngspice() -> Iterator[Finding]:
                 except Kc2spiceError as error:
                     told = error.message
         yield Finding(name, ok, told, fix if missing is None else install, needed)
-
-
-def _libngspice() -> Finding:
-    fix = "apt-get install libngspice0"
-    names = (os.environ.get("NGSPICE_LIBRARY_PATH"), ctypes.util.find_library("ngspice"))
-    for name in filter(None, (*names, "libngspice.so.0")):
-        if _loads(name):
-            return Finding("libngspice", True, name)
-    return Finding("libngspice", False, "not found", fix, needed=False)
-
-
-def _cache() -> Finding:
-    folder = cache_dir()
-    fix = "set KC2SPICE_CACHE to a directory that you can write to"
-    existing = next(path for path in (folder, *folder.parents) if os.path.exists(path))
-    ok = os.path.isdir(existing) and os.access(existing, os.W_OK | os.X_OK)
-    found = str(folder) if ok else f"{folder} cannot be written"
-    return Finding("cache", ok, found, fix, needed=False)

@@ -12,6 +12,7 @@ import os
 import shlex
 import signal
 import sys
+import textwrap
 from collections.abc import Callable
 from importlib import resources
 from pathlib import Path
@@ -19,7 +20,7 @@ from typing import Annotated, Any
 
 import typer
 
-from kc2spice.cli.tables import INTERRUPTED, Caller, print_table, reported_errors
+from kc2spice.cli.tables import COLUMNS, INTERRUPTED, Caller, print_table, reported_errors, show
 from kc2spice.core import __version__
 from kc2spice.core.errors import GateMissedError, MissingToolError, SimulationError, UsageError
 
@@ -221,17 +222,21 @@ def _command(function: Callable[..., None]) -> Callable[..., None]:
     name = call.__name__ = function.__name__
     call.__doc__ = function.__doc__
     _, *own = inspect.signature(function).parameters.values()
-    flags = inspect.signature(call).parameters
-    common = [flags[each].replace(default=False) for each in ("as_json", "quiet")]
-    call.__annotations__ = {}
+    flags = (each.replace(default=False) for each in inspect.signature(call).parameters.values())
     parameters = []
-    for each in (*own, *common):
+    for each in (*own, next(flags), next(flags)):
         info = PARAMETERS.get(f"{name}.{each.name}") or PARAMETERS[each.name]
-        call.__annotations__[each.name] = Annotated[each.annotation, info]
         parameters.append(each.replace(annotation=Annotated[each.annotation, info]))
+    call.__annotations__ = {each.name: each.annotation for each in parameters}
     call.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
     app.command()(call)
     return function
+
+
+def _loaded(scene: str, set_: list[str] | None) -> Any:
+    from kc2spice.scene.load import load_scene
+
+    return load_scene(scene, set_ or [])
 
 
 @_command
@@ -249,15 +254,23 @@ def run(
 
     All files appear in DIR at the end; report.html has the plots.
     """
-    from kc2spice.cli.tables import show_result
-    from kc2spice.scene.load import load_scene
     from kc2spice.workflow import run as study
 
-    loaded = load_scene(scene, set_ or [])
+    loaded = _loaded(scene, set_)
     out = out or Path(loaded.name)
     with caller.progress() as progress:
         found = study.run(loaded, out, progress, trust=trust, deck=deck, keep=keep, png=png)
-    caller.answer(found, lambda: show_result(found, out), out)
+    if caller.reads(found, out):
+        from kc2spice.report.run_page import result_sections
+
+        show(result_sections(found))
+        print_table(f"files in {out}", [(", ".join(map(str, found["files"])),)])
+        for raw in (name for name in found["files"] if name.endswith(".raw")):
+            rows = [
+                ("ngspice", f"load {raw}, then plot VECTOR"),
+                ("Python", f"spicelib.RawRead({raw!r}, dialect='ngspice')"),
+            ]
+            print_table("viewers of the raw file", rows)
 
 
 @_command
@@ -284,17 +297,15 @@ def export(
     elif scene is None:
         raise UsageError("nothing to export", expected="SCENE or --rom FILE")
     else:
-        from kc2spice.scene.load import load_scene
         from kc2spice.workflow.export import export as write
 
         short = [] if tolerance is None else [f"rom.tolerance={tolerance}"]
-        loaded = load_scene(scene, [*(set_ or []), *short])
+        loaded = _loaded(scene, [*(set_ or []), *short])
         out, head = out or Path(loaded.name), {"scene": loaded.name}
         with caller.progress() as progress:
             files = write(loaded, out, dialect, progress, trust=trust, count=count)
-    record = {**head, "files": [path.name for path in files]}
-    rows = [(str(path),) for path in files]
-    caller.answer(record, lambda: print_table("files", rows), files[0].parent)
+    if caller.reads({**head, "files": [path.name for path in files]}, files[0].parent):
+        print_table("files", [(str(path),) for path in files])
 
 
 @_command
@@ -312,19 +323,24 @@ def verify(
 
     Writes verify.json and verify.html into DIR. Exit code 4 when a gate of the scene is missed.
     """
-    from kc2spice.cli.tables import show_verdicts
-    from kc2spice.scene.load import gallery, load_scene
+    from kc2spice.scene.load import gallery
     from kc2spice.workflow.verify.verify import verify as verify_scenes
 
     if (scene is None) is not all_:
         raise UsageError("give either a SCENE or --all", where="verify")
-    loaded = [load_scene(name, set_ or []) for name in ([scene] if scene else gallery())]
+    loaded = [_loaded(name, set_) for name in ([scene] if scene else gallery())]
     out = out or Path("verify" if all_ else f"{loaded[0].name}_verify")
     with caller.progress() as progress:
         found = verify_scenes(loaded, out, full=full, deck=deck, trust=trust, progress=progress)
     passed = all(record["passed"] for record in found.values())
     record = {"passed": passed, "scenes": found} if all_ else next(iter(found.values()))
-    caller.answer(record, lambda: show_verdicts(found, out), out)
+    if caller.reads(record, out):
+        from kc2spice.report.pages import verdict_sections
+
+        for name, each in found.items():
+            show(verdict_sections(name, each))
+            print(*(f"  {note}\n" for note in each["notes"]), sep="", end="")
+        print(f"all of it, with errors and plots: {out / 'verify.html'}")
     if not passed:
         raise typer.Exit(GateMissedError.exit_code)
 
@@ -332,20 +348,29 @@ def verify(
 @_command
 def explain(caller: Caller, scene: str, set_: list[str] | None = None) -> None:
     """Say what is modelled, its numerical settings, what was left out and why."""
-    from kc2spice.cli.tables import show_plan
     from kc2spice.core.progress import Clock
-    from kc2spice.scene.load import load_scene
     from kc2spice.scene.model import scene_hash
     from kc2spice.scene.parttype import Build
     from kc2spice.workflow.models import build_models
 
-    loaded = load_scene(scene, set_ or [])
+    loaded = _loaded(scene, set_)
     timed = loaded.analysis.type == "transient"
     build = build_models(loaded, Clock()) if timed else Build(loaded, {})
     step = None if build.largest is None else {"s": build.largest.step, "why": build.largest.why}
     head = {"scene": loaded.name, "hash": scene_hash(loaded), "largest_step": step}
     record = {**head, **build.plan}
-    caller.answer(record, lambda: show_plan(record, loaded.title))
+    if caller.reads(record):
+        from kc2spice.report.run_page import plan_sections
+
+        print(textwrap.fill(f"{record['scene']}: {loaded.title}", COLUMNS))
+        print(f"scene hash {record['hash']}\n")
+        print_table("joined", [(line,) for line in record["joins"]])
+        show(plan_sections(record))
+        budget = "X" if record["error_budget"] is None else f"{record['error_budget']:g}"
+        told = "refines the settings until every metric's error is below"
+        print(f"error_budget = {budget} {told} {budget}\n")
+        if step:
+            print(textwrap.fill(f"largest step {step['s']:.3g} s: {step['why']}", COLUMNS))
 
 
 @_command
@@ -353,19 +378,36 @@ def scenes(caller: Caller, keys: bool = False, parts: bool = False) -> None:
     """List the built-in scenes, all scene keys, or all part types."""
     from dataclasses import asdict
 
-    from kc2spice.cli.tables import show_keys, show_parts
     from kc2spice.scene.keys import part_docs, scene_keys
     from kc2spice.scene.load import gallery, load_scene
 
     if keys and parts:
         raise UsageError("give either --keys or --parts", where="scenes")
-    if keys or parts:
-        found: list[Any] = list(scene_keys() if keys else part_docs())
-        show = show_keys if keys else show_parts
-        caller.answer([asdict(each) for each in found], lambda: show(found))
-        return
-    titles = {name: load_scene(name).title for name in gallery()}
-    caller.answer(titles, lambda: print_table("scenes", list(titles.items())))
+    if keys:
+        every = list(scene_keys())
+        if caller.reads([asdict(key) for key in every]):
+            rows = [
+                (key.name, key.unit or "", _text(key.default), " | ".join(key.choices) or key.doc)
+                for key in every
+            ]
+            print_table("keys of a scene", rows, ("key", "unit", "default", ""), names=0)
+    elif parts:
+        docs = list(part_docs())
+        for doc in docs if caller.reads([asdict(doc) for doc in docs]) else ():
+            rows = [("pin", p.name, p.kind, _text(p.default or None, "default ")) for p in doc.pins]
+            rows += [
+                ("key", k.name, k.unit or " | ".join(k.choices), _text(k.default, "default "))
+                for k in doc.keys
+            ]
+            print_table(f"{doc.name}: {doc.title}", rows, names=1)
+    else:
+        titles = {name: load_scene(name).title for name in gallery()}
+        if caller.reads(titles):
+            print_table("scenes", list(titles.items()))
+
+
+def _text(value: object, before: str = "") -> str:
+    return "" if value is None else f"{before}{value}"
 
 
 @_command
@@ -374,11 +416,15 @@ def doctor(caller: Caller) -> None:
     from dataclasses import asdict
 
     from kc2spice.cli.doctor import examine
-    from kc2spice.cli.tables import show_findings
 
     findings = list(examine())
-    record = {"findings": [asdict(finding) for finding in findings]}
-    caller.answer(record, lambda: show_findings(findings))
+    if caller.reads({"findings": [asdict(finding) for finding in findings]}):
+        marks = ("ok" if f.ok else "MISSING" if f.needed else "absent" for f in findings)
+        rows = [
+            (mark, f.name, f.found, "" if f.ok else f.fix)
+            for mark, f in zip(marks, findings, strict=True)
+        ]
+        print_table("doctor", rows, ("", "what", "found", "fix"))
     if any(finding.needed and not finding.ok for finding in findings):
         raise typer.Exit(MissingToolError.exit_code)
 
@@ -397,14 +443,28 @@ def reduce(
 
     An unstable model ends with exit code 4.
     """
-    from kc2spice.cli.tables import show_reduced
     from kc2spice.workflow.reduce import reduce as reduce_study
     from kc2spice.workflow.reduce import require_stable
 
     wanted: dict[str, Any] = {"band": band, "tolerance": tolerance, "order": order, "norm": norm}
     with caller.progress() as progress:
         found = reduce_study(model, out, **wanted, progress=progress)
-    caller.answer(found, lambda: show_reduced(found))
+    if caller.reads(found):
+        from kc2spice.report.run_page import above_band
+
+        low, high = found["band_hz"]
+        rows = [
+            ("equations", f"{found['unknowns']}, {found['form']}"),
+            ("states", str(found["order"])),
+            ("band", f"{low:g} … {high:g} Hz"),
+            ("error estimate", f"{found['error_estimate']:.3g}, {found['norm']}"),
+            *above_band(found),
+            ("stable", {True: "yes", False: "NO", None: "not known"}[found["stable"]]),
+            ("passive", "yes" if found["passive"] else "not shown"),
+            ("method", found["method"]),
+            ("reduced model", found["rom"]),
+        ]
+        print_table("reduced model", rows)
     require_stable(found)
 
 
@@ -423,17 +483,19 @@ def fit(
     models make a reduced one of the whole range, in which several starts descend: seconds of a
     disc, minutes of a solid.
     """
-    from kc2spice.cli.tables import show_fit
-    from kc2spice.scene.load import load_scene
     from kc2spice.workflow.fit import fit as fit_study
 
     name, colon, part = target.rpartition(":")
     if not colon:
         raise UsageError("names no part", where=target, expected="SCENE:PART")
-    scene = load_scene(name, set_ or [])
+    scene = _loaded(name, set_)
     with caller.progress() as progress:
         found = fit_study(scene, part, data, vary or (), out or Path(f"{part}_fit"), progress)
-    caller.answer(found, lambda: show_fit(found))
+    if caller.reads(found):
+        from kc2spice.report.pages import fit_sections
+
+        show(fit_sections(found))
+        print(f"values, for --set: {found['overrides']}\nwith plots: {found['page']}")
 
 
 @_command
@@ -453,18 +515,24 @@ def bench(
     simulator; the reference has all of them at their finest. Exit code 4 when no setting is within
     --error.
     """
-    from kc2spice.cli.tables import show_bench
-    from kc2spice.scene.load import load_scene
     from kc2spice.workflow.bench import bench as measure
 
-    loaded, names = load_scene(scene, set_ or []), tuple(metric or ())
+    loaded, names = _loaded(scene, set_), tuple(metric or ())
     out = out or Path(f"{loaded.name}_bench")
     wanted: dict[str, Any] = {"error": error, "metric": names, "repeats": repeats, "trust": trust}
     with caller.progress() as progress:
         record = measure(loaded, out, **wanted, progress=progress)
-    given = shlex.join([scene, *(word for each in set_ or () for word in ("--set", each))])
-    caller.answer(record, lambda: show_bench(record, given, out), out)
-    if record["recommended"] is None:
+    best = record["recommended"]
+    if caller.reads(record, out):
+        from kc2spice.report.pages import bench_sections
+
+        front = [point for point in record["points"] if point["front"] or point["own"]]
+        show(bench_sections({**record, "points": front}))
+        if best is not None:
+            given = [word for each in set_ or () for word in ("--set", each)]
+            print("kc2spice run", shlex.join([scene, *given, *best["set"]]))
+        print(f"all of it: {out / 'bench.html'}")
+    if best is None:
         raise typer.Exit(GateMissedError.exit_code)
 
 
@@ -491,7 +559,6 @@ def sweep(
     that share finite elements or a reduced model share them. Points that fail are rows that say
     why.
     """
-    from kc2spice.cli.tables import show_sweep
     from kc2spice.scene.load import override_texts
     from kc2spice.workflow.sweep import run as pools
     from kc2spice.workflow.sweep import run as study
@@ -514,7 +581,14 @@ def sweep(
             told = f"the points run so far are kept in {out}, the same command runs the rest"
             print(f"kc2spice: interrupted; {told}", file=sys.stderr)
             raise typer.Exit(INTERRUPTED) from None
-    caller.answer(result, lambda: show_sweep(result))
+    if caller.reads(result):
+        rows = [(name, str(result[name])) for name in ("points", "failed", "resumed", "table")]
+        for name, share in result.get("yield", {}).items():
+            low, high = share["low"], share["high"]
+            rows.append((f"{name}: yield", f"{share['share']:.4g} (95 %: {low:.4g} … {high:.4g})"))
+        if result.get("files"):
+            rows.append(("files", ", ".join(result["files"])))
+        print_table("sweep", rows)
     if result["points"] == result["failed"]:
         hint = "the column status says why"
         raise SimulationError("every point failed", where=result["table"], hint=hint)

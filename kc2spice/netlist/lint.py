@@ -71,8 +71,8 @@ def _wrong_cards(scope: Scope) -> Iterator[UsageError]:
         if first.setdefault(part.key, part) is not part:
             other = f"another name; the first {part.key} is in {first[part.key].where}"
             yield part.error("two parts have one name", part.name, other)
-    kinds = {"v": {n for part in scope.elements for n in part.ends}.union(scope.pins, GROUND),
-             "i": {e.key for e in scope.elements if e.kind in "vlehb"}}  # fmt: skip
+    nodes = {n for part in scope.elements for n in part.ends}.union(scope.pins, GROUND)
+    kinds = {"v": nodes, "i": {e.key for e in scope.elements if e.kind in "vlehb"}}
     for card in (*scope.commands, *scope.elements):
         if isinstance(card, Element):
             yield from _instance(card, scope) if card.kind == "x" else _references(card, scope)

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import shlex
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
@@ -28,10 +28,7 @@ _LEAST = 1e-16  # an error of zero is drawn here
 
 def write_bench(directory: Path, title: str, record: Mapping[str, Any]) -> None:
     """Write the page of the ``record`` of ``bench``."""
-    sections = [
-        Section("Error against time", figures=[_figure(record)]),
-        *bench_sections(record),
-    ]
+    sections = [Section("Error against time", figures=[_figure(record)]), *bench_sections(record)]
     lead = f"{record['simulator']}; CPU time of the simulator, median of {record['repeats']}"
     write_page(directory / "bench.html", f"Settings of {title}", lead, sections)
 
@@ -81,10 +78,7 @@ def recommendation(record: Mapping[str, Any]) -> list[tuple[str, str]]:
 
 def _names(metrics: Sequence[str]) -> str:
     """Names in one line, those of one group by the group."""
-    groups: dict[str, int] = {}
-    for name in metrics:
-        first = name.partition(".")[0]
-        groups[first] = groups.get(first, 0) + 1
+    groups = Counter(name.partition(".")[0] for name in metrics)
     return ", ".join(n if count == 1 else f"{n} ({count} curves)" for n, count in groups.items())
 
 
@@ -104,22 +98,14 @@ def _figure(record: Mapping[str, Any]) -> Figure:
     front = sorted((p for p in points if p["front"]), key=lambda p: p["error"])
     curves = [curve("settings", points), curve("front", front, "step")]
     curves.append(curve("the scene as it is", [p for p in points if p["own"]]))
-    if best is not None:
-        curves.append(curve("recommended", [best]))
+    curves += [curve("recommended", [best])] if best is not None else []
     limit, unsure = max(record["limit"], _LEAST), record["reference"]["error"]
-    marks = [(limit, f"error {limit:.2g}")]
-    if unsure > 0.0:
-        marks.append((unsure, "uncertainty of the reference"))
+    both = (limit, f"error {limit:.2g}"), (unsure, "uncertainty of the reference")
+    marks = tuple(mark for mark in both if mark[0] > 0.0)
     ends = [*curves[0].x, *(place for place, _ in marks)]
-    panel = Panel(
-        "largest relative error",
-        "CPU time of the simulator in s",
-        tuple(curves),
-        marks=tuple(marks),
-        span=(0.5 * min(ends), 2.0 * max(ends)),
-        log_x=True,
-        log_y=True,
-    )
+    look: Any = {"span": (0.5 * min(ends), 2.0 * max(ends)), "log_x": True, "log_y": True}
+    labels = "largest relative error", "CPU time of the simulator in s"
+    panel = Panel(*labels, tuple(curves), marks=marks, **look)
     return Figure("bench", "Error against time", "Lower left is better.", (panel,))
 
 
@@ -133,10 +119,8 @@ def write_fit(
 ) -> None:
     """Write the page of ``record``; ``Y``, ``before`` and ``after`` (n,) are admittances [S] at
     ``f`` [Hz]."""
-    sections = [
-        *fit_sections(record),
-        Section("Impedance", figures=fit_figures(f, Y, before, after)),
-    ]
+    figures = fit_figures(f, Y, before, after)
+    sections = [*fit_sections(record), Section("Impedance", figures=figures)]
     lead = (
         f"The values for which {record['part']} is that of {Path(record['data']).name}. Export "
         "with --set fit.toml --set box.toml writes a netlist with these keys as parameters."
@@ -188,13 +172,14 @@ def fit_figures(
     x, factor = scale_axis("frequency", f)
     f = factor * f
     three = {"measured": (Y, "o"), "scene": (before, "--"), "fitted": (after, "-")}
-    size = [Curve(name, f, np.abs(1 / y), style) for name, (y, style) in three.items()]
-    phase = [Curve(name, f, np.rad2deg(np.angle(1 / y)), style)
-             for name, (y, style) in three.items()]  # fmt: skip
+
+    def curves(of: Callable[[np.ndarray], np.ndarray]) -> tuple[Curve, ...]:
+        return tuple(Curve(name, f, of(1 / y), style) for name, (y, style) in three.items())
+
     left = Curve("fitted over measured", f, 100 * (np.abs(Y / after) - 1))
     panels = (
-        Panel(x, "|Z| in Ω", tuple(size), log_y=True),
-        Panel(x, "phase in °", tuple(phase)),
+        Panel(x, "|Z| in Ω", curves(np.abs), log_y=True),
+        Panel(x, "phase in °", curves(lambda z: np.angle(z, deg=True))),
         Panel(x, "difference of |Z| in %", (left,)),
     )
     caption = "Measured impedance, that of the scene's values and that of the fitted ones."
@@ -202,17 +187,15 @@ def fit_figures(
 
 
 CONFIDENCE = 0.95
+NUMBERS = float, int, bool
 
 Table = Mapping[str, Sequence[Any]]
 Axis = tuple[str, np.ndarray]  # label that ends in the unit, numbers in it
 
 
-def _is_flag(column: Sequence[Any]) -> bool:
-    return {type(value) for value in column} - {type(None)} == {bool}
-
-
-def _is_number(column: Sequence[Any]) -> bool:
-    return {type(value) for value in column} - {type(None)} in ({float}, {int}, {bool})
+def _has(column: Sequence[Any], *kinds: type) -> bool:
+    """Whether the values that are there are of one of these types, all of the same."""
+    return {type(value) for value in column} - {type(None)} in [{kind} for kind in kinds]
 
 
 def _numbers(column: Sequence[Any]) -> np.ndarray:
@@ -227,7 +210,7 @@ def yields(table: Table, keys: Sequence[str]) -> dict[str, dict[str, float]]:
     """
     found = {}
     for name, column in table.items():
-        if name not in keys and _is_flag(column):
+        if name not in keys and _has(column, bool):
             count, total = sum(map(bool, column)), len(column)
             interval = binomtest(count, total).proportion_ci(CONFIDENCE, method="exact")
             ends = {"low": float(interval.low), "high": float(interval.high)}
@@ -249,8 +232,8 @@ def write_sweep(
     ``units`` are those of the swept keys, in their order; ``random`` are the keys that were drawn,
     ``plan`` says how much was run, ``shares`` are the :func:`yields`.
     """
-    metrics = [name for name in table if name not in units and _is_number(table[name])]
-    spread = [_spread(name, table[name]) for name in metrics if not _is_flag(table[name])]
+    metrics = [n for n in table if n not in units and _has(table[n], *NUMBERS)]
+    spread = [_spread(name, table[name]) for name in metrics if not _has(table[name], bool)]
     head = ("metric", "points", "least", "5 %", "median", "95 %", "largest")
     failed = Counter(text for text in table["status"] if text != "ok").most_common(20)
     note = "Of all points; a point that failed counts as a miss."
@@ -261,8 +244,7 @@ def write_sweep(
         Section("Points that failed", [(str(n), why) for why, n in failed], ("points", "why")),
         Section("Figures", figures=tuple(figures(table, units, metrics, random))),
     ]
-    shown = [section for section in sections if section.rows or section.figures]
-    write_page(path, f"Sweep of {scene.name}", scene.title, shown)
+    write_page(path, f"Sweep of {scene.name}", scene.title, sections)
 
 
 def _share(share: Mapping[str, float]) -> str:
@@ -273,7 +255,7 @@ def _share(share: Mapping[str, float]) -> str:
 def _swept(key: str, column: Sequence[Any], units: Mapping[str, str]) -> tuple[str, str]:
     distinct = list({repr(value): value for value in column}.values())
     ends = ", ".join(map(str, distinct[:10]))
-    if _is_number(column):
+    if _has(column, *NUMBERS):
         ends = f"{min(distinct):g} … {max(distinct):g} {units[key]}".rstrip()
     return key, f"{len(distinct)} values, {ends}"
 
@@ -289,7 +271,7 @@ def figures(
     table: Table, units: Mapping[str, str], metrics: Sequence[str], random: Sequence[str]
 ) -> Iterator[Figure]:
     """The ``metrics`` of a table over its swept keys, whose ``units`` are given."""
-    keys = [key for key in units if _is_number(table[key])]
+    keys = [key for key in units if _has(table[key], *NUMBERS)]
     if not keys or not metrics:
         return
     x = {key: (_label(key, units[key]), _numbers(table[key])) for key in keys}
@@ -326,15 +308,13 @@ def _curves(x: Axis, words: Sequence[str], y: Axis) -> Panel:
         mine = mine[np.argsort(x[1][mine])]
         curves.append(Curve(str(label), x[1][mine], y[1][mine], "o-"))
     ends = (float(x[1].min()), float(x[1].max()))
-    return Panel(x[0], y[0], tuple(curves), span=ends, log_x=_logarithmic(x[1]))
+    return Panel(x[0], y[0], tuple(curves), span=ends, log_x=_logarithmic(np.unique(x[1])))
 
 
-def _logarithmic(values: np.ndarray) -> bool:
-    """Equally spaced in the logarithm rather than in the values."""
-    x = np.unique(values)
-    if x.size < 3 or x[0] <= 0:
-        return False
-    return bool(np.ptp(np.diff(np.log(x))) < 1e-6 * np.log(x[-1] / x[0]))
+def _logarithmic(x: np.ndarray) -> bool:
+    """Ascending and equally spaced in the logarithm rather than in the values."""
+    even = x.size > 2 and x[0] > 0 and np.ptp(np.diff(np.log(x))) < 1e-6 * np.log(x[-1] / x[0])
+    return bool(even)
 
 
 def _map(x: Axis, y: Axis, z: Axis) -> Panel:
@@ -397,12 +377,8 @@ class Findings:
 def write_verify(path: Path, found: Mapping[str, Findings]) -> Path:
     """Write the page for the findings of each scene, by its name."""
     rows = [
-        (
-            scene,
-            MET[findings.passed],
-            *(quantity(findings.errors.get(pair), "", 2) for pair in PAIRS),
-        )
-        for scene, findings in found.items()
+        (scene, MET[each.passed], *(quantity(each.errors.get(pair), "", 2) for pair in PAIRS))
+        for scene, each in found.items()
     ]
     head = ("scene", "gates", "reduced − full", "ngspice − reduced", "ngspice − full")
     sections = [Section("Summary", rows, head, "Errors are the largest relative ones.")]
@@ -414,10 +390,12 @@ def write_verify(path: Path, found: Mapping[str, Findings]) -> Path:
 
 def verdict_sections(scene: str, record: Mapping[str, Any]) -> list[Section]:
     """Gates and times of one scene's record, for the page and for the terminal."""
-    checks = [
-        (MET[c["passed"]], c["name"], *(_with_unit(c[k], c["unit"]) for k in ("value", "limit")))
-        for c in record["checks"]
-    ]
+    checks = []
+    for check in record["checks"]:
+        unit = "" if check["unit"] == "1" else check["unit"]
+        given = (check["value"], check["limit"])
+        values = (quantity(None if v is None or np.isnan(v) else v, unit, 3) for v in given)
+        checks.append((MET[check["passed"]], check["name"], *values))
     times = [(stage, quantity(time, "s", 3)) for stage, time in record["wall_s"].items()]
     return [
         Section(f"{scene}: gates", checks, ("", "check", "value", "limit")),
@@ -438,11 +416,6 @@ def _details(scene: str, findings: Findings) -> list[Section]:
         Section(f"{scene}: results", facts, note=notes),
         Section(f"{scene}: figures", figures=findings.figures),
     ]
-
-
-def _with_unit(value: float | None, unit: str) -> str:
-    reached = None if value is None or np.isnan(value) else value
-    return quantity(reached, "" if unit == "1" else unit, 3)
 
 
 # --- figures: solutions over each other, and their differences ----------------------------------
@@ -470,24 +443,17 @@ def comparison(
         )
         unit = units.get(wave, "")
         panels.append(Panel(label, f"{wave} in {unit}" if unit else wave, curves))
-    yield Figure(
-        f"{name}_solutions",
-        f"{title}: solutions over each other",
-        f"Reference (dotted): {first}.",
-        tuple(panels),
-    )
+    over, caption = f"{title}: solutions over each other", f"Reference (dotted): {first}."
+    yield Figure(f"{name}_solutions", over, caption, tuple(panels))
     x = exact[scale].real
     errors = tuple(
         Curve(f"{n}, {wave}", factor * x, np.maximum(_difference(w, exact, scale, wave), FLOOR))
         for n, w in others
         for wave in chosen
     )
-    yield Figure(
-        f"{name}_differences",
-        f"{title}: differences",
-        f"Differences to {first}, each over the wave's largest value.",
-        (Panel(label, f"difference to {first} / largest value", errors, log_y=True),),
-    )
+    panel = Panel(label, f"difference to {first} / largest value", errors, log_y=True)
+    caption = f"Differences to {first}, each over the wave's largest value."
+    yield Figure(f"{name}_differences", f"{title}: differences", caption, (panel,))
 
 
 def responses(name: str, curves: Solutions) -> Iterator[Figure]:
@@ -497,24 +463,17 @@ def responses(name: str, curves: Solutions) -> Iterator[Figure]:
     end = float(last["frequency"].real[-1]) / 1e3
     panels = []
     for pair in pairs:
-        lines = tuple(
-            Curve(
-                label,
-                waves["frequency"].real / 1e3,
-                np.abs(waves[pair]),
-                "o" if waves["frequency"].size < 60 and len(curves) > 1 else "-",
-            )
-            for label, waves in curves.items()
-        )
-        panels.append(Panel("frequency in kHz", f"|{pair}|", lines, span=(0.0, end), log_y=True))
+        lines = []
+        for label, waves in curves.items():
+            f = waves["frequency"].real / 1e3
+            style = "o" if f.size < 60 and len(curves) > 1 else "-"
+            lines.append(Curve(label, f, np.abs(waves[pair]), style))
+        look: Any = {"span": (0.0, end), "log_y": True}
+        panels.append(Panel("frequency in kHz", f"|{pair}|", tuple(lines), **look))
     if panels:
-        yield Figure(
-            f"{name}_response",
-            f"{name}: response of the emitted subcircuit",
-            "Each port's answer to a unit load on itself; points are direct solutions of the full "
-            "model.",
-            tuple(panels),
-        )
+        title = f"{name}: response of the emitted subcircuit"
+        caption = "Each port's answer to a unit load on itself; points are direct solutions of the "
+        yield Figure(f"{name}_response", title, f"{caption}full model.", tuple(panels))
 
 
 def _largest(names: list[str], waves: Waveforms, units: Mapping[str, str]) -> list[str]:

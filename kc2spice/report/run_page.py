@@ -30,21 +30,12 @@ def devices(scene: Scene) -> str:
     shapes = _side_by_side(scene)
     if not shapes:
         return ""
-    left = min(s.x - s.width / 2 for s in shapes)
-    right = max(s.x + s.width / 2 for s in shapes)
-    top = max(s.y + s.height / 2 for s in shapes)
-    bottom = min(s.y - s.height / 2 for s in shapes)
+    x, y, width, height = np.array([(s.x, s.y, s.width, s.height) for s in shapes]).T
+    left, right = min(x - width / 2), max(x + width / 2)
+    top, bottom = max(y + height / 2), min(y - height / 2)
     scale = min(SKETCH_WIDTH / (right - left), HIGH / (top - bottom))
-    placed = [
-        (
-            shape,
-            10 + scale * (shape.x - left),
-            10 + scale * (top - shape.y),
-            scale * shape.width,
-            max(scale * shape.height, 1.5),
-        )
-        for shape in shapes
-    ]
+    spots = 10 + scale * (x - left), 10 + scale * (top - y), scale * width
+    placed = list(zip(shapes, *spots, np.maximum(scale * height, 1.5), strict=True))
     labels, line = [], 0.0
     for shape, x, y, width, _ in sorted(placed, key=lambda row: row[2]):
         if shape.label:
@@ -98,17 +89,12 @@ def circuit(scene: Scene) -> str:
     places = {net: [place for place, *_ in ends] for net, ends in spots.items()}
     levels = _levels({net: at for net, at in places.items() if net != "0" and len(at) > 1})
     top = TRACK * (1 + max(levels.values(), default=0)) + 18
-    nets = [
-        {
-            "name": net,
-            "ends": ends,
-            "colour": ends[0][2],
-            "first": min(places[net]),
-            "last": max(places[net]),
-            "level": top - TRACK * (levels[net] + 1) if net in levels else None,
-        }
-        for net, ends in spots.items()
-    ]
+    heights = {net: top - TRACK * (level + 1) for net, level in levels.items()}
+    keys = ("name", "ends", "colour", "first", "last", "level")
+    nets = []
+    for net, ends in spots.items():
+        place = ends[0][2], min(places[net]), max(places[net]), heights.get(net)
+        nets.append(dict(zip(keys, (net, ends, *place), strict=True)))
     return rendered(
         "circuit.svg.j2", boxes=boxes, nets=nets, top=top, box=BOX, width=x, blue=BLUE, grey=GREY
     )
@@ -120,14 +106,10 @@ def _levels(nets: Mapping[str, Sequence[float]]) -> dict[str, int]:
     found = {}
     for net, places in sorted(nets.items(), key=lambda item: max(item[1]) - min(item[1])):
         low, high = min(places) - 6, max(max(places), min(places) + LETTER * len(net)) + 6
-        level = next(
-            (k for k, row in enumerate(taken) if all(high < a or b < low for a, b in row)),
-            len(taken),
-        )
-        if level == len(taken):
-            taken.append([])
-        taken[level].append((low, high))
-        found[net] = level
+        taken.append([])
+        free = (k for k, row in enumerate(taken) if all(high < a or b < low for a, b in row))
+        found[net] = next(free)
+        taken[found[net]].append((low, high))
     return found
 
 
@@ -157,15 +139,16 @@ def write_run(
 ) -> Path:
     """Write the page of ``kc2spice run`` from ``result.json``'s content: what it is, what it did,
     then the numbers."""
+    energies = (
+        Section(f"Energy: {name}", [(entry, quantity(v, "J")) for entry, v in entries.items()])
+        for name, entries in result.get("energy_j", {}).items()
+    )
     sections = [
         Section("Device", drawing=devices(scene), note="Side view, to scale."),
         Section("Circuit", drawing=circuit(scene), note=NETS),
         Section("Figures", figures=figures, note=HOW),
         *result_sections(result),
-        *(
-            Section(f"Energy: {name}", [(entry, quantity(v, "J")) for entry, v in entries.items()])
-            for name, entries in result.get("energy_j", {}).items()
-        ),
+        *energies,
         *(_modes(part, found) for part, found in result.get("modes", {}).items()),
         *plan_sections(result["plan"], result.get("convergence", {})),
         Section("Simulator", _simulator(result, scene)),
@@ -182,49 +165,23 @@ def result_sections(result: Mapping[str, Any]) -> list[Section]:
     attempts = result.get("simulator", {}).get("attempts", ())
     wall = result.get("wall_s", {})
     times = {**wall, "sum": sum(wall.values())} if wall else {}
+    checks, tried = [], []
+    for each in result.get("checks", ()):
+        name = each["name"] if " " in each["name"] else each["name"].replace("_", " ")
+        values = f"{each['value']:.3g} {each['unit']}", f"{each['limit']:.3g}"
+        checks.append(("ok" if each["passed"] else "VIOLATED", name, *values, each["action"]))
+    for each in attempts if len(attempts) > 1 else ():
+        outcome = each["cause"] or "succeeded", each["part"] or "", quantity(each["wall_s"], "s", 3)
+        tried.append((each["setting"], each["settings"], *outcome))
+    models = result.get("model", {}).items()
+    spent = [(stage, quantity(float(seconds), "s", 3)) for stage, seconds in times.items()]
     return [
         Section("Metrics", _facts(result.get("metrics", {}), result.get("metric_units", {}))),
-        Section(
-            "Physics checks",
-            [
-                (
-                    "ok" if check["passed"] else "VIOLATED",
-                    check["name"] if " " in check["name"] else check["name"].replace("_", " "),
-                    f"{check['value']:.3g} {check['unit']}",
-                    f"{check['limit']:.3g}",
-                    check["action"],
-                )
-                for check in result.get("checks", ())
-            ],
-            ("", "check", "value", "limit", "action"),
-            CHECKED,
-        ),
-        *(
-            Section(f"Model: {part}", _facts(found))
-            for part, found in result.get("model", {}).items()
-        ),
+        Section("Physics checks", checks, ("", "check", "value", "limit", "action"), CHECKED),
+        *(Section(f"Model: {part}", _facts(found)) for part, found in models),
         Section("Reduced model", [*_facts(facts), *above_band(rom)]),
-        Section(
-            "Retries",
-            [
-                (
-                    attempt["setting"],
-                    attempt["settings"],
-                    attempt["cause"] or "succeeded",
-                    attempt["part"] or "",
-                    quantity(attempt["wall_s"], "s", 3),
-                )
-                for attempt in (attempts if len(attempts) > 1 else ())
-            ],
-            ("setting", "changes", "outcome", "blamed", "time"),
-            TRIED,
-        ),
-        Section(
-            "Wall time",
-            [(stage, quantity(float(seconds), "s", 3)) for stage, seconds in times.items()],
-            ("stage", "time"),
-            "0 s: taken from the cache.",
-        ),
+        Section("Retries", tried, ("setting", "changes", "outcome", "blamed", "time"), TRIED),
+        Section("Wall time", spent, ("stage", "time"), "0 s: taken from the cache."),
     ]
 
 
@@ -244,30 +201,14 @@ def plan_sections(
     metrics, what is left out."""
     found = converged or {}
     shares = found.get("shares", {})
-    settings = [
-        (k, f"{v:g}", shares.get(k, e)) for k, v, e in map(dict.values, planned["settings"])
-    ]
-    settings += [(f"error of {name}", "", error) for name, error in found.get("errors", {}).items()]
+    rows = [(k, f"{v:g}", shares.get(k, e)) for k, v, e in map(dict.values, planned["settings"])]
+    rows += [(f"error of {name}", "", error) for name, error in found.get("errors", {}).items()]
+    settings = [(*row, "not estimated" if e is None else f"{e:.2g}") for *row, e in rows]
+    parts, omitted = ([[*row.values()] for row in planned[key]] for key in ("parts", "left_out"))
     return [
-        Section(
-            "What is modelled",
-            [tuple(part.values()) for part in planned["parts"]],
-            ("part", "source", "model"),
-        ),
-        Section(
-            "Numerical settings",
-            [
-                (key, value, "not estimated" if error is None else f"{error:.2g}")
-                for key, value, error in settings
-            ],
-            ("key", "value", "error"),
-            ESTIMATED,
-        ),
-        Section(
-            "What is left out",
-            [tuple(each.values()) for each in planned["left_out"]],
-            ("effect", "why", "size"),
-        ),
+        Section("What is modelled", parts, ("part", "source", "model")),
+        Section("Numerical settings", settings, ("key", "value", "error"), ESTIMATED),
+        Section("What is left out", omitted, ("effect", "why", "size")),
     ]
 
 
@@ -279,14 +220,12 @@ def _modes(part: str, found: Mapping[str, Any]) -> Section:
     """Of one body; a port that no mode moves has no column."""
     units, modes = found["units"], found["modes"]
     seen = [port for port in units if any(mode["couplings"][port] > 0 for mode in modes)]
-    rows = [
-        (
-            quantity(mode["frequency_hz"], "Hz"),
-            quantity(mode["quality"], "", 4),
-            *(quantity(mode["couplings"][port], units[port], 3) for port in seen),
+    rows = []
+    for mode in modes:
+        moved = (quantity(mode["couplings"][port], units[port], 3) for port in seen)
+        rows.append(
+            (quantity(mode["frequency_hz"], "Hz"), quantity(mode["quality"], "", 4), *moved)
         )
-        for mode in modes
-    ]
     head = ("frequency", "Q", *(port if units[port] else f"k of {port}" for port in seen))
     return Section(f"Modes: {part}", rows, head, MODES)
 
@@ -328,22 +267,19 @@ def probe_figures(
         complex_ = any(np.iscomplexobj(waves[p.of]) for p in own.values())
         shown = {p.of: np.abs(waves[p.of]) if complex_ else waves[p.of] for p in own.values()}
         size = "magnitude" if complex_ else "value"
-        marked = [(n, p) for n, p in own.items() if p.take in ("argmax", "value")]
-        panels.append(
-            Panel(
-                label,
-                f"{size} in {unit}" if unit else size,
-                tuple(Curve(of, factor * x, values) for of, values in shown.items()),
-                levels=tuple((p.level, n) for n, p in own.items() if p.level is not None),
-                marks=tuple((factor * _place(p, x, shown[p.of]), n) for n, p in marked),
-                log_x=log,
-                log_y=complex_ and all((v != 0).all() for v in shown.values()),
-            )
-        )
+        places = {
+            n: float(x[shown[p.of].argmax()] if p.at is None else p.at)
+            for n, p in own.items()
+            if p.take in ("argmax", "value")
+        }
+        look: dict[str, Any] = {
+            "levels": tuple((p.level, n) for n, p in own.items() if p.level is not None),
+            "marks": tuple((factor * place, n) for n, place in places.items()),
+            "log_x": log,
+            "log_y": complex_ and all((v != 0).all() for v in shown.values()),
+        }
+        curves = tuple(Curve(of, factor * x, values) for of, values in shown.items())
+        panels.append(Panel(label, f"{size} in {unit}" if unit else size, curves, **look))
     if panels:
         caption = "What the scene's probes look at, over the whole run."
         yield Figure("probes", "Probed results", caption, tuple(panels))
-
-
-def _place(probe: Probe, x: np.ndarray, values: np.ndarray) -> float:
-    return float(x[values.argmax()] if probe.at is None else probe.at)
