@@ -88,8 +88,8 @@ def examine() -> Iterator[Finding]:
     yield from _ngspice()
     named = (os.environ.get("NGSPICE_LIBRARY_PATH"), ctypes.util.find_library("ngspice"))
     loaded = next((n for n in (*named, "libngspice.so.0") if n and _loads(n)), None)
-    fix = "" if loaded else "apt-get install libngspice0"
-    yield Finding("libngspice", loaded is not None, loaded or "not found", fix, needed=False)
+    ok, fix = loaded is not None, "" if loaded else "apt-get install libngspice0"
+    yield Finding("libngspice", ok, loaded or "not found", fix, needed=ok)
     folder = cache_dir()
     existing = next(path for path in (folder, *folder.parents) if os.path.exists(path))
     ok = os.path.isdir(existing) and os.access(existing, os.W_OK | os.X_OK)

@@ -20,7 +20,15 @@ from typing import Annotated, Any
 
 import typer
 
-from kc2spice.cli.tables import COLUMNS, INTERRUPTED, Caller, print_table, reported_errors, show
+from kc2spice.cli.tables import (
+    COLUMNS,
+    INTERRUPTED,
+    Caller,
+    print_table,
+    reported_errors,
+    show,
+    show_result,
+)
 from kc2spice.core import __version__
 from kc2spice.core.errors import GateMissedError, MissingToolError, SimulationError, UsageError
 
@@ -261,16 +269,7 @@ def run(
     with caller.progress() as progress:
         found = study.run(loaded, out, progress, trust=trust, deck=deck, keep=keep, png=png)
     if caller.reads(found, out):
-        from kc2spice.report.run_page import result_sections
-
-        show(result_sections(found))
-        print_table(f"files in {out}", [(", ".join(map(str, found["files"])),)])
-        for raw in (name for name in found["files"] if name.endswith(".raw")):
-            rows = [
-                ("ngspice", f"load {raw}, then plot VECTOR"),
-                ("Python", f"spicelib.RawRead({raw!r}, dialect='ngspice')"),
-            ]
-            print_table("viewers of the raw file", rows)
+        show_result(found, out)
 
 
 @_command

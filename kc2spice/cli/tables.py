@@ -9,7 +9,7 @@ import sys
 import time
 import traceback
 import warnings
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
@@ -171,3 +171,17 @@ def show(sections: Iterable[Section]) -> None:
         if section.rows:
             rows = [[cell.replace("\u2212", "-") for cell in row] for row in section.rows]
             print_table(section.title, rows, section.head)
+
+
+def show_result(result: Mapping[str, Any], directory: Path) -> None:
+    """What ``run`` found."""
+    from kc2spice.report.run_page import result_sections
+
+    show(result_sections(result))
+    print_table(f"files in {directory}", [(", ".join(map(str, result["files"])),)])
+    for raw in (name for name in result["files"] if name.endswith(".raw")):
+        rows = [
+            ("ngspice", f"load {raw}, then plot VECTOR"),
+            ("Python", f"spicelib.RawRead({raw!r}, dialect='ngspice')"),
+        ]
+        print_table("viewers of the raw file", rows)
