@@ -20,15 +20,7 @@ from typing import Annotated, Any
 
 import typer
 
-from kc2spice.cli.tables import (
-    COLUMNS,
-    INTERRUPTED,
-    Caller,
-    print_table,
-    reported_errors,
-    show,
-    show_result,
-)
+from kc2spice.cli.tables import COLUMNS, INTERRUPTED, Caller, print_table, reported_errors, show
 from kc2spice.core import __version__
 from kc2spice.core.errors import GateMissedError, MissingToolError, SimulationError, UsageError
 
@@ -262,6 +254,7 @@ def run(
 
     All files appear in DIR at the end; report.html has the plots.
     """
+    from kc2spice.cli.tables import show_result
     from kc2spice.workflow import run as study
 
     loaded = _loaded(scene, set_)
