@@ -9,7 +9,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-from kc2spice.core.errors import MissingToolError, UsageError
+from kc2spice.core.errors import UsageError
 
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,63}")
 # Simulators read these as ground, clock, temperature, a constant, a multiplier, a function.
@@ -93,23 +93,15 @@ def comment(text: str) -> str:
 # --- templates ---
 
 
-def template_directory() -> Path:
-    """``kc2spice/templates`` of a wheel, else ``templates`` beside the package in a checkout."""
-    package = Path(__file__).resolve().parent.parent
-    for place in (package / "templates", package.parent / "templates"):
-        if place.is_dir():
-            return place
-    raise MissingToolError(
-        "the netlist templates are not installed", where=str(package), hint="reinstall kc2spice"
-    )
-
-
 @cache
-def _environment() -> Any:
+def templates(autoescape: bool = False) -> Any:
+    """What renders ``kc2spice/templates`` of a wheel, else ``templates`` beside the package."""
     from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
+    package = Path(__file__).resolve().parent.parent
     environment = Environment(
-        loader=FileSystemLoader(template_directory()),
+        loader=FileSystemLoader([package / "templates", package.parent / "templates"]),
+        autoescape=autoescape,
         undefined=StrictUndefined,  # a missing value is an error, never an empty field
         trim_blocks=True,
         lstrip_blocks=True,
@@ -129,4 +121,4 @@ def quoted(text: str) -> str:
 def render(template: str, **values: object) -> str:
     """Text of ``template``; filters are ``n`` (number), ``name`` (checked), ``comment``
     and ``q`` (a string of an S-expression)."""
-    return _environment().get_template(template).render(**values)
+    return templates().get_template(template).render(**values)

@@ -6,6 +6,7 @@ from collections import ChainMap
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import PurePosixPath
+from typing import Any
 
 from kc2spice.netlist.circuit import (
     Card,
@@ -13,7 +14,6 @@ from kc2spice.netlist.circuit import (
     Directive,
     Element,
     Function,
-    Item,
     Model,
     Parameters,
 )
@@ -34,7 +34,6 @@ class Scope:
 
     name: str
     where: str = ""
-    parent: Scope | None = None
     pins: tuple[str, ...] = ()
     defaults: dict[str, str] = field(default_factory=dict)
     params: ChainMap[str, str] = field(default_factory=ChainMap)
@@ -65,50 +64,50 @@ def circuit(tree: Circuit, files: Mapping[str, Circuit] | None = None, file: str
         names file and line.
     """
     top = Scope("")
-    _link(tree, file, files or {}, top, ())
+    _fill(top, tree, (file,), files or {})
     return top
 
 
-def _link(
-    tree: Circuit, file: str, files: Mapping[str, Circuit], scope: Scope, chain: tuple[str, ...]
+def _fill(
+    scope: Scope, tree: Circuit, chain: tuple[str, ...], files: Mapping[str, Circuit]
 ) -> None:
-    """Sort what ``file`` and its includes hold into ``scope``."""
-    chain = (*chain, file)
-
-    def fill(scope: Scope, items: tuple[Item, ...]) -> None:
-        for item in items:
-            match item:
-                case Element():
-                    _require_known(item)
-                    scope.elements.append(item)
-                case Circuit():
-                    fill(_opened(item, scope), item.items)
-                case Model(name, kind, given):
-                    _require_same(scope, f"model {name}", f"{kind} {given}", item)
-                    scope.models[name.lower()] = item
-                case Directive(keyword) if keyword in INCLUDES:
-                    target = _included(item, file, files, chain)
-                    _link(files[target], target, files, scope, chain)
-                case Directive(".control" | ".end"):
-                    pass
-                case _:
-                    scope.commands.append(item)
-                    if isinstance(item, Parameters):
-                        for key, value in item.values.items():
-                            _require_same(scope, f"parameter {key}", value, item)
-                            scope.params[key.lower()] = value
-                    elif isinstance(item, Function):
-                        _require_same(scope, f"function {item.name}", item.expression, item)
-                        scope.functions[item.name.lower()] = item
-
-    fill(scope, tree.items)
-
-
-def _require_known(part: Element) -> None:
-    if part.kind not in NODES and part.kind != "x":
-        letters = "".join(sorted(NODES)).upper()
-        expected = f"a name that begins with one of {letters}X"
-        raise part.error("unknown kind of element", part.name, expected)
+    """Sort what a circuit of the last file of ``chain``, and its includes, hold into ``scope``."""
+    for item in tree.items:
+        match item:
+            case Element(kind, name):
+                if kind not in NODES and kind != "x":
+                    letters = "".join(sorted(NODES)).upper()
+                    expected = f"a name that begins with one of {letters}X"
+                    raise item.error("unknown kind of element", name, expected)
+                scope.elements.append(item)
+            case Circuit():
+                _fill(_opened(item, scope), item, chain, files)
+            case Model(name, kind, given):
+                _require_same(scope, f"model {name}", f"{kind} {given}", item)
+                scope.models[name.lower()] = item
+            case Directive(keyword, words) if keyword in INCLUDES:
+                written = " ".join(words).strip("\"'")
+                target = str(PurePosixPath(chain[-1]).parent / written)  # from where the file is
+                if target in chain:
+                    raise item.error("include goes in a circle", " -> ".join(chain))
+                if target not in files:
+                    expected = "one of " + ", ".join(sorted(set(files) - set(chain)))
+                    got = written or "no file name"
+                    raise item.error("included file is not there", got, expected)
+                _fill(scope, files[target], (*chain, target), files)
+            case Directive(".control" | ".end"):
+                pass
+            case Parameters(values):
+                scope.commands.append(item)
+                for key, value in values.items():
+                    _require_same(scope, f"parameter {key}", value, item)
+                    scope.params[key.lower()] = value
+            case Function(name, _, law):
+                scope.commands.append(item)
+                _require_same(scope, f"function {name}", law, item)
+                scope.functions[name.lower()] = item
+            case _:
+                scope.commands.append(item)
 
 
 def _require_same(scope: Scope, what: str, value: str, card: Card) -> None:
@@ -122,35 +121,17 @@ def _require_same(scope: Scope, what: str, value: str, card: Card) -> None:
         raise card.error(f"two files define the {what}", card.written, expected, hint)
 
 
-def _included(s: Directive, file: str, files: Mapping[str, Circuit], chain: tuple[str, ...]) -> str:
-    written = " ".join(s.words).strip("\"'")
-    target = str(PurePosixPath(file).parent / written)  # from where the file stands
-    if target in chain:
-        raise s.error("include goes in a circle", " -> ".join(chain))
-    if target not in files:
-        expected = "one of " + ", ".join(sorted(set(files) - set(chain)))
-        raise s.error("included file is not there", written or "no file name", expected)
-    return target
-
-
 def _opened(each: Circuit, parent: Scope) -> Scope:
-    if first := parent.subcircuits.maps[0].get(each.name.lower()):
+    name = each.name.lower()
+    if first := parent.subcircuits.maps[0].get(name):
         expected = f"one definition; the first is in {first.where}"
         raise each.error("two subcircuits have one name", each.name, expected)
     defaults = {key.lower(): value for key, value in each.defaults.items()}
-    scope = Scope(
-        each.name,
-        each.where,
-        parent,
-        tuple(pin.lower() for pin in each.pins),
-        defaults,
-        parent.params.new_child(dict(defaults)),
-        parent.models.new_child(),
-        parent.functions.new_child(),
-        parent.subcircuits.new_child(),
-    )
-    parent.subcircuits[each.name.lower()] = scope
-    return scope
+    pins = tuple(map(str.lower, each.pins))
+    outer: Any = (parent.models, parent.functions, parent.subcircuits)
+    inner = (parent.params.new_child(dict(defaults)), *(m.new_child() for m in outer))
+    parent.subcircuits[name] = Scope(each.name, each.where, pins, defaults, *inner)
+    return parent.subcircuits[name]
 
 
 def has_vector(top: Scope, text: str) -> bool:
@@ -166,9 +147,8 @@ def has_vector(top: Scope, text: str) -> bool:
 
 def _has_node(top: Scope, *path: str) -> bool:
     node, scope = path[-1], inside(top, path[:-1])
-    return scope is not None and (
-        node == "0" or node in scope.pins or any(node in e.ends for e in scope.elements)
-    )
+    nodes = {"0"}.union(scope.pins, *(e.ends for e in scope.elements)) if scope else ()
+    return node in nodes
 
 
 def inside(top: Scope, path: tuple[str, ...]) -> Scope | None:

@@ -27,19 +27,9 @@ _ABOVE: Any = {
 }
 _BESIDE: Any = {"loc": "upper left", "bbox_to_anchor": (1.01, 1.0), "borderaxespad": 0.0}
 _MARKS = ("o", "s", "^", "D", "v", "P")
-_LINES: dict[str, Any] = {
-    "-": {"ls": "-"},
-    "--": {"ls": "--"},
-    ":": {"ls": ":"},
-    "reference": {"ls": (0, (1, 3))},
-    "step": {"drawstyle": "steps-post"},
-}
+_LINES: dict[str, Any] = {"-": "-", "--": "--", ":": ":", "reference": (0, (1, 3)), "step": "-"}
 _STYLE: Any = {
-    "font.family": "DejaVu Sans",
     "font.size": 9.5,
-    "axes.titlesize": 10.5,
-    "axes.titlelocation": "left",
-    "axes.titleweight": "bold",
     "axes.spines.top": False,
     "axes.spines.right": False,
     "axes.edgecolor": "#555555",
@@ -49,16 +39,10 @@ _STYLE: Any = {
     "grid.color": "#E3E3E3",
     "grid.linewidth": 0.7,
     "lines.linewidth": 1.6,
-    "lines.solid_capstyle": "round",
-    "xtick.color": "#555555",
-    "ytick.color": "#555555",
-    "xtick.labelcolor": BLACK,
-    "ytick.labelcolor": BLACK,
     "legend.frameon": False,
     "legend.fontsize": 9,
     "axes.formatter.useoffset": False,
     "figure.dpi": 150,
-    "savefig.dpi": "figure",
 }
 
 
@@ -91,21 +75,16 @@ def notebook_figure(figure: Figure) -> Any:
             return stream.getvalue()
 
     with matplotlib.rc_context(_STYLE):
-        page = Shown(figsize=_size(figure), layout="constrained")
         count, columns = len(figure.panels), figure.columns
-        axes = page.subplots(-(-count // columns), columns, sharex=columns == 1, squeeze=False)
+        rows = -(-count // columns)
+        size = (3.6 * columns, 2.7 * rows) if columns > 1 else (7.0, max(2.6 * rows, 4.0))
+        page = Shown(figsize=size, layout="constrained")
+        axes = page.subplots(rows, columns, sharex=columns == 1, squeeze=False)
         for each, panel in zip(axes.flat, figure.panels, strict=False):
             _draw_panel(each, panel)
         for spare in axes.flat[count:]:
             spare.set_axis_off()
     return page
-
-
-def _size(figure: Figure) -> tuple[float, float]:
-    count, columns = len(figure.panels), figure.columns
-    if columns == 1:
-        return 7.0, 4.0 if count == 1 else 2.6 * count
-    return 3.6 * columns, 2.7 * -(-count // columns)
 
 
 def _draw_panel(axes: Any, panel: Panel) -> None:
@@ -123,12 +102,9 @@ def _draw_panel(axes: Any, panel: Panel) -> None:
         axes.grid(False)
         mesh = axes.pcolormesh(shown.x, shown.y, shown.z, shading="nearest", cmap="viridis")
         axes.figure.colorbar(mesh, ax=axes, label=shown.label)
-    if panel.log_x:
-        axes.set_xscale("log")
-        _plain_log(axes.xaxis)
-    if panel.log_y:
-        axes.set_yscale("log")
-        _plain_log(axes.yaxis)
+    for axis, log in ((axes.xaxis, panel.log_x), (axes.yaxis, panel.log_y)):
+        if log:
+            _plain_log(axes, axis)
     if panel.equal:
         axes.set_aspect("equal", adjustable="datalim")
     elif panel.span is not None:
@@ -157,15 +133,17 @@ def _draw_curve(axes: Any, k: int, curve: Curve) -> None:
     elif curve.style == "-" and k > 0:
         look |= marks | {"mfc": "white", "markevery": (0.03 * k, 0.15)}
     else:
-        look |= _LINES[curve.style]
+        look |= {"ls": _LINES[curve.style]}
+        look |= {"drawstyle": "steps-post"} if curve.style == "step" else {}
     axes.plot(curve.x, curve.y, **look)
 
 
-def _plain_log(axis: Any) -> None:
+def _plain_log(axes: Any, axis: Any) -> None:
     """Plain numbers at 1, 2, 5, … of a logarithmic axis, or at decades where there are many: small
     ticks and powers of ten take longer than all the rest of a sheet."""
     from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 
+    axes.set(**{f"{axis.axis_name}scale": "log"})
     low, high = axis.get_data_interval()
     decades = 2 if axis.axis_name == "x" else 3  # beyond, labels side by side would overlap
     few = low > 0 and high < 10**decades * low

@@ -15,12 +15,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from jinja2.utils import htmlsafe_json_dumps
 
 from kc2spice.core import __version__
 from kc2spice.core.figure import Curve, Figure, Map
-from kc2spice.netlist.cards import template_directory
+from kc2spice.netlist.cards import templates
 
 _PREFIXES = {-15: "f", -12: "p", -9: "n", -6: "µ", -3: "m", 0: "", 3: "k", 6: "M", 9: "G"}
 # Words of keys that are none.
@@ -75,7 +74,7 @@ def leaves(value: Any, joint: str = ".", path: str = "") -> Iterator[tuple[str, 
         yield path, value
 
 
-def fact(key: str, value: Any, digits: int = 5, unit: str = "") -> tuple[str, str]:
+def fact(key: str, value: Any, unit: str = "") -> tuple[str, str]:
     """A key of result.json and its value as words: the suffix of the key is the unit, but for a
     key of a user's own choice, whose ``unit`` is told."""
     suffix, named = _suffix(key)
@@ -87,10 +86,10 @@ def fact(key: str, value: Any, digits: int = 5, unit: str = "") -> tuple[str, st
     if isinstance(value, (list, tuple)) and len(value) > 8:
         return name, f"{len(value)} values, in result.json"
     values = value if isinstance(value, (list, tuple)) else [value]
-    return name, ", ".join(worded(v, unit, digits) for v in values)
+    return name, ", ".join(worded(v, unit) for v in values)
 
 
-def worded(value: Any, unit: str = "", digits: int = 5) -> str:
+def worded(value: Any, unit: str = "") -> str:
     """A number with its unit, yes or no, or the word for what was not reached."""
     if value is None:
         return "not reached"
@@ -98,7 +97,7 @@ def worded(value: Any, unit: str = "", digits: int = 5) -> str:
         return "yes" if value else "no"
     if isinstance(value, int) and not unit:
         return f"{value:,}".replace(",", " ")
-    return quantity(value, unit, digits) if isinstance(value, (int, float)) else str(value)
+    return quantity(value, unit) if isinstance(value, (int, float)) else str(value)
 
 
 SHOWN = 4000  # points of a curve in a page
@@ -137,15 +136,9 @@ def write_page(path: Path, title: str, lead: str, sections: Sequence[Section]) -
 
 def rendered(template: str, **values: object) -> str:
     """A page or a drawing; whatever text it is given stays text in it."""
-    environment = Environment(
-        loader=FileSystemLoader(template_directory()),
-        undefined=StrictUndefined,
-        autoescape=True,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    environment.filters.update(figure=figure_html, px="{:.1f}".format)
-    return environment.get_template(template).render(**values)
+    pages = templates(autoescape=True)
+    pages.filters.update(figure=figure_html, px="{:.1f}".format)
+    return str(pages.get_template(template).render(**values))
 
 
 def figure_html(figure: Figure) -> str:
