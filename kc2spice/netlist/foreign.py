@@ -113,7 +113,11 @@ class _Reader:
         self, target: str, raw: str, name: str, path: Path, where: str, chain: tuple[Path, ...]
     ) -> Iterator[Line]:
         file = path.parent / target
-        if self.trust and (not target or not _readable(file) or self._forbidden(file)):
+        try:
+            readable = file.is_file() and file.stat().st_size <= MOST_BYTES
+        except OSError:  # a name too long, a directory that is closed
+            readable = False
+        if self.trust and (not target or not readable or self._forbidden(file)):
             yield Line(raw, where, raw)
             return
         inner = target if self.trust else str(PurePosixPath(name).parent / target)
@@ -149,7 +153,11 @@ class _Reader:
         try:
             data = read_bounded(real, MOST_BYTES - self.size)
             self.size += len(data)
-            return _decoded(data).replace("\r\n", "\n").replace("\r", "\n")
+            try:
+                text = data.decode("utf-8-sig")
+            except UnicodeDecodeError:  # many vendors write their micro signs so
+                text = data.decode("cp1252")
+            return text.replace("\r\n", "\n").replace("\r", "\n")
         except (OSError, ValueError) as error:
             reason = getattr(error, "strerror", None) or str(error)
             expected = f"a text file, at most {MOST_BYTES} bytes with all that it includes"
@@ -187,21 +195,6 @@ def _canonical(raw: str, goes_on: bool) -> tuple[str, bool]:
     return f"{card} ; {note}" if note else card, follows
 
 
-def _readable(path: Path) -> bool:
-    try:
-        return path.is_file() and path.stat().st_size <= MOST_BYTES
-    except OSError:  # a name too long, a directory that is closed
-        return False
-
-
-def _decoded(data: bytes) -> str:
-    """UTF-8, else the Windows code page in which many vendors write their micro signs."""
-    try:
-        return data.decode("utf-8-sig")
-    except UnicodeDecodeError:
-        return data.decode("cp1252")
-
-
 # --- cards that act on a whole deck ---
 
 # fmt: off
@@ -220,7 +213,6 @@ _OUTPUTS = frozenset((".save", ".print", ".plot", ".probe", ".meas", ".measure",
 # fmt: on
 _FUNCTION = re.compile(r"(?i)\.(?:func|param|params|csparam)\s+(\w+)\s*\(")
 _PARTS = "a file of subcircuits with their models, parameters and functions"
-_Reason = tuple[str, str, str]  # what the netlist does, what is expected, what to do
 
 
 def refuse(cards: Iterable[Statement], *, part: bool) -> None:
@@ -241,43 +233,36 @@ def refuse(cards: Iterable[Statement], *, part: bool) -> None:
             commands = key != ".endc"
             continue
         depth += (key == ".subckt") - (key == ".ends")
-        own = _of_part(card, depth == 0) if part else _of_deck(card)
-        for what, expected, hint in (*own, *_everywhere(card, depth == 0)):
+        for what, expected, hint in _acts(card, depth == 0, part):
             raise card.error(f"the netlist {what}", card.written[:120], expected, hint)
 
 
-def _of_part(card: Statement, outside: bool) -> Iterator[_Reason]:
-    key = card.keyword
-    if key in ANALYSES | _OUTPUTS:
+def _acts(card: Statement, outside: bool, part: bool) -> Iterator[tuple[str, str, str]]:
+    """What a card does to a whole deck, what is expected, and what to do."""
+    key, given = card.keyword, accuracy((card,))
+    if part and key in ANALYSES | _OUTPUTS:
         what = "asks for an analysis" if key in ANALYSES else "asks for an output"
         yield f"{what} of its own", _PARTS, "drop this line: the scene has analysis and results"
-    if given := accuracy((card,)):
+    if part and given:
         what = "temperature" if key == ".temp" else f"option {next(iter(given))}"
         hint = (
             "drop this line; accuracy is set by the scene's [solver], the temperature of a "
             "device by temp=… on its own card"
         )
         yield f"sets the {what} of the whole deck", _PARTS, hint
-    if outside and (key in (".ic", ".nodeset") or (key and not key.startswith("."))):
+    if part and outside and (key in (".ic", ".nodeset") or (key and not key.startswith("."))):
         what = "has a card outside of every subcircuit, which acts on nodes of the whole deck"
         yield what, _PARTS, "put it into the .subckt or drop it"
-
-
-def _of_deck(card: Statement) -> Iterator[_Reason]:
-    if "interp" in accuracy((card,)):
+    if not part and "interp" in given:
         hint = "drop it: events lie between the points that it keeps"
         yield "sets the option interp", "results at every time point", hint
-
-
-def _everywhere(card: Statement, outside: bool) -> Iterator[_Reason]:
-    """Global nodes, and what replaces a name that other cards use."""
-    if card.keyword.startswith(".global"):
+    if key.startswith(".global"):
         hint = "make it a pin: it would be one with any node of its name"
         yield "makes nodes global", "nodes of subcircuits", hint
     defined = _FUNCTION.match(card.written)
-    given = card.words[1:] if card.keyword in (".param", ".params") else ()
+    words = card.words[1:] if key in (".param", ".params") else ()
     again = (defined and defined[1].lower() in _FUNCTIONS) or _CONSTANTS.intersection(
-        word.partition("=")[0].lower() for word in given
+        word.partition("=")[0].lower() for word in words
     )
     if outside and again:
         hint = "rename it, or put it into the .subckt that uses it"
@@ -344,8 +329,16 @@ def checked(path: Path, *, trust: bool = False, home: Path | None = None) -> Fla
         write a file, or reach outside the circuit's own directory.
     """
     found = flatten(path, home or path.parent, trust=trust)
-    for where, reason, text in () if trust else _threats(found):
-        raise refusal(reason, path, where, text)
+    if trust:
+        return found
+    for line in found.lines:  # as they stood: cards are what they seem only if nothing hides
+        text = line.raw.rstrip("\r")
+        for reason in _raw_reasons(text):
+            shown = repr(text) if _HIDDEN.search(text) else text
+            raise refusal(reason, path, line.where, shown)
+    for card in found.cards():
+        for reason in _reasons(card):
+            raise refusal(reason, path, card.where, card.written)
     return found
 
 
@@ -383,17 +376,6 @@ def looked_at(name: str, home: Path) -> Flat:
     found = flatten(path, path.parent if home == Path() else home, trust=True, inside=True)
     refuse(found.cards(), part=True)
     return found
-
-
-def _threats(found: Flat) -> Iterator[tuple[str, str, str]]:
-    """``file:line``, reason and text of what could act; first of lines as they stood: cards are
-    what they seem only if there is none."""
-    for line in found.lines:
-        text = line.raw.rstrip("\r")
-        shown = repr(text) if _HIDDEN.search(text) else text
-        yield from ((line.where, reason, shown) for reason in _raw_reasons(text))
-    for card in found.cards():
-        yield from ((card.where, reason, card.written) for reason in _reasons(card))
 
 
 def _raw_reasons(text: str) -> Iterator[str]:

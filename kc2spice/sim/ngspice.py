@@ -451,7 +451,7 @@ def run_with_retries(
     while True:
         tried = setting.of(deck)
         violated: list[Check] = []
-        failure, points = Failure(""), None
+        failure, points = Failure(None), None
         cause: Cause | None = None
         start = time.perf_counter()
         try:
@@ -473,10 +473,10 @@ def run_with_retries(
                 cause = "coarse" if all(check.coarse for check in violated) else None
             else:
                 raise
-        blame = failure.cause or None, failure.node, failure.time, failure.part
+        blame = failure.cause, failure.node, failure.time, failure.part
         wall = time.perf_counter() - start
         attempts.append(Attempt(setting.name, setting.changes, *blame, wall, points))
-        if not failure.cause:
+        if failure.cause is None:
             return Outcome(tried, waves, verdict, tuple(attempts))
         following = next((each for each in left if cause in each.cures), None)
         if following is None or len(attempts) > retries:
@@ -487,13 +487,9 @@ def run_with_retries(
                 _ADVICE.get(cause or ""),
                 error.hint,
             ]
-            last = RetriesFailedError(
-                error.message,
-                where=error.where,
-                got=error.got,
-                expected=error.expected,
-                hint="; ".join(str(hint) for hint in hints if hint) or None,
-            )
+            last = RetriesFailedError(error.message)
+            last.where, last.got, last.expected = error.where, error.got, error.expected
+            last.hint = "; ".join(str(hint) for hint in hints if hint) or None
             last.attempts, last.failure = tuple(attempts), farthest
             mends = dict(check.mend for check in violated if check.mend is not None)
             last.mends = mends if len(mends) == len(violated) else {}

@@ -5,7 +5,7 @@ whom they blame, and binary raw files, which are distrusted.
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal, NamedTuple
 
@@ -51,22 +51,25 @@ _STATS = {
 
 
 @dataclass(frozen=True)
-class LogReport:
+class Failure:
     """Lines of a log by class, and what they say about a failure.
 
-    ``cause`` is the line that names the failure, ``node`` and ``time`` [s] what it blames, ``kind``
-    what other settings might cure; None where the log does not tell.
+    ``cause`` is the line that names the failure, ``node``, ``time`` [s] and ``part`` what it
+    blames, ``kind`` what other settings might cure; None where the log does not tell. ``partial``
+    has the waveforms up to there, if any.
     """
 
-    errors: tuple[str, ...]
-    struggles: tuple[str, ...]
     cause: str | None
-    node: str | None
-    time: float | None
-    kind: Kind | None
+    node: str | None = None
+    time: float | None = None
+    kind: Kind | None = None
+    errors: tuple[str, ...] = ()
+    struggles: tuple[str, ...] = ()
+    part: str | None = None
+    partial: Waveforms | None = None
 
 
-def classify(text: str) -> LogReport:
+def classify(text: str) -> Failure:
     """Sort the lines of ``text`` (standard output and error of one run)."""
     lines = re.split(r"[\r\n]+", _CARD.sub(r"error in the card \1: \2", text))
     errors = tuple(line.strip() for line in lines if _FATAL.search(line))
@@ -80,14 +83,9 @@ def classify(text: str) -> LogReport:
     elif errors and _NO_START.search(text):  # before any step
         singular = any("singular matrix" in line.lower() for line in struggles)
         kind = "singular" if singular else "operating point"
-    return LogReport(
-        errors,
-        struggles,
-        cause,
-        next((m[1] or m[2] for m in map(_NODE.search, suspects) if m), None),
-        next((float(m[1]) for m in map(_TIME.search, suspects) if m), None),
-        kind,
-    )
+    node = next((m[1] or m[2] for m in map(_NODE.search, suspects) if m), None)
+    time = next((float(m[1]) for m in map(_TIME.search, suspects) if m), None)
+    return Failure(cause, node, time, kind, errors, struggles)
 
 
 def statistics(text: str) -> dict[str, float]:
@@ -97,19 +95,6 @@ def statistics(text: str) -> dict[str, float]:
 
 
 # --- failed runs ------------------------------------------------------------------------------
-
-
-@dataclass(frozen=True)
-class Failure:
-    """Cause of a failed run, what settings might cure and whom the log blames; ``time`` [s],
-    ``partial`` the waveforms up to there, if any."""
-
-    cause: str
-    kind: Kind | None = None
-    node: str | None = None
-    time: float | None = None
-    part: str | None = None
-    partial: Waveforms | None = None
 
 
 class FailedRunError(SimulationError):
@@ -143,7 +128,7 @@ def failed_run(
         cause = "ngspice stopped before the end of the transient"
         got = ", ".join(filter(None, (f"last time point {last:g} s", blamed)))
         error = FailedRunError(cause, where=where, got=got, expected=f"{stop:g} s")
-    error.failure = Failure(cause, report.kind, report.node, report.time, part)
+    error.failure = replace(report, cause=cause, part=part)
     return error
 
 
@@ -162,11 +147,8 @@ def belongs_to(deck: Deck, node: str) -> str | None:
         return None
     if scope is None:
         return None
-    return _within(deck, scope, path[-1], name) if path else _at_top(deck, scope, name)
-
-
-def _at_top(deck: Deck, scope: Scope, name: str) -> str | None:
-    """The card of this name, or all that is wired to the node."""
+    if path:
+        return _within(deck, scope, path[-1], name)
     if any(element.key == name for element in scope.elements):
         return f"{name} in {deck.main}"
     wired = []

@@ -15,9 +15,11 @@ import math
 import os
 import shutil
 import tempfile
+from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from ctypes import CFUNCTYPE, POINTER, byref, c_bool, c_char_p, c_double, c_int, c_void_p
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -53,23 +55,22 @@ _SYNC = CFUNCTYPE(c_int, c_double, POINTER(c_double), c_double, c_int, c_int, c_
 _library: Library | None = None
 
 
+@dataclass
 class _Sampler:
     """Calls the functions of a deck at their instants and holds their answers."""
 
-    def __init__(
-        self,
-        sampled: Sequence[Sampled],
-        stop: float,
-        progress: Callable[[float], None] | None,
-    ) -> None:
-        self.sampled, self.stop, self.progress = tuple(sampled), stop, progress
-        self.samples = [0] * len(self.sampled)
-        self.shown = 0.0
-        self.held: dict[str, float] = {}
-        self.answers: dict[str, tuple[float, float]] = {}
+    sampled: Sequence[Sampled]
+    stop: float
+    progress: Callable[[float], None] | None
+    shown: float = 0.0
+    samples: Counter[int] = field(default_factory=Counter)
+    held: dict[str, float] = field(default_factory=dict)
+    answers: dict[str, tuple[float, float]] = field(default_factory=dict)
 
-    def point(self, time: float, values: Callable[[], dict[str, float]]) -> None:
+    def point(self, data: Any, *_: object) -> None:
         """An accepted time point."""
+        points = [data.contents.vectors[k].contents for k in range(data.contents.count)]
+        time = next((point.real for point in points if point.is_scale), 0.0)
         share = min(1.0, time / self.stop)
         if self.progress is not None and (share - self.shown >= 1e-3 or share > 1 - 1e-9):
             self.shown = share
@@ -78,22 +79,24 @@ class _Sampler:
             due = self.samples[k] * each.period
             if time >= due * (1 - 1e-12):
                 self.samples[k] += 1
-                self.answers[each.source] = (due + each.delay, each.call(due, values()))
+                values = {p.name.decode().lower(): p.real for p in points}
+                self.answers[each.source] = (due + each.delay, each.call(due, values))
 
-    def source(self, time: float, name: str) -> float:
-        """Volts; nothing changes before the step that ends at the instant is over."""
-        if name in self.answers and time > self.answers[name][0] * (1 + 1e-12):
-            self.held[name] = self.answers.pop(name)[1]
-        return self.held.get(name, 0.0)
+    def source(self, volts: Any, time: float, name: bytes, *_: object) -> None:
+        """Nothing changes before the step that ends at the instant is over."""
+        key = name.decode().lower()
+        if key in self.answers and time > self.answers[key][0] * (1 + 1e-12):
+            self.held[key] = self.answers.pop(key)[1]
+        volts[0] = self.held.get(key, 0.0)
 
-    def limit(self, time: float, step: float) -> float:
+    def step(self, time: float, step: Any, *_: object) -> None:
         """A step that ends at the next instant at the latest."""
         ahead = [
             (math.floor((time - shift) / each.period + 1 + 1e-9) * each.period + shift) - time
             for each in self.sampled
             for shift in (0.0, each.delay)
         ]
-        return min((a for a in ahead if a > 0), default=step)
+        step[0] = min(step[0], *(a for a in ahead if a > 0), math.inf)
 
 
 def run_shared(
@@ -115,7 +118,10 @@ def run_shared(
     """
     if deck.stop is None:
         raise UsageError("no transient", where=deck.name, expected="a deck with its last time")
-    library = _fresh()
+    global _library
+    if _library is None or _library.dead:  # ngspice has given it up
+        _library = Library()
+    library = _library
     loop = _Sampler(sampled, deck.stop, progress) if sampled or progress else None
     try:
         ran = library.load(_flattened(deck, deck.main)) and library.run(loop)
@@ -146,14 +152,6 @@ def _flattened(deck: Deck, file: str) -> list[str]:
     return found
 
 
-def _fresh() -> Library:
-    """The library of this process; a new copy where ngspice has given up the last one."""
-    global _library
-    if _library is None or _library.dead:
-        _library = Library()
-    return _library
-
-
 class Library:
     """One copy of libngspice with one circuit at a time.
 
@@ -176,10 +174,10 @@ class Library:
         self._kept = (
             _SEND_CHAR(self._on_text),
             _EXIT(self._on_exit),
-            _SEND_DATA(self._guarded(self._on_point)),
+            _SEND_DATA(self._guarded("point")),
             _SEND_INIT(lambda *_: 0),  # without it no point is sent
-            _SOURCE(self._guarded(self._on_source)),
-            _SYNC(self._guarded(self._on_step)),
+            _SOURCE(self._guarded("source")),
+            _SYNC(self._guarded("step")),
         )
         text, leave, point, begin, source, step = self._kept
         with _no_start_up_files():
@@ -216,20 +214,20 @@ class Library:
 
     # -- what ngspice calls ------------------------------------------------------------------
 
-    def _guarded(self, call: Callable[..., None]) -> Callable[..., int]:
-        """``call`` while there is a loop that has not failed."""
+    def _guarded(self, name: str) -> Callable[..., int]:
+        """What the loop calls so, while there is one that has not failed."""
 
         def guarded(*asked: Any) -> int:
             try:
                 if self._loop is not None and self.broken is None:
-                    call(self._loop, *asked)
+                    getattr(self._loop, name)(*asked)
             except Exception as error:
                 self.broken = error
             return 0
 
         return guarded
 
-    def _on_text(self, text: bytes, ident: int, user: object) -> int:
+    def _on_text(self, text: bytes, *_: object) -> int:
         line = text.decode(errors="replace")
         self.said += line.removeprefix("stdout ").removeprefix("stderr ") + "\n"
         return 0
@@ -237,17 +235,6 @@ class Library:
     def _on_exit(self, *_: object) -> int:
         self.dead = True
         return 0
-
-    def _on_point(self, loop: _Sampler, data: Any, *_: object) -> None:
-        points = [data.contents.vectors[k].contents for k in range(data.contents.count)]
-        scale = next((point.real for point in points if point.is_scale), 0.0)
-        loop.point(scale, lambda: {p.name.decode().lower(): p.real for p in points})
-
-    def _on_source(self, loop: _Sampler, value: Any, time: float, name: bytes, *_: object) -> None:
-        value[0] = loop.source(time, name.decode().lower())
-
-    def _on_step(self, loop: _Sampler, time: float, step: Any, *_: object) -> None:
-        step[0] = min(step[0], loop.limit(time, step[0]))
 
 
 def _private_copy() -> ctypes.CDLL:

@@ -66,6 +66,7 @@ _RESERVED = frozenset(_WORDS.split())
 _UNSAID = "Verilog-A cannot say this card"
 HOLD = 1e9  # S, of initial conditions
 SERIES = 1e-15  # Ohm, of a source of voltage
+_SPELLED = {"uramp": "max(0.0, {0})", "sgn": "({0} > 0.0 ? 1.0 : ({0} < 0.0 ? -1.0 : 0.0))"}
 _SWITCH = {"vt": "0.0", "vh": "0.0", "ron": "1.0", "roff": "1e12"}
 
 
@@ -95,20 +96,17 @@ class Module:
         return spelled
 
 
+@dataclass
 class Names(Writer):
     """Spelling inside one instance: ``prefix`` keeps nested instances apart."""
 
-    def __init__(
-        self,
-        module: Module,
-        scope: Scope,
-        pins: Mapping[str, str],
-        params: Mapping[str, str],
-        prefix: str,
-    ) -> None:
-        self.module, self.scope, self.prefix = module, scope, prefix
-        self.pins, self.params = pins, dict(params)
-        self.where, self.part = "", ""
+    module: Module
+    scope: Scope
+    pins: Mapping[str, str]
+    params: dict[str, str]
+    prefix: str
+    where: str = ""
+    part: str = ""
 
     def node(self, name: str) -> str:
         """Name of a node; a new one is declared."""
@@ -175,11 +173,8 @@ class Names(Writer):
             return f"({self.write(replaced(body, inserted))})"
         if function == "pow" and len(arguments) == 2:
             return self.write(Binary("^", *arguments))
-        if function == "uramp":
-            return f"max(0.0, {self.write(arguments[0])})"
-        if function == "sgn":
-            x = self.write(arguments[0])
-            return f"({x} > 0.0 ? 1.0 : ({x} < 0.0 ? -1.0 : 0.0))"
+        if spelled := _SPELLED.get(function):
+            return spelled.format(self.write(arguments[0]))
         spelled = "ln" if function == "log" else function
         if spelled not in EVERYWHERE:
             raise UsageError("Verilog-A cannot say this function", where=self.where, got=function)
@@ -214,7 +209,7 @@ def _module(part: Subcircuit, top: Scope) -> str:
         spelled = params[p.name.lower()] = module.identifier(p.name)
         line = f"parameter real {spelled} = {number(p.default)};"
         module.declarations.append(f"{line}  // {p.unit}: {p.doc}")
-    _expand(scope, module, pins, params, "")
+    _expand(Names(module, scope, pins, params, ""))
     ports = ", ".join(pins.values())
     inner = ", ".join(module.nodes.values())
     body = [
@@ -236,11 +231,9 @@ def _module(part: Subcircuit, top: Scope) -> str:
     return "\n".join(body) + "\n"
 
 
-def _expand(
-    scope: Scope, module: Module, pins: Mapping[str, str], params: Mapping[str, str], prefix: str
-) -> None:
-    """Add the contributions of ``scope``; nested instances come in place, with a prefix."""
-    names = Names(module, scope, pins, params, prefix)
+def _expand(names: Names) -> None:
+    """Add the contributions of an instance; nested ones come in place, with a prefix."""
+    scope, module, prefix = names.scope, names.module, names.prefix
     for card in scope.commands:
         names.where = card.where
         if isinstance(card, Directive) or card.written.startswith(".csparam"):
@@ -251,13 +244,13 @@ def _expand(
         names.where, names.part = part.where, part.key
         module.laws += [f"// {line[1:].strip()}" if line else "" for line in part.notes]
         if part.kind == "x":
-            _nested(part, scope, names)
+            _nested(part, names)
         else:
             _contribute(part, names)
 
 
-def _nested(part: Element, scope: Scope, outer: Names) -> None:
-    called = scope.find(part.model)
+def _nested(part: Element, outer: Names) -> None:
+    called = outer.scope.find(part.model)
     if called is None or len(called.pins) != len(part.nodes):
         raise part.error("no such subcircuit", part.model)
     prefix = f"{outer.prefix}{part.key}_"
@@ -266,7 +259,7 @@ def _nested(part: Element, scope: Scope, outer: Names) -> None:
     for key, default in called.defaults.items():
         value = outer.value(part.settings.get(key, default))
         params[key] = outer.module.variable(prefix + key, value)
-    _expand(called, outer.module, pins, params, prefix)
+    _expand(Names(outer.module, called, pins, params, prefix))
 
 
 def _contribute(part: Element, names: Names) -> None:
@@ -315,7 +308,11 @@ def _right(part: Element, names: Names, across: str) -> str:
             return _steady(part, names)
         case "v":
             # OpenVAF makes one node of the ends of a plain 0 V, and its current zero
-            read = part.key in _currents(names.scope)
+            others = names.scope.elements
+            laws = (leaf for each in others if each.expression for leaf in walk(each.law))
+            probed = (p.names[0] for p in laws if isinstance(p, Probe) and p.kind == "i")
+            used = (*probed, *(name for each in others for name in each.sources))
+            read = part.key in map(str.lower, used)
             return _steady(part, names) + (f" + {number(SERIES)}*{own}" if read else "")
     raise part.error(_UNSAID)
 
@@ -380,14 +377,6 @@ def _table(name: str, x: list[float], f: list[float]) -> str:
 
     search(0, len(x) - 1, "      ")
     return "\n".join([*lines, "    end", "  endfunction"])
-
-
-def _currents(scope: Scope) -> set[str]:
-    """Sources whose current others read: a compiler joins the nodes of any other one of 0 V."""
-    read = {s.lower() for each in scope.elements for s in each.sources}
-    laws = (each.law for each in scope.elements if each.expression)
-    probes = (tree for law in laws for tree in walk(law) if isinstance(tree, Probe))
-    return read | {probe.names[0].lower() for probe in probes if probe.kind == "i"}
 
 
 # --- a testbench for modules compiled to OSDI, for an ngspice that can load them ---
