@@ -34,7 +34,7 @@ from scipy.sparse.linalg import LinearOperator, eigsh
 from skfem import LinearForm
 from skfem.mesh import MeshHex, MeshQuad
 
-from kc2spice.core.errors import UsageError
+from kc2spice.core.errors import UsageError, wrong
 from kc2spice.fem.keys import Damping
 from kc2spice.fem.materials import Material
 from kc2spice.fem.solid import Solid, assemble
@@ -230,12 +230,8 @@ def _damped(model: LinearModel, solid: Solid, P: sparse.csc_array, setup: Setup)
     E = damping.alpha * model.M
     for number, material in enumerate(solid.materials):
         if material.quality is None:
-            raise UsageError(
-                "no quality known",
-                where="damping.per_material",
-                got=material.name,
-                hint="give it in a material table, or a ratio for all",
-            )
+            hint = "give it in a material table, or a ratio for all"
+            raise wrong("damping.per_material", "no quality known", material.name, hint=hint)
         part = assemble(solid, only=number).K_uu
         E = E + setup.sectors * (P.T @ part @ P) / (material.quality * omega)
     return replace(model, E=sparse.csc_array(E), rayleigh=None)
@@ -281,11 +277,9 @@ def _moving(solid: Solid, setup: Setup) -> tuple[sparse.csc_array, list[tuple[Po
     for face in setup.faces:
         rows = (d * face.nodes[:, None] + np.arange(d)).ravel()
         if not kept[rows].all():
-            raise UsageError(
-                "a rigid face touches a support or another rigid face",
-                where=", ".join(port.name for port, _ in face.ports),
-                hint="give it free nodes",
-            )
+            problem = "a rigid face touches a support or another rigid face"
+            hint = "give it free nodes"
+            raise wrong(", ".join(port.name for port, _ in face.ports), problem, hint=hint)
         kept[rows] = False
         motion = np.zeros((len(kept), 6))
         motion[rows] = rigid_motions(solid, where[face.nodes].mean(axis=0))[rows]
@@ -310,13 +304,10 @@ def _potentials(
     for nodes in (*setup.electrodes.values(), *setup.floating):
         taken[nodes[live[nodes]]] += 1
     if taken.max(initial=0) > 1:
-        raise UsageError(
-            "electrodes touch each other",
-            where="electrodes",
-            got=f"{np.sum(taken > 1)} common nodes",
-            expected="a gap between any two of them",
-            hint="one pin may have several groups: PIN = [GROUP, GROUP]",
-        )
+        hint = "one pin may have several groups: PIN = [GROUP, GROUP]"
+        got = f"{np.sum(taken > 1)} common nodes"
+        expected = "a gap between any two of them"
+        raise wrong("electrodes", "electrodes touch each other", got, expected, hint)
     if setup.graded is not None:
         taken[setup.graded[0]] += 1
     _require_grounded(K_pp, live, taken)
@@ -337,11 +328,9 @@ def _require_grounded(K_pp: sparse.csc_array, live: np.ndarray, taken: np.ndarra
     """A piece of ceramic without any electrode has no determined potential."""
     _, piece = connected_components(K_pp, directed=False)
     if np.setdiff1d(piece[live], piece[taken > 0]).size:
-        raise UsageError(
-            "a ceramic touches no electrode: its potential is undetermined",
-            where="electrodes",
-            hint="every piezoelectric piece needs an electrode on one face at least",
-        )
+        hint = "every piezoelectric piece needs an electrode on one face at least"
+        problem = "a ceramic touches no electrode: its potential is undetermined"
+        raise wrong("electrodes", problem, hint=hint)
 
 
 def _indicator(
@@ -519,11 +508,9 @@ class Bonded:
         for own, others in zip(self._edges(), model._edges(), strict=True):
             (points, place), (counted, alike) = _distinct(own), _distinct(others)
             if not np.array_equal(place, alike):
-                raise UsageError(
-                    "the body's edges change their order, which no mesh that moves can follow",
-                    where=self.where,
-                    expected="sizes that keep which edge lies beyond which: narrower ranges",
-                )
+                problem = "the body's edges change their order, which no mesh that moves can follow"
+                expected = "sizes that keep which edge lies beyond which: narrower ranges"
+                raise wrong(self.where, problem, expected=expected)
             counts = np.ceil(np.diff(counted) / model.size - 1e-9).astype(int)
             cut = [
                 np.linspace(*pair, self.refine * max(1, count) + 1)[:-1]

@@ -23,7 +23,7 @@ from scipy.linalg import eigh
 from skfem import Basis
 
 from kc2spice.bodies.device import Device
-from kc2spice.core.errors import UsageError
+from kc2spice.core.errors import wrong
 from kc2spice.fem.solid import Solid, strains
 from kc2spice.rom.modal import resonant
 from kc2spice.rom.subspace import block_arnoldi
@@ -78,12 +78,9 @@ def recover(
     u = np.zeros((len(time), len(names)))
     for name, wave in inputs.items():
         if name not in names or np.shape(wave) != np.shape(time):
-            raise UsageError(
-                "not a port waveform of this body",
-                where="fields",
-                got=f"{name} {np.shape(wave)}",
-                expected=f"{len(time)} values of one of {', '.join(names)}",
-            )
+            expected = f"{len(time)} values of one of {', '.join(names)}"
+            problem = "not a port waveform of this body"
+            raise wrong("fields", problem, f"{name} {np.shape(wave)}", expected)
         u[:, names.index(name)] = wave
     t = np.asarray(time)
     basis, omega, damp = _modes(device, order, float(t[-1] - t[0]))

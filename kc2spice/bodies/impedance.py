@@ -19,7 +19,7 @@ from typing import Any
 
 import numpy as np
 
-from kc2spice.core.errors import UsageError
+from kc2spice.core.errors import wrong
 
 _FEWEST = 7  # samples around the resonance, for six real coefficients
 _PASSES = 8
@@ -94,17 +94,13 @@ def analyse(frequency: np.ndarray, impedance_ohm: np.ndarray) -> Reading:
 
 def _check(f: np.ndarray, Z: np.ndarray) -> None:
     if f.ndim != 1 or f.shape != Z.shape or len(f) < _FEWEST:
-        raise UsageError(
-            "not samples of an impedance",
-            got=f"shapes {f.shape} and {Z.shape}",
-            expected=f"two arrays of one length, at least {_FEWEST}",
-        )
+        expected = f"two arrays of one length, at least {_FEWEST}"
+        got = f"shapes {f.shape} and {Z.shape}"
+        raise wrong(None, "not samples of an impedance", got, expected)
     good = np.isfinite(f).all() and np.isfinite(Z).all() and (Z != 0).all()
     if not good or f[0] <= 0 or not (np.diff(f) > 0).all():
-        raise UsageError(
-            "not samples of an impedance",
-            expected="finite values at frequencies that increase from above zero",
-        )
+        expected = "finite values at frequencies that increase from above zero"
+        raise wrong(None, "not samples of an impedance", expected=expected)
 
 
 def _window(f: np.ndarray, Y: np.ndarray) -> slice:
@@ -116,11 +112,8 @@ def _window(f: np.ndarray, Y: np.ndarray) -> slice:
     inner = np.flatnonzero((G[1:-1] >= G[:-2]) & (G[1:-1] > G[2:])) + 1
     inner = inner[G[inner] > 0]
     if len(inner) == 0:
-        raise UsageError(
-            "no resonance among the samples",
-            got=f"{f[0]:g} to {f[-1]:g} Hz",
-            hint="widen the band, or add damping so that samples can see the peak",
-        )
+        hint = "widen the band, or add damping so that samples can see the peak"
+        raise wrong(None, "no resonance among the samples", f"{f[0]:g} to {f[-1]:g} Hz", hint=hint)
     peak = int(inner[G[inner] >= G[inner].max() / 20][0])
     R = (1 / Y).real
     later = np.flatnonzero((R[1:-1] >= R[:-2]) & (R[1:-1] > R[2:])) + 1
@@ -129,11 +122,8 @@ def _window(f: np.ndarray, Y: np.ndarray) -> slice:
     reach = max(top - peak, 4)
     low, high = max(0, peak - reach), min(len(f), top + reach // 4 + 2)
     if high - low < _FEWEST:
-        raise UsageError(
-            "too few samples around the resonance",
-            got=f"{high - low} around {f[peak]:g} Hz",
-            expected=f"at least {_FEWEST}",
-        )
+        problem = "too few samples around the resonance"
+        raise wrong(None, problem, f"{high - low} around {f[peak]:g} Hz", f"at least {_FEWEST}")
     return slice(low, high)
 
 
@@ -156,11 +146,9 @@ def _fit(f: np.ndarray, Y: np.ndarray) -> BVD:
     c0 = (c3 - a * c4 / b) / b
     cm = c1 - c0
     if not min(a, b, c0, cm) > 0:
-        raise UsageError(
-            "the samples are not those of a resonance beside a capacitor",
-            got=f"C0 {c0:g}, C {cm:g}, R C {a:g}, L C {b:g} (scaled)",
-            hint="take more samples between resonance and antiresonance",
-        )
+        problem = "the samples are not those of a resonance beside a capacitor"
+        hint = "take more samples between resonance and antiresonance"
+        raise wrong(None, problem, f"C0 {c0:g}, C {cm:g}, R C {a:g}, L C {b:g} (scaled)", hint=hint)
     scale = 1 / (2 * math.pi * unit)
     farad = size * scale
     return BVD(c0 * farad, a * scale / (cm * farad), b * scale**2 / (cm * farad), cm * farad)

@@ -88,6 +88,17 @@ def needed(module: str, package: str, where: str, extra: str) -> Any:
         raise MissingToolError(f"{package} is not installed", where=where, hint=hint) from None
 
 
+def wrong(
+    where: str | None,
+    problem: str,
+    got: object = None,
+    expected: str | None = None,
+    hint: str | None = None,
+) -> UsageError:
+    """The error of a file or key, as :class:`Kc2spiceError` has it."""
+    return UsageError(problem, where=where, got=got, expected=expected, hint=hint)
+
+
 def unknown(
     message: str, name: object, known: Iterable[str], where: str | None = None
 ) -> UsageError:

@@ -16,7 +16,7 @@ from types import ModuleType
 import numpy as np
 from skfem import MeshTri, MeshTri2
 
-from kc2spice.core.errors import UsageError
+from kc2spice.core.errors import wrong
 from kc2spice.core.gmsh_session import gmsh_session
 from kc2spice.fem.magnet_keys import Catch, Ring
 
@@ -60,12 +60,9 @@ def air(catch: Catch) -> tuple[float, float, float, float]:
     boxes = [rectangle(part) for part in parts(catch)]
     low, high = min(box[1] for box in boxes), max(box[3] for box in boxes)
     if high - low >= catch.air_height:
-        raise UsageError(
-            "the air cylinder is lower than what stands in it",
-            where="catch.air_height",
-            got=f"{catch.air_height:g} m",
-            expected=f"more than {high - low:g} m, several times that for a small error",
-        )
+        expected = f"more than {high - low:g} m, several times that for a small error"
+        problem = "the air cylinder is lower than what stands in it"
+        raise wrong("catch.air_height", problem, f"{catch.air_height:g} m", expected)
     centre = (low + high) / 2
     return 0.0, centre - catch.air_height / 2, catch.air_radius, centre + catch.air_height / 2
 
@@ -90,13 +87,11 @@ def bore(catch: Catch, radius: float, pitch: float, lowest: float, highest: floa
     bottom, top = lowest - half, highest + half
     _, floor, _, ceiling = air(catch)
     if bottom <= floor + pitch or top >= ceiling - pitch:
-        raise UsageError(
-            "the sphere's travel leaves the air cylinder",
-            where="catch.y_min, catch.y_max",
-            got=f"{lowest:g} m to {highest:g} m",
-            expected=f"within {floor + half + pitch:g} m to {ceiling - half - pitch:g} m",
-            hint="shorten the travel or raise catch.air_height",
-        )
+        expected = f"within {floor + half + pitch:g} m to {ceiling - half - pitch:g} m"
+        hint = "shorten the travel or raise catch.air_height"
+        problem = "the sphere's travel leaves the air cylinder"
+        got = f"{lowest:g} m to {highest:g} m"
+        raise wrong("catch.y_min, catch.y_max", problem, got, expected, hint)
     size = radius / catch.refine
     columns = math.ceil(wall / (_LATTICE * size))
     return Bore(radius, wall, pitch, columns, half, bottom, round((top - bottom) / pitch), size)

@@ -30,7 +30,7 @@ from typing import Annotated, Any, Literal, TypeAlias
 import numpy as np
 from pydantic import BeforeValidator, Field, model_validator
 
-from kc2spice.core.errors import UsageError
+from kc2spice.core.errors import UsageError, wrong
 from kc2spice.core.quantities import (
     EPSILON_0,
     Density,
@@ -348,12 +348,9 @@ class MaterialTable(Section):
         _require_definite(C, "stiffness")
         largest = float(np.diag(C).max())
         if not 1e3 <= largest <= 2e12:  # GPa written as Pa, pm^2/N as m^2/N
-            raise UsageError(
-                "stiffness out of any material's range",
-                got=f"{largest:g} Pa",
-                expected="1e3 to 2e12 Pa",
-                hint='numbers are in SI: write "121 GPa" or 121e9, "16.4e-12 1/Pa" or 16.4e-12',
-            )
+            hint = 'numbers are in SI: write "121 GPa" or 121e9, "16.4e-12 1/Pa" or 16.4e-12'
+            problem = "stiffness out of any material's range"
+            raise wrong(None, problem, f"{largest:g} Pa", "1e3 to 2e12 Pa", hint)
         return (C + C.T) / 2
 
     def _engineering(self) -> np.ndarray:
@@ -388,11 +385,8 @@ class MaterialTable(Section):
         if isinstance(values, list):
             return _full(values, (3, 3), "permittivity")
         if "eps11" not in values or set(values) - set(names):
-            raise UsageError(
-                "permittivity components",
-                got=", ".join(values),
-                expected="eps11, and eps22 or eps33 where they differ from it",
-            )
+            expected = "eps11, and eps22 or eps33 where they differ from it"
+            raise wrong(None, "permittivity components", ", ".join(values), expected)
         return np.diag([values.get(name, values["eps11"]) for name in names])
 
     def _tensor(self, key: str, letter: str) -> np.ndarray:
@@ -479,11 +473,6 @@ def material(given: str | Mapping[str, Any] | Material, where: str = "material")
             error.where = where if error.where is None else f"{where}: {error.where}"
             raise
     if given.lower() not in {name.lower() for name in _tables()}:
-        raise UsageError(
-            "no such material",
-            where=where,
-            got=given,
-            expected=", ".join(_tables()),
-            hint="or a table with density, youngs_modulus, poisson_ratio, …",
-        )
+        hint = "or a table with density, youngs_modulus, poisson_ratio, …"
+        raise wrong(where, "no such material", given, ", ".join(_tables()), hint)
     return _named(given.lower())

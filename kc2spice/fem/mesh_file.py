@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 from skfem.mesh import Mesh, MeshTet, MeshTet2, MeshTri, MeshTri2
 
-from kc2spice.core.errors import UsageError, unknown
+from kc2spice.core.errors import UsageError, unknown, wrong
 from kc2spice.core.foreign import in_child, read_bounded
 from kc2spice.core.gmsh_session import gmsh_session
 from kc2spice.core.quantities import quantity
@@ -85,12 +85,9 @@ class GroupedMesh:
             kinds = ("elements", "faces", "curves", "points")
             if self.mesh.dim() == 2:
                 kinds = ("elements", "curves", "points", "")
-            raise UsageError(
-                "group of the wrong kind",
-                where=where,
-                got=f"{name}, {kinds[found.codimension]}",
-                expected=" or ".join(kinds[c] for c in codimensions),
-            )
+            got = f"{name}, {kinds[found.codimension]}"
+            problem = "group of the wrong kind"
+            raise wrong(where, problem, got, " or ".join(kinds[c] for c in codimensions))
         return found
 
 
@@ -116,12 +113,7 @@ def read_mesh(
     """
     data = _content(path)
     if path.suffix.lower() in STEP and unit != MILLIMETRE:
-        raise UsageError(
-            "a STEP file states its own unit",
-            where="unit",
-            got=f"{unit:g} m",
-            expected="no unit, or mm",
-        )
+        raise wrong("unit", "a STEP file states its own unit", f"{unit:g} m", "no unit, or mm")
     cad = path.suffix.lower() != ".msh"
     if cad == (size is None):
         raise UsageError(
@@ -130,11 +122,8 @@ def read_mesh(
             expected='a length such as "1 mm"' if cad else "no size with .msh",
         )
     if picks and not cad:
-        raise UsageError(
-            "groups are picked in CAD files only",
-            where="groups",
-            hint="name physical groups in the mesh",
-        )
+        problem = "groups are picked in CAD files only"
+        raise wrong("groups", problem, hint="name physical groups in the mesh")
     scaled = {
         name: {
             **pick,
@@ -171,13 +160,9 @@ def length_unit(path: Path, unit: str | None) -> float:
         return " x ".join(f"{scale * side:.4g}" for side in sides)
 
     sizes = (f'"{name}" if it is {shown(1e3 * quantity(f"1 {name}", "m"))} mm' for name in LENGTHS)
-    raise UsageError(
-        f"a {path.suffix} file does not state its unit of length",
-        where="unit",
-        got=f"{shown(1.0)} in that unit",
-        expected=", ".join(sizes),
-        hint='state it beside mesh, such as unit = "mm"',
-    )
+    problem = f"a {path.suffix} file does not state its unit of length"
+    hint = 'state it beside mesh, such as unit = "mm"'
+    raise wrong("unit", problem, f"{shown(1.0)} in that unit", ", ".join(sizes), hint)
 
 
 def extent(path: Path) -> np.ndarray:
@@ -214,12 +199,7 @@ def require_format(path: Path, head: bytes | None = None) -> None:
     """
     known = FORMATS.get(path.suffix.lower())
     if known is None:
-        raise UsageError(
-            "not a kind of mesh",
-            where=str(path),
-            got=path.suffix or "no suffix",
-            expected=", ".join(FORMATS),
-        )
+        raise wrong(str(path), "not a kind of mesh", path.suffix or "no suffix", ", ".join(FORMATS))
     if head is None:
         if not path.is_file():
             return
@@ -232,13 +212,7 @@ def require_format(path: Path, head: bytes | None = None) -> None:
             return
         got, expected = head[:40], "a header of version 2 or 4, as text or binary"
         hint = 'gmsh.option.setNumber("Mesh.MshFileVersion", 4.1) before gmsh.write'
-    raise UsageError(
-        "is not what its name says",
-        where=str(path),
-        got=repr(got)[1:],
-        expected=expected,
-        hint=hint,
-    )
+    raise wrong(str(path), "is not what its name says", repr(got)[1:], expected, hint)
 
 
 def _content(path: Path) -> bytes:
@@ -251,13 +225,9 @@ def _content(path: Path) -> bytes:
         raise UsageError("cannot be read", where=str(path), got=reason) from None
     require_format(path, data[:_HEAD])
     if path.suffix.lower() in STEP and b"DOCUMENT_FILE" in _STEP_TEXT.sub(b"", data):
-        raise UsageError(
-            "refers to other files",
-            where=str(path),
-            got="DOCUMENT_FILE",
-            expected="one file with all solids",
-            hint="export it without external references",
-        )
+        hint = "export it without external references"
+        expected = "one file with all solids"
+        raise wrong(str(path), "refers to other files", "DOCUMENT_FILE", expected, hint)
     return data
 
 
@@ -417,12 +387,8 @@ def _collected(gmsh: ModuleType, dimension: int, where: str) -> dict[str, np.nda
             for kind, numbers, nodes in blocks:
                 shape, _, _, count, _, corners = gmsh.model.mesh.getElementProperties(kind)
                 if corners != d + 1 or count not in (d + 1, (d + 1) * (d + 2) // 2):
-                    raise UsageError(
-                        "element that is not supported",
-                        where="mesh",
-                        got=shape,
-                        expected="triangles, tetrahedra of order 1 or 2",
-                    )
+                    expected = "triangles, tetrahedra of order 1 or 2"
+                    raise wrong("mesh", "element that is not supported", shape, expected)
                 at = np.minimum(np.searchsorted(ranked, nodes), len(ranked) - 1)
                 if len(ranked) == 0 or (ranked[at] != nodes).any():
                     raise UsageError("an element has a node that is not there", where=where)
@@ -455,12 +421,8 @@ def _make(gmsh: ModuleType, size: float, dimension: int, picks: Picks) -> None:
     sides = np.reshape(gmsh.model.getBoundingBox(-1, -1), (2, 3))
     wanted = float(np.prod(np.maximum(np.ptp(sides, axis=0) / size, 1.0)))
     if not wanted <= MOST:
-        raise UsageError(
-            "elements of this size are too many",
-            where="size",
-            got=f"about {wanted:.1g} of them",
-            expected=f"at most {MOST}",
-        )
+        problem = "elements of this size are too many"
+        raise wrong("size", problem, f"about {wanted:.1g} of them", f"at most {MOST}")
     labels = {entity: _label(gmsh, entity) for entity in gmsh.model.getEntities()}
     if len(bodies) > 1:
         _, pieces = gmsh.model.occ.fragment(bodies[:1], bodies[1:])
@@ -506,12 +468,9 @@ def _pick(
             if _contains(gmsh, d, tag, np.asarray(point), near)
         ]
         if not hits:
-            raise UsageError(
-                f"no {DIMENSION[dimension][:-1]} contains this point",
-                where=f"groups.{name}.at",
-                got=[float(x) for x in point],
-                expected="a point of the geometry, in the file's unit here",
-            )
+            problem = f"no {DIMENSION[dimension][:-1]} contains this point"
+            expected = "a point of the geometry, in the file's unit here"
+            raise wrong(f"groups.{name}.at", problem, [float(x) for x in point], expected)
         found += hits
     if box is not None:
         low, high = np.min(box, axis=0) - near, np.max(box, axis=0) + near

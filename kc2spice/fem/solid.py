@@ -34,7 +34,7 @@ from skfem import (
 )
 from skfem.mesh import Mesh, MeshHex, MeshQuad, MeshTet
 
-from kc2spice.core.errors import UsageError
+from kc2spice.core.errors import wrong
 from kc2spice.fem.materials import Material
 
 CHUNK = 4000  # elements handled at once: bounds the memory of the element matrices
@@ -66,27 +66,19 @@ class Solid:
         determinant = self.mesh.mapping().detDF(self.basis(2).X)
         flipped = (determinant.min(axis=1) <= 0) & (determinant.max(axis=1) >= 0)
         if flipped.any():
-            raise UsageError(
-                "elements turned inside out",
-                where="mesh",
-                got=f"{flipped.sum()} of them",
-                expected="Jacobian determinants of one sign",
-                hint="repair or refine the mesh",
-            )
+            expected = "Jacobian determinants of one sign"
+            problem = "elements turned inside out"
+            hint = "repair or refine the mesh"
+            raise wrong("mesh", problem, f"{flipped.sum()} of them", expected, hint)
         for material in self.materials if self.axisymmetric else ():
             if not material.isotropic_about_z:
-                raise UsageError(
-                    "an axisymmetric body needs materials that are isotropic about its axis",
-                    got=material.name,
-                    hint='use a mesh (part = "body"), or give the average in the plane',
-                )
+                problem = "an axisymmetric body needs materials that are isotropic about its axis"
+                hint = 'use a mesh (part = "body"), or give the average in the plane'
+                raise wrong(None, problem, material.name, hint=hint)
         if self.axisymmetric and self.mesh.p[0].min() < -1e-9 * np.ptp(self.mesh.p):
-            raise UsageError(
-                "axisymmetric mesh crosses its axis",
-                where="mesh",
-                got=f"x = {self.mesh.p[0].min():g} m",
-                expected="x (the radius) of at least 0",
-            )
+            problem = "axisymmetric mesh crosses its axis"
+            got = f"x = {self.mesh.p[0].min():g} m"
+            raise wrong("mesh", problem, got, "x (the radius) of at least 0")
 
     @property
     def components(self) -> int:

@@ -11,7 +11,7 @@ from typing import Any
 
 from pydantic import BaseModel
 
-from kc2spice.core.errors import UsageError
+from kc2spice.core.errors import UsageError, wrong
 from kc2spice.core.quantities import unit_of, validated
 from kc2spice.fem.materials import MaterialTable
 from kc2spice.netlist.circuit import Param
@@ -78,12 +78,8 @@ def ranged(
     """
     low, high = min(ends), max(ends)
     if not low * high > 0 or high - low < LEAST * abs(high) or not low <= value <= high:
-        raise UsageError(
-            "not the range of a parameter",
-            where=where or key,
-            got=f"{low:g} to {high:g}",
-            expected=f"two different numbers of one sign, the part's value {value:g} between",
-        )
+        expected = f"two different numbers of one sign, the part's value {value:g} between"
+        raise wrong(where or key, "not the range of a parameter", f"{low:g} to {high:g}", expected)
     return Varied(key, unit, value, low, high)
 
 

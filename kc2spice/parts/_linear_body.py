@@ -18,7 +18,7 @@ from pydantic import Field
 
 from kc2spice.core import laws
 from kc2spice.core.cache import cached
-from kc2spice.core.errors import UsageError, unknown
+from kc2spice.core.errors import UsageError, unknown, wrong
 from kc2spice.core.figure import Figure, Written
 from kc2spice.core.progress import Clock
 from kc2spice.core.quantities import Section, Voltage
@@ -275,19 +275,11 @@ class LinearBody(Touching):
         middle = with_values(part, {each.key: each.axis.middle for each in keys})
         target, asked = self.reduction(part, scene), self.model_key(middle, scene)
         if loss_tangent(part):
-            raise UsageError(
-                "a netlist with parameters has no loss of its dielectric",
-                where=f"{part.name}.damping.loss_tangent",
-                got=loss_tangent(part),
-                expected="0",
-            )
+            problem = "a netlist with parameters has no loss of its dielectric"
+            raise wrong(f"{part.name}.damping.loss_tangent", problem, loss_tangent(part), "0")
         if target.order is not None and "order" in target.model_fields_set and part.keys.rom.order:
-            raise UsageError(
-                "a netlist with parameters has as many states as its tolerance takes",
-                where=f"{part.name}.rom.order",
-                got=target.order,
-                expected="rom.tolerance",
-            )
+            problem = "a netlist with parameters has as many states as its tolerance takes"
+            raise wrong(f"{part.name}.rom.order", problem, target.order, "rom.tolerance")
         asked = {**asked, "box": [[each.key, each.low, each.high] for each in keys]}
 
         def build() -> Varying:
@@ -347,12 +339,10 @@ class LinearBody(Touching):
                 small = reduce(chosen, **aims, band=band, norm=norm, contact=True)
             modal = modal_form(small)  # whose later use needs no eigenvalues
             if modal is None and tangent:
-                raise UsageError(
-                    "a loss tangent needs a body of resonators",
-                    where=f"{part.name}.damping.loss_tangent",
-                    got="damping that couples its modes, or a motion that nothing holds",
-                    expected="ratio, quality or loss_factor",
-                )
+                got = "damping that couples its modes, or a motion that nothing holds"
+                problem = "a loss tangent needs a body of resonators"
+                expected = "ratio, quality or loss_factor"
+                raise wrong(f"{part.name}.damping.loss_tangent", problem, got, expected)
             if modal is None:
                 return small
             if asked["massless"]:

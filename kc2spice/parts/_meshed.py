@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import numpy as np
 from pydantic import Field
 
-from kc2spice.core.errors import UsageError
+from kc2spice.core.errors import UsageError, wrong
 from kc2spice.core.figure import Curve, Figure, Panel, Shape, Written
 from kc2spice.core.quantities import Time
 from kc2spice.core.waveforms import Waveforms
@@ -107,21 +107,15 @@ class MeshedBody(LinearBody):
         yield from super().problems(part, scene)
         kind = scene.analysis.type
         if kind != "transient" and (chosen(part) or (part.keys.fields and kind != "ac")):
-            yield UsageError(
-                "fields are recovered from waveforms over time",
-                where=f"{part.name}.fields",
-                got=f"analysis {kind}",
-                expected="a transient, fields = true in ac for the shapes of modes, or false",
-            )
+            expected = "a transient, fields = true in ac for the shapes of modes, or false"
+            problem = "fields are recovered from waveforms over time"
+            yield wrong(f"{part.name}.fields", problem, f"analysis {kind}", expected)
             return
         outside = [t for t in chosen(part) if not 0 <= t <= scene.stop]
         if outside:
-            yield UsageError(
-                "instant outside the run",
-                where=f"{part.name}.fields",
-                got=f"{outside[0]:g} s",
-                expected=f"0 to {scene.stop:g} s",
-            )
+            problem = "instant outside the run"
+            expected = f"0 to {scene.stop:g} s"
+            yield wrong(f"{part.name}.fields", problem, f"{outside[0]:g} s", expected)
 
     def metrics(self, part: Part, build: Build, waves: Waveforms) -> Mapping[str, Any]:
         found = dict(super().metrics(part, build, waves))
@@ -199,12 +193,10 @@ class MeshedBody(LinearBody):
             loads = self.loads(part, build, waves)
             kept = [port.name for port in self.kept(part, build.scene)]
             if unknown := [name for name in kept if name not in loads]:
-                raise UsageError(
-                    "fields need every load of the body",
-                    where=f"{part.name}.fields",
-                    got=f"a force on {unknown[0]} that its part does not record",
-                    expected="contacts, springs, dampers, masses and sources",
-                )
+                got = f"a force on {unknown[0]} that its part does not record"
+                expected = "contacts, springs, dampers, masses and sources"
+                problem = "fields need every load of the body"
+                raise wrong(f"{part.name}.fields", problem, got, expected)
             motion = recover(self.device(part, build.scene), waves["time"], loads)
             known = _recent[part.name] = (waves, Recovered(motion, tuple(extremes(motion))))
         return known[1]

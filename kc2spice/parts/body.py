@@ -41,7 +41,7 @@ from kc2spice.bodies.device import (
     spread,
 )
 from kc2spice.core.cache import cached
-from kc2spice.core.errors import UsageError
+from kc2spice.core.errors import UsageError, wrong
 from kc2spice.core.figure import Curve, Figure, Panel, Written
 from kc2spice.core.foreign import beside
 from kc2spice.core.quantities import Count, Length, Notch, Section, validated
@@ -273,12 +273,9 @@ def _solid(keys: BodyKeys, groups: GroupedMesh) -> Solid:
         made_of = material(given, where).poled(keys.poling.get(name, (0, 0, 1)))
         materials.append(replace(made_of, name=f"{name} ({made_of.name})"))
     if (owner < 0).any():
-        raise UsageError(
-            "elements without material",
-            where="materials",
-            got=f"{np.sum(owner < 0)} elements",
-            expected=f"every element in one of {', '.join(sorted(groups.groups))}",
-        )
+        expected = f"every element in one of {', '.join(sorted(groups.groups))}"
+        got = f"{np.sum(owner < 0)} elements"
+        raise wrong("materials", "elements without material", got, expected)
     return Solid(groups.mesh, tuple(materials), owner, keys.axisymmetric)
 
 
@@ -318,12 +315,9 @@ def _electrode(solid: Solid, groups: GroupedMesh, name: str, where: str) -> np.n
     sides = solid.mesh.f2t[:, facets]
     if not (active[sides] & (sides >= 0)).any():
         made_of = {solid.materials[k].name for k in solid.owner[sides[sides >= 0]]}
-        raise UsageError(
-            "electrode on a material that is not piezoelectric",
-            where=where,
-            got=f"{name} on {', '.join(sorted(made_of))}",
-            expected="a face of a piezoelectric group",
-        )
+        problem = "electrode on a material that is not piezoelectric"
+        got = f"{name} on {', '.join(sorted(made_of))}"
+        raise wrong(where, problem, got, "a face of a piezoelectric group")
     return _facet_nodes(solid, facets)
 
 

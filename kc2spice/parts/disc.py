@@ -21,7 +21,7 @@ from typing import Any, Literal
 from pydantic import Field, model_validator
 
 from kc2spice.bodies.device import Block, Bonded, Box
-from kc2spice.core.errors import UsageError
+from kc2spice.core.errors import UsageError, wrong
 from kc2spice.core.quantities import Length, Ratio, Section, validated
 from kc2spice.fem.keys import Damping, Mesh
 from kc2spice.fem.materials import material
@@ -185,11 +185,8 @@ def _plane(disc: DiscKeys, ceramic: list[int], height: float, below: int, where:
     """Electrode on bare ceramic, without the feedback's ring and its gaps."""
     diameters = {disc.layers[k].electrodes or disc.layers[k].diameter for k in ceramic}
     if len(diameters) > 1 and all(disc.layers[k].electrodes for k in ceramic):
-        raise UsageError(
-            "two layers state different diameters of the electrode between them",
-            where=f"{where}.layers.{ceramic[-1]}.electrodes",
-            got=sorted(diameters),
-        )
+        problem = "two layers state different diameters of the electrode between them"
+        raise wrong(f"{where}.layers.{ceramic[-1]}.electrodes", problem, sorted(diameters))
     radius = min(diameters) / 2
     ring = disc.layers[below].feedback if below in ceramic else None
     if ring is None:

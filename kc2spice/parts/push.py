@@ -8,7 +8,7 @@ from typing import Any
 from pydantic import Field
 
 from kc2spice.core import laws
-from kc2spice.core.errors import UsageError
+from kc2spice.core.errors import UsageError, wrong
 from kc2spice.core.quantities import Count, Length, Section
 from kc2spice.core.waveforms import Waveforms, constant
 from kc2spice.parts._touching import Penetration, Touching, only_pair
@@ -45,11 +45,8 @@ class Push(Touching):
     def problems(self, part: Part, scene: Scene) -> Iterator[UsageError]:
         ball = sphere(part, scene)
         if scene.only("contact") is None:
-            yield UsageError(
-                f"{part.name} needs this part",
-                where="contact",
-                hint="add [contact]; an empty table takes the defaults",
-            )
+            hint = "add [contact]; an empty table takes the defaults"
+            yield wrong("contact", f"{part.name} needs this part", hint=hint)
         if part.keys.depth >= ball.keys.radius:
             yield part.wrong(
                 "depth",

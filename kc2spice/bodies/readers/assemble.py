@@ -12,7 +12,7 @@ from scipy import sparse
 from kc2spice.bodies.readers.mesh import Mesh, read_mesh
 from kc2spice.bodies.readers.raw import DOFS, MAX_WIDE, ROTATIONS, TRANSLATIONS, VOLT, Dofs, Raw
 from kc2spice.bodies.readers.sidecar import FORCES, LENGTHS, Place, PortEntry, Sidecar
-from kc2spice.core.errors import UsageError
+from kc2spice.core.errors import UsageError, wrong
 from kc2spice.rom.io import mirrored
 from kc2spice.rom.linear import LinearModel, Port, half_stored, with_potentials
 from kc2spice.rom.pencil import Matrix
@@ -37,12 +37,9 @@ def _complete(rows: Rows) -> dict[str, Matrix]:
     """All matrices by letter, shapes fitting; heat ``E x' + K x = B u`` is of first order."""
     given = rows.found
     if "B" not in given and not rows.said.ports:
-        raise UsageError(
-            "is not a complete model",
-            where=rows.where,
-            got="matrices " + ", ".join(sorted(given)),
-            expected="B, or [[ports]] in the TOML file",
-        )
+        expected = "B, or [[ports]] in the TOML file"
+        problem = "is not a complete model"
+        raise wrong(rows.where, problem, "matrices " + ", ".join(sorted(given)), expected)
     size = max((matrix.shape[0] for k, matrix in given.items() if k in "MEKA"), default=1)
     model = LinearModel(**{"B": np.ones((size, 1)), **given}, name=rows.where)
     kept = (set(given) - {"K"}) | {"A"} if model.first_order else set(given)
@@ -55,28 +52,18 @@ def _whole(rows: Rows, found: dict[str, Matrix]) -> Mapping[str, Matrix]:
     said, square = rows.said.symmetric, {k: found[k] for k in "MEKA" if k in found}
     halves = [k for k, matrix in square.items() if half_stored(matrix)]
     if said is None and halves:
-        raise UsageError(
-            "only one triangle is stored, but the file says 'general'",
-            where=rows.where,
-            got=f"matrix {', '.join(halves)}",
-            expected="the whole matrix",
-            hint=f"in {rows.name}.toml: symmetric = true for halves, false if it is triangular",
-        )
+        hint = f"in {rows.name}.toml: symmetric = true for halves, false if it is triangular"
+        problem = "only one triangle is stored, but the file says 'general'"
+        raise wrong(rows.where, problem, f"matrix {', '.join(halves)}", "the whole matrix", hint)
     square |= {k: mirrored(square[k]) for k in halves if said}
     for letter, matrix in square.items():
         if said and abs(matrix - matrix.T).max() > 1e-9 * abs(matrix).max():
             expected = f"what symmetric = true in {rows.said.where} says"
-            raise UsageError(
-                f"matrix {letter} is not symmetric", where=rows.where, expected=expected
-            )
+            raise wrong(rows.where, f"matrix {letter} is not symmetric", expected=expected)
         if letter != "E" and not matrix.count_nonzero():
-            hint = "leave M out for a first-order model E x' + K x = B u" if letter == "M" else None
-            raise UsageError(
-                f"matrix {letter} is zero",
-                where=rows.where,
-                expected=f"entries in {letter}",
-                hint=hint,
-            )
+            problem, expected = f"matrix {letter} is zero", f"entries in {letter}"
+            first = "leave M out for a first-order model E x' + K x = B u"
+            raise wrong(rows.where, problem, None, expected, first if letter == "M" else None)
     return found | square
 
 
@@ -217,13 +204,9 @@ class Rows:
         if entry.kind in ("input", "output"):
             return load
         if place > len(C) or not np.allclose(C[place - 1], load, rtol=1e-9, atol=0):
-            raise UsageError(
-                "is not conservative: its row of C is not its column of B",
-                where=where,
-                got=f"column {place}",
-                expected="C = B'",
-                hint="make it an input and an output",
-            )
+            problem = "is not conservative: its row of C is not its column of B"
+            hint = "make it an input and an output"
+            raise wrong(where, problem, f"column {place}", "C = B'", hint)
         return load
 
     def ports(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, tuple[Port, ...]]:
@@ -275,11 +258,8 @@ def _plain(rows: Rows) -> LinearModel:
         )
     B, C, D, ports = rows.ports()
     if not B[keep].any() or not C[:, keep].any():
-        raise UsageError(
-            "has no effective input or output",
-            where=rows.where,
-            expected="B, C not zero, on freedoms that are not fixed",
-        )
+        expected = "B, C not zero, on freedoms that are not fixed"
+        raise wrong(rows.where, "has no effective input or output", expected=expected)
     alpha, beta = said.damping.rayleigh
     damping: dict[str, Any] = {"rayleigh": (alpha, beta)} if alpha or beta else {}
     if damping and "A" in operators:
@@ -332,12 +312,9 @@ def _with_electrodes(rows: Rows) -> LinearModel:
     KT = K @ T
     c = -(T.T @ KT)
     if M[:, potential].count_nonzero() or (np.diag(c) <= 0).any():
-        raise UsageError(
-            "potentials are not as expected",
-            where=rows.where,
-            got="mass on a potential, or a positive dielectric block",
-            expected="K = [[K_uu, K_up], [K_up', -K_pp]] with K_pp positive definite",
-        )
+        expected = "K = [[K_uu, K_up], [K_up', -K_pp]] with K_pp positive definite"
+        got = "mass on a potential, or a positive dielectric block"
+        raise wrong(rows.where, "potentials are not as expected", got, expected)
     loads = [rows.load(entry)[u] for entry in said.ports if entry.kind != "electrical"]
     damping = {"rayleigh": said.damping.rayleigh} if E is None else {"E": _cut(E, u)}
     return with_potentials(
