@@ -398,8 +398,7 @@ class MaterialTable(Section):
             return _full(values, shape, key)
         if self.symmetry not in _FREE:
             expected = f"symmetry = {', '.join(_FREE)}, or a full matrix"
-            problem = "components need a symmetry"
-            raise UsageError(problem, where=key, got=self.symmetry, expected=expected)
+            raise wrong(key, "components need a symmetry", self.symmetry, expected)
         first, second, last = (f"{letter}{place}" for place in ("11", "12", "66"))
         if elastic and self.symmetry in _DERIVED_66 and {first, second} <= set(values):
             factor = 0.5 if letter == "c" else 2.0
@@ -437,11 +436,8 @@ def _require_definite(matrix: np.ndarray, key: str, hint: str | None = None) -> 
         scale = 1 / np.sqrt(diagonal)
         smallest = float(np.linalg.eigvalsh(matrix * np.outer(scale, scale))[0])
     if not smallest > 1e-9:
-        problem, got = (
-            "no such material: not positive definite",
-            f"smallest eigenvalue {smallest:g}",
-        )
-        raise UsageError(problem, where=key, got=got, expected="greater than 0", hint=hint)
+        problem = "no such material: not positive definite"
+        raise wrong(key, problem, f"smallest eigenvalue {smallest:g}", "greater than 0", hint)
 
 
 @cache

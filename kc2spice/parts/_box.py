@@ -57,8 +57,7 @@ def varied(part: Part) -> tuple[Varied, ...]:
     ranges = (rom.parameters if rom else None) or {}
     where = f"{part.name}.{PARAMETERS}"
     if len(ranges) > MOST:
-        got, expected = f"{len(ranges)}", f"at most {MOST}"
-        raise UsageError("too many parameters", where=where, got=got, expected=expected)
+        raise wrong(where, "too many parameters", f"{len(ranges)}", f"at most {MOST}")
     found = []
     for key, ends in ranges.items():
         value, unit = number_of(part, key, where)

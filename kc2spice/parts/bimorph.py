@@ -24,7 +24,7 @@ import numpy as np
 from pydantic import Field, StringConstraints, model_validator
 
 from kc2spice.bodies.device import Block, Bonded, Box
-from kc2spice.core.errors import UsageError
+from kc2spice.core.errors import UsageError, wrong
 from kc2spice.core.quantities import Count, Length, Section, si, validated
 from kc2spice.fem.keys import Damping, Mesh
 from kc2spice.fem.materials import material
@@ -103,8 +103,7 @@ def structure(keys: BimorphKeys | Mapping[str, Any], where: str = "bimorph") -> 
     heights = [*accumulate((layer.thickness for layer in beam.layers), initial=0.0)]
     active = [k for k, one in enumerate(materials) if one.piezoelectric]
     if beam.wiring is not None and not active:
-        problem = "wiring without a piezoelectric layer"
-        raise UsageError(problem, where="wiring", got=beam.wiring)
+        raise wrong("wiring", "wiring without a piezoelectric layer", beam.wiring)
     length, width, top = beam.length, beam.width, heights[-1]
 
     def plane(height: float) -> Box:

@@ -147,8 +147,7 @@ def _blocks(disc: DiscKeys, where: str) -> list[Block]:
         here = f"{where}.layers.{i}"
         one = material(layer.material, f"{here}.material")
         if layer.electrodes is not None and not one.piezoelectric:
-            problem = "an electrode on a material that is not piezoelectric"
-            raise UsageError(problem, where=here, got=one.name)
+            raise wrong(here, "an electrode on a material that is not piezoelectric", one.name)
         poled = one.poled((0, 0, 1 if layer.poling == "up" else -1))
         quality = layer.quality or one.quality
         poled = replace(poled, name=f"layers[{i}] ({one.name})", quality=quality)

@@ -21,7 +21,7 @@ from typing import Any, Literal
 from pydantic import Field, model_validator
 
 from kc2spice.bodies.device import Block, Bonded, Box
-from kc2spice.core.errors import UsageError
+from kc2spice.core.errors import wrong
 from kc2spice.core.quantities import Count, Length, Ratio, Section, validated
 from kc2spice.fem.keys import Damping, Mesh
 from kc2spice.fem.materials import material
@@ -154,9 +154,8 @@ def _blocks(body: LangevinKeys, where: str) -> list[Block]:
     for i in range(rings.count):
         add(rings, f"rings[{i}]", ring, i * rings.thickness, (i + 1) * rings.thickness, (-1) ** i)
     if not found[0].material.piezoelectric:
-        got = found[0].material.name
         problem = "the rings are not piezoelectric"
-        raise UsageError(problem, where=f"{where}.rings.material", got=got)
+        raise wrong(f"{where}.rings.material", problem, found[0].material.name)
     height = rings.count * rings.thickness
     thread = height + (bolt.depth or body.front[0].length)
     for i, step in enumerate(body.front):

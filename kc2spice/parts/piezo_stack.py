@@ -185,12 +185,8 @@ class PiezoStack(MeshedBody):
 
     def surface(self, part: Part, scene: Scene, ports: tuple[str, ...] = ()) -> Surface:
         if part.keys.poling == "x":
-            raise part.wrong(
-                "poling",
-                "the top of a stack that shears moves sideways: nothing can press on it",
-                "x",
-                "z under a contact",
-            )
+            problem = "the top of a stack that shears moves sideways: nothing can press on it"
+            raise part.wrong("poling", problem, "x", "z under a contact")
         shape, radii = pressure_hats(part, scene), ring_radii(part.keys)
         modulus = self.indentation_modulus(part)
         if shape is None:

@@ -50,12 +50,8 @@ class PortLoads(PartType):
     def problems(self, part: Part, scene: Scene) -> Iterator[UsageError]:
         body_of(part, scene)
         if part.keys.start >= part.keys.stop:
-            yield part.wrong(
-                "stop",
-                "empty frequency range",
-                f"{part.keys.start:g} … {part.keys.stop:g} Hz",
-                "start < stop",
-            )
+            got = f"{part.keys.start:g} … {part.keys.stop:g} Hz"
+            yield part.wrong("stop", "empty frequency range", got, "start < stop")
 
     def governs(self, part: Part, scene: Scene) -> Mapping[str, Governed]:
         return {body_of(part, scene).name: "copied"}

@@ -48,12 +48,9 @@ class Push(Touching):
             hint = "add [contact]; an empty table takes the defaults"
             yield wrong("contact", f"{part.name} needs this part", hint=hint)
         if part.keys.depth >= ball.keys.radius:
-            yield part.wrong(
-                "depth",
-                "deeper than the sphere's radius",
-                f"{part.keys.depth:g} m",
-                f"less than {ball.keys.radius:g} m",
-            )
+            expected = f"less than {ball.keys.radius:g} m"
+            problem = "deeper than the sphere's radius"
+            yield part.wrong("depth", problem, f"{part.keys.depth:g} m", expected)
 
     def cards(self, part: Part, build: Build) -> tuple[str, ...]:
         return (f"V{part.name} {build.net(part, 'bottom')} 0 0",)

@@ -45,12 +45,8 @@ class Throw(Touching):
     def problems(self, part: Part, scene: Scene) -> Iterator[UsageError]:
         sphere(part, scene)
         if part.keys.velocity >= 0:
-            yield part.wrong(
-                "velocity",
-                "the sphere never arrives",
-                f"{part.keys.velocity:g} m/s",
-                "negative (downwards)",
-            )
+            got = f"{part.keys.velocity:g} m/s"
+            yield part.wrong("velocity", "the sphere never arrives", got, "negative (downwards)")
 
     def governs(self, part: Part, scene: Scene) -> Mapping[str, State]:
         return {sphere(part, scene).name: State(part.keys.velocity, part.keys.gap)}

@@ -30,7 +30,7 @@ from kc2spice.bodies.readers.raw import (
     unpack_matlab,
 )
 from kc2spice.bodies.readers.sidecar import Sidecar, read_sidecar
-from kc2spice.core.errors import UsageError
+from kc2spice.core.errors import UsageError, wrong
 from kc2spice.rom.io import BANNER, numbers, read_market
 from kc2spice.rom.linear import LinearModel
 from kc2spice.rom.pencil import Matrix
@@ -172,10 +172,8 @@ def _family(path: Path) -> tuple[Path, dict[str, Path]]:
             and present(other := base.with_name(f"{base.name}{separator}{letter}{tail}"))
         ]
         if len(fits) > 1:
-            got = ", ".join(other.name for other in fits)
-            raise UsageError(
-                f"two files for matrix {letter}", where=str(base), got=got, expected="one of them"
-            )
+            problem = f"two files for matrix {letter}"
+            raise wrong(str(base), problem, ", ".join(other.name for other in fits), "one of them")
         if fits:
             found[letter] = fits[0]
     if found:
@@ -204,12 +202,9 @@ def _read(path: Path, files: dict[str, Path], wanted: Mapping[str, str]) -> Raw:
             ".sti or .full; or a TOML file with 'files'",
         )
     if suffix not in READERS:
-        raise refused(
-            path,
-            "one file that is not called after its matrix",
-            "NAME.K, NAME_K.mtx, JOB_STIF1.mtx",
-            hint='or name the files in NAME.toml: files = { K = "...", M = "..." }',
-        )
+        hint = 'or name the files in NAME.toml: files = { K = "...", M = "..." }'
+        got = "one file that is not called after its matrix"
+        raise refused(path, got, "NAME.K, NAME_K.mtx, JOB_STIF1.mtx", hint)
     expected, read = READERS[suffix]
     return guarded(path, expected, lambda: read(path, wanted))
 

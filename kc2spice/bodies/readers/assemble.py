@@ -97,10 +97,8 @@ class Rows:
             expected = "a column of B, or 'dofs = \"rows.csv\"' with node,dof of each row"
             raise UsageError("the matrices do not name their rows", where=where, expected=expected)
         if len(dofs) != self.size:
-            got = f"{len(dofs)} names"
-            raise UsageError(
-                "the names of the rows do not fit", where=where, got=got, expected=f"{self.size}"
-            )
+            problem = "the names of the rows do not fit"
+            raise wrong(where, problem, f"{len(dofs)} names", f"{self.size}")
         return dofs
 
     def _mesh(self, where: str) -> Mesh:
@@ -178,8 +176,7 @@ class Rows:
         where, load = self.said.of(entry), np.zeros(self.size)
         if entry.kind == "acceleration":  # of the frame: -M r
             if "M" not in self.found:
-                expected = "a second-order model"
-                raise UsageError("needs a mass matrix", where=where, expected=expected)
+                raise wrong(where, "needs a mass matrix", expected="a second-order model")
             kind = self.dofs(where).kind
             for k, weight in entry.weights.items():
                 load[kind == k] = weight
@@ -198,8 +195,7 @@ class Rows:
         where, place = self.said.of(entry), entry.column or entry.row or 0
         table, what = (B.T, "columns of B") if entry.row is None else (C, "rows of C")
         if place > len(table):
-            expected = f"1 to {len(table)} ({what})"
-            raise UsageError("does not exist", where=where, got=place, expected=expected)
+            raise wrong(where, "does not exist", place, f"1 to {len(table)} ({what})")
         load = np.asarray(table[place - 1])
         if entry.kind in ("input", "output"):
             return load
@@ -222,9 +218,7 @@ class Rows:
         outputs = [entry for entry in said.ports if entry.kind != "input"]
         if not inputs or not outputs:
             expected = "a conservative port, or 'input' and 'output'"
-            raise UsageError(
-                "ports need an input and an output", where=said.where, expected=expected
-            )
+            raise wrong(said.where, "ports need an input and an output", expected=expected)
         into = np.array([entry.scale for entry in inputs])  # 1 of conservative ones
         out = 1 / np.array([[entry.scale] for entry in outputs])
         D = np.zeros((len(outputs), len(inputs)))
@@ -263,9 +257,7 @@ def _plain(rows: Rows) -> LinearModel:
     alpha, beta = said.damping.rayleigh
     damping: dict[str, Any] = {"rayleigh": (alpha, beta)} if alpha or beta else {}
     if damping and "A" in operators:
-        raise UsageError(
-            "a first-order model has no Rayleigh damping", where=f"{said.where}: damping"
-        )
+        raise wrong(f"{said.where}: damping", "a first-order model has no Rayleigh damping")
     if damping and "E" in operators:
         damping = {}
         operators["E"] = sparse.csc_array(
@@ -291,13 +283,10 @@ def _with_electrodes(rows: Rows) -> LinearModel:
     """
     said = rows.said
     if "A" in rows.found or any(e.kind in ("input", "output") for e in said.ports):
-        raise UsageError(
-            "electrodes at nodes go with M and K and conservative ports", where=said.where
-        )
+        raise wrong(said.where, "electrodes at nodes go with M and K and conservative ports")
     K, M, E = rows.found["K"], rows.found["M"], rows.found.get("E")
     if E is not None and any(said.damping.rayleigh):
-        expected = "matrix E or 'damping'"
-        raise UsageError("damping is given twice", where=said.where, expected=expected)
+        raise wrong(said.where, "damping is given twice", expected="matrix E or 'damping'")
     potential = rows.dofs(rows.where).kind == VOLT
     taken = rows.held()
     electrodes = [entry for entry in said.ports if entry.kind == "electrical"]

@@ -115,8 +115,7 @@ def read_calculix(path: Path, _: object) -> Raw:
     for file in (stiffness, mass, rows):
         if not present(file):
             hint = f"{file.suffix} is written by *FREQUENCY, SOLVER=MATRIXSTORAGE"
-            expected = f"{', '.join(SUFFIXES)} side by side"
-            raise refused(path, f"no {file.name}", expected, hint=hint)
+            raise refused(path, f"no {file.name}", f"{', '.join(SUFFIXES)} side by side", hint)
     dofs = parsed(rows, "lines node.direction", _dofs)
     expected = f"lines 'row column value' for {len(dofs)} rows"
     files = {"K": stiffness, "M": mass}
@@ -302,12 +301,8 @@ def choose(names: list[str], wanted: Mapping[str, str], path: Path) -> dict[str,
         if letter in chosen or not fits or wanted:
             continue
         if len(fits) > 1:
-            raise refused(
-                path,
-                f"matrices {', '.join(fits)}",
-                f"one that is {letter}",
-                hint=f'matrices = {{ {letter} = "{fits[0]}" }} in the TOML file',
-            )
+            hint = f'matrices = {{ {letter} = "{fits[0]}" }} in the TOML file'
+            raise refused(path, f"matrices {', '.join(fits)}", f"one that is {letter}", hint)
         chosen[letter] = fits[0]
     if not chosen:
         raise refused(path, f"matrices {', '.join(names)}", "K..., M... and as needed B...")
