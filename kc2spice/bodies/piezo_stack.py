@@ -181,20 +181,14 @@ def _in_plane(kick: Chip, steps: int) -> np.ndarray:
         angle = np.pi / (2 * mesh.sectors * steps)
         edge = half[0] * (np.sqrt(angle / np.sin(angle)) if mesh.order == 1 else 1.0) * circle
     left = min(half) - mesh.rings * mesh.ring_spacing
-    growth = _growth(left, mesh.ring_spacing, mesh.outer_rings) ** (1 / steps)
-    sizes = np.cumsum(growth ** np.arange(mesh.outer_rings * steps))
+    growth, count, ratio = 1.0, mesh.outer_rings, left / mesh.ring_spacing
+    if ratio > count > 1:  # spacing (1 + g + ... + g^(count-1)) = left: no jump at the last ring
+        from scipy.optimize import brentq  # late: few meshes are made
+
+        growth = brentq(lambda g: (g ** np.arange(count)).sum() - ratio, 1.0, ratio, xtol=1e-15)
+    sizes = np.cumsum(growth ** (np.arange(count * steps) / steps))
     share = (sizes / sizes[-1])[:, None, None]
     return np.concatenate([inner, (1 - share) * inner[-1] + share * edge])
-
-
-def _growth(length: float, first: float, count: int) -> float:
-    """Ratio g with ``first (1 + g + ... + g^(count-1)) = length``: no jump at the last ring."""
-    if count == 1 or length <= first * count:
-        return 1.0
-    from scipy.optimize import brentq  # late: few meshes are made
-
-    powers, ratio = np.arange(count), length / first
-    return float(brentq(lambda g: (g**powers).sum() - ratio, 1.0, ratio, xtol=1e-15))
 
 
 def layer_materials(

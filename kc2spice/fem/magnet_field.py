@@ -64,6 +64,7 @@ def catch_table(catch: Catch, radius: float, progress: Progress | None = None) -
             progress(done, y.size)
     sign = ring_sign(catch)
     inductance = fluxes[:, :, [LOWER, UPPER]]
+    length = [catch.turns * pi * (c.inner + c.outer) for c in (catch.lower, catch.upper)]
     magnets = sign * forces[:, RING] + forces[:, SPHERE]  # cross terms with both magnets
     return EMTable(
         y=y,
@@ -75,7 +76,7 @@ def catch_table(catch: Catch, radius: float, progress: Progress | None = None) -
         c22=forces[:, UPPER, UPPER],
         flux0=sign * fluxes[:, :, RING] + fluxes[:, :, SPHERE],
         inductance=(inductance + inductance.transpose(0, 2, 1)) / 2,
-        resistance=np.array([coil_resistance(catch, coil) for coil in (catch.lower, catch.upper)]),
+        resistance=catch.resistivity * np.array(length) / (pi * catch.wire_diameter**2 / 4),
         unknowns=unknowns,
     )
 
@@ -88,12 +89,6 @@ def positions(catch: Catch) -> np.ndarray:
 def ring_sign(catch: Catch) -> float:
     """Direction of the ring's magnetisation relative to the sphere's, which is +y."""
     return 1.0 if catch.polarity == "parallel" else -1.0
-
-
-def coil_resistance(catch: Catch, coil: Ring) -> float:
-    """``rho l / S`` [Ohm] of ``turns`` circles with the coil's mean radius."""
-    length = catch.turns * pi * (coil.inner + coil.outer)
-    return catch.resistivity * length / (pi * catch.wire_diameter**2 / 4)
 
 
 @dataclass(frozen=True)

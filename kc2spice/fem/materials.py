@@ -168,16 +168,11 @@ class Material:
 
         The rotation is the smallest one; for -z it is half a turn about x.
         """
-        n = np.asarray(direction, float)
-        return self.rotated(_smallest_rotation(n / np.linalg.norm(n)))
-
-
-def _smallest_rotation(n: np.ndarray) -> np.ndarray:
-    """Rodrigues' rotation (3, 3) that takes z to the unit vector ``n``."""
-    if n[2] < -1 + 1e-14:
-        return np.diag([1.0, -1.0, -1.0])
-    K = np.array([[0, 0, n[0]], [0, 0, n[1]], [-n[0], -n[1], 0.0]])
-    return np.eye(3) + K + K @ K / (1 + n[2])
+        n = np.asarray(direction, float) / np.linalg.norm(direction)
+        if n[2] < -1 + 1e-14:
+            return self.rotated(np.diag([1.0, -1.0, -1.0]))
+        K = np.array([[0, 0, n[0]], [0, 0, n[1]], [-n[0], -n[1], 0.0]])  # Rodrigues
+        return self.rotated(np.eye(3) + K + K @ K / (1 + n[2]))
 
 
 _PAIRS = ((0, 0), (1, 1), (2, 2), (1, 2), (0, 2), (0, 1))

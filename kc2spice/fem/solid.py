@@ -21,17 +21,8 @@ from functools import cached_property
 from typing import Any, Literal
 
 import numpy as np
+import skfem
 from scipy import sparse
-from skfem import (
-    Basis,
-    BoundaryFacetBasis,
-    Dofs,
-    ElementHex1,
-    ElementHex2,
-    ElementQuad2,
-    ElementTetP2,
-    ElementTriP2,
-)
 from skfem.mesh import Mesh, MeshHex, MeshQuad, MeshTet
 
 from kc2spice.core.errors import wrong
@@ -90,25 +81,25 @@ class Solid:
         """The scalar element of the mesh."""
         mesh = self.mesh
         if isinstance(mesh, MeshHex):
-            return ElementHex1() if self.order == 1 else ElementHex2()
+            return skfem.ElementHex1() if self.order == 1 else skfem.ElementHex2()
         if isinstance(mesh, MeshTet):
-            return ElementTetP2()
-        return ElementQuad2() if isinstance(mesh, MeshQuad) else ElementTriP2()
+            return skfem.ElementTetP2()
+        return skfem.ElementQuad2() if isinstance(mesh, MeshQuad) else skfem.ElementTriP2()
 
     @property
     def quadrature(self) -> int:
         """Order of integration: exact for the mass of a straight quadratic tetrahedron."""
         return 2 * self.order
 
-    def basis(self, order: int | None = None, **options: Any) -> Basis:
+    def basis(self, order: int | None = None, **options: Any) -> skfem.Basis:
         """The scalar basis whose degrees of freedom are called nodes here."""
         if "quadrature" not in options:
             options["intorder"] = order or self.quadrature
-        return Basis(self.mesh, self.element, dofs=self._nodes, **options)
+        return skfem.Basis(self.mesh, self.element, dofs=self._nodes, **options)
 
-    def face(self, facets: np.ndarray, order: int) -> BoundaryFacetBasis:
+    def face(self, facets: np.ndarray, order: int) -> skfem.BoundaryFacetBasis:
         """The same on facets."""
-        return BoundaryFacetBasis(
+        return skfem.BoundaryFacetBasis(
             self.mesh, self.element, facets=facets, intorder=order, dofs=self._nodes
         )
 
@@ -118,10 +109,10 @@ class Solid:
         return np.asarray(self.basis(1).doflocs)
 
     @cached_property
-    def _nodes(self) -> Dofs | None:
+    def _nodes(self) -> skfem.Dofs | None:
         if self.numbers is None:
             return None
-        found = Dofs(self.mesh, self.element)
+        found = skfem.Dofs(self.mesh, self.element)
         found.element_dofs, found.N = self.numbers, int(self.numbers.max()) + 1
         return found
 
@@ -140,7 +131,9 @@ class Operators:
     K_pp: sparse.csc_array
 
 
-def strains(solid: Solid, basis: Basis) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
+def strains(
+    solid: Solid, basis: skfem.Basis
+) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
     """At each point of ``basis``: values N (elements, l), strain operator B (elements, 6, l d)
     and gradient G (elements, 3, l) of the l local shape functions.
     """
@@ -172,7 +165,14 @@ def assemble(solid: Solid, *, only: int | None = None) -> Operators:
     """
     d = solid.components
     parts: list[list[tuple[np.ndarray, ...]]] = [[], [], [], []]
-    for material, cells in _chunks(solid, only):
+    own = {k: np.flatnonzero(solid.owner == k) for k in range(len(solid.materials))}
+    chunks = [
+        (solid.materials[k], cells[start : start + CHUNK])
+        for k, cells in own.items()
+        if only in (None, k)
+        for start in range(0, len(cells), CHUNK)
+    ]
+    for material, cells in chunks:
         field = material.piezoelectric or material.dielectric
         basis = solid.basis(elements=cells)
         weights = basis.dx
@@ -213,14 +213,6 @@ def _stressed(
         hoop = B.reshape(len(B), 6, -1, d)[:, 1, :, 0]
         found[:, :, 0, :, 0] += sigma[1] * hoop[:, :, None] * hoop[:, None]
     return np.asarray(found.reshape(len(found), each.shape[1] * d, -1))
-
-
-def _chunks(solid: Solid, only: int | None) -> Iterator[tuple[Material, np.ndarray]]:
-    for number in range(len(solid.materials)) if only is None else (only,):
-        material = solid.materials[number]
-        cells = np.flatnonzero(solid.owner == number)
-        for start in range(0, len(cells), CHUNK):
-            yield material, cells[start : start + CHUNK]
 
 
 def _gather(parts: Sequence[tuple[np.ndarray, ...]], shape: tuple[int, int]) -> sparse.csc_array:

@@ -172,19 +172,17 @@ def _map(device: Device, corners: np.ndarray, values: np.ndarray, label: str) ->
     x, y = (low[k] + dot * (np.arange(count[k]) + 0.5) for k in (0, 1))
     wide = np.ptp(triangles[..., :2], axis=1).max(axis=1) / dot
     steps = 2 ** np.ceil(np.log2(np.maximum(2 * wide, 1.0))).astype(int)  # two to a dot at least
-    dots = np.concatenate([_points_of(triangles[steps == n], n) for n in np.unique(steps)])
+    found = []
+    for n in np.unique(steps):  # points of the triangles, so many along each side
+        a, b = (part.ravel() / n for part in np.indices((n + 1, n + 1)))
+        weights = np.column_stack([a, b, 1 - a - b])[a + b <= 1]
+        found.append((weights @ triangles[steps == n]).reshape(-1, 4))
+    dots = np.concatenate(found)
     dots = dots[np.argsort(-dots[:, 2])]  # the nearest last
     column, row = np.clip(((dots[:, :2] - low) / dot).astype(int), 0, count - 1).T
     z = np.full((count[1], count[0]), np.nan)
     z[row, column] = dots[:, 3]
     return Map(x, y, z, label)
-
-
-def _points_of(triangles: np.ndarray, steps: int) -> np.ndarray:
-    """Points (n, 4) of triangles (t, 3, 4), ``steps`` of them along each side."""
-    a, b = (part.ravel() / steps for part in np.indices((steps + 1, steps + 1)))
-    weights = np.column_stack([a, b, 1 - a - b])[a + b <= 1]
-    return np.asarray((weights @ triangles).reshape(-1, 4))
 
 
 def _edges(mesh: Any, fine: int) -> np.ndarray:

@@ -30,31 +30,16 @@ from typing import Annotated, Any, Literal, TypeAlias
 import numpy as np
 from pydantic import Field, StringConstraints, model_validator
 
-from kc2spice.bodies.device import (
-    Device,
-    RigidFace,
-    Setup,
-    Shape,
-    make_device,
-    node_shares,
-    part_named,
-    spread,
-)
+from kc2spice.bodies import device as fe
 from kc2spice.core.cache import cached
 from kc2spice.core.errors import UsageError, wrong
 from kc2spice.core.figure import Curve, Figure, Panel, Written
 from kc2spice.core.foreign import beside
 from kc2spice.core.quantities import Count, Length, Notch, Section, validated
 from kc2spice.core.waveforms import Waveforms
+from kc2spice.fem import mesh_file
 from kc2spice.fem.keys import Damping
 from kc2spice.fem.materials import material
-from kc2spice.fem.mesh_file import (
-    GroupedMesh,
-    extent,
-    length_unit,
-    read_mesh,
-    require_format,
-)
 from kc2spice.fem.solid import Solid
 from kc2spice.parts._linear_body import file_stamp
 from kc2spice.parts._meshed import FieldKeys, MeshedBody
@@ -229,7 +214,7 @@ class BodyKeys(FieldKeys):
         return self
 
 
-def device(keys: BodyKeys | Mapping[str, Any], home: Path, where: str = "body") -> Device:
+def device(keys: BodyKeys | Mapping[str, Any], home: Path, where: str = "body") -> fe.Device:
     """Read the mesh (relative to ``home``), name its groups, assemble.
 
     ``refine`` divides the size of the elements; a ``.msh`` is split so often that its edges are at
@@ -242,25 +227,25 @@ def device(keys: BodyKeys | Mapping[str, Any], home: Path, where: str = "body") 
         not piezoelectric.
     """
     keys = validated(BodyKeys, keys, where)
-    with part_named(where):
+    with fe.part_named(where):
         path = beside(home, keys.mesh, "mesh")
-        found = read_mesh(
+        found = mesh_file.read_mesh(
             path,
-            unit=length_unit(path, keys.unit),
+            unit=mesh_file.length_unit(path, keys.unit),
             size=None if keys.size is None else keys.size / keys.refine,
             picks={name: group.pick() for name, group in keys.groups.items()},
             dimension=2 if keys.axisymmetric else 3,
             splits=0 if keys.size else int(np.ceil(np.log2(keys.refine))),
         )
         solid = _solid(keys, found)
-        made = make_device(solid, _setup(keys, found, solid))
+        made = fe.make_device(solid, _setup(keys, found, solid))
     axes = ("radius", "height") if keys.axisymmetric else "xyz"
     sides = zip(axes, 1e3 * np.ptp(found.mesh.p, axis=1), strict=True)
     facts = {**made.model.facts, **{f"extent_{axis}_mm": float(side) for axis, side in sides}}
     return replace(made, model=replace(made.model, facts=facts))
 
 
-def _solid(keys: BodyKeys, groups: GroupedMesh) -> Solid:
+def _solid(keys: BodyKeys, groups: mesh_file.GroupedMesh) -> Solid:
     owner = np.full(groups.mesh.nelements, -1)
     materials = []
     for number, (name, given) in enumerate(keys.materials.items()):
@@ -279,7 +264,7 @@ def _solid(keys: BodyKeys, groups: GroupedMesh) -> Solid:
     return Solid(groups.mesh, tuple(materials), owner, keys.axisymmetric)
 
 
-def _setup(keys: BodyKeys, groups: GroupedMesh, solid: Solid) -> Setup:
+def _setup(keys: BodyKeys, groups: mesh_file.GroupedMesh, solid: Solid) -> fe.Setup:
     electrodes = {}
     for pin, given in keys.electrodes.items():
         names = [given] if isinstance(given, str) else given
@@ -289,13 +274,13 @@ def _setup(keys: BodyKeys, groups: GroupedMesh, solid: Solid) -> Setup:
         kind: [port for port in keys.ports if port.kind == kind]
         for kind in ("mean", "rigid", "base")
     }
-    return Setup(
+    return fe.Setup(
         fixed=_fixed(keys, groups, solid),
         electrodes=electrodes,
         reference=keys.reference,
         floating=[_electrode(solid, groups, name, "floating") for name in keys.floating],
         shapes=[
-            Shape(port.ports[0], spread(_shares(port, groups, solid), port.direction, solid))
+            fe.Shape(port.ports[0], fe.spread(_shares(port, groups, solid), port.direction, solid))
             for port in kinds["mean"]
         ],
         faces=[_rigid(port, groups, solid) for port in kinds["rigid"]],
@@ -308,7 +293,7 @@ def _facet_nodes(solid: Solid, facets: np.ndarray) -> np.ndarray:
     return np.unique(solid.basis(1).get_dofs(facets).flatten())
 
 
-def _electrode(solid: Solid, groups: GroupedMesh, name: str, where: str) -> np.ndarray:
+def _electrode(solid: Solid, groups: mesh_file.GroupedMesh, name: str, where: str) -> np.ndarray:
     """Nodes of an electrode, which must lie on something piezoelectric."""
     facets = groups.group(name, where, 1).members
     active = np.array([m.piezoelectric for m in solid.materials])[solid.owner]
@@ -321,7 +306,7 @@ def _electrode(solid: Solid, groups: GroupedMesh, name: str, where: str) -> np.n
     return _facet_nodes(solid, facets)
 
 
-def _fixed(keys: BodyKeys, groups: GroupedMesh, solid: Solid) -> np.ndarray:
+def _fixed(keys: BodyKeys, groups: mesh_file.GroupedMesh, solid: Solid) -> np.ndarray:
     d, nodes = solid.components, solid.places.shape[1]
     fixed = np.zeros((nodes, d), bool)
     letters = "xyz" if d == 3 else "xz"
@@ -341,7 +326,7 @@ def _fixed(keys: BodyKeys, groups: GroupedMesh, solid: Solid) -> np.ndarray:
     return fixed.ravel()
 
 
-def _shares(port: PortKeys, groups: GroupedMesh, solid: Solid) -> np.ndarray:
+def _shares(port: PortKeys, groups: mesh_file.GroupedMesh, solid: Solid) -> np.ndarray:
     """Parts (nodes,) of a unit force over the port's group."""
     shares = np.zeros(solid.places.shape[1])
     if port.at is not None:
@@ -350,20 +335,20 @@ def _shares(port: PortKeys, groups: GroupedMesh, solid: Solid) -> np.ndarray:
         return shares
     group = groups.group(str(port.group), f"ports.{port.name}")
     if group.codimension == 0:
-        return node_shares(solid, elements=group.members)
+        return fe.node_shares(solid, elements=group.members)
     if group.codimension == 1:
-        return node_shares(solid, facets=group.members)
+        return fe.node_shares(solid, facets=group.members)
     shares[group.members] = group.shares
     return shares
 
 
-def _rigid(port: PortKeys, groups: GroupedMesh, solid: Solid) -> RigidFace:
+def _rigid(port: PortKeys, groups: mesh_file.GroupedMesh, solid: Solid) -> fe.RigidFace:
     where = f"ports.{port.name}"
     if solid.axisymmetric:
         raise UsageError("no rigid faces in axisymmetric bodies", where=where)
     nodes = _facet_nodes(solid, groups.group(str(port.group), where, 1).members)
     unit = dict(zip(_MOTIONS, np.eye(6), strict=True))
-    return RigidFace(
+    return fe.RigidFace(
         nodes, [*zip(port.ports, (unit[motion] for motion in port.motions), strict=True)]
     )
 
@@ -386,9 +371,9 @@ class Body(MeshedBody):
         yield from super().problems(part, scene)
         try:
             path = _path(part, scene)
-            require_format(path)
+            mesh_file.require_format(path)
             if path.is_file():
-                length_unit(path, part.keys.unit)
+                mesh_file.length_unit(path, part.keys.unit)
         except UsageError as error:
             if error.where == "unit":
                 error.where = f"{part.name}.unit"
@@ -398,9 +383,9 @@ class Body(MeshedBody):
         """The bounding box of its file, then what all bodies say."""
 
         def size() -> str:
-            with part_named(part.name):
+            with fe.part_named(part.name):
                 path = _path(part, scene)
-                sides = 1e3 * length_unit(path, part.keys.unit) * extent(path)
+                sides = 1e3 * mesh_file.length_unit(path, part.keys.unit) * mesh_file.extent(path)
             return " x ".join(f"{side:.4g}" for side in sides) + " mm"
 
         key = {"file": file_stamp(_path(part, scene)), "unit": part.keys.unit}
@@ -425,7 +410,7 @@ class Body(MeshedBody):
         yield Figure(f"{part.name}_mesh", f"Mesh of {part.name}", caption, (panel,))
         yield from super().figures(part, build, waves)
 
-    def make(self, part: Part, scene: Scene) -> Device:
+    def make(self, part: Part, scene: Scene) -> fe.Device:
         return device(part.keys, scene.home, part.name)
 
 

@@ -71,7 +71,7 @@ def extent(path: Path, sidecar: Path | None) -> np.ndarray | None:
     ------
     UsageError : a sidecar or a mesh that is wrong.
     """
-    _, said = described(path, sidecar)
+    *_, said = described(path, sidecar)
     if said.mesh is None:
         return None
     return np.asarray(_sidecar.LENGTHS[said.length] * np.ptp(read_mesh(said.mesh).at, axis=0))
@@ -114,8 +114,7 @@ def open_source(path: Path, sidecar: Path | None) -> tuple[str, Sidecar, Raw]:
     if not path.name:
         expected = "the name of a model, such as FOLDER/NAME"
         raise UsageError("is a folder, not a model", where=str(path), expected=expected)
-    base, files = _family(path)
-    _, said = described(path, sidecar)
+    base, files, _, said = described(path, sidecar)
     raw = _read(path, {**files, **said.files}, said.matrices)
     sound = {k: checked(m, k, raw.files.get(k, path)) for k, m in raw.matrices.items()}
     if said.dofs is not None:
@@ -130,24 +129,25 @@ def source_files(path: Path, sidecar: Path | None) -> tuple[Path, ...]:
     ------
     UsageError : a sidecar that is wrong.
     """
-    base, files = _family(path)
-    chosen, said = described(path, sidecar)
+    base, files, chosen, said = described(path, sidecar)
     named = [path, chosen, *files.values(), *said.files.values(), said.mesh, said.dofs]
     named += [*base.parent.glob(f"{base.name}.*"), *base.parent.glob(f"{base.name}_*")]
     return tuple(sorted({item for item in named if item is not None and item.is_file()}))
 
 
-def described(path: Path, sidecar: Path | None) -> tuple[Path, Sidecar]:
-    """The TOML file of the model at ``path``, which need not exist unless given, and what it says.
+def described(path: Path, sidecar: Path | None) -> tuple[Path, dict[str, Path], Path, Sidecar]:
+    """The model's name with its directory, its files of one matrix each, its TOML file, which need
+    not exist unless given, and what that says.
 
     Raises
     ------
     UsageError : a sidecar that is wrong.
     """
-    base, _ = _family(path)
+    base, files = _family(path)
     beside = path if path.suffix == ".toml" else base.with_name(f"{base.name}.toml")
     chosen, given = sidecar or beside, sidecar is not None or path.suffix == ".toml"
-    return chosen, read_sidecar(chosen) if given or present(beside) else Sidecar()
+    said = read_sidecar(chosen) if given or present(beside) else Sidecar()
+    return base, files, chosen, said
 
 
 def _family(path: Path) -> tuple[Path, dict[str, Path]]:
@@ -159,7 +159,11 @@ def _family(path: Path) -> tuple[Path, dict[str, Path]]:
         return path.with_name(match[1]), job
     if path.suffix == ".toml":
         return path.with_suffix(""), {}
-    match = _member(path)
+    match = _MEMBER.fullmatch(path.name)  # NAME.K may stand for NAME.K.mtx
+    if match is not None and not present(path):
+        tails = () if match[4] else _TAILS[1:]
+        if not any(present(path.with_name(path.name + tail)) for tail in tails):
+            match = None
     base = path.with_name(match[1]) if match else path
     separators = (match[2],) if match else (".", "_")
     found: dict[str, Path] = {}
@@ -179,15 +183,6 @@ def _family(path: Path) -> tuple[Path, dict[str, Path]]:
     if found:
         return base, found
     return (path.with_suffix("") if present(path) else path), {}
-
-
-def _member(path: Path) -> re.Match[str] | None:
-    """Parts of the name of a file of one matrix; ``NAME.K`` may stand for ``NAME.K.mtx``."""
-    match = _MEMBER.fullmatch(path.name)
-    if match is None or present(path):
-        return match
-    tails = () if match[4] else _TAILS[1:]
-    return match if any(present(path.with_name(path.name + tail)) for tail in tails) else None
 
 
 def _read(path: Path, files: dict[str, Path], wanted: Mapping[str, str]) -> Raw:

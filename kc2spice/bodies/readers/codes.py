@@ -28,21 +28,7 @@ from pathlib import Path
 import numpy as np
 from scipy import sparse
 
-from kc2spice.bodies.readers.raw import (
-    CODES,
-    MAX_SIZE,
-    Dofs,
-    Raw,
-    Triple,
-    bounded,
-    keyed,
-    labelled,
-    packed,
-    parsed,
-    present,
-    refused,
-    whole,
-)
+from kc2spice.bodies.readers import raw
 from kc2spice.core.errors import needed
 from kc2spice.rom.io import indices, mirrored, numbers
 
@@ -62,34 +48,34 @@ def siblings(path: Path) -> dict[str, Path]:
     for word, letter in _LETTER.items():
         for spelled in (word, word.lower()):
             other = path.with_name(f"{match[1]}_{spelled}{match[3]}{path.suffix}")
-            if present(other):
+            if raw.present(other):
                 found[letter] = other
     return found
 
 
-def read_abaqus(files: dict[str, Path]) -> Raw:
+def read_abaqus(files: dict[str, Path]) -> raw.Raw:
     """Matrices by letter from the files of one job.
 
     Raises
     ------
     UsageError : damaged, formats mixed, too large, or entries that are not those of one matrix.
     """
-    read = {letter: parsed(path, _EXPECTED, _entries) for letter, path in files.items()}
+    read = {letter: raw.parsed(path, _EXPECTED, _entries) for letter, path in files.items()}
     tables, dofs = {letter: table for letter, (_, table) in read.items()}, None
     if len({named for named, _ in read.values()}) > 1:
         one = next(iter(files.values()))
-        raise refused(one, "MATRIX INPUT and COORDINATE", "one format for all matrices")
+        raise raw.refused(one, "MATRIX INPUT and COORDINATE", "one format for all matrices")
     if all(named for named, _ in read.values()):
-        found, dofs = labelled(tables)
-        found = {letter: whole(matrix) for letter, matrix in found.items()}
+        found, dofs = raw.labelled(tables)
+        found = {letter: raw.whole(matrix) for letter, matrix in found.items()}
     else:
         n = 1 + max(int(side.max()) for row, column, _ in tables.values() for side in (row, column))
         found = {k: sparse.csc_array((v, (i, j)), (n, n)) for k, (i, j, v) in tables.items()}
     held = found["K"].diagonal() >= _HELD if "K" in found else np.empty(0, dtype=bool)
-    return Raw(found, dofs, np.flatnonzero(held))
+    return raw.Raw(found, dofs, np.flatnonzero(held))
 
 
-def _entries(data: bytes) -> tuple[bool, Triple]:
+def _entries(data: bytes) -> tuple[bool, raw.Triple]:
     """Whether lines name nodes and freedoms; rows and columns, by key or from 0, and values."""
     if data.startswith(b"*") or b"\n*" in data:
         lines = data.split(b"\n")
@@ -100,11 +86,15 @@ def _entries(data: bytes) -> tuple[bool, Triple]:
         raise ValueError(f"{values.size} numbers in {width} columns: is it cut off?")
     table = values.reshape(-1, width)
     if width == 5:
-        return True, keyed(table)
-    return False, (indices(table[:, 0], MAX_SIZE), indices(table[:, 1], MAX_SIZE), table[:, 2])
+        return True, raw.keyed(table)
+    return False, (
+        indices(table[:, 0], raw.MAX_SIZE),
+        indices(table[:, 1], raw.MAX_SIZE),
+        table[:, 2],
+    )
 
 
-def read_calculix(path: Path, _: object) -> Raw:
+def read_calculix(path: Path, _: object) -> raw.Raw:
     """Stiffness and mass of the job of which ``path`` is a ``.sti``, ``.mas`` or ``.dof`` file.
 
     Raises
@@ -113,28 +103,28 @@ def read_calculix(path: Path, _: object) -> Raw:
     """
     stiffness, mass, rows = (path.with_suffix(suffix) for suffix in SUFFIXES)
     for file in (stiffness, mass, rows):
-        if not present(file):
+        if not raw.present(file):
             hint = f"{file.suffix} is written by *FREQUENCY, SOLVER=MATRIXSTORAGE"
-            raise refused(path, f"no {file.name}", f"{', '.join(SUFFIXES)} side by side", hint)
-    dofs = parsed(rows, "lines node.direction", _dofs)
+            raise raw.refused(path, f"no {file.name}", f"{', '.join(SUFFIXES)} side by side", hint)
+    dofs = raw.parsed(rows, "lines node.direction", _dofs)
     expected = f"lines 'row column value' for {len(dofs)} rows"
     files = {"K": stiffness, "M": mass}
     found = {
-        letter: parsed(file, expected, lambda data: _triangle(data, len(dofs)))
+        letter: raw.parsed(file, expected, lambda data: _triangle(data, len(dofs)))
         for letter, file in files.items()
     }
-    return Raw(found, dofs, files=files)
+    return raw.Raw(found, dofs, files=files)
 
 
-def _dofs(data: bytes) -> Dofs:
+def _dofs(data: bytes) -> raw.Dofs:
     words = data.split()
-    if not 0 < len(words) <= MAX_SIZE:
+    if not 0 < len(words) <= raw.MAX_SIZE:
         raise ValueError(f"{len(words)} rows")
     pairs = [word.partition(b".")[::2] for word in words]  # 12.3 is node 12, never a number
     node, kind = np.array([[int(a), int(b)] for a, b in pairs], dtype=np.int64).T
     if not ((kind >= 0) & (kind <= 6)).all():
         raise ValueError(f"direction {kind[(kind < 0) | (kind > 6)][0]}")
-    return Dofs(node, np.where(kind == 0, CODES["temp"], kind))
+    return raw.Dofs(node, np.where(kind == 0, raw.CODES["temp"], kind))
 
 
 def _triangle(data: bytes, n: int) -> sparse.csc_array:
@@ -145,7 +135,7 @@ def _triangle(data: bytes, n: int) -> sparse.csc_array:
     bare = np.bincount(row[row == column], minlength=n) == 0
     if bare.any():  # CalculiX writes every diagonal entry, zeros too
         raise ValueError(f"row {bare.argmax() + 1} has no diagonal entry: is it cut off?")
-    return whole(sparse.csc_array((values[2::3], (row, column)), shape=(n, n)))
+    return raw.whole(sparse.csc_array((values[2::3], (row, column)), shape=(n, n)))
 
 
 # Ansys counts freedoms in this file from 0.
@@ -171,13 +161,13 @@ def unpack_full(path: str, wanted: dict[str, str]) -> dict[str, np.ndarray]:
     file = needed("ansys.mapdl.reader.full", "ansys-mapdl-reader", path, "ansys").FullFile(path)
     place, stiffness, mass = file.load_km()
     place = np.asarray(place, dtype=np.int64)
-    kind = np.array([CODES[_KINDS[int(k)]] for k in place[:, 1]])
+    kind = np.array([raw.CODES[_KINDS[int(k)]] for k in place[:, 1]])
     const = np.asarray(file.const, dtype=np.int64).reshape(-1, 2)  # whose rows are left empty
     keys, constrained = (each[:, 0] * 64 + each[:, 1] for each in (place, const))
     held = np.flatnonzero(np.isin(keys, constrained))
     found = {"nodes": place[:, 0], "dofs": kind, "held": held}
     for letter, matrix in (("K", stiffness), ("M", mass)):  # the upper triangle is stored
-        found |= packed(letter, mirrored(sparse.csc_array(matrix)))
+        found |= raw.packed(letter, mirrored(sparse.csc_array(matrix)))
     return found
 
 
@@ -215,8 +205,8 @@ def read_harwell_boeing(
     formats = _FORMAT.findall(lines[3])
     if len(formats) < 3:
         raise ValueError("the line of formats is damaged")
-    start = 5 if len(counts) > 3 and _right_hand_sides(lines[1]) else 4
-    parts = []
+    sides = lines[1].split()[4:]  # right-hand sides, with a line of their own
+    parts, start = [], 5 if sides and int(sides[0]) > 0 else 4
     for (repeat, width), length, number in zip(
         formats, counts[1:], (columns + 1, entries, entries), strict=False
     ):
@@ -237,11 +227,6 @@ def read_harwell_boeing(
     return mirrored(matrix, 1 if kind == "RSA" else -1)
 
 
-def _right_hand_sides(counts: bytes) -> bool:
-    words = counts.split()
-    return len(words) > 4 and int(words[4]) > 0
-
-
 def _cut_out(lines: list[bytes], repeat: int, width: int, number: int) -> np.ndarray:
     """``number`` values of ``width`` characters, ``repeat`` of them on each line."""
     if len(lines) * repeat < number:
@@ -254,7 +239,7 @@ def _cut_out(lines: list[bytes], repeat: int, width: int, number: int) -> np.nda
     return np.char.strip(values).astype(float)
 
 
-def mapping(data: bytes, size: int) -> Dofs:
+def mapping(data: bytes, size: int) -> raw.Dofs:
     """Node and freedom of each of ``size`` equations from Ansys' ``NAME.mapping``.
 
     Raises
@@ -266,7 +251,7 @@ def mapping(data: bytes, size: int) -> Dofs:
     if len(rows) != size or any(len(row) != 3 for row in rows):
         raise ValueError(f"{len(rows)} equations")
     names = [_ANSYS.get(row[2].upper(), row[2].lower()) for row in rows]
-    unknown = sorted(set(names) - set(CODES))
+    unknown = sorted(set(names) - set(raw.CODES))
     if unknown:
         raise ValueError(f"freedom {unknown[0]}")
     place = indices(np.array([float(row[0]) for row in rows]), size)
@@ -274,8 +259,8 @@ def mapping(data: bytes, size: int) -> Dofs:
         raise ValueError("an equation stands there twice")
     node, kind = np.empty(size, dtype=np.int64), np.empty(size, dtype=np.int64)
     node[place] = [int(row[1]) for row in rows]
-    kind[place] = [CODES[name] for name in names]
-    return Dofs(node, kind)
+    kind[place] = [raw.CODES[name] for name in names]
+    return raw.Dofs(node, kind)
 
 
 _FIRST = {"K": "K", "M": "M", "B": "E"}
@@ -294,7 +279,7 @@ def choose(names: list[str], wanted: Mapping[str, str], path: Path) -> dict[str,
     chosen = {}
     for letter, name in wanted.items():
         if name.upper() not in known:
-            raise refused(path, f"no matrix {name}", f"one of {', '.join(names)}")
+            raise raw.refused(path, f"no matrix {name}", f"one of {', '.join(names)}")
         chosen[letter] = known[name.upper()]
     for first, letter in _FIRST.items():
         fits = [n for u, n in known.items() if u.startswith(first) and not u.startswith("K4")]
@@ -302,14 +287,14 @@ def choose(names: list[str], wanted: Mapping[str, str], path: Path) -> dict[str,
             continue
         if len(fits) > 1:
             hint = f'matrices = {{ {letter} = "{fits[0]}" }} in the TOML file'
-            raise refused(path, f"matrices {', '.join(fits)}", f"one that is {letter}", hint)
+            raise raw.refused(path, f"matrices {', '.join(fits)}", f"one that is {letter}", hint)
         chosen[letter] = fits[0]
     if not chosen:
-        raise refused(path, f"matrices {', '.join(names)}", "K..., M... and as needed B...")
+        raise raw.refused(path, f"matrices {', '.join(names)}", "K..., M... and as needed B...")
     return chosen
 
 
-def read_dmig(path: Path, wanted: Mapping[str, str]) -> Raw:
+def read_dmig(path: Path, wanted: Mapping[str, str]) -> raw.Raw:
     """Matrices of the DMIG cards in ``path``, rows named by grid and component.
 
     Raises
@@ -317,14 +302,14 @@ def read_dmig(path: Path, wanted: Mapping[str, str]) -> Raw:
     UsageError : no such cards, complex or rectangular ones, or damage.
     """
     expected = "real, square DMIG cards"
-    forms, entries = parsed(path, expected, _dmig)
+    forms, entries = raw.parsed(path, expected, _dmig)
     chosen = choose([n for n, f in forms.items() if f in (_SQUARE, _SYMMETRIC)], wanted, path)
-    matrices, dofs = labelled({letter: entries[name] for letter, name in chosen.items()})
+    matrices, dofs = raw.labelled({letter: entries[name] for letter, name in chosen.items()})
     symmetric = {k for k, name in chosen.items() if forms[name] == _SYMMETRIC}
-    return Raw({k: whole(m) if k in symmetric else m for k, m in matrices.items()}, dofs)
+    return raw.Raw({k: raw.whole(m) if k in symmetric else m for k, m in matrices.items()}, dofs)
 
 
-def _dmig(data: bytes) -> tuple[dict[str, int], dict[str, Triple]]:
+def _dmig(data: bytes) -> tuple[dict[str, int], dict[str, raw.Triple]]:
     """Form of each matrix by name, and its keys of rows and columns and values."""
     forms: dict[str, int] = {}
     entries: dict[str, list[tuple[float, ...]]] = {}
@@ -346,7 +331,7 @@ def _dmig(data: bytes) -> tuple[dict[str, int], dict[str, Triple]]:
                 entries[name].append((int(grid), _component(component), *column, real(value)))
     if not forms:
         raise ValueError("no DMIG card")
-    return forms, {name: keyed(np.array(e).reshape(-1, 5)) for name, e in entries.items()}
+    return forms, {name: raw.keyed(np.array(e).reshape(-1, 5)) for name, e in entries.items()}
 
 
 def cards(data: bytes, name: str) -> Iterator[list[str]]:
@@ -399,10 +384,10 @@ def unpack_op4(path: str, wanted: Mapping[str, str]) -> dict[str, np.ndarray]:
     names, sizes, _, _ = op4.dir(path, verbose=False)
     chosen = choose(list(names), wanted, Path(path))
     for letter, name in chosen.items():
-        bounded(Path(path), letter, sizes[names.index(name)], None)
+        raw.bounded(Path(path), letter, sizes[names.index(name)], None)
     loaded = op4.load(path, list(chosen.values()), sparse=True)
     found: dict[str, np.ndarray] = {}
     for letter, name in chosen.items():
         matrix, form = sparse.csc_array(loaded[name][0]), loaded[name][1]
-        found |= packed(letter, whole(matrix) if form == _SYMMETRIC else matrix)
+        found |= raw.packed(letter, raw.whole(matrix) if form == _SYMMETRIC else matrix)
     return found

@@ -169,8 +169,11 @@ def _blocks(data: bytes) -> Found:
     for line in lines:
         head = line.upper()
         if head.startswith("NBLOCK"):
-            start, wide, field_width = _nblock(next(lines))
-            ends = [start + k * field_width for k in range(4)]
+            # (3i9,6e21.13e3): how many numbers and coordinates of which widths
+            integers, floats = next(lines).strip().strip("()").lower().split(",")[:2]
+            fields, wide = (int(word) for word in integers.split("i"))
+            each = int(floats.split("e")[1].split(".")[0])
+            ends = [fields * wide + k * each for k in range(4)]
             for row in lines:
                 if row[:1] in ("N", "n", "-") or row.strip() == "-1":
                     break
@@ -185,13 +188,6 @@ def _blocks(data: bytes) -> Found:
                 # a negative number ends a range that the one before began
                 sets.add(name, range(before + 1, 1 - number) if number < 0 else [number])
     return nodes, sets
-
-
-def _nblock(form: str) -> tuple[int, int, int]:
-    """``(3i9,6e21.13e3)``: where coordinates begin, width of a number, width of a coordinate."""
-    integers, floats = form.strip().strip("()").lower().split(",")[:2]
-    count, width = (int(word) for word in integers.split("i"))
-    return count * width, width, int(floats.split("e")[1].split(".")[0])
 
 
 def _table(data: bytes) -> Found:
