@@ -310,7 +310,11 @@ def _potentials(
         raise wrong("electrodes", "electrodes touch each other", got, expected, hint)
     if setup.graded is not None:
         taken[setup.graded[0]] += 1
-    _require_grounded(K_pp, live, taken)
+    _, piece = connected_components(K_pp, directed=False)
+    if np.setdiff1d(piece[live], piece[taken > 0]).size:
+        problem = "a ceramic touches no electrode: its potential is undetermined"
+        hint = "every piezoelectric piece needs an electrode on one face at least"
+        raise wrong("electrodes", problem, hint=hint)
     free = np.flatnonzero(live & (taken == 0))
     identity = sparse.eye_array(len(live), format="csc")
     Q = sparse.hstack([identity[:, free], *(_indicator(n, live) for n in setup.floating)], "csc")
@@ -322,15 +326,6 @@ def _potentials(
     R = sparse.hstack([none, *columns], "csc")
     ports = [Port(p, "electrical", pins=(p, setup.reference)) for p in driven]
     return Q, R, ports
-
-
-def _require_grounded(K_pp: sparse.csc_array, live: np.ndarray, taken: np.ndarray) -> None:
-    """A piece of ceramic without any electrode has no determined potential."""
-    _, piece = connected_components(K_pp, directed=False)
-    if np.setdiff1d(piece[live], piece[taken > 0]).size:
-        hint = "every piezoelectric piece needs an electrode on one face at least"
-        problem = "a ceramic touches no electrode: its potential is undetermined"
-        raise wrong("electrodes", problem, hint=hint)
 
 
 def _indicator(

@@ -20,11 +20,10 @@ from pathlib import Path
 
 import numpy as np
 from scipy.linalg import eigh
-from skfem import Basis
 
 from kc2spice.bodies.device import Device
 from kc2spice.core.errors import wrong
-from kc2spice.fem.solid import Solid, strains
+from kc2spice.fem.solid import strains
 from kc2spice.rom.modal import resonant
 from kc2spice.rom.subspace import block_arnoldi
 
@@ -117,7 +116,11 @@ class Probe:
     def __init__(self, device: Device, *, gauss: bool) -> None:
         self.device = device
         solid = device.solid
-        self.basis = _points(solid, gauss)
+        local = solid.element.doflocs
+        if solid.order == 1:  # where its strains are best, and a collapsed edge has none
+            local = 0.5 + (local - 0.5) / np.sqrt(3)
+        nodes = (local.T, np.ones(len(local)))
+        self.basis = solid.basis(2) if gauss else solid.basis(quadrature=nodes)
         self.owner = np.repeat(solid.owner, self.basis.X.shape[-1])
         self._operators = list(strains(solid, self.basis))
 
@@ -159,15 +162,6 @@ def at_nodes(device: Device, z: np.ndarray, voltages: np.ndarray) -> dict[str, n
     moves[:, [0, 1, 2] if d == 3 else [0, 2]] = u.reshape(-1, d)[nodes]
     found = {"displacement": moves, "potential": phi[nodes, 0], "field": E[..., 0]}
     return found | {"stress": T[..., 0], "material": probe.owner.astype(float)}
-
-
-def _points(solid: Solid, gauss: bool) -> Basis:
-    if gauss:
-        return solid.basis(2)
-    local = solid.element.doflocs
-    if solid.order == 1:  # where its strains are best, and a collapsed edge has none
-        local = 0.5 + (local - 0.5) / np.sqrt(3)
-    return solid.basis(quadrature=(local.T, np.ones(len(local))))
 
 
 def principal(stress: np.ndarray) -> np.ndarray:

@@ -44,7 +44,7 @@ class BVD:
 @dataclass(frozen=True)
 class Reading:
     """The analyser's figures. ``fit_error`` is the largest relative error of the BVD circuit's
-    admittance over the samples that it was fitted to, ``band_hz``."""
+    admittance over the samples that it was fitted to."""
 
     resonance_hz: float
     antiresonance_hz: float
@@ -53,13 +53,11 @@ class Reading:
     capacitance_f: float
     bvd: BVD
     fit_error: float
-    band_hz: tuple[float, float]
 
     def metrics(self) -> dict[str, Any]:
         """The metrics of an ``ac`` scene, by their names."""
-        bvd = vars(self.bvd)
-        names = ("resonance_hz", "antiresonance_hz", "quality", "coupling", "capacitance_f")
-        return {name: getattr(self, name) for name in names} | {"bvd": dict(bvd)}
+        found = vars(self) | {"bvd": dict(vars(self.bvd))}
+        return {name: value for name, value in found.items() if name != "fit_error"}
 
 
 def analyse(frequency: np.ndarray, impedance_ohm: np.ndarray) -> Reading:
@@ -73,26 +71,6 @@ def analyse(frequency: np.ndarray, impedance_ohm: np.ndarray) -> Reading:
     UsageError : samples that are no impedance, or too few around the resonance.
     """
     f, Z = np.asarray(frequency, float), np.asarray(impedance_ohm, complex)
-    _check(f, Z)
-    Y = 1 / Z
-    window = _window(f, Y)
-    bvd = _fit(f[window], Y[window])
-    residual = np.abs(bvd.admittance(f[window]) / Y[window] - 1)
-    ratio = bvd.cm_f / bvd.c0_f
-    resonance = 1 / (2 * math.pi * math.sqrt(bvd.lm_h * bvd.cm_f))
-    return Reading(
-        resonance_hz=resonance,
-        antiresonance_hz=resonance * math.sqrt(1 + ratio),
-        quality=math.sqrt(bvd.lm_h / bvd.cm_f) / bvd.rm_ohm,
-        coupling=math.sqrt(ratio / (1 + ratio)),
-        capacitance_f=_capacitance(f, Y, bvd, min(1e3, resonance / 10)),
-        bvd=bvd,
-        fit_error=float(residual.max()),
-        band_hz=(float(f[window][0]), float(f[window][-1])),
-    )
-
-
-def _check(f: np.ndarray, Z: np.ndarray) -> None:
     if f.ndim != 1 or f.shape != Z.shape or len(f) < _FEWEST:
         expected = f"two arrays of one length, at least {_FEWEST}"
         got = f"shapes {f.shape} and {Z.shape}"
@@ -101,6 +79,23 @@ def _check(f: np.ndarray, Z: np.ndarray) -> None:
     if not good or f[0] <= 0 or not (np.diff(f) > 0).all():
         expected = "finite values at frequencies that increase from above zero"
         raise wrong(None, "not samples of an impedance", expected=expected)
+    Y = 1 / Z
+    window = _window(f, Y)
+    bvd = _fit(f[window], Y[window])
+    residual = np.abs(bvd.admittance(f[window]) / Y[window] - 1)
+    ratio = bvd.cm_f / bvd.c0_f
+    resonance = 1 / (2 * math.pi * math.sqrt(bvd.lm_h * bvd.cm_f))
+    low = np.array([min(1e3, resonance / 10)])
+    known, seen = (low, bvd.admittance(low)) if f[0] > low[0] else (f, Y)
+    return Reading(
+        resonance_hz=resonance,
+        antiresonance_hz=resonance * math.sqrt(1 + ratio),
+        quality=math.sqrt(bvd.lm_h / bvd.cm_f) / bvd.rm_ohm,
+        coupling=math.sqrt(ratio / (1 + ratio)),
+        capacitance_f=float(np.interp(low, known, seen.imag / (2 * np.pi * known))[0]),
+        bvd=bvd,
+        fit_error=float(residual.max()),
+    )
 
 
 def _window(f: np.ndarray, Y: np.ndarray) -> slice:
@@ -152,9 +147,3 @@ def _fit(f: np.ndarray, Y: np.ndarray) -> BVD:
     scale = 1 / (2 * math.pi * unit)
     farad = size * scale
     return BVD(c0 * farad, a * scale / (cm * farad), b * scale**2 / (cm * farad), cm * farad)
-
-
-def _capacitance(f: np.ndarray, Y: np.ndarray, bvd: BVD, at: float) -> float:
-    if f[0] > at:
-        return float(bvd.admittance(np.array([at]))[0].imag / (2 * math.pi * at))
-    return float(np.interp(at, f, Y.imag / (2 * np.pi * f)))

@@ -103,8 +103,8 @@ def read_mesh(
     """Read or make the mesh; ``unit`` is the file's unit of length [m], ``size`` the largest edge
     of the elements of a CAD file [m], ``splits`` how often every edge is halved. ``picks`` are
     groups of a CAD file by name: entities of a ``dimension`` (0 to 3: points, curves, faces,
-    solids) that contain one of the points ``at`` (n, 3), or that lie in a ``box`` of two corners
-    [m].
+    solids) that contain one of the points ``at`` (n, 3), or that lie in a ``box`` of two corners,
+    all in the file's unit.
 
     Raises
     ------
@@ -124,14 +124,6 @@ def read_mesh(
     if picks and not cad:
         problem = "groups are picked in CAD files only"
         raise wrong("groups", problem, hint="name physical groups in the mesh")
-    scaled = {
-        name: {
-            **pick,
-            "at": np.divide(pick["at"], unit).tolist(),
-            "box": pick["box"] and np.divide(pick["box"], unit).tolist(),
-        }
-        for name, pick in (picks or {}).items()
-    }
     found = _ask_gmsh(
         "tables",
         path,
@@ -139,7 +131,7 @@ def read_mesh(
         name=str(path),
         size=None if size is None else size / unit,
         dimension=dimension,
-        picks=scaled,
+        picks=dict(picks or {}),
         splits=splits,
     )
     return _collect(found, unit, dimension, str(path))
@@ -237,8 +229,11 @@ def _collect(
     points = unit * found["points"]
     if not np.isfinite(points).all():
         raise UsageError("a node is not at a finite place", where=where)
-    if dimension == 2:
-        points = _meridian(points, where)
+    if dimension == 2:  # radius and height; the plane is x-y (y the axis) or x-z (z the axis)
+        flat = [axis for axis in (2, 1) if np.ptp(points[:, axis]) <= 1e-9 * np.ptp(points)]
+        if not flat:
+            raise wrong(where, "axisymmetric mesh is not plane", expected="z = 0 or y = 0")
+        points = points[:, [0, 3 - flat[0]]]
     blocks = [found[key] for key in found if key.startswith("cells")]
     if not blocks:
         raise UsageError(f"has no {'tetrahedra' if dimension == 3 else 'triangles'}", where=where)
@@ -258,14 +253,6 @@ def _collect(
             length = np.linalg.norm(points[members[:, 0]] - points[members[:, -1]], axis=1)
             groups[name] = Group(dimension - d, *_shares(mesh, ends, length, name))
     return GroupedMesh(mesh, groups)
-
-
-def _meridian(points: np.ndarray, where: str) -> np.ndarray:
-    """Radius and height of a plane mesh, whose plane is x-y (y the axis) or x-z (z the axis)."""
-    flat = [axis for axis in (2, 1) if np.ptp(points[:, axis]) <= 1e-9 * np.ptp(points)]
-    if not flat:
-        raise UsageError("axisymmetric mesh is not plane", where=where, expected="z = 0 or y = 0")
-    return points[:, [0, 3 - flat[0]]]
 
 
 def _quadratic(
@@ -423,7 +410,7 @@ def _make(gmsh: ModuleType, size: float, dimension: int, picks: Picks) -> None:
     if not wanted <= MOST:
         problem = "elements of this size are too many"
         raise wrong("size", problem, f"about {wanted:.1g} of them", f"at most {MOST}")
-    labels = {entity: _label(gmsh, entity) for entity in gmsh.model.getEntities()}
+    labels = {e: gmsh.model.getEntityName(*e).rsplit("/", 1)[-1] for e in gmsh.model.getEntities()}
     if len(bodies) > 1:
         _, pieces = gmsh.model.occ.fragment(bodies[:1], bodies[1:])
         gmsh.model.occ.synchronize()
@@ -445,10 +432,6 @@ def _make(gmsh: ModuleType, size: float, dimension: int, picks: Picks) -> None:
     gmsh.model.mesh.setOrder(2)
     if dimension == 3:
         gmsh.model.mesh.optimize("HighOrder")
-
-
-def _label(gmsh: ModuleType, entity: tuple[int, int]) -> str:
-    return str(gmsh.model.getEntityName(*entity)).rsplit("/", 1)[-1]
 
 
 def _pick(

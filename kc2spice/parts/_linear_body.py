@@ -23,13 +23,8 @@ from kc2spice.core.figure import Figure, Written
 from kc2spice.core.progress import Clock
 from kc2spice.core.quantities import Section, Voltage
 from kc2spice.core.waveforms import Waveforms, running
+from kc2spice.parts import _pictures
 from kc2spice.parts._box import Varied, corners, varied, with_values
-from kc2spice.parts._pictures import (
-    impedance_figure,
-    own_impedances,
-    port_figures,
-    response_figures,
-)
 from kc2spice.parts._touching import Surface, Touching
 from kc2spice.rom.linear import Certificate, LinearModel, Port
 from kc2spice.rom.modal import Resonators, chip_response, resonators
@@ -554,16 +549,16 @@ class LinearBody(Touching):
         return Balance(entries, float(np.abs(gap).max()), scale, STORED, exact=exactly)
 
     def figures(self, part: Part, build: Build, waves: Waveforms) -> Iterator[Figure | Written]:
-        yield from port_figures(part.name, waves)
+        yield from _pictures.port_figures(part.name, waves)
         z = measured(part, waves)
         if z is not None:
             how = f"as the circuit shows it at {part.name}"
-            yield impedance_figure(part.name, waves["frequency"].real, z, how)
+            yield _pictures.impedance_figure(part.name, waves["frequency"].real, z, how)
             return
-        yield from response_figures(part.name, waves)
+        yield from _pictures.response_figures(part.name, waves)
         modal = None if build.model(part) is None else modal_form(build.model(part))
         poles = np.empty(0) if modal is None else modal.omega / (2 * np.pi)
-        yield from own_impedances(part.name, build.model(part), poles)
+        yield from _pictures.own_impedances(part.name, build.model(part), poles)
 
     def law(self, part: Part, build: Build) -> laws.Equations | None:
         model: LinearModel = build.model(part)

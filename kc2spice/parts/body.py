@@ -73,15 +73,12 @@ class GroupKeys(Section):
             raise ValueError("pick solids, faces, curves or points: one of them")
         return self
 
-    def pick(self) -> dict[str, Any]:
-        """What the mesh reader looks for."""
+    def pick(self, unit: float) -> dict[str, Any]:
+        """What the mesh reader looks for in a file of this unit [m]."""
         kind = next(iter(self.model_fields_set)).removesuffix("_in")
         dimension = ("points", "curves", "faces", "solids").index(kind)
-        return {
-            "dimension": dimension,
-            "at": getattr(self, kind),
-            "box": getattr(self, f"{kind}_in"),
-        }
+        at, box = (np.divide(getattr(self, key) or (), unit) for key in (kind, f"{kind}_in"))
+        return {"dimension": dimension, "at": at.tolist(), "box": box.tolist() or None}
 
 
 class FixedKeys(Section):
@@ -229,11 +226,12 @@ def device(keys: BodyKeys | Mapping[str, Any], home: Path, where: str = "body") 
     keys = validated(BodyKeys, keys, where)
     with fe.part_named(where):
         path = beside(home, keys.mesh, "mesh")
+        unit = mesh_file.length_unit(path, keys.unit)
         found = mesh_file.read_mesh(
             path,
-            unit=mesh_file.length_unit(path, keys.unit),
+            unit=unit,
             size=None if keys.size is None else keys.size / keys.refine,
-            picks={name: group.pick() for name, group in keys.groups.items()},
+            picks={name: group.pick(unit) for name, group in keys.groups.items()},
             dimension=2 if keys.axisymmetric else 3,
             splits=0 if keys.size else int(np.ceil(np.log2(keys.refine))),
         )

@@ -13,13 +13,7 @@ from kc2spice.core import laws
 from kc2spice.core.errors import UsageError
 from kc2spice.core.quantities import Length, Section, Velocity
 from kc2spice.core.waveforms import Waveforms
-from kc2spice.parts._touching import (
-    Penetration,
-    Touching,
-    landing,
-    only_pair,
-    separation,
-)
+from kc2spice.parts import _touching
 from kc2spice.scene.judge import PAIRS, Gate
 from kc2spice.scene.model import Part, Scene
 from kc2spice.scene.parttype import Build, Numerics, State, register
@@ -33,7 +27,7 @@ class ThrowKeys(Section):
     of: str | None = Field(None, description="the sphere; the only one")
 
 
-class Throw(Touching):
+class Throw(_touching.Touching):
     name = "throw"
     title = "velocity and height of a sphere at t = 0"
     schema = ThrowKeys
@@ -56,19 +50,19 @@ class Throw(Touching):
         speed = max(1e-3, _arriving(part, scene))
         yield Numerics(f"impact at {speed:.3g} m/s", chgtol=min(1.0, speed))
 
-    def penetrations(self, part: Part, scene: Scene) -> Iterator[Penetration]:
-        speed = _arriving(part, scene)
-        yield from landing(sphere(part, scene), scene, speed, f"impact at {speed:.3g} m/s")
+    def penetrations(self, part: Part, scene: Scene) -> Iterator[_touching.Penetration]:
+        ball, speed = sphere(part, scene), _arriving(part, scene)
+        yield from _touching.landing(ball, scene, speed, f"impact at {speed:.3g} m/s")
 
     def metrics(self, part: Part, build: Build, waves: Waveforms) -> Mapping[str, Any]:
         """Positions from the touching height, the force of one symmetry sector."""
-        pair = only_pair(build.scene)
+        pair = _touching.only_pair(build.scene)
         if pair is None or "time" not in waves:
             return {}
         ball = sphere(part, build.scene)
         t, y = waves["time"], waves[f"{ball.name}.y"] - ball.keys.radius
         force = waves[f"{pair.part.name}.force"]
-        leave = separation(t, force, waves[f"{ball.name}.v"], power=pair.normal.power)
+        leave = _touching.separation(t, force, waves[f"{ball.name}.v"], power=pair.normal.power)
         time, lowest = minimum(t, y)
         return {
             "min_position_m": lowest,
@@ -80,7 +74,7 @@ class Throw(Touching):
 
     def checks(self, part: Part, build: Build, waves: Waveforms) -> Iterator[Gate]:
         gates, ball = build.scene.gates, sphere(part, build.scene).name
-        pair = only_pair(build.scene)
+        pair = _touching.only_pair(build.scene)
         hats = pair.unresolved() if pair else 0.0
         place = dict.fromkeys(PAIRS, max(gates.position, hats)) | {"ngspice_vs_rom": gates.position}
         yield Gate("position over travel", f"{ball}.y", place, "travel", leads=True)

@@ -10,25 +10,10 @@ from pathlib import Path
 
 import numpy as np
 
-from kc2spice.bodies.readers import codes
+from kc2spice.bodies.readers import codes, raw
 from kc2spice.bodies.readers import sidecar as _sidecar
 from kc2spice.bodies.readers.assemble import Rows, assemble
 from kc2spice.bodies.readers.mesh import read_mesh
-from kc2spice.bodies.readers.raw import (
-    LETTERS,
-    Dofs,
-    Raw,
-    bounded,
-    checked,
-    existing,
-    guarded,
-    in_own_process,
-    parsed,
-    present,
-    read_archive,
-    refused,
-    unpack_matlab,
-)
 from kc2spice.bodies.readers.sidecar import Sidecar, read_sidecar
 from kc2spice.core.errors import UsageError, wrong
 from kc2spice.rom.io import BANNER, numbers, read_market
@@ -60,8 +45,8 @@ def read_model(path: Path | str, sidecar: Path | str | None = None) -> LinearMod
         what was found and what was expected.
     MissingToolError : the format needs a package that is not installed; the message says which.
     """
-    name, said, raw = open_source(Path(path), None if sidecar is None else Path(sidecar))
-    return assemble(Rows(name, str(path), said, raw, raw.matrices))
+    name, said, found = open_source(Path(path), None if sidecar is None else Path(sidecar))
+    return assemble(Rows(name, str(path), said, found, found.matrices))
 
 
 def extent(path: Path, sidecar: Path | None) -> np.ndarray | None:
@@ -88,11 +73,11 @@ _ARRAYS = (
 _JOB = f"{', '.join(codes.SUFFIXES)} of one job"
 # One file with all matrices, by its suffix: what it should be, and its reader, which gets the names
 # that the sidecar has for matrices.
-READERS: Mapping[str, tuple[str, Callable[[Path, Mapping[str, str]], Raw]]] = {
-    ".npz": (_ARRAYS, read_archive),
-    ".mat": (_MATLAB, in_own_process(unpack_matlab)),
-    ".full": ("a symmetric .full file of Ansys", in_own_process(codes.unpack_full)),
-    ".op4": ("a Nastran OUTPUT4 file", in_own_process(codes.unpack_op4)),
+READERS: Mapping[str, tuple[str, Callable[[Path, Mapping[str, str]], raw.Raw]]] = {
+    ".npz": (_ARRAYS, raw.read_archive),
+    ".mat": (_MATLAB, raw.in_own_process(raw.unpack_matlab)),
+    ".full": ("a symmetric .full file of Ansys", raw.in_own_process(codes.unpack_full)),
+    ".op4": ("a Nastran OUTPUT4 file", raw.in_own_process(codes.unpack_op4)),
     **dict.fromkeys(codes.SUFFIXES, (_JOB, codes.read_calculix)),
     **dict.fromkeys(
         (".pch", ".pch1", ".bdf", ".dat", ".nas", ".dmig"),
@@ -101,7 +86,7 @@ READERS: Mapping[str, tuple[str, Callable[[Path, Mapping[str, str]], Raw]]] = {
 }
 
 
-def open_source(path: Path, sidecar: Path | None) -> tuple[str, Sidecar, Raw]:
+def open_source(path: Path, sidecar: Path | None) -> tuple[str, Sidecar, raw.Raw]:
     """Name and sidecar of the model at ``path``, and what its files hold.
 
     Raises
@@ -110,16 +95,17 @@ def open_source(path: Path, sidecar: Path | None) -> tuple[str, Sidecar, Raw]:
     MissingToolError : a package that the format needs is not installed.
     """
     if "\0" in str(path):
-        existing(path)  # says that there is none
+        raw.existing(path)  # says that there is none
     if not path.name:
         expected = "the name of a model, such as FOLDER/NAME"
         raise UsageError("is a folder, not a model", where=str(path), expected=expected)
     base, files, _, said = described(path, sidecar)
-    raw = _read(path, {**files, **said.files}, said.matrices)
-    sound = {k: checked(m, k, raw.files.get(k, path)) for k, m in raw.matrices.items()}
+    found = _read(path, {**files, **said.files}, said.matrices)
+    sound = {k: raw.checked(m, k, found.files.get(k, path)) for k, m in found.matrices.items()}
     if said.dofs is not None:
-        raw = replace(raw, dofs=parsed(said.dofs, "lines 'node,dof', one for each row", _rows))
-    return base.name, said, replace(raw, matrices=sound)
+        dofs = raw.parsed(said.dofs, "lines 'node,dof', one for each row", _rows)
+        found = replace(found, dofs=dofs)
+    return base.name, said, replace(found, matrices=sound)
 
 
 def source_files(path: Path, sidecar: Path | None) -> tuple[Path, ...]:
@@ -146,7 +132,7 @@ def described(path: Path, sidecar: Path | None) -> tuple[Path, dict[str, Path], 
     base, files = _family(path)
     beside = path if path.suffix == ".toml" else base.with_name(f"{base.name}.toml")
     chosen, given = sidecar or beside, sidecar is not None or path.suffix == ".toml"
-    said = read_sidecar(chosen) if given or present(beside) else Sidecar()
+    said = read_sidecar(chosen) if given or raw.present(beside) else Sidecar()
     return base, files, chosen, said
 
 
@@ -160,20 +146,20 @@ def _family(path: Path) -> tuple[Path, dict[str, Path]]:
     if path.suffix == ".toml":
         return path.with_suffix(""), {}
     match = _MEMBER.fullmatch(path.name)  # NAME.K may stand for NAME.K.mtx
-    if match is not None and not present(path):
+    if match is not None and not raw.present(path):
         tails = () if match[4] else _TAILS[1:]
-        if not any(present(path.with_name(path.name + tail)) for tail in tails):
+        if not any(raw.present(path.with_name(path.name + tail)) for tail in tails):
             match = None
     base = path.with_name(match[1]) if match else path
     separators = (match[2],) if match else (".", "_")
     found: dict[str, Path] = {}
-    for letter in LETTERS:
+    for letter in raw.LETTERS:
         fits = [
             other
             for separator in separators
             for tail in _TAILS
             if (tail or separator == ".")
-            and present(other := base.with_name(f"{base.name}{separator}{letter}{tail}"))
+            and raw.present(other := base.with_name(f"{base.name}{separator}{letter}{tail}"))
         ]
         if len(fits) > 1:
             problem = f"two files for matrix {letter}"
@@ -182,14 +168,14 @@ def _family(path: Path) -> tuple[Path, dict[str, Path]]:
             found[letter] = fits[0]
     if found:
         return base, found
-    return (path.with_suffix("") if present(path) else path), {}
+    return (path.with_suffix("") if raw.present(path) else path), {}
 
 
-def _read(path: Path, files: dict[str, Path], wanted: Mapping[str, str]) -> Raw:
+def _read(path: Path, files: dict[str, Path], wanted: Mapping[str, str]) -> raw.Raw:
     suffix = path.suffix.lower()
     if files:
         return _matrices(files)
-    if not present(path) or suffix == ".toml":
+    if not raw.present(path) or suffix == ".toml":
         raise UsageError(
             "no such model",
             where=str(path),
@@ -199,49 +185,49 @@ def _read(path: Path, files: dict[str, Path], wanted: Mapping[str, str]) -> Raw:
     if suffix not in READERS:
         hint = 'or name the files in NAME.toml: files = { K = "...", M = "..." }'
         got = "one file that is not called after its matrix"
-        raise refused(path, got, "NAME.K, NAME_K.mtx, JOB_STIF1.mtx", hint)
+        raise raw.refused(path, got, "NAME.K, NAME_K.mtx, JOB_STIF1.mtx", hint)
     expected, read = READERS[suffix]
-    return guarded(path, expected, lambda: read(path, wanted))
+    return raw.guarded(path, expected, lambda: read(path, wanted))
 
 
-def _matrices(files: dict[str, Path]) -> Raw:
+def _matrices(files: dict[str, Path]) -> raw.Raw:
     """One file a matrix; Matrix Market and Harwell-Boeing may stand side by side."""
     found: dict[str, Matrix] = {}
     tables: dict[str, Path] = {}
     mapped: list[Path] = []
     for letter, path in files.items():
         head = _head(path)
-        allowed = partial(bounded, path, letter)
+        allowed = partial(raw.bounded, path, letter)
         if head[: len(BANNER)].lower() == BANNER:
             expected = "a Matrix Market file, 'coordinate' or 'array', 'real' or 'integer'"
-            found[letter] = parsed(path, expected, partial(read_market, allowed=allowed))
+            found[letter] = raw.parsed(path, expected, partial(read_market, allowed=allowed))
         elif codes.is_harwell_boeing(head):
             read = partial(codes.read_harwell_boeing, allowed=allowed)
-            found[letter] = parsed(path, codes.EXPECTED, read)
+            found[letter] = raw.parsed(path, codes.EXPECTED, read)
             mapped += (path.with_suffix(suffix) for suffix in (".mapping", ".MAPPING"))
         elif letter in "MEK" and path.suffix.lower() == ".mtx":  # Abaqus' square matrices
             tables[letter] = path
         else:
             expected = "Matrix Market, Harwell-Boeing, or an .mtx file of Abaqus"
-            raise refused(path, f"matrix {letter} in an unknown format", expected)
-    raw = codes.read_abaqus(tables) if tables else Raw({})
-    found |= raw.matrices
-    dofs, names = raw.dofs, [path for path in mapped if present(path)]
+            raise raw.refused(path, f"matrix {letter} in an unknown format", expected)
+    named = codes.read_abaqus(tables) if tables else raw.Raw({})
+    found |= named.matrices
+    dofs, names = named.dofs, [path for path in mapped if raw.present(path)]
     if names and dofs is None:
         size = next(m.shape[0] for k, m in found.items() if k in "MEKA")
         expected = f"lines of equation, node and freedom for {size} equations"
-        dofs = parsed(names[0], expected, partial(codes.mapping, size=size))
-    return Raw(found, dofs, raw.held, files)
+        dofs = raw.parsed(names[0], expected, partial(codes.mapping, size=size))
+    return raw.Raw(found, dofs, named.held, files)
 
 
 def _head(path: Path) -> bytes:
-    with existing(path).open("rb") as stream:
+    with raw.existing(path).open("rb") as stream:
         return stream.read(2000).removeprefix(b"\xef\xbb\xbf")
 
 
-def _rows(data: bytes) -> Dofs:
+def _rows(data: bytes) -> raw.Dofs:
     """``node,dof`` of each row in order, dofs by number."""
     values = numbers(data)
     if values.size == 0 or values.size % 2:
         raise ValueError(f"{values.size} numbers in two columns")
-    return Dofs(*values.reshape(-1, 2).T)
+    return raw.Dofs(*values.reshape(-1, 2).T)

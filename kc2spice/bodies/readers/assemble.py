@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from scipy import sparse
 
-from kc2spice.bodies.readers.mesh import Mesh, read_mesh
+from kc2spice.bodies.readers.mesh import read_mesh
 from kc2spice.bodies.readers.raw import DOFS, MAX_WIDE, ROTATIONS, TRANSLATIONS, VOLT, Dofs, Raw
 from kc2spice.bodies.readers.sidecar import FORCES, LENGTHS, Place, PortEntry, Sidecar
 from kc2spice.core.errors import UsageError, wrong
@@ -101,25 +101,21 @@ class Rows:
             raise wrong(where, problem, f"{len(dofs)} names", f"{self.size}")
         return dofs
 
-    def _mesh(self, where: str) -> Mesh:
-        path = self.said.mesh
-        if path is None:
-            expected = 'mesh = "FILE" with nodes and node sets in the TOML file'
-            raise UsageError("there is no mesh to look into", where=where, expected=expected)
-        return read_mesh(path)
-
-    def _nodes(self, place: Place, where: str) -> np.ndarray:
-        if place.nodeset is not None:
-            return self._mesh(where).nodeset(place.nodeset, where)
-        if place.at is not None:
-            return np.array([self._mesh(where).nearest(place.at, place.within, where)])
-        return np.unique(np.array(place.numbers, dtype=np.int64))
-
     def find(self, place: Place, kinds: tuple[int, ...]) -> list[np.ndarray]:
         """Rows of the freedoms ``kinds`` at the nodes of ``place``, one array per kind; of all
         freedoms there, each its own, without any kind. None of a set's nodes need be missing."""
         where = self.said.of(place)
-        dofs, nodes = self.dofs(where), self._nodes(place, where)
+        dofs, mesh = self.dofs(where), self.said.mesh
+        if place.numbers:
+            nodes = np.unique(np.array(place.numbers, dtype=np.int64))
+        elif mesh is None:
+            expected = 'mesh = "FILE" with nodes and node sets in the TOML file'
+            raise wrong(where, "there is no mesh to look into", expected=expected)
+        elif place.nodeset is not None:
+            nodes = read_mesh(mesh).nodeset(place.nodeset, where)
+        else:
+            assert place.at is not None
+            nodes = np.array([read_mesh(mesh).nearest(place.at, place.within, where)])
         here = np.isin(dofs.node, nodes)
         missing = nodes[~np.isin(nodes, dofs.node)]
         if len(missing) == len(nodes) or (missing.size and not isinstance(place, PortEntry)):
