@@ -415,7 +415,7 @@ def sweep(
     MissingToolError : no ngspice.
     """
     from kc2spice.workflow.sweep.plan import make_plan
-    from kc2spice.workflow.sweep.point import Job, LoadedScene, scene_text
+    from kc2spice.workflow.sweep.point import Job, scene_text
     from kc2spice.workflow.sweep.run import columns, cores, outcomes, planned, require_columns
 
     if not values or not all(len(each) for each in values.values()):
@@ -423,7 +423,7 @@ def sweep(
     if executor is None:
         find_ngspice()
     named = isinstance(scene, (str, Path))
-    source = scene_text(str(scene)) if named else LoadedScene(load_scene(scene))
+    source = scene_text(str(scene)) if named else load_scene(scene)
     plan = make_plan({key: tuple(each) for key, each in values.items()})
     asked = planned(Job(source), plan, dict.fromkeys(plan.keys, ""))
     found: dict[int, Any] = {}

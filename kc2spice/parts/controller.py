@@ -62,9 +62,6 @@ layers = [
 wiring = "parallel"
 """
 
-    def files(self, part: Part, scene: Scene) -> tuple[str, ...]:
-        return () if part.keys.file is None else (part.keys.file,)
-
     def pins(self, part: Part, scene: Scene) -> tuple[Terminal, ...]:
         keys = part.keys
         inputs = (

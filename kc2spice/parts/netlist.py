@@ -62,9 +62,6 @@ class Netlist(PartType):
     schema = NetlistKeys
     source = "yours"
 
-    def files(self, part: Part, scene: Scene) -> tuple[str, ...]:
-        return (part.keys.file,)
-
     def pins(self, part: Part, scene: Scene) -> tuple[Terminal, ...]:
         found = []
         for name in _pins(part, scene):

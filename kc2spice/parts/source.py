@@ -136,9 +136,6 @@ class Source(PartType):
         pins = KINDS[part.keys.kind].pins
         return (Terminal("out", *pins, required=True), Terminal("ret", *pins, "gnd"))
 
-    def files(self, part: Part, scene: Scene) -> tuple[str, ...]:
-        return () if part.keys.file is None else (part.keys.file,)
-
     def numerics(self, part: Part, scene: Scene) -> Iterator[Numerics]:
         yield from drive_scales(part.name, part.keys.waveform(scene.home))
         yield Numerics(part.name, drives=quantity(part.keys.ac, part.keys.unit) != 0)

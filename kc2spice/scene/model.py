@@ -371,7 +371,7 @@ class Names:
         return self.given[key]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Scene:
     """A checked scene. ``parts`` are in the order of the file, what they expand to behind them.
 
@@ -385,11 +385,11 @@ class Scene:
 
     frame: Frame
     parts: Mapping[str, Part]
-    terminals: Mapping[tuple[str, str], Terminal] = field(default_factory=dict, compare=False)
+    terminals: Mapping[tuple[str, str], Terminal] = field(default_factory=dict)
     nets: Mapping[tuple[str, str], str] = field(default_factory=dict)
-    own: Names = field(default_factory=Names, compare=False)
+    own: Names = field(default_factory=Names)
     home: Path = Path()
-    tables: Mapping[str, Any] = field(default_factory=dict, compare=False)
+    tables: Mapping[str, Any] = field(default_factory=dict)
     ports: Literal["needed", "declared", "all"] = "needed"
 
     def __getattr__(self, name: str) -> Any:

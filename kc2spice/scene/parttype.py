@@ -232,8 +232,9 @@ class PartType:
         return {}
 
     def files(self, part: Part, scene: Scene) -> tuple[str, ...]:
-        """Names of the files beside the scene that it reads."""
-        return ()
+        """Names of the files beside the scene that it reads: that of its key ``file``."""
+        file = getattr(part.keys, "file", None)
+        return () if file is None else (file,)
 
     def governs(self, part: Part, scene: Scene) -> Mapping[str, State | Governed]:
         """Parts of which it decides how their motion begins, all of their motion, or that they are

@@ -62,17 +62,6 @@ class SceneText:
             raise
 
 
-@dataclass(frozen=True, eq=False)
-class LoadedScene:
-    """A scene that this process has loaded, for its threads."""
-
-    scene: Scene
-
-    def load(self, overrides: Sequence[str]) -> Scene:
-        """The scene with ``overrides`` on top of it; raises as :func:`load_scene` does."""
-        return load_scene(self.scene, overrides)
-
-
 @lru_cache(maxsize=_KEPT)
 def _unpacked(scene: SceneText) -> tempfile.TemporaryDirectory[str]:
     """A directory that holds the files of ``scene`` until this process ends."""
@@ -137,14 +126,16 @@ class Job:
     that of one ngspice run.
     """
 
-    scene: SceneText | LoadedScene
+    scene: SceneText | Scene
     fixed: tuple[str, ...] = ()
     parameters: Parameters = ()
     timeout: float | None = None
 
     def load(self, values: Mapping[str, Any]) -> Scene:
         """The scene where the swept keys have these values; raises as :func:`load_scene` does."""
-        return self.scene.load((*self.fixed, *_overrides(values)))
+        overrides = (*self.fixed, *_overrides(values))
+        own = self.scene
+        return own.load(overrides) if isinstance(own, SceneText) else load_scene(own, overrides)
 
 
 @dataclass(frozen=True)

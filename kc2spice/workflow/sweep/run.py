@@ -52,7 +52,6 @@ from kc2spice.scene.model import Scene, scene_hash
 from kc2spice.workflow.sweep.plan import PARAMETER, Plan, form, key_of, make_plan, number, parse
 from kc2spice.workflow.sweep.point import (
     Job,
-    LoadedScene,
     Outcome,
     SceneText,
     parameters,
@@ -358,7 +357,7 @@ class Sweep:
 
 
 def make_sweep(
-    scene: SceneText | LoadedScene,
+    scene: SceneText,
     sets: Sequence[str],
     *,
     zipped: bool = False,

@@ -12,6 +12,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -89,19 +90,19 @@ class _Laws:
 
     build: Build
     equations: Mapping[str, Equations]
-    missing: tuple[str, ...]
+    missing: tuple[str, ...] = ()
 
-    @property
+    @cached_property
     def laws(self) -> dict[str, Law]:
         """By name."""
         return {law.name: law for each in self.equations.values() for law in each.laws}
 
-    @property
+    @cached_property
     def kinds(self) -> dict[str, str]:
         """Of all pins of laws."""
         return _kinds(self.laws.values())
 
-    @property
+    @cached_property
     def ends(self) -> list[tuple[str, str, str, str]]:
         """Net of the scene, part, its pin, and the pin of a law that stands for it."""
         nets = self.build.scene.nets
@@ -130,17 +131,12 @@ def _laws(build: Build) -> _Laws:
         equations = None if part.name in copied else part.type.law(part, build)
         if equations is not None:
             found[part.name] = equations
-    every = _Laws(build, found, ())
-    laws, kinds = every.laws, every.kinds
-    nets: dict[str, list[tuple[str, str]]] = {}
-    for net, name, _, end in every.ends:
-        nets.setdefault(net, []).append((name, end))
+    every = _Laws(build, found)
+    circuit = {net for net, _, _, end in every.ends if every.kinds[end] != "signal"}
     loaded = {
         name
-        for net in nets.values()
-        if any(kinds[end] != "signal" for _, end in net)
-        for name, end in net
-        if kinds[end] == "signal" and _holds(laws, end)
+        for net, name, _, end in every.ends
+        if net in circuit and every.kinds[end] == "signal" and _holds(every.laws, end)
     }
     known = {name: equations for name, equations in found.items() if name not in loaded}
     missing = (name for name in build.scene.parts if name not in known and name not in copied)

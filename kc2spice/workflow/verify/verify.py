@@ -86,32 +86,26 @@ def gate_limits(
         own = f"{part}.{each.of}"
         gate = replace(each, of=own) if own in exact.metrics else each
         value = measured(gate, ours, exact)
-        if value is _ABSENT:
+        if value is None:
             continue
         if pair in gate.limits:
-            name = f"{gate.words}, {words}"
-            reached = math.nan if value is None else value
-            limits.append(Check(name, reached, gate.limits[pair], gate.unit))
-        if gate.leads and value is not None:
+            limits.append(Check(f"{gate.words}, {words}", value, gate.limits[pair], gate.unit))
+        if gate.leads and not math.isnan(value):
             leading.append(value)
     return limits, max(leading, default=None)
 
 
-_ABSENT: Any = object()
-
-
 def measured(gate: Gate, ours: Solution, exact: Solution) -> float | None:
-    """The difference that a gate asks for; None where one of both has not reached it."""
+    """The difference that a gate asks for, nan where one of both has not reached it; None where
+    neither has it, such as the launch of what never leaves."""
     if gate.of in exact.metrics:
         a, b = ours.metrics.get(gate.of), exact.metrics[gate.of]
-        if a is None and b is None:  # neither has it, such as the launch of what never leaves
-            return _ABSENT
         if a is None or b is None:
-            return None
+            return None if a is b else math.nan
         return abs(a - b) if gate.measure == "absolute" else abs(a / b - 1.0)
     names = sorted(fnmatch.filter(set(ours.waves) & set(exact.waves), gate.of))
     if not names:
-        return _ABSENT
+        return None
     pairs = [_aligned(ours.waves, exact.waves, name)[1:] for name in names]
     if gate.share < 1.0:
         scale = exact.waves.scale
@@ -205,10 +199,9 @@ def metric_errors(
         if name not in ours.metrics or isinstance(b, bool):
             continue
         a = ours.metrics[name]
-        if b is None and a is None:
-            continue
         if a is None or b is None:
-            yield name, None
+            if a is not b:
+                yield name, None
             continue
         try:
             x, y = np.asarray(a, dtype=float), np.asarray(b, dtype=float)
@@ -333,7 +326,10 @@ class _Verification:
         """Bodies by their ``libraries``, then the scene, then what full models say of it."""
         found, build = self.found, self.build
         self.units = deck.units
-        self._bodies(libraries)
+        for part in build.scene.parts.values():
+            if part.reduced:
+                folder = self.work / part.name
+                verify_body(part, build, libraries, self.clock, folder, self.whole, found)
         found.left_out = without_law(build)
         timed = build.scene.analysis.type == "transient"
         taken = taken_nets(build) if found.left_out and timed else None
@@ -366,12 +362,6 @@ class _Verification:
             waves = shared(deck) if shared else run_deck(deck, folder, progress=share)
         self.verdict = verdict(waves, self.build)
         return waves
-
-    def _bodies(self, libraries: Sequence[Subcircuit]) -> None:
-        for part in self.build.scene.parts.values():
-            if part.reduced:
-                folder = self.work / part.name
-                verify_body(part, self.build, libraries, self.clock, folder, self.whole, self.found)
 
     def _compared(self, deck: Deck) -> None:
         """The scene in ngspice, by its laws, and by those with full models as far as these are
