@@ -15,9 +15,7 @@ def chip(scene):
     return chip_of(keys_of(scene, "piezo_stack"))
 
 
-@lru_cache(maxsize=1)
-def _assembled(keys):
-    return quarter(keys)
+_assembled = lru_cache(maxsize=1)(quarter)
 
 
 def full_system(scene):

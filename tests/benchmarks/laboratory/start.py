@@ -13,8 +13,6 @@ from laboratory.setup import COARSE, COARSE_CATCH
 
 SCENE = ("run", "kick_and_catch", "--quiet", "--json", "--out")
 GAIN = "control.kd=21 A s/m"
-
-
 RUNS = 7  # of each; their median counts
 
 
@@ -48,10 +46,7 @@ def _limit(name, taken, limit, what):
 
 def _command(arguments, cache):
     """Seconds of one command of kc2spice with a cache of its own."""
-    return _seconds([sys.executable, "-m", "kc2spice", *arguments], cache)
-
-
-def _seconds(command, cache):
+    command = [sys.executable, "-m", "kc2spice", *arguments]
     environment = {**os.environ, "KC2SPICE_CACHE": str(cache)}
     environment.pop("PYTHONDONTWRITEBYTECODE", None)  # what is installed has its bytecode
     begin = time.perf_counter()
