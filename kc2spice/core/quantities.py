@@ -35,20 +35,12 @@ def told(
     """
     every = error.errors()
     found = next((each for each in every if each["type"] == "extra_forbidden"), every[0])
-    message, expected, hint = _words(found, schema, (*at, *found["loc"]), also)
-    silent = found["type"] in ("extra_forbidden", "missing") or _contradicts(found)
-    got = None if silent else shown(found["input"])
-    return (*at, *found["loc"]), {
-        "message": message,
-        "got": got,
-        "expected": expected,
-        "hint": hint,
-    }
-
-
-def _contradicts(found: ErrorDetails) -> bool:
-    """Whether it is about keys that contradict each other: the message says what is wrong."""
-    return found["type"] == "value_error" and isinstance(found["input"], Mapping)
+    whole, kind, given = (*at, *found["loc"]), found["type"], found["input"]
+    message, expected, hint = _words(found, schema, whole, also)
+    # Of keys that contradict each other the message says what is wrong.
+    contradicts = kind == "value_error" and isinstance(given, Mapping)
+    got = None if contradicts or kind in ("extra_forbidden", "missing") else shown(given)
+    return whole, {"message": message, "got": got, "expected": expected, "hint": hint}
 
 
 def _words(
@@ -81,7 +73,10 @@ def _words(
             table = "{ KEY = VALUE, … }" if entry else f"[{dotted(whole)}]"
             return "not a table", f"a table, {table}", None
         case "tuple_type" | "list_type":
-            return "not a list", f"a list, {whole[-1]} = [{_entry(found['input'])}]", None
+            given = found["input"]
+            keys = ", ".join(f"{key} = …" for key in given) if isinstance(given, Mapping) else None
+            one = " … " if keys is None else f"{{ {keys} }}"  # an entry without its brackets
+            return "not a list", f"a list, {whole[-1]} = [{one}]", None
         case "too_short" | "too_long" as kind:
             few = kind == "too_short"
             count = context["min_length" if few else "max_length"]
@@ -133,13 +128,6 @@ def unit_of(field: FieldInfo) -> str | None:
     return None
 
 
-def _entry(value: Any) -> str:
-    """How one entry of a list is written that stands there without its brackets."""
-    if isinstance(value, Mapping):
-        return "{ " + ", ".join(f"{key} = …" for key in value) + " }"
-    return " … "
-
-
 def dotted(path: KeyPath) -> str:
     """``layers[0].thickness`` of its words and numbers."""
     text = "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in path)
@@ -154,9 +142,9 @@ def shown(value: Any) -> str:
         return f"a {type(value).__name__} that is too long to print"
 
 
-def clipped(text: str, limit: int = 120) -> str:
-    """At most so many characters of a text."""
-    return text if len(text) <= limit else text[:limit] + " …"
+def clipped(text: str) -> str:
+    """At most 120 characters of a text."""
+    return text if len(text) <= 120 else text[:120] + " …"
 
 
 EPSILON_0 = 8.8541878188e-12  # F/m, CODATA 2022; scipy.constants takes long to load
@@ -240,8 +228,6 @@ def quantity(value: object, si: str, *, where: str | None = None) -> float:
     UsageError : not a finite number, or a unit of another dimension.
     """
     expected = f'a number in {si}, or a string with a unit such as "1 {si}"'
-    if not si:
-        expected = "a plain number"
     try:
         if isinstance(value, str):
             result = _from_text(value, si)
@@ -254,6 +240,7 @@ def quantity(value: object, si: str, *, where: str | None = None) -> float:
     except (ValueError, OverflowError) as error:
         got = repr(value) if len(repr(value)) <= _LONGEST else repr(value)[:_LONGEST] + " ..."
         message = "not a finite number" if isinstance(error, OverflowError) else str(error)
+        expected = expected if si else "a plain number"
         raise UsageError(message, where=where, got=got, expected=expected) from None
     return result
 

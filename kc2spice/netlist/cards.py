@@ -44,12 +44,8 @@ def name(text: str, *, where: str = "netlist") -> str:
     UsageError : anything but a letter followed by letters, digits and underscores.
     """
     if _NAME.fullmatch(text) is None or text.lower() in _RESERVED:
-        raise UsageError(
-            "not a netlist name",
-            where=where,
-            got=repr(text),
-            expected="a letter, then letters, digits or _ (64 at most), no reserved word",
-        )
+        expected = "a letter, then letters, digits or _ (64 at most), no reserved word"
+        raise UsageError("not a netlist name", where=where, got=repr(text), expected=expected)
     return text
 
 

@@ -161,41 +161,29 @@ def _reduced(tree: Binary) -> Tree:
 
 
 class Writer:
-    """Writes trees; a dialect overrides the spelling of names, probes, functions and choices."""
-
-    def number(self, text: str) -> str:
-        """A literal."""
-        return text
+    """Writes trees; a dialect overrides the spelling of names and functions, or what it writes."""
 
     def name(self, text: str) -> str:
         """A parameter or keyword."""
         return text
 
-    def probe(self, kind: str, names: tuple[str, ...]) -> str:
-        """A node voltage or source current."""
-        return f"{kind.upper()}({','.join(names)})"
-
     def call(self, function: str, arguments: tuple[Tree, ...]) -> str:
         """A function with its arguments."""
         return f"{function}({', '.join(map(self.write, arguments))})"
-
-    def choice(self, test: Tree, yes: Tree, no: Tree) -> str:
-        """A decision."""
-        return f"({self.write(test)} ? {self.write(yes)} : {self.write(no)})"
 
     def write(self, tree: Tree, level: int = 0) -> str:
         """Text of ``tree``, in parentheses where it binds weaker than its surroundings."""
         match tree:
             case Number(text):
-                return self.number(text)
+                return text
             case Name(text):
                 return self.name(text)
             case Probe(kind, names):
-                return self.probe(kind, names)
+                return f"{kind.upper()}({','.join(names)})"
             case Call(function, arguments):
                 return self.call(function, arguments)
             case Choice(test, yes, no):
-                return self.choice(test, yes, no)
+                return f"({self.write(test)} ? {self.write(yes)} : {self.write(no)})"
             case Unary(op, value):
                 text = f"{op}{self.write(value, len(_LEVELS))}"
                 return f"({text})" if level > 3 else text
@@ -271,11 +259,10 @@ class _Parser:
             return Number(_plain(match["number"], match["suffix"]))
         if match["name"]:
             return self.named(match["name"])
-        for opening, closing in (("(", ")"), ("{", "}")):
-            if match["op"] == opening:
-                inner = self.choice()
-                self.expect(closing)
-                return inner
+        if closing := {"(": ")", "{": "}"}.get(match["op"]):
+            inner = self.choice()
+            self.expect(closing)
+            return inner
         self.at = match.start()
         raise self.error("something expected")
 

@@ -7,6 +7,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import combinations_with_replacement, count, takewhile
+from math import nan
 from pathlib import Path
 from typing import Any
 
@@ -169,7 +170,7 @@ def _items(
 
 
 def _subckt(s: Statement, cards: Iterator[Statement]) -> Circuit:
-    rest = _without_keyword(s.words[1:])
+    rest = [word for word in s.words[1:] if word.lower() != "params:"]
     if not rest:
         raise s.error("subcircuit has no name")
     pins = tuple(w for w in rest[1:] if "=" not in w)
@@ -216,10 +217,6 @@ def _function(s: Statement) -> Function | None:
     return Function(name.strip(), arguments, law, **_told(s))
 
 
-def _without_keyword(given: Sequence[str]) -> list[str]:
-    return [word for word in given if word.lower() != "params:"]
-
-
 def _assignments(given: Sequence[str], s: Statement) -> dict[str, str]:
     pairs = {}
     for word in (each.strip(",") for each in given):
@@ -240,7 +237,7 @@ def element(s: Statement) -> Element:
     kind, told = s.written[0].lower(), _told(s)
     if kind == "b":
         return _behaviour(s)
-    name, *rest = _without_keyword(s.words)
+    name, *rest = (word for word in s.words if word.lower() != "params:")
     if kind == "x":
         plain = [w for w in rest if "=" not in w]
         if not plain:
@@ -388,19 +385,13 @@ def _part(circuit: Circuit, text: str, file: str) -> Subcircuit:
         listed = " ".join(p.name for p in pins)
         message = "the head does not list the pins of its subcircuit"
         raise circuit.error(message, listed, " ".join(circuit.pins))
-    told = {m[1].lower(): m for m in map(_PARAM.match, circuit.notes) if m}
-    params = tuple(
-        _param(name, default, told.get(name.lower()), circuit.where)
-        for name, default in circuit.defaults.items()
-    )
+    heads = {m[1].lower(): m for m in map(_PARAM.match, circuit.notes) if m}
+    params = []
+    for name, default in circuit.defaults.items():
+        given, told = literal(default, where=circuit.where), heads.get(name.lower())
+        meant = (
+            (told[3], told[6], float(told[4] or "-inf"), float(told[5] or "inf")) if told else ()
+        )
+        params.append(Param(name, nan if given is None else given, *(meant or ("-", ""))))
     ends = tuple(pins or (Pin(name, "V", "A") for name in circuit.pins))
-    return Subcircuit(circuit.name, ends, params, text, file)
-
-
-def _param(name: str, default: str, told: re.Match[str] | None, where: str) -> Param:
-    given = literal(default, where=where)
-    value = float("nan") if given is None else given
-    if told is None:
-        return Param(name, value, "-", "")
-    low, high = (float(told[4] or "-inf"), float(told[5] or "inf"))
-    return Param(name, value, told[3], told[6], low, high)
+    return Subcircuit(circuit.name, ends, tuple(params), text, file)

@@ -28,9 +28,11 @@ def self_contained(part: Subcircuit, helpers: Iterable[Subcircuit]) -> Subcircui
     tree = part.circuit
     for helper in helpers:
         names = {helper.name: f"{part.name}_{helper.name}"}
-        inner = tuple(_without_origin(item) for item in renamed(helper.circuit, names).items)
         tree = renamed(tree, names)
-        tree = replace(tree, items=tree.items + inner)
+        for item in renamed(helper.circuit, names).items:
+            kept = ("", *(line for line in item.notes if not line.startswith(_ORIGIN)))
+            item = replace(item, notes=kept if item.notes else ())
+            tree = replace(tree, items=(*tree.items, item))
     return printed(part, tree)
 
 
@@ -47,11 +49,6 @@ def quiet(part: Subcircuit, noisy: Iterable[str]) -> Subcircuit:
         return replace(each, parameters={**each.parameters, "noisy": "0"})
 
     return printed(part, part.circuit.changed(item))
-
-
-def _without_origin(item: Item) -> Item:
-    kept = (line for line in item.notes if not line.startswith(_ORIGIN))
-    return replace(item, notes=("", *kept)) if item.notes else item
 
 
 def renamed(circuit: Circuit, names: Mapping[str, str]) -> Circuit:
@@ -119,22 +116,18 @@ def _changed(part: Subcircuit, library: str, name: str, value: float) -> Subcirc
     for param in part.params if library == library_of(part) else ():
         if param.name.lower() == name.lower():
             _require_within(param, library, value)
-    new = {
-        id(each): _with_default(each, name, value)
-        for where, each in cards(part)
-        if where == library and name in each.defaults
-    }
+    told, given, new = f"* @param {name}=", number(value), dict[int, Circuit]()
+    for where, each in cards(part):
+        if where == library and name in each.defaults:
+            notes = tuple(
+                f"{told}{given} unit={line.partition(' unit=')[2]}"
+                if line.startswith(told)
+                else line
+                for line in each.notes
+            )
+            new[id(each)] = replace(each, defaults={**each.defaults, name: given}, notes=notes)
     items = tuple(new.get(id(each), each) for each in part.circuit.items)
     return printed(part, replace(part.circuit, items=items)) if new else part
-
-
-def _with_default(circuit: Circuit, name: str, value: float) -> Item:
-    told, given = f"* @param {name}=", number(value)
-    notes = tuple(
-        f"{told}{given} unit={line.partition(' unit=')[2]}" if line.startswith(told) else line
-        for line in circuit.notes
-    )
-    return replace(circuit, defaults={**circuit.defaults, name: given}, notes=notes)
 
 
 def _require_within(param: Param, library: str, value: float) -> None:
@@ -145,12 +138,8 @@ def _require_within(param: Param, library: str, value: float) -> None:
     expected = f"{least:g} … {most:g}" if math.isfinite(least) else "a finite number"
     if most == math.inf and least > -math.inf:
         expected = "above zero" if least == LEAST else f"at least {least:g}"
-    raise UsageError(
-        "outside the range of this parameter",
-        where=f"param.{library}.{param.name}",
-        got=f"{value:g} {param.unit}",
-        expected=expected,
-    )
+    where, got = f"param.{library}.{param.name}", f"{value:g} {param.unit}"
+    raise UsageError("outside the range of this parameter", where=where, got=got, expected=expected)
 
 
 # --- an array of actuators, each with its own drive ---
@@ -166,16 +155,12 @@ def array_deck(deck: Deck, count: int) -> Deck:
     UsageError : a number of copies out of range, or a sweep, which moves one source only.
     """
     if not 1 <= count <= MOST:
-        raise UsageError(
-            "number of copies", where="--count", got=str(count), expected=f"1 to {MOST}"
-        )
+        expected = f"1 to {MOST}"
+        raise UsageError("number of copies", where="--count", got=count, expected=expected)
     if deck.command.kind == "dc":
-        raise UsageError(
-            "a dc sweep moves one source, not one of each copy",
-            where="--count",
-            got=deck.command.card,
-            expected="a scene with a transient or an ac analysis",
-        )
+        message, got = "a dc sweep moves one source, not one of each copy", deck.command.card
+        expected = "a scene with a transient or an ac analysis"
+        raise UsageError(message, where="--count", got=got, expected=expected)
     unit = f"{deck.name}_unit"
     title, last = Block("one copy", (f".subckt {unit} common",)), Block("", (f".ends {unit}",))
     copies = Block(f"{count} copies", tuple(f"X{k} 0 {unit}" for k in range(1, count + 1)))

@@ -63,12 +63,6 @@ def layout(part: Subcircuit) -> Box:
     return Box(part.name, part.filename, part.title, part.params, width, height, tuple(places))
 
 
-def inputs(part: Subcircuit) -> frozenset[str]:
-    """Pins, in lower case, that elements of ``part`` sense but none draws current from."""
-    found = circuit(part.circuit).find(part.name)
-    return frozenset({p.name.lower() for p in part.pins} & _sensed(found))
-
-
 def _sensed(scope: Scope | None) -> set[str]:
     """Nodes that elements of ``scope`` sense but none draws current from."""
     sensed: set[str] = set()
@@ -89,7 +83,7 @@ def _sides(part: Subcircuit) -> tuple[list[tuple[int, Pin]], ...]:
     plain = [pin for pin in part.pins if pin.name not in REFERENCES]
     electric = [pin.name for pin in plain if pin.flow == "A"]
     mechanical = [pin for pin in plain if pin.flow not in ("A", "-")]
-    quiet = inputs(part)
+    quiet = _sensed(circuit(part.circuit).find(part.name))
     left = {pin.name for pin in plain if pin.name.lower() in quiet}
     if electric and mechanical:
         left = set(electric)

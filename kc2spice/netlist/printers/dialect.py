@@ -104,9 +104,10 @@ class Dialect(Printer, ABC):
                 return self.directive(item)
         raise self.refusal(item.text, f"the command {item.keyword}")
 
-    def refusal(self, got: str, what: str) -> UsageError:
+    def refusal(self, got: str | None, what: str, expected: str | None = None) -> UsageError:
         """The error for a construct that this dialect has no words for."""
-        return UsageError(f"{self.title} cannot say {what}", where=self.where, got=got[:120])
+        told, got = f"{self.title} cannot say {what}", got and got[:120]
+        return UsageError(told, where=self.where, got=got, expected=expected)
 
     def element(self, part: Element) -> str:
         laplace = part.kind in "eg" and len(part.nodes) == 2 and not part.quantity
@@ -181,16 +182,9 @@ class Dialect(Printer, ABC):
             return self.write(Binary("^", *arguments))
         spelled = "ln" if function == "log" else function
         if spelled not in self.functions and function not in self.defined:
-            raise UsageError(
-                f"{self.title} cannot say the function {function}",
-                where=self.where,
-                expected=", ".join(sorted(self.functions | {"pow", "pwl"})),
-            )
+            known = ", ".join(sorted(self.functions | {"pow", "pwl"}))
+            raise self.refusal(None, f"the function {function}", known)
         return super().call(spelled, arguments)
-
-    def choice(self, test: Tree, yes: Tree, no: Tree) -> str:
-        """Both simulators have ``if(test, yes, no)``."""
-        return f"if({self.test(test)}, {self.write(yes)}, {self.write(no)})"
 
     def test(self, tree: Tree) -> str:
         """A condition; whatever is not zero is true in ngspice, what is above a half in LTspice."""
@@ -199,8 +193,11 @@ class Dialect(Printer, ABC):
         return f"{self.write(_truth(tree), 3)}>0.5"
 
     def write(self, tree: Tree, level: int = 0) -> str:
-        """ngspice's power is that of the absolute value; logic is said by choices."""
+        """ngspice's power is that of the absolute value; logic is said by choices, which both
+        simulators write ``if(test, yes, no)``."""
         match tree:
+            case Choice(test, yes, no):
+                return f"if({self.test(test)}, {self.write(yes)}, {self.write(no)})"
             case Binary("^", left, right):
                 return f"pow(abs({self.write(left)}), {self.write(right)})"
             case Binary("&&" | "||" | "==" | "!=") | Unary("!"):

@@ -28,6 +28,7 @@ from kc2spice.netlist.read import subcircuits
 from kc2spice.netlist.scope import GROUND, Scope
 
 GRID = 2.54  # mm, 100 mil
+_SPICE = 'type="{}" model="{}" lib=""'  # an element whose value is as on its netlist card
 LIBRARY = "kc2spice"
 _POLES = (Place(1, "+", "top", 0, 2), Place(2, "-", "bottom", 0, -2))
 _SPOTS = (
@@ -103,7 +104,7 @@ def element_symbols() -> dict[str, Symbol]:
         places = _SPOTS if box else _POLES
         fields = _fields(letter, name, title) | {
             "Sim.Device": "SPICE",
-            "Sim.Params": _spice(letter, "0"),
+            "Sim.Params": _SPICE.format(letter, "0"),
             "Sim.Pins": " ".join(f"{p.number}={p.number}" for p in places),
         }
         side = 2 * GRID
@@ -114,11 +115,6 @@ def element_symbols() -> dict[str, Symbol]:
         mark = Symbol(name, fields, drawing, (place,), text, pins=pins, simulated=simulated)
         found[name] = mark
     return found
-
-
-def _spice(letter: str, value: str) -> str:
-    """``Sim.Params`` of an element whose ``value`` is written as on its netlist card."""
-    return f'type="{letter}" model="{value}" lib=""'
 
 
 def _fields(reference: str, value: str, description: str) -> dict[str, str]:
@@ -208,13 +204,10 @@ def project(deck: Deck) -> dict[str, str]:
 
 
 def _parts(deck: Deck) -> dict[str, Subcircuit]:
-    own = {part.name.lower(): part for part in deck.parts}
-    ours = {part.filename for part in deck.parts}
-    for file, text in deck.files.items():
-        if file not in ours and file != deck.main:
-            for part in subcircuits(text, file):
-                own.setdefault(part.name.lower(), part)
-    return own
+    ours = {deck.main, *(part.filename for part in deck.parts)}
+    others = (subcircuits(text, file) for file, text in deck.files.items() if file not in ours)
+    every = [*deck.parts, *(part for each in others for part in each)]
+    return {part.name.lower(): part for part in reversed(every)}
 
 
 def _reference(name: str) -> str:
@@ -254,7 +247,7 @@ def _item(element: Element, parts: dict[str, Symbol], plain: dict[str, Symbol]) 
     fields = symbol.fields | {
         "Reference": name,
         "Value": _shown(value),
-        "Sim.Params": _spice(letter, value),
+        "Sim.Params": _SPICE.format(letter, value),
     }
     return _placed(symbol, fields, nets)
 
@@ -280,22 +273,20 @@ def _placed(symbol: Symbol, fields: dict[str, str], nets: tuple[str, ...]) -> _I
 
 
 def _rows(items: Iterable[_Item], width: int) -> Iterator[_Item]:
-    rows: list[list[_Item]] = []
+    rows: list[list[tuple[int, _Item]]] = []
     x = width
     for item in items:
         needed = item.reach[0] + item.reach[1] + 2
         if not rows or x + needed > width:
             rows.append([])
             x = MARGIN
-        rows[-1].append(item)
+        rows[-1].append((x + item.reach[0], item))
         x += needed
     y = MARGIN
     for row in rows:
-        x, top = MARGIN, max(item.reach[2] for item in row)
-        for item in row:
-            yield replace(item, x=x + item.reach[0], y=y + top)
-            x += item.reach[0] + item.reach[1] + 2
-        y += top + max(item.reach[3] for item in row) + 2
+        top, below = (max(item.reach[k] for _, item in row) for k in (2, 3))
+        yield from (replace(item, x=x, y=y + top) for x, item in row)
+        y += top + below + 2
 
 
 def _sheet(
@@ -334,10 +325,9 @@ def _grounds(items: list[_Item], plain: dict[str, Symbol]) -> Iterator[_Item]:
     if grounds:  # a place of its own, on a ground of its own
         corner = (MARGIN - 2, MARGIN - 2, 0)
         rows += [("GND", "#PWR00", *corner), ("PWR_FLAG", "#FLG01", *corner)]
-    for mark, reference, x, y, turn in rows:
-        symbol = plain[mark]
-        fields = symbol.fields | {"Reference": reference}
-        yield _Item(symbol, fields, ("0",), x=x, y=y, turn=turn)
+    for mark, reference, *place in rows:
+        fields = plain[mark].fields | {"Reference": reference}
+        yield _Item(plain[mark], fields, ("0",), (0, 0, 0, 0), *place)
 
 
 def _workbook(deck: Deck, top: Scope, commands: list[str]) -> str:

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from kc2spice.netlist.cards import number
 from kc2spice.netlist.circuit import Element
 from kc2spice.netlist.expression import Trace, simplified
-from kc2spice.netlist.printers import Box, Place
+from kc2spice.netlist.printers import Box
 from kc2spice.netlist.printers.dialect import Dialect, Setup
 
 GRID = 32  # LTspice's units, two of its grid: pins must lie on multiples of 16
@@ -78,17 +78,9 @@ def symbol(box: Box, library: str) -> str:
     if box.params:
         given = " ".join(f"{p.name}={number(p.default)}" for p in box.params)
         lines.append(f"SYMATTR SpiceLine {given}")
-    for place in box.places:
-        lines += _pin(place, box)
+    for pin in box.places:  # on the outline; y points down here
+        x = max(-box.width, min(box.width, pin.x)) * GRID
+        y = -max(-box.height, min(box.height, pin.y)) * GRID
+        lines += [f"PIN {x} {y} {_SIDES[pin.side]} 8", f"PINATTR PinName {pin.name}"]
+        lines.append(f"PINATTR SpiceOrder {pin.number}")
     return "\n".join(lines) + "\n"
-
-
-def _pin(place: Place, box: Box) -> list[str]:
-    """A pin on the outline; y points down here."""
-    x = max(-box.width, min(box.width, place.x)) * GRID
-    y = -max(-box.height, min(box.height, place.y)) * GRID
-    return [
-        f"PIN {x} {y} {_SIDES[place.side]} 8",
-        f"PINATTR PinName {place.name}",
-        f"PINATTR SpiceOrder {place.number}",
-    ]

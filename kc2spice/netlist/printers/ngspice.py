@@ -68,9 +68,7 @@ class Printer(Writer):
 
     def element(self, part: Element) -> str:
         keyword = self.instance_keyword if part.kind == "x" and part.parameters else ""
-        law = ""
-        if part.quantity:
-            law = self.law(part)
+        law = self.law(part) if part.quantity else ""
         values = " ".join(map(self.value, part.values))
         pairs = self.pairs(part.parameters)
         return _joined(
@@ -106,11 +104,8 @@ class Printer(Writer):
         """A word of a card; what stands in braces or single quotes is an expression."""
         if text[:1] not in ("{", "'"):
             return text
-        return f"{{{self.constant(simplified(parse(text, where=self.where)))}}}"
-
-    def constant(self, tree: Tree) -> str:
-        """An expression of parameters alone, without the blanks that would end a word."""
-        return self.write(tree).replace(", ", ",")
+        written = self.write(simplified(parse(text, where=self.where)))
+        return f"{{{written.replace(', ', ',')}}}"  # a blank would end the word
 
     def call(self, function: str, arguments: tuple[Tree, ...]) -> str:
         """A function; rows of a table stand on lines of their own."""

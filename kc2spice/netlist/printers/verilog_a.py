@@ -26,6 +26,7 @@ from kc2spice.netlist.expression import (
     EVERYWHERE,
     Binary,
     Name,
+    Number,
     Probe,
     Tree,
     Writer,
@@ -110,14 +111,15 @@ class Names(Writer):
 
     def node(self, name: str) -> str:
         """Name of a node; a new one is declared."""
-        key = name.lower()
+        key, nodes = name.lower(), self.module.nodes
         if key in self.pins:
             return self.pins[key]
         if key in GROUND:
             raise UsageError("a module has no global ground", where=self.where, got=name)
-        if self.prefix + key not in self.module.nodes:
-            self.module.nodes[self.prefix + key] = self.module.identifier(self.prefix + key)
-        return self.module.nodes[self.prefix + key]
+        own = self.prefix + key
+        if own not in nodes:
+            nodes[own] = self.module.identifier(own)
+        return nodes[own]
 
     def across(self, names: Iterable[str]) -> str:
         return f"V({','.join(map(self.node, names))})"
@@ -131,25 +133,26 @@ class Names(Writer):
         return self.write(simplified(tree), 5)
 
     def write(self, tree: Tree, level: int = 0) -> str:
-        """A power is that of the absolute value, as ngspice takes it."""
-        if isinstance(tree, Binary) and tree.op == "^":
-            return f"pow(abs({self.write(tree.left)}), {self.write(tree.right)})"
+        """A power is that of the absolute value, as ngspice takes it; reals have a point or an
+        exponent, as integers divide differently."""
+        match tree:
+            case Number(text):
+                return text if set(".eE").intersection(text) else f"{text}.0"
+            case Probe("v", names):
+                return self.across(names)
+            case Probe("i", (source, *_)):
+                return f"I({self.branch(source)})"
+            case Binary("^", left, right):
+                return f"pow(abs({self.write(left)}), {self.write(right)})"
         return super().write(tree, level)
 
     def branch(self, source: str) -> str:
         return f"br_{self.prefix}{source.lower()}"
 
-    def number(self, text: str) -> str:
-        """Reals have a point or an exponent; integers divide differently."""
-        return text if set(".eE").intersection(text) else f"{text}.0"
-
     def name(self, text: str) -> str:
         if text.lower() not in self.params:
             raise UsageError("Verilog-A cannot say this word", where=self.where, got=text)
         return self.params[text.lower()]
-
-    def probe(self, kind: str, names: tuple[str, ...]) -> str:
-        return self.across(names) if kind == "v" else f"I({self.branch(names[0])})"
 
     def call(self, function: str, arguments: tuple[Tree, ...]) -> str:
         if function == "pwl":
@@ -158,11 +161,8 @@ class Names(Writer):
             points = [value for value in given if value is not None]
             at, f = points[::2], points[1::2]
             if len(points) < max(4, len(given)) or len(at) != len(f) or at != sorted(set(at)):
-                raise UsageError(
-                    "a table of a module has two rising numbers or more, each with its value",
-                    where=self.where,
-                    got=self.part,
-                )
+                told = "a table of a module has two rising numbers or more, each with its value"
+                raise UsageError(told, where=self.where, got=self.part)
             self.module.functions.append(_table(name, at, f))
             return f"{name}({self.write(arguments[0])})"
         if defined := self.scope.functions.get(function):
@@ -433,9 +433,6 @@ def _changed(item: Item, stems: Mapping[str, str], replaced: Collection[str]) ->
 def _outer(text: str) -> bool:
     """Whether a vector exists without subcircuits."""
     found = vector(text)
-    return (
-        found is not None
-        and not (found.path or found.parameter)
-        and "." not in found.names[0]
-        and (found.quantity == "v" or found.names[0].lower().startswith("v"))
-    )
+    if found is None or found.path or found.parameter or "." in found.names[0]:
+        return False
+    return found.quantity == "v" or found.names[0].lower().startswith("v")
