@@ -143,10 +143,7 @@ def _show_warning(message: Any, *_: Any, **__: Any) -> None:
 
 
 def print_table(
-    title: str,
-    rows: Sequence[Sequence[str]],
-    header: Sequence[str] = (),
-    names: int | None = None,
+    title: str, rows: Sequence[Sequence[str]], header: Sequence[str] = (), names: int | None = None
 ) -> None:
     """A small table on stdout; plain text where stdout is no terminal.
 

@@ -8,15 +8,7 @@ from dataclasses import dataclass, field
 from pathlib import PurePosixPath
 from typing import Any
 
-from kc2spice.netlist.circuit import (
-    Card,
-    Circuit,
-    Directive,
-    Element,
-    Function,
-    Model,
-    Parameters,
-)
+from kc2spice.netlist.circuit import Card, Circuit, Directive, Element, Function, Model, Parameters
 from kc2spice.netlist.expression import vector
 from kc2spice.netlist.read import NODES
 

@@ -100,9 +100,7 @@ class _Sampler:
 
 
 def run_shared(
-    deck: Deck,
-    sampled: Sequence[Sampled] = (),
-    progress: Callable[[float], None] | None = None,
+    deck: Deck, sampled: Sequence[Sampled] = (), progress: Callable[[float], None] | None = None
 ) -> Waveforms:
     """Run the transient ``deck`` in libngspice; results and names as from the batch engine.
 

@@ -11,15 +11,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from kc2spice.core.errors import UsageError
-from kc2spice.netlist.circuit import (
-    Circuit,
-    Directive,
-    Element,
-    Function,
-    Item,
-    Model,
-    Parameters,
-)
+from kc2spice.netlist.circuit import Circuit, Directive, Element, Function, Item, Model, Parameters
 from kc2spice.netlist.deck import ANALYSES
 from kc2spice.netlist.expression import (
     EVERYWHERE,

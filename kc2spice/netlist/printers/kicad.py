@@ -206,8 +206,10 @@ def project(deck: Deck) -> dict[str, str]:
 def _parts(deck: Deck) -> dict[str, Subcircuit]:
     ours = {deck.main, *(part.filename for part in deck.parts)}
     others = (subcircuits(text, file) for file, text in deck.files.items() if file not in ours)
-    every = [*deck.parts, *(part for each in others for part in each)]
-    return {part.name.lower(): part for part in reversed(every)}
+    own: dict[str, Subcircuit] = {}
+    for part in (*deck.parts, *(part for each in others for part in each)):
+        own.setdefault(part.name.lower(), part)
+    return own
 
 
 def _reference(name: str) -> str:
