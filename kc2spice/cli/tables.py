@@ -13,7 +13,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NoReturn
 
 import typer
 
@@ -103,29 +103,27 @@ def reported_errors() -> Iterator[None]:
         yield
         sys.stdout.flush()  # what cannot be written is told here, not by the interpreter's end
     except Kc2spiceError as error:
-        _fail(str(error))
-        raise typer.Exit(error.exit_code) from None
+        _fail(str(error), error.exit_code)
     except KeyboardInterrupt:
-        _fail("interrupted; nothing was written")
-        raise typer.Exit(INTERRUPTED) from None
+        _fail("interrupted; nothing was written", INTERRUPTED)
     except BrokenPipeError:  # the reader of a pipe left, as in `kc2spice scenes | head`
         _drop_stdout()
         raise typer.Exit(0) from None
     except typer.Exit:
         raise
     except MemoryError:
-        _fail("the memory is exhausted\n  next:     a coarser mesh, fewer points or more memory")
-        raise typer.Exit(SimulationError.exit_code) from None
+        told = "the memory is exhausted\n  next:     a coarser mesh, fewer points or more memory"
+        _fail(told, SimulationError.exit_code)
     except Exception as error:
         if isinstance(error, OSError) and error.errno in FULL:
             _drop_stdout()
-            _fail(f"cannot be written: {error.strerror}\n  next:     free some space")
-            raise typer.Exit(UsageError.exit_code) from None
+            told = f"cannot be written: {error.strerror}\n  next:     free some space"
+            _fail(told, UsageError.exit_code)
         if os.environ.get("KC2SPICE_DEBUG"):
             traceback.print_exc()
         detail = f"{type(error).__name__}: {error}".splitlines()[0]
-        _fail(f"internal error: {detail}\n  next:     set KC2SPICE_DEBUG=1 for the details")
-        raise typer.Exit(SimulationError.exit_code) from None
+        told = f"internal error: {detail}\n  next:     set KC2SPICE_DEBUG=1 for the details"
+        _fail(told, SimulationError.exit_code)
 
 
 def _drop_stdout() -> None:
@@ -134,8 +132,9 @@ def _drop_stdout() -> None:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
-def _fail(text: str) -> None:
+def _fail(text: str, code: int) -> NoReturn:
     print(f"kc2spice: error: {text}", file=sys.stderr, flush=True)
+    raise typer.Exit(code) from None
 
 
 def _show_warning(message: Any, *_: Any, **__: Any) -> None:

@@ -32,22 +32,14 @@ class Kc2spiceError(Exception):
         hint: str | None = None,
     ) -> None:
         super().__init__(message)
-        self.message = message
-        self.where = where
-        self.got = got
-        self.expected = expected
-        self.hint = hint
+        self.message, self.where = message, where
+        self.got, self.expected, self.hint = got, expected, hint
 
     def __str__(self) -> str:
         head = f"{self.where}: {self.message}" if self.where else self.message
-        lines = [head]
-        if self.got is not None:
-            lines.append(f"  got:      {self.got}")
-        if self.expected is not None:
-            lines.append(f"  expected: {self.expected}")
-        if self.hint is not None:
-            lines.append(f"  next:     {self.hint}")
-        return "\n".join(lines)
+        rows = {"got:": self.got, "expected:": self.expected, "next:": self.hint}
+        lines = (f"  {word:<9} {said}" for word, said in rows.items() if said is not None)
+        return "\n".join((head, *lines))
 
 
 class UsageError(Kc2spiceError):

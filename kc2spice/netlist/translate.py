@@ -83,9 +83,8 @@ def dialect_files(
     if left_out and not files:
         raise left_out[0]
     if left_out:
-        files["verilog-a.txt"] = (
-            "Not written as modules:\n\n" + "\n\n".join(map(str, left_out)) + "\n"
-        )
+        told = ("Not written as modules:", *map(str, left_out))
+        files["verilog-a.txt"] = "\n\n".join(told) + "\n"
     return files | (testbench(deck, modules) if deck else {})
 
 

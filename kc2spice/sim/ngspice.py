@@ -84,9 +84,8 @@ def find_ngspice() -> Simulator:
     text = said.decode(errors="replace")
     version = re.search(r"ngspice-(\S+)", text)
     if version is None:
-        raise MissingToolError(
-            "this ngspice does not tell its version", where=path, got=text.strip()[:80]
-        )
+        message, got = "this ngspice does not tell its version", text.strip()[:80]
+        raise MissingToolError(message, where=path, got=got)
     return Simulator("ngspice", version.group(1), path)
 
 
@@ -220,15 +219,9 @@ def _execute(
     begin = worked = time.monotonic()
     spent = None
     with log.open("wb") as sink:
+        streams: Any = {"stdin": subprocess.DEVNULL, "stdout": sink, "stderr": subprocess.STDOUT}
         # No context of the process: at an exit it would wait for a simulator that nobody has ended.
-        process = subprocess.Popen(
-            command,
-            cwd=main.parent,
-            env=environment,
-            stdin=subprocess.DEVNULL,
-            stdout=sink,
-            stderr=subprocess.STDOUT,
-        )
+        process = subprocess.Popen(command, cwd=main.parent, env=environment, **streams)
         try:
             # A thread waits: Popen.wait with a time limit would notice the end up to 50 ms late.
             waiting = threading.Thread(target=process.wait, daemon=True)

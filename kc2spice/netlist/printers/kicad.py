@@ -204,11 +204,12 @@ def project(deck: Deck) -> dict[str, str]:
 
 
 def _parts(deck: Deck) -> dict[str, Subcircuit]:
-    ours = {deck.main, *(part.filename for part in deck.parts)}
-    others = (subcircuits(text, file) for file, text in deck.files.items() if file not in ours)
-    own: dict[str, Subcircuit] = {}
-    for part in (*deck.parts, *(part for each in others for part in each)):
-        own.setdefault(part.name.lower(), part)
+    own = {part.name.lower(): part for part in deck.parts}
+    ours = {part.filename for part in deck.parts}
+    for file, text in deck.files.items():
+        if file not in ours and file != deck.main:
+            for part in subcircuits(text, file):
+                own.setdefault(part.name.lower(), part)
     return own
 
 
