@@ -13,31 +13,40 @@ shell (Henrotte, Deliege, Hameyer: The eggshell approach, COMPEL 23(4), 2004).
 
 Materials are linear, so at each height the four sources (ring magnet, sphere magnet, a current in
 each coil) superpose: one factorisation and four right-hand sides give every current (paper 2.2.1
-solves 369 cases instead). All elements are assembled once; at each height the lattice's cells make
-way for the mover.
+solves 369 cases instead). All elements are assembled once.
+
+Remeshing for each position of the sphere would cost time and add noise to the force. Here the
+sphere lives in a box (the *mover*) that is meshed once, mirrored about its equator; the rest (the
+*stator*) is meshed once too, with a regular lattice in the bore. The mover's outline has the
+lattice's nodes, so it replaces lattice cells wherever the sphere stands on a lattice point.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from math import pi
+from math import ceil, floor, hypot, pi
+from types import ModuleType
 from typing import Any
 
 import numpy as np
 from scipy import sparse
 from scipy.spatial import cKDTree
-from skfem import Basis, BilinearForm, ElementTriP2, LinearForm, MeshTri2, condense, solve
+from skfem import Basis, BilinearForm, ElementTriP2, LinearForm, MeshTri, MeshTri2, condense, solve
 from skfem.models.poisson import laplace
 
-from kc2spice.core.errors import SimulationError
+from kc2spice.core.errors import SimulationError, wrong
+from kc2spice.core.gmsh_session import gmsh_session
 from kc2spice.core.magnets import EMTable
 from kc2spice.core.quantities import MU_0
-from kc2spice.fem import magnet_mesh as magmesh
 from kc2spice.fem.magnet_keys import Catch, Ring
 from kc2spice.linalg.factor import Cholesky, Factor
 
 RING, SPHERE, LOWER, UPPER = range(4)  # columns of loads and of the fields that they make
+# Mesh sizes at refine = 1 as fractions of the sphere's radius, and growth per distance. They put
+# the force within 1e-5 of its maximum. The parts' surroundings matter most: an uneven mesh in the
+# far field of the sphere makes it push itself.
+_LATTICE, _SPHERE, _PART, _CORNER, _GROWTH = 1 / 8, 1 / 8, 1 / 10, 1 / 16, 0.12
 Progress = Callable[[int, int], None]
 
 
@@ -124,13 +133,13 @@ class System:
 def systems(catch: Catch, radius: float) -> Iterator[tuple[int, System]]:
     """Index and equations of each height; heights on one lattice share their meshes."""
     y = positions(catch)
-    pitch = magmesh.lattice_pitch(catch, radius, (y[-1] - y[0]) / (y.size - 1))
+    pitch = lattice_pitch(catch, radius, (y[-1] - y[0]) / (y.size - 1))
     offset = np.round((y - y[0]) / pitch, 6) % 1.0
     for value in np.unique(offset):
         chosen = np.flatnonzero(offset == value)
-        bore = magmesh.bore(catch, radius, pitch, y[chosen[0]], y[chosen[-1]])
-        pieces = assemble(catch, bore)
-        yield from ((int(index), pieces.system(y[index])) for index in chosen)
+        lattice = bore(catch, radius, pitch, y[chosen[0]], y[chosen[-1]])
+        system = assemble(catch, lattice)
+        yield from ((int(index), system(y[index])) for index in chosen)
 
 
 @dataclass(frozen=True)
@@ -138,64 +147,25 @@ class Body:
     """Element matrices of one mesh: ``local[:, e]`` goes to ``rows[:, e]``, ``cols[:, e]``."""
 
     points: np.ndarray  # (2, n): places of the unknowns [m]
-    centres: np.ndarray  # (2, elements)
     rows: np.ndarray
     cols: np.ndarray
     local: np.ndarray
     loads: np.ndarray  # (n, 4): ring and sphere magnet, 1 A in the lower and in the upper coil
 
 
-@dataclass(frozen=True)
-class Pieces:
-    """All that does not depend on the sphere's height: stator, mover and how they join."""
-
-    stator: Body
-    mover: Body
-    stretch: sparse.csr_array
-    movable: np.ndarray  # mask of the stator's elements that may make way
-    free: np.ndarray  # mask of the stator's unknowns that are not on the air cylinder
-    rim: np.ndarray  # mover unknowns on its outline
-    lookup: cKDTree  # of the stator's points
-    bore: magmesh.Bore
-
-    def system(self, y: float) -> System:
-        """Equations with the sphere's centre at height ``y`` [m], a lattice point."""
-        inner, count = self.stator, self.stator.points.shape[1]
-        mover = count + np.arange(self.mover.points.shape[1])
-        rim = self.mover.points[:, self.rim] + [[0], [y]]
-        distance, mover[self.rim] = self.lookup.query(rim.T)
-        if not np.max(distance) < 1e-6 * self.bore.pitch:
-            raise SimulationError("mover and lattice do not fit", where="magnetics", got=f"y={y:g}")
-        keep = ~(self.movable & (np.abs(inner.centres[1] - y) < self.bore.half))
-        row = np.concatenate([inner.rows[:, keep].ravel(), mover[self.mover.rows].ravel()])
-        col = np.concatenate([inner.cols[:, keep].ravel(), mover[self.mover.cols].ravel()])
-        data = np.concatenate([inner.local[:, keep].ravel(), self.mover.local.ravel()])
-        n = count + self.mover.points.shape[1]
-        active = np.zeros(n, dtype=bool)
-        active[row] = True
-        active[:count] &= self.free
-        free, number = np.flatnonzero(active), np.cumsum(active) - 1
-        both = active[row] & active[col]
-        places = (number[row[both]], number[col[both]])
-        matrix = sparse.coo_array((data[both], places), shape=(free.size, free.size))
-        loads = np.zeros((n, 4))
-        loads[:count] = inner.loads
-        loads[mover] += self.mover.loads
-        return System(matrix.tocsc(), loads, free, mover, self.stretch)
-
-
-def assemble(catch: Catch, bore: magmesh.Bore) -> Pieces:
-    """Mesh and assemble stator and mover for the lattice ``bore``."""
-    mesh, sphere = magmesh.mover_mesh(bore)
-    mover = _body(catch, mesh, sphere, {SPHERE: (_remanence, _coercivity(catch), sphere)})
-    r, y = mover.points
+def assemble(catch: Catch, bore: Bore) -> Callable[[float], System]:
+    """Mesh and assemble stator and mover for the lattice ``bore``: what gives the equations with
+    the sphere's centre at a height [m], a lattice point."""
+    mesh, sphere = mover_mesh(bore)
+    moved = _body(catch, mesh, sphere, {SPHERE: (_remanence, _coercivity(catch), sphere)})
+    r, y = moved.points
     edge = 1e-6 * bore.pitch
     rim = np.flatnonzero((r > bore.wall - edge) | (np.abs(y) > bore.half - edge))
     stretch = _stretched(mesh, sphere, rim)
 
-    mesh = magmesh.stator_mesh(catch, bore)
+    mesh = stator_mesh(catch, bore)
     centres = mesh.p[:, mesh.t].mean(axis=1)
-    ring, *coils = (_within(part, centres) for part in magmesh.parts(catch))
+    ring, *coils = (_within(part, centres) for part in parts(catch))
     sources = {RING: (_remanence, _coercivity(catch), ring)}
     for column, coil, inside in zip((LOWER, UPPER), (catch.lower, catch.upper), coils, strict=True):
         density = catch.turns / ((coil.outer - coil.inner) * coil.height)
@@ -203,11 +173,35 @@ def assemble(catch: Catch, bore: magmesh.Bore) -> Pieces:
     stator = _body(catch, mesh, ring, sources)
     r, y = centres
     movable = (r < bore.wall) & (y > bore.bottom) & (y < bore.bottom + bore.rows * bore.pitch)
-    _, low, right, high = magmesh.air(catch)
+    _, low, right, high = air(catch)
     r, y = stator.points
     edge = 1e-9 * (high - low)
     free = (r < right - edge) & (y > low + edge) & (y < high - edge)
-    return Pieces(stator, mover, stretch, movable, free, rim, cKDTree(stator.points.T), bore)
+    lookup, count, more = cKDTree(stator.points.T), stator.points.shape[1], moved.points.shape[1]
+
+    def system(height: float) -> System:
+        mover = count + np.arange(more)
+        distance, mover[rim] = lookup.query((moved.points[:, rim] + [[0], [height]]).T)
+        if not np.max(distance) < 1e-6 * bore.pitch:
+            got = f"y={height:g}"
+            raise SimulationError("mover and lattice do not fit", where="magnetics", got=got)
+        keep = ~(movable & (np.abs(centres[1] - height) < bore.half))
+        row = np.concatenate([stator.rows[:, keep].ravel(), mover[moved.rows].ravel()])
+        col = np.concatenate([stator.cols[:, keep].ravel(), mover[moved.cols].ravel()])
+        data = np.concatenate([stator.local[:, keep].ravel(), moved.local.ravel()])
+        active = np.zeros(count + more, dtype=bool)
+        active[row] = True
+        active[:count] &= free
+        solved, number = np.flatnonzero(active), np.cumsum(active) - 1
+        both = active[row] & active[col]
+        places = (number[row[both]], number[col[both]])
+        matrix = sparse.coo_array((data[both], places), shape=(solved.size, solved.size))
+        loads = np.zeros((count + more, 4))
+        loads[:count] = stator.loads
+        loads[mover] += moved.loads
+        return System(matrix.tocsc(), loads, solved, mover, stretch)
+
+    return system
 
 
 def _body(
@@ -225,8 +219,7 @@ def _body(
     rows, cols = coo.indices.reshape(2, -1, mesh.nelements)
     reluctivity = np.where(magnet, 1 / catch.mu_r, 1.0) / MU_0
     local = coo.data.reshape(-1, mesh.nelements) * reluctivity
-    centres = mesh.p[:, mesh.t].mean(axis=1)
-    return Body(basis.doflocs, centres, rows, cols, local, loads)
+    return Body(basis.doflocs, rows, cols, local, loads)
 
 
 def _stretched(mesh: MeshTri2, sphere: np.ndarray, rim: np.ndarray) -> sparse.csr_array:
@@ -251,7 +244,7 @@ def _coercivity(catch: Catch) -> float:
 
 
 def _within(part: Ring, points: np.ndarray) -> np.ndarray:
-    left, low, right, high = magmesh.rectangle(part)
+    left, low, right, high = rectangle(part)
     return (points[0] > left) & (points[0] < right) & (points[1] > low) & (points[1] < high)
 
 
@@ -282,3 +275,159 @@ def _remanence(v: Any, w: Any) -> np.ndarray:
 def _current(v: Any, w: Any) -> np.ndarray:
     """``int A_phi 2 pi r dr dy``: the load of 1 A/m^2, and the flux that one turn/m^2 links."""
     return 2 * pi * w.x[0] ** 2 * v
+
+
+@dataclass(frozen=True)
+class Bore:
+    """The regular lattice that the sphere moves in; lengths in m.
+
+    ``bottom`` is the lattice's lowest line and ``rows`` its number of cells of height ``pitch``;
+    ``columns`` cells reach from the axis to ``wall``. The mover spans ``half`` up and down from the
+    sphere's centre. ``size`` is the mesh size that 1 stands for in the fractions above.
+    """
+
+    radius: float
+    wall: float
+    pitch: float
+    columns: int
+    half: float
+    bottom: float
+    rows: int
+    size: float
+
+
+def parts(catch: Catch) -> tuple[Ring, Ring, Ring]:
+    """Ring magnet, lower coil, upper coil."""
+    return catch.ring, catch.lower, catch.upper
+
+
+def rectangle(part: Ring) -> tuple[float, float, float, float]:
+    """Section of a part: r_min, y_min, r_max, y_max [m]."""
+    return part.inner, part.y - part.height / 2, part.outer, part.y + part.height / 2
+
+
+def air(catch: Catch) -> tuple[float, float, float, float]:
+    """Section of the air cylinder, centred on the actuator's parts (paper 2.2.1)."""
+    boxes = [rectangle(part) for part in parts(catch)]
+    low, high = min(box[1] for box in boxes), max(box[3] for box in boxes)
+    if high - low >= catch.air_height:
+        expected = f"more than {high - low:g} m, several times that for a small error"
+        problem = "the air cylinder is lower than what stands in it"
+        raise wrong("catch.air_height", problem, f"{catch.air_height:g} m", expected)
+    centre = (low + high) / 2
+    return 0.0, centre - catch.air_height / 2, catch.air_radius, centre + catch.air_height / 2
+
+
+def lattice_pitch(catch: Catch, radius: float, spacing: float) -> float:
+    """Cell height [m] near the wanted size that ``spacing`` is a multiple, or a divisor, of."""
+    wanted = min(_LATTICE * radius, _gap(catch, radius)) / catch.refine
+    ratio = spacing / wanted
+    return spacing / ceil(ratio) if ratio >= 1 else spacing * floor(1 / ratio)
+
+
+def bore(catch: Catch, radius: float, pitch: float, lowest: float, highest: float) -> Bore:
+    """Lattice on which ``lowest`` and ``highest`` are the outermost centres of the sphere.
+
+    Raises
+    ------
+    UsageError : the sphere leaves the air cylinder.
+    """
+    gap = _gap(catch, radius)
+    wall = radius + gap / 2
+    half = pitch * ceil(wall / pitch)
+    bottom, top = lowest - half, highest + half
+    _, floor, _, ceiling = air(catch)
+    if bottom <= floor + pitch or top >= ceiling - pitch:
+        expected = f"within {floor + half + pitch:g} m to {ceiling - half - pitch:g} m"
+        hint = "shorten the travel or raise catch.air_height"
+        problem = "the sphere's travel leaves the air cylinder"
+        got = f"{lowest:g} m to {highest:g} m"
+        raise wrong("catch.y_min, catch.y_max", problem, got, expected, hint)
+    size = radius / catch.refine
+    columns = ceil(wall / (_LATTICE * size))
+    return Bore(radius, wall, pitch, columns, half, bottom, round((top - bottom) / pitch), size)
+
+
+def stator_mesh(catch: Catch, bore: Bore) -> MeshTri2:
+    """Whole half plane without a sphere: free triangles around the bore's lattice."""
+    top = bore.bottom + bore.rows * bore.pitch
+    boxes = [rectangle(part) for part in parts(catch)]
+    shapes = [air(catch), (0.0, bore.bottom, bore.wall, top), *boxes]
+    corners = [(r, y) for box in boxes for r in box[::2] for y in box[1::2]]
+
+    def size(r: float, y: float) -> float:
+        to_corner = min(hypot(r - a, y - b) for a, b in corners)
+        to_part = min(
+            hypot(max(a - r, 0.0, r - c), max(b - y, 0.0, y - d)) for a, b, c, d in shapes[1:]
+        )
+        near = min(_CORNER * bore.size + _GROWTH * to_corner, _PART * bore.size)
+        return near + _GROWTH * to_part / catch.refine
+
+    with gmsh_session("stator") as gmsh:
+        occ = gmsh.model.occ
+        plates = [(2, occ.addRectangle(a, b, 0, c - a, d - b)) for a, b, c, d in shapes]
+        _, made = occ.fragment(plates[:1], plates[1:])
+        occ.synchronize()
+        lattice = made[1][0]
+        for _, curve in gmsh.model.getBoundary([lattice], oriented=False):
+            _, low, _, _, high, _ = gmsh.model.getBoundingBox(1, curve)
+            cells = bore.rows if high - low > bore.pitch / 2 else bore.columns
+            gmsh.model.mesh.setTransfiniteCurve(curve, cells + 1)
+        gmsh.model.mesh.setTransfiniteSurface(lattice[1], "AlternateLeft")
+        points, triangles = _generate(gmsh, size)
+    return MeshTri2.from_mesh(MeshTri(points, triangles))
+
+
+def mover_mesh(bore: Bore) -> tuple[MeshTri2, np.ndarray]:
+    """Box around a sphere centred at the origin, and a mask of its triangles inside the sphere.
+
+    Edges of the sphere's surface are arcs: their mid-nodes lie on the circle.
+    """
+    outline = [(0, 0), (bore.radius, 0), (bore.wall, 0), (bore.wall, bore.half)]
+    outline += [(0, bore.half), (0, bore.radius)]
+    with gmsh_session("mover") as gmsh:
+        geo = gmsh.model.geo
+        p = [geo.addPoint(r, y, 0) for r, y in outline]
+        lines = [geo.addLine(p[i], p[(i + 1) % 6]) for i in range(6)]
+        arc = geo.addCircleArc(p[1], p[0], p[5])
+        geo.addPlaneSurface([geo.addCurveLoop([lines[0], arc, lines[5]])])
+        geo.addPlaneSurface([geo.addCurveLoop([*lines[1:5], -arc])])
+        geo.synchronize()
+        gmsh.model.mesh.setTransfiniteCurve(lines[2], round(bore.half / bore.pitch) + 1)
+        gmsh.model.mesh.setTransfiniteCurve(lines[3], bore.columns + 1)
+        points, triangles = _generate(gmsh, lambda r, y: _SPHERE * bore.size)
+    # with the mirror image in y = 0, sharing the nodes on that line
+    on_line = np.abs(points[1]) < 1e-9 * np.ptp(points[1])
+    points = np.where(on_line, [points[0], np.zeros_like(points[0])], points)
+    image = np.arange(points.shape[1])
+    image[~on_line] = points.shape[1] + np.arange(np.count_nonzero(~on_line))
+    both = np.hstack([points, points[:, ~on_line] * [[1], [-1]]])
+    flat = MeshTri(both, np.hstack([triangles, image[triangles]]))
+    mesh = MeshTri2.from_mesh(flat)
+    inside = np.hypot(*flat.p[:, flat.t].mean(axis=1)) < bore.radius * (1 - 1e-9)
+    inside &= (np.hypot(*flat.p)[flat.t] <= bore.radius * (1 + 1e-9)).all(axis=0)
+    left, right = flat.f2t
+    surface = (right >= 0) & (inside[left] != inside[np.maximum(right, 0)])
+    middle = mesh.dofs.facet_dofs[0, surface]
+    mesh.doflocs[:, middle] *= bore.radius / np.hypot(*mesh.doflocs[:, middle])
+    return mesh, inside
+
+
+def _gap(catch: Catch, radius: float) -> float:
+    """Between the sphere and the narrowest part."""
+    return min(part.inner for part in parts(catch)) - radius
+
+
+def _generate(
+    gmsh: ModuleType, size: Callable[[float, float], float]
+) -> tuple[np.ndarray, np.ndarray]:
+    """Vertices (2, n) and triangles (3, t) of the model's surfaces."""
+    gmsh.option.setNumber("Mesh.MeshSizeExtendFromBoundary", 0)
+    gmsh.model.mesh.setSizeCallback(lambda dim, tag, x, y, z, given: size(x, y))
+    gmsh.model.mesh.generate(2)
+    tags, flat, _ = gmsh.model.mesh.getNodes()
+    _, nodes = gmsh.model.mesh.getElementsByType(2)
+    used, triangles = np.unique(nodes, return_inverse=True)
+    order = np.argsort(tags)
+    points = flat.reshape(-1, 3)[order[np.searchsorted(tags, used, sorter=order)], :2]
+    return points.T.copy(), triangles.reshape(-1, 3).T.copy()
