@@ -376,7 +376,15 @@ class LinearBody(Touching):
         for port in ports:
             name, node = wave_name(part.name, ports, port), build.net(part, port.terminals[0])
             if port.kind == "electrical":
-                found |= _electrical(part, port, name, build)
+                nets = zip(("", "-"), (build.net(part, pin) for pin in port.terminals), strict=True)
+                if across := "".join(f"{sign}v({net})" for sign, net in nets if net != "0"):
+                    found[f"{name}.voltage"] = Vector(across, 1.0, "V")
+                joined = build.scene.joined(part.name, port.terminals[0])
+                if len(joined) == 1:  # a source with other loads tells the sum of their currents
+                    ((other, pin),) = joined
+                    meter = current(build.scene.parts[other], pin, build)
+                    if meter is not None:
+                        found[f"{name}.current"] = meter
             elif node != "0":
                 factor, unit, _ = ANSWERS.get(port.kind, (1.0, port.across, ""))
                 found[name] = Vector(f"v({node})", factor, unit)
@@ -448,7 +456,17 @@ class LinearBody(Touching):
             yield balance
         if found is not None:
             yield from self._excited(part, build, waves, found)
-        yield from _charge_kept(part, build)
+        # the netlist's leak gives a floating electrode its operating point; in long runs of small
+        # capacitances it takes some of its charge
+        for port in model.ports:
+            if port.kind != "electrical":
+                continue
+            clamped = float(model.D[model.outputs.index(port.name), model.inputs.index(port.name)])
+            leaked = -math.expm1(-build.scene.stop * LEAK / clamped) if clamped > 0 else 0.0
+            if leaked > KEPT:
+                name = f"charge kept by {part.name}.{port.name} if it floats"
+                advice = f"its netlist leaks {LEAK:g} S: a resistor across it states the real leak"
+                yield Check(name, leaked, KEPT, "of it lost", advice, "warn")
         volts, ports = self.rated(part, build), self.kept(part, build.scene)
         if volts is None:
             return
@@ -553,7 +571,8 @@ class LinearBody(Touching):
         z = measured(part, waves)
         if z is not None:
             how = f"as the circuit shows it at {part.name}"
-            yield _pictures.impedance_figure(part.name, waves["frequency"].real, z, how)
+            f = waves["frequency"].real
+            yield _pictures.impedances(part.name, f, {"": z}, how + _pictures.PEAKS)
             return
         yield from _pictures.response_figures(part.name, waves)
         modal = None if build.model(part) is None else modal_form(build.model(part))
@@ -648,21 +667,6 @@ def _require_ports(
 ) -> None:
     for name in missing:
         raise unknown(f"{part.name} has no such {kind}port", name, known, part.name)
-
-
-def _charge_kept(part: Part, build: Build) -> Iterator[Check]:
-    """The netlist's leak gives a floating electrode its operating point; in long runs of small
-    capacitances it takes some of its charge."""
-    model: LinearModel = build.model(part)
-    for port in model.ports:
-        if port.kind != "electrical":
-            continue
-        clamped = float(model.D[model.outputs.index(port.name), model.inputs.index(port.name)])
-        lost = -math.expm1(-build.scene.stop * LEAK / clamped) if clamped > 0 else 0.0
-        if lost > KEPT:
-            name = f"charge kept by {part.name}.{port.name} if it floats"
-            advice = f"its netlist leaks {LEAK:g} S: a resistor across it states the real leak"
-            yield Check(name, lost, KEPT, "of it lost", advice, "warn")
 
 
 def _reaching(
@@ -785,19 +789,3 @@ def wave_name(name: str, ports: Sequence[Port], port: Port) -> str:
         return name if port == first else f"{name}.{port.name}"
     _, _, word = ANSWERS.get(port.kind, (1.0, "", ""))
     return ".".join(filter(None, (name, word, port.name)))
-
-
-def _electrical(part: Part, port: Port, prefix: str, build: Build) -> dict[str, Vector]:
-    plus, minus = (build.net(part, pin) for pin in port.terminals)
-    found: dict[str, Vector] = {}
-    terms = [f"v({plus})" if plus != "0" else "", f"-v({minus})" if minus != "0" else ""]
-    if any(terms):
-        found[f"{prefix}.voltage"] = Vector("".join(terms), 1.0, "V")
-    joined = build.scene.joined(part.name, port.terminals[0])
-    if len(joined) == 1:  # a source with other loads tells the sum of their currents
-        ((name, pin),) = joined
-        other = build.scene.parts[name]
-        meter = current(other, pin, build)
-        if meter is not None:
-            found[f"{prefix}.current"] = meter
-    return found

@@ -11,7 +11,7 @@ from __future__ import annotations
 import json
 import re
 from abc import abstractmethod
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -142,7 +142,17 @@ class MeshedBody(LinearBody):
     def figures(self, part: Part, build: Build, waves: Waveforms) -> Iterator[Figure | Written]:
         yield from super().figures(part, build, waves)
         if part.keys.fields:
-            yield from self._shapes(part, build)
+            from kc2spice.bodies.fields import lowest_modes
+
+            device, model = self.device(part, build.scene), build.model(part)
+            end = np.inf if model.certificate is None else model.certificate.band_hz[1]
+            hertz, columns = lowest_modes(device, MODES, end)
+            if hertz.size:
+                name, title = f"{part.name}_modes", f"Modes of {part.name}"
+                caption = "Modes that its ports excite, electrodes shorted, undamped; colours are "
+                caption += "displacements relative to the largest."
+                panels = tuple(shapes(device, hertz, columns))
+                yield Figure(name, title, caption, panels, columns=3)
         recovered = self.recovered(part, build, waves)
         if recovered is not None:
             from kc2spice.bodies.fields import write_vtu
@@ -160,22 +170,6 @@ class MeshedBody(LinearBody):
                 yield Figure(name, f"Deformed {part.name}", caption, (panel,))
                 fields = partial(write_vtu, device=device, z=seen[0], voltages=seen[1])
                 yield Written(f"{part.name}_fields{stem}.vtu", fields)
-
-    def _shapes(self, part: Part, build: Build) -> Iterator[Figure]:
-        from kc2spice.bodies.fields import lowest_modes
-
-        device, model = self.device(part, build.scene), build.model(part)
-        end = np.inf if model.certificate is None else model.certificate.band_hz[1]
-        hertz, columns = lowest_modes(device, MODES, end)
-        if hertz.size:
-            caption = "Modes that its ports excite, electrodes shorted, undamped; colours are "
-            yield Figure(
-                f"{part.name}_modes",
-                f"Modes of {part.name}",
-                caption + "displacements relative to the largest.",
-                tuple(shapes(device, hertz, columns)),
-                columns=3,
-            )
 
     def recovered(self, part: Part, build: Build, waves: Waveforms) -> Recovered | None:
         """What the run says of the body's inside; None where nobody asks.
@@ -234,17 +228,18 @@ class BondedBody(MeshedBody):
         layers = getattr(part.keys, "layers", ())
         return material(layers[-1].material, part.name).indentation_modulus if layers else None
 
-    def layer_problems(
-        self, part: Part, widths: Sequence[float], *, plate: bool
-    ) -> Iterator[UsageError]:
-        """What :func:`kc2spice.scene.plausible.layers` says of layers, each this wide [m]."""
+    def problems(self, part: Part, scene: Scene) -> Iterator[UsageError]:
+        """As those of all bodies, and what :func:`kc2spice.scene.plausible.layers` says of layers
+        of their own diameters, or all as wide as the body."""
         from kc2spice.fem.materials import material
 
+        yield from super().problems(part, scene)
+        layers, width = getattr(part.keys, "layers", ()), getattr(part.keys, "width", None)
         found = [
-            (width, layer.thickness, material(layer.material, part.name).piezoelectric)
-            for layer, width in zip(part.keys.layers, widths, strict=True)
+            (width or x.diameter, x.thickness, material(x.material, part.name).piezoelectric)
+            for x in layers
         ]
-        yield from plausible_layers(f"{part.name}.layers", found, plate=plate)
+        yield from plausible_layers(f"{part.name}.layers", found, plate=width is None)
 
     def outline(self, part: Part, scene: Scene) -> Iterator[Shape]:
         """Blocks from the side, the highest at zero, those of a bore on both sides of it; each kind

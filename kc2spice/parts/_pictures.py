@@ -21,6 +21,7 @@ FINE = 4000  # lines of a surface mesh, from which only its edges are drawn
 BENT = 0.05  # share of the second direction among normals that makes an edge
 SHOWN = 0.1  # of the body's size: the largest displacement in the picture
 DOTS = 240  # of a coloured picture along its longer side
+PEAKS = ": minimum at resonance, maximum at antiresonance."
 OBLIQUE = 0.35  # of the depth, to the right and upwards
 
 
@@ -39,12 +40,6 @@ def impedances(name: str, frequency: np.ndarray, z: Mapping[str, np.ndarray], ho
     return Figure(f"{name}_impedance", f"Impedance of {name}", caption, panels)
 
 
-def impedance_figure(name: str, frequency: np.ndarray, z: np.ndarray, how: str) -> Figure:
-    """Magnitude and phase of one impedance."""
-    how += ": minimum at resonance, maximum at antiresonance."
-    return impedances(name, frequency, {"": z}, how)
-
-
 def own_impedances(name: str, model: LinearModel | None, poles: np.ndarray) -> Iterator[Figure]:
     """Of every electrical port, with the others shorted and nothing pressing on the body; ``poles``
     are frequencies [Hz] that it is shown close to."""
@@ -61,7 +56,7 @@ def own_impedances(name: str, model: LinearModel | None, poles: np.ndarray) -> I
         own = name if port.name == "anode" else f"{name}_{port.name}"
         how = "of the reduced model, nothing pressing on the body, other electrodes shorted"
         if (charge != 0).all():
-            yield impedance_figure(own, f, 1 / (2j * np.pi * f * charge), how)
+            yield impedances(own, f, {"": 1 / (2j * np.pi * f * charge)}, how + PEAKS)
 
 
 def response_figures(name: str, waves: Waveforms) -> Iterator[Figure]:

@@ -15,7 +15,7 @@ those below to stretch.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import replace
 from itertools import accumulate, chain, pairwise, product
 from typing import Annotated, Any, Literal, TypeAlias
@@ -24,12 +24,11 @@ import numpy as np
 from pydantic import Field, StringConstraints, model_validator
 
 from kc2spice.bodies.device import Block, Bonded, Box
-from kc2spice.core.errors import UsageError, wrong
+from kc2spice.core.errors import wrong
 from kc2spice.core.quantities import Count, Length, Section, si, validated
 from kc2spice.fem.keys import Damping, Mesh
 from kc2spice.fem.materials import material
 from kc2spice.parts._meshed import BondedBody, FieldKeys
-from kc2spice.scene.model import Part, Scene
 from kc2spice.scene.parttype import register
 
 Mass: TypeAlias = Annotated[float, si("kg")]
@@ -195,11 +194,6 @@ class Bimorph(BondedBody):
     schema = BimorphKeys
     source = "FE (piezoelectric, hexahedra)"
     structure = staticmethod(structure)
-
-    def problems(self, part: Part, scene: Scene) -> Iterator[UsageError]:
-        yield from super().problems(part, scene)
-        widths = [part.keys.width] * len(part.keys.layers)
-        yield from self.layer_problems(part, widths, plate=False)
 
 
 register(Bimorph())

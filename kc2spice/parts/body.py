@@ -272,6 +272,14 @@ def _setup(keys: BodyKeys, groups: mesh_file.GroupedMesh, solid: Solid) -> fe.Se
         kind: [port for port in keys.ports if port.kind == kind]
         for kind in ("mean", "rigid", "base")
     }
+    unit, faces = dict(zip(_MOTIONS, np.eye(6), strict=True)), []
+    for port in kinds["rigid"]:
+        where = f"ports.{port.name}"
+        if solid.axisymmetric:
+            raise wrong(where, "no rigid faces in axisymmetric bodies")
+        nodes = _facet_nodes(solid, groups.group(str(port.group), where, 1).members)
+        moves = [unit[motion] for motion in port.motions]
+        faces.append(fe.RigidFace(nodes, [*zip(port.ports, moves, strict=True)]))
     return fe.Setup(
         fixed=_fixed(keys, groups, solid),
         electrodes=electrodes,
@@ -281,7 +289,7 @@ def _setup(keys: BodyKeys, groups: mesh_file.GroupedMesh, solid: Solid) -> fe.Se
             fe.Shape(port.ports[0], fe.spread(_shares(port, groups, solid), port.direction, solid))
             for port in kinds["mean"]
         ],
-        faces=[_rigid(port, groups, solid) for port in kinds["rigid"]],
+        faces=faces,
         base=[(port.ports[0], port.direction) for port in kinds["base"]],
         damping=keys.damping,
     )
@@ -338,17 +346,6 @@ def _shares(port: PortKeys, groups: mesh_file.GroupedMesh, solid: Solid) -> np.n
         return fe.node_shares(solid, facets=group.members)
     shares[group.members] = group.shares
     return shares
-
-
-def _rigid(port: PortKeys, groups: mesh_file.GroupedMesh, solid: Solid) -> fe.RigidFace:
-    where = f"ports.{port.name}"
-    if solid.axisymmetric:
-        raise UsageError("no rigid faces in axisymmetric bodies", where=where)
-    nodes = _facet_nodes(solid, groups.group(str(port.group), where, 1).members)
-    unit = dict(zip(_MOTIONS, np.eye(6), strict=True))
-    return fe.RigidFace(
-        nodes, [*zip(port.ports, (unit[motion] for motion in port.motions), strict=True)]
-    )
 
 
 class Body(MeshedBody):

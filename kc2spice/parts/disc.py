@@ -13,7 +13,7 @@ layer, silver, solder and wires, the air.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import replace
 from itertools import accumulate, chain, pairwise
 from typing import Any, Literal
@@ -26,7 +26,6 @@ from kc2spice.core.quantities import Length, Ratio, Section, validated
 from kc2spice.fem.keys import Damping, Mesh
 from kc2spice.fem.materials import material
 from kc2spice.parts._meshed import BondedBody, FieldKeys
-from kc2spice.scene.model import Part, Scene
 from kc2spice.scene.parttype import register
 
 _CELLS = 20  # along the largest radius (or half the height) before refinement
@@ -214,10 +213,6 @@ class Disc(BondedBody):
     schema = DiscKeys
     source = "FE (piezoelectric, axisymmetric)"
     structure = staticmethod(structure)
-
-    def problems(self, part: Part, scene: Scene) -> Iterator[UsageError]:
-        yield from super().problems(part, scene)
-        yield from self.layer_problems(part, [x.diameter for x in part.keys.layers], plate=True)
 
 
 register(Disc())

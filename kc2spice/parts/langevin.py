@@ -1,10 +1,5 @@
 """The part ``langevin``: masses, ceramic rings of alternating poling, and the bolt through them.
 
-    front = [{ material = "aluminium", diameter = "40 mm", length = "30 mm" }]   # outwards
-    back = [{ material = "steel", diameter = "40 mm", length = "25 mm" }]
-    rings = { material = "PZT-4", outer = "38 mm", inner = "15 mm", thickness = "5 mm", count = 2 }
-    bolt = { material = "steel", diameter = "12 mm" }
-
 Everything is bonded where it touches, the bolt to both masses along its thread and not to the
 rings. Electrical pins ``anode`` and ``cathode`` (the masses), mechanical ports ``front`` and
 ``back``: mean axial displacement of the end faces, upwards, towards the front. Left out: the state

@@ -43,7 +43,7 @@ class Matrices(LinearBody):
         return {**super().full_key(part, scene), "files": stamps}
 
     def files(self, part: Part, scene: Scene) -> tuple[str, ...]:
-        found = source_files(self._file(part, scene), self._sidecar(part, scene))
+        found = source_files(*self._source(part, scene))
         return tuple(os.path.relpath(path, scene.home) for path in found)
 
     def full(self, part: Part, scene: Scene, clock: Clock) -> LinearModel:
@@ -51,7 +51,7 @@ class Matrices(LinearBody):
 
     def outline(self, part: Part, scene: Scene) -> Iterator[Shape]:
         """The box of its mesh from the side, where its TOML file names one."""
-        size = extent(self._file(part, scene), self._sidecar(part, scene))
+        size = extent(*self._source(part, scene))
         if size is None or not size[:2].any():
             return
         wide, high = float(size[:2].max()), float(size[2] or size[:2].min())
@@ -59,15 +59,13 @@ class Matrices(LinearBody):
         yield Shape(0.0, -high / 2, wide, high, label=part.name)
 
     def _model(self, part: Part, scene: Scene) -> LinearModel:
-        stamps = str(self.full_key(part, scene)["files"])
-        return _read(self._file(part, scene), self._sidecar(part, scene), stamps)
+        return _read(*self._source(part, scene), str(self.full_key(part, scene)["files"]))
 
-    def _file(self, part: Part, scene: Scene) -> Path:
-        return beside(scene.home, part.keys.file, f"{part.name}.file")
-
-    def _sidecar(self, part: Part, scene: Scene) -> Path | None:
-        name = part.keys.sidecar
-        return None if name is None else beside(scene.home, name, f"{part.name}.sidecar")
+    def _source(self, part: Part, scene: Scene) -> tuple[Path, Path | None]:
+        """Path of the matrices, and of the TOML file that is named."""
+        name, home, keys = part.name, scene.home, part.keys
+        sidecar = None if keys.sidecar is None else beside(home, keys.sidecar, f"{name}.sidecar")
+        return beside(home, keys.file, f"{name}.file"), sidecar
 
 
 @lru_cache(maxsize=4)

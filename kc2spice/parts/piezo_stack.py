@@ -216,8 +216,11 @@ class PiezoStack(MeshedBody):
         close = math.sqrt(min(1.0, max(ratio, UNDAMPED) / RINGING))
         speed = _kick_speed(part, scene)
         if self.coarse(part, scene) and speed is not None:
-            slow = LOW_KICK if _behind_driver(part, scene) else max(speed**8, LOW_KICK)
-            close *= min(1.0, slow)
+            # Anything but sources on its anode may make any kick a slow one: 0.67 m/s behind an
+            # amplifier of 5 A, which is 1.5e-3 off at the settings of 1 m/s.
+            joined = (scene.parts[name].type.name for name, _ in scene.joined(part.name, "anode"))
+            driven = any(kind != "source" for kind in joined)
+            close *= min(1.0, LOW_KICK if driven else max(speed**8, LOW_KICK))
         if _downwards(part):
             close = min(close, DOWNWARDS)
         what = f"contacts of {part.name}, within which error control decides"
@@ -363,13 +366,6 @@ def _downwards(part: Part) -> bool:
     """Whether its pulse draws the top face back before it rises."""
     drive = part.keys.drive
     return drive is not None and part.keys.electrical == "driven" and drive.voltage < 0
-
-
-def _behind_driver(part: Part, scene: Scene) -> bool:
-    """Whether anything but sources acts on its anode, which may make any kick a slow one: 0.67 m/s
-    behind an amplifier of 5 A, which is 1.5e-3 off at the settings of 1 m/s."""
-    joined = scene.joined(part.name, "anode")
-    return any(scene.parts[name].type.name != "source" for name, _ in joined)
 
 
 def mounted(keys: Chip) -> str:

@@ -26,15 +26,16 @@ def assemble(rows: Rows) -> LinearModel:
     UsageError : letters missing or too many, shapes that do not fit, matrices that are zero or
         half stored, freedoms or nodes that do not exist; the message names file and key.
     """
-    rows = replace(rows, found=_whole(rows, _complete(rows)))
+    rows = replace(rows, found=_whole(rows))
     rows = replace(rows, found=rows.in_si())
     if any(entry.kind == "electrical" and entry.placed for entry in rows.said.ports):
         return _with_electrodes(rows)
     return _plain(rows)
 
 
-def _complete(rows: Rows) -> dict[str, Matrix]:
-    """All matrices by letter, shapes fitting; heat ``E x' + K x = B u`` is of first order."""
+def _whole(rows: Rows) -> Mapping[str, Matrix]:
+    """All matrices by letter, shapes fitting; heat ``E x' + K x = B u`` is of first order. Halves
+    are mirrored if told so, never by a guess; what moves and holds a model is not zero."""
     given = rows.found
     if "B" not in given and not rows.said.ports:
         expected = "B, or [[ports]] in the TOML file"
@@ -44,11 +45,7 @@ def _complete(rows: Rows) -> dict[str, Matrix]:
     model = LinearModel(**{"B": np.ones((size, 1)), **given}, name=rows.where)
     kept = (set(given) - {"K"}) | {"A"} if model.first_order else set(given)
     kept |= set("CD") if "B" in given else set()
-    return {letter: getattr(model, letter) for letter in kept}
-
-
-def _whole(rows: Rows, found: dict[str, Matrix]) -> Mapping[str, Matrix]:
-    """Mirror halves if told so; refuse to guess. What moves and holds a model is not zero."""
+    found = {letter: getattr(model, letter) for letter in kept}
     said, square = rows.said.symmetric, {k: found[k] for k in "MEKA" if k in found}
     halves = [k for k, matrix in square.items() if half_stored(matrix)]
     if said is None and halves:

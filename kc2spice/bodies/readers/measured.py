@@ -153,33 +153,29 @@ def _require_passive(data: Measured) -> None:
 def _touchstone(text: str, ports: int) -> tuple[np.ndarray, np.ndarray, tuple[str, ...]]:
     """Touchstone 1 and 2 (IBIS Open Forum, 2009): S, Y or Z in RI, MA or DB."""
     unit, kind, form, reference = "ghz", "s", "ma", [50.0]
-    words: list[str] = []
-    keys: dict[str, str] = {}
-    taking, waiting = True, 0
-    for raw in text.splitlines():
+    section = words = list[str]()
+    keys: dict[str, list[str]] = {}
+    for raw in text.lower().splitlines():
         line = raw.partition("!")[0].strip()
         if line.startswith("["):
             key, _, value = line[1:].partition("]")
-            key = key.strip().lower()
-            keys[key] = value.strip().lower()
-            taking = key not in ("noise data", "end", "begin information")
-            if key == "reference":
-                reference, waiting = [float(w) for w in value.split()], 1
+            section = keys[key.strip()] = value.split()
         elif line.startswith("#"):
-            option = line[1:].lower().split()
+            option = line[1:].split()
             if "r" in option:
                 reference = [float(w) for w in option[option.index("r") + 1 :]] or reference
             for word in option:
                 unit = word if word in ("hz", "khz", "mhz", "ghz") else unit
-                kind = word if word in "syzgh" and word != "r" else kind
+                kind = word if word in "syzgh" else kind
                 form = word if word in ("ri", "ma", "db") else form
-        elif waiting and len(reference) < int(keys.get("number of ports", ports)):
-            reference += [float(w) for w in line.split()]
-        elif taking:
-            words += line.split()
-    n = int(keys.get("number of ports", ports))
-    if kind in "gh" or not 1 <= n <= 64 or keys.get("matrix format", "full") != "full":
-        raise ValueError(f"{kind.upper()} parameters of {n} ports, {keys.get('matrix format', '')}")
+        else:
+            section += line.split()
+    words = keys.get("network data", words)
+    reference = [float(w) for w in keys.get("reference", ())] or reference
+    n = int(keys.get("number of ports", [str(ports)])[0])
+    order, shape = keys.get("two-port data order"), keys.get("matrix format", ["full"])
+    if kind in "gh" or not 1 <= n <= 64 or shape != ["full"]:
+        raise ValueError(f"{kind.upper()} parameters of {n} ports, {' '.join(shape)}")
     width = 1 + 2 * n * n
     values = np.array([float(w) for w in words])
     table = values[: len(values) // width * width].reshape(-1, width)
@@ -191,7 +187,7 @@ def _touchstone(text: str, ports: int) -> tuple[np.ndarray, np.ndarray, tuple[st
     polar = np.deg2rad(b)
     size = 10 ** (a / 20) if form == "db" else a
     P = (a + 1j * b if form == "ri" else size * np.exp(1j * polar)).reshape(-1, n, n)
-    if n == 2 and keys.get("two-port data order", "21_12") == "21_12":
+    if n == 2 and order in (None, ["21_12"]):
         P = P.swapaxes(1, 2)
     z0 = np.broadcast_to(reference if len(reference) == n else reference[:1], (n,)).astype(float)
     one, old = np.eye(n), "version" not in keys
