@@ -16,7 +16,7 @@ from itertools import product
 import numpy as np
 from numpy.polynomial import chebyshev
 
-from kc2spice.core.errors import UsageError
+from kc2spice.core.errors import wrong
 from kc2spice.core.quantities import MU_0
 
 NODES = 40  # heights at which the couplings are computed, Chebyshev's
@@ -316,13 +316,11 @@ def _polynomials(nodes: np.ndarray, values: np.ndarray, tolerance: float) -> np.
         (n for n in range(2, nodes.size) if tails[n + 1 :].max(initial=0.0) < tolerance / 10), 0
     )
     if not 0 < degree < 3 * nodes.size // 4:
-        raise UsageError(
-            "couplings change too fast with the height",
-            got=f"a polynomial of degree {nodes.size} misses their slopes by "
-            f"{tails[3 * nodes.size // 4].max():.1g}",
-            expected=f"{tolerance / 10:g}",
-            hint="a smaller range from y_min to y_max, further from the windings",
-        )
+        got = f"a polynomial of degree {nodes.size} misses their slopes by "
+        got += f"{tails[3 * nodes.size // 4].max():.1g}"
+        hint = "a smaller range from y_min to y_max, further from the windings"
+        problem = "couplings change too fast with the height"
+        raise wrong(None, problem, got, f"{tolerance / 10:g}", hint)
     flat = c[: degree + 1].reshape(degree + 1, -1)
     series = [chebyshev.cheb2poly(column) for column in flat.T]
     powers = np.array([np.pad(each, (0, degree + 1 - each.size)) for each in series])

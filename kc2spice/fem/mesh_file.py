@@ -116,11 +116,10 @@ def read_mesh(
         raise wrong("unit", "a STEP file states its own unit", f"{unit:g} m", "no unit, or mm")
     cad = path.suffix.lower() != ".msh"
     if cad == (size is None):
-        raise UsageError(
-            "a CAD file needs the size of its elements" if cad else "a mesh has its size already",
-            where="size",
-            expected='a length such as "1 mm"' if cad else "no size with .msh",
-        )
+        if cad:
+            expected = 'a length such as "1 mm"'
+            raise wrong("size", "a CAD file needs the size of its elements", expected=expected)
+        raise wrong("size", "a mesh has its size already", expected="no size with .msh")
     if picks and not cad:
         problem = "groups are picked in CAD files only"
         raise wrong("groups", problem, hint="name physical groups in the mesh")

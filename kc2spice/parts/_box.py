@@ -118,12 +118,10 @@ def with_values(part: Part, values: Mapping[str, Any]) -> Part:
         keys = validated(type(part.keys), table, part.name)
         return replace(part, keys=keys.model_copy(update={"rom": part.keys.rom}))
     except UsageError as error:
-        raise UsageError(
-            "the ranges of the parameters hold values that the part cannot have",
-            where=error.where,
-            got=error.message if error.got is None else f"{error.message}: {error.got}",
-            expected="narrower ranges of possible parts in rom.parameters",
-        ) from None
+        got = error.message if error.got is None else f"{error.message}: {error.got}"
+        problem = "the ranges of the parameters hold values that the part cannot have"
+        expected = "narrower ranges of possible parts in rom.parameters"
+        raise wrong(error.where, problem, got, expected) from None
 
 
 def _steps(key: str) -> list[str | int]:
@@ -131,13 +129,9 @@ def _steps(key: str) -> list[str | int]:
 
 
 def _no_key(part: Part, key: str, where: str) -> UsageError:
-    return UsageError(
-        "not a number of the part that can vary",
-        where=where,
-        got=key,
-        expected="keys below the part, such as layers[1].thickness or damping.ratio, with a value",
-        hint='a material by its name has no keys: write it as a table, { like = "PZT-5A", … }',
-    )
+    expected = "keys below the part, such as layers[1].thickness or damping.ratio, with a value"
+    hint = 'a material by its name has no keys: write it as a table, { like = "PZT-5A", … }'
+    return wrong(where, "not a number of the part that can vary", key, expected, hint)
 
 
 def number_of(part: Part, key: str, where: str) -> tuple[float, str]:

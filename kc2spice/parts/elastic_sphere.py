@@ -80,13 +80,13 @@ elastic = true
             "stiffness": body.material.C.tolist(),
             "rayleigh": body.rayleigh,
             "own": own,
-            "hats": _hats(part, scene).nodes.tolist(),
+            "hats": Pair(_contact(part, scene), scene).shape.nodes.tolist(),
         }
 
     def full(self, part: Part, scene: Scene, clock: Any) -> LinearModel:
         from kc2spice.bodies.pressure import sphere
 
-        shape = _hats(part, scene)
+        shape = Pair(_contact(part, scene), scene).shape
         with clock.stage("assemble", f"mesh and matrices of {part.name}"):
             shares = self._dents(part, scene, shape).shares
             return sphere(_body(part, scene), shares, shape, part.keys.mesh.refine)
@@ -132,11 +132,6 @@ def _body(part: Part, scene: Scene) -> Sphere:
 
     owner = scene.parts[part.keys.of]
     return Sphere(owner.keys.radius, made_of(owner), part.keys.damping)
-
-
-def _hats(part: Part, scene: Scene) -> PressureBasis:
-    """Those of its contact."""
-    return Pair(_contact(part, scene), scene).shape
 
 
 def _contact(part: Part, scene: Scene) -> Part:

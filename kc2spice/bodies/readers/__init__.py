@@ -176,12 +176,11 @@ def _read(path: Path, files: dict[str, Path], wanted: Mapping[str, str]) -> raw.
     if files:
         return _matrices(files)
     if not raw.present(path) or suffix == ".toml":
-        raise UsageError(
-            "no such model",
-            where=str(path),
-            expected=f"{path.name}.M .E .K .B .C (or .A), .mtx, .matrix, .mat, .npz, .op4, .pch, "
-            ".sti or .full; or a TOML file with 'files'",
+        expected = (
+            f"{path.name}.M .E .K .B .C (or .A), .mtx, .matrix, .mat, .npz, .op4, .pch, .sti or "
         )
+        expected += ".full; or a TOML file with 'files'"
+        raise wrong(str(path), "no such model", expected=expected)
     if suffix not in READERS:
         hint = 'or name the files in NAME.toml: files = { K = "...", M = "..." }'
         got = "one file that is not called after its matrix"

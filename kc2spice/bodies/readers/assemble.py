@@ -117,23 +117,16 @@ class Rows:
         missing = nodes[~np.isin(nodes, dofs.node)]
         if len(missing) == len(nodes) or (missing.size and not isinstance(place, PortEntry)):
             low, high = dofs.node.min(), dofs.node.max()
-            raise UsageError(
-                "no such node in the matrices",
-                where=where,
-                got=f"node {', '.join(map(str, missing[:5]))}",
-                expected=f"one of {len(np.unique(dofs.node))} nodes from {low} to {high}, which "
-                "the tool has not constrained itself",
-            )
+            got = f"node {', '.join(map(str, missing[:5]))}"
+            expected = f"one of {len(np.unique(dofs.node))} nodes from {low} to {high}, which the "
+            expected += "tool has not constrained itself"
+            raise wrong(where, "no such node in the matrices", got, expected)
         rows = [np.flatnonzero(here & (dofs.kind == kind)) for kind in kinds]
         for kind, found in zip(kinds, rows, strict=True):
             if not len(found):
-                raise UsageError(
-                    "no such freedom at these nodes",
-                    where=where,
-                    got=DOFS[kind],
-                    expected=", ".join(DOFS[int(k)] for k in np.unique(dofs.kind[here])),
-                    hint="the tool may have removed it because it is constrained",
-                )
+                expected = ", ".join(DOFS[int(k)] for k in np.unique(dofs.kind[here]))
+                hint = "the tool may have removed it because it is constrained"
+                raise wrong(where, "no such freedom at these nodes", DOFS[kind], expected, hint)
         return rows if kinds else [np.flatnonzero(here)]
 
     def in_si(self) -> Mapping[str, Matrix]:
@@ -236,13 +229,10 @@ def _plain(rows: Rows) -> LinearModel:
     used = sum(abs(matrix).sum(axis=1) for matrix in operators.values())
     empty = np.flatnonzero(np.asarray(used) == 0)
     if empty.size:  # an unknown that nothing determines: a gap in the numbering
-        raise UsageError(
-            "an equation is empty in all matrices",
-            where=rows.where,
-            got=f"row {empty[0] + 1} of the free ones, {empty.size} such in all",
-            expected="no gaps in the numbering",
-            hint="fix the freedom in [[fixed]]" if rows.raw.dofs is not None else None,
-        )
+        problem, expected = "an equation is empty in all matrices", "no gaps in the numbering"
+        got = f"row {empty[0] + 1} of the free ones, {empty.size} such in all"
+        hint = None if rows.raw.dofs is None else "fix the freedom in [[fixed]]"
+        raise wrong(rows.where, problem, got, expected, hint)
     B, C, D, ports = rows.ports()
     if not B[keep].any() or not C[:, keep].any():
         expected = "B, C not zero, on freedoms that are not fixed"

@@ -19,7 +19,7 @@ from pathlib import Path
 import numpy as np
 
 from kc2spice.bodies.readers.raw import guarded, present, refused, vectors
-from kc2spice.core.errors import UsageError
+from kc2spice.core.errors import wrong
 from kc2spice.core.foreign import in_child, read_bounded
 
 MAX_BYTES = 20_000_000
@@ -140,14 +140,10 @@ def _require_passive(data: Measured) -> None:
     hint = "are two columns swapped, is the phase that of Y, is its sign turned? Or is it active?"
     if data.Y.shape[1] == 1 and (data.Y.imag[bad] > 0).mean() < 0.5:
         hint = "real and imaginary part may be swapped; " + hint
-    raise UsageError(
-        "gives power: no passive part measures so",
-        where=data.where,
-        got=f"a real part below zero at {bad.sum()} of {len(bad)} frequencies, "
-        f"first at {data.f[bad][0]:g} Hz",
-        expected="Re Z >= 0 but for noise",
-        hint=hint,
-    )
+    got = f"a real part below zero at {bad.sum()} of {len(bad)} frequencies, "
+    got += f"first at {data.f[bad][0]:g} Hz"
+    problem = "gives power: no passive part measures so"
+    raise wrong(data.where, problem, got, "Re Z >= 0 but for noise", hint)
 
 
 def _touchstone(text: str, ports: int) -> tuple[np.ndarray, np.ndarray, tuple[str, ...]]:

@@ -16,7 +16,7 @@ import numpy as np
 
 from kc2spice.bodies.readers.codes import cards, real
 from kc2spice.bodies.readers.raw import MAX_SIZE, parsed
-from kc2spice.core.errors import UsageError, unknown
+from kc2spice.core.errors import UsageError, unknown, wrong
 
 _EXPECTED = "an .inp, .cdb, .bdf, .dat, .nas, .pch or .csv file with the nodes"
 
@@ -56,13 +56,9 @@ class Mesh:
         extent = float(np.ptp(self.at, axis=0).max())
         if distance[best] > (1e-6 * extent if within is None else within):
             x, y, z = self.at[best]
-            raise UsageError(
-                "no node is there",
-                where=where,
-                got=list(place),
-                expected=f"within {distance[best]:.4g} of node {self.node[best]} at "
-                f"[{x:g}, {y:g}, {z:g}]: raise 'within' or correct 'at'",
-            )
+            expected = f"within {distance[best]:.4g} of node {self.node[best]} at "
+            expected += f"[{x:g}, {y:g}, {z:g}]: raise 'within' or correct 'at'"
+            raise wrong(where, "no node is there", list(place), expected)
         return int(self.node[best])
 
 
