@@ -76,10 +76,18 @@ def stack_setup(
     Nodes are numbered plane by plane, in each the centre first, then ring by ring from the x to
     the y axis; elements from the bottom up.
     """
-    _require_memory(kick)
     steps = kick.mesh.refine * kick.mesh.order
-    spans, heights = _levels(kick, steps)
-    mesh, numbers = _hexahedra(_in_plane(kick, steps), heights, kick.mesh.order)
+    (spans, heights), lattice = _levels(kick, steps), _in_plane(kick, steps)
+    plane = 1 + (lattice.shape[0] - 1) * lattice.shape[1]
+    nodes, inner = plane * len(heights), plane * int((spans == 1).sum()) * (steps - 1)
+    sparse_bytes = SPARSE_BYTES * (3.0 * nodes + inner) ** (4 / 3)
+    require_bytes(  # the factor is sparse where potentials are free, or banded
+        sparse_bytes if inner else min(sparse_bytes, 8.0 * 3 * nodes * 3 * plane),
+        "the factorised stiffness",
+        where="kick.mesh",
+        hint="lower kick.mesh.refine, kick.mesh.order or the number of rings and sectors",
+    )
+    mesh, numbers = _hexahedra(lattice, heights, kick.mesh.order)
     materials, owner = layer_materials(kick, spans, breakdown)
     level = np.arange(mesh.nelements) * len(spans) // mesh.nelements
     with part_named("kick"):
@@ -144,25 +152,6 @@ def cap_layers(kick: Chip, cap: Cap | None) -> int:
     if cap is None:
         return 0
     return int(np.clip(np.ceil(cap.thickness * kick.layers / kick.height - 1e-9), 2, 16))
-
-
-def _require_memory(kick: Chip) -> None:
-    """The stiffness factor is sparse where potentials are free, or banded."""
-    mesh = kick.mesh
-    steps = mesh.refine * mesh.order
-    plane = 1 + (mesh.rings + mesh.outer_rings) * steps * (mesh.sectors * steps + 1)
-    caps = cap_layers(kick, kick.bottom_cap) + cap_layers(kick, kick.top_cap)
-    spans = level_spans(kick)
-    nodes = plane * ((len(spans) + caps) * steps + 1)
-    inner = plane * int((spans == 1).sum()) * (steps - 1)
-    sparse_bytes = SPARSE_BYTES * (3.0 * nodes + inner) ** (4 / 3)
-    banded_bytes = 8.0 * 3 * nodes * 3 * plane
-    require_bytes(
-        sparse_bytes if inner else min(sparse_bytes, banded_bytes),
-        "the factorised stiffness",
-        where="kick.mesh",
-        hint="lower kick.mesh.refine, kick.mesh.order or the number of rings and sectors",
-    )
 
 
 def _in_plane(kick: Chip, steps: int) -> np.ndarray:

@@ -157,7 +157,8 @@ def assemble(catch: Catch, bore: Bore) -> Callable[[float], System]:
     """Mesh and assemble stator and mover for the lattice ``bore``: what gives the equations with
     the sphere's centre at a height [m], a lattice point."""
     mesh, sphere = mover_mesh(bore)
-    moved = _body(catch, mesh, sphere, {SPHERE: (_remanence, _coercivity(catch), sphere)})
+    coercivity = catch.remanence / (catch.mu_r * MU_0)
+    moved = _body(catch, mesh, sphere, {SPHERE: (_remanence, coercivity, sphere)})
     r, y = moved.points
     edge = 1e-6 * bore.pitch
     rim = np.flatnonzero((r > bore.wall - edge) | (np.abs(y) > bore.half - edge))
@@ -165,13 +166,13 @@ def assemble(catch: Catch, bore: Bore) -> Callable[[float], System]:
 
     mesh = stator_mesh(catch, bore)
     centres = mesh.p[:, mesh.t].mean(axis=1)
-    ring, *coils = (_within(part, centres) for part in parts(catch))
-    sources = {RING: (_remanence, _coercivity(catch), ring)}
+    (r, y), boxes = centres, [rectangle(part) for part in parts(catch)]
+    ring, *coils = ((r > a) & (r < c) & (y > b) & (y < d) for a, b, c, d in boxes)
+    sources = {RING: (_remanence, coercivity, ring)}
     for column, coil, inside in zip((LOWER, UPPER), (catch.lower, catch.upper), coils, strict=True):
         density = catch.turns / ((coil.outer - coil.inner) * coil.height)
         sources[column] = (_current, density, inside)
     stator = _body(catch, mesh, ring, sources)
-    r, y = centres
     movable = (r < bore.wall) & (y > bore.bottom) & (y < bore.bottom + bore.rows * bore.pitch)
     _, low, right, high = air(catch)
     r, y = stator.points
@@ -237,15 +238,6 @@ def _stretched(mesh: MeshTri2, sphere: np.ndarray, rim: np.ndarray) -> sparse.cs
 def _basis(mesh: MeshTri2, elements: np.ndarray | None = None) -> Basis:
     """The integrands on straight triangles are polynomials of degree 5."""
     return Basis(mesh, ElementTriP2(), intorder=6, elements=elements)
-
-
-def _coercivity(catch: Catch) -> float:
-    return catch.remanence / (catch.mu_r * MU_0)
-
-
-def _within(part: Ring, points: np.ndarray) -> np.ndarray:
-    left, low, right, high = rectangle(part)
-    return (points[0] > left) & (points[0] < right) & (points[1] > low) & (points[1] < high)
 
 
 @BilinearForm

@@ -84,7 +84,6 @@ class Material:
     quality, loss_tangent : mechanical quality factor and dielectric loss, None if not known.
     tensile_strength, depoling_field, breakdown_field : largest principal stress [Pa], field
         against the poling and field in any direction [V/m] that it stands, None if not known.
-    sources : where each number comes from.
     residual_stress : (3,) normal stresses at rest along x, y, z [Pa], which supports must hold.
     axis : (3,) unit vector of its z axis (the poling of a ceramic) in the axes of the body.
     dielectric : has a field between its electrodes even where that is coupled to no stress.
@@ -101,7 +100,6 @@ class Material:
     tensile_strength: float | None = None
     depoling_field: float | None = None
     breakdown_field: float | None = None
-    sources: Mapping[str, str] = field(default_factory=dict)
     axis: np.ndarray = field(default_factory=lambda: np.array([0.0, 0.0, 1.0]))
     dielectric: bool = False
     residual_stress: tuple[float, float, float] = (0.0, 0.0, 0.0)
@@ -327,11 +325,8 @@ class MaterialTable(Section):
         hint = "is the permittivity at constant stress or at constant strain?" if e.any() else None
         _require_definite(eps, "permittivity at constant strain", hint)
         same = {key for key in type(self).model_fields if key in Material.__dataclass_fields__}
-        stated = {key for key in type(self).model_fields if getattr(self, key) is not None}
-        stated -= {"like", "source", "sources", "symmetry", "permittivity_at", "conductor"}
-        sources = {key: self.sources.get(key, self.source) for key in sorted(stated)}
         given = {key: value for key in same if (value := getattr(self, key)) is not None}
-        return Material(name=name, C=C, e=e, eps_S=eps, **{**given, "sources": sources})
+        return Material(name=name, C=C, e=e, eps_S=eps, **given)
 
     def _stiffness(self) -> np.ndarray:
         if self.stiffness is not None:
