@@ -162,7 +162,14 @@ def assemble(catch: Catch, bore: Bore) -> Callable[[float], System]:
     r, y = moved.points
     edge = 1e-6 * bore.pitch
     rim = np.flatnonzero((r > bore.wall - edge) | (np.abs(y) > bore.half - edge))
-    stretch = _stretched(mesh, sphere, rim)
+    # the air carries the force where the weight g varies: 1 in the sphere, 0 on the rim, harmonic
+    # between; the force is -1/2 a' stretch a [N]
+    basis = _basis(mesh)
+    g, core = np.zeros(basis.N), np.unique(basis.element_dofs[:, sphere])
+    g[core] = 1.0
+    g = solve(*condense(laplace.assemble(basis), x=g, D=np.union1d(core, rim)))
+    around = _basis(mesh, np.flatnonzero(~sphere))
+    stretch = sparse.csr_array(_stretch.assemble(around, g=around.interpolate(g)) / MU_0)
 
     mesh = stator_mesh(catch, bore)
     centres = mesh.p[:, mesh.t].mean(axis=1)
@@ -221,18 +228,6 @@ def _body(
     reluctivity = np.where(magnet, 1 / catch.mu_r, 1.0) / MU_0
     local = coo.data.reshape(-1, mesh.nelements) * reluctivity
     return Body(basis.doflocs, rows, cols, local, loads)
-
-
-def _stretched(mesh: MeshTri2, sphere: np.ndarray, rim: np.ndarray) -> sparse.csr_array:
-    """Matrix S of the force ``-1/2 a' S a`` [N], carried by the air where the weight g varies: 1 in
-    the sphere, 0 on the ``rim``, harmonic between."""
-    basis = _basis(mesh)
-    g = np.zeros(basis.N)
-    core = np.unique(basis.element_dofs[:, sphere])
-    g[core] = 1.0
-    g = solve(*condense(laplace.assemble(basis), x=g, D=np.union1d(core, rim)))
-    air = _basis(mesh, np.flatnonzero(~sphere))
-    return sparse.csr_array(_stretch.assemble(air, g=air.interpolate(g)) / MU_0)
 
 
 def _basis(mesh: MeshTri2, elements: np.ndarray | None = None) -> Basis:

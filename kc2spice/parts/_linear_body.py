@@ -24,7 +24,7 @@ from kc2spice.core.progress import Clock
 from kc2spice.core.quantities import Section, Voltage
 from kc2spice.core.waveforms import Waveforms, running
 from kc2spice.parts import _pictures
-from kc2spice.parts._box import Varied, corners, varied, with_values
+from kc2spice.parts._box import corners, varied, with_values
 from kc2spice.parts._touching import Surface, Touching
 from kc2spice.rom.linear import Certificate, LinearModel, Port
 from kc2spice.rom.modal import Resonators, chip_response, resonators
@@ -404,20 +404,12 @@ class LinearBody(Touching):
             found = {**figures, **analyse(frequency, z).metrics()}
         except UsageError:  # no resonance in the range: nothing to read off but the curve
             return figures
-        if keys := varied(part):
-            found["sensitivity"] = self._sensitivity(part, build, keys, frequency)
-        return found
-
-    def _sensitivity(
-        self, part: Part, build: Build, keys: Sequence[Varied], frequency: np.ndarray
-    ) -> dict[str, dict[str, float]]:
-        """``d ln(metric) / d ln(key)`` of the body's impedance, by key and metric: central
-        differences over :data:`STEP` within the ranges."""
-        from kc2spice.bodies.impedance import analyse
-
+        if not (keys := varied(part)):
+            return found
+        # d ln(metric) / d ln(key), by key and metric: central differences within the ranges
         box = self.varying(part, build.scene, Clock())
         port = next(port.name for port in box.ports if port.kind == "electrical")
-        found: dict[str, dict[str, float]] = {}
+        found["sensitivity"] = {}
         for key in keys:
             ends = np.clip(key.value * (1 + STEP * np.array([-1, 1])), key.low, key.high)
             read = []
@@ -426,7 +418,7 @@ class LinearBody(Touching):
                 H = model.select([port]).transfer(frequency)[:, 0, 0]
                 read.append(analyse(frequency, 1 / (2j * np.pi * frequency * H)).metrics())
             change = math.log(ends[1] / ends[0])
-            found[key.param.name] = {
+            found["sensitivity"][key.param.name] = {
                 name.removesuffix("_hz").removesuffix("_f"): math.log(read[1][name] / low) / change
                 for name, low in read[0].items()
                 if name != "bvd"

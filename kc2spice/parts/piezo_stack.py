@@ -290,7 +290,15 @@ class PiezoStack(MeshedBody):
         centre = f"{part.name}.u.{self.ports(part, build.scene)[0].name}"
         if pressed and centre in waves:
             found["kick_stroke_m"] = float(waves[centre].max())
-        found |= self._under_pressure(part, build, waves)
+        shape, scene = pressure_hats(part, build.scene), build.scene
+        if part.keys.fields and shape is not None:  # which its own mesh does not resolve
+            from kc2spice.bodies.pressure import stressed
+
+            name = next(c.name for c in scene.of("contact") if c.keys.shape == "pressure")
+            if (most := float(waves[f"{name}.force"].max())) > 0:
+                forces = Pair(scene.parts[name], scene).hat_forces(most)
+                inside = stressed(chip_of(part.keys), shape, forces)
+                found |= {f"{name}_{what}": value for what, value in inside.items()}
         current = waves.data.get(f"{part.name}.current")
         if part.keys.electrical == "driven" and (part.keys.driver or not pressed):
             found["kick_voltage_peak_v"] = float(np.abs(waves[f"{part.name}.voltage"]).max())
@@ -299,21 +307,6 @@ class PiezoStack(MeshedBody):
                 found["kick_current_peak_a"] = float(np.abs(current).max())
                 found["kick_charge_peak_c"] = float(np.abs(charge).max())
         return found
-
-    def _under_pressure(self, part: Part, build: Build, waves: Waveforms) -> dict[str, float]:
-        """Stresses under the hats when they carry most, which the mesh of the stack does not
-        resolve."""
-        shape, scene = pressure_hats(part, build.scene), build.scene
-        if not part.keys.fields or shape is None:
-            return {}
-        from kc2spice.bodies.pressure import stressed
-
-        name = next(c.name for c in scene.of("contact") if c.keys.shape == "pressure")
-        most = float(waves[f"{name}.force"].max())
-        if most <= 0:
-            return {}
-        found = stressed(chip_of(part.keys), shape, Pair(scene.parts[name], scene).hat_forces(most))
-        return {f"{name}_{what}": value for what, value in found.items()}
 
     def indentation_modulus(self, part: Part) -> float:
         keys, cap = part.keys, part.keys.top_cap
