@@ -82,7 +82,7 @@ class PointMass(Touching, DeclaredPart):
             yield part.wrong("", problem, f"analysis {scene.analysis.type}", "neither of them")
         yield from dimensions(part.name, part.keys)
 
-    def initial(self, part: Part, build: Build) -> Mapping[str, float]:
+    def settable(self, part: Part, build: Build) -> Mapping[str, float]:
         state = start(part, build)
         if state is None:
             return {}

@@ -166,7 +166,7 @@ class Sphere(Touching, DeclaredPart):
             return Rest()
         return Rest((("base", GROUND),), pushed=("v",) if scene.gravity else (), inert=("v",))
 
-    def initial(self, part: Part, build: Build) -> Mapping[str, float]:
+    def settable(self, part: Part, build: Build) -> Mapping[str, float]:
         held = build.scene.joined(part.name, "v")
         if held or build.scene.joined(part.name, "bottom") or part.name in begins(build.scene):
             return {}

@@ -52,10 +52,6 @@ def problems(scene: Scene) -> Iterator[UsageError]:
         else:
             yield each
     yield from judged(doubtful, scene.checks.plausible)
-    yield from _analysis(scene)
-
-
-def _analysis(scene: Scene) -> Iterator[UsageError]:
     chosen, solver = scene.analysis, scene.solver
     if scene.include and not any(part.netlist for part in scene.parts.values()):
         yield UsageError(

@@ -288,19 +288,15 @@ class PartType:
         read = (f"{name} {pins[pin]} {name} 0" for pin, name in meters.items())
         return (f"X{part.name} {nodes} {build.libraries[part.name]}", *read)
 
-    def settable(self, part: Part, build: Build) -> Mapping[str, Swept | Sampled]:
-        """Sources that something outside of the netlist sets: by key what a dc sweep of it moves,
-        and the function that runs beside the simulator."""
+    def settable(self, part: Part, build: Build) -> Mapping[str, Swept | Sampled | float]:
+        """What its equations do not decide: by key the source that a dc sweep of it moves, the
+        function that runs beside the simulator, and by node the voltage at t = 0 (``.ic``)."""
         return {}
 
     def numerics(self, part: Part, scene: Scene) -> Iterable[Numerics]:
         """What the simulator needs for it: a source's frequency and edges, a carrier, a contact,
         how close steps must follow it, and options."""
         return ()
-
-    def initial(self, part: Part, build: Build) -> Mapping[str, float]:
-        """Node voltages at t = 0 (``.ic``), by node."""
-        return {}
 
     def vectors(self, part: Part, build: Build) -> Mapping[str, Vector]:
         """Its results by name."""

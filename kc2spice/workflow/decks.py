@@ -221,7 +221,8 @@ def _initial(build: Build, loose: Sequence[Free]) -> dict[str, float]:
     if build.scene.analysis.type != "transient":
         return {}
     own = (part for part in parts.values() if not mover(part.name, build.scene))
-    states = {part.name: part.type.initial(part, build) for part in own}
+    rows = {part.name: part.type.settable(part, build).items() for part in own}
+    states = {n: {k: v for k, v in row if isinstance(v, float)} for n, row in rows.items()}
     found = {node: value for each in states.values() for node, value in each.items()}
     for group in loose:
         if group.nets and not group.bodies and not any(states[name] for name in group.parts):
@@ -269,7 +270,12 @@ def edited_deck(build: Build, own: Deck, path: Path) -> tuple[Deck, Build]:
     _require_results(own, text, path)
     _tell_options(own, cards, path)
     words = tuple(analyses[0].words[1:])
-    stop = None if own.stop is None else _seconds(words, analyses[0].where)
+    stop = own.stop
+    if stop is not None:  # the end of the transient whose card has these words
+        stop = literal(words[1], where=analyses[0].where) if len(words) > 1 else None
+        if stop is None:
+            message, got = "the end of the transient is no number", " ".join(words)
+            raise UsageError(message, where=analyses[0].where, got=got)
     deck = replace(
         own,
         text=text,
@@ -291,19 +297,19 @@ def _edits(own: Deck, edited: Deck) -> set[str]:
         for block in own.blocks
         for card in block.cards
     }
+
+    def said(card: Element) -> tuple[Any, ...]:
+        return card.model, card.values, card.settings, card.expression
+
     before, now = ({e.key: e for e in deck.scope.elements} for deck in (own, edited))
     found = set()
     for key in before.keys() | now.keys():
         a, b = before.get(key), now.get(key)
-        if a is None or b is None or _said(a) != _said(b):
+        if a is None or b is None or said(a) != said(b):
             found.add(owner.get(key, key))
         elif a.ends != b.ends:  # an instance is still the part that its keys tell
             found.add(key if key.startswith("x") else owner.get(key, key))
     return found
-
-
-def _said(card: Element) -> tuple[Any, ...]:
-    return card.model, card.values, card.settings, card.expression
 
 
 def _require_results(own: Deck, text: str, path: Path) -> None:
@@ -340,25 +346,16 @@ def _tell_options(own: Deck, cards: Iterable[Statement], path: Path) -> None:
     """Warn of options that decide the accuracy and are not those of the scene's own deck."""
     before, now = {o.key: o.value for o in own.options if o.key not in HARMLESS}, accuracy(cards)
     pairs = {key: (before.get(key), now.get(key)) for key in [*before, *now]}
+
+    def value(text: str | None) -> float | str | None:
+        number = literal(text) if text else None
+        return text if number is None else number
+
     changed = [
         f"{key} = {b or 'default'} ({a or 'default'})"
         for key, (a, b) in pairs.items()
-        if _value(a) != _value(b)
+        if value(a) != value(b)
     ]
     if changed:
         told = ", ".join(changed)
         warnings.warn(f"{path}: options are not the scene's, in brackets: {told}", stacklevel=2)
-
-
-def _value(text: str | None) -> float | str | None:
-    """Of an option, as a number where it is one."""
-    number = literal(text) if text else None
-    return text if number is None else number
-
-
-def _seconds(words: tuple[str, ...], where: str) -> float:
-    """End of the transient whose card has these words."""
-    stop = literal(words[1], where=where) if len(words) > 1 else None
-    if stop is None:
-        raise UsageError("the end of the transient is no number", where=where, got=" ".join(words))
-    return stop

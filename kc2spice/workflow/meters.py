@@ -60,12 +60,6 @@ def _ends(found: Vector) -> str | None:
     return f"v({','.join(nodes)})" if sum(sign for sign, _ in read) in (0, 1, -1) else None
 
 
-def result(build: Build) -> dict[str, Vector]:
-    """The only result of a noise analysis."""
-    found = output(build)
-    return {WAVE: Vector("onoise_spectrum", abs(found.factor), f"{found.unit}{DENSITY}")}
-
-
 def sources(deck: Deck, build: Build) -> Deck:
     """``deck`` with what each resistor that has noise adds, as ``noise.PART.NAME``."""
     found = dict(_noisy(deck.scope, ""))
@@ -174,13 +168,14 @@ def readings(build: Build) -> tuple[dict[str, Vector], dict[str, Pairs]]:
 
 
 def result_vectors(build: Build) -> dict[str, Vector]:
-    """Results of all parts that have an instance of their own.
+    """Results of all parts that have an instance of their own; the density alone of noise.
 
     Of devices' own parameters (``@b1[i]``) ngspice gives the operating point in an ac analysis,
     which is no response: they are no results there.
     """
     if build.noisy:
-        return result(build)
+        of = output(build)
+        return {WAVE: Vector("onoise_spectrum", abs(of.factor), f"{of.unit}{DENSITY}")}
     copied = replaced(build.scene)
     found: dict[str, Vector] = {}
     for part in build.scene.parts.values():

@@ -111,6 +111,7 @@ def shared_engine(
     sampled = [
         each
         for part in build.scene.parts.values()
+        if build.scene.analysis.type == "transient"
         for each in part.type.settable(part, build).values()
         if isinstance(each, Sampled)
     ]

@@ -189,9 +189,8 @@ def taken_nets(build: Build) -> dict[str, str] | None:
 
 def _listens(build: Build, name: str, pin: str) -> bool:
     """Whether a pin takes no current, of a part whose cards are our own."""
-    part = build.scene.parts[name]
-    end = next(t for t in part.type.pins(part, build.scene) if t.name == pin)
-    return end.flow == "-" and not end.signal_out and not part.netlist
+    end = build.scene.terminals[name, pin]
+    return end.flow == "-" and not end.signal_out and not build.scene.parts[name].netlist
 
 
 def _holds(laws: Mapping[str, Law], pin: str) -> bool:
@@ -358,10 +357,9 @@ def read(
     circuit: Circuit, waves: Mapping[str, np.ndarray], scale: np.ndarray
 ) -> dict[str, np.ndarray]:
     """Results of a circuit; a reading of a wave that this analysis has not is left out."""
-    known = set(waves)
     found = {}
     for name, each in circuit.readings.items():
-        if not {wave for _, wave in each.terms} <= known:
+        if not {wave for _, wave in each.terms} <= set(waves):
             continue
         value = np.asarray(sum(factor * waves[wave] for factor, wave in each.terms))
         if np.iscomplexobj(value):  # small signals have no constant part
@@ -536,7 +534,8 @@ def _followed(
     )
     reduced, names = replace(circuit, laws=tuple(laws)), ", ".join(models)
     stop = build.scene.stop
-    run = next(run for own, run in exact.runs if _names(own) == _names(circuit))
+    own = {law.name for law in circuit.laws}
+    run = next(run for other, run in exact.runs if {law.name for law in other.laws} == own)
     events = tuple(event.time for event in run.events)
     begin, given = _still_until(bodies, run)
     top = max(held_band(model, build)[1] for model in models.values())
@@ -567,10 +566,6 @@ def _followed(
         f"{begin:.6g} s to {end:.6g} s" + (f" of {stop:.6g} s" if end < 0.999 * stop else "")
     )
     return fine, coarse, note
-
-
-def _names(circuit: Circuit) -> set[str]:
-    return {law.name for law in circuit.laws}
 
 
 def _still_until(
