@@ -516,16 +516,21 @@ class Pid(Device):
     def scales(self) -> tuple[float, ...]:
         return (1e-6, 0.01 * self.limit)
 
-    def initial(self, taps: np.ndarray) -> np.ndarray:
-        return np.array([self._error(taps), 0.0])
+    @cached_property
+    def _free(self) -> tuple[np.ndarray, np.ndarray]:
+        """Slopes (3, 3) and values at zero (3,) of both rates and the output within the limit."""
+        fast, slow = self.kd / self.rolloff, 1.0 / self.rolloff
+        slopes = [[-slow, -slow, 0.0], [-self.ki, 0.0, 0.0], [-self.kp - fast, -fast, 1.0]]
+        found = np.array(slopes)
+        return found, (self.offset - self.setpoint) * found[:, 0]
 
-    def _error(self, e: np.ndarray) -> float:
-        return self.setpoint - self.offset - float(e[0])
+    def initial(self, taps: np.ndarray) -> np.ndarray:
+        return np.array([self.setpoint - self.offset - float(taps[0]), 0.0])
 
     def demand(self, e: np.ndarray) -> float:
         """What it asks for before the limit."""
-        error = self._error(e)
-        return self.kp * error + e[2] + self.kd * (error - e[1]) / self.rolloff
+        slopes, level = self._free
+        return float(slopes[2] @ e + level[2])
 
     def corners(self, stop: float) -> np.ndarray:
         return np.array([t for t in (*self.enable, *self.disable) if 0.0 < t < stop])
@@ -552,14 +557,7 @@ class Pid(Device):
 
     def evaluate(self, t: float, e: np.ndarray, mode: Any) -> tuple[np.ndarray, np.ndarray]:
         on, side = mode
-        error = self._error(e)
-        out, jac = np.zeros(3), np.zeros((3, 3))
-        out[0] = (error - e[1]) / self.rolloff
-        jac[0, :2] = -1.0 / self.rolloff
-        if on and side == 0:
-            out[1], jac[1, 0] = self.ki * error, -self.ki
-            out[2] = self.demand(e)
-            jac[2] = -self.kp - self.kd / self.rolloff, -self.kd / self.rolloff, 1.0
-        elif on:
-            out[2] = side * self.limit
-        return out, jac
+        slopes, level = self._free
+        free = np.array([1.0, on and not side, on and not side])
+        slope = free[:, None] * slopes
+        return slope @ e + free * level + [0.0, 0.0, side * self.limit], slope

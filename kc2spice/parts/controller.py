@@ -6,9 +6,9 @@ over in Python (``kc.simulate(scene, functions={"NAME": function})``).
 
 from __future__ import annotations
 
-import importlib.util
+import runpy
 from collections.abc import Callable, Iterator, Mapping
-from typing import Literal
+from typing import Literal, cast
 
 from pydantic import Field
 
@@ -114,18 +114,15 @@ wiring = "parallel"
             problem = "runs a Python file of the scene"
             raise part.wrong("file", problem, keys.file, hint=hint)
         path = build.scene.home / keys.file
-        spec = importlib.util.spec_from_file_location(f"kc2spice_{part.name}", path)
-        if spec is None or spec.loader is None or not path.is_file():
+        if not path.is_file():
             raise part.wrong("file", "no such Python file", str(path))
-        module = importlib.util.module_from_spec(spec)
         try:
-            spec.loader.exec_module(module)
+            found = runpy.run_path(str(path), run_name=f"kc2spice_{part.name}").get(keys.function)
         except Exception as error:
             raise part.wrong("file", "the file fails", repr(error)) from error
-        found = getattr(module, keys.function, None)
         if not callable(found):
             raise part.wrong("function", "the file has no such function", keys.function)
-        return found
+        return cast(Function, found)
 
     def notes(self, part: Part, scene: Scene) -> Iterator[str]:
         keys = part.keys

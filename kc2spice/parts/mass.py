@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import replace
 from functools import cache
 from typing import Any
 
 import numpy as np
 from pydantic import Field
 
-from kc2spice.core import laws
 from kc2spice.core.errors import UsageError
 from kc2spice.core.quantities import Length, Mass, Section, Velocity
 from kc2spice.core.waveforms import Waveforms
@@ -22,7 +20,6 @@ from kc2spice.scene.model import GROUND, Part, Scene
 from kc2spice.scene.parttype import (
     Build,
     Rest,
-    Vector,
     begins,
     register,
 )
@@ -92,21 +89,8 @@ class PointMass(Touching, DeclaredPart):
     def surface(self, part: Part, scene: Scene, ports: tuple[str, ...] = ()) -> Surface:
         return Surface(part.name, ("a",), (0.0,))
 
-    def vectors(self, part: Part, build: Build) -> Mapping[str, Vector]:
-        speed = Vector(f"v(x{part.name.lower()}.speed_x)", 1.0, "m/s")
-        return {**super().vectors(part, build), f"{part.name}.v": speed}
-
     def begins(self, part: Part, build: Build) -> tuple[float, float] | None:
         return start(part, build)
-
-    def law(self, part: Part, build: Build) -> laws.Equations:
-        n, found = part.name, super().law(part, build)
-        speed = {f"{n}.v": laws.reading(f"{n}.a.rate")}
-        return replace(found, results=found.results | speed)
-
-    def force_on(self, part: Part, pin: str, build: Build, waves: Waveforms) -> np.ndarray | None:
-        force = waves.data.get(f"{part.name}.force")
-        return None if force is None or pin != "a" else -force
 
     def metrics(self, part: Part, build: Build, waves: Waveforms) -> Mapping[str, Any]:
         if "time" not in waves:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping
-from dataclasses import replace
 from functools import cache
 from itertools import combinations_with_replacement
 from typing import Annotated, Any, ClassVar, Literal
@@ -12,7 +11,6 @@ from typing import Annotated, Any, ClassVar, Literal
 import numpy as np
 from pydantic import Field
 
-from kc2spice.core import laws
 from kc2spice.core.cache import cached
 from kc2spice.core.errors import UsageError
 from kc2spice.core.figure import Curve, Figure, Panel, Shape
@@ -104,16 +102,16 @@ def _branches(keys: Moving, loops: int) -> tuple[Any, ...]:
 
 
 @cache
-def _declared(kind: MovingConductor, branches: tuple[Any, ...], **physics: Any) -> Declaration:
-    limits = physics.pop("low", ""), physics.pop("high", "")
-    words = "y above y_min", "y below y_max"
-    named = {word: limit for word, limit in zip(words, limits, strict=True) if limit}
+def _declared(
+    kind: MovingConductor, branches: tuple[Any, ...], low: str = "", high: str = "", **physics: Any
+) -> Declaration:
+    limits = {"y above y_min": low, "y below y_max": high} if low else {}
     return Declaration(
         kind.name,
         kind.title,
         kind.parameters,
         branches,
-        limits=named,
+        limits=limits,
         rating=kind.rating,
         validity="heights from y_min to y_max; rigid, not magnetic, constant temperature",
         **physics,
@@ -241,13 +239,6 @@ class MovingConductor(DeclaredPart):
         except UsageError as error:  # of its range of heights
             told = str(error.message), error.got, error.expected, error.hint
             raise part.wrong("y_max", *told) from None
-
-    def law(self, part: Part, build: Build) -> laws.Equations:
-        """That of its declaration; currents of loops are no results, a full model has others."""
-        found = super().law(part, build)
-        own = f"{part.name}.eddy"
-        kept = {n: reading for n, reading in found.results.items() if not n.startswith(own)}
-        return replace(found, results=kept)
 
     def metrics(self, part: Part, build: Build, waves: Waveforms) -> Mapping[str, Any]:
         """Heights and times at which it turns back, see :func:`turns`."""

@@ -238,11 +238,9 @@ class Sphere(Touching, DeclaredPart):
 
     def law(self, part: Part, build: Build) -> laws.Equations:
         n, found = part.name, super().law(part, build)
-        results = {
-            f"{n}.y": laws.reading(f"{n}.bottom", constant=part.keys.radius),
-            f"{n}.v": laws.reading(f"{n}.bottom.rate"),
-        }
+        height = laws.reading(f"{n}.bottom", constant=part.keys.radius)
         pins = tuple((pin, f"{n}.bottom") for pin in ("v", "bottom", "y"))
+        results = {f"{n}.y": height, f"{n}.v": found.results[f"{n}.v"]}
         return replace(found, pins=pins, results=results)
 
     def notes(self, part: Part, scene: Scene) -> Iterator[str | Neglected]:

@@ -217,13 +217,6 @@ class Declaration:
         """Keys that are numbers, and constants."""
         return (*self.numbers, *self.constants)
 
-    @cached_property
-    def fixed(self) -> dict[str, Tree]:
-        """The constants' expressions."""
-        return {
-            name: expression(text, f"{self.name}.{name}") for name, text in self.constants.items()
-        }
-
     # --- what follows -----------------------------------------------------------------------
 
     def _tree(self, what: str) -> Tree:
@@ -233,25 +226,27 @@ class Declaration:
     def _slope(self, what: str, name: str) -> Tree:
         return derivative(self._tree(what), name)
 
+    def _read(self, what: str, stated: Mapping[str, str]) -> dict[str, Tree]:
+        return {name: expression(text, f"{what} of {self.name}") for name, text in stated.items()}
+
     @cached_property
     def _forces(self) -> dict[str, Tree]:
-        return {
-            name: expression(text, f"{name} of {self.name}") for name, text in self.forces.items()
-        }
+        return self._read("force", self.forces)
 
     @cached_property
     def bounds(self) -> dict[str, Tree]:
         """The limits' expressions."""
-        return {
-            name: expression(text, f"limit of {self.name}") for name, text in self.limits.items()
-        }
+        return self._read("limit", self.limits)
+
+    @cached_property
+    def fixed(self) -> dict[str, Tree]:
+        """The constants' expressions."""
+        return self._read("constant", self.constants)
 
     @cached_property
     def read(self) -> dict[str, Tree]:
         """The outputs' expressions."""
-        return {
-            name: expression(text, f"output of {self.name}") for name, text in self.outputs.items()
-        }
+        return self._read("output", self.outputs)
 
     def direct(self, branch: Branch) -> Tree:
         """What is through a branch at once: force besides that of inertia, or current besides that

@@ -100,8 +100,8 @@ class DeclaredPart(PartType):
     # --- results ----------------------------------------------------------------------------
 
     def vectors(self, part: Part, build: Build) -> Mapping[str, Vector]:
-        found = {}
-        for b in self.built(part, build).branches:
+        found, d = {}, self.built(part, build)
+        for b in d.branches:
             unit, flow = _NODE[b.kind]
             across = across_pins(build, part, b) if b.plus else ""
             if b.kind == "displacement":
@@ -115,6 +115,9 @@ class DeclaredPart(PartType):
                 through = f"i(v.x{part.name}.{meter(b)})"
             ends = (b.minus,), (b.plus,)
             found[f"{part.name}.{b.through}"] = Vector(through.lower(), 1.0, flow, *ends)
+            if d.mass(b) != ZERO:
+                speed = f"v(x{part.name}.speed_{b.name})".lower()
+                found[f"{part.name}.v"] = Vector(speed, 1.0, "m/s")
         return found
 
     def begins(self, part: Part, build: Build) -> tuple[float, float] | None:
@@ -124,11 +127,12 @@ class DeclaredPart(PartType):
     def law(self, part: Part, build: Build) -> laws.Equations:
         n, d = part.name, self.built(part, build)
         results = {}
-        for b in d.branches:
-            wave = f"{n}.{b.plus}.through" if b.plus else f"{n}.{b.name}"
-            results[f"{n}.{b.through}"] = laws.reading(wave)
-        for b in d.open if d.metered else ():
-            results[f"{n}.{b.across}"] = laws.difference(f"{n}.{b.plus}", f"{n}.{b.minus}")
+        for b in d.open:  # loops of a full model are others
+            results[f"{n}.{b.through}"] = laws.reading(f"{n}.{b.plus}.through")
+            if d.metered:
+                results[f"{n}.{b.across}"] = laws.difference(f"{n}.{b.plus}", f"{n}.{b.minus}")
+            if d.mass(b) != ZERO:
+                results[f"{n}.v"] = laws.reading(f"{n}.{b.plus}.rate")
         values = tuple(d.values(part.keys).values())
         law = DeclaredLaw(n, d.closed, values, self.begins(part, build))
         pins = tuple((pin.name, f"{n}.{pin.name}") for pin in law.pins if pin.name != LOOPS)
