@@ -244,21 +244,11 @@ class EMTable:
     """
 
     y: np.ndarray
-    c0: np.ndarray
-    c1: np.ndarray
-    c2: np.ndarray
-    c11: np.ndarray
-    c12: np.ndarray
-    c22: np.ndarray
+    coefficients: np.ndarray  # (n, 6) of the force, in the order of :data:`FORCE`
     flux0: np.ndarray  # (n, 2)
     inductance: np.ndarray  # (n, 2, 2)
     resistance: np.ndarray  # (2,)
     unknowns: int
-
-    @cached_property
-    def coefficients(self) -> np.ndarray:
-        """The force's coefficients (n, 6) in the order of :data:`FORCE`."""
-        return np.column_stack([getattr(self, name) for name in FORCE])
 
     @cached_property
     def splines(self) -> Piecewise:

@@ -75,14 +75,17 @@ def catch_table(catch: Catch, radius: float, progress: Progress | None = None) -
     inductance = fluxes[:, :, [LOWER, UPPER]]
     length = [catch.turns * pi * (c.inner + c.outer) for c in (catch.lower, catch.upper)]
     magnets = sign * forces[:, RING] + forces[:, SPHERE]  # cross terms with both magnets
+    force = (
+        forces[:, RING, RING] + forces[:, SPHERE, SPHERE] + 2 * sign * forces[:, RING, SPHERE],
+        2 * magnets[:, LOWER],
+        2 * magnets[:, UPPER],
+        forces[:, LOWER, LOWER],
+        2 * forces[:, LOWER, UPPER],
+        forces[:, UPPER, UPPER],
+    )
     return EMTable(
         y=y,
-        c0=forces[:, RING, RING] + forces[:, SPHERE, SPHERE] + 2 * sign * forces[:, RING, SPHERE],
-        c1=2 * magnets[:, LOWER],
-        c2=2 * magnets[:, UPPER],
-        c11=forces[:, LOWER, LOWER],
-        c12=2 * forces[:, LOWER, UPPER],
-        c22=forces[:, UPPER, UPPER],
+        coefficients=np.column_stack(force),
         flux0=sign * fluxes[:, :, RING] + fluxes[:, :, SPHERE],
         inductance=(inductance + inductance.transpose(0, 2, 1)) / 2,
         resistance=catch.resistivity * np.array(length) / (pi * catch.wire_diameter**2 / 4),

@@ -338,14 +338,9 @@ class RingMagnetCoils(Touching):
 
         key = {**self.model_key(part, scene), "positions": count}
         table, _ = cached("catch", key, build, classes=(EMTable,), sources=SOURCES)
-        return replace(
-            table,
-            y=table.y + keys.shift,
-            c0=keys.remanence**2 * table.c0,
-            c1=keys.remanence * table.c1,
-            c2=keys.remanence * table.c2,
-            flux0=keys.remanence * table.flux0,
-        )
+        magnets = keys.remanence ** np.array([2, 1, 1, 0, 0, 0])
+        scaled = {"coefficients": magnets * table.coefficients, "flux0": magnets[1] * table.flux0}
+        return replace(table, y=table.y + keys.shift, **scaled)
 
     def library(self, part: Part, scene: Scene) -> str:
         return "coil" if _apart(part, scene) and part.name == "catch" else part.name
@@ -449,7 +444,7 @@ class RingMagnetCoils(Touching):
             yield coil_impedance(part, build)
         yield force_map(part, build)
         table, alone = build.model(part), len(build.scene.of(self.name)) == 1
-        arrays = {name: getattr(table, name) for name in ("y", *FORCE)}
+        arrays = {"y": table.y} | dict(zip(FORCE, table.coefficients.T, strict=True))
         file = "em_table.npz" if alone else f"{part.name}_table.npz"
         yield Written(file, lambda path: np.savez_compressed(path, **arrays))
 

@@ -99,4 +99,4 @@ def test_moment_of_a_permeable_sphere(mu_r: float, radius: float, error: float) 
     step = 1e-6  # central difference at a scale of 1 mm: 1e-7 of the slope
     above, below = (coil_field(catch.lower, catch.turns, table.y + s) for s in (step, -step))
     force = dipole_moment(catch, radius) * (above - below) / (2 * step)
-    assert np.abs(table.c1 - force).max() < error * np.abs(force).max()
+    assert np.abs(table.coefficients[:, 1] - force).max() < error * np.abs(force).max()

@@ -51,10 +51,10 @@ def magnets():
         return -u / 1.5e-3 / (1 + (u / 2.5e-3) ** 2) ** 2.5
 
     scale = 0.325 / abs(coil(np.array(1.5e-3)))
-    none = np.zeros_like(y)
+    sizes = np.array([1e-4, scale, scale, 0.01, 0.0, 0.01])
+    heights = np.array([2.5e-3, 1e-3, 4e-3, 1e-3, 0.0, 4e-3])
     return EMTable(
-        y=y, c0=1e-4 * coil(y - 2.5e-3), c1=scale * coil(y - 1e-3), c2=scale * coil(y - 4e-3),
-        c11=0.01 * coil(y - 1e-3), c12=none, c22=0.01 * coil(y - 4e-3), flux0=np.zeros((41, 2)),
+        y=y, coefficients=sizes * coil(y[:, None] - heights), flux0=np.zeros((41, 2)),
         inductance=np.tile([[0.044, 0.007], [0.007, 0.044]], (41, 1, 1)),
         resistance=np.array([1596.0, 1596.0]), unknowns=0,
     )  # fmt: skip

@@ -60,7 +60,8 @@ class ForceMap:
     @classmethod
     def of(cls, table):
         """Combine the six coefficient functions for opposed equal currents."""
-        columns = (table.c0, table.c2 - table.c1, table.c11 - table.c12 + table.c22)
+        c0, c1, c2, c11, c12, c22 = table.coefficients.T
+        columns = (c0, c2 - c1, c11 - c12 + c22)
         spline = CubicSpline(table.y, np.column_stack(columns), bc_type="not-a-knot")
         return cls(spline.x, spline.c)
 

@@ -29,7 +29,7 @@ def out_at_the_bottom(bench):
     keep = table.y > 0.9999e-3
     short = replace(table, **{
         name: getattr(table, name)[keep]
-        for name in ("y", "c0", "c1", "c2", "c11", "c12", "c22", "flux0", "inductance")
+        for name in ("y", "coefficients", "flux0", "inductance")
     })  # fmt: skip
     bench.scene(study, chip(FEW), short)
     return 0.0
