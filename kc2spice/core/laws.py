@@ -230,8 +230,8 @@ class Device(ABC):
 
     @property
     def scales(self) -> tuple[float, ...]:
-        """Sizes of the states that errors are judged by."""
-        return (1.0,) * len(self.states)
+        """Sizes of the states that errors are judged by: currents in A, forces in N."""
+        return (1e-3,) * len(self.states)
 
     @property
     def affine(self) -> bool:
@@ -356,10 +356,6 @@ class PortBody(Device):
         return tuple(f"{port.name}.through" for port in self._own)
 
     @property
-    def scales(self) -> tuple[float, ...]:
-        return (1e-3,) * len(self._own)
-
-    @property
     def drives(self) -> tuple[str, ...]:
         return tuple(port.name for port in self.ports if port.kind == "output")
 
@@ -466,6 +462,10 @@ class SignalBlock(Device):
     @property
     def states(self) -> tuple[str, ...]:
         return tuple(f"x{k}" for k in range(len(self.A)))
+
+    @property
+    def scales(self) -> tuple[float, ...]:
+        return (1.0,) * len(self.A)
 
     @property
     def drives(self) -> tuple[str, ...]:

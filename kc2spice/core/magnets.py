@@ -201,7 +201,6 @@ class CoilForce(Device):
     taps = (Tap("y"), Tap("a1", "b1"), Tap("a2", "b2"))
     flows = (Flow("y"), Flow("a1", "b1"), Flow("a2", "b2"))
     states = ("i1", "i2")
-    scales = (1e-3, 1e-3)
 
     def evaluate(self, t: float, e: np.ndarray, mode: Any) -> tuple[np.ndarray, np.ndarray]:
         i = e[3:]

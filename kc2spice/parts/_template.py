@@ -178,10 +178,6 @@ class Driver(TemplatePart):
     def library(self, part: Part, scene: Scene) -> str:
         return self.template.removeprefix("driver_") if len(scene.of(self.name)) == 1 else part.name
 
-    def rails(self, keys: Any) -> tuple[float, float] | None:
-        """Between what [V] its output stays, None where its own diodes see to it."""
-        return None
-
     def vectors(self, part: Part, build: Build) -> Mapping[str, Vector]:
         if build.scene.analysis.type != "transient":
             return {}
@@ -190,12 +186,13 @@ class Driver(TemplatePart):
         return found | {f"{part.name}.i": Vector(read, 1.0, "A", self.terminals[:1])}
 
     def checks(self, part: Part, build: Build, waves: Waveforms) -> Iterator[Check]:
-        """Whether its load drives its output, behind all resistance, beyond its rails."""
-        keys, name = part.keys, f"{part.name}.{self.terminals[0]}"
-        rails, i = self.rails(keys), waves.data.get(f"{part.name}.i")
-        if "time" in waves and rails and i is not None and name in waves:
-            inner = waves[name] + (getattr(keys, "resistance", 0.0) + OUTPUT) * i
-            yield within(part.name, inner, *rails, SLACK * (rails[1] - rails[0]), LOADED)
+        """Whether its load drives the output of an amplifier, behind all resistance, beyond its
+        rails; the diodes of a bridge see to that themselves."""
+        keys, name, i = part.keys, f"{part.name}.{self.terminals[0]}", f"{part.name}.i"
+        if self.opamp == "slew" and {"time", name, i} <= set(waves.data):
+            low, high = self.constants.get("sink", -keys.rail), keys.rail
+            inner = waves[name] + (getattr(keys, "resistance", 0.0) + OUTPUT) * waves[i]
+            yield within(part.name, inner, low, high, SLACK * (high - low), LOADED)
 
     def notes(self, part: Part, scene: Scene) -> Iterator[str]:
         given = (f"{key} {value:g}" for key, value in part.keys if value is not None)

@@ -42,9 +42,6 @@ class Amplifier(Driver):
     noise = ("R", "Rout")
     constants: ClassVar = {"sink": -10}  # V, the lower rail
 
-    def rails(self, keys: Any) -> tuple[float, float]:
-        return self.constants["sink"], keys.rail
-
 
 class ChargeKeys(InputNoise):
     """Amplifier that sets the chip's charge, ``capacitance`` times the kick pulse's voltage."""
@@ -66,9 +63,6 @@ class ChargeDrive(Driver):
     template, heading = "driver_charge", "charge drive for the chip"
     noise = ("Rout", "Rsense", "Rchip")
     terminals, fixed = ("anode", "cathode"), ends("anode", "cathode")
-
-    def rails(self, keys: Any) -> tuple[float, float]:
-        return -keys.rail, keys.rail
 
 
 class HalfBridgeKeys(Section):
@@ -121,9 +115,6 @@ class LinearDrive(CoilDriver):
             "constant": load.inductance / resistance,
             "gbw": 5 * keys.bandwidth * (1 + ratio),
         }
-
-    def rails(self, keys: Any) -> tuple[float, float]:
-        return -keys.rail, keys.rail
 
 
 class PwmKeys(Section):

@@ -26,7 +26,6 @@ from kc2spice.physics.expression import (
 
 _KIND = {"displacement": "displacement", "voltage": "electrical", "current": "electrical"}
 _Made = Callable[..., tuple[Any, ...]]
-_SMALL = 1e-3  # A, by which errors of a current are judged
 
 
 @dataclass(frozen=True)
@@ -74,10 +73,6 @@ class DeclaredLaw(Device):
     @property
     def states(self) -> tuple[str, ...]:
         return tuple(b.name for b in self._of("current"))
-
-    @property
-    def scales(self) -> tuple[float, ...]:
-        return (_SMALL,) * len(self.states)
 
     @cached_property
     def _seen(self) -> tuple[str, ...]:
