@@ -13,8 +13,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 from itertools import combinations_with_replacement, product
+from typing import Any
 
 import numpy as np
 import scipy
@@ -27,12 +27,9 @@ DENSE = 700  # unknowns up to which all modes are as fast as a few
 ABOVE = 2.0  # times the band, up to which modes are kept
 LEAST = 10  # modes
 DEGREES = {0: 0, 1: 6, 2: 5, 3: 4, 4: 3}  # of the polynomials by number of parameters; of more, 2
-CHECKS = 3  # full models that no polynomial has seen
-POINTS = 100  # frequencies of a check
-DEPENDENT = (
-    1e-15  # of the largest: squares of what a column adds to the others that are dropped; a thin
-)
-# plate, whose stiff motions have 1e8 times the energy, is 1e-4 off with 1e-12
+# Of the largest: squares of what a column adds to the others that are dropped; a thin plate, whose
+# stiff motions have 1e8 times the energy, is 1e-4 off with 1e-12.
+DEPENDENT = 1e-15
 
 Values = Mapping[str, float]
 Full = Callable[[Values], LinearModel]
@@ -85,26 +82,55 @@ class Loss:
     beta: float
 
 
-@dataclass(frozen=True, eq=False)
-class Parametric:
-    """Reduced models over the box of ``axes`` and ``losses``.
-
-    ``terms`` has for each of M, K, B, D and E (or ``rayleigh``) the coefficients (terms, …) of the
-    polynomials with ``exponents`` (terms, axes). ``error`` is the largest relative difference of
-    the response to full models at parameters that no sample had, nan where none was checked.
-    """
+@dataclass(frozen=True, eq=False, kw_only=True)
+class OverBox:
+    """What a model over the box of ``axes`` and ``losses`` is made from: products of Chebyshev
+    polynomials of the axes' coordinates with ``exponents`` (terms, axes)."""
 
     axes: tuple[Axis, ...]
     losses: tuple[Loss, ...]
-    frame: LinearModel
     exponents: np.ndarray
-    terms: Mapping[str, np.ndarray]
-    error: float = float("nan")
 
-    @cached_property
+    @property
     def box(self) -> dict[str, Axis]:
         """Every parameter's axis by its name."""
-        return every_axis(self.axes, self.losses)
+        return {axis.name: axis for axis in (*self.axes, *(each.axis for each in self.losses))}
+
+    def products(self, values: Values) -> np.ndarray:
+        """Those polynomials (terms,) at ``values`` of all parameters.
+
+        Raises
+        ------
+        UsageError : a parameter is missing or outside of its range.
+        """
+        for name, axis in self.box.items():
+            if name not in values or not abs(axis.coordinate(values[name])) <= 1 + 1e-9:
+                raise UsageError(
+                    "outside of the box of a parametric model",
+                    where=name,
+                    got=values.get(name),
+                    expected=f"{axis.low:g} to {axis.high:g}",
+                    hint="nothing is extrapolated: widen its range in rom.parameters",
+                )
+        x = np.array([[axis.coordinate(values[axis.name]) for axis in self.axes]])
+        return np.asarray(polynomials(x, self.exponents)[0])
+
+    def damping(self, pair: Iterable[float], values: Values) -> tuple[float, float]:
+        """alpha and beta, the ``pair`` where every loss is in the middle of its axis."""
+        alpha, beta = pair
+        for loss in self.losses:
+            share = values[loss.axis.name] / loss.axis.middle
+            alpha, beta = alpha * share**loss.alpha, beta * share**loss.beta
+        return alpha, beta
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Parametric(OverBox):
+    """Reduced models over a box: ``terms`` has for each of M, K, B, D and E (or ``rayleigh``) the
+    coefficients (terms, …) of the polynomials."""
+
+    frame: LinearModel
+    terms: Mapping[str, np.ndarray]
 
     def at(self, values: Values) -> LinearModel:
         """The reduced model at ``values`` of all parameters.
@@ -113,72 +139,13 @@ class Parametric:
         ------
         UsageError : a parameter is missing or outside of its range.
         """
-        inside(self.box, values)
-        x = np.array([[axis.coordinate(values[axis.name]) for axis in self.axes]])
-        weights = polynomials(x, self.exponents)[0]
-        found = {letter: np.tensordot(weights, c, 1) for letter, c in self.terms.items()}
-        pair = found.get("rayleigh")
-        return LinearModel(
-            M=found["M"],
-            E=found.get("E"),
-            K=found["K"],
-            B=found["B"],
-            D=found["D"],
-            rayleigh=None if pair is None else damped(pair, self.losses, values),
-            ports=self.frame.ports,
-            name=self.frame.name,
-        )
-
-    def transfer(self, values: Values, frequency: np.ndarray) -> np.ndarray:
-        """``H(j 2 pi f)`` (frequencies, outputs, inputs), where damping is Rayleigh's by modes.
-
-        Raises
-        ------
-        numpy.linalg.LinAlgError : the polynomials give no positive inertia there.
-        """
-        model = self.at(values)
-        s = 2j * np.pi * np.asarray(frequency, dtype=float)
-        if model.rayleigh is None:
-            return model.pencil.transfer(s)
-        w2, V = scipy.linalg.eigh(model.K, model.M)
-        alpha, beta = model.rayleigh
-        B = V.T @ model.B
-        answers = 1 / (w2 + s[:, None] * (alpha + beta * w2) + s[:, None] ** 2)
-        return np.asarray(np.einsum("fk,ki,kj->fij", answers, B, B) + model.D)
-
-
-def every_axis(axes: Iterable[Axis], losses: Iterable[Loss]) -> dict[str, Axis]:
-    """Every parameter's axis by its name."""
-    return {axis.name: axis for axis in (*axes, *(each.axis for each in losses))}
-
-
-def damped(
-    rayleigh: Iterable[float], losses: Iterable[Loss], values: Values
-) -> tuple[float, float]:
-    """alpha and beta, those where every loss is in the middle of its axis, at ``values``."""
-    alpha, beta = rayleigh
-    for loss in losses:
-        share = values[loss.axis.name] / loss.axis.middle
-        alpha, beta = alpha * share**loss.alpha, beta * share**loss.beta
-    return alpha, beta
-
-
-def inside(box: Mapping[str, Axis], values: Values) -> None:
-    """Require every value within its range.
-
-    Raises
-    ------
-    UsageError : a parameter is missing or outside of its range.
-    """
-    for name, axis in box.items():
-        if name not in values or not abs(axis.coordinate(values[name])) <= 1 + 1e-9:
-            raise UsageError(
-                "outside of the box of a parametric model",
-                where=name,
-                got=values.get(name),
-                expected=f"{axis.low:g} to {axis.high:g}",
-                hint="nothing is extrapolated: widen its range in rom.parameters",
-            )
+        weights = self.products(values)
+        found: dict[str, Any] = {
+            letter: np.tensordot(weights, c, 1) for letter, c in self.terms.items()
+        }
+        if "rayleigh" in found:
+            found["rayleigh"] = self.damping(found["rayleigh"], values)
+        return LinearModel(**found, ports=self.frame.ports, name=self.frame.name)
 
 
 def parametric(
@@ -187,7 +154,6 @@ def parametric(
     band: tuple[float, float],
     *,
     degree: int | None = None,
-    checks: int = CHECKS,
     progress: Callable[[int, int], None] = lambda done, of: None,
 ) -> Parametric:
     """The models ``full(values)`` over the box of ``axes``, good up to the end of ``band`` [Hz].
@@ -208,7 +174,7 @@ def parametric(
     exponents, points = _design(len(own), DEGREES.get(len(own), 2) if degree is None else degree)
     models = []
     for number, x in enumerate(points):
-        progress(number + 1, len(points) + checks)
+        progress(number + 1, len(points))
         values = {axis.name: axis.value(v) for axis, v in zip(own, x, strict=True)}
         models.append(_required(full(middle | values), frame))
     V = _independent([_answers(model.pencil, band) for model in models], frame.M)
@@ -230,23 +196,9 @@ def parametric(
         )
         for letter, values in rows.items()
     }
-    made = Parametric(own, losses, replace(frame, facts={}), exponents, terms)
-    if not checks:
-        return made
-    draw, worst = np.random.default_rng(7), 0.0
-    for number in range(checks):
-        progress(len(points) + number + 1, len(points) + checks)
-        values = {name: axis.value(draw.uniform(-1, 1)) for name, axis in made.box.items()}
-        worst = max(worst, difference(made, full(values), values, band))
-    return replace(made, error=worst)
-
-
-def difference(
-    made: Parametric, model: LinearModel, values: Values, band: tuple[float, float]
-) -> float:
-    """Largest relative difference of any entry to the full ``model`` at ``values`` in the band."""
-    f = np.linspace(max(band[0], 1e-3 * band[1]), band[1], POINTS)
-    return float(np.max(np.abs(made.transfer(values, f) / modal_transfer(model, f) - 1)))
+    return Parametric(
+        axes=own, losses=losses, exponents=exponents, frame=replace(frame, facts={}), terms=terms
+    )
 
 
 def modal_transfer(model: LinearModel, frequency: np.ndarray) -> np.ndarray:

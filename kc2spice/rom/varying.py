@@ -26,13 +26,10 @@ from kc2spice.rom.linear import Certificate, LinearModel, Norm, Port
 from kc2spice.rom.parametric import (
     Axis,
     Full,
-    Loss,
+    OverBox,
     Parametric,
     Values,
-    damped,
-    every_axis,
     exponents_to,
-    inside,
     parametric,
     polynomials,
 )
@@ -46,13 +43,8 @@ STILL = 1e-6  # of the next one's square: square of the frequency of a motion wi
 SILENT = 1e-9  # of the largest share of a mode in a port
 GRID = {0: 1, 1: 33, 2: 13, 3: 7, 4: 5}  # points along each axis by number of axes
 DEGREES = {0: 0, 1: 16, 2: 10, 3: 6, 4: 4}  # highest total degree
-GAPS = (
-    0.03,
-    0.1,
-    0.3,
-    0.8,
-    np.inf,
-)  # logarithms of squared frequencies: what is nearer stays together
+# Logarithms of squared frequencies: what is nearer stays together.
+GAPS = 0.03, 0.1, 0.3, 0.8, np.inf
 MOMENTS = 4  # blocks of static answers and their changes with frequency
 OVERLAP = 0.2  # of a frame with that of the middle, at least
 DRAWS = 16  # points of the box at which the fit is judged
@@ -66,22 +58,19 @@ OWN, SAFETY = 0.4, 1.5  # share of the tolerance for the resonators; margin on p
 FINE = 1e-3  # of the tolerance: grain of coefficients
 
 
-@dataclass(frozen=True, eq=False)
-class Varying:
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Varying(OverBox):
     """``z'' + E z' + L L' z = g u``, ``y = g' z + D u`` with ``E = alpha + beta L L'``.
 
-    With ``T`` (terms,) the products of Chebyshev polynomials of the coordinates of ``axes`` with
-    ``exponents`` (terms, axes): ``exp(T diagonal)`` (q,) is the diagonal of L and ``T below``
-    (q, q) what is below it, within blocks of the sizes ``blocks``; ``T gain`` (q, ports) is g;
+    With ``T`` (terms,) the products of polynomials, ``exp(T diagonal)`` (q,) is the diagonal of L
+    and ``T below`` (q, q) what is below it, in blocks of the sizes ``blocks``; ``T gain`` (q,
+    ports) is g;
     ``capacitance`` (the logarithms of the diagonal), and ``shared`` below it, make the Cholesky
     factor of D among electrical ports alike. ``exp(T rayleigh)`` (2,), zero where ``damped`` says
     so, times the powers of ``losses`` are alpha and beta. ``facts`` are polynomials too.
     """
 
-    axes: tuple[Axis, ...]
-    losses: tuple[Loss, ...]
     ports: tuple[Port, ...]
-    exponents: np.ndarray
     blocks: tuple[int, ...]
     diagonal: np.ndarray
     below: np.ndarray
@@ -93,11 +82,6 @@ class Varying:
     facts: Mapping[str, np.ndarray]
     name: str = "model"
     certificate: Certificate | None = None
-
-    @property
-    def box(self) -> dict[str, Axis]:
-        """Every parameter's axis by its name."""
-        return every_axis(self.axes, self.losses)
 
     @property
     def order(self) -> int:
@@ -116,12 +100,10 @@ class Varying:
         ------
         UsageError : a parameter is missing or outside of its range.
         """
-        inside(self.box, values)
-        x = np.array([[axis.coordinate(values[axis.name]) for axis in self.axes]])
-        T = polynomials(x.reshape(1, -1), self.exponents)[0]
+        T = self.products(values)
         L = np.tensordot(T, self.below, 1) + np.diag(np.exp(T @ self.diagonal))
         pair = np.where(self.damped, np.exp(T @ self.rayleigh), 0.0).tolist()
-        alpha, beta = damped(pair, self.losses, values)
+        alpha, beta = self.damping(pair, values)
         D = np.zeros((len(self.ports),) * 2)
         if self.electrical:
             factor = np.tensordot(T, self.shared, 1) + np.diag(np.exp(T @ self.capacitance))
@@ -173,7 +155,7 @@ def over_box(
             )
         return model
 
-    made, left = parametric(told, axes, band, checks=0, progress=progress), 0.0
+    made, left = parametric(told, axes, band, progress=progress), 0.0
     found, inner = varying(made, band, OWN * tolerance, norm)
     draws = scipy.stats.qmc.Sobol(len(axes), seed=11).random(CHECKS) * 2 - 1
     for k, x in enumerate([*draws, np.sign(draws[0])]):

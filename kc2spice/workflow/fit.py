@@ -25,6 +25,7 @@ from kc2spice.report.pages import write_fit
 from kc2spice.rom.linear import LinearModel
 from kc2spice.rom.modal import permittivity
 from kc2spice.rom.parametric import Parametric, modal_transfer, parametric
+from kc2spice.rom.response import Response
 from kc2spice.scene.load import load_scene
 from kc2spice.scene.model import Scene
 from kc2spice.workflow.sweep.plan import number
@@ -205,13 +206,14 @@ class _Body:
 
     def response(self, made: Parametric, values: Mapping[str, float]) -> np.ndarray:
         """Admittance (n,) [S] of a reduced model."""
-        clamped = float(made.at(values).D[0, 0])
-        return self.lossy(made.transfer(values, self.data.f)[:, 0, 0], clamped, values)
+        model = made.at(values)
+        H = Response(model.pencil).transfer(2j * np.pi * self.data.f)
+        return self.lossy(H[:, 0, 0], float(model.D[0, 0]), values)
 
     def descent(self) -> _Descent:
         """Least squares of the reduced model of all ranges."""
         axes = [each.axis for each in self.keys if each.key != TANGENT]
-        return _Descent(self, parametric(self.full, axes, self.band, checks=0))
+        return _Descent(self, parametric(self.full, axes, self.band))
 
 
 @dataclass(frozen=True)
