@@ -530,11 +530,11 @@ class LinearBody(Touching):
         if len(loads) < len(model.ports):
             return None
         inputs = np.column_stack([loads[port.name] for port in model.ports])
-        response = chip_response(model, t, inputs)
+        outputs, stored = chip_response(model, t, inputs)
         entries: dict[str, float] = {}
         answers: dict[str, tuple[np.ndarray, np.ndarray]] = {}
-        gap, damped = np.zeros(t.size), response.stored[0] - response.stored
-        for port, load, exact in zip(model.ports, inputs.T, response.output.T, strict=True):
+        gap, damped = np.zeros(t.size), stored[0] - stored
+        for port, load, exact in zip(model.ports, inputs.T, outputs.T, strict=True):
             took, name = running(load, exact), wave_name(part.name, model.ports, port)
             damped = damped + took
             if port.kind == "electrical":
@@ -548,13 +548,13 @@ class LinearBody(Touching):
                 answers[name] = waves[name], exact
             entries[what] = entries.get(what, 0.0) + float(found[-1])
             gap += found - took
-        entries |= {"stored": float(response.stored[-1]), "damped": float(damped[-1])}
+        entries |= {"stored": float(stored[-1]), "damped": float(damped[-1])}
         if pressed := self.coarse(part, build.scene):
             forces = [loads[port.name] for port in model.ports if port.kind == "mechanical"]
             largest = np.abs(forces).max(axis=0, initial=0.0)
             last = np.flatnonzero(largest > UNPRESSED * largest.max(initial=0.0)).max(initial=0)
             gap = gap[: int(last) + 1]
-        scale = max(float(np.ptp(response.stored)), UNPRESSED * float(response.stored.max()))
+        scale = max(float(np.ptp(stored)), UNPRESSED * float(stored.max()))
         exactly = {} if pressed else answers
         return Balance(entries, float(np.abs(gap).max()), scale, STORED, exact=exactly)
 

@@ -99,26 +99,33 @@ def _mass_normal(M: np.ndarray, K: np.ndarray) -> tuple[np.ndarray, np.ndarray |
 def _without_static(pencil: Pencil) -> Pencil:
     """Without the coordinates that have neither mass nor damping; the others without mass last."""
     K, E, M = pencil.coefficients
-    B, C, D = pencil.B, pencil.C, pencil.D
     mass, V = scipy.linalg.eigh(M)
     none = mass <= MASSLESS * mass[-1]
     damping = V[:, none].T @ E @ V[:, none]
     size, U = scipy.linalg.eigh(0.5 * (damping + damping.T))
     still = np.abs(size) <= MASSLESS * max(largest(E), np.finfo(float).tiny)
     light, static = V[:, none] @ U[:, ~still], V[:, none] @ U[:, still]
-    if static.size:
-        if max(largest(E @ static), largest(E.T @ static)) > COUPLING * largest(E):
-            raise _improper("massless coordinates are coupled by damping alone")
-        inner = static.T @ K @ static
-        if _singular(inner, K):
-            raise _improper("massless, undamped coordinates without stiffness")
-        held = scipy.linalg.solve(inner, np.hstack([static.T @ K, static.T @ B]))
-        n = len(M)
-        B, D = B - (K @ static) @ held[:, n:], D + (C @ static) @ held[:, n:]
-        C, K = C - (C @ static) @ held[:, :n], K - (K @ static) @ held[:, :n]
-    T = np.hstack([V[:, ~none], light])
+    if max(largest(E @ static), largest(E.T @ static)) > COUPLING * largest(E):
+        raise _improper("massless coordinates are coupled by damping alone")
+    T, r = np.hstack([V[:, ~none], light, static]), len(M) - static.shape[1]
+    why = "massless, undamped coordinates without stiffness"
+    K, B, C, D = _condensed(T.T @ K @ T, T.T @ pencil.B, pencil.C @ T, pencil.D, r, why)
     M = np.diag(np.r_[mass[~none], np.zeros(light.shape[1])])
-    return Pencil((T.T @ K @ T, T.T @ E @ T, M), T.T @ B, C @ T, D)
+    return Pencil((K, (T.T @ E @ T)[:r, :r], M), B, C, D)
+
+
+def _condensed(
+    P: np.ndarray, B: np.ndarray, C: np.ndarray, D: np.ndarray, r: int, why: str
+) -> ABCD:
+    """``P x = B u``, ``y = C x + D u`` without the unknowns from the r-th on; refused for the
+    reason ``why`` where these are not determined."""
+    if r == len(P):
+        return P, B, C, D
+    if _singular(P[r:, r:], P):
+        raise _improper(why)
+    held = scipy.linalg.solve(P[r:, r:], np.hstack([P[r:, :r], B[r:]]))
+    B, D = B[:r] - P[:r, r:] @ held[:, r:], D + C[:, r:] @ held[:, r:]
+    return P[:r, :r] - P[:r, r:] @ held[:, :r], B, C[:, :r] - C[:, r:] @ held[:, :r], D
 
 
 def _energy_states(pencil: Pencil) -> ABCD:
@@ -133,15 +140,9 @@ def _energy_states(pencil: Pencil) -> ABCD:
         return inner, T.T @ B, C @ T, D
     U, size, Vt = scipy.linalg.svd(E)
     r = int((size > MASSLESS * max(size[0], np.finfo(float).tiny)).sum())
-    A, B, C, E = U.T @ A @ Vt.T, U.T @ B, C @ Vt.T, size[:r, None]
-    if r < len(A):
-        inner = A[r:, r:]
-        if _singular(inner, A):
-            raise _improper("algebraic equations that do not determine their unknowns")
-        held = scipy.linalg.solve(inner, np.hstack([A[r:, :r], B[r:]]))
-        B, D = B[:r] - A[:r, r:] @ held[:, r:], D - C[:, r:] @ held[:, r:]
-        C, A = C[:, :r] - C[:, r:] @ held[:, :r], A[:r, :r] - A[:r, r:] @ held[:, :r]
-    return A / E, B / E, C, D
+    why = "algebraic equations that do not determine their unknowns"
+    rest, B, C, D = _condensed(U.T @ rest @ Vt.T, U.T @ B, C @ Vt.T, D, r, why)
+    return -rest / size[:r, None], B / size[:r, None], C, D
 
 
 def _singular(matrix: np.ndarray, whole: np.ndarray) -> bool:

@@ -312,16 +312,11 @@ def _without_inertia(model: Resonators, count: int) -> Resonators:
 _BLOCK = 4096  # steps whose propagators are in memory at a time
 
 
-@dataclass(frozen=True)
-class ChipResponse:
-    """Over the points of time: ``output`` (n, ports) in m and C, ``stored`` (n,) energy [J]."""
-
-    output: np.ndarray
-    stored: np.ndarray
-
-
-def chip_response(model: Resonators, t: np.ndarray, load: np.ndarray) -> ChipResponse:
-    """Response to ``load`` (n, ports; N into the chip and V), linear between the times ``t`` (n,).
+def chip_response(
+    model: Resonators, t: np.ndarray, load: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Outputs (n, ports) in m and C and stored energy (n,) [J] by a ``load`` (n, ports; N into the
+    chip and V), linear between the times ``t`` (n,).
 
     Each mode ``z'' + d z' + w^2 z = r`` is split by its roots a, b into two states
 
@@ -337,7 +332,7 @@ def chip_response(model: Resonators, t: np.ndarray, load: np.ndarray) -> ChipRes
     z[:, heavy:] = _relaxing(model.omega[heavy:], model.damp[heavy:], t, drive[:, heavy:])
     stored = (rate**2).sum(axis=1) / 2 + ((model.omega * z) ** 2).sum(axis=1) / 2
     stored += np.einsum("nk,kl,nl->n", load, model.D, load) / 2
-    return ChipResponse(z @ model.gain + load @ model.D, stored)
+    return z @ model.gain + load @ model.D, stored
 
 
 def resonant(

@@ -20,9 +20,11 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
+import scipy
 
 from kc2spice.core.errors import UsageError, needed
 from kc2spice.rom.linear import ABCD, Certificate, LinearModel, Port
+from kc2spice.rom.pencil import explicit
 
 MOST = 60  # poles, pairs counted once
 STATES = 48  # of them all: the search for the nearest passive model takes their sixth power
@@ -32,7 +34,6 @@ CLOSE = 1.5  # times the deviation without passivity: a passive fit as good as a
 POOR = 0.2  # of the largest: what no rational function comes near
 ROUNDING = 1e-6  # of an optimum on the edge of what is passive
 INSIDE = 1e-7  # below one, of the largest singular value that counts as passive
-Fit = Any  # skrf.vectorFitting.VectorFitting: scikit-rf has no types
 
 
 def multi_port(f: np.ndarray, Y: np.ndarray, noise: float, where: str) -> LinearModel:
@@ -85,11 +86,11 @@ def _best(f: np.ndarray, S: np.ndarray, noise: float, where: str) -> ABCD:
     return found
 
 
-def _fits(f: np.ndarray, S: np.ndarray, noise: float, where: str) -> list[tuple[float, Fit]]:
+def _fits(f: np.ndarray, S: np.ndarray, noise: float, where: str) -> list[tuple[float, ABCD]]:
     """Fits with more and more poles, with their deviations, the least first."""
     skrf = needed("skrf", "scikit-rf", where, "measured")
     network = skrf.Network(frequency=skrf.Frequency.from_f(f, unit="hz"), s=S, z0=1.0)
-    found: list[tuple[float, Fit]] = []
+    found: list[tuple[float, ABCD]] = []
     useless = 0
     for poles in range(2, MOST + 1, 3):
         fit = skrf.vectorFitting.VectorFitting(network)
@@ -99,12 +100,13 @@ def _fits(f: np.ndarray, S: np.ndarray, noise: float, where: str) -> list[tuple[
                 fit.vector_fit(n_poles_real=2, n_poles_cmplx=poles, enforce_dc=False)
             except (np.linalg.LinAlgError, ValueError):
                 continue
-        if len(_state_space(fit, len(S[0]))[0]) > STATES:
+        model = _state_space(fit, len(S[0]))
+        if len(model[0]) > STATES:
             break
-        left = _deviation(_response(fit, f, len(S[0])), S)
+        left = _deviation(_transfer(model, f), S)
         least = min((each for each, _ in found), default=np.inf)
         useless = useless + 1 if left > (1 - GAIN) * least else 0
-        found.append((left, fit))
+        found.append((left, model))
         if left < max(NOISE * noise, ENOUGH) or useless == PATIENCE:
             break
     return sorted(found, key=lambda each: each[0])
@@ -176,13 +178,11 @@ def _nearest(model: ABCD, f: np.ndarray, S: np.ndarray) -> ABCD | None:
     return model[0], B, C, D
 
 
-def _passive(fit: Fit, f: np.ndarray, S: np.ndarray) -> ABCD | None:
-    """The state space of a fit, as near to the samples as a passive one of its poles can be."""
-    model: ABCD | None = _state_space(fit, len(S[0]))
-    if model is None or (np.linalg.eigvals(model[0]).real >= 0).any():
+def _passive(fit: ABCD, f: np.ndarray, S: np.ndarray) -> ABCD | None:
+    """As near to the samples as a passive state space of the poles of a fit can be."""
+    if (np.linalg.eigvals(fit[0]).real >= 0).any():
         return None
-    if not passive(*model):
-        model = _nearest(model, f, S)
+    model = fit if passive(*fit) else _nearest(fit, f, S)
     if model is None:
         return None
     A, B, C, D = model
@@ -195,9 +195,7 @@ def _passive(fit: Fit, f: np.ndarray, S: np.ndarray) -> ABCD | None:
 
 
 def _transfer(model: ABCD, f: np.ndarray) -> np.ndarray:
-    A, B, C, D = model
-    s = 2j * np.pi * f[:, None, None]
-    return np.asarray(C @ np.linalg.solve(s * np.eye(len(A)) - A, B.astype(complex)[None]) + D)
+    return explicit(*model).transfer(2j * np.pi * f)
 
 
 def _deviation(one: np.ndarray, other: np.ndarray) -> float:
@@ -205,12 +203,7 @@ def _deviation(one: np.ndarray, other: np.ndarray) -> float:
     return float(np.sqrt(np.mean(np.abs(one - other) ** 2)) / np.abs(other).max())
 
 
-def _response(fit: Fit, f: np.ndarray, ports: int) -> np.ndarray:
-    rows = [[fit.get_model_response(i, j, f) for j in range(ports)] for i in range(ports)]
-    return np.moveaxis(np.array(rows), 2, 0)
-
-
-def _state_space(fit: Fit, ports: int) -> ABCD:
+def _state_space(fit: Any, ports: int) -> ABCD:
     """Real matrices of ``S = D + sum_k R_k / (s - p_k)``, every pole as often as the rank of its
     residue asks."""
     residues = np.asarray(fit.residues).reshape(ports, ports, -1)
@@ -233,13 +226,8 @@ def _state_space(fit: Fit, ports: int) -> ABCD:
                 blocks.append(np.array([[pole.real, w], [-w, pole.real]]))
                 inputs.append(2 * np.array([b.real, -b.imag]))
                 outputs.append(np.column_stack([c.real, c.imag]))
-    n = sum(map(len, blocks))
-    A, at = np.zeros((n, n)), 0
-    for block in blocks:
-        A[at : at + len(block), at : at + len(block)] = block
-        at += len(block)
     D = np.asarray(fit.constant_coeff).reshape(ports, ports)
-    return A, np.vstack(inputs), np.hstack(outputs), D.real
+    return scipy.linalg.block_diag(*blocks), np.vstack(inputs), np.hstack(outputs), D.real
 
 
 def passive(A: np.ndarray, B: np.ndarray, C: np.ndarray, D: np.ndarray) -> bool:

@@ -15,7 +15,7 @@ from kc2spice.core.errors import SimulationError
 from kc2spice.linalg.exact import Exact
 from kc2spice.linalg.factor import Factor, factorise, two_sided
 
-Matrix: TypeAlias = Any  # np.ndarray, scipy.sparse.csc_array, Schur or Sum; scipy brings no types
+Matrix: TypeAlias = Any  # np.ndarray, scipy.sparse.csc_array or Schur; scipy brings no types
 
 # Two matrices whose entries differ by less than this of the largest one are the same matrix.
 SAME = 1e-12
@@ -64,9 +64,16 @@ class Schur:
 
     def scaled(self, t: np.ndarray) -> Schur:
         """``diag(t) S diag(t)``."""
-        uu, up, pu = scaled(self.uu, t, t), scaled(self.up, t), scaled(self.pu, None, t)
+        return self._beside(scaled(self.uu, t, t), scaled(self.up, t), scaled(self.pu, None, t))
+
+    def damping(self, alpha: float, beta: float, M: scipy.sparse.csc_array) -> Schur:
+        """``alpha M + beta S``."""
+        return self._beside(alpha * M + beta * self.uu, beta * self.up, self.pu)
+
+    def _beside(self, uu: Matrix, up: Matrix, pu: Matrix) -> Schur:
+        """With the same ``pp`` and its factor."""
         found = Schur(uu, up, pu, self.pp)
-        if "inner" in self.__dict__:  # the factor of the same block
+        if "inner" in self.__dict__:
             found.__dict__["inner"] = self.inner
         return found
 
@@ -88,30 +95,6 @@ def scaled(
     return found
 
 
-@dataclass(frozen=True, eq=False)
-class Sum:
-    """``sum_k factor_k matrix_k``, applied term by term."""
-
-    terms: tuple[tuple[float, Matrix], ...]
-
-    @property
-    def shape(self) -> tuple[int, int]:
-        """Size of every term."""
-        return self.terms[0][1].shape
-
-    @property
-    def T(self) -> Sum:
-        """Transpose."""
-        return Sum(tuple((c, P.T) for c, P in self.terms))
-
-    def __matmul__(self, x: np.ndarray) -> np.ndarray:
-        return sum(c * (P @ x) for c, P in self.terms)
-
-    def toarray(self) -> np.ndarray:
-        """The dense matrix."""
-        return np.asarray(sum(c * dense(P) for c, P in self.terms))
-
-
 def dense(matrix: Matrix) -> np.ndarray:
     """Any matrix as an array."""
     return np.asarray(matrix if isinstance(matrix, np.ndarray) else matrix.toarray(), dtype=float)
@@ -119,8 +102,6 @@ def dense(matrix: Matrix) -> np.ndarray:
 
 def magnitudes(matrix: Matrix) -> Matrix:
     """Absolute values of the entries, of a :class:`Schur` those of its leading block."""
-    if isinstance(matrix, Sum):
-        return sum(abs(c) * magnitudes(P) for c, P in matrix.terms)
     return abs(matrix.uu if isinstance(matrix, Schur) else matrix)
 
 
@@ -128,8 +109,6 @@ def largest(matrix: Matrix) -> float:
     """Largest absolute entry; of a :class:`Schur` that of its leading block."""
     if isinstance(matrix, Schur):
         return largest(matrix.uu)
-    if isinstance(matrix, Sum):
-        return max(abs(c) * largest(P) for c, P in matrix.terms)
     return float(abs(matrix).max()) if matrix.shape[0] and matrix.shape[1] else 0.0
 
 
@@ -140,8 +119,6 @@ def same(one: Matrix, other: Matrix) -> bool:
 
 def symmetric(matrix: Matrix) -> bool:
     """Equal to its transpose but for rounding."""
-    if isinstance(matrix, Sum):
-        return all(symmetric(P) for _, P in matrix.terms)
     return matrix.symmetric if isinstance(matrix, Schur) else same(matrix, matrix.T)
 
 
@@ -150,8 +127,6 @@ def congruence(P: Matrix, V: np.ndarray, known: bool = False) -> np.ndarray:
 
     That P is symmetric may be ``known``: its parts take longer than the product.
     """
-    if isinstance(P, Sum):
-        return np.asarray(sum(c * congruence(term, V, known) for c, term in P.terms))
     if known or isinstance(P, Schur):
         R = V.T @ (P @ V)
         return np.asarray(0.5 * (R + R.T) if known or P.symmetric else R)
@@ -191,9 +166,8 @@ class Pencil:
         if self.rayleigh is not None:
             K, _, M = self.coefficients
             alpha, beta = self.rayleigh
-            terms = Sum(((alpha, M), (beta, K)))
-            plain = isinstance(K, np.ndarray) and isinstance(M, np.ndarray)
-            E = terms.toarray() if plain else terms
+            plain = not isinstance(K, Schur)
+            E = alpha * M + beta * K if plain else K.damping(alpha, beta, M)
             object.__setattr__(self, "coefficients", (K, E, M))
 
     @property
@@ -209,7 +183,8 @@ class Pencil:
     @cached_property
     def symmetric(self) -> bool:
         """Every coefficient equals its transpose."""
-        return all(symmetric(P) for P in self.coefficients)
+        given = self.coefficients[:: 1 if self.rayleigh is None else 2]
+        return all(symmetric(P) for P in given)
 
     @cached_property
     def collocated(self) -> bool:
@@ -378,11 +353,9 @@ class Pencil:
         """The same transfer function in unknowns whose energies at ``omega`` are alike."""
         size = np.zeros(self.size)
         for k, P in enumerate(self.coefficients):
-            for c, term in P.terms if isinstance(P, Sum) else ((1.0, P),):
-                plain = term.uu if isinstance(term, Schur) else term
-                rows = abs(plain).max(axis=1)
-                rows = rows.toarray() if scipy.sparse.issparse(rows) else rows
-                size += abs(c) * omega**k * np.asarray(rows, dtype=float).ravel()
+            rows = magnitudes(P).max(axis=1)
+            rows = rows.toarray() if scipy.sparse.issparse(rows) else rows
+            size += omega**k * np.asarray(rows, dtype=float).ravel()
         t = 1 / np.sqrt(np.where(size > 0, size, 1.0))
         return self.in_units(np.exp2(np.round(np.log2(t))))  # powers of two round nothing
 
@@ -390,8 +363,6 @@ class Pencil:
         """The same transfer function in unknowns ``x / t``: ``diag(t) P diag(t)``."""
 
         def both(P: Matrix) -> Matrix:
-            if isinstance(P, Sum):
-                return Sum(tuple((c, both(term)) for c, term in P.terms))
             if isinstance(P, Schur):
                 return P.scaled(t)
             return t[:, None] * P * t if isinstance(P, np.ndarray) else scaled(P, t, t)
@@ -472,6 +443,11 @@ class Inverse:
         return self.factor.solve(np.concatenate([rhs, free]))[: self.size]
 
 
+def explicit(A: np.ndarray, B: np.ndarray, C: np.ndarray, D: np.ndarray) -> Pencil:
+    """``x' = A x + B u``, ``y = C x + D u``."""
+    return Pencil((-A, np.eye(len(A))), B, C, D)
+
+
 def first_order(pencil: Pencil, omega: float) -> Pencil:
     """The same model as ``E x' = A x + B u``, without any division; rates per ``omega``."""
     if pencil.degree == 1:
@@ -490,7 +466,7 @@ def proportional(pencil: Pencil) -> Pencil:
     if pencil.degree != 2 or pencil.rayleigh is not None or pencil.undamped:
         return pencil
     K, E, M = pencil.coefficients
-    if any(isinstance(P, (Schur, Sum)) for P in pencil.coefficients) or not largest(M):
+    if any(isinstance(P, Schur) for P in pencil.coefficients) or not largest(M):
         return pencil
     basis = [P / largest(P) for P in (M, K)]
     gram = [[float((P * Q).sum()) for Q in basis] for P in basis]

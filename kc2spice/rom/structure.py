@@ -15,7 +15,7 @@ import scipy
 
 from kc2spice.core.errors import SimulationError
 from kc2spice.linalg.factor import factorise
-from kc2spice.rom.pencil import Matrix, Pencil, Schur, Sum, first_order, largest, symmetric
+from kc2spice.rom.pencil import Matrix, Pencil, Schur, first_order, largest, symmetric
 
 ROUNDING = 8.0  # times n eps of the largest: a stiffness, a damping or a coupling that is zero
 # Poles of a first-order model below these shares of the band's end: zero but for rounding, which
@@ -247,21 +247,19 @@ def _poles(pencil: Pencil, omega: float) -> np.ndarray:
 def dissipative(pencil: Pencil) -> bool:
     """Whether the form of a model shows an energy that nothing but its ports can add to."""
     rest, *others = pencil.coefficients
-    loss = others[0] if others[1:] else rest
-    loss = loss if isinstance(loss, (Schur, Sum)) else loss + loss.T
-    follows = pencil.rayleigh is not None and min(pencil.rayleigh) >= 0  # from mass and stiffness
-    if not (semidefinite(others[-1]) and (follows or semidefinite(loss))):
+    if not semidefinite(others[-1]):
         return False
+    if pencil.rayleigh is None or min(pencil.rayleigh) < 0:  # else from mass and stiffness
+        loss = others[0] if others[1:] else rest
+        if not semidefinite(loss if isinstance(loss, Schur) else loss + loss.T):
+            return False
     # a factor of K that solutions were made with shows it as well
     held = pencil.factorised and pencil.symmetric and not isinstance(rest, Schur)
     return pencil.degree == 1 or held or semidefinite(rest)
 
 
 def semidefinite(matrix: Matrix) -> bool:
-    """Symmetric without an eigenvalue below zero, but for rounding; of a :class:`Schur` complement
-    or a sum that its terms show it."""
-    if isinstance(matrix, Sum):
-        return all(c >= 0 and (c == 0 or semidefinite(P)) for c, P in matrix.terms)
+    """Symmetric without an eigenvalue below zero, but for rounding."""
     if isinstance(matrix, Schur):
         if not matrix.symmetric:
             return False

@@ -22,7 +22,7 @@ A408.
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -700,7 +700,7 @@ class _Search:
     def _extend(self, s: complex, *answers: np.ndarray) -> None:
         self._used.append(s)
         new = np.column_stack([part for x in answers for part in real_parts(x)])
-        fresh = np.column_stack([np.empty((self.pencil.size, 0)), *_independent(self.basis, new)])
+        fresh = _independent(self.basis, new)
         if not fresh.shape[1]:
             self._previous = self.response
             return
@@ -765,7 +765,7 @@ def _modes(pencil: Pencil) -> np.ndarray:
     return np.eye(pencil.size)
 
 
-def _independent(basis: np.ndarray, new: np.ndarray) -> Iterator[np.ndarray]:
+def _independent(basis: np.ndarray, new: np.ndarray) -> np.ndarray:
     """Orthonormal directions of ``new`` outside ``basis``; what is dependent is deflated."""
     found = np.empty((basis.shape[0], 0))
     for column in new.T:
@@ -774,7 +774,6 @@ def _independent(basis: np.ndarray, new: np.ndarray) -> Iterator[np.ndarray]:
             column = column - basis @ (basis.T @ column)
             column = column - found @ (found.T @ column)
         rest = np.linalg.norm(column)
-        if rest <= DEFLATION * length or basis.shape[1] + found.shape[1] == basis.shape[0]:
-            continue
-        found = np.column_stack([found, column / rest])
-        yield column / rest
+        if rest > DEFLATION * length and basis.shape[1] + found.shape[1] < basis.shape[0]:
+            found = np.column_stack([found, column / rest])
+    return found

@@ -485,7 +485,7 @@ def _with_surrogates(
         if id(law.model) not in small:
             with clock.stage("full model", f"{law.name}: basis against direct solutions"):
                 try:
-                    model = surrogate(law.model, (0.0, stop)).model
+                    model, _ = surrogate(law.model, (0.0, stop))
                 except SimulationError:
                     model = law.model
             small[id(law.model)] = replace(law, model=model, known={})
