@@ -632,7 +632,7 @@ def balanced(like: Reduction, states: int, tolerance: float) -> tuple[Reduction,
     if model.pencil.size <= UNSCALED and peak.size > 1:
         one = [np.ones(len(each)) for each in scales]
         ways[f"{ALL} of outputs as they are"] = lambda: blocks.by_gramians(model.pencil, *one)
-    if model.pencil.size <= SAMPLED and model.quick:
+    if model.pencil.size <= SAMPLED and model.diagonal:
         step = 1 if judge.norm == "pointwise" else THINNED
         f = judge.frequency[::step]
         weights = blocks.weights(f, H[::step], peak, judge.norm)

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TypeAlias
 
@@ -34,8 +34,6 @@ STEEP = 1.5  # times a minimum: what is larger beside it, or smaller between, sh
 PEAKS, PEAK_ROUNDS = 40, 3
 FEW, MANY = 12, 2000  # unknowns, and states, between which eigenvectors pay
 REPRODUCED = 1e-10  # relative difference to direct solutions
-SEVERAL = 16  # solutions that cost as much as a Schur form
-STRIP, COLUMNS = 24, 256  # rows and right sides of a triangular solution done at once
 PANEL = 8  # columns eliminated at once
 COARSE = 8  # every so many points first: a model that is far off shows at those
 SOFT = 1e8  # ratio of squared frequencies of neighbours: the lower is a motion without force
@@ -83,26 +81,13 @@ class Response:
         """Whether there are such coordinates, or so few unknowns that none are needed."""
         return self.modes is not None or self.held.pencil.size <= FEW
 
-    @property
-    def quick(self) -> bool:
-        """Whether no sample needs a factorisation of many unknowns."""
-        return self.diagonal or self.held._triangular is not None
-
-    @cached_property
-    def _triangular(self) -> Triangular | None:
-        """A Schur form, where that reproduces direct solutions to rounding."""
-        pays = FEW < self.pencil.size <= MANY / self.pencil.degree and self.pencil.is_dense
-        return _triangular(self.pencil) if pays else None
-
     def states(self, s: np.ndarray) -> np.ndarray:
         """``P(s)^-1 B`` (len(s), n, m) in the pencil's own coordinates."""
         if self.held is not self:
             free = self.pencil.leading(self.pencil.free)
             return np.concatenate([free.states(s), self.held.states(s)], axis=1)
         if self.modes is None:
-            if len(s) <= SEVERAL or self._triangular is None:
-                return self.pencil.states(s)
-            return self._triangular.solve(s, None)
+            return self.pencil.states(s)
         T, L, _ = self.modes
         parts = self._gains(s).T[:, :, None] * (L @ self.pencil.B)[:, None, :]
         found = T @ parts.reshape(len(parts), -1)  # one product: many small ones take longer
@@ -114,9 +99,7 @@ class Response:
             free = self.pencil.leading(self.pencil.free)
             return self.held.transfer(s) + free.C @ free.states(s)
         if self.modes is None:
-            if len(s) <= SEVERAL or self._triangular is None:
-                return self.pencil.transfer(s)
-            return self._triangular.solve(s, self.pencil.C) + self.pencil.D
+            return self.pencil.transfer(s)
         T, L, _ = self.modes
         residues = (self.pencil.C @ T).T[:, :, None] * (L @ self.pencil.B)[:, None, :]
         found = self._gains(s) @ residues.reshape(len(residues), -1)
@@ -151,9 +134,7 @@ class Response:
         """Finite poles [1/s] of a model whose modes are coupled."""
         if self.held is not self:
             return np.r_[self.pencil.leading(self.pencil.free).poles(), self.held.poles]
-        if self.modes is not None:
-            return -self.modes[2][0]
-        return self.pencil.poles() if self._triangular is None else self._triangular.poles
+        return self.pencil.poles() if self.modes is None else _finite_poles(*self.modes[2])
 
     @cached_property
     def resonances(self) -> tuple[np.ndarray, np.ndarray]:
@@ -178,93 +159,40 @@ class Response:
         return frequency[inside], ratio[inside]
 
 
-@dataclass(frozen=True)
-class Triangular:
-    """``x = X (1 + (s - shift) T)^-1 b``, T (n, n) upper triangular: a solution costs a back
-    substitution."""
-
-    shift: float
-    T: np.ndarray
-    X: np.ndarray
-    b: np.ndarray
-
-    def solve(self, s: np.ndarray, C: np.ndarray | None) -> np.ndarray:
-        """``C x`` (len(s), outputs, inputs), or x, for all s at once."""
-        m, n, own = self.b.shape[1], len(self.T), np.diag(self.T)
-        mu = 1 / (self.shift - np.asarray(s, complex))
-        rows = self.X if C is None else C @ self.X
-        found = np.empty((len(mu), len(rows), m), complex)
-        step = max(1, COLUMNS // m)
-        for begin in range(0, len(mu), step):
-            part = np.repeat(mu[begin : begin + step], m)
-            z = np.tile(self.b, (1, len(part) // m)) * part
-            for end in range(n, 0, -STRIP):
-                start = max(0, end - STRIP)
-                z[start:end] += self.T[start:end, end:] @ z[end:]
-                for i in range(end - 1, start - 1, -1):
-                    z[i] += self.T[i, i + 1 : end] @ z[i + 1 : end]
-                    z[i] /= part - own[i]
-            found[begin : begin + step] = (rows @ z).reshape(len(rows), -1, m).swapaxes(0, 1)
-        return found
-
-    @property
-    def poles(self) -> np.ndarray:
-        """Finite poles [1/s]."""
-        own = np.diag(self.T)
-        return np.asarray(self.shift - 1 / own[np.abs(own) * self.shift * INFINITE > 1])
-
-
-def _triangular(pencil: Pencil) -> Triangular | None:
-    """The complex Schur form at a real shift, if that reproduces direct solutions."""
+def _eigenvectors(pencil: Pencil) -> Modes | None:
+    """Eigenvectors of ``(P(shift))^-1`` times the inertia, both in first order, which unknowns
+    without inertia have too, if they reproduce direct solutions to rounding."""
     sizes = largest(pencil.coefficients[0]), largest(pencil.coefficients[-1])
     if not all(sizes):
         return None
     shift = float((sizes[0] / sizes[1]) ** (1 / pencil.degree))
-    whole = first_order(pencil, shift)
+    n, none = pencil.size, np.zeros((0, pencil.size))
+    whole = first_order(replace(pencil, B=np.eye(n), C=none, D=none), shift)
     rest, inertia = whole.coefficients
     try:
         inner = np.linalg.solve(rest + shift * inertia, np.hstack([inertia, whole.B]))
-        T, Z = scipy.linalg.schur(inner[:, : len(rest)], output="complex")
-    except (np.linalg.LinAlgError, ValueError):
-        return None
-    form = Triangular(shift, T, Z[: pencil.size], Z.conj().T @ inner[:, len(rest) :])
-    return form if _reproduced(pencil, shift, lambda s: form.solve(s, None)) else None
-
-
-def _reproduced(pencil: Pencil, rate: float, states: Callable[[np.ndarray], np.ndarray]) -> bool:
-    """Whether ``states`` agree with direct solutions around a ``rate`` [1/s] of the poles."""
-    s = 1j * np.array([0.03, 0.3, 1.0, 3.0]) * (rate or 1.0)
-    try:
-        exact = pencil.states(s)
-    except SimulationError:
-        return False
-    with np.errstate(all="ignore"):  # on a pole
-        apart = np.abs(states(s) - exact).max(axis=1)
-    return bool((apart < REPRODUCED * np.abs(exact).max(axis=1)).all())
-
-
-def _eigenvectors(pencil: Pencil) -> Modes | None:
-    """Eigenvectors of the first-order form, if they reproduce direct solutions to rounding."""
-    n, inertia = pencil.size, pencil.coefficients[-1]
-    try:
-        inner = np.linalg.solve(inertia, np.hstack([*pencil.coefficients[:-1], np.eye(n)]))
-        A, drive = -inner[:, :n], inner[:, pencil.degree * n :]
-        if pencil.degree == 2:
-            A = np.block([[np.zeros((n, n)), np.eye(n)], [A, -inner[:, n : 2 * n]]])
-            drive = np.vstack([np.zeros_like(drive), drive])
-        poles, X = np.linalg.eig(A)
+        values, X = np.linalg.eig(shift * inner[:, : whole.size])
         inverse = np.linalg.inv(X)
         if np.linalg.norm(X) * np.linalg.norm(inverse) > DEFECTIVE:
             return None
-        T, L = X[:n], inverse @ drive
     except (np.linalg.LinAlgError, ValueError):
         return None
+    found = X[:n], inverse @ inner[:, whole.size :], (1 - values, values / shift)
+    s = 1j * np.array([0.03, 0.3, 1.0, 3.0])
+    s *= float(np.median(np.abs(_finite_poles(*found[2])))) or 1.0
+    try:
+        exact = pencil.states(s)
+    except SimulationError:
+        return None
+    with np.errstate(all="ignore"):  # on a pole
+        apart = np.abs(Response(pencil, found).states(s) - exact).max(axis=1)
+    return found if (apart < REPRODUCED * np.abs(exact).max(axis=1)).all() else None
 
-    def states(s: np.ndarray) -> np.ndarray:
-        return np.asarray(T @ ((L @ pencil.B) / (s[:, None] - poles)[:, :, None]))
 
-    found = T, L, (-poles, np.ones(poles.size))
-    return found if _reproduced(pencil, float(np.median(np.abs(poles))), states) else None
+def _finite_poles(rest: np.ndarray, inertia: np.ndarray) -> np.ndarray:
+    """Those of the diagonals of :func:`_eigenvectors`."""
+    finite = np.abs(1 - rest) * INFINITE > 1
+    return -rest[finite] / inertia[finite]
 
 
 def _decoupled(pencil: Pencil) -> Modes | None:
