@@ -138,28 +138,23 @@ def _nearest(model: ABCD, f: np.ndarray, S: np.ndarray) -> ABCD | None:
     q = Q.T @ np.concatenate([target.real, target.imag])
     scale = np.linalg.norm(q) or 1.0
 
-    pairs = [(i, j) for i in range(n) for j in range(i + 1)]
-    count, order = len(pairs) + m * (n + m), n + 2 * m
-    lmi = np.zeros((count + 1, order, order))
-    for k, (i, j) in enumerate(pairs):
-        P = np.zeros((n, n))
-        P[i, j] = P[j, i] = 1.0
-        lmi[k, :n, :n] = A.T @ P + P @ A
-        lmi[k, :n, n : n + m] = P @ B
-        lmi[k, n : n + m, :n] = B.T @ P
-    for row in range(m):  # entries of (C, D), row by row
-        for column in range(n + m):
-            k = len(pairs) + row * (n + m) + column
-            lmi[k, n + m + row, column] = lmi[k, column, n + m + row] = 1.0
-    least = np.eye(order)
-    least[:n, :n] = 0.0
+    pairs = np.tril_indices(n)
+    triangle = len(pairs[0])
+    count, order = triangle + m * (n + m), n + 2 * m
+
+    def inequality(x: np.ndarray) -> np.ndarray:
+        """Its matrix for the lower triangle of P and the rows of (C, D), but for the ones."""
+        P, CD = np.zeros((n, n)), x[triangle:count].reshape(m, n + m)
+        P[pairs] = P.T[pairs] = x[:triangle]
+        C, D, zero = CD[:, :n], CD[:, n:], np.zeros((m, m))
+        rows = [[A.T @ P + P @ A, P @ B, C.T], [B.T @ P, zero, D.T], [C, D, zero]]
+        return np.block(rows).ravel()
+
+    least = np.diag(np.r_[np.zeros(n), np.ones(2 * m)])
     cone = np.zeros((1 + m * (n + m), count + 1))
     cone[0, -1] = -1.0
-    for row in range(m):
-        at = slice(1 + row * (n + m), 1 + (row + 1) * (n + m))
-        start = len(pairs) + row * (n + m)
-        cone[at, start : start + n + m] = R / scale
-    G = np.vstack([cone, lmi.reshape(count + 1, -1).T])
+    cone[1:, triangle:count] = np.kron(np.eye(m), R / scale)
+    G = np.vstack([cone, np.transpose([inequality(x) for x in np.eye(count + 1)])])
     h = np.concatenate([[0.0], (q.T / scale).ravel(), least.ravel()])
     cost = np.zeros(count + 1)
     cost[-1] = 1.0
@@ -172,7 +167,7 @@ def _nearest(model: ABCD, f: np.ndarray, S: np.ndarray) -> ABCD | None:
         return None
     if found["x"] is None:
         return None
-    CD = np.array(found["x"]).ravel()[len(pairs) : -1].reshape(m, n + m)
+    CD = np.array(found["x"]).ravel()[triangle:-1].reshape(m, n + m)
     C, D = CD[:, :n] / size, CD[:, n:]
     B = B * top * size[:, None]
     return model[0], B, C, D

@@ -32,7 +32,7 @@ import scipy
 from kc2spice.core.errors import SimulationError
 from kc2spice.linalg.exact import Solver
 from kc2spice.rom.linear import Norm
-from kc2spice.rom.pencil import Pencil, first_order, magnitudes, symmetric
+from kc2spice.rom.pencil import Pencil, magnitudes, symmetric
 from kc2spice.rom.response import (
     FLANK,
     FLOOR,
@@ -110,8 +110,8 @@ CUTS = 10.0 ** -np.arange(13, 6, -1)  # of the largest singular value: direction
 class Samples:
     """Exact answers of a first-order pencil and the models that they make."""
 
-    def __init__(self, pencil: Pencil, band: tuple[float, float]) -> None:
-        self.pencil, self.band = pencil, band
+    def __init__(self, pencil: Pencil) -> None:
+        self.pencil = pencil
         self.frequency = np.empty(0)
         self.H = np.empty((0, *pencil.D.shape), dtype=complex)
         n = pencil.size
@@ -160,17 +160,14 @@ class Samples:
         return relative_size(difference, H, np.abs(self.H).max(axis=0))
 
 
-def sampled(
-    pencil: Pencil, band: tuple[float, float], target: float, limit: float
-) -> tuple[Pencil, float, int]:
-    """A first-order model within ``target`` of the full one, or within ``limit``; its error, and at
-    how many frequencies that was checked.
+def _sampled(full: Pencil, band: tuple[float, float], target: float, limit: float) -> Subspace:
+    """An ill-conditioned first-order model by exact samples.
 
     Raises
     ------
     SimulationError : not even ``limit`` is met; a model free to move at zero frequency.
     """
-    known = Samples(first_order(pencil, 2 * np.pi * band[1]), band)
+    known = Samples(full)
     every = grid(band, SAMPLED_CANDIDATES, True)
     for k in np.unique(np.linspace(0, len(every) - 2, FIRST).astype(int)):
         known.add(float(every[k]))
@@ -201,7 +198,11 @@ def sampled(
             limit,
             "ask for a looser tolerance or a narrower band",
         )
-    return model, max(recent), len(known.frequency)
+    proof = f"checked against the full model at {len(known.frequency)} frequencies with refined "
+    at, ratio = Response(model).within(band)
+    at = at * (1 + FLANK * (ratio < SHARPEST)) if at.size else np.array(band)
+    proof += "solutions" + _told(at, uncertainty(full, at), 2 * limit)
+    return Subspace(model, max(recent), True, proof)
 
 
 def uncertainty(
@@ -366,15 +367,6 @@ def is_definite(pencil: Pencil, *, undamped_too: bool = False) -> bool:
 # ------------------------------------------------------------------------------ small models
 
 
-def _sampled(full: Pencil, band: tuple[float, float], target: float, limit: float) -> Subspace:
-    """An ill-conditioned first-order model by exact samples."""
-    pencil, error, count = sampled(full, band, target, limit)
-    proof = f"checked against the full model at {count} frequencies with refined solutions"
-    at, ratio = Response(pencil).within(band)
-    at = at * (1 + FLANK * (ratio < SHARPEST)) if at.size else np.array(band)
-    return Subspace(pencil, error, True, proof + _told(at, uncertainty(full, at), 2 * limit))
-
-
 def _told(at: np.ndarray, size: np.ndarray, tolerance: float) -> str:
     """What the last digits of a given model mean for its response, for the certificate; said as a
     warning too where that is more than the tolerance."""
@@ -406,7 +398,7 @@ def _whole(
         full, projected = congruent(given, V, full.free)
     response = Response(full)
     if not response.decoupled and (
-        full.degree * full.size > most or (full.size > DIRECT and not response.quick)
+        full.degree * full.size > most or (full.size > DIRECT and not response.diagonal)
     ):
         return None
     error = _solution_error(response, band)
