@@ -40,7 +40,7 @@ from kc2spice.core.gmsh_session import gmsh_session
 from kc2spice.core.magnets import EMTable
 from kc2spice.core.quantities import MU_0
 from kc2spice.fem.magnet_keys import Catch, Ring
-from kc2spice.linalg.factor import Cholesky, Factor
+from kc2spice.linalg.factor import Factor, supernodal
 
 RING, SPHERE, LOWER, UPPER = range(4)  # columns of loads and of the fields that they make
 # Mesh sizes at refine = 1 as fractions of the sphere's radius, and growth per distance. They put
@@ -123,7 +123,7 @@ class System:
         a, matrix = np.zeros(loads.shape), self.matrix
         norm = float(sparse.linalg.norm(matrix, 1))
         # Minimum degree: an order by nested dissection would cost more than these factors.
-        factor = Factor(matrix, norm, Cholesky(matrix, None).solve)
+        factor = Factor(matrix, norm, supernodal(matrix))
         a[self.free] = factor.solve(loads[self.free])
         return a
 

@@ -131,35 +131,32 @@ class Factor:
         return float(np.abs(residual).max(initial=0.0) / scale) if scale else 0.0
 
 
-class Cholesky:
-    """``A[p][:, p] = L L'`` of a real matrix by CHOLMOD in cvxopt, supernodal, in the order ``p``,
-    None for that of minimum degree.
+def supernodal(matrix: scipy.sparse.csc_array, order: np.ndarray | None = None) -> Inverse:
+    """Solutions with ``A[p][:, p] = L L'`` of a real matrix by CHOLMOD in cvxopt, in the order
+    ``p``, None for that of minimum degree.
 
     Raises
     ------
     RuntimeError : not positive definite.
     """
+    import cvxopt.cholmod  # one of three solvers: loaded where it is chosen
 
-    def __init__(self, matrix: scipy.sparse.csc_array, order: np.ndarray | None) -> None:
-        import cvxopt.cholmod  # one of three solvers: loaded where it is chosen
+    lower = scipy.sparse.coo_array(scipy.sparse.tril(matrix))
+    places = lower.row.astype(np.int64), lower.col.astype(np.int64)
+    entries = cvxopt.spmatrix(lower.data, *places, matrix.shape)
+    chosen = {} if order is None else {"p": cvxopt.matrix(order.astype(np.int64))}
+    factor = cvxopt.cholmod.symbolic(entries, uplo="L", **chosen)
+    try:
+        cvxopt.cholmod.numeric(entries, factor)
+    except ArithmeticError:
+        raise RuntimeError("not positive definite") from None
 
-        self._library = cvxopt
-        lower = scipy.sparse.coo_array(scipy.sparse.tril(matrix))
-        entries = cvxopt.spmatrix(
-            lower.data, lower.row.astype(np.int64), lower.col.astype(np.int64), matrix.shape
-        )
-        chosen = {} if order is None else {"p": cvxopt.matrix(order.astype(np.int64))}
-        self._factor = cvxopt.cholmod.symbolic(entries, uplo="L", **chosen)
-        try:
-            cvxopt.cholmod.numeric(entries, self._factor)
-        except ArithmeticError:
-            raise RuntimeError("not positive definite") from None
-
-    def solve(self, rhs: np.ndarray) -> np.ndarray:
-        """Solution (n,) or (n, k)."""
-        x = self._library.matrix(np.asarray(rhs, dtype=float).reshape(len(rhs), -1))
-        self._library.cholmod.solve(self._factor, x)
+    def solve(rhs: np.ndarray) -> np.ndarray:
+        x = cvxopt.matrix(np.asarray(rhs, dtype=float).reshape(len(rhs), -1))
+        cvxopt.cholmod.solve(factor, x)
         return np.array(x).reshape(rhs.shape)
+
+    return solve
 
 
 def factorise(matrix: scipy.sparse.csc_array, *, definite: bool) -> Factor:
@@ -179,7 +176,7 @@ def factorise(matrix: scipy.sparse.csc_array, *, definite: bool) -> Factor:
     bandwidth = int(np.abs(coo.row - coo.col).max(initial=0))
     try:
         narrow = bandwidth <= NARROW
-        apply = _banded(coo, bandwidth) if narrow else Cholesky(matrix, _order(matrix)).solve
+        apply = _banded(coo, bandwidth) if narrow else supernodal(matrix, _order(matrix))
     except (np.linalg.LinAlgError, RuntimeError) as error:
         raise SimulationError(
             "matrix cannot be factorised",
@@ -207,7 +204,7 @@ def two_sided(matrix: scipy.sparse.csc_array, *, symmetric: bool) -> tuple[Facto
     reason: Exception | None = None
     for without_pivoting in (True, False) if symmetric else (False,):
         try:
-            apply, transposed = inverses(matrix, symmetric=without_pivoting)
+            apply, transposed = _inverses(matrix, without_pivoting)
             forward = Factor(matrix, _norm(matrix), apply)
             forward.solve(trial)
             return forward, Factor(scipy.sparse.csc_array(matrix.T), forward.norm, transposed)
@@ -229,18 +226,10 @@ def _banded(coo: scipy.sparse.coo_array, bandwidth: int) -> Inverse:
     return lambda rhs: scipy.linalg.cho_solve_banded((factor, True), rhs, check_finite=False)
 
 
-def inverses(matrix: scipy.sparse.csc_array, *, symmetric: bool) -> tuple[Inverse, Inverse]:
-    """Solutions with the matrix and with its transpose, real or complex.
-
-    ``symmetric`` skips pivoting for size: least fill, but only as accurate as a residual shows.
-
-    Raises
-    ------
-    RuntimeError : singular.
-    """
+def _inverses(matrix: scipy.sparse.csc_array, symmetric: bool) -> tuple[Inverse, Inverse]:
+    """Solutions with the matrix and with its transpose; ``symmetric`` skips pivoting for size."""
     from scipy.sparse.linalg import splu
 
-    matrix = scipy.sparse.csc_array(matrix)
     order = _order(matrix) if symmetric else None
     lu = splu(
         matrix if order is None else scipy.sparse.csc_array(matrix[order][:, order]),

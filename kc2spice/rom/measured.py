@@ -115,20 +115,12 @@ def one_port(f: np.ndarray, Y: np.ndarray, noise: float) -> tuple[LinearModel | 
         "and below the band the circuit is a capacitor, at rest an open one"
     )
     certificate = Certificate((float(f[0]), float(f[-1])), error, told, True, True)
-    return _resonators(basis, modes, x, certificate).linear(), rms
-
-
-def _resonators(
-    basis: _Basis, modes: np.ndarray, x: np.ndarray, certificate: Certificate
-) -> Resonators:
-    """Resonances first, then relaxations, which have no mass."""
-    count = len(basis.rates)
-    kept = x > SMALL * x.max()
+    count, kept = len(basis.rates), x > SMALL * x.max()
     moving, relaxing = np.flatnonzero(kept[1 + count :]), np.flatnonzero(kept[1 : 1 + count])
     order = moving[np.argsort(modes[moving, 0])]
     omega = np.r_[np.exp(modes[order, 0]), basis.rates[relaxing]]
     size = np.r_[x[1 + count :][order], x[1 : 1 + count][relaxing]]
-    return Resonators(
+    found = Resonators(
         omega=omega,
         damp=np.r_[np.exp(modes[order, 1]), basis.rates[relaxing]],
         gain=(np.sqrt(size) * omega)[:, None],
@@ -137,6 +129,7 @@ def _resonators(
         certificate=certificate,
         massless=len(relaxing),
     )
+    return found.linear(), rms
 
 
 def _rms(deviation: np.ndarray) -> float:

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cache
 from itertools import combinations_with_replacement, product
 from typing import Any
 
@@ -166,17 +167,22 @@ def parametric(
     UsageError : a model that is not symmetric, of second order and with collocated ports, or whose
         number of unknowns changes within the box.
     """
-    full = _once(full)
+    asked = cache(lambda key: full(dict(key)))
+
+    def once(values: Values) -> LinearModel:
+        """The full model, which is asked for once."""
+        return asked(tuple(sorted(values.items())))
+
     middle = {axis.name: axis.middle for axis in axes}
-    frame = _required(full(middle), None)
-    losses = tuple(found for axis in axes if (found := _loss(full, axis, middle, frame)))
+    frame = _required(once(middle), None)
+    losses = tuple(found for axis in axes if (found := _loss(once, axis, middle, frame)))
     own = tuple(axis for axis in axes if axis not in [loss.axis for loss in losses])
     exponents, points = _design(len(own), DEGREES.get(len(own), 2) if degree is None else degree)
     models = []
     for number, x in enumerate(points):
         progress(number + 1, len(points))
         values = {axis.name: axis.value(v) for axis, v in zip(own, x, strict=True)}
-        models.append(_required(full(middle | values), frame))
+        models.append(_required(once(middle | values), frame))
     V = _independent([_answers(model.pencil, band) for model in models], frame.M)
     pencils = [model.pencil.project(V) for model in models]
     rows = {
@@ -230,19 +236,6 @@ def natural_modes(
         if w2[order[-1]] >= top**2 or 2 * count >= n:
             return w2[order], V[:, order]
         count *= 2
-
-
-def _once(full: Full) -> Full:
-    """``full``, asked once for the same values."""
-    known: dict[tuple[float, ...], LinearModel] = {}
-
-    def remembered(values: Values) -> LinearModel:
-        key = tuple(values[name] for name in sorted(values))
-        if key not in known:
-            known[key] = full(values)
-        return known[key]
-
-    return remembered
 
 
 def _required(model: LinearModel, frame: LinearModel | None) -> LinearModel:

@@ -406,24 +406,17 @@ class Pencil:
 
     def poles(self, omega: float | None = None) -> np.ndarray:
         """Finite poles [1/s] by dense eigenvalues; ``omega`` is a frequency that matters."""
-        q, one = self.size, np.eye(self.size)
         full = self.coefficients if self.is_dense else self.dense().coefficients
         sizes = [largest(P) for P in full]
         if omega is None:
             tops = sizes[0] / sizes[-1] if sizes[0] and sizes[-1] else 1.0
             omega = float(tops ** (1 / self.degree))
-        P = [omega**k * each for k, each in enumerate(full)]
-        if sizes[-1] and np.linalg.cond(P[-1]) < REGULAR:
-            inner = np.linalg.solve(P[-1], np.hstack(P[:-1]))
-            if self.degree == 2:
-                inner = np.block([[np.zeros((q, q)), -one], [inner]])
-            return np.asarray(-omega * np.linalg.eigvals(inner))
-        scale = 1 / max([largest(each) for each in P] + [np.finfo(float).tiny])
-        if self.degree == 1:
-            values = scipy.linalg.eigvals(-scale * P[0], scale * P[1])
-        else:
-            left = np.block([[np.zeros((q, q)), one], [-scale * P[0], -scale * P[1]]])
-            values = scipy.linalg.eigvals(left, np.block([[one, 0 * one], [0 * one, scale * P[2]]]))
+        scale = 1 / max([omega**k * size for k, size in enumerate(sizes)] + [np.finfo(float).tiny])
+        parts = tuple(scale * omega**k * P for k, P in enumerate(full))
+        rest, inertia = first_order(Pencil(parts, self.B, self.C, self.D), 1.0).coefficients
+        if sizes[-1] and np.linalg.cond(parts[-1]) < REGULAR:
+            return np.asarray(-omega * np.linalg.eigvals(np.linalg.solve(inertia, rest)))
+        values = scipy.linalg.eigvals(-rest, inertia)
         return np.asarray(omega * values[np.isfinite(values) & (np.abs(values) < INFINITE)])
 
 

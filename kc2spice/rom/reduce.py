@@ -18,7 +18,7 @@ the subspace model's own error in the full model.
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import get_args
@@ -44,7 +44,6 @@ from kc2spice.rom.response import (
     inexact,
     leading_transfers,
     relative_error,
-    telling,
 )
 from kc2spice.rom.structure import FORM, Structure, structure
 from kc2spice.rom.subspace import Subspace, block_arnoldi, is_definite, subspace
@@ -226,9 +225,16 @@ def reduce(
             )
     if space is None:
         assert order is not None
-        found = _krylov(model, pencil, band, order, norm)
+        found = subspace_model(model, _krylov(pencil, order), band, norm).model(order)
     else:
-        found = _reduced(model, pencil, space, band, tolerance, order, norm, contact)
+        plain, both = subspace_model(model, space, band, norm), (False, True)
+        sides = both[:1] if pencil.symmetric and pencil.collocated else both
+        congruences = (ordered(plain, two_sided, tolerance) for two_sided in sides)
+        if order is not None:
+            found = _of_order(list(congruences), order)
+        else:
+            assert tolerance is not None
+            found = _within(plain, congruences, tolerance, contact)
     certificate = found.certificate
     assert certificate is not None
     both = (full.stable, certificate.stable)
@@ -242,72 +248,52 @@ def reduce(
     return replace(found, certificate=known)
 
 
-def _reduced(
-    model: LinearModel,
-    pencil: Pencil,
-    space: Subspace,
-    band: tuple[float, float],
-    tolerance: float | None,
-    order: int | None,
-    norm: Norm,
-    contact: bool,
+def _of_order(found: list[Reduction], order: int) -> LinearModel:
+    """The best model of an order."""
+    most = max(each.size for each in found)
+    if order > most:
+        expected = f"1 to {most}"
+        raise UsageError("no model of this order", where="--order", got=order, expected=expected)
+    fitting = (each for each in found if order <= each.size)
+    return min(fitting, key=lambda each: each.error(order)).model(order)
+
+
+def _within(
+    plain: Reduction, congruences: Iterable[Reduction], tolerance: float, contact: bool
 ) -> LinearModel:
-    signals, plain = default_norm(model) == "peak", subspace_model(model, space, band, norm)
-
-    def congruences() -> list[Reduction]:
-        both = not (pencil.symmetric and pencil.collocated)
-        return [ordered(plain, two_sided, tolerance) for two_sided in (False, True)[: 1 + both]]
-
-    if order is None:
-        assert tolerance is not None
-        within = tolerance - space.floor  # what rounding leaves, where that leaves most of it
-        within = within if within > 0.5 * tolerance else tolerance
-        tail = None if contact else (_tail(model, tolerance),)
-        chosen, least = _fewest(plain, congruences, signals, within, tail)
-        if not contact:
-            chosen, least = refitted(chosen, least, within)
-        if space.floor > tolerance:
-            warnings.warn(
-                f"the full model itself is only good to {space.floor:.1e}: so far rounding of its "
-                "entries moves its response; other units or fewer elements may condition it better",
-                stacklevel=2,
-            )
-        result = chosen.model(least)
-        estimate = result.certificate.error_estimate  # type: ignore[union-attr]
-        if space.floor <= tolerance < estimate:
-            warnings.warn(
-                f"the reduced model is certified to {estimate:.2g} only, {tolerance:g} was asked "
-                f"for: rounding of the full model's entries alone moves its response by "
-                f"{space.floor:.1e}",
-                stacklevel=2,
-            )
-        return result
-    found = congruences()
-    if order > max(each.size for each in found):
-        raise UsageError(
-            "no model of this order",
-            where="--order",
-            got=order,
-            expected=f"1 to {max(each.size for each in found)}",
+    """The smallest model within a tolerance."""
+    floor = plain.space.floor
+    within = tolerance - floor  # what rounding leaves, where that leaves most of it
+    within = within if within > 0.5 * tolerance else tolerance
+    chosen, least = _fewest(plain, congruences, within, contact)
+    if not contact:
+        chosen, least = refitted(chosen, least, within)
+    if floor > tolerance:
+        warnings.warn(
+            f"the full model itself is only good to {floor:.1e}: so far rounding of its "
+            "entries moves its response; other units or fewer elements may condition it better",
+            stacklevel=3,
         )
-    return min((each for each in found if order <= each.size), key=lambda r: r.error(order)).model(
-        order
-    )
+    result = chosen.model(least)
+    estimate = result.certificate.error_estimate  # type: ignore[union-attr]
+    if floor <= tolerance < estimate:
+        warnings.warn(
+            f"the reduced model is certified to {estimate:.2g} only, {tolerance:g} was asked "
+            f"for: rounding of the full model's entries alone moves its response by {floor:.1e}",
+            stacklevel=3,
+        )
+    return result
 
 
 def _fewest(
-    plain: Reduction,
-    congruences: Callable[[], list[Reduction]],
-    signals: bool,
-    tolerance: float,
-    tail: tuple[float | None] | None,
+    plain: Reduction, congruences: Iterable[Reduction], tolerance: float, contact: bool
 ) -> tuple[Reduction, int]:
     """A congruence, or the balanced model of the ``plain`` one that needs fewer states where all
-    ports are ``signals`` and no passive resonators would be lost.
+    ports are signals and no passive resonators would be lost.
 
-    Directions of a congruence are turned to save more, unless ``tail`` is None.
+    Directions of a congruence are turned to save more, unless it is for ``contact``.
     """
-    free, share = None, 1.0
+    free, share, signals = None, 1.0, default_norm(plain.full) == "peak"
     form = plain.pencil.degree == 2 and structure(plain.pencil, plain.judge.band)
     if form and form.proof == FORM:
         share = FORM_SHARE
@@ -315,9 +301,9 @@ def _fewest(
         free = balanced(plain, plain.states(plain.size) + 1, tolerance)
     if free is not None and not form:  # nothing that a congruence would keep
         return replace(free[0], origin=f"{free[0].origin}; "), free[1]
-    found = congruences()
+    found = list(congruences)
     if free is None:
-        search = Reduction.smallest if tail is None else Reduction.fewest
+        search = Reduction.smallest if contact else Reduction.fewest
         orders = [search(each, tolerance) or each.smallest(tolerance) for each in found]
         best = int(np.argmin(orders))
         kept, order = found[best], orders[best]
@@ -330,8 +316,8 @@ def _fewest(
             return replace(free[0], origin=text), free[1]
         order, k = min(few)
         kept = found[k]
-    if tail is not None:
-        kept, order = tightened(kept, order, tolerance, tail[0])
+    if not contact:
+        kept, order = tightened(kept, order, tolerance)
         order = kept.fewest(tolerance, kept.states(order)) or order
     states = kept.states(order)
     if free is None and (signals or kept.states(kept.pencil.size) <= CHEAP):
@@ -342,9 +328,7 @@ def _fewest(
     return kept, order
 
 
-def tightened(
-    found: Reduction, order: int, tolerance: float, tail: float | None
-) -> tuple[Reduction, int]:
+def tightened(found: Reduction, order: int, tolerance: float) -> tuple[Reduction, int]:
     """Other directions of which fewer than ``order`` meet the tolerance, as long as there are any.
 
     Snapshots weigh more where the error of one state fewer is largest (Lawson's minimax fit), and
@@ -357,7 +341,7 @@ def tightened(
     response = Response(held)
     static = found.space.static and not held.free
     judge = found.judge
-    inside, far = _snapshots(response, judge.band, static, tail)
+    inside, far = _snapshots(response, judge.band, static, _tail(found.full, tolerance))
     s = 2j * np.pi * np.r_[inside, far[0]]
     H, count = judge.exact.transfer(s), inside.size
     floor = judge.reference[1] * (1.0 if judge.norm == "peak" else FLOOR)
@@ -432,22 +416,13 @@ def default_norm(model: LinearModel) -> Norm:
     return "pointwise" if any(port.conservative for port in model.ports) else "peak"
 
 
-def _krylov(
-    model: LinearModel, pencil: Pencil, band: tuple[float, float], order: int, norm: Norm
-) -> LinearModel:
-    """The paper's model of ``order`` states, certified against one that is two blocks richer."""
+def _krylov(pencil: Pencil, order: int) -> Subspace:
+    """The paper's model of ``order`` states and two blocks more, by which it is certified."""
     K, _, M = pencil.coefficients
     solve = pencil.pencil_solver(0.0).solve
     richer = order + 2 * pencil.B.shape[1]
     V = block_arnoldi(lambda v: K @ v, solve, lambda v: M @ v, pencil.B, richer)
-    large = pencil.project(V)
-    reduced = large.leading(order)
-    reference = Response(large)
-    frequency = telling(reference, band, True, norm)
-    error = SAFETY * Judge(reference, frequency, band, norm=norm).error(Response(reduced))
-    method = f"difference to {large.size} states at resonances, flanks and notches"
-    form = structure(reduced, band)
-    return _certified(model, reduced, reference, band, error, method, form, norm)
+    return Subspace(pencil.project(V), 0.0, True, "")
 
 
 @dataclass(frozen=True)
@@ -568,53 +543,39 @@ class Reduction:
 
     def model(self, order: int) -> LinearModel:
         """The reduced model with its certificate."""
-        found = self.structure(order)
-        count = self.space.pencil.size
-        method = f"{self.origin}difference to {count} states at resonances, flanks and notches; "
-        method += f"those {self.space.proof}; stability from {found.proof}"
+        found, judge, model = self.structure(order), self.judge, self.full
+        response, error = self.leading(order), self.error(order) + self.space.floor
+        count, parts = self.space.pencil.size, response.pencil.coefficients
+        method = f"{self.origin}difference to {count} states at resonances, flanks and notches"
+        if self.space.proof:
+            method += f"; those {self.space.proof}; stability from {found.proof}"
         if not self.space.static or self.space.pencil.free:
             method += "; free to move at zero frequency"
-        reduced, error = self.pencil.leading(order), self.error(order) + self.space.floor
-        more = error, method, found, self.judge.norm
-        return _certified(self.full, reduced, self.judge.exact, self.judge.band, *more)
-
-
-def _certified(
-    model: LinearModel,
-    reduced: Pencil,
-    larger: Response,
-    band: tuple[float, float],
-    error: float,
-    method: str,
-    found: Structure,
-    norm: Norm,
-) -> LinearModel:
-    above = above_band(model.ports, larger, Response(reduced), band)
-    ratio = larger.within(band)[1].min(initial=1.0)
-    if ratio < SHARPEST:
-        method += f"; beside resonances, by {FLANK:g}, of a damping ratio below {SHARPEST:g}"
-    if not np.isfinite(error):
-        raise SimulationError(
-            "the reduced model has a state that nothing holds, slows or carries",
-            where=model.name,
-            got="sizes that double precision cannot tell from zero",
-            hint="another order or a tolerance; units in which its entries are closer in size",
+        ratio = judge.exact.within(judge.band)[1].min(initial=1.0)
+        if ratio < SHARPEST:
+            method += f"; beside resonances, by {FLANK:g}, of a damping ratio below {SHARPEST:g}"
+        if not np.isfinite(error):
+            raise SimulationError(
+                "the reduced model has a state that nothing holds, slows or carries",
+                where=model.name,
+                got="sizes that double precision cannot tell from zero",
+                hint="another order or a tolerance; units in which its entries are closer in size",
+            )
+        rounding = max(ROUNDING, DIGITS * float(np.finfo(float).eps) / max(ratio, SHARPEST))
+        above = above_band(model.ports, judge.exact, response, judge.band)
+        certificate = Certificate(
+            judge.band, max(error, rounding), method, found.stable, found.passive, above, judge.norm
         )
-    rounding = max(ROUNDING, DIGITS * float(np.finfo(float).eps) / max(ratio, SHARPEST))
-    certificate = Certificate(
-        band, max(error, rounding), method, found.stable, found.passive, above, norm
-    )
-    parts = reduced.coefficients
-    letters = dict(zip("KEM", parts, strict=True)) if parts[2:] else {"A": -parts[0], "E": parts[1]}
-    result = LinearModel(
-        **letters,
-        **{letter: getattr(reduced, letter) for letter in "BCD"},
-        **{key: getattr(model, key) for key in ("ports", "facts", "name")},
-        certificate=certificate,
-        band=band,
-    )
-    result.state_space()  # refuses what no netlist can hold before it is certified
-    return result
+        first = {"A": -parts[0], "E": parts[1]}
+        result = LinearModel(
+            **(first if parts[2:] == () else dict(zip("KEM", parts, strict=True))),
+            **{letter: getattr(response.pencil, letter) for letter in "BCD"},
+            **{key: getattr(model, key) for key in ("ports", "facts", "name")},
+            certificate=certificate,
+            band=judge.band,
+        )
+        result.state_space()  # refuses what no netlist can hold before it is certified
+        return result
 
 
 def balanced(like: Reduction, states: int, tolerance: float) -> tuple[Reduction, int] | None:
@@ -622,7 +583,7 @@ def balanced(like: Reduction, states: int, tolerance: float) -> tuple[Reduction,
     the band, if that has fewer than so many ``states``; None where it has not, or the model is free
     to move or too large."""
     judge, free = like.judge, like.judge.exact.pencil.free
-    core, top = judge.exact.held.pencil, judge.band[1]
+    core, top = judge.exact.core, judge.band[1]
     if not like.space.static or core.free or like.states(judge.exact.pencil.size) > BALANCED:
         return None
     model = Response(blocks.standard(core, top))
@@ -667,11 +628,11 @@ def ordered(plain: Reduction, two_sided: bool, tolerance: float | None) -> Reduc
     """Order the directions of the ``plain`` subspace by what they contribute to the response."""
     model, space, band, norm = plain.full, plain.space, plain.judge.band, plain.judge.norm
     whole = space.response
-    core, omega = whole.held, 2 * np.pi * band[1]
-    free = core.pencil.free  # motions that damping couples to the others are kept as they are
-    energy = _energy_basis(core.pencil.held, omega, static=space.static)
+    core, omega = whole.core, 2 * np.pi * band[1]
+    free = core.free  # motions that damping couples to the others are kept as they are
+    energy = _energy_basis(core.held, omega, static=space.static)
     basis = block_diag(np.eye(free), energy)
-    response = Response(core.pencil.project(basis))
+    response = Response(core.project(basis))
     pencil = response.pencil
     static = space.static and not space.pencil.free
     conservative = any(p.kind in ("mechanical", "rotational") for p in model.ports)
@@ -692,7 +653,7 @@ def ordered(plain: Reduction, two_sided: bool, tolerance: float | None) -> Reduc
     directions = _directions(np.hstack(sets)[free:], first)
     pencil = pencil.project(block_diag(np.eye(free), directions))
     pencil = replace(pencil, free=free)
-    if core is not whole:
+    if core is not whole.pencil:
         pencil = pencil.beside(whole.pencil.leading(whole.pencil.free))
     kept = pencil.free + (first.shape[1] if conservative else 0)
     return replace(plain, pencil=pencil, first=kept)

@@ -46,32 +46,26 @@ class Response:
 
     ``modes`` is None, or ``(T, L, diagonals)``: ``x = T diag(1 / sum_k s^k diagonals_k) L B``.
     ``decoupled`` says that T is a real congruence (``L = T'``). A free motion that is detached is
-    solved apart, and all this is that of ``held``, the others' response; else that is this one.
+    solved apart, and all this is that of the ``core``, the others; else that is the whole pencil.
     """
 
     def __init__(self, pencil: Pencil, modes: Modes | None = None) -> None:
         self.pencil = pencil
-        self.held: Response = self
-        self.decoupled: bool
-        if pencil.detached:
-            self.held = Response(pencil.held)
-            self.decoupled = self.held.decoupled
-            return
-        self._known = modes or _decoupled(pencil)
+        self.core = pencil.held if pencil.detached else pencil
+        self._free = pencil.leading(pencil.free) if pencil.detached else None
+        self._known = modes or _decoupled(self.core)
         self.decoupled = modes is None and self._known is not None
 
     @cached_property
     def modes(self) -> Modes | None:
         """See above; eigenvectors are computed when they are asked for."""
-        if self.held is not self:
-            return self.held.modes
-        pays = FEW < self.pencil.size <= MANY / self.pencil.degree
-        return self._known or (_eigenvectors(self.pencil) if pays else None)
+        pays = FEW < self.core.size <= MANY / self.core.degree
+        return self._known or (_eigenvectors(self.core) if pays else None)
 
     @cached_property
     def dual(self) -> Response:
         """That of the transposed pencil, in the same coordinates."""
-        if self.modes is None or self.held is not self:
+        if self.modes is None or self._free:
             return Response(self.pencil.transposed())
         T, L, diagonals = self.modes
         return Response(self.pencil.transposed(), (L.T, T.T, diagonals))
@@ -79,31 +73,29 @@ class Response:
     @property
     def diagonal(self) -> bool:
         """Whether there are such coordinates, or so few unknowns that none are needed."""
-        return self.modes is not None or self.held.pencil.size <= FEW
+        return self.modes is not None or self.core.size <= FEW
 
     def states(self, s: np.ndarray) -> np.ndarray:
         """``P(s)^-1 B`` (len(s), n, m) in the pencil's own coordinates."""
-        if self.held is not self:
-            free = self.pencil.leading(self.pencil.free)
-            return np.concatenate([free.states(s), self.held.states(s)], axis=1)
         if self.modes is None:
-            return self.pencil.states(s)
-        T, L, _ = self.modes
-        parts = self._gains(s).T[:, :, None] * (L @ self.pencil.B)[:, None, :]
-        found = T @ parts.reshape(len(parts), -1)  # one product: many small ones take longer
-        return np.asarray(found.reshape(-1, *parts.shape[1:]).swapaxes(0, 1))
+            x = self.core.states(s)
+        else:
+            T, L, _ = self.modes
+            parts = self._gains(s).T[:, :, None] * (L @ self.core.B)[:, None, :]
+            found = T @ parts.reshape(len(parts), -1)  # one product: many small ones take longer
+            x = found.reshape(-1, *parts.shape[1:]).swapaxes(0, 1)
+        return np.concatenate([self._free.states(s), x], axis=1) if self._free else x
 
     def transfer(self, s: np.ndarray) -> np.ndarray:
         """``C P(s)^-1 B + D`` (len(s), outputs, inputs)."""
-        if self.held is not self:
-            free = self.pencil.leading(self.pencil.free)
-            return self.held.transfer(s) + free.C @ free.states(s)
         if self.modes is None:
-            return self.pencil.transfer(s)
-        T, L, _ = self.modes
-        residues = (self.pencil.C @ T).T[:, :, None] * (L @ self.pencil.B)[:, None, :]
-        found = self._gains(s) @ residues.reshape(len(residues), -1)
-        return np.asarray(found.reshape(-1, *self.pencil.D.shape) + self.pencil.D)
+            H = self.core.transfer(s)
+        else:
+            T, L, _ = self.modes
+            residues = (self.core.C @ T).T[:, :, None] * (L @ self.core.B)[:, None, :]
+            found = self._gains(s) @ residues.reshape(len(residues), -1)
+            H = found.reshape(-1, *self.core.D.shape) + self.core.D
+        return H + self._free.C @ self._free.states(s) if self._free else H
 
     def cancelled(self, s: np.ndarray) -> np.ndarray:
         """(outputs, inputs) whether an entry is zero at all ``s`` but for rounding of its terms."""
@@ -132,17 +124,17 @@ class Response:
     @cached_property
     def poles(self) -> np.ndarray:
         """Finite poles [1/s] of a model whose modes are coupled."""
-        if self.held is not self:
-            return np.r_[self.pencil.leading(self.pencil.free).poles(), self.held.poles]
-        return self.pencil.poles() if self.modes is None else _finite_poles(*self.modes[2])
+        return np.r_[self._free.poles(), self._poles] if self._free else self._poles
+
+    @cached_property
+    def _poles(self) -> np.ndarray:
+        return self.core.poles() if self.modes is None else _finite_poles(*self.modes[2])
 
     @cached_property
     def resonances(self) -> tuple[np.ndarray, np.ndarray]:
         """Frequency [Hz] and damping ratio of the oscillating poles."""
-        if self.held is not self:
-            return self.held.resonances
-        if not self.decoupled or self.pencil.degree == 1:
-            found = np.empty(0) if self.decoupled else self.poles
+        if not self.decoupled or self.core.degree == 1:
+            found = np.empty(0) if self.decoupled else self._poles
             found = found[found.imag > 0]
             return found.imag / (2 * np.pi), np.abs(found.real) / np.abs(found)
         assert self.modes is not None
