@@ -217,15 +217,8 @@ def by_gramians(model: Pencil, rows: np.ndarray, columns: np.ndarray) -> Pencil 
     T = -model.coefficients[0]
     if np.linalg.eigvals(T).real.max() > -STRICT:
         return None
-    loads = (model.B / columns, "N", "T"), ((model.C / rows[:, None]).T, "T", "N")
-    reached, seen = (_root(_lyapunov(T, Q, *ways)) for Q, *ways in loads)
-    return _balanced(model, reached, seen)
-
-
-def _lyapunov(T: np.ndarray, Q: np.ndarray, way: str, other: str) -> np.ndarray:
-    """X of ``T X + X T' = -Q Q'``, or with T transposed."""
-    X, scale, _ = lapack.dtrsyl(T, T, -Q @ Q.T, trana=way, tranb=other)
-    return np.asarray(X / scale)
+    reached = _gramian_root(T, model.B / columns, "N", "T")
+    return _balanced(model, reached, _gramian_root(T, (model.C / rows[:, None]).T, "T", "N"))
 
 
 def by_samples(model: Response, s: np.ndarray, inputs: np.ndarray, outputs: np.ndarray) -> Pencil:
@@ -261,9 +254,11 @@ def _balanced(model: Pencil, reached: np.ndarray, seen: np.ndarray) -> Pencil:
     return explicit(-W.T @ model.coefficients[0] @ T, W.T @ model.B, model.C @ T, model.D)
 
 
-def _root(gramian: np.ndarray) -> np.ndarray:
-    """R with ``R R' = gramian``, which rounding may leave slightly indefinite."""
-    values, vectors = np.linalg.eigh(0.5 * (gramian + gramian.T))
+def _gramian_root(T: np.ndarray, Q: np.ndarray, way: str, other: str) -> np.ndarray:
+    """R with ``X = R R'``, ``T X + X T' = -Q Q'``, or with T transposed; rounding may leave X
+    slightly indefinite."""
+    X, scale, _ = lapack.dtrsyl(T, T, -Q @ Q.T, trana=way, tranb=other)
+    values, vectors = np.linalg.eigh(0.5 / scale * (X + X.T))
     return vectors * np.sqrt(np.maximum(values, 0.0))
 
 

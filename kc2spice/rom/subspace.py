@@ -295,14 +295,7 @@ class Subspace:
 
     def points(self, band: tuple[float, float], norm: Norm = "pointwise") -> np.ndarray:
         """Frequencies [Hz] over the band at which its errors show."""
-        if (band, norm) not in self._points:
-            static = self.static and not self.pencil.free
-            self._points[band, norm] = telling(self.response, band, static, norm)
-        return self._points[band, norm]
-
-    @cached_property
-    def _points(self) -> dict[tuple[tuple[float, float], Norm], np.ndarray]:
-        return {}
+        return telling(self.response, band, self.static and not self.pencil.free, norm)
 
 
 def subspace(pencil: Pencil, band: tuple[float, float], target: float, limit: float) -> Subspace:
@@ -542,7 +535,8 @@ def _rational(
 ) -> Subspace:
     search = _Search(pencil, band)
     met, error, recent, idle = 0, np.inf, [np.inf], 0
-    search.add(2j * np.pi * band[1])
+    end = 2j * np.pi * band[1]
+    search.extend(end, *search.solve(end))
     while search.points < most and search.basis.shape[1] < STATES:
         error, grown = search.check(search.next_point())
         met = met + 1 if max(error, search.change) <= target else 0
@@ -621,16 +615,12 @@ class _Search:
         self.static = False
         self.static = self._add_static()
 
-    def add(self, s: complex) -> None:
-        """Add the answers at ``s``."""
-        self._extend(s, *self._solve(s))
-
     def check(self, s: complex) -> tuple[float, bool]:
         """Relative error of the present projection at ``s``, which then joins the basis.
 
         Also returns whether the basis grew.
         """
-        x, *others = self._solve(s)
+        x, *others = self.solve(s)
         true = self.pencil.C @ x + self.pencil.D
         points = self._candidates()
         grid_s = 2j * np.pi * points
@@ -638,7 +628,7 @@ class _Search:
         error = relative_size(self.response.transfer(np.array([s]))[0] - true, true, peak)
         error[self.response.cancelled(np.r_[grid_s, s])] = 0.0
         before = self.basis.shape[1]
-        self._extend(s, x, *others)
+        self.extend(s, x, *others)
         return float(error.max()), self.basis.shape[1] > before
 
     def next_point(self) -> complex:
@@ -668,16 +658,16 @@ class _Search:
         """Add the static answers if there are any; False for a model that is free to move."""
         b = self.pencil.B
         try:
-            answers = self._solve(0.0)
+            answers = self.solve(0.0)
         except SimulationError:
             return False
         residual = self.pencil.coefficients[0] @ answers[0] - b
         if np.linalg.norm(residual) > SINGULAR * np.linalg.norm(b):
             return False
-        self._extend(0.0, *answers)
+        self.extend(0.0, *answers)
         return True
 
-    def _solve(self, s: complex) -> tuple[np.ndarray, ...]:
+    def solve(self, s: complex) -> tuple[np.ndarray, ...]:
         """``x = P(s)^-1 B`` and ``-x'(s)``; where the output side differs, ``P(s)^-T C'`` too."""
         forward, backward = self.pencil.solver(s)
         self.points += 1
@@ -689,7 +679,8 @@ class _Search:
             answers += [y, backward.solve(dual.slope(s, y))]
         return tuple(answers)
 
-    def _extend(self, s: complex, *answers: np.ndarray) -> None:
+    def extend(self, s: complex, *answers: np.ndarray) -> None:
+        """Add ``answers`` at ``s`` to the basis."""
         self._used.append(s)
         new = np.column_stack([part for x in answers for part in real_parts(x)])
         fresh = _independent(self.basis, new)

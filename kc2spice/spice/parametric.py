@@ -7,7 +7,7 @@ subcircuit: in a run it costs what any other resonators cost.
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from itertools import chain
 
@@ -144,10 +144,21 @@ def _expressions(model: Varying, parameters: Sequence[Param]) -> Iterator[str]:
         if model.damped[k]:
             value = f"exp({polynomial(model.rayleigh[:, k])}){losses[k]}"
             yield f".param {word}={{{value}}}"
-    at = 0
-    for size in model.blocks:
-        yield from _block(model, at, size, polynomial)
-        at += size
+    lower, stiff = _nonzero(model)
+    ends = np.cumsum(model.blocks)
+    for at, end in zip(ends - model.blocks, ends, strict=True):
+        for i in range(at, end):
+            yield f".param l{i + 1}_{i + 1}={{exp({polynomial(model.diagonal[:, i])})}}"
+            for j in np.flatnonzero(lower[i, :i]):
+                yield f".param l{i + 1}_{j + 1}={{{polynomial(model.below[:, i, j])}}}"
+        for i in range(at, end):
+            for j in np.flatnonzero(stiff[i, : i + 1]):
+                both = np.flatnonzero(lower[i] & lower[j]) + 1
+                products = [f"l{i + 1}_{n}*l{j + 1}_{n}" for n in both]
+                yield f".param k{i + 1}_{j + 1}={{{'+'.join(products)}}}"
+        for i in range(at, end):
+            for k in np.flatnonzero(model.gain[:, i].any(axis=0)):
+                yield f".param g{i + 1}_{k + 1}={{{polynomial(model.gain[:, i, k])}}}"
     for k in range(len(model.electrical)):
         yield f".param f{k + 1}_{k + 1}={{exp({polynomial(model.capacitance[:, k])})}}"
         for n in range(k):
@@ -158,40 +169,10 @@ def _expressions(model: Varying, parameters: Sequence[Param]) -> Iterator[str]:
             yield f".param c{k + 1}_{n + 1}={{{'+'.join(products)}}}"
 
 
-def _block(
-    model: Varying, at: int, size: int, polynomial: Callable[[np.ndarray], str]
-) -> Iterator[str]:
-    """Stiffness and gains of a block."""
-    names = range(at + 1, at + size + 1)
-    for i in names:
-        yield f".param l{i}_{i}={{exp({polynomial(model.diagonal[:, i - 1])})}}"
-        for j in range(at + 1, i):
-            if model.below[:, i - 1, j - 1].any():
-                yield f".param l{i}_{j}={{{polynomial(model.below[:, i - 1, j - 1])}}}"
-    for i, j in _coupled(model, at, size):
-        if j <= i:
-            both = (n for n in range(at + 1, j + 1) if _has(model, i, n) and _has(model, j, n))
-            products = [f"l{i}_{n}*l{j}_{n}" for n in both]
-            yield f".param k{i}_{j}={{{'+'.join(products)}}}"
-    for i in names:
-        for k in range(len(model.ports)):
-            if model.gain[:, i - 1, k].any():
-                yield f".param g{i}_{k + 1}={{{polynomial(model.gain[:, i - 1, k])}}}"
-
-
-def _has(model: Varying, i: int, n: int) -> bool:
-    return i == n or bool(model.below[:, i - 1, n - 1].any())
-
-
-def _coupled(model: Varying, at: int, size: int) -> list[tuple[int, int]]:
-    """Pairs of states whose stiffness ``sum_n l_in l_jn`` is not zero."""
-    names = range(at + 1, at + size + 1)
-    return [
-        (i, j)
-        for i in names
-        for j in names
-        if any(_has(model, i, n) and _has(model, j, n) for n in range(at + 1, min(i, j) + 1))
-    ]
+def _nonzero(model: Varying) -> tuple[np.ndarray, np.ndarray]:
+    """(q, q) which entries of L, and of the stiffness ``L L'``, are not zero."""
+    lower = model.below.any(axis=0) | np.eye(model.order, dtype=bool)
+    return lower, lower @ lower.T
 
 
 def _cards(
@@ -229,19 +210,18 @@ def _cards(
         return replace(t, capacitance=_capacitance(n, n), through=shared)
 
     yield from conservative([wired(k, t) for k, t in enumerate(terminals)], base, watch.share)
-    at = 0
+    at, stiff = 0, _nonzero(model)[1]
     for size in model.blocks:
         names = range(at + 1, at + size + 1)
         hertz = ", ".join(f"{w:.6g}" for w in omega[at : at + size] / (2 * np.pi))
         yield f"\n* {'Mode' if size == 1 else 'Block'} of {hertz} Hz at the defaults"
-        coupled = _coupled(model, at, size)
         at += size
         for i in names:
             c, w, s = farad[i - 1], omega[i - 1], scale[i - 1]
             yield f"Cq{i} q{i} {base} {number(c)}"
             yield f"Cp{i} p{i} {base} {number(c)}"
             yield f"Gq{i} {base} q{i} p{i} {base} {number(c * w)}"
-            for j in (j for one, j in coupled if one == i):
+            for j in (np.flatnonzero(stiff[i - 1]) + 1).tolist():
                 k, push = f"k{max(i, j)}_{min(i, j)}", c / w * s / scale[j - 1]
                 yield f"Gp{i}_{j} p{i} {base} q{j} {base} {{{number(push)}*{k}}}"
                 lost = ["alpha"] * (model.damped[0] and i == j) + [f"beta*{k}"] * model.damped[1]

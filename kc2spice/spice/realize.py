@@ -529,13 +529,12 @@ def _resonators(
     A state without inertia is q alone, ``C q' = -G q + (G s / w^2) sum_k g_k u_k`` with
     ``C = G d / w^2``.
     """
-    kept = _observable(model)
-    order = np.lexsort((kept.omega, kept.inertia == 0.0))
-    omega, damp, gain = kept.omega[order], kept.damp[order], kept.gain[order]
-    heavy = np.arange(kept.order) < kept.order - kept.massless
+    order = _observable(model)
+    omega, damp, gain = model.omega[order], model.damp[order], model.gain[order]
+    heavy = model.inertia[order] > 0
     scale = scales(gain, terminals)[:, None]
-    numbers = range(1, kept.order + 1)
-    nothing = np.zeros((kept.order,) * 2)
+    numbers = range(1, len(order) + 1)
+    nothing = np.zeros((len(order),) * 2)
     turn = omega * heavy  # the others have no velocity, and no node for it
     drive = heavy[:, None] * scale * gain / (omega[:, None] * MICRO)
     states = _States(
@@ -554,7 +553,7 @@ def _resonators(
     about = _RESONATORS.format(full=watch.full, power=watch.power, silent=SILENT).split("\n")
     wired = _wired(terminals, states, rom.D, rom, base)
     body = conservative([replace(t, sums=()) if t.clamped else t for t in wired], base, watch.share)
-    for j in range(kept.order):
+    for j in range(len(order)):
         make = _mode if heavy[j] else _relaxation
         body += make(j + 1, omega[j], damp[j], farad[j], base)
         node = f"p{j + 1}" if heavy[j] else f"q{j + 1}"
@@ -619,20 +618,14 @@ def drives(
     return [t.driven(label(t), row, base) for t in ordered]
 
 
-def _observable(model: Resonators) -> Resonators:
-    """``model`` without modes that no port moves or observes: rounding makes them."""
+def _observable(model: Resonators) -> np.ndarray:
+    """Modes by their frequency, those without inertia last, without those that no port moves or
+    observes: rounding makes them."""
     share = np.abs(model.gain) / model.omega[:, None]
     share /= share.max(axis=0, initial=0.0, keepdims=True) + np.finfo(float).tiny
     kept = share.max(axis=1, initial=0.0) > SILENT
-    if kept.all() or not kept.any():
-        return model
-    return replace(
-        model,
-        omega=model.omega[kept],
-        damp=model.damp[kept],
-        gain=model.gain[kept],
-        massless=int(np.count_nonzero(kept & (model.inertia == 0.0))),
-    )
+    order = np.lexsort((model.omega, model.inertia == 0.0))
+    return order[kept[order]] if kept.any() else order
 
 
 # ------------------------------------------------------------------------------------- blocks
@@ -650,14 +643,8 @@ def _blocks(
     band = rom.certificate.band_hz if rom.certificate else rom.band
     farad = 1 / (2 * np.pi * (band[1] if band else 1.0))
     B, C = model.B.copy(), model.C.copy()
-    loops = model.loops or [
-        np.zeros((len(B), 0)),
-        np.zeros((0, len(B))),
-        B[:0],
-        C[:, :0],
-        B[:0, :0],
-    ]
-    F, P, Q, R, S = (each.copy() for each in loops)
+    none = np.zeros((len(B), 0)), np.zeros((0, len(B))), B[:0], C[:, :0], B[:0, :0]
+    F, P, Q, R, S = (each.copy() for each in model.loops or none)
     scaled, held, start = [], [], 0
     for block in model.blocks:
         rows = slice(start, start + len(block))
