@@ -292,9 +292,9 @@ class LinearModel:
     def __post_init__(self) -> None:
         put = object.__setattr__  # frozen: this is the constructor
         if self.M is self.A is None and self.E is not None and self.K is not None:
-            put(self, "A", negated(_square(self.K, "K", self.name))), put(self, "K", None)
+            put(self, "A", negated(_checked(self.K, "K", self.name))), put(self, "K", None)
         first = self.A is not None
-        if first == (self.K is not None) or first == (self.M is not None):
+        if first in (self.K is not None, self.M is not None) or self.B is None:
             got = "matrices " + ", ".join(k for k in "MEKA" if getattr(self, k) is not None)
             raise UsageError(
                 "is not a complete model",
@@ -304,20 +304,17 @@ class LinearModel:
                 "and as needed C, D, E",
             )
         for letter in "MEKA":
-            put(self, letter, _square(getattr(self, letter), letter, self.name))
+            put(self, letter, _checked(getattr(self, letter), letter, self.name))
         put(self, "rayleigh", _rayleigh(self.rayleigh, self.name))
         n = (self.A if first else self.K).shape[0]
-        B = _array(self.B, "B", self.name)
-        C = B.T.copy() if self.C is None else _array(self.C, "C", self.name)
+        B, C, D = (_checked(getattr(self, k), k, self.name, sparse=False) for k in "BCD")
+        C = B.T.copy() if C is None else C
         m, p = B.shape[1], C.shape[0]
-        D = np.zeros((p, m)) if self.D is None else _array(self.D, "D", self.name)
+        D = np.zeros((p, m)) if D is None else D
         put(self, "B", B), put(self, "C", C), put(self, "D", D)
         if self.E is None and self.rayleigh is None:
-            zero = (
-                scipy.sparse.csc_array((n, n))
-                if not first
-                else scipy.sparse.eye_array(n, format="csc")
-            )
+            one = scipy.sparse.eye_array(n, format="csc")
+            zero = one if first else scipy.sparse.csc_array((n, n))
             whole = self.A if first else self.K
             put(self, "E", zero.toarray() if isinstance(whole, np.ndarray) else zero)
         elif (self.E is not None and self.rayleigh is not None) or (first and self.rayleigh):
@@ -581,37 +578,19 @@ def _ports(ports: tuple[Port, ...], m: int, p: int, where: str) -> tuple[Port, .
     return ports
 
 
-def _square(matrix: Matrix, letter: str, where: str) -> Matrix:
+def _checked(matrix: Matrix, letter: str, where: str, *, sparse: bool = True) -> Matrix:
+    """The matrix in numbers, as an array unless it is ``sparse`` and may be; None as it is."""
     if matrix is None:
         return None
     if isinstance(matrix, Schur):
-        parts = (matrix.uu, matrix.up, matrix.pu, matrix.pp)
-        for part in parts:
-            _finite(part, letter, where)
+        for part in (matrix.uu, matrix.up, matrix.pu, matrix.pp):
+            _checked(part, letter, where)
         return matrix
-    if isinstance(matrix, np.ndarray) or not scipy.sparse.issparse(matrix):
-        return _array(matrix, letter, where)
-    _finite(matrix, letter, where)
-    return scipy.sparse.csc_array(matrix, dtype=float)
-
-
-def _array(values: Matrix, letter: str, where: str) -> np.ndarray:
-    full = isinstance(values, np.ndarray) or not scipy.sparse.issparse(values)  # asks scipy last
-    plain = np.asarray(values) if full else values.toarray()
-    _finite(plain, letter, where)
-    if plain.ndim != 2:
-        raise UsageError(
-            f"matrix {letter} has {plain.ndim} dimensions",
-            where=where,
-            expected="2 dimensions",
-            hint="rayleigh = (alpha, beta) damps by two numbers" if letter == "E" else None,
-        )
-    return np.ascontiguousarray(plain, dtype=float)
-
-
-def _finite(matrix: Matrix, letter: str, where: str) -> None:
-    dense = isinstance(matrix, np.ndarray) or not scipy.sparse.issparse(matrix)
-    data = matrix if dense else matrix.data
+    if not isinstance(matrix, np.ndarray):  # asks scipy last
+        kept = scipy.sparse.issparse(matrix)
+        matrix = matrix.toarray() if kept and not sparse else matrix if kept else np.asarray(matrix)
+    full = isinstance(matrix, np.ndarray)
+    data = matrix if full else matrix.data
     if data.dtype.kind not in "fiub" or not np.isfinite(data).all():
         raise UsageError(
             f"matrix {letter} cannot be used",
@@ -619,3 +598,13 @@ def _finite(matrix: Matrix, letter: str, where: str) -> None:
             got="complex numbers" if data.dtype.kind == "c" else f"{data.dtype}, NaN or infinity",
             expected="real, finite numbers",
         )
+    if matrix.ndim != 2:
+        raise UsageError(
+            f"matrix {letter} has {matrix.ndim} dimensions",
+            where=where,
+            expected="2 dimensions",
+            hint="rayleigh = (alpha, beta) damps by two numbers" if letter == "E" else None,
+        )
+    if full:
+        return np.ascontiguousarray(matrix, dtype=float)
+    return scipy.sparse.csc_array(matrix, dtype=float)
