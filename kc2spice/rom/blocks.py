@@ -114,7 +114,7 @@ def decoupled(
 ) -> tuple[tuple[np.ndarray, ...], np.ndarray, np.ndarray]:
     """``A = X diag(blocks) X^-1``; the forms of energy coordinates are kept exactly."""
     one = np.eye(len(A))
-    if _in_pairs(A):
+    if len(A) % 2 == 0 and not A[np.kron(np.eye(len(A) // 2), np.ones((2, 2))) == 0].any():
         return tuple(A[i : i + 2, i : i + 2] for i in range(0, len(A), 2)), one, one
     if largest(A - A.T) <= SAME * largest(A):
         values, X = eigh(0.5 * (A + A.T))
@@ -125,14 +125,6 @@ def decoupled(
         T[np.abs(T) <= SAME * largest(T)] = 0.0
         return tuple(T[i : i + k, i : i + k] for i, k in _blocks(T)), Z, Z.T
     return _clustered(T, Z, growth)
-
-
-def _in_pairs(A: np.ndarray) -> bool:
-    n = len(A)
-    if n % 2:
-        return False
-    pair = np.kron(np.eye(n // 2), np.ones((2, 2))) > 0
-    return not A[~pair].any()
 
 
 def _clustered(
@@ -151,7 +143,10 @@ def _clustered(
                 X[:, end:] += X[:, start:end] @ (S / scale)
                 inverse[start:end] -= (S / scale) @ inverse[end:]
                 break
-            Q, T22 = _nearest_first(T[end:, end:], _poles(T[start:end, start:end]))
+            rest = T[end:, end:]
+            apart = np.abs(_poles(rest)[:, None] - _poles(T[start:end, start:end])).min(axis=1)
+            nearest = list(_blocks(rest))[int(np.argmin(apart))][0]
+            T22, Q, _ = lapack.dtrexc(rest, np.eye(len(rest)), nearest + 1, 1)  # to the top
             T[:, end:] = T[:, end:] @ Q
             T[end:, end:] = T22
             X[:, end:] = X[:, end:] @ Q
@@ -181,14 +176,6 @@ def _poles(T: np.ndarray) -> np.ndarray:
         product = T[i, i + 1] * T[i + 1, i] if size == 2 else 0.0
         found.append(T[i, i] + 1j * np.sqrt(max(-product, 0.0)))
     return np.array(found)
-
-
-def _nearest_first(T: np.ndarray, cluster: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Orthogonal Q that moves the pole nearest to the cluster's to the top of T."""
-    candidates = _poles(T)
-    nearest = int(np.argmin(np.abs(candidates[:, None] - cluster).min(axis=1)))
-    T22, Q, _ = lapack.dtrexc(T, np.eye(len(T)), list(_blocks(T))[nearest][0] + 1, 1)
-    return Q, T22
 
 
 STRICT = 1e-9  # damping of the slowest pole, per rad at the band's end

@@ -329,7 +329,10 @@ def chip_response(
     drive, heavy = load @ model.gain.T, model.order - model.massless
     z = np.empty_like(drive)
     z[:, :heavy], rate = resonant(model.omega[:heavy], model.damp[:heavy], t, drive[:, :heavy])
-    z[:, heavy:] = _relaxing(model.omega[heavy:], model.damp[heavy:], t, drive[:, heavy:])
+    z[:, heavy:] = drive[:, heavy:] / model.omega[heavy:] ** 2
+    slow = heavy + np.flatnonzero(model.damp[heavy:])  # those undamped follow at once
+    damp = model.damp[slow]
+    z[:, slow] = _march(-(model.omega[slow] ** 2) / damp, t, drive[:, slow] / damp).real
     stored = (rate**2).sum(axis=1) / 2 + ((model.omega * z) ** 2).sum(axis=1) / 2
     stored += np.einsum("nk,kl,nl->n", load, model.D, load) / 2
     return z @ model.gain + load @ model.D, stored
@@ -348,14 +351,6 @@ def resonant(
         both = _march(np.concatenate([a, b]), t, np.tile(drive, 2))
         x_a, x_b = both[:, : a.size], both[:, a.size :]
     return ((x_a - x_b) / (a - b)).real, ((a * x_a - b * x_b) / (a - b)).real
-
-
-def _relaxing(omega: np.ndarray, damp: np.ndarray, t: np.ndarray, drive: np.ndarray) -> np.ndarray:
-    """Displacements (n, modes) of ``d z' + w^2 z = r``; undamped ones follow at once."""
-    z = drive / omega**2
-    slow = damp > 0
-    z[:, slow] = _march(-(omega[slow] ** 2) / damp[slow], t, drive[:, slow] / damp[slow]).real
-    return z
 
 
 def _march(roots: np.ndarray, t: np.ndarray, drive: np.ndarray) -> np.ndarray:

@@ -52,8 +52,21 @@ def multi_port(f: np.ndarray, Y: np.ndarray, noise: float, where: str) -> Linear
     R = float(1 / np.median(np.abs(Y[:, range(ports), range(ports)])))
     one = np.eye(ports)
     S = np.linalg.solve(one + R * Y, one - R * Y)
-    model = _best(f, S, noise, where)
-    return _certified(_admittance(*model, R), f, Y, noise, where)
+    model = _admittance(*_best(f, S, noise, where), R)
+    answer = 2j * np.pi * f[:, None, None] * model.transfer(f)
+    deviation = np.abs(answer - Y) / np.abs(Y).max(axis=0)
+    worst = np.unravel_index(int(deviation.argmax()), deviation.shape)
+    error, at = float(deviation[worst]), float(f[worst[0]])
+    rms = float(np.sqrt(np.mean(deviation**2)))
+    told = (
+        f"{model.order - 2 * Y.shape[1]} states fitted to {len(f)} samples: largest deviation "
+        f"{error:.2g} of an entry's peak (Y{worst[1] + 1}{worst[2] + 1} at {at:.6g} Hz), rms "
+        f"{rms:.2g}, noise of the samples {np.sqrt(2) * noise:.2g}; passive at all frequencies, "
+        "measured in the band alone"
+    )
+    band = float(f[0]), float(f[-1])
+    certificate = Certificate(band, error, told, True, True, norm="peak")
+    return replace(model, certificate=certificate)
 
 
 def _best(f: np.ndarray, S: np.ndarray, noise: float, where: str) -> ABCD:
@@ -273,22 +286,3 @@ def _admittance(
         C=np.hstack([np.zeros((m, n)), one, zero]),
         ports=ports,
     )
-
-
-def _certified(
-    model: LinearModel, f: np.ndarray, Y: np.ndarray, noise: float, where: str
-) -> LinearModel:
-    answer = 2j * np.pi * f[:, None, None] * model.transfer(f)
-    deviation = np.abs(answer - Y) / np.abs(Y).max(axis=0)
-    worst = np.unravel_index(int(deviation.argmax()), deviation.shape)
-    error, at = float(deviation[worst]), float(f[worst[0]])
-    rms = float(np.sqrt(np.mean(deviation**2)))
-    told = (
-        f"{model.order - 2 * Y.shape[1]} states fitted to {len(f)} samples: largest deviation "
-        f"{error:.2g} of an entry's peak (Y{worst[1] + 1}{worst[2] + 1} at {at:.6g} Hz), rms "
-        f"{rms:.2g}, noise of the samples {np.sqrt(2) * noise:.2g}; passive at all frequencies, "
-        "measured in the band alone"
-    )
-    band = float(f[0]), float(f[-1])
-    certificate = Certificate(band, error, told, True, True, norm="peak")
-    return replace(model, certificate=certificate)

@@ -177,7 +177,13 @@ def parametric(
     frame = _required(once(middle), None)
     losses = tuple(found for axis in axes if (found := _loss(once, axis, middle, frame)))
     own = tuple(axis for axis in axes if axis not in [loss.axis for loss in losses])
-    exponents, points = _design(len(own), DEGREES.get(len(own), 2) if degree is None else degree)
+    degree = DEGREES.get(len(own), 2) if degree is None else degree
+    exponents = exponents_to(len(own), degree)
+    # approximate Fekete points of Chebyshev's grid: as many as there are polynomials
+    grid = np.sin(0.5 * np.pi * np.arange(-degree, degree + 1, 2) / max(degree, 1))
+    points = np.array(list(product(grid, repeat=len(own))))
+    *_, chosen = scipy.linalg.qr(polynomials(points, exponents).T, mode="economic", pivoting=True)
+    points = points[np.sort(chosen[: len(exponents)])]
     models = []
     for number, x in enumerate(points):
         progress(number + 1, len(points))
@@ -314,16 +320,6 @@ def _same(one: LinearModel, other: LinearModel) -> bool:
     else:
         pairs += [(one.K, other.K)]
     return all(a.shape == b.shape and not (min(a.shape) and abs(a - b).max()) for a, b in pairs)
-
-
-def _design(axes: int, degree: int) -> tuple[np.ndarray, np.ndarray]:
-    """Exponents (terms, axes) of all polynomials up to a total degree, and as many samples
-    (terms, axes) that determine them well: approximate Fekete points of Chebyshev's grid."""
-    exponents = exponents_to(axes, degree)
-    grid = np.sin(0.5 * np.pi * np.arange(-degree, degree + 1, 2) / max(degree, 1))
-    points = np.array(list(product(grid, repeat=axes)))
-    *_, order = scipy.linalg.qr(polynomials(points, exponents).T, mode="economic", pivoting=True)
-    return exponents, points[np.sort(order[: len(exponents)])]
 
 
 def exponents_to(axes: int, degree: int) -> np.ndarray:

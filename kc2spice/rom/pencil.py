@@ -268,7 +268,12 @@ class Pencil:
             found = factorise(self.bordered(1.0, 0.0, -square), definite=False)
             return Inverse(found, self.size)
         if not self._at_rest:
-            self._at_rest.append(self._rest_solver())
+            K = self.coefficients[0]
+            if isinstance(K, Schur):
+                found = factorise(self.bordered(1.0, 0.0, 0.0), definite=False)
+            else:
+                found = factorise(scipy.sparse.csc_array(K), definite=True)
+            self._at_rest.append(Inverse(found, self.size))
         return self._at_rest[0]
 
     @property
@@ -284,14 +289,6 @@ class Pencil:
     def share(self, other: Pencil) -> None:
         """Let ``other``, which has the same K, use the factors of this one."""
         other.__dict__["_at_rest"] = self._at_rest
-
-    def _rest_solver(self) -> Inverse:
-        K = self.coefficients[0]
-        if isinstance(K, Schur):
-            found = factorise(self.bordered(1.0, 0.0, 0.0), definite=False)
-        else:
-            found = factorise(scipy.sparse.csc_array(K), definite=True)
-        return Inverse(found, self.size)
 
     def project(self, V: np.ndarray) -> Pencil:
         """Congruence ``V'PV``, ``V'B``, ``CV``; what is symmetric or skew stays so to the bit."""

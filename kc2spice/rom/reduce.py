@@ -227,8 +227,8 @@ def reduce(
         assert order is not None
         found = subspace_model(model, _krylov(pencil, order), band, norm).model(order)
     else:
-        plain, both = subspace_model(model, space, band, norm), (False, True)
-        sides = both[:1] if pencil.symmetric and pencil.collocated else both
+        plain = subspace_model(model, space, band, norm)
+        sides = [False] if pencil.symmetric and pencil.collocated else [False, True]
         congruences = (ordered(plain, two_sided, tolerance) for two_sided in sides)
         if order is not None:
             found = _of_order(list(congruences), order)

@@ -241,16 +241,6 @@ def around(frequency: np.ndarray, ratio: np.ndarray, widths: np.ndarray = CLUSTE
     return np.unique(points)
 
 
-def beside(frequency: np.ndarray, ratio: np.ndarray, farthest: float) -> np.ndarray:
-    """Frequencies [Hz] from the end of :func:`around` to ``farthest`` from a resonance, each three
-    times as far as the last: the zero beside a weak, narrow resonance lies between two of them and
-    shows as a minimum."""
-    width = np.where(ratio < SHARPEST, FLANK, ratio) * frequency
-    away = CLUSTER[-1] * width[:, None] * 3.0 ** np.arange(1, 16)
-    near = away < farthest
-    return np.unique(np.concatenate([(frequency[:, None] + k * away)[near] for k in (-1, 1)]))
-
-
 def clear_of_poles(points: np.ndarray, frequency: np.ndarray, ratio: np.ndarray) -> np.ndarray:
     """``points`` without those that come closer than ``FLANK`` to an all but undamped resonance."""
     sharp = frequency[ratio < SHARPEST]
@@ -285,7 +275,12 @@ def telling(
     at, ratio = response.within(near)
     frequency = np.union1d(grid(band, GRID, static), around(at, ratio))
     if norm == "pointwise":
-        frequency = np.union1d(frequency, beside(at, ratio, band[1] / GRID))
+        # each three times as far as the last: the zero beside a weak, narrow resonance lies between
+        # two of them and shows as a minimum
+        width = np.where(ratio < SHARPEST, FLANK, ratio) * at
+        away = CLUSTER[-1] * width[:, None] * 3.0 ** np.arange(1, 16)
+        both = [(at[:, None] + k * away)[away < band[1] / GRID] for k in (-1, 1)]
+        frequency = np.unique(np.concatenate([frequency, *both]))
     frequency = frequency[(frequency >= band[0]) & (frequency <= band[1])]
     frequency = clear_of_poles(frequency, at, ratio)
     if norm == "peak":

@@ -541,7 +541,14 @@ def _rational(
         error, grown = search.check(search.next_point())
         met = met + 1 if max(error, search.change) <= target else 0
         if search.points == MANY + 1 and pencil.size >= COSTLY:
-            _explain(search.response, band, error, target)
+            modes = search.response.within(band)[0].size
+            warnings.warn(
+                f"the reduction takes more than {MANY} factorisations: the last frequency was "
+                f"still {error:.0e} off, {target:.0e} is looked for, and the band holds at least "
+                f"{modes} resonances; a {'narrower' if modes else 'wider'} band, a looser "
+                "tolerance or proportional damping costs less",
+                stacklevel=2,
+            )
         # An error that was found before the basis grew is no longer that of the projection.
         # A point beside a former one adds nothing, and says nothing of the rest of the band.
         recent = [*recent[-1:], error] if grown or idle else [error]
@@ -581,17 +588,6 @@ def _with_rounding(
         apart = max(apart, SPREAD * float(size.max()))
     proof = f"{found.proof}, which rounding moves by {apart:.0e}"
     return replace(found, floor=max(found.floor, apart), proof=proof)
-
-
-def _explain(response: Response, band: tuple[float, float], error: float, target: float) -> None:
-    modes = response.within(band)[0].size
-    warnings.warn(
-        f"the reduction takes more than {MANY} factorisations: the last frequency was still "
-        f"{error:.0e} off, {target:.0e} is looked for, and the band holds at least {modes} "
-        f"resonances; a {'narrower' if modes else 'wider'} band, a looser tolerance or "
-        "proportional damping costs less",
-        stacklevel=2,
-    )
 
 
 class _Search:

@@ -157,7 +157,7 @@ def _expressions(model: Varying, parameters: Sequence[Param]) -> Iterator[str]:
                 products = [f"l{i + 1}_{n}*l{j + 1}_{n}" for n in both]
                 yield f".param k{i + 1}_{j + 1}={{{'+'.join(products)}}}"
         for i in range(at, end):
-            for k in np.flatnonzero(model.gain[:, i].any(axis=0)):
+            for k in np.flatnonzero(model.gain[:, i].any(axis=0)).tolist():
                 yield f".param g{i + 1}_{k + 1}={{{polynomial(model.gain[:, i, k])}}}"
     for k in range(len(model.electrical)):
         yield f".param f{k + 1}_{k + 1}={{exp({polynomial(model.capacitance[:, k])})}}"

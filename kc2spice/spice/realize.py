@@ -667,7 +667,13 @@ def _blocks(
     )
     wired = _wired(terminals, states, model.D, rom, base)
     ports = [t for t in wired if t.port.conservative]
-    body = _signals(terminals, base) + conservative(ports, base, FOLLOWED.share)
+    inputs = [t.pins[0] for t in terminals if t.kind == "input"]
+    own = [pin for pin in inputs if _INNER_FORCE.fullmatch(pin)]  # forces that are noise
+    inputs = [pin for pin in inputs if pin not in own]
+    body = [f"R{pin} {pin} {base} 1" for pin in own]
+    body += ["* An input that is left open is zero."] * bool(inputs)
+    body += [f"Gleak{k} {p} {base} {p} {base} {number(LEAK)}" for k, p in enumerate(inputs, 1)]
+    body += conservative(ports, base, FOLLOWED.share)
     for index, t in enumerate((t for t in wired if t.kind == "output"), 1):
         body += [
             f"\n* Output {t.pins[0]}",
@@ -699,16 +705,6 @@ def _blocks(
             ]
     about = _STATES.format(farad=number(farad), base=base).split("\n")
     return ([*_OUTWARDS, *about] if ports else about), body
-
-
-def _signals(terminals: list[PortTerminal], base: str) -> list[str]:
-    """Leaks of the signal inputs, resistors of forces that are noise."""
-    pins = [t.pins[0] for t in terminals if t.kind == "input"]
-    own = [pin for pin in pins if _INNER_FORCE.fullmatch(pin)]
-    pins = [pin for pin in pins if pin not in own]
-    leaks = [f"Gleak{k} {p} {base} {p} {base} {number(LEAK)}" for k, p in enumerate(pins, 1)]
-    noise = [f"R{pin} {pin} {base} 1" for pin in own]
-    return [*noise, *(["* An input that is left open is zero.", *leaks] if pins else [])]
 
 
 def _with_forces(rom: LinearModel) -> LinearModel:
