@@ -561,7 +561,8 @@ def sweep(
     out = out or Path(f"{found.scene.name}_sweep")
     count = workers or pools.cores()
     pool = pools.processes(count) if dask is None else pools.dask(dask, count)
-    caller.note(found.describe())
+    if not caller.quiet:
+        print(found.describe(), file=sys.stderr)
     result = {"scene": found.scene.name, "points": found.plan.size, "failed": 0, "resumed": 0}
     result |= {"table": str((out / table).absolute()), "runs": found.runs}
     if not dry_run:

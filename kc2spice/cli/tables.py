@@ -41,11 +41,6 @@ class Caller:
             return _bars()
         return nullcontext(silent if self.quiet else _Lines())
 
-    def note(self, text: str) -> None:
-        """A line beside the answer."""
-        if not self.quiet:
-            print(text, file=sys.stderr)
-
     def reads(self, record: Any, out: Path | None = None) -> bool:
         """Whether it is a person who reads the answer; a program gets ``record`` and its directory
         ``out`` as JSON."""
@@ -98,7 +93,9 @@ class _Lines:
 @contextmanager
 def reported_errors() -> Iterator[None]:
     """Turn exceptions into one message and the exit code of the contract."""
-    warnings.showwarning = _show_warning
+    warnings.showwarning = lambda message, *_, **__: print(
+        f"kc2spice: warning: {message}", file=sys.stderr, flush=True
+    )
     try:
         yield
         sys.stdout.flush()  # what cannot be written is told here, not by the interpreter's end
@@ -135,10 +132,6 @@ def _drop_stdout() -> None:
 def _fail(text: str, code: int) -> NoReturn:
     print(f"kc2spice: error: {text}", file=sys.stderr, flush=True)
     raise typer.Exit(code) from None
-
-
-def _show_warning(message: Any, *_: Any, **__: Any) -> None:
-    print(f"kc2spice: warning: {message}", file=sys.stderr, flush=True)
 
 
 def print_table(

@@ -50,6 +50,7 @@ _TOKEN = re.compile(
     r'|[^"\'#\w\-\[\]{}. \t]+',
     re.DOTALL,
 )
+_BEHIND_KEY = re.compile(r"[ \t]{0,200}[.=\]]")
 
 
 def read_bounded(path: Path, limit: int) -> bytes:
@@ -169,15 +170,10 @@ def _bounded(text: str) -> None:
             dots += 1
         elif not (first in " \t\"'_-" or first.isalnum()):
             dots = 0
-        elif len(token[0]) > LONGEST_KEY and (dots or _is_key(text, token.end())):
+        elif len(token[0]) > LONGEST_KEY and (dots or _BEHIND_KEY.match(text, token.end())):
             raise ValueError(f"a key of more than {LONGEST_KEY} characters")
         if depth > DEEPEST or dots > DEEPEST:
             raise ValueError(f"nested more than {DEEPEST} deep")
-
-
-def _is_key(text: str, end: int) -> bool:
-    """Whether a word that ends at ``end`` is followed by what follows a key."""
-    return re.compile(r"[ \t]{0,200}[.=\]]").match(text, end) is not None
 
 
 def read_archive(

@@ -93,7 +93,8 @@ def statements(text: str, file: str, *, title: bool = False) -> list[Statement]:
 
 def words(text: str) -> list[str]:
     """Split on blanks outside brackets and quotes; blanks around a bare ``=`` are dropped."""
-    return list(_split(_tight(text)))
+    # Only the first of several blanks can begin a match: a run of them is read once.
+    return list(_split(re.sub(r"(?<!\s)\s*(?<![=<>!])=(?!=)\s*", "=", text)))
 
 
 def split_comment(line: str) -> tuple[str, str]:
@@ -102,11 +103,6 @@ def split_comment(line: str) -> tuple[str, str]:
     if match is None:
         return line.strip(), ""
     return line[: match.start()].strip(), line[match.end() :].strip()
-
-
-def _tight(text: str) -> str:
-    # Only the first of several blanks can begin a match: a run of them is read once.
-    return re.sub(r"(?<!\s)\s*(?<![=<>!])=(?!=)\s*", "=", text)
 
 
 def _split(text: str) -> Iterator[str]:
@@ -247,7 +243,14 @@ def element(s: Statement) -> Element:
     if kind not in NODES:
         return Element(kind, name, (), values=tuple(rest), **told)
     count = _count(kind, rest)
-    nodes, sources, rest = _connected(s, kind, count, rest)
+    end = count + _CONTROLS.get(kind, 0)
+    if kind in "fh" and len(rest) > 2 and rest[2].lower().startswith("poly("):
+        end = count
+    needed = end + (kind in _MODELLED or kind not in "vi")
+    if len(rest) < needed or any("=" in w or "(" in w for w in rest[:count]):
+        more = ", then a value or model" if kind not in "vi" else ""
+        raise s.error("element is not complete", expected=f"{count} nodes{more}")
+    nodes, sources, rest = tuple(rest[:count]), tuple(rest[count:end]), rest[end:]
     if kind in "eg" and count == 2:
         return _controlled(Element(kind, name, nodes, values=tuple(rest), **told))
     model = rest.pop(0) if kind in _MODELLED else ""
@@ -265,20 +268,6 @@ def _count(kind: str, rest: Sequence[str]) -> int:
     if kind == "m" and len([*takewhile(lambda w: "=" not in w, rest)]) == 4:
         return 3  # a VDMOS has no bulk
     return NODES[kind]
-
-
-def _connected(
-    s: Statement, kind: str, count: int, rest: list[str]
-) -> tuple[tuple[str, ...], tuple[str, ...], list[str]]:
-    controls = _CONTROLS.get(kind, 0)
-    if kind in "fh" and len(rest) > 2 and rest[2].lower().startswith("poly("):
-        controls = 0
-    needed = count + controls + (kind in _MODELLED or kind not in "vi")
-    if len(rest) < needed or any("=" in w or "(" in w for w in rest[:count]):
-        more = ", then a value or model" if kind not in "vi" else ""
-        raise s.error("element is not complete", expected=f"{count} nodes{more}")
-    end = count + controls
-    return tuple(rest[:count]), tuple(rest[count:end]), rest[end:]
 
 
 def _behaviour(s: Statement) -> Element:

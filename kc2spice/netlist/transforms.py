@@ -161,23 +161,16 @@ def array_deck(deck: Deck, count: int) -> Deck:
         message, got = "a dc sweep moves one source, not one of each copy", deck.command.card
         expected = "a scene with a transient or an ac analysis"
         raise UsageError(message, where="--count", got=got, expected=expected)
-    unit = f"{deck.name}_unit"
-    title, last = Block("one copy", (f".subckt {unit} common",)), Block("", (f".ends {unit}",))
-    copies = Block(f"{count} copies", tuple(f"X{k} 0 {unit}" for k in range(1, count + 1)))
-    numbers = range(1, count + 1)
-    vectors = {
-        f"{k}.{name}": (_within(text, k), factor)
-        for k in numbers
-        for name, (text, factor) in deck.vectors.items()
-    }
-    return replace(
-        deck,
-        title=f"{deck.title}, {count} copies",
-        blocks=(title, *deck.blocks, last, copies),
-        vectors=vectors,
-        units={f"{k}.{name}": unit for k in numbers for name, unit in deck.units.items()},
-        initial={f"x{k}.{node}": value for k in numbers for node, value in deck.initial.items()},
-    )
+    unit, numbers = f"{deck.name}_unit", range(1, count + 1)
+    first, last = Block("one copy", (f".subckt {unit} common",)), Block("", (f".ends {unit}",))
+    copies = Block(f"{count} copies", tuple(f"X{k} 0 {unit}" for k in numbers))
+    vectors, units, initial = dict[str, tuple[str, float]](), dict[str, str](), dict[str, float]()
+    for k in numbers:
+        vectors |= {f"{k}.{n}": (_within(v, k), factor) for n, (v, factor) in deck.vectors.items()}
+        units |= {f"{k}.{name}": each for name, each in deck.units.items()}
+        initial |= {f"x{k}.{node}": value for node, value in deck.initial.items()}
+    title, blocks = f"{deck.title}, {count} copies", (first, *deck.blocks, last, copies)
+    return replace(deck, title=title, blocks=blocks, vectors=vectors, units=units, initial=initial)
 
 
 def _within(expression: str, k: int) -> str:

@@ -17,14 +17,7 @@ SKY, PURPLE, BLACK, GREY = "#56B4E9", "#CC79A7", "#222222", "#8A8A8A"
 PALETTE = (BLUE, ORANGE, GREEN, RED, PURPLE, SKY, BLACK)
 
 MANY = 4  # labels in one line above the axes; more stand beside them, where they cover no data
-_ABOVE: Any = {
-    "loc": "lower left",
-    "bbox_to_anchor": (0.0, 1.0),
-    "ncols": MANY,
-    "borderaxespad": 0.2,
-    "handlelength": 1.6,
-    "columnspacing": 1.4,
-}
+_ABOVE: Any = {"loc": "lower left", "bbox_to_anchor": (0.0, 1.0), "ncols": MANY}
 _BESIDE: Any = {"loc": "upper left", "bbox_to_anchor": (1.01, 1.0), "borderaxespad": 0.0}
 _MARKS = ("o", "s", "^", "D", "v", "P")
 _LINES: dict[str, Any] = {"-": "-", "--": "--", ":": ":", "reference": (0, (1, 3)), "step": "-"}
@@ -33,14 +26,10 @@ _STYLE: Any = {
     "axes.spines.top": False,
     "axes.spines.right": False,
     "axes.edgecolor": "#555555",
-    "axes.linewidth": 0.8,
     "axes.grid": True,
     "axes.axisbelow": True,
     "grid.color": "#E3E3E3",
-    "grid.linewidth": 0.7,
-    "lines.linewidth": 1.6,
     "legend.frameon": False,
-    "legend.fontsize": 9,
     "axes.formatter.useoffset": False,
     "figure.dpi": 150,
 }

@@ -288,17 +288,14 @@ def named(deck: Deck, vectors: Mapping[str, np.ndarray]) -> dict[str, np.ndarray
     scale = first if first in ("time", "frequency") else "sweep"
     data = {scale: vectors[first].real.copy()}
     for key, (expression, factor) in deck.vectors.items():
-        parts = [sign * _vector(deck, vectors, v) for sign, v in terms(expression)]
+        parts = []
+        for sign, name in terms(expression):
+            found = vectors.get(name, vectors.get(f"i({name})"))  # currents of devices in raw files
+            if found is None:
+                raise SimulationError("ngspice did not save a vector", where=deck.main, got=name)
+            parts.append(sign * found)
         data[key] = factor * np.sum(parts, axis=0)
     return data
-
-
-def _vector(deck: Deck, vectors: Mapping[str, np.ndarray], name: str) -> np.ndarray:
-    """One vector; currents of devices are ``i(@device[i])`` in a raw file."""
-    for spelling in (name, f"i({name})"):
-        if spelling in vectors:
-            return vectors[spelling]
-    raise SimulationError("ngspice did not save a vector", where=deck.main, got=name)
 
 
 # "coarse": ngspice finished, but the energy balances of the result do not close.

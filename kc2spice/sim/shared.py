@@ -17,7 +17,7 @@ import shutil
 import tempfile
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import chdir, contextmanager
 from ctypes import CFUNCTYPE, POINTER, byref, c_bool, c_char_p, c_double, c_int, c_void_p
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -265,18 +265,15 @@ def _private_copy() -> ctypes.CDLL:
 @contextmanager
 def _no_start_up_files() -> Iterator[None]:
     """ngspice finds empty start-up files first, so it reads neither the user's nor code models."""
-    before, variables = Path.cwd(), ("HOME", "SPICE_SCRIPTS", "SPICE_USERINIT_DIR")
-    kept = {name: os.environ.get(name) for name in variables}
-    with tempfile.TemporaryDirectory(prefix="kc2spice-") as folder:
+    variables = ("HOME", "SPICE_SCRIPTS", "SPICE_USERINIT_DIR")
+    kept = {name: os.environ[name] for name in variables if name in os.environ}
+    with tempfile.TemporaryDirectory(prefix="kc2spice-") as folder, chdir(folder):
         for name in ("spinit", ".spiceinit"):
-            (Path(folder) / name).write_text("* empty\n", encoding="ascii")
+            Path(name).write_text("* empty\n", encoding="ascii")
         try:
             os.environ |= dict.fromkeys(variables, folder)
-            os.chdir(folder)
             yield
         finally:
-            os.chdir(before)
-            for name, value in kept.items():
-                os.environ.pop(name, None)
-                if value is not None:
-                    os.environ[name] = value
+            for name in variables:
+                del os.environ[name]
+            os.environ |= kept
