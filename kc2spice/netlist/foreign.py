@@ -283,10 +283,9 @@ def accuracy(cards: Iterable[Statement]) -> Mapping[str, str]:
 # --- what could act on the machine ---
 
 # fmt: off
-COMMANDS = frozenset((
+COMMANDS = OPTION_CARDS.union(_OUTPUTS, (
     ".subckt", ".ends", ".model", ".param", ".params", ".func", ".global", ".ic", ".nodeset",
-    ".temp", ".options", ".option", ".opt", ".end", ".title", ".tran", ".ac", ".dc", ".op", ".tf",
-    ".noise", ".four", ".meas", ".measure", ".save", ".print", ".plot", ".probe", ".width", ".if",
+    ".temp", ".end", ".title", ".tran", ".ac", ".dc", ".op", ".tf", ".noise", ".four", ".if",
     ".elseif", ".else", ".endif",
 ))
 OPTIONS = frozenset((

@@ -61,13 +61,12 @@ def _side_by_side(scene: Scene) -> list[Shape]:
     found: list[Shape] = []
     end = None
     for part in scene.parts.values():
-        shapes = list(part.type.outline(part, scene))
+        shapes, move = list(part.type.outline(part, scene)), 0.0
         if part.reduced and shapes:
             half = max(s.width for s in shapes) / 2
             move = 0.0 if end is None else end + 1.5 * half
             end = move + half
-            shapes = [replace(s, x=s.x + move) for s in shapes]
-        found += shapes
+        found += [replace(s, x=s.x + move) for s in shapes]
     return found
 
 

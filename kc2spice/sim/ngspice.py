@@ -321,8 +321,8 @@ class RetrySetting:
 
     def after(self, other: RetrySetting) -> RetrySetting:
         """This one, with what ``other`` changed kept."""
-        options = {**other.options, **self.options}
-        return RetrySetting(self.name, self.cures, self.why, options, self.factor * other.factor)
+        options, factor = {**other.options, **self.options}, self.factor * other.factor
+        return replace(self, options=options, factor=factor)
 
     @property
     def changes(self) -> str:

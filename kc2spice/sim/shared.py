@@ -137,8 +137,7 @@ def run_shared(
         raise SimulationError(
             failed.message, where=deck.name, got=failed.got, expected=failed.expected
         )
-    data = named(deck, vectors)
-    return Waveforms(data, {"accepted": float(time.size)} | statistics(said))
+    return Waveforms(named(deck, vectors), {"accepted": float(time.size)} | statistics(said))
 
 
 def _flattened(deck: Deck, file: str) -> list[str]:
