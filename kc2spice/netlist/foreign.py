@@ -97,34 +97,29 @@ class _Reader:
             raise UsageError("include goes in a circle", where=where, got=got)
         goes_on = False
         for number, raw in enumerate(self._text(name, real, where).split("\n"), 1):
-            place = f"{name}:{number}"
-            if match := _INCLUDE.match(raw):
-                if goes_on and not self.trust:
-                    raise refusal("goes on in an include", self.main, place, raw)
-                target = self._target(match[1], place, raw)
-                yield from self._included(target, raw, name, path, place, (*chain, real))
+            place, match = f"{name}:{number}", _INCLUDE.match(raw)
+            if match is None:
+                line = raw
+                if not self.trust:
+                    line, goes_on = _canonical(raw, goes_on)
+                yield Line(line, place, raw)
                 continue
-            line = raw
-            if not self.trust:
-                line, goes_on = _canonical(raw, goes_on)
-            yield Line(line, place, raw)
-
-    def _included(
-        self, target: str, raw: str, name: str, path: Path, where: str, chain: tuple[Path, ...]
-    ) -> Iterator[Line]:
-        file = path.parent / target
-        try:
-            readable = file.is_file() and file.stat().st_size <= MOST_BYTES
-        except OSError:  # a name too long, a directory that is closed
-            readable = False
-        if self.trust and (not target or not readable or self._forbidden(file)):
-            yield Line(raw, where, raw)
-            return
-        inner = target if self.trust else str(PurePosixPath(name).parent / target)
-        begin, end = f"* begin of {comment(inner)}", f"* end of {comment(inner)}"
-        yield Line(begin, where, begin)
-        yield from self.lines(inner, file, where, chain)
-        yield Line(end, where, end)
+            if goes_on and not self.trust:
+                raise refusal("goes on in an include", self.main, place, raw)
+            target = self._target(match[1], place, raw)
+            file = path.parent / target
+            try:
+                readable = file.is_file() and file.stat().st_size <= MOST_BYTES
+            except OSError:  # a name too long, a directory that is closed
+                readable = False
+            if self.trust and (not target or not readable or self._forbidden(file)):
+                yield Line(raw, place, raw)
+                continue
+            inner = target if self.trust else str(PurePosixPath(name).parent / target)
+            begin, end = f"* begin of {comment(inner)}", f"* end of {comment(inner)}"
+            yield Line(begin, place, begin)
+            yield from self.lines(inner, file, place, (*chain, real))
+            yield Line(end, place, end)
 
     def _forbidden(self, file: Path) -> bool:
         """Whether it is none of those below ``home``, which alone may be opened."""

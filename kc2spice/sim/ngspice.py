@@ -43,6 +43,7 @@ STALLED = 60.0  # s without processor time after which a run hangs
 LARGEST_RAW = 8_000_000_000  # bytes of one raw file
 SPARE = 1_000_000  # bytes; a disk with less is full
 POLL = 0.05  # s between two looks at the growing raw file
+Share = Callable[[float], None] | None  # is told the share of a transient that is done
 
 
 @dataclass(frozen=True)
@@ -122,10 +123,7 @@ def write_files(files: Mapping[str, str], directory: Path) -> None:
 
 
 def run_deck(
-    deck: Deck,
-    directory: Path,
-    progress: Callable[[float], None] | None = None,
-    timeout: float | None = None,
+    deck: Deck, directory: Path, progress: Share = None, timeout: float | None = None
 ) -> Waveforms:
     """Write ``deck`` into ``directory``, run it, return the vectors it names in SI.
 
@@ -144,14 +142,14 @@ def run_deck(
         leaves a raw file.
     """
     _fits(deck)
-    simulator = find_ngspice()
+    find_ngspice()
     main = write_deck(deck, directory)
     raw, log = main.with_suffix(".raw"), main.with_suffix(".log")
     unfinished = main.with_suffix(".raw.part")
     for stale in (raw, log, unfinished):
         stale.unlink(missing_ok=True)
     try:
-        code = _execute(simulator, main, unfinished, log, deck.stop, progress, timeout)
+        code = _execute(deck, main, unfinished, log, progress, timeout)
         text = log.read_text(encoding="utf-8", errors="replace")
         failed = failed_run(deck, str(main), text, code)
         if failed is None:
@@ -199,13 +197,7 @@ def _fits(deck: Deck) -> None:
 
 
 def _execute(
-    simulator: Simulator,
-    main: Path,
-    raw: Path,
-    log: Path,
-    stop: float | None,
-    progress: Callable[[float], None] | None,
-    timeout: float | None,
+    deck: Deck, main: Path, raw: Path, log: Path, progress: Share, timeout: float | None
 ) -> int:
     """Run ngspice with the user's start-up files kept out; return its exit code.
 
@@ -213,7 +205,7 @@ def _execute(
     ------
     SimulationError : it takes longer than ``timeout``, hangs, or fills the disk.
     """
-    command = [*_mortal(), simulator.path, "-b", "-n", "-r", raw.name, main.name]
+    command = [*_mortal(), find_ngspice().path, "-b", "-n", "-r", raw.name, main.name]
     environment = {k: v for k, v in os.environ.items() if not k.startswith("SPICE_")}
     environment["HOME"] = str(main.parent)  # ngspice crashes where a user has none
     begin = worked = time.monotonic()
@@ -243,10 +235,10 @@ def _execute(
                     what = f"the raw file grows beyond its limit of {LARGEST_RAW:.3g} bytes"
                     hint = "raise solver.max_step or reltol, end earlier, save fewer vectors"
                 if what:
-                    got = f"{size} bytes at time point {at} s of {stop} s"
+                    got = f"{size} bytes at time point {at} s of {deck.stop} s"
                     raise SimulationError(what, where=str(main.parent), got=got, hint=hint)
-                if progress is not None and stop:
-                    progress(min(1.0, (at or 0.0) / stop))
+                if progress is not None and deck.stop:
+                    progress(min(1.0, (at or 0.0) / deck.stop))
                 waiting.join(POLL)
         finally:
             process.kill()  # nothing to one that has ended
@@ -420,7 +412,7 @@ def run_with_retries(
     retries: int,
     judge: Callable[[Waveforms], Verdict] = lambda waves: Verdict(),
     engine: Callable[[Deck], Waveforms] | None = None,
-    progress: Callable[[float], None] | None = None,
+    progress: Share = None,
     timeout: float | None = None,
 ) -> Outcome:
     """Run ``deck`` in ``directory``; after a failure that settings may cure, with the next setting.
