@@ -235,6 +235,41 @@ def test_the_law_is_what_is_stated(name):
     assert worst_slope(name) < 1e-12
 
 
+# --- masses, whose cards have the speed as a node of its own -------------------------------------
+
+MOVING = {"mass": ("place_x", "speed_x"), "sphere": ("bottom", "v")}
+
+
+def worst_motion(name, text):
+    """Largest difference of a mass's cards from ``m (x'' + g) = F`` and ``x' = v``, relative."""
+    m, g, place, speed = 2e-3, 9.0, *MOVING[name]
+    network, rng, errors = Network(text, {"mass": m, "gravity": g}), np.random.default_rng(2), []
+    for _ in range(6):
+        x, v, rise, force, apart = rng.uniform(-1, 1, 5) * (1e-4, 2.0, 1e4, 5.0, 3.0)
+        drives = {"base": 0.3, place: 0.3 + 1e6 * x, speed: 0.3 + v}
+        rates = {"base": 0.0, place: 1e6 * v, speed: rise}
+        wanted = {place: 0.0, speed: m * (rise + g)}
+        if name == "mass":  # f_x is the force for which its own row, a = place, holds
+            drives |= {"a": drives[place] + apart, "f_x": 0.3 + force}
+            rates |= {"a": 0.0, "f_x": 0.0}
+            wanted |= {speed: m * (rise + g) - force, "a": force, "f_x": -apart}
+        answers = network.answers(drives, rates)
+        errors += [abs(answers[f"I pin {pin}"] - exact) for pin, exact in wanted.items()]
+        if name == "sphere":
+            errors.append(abs(answers["y"] - drives[place] - 1e6 * example(name)[1].keys.radius))
+    return max(errors)
+
+
+@pytest.mark.parametrize("dialect", DIALECTS)
+@pytest.mark.parametrize("name", MOVING)
+def test_the_cards_of_a_mass_are_its_motion(name, dialect):
+    """1e-9 of some newtons and metres a second: places are of a hundred micrometres."""
+    text = printed(name, dialect)
+    assert worst_motion(name, text) < 1e-9
+    heavier = text.replace("{mass}", "{1.0001*mass}").replace("= mass*V", "= 1.0001*mass*V")
+    assert worst_motion(name, heavier) > 1e-7
+
+
 # --- contacts, whose declaration depends on the scene ---------------------------------------------
 
 GAPS = (0.0, 2e-7)
