@@ -9,7 +9,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-from kc2spice.core.errors import UsageError
+from kc2spice.core.errors import MissingToolError, UsageError
 
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,63}")
 # Simulators read these as ground, clock, temperature, a constant, a multiplier, a function.
@@ -95,8 +95,12 @@ def templates(autoescape: bool = False) -> Any:
     from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
     package = Path(__file__).resolve().parent.parent
+    places = [p / "templates" for p in (package, package.parent) if (p / "templates").is_dir()]
+    if not places:
+        problem = "the netlist templates are not installed"
+        raise MissingToolError(problem, where=str(package), hint="reinstall kc2spice")
     environment = Environment(
-        loader=FileSystemLoader([package / "templates", package.parent / "templates"]),
+        loader=FileSystemLoader(places),
         autoescape=autoescape,
         undefined=StrictUndefined,  # a missing value is an error, never an empty field
         trim_blocks=True,
