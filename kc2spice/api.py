@@ -179,9 +179,9 @@ def run(
     kept = None if out is None else Path(out)
     with tempfile.TemporaryDirectory(prefix="kc2spice-") as name:
         done = complete(loaded, Path(name), out=kept, trust=trust, deck=edited, functions=functions)
-    found = done.run
-    more: dict[str, Any] = {"figures": {each.name: each for each in done.figures}, "_done": done}
-    result = _result(found.deck, found.waves, done.record, found.verdict.checks, **more)
+    answer = done.run
+    more: dict[str, Any] = {"figures": {item.name: item for item in done.figures}, "_done": done}
+    result = _result(answer.deck, answer.waves, done.record, answer.verdict.checks, **more)
     if out is not None:
         result.save(out)
     return result
@@ -418,26 +418,26 @@ def sweep(
     from kc2spice.workflow.sweep.point import Job, scene_text
     from kc2spice.workflow.sweep.run import columns, cores, outcomes, planned, require_columns
 
-    if not values or not all(len(each) for each in values.values()):
+    if not values or not all(len(item) for item in values.values()):
         raise UsageError("nothing to sweep", where="values", expected="{key: [value, …]}")
     if executor is None:
         find_ngspice()
     named = isinstance(scene, (str, Path))
     source = scene_text(str(scene)) if named else load_scene(scene)
-    plan = make_plan({key: tuple(each) for key, each in values.items()})
+    plan = make_plan({key: tuple(item) for key, item in values.items()})
     asked = planned(Job(source), plan, dict.fromkeys(plan.keys, ""))
-    found: dict[int, Any] = {}
+    result: dict[int, Any] = {}
     with ExitStack() as opened, warnings.catch_warnings():
         warnings.simplefilter("ignore")
         count = workers or cores()
         pool = executor or opened.enter_context(ThreadPoolExecutor(count))
         for index, outcome in outcomes(asked, range(plan.size), lambda: nullcontext((pool, count))):
-            found[index] = outcome
-            if outcome.failure is None and len(found) == 1:
+            result[index] = outcome
+            if outcome.failure is None and len(result) == 1:
                 require_columns(outcome, (), asked.scene.name)
             if progress is not None:
-                progress(len(found), plan.size)
-    table = columns(found, plan)
+                progress(len(result), plan.size)
+    table = columns(result, plan)
     rows = Table(dict(zip(table, row, strict=True)) for row in zip(*table.values(), strict=True))
     rows.columns = tuple(table)
     return rows

@@ -409,9 +409,9 @@ def _resonance(
         elastic = static - (static @ (M @ rigid)) @ rigid.T
         size = np.sqrt(np.sum(elastic * (M @ elastic.T).T, axis=1))
         share = np.abs(elastic @ (M @ modes)) / size[:, None]
-        found = values[(share.max(axis=0) > COUPLED) & (values > 10 * shift)]
-        if found.size:
-            return float(np.sqrt(found.min()) / (2 * np.pi))
+        result = values[(share.max(axis=0) > COUPLED) & (values > 10 * shift)]
+        if result.size:
+            return float(np.sqrt(result.min()) / (2 * np.pi))
     return None
 
 
@@ -499,7 +499,7 @@ class Bonded:
     def _lines(self) -> list[np.ndarray]:
         """Along each axis all edges and equal cells between them."""
         model = self if self.like is None else self.like
-        found = []
+        result = []
         for own, others in zip(self._edges(), model._edges(), strict=True):
             (points, place), (counted, alike) = _distinct(own), _distinct(others)
             if not np.array_equal(place, alike):
@@ -511,8 +511,8 @@ class Bonded:
                 np.linspace(*pair, self.refine * max(1, count) + 1)[:-1]
                 for pair, count in zip(pairwise(points), counts, strict=True)
             ]
-            found.append(np.concatenate([*cut, points[-1:]]))
-        return found
+            result.append(np.concatenate([*cut, points[-1:]]))
+        return result
 
     def _edges(self) -> list[np.ndarray]:
         """Along each axis where blocks, electrodes, supports and ports begin and end, always in
@@ -530,8 +530,8 @@ class Bonded:
         for block in self.blocks:
             owner[_within(block.box, middle, near)] = list(materials).index(block.material.name)
         kept = np.flatnonzero(owner >= 0)
-        found = tuple(materials.values())
-        return Solid(mesh.restrict(kept), found, owner[kept], axisymmetric=len(grid) == 2)
+        result = tuple(materials.values())
+        return Solid(mesh.restrict(kept), result, owner[kept], axisymmetric=len(grid) == 2)
 
     def _setup(self, solid: Solid, near: float) -> Setup:
         places, letters = solid.places, "xz" if solid.axisymmetric else "xyz"
@@ -547,8 +547,8 @@ class Bonded:
 
         def shares(box: Box) -> np.ndarray:
             if all(low == high for low, high in box):
-                found = _within(box, places, near)
-                return np.asarray(found / found.sum())
+                result = _within(box, places, near)
+                return np.asarray(result / result.sum())
             face = solid.mesh.facets_satisfying(lambda x: _within(box, x, near))
             return node_shares(solid, facets=face)
 

@@ -160,8 +160,8 @@ def at_nodes(device: Device, z: np.ndarray, voltages: np.ndarray) -> dict[str, n
     nodes, d = probe.basis.element_dofs.T.ravel(), device.solid.components
     moves = np.zeros((nodes.size, 3))
     moves[:, [0, 1, 2] if d == 3 else [0, 2]] = u.reshape(-1, d)[nodes]
-    found = {"displacement": moves, "potential": phi[nodes, 0], "field": E[..., 0]}
-    return found | {"stress": T[..., 0], "material": probe.owner.astype(float)}
+    result = {"displacement": moves, "potential": phi[nodes, 0], "field": E[..., 0]}
+    return result | {"stress": T[..., 0], "material": probe.owner.astype(float)}
 
 
 def principal(stress: np.ndarray) -> np.ndarray:
@@ -214,7 +214,7 @@ def extremes(motion: Motion) -> list[Extreme]:
     linear elasticity grows without bound as the mesh is refined.
     """
     probe = Probe(motion.device, gauss=True)
-    chosen = _instants(motion, max(INSTANTS, WORK // probe.owner.size))
+    selected = _instants(motion, max(INSTANTS, WORK // probe.owner.size))
     solid = motion.device.solid
     places = np.asarray(probe.basis.global_coordinates()).reshape(solid.mesh.dim(), -1)
     electrodes = motion.voltages.shape[1]
@@ -223,26 +223,26 @@ def extremes(motion: Motion) -> list[Extreme]:
     T, E = probe.stress(*probe.nodal(motion.basis, shorted))
     T_V, E_V = probe.stress(*probe.nodal(still, np.eye(electrodes)))
     T, E = np.concatenate([T, T_V], -1), np.concatenate([E, E_V], -1)
-    states = np.hstack([motion.states, motion.voltages])[chosen]
+    states = np.hstack([motion.states, motion.voltages])[selected]
     names = np.array([material.name for material in solid.materials])[probe.owner]
-    found = []
+    result = []
     for name in dict.fromkeys(material.name for material in solid.materials):
         own = np.flatnonzero(names == name)
         made_of = [solid.materials[k] for k in probe.owner[own]]
-        poling = np.array([each.axis for each in made_of])
+        poling = np.array([item.axis for item in made_of])
         for quantity, (unit, limit) in QUANTITIES.items():
             if quantity != "principal_stress" and not made_of[0].piezoelectric:
                 continue
             values = partial(_values, quantity, T[own], E[own], poling)
             parts = map(values, np.array_split(states, -(-len(states) // CHUNK)))
             rows = [(part.max(axis=1), part.argmax(axis=1)) for part in parts]
-            curve, points = (np.concatenate(each) for each in zip(*rows, strict=True))
+            curve, points = (np.concatenate(item) for item in zip(*rows, strict=True))
             k = int(curve.argmax())
             point = int(points[k])
-            at, place = float(motion.time[chosen[k]]), tuple(places[:, own[point]])
+            at, place = float(motion.time[selected[k]]), tuple(places[:, own[point]])
             largest = float(curve[k]), getattr(made_of[point], limit), at, place
-            found.append(Extreme(name, quantity, unit, *largest, motion.time[chosen], curve))
-    return found
+            result.append(Extreme(name, quantity, unit, *largest, motion.time[selected], curve))
+    return result
 
 
 def _values(

@@ -56,8 +56,8 @@ class Reading:
 
     def metrics(self) -> dict[str, Any]:
         """The metrics of an ``ac`` scene, by their names."""
-        found = vars(self) | {"bvd": dict(vars(self.bvd))}
-        return {name: value for name, value in found.items() if name != "fit_error"}
+        result = vars(self) | {"bvd": dict(vars(self.bvd))}
+        return {name: value for name, value in result.items() if name != "fit_error"}
 
 
 def analyse(frequency: np.ndarray, impedance_ohm: np.ndarray) -> Reading:

@@ -234,7 +234,7 @@ def _electrodes(
     within = np.flatnonzero(several & ~on.any(axis=1))
     part = np.interp(z[within], planes, np.arange(planes.size) % 2)
     return (
-        {pin: np.flatnonzero(each.any(axis=1)) for pin, each in pins.items()},
+        {pin: np.flatnonzero(item.any(axis=1)) for pin, item in pins.items()},
         (within, part) if within.size else None,
     )
 
@@ -275,14 +275,14 @@ def springs(solid: Solid, kick: Chip) -> sparse.csc_array | None:
         local = sparse.csc_array(BilinearForm(lambda u, v, _: u * v).assemble(basis))
         return (local + local.T) / 2
 
-    found = []
+    result = []
     if isinstance(kick.mounting, float):
-        found.append(sparse.kron(face(0.0), kick.mounting * np.eye(3)))
+        result.append(sparse.kron(face(0.0), kick.mounting * np.eye(3)))
     if kick.preload_spring is not None:
         top = face(solid.places[2].max())
         share = kick.preload_spring / SECTORS / top.sum() * top
-        found.append(sparse.kron(share, np.diag(UPWARDS)))
-    return sparse.csc_array(sum(found)) if found else None
+        result.append(sparse.kron(share, np.diag(UPWARDS)))
+    return sparse.csc_array(sum(result)) if result else None
 
 
 def _facets(solid: Solid, height: float) -> np.ndarray:

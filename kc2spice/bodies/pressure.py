@@ -101,7 +101,7 @@ class PressureBasis:
         return falling + np.r_[0.0, rising[:-1]]
 
 
-def hats(spacing: float, patch: float) -> PressureBasis:
+def pressure_basis(spacing: float, patch: float) -> PressureBasis:
     """One every ``spacing`` [m] near the axis, in proportion to the radius beyond a fifth of
     ``patch`` [m], up to which they go: under a sphere each has a like share of the force."""
     nodes = [0.0]
@@ -121,8 +121,8 @@ class LocalCompliance:
     @property
     def shares(self) -> np.ndarray:
         """(n,) of the hats in the patch, which move all of them alike."""
-        found = np.linalg.solve(self.compliance + self.patch, np.ones(len(self.compliance)))
-        return np.asarray(found / found.sum())
+        result = np.linalg.solve(self.compliance + self.patch, np.ones(len(self.compliance)))
+        return np.asarray(result / result.sum())
 
 
 def pressed(chip: Chip, shape: PressureBasis) -> LocalCompliance:
@@ -132,7 +132,7 @@ def pressed(chip: Chip, shape: PressureBasis) -> LocalCompliance:
     ------
     SimulationError : the coarse mesh is softer than the graded one, which no good mesh is.
     """
-    S = dents(chip, shape)
+    S = surface_compliance(chip, shape)
     # the round stack of the same layers and the same mesh under the hats
     alike = ("height", "layers", "bottom_cap", "top_cap", "material", "mesh", "damping")
     own = {name: getattr(chip, name) for name in alike} | {"diameter": 2 * min(chip.half)}
@@ -152,7 +152,7 @@ def pressed(chip: Chip, shape: PressureBasis) -> LocalCompliance:
     return LocalCompliance(S - coarse, coarse)
 
 
-def dents(chip: Chip, shape: PressureBasis, cells: int = CELLS) -> np.ndarray:
+def surface_compliance(chip: Chip, shape: PressureBasis, cells: int = CELLS) -> np.ndarray:
     """(n, n) mean displacement [m] of each hat per force [N] on each, of a round stack as wide as
     the chip's smaller side, on a roller, electrodes at constant voltage."""
     return _compliance(_stack(chip, shape, cells).model)
@@ -212,7 +212,7 @@ def _stack(chip: Chip, shape: PressureBasis, cells: int) -> Device:
         np.column_stack([r < near, z < near]).ravel(),
         {"anode": level(planes[1::2]), "cathode": level(planes[::2])},
         "cathode",
-        shapes=[*map(Shape, ports, _hat_loads(solid, shape, top).T)],
+        shapes=[*map(Shape, ports, _basis_loads(solid, shape, top).T)],
     )
     return constrained(solid, setup)
 
@@ -221,9 +221,9 @@ def _hat_ports(shape: PressureBasis) -> list[Port]:
     return [Port(f"hat{k}", "mechanical") for k in range(len(shape.nodes) - 1)]
 
 
-def _hat_loads(solid: Solid, shape: PressureBasis, facets: np.ndarray) -> np.ndarray:
+def _basis_loads(solid: Solid, shape: PressureBasis, facets: np.ndarray) -> np.ndarray:
     """(2 nodes, hats) unit axial forces, spread as the hats are over what the facets project."""
-    basis, found = (
+    basis, result = (
         solid.face(facets, 5),
         np.zeros((2 * solid.places.shape[1], len(shape.nodes) - 1)),
     )
@@ -232,9 +232,9 @@ def _hat_loads(solid: Solid, shape: PressureBasis, facets: np.ndarray) -> np.nda
         profile = partial(np.interp, xp=shape.nodes, fp=hat, right=0.0)
         return LinearForm(lambda v, w: profile(w.x[0]) * w.x[0] * np.abs(w.n[1]) * v)
 
-    for column, hat in zip(found.T, np.eye(len(shape.nodes)), strict=False):
+    for column, hat in zip(result.T, np.eye(len(shape.nodes)), strict=False):
         column[1::2] = load(hat).assemble(basis)
-    return found / found.sum(axis=0)
+    return result / result.sum(axis=0)
 
 
 def _divided(points: np.ndarray, count: int) -> np.ndarray:
@@ -269,7 +269,7 @@ class Indented:
         return np.asarray(s**3 * np.polynomial.polynomial.polyval(s, self.coefficients))
 
 
-def dented(shape: PressureBasis, compliance: np.ndarray, gap: np.ndarray) -> Indented:
+def indentation_law(shape: PressureBasis, compliance: np.ndarray, gap: np.ndarray) -> Indented:
     """The law of a sphere over hats of the ``compliance`` (n, n), each the ``gap`` (n,) [m] below
     it.
 
@@ -290,8 +290,8 @@ def dented(shape: PressureBasis, compliance: np.ndarray, gap: np.ndarray) -> Ind
     work = ((x[:, None] - gap) * force).sum(axis=1) / 2
     power = 3 + np.arange(DEGREE + 1)
     terms = s[:, None] ** (power + 2) * (2 * depth / (power + 2))
-    found = np.linalg.lstsq(terms / work[:, None], np.ones(DEPTHS), rcond=None)[0]
-    return Indented(depth, tuple(found.tolist()))
+    result = np.linalg.lstsq(terms / work[:, None], np.ones(DEPTHS), rcond=None)[0]
+    return Indented(depth, tuple(result.tolist()))
 
 
 def pressing(compliance: np.ndarray, gap: np.ndarray, depth: np.ndarray) -> np.ndarray:
@@ -397,7 +397,7 @@ def _free(body: Sphere, shape: PressureBasis, refine: int) -> LinearModel:
     momentum = M @ along
     mass = float(along @ momentum)
     slow = np.linalg.eigvalsh(body.material.C)[0] / body.material.density / radius**2
-    loads = _hat_loads(solid, shape, np.flatnonzero(under))[kept]
+    loads = _basis_loads(solid, shape, np.flatnonzero(under))[kept]
     return with_potentials(
         M=M,
         K_uu=K,
@@ -413,9 +413,9 @@ def _free(body: Sphere, shape: PressureBasis, refine: int) -> LinearModel:
 
 def _onwards(angles: np.ndarray) -> np.ndarray:
     """``angles`` [rad] and further ones, whose steps grow and shrink again towards pi."""
-    found = list(angles)
-    while found[-1] + 2 * (step := min(GROWTH * (found[-1] - found[-2]), ANGLE)) < np.pi:
-        found.append(found[-1] + step)
-    while np.pi - found[-1] > 2 * PIT:
-        found.append((found[-1] + np.pi) / 2)
-    return np.array(found)
+    result = list(angles)
+    while result[-1] + 2 * (step := min(GROWTH * (result[-1] - result[-2]), ANGLE)) < np.pi:
+        result.append(result[-1] + step)
+    while np.pi - result[-1] > 2 * PIT:
+        result.append((result[-1] + np.pi) / 2)
+    return np.array(result)

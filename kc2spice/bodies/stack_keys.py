@@ -125,10 +125,10 @@ class Chip(Section):
         given = self.material
         if not isinstance(given, str):
             given = {"like": PAPER, **given}
-        found = material(given)
-        if found.conductor or not found.isotropic_about_z:
-            raise UsageError(f"{found.name} is no ceramic poled along z (class 6mm)")
-        return replace(found, name="ceramic")
+        result = material(given)
+        if result.conductor or not result.isotropic_about_z:
+            raise UsageError(f"{result.name} is no ceramic poled along z (class 6mm)")
+        return replace(result, name="ceramic")
 
     @property
     def half(self) -> tuple[float, float]:

@@ -82,9 +82,9 @@ def examine() -> Iterator[Finding]:
             yield Finding(library, False, "not installed", fix)
     if sys.platform == "linux":
         missing = [soname for soname in _GMSH if not _loads(soname)]
-        found = "missing " + ", ".join(missing) if missing else f"{len(_GMSH)} found"
-        fix = " ".join(("apt-get install", *(_GMSH[each] for each in missing))) if missing else ""
-        yield Finding("system libraries of gmsh", not missing, found, fix)
+        result = "missing " + ", ".join(missing) if missing else f"{len(_GMSH)} found"
+        fix = " ".join(("apt-get install", *(_GMSH[item] for item in missing))) if missing else ""
+        yield Finding("system libraries of gmsh", not missing, result, fix)
     yield from _ngspice()
     named = (os.environ.get("NGSPICE_LIBRARY_PATH"), ctypes.util.find_library("ngspice"))
     loaded = next((n for n in (*named, "libngspice.so.0") if n and _loads(n)), None)
@@ -110,8 +110,8 @@ def _ngspice() -> Iterator[Finding]:
     find_ngspice.cache_clear()
     install, missing = "apt-get install ngspice", None
     try:
-        found = find_ngspice()
-        yield Finding("ngspice", True, f"{found.version} ({found.path})")
+        result = find_ngspice()
+        yield Finding("ngspice", True, f"{result.version} ({result.path})")
     except MissingToolError as error:
         missing = error
         yield Finding("ngspice", False, f"{error.message} ({error.where})", install)

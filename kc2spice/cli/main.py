@@ -222,12 +222,12 @@ def _command(function: Callable[..., None]) -> Callable[..., None]:
     name = call.__name__ = function.__name__
     call.__doc__ = function.__doc__
     _, *own = inspect.signature(function).parameters.values()
-    flags = (each.replace(default=False) for each in inspect.signature(call).parameters.values())
+    flags = (item.replace(default=False) for item in inspect.signature(call).parameters.values())
     parameters = []
-    for each in (*own, next(flags), next(flags)):
-        info = PARAMETERS.get(f"{name}.{each.name}") or PARAMETERS[each.name]
-        parameters.append(each.replace(annotation=Annotated[each.annotation, info]))
-    call.__annotations__ = {each.name: each.annotation for each in parameters}
+    for item in (*own, next(flags), next(flags)):
+        info = PARAMETERS.get(f"{name}.{item.name}") or PARAMETERS[item.name]
+        parameters.append(item.replace(annotation=Annotated[item.annotation, info]))
+    call.__annotations__ = {item.name: item.annotation for item in parameters}
     call.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
     app.command()(call)
     return function
@@ -260,9 +260,9 @@ def run(
     loaded = _loaded(scene, set_)
     out = out or Path(loaded.name)
     with caller.progress() as progress:
-        found = study.run(loaded, out, progress, trust=trust, deck=deck, keep=keep, png=png)
-    if caller.reads(found, out):
-        show_result(found, out)
+        result = study.run(loaded, out, progress, trust=trust, deck=deck, keep=keep, png=png)
+    if caller.reads(result, out):
+        show_result(result, out)
 
 
 @_command
@@ -323,15 +323,15 @@ def verify(
     loaded = [_loaded(name, set_) for name in ([scene] if scene else gallery())]
     out = out or Path("verify" if all_ else f"{loaded[0].name}_verify")
     with caller.progress() as progress:
-        found = verify_scenes(loaded, out, full=full, deck=deck, trust=trust, progress=progress)
-    passed = all(record["passed"] for record in found.values())
-    record = {"passed": passed, "scenes": found} if all_ else next(iter(found.values()))
+        result = verify_scenes(loaded, out, full=full, deck=deck, trust=trust, progress=progress)
+    passed = all(record["passed"] for record in result.values())
+    record = {"passed": passed, "scenes": result} if all_ else next(iter(result.values()))
     if caller.reads(record, out):
         from kc2spice.report.pages import verdict_sections
 
-        for name, each in found.items():
-            show(verdict_sections(name, each))
-            print(*(f"  {note}\n" for note in each["notes"]), sep="", end="")
+        for name, item in result.items():
+            show(verdict_sections(name, item))
+            print(*(f"  {note}\n" for note in item["notes"]), sep="", end="")
         print(f"all of it, with errors and plots: {out / 'verify.html'}")
     if not passed:
         raise typer.Exit(GateMissedError.exit_code)
@@ -440,24 +440,24 @@ def reduce(
 
     wanted: dict[str, Any] = {"band": band, "tolerance": tolerance, "order": order, "norm": norm}
     with caller.progress() as progress:
-        found = reduce_study(model, out, **wanted, progress=progress)
-    if caller.reads(found):
+        result = reduce_study(model, out, **wanted, progress=progress)
+    if caller.reads(result):
         from kc2spice.report.run_page import above_band
 
-        low, high = found["band_hz"]
+        low, high = result["band_hz"]
         rows = [
-            ("equations", f"{found['unknowns']}, {found['form']}"),
-            ("states", str(found["order"])),
+            ("equations", f"{result['unknowns']}, {result['form']}"),
+            ("states", str(result["order"])),
             ("band", f"{low:g} … {high:g} Hz"),
-            ("error estimate", f"{found['error_estimate']:.3g}, {found['norm']}"),
-            *above_band(found),
-            ("stable", {True: "yes", False: "NO", None: "not known"}[found["stable"]]),
-            ("passive", "yes" if found["passive"] else "not shown"),
-            ("method", found["method"]),
-            ("reduced model", found["rom"]),
+            ("error estimate", f"{result['error_estimate']:.3g}, {result['norm']}"),
+            *above_band(result),
+            ("stable", {True: "yes", False: "NO", None: "not known"}[result["stable"]]),
+            ("passive", "yes" if result["passive"] else "not shown"),
+            ("method", result["method"]),
+            ("reduced model", result["rom"]),
         ]
         print_table("reduced model", rows)
-    require_stable(found)
+    require_stable(result)
 
 
 @_command
@@ -482,12 +482,12 @@ def fit(
         raise UsageError("names no part", where=target, expected="SCENE:PART")
     scene = _loaded(name, set_)
     with caller.progress() as progress:
-        found = fit_study(scene, part, data, vary or (), out or Path(f"{part}_fit"), progress)
-    if caller.reads(found):
+        result = fit_study(scene, part, data, vary or (), out or Path(f"{part}_fit"), progress)
+    if caller.reads(result):
         from kc2spice.report.pages import fit_sections
 
-        show(fit_sections(found))
-        print(f"values, for --set: {found['overrides']}\nwith plots: {found['page']}")
+        show(fit_sections(result))
+        print(f"values, for --set: {result['overrides']}\nwith plots: {result['page']}")
 
 
 @_command
@@ -521,7 +521,7 @@ def bench(
         front = [point for point in record["points"] if point["front"] or point["own"]]
         show(bench_sections({**record, "points": front}))
         if best is not None:
-            given = [word for each in set_ or () for word in ("--set", each)]
+            given = [word for item in set_ or () for word in ("--set", item)]
             print("kc2spice run", shlex.join([scene, *given, *best["set"]]))
         print(f"all of it: {out / 'bench.html'}")
     if best is None:
@@ -557,19 +557,19 @@ def sweep(
 
     table = study.table_name(table_format)
     wanted: dict[str, Any] = {"zipped": zipped, "latin": latin, "seed": seed, "timeout": timeout}
-    found = study.named_sweep(scene, override_texts(set_ or ()), metrics=metric or (), **wanted)
-    out = out or Path(f"{found.scene.name}_sweep")
+    answer = study.named_sweep(scene, override_texts(set_ or ()), metrics=metric or (), **wanted)
+    out = out or Path(f"{answer.scene.name}_sweep")
     count = workers or pools.cores()
     pool = pools.processes(count) if dask is None else pools.dask(dask, count)
     if not caller.quiet:
-        print(found.describe(), file=sys.stderr)
-    result = {"scene": found.scene.name, "points": found.plan.size, "failed": 0, "resumed": 0}
-    result |= {"table": str((out / table).absolute()), "runs": found.runs}
+        print(answer.describe(), file=sys.stderr)
+    result = {"scene": answer.scene.name, "points": answer.plan.size, "failed": 0, "resumed": 0}
+    result |= {"table": str((out / table).absolute()), "runs": answer.runs}
     if not dry_run:
         again: dict[str, Any] = {"table_format": table_format, "retry_failed": retry_failed}
         try:
             with caller.progress() as progress:
-                result = study.sweep(found, out, pool, progress, **again)
+                result = study.sweep(answer, out, pool, progress, **again)
         except KeyboardInterrupt:
             told = f"the points run so far are kept in {out}, the same command runs the rest"
             print(f"kc2spice: interrupted; {told}", file=sys.stderr)

@@ -41,8 +41,8 @@ _PLACES = {"win32": ("LOCALAPPDATA", "AppData/Local"), "darwin": ("", "Library/C
 
 def cache_dir() -> Path:
     """``$KC2SPICE_CACHE``, else the platform's directory for files that can be made again."""
-    if chosen := os.environ.get("KC2SPICE_CACHE"):
-        return Path(chosen)
+    if selected := os.environ.get("KC2SPICE_CACHE"):
+        return Path(selected)
     variable, below = _PLACES.get(sys.platform, ("XDG_CACHE_HOME", ".cache"))
     return Path(os.environ.get(variable) or _home() / below) / "kc2spice"
 
@@ -85,14 +85,14 @@ def cached(
     known = {cls.__name__: cls for cls in classes}
     modules = {__name__, *sources, *(cls.__module__ for cls in known.values())}
     path = cache_dir() / kind / f"{_digest(key, modules)}.entry"
-    found = _load(path, known)
-    if found is None:
+    answer = _load(path, known)
+    if answer is None:
         with _alone(path):
-            found = _load(path, known)  # somebody else may have built it since
-            if found is None:
+            answer = _load(path, known)  # somebody else may have built it since
+            if answer is None:
                 _store(path, result := build(), known)
                 return result, False
-    return cast(T, found[0]), True
+    return cast(T, answer[0]), True
 
 
 @contextmanager
@@ -221,5 +221,5 @@ def _decode(node: Any, arrays: Mapping[str, np.ndarray], known: Mapping[str, typ
     ((tag, content),) = node.items()
     if tag == "array":
         return arrays[content]
-    found = {name: _decode(item, arrays, known) for name, item in content.items()}
-    return found if tag == "dict" else known[tag](**found)
+    result = {name: _decode(item, arrays, known) for name, item in content.items()}
+    return result if tag == "dict" else known[tag](**result)

@@ -190,9 +190,9 @@ def read_archive(
     """
     with zipfile.ZipFile(path) as archive:
         members = {item.filename.removesuffix(".npy"): item for item in archive.infolist()}
-        chosen = {name: item for name, item in members.items() if wanted(name)}
+        selected = {name: item for name, item in members.items() if wanted(name)}
         declared = 0
-        for name, item in chosen.items():
+        for name, item in selected.items():
             with archive.open(item) as stream:
                 shape, kind = _declared(stream)
             count = math.prod(shape)
@@ -206,11 +206,11 @@ def read_archive(
             declared += size
         if declared > total:
             raise ValueError(f"{declared:.3g} bytes unpacked, more than {total:.3g}")
-        found = {}
-        for name, item in chosen.items():
+        result = {}
+        for name, item in selected.items():
             with archive.open(item) as stream:
-                found[name] = np.lib.format.read_array(stream, allow_pickle=False)
-        return found
+                result[name] = np.lib.format.read_array(stream, allow_pickle=False)
+        return result
 
 
 def _declared(stream: IO[bytes]) -> tuple[tuple[int, ...], np.dtype]:

@@ -131,13 +131,13 @@ class LinearBody:
 
 def port_pins(ports: tuple[Port, ...]) -> tuple[Pin, ...]:
     """One pin a port, and the returns; accelerations, inputs and outputs are signals."""
-    found: list[Pin] = []
+    result: list[Pin] = []
     for port in ports:
         kind = port.kind if port.kind in (*MECHANICAL, "electrical") else "signal"
-        found.append(Pin(port.name, kind))
-        if port.ret and port.ret not in {p.name for p in found}:
-            found.append(Pin(port.ret, kind, grounded=True))
-    return tuple(found)
+        result.append(Pin(port.name, kind))
+        if port.ret and port.ret not in {p.name for p in result}:
+            result.append(Pin(port.ret, kind, grounded=True))
+    return tuple(result)
 
 
 @dataclass(frozen=True)
@@ -224,7 +224,7 @@ class Device(ABC):
         return ()
 
     @property
-    def drives(self) -> tuple[str, ...]:
+    def prescribes(self) -> tuple[str, ...]:
         """Signal pins that it sets."""
         return ()
 
@@ -356,13 +356,13 @@ class PortBody(Device):
         return tuple(f"{port.name}.through" for port in self._own)
 
     @property
-    def drives(self) -> tuple[str, ...]:
+    def prescribes(self) -> tuple[str, ...]:
         return tuple(port.name for port in self.ports if port.kind == "output")
 
     @cached_property
     def _maps(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """``a = load @ e``, ``charges = stored @ y`` and ``out = direct @ e + answered @ y``."""
-        n, k, drives = len(self._loads), len(self._own), len(self.drives)
+        n, k, drives = len(self._loads), len(self._own), len(self.prescribes)
         rows = [port for port in self.ports if port.kind != "input"]
         load, stored = np.zeros((n, n + k)), np.zeros((k, len(rows)))
         direct, answered = np.zeros((2 * k + drives, n + k)), np.zeros((2 * k + drives, len(rows)))
@@ -376,7 +376,7 @@ class PortBody(Device):
             else:
                 direct[k + at, self._loads.index(port)] = 1 / MICRO
                 answered[k + at, rows.index(port)] = -1 / MICRO
-        for at, name in enumerate(self.drives, 2 * k):
+        for at, name in enumerate(self.prescribes, 2 * k):
             answered[at, [port.name for port in rows].index(name)] = 1.0
         return load, stored, direct, answered
 
@@ -468,7 +468,7 @@ class SignalBlock(Device):
         return (1.0,) * len(self.A)
 
     @property
-    def drives(self) -> tuple[str, ...]:
+    def prescribes(self) -> tuple[str, ...]:
         return self.outputs
 
     def evaluate(self, t: float, e: np.ndarray, mode: Any) -> tuple[np.ndarray, np.ndarray]:
@@ -509,7 +509,7 @@ class Pid(Device):
     pins = (Pin("y", "displacement"), Pin("out", "signal"))
     taps = (Tap("y"),)
     states = ("followed", "integral")
-    drives = ("out",)
+    prescribes = ("out",)
     affine = True
 
     @property
@@ -521,8 +521,8 @@ class Pid(Device):
         """Slopes (3, 3) and values at zero (3,) of both rates and the output within the limit."""
         fast, slow = self.kd / self.rolloff, 1.0 / self.rolloff
         slopes = [[-slow, -slow, 0.0], [-self.ki, 0.0, 0.0], [-self.kp - fast, -fast, 1.0]]
-        found = np.array(slopes)
-        return found, (self.offset - self.setpoint) * found[:, 0]
+        result = np.array(slopes)
+        return result, (self.offset - self.setpoint) * result[:, 0]
 
     def initial(self, taps: np.ndarray) -> np.ndarray:
         return np.array([self.setpoint - self.offset - float(taps[0]), 0.0])

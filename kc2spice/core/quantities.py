@@ -34,9 +34,9 @@ def told(
     table stands, ``also`` are keys that it may have beside those of the ``schema``.
     """
     every = error.errors()
-    found = next((each for each in every if each["type"] == "extra_forbidden"), every[0])
-    whole, kind, given = (*at, *found["loc"]), found["type"], found["input"]
-    message, expected, hint = _words(found, schema, whole, also)
+    result = next((item for item in every if item["type"] == "extra_forbidden"), every[0])
+    whole, kind, given = (*at, *result["loc"]), result["type"], result["input"]
+    message, expected, hint = _words(result, schema, whole, also)
     # Of keys that contradict each other the message says what is wrong.
     contradicts = kind == "value_error" and isinstance(given, Mapping)
     got = None if contradicts or kind in ("extra_forbidden", "missing") else shown(given)
@@ -50,7 +50,7 @@ def _words(
     match found["type"]:
         case "extra_forbidden":
             fields = [*_table(schema, path).model_fields, *(also if len(path) == 1 else ())]
-            word, every = str(path[-1]), (dotted(each) for each, _ in entries(schema))
+            word, every = str(path[-1]), (dotted(item) for item, _ in entries(schema))
             near = did_you_mean(word, fields) or did_you_mean(word, every)
             return "unknown key", "one of " + ", ".join(fields), near
         case "missing":
@@ -86,7 +86,7 @@ def _words(
             sign = {"gt": ">", "ge": ">=", "lt": "<", "le": "<="}
             limit = ", ".join(f"{sign[key]} {bound:g}" for key, bound in context.items())
             names = tuple(part for part in path if isinstance(part, str))
-            unit = next((unit_of(field) for each, field in entries(schema) if each == names), None)
+            unit = next((unit_of(field) for item, field in entries(schema) if item == names), None)
             return "out of range", f"{limit} {unit or ''}".rstrip(), None
         case "value_error":
             return str(context["error"]), None, None
@@ -108,7 +108,7 @@ def entries(schema: type[BaseModel]) -> Iterator[tuple[tuple[str, ...], FieldInf
         if section is None:
             yield own, field
         else:
-            yield from ((own + below, each) for below, each in entries(section))
+            yield from ((own + below, item) for below, item in entries(section))
 
 
 def submodel(annotation: Any) -> type[BaseModel] | None:
@@ -190,7 +190,7 @@ def _parse_unit(text: str) -> tuple[int, ...] | None:
     if slash and not bottom.strip():
         return None
     below = bottom.strip().removeprefix("(").removesuffix(")")
-    found = [0] * 6
+    result = [0] * 6
     for product, sign in ((top, 1), (below, -1)):
         for factor in product.split():
             match = _FACTOR.fullmatch(factor)
@@ -198,8 +198,8 @@ def _parse_unit(text: str) -> tuple[int, ...] | None:
             if match is None or unit is None or (factor == "1" and factor != product.strip()):
                 return None
             power = sign * int(match[2] or 1)
-            found = [a + power * b for a, b in zip(found, unit, strict=True)]
-    return tuple(found)
+            result = [a + power * b for a, b in zip(result, unit, strict=True)]
+    return tuple(result)
 
 
 def _from_text(text: str, si: str) -> float:

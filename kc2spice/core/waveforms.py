@@ -178,8 +178,8 @@ class Waveform:
 
     def corners(self, stop: float) -> np.ndarray:
         """Times [s] up to ``stop`` where the derivative jumps."""
-        found = self.knots(stop)[0] if self.straight else np.array([self.start])
-        return found[(found > 0) & (found < stop)]
+        result = self.knots(stop)[0] if self.straight else np.array([self.start])
+        return result[(result > 0) & (result < stop)]
 
     def spice(self, scale: float = 1.0) -> str:
         """What stands behind the nodes of an independent source, values times ``scale``.
@@ -303,9 +303,9 @@ def write_record(
     record: Mapping[str, Any], directory: Path, name: str = "result.json"
 ) -> dict[str, Any]:
     """Write one JSON file and return what it says: numbers that are not finite are null there."""
-    found: dict[str, Any] = _plain(record)
-    (directory / name).write_text(json.dumps(found, indent=2) + "\n", encoding="utf-8")
-    return found
+    result: dict[str, Any] = _plain(record)
+    (directory / name).write_text(json.dumps(result, indent=2) + "\n", encoding="utf-8")
+    return result
 
 
 def _plain(value: Any) -> Any:

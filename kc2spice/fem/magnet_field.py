@@ -139,10 +139,10 @@ def systems(catch: Catch, radius: float) -> Iterator[tuple[int, System]]:
     pitch = lattice_pitch(catch, radius, (y[-1] - y[0]) / (y.size - 1))
     offset = np.round((y - y[0]) / pitch, 6) % 1.0
     for value in np.unique(offset):
-        chosen = np.flatnonzero(offset == value)
-        lattice = bore(catch, radius, pitch, y[chosen[0]], y[chosen[-1]])
+        selected = np.flatnonzero(offset == value)
+        lattice = bore(catch, radius, pitch, y[selected[0]], y[selected[-1]])
         system = assemble(catch, lattice)
-        yield from ((int(index), system(y[index])) for index in chosen)
+        yield from ((int(index), system(y[index])) for index in selected)
 
 
 @dataclass(frozen=True)

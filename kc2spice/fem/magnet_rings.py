@@ -37,8 +37,8 @@ def mutual(r: np.ndarray, z: np.ndarray, other: np.ndarray, height: np.ndarray) 
     across = (r + other) ** 2 + apart
     # K by 1 - k^2, which is exact where the circles are close
     k2, rest = 4 * r * other / across, ((r - other) ** 2 + apart) / across
-    found = (1 - k2 / 2) * ellipkm1(rest) - ellipe(k2)
-    return np.asarray(MU_0 * np.sqrt(across) * found)
+    result = (1 - k2 / 2) * ellipkm1(rest) - ellipe(k2)
+    return np.asarray(MU_0 * np.sqrt(across) * result)
 
 
 @dataclass(frozen=True)
@@ -62,13 +62,13 @@ class Cells:
         r, z, size = self.r, self.z, self.size
         x, y = np.subtract.outer(r, r), np.subtract.outer(z, z)
         logs = _mean_log(x, y, *size)
-        found, near = _averaged(r, z, r, z, logs), r < NEAR * size[0]
+        result, near = _averaged(r, z, r, z, logs), r < NEAR * size[0]
         steps = [(i * size[0], j * size[1]) for i in GAUSS for j in GAUSS]
         part = np.zeros((np.count_nonzero(near), r.size))
         for (u, v), (s, t) in product(steps, steps):
             part += _averaged(r[near] + u, z[near] + v, r + s, z + t, logs[near]) / len(steps) ** 2
-        found[near], found[:, near] = part, part.T
-        return found
+        result[near], result[:, near] = part, part.T
+        return result
 
     @cached_property
     def resistance(self) -> np.ndarray:
@@ -91,14 +91,14 @@ def _averaged(
 def _mean_log(x: np.ndarray, y: np.ndarray, a: float, b: float) -> np.ndarray:
     """Mean of the logarithm of the distance of two rectangles ``a`` times ``b``, ``x`` and ``y``
     apart: fourth difference of an integral of ``ln(x^2 + y^2) / 2``."""
-    found = np.zeros_like(x)
+    result = np.zeros_like(x)
     for i, p in ((-1, 1), (0, -2), (1, 1)):
         for j, q in ((-1, 1), (0, -2), (1, 1)):
             u, v = np.abs(x + i * a) + 1e-30, np.abs(y + j * b) + 1e-30
             angles = u**3 * v * np.arctan2(v, u) + u * v**3 * np.arctan2(u, v)
             logs = (u**2 * v**2 / 4 - (u**4 + v**4) / 24) * np.log(u**2 + v**2)
-            found += p * q * (logs + angles / 3 - 25 / 24 * u**2 * v**2)
-    return found / (2 * a**2 * b**2)
+            result += p * q * (logs + angles / 3 - 25 / 24 * u**2 * v**2)
+    return result / (2 * a**2 * b**2)
 
 
 def divided(
@@ -144,7 +144,7 @@ class Winding:
         parts = [max(2, round(FINE * side / longest)) for side in (self.width, self.height)]
         r = self.radius - half[0] + self.width * (np.arange(parts[0]) + 0.5) / parts[0]
         z = self.y - half[1] + self.height * (np.arange(parts[1]) + 0.5) / parts[1]
-        r, z = (each.ravel() for each in np.meshgrid(r, z))
+        r, z = (item.ravel() for item in np.meshgrid(r, z))
         size = self.width / parts[0], self.height / parts[1]
         return Cells(r, z, size, np.ones_like(r))
 
@@ -154,8 +154,8 @@ class Winding:
         counts = np.maximum(3, np.round(POINTS * sides / sides.max())).astype(int)
         (x, p), (y, q) = (np.polynomial.legendre.leggauss(n) for n in counts)
         at, height = self.radius + self.width / 2 * x, self.y + self.height / 2 * y
-        found = mutual(r[..., None, None], z[..., None, None], at[:, None], height)
-        return np.asarray(self.turns * np.einsum("...ij,i,j->...", found, p / 2, q / 2))
+        result = mutual(r[..., None, None], z[..., None, None], at[:, None], height)
+        return np.asarray(self.turns * np.einsum("...ij,i,j->...", result, p / 2, q / 2))
 
     def through(self, sheet: Winding, heights: np.ndarray) -> np.ndarray:
         """Mutual inductance [H] (n,) with a winding without width that is moved up by ``heights``
@@ -234,8 +234,8 @@ def ladder(
     speeds = 2 * np.pi * frequency * conductivity * np.geomspace(1e-3, 1, 13)
     basis, error = _subspace(rates, seen, speeds, nodes, tolerance)
     reduced, turn = np.linalg.eigh(basis.T * rates @ basis)
-    found = np.array(m) @ modes @ basis @ turn
-    polynomials = _polynomials(nodes, found, tolerance)
+    result = np.array(m) @ modes @ basis @ turn
+    polynomials = _polynomials(nodes, result, tolerance)
     return Ladder(reduced, polynomials, own, low, high, error, body.r.size)
 
 
@@ -300,9 +300,9 @@ def _fitted(nodes: np.ndarray, values: np.ndarray) -> np.ndarray:
     """Chebyshev coefficients (NODES, c, k) of ``values`` (c, NODES, k)."""
     count, _, k = values.shape
     table = values.transpose(1, 0, 2).reshape(nodes.size, -1)
-    found = chebyshev.chebvander(nodes, nodes.size - 1).T @ table * (2 / nodes.size)
-    found[0] /= 2
-    return found.reshape(nodes.size, count, k)
+    result = chebyshev.chebvander(nodes, nodes.size - 1).T @ table * (2 / nodes.size)
+    result[0] /= 2
+    return result.reshape(nodes.size, count, k)
 
 
 def _polynomials(nodes: np.ndarray, values: np.ndarray, tolerance: float) -> np.ndarray:
@@ -323,5 +323,5 @@ def _polynomials(nodes: np.ndarray, values: np.ndarray, tolerance: float) -> np.
         raise wrong(None, problem, got, f"{tolerance / 10:g}", hint)
     flat = c[: degree + 1].reshape(degree + 1, -1)
     series = [chebyshev.cheb2poly(column) for column in flat.T]
-    powers = np.array([np.pad(each, (0, degree + 1 - each.size)) for each in series])
+    powers = np.array([np.pad(item, (0, degree + 1 - item.size)) for item in series])
     return powers.reshape(*values.shape[::2], degree + 1)

@@ -438,8 +438,8 @@ def _tables() -> dict[str, dict[str, Any]]:
 @cache
 def _named(name: str) -> Material:
     """Of the library, in lower case."""
-    (found,) = (key for key in _tables() if key.lower() == name)
-    return MaterialTable.model_validate(_tables()[found]).build(found)
+    (result,) = (key for key in _tables() if key.lower() == name)
+    return MaterialTable.model_validate(_tables()[result]).build(result)
 
 
 def material(given: str | Mapping[str, Any] | Material, where: str = "material") -> Material:

@@ -76,19 +76,19 @@ class GroupedMesh:
         ------
         UsageError : there is none, an empty one, or one of another kind.
         """
-        found = self.groups.get(name)
-        if found is None:
+        result = self.groups.get(name)
+        if result is None:
             raise unknown("no such group in the mesh", name, sorted(self.groups), where)
-        if not found.members.size:
+        if not result.members.size:
             raise UsageError("group is empty", where=where, got=name)
-        if codimensions and found.codimension not in codimensions:
+        if codimensions and result.codimension not in codimensions:
             kinds = ("elements", "faces", "curves", "points")
             if self.mesh.dim() == 2:
                 kinds = ("elements", "curves", "points", "")
-            got = f"{name}, {kinds[found.codimension]}"
+            got = f"{name}, {kinds[result.codimension]}"
             problem = "group of the wrong kind"
             raise wrong(where, problem, got, " or ".join(kinds[c] for c in codimensions))
-        return found
+        return result
 
 
 def read_mesh(
@@ -123,7 +123,7 @@ def read_mesh(
     if picks and not cad:
         problem = "groups are picked in CAD files only"
         raise wrong("groups", problem, hint="name physical groups in the mesh")
-    found = _ask_gmsh(
+    result = _ask_gmsh(
         "tables",
         path,
         data,
@@ -133,7 +133,7 @@ def read_mesh(
         picks=dict(picks or {}),
         splits=splits,
     )
-    return _collect(found, unit, dimension, str(path))
+    return _collect(result, unit, dimension, str(path))
 
 
 def length_unit(path: Path, unit: str | None) -> float:
@@ -367,7 +367,7 @@ def _collected(gmsh: ModuleType, dimension: int, where: str) -> dict[str, np.nda
 
     def simplices(d: int, entities: Sequence[int]) -> list[tuple[np.ndarray, np.ndarray]]:
         """Numbers and nodes of all elements in them, which are simplices."""
-        found = []
+        result = []
         for entity in entities:
             blocks = zip(*gmsh.model.mesh.getElements(d, entity), strict=True)
             for kind, numbers, nodes in blocks:
@@ -378,22 +378,22 @@ def _collected(gmsh: ModuleType, dimension: int, where: str) -> dict[str, np.nda
                 at = np.minimum(np.searchsorted(ranked, nodes), len(ranked) - 1)
                 if len(ranked) == 0 or (ranked[at] != nodes).any():
                     raise UsageError("an element has a node that is not there", where=where)
-                found.append((numbers, order[at].reshape(-1, count)))
-        return found
+                result.append((numbers, order[at].reshape(-1, count)))
+        return result
 
     body = simplices(dimension, [tag for _, tag in gmsh.model.getEntities(dimension)])
     arrays = {f"cells{k}": nodes for k, (_, nodes) in enumerate(body)}
-    numbers = np.concatenate([np.empty(0, int), *(each for each, _ in body)])
+    numbers = np.concatenate([np.empty(0, int), *(item for item, _ in body)])
     groups: list[tuple[str, int]] = []
     for d, physical in gmsh.model.getPhysicalGroups():
         members = simplices(d, gmsh.model.getEntitiesForPhysicalGroup(d, physical))
         if d == dimension:
-            chosen = [each for each, _ in members]
-            found = np.flatnonzero(np.isin(numbers, np.concatenate([np.empty(0, int), *chosen])))
+            selected = [item for item, _ in members]
+            result = np.flatnonzero(np.isin(numbers, np.concatenate([np.empty(0, int), *selected])))
         else:
             corners = [nodes[:, : d + 1] for _, nodes in members]
-            found = np.concatenate([np.empty((0, d + 1), int), *corners])
-        arrays[f"group{len(groups)}"] = found
+            result = np.concatenate([np.empty((0, d + 1), int), *corners])
+        arrays[f"group{len(groups)}"] = result
         groups.append((gmsh.model.getPhysicalName(d, physical) or str(physical), int(d)))
     arrays |= {"points": coordinates.reshape(-1, 3), "record": np.array(json.dumps(groups))}
     return arrays
@@ -413,8 +413,8 @@ def _make(gmsh: ModuleType, size: float, dimension: int, picks: Picks) -> None:
     if len(bodies) > 1:
         _, pieces = gmsh.model.occ.fragment(bodies[:1], bodies[1:])
         gmsh.model.occ.synchronize()
-        found = set(gmsh.model.getEntities())
-        kept = {e: text for e, text in labels.items() if e[0] == dimension or e in found}
+        result = set(gmsh.model.getEntities())
+        kept = {e: text for e, text in labels.items() if e[0] == dimension or e in result}
         origin = dict(zip(bodies, pieces, strict=True))
         labels = {new: text for e, text in kept.items() for new in origin.get(e, [e])}
     names: dict[tuple[str, int], list[int]] = {}
@@ -442,7 +442,7 @@ def _pick(
 ) -> list[int]:
     everything = gmsh.model.getBoundingBox(-1, -1)
     near = TOUCHING * float(np.linalg.norm(np.subtract(everything[3:], everything[:3])))
-    found: list[int] = []
+    result: list[int] = []
     for point in at:
         hits = [
             tag
@@ -453,14 +453,14 @@ def _pick(
             problem = f"no {DIMENSION[dimension][:-1]} contains this point"
             expected = "a point of the geometry, in the file's unit here"
             raise wrong(f"groups.{name}.at", problem, [float(x) for x in point], expected)
-        found += hits
+        result += hits
     if box is not None:
         low, high = np.min(box, axis=0) - near, np.max(box, axis=0) + near
         inside = gmsh.model.getEntitiesInBoundingBox(*low, *high, dimension)
-        found += [tag for _, tag in inside]
-    if not found:
+        result += [tag for _, tag in inside]
+    if not result:
         raise UsageError("group selects nothing", where=f"groups.{name}")
-    return sorted({int(tag) for tag in found})
+    return sorted({int(tag) for tag in result})
 
 
 def _contains(gmsh: ModuleType, d: int, tag: int, point: np.ndarray, near: float) -> bool:

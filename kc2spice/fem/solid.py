@@ -112,9 +112,9 @@ class Solid:
     def _nodes(self) -> skfem.Dofs | None:
         if self.numbers is None:
             return None
-        found = skfem.Dofs(self.mesh, self.element)
-        found.element_dofs, found.N = self.numbers, int(self.numbers.max()) + 1
-        return found
+        result = skfem.Dofs(self.mesh, self.element)
+        result.element_dofs, result.N = self.numbers, int(self.numbers.max()) + 1
+        return result
 
     def nodes(self, elements: np.ndarray) -> np.ndarray:
         """Numbers of the nodes of some elements."""
@@ -207,12 +207,12 @@ def _stressed(
     """``grad v . sigma0 grad u`` of each component, (elements, l d, l d): how a stress at rest
     stiffens. A turning of the hoop direction adds ``sigma0_y v_r u_r / r^2``."""
     d, sigma = solid.components, np.array(material.residual_stress)
-    each = G.transpose(0, 2, 1) @ (sigma[:, None] * G)
-    found = np.einsum("eab,ij->eaibj", each, np.eye(d))
+    item = G.transpose(0, 2, 1) @ (sigma[:, None] * G)
+    result = np.einsum("eab,ij->eaibj", item, np.eye(d))
     if solid.axisymmetric:
         hoop = B.reshape(len(B), 6, -1, d)[:, 1, :, 0]
-        found[:, :, 0, :, 0] += sigma[1] * hoop[:, :, None] * hoop[:, None]
-    return np.asarray(found.reshape(len(found), each.shape[1] * d, -1))
+        result[:, :, 0, :, 0] += sigma[1] * hoop[:, :, None] * hoop[:, None]
+    return np.asarray(result.reshape(len(result), item.shape[1] * d, -1))
 
 
 def _gather(parts: Sequence[tuple[np.ndarray, ...]], shape: tuple[int, int]) -> sparse.csc_array:

@@ -76,7 +76,7 @@ class Solver:
         )
         if info:
             raise _singular(s)
-        found = []
+        result = []
         for trans, (rhs, (first, second)) in enumerate(zip((B, C.T), self._sides, strict=True)):
             x = np.zeros(rhs.shape, dtype=complex)
             rest = rhs.astype(complex)
@@ -89,8 +89,8 @@ class Solver:
                 rest = np.asarray(rhs - (first @ x + np.clongdouble(s) * (second @ x)), complex)
             if not change < LOST:
                 raise _singular(s)
-            found.append(x)
-        return found[0], found[1]
+            result.append(x)
+        return result[0], result[1]
 
 
 def _singular(s: complex) -> SimulationError:

@@ -144,8 +144,8 @@ def supernodal(matrix: scipy.sparse.csc_array, order: np.ndarray | None = None) 
     lower = scipy.sparse.coo_array(scipy.sparse.tril(matrix))
     places = lower.row.astype(np.int64), lower.col.astype(np.int64)
     entries = cvxopt.spmatrix(lower.data, *places, matrix.shape)
-    chosen = {} if order is None else {"p": cvxopt.matrix(order.astype(np.int64))}
-    factor = cvxopt.cholmod.symbolic(entries, uplo="L", **chosen)
+    selected = {} if order is None else {"p": cvxopt.matrix(order.astype(np.int64))}
+    factor = cvxopt.cholmod.symbolic(entries, uplo="L", **selected)
     try:
         cvxopt.cholmod.numeric(entries, factor)
     except ArithmeticError:

@@ -128,8 +128,8 @@ class Deck:
     @property
     def saved(self) -> tuple[str, ...]:
         """The ngspice vectors of all results, each once."""
-        found = [v for text, _ in self.vectors.values() for _, v in terms(text)]
-        return tuple(dict.fromkeys(found))
+        result = [v for text, _ in self.vectors.values() for _, v in terms(text)]
+        return tuple(dict.fromkeys(result))
 
     @property
     def files(self) -> dict[str, str]:
@@ -162,7 +162,7 @@ class Deck:
     @cached_property
     def _main(self) -> str:
         if self.text is not None:
-            return _inserted(self.text, "".join(f"{each.card}\n" for each in self.options))
+            return _inserted(self.text, "".join(f"{item.card}\n" for item in self.options))
         return "\n".join([*self._head(), *self._cards(), ".end", ""])
 
     def _head(self) -> Iterator[str]:
@@ -196,8 +196,8 @@ class Deck:
         """The value of an option, None where the deck says nothing."""
         cards = (s for s in statements(self._main, self.main) if s.keyword in OPTION_CARDS)
         pairs = (word.partition("=") for s in cards for word in s.words[1:])
-        found = [value for name, _, value in pairs if name.lower() == key and value]
-        return found[-1] if found else None
+        result = [value for name, _, value in pairs if name.lower() == key and value]
+        return result[-1] if result else None
 
     def saving(self, vectors: Mapping[str, tuple[str, float]]) -> Deck:
         """The same deck with these results besides its own."""

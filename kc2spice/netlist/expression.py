@@ -124,7 +124,7 @@ def walk(tree: Tree) -> Iterator[Tree]:
 def children(tree: Tree) -> tuple[Tree, ...]:
     """What stands directly below ``tree``."""
     below = tree.arguments if isinstance(tree, Call) else vars(tree).values()
-    return tuple(each for each in below if isinstance(each, Tree))
+    return tuple(item for item in below if isinstance(item, Tree))
 
 
 def rebuilt(tree: Tree, change: Callable[[Tree], Tree]) -> Tree:
@@ -237,9 +237,9 @@ class _Parser:
 
     def level(self, depth: int) -> Tree:
         left = self.unary()
-        while (found := self.peek()) and _RANK.get(found["op"], -1) >= depth:
-            self.at = found.end()
-            left = Binary(found["op"], left, self.level(_RANK[found["op"]] + 1))
+        while (result := self.peek()) and _RANK.get(result["op"], -1) >= depth:
+            self.at = result.end()
+            left = Binary(result["op"], left, self.level(_RANK[result["op"]] + 1))
         return left
 
     def unary(self) -> Tree:
@@ -346,8 +346,8 @@ def _device(text: str, parameter: str) -> Trace:
 
 def terms(expression: str) -> list[tuple[float, str]]:
     """Signs and vectors of a sum: ``v(a)-v(b)`` is ``[(1, "v(a)"), (-1, "v(b)")]``."""
-    found = (term for term in expression.replace("-", "+-").split("+") if term)
-    return [(-1.0 if term.startswith("-") else 1.0, term.removeprefix("-")) for term in found]
+    result = (term for term in expression.replace("-", "+-").split("+") if term)
+    return [(-1.0 if term.startswith("-") else 1.0, term.removeprefix("-")) for term in result]
 
 
 def added(signed: list[tuple[float, str]]) -> str:

@@ -129,10 +129,10 @@ class _Reader:
     def _target(self, rest: str, where: str, raw: str) -> str:
         """The file that an include names: one word, or one text in quotes."""
         rest = split_comment(rest)[0].strip()
-        found = _TARGET.fullmatch(rest)
-        target = next((text for text in found.groups() if text), "") if found else ""
+        result = _TARGET.fullmatch(rest)
+        target = next((text for text in result.groups() if text), "") if result else ""
         if not self.trust:
-            reason = "more than one word" if rest and found is None else name_threat(target)
+            reason = "more than one word" if rest and result is None else name_threat(target)
             if reason:
                 raise refusal(f"includes {reason}", self.main, where, raw)
         return target
@@ -266,13 +266,13 @@ def _acts(card: Statement, outside: bool, part: bool) -> Iterator[tuple[str, str
 
 def accuracy(cards: Iterable[Statement]) -> Mapping[str, str]:
     """Values of the options that change what is computed; ``""`` of a flag, the last one counts."""
-    found: dict[str, str] = {}
+    result: dict[str, str] = {}
     for card in cards:
         if card.keyword == ".temp":
-            found["temp"] = " ".join(card.words[1:])
+            result["temp"] = " ".join(card.words[1:])
         pairs = (word.partition("=") for word in card.words[1:] if card.keyword in OPTION_CARDS)
-        found |= {key.lower(): value for key, _, value in pairs if key.lower() not in HARMLESS}
-    return found
+        result |= {key.lower(): value for key, _, value in pairs if key.lower() not in HARMLESS}
+    return result
 
 
 # --- what could act on the machine ---
@@ -322,18 +322,18 @@ def checked(path: Path, *, trust: bool = False, home: Path | None = None) -> Fla
     UsageError : not readable as text, too large, or a line that could run a program, read or
         write a file, or reach outside the circuit's own directory.
     """
-    found = flatten(path, home or path.parent, trust=trust)
+    result = flatten(path, home or path.parent, trust=trust)
     if trust:
-        return found
-    for line in found.lines:  # as they stood: cards are what they seem only if nothing hides
+        return result
+    for line in result.lines:  # as they stood: cards are what they seem only if nothing hides
         text = line.raw.rstrip("\r")
         for reason in _raw_reasons(text):
             shown = repr(text) if _HIDDEN.search(text) else text
             raise refusal(reason, path, line.where, shown)
-    for card in found.cards():
+    for card in result.cards():
         for reason in _reasons(card):
             raise refusal(reason, path, card.where, card.written)
-    return found
+    return result
 
 
 def included_netlist(name: str, home: Path, *, trust: bool = False) -> Flat:
@@ -353,9 +353,9 @@ def included_netlist(name: str, home: Path, *, trust: bool = False) -> Flat:
             expected="names of files beside the scene: letters, digits, blanks and _ . + -",
             hint="copy the netlist beside the scene, or repeat with --trust",
         )
-    found = checked(home / name, trust=trust, home=home)
-    refuse(found.cards(), part=True)
-    return found
+    result = checked(home / name, trust=trust, home=home)
+    refuse(result.cards(), part=True)
+    return result
 
 
 def looked_at(name: str, home: Path) -> Flat:
@@ -367,9 +367,9 @@ def looked_at(name: str, home: Path) -> Flat:
     UsageError : as :func:`included_netlist`, but for what could act on the machine.
     """
     path = home / name
-    found = flatten(path, path.parent if home == Path() else home, trust=True, inside=True)
-    refuse(found.cards(), part=True)
-    return found
+    result = flatten(path, path.parent if home == Path() else home, trust=True, inside=True)
+    refuse(result.cards(), part=True)
+    return result
 
 
 def _raw_reasons(text: str) -> Iterator[str]:

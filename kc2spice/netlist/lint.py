@@ -36,9 +36,9 @@ def lint(deck: Deck) -> None:
     ------
     UsageError : wrong wiring; the message names file, line, what is wrong and what was expected.
     """
-    if found := problems(deck):
-        first = found[0]
-        more = f"{len(found) - 1} more after this one" if len(found) > 1 else None
+    if result := problems(deck):
+        first = result[0]
+        more = f"{len(result) - 1} more after this one" if len(result) > 1 else None
         first.hint = "; ".join(filter(None, (first.hint, more))) or None
         raise first
 
@@ -54,15 +54,15 @@ def problems(deck: Deck) -> list[UsageError]:
     UsageError : the text cannot be read at all (missing include, broken card, unclosed subcircuit).
     """
     signals = frozenset(_signal_pins(deck.trees.values()))
-    checks = ((*_wrong_cards(each), *_dangling(each, signals)) for each in deck.scope.inwards())
-    return [problem for found in checks for problem in found]
+    checks = ((*_wrong_cards(item), *_dangling(item, signals)) for item in deck.scope.inwards())
+    return [problem for result in checks for problem in result]
 
 
 def _signal_pins(circuits: Iterable[Circuit]) -> Iterator[tuple[str, str]]:
-    for each in circuits:
-        signals = (pin.name.lower() for pin in declared_pins(each) if pin.flow == "-")
-        yield from ((each.name.lower(), name) for name in signals)
-        yield from _signal_pins(each.subcircuits)
+    for item in circuits:
+        signals = (pin.name.lower() for pin in declared_pins(item) if pin.flow == "-")
+        yield from ((item.name.lower(), name) for name in signals)
+        yield from _signal_pins(item.subcircuits)
 
 
 def _wrong_cards(scope: Scope) -> Iterator[UsageError]:

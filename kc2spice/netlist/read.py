@@ -71,23 +71,23 @@ def statements(text: str, file: str, *, title: bool = False) -> list[Statement]:
 
     ``title``: the first line is the deck's title, whatever it says, and counts as a comment.
     """
-    found: list[tuple[int, list[str], list[str]]] = []  # first line, comments above, pieces
+    result: list[tuple[int, list[str], list[str]]] = []  # first line, comments above, pieces
     pending: list[str] = []  # comment lines behind the newest statement
     lines = text.splitlines()
     for number, raw in enumerate(lines, 1):
         line = raw.strip()
         if not line or line.startswith("*") or (title and number == 1):
             pending.append(raw.rstrip())
-        elif line.startswith("+") and found:
-            found[-1][2].append(split_comment(line[1:])[0])
+        elif line.startswith("+") and result:
+            result[-1][2].append(split_comment(line[1:])[0])
         elif line := split_comment(line)[0]:
-            found.append((number, pending, [line]))
+            result.append((number, pending, [line]))
             pending = []
     if pending:
-        found.append((len(lines) + 1, pending, []))
+        result.append((len(lines) + 1, pending, []))
     return [
         Statement(line=k, where=f"{file}:{k}", written=" ".join(parts).rstrip(), notes=tuple(notes))
-        for k, notes, parts in found
+        for k, notes, parts in result
     ]
 
 
@@ -145,24 +145,24 @@ def _items(
     cards: Iterator[Statement], head: Statement | None
 ) -> tuple[tuple[Item, ...], tuple[str, ...]]:
     """Items up to the ``.ends`` of ``head``, or up to the end of the file, and comments there."""
-    found: list[Item] = []
+    result: list[Item] = []
     for s in cards:
         if s.keyword == ".ends" and head is None:
             raise s.error(".ends without .subckt")
         if s.keyword == ".ends" or not s.keyword:
             if s.keyword or head is None:
-                return tuple(found), s.notes
+                return tuple(result), s.notes
             break
         if s.keyword == ".control":
             block = tuple(c.written for c in takewhile(lambda c: c.keyword != ".endc", cards))
-            found.append(Directive(".control", block, **_told(s)))
+            result.append(Directive(".control", block, **_told(s)))
         else:
-            found.append(_subckt(s, cards) if s.keyword == ".subckt" else _item(s))
+            result.append(_subckt(s, cards) if s.keyword == ".subckt" else _item(s))
         if s.keyword == ".end":
             break
     if head is not None:
         raise head.error("subcircuit is not closed", expected=f".ends {head.words[1]}")
-    return tuple(found), ()
+    return tuple(result), ()
 
 
 def _subckt(s: Statement, cards: Iterator[Statement]) -> Circuit:
@@ -215,7 +215,7 @@ def _function(s: Statement) -> Function | None:
 
 def _assignments(given: Sequence[str], s: Statement) -> dict[str, str]:
     pairs = {}
-    for word in (each.strip(",") for each in given):
+    for word in (item.strip(",") for item in given):
         if not _assigned(word):
             raise s.error("not a parameter", word, "name=value")
         name, _, value = word.partition("=")
@@ -289,10 +289,10 @@ def _controlled(part: Element) -> Element:
     keyword = text.lower().partition("=")[0].split()[0].partition("(")[0]
     rest = text[len(keyword) :].lstrip(" =")
     law = {"poly": _polynomial, "table": _table}.get(keyword, lambda text, _: text)
-    if keyword == "laplace" or not (found := law(rest, part.where)):
+    if keyword == "laplace" or not (result := law(rest, part.where)):
         return part
     quantity = "V" if part.kind == "e" else "I"
-    return replace(part, values=(), quantity=quantity, expression=found)
+    return replace(part, values=(), quantity=quantity, expression=result)
 
 
 def _polynomial(text: str, where: str) -> str:
@@ -348,11 +348,11 @@ def read_lib(path: str | Path) -> list[Subcircuit]:
 
 def subcircuits(text: str, file: str) -> list[Subcircuit]:
     """The parts in the ``text`` of a library ``file``, as :func:`read_lib` gives them."""
-    found = read(text, file).subcircuits
-    called = {model.lower() for each in found for model in _called(each)}
-    declared = [each for each in found if any(map(_PIN.match, each.notes))]
-    shown = declared or [each for each in found if each.name.lower() not in called]
-    return [_part(each, text, file) for each in shown]
+    result = read(text, file).subcircuits
+    called = {model.lower() for item in result for model in _called(item)}
+    declared = [item for item in result if any(map(_PIN.match, item.notes))]
+    shown = declared or [item for item in result if item.name.lower() not in called]
+    return [_part(item, text, file) for item in shown]
 
 
 def _called(circuit: Circuit) -> Iterator[str]:
@@ -378,9 +378,9 @@ def _part(circuit: Circuit, text: str, file: str) -> Subcircuit:
     params = []
     for name, default in circuit.defaults.items():
         given, told = literal(default, where=circuit.where), heads.get(name.lower())
-        meant = (
+        labels = (
             (told[3], told[6], float(told[4] or "-inf"), float(told[5] or "inf")) if told else ()
         )
-        params.append(Param(name, nan if given is None else given, *(meant or ("-", ""))))
+        params.append(Param(name, nan if given is None else given, *(labels or ("-", ""))))
     ends = tuple(pins or (Pin(name, "V", "A") for name in circuit.pins))
     return Subcircuit(circuit.name, ends, tuple(params), text, file)

@@ -106,35 +106,35 @@ def _require_same(scope: Scope, what: str, value: str, card: Card) -> None:
     """That no two files define something differently."""
     what, value = what.lower(), value.lower()
     first, place = scope.defined.setdefault(what, (value, card))
-    files = {each.where.rpartition(":")[0] for each in (place, card)}
+    files = {item.where.rpartition(":")[0] for item in (place, card)}
     if len(files) > 1 and first != value:
         expected = f"one definition; the first is in {place.where}"
         hint = "rename one, or put it into its .subckt"
         raise card.error(f"two files define the {what}", card.written, expected, hint)
 
 
-def _opened(each: Circuit, parent: Scope) -> Scope:
-    name = each.name.lower()
+def _opened(item: Circuit, parent: Scope) -> Scope:
+    name = item.name.lower()
     if first := parent.subcircuits.maps[0].get(name):
         expected = f"one definition; the first is in {first.where}"
-        raise each.error("two subcircuits have one name", each.name, expected)
-    defaults = {key.lower(): value for key, value in each.defaults.items()}
-    pins = tuple(map(str.lower, each.pins))
+        raise item.error("two subcircuits have one name", item.name, expected)
+    defaults = {key.lower(): value for key, value in item.defaults.items()}
+    pins = tuple(map(str.lower, item.pins))
     outer: Any = (parent.models, parent.functions, parent.subcircuits)
     inner = (parent.params.new_child(dict(defaults)), *(m.new_child() for m in outer))
-    parent.subcircuits[name] = Scope(each.name, each.where, pins, defaults, *inner)
+    parent.subcircuits[name] = Scope(item.name, item.where, pins, defaults, *inner)
     return parent.subcircuits[name]
 
 
 def has_vector(top: Scope, text: str) -> bool:
     """Whether the circuit has the nodes or the device that a saved vector is read from."""
-    found = vector(text.lower())
-    if found is None:
+    result = vector(text.lower())
+    if result is None:
         return False
-    if found.quantity == "v":
-        return all(_has_node(top, *name.split(".")) for name in found.names)
-    scope = inside(top, found.path)
-    return scope is not None and any(e.key == found.names[0] for e in scope.elements)
+    if result.quantity == "v":
+        return all(_has_node(top, *name.split(".")) for name in result.names)
+    scope = inside(top, result.path)
+    return scope is not None and any(e.key == result.names[0] for e in scope.elements)
 
 
 def _has_node(top: Scope, *path: str) -> bool:

@@ -41,12 +41,12 @@ def quiet(part: Subcircuit, noisy: Iterable[str]) -> Subcircuit:
     ``noisy`` and a number: the others are arithmetic."""
     names = {name.lower() for name in noisy}
 
-    def item(each: Item) -> Item:
-        if not isinstance(each, Element) or each.kind != "r" or each.key.startswith("rnoise"):
-            return each
-        if names & {each.key, each.key.rstrip(DIGITS)}:
-            return each
-        return replace(each, parameters={**each.parameters, "noisy": "0"})
+    def item(entry: Item) -> Item:
+        if not isinstance(entry, Element) or entry.kind != "r" or entry.key.startswith("rnoise"):
+            return entry
+        if names & {entry.key, entry.key.rstrip(DIGITS)}:
+            return entry
+        return replace(entry, parameters={**entry.parameters, "noisy": "0"})
 
     return printed(part, part.circuit.changed(item))
 
@@ -56,12 +56,12 @@ def renamed(circuit: Circuit, names: Mapping[str, str]) -> Circuit:
     instantiated."""
     new = {old.lower(): name for old, name in names.items()}
 
-    def item(each: Item) -> Item:
-        if isinstance(each, Circuit):
-            return replace(each, name=new.get(each.name.lower(), each.name))
-        if isinstance(each, Element) and each.kind == "x":
-            return replace(each, model=new.get(each.model.lower(), each.model))
-        return each
+    def item(entry: Item) -> Item:
+        if isinstance(entry, Circuit):
+            return replace(entry, name=new.get(entry.name.lower(), entry.name))
+        if isinstance(entry, Element) and entry.kind == "x":
+            return replace(entry, model=new.get(entry.model.lower(), entry.model))
+        return entry
 
     return circuit.changed(item)
 
@@ -79,20 +79,20 @@ def cards(part: Subcircuit) -> Iterator[tuple[str, Circuit]]:
     The part itself goes by its file, whatever helper it brings along by the helper's own name:
     ``opamp`` is the amplifier in all libraries that have one.
     """
-    for each in part.circuit.subcircuits:
-        own = each.name.lower() == part.name.lower()
-        yield (library_of(part) if own else each.name.removeprefix(f"{part.name}_")), each
+    for item in part.circuit.subcircuits:
+        own = item.name.lower() == part.name.lower()
+        yield (library_of(part) if own else item.name.removeprefix(f"{part.name}_")), item
 
 
 def declared(deck: Deck) -> dict[str, float]:
     """``PART.NAME`` and default of every numeric parameter of the deck's subcircuits."""
-    found = {}
+    result = {}
     for part in deck.parts:
-        for library, each in cards(part):
-            for name, text in each.defaults.items():
+        for library, item in cards(part):
+            for name, text in item.defaults.items():
                 with contextlib.suppress(ValueError):  # an expression: nothing to replace
-                    found[f"{library}.{name}"] = float(text)
-    return found
+                    result[f"{library}.{name}"] = float(text)
+    return result
 
 
 def with_parameters(deck: Deck, values: Iterable[tuple[str, float]]) -> Deck:
@@ -117,16 +117,16 @@ def _changed(part: Subcircuit, library: str, name: str, value: float) -> Subcirc
         if param.name.lower() == name.lower():
             _require_within(param, library, value)
     told, given, new = f"* @param {name}=", number(value), dict[int, Circuit]()
-    for where, each in cards(part):
-        if where == library and name in each.defaults:
+    for where, item in cards(part):
+        if where == library and name in item.defaults:
             notes = tuple(
                 f"{told}{given} unit={line.partition(' unit=')[2]}"
                 if line.startswith(told)
                 else line
-                for line in each.notes
+                for line in item.notes
             )
-            new[id(each)] = replace(each, defaults={**each.defaults, name: given}, notes=notes)
-    items = tuple(new.get(id(each), each) for each in part.circuit.items)
+            new[id(item)] = replace(item, defaults={**item.defaults, name: given}, notes=notes)
+    items = tuple(new.get(id(item), item) for item in part.circuit.items)
     return printed(part, replace(part.circuit, items=items)) if new else part
 
 
@@ -167,12 +167,12 @@ def array_deck(deck: Deck, count: int) -> Deck:
     vectors, units, initial = dict[str, tuple[str, float]](), dict[str, str](), dict[str, float]()
     for k in numbers:
         vectors |= {f"{k}.{n}": (_within(v, k), factor) for n, (v, factor) in deck.vectors.items()}
-        units |= {f"{k}.{name}": each for name, each in deck.units.items()}
+        units |= {f"{k}.{name}": item for name, item in deck.units.items()}
         initial |= {f"x{k}.{node}": value for node, value in deck.initial.items()}
     title, blocks = f"{deck.title}, {count} copies", (first, *deck.blocks, last, copies)
     return replace(deck, title=title, blocks=blocks, vectors=vectors, units=units, initial=initial)
 
 
 def _within(expression: str, k: int) -> str:
-    found = ((sign, text, vector(text)) for sign, text in terms(expression))
-    return added([(s, str(each.within(f"x{k}")) if each else text) for s, text, each in found])
+    result = ((sign, text, vector(text)) for sign, text in terms(expression))
+    return added([(s, str(item.within(f"x{k}")) if item else text) for s, text, item in result])

@@ -38,7 +38,7 @@ def translate(deck: Deck, dialect: str) -> Deck:
     trees = {**deck.trees, deck.main: main}
     files = {name: printer.file(tree) for name, tree in trees.items()}
     vectors = {
-        key: (added([(sign, printer.vector(each)) for sign, each in terms(expression)]), factor)
+        key: (added([(sign, printer.vector(item)) for sign, item in terms(expression)]), factor)
         for key, (expression, factor) in deck.vectors.items()
     }
     text = files.pop(deck.main)
@@ -102,7 +102,7 @@ def _starting(deck: Deck) -> Iterator[str]:
         top = deck.scope
     except UsageError:  # a deck that is not whole, which lint says better
         return
-    for instance in (each for each in top.elements if each.kind == "x"):
+    for instance in (item for item in top.elements if item.kind == "x"):
         called = top.find(instance.model)
         for part in called.elements if called else ():
             if called and "ic" in part.settings:

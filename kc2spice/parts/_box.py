@@ -58,12 +58,12 @@ def varied(part: Part) -> tuple[Varied, ...]:
     where = f"{part.name}.{PARAMETERS}"
     if len(ranges) > MOST:
         raise wrong(where, "too many parameters", f"{len(ranges)}", f"at most {MOST}")
-    found = []
+    result = []
     for key, ends in ranges.items():
         value, unit = number_of(part, key, where)
         low, high = (number_of(with_values(part, {key: end}), key, where)[0] for end in ends)
-        found.append(ranged(key, unit, value, (low, high), f"{where}.{key}"))
-    return tuple(found)
+        result.append(ranged(key, unit, value, (low, high), f"{where}.{key}"))
+    return tuple(result)
 
 
 def ranged(
@@ -86,7 +86,7 @@ def corners(part: Part, scene: Scene) -> Iterator[UsageError]:
     """What is wrong with the box, before any full model is made."""
     try:
         keys = varied(part)
-        ranges = [(each.low, each.high) for each in keys]
+        ranges = [(item.low, item.high) for item in keys]
         for ends in product(*ranges) if ranges else ():
             corner = with_values(part, {k.key: v for k, v in zip(keys, ends, strict=True)})
             corner.type.ports(corner, scene)  # type: ignore[attr-defined]
@@ -141,20 +141,20 @@ def number_of(part: Part, key: str, where: str) -> tuple[float, str]:
     ------
     UsageError : there is no such key, or it is no number that can vary.
     """
-    found: Any = part.keys
+    result: Any = part.keys
     unit = ""
     for step in _steps(key):
-        if isinstance(found, BaseModel) and step in type(found).model_fields:
-            unit = unit_of(type(found).model_fields[str(step)]) or ""
-            found = getattr(found, str(step))
-            if step == "material" and isinstance(found, Mapping):
-                found = validated(MaterialTable, found, f"{part.name}.{key}")
-        elif isinstance(found, Mapping) and step in found:
-            found = found[str(step)]
-        elif isinstance(found, list | tuple) and isinstance(step, int) and step < len(found):
-            found = found[step]
+        if isinstance(result, BaseModel) and step in type(result).model_fields:
+            unit = unit_of(type(result).model_fields[str(step)]) or ""
+            result = getattr(result, str(step))
+            if step == "material" and isinstance(result, Mapping):
+                result = validated(MaterialTable, result, f"{part.name}.{key}")
+        elif isinstance(result, Mapping) and step in result:
+            result = result[str(step)]
+        elif isinstance(result, list | tuple) and isinstance(step, int) and step < len(result):
+            result = result[step]
         else:
             raise _no_key(part, key, where)
-    if isinstance(found, bool | int) or not isinstance(found, float):
+    if isinstance(result, bool | int) or not isinstance(result, float):
         raise _no_key(part, key, where)
-    return found, unit
+    return result, unit

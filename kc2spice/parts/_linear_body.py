@@ -37,7 +37,15 @@ from kc2spice.scene.model import GROUND, Part, Rom, Scene, Terminal
 from kc2spice.scene.parttype import Build, Neglected, Rest, Vector, current, numerics
 from kc2spice.scene.plausible import dimensions
 from kc2spice.spice.header import Header
-from kc2spice.spice.realize import COARSE, FOLLOWED, LEAK, UNRATED, Watch, reference, subcircuit
+from kc2spice.spice.realize import (
+    COARSE,
+    LEAK,
+    RINGING,
+    UNRATED,
+    StepWeights,
+    reference,
+    subcircuit,
+)
 
 # SI per netlist unit, SI unit and short word of what a port answers with
 ANSWERS = {
@@ -159,31 +167,31 @@ class LinearBody(Touching):
         ports, rated = self.kept(part, scene), self.rated(part)
         electrical = [p for p in ports if p.kind == "electrical"]
         moved = [p for p in ports if p.kind in ANSWERS]
-        found: list[Terminal] = []
+        result: list[Terminal] = []
         shared: set[str] = set()
         for port in electrical:
             plus, minus = port.terminals
-            found.append(Terminal(plus, port.across, port.flow, rated=rated))
+            result.append(Terminal(plus, port.across, port.flow, rated=rated))
             if minus not in shared:
                 floating = minus in wanted(part, scene) - set(part.pins)
-                found.append(Terminal(minus, port.across, port.flow, None if floating else "gnd"))
+                result.append(Terminal(minus, port.across, port.flow, None if floating else "gnd"))
             shared.add(minus)
-        found += [Terminal(port.terminals[0], port.across, port.flow) for port in moved]
+        result += [Terminal(port.terminals[0], port.across, port.flow) for port in moved]
         for port in ports:
             if port.kind in ("input", "output"):
                 out = port.kind == "output"
-                found.append(Terminal(port.terminals[0], port.across, "-", signal_out=out))
+                result.append(Terminal(port.terminals[0], port.across, "-", signal_out=out))
         ends = (reference(ports), "um", "N") if electrical or moved else ("ref", "V", "A")
-        return (*found, Terminal(*ends, "gnd"))
+        return (*result, Terminal(*ends, "gnd"))
 
     def at_rest(self, part: Part, scene: Scene, model: Any | None = None) -> Rest:
-        found = super().at_rest(part, scene).held
+        result = super().at_rest(part, scene).held
         inert = () if model is None else inert_ports(model)
         if model is None or not free_to_move(model):
-            return Rest(found, inert=inert)
+            return Rest(result, inert=inert)
         names = {port.name for port in self.kept(part, scene)}
-        first, *others = [pin for pin, _ in found if pin in names] or [GROUND]
-        fixed = tuple((pin, end) for pin, end in found if pin not in names)
+        first, *others = [pin for pin, _ in result if pin in names] or [GROUND]
+        fixed = tuple((pin, end) for pin, end in result if pin not in names)
         return Rest(fixed + tuple((first, other) for other in others), inert=inert)
 
     def problems(self, part: Part, scene: Scene) -> Iterator[UsageError]:
@@ -207,9 +215,9 @@ class LinearBody(Touching):
         """Whether time steps need not follow its ringing once nothing presses on it."""
         return scene.solver.ringing == "coarse"
 
-    def watch(self, part: Part, scene: Scene) -> Watch:
+    def weights(self, part: Part, scene: Scene) -> StepWeights:
         """What step control sees of it."""
-        return COARSE if self.coarse(part, scene) else FOLLOWED
+        return COARSE if self.coarse(part, scene) else RINGING
 
     def unfollowed(self, part: Part, scene: Scene) -> Iterator[Neglected]:
         """What ``solver.ringing = "coarse"`` gives up."""
@@ -237,16 +245,16 @@ class LinearBody(Touching):
         frequencies reach. A thousandth is a tenth of what meshes are off, and above what rounding
         does to a thin plate that is free to move (some 1e-4 at its resonances).
         """
-        own, found = part.keys.rom, self._chosen(part, scene)
-        if found is None and scene.analysis.small:
+        own, result = part.keys.rom, self._chosen(part, scene)
+        if result is None and scene.analysis.small:
             low, high = scene.analysis.start, float(scene.analysis.stop or 1.0)
-            found = Rom(tolerance=1e-3, band=(0.8 * low, 1.2 * high))
-        elif found is None:
+            result = Rom(tolerance=1e-3, band=(0.8 * low, 1.2 * high))
+        elif result is None:
             content = max((row.content for row in numerics(scene)), default=0.0)
-            found = Rom(tolerance=1e-4, band=(0.0, max(content, LEAST)))
-        if own is None or found is own:
-            return found
-        return found.model_copy(update={"parameters": own.parameters})
+            result = Rom(tolerance=1e-4, band=(0.0, max(content, LEAST)))
+        if own is None or result is own:
+            return result
+        return result.model_copy(update={"parameters": own.parameters})
 
     def sure(self, part: Part, scene: Scene) -> float | None:
         """What the band of a transient reaches at least [Hz], whatever natural frequencies the body
@@ -259,15 +267,15 @@ class LinearBody(Touching):
         rom = self.reduction(part, scene)
         kept = [port.name for port in self.kept(part, scene)]
         own = rom.model_dump(mode="json")
-        found = {"type": self.name, "full": self.full_key(part, scene), "ports": kept, "rom": own}
+        result = {"type": self.name, "full": self.full_key(part, scene), "ports": kept, "rom": own}
         sure = self.sure(part, scene)
         reached = {} if sure is None else {"sure": sure, "motions": MOTIONS}
-        return found | reached | {"massless": massless(part, scene)}
+        return result | reached | {"massless": massless(part, scene)}
 
     def varying(self, part: Part, scene: Scene, clock: Any) -> Varying:
         """The resonators over the box of ``rom.parameters``, which no value of these changes."""
         keys = varied(part)
-        middle = with_values(part, {each.key: each.axis.middle for each in keys})
+        middle = with_values(part, {item.key: item.axis.middle for item in keys})
         target, asked = self.reduction(part, scene), self.model_key(middle, scene)
         if loss_tangent(part):
             problem = "a netlist with parameters has no loss of its dielectric"
@@ -275,7 +283,7 @@ class LinearBody(Touching):
         if target.order is not None and "order" in target.model_fields_set and part.keys.rom.order:
             problem = "a netlist with parameters has as many states as its tolerance takes"
             raise wrong(f"{part.name}.rom.order", problem, target.order, "rom.tolerance")
-        asked = {**asked, "box": [[each.key, each.low, each.high] for each in keys]}
+        asked = {**asked, "box": [[item.key, item.low, item.high] for item in keys]}
 
         def build() -> Varying:
             from kc2spice.rom.varying import over_box
@@ -285,13 +293,13 @@ class LinearBody(Touching):
                 return self.varied(other, scene, clock, middle).select(asked["ports"])
 
             band = _reaching(
-                target.band, asked, lambda: full({each.key: each.axis.middle for each in keys})
+                target.band, asked, lambda: full({item.key: item.axis.middle for item in keys})
             )
             text = f"model of {part.name} over {len(keys)} parameters"
             with clock.stage("reduce", text) as told:
                 return over_box(
                     full,
-                    [each.axis for each in keys],
+                    [item.axis for item in keys],
                     band,
                     target.tolerance or UNASKED,
                     lambda done, of: told(done / of),
@@ -301,8 +309,8 @@ class LinearBody(Touching):
         known = _boxes.get(part.name)
         if known is None or known[0] != asked:
             classes = (Varying, Axis, Loss, Certificate, Port)
-            found, _ = cached("box", asked, build, classes=classes, sources=self.sources())
-            known = _boxes[part.name] = asked, found
+            result, _ = cached("box", asked, build, classes=classes, sources=self.sources())
+            known = _boxes[part.name] = asked, result
         return known[1]
 
     def build(self, part: Part, scene: Scene, clock: Any, full: bool = False) -> LinearModel | None:
@@ -310,12 +318,12 @@ class LinearBody(Touching):
         if full and loss_tangent(part):  # which the matrices of a full model cannot have
             return None
         if full and keys:  # on the mesh that all values of the box share
-            middle = with_values(part, {each.key: each.axis.middle for each in keys})
+            middle = with_values(part, {item.key: item.axis.middle for item in keys})
             return self.varied(part, scene, clock, middle).select(names)
         if full:
             return self.full(part, scene, clock).select(names)
         if keys:
-            return self.varying(part, scene, clock).at({each.key: each.value for each in keys})
+            return self.varying(part, scene, clock).at({item.key: item.value for item in keys})
         # Asked here, as parts of the key: what runs within ``build`` is hashed with its modules.
         target, asked = self.reduction(part, scene), self.model_key(part, scene)
         tangent = loss_tangent(part)
@@ -324,14 +332,14 @@ class LinearBody(Touching):
             from kc2spice.rom.modal import lossy, without_inertia
             from kc2spice.rom.reduce import default_norm, reduce
 
-            chosen = self.full(part, scene, clock).select(asked["ports"])
+            selected = self.full(part, scene, clock).select(asked["ports"])
             with clock.stage("reduce", f"reduction of {part.name}"):
-                order = None if target.order is None else min(target.order, chosen.order)
-                band = _reaching(target.band, asked, lambda: chosen)
-                norm = target.norm or default_norm(chosen)
+                order = None if target.order is None else min(target.order, selected.order)
+                band = _reaching(target.band, asked, lambda: selected)
+                norm = target.norm or default_norm(selected)
                 # what a contact, a switch or a table excites above the band
                 aims: dict[str, Any] = {"order": order, "tolerance": target.tolerance}
-                small = reduce(chosen, **aims, band=band, norm=norm, contact=True)
+                small = reduce(selected, **aims, band=band, norm=norm, contact=True)
             modal = modal_form(small)  # whose later use needs no eigenvalues
             if modal is None and tangent:
                 got = "damping that couples its modes, or a motion that nothing holds"
@@ -360,35 +368,35 @@ class LinearBody(Touching):
         if not volts and any(port.kind == "electrical" for port in build.model(part).ports):
             rating += "; key rated_voltage states the largest voltage, a run then warns beyond it"
         words: dict[str, Any] = {"title": self.headline(part), "rating": rating}
-        words["watch"] = self.watch(part, build.scene)
+        words["weights"] = self.weights(part, build.scene)
         if keys := varied(part):
             from kc2spice.spice.parametric import parametric_subcircuit
 
-            found = self.varying(part, build.scene, Clock())
-            known = {each.key: each.param for each in keys}
-            params = [known[key] for key in found.box]
-            return (parametric_subcircuit(found, name, params, header, **words),)
+            result = self.varying(part, build.scene, Clock())
+            known = {item.key: item.param for item in keys}
+            params = [known[key] for key in result.box]
+            return (parametric_subcircuit(result, name, params, header, **words),)
         return (subcircuit(build.model(part), name, header, **words, noise=build.noisy),)
 
     def vectors(self, part: Part, build: Build) -> Mapping[str, Vector]:
-        found: dict[str, Vector] = {}
+        result: dict[str, Vector] = {}
         ports = self.kept(part, build.scene)
         for port in ports:
             name, node = wave_name(part.name, ports, port), build.net(part, port.terminals[0])
             if port.kind == "electrical":
                 nets = zip(("", "-"), (build.net(part, pin) for pin in port.terminals), strict=True)
                 if across := "".join(f"{sign}v({net})" for sign, net in nets if net != "0"):
-                    found[f"{name}.voltage"] = Vector(across, 1.0, "V")
+                    result[f"{name}.voltage"] = Vector(across, 1.0, "V")
                 joined = build.scene.joined(part.name, port.terminals[0])
                 if len(joined) == 1:  # a source with other loads tells the sum of their currents
                     ((other, pin),) = joined
                     meter = current(build.scene.parts[other], pin, build)
                     if meter is not None:
-                        found[f"{name}.current"] = meter
+                        result[f"{name}.current"] = meter
             elif node != "0":
                 factor, unit, _ = ANSWERS.get(port.kind, (1.0, port.across, ""))
-                found[name] = Vector(f"v({node})", factor, unit)
-        return found
+                result[name] = Vector(f"v({node})", factor, unit)
+        return result
 
     # --- what a run says ------------------------------------------------------------------------
 
@@ -401,53 +409,53 @@ class LinearBody(Touching):
         frequency = waves["frequency"].real
         figures = {"frequency_hz": frequency.tolist(), "impedance_ohm": np.abs(z).tolist()}
         try:
-            found = {**figures, **analyse(frequency, z).metrics()}
+            result = {**figures, **analyse(frequency, z).metrics()}
         except UsageError:  # no resonance in the range: nothing to read off but the curve
             return figures
         if not (keys := varied(part)):
-            return found
+            return result
         # d ln(metric) / d ln(key), by key and metric: central differences within the ranges
         box = self.varying(part, build.scene, Clock())
         port = next(port.name for port in box.ports if port.kind == "electrical")
-        found["sensitivity"] = {}
+        result["sensitivity"] = {}
         for key in keys:
             ends = np.clip(key.value * (1 + STEP * np.array([-1, 1])), key.low, key.high)
             read = []
             for end in ends:
-                model = box.at({each.key: each.value for each in keys} | {key.key: float(end)})
+                model = box.at({item.key: item.value for item in keys} | {key.key: float(end)})
                 H = model.select([port]).transfer(frequency)[:, 0, 0]
                 read.append(analyse(frequency, 1 / (2j * np.pi * frequency * H)).metrics())
             change = math.log(ends[1] / ends[0])
-            found["sensitivity"][key.param.name] = {
+            result["sensitivity"][key.param.name] = {
                 name.removesuffix("_hz").removesuffix("_f"): math.log(read[1][name] / low) / change
                 for name, low in read[0].items()
                 if name != "bvd"
             }
-        return found
+        return result
 
     def checks(self, part: Part, build: Build, waves: Waveforms) -> Iterator[Check | Balance]:
         model: LinearModel = build.model(part)
-        found = model.certificate
+        result = model.certificate
         if (
-            found is not None
+            result is not None
         ):  # its certified error, and that the full model does not grow by itself
-            error = found.error_estimate
+            error = result.error_estimate
             limit, action = (WRONG, "fail") if error > WRONG else (COARSE_ROM, "warn")
             yield Check(f"reduction of {part.name}", error, limit, "", REDUCED, action)  # type: ignore[arg-type]
-            if found.stable is False:
-                lost = structure(model.pencil.dense(), found.band_hz).stable
+            if result.stable is False:
+                lost = structure(model.pencil.dense(), result.band_hz).stable
                 advice, then = (LOST, "fail") if lost else (GROWS, "warn")
                 yield Check(f"stability of {part.name}", 1.0, 0.0, "", advice, then)  # type: ignore[arg-type]
-        if found is not None and "frequency" in waves:
+        if result is not None and "frequency" in waves:
             highest = float(waves["frequency"].real.max())
-            limit = (1 + 1e-9) * found.band_hz[1]  # a last point that is rounded
+            limit = (1 + 1e-9) * result.band_hz[1]  # a last point that is rounded
             yield Check(f"band of {part.name}", highest, limit, "Hz", OUTSIDE, "warn")
         if "time" not in waves:
             return
         if (balance := self._balance(part, build, waves)) is not None:
             yield balance
-        if found is not None:
-            yield from self._excited(part, build, waves, found)
+        if result is not None:
+            yield from self._excited(part, build, waves, result)
         # the netlist's leak gives a floating electrode its operating point; in long runs of small
         # capacitances it takes some of its charge
         for port in model.ports:
@@ -498,21 +506,21 @@ class LinearBody(Touching):
     def loads(self, part: Part, build: Build, waves: Waveforms) -> dict[str, np.ndarray]:
         """What the run put on every kept port over time, in SI: voltage, acceleration, or the force
         of all that is joined to it; without ports whose force is not recorded."""
-        kept, found = self.kept(part, build.scene), dict[str, np.ndarray]()
+        kept, result = self.kept(part, build.scene), dict[str, np.ndarray]()
         still = np.zeros(waves["time"].size)
         for port in kept:
             name = wave_name(part.name, kept, port)
             if port.kind not in ("mechanical", "rotational"):
                 wave = f"{name}.voltage" if port.kind == "electrical" else name
-                found[port.name] = waves.data.get(wave, still)
+                result[port.name] = waves.data.get(wave, still)
                 continue
             joined = build.scene.joined(part.name, port.terminals[0])
             others = [(build.scene.parts[other], pin) for other, pin in joined]
             forces = [other.type.force_on(other, pin, build, waves) for other, pin in others]
             known = [force for force in forces if force is not None]
             if len(known) == len(forces) and build.net(part, port.terminals[0]) != "0":
-                found[port.name] = sum(known, start=still)
-        return found
+                result[port.name] = sum(known, start=still)
+        return result
 
     def _balance(self, part: Part, build: Build, waves: Waveforms) -> Balance | None:
         """Work of voltage and forces on the body against its exact response to the same loads.
@@ -538,16 +546,16 @@ class LinearBody(Touching):
             took, name = running(load, exact), wave_name(part.name, model.ports, port)
             damped = damped + took
             if port.kind == "electrical":
-                what, found = "electrical work", took
+                what, result = "electrical work", took
                 current = waves.data.get(f"{name}.current")
                 if current is not None:
-                    found = running(load * current, t)
+                    result = running(load * current, t)
                     answers[f"charge of {name}"] = running(current, t) + exact[0], exact
             else:
-                what, found = "work of the contact", running(load, waves[name])
+                what, result = "work of the contact", running(load, waves[name])
                 answers[name] = waves[name], exact
-            entries[what] = entries.get(what, 0.0) + float(found[-1])
-            gap += found - took
+            entries[what] = entries.get(what, 0.0) + float(result[-1])
+            gap += result - took
         entries |= {"stored": float(stored[-1]), "damped": float(damped[-1])}
         if pressed := self.coarse(part, build.scene):
             forces = [loads[port.name] for port in model.ports if port.kind == "mechanical"]
@@ -665,11 +673,11 @@ def _reaching(
     band: tuple[float, float], asked: Mapping[str, Any], full: Callable[[], LinearModel]
 ) -> tuple[float, float]:
     """The band up to the natural frequencies that the full model has in it, see ``sure``."""
-    from kc2spice.rom.reduce import reach
+    from kc2spice.rom.reduce import band_end
 
     (low, high), sure = band, asked.get("sure")
     if sure is not None and high > sure:
-        high = min(high, max(sure, reach(full().pencil, MOTIONS, high)))
+        high = min(high, max(sure, band_end(full().pencil, MOTIONS, high)))
     return low, high
 
 
@@ -686,33 +694,33 @@ def wanted(part: Part, scene: Scene) -> set[str]:
     """Names of ports or pins of ``part`` that other parts, its own pins or probes name."""
     prefix = f"{part.name}."
     assert isinstance(part.type, LinearBody)
-    found = set(part.pins)
+    result = set(part.pins)
     for other in scene.parts.values():
         names = (*other.pins.values(), *other.type.default_joins(other, scene).values())
-        found |= {name.removeprefix(prefix) for name in names if name.startswith(prefix)}
+        result |= {name.removeprefix(prefix) for name in names if name.startswith(prefix)}
         # copies of it, with loads on all ports
         if other.type.governs(other, scene).get(part.name) == "copied":
-            found |= {port.name for port in part.type.ports(part, scene) if port.kind in ANSWERS}
+            result |= {port.name for port in part.type.ports(part, scene) if port.kind in ANSWERS}
     for probe in scene.probes.values():
         if probe.of.startswith((f"{prefix}u.", f"{prefix}angle.", f"{prefix}a.")):
-            found.add(probe.of.rpartition(".")[2])
-    return found
+            result.add(probe.of.rpartition(".")[2])
+    return result
 
 
 def massless(part: Part, scene: Scene) -> bool:
     """Whether a contact presses on ``part`` and wants no inertia behind its ports."""
-    found = (c for c in scene.of("contact") if c.keys.inertia == "massless")
-    targets = (target for c in found for target in c.type.default_joins(c, scene).values())
+    result = (c for c in scene.of("contact") if c.keys.inertia == "massless")
+    targets = (target for c in result for target in c.type.default_joins(c, scene).values())
     return any(target.startswith(f"{part.name}.") for target in targets)
 
 
 def file_stamp(path: Path) -> str:
     """What tells one content of a file from another: a copy elsewhere has the same."""
     try:
-        found = path.stat()
-        if not stat.S_ISREG(found.st_mode):
+        result = path.stat()
+        if not stat.S_ISREG(result.st_mode):
             return "no regular file"
-        return _content(path, found.st_size, found.st_mtime_ns)
+        return _content(path, result.st_size, result.st_mtime_ns)
     except OSError:
         return "absent"
 
@@ -769,8 +777,8 @@ def measured(part: Part, waves: Waveforms) -> np.ndarray | None:
         return None
     if not np.abs(current).min() > 0:
         return None
-    found = np.asarray(voltage / current)
-    return None if (found.real < -FEEDING * np.abs(found)).any() else found
+    result = np.asarray(voltage / current)
+    return None if (result.real < -FEEDING * np.abs(result)).any() else result
 
 
 def wave_name(name: str, ports: Sequence[Port], port: Port) -> str:

@@ -66,11 +66,11 @@ class Recovered:
     @property
     def worst(self) -> Extreme:
         """The stress nearest to or farthest beyond its limit; the largest without any limit."""
-        stresses = [each for each in self.extremes if each.quantity == "principal_stress"]
-        limited = [each for each in stresses if each.limit]
+        stresses = [item for item in self.extremes if item.quantity == "principal_stress"]
+        limited = [item for item in stresses if item.limit]
         if not limited:
-            return max(stresses, key=lambda each: each.value)
-        return max(limited, key=lambda each: each.value / (each.limit or 1.0))
+            return max(stresses, key=lambda item: item.value)
+        return max(limited, key=lambda item: item.value / (item.limit or 1.0))
 
 
 class FieldKeys(LinearKeys):
@@ -118,26 +118,26 @@ class MeshedBody(LinearBody):
             yield wrong(f"{part.name}.fields", problem, f"{outside[0]:g} s", expected)
 
     def metrics(self, part: Part, build: Build, waves: Waveforms) -> Mapping[str, Any]:
-        found = dict(super().metrics(part, build, waves))
+        result = dict(super().metrics(part, build, waves))
         recovered = self.recovered(part, build, waves)
         if recovered is None:
-            return found
-        for each in recovered.extremes:
-            quantity, unit, *_ = _QUANTITIES[each.quantity]
-            found[f"{quantity}_{_slug(each.material)}_{unit}"] = each.value
-            if each.limit is not None:
-                found[f"{quantity}_limit_{_slug(each.material)}_{unit}"] = each.limit
-        return found | {"worst_stress_time_s": recovered.worst.instant}
+            return result
+        for item in recovered.extremes:
+            quantity, unit, *_ = _QUANTITIES[item.quantity]
+            result[f"{quantity}_{_slug(item.material)}_{unit}"] = item.value
+            if item.limit is not None:
+                result[f"{quantity}_limit_{_slug(item.material)}_{unit}"] = item.limit
+        return result | {"worst_stress_time_s": recovered.worst.instant}
 
     def checks(self, part: Part, build: Build, waves: Waveforms) -> Iterator[Check | Balance]:
         yield from super().checks(part, build, waves)
         recovered = self.recovered(part, build, waves)
-        for each in recovered.extremes if recovered else ():
-            if each.limit is not None:
-                what = each.quantity.replace("_", " ")
-                name = f"{what} in {each.material} of {part.name}"
-                advice = _QUANTITIES[each.quantity][-1]
-                yield Check(name, each.value, each.limit, each.unit, advice, "warn")
+        for item in recovered.extremes if recovered else ():
+            if item.limit is not None:
+                what = item.quantity.replace("_", " ")
+                name = f"{what} in {item.material} of {part.name}"
+                advice = _QUANTITIES[item.quantity][-1]
+                yield Check(name, item.value, item.limit, item.unit, advice, "warn")
 
     def figures(self, part: Part, build: Build, waves: Waveforms) -> Iterator[Figure | Written]:
         yield from super().figures(part, build, waves)
@@ -235,11 +235,11 @@ class BondedBody(MeshedBody):
 
         yield from super().problems(part, scene)
         layers, width = getattr(part.keys, "layers", ()), getattr(part.keys, "width", None)
-        found = [
+        result = [
             (width or x.diameter, x.thickness, material(x.material, part.name).piezoelectric)
             for x in layers
         ]
-        yield from plausible_layers(f"{part.name}.layers", found, plate=width is None)
+        yield from plausible_layers(f"{part.name}.layers", result, plate=width is None)
 
     def outline(self, part: Part, scene: Scene) -> Iterator[Shape]:
         """Blocks from the side, the highest at zero, those of a bore on both sides of it; each kind

@@ -109,9 +109,9 @@ def deformed(device: Device, z: np.ndarray, voltages: np.ndarray) -> tuple[Panel
     stress, over its edges at rest; and by how much displacements are enlarged."""
     from kc2spice.bodies.fields import at_nodes, principal
 
-    found = at_nodes(device, z, voltages)
-    stress = 1e-6 * principal(found["stress"])
-    moved, factor = _enlarged(device, found["displacement"])
+    result = at_nodes(device, z, voltages)
+    stress = 1e-6 * principal(result["stress"])
+    moved, factor = _enlarged(device, result["displacement"])
     at_rest = edges("at rest", device.solid.mesh, ":", fine=0)
     label = "largest principal stress in MPa"
     panel = Panel("mm", "mm", (at_rest,), equal=True, map=_map(device, moved, stress, label))
@@ -124,9 +124,9 @@ def shapes(device: Device, hertz: np.ndarray, columns: np.ndarray) -> Iterator[P
 
     still = np.zeros(device.drive.shape[1])
     for f, z in zip(hertz, columns.T, strict=True):
-        found = at_nodes(device, z, still)["displacement"]
-        moved, _ = _enlarged(device, found)
-        size = np.linalg.norm(found, axis=1)
+        result = at_nodes(device, z, still)["displacement"]
+        moved, _ = _enlarged(device, result)
+        size = np.linalg.norm(result, axis=1)
         colours = _map(device, moved, size / size.max(), "of the largest")
         at_rest = edges("at rest", device.solid.mesh, ":", fine=0)
         word = f"{f / 1e3:.4g} kHz" if f >= 1e3 else f"{f:.4g} Hz"
@@ -167,12 +167,12 @@ def _map(device: Device, corners: np.ndarray, values: np.ndarray, label: str) ->
     x, y = (low[k] + dot * (np.arange(count[k]) + 0.5) for k in (0, 1))
     wide = np.ptp(triangles[..., :2], axis=1).max(axis=1) / dot
     steps = 2 ** np.ceil(np.log2(np.maximum(2 * wide, 1.0))).astype(int)  # two to a dot at least
-    found = []
+    result = []
     for n in np.unique(steps):  # points of the triangles, so many along each side
         a, b = (part.ravel() / n for part in np.indices((n + 1, n + 1)))
         weights = np.column_stack([a, b, 1 - a - b])[a + b <= 1]
-        found.append((weights @ triangles[steps == n]).reshape(-1, 4))
-    dots = np.concatenate(found)
+        result.append((weights @ triangles[steps == n]).reshape(-1, 4))
+    dots = np.concatenate(result)
     dots = dots[np.argsort(-dots[:, 2])]  # the nearest last
     column, row = np.clip(((dots[:, :2] - low) / dot).astype(int), 0, count - 1).T
     z = np.full((count[1], count[0]), np.nan)

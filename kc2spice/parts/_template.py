@@ -126,8 +126,8 @@ def opamp_subcircuit(
     )
     title += " with slew rate and current limit"
     ohm = math.sqrt(4 * BOLTZMANN * TEMPERATURE)
-    found = (noise.noise_voltage, noise.noise_current) if noise else (None, None)
-    volts, amperes = (each / ohm if each else None for each in found)
+    result = (noise.noise_voltage, noise.noise_current) if noise else (None, None)
+    volts, amperes = (item / ohm if item else None for item in result)
     told: dict[str, Any] = {"rating": rating, "volts": volts, "amperes": amperes}
     return library("opamp_slew", header, "opamp_slew", title, pins, params + limits, **told)
 
@@ -148,13 +148,13 @@ class Load(NamedTuple):
 def potentials(part: Part, build: Build, pins: Iterable[str]) -> dict[str, Vector]:
     """Voltages ``PART.PIN`` of pins over ``ref``, or over node 0 where it has no such pin."""
     base = build.net(part, "ref") if (part.name, "ref") in build.scene.nets else "0"
-    found = {}
+    result = {}
     for pin in pins:
         net = build.net(part, pin)
         ends = "".join(f"{sign}v({n})" for sign, n in (("", net), ("-", base)) if n != "0")
         if ends and net != base:
-            found[f"{part.name}.{pin}"] = Vector(ends, 1.0, "V")
-    return found
+            result[f"{part.name}.{pin}"] = Vector(ends, 1.0, "V")
+    return result
 
 
 def ends(*terminals: str) -> tuple[Terminal, ...]:
@@ -181,9 +181,9 @@ class Driver(TemplatePart):
     def vectors(self, part: Part, build: Build) -> Mapping[str, Vector]:
         if build.scene.analysis.type != "transient":
             return {}
-        found = potentials(part, build, ("command", *self.terminals))
+        result = potentials(part, build, ("command", *self.terminals))
         read = f"@r.x{part.name.lower()}.rout[i]"
-        return found | {f"{part.name}.i": Vector(read, 1.0, "A", self.terminals[:1])}
+        return result | {f"{part.name}.i": Vector(read, 1.0, "A", self.terminals[:1])}
 
     def checks(self, part: Part, build: Build, waves: Waveforms) -> Iterator[Check]:
         """Whether its load drives the output of an amplifier, behind all resistance, beyond its

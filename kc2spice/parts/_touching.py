@@ -32,8 +32,8 @@ class Surface:
     ``ports`` give the position in um and take the force, but for a rigid part, where it acts on the
     ``velocity`` pin. ``radius`` [m] is that of a sphere, None for a plane.
     ``sectors`` is the number of symmetry sectors that a stiffness per sector stands for. A port
-    that is a patch of pressure has its radius ``patch`` [m], and its ``dents`` under hats of it,
-    which follow within ``pace`` [s].
+    that is a patch of pressure has its radius ``patch`` [m], and its ``compliance`` under hats of
+    it, which follow within ``pace`` [s].
     ``elastic`` is the part whose port ``patch`` a rigid surface carries. ``modulus`` [Pa] is that
     of indentation of the half-space that a contact presses on, where it is one.
     """
@@ -45,7 +45,7 @@ class Surface:
     radius: float | None = None
     sectors: int = 1
     patch: float = 0.0
-    dents: Callable[[PressureBasis], LocalCompliance] | None = None
+    compliance: Callable[[PressureBasis], LocalCompliance] | None = None
     pace: float = 0.0
     elastic: str = ""
     modulus: float | None = None
@@ -140,23 +140,25 @@ class Pair:
 
     def _side(self, key: str, *, round_: bool) -> Surface:
         part, scene = self.part, self.scene
-        chosen: str | tuple[str, ...] | None = getattr(part.keys, key)
-        if chosen is None:
+        selected: str | tuple[str, ...] | None = getattr(part.keys, key)
+        if selected is None:
             every = (surface_of(other, scene) for other in scene.parts.values())
-            offers = [each for each in every if each and (each.radius is not None) == round_]
+            offers = [item for item in every if item and (item.radius is not None) == round_]
             if len(offers) != 1:
                 kind = ("a sphere", "sphere") if round_ else ("a body with a surface", "kick")
                 raise part.wrong(
                     key,
                     f"{part.name} needs to know what touches",
-                    ", ".join(each.part for each in offers) or f"no part that is {kind[0]}",
+                    ", ".join(item.part for item in offers) or f"no part that is {kind[0]}",
                     f'{key} = "PART" or "PART.PORT"',
                     None if offers else f"add [{kind[1]}]; an empty table takes the defaults",
                 )
             return offers[0]
-        if chosen == GROUND:
+        if selected == GROUND:
             return Surface(GROUND, (FLOOR,), (0.0,))
-        targets = [t.partition(".") for t in ((chosen,) if isinstance(chosen, str) else chosen)]
+        targets = [
+            t.partition(".") for t in ((selected,) if isinstance(selected, str) else selected)
+        ]
         names = {name for name, _, _ in targets}
         if len(names) != 1:
             raise part.wrong(key, "one body on each side", ", ".join(sorted(names)))
@@ -181,19 +183,19 @@ class Pair:
         if rings == "all" or len(ports) == 1 or list(self.a.distance) != sorted(self.a.distance):
             return ports
         if rings == "needed":
-            rings = max(1, int(np.count_nonzero(self.gaps < self.reach.depth)))
+            rings = max(1, int(np.count_nonzero(self.gaps < self.deepest.depth)))
         return ports[:rings]
 
     @cached_property
-    def reach(self) -> Penetration:
+    def deepest(self) -> Penetration:
         """The largest of what the parts of the scene can do; a prescribed one beats all."""
         parts = self.scene.parts.values()
         types = [(p, p.type) for p in parts if isinstance(p.type, Touching)]
-        found = [each for p, kind in types for each in kind.penetrations(p, self.scene)]
-        for each in found:
-            if each.prescribed:
-                return each
-        return max([Penetration(0.0, "its weight"), *found], key=lambda each: each.depth)
+        result = [item for p, kind in types for item in kind.penetrations(p, self.scene)]
+        for item in result:
+            if item.prescribed:
+                return item
+        return max([Penetration(0.0, "its weight"), *result], key=lambda item: item.depth)
 
     @property
     def thrown(self) -> bool:
@@ -216,11 +218,11 @@ class Pair:
         keys, along = self.keys, (self.keys.damping, self.keys.friction, self.keys.creep)
         if keys.shape == "pressure":
             assert self.b.radius is not None
-            dents, pace = self.dents
-            found = _dented(self.shape, dents.compliance, self.b.radius)
-            first, *_ = found.coefficients
-            curve = tuple(c / first for c in found.coefficients)
-            stiffness, of = first / found.depth**1.5, (found.depth, pace, self.b.radius)
+            local, pace = self.indentation
+            result = _indentation_law(self.shape, local.compliance, self.b.radius)
+            first, *_ = result.coefficients
+            curve = tuple(c / first for c in result.coefficients)
+            stiffness, of = first / result.depth**1.5, (result.depth, pace, self.b.radius)
             return Normal(stiffness, 1.5, *along, curve, *of)
         value, power = self.a.sectors * float(keys.penalty), 1.0
         if keys.law == "hertz":
@@ -261,29 +263,29 @@ class Pair:
     @cached_property
     def shape(self) -> PressureBasis:
         """Hats of pressure over the patch of ``a``."""
-        from kc2spice.bodies.pressure import hats
+        from kc2spice.bodies.pressure import pressure_basis
 
-        return hats(self.keys.spacing, self.a.patch)
+        return pressure_basis(self.keys.spacing, self.a.patch)
 
     @cached_property
-    def dents(self) -> tuple[LocalCompliance, float]:
+    def indentation(self) -> tuple[LocalCompliance, float]:
         """Of both sides together under these hats, and the time [s] in which they follow."""
-        return self._dents(self.shape)
+        return self._compliance_of(self.shape)
 
-    def _dents(self, shape: PressureBasis) -> tuple[LocalCompliance, float]:
+    def _compliance_of(self, shape: PressureBasis) -> tuple[LocalCompliance, float]:
         """Both sides follow the pressure within the mean of their times."""
-        assert self.a.dents is not None
-        found = self.a.dents(shape)
+        assert self.a.compliance is not None
+        result = self.a.compliance(shape)
         if not self.b.elastic:
-            return found, self.a.pace
+            return result, self.a.pace
         surface = surface_of(self.scene.parts[self.b.elastic], self.scene, (PATCH,))
         assert surface is not None
-        assert surface.dents is not None
-        other = surface.dents(shape)
-        whole = found.compliance + other.compliance
+        assert surface.compliance is not None
+        other = surface.compliance(shape)
+        whole = result.compliance + other.compliance
         share = float(np.trace(other.compliance) / np.trace(whole))
         pace = (1 - share) * self.a.pace + share * surface.pace
-        return replace(found, compliance=whole, patch=found.patch + other.patch), pace
+        return replace(result, compliance=whole, patch=result.patch + other.patch), pace
 
     def hat_forces(self, force: float) -> np.ndarray:
         """(n,) [N] on each hat of pressure where they carry ``force`` together."""
@@ -293,8 +295,8 @@ class Pair:
         depths = np.linspace(0.0, self.normal.depth, 1000)
         depth = np.interp(force, self.normal.force(depths), depths)
         gap = ring_gaps(self.shape.distances, self.b.radius)
-        found = pressing(self.dents[0].compliance, gap, np.array([depth]))[0]
-        return np.asarray(force / found.sum() * found)
+        result = pressing(self.indentation[0].compliance, gap, np.array([depth]))[0]
+        return np.asarray(force / result.sum() * result)
 
     def unresolved(self) -> float:
         """Gate of the law against a full model with finer hats, relative: 0 for rings.
@@ -302,17 +304,17 @@ class Pair:
         By how much the force of the hats differs from that of hats half as wide, at depths from
         half of what the scene can reach on; the patch's own give is part of both.
         """
-        from kc2spice.bodies.pressure import hats
+        from kc2spice.bodies.pressure import pressure_basis
 
         if self.keys.shape != "pressure":
             return 0.0
         assert self.b.radius is not None
         forces = []
         for wider in (1.0, 0.5):
-            shape = hats(wider * self.keys.spacing, self.a.patch)
-            found, _ = self._dents(shape)
-            law = _dented(shape, found.compliance + found.patch, self.b.radius)
-            deepest = min(self.reach.depth or math.inf, law.depth)
+            shape = pressure_basis(wider * self.keys.spacing, self.a.patch)
+            result, _ = self._compliance_of(shape)
+            law = _indentation_law(shape, result.compliance + result.patch, self.b.radius)
+            deepest = min(self.deepest.depth or math.inf, law.depth)
             forces.append(law.force(np.linspace(0.5, 1.0, 50) * deepest))
         return HATS * float(np.abs(forces[1] / forces[0] - 1).max())
 
@@ -325,11 +327,11 @@ class Pair:
     def place(self, waves: Waveforms) -> np.ndarray | None:
         """Position [m] of side ``b`` at its lowest point, zero where it touches."""
         depth = self.pushed(waves)
-        found = self.b.height(self.b.ports[0], waves) if depth is None else -depth
-        if not self.b.elastic or found is None:
-            return found
+        result = self.b.height(self.b.ports[0], waves) if depth is None else -depth
+        if not self.b.elastic or result is None:
+            return result
         dent = waves.data.get(f"{self.b.elastic}.u.{PATCH}")
-        return None if dent is None else found + dent
+        return None if dent is None else result + dent
 
 
 def only_pair(scene: Scene) -> Pair | None:
@@ -338,17 +340,17 @@ def only_pair(scene: Scene) -> Pair | None:
     return None if contact is None else Pair(contact, scene)
 
 
-def _dented(shape: PressureBasis, compliance: np.ndarray, radius: float) -> Indented:
+def _indentation_law(shape: PressureBasis, compliance: np.ndarray, radius: float) -> Indented:
     return _dented_by(shape.nodes.tobytes(), compliance.tobytes(), radius)
 
 
 @lru_cache(maxsize=8)
 def _dented_by(nodes: bytes, compliance: bytes, radius: float) -> Indented:
-    from kc2spice.bodies.pressure import PressureBasis, dented
+    from kc2spice.bodies.pressure import PressureBasis, indentation_law
 
     shape = PressureBasis(np.frombuffer(nodes))
     matrix = np.frombuffer(compliance).reshape(len(shape.nodes) - 1, -1)
-    return dented(shape, matrix, ring_gaps(shape.distances, radius))
+    return indentation_law(shape, matrix, ring_gaps(shape.distances, radius))
 
 
 # --- how far a sphere can come --------------------------------------------------------------------
@@ -396,9 +398,9 @@ def separation(
             flights.append(_edge(t, v, force, int(last)))
     if not flights:
         return None
-    kicked = [each for each in flights if each[0] <= busy + _FLIGHT] or flights[:1]
+    kicked = [item for item in flights if item[0] <= busy + _FLIGHT] or flights[:1]
     fastest = max(speed for _, speed in kicked)
-    return next(each for each in kicked if each[1] >= min(fastest, fastest / 2))
+    return next(item for item in kicked if item[1] >= min(fastest, fastest / 2))
 
 
 def _edge(t: np.ndarray, v: np.ndarray, force: np.ndarray, last: int) -> tuple[float, float]:

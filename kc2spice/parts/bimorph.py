@@ -158,7 +158,7 @@ def structure(keys: BimorphKeys | Mapping[str, Any], where: str = "bimorph") -> 
     }
     return Bonded(
         blocks,
-        {pin: [*chain(*found)] for pin, found in electrodes.items()} if active else {},
+        {pin: [*chain(*result)] for pin, result in electrodes.items()} if active else {},
         faces[1:-1] if series else (),
         ports,
         fixed,

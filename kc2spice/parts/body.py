@@ -191,7 +191,7 @@ class BodyKeys(FieldKeys):
         """What its model has, electrical ports first."""
         pairs = [(name, self.reference) for name in self.electrodes if name != self.reference]
         electrical = (Port(pair[0], "electrical", pins=pair) for pair in pairs)
-        return (*electrical, *(port for each in self.ports for port in each.ports))
+        return (*electrical, *(port for item in self.ports for port in item.ports))
 
     @model_validator(mode="after")
     def _consistent(self) -> BodyKeys:
@@ -227,7 +227,7 @@ def device(keys: BodyKeys | Mapping[str, Any], home: Path, where: str = "body") 
     with fe.part_named(where):
         path = beside(home, keys.mesh, "mesh")
         unit = mesh_file.length_unit(path, keys.unit)
-        found = mesh_file.read_mesh(
+        result = mesh_file.read_mesh(
             path,
             unit=unit,
             size=None if keys.size is None else keys.size / keys.refine,
@@ -235,10 +235,10 @@ def device(keys: BodyKeys | Mapping[str, Any], home: Path, where: str = "body") 
             dimension=2 if keys.axisymmetric else 3,
             splits=0 if keys.size else int(np.ceil(np.log2(keys.refine))),
         )
-        solid = _solid(keys, found)
-        made = fe.make_device(solid, _setup(keys, found, solid))
+        solid = _solid(keys, result)
+        made = fe.make_device(solid, _setup(keys, result, solid))
     axes = ("radius", "height") if keys.axisymmetric else "xyz"
-    sides = zip(axes, 1e3 * np.ptp(found.mesh.p, axis=1), strict=True)
+    sides = zip(axes, 1e3 * np.ptp(result.mesh.p, axis=1), strict=True)
     facts = {**made.model.facts, **{f"extent_{axis}_mm": float(side) for axis, side in sides}}
     return replace(made, model=replace(made.model, facts=facts))
 
@@ -266,8 +266,8 @@ def _setup(keys: BodyKeys, groups: mesh_file.GroupedMesh, solid: Solid) -> fe.Se
     electrodes = {}
     for pin, given in keys.electrodes.items():
         names = [given] if isinstance(given, str) else given
-        found = [_electrode(solid, groups, name, f"electrodes.{pin}") for name in names]
-        electrodes[pin] = np.unique(np.concatenate(found))
+        result = [_electrode(solid, groups, name, f"electrodes.{pin}") for name in names]
+        electrodes[pin] = np.unique(np.concatenate(result))
     kinds = {
         kind: [port for port in keys.ports if port.kind == kind]
         for kind in ("mean", "rigid", "base")
@@ -355,8 +355,8 @@ class Body(MeshedBody):
     source = "FE (piezoelectric, the user's mesh)"
 
     def ports(self, part: Part, scene: Scene) -> tuple[Port, ...]:
-        found: tuple[Port, ...] = part.keys.every_port
-        return found
+        result: tuple[Port, ...] = part.keys.every_port
+        return result
 
     def files(self, part: Part, scene: Scene) -> tuple[str, ...]:
         _path(part, scene)

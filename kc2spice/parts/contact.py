@@ -172,17 +172,17 @@ class Contact(DeclaredPart):
     def vectors(self, part: Part, build: Build) -> Mapping[str, Vector]:
         n, pair, d = part.name, Pair(part, build.scene), self.declared(part, build.scene)
         card = f"@b.x{n}.b{{}}[i]"
-        each = {b.through: card.format(force_node(b)).lower() for b in d.branches}
-        found = {
-            f"{n}.force.{port}": Vector(each[f"force.{port}"], 1.0, "N", enters=(port,))
+        item = {b.through: card.format(force_node(b)).lower() for b in d.branches}
+        result = {
+            f"{n}.force.{port}": Vector(item[f"force.{port}"], 1.0, "N", enters=(port,))
             for port in pair.ports
         }
         if part.keys.friction:
-            row = Vector(each["friction"], 1.0, "N", ("rail",), ("slide",))
-            found[f"{n}.friction"] = row
-        total = "+".join(each[f"force.{port}"] for port in pair.ports)
+            row = Vector(item["friction"], 1.0, "N", ("rail",), ("slide",))
+            result[f"{n}.friction"] = row
+        total = "+".join(item[f"force.{port}"] for port in pair.ports)
         ends = {"force": (("v", "b", CARRIED), ("va",))}
-        return found | {
+        return result | {
             f"{n}.{word}": Vector(total, by, "N", *ends.get(word, ()))
             for word, by in _sums(pair).items()
         }
@@ -230,13 +230,13 @@ class Contact(DeclaredPart):
         x, factor = time_axis(scale[inside])
         if (depth := pair.pushed(waves)) is not None:
             scale, (x, factor) = depth, ("depth in µm", 1e6)
-        each = {port: waves[f"{part.name}.force.{port}"] for port in pair.ports}
+        item = {port: waves[f"{part.name}.force.{port}"] for port in pair.ports}
         curves = [
             Curve(port, factor * scale[inside], own[inside])
-            for port, own in each.items()
+            for port, own in item.items()
             if own.max() > 0
         ]
-        if len(each) > 1:
+        if len(item) > 1:
             curves.append(Curve("sum", factor * scale[inside], force[inside], "--"))
         sides = f"{pair.a.part} and {pair.b.part}"
         panel = Panel(x, "contact force in N", tuple(curves))
@@ -244,13 +244,13 @@ class Contact(DeclaredPart):
         yield Figure(f"{part.name}_force", f"Contact of {sides}", caption, (panel,))
 
     def law(self, part: Part, build: Build) -> laws.Equations:
-        n, pair, found = part.name, Pair(part, build.scene), super().law(part, build)
-        each = [found.results[f"{n}.force.{port}"].terms[0][1] for port in pair.ports]
+        n, pair, result = part.name, Pair(part, build.scene), super().law(part, build)
+        item = [result.results[f"{n}.force.{port}"].terms[0][1] for port in pair.ports]
         sums = {
-            f"{n}.{word}": laws.Reading(tuple((share, wave) for wave in each))
+            f"{n}.{word}": laws.Reading(tuple((share, wave) for wave in item))
             for word, share in _sums(pair).items()
         }
-        return replace(found, results=found.results | sums)
+        return replace(result, results=result.results | sums)
 
     def notes(self, part: Part, scene: Scene) -> Iterator[str | Neglected]:
         keys, pair = part.keys, Pair(part, scene)
@@ -287,8 +287,8 @@ class Contact(DeclaredPart):
         if kept < len(a.ports):
             why = f"{part.name}.rings = {part.keys.rings}"
             if part.keys.rings == "needed":
-                why = f"open up to {pair.gaps[kept]:.3g} m; {pair.reach.why}: "
-                why += f"{pair.reach.depth:.3g} m"
+                why = f"open up to {pair.gaps[kept]:.3g} m; {pair.deepest.why}: "
+                why += f"{pair.deepest.depth:.3g} m"
             last = f" to {a.ports[-1]}" if kept + 1 < len(a.ports) else ""
             error = "none while they stay open, checked after the run"
             yield Neglected(f"contact at {a.ports[kept]}{last}", why, error)
@@ -314,7 +314,7 @@ def _sums(pair: Pair) -> dict[str, float]:
 def _pressure_problems(pair: Pair) -> Iterator[UsageError]:
     part, a, b = pair.part, pair.a, pair.b
     hint = 'shape = "rings" takes ports as they are'
-    if a.dents is None:
+    if a.compliance is None:
         expected = "a piezo_stack, whose contact names no port"
         yield part.wrong("shape", "no port of pressure on this body", a.ports[0], expected, hint)
     elif not part.keys.spacing < a.patch / 4:
@@ -325,8 +325,8 @@ def _pressure_problems(pair: Pair) -> Iterator[UsageError]:
         got = "no sphere" if b.radius is None else f"a radius of {b.radius:g} m"
         expected = f"a sphere of more than {a.patch:g} m, the outermost ring"
         yield part.wrong("shape", "pressure is that under a sphere", got, expected, hint)
-    for key, usual in (("law", "linear"), ("groove", None)):
-        if (got := getattr(part.keys, key)) != usual:
+    for key, default in (("law", "linear"), ("groove", None)):
+        if (got := getattr(part.keys, key)) != default:
             yield part.wrong(key, f"pressure has its own law, without {key}", got, hint=hint)
 
 

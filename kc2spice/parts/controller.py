@@ -117,12 +117,12 @@ wiring = "parallel"
         if not path.is_file():
             raise part.wrong("file", "no such Python file", str(path))
         try:
-            found = runpy.run_path(str(path), run_name=f"kc2spice_{part.name}").get(keys.function)
+            result = runpy.run_path(str(path), run_name=f"kc2spice_{part.name}").get(keys.function)
         except Exception as error:
             raise part.wrong("file", "the file fails", repr(error)) from error
-        if not callable(found):
+        if not callable(result):
             raise part.wrong("function", "the file has no such function", keys.function)
-        return cast(Function, found)
+        return cast(Function, result)
 
     def notes(self, part: Part, scene: Scene) -> Iterator[str]:
         keys = part.keys

@@ -63,10 +63,10 @@ class CurrentCases(PartType):
         return {"height": Swept(build.own(part, "Vheight"), 1e6, heights)}
 
     def vectors(self, part: Part, build: Build) -> Mapping[str, Vector]:
-        found = {f"{_sphere(part, build.scene)}.y": build.across(part, "y")}
+        result = {f"{_sphere(part, build.scene)}.y": build.across(part, "y")}
         for k, name in enumerate(_forces(part, build)):
-            found[name] = Vector(f"i({build.own(part, f'Vforce{k}').lower()})", 1.0, "N")
-        return found
+            result[name] = Vector(f"i({build.own(part, f'Vforce{k}').lower()})", 1.0, "N")
+        return result
 
     def metrics(self, part: Part, build: Build, waves: Waveforms) -> Mapping[str, Any]:
         forces = [waves[name] for name in _forces(part, build)]
@@ -81,18 +81,18 @@ class CurrentCases(PartType):
         """The height is a source's; a force on it is the reaction to what the coils exert."""
         n, sphere, coils = part.name, _sphere(part, build.scene), _coils(part, build.scene)
         coenergy = build.model(coils).coenergy
-        found: list[laws.Law] = [laws.Source(n, "displacement", constant(0.0))]
+        result: list[laws.Law] = [laws.Source(n, "displacement", constant(0.0))]
         results, nets, names = {f"{sphere}.y": laws.reading(f"{n}.out")}, [], _forces(part, build)
         for k, (force, pair) in enumerate(zip(names, cases(part), strict=True)):
             own = f"{coils.name} {k}"  # no part has a blank in its name
-            found.append(PositionForce(own, coenergy, (1.0, 1.0)))
+            result.append(PositionForce(own, coenergy, (1.0, 1.0)))
             for coil, current in enumerate(pair, 1):
-                found.append(laws.Source(f"{own}_{coil}", "signal", constant(current)))
+                result.append(laws.Source(f"{own}_{coil}", "signal", constant(current)))
                 nets.append((f"{own}_{coil}.out", f"{own}.i{coil}"))
             results[force] = laws.reading(f"{own}.y.through", -1.0)
         height = (f"{n}.out", *(f"{coils.name} {k}.y" for k in range(len(names))))
         return laws.Equations(
-            tuple(found), (("y", f"{n}.out"),), results, {"height": (n, 1.0)}, (height, *nets)
+            tuple(result), (("y", f"{n}.out"),), results, {"height": (n, 1.0)}, (height, *nets)
         )
 
     def checks(self, part: Part, build: Build, waves: Waveforms) -> Iterator[Check | Gate]:
@@ -126,7 +126,7 @@ def _forces(part: Part, build: Build) -> list[str]:
 
 
 def _coils(part: Part, scene: Scene) -> Part:
-    return scene.meant(part, "ring_magnet_coils", table="catch")
+    return scene.partner(part, "ring_magnet_coils", table="catch")
 
 
 def _sphere(part: Part, scene: Scene) -> str:

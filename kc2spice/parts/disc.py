@@ -140,7 +140,7 @@ def _face(inner: float, outer: float, height: float) -> Box:
 
 
 def _blocks(disc: DiscKeys, where: str) -> list[Block]:
-    found = []
+    result = []
     ends = pairwise(accumulate((layer.thickness for layer in disc.layers), initial=0.0))
     for i, (layer, span) in enumerate(zip(disc.layers, ends, strict=True)):
         here = f"{where}.layers.{i}"
@@ -150,16 +150,16 @@ def _blocks(disc: DiscKeys, where: str) -> list[Block]:
         poled = one.poled((0, 0, 1 if layer.poling == "up" else -1))
         quality = layer.quality or one.quality
         poled = replace(poled, name=f"layers[{i}] ({one.name})", quality=quality)
-        found.append(Block(((0.0, layer.diameter / 2), span), poled))
-    if not any(block.material.piezoelectric for block in found):
-        got = ", ".join(block.material.name for block in found)
+        result.append(Block(((0.0, layer.diameter / 2), span), poled))
+    if not any(block.material.piezoelectric for block in result):
+        got = ", ".join(block.material.name for block in result)
         raise UsageError("no piezoelectric layer", where=f"{where}.layers", got=got)
-    return found
+    return result
 
 
 def _conductors(disc: DiscKeys, pieces: list[Block], where: str) -> list[list[Box]]:
     """Faces of each electrode in order of height; a metal layer is one electrode."""
-    found: list[list[Box]] = []
+    result: list[list[Box]] = []
     last_metal: int | None = None
     heights = [0.0, *(piece.box[1][1] for piece in pieces)]
     for i, height in enumerate(heights):
@@ -169,14 +169,14 @@ def _conductors(disc: DiscKeys, pieces: list[Block], where: str) -> list[list[Bo
         if not ceramic:
             continue
         if not metal:
-            found.append(_plane(disc, ceramic, height, i - 1, where))
+            result.append(_plane(disc, ceramic, height, i - 1, where))
             continue
         radius = min(pieces[k].box[0][1] for k in (ceramic[0], metal[0]))
         if metal[0] != last_metal:
-            found.append([])
-        found[-1].append(_face(0.0, radius, height))
+            result.append([])
+        result[-1].append(_face(0.0, radius, height))
         last_metal = metal[0]
-    return found
+    return result
 
 
 def _plane(disc: DiscKeys, ceramic: list[int], height: float, below: int, where: str) -> list[Box]:

@@ -69,8 +69,8 @@ elastic = true
         if ports != (PATCH,):
             return None
 
-        dents, pace = partial(self._dents, part, scene), _body(part, scene).rayleigh[1]
-        return Surface(part.name, ports, (0.0,), dents=dents, pace=pace)
+        dents, pace = partial(self._compliance_of, part, scene), _body(part, scene).rayleigh[1]
+        return Surface(part.name, ports, (0.0,), compliance=dents, pace=pace)
 
     def full_key(self, part: Part, scene: Scene) -> Mapping[str, Any]:
         body, own = _body(part, scene), part.keys.model_dump(mode="json", include={"mesh"})
@@ -88,7 +88,7 @@ elastic = true
 
         shape = Pair(_contact(part, scene), scene).shape
         with clock.stage("assemble", f"mesh and matrices of {part.name}"):
-            shares = self._dents(part, scene, shape).shares
+            shares = self._compliance_of(part, scene, shape).shares
             return sphere(_body(part, scene), shares, shape, part.keys.mesh.refine)
 
     def reduction(self, part: Part, scene: Scene) -> Rom:
@@ -116,15 +116,15 @@ elastic = true
             f"at most {deep:.1g} of the dent, by its depth over the radius",
         )
 
-    def _dents(self, part: Part, scene: Scene, shape: PressureBasis) -> LocalCompliance:
+    def _compliance_of(self, part: Part, scene: Scene, shape: PressureBasis) -> LocalCompliance:
         from kc2spice.bodies.pressure import LocalCompliance, pressed_sphere
 
         key = {**self.full_key(part, scene), "hats": shape.nodes.tolist()}
         made, kinds = (_body(part, scene), shape, part.keys.mesh.refine), (LocalCompliance,)
-        found, _ = cached(
+        result, _ = cached(
             "pressed", key, lambda: pressed_sphere(*made), classes=kinds, sources=self.sources()
         )
-        return found
+        return result
 
 
 def _body(part: Part, scene: Scene) -> Sphere:
@@ -138,12 +138,12 @@ def _contact(part: Part, scene: Scene) -> Part:
     """The one contact of the sphere, by pressure."""
     owner = scene.parts[part.keys.of]
     pairs = ((contact, Pair(contact, scene)) for contact in scene.of("contact"))
-    found = [contact for contact, p in pairs if part.name in (p.a.elastic, p.b.elastic)]
-    if len(found) != 1:
-        got = ", ".join(c.name for c in found) or "none"
+    result = [contact for contact, p in pairs if part.name in (p.a.elastic, p.b.elastic)]
+    if len(result) != 1:
+        got = ", ".join(c.name for c in result) or "none"
         expected = 'one, with shape = "pressure" and a body in a'
         raise owner.wrong("elastic", "an elastic sphere has one contact", got, expected)
-    (contact,) = found
+    (contact,) = result
     if contact.keys.shape != "pressure":
         problem = "forces on rings dent an elastic sphere without limit as meshes get finer"
         hint = f'set {contact.name}.shape = "pressure", or {owner.name}.elastic = false'

@@ -121,8 +121,8 @@ class Gap(Patched):
 
     def vectors(self, part: Part, build: Build) -> Mapping[str, Vector]:
         """Without what nothing but rounding flows into: the films' own pins are joined nowhere."""
-        found = super().vectors(part, build)
-        return {name: row for name, row in found.items() if ".film_force" not in name}
+        result = super().vectors(part, build)
+        return {name: row for name, row in result.items() if ".film_force" not in name}
 
     def checks(self, part: Part, build: Build, waves: Waveforms) -> Iterator[Check | Balance]:
         """After a dc sweep also that no point is on the branch between pull-in and release: what
@@ -160,11 +160,11 @@ class Gap(Patched):
         stroke, size = np.max(side * np.array(of["x"]), axis=0), np.abs(volts)
         steps = np.flatnonzero(np.diff((stroke >= part.keys.travel).astype(int)))
         ends = {"pull_in_v": steps[:1], "release_v": steps[1:][-1:]}
-        found = {
+        result = {
             name: float(size[k[0]] + size[k[0] + 1]) / 2 if k.size else None
             for name, k in ends.items()
         }
-        return found | {"largest_travel_m": float(stroke.max())}
+        return result | {"largest_travel_m": float(stroke.max())}
 
 
 def patches(part: Part, scene: Scene) -> tuple[str, ...]:
@@ -195,14 +195,14 @@ def _declared(text: str, count: int) -> Declaration:
     branches += [displacement(f"x{k}", f"p{k}", "b", f"force{k}") for k in patches]
     # Of the gap, 1 at rest: ngspice adds 1e-32 to what it divides by.
     left = {k: f"(1 - {sign}1*x{k}/gap)" for k in patches}
-    each = {k: f"share{k}*area/gap/{left[k]}" for k in patches}
+    item = {k: f"share{k}*area/gap/{left[k]}" for k in patches}
     if keys.fringing is not None:  # whose roots no iterate may take of what is below zero
         left = {k: f"(least + max(0, {d[1:-1]} - least))" for k, d in left.items()}
         numbers |= {"least": "0.5*(1 - travel/gap)"}
         numbers |= {"width": keys.fringing.width, "thickness": keys.fringing.thickness}
         for k, d in left.items():
             root = f"1.06*sqrt(sqrt(width/gap/{d})) + 1.06*sqrt(thickness/gap/{d})"
-            each[k] = f"share{k}*area/width*(width/gap/{d} + 0.77 + {root})"
+            item[k] = f"share{k}*area/width*(width/gap/{d} + 0.77 + {root})"
     energy = [f"0.5*share{k}*stop*max(0, {sign}1*x{k} - travel)^2" for k in patches]
     content = []
     if keys.film is not None:
@@ -224,7 +224,7 @@ def _declared(text: str, count: int) -> Declaration:
         tuple(branches),
         constants=constants,
         energy=" + ".join(energy),
-        coenergy=f"0.5*eps0*permittivity*v^2*({' + '.join(each.values())})",
+        coenergy=f"0.5*eps0*permittivity*v^2*({' + '.join(item.values())})",
         content=" + ".join(content) or "0",
         limits={f"what is left of the gap at patch {k}": f"gap - {sign}1*x{k}" for k in patches},
         neglected=tuple(_neglected(keys)),
@@ -258,11 +258,11 @@ def _film(film: Film, count: int) -> tuple[list[tuple[float, float, np.ndarray]]
     order = np.argsort(-dampers)
     edges = np.linspace(0, 1, count + 1)
     kept = order[: film.branches]
-    found = []
+    result = []
     for k in kept:
         parts = -np.diff(np.cos(m[k] * np.pi * edges)) / 2
-        found.append((float(dampers[k]), float(springs[k]), parts))
-    return found, float(dampers.sum() - dampers[kept].sum())
+        result.append((float(dampers[k]), float(springs[k]), parts))
+    return result, float(dampers.sum() - dampers[kept].sum())
 
 
 EXAMPLE = """

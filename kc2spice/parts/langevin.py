@@ -98,8 +98,8 @@ class LangevinKeys(FieldKeys):
             >= min(self.front[0].diameter, self.back[0].diameter),
             "bolt.head_diameter: the head is no wider than the bolt": head <= bolt.diameter,
         }
-        if found := [problem for problem, holds in wrong.items() if holds]:
-            raise ValueError(found[0])
+        if result := [problem for problem, holds in wrong.items() if holds]:
+            raise ValueError(result[0])
         return self
 
 
@@ -134,7 +134,7 @@ def structure(keys: LangevinKeys | Mapping[str, Any], where: str = "langevin") -
 
 def _blocks(body: LangevinKeys, where: str) -> list[Block]:
     """Rings from z = 0 up, front above, back below, then the bolt in place of their cores."""
-    found: list[Block] = []
+    result: list[Block] = []
 
     def add(
         piece: Piece, key: str, radii: tuple[float, float], low: float, high: float, up: int = 1
@@ -142,15 +142,15 @@ def _blocks(body: LangevinKeys, where: str) -> list[Block]:
         one = material(piece.material, f"{where}.{key}.material")
         quality = piece.quality or one.quality
         poled = replace(one.poled((0, 0, up)), name=f"{key} ({one.name})", quality=quality)
-        found.append(Block((radii, (low, high)), poled))
+        result.append(Block((radii, (low, high)), poled))
 
     rings, bolt = body.rings, body.bolt
     core, ring = bolt.diameter / 2, (rings.inner / 2, rings.outer / 2)
     for i in range(rings.count):
         add(rings, f"rings[{i}]", ring, i * rings.thickness, (i + 1) * rings.thickness, (-1) ** i)
-    if not found[0].material.piezoelectric:
+    if not result[0].material.piezoelectric:
         problem = "the rings are not piezoelectric"
-        raise wrong(f"{where}.rings.material", problem, found[0].material.name)
+        raise wrong(f"{where}.rings.material", problem, result[0].material.name)
     height = rings.count * rings.thickness
     thread = height + (bolt.depth or body.front[0].length)
     for i, step in enumerate(body.front):
@@ -163,7 +163,7 @@ def _blocks(body: LangevinKeys, where: str) -> list[Block]:
     add(bolt, "bolt", (0.0, core), height, thread)
     if bolt.head_diameter is not None and bolt.head_length is not None:
         add(bolt, "bolt", (0.0, bolt.head_diameter / 2), height - bolt.head_length, height)
-    return found
+    return result
 
 
 class Langevin(BondedBody):

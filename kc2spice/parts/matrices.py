@@ -43,8 +43,8 @@ class Matrices(LinearBody):
         return {**super().full_key(part, scene), "files": stamps}
 
     def files(self, part: Part, scene: Scene) -> tuple[str, ...]:
-        found = source_files(*self._source(part, scene))
-        return tuple(os.path.relpath(path, scene.home) for path in found)
+        result = source_files(*self._source(part, scene))
+        return tuple(os.path.relpath(path, scene.home) for path in result)
 
     def full(self, part: Part, scene: Scene, clock: Clock) -> LinearModel:
         return self._model(part, scene)

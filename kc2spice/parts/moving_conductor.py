@@ -244,17 +244,17 @@ class MovingConductor(DeclaredPart):
         """Heights and times at which it turns back, see :func:`turns`."""
         if "time" not in waves or f"{part.name}.y" not in waves:
             return {}
-        found = turns(waves["time"], waves[f"{part.name}.y"])
+        result = turns(waves["time"], waves[f"{part.name}.y"])
         names = [f"{part.name}_turn{k}" for k in range(1, MOST_TURNS + 1)]
-        rows = zip(names, found, strict=False)
+        rows = zip(names, result, strict=False)
         return {f"{n}_{unit}": v for n, row in rows for unit, v in zip("sm", row, strict=True)}
 
     def checks(self, part: Part, build: Build, waves: Waveforms) -> Iterator[Check | Balance]:
-        found: Ladder = build.model(part)
-        loops, limit = found.rates.size, part.keys.tolerance
+        result: Ladder = build.model(part)
+        loops, limit = result.rates.size, part.keys.tolerance
         what, advice = f"{loops} loops of {part.name}", "more rings, or a lower frequency"
         if loops:
-            yield Check(what, found.error, limit, "of flux and force", advice, "warn")
+            yield Check(what, result.error, limit, "of flux and force", advice, "warn")
         yield from super().checks(part, build, waves)
 
     def figures(self, part: Part, build: Build, waves: Waveforms) -> Iterator[Figure]:
@@ -284,7 +284,7 @@ class MovingConductor(DeclaredPart):
 def turns(time: np.ndarray, y: np.ndarray) -> list[tuple[float, float]]:
     """Times [s] and heights [m] of highest and lowest places in turn, between which ``y`` moves by
     more than ``SWING`` of its range: what a ripple makes does not count."""
-    found, best, way = [], 0, 0
+    result, best, way = [], 0, 0
     least = SWING * np.ptp(y)
     for k in range(1, y.size):
         gone = y[k] - y[best]
@@ -293,9 +293,9 @@ def turns(time: np.ndarray, y: np.ndarray) -> list[tuple[float, float]]:
         if way * gone > 0:
             best = k
         elif way and abs(gone) > least:
-            found.append((float(time[best]), float(y[best])))
+            result.append((float(time[best]), float(y[best])))
             best, way = k, -way
-    return found
+    return result
 
 
 def windings(keys: Moving) -> list[Winding]:

@@ -63,12 +63,14 @@ class Netlist(PartType):
     source = "yours"
 
     def pins(self, part: Part, scene: Scene) -> tuple[Terminal, ...]:
-        found = []
+        result = []
         for name in _pins(part, scene):
             unit, flow = KINDS[part.keys.units.get(name, "V/A")]
             ground = name in ("ref", "base")
-            found.append(Terminal(name, unit, flow, "gnd" if ground else None, required=not ground))
-        return tuple(found)
+            result.append(
+                Terminal(name, unit, flow, "gnd" if ground else None, required=not ground)
+            )
+        return tuple(result)
 
     def default_joins(self, part: Part, scene: Scene) -> Mapping[str, str]:
         """As the driver of another part's table its ``command`` is what a controller asks for."""
@@ -112,15 +114,15 @@ class Netlist(PartType):
 
     def numerics(self, part: Part, scene: Scene) -> Iterator[Numerics]:
         drives = _read(part.keys.file, scene.home, _stamp(part, scene)).excites
-        yield Numerics(f"a source with AC of {part.name}", drives=drives)
+        yield Numerics(f"a source with AC of {part.name}", prescribes=drives)
 
     def library(self, part: Part, scene: Scene) -> str:
         return str(part.keys.subckt)
 
     def subcircuits(self, part: Part, build: Build, header: Any) -> tuple[Any, ...]:
-        found = included_netlist(part.keys.file, build.scene.home, trust=build.trust)
+        result = included_netlist(part.keys.file, build.scene.home, trust=build.trust)
         pins = tuple(Pin(t.name, t.unit, t.flow) for t in self.pins(part, build.scene))
-        return (Subcircuit(part.keys.subckt, pins, (), found.text, file=found.file),)
+        return (Subcircuit(part.keys.subckt, pins, (), result.text, file=result.file),)
 
     def vectors(self, part: Part, build: Build) -> Mapping[str, Vector]:
         """Its rated pins, and what probes name: pins, ``i(ELEMENT)``, and nodes over ``ref``."""
@@ -128,18 +130,18 @@ class Netlist(PartType):
         rated = part.keys.ratings if scene.analysis.type == "transient" else ()
         probed = dict.fromkeys(node for _, node in _probed(part, scene))
         volts = [p for p in probed if p in pins and pins[p].unit == "V"]
-        found = potentials(part, build, dict.fromkeys((*rated, *volts)))
+        result = potentials(part, build, dict.fromkeys((*rated, *volts)))
         base = build.net(part, "ref") if "ref" in pins else "0"
         for node in (n for n in probed if n not in volts):
             name = f"{part.name}.{node}"
             if node in pins:
-                found[name] = build.across(part, node)
+                result[name] = build.across(part, node)
             elif node.lower().startswith("i("):
-                found[name] = Vector(_inside(node, part.name), 1.0, "A")
+                result[name] = Vector(_inside(node, part.name), 1.0, "A")
             else:
                 inner = f"v(x{part.name.lower()}.{node.lower()})"
-                found[name] = Vector(inner if base == "0" else f"{inner}-v({base})", 1.0, "V")
-        return found
+                result[name] = Vector(inner if base == "0" else f"{inner}-v({base})", 1.0, "V")
+        return result
 
     def checks(self, part: Part, build: Build, waves: Waveforms) -> Iterator[Check]:
         for pin, rating in part.keys.ratings.items():
@@ -176,14 +178,14 @@ def driver(part: Part, known: Mapping[str, str], data: Mapping[str, Any]) -> dic
     ((kind, table),) = given.items()
     if kind not in {*known, *known.values()}:
         raise part.wrong("driver", "no such driver", repr(kind), expected)
-    chosen = known.get(kind, kind)
-    if chosen == "netlist" and not table.get("file"):
+    selected = known.get(kind, kind)
+    if selected == "netlist" and not table.get("file"):
         include = data.get("include")
         if not isinstance(include, (list, tuple)) or not include:
             expected = 'include = ["FILE"], a file beside the scene'
             raise part.wrong(f"driver.{kind}", "needs a netlist", expected=expected)
         table = {**table, "file": str(include[0])}
-    return {**table, "part": chosen, "at": (part.name, "driver", kind)}
+    return {**table, "part": selected, "at": (part.name, "driver", kind)}
 
 
 def _pins(part: Part, scene: Scene) -> tuple[str, ...]:
@@ -241,10 +243,10 @@ def _inside(node: str, part: str = "") -> str:
 def _scope(part: Part, scene: Scene) -> Scope:
     """Its subcircuit as elements with nodes."""
     flat = looked_at(part.keys.file, scene.home)
-    found = circuit(read(flat.text, flat.file)).find(part.keys.subckt)
-    if found is None:
+    result = circuit(read(flat.text, flat.file)).find(part.keys.subckt)
+    if result is None:
         raise part.wrong("subckt", "no such subcircuit", part.keys.subckt)
-    return found
+    return result
 
 
 def _stamp(part: Part, scene: Scene) -> int:
@@ -264,14 +266,14 @@ class _File:
 @lru_cache(maxsize=64)
 def _read(file: str, home: Path, stamp: int) -> _File:
     """What a scene must know of a file, which is of the age ``stamp``."""
-    found, excites = {}, False
+    result, excites = {}, False
     for card in looked_at(file, home).cards():
         words = [word.lower() for word in card.words]
         excites = excites or (card.keyword[:1] in ("v", "i") and "ac" in words[3:])
         if card.keyword == ".subckt" and len(card.words) > 1:
             pins = [w for w in card.words[2:] if "=" not in w and w.lower() != "params:"]
-            found[card.words[1].lower()] = tuple(pins)
-    return _File(found, excites)
+            result[card.words[1].lower()] = tuple(pins)
+    return _File(result, excites)
 
 
 register(Netlist())

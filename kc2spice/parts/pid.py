@@ -97,8 +97,8 @@ def pid_subcircuit(
     supply = max(SUPPLY, 100.0 * math.ceil(HEADROOM * limit * (load + sense) / 100.0))
     params = [Param("setpoint", control.setpoint, "m", "height of the sphere's centre")]
     params += [
-        positive(each, getattr(control, each), unit, doc)
-        for gain, each, unit, doc in GAINS
+        positive(item, getattr(control, item), unit, doc)
+        for gain, item, unit, doc in GAINS
         if getattr(control, gain)
     ]
     params += [positive("current_limit", limit, "A", "largest coil current")]
@@ -186,11 +186,11 @@ class Pid(PartType):
         return (pid_subcircuit(header, part.keys, output=local, load=load, name=name),)
 
     def vectors(self, part: Part, build: Build) -> Mapping[str, Vector]:
-        found = {f"{part.name}.error": Vector(f"v(x{part.name.lower()}.e)", 1.0 / SENSOR, "m")}
+        result = {f"{part.name}.error": Vector(f"v(x{part.name.lower()}.e)", 1.0 / SENSOR, "m")}
         if _remote(part, build.scene):
             wanted = f"v({build.net(part, 'command')})"
-            found["coil.wanted"] = Vector(wanted, 1.0 / SENSE, "A")
-        return found
+            result["coil.wanted"] = Vector(wanted, 1.0 / SENSE, "A")
+        return result
 
     def law(self, part: Part, build: Build) -> laws.Equations | None:
         """The ideal law; what the amplifiers add to it is an error of the netlist."""
@@ -239,7 +239,7 @@ class Pid(PartType):
 
 def _coils(part: Part, scene: Scene) -> Part:
     """The coils that it feeds."""
-    return scene.meant(part, "ring_magnet_coils", key="coils", table="catch")
+    return scene.partner(part, "ring_magnet_coils", key="coils", table="catch")
 
 
 def _remote(part: Part, scene: Scene) -> bool:

@@ -26,7 +26,7 @@ from kc2spice.rom.linear import Port
 from kc2spice.scene.model import Part, Rom, Scene
 from kc2spice.scene.parttype import Build, Neglected, Numerics, register
 from kc2spice.scene.plausible import within
-from kc2spice.spice.realize import STRIKING, Watch
+from kc2spice.spice.realize import THROWING, StepWeights
 
 # What builds is imported where it builds: most runs find their models in the cache.
 if TYPE_CHECKING:
@@ -148,14 +148,14 @@ class PiezoStack(MeshedBody):
 
     def ports(self, part: Part, scene: Scene) -> tuple[Port, ...]:
         names = [f"ring{k}" for k in range(part.keys.mesh.rings + 1)]
-        if pressure_hats(part, scene) is not None:
+        if pressure_nodes(part, scene) is not None:
             names = [PATCH]
         own = (Port(name, "mechanical") for name in names)
         return (*own, Port("anode", "electrical", pins=("anode", "cathode")))
 
     def kept(self, part: Part, scene: Scene) -> tuple[Port, ...]:
         """Rings up to the last that is needed, so that every scene's are nested."""
-        if scene.ports == "all" or pressure_hats(part, scene) is not None:
+        if scene.ports == "all" or pressure_nodes(part, scene) is not None:
             return super().kept(part, scene)
         *own, anode = self.ports(part, scene)
         return (*own[: kept_rings(part, scene)], anode)
@@ -187,7 +187,7 @@ class PiezoStack(MeshedBody):
         if part.keys.poling == "x":
             problem = "the top of a stack that shears moves sideways: nothing can press on it"
             raise part.wrong("poling", problem, "x", "z under a contact")
-        shape, radii = pressure_hats(part, scene), ring_radii(part.keys)
+        shape, radii = pressure_nodes(part, scene), ring_radii(part.keys)
         modulus = self.indentation_modulus(part)
         if shape is None:
             names = ports or tuple(f"ring{k}" for k in range(len(radii)))
@@ -199,7 +199,7 @@ class PiezoStack(MeshedBody):
             (0.0,),
             sectors=SECTORS,
             patch=float(shape.nodes[-1]),
-            dents=partial(_dents, part),
+            compliance=partial(_compliance_of, part),
             pace=part.keys.damping.beta,
             modulus=modulus,
         )
@@ -231,8 +231,8 @@ class PiezoStack(MeshedBody):
         """Its ringing is what strikes the sphere if the kick begins downwards."""
         return super().coarse(part, scene) and not _downwards(part)
 
-    def watch(self, part: Part, scene: Scene) -> Watch:
-        return STRIKING if _downwards(part) else super().watch(part, scene)
+    def weights(self, part: Part, scene: Scene) -> StepWeights:
+        return THROWING if _downwards(part) else super().weights(part, scene)
 
     def penetrations(self, part: Part, scene: Scene) -> Iterator[Penetration]:
         voltage = highest_voltage(part, scene)
@@ -254,9 +254,12 @@ class PiezoStack(MeshedBody):
         return float(part.keys.rated_field * part.keys.height / part.keys.layers)
 
     def full_key(self, part: Part, scene: Scene) -> Mapping[str, Any]:
-        shape = pressure_hats(part, scene)
-        found = {"chip": chip_of(part.keys).model_dump(mode="json"), "field": part.keys.rated_field}
-        return found if shape is None else found | {"hats": shape.nodes.tolist()}
+        shape = pressure_nodes(part, scene)
+        result = {
+            "chip": chip_of(part.keys).model_dump(mode="json"),
+            "field": part.keys.rated_field,
+        }
+        return result if shape is None else result | {"hats": shape.nodes.tolist()}
 
     def reduction(self, part: Part, scene: Scene) -> Rom:
         """As asked; else the paper's chip has the paper's order, and any other stack a tolerance
@@ -278,19 +281,19 @@ class PiezoStack(MeshedBody):
     def make(self, part: Part, scene: Scene) -> Device:
         from kc2spice.bodies.piezo_stack import stack_device
 
-        chip, shape = chip_of(part.keys), pressure_hats(part, scene)
-        pressure = None if shape is None else shape.pressure(_dents(part, shape).shares)
+        chip, shape = chip_of(part.keys), pressure_nodes(part, scene)
+        pressure = None if shape is None else shape.pressure(_compliance_of(part, shape).shares)
         return stack_device(chip, part.keys.rated_field, pressure)
 
     def metrics(self, part: Part, build: Build, waves: Waveforms) -> Mapping[str, Any]:
-        found = dict(super().metrics(part, build, waves))
+        result = dict(super().metrics(part, build, waves))
         if "time" not in waves:
-            return found
+            return result
         pressed = bool(build.scene.of("contact"))
         centre = f"{part.name}.u.{self.ports(part, build.scene)[0].name}"
         if pressed and centre in waves:
-            found["kick_stroke_m"] = float(waves[centre].max())
-        shape, scene = pressure_hats(part, build.scene), build.scene
+            result["kick_stroke_m"] = float(waves[centre].max())
+        shape, scene = pressure_nodes(part, build.scene), build.scene
         if part.keys.fields and shape is not None:  # which its own mesh does not resolve
             from kc2spice.bodies.pressure import stressed
 
@@ -298,15 +301,15 @@ class PiezoStack(MeshedBody):
             if (most := float(waves[f"{name}.force"].max())) > 0:
                 forces = Pair(scene.parts[name], scene).hat_forces(most)
                 inside = stressed(chip_of(part.keys), shape, forces)
-                found |= {f"{name}_{what}": value for what, value in inside.items()}
+                result |= {f"{name}_{what}": value for what, value in inside.items()}
         current = waves.data.get(f"{part.name}.current")
         if part.keys.electrical == "driven" and (part.keys.driver or not pressed):
-            found["kick_voltage_peak_v"] = float(np.abs(waves[f"{part.name}.voltage"]).max())
+            result["kick_voltage_peak_v"] = float(np.abs(waves[f"{part.name}.voltage"]).max())
             if current is not None:
                 charge = running(current, waves["time"])
-                found["kick_current_peak_a"] = float(np.abs(current).max())
-                found["kick_charge_peak_c"] = float(np.abs(charge).max())
-        return found
+                result["kick_current_peak_a"] = float(np.abs(current).max())
+                result["kick_charge_peak_c"] = float(np.abs(charge).max())
+        return result
 
     def indentation_modulus(self, part: Part) -> float:
         keys, cap = part.keys, part.keys.top_cap
@@ -316,7 +319,7 @@ class PiezoStack(MeshedBody):
 
     def notes(self, part: Part, scene: Scene) -> Iterator[str | Neglected]:
         keys, rom = part.keys, self.reduction(part, scene)
-        pressed = pressure_hats(part, scene) is not None
+        pressed = pressure_nodes(part, scene) is not None
         kept, last = kept_rings(part, scene), keys.mesh.rings
         ports = "a patch of pressure as port" if pressed else f"{kept} rings as ports"
         detail = f"quarter chip, {keys.layers} layers, {mounted(keys)}, reduced to {aim(rom)}, "
@@ -384,13 +387,13 @@ def chip_of(keys: Stack) -> Chip:
     return Chip(**{name: getattr(keys, name) for name in given})
 
 
-def pressure_hats(part: Part, scene: Scene) -> PressureBasis | None:
+def pressure_nodes(part: Part, scene: Scene) -> PressureBasis | None:
     """Pressure on the top where a contact asks for it, as far out as the rings are."""
     for contact in scene.of("contact"):
         if contact.keys.shape == "pressure" and contact.keys.a in (None, part.name):
-            from kc2spice.bodies.pressure import hats
+            from kc2spice.bodies.pressure import pressure_basis
 
-            return hats(contact.keys.spacing, float(ring_radii(part.keys)[-1]))
+            return pressure_basis(contact.keys.spacing, float(ring_radii(part.keys)[-1]))
     return None
 
 
@@ -431,14 +434,14 @@ def free_stroke(keys: Chip, voltage: float) -> float:
     return keys.layers * abs(keys.ceramic.d[axis, strain] * voltage)
 
 
-def _dents(part: Part, shape: PressureBasis) -> LocalCompliance:
+def _compliance_of(part: Part, shape: PressureBasis) -> LocalCompliance:
     from kc2spice.bodies.pressure import LocalCompliance, pressed
 
     chip, kinds = chip_of(part.keys), (LocalCompliance,)
     own = chip.model_dump(mode="json", exclude={"damping"})
     key = {"chip": own, "hats": shape.nodes.tolist()}
-    found, _ = cached("pressed", key, lambda: pressed(chip, shape), classes=kinds, sources=SOURCES)
-    return found
+    result, _ = cached("pressed", key, lambda: pressed(chip, shape), classes=kinds, sources=SOURCES)
+    return result
 
 
 register(PiezoStack())

@@ -45,7 +45,7 @@ class PortLoads(PartType):
         return {"analysis": {"type": "ac", "start": start + (stop - start) / points, **linear}}
 
     def numerics(self, part: Part, scene: Scene) -> Iterator[Numerics]:
-        yield Numerics(part.name, drives=True)
+        yield Numerics(part.name, prescribes=True)
 
     def problems(self, part: Part, scene: Scene) -> Iterator[UsageError]:
         body_of(part, scene)
@@ -88,13 +88,15 @@ class PortLoads(PartType):
         body = body_of(part, build.scene)
         rings = _rings(body, build.scene)
         meter, unit = ("anode", "V") if body.keys.electrical == "open" else ("charge", "C")
-        found = {}
+        result = {}
         for load in (*rings, "anode"):
             for ring in rings:
                 node = build.own(part, ring, load).lower()
-                found[f"{load}>{ring}"] = Vector(f"v({node})", 1e-6, "m")
-            found[f"{load}>anode"] = Vector(f"v({build.own(part, meter, load).lower()})", 1.0, unit)
-        return found
+                result[f"{load}>{ring}"] = Vector(f"v({node})", 1e-6, "m")
+            result[f"{load}>anode"] = Vector(
+                f"v({build.own(part, meter, load).lower()})", 1.0, unit
+            )
+        return result
 
     def metrics(self, part: Part, build: Build, waves: Waveforms) -> Mapping[str, Any]:
         """``amplitude[input][output]`` per unit input, by ``frequency_hz``."""
@@ -133,30 +135,30 @@ class PortLoads(PartType):
         (law,) = equations.laws
         assert isinstance(law, laws.LinearBody | laws.PortBody)
         rings, is_open = _rings(body, build.scene), body.keys.electrical == "open"
-        found: list[laws.Law] = []
+        result: list[laws.Law] = []
         nets: list[tuple[str, ...]] = []
         results: dict[str, laws.Reading] = {}
         still = constant(0.0)
         for load in (*rings, "anode"):
             name = f"{body.name} {load}"  # no part has a blank in its name
-            found.append(replace(law, name=name))
+            result.append(replace(law, name=name))
             volts = laws.Source(f"{name}_volts", "voltage", still, float(load == "anode"))
             if load != "anode":
-                found.append(laws.Source(f"{name}_force", "force", still, 1.0))
+                result.append(laws.Source(f"{name}_force", "force", still, 1.0))
                 nets.append((f"{name}.{load}", f"{name}_force.out"))
             if not is_open:
-                found.append(volts)
+                result.append(volts)
                 nets.append((f"{name}.anode", f"{name}_volts.out"))
             elif load == "anode":
                 speck = element(f"{name}_speck", "capacitor", SPECK)
-                found += [replace(volts, ac=1.0 / SPECK), speck]
+                result += [replace(volts, ac=1.0 / SPECK), speck]
                 nets += [(f"{name}_volts.out", f"{name}_speck.a")]
                 nets += [(f"{name}.anode", f"{name}_speck.b")]
             for ring in rings:
                 results[f"{load}>{ring}"] = laws.reading(f"{name}.{ring}")
             charge = laws.Reading(((1.0, f"{name}.anode.through"),), charge=True)
             results[f"{load}>anode"] = laws.reading(f"{name}.anode") if is_open else charge
-        return laws.Equations(tuple(found), (), results, nets=tuple(nets))
+        return laws.Equations(tuple(result), (), results, nets=tuple(nets))
 
     def notes(self, part: Part, scene: Scene) -> Iterator[str]:
         keys = part.keys
@@ -172,12 +174,12 @@ def body_of(part: Part, scene: Scene) -> Part:
     """
     if part.keys.of is not None:
         return scene.part(part.keys.of, f"{part.name}.of")
-    found = [p for p in scene.parts.values() if p.reduced]
-    if len(found) != 1:
+    result = [p for p in scene.parts.values() if p.reduced]
+    if len(result) != 1:
         problem = f"{part.name} needs to know which body it loads"
-        got, hint = ", ".join(p.name for p in found) or "no body", "add [kick]; an empty table "
+        got, hint = ", ".join(p.name for p in result) or "no body", "add [kick]; an empty table "
         raise part.wrong("of", problem, got, "the name of a body", hint + "takes the defaults")
-    return found[0]
+    return result[0]
 
 
 def _rings(body: Part, scene: Scene) -> tuple[str, ...]:

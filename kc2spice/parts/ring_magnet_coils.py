@@ -86,7 +86,7 @@ class Lookup(NamedTuple):
 
     name: str
     values: list[str]
-    bends: list[str]
+    second: list[str]
     doc: str
 
 
@@ -157,7 +157,7 @@ def _inductive(table: EMTable, height: np.ndarray) -> dict[str, Any]:
     """What the template ``coil`` asks for."""
     henry = float(np.mean(table.inductance[:, (0, 1), (0, 1)]))
     inverse = henry * np.linalg.inv(table.coenergy.inductances(height))
-    usual = inverse.mean(axis=0)
+    default = inverse.mean(axis=0)
     functions = [
         Lookup(n, *smooth(values), f"{n}(y): {unit}")
         for n, values, unit in zip(FORCE, table.splines(height).T, UNITS, strict=True)
@@ -165,12 +165,12 @@ def _inductive(table: EMTable, height: np.ndarray) -> dict[str, Any]:
     for k, l in ((0, 0), (0, 1), (1, 1)):
         g = f"g{k + 1}{l + 1}"
         doc = f"{g}(y): {henry:.6g} H times the inverse of L, less its mean"
-        functions.append(Lookup(g, *smooth((inverse - usual)[:, k, l]), doc))
+        functions.append(Lookup(g, *smooth((inverse - default)[:, k, l]), doc))
     coils = [
-        {"k": 1, "name": "lower", "plus": "lp", "minus": "ln", "own": usual[0, 0]},
-        {"k": 2, "name": "upper", "plus": "up", "minus": "un", "own": usual[1, 1]},
+        {"k": 1, "name": "lower", "plus": "lp", "minus": "ln", "own": default[0, 0]},
+        {"k": 2, "name": "upper", "plus": "up", "minus": "un", "own": default[1, 1]},
     ]
-    return {"henry": henry, "coils": coils, "mutual": usual[0, 1], "functions": functions}
+    return {"henry": henry, "coils": coils, "mutual": default[0, 1], "functions": functions}
 
 
 def smooth(values: np.ndarray) -> tuple[list[str], list[str]]:
@@ -186,10 +186,10 @@ def smooth(values: np.ndarray) -> tuple[list[str], list[str]]:
     """
     first, last = (np.array([4, -6, 4, -1]) @ end for end in (values[:4], values[:-5:-1]))
     f = np.concatenate([[first], values, [last]])
-    bends = np.diff(f[[0, *range(f.size), -1]], 2) / 2
+    halves = np.diff(f[[0, *range(f.size), -1]], 2) / 2
     # Fourth differences are to second ones as those to the values; the corners at both ends apart.
-    largest, second = (float(np.abs(v).max()) for v in (values, 2 * bends[2:-2]))
-    return _lookup(f), _lookup(bends, second**2 / 4 / (largest or 1.0))
+    largest, second = (float(np.abs(v).max()) for v in (values, 2 * halves[2:-2]))
+    return _lookup(f), _lookup(halves, second**2 / 4 / (largest or 1.0))
 
 
 def _lookup(values: np.ndarray, tolerance: float = 0.0) -> list[str]:
@@ -247,7 +247,7 @@ class RingMagnetCoils(Touching):
         if keys.y_min >= keys.y_max:
             got = f"{keys.y_min:g} … {keys.y_max:g} m"
             yield part.wrong("y_min", "empty range of positions", got, "y_min < y_max")
-        bodies: dict[str, Ring] = {each: getattr(keys, each) for each in ("ring", *COILS)}
+        bodies: dict[str, Ring] = {item: getattr(keys, item) for item in ("ring", *COILS)}
         for own, body in bodies.items():
             # what, its key, what it is, and whether less or more than what of whom is right
             rules = (
@@ -357,16 +357,16 @@ class RingMagnetCoils(Touching):
         if not _driven(part, build.scene):
             return {}
         prefix, inst = label(part), f"x{part.name.lower()}"
-        found = {
+        result = {
             f"{prefix}.lower.current": Vector(f"v({inst}.i)", -1.0, "A"),
             f"{prefix}.upper.current": Vector(f"v({inst}.i)", 1.0, "A"),
         }
         if real(part, build.scene):
-            for k, name in enumerate(found, 1):
-                found[name] = Vector(f"v({inst}.i{k})", 1.0, "A")
+            for k, name in enumerate(result, 1):
+                result[name] = Vector(f"v({inst}.i{k})", 1.0, "A")
             up, lp = build.net(part, "up"), build.net(part, "lp")
-            found[f"{prefix}.voltage"] = Vector(f"v({up})-v({lp})", 1.0, "V")
-        return found
+            result[f"{prefix}.voltage"] = Vector(f"v({up})-v({lp})", 1.0, "V")
+        return result
 
     def force_on(self, part: Part, pin: str, build: Build, waves: Waveforms) -> np.ndarray | None:
         y = waves.data.get(f"{sphere_of(part, build.scene).name}.y")
@@ -497,9 +497,9 @@ def coil_impedance(part: Part, build: Build) -> Figure:
     """``|R + j w L|`` of the coils, alone and in series as one current with two signs sees them."""
     table = build.model(part)
     matrix = table.coenergy.inductances(0.5 * (table.y[0] + table.y[-1]))
-    each = {"lower": np.array([1.0, 0.0]), "upper": np.array([0.0, 1.0]), "both": np.array([1, -1])}
+    item = {"lower": np.array([1.0, 0.0]), "upper": np.array([0.0, 1.0]), "both": np.array([1, -1])}
     f = np.geomspace(10.0, 1e5, 201)
-    z = {n: i**2 @ table.resistance + 2j * np.pi * f * (i @ matrix @ i) for n, i in each.items()}
+    z = {n: i**2 @ table.resistance + 2j * np.pi * f * (i @ matrix @ i) for n, i in item.items()}
     how = f"of the coils of {part.name}, the sphere held in the middle of their field, capacitance "
     return impedances(part.name, f, z, how + "of the windings left out.")
 
@@ -511,7 +511,7 @@ def label(part: Part) -> str:
 
 def sphere_of(part: Part, scene: Scene) -> Part:
     """The sphere that it pulls."""
-    return scene.meant(part, "sphere", key="of")
+    return scene.partner(part, "sphere", key="of")
 
 
 def real(part: Part, scene: Scene) -> bool:
@@ -557,8 +557,8 @@ def interpolation_error(table: EMTable, current: float) -> float:
     largest = float(np.abs(_pulls(values, current)).sum(axis=0).max())
 
     def missed(step: int) -> float:
-        found = cubic_spline(table.y[::step], values[::step])(table.y)
-        off = _pulls(found - values, current)
+        result = cubic_spline(table.y[::step], values[::step])(table.y)
+        off = _pulls(result - values, current)
         return float(np.abs(off).sum(axis=0).max()) / largest
 
     half = missed(2)

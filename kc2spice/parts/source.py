@@ -138,7 +138,7 @@ class Source(PartType):
 
     def numerics(self, part: Part, scene: Scene) -> Iterator[Numerics]:
         yield from drive_scales(part.name, part.keys.waveform(scene.home))
-        yield Numerics(part.name, drives=quantity(part.keys.ac, part.keys.unit) != 0)
+        yield Numerics(part.name, prescribes=quantity(part.keys.ac, part.keys.unit) != 0)
 
     def at_rest(self, part: Part, scene: Scene, model: Any | None = None) -> Rest:
         pair = (("out", "ret"),)
@@ -168,29 +168,29 @@ class Source(PartType):
         return {"dc": Swept(f"{kind.letter}{part.name}", kind.scale)}
 
     def vectors(self, part: Part, build: Build) -> Mapping[str, Vector]:
-        n, kind, found = part.name, KINDS[part.keys.kind], {}
+        n, kind, result = part.name, KINDS[part.keys.kind], {}
         word, si = kind.through
         if kind.letter == "V":
-            found[f"{n}.{word}"] = Vector(f"i(v{n.lower()})", -1.0, si, ("out",), ("ret",))
+            result[f"{n}.{word}"] = Vector(f"i(v{n.lower()})", -1.0, si, ("out",), ("ret",))
         elif build.scene.analysis.type == "transient":
             pushed = (("out",), ("ret",)) if si == "N" else ()
-            found[f"{n}.{word}"] = Vector(f"@i{n.lower()}[current]", 1.0, si, *pushed)
+            result[f"{n}.{word}"] = Vector(f"@i{n.lower()}[current]", 1.0, si, *pushed)
         out, ret = build.net(part, "out"), build.net(part, "ret")
         if out != ret and (kind.letter == "V" or ret == "0"):
             word, si = kind.across
             ends = "".join(f"{s}v({net})" for s, net in (("", out), ("-", ret)) if net != "0")
-            found[f"{n}.{word}"] = Vector(ends, 1e-6 if si == "m" else 1.0, si)
-        return found
+            result[f"{n}.{word}"] = Vector(ends, 1e-6 if si == "m" else 1.0, si)
+        return result
 
     def checks(self, part: Part, build: Build, waves: Waveforms) -> Iterator[Check]:
         """The source did what it says: compared over the whole run, at every time point."""
-        found = waves.data.get(f"{part.name}.{KINDS[part.keys.kind].sets}")
-        if found is None or "time" not in waves:
+        result = waves.data.get(f"{part.name}.{KINDS[part.keys.kind].sets}")
+        if result is None or "time" not in waves:
             return
         wave = part.keys.waveform(build.scene.home)
         wanted = wave(waves["time"])
         swing = float(np.ptp(wanted)) or float(np.abs(wanted).max()) or 1.0
-        off, name = float(np.abs(found - wanted).max()) / swing, f"{part.name} drives as defined"
+        off, name = float(np.abs(result - wanted).max()) / swing, f"{part.name} drives as defined"
         advice = "the netlist's source is not the scene's: please report it"
         yield Check(name, off, DEVIATION, "of its swing", advice, wiring=True)
 
@@ -215,15 +215,15 @@ class Source(PartType):
 
 def _returns(part: Part, scene: Scene) -> bool:
     """Whether a dc sweep moves it to the end and back."""
-    chosen = scene.analysis
-    return chosen.type == "dc" and chosen.back and chosen.sweep == f"{part.name}.dc"
+    selected = scene.analysis
+    return selected.type == "dc" and selected.back and selected.sweep == f"{part.name}.dc"
 
 
 def _returning(part: Part, build: Build, kind: Kind, ends: list[str]) -> Iterator[str]:
     """What the simulator sweeps is a voltage that goes on growing; the source has its mirror image
     beyond ``to``, so that all is one sweep and each point begins at the one before."""
-    chosen = build.scene.analysis
-    first, last = (kind.scale * quantity(v, kind.unit) for v in (chosen.from_, chosen.to))
+    selected = build.scene.analysis
+    first, last = (kind.scale * quantity(v, kind.unit) for v in (selected.from_, selected.to))
     swept, folded = (build.own(part, part.name, word) for word in ("swept", "folded"))
     value = f"{number(last)}{'-' if first < last else '+'}abs(V({swept})-({number(last)}))"
     yield f"V{swept} {swept} 0 {number(first)}"
@@ -249,13 +249,13 @@ def drive_scales(name: str, wave: Waveform) -> Iterator[Numerics]:
 
 def _unloaded(part: Part, build: Build) -> bool:
     """Whether nothing but inputs of signals, which draw no current, listens to its voltage."""
-    found = [
+    result = [
         terminal.flow
         for name, pin in build.scene.joined(part.name, "out")
         for terminal in build.scene.parts[name].type.pins(build.scene.parts[name], build.scene)
         if terminal.name == pin
     ]
-    return bool(found) and set(found) == {"-"} and build.net(part, "ret") == "0"
+    return bool(result) and set(result) == {"-"} and build.net(part, "ret") == "0"
 
 
 def _rising(points: np.ndarray, what: str) -> Waveform:

@@ -180,10 +180,10 @@ class Sphere(Touching, DeclaredPart):
         y = waves.data.get(f"{part.name}.y")
         if y is None or "time" not in waves or part.name in begins(build.scene):
             return {}
-        found = {"peak_height_m": float(y.max()), "final_position_m": float(y[-1])}
+        result = {"peak_height_m": float(y.max()), "final_position_m": float(y[-1])}
         v = waves.data.get(f"{part.name}.v")
         rising = v is not None and y[-1] == y.max() and v[-1] > 0
-        return found | {"still_rising": True} if rising else found
+        return result | {"still_rising": True} if rising else result
 
     def checks(self, part: Part, build: Build, waves: Waveforms) -> Iterator[Balance | Gate]:
         """Work of all forces on the sphere against its kinetic energy.
@@ -194,19 +194,19 @@ class Sphere(Touching, DeclaredPart):
             return
         scene, words, of = build.scene, f"height of {part.name}", f"{part.name}.y"
         if part.name not in begins(scene):
-            given, usual = scene.gates.trajectory, {"ngspice_vs_rom": stepping(scene.solver)}
+            given, default = scene.gates.trajectory, {"ngspice_vs_rom": stepping(scene.solver)}
             if given is None:
-                yield Gate(f"{words} over its way", of, usual, "travel")
+                yield Gate(f"{words} over its way", of, default, "travel")
             else:
                 yield Gate(words, of, {"ngspice_vs_rom": given}, "absolute", "m")
         t, v, mass = waves["time"], waves[f"{part.name}.v"], part.keys.mass
         forces = {"weight": np.full_like(t, -mass * build.scene.gravity)}
         for name, pin in build.scene.joined(part.name, "v"):
             other = build.scene.parts[name]
-            found = other.type.force_on(other, pin, build, waves)
-            if found is None:
+            result = other.type.force_on(other, pin, build, waves)
+            if result is None:
                 return
-            forces[name] = found
+            forces[name] = result
         work = {name: running(f * v, t) for name, f in forces.items()}
         kinetic = mass * (v**2 - v[0] ** 2) / 2
         turnover = sum(float(np.trapezoid(np.abs(f * v), t)) for f in forces.values())
@@ -237,11 +237,11 @@ class Sphere(Touching, DeclaredPart):
         return begin.height, begin.velocity
 
     def law(self, part: Part, build: Build) -> laws.Equations:
-        n, found = part.name, super().law(part, build)
+        n, result = part.name, super().law(part, build)
         height = laws.reading(f"{n}.bottom", constant=part.keys.radius)
         pins = tuple((pin, f"{n}.bottom") for pin in ("v", "bottom", "y"))
-        results = {f"{n}.y": height, f"{n}.v": found.results[f"{n}.v"]}
-        return replace(found, pins=pins, results=results)
+        results = {f"{n}.y": height, f"{n}.v": result.results[f"{n}.v"]}
+        return replace(result, pins=pins, results=results)
 
     def notes(self, part: Part, scene: Scene) -> Iterator[str | Neglected]:
         keys = part.keys
@@ -292,8 +292,8 @@ def _softer(part: Part, scene: Scene) -> str:
     """How much softer the contact with an elastic sphere would be, of steel if nothing is said."""
     own = made_of(part).indentation_modulus
     under = (Pair(contact, scene).a.modulus for contact in scene.of("contact"))
-    found = [modulus / own for modulus in under if modulus is not None]
-    return f"the dent would be {100 * max(found):.0f} % softer" if found else "not estimated"
+    result = [modulus / own for modulus in under if modulus is not None]
+    return f"the dent would be {100 * max(result):.0f} % softer" if result else "not estimated"
 
 
 def _air_drag(keys: SphereKeys) -> Neglected:

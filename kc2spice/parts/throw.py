@@ -99,7 +99,7 @@ def _arriving(part: Part, scene: Scene) -> float:
 
 def sphere(part: Part, scene: Scene) -> Part:
     """The sphere that is thrown."""
-    return scene.meant(part, "sphere", key="of")
+    return scene.partner(part, "sphere", key="of")
 
 
 def minimum(t: np.ndarray, y: np.ndarray) -> tuple[float, float]:

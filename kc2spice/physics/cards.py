@@ -111,19 +111,19 @@ def _mass(declaration: Declaration, b: Branch) -> Iterator[str]:
 def _probes(declaration: Declaration) -> Mapping[str, Tree]:
     """What stands for each coordinate and rate."""
     reference = _reference(declaration)
-    found: dict[str, Tree] = {
+    result: dict[str, Tree] = {
         name: Probe("v", (name, reference)) for name in declaration.polynomials.values()
     }
     for b in declaration.branches:
         across: Tree = Probe("v", _place(declaration, b))
         if b.kind == "displacement":
             across = Binary("*", _MICRO, across)
-        found[b.name] = Probe("i", (meter(b),)) if b.kind == "current" else across
+        result[b.name] = Probe("i", (meter(b),)) if b.kind == "current" else across
         ends = (declaration.speeds.get(pin) for pin in (b.plus, b.minus))
         high, low = (Probe("v", (end,)) if end else ZERO for end in ends)
         sensed = Probe("i", (f"Vrate_{b.name}",)) if ZERO in (high, low) else ZERO
-        found[b.name + RATE] = plus(sensed, minus(high, low))
-    return found
+        result[b.name + RATE] = plus(sensed, minus(high, low))
+    return result
 
 
 def _place(declaration: Declaration, b: Branch) -> tuple[str, str]:
@@ -267,8 +267,8 @@ def _edges(declaration: Declaration, nodes: Mapping[str, Tree]) -> Iterator[str]
     switch nears its threshold. Between edges the trapezoidal rule loses no energy to a spring; a
     step across one gains or loses some."""
     coordinates = {b.name: b for b in declaration.branches if b.kind == "displacement"}
-    found = [e for b in coordinates.values() for e in kinks(declaration.followed(b))]
-    for k, argument in enumerate(dict.fromkeys(found)):
+    result = [e for b in coordinates.values() for e in kinks(declaration.followed(b))]
+    for k, argument in enumerate(dict.fromkeys(result)):
         seen = names(argument) & set(declaration.coordinates)
         if len(seen) != 1 or not seen <= set(coordinates):
             continue

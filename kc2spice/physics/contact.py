@@ -49,8 +49,8 @@ class Normal:
     @property
     def numbers(self) -> dict[str, float]:
         """Stiffness and coefficients of the law by name, in SI."""
-        found = {f"c{k}": c / self.depth ** (k / 2) for k, c in enumerate(self.curve) if k}
-        return {"eps": self.stiffness} | found
+        result = {f"c{k}": c / self.depth ** (k / 2) for k, c in enumerate(self.curve) if k}
+        return {"eps": self.stiffness} | result
 
     @property
     def _laws(self) -> tuple[Tree, Tree, Tree]:

@@ -197,8 +197,8 @@ class Declaration:
         """Names of all power series in what is through the branches and kept."""
         trees = [tree for b in self.branches for tree in (self.direct(b), self.kept(b))]
         calls = (node for tree in trees for node in walk(tree))
-        found = dict.fromkeys(c for c in calls if isinstance(c, Call) and c.function == "poly")
-        return {call: f"poly{k}" for k, call in enumerate(found, 1)}
+        result = dict.fromkeys(c for c in calls if isinstance(c, Call) and c.function == "poly")
+        return {call: f"poly{k}" for k, call in enumerate(result, 1)}
 
     def named(self, tree: Tree) -> Tree:
         """``tree`` with the names of its power series in their places."""
@@ -209,7 +209,7 @@ class Declaration:
     def numbers(self) -> tuple[str, ...]:
         """Keys that are numbers, and what is given."""
         fields = self.keys.model_fields
-        own = (name for name, found in fields.items() if found.annotation is float)
+        own = (name for name, result in fields.items() if result.annotation is float)
         return (*own, *(param.name for param in self.given))
 
     @cached_property
@@ -328,13 +328,13 @@ class Declaration:
     def damped(self) -> tuple[Branch, ...]:
         """Displacements whose velocities matter."""
         stated = (self._tree("kinetic"), self._tree("content"), *self._forces.values())
-        found = frozenset[str]().union(*map(names, stated))
-        return tuple(b for b in self.branches if b.name + RATE in found)
+        result = frozenset[str]().union(*map(names, stated))
+        return tuple(b for b in self.branches if b.name + RATE in result)
 
     def values(self, keys: Section) -> dict[str, float]:
         """Parameters of a part by name, in SI."""
         given = {param.name: param.default for param in self.given}
-        found = {n: given[n] if n in given else float(getattr(keys, n)) for n in self.numbers}
+        result = {n: given[n] if n in given else float(getattr(keys, n)) for n in self.numbers}
         for name, tree in self.fixed.items():
-            found[name] = float(evaluated(tree, found))
-        return found
+            result[name] = float(evaluated(tree, result))
+        return result

@@ -201,8 +201,8 @@ def _sum(op: str, left: Tree, right: Tree) -> Tree:
 def horner(value: Tree, series: Iterable[Tree]) -> Tree:
     """The power series of ``value``, lowest power first, as nested products."""
     *lower, whole = series
-    for each in reversed(lower):
-        whole = Binary("+", each, Binary("*", value, whole))
+    for item in reversed(lower):
+        whole = Binary("+", item, Binary("*", value, whole))
     return whole
 
 
@@ -325,10 +325,10 @@ def _lives(tree: Tree) -> bool:
 @cache  # the derivative of a product has the same sums many times
 def _single(tree: Tree) -> _Product:
     """The tree as one product; a sum is a factor of it."""
-    found = [term for term in _terms(tree) if term.size]
-    if len(found) == 1:
-        return found[0]
-    return _Product(Fraction(1), (_whole(found),)) if found else _Product(Fraction(0))
+    result = [term for term in _terms(tree) if term.size]
+    if len(result) == 1:
+        return result[0]
+    return _Product(Fraction(1), (_whole(result),)) if result else _Product(Fraction(0))
 
 
 def _merged(found: Iterable[_Product]) -> list[_Product]:
@@ -347,13 +347,13 @@ def _merged(found: Iterable[_Product]) -> list[_Product]:
 
 def kinks(tree: Tree) -> tuple[Tree, ...]:
     """Arguments ``e`` of every ``max(0, e)`` and of its derivatives, inner ones first."""
-    found = [each for child in children(tree) for each in kinks(child)]
+    result = [item for child in children(tree) for item in kinks(child)]
     match tree:
         case Call("clip", (value,)):
-            found += _ends(value)
+            result += _ends(value)
         case Call("max", (_, value)) | Choice(Binary(">", value, _), _, _):
-            found.append(value)
-    return tuple(dict.fromkeys(found))
+            result.append(value)
+    return tuple(dict.fromkeys(result))
 
 
 def flagged(tree: Tree, corners: tuple[Tree, ...]) -> Tree:

@@ -42,14 +42,14 @@ class DeclaredLaw(Device):
 
     @property
     def pins(self) -> tuple[Pin, ...]:
-        found: dict[str, Pin] = {}
+        result: dict[str, Pin] = {}
         for b in self.declaration.branches:
             loop = b.plus == LOOPS  # no current flows to it
-            found.setdefault(b.plus, Pin(b.plus, _KIND[b.kind], grounded=loop))
-            found.setdefault(b.minus, Pin(b.minus, _KIND[b.kind], grounded=True))
+            result.setdefault(b.plus, Pin(b.plus, _KIND[b.kind], grounded=loop))
+            result.setdefault(b.minus, Pin(b.minus, _KIND[b.kind], grounded=True))
             if b.less:
-                found.setdefault(b.less, Pin(b.less, _KIND[b.kind]))
-        return tuple(found.values())
+                result.setdefault(b.less, Pin(b.less, _KIND[b.kind]))
+        return tuple(result.values())
 
     @property
     def taps(self) -> tuple[Tap, ...]:
@@ -136,9 +136,9 @@ class DeclaredLaw(Device):
         return np.array(made(*e.tolist(), *mode, *self.values), dtype=float)
 
     def _split(self, made: _Made, e: np.ndarray, mode: Any) -> tuple[np.ndarray, np.ndarray]:
-        found = self._called(made, e, mode)
-        count = found.size // (1 + e.size)
-        return found[:count], found[count:].reshape(count, e.size)
+        result = self._called(made, e, mode)
+        count = result.size // (1 + e.size)
+        return result[:count], result[count:].reshape(count, e.size)
 
     def evaluate(self, t: float, e: np.ndarray, mode: Any) -> tuple[np.ndarray, np.ndarray]:
         return self._split(self._out, e, mode)
@@ -176,8 +176,8 @@ class DeclaredLaw(Device):
         return out, np.zeros((len(currents) + len(self.charged), len(branches)))
 
     def check(self, t: float, e: np.ndarray) -> None:
-        found = self._called(self._bounds, e, self.mode(t, e))
-        for what, value in zip(self.declaration.bounds, found, strict=True):
+        result = self._called(self._bounds, e, self.mode(t, e))
+        for what, value in zip(self.declaration.bounds, result, strict=True):
             if value <= 0.0:
                 raise SimulationError(
                     f"{what} is exceeded",

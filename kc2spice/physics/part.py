@@ -86,7 +86,7 @@ class DeclaredPart(PartType):
         # all others at rest first: what a long sum leaves of it has a short derivative
         slopes = [derivative(d.at_rest(d.direct(b), b.name), b.name) for b in moved]
         stiff = [float(evaluated(d.at_rest(slope), values)) for slope in slopes]
-        pairs = ((b.plus, b.minus) for b, found in zip(moved, stiff, strict=True) if found)
+        pairs = ((b.plus, b.minus) for b, result in zip(moved, stiff, strict=True) if result)
         return Rest(tuple(pairs))
 
     def subcircuits(self, part: Part, build: Build, header: Header) -> tuple[Any, ...]:
@@ -100,25 +100,25 @@ class DeclaredPart(PartType):
     # --- results ----------------------------------------------------------------------------
 
     def vectors(self, part: Part, build: Build) -> Mapping[str, Vector]:
-        found, d = {}, self.built(part, build)
+        result, d = {}, self.built(part, build)
         for b in d.branches:
             unit, flow = _NODE[b.kind]
             across = across_pins(build, part, b) if b.plus else ""
             if b.kind == "displacement":
-                found[f"{part.name}.{b.name}"] = Vector(across, 1e-6, "m")
+                result[f"{part.name}.{b.name}"] = Vector(across, 1e-6, "m")
                 through = f"v(x{part.name}.{force_node(b)})"
                 if (minus := build.net(part, b.minus)) != "0":
                     through += f"-v({minus})"
             else:
                 if across:
-                    found[f"{part.name}.{b.across}"] = Vector(across, 1.0, unit)
+                    result[f"{part.name}.{b.across}"] = Vector(across, 1.0, unit)
                 through = f"i(v.x{part.name}.{meter(b)})"
             ends = (b.minus,), (b.plus,)
-            found[f"{part.name}.{b.through}"] = Vector(through.lower(), 1.0, flow, *ends)
+            result[f"{part.name}.{b.through}"] = Vector(through.lower(), 1.0, flow, *ends)
             if d.mass(b) != ZERO:
                 speed = f"v(x{part.name}.speed_{b.name})".lower()
-                found[f"{part.name}.v"] = Vector(speed, 1.0, "m/s")
-        return found
+                result[f"{part.name}.v"] = Vector(speed, 1.0, "m/s")
+        return result
 
     def begins(self, part: Part, build: Build) -> tuple[float, float] | None:
         """Displacement [m] and velocity [m/s] at t = 0, None where the system holds it."""
@@ -166,8 +166,8 @@ class DeclaredPart(PartType):
     def _seen(self, part: Part, build: Build, waves: Waveforms) -> dict[str, np.ndarray]:
         """Coordinates over time, as far as the run has them."""
         names = self.built(part, build).coordinates
-        found = {name: waves.data.get(f"{part.name}.{name}") for name in names}
-        return {name: wave for name, wave in found.items() if wave is not None}
+        result = {name: waves.data.get(f"{part.name}.{name}") for name in names}
+        return {name: wave for name, wave in result.items() if wave is not None}
 
     # --- what explain says ------------------------------------------------------------------
 
@@ -179,19 +179,19 @@ class DeclaredPart(PartType):
 def pins_of(declaration: Declaration) -> tuple[Pin, ...]:
     """In the order of its branches; with a base, all upper ends before the lower ones. The velocity
     of a rigid body stands before its place."""
-    found: dict[str, Pin] = {}
+    result: dict[str, Pin] = {}
     ends = [(b, (b.plus, b.minus, b.less)) for b in declaration.open]
     pairs = [(k, b.kind, pin) for b, three in ends for k, pin in enumerate(three) if pin]
     for _, kind, pin in sorted(pairs, key=lambda p: p[0]) if declaration.base else pairs:
         unit, flow = _NODE[kind]
         if speed := declaration.speeds.get(pin):
-            found.setdefault(checked(speed), Pin(speed, "m/s", flow))
-        found.setdefault(checked(pin), Pin(pin, unit, "-" if speed else flow))
-    found |= {checked(pin): Pin(pin, "um", "-") for pin in declaration.outputs}
+            result.setdefault(checked(speed), Pin(speed, "m/s", flow))
+        result.setdefault(checked(pin), Pin(pin, unit, "-" if speed else flow))
+    result |= {checked(pin): Pin(pin, "um", "-") for pin in declaration.outputs}
     if declaration.base:
-        found.pop(declaration.base, None)
-        found[declaration.base] = Pin(declaration.base, "um", "N")
-    return tuple(found.values())
+        result.pop(declaration.base, None)
+        result[declaration.base] = Pin(declaration.base, "um", "N")
+    return tuple(result.values())
 
 
 def subcircuit(

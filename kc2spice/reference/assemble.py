@@ -36,11 +36,11 @@ class Attached:
 
     def out(self, t: float, e: np.ndarray, rate: np.ndarray, mode: Any) -> np.ndarray:
         """Its outputs (k,), with the rates of its charges, for inputs ``e`` of this ``rate``."""
-        law, found = self.law, self.law.evaluate(t, e, mode)[0]
+        law, result = self.law, self.law.evaluate(t, e, mode)[0]
         if law.charged:
-            found = found.copy()
-            found[list(law.charged)] += law.store(e, mode)[1][len(law.states) :] @ rate
-        return found
+            result = result.copy()
+            result[list(law.charged)] += law.store(e, mode)[1][len(law.states) :] @ rate
+        return result
 
 
 @dataclass(frozen=True)
@@ -90,8 +90,8 @@ class System:
         """Derivatives of this ``order`` of the sources, and the next ones, (2 sources,) or
         (2 sources, nt) at ``t``, of the smooth pieces that hold the time ``within``."""
         waves = [p.wave for p in self.sources]
-        found = [w.rate(t, within, k) if k else w(t) for k in (order, order + 1) for w in waves]
-        return np.array(found, dtype=float).reshape(len(found), *np.shape(t))
+        result = [w.rate(t, within, k) if k else w(t) for k in (order, order + 1) for w in waves]
+        return np.array(result, dtype=float).reshape(len(result), *np.shape(t))
 
 
 def assemble(laws: Iterable[L.Law], joins: Mapping[str, Iterable[str]]) -> System:
@@ -496,7 +496,7 @@ def _device(law: L.Device, into: _Assembly) -> None:
         into.held.append((taps[0], law.start[0], into.rate(taps[0]), law.start[1]))
     own = np.eye(into.size)[into.states(law)]
     through = [-into.gap(law, f.pin, f.minus, f.less) for f in law.flows]
-    driven = [into.form(law, pin) for pin in law.drives]
+    driven = [into.form(law, pin) for pin in law.prescribes]
     inputs = np.array([*taps, *own]).reshape(-1, into.size)
     outputs = np.array([*through, *own, *driven]).reshape(-1, into.size).T
     if law.linear:
@@ -531,7 +531,7 @@ def _linear(law: L.Device, into: _Assembly, inputs: np.ndarray, outputs: np.ndar
 
 def _quadratic(f: Callable[[np.ndarray], float], n: int) -> tuple[np.ndarray, np.ndarray]:
     """``Q`` (n, n) and ``b`` (n,) of a function ``e' Q e + b' e``."""
-    each = np.array([f(e) for e in np.eye(n)])
+    item = np.array([f(e) for e in np.eye(n)])
     both = np.array([[f(a + b) for b in np.eye(n)] for a in np.eye(n)])
-    Q = (both - each[:, None] - each) / 2
-    return Q, each - Q.diagonal()
+    Q = (both - item[:, None] - item) / 2
+    return Q, item - Q.diagonal()

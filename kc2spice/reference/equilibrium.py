@@ -57,8 +57,8 @@ class Interval:
     def energy(self, t: float, z: np.ndarray) -> float:
         """Energy stored [J]."""
         X = self.seen(t, z)
-        each = zip(self.system.devices, self.inputs(t, z), self.modes, strict=True)
-        devices = sum(device.law.energy(e, mode) for device, e, mode in each)
+        item = zip(self.system.devices, self.inputs(t, z), self.modes, strict=True)
+        devices = sum(device.law.energy(e, mode) for device, e, mode in item)
         return float(X @ self.system.stored @ X + self.system.lifted @ X + devices)
 
     def stored(self, X: np.ndarray) -> np.ndarray:
@@ -101,8 +101,8 @@ class Interval:
 
     def guards(self, t: float, z: np.ndarray) -> np.ndarray:
         """Guards of all devices in turn."""
-        each = zip(self.system.devices, self.inputs(t, z), self.modes, strict=True)
-        return np.concatenate([np.empty(0), *(d.law.guards(t, e, mode) for d, e, mode in each)])
+        item = zip(self.system.devices, self.inputs(t, z), self.modes, strict=True)
+        return np.concatenate([np.empty(0), *(d.law.guards(t, e, mode) for d, e, mode in item)])
 
     def settled(self, t: float, z: np.ndarray) -> np.ndarray:
         """``z`` with algebraic unknowns that agree with the others."""
@@ -138,12 +138,12 @@ def dc(system: System, source: str, values: np.ndarray) -> dict[str, np.ndarray]
     names = [p.name for p in system.sources]
     if source not in names:
         raise unknown("no such source to sweep", source, names)
-    z, found = None, []
+    z, result = None, []
     for value in np.asarray(values, dtype=float):
         now = _with_waves(system, {source: value})
         z, modes = equilibrium(now, z)
-        found.append(_values(now, z, modes))
-    swept = {key: np.array([point[key] for point in found]) for key in found[0]}
+        result.append(_values(now, z, modes))
+    swept = {key: np.array([point[key] for point in result]) for key in result[0]}
     return {"sweep": np.asarray(values, dtype=float)} | swept
 
 

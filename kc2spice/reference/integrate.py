@@ -252,15 +252,15 @@ class Result:
         # A corner that is rounded otherwise by ngspice is still the end of what was before it.
         ends = np.array([s.steps[-1].end for s in self.segments[:-1]])
         owner = np.searchsorted(ends + 4 * np.spacing(self.time[-1]), self.time, side="left")
-        found = []
+        result = []
         for k in np.unique(owner):
             segment, t = self.segments[k], self.time[owner == k]
             at = np.searchsorted([s.start for s in segment.steps[1:]], t, side="left")
             steps = [(segment.steps[j], t[at == j]) for j in np.unique(at)]
             z = np.hstack([step.at(own) for step, own in steps])
             r = np.hstack([step.rate(own) for step, own in steps])
-            found.append(segment.interval.waves(t, z, r))
-        joined = {name: np.concatenate([waves[name] for waves in found]) for name in found[0]}
+            result.append(segment.interval.waves(t, z, r))
+        joined = {name: np.concatenate([waves[name] for waves in result]) for name in result[0]}
         return {"time": self.time, **joined}
 
     @cached_property
@@ -325,8 +325,8 @@ def _switched(
     system: System, modes: list[Any], fired: int, t: float
 ) -> tuple[list[Any], list[Event]]:
     """Modes after guard number ``fired`` fell to zero."""
-    each = zip(system.devices, modes, strict=True)
-    counts = [len(d.law.guards(t, np.zeros(len(d.inputs)), mode)) for d, mode in each]
+    item = zip(system.devices, modes, strict=True)
+    counts = [len(d.law.guards(t, np.zeros(len(d.inputs)), mode)) for d, mode in item]
     k = int(np.searchsorted(np.cumsum(counts), fired, side="right"))
     law, now = system.devices[k].law, list(modes)
     now[k], what = law.switch(modes[k], fired - sum(counts[:k]))
@@ -391,15 +391,15 @@ def _located(interval: Interval, solver: Radau, step: Step, fell: np.ndarray) ->
 
     at, guard = min((root(int(k)), int(k)) for k in fell)
     h = max(at - t0, 1e-12 * step.length)  # late in a run, t0 + 1e-12 length may be t0
-    found = shortened(h)
+    result = shortened(h)
     for _ in range(2):  # the polynomial is of lower order than the step
-        miss = float(interval.guards(t0 + h, found.last)[guard])
+        miss = float(interval.guards(t0 + h, result.last)[guard])
         rate = (value(t0 + h, guard) - value(t0 + 0.999 * h, guard)) / (0.001 * h)
         if rate >= 0.0 or not 1e-17 <= abs(miss / rate) <= 0.01 * h:
             break
         h -= miss / rate
-        found = shortened(h)
-    return found, guard
+        result = shortened(h)
+    return result, guard
 
 
 def _exchanged(system: System, segment: Segment) -> tuple[list[float], list[float]]:

@@ -158,11 +158,11 @@ def ac(system: System, frequencies: np.ndarray, source: str | None = None) -> di
     frequencies = np.asarray(frequencies, dtype=float)
     follows = any(type(device.law).small is not L.Device.small for device in system.devices)
     point = linear.z0, linear.held
-    found = [
+    result = [
         (Linear(system, w, point) if follows else linear).answer(w, amplitude)
         for w in 2j * np.pi * frequencies
     ]
-    waves = zip(linear.names, np.array(found).T, strict=True)
+    waves = zip(linear.names, np.array(result).T, strict=True)
     return {"frequency": frequencies} | {n: y for n, y in waves if not n.endswith(".rate")}
 
 
@@ -186,8 +186,8 @@ def _kinks(k: int, wave: Waveform, stop: float) -> list[tuple[float, int, float]
     slopes = np.diff(values) / np.diff(times)
     jumps = np.diff(np.concatenate([[0.0], slopes, [0.0]]))
     before = times < 0
-    found = [(float(t), k, float(j)) for t, j in zip(times, jumps, strict=True) if 0 <= t < stop]
-    return [(0.0, k, float(jumps[before].sum())), *found] if before.any() else found
+    result = [(float(t), k, float(j)) for t, j in zip(times, jumps, strict=True) if 0 <= t < stop]
+    return [(0.0, k, float(jumps[before].sum())), *result] if before.any() else result
 
 
 @dataclass(frozen=True)
@@ -273,13 +273,13 @@ class Motion:
             kick = wave.amplitude * w / (own**2 + w**2) * drive[:, k]
             begun[wave.start] = begun.get(wave.start, 0.0) + kick
         times = sorted(begun)
-        found, now = [], np.zeros(own.size, dtype=complex)
+        result, now = [], np.zeros(own.size, dtype=complex)
         for k, t in enumerate(times):
             now = now + begun[t]
             end = times[k + 1] if k + 1 < len(times) else self.stop
-            found.append((t, end, now))
+            result.append((t, end, now))
             now = now * np.exp(moved * (end - t))
-        return found
+        return result
 
     def peaks(self) -> np.ndarray:
         """(m, ny) largest amplitude that each mode has in each wave."""
@@ -337,10 +337,10 @@ def _power(system: System, at: Linear, of: L.Reading, s: complex) -> float:
     held = (*at.held, *(() for _ in system.linear))
     for device, mode in zip((*system.devices, *system.linear), held, strict=True):
         e = device.inputs @ np.concatenate([at.z0, np.zeros(2 * k)])
-        found = device.law.noise(s, e, mode)
-        if found is None:
+        result = device.law.noise(s, e, mode)
+        if result is None:
             continue
-        out, kept = found
+        out, kept = result
         drive = device.into @ out
         if device.stores is not None:
             drive = drive - s * device.stores @ kept

@@ -88,8 +88,8 @@ def _solver(pencil: Any, s: float) -> Callable[[np.ndarray], np.ndarray]:
                 return factorise(matrix, definite=True).solve
             except SimulationError:
                 pass  # indefinite: pivots are needed
-    found: Callable[[np.ndarray], np.ndarray] = pencil.solver(s)[0].solve
-    return found
+    result: Callable[[np.ndarray], np.ndarray] = pencil.solver(s)[0].solve
+    return result
 
 
 def at_rest(pencil: Any) -> Callable[[np.ndarray], np.ndarray]:
@@ -152,12 +152,12 @@ def steps(
         if progress is not None and k % 20 == 0:
             progress(k / count)
     time = np.array(times)
-    found = np.array(states).T, np.gradient(np.array(states).T, time, axis=1)
-    points = zip(intervals, time[:, None], *(each.T[:, :, None] for each in found), strict=True)
-    each = [interval.waves(*point) for interval, *point in points]
+    result = np.array(states).T, np.gradient(np.array(states).T, time, axis=1)
+    points = zip(intervals, time[:, None], *(item.T[:, :, None] for item in result), strict=True)
+    item = [interval.waves(*point) for interval, *point in points]
     laws = [law for _, law in march.others]
     charges = {f"{law.name}.{law.flows[k].pin}.through" for law in laws for k in law.charged}
-    waves = {name: np.concatenate([row[name] for row in each]) for name in {*each[0]} - charges}
+    waves = {name: np.concatenate([row[name] for row in item]) for name in {*item[0]} - charges}
     seen = [tuple(interval.modes[k] for k, _ in march.others) for interval in intervals]
     return Steps(time, {"time": time} | waves, seen)
 

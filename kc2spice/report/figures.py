@@ -69,8 +69,8 @@ def notebook_figure(figure: Figure) -> Any:
         size = (3.6 * columns, 2.7 * rows) if columns > 1 else (7.0, max(2.6 * rows, 4.0))
         page = Shown(figsize=size, layout="constrained")
         axes = page.subplots(rows, columns, sharex=columns == 1, squeeze=False)
-        for each, panel in zip(axes.flat, figure.panels, strict=False):
-            _draw_panel(each, panel)
+        for item, panel in zip(axes.flat, figure.panels, strict=False):
+            _draw_panel(item, panel)
         for spare in axes.flat[count:]:
             spare.set_axis_off()
     return page

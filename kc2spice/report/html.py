@@ -68,8 +68,8 @@ def _suffix(key: str) -> tuple[str, str]:
 def leaves(value: Any, joint: str = ".", path: str = "") -> Iterator[tuple[str, Any]]:
     """What stands below mappings in mappings, by its names joined to one."""
     if isinstance(value, Mapping):
-        for name, each in value.items():
-            yield from leaves(each, joint, f"{path}{joint}{name}" if path else str(name))
+        for name, item in value.items():
+            yield from leaves(item, joint, f"{path}{joint}{name}" if path else str(name))
     else:
         yield path, value
 
@@ -190,6 +190,6 @@ def _kept(y: np.ndarray) -> np.ndarray:
     steps[~np.isfinite(steps)] = np.inf
     jumps = np.argpartition(steps, -SHOWN // 4)[-SHOWN // 4 :]
     kept = np.zeros(y.size, dtype=bool)
-    for chosen in ([0, -1], low, high, jumps, jumps + 1):
-        kept[chosen] = True
+    for selected in ([0, -1], low, high, jumps, jumps + 1):
+        kept[selected] = True
     return np.flatnonzero(kept)

@@ -46,7 +46,7 @@ def bench_sections(record: Mapping[str, Any]) -> list[Section]:
         )
         for point in record["points"]
     ]
-    failed = [(each["label"], each["why"]) for each in record["failed"]]
+    failed = [(item["label"], item["why"]) for item in record["failed"]]
     head = ("setting", "error", "sum of errors", "CPU time", "spread", "")
     return [
         Section("Recommended", recommendation(record)),
@@ -90,10 +90,10 @@ def _cost(point: Mapping[str, Any]) -> str:
 def _figure(record: Mapping[str, Any]) -> Figure:
     points, best = record["points"], record["recommended"]
 
-    def curve(label: str, chosen: list[Mapping[str, Any]], style: str = "o") -> Curve:
-        error = np.maximum([p["error"] for p in chosen], _LEAST)
-        time = np.array([p["time_s"] for p in chosen])
-        return Curve(label, error, time, style, tuple(p["label"] for p in chosen))
+    def curve(label: str, selected: list[Mapping[str, Any]], style: str = "o") -> Curve:
+        error = np.maximum([p["error"] for p in selected], _LEAST)
+        time = np.array([p["time_s"] for p in selected])
+        return Curve(label, error, time, style, tuple(p["label"] for p in selected))
 
     front = sorted((p for p in points if p["front"]), key=lambda p: p["error"])
     curves = [curve("settings", points), curve("front", front, "step")]
@@ -131,9 +131,9 @@ def write_fit(
 def fit_sections(record: Mapping[str, Any]) -> list[Section]:
     """What ``fit`` found, for the page and for the terminal."""
     values = [
-        (key, f"{each['value']:.6g}", f"{each['sigma']:.2g}",
-         f"{each['low']:g} to {each['high']:g}", "met" if each["at_bound"] else "")
-        for key, each in record["parameters"].items()
+        (key, f"{item['value']:.6g}", f"{item['sigma']:.2g}",
+         f"{item['low']:g} to {item['high']:g}", "met" if item["at_bound"] else "")
+        for key, item in record["parameters"].items()
     ]  # fmt: skip
     error = record["error"]
     facts = [
@@ -142,14 +142,14 @@ def fit_sections(record: Mapping[str, Any]) -> list[Section]:
         ("finite element models", str(record["models"])),
         ("starts that ended in another minimum", str(record["other_minima"])),
     ]
-    for each in record["undetermined"]:
-        told = ", ".join(f"{weight:+.2f} log {key}" for key, weight in each.items())
+    for item in record["undetermined"]:
+        told = ", ".join(f"{weight:+.2f} log {key}" for key, weight in item.items())
         facts.append(("not determined by the data", told))
     resonances = [
         tuple("" if value is None else f"{value:.6g}" for value in row.values())
         for row in record["resonances"]
     ]
-    starts = [tuple(f"{value:.6g}" for value in each.values()) for each in record["starts"]]
+    starts = [tuple(f"{value:.6g}" for value in item.values()) for item in record["starts"]]
     keys = tuple(record["parameters"])
     correlation = [
         (key, *(f"{value:+.3f}" for value in row))
@@ -208,14 +208,14 @@ def yields(table: Table, keys: Sequence[str]) -> dict[str, dict[str, float]]:
     A point that failed counts as false. The interval is that of Clopper and Pearson (1934), which
     covers at least ``confidence``; it speaks of the swept population only where keys were drawn.
     """
-    found = {}
+    result = {}
     for name, column in table.items():
         if name not in keys and _has(column, bool):
             count, total = sum(map(bool, column)), len(column)
             interval = binomtest(count, total).proportion_ci(CONFIDENCE, method="exact")
             ends = {"low": float(interval.low), "high": float(interval.high)}
-            found[name] = {"share": count / total, **ends, "confidence": CONFIDENCE}
-    return found
+            result[name] = {"share": count / total, **ends, "confidence": CONFIDENCE}
+    return result
 
 
 def write_sweep(
@@ -279,7 +279,7 @@ def figures(
     crossed = np.prod([np.unique(x[key][1]).size for key in keys]) == len(table["status"])
     if not random and len(keys) == 1:
         words = zip(*(table[key] for key in units if key not in x), strict=True)
-        labels = [" ".join(map(str, each)) for each in words]
+        labels = [" ".join(map(str, item)) for item in words]
         panels = [_curves(x[keys[0]], labels, axis) for axis in y.values()]
         yield Figure("curves", "Curves", "A gap is a point without that metric.", tuple(panels))
     elif not random and len(keys) == len(units) == 2 and crossed:
@@ -368,17 +368,17 @@ class Findings:
 
     def record(self) -> dict[str, Any]:
         """Of ``verify.json``."""
-        found = {key: value for key, value in vars(self).items() if key != "figures"}
+        result = {key: value for key, value in vars(self).items() if key != "figures"}
         checks = [check.record() for check in self.checks]
         outputs = [asdict(output) for output in self.outputs]
-        return {"passed": self.passed, **found, "checks": checks, "outputs": outputs}
+        return {"passed": self.passed, **result, "checks": checks, "outputs": outputs}
 
 
 def write_verify(path: Path, found: Mapping[str, Findings]) -> Path:
     """Write the page for the findings of each scene, by its name."""
     rows = [
-        (scene, MET[each.passed], *(quantity(each.errors.get(pair), "", 2) for pair in PAIRS))
-        for scene, each in found.items()
+        (scene, MET[item.passed], *(quantity(item.errors.get(pair), "", 2) for pair in PAIRS))
+        for scene, item in found.items()
     ]
     head = ("scene", "gates", "reduced − full", "ngspice − reduced", "ngspice − full")
     sections = [Section("Summary", rows, head, "Errors are the largest relative ones.")]
@@ -432,11 +432,11 @@ def comparison(
     scale = next(iter(exact))
     label, factor = scale_axis(scale, exact[scale].real)
     common = [n for n in exact if n != scale and all(n in w for _, w in others)]
-    chosen = _largest(common, exact, units)
-    if not chosen or np.ptp(exact[scale]) == 0:
+    selected = _largest(common, exact, units)
+    if not selected or np.ptp(exact[scale]) == 0:
         return
     panels = []
-    for wave in chosen:
+    for wave in selected:
         curves = tuple(
             Curve(n, factor * w[scale].real, _size(w[wave]), "-" if k else "reference")
             for k, (n, w) in enumerate(solutions.items())
@@ -449,7 +449,7 @@ def comparison(
     errors = tuple(
         Curve(f"{n}, {wave}", factor * x, np.maximum(_difference(w, exact, scale, wave), FLOOR))
         for n, w in others
-        for wave in chosen
+        for wave in selected
     )
     panel = Panel(label, f"difference to {first} / largest value", errors, log_y=True)
     caption = f"Differences to {first}, each over the wave's largest value."

@@ -58,7 +58,7 @@ def devices(scene: Scene) -> str:
 
 def _side_by_side(scene: Scene) -> list[Shape]:
     """Bodies beside each other; what has no pins of its own to fix it stands on the first."""
-    found: list[Shape] = []
+    result: list[Shape] = []
     end = None
     for part in scene.parts.values():
         shapes, move = list(part.type.outline(part, scene)), 0.0
@@ -66,8 +66,8 @@ def _side_by_side(scene: Scene) -> list[Shape]:
             half = max(s.width for s in shapes) / 2
             move = 0.0 if end is None else end + 1.5 * half
             end = move + half
-        found += [replace(s, x=s.x + move) for s in shapes]
-    return found
+        result += [replace(s, x=s.x + move) for s in shapes]
+    return result
 
 
 def circuit(scene: Scene) -> str:
@@ -102,14 +102,14 @@ def circuit(scene: Scene) -> str:
 def _levels(nets: Mapping[str, Sequence[float]]) -> dict[str, int]:
     """Height of each net, short ones lowest; two of one height do not overlap."""
     taken: list[list[tuple[float, float]]] = []
-    found = {}
+    result = {}
     for net, places in sorted(nets.items(), key=lambda item: max(item[1]) - min(item[1])):
         low, high = min(places) - 6, max(max(places), min(places) + LETTER * len(net)) + 6
         taken.append([])
         free = (k for k, row in enumerate(taken) if all(high < a or b < low for a, b in row))
-        found[net] = next(free)
-        taken[found[net]].append((low, high))
-    return found
+        result[net] = next(free)
+        taken[result[net]].append((low, high))
+    return result
 
 
 WIDE = 20.0  # a range of frequencies beyond this ratio has a logarithmic axis
@@ -148,7 +148,7 @@ def write_run(
         Section("Figures", figures=figures, note=HOW),
         *result_sections(result),
         *energies,
-        *(_modes(part, found) for part, found in result.get("modes", {}).items()),
+        *(_modes(part, answer) for part, answer in result.get("modes", {}).items()),
         *plan_sections(result["plan"], result.get("convergence", {})),
         Section("Simulator", _simulator(result, scene)),
         Section("Files", links=result.get("files", ())),
@@ -165,19 +165,19 @@ def result_sections(result: Mapping[str, Any]) -> list[Section]:
     wall = result.get("wall_s", {})
     times = {**wall, "sum": sum(wall.values())} if wall else {}
     checks, tried = [], []
-    for each in result.get("checks", ()):
-        name = each["name"] if " " in each["name"] else each["name"].replace("_", " ")
-        values = f"{each['value']:.3g} {each['unit']}", f"{each['limit']:.3g}"
-        checks.append(("ok" if each["passed"] else "VIOLATED", name, *values, each["action"]))
-    for each in attempts if len(attempts) > 1 else ():
-        outcome = each["cause"] or "succeeded", each["part"] or "", quantity(each["wall_s"], "s", 3)
-        tried.append((each["setting"], each["settings"], *outcome))
+    for item in result.get("checks", ()):
+        name = item["name"] if " " in item["name"] else item["name"].replace("_", " ")
+        values = f"{item['value']:.3g} {item['unit']}", f"{item['limit']:.3g}"
+        checks.append(("ok" if item["passed"] else "VIOLATED", name, *values, item["action"]))
+    for item in attempts if len(attempts) > 1 else ():
+        outcome = item["cause"] or "succeeded", item["part"] or "", quantity(item["wall_s"], "s", 3)
+        tried.append((item["setting"], item["settings"], *outcome))
     models = result.get("model", {}).items()
     spent = [(stage, quantity(float(seconds), "s", 3)) for stage, seconds in times.items()]
     return [
         Section("Metrics", _facts(result.get("metrics", {}), result.get("metric_units", {}))),
         Section("Physics checks", checks, ("", "check", "value", "limit", "action"), CHECKED),
-        *(Section(f"Model: {part}", _facts(found)) for part, found in models),
+        *(Section(f"Model: {part}", _facts(answer)) for part, answer in models),
         Section("Reduced model", [*_facts(facts), *above_band(rom)]),
         Section("Retries", tried, ("setting", "changes", "outcome", "blamed", "time"), TRIED),
         Section("Wall time", spent, ("stage", "time"), "0 s: taken from the cache."),
@@ -198,10 +198,10 @@ def plan_sections(
 ) -> list[Section]:
     """What is modelled, its numerical settings with what a refined run says that each does to the
     metrics, what is left out."""
-    found = converged or {}
-    shares = found.get("shares", {})
+    result = converged or {}
+    shares = result.get("shares", {})
     rows = [(k, f"{v:g}", shares.get(k, e)) for k, v, e in map(dict.values, planned["settings"])]
-    rows += [(f"error of {name}", "", error) for name, error in found.get("errors", {}).items()]
+    rows += [(f"error of {name}", "", error) for name, error in result.get("errors", {}).items()]
     settings = [(*row, "not estimated" if e is None else f"{e:.2g}") for *row, e in rows]
     parts, omitted = ([[*row.values()] for row in planned[key]] for key in ("parts", "left_out"))
     return [

@@ -58,8 +58,8 @@ def block_model(model: LinearModel, *, dense: bool = False) -> BlockModel:
     ------
     UsageError : the model has no state-space form.
     """
-    if not dense and (found := _looped(model)):
-        return found
+    if not dense and (result := _looped(model)):
+        return result
     A, B, C, D = model.state_space()
     if dense:
         return BlockModel((A,), B, C, D)
@@ -68,13 +68,13 @@ def block_model(model: LinearModel, *, dense: bool = False) -> BlockModel:
     s, exact = _between_poles(A), np.empty(0)
     for growth in (GROWTH, *MORE):
         blocks, X, inverse = decoupled(A, growth)
-        found = BlockModel(blocks, inverse @ B, C @ X, D)
+        result = BlockModel(blocks, inverse @ B, C @ X, D)
         if best is not None and s.size:
             exact = exact if exact.size else explicit(A, B, C, D).transfer(s)
-            given = explicit(block_diag(*found.blocks), found.B, found.C, found.D)
+            given = explicit(block_diag(*result.blocks), result.B, result.C, result.D)
             if relative_error(given.transfer(s), exact) > kept:
                 break
-        best = found
+        best = result
         if max(map(len, blocks), default=0) <= WIDE:
             break
     assert best is not None
@@ -171,11 +171,11 @@ def _first(T: np.ndarray, start: int) -> int:
 
 def _poles(T: np.ndarray) -> np.ndarray:
     """Eigenvalues in the upper half plane of a real Schur form, in the order of its blocks."""
-    found = []
+    result = []
     for i, size in _blocks(T):
         product = T[i, i + 1] * T[i + 1, i] if size == 2 else 0.0
-        found.append(T[i, i] + 1j * np.sqrt(max(-product, 0.0)))
-    return np.array(found)
+        result.append(T[i, i] + 1j * np.sqrt(max(-product, 0.0)))
+    return np.array(result)
 
 
 STRICT = 1e-9  # damping of the slowest pole, per rad at the band's end

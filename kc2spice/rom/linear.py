@@ -46,10 +46,10 @@ def state_space(pencil: Pencil, top_hz: float | None = None) -> ABCD:
     top = largest(K) / largest(M) if largest(K) and largest(M) else 1.0
     omega = 2 * np.pi * top_hz if top_hz is not None else float(np.sqrt(top))
     if semidefinite(M):
-        for each in (pencil, pencil.scaled(omega)):  # a free motion's units may hide an inertia
-            mass = np.linalg.eigvalsh(each.coefficients[2])
+        for item in (pencil, pencil.scaled(omega)):  # a free motion's units may hide an inertia
+            mass = np.linalg.eigvalsh(item.coefficients[2])
             if mass[0] > MASSLESS * mass[-1]:
-                return _modal(each, omega)
+                return _modal(item, omega)
         pencil = _without_static(pencil)
     elif _singular(M, M):
         raise UsageError(
@@ -241,12 +241,12 @@ class Certificate:
 
     def record(self) -> dict[str, Any]:
         """Its entries of ``result.json`` and of ``reduce --json``."""
-        found = asdict(self) | {"band_hz": list(self.band_hz)}
-        del found["above"]
+        result = asdict(self) | {"band_hz": list(self.band_hz)}
+        del result["above"]
         if self.above:
             frequency, error = map(list, zip(*self.above, strict=True))
-            found |= {"above_band_hz": frequency, "above_band_compliance_error": error}
-        return found
+            result |= {"above_band_hz": frequency, "above_band_compliance_error": error}
+        return result
 
 
 @dataclass(frozen=True, repr=False, eq=False, kw_only=True)
@@ -420,22 +420,22 @@ class LinearModel:
         columns = [self.inputs.index(n) for n in self.inputs if n in names]
         rows = [self.outputs.index(n) for n in self.outputs if n in names]
         ports = tuple(p for p in self.ports if p.name in names)
-        found = replace(
+        result = replace(
             self, B=self.B[:, columns], C=self.C[rows], D=self.D[np.ix_(rows, columns)], ports=ports
         )
-        self.pencil.share(found.pencil)
-        return found
+        self.pencil.share(result.pencil)
+        return result
 
     def __repr__(self) -> str:
         form = "first" if self.first_order else "second"
         ports = ", ".join(f"{p.name} [{p.across}]" for p in self.ports)
         text = f"LinearModel {self.name!r}: {self.order} unknowns, {form} order; ports {ports}"
         if self.certificate is not None:
-            found = self.certificate
-            low, high = found.band_hz
-            state = {True: "stable", False: "UNSTABLE", None: "stability not known"}[found.stable]
-            text += f"; error {found.error_estimate:.2g} over {low:g} to {high:g} Hz, {state}"
-            text += ", passive" if found.passive else ""
+            result = self.certificate
+            low, high = result.band_hz
+            state = {True: "stable", False: "UNSTABLE", None: "stability not known"}[result.stable]
+            text += f"; error {result.error_estimate:.2g} over {low:g} to {high:g} Hz, {state}"
+            text += ", passive" if result.passive else ""
         return text
 
     def _repr_html_(self) -> str:

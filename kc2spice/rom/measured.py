@@ -62,10 +62,10 @@ class _Basis:
 
         reach = np.tile([0.5, 6.0], len(modes))
         start = modes.ravel()
-        found = least_squares(
+        result = least_squares(
             deviation, start, bounds=(start - reach, start + reach), x_scale="jac", max_nfev=40
         )
-        return np.asarray(found.x.reshape(-1, 2))
+        return np.asarray(result.x.reshape(-1, 2))
 
     def more(self, modes: np.ndarray) -> np.ndarray:
         """One mode more: a new one where most is left, or the nearest one there split in two."""
@@ -77,7 +77,7 @@ class _Basis:
             for w in (worst, missing)
             for Q in QUALITIES
         ]
-        starts = [min(tried, key=lambda each: _rms(self.amplitudes(each)[1]))]
+        starts = [min(tried, key=lambda item: _rms(self.amplitudes(item)[1]))]
         if len(modes):
             nearest = int(np.argmin(np.abs(modes[:, 0] - np.log(worst))))
             log_w, log_d = modes[nearest]
@@ -85,7 +85,7 @@ class _Basis:
             halves = [[log_w - apart, log_d - 0.5], [log_w + apart, log_d - 0.5]]
             starts.append(np.vstack([np.delete(modes, nearest, axis=0), halves]))
         ends = [self.polished(start) for start in starts]
-        return min(ends, key=lambda each: _rms(self.amplitudes(each)[1]))
+        return min(ends, key=lambda item: _rms(self.amplitudes(item)[1]))
 
 
 def one_port(f: np.ndarray, Y: np.ndarray, noise: float) -> tuple[LinearModel | None, float]:
@@ -120,7 +120,7 @@ def one_port(f: np.ndarray, Y: np.ndarray, noise: float) -> tuple[LinearModel | 
     order = moving[np.argsort(modes[moving, 0])]
     omega = np.r_[np.exp(modes[order, 0]), basis.rates[relaxing]]
     size = np.r_[x[1 + count :][order], x[1 : 1 + count][relaxing]]
-    found = Resonators(
+    result = Resonators(
         omega=omega,
         damp=np.r_[np.exp(modes[order, 1]), basis.rates[relaxing]],
         gain=(np.sqrt(size) * omega)[:, None],
@@ -129,7 +129,7 @@ def one_port(f: np.ndarray, Y: np.ndarray, noise: float) -> tuple[LinearModel | 
         certificate=certificate,
         massless=len(relaxing),
     )
-    return found.linear(), rms
+    return result.linear(), rms
 
 
 def _rms(deviation: np.ndarray) -> float:

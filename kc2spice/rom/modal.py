@@ -34,7 +34,7 @@ import scipy
 
 from kc2spice.core.errors import UsageError
 from kc2spice.rom.linear import Certificate, LinearModel, Port
-from kc2spice.rom.response import Judge, Response, above_band, telling
+from kc2spice.rom.response import Judge, Response, above_band, adaptive_frequencies
 
 # Proportional damping is exact by construction; anything above rounding is another damping.
 COUPLING_LIMIT = 1e-8
@@ -157,10 +157,10 @@ def mode_table(model: LinearModel) -> dict[str, Any] | None:
     without stiffness are none of them. None for a model in first order, or without conservative
     ports alone.
     """
-    found = _resonant(model)
-    if found is None:
+    result = _resonant(model)
+    if result is None:
         return None
-    omega, damp, share, rest = found
+    omega, damp, share, rest = result
     end = np.inf if model.certificate is None else model.certificate.band_hz[1]
     order = np.argsort(omega)
     electrical = np.array([port.kind == "electrical" for port in model.ports])
@@ -186,13 +186,13 @@ def mode_table(model: LinearModel) -> dict[str, Any] | None:
 def _resonant(model: LinearModel) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray] | None:
     """``omega`` and ``damp`` (modes,), shares (modes, ports) and what the ports answer besides."""
     try:
-        found = resonators(model)
+        result = resonators(model)
     except UsageError:
         return _by_poles(model)
-    count = found.order - found.massless
-    share = found.gain**2 / found.omega[:, None] ** 2
-    rest = np.diag(found.D) + share[count:].sum(axis=0)
-    return found.omega[:count], found.damp[:count], share[:count], rest
+    count = result.order - result.massless
+    share = result.gain**2 / result.omega[:, None] ** 2
+    rest = np.diag(result.D) + share[count:].sum(axis=0)
+    return result.omega[:count], result.damp[:count], share[:count], rest
 
 
 def _by_poles(
@@ -247,19 +247,19 @@ def without_inertia(model: Resonators, tolerance: float | None = None) -> Resona
         return model
     band = certificate.band_hz
     exact = Response(model.linear().pencil)
-    judge = Judge(exact, telling(exact, band, True), band)
+    judge = Judge(exact, adaptive_frequencies(exact, band, True), band)
     for count in range(_beyond(model, band[1]), 0, -1):
-        found = _without_inertia(model, count)
+        result = _without_inertia(model, count)
         error = certificate.error_estimate
-        light = Response(found.linear().pencil)
+        light = Response(result.linear().pencil)
         error += judge.error(light)
         if tolerance is None or error <= tolerance:
-            cut = found.omega[found.order - found.massless] / (2 * np.pi)
+            cut = result.omega[result.order - result.massless] / (2 * np.pi)
             method = f"{certificate.method}; no inertia from {cut:.3g} Hz on, measured"
             more = dict(above_band(model.ports, exact, light, band))
             above = tuple((f, before + more.get(f, 0.0)) for f, before in certificate.above)
             return replace(
-                found,
+                result,
                 certificate=replace(certificate, error_estimate=error, method=method, above=above),
             )
     return model
@@ -365,7 +365,7 @@ def _march(roots: np.ndarray, t: np.ndarray, drive: np.ndarray) -> np.ndarray:
         count = part.stop - part.start - 1
         side = math.isqrt(count - 1) + 1
         shape = (side, side, roots.size)
-        grow, push = (np.resize(each, shape) for each in _steps(roots, t[part], drive[part]))
+        grow, push = (np.resize(item, shape) for item in _steps(roots, t[part], drive[part]))
         for k in range(1, side):
             push[:, k] += grow[:, k] * push[:, k - 1]
             grow[:, k] *= grow[:, k - 1]
@@ -422,19 +422,19 @@ def foster(
     f = np.geomspace(low, high, int(POINTS * decades) + POINTS)
     wanted, s = permittivity(f, tangent), 2j * np.pi * f[:, None]
     best = np.inf
-    found = np.ones(1), np.empty(0)
-    for each in range(1, MOST + 1):
-        count = int(np.ceil(each * decades)) + 2
+    result = np.ones(1), np.empty(0)
+    for item in range(1, MOST + 1):
+        count = int(np.ceil(item * decades)) + 2
         rates = 2 * np.pi * np.geomspace(low / 3, 3 * high, count)
         A = np.column_stack([np.ones(len(f)), 1 / (1 + s / rates)]) / wanted[:, None]
         one = np.r_[np.ones(len(f)), np.zeros(len(f))]
         a = scipy.optimize.nnls(np.concatenate([A.real, A.imag]), one)[0]
         off = float(np.abs(A @ a - 1).max())
         if off < best:
-            best, found = off, (a, rates)
+            best, result = off, (a, rates)
         if best <= error:
             break
-    return *found, best
+    return *result, best
 
 
 def lossy(model: Resonators, tangent: float) -> Resonators:

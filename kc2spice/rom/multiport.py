@@ -73,7 +73,7 @@ def _best(f: np.ndarray, S: np.ndarray, noise: float, where: str) -> ABCD:
     """Of the fits with few to many poles the passive one with the least deviation, or the first
     that is as near as they are without."""
     fits = _fits(f, S, noise, where)
-    found, least = None, np.inf
+    result, least = None, np.inf
     for left, fit in fits:
         if left > least:
             break
@@ -82,28 +82,28 @@ def _best(f: np.ndarray, S: np.ndarray, noise: float, where: str) -> ABCD:
             continue
         error = _deviation(_transfer(model, f), S)
         if error < least:
-            found, least = model, error
+            result, least = model, error
         if error < CLOSE * fits[0][0]:
             break
-    if found is None or least > POOR:
+    if result is None or least > POOR:
         raise UsageError(
             "no passive model comes near the measurement",
             where=where,
             got=f"{least:.2g} of its largest left over by the best of {len(fits)}"
-            if found
+            if result
             else f"none of {len(fits)} is passive",
             expected=f"less than {POOR:g}",
             hint="is the unit of the frequency right, is the reference plane, are there enough "
             "points on every resonance? A part that amplifies has no such model",
         )
-    return found
+    return result
 
 
 def _fits(f: np.ndarray, S: np.ndarray, noise: float, where: str) -> list[tuple[float, ABCD]]:
     """Fits with more and more poles, with their deviations, the least first."""
     skrf = needed("skrf", "scikit-rf", where, "measured")
     network = skrf.Network(frequency=skrf.Frequency.from_f(f, unit="hz"), s=S, z0=1.0)
-    found: list[tuple[float, ABCD]] = []
+    result: list[tuple[float, ABCD]] = []
     useless = 0
     for poles in range(2, MOST + 1, 3):
         fit = skrf.vectorFitting.VectorFitting(network)
@@ -117,12 +117,12 @@ def _fits(f: np.ndarray, S: np.ndarray, noise: float, where: str) -> list[tuple[
         if len(model[0]) > STATES:
             break
         left = _deviation(_transfer(model, f), S)
-        least = min((each for each, _ in found), default=np.inf)
+        least = min((item for item, _ in result), default=np.inf)
         useless = useless + 1 if left > (1 - GAIN) * least else 0
-        found.append((left, model))
+        result.append((left, model))
         if left < max(NOISE * noise, ENOUGH) or useless == PATIENCE:
             break
-    return sorted(found, key=lambda each: each[0])
+    return sorted(result, key=lambda item: item[0])
 
 
 def _nearest(model: ABCD, f: np.ndarray, S: np.ndarray) -> ABCD | None:
@@ -173,14 +173,14 @@ def _nearest(model: ABCD, f: np.ndarray, S: np.ndarray) -> ABCD | None:
     cost[-1] = 1.0
     dims = {"l": 0, "q": [len(cone)], "s": [order]}
     try:
-        found = solvers.conelp(
+        result = solvers.conelp(
             matrix(cost), matrix(G), matrix(h), dims, options={"show_progress": False}
         )
     except (ValueError, ArithmeticError):
         return None
-    if found["x"] is None:
+    if result["x"] is None:
         return None
-    CD = np.array(found["x"]).ravel()[triangle:-1].reshape(m, n + m)
+    CD = np.array(result["x"]).ravel()[triangle:-1].reshape(m, n + m)
     C, D = CD[:, :n] / size, CD[:, n:]
     B = B * top * size[:, None]
     return model[0], B, C, D

@@ -95,7 +95,7 @@ class OverBox:
     @property
     def box(self) -> dict[str, Axis]:
         """Every parameter's axis by its name."""
-        return {axis.name: axis for axis in (*self.axes, *(each.axis for each in self.losses))}
+        return {axis.name: axis for axis in (*self.axes, *(item.axis for item in self.losses))}
 
     def products(self, values: Values) -> np.ndarray:
         """Those polynomials (terms,) at ``values`` of all parameters.
@@ -141,12 +141,12 @@ class Parametric(OverBox):
         UsageError : a parameter is missing or outside of its range.
         """
         weights = self.products(values)
-        found: dict[str, Any] = {
+        result: dict[str, Any] = {
             letter: np.tensordot(weights, c, 1) for letter, c in self.terms.items()
         }
-        if "rayleigh" in found:
-            found["rayleigh"] = self.damping(found["rayleigh"], values)
-        return LinearModel(**found, ports=self.frame.ports, name=self.frame.name)
+        if "rayleigh" in result:
+            result["rayleigh"] = self.damping(result["rayleigh"], values)
+        return LinearModel(**result, ports=self.frame.ports, name=self.frame.name)
 
 
 def parametric(
@@ -175,15 +175,15 @@ def parametric(
 
     middle = {axis.name: axis.middle for axis in axes}
     frame = _required(once(middle), None)
-    losses = tuple(found for axis in axes if (found := _loss(once, axis, middle, frame)))
+    losses = tuple(result for axis in axes if (result := _loss(once, axis, middle, frame)))
     own = tuple(axis for axis in axes if axis not in [loss.axis for loss in losses])
     degree = DEGREES.get(len(own), 2) if degree is None else degree
     exponents = exponents_to(len(own), degree)
     # approximate Fekete points of Chebyshev's grid: as many as there are polynomials
     grid = np.sin(0.5 * np.pi * np.arange(-degree, degree + 1, 2) / max(degree, 1))
     points = np.array(list(product(grid, repeat=len(own))))
-    *_, chosen = scipy.linalg.qr(polynomials(points, exponents).T, mode="economic", pivoting=True)
-    points = points[np.sort(chosen[: len(exponents)])]
+    *_, selected = scipy.linalg.qr(polynomials(points, exponents).T, mode="economic", pivoting=True)
+    points = points[np.sort(selected[: len(exponents)])]
     models = []
     for number, x in enumerate(points):
         progress(number + 1, len(points))
@@ -325,9 +325,9 @@ def _same(one: LinearModel, other: LinearModel) -> bool:
 def exponents_to(axes: int, degree: int) -> np.ndarray:
     """Exponents (terms, axes) of all products of powers up to a total ``degree``."""
     rows = [
-        np.bincount(chosen, minlength=axes)
+        np.bincount(selected, minlength=axes)
         for total in range(degree + 1)
-        for chosen in combinations_with_replacement(range(axes), total)
+        for selected in combinations_with_replacement(range(axes), total)
     ]
     return np.array(rows, dtype=int).reshape(len(rows), axes)
 

@@ -72,10 +72,10 @@ class Schur:
 
     def _beside(self, uu: Matrix, up: Matrix, pu: Matrix) -> Schur:
         """With the same ``pp`` and its factor."""
-        found = Schur(uu, up, pu, self.pp)
+        result = Schur(uu, up, pu, self.pp)
         if "inner" in self.__dict__:
-            found.__dict__["inner"] = self.inner
-        return found
+            result.__dict__["inner"] = self.inner
+        return result
 
     def toarray(self) -> np.ndarray:
         """The dense matrix."""
@@ -87,12 +87,12 @@ def scaled(
 ) -> scipy.sparse.csc_array:
     """``diag(rows) P diag(columns)``, entry by entry: products of sparse matrices take ten times
     as long."""
-    found = scipy.sparse.csc_array(P, copy=True)
+    result = scipy.sparse.csc_array(P, copy=True)
     if rows is not None:
-        found.data *= rows[found.indices]
+        result.data *= rows[result.indices]
     if columns is not None:
-        found.data *= np.repeat(columns, np.diff(found.indptr))
-    return found
+        result.data *= np.repeat(columns, np.diff(result.indptr))
+    return result
 
 
 def dense(matrix: Matrix) -> np.ndarray:
@@ -265,15 +265,15 @@ class Pencil:
         SimulationError : singular, or K not positive definite.
         """
         if square:
-            found = factorise(self.bordered(1.0, 0.0, -square), definite=False)
-            return Inverse(found, self.size)
+            result = factorise(self.bordered(1.0, 0.0, -square), definite=False)
+            return Inverse(result, self.size)
         if not self._at_rest:
             K = self.coefficients[0]
             if isinstance(K, Schur):
-                found = factorise(self.bordered(1.0, 0.0, 0.0), definite=False)
+                result = factorise(self.bordered(1.0, 0.0, 0.0), definite=False)
             else:
-                found = factorise(scipy.sparse.csc_array(K), definite=True)
-            self._at_rest.append(Inverse(found, self.size))
+                result = factorise(scipy.sparse.csc_array(K), definite=True)
+            self._at_rest.append(Inverse(result, self.size))
         return self._at_rest[0]
 
     @property
@@ -335,7 +335,7 @@ class Pencil:
         r = self.free
         return bool(r) and not any(P[:r, r:].any() or P[r:, :r].any() for P in self.coefficients)
 
-    def beside(self, free: Pencil) -> Pencil:
+    def joined(self, free: Pencil) -> Pencil:
         """This pencil and in front of it the ``free`` motion, which adds to its answers."""
         parts = tuple(map(scipy.linalg.block_diag, free.coefficients, self.coefficients))
         B, C = np.vstack([free.B, self.B]), np.hstack([free.C, self.C])
@@ -367,10 +367,10 @@ class Pencil:
         parts = tuple(both(P) for P in self.coefficients)
         B = t[:, None] * self.B
         C = B.T.copy() if self.collocated else self.C * t
-        found = Pencil(parts, B, C, self.D, self.rayleigh)
+        result = Pencil(parts, B, C, self.D, self.rayleigh)
         if self.symmetric:  # which no scale of the unknowns changes: a look costs a transposition
-            found.__dict__["symmetric"] = True
-        return found
+            result.__dict__["symmetric"] = True
+        return result
 
     def states(self, s: np.ndarray) -> np.ndarray:
         """``P(s)^-1 B`` (len(s), n, m) complex.
@@ -380,26 +380,26 @@ class Pencil:
         SimulationError : one of ``s`` is a pole.
         """
         s = np.asarray(s, dtype=complex)
-        found = np.empty((len(s), *self.B.shape), dtype=complex)
+        result = np.empty((len(s), *self.B.shape), dtype=complex)
         if not self.is_dense:
-            for k, each in enumerate(s):
-                found[k] = self.solver(each)[0].solve(self.B)
-            return found
+            for k, item in enumerate(s):
+                result[k] = self.solver(item)[0].solve(self.B)
+            return result
         step = max(1, int(BATCH_BYTES / (16 * max(self.size, 1) ** 2)))
         for begin in range(0, len(s), step):
             part = s[begin : begin + step, None, None]
             P = sum(part**k * P for k, P in enumerate(self.coefficients))
             try:
-                found[begin : begin + step] = np.linalg.solve(P, self.B.astype(complex)[None])
+                result[begin : begin + step] = np.linalg.solve(P, self.B.astype(complex)[None])
             except np.linalg.LinAlgError:
                 raise SimulationError("a frequency is a pole", where="transfer function") from None
-        return found
+        return result
 
     def transfer(self, s: np.ndarray) -> np.ndarray:
         """``C P(s)^-1 B + D`` (len(s), outputs, inputs) complex."""
         if self.is_dense:
             return np.asarray(self.C @ self.states(s) + self.D)
-        return np.stack([self.C @ self.states(each[None])[0] + self.D for each in np.asarray(s)])
+        return np.stack([self.C @ self.states(item[None])[0] + self.D for item in np.asarray(s)])
 
     def poles(self, omega: float | None = None) -> np.ndarray:
         """Finite poles [1/s] by dense eigenvalues; ``omega`` is a frequency that matters."""
@@ -460,12 +460,12 @@ def proportional(pencil: Pencil) -> Pencil:
         return pencil
     basis = [P / largest(P) for P in (M, K)]
     gram = [[float((P * Q).sum()) for Q in basis] for P in basis]
-    found = np.linalg.lstsq(gram, [float((P * E).sum()) for P in basis], rcond=None)[0]
-    found = np.where(np.abs(found) > SAME * largest(E), found, 0.0)
-    rest = E - found[0] * basis[0] - found[1] * basis[1]
-    if (found < 0).any() or largest(rest) > SAME * largest(E):
+    result = np.linalg.lstsq(gram, [float((P * E).sum()) for P in basis], rcond=None)[0]
+    result = np.where(np.abs(result) > SAME * largest(E), result, 0.0)
+    rest = E - result[0] * basis[0] - result[1] * basis[1]
+    if (result < 0).any() or largest(rest) > SAME * largest(E):
         return pencil
-    rayleigh = float(found[0] / largest(M)), float(found[1] / largest(K))
+    rayleigh = float(result[0] / largest(M)), float(result[1] / largest(K))
     return replace(pencil, rayleigh=rayleigh)
 
 

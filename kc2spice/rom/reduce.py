@@ -78,7 +78,7 @@ def natural_band(pencil: Pencil) -> tuple[float, float]:
     return 0.0, float(BEYOND * rates[-1] / (2 * np.pi))
 
 
-def reach(pencil: Pencil, count: int, high: float) -> float:
+def band_end(pencil: Pencil, count: int, high: float) -> float:
     """Frequency [Hz] of the ``count``-th lowest natural motion, at most ``high``; ``high`` where
     there are not so many, or they are not to be had.
 
@@ -225,17 +225,17 @@ def reduce(
             )
     if space is None:
         assert order is not None
-        found = subspace_model(model, _krylov(pencil, order), band, norm).model(order)
+        result = subspace_model(model, _krylov(pencil, order), band, norm).model(order)
     else:
         plain = subspace_model(model, space, band, norm)
         sides = [False] if pencil.symmetric and pencil.collocated else [False, True]
         congruences = (ordered(plain, two_sided, tolerance) for two_sided in sides)
         if order is not None:
-            found = _of_order(list(congruences), order)
+            result = _of_order(list(congruences), order)
         else:
             assert tolerance is not None
-            found = _within(plain, congruences, tolerance, contact)
-    certificate = found.certificate
+            result = _within(plain, congruences, tolerance, contact)
+    certificate = result.certificate
     assert certificate is not None
     both = (full.stable, certificate.stable)
     stable = False if False in both else None if None in both else True
@@ -245,17 +245,17 @@ def reduce(
     known = replace(
         certificate, method=method, stable=stable, passive=certificate.passive and full.passive
     )
-    return replace(found, certificate=known)
+    return replace(result, certificate=known)
 
 
 def _of_order(found: list[Reduction], order: int) -> LinearModel:
     """The best model of an order."""
-    most = max(each.size for each in found)
+    most = max(item.size for item in found)
     if order > most:
         expected = f"1 to {most}"
         raise UsageError("no model of this order", where="--order", got=order, expected=expected)
-    fitting = (each for each in found if order <= each.size)
-    return min(fitting, key=lambda each: each.error(order)).model(order)
+    fitting = (item for item in found if order <= item.size)
+    return min(fitting, key=lambda item: item.error(order)).model(order)
 
 
 def _within(
@@ -265,16 +265,16 @@ def _within(
     floor = plain.space.floor
     within = tolerance - floor  # what rounding leaves, where that leaves most of it
     within = within if within > 0.5 * tolerance else tolerance
-    chosen, least = _fewest(plain, congruences, within, contact)
+    selected, least = _fewest(plain, congruences, within, contact)
     if not contact:
-        chosen, least = refitted(chosen, least, within)
+        selected, least = refitted(selected, least, within)
     if floor > tolerance:
         warnings.warn(
             f"the full model itself is only good to {floor:.1e}: so far rounding of its "
             "entries moves its response; other units or fewer elements may condition it better",
             stacklevel=3,
         )
-    result = chosen.model(least)
+    result = selected.model(least)
     estimate = result.certificate.error_estimate  # type: ignore[union-attr]
     if floor <= tolerance < estimate:
         warnings.warn(
@@ -301,21 +301,21 @@ def _fewest(
         free = balanced(plain, plain.states(plain.size) + 1, tolerance)
     if free is not None and not form:  # nothing that a congruence would keep
         return replace(free[0], origin=f"{free[0].origin}; "), free[1]
-    found = list(congruences)
+    result = list(congruences)
     if free is None:
         search = Reduction.smallest if contact else Reduction.fewest
-        orders = [search(each, tolerance) or each.smallest(tolerance) for each in found]
+        orders = [search(item, tolerance) or item.smallest(tolerance) for item in result]
         best = int(np.argmin(orders))
-        kept, order = found[best], orders[best]
+        kept, order = result[best], orders[best]
     else:
         most = int(free[1] / share)
-        within = [each.fewest(tolerance, most + 1) for each in found]
+        within = [item.fewest(tolerance, most + 1) for item in result]
         few = [(order, k) for k, order in enumerate(within) if order is not None]
         if not few:
             text = f"{free[0].origin}, where a congruence needs more than {most} states; "
             return replace(free[0], origin=text), free[1]
         order, k = min(few)
-        kept = found[k]
+        kept = result[k]
     if not contact:
         kept, order = tightened(kept, order, tolerance)
         order = kept.fewest(tolerance, kept.states(order)) or order
@@ -458,8 +458,8 @@ class Reduction:
 
     def structure(self, order: int) -> Structure:
         """Stability and passivity of the model of this order."""
-        found = self.leading(order)
-        return structure(found.pencil, self.judge.band, None if found.decoupled else found.poles)
+        result = self.leading(order)
+        return structure(result.pencil, self.judge.band, None if result.decoupled else result.poles)
 
     def leading(self, order: int) -> Response:
         """Response of the model of this order."""
@@ -543,12 +543,12 @@ class Reduction:
 
     def model(self, order: int) -> LinearModel:
         """The reduced model with its certificate."""
-        found, judge, model = self.structure(order), self.judge, self.full
+        answer, judge, model = self.structure(order), self.judge, self.full
         response, error = self.leading(order), self.error(order) + self.space.floor
         count, parts = self.space.pencil.size, response.pencil.coefficients
         method = f"{self.origin}difference to {count} states at resonances, flanks and notches"
         if self.space.proof:
-            method += f"; those {self.space.proof}; stability from {found.proof}"
+            method += f"; those {self.space.proof}; stability from {answer.proof}"
         if not self.space.static or self.space.pencil.free:
             method += "; free to move at zero frequency"
         ratio = judge.exact.within(judge.band)[1].min(initial=1.0)
@@ -564,7 +564,13 @@ class Reduction:
         rounding = max(ROUNDING, DIGITS * float(np.finfo(float).eps) / max(ratio, SHARPEST))
         above = above_band(model.ports, judge.exact, response, judge.band)
         certificate = Certificate(
-            judge.band, max(error, rounding), method, found.stable, found.passive, above, judge.norm
+            judge.band,
+            max(error, rounding),
+            method,
+            answer.stable,
+            answer.passive,
+            above,
+            judge.norm,
         )
         first = {"A": -parts[0], "E": parts[1]}
         result = LinearModel(
@@ -591,7 +597,7 @@ def balanced(like: Reduction, states: int, tolerance: float) -> tuple[Reduction,
     scales = blocks.scales(peak)
     ways = {ALL: lambda: blocks.by_gramians(model.pencil, *scales)}
     if model.pencil.size <= UNSCALED and peak.size > 1:
-        one = [np.ones(len(each)) for each in scales]
+        one = [np.ones(len(item)) for item in scales]
         ways[f"{ALL} of outputs as they are"] = lambda: blocks.by_gramians(model.pencil, *one)
     if model.pencil.size <= SAMPLED and model.diagonal:
         step = 1 if judge.norm == "pointwise" else THINNED
@@ -605,7 +611,7 @@ def balanced(like: Reduction, states: int, tolerance: float) -> tuple[Reduction,
         if small is None:
             continue
         if free:
-            small = small.beside(blocks.standard(judge.exact.pencil.leading(free), top))
+            small = small.joined(blocks.standard(judge.exact.pencil.leading(free), top))
         pencil = blocks.in_hertz(small, top)
         other = replace(like, pencil=pencil, first=pencil.free, origin=name, balanced=True)
         fewer = other.fewest(tolerance, states)
@@ -654,7 +660,7 @@ def ordered(plain: Reduction, two_sided: bool, tolerance: float | None) -> Reduc
     pencil = pencil.project(block_diag(np.eye(free), directions))
     pencil = replace(pencil, free=free)
     if core is not whole.pencil:
-        pencil = pencil.beside(whole.pencil.leading(whole.pencil.free))
+        pencil = pencil.joined(whole.pencil.leading(whole.pencil.free))
     kept = pencil.free + (first.shape[1] if conservative else 0)
     return replace(plain, pencil=pencil, first=kept)
 

@@ -82,8 +82,8 @@ class Response:
         else:
             T, L, _ = self.modes
             parts = self._gains(s).T[:, :, None] * (L @ self.core.B)[:, None, :]
-            found = T @ parts.reshape(len(parts), -1)  # one product: many small ones take longer
-            x = found.reshape(-1, *parts.shape[1:]).swapaxes(0, 1)
+            result = T @ parts.reshape(len(parts), -1)  # one product: many small ones take longer
+            x = result.reshape(-1, *parts.shape[1:]).swapaxes(0, 1)
         return np.concatenate([self._free.states(s), x], axis=1) if self._free else x
 
     def transfer(self, s: np.ndarray) -> np.ndarray:
@@ -93,8 +93,8 @@ class Response:
         else:
             T, L, _ = self.modes
             residues = (self.core.C @ T).T[:, :, None] * (L @ self.core.B)[:, None, :]
-            found = self._gains(s) @ residues.reshape(len(residues), -1)
-            H = found.reshape(-1, *self.core.D.shape) + self.core.D
+            result = self._gains(s) @ residues.reshape(len(residues), -1)
+            H = result.reshape(-1, *self.core.D.shape) + self.core.D
         return H + self._free.C @ self._free.states(s) if self._free else H
 
     def cancelled(self, s: np.ndarray) -> np.ndarray:
@@ -134,9 +134,9 @@ class Response:
     def resonances(self) -> tuple[np.ndarray, np.ndarray]:
         """Frequency [Hz] and damping ratio of the oscillating poles."""
         if not self.decoupled or self.core.degree == 1:
-            found = np.empty(0) if self.decoupled else self._poles
-            found = found[found.imag > 0]
-            return found.imag / (2 * np.pi), np.abs(found.real) / np.abs(found)
+            result = np.empty(0) if self.decoupled else self._poles
+            result = result[result.imag > 0]
+            return result.imag / (2 * np.pi), np.abs(result.real) / np.abs(result)
         assert self.modes is not None
         k, e, m = self.modes[2]
         oscillating = (k > 0) & (e**2 < 4 * k * m)
@@ -169,16 +169,16 @@ def _eigenvectors(pencil: Pencil) -> Modes | None:
             return None
     except (np.linalg.LinAlgError, ValueError):
         return None
-    found = X[:n], inverse @ inner[:, whole.size :], (1 - values, values / shift)
+    result = X[:n], inverse @ inner[:, whole.size :], (1 - values, values / shift)
     s = 1j * np.array([0.03, 0.3, 1.0, 3.0])
-    s *= float(np.median(np.abs(_finite_poles(*found[2])))) or 1.0
+    s *= float(np.median(np.abs(_finite_poles(*result[2])))) or 1.0
     try:
         exact = pencil.states(s)
     except SimulationError:
         return None
     with np.errstate(all="ignore"):  # on a pole
-        apart = np.abs(Response(pencil, found).states(s) - exact).max(axis=1)
-    return found if (apart < REPRODUCED * np.abs(exact).max(axis=1)).all() else None
+        apart = np.abs(Response(pencil, result).states(s) - exact).max(axis=1)
+    return result if (apart < REPRODUCED * np.abs(exact).max(axis=1)).all() else None
 
 
 def _finite_poles(rest: np.ndarray, inertia: np.ndarray) -> np.ndarray:
@@ -266,7 +266,7 @@ def samples(
     return clear_of_poles(points, at, ratio)
 
 
-def telling(
+def adaptive_frequencies(
     response: Response, band: tuple[float, float], static: bool, norm: Norm = "pointwise"
 ) -> np.ndarray:
     """Frequencies [Hz] at which relative errors show: a grid, every resonance with its flanks, and
@@ -427,7 +427,7 @@ def above_band(
         return ()
     points = clear_of_poles(ABOVE * band[1], *exact.resonances)
     own = [rows.index(port) for port in moved], [columns.index(port) for port in moved]
-    H, ours = (each.transfer(2j * np.pi * points)[:, *own] for each in (exact, found))
+    H, ours = (item.transfer(2j * np.pi * points)[:, *own] for item in (exact, found))
     size = np.abs(ours - H) / (np.abs(H) + np.finfo(float).tiny)
     return tuple(zip(points.tolist(), size.max(axis=1).tolist(), strict=True))
 

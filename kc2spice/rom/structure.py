@@ -58,10 +58,10 @@ def apart(pencil: Pencil, omega: float, rounding: Rounding | None = None) -> Apa
         if others.shape[1] + free == pencil.size:
             X = _driven(pencil, X, rounding)
             V = np.hstack([X, others])
-            found, projected = congruent(pencil, V, X.shape[1], rounding)
-            return Apart(found, V, True, projected)
-    found, V = _oblique(first_order(pencil, omega), omega)
-    return Apart(found, V, True) if found.free else Apart(pencil, np.eye(pencil.size), False)
+            result, projected = congruent(pencil, V, X.shape[1], rounding)
+            return Apart(result, V, True, projected)
+    result, V = _oblique(first_order(pencil, omega), omega)
+    return Apart(result, V, True) if result.free else Apart(pencil, np.eye(pencil.size), False)
 
 
 def free_part(pencil: Pencil, omega: float) -> Pencil | None:
@@ -123,14 +123,14 @@ def congruent(
 ) -> tuple[Pencil, Pencil]:
     """``V'PV`` of a dense pencil, the first columns of V being ``free`` motions, without the
     rounding of what is zero, and with it."""
-    found, parts = pencil.project_exactly(V), []
-    for P, noise in zip(found.coefficients, rounding or _rounding(pencil), strict=True):
+    result, parts = pencil.project_exactly(V), []
+    for P, noise in zip(result.coefficients, rounding or _rounding(pencil), strict=True):
         zero = np.abs(P) <= np.abs(V).T @ (noise @ np.abs(V))
         zero[free:, free:] = False
         parts.append(np.where(zero, 0.0, P))
     parts[0][:free] = parts[0][:, :free] = 0.0
     parts[-1][:free, free:] = parts[-1][free:, :free] = 0.0
-    return replace(found, coefficients=tuple(parts), free=free), found
+    return replace(result, coefficients=tuple(parts), free=free), result
 
 
 def _oblique(pencil: Pencil, omega: float) -> tuple[Pencil, np.ndarray]:
@@ -238,10 +238,10 @@ def structure(
 def _poles(pencil: Pencil, omega: float) -> np.ndarray:
     """All poles, those of a free motion from that alone: rounding moves the pair of a rigid body by
     half of the digits."""
-    found = pencil if pencil.free else apart(pencil.scaled(omega).dense(), omega).pencil
-    if not found.detached:
+    result = pencil if pencil.free else apart(pencil.scaled(omega).dense(), omega).pencil
+    if not result.detached:
         return pencil.poles(omega)
-    return np.r_[found.leading(found.free).poles(omega), found.held.poles(omega)]
+    return np.r_[result.leading(result.free).poles(omega), result.held.poles(omega)]
 
 
 def dissipative(pencil: Pencil) -> bool:

@@ -39,13 +39,13 @@ from kc2spice.rom.response import (
     GRID,
     SHARPEST,
     Response,
+    adaptive_frequencies,
     around,
     clear_of_poles,
     grid,
     inexact,
     relative_size,
     samples,
-    telling,
 )
 from kc2spice.rom.structure import apart, congruent, dissipative
 
@@ -220,12 +220,12 @@ def uncertainty(
     x = pencil.states(s) if states is None else states
     y = x if pencil.symmetric and pencil.collocated else dual
     y = pencil.transposed().states(s) if y is None else y
-    found = []
-    for each, right, left in zip(s, np.abs(x) ** 2, np.abs(y) ** 2, strict=True):
-        squares = sum(np.abs(each**k * P) ** 2 for k, P in enumerate(pencil.coefficients))
-        found.append(np.sqrt(left.T @ squares @ right))
+    result = []
+    for item, right, left in zip(s, np.abs(x) ** 2, np.abs(y) ** 2, strict=True):
+        squares = sum(np.abs(item**k * P) ** 2 for k, P in enumerate(pencil.coefficients))
+        result.append(np.sqrt(left.T @ squares @ right))
     H = np.abs(pencil.C @ x + pencil.D)
-    size = np.array(found) / np.maximum(H, FLOOR * H.max(axis=(1, 2), keepdims=True))
+    size = np.array(result) / np.maximum(H, FLOOR * H.max(axis=(1, 2), keepdims=True))
     return np.asarray(np.finfo(float).eps * size.max(axis=(1, 2)))
 
 
@@ -295,7 +295,7 @@ class Subspace:
 
     def points(self, band: tuple[float, float], norm: Norm = "pointwise") -> np.ndarray:
         """Frequencies [Hz] over the band at which its errors show."""
-        return telling(self.response, band, self.static and not self.pencil.free, norm)
+        return adaptive_frequencies(self.response, band, self.static and not self.pencil.free, norm)
 
 
 def subspace(pencil: Pencil, band: tuple[float, float], target: float, limit: float) -> Subspace:
@@ -334,8 +334,8 @@ def subspace(pencil: Pencil, band: tuple[float, float], target: float, limit: fl
         except SimulationError:
             if not dense:
                 raise
-    found = _whole(scaled.dense(), band, limit, DENSE)
-    return found or _rational(scaled, band, target, limit, MAX_POINTS)
+    result = _whole(scaled.dense(), band, limit, DENSE)
+    return result or _rational(scaled, band, target, limit, MAX_POINTS)
 
 
 def is_definite(pencil: Pencil, *, undamped_too: bool = False) -> bool:
@@ -421,9 +421,9 @@ def _whole(
             floor = SPREAD * float(size.max())
     if projected is not None:
         floor = max(floor, _taken_out(projected, full, band))
-    found = Subspace(full, error, static, proof, floor, whole=True)
-    found.__dict__["response"] = response  # as the cached property would
-    return found
+    result = Subspace(full, error, static, proof, floor, whole=True)
+    result.__dict__["response"] = response  # as the cached property would
+    return result
 
 
 def _taken_out(given: Pencil, free: Pencil, band: tuple[float, float]) -> float:
@@ -461,8 +461,8 @@ def _solution_error(response: Response, band: tuple[float, float]) -> float:
     flipped = Pencil(
         tuple(P[::-1, ::-1] for P in full.coefficients), full.B[::-1], full.C[:, ::-1], full.D
     )
-    found = [full.transfer(s), flipped.transfer(s), response.transfer(s)]
-    apart = [relative_size(one - found[0], found[0], peak) for one in found[1:]]
+    result = [full.transfer(s), flipped.transfer(s), response.transfer(s)]
+    apart = [relative_size(one - result[0], result[0], peak) for one in result[1:]]
     counted = ~response.cancelled(everywhere)
     return float(np.array(apart)[..., counted].max(initial=0.0))
 
@@ -486,10 +486,10 @@ def _block_krylov(
         response = Response(pencil.project(V))
         frequency = samples(response, band, GRID, True, (0.0, 1.0, 4.0))  # notches come last
         s = 2j * np.pi * frequency
-        found = response.transfer(s)
+        result = response.transfer(s)
         size = np.ones((len(s), 1, 1))
         if previous is not None:
-            size = relative_size(previous.transfer(s) - found, found)
+            size = relative_size(previous.transfer(s) - result, result)
         before, change = change, float(size.max())
         met = met + 1 if change <= target else 0
         if met == CONFIRMATIONS or (not columns.shape[1] and change <= limit):
@@ -561,8 +561,8 @@ def _rational(
     proof = f"checked against the full model at {search.points} frequencies"
     small = search.response.pencil
     floor = _taken_out(search.projected, small, band) if small.free else 0.0
-    found = Subspace(small, worst, search.static or small.free > 0, proof, floor)
-    return _with_rounding(pencil, search.modal, band, found)
+    result = Subspace(small, worst, search.static or small.free > 0, proof, floor)
+    return _with_rounding(pencil, search.modal, band, result)
 
 
 def _with_rounding(
@@ -632,12 +632,12 @@ class _Search:
         the last point changed the response most."""
         points = self._candidates()
         s = 2j * np.pi * points
-        found = self.response.transfer(s)
-        peak = self.response.peaks(points, found)
-        size = relative_size(self._previous.transfer(s) - found, found, peak)
+        result = self.response.transfer(s)
+        peak = self.response.peaks(points, result)
+        size = relative_size(self._previous.transfer(s) - result, result, peak)
         size[:, self.response.cancelled(s)] = 0.0
         self.change = float(size.max()) if self.points > 2 else np.inf
-        fresh = np.array([not np.isclose(each, self._used, rtol=1e-7).any() for each in s])
+        fresh = np.array([not np.isclose(item, self._used, rtol=1e-7).any() for item in s])
         if not fresh.any():
             raise SimulationError("no frequency is left to sample", where="reduction")
         measure = size.max(axis=(1, 2))
@@ -700,10 +700,10 @@ class _Search:
         if (np.abs(np.diag(small.coefficients[0])) > np.diag(rounding[0])).all():
             return small, np.eye(small.size)
         rounding += [FREE * np.finfo(float).eps * (V.T @ (P @ V)) for P in sizes]
-        found = apart(small, 2 * np.pi * self.band[1], tuple(rounding))
-        if found.pencil.degree != small.degree:
+        result = apart(small, 2 * np.pi * self.band[1], tuple(rounding))
+        if result.pencil.degree != small.degree:
             return small, np.eye(small.size)
-        return found.pencil, found.columns
+        return result.pencil, result.columns
 
     @property
     def modal(self) -> np.ndarray:
@@ -746,13 +746,13 @@ def _modes(pencil: Pencil) -> np.ndarray:
 
 def _independent(basis: np.ndarray, new: np.ndarray) -> np.ndarray:
     """Orthonormal directions of ``new`` outside ``basis``; what is dependent is deflated."""
-    found = np.empty((basis.shape[0], 0))
+    result = np.empty((basis.shape[0], 0))
     for column in new.T:
         length = np.linalg.norm(column)
         for _ in range(2):  # twice is enough (Kahan, Parlett)
             column = column - basis @ (basis.T @ column)
-            column = column - found @ (found.T @ column)
+            column = column - result @ (result.T @ column)
         rest = np.linalg.norm(column)
-        if rest > DEFLATION * length and basis.shape[1] + found.shape[1] < basis.shape[0]:
-            found = np.column_stack([found, column / rest])
-    return found
+        if rest > DEFLATION * length and basis.shape[1] + result.shape[1] < basis.shape[0]:
+            result = np.column_stack([result, column / rest])
+    return result

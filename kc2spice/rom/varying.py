@@ -33,7 +33,7 @@ from kc2spice.rom.parametric import (
     parametric,
     polynomials,
 )
-from kc2spice.rom.response import Judge, Response, telling
+from kc2spice.rom.response import Judge, Response, adaptive_frequencies
 from kc2spice.rom.structure import structure
 from kc2spice.rom.subspace import subspace
 
@@ -156,22 +156,22 @@ def over_box(
         return model
 
     made, left = parametric(told, axes, band, progress=progress), 0.0
-    found, inner = varying(made, band, OWN * tolerance, norm)
+    result, inner = varying(made, band, OWN * tolerance, norm)
     draws = scipy.stats.qmc.Sobol(len(axes), seed=11).random(CHECKS) * 2 - 1
     for k, x in enumerate([*draws, np.sign(draws[0])]):
         progress(k, CHECKS + 1)
-        values = _values(found.box, x)
+        values = _values(result.box, x)
         model = told(values)
         space = subspace(model.pencil, band, 0.01 * tolerance, 0.3 * tolerance)
         judge = Judge(space.response, space.points(band, norm), band, norm)
-        own = Response(found.at(values).pencil)
+        own = Response(result.at(values).pencil)
         left = max(left, judge.error(own) + space.error)
     error = SAFETY * max(left, inner)
     if error > tolerance:
         problem = "the error cannot be certified over the box of the parameters"
         got = f"{error:.2g} at a point that nothing was made from"
         raise _too_wide(problem, made, got, tolerance)
-    form = structure(found.at(_values(found.box, np.zeros(len(axes)))).pencil.dense(), band)
+    form = structure(result.at(_values(result.box, np.zeros(len(axes)))).pencil.dense(), band)
     certificate = Certificate(
         band_hz=band,
         error_estimate=error,
@@ -180,7 +180,7 @@ def over_box(
         passive=form.passive,
         norm=norm,
     )
-    return replace(found, certificate=certificate, facts=_facts(found, facts))
+    return replace(result, certificate=certificate, facts=_facts(result, facts))
 
 
 def _facts(
@@ -191,10 +191,10 @@ def _facts(
     total = found.exponents.sum(axis=1, initial=0)
     used = np.array([(total <= degree).sum() for degree in total]) <= max(1, len(known) // 2)
     T = polynomials(np.reshape(x, (len(known), -1)), found.exponents[used])
-    names = set.intersection(*(set(each) for _, each in known))
+    names = set.intersection(*(set(item) for _, item in known))
     made = {name: np.zeros(len(total)) for name in sorted(names)}
     for name, c in made.items():
-        c[used] = np.linalg.lstsq(T, np.array([each[name] for _, each in known]), rcond=None)[0]
+        c[used] = np.linalg.lstsq(T, np.array([item[name] for _, item in known]), rcond=None)[0]
     return made
 
 
@@ -220,18 +220,18 @@ def varying(
             continue
         for gap in GAPS:
             for degree in range(min(2, DEGREES[modes.axes]), DEGREES[modes.axes] + 1, 2):
-                found = space.fitted(gap, degree, tolerance)
-                if found is None:
+                result = space.fitted(gap, degree, tolerance)
+                if result is None:
                     break
                 error = 0.0
                 for x, judge in judged:
-                    model = found.at(_values(found.box, x))
+                    model = result.at(_values(result.box, x))
                     error = max(error, judge.error(Response(model.pencil)))
                     if error > tolerance:
                         break
                 best = min(best, max(error, exact))
                 if error <= tolerance:
-                    return found, error
+                    return result, error
     problem = "the box of the parameters is too wide for polynomials of its modes"
     raise _too_wide(problem, made, f"an error of {best:.2g}", tolerance)
 
@@ -260,7 +260,7 @@ def _judged(
     draws = scipy.stats.qmc.Sobol(count, seed=3).random(DRAWS) * 2 - 1
     for x in (np.zeros(count), np.ones(count), -np.ones(count), *draws):
         response = Response(made.at(_values(made.box, x)).pencil)
-        yield x, Judge(response, telling(response, band, False, norm), band, norm)
+        yield x, Judge(response, adaptive_frequencies(response, band, False, norm), band, norm)
 
 
 @dataclass(frozen=True, eq=False)
@@ -370,14 +370,14 @@ class _Space:
         modes, made = self.modes, self.modes.made
         apart = np.log(self.w2[:, 1:] / self.w2[:, :-1]).min(axis=0) > gap
         ends = [0, *(np.flatnonzero(apart) + 1), self.w2.shape[1]]
-        found = [self._block(int(a), int(b)) for a, b in pairwise(ends)]
-        if any(block is None for block in found):
+        result = [self._block(int(a), int(b)) for a, b in pairwise(ends)]
+        if any(block is None for block in result):
             return None
-        port = np.max([np.abs(block[1]).max(axis=(0, 1)) for block in found if block], axis=0)
+        port = np.max([np.abs(block[1]).max(axis=(0, 1)) for block in result if block], axis=0)
         port[port == 0] = 1.0
         blocks = [
             (K, g)
-            for K, g in (block for block in found if block)
+            for K, g in (block for block in result if block)
             if (np.abs(g) / port).max() > SILENT
         ]
         exponents = exponents_to(modes.axes, degree)
@@ -403,7 +403,7 @@ class _Space:
             gain.append(
                 smooth(g, fine * np.minimum(np.abs(g).max(axis=(0, 1)) + SILENT * port, port))
             )
-        electrical = [k for k, each in enumerate(made.frame.ports) if each.kind == "electrical"]
+        electrical = [k for k, item in enumerate(made.frame.ports) if item.kind == "electrical"]
         D = np.array([p.model.D[np.ix_(electrical, electrical)] for p in modes.points])
         F = np.linalg.cholesky(D) if electrical else D
         own = np.diagonal(F, axis1=1, axis2=2)

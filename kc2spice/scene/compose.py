@@ -295,10 +295,10 @@ class Groups:
 
     def groups(self) -> list[list[Any]]:
         """All groups by their first members."""
-        found: dict[int, list[Any]] = {}
+        result: dict[int, list[Any]] = {}
         for member, group in self._of.items():
-            found.setdefault(id(group), []).append(member)
-        return list(found.values())
+            result.setdefault(id(group), []).append(member)
+        return list(result.values())
 
 
 def drawing(scene: Scene) -> tuple[str, ...]:
@@ -374,9 +374,9 @@ def _unheld_problem(
     group: frozenset[str], scene: Scene, rests: list[tuple[Part, Rest]]
 ) -> Iterator[UsageError]:
     """Why the analysis has no operating point of these nets to begin at."""
-    found, kind = _free(group, scene), scene.analysis.type
-    heavy = [part.name for part, rest in rests if rest.inert and part.name in found.parts]
-    named = (*found.bodies, *heavy, *found.parts)[0]
+    result, kind = _free(group, scene), scene.analysis.type
+    heavy = [part.name for part, rest in rests if rest.inert and part.name in result.parts]
+    named = (*result.bodies, *heavy, *result.parts)[0]
     pushed = [
         p.name for p, rest in rests if any(scene.nets[p.name, x] in group for x in rest.pushed)
     ]
@@ -398,7 +398,7 @@ def _unheld_problem(
             expected=f"no constant force, or {HELD}",
             hint="ac = … without dc; weight = false",
         )
-    elif by and found.bodies:
+    elif by and result.bodies:
         yield UsageError(
             f"nothing holds {named} against a constant force at t = 0: a transient cannot begin "
             "at rest",

@@ -67,15 +67,15 @@ def scene_keys() -> Iterator[Key]:
 
 def keys_of(scene: Scene) -> dict[str, Key]:
     """All keys of one scene by their dotted names, those of its parts under the parts' names."""
-    found = [key for key in model_keys(Frame) if not key.name.startswith("probes.")]
+    result = [key for key in model_keys(Frame) if not key.name.startswith("probes.")]
     for name in scene.probes:
-        found += model_keys(Probe, f"probes.{name}.")
+        result += model_keys(Probe, f"probes.{name}.")
     for part in scene.parts.values():
         if part.at != (part.name,):  # else another part's keys say all
             prefix = ".".join(map(str, part.at or (part.name,)))
             own = model_keys(type(part.keys), f"{prefix}.")
-            found += [_with_unit(key, getattr(part.keys, "unit", None)) for key in own]
-    return {key.name: key for key in found}
+            result += [_with_unit(key, getattr(part.keys, "unit", None)) for key in own]
+    return {key.name: key for key in result}
 
 
 def _with_unit(key: Key, unit: Any) -> Key:
@@ -131,9 +131,9 @@ def _pins(scene: Scene, kind: PartType) -> tuple[Terminal, ...]:
 
 def _in_gallery() -> dict[str, tuple[str, Part, Scene]]:
     """The first built-in scene with a part of each type."""
-    found: dict[str, tuple[str, Part, Scene]] = {}
+    result: dict[str, tuple[str, Part, Scene]] = {}
     for name in gallery():
         scene = load_scene(name)
         for part in scene.parts.values():
-            found.setdefault(part.type.name, (name, part, scene))
-    return found
+            result.setdefault(part.type.name, (name, part, scene))
+    return result

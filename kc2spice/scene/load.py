@@ -29,7 +29,7 @@ from kc2spice.core.quantities import clipped, dotted, entries, shown, told
 from kc2spice.scene.compose import allocated, composed, unsettled
 from kc2spice.scene.model import GROUND, SHORT, Analysis, Frame, Part, Scene
 from kc2spice.scene.parttype import Build, PartType, numerics, part_type, type_names
-from kc2spice.scene.plausible import ImplausibleError, drives, judged
+from kc2spice.scene.plausible import ImplausibleError, drive_levels, judged
 
 MOST_POINTS = 1e7  # time points of a transient at its largest step
 
@@ -46,13 +46,13 @@ def problems(scene: Scene) -> Iterator[UsageError]:
         )
         return
     doubtful = []
-    for each in (each for part in scene.parts.values() for each in part.type.problems(part, scene)):
-        if isinstance(each, ImplausibleError):
-            doubtful.append(each)
+    for item in (item for part in scene.parts.values() for item in part.type.problems(part, scene)):
+        if isinstance(item, ImplausibleError):
+            doubtful.append(item)
         else:
-            yield each
+            yield item
     yield from judged(doubtful, scene.checks.plausible)
-    chosen, solver = scene.analysis, scene.solver
+    selected, solver = scene.analysis, scene.solver
     if scene.include and not any(part.netlist for part in scene.parts.values()):
         yield UsageError(
             "nothing uses these netlists",
@@ -60,14 +60,14 @@ def problems(scene: Scene) -> Iterator[UsageError]:
             got=", ".join(scene.include),
             expected="a part that names a subcircuit out of them",
         )
-    if chosen.type == "transient" and (solver.max_step or 0.0) > scene.stop:
+    if selected.type == "transient" and (solver.max_step or 0.0) > scene.stop:
         yield UsageError(
             "longer than the whole simulation",
             where="solver.max_step",
             got=f"{solver.max_step:g} s",
             expected=f"at most the end of the simulation, {scene.stop:g} s",
         )
-    step = solver.max_step if chosen.type == "transient" else None
+    step = solver.max_step if selected.type == "transient" else None
     points = 0.0 if step is None else scene.stop / step
     if points > MOST_POINTS:
         yield UsageError(
@@ -77,63 +77,63 @@ def problems(scene: Scene) -> Iterator[UsageError]:
             expected=f"at most {MOST_POINTS:g}",
             hint="raise solver.max_step, or end earlier (analysis.stop or solver.stop)",
         )
-    if chosen.type != "dc" and chosen.sweep is not None:
+    if selected.type != "dc" and selected.sweep is not None:
         yield UsageError(
             "only dc sweeps a key",
             where="analysis.sweep",
-            got=f"{chosen.type} and a sweep",
+            got=f"{selected.type} and a sweep",
             expected='type = "dc", or no sweep',
             hint="kc2spice sweep SCENE --set KEY=FROM:TO:POINTS runs an analysis at each value",
         )
-    if chosen.back:
-        source = scene.parts.get((chosen.sweep or "").removesuffix(".dc"))
-        if chosen.type != "dc" or source is None or source.type.name != "source":
+    if selected.back:
+        source = scene.parts.get((selected.sweep or "").removesuffix(".dc"))
+        if selected.type != "dc" or source is None or source.type.name != "source":
             yield UsageError(
                 "only the dc value of a source returns",
                 where="analysis.back",
-                got=f"{chosen.type} of {chosen.sweep}",
+                got=f"{selected.type} of {selected.sweep}",
                 expected='type = "dc" and sweep = "SOURCE.dc", or back = false',
             )
-    if chosen.small and not chosen.start < (chosen.stop or 0.0):
+    if selected.small and not selected.start < (selected.stop or 0.0):
         yield UsageError(
             "empty frequency range",
             where="analysis.stop",
-            got=f"{chosen.start:g} … {chosen.stop} Hz",
+            got=f"{selected.start:g} … {selected.stop} Hz",
             expected="start < stop",
         )
-    if chosen.small and chosen.scale == "log" and chosen.start <= 0:
+    if selected.small and selected.scale == "log" and selected.start <= 0:
         yield UsageError(
             "a logarithmic range cannot begin at zero",
             where="analysis.start",
-            got=f"{chosen.start:g} Hz",
+            got=f"{selected.start:g} Hz",
             expected='above 0, or scale = "linear"',
         )
-    if (chosen.type == "noise") != (chosen.output is not None):
+    if (selected.type == "noise") != (selected.output is not None):
         yield UsageError(
             "noise is that of an output",
             where="analysis.output",
-            got=f"{chosen.type} of {chosen.output}",
+            got=f"{selected.type} of {selected.output}",
             expected='type = "noise" with output = "PART.RESULT" or "PART.PIN", or neither',
         )
-    if chosen.type == "dc":
-        name, _, _ = (chosen.sweep or "").partition(".")
+    if selected.type == "dc":
+        name, _, _ = (selected.sweep or "").partition(".")
         if name not in scene.parts:
             yield UsageError(
                 "dc sweeps a key of a part",
                 where="analysis.sweep",
-                got=repr(chosen.sweep),
+                got=repr(selected.sweep),
                 expected="PART.KEY with a part of the scene: " + ", ".join(scene.parts),
             )
     for name, probe in scene.probes.items():
-        band = (chosen.start, chosen.stop or 0.0)
+        band = (selected.start, selected.stop or 0.0)
         ends = {"ac": band, "noise": band, "transient": (0.0, scene.stop)}
-        first, last = ends.get(chosen.type, (-inf, inf))
+        first, last = ends.get(selected.type, (-inf, inf))
         if probe.at is not None and not first <= probe.at <= last:
             yield UsageError(
                 "outside the analysis",
                 where=f"probes.{name}.at",
                 got=f"{probe.at:g}",
-                expected=f"{first:g} … {last:g} {'Hz' if chosen.small else 's'}",
+                expected=f"{first:g} … {last:g} {'Hz' if selected.small else 's'}",
             )
 
 
@@ -148,8 +148,8 @@ _OVERRIDE = "dotted.key=value, such as kick.drive.voltage=80 or beam.layers[0].t
 def gallery() -> dict[str, Traversable]:
     """Built-in scenes by name."""
     files = (resources.files("kc2spice") / "scenes").iterdir()
-    found = {file.name[:-5]: file for file in files if file.name.endswith(".toml")}
-    return dict(sorted(found.items()))
+    result = {file.name[:-5]: file for file in files if file.name.endswith(".toml")}
+    return dict(sorted(result.items()))
 
 
 def load_scene(
@@ -200,8 +200,8 @@ def load_scene(
 def _copied(value: Any) -> Any:
     """A copy whose tables and lists may be changed."""
     if isinstance(value, Mapping):
-        return {key: _copied(each) for key, each in value.items()}
-    return [_copied(each) for each in value] if isinstance(value, (list, tuple)) else value
+        return {key: _copied(item) for key, item in value.items()}
+    return [_copied(item) for item in value] if isinstance(value, (list, tuple)) else value
 
 
 def _scene(data: dict[str, Any], home: Path) -> Scene:
@@ -231,7 +231,7 @@ def _scene(data: dict[str, Any], home: Path) -> Scene:
     for problem in problems(scene):
         raise problem
     scene = composed(_driven(scene))
-    wild = judged(drives(scene), scene.checks.plausible)
+    wild = judged(drive_levels(scene), scene.checks.plausible)
     for problem in chain(unsettled(Build(scene, {})), wild):
         raise problem
     return scene
@@ -245,7 +245,7 @@ def _driven(scene: Scene) -> Scene:
     UsageError : nothing drives it, and there is no such port or something is joined to it.
     """
     parts = scene.parts
-    if scene.analysis.type != "ac" or any(row.drives for row in numerics(scene)):
+    if scene.analysis.type != "ac" or any(row.prescribes for row in numerics(scene)):
         return scene
     whole = replace(scene, ports="all")
     bodies = [part for part in parts.values() if part.reduced]
@@ -261,7 +261,7 @@ def _driven(scene: Scene) -> Scene:
             hint="a body whose electrical port nothing is joined to is driven by 1 V",
         )
     body = ports[0][0]
-    name = allocated([(body, f"{body}_drive")], {each.lower() for each in parts})[body]
+    name = allocated([(body, f"{body}_drive")], {item.lower() for item in parts})[body]
     table = {"part": "source", "ac": "1 V", "pins": {"out": ".".join(ports[0])}}
     drive = _part(name, table, _type(name, table), scene.home)
     return replace(scene, parts={**parts, name: drive})
@@ -301,7 +301,7 @@ def _unknown(name: str, data: Mapping[str, Any]) -> UsageError:
     parts = {
         n: t for n, t in data.items() if isinstance(t, Mapping) and n not in Frame.model_fields
     }
-    kinds = {each: table.get("part", SHORT.get(each)) for each, table in parts.items()}
+    kinds = {item: table.get("part", SHORT.get(item)) for item, table in parts.items()}
     schemas = {n: kind.schema for n, k in kinds.items() if (kind := part_type(str(k))) is not None}
     own = (".".join((n, *key)) for n, schema in schemas.items() for key, _ in entries(schema))
     below = f"keys of a part stand below its name: {', '.join(parts)}" if parts else None
@@ -314,8 +314,8 @@ def _unknown(name: str, data: Mapping[str, Any]) -> UsageError:
 
 
 def _type(name: str, table: Mapping[str, Any]) -> PartType:
-    chosen = table.get("part", SHORT.get(name))
-    if chosen is None:
+    selected = table.get("part", SHORT.get(name))
+    if selected is None:
         near = did_you_mean(name, [*Frame.model_fields, *SHORT])
         raise UsageError(
             "this table is no part of the grammar and says no part type",
@@ -323,10 +323,10 @@ def _type(name: str, table: Mapping[str, Any]) -> PartType:
             expected="part = one of " + ", ".join(type_names()),
             hint=near or f'add  part = "TYPE"  to [{name}]; see kc2spice scenes --parts',
         )
-    found = part_type(chosen) if isinstance(chosen, str) else None
-    if found is None:
-        raise unknown("unknown part type", chosen, type_names(), f"{name}.part")
-    return found
+    result = part_type(selected) if isinstance(selected, str) else None
+    if result is None:
+        raise unknown("unknown part type", selected, type_names(), f"{name}.part")
+    return result
 
 
 def _part(
@@ -372,13 +372,13 @@ def _completed(table: Mapping[str, Any], schema: type[BaseModel]) -> dict[str, A
 
     ``ring = { outer = "6 mm" }`` changes the outer diameter of the usual ring and nothing else.
     """
-    found = dict(table)
+    result = dict(table)
     for name, field_ in schema.model_fields.items():
-        usual = field_.default
-        if isinstance(usual, BaseModel) and isinstance(found.get(name), Mapping):
-            said = {key: getattr(usual, key) for key in usual.model_fields_set}
-            found[name] = said | _completed(found[name], type(usual))
-    return found
+        default = field_.default
+        if isinstance(default, BaseModel) and isinstance(result.get(name), Mapping):
+            said = {key: getattr(default, key) for key in default.model_fields_set}
+            result[name] = said | _completed(result[name], type(default))
+    return result
 
 
 @dataclass(frozen=True)
@@ -441,11 +441,11 @@ def override_texts(texts: Sequence[str]) -> list[str]:
     ------
     UsageError : a file that is not there, or not TOML.
     """
-    found: list[str] = []
+    result: list[str] = []
     for text in texts:
         plain = "=" in text or not text.endswith(".toml")
-        found += [text] if plain else [f"{k}={toml(v)}" for k, v in _flat(_open(text).parse())]
-    return found
+        result += [text] if plain else [f"{k}={toml(v)}" for k, v in _flat(_open(text).parse())]
+    return result
 
 
 def _flat(table: Mapping[str, Any], above: str = "") -> Iterator[tuple[str, Any]]:

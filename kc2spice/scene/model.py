@@ -410,8 +410,8 @@ class Scene:
 
     def only(self, *types: str) -> Part | None:
         """The part of one of these types if there is exactly one, else None."""
-        found = self.of(*types)
-        return found[0] if len(found) == 1 else None
+        result = self.of(*types)
+        return result[0] if len(result) == 1 else None
 
     def part(self, name: str, where: str = "scene") -> Part:
         """The part of this name.
@@ -424,7 +424,7 @@ class Scene:
             raise unknown("no such part", name, self.parts, where)
         return self.parts[name]
 
-    def meant(self, part: Part, kind: str, key: str = "", table: str = "") -> Part:
+    def partner(self, part: Part, kind: str, key: str = "", table: str = "") -> Part:
         """The part of type ``kind`` that ``part`` names under ``key``, else the only one.
 
         Raises
@@ -434,21 +434,21 @@ class Scene:
         name, table = getattr(part.keys, key, None) if key else None, table or kind
         if name is not None:
             return self.part(name, f"{part.name}.{key}")
-        found = self.of(kind)
-        if not found:
+        result = self.of(kind)
+        if not result:
             raise UsageError(
                 f"{part.name} needs this part",
                 where=table,
                 hint=f"add [{table}]; an empty table takes the defaults",
             )
-        if len(found) > 1:
+        if len(result) > 1:
             raise UsageError(
                 f"{part.name} needs to know which {kind} is meant",
                 where=f"{part.name}.{key}",
-                got=", ".join(each.name for each in found),
+                got=", ".join(item.name for item in result),
                 expected=f"{key or 'one'} = NAME",
             )
-        return found[0]
+        return result[0]
 
     def named(self, part: str, pin: str) -> bool:
         """Whether the ``pins`` of another part name this one, so that no default joins it."""

@@ -122,16 +122,16 @@ class StepLimit:
 @dataclass(frozen=True)
 class Numerics:
     """What a part does in time by itself: the longest ``step`` [s] that resolves it, and the
-    ``content`` [Hz] up to which it excites others; whether it ``drives`` small signals (``ac``). A
-    step that ``decides`` stands whatever else the scene has. ``reltol`` and ``chgtol`` are factors,
-    1 or less, of the solver's tolerances that it needs to be as exact as anything else, ``options``
-    the simulator's by name: value and reason.
+    ``content`` [Hz] up to which it excites others; whether it ``prescribes`` small signals of
+    ``ac``. A step that ``decides`` stands whatever else the scene has. ``reltol`` and ``chgtol``
+    are factors, 1 or less, of the solver's tolerances that it needs to be as exact as anything
+    else, ``options`` the simulator's by name: value and reason.
     """
 
     what: str
     step: float = math.inf
     content: float = 0.0
-    drives: bool = False
+    prescribes: bool = False
     decides: bool = False
     reltol: float = 1.0
     chgtol: float = 1.0
@@ -174,8 +174,8 @@ class Build:
 
     def facts(self, part: Part) -> Mapping[str, float]:
         """``model`` of ``result.json``: the numbers by which an engineer knows the part's model."""
-        found: Mapping[str, float] = getattr(self.model(part), "facts", {})
-        return found
+        result: Mapping[str, float] = getattr(self.model(part), "facts", {})
+        return result
 
     def net(self, part: Part, pin: str) -> str:
         """Node of the netlist that a pin is joined to."""
@@ -183,7 +183,7 @@ class Build:
 
     def across(self, part: Part, pin: str) -> Vector:
         """What a pin shows of itself, in SI."""
-        unit = next(each.unit for each in part.type.pins(part, self.scene) if each.name == pin)
+        unit = next(item.unit for item in part.type.pins(part, self.scene) if item.name == pin)
         factor, si = (1e-6, "m") if unit == "um" else (1.0, unit)
         return Vector(f"v({self.net(part, pin)})", factor, si)
 
@@ -306,8 +306,8 @@ class PartType:
         """Force [N] over time that it puts on what its mechanical pin is joined to: the sum of the
         results that leave it there."""
         rows = flows(part, pin, build).items()
-        found = [sign * waves[name] for name, (_, sign) in rows if name in waves]
-        return np.sum(found, axis=0) if found else None
+        result = [sign * waves[name] for name, (_, sign) in rows if name in waves]
+        return np.sum(result, axis=0) if result else None
 
     # --- what a run says -----------------------------------------------------------------------
 
@@ -345,13 +345,13 @@ class PartType:
 def mover(name: str, scene: Scene) -> str | None:
     """The part that prescribes all motion of another one, None where that moves by itself."""
     rows = ((p.name, p.type.governs(p, scene)) for p in scene.parts.values())
-    return next((each for each, governed in rows if governed.get(name) == "moved"), None)
+    return next((item for item, governed in rows if governed.get(name) == "moved"), None)
 
 
 def replaced(scene: Scene) -> set[str]:
     """Parts without cards of their own, as those of others have copies of them or move them."""
     governed = [part.type.governs(part, scene) for part in scene.parts.values()]
-    return {name for each in governed for name, what in each.items() if isinstance(what, str)}
+    return {name for item in governed for name, what in item.items() if isinstance(what, str)}
 
 
 def begins(scene: Scene) -> dict[str, State]:
@@ -359,12 +359,12 @@ def begins(scene: Scene) -> dict[str, State]:
 
     What another part says of one beats its own keys.
     """
-    found: dict[str, State] = {}
+    result: dict[str, State] = {}
     for part in scene.parts.values():
         for name, state in part.type.governs(part, scene).items():
-            if isinstance(state, State) and (name != part.name or name not in found):
-                found[name] = state
-    return found
+            if isinstance(state, State) and (name != part.name or name not in result):
+                result[name] = state
+    return result
 
 
 def flows(part: Part, pin: str, build: Build) -> dict[str, tuple[Vector, float]]:
@@ -380,10 +380,10 @@ def flows(part: Part, pin: str, build: Build) -> dict[str, tuple[Vector, float]]
 
 def current(part: Part, pin: str, build: Build) -> Vector | None:
     """The current that leaves a part through an electrical pin, where one result tells it."""
-    found = list(flows(part, pin, build).values())
-    if len(found) != 1:
+    result = list(flows(part, pin, build).values())
+    if len(result) != 1:
         return None
-    ((row, sign),) = found
+    ((row, sign),) = result
     return Vector(row.expression, sign * row.factor, row.unit)
 
 
@@ -427,8 +427,8 @@ def type_names() -> tuple[str, ...]:
 @cache
 def _modules() -> tuple[str, ...]:
     """Modules of the package that have part types."""
-    found = pkgutil.iter_modules(import_module(PACKAGE).__path__)
-    return tuple(module.name for module in found if not module.name.startswith("_"))
+    result = pkgutil.iter_modules(import_module(PACKAGE).__path__)
+    return tuple(module.name for module in result if not module.name.startswith("_"))
 
 
 @cache
@@ -444,12 +444,12 @@ def part_type(name: str) -> PartType | None:
         import_module(f"{PACKAGE}.{name}")
     if name not in _types and name in type_names():
         for entry in _foreign():
-            found = entry.load() if entry.name == name else None
-            if isinstance(found, PartType):
-                register(found)
+            result = entry.load() if entry.name == name else None
+            if isinstance(result, PartType):
+                register(result)
     return _types.get(name)
 
 
 def part_types() -> Mapping[str, PartType]:
     """All part types by name; loads them all."""
-    return {name: found for name in type_names() if (found := part_type(name)) is not None}
+    return {name: result for name in type_names() if (result := part_type(name)) is not None}

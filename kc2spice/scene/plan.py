@@ -50,19 +50,19 @@ class Axis:
         """Keys so many notches finer, or coarser below zero; none where that changes nothing."""
         value = self.notch.moved(self.value, notches)
         if self.decades and notches:
-            each = round(math.ceil(self.value / self.decades) * self.notch.factor**notches)
-            value = math.floor(each * self.decades)
+            item = round(math.ceil(self.value / self.decades) * self.notch.factor**notches)
+            value = math.floor(item * self.decades)
         value = min(max(value, self.low), self.high)
         if not notches or value == self.value:
             return {}
-        found: dict[str, Any] = {self.name: value}
+        result: dict[str, Any] = {self.name: value}
         if notches > 0:
-            found |= self.finer
+            result |= self.finer
         if self.band is not None:
             low, high = self.band
             top = float(f"{self.wider ** max(notches, 0.0) * high:.9g}")
-            found[self.name.replace("tolerance", "band")] = [low, top]
-        return found
+            result[self.name.replace("tolerance", "band")] = [low, top]
+        return result
 
 
 def axes(build: Build) -> tuple[Axis, ...]:
@@ -145,7 +145,7 @@ def _reductions(build: Build) -> Iterator[Axis]:
 
 def _alone(part: Part, scene: Scene) -> bool:
     """Whether all reductions of the scene are that of ``part``, so that one key moves them all."""
-    every = [each.type.reduction(each, scene) for each in scene.parts.values()]
+    every = [item.type.reduction(item, scene) for item in scene.parts.values()]
     own = part.type.reduction(part, scene)
     return all(rom is None or rom == own for rom in every)
 
@@ -165,7 +165,7 @@ def _axis(name: str, value: float, declared: FieldInfo) -> Axis:
 
 
 def _notch(declared: FieldInfo) -> Notch | None:
-    return next((each for each in declared.metadata if isinstance(each, Notch)), None)
+    return next((item for item in declared.metadata if isinstance(item, Notch)), None)
 
 
 def keys_at(found: Sequence[Axis], notches: Mapping[str, float]) -> dict[str, Any]:
@@ -175,8 +175,8 @@ def keys_at(found: Sequence[Axis], notches: Mapping[str, float]) -> dict[str, An
 
 def _noise(part: Part, build: Build) -> str:
     """What of a part has noise, where the scene asks for it."""
-    found = part.type.noise
-    told = found if isinstance(found, str) else "thermal noise at 27 C" if found else "no noise"
+    result = part.type.noise
+    told = result if isinstance(result, str) else "thermal noise at 27 C" if result else "no noise"
     return f"; {told}" if build.noisy else ""
 
 
@@ -192,9 +192,9 @@ def plan(build: Build) -> dict[str, Any]:
     told = {n: "; ".join(row for row in rows if isinstance(row, str)) for n, rows in notes.items()}
     detail = {part.name: told[part.name] + _noise(part, build) for part in parts}
     settings = [{"key": axis.name, "value": axis.value, "error": None} for axis in axes(build)]
-    for each in settings if scene.analysis.small else ():  # else steps excite what is above a band
-        if str(each["key"]).endswith("rom.tolerance"):
-            each["error"] = each["value"]
+    for item in settings if scene.analysis.small else ():  # else steps excite what is above a band
+        if str(item["key"]).endswith("rom.tolerance"):
+            item["error"] = item["value"]
     return {
         "parts": [
             {"part": p.name, "source": p.type.source, "detail": detail[p.name]} for p in parts

@@ -74,8 +74,8 @@ def _entry(where: str, name: str, value: Any) -> Iterator[UsageError]:
     if isinstance(value, BaseModel):
         yield from dimensions(where, value)
     elif isinstance(value, tuple):
-        for k, each in enumerate(value):
-            yield from _entry(f"{where}.{k}", name, each)
+        for k, item in enumerate(value):
+            yield from _entry(f"{where}.{k}", name, item)
     elif isinstance(value, float) and value:  # zero is none of it, such as no tip_mass
         for rule in RULES:
             if name in rule.keys:
@@ -97,7 +97,7 @@ def layers(
             yield from within(f"{where}.{k}.diameter", width, "m", 0.0, OVERHANG * metal, wide)
 
 
-def drives(scene: Scene) -> Iterator[UsageError]:
+def drive_levels(scene: Scene) -> Iterator[UsageError]:
     """Ideal voltages at the electrodes of bodies whose rating is known, once nets are known.
 
     What is beyond the rating, but not by far, or far below it, is a warning.
@@ -151,9 +151,9 @@ def judged(found: Iterable[UsageError], action: str) -> Iterator[UsageError]:
     """What remains an error under ``checks.plausible``; warns of the others, or is silent."""
     if action == "off":
         return
-    for each in found:
+    for item in found:
         if action == "warn":
-            warnings.warn(f"{each.where}: {each.got}: {each.message}", stacklevel=2)
+            warnings.warn(f"{item.where}: {item.got}: {item.message}", stacklevel=2)
             continue
-        each.hint = f"{each.hint or 'is the unit right?'} (checks.plausible = 'warn' runs it)"
-        yield each
+        item.hint = f"{item.hint or 'is the unit right?'} (checks.plausible = 'warn' runs it)"
+        yield item

@@ -282,10 +282,12 @@ def named(deck: Deck, vectors: Mapping[str, np.ndarray]) -> dict[str, np.ndarray
     for key, (expression, factor) in deck.vectors.items():
         parts = []
         for sign, name in terms(expression):
-            found = vectors.get(name, vectors.get(f"i({name})"))  # currents of devices in raw files
-            if found is None:
+            result = vectors.get(
+                name, vectors.get(f"i({name})")
+            )  # currents of devices in raw files
+            if result is None:
                 raise SimulationError("ngspice did not save a vector", where=deck.main, got=name)
-            parts.append(sign * found)
+            parts.append(sign * result)
         data[key] = factor * np.sum(parts, axis=0)
     return data
 
@@ -460,7 +462,7 @@ def run_with_retries(
         attempts.append(Attempt(setting.name, setting.changes, *blame, wall, points))
         if failure.cause is None:
             return Outcome(tried, waves, verdict, tuple(attempts))
-        following = next((each for each in left if cause in each.cures), None)
+        following = next((item for item in left if cause in item.cures), None)
         if following is None or len(attempts) > retries:
             vain = [f"{a.setting} ({a.settings})" for a in attempts[1:]]
             hints = [

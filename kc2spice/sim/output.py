@@ -90,8 +90,8 @@ def classify(text: str) -> Failure:
 
 def statistics(text: str) -> dict[str, float]:
     """Accepted and rejected points, iterations and CPU seconds that ``.options acct`` prints."""
-    found = {key: re.search(pattern, text) for key, pattern in _STATS.items()}
-    return {key: float(match[1]) for key, match in found.items() if match}
+    result = {key: re.search(pattern, text) for key, pattern in _STATS.items()}
+    return {key: float(match[1]) for key, match in result.items() if match}
 
 
 # --- failed runs ------------------------------------------------------------------------------

@@ -75,12 +75,12 @@ class _Sampler:
         if self.progress is not None and (share - self.shown >= 1e-3 or share > 1 - 1e-9):
             self.shown = share
             self.progress(share)
-        for k, each in enumerate(self.sampled):
-            due = self.samples[k] * each.period
+        for k, item in enumerate(self.sampled):
+            due = self.samples[k] * item.period
             if time >= due * (1 - 1e-12):
                 self.samples[k] += 1
                 values = {p.name.decode().lower(): p.real for p in points}
-                self.answers[each.source] = (due + each.delay, each.call(due, values))
+                self.answers[item.source] = (due + item.delay, item.call(due, values))
 
     def source(self, volts: Any, time: float, name: bytes, *_: object) -> None:
         """Nothing changes before the step that ends at the instant is over."""
@@ -92,9 +92,9 @@ class _Sampler:
     def step(self, time: float, step: Any, *_: object) -> None:
         """A step that ends at the next instant at the latest."""
         ahead = [
-            (math.floor((time - shift) / each.period + 1 + 1e-9) * each.period + shift) - time
-            for each in self.sampled
-            for shift in (0.0, each.delay)
+            (math.floor((time - shift) / item.period + 1 + 1e-9) * item.period + shift) - time
+            for item in self.sampled
+            for shift in (0.0, item.delay)
         ]
         step[0] = min(step[0], *(a for a in ahead if a > 0), math.inf)
 
@@ -141,12 +141,12 @@ def run_shared(
 
 
 def _flattened(deck: Deck, file: str) -> list[str]:
-    found: list[str] = []
+    result: list[str] = []
     for line in deck.files[file].splitlines():
         word, _, target = line.partition(" ")
         included = word.lower() in INCLUDES
-        found += _flattened(deck, target.strip().strip("\"'")) if included else [line]
-    return found
+        result += _flattened(deck, target.strip().strip("\"'")) if included else [line]
+    return result
 
 
 class Library:
@@ -236,8 +236,8 @@ class Library:
 
 def _private_copy() -> ctypes.CDLL:
     """libngspice from a copy of its file, so that its globals are nobody else's."""
-    found = ctypes.util.find_library("ngspice")
-    if found is None:
+    result = ctypes.util.find_library("ngspice")
+    if result is None:
         raise MissingToolError(
             "libngspice is not on this machine",
             where="shared library path",
@@ -245,10 +245,10 @@ def _private_copy() -> ctypes.CDLL:
             hint=_HINT,
         )
     try:
-        plain = ctypes.CDLL(found)
+        plain = ctypes.CDLL(result)
         maps = Path("/proc/self/maps")  # Linux finds a name; what it has loaded has a path
-        loaded = maps.read_text("utf-8").split() if maps.is_file() else [found]
-        path = next((word for word in loaded if found in word and Path(word).is_file()), None)
+        loaded = maps.read_text("utf-8").split() if maps.is_file() else [result]
+        path = next((word for word in loaded if result in word and Path(word).is_file()), None)
         if path is None:  # the system's one copy has to do
             return plain
         with tempfile.TemporaryDirectory(prefix="kc2spice-") as folder:
@@ -257,7 +257,7 @@ def _private_copy() -> ctypes.CDLL:
             return ctypes.CDLL(str(copy), mode=mode)  # mapped: the file may go
     except OSError as error:
         raise MissingToolError(
-            "libngspice cannot be loaded", where=found, got=str(error), hint=_HINT
+            "libngspice cannot be loaded", where=result, got=str(error), hint=_HINT
         ) from None
 
 

@@ -48,12 +48,12 @@ def plan_lines(found: Mapping[str, Any], without: Collection[str] = ()) -> str:
     facts = {
         "modelled": ", ".join(part["part"] for part in found["parts"]),
         f"numerical settings (error {error})": ", ".join(
-            f"{each['key']} {each['value']:g}"
-            for each in found["settings"]
-            if each["key"] not in without
+            f"{item['key']} {item['value']:g}"
+            for item in found["settings"]
+            if item["key"] not in without
         ),
         "left out (sizes: kc2spice explain)": "; ".join(
-            each["effect"] for each in found["left_out"]
+            item["effect"] for item in found["left_out"]
         ),
     }
     lines = [f"{head}: {text}" for head, text in facts.items() if text]
@@ -144,7 +144,7 @@ def library(
     Besides ``values`` the template has the names of its ``pins`` and the ``card`` behind
     ``.subckt``: name, pins and parameters with their defaults.
     """
-    pins = tuple(Pin(each.name, each.unit, each.flow) for each in terminals)
+    pins = tuple(Pin(item.name, item.unit, item.flow) for item in terminals)
     words = {"rating": rating, "validity": validity, "sign": sign}
     names = [pin.name for pin in pins]
     card = " ".join((name, *names, parameter_list(params)))

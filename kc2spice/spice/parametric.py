@@ -20,15 +20,15 @@ from kc2spice.rom.varying import Varying
 from kc2spice.spice.header import Header
 from kc2spice.spice.realize import (
     DAMPING,
-    FOLLOWED,
     MICRO,
+    RINGING,
     UNRATED,
     Card,
     PortTerminal,
-    Watch,
+    StepWeights,
     conservative,
-    drives,
     enclosed,
+    input_cards,
     model_terminals,
     scales,
     subcircuit_pins,
@@ -56,7 +56,7 @@ def parametric_subcircuit(
     *,
     title: str = "reduced linear model of the whole device",
     rating: str = UNRATED,
-    watch: Watch = FOLLOWED,
+    weights: StepWeights = RINGING,
 ) -> Subcircuit:
     """One ``.subckt`` with the pins of every port and the parameters of the box.
 
@@ -84,7 +84,7 @@ def parametric_subcircuit(
         *_expressions(model, parameters),
         _STOP,
         *_stops(parameters, base),
-        *_cards(model, rom.B, np.sqrt(np.diag(rom.K)), terminals, base, watch),
+        *_cards(model, rom.B, np.sqrt(np.diag(rom.K)), terminals, base, weights),
     ]
     params = (*parameters, *([DAMPING] if any(model.damped) else []))
     words = {"title": title, "rating": rating, "within": ", parameters within their ranges,"}
@@ -181,14 +181,14 @@ def _cards(
     omega: np.ndarray,
     terminals: Sequence[PortTerminal],
     base: str,
-    watch: Watch,
+    weights: StepWeights,
 ) -> Iterator[str]:
     """Elements: ports, then states; ``gain`` and ``omega`` are those of the defaults, which scale
     states as :func:`kc2spice.spice.realize.subcircuit` scales them::
 
         C p_i' = -C / w_i sum_j (s_i / s_j) (k_ij q_j + e_ij w_j p_j) + (C s_i / w_i) sum_k g_ik u_k
     """
-    scale, farad = scales(gain, terminals), watch.farad(omega, omega.min())
+    scale, farad = scales(gain, terminals), weights.farad(omega, omega.min())
     order = [t for t in terminals if t.kind == "electrical"]
 
     def seen(i: int, k: int, label: str) -> list[Card]:
@@ -209,7 +209,7 @@ def _cards(
         )
         return replace(t, capacitance=_capacitance(n, n), through=shared)
 
-    yield from conservative([wired(k, t) for k, t in enumerate(terminals)], base, watch.share)
+    yield from conservative([wired(k, t) for k, t in enumerate(terminals)], base, weights.share)
     at, stiff = 0, _nonzero(model)[1]
     for size in model.blocks:
         names = range(at + 1, at + size + 1)
@@ -231,7 +231,7 @@ def _cards(
             force = number(c * s / w / MICRO)
             moved = np.any(model.gain[:, i - 1], axis=0).tolist()
             row = [f"{force}*g{i}_{n}" if there else "" for n, there in enumerate(moved, 1)]
-            pushes = (card for card in drives(i, row, terminals, base) if card.value)
+            pushes = (card for card in input_cards(i, row, terminals, base) if card.value)
             yield from (card.onto(base, f"p{i}") for card in pushes)
             for t in order:
                 charges = seen(i, t.column or 0, f"Gc{i}{t.tag}")

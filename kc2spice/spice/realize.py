@@ -37,7 +37,7 @@ _DRIVES = {"mechanical": "f", "rotational": "f", "electrical": "v", "acceleratio
 
 
 @dataclass(frozen=True)
-class Watch:
+class StepWeights:
     """What step control sees of a body: an error of charge is its error of motion
     (:func:`_resonators`).
 
@@ -54,9 +54,9 @@ class Watch:
         return STATE * np.minimum(1.0, (omega / (self.full * slowest)) ** self.power)
 
 
-FOLLOWED = Watch(3.0, 2, 0.01)  # the body's own ringing is a result
-STRIKING = Watch(3.0, 6, 0.01)  # until it has struck: a quarter fewer points at an equal launch
-COARSE = Watch(8.0, 6, 1e-6)  # only what a contact throws is: half the time points
+RINGING = StepWeights(3.0, 2, 0.01)  # the body's own ringing is a result
+THROWING = StepWeights(3.0, 6, 0.01)  # until it has struck: fewer points, an equal launch
+COARSE = StepWeights(8.0, 6, 1e-6)  # only what a contact throws is: half the time points
 _NOTES = "docs/notes/netlist.md"
 PIVOTS = f"""
 * Three breakpoints at a picosecond fix the pivots: {_NOTES}#pivots
@@ -216,7 +216,7 @@ def subcircuit(
     rating: str = UNRATED,
     ports: Sequence[str] | None = None,
     dense: bool = False,
-    watch: Watch = FOLLOWED,
+    weights: StepWeights = RINGING,
     noise: bool = False,
 ) -> Subcircuit:
     """One ``.subckt`` with the pins of every port of ``rom``.
@@ -236,7 +236,7 @@ def subcircuit(
     header : origin; that of the model itself unless given.
     title, rating : what the device is and what it stands, for the head of the library.
     ports : names of the ports to bring out, all by default; the others see no load.
-    watch : how closely step control follows the modes of the resonator form.
+    weights : how closely step control follows the modes of the resonator form.
     noise : whether its losses have thermal noise.
 
     Raises
@@ -268,7 +268,7 @@ def subcircuit(
     params: tuple[Param, ...] = ()
     if isinstance(form, Resonators):
         params = (DAMPING,) if np.any(form.damp > 0) else ()
-        about, body = _resonators(form, rom, terminals, base, watch, noise)
+        about, body = _resonators(form, rom, terminals, base, weights, noise)
     else:
         about, body = _blocks(form, rom, terminals, base)
         if base == "ref":
@@ -328,7 +328,7 @@ def _modal(rom: LinearModel) -> Resonators | None:
     if rom.first_order or not rom.symmetric or not all(port.conservative for port in rom.ports):
         return None
     try:
-        found = resonators(rom)
+        result = resonators(rom)
     except UsageError as error:
         if error.where != "resonator form":
             raise
@@ -337,8 +337,8 @@ def _modal(rom: LinearModel) -> Resonators | None:
         port.kind == "acceleration" or (port.kind == "electrical" and own <= 0)
         for port, own in zip(rom.ports, np.diag(rom.D), strict=True)
     ]
-    relaxing = np.abs(found.gain[found.inertia == 0.0][:, rates])
-    return None if (relaxing > CROSS * np.abs(found.gain).max(initial=0.0)).any() else found
+    relaxing = np.abs(result.gain[result.inertia == 0.0][:, rates])
+    return None if (relaxing > CROSS * np.abs(result.gain).max(initial=0.0)).any() else result
 
 
 # ------------------------------------------------------------------------------- ports and pins
@@ -346,7 +346,7 @@ def _modal(rom: LinearModel) -> Resonators | None:
 
 def model_terminals(rom: LinearModel, D: np.ndarray, where: str) -> list[PortTerminal]:
     several = sum(port.kind == "electrical" for port in rom.ports) > 1
-    found, column, row = [], 0, 0
+    result, column, row = [], 0, 0
     for port in rom.ports:
         pins = tuple(checked_name(pin) for pin in port.terminals)
         electrical = port.kind == "electrical"
@@ -365,8 +365,8 @@ def model_terminals(rom: LinearModel, D: np.ndarray, where: str) -> list[PortTer
         if clamped < 0:
             raise UsageError("negative capacitance", where=where, got=port.name)
         tag = f"_{checked_name(port.name)}" if electrical and several else ""
-        found.append(PortTerminal(port, pins, tag, into, out, clamped))
-    return found
+        result.append(PortTerminal(port, pins, tag, into, out, clamped))
+    return result
 
 
 def subcircuit_pins(terminals: Sequence[PortTerminal], name: str) -> tuple[tuple[Pin, ...], str]:
@@ -514,7 +514,7 @@ def _resonators(
     rom: LinearModel,
     terminals: list[PortTerminal],
     base: str,
-    watch: Watch,
+    weights: StepWeights,
     noise: bool,
 ) -> tuple[list[str], list[str]]:
     """With ``z_j'' + d_j z_j' + w_j^2 z_j = sum_k g_jk u_k`` and ``s_j = max_k |g_jk|`` over the
@@ -523,7 +523,7 @@ def _resonators(
 
         C q' = C w p,    C p' = -C w q - C d p + (C s / w) sum_k g_k u_k
 
-    with ``C = 1 uF min(1, (w / 3 w_1)^2)`` or as ``watch`` says: step control sees an error of
+    with ``C = 1 uF min(1, (w / 3 w_1)^2)`` or as ``weights`` says: step control sees an error of
     charge, ``C`` times that of the displacement, and slow modes decide nothing in a contact, but
     ring long after it.
     A state without inertia is q alone, ``C q' = -G q + (G s / w^2) sum_k g_k u_k`` with
@@ -546,18 +546,19 @@ def _resonators(
             [(gain / scale).T * [[MICRO / t.unit] for t in terminals], np.zeros_like(gain.T)]
         ),
     )
-    farad = watch.farad(omega, omega[heavy].min(initial=np.inf))
+    farad = weights.farad(omega, omega[heavy].min(initial=np.inf))
     siemens = np.where(heavy, farad * omega, SIEMENS)
     force = siemens * scale[:, 0] / (omega**2 * MICRO)
     drive = force[:, None] * gain
-    about = _RESONATORS.format(full=watch.full, power=watch.power, silent=SILENT).split("\n")
+    about = _RESONATORS.format(full=weights.full, power=weights.power, silent=SILENT).split("\n")
     wired = _wired(terminals, states, rom.D, rom, base)
-    body = conservative([replace(t, sums=()) if t.clamped else t for t in wired], base, watch.share)
+    stored = [replace(t, sums=()) if t.clamped else t for t in wired]
+    body = conservative(stored, base, weights.share)
     for j in range(len(order)):
         make = _mode if heavy[j] else _relaxation
         body += make(j + 1, omega[j], damp[j], farad[j], base)
         node = f"p{j + 1}" if heavy[j] else f"q{j + 1}"
-        body += [card.onto(base, node) for card in drives(j + 1, drive[j], terminals, base)]
+        body += [card.onto(base, node) for card in input_cards(j + 1, drive[j], terminals, base)]
         if noise and damp[j] > 0:
             body.append(f"Rnoise{j + 1} noise{j + 1} {base} {{damping*{number(damp[j])}}}")
             body.append(f"Gn{j + 1} {base} {node} noise{j + 1} {base} {number(force[j])}")
@@ -602,7 +603,7 @@ def scales(gain: np.ndarray, terminals: Sequence[PortTerminal]) -> np.ndarray:
     return np.where(scale > 0, scale, 1.0)
 
 
-def drives(
+def input_cards(
     index: int,
     row: np.ndarray | Sequence[Value],
     terminals: Sequence[PortTerminal],
@@ -644,7 +645,7 @@ def _blocks(
     farad = 1 / (2 * np.pi * (band[1] if band else 1.0))
     B, C = model.B.copy(), model.C.copy()
     none = np.zeros((len(B), 0)), np.zeros((0, len(B))), B[:0], C[:, :0], B[:0, :0]
-    F, P, Q, R, S = (each.copy() for each in model.loops or none)
+    F, P, Q, R, S = (item.copy() for item in model.loops or none)
     scaled, held, start = [], [], 0
     for block in model.blocks:
         rows = slice(start, start + len(block))
@@ -673,7 +674,7 @@ def _blocks(
     body = [f"R{pin} {pin} {base} 1" for pin in own]
     body += ["* An input that is left open is zero."] * bool(inputs)
     body += [f"Gleak{k} {p} {base} {p} {base} {number(LEAK)}" for k, p in enumerate(inputs, 1)]
-    body += conservative(ports, base, FOLLOWED.share)
+    body += conservative(ports, base, RINGING.share)
     for index, t in enumerate((t for t in wired if t.kind == "output"), 1):
         body += [
             f"\n* Output {t.pins[0]}",
@@ -749,12 +750,12 @@ def _balanced(
 
 def _description(block: np.ndarray) -> str:
     """Poles of a block in a word for the reader."""
-    found = np.linalg.eigvals(block)
+    result = np.linalg.eigvals(block)
     texts = [
         f"{abs(pole) / (2 * np.pi):.6g} Hz, damping ratio {0.0 - pole.real / abs(pole):.6g}"
         if pole.imag > 0
         else f"pole {pole.real:.6g} 1/s"
-        for pole in found[found.imag >= 0]
+        for pole in result[result.imag >= 0]
     ]
     more = f"; and {len(texts) - 3} more" if len(texts) > 3 else ""
     return "; ".join(texts[:3]) + more
@@ -774,16 +775,16 @@ def loaded(
     names = [pin.name if pin.name.lower() in ends else "" for pin in library.pins]
     nodes = {name.lower(): f"{name}{tag}" for name in names if name}
     joined = " ".join(f"{name}{tag}" if name else "0" for name in names)
-    cards, found = [f"X{library.name}{tag} {joined} {library.name}"], {}
+    cards, result = [f"X{library.name}{tag} {joined} {library.name}"], {}
     for port in model.ports:
         node, size = nodes[port.terminals[0].lower()], " AC 1" if port == load else ""
         if port.kind in MOVING:
             cards += [f"I{node} 0 {node} DC 0{size}"] if size else []
-            found[port.name] = (f"v({node})", MICRO if port.kind == "mechanical" else 1.0)
+            result[port.name] = (f"v({node})", MICRO if port.kind == "mechanical" else 1.0)
         elif port.kind == "output":
-            found[port.name] = (f"v({node})", 1.0)
+            result[port.name] = (f"v({node})", 1.0)
         else:
             cards.append(f"V{node} {node} 0 DC 0{size}")
             if port.kind != "input":
-                found[port.name] = (f"i(v{node.lower()})", -1.0)
-    return cards, found
+                result[port.name] = (f"i(v{node.lower()})", -1.0)
+    return cards, result

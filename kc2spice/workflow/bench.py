@@ -113,17 +113,17 @@ class _Plane:
         """What one value of an axis does by itself, never less than a finer one does."""
         if (axis.name, notch) not in self.known:
             finer = next((n for n in NOTCHES if n > notch), None)
-            found = dict.fromkeys(self.names, 0.0) if finer is None else self.alone(axis, finer)
+            result = dict.fromkeys(self.names, 0.0) if finer is None else self.alone(axis, finer)
             change = dict.fromkeys(self.names, np.inf)
             if (point := self.points.get(_label(axis.at(notch)))) is not None:
                 change = _errors(point.run, self.runs.at({axis.name: REFERENCE}), self.names)
-            self.known[axis.name, notch] = {n: max(found[n], change[n]) for n in self.names}
+            self.known[axis.name, notch] = {n: max(result[n], change[n]) for n in self.names}
         return self.known[axis.name, notch]
 
     def bound(self, point: _Point) -> float:
         """Sum of the errors of its values, each alone."""
-        each = [self.alone(axis, n) for axis, n in zip(self.axes, point.place, strict=True)]
-        return max(sum(errors[name] for errors in each) for name in self.names)
+        item = [self.alone(axis, n) for axis, n in zip(self.axes, point.place, strict=True)]
+        return max(sum(errors[name] for errors in item) for name in self.names)
 
     def guarded(self, point: _Point) -> float:
         """Error that does not hang on errors which cancel."""
@@ -263,15 +263,15 @@ def _wanted(run: Run, names: Sequence[str]) -> tuple[str, ...]:
     ------
     UsageError : a metric that the scene does not have.
     """
-    found: list[str] = []
+    result: list[str] = []
     for name in names:
         hits = [known for known in run.values if known == name or known.startswith(f"{name}.")]
         if not hits:
             raise unknown("this scene has no such metric", name, run.values, "--metric")
-        found += hits
+        result += hits
     numbers = {name: v for name, v in run.values.items() if v.dtype.kind != "b"}
     scalars = [name for name, v in numbers.items() if v.ndim == 0]
-    return tuple(dict.fromkeys(found or scalars or numbers))
+    return tuple(dict.fromkeys(result or scalars or numbers))
 
 
 def _steady(plane: _Plane, wanted: Sequence[str], *, all_of_them: bool) -> Errors:
@@ -305,11 +305,11 @@ def _errors(run: Run, exact: Run, names: Sequence[str]) -> Errors:
         ours = run.values.get(name)
         if value.dtype.kind == "b" and not np.array_equal(np.nan if ours is None else ours, value):
             raise SimulationError(f"{name} is {ours}, with the finest settings {value}")
-    found = changes(run, exact)
+    result = changes(run, exact)
     for name in names:
-        if found[name] == np.inf:
+        if result[name] == np.inf:
             raise SimulationError(f"has no {name}")
-    return {name: found[name] for name in names}
+    return {name: result[name] for name in names}
 
 
 def _words(settings: Mapping[str, Any]) -> list[str]:
@@ -325,5 +325,5 @@ def _label(settings: Mapping[str, Any]) -> str:
 
 def _short(value: Any) -> str:
     if isinstance(value, list):
-        return "…".join(f"{each:g}" for each in value)
+        return "…".join(f"{item:g}" for item in value)
     return value if isinstance(value, str) else f"{value:g}"

@@ -128,19 +128,19 @@ def _libraries(build: Build, header: Header) -> Iterator[Subcircuit]:
     for part in build.scene.parts.values():
         if mover(part.name, build.scene):
             continue
-        for found in part.type.subcircuits(part, build, header):
+        for result in part.type.subcircuits(part, build, header):
             if build.noisy and not part.netlist:
                 meters = part.type.noise
-                found = quiet(found, () if isinstance(meters, str) else meters)
-            same = known.get(found.filename.lower())
+                result = quiet(result, () if isinstance(meters, str) else meters)
+            same = known.get(result.filename.lower())
             if same is None:
-                known[found.filename.lower()] = found
-                yield found
-            elif same.text != found.text:
+                known[result.filename.lower()] = result
+                yield result
+            elif same.text != result.text:
                 raise UsageError(
                     "two different libraries have one name",
                     where=part.name,
-                    got=found.filename,
+                    got=result.filename,
                     expected="names that differ",
                     hint="rename the part or the included file",
                 )
@@ -198,22 +198,22 @@ def _step_line(build: Build) -> str:
 
 def _command(build: Build) -> Command:
     scene = build.scene
-    chosen = scene.analysis
-    if chosen.type == "transient":
+    selected = scene.analysis
+    if selected.type == "transient":
         uic = bool(begins(scene))
         step = (build.largest or largest_step(build)).step
         return transient(scene.stop, step, uic=uic)
-    if chosen.type == "ac":
+    if selected.type == "ac":
         # of two linear points ngspice gives the first alone
-        points = 3 if (chosen.points, chosen.scale) == (2, "linear") else chosen.points
-        return ac(chosen.start, float(chosen.stop or 0.0), points, chosen.scale)
-    if chosen.type == "noise":
+        points = 3 if (selected.points, selected.scale) == (2, "linear") else selected.points
+        return ac(selected.start, float(selected.stop or 0.0), points, selected.scale)
+    if selected.type == "noise":
         return meters.command(build)
-    if chosen.type == "op":
+    if selected.type == "op":
         return Command("op", ())
-    _, _, found = swept(build)
+    _, _, result = swept(build)
     values = sweep_values(build)
-    return dc(found.source, found.scale * values[0], found.scale * values[-1], values.size)
+    return dc(result.source, result.scale * values[0], result.scale * values[-1], values.size)
 
 
 def _initial(build: Build, loose: Sequence[Free]) -> dict[str, float]:
@@ -223,11 +223,11 @@ def _initial(build: Build, loose: Sequence[Free]) -> dict[str, float]:
     own = (part for part in parts.values() if not mover(part.name, build.scene))
     rows = {part.name: part.type.settable(part, build).items() for part in own}
     states = {n: {k: v for k, v in row if isinstance(v, float)} for n, row in rows.items()}
-    found = {node: value for each in states.values() for node, value in each.items()}
+    result = {node: value for item in states.values() for node, value in item.items()}
     for group in loose:
         if group.nets and not group.bodies and not any(states[name] for name in group.parts):
-            found[group.nets[0]] = 0.0  # dampers alone
-    return found
+            result[group.nets[0]] = 0.0  # dampers alone
+    return result
 
 
 def edited_deck(build: Build, own: Deck, path: Path) -> tuple[Deck, Build]:
@@ -245,8 +245,8 @@ def edited_deck(build: Build, own: Deck, path: Path) -> tuple[Deck, Build]:
 
     Warns of options that are not the scene's: they decide how accurate its results are.
     """
-    found = checked(path, trust=build.trust)
-    text, cards = found.text, list(found.cards(title=True))
+    result = checked(path, trust=build.trust)
+    text, cards = result.text, list(result.cards(title=True))
     refuse(cards, part=False)
     analyses = [s for s in cards if s.keyword in ANALYSES]
     if [s.keyword for s in analyses] != [f".{own.command.kind}"]:
@@ -302,14 +302,14 @@ def _edits(own: Deck, edited: Deck) -> set[str]:
         return card.model, card.values, card.settings, card.expression
 
     before, now = ({e.key: e for e in deck.scope.elements} for deck in (own, edited))
-    found = set()
+    result = set()
     for key in before.keys() | now.keys():
         a, b = before.get(key), now.get(key)
         if a is None or b is None or said(a) != said(b):
-            found.add(owner.get(key, key))
+            result.add(owner.get(key, key))
         elif a.ends != b.ends:  # an instance is still the part that its keys tell
-            found.add(key if key.startswith("x") else owner.get(key, key))
-    return found
+            result.add(key if key.startswith("x") else owner.get(key, key))
+    return result
 
 
 def _require_results(own: Deck, text: str, path: Path) -> None:

@@ -63,13 +63,13 @@ def _spare_other_decks(out: Path, files: Mapping[str, str]) -> None:
         return path.read_text(encoding="utf-8", errors="replace")
 
     decks = sorted(out.glob("*.cir")) if out.is_dir() else ()
-    for deck in (each for each in decks if each.name not in files):
+    for deck in (item for item in decks if item.name not in files):
         for card in statements(text(deck), deck.name, title=True):
             name = card.words[-1].strip("\"'") if card.keyword == ".include" else ""
             if name not in files or not (out / name).is_file():
                 continue
             old, new = (
-                [each.written for each in statements(known, name) if each.written]
+                [item.written for item in statements(known, name) if item.written]
                 for known in (text(out / name), files[name])
             )
             if old != new:  # what a simulator reads of them

@@ -84,7 +84,7 @@ def fit(
     whole = body.descent()
     ends = _descents(whole)
     end = _corrected(whole, ends[0])
-    start = body.response(whole.made, {each.key: each.value for each in keys})
+    start = body.response(whole.made, {item.key: item.value for item in keys})
     record = _record(body, start, end, ends)
     if out is None:
         return record
@@ -105,17 +105,17 @@ def _varied(
     scene: Scene, part: str, vary: Sequence[str] | Mapping[str, tuple[float, float] | None]
 ) -> list[Varied]:
     ends = dict(vary) if isinstance(vary, Mapping) else dict.fromkeys(vary)
-    found = []
+    result = []
     for text, span in ends.items():
         key, _, told = text.partition("=")
         value, unit = number_of(scene.part(part, where=part), key, key)
         factor = LOSSES if _LOSSY.search(key) else SPREAD
         span = (_range(key, told) if told else span) or (value / factor, value * factor)
-        found.append(ranged(key, unit, value, span))
-    names = [each.key for each in found]
+        result.append(ranged(key, unit, value, span))
+    names = [item.key for item in result]
     if len(set(names)) < len(names):
         raise UsageError("a key is varied twice", where=part, got=", ".join(names))
-    return found
+    return result
 
 
 def _range(key: str, text: str) -> tuple[float, float]:
@@ -166,7 +166,7 @@ class _Body:
         except UsageError as error:
             raise UsageError(
                 "the ranges hold values that the part cannot have",
-                where=", ".join(each.key for each in self.keys),
+                where=", ".join(item.key for item in self.keys),
                 got=error.message if error.got is None else f"{error.message}: {error.got}",
                 expected="ranges of possible parts",
                 hint="give a narrower one: --vary KEY=low:high",
@@ -212,7 +212,7 @@ class _Body:
 
     def descent(self) -> _Descent:
         """Least squares of the reduced model of all ranges."""
-        axes = [each.axis for each in self.keys if each.key != TANGENT]
+        axes = [item.axis for item in self.keys if item.key != TANGENT]
         return _Descent(self, parametric(self.full, axes, self.band))
 
 
@@ -240,7 +240,7 @@ class _Descent:
     @cached_property
     def bounds(self) -> tuple[np.ndarray, np.ndarray]:
         """Ends (keys,) of the logarithms of the absolute values."""
-        ends = np.log(np.abs([[each.low, each.high] for each in self.body.keys]))
+        ends = np.log(np.abs([[item.low, item.high] for item in self.body.keys]))
         return ends.min(axis=1), ends.max(axis=1)
 
     def values(self, x: np.ndarray) -> dict[str, float]:
@@ -248,7 +248,7 @@ class _Descent:
         low, high = self.bounds
         inside = np.exp(np.clip(x, low, high))
         keys = zip(self.body.keys, inside, strict=True)
-        return {each.key: float(np.sign(each.low) * v) for each, v in keys}
+        return {item.key: float(np.sign(item.low) * v) for item, v in keys}
 
     def deviation(self, x: np.ndarray) -> np.ndarray:
         """(2 n,) real and imaginary part of the logarithm of both admittances' ratio, by noise."""
@@ -272,7 +272,7 @@ class _Descent:
 
     def start(self, values: Mapping[str, float]) -> np.ndarray:
         """Coordinates of values, within the box."""
-        return np.clip(np.log(np.abs([values[each.key] for each in self.body.keys])), *self.bounds)
+        return np.clip(np.log(np.abs([values[item.key] for item in self.body.keys])), *self.bounds)
 
     def solve(self, values: Mapping[str, float]) -> _End:
         """The end of one descent."""
@@ -289,7 +289,7 @@ def _descents(descent: _Descent) -> list[_End]:
     draws = qmc.scale(qmc.Sobol(len(low), seed=1).random(DRAWS), low, high)
     costs = [float(np.sum(descent.deviation(x) ** 2)) for x in draws]
     best = [descent.values(draws[k]) for k in np.argsort(costs)[: STARTS - 1]]
-    starts = [{each.key: each.value for each in descent.body.keys}, *best]
+    starts = [{item.key: item.value for item in descent.body.keys}, *best]
     return sorted((descent.solve(values) for values in starts), key=lambda end: end.cost)
 
 
@@ -307,12 +307,12 @@ def _corrected(descent: _Descent, end: _End) -> _End:
         values = descent.values(x)
         exact = body.exact(values)
         left, J = descent.left_over(exact), descent.jacobian(x)
-        found = OptimizeResult(fun=left, jac=J, cost=0.5 * float(left @ left))
-        free = np.array([not _at_bound(each, values[each.key]) for each in body.keys])
+        result = OptimizeResult(fun=left, jac=J, cost=0.5 * float(left @ left))
+        free = np.array([not _at_bound(item, values[item.key]) for item in body.keys])
         U, s, Vt = np.linalg.svd(J[:, free], full_matrices=False)
-        pull = np.where(s * _widest(body.keys) > 4 * _more(found), U.T @ left, 0.0)
-        if np.abs(pull).max(initial=0.0) < SETTLED * _more(found):
-            return _End(values, found, exact)
+        pull = np.where(s * _widest(body.keys) > 4 * _more(result), U.T @ left, 0.0)
+        if np.abs(pull).max(initial=0.0) < SETTLED * _more(result):
+            return _End(values, result, exact)
         x[free] -= Vt.T @ (pull / np.maximum(s, 1e-12))
         if (x < low).any() or (x > high).any():
             break
@@ -329,8 +329,8 @@ def _record(body: _Body, start: np.ndarray, end: _End, ends: Sequence[_End]) -> 
     """What ``fit --json`` says; ``start`` is the admittance (n,) [S] of the scene's values."""
     solved, keys = end.solved, body.keys
     J = solved.jac
-    still = [each.key for each, c in zip(keys, J.T, strict=True)
-             if np.linalg.norm(c) * abs(np.log(each.high / each.low)) < 1.0]  # fmt: skip
+    still = [item.key for item, c in zip(keys, J.T, strict=True)
+             if np.linalg.norm(c) * abs(np.log(item.high / item.low)) < 1.0]  # fmt: skip
     if still:
         raise UsageError(
             "does not move the impedance",
@@ -356,16 +356,16 @@ def _record(body: _Body, start: np.ndarray, end: _End, ends: Sequence[_End]) -> 
     sigma = np.sqrt(np.diag(covariance))
     weak = 4 * _more(solved) > s * _widest(keys)
     parameters = {
-        each.key: {
-            "value": end.values[each.key],
-            "sigma": abs(end.values[each.key]) * float(sigma[k]),
-            "low": each.low,
-            "high": each.high,
-            "at_bound": _at_bound(each, end.values[each.key]),
+        item.key: {
+            "value": end.values[item.key],
+            "sigma": abs(end.values[item.key]) * float(sigma[k]),
+            "low": item.low,
+            "high": item.high,
+            "at_bound": _at_bound(item, end.values[item.key]),
         }
-        for k, each in enumerate(keys)
+        for k, item in enumerate(keys)
     }
-    best = min(ends, key=lambda each: each.cost)
+    best = min(ends, key=lambda item: item.cost)
     return {
         "part": body.part,
         "data": body.data.where,
@@ -377,8 +377,8 @@ def _record(body: _Body, start: np.ndarray, end: _End, ends: Sequence[_End]) -> 
         "correlation": (covariance / np.outer(sigma, sigma)).tolist(),
         "noise": body.data.noise,
         "resonances": _matched(body, start, end),
-        "starts": [{**each.values, "cost": each.cost} for each in ends],
-        "other_minima": sum(each.cost > APART * best.cost for each in ends),
+        "starts": [{**item.values, "cost": item.cost} for item in ends],
+        "other_minima": sum(item.cost > APART * best.cost for item in ends),
         "models": body.counted[0],
         "notes": list(body.data.notes),
     }
@@ -392,24 +392,24 @@ def _more(solved: OptimizeResult) -> float:
 
 def _widest(keys: Sequence[Varied]) -> float:
     """The widest range in logarithms."""
-    return max(abs(float(np.log(each.high / each.low))) for each in keys)
+    return max(abs(float(np.log(item.high / item.low))) for item in keys)
 
 
 def _box(part: str, parameters: Mapping[str, Mapping[str, Any]]) -> str:
     """``rom.parameters`` of the part: every key within :data:`LIKELY` standard errors of its value
     and within its range, so that draws in a simulator are draws of the calibrated part."""
-    found = []
-    for key, each in parameters.items():
-        half = max(LIKELY * each["sigma"], NARROWEST * abs(each["value"]))
-        low, high = sorted((each["low"], each["high"]))
-        ends = max(low, each["value"] - half), min(high, each["value"] + half)
-        found.append(f'"{key}" = [{ends[0]!r}, {ends[1]!r}]')
-    return f'"{part}.rom.parameters" = {{ {", ".join(found)} }}\n'
+    result = []
+    for key, item in parameters.items():
+        half = max(LIKELY * item["sigma"], NARROWEST * abs(item["value"]))
+        low, high = sorted((item["low"], item["high"]))
+        ends = max(low, item["value"] - half), min(high, item["value"] + half)
+        result.append(f'"{key}" = [{ends[0]!r}, {ends[1]!r}]')
+    return f'"{part}.rom.parameters" = {{ {", ".join(result)} }}\n'
 
 
-def _at_bound(each: Varied, value: float) -> bool:
-    nearest = min(abs(np.log(value / each.low)), abs(np.log(value / each.high)))
-    return bool(nearest < 1e-4 * abs(np.log(each.high / each.low)))
+def _at_bound(item: Varied, value: float) -> bool:
+    nearest = min(abs(np.log(value / item.low)), abs(np.log(value / item.high)))
+    return bool(nearest < 1e-4 * abs(np.log(item.high / item.low)))
 
 
 def _matched(body: _Body, start: np.ndarray, end: _End) -> list[dict[str, float | None]]:
@@ -426,5 +426,5 @@ def _matched(body: _Body, start: np.ndarray, end: _End) -> list[dict[str, float 
 def _peaks(f: np.ndarray, Y: np.ndarray, noise: float) -> np.ndarray:
     """Frequencies at which the conductance stands out of its surroundings and of the noise."""
     least = np.maximum(PROMINENT * float(Y.real.max()), ABOVE_NOISE * noise * np.abs(Y))
-    found, _ = find_peaks(Y.real, prominence=least)
-    return np.asarray(f[found])
+    result, _ = find_peaks(Y.real, prominence=least)
+    return np.asarray(f[result])

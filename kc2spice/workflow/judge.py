@@ -38,14 +38,14 @@ def verdict(waves: Waveforms, build: Build) -> Verdict:
     checks += [
         Check(
             f"energy of {name}",
-            found.share,
-            slack * found.limit,
+            result.share,
+            slack * result.limit,
             "of what was turned over",
-            found.advice,
+            result.advice,
             scene.checks.energy,
             coarse=True,
         )
-        for name, found in balances.items()
+        for name, result in balances.items()
     ]
     gates = tuple((name, row) for name, row in rows if isinstance(row, Gate))
     return Verdict(tuple(c for c in checks if c.action != "off"), tuple(balances.items()), gates)
@@ -56,15 +56,15 @@ def metrics(waves: Waveforms, build: Build, *, partial: bool = False) -> dict[st
 
     A name that several parts have gets the part's name in front: ``left.kick_stroke_m``.
     """
-    scene, found = build.scene, dict[str, Mapping[str, Any]]()
+    scene, result = build.scene, dict[str, Mapping[str, Any]]()
     for part in scene.parts.values():
         with suppress(*([KeyError] if partial else [])):
-            found[part.name] = part.type.metrics(part, build, waves)
-    count = Counter(name for each in found.values() for name in each)
+            result[part.name] = part.type.metrics(part, build, waves)
+    count = Counter(name for item in result.values() for name in item)
     own = {
         name if count[name] == 1 else f"{part}.{name}": value
-        for part, each in found.items()
-        for name, value in each.items()
+        for part, item in result.items()
+        for name, value in item.items()
     }
     own |= meters.metrics(waves) if meters.WAVE in waves else {}
     last = abs(waves.scale[-1])
@@ -89,8 +89,8 @@ def take(probe: Probe, waves: Waveforms, name: str) -> float | None:
     if probe.at is not None:
         return _value(scale.real, values, probe.at, name)
     sizes = np.abs(values) if np.iscomplexobj(values) else values
-    found = _TAKEN[probe.take](scale, sizes, float(probe.level or 0.0))
-    return None if found is None else float(found)
+    result = _TAKEN[probe.take](scale, sizes, float(probe.level or 0.0))
+    return None if result is None else float(result)
 
 
 def frequency(scale: np.ndarray, values: np.ndarray) -> float | None:
@@ -148,5 +148,5 @@ def _value(scale: np.ndarray, values: np.ndarray, place: float, name: str) -> fl
             got=f"{place:g}",
             expected=f"{scale[0]:g} … {scale[-1]:g}",
         )
-    found = np.interp(place, scale, values)
-    return float(np.abs(found)) if np.iscomplexobj(found) else float(found)
+    result = np.interp(place, scale, values)
+    return float(np.abs(result)) if np.iscomplexobj(result) else float(result)

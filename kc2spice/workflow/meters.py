@@ -40,11 +40,11 @@ def output(build: Build) -> Vector:
     for part in parts.values():
         pins = (pin.name for pin in part.type.pins(part, build.scene))
         known |= {
-            each: build.across(part, pin)
+            item: build.across(part, pin)
             for pin in pins
-            if (each := f"{part.name}.{pin}") not in known and build.net(part, pin) != "0"
+            if (item := f"{part.name}.{pin}") not in known and build.net(part, pin) != "0"
         }
-    voltages = {each: found for each, found in known.items() if _ends(found) is not None}
+    voltages = {item: result for item, result in known.items() if _ends(result) is not None}
     if name not in voltages:
         message = "noise is that of a voltage or a motion"
         raise unknown(message, name, voltages, "analysis.output")
@@ -62,11 +62,11 @@ def _ends(found: Vector) -> str | None:
 
 def sources(deck: Deck, build: Build) -> Deck:
     """``deck`` with what each resistor that has noise adds, as ``noise.PART.NAME``."""
-    found = dict(_noisy(deck.scope, ""))
+    result = dict(_noisy(deck.scope, ""))
     parts = sorted(build.scene.parts, key=len, reverse=True)
     _, factor = deck.vectors[WAVE]
     vectors = {}
-    for name, path in found.items():
+    for name, path in result.items():
         own = path.partition(".")[0][1:]
         part = next((p for p in parts if own.startswith(p.lower())), None)
         if part is not None:
@@ -77,11 +77,11 @@ def sources(deck: Deck, build: Build) -> Deck:
 
 def _noisy(scope: Scope, path: str) -> Iterator[tuple[str, str]]:
     """Resistors with noise, as the simulator calls them, and their paths of instances."""
-    for each in scope.elements:
-        if each.kind == "x" and (inner := scope.find(each.model)) is not None:
-            yield from _noisy(inner, f"{path}{each.key}.")
-        elif each.kind == "r" and each.settings.get("noisy") != "0":
-            yield f"r.{path}{each.key}" if path else each.key, f"{path}{each.key}"
+    for item in scope.elements:
+        if item.kind == "x" and (inner := scope.find(item.model)) is not None:
+            yield from _noisy(inner, f"{path}{item.key}.")
+        elif item.kind == "r" and item.settings.get("noisy") != "0":
+            yield f"r.{path}{item.key}" if path else item.key, f"{path}{item.key}"
 
 
 def by_part(waves: Waveforms) -> dict[str, np.ndarray]:
@@ -92,13 +92,13 @@ def by_part(waves: Waveforms) -> dict[str, np.ndarray]:
         if word == WAVE and rest:
             part = rest.partition(".")[0]
             power[part] = power.get(part, 0.0) + np.abs(density) ** 2
-    return {part: np.sqrt(found) for part, found in power.items()}
+    return {part: np.sqrt(result) for part, result in power.items()}
 
 
 def metrics(waves: Waveforms) -> dict[str, Any]:
     """rms values over the band: of the output, and what each part adds to it."""
     f, parts = waves["frequency"].real, by_part(waves)
-    added = {"noise_by_part": {part: _rms(f, found) for part, found in parts.items()}}
+    added = {"noise_by_part": {part: _rms(f, result) for part, result in parts.items()}}
     return {WAVE: _rms(f, waves[WAVE])} | (added if len(parts) > 1 else {})
 
 
@@ -111,9 +111,9 @@ def reference(build: Build) -> tuple[str, str]:
 
 def command(build: Build) -> Command:
     """The card of the analysis."""
-    chosen, ends = build.scene.analysis, _ends(output(build))
-    first, last = chosen.start, float(chosen.stop or 0.0)
-    return noise(str(ends), reference(build)[0], first, last, chosen.points, chosen.scale)
+    selected, ends = build.scene.analysis, _ends(output(build))
+    first, last = selected.start, float(selected.stop or 0.0)
+    return noise(str(ends), reference(build)[0], first, last, selected.points, selected.scale)
 
 
 def _rms(f: np.ndarray, density: np.ndarray) -> float:
@@ -144,7 +144,7 @@ def figures(waves: Waveforms, unit: str) -> Iterator[Figure]:
         (f"rms from the lowest on in {unit.removesuffix(DENSITY)}", rising),
     )
     parts = by_part(waves)
-    added = [Curve(f"of {part}", factor * f, found, "--") for part, found in parts.items()]
+    added = [Curve(f"of {part}", factor * f, result, "--") for part, result in parts.items()]
     panels = [
         Panel(
             label,
@@ -163,8 +163,8 @@ Pairs = tuple[tuple[str, str], ...]  # names of a voltage and of the current tha
 
 def readings(build: Build) -> tuple[dict[str, Vector], dict[str, Pairs]]:
     """All results, and powers that are made of them."""
-    found = result_vectors(build)
-    return found, _powers(build, found)
+    result = result_vectors(build)
+    return result, _powers(build, result)
 
 
 def result_vectors(build: Build) -> dict[str, Vector]:
@@ -177,37 +177,37 @@ def result_vectors(build: Build) -> dict[str, Vector]:
         of = output(build)
         return {WAVE: Vector("onoise_spectrum", abs(of.factor), f"{of.unit}{DENSITY}")}
     copied = replaced(build.scene)
-    found: dict[str, Vector] = {}
+    result: dict[str, Vector] = {}
     for part in build.scene.parts.values():
         if part.name not in copied:
-            found |= part.type.vectors(part, build)
-    found |= _meter_vectors(build, found)
+            result |= part.type.vectors(part, build)
+    result |= _meter_vectors(build, result)
     if build.scene.analysis.type == "ac":
-        return {name: each for name, each in found.items() if "@" not in each.expression}
-    return found
+        return {name: item for name, item in result.items() if "@" not in item.expression}
+    return result
 
 
 def _meter_vectors(build: Build, known: Mapping[str, Vector]) -> dict[str, Vector]:
     """Results ``PART.PIN.current`` [A], into the part, and ``PART.PIN.potential`` [V] of pins with
     a meter, and ``PART.current``, that of the first pin."""
-    found: dict[str, Vector] = {}
+    result: dict[str, Vector] = {}
     for name, pin in metered(build.scene):
         part = build.scene.parts[name]
         read = Vector(f"i({build.meter(part, pin)})", 1.0, "A")
-        found[f"{name}.{pin}.current"] = read
-        found[f"{name}.{pin}.potential"] = Vector(f"v({build.net(part, pin)})", 1.0, "V")
+        result[f"{name}.{pin}.current"] = read
+        result[f"{name}.{pin}.potential"] = Vector(f"v({build.net(part, pin)})", 1.0, "V")
         if pin == electrical(part, build.scene)[0]:
-            found[f"{name}.current"] = read
+            result[f"{name}.current"] = read
     for part in _asked(build, "current"):
         if f"{part.name}.i" in known:  # of an element, under the name that bodies have it
-            found.setdefault(f"{part.name}.current", known[f"{part.name}.i"])
-    return {name: vector for name, vector in found.items() if name not in known}
+            result.setdefault(f"{part.name}.current", known[f"{part.name}.i"])
+    return {name: vector for name, vector in result.items() if name not in known}
 
 
 def _powers(build: Build, known: Mapping[str, Vector]) -> dict[str, Pairs]:
     """``PART.power`` [W] that probes ask for, by what it is the sum of: all that goes into a
     part, and what a source gives."""
-    found: dict[str, Pairs] = {}
+    result: dict[str, Pairs] = {}
     for part in _asked(build, "power"):
         n = part.name
         pairs = tuple(
@@ -215,9 +215,9 @@ def _powers(build: Build, known: Mapping[str, Vector]) -> dict[str, Pairs]:
         )
         if not pairs or not all(i in known for _, i in pairs):
             pairs = ((f"{n}.v", f"{n}.i"),)
-        if all(each in known for pair in pairs for each in pair):
-            found[f"{n}.power"] = pairs
-    return found
+        if all(item in known for pair in pairs for item in pair):
+            result[f"{n}.power"] = pairs
+    return result
 
 
 def _asked(build: Build, what: str) -> list[Part]:
@@ -239,8 +239,8 @@ def swept(build: Build) -> tuple[Part, str, Swept]:
     scene = build.scene
     name, _, key = str(scene.analysis.sweep).partition(".")
     part = scene.part(name, "analysis.sweep")
-    found = part.type.settable(part, build).get(key)
-    if not isinstance(found, Swept):
+    result = part.type.settable(part, build).get(key)
+    if not isinstance(result, Swept):
         raise UsageError(
             "cannot be swept by dc",
             where="analysis.sweep",
@@ -248,20 +248,20 @@ def swept(build: Build) -> tuple[Part, str, Swept]:
             expected="the dc value of a source, such as push.dc",
             hint="kc2spice sweep varies any key, one run each",
         )
-    return part, key, replace(found, range=found.range or _range(part, key, scene.analysis))
+    return part, key, replace(result, range=result.range or _range(part, key, scene.analysis))
 
 
 def sweep_values(build: Build) -> np.ndarray:
     """What a dc analysis steps through; beyond the last value of its range on the way back, where
     the source has ``2 last - value``."""
     first, last = swept(build)[2].range or (0.0, 0.0)
-    chosen, turns = build.scene.analysis, 2 if build.scene.analysis.back else 1
-    points = turns * (chosen.points - 1) + 1
+    selected, turns = build.scene.analysis, 2 if build.scene.analysis.back else 1
+    points = turns * (selected.points - 1) + 1
     return np.linspace(first, first + turns * (last - first), points)
 
 
-def _range(part: Part, key: str, chosen: object) -> tuple[float, float]:
-    units = {each.name: each.unit for each in model_keys(type(part.keys))}
+def _range(part: Part, key: str, selected: object) -> tuple[float, float]:
+    units = {item.name: item.unit for item in model_keys(type(part.keys))}
     unit = getattr(part.keys, "unit", None) or units.get(key) or ""
-    first, last = (quantity(getattr(chosen, name), unit) for name in ("from_", "to"))
+    first, last = (quantity(getattr(selected, name), unit) for name in ("from_", "to"))
     return first, last

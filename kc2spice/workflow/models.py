@@ -48,11 +48,11 @@ def libraries(scene: Scene) -> dict[str, str]:
         for part, name in names.items()
         if part not in users
     }
-    found = allocated(
+    result = allocated(
         ((library, library[1]) for library in dict.fromkeys(own.values())),
         {names[part].lower() for part in users},
     )
-    return {part: names[part] if part in users else found[own[part]] for part in parts}
+    return {part: names[part] if part in users else result[own[part]] for part in parts}
 
 
 def shared(build: Build) -> Build:
@@ -66,14 +66,14 @@ def shared(build: Build) -> Build:
         trial = replace(build, libraries={**names, **{part.name: kind.name for part in parts}})
         alike: dict[tuple[str, ...], list[str]] = {}
         for part in parts:
-            texts = tuple(found.text for found in kind.subcircuits(part, trial, header))
+            texts = tuple(result.text for result in kind.subcircuits(part, trial, header))
             alike.setdefault(texts, []).append(part.name)
         free = kind.name not in {name.lower() for name in names.values()}
         whole = len(alike) == 1 and free
         names |= {
-            each: kind.name if whole else names[group[0]]
+            item: kind.name if whole else names[group[0]]
             for group in alike.values()
-            for each in group
+            for item in group
         }
     return replace(build, libraries=names)
 
@@ -82,13 +82,13 @@ def model_facts(build: Build) -> dict[str, dict[str, float]]:
     """``model`` of ``result.json``: the numbers by which an engineer knows the parts."""
     parts = build.scene.parts.values()
     facts = {part.name: dict(build.facts(part)) for part in parts}
-    return {name: found for name, found in facts.items() if found}
+    return {name: result for name, result in facts.items() if result}
 
 
 def mode_tables(build: Build) -> dict[str, dict[str, Any]]:
     """``modes`` of ``result.json``: those of each body that has some within its band."""
-    found = {n: mode_table(m) for n, m in build.models.items() if isinstance(m, LinearModel)}
-    return {name: modes for name, modes in found.items() if modes}
+    result = {n: mode_table(m) for n, m in build.models.items() if isinstance(m, LinearModel)}
+    return {name: modes for name, modes in result.items() if modes}
 
 
 def rom_facts(build: Build) -> dict[str, Any]:
@@ -101,9 +101,9 @@ def rom_facts(build: Build) -> dict[str, Any]:
 
 
 def _rom(model: LinearModel) -> dict[str, Any]:
-    found: dict[str, Any] = {
+    result: dict[str, Any] = {
         "order": model.order,
         "ports": [port.name for port in model.ports],
         "massless": 0 if model.M is None else int((model.M.diagonal() == 0).sum()),
     }
-    return found if model.certificate is None else found | model.certificate.record()
+    return result if model.certificate is None else result | model.certificate.record()

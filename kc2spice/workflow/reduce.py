@@ -99,8 +99,8 @@ def _reduce_measured(
         from kc2spice.rom.multiport import multi_port  # late: what few need
 
         reduced = multi_port(data.f, data.Y, data.noise, data.where)
-    found = _written(data.name, len(data.f), reduced, out)
-    return found | {"notes": notes, "noise": data.noise}
+    result = _written(data.name, len(data.f), reduced, out)
+    return result | {"notes": notes, "noise": data.noise}
 
 
 def _written(
@@ -206,7 +206,7 @@ def first_deck(model: LinearModel, part: Subcircuit) -> Deck:
         name=f"{part.name}_response",
         title=title,
         parts=(part,),
-        vectors={f"{name}{_ANSWERS[kinds[name]]}": found for name, found in answers.items()},
+        vectors={f"{name}{_ANSWERS[kinds[name]]}": result for name, result in answers.items()},
         notes=f"* Over the band of the certificate, {low:g} to {high:g} Hz.",
         blocks=(
             Block("the model", (instance,)),

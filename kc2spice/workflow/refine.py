@@ -101,7 +101,7 @@ def changes(run: Run, finer: Run, near_zero: float = 0.0) -> dict[str, float]:
     for name, value in exact.items():
         unit = name.rpartition("_")[2]
         least[unit] = max(least.get(unit, 0.0), near_zero * float(np.abs(value).max()))
-    found = {}
+    result = {}
     for name, value in exact.items():
         mine = run.values.get(name)
         scale = max(float(np.abs(value).max()), least[name.rpartition("_")[2]])
@@ -109,11 +109,11 @@ def changes(run: Run, finer: Run, near_zero: float = 0.0) -> dict[str, float]:
         if mine is not None and value.shape == theirs.shape and mine.shape == ours.shape:
             value = np.interp(ours, theirs, value)
         if mine is None or mine.shape != value.shape or not np.isfinite(mine).all():
-            found[name] = np.inf
+            result[name] = np.inf
         else:
             apart = float(np.abs(mine.astype(float) - value).max())
-            found[name] = apart / scale if scale else 0.0
-    return found
+            result[name] = apart / scale if scale else 0.0
+    return result
 
 
 # --- an error budget ----------------------------------------------------------------------------
@@ -162,7 +162,7 @@ class Converged:
             "errors": dict(self.taken.errors),
             "shares": dict(self.shares),
             "unmoved": self.taken.unmoved,
-            "tried": [each.record() for each in self.tried],
+            "tried": [item.record() for item in self.tried],
         }
 
 

@@ -41,18 +41,18 @@ class Completed:
     def shown(self) -> tuple[Figure | Written, ...]:
         """What its probes and parts show of it, and further files."""
         build, waves, units = self.run.build, self.run.waves, self.run.deck.units
-        found: list[Figure | Written] = []
+        result: list[Figure | Written] = []
         if build.noisy:
-            found += meters.figures(waves, units[meters.WAVE])
-        found += probe_figures(build.scene.probes, waves, units)
+            result += meters.figures(waves, units[meters.WAVE])
+        result += probe_figures(build.scene.probes, waves, units)
         for part in build.scene.parts.values():
-            found += part.type.figures(part, build, waves)
-        return tuple(found)
+            result += part.type.figures(part, build, waves)
+        return tuple(result)
 
     @property
     def figures(self) -> tuple[Figure, ...]:
         """What is shown."""
-        return tuple(each for each in self.shown if isinstance(each, Figure))
+        return tuple(item for item in self.shown if isinstance(item, Figure))
 
     @cached_property
     def record(self) -> dict[str, Any]:
@@ -95,10 +95,10 @@ def _probe_units(
     """SI unit of each probe's metric, of those that have one."""
     scale = SCALES.get(next(iter(waves)), "")
     along = {"argmax": scale, "crossing": scale, "frequency": "Hz"}
-    found = {n: along.get(p.take, units.get(p.of, "")) for n, p in probes.items()}
+    result = {n: along.get(p.take, units.get(p.of, "")) for n, p in probes.items()}
     if meters.WAVE in units:
-        found[meters.WAVE] = units[meters.WAVE].removesuffix(meters.DENSITY)
-    return {name: unit for name, unit in found.items() if unit}
+        result[meters.WAVE] = units[meters.WAVE].removesuffix(meters.DENSITY)
+    return {name: unit for name, unit in result.items() if unit}
 
 
 def run(
@@ -155,7 +155,7 @@ def complete(
             build, made = prepared(scene, clock, trust=trust, functions=functions, edited=deck)
             try:
                 with clock.stage("simulate", f"{simulator.name} {simulator.version}") as share:
-                    found = simulate(build, made, work, progress=share)
+                    result = simulate(build, made, work, progress=share)
                 break
             except RetriesFailedError as error:
                 if deck is not None or not error.mends:
@@ -163,15 +163,15 @@ def complete(
                 told = ", ".join(f"{key} = {value}" for key, value in error.mends.items())
                 warnings.warn(f"{error.message}, {error.got}: run again with {told}", stacklevel=2)
                 scene = load_scene(scene, error.mends)
-        converged = converge(found, clock) if deck is None else None
+        converged = converge(result, clock) if deck is None else None
         if converged is not None:
-            found = _judged(converged)
-    for check in found.verdict.checks:
+            result = _judged(converged)
+    for check in result.verdict.checks:
         if not check.passed:
             limit = f"limit {check.limit:.3g}: {check.advice}"
             told = f"check {check.name}: {check.value:.3g} {check.unit}, {limit}"
             warnings.warn(told, stacklevel=2)
-    return Completed(found, simulator, clock, converged)
+    return Completed(result, simulator, clock, converged)
 
 
 def _judged(converged: Converged) -> Run:
@@ -198,16 +198,16 @@ def write_run_files(
         texts = deck.files | plot_script(deck)
         write_files(texts, work)
         files, shown = [*sorted(texts), *write_waveforms(waves, deck.units, work)], done.figures
-        for each in done.shown:
-            if isinstance(each, Written):
-                each.write(work / each.name)
-                files.append(each.name)
+        for item in done.shown:
+            if isinstance(item, Written):
+                item.write(work / item.name)
+                files.append(item.name)
         files += draw_all(work, shown) if png else []
     spare = [work / f"{scene.name}.raw", *work.glob(f"{scene.name}*.log")]
     files += [path.name for path in spare if keep and path.exists()]
     record["files"] = [*files, "report.html", "result.json"]
     write_run(work / "report.html", record, scene, shown)
-    found = write_record(record, work)
+    result = write_record(record, work)
     for path in spare if not keep else ():
         path.unlink(missing_ok=True)
-    return found
+    return result

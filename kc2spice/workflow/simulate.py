@@ -42,8 +42,8 @@ class Run(Outcome):
     @cached_property
     def values(self) -> dict[str, np.ndarray]:
         """Metrics that are numbers or arrays of numbers by dotted name; what is missing is nan."""
-        found = {n: np.asarray(np.nan if v is None else v) for n, v in leaves(self.metrics)}
-        return {name: value for name, value in found.items() if value.dtype.kind in "bif"}
+        result = {n: np.asarray(np.nan if v is None else v) for n, v in leaves(self.metrics)}
+        return {name: value for name, value in result.items() if value.dtype.kind in "bif"}
 
 
 def simulate(
@@ -62,16 +62,16 @@ def simulate(
     """
 
     def judge(waves: Waveforms) -> Verdict:
-        found = verdict(waves, build)
+        result = verdict(waves, build)
         if deck.text is None:
-            return found
-        checks = (replace(c, action="warn") if c.wiring else c for c in found.checks)
-        return replace(found, checks=tuple(checks))
+            return result
+        checks = (replace(c, action="warn") if c.wiring else c for c in result.checks)
+        return replace(result, checks=tuple(checks))
 
     engine = shared_engine(build, progress)
     write_files(deck.files, directory)  # whatever comes of it
     begin = children_cpu()
-    found = run_with_retries(
+    result = run_with_retries(
         deck,
         directory,
         retries=build.scene.solver.retries if retries is None else retries,
@@ -81,8 +81,8 @@ def simulate(
         timeout=timeout,
     )
     used = children_cpu() - begin
-    waves = _with_powers(found.waves, deck)
-    return Run(deck=found.deck, waves=waves, verdict=found.verdict, attempts=found.attempts,
+    waves = _with_powers(result.waves, deck)
+    return Run(deck=result.deck, waves=waves, verdict=result.verdict, attempts=result.attempts,
                build=build, metrics=metrics(waves, build), cpu_s=used)  # fmt: skip
 
 
@@ -92,11 +92,11 @@ def _with_powers(waves: Waveforms, deck: Deck) -> Waveforms:
     def power(v: np.ndarray, i: np.ndarray) -> np.ndarray:
         return (v * i.conj()).real / 2 if np.iscomplexobj(v) else v * i
 
-    found = {
-        name: np.asarray(sum(power(waves[v], waves[i]) for v, i in each))
-        for name, each in deck.powers.items()
+    result = {
+        name: np.asarray(sum(power(waves[v], waves[i]) for v, i in item))
+        for name, item in deck.powers.items()
     }
-    return replace(waves, data={**waves.data, **found})
+    return replace(waves, data={**waves.data, **result})
 
 
 def shared_engine(
@@ -109,11 +109,11 @@ def shared_engine(
     UsageError : a function stands in a file that is not trusted.
     """
     sampled = [
-        each
+        item
         for part in build.scene.parts.values()
         if build.scene.analysis.type == "transient"
-        for each in part.type.settable(part, build).values()
-        if isinstance(each, Sampled)
+        for item in part.type.settable(part, build).values()
+        if isinstance(item, Sampled)
     ]
 
     def shared(deck: Deck) -> Waveforms:
@@ -157,10 +157,12 @@ def _kept(out: Path) -> Path:
     """``<out>.failed``, or ``<out>.failed2`` and so on where something else has that name."""
     name = f"{out.name}.failed"
     for number in ("", *range(2, 100)):
-        found = out.with_name(f"{name}{number}")
-        if not os.path.lexists(found) or ((found / FAILURE).is_file() and not found.is_symlink()):
-            return found
-    return found
+        result = out.with_name(f"{name}{number}")
+        if not os.path.lexists(result) or (
+            (result / FAILURE).is_file() and not result.is_symlink()
+        ):
+            return result
+    return result
 
 
 def _write_failure(error: SimulationError, kept: Path, scene: str) -> None:

@@ -55,9 +55,9 @@ def largest_step(build: Build) -> StepLimit:
     if decided:
         row = min(decided, key=lambda row: row.step)
         return StepLimit(min(row.step, scene.stop), row.what)
-    found = [StepLimit(row.step, row.what) for row in scales]
+    result = [StepLimit(row.step, row.what) for row in scales]
     start = min(
-        [StepLimit(scene.stop / FEWEST, f"1/{FEWEST} of the run"), *found],
+        [StepLimit(scene.stop / FEWEST, f"1/{FEWEST} of the run"), *result],
         key=lambda limit: limit.step,
     )
     parts, missing = _circuits(build)
@@ -75,10 +75,10 @@ def _circuits(build: Build) -> tuple[list[Circuit], tuple[str, ...]]:
     from kc2spice.workflow.verify.circuit import circuits, without_law  # which load scipy
 
     try:
-        found = circuits(build)
+        result = circuits(build)
     except UsageError:
         return [], tuple(build.scene.parts)
-    more = [c for c in found if not all(isinstance(law, L.Source) for law in c.laws)]
+    more = [c for c in result if not all(isinstance(law, L.Source) for law in c.laws)]
     return more, without_law(build)
 
 
@@ -253,17 +253,17 @@ def _worst(
     at, names = time[pick], motion.linear.names
     exact = dict(zip(names, motion.at(at, np.arange(len(names))).T, strict=True))
     parts = dict(zip(names, motion.peaks().sum(axis=0), strict=True))
-    found: dict[str, tuple[np.ndarray, str]] = {}
+    result: dict[str, tuple[np.ndarray, str]] = {}
     for name, true in read(circuit, exact, at).items():
         size = sum(abs(factor) * parts[wave] for factor, wave in circuit.readings[name].terms)
         unit = vectors[name].unit if name in vectors else ""
         if name in waves and np.abs(true).max() > max(TINY * size, LEAST.get(unit, 0.0)):
-            found[name] = true, unit
+            result[name] = true, unit
     largest: dict[str, float] = {}
-    for true, unit in found.values():
+    for true, unit in result.values():
         largest[unit] = max(largest.get(unit, 0.0), float(np.abs(true).max()))
     worst = (0.0, 0.0, "")
-    for name, (true, unit) in found.items():
+    for name, (true, unit) in result.items():
         if np.abs(true).max() > BESIDE * largest[unit]:
             off = deviation(at, waves[name][pick][:, None], true[:, None])
             worst = max(worst, (*off, name))

@@ -13,12 +13,12 @@ from closed_forms import half_space, hertz
 
 from kc2spice.bodies.pressure import (
     PressureBasis,
-    dented,
-    dents,
-    hats,
+    indentation_law,
     pressed,
     pressing,
+    pressure_basis,
     stressed,
+    surface_compliance,
 )
 from kc2spice.bodies.stack_keys import Chip
 from kc2spice.core.waveforms import Waveforms
@@ -61,7 +61,7 @@ def without_mean(S):
 @cache
 def body(name, cells=3):
     chip = Chip(material=steel() if name == "steel" else ceramic())
-    return dents(chip, EVEN, cells)
+    return surface_compliance(chip, EVEN, cells)
 
 
 @pytest.mark.parametrize("name", ["steel", "ceramic"])
@@ -77,8 +77,8 @@ def test_rings_of_pressure_dent_as_on_a_half_space(name):
 @cache
 def graded(spacing):
     """Hats, what they give beyond a half-space of the same body, and their gaps."""
-    shape = hats(spacing, PATCH)
-    S = dents(Chip(material=steel()), shape)
+    shape = pressure_basis(spacing, PATCH)
+    S = surface_compliance(Chip(material=steel()), shape)
     whole = (body("steel")[:COUNT, :COUNT] - half_space(STEEL, HATS))[5, 11]
     return shape, S - whole, sphere_gap(R, shape.distances)
 
@@ -95,7 +95,7 @@ def force(law, depth):
 def test_a_sphere_dents_steel_as_hertz_says(spacing, first, error):
     """From contacts of some hats on at every depth: ``F = 4/3 E* sqrt(R) d^(3/2)``. Of the error
     1e-3 is the body's, which is no half-space, and the sphere's, which is no paraboloid."""
-    law = dented(*graded(spacing))
+    law = indentation_law(*graded(spacing))
     depth = np.linspace(first, 14e-6, 60)
     np.testing.assert_allclose(force(law, depth), hertz(STEEL, R, depth), rtol=error)
     slope = np.polyfit(np.log(depth), np.log(force(law, depth)), 1)[0]
@@ -121,7 +121,7 @@ def test_stress_below_a_sphere_is_that_of_hertz_and_huber():
 @pytest.mark.slow  # the potentials of 33 layers
 def test_a_chip_is_stiffer_than_its_ceramic_and_converges():
     """Fields stiffen a dent that is as wide as a layer is thick; meshes agree."""
-    coarse, fine = (dents(Chip(), EVEN, cells) for cells in (3, 6))
+    coarse, fine = (surface_compliance(Chip(), EVEN, cells) for cells in (3, 6))
     np.testing.assert_allclose(coarse[1:, 1:], fine[1:, 1:], rtol=1e-3)
     assert 0.05 < 1 - fine[0, 0] / body("ceramic")[0, 0] < 0.15
     added = pressed(Chip(), EVEN).compliance

@@ -45,8 +45,8 @@ def read_model(path: Path | str, sidecar: Path | str | None = None) -> LinearMod
         what was found and what was expected.
     MissingToolError : the format needs a package that is not installed; the message says which.
     """
-    name, said, found = open_source(Path(path), None if sidecar is None else Path(sidecar))
-    return assemble(Rows(name, str(path), said, found, found.matrices))
+    name, said, result = open_source(Path(path), None if sidecar is None else Path(sidecar))
+    return assemble(Rows(name, str(path), said, result, result.matrices))
 
 
 def extent(path: Path, sidecar: Path | None) -> np.ndarray | None:
@@ -100,12 +100,12 @@ def open_source(path: Path, sidecar: Path | None) -> tuple[str, Sidecar, raw.Raw
         expected = "the name of a model, such as FOLDER/NAME"
         raise UsageError("is a folder, not a model", where=str(path), expected=expected)
     base, files, _, said = described(path, sidecar)
-    found = _read(path, {**files, **said.files}, said.matrices)
-    sound = {k: raw.checked(m, k, found.files.get(k, path)) for k, m in found.matrices.items()}
+    result = _read(path, {**files, **said.files}, said.matrices)
+    sound = {k: raw.checked(m, k, result.files.get(k, path)) for k, m in result.matrices.items()}
     if said.dofs is not None:
         dofs = raw.parsed(said.dofs, "lines 'node,dof', one for each row", _rows)
-        found = replace(found, dofs=dofs)
-    return base.name, said, replace(found, matrices=sound)
+        result = replace(result, dofs=dofs)
+    return base.name, said, replace(result, matrices=sound)
 
 
 def source_files(path: Path, sidecar: Path | None) -> tuple[Path, ...]:
@@ -115,8 +115,8 @@ def source_files(path: Path, sidecar: Path | None) -> tuple[Path, ...]:
     ------
     UsageError : a sidecar that is wrong.
     """
-    base, files, chosen, said = described(path, sidecar)
-    named = [path, chosen, *files.values(), *said.files.values(), said.mesh, said.dofs]
+    base, files, selected, said = described(path, sidecar)
+    named = [path, selected, *files.values(), *said.files.values(), said.mesh, said.dofs]
     named += [*base.parent.glob(f"{base.name}.*"), *base.parent.glob(f"{base.name}_*")]
     return tuple(sorted({item for item in named if item is not None and item.is_file()}))
 
@@ -131,9 +131,9 @@ def described(path: Path, sidecar: Path | None) -> tuple[Path, dict[str, Path], 
     """
     base, files = _family(path)
     beside = path if path.suffix == ".toml" else base.with_name(f"{base.name}.toml")
-    chosen, given = sidecar or beside, sidecar is not None or path.suffix == ".toml"
-    said = read_sidecar(chosen) if given or raw.present(beside) else Sidecar()
-    return base, files, chosen, said
+    selected, given = sidecar or beside, sidecar is not None or path.suffix == ".toml"
+    said = read_sidecar(selected) if given or raw.present(beside) else Sidecar()
+    return base, files, selected, said
 
 
 def _family(path: Path) -> tuple[Path, dict[str, Path]]:
@@ -152,7 +152,7 @@ def _family(path: Path) -> tuple[Path, dict[str, Path]]:
             match = None
     base = path.with_name(match[1]) if match else path
     separators = (match[2],) if match else (".", "_")
-    found: dict[str, Path] = {}
+    result: dict[str, Path] = {}
     for letter in raw.LETTERS:
         fits = [
             other
@@ -165,9 +165,9 @@ def _family(path: Path) -> tuple[Path, dict[str, Path]]:
             problem = f"two files for matrix {letter}"
             raise wrong(str(base), problem, ", ".join(other.name for other in fits), "one of them")
         if fits:
-            found[letter] = fits[0]
-    if found:
-        return base, found
+            result[letter] = fits[0]
+    if result:
+        return base, result
     return (path.with_suffix("") if raw.present(path) else path), {}
 
 
@@ -191,7 +191,7 @@ def _read(path: Path, files: dict[str, Path], wanted: Mapping[str, str]) -> raw.
 
 def _matrices(files: dict[str, Path]) -> raw.Raw:
     """One file a matrix; Matrix Market and Harwell-Boeing may stand side by side."""
-    found: dict[str, Matrix] = {}
+    result: dict[str, Matrix] = {}
     tables: dict[str, Path] = {}
     mapped: list[Path] = []
     for letter, path in files.items():
@@ -199,10 +199,10 @@ def _matrices(files: dict[str, Path]) -> raw.Raw:
         allowed = partial(raw.bounded, path, letter)
         if head[: len(BANNER)].lower() == BANNER:
             expected = "a Matrix Market file, 'coordinate' or 'array', 'real' or 'integer'"
-            found[letter] = raw.parsed(path, expected, partial(read_market, allowed=allowed))
+            result[letter] = raw.parsed(path, expected, partial(read_market, allowed=allowed))
         elif codes.is_harwell_boeing(head):
             read = partial(codes.read_harwell_boeing, allowed=allowed)
-            found[letter] = raw.parsed(path, codes.EXPECTED, read)
+            result[letter] = raw.parsed(path, codes.EXPECTED, read)
             mapped += (path.with_suffix(suffix) for suffix in (".mapping", ".MAPPING"))
         elif letter in "MEK" and path.suffix.lower() == ".mtx":  # Abaqus' square matrices
             tables[letter] = path
@@ -210,13 +210,13 @@ def _matrices(files: dict[str, Path]) -> raw.Raw:
             expected = "Matrix Market, Harwell-Boeing, or an .mtx file of Abaqus"
             raise raw.refused(path, f"matrix {letter} in an unknown format", expected)
     named = codes.read_abaqus(tables) if tables else raw.Raw({})
-    found |= named.matrices
+    result |= named.matrices
     dofs, names = named.dofs, [path for path in mapped if raw.present(path)]
     if names and dofs is None:
-        size = next(m.shape[0] for k, m in found.items() if k in "MEKA")
+        size = next(m.shape[0] for k, m in result.items() if k in "MEKA")
         expected = f"lines of equation, node and freedom for {size} equations"
         dofs = raw.parsed(names[0], expected, partial(codes.mapping, size=size))
-    return raw.Raw(found, dofs, named.held, files)
+    return raw.Raw(result, dofs, named.held, files)
 
 
 def _head(path: Path) -> bytes:

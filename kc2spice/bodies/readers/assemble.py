@@ -45,8 +45,8 @@ def _whole(rows: Rows) -> Mapping[str, Matrix]:
     model = LinearModel(**{"B": np.ones((size, 1)), **given}, name=rows.where)
     kept = (set(given) - {"K"}) | {"A"} if model.first_order else set(given)
     kept |= set("CD") if "B" in given else set()
-    found = {letter: getattr(model, letter) for letter in kept}
-    said, square = rows.said.symmetric, {k: found[k] for k in "MEKA" if k in found}
+    result = {letter: getattr(model, letter) for letter in kept}
+    said, square = rows.said.symmetric, {k: result[k] for k in "MEKA" if k in result}
     halves = [k for k, matrix in square.items() if half_stored(matrix)]
     if said is None and halves:
         hint = f"in {rows.name}.toml: symmetric = true for halves, false if it is triangular"
@@ -61,7 +61,7 @@ def _whole(rows: Rows) -> Mapping[str, Matrix]:
             problem, expected = f"matrix {letter} is zero", f"entries in {letter}"
             first = "leave M out for a first-order model E x' + K x = B u"
             raise wrong(rows.where, problem, None, expected, first if letter == "M" else None)
-    return found | square
+    return result | square
 
 
 def _cut(matrix: Matrix, keep: np.ndarray) -> Matrix:
@@ -122,8 +122,8 @@ class Rows:
             expected += "tool has not constrained itself"
             raise wrong(where, "no such node in the matrices", got, expected)
         rows = [np.flatnonzero(here & (dofs.kind == kind)) for kind in kinds]
-        for kind, found in zip(kinds, rows, strict=True):
-            if not len(found):
+        for kind, result in zip(kinds, rows, strict=True):
+            if not len(result):
                 expected = ", ".join(DOFS[int(k)] for k in np.unique(dofs.kind[here]))
                 hint = "the tool may have removed it because it is constrained"
                 raise wrong(where, "no such freedom at these nodes", DOFS[kind], expected, hint)
@@ -167,8 +167,8 @@ class Rows:
             for k, weight in entry.weights.items():
                 load[kind == k] = weight
             return -np.asarray(self.found["M"] @ load)
-        found = self.find(entry, tuple(entry.weights))
-        for rows, weight in zip(found, entry.weights.values(), strict=True):
+        result = self.find(entry, tuple(entry.weights))
+        for rows, weight in zip(result, entry.weights.values(), strict=True):
             load[rows] += weight / len(rows)  # their mean displacement is its product with x
         if not load[~self.held()].any():
             raise UsageError("the port is on fixed freedoms", where=where, expected="a free node")

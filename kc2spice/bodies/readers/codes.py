@@ -44,13 +44,13 @@ def siblings(path: Path) -> dict[str, Path]:
     match = NAME.fullmatch(path.name)
     if match is None:
         return {}
-    found = {}
+    result = {}
     for word, letter in _LETTER.items():
         for spelled in (word, word.lower()):
             other = path.with_name(f"{match[1]}_{spelled}{match[3]}{path.suffix}")
             if raw.present(other):
-                found[letter] = other
-    return found
+                result[letter] = other
+    return result
 
 
 def read_abaqus(files: dict[str, Path]) -> raw.Raw:
@@ -66,13 +66,13 @@ def read_abaqus(files: dict[str, Path]) -> raw.Raw:
         one = next(iter(files.values()))
         raise raw.refused(one, "MATRIX INPUT and COORDINATE", "one format for all matrices")
     if all(named for named, _ in read.values()):
-        found, dofs = raw.labelled(tables)
-        found = {letter: raw.whole(matrix) for letter, matrix in found.items()}
+        result, dofs = raw.labelled(tables)
+        result = {letter: raw.whole(matrix) for letter, matrix in result.items()}
     else:
         n = 1 + max(int(side.max()) for row, column, _ in tables.values() for side in (row, column))
-        found = {k: sparse.csc_array((v, (i, j)), (n, n)) for k, (i, j, v) in tables.items()}
-    held = found["K"].diagonal() >= _HELD if "K" in found else np.empty(0, dtype=bool)
-    return raw.Raw(found, dofs, np.flatnonzero(held))
+        result = {k: sparse.csc_array((v, (i, j)), (n, n)) for k, (i, j, v) in tables.items()}
+    held = result["K"].diagonal() >= _HELD if "K" in result else np.empty(0, dtype=bool)
+    return raw.Raw(result, dofs, np.flatnonzero(held))
 
 
 def _entries(data: bytes) -> tuple[bool, raw.Triple]:
@@ -109,11 +109,11 @@ def read_calculix(path: Path, _: object) -> raw.Raw:
     dofs = raw.parsed(rows, "lines node.direction", _dofs)
     expected = f"lines 'row column value' for {len(dofs)} rows"
     files = {"K": stiffness, "M": mass}
-    found = {
+    result = {
         letter: raw.parsed(file, expected, lambda data: _triangle(data, len(dofs)))
         for letter, file in files.items()
     }
-    return raw.Raw(found, dofs, files=files)
+    return raw.Raw(result, dofs, files=files)
 
 
 def _dofs(data: bytes) -> raw.Dofs:
@@ -163,12 +163,12 @@ def unpack_full(path: str, wanted: dict[str, str]) -> dict[str, np.ndarray]:
     place = np.asarray(place, dtype=np.int64)
     kind = np.array([raw.CODES[_KINDS[int(k)]] for k in place[:, 1]])
     const = np.asarray(file.const, dtype=np.int64).reshape(-1, 2)  # whose rows are left empty
-    keys, constrained = (each[:, 0] * 64 + each[:, 1] for each in (place, const))
+    keys, constrained = (item[:, 0] * 64 + item[:, 1] for item in (place, const))
     held = np.flatnonzero(np.isin(keys, constrained))
-    found = {"nodes": place[:, 0], "dofs": kind, "held": held}
+    result = {"nodes": place[:, 0], "dofs": kind, "held": held}
     for letter, matrix in (("K", stiffness), ("M", mass)):  # the upper triangle is stored
-        found |= raw.packed(letter, mirrored(sparse.csc_array(matrix)))
-    return found
+        result |= raw.packed(letter, mirrored(sparse.csc_array(matrix)))
+    return result
 
 
 def is_harwell_boeing(head: bytes) -> bool:
@@ -276,22 +276,22 @@ def choose(names: list[str], wanted: Mapping[str, str], path: Path) -> dict[str,
     UsageError : a name that is not there, or two that may stand for one letter.
     """
     known = {name.upper(): name for name in names}
-    chosen = {}
+    selected = {}
     for letter, name in wanted.items():
         if name.upper() not in known:
             raise raw.refused(path, f"no matrix {name}", f"one of {', '.join(names)}")
-        chosen[letter] = known[name.upper()]
+        selected[letter] = known[name.upper()]
     for first, letter in _FIRST.items():
         fits = [n for u, n in known.items() if u.startswith(first) and not u.startswith("K4")]
-        if letter in chosen or not fits or wanted:
+        if letter in selected or not fits or wanted:
             continue
         if len(fits) > 1:
             hint = f'matrices = {{ {letter} = "{fits[0]}" }} in the TOML file'
             raise raw.refused(path, f"matrices {', '.join(fits)}", f"one that is {letter}", hint)
-        chosen[letter] = fits[0]
-    if not chosen:
+        selected[letter] = fits[0]
+    if not selected:
         raise raw.refused(path, f"matrices {', '.join(names)}", "K..., M... and as needed B...")
-    return chosen
+    return selected
 
 
 def read_dmig(path: Path, wanted: Mapping[str, str]) -> raw.Raw:
@@ -303,9 +303,9 @@ def read_dmig(path: Path, wanted: Mapping[str, str]) -> raw.Raw:
     """
     expected = "real, square DMIG cards"
     forms, entries = raw.parsed(path, expected, _dmig)
-    chosen = choose([n for n, f in forms.items() if f in (_SQUARE, _SYMMETRIC)], wanted, path)
-    matrices, dofs = raw.labelled({letter: entries[name] for letter, name in chosen.items()})
-    symmetric = {k for k, name in chosen.items() if forms[name] == _SYMMETRIC}
+    selected = choose([n for n, f in forms.items() if f in (_SQUARE, _SYMMETRIC)], wanted, path)
+    matrices, dofs = raw.labelled({letter: entries[name] for letter, name in selected.items()})
+    symmetric = {k for k, name in selected.items() if forms[name] == _SYMMETRIC}
     return raw.Raw({k: raw.whole(m) if k in symmetric else m for k, m in matrices.items()}, dofs)
 
 
@@ -382,12 +382,12 @@ def unpack_op4(path: str, wanted: Mapping[str, str]) -> dict[str, np.ndarray]:
     """
     op4 = needed("pyyeti.nastran.op4", "pyyeti", path, "nastran")
     names, sizes, _, _ = op4.dir(path, verbose=False)
-    chosen = choose(list(names), wanted, Path(path))
-    for letter, name in chosen.items():
+    selected = choose(list(names), wanted, Path(path))
+    for letter, name in selected.items():
         raw.bounded(Path(path), letter, sizes[names.index(name)], None)
-    loaded = op4.load(path, list(chosen.values()), sparse=True)
-    found: dict[str, np.ndarray] = {}
-    for letter, name in chosen.items():
+    loaded = op4.load(path, list(selected.values()), sparse=True)
+    result: dict[str, np.ndarray] = {}
+    for letter, name in selected.items():
         matrix, form = sparse.csc_array(loaded[name][0]), loaded[name][1]
-        found |= raw.packed(letter, raw.whole(matrix) if form == _SYMMETRIC else matrix)
-    return found
+        result |= raw.packed(letter, raw.whole(matrix) if form == _SYMMETRIC else matrix)
+    return result

@@ -122,12 +122,12 @@ def read_measured(path: Path) -> Measured:
     Y, kept = Y[kept], np.flatnonzero(f > 0)
     if len(kept) < FEWEST:
         raise refused(path, f"{len(kept)} frequencies", f"at least {FEWEST}", "measure more points")
-    found = Measured(path.stem, str(path), f[kept], Y[kept], notes)
+    result = Measured(path.stem, str(path), f[kept], Y[kept], notes)
     if len(kept) > MOST:
         hint = "leave out points between resonances"
         raise refused(path, f"{len(kept)} frequencies", f"at most {MOST}", hint)
-    _require_passive(found)
-    return found
+    _require_passive(result)
+    return result
 
 
 def _require_passive(data: Measured) -> None:
@@ -285,14 +285,14 @@ def _rows(text: str) -> tuple[list[str], np.ndarray]:
 
 def _columns(header: list[str], rows: np.ndarray) -> tuple[Columns, list[str]]:
     """What the words of a header say, in SI and rad."""
-    found: Columns = {}
+    result: Columns = {}
     notes = []
     if len(header) != rows.shape[-1]:
         raise ValueError(f"{len(header)} words above {rows.shape[-1]} columns of numbers")
     for word, values in zip(header, rows.T, strict=True):
         stem, unit = _split(word)
         name = next((k for k, w in _WORDS.items() if re.fullmatch(w, stem, re.I)), None)
-        if name is None or name in found:
+        if name is None or name in result:
             continue
         low = unit.lower()
         if name == "phase":  # without a unit
@@ -311,8 +311,8 @@ def _columns(header: list[str], rows: np.ndarray) -> tuple[Columns, list[str]]:
             values = values * _PREFIX["k" if prefix == "K" else prefix]
         elif name == "f":
             notes.append(f"{word}: no unit, taken as Hz")
-        found[name] = values
-    return found, notes
+        result[name] = values
+    return result, notes
 
 
 def _split(word: str) -> tuple[str, str]:

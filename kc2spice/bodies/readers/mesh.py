@@ -39,10 +39,10 @@ class Mesh:
         ------
         UsageError : no such set, or an empty one.
         """
-        found = self.sets.get(name.upper())
-        if found is None or not len(found):
+        result = self.sets.get(name.upper())
+        if result is None or not len(result):
             raise unknown(f"no such node set in {self.where}", name, sorted(self.sets), where)
-        return found
+        return result
 
     def nearest(self, place: tuple[float, ...], within: float | None, where: str) -> int:
         """Number of the node at ``place``, at most ``within`` away (1e-6 of the size by default).
@@ -81,7 +81,7 @@ def read_mesh(path: Path) -> Mesh:
         at = np.array(list(nodes.values()), dtype=float)
         if not np.isfinite(at).all():
             raise ValueError("a coordinate is not finite")
-        named = {name: np.unique(np.array(each, np.int64)) for name, each in sets.items()}
+        named = {name: np.unique(np.array(item, np.int64)) for name, item in sets.items()}
         return Mesh(str(path), node, at, named)
 
     return parsed(path, _EXPECTED, mesh)
@@ -168,8 +168,8 @@ def _blocks(data: bytes) -> Found:
             # (3i9,6e21.13e3): how many numbers and coordinates of which widths
             integers, floats = next(lines).strip().strip("()").lower().split(",")[:2]
             fields, wide = (int(word) for word in integers.split("i"))
-            each = int(floats.split("e")[1].split(".")[0])
-            ends = [fields * wide + k * each for k in range(4)]
+            item = int(floats.split("e")[1].split(".")[0])
+            ends = [fields * wide + k * item for k in range(4)]
             for row in lines:
                 if row[:1] in ("N", "n", "-") or row.strip() == "-1":
                     break

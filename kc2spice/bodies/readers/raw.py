@@ -224,11 +224,11 @@ def labelled(triples: Mapping[str, Triple]) -> tuple[dict[str, sparse.csc_array]
     """
     keys = np.unique(np.concatenate([side for t in triples.values() for side in t[:2]]))
     shape = (len(keys), len(keys))
-    found = {}
+    result = {}
     for letter, (row, column, value) in triples.items():
         place = (np.searchsorted(keys, row), np.searchsorted(keys, column))
-        found[letter] = sparse.csc_array((value, place), shape=shape)
-    return found, Dofs(keys // _KINDS, keys % _KINDS)
+        result[letter] = sparse.csc_array((value, place), shape=shape)
+    return result, Dofs(keys // _KINDS, keys % _KINDS)
 
 
 def whole(matrix: sparse.csc_array) -> sparse.csc_array:
@@ -296,12 +296,12 @@ def packed(name: str, matrix: Any) -> dict[str, np.ndarray]:
 
 
 def _raw(arrays: Mapping[str, np.ndarray], path: Path) -> Raw:
-    found = {}
+    result = {}
     for letter in LETTERS:
         parts = {k.partition(".")[2]: a for k, a in arrays.items() if k.split(".")[0] == letter}
         if parts:
-            found[letter] = parts[""] if "" in parts else _sparse(path, letter, parts)
-    return Raw(found, _dofs(arrays), arrays.get("held", np.empty(0, dtype=np.int64)))
+            result[letter] = parts[""] if "" in parts else _sparse(path, letter, parts)
+    return Raw(result, _dofs(arrays), arrays.get("held", np.empty(0, dtype=np.int64)))
 
 
 def _sparse(path: Path, letter: str, parts: dict[str, np.ndarray]) -> sparse.csc_array:
@@ -343,7 +343,7 @@ def unpack_matlab(path: str, wanted: dict[str, str]) -> dict[str, np.ndarray]:
     plain = [name for name in names if name in kinds]
     structs = [name for name, (_, kind) in kinds.items() if kind == "struct"]
     if not set(plain) & set(LETTERS) and len(structs) == 1:
-        found = _struct(
+        result = _struct(
             io.loadmat(path, appendmat=False, variable_names=structs)[structs[0]], structs[0]
         )
     else:
@@ -353,11 +353,11 @@ def unpack_matlab(path: str, wanted: dict[str, str]) -> dict[str, np.ndarray]:
                 raise ValueError(f"variable {name} is a {kind}")
             if kind != "sparse" and 8 * np.prod(shape, dtype=float) > unpacked(Path(path)):
                 raise ValueError(f"variable {name} of {shape} is too large")
-        found = io.loadmat(path, appendmat=False, variable_names=plain) if plain else {}
+        result = io.loadmat(path, appendmat=False, variable_names=plain) if plain else {}
     parts: dict[str, np.ndarray] = {}
     for name in names:
-        if name in found:
-            parts |= packed(name, _plain(name, found[name]))
+        if name in result:
+            parts |= packed(name, _plain(name, result[name]))
     return parts
 
 
@@ -377,8 +377,8 @@ def vectors(path: str) -> dict[str, np.ndarray]:
     size = sum(8 * np.prod(kinds[name][0], dtype=float) for name in plain)
     if size > unpacked(Path(path)):
         raise ValueError(f"its variables of {size:g} bytes are too large")
-    found = io.loadmat(path, appendmat=False, variable_names=plain) if plain else {}
-    return {name: np.asarray(found[name]) for name in plain if found[name].size}
+    result = io.loadmat(path, appendmat=False, variable_names=plain) if plain else {}
+    return {name: np.asarray(result[name]) for name in plain if result[name].size}
 
 
 def _plain(name: str, matrix: Any) -> Any:
@@ -411,17 +411,17 @@ def _struct(value: Any, name: str) -> dict[str, Any]:
         return pick(_STATE)
     if not {"K", "Kc"} & set(fields):
         raise ValueError(f"struct {name} has fields {', '.join(fields)}; K or Kc is needed")
-    found = pick(_SECOND)
+    result = pick(_SECOND)
     if "Kc" not in fields and "N" in fields and _entries(fields["N"]):
         raise ValueError(f"struct {name} has constraints N that are not eliminated: ask for Kc, Ec")
     if "Kc" in fields and "uscale" in fields and (np.asarray(fields["uscale"]) != 1).any():
         raise ValueError(f"struct {name} is in unknowns over uscale: scale by None in the solver")
     # Without a mass the problem is of first order and keeps its E; without a load the ports come
     # from the TOML file.
-    absent = {letter for letter in "MEB" if letter in found and not _entries(found[letter])}
-    if "M" not in found or "M" in absent:
+    absent = {letter for letter in "MEB" if letter in result and not _entries(result[letter])}
+    if "M" not in result or "M" in absent:
         absent -= {"E"}
-    return {letter: matrix for letter, matrix in found.items() if letter not in absent}
+    return {letter: matrix for letter, matrix in result.items() if letter not in absent}
 
 
 def _entries(matrix: Any) -> int:

@@ -108,7 +108,7 @@ def _unit_vector(value: tuple[float, float, float]) -> tuple[float, float, float
     length = math.hypot(*value)
     if length == 0.0:
         raise refused("is no axis", "'x', 'y', 'z' or a direction [x, y, z]")
-    x, y, z = (each / length for each in value)
+    x, y, z = (item / length for item in value)
     return x, y, z
 
 
@@ -150,7 +150,7 @@ class Place(Section):
     @property
     def placed(self) -> bool:
         """Whether it says where."""
-        return any(each is not None for each in (self.numbers or None, self.nodeset, self.at))
+        return any(item is not None for item in (self.numbers or None, self.nodeset, self.at))
 
     @property
     def numbers(self) -> tuple[int, ...]:
@@ -279,8 +279,8 @@ class Sidecar(Section):
     def of(self, entry: Place) -> str:
         """The file and the table that ``entry`` is."""
         for word in ("ports", "fixed"):
-            for number, each in enumerate(getattr(self, word)):
-                if each is entry:
+            for number, item in enumerate(getattr(self, word)):
+                if item is entry:
                     name = f" ({entry.name})" if isinstance(entry, PortEntry) else ""
                     return f"{self.where}: {word}[{number}]{name}"
         return self.where
@@ -307,6 +307,6 @@ def read_sidecar(path: Path) -> Sidecar:
     expected = f"a TOML file of at most {MAX_BYTES} bytes"
     existing(path, expected)
     data = guarded(path, expected, lambda: parse_toml(text_of(read_bounded(path, MAX_BYTES))))
-    found = validated(Sidecar, data, f"{path}:", {"folder": path.parent})
-    found._where = str(path)
-    return found
+    result = validated(Sidecar, data, f"{path}:", {"folder": path.parent})
+    result._where = str(path)
+    return result

@@ -67,13 +67,13 @@ def _sensed(scope: Scope | None) -> set[str]:
     """Nodes that elements of ``scope`` sense but none draws current from."""
     sensed: set[str] = set()
     loaded: set[str] = set()
-    for each in scope.elements if scope else ():
-        two = each.kind in _CONTROLLED and len(each.nodes) == 4
-        loaded |= set(each.ends[:2] if two else () if each.kind == "x" else each.ends)
-        sensed |= {*each.ends[2:]} if two else each.sensed
-        if each.kind == "x" and scope and (called := scope.find(each.model)):
+    for item in scope.elements if scope else ():
+        two = item.kind in _CONTROLLED and len(item.nodes) == 4
+        loaded |= set(item.ends[:2] if two else () if item.kind == "x" else item.ends)
+        sensed |= {*item.ends[2:]} if two else item.sensed
+        if item.kind == "x" and scope and (called := scope.find(item.model)):
             quiet = _sensed(called)
-            for pin, node in zip(called.pins, each.ends, strict=False):
+            for pin, node in zip(called.pins, item.ends, strict=False):
                 (sensed if pin in quiet else loaded).add(node)
     return sensed - loaded
 

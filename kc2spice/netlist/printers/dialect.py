@@ -133,13 +133,13 @@ class Dialect(Printer, ABC):
         """A voltage-controlled switch."""
 
     def vector(self, text: str) -> str:
-        found = vector(text)
+        result = vector(text)
         bare = "(" not in text and "@" not in text
-        if found is None or bare or found.parameter.lower() not in ("", "i", "id", "current"):
+        if result is None or bare or result.parameter.lower() not in ("", "i", "id", "current"):
             raise self.refusal(text, "this vector")
-        if found.quantity == "i":
-            return f"I({self.device(found)})"
-        return f"V({','.join(self.node(name.split('.')) for name in found.names)})"
+        if result.quantity == "i":
+            return f"I({self.device(result)})"
+        return f"V({','.join(self.node(name.split('.')) for name in result.names)})"
 
     def node(self, path: list[str]) -> str:
         return ":".join(path)

@@ -98,7 +98,7 @@ def element_symbols() -> dict[str, Symbol]:
 
     Values are written as in a netlist (``Sim.Device`` ``SPICE``), so no digit is lost.
     """
-    found = {}
+    result = {}
     for letter, (name, title, drawing) in _ELEMENTS.items():
         box = drawing == "box"
         places = _SPOTS if box else _POLES
@@ -109,12 +109,12 @@ def element_symbols() -> dict[str, Symbol]:
         }
         side = 2 * GRID
         text = (-side, side + 1.3) if box else (GRID + 0.8, -0.9)
-        found[letter] = Symbol(name, fields, drawing, places, text, (side, side), named_pins=box)
+        result[letter] = Symbol(name, fields, drawing, places, text, (side, side), named_pins=box)
     for name, (reference, title, drawing, place, text, pins) in _MARKS.items():
         fields, simulated = _fields(reference, name, title), name != "PROBE"
         mark = Symbol(name, fields, drawing, (place,), text, pins=pins, simulated=simulated)
-        found[name] = mark
-    return found
+        result[name] = mark
+    return result
 
 
 def _fields(reference: str, value: str, description: str) -> dict[str, str]:
@@ -338,8 +338,8 @@ def _workbook(deck: Deck, top: Scope, commands: list[str]) -> str:
     the first of every part before any second one."""
     analysis = next((c for c in commands if c.split()[0].lower() in _KINDS), "")
     kind = _KINDS.get(analysis.split()[0].lower() if analysis else "", "TRAN")
-    found = {name: vector(text) for name, (text, _) in deck.vectors.items()}
-    results = {n: t.names[0] for n, t in found.items() if t and t.quantity == "v"}
+    result = {name: vector(text) for name, (text, _) in deck.vectors.items()}
+    results = {n: t.names[0] for n, t in result.items() if t and t.quantity == "v"}
     first: dict[str, str] = {}
     for name, node in results.items():
         first.setdefault(name.partition(".")[0], node)

@@ -52,12 +52,12 @@ class LTspice(Dialect):
 
     def node(self, path: list[str]) -> str:
         """Instances are called without their X."""
-        return ":".join([*(each[1:] for each in path[:-1]), path[-1]])
+        return ":".join([*(item[1:] for item in path[:-1]), path[-1]])
 
     def device(self, trace: Trace) -> str:
         """``b:contact:ring0``: letter, instances, rest of the name."""
         (name,) = trace.names
-        inner = (name[0], *(each[1:] for each in trace.path), name[1:])
+        inner = (name[0], *(item[1:] for item in trace.path), name[1:])
         return ":".join(inner) if trace.path else name
 
 

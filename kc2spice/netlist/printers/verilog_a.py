@@ -309,9 +309,9 @@ def _right(part: Element, names: Names, across: str) -> str:
         case "v":
             # OpenVAF makes one node of the ends of a plain 0 V, and its current zero
             others = names.scope.elements
-            laws = (leaf for each in others if each.expression for leaf in walk(each.law))
+            laws = (leaf for item in others if item.expression for leaf in walk(item.law))
             probed = (p.names[0] for p in laws if isinstance(p, Probe) and p.kind == "i")
-            used = (*probed, *(name for each in others for name in each.sources))
+            used = (*probed, *(name for item in others for name in item.sources))
             read = part.key in map(str.lower, used)
             return _steady(part, names) + (f" + {number(SERIES)}*{own}" if read else "")
     raise part.error(_UNSAID)
@@ -432,7 +432,7 @@ def _changed(item: Item, stems: Mapping[str, str], replaced: Collection[str]) ->
 
 def _outer(text: str) -> bool:
     """Whether a vector exists without subcircuits."""
-    found = vector(text)
-    if found is None or found.path or found.parameter or "." in found.names[0]:
+    result = vector(text)
+    if result is None or result.path or result.parameter or "." in result.names[0]:
         return False
-    return found.quantity == "v" or found.names[0].lower().startswith("v")
+    return result.quantity == "v" or result.names[0].lower().startswith("v")

@@ -174,8 +174,8 @@ class Plan:
     def values(self, index: int) -> dict[str, Any]:
         """Values of all keys at point ``index``, 0 … size - 1."""
         steps = zip(self.blocks, np.unravel_index(index, self.lengths), strict=True)
-        found = {key: each[step] for block, step in steps for key, each in block.items()}
-        return {key: found[key] for key in self.keys}
+        result = {key: item[step] for block, step in steps for key, item in block.items()}
+        return {key: result[key] for key in self.keys}
 
     def ends(self) -> list[dict[str, Any]]:
         """The first point, and those that differ from it in one block: where a number of that is
@@ -194,7 +194,7 @@ class Plan:
         blocks = (
             [map(repr, v) for key, v in block.items() if key in keys] for block in self.blocks
         )
-        return prod(len(set(zip(*each, strict=True))) for each in blocks if each)
+        return prod(len(set(zip(*item, strict=True))) for item in blocks if item)
 
 
 def make_plan(
@@ -215,10 +215,10 @@ def make_plan(
     """
     if not ranges:
         raise UsageError("nothing to sweep", where="--set", expected="--set KEY=a:b:n")
-    random = {key: each for key, each in ranges.items() if isinstance(each, Draws)}
-    blocks = [{key: each} for key, each in ranges.items() if not isinstance(each, Draws)]
+    random = {key: item for key, item in ranges.items() if isinstance(item, Draws)}
+    blocks = [{key: item} for key, item in ranges.items() if not isinstance(item, Draws)]
     if random:
-        count = _common({key: each.n for key, each in random.items()}, "draws")
+        count = _common({key: item.n for key, item in random.items()}, "draws")
         generator = np.random.default_rng(seed)
         shares = generator.random((len(random), count))
         if latin:
@@ -226,10 +226,10 @@ def make_plan(
 
             shares = LatinHypercube(len(random), seed=generator).random(count).T
         columns = zip(random.items(), shares, strict=True)
-        blocks.append({key: each.at(share) for (key, each), share in columns})
+        blocks.append({key: item.at(share) for (key, item), share in columns})
     if zipped:
-        blocks = [{key: each for block in blocks for key, each in block.items()}]
-        _common({key: len(each) for key, each in blocks[0].items()}, "--zip")
+        blocks = [{key: item for block in blocks for key, item in block.items()}]
+        _common({key: len(item) for key, item in blocks[0].items()}, "--zip")
     plan = Plan(tuple(ranges), tuple(blocks), tuple(random))
     if plan.size > MAX_POINTS:
         raise UsageError("too many points", got=plan.size, expected=f"at most {MAX_POINTS}")

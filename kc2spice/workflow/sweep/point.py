@@ -97,22 +97,22 @@ def scene_files(scene: Scene) -> dict[str, bytes]:
     """
     parts = [(part.netlist, part.type.files(part, scene)) for part in scene.parts.values()]
     netlists = {*scene.include, *(file for own, files in parts if own for file in files)}
-    found = {}
+    result = {}
     for name in sorted(netlists.union(*(files for _, files in parts))):
         if name in netlists:
-            found[name] = included_netlist(name, scene.home).text.encode()
+            result[name] = included_netlist(name, scene.home).text.encode()
             continue
         try:
-            found[name] = read_bounded(scene.home / name, MAX_FILES)
+            result[name] = read_bounded(scene.home / name, MAX_FILES)
         except OSError as error:
             raise UsageError(f"cannot be read: {error.strerror}", where=name) from None
-    if sum(map(len, found.values())) > MAX_FILES:
+    if sum(map(len, result.values())) > MAX_FILES:
         raise UsageError(
             "the files of this scene are too long to travel with a sweep",
             where=scene.name,
             expected=f"at most {MAX_FILES} bytes",
         )
-    return found
+    return result
 
 
 # --- the point ----------------------------------------------------------------------------------
@@ -159,8 +159,8 @@ def _overrides(values: Mapping[str, Any]) -> tuple[str, ...]:
 
 def parameters(values: Mapping[str, Any]) -> Parameters:
     """``("PART.NAME", value)`` of a point's subcircuit parameters."""
-    found = ((PARAMETER.fullmatch(key), value) for key, value in values.items())
-    return tuple((name[1], float(value)) for name, value in found if name)
+    result = ((PARAMETER.fullmatch(key), value) for key, value in values.items())
+    return tuple((name[1], float(value)) for name, value in result if name)
 
 
 def run_point(job: Job, values: Mapping[str, Any]) -> Outcome:
@@ -247,11 +247,11 @@ def _numbers(run: Run) -> Outcome:
 
 def _scalars(value: Mapping[str, Any]) -> dict[str, Number]:
     """Numbers, yes or no, and what is missing, by their dotted names."""
-    found: dict[str, Number] = {}
-    for name, each in leaves(value):
-        each = each.item() if isinstance(each, np.generic) else each
-        if each is None or isinstance(each, bool):
-            found[name] = each
-        elif isinstance(each, (int, float)):
-            found[name] = float(each)
-    return found
+    result: dict[str, Number] = {}
+    for name, item in leaves(value):
+        item = item.item() if isinstance(item, np.generic) else item
+        if item is None or isinstance(item, bool):
+            result[name] = item
+        elif isinstance(item, (int, float)):
+            result[name] = float(item)
+    return result

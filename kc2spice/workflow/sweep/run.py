@@ -271,14 +271,14 @@ def columns(
     A point without a number has None there.
     """
     rows = sorted(outcomes.items())
-    names = wanted or dict.fromkeys(name for _, each in rows for name in each.metrics)
+    names = wanted or dict.fromkeys(name for _, item in rows for name in item.metrics)
     table: dict[str, list[Any]] = {name: [] for name in (*plan.keys, *names, "status")}
     for point, outcome in rows:
         numbers = {**outcome.facts, **outcome.metrics}
-        found = {name: numbers.get(name) for name in names} | plan.values(point)
+        result = {name: numbers.get(name) for name in names} | plan.values(point)
         why = outcome.failure
-        found["status"] = OK if why is None else f"failed: {' '.join(why.split())}"
-        for name, value in found.items():
+        result["status"] = OK if why is None else f"failed: {' '.join(why.split())}"
+        for name, value in result.items():
             table[name].append(value)
     return table
 
@@ -426,8 +426,8 @@ class _Study(BaseModel):
 def studies() -> dict[str, Traversable]:
     """Built-in studies by name."""
     folder = resources.files("kc2spice") / "studies"
-    found = {item.name: item for item in folder.iterdir() if item.name.endswith(".toml")}
-    return {name.removesuffix(".toml"): found[name] for name in sorted(found)}
+    result = {item.name: item for item in folder.iterdir() if item.name.endswith(".toml")}
+    return {name.removesuffix(".toml"): result[name] for name in sorted(result)}
 
 
 def named_sweep(name: str, sets: Sequence[str] = (), **asked: Any) -> Sweep:
@@ -448,8 +448,8 @@ def named_sweep(name: str, sets: Sequence[str] = (), **asked: Any) -> Sweep:
     }
     ranges |= {text.partition("=")[0].strip(): text for text in sets}
     own = study.model_dump(include={"zipped", "latin", "seed", "metrics"})
-    chosen = own | {key: value for key, value in asked.items() if value or key not in own}
-    return make_sweep(scene_text(study.scene), tuple(ranges.values()), **chosen)
+    selected = own | {key: value for key, value in asked.items() if value or key not in own}
+    return make_sweep(scene_text(study.scene), tuple(ranges.values()), **selected)
 
 
 def _study(name: str) -> _Study | None:
@@ -572,7 +572,7 @@ def sweep(
             for index, outcome in rows.outcomes.items()
             if not outcome.interrupted and (outcome.failure is None or not retry_failed)
         }
-        good = [each for each in rows.outcomes.values() if each.failure is None]
+        good = [item for item in rows.outcomes.values() if item.failure is None]
         for outcome in good[:1]:
             require_columns(outcome, found.metrics, found.scene.name)
         missing = [index for index in range(found.plan.size) if index not in done]

@@ -19,7 +19,7 @@ from kc2spice.parts._linear_body import LinearBody
 from kc2spice.report.pages import Findings, responses
 from kc2spice.rom.linear import LinearModel, Port
 from kc2spice.rom.modal import resonators
-from kc2spice.rom.response import Response, relative_error, telling
+from kc2spice.rom.response import Response, adaptive_frequencies, relative_error
 from kc2spice.rom.structure import structure as form
 from kc2spice.scene.judge import Check
 from kc2spice.scene.model import Part
@@ -134,11 +134,11 @@ def own_structure(name: str, rom: LinearModel, band: tuple[float, float]) -> lis
             poles = rom.poles()
             size = np.maximum(np.abs(poles), 2 * np.pi * band[1])
             rightmost = float((poles.real / size).max(initial=-1.0))
-    found = [Check(f"{name}: ROM, growth of its poles", rightmost, limit)]
+    result = [Check(f"{name}: ROM, growth of its poles", rightmost, limit)]
     if all(port.conservative for port in rom.ports) and rom.symmetric:
         frequency = np.linspace(0.0, band[1], 202)[1:]
-        found += structure(f"{name}: ROM", frequency, rom.transfer(frequency), OWN_ROUNDING)
-    return found
+        result += structure(f"{name}: ROM", frequency, rom.transfer(frequency), OWN_ROUNDING)
+    return result
 
 
 def structure(name: str, frequency: np.ndarray, H: np.ndarray, limit: float) -> list[Check]:
@@ -153,11 +153,11 @@ def structure(name: str, frequency: np.ndarray, H: np.ndarray, limit: float) -> 
     Y = 2j * np.pi * frequency[:, None, None] * H
     hermitian = (Y + Y.conj().transpose(0, 2, 1)) / 2
     lowest = np.linalg.eigvalsh(hermitian)[:, 0] / np.abs(Y).max(axis=(1, 2))
-    found = [Check(f"{name}, active power over all frequencies", max(0.0, -lowest.min()), limit)]
+    result = [Check(f"{name}, active power over all frequencies", max(0.0, -lowest.min()), limit)]
     if len(balance) > 1:
         asymmetry = relative_error(H.transpose(0, 2, 1), H)
-        found.append(Check(f"{name}, reciprocity", asymmetry, limit))
-    return found
+        result.append(Check(f"{name}, reciprocity", asymmetry, limit))
+    return result
 
 
 def netlist_response(
@@ -211,13 +211,13 @@ def _deck(
     wanted = build.libraries[part.name]
     # a deck's subcircuits carry the hash of their text behind their name
     shape = re.compile(rf"{re.escape(wanted)}(_[0-9a-f]+)?", re.IGNORECASE)
-    own = next((each for each in libraries if shape.fullmatch(each.name)), None)
+    own = next((item for item in libraries if shape.fullmatch(item.name)), None)
     if own is None:
         raise UsageError(
             "the deck has no subcircuit of this part",
             where=part.name,
             got=wanted,
-            expected=", ".join(each.name for each in libraries) or "a library",
+            expected=", ".join(item.name for item in libraries) or "a library",
         )
     rom: LinearModel = build.model(part)
     blocks: list[Block] = []
@@ -225,7 +225,7 @@ def _deck(
     for k, load in enumerate(port for port in rom.ports if port.kind != "output"):
         cards, answers = loaded(rom, own, load, f"_{k}")
         blocks.append(Block(f"load on {load.name}", tuple(cards)))
-        vectors |= {f"{load.name}>{name}": found for name, found in answers.items()}
+        vectors |= {f"{load.name}>{name}": result for name, result in answers.items()}
     return Deck(
         name=f"{part.name}_response",
         title=f"frequency response of {part.name}",
@@ -246,8 +246,8 @@ def _solved(part: Part, build: Build, full: LinearModel, at: np.ndarray) -> np.n
         "ports": list(full.inputs + full.outputs),
     }
 
-    found, _ = cached("transfer", depends, lambda: full.transfer(at), sources=part.type.sources())
-    return np.asarray(found)
+    result, _ = cached("transfer", depends, lambda: full.transfer(at), sources=part.type.sources())
+    return np.asarray(result)
 
 
 def held_band(rom: LinearModel, build: Build) -> tuple[float, float]:
@@ -260,9 +260,9 @@ def held_band(rom: LinearModel, build: Build) -> tuple[float, float]:
 
 def _sampled(rom: LinearModel, band: tuple[float, float]) -> np.ndarray:
     """Frequencies [Hz] where an error shows, such as resonances, ascending."""
-    found = telling(Response(rom.pencil.dense()), band, static=False)
+    result = adaptive_frequencies(Response(rom.pencil.dense()), band, static=False)
     # four digits: models that differ by their ports alone share their samples
-    return np.unique([float(f"{f:.4g}") for f in found if f > 0])
+    return np.unique([float(f"{f:.4g}") for f in result if f > 0])
 
 
 def _first(rom: LinearModel, at: np.ndarray, count: int) -> np.ndarray:

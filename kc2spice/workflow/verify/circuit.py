@@ -95,7 +95,7 @@ class _Laws:
     @cached_property
     def laws(self) -> dict[str, Law]:
         """By name."""
-        return {law.name: law for each in self.equations.values() for law in each.laws}
+        return {law.name: law for item in self.equations.values() for law in item.laws}
 
     @cached_property
     def kinds(self) -> dict[str, str]:
@@ -112,7 +112,7 @@ class _Laws:
 
     def joins(self, taken: Mapping[str, Source] | None = None) -> dict[str, tuple[str, ...]]:
         """Nets of the laws' pins. Nets of the scene that share a pin of a law are one."""
-        groups = [set(net) for each in self.equations.values() for net in each.nets]
+        groups = [set(net) for item in self.equations.values() for net in item.nets]
         by_net = {net: {f"{source.name}.out"} for net, source in (taken or {}).items()}
         for net, _, _, end in self.ends:
             by_net.setdefault(net, {GROUND} if net == "0" else set()).add(end)
@@ -126,19 +126,19 @@ class _Laws:
 def _laws(build: Build) -> _Laws:
     """Parts that drive a load by a signal have no law, as a signal knows no current."""
     copied = replaced(build.scene)
-    found: dict[str, Equations] = {}
+    result: dict[str, Equations] = {}
     for part in build.scene.parts.values():
         equations = None if part.name in copied else part.type.law(part, build)
         if equations is not None:
-            found[part.name] = equations
-    every = _Laws(build, found)
+            result[part.name] = equations
+    every = _Laws(build, result)
     circuit = {net for net, _, _, end in every.ends if every.kinds[end] != "signal"}
     loaded = {
         name
         for net, name, _, end in every.ends
         if net in circuit and every.kinds[end] == "signal" and _holds(every.laws, end)
     }
-    known = {name: equations for name, equations in found.items() if name not in loaded}
+    known = {name: equations for name, equations in result.items() if name not in loaded}
     missing = (name for name in build.scene.parts if name not in known and name not in copied)
     return _Laws(build, known, tuple(missing))
 
@@ -149,11 +149,11 @@ def _kinds(laws: Iterable[Law]) -> dict[str, str]:
 
 def _merged(groups: Iterable[set[str]]) -> list[set[str]]:
     """Groups that share something as one."""
-    found: list[set[str]] = []
+    result: list[set[str]] = []
     for group in groups:
-        touched = [other for other in found if other & group]
-        found = [other for other in found if not other & group] + [group.union(*touched)]
-    return found
+        touched = [other for other in result if other & group]
+        result = [other for other in result if not other & group] + [group.union(*touched)]
+    return result
 
 
 def without_law(build: Build) -> tuple[str, ...]:
@@ -171,14 +171,14 @@ def taken_nets(build: Build) -> dict[str, str] | None:
     What a part without law does to the rest of a transient is then known from ngspice: its voltage,
     displacement or signal on these nets. Nets that a law holds by itself are not among them.
     """
-    found = _laws(build)
-    laws, kinds, joins = found.laws, found.kinds, found.joins()
+    result = _laws(build)
+    laws, kinds, joins = result.laws, result.kinds, result.joins()
     met: dict[str, str] = {}
-    for net, name, pin, target in found.ends:
+    for net, name, pin, target in result.ends:
         ends = build.scene.joined(name, pin)
         others = {part for part, end in ends if not _listens(build, part, end)}
         joined = next((pins for pins in joins.values() if target in pins), (target,))
-        if others & {*found.missing} and not any(_holds(laws, each) for each in joined):
+        if others & {*result.missing} and not any(_holds(laws, item) for item in joined):
             met[net] = kinds[target] if met.get(net, "signal") == "signal" else met[net]
     curved = (law for law in laws.values() if isinstance(law, Device) and not law.linear)
     coils = any(map(has_store, curved))
@@ -199,7 +199,7 @@ def _holds(laws: Mapping[str, Law], pin: str) -> bool:
     law = laws[name]
     if isinstance(law, Source):
         return own == "out" and law.kind not in ("current", "force")
-    return isinstance(law, Device) and own in law.drives
+    return isinstance(law, Device) and own in law.prescribes
 
 
 def circuits(build: Build, taken: Mapping[str, Source] | None = None) -> tuple[Circuit, ...]:
@@ -210,10 +210,10 @@ def circuits(build: Build, taken: Mapping[str, Source] | None = None) -> tuple[C
     ------
     UsageError : the laws do not fit each other; a part without law is for the caller to find.
     """
-    found, taken = _laws(build), taken or {}
-    laws, joins = _listening([*found.laws.values(), *taken.values()], found.joins(taken))
-    readings = {k: r for e in found.equations.values() for k, r in e.results.items()}
-    sweeps = {(n, k): s for n, e in found.equations.items() for k, s in e.sweeps.items()}
+    result, taken = _laws(build), taken or {}
+    laws, joins = _listening([*result.laws.values(), *taken.values()], result.joins(taken))
+    readings = {k: r for e in result.equations.values() for k, r in e.results.items()}
+    sweeps = {(n, k): s for n, e in result.equations.items() for k, s in e.sweeps.items()}
     met = [{_owner(pin) for pin in pins} for net, pins in joins.items() if net != GROUND]
     whole = []
     for group in _merged([*({law.name} for law in laws), *met]):
@@ -238,7 +238,7 @@ def _listening(
 ) -> tuple[list[Law], dict[str, tuple[str, ...]]]:
     """Signal inputs on a net of a circuit or of a motion are set by a sensor of its own: it has
     what ngspice has on the node, volts or micrometres."""
-    kinds, sensors, found = _kinds(laws), [], dict(joins)
+    kinds, sensors, result = _kinds(laws), [], dict(joins)
     for net, pins in joins.items():
         heard = tuple(pin for pin in pins if kinds[pin] == "signal")
         rest = tuple(pin for pin in pins if pin not in heard)
@@ -247,9 +247,9 @@ def _listening(
         kind = kinds[rest[0]]
         name = f"{net} heard"
         sensors.append(sensor(name, 1 / SOURCES.get(kind, ("", 1.0))[1], kind))
-        found[net] = (*rest, f"{name}.a")
-        found[name] = (*heard, f"{name}.out")
-    return [*laws, *sensors], found
+        result[net] = (*rest, f"{name}.a")
+        result[name] = (*heard, f"{name}.out")
+    return [*laws, *sensors], result
 
 
 # --- analyses -------------------------------------------------------------------------------------
@@ -315,11 +315,11 @@ def _steady(circuit: Circuit, build: Build, points: np.ndarray) -> Mapping[str, 
         return ac(system, points)
     source, values = None, np.zeros(1)
     if kind == "dc":
-        part, key, found = swept(build)
-        assert found.range is not None
-        values, last = sweep_values(build), found.range[1]
+        part, key, result = swept(build)
+        assert result.range is not None
+        values, last = sweep_values(build), result.range[1]
         if build.scene.analysis.back:
-            values = last - np.sign(last - found.range[0]) * np.abs(values - last)
+            values = last - np.sign(last - result.range[0]) * np.abs(values - last)
         source = circuit.sweeps.get((part.name, key))
     if source is not None:
         return equilibrium.dc(system, source[0], source[1] * values)
@@ -357,17 +357,17 @@ def read(
     circuit: Circuit, waves: Mapping[str, np.ndarray], scale: np.ndarray
 ) -> dict[str, np.ndarray]:
     """Results of a circuit; a reading of a wave that this analysis has not is left out."""
-    found = {}
-    for name, each in circuit.readings.items():
-        if not {wave for _, wave in each.terms} <= set(waves):
+    result = {}
+    for name, item in circuit.readings.items():
+        if not {wave for _, wave in item.terms} <= set(waves):
             continue
-        value = np.asarray(sum(factor * waves[wave] for factor, wave in each.terms))
+        value = np.asarray(sum(factor * waves[wave] for factor, wave in item.terms))
         if np.iscomplexobj(value):  # small signals have no constant part
-            value = value / (2j * np.pi * scale) if each.charge else value
+            value = value / (2j * np.pi * scale) if item.charge else value
         else:
-            value = value + each.constant
-        found[name] = value
-    return found
+            value = value + item.constant
+        result[name] = value
+    return result
 
 
 PER_PERIOD = 80  # steps of a period of the highest frequency that a reduced model holds to
@@ -399,13 +399,13 @@ def full_build(build: Build, clock: Any) -> Build | None:
     In time only bodies have, whose full models are followed at their ports.
     """
     timed = build.scene.analysis.type == "transient"
-    found = {}
+    result = {}
     for part in build.scene.parts.values():
         if part.reduced or not timed:
             full = part.type.build(part, build.scene, clock, full=True)
             if full is not None:
-                found[part.name] = _sparse(full) if isinstance(full, LinearModel) else full
-    return replace(build, models={**build.models, **found}) if found else None
+                result[part.name] = _sparse(full) if isinstance(full, LinearModel) else full
+    return replace(build, models={**build.models, **result}) if result else None
 
 
 def _sparse(model: LinearModel) -> LinearModel:
@@ -454,7 +454,7 @@ def full_solution(
     fine, coarse, notes = zip(
         *(_followed(c, build, exact, clock, whole) for c in parts), strict=True
     )
-    end = min(float(each.time[-1]) for each in fine)
+    end = min(float(item.time[-1]) for item in fine)
     return FullSolution(_added(exact, fine, end), _added(exact, coarse, end), end, notes)
 
 
@@ -508,17 +508,17 @@ class Difference:
     def resolved(self, time: np.ndarray) -> np.ndarray:
         """Where both models are in one mode: not within the step of an event, nor beside a step at
         whose end only one of them has changed its mode."""
-        grid, found = self.time, np.ones(time.size, dtype=bool)
+        grid, result = self.time, np.ones(time.size, dtype=bool)
         last = grid.size - 1
         apart = np.flatnonzero(self.apart).tolist()
         spans = [(grid[max(k - 1, 0)], grid[min(k + 1, last)]) for k in apart]
         for first, end in spans:
-            found &= (time < first) | (time > end)
+            result &= (time < first) | (time > end)
         for event in self.events:
             if grid[0] < event < grid[-1]:
                 k = int(np.searchsorted(grid, event))
-                found &= (time <= grid[k - 1]) | (time >= grid[k])
-        return found
+                result &= (time <= grid[k - 1]) | (time >= grid[k])
+        return result
 
 
 def _followed(

@@ -82,9 +82,9 @@ def gate_limits(
     """
     limits, leading = [], []
     words = pair.replace("rom", "ROM").replace("fom", "full model").replace("_vs_", " to ")
-    for part, each in gates:
-        own = f"{part}.{each.of}"
-        gate = replace(each, of=own) if own in exact.metrics else each
+    for part, item in gates:
+        own = f"{part}.{item.of}"
+        gate = replace(item, of=own) if own in exact.metrics else item
         value = measured(gate, ours, exact)
         if value is None:
             continue
@@ -114,7 +114,7 @@ def measured(gate: Gate, ours: Solution, exact: Solution) -> float | None:
     if gate.measure == "spectral":
         from kc2spice.rom.response import relative_error  # which loads scipy; every run is here
 
-        return relative_error(*(np.stack(each, axis=1) for each in zip(*pairs, strict=True)))
+        return relative_error(*(np.stack(item, axis=1) for item in zip(*pairs, strict=True)))
     if gate.measure == "relative":
         return max(_each(a, b) for a, b in pairs)
     apart = max(float(np.abs(a - b).max()) for a, b in pairs)
@@ -140,7 +140,7 @@ def _aligned(
     """The points that both cover, those of the coarser one, and a wave of both there."""
     if "time" not in waves:
         return np.arange(float(waves[name].size)), waves[name], exact[name]
-    t, s = (np.unique(each["time"]) for each in (waves, exact))
+    t, s = (np.unique(item["time"]) for item in (waves, exact))
     at = t if t.size <= s.size else s
     at = at[(at >= max(t[0], s[0])) & (at <= min(t[-1], s[-1]))]
     return at, _at(at, waves, name), _at(at, exact, name)
@@ -162,7 +162,7 @@ def output_errors(pair: str, waves: Waveforms, exact: Waveforms) -> list[OutputE
 
     The rms is one over time: points that a solver crowds into a contact weigh what they last.
     """
-    found = []
+    result = []
     scale = next(iter(exact.data))
     for name in exact.data:
         if name == scale or name not in waves:
@@ -177,8 +177,8 @@ def output_errors(pair: str, waves: Waveforms, exact: Waveforms) -> list[OutputE
             for x in (error, b)
         )
         rms = math.sqrt(float(np.divide(*power)))
-        found.append(OutputError(pair, name, float(error.max()) / size, rms))
-    return found
+        result.append(OutputError(pair, name, float(error.max()) / size, rms))
+    return result
 
 
 def _resting(name: str, waves: Waveforms) -> float:
@@ -268,7 +268,7 @@ def verify(
         raise UsageError("one deck is one scene's", where="--deck", got=f"{len(scenes)} scenes")
     libraries = () if deck is None else _libraries(checked(deck, trust=trust))
     find_ngspice()
-    found: dict[str, Findings] = {}
+    answer: dict[str, Findings] = {}
     with staged(out) as work:
         for scene in scenes:
             progress("verify", None, scene.name)
@@ -278,9 +278,9 @@ def verify(
             emitted = made.parts if deck is None else libraries
             with TemporaryDirectory() as scratch:
                 result = _Verification(build, clock, Path(scratch), full).findings(made, emitted)
-            found[scene.name] = result
-        write_verify(work / "verify.html", found)
-        records = {name: each.record() for name, each in found.items()}
+            answer[scene.name] = result
+        write_verify(work / "verify.html", answer)
+        records = {name: item.record() for name, item in answer.items()}
         passed = all(record["passed"] for record in records.values())
         record = write_record({"passed": passed, "scenes": records}, work, "verify.json")
     scenes_found: dict[str, dict[str, Any]] = record["scenes"]
@@ -324,17 +324,17 @@ class _Verification:
 
     def findings(self, deck: Deck, libraries: Sequence[Subcircuit]) -> Findings:
         """Bodies by their ``libraries``, then the scene, then what full models say of it."""
-        found, build = self.found, self.build
+        result, build = self.found, self.build
         self.units = deck.units
         for part in build.scene.parts.values():
             if part.reduced:
                 folder = self.work / part.name
-                verify_body(part, build, libraries, self.clock, folder, self.whole, found)
-        found.left_out = without_law(build)
+                verify_body(part, build, libraries, self.clock, folder, self.whole, result)
+        result.left_out = without_law(build)
         timed = build.scene.analysis.type == "transient"
-        taken = taken_nets(build) if found.left_out and timed else None
-        if found.left_out:
-            told = f"left out, for they have no law: {', '.join(found.left_out)}"
+        taken = taken_nets(build) if result.left_out and timed else None
+        if result.left_out:
+            told = f"left out, for they have no law: {', '.join(result.left_out)}"
             if taken is None:
                 told += "; the scene as a whole is not compared, its bodies are"
             elif taken:
@@ -342,18 +342,18 @@ class _Verification:
                     "; the others are given what ngspice has on the nets where they meet them: "
                     + ", ".join(taken)
                 )
-            found.notes.append(told)
+            result.notes.append(told)
         self.taken = taken or {}
-        if found.left_out and taken is None:
+        if result.left_out and taken is None:
             waves = self._ngspice(deck)
             self._own_checks()
-            found.metrics |= solution(waves, build).metrics
+            result.metrics |= solution(waves, build).metrics
         else:
             vectors = taken_vectors(self.taken)
             self._compared(deck.saving(vectors) if vectors else deck)
         self._summary()
-        found.wall_s = {stage: time for stage, time in self.clock.wall_s.items() if time}
-        return found
+        result.wall_s = {stage: time for stage, time in self.clock.wall_s.items() if time}
+        return result
 
     def _ngspice(self, deck: Deck) -> Waveforms:
         with self.clock.stage("simulate", f"ngspice, {self.build.scene.name}") as share:
@@ -366,18 +366,18 @@ class _Verification:
     def _compared(self, deck: Deck) -> None:
         """The scene in ngspice, by its laws, and by those with full models as far as these are
         followed: each two of the three."""
-        build, waves, found = self.build, self._ngspice(deck), self.found
+        build, waves, result = self.build, self._ngspice(deck), self.found
         with self.clock.stage("reference", "laws of the reduced models, events located") as told:
             reference = solve(build, waves, self.taken, told)
         solutions = {"ngspice": solution(waves, build), "rom": solution(reference.results, build)}
-        found.metrics |= solutions["ngspice"].metrics
-        found.answers |= {key: each.metrics for key, each in solutions.items()}
+        result.metrics |= solutions["ngspice"].metrics
+        result.answers |= {key: item.metrics for key, item in solutions.items()}
         outputs = self._pairs("scene", solutions)
-        found.checks += self._generic(solutions, outputs)
+        result.checks += self._generic(solutions, outputs)
         self._own_checks()
         if reference.imbalance is not None:
             limit = RECORDED_BALANCE if self.taken else build.scene.gates.energy
-            found.checks.append(
+            result.checks.append(
                 Check("energy of the reference integration", reference.imbalance, limit)
             )
         full = full_build(build, self.clock)
@@ -388,9 +388,9 @@ class _Verification:
             return
         cut = {k: solution(_until(s.waves, followed.end), build) for k, s in solutions.items()}
         exact = solution(followed.waves, build)
-        found.answers["fom"] = exact.metrics
+        result.answers["fom"] = exact.metrics
         self._pairs("full", cut | {"fom": exact})
-        found.notes += followed.notes
+        result.notes += followed.notes
         if followed.coarse is not None:
             self._stepped(followed.waves, followed.coarse)
 
@@ -462,15 +462,15 @@ class _Verification:
             )
 
     def _summary(self) -> None:
-        found, parts = self.found, self.build.scene.parts.values()
-        if "rom_vs_fom" in found.errors:
-            found.metrics["rom_error"] = found.errors["rom_vs_fom"]
+        result, parts = self.found, self.build.scene.parts.values()
+        if "rom_vs_fom" in result.errors:
+            result.metrics["rom_error"] = result.errors["rom_vs_fom"]
         bodies = [part for part in parts if part.reduced]
         if len(bodies) == 1:
             model = self.build.model(bodies[0])
-            found.metrics["rom_order"] = model.order
+            result.metrics["rom_order"] = model.order
             if "unknowns" in model.facts:
-                found.metrics["unknowns"] = model.facts["unknowns"]
+                result.metrics["unknowns"] = model.facts["unknowns"]
 
 
 def _until(waves: Waveforms, end: float | None) -> Waveforms:
