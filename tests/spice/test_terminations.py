@@ -40,8 +40,8 @@ def coils_ring(header, table, tmp_path, values=""):
     """R, L, C on both coils, a spring, a damper and a mass on the sphere's node, held at y."""
     rng = np.random.default_rng(4)
     inductance = np.tile([[43.8e-3, 7.3e-3], [7.3e-3, 43.8e-3]], (table.y.size, 1, 1))
-    still = np.zeros_like(table.y)
-    coils = replace(table, c0=still, c11=still, c22=still, inductance=inductance)
+    of_products = table.coefficients * [0.0, 1.0, 1.0, 0.0, 1.0, 0.0]
+    coils = replace(table, coefficients=of_products, inductance=inductance)
     cards, vectors = [], {}
     for k in range(COPIES):
         ohm, farad, henry, damper, mass = 10 ** rng.uniform([-2, -9, -4, -6, -5], [6, -6, 0, 0, -3])
