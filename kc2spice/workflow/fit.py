@@ -24,7 +24,7 @@ from kc2spice.parts._linear_body import LinearBody, loss_tangent
 from kc2spice.report.pages import write_fit
 from kc2spice.rom.linear import LinearModel
 from kc2spice.rom.modal import permittivity
-from kc2spice.rom.parametric import Parametric, modal_transfer, parametric
+from kc2spice.rom.parametric import Axis, Parametric, modal_transfer, parametric
 from kc2spice.rom.response import Response
 from kc2spice.scene.load import load_scene
 from kc2spice.scene.model import Scene
@@ -34,7 +34,9 @@ SPREAD, LOSSES = 1.3, 10.0  # range of a key by its value: ceramics differ by 30
 _LOSSY = re.compile(r"damping|quality|ratio|loss")
 LEAST_NOISE = 1e-3  # relative: the error of the mesh, which data may be better than
 DRAWS, STARTS = 64, 4  # points of the ranges that are looked at; descents, the scene's values first
-CORRECTIONS = 6  # by the mesh
+NARROWER, NARROW = 0.25, 0.01  # of a range, in logarithms, around the best values, again and again
+DEGREE = 3  # of polynomials in a narrow range
+ROUNDS, CORRECTIONS = 8, 4  # of ranges, and of the mesh in each of them
 SETTLED = 0.1  # standard errors that the mesh would still move the values by
 STEP = 1e-5  # of finite differences, in logarithms of values
 FAR = 0.5  # of |Y|, rms at the end: another resonance was matched, or another part measured
@@ -43,6 +45,7 @@ PROMINENT, ABOVE_NOISE = 0.005, 8.0  # of the largest conductance, of the noise:
 TANGENT = "damping.loss_tangent"  # which no finite element model has
 VALUES, BOX, PAGE = "fit.toml", "box.toml", "report.html"
 LIKELY, NARROWEST = 2.0, 1.1e-3  # standard errors of a key's range in a netlist, its relative half
+Box = dict[str, Axis]
 
 
 def fit(
@@ -62,8 +65,8 @@ def fit(
 
     Least squares of ``log(Y_model / Y)``, real and imaginary part over the noise of the data, over
     logarithms of the values within their ranges. The model is a :class:`Parametric` one of the
-    whole box for four descents from the scene's values and from the best of 64 draws; from the best
-    end its derivatives lead to where the mesh itself answers as the data. Standard errors
+    whole box for four descents from the scene's values and from the best of 64 draws, then of
+    narrower boxes around the best values until the mesh itself answers as it does. Standard errors
     are those of the linearised problem, with the deviation that is left where that is more than
     the noise.
 
@@ -80,10 +83,10 @@ def fit(
         raise UsageError("nothing to vary", where=part, expected="--vary KEY or KEY=low:high")
     loaded = load_scene(scene)
     keys = _varied(loaded, part, vary)
-    body = _Body(loaded, part, measured, keys, progress)
-    whole = body.descent()
+    body = _Body(loaded, part, measured, keys, progress, loaded)
+    whole = body.descent({item.key: item.axis for item in keys})
     ends = _descents(whole)
-    end = _corrected(whole, ends[0])
+    end = _refined(whole, ends[0])
     start = body.response(whole.made, {item.key: item.value for item in keys})
     record = _record(body, start, end, ends)
     if out is None:
@@ -128,13 +131,14 @@ def _range(key: str, text: str) -> tuple[float, float]:
 
 @dataclass(frozen=True, eq=False)
 class _Body:
-    """The body, its keys and the measurement; all models have the mesh of ``scene``, moved."""
+    """The body, its keys, the measurement, and the scene whose mesh all models have, moved."""
 
     scene: Scene
     part: str
     data: Measured
     keys: Sequence[Varied]
     progress: Progress
+    like: Scene
     counted: list[int] = field(default_factory=lambda: [0])
     last: dict[object, LinearModel] = field(default_factory=dict)
 
@@ -155,7 +159,7 @@ class _Body:
 
     def full(self, values: Mapping[str, float], moved: bool = True) -> LinearModel:
         """The full model at values of the keys, with its first electrical port; on its own mesh,
-        or on that of the scene, ``moved``.
+        or on that of ``like``, ``moved``.
 
         Raises
         ------
@@ -176,13 +180,14 @@ class _Body:
             got = part.type.name
             raise UsageError("has no linear model", where=self.part, got=got, expected="a body")
         rest = {k: v for k, v in values.items() if not k.startswith("damping.")}
-        key, damping = (moved, *rest.items()), part.keys.damping
+        key, damping = (id(self.like) if moved else 0, *rest.items()), part.keys.damping
         if key in self.last and not damping.per_material:
             return by_rayleigh(self.last[key], damping)
         self.counted[0] += 1
         self.progress("fit", None, f"finite element model {self.counted[0]}")
         if moved:
-            model = part.type.varied(part, loaded, Clock(), self.scene.part(self.part))
+            like = self.like.part(self.part, where=self.part)
+            model = part.type.varied(part, loaded, Clock(), like)
         else:
             model = part.type.full(part, loaded, Clock())
         electrical = [port.name for port in model.ports if port.kind == "electrical"]
@@ -210,18 +215,20 @@ class _Body:
         H = Response(model.pencil).transfer(2j * np.pi * self.data.f)
         return self.lossy(H[:, 0, 0], float(model.D[0, 0]), values)
 
-    def descent(self) -> _Descent:
-        """Least squares of the reduced model of all ranges."""
-        axes = [item.axis for item in self.keys if item.key != TANGENT]
-        return _Descent(self, parametric(self.full, axes, self.band))
+    def descent(self, box: Box, degree: int | None = None) -> _Descent:
+        """Least squares of the reduced model of a box."""
+        axes = [axis for name, axis in box.items() if name != TANGENT]
+        made = parametric(self.full, axes, self.band, degree=degree)
+        return _Descent(self, made, box)
 
 
 @dataclass(frozen=True)
 class _End:
-    """Where a descent ended: values, the linearised problem there, what the mesh answers."""
+    """Where a descent ended: values, the linearised problem there, its reduced model's box."""
 
     values: dict[str, float]
     solved: OptimizeResult
+    box: Box
     exact: np.ndarray = field(default_factory=lambda: np.empty(0))
 
     @property
@@ -232,23 +239,26 @@ class _End:
 
 @dataclass(frozen=True, eq=False)
 class _Descent:
-    """Least squares of a reduced model within the ranges, over logarithms of the values."""
+    """Least squares of a reduced model within its box, over logarithms of the values."""
 
     body: _Body
     made: Parametric
+    box: Box
 
     @cached_property
     def bounds(self) -> tuple[np.ndarray, np.ndarray]:
         """Ends (keys,) of the logarithms of the absolute values."""
-        ends = np.log(np.abs([[item.low, item.high] for item in self.body.keys]))
+        ends = np.log(np.abs([[axis.low, axis.high] for axis in self.box.values()]))
         return ends.min(axis=1), ends.max(axis=1)
 
     def values(self, x: np.ndarray) -> dict[str, float]:
         """Values of the keys."""
         low, high = self.bounds
         inside = np.exp(np.clip(x, low, high))
-        keys = zip(self.body.keys, inside, strict=True)
-        return {item.key: float(np.sign(item.low) * v) for item, v in keys}
+        return {
+            name: float(np.sign(axis.low) * v)
+            for (name, axis), v in zip(self.box.items(), inside, strict=True)
+        }
 
     def deviation(self, x: np.ndarray) -> np.ndarray:
         """(2 n,) real and imaginary part of the logarithm of both admittances' ratio, by noise."""
@@ -272,7 +282,7 @@ class _Descent:
 
     def start(self, values: Mapping[str, float]) -> np.ndarray:
         """Coordinates of values, within the box."""
-        return np.clip(np.log(np.abs([values[item.key] for item in self.body.keys])), *self.bounds)
+        return np.clip(np.log(np.abs([values[name] for name in self.box])), *self.bounds)
 
     def solve(self, values: Mapping[str, float]) -> _End:
         """The end of one descent."""
@@ -280,7 +290,7 @@ class _Descent:
             self.deviation, self.start(values), jac=self.jacobian, bounds=self.bounds,
             x_scale="jac", xtol=1e-10, ftol=1e-10, max_nfev=60,
         )  # fmt: skip
-        return _End(self.values(solved.x), solved)
+        return _End(self.values(solved.x), solved, self.box)
 
 
 def _descents(descent: _Descent) -> list[_End]:
@@ -293,14 +303,10 @@ def _descents(descent: _Descent) -> list[_End]:
     return sorted((descent.solve(values) for values in starts), key=lambda end: end.cost)
 
 
-def _corrected(descent: _Descent, end: _End) -> _End:
+def _corrected(descent: _Descent, end: _End) -> _End | None:
     """The end moved by what the mesh leaves over, with the reduced model's derivatives, until that
-    pulls at no combination of the keys by more than :data:`SETTLED` of its standard error.
-
-    Raises
-    ------
-    UsageError : it does not settle within the ranges.
-    """
+    pulls at no combination of the keys by more than :data:`SETTLED` of its standard error; None
+    where it does not within the box."""
     body, (low, high) = descent.body, descent.bounds
     x = descent.start(end.values)
     for _ in range(CORRECTIONS):
@@ -312,17 +318,56 @@ def _corrected(descent: _Descent, end: _End) -> _End:
         U, s, Vt = np.linalg.svd(J[:, free], full_matrices=False)
         pull = np.where(s * _widest(body.keys) > 4 * _more(result), U.T @ left, 0.0)
         if np.abs(pull).max(initial=0.0) < SETTLED * _more(result):
-            return _End(values, result, exact)
+            return _End(values, result, end.box, exact)
         x[free] -= Vt.T @ (pull / np.maximum(s, 1e-12))
         if (x < low).any() or (x > high).any():
             break
+    return None
+
+
+def _refined(descent: _Descent, end: _End) -> _End:
+    """The end for the mesh itself; where the derivatives of the reduced model do not lead there,
+    in ever narrower ranges.
+
+    Raises
+    ------
+    UsageError : it does not settle.
+    """
+    body = descent.body
+    width = {
+        item.key: 0.5 * abs(float(np.log(item.high / item.low))) * NARROWER for item in body.keys
+    }
+    for _ in range(ROUNDS):
+        result = _corrected(descent, end)
+        if result is not None:
+            return result
+        values = {f"{body.part}.{key}": value for key, value in end.values.items()}
+        body = replace(body, like=load_scene(body.scene, values))  # whose mesh is its own there
+        box = {item.key: _around(item, end.values[item.key], width[item.key]) for item in body.keys}
+        descent = body.descent(box, DEGREE)
+        end = descent.solve(end.values)
+        if not any(_between(item, box[item.key], end.values[item.key]) for item in body.keys):
+            width = {key: max(NARROWER * half, NARROW) for key, half in width.items()}
     raise UsageError(
         "the fit does not settle",
         where=body.data.where,
-        got=f"no end in {CORRECTIONS} corrections at which mesh and reduced model agree",
+        got=f"no end in {ROUNDS} rounds at which mesh and reduced model agree",
         expected=f"within {SETTLED:g} standard errors",
         hint="vary fewer keys, or give narrower ranges",
     )
+
+
+def _around(item: Varied, value: float, half: float) -> Axis:
+    """The part of the range within a factor ``exp(half)`` of a value."""
+    ends = sorted((value * np.exp(-half), value * np.exp(half)))
+    return Axis(item.key, max(item.low, ends[0]), min(item.high, ends[1]))
+
+
+def _between(item: Varied, axis: Axis, value: float) -> bool:
+    """Whether a value meets an end of a box that is not one of the key's whole range."""
+    x = axis.coordinate(value)
+    end = axis.high if x > 0 else axis.low
+    return abs(x) > 1 - 1e-3 and not np.isclose([item.low, item.high], end).any()
 
 
 def _record(body: _Body, start: np.ndarray, end: _End, ends: Sequence[_End]) -> dict[str, Any]:
