@@ -279,9 +279,9 @@ class Device(ABC):
         """(g,) values that are positive within the mode."""
         return np.empty(0)
 
-    def switch(self, mode: Any, guard: int) -> tuple[Any, str]:
-        """Mode after ``guard`` fell to zero, and the words of the event ('' keeps it quiet)."""
-        return mode, ""
+    def switch(self, mode: Any, guard: int) -> Any:
+        """Mode after ``guard`` fell to zero."""
+        return mode
 
     def check(self, t: float, e: np.ndarray) -> None:  # noqa: B027 (most laws hold anywhere)
         """Raise SimulationError where the inputs leave the law's range."""
@@ -550,10 +550,9 @@ class Pid(Device):
         below, above = self.demand(e) + self.limit, self.limit - self.demand(e)
         return np.array([(below, above), (1.0, -above), (-below, 1.0)][side])
 
-    def switch(self, mode: Any, guard: int) -> tuple[Any, str]:
+    def switch(self, mode: Any, guard: int) -> tuple[bool, int]:
         on, side = mode
-        now = 0 if side else (1 if guard else -1)
-        return (on, now), f"out {'meets' if now else 'leaves'} its limit"
+        return on, 0 if side else (1 if guard else -1)
 
     def evaluate(self, t: float, e: np.ndarray, mode: Any) -> tuple[np.ndarray, np.ndarray]:
         on, side = mode

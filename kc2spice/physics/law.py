@@ -21,7 +21,6 @@ from kc2spice.physics.expression import (
     kinks,
     minus,
     names,
-    text,
 )
 
 _KIND = {"displacement": "displacement", "voltage": "electrical", "current": "electrical"}
@@ -157,10 +156,8 @@ class DeclaredLaw(Device):
     def guards(self, t: float, e: np.ndarray, mode: Any) -> np.ndarray:
         return self._called(self._guards, e, mode) * np.where(np.array(mode) > 0, 1.0, -1.0)
 
-    def switch(self, mode: Any, guard: int) -> tuple[Any, str]:
-        now = (*mode[:guard], 1 - mode[guard], *mode[guard + 1 :])
-        side = "above" if now[guard] else "below"
-        return now, f"{text(self._corners[guard])} {side} zero"
+    def switch(self, mode: Any, guard: int) -> tuple[int, ...]:
+        return (*mode[:guard], 1 - mode[guard], *mode[guard + 1 :])
 
     @cached_property
     def _loss(self) -> _Made:

@@ -211,15 +211,6 @@ _MAX_SEGMENTS = 20_000  # a chattering contact beyond this is a modelling error,
 
 
 @dataclass(frozen=True)
-class Event:
-    """A located instant at which a device changed its mode."""
-
-    time: float
-    law: str
-    what: str
-
-
-@dataclass(frozen=True)
 class Segment:
     """Accepted steps within one interval."""
 
@@ -238,12 +229,13 @@ class Balance:
 
 @dataclass(frozen=True)
 class Result:
-    """Segments and located events of a run, to be read at ``time`` (nt,)."""
+    """Segments of a run, to be read at ``time`` (nt,), and the ``events`` [s] at which a device
+    changed its mode."""
 
     system: System
     time: np.ndarray
     segments: tuple[Segment, ...]
-    events: tuple[Event, ...]
+    events: tuple[float, ...]
 
     @cached_property
     def waves(self) -> dict[str, np.ndarray]:
@@ -295,7 +287,7 @@ def transient(
     driven = [p.wave.corners(stop) for p in system.sources]
     corners = np.unique(np.concatenate([[0.0, stop], *driven, *own]))
     segments: list[Segment] = []
-    events: list[Event] = []
+    events: list[float] = []
     for begin, end in pairwise(corners):
         t, within = begin, 0.5 * (begin + end)
         e = Interval(system, modes, within).inputs(begin, z)
@@ -314,23 +306,20 @@ def transient(
             if fired is None:
                 t = end
             else:
-                modes, event = _switched(system, modes, fired, t)
-                events += event
+                modes = _switched(system, modes, fired, t)
+                events.append(t)
     grid = [s.start for p in segments for s in p.steps] + [stop]
-    time = np.unique(grid) if times is None else np.union1d(times, [e.time for e in events])
+    time = np.unique(grid) if times is None else np.union1d(times, events)
     return Result(system, time, tuple(segments), tuple(events))
 
 
-def _switched(
-    system: System, modes: list[Any], fired: int, t: float
-) -> tuple[list[Any], list[Event]]:
+def _switched(system: System, modes: list[Any], fired: int, t: float) -> list[Any]:
     """Modes after guard number ``fired`` fell to zero."""
     item = zip(system.devices, modes, strict=True)
     counts = [len(d.law.guards(t, np.zeros(len(d.inputs)), mode)) for d, mode in item]
     k = int(np.searchsorted(np.cumsum(counts), fired, side="right"))
-    law, now = system.devices[k].law, list(modes)
-    now[k], what = law.switch(modes[k], fired - sum(counts[:k]))
-    return now, [Event(t, law.name, what)] if what else []
+    now = system.devices[k].law.switch(modes[k], fired - sum(counts[:k]))
+    return [*modes[:k], now, *modes[k + 1 :]]
 
 
 def _run(

@@ -226,7 +226,7 @@ class _March:
             if guards.size and guards.min() < -ROUNDING:
                 changed = True
                 if count >= ONE_BY_ONE:
-                    self.modes[k], _ = law.switch(self.modes[k], int(guards.argmin()))
+                    self.modes[k] = law.switch(self.modes[k], int(guards.argmin()))
                     break
                 self.modes[k] = law.mode(t, es[k], self.modes[k])
         return changed

@@ -536,7 +536,6 @@ def _followed(
     stop = build.scene.stop
     own = {law.name for law in circuit.laws}
     run = next(run for other, run in exact.runs if {law.name for law in other.laws} == own)
-    events = tuple(event.time for event in run.events)
     begin, given = _still_until(bodies, run)
     top = max(held_band(model, build)[1] for model in models.values())
     size = sum(law.model.order for law in bodies)
@@ -556,7 +555,7 @@ def _followed(
         other = read(reduced, second.waves, second.time)
         apart = [a != b for a, b in zip(first.modes, second.modes, strict=True)]
         results = {name: ours[name] - other[name] for name in ours}
-        return Difference(first.time, results, np.array(apart), events)
+        return Difference(first.time, results, np.array(apart), run.events)
 
     fine = difference(1, f"{count} steps of {step:.3g} s")
     coarse = difference(2, "half as many")
