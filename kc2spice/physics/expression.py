@@ -377,12 +377,19 @@ class _Python(Writer):
     def name(self, text: str) -> str:
         return f"_{text}"  # a key may be a word of Python
 
+    def write(self, tree: Tree, level: int = 0) -> str:
+        if isinstance(tree, Choice):
+            return f"where({self.write(tree.test)}, {self.write(tree.yes)}, {self.write(tree.no)})"
+        return super().write(tree, level)
+
     def call(self, function: str, arguments: tuple[Tree, ...]) -> str:
         if function == "integral":
             f, x = arguments
             return f"integral(lambda {self.write(x)}: {self.write(f)}, {self.write(x)})"
         if function == "poly":
             return f"({self.write(horner(arguments[0], arguments[1:]))})"
+        if function == "clip":
+            return f"clip({self.write(arguments[0])}, -1, 1)"
         return super().call(_NUMPY.get(function, function), arguments)
 
 
@@ -394,11 +401,11 @@ def _integral(f: Callable[[Any], Any], x: Any) -> Any:
 
 _SCOPE = {name: getattr(np, _NUMPY.get(name, name)) for name in _CHAIN}
 _SCOPE |= {_NUMPY[name]: _SCOPE[name] for name in _NUMPY} | {"integral": _integral}
-_SCOPE["max"] = np.maximum
+_SCOPE |= {"max": np.maximum, "clip": np.clip, "where": np.where}
 
 
 def function(trees: Iterable[Tree], arguments: Iterable[str]) -> Callable[..., tuple[Any, ...]]:
-    """The values of ``trees`` by those of ``arguments``, numbers or arrays; no kinks are left."""
+    """The values of ``trees`` by those of ``arguments``, numbers or arrays."""
     heads = ", ".join(f"_{name}" for name in arguments)
     values = "".join(f"{_Python().write(tree)}, " for tree in trees)
     made: Callable[..., tuple[Any, ...]] = eval(f"lambda {heads}: ({values})", dict(_SCOPE))
@@ -407,11 +414,4 @@ def function(trees: Iterable[Tree], arguments: Iterable[str]) -> Callable[..., t
 
 def evaluated(tree: Tree, known: Mapping[str, Any]) -> Any:
     """``tree`` by the values of names, numbers or arrays."""
-    corners = kinks(tree)
-    arguments = (*known, *(f"flag{k}" for k in range(len(corners))))
-    flags: list[Any] = [0.0] * len(corners)
-    for k, corner in enumerate(corners):
-        made = function((flagged(corner, corners),), arguments)
-        flags[k] = np.where(np.asarray(made(*known.values(), *flags)[0]) > 0.0, 1.0, 0.0)
-    made = function((flagged(tree, corners),), arguments)
-    return np.asarray(made(*known.values(), *flags)[0])
+    return np.asarray(function((tree,), known)(*known.values())[0])
