@@ -96,21 +96,16 @@ class Port:
     ret: str = ""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class LinearBody:
-    """``M x'' + E x' + K x = B in``, ``out = C x + D in``.
+    """``M x'' + E x' + K x = B in``, ``out = C x + D in`` of a small ``model`` with a dense
+    ``pencil`` of second order, whose unknowns are some of the equations'.
 
-    ``M``, ``E``, ``K`` (n, n) or (n,) for diagonal ones; ``B`` (n, p), ``C`` (p, n), ``D`` (p, p).
     A port with ``D`` must be electrical or have an own positive compliance.
     """
 
     name: str
-    M: np.ndarray
-    E: np.ndarray
-    K: np.ndarray
-    B: np.ndarray
-    C: np.ndarray
-    D: np.ndarray
+    model: Any
     ports: tuple[Port, ...]
 
     @property
@@ -120,7 +115,7 @@ class LinearBody:
     @property
     def states(self) -> tuple[str, ...]:
         """Forces at mechanical ports that have a compliance of their own besides the modes."""
-        pairs = zip(self.ports, self.D, strict=True)
+        pairs = zip(self.ports, self.model.D, strict=True)
         return tuple(port.name for port, row in pairs if port.kind in MECHANICAL and row.any())
 
     @property

@@ -599,12 +599,9 @@ class LinearBody(Touching):
             A = first_order(model.pencil.dense(), 1.0)
             rest, E = A.coefficients
             law = laws.SignalBlock(n, E, -rest, A.B, A.C, A.D, model.inputs, model.outputs)
-        elif (modal := modal_form(model)) is not None:
-            M, E, K, B = modal.inertia, modal.damp, modal.omega**2, modal.gain
-            law = laws.LinearBody(n, M, E, K, B, B.T, modal.D, own)
         else:
-            K, E, M = model.pencil.dense().coefficients
-            law = laws.LinearBody(n, M, E, K, model.B, model.C, model.D, own)
+            modal = modal_form(model)
+            law = laws.LinearBody(n, model if modal is None else modal.linear(), own)
         joins = [(port.terminals[0], f"{n}.{port.name}") for port in ports]
         joins += [(pin, f"{n}.{pin}") for port in ports for pin in port.terminals[1:]]
         results: dict[str, laws.Reading] = {}  # under the names of vectors

@@ -144,14 +144,14 @@ class _Assembly:
         self.body: dict[str, slice] = {}
         at = 0
         for b in bodies:
-            self.body[b.name] = slice(at, at + len(b.M))
-            at += len(b.M)
+            self.body[b.name] = slice(at, at + b.model.order)
+            at += b.model.order
         moved: dict[str, list[tuple[slice, np.ndarray]]] = {}
         for b in bodies:
             for k, port in enumerate(b.ports):
                 if port.kind in L.MECHANICAL and port.name not in b.states:
                     net = self.nets[f"{b.name}.{port.name}"]
-                    moved.setdefault(net, []).append((self.body[b.name], np.asarray(b.C)[k]))
+                    moved.setdefault(net, []).append((self.body[b.name], b.model.C[k]))
         own = [n for n in used if self.kinds[n] in L.MECHANICAL and n not in moved]
         self.nq = at + len(own)
         self.sizes = np.full(self.nq, MICRO)
@@ -183,10 +183,8 @@ class _Assembly:
             rest = forms if net == L.GROUND else forms[1:]
             self.rigid += [np.concatenate((f - first, np.zeros(at - self.nq))) for f in rest]
         for b in bodies:
-            reach = np.zeros(len(b.M))
-            charge = np.zeros(len(b.M))
-            for k, port in enumerate(b.ports):
-                row = np.abs(np.asarray(b.C)[k])
+            reach, charge = np.zeros((2, b.model.order))
+            for port, row in zip(b.ports, np.abs(b.model.C), strict=True):
                 if port.kind in L.MECHANICAL:
                     reach = np.maximum(reach, row)
                 elif port.kind == "electrical":
@@ -424,20 +422,14 @@ def stamp(law: L.Law, into: _Assembly) -> None:
     )
 
 
-def _square(a: np.ndarray) -> np.ndarray:
-    return np.diag(a) if np.ndim(a) == 1 else np.asarray(a, dtype=float)
-
-
 @stamp.register
 def _body(law: L.LinearBody, into: _Assembly) -> None:
     x, nq, n = into.body[law.name], into.nq, into.size
     v = slice(nq + x.start, nq + x.stop)
-    M, E, K = _square(law.M), _square(law.E), _square(law.K)
+    (K, E, M), B, C, D = law.model.pencil.coefficients, law.model.B, law.model.C, law.model.D
     into.M[x, v] += M
     into.A[x, x] -= K
     into.A[x, v] -= E
-    B, C = np.asarray(law.B, dtype=float), np.asarray(law.C, dtype=float)
-    D = np.asarray(law.D, dtype=float)
     motion, volts = np.zeros((C.shape[1], n)), {}
     motion[:, x] = np.eye(C.shape[1])
     for k, port in enumerate(law.ports):

@@ -11,8 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
-from functools import cached_property, partial
-from types import SimpleNamespace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -297,19 +296,6 @@ class Motion:
         return np.unique(np.concatenate([spread, close[close <= self.stop]]))
 
 
-def _answers(law: L.LinearBody, s: np.ndarray) -> np.ndarray:
-    """``H(s)`` (frequencies, outputs, inputs) of a body's matrices."""
-    M, E, K = (np.diag(P) if P.ndim == 1 else P for P in (law.M, law.E, law.K))
-    return np.array([law.C @ np.linalg.solve(w * w * M + w * E + K, law.B) + law.D for w in s])
-
-
-def _answering(law: L.Law) -> L.Law:
-    if not isinstance(law, L.LinearBody):
-        return law
-    pencil = SimpleNamespace(transfer=partial(_answers, law))
-    return L.PortBody(law.name, SimpleNamespace(pencil=pencil), law.ports)
-
-
 def noise(
     laws: Iterable[L.Law], joins: Mapping[str, Iterable[str]], of: L.Reading, f: np.ndarray
 ) -> np.ndarray:
@@ -317,7 +303,11 @@ def noise(
 
     ``joins`` are those of :func:`kc2spice.reference.assemble.assemble`.
     """
-    system = assemble(map(_answering, laws), joins)
+    answering = (
+        L.PortBody(law.name, law.model, law.ports) if isinstance(law, L.LinearBody) else law
+        for law in laws
+    )
+    system = assemble(answering, joins)
     rest = Linear(system)
     point = rest.z0, rest.held
     power = [_power(system, Linear(system, s, point), of, s) for s in 2j * np.pi * f]

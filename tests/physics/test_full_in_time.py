@@ -1,5 +1,7 @@
 """Full models at their ports: closed forms, matrices solved by hand, the usual code of contact."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy import sparse
@@ -59,8 +61,8 @@ def test_steps_follow_a_closed_form_with_an_error_of_second_order() -> None:
 def test_a_body_at_its_ports_is_the_same_as_with_its_states() -> None:
     """At rest and at a frequency, on a floating electrode with a capacitor and a spring."""
     full = oscillator()
-    K_, E, M_ = full.pencil.dense().coefficients
-    states = laws.LinearBody("x", M_, E, K_, full.B, full.C, full.D, KICK)
+    whole = {k: P.toarray() for k, P in zip("KEM", full.pencil.coefficients, strict=True)}
+    states = laws.LinearBody("x", replace(full, **whole), KICK)
     found = []
     for body in (states, laws.PortBody("x", full, KICK)):
         parts = (

@@ -15,6 +15,7 @@ from kc2spice.reference.assemble import assemble
 from kc2spice.reference.equilibrium import operating_point
 from kc2spice.reference.integrate import Result, transient
 from kc2spice.reference.linear import ac
+from kc2spice.rom.linear import LinearModel, Port
 
 
 def touching(name: str, stiffness: float) -> DeclaredLaw:
@@ -101,9 +102,10 @@ def piezo(name: str, stiffness: float = 2e7, mass: float = 1e-3) -> L.LinearBody
     """One mode, 0.4 N/V, 100 nF clamped, whose top moves with the mode."""
     gain, c0 = 0.4, 100e-9
     ports = (L.Port("top", "displacement"), L.Port("anode", "electrical"))
-    b = np.array([[1.0, gain]])
-    return L.LinearBody(name, np.array([mass]), np.array([2.0]), np.array([stiffness]), b, b.T,
-                        np.diag([0.0, c0]), ports)  # fmt: skip
+    M, E, K = np.array([[[mass]], [[2.0]], [[stiffness]]])
+    kinds = Port("top", "mechanical"), Port("anode", "electrical")
+    model = LinearModel(M=M, E=E, K=K, B=np.array([[1.0, gain]]), D=np.diag([0.0, c0]), ports=kinds)
+    return L.LinearBody(name, model, ports)
 
 
 def test_piezo_with_a_resistor_as_its_load() -> None:
