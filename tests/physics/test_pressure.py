@@ -128,6 +128,18 @@ def test_a_chip_is_stiffer_than_its_ceramic_and_converges():
     assert np.linalg.eigvalsh(added)[0] > 0
 
 
+def test_forces_act_where_surfaces_meet_and_nowhere_else():
+    rng = np.random.default_rng(3)
+    for _ in range(100):
+        root = rng.normal(size=(6, 6))
+        S, gap, depth = (root @ root.T + np.eye(6)) * 1e-8, rng.normal(size=6) * 1e-6, 1e-6
+        (force,) = pressing(S, gap, np.array([depth]))
+        apart = S @ force - (depth - gap)
+        assert min(force) >= 0
+        assert apart.min() > -1e-5 * np.abs(gap).max()
+        np.testing.assert_allclose(force * apart, 0, atol=1e-5 * force.max() * np.abs(gap).max())
+
+
 SMALL = ("kick.layers=2", "kick.mesh.sectors=4", "kick.mesh.rings=2", "kick.mesh.outer_rings=2",
          "kick.mesh.ring_spacing=100 um", "contact.shape=pressure")  # fmt: skip
 

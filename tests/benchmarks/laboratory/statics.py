@@ -27,14 +27,14 @@ def contact_forces(compliant, stiffness, overlap):
     ``overlap`` (m, n) are the penetrations that would be there without forces, of m cases; cases
     with the same closed rings share one factorisation.
     """
-    closed = overlap > 0.0
+    closed, soft = overlap > 0.0, np.diag(1 / np.broadcast_to(stiffness, overlap.shape[1]))
     bits = 1 << np.arange(overlap.shape[1])  # a set of closed rings as one number
     for _ in range(4 * overlap.shape[1] + 10):
         force = np.zeros(overlap.shape)
         _, first, member = np.unique(closed @ bits, return_index=True, return_inverse=True)
         for number, touching in enumerate(closed[first]):
             cases = np.ix_(member == number, touching)
-            system = compliant[np.ix_(touching, touching)] + np.eye(touching.sum()) / stiffness
+            system = (compliant + soft)[np.ix_(touching, touching)]
             force[cases] = np.linalg.solve(system, overlap[cases].T).T
         now = overlap - force @ compliant.T > 0.0
         if np.array_equal(now, closed):

@@ -9,8 +9,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from kc2spice.bodies.piezo_stack import stack_setup
-from kc2spice.bodies.pressure import ITERATIONS
 from kc2spice.core.errors import SimulationError
+
+ITERATIONS = 60  # of the closed springs
 
 
 @dataclass(frozen=True)

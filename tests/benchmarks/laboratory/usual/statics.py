@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from kc2spice.bodies.pressure import contact_forces
+from laboratory.statics import contact_forces
 from laboratory.usual.contact import settled
 from laboratory.usual.system import electrical_port, solver, stiffened
 
@@ -31,7 +31,7 @@ def imprint(system, surface, depth, electrical="open"):
     inverse = solver(system, 0.0, 1.0, b, (electrical == "open") / capacitance)
     G = surface.shapes.T @ inverse(surface.shapes)
     G = 0.5 * (G + G.T)
-    force = np.array([contact_forces(G, d - surface.gap, surface.penalty) for d in depth])
+    force = contact_forces(G, surface.penalty, depth[:, None] - surface.gap)
     return ImprintResult(force, np.zeros(len(depth)))
 
 

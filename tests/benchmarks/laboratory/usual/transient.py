@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import sparse
 
-from kc2spice.bodies.pressure import contact_forces
+from laboratory.statics import contact_forces
 from laboratory.usual.contact import settled
 from laboratory.usual.system import electrical_port, solver, stiffened, stiffness
 
@@ -72,7 +72,7 @@ def _low_rank(chip):
     def advance(load, fall, penetration):
         a = solve(load)
         free = penetration + chip.quarter * (shapes.T @ a - fall)
-        force = contact_forces(compliance, free, chip.surface.penalty)
+        force = contact_forces(compliance, chip.surface.penalty, free[None])[0]
         return a - answers @ force, fall + force.sum() / chip.mass, force
 
     return advance
