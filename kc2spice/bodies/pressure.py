@@ -1,29 +1,30 @@
 """Pressure on the top of a layered stack: a contact port that converges with the mesh.
 
-A force on a circle of the mesh's nodes is a line load, whose dent grows without limit as the mesh
-gets finer. Here pressures are hat functions of the radius, with the displacements averaged by them.
-The mesh of the whole stack is too coarse for them; only a patch of them is a port of it, pressed as
-by a flat punch: with the shares ``w = S^-1 1 / (1' S^-1 1)`` of the hats, S (n, n) their static
-compliance, every hat moves by the same ``S w = s 1``. Then
+A force on a circle of the mesh's nodes is a line load, whose indentation grows without limit as the
+mesh gets finer. Here pressures are piecewise linear in the radius (P1), with the displacements
+averaged by the same basis functions. The mesh of the whole stack is too coarse for them; only a
+patch of them is a port of it, loaded as by a flat punch: with the shares
+``w = S^-1 1 / (1' S^-1 1)`` of the basis functions, S (n, n) their static compliance, each of them
+moves by the same ``S w = s 1``. Then
 
     u_i = u_patch + sum_j (S - s_patch 1 1')_ij F_j,     F_patch = sum_j F_j,
 
 where S is that of a round stack of the same layers on a graded axisymmetric mesh and ``s_patch``
 that of the patch on the coarse mesh of the same round stack: what the coarse mesh has too little is
 put back where it is missing. What differs between the round stack and the real one is smooth, thus
-the same for all hats, and dynamic: the patch has it. The matrix is positive semi-definite because
-``S - s 1 1'`` is (s is the least compliance of all shares) and a coarse mesh is too stiff.
+the same for all of the basis, and dynamic: the patch has it. The matrix is positive semi-definite
+because ``S - s 1 1'`` is (s is the least compliance of all shares) and a coarse mesh is too stiff.
 
-The hats answer at once, as residual modes do (:mod:`kc2spice.rom.modal`): the dents' own modes
-lie above the sound's frequency over the patch, ten megahertz. Nothing but the depth x by which a
-sphere is pressed into them beyond the patch's motion sets them therefore, and their sum is one law
-of one depth (:func:`dented`), which a circuit evaluates at the cost of one spring.
+The local compliance answers at once, as residual modes do (:mod:`kc2spice.rom.modal`): its own
+modes lie above the sound's frequency over the patch, ten megahertz. Nothing but the depth x of
+a sphere's indentation beyond the patch's motion sets the forces therefore, and their sum is one law
+of one depth (:func:`indentation_law`), which a circuit evaluates at the cost of one spring.
 
-The other side may be a free elastic :class:`Sphere` under the same hats, on quadrilaterals that
+The other side may be a free elastic :class:`Sphere` under the same basis, on quadrilaterals that
 grow away from its lowest point. The conformal map ``zeta = w / (1 - i w / 2R)`` of ``zeta = r + i
 h`` takes the quarter plane ``w = 2R (tan x/2 + i tan y/2)`` to the half disc, h the height above
 the pole: a grid of the angles x, along the surface, and y, along the axis, has right angles
-everywhere and, at the pole, the lines of the hats. The other pole lies at infinity; there a pit of
+everywhere and, at the pole, the lines of the basis. The other pole lies at infinity; there a pit of
 ``R / 30`` is left out, 1e-5 of the mass.
 
 Its displacements are relative to the centre of mass. With the motion t (n,) of the whole along the
@@ -53,11 +54,11 @@ from kc2spice.fem.materials import Material
 from kc2spice.fem.solid import Solid, assemble
 from kc2spice.rom.linear import LinearModel, Port, with_potentials
 
-CELLS = 3  # of the graded mesh between two hats
-GROWTH = 1.3  # from cell to cell away from the hats
-EVEN = 0.2  # of the patch's radius, within which hats are equally spaced
+CELLS = 3  # of the graded mesh between two nodes of the basis
+GROWTH = 1.3  # from cell to cell away from them
+EVEN = 0.2  # of the patch's radius, within which they are equally spaced
 WIDEST = 0.5  # of the patch's radius, of the contacts that a law is for
-RESOLVED = 5  # hats under the narrowest contact that the law is fitted to
+RESOLVED = 5  # basis functions under the narrowest contact that the law is fitted to
 DEGREE = 5  # of its polynomial in the contact's radius
 DEPTHS = 300  # that it is fitted to
 SOFT = 1e-7  # of a basis function's own compliance, which makes their matrix definite
@@ -68,9 +69,9 @@ PIT = 1 / 60  # rad around the upper pole without cells
 
 @dataclass(frozen=True)
 class PressureBasis:
-    """Hat functions of the radius: hat j is 1 at ``nodes[j]`` and 0 at its neighbours [m].
+    """Pressures linear in the radius (P1): function j is 1 at ``nodes[j]``, 0 at the others [m].
 
-    The last node is the patch's edge, where no hat stands.
+    The last node is the patch's edge, where the pressure is zero.
     """
 
     nodes: np.ndarray
@@ -82,12 +83,12 @@ class PressureBasis:
 
     @property
     def distances(self) -> np.ndarray:
-        """Radius [m] at which a paraboloid's gap is that of each hat: the mean over it, where
+        """Radius [m] at which a paraboloid's gap is that of each function: the mean over it, where
         ``r^2`` is the mean of ``r^2``."""
         return np.asarray(np.sqrt(self._moments(2) / self._moments(0)))
 
     def pressure(self, shares: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Radii and pressure as shares (n,) of the hats spread a unit force."""
+        """Radii and pressure as shares (n,) of the functions spread a unit force."""
         return self.nodes, np.append(shares / self.areas, 0.0)
 
     def _moments(self, power: int) -> np.ndarray:
@@ -111,28 +112,28 @@ def pressure_basis(spacing: float, patch: float) -> PressureBasis:
 
 @dataclass(frozen=True)
 class LocalCompliance:
-    """``compliance`` (n, n) [m/N]: what hats of pressure give more than the patch that they are in,
-    which itself gives ``patch`` [m/N]."""
+    """``compliance`` (n, n) [m/N]: what the basis functions give more than the patch that they are
+    in, which itself gives ``patch`` [m/N]."""
 
     compliance: np.ndarray
     patch: float
 
     @property
     def shares(self) -> np.ndarray:
-        """(n,) of the hats in the patch, which move all of them alike."""
+        """(n,) of the basis functions in the patch, which move all of them alike."""
         result = np.linalg.solve(self.compliance + self.patch, np.ones(len(self.compliance)))
         return np.asarray(result / result.sum())
 
 
-def pressed(chip: Chip, shape: PressureBasis) -> LocalCompliance:
-    """What the hats give on the stack's top, and their patch on the coarse mesh.
+def local_compliance(chip: Chip, shape: PressureBasis) -> LocalCompliance:
+    """Of the basis functions on the stack's top, and of their patch on the coarse mesh.
 
     Raises
     ------
     SimulationError : the coarse mesh is softer than the graded one, which no good mesh is.
     """
     S = surface_compliance(chip, shape)
-    # the round stack of the same layers and the same mesh under the hats
+    # the round stack of the same layers and the same mesh under the patch
     alike = ("height", "layers", "bottom_cap", "top_cap", "material", "mesh", "damping")
     own = {name: getattr(chip, name) for name in alike} | {"diameter": 2 * min(chip.half)}
     pressure = shape.pressure(LocalCompliance(S, 0.0).shares)
@@ -144,7 +145,7 @@ def pressed(chip: Chip, shape: PressureBasis) -> LocalCompliance:
         raise SimulationError(
             "the mesh of the stack is softer than a graded one under a patch of pressure",
             where="contact.shape",
-            got=f"compliance {lowest:.3g} m/N of a hat",
+            got=f"compliance {lowest:.3g} m/N of a basis function",
             expected="above 0",
             hint="raise kick.mesh.sectors, or lower contact.spacing",
         )
@@ -152,8 +153,8 @@ def pressed(chip: Chip, shape: PressureBasis) -> LocalCompliance:
 
 
 def surface_compliance(chip: Chip, shape: PressureBasis, cells: int = CELLS) -> np.ndarray:
-    """(n, n) mean displacement [m] of each hat per force [N] on each, of a round stack as wide as
-    the chip's smaller side, on a roller, electrodes at constant voltage."""
+    """(n, n) mean displacement [m] of each function per force [N] on each, of a round stack as wide
+    as the chip's smaller side, on a roller, electrodes at constant voltage."""
     return _compliance(_stack(chip, shape, cells).model)
 
 
@@ -165,7 +166,7 @@ def _compliance(model: LinearModel) -> np.ndarray:
 
 
 def stressed(chip: Chip, shape: PressureBasis, force: np.ndarray) -> dict[str, float]:
-    """What ``force`` (n,) [N] on the hats does inside, on the graded mesh, at Gauss points: the
+    """What ``force`` (n,) [N] on the basis does inside, on the graded mesh, at Gauss points: the
     largest ``pressure_pa``, and the largest ``shear_pa``, half the difference of principal
     stresses, with its ``shear_depth_m`` below the top."""
     stack = _stack(chip, shape, CELLS)
@@ -182,8 +183,8 @@ def stressed(chip: Chip, shape: PressureBasis, force: np.ndarray) -> dict[str, f
 
 
 def _stack(chip: Chip, shape: PressureBasis, cells: int) -> Device:
-    """The round stack on a roller, with a port for every hat, on quadrilaterals that grow away from
-    the hats, with a line at every face of a layer."""
+    """The round stack on a roller, with a port for every basis function, on quadrilaterals that
+    grow away from them, with a line at every face of a layer."""
     ends = [cap.thickness if cap else 0.0 for cap in (chip.bottom_cap, chip.top_cap)]
     caps = [int(end > 0) for end in ends]
     layers = [chip.height / chip.layers] * chip.layers
@@ -206,7 +207,7 @@ def _stack(chip: Chip, shape: PressureBasis, cells: int) -> Device:
         return np.flatnonzero((np.abs(z[:, None] - at) < near).any(axis=1))
 
     top = mesh.facets_satisfying(lambda x: np.abs(x[1] - heights[-1]) < near)
-    ports = _hat_ports(shape)
+    ports = _basis_ports(shape)
     setup = Setup(
         np.column_stack([r < near, z < near]).ravel(),
         {"anode": level(planes[1::2]), "cathode": level(planes[::2])},
@@ -216,23 +217,23 @@ def _stack(chip: Chip, shape: PressureBasis, cells: int) -> Device:
     return constrained(solid, setup)
 
 
-def _hat_ports(shape: PressureBasis) -> list[Port]:
-    return [Port(f"hat{k}", "mechanical") for k in range(len(shape.nodes) - 1)]
+def _basis_ports(shape: PressureBasis) -> list[Port]:
+    return [Port(f"basis{k}", "mechanical") for k in range(len(shape.nodes) - 1)]
 
 
 def _basis_loads(solid: Solid, shape: PressureBasis, facets: np.ndarray) -> np.ndarray:
-    """(2 nodes, hats) unit axial forces, spread as the hats are over what the facets project."""
+    """(2 nodes, n) unit axial forces, spread as the basis is over what the facets project."""
     basis, result = (
         solid.face(facets, 5),
         np.zeros((2 * solid.places.shape[1], len(shape.nodes) - 1)),
     )
 
-    def load(hat: np.ndarray) -> LinearForm:
-        profile = partial(np.interp, xp=shape.nodes, fp=hat, right=0.0)
+    def load(heights: np.ndarray) -> LinearForm:
+        profile = partial(np.interp, xp=shape.nodes, fp=heights, right=0.0)
         return LinearForm(lambda v, w: profile(w.x[0]) * w.x[0] * np.abs(w.n[1]) * v)
 
-    for column, hat in zip(result.T, np.eye(len(shape.nodes)), strict=False):
-        column[1::2] = load(hat).assemble(basis)
+    for column, heights in zip(result.T, np.eye(len(shape.nodes)), strict=False):
+        column[1::2] = load(heights).assemble(basis)
     return result / result.sum(axis=0)
 
 
@@ -252,7 +253,7 @@ def _growing(start: float, end: float, step: float) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Indented:
-    """Force [N] of a sphere pressed by x [m] into hats: ``sum_k c_k s^(3 + k)``.
+    """Force [N] of a sphere at the indentation x [m]: ``sum_k c_k s^(3 + k)``.
 
     ``s = sqrt(x / depth)`` is the contact's radius over the widest one, so that the first term is
     Hertz's law and the others what layers and the body's size add. ``depth`` [m] is the largest
@@ -269,13 +270,13 @@ class Indented:
 
 
 def indentation_law(shape: PressureBasis, compliance: np.ndarray, gap: np.ndarray) -> Indented:
-    """The law of a sphere over hats of the ``compliance`` (n, n), each the ``gap`` (n,) [m] below
-    it.
+    """The law of a sphere over basis functions of the ``compliance`` (n, n), each the ``gap`` (n,)
+    [m] below it.
 
-    Hats close one by one, and the force of n of them is n straight lines: it swings about the
+    They close one by one, and the force of n of them is n straight lines: it swings about the
     converged one by a quarter of (spacing / contact's radius)^2. The work ``J = int F dx`` is a
     minimum over all pressures, of second order in their error. The law is the derivative of the
-    polynomial that fits J, from contacts that are some hats wide on.
+    polynomial that fits J, from contacts that are some of them wide on.
     """
     spacing, widest = shape.nodes[1], WIDEST * shape.nodes[-1]
     depth = 2 * float(np.interp(widest, shape.distances, gap))  # Hertz: half of it is left there
@@ -292,13 +293,13 @@ def indentation_law(shape: PressureBasis, compliance: np.ndarray, gap: np.ndarra
 def pressing(compliance: np.ndarray, gap: np.ndarray, depth: np.ndarray) -> np.ndarray:
     """(depths, n) forces [N]: pressure where, and only where, the sphere meets the surface.
 
-    ``f >= 0``, ``S f >= x - gap`` and ``f'(S f - x + gap) = 0`` say that ``f' S f / 2 - (x - gap)'f``
-    is least, which with ``S = L L'`` is ``|L'f - L^-1 (x - gap)|^2 / 2`` but for a constant.
+    With ``g = x - gap``, ``f >= 0``, ``S f >= g`` and ``f'(S f - g) = 0`` say that ``f'S f / 2 -
+    f'g`` is least, which with ``S = L L'`` is ``|L'f - L^-1 g|^2 / 2`` but for a constant.
     """
     from scipy.optimize import nnls  # late: no contact of rings needs it
 
-    definite = compliance + SOFT * compliance.diagonal().max() * np.eye(gap.size)
-    L = np.linalg.cholesky(definite)
+    soft = SOFT * compliance.diagonal().max()
+    L = np.linalg.cholesky(compliance + soft * np.eye(gap.size))
     return np.array([nnls(L.T, np.linalg.solve(L, x - gap))[0] for x in depth])
 
 
@@ -323,7 +324,7 @@ class Sphere:
 
 
 def sphere(body: Sphere, shares: np.ndarray, shape: PressureBasis, refine: int = 1) -> LinearModel:
-    """The sphere with the port ``patch``, upwards: ``shares`` (n,) of the hats; see the module.
+    """The sphere with the port ``patch``, upwards: ``shares`` (n,) of the basis; see the module.
 
     ``refine`` divides every cell along each axis.
     """
@@ -334,20 +335,20 @@ def sphere(body: Sphere, shares: np.ndarray, shape: PressureBasis, refine: int =
     return replace(model, E=None, rayleigh=body.rayleigh, facts=facts)
 
 
-def pressed_sphere(body: Sphere, shape: PressureBasis, refine: int = 1) -> LocalCompliance:
-    """What the hats give on the sphere, and their patch."""
+def sphere_compliance(body: Sphere, shape: PressureBasis, refine: int = 1) -> LocalCompliance:
+    """Of the basis functions on the sphere, and of their patch."""
     S = compliance(body, shape, refine)
     patch = float(1 / np.linalg.solve(S, np.ones(len(S))).sum())
     return LocalCompliance(S - patch, patch)
 
 
 def compliance(body: Sphere, shape: PressureBasis, refine: int = 1) -> np.ndarray:
-    """(n, n) static displacement [m] of each hat per force [N] on each."""
+    """(n, n) static displacement [m] of each function per force [N] on each."""
     return _compliance(_free(body, shape, refine))
 
 
 def _free(body: Sphere, shape: PressureBasis, refine: int) -> LinearModel:
-    """The undamped sphere with a port for every hat, on the mapped grid of the module."""
+    """The undamped sphere with a port for every function, on the mapped grid of the module."""
     radius = body.radius
     x = _onwards(np.arcsin(_divided(shape.nodes, CELLS) / radius))
     y = _onwards(np.array([0.0, x[1]]))
@@ -377,7 +378,7 @@ def _free(body: Sphere, shape: PressureBasis, refine: int) -> LinearModel:
         k_uV=np.zeros((len(kept), 0)),
         c_VV=np.zeros((0, 0)),
         B=loads - momentum[:, None] / mass,
-        ports=_hat_ports(shape),
+        ports=_basis_ports(shape),
         facts={"unknowns": float(len(kept)), "mass_kg": mass},
     )
 

@@ -20,7 +20,9 @@ if TYPE_CHECKING:
 
 FLOOR = "floor"  # port of a rigid plane
 PATCH = "patch"  # port of an elastic sphere
-HATS = 3.0  # of what hats half as wide move; 1.8 of it is found against hats a quarter as wide
+# Error of the pressure basis in units of what one half as wide changes: measured is 1.8, against
+# one a quarter as wide.
+REFINED = 3.0
 _FLIGHT = 20e-6  # several periods of the chip: a shorter gap is a bounce within the kick
 _SPARE = 1.25  # of a dent: a body is neither a half-space nor pressed on more than a few rings
 
@@ -32,8 +34,8 @@ class Surface:
     ``ports`` give the position in um and take the force, but for a rigid part, where it acts on the
     ``velocity`` pin. ``radius`` [m] is that of a sphere, None for a plane.
     ``sectors`` is the number of symmetry sectors that a stiffness per sector stands for. A port
-    that is a patch of pressure has its radius ``patch`` [m], and its ``compliance`` under hats of
-    it, which follow within ``pace`` [s].
+    that is a patch of pressure has its radius ``patch`` [m], and its ``compliance`` under a basis
+    of pressure, which it follows within ``pace`` [s].
     ``elastic`` is the part whose port ``patch`` a rigid surface carries. ``modulus`` [Pa] is that
     of indentation of the half-space that a contact presses on, where it is one.
     """
@@ -262,14 +264,14 @@ class Pair:
 
     @cached_property
     def shape(self) -> PressureBasis:
-        """Hats of pressure over the patch of ``a``."""
+        """Pressure basis functions (P1) over the patch of ``a``."""
         from kc2spice.bodies.pressure import pressure_basis
 
         return pressure_basis(self.keys.spacing, self.a.patch)
 
     @cached_property
     def indentation(self) -> tuple[LocalCompliance, float]:
-        """Of both sides together under these hats, and the time [s] in which they follow."""
+        """Of both sides together in this basis, and the time [s] in which they follow."""
         return self._compliance_of(self.shape)
 
     def _compliance_of(self, shape: PressureBasis) -> tuple[LocalCompliance, float]:
@@ -287,8 +289,8 @@ class Pair:
         pace = (1 - share) * self.a.pace + share * surface.pace
         return replace(result, compliance=whole, patch=result.patch + other.patch), pace
 
-    def hat_forces(self, force: float) -> np.ndarray:
-        """(n,) [N] on each hat of pressure where they carry ``force`` together."""
+    def basis_forces(self, force: float) -> np.ndarray:
+        """(n,) [N] on each basis function where they carry ``force`` together."""
         from kc2spice.bodies.pressure import pressing
 
         assert self.b.radius is not None
@@ -299,10 +301,10 @@ class Pair:
         return np.asarray(force / result.sum() * result)
 
     def unresolved(self) -> float:
-        """Gate of the law against a full model with finer hats, relative: 0 for rings.
+        """Gate of the law against a full model with a finer basis, relative: 0 for rings.
 
-        By how much the force of the hats differs from that of hats half as wide, at depths from
-        half of what the scene can reach on; the patch's own give is part of both.
+        By how much the force differs from that of a basis half as wide, at depths from half of
+        what the scene can reach on; the patch's own compliance is part of both.
         """
         from kc2spice.bodies.pressure import pressure_basis
 
@@ -316,7 +318,7 @@ class Pair:
             law = _indentation_law(shape, result.compliance + result.patch, self.b.radius)
             deepest = min(self.deepest.depth or math.inf, law.depth)
             forces.append(law.force(np.linspace(0.5, 1.0, 50) * deepest))
-        return HATS * float(np.abs(forces[1] / forces[0] - 1).max())
+        return REFINED * float(np.abs(forces[1] / forces[0] - 1).max())
 
     # --- motion -----------------------------------------------------------------------------
 

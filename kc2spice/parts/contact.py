@@ -48,7 +48,7 @@ from kc2spice.scene.parttype import (
 REDUCED, BEYOND = 0.4, 1e-3
 MISSING = 1e-3  # energy that the springs may make or lose, of what went through them
 STIFFEST = 1e15  # N/m; a gram on it rings at 160 GHz, which no simulator ends to follow
-CARRYING = 3.0  # hats of 10 um under a contact as wide are 5e-3 off, half as many 3e-2
+CARRYING = 3.0  # basis functions across a contact's radius: 5e-3 off, half as many 3e-2
 OPEN = 0.95  # of its gap that the bound of a ring that was left out may reach
 # Contact events of a kick that a reltol is good for, times that reltol: every event adds the error
 # of a step. Of 37 kicks of chips damped by 0.01 to 0.05 %, those above launched wrong by 9e-4.
@@ -84,7 +84,7 @@ class ContactKeys(Section):
         "rings", description="of the chip's ports: circles of the mesh, or pressure under a sphere"
     )
     spacing: Annotated[Length, Notch(0.5, model=True, when=(("shape", "pressure"),))] = Field(
-        10e-6, gt=0, description="of the hats of pressure"
+        10e-6, gt=0, description="of the pressure basis functions (P1)"
     )
     law: Literal["linear", "hertz"] = Field(
         "linear", description="penalty x, or 4/3 E* sqrt(R) x^(3/2) of a sphere at one port"
@@ -256,8 +256,8 @@ class Contact(DeclaredPart):
         keys, pair = part.keys, Pair(part, scene)
         own = pair.normal
         if keys.shape == "pressure":
-            detail = f"pressure under a sphere, up to {own.depth:.3g} m deep; hats every "
-            detail += f"{keys.spacing:g} m near the axis"
+            detail = f"pressure under a sphere, up to {own.depth:.3g} m deep; basis functions "
+            detail += f"every {keys.spacing:g} m near the axis"
         elif own.power == 1.0:
             detail = f"{len(pair.ports)} unilateral springs, {own.stiffness:g} N/m each"
         else:
@@ -319,7 +319,7 @@ def _pressure_problems(pair: Pair) -> Iterator[UsageError]:
         yield part.wrong("shape", "no port of pressure on this body", a.ports[0], expected, hint)
     elif not part.keys.spacing < a.patch / 4:
         got, expected = f"{part.keys.spacing:g} m", f"less than {a.patch / 4:g} m"
-        problem = "hats of pressure wider than the patch that they are in"
+        problem = "pressure basis functions wider than the patch that they are in"
         yield part.wrong("spacing", problem, got, expected)
     if b.radius is None or b.radius <= a.patch:
         got = "no sphere" if b.radius is None else f"a radius of {b.radius:g} m"
@@ -439,7 +439,7 @@ def _open_ports(pair: Pair, build: Build, waves: Waveforms, place: np.ndarray) -
 
 def _within_law(pair: Pair, waves: Waveforms, place: np.ndarray) -> Iterator[Check]:
     """The law of a pressure ends where the contact is as wide as half of its patch, and knows
-    little of one that a few hats carry (:data:`CARRYING`)."""
+    little of one that a few basis functions carry (:data:`CARRYING`)."""
     height = pair.a.height(pair.a.ports[0], waves)
     if pair.keys.shape != "pressure" or height is None:
         return
@@ -451,7 +451,7 @@ def _within_law(pair: Pair, waves: Waveforms, place: np.ndarray) -> Iterator[Che
         widest, spacing = math.sqrt(deepest * pair.b.radius) / CARRYING, pair.keys.spacing
         advice = "so few of them carry that the force is more than 5e-3 off: lower "
         advice += f"{pair.part.name}.spacing"
-        yield Check("hats of the contact", spacing, widest, "m", advice, checks.penetration)
+        yield Check("basis of the pressure", spacing, widest, "m", advice, checks.penetration)
 
 
 register(Contact())

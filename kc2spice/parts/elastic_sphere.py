@@ -1,4 +1,4 @@
-"""What the elasticity of a sphere adds to its rigid motion: dents under a contact, and modes."""
+"""What the elasticity of a sphere adds to its rigid motion: indentation, and modes."""
 
 from __future__ import annotations
 
@@ -69,8 +69,8 @@ elastic = true
         if ports != (PATCH,):
             return None
 
-        dents, pace = partial(self._compliance_of, part, scene), _body(part, scene).rayleigh[1]
-        return Surface(part.name, ports, (0.0,), compliance=dents, pace=pace)
+        compliance, pace = partial(self._compliance_of, part, scene), _body(part, scene).rayleigh[1]
+        return Surface(part.name, ports, (0.0,), compliance=compliance, pace=pace)
 
     def full_key(self, part: Part, scene: Scene) -> Mapping[str, Any]:
         body, own = _body(part, scene), part.keys.model_dump(mode="json", include={"mesh"})
@@ -80,7 +80,7 @@ elastic = true
             "stiffness": body.material.C.tolist(),
             "rayleigh": body.rayleigh,
             "own": own,
-            "hats": Pair(_contact(part, scene), scene).shape.nodes.tolist(),
+            "pressure_basis": Pair(_contact(part, scene), scene).shape.nodes.tolist(),
         }
 
     def full(self, part: Part, scene: Scene, clock: Any) -> LinearModel:
@@ -117,12 +117,12 @@ elastic = true
         )
 
     def _compliance_of(self, part: Part, scene: Scene, shape: PressureBasis) -> LocalCompliance:
-        from kc2spice.bodies.pressure import LocalCompliance, pressed_sphere
+        from kc2spice.bodies.pressure import LocalCompliance, sphere_compliance
 
-        key = {**self.full_key(part, scene), "hats": shape.nodes.tolist()}
+        key = {**self.full_key(part, scene), "pressure_basis": shape.nodes.tolist()}
         made, kinds = (_body(part, scene), shape, part.keys.mesh.refine), (LocalCompliance,)
         result, _ = cached(
-            "pressed", key, lambda: pressed_sphere(*made), classes=kinds, sources=self.sources()
+            "indented", key, lambda: sphere_compliance(*made), classes=kinds, sources=self.sources()
         )
         return result
 

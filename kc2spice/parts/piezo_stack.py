@@ -259,7 +259,7 @@ class PiezoStack(MeshedBody):
             "chip": chip_of(part.keys).model_dump(mode="json"),
             "field": part.keys.rated_field,
         }
-        return result if shape is None else result | {"hats": shape.nodes.tolist()}
+        return result if shape is None else result | {"pressure_basis": shape.nodes.tolist()}
 
     def reduction(self, part: Part, scene: Scene) -> Rom:
         """As asked; else the paper's chip has the paper's order, and any other stack a tolerance
@@ -299,7 +299,7 @@ class PiezoStack(MeshedBody):
 
             name = next(c.name for c in scene.of("contact") if c.keys.shape == "pressure")
             if (most := float(waves[f"{name}.force"].max())) > 0:
-                forces = Pair(scene.parts[name], scene).hat_forces(most)
+                forces = Pair(scene.parts[name], scene).basis_forces(most)
                 inside = stressed(chip_of(part.keys), shape, forces)
                 result |= {f"{name}_{what}": value for what, value in inside.items()}
         current = waves.data.get(f"{part.name}.current")
@@ -435,12 +435,14 @@ def free_stroke(keys: Chip, voltage: float) -> float:
 
 
 def _compliance_of(part: Part, shape: PressureBasis) -> LocalCompliance:
-    from kc2spice.bodies.pressure import LocalCompliance, pressed
+    from kc2spice.bodies.pressure import LocalCompliance, local_compliance
 
     chip, kinds = chip_of(part.keys), (LocalCompliance,)
     own = chip.model_dump(mode="json", exclude={"damping"})
-    key = {"chip": own, "hats": shape.nodes.tolist()}
-    result, _ = cached("pressed", key, lambda: pressed(chip, shape), classes=kinds, sources=SOURCES)
+    key = {"chip": own, "pressure_basis": shape.nodes.tolist()}
+    result, _ = cached(
+        "indented", key, lambda: local_compliance(chip, shape), classes=kinds, sources=SOURCES
+    )
     return result
 
 

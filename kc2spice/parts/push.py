@@ -88,15 +88,15 @@ class Push(Touching):
     def checks(self, part: Part, build: Build, waves: Waveforms) -> Iterator[Gate]:
         pair, gates = only_pair(build.scene), build.scene.gates
         assert pair is not None
-        # The first depths are contacts of one hat, which the law does not resolve: all errors are
-        # of the largest force then, and against the full model those of the hats.
-        hats = pair.unresolved()
+        # The first depths are contacts of one basis function, which the law does not resolve: all
+        # errors are of the largest force then, and against the full model those of the basis.
+        law = pair.unresolved()
         limits = {
-            "rom_vs_fom": max(gates.imprint_rom, hats),
+            "rom_vs_fom": max(gates.imprint_rom, law),
             "ngspice_vs_rom": gates.imprint_ngspice,
-            "ngspice_vs_fom": max(gates.imprint_ngspice, hats),
+            "ngspice_vs_fom": max(gates.imprint_ngspice, law),
         }
-        measure: Measure = "largest" if hats else "relative"
+        measure: Measure = "largest" if law else "relative"
         yield Gate("static force", f"{pair.part.name}.force", limits, measure, leads=True)
 
     def law(self, part: Part, build: Build) -> laws.Equations:

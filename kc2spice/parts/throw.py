@@ -75,8 +75,8 @@ class Throw(_touching.Touching):
     def checks(self, part: Part, build: Build, waves: Waveforms) -> Iterator[Gate]:
         gates, ball = build.scene.gates, sphere(part, build.scene).name
         pair = _touching.only_pair(build.scene)
-        hats = pair.unresolved() if pair else 0.0
-        place = dict.fromkeys(PAIRS, max(gates.position, hats)) | {"ngspice_vs_rom": gates.position}
+        law = pair.unresolved() if pair else 0.0
+        place = dict.fromkeys(PAIRS, max(gates.position, law)) | {"ngspice_vs_rom": gates.position}
         yield Gate("position over travel", f"{ball}.y", place, "travel", leads=True)
         speed = dict.fromkeys(PAIRS, gates.rebound_velocity)
         yield Gate("rebound velocity", "rebound_velocity_m_s", speed)

@@ -113,7 +113,7 @@ class Checks(Section):
     energy: Action = Field("fail", description="energy balances of sphere, contact and chip")
     touches: Action = Field("fail", description="contact events before the launch, against reltol")
     range: Action = Field("fail", description="sphere in the field table, contact within the rings")
-    penetration: Action = Field("warn", description="of a contact: soft springs, too few hats")
+    penetration: Action = Field("warn", description="of a contact: soft springs, coarse basis")
     saturation: Action = Field("warn", description="share of the time at the current limit")
     plausible: Action = Field("fail", description="keys against what exists or can be made")
     reduction: Action | None = Field(

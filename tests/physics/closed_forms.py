@@ -31,7 +31,7 @@ def rod_resonance(sections, top, *, held=False):
 
 
 def half_space(modulus, nodes):
-    """(n, n) mean dent [m/N] of each hat of pressure per force on each: ``4 pi / E* int P P' dk``
+    """(n, n) mean motion [m/N] of each P1 pressure per force on each: ``4 pi / E* int P P' dk``
     of their radial transforms ``P(k) = int p J0(k r) r dr`` (Johnson, Contact Mechanics, 1985)."""
     x, w = np.polynomial.legendre.leggauss(24)
     k = np.linspace(0, 25 / nodes[1], 12001)

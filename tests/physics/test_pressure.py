@@ -14,7 +14,7 @@ from closed_forms import half_space, hertz
 from kc2spice.bodies.pressure import (
     PressureBasis,
     indentation_law,
-    pressed,
+    local_compliance,
     pressing,
     pressure_basis,
     stressed,
@@ -29,8 +29,8 @@ from kc2spice.scene.parttype import Build
 from laboratory.usual.contact import sphere_gap
 
 SPACING, COUNT, PATCH = 10e-6, 12, 250e-6
-HATS = SPACING * np.arange(COUNT + 1)
-EVEN = PressureBasis(np.append(HATS, [140e-6, 170e-6, 210e-6, PATCH]))
+NODES = SPACING * np.arange(COUNT + 1)
+EVEN = PressureBasis(np.append(NODES, [140e-6, 170e-6, 210e-6, PATCH]))
 STEEL = 211.9e9 / (1 - 0.291**2)
 
 
@@ -52,7 +52,7 @@ def modulus(stiffness):
 
 
 def without_mean(S):
-    """What no rigid motion, nor a dent far wider than the hats, changes."""
+    """What no rigid motion, nor an indentation far wider than the basis functions, changes."""
     n = len(S)
     free = np.eye(n) - 1 / n
     return free @ S @ free
@@ -68,7 +68,7 @@ def body(name, cells=3):
 def test_rings_of_pressure_dent_as_on_a_half_space(name):
     E = STEEL if name == "steel" else modulus(material("THP51").C)
     S = body(name)[:COUNT, :COUNT]
-    expected = without_mean(half_space(E, HATS))
+    expected = without_mean(half_space(E, NODES))
     error = np.abs(without_mean(S) - expected).max(axis=1) / np.abs(expected).max()
     assert error[0] < 6e-3  # the cone on the axis, three cells wide
     assert error[1:].max() < 2e-3
@@ -76,10 +76,10 @@ def test_rings_of_pressure_dent_as_on_a_half_space(name):
 
 @cache
 def graded(spacing):
-    """Hats, what they give beyond a half-space of the same body, and their gaps."""
+    """Basis, its compliance beyond a half-space of the same body, and its gaps."""
     shape = pressure_basis(spacing, PATCH)
     S = surface_compliance(Chip(material=steel()), shape)
-    whole = (body("steel")[:COUNT, :COUNT] - half_space(STEEL, HATS))[5, 11]
+    whole = (body("steel")[:COUNT, :COUNT] - half_space(STEEL, NODES))[5, 11]
     return shape, S - whole, sphere_gap(R, shape.distances)
 
 
@@ -93,8 +93,8 @@ def force(law, depth):
 
 @pytest.mark.parametrize(("spacing", "first", "error"), [(10e-6, 2e-6, 2.5e-3), (5e-6, 5e-7, 2e-3)])
 def test_a_sphere_dents_steel_as_hertz_says(spacing, first, error):
-    """From contacts of some hats on at every depth: ``F = 4/3 E* sqrt(R) d^(3/2)``. Of the error
-    1e-3 is the body's, which is no half-space, and the sphere's, which is no paraboloid."""
+    """From contacts some basis functions wide on: ``F = 4/3 E* sqrt(R) d^(3/2)``. Of the error 1e-3
+    is the body's, which is no half-space, and the sphere's, which is no paraboloid."""
     law = indentation_law(*graded(spacing))
     depth = np.linspace(first, 14e-6, 60)
     np.testing.assert_allclose(force(law, depth), hertz(STEEL, R, depth), rtol=error)
@@ -124,7 +124,7 @@ def test_a_chip_is_stiffer_than_its_ceramic_and_converges():
     coarse, fine = (surface_compliance(Chip(), EVEN, cells) for cells in (3, 6))
     np.testing.assert_allclose(coarse[1:, 1:], fine[1:, 1:], rtol=1e-3)
     assert 0.05 < 1 - fine[0, 0] / body("ceramic")[0, 0] < 0.15
-    added = pressed(Chip(), EVEN).compliance
+    added = local_compliance(Chip(), EVEN).compliance
     assert np.linalg.eigvalsh(added)[0] > 0
 
 

@@ -2,7 +2,7 @@
 
 Statics: inside, ``u = sum_n A_n grad(phi_n) + B_n (r^2 grad(phi_n) + alpha_n x phi_n)`` of solid
 harmonics phi_n (Love, A Treatise on the Mathematical Theory of Elasticity, 1944, article 172), the
-traction of each hat expanded on the surface, and a uniform body force against its resultant.
+traction of each pressure expanded on the surface, and a uniform body force against its resultant.
 """
 
 from functools import cache
@@ -50,9 +50,9 @@ def tractions(n, U, dU, V, dV, div, r):
 
 @cache
 def series(count=2500):
-    """(hats, hats) displacement along the axis, relative to the centre of mass, per force."""
+    """(COUNT, COUNT) displacement along the axis, relative to the centre of mass, per force."""
     x, w = np.polynomial.legendre.leggauss(40)
-    theta, weight, q = [], [], []  # hats of pressure near theta = 0, forces along -z: pushed in
+    theta, weight, q = [], [], []  # pressures near theta = 0, forces along -z: pushed in
     for j in range(COUNT):
         a, b = (np.arcsin(SPACING * k / R) for k in (j, j + 1))
         theta.append((a + b) / 2 + (b - a) / 2 * x)
@@ -73,7 +73,7 @@ def series(count=2500):
             A = size * radial / (3 * LAME + 2 * MU)
             total += np.outer(radial, A * R)
             continue
-        load = size * np.array([radial, along / (n * (n + 1))])  # (2, hats)
+        load = size * np.array([radial, along / (n * (n + 1))])  # (2, COUNT)
         alpha = -2 * (n * LAME + (3 * n + 1) * MU) / ((n + 3) * LAME + (n + 5) * MU)
         div = (2 * n + alpha * (n + 3)) / R
         UB, VB = (n + alpha), 1.0  # both times r^(n+1) / R^(n+1)
@@ -152,7 +152,7 @@ def dents():
 @pytest.mark.parametrize("plane", [np.inf, 100e9])
 def test_two_elastic_sides_dent_as_hertz_says(plane):
     """``F = 4/3 E* sqrt(R) d^(3/2)`` with ``1/E* = 1/E1* + 1/E2*``, beyond what a sphere adds
-    because it is no half-space: far from the contact that is the same for all hats."""
+    because it is no half-space: far from the contact that is the same for all of the basis."""
     S, shape, own = *dents(), E / (1 - NU**2)
     whole = (S - half_space(own, shape.nodes))[-1, 0]
     local = S - whole + half_space(plane, shape.nodes)
