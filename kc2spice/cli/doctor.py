@@ -86,10 +86,10 @@ def examine() -> Iterator[Finding]:
         fix = " ".join(("apt-get install", *(_GMSH[item] for item in missing))) if missing else ""
         yield Finding("system libraries of gmsh", not missing, result, fix)
     yield from _ngspice()
-    named = (os.environ.get("NGSPICE_LIBRARY_PATH"), ctypes.util.find_library("ngspice"))
-    loaded = next((n for n in (*named, "libngspice.so.0") if n and _loads(n)), None)
-    ok, fix = loaded is not None, "" if loaded else "apt-get install libngspice0"
-    yield Finding("libngspice", ok, loaded or "not found", fix, needed=ok)
+    name = ctypes.util.find_library("ngspice")
+    ok = name is not None and _loads(name)
+    fix = "" if ok else "apt-get install libngspice0"
+    yield Finding("libngspice", ok, name or "not found", fix, needed=ok)
     folder = cache_dir()
     existing = next(path for path in (folder, *folder.parents) if os.path.exists(path))
     ok = os.path.isdir(existing) and os.access(existing, os.W_OK | os.X_OK)
