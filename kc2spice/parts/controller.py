@@ -1,7 +1,7 @@
 """A controller that is a Python function: sampled inputs, an output held in between.
 
 The function stands in a file beside the scene, which only runs when it is trusted, or is handed
-over in Python (``kc.simulate(scene, functions={"NAME": function})``).
+over in Python (``kc.run(scene, functions={"NAME": function})``).
 """
 
 from __future__ import annotations
@@ -107,7 +107,7 @@ wiring = "parallel"
         keys = part.keys
         if keys.file is None:
             expected = "a Python file, or a function handed over"
-            hint = f"kc.simulate(scene, functions={{'{part.name}': function}})"
+            hint = f"kc.run(scene, functions={{'{part.name}': function}})"
             raise part.wrong("file", "no function", expected=expected, hint=hint)
         if not build.trust:
             hint = "read the file; if you trust every line of it, repeat with --trust"
