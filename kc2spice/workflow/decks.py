@@ -30,9 +30,8 @@ from kc2spice.scene.plan import MAX_STEP
 from kc2spice.scene.plausible import built, judged
 from kc2spice.spice.header import Header, plan_lines
 from kc2spice.workflow import meters
-from kc2spice.workflow.meters import readings, sweep_values, swept
+from kc2spice.workflow.meters import sweep_values, swept
 from kc2spice.workflow.models import build_models
-from kc2spice.workflow.steps import largest_step
 
 HOLD = 1e30  # H: a constraint at rest, and above 1 uHz less than a millionth of 1 fg
 
@@ -75,7 +74,8 @@ def make_deck(build: Build) -> Deck:
     header = Header(scene.name, scene_hash(scene))
     ours = () if scene.solver.max_step else (MAX_STEP,)  # a line of its own says why
     notes = f"{header.origin()}\n{plan_lines(build.plan, ours)}"
-    results, watts = readings(build)
+    results = meters.result_vectors(build)
+    watts = meters.powers(build, results)
     for name, probe in scene.probes.items():
         known = {*results, *watts}
         if "." in probe.of and probe.of not in known:  # without a dot: time, frequency
@@ -191,7 +191,7 @@ def _options(build: Build) -> Iterable[Option]:
 
 def _step_line(build: Build) -> str:
     limit = build.largest
-    if build.scene.analysis.type != "transient" or limit is None or build.scene.solver.max_step:
+    if limit is None or build.scene.solver.max_step:
         return ""
     return f"\n* {comment(f'largest step {limit.step:g} s: {limit.why}')}"
 
@@ -200,9 +200,8 @@ def _command(build: Build) -> Command:
     scene = build.scene
     selected = scene.analysis
     if selected.type == "transient":
-        uic = bool(begins(scene))
-        step = (build.largest or largest_step(build)).step
-        return transient(scene.stop, step, uic=uic)
+        assert build.largest is not None
+        return transient(scene.stop, build.largest.step, uic=bool(begins(scene)))
     if selected.type == "ac":
         # of two linear points ngspice gives the first alone
         points = 3 if (selected.points, selected.scale) == (2, "linear") else selected.points

@@ -13,7 +13,7 @@ import numpy as np
 from kc2spice.core.errors import UsageError, unknown
 from kc2spice.core.figure import Curve, Figure, Panel, scale_axis
 from kc2spice.core.quantities import quantity
-from kc2spice.core.waveforms import Waveforms
+from kc2spice.core.waveforms import Waveforms, running
 from kc2spice.netlist.deck import Command, Deck, noise
 from kc2spice.netlist.expression import terms, vector
 from kc2spice.netlist.scope import Scope
@@ -135,10 +135,9 @@ def checks(waves: Waveforms) -> Iterator[Check]:
 def figures(waves: Waveforms, unit: str) -> Iterator[Figure]:
     """The spectral density, and what it adds up to from the lowest frequency on."""
     f, density = waves["frequency"].real, np.abs(waves[WAVE])
-    steps = np.diff(f) * (density[1:] ** 2 + density[:-1] ** 2) / 2
     label, factor = scale_axis("frequency", f)
     log = bool(f[0] > 0 and f[-1] / f[0] > 20)
-    rising = np.sqrt(np.concatenate([[0.0], np.cumsum(steps)]))
+    rising = np.sqrt(running(density**2, f))
     rows = (
         (f"density in {unit}", density),
         (f"rms from the lowest on in {unit.removesuffix(DENSITY)}", rising),
@@ -159,12 +158,6 @@ def figures(waves: Waveforms, unit: str) -> Iterator[Figure]:
 
 
 Pairs = tuple[tuple[str, str], ...]  # names of a voltage and of the current that belongs to it
-
-
-def readings(build: Build) -> tuple[dict[str, Vector], dict[str, Pairs]]:
-    """All results, and powers that are made of them."""
-    result = result_vectors(build)
-    return result, _powers(build, result)
 
 
 def result_vectors(build: Build) -> dict[str, Vector]:
@@ -204,7 +197,7 @@ def _meter_vectors(build: Build, known: Mapping[str, Vector]) -> dict[str, Vecto
     return {name: vector for name, vector in result.items() if name not in known}
 
 
-def _powers(build: Build, known: Mapping[str, Vector]) -> dict[str, Pairs]:
+def powers(build: Build, known: Mapping[str, Vector]) -> dict[str, Pairs]:
     """``PART.power`` [W] that probes ask for, by what it is the sum of: all that goes into a
     part, and what a source gives."""
     result: dict[str, Pairs] = {}

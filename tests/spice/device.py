@@ -1,5 +1,6 @@
 """A device small enough for fast tests, made from formulas: no FE, no reduction."""
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -15,6 +16,7 @@ from kc2spice.sim.ngspice import run_deck
 from kc2spice.workflow.decks import make_deck
 from kc2spice.workflow.judge import verdict
 from kc2spice.workflow.models import build_models, libraries
+from kc2spice.workflow.steps import largest_step
 from kc2spice.workflow.verify.circuit import solve
 
 RADII = 50e-6 * np.arange(6)
@@ -69,7 +71,9 @@ def built(scene, model=None, table=None):
             models[part.name] = model.linear().select(kept)
         if part.type.name == "ring_magnet_coils" and table is not None:
             models[part.name] = table
-    return Build(scene, models, libraries(scene))
+    result = Build(scene, models, libraries(scene))
+    timed = scene.analysis.type == "transient"
+    return replace(result, largest=largest_step(result)) if timed else result
 
 
 def models(scene, *sets):
