@@ -99,12 +99,6 @@ def _mortal() -> tuple[str, ...]:
     return words if works else ()
 
 
-def write_deck(deck: Deck, directory: Path) -> Path:
-    """Write all files of ``deck`` into ``directory`` and return the path of its main file."""
-    write_files(deck.files, directory)
-    return directory / deck.main
-
-
 def write_files(files: Mapping[str, str], directory: Path) -> None:
     """Write texts under their names, which may have folders in them, into ``directory``.
 
@@ -143,7 +137,8 @@ def run_deck(
     """
     _fits(deck)
     find_ngspice()
-    main = write_deck(deck, directory)
+    write_files(deck.files, directory)
+    main = directory / deck.main
     raw, log = main.with_suffix(".raw"), main.with_suffix(".log")
     unfinished = main.with_suffix(".raw.part")
     for stale in (raw, log, unfinished):

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from kc2spice.netlist.translate import translate
-from kc2spice.sim.ngspice import run_deck, write_deck
+from kc2spice.sim.ngspice import run_deck, write_files
 from kc2spice.sim.output import read_raw
 
 
@@ -14,7 +14,8 @@ def test_xyce_gives_the_speed_of_ngspice(name, deck_of, program, run, tmp_path):
     deck = deck_of(name) if name == "impact" else deck_of(name, stop=0.6e-3)
     ours = run_deck(deck, tmp_path / "ngspice")
     spoken = translate(deck, "xyce")
-    main = write_deck(spoken, tmp_path / "xyce")
+    write_files(spoken.files, tmp_path / "xyce")
+    main = tmp_path / "xyce" / spoken.main
     run([xyce, main.name], main.parent)
     theirs = {k.lower(): v for k, v in read_raw(main.parent / f"{main.name}.raw").items()}
     speed, _ = spoken.vectors["sphere.v"]
