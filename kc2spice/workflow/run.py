@@ -23,7 +23,7 @@ from kc2spice.scene.model import Probe, Scene
 from kc2spice.sim.ngspice import RetriesFailedError, Simulator, find_ngspice, write_files
 from kc2spice.workflow import meters
 from kc2spice.workflow.decks import prepared
-from kc2spice.workflow.models import mode_tables, model_facts, rom_facts
+from kc2spice.workflow.models import mode_tables
 from kc2spice.workflow.refine import Converged, converge
 from kc2spice.workflow.simulate import Run, kept_on_failure, simulate
 
@@ -58,7 +58,7 @@ class Completed:
     def record(self) -> dict[str, Any]:
         """``result.json`` without the names of files."""
         run, build, step = self.run, self.run.build, self.run.build.largest
-        waves, attempts = run.waves, run.attempts
+        attempts = run.attempts
         record = {
             "scene": build.scene.name,
             "version": __version__,
@@ -70,17 +70,12 @@ class Completed:
                 "setting": attempts[-1].setting,
                 "attempts": [asdict(attempt) for attempt in attempts],
             },
-            "model": model_facts(build),
-            **rom_facts(build),
+            **run.facts,
             "modes": mode_tables(build),
-            # a sweep or an operating point has no time points
-            "steps": {name: int(waves.stats.get(name, 0)) for name in ("accepted", "rejected")},
             "largest_step": None if step is None else {"s": step.step, "why": step.why},
-            "simulator_cpu_s": waves.stats.get("cpu_s"),
             "metrics": run.metrics,
-            "metric_units": _probe_units(build.scene.probes, waves, run.deck.units),
+            "metric_units": _probe_units(build.scene.probes, run.waves, run.deck.units),
             "checks": [check.record() for check in run.verdict.checks],
-            "energy_j": {name: balance.entries for name, balance in run.verdict.balances},
             "plan": build.plan,
             "wall_s": self.clock.wall_s,
         }

@@ -25,6 +25,7 @@ from kc2spice.scene.judge import Verdict
 from kc2spice.scene.parttype import Build, Sampled
 from kc2spice.sim.ngspice import Outcome, RetriesFailedError, run_with_retries, write_files
 from kc2spice.workflow.judge import metrics, verdict
+from kc2spice.workflow.models import model_facts, rom_facts
 
 PARTIAL = "waveforms.partial.npz"
 FAILURE = "failure.json"
@@ -44,6 +45,19 @@ class Run(Outcome):
         """Metrics that are numbers or arrays of numbers by dotted name; what is missing is nan."""
         result = {n: np.asarray(np.nan if v is None else v) for n, v in leaves(self.metrics)}
         return {name: value for name, value in result.items() if value.dtype.kind in "bif"}
+
+    @property
+    def facts(self) -> dict[str, Any]:
+        """``result.json`` of the models, of the simulator's work and of energies."""
+        stats = self.waves.stats
+        return {
+            "model": model_facts(self.build),
+            **rom_facts(self.build),
+            # a sweep or an operating point has no time points
+            "steps": {name: int(stats.get(name, 0)) for name in ("accepted", "rejected")},
+            "simulator_cpu_s": stats.get("cpu_s"),
+            "energy_j": {name: balance.entries for name, balance in self.verdict.balances},
+        }
 
 
 def simulate(

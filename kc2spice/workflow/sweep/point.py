@@ -28,7 +28,6 @@ from kc2spice.scene.load import gallery, load_scene, toml
 from kc2spice.scene.model import Scene
 from kc2spice.scene.parttype import Build
 from kc2spice.workflow.decks import prepared
-from kc2spice.workflow.models import model_facts, rom_facts
 from kc2spice.workflow.simulate import Run, simulate
 from kc2spice.workflow.sweep.plan import PARAMETER
 
@@ -233,16 +232,8 @@ def _testbench(job: Job) -> tuple[Build, Deck]:
 
 
 def _numbers(run: Run) -> Outcome:
-    stats = run.waves.stats
-    facts: dict[str, Any] = {
-        "model": model_facts(run.build),
-        **rom_facts(run.build),
-        "steps": {name: stats.get(name) for name in ("accepted", "rejected")},
-        "checks": {check.name: check.value for check in run.verdict.checks},
-        "energy_j": {name: balance.entries for name, balance in run.verdict.balances},
-        "simulator_cpu_s": stats.get("cpu_s"),
-    }
-    return Outcome(_scalars(run.metrics), _scalars(facts))
+    checks = {check.name: check.value for check in run.verdict.checks}
+    return Outcome(_scalars(run.metrics), _scalars({**run.facts, "checks": checks}))
 
 
 def _scalars(value: Mapping[str, Any]) -> dict[str, Number]:
