@@ -26,7 +26,6 @@ from tempfile import TemporaryDirectory
 
 import kc2spice
 from kc2spice.netlist import read_lib
-from kc2spice.netlist.printers import layout
 from kc2spice.netlist.printers.kicad import Symbol, element_symbols, library, part_symbol
 from kc2spice.netlist.read import statements
 from kc2spice.scene.load import gallery, load_scene
@@ -113,7 +112,7 @@ def symbols() -> Iterator[Symbol]:
     for name, found in designs.items():
         for path in found.values():
             (part,) = (each for each in read_lib(path) if each.name == name)
-            drawn = part_symbol(layout(part))
+            drawn = part_symbol(part)
             own = {"Sim.Library": f"{FOLDER}/{path.parent.name}/{path.name}"}
             own["Description"] = f"{drawn.fields['Description']} ({path.parent.name})"
             unique = name if len(found) == 1 else f"{name}_{path.parent.name}"

@@ -2,20 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from dataclasses import replace
 
 from kc2spice.core.errors import UsageError, unknown
-from kc2spice.netlist.circuit import Directive, Subcircuit
-from kc2spice.netlist.deck import ANALYSES, Deck, retold
+from kc2spice.netlist.circuit import Subcircuit
+from kc2spice.netlist.deck import Deck, retold
 from kc2spice.netlist.expression import added, terms
-from kc2spice.netlist.printers import layout, ltspice
-from kc2spice.netlist.printers.dialect import Dialect, Setup
+from kc2spice.netlist.printers import ltspice
+from kc2spice.netlist.printers.dialect import Dialect
 from kc2spice.netlist.printers.kicad import project
 from kc2spice.netlist.printers.verilog_a import library, testbench
 from kc2spice.netlist.printers.xyce import Xyce
 from kc2spice.netlist.read import read
-from kc2spice.netlist.scope import GROUND
 
 PRINTERS: dict[str, type[Dialect]] = {"xyce": Xyce, "ltspice": ltspice.LTspice}
 DECKS = ("ngspice", *PRINTERS)
@@ -33,7 +32,7 @@ def translate(deck: Deck, dialect: str) -> Deck:
         return deck
     if dialect not in PRINTERS:
         raise unknown("unknown dialect", dialect, DIALECTS, "--dialect")
-    printer = PRINTERS[dialect](_setup(deck))
+    printer = PRINTERS[dialect](deck)
     main = retold(deck.trees[deck.main], f"* Run it with:  {printer.command} {deck.main}")
     trees = {**deck.trees, deck.main: main}
     files = {name: printer.file(tree) for name, tree in trees.items()}
@@ -52,7 +51,7 @@ def translate_text(text: str, name: str, dialect: str) -> str:
     ------
     UsageError : a construct that the dialect cannot say.
     """
-    return PRINTERS[dialect](Setup()).file(read(text, name))
+    return PRINTERS[dialect]().file(read(text, name))
 
 
 def dialect_files(
@@ -88,28 +87,6 @@ def dialect_files(
     return files | (testbench(deck, modules) if deck else {})
 
 
-def _setup(deck: Deck) -> Setup:
-    cards = [c for c in deck.trees[deck.main].items if isinstance(c, Directive)]
-    analysis = min({c.keyword for c in cards} & ANALYSES, default=".tran")
-    uic = any(c.keyword == ".tran" and "uic" in map(str.lower, c.words) for c in cards)
-    starting = () if uic or analysis != ".tran" else tuple(dict.fromkeys(_starting(deck)))
-    return Setup(analysis, uic, deck.controlled, starting)
-
-
-def _starting(deck: Deck) -> Iterator[str]:
-    """Nodes of the deck at which a part within an instance has an initial state."""
-    try:
-        top = deck.scope
-    except UsageError:  # a deck that is not whole, which lint says better
-        return
-    for instance in (item for item in top.elements if item.kind == "x"):
-        called = top.find(instance.model)
-        for part in called.elements if called else ():
-            if called and "ic" in part.settings:
-                joined = dict(zip(called.pins, instance.ends, strict=False))
-                yield from (joined[n] for n in part.ends if joined.get(n, "0") not in GROUND)
-
-
 def symbol_files(deck: Deck, dialect: str = "ngspice") -> dict[str, str]:
     """``{file name: text}`` of the symbols of ``deck``, whose libraries are written in ``dialect``.
 
@@ -126,7 +103,7 @@ def symbol_files(deck: Deck, dialect: str = "ngspice") -> dict[str, str]:
         for part in deck.parts:
             stem = part.filename.removesuffix(".lib")
             library = f"{stem}.lib" if dialect == "ltspice" else f"{stem}.ltspice.lib"
-            files[f"{stem}.asy"] = ltspice.symbol(layout(part), library)
+            files[f"{stem}.asy"] = ltspice.symbol(part, library)
             if dialect == "ngspice":
                 files[library] = translate_text(part.text, part.filename, "ltspice")
     return files

@@ -7,7 +7,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from math import ceil
 
-from kc2spice.netlist.circuit import Param, Pin, Subcircuit
+from kc2spice.netlist.circuit import Pin, Subcircuit
 from kc2spice.netlist.scope import Scope, circuit
 
 REFERENCES = frozenset({"base", "ref"})
@@ -31,10 +31,6 @@ class Place:
 class Box:
     """A symbol of half width and half height in grid units."""
 
-    name: str
-    library: str
-    title: str
-    params: tuple[Param, ...]
     width: int
     height: int
     places: tuple[Place, ...]
@@ -60,7 +56,7 @@ def layout(part: Subcircuit) -> Box:
     for column, (number, pin) in enumerate(sides[2]):
         places.append(Place(number, pin.name, "bottom", first + column, -height - 1))
     places.sort(key=lambda place: place.number)
-    return Box(part.name, part.filename, part.title, part.params, width, height, tuple(places))
+    return Box(width, height, tuple(places))
 
 
 def _sensed(scope: Scope | None) -> set[str]:

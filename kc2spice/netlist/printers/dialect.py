@@ -8,11 +8,11 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 from kc2spice.core.errors import UsageError
 from kc2spice.netlist.circuit import Circuit, Directive, Element, Function, Item, Model, Parameters
-from kc2spice.netlist.deck import ANALYSES
+from kc2spice.netlist.deck import ANALYSES, Deck
 from kc2spice.netlist.expression import (
     EVERYWHERE,
     Binary,
@@ -43,19 +43,9 @@ COMMON = EVERYWHERE.union(["acosh", "asinh", "atanh", "ceil", "int", "log10", "s
 _EULER = "2.718281828459045"
 
 
-@dataclass(frozen=True)
-class Setup:
-    """What the cards of a deck must know of it: its analysis, whether it starts from initial states
-    (``uic``), whether a controller is in it, and the nodes that initial states of parts meet."""
-
-    analysis: str = ".tran"
-    uic: bool = True
-    controlled: bool = True
-    starting: tuple[str, ...] = ()
-
-
 class Dialect(Printer, ABC):
-    """One simulator's spelling; subclasses override what differs from each other."""
+    """One simulator's spelling, of the files of a ``deck`` or of libraries alone; subclasses
+    override what differs from each other."""
 
     command = ""
     option_prefix = ".options"
@@ -64,9 +54,9 @@ class Dialect(Printer, ABC):
     functions = COMMON
     temperature = ""
 
-    def __init__(self, setup: Setup) -> None:
+    def __init__(self, deck: Deck | None = None) -> None:
         super().__init__()
-        self.setup = setup
+        self.deck = deck
         self.defined: set[str] = set()
 
     # -- cards ------------------------------------------------------------------------------

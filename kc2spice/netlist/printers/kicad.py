@@ -22,7 +22,7 @@ from kc2spice.netlist.cards import render
 from kc2spice.netlist.circuit import Directive, Element, Subcircuit
 from kc2spice.netlist.deck import Deck
 from kc2spice.netlist.expression import vector
-from kc2spice.netlist.printers import Box, Place, layout
+from kc2spice.netlist.printers import Place, layout
 from kc2spice.netlist.printers.ngspice import Printer
 from kc2spice.netlist.read import subcircuits
 from kc2spice.netlist.scope import GROUND, Scope
@@ -80,17 +80,18 @@ def library(symbols: Iterable[Symbol]) -> str:
     return render("kicad.j2", symbols=list(symbols), grid=GRID, sheet=None)
 
 
-def part_symbol(box: Box) -> Symbol:
+def part_symbol(part: Subcircuit) -> Symbol:
     """The symbol of one of our parts. Its parameters keep the defaults of the library, digit for
     digit, until the user gives some in ``Sim.Params``."""
-    fields = _fields("X", box.name, box.title) | {
+    box = layout(part)
+    fields = _fields("X", part.name, part.title) | {
         "Sim.Device": "SUBCKT",
-        "Sim.Library": box.library,
-        "Sim.Name": box.name,
+        "Sim.Library": part.filename,
+        "Sim.Name": part.name,
         "Sim.Pins": " ".join(f"{place.number}={place.name}" for place in box.places),
     }
     x, y = GRID * box.width, GRID * box.height
-    return Symbol(box.name, fields, "box", box.places, (-x, y + 1.3), (x, y), named_pins=True)
+    return Symbol(part.name, fields, "box", box.places, (-x, y + 1.3), (x, y), named_pins=True)
 
 
 def element_symbols() -> dict[str, Symbol]:
@@ -174,7 +175,7 @@ def project(deck: Deck) -> dict[str, str]:
     top = deck.scope
     parts = _parts(deck)
     plain = element_symbols()
-    drawn = {name: part_symbol(layout(part)) for name, part in parts.items()}
+    drawn = {name: part_symbol(part) for name, part in parts.items()}
     items = [_item(element, drawn, plain) for element in top.elements]
     once = Counter(net for item in items for net in item.nets)
     for net in (net for net in once if once[net] == 1 and net not in GROUND):

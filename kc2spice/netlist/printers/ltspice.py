@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from kc2spice.netlist.cards import number
-from kc2spice.netlist.circuit import Element
+from kc2spice.netlist.circuit import Element, Subcircuit
 from kc2spice.netlist.expression import Trace, simplified
-from kc2spice.netlist.printers import Box
-from kc2spice.netlist.printers.dialect import Dialect, Setup
+from kc2spice.netlist.printers import layout
+from kc2spice.netlist.printers.dialect import Dialect
 
 GRID = 32  # LTspice's units, two of its grid: pins must lie on multiples of 16
 _SIDES = {"left": "LEFT", "right": "RIGHT", "bottom": "BOTTOM", "top": "TOP"}
@@ -24,10 +24,7 @@ class LTspice(Dialect):
     known_options = frozenset(
         {"reltol", "abstol", "vntol", "chgtol", "trtol", "method", "gmin", "itl1", "itl2", "itl4"}
     )
-
-    def __init__(self, setup: Setup) -> None:
-        super().__init__(setup)
-        self.bare = True  # how parameters are written
+    bare = True  # how parameters are written
 
     def name(self, text: str) -> str:
         """Parameters are put in as numbers, so a sign must not meet an operator."""
@@ -61,8 +58,9 @@ class LTspice(Dialect):
         return ":".join(inner) if trace.path else name
 
 
-def symbol(box: Box, library: str) -> str:
+def symbol(part: Subcircuit, library: str) -> str:
     """The symbol of one part; ``library`` is the file that LTspice includes for it."""
+    box = layout(part)
     x, y = GRID * box.width, GRID * box.height
     lines = [
         "Version 4",
@@ -70,13 +68,13 @@ def symbol(box: Box, library: str) -> str:
         f"RECTANGLE Normal {x} {y} {-x} {-y}",
         f"WINDOW 0 0 {-y} Bottom 2",
         f"WINDOW 3 0 {y} Top 2",
-        f"SYMATTR Value {box.name}",
+        f"SYMATTR Value {part.name}",
         "SYMATTR Prefix X",
         f"SYMATTR ModelFile {library}",
-        f"SYMATTR Description {box.title}",
+        f"SYMATTR Description {part.title}",
     ]
-    if box.params:
-        given = " ".join(f"{p.name}={number(p.default)}" for p in box.params)
+    if part.params:
+        given = " ".join(f"{p.name}={number(p.default)}" for p in part.params)
         lines.append(f"SYMATTR SpiceLine {given}")
     for pin in box.places:  # on the outline; y points down here
         x = max(-box.width, min(box.width, pin.x)) * GRID

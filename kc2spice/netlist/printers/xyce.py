@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
+from functools import cached_property
 
 from kc2spice.netlist.cards import number, tidy
 from kc2spice.netlist.circuit import Directive, Element
+from kc2spice.netlist.deck import ANALYSES, Deck
 from kc2spice.netlist.expression import Number, Tree, literal, simplified
 from kc2spice.netlist.printers.dialect import COMMON, Dialect
+from kc2spice.netlist.scope import GROUND
 
 STEP = 1e-6  # s, largest where a controller closes a loop
 TIGHT = 1e-5  # largest reltol, and a tenth of the given one: contacts within 1e-5
@@ -30,6 +33,14 @@ class Xyce(Dialect):
     functions = COMMON - {"uramp"}
     temperature = "TEMP"
 
+    @cached_property
+    def analysis(self) -> Directive:
+        """The card of the deck's analysis; a library is one of a transient from initial states."""
+        items = self.deck.trees[self.deck.main].items if self.deck else ()
+        cards = (item for item in items if isinstance(item, Directive))
+        found = (card for card in cards if card.keyword in ANALYSES)
+        return min(found, key=lambda card: card.keyword, default=Directive(".tran", ("uic",)))
+
     def call(self, function: str, arguments: tuple[Tree, ...]) -> str:
         """``max(0, x)`` is differentiated, ``uramp(x)`` is not."""
         if function == "uramp":
@@ -38,7 +49,7 @@ class Xyce(Dialect):
 
     def element(self, part: Element) -> str:
         """Xyce obeys ``IC=`` of a part without ``uic`` too, where ngspice ignores it."""
-        if not self.setup.uic and part.kind in "cl":
+        if not _from_states(self.analysis) and part.kind in "cl":
             kept = {k: v for k, v in part.parameters.items() if k.lower() != "ic"}
             part = replace(part, parameters=kept)
         return super().element(part)
@@ -52,8 +63,8 @@ class Xyce(Dialect):
         bounce.
         """
         if card.keyword == ".tran":
-            nodes = () if self.setup.uic else self.setup.starting
-            guesses = " ".join(f"V({node})=0" for node in nodes)
+            nodes = _starting(self.deck) if self.deck and not _from_states(card) else ()
+            guesses = " ".join(f"V({node})=0" for node in dict.fromkeys(nodes))
             return (f".nodeset {guesses}\n" if guesses else "") + self._limited(card)
         if card.keyword != ".ac" or not card.words:
             return card.text
@@ -68,10 +79,11 @@ class Xyce(Dialect):
 
     def options(self, words: Sequence[str]) -> str:
         """Its error control is looser than ngspice's at one ``reltol``."""
-        return super().options(words if self.setup.analysis != ".tran" else [*map(_tight, words)])
+        timed = self.analysis.keyword == ".tran"
+        return super().options([*map(_tight, words)] if timed else words)
 
     def _limited(self, card: Directive) -> str:
-        if not self.setup.controlled:
+        if self.deck and not self.deck.controlled:
             return card.text
         words = [w for w in card.words if w.lower() == "uic"]
         numbers = [w for w in card.words if w not in words]
@@ -87,7 +99,7 @@ class Xyce(Dialect):
         return f"{quantity}={{{self.write(simplified(part.law))}}}"
 
     def save(self, vectors: list[str]) -> str:
-        kind = self.setup.analysis.removeprefix(".").upper()
+        kind = self.analysis.keyword.removeprefix(".").upper()
         return "\n+ ".join([f".print {kind} format=raw", *vectors])
 
     def switch(self, name: str, values: Mapping[str, str]) -> str:
@@ -103,6 +115,21 @@ class Xyce(Dialect):
             f"VOFF={number(middle - SWITCH_BAND)} "
             f"RON={values.get('ron', '1')} ROFF={values.get('roff', '1e12')})"
         )
+
+
+def _from_states(card: Directive) -> bool:
+    """Whether an analysis begins from initial states, not from an operating point."""
+    return card.keyword == ".tran" and "uic" in map(str.lower, card.words)
+
+
+def _starting(deck: Deck) -> Iterator[str]:
+    """Nodes of the deck at which a part within an instance has an initial state."""
+    for instance in (item for item in deck.scope.elements if item.kind == "x"):
+        called = deck.scope.find(instance.model)
+        for part in called.elements if called else ():
+            if called and "ic" in part.settings:
+                joined = dict(zip(called.pins, instance.ends, strict=False))
+                yield from (joined[n] for n in part.ends if joined.get(n, "0") not in GROUND)
 
 
 def _tight(word: str) -> str:
