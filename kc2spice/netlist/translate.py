@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from dataclasses import replace
 
 from kc2spice.core.errors import UsageError, unknown
@@ -12,7 +11,7 @@ from kc2spice.netlist.expression import added, terms
 from kc2spice.netlist.printers import ltspice
 from kc2spice.netlist.printers.dialect import Dialect
 from kc2spice.netlist.printers.kicad import project
-from kc2spice.netlist.printers.verilog_a import library, testbench
+from kc2spice.netlist.printers.verilog_a import module_files, testbench
 from kc2spice.netlist.printers.xyce import Xyce
 from kc2spice.netlist.read import read
 
@@ -54,9 +53,7 @@ def translate_text(text: str, name: str, dialect: str) -> str:
     return PRINTERS[dialect]().file(read(text, name))
 
 
-def dialect_files(
-    deck: Deck | None, subcircuits: Iterable[Subcircuit], dialect: str
-) -> dict[str, str]:
+def dialect_files(deck: Deck, dialect: str) -> dict[str, str]:
     """``{file name: text}`` of ``deck`` in ``dialect``, or ``verilog-a`` modules of its parts.
 
     Verilog-A describes devices: a part that cannot be a module (pulse generators, transistors)
@@ -68,14 +65,13 @@ def dialect_files(
     UsageError : an unknown dialect, a construct that it cannot say, or not one module.
     """
     if dialect != "verilog-a":
-        return dict(translate(deck, dialect).files) if deck else {}
-    parts = tuple(subcircuits)
+        return translate(deck, dialect).files
     files: dict[str, str] = {}
     left_out: list[UsageError] = []
     modules: list[Subcircuit] = []
-    for part in parts:
+    for part in deck.parts:
         try:
-            files |= library([part], parts)
+            files |= module_files(part)
             modules.append(part)
         except UsageError as error:
             left_out.append(error)
@@ -84,7 +80,7 @@ def dialect_files(
     if left_out:
         told = ("Not written as modules:", *map(str, left_out))
         files["verilog-a.txt"] = "\n\n".join(told) + "\n"
-    return files | (testbench(deck, modules) if deck else {})
+    return files | testbench(deck, modules)
 
 
 def symbol_files(deck: Deck, dialect: str = "ngspice") -> dict[str, str]:

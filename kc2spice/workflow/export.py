@@ -48,7 +48,7 @@ def export(
         with clock.stage("export", "netlists and symbols"):
             if count is not None:
                 deck = array_deck(deck, count)
-            files = dict(dialect_files(deck, deck.parts, dialect))
+            files = dialect_files(deck, dialect)
             files |= plot_script(deck) if dialect == "ngspice" else {}
             files |= symbol_files(deck, dialect) if count is None else {}
             _spare_other_decks(Path(out), files)

@@ -183,7 +183,7 @@ def export_rom(
     part = subcircuit(reduced, name, Header(path.stem, digest), dense=dense)
     deck = first_deck(reduced, part)
     directory = Path(name) if out is None else Path(out)
-    files = dialect_files(deck, deck.parts, dialect) | symbol_files(deck, dialect)
+    files = dialect_files(deck, dialect) | symbol_files(deck, dialect)
     files |= plot_script(deck) if dialect == "ngspice" else {}
     with staged(directory) as work:
         write_files(files, work)

@@ -32,7 +32,7 @@ def test_compiled_modules_do_what_the_netlists_do(name, deck_of, program, run, t
     deck = deck_of(name, **shortened(name))
     if deck.command.kind == "noise":
         pytest.skip("sources of noise are ngspice's alone")
-    files = dialect_files(deck, deck.parts, "verilog-a")
+    files = dialect_files(deck, "verilog-a")
     write_files(files, tmp_path / "modules")
     write_files(deck.files, tmp_path / "netlists")
     modules = [file for file in files if file.endswith(".va")]

@@ -23,10 +23,10 @@ def test_every_scene_speaks_every_dialect(scene):
     if deck.command.kind == "noise":  # in ngspice's words alone
         for dialect in ("xyce", "ltspice", "verilog-a"):
             with pytest.raises(kc.errors.UsageError, match=r"cannot say|noise"):
-                dialect_files(deck, deck.parts, dialect)
+                dialect_files(deck, dialect)
         return
     for dialect in DIALECTS[1:]:
-        assert dialect_files(deck, deck.parts, dialect)
+        assert dialect_files(deck, dialect)
     for dialect in ("xyce", "ltspice"):
         spoken = translate(deck, dialect).vectors
         assert spoken.keys() == deck.vectors.keys()

@@ -14,6 +14,7 @@ from networks import FUNCTIONS, H, Network
 
 import kc2spice as kc
 from kc2spice.core.foreign import parse_toml
+from kc2spice.netlist.printers.verilog_a import module_files
 from kc2spice.netlist.translate import dialect_files, translate_text
 from kc2spice.parts.two_terminal_types import TABLE
 from kc2spice.physics import contact, law
@@ -93,7 +94,7 @@ def printed(name, dialect):
     """Its library, or its plain cards in the deck with pins as nodes."""
     scene, part = example(name)
     deck = kc.deck(scene)
-    files = deck.files if dialect == "ngspice" else dialect_files(deck, deck.parts, dialect)
+    files = deck.files if dialect == "ngspice" else dialect_files(deck, dialect)
     own = [text for file, text in files.items() if file.startswith(f"{name}.")]
     if own:
         return own[0]
@@ -307,7 +308,7 @@ def worst_cards(kind, dialect):
     part = subcircuit(made, "contact", pressing(normal), {})
     text = part.text
     if dialect == "verilog-a":
-        (text,) = dialect_files(None, [part], dialect).values()
+        (text,) = module_files(part).values()
     elif dialect != "ngspice":
         text = translate_text(text, part.filename, dialect)
     values = {p.name: p.default for p in part.params}

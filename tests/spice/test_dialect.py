@@ -129,7 +129,7 @@ def cards(text):
 @pytest.mark.parametrize("dialect", ["xyce", "ltspice"])
 def test_every_card_of_the_loop_is_in_the_grammar(loop, dialect):
     card = grammar(dialect)
-    translated = dialect_files(loop, (), dialect)
+    translated = dialect_files(loop, dialect)
     assert set(translated) == set(loop.files)
     for name, text in translated.items():
         before, after = len(cards(loop.files[name])), len(cards(text))

@@ -13,7 +13,6 @@ from dataclasses import dataclass, field, replace
 from kc2spice.core.errors import UsageError
 from kc2spice.netlist.cards import number
 from kc2spice.netlist.circuit import (
-    Circuit,
     Directive,
     Element,
     Item,
@@ -181,27 +180,16 @@ class Names(Writer):
         return super().call(spelled, arguments)
 
 
-def library(
-    parts: Iterable[Subcircuit], known: Iterable[Subcircuit] | None = None
-) -> dict[str, str]:
-    """``{name.va: text}``, one module per part; ``known`` are all parts that they may contain.
+def module_files(part: Subcircuit) -> dict[str, str]:
+    """``{name.va: text}``: the module of a part.
 
     Raises
     ------
     UsageError : a construct without a Verilog-A form (waveforms, hysteresis, global ground).
     """
-    parts = tuple(parts)
-    for part in parts:
-        if part.no_module:
-            raise UsageError(part.no_module, where=part.filename, hint="it stays a library")
-    files = {part.filename: part.circuit for part in known or parts}
-    main = Circuit(items=tuple(Directive(".include", (name,)) for name in files))
-    top = circuit(main, files)
-    return {p.filename.removesuffix(".lib") + ".va": _module(p, top) for p in parts}
-
-
-def _module(part: Subcircuit, top: Scope) -> str:
-    scope = top.subcircuits[part.name.lower()]
+    if part.no_module:
+        raise UsageError(part.no_module, where=part.filename, hint="it stays a library")
+    scope = circuit(part.circuit).subcircuits[part.name.lower()]
     module = Module()
     pins = {pin.name.lower(): module.identifier(pin.name) for pin in part.pins}
     params = {}
@@ -228,7 +216,7 @@ def _module(part: Subcircuit, top: Scope) -> str:
         "  end",
         "endmodule",
     ]
-    return "\n".join(body) + "\n"
+    return {part.filename.removesuffix(".lib") + ".va": "\n".join(body) + "\n"}
 
 
 def _expand(names: Names) -> None:
