@@ -33,7 +33,7 @@ Warp = Callable[[np.ndarray], np.ndarray]
 
 class Linear:
     """``d/dt (G X) = F X`` for deviations ``X = [z, s, s']`` from rest, with the outputs
-    ``y = C0 X + d/dt C1 X``; ``names`` are those of ``y``, as in :func:`ac`, and ``NAME.pin.rate``.
+    ``y = C0 X + d/dt C1 X``, which have the names of the system's waves.
 
     ``exact`` tells whether the system is linear, so that this holds for any size of motion.
 
@@ -65,7 +65,6 @@ class Linear:
             self.F = self.F + device.into @ slopes[-1]
             if device.stores is not None:
                 self.G = self.G + device.stores @ kept @ device.inputs
-        self.names, self.constants = system.names, system.constant
         self.C0 = system.now + system.direct @ np.concatenate(slopes)
         self.C1 = system.rated + system.direct @ np.concatenate(charges)
 
@@ -114,7 +113,7 @@ class Linear:
             moving = np.linalg.norm(drifting @ off) > _FREE * (np.linalg.norm(self.z0) + 1e-300)
             if np.abs(free).max(initial=0.0) > _FREE * held or moving:
                 return None
-        level = self.C0[:, : n + k] @ np.concatenate([rest, s0]) + self.constants
+        level = self.C0[:, : n + k] @ np.concatenate([rest, s0]) + self.system.constant
         return Modes(rates, out, np.asarray(drive), reading @ off, level)
 
     def motion(self, waves: tuple[Function, ...], stop: float) -> Motion | None:
@@ -134,7 +133,7 @@ class Linear:
         unit = np.eye(len(waves))
         small = 1e-5 * np.abs(modes.rates).min()
         pairs = [(self.answer(small, u).real, self.answer(-small, u).real) for u in unit]
-        shape = len(waves), len(self.names)
+        shape = len(waves), len(self.system.names)
         still = np.array([(a + b) / 2 for a, b in pairs]).reshape(shape)
         drift = np.array([(a - b) / (2 * small) for a, b in pairs]).reshape(shape)
         return Motion(self, modes, waves, tuple(sorted(lines)), tuple(sines), still, drift, stop)
@@ -153,15 +152,9 @@ def ac(system: System, frequencies: np.ndarray, source: str | None = None) -> di
         [complex(p.ac) if source is None else float(p.name == source) for p in system.sources],
         dtype=complex,
     )
-    linear = Linear(system)
-    frequencies = np.asarray(frequencies, dtype=float)
-    follows = any(type(device.law).small is not L.Device.small for device in system.devices)
-    point = linear.z0, linear.held
-    result = [
-        (Linear(system, w, point) if follows else linear).answer(w, amplitude)
-        for w in 2j * np.pi * frequencies
-    ]
-    waves = zip(linear.names, np.array(result).T, strict=True)
+    frequencies, point = np.asarray(frequencies, dtype=float), equilibrium(system)
+    result = [Linear(system, w, point).answer(w, amplitude) for w in 2j * np.pi * frequencies]
+    waves = zip(system.names, np.array(result).T, strict=True)
     return {"frequency": frequencies} | {n: y for n, y in waves if not n.endswith(".rate")}
 
 
@@ -308,16 +301,15 @@ def noise(
         for law in laws
     )
     system = assemble(answering, joins)
-    rest = Linear(system)
-    point = rest.z0, rest.held
-    power = [_power(system, Linear(system, s, point), of, s) for s in 2j * np.pi * f]
+    point = equilibrium(system)
+    power = [_power(Linear(system, s, point), of, s) for s in 2j * np.pi * f]
     return np.sqrt(4 * BOLTZMANN * TEMPERATURE * np.array(power))
 
 
-def _power(system: System, at: Linear, of: L.Reading, s: complex) -> float:
+def _power(at: Linear, of: L.Reading, s: complex) -> float:
     """Sum of what all sources of a unit density add, by the adjoint of the circuit."""
+    system, names = at.system, list(at.system.names)
     n, k = system.size, len(system.sources)
-    names = list(at.names)
     C0 = sum(factor * at.C0[names.index(wave)] for factor, wave in of.terms)
     C1 = sum(factor * at.C1[names.index(wave)] for factor, wave in of.terms)
     P = (s * at.G - at.F)[:, :n]

@@ -123,7 +123,7 @@ def follows(motion: Motion, start: StepLimit, rule: Rule) -> StepLimit:
     :data:`SHAPE` where that takes less than :data:`MANY` points."""
     peaks = motion.peaks()
     t = motion.samples(SAMPLES)
-    outputs = np.arange(len(motion.linear.names))
+    outputs = np.arange(len(motion.linear.system.names))
     exact = motion.at(t, outputs)
     real = np.abs(exact).max(axis=0) > TINY * peaks.sum(axis=0)
     outputs, exact = outputs[real], exact[:, real]
@@ -250,7 +250,7 @@ def _worst(
     near = np.searchsorted(corners, time[pick])
     gap = [np.abs(time[pick] - corners[np.clip(near + k, 0, corners.size - 1)]) for k in (-1, 0)]
     pick = pick[np.minimum(*gap) > ASIDE * motion.stop]
-    at, names = time[pick], motion.linear.names
+    at, names = time[pick], motion.linear.system.names
     exact = dict(zip(names, motion.at(at, np.arange(len(names))).T, strict=True))
     parts = dict(zip(names, motion.peaks().sum(axis=0), strict=True))
     result: dict[str, tuple[np.ndarray, str]] = {}
