@@ -12,14 +12,13 @@ from collections.abc import Collection, Hashable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from itertools import combinations
 from string import ascii_lowercase
-from typing import Any, TypeVar
+from typing import Any
 
 from kc2spice.core.errors import UsageError, did_you_mean, unknown
 from kc2spice.scene.model import GROUND, Names, Part, Scene, Terminal
 from kc2spice.scene.parttype import METER, Build, PartType, Rest, current
 
 Pin = tuple[str, str]
-Key = TypeVar("Key", bound=Hashable)
 _GROUND: Pin = (GROUND, "")
 
 
@@ -137,9 +136,10 @@ def _told_apart(terminals: Mapping[Pin, Terminal]) -> None:
 
 
 def _names(groups: list[list[Pin]], scene: Scene) -> dict[Pin, str]:
-    plain = [(group[0], "_".join(group[0]).lower()) for group in groups if _GROUND not in group]
-    names = allocated(plain, ("0", GROUND))
-    nets = {pin: names.get(group[0], "0") for group in groups for pin in group}
+    names, nets = Names(("0", GROUND)), dict[Pin, str]()
+    for group in groups:
+        own = group[0], "_".join(group[0]).lower()
+        nets |= dict.fromkeys(group, "0" if _GROUND in group else names.name(*own))
     return {pin: nets[pin] for pin in scene.terminals}
 
 
@@ -183,12 +183,6 @@ def _told(part: Part, pin: str, scene: Scene) -> bool:
     joined = scene.joined(part.name, pin) if part.reduced else ()
     others = [(scene.parts[name], end) for name, end in joined]
     return len(others) == 1 and current(*others[0], Build(scene, {})) is not None
-
-
-def allocated(wanted: Iterable[tuple[Key, str]], taken: Collection[str]) -> dict[Key, str]:
-    """A name for each key, see :class:`Names`."""
-    names = Names(taken)
-    return {key: names.name(key, name) for key, name in wanted}
 
 
 def _required(scene: Scene, alone: Collection[Pin]) -> None:

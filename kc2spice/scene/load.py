@@ -26,8 +26,8 @@ from kc2spice.core.foreign import (
     text_of,
 )
 from kc2spice.core.quantities import clipped, dotted, entries, shown, told
-from kc2spice.scene.compose import allocated, composed, unsettled
-from kc2spice.scene.model import GROUND, SHORT, Analysis, Frame, Part, Scene
+from kc2spice.scene.compose import composed, unsettled
+from kc2spice.scene.model import GROUND, SHORT, Analysis, Frame, Names, Part, Scene
 from kc2spice.scene.parttype import Build, PartType, numerics, part_type, type_names
 from kc2spice.scene.plausible import ImplausibleError, drive_levels, judged
 
@@ -261,7 +261,7 @@ def _driven(scene: Scene) -> Scene:
             hint="a body whose electrical port nothing is joined to is driven by 1 V",
         )
     body = ports[0][0]
-    name = allocated([(body, f"{body}_drive")], {item.lower() for item in parts})[body]
+    name = Names(parts).name(body, f"{body}_drive")
     table = {"part": "source", "ac": "1 V", "pins": {"out": ".".join(ports[0])}}
     drive = _part(name, table, _type(name, table), scene.home)
     return replace(scene, parts={**parts, name: drive})

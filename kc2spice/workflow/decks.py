@@ -23,8 +23,8 @@ from kc2spice.netlist.lint import lint
 from kc2spice.netlist.read import Statement, read
 from kc2spice.netlist.scope import circuit, has_vector
 from kc2spice.netlist.transforms import quiet
-from kc2spice.scene.compose import Free, allocated, free, unsettled
-from kc2spice.scene.model import Part, Scene, scene_hash
+from kc2spice.scene.compose import Free, free, unsettled
+from kc2spice.scene.model import Names, Part, Scene, scene_hash
 from kc2spice.scene.parttype import Build, begins, mover, numerics, replaced
 from kc2spice.scene.plan import MAX_STEP
 from kc2spice.scene.plausible import built, judged
@@ -158,9 +158,9 @@ def _blocks(build: Build, loose: Sequence[Free]) -> Iterator[Block]:
         yield Block(title, (f"{source} {node} 0 DC 0 AC 1", f"R{node} {node} 0 1 noisy=0"))
     nets = [group.nets[0] for group in loose if group.nets]
     if scene.analysis.small and nets:
-        names = allocated(((n, f"{n}_held") for n in nets), {name.lower() for name in scene.parts})
-        held = tuple(f"L{name} {net} 0 {number(HOLD)}" for net, name in names.items())
-        yield Block("held at the operating point alone: nothing else does", held)
+        names = Names(scene.parts)
+        held = (f"L{names.name(net, f'{net}_held')} {net} 0 {number(HOLD)}" for net in nets)
+        yield Block("held at the operating point alone: nothing else does", tuple(held))
 
 
 def _options(build: Build) -> Iterable[Option]:

@@ -17,10 +17,10 @@ from kc2spice.core.waveforms import Waveforms, running
 from kc2spice.netlist.deck import Command, Deck, noise
 from kc2spice.netlist.expression import terms, vector
 from kc2spice.netlist.scope import Scope
-from kc2spice.scene.compose import allocated, electrical, metered
+from kc2spice.scene.compose import electrical, metered
 from kc2spice.scene.judge import Check
 from kc2spice.scene.keys import model_keys
-from kc2spice.scene.model import Part
+from kc2spice.scene.model import Names, Part
 from kc2spice.scene.parttype import Build, Swept, Vector, replaced
 
 WAVE = "noise"  # spectral density of the output, and the metric of its rms value
@@ -104,8 +104,7 @@ def metrics(waves: Waveforms) -> dict[str, Any]:
 
 def reference(build: Build) -> tuple[str, str]:
     """Names of a source that drives nothing, which the analysis asks for, and of its node."""
-    taken = {*map(str.lower, build.scene.parts), *build.scene.nets.values()}
-    name = allocated([(WAVE, "noise_input")], taken)[WAVE]
+    name = Names((*build.scene.parts, *build.scene.nets.values())).name(WAVE, "noise_input")
     return f"V{name}", name
 
 

@@ -9,8 +9,7 @@ from typing import Any
 from kc2spice.core.progress import Clock
 from kc2spice.rom.linear import LinearModel
 from kc2spice.rom.modal import mode_table
-from kc2spice.scene.compose import allocated
-from kc2spice.scene.model import Scene, scene_hash
+from kc2spice.scene.model import Names, Scene, scene_hash
 from kc2spice.scene.parttype import Build
 from kc2spice.spice.header import Header
 from kc2spice.workflow.steps import largest_step
@@ -48,11 +47,8 @@ def libraries(scene: Scene) -> dict[str, str]:
         for part, name in names.items()
         if part not in users
     }
-    result = allocated(
-        ((library, library[1]) for library in dict.fromkeys(own.values())),
-        {names[part].lower() for part in users},
-    )
-    return {part: names[part] if part in users else result[own[part]] for part in parts}
+    given = Names(names[part] for part in users)
+    return {p: names[p] if p in users else given.name(own[p], own[p][1]) for p in parts}
 
 
 def shared(build: Build) -> Build:
