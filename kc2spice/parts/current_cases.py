@@ -13,7 +13,7 @@ from kc2spice.core.magnets import PositionForce
 from kc2spice.core.quantities import Current, Section
 from kc2spice.core.waveforms import Waveforms, constant
 from kc2spice.netlist.cards import number
-from kc2spice.parts.ring_magnet_coils import sphere_of
+from kc2spice.parts.sphere import sphere_of
 from kc2spice.scene.judge import PAIRS, Check, Gate
 from kc2spice.scene.model import Part, Scene, Terminal
 from kc2spice.scene.parttype import Build, Governed, PartType, Swept, Vector, register
@@ -126,7 +126,7 @@ def _forces(part: Part, build: Build) -> list[str]:
 
 
 def _coils(part: Part, scene: Scene) -> Part:
-    return scene.partner(part, "ring_magnet_coils", table="catch")
+    return scene.partner(part, "ring_magnet_coils")
 
 
 def _sphere(part: Part, scene: Scene) -> str:

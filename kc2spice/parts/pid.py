@@ -239,7 +239,7 @@ class Pid(PartType):
 
 def _coils(part: Part, scene: Scene) -> Part:
     """The coils that it feeds."""
-    return scene.partner(part, "ring_magnet_coils", key="coils", table="catch")
+    return scene.partner(part, "ring_magnet_coils", key="coils")
 
 
 def _remote(part: Part, scene: Scene) -> bool:

@@ -12,7 +12,7 @@ from kc2spice.core.errors import UsageError, wrong
 from kc2spice.core.quantities import Count, Length, Section
 from kc2spice.core.waveforms import Waveforms, constant
 from kc2spice.parts._touching import Penetration, Touching, only_pair
-from kc2spice.parts.throw import sphere
+from kc2spice.parts.sphere import sphere_of
 from kc2spice.scene.judge import Gate, Measure
 from kc2spice.scene.model import Part, Scene, Terminal
 from kc2spice.scene.parttype import Build, Governed, Numerics, Swept, Vector, register
@@ -40,10 +40,10 @@ class Push(Touching):
         return Terminal("bottom", "um", "-", signal_out=True), Terminal("v", "m/s", "N", "gnd")
 
     def governs(self, part: Part, scene: Scene) -> Mapping[str, Governed]:
-        return {sphere(part, scene).name: "moved"}
+        return {sphere_of(part, scene).name: "moved"}
 
     def problems(self, part: Part, scene: Scene) -> Iterator[UsageError]:
-        ball = sphere(part, scene)
+        ball = sphere_of(part, scene)
         if scene.only("contact") is None:
             hint = "add [contact]; an empty table takes the defaults"
             yield wrong("contact", f"{part.name} needs this part", hint=hint)

@@ -26,10 +26,10 @@ from kc2spice.core.waveforms import Waveforms
 from kc2spice.fem.magnet_keys import Catch, Ring
 from kc2spice.netlist.cards import number
 from kc2spice.netlist.circuit import Subcircuit, positive
-from kc2spice.parts import sphere as spheres
 from kc2spice.parts._pictures import impedances
 from kc2spice.parts._touching import Penetration, Touching, landing
 from kc2spice.parts.netlist import driver
+from kc2spice.parts.sphere import offset, sphere_of
 from kc2spice.scene.judge import Check
 from kc2spice.scene.model import Part, Scene, Terminal
 from kc2spice.scene.parttype import (
@@ -379,10 +379,10 @@ class RingMagnetCoils(Touching):
 
     def law(self, part: Part, build: Build) -> laws.Equations | None:
         n, scene, table = part.name, build.scene, build.model(part)
-        prefix, offset = label(part), spheres.offset(part, "y", scene)
+        prefix, raised = label(part), offset(part, "y", scene)
         currents = (f"{prefix}.lower.current", f"{prefix}.upper.current")
         if real(part, scene):
-            law = CoilForce(n, table.coenergy, table.resistance, offset)
+            law = CoilForce(n, table.coenergy, table.resistance, raised)
             ends = (("lp", "a1"), ("ln", "b1"), ("up", "a2"), ("un", "b2"), ("y", "y"))
             results = {c: laws.reading(f"{n}.i{k}") for k, c in enumerate(currents, 1)}
             results[f"{prefix}.voltage"] = laws.difference(f"{n}.a2", f"{n}.a1")
@@ -391,7 +391,7 @@ class RingMagnetCoils(Touching):
         if any(scene.parts[other].type.name != "pid" for other, _ in feeds):
             return None
         gains = (-1.0, 1.0)
-        force_law = PositionForce(n, table.coenergy, gains, offset)
+        force_law = PositionForce(n, table.coenergy, gains, raised)
         pins = (("y", f"{n}.y"), ("drive", f"{n}.i1"), ("drive", f"{n}.i2"))
         signals = zip(currents, ("i1", "i2"), gains, strict=True)
         results = {c: laws.reading(f"{n}.{i}", gain) for c, i, gain in signals}
@@ -507,11 +507,6 @@ def coil_impedance(part: Part, build: Build) -> Figure:
 def label(part: Part) -> str:
     """First word of its results: ``coil`` for the paper's catch, else its own name."""
     return "coil" if part.name == "catch" else part.name
-
-
-def sphere_of(part: Part, scene: Scene) -> Part:
-    """The sphere that it pulls."""
-    return scene.partner(part, "sphere", key="of")
 
 
 def real(part: Part, scene: Scene) -> bool:

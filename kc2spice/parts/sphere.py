@@ -256,6 +256,11 @@ class Sphere(Touching, DeclaredPart):
             yield Neglected("rotation and sideways motion of the sphere", why, "not estimated")
 
 
+def sphere_of(part: Part, scene: Scene) -> Part:
+    """The sphere that another part throws, pushes or pulls."""
+    return scene.partner(part, "sphere", "of")
+
+
 def made_of(part: Part) -> Material:
     """The sphere's material, steel if nothing is said, with the sphere's density."""
     return replace(_stuff(part.keys.material or "steel"), density=part.keys.density)

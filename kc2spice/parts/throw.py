@@ -14,6 +14,7 @@ from kc2spice.core.errors import UsageError
 from kc2spice.core.quantities import Length, Section, Velocity
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.parts import _touching
+from kc2spice.parts.sphere import sphere_of
 from kc2spice.scene.judge import PAIRS, Gate
 from kc2spice.scene.model import Part, Scene
 from kc2spice.scene.parttype import Build, Numerics, State, register
@@ -37,13 +38,13 @@ class Throw(_touching.Touching):
         return ()
 
     def problems(self, part: Part, scene: Scene) -> Iterator[UsageError]:
-        sphere(part, scene)
+        sphere_of(part, scene)
         if part.keys.velocity >= 0:
             got = f"{part.keys.velocity:g} m/s"
             yield part.wrong("velocity", "the sphere never arrives", got, "negative (downwards)")
 
     def governs(self, part: Part, scene: Scene) -> Mapping[str, State]:
-        return {sphere(part, scene).name: State(part.keys.velocity, part.keys.gap)}
+        return {sphere_of(part, scene).name: State(part.keys.velocity, part.keys.gap)}
 
     def numerics(self, part: Part, scene: Scene) -> Iterator[Numerics]:
         """What a step may miss shrinks with the speed of the impact."""
@@ -51,7 +52,7 @@ class Throw(_touching.Touching):
         yield Numerics(f"impact at {speed:.3g} m/s", chgtol=min(1.0, speed))
 
     def penetrations(self, part: Part, scene: Scene) -> Iterator[_touching.Penetration]:
-        ball, speed = sphere(part, scene), _arriving(part, scene)
+        ball, speed = sphere_of(part, scene), _arriving(part, scene)
         yield from _touching.landing(ball, scene, speed, f"impact at {speed:.3g} m/s")
 
     def metrics(self, part: Part, build: Build, waves: Waveforms) -> Mapping[str, Any]:
@@ -59,7 +60,7 @@ class Throw(_touching.Touching):
         pair = _touching.only_pair(build.scene)
         if pair is None or "time" not in waves:
             return {}
-        ball = sphere(part, build.scene)
+        ball = sphere_of(part, build.scene)
         t, y = waves["time"], waves[f"{ball.name}.y"] - ball.keys.radius
         force = waves[f"{pair.part.name}.force"]
         leave = _touching.separation(t, force, waves[f"{ball.name}.v"], power=pair.normal.power)
@@ -73,7 +74,7 @@ class Throw(_touching.Touching):
         }
 
     def checks(self, part: Part, build: Build, waves: Waveforms) -> Iterator[Gate]:
-        gates, ball = build.scene.gates, sphere(part, build.scene).name
+        gates, ball = build.scene.gates, sphere_of(part, build.scene).name
         pair = _touching.only_pair(build.scene)
         law = pair.unresolved() if pair else 0.0
         place = dict.fromkeys(PAIRS, max(gates.position, law)) | {"ngspice_vs_rom": gates.position}
@@ -95,11 +96,6 @@ class Throw(_touching.Touching):
 def _arriving(part: Part, scene: Scene) -> float:
     """Speed [m/s] of the impact."""
     return math.sqrt(part.keys.velocity**2 + 2 * max(scene.gravity, 0.0) * part.keys.gap)
-
-
-def sphere(part: Part, scene: Scene) -> Part:
-    """The sphere that is thrown."""
-    return scene.partner(part, "sphere", key="of")
 
 
 def minimum(t: np.ndarray, y: np.ndarray) -> tuple[float, float]:

@@ -13,7 +13,7 @@ from pydantic_core import PydanticUndefined
 from kc2spice.core.foreign import parse_toml
 from kc2spice.core.quantities import entries, unit_of
 from kc2spice.scene.load import gallery, load_scene
-from kc2spice.scene.model import SHORT, Frame, Part, Probe, Scene, Terminal
+from kc2spice.scene.model import TABLES, Frame, Part, Probe, Scene, Terminal
 from kc2spice.scene.parttype import PartType, part_types
 
 
@@ -60,9 +60,8 @@ def scene_keys() -> Iterator[Key]:
     A part's keys stand under the name that needs no ``part`` key, else under the type's name.
     """
     yield from model_keys(Frame)
-    short = {kind: name for name, kind in SHORT.items()}
     for name, kind in part_types().items():
-        yield from model_keys(kind.schema, f"{short.get(name, name)}.")
+        yield from model_keys(kind.schema, f"{TABLES.get(name, name)}.")
 
 
 def keys_of(scene: Scene) -> dict[str, Key]:
@@ -121,7 +120,7 @@ def part_docs() -> Iterator[PartDoc]:
             tuple(model_keys(kind.schema)),
             example.strip(),
             scene_name,
-            (SHORT[name],) if name in SHORT else (),
+            (TABLES[name],) if name in TABLES else (),
         )
 
 

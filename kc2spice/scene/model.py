@@ -183,6 +183,7 @@ SHORT = {
     "harmonic": "port_loads",
     "em_force": "current_cases",
 }
+TABLES = {kind: name for name, kind in SHORT.items()}
 _ONE_LINE = r"[^\x00-\x1f\x7f-\x9f\u2028\u2029]"  # such text ends up in a netlist
 FileName = Annotated[str, Field(pattern=rf"^{_ONE_LINE}+$", max_length=255)]
 
@@ -424,14 +425,14 @@ class Scene:
             raise unknown("no such part", name, self.parts, where)
         return self.parts[name]
 
-    def partner(self, part: Part, kind: str, key: str = "", table: str = "") -> Part:
+    def partner(self, part: Part, kind: str, key: str = "") -> Part:
         """The part of type ``kind`` that ``part`` names under ``key``, else the only one.
 
         Raises
         ------
-        UsageError : none is named and there is not exactly one; ``table`` is what would bring it.
+        UsageError : none is named and there is not exactly one.
         """
-        name, table = getattr(part.keys, key, None) if key else None, table or kind
+        name, table = getattr(part.keys, key, None), TABLES.get(kind, kind)
         if name is not None:
             return self.part(name, f"{part.name}.{key}")
         result = self.of(kind)

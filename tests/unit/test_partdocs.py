@@ -26,6 +26,7 @@ def test_every_type_is_there_with_pins_and_keys(docs):
         assert bool(doc.pins) is (name not in BY_FILE | NO_PINS), name
     assert [key.unit for key in docs["resistor"].keys] == ["Ohm"]
     assert {pin.name for pin in docs["piezo_stack"].pins} >= {"anode", "cathode", "ring0", "ring5"}
+    assert (docs["piezo_stack"].short_for, docs["spring"].short_for) == (("kick",), ())
 
 
 def test_examples_are_scenes_that_load():
