@@ -211,17 +211,14 @@ class LinearBody(Touching):
         """Modulus [Pa] of the half-space that a contact presses on; None where it is not one."""
         return None
 
-    def coarse(self, part: Part, scene: Scene) -> bool:
-        """Whether time steps need not follow its ringing once nothing presses on it."""
-        return scene.solver.ringing == "coarse"
-
     def weights(self, part: Part, scene: Scene) -> StepWeights:
-        """What step control sees of it."""
-        return COARSE if self.coarse(part, scene) else RINGING
+        """What step control sees of it; ``COARSE`` where time steps need not follow its ringing
+        once nothing presses on it."""
+        return COARSE if scene.solver.ringing == "coarse" else RINGING
 
     def unfollowed(self, part: Part, scene: Scene) -> Iterator[Neglected]:
         """What ``solver.ringing = "coarse"`` gives up."""
-        if self.coarse(part, scene):
+        if self.weights(part, scene) == COARSE:
             why = "solver.ringing lets go of it once nothing presses on the body"
             yield Neglected(
                 f"free ringing of {part.name}", why, "all of its own current and motion"
@@ -557,7 +554,7 @@ class LinearBody(Touching):
             entries[what] = entries.get(what, 0.0) + float(result[-1])
             gap += result - took
         entries |= {"stored": float(stored[-1]), "damped": float(damped[-1])}
-        if pressed := self.coarse(part, build.scene):
+        if pressed := self.weights(part, build.scene) == COARSE:
             forces = [loads[port.name] for port in model.ports if port.kind == "mechanical"]
             largest = np.abs(forces).max(axis=0, initial=0.0)
             last = np.flatnonzero(largest > UNPRESSED * largest.max(initial=0.0)).max(initial=0)

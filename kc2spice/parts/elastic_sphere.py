@@ -17,6 +17,7 @@ from kc2spice.parts.sphere import made_of
 from kc2spice.rom.linear import LinearModel, Port
 from kc2spice.scene.model import Part, Rom, Scene
 from kc2spice.scene.parttype import Neglected, register
+from kc2spice.spice.realize import COARSE, StepWeights
 
 if TYPE_CHECKING:
     from kc2spice.bodies.pressure import LocalCompliance, PressureBasis, Sphere
@@ -98,10 +99,10 @@ elastic = true
             return own
         return Rom(tolerance=1e-3, band=(0.0, float(f"{BAND * _body(part, scene).oblate:.3g}")))
 
-    def coarse(self, part: Part, scene: Scene) -> bool:
+    def weights(self, part: Part, scene: Scene) -> StepWeights:
         """Nothing is joined to it that could tell: at 0.01 % of damping steps would follow its
         megahertz through the flight, eight times as many."""
-        return True
+        return COARSE
 
     def unfollowed(self, part: Part, scene: Scene) -> Iterator[Neglected]:
         why = "steps let go of it once nothing presses on the sphere, whose path it is no part of"

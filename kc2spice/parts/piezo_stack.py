@@ -26,7 +26,7 @@ from kc2spice.rom.linear import Port
 from kc2spice.scene.model import Part, Rom, Scene
 from kc2spice.scene.parttype import Build, Neglected, Numerics, register
 from kc2spice.scene.plausible import within
-from kc2spice.spice.realize import THROWING, StepWeights
+from kc2spice.spice.realize import COARSE, THROWING, StepWeights
 
 # What builds is imported where it builds: most runs find their models in the cache.
 if TYPE_CHECKING:
@@ -215,7 +215,7 @@ class PiezoStack(MeshedBody):
         ratio = math.pi * USUAL * part.keys.damping.beta
         close = math.sqrt(min(1.0, max(ratio, UNDAMPED) / RINGING))
         speed = _kick_speed(part, scene)
-        if self.coarse(part, scene) and speed is not None:
+        if self.weights(part, scene) == COARSE and speed is not None:
             # Anything but sources on its anode may make any kick a slow one: 0.67 m/s behind an
             # amplifier of 5 A, which is 1.5e-3 off at the settings of 1 m/s.
             joined = (scene.parts[name].type.name for name, _ in scene.joined(part.name, "anode"))
@@ -227,11 +227,8 @@ class PiezoStack(MeshedBody):
         chgtol = min(1.0, speed or 1.0)
         yield Numerics(what, FLIGHT, decides=True, reltol=close, chgtol=chgtol)
 
-    def coarse(self, part: Part, scene: Scene) -> bool:
-        """Its ringing is what strikes the sphere if the kick begins downwards."""
-        return super().coarse(part, scene) and not _downwards(part)
-
     def weights(self, part: Part, scene: Scene) -> StepWeights:
+        """Its ringing is what strikes the sphere if the kick begins downwards."""
         return THROWING if _downwards(part) else super().weights(part, scene)
 
     def penetrations(self, part: Part, scene: Scene) -> Iterator[Penetration]:
