@@ -80,7 +80,7 @@ class PointMass(Touching, DeclaredPart):
         yield from dimensions(part.name, part.keys)
 
     def settable(self, part: Part, build: Build) -> Mapping[str, float]:
-        state = start(part, build)
+        state = self.begins(part, build)
         if state is None:
             return {}
         inner = f"x{part.name.lower()}"
@@ -90,7 +90,35 @@ class PointMass(Touching, DeclaredPart):
         return Surface(part.name, ("a",), (0.0,))
 
     def begins(self, part: Part, build: Build) -> tuple[float, float] | None:
-        return start(part, build)
+        """Position [m] and velocity [m/s] at which it begins, None where it begins in equilibrium.
+
+        Of masses that are fixed to each other the first one begins, the others follow.
+
+        Raises
+        ------
+        UsageError : a state is given, but what it is fixed to has its own.
+        """
+        scene, keys = build.scene, part.keys
+        given = keys.position, keys.velocity
+        if _given(part):
+            for name, pin in scene.joined(part.name, "a"):
+                other = scene.parts[name]
+                moved = other.type.name == part.type.name or other.reduced
+                if moved or other.type.at_rest(other, scene).ideal:
+                    problem = "begins where and as fast as what it is fixed to"
+                    hint = "a stiff spring between both lets each have its own"
+                    got, expected = f"{name}.{pin} on the same net", "neither position nor velocity"
+                    raise part.wrong("", problem, got, expected, hint)
+            return given
+        if scene.analysis.type == "transient" and begins(scene):
+            return given
+        net = scene.nets[part.name, "a"]
+        group = next((group for group in free(build) if net in group.nets), None)
+        if group is None or group.bodies:
+            return None
+        fixed = next(nets for nets in rigid(scene) if net in nets)
+        masses = (m.name for m in scene.of(part.type.name) if scene.nets[m.name, "a"] in fixed)
+        return given if next(masses) == part.name else None
 
     def checks(self, part: Part, build: Build, waves: Waveforms) -> Iterator[Any]:
         """None: a mass at rest on something stiff turns over less energy than the steps lose."""
@@ -111,38 +139,6 @@ class PointMass(Touching, DeclaredPart):
 
 def _given(part: Part) -> bool:
     return bool({"position", "velocity"} & part.keys.model_fields_set)
-
-
-def start(part: Part, build: Build) -> tuple[float, float] | None:
-    """Position [m] and velocity [m/s] at which it begins, None where it begins in equilibrium.
-
-    Of masses that are fixed to each other the first one begins, the others follow.
-
-    Raises
-    ------
-    UsageError : a state is given, but what it is fixed to has its own.
-    """
-    scene, keys = build.scene, part.keys
-    given = keys.position, keys.velocity
-    if _given(part):
-        for name, pin in scene.joined(part.name, "a"):
-            other = scene.parts[name]
-            moved = other.type.name == part.type.name or other.reduced
-            if moved or other.type.at_rest(other, scene).ideal:
-                problem = "begins where and as fast as what it is fixed to"
-                hint = "a stiff spring between both lets each have its own"
-                got, expected = f"{name}.{pin} on the same net", "neither position nor velocity"
-                raise part.wrong("", problem, got, expected, hint)
-        return given
-    if scene.analysis.type == "transient" and begins(scene):
-        return given
-    net = scene.nets[part.name, "a"]
-    group = next((group for group in free(build) if net in group.nets), None)
-    if group is None or group.bodies:
-        return None
-    fixed = next(nets for nets in rigid(scene) if net in nets)
-    masses = (m.name for m in scene.of(part.type.name) if scene.nets[m.name, "a"] in fixed)
-    return given if next(masses) == part.name else None
 
 
 register(PointMass())

@@ -20,6 +20,7 @@ from kc2spice.netlist.circuit import positive
 from kc2spice.parts._touching import Pair, Surface, Touching
 from kc2spice.parts.mass import point_mass
 from kc2spice.physics import Declaration, DeclaredPart, displacement
+from kc2spice.physics.part import pins_of
 from kc2spice.scene.judge import Balance, Gate, stepping
 from kc2spice.scene.model import GROUND, Part, Scene, Terminal
 from kc2spice.scene.parttype import (
@@ -109,12 +110,6 @@ class Sphere(Touching, DeclaredPart):
     name = "sphere"
     title = "rigid sphere, vertical motion"
     schema = SphereKeys
-    fixed = (
-        Terminal("v", "m/s", "N"),
-        Terminal("bottom", "um", "-", signal_out=True),
-        Terminal("y", "um", "-", signal_out=True),
-        Terminal("base", "um", "N", "gnd"),
-    )
 
     def declared(self, part: Part, scene: Scene) -> Declaration:
         keys, begin = part.keys, begins(scene).get(part.name, AT_REST)
@@ -127,7 +122,11 @@ class Sphere(Touching, DeclaredPart):
         return {_carried(part): table if given is True else {**given, **table}}
 
     def pins(self, part: Part, scene: Scene) -> tuple[Terminal, ...]:
-        return () if _moved(part, scene) else self.fixed
+        own = () if _moved(part, scene) else pins_of(self.declared(part, scene))
+        return tuple(
+            Terminal(p.name, p.unit, p.flow, {"base": "gnd"}.get(p.name), signal_out=p.flow == "-")
+            for p in own
+        )
 
     def problems(self, part: Part, scene: Scene) -> Iterator[UsageError]:
         bodies = [p.name for p in scene.parts.values() if p.reduced]
