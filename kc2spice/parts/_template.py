@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import math
 from abc import abstractmethod
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping
 from typing import Any, ClassVar, Literal, NamedTuple
 
 import numpy as np
@@ -21,7 +21,7 @@ from kc2spice.scene.judge import Check
 from kc2spice.scene.keys import model_keys
 from kc2spice.scene.model import Part, Scene, Terminal
 from kc2spice.scene.parttype import Build, PartType, Vector
-from kc2spice.spice.header import ROOM, SIGN, Header, library
+from kc2spice.spice.header import ROOM, Header, library
 
 BANDWIDTH = 1e9  # Hz, gain-bandwidth product of a fast decompensated amplifier
 
@@ -52,7 +52,6 @@ class TemplatePart(PartType):
     fixed: ClassVar[tuple[Terminal, ...]]
     rating: ClassVar[str]
     validity: ClassVar[str] = ROOM
-    sign: ClassVar[str] = SIGN
     opamp: ClassVar[Level | None] = None
     constants: ClassVar[Mapping[str, float]] = {}
 
@@ -64,11 +63,10 @@ class TemplatePart(PartType):
         return parameters(part.keys), _NOTHING
 
     def subcircuits(self, part: Part, build: Build, header: Any) -> tuple[Any, ...]:
-        name, pins = build.libraries[part.name], self.pins(part, build.scene)
         params, values = self.design(part, build)
         if build.noisy and isinstance(part.keys, InputNoise):
             values = {**values, "input_noise": part.keys}
-        return (self.netlist(header, name, params, values, pins),)
+        return (self.netlist(header, build.libraries[part.name], params, values),)
 
     def netlist(
         self,
@@ -76,14 +74,11 @@ class TemplatePart(PartType):
         name: str,
         params: tuple[Param, ...],
         values: Mapping[str, Any] = _NOTHING,
-        pins: Sequence[Terminal] = (),
     ) -> Subcircuit:
         """Its library under this name."""
-        told = {"rating": self.rating, "validity": self.validity, "sign": self.sign}
+        told = {"rating": self.rating, "validity": self.validity}
         words: dict[str, Any] = {**told, **self.constants, **values}
-        made = library(
-            self.template, header, name, self.heading, pins or self.fixed, params, **words
-        )
+        made = library(self.template, header, name, self.heading, self.fixed, params, **words)
         if not self.opamp:
             return made
         return self_contained(

@@ -16,7 +16,7 @@ from kc2spice.core.cache import cached
 from kc2spice.core.errors import UsageError
 from kc2spice.core.figure import Shape
 from kc2spice.core.quantities import Count, Section, Time, Voltage, si
-from kc2spice.core.waveforms import Waveform, Waveforms, pulse, running
+from kc2spice.core.waveforms import Waveforms, running
 from kc2spice.fem.materials import material
 from kc2spice.parts._linear_body import SOURCES, aim, wanted
 from kc2spice.parts._meshed import FieldKeys, MeshedBody
@@ -76,11 +76,6 @@ class Drive(Section):
         if self.edge > self.width:
             raise ValueError("the edges of the pulse are longer than the pulse: edge above width")
         return self
-
-    @property
-    def waveform(self) -> Waveform:
-        """The pulse as a function of time."""
-        return pulse(0.0, self.voltage, self.start, self.width, self.edge, self.period, self.count)
 
 
 class Stack(Chip, FieldKeys):

@@ -118,12 +118,11 @@ class PortLoads(PartType):
 
     def figures(self, part: Part, build: Build, waves: Waveforms) -> Iterator[Figure]:
         f = waves["frequency"].real / 1e3
-        loads = list(dict.fromkeys(n.partition(">")[0] for n in waves.data if ">" in n))
-        curves = tuple(Curve(f"{load}", f, np.abs(waves[f"{load}>{load}"])) for load in loads)
-        mechanical = tuple(curve for curve in curves if curve.label != "anode")
-        panels = [Panel("frequency in kHz", "|response| in m/N", mechanical, log_y=True)]
+        rings = _rings(body_of(part, build.scene), build.scene)
+        curves = tuple(Curve(ring, f, np.abs(waves[f"{ring}>{ring}"])) for ring in rings)
+        panel = Panel("frequency in kHz", "|response| in m/N", curves, log_y=True)
         caption = "Response of every port to a unit load on itself."
-        yield Figure(f"{part.name}_responses", "Frequency response", caption, tuple(panels))
+        yield Figure(f"{part.name}_responses", "Frequency response", caption, (panel,))
 
     def law(self, part: Part, build: Build) -> laws.Equations | None:
         """One copy of the body's law per load. A unit charge is a voltage behind a capacitance so

@@ -141,7 +141,7 @@ def _voltages(body: str, scene: Scene) -> Iterator[tuple[str, float]]:
 def built(build: Build) -> Iterator[UsageError]:
     """What the facts of built models say, such as the mass of a mesh."""
     for part in build.scene.parts.values():
-        facts = {} if build.model(part) is None else build.facts(part)
+        facts = build.facts(part)
         for rule in RULES:
             for fact in set(rule.keys) & set(facts):
                 yield from within(part.name, facts[fact], rule.unit, rule.low, rule.high, rule.why)

@@ -136,19 +136,17 @@ def library(
     *,
     rating: str,
     validity: str = ROOM,
-    sign: str = SIGN,
     **values: object,
 ) -> Subcircuit:
     """``templates/TEMPLATE.j2`` under its head, see :func:`part_header`.
 
-    Besides ``values`` the template has the names of its ``pins`` and the ``card`` behind
-    ``.subckt``: name, pins and parameters with their defaults.
+    Besides ``values`` the template has the ``card`` behind ``.subckt``: name, pins and parameters
+    with their defaults.
     """
     pins = tuple(Pin(item.name, item.unit, item.flow) for item in terminals)
-    words = {"rating": rating, "validity": validity, "sign": sign}
-    names = [pin.name for pin in pins]
-    card = " ".join((name, *names, parameter_list(params)))
+    card = " ".join((name, *(pin.name for pin in pins), parameter_list(params)))
+    words = {"rating": rating, "validity": validity}
     head = part_header(header, f"{name}: {title}", pins, params, **words)
-    cards = render(f"{template}.j2", card=card, pins=names, **values)
+    cards = render(f"{template}.j2", card=card, **values)
     text = f"{head}\n{cards}.ends {name}\n"
     return Subcircuit(name, pins, params, text)
