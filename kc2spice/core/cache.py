@@ -66,8 +66,8 @@ def cached(
     *,
     classes: Iterable[type] = (),
     sources: Iterable[str] = (),
-) -> tuple[T, bool]:
-    """Return ``(result, hit)``: the stored result of an earlier ``build()``, else a new one.
+) -> T:
+    """The stored result of an earlier ``build()``, else a new one.
 
     Parameters
     ----------
@@ -91,8 +91,8 @@ def cached(
             answer = _load(path, known)  # somebody else may have built it since
             if answer is None:
                 _store(path, result := build(), known)
-                return result, False
-    return cast(T, answer[0]), True
+                return result
+    return cast(T, answer[0])
 
 
 @contextmanager

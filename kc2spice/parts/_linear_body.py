@@ -306,8 +306,8 @@ class LinearBody(Touching):
         known = _boxes.get(part.name)
         if known is None or known[0] != asked:
             classes = (Varying, Axis, Loss, Certificate, Port)
-            result, _ = cached("box", asked, build, classes=classes, sources=self.sources())
-            known = _boxes[part.name] = asked, result
+            box = cached("box", asked, build, classes=classes, sources=self.sources())
+            known = _boxes[part.name] = asked, box
         return known[1]
 
     def build(self, part: Part, scene: Scene, clock: Any, full: bool = False) -> LinearModel | None:
@@ -352,8 +352,7 @@ class LinearBody(Touching):
             return replace(modal.linear(), name=small.name, facts=small.facts, band=small.band)
 
         kinds = (LinearModel, Certificate, Port)
-        model, _ = cached("body", asked, build, classes=kinds, sources=self.sources())
-        return model
+        return cached("body", asked, build, classes=kinds, sources=self.sources())
 
     def library(self, part: Part, scene: Scene) -> str:
         return part.name

@@ -384,8 +384,7 @@ class Body(MeshedBody):
             return " x ".join(f"{side:.4g}" for side in sides) + " mm"
 
         key = {"file": file_stamp(_path(part, scene)), "unit": part.keys.unit}
-        text, _ = cached("extent", key, size, sources=self.sources())
-        yield text
+        yield cached("extent", key, size, sources=self.sources())
         yield from super().notes(part, scene)
 
     def full_key(self, part: Part, scene: Scene) -> dict[str, Any]:
@@ -393,7 +392,7 @@ class Body(MeshedBody):
 
     def figures(self, part: Part, build: Build, waves: Waveforms) -> Iterator[Figure | Written]:
         """Its mesh, then what all bodies show."""
-        curve, _ = cached(
+        curve = cached(
             "outline",
             self.full_key(part, build.scene),
             lambda: edges("", self.device(part, build.scene).solid.mesh),

@@ -122,10 +122,9 @@ elastic = true
 
         key = {**self.full_key(part, scene), "pressure_basis": shape.nodes.tolist()}
         made, kinds = (_body(part, scene), shape, part.keys.mesh.refine), (LocalCompliance,)
-        result, _ = cached(
+        return cached(
             "indented", key, lambda: sphere_compliance(*made), classes=kinds, sources=self.sources()
         )
-        return result
 
 
 def _body(part: Part, scene: Scene) -> Sphere:

@@ -235,7 +235,7 @@ class MovingConductor(DeclaredPart):
         key = {"keys": keys.model_dump(exclude=shape, mode="json"), "of": (tolerance, rings)}
         sources = (*SOURCES, type(self).__module__)
         try:
-            return cached(self.name, key, build, classes=(Ladder,), sources=sources)[0]
+            return cached(self.name, key, build, classes=(Ladder,), sources=sources)
         except UsageError as error:  # of its range of heights
             told = str(error.message), error.got, error.expected, error.hint
             raise part.wrong("y_max", *told) from None

@@ -432,7 +432,7 @@ def _compliance_of(part: Part, shape: PressureBasis) -> LocalCompliance:
     chip, kinds = chip_of(part.keys), (LocalCompliance,)
     own = chip.model_dump(mode="json", exclude={"damping"})
     key = {"chip": own, "pressure_basis": shape.nodes.tolist()}
-    result, _ = cached(
+    result = cached(
         "indented", key, lambda: local_compliance(chip, shape), classes=kinds, sources=SOURCES
     )
     return result

@@ -337,7 +337,7 @@ class RingMagnetCoils(Touching):
                 return catch_table(unit, radius, lambda done, total: share(done / total))
 
         key = {**self.model_key(part, scene), "positions": count}
-        table, _ = cached("catch", key, build, classes=(EMTable,), sources=SOURCES)
+        table = cached("catch", key, build, classes=(EMTable,), sources=SOURCES)
         magnets = keys.remanence ** np.array([2, 1, 1, 0, 0, 0])
         scaled = {"coefficients": magnets * table.coefficients, "flux0": magnets[1] * table.flux0}
         return replace(table, y=table.y + keys.shift, **scaled)

@@ -246,7 +246,7 @@ def _solved(part: Part, build: Build, full: LinearModel, at: np.ndarray) -> np.n
         "ports": list(full.inputs + full.outputs),
     }
 
-    result, _ = cached("transfer", depends, lambda: full.transfer(at), sources=part.type.sources())
+    result = cached("transfer", depends, lambda: full.transfer(at), sources=part.type.sources())
     return np.asarray(result)
 
 
