@@ -18,20 +18,19 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import replace
 from itertools import accumulate, chain, pairwise, product
-from typing import Annotated, Any, Literal, TypeAlias
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from pydantic import Field, StringConstraints, model_validator
 
 from kc2spice.bodies.device import Block, Bonded, Box
 from kc2spice.core.errors import wrong
-from kc2spice.core.quantities import Count, Length, Section, si, validated
+from kc2spice.core.quantities import Count, Length, Mass, Section, validated
 from kc2spice.fem.keys import Damping, Mesh
 from kc2spice.fem.materials import material
 from kc2spice.parts._meshed import BondedBody, FieldKeys
 from kc2spice.scene.parttype import register
 
-Mass: TypeAlias = Annotated[float, si("kg")]
 LENGTHWISE, ACROSS = 20, 4  # elements at refine = 1
 GRADING = 1.6
 

@@ -57,7 +57,9 @@ HELD = {  # what key mounting says, in words
     "free": "nothing holds its bottom face",
 }
 PAPER_ORDER = 30
-# Keys that leave it the paper's chip.
+# Keys that the FE model depends on: pulse, driver and electrical boundary act on the circuit.
+CHIP = set(Chip.model_fields)
+# Of these, keys that leave it the paper's chip.
 FREE = {"mesh", "damping", "mounting", "preload_spring", "layer_thickness"}
 
 
@@ -246,11 +248,8 @@ class PiezoStack(MeshedBody):
         return float(part.keys.rated_field * part.keys.height / part.keys.layers)
 
     def full_key(self, part: Part, scene: Scene) -> Mapping[str, Any]:
-        shape = pressure_nodes(part, scene)
-        result = {
-            "chip": chip_of(part.keys).model_dump(mode="json"),
-            "field": part.keys.rated_field,
-        }
+        shape, chip = pressure_nodes(part, scene), part.keys.model_dump(mode="json", include=CHIP)
+        result = {"chip": chip, "field": part.keys.rated_field}
         return result if shape is None else result | {"pressure_basis": shape.nodes.tolist()}
 
     def reduction(self, part: Part, scene: Scene) -> Rom:
@@ -260,10 +259,7 @@ class PiezoStack(MeshedBody):
         if not asked.left_open:
             return asked
         plain = type(part.keys)()
-        if all(
-            getattr(part.keys, key) == getattr(plain, key)
-            for key in Chip.model_fields.keys() - FREE
-        ):
+        if all(getattr(part.keys, key) == getattr(plain, key) for key in CHIP - FREE):
             return Rom(order=PAPER_ORDER, band=asked.band)
         if "band" in asked.model_fields_set:
             return asked
@@ -273,9 +269,9 @@ class PiezoStack(MeshedBody):
     def make(self, part: Part, scene: Scene) -> Device:
         from kc2spice.bodies.piezo_stack import stack_device
 
-        chip, shape = chip_of(part.keys), pressure_nodes(part, scene)
+        shape = pressure_nodes(part, scene)
         pressure = None if shape is None else shape.pressure(_compliance_of(part, shape).shares)
-        return stack_device(chip, part.keys.rated_field, pressure)
+        return stack_device(part.keys, part.keys.rated_field, pressure)
 
     def metrics(self, part: Part, build: Build, waves: Waveforms) -> Mapping[str, Any]:
         result = dict(super().metrics(part, build, waves))
@@ -292,7 +288,7 @@ class PiezoStack(MeshedBody):
             name = next(c.name for c in scene.of("contact") if c.keys.shape == "pressure")
             if (most := float(waves[f"{name}.force"].max())) > 0:
                 forces = Pair(scene.parts[name], scene).basis_forces(most)
-                inside = stressed(chip_of(part.keys), shape, forces)
+                inside = stressed(part.keys, shape, forces)
                 result |= {f"{name}_{what}": value for what, value in inside.items()}
         current = waves.data.get(f"{part.name}.current")
         if part.keys.electrical == "driven" and (part.keys.driver or not pressed):
@@ -373,12 +369,6 @@ def mounted(keys: Chip) -> str:
     return ", ".join(said)
 
 
-def chip_of(keys: Stack) -> Chip:
-    """What the FE model depends on: pulse, driver and electrical boundary act on the circuit."""
-    given = Chip.model_fields.keys() & keys.model_fields_set
-    return Chip(**{name: getattr(keys, name) for name in given})
-
-
 def pressure_nodes(part: Part, scene: Scene) -> PressureBasis | None:
     """Pressure on the top where a contact asks for it, as far out as the rings are."""
     for contact in scene.of("contact"):
@@ -429,13 +419,14 @@ def free_stroke(keys: Chip, voltage: float) -> float:
 def _compliance_of(part: Part, shape: PressureBasis) -> LocalCompliance:
     from kc2spice.bodies.pressure import LocalCompliance, local_compliance
 
-    chip, kinds = chip_of(part.keys), (LocalCompliance,)
-    own = chip.model_dump(mode="json", exclude={"damping"})
-    key = {"chip": own, "pressure_basis": shape.nodes.tolist()}
-    result = cached(
-        "indented", key, lambda: local_compliance(chip, shape), classes=kinds, sources=SOURCES
+    own = part.keys.model_dump(mode="json", include=CHIP - {"damping"})
+    return cached(
+        "indented",
+        {"chip": own, "pressure_basis": shape.nodes.tolist()},
+        lambda: local_compliance(part.keys, shape),
+        classes=(LocalCompliance,),
+        sources=SOURCES,
     )
-    return result
 
 
 register(PiezoStack())

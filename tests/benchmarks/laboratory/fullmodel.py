@@ -2,8 +2,8 @@
 
 from functools import lru_cache
 
+from kc2spice.bodies.stack_keys import Chip
 from kc2spice.core.waveforms import Waveforms
-from kc2spice.parts.piezo_stack import chip_of
 from laboratory.law import waveforms
 from laboratory.setup import keys_of
 from laboratory.usual.contact import contact_surface
@@ -12,7 +12,9 @@ from laboratory.usual.system import quarter
 
 def chip(scene):
     """What the full model of the scene's chip depends on."""
-    return chip_of(keys_of(scene, "piezo_stack"))
+    keys = keys_of(scene, "piezo_stack")
+    given = Chip.model_fields.keys() & keys.model_fields_set
+    return Chip(**{name: getattr(keys, name) for name in given})
 
 
 _assembled = lru_cache(maxsize=1)(quarter)
