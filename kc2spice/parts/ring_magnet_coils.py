@@ -328,15 +328,14 @@ class RingMagnetCoils(Touching):
         """
         keys, count = part.keys, (DENSER if full else 1) * (part.keys.positions - 1) + 1
         unit = self._unit(part, count)
+        key = {**self.model_key(part, scene), "positions": count}
 
         def build() -> EMTable:
             from kc2spice.fem.magnet_field import catch_table
 
             with clock.stage("magnetics", "field of the catch actuator") as share:
-                radius = sphere_of(part, scene).keys.radius
-                return catch_table(unit, radius, lambda done, total: share(done / total))
+                return catch_table(unit, key["radius"], lambda done, total: share(done / total))
 
-        key = {**self.model_key(part, scene), "positions": count}
         table = cached("catch", key, build, classes=(EMTable,), sources=SOURCES)
         magnets = keys.remanence ** np.array([2, 1, 1, 0, 0, 0])
         scaled = {"coefficients": magnets * table.coefficients, "flux0": magnets[1] * table.flux0}
