@@ -15,7 +15,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
@@ -43,8 +42,7 @@ class BVD:
 
 @dataclass(frozen=True)
 class Reading:
-    """The analyser's figures. ``fit_error`` is the largest relative error of the BVD circuit's
-    admittance over the samples that it was fitted to."""
+    """The analyser's figures: metrics of an ``ac`` scene, by their names."""
 
     resonance_hz: float
     antiresonance_hz: float
@@ -52,12 +50,6 @@ class Reading:
     coupling: float
     capacitance_f: float
     bvd: BVD
-    fit_error: float
-
-    def metrics(self) -> dict[str, Any]:
-        """The metrics of an ``ac`` scene, by their names."""
-        result = vars(self) | {"bvd": dict(vars(self.bvd))}
-        return {name: value for name, value in result.items() if name != "fit_error"}
 
 
 def analyse(frequency: np.ndarray, impedance_ohm: np.ndarray) -> Reading:
@@ -82,7 +74,6 @@ def analyse(frequency: np.ndarray, impedance_ohm: np.ndarray) -> Reading:
     Y = 1 / Z
     window = _window(f, Y)
     bvd = _fit(f[window], Y[window])
-    residual = np.abs(bvd.admittance(f[window]) / Y[window] - 1)
     ratio = bvd.cm_f / bvd.c0_f
     resonance = 1 / (2 * math.pi * math.sqrt(bvd.lm_h * bvd.cm_f))
     low = np.array([min(1e3, resonance / 10)])
@@ -94,7 +85,6 @@ def analyse(frequency: np.ndarray, impedance_ohm: np.ndarray) -> Reading:
         coupling=math.sqrt(ratio / (1 + ratio)),
         capacitance_f=float(np.interp(low, known, seen.imag / (2 * np.pi * known))[0]),
         bvd=bvd,
-        fit_error=float(residual.max()),
     )
 
 

@@ -8,7 +8,7 @@ import stat
 import warnings
 from abc import abstractmethod
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import asdict, replace
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -405,7 +405,7 @@ class LinearBody(Touching):
         frequency = waves["frequency"].real
         figures = {"frequency_hz": frequency.tolist(), "impedance_ohm": np.abs(z).tolist()}
         try:
-            result = {**figures, **analyse(frequency, z).metrics()}
+            result = {**figures, **asdict(analyse(frequency, z))}
         except UsageError:  # no resonance in the range: nothing to read off but the curve
             return figures
         if not (keys := varied(part)):
@@ -420,7 +420,7 @@ class LinearBody(Touching):
             for end in ends:
                 model = box.at({item.key: item.value for item in keys} | {key.key: float(end)})
                 H = model.select([port]).transfer(frequency)[:, 0, 0]
-                read.append(analyse(frequency, 1 / (2j * np.pi * frequency * H)).metrics())
+                read.append(asdict(analyse(frequency, 1 / (2j * np.pi * frequency * H))))
             change = math.log(ends[1] / ends[0])
             result["sensitivity"][key.param.name] = {
                 name.removesuffix("_hz").removesuffix("_f"): math.log(read[1][name] / low) / change

@@ -1,5 +1,6 @@
 """The analyser's figures from samples of circuits whose elements are known."""
 
+from dataclasses import asdict
 from functools import partial
 
 import numpy as np
@@ -28,10 +29,10 @@ def test_the_circuit_is_found_whatever_the_samples(samples, quality):
     assert reading.antiresonance_hz == approx(FS * np.sqrt(1 + C / C0), rel=1e-6)
     assert reading.quality == approx(quality, rel=1e-4)
     assert reading.coupling == approx(np.sqrt(C / (C + C0)), rel=1e-5)
-    bvd = reading.metrics()["bvd"]
+    bvd = asdict(reading.bvd)
     np.testing.assert_allclose(list(bvd.values()), [C0, r, L, C], rtol=1e-4)
     assert list(bvd) == ["c0_f", "rm_ohm", "lm_h", "cm_f"]
-    assert reading.fit_error < 1e-5
+    np.testing.assert_allclose(1 / reading.bvd.admittance(f), circuit(f, r), rtol=1e-5)
 
 
 def test_the_capacitance_is_read_at_a_tenth_of_the_resonance_or_at_1_khz():
