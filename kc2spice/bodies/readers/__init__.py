@@ -45,8 +45,19 @@ def read_model(path: Path | str, sidecar: Path | str | None = None) -> LinearMod
         what was found and what was expected.
     MissingToolError : the format needs a package that is not installed; the message says which.
     """
-    name, said, result = open_source(Path(path), None if sidecar is None else Path(sidecar))
-    return assemble(Rows(name, str(path), said, result, result.matrices))
+    path, sidecar = Path(path), None if sidecar is None else Path(sidecar)
+    if "\0" in str(path):
+        raw.existing(path)  # says that there is none
+    if not path.name:
+        expected = "the name of a model, such as FOLDER/NAME"
+        raise UsageError("is a folder, not a model", where=str(path), expected=expected)
+    base, files, _, said = described(path, sidecar)
+    result = _read(path, {**files, **said.files}, said.matrices)
+    sound = {k: raw.checked(m, k, result.files.get(k, path)) for k, m in result.matrices.items()}
+    if said.dofs is not None:
+        dofs = raw.parsed(said.dofs, "lines 'node,dof', one for each row", _rows)
+        result = replace(result, dofs=dofs)
+    return assemble(Rows(base.name, str(path), said, result, sound))
 
 
 def extent(path: Path, sidecar: Path | None) -> np.ndarray | None:
@@ -75,37 +86,15 @@ _JOB = f"{', '.join(codes.SUFFIXES)} of one job"
 # that the sidecar has for matrices.
 READERS: Mapping[str, tuple[str, Callable[[Path, Mapping[str, str]], raw.Raw]]] = {
     ".npz": (_ARRAYS, raw.read_archive),
-    ".mat": (_MATLAB, raw.in_own_process(raw.unpack_matlab)),
-    ".full": ("a symmetric .full file of Ansys", raw.in_own_process(codes.unpack_full)),
-    ".op4": ("a Nastran OUTPUT4 file", raw.in_own_process(codes.unpack_op4)),
+    ".mat": (_MATLAB, raw.unpacker(raw.unpack_matlab)),
+    ".full": ("a symmetric .full file of Ansys", raw.unpacker(codes.unpack_full)),
+    ".op4": ("a Nastran OUTPUT4 file", raw.unpacker(codes.unpack_op4)),
     **dict.fromkeys(codes.SUFFIXES, (_JOB, codes.read_calculix)),
     **dict.fromkeys(
         (".pch", ".pch1", ".bdf", ".dat", ".nas", ".dmig"),
         ("a punch file of Nastran", codes.read_dmig),
     ),
 }
-
-
-def open_source(path: Path, sidecar: Path | None) -> tuple[str, Sidecar, raw.Raw]:
-    """Name and sidecar of the model at ``path``, and what its files hold.
-
-    Raises
-    ------
-    UsageError : no such model, or a file that is damaged or too large.
-    MissingToolError : a package that the format needs is not installed.
-    """
-    if "\0" in str(path):
-        raw.existing(path)  # says that there is none
-    if not path.name:
-        expected = "the name of a model, such as FOLDER/NAME"
-        raise UsageError("is a folder, not a model", where=str(path), expected=expected)
-    base, files, _, said = described(path, sidecar)
-    result = _read(path, {**files, **said.files}, said.matrices)
-    sound = {k: raw.checked(m, k, result.files.get(k, path)) for k, m in result.matrices.items()}
-    if said.dofs is not None:
-        dofs = raw.parsed(said.dofs, "lines 'node,dof', one for each row", _rows)
-        result = replace(result, dofs=dofs)
-    return base.name, said, replace(result, matrices=sound)
 
 
 def source_files(path: Path, sidecar: Path | None) -> tuple[Path, ...]:

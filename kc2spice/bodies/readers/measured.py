@@ -18,9 +18,9 @@ from pathlib import Path
 
 import numpy as np
 
-from kc2spice.bodies.readers.raw import guarded, present, refused, vectors
+from kc2spice.bodies.readers.raw import guarded, in_own_process, present, refused, vectors
 from kc2spice.core.errors import wrong
-from kc2spice.core.foreign import in_child, read_bounded
+from kc2spice.core.foreign import read_bounded
 
 MAX_BYTES = 20_000_000
 MOST = 20_000  # frequencies: no analyser has as many, and a fit would take hours
@@ -29,7 +29,6 @@ ACTIVE = 0.05  # of |Z|: a resistance so far below zero at a tenth of the points
 HINT = "name the columns in a header, such as: frequency_hz, real_ohm, imag_ohm"
 _TOUCHSTONE = re.compile(r"\.(s(\d+)p|ts)", re.IGNORECASE)
 _TABLES = (".csv", ".txt", ".tsv")
-_MEMORY, _SECONDS = 1_300_000_000, 20  # of the process that reads it, libraries included
 _COMPLEX = {"z": r"z|impedance", "y": r"y|admittance", "s": r"s|s11|sparameters|scattering"}
 _RESISTANCE = ("z0", "r0", "zref", "reference")
 _MATRIX = re.compile(r".*[._][MEKABCD]", re.DOTALL)  # NAME_K.txt
@@ -218,10 +217,7 @@ def _response(
 @lru_cache(maxsize=1)
 def _variables(path: Path, changed: float) -> dict[str, np.ndarray]:
     """Numeric arrays of a MATLAB file by name, none of one that has matrices of a model."""
-    request = {"path": str(path.absolute())}
-    return in_child(
-        f"{vectors.__module__}:{vectors.__name__}", request, memory=_MEMORY, seconds=_SECONDS
-    )
+    return in_own_process(vectors, path)
 
 
 def _is(words: str, name: str) -> bool:

@@ -144,18 +144,13 @@ def checked(matrix: Any, letter: str, path: Path) -> Matrix:
     ------
     UsageError : it is anything else; the message says what.
     """
-    if sparse.issparse(matrix):
-        if matrix.format in ("csc", "csr"):  # indices out of range would be followed unseen
-            guarded(path, f"a sound matrix {letter}", lambda: matrix.check_format(True))
-        data = matrix.data
-    elif isinstance(matrix, np.ndarray):
-        data = matrix
-    else:
-        raise refused(path, f"matrix {letter} is a {type(matrix).__name__}", "a numeric matrix")
+    if sparse.issparse(matrix) and matrix.format in ("csc", "csr"):  # coo judges its indices itself
+        guarded(path, f"a sound matrix {letter}", lambda: matrix.check_format(True))
+    data = matrix.data if sparse.issparse(matrix) else matrix
     if data.dtype.kind not in "fiub":
         what = "complex" if data.dtype.kind == "c" else f"of type {data.dtype}"
         raise refused(path, f"matrix {letter} is {what}", "a real numeric matrix")
-    bounded(path, letter, matrix.shape, matrix.nnz if sparse.issparse(matrix) else matrix.size)
+    bounded(path, letter, matrix.shape, data.size)
     if not np.isfinite(data).all():
         raise refused(path, f"matrix {letter} holds NaN or infinity", "finite numbers")
     if letter in WIDE:
@@ -268,22 +263,27 @@ def read_archive(path: Path, _: object) -> Raw:
     return _raw(foreign.read_archive(path, wanted, entries=largest, total=total), path)
 
 
-def in_own_process(function: Callable[..., object]) -> Callable[[Path, Mapping[str, str]], Raw]:
-    """A reader of what ``function(path, wanted)`` packs in a process of its own, whose memory and
-    time are bounded by the size of the file.
+def in_own_process(
+    function: Callable[..., object], path: Path, **options: object
+) -> dict[str, np.ndarray]:
+    """The arrays that ``function(path, **options)`` returns in a process of its own, whose memory
+    and time are bounded by the size of the file.
 
-    It raises UsageError or ValueError of a file that is missing or too large and of anything else
-    that goes wrong there, MissingToolError where the function needs a package that is not there.
+    Raises
+    ------
+    UsageError, ValueError : the file is missing or too large, or anything else goes wrong there.
+    MissingToolError : the function needs a package that is not there.
     """
+    memory = _MEMORY + 2 * unpacked(path)
+    seconds = _SECONDS[0] + path.stat().st_size // _SECONDS[1]
+    request = {"path": str(path.absolute()), **options}
+    name = f"{function.__module__}:{function.__name__}"
+    return in_child(name, request, memory=memory, seconds=seconds)
 
-    def read(path: Path, wanted: Mapping[str, str]) -> Raw:
-        memory = _MEMORY + 2 * unpacked(path)
-        seconds = _SECONDS[0] + path.stat().st_size // _SECONDS[1]
-        request = {"path": str(path.absolute()), "wanted": dict(wanted)}
-        name = f"{function.__module__}:{function.__name__}"
-        return _raw(in_child(name, request, memory=memory, seconds=seconds), path)
 
-    return read
+def unpacker(function: Callable[..., object]) -> Callable[[Path, Mapping[str, str]], Raw]:
+    """A reader of what ``function(path, wanted)`` packs, by :func:`in_own_process`."""
+    return lambda path, wanted: _raw(in_own_process(function, path, wanted=dict(wanted)), path)
 
 
 def packed(name: str, matrix: Any) -> dict[str, np.ndarray]:
@@ -304,18 +304,16 @@ def _raw(arrays: Mapping[str, np.ndarray], path: Path) -> Raw:
     return Raw(result, _dofs(arrays), arrays.get("held", np.empty(0, dtype=np.int64)))
 
 
-def _sparse(path: Path, letter: str, parts: dict[str, np.ndarray]) -> sparse.csc_array:
+def _sparse(path: Path, letter: str, parts: dict[str, np.ndarray]) -> sparse.sparray:
     kind = str(parts["format"].item()) if "format" in parts else "coo"
     kind = kind.removeprefix("b'").removesuffix("'")
     rows, columns = (int(k) for k in parts["shape"])
     bounded(path, letter, (rows, columns), parts["data"].size)
     if kind == "coo":
         inner = (parts["data"], (parts["row"], parts["col"]))
-        return sparse.csc_array(sparse.coo_array(inner, shape=(rows, columns)))
+        return sparse.coo_array(inner, shape=(rows, columns))
     maker = {"csc": sparse.csc_array, "csr": sparse.csr_array}[kind]
-    matrix = maker((parts["data"], parts["indices"], parts["indptr"]), shape=(rows, columns))
-    matrix.check_format(full_check=True)
-    return sparse.csc_array(matrix)
+    return maker((parts["data"], parts["indices"], parts["indptr"]), shape=(rows, columns))
 
 
 def _dofs(arrays: Mapping[str, np.ndarray]) -> Dofs | None:
@@ -348,12 +346,10 @@ def unpack_matlab(path: str, wanted: dict[str, str]) -> dict[str, np.ndarray]:
         )
     else:
         for name in plain:
-            shape, kind = kinds[name]
-            if kind in (*_OTHER, "struct"):
-                raise ValueError(f"variable {name} is a {kind}")
-            if kind != "sparse" and 8 * np.prod(shape, dtype=float) > unpacked(Path(path)):
-                raise ValueError(f"variable {name} of {shape} is too large")
-        result = io.loadmat(path, appendmat=False, variable_names=plain) if plain else {}
+            if kinds[name][1] in (*_OTHER, "struct"):
+                raise ValueError(f"variable {name} is a {kinds[name][1]}")
+        full = [kinds[name][0] for name in plain if kinds[name][1] != "sparse"]
+        result = _loaded(path, plain, full)
     parts: dict[str, np.ndarray] = {}
     for name in names:
         if name in result:
@@ -374,11 +370,16 @@ def vectors(path: str) -> dict[str, np.ndarray]:
     plain = [name for name, (_, kind) in kinds.items() if kind in numbers]
     if {"M", "K", "A"} & set(kinds):
         return {}
-    size = sum(8 * np.prod(kinds[name][0], dtype=float) for name in plain)
+    result = _loaded(path, plain, [kinds[name][0] for name in plain])
+    return {name: np.asarray(result[name]) for name in plain if result[name].size}
+
+
+def _loaded(path: str, names: list[str], full: list[tuple[int, ...]]) -> dict[str, Any]:
+    """The variables of these names, of which full arrays have these shapes."""
+    size = sum(8 * np.prod(shape, dtype=float) for shape in full)
     if size > unpacked(Path(path)):
         raise ValueError(f"its variables of {size:g} bytes are too large")
-    result = io.loadmat(path, appendmat=False, variable_names=plain) if plain else {}
-    return {name: np.asarray(result[name]) for name in plain if result[name].size}
+    return io.loadmat(path, appendmat=False, variable_names=names) if names else {}
 
 
 def _plain(name: str, matrix: Any) -> Any:
