@@ -337,14 +337,9 @@ def sphere(body: Sphere, shares: np.ndarray, shape: PressureBasis, refine: int =
 
 def sphere_compliance(body: Sphere, shape: PressureBasis, refine: int = 1) -> LocalCompliance:
     """Of the basis functions on the sphere, and of their patch."""
-    S = compliance(body, shape, refine)
+    S = _compliance(_free(body, shape, refine))
     patch = float(1 / np.linalg.solve(S, np.ones(len(S))).sum())
     return LocalCompliance(S - patch, patch)
-
-
-def compliance(body: Sphere, shape: PressureBasis, refine: int = 1) -> np.ndarray:
-    """(n, n) static displacement [m] of each function per force [N] on each."""
-    return _compliance(_free(body, shape, refine))
 
 
 def _free(body: Sphere, shape: PressureBasis, refine: int) -> LinearModel:

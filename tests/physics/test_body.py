@@ -13,8 +13,6 @@ from kc2spice.fem.materials import material
 from kc2spice.parts import bimorph, disc
 from kc2spice.parts.body import BodyKeys, device
 
-PZT = material("PZT-5A")
-
 
 def write(path, draw, *, size, order=2, mesh=3):
     """A file made by gmsh: ``draw(gmsh)`` returns groups {(dimension, name): tags}."""

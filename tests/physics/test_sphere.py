@@ -1,9 +1,4 @@
-"""The free elastic sphere against closed forms: statics by Legendre series, Lamb's modes, Hertz.
-
-Statics: inside, ``u = sum_n A_n grad(phi_n) + B_n (r^2 grad(phi_n) + alpha_n x phi_n)`` of solid
-harmonics phi_n (Love, A Treatise on the Mathematical Theory of Elasticity, 1944, article 172), the
-traction of each pressure expanded on the surface, and a uniform body force against its resultant.
-"""
+"""The free elastic sphere against closed forms: Lamb's modes, Hertz's contact."""
 
 from functools import cache
 
@@ -16,83 +11,26 @@ from scipy.special import spherical_jn
 from kc2spice.bodies.pressure import (
     PressureBasis,
     Sphere,
-    compliance,
     indentation_law,
     pressure_basis,
     sphere,
+    sphere_compliance,
 )
 from kc2spice.fem.keys import Damping
 from kc2spice.fem.materials import material
 from kc2spice.rom.modal import resonators
 from kc2spice.rom.reduce import reduce
 
-R, SPACING, COUNT = 1e-3, 20e-6, 6
+R = 1e-3
 E, NU, DENSITY = 211.9e9, 0.291, 7860.0
 MU, LAME = E / 2 / (1 + NU), E * NU / (1 + NU) / (1 - 2 * NU)
 
 BODY = Sphere(R, material("steel"), Damping(ratio=1e-3))
 
 
-def legendre(x, count):
-    """P_n(x) and its derivative by x, n < count: (count, points) each."""
-    P, D = np.zeros((2, count, x.size))
-    P[0], P[1], D[1] = 1.0, x, 1.0
-    for n in range(2, count):
-        P[n] = ((2 * n - 1) * x * P[n - 1] - (n - 1) * P[n - 2]) / n
-        D[n] = n * P[n - 1] + x * D[n - 1]
-    return P, D
-
-
 def tractions(n, U, dU, V, dV, div, r):
     """sigma_rr over P_n and sigma_rt over dP_n/dtheta."""
     return LAME * div + 2 * MU * dU, MU * (dV - V / r + U / r)
-
-
-@cache
-def series(count=2500):
-    """(COUNT, COUNT) displacement along the axis, relative to the centre of mass, per force."""
-    x, w = np.polynomial.legendre.leggauss(40)
-    theta, weight, q = [], [], []  # pressures near theta = 0, forces along -z: pushed in
-    for j in range(COUNT):
-        a, b = (np.arcsin(SPACING * k / R) for k in (j, j + 1))
-        theta.append((a + b) / 2 + (b - a) / 2 * x)
-        weight.append(2 * np.pi * R**2 * (b - a) / 2 * w * np.sin(theta[-1]))
-    theta, weight = np.concatenate(theta), np.concatenate(weight)
-    c, s = np.cos(theta), np.sin(theta)
-    heights = np.array([np.interp(R * s, SPACING * np.arange(COUNT + 1), np.eye(COUNT + 1)[k])
-                        for k in range(COUNT)])  # fmt: skip
-    q = heights * c
-    q /= (q * weight).sum(axis=1)[:, None]
-    P, D = legendre(c, count)
-    D = -s * D  # by theta
-    volume, total = 4 / 3 * np.pi * R**3, np.zeros((COUNT, COUNT))
-    for n in range(count):
-        size = (2 * n + 1) / (4 * np.pi * R**2)
-        radial, along = -q * weight @ (c * P[n]), q * weight @ (s * D[n])  # of q (-z)
-        if n == 0:
-            A = size * radial / (3 * LAME + 2 * MU)
-            total += np.outer(radial, A * R)
-            continue
-        load = size * np.array([radial, along / (n * (n + 1))])  # (2, COUNT)
-        alpha = -2 * (n * LAME + (3 * n + 1) * MU) / ((n + 3) * LAME + (n + 5) * MU)
-        div = (2 * n + alpha * (n + 3)) / R
-        UB, VB = (n + alpha), 1.0  # both times r^(n+1) / R^(n+1)
-        tB = tractions(n, UB, (n + 1) * UB / R, VB, (n + 1) * VB / R, div, R)
-        if n == 1:
-            A = -(1 / volume) / (2 * LAME + 8 * MU)  # of the body force +z / volume
-            p = A * R**2
-            tp = tractions(n, p, 2 * p / R, p, 2 * p / R, 2 * A * R, R)
-            B = np.linalg.lstsq(np.array(tB)[:, None], load - np.array(tp)[:, None], rcond=None)[0]
-            left = np.array(tB)[:, None] @ B - load + np.array(tp)[:, None]
-            assert np.abs(left).max() < 1e-6 * np.abs(load).max()  # in equilibrium
-            mean = 3 / 5 * (p + B[0] * (1 + alpha / 3))
-            U, V = p + B[0] * UB - mean, p + B[0] * VB - mean
-        else:
-            tA = tractions(n, n, n * (n - 1) / R, 1.0, (n - 1) / R, 0.0, R)
-            A, B = np.linalg.solve(np.array([tA, tB]).T, load)
-            U, V = A * n + B * UB, A + B * VB
-        total += np.outer(radial, U) + np.outer(along, V)
-    return total
 
 
 def lamb(n, f):
@@ -146,7 +84,7 @@ def test_the_sphere_swings_as_lamb_says():
 @cache
 def dents():
     shape = pressure_basis(5e-6, 120e-6)
-    return compliance(BODY, shape), shape
+    return sphere_compliance(BODY, shape).compliance, shape
 
 
 @pytest.mark.parametrize("plane", [np.inf, 100e9])
