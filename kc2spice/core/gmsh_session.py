@@ -12,8 +12,8 @@ from kc2spice.core.errors import MissingToolError
 
 
 @contextmanager
-def gmsh_session(name: str) -> Iterator[ModuleType]:
-    """Initialise gmsh with one empty model and yield the module; finalise on every way out.
+def gmsh_session() -> Iterator[ModuleType]:
+    """Initialise gmsh, which has one empty model, and yield the module; finalise on every way out.
 
     gmsh keeps global state, so sessions do not nest. It neither reads the user's option files nor
     takes over the signal handlers, hence the same input always gives the same mesh.
@@ -39,7 +39,6 @@ def gmsh_session(name: str) -> Iterator[ModuleType]:
     try:
         gmsh.option.setNumber("General.Terminal", 0)
         gmsh.option.setNumber("General.NumThreads", 1)
-        gmsh.model.add(name)
         yield gmsh
     finally:
         gmsh.finalize()

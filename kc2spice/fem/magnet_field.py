@@ -353,7 +353,7 @@ def stator_mesh(catch: Catch, bore: Bore) -> MeshTri2:
         near = min(_CORNER * bore.size + _GROWTH * to_corner, _PART * bore.size)
         return near + _GROWTH * to_part / catch.refine
 
-    with gmsh_session("stator") as gmsh:
+    with gmsh_session() as gmsh:
         occ = gmsh.model.occ
         plates = [(2, occ.addRectangle(a, b, 0, c - a, d - b)) for a, b, c, d in shapes]
         _, made = occ.fragment(plates[:1], plates[1:])
@@ -375,7 +375,7 @@ def mover_mesh(bore: Bore) -> tuple[MeshTri2, np.ndarray]:
     """
     outline = [(0, 0), (bore.radius, 0), (bore.wall, 0), (bore.wall, bore.half)]
     outline += [(0, bore.half), (0, bore.radius)]
-    with gmsh_session("mover") as gmsh:
+    with gmsh_session() as gmsh:
         geo = gmsh.model.geo
         p = [geo.addPoint(r, y, 0) for r, y in outline]
         lines = [geo.addLine(p[i], p[(i + 1) % 6]) for i in range(6)]

@@ -337,7 +337,7 @@ def tables(
     ------
     UsageError : nothing to mesh, a pick that selects nothing, elements of another shape.
     """
-    with gmsh_session("mesh") as gmsh:
+    with gmsh_session() as gmsh:
         gmsh.option.setNumber("Geometry.OCCImportLabels", 1)
         gmsh.option.setString("Geometry.OCCTargetUnit", "MM")
         gmsh.merge(file)
@@ -350,7 +350,7 @@ def tables(
 
 def box(file: str) -> dict[str, np.ndarray]:
     """``box`` (2, 3), lowest and highest coordinates of ``file`` in its own unit."""
-    with gmsh_session("mesh") as gmsh:
+    with gmsh_session() as gmsh:
         gmsh.option.setString("Geometry.OCCTargetUnit", "MM")
         gmsh.merge(file)
         _, places, _ = gmsh.model.mesh.getNodes()

@@ -303,7 +303,7 @@ def _nodes(matrix: scipy.sparse.csc_array) -> tuple[np.ndarray, np.ndarray]:
 def _renumbered(edges: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Nodes of a graph of ``edges`` (m, 2) and their places, from a mesh of lines."""
     nodes = int(edges.max()) + 1
-    with gmsh_session("graph") as gmsh:
+    with gmsh_session() as gmsh:
         gmsh.model.addDiscreteEntity(1, 1)
         gmsh.model.mesh.addNodes(1, 1, np.arange(1, nodes + 1), np.zeros(3 * nodes))
         numbers = np.arange(1, len(edges) + 1)
