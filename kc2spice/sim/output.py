@@ -52,18 +52,18 @@ _STATS = {
 
 @dataclass(frozen=True)
 class Failure:
-    """Lines of a log by class, and what they say about a failure.
+    """What a log says about a failure.
 
     ``cause`` is the line that names the failure, ``node``, ``time`` [s] and ``part`` what it
-    blames, ``kind`` what other settings might cure; None where the log does not tell. ``partial``
-    has the waveforms up to there, if any.
+    blames, ``kind`` what other settings might cure; None where the log does not tell.
+    ``struggles`` are lines of an operating point that was hard to find. ``partial`` has the
+    waveforms up to there, if any.
     """
 
     cause: str | None
     node: str | None = None
     time: float | None = None
     kind: Kind | None = None
-    errors: tuple[str, ...] = ()
     struggles: tuple[str, ...] = ()
     part: str | None = None
     partial: Waveforms | None = None
@@ -85,7 +85,7 @@ def classify(text: str) -> Failure:
         kind = "singular" if singular else "operating point"
     node = next((m[1] or m[2] for m in map(_NODE.search, suspects) if m), None)
     time = next((float(m[1]) for m in map(_TIME.search, suspects) if m), None)
-    return Failure(cause, node, time, kind, errors, struggles)
+    return Failure(cause, node, time, kind, struggles)
 
 
 def statistics(text: str) -> dict[str, float]:
@@ -112,7 +112,7 @@ def failed_run(
     and say nothing.
     """
     report, stop = classify(text), deck.stop
-    said = bool(report.errors) or code != 0
+    said = report.cause is not None or code != 0
     early = last is not None and stop is not None and not abs(last - stop) <= 1e-9 * stop
     if not said and not early:
         return None

@@ -34,4 +34,4 @@ def test_operating_point_is_silent(name, options, tmp_path):
     run_deck(deck, tmp_path)
     report = classify((tmp_path / f"{name}.log").read_text())
     assert not report.struggles
-    assert not report.errors
+    assert report.cause is None
