@@ -405,19 +405,17 @@ class RetriesFailedError(SimulationError):
 def run_with_retries(
     deck: Deck,
     directory: Path,
+    engine: Callable[[Deck], Waveforms],
     *,
     retries: int,
     judge: Callable[[Waveforms], Verdict] = lambda waves: Verdict(),
-    engine: Callable[[Deck], Waveforms] | None = None,
-    progress: Share = None,
-    timeout: float | None = None,
 ) -> Outcome:
-    """Run ``deck`` in ``directory``; after a failure that settings may cure, with the next setting.
+    """Run ``deck`` by ``engine``, which logs in ``directory``; after a failure that settings may
+    cure, with the next setting.
 
     The cause of each failure picks the setting; what earlier ones changed stays changed. Every
     retry is announced by a warning. ``judge`` checks a finished run; violated energy balances count
-    as failures of too coarse steps. ``engine`` runs the deck instead of the simulator's own
-    process. ``timeout`` [s] is that of each attempt.
+    as failures of too coarse steps.
 
     Raises
     ------
@@ -434,7 +432,7 @@ def run_with_retries(
         cause: Cause | None = None
         start = time.perf_counter()
         try:
-            waves = engine(tried) if engine else run_deck(tried, directory, progress, timeout)
+            waves = engine(tried)
             verdict = judge(waves)
             points = waves["time"].size if "time" in waves else None
             violated = [check for check in verdict.checks if check.fatal]

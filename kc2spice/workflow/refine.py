@@ -23,9 +23,8 @@ from kc2spice.scene.judge import Check
 from kc2spice.scene.load import load_scene
 from kc2spice.scene.model import Action, Scene
 from kc2spice.scene.plan import Axis, axes, keys_at
-from kc2spice.sim.ngspice import run_deck
 from kc2spice.workflow.decks import prepared
-from kc2spice.workflow.simulate import Run, children_cpu, simulate
+from kc2spice.workflow.simulate import Run, ran, simulate, simulator_cpu
 
 MOST = 16  # runs besides the scene's own
 LIMIT = 1e-2  # error_budget where checks.reduction asks without one
@@ -84,9 +83,9 @@ def evaluate(
 def time_again(run: Run) -> float:
     """CPU seconds [s] of the simulator for the deck of ``run``, once more."""
     with tempfile.TemporaryDirectory() as folder:
-        begin = children_cpu()
-        run_deck(run.deck, Path(folder))
-        return children_cpu() - begin
+        begin = simulator_cpu(run.build)
+        ran(run.build, run.deck, Path(folder))
+        return simulator_cpu(run.build) - begin
 
 
 def changes(run: Run, finer: Run, near_zero: float = 0.0) -> dict[str, float]:

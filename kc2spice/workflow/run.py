@@ -25,7 +25,7 @@ from kc2spice.workflow import meters
 from kc2spice.workflow.decks import prepared
 from kc2spice.workflow.models import mode_tables
 from kc2spice.workflow.refine import Converged, converge
-from kc2spice.workflow.simulate import Run, kept_on_failure, simulate
+from kc2spice.workflow.simulate import Run, kept_on_failure, sampled, simulate
 
 
 @dataclass(frozen=True)
@@ -66,7 +66,7 @@ class Completed:
             "simulator": {
                 "name": self.simulator.name,
                 "version": self.simulator.version,
-                "engine": "batch",
+                "engine": "shared" if sampled(build) else "batch",
                 "setting": attempts[-1].setting,
                 "attempts": [asdict(attempt) for attempt in attempts],
             },

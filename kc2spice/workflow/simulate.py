@@ -8,7 +8,7 @@ import contextlib
 import os
 import shutil
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property
@@ -23,7 +23,14 @@ from kc2spice.netlist.deck import Deck
 from kc2spice.report.html import leaves
 from kc2spice.scene.judge import Verdict
 from kc2spice.scene.parttype import Build, Sampled
-from kc2spice.sim.ngspice import Outcome, RetriesFailedError, run_with_retries, write_files
+from kc2spice.sim.ngspice import (
+    Outcome,
+    RetriesFailedError,
+    Share,
+    run_deck,
+    run_with_retries,
+    write_files,
+)
 from kc2spice.workflow.judge import metrics, verdict
 from kc2spice.workflow.models import model_facts, rom_facts
 
@@ -34,7 +41,7 @@ FAILURE = "failure.json"
 @dataclass(frozen=True)
 class Run(Outcome):
     """What the simulation of a scene gave: deck, waves, verdict, attempts, the models behind them,
-    its metrics, and the CPU seconds of the simulator's process with all its retries."""
+    its metrics, and the CPU seconds of the simulator with all its retries."""
 
     build: Build
     metrics: Mapping[str, Any]
@@ -65,7 +72,7 @@ def simulate(
     deck: Deck,
     directory: Path,
     *,
-    progress: Callable[[float], None] | None = None,
+    progress: Share = None,
     timeout: float | None = None,
     retries: int | None = None,
 ) -> Run:
@@ -82,19 +89,16 @@ def simulate(
         checks = (replace(c, action="warn") if c.wiring else c for c in result.checks)
         return replace(result, checks=tuple(checks))
 
-    engine = shared_engine(build, progress)
     write_files(deck.files, directory)  # whatever comes of it
-    begin = children_cpu()
+    begin = simulator_cpu(build)
     result = run_with_retries(
         deck,
         directory,
+        lambda tried: ran(build, tried, directory, progress, timeout),
         retries=build.scene.solver.retries if retries is None else retries,
         judge=judge,
-        engine=engine,
-        progress=progress,
-        timeout=timeout,
     )
-    used = children_cpu() - begin
+    used = simulator_cpu(build) - begin
     waves = _with_powers(result.waves, deck)
     return Run(deck=result.deck, waves=waves, verdict=result.verdict, attempts=result.attempts,
                build=build, metrics=metrics(waves, build), cpu_s=used)  # fmt: skip
@@ -113,16 +117,30 @@ def _with_powers(waves: Waveforms, deck: Deck) -> Waveforms:
     return replace(waves, data={**waves.data, **result})
 
 
-def shared_engine(
-    build: Build, progress: Callable[[float], None] | None = None
-) -> Callable[[Deck], Waveforms] | None:
-    """The simulator's library, where functions set sources of the scene while it runs.
+def ran(
+    build: Build, deck: Deck, directory: Path, progress: Share = None, timeout: float | None = None
+) -> Waveforms:
+    """What ngspice makes of ``deck`` in a process of its own in ``directory``, or as a library
+    where functions set sources of the scene while it runs.
+
+    Raises as :func:`run_deck` and :func:`kc2spice.sim.shared.run_shared` do.
+    """
+    functions = sampled(build)
+    if not functions:
+        return run_deck(deck, directory, progress, timeout)
+    from kc2spice.sim.shared import run_shared
+
+    return run_shared(deck, functions, progress)
+
+
+def sampled(build: Build) -> list[Sampled]:
+    """The functions that set sources of the scene while it runs.
 
     Raises
     ------
     UsageError : a function stands in a file that is not trusted.
     """
-    sampled = [
+    return [
         item
         for part in build.scene.parts.values()
         if build.scene.analysis.type == "transient"
@@ -130,21 +148,16 @@ def shared_engine(
         if isinstance(item, Sampled)
     ]
 
-    def shared(deck: Deck) -> Waveforms:
-        from kc2spice.sim.shared import run_shared
 
-        return run_shared(deck, sampled, progress)
-
-    return shared if sampled else None
-
-
-def children_cpu() -> float:
-    """CPU seconds so far of all child processes that have ended; wall time where nobody tells."""
+def simulator_cpu(build: Build) -> float:
+    """CPU seconds so far of all child processes that have ended, of this one where the simulator
+    runs in it; wall time where nobody tells."""
     try:
         import resource
     except ImportError:
         return time.perf_counter()
-    used = resource.getrusage(resource.RUSAGE_CHILDREN)
+    who = resource.RUSAGE_SELF if sampled(build) else resource.RUSAGE_CHILDREN
+    used = resource.getrusage(who)
     return used.ru_utime + used.ru_stime
 
 

@@ -10,6 +10,8 @@ from kc2spice.core.errors import UsageError
 from kc2spice.scene.load import load_scene
 from kc2spice.sim.shared import run_shared
 from kc2spice.workflow.decks import make_deck
+from kc2spice.workflow.refine import time_again
+from kc2spice.workflow.run import complete
 from kc2spice.workflow.verify.verify import verify
 
 PERIOD, DELAY = 10e-6, 4e-6  # s
@@ -69,6 +71,14 @@ def test_a_file_runs_only_when_it_is_trusted(tmp_path):
     call = part.type.settable(part, replace(built(loaded), trust=True))["out"].call
     node = loaded.net("digits", "y")
     assert call(0.0, {node: 1.0}) == 7.0
+
+
+def test_a_run_says_that_it_was_within_this_process_and_can_be_timed_again(tmp_path):
+    """The simulator's own process can neither call functions nor be timed for one that does."""
+    done = complete(scene(), tmp_path, functions={"digits": lambda time, inputs: 1.0})
+    assert done.record["simulator"]["engine"] == "shared"
+    assert done.run.cpu_s > 0
+    assert time_again(done.run) > 0
 
 
 def test_files_that_are_no_function_are_refused(tmp_path):

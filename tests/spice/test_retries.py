@@ -7,7 +7,7 @@ import pytest
 from device import built
 
 from kc2spice.netlist.deck import Deck
-from kc2spice.sim.ngspice import RetriesFailedError, run_with_retries
+from kc2spice.sim.ngspice import RetriesFailedError, run_deck, run_with_retries
 from kc2spice.workflow.decks import make_deck
 from kc2spice.workflow.judge import verdict
 
@@ -19,13 +19,21 @@ def deck(cards, stop=1e-3):
     return Deck(name="d", text=f"* d\n{cards}.end\n", vectors={"b": ("v(b)", 1.0)}, stop=stop)
 
 
+def batch(folder):
+    return lambda deck: run_deck(deck, folder)
+
+
 @pytest.mark.filterwarnings("ignore:tighter")
 def test_a_result_of_too_coarse_steps_is_run_again(varied, model, table, tmp_path):
     coarse = varied(**{"solver.reltol": 0.03, "solver.max_step": 1e-4})
     build = built(coarse, model, table)
     with pytest.warns(UserWarning, match="tighter tolerances"):
         done = run_with_retries(
-            make_deck(build), tmp_path, retries=3, judge=lambda waves: verdict(waves, build)
+            make_deck(build),
+            tmp_path,
+            batch(tmp_path),
+            retries=3,
+            judge=lambda waves: verdict(waves, build),
         )
     books = [f"energy of {part}" for part in ("sphere", "contact", "kick")]
     assert done.attempts[0].cause.split(":")[0] in books
@@ -41,14 +49,14 @@ def test_what_no_tolerance_cures_is_not_run_again(scene, loop, model, table, tmp
         return verdict(dataclasses.replace(waves, data=far), built(scene, model, table))
 
     with pytest.raises(RetriesFailedError, match="table_left") as caught:
-        run_with_retries(loop, tmp_path, retries=3, judge=beyond)
+        run_with_retries(loop, tmp_path, batch(tmp_path), retries=3, judge=beyond)
     assert len(caught.value.attempts) == 1
 
 
 @pytest.mark.filterwarnings("ignore:.*trying")
 def test_the_last_failure_names_node_time_part_and_all_settings(tmp_path):
     with pytest.raises(RetriesFailedError) as caught:
-        run_with_retries(deck(HOPELESS), tmp_path, retries=4)
+        run_with_retries(deck(HOPELESS), tmp_path, batch(tmp_path), retries=4)
     error = caught.value
     assert [a.setting for a in error.attempts[1:]] == [
         "firmer pivots",

@@ -28,10 +28,10 @@ from kc2spice.scene.compose import composed
 from kc2spice.scene.judge import PAIRS, Check, Gate, Verdict
 from kc2spice.scene.model import Scene
 from kc2spice.scene.parttype import Build
-from kc2spice.sim.ngspice import find_ngspice, run_deck
+from kc2spice.sim.ngspice import find_ngspice
 from kc2spice.workflow.decks import prepared
 from kc2spice.workflow.judge import metrics, verdict
-from kc2spice.workflow.simulate import shared_engine
+from kc2spice.workflow.simulate import ran
 from kc2spice.workflow.verify.bodies import verify_body
 from kc2spice.workflow.verify.circuit import (
     full_build,
@@ -357,9 +357,7 @@ class _Verification:
 
     def _ngspice(self, deck: Deck) -> Waveforms:
         with self.clock.stage("simulate", f"ngspice, {self.build.scene.name}") as share:
-            shared = shared_engine(self.build, share)
-            folder = self.work / "scene"
-            waves = shared(deck) if shared else run_deck(deck, folder, progress=share)
+            waves = ran(self.build, deck, self.work / "scene", share)
         self.verdict = verdict(waves, self.build)
         return waves
 
