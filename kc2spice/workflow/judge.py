@@ -120,7 +120,8 @@ def crossing(scale: np.ndarray, values: np.ndarray, level: float) -> float | Non
 
 
 def _mean(scale: np.ndarray, values: np.ndarray) -> float:
-    return float(np.trapezoid(values, scale) / np.ptp(scale))
+    span = np.ptp(scale)
+    return float(np.trapezoid(values, scale) / span if span else values[0])  # of one point its own
 
 
 # Of the scale (n,), the values (n,) and a level: what a probe takes under that name.
