@@ -177,7 +177,7 @@ def case(name: str, entry: Mapping[str, Any]) -> tuple[dict[str, Answer], Path]:
     scene = load_scene(str(CASES / entry["scene"]), entry.get("set", []))
     out = Path(tempfile.mkdtemp()) / name
     if entry.get("full", True):
-        told = verify([scene], out)[scene.name]["answers"]
+        told = verify([scene], out)["scenes"][scene.name]["answers"]
     else:
         told = {"ngspice": run(scene, out)["metrics"]}
     names = [key for key, value in entry.items() if isinstance(value, dict) and "value" in value]

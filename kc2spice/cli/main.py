@@ -324,16 +324,14 @@ def verify(
     out = out or Path("verify" if all_ else f"{loaded[0].name}_verify")
     with caller.progress() as progress:
         result = verify_scenes(loaded, out, full=full, deck=deck, trust=trust, progress=progress)
-    passed = all(record["passed"] for record in result.values())
-    record = {"passed": passed, "scenes": result} if all_ else next(iter(result.values()))
-    if caller.reads(record, out):
+    if caller.reads(result if all_ else next(iter(result["scenes"].values())), out):
         from kc2spice.report.pages import verdict_sections
 
-        for name, item in result.items():
+        for name, item in result["scenes"].items():
             show(verdict_sections(name, item))
             print(*(f"  {note}\n" for note in item["notes"]), sep="", end="")
         print(f"all of it, with errors and plots: {out / 'verify.html'}")
-    if not passed:
+    if not result["passed"]:
         raise typer.Exit(GateMissedError.exit_code)
 
 

@@ -263,6 +263,6 @@ def test_the_mesh_of_a_body_is_an_axis_that_its_model_answers():
 
 def test_a_device_is_verified(tmp_path):
     """A base that accelerates, two layers in series; all others: test_scenes.py."""
-    record = verify([load_scene("harvester")], tmp_path / "out")["harvester"]
+    record = verify([load_scene("harvester")], tmp_path / "out")["scenes"]["harvester"]
     assert record["passed"], [check for check in record["checks"] if not check["passed"]]
     assert record["errors"]["rom_vs_fom"] <= 1e-3  # what ac scenes reduce to if not told

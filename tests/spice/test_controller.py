@@ -67,7 +67,7 @@ def test_a_file_runs_only_when_it_is_trusted(tmp_path):
     assert "--trust" in caught.value.hint
     with pytest.raises(UsageError, match="runs a Python file"):
         verify([loaded], tmp_path / "out")
-    assert verify([loaded], tmp_path / "out", trust=True)["controlled"]["passed"]
+    assert verify([loaded], tmp_path / "out", trust=True)["scenes"]["controlled"]["passed"]
     call = part.type.settable(part, replace(built(loaded), trust=True))["out"].call
     node = loaded.net("digits", "y")
     assert call(0.0, {node: 1.0}) == 7.0

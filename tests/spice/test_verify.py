@@ -12,8 +12,8 @@ from kc2spice.core.progress import Clock, silent
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.netlist.read import subcircuits
 from kc2spice.scene.load import load_scene
-from kc2spice.sim.ngspice import run_deck
 from kc2spice.workflow.decks import make_deck
+from kc2spice.workflow.simulate import ran
 from kc2spice.workflow.verify import bodies
 from kc2spice.workflow.verify.circuit import Difference, full_solution, solve
 from kc2spice.workflow.verify.verify import verify
@@ -52,7 +52,7 @@ def failed(record):
 def test_a_circuit_of_plain_parts_is_verified(tmp_path):
     (tmp_path / "rlc.toml").write_text(RLC)
     scene = load_scene(tmp_path / "rlc.toml")
-    record = verify([scene], tmp_path / "out")["rlc"]
+    record = verify([scene], tmp_path / "out")["scenes"]["rlc"]
     assert record["passed"], failed(record)
     assert record["left_out"] == []
     assert {"ngspice_vs_rom"} == set(record["errors"])
@@ -105,10 +105,8 @@ def test_each_solution_is_compared_with_both_others(wrong, tmp_path, monkeypatch
             ),
         )  # fmt: skip
     if wrong == "ngspice":
-        monkeypatch.setattr(module, "run_deck", lambda *asked, **more: scaled(
-            run_deck(*asked, **more)
-        ))  # fmt: skip
-    record = verify([scene], tmp_path / "out")["imprint"]
+        monkeypatch.setattr(module, "ran", lambda *asked: scaled(ran(*asked)))
+    record = verify([scene], tmp_path / "out")["scenes"]["imprint"]
     pairs = {c["name"]: c["passed"] for c in record["checks"] if c["name"].startswith("static")}
     assert pairs == {
         f"static force, {words}": wrong not in pair
@@ -180,7 +178,7 @@ def test_a_signal_input_listens_to_a_loaded_node(kind, tmp_path):
     text = SIGNAL.format(drive=drive, analysis=analysis).replace("20 nF", f"{1e6 / POLE} nF")
     (tmp_path / "heard.toml").write_text(text)
     scene = load_scene(tmp_path / "heard.toml")
-    record = verify([scene], tmp_path / "out")["heard"]
+    record = verify([scene], tmp_path / "out")["scenes"]["heard"]
     assert record["passed"], failed(record)
     assert record["left_out"] == []
     build = models(scene)
@@ -201,7 +199,7 @@ def test_a_signal_that_drives_a_load_is_taken_from_ngspice(tmp_path):
     drive, analysis = "dc = 1.0", "type = 'transient'\nstop = 1e-4"
     load = "[load]\npart = 'resistor'\nresistance = 5.0\npins = { a = 'filter.y' }\n"
     (tmp_path / "heard.toml").write_text(SIGNAL.format(drive=drive, analysis=analysis) + load)
-    record = verify([load_scene(tmp_path / "heard.toml")], tmp_path / "out")["heard"]
+    record = verify([load_scene(tmp_path / "heard.toml")], tmp_path / "out")["scenes"]["heard"]
     assert record["passed"], failed(record)
     assert record["left_out"] == ["filter"]
 

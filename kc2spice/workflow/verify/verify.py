@@ -245,7 +245,7 @@ def verify(
     deck: Path | None = None,
     trust: bool = False,
     progress: Progress = silent,
-) -> dict[str, dict[str, Any]]:
+) -> dict[str, Any]:
     """Verify ``scenes``, write ``verify.json``, ``verify.html`` into ``out``.
 
     Parameters
@@ -254,8 +254,8 @@ def verify(
     deck : a shipped deck of the one scene, run and taken apart instead of the one just emitted.
     trust : let it, and included netlists, act on the machine.
 
-    Returns the contract's record of each scene by name; a missed gate is in its ``passed``, not an
-    exception.
+    Returns ``passed`` and in ``scenes`` the contract's record of each by name; a missed gate is in
+    these, not an exception.
 
     Raises
     ------
@@ -282,9 +282,7 @@ def verify(
         write_verify(work / "verify.html", answer)
         records = {name: item.record() for name, item in answer.items()}
         passed = all(record["passed"] for record in records.values())
-        record = write_record({"passed": passed, "scenes": records}, work, "verify.json")
-    scenes_found: dict[str, dict[str, Any]] = record["scenes"]
-    return scenes_found
+        return write_record({"passed": passed, "scenes": records}, work, "verify.json")
 
 
 def _libraries(flat: Flat) -> tuple[Subcircuit, ...]:
