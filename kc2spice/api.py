@@ -358,7 +358,10 @@ class Table(tuple[dict[str, Any], ...]):
     None then).
     """
 
-    columns: tuple[str, ...]
+    @property
+    def columns(self) -> tuple[str, ...]:
+        """Names, in the order of every row."""
+        return tuple(next(iter(self)))
 
     def __getitem__(self, column: Any) -> Any:
         """A column by name, or a row by number."""
@@ -420,7 +423,7 @@ def sweep(
     """
     from kc2spice.workflow.sweep.plan import make_plan
     from kc2spice.workflow.sweep.point import Job, scene_text
-    from kc2spice.workflow.sweep.run import columns, cores, outcomes, planned, require_columns
+    from kc2spice.workflow.sweep.run import columns, cores, outcomes, planned
 
     if not values or not all(len(item) for item in values.values()):
         raise UsageError("nothing to sweep", where="values", expected="{key: [value, …]}")
@@ -437,11 +440,7 @@ def sweep(
         pool = executor or opened.enter_context(ThreadPoolExecutor(count))
         for index, outcome in outcomes(asked, range(plan.size), lambda: nullcontext((pool, count))):
             result[index] = outcome
-            if outcome.failure is None and len(result) == 1:
-                require_columns(outcome, (), asked.scene.name)
             if progress is not None:
                 progress(len(result), plan.size)
     table = columns(result, plan)
-    rows = Table(dict(zip(table, row, strict=True)) for row in zip(*table.values(), strict=True))
-    rows.columns = tuple(table)
-    return rows
+    return Table(dict(zip(table, row, strict=True)) for row in zip(*table.values(), strict=True))

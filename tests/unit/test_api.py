@@ -6,12 +6,14 @@ import os
 import re
 import subprocess
 import sys
+from concurrent.futures import Executor, Future
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 import kc2spice as kc
+from kc2spice.workflow.sweep.point import Outcome
 
 ROOT = Path(__file__).parents[2]
 CONTRACT = (
@@ -125,6 +127,27 @@ def test_sweep_has_a_row_for_each_point_and_the_reason_of_a_failure(tmp_path):
         kc.sweep(PULSE, {"upper.resistance": [1.0, -1.0]})
     with pytest.raises(kc.errors.UsageError, match="nothing to sweep"):
         kc.sweep(PULSE, {"upper.resistance": []})
+
+
+def test_a_point_has_one_value_and_that_is_its_mean():
+    probes = {take: {"of": "store.v", "take": take} for take in ("mean", "rms", "final")}
+    result = kc.run({**CIRCUIT, "analysis": {"type": "op"}, "probes": probes})
+    assert dict(result.metrics) == pytest.approx({"mean": 1.0, "rms": 1.0, "final": 1.0})
+
+
+def test_a_sweep_without_a_number_ends_at_the_first_good_point():
+    class Done(Executor):
+        """One worker, whose first point fails; the others have curves alone."""
+
+        outcomes = iter([Outcome(failure="not this one"), Outcome()])
+
+        def submit(self, *_):
+            future = Future()
+            future.set_result(next(self.outcomes))
+            return future
+
+    with pytest.raises(kc.errors.UsageError, match="every metric is a curve"):
+        kc.sweep(PULSE, {"upper.resistance": [1.0, 2.0]}, executor=Done(), workers=1)
 
 
 def test_overrides_of_a_loaded_scene_keep_those_before():

@@ -484,7 +484,8 @@ def outcomes(
 
     Raises
     ------
-    UsageError : the deck has not a subcircuit parameter, or not with one of the swept values.
+    UsageError : the deck has not a subcircuit parameter, or not with one of the swept values; the
+        first good point has nothing for a column.
     MissingToolError : no workers, or no ngspice where they are.
     """
     ends = [pair for values in found.plan.ends() for pair in parameters(values)]
@@ -492,7 +493,11 @@ def outcomes(
         _, deck = testbench(found.job, found.plan.values(0))
         with_parameters(deck, changed)
     again: list[int] = []
+    known = False
     for index, outcome in _completed(found, points, workers):
+        if outcome.failure is None and not known:
+            require_columns(outcome, found.metrics, found.scene.name)
+            known = True
         if outcome.interrupted:
             again.append(index)
         else:
@@ -572,15 +577,12 @@ def sweep(
             for index, outcome in rows.outcomes.items()
             if not outcome.interrupted and (outcome.failure is None or not retry_failed)
         }
-        good = [item for item in rows.outcomes.values() if item.failure is None]
-        for outcome in good[:1]:
+        good = (item for item in rows.outcomes.values() if item.failure is None)
+        for outcome in islice(good, 1):
             require_columns(outcome, found.metrics, found.scene.name)
         missing = [index for index in range(found.plan.size) if index not in done]
         for count, (index, outcome) in enumerate(outcomes(found, missing, workers), 1):
             rows.record(index, outcome)
-            if outcome.failure is None and not good:
-                good.append(outcome)
-                require_columns(outcome, found.metrics, found.scene.name)
             begin = time.monotonic() if count == 1 else begin
             told = f"{count} of {len(missing)} points, {len(rows.failed)} failed"
             if count > 1:  # the first one may have built models for all others
