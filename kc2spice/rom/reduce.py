@@ -42,7 +42,6 @@ from kc2spice.rom.response import (
     around,
     grid,
     inexact,
-    leading_transfers,
     relative_error,
 )
 from kc2spice.rom.structure import FORM, Structure, structure
@@ -148,8 +147,6 @@ TAIL_DECAY = 4  # power of the fall of the tail's weight: contact forces are smo
 # launch within 2.7e-4; with weights of at most 1e-2 21 states at 2e-7 are up to 9e-4 off.
 TAIL_WEIGHTS = 4e-3, 5e-2
 TAIL_PER_ROOT = 120.0  # per root of the tolerance, as errors go with its square
-LOOKED, SPREAD = 32, 6  # orders looked at together; frequencies at which that begins
-RECENT = 24  # of those where models failed
 # States up to which directions are turned to save some; how often; the directions that they are
 # taken from, beyond a third, and how good all of these must be; the least change of a weight; how
 # the tail fades.
@@ -484,37 +481,11 @@ class Reduction:
         return bool(stable) if self.balanced else stable is not False or not self._keeps
 
     def fewest(self, tolerance: float, states: float = np.inf) -> int | None:
-        """The least order within the tolerance, of those with fewer first-order ``states``; None
-        where there is none.
-
-        Errors do not fall with every direction. Of all orders at once they are known at the few
-        frequencies where others failed; the least order that passes there is judged everywhere,
-        and where it fails adds the frequency to those (an exchange, as Remez's).
-        """
+        """The least :meth:`good` order of those with fewer first-order ``states``; None where there
+        is none."""
         most = int(min(self.size, (states - 1) // self.pencil.degree))
-        looked, failed, rejected = min(most, LOOKED), self.judge.failed, set[int]()
-        points = self.judge.frequency
-        failed += points[:: max(1, len(points) // SPREAD)].tolist() if not failed else []
-        known, error = 0, np.zeros(looked)
-        while True:
-            new = np.unique(failed[known:][-RECENT:])
-            s, known = 2j * np.pi * new, len(failed)
-            if len(new):
-                H = self.judge.exact.transfer(s)
-                off = leading_transfers(self.pencil.leading(looked), s) - H
-                sizes = np.nan_to_num(self.judge.sizes(off, H), nan=np.inf).max(axis=1)
-                error = np.maximum(error, sizes)
-            good = np.flatnonzero(self.space.error + SAFETY * error <= tolerance) + 1
-            untried = set(good[good >= self.first].tolist()) - rejected
-            if untried:
-                if self.good(order := min(untried), tolerance):
-                    return order
-                rejected.add(order)
-            elif looked == most:
-                return None
-            else:
-                looked, known = min(most, 2 * looked), 0
-                error = np.zeros(looked)
+        orders = range(max(self.first, 1), most + 1)
+        return next((order for order in orders if self.good(order, tolerance)), None)
 
     def smallest(self, tolerance: float) -> int:
         """Bisect for an order that is :meth:`good` while one less is not.

@@ -32,10 +32,9 @@ NOTCHES, ZOOM, ROUNDS = 60, 9, 20
 SAME = 1e-12  # of a frequency, by which rounding alone sets two apart
 STEEP = 1.5  # times a minimum: what is larger beside it, or smaller between, shows a deeper one
 PEAKS, PEAK_ROUNDS = 40, 3
+SPREAD = 6  # frequencies at which a model is looked at first, and those at which others failed
 FEW, MANY = 12, 2000  # unknowns, and states, between which eigenvectors pay
 REPRODUCED = 1e-10  # relative difference to direct solutions
-PANEL = 8  # columns eliminated at once
-COARSE = 8  # every so many points first: a model that is far off shows at those
 SOFT = 1e8  # ratio of squared frequencies of neighbours: the lower is a motion without force
 DEFECTIVE = 1e10  # condition of eigenvectors: a free body moves on in a Jordan block
 Modes: TypeAlias = tuple[np.ndarray, np.ndarray, tuple[np.ndarray, ...]]
@@ -53,8 +52,16 @@ class Response:
         self.pencil = pencil
         self.core = pencil.held if pencil.detached else pencil
         self._free = pencil.leading(pencil.free) if pencil.detached else None
-        self._known = modes or _decoupled(self.core)
-        self.decoupled = modes is None and self._known is not None
+        self._given = modes
+
+    @cached_property
+    def decoupled(self) -> bool:
+        """See above."""
+        return self._given is None and self._known is not None
+
+    @cached_property
+    def _known(self) -> Modes | None:
+        return self._given or _decoupled(self.core)
 
     @cached_property
     def modes(self) -> Modes | None:
@@ -348,8 +355,9 @@ class Judge:
 
     @cached_property
     def failed(self) -> list[float]:
-        """Frequencies [Hz] at which models were furthest off, the last ones last."""
-        return []
+        """Frequencies [Hz] at which models were furthest off, the last ones last: the next that is
+        not good enough shows there first. A few over the band to begin with."""
+        return self.frequency[:: max(1, len(self.frequency) // SPREAD)].tolist()
 
     def sizes(self, difference: np.ndarray, H: np.ndarray) -> np.ndarray:
         """Largest error (..., frequencies) of any entry, for differences to the response H."""
@@ -360,23 +368,20 @@ class Judge:
     def error(self, found: Response, limit: float = np.inf) -> float:
         """:func:`relative_error` over the band, in the ``norm``: at ``frequency``, then closer and
         closer around where it is largest. Above ``limit`` any error that shows it is enough."""
-        reference, frequency = self.reference[0], self.frequency
-
-        def sizes(points: np.ndarray, H: np.ndarray) -> np.ndarray:
-            return self.sizes(found.transfer(2j * np.pi * points) - H, H)
-
-        def largest() -> float:
-            if not (worst := float(error.max())) <= limit:
-                at = int(np.nan_to_num(error, nan=np.inf).argmax())
-                self.failed.append(float(points[at]))
-            return worst
-
+        for last in reversed(self.failed):
+            s = np.array([2j * np.pi * last])
+            H = self.exact.transfer(s)
+            try:  # of the pencil as it is: other coordinates pay at many frequencies
+                worst = float(self.sizes(found.pencil.transfer(s) - H, H)[0])
+            except SimulationError:
+                worst = np.inf
+            if not worst <= limit:
+                self.failed.remove(last)
+                self.failed.append(last)
+                return worst
         at, ratio = self.exact.within((0.9 * self.band[0], 1.1 * self.band[1]))
-        points = frequency[::COARSE]
-        error = sizes(points, reference[::COARSE])
-        if not largest() <= limit:
-            return float(error.max())
-        points, error = frequency, sizes(frequency, reference)
+        points, H = self.frequency, self.reference[0]
+        error = self.sizes(found.transfer(2j * np.pi * points) - H, H)
         for _ in range(PEAK_ROUNDS):
             inner = np.r_[True, error[1:] >= error[:-1]] & np.r_[error[:-1] >= error[1:], True]
             top = np.argsort(np.where(inner, error, -1.0))[-PEAKS:]
@@ -384,35 +389,14 @@ class Judge:
             new = clear_of_poles(_zoomed(points, low, high), at, ratio)
             if not new.size:
                 break
-            error = np.r_[error, sizes(new, self.exact.transfer(2j * np.pi * new))]
+            H = self.exact.transfer(2j * np.pi * new)
+            error = np.r_[error, self.sizes(found.transfer(2j * np.pi * new) - H, H)]
             points = np.r_[points, new]
             order = np.argsort(points)
             points, error = points[order], error[order]
-        return largest()
-
-
-def leading_transfers(pencil: Pencil, s: np.ndarray) -> np.ndarray:
-    """Responses (n, len(s), outputs, inputs) of the first 1, 2, ... n unknowns of a dense pencil.
-
-    One elimination without pivoting of ``[[P, B], [C, 0]]`` for each s: what it leaves at the lower
-    right after q steps is ``-C_q P_q^-1 B_q``. It finds the models worth a look; a pivot next to
-    zero, a pole of the smaller model, may cost digits.
-    """
-    n, (p, m) = pencil.size, pencil.D.shape
-    W = np.zeros((len(s), n + p, n + m), complex)
-    for k, P in enumerate(pencil.coefficients):
-        W[:, :n, :n] += s[:, None, None] ** k * P
-    W[:, :n, n:], W[:, n:, :n] = pencil.B, pencil.C
-    with np.errstate(all="ignore"):
-        for start in range(0, n, PANEL):
-            end = min(start + PANEL, n)
-            for k in range(start, end):
-                W[:, k + 1 :, k] /= W[:, k, k, None]
-                W[:, k + 1 :, k + 1 : end] -= W[:, k + 1 :, k, None] * W[:, k, None, k + 1 : end]
-                W[:, k + 1 : end, end:] -= W[:, k + 1 : end, k, None] * W[:, k, None, end:]
-            W[:, end:, end:] -= W[:, end:, start:end] @ W[:, start:end, end:]
-        terms = W[:, n:, :n].swapaxes(1, 2)[:, :, :, None] * W[:, :n, None, n:]
-    return np.asarray(terms.cumsum(axis=1).swapaxes(0, 1) + pencil.D)
+        if not (worst := float(error.max())) <= limit:
+            self.failed.append(float(points[int(np.nan_to_num(error, nan=np.inf).argmax())]))
+        return worst
 
 
 def above_band(
