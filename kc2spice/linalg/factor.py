@@ -102,17 +102,22 @@ class Factor:
     apply_inverse: Inverse
 
     def solve(self, rhs: np.ndarray) -> np.ndarray:
-        """Solve ``A x = rhs`` for one (n,) or several (n, k) right-hand sides.
+        """Solve ``A x = rhs`` for one (n,) or several (n, k) right-hand sides; with fewer rows than
+        A, which count as zero behind those, for as many unknowns (a model's, before eliminated
+        ones).
 
         Raises
         ------
         SimulationError : the backward error exceeds ``RESIDUAL_LIMIT``.
         """
+        size = len(rhs)
+        if more := self.matrix.shape[0] - size:
+            rhs = np.concatenate([rhs, np.zeros((more, *rhs.shape[1:]))])
         solution = self.apply_inverse(rhs)
         for _ in range(REFINEMENTS):
             residual = rhs - self.matrix @ solution
             if self._backward_error(solution, residual, rhs) <= RESIDUAL_LIMIT:
-                return solution
+                return solution[:size]
             solution = solution + self.apply_inverse(residual)
         error = self._backward_error(solution, rhs - self.matrix @ solution, rhs)
         if not error <= RESIDUAL_LIMIT:
@@ -123,7 +128,7 @@ class Factor:
                 expected=f"at most {RESIDUAL_LIMIT:g}",
                 hint="the model is singular or badly scaled: check its supports and units",
             )
-        return solution
+        return solution[:size]
 
     def _backward_error(self, x: np.ndarray, residual: np.ndarray, rhs: np.ndarray) -> float:
         """Normwise: ``|r| / (|A| |x| + |rhs|)``, zero where nothing is asked."""

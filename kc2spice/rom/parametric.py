@@ -21,8 +21,9 @@ import numpy as np
 import scipy
 
 from kc2spice.core.errors import UsageError
+from kc2spice.linalg.factor import Factor
 from kc2spice.rom.linear import LinearModel
-from kc2spice.rom.pencil import Inverse, Matrix, Pencil, Schur, dense
+from kc2spice.rom.pencil import Matrix, Pencil, Schur, dense
 
 DENSE = 700  # unknowns up to which all modes are as fast as a few
 ABOVE = 2.0  # times the band, up to which modes are kept
@@ -222,7 +223,7 @@ def modal_transfer(model: LinearModel, frequency: np.ndarray) -> np.ndarray:
 
 
 def natural_modes(
-    pencil: Pencil, top: float, square: float, inverse: Inverse
+    pencil: Pencil, top: float, square: float, inverse: Factor
 ) -> tuple[np.ndarray, np.ndarray]:
     """Squares (k,) of the natural frequencies below ``top`` [rad/s], of :data:`LEAST` at least, and
     their M-orthonormal shapes (n, k), by the ``inverse`` of ``K - square M``."""

@@ -242,38 +242,33 @@ class Pencil:
         s = complex(s).real if complex(s).imag == 0 else s
         return sum(k * s ** (k - 1) * (P @ x) for k, P in enumerate(self.coefficients) if k)
 
-    def solver(self, s: complex) -> tuple[Inverse, Inverse]:
-        """Solvers with ``P(s)`` and with its transpose.
+    def solver(self, s: complex) -> tuple[Factor, Factor]:
+        """Factors of ``P(s)`` and of its transpose.
 
         Raises
         ------
         SimulationError : ``s`` is a pole.
         """
         try:
-            both = two_sided(self.at(s), symmetric=self.symmetric)
+            return two_sided(self.at(s), symmetric=self.symmetric)
         except SimulationError as error:
             raise SimulationError(
                 error.message, where=error.where, got=f"{error.got} at s = {s:.6g} 1/s"
             ) from None
-        return Inverse(both[0], self.size), Inverse(both[1], self.size)
 
-    def pencil_solver(self, square: float) -> Inverse:
-        """Solver with ``K - square M``, real; at zero K must be definite.
+    def pencil_solver(self, square: float) -> Factor:
+        """Factor of ``K - square M``, real; at zero K must be definite.
 
         Raises
         ------
         SimulationError : singular, or K not positive definite.
         """
         if square:
-            result = factorise(self.bordered(1.0, 0.0, -square), definite=False)
-            return Inverse(result, self.size)
+            return factorise(self.bordered(1.0, 0.0, -square), definite=False)
         if not self._at_rest:
-            K = self.coefficients[0]
-            if isinstance(K, Schur):
-                result = factorise(self.bordered(1.0, 0.0, 0.0), definite=False)
-            else:
-                result = factorise(scipy.sparse.csc_array(K), definite=True)
-            self._at_rest.append(Inverse(result, self.size))
+            K = scipy.sparse.csc_array(self.bordered(1.0, 0.0, 0.0))
+            plain = not isinstance(self.coefficients[0], Schur)
+            self._at_rest.append(factorise(K, definite=plain))
         return self._at_rest[0]
 
     @property
@@ -282,7 +277,7 @@ class Pencil:
         return bool(self._at_rest)
 
     @cached_property
-    def _at_rest(self) -> list[Inverse]:
+    def _at_rest(self) -> list[Factor]:
         """Factors of K, once there are any: stages of a reduction and further ones need them."""
         return []
 
@@ -415,22 +410,6 @@ class Pencil:
             return np.asarray(-omega * np.linalg.eigvals(np.linalg.solve(inertia, rest)))
         values = scipy.linalg.eigvals(-rest, inertia)
         return np.asarray(omega * values[np.isfinite(values) & (np.abs(values) < INFINITE)])
-
-
-@dataclass(frozen=True)
-class Inverse:
-    """Solves with a factorised pencil; ``size`` leading unknowns are those of the model."""
-
-    factor: Factor
-    size: int
-
-    def solve(self, rhs: np.ndarray) -> np.ndarray:
-        """Solution (n,) or (n, k) of the unknowns that were not eliminated."""
-        extra = self.factor.matrix.shape[0] - self.size
-        if not extra:
-            return self.factor.solve(rhs)
-        free = np.zeros((extra, *rhs.shape[1:]))
-        return self.factor.solve(np.concatenate([rhs, free]))[: self.size]
 
 
 def explicit(A: np.ndarray, B: np.ndarray, C: np.ndarray, D: np.ndarray) -> Pencil:
