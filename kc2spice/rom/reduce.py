@@ -299,20 +299,22 @@ def _fewest(
     if free is not None and not form:  # nothing that a congruence would keep
         return replace(free[0], origin=f"{free[0].origin}; "), free[1]
     result = list(congruences)
-    if free is None:
-        search = Reduction.smallest if contact else Reduction.fewest
-        orders = [search(item, tolerance) or item.smallest(tolerance) for item in result]
-        best = int(np.argmin(orders))
-        kept, order = result[best], orders[best]
-    else:
-        most = int(free[1] / share)
-        within = [item.fewest(tolerance, most + 1) for item in result]
-        few = [(order, k) for k, order in enumerate(within) if order is not None]
-        if not few:
-            text = f"{free[0].origin}, where a congruence needs more than {most} states; "
-            return replace(free[0], origin=text), free[1]
-        order, k = min(few)
-        kept = result[k]
+    most = np.inf if free is None else int(free[1] / share)
+    within = [item.fewest(tolerance, most + 1) for item in result]
+    few = [(order, k) for k, order in enumerate(within) if order is not None]
+    if not few and free is not None:
+        text = f"{free[0].origin}, where a congruence needs more than {most} states; "
+        return replace(free[0], origin=text), free[1]
+    if not few:
+        error = min(item.error(item.size) for item in result)
+        raise inexact(
+            "the tolerance is out of reach",
+            f"estimate {error:.1e} with {result[0].size} states",
+            tolerance,
+            "ask for a larger tolerance or a narrower band",
+        )
+    order, k = min(few)
+    kept = result[k]
     if not contact:
         kept, order = tightened(kept, order, tolerance)
         order = kept.fewest(tolerance, kept.states(order)) or order
@@ -486,31 +488,6 @@ class Reduction:
         most = int(min(self.size, (states - 1) // self.pencil.degree))
         orders = range(max(self.first, 1), most + 1)
         return next((order for order in orders if self.good(order, tolerance)), None)
-
-    def smallest(self, tolerance: float) -> int:
-        """Bisect for an order that is :meth:`good` while one less is not.
-
-        Raises
-        ------
-        SimulationError : not even all directions meet the tolerance.
-        """
-        least = low = max(0, min(self.first, self.size) - 1)
-        # The last directions may be rounding and add but that: then fewer are better.
-        fewer = [self.size, *(self.size - 2**k for k in range(10) if self.size - 2**k > low)]
-        high = next((order for order in fewer if self.good(order, tolerance)), None)
-        if high is None:
-            raise inexact(
-                "the tolerance is out of reach",
-                f"estimate {min(map(self.error, fewer)):.1e} with up to {self.size} states",
-                tolerance,
-                "ask for a larger tolerance or a narrower band",
-            )
-        while high - low > 1:
-            middle = (low + high) // 2
-            low, high = (low, middle) if self.good(middle, tolerance) else (middle, high)
-        while high - 2 > least and self.good(high - 2, tolerance):  # directions may come in pairs
-            high -= 2
-        return high
 
     def model(self, order: int) -> LinearModel:
         """The reduced model with its certificate."""
