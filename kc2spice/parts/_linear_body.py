@@ -34,7 +34,7 @@ from kc2spice.rom.structure import structure
 from kc2spice.rom.varying import Varying
 from kc2spice.scene.judge import Balance, Check
 from kc2spice.scene.model import GROUND, Part, Rom, Scene, Terminal
-from kc2spice.scene.parttype import Build, Neglected, Rest, Vector, current, numerics
+from kc2spice.scene.parttype import Build, Neglected, Rest, Vector, current_into, numerics
 from kc2spice.scene.plausible import dimensions
 from kc2spice.spice.header import Header
 from kc2spice.spice.realize import (
@@ -383,12 +383,8 @@ class LinearBody(Touching):
                 nets = zip(("", "-"), (build.net(part, pin) for pin in port.terminals), strict=True)
                 if across := "".join(f"{sign}v({net})" for sign, net in nets if net != "0"):
                     result[f"{name}.voltage"] = Vector(across, 1.0, "V")
-                joined = build.scene.joined(part.name, port.terminals[0])
-                if len(joined) == 1:  # a source with other loads tells the sum of their currents
-                    ((other, pin),) = joined
-                    meter = current(build.scene.parts[other], pin, build)
-                    if meter is not None:
-                        result[f"{name}.current"] = meter
+                if (meter := current_into(part, port.terminals[0], build)) is not None:
+                    result[f"{name}.current"] = meter
             elif node != "0":
                 factor, unit, _ = ANSWERS.get(port.kind, (1.0, port.across, ""))
                 result[name] = Vector(f"v({node})", factor, unit)
@@ -430,11 +426,10 @@ class LinearBody(Touching):
         return result
 
     def checks(self, part: Part, build: Build, waves: Waveforms) -> Iterator[Check | Balance]:
+        """Its certified error, that the full model does not grow by itself, and what a run did."""
         model: LinearModel = build.model(part)
         result = model.certificate
-        if (
-            result is not None
-        ):  # its certified error, and that the full model does not grow by itself
+        if result is not None:
             error = result.error_estimate
             limit, action = (WRONG, "fail") if error > WRONG else (COARSE_ROM, "warn")
             yield Check(f"reduction of {part.name}", error, limit, "", REDUCED, action)  # type: ignore[arg-type]

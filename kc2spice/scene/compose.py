@@ -16,7 +16,7 @@ from typing import Any
 
 from kc2spice.core.errors import UsageError, did_you_mean, unknown
 from kc2spice.scene.model import GROUND, Names, Part, Scene, Terminal
-from kc2spice.scene.parttype import METER, Build, PartType, Rest, current
+from kc2spice.scene.parttype import METER, Build, PartType, Rest, current_into
 
 Pin = tuple[str, str]
 _GROUND: Pin = (GROUND, "")
@@ -173,16 +173,9 @@ def metered(scene: Scene) -> Iterator[tuple[str, str]]:
         for pin in pins:
             if asked == "power" or (
                 asked in (f"{pin}.current", "current" if pin == pins[0] else "")
-                and not _told(part, pin, scene)
+                and not (part.reduced and current_into(part, pin, Build(scene, {})))
             ):
                 yield name, pin
-
-
-def _told(part: Part, pin: str, scene: Scene) -> bool:
-    """Whether the one part at this pin of a body tells what goes into it."""
-    joined = scene.joined(part.name, pin) if part.reduced else ()
-    others = [(scene.parts[name], end) for name, end in joined]
-    return len(others) == 1 and current(*others[0], Build(scene, {})) is not None
 
 
 def _required(scene: Scene, alone: Collection[Pin]) -> None:

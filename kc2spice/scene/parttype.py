@@ -378,12 +378,14 @@ def flows(part: Part, pin: str, build: Build) -> dict[str, tuple[Vector, float]]
     }
 
 
-def current(part: Part, pin: str, build: Build) -> Vector | None:
-    """The current that leaves a part through an electrical pin, where one result tells it."""
-    result = list(flows(part, pin, build).values())
-    if len(result) != 1:
+def current_into(part: Part, pin: str, build: Build) -> Vector | None:
+    """The current into a part's pin, where one result of the one other part there tells it: a
+    source with other loads tells the sum of their currents."""
+    others = build.scene.joined(part.name, pin)
+    rows = [r for name, end in others for r in flows(build.scene.parts[name], end, build).values()]
+    if len(others) != 1 or len(rows) != 1:
         return None
-    ((row, sign),) = result
+    ((row, sign),) = rows
     return Vector(row.expression, sign * row.factor, row.unit)
 
 

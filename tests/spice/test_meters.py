@@ -7,9 +7,8 @@ from device import models
 import kc2spice as kc
 from kc2spice.core.errors import UsageError
 from kc2spice.scene.load import load_scene
-from kc2spice.scene.parttype import current
+from kc2spice.scene.parttype import flows
 from kc2spice.workflow.decks import make_deck
-from kc2spice.workflow.meters import result_vectors
 from kc2spice.workflow.simulate import simulate
 
 OWN = """.subckt own in out ref
@@ -139,9 +138,8 @@ def test_what_leaves_parts_at_a_net_is_nothing_together(tmp_path):
     assert len(forces) == 5
     assert forces[1].max() == pytest.approx(0.1, rel=1e-3)  # the source pushes upwards
     assert np.abs(sum(forces)).max() < 1e-6 * max(np.abs(f).max() for f in forces)
-    results = {v.expression: waves[n] for n, v in result_vectors(build).items()}
     at_drive = [("drive", "out"), *scene.joined("drive", "out")]
-    read = [current(scene.parts[n], p, build) for n, p in at_drive]
-    factors = {v.expression: v.factor for v in result_vectors(build).values()}
-    amperes = [v.factor / factors[v.expression] * results[v.expression] for v in read]
+    read = [flows(scene.parts[n], p, build).items() for n, p in at_drive]
+    amperes = [sign * waves[name] for rows in read for name, (_, sign) in rows]
+    assert len(amperes) == 3
     assert np.abs(sum(amperes)).max() < 1e-6 * np.abs(amperes[0]).max()
