@@ -8,10 +8,10 @@ from typing import Any
 from pydantic import Field
 
 from kc2spice.core import laws
-from kc2spice.core.errors import UsageError, wrong
+from kc2spice.core.errors import UsageError
 from kc2spice.core.quantities import Count, Length, Section
 from kc2spice.core.waveforms import Waveforms, constant
-from kc2spice.parts._touching import Penetration, Touching, only_pair
+from kc2spice.parts._touching import Pair, Penetration, Touching
 from kc2spice.parts.sphere import sphere_of
 from kc2spice.scene.judge import Gate, Measure
 from kc2spice.scene.model import Part, Scene, Terminal
@@ -44,9 +44,7 @@ class Push(Touching):
 
     def problems(self, part: Part, scene: Scene) -> Iterator[UsageError]:
         ball = sphere_of(part, scene)
-        if scene.only("contact") is None:
-            hint = "add [contact]; an empty table takes the defaults"
-            yield wrong("contact", f"{part.name} needs this part", hint=hint)
+        _pair(part, scene)  # says what it needs
         if part.keys.depth >= ball.keys.radius:
             expected = f"less than {ball.keys.radius:g} m"
             problem = "deeper than the sphere's radius"
@@ -65,9 +63,8 @@ class Push(Touching):
         return {f"{part.name}.depth": Vector(f"v({build.net(part, 'bottom')})", -1e-6, "m")}
 
     def numerics(self, part: Part, scene: Scene) -> Iterator[Numerics]:
-        contact = scene.only("contact")
         last = "1e-09", "the law is piecewise linear, so the last iteration is exact"
-        if contact is not None and contact.keys.shape == "pressure":
+        if _pair(part, scene).keys.shape == "pressure":
             last = "1e-12", "the law is curved: what the last iteration leaves"
         pivots = "rings close during the sweep; pivots of an open ring lose half the digits"
         near = "1e-12", "displacements to a picometre's millionth"
@@ -76,8 +73,7 @@ class Push(Touching):
 
     def metrics(self, part: Part, build: Build, waves: Waveforms) -> Mapping[str, Any]:
         """Force of one symmetry sector at each depth, and the largest."""
-        pair = only_pair(build.scene)
-        assert pair is not None
+        pair = _pair(part, build.scene)
         force = waves[f"{pair.part.name}.force"] / pair.a.sectors
         return {
             "max_force_n": float(force.max()),
@@ -86,8 +82,7 @@ class Push(Touching):
         }
 
     def checks(self, part: Part, build: Build, waves: Waveforms) -> Iterator[Gate]:
-        pair, gates = only_pair(build.scene), build.scene.gates
-        assert pair is not None
+        pair, gates = _pair(part, build.scene), build.scene.gates
         # The first depths are contacts of one basis function, which the law does not resolve: all
         # errors are of the largest force then, and against the full model those of the basis.
         law = pair.unresolved()
@@ -108,6 +103,11 @@ class Push(Touching):
     def notes(self, part: Part, scene: Scene) -> Iterator[str]:
         keys = part.keys
         yield f"{keys.steps} steps down to {keys.depth:g} m"
+
+
+def _pair(part: Part, scene: Scene) -> Pair:
+    """What the sphere is pushed into."""
+    return Pair(scene.partner(part, "contact"), scene)
 
 
 register(Push())

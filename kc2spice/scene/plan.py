@@ -123,9 +123,8 @@ def _reductions(build: Build) -> Iterator[Axis]:
         rom = part.type.reduction(part, scene)
         if rom is None:
             continue
-        own = getattr(part.keys, "rom", None) is not None
-        follows = not hasattr(part.keys, "rom") or (not own and _alone(part, scene))
-        prefix = "rom" if follows else f"{_prefix(part)}.rom"
+        own = part.keys.rom is not None
+        prefix = f"{_prefix(part)}.rom" if own or not _alone(part, scene) else "rom"
         if prefix in known:
             continue
         known.add(prefix)
