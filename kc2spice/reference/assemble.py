@@ -11,7 +11,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
-from functools import singledispatch
 from typing import Any
 
 import numpy as np
@@ -135,7 +134,13 @@ class _Assembly:
         for at in self.signal.values():
             self.A[at, at] = -1.0
         for law in laws:
-            stamp(law, self)
+            match law:
+                case L.LinearBody():
+                    _body(law, self)
+                case L.Source():
+                    _source(law, self)
+                case _:
+                    _device(law, self)
 
     def _number(self) -> None:
         """Give every unknown its place; a net on a body's port needs none of its own."""
@@ -414,15 +419,6 @@ def has_store(law: L.Device) -> bool:
 # --- stamps ---------------------------------------------------------------------------------------
 
 
-@singledispatch
-def stamp(law: L.Law, into: _Assembly) -> None:
-    """Write a law into the raw equations; register a function here for a new linear law."""
-    raise UsageError(
-        "the integrator does not know this law", where=law.name, got=type(law).__name__
-    )
-
-
-@stamp.register
 def _body(law: L.LinearBody, into: _Assembly) -> None:
     x, nq, n = into.body[law.name], into.nq, into.size
     v = slice(nq + x.start, nq + x.stop)
@@ -466,7 +462,6 @@ def _body(law: L.LinearBody, into: _Assembly) -> None:
         into.term("stored", np.array(list(volts.values())), 0.5 * D[np.ix_(keys, keys)])
 
 
-@stamp.register
 def _source(law: L.Source, into: _Assembly) -> None:
     k = into.sources.index(law)
     if law.kind in ("signal", "acceleration"):
@@ -480,7 +475,6 @@ def _source(law: L.Source, into: _Assembly) -> None:
         into.constrain(form, k)
 
 
-@stamp.register
 def _device(law: L.Device, into: _Assembly) -> None:
     taps = [into.gap(law, t.pin, t.minus, t.less) for t in law.taps]
     taps = [into.rate(form) if t.rate else form for t, form in zip(law.taps, taps, strict=True)]

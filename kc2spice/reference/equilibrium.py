@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from kc2spice.core.errors import SimulationError, unknown
+from kc2spice.core.errors import SimulationError
 from kc2spice.core.waveforms import constant
 from kc2spice.reference.assemble import System
 
@@ -135,9 +135,6 @@ def dc(system: System, source: str, values: np.ndarray) -> dict[str, np.ndarray]
 
     Returns arrays over the sweep: ``sweep`` and every name of `operating_point`.
     """
-    names = [p.name for p in system.sources]
-    if source not in names:
-        raise unknown("no such source to sweep", source, names)
     z, result = None, []
     for value in np.asarray(values, dtype=float):
         now = _with_waves(system, {source: value})

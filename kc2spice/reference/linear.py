@@ -18,7 +18,6 @@ import numpy as np
 import scipy.linalg as sla
 
 from kc2spice.core import laws as L
-from kc2spice.core.errors import unknown
 from kc2spice.core.quantities import BOLTZMANN, TEMPERATURE
 from kc2spice.core.waveforms import Function, Waveform
 from kc2spice.reference.assemble import System, assemble
@@ -139,19 +138,13 @@ class Linear:
         return Motion(self, modes, waves, tuple(sorted(lines)), tuple(sines), still, drift, stop)
 
 
-def ac(system: System, frequencies: np.ndarray, source: str | None = None) -> dict[str, np.ndarray]:
-    """Complex waves per unit of ``source``, or for the ``ac`` amplitudes of all sources.
+def ac(system: System, frequencies: np.ndarray) -> dict[str, np.ndarray]:
+    """Complex waves for the ``ac`` amplitudes of all sources.
 
     Linearised about the operating point. ``NAME.pin`` and ``NAME.pin.through`` (nf,) as in
     ``Result.waves``; also ``frequency`` [Hz].
     """
-    names = [p.name for p in system.sources]
-    if source is not None and source not in names:
-        raise unknown("no such source", source, names)
-    amplitude = np.array(
-        [complex(p.ac) if source is None else float(p.name == source) for p in system.sources],
-        dtype=complex,
-    )
+    amplitude = np.array([p.ac for p in system.sources], dtype=complex)
     frequencies, point = np.asarray(frequencies, dtype=float), equilibrium(system)
     result = [Linear(system, w, point).answer(w, amplitude) for w in 2j * np.pi * frequencies]
     waves = zip(system.names, np.array(result).T, strict=True)

@@ -113,7 +113,7 @@ def test_piezo_with_a_resistor_as_its_load() -> None:
         [
             piezo("p"),
             element("load", "resistor", 1e4),
-            L.Source("push", "force", linear(((0, 0), (1e-4, 1)))),
+            L.Source("push", "force", linear(((0, 0), (1e-4, 1))), 1.0),
         ],
         {"hot": ["p.anode", "load.a"], "tip": ["p.top", "push.out"]},
     )
@@ -131,7 +131,7 @@ def test_piezo_with_a_resistor_as_its_load() -> None:
     assert np.abs(result.waves["p.top"] - exact[:, 0]).max() < 1e-14
     assert np.abs(result.waves["p.anode"] - exact[:, 2]).max() < 1e-8 * np.abs(exact[:, 2]).max()
     assert balanced(result, 1e-8)
-    response = ac(system, np.array([1e3, 2.2e4, 5e4]), "push")
+    response = ac(system, np.array([1e3, 2.2e4, 5e4]))
     for f, x in zip(response["frequency"], response["p.top"], strict=True):
         s = 2j * np.pi * f
         volts = -s * g / (s * c + 1 / r)

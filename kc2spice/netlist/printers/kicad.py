@@ -24,7 +24,6 @@ from kc2spice.netlist.deck import Deck
 from kc2spice.netlist.expression import vector
 from kc2spice.netlist.printers import Place, layout
 from kc2spice.netlist.printers.ngspice import Printer
-from kc2spice.netlist.read import subcircuits
 from kc2spice.netlist.scope import GROUND, Scope
 
 GRID = 2.54  # mm, 100 mil
@@ -173,9 +172,8 @@ def project(deck: Deck) -> dict[str, str]:
     UsageError : the deck instantiates a subcircuit that none of its files defines.
     """
     top = deck.scope
-    parts = _parts(deck)
     plain = element_symbols()
-    drawn = {name: part_symbol(part) for name, part in parts.items()}
+    drawn = {part.name.lower(): part_symbol(part) for part in deck.parts}
     items = [_item(element, drawn, plain) for element in top.elements]
     once = Counter(net for item in items for net in item.nets)
     for net in (net for net in once if once[net] == 1 and net not in GROUND):
@@ -202,16 +200,6 @@ def project(deck: Deck) -> dict[str, str]:
             '(options "")(descr "parts of this project"))\n)\n'
         ),
     }
-
-
-def _parts(deck: Deck) -> dict[str, Subcircuit]:
-    own = {part.name.lower(): part for part in deck.parts}
-    ours = {part.filename for part in deck.parts}
-    for file, text in deck.files.items():
-        if file not in ours and file != deck.main:
-            for part in subcircuits(text, file):
-                own.setdefault(part.name.lower(), part)
-    return own
 
 
 def _reference(name: str) -> str:
