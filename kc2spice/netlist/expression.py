@@ -87,7 +87,6 @@ class Choice:
     no: Tree
 
 
-_ZERO = Number("0")
 Tree = Number | Name | Probe | Call | Unary | Binary | Choice
 
 
@@ -140,24 +139,6 @@ def replaced(tree: Tree, values: Mapping[str, Tree]) -> Tree:
     if isinstance(tree, Name):
         return values.get(tree.text, tree)
     return rebuilt(tree, lambda node: replaced(node, values))
-
-
-def simplified(tree: Tree) -> Tree:
-    """The same value without what zeros and ones do nothing to; other numbers stay as written."""
-    inner = rebuilt(tree, simplified)
-    if isinstance(inner, Unary) and (inner.op == "+" or inner == Unary("-", _ZERO)):
-        return inner.value
-    return _reduced(inner) if isinstance(inner, Binary) else inner
-
-
-def _reduced(tree: Binary) -> Tree:
-    op, left, right = tree.op, tree.left, tree.right
-    a, b = (float(x.text) if isinstance(x, Number) else None for x in (left, right))
-    if (op in "*/" and a == 0) or (op == "*" and b == 0):
-        return _ZERO
-    if (op == "+" and a == 0) or (op == "*" and a == 1):
-        return right
-    return left if (op in "+-" and b == 0) or (op in "*/" and b == 1) else tree
 
 
 class Writer:

@@ -13,7 +13,6 @@ from kc2spice.netlist.printers.dialect import Dialect
 from kc2spice.netlist.printers.kicad import project
 from kc2spice.netlist.printers.verilog_a import module_files, testbench
 from kc2spice.netlist.printers.xyce import Xyce
-from kc2spice.netlist.read import read
 
 PRINTERS: dict[str, type[Dialect]] = {"xyce": Xyce, "ltspice": ltspice.LTspice}
 DECKS = ("ngspice", *PRINTERS)
@@ -41,16 +40,6 @@ def translate(deck: Deck, dialect: str) -> Deck:
     }
     text = files.pop(deck.main)
     return replace(deck, text=text, more=files, parts=(), options=(), vectors=vectors)
-
-
-def translate_text(text: str, name: str, dialect: str) -> str:
-    """One library file in the words of ``dialect``.
-
-    Raises
-    ------
-    UsageError : a construct that the dialect cannot say.
-    """
-    return PRINTERS[dialect]().file(read(text, name))
 
 
 def dialect_files(deck: Deck, dialect: str) -> dict[str, str]:
@@ -101,5 +90,5 @@ def symbol_files(deck: Deck, dialect: str = "ngspice") -> dict[str, str]:
             library = f"{stem}.lib" if dialect == "ltspice" else f"{stem}.ltspice.lib"
             files[f"{stem}.asy"] = ltspice.symbol(part, library)
             if dialect == "ngspice":
-                files[library] = translate_text(part.text, part.filename, "ltspice")
+                files[library] = ltspice.LTspice().file(part.circuit)
     return files

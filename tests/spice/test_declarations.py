@@ -15,7 +15,7 @@ from networks import FUNCTIONS, H, Network
 import kc2spice as kc
 from kc2spice.core.foreign import parse_toml
 from kc2spice.netlist.printers.verilog_a import module_files
-from kc2spice.netlist.translate import dialect_files, translate_text
+from kc2spice.netlist.translate import PRINTERS, dialect_files
 from kc2spice.parts.two_terminal_types import TABLE
 from kc2spice.physics import contact, law
 from kc2spice.physics.contact import Normal
@@ -310,7 +310,7 @@ def worst_cards(kind, dialect):
     if dialect == "verilog-a":
         (text,) = module_files(part).values()
     elif dialect != "ngspice":
-        text = translate_text(text, part.filename, dialect)
+        text = PRINTERS[dialect]().file(part.circuit)
     values = {p.name: p.default for p in part.params}
     if normal.radius:  # the network has no lags
         normal = replace(normal, pace=0.0)

@@ -10,7 +10,7 @@ import pytest
 
 from kc2spice.core.errors import UsageError
 from kc2spice.netlist.deck import Deck
-from kc2spice.netlist.translate import DIALECTS, dialect_files, translate, translate_text
+from kc2spice.netlist.translate import DIALECTS, PRINTERS, dialect_files, translate
 from kc2spice.physics.contact import Normal, contact
 from kc2spice.physics.part import subcircuit as declared
 from kc2spice.sim.ngspice import run_deck
@@ -159,7 +159,7 @@ def test_every_law_of_a_contact_is_in_the_grammar(dialect):
     card = grammar(dialect)
     for law in LAWS.values():
         part = pressing(law)
-        text = translate_text(part.text, part.filename, dialect)
+        text = PRINTERS[dialect]().file(part.circuit)
         assert len(cards(text)) == len(cards(part.text))
         for line in cards(text):
             card.parse_string(line)

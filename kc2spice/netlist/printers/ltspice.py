@@ -6,7 +6,7 @@ from collections.abc import Mapping
 
 from kc2spice.netlist.cards import number
 from kc2spice.netlist.circuit import Element, Subcircuit
-from kc2spice.netlist.expression import Trace, simplified
+from kc2spice.netlist.expression import Trace
 from kc2spice.netlist.printers import layout
 from kc2spice.netlist.printers.dialect import Dialect
 
@@ -34,7 +34,7 @@ class LTspice(Dialect):
 
     def law(self, part: Element) -> str:
         self.bare = part.kind != "b"
-        text = self.write(simplified(part.law))
+        text = self.write(part.law)
         quantity, self.bare = part.quantity, True
         return f"{quantity}={text}" if part.kind == "b" else f"value={{{text}}}"
 

@@ -17,7 +17,7 @@ from kc2spice.netlist.circuit import (
     Subcircuit,
 )
 from kc2spice.netlist.deck import Deck
-from kc2spice.netlist.expression import Name, Tree, Writer, parse, simplified, terms, walk
+from kc2spice.netlist.expression import Name, Tree, Writer, parse, terms, walk
 
 _BARE = frozenset({"time", "temper", "hertz", "pi"})  # no parameters
 _WIDTH = 96
@@ -78,9 +78,8 @@ class Printer(Writer):
     def law(self, part: Element) -> str:
         """The expression of a behavioural source. One with parameters is evaluated whole: within an
         expression, braces are put in as text."""
-        tree = simplified(part.law)
-        words = (leaf.text.lower() for leaf in walk(tree) if isinstance(leaf, Name))
-        text = self.write(tree)
+        words = (leaf.text.lower() for leaf in walk(part.law) if isinstance(leaf, Name))
+        text = self.write(part.law)
         inner = f"{{{text}}}" if not _BARE.issuperset(words) else text
         return f"{part.quantity if part.kind == 'b' else 'value'}={inner}"
 
@@ -104,7 +103,7 @@ class Printer(Writer):
         """A word of a card; what stands in braces or single quotes is an expression."""
         if text[:1] not in ("{", "'"):
             return text
-        written = self.write(simplified(parse(text, where=self.where)))
+        written = self.write(parse(text, where=self.where))
         return f"{{{written.replace(', ', ',')}}}"  # a blank would end the word
 
     def call(self, function: str, arguments: tuple[Tree, ...]) -> str:

@@ -32,7 +32,6 @@ from kc2spice.netlist.expression import (
     literal,
     parse,
     replaced,
-    simplified,
     vector,
     walk,
 )
@@ -129,7 +128,7 @@ class Names(Writer):
 
     def law(self, tree: Tree) -> str:
         """An expression as a factor of a product."""
-        return self.write(simplified(tree), 5)
+        return self.write(tree, 5)
 
     def write(self, tree: Tree, level: int = 0) -> str:
         """A power is that of the absolute value, as ngspice takes it; reals have a point or an

@@ -10,7 +10,7 @@ from functools import cached_property
 from kc2spice.netlist.cards import number, tidy
 from kc2spice.netlist.circuit import Directive, Element
 from kc2spice.netlist.deck import ANALYSES, Deck
-from kc2spice.netlist.expression import Number, Tree, literal, simplified
+from kc2spice.netlist.expression import Number, Tree, literal
 from kc2spice.netlist.printers.dialect import COMMON, Dialect
 from kc2spice.netlist.scope import GROUND
 
@@ -96,7 +96,7 @@ class Xyce(Dialect):
     def law(self, part: Element) -> str:
         """Braces around all expressions are required."""
         quantity = part.quantity if part.kind == "b" else "value"
-        return f"{quantity}={{{self.write(simplified(part.law))}}}"
+        return f"{quantity}={{{self.write(part.law)}}}"
 
     def save(self, vectors: list[str]) -> str:
         kind = self.analysis.keyword.removeprefix(".").upper()
