@@ -31,7 +31,7 @@ from kc2spice.scene.judge import Check
 from kc2spice.scene.load import load_scene
 from kc2spice.scene.model import Probe, Scene
 from kc2spice.scene.parttype import register as register_part
-from kc2spice.sim.ngspice import find_ngspice, run_deck, run_with_retries, write_files
+from kc2spice.sim.ngspice import find_ngspice, run_deck, write_files
 from kc2spice.workflow.decks import prepared
 from kc2spice.workflow.run import Completed, complete, write_run_files
 
@@ -203,13 +203,9 @@ def simulate(deck: Deck, *, timeout: float | None = None) -> Result:
         got = type(deck).__name__
         raise UsageError("not a deck", where="deck", got=got, hint="kc.run runs a scene")
     with tempfile.TemporaryDirectory(prefix="kc2spice-") as work:
-
-        def batch(tried: Deck) -> Waveforms:
-            return run_deck(tried, Path(work), timeout=timeout)
-
-        outcome = run_with_retries(deck, Path(work), batch, retries=0)
+        waves = run_deck(deck, Path(work), timeout=timeout)
     record = {"scene": deck.name, "version": __version__, "netlist": deck.main}
-    return _result(outcome.deck, outcome.waves, record)
+    return _result(deck, waves, record)
 
 
 @dataclass(frozen=True, repr=False, eq=False)

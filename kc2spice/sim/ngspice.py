@@ -154,7 +154,8 @@ def run_deck(
             last = float(vectors["time"][-1]) if "time" in vectors else math.nan
             failed = failed_run(deck, str(main), text, last=last)
         if failed is not None:
-            failed.hint = f"the whole log is {log.name} in the same directory"
+            told = f"the whole log is {log.name} in the same directory"
+            failed.hint = "; ".join(filter(None, (_ADVICE.get(failed.failure.kind), told)))
             failed.failure = replace(failed.failure, partial=_partial(deck, unfinished, text))
             raise failed
         unfinished.rename(raw)
@@ -290,7 +291,7 @@ def named(deck: Deck, vectors: Mapping[str, np.ndarray]) -> dict[str, np.ndarray
 # "coarse": ngspice finished, but the energy balances of the result do not close.
 Cause = Kind | Literal["coarse"]
 _CHGTOL = "1e-14"  # ngspice's own, where the deck says nothing
-_ADVICE: Mapping[str, str] = {
+_ADVICE: Mapping[Kind | None, str] = {
     "timestep": "try a larger kick.damping.ratio, a smaller contact.penalty or solver.max_step",
     "singular": "look for loops of voltage sources, nodes between capacitors and parts of value 0",
     "operating point": "look for the included circuit's state at t = 0; give it a .nodeset",
@@ -408,7 +409,7 @@ def run_with_retries(
     engine: Callable[[Deck], Waveforms],
     *,
     retries: int,
-    judge: Callable[[Waveforms], Verdict] = lambda waves: Verdict(),
+    judge: Callable[[Waveforms], Verdict],
 ) -> Outcome:
     """Run ``deck`` by ``engine``, which logs in ``directory``; after a failure that settings may
     cure, with the next setting.
@@ -461,7 +462,6 @@ def run_with_retries(
             hints = [
                 vain and f"tried in vain: {', '.join(vain)}",
                 following and f"a larger solver.retries goes on with {following.name}",
-                _ADVICE.get(cause or ""),
                 error.hint,
             ]
             last = RetriesFailedError(error.message)

@@ -7,6 +7,7 @@ import pytest
 from device import built
 
 from kc2spice.netlist.deck import Deck
+from kc2spice.scene.judge import Verdict
 from kc2spice.sim.ngspice import RetriesFailedError, run_deck, run_with_retries
 from kc2spice.workflow.decks import make_deck
 from kc2spice.workflow.judge import verdict
@@ -56,7 +57,9 @@ def test_what_no_tolerance_cures_is_not_run_again(scene, loop, model, table, tmp
 @pytest.mark.filterwarnings("ignore:.*trying")
 def test_the_last_failure_names_node_time_part_and_all_settings(tmp_path):
     with pytest.raises(RetriesFailedError) as caught:
-        run_with_retries(deck(HOPELESS), tmp_path, batch(tmp_path), retries=4)
+        run_with_retries(
+            deck(HOPELESS), tmp_path, batch(tmp_path), retries=4, judge=lambda waves: Verdict()
+        )
     error = caught.value
     assert [a.setting for a in error.attempts[1:]] == [
         "firmer pivots",
