@@ -16,7 +16,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cache
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 
@@ -278,9 +278,8 @@ def named(deck: Deck, vectors: Mapping[str, np.ndarray]) -> dict[str, np.ndarray
     for key, (expression, factor) in deck.vectors.items():
         parts = []
         for sign, name in terms(expression):
-            result = vectors.get(
-                name, vectors.get(f"i({name})")
-            )  # currents of devices in raw files
+            # in raw files "i(…)" stands around currents of devices
+            result = vectors.get(name, vectors.get(f"i({name})"))
             if result is None:
                 raise SimulationError("ngspice did not save a vector", where=deck.main, got=name)
             parts.append(sign * result)
@@ -288,8 +287,6 @@ def named(deck: Deck, vectors: Mapping[str, np.ndarray]) -> dict[str, np.ndarray
     return data
 
 
-# "coarse": ngspice finished, but the energy balances of the result do not close.
-Cause = Kind | Literal["coarse"]
 _CHGTOL = "1e-14"  # ngspice's own, where the deck says nothing
 _ADVICE: Mapping[Kind | None, str] = {
     "timestep": "try a larger kick.damping.ratio, a smaller contact.penalty or solver.max_step",
@@ -304,7 +301,7 @@ class RetrySetting:
     step limit. ``cures`` are the causes that it is for, ``why`` it may help."""
 
     name: str
-    cures: tuple[Cause, ...]
+    cures: tuple[Kind, ...]
     why: str
     options: Mapping[str, str] = field(default_factory=dict)
     factor: float = 1.0
@@ -430,7 +427,6 @@ def run_with_retries(
         tried = setting.of(deck)
         violated: list[Check] = []
         failure, points = Failure(None), None
-        cause: Cause | None = None
         start = time.perf_counter()
         try:
             waves = engine(tried)
@@ -441,14 +437,14 @@ def run_with_retries(
         except SimulationError as raised:
             error: SimulationError = raised
             if isinstance(raised, FailedRunError):
-                failure, cause = raised.failure, raised.failure.kind
+                failure = raised.failure
                 if farthest is None or (failure.time or 0.0) > (farthest.time or 0.0):
                     farthest = failure
             elif violated:
                 first = violated[0]
-                failure = Failure(f"{first.name}: {first.value:.3g} {first.unit}")
                 # Outside of what is modelled no tolerance makes the result right.
-                cause = "coarse" if all(check.coarse for check in violated) else None
+                kind: Kind | None = "coarse" if all(check.coarse for check in violated) else None
+                failure = Failure(f"{first.name}: {first.value:.3g} {first.unit}", kind=kind)
             else:
                 raise
         blame = failure.cause, failure.node, failure.time, failure.part
@@ -456,7 +452,7 @@ def run_with_retries(
         attempts.append(Attempt(setting.name, setting.changes, *blame, wall, points))
         if failure.cause is None:
             return Outcome(tried, waves, verdict, tuple(attempts))
-        following = next((item for item in left if cause in item.cures), None)
+        following = next((item for item in left if failure.kind in item.cures), None)
         if following is None or len(attempts) > retries:
             vain = [f"{a.setting} ({a.settings})" for a in attempts[1:]]
             hints = [

@@ -17,7 +17,8 @@ from kc2spice.netlist.circuit import Pin
 from kc2spice.netlist.deck import Deck
 from kc2spice.netlist.scope import Scope, inside
 
-Kind = Literal["timestep", "singular", "operating point"]
+# "coarse": ngspice finished, but the energy balances of the result do not close.
+Kind = Literal["timestep", "singular", "operating point", "coarse"]
 
 # Said by ngspice in a run that has failed, whatever its exit code.
 _FATAL = re.compile(
