@@ -27,7 +27,7 @@ from kc2spice.parts import _pictures
 from kc2spice.parts._box import corners, varied, with_values
 from kc2spice.parts._touching import Surface, Touching
 from kc2spice.rom.linear import Certificate, LinearModel, Port
-from kc2spice.rom.modal import Resonators, chip_response, resonators
+from kc2spice.rom.modal import chip_response, resonators
 from kc2spice.rom.parametric import Axis, Loss
 from kc2spice.rom.pencil import first_order
 from kc2spice.rom.structure import structure
@@ -337,7 +337,7 @@ class LinearBody(Touching):
                 # what a contact, a switch or a table excites above the band
                 aims: dict[str, Any] = {"order": order, "tolerance": target.tolerance}
                 small = reduce(selected, **aims, band=band, norm=norm, contact=True)
-            modal = modal_form(small)  # whose later use needs no eigenvalues
+            modal = resonators(small)  # whose later use needs no eigenvalues
             if modal is None and tangent:
                 got = "damping that couples its modes, or a motion that nothing holds"
                 problem = "a loss tangent needs a body of resonators"
@@ -521,7 +521,7 @@ class LinearBody(Touching):
         of what rounds it where nothing moves. Where the ringing is coarse, that is judged until
         nothing presses on the body any more; else displacements [m] and charges [C] are exact.
         """
-        model, t = modal_form(build.model(part)), waves["time"]
+        model, t = resonators(build.model(part)), waves["time"]
         kinds = {port.kind for port in self.kept(part, build.scene)}
         if model is None or not kinds <= {"electrical", "mechanical"}:
             return None
@@ -566,7 +566,7 @@ class LinearBody(Touching):
             yield _pictures.impedances(part.name, f, {"": z}, how + _pictures.PEAKS)
             return
         yield from _pictures.response_figures(part.name, waves)
-        modal = None if build.model(part) is None else modal_form(build.model(part))
+        modal = None if build.model(part) is None else resonators(build.model(part))
         poles = np.empty(0) if modal is None else modal.omega / (2 * np.pi)
         yield from _pictures.own_impedances(part.name, build.model(part), poles)
 
@@ -591,7 +591,7 @@ class LinearBody(Touching):
             rest, E = A.coefficients
             law = laws.SignalBlock(n, E, -rest, A.B, A.C, A.D, model.inputs, model.outputs)
         else:
-            modal = modal_form(model)
+            modal = resonators(model)
             law = laws.LinearBody(n, model if modal is None else modal.linear(), own)
         joins = [(port.terminals[0], f"{n}.{port.name}") for port in ports]
         joins += [(pin, f"{n}.{pin}") for port in ports for pin in port.terminals[1:]]
@@ -719,14 +719,6 @@ def _content(path: Path, size: int, changed: int) -> str:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
 
-def modal_form(model: LinearModel) -> Resonators | None:
-    """The model as decoupled resonators, None where its form has none."""
-    try:
-        return resonators(model)
-    except UsageError:
-        return None
-
-
 def inert_ports(model: LinearModel) -> tuple[str, ...]:
     """Pins of displacements where inertia alone answers a sudden force: D is zero there, and no
     state without mass moves them."""
@@ -744,7 +736,7 @@ def inert_ports(model: LinearModel) -> tuple[str, ...]:
 
 def free_to_move(model: LinearModel) -> bool:
     """Whether some motion of it costs no energy at rest, such as that of a body without support."""
-    if modal_form(model) is not None:
+    if resonators(model) is not None:
         return False
     rest = model.pencil.dense().coefficients[0]
     for axis in (1, 0):

@@ -34,7 +34,7 @@ import scipy
 
 from kc2spice.core.errors import UsageError
 from kc2spice.rom.linear import Certificate, LinearModel, Port
-from kc2spice.rom.response import Judge, Response, above_band, adaptive_frequencies
+from kc2spice.rom.response import Judge, Response, above_band
 
 # Proportional damping is exact by construction; anything above rounding is another damping.
 COUPLING_LIMIT = 1e-8
@@ -91,17 +91,14 @@ class Resonators:
         )
 
 
-def resonators(rom: LinearModel) -> Resonators:
-    """Mass-normalised modes of the symmetric pair (K, M) with damping that they diagonalise.
+def resonators(rom: LinearModel) -> Resonators | None:
+    """Mass-normalised modes of the symmetric pair (K, M) with damping that they diagonalise; None
+    where M or K is not positive definite, C not B', or damping couples the modes.
 
     Solved as ``M phi = mu K phi`` because K is the better conditioned of the two.
-
-    Raises
-    ------
-    UsageError : M or K not positive definite, C not B', or damping that couples the modes.
     """
     if rom.first_order or not rom.symmetric:
-        raise _unfit("not a symmetric second-order model", "M, K > 0, E >= 0 and C = B'")
+        return None
     K, E, M = rom.pencil.dense().coefficients
     one, massless = np.eye(rom.order), int(np.count_nonzero(np.diag(M) == 0.0))
     form = one * (np.arange(rom.order) < rom.order - massless)
@@ -119,28 +116,19 @@ def resonators(rom: LinearModel) -> Resonators:
     try:
         mu, phi = scipy.linalg.eigh(M, K)
     except np.linalg.LinAlgError:
-        mu = np.zeros(1)
+        return None
     if mu[0] <= 0:
-        raise _unfit("M or K is not positive definite", "M, K > 0, E >= 0 and C = B'")
+        return None
     mu, phi = mu[::-1], phi[:, ::-1] / np.sqrt(mu[::-1])
     damping = phi.T @ E @ phi
     damp = np.diag(damping).copy()
     scale = np.sqrt(np.abs(np.outer(damp, damp))) + np.finfo(float).tiny
-    coupling = np.abs(damping - np.diag(damp)) / scale
-    if coupling.max(initial=0.0) > COUPLING_LIMIT:
-        raise _unfit(
-            "damping couples the modes",
-            "damping proportional to mass and stiffness",
-            f"relative coupling {coupling.max():.1e}",
-        )
+    if (np.abs(damping - np.diag(damp)) > COUPLING_LIMIT * scale).any():
+        return None
     gain = phi.T @ rom.B
     # A mode has no sign of its own; this one makes the same model the same netlist everywhere.
     gain *= np.sign(gain[np.arange(len(gain)), np.abs(gain).argmax(axis=1)])[:, None]
     return Resonators(1 / np.sqrt(mu), damp, gain, rom.D, rom.ports, rom.certificate)
-
-
-def _unfit(why: str, expected: str, got: str | None = None) -> UsageError:
-    return UsageError(why, where="resonator form", got=got, expected=expected)
 
 
 def mode_table(model: LinearModel) -> dict[str, Any] | None:
@@ -185,9 +173,8 @@ def mode_table(model: LinearModel) -> dict[str, Any] | None:
 
 def _resonant(model: LinearModel) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray] | None:
     """``omega`` and ``damp`` (modes,), shares (modes, ports) and what the ports answer besides."""
-    try:
-        result = resonators(model)
-    except UsageError:
+    result = resonators(model)
+    if result is None:
         return _by_poles(model)
     count = result.order - result.massless
     share = result.gain**2 / result.omega[:, None] ** 2
@@ -247,7 +234,7 @@ def without_inertia(model: Resonators, tolerance: float | None = None) -> Resona
         return model
     band = certificate.band_hz
     exact = Response(model.linear().pencil)
-    judge = Judge(exact, adaptive_frequencies(exact, band, True), band)
+    judge = Judge(exact, band, static=True)
     for count in range(_beyond(model, band[1]), 0, -1):
         result = _without_inertia(model, count)
         error = certificate.error_estimate

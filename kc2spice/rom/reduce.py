@@ -574,8 +574,7 @@ def subspace_model(
     model: LinearModel, space: Subspace, band: tuple[float, float], norm: Norm
 ) -> Reduction:
     """The subspace model as it is, before its directions are ordered."""
-    judge = Judge(space.response, space.points(band, norm), band, norm)
-    return Reduction(model, space.pencil, space, judge)
+    return Reduction(model, space.pencil, space, space.judge(band, norm))
 
 
 def ordered(plain: Reduction, two_sided: bool, tolerance: float | None) -> Reduction:

@@ -335,12 +335,17 @@ def _zoomed(known: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Judge:
-    """Judges models by the ``exact`` one at ``frequency`` [Hz], at which that is solved once."""
+    """Judges models by the ``exact`` one, which has a ``static`` answer or none, over the band."""
 
     exact: Response
-    frequency: np.ndarray
     band: tuple[float, float]
+    static: bool
     norm: Norm = "pointwise"
+
+    @cached_property
+    def frequency(self) -> np.ndarray:
+        """Frequencies [Hz] at which errors show, at which the exact model is solved once."""
+        return adaptive_frequencies(self.exact, self.band, self.static, self.norm)
 
     @cached_property
     def reference(self) -> tuple[np.ndarray, np.ndarray]:

@@ -38,8 +38,8 @@ from kc2spice.rom.response import (
     FLOOR,
     GRID,
     SHARPEST,
+    Judge,
     Response,
-    adaptive_frequencies,
     around,
     clear_of_poles,
     grid,
@@ -293,9 +293,9 @@ class Subspace:
         known = self.whole and not self.pencil.free and not self.response.decoupled
         return self.response.poles if known else None
 
-    def points(self, band: tuple[float, float], norm: Norm = "pointwise") -> np.ndarray:
-        """Frequencies [Hz] over the band at which its errors show."""
-        return adaptive_frequencies(self.response, band, self.static and not self.pencil.free, norm)
+    def judge(self, band: tuple[float, float], norm: Norm) -> Judge:
+        """Who judges smaller models by it."""
+        return Judge(self.response, band, self.static and not self.pencil.free, norm)
 
 
 def subspace(pencil: Pencil, band: tuple[float, float], target: float, limit: float) -> Subspace:

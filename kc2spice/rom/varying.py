@@ -33,7 +33,7 @@ from kc2spice.rom.parametric import (
     parametric,
     polynomials,
 )
-from kc2spice.rom.response import Judge, Response, adaptive_frequencies
+from kc2spice.rom.response import Judge, Response
 from kc2spice.rom.structure import structure
 from kc2spice.rom.subspace import subspace
 
@@ -163,9 +163,8 @@ def over_box(
         values = _values(result.box, x)
         model = told(values)
         space = subspace(model.pencil, band, 0.01 * tolerance, 0.3 * tolerance)
-        judge = Judge(space.response, space.points(band, norm), band, norm)
         own = Response(result.at(values).pencil)
-        left = max(left, judge.error(own) + space.error)
+        left = max(left, space.judge(band, norm).error(own) + space.error)
     error = SAFETY * max(left, inner)
     if error > tolerance:
         problem = "the error cannot be certified over the box of the parameters"
@@ -260,7 +259,7 @@ def _judged(
     draws = scipy.stats.qmc.Sobol(count, seed=3).random(DRAWS) * 2 - 1
     for x in (np.zeros(count), np.ones(count), -np.ones(count), *draws):
         response = Response(made.at(_values(made.box, x)).pencil)
-        yield x, Judge(response, adaptive_frequencies(response, band, False, norm), band, norm)
+        yield x, Judge(response, band, False, norm)
 
 
 @dataclass(frozen=True, eq=False)

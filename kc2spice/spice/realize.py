@@ -325,13 +325,8 @@ def _form(rom: LinearModel, dense: bool) -> Resonators | BlockModel:
 def _modal(rom: LinearModel) -> Resonators | None:
     """The model as resonators, None where it is not, or where a port needs the rate of a state
     that has no inertia, thus no velocity."""
-    if rom.first_order or not rom.symmetric or not all(port.conservative for port in rom.ports):
-        return None
-    try:
-        result = resonators(rom)
-    except UsageError as error:
-        if error.where != "resonator form":
-            raise
+    result = resonators(rom)
+    if result is None or not all(port.conservative for port in rom.ports):
         return None
     rates = [
         port.kind == "acceleration" or (port.kind == "electrical" and own <= 0)

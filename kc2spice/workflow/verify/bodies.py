@@ -122,11 +122,11 @@ def own_structure(name: str, rom: LinearModel, band: tuple[float, float]) -> lis
 
     Growth ``Re p`` of a general model is a share of ``max(|p|, w)``, ``w`` the end of the band.
     """
-    try:
-        modal = resonators(rom)
+    modal = resonators(rom)
+    if modal is not None:
         rightmost = float((-modal.damp / (2 * modal.omega)).max())
         limit = 0.0
-    except UsageError:
+    else:
         # A body that is free to move has poles at zero, which rounding of poles moves about; its
         # matrices show that they do not grow.
         rightmost, limit = 0.0, ROUNDING
