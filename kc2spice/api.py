@@ -161,7 +161,8 @@ def run(
 
     Raises
     ------
-    UsageError : as :func:`kc2spice.load_scene`; a ``deck`` that lacks what the metrics need.
+    UsageError : as :func:`kc2spice.load_scene`; a ``deck`` that lacks what the metrics need; an
+        ``out`` that cannot be written, noticed before anything is computed.
     MissingToolError : no ngspice.
     SimulationError : ngspice or a check of its result failed. With ``out``, deck and log are kept
         in ``OUT.failed`` until a run with the same ``out`` succeeds.
@@ -177,14 +178,15 @@ def run(
     loaded = load_scene(scene, overrides or {})
     edited = None if deck is None else Path(deck)
     kept = None if out is None else Path(out)
-    with tempfile.TemporaryDirectory(prefix="kc2spice-") as name:
-        done = complete(loaded, Path(name), out=kept, trust=trust, deck=edited, functions=functions)
+    place = tempfile.TemporaryDirectory(prefix="kc2spice-") if kept is None else staged(kept)
+    with place as name:
+        work = Path(name)
+        done = complete(loaded, work, out=kept, trust=trust, deck=edited, functions=functions)
+        if kept is not None:
+            write_run_files(done, work)
     answer = done.run
     more: dict[str, Any] = {"figures": {item.name: item for item in done.figures}, "_done": done}
-    result = _result(answer.deck, answer.waves, done.record, answer.verdict.checks, **more)
-    if out is not None:
-        result.save(out)
-    return result
+    return _result(answer.deck, answer.waves, done.record, answer.verdict.checks, **more)
 
 
 def simulate(deck: Deck, *, timeout: float | None = None) -> Result:

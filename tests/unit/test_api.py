@@ -100,6 +100,13 @@ def test_saved_result_is_what_was_returned(tmp_path):
         np.testing.assert_array_equal(saved["store.v"], result.waves["store.v"])
 
 
+def test_a_directory_that_cannot_be_written_is_noticed_before_the_run(tmp_path, monkeypatch):
+    monkeypatch.setattr("kc2spice.api.complete", lambda *_, **__: pytest.fail("it was run"))
+    (tmp_path / "out").write_text("a file")
+    with pytest.raises(kc.errors.UsageError, match="is a file"):
+        kc.run(PULSE, tmp_path / "out")
+
+
 def test_plots_show_waves_and_refuse_others(tmp_path):
     result = kc.run(PULSE)
     figure = result.plot("store.v", "upper.i")
