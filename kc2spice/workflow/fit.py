@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
+from contextlib import nullcontext
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -73,7 +74,7 @@ def fit(
     Raises
     ------
     UsageError : no such body, key or data; a key that does not move the admittance; an end that
-        is not the measured part.
+        is not the measured part; an ``out`` that cannot be written, noticed before the fit.
     """
     measured = data if isinstance(data, Measured) else read_measured(Path(data))
     if measured.Y.shape[1] != 1:
@@ -84,15 +85,15 @@ def fit(
     loaded = load_scene(scene)
     keys = _varied(loaded, part, vary)
     body = _Body(loaded, part, measured, keys, progress, loaded)
-    whole = body.descent({item.key: item.axis for item in keys})
-    ends = _descents(whole)
-    end = _refined(whole, ends[0])
-    start = body.response(whole.made, {item.key: item.value for item in keys})
-    record = _record(body, start, end, ends)
-    if out is None:
-        return record
-    lines = [f'"{key}" = {value!r}' for key, value in record["values"].items()]
-    with staged(Path(out)) as work:
+    with nullcontext(Path()) if out is None else staged(out) as work:
+        whole = body.descent({item.key: item.axis for item in keys})
+        ends = _descents(whole)
+        end = _refined(whole, ends[0])
+        start = body.response(whole.made, {item.key: item.value for item in keys})
+        record = _record(body, start, end, ends)
+        if out is None:
+            return record
+        lines = [f'"{key}" = {value!r}' for key, value in record["values"].items()]
         (work / VALUES).write_text("\n".join(lines) + "\n", encoding="utf-8")
         (work / BOX).write_text(_box(part, record["parameters"]), encoding="utf-8")
         write_fit(work / PAGE, record, measured.f, body.Y, start, end.exact)

@@ -156,6 +156,14 @@ def test_keys_that_cannot_be_varied(vary):
         kc.fit(BUZZER, "disc", data, vary)
 
 
+def test_a_directory_that_cannot_be_written_is_noticed_before_the_fit(tmp_path, monkeypatch):
+    monkeypatch.setattr("kc2spice.workflow.fit._descents", lambda _: pytest.fail("it was fitted"))
+    (tmp_path / "out").write_text("a file")
+    data = measured(BUZZER, "disc", {}, (3e3, 8e3), 0.005, 6)
+    with pytest.raises(kc.errors.UsageError, match="is a file"):
+        kc.fit(BUZZER, "disc", data, ["layers[0].thickness"], tmp_path / "out")
+
+
 def test_other_parts_and_several_ports_are_refused():
     """A resonance that no value in the ranges reaches; two ports."""
     data = measured(BUZZER, "disc", {"layers[0].thickness": 0.3e-3}, (5e3, 30e3), 0.01, 8)
