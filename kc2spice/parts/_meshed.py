@@ -223,21 +223,17 @@ class BondedBody(MeshedBody):
         return self.bonded(part).rated
 
     def indentation_modulus(self, part: Part) -> float | None:
-        from kc2spice.fem.materials import material
-
-        layers = getattr(part.keys, "layers", ())
-        return material(layers[-1].material, part.name).indentation_modulus if layers else None
+        top = self.bonded(part).blocks[-1].material
+        return top.indentation_modulus if hasattr(part.keys, "layers") else None
 
     def problems(self, part: Part, scene: Scene) -> Iterator[UsageError]:
         """As those of all bodies, and what :func:`kc2spice.scene.plausible.layers` says of layers
         of their own diameters, or all as wide as the body."""
-        from kc2spice.fem.materials import material
-
         yield from super().problems(part, scene)
         layers, width = getattr(part.keys, "layers", ()), getattr(part.keys, "width", None)
         result = [
-            (width or x.diameter, x.thickness, material(x.material, part.name).piezoelectric)
-            for x in layers
+            (width or layer.diameter, layer.thickness, block.material.piezoelectric)
+            for layer, block in zip(layers, self.bonded(part).blocks, strict=False)
         ]
         yield from plausible_layers(f"{part.name}.layers", result, plate=width is None)
 

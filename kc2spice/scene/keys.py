@@ -14,7 +14,7 @@ from kc2spice.core.foreign import parse_toml
 from kc2spice.core.quantities import entries, unit_of
 from kc2spice.scene.load import gallery, load_scene
 from kc2spice.scene.model import TABLES, Frame, Part, Probe, Scene, Terminal
-from kc2spice.scene.parttype import PartType, part_types
+from kc2spice.scene.parttype import part_types
 
 
 @dataclass(frozen=True)
@@ -105,7 +105,8 @@ def part_docs() -> Iterator[PartDoc]:
         pins: tuple[Terminal, ...] = ()
         example = kind.example
         if example:
-            pins = _pins(load_scene({"name": "example", **parse_toml(example)}), kind)
+            scene = load_scene({"name": "example", **parse_toml(example)})
+            pins = kind.pins(scene.of(name)[0], replace(scene, ports="all"))
         elif name in shown:
             scene_name, part, scene = shown[name]
             pins = kind.pins(part, replace(scene, ports="all"))
@@ -122,10 +123,6 @@ def part_docs() -> Iterator[PartDoc]:
             scene_name,
             (TABLES[name],) if name in TABLES else (),
         )
-
-
-def _pins(scene: Scene, kind: PartType) -> tuple[Terminal, ...]:
-    return kind.pins(scene.of(kind.name)[0], replace(scene, ports="all"))
 
 
 def _in_gallery() -> dict[str, tuple[str, Part, Scene]]:
