@@ -168,9 +168,9 @@ class Build:
         """Whether the netlist has sources of noise."""
         return self.scene.analysis.type == "noise"
 
-    def model(self, part: str | Part) -> Any:
+    def model(self, part: Part) -> Any:
         """The model of a part, None where it has none."""
-        return self.models.get(part if isinstance(part, str) else part.name)
+        return self.models.get(part.name)
 
     def facts(self, part: Part) -> Mapping[str, float]:
         """``model`` of ``result.json``: the numbers by which an engineer knows the part's model."""

@@ -333,7 +333,7 @@ def body(d):
         + '[analysis]\ntype = "ac"\nstart = 1\nstop = 2\n'
     )  # fmt: skip
     (d.folder / "wide.toml").write_text(wide)
-    model = models(d.folder / "wide.toml").model("dev")
+    model = models(d.folder / "wide.toml").models["dev"]
     K, E, M = model.pencil.dense().coefficients
     row = model.C[model.outputs.index(port)]
     if kind == "body":

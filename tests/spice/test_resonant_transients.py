@@ -99,7 +99,7 @@ def body_matrices(text, folder):
         'name = "wide"\n' + text + f"\n[rom]\ntolerance = 1e-5\nband = [0, {HIGH!r}]\n"
         '[drive]\npart = "source"\nac = 1.0\n[analysis]\ntype = "ac"\nstart = 1\nstop = 2\n'
     )
-    model = models(path).model("body")
+    model = models(path).models["body"]
     K, E, M = model.pencil.dense().coefficients
     i, o = model.inputs.index("anode"), model.outputs.index(PORT)
     f = np.geomspace(HIGH / 300, HIGH, 6000)

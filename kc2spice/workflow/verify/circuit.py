@@ -527,7 +527,7 @@ def _followed(
     """What a circuit's full models do otherwise, from steps and from steps twice as long, and which
     steps these were."""
     bodies = [law for law in circuit.laws if isinstance(law, PortBody)]
-    models = {law.name: build.model(law.name) for law in bodies}
+    models = {law.name: build.models[law.name] for law in bodies}
     laws = (
         PortBody(law.name, models[law.name], law.ports) if isinstance(law, PortBody) else law
         for law in circuit.laws
