@@ -82,14 +82,10 @@ class Surface:
 
 @dataclass(frozen=True)
 class Penetration:
-    """How far two surfaces can approach each other beyond touching [m], and by what.
-
-    ``prescribed`` beats all estimates.
-    """
+    """How far two surfaces can approach each other beyond touching [m], and by what."""
 
     depth: float
     why: str
-    prescribed: bool = False
 
 
 class Touching(PartType):
@@ -190,13 +186,11 @@ class Pair:
 
     @cached_property
     def deepest(self) -> Penetration:
-        """The largest of what the parts of the scene can do; a prescribed one beats all."""
-        parts = self.scene.parts.values()
-        types = [(p, p.type) for p in parts if isinstance(p.type, Touching)]
+        """The largest of what the parts of the scene can do, or the one that moves side ``b``."""
+        parts, by = self.scene.parts, mover(self.b.part, self.scene)
+        able = parts.values() if by is None else [parts[by]]
+        types = [(p, p.type) for p in able if isinstance(p.type, Touching)]
         result = [item for p, kind in types for item in kind.penetrations(p, self.scene)]
-        for item in result:
-            if item.prescribed:
-                return item
         return max([Penetration(0.0, "its weight"), *result], key=lambda item: item.depth)
 
     @property

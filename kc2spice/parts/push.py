@@ -57,7 +57,7 @@ class Push(Touching):
         return {"depth": Swept(f"V{part.name}", -1e6, (0.0, part.keys.depth))}
 
     def penetrations(self, part: Part, scene: Scene) -> Iterator[Penetration]:
-        yield Penetration(part.keys.depth, f"{part.name}.depth", prescribed=True)
+        yield Penetration(part.keys.depth, f"{part.name}.depth")
 
     def vectors(self, part: Part, build: Build) -> Mapping[str, Vector]:
         return {f"{part.name}.depth": Vector(f"v({build.net(part, 'bottom')})", -1e-6, "m")}
