@@ -230,7 +230,7 @@ class Device(ABC):
 
     @property
     def affine(self) -> bool:
-        """Whether ``evaluate`` is affine in ``e`` and constant in time within a mode."""
+        """Whether ``evaluate`` is affine in ``e`` within a mode."""
         return False
 
     @property
@@ -244,10 +244,10 @@ class Device(ABC):
         return None
 
     @abstractmethod
-    def evaluate(self, t: float, e: np.ndarray, mode: Any) -> tuple[np.ndarray, np.ndarray]:
+    def evaluate(self, e: np.ndarray, mode: Any) -> tuple[np.ndarray, np.ndarray]:
         """``out`` (k,) and its derivative (k, m) by ``e``."""
 
-    def store(self, e: np.ndarray, mode: Any = None) -> tuple[np.ndarray, np.ndarray]:
+    def store(self, e: np.ndarray, mode: Any) -> tuple[np.ndarray, np.ndarray]:
         """Stored quantities (len(states) + len(charged),) and their derivatives by ``e``."""
         k, m = len(self.states), len(e)
         return e[m - k :], np.eye(k, m, m - k)
@@ -255,22 +255,22 @@ class Device(ABC):
     def small(self, s: complex, e: np.ndarray, mode: Any) -> tuple[np.ndarray, np.ndarray]:
         """Derivatives of ``out`` (k, m) and of the store (len(states), m) for small signals
         ``exp(s t)`` about ``e``; complex where they depend on the frequency."""
-        return self.evaluate(0.0, e, mode)[1], self.store(e, mode)[1]
+        return self.evaluate(e, mode)[1], self.store(e, mode)[1]
 
     def noise(self, s: complex, e: np.ndarray, mode: Any) -> tuple[np.ndarray, np.ndarray] | None:
         """What sources of unit density add to ``out`` (k, sources) and to the store (stored,
         sources), where ``4 k T`` times their square is its noise; None of what has none."""
         return None
 
-    def mode(self, t: float, e: np.ndarray, before: Any = None) -> Any:
-        """Mode at ``t``: the first one, or after one of its own corners or a switched guard."""
+    def mode(self, t: float, e: np.ndarray) -> Any:
+        """Mode at ``t``: the first one, or after one of its own corners."""
         return None
 
     def corners(self, stop: float) -> np.ndarray:
         """Times at which the mode is asked for anew."""
         return np.empty(0)
 
-    def guards(self, t: float, e: np.ndarray, mode: Any) -> np.ndarray:
+    def guards(self, e: np.ndarray, mode: Any) -> np.ndarray:
         """(g,) values that are positive within the mode."""
         return np.empty(0)
 
@@ -285,7 +285,7 @@ class Device(ABC):
         """Energy stored [J]."""
         return 0.0
 
-    def loss(self, t: float, e: np.ndarray, mode: Any) -> float:
+    def loss(self, e: np.ndarray, mode: Any) -> float:
         """Power that it turns into heat [W]; negative for what it brings in from outside."""
         return 0.0
 
@@ -395,10 +395,10 @@ class PortBody(Device):
             self.known[s] = self.model.pencil.transfer(np.array([s]))[0]
         return self.known[s]
 
-    def mode(self, t: float, e: np.ndarray, before: Any = None) -> Relation:
+    def mode(self, t: float, e: np.ndarray) -> Relation:
         return self.at_rest
 
-    def evaluate(self, t: float, e: np.ndarray, mode: Any) -> tuple[np.ndarray, np.ndarray]:
+    def evaluate(self, e: np.ndarray, mode: Any) -> tuple[np.ndarray, np.ndarray]:
         slope = self._slope(mode.H)
         return slope @ e + self._maps[3] @ mode.free, slope
 
@@ -406,7 +406,7 @@ class PortBody(Device):
         load, _, direct, answered = self._maps
         return direct + answered @ H @ load
 
-    def store(self, e: np.ndarray, mode: Any = None) -> tuple[np.ndarray, np.ndarray]:
+    def store(self, e: np.ndarray, mode: Any) -> tuple[np.ndarray, np.ndarray]:
         load, stored, _, _ = self._maps
         slope = stored @ mode.H @ load
         return slope @ e + stored @ mode.free, slope
@@ -466,11 +466,11 @@ class SignalBlock(Device):
     def prescribes(self) -> tuple[str, ...]:
         return self.outputs
 
-    def evaluate(self, t: float, e: np.ndarray, mode: Any) -> tuple[np.ndarray, np.ndarray]:
+    def evaluate(self, e: np.ndarray, mode: Any) -> tuple[np.ndarray, np.ndarray]:
         slope = np.block([[self.B, self.A], [self.D, self.C]])
         return slope @ e, slope
 
-    def store(self, e: np.ndarray, mode: Any = None) -> tuple[np.ndarray, np.ndarray]:
+    def store(self, e: np.ndarray, mode: Any) -> tuple[np.ndarray, np.ndarray]:
         kept = np.hstack([0.0 * self.B, self.E])
         return kept @ e, kept
 
@@ -530,7 +530,7 @@ class Pid(Device):
     def corners(self, stop: float) -> np.ndarray:
         return np.array([t for t in (*self.enable, *self.disable) if 0.0 < t < stop])
 
-    def mode(self, t: float, e: np.ndarray, before: Any = None) -> tuple[bool, int]:
+    def mode(self, t: float, e: np.ndarray) -> tuple[bool, int]:
         """On or off, and the sign of the limit that holds: -1, 0 or 1."""
         last_on = max((s for s in self.enable if s <= t), default=-np.inf)
         last_off = max((s for s in self.disable if s <= t), default=-np.inf)
@@ -538,7 +538,7 @@ class Pid(Device):
         demand = self.demand(e)
         return on, (int(demand > self.limit) - int(demand < -self.limit) if on else 0)
 
-    def guards(self, t: float, e: np.ndarray, mode: Any) -> np.ndarray:
+    def guards(self, e: np.ndarray, mode: Any) -> np.ndarray:
         on, side = mode
         if not on:
             return np.ones(2)
@@ -549,7 +549,7 @@ class Pid(Device):
         on, side = mode
         return on, 0 if side else (1 if guard else -1)
 
-    def evaluate(self, t: float, e: np.ndarray, mode: Any) -> tuple[np.ndarray, np.ndarray]:
+    def evaluate(self, e: np.ndarray, mode: Any) -> tuple[np.ndarray, np.ndarray]:
         on, side = mode
         slopes, level = self._free
         free = np.array([1.0, on and not side, on and not side])

@@ -171,7 +171,7 @@ class PositionForce(Device):
     taps = (Tap("y"), Tap("y", rate=True), Tap("i1"), Tap("i2"))
     flows = (Flow("y"),)
 
-    def evaluate(self, t: float, e: np.ndarray, mode: Any) -> tuple[np.ndarray, np.ndarray]:
+    def evaluate(self, e: np.ndarray, mode: Any) -> tuple[np.ndarray, np.ndarray]:
         i = np.multiply(self.gains, e[2:])
         force, stiffness, slopes = self.coenergy.pull(e[0] + self.offset, i)
         return np.array([-force]), -np.array([[stiffness, 0.0, *(slopes * self.gains)]])
@@ -179,9 +179,9 @@ class PositionForce(Device):
     def check(self, t: float, e: np.ndarray) -> None:
         self.coenergy.inside(e[0] + self.offset, f"{self.name} at t = {t:.6e} s")
 
-    def loss(self, t: float, e: np.ndarray, mode: Any) -> float:
+    def loss(self, e: np.ndarray, mode: Any) -> float:
         # minus the work on the moving part: magnets and current sources give it
-        return float(self.evaluate(t, e, mode)[0][0] * e[1])
+        return float(self.evaluate(e, mode)[0][0] * e[1])
 
 
 @dataclass(frozen=True)
@@ -202,7 +202,7 @@ class CoilForce(Device):
     flows = (Flow("y"), Flow("a1", "b1"), Flow("a2", "b2"))
     states = ("i1", "i2")
 
-    def evaluate(self, t: float, e: np.ndarray, mode: Any) -> tuple[np.ndarray, np.ndarray]:
+    def evaluate(self, e: np.ndarray, mode: Any) -> tuple[np.ndarray, np.ndarray]:
         i = e[3:]
         force, stiffness, slopes = self.coenergy.pull(e[0] + self.offset, i)
         jac = np.zeros((5, 5))
@@ -211,7 +211,7 @@ class CoilForce(Device):
         jac[3:, 3:] = -np.diag(self.resistance)
         return np.array([-force, *i, *(e[1:3] - self.resistance * i)]), jac
 
-    def store(self, e: np.ndarray, mode: Any = None) -> tuple[np.ndarray, np.ndarray]:
+    def store(self, e: np.ndarray, mode: Any) -> tuple[np.ndarray, np.ndarray]:
         fluxes, by_height, by_current = self.coenergy.fluxes(e[0] + self.offset, e[3:])
         return fluxes, np.column_stack((by_height, np.zeros((2, 2)), by_current))
 
@@ -221,7 +221,7 @@ class CoilForce(Device):
     def energy(self, e: np.ndarray, mode: Any) -> float:
         return self.coenergy.stored(e[0] + self.offset, e[3:])
 
-    def loss(self, t: float, e: np.ndarray, mode: Any) -> float:
+    def loss(self, e: np.ndarray, mode: Any) -> float:
         return float(self.resistance @ e[3:] ** 2)
 
 

@@ -139,21 +139,21 @@ class DeclaredLaw(Device):
         count = result.size // (1 + e.size)
         return result[:count], result[count:].reshape(count, e.size)
 
-    def evaluate(self, t: float, e: np.ndarray, mode: Any) -> tuple[np.ndarray, np.ndarray]:
+    def evaluate(self, e: np.ndarray, mode: Any) -> tuple[np.ndarray, np.ndarray]:
         return self._split(self._out, e, mode)
 
-    def store(self, e: np.ndarray, mode: Any = None) -> tuple[np.ndarray, np.ndarray]:
+    def store(self, e: np.ndarray, mode: Any) -> tuple[np.ndarray, np.ndarray]:
         """Fluxes of the currents, then charges of the voltages and momenta."""
-        return self._split(self._kept, e, mode or self.mode(0.0, e))
+        return self._split(self._kept, e, mode)
 
-    def mode(self, t: float, e: np.ndarray, before: Any = None) -> tuple[int, ...]:
+    def mode(self, t: float, e: np.ndarray) -> tuple[int, ...]:
         flags: tuple[int, ...] = (0,) * len(self._corners)
         for k in range(len(flags)):  # one may depend on those before
             above = self._called(self._guards, e, flags)[k] > 0.0
             flags = (*flags[:k], int(above), *flags[k + 1 :])
         return flags
 
-    def guards(self, t: float, e: np.ndarray, mode: Any) -> np.ndarray:
+    def guards(self, e: np.ndarray, mode: Any) -> np.ndarray:
         return self._called(self._guards, e, mode) * np.where(np.array(mode) > 0, 1.0, -1.0)
 
     def switch(self, mode: Any, guard: int) -> tuple[int, ...]:
@@ -186,7 +186,7 @@ class DeclaredLaw(Device):
     def energy(self, e: np.ndarray, mode: Any) -> float:
         return float(self._called(self._energies, e, mode)[0])
 
-    def loss(self, t: float, e: np.ndarray, mode: Any) -> float:
+    def loss(self, e: np.ndarray, mode: Any) -> float:
         if self.declaration.lost == ZERO:
             return 0.0
         return float(self._called(self._energies, e, mode)[1])

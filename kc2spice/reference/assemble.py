@@ -33,9 +33,9 @@ class Attached:
     states: np.ndarray  # their places among the unknowns
     first: int  # place of its outputs among those of all devices
 
-    def out(self, t: float, e: np.ndarray, rate: np.ndarray, mode: Any) -> np.ndarray:
+    def out(self, e: np.ndarray, rate: np.ndarray, mode: Any) -> np.ndarray:
         """Its outputs (k,), with the rates of its charges, for inputs ``e`` of this ``rate``."""
-        law, result = self.law, self.law.evaluate(t, e, mode)[0]
+        law, result = self.law, self.law.evaluate(e, mode)[0]
         if law.charged:
             result = result.copy()
             result[list(law.charged)] += law.store(e, mode)[1][len(law.states) :] @ rate
@@ -499,7 +499,7 @@ def _linear(law: L.Device, into: _Assembly, inputs: np.ndarray, outputs: np.ndar
     """Constant matrices of its outputs, stores, energy and loss."""
     still = np.zeros(len(inputs))
     mode = law.mode(0.0, still)
-    (out, slope), (_, kept) = law.evaluate(0.0, still, mode), law.store(still, mode)
+    (out, slope), (_, kept) = law.evaluate(still, mode), law.store(still, mode)
     into.A += outputs @ slope @ inputs
     into.const += outputs @ out
     into.M += into.stores(law, outputs) @ kept @ inputs
@@ -511,7 +511,7 @@ def _linear(law: L.Device, into: _Assembly, inputs: np.ndarray, outputs: np.ndar
         stored, lifted = _quadratic(lambda e: law.energy(e, mode), len(inputs))
         into.term("stored", inputs, stored)
         into.lifted += lifted @ inputs
-        into.term("lost", inputs, _quadratic(lambda e: law.loss(0.0, e, mode), len(inputs))[0])
+        into.term("lost", inputs, _quadratic(lambda e: law.loss(e, mode), len(inputs))[0])
     into.linear.append((law, inputs, outputs))
 
 

@@ -26,7 +26,7 @@ class Interval:
             if not device.law.affine:
                 self.curved.append((device, mode))
                 continue
-            out, slope = device.law.evaluate(0.0, np.zeros(len(device.inputs)), mode)
+            out, slope = device.law.evaluate(np.zeros(len(device.inputs)), mode)
             self.F = self.F + device.into @ slope @ device.inputs
             self.const = self.const + device.into @ out
         self.linear = not self.curved
@@ -48,8 +48,7 @@ class Interval:
         system, X, dX = self.system, self.seen(t, z), self.rates(t, r)
         outputs = [np.zeros((0, t.size))]
         for device, mode in zip(system.devices, self.modes, strict=True):
-            seen, rates = (device.inputs @ X).T, (device.inputs @ dX).T
-            points = zip(t.tolist(), seen, rates, strict=True)
+            points = zip((device.inputs @ X).T, (device.inputs @ dX).T, strict=True)
             outputs.append(np.array([device.out(*point, mode) for point in points]).T)
         y = system.now @ X + system.rated @ dX + system.direct @ np.concatenate(outputs)
         return dict(zip(system.names, y + system.constant[:, None], strict=True))
@@ -70,12 +69,12 @@ class Interval:
                 g += device.stores @ np.array(kept).T
         return g
 
-    def flow(self, t: np.ndarray, X: np.ndarray) -> np.ndarray:
+    def flow(self, X: np.ndarray) -> np.ndarray:
         """``f`` (n, nt)."""
         f: np.ndarray = self.F @ X + self.const[:, None]
         for device, mode in self.curved:
-            points = zip(t.tolist(), (device.inputs @ X).T, strict=True)
-            f += device.into @ np.array([device.law.evaluate(*at, mode)[0] for at in points]).T
+            out = [device.law.evaluate(e, mode)[0] for e in (device.inputs @ X).T]
+            f += device.into @ np.array(out).T
         return f
 
     def slopes(self, t: float, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -84,7 +83,7 @@ class Interval:
         M, J = self.system.G[:, :n], self.F[:, :n]
         for device, mode in self.curved:
             e, by = device.inputs @ X, device.inputs[:, :n]
-            J = J + device.into @ device.law.evaluate(t, e, mode)[1] @ by
+            J = J + device.into @ device.law.evaluate(e, mode)[1] @ by
             if device.stores is not None:
                 M = M + device.stores @ device.law.store(e, mode)[1] @ by
         return M, J
@@ -92,7 +91,7 @@ class Interval:
     def at(self, t: float, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """``g`` and ``f`` (n,) at one time."""
         X = self.seen(t, z)[:, None]
-        return self.stored(X)[:, 0], self.flow(np.array([t]), X)[:, 0]
+        return self.stored(X)[:, 0], self.flow(X)[:, 0]
 
     def inputs(self, t: float, z: np.ndarray) -> list[np.ndarray]:
         """What every device sees."""
@@ -102,7 +101,7 @@ class Interval:
     def guards(self, t: float, z: np.ndarray) -> np.ndarray:
         """Guards of all devices in turn."""
         item = zip(self.system.devices, self.inputs(t, z), self.modes, strict=True)
-        return np.concatenate([np.empty(0), *(d.law.guards(t, e, mode) for d, e, mode in item)])
+        return np.concatenate([np.empty(0), *(d.law.guards(e, mode) for d, e, mode in item)])
 
     def settled(self, t: float, z: np.ndarray) -> np.ndarray:
         """``z`` with algebraic unknowns that agree with the others."""

@@ -146,7 +146,7 @@ class Radau:
         last = 0.0
         for k in range(_MAX_NEWTON):
             X = np.concatenate((self.z[:, None] + Z, given))
-            r = p.flow(t, X) - (p.stored(X) - self.g[:, None]) @ _INVERSE.T / h
+            r = p.flow(X) - (p.stored(X) - self.g[:, None]) @ _INVERSE.T / h
             real = np.outer(self._solve(r @ _BACK[_REAL].real, 0), _vectors[:, _REAL].real)
             pair = np.outer(self._solve(r @ _BACK[_PAIR], 1), _vectors[:, _PAIR])
             change = real + 2.0 * pair.real
@@ -292,7 +292,7 @@ def transient(
         t, within = begin, 0.5 * (begin + end)
         e = Interval(system, modes, within).inputs(begin, z)
         modes = [
-            d.law.mode(begin, x, m) if begin > 0.0 and np.any(at == begin) else m
+            d.law.mode(begin, x) if begin > 0.0 and np.any(at == begin) else m
             for d, x, m, at in zip(system.devices, e, modes, own, strict=True)
         ]
         while t < end:
@@ -306,17 +306,17 @@ def transient(
             if fired is None:
                 t = end
             else:
-                modes = _switched(system, modes, fired, t)
+                modes = _switched(system, modes, fired)
                 events.append(t)
     grid = [s.start for p in segments for s in p.steps] + [stop]
     time = np.unique(grid) if times is None else np.union1d(times, events)
     return Result(system, time, tuple(segments), tuple(events))
 
 
-def _switched(system: System, modes: list[Any], fired: int, t: float) -> list[Any]:
+def _switched(system: System, modes: list[Any], fired: int) -> list[Any]:
     """Modes after guard number ``fired`` fell to zero."""
     item = zip(system.devices, modes, strict=True)
-    counts = [len(d.law.guards(t, np.zeros(len(d.inputs)), mode)) for d, mode in item]
+    counts = [len(d.law.guards(np.zeros(len(d.inputs)), mode)) for d, mode in item]
     k = int(np.searchsorted(np.cumsum(counts), fired, side="right"))
     now = system.devices[k].law.switch(modes[k], fired - sum(counts[:k]))
     return [*modes[:k], now, *modes[k + 1 :]]
@@ -410,8 +410,7 @@ def _exchanged(system: System, segment: Segment) -> tuple[list[float], list[floa
     for device, mode in zip(system.devices, interval.modes, strict=True):
         law = device.law
         if type(law).loss is not Device.loss:
-            seen = zip(t.tolist(), (device.inputs @ X).T, strict=True)
-            gained = np.array([law.loss(at, e, mode) for at, e in seen])
+            gained = np.array([law.loss(e, mode) for e in (device.inputs @ X).T])
             went.append(float(np.maximum(gained, 0.0) @ w))
             came.append(float(-np.minimum(gained, 0.0) @ w))
     return came, went

@@ -199,7 +199,7 @@ class _March:
         begin = self.h * (1.0 if second else GAMMA)
         for k, law in self.others:
             if np.any((self.corners[k] > t - begin) & (self.corners[k] <= t)):
-                self.modes[k] = law.mode(t, es[k], self.modes[k])
+                self.modes[k] = law.mode(t, es[k])
         self._switch(t, es, 0)
         for count in range(ITERATIONS):
             interval = self.interval(t)
@@ -222,11 +222,11 @@ class _March:
         """Whether a device had to change its mode."""
         changed = False
         for k, law in self.others:
-            guards = law.guards(t, es[k], self.modes[k])
+            guards = law.guards(es[k], self.modes[k])
             if guards.size and guards.min() < -ROUNDING:
                 changed = True
                 if count >= ONE_BY_ONE:
                     self.modes[k] = law.switch(self.modes[k], int(guards.argmin()))
                     break
-                self.modes[k] = law.mode(t, es[k], self.modes[k])
+                self.modes[k] = law.mode(t, es[k])
         return changed

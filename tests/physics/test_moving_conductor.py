@@ -142,8 +142,8 @@ def test_what_a_state_stores_and_pulls_is_one_coenergy():
     for _ in range(5):
         e = rng.normal(size=first + len(law.states))
         e[2] = rng.uniform(3e-3, 20e-3)
-        currents, slopes = e[first:], law.store(e)[1]
-        force = law.evaluate(0.0, e, ())[0][2]
+        currents, slopes = e[first:], law.store(e, ())[1]
+        force = law.evaluate(e, ())[0][2]
         for k in (2, first, first + 4):
             step = np.zeros(e.size)
             step[k] = 1e-5 if k == 2 else 1e-2

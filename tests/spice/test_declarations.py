@@ -185,7 +185,7 @@ def worst_law(name, **keys):
                  if b.kind == "current"}  # fmt: skip
         e, de = inputs(own, state, rates, drops)
         mode = own.mode(0.0, e)
-        out, _ = own.evaluate(0.0, e, mode)
+        out, _ = own.evaluate(e, mode)
         _, by = own.store(e, mode)
         rises, n = by @ de, len(own.states)
         through = out[: len(own.flows)].copy()
@@ -202,7 +202,7 @@ def worst_law(name, **keys):
                 across = rises[place] + drops[b.name] - out[len(own.flows) + place]
             brought += through[k] * across
         stored, _ = own._energies(*(e + 1j * H * de), *mode, *own.values)
-        rise, lost = np.imag(stored) / H, own.loss(0.0, e, mode)
+        rise, lost = np.imag(stored) / H, own.loss(e, mode)
         size = abs(brought) + abs(lost) + abs(rise)
         powers.append(abs(brought - rise - lost) / size)
     return max(errors), max(powers)
@@ -217,7 +217,7 @@ def worst_slope(name):
         e, _ = inputs(own, state, rates, drops)
         mode = own.mode(0.0, e)
         for made, (value, by) in (
-            (own._out, own.evaluate(0.0, e, mode)), (own._kept, own.store(e, mode)),
+            (own._out, own.evaluate(e, mode)), (own._kept, own.store(e, mode)),
         ):  # fmt: skip
             for j in range(e.size):
                 moved = made(*(e + 1j * H * np.eye(e.size)[j]), *mode, *own.values)
@@ -346,7 +346,7 @@ def test_the_law_of_a_contact_is_what_is_stated(kind):
         speeds = {"p": rate[0], "q": rate[1], "slide": slide}
         e = np.array([(speeds if tap.rate else known)[tap.pin] for tap in own.taps])
         mode = own.mode(0.0, e)
-        out, by = own.evaluate(0.0, e, mode)
+        out, by = own.evaluate(e, mode)
         np.testing.assert_allclose(out, wanted, rtol=1e-12, atol=1e-12)
         exact = [np.imag(own._out(*(e + 1j * H * unit), *mode, *own.values)[: len(out)]) / H
                  for unit in np.eye(e.size)]  # fmt: skip
@@ -354,7 +354,7 @@ def test_the_law_of_a_contact_is_what_is_stated(kind):
         moving = np.array([0.0 if tap.rate else speeds[tap.pin] for tap in own.taps])
         rise = np.imag(own._energies(*(e + 1j * H * moving), *mode, *own.values)[0]) / H
         brought = sum(f * speeds[flow.pin] for f, flow in zip(out, own.flows, strict=True))
-        lost = own.loss(0.0, e, mode)
+        lost = own.loss(e, mode)
         assert abs(brought - rise - lost) <= 1e-12 * (abs(brought) + abs(rise) + abs(lost))
         assert normal.pace or lost >= -1e-12 * abs(brought)
 
@@ -382,7 +382,5 @@ def test_a_wrong_law_is_seen():
 
 def test_energy_that_is_made_is_seen(monkeypatch):
     good = law.DeclaredLaw.loss
-    monkeypatch.setattr(
-        law.DeclaredLaw, "loss", lambda self, t, e, mode: 1.001 * good(self, t, e, mode)
-    )
+    monkeypatch.setattr(law.DeclaredLaw, "loss", lambda self, e, mode: 1.001 * good(self, e, mode))
     assert worst_law("voice_coil")[1] > 1e-6
