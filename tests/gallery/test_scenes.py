@@ -69,10 +69,14 @@ def test_kick_and_catch_catches(results):
 def test_kick_and_catch_tells_its_models(results):
     model = results("kick_and_catch")[0]["model"]
     kick, catch = model["kick"], model["catch"]
+    assert kick["unknowns"] == 16722
     assert kick["mass_kg"] == pytest.approx(7700 * 3e-3 * 3e-3 * 2e-3, rel=1e-12)
-    assert kick["free_stroke_ring0_m_per_100v"] == pytest.approx(2.3508e-6, rel=1e-3)
-    assert kick["capacitance_free_f"] == pytest.approx(143.19e-9, rel=1e-3)
-    assert kick["capacitance_clamped_f"] == pytest.approx(34.87e-9, rel=1e-3)
+    # Closed forms 33 V d33 and eps A 33^2 / h; the resonances are those of this mesh family.
+    assert kick["free_stroke_ring0_m_per_100v"] == pytest.approx(2.3508e-6, rel=1e-4)
+    assert kick["capacitance_free_f"] == pytest.approx(143.19e-9, rel=1e-4, abs=0)
+    assert kick["capacitance_clamped_f"] == pytest.approx(34.87e-9, rel=5e-4, abs=0)
+    assert kick["resonance_short_hz"] == pytest.approx(270.4e3, rel=5e-3)
+    assert kick["resonance_open_hz"] == pytest.approx(365.7e3, rel=5e-3)
     assert catch["coil_resistance_ohm"] == pytest.approx(1596, rel=1e-3)
 
 
@@ -109,7 +113,13 @@ def test_imprint_is_verified_three_ways_and_a_missed_gate_is_exit_code_4(tmp_pat
     assert (tmp_path / "verify.html").stat().st_size > 10_000
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("name", sorted(gallery()))
+# One in the quick run: a base that accelerates, two layers in series.
+QUICK = ("harvester",)
+
+
+@pytest.mark.parametrize(
+    "name",
+    [pytest.param(n, marks=() if n in QUICK else pytest.mark.slow) for n in sorted(gallery())],
+)
 def test_scene_meets_its_gates(name, tmp_path):
     asked("verify", name, "-o", tmp_path, "-q")  # exit code 4 where one is missed

@@ -44,19 +44,6 @@ def test_every_order_is_symmetric_stable_passive_and_exact_at_rest(model, order)
 
 
 @pytest.mark.slow
-def test_facts_of_the_default_chip(default):
-    facts = default.facts
-    assert facts["unknowns"] == 16722
-    assert facts["mass_kg"] == pytest.approx(7700 * 3e-3 * 3e-3 * 2e-3, rel=1e-12)
-    # Closed forms 33 V d33 and eps A 33^2 / h; the resonances are those of this mesh family.
-    assert facts["free_stroke_ring0_m_per_100v"] == pytest.approx(2.3508e-6, rel=1e-4)
-    assert facts["capacitance_free_f"] == pytest.approx(143.19e-9, rel=1e-4)
-    assert facts["capacitance_clamped_f"] == pytest.approx(34.87e-9, rel=5e-4)
-    assert facts["resonance_short_hz"] == pytest.approx(270.4e3, rel=5e-3)
-    assert facts["resonance_open_hz"] == pytest.approx(365.7e3, rel=5e-3)
-
-
-@pytest.mark.slow
 @pytest.mark.parametrize(("tolerance", "states"), [(1e-5, 16), (2e-7, 20), (1e-10, 25)])
 def test_few_states_reach_the_tolerance(default, tolerance, states):
     """Ten Krylov blocks equal the full model to 1e-12 up to 500 kHz."""
