@@ -60,22 +60,6 @@ def test_a_circuit_of_plain_parts_is_verified(tmp_path):
     assert (tmp_path / "out" / "verify.html").stat().st_size > 10_000
 
 
-def test_laws_of_a_circuit_against_its_closed_form(tmp_path):
-    """A step into a series RLC: ``v = 1 - exp(-a t) (cos w t + a / w sin w t)``."""
-    text = RLC.replace(
-        'pulse = { high = 10, width = "20 us", edge = "1 us", start = "2 us" }',
-        "pwl = [[0, 0], [1e-12, 10], [1, 10]]",
-    )
-    (tmp_path / "rlc.toml").write_text(text)
-    build = models(tmp_path / "rlc.toml")
-    t = np.linspace(0.0, 1e-4, 301)
-    found = solve(build, Waveforms({"time": t}, {})).results
-    a, w0 = 50 / 2e-3, 1 / np.sqrt(1e-3 * 1e-8)
-    w, s = np.sqrt(w0**2 - a**2), found["time"]
-    exact = 10 * (1 - np.exp(-a * s) * (np.cos(w * s) + a / w * np.sin(w * s)))
-    assert np.abs(found["c.v"] - exact).max() < 5e-6
-
-
 SMALL = ("kick.layers=2", "kick.mesh.sectors=4", "kick.mesh.rings=1", "kick.mesh.outer_rings=1",
          "rom.order=8", "imprint.steps=4")  # fmt: skip
 

@@ -10,6 +10,7 @@ launch, those of 240, 320 and 480 differ by 5e-4 and 1e-4.
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.optimize import nnls
 
 AWAY = 6.0  # free strokes above the chip: as it rings it comes up by two, from two below
 FALL = 20.0  # m/s2: nor does the sphere come back if this cannot stop it
@@ -106,17 +107,8 @@ class Kick:
 
 def pressed(mean, soft):
     """Ring forces, none negative, with ``soft force = mean`` where they are closed."""
-    closed, force = mean > 0, np.zeros_like(mean)
-    for _ in range(2 * mean.size):
-        on = np.flatnonzero(closed)
-        force[:] = 0.0
-        force[on] = np.linalg.solve(soft[np.ix_(on, on)], mean[on])
-        left = mean - soft @ force
-        again = np.where(closed, force > 0, left > 0)
-        if (again == closed).all():
-            break
-        closed = again
-    return np.maximum(force, 0.0)
+    L = np.linalg.cholesky(soft)
+    return nnls(L.T, np.linalg.solve(L, mean))[0]
 
 
 def _flat(values):
