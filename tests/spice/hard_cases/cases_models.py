@@ -19,19 +19,10 @@ def response_error(bench, matrices, top=0.1):
     """Reduced, written, run in ngspice, against ``C (s^2 M + s E + K)^-1 B`` in full."""
     model = LinearModel(**families.as_files(matrices), name="hard")
     rom = reduce(model, band=(0.0, top), tolerance=1e-6)
-    part = subcircuit(rom, "part", HEADER)
-    frequency = np.linspace(top / 50, top, 50)
-    inputs, outputs = rom.B.shape[1], rom.C.shape[0]
-    columns = []
-    pins = [pin.name for pin in part.pins]
-    for j in range(inputs):
-        cards = [f"Vin{i} {pins[i]} 0 dc 0 ac {int(i == j)}" for i in range(inputs)]
-        cards += [f"X1 {' '.join(pins[:-1])} 0 part", f".ac lin 50 {frequency[0]!r} {top!r}"]
-        vectors = {pin: (f"v({pin.lower()})", 1.0) for pin in pins[inputs : inputs + outputs]}
-        text = "\n".join(cards).replace("np.float64", "")
-        waves = bench.run(bench_deck([part], text, vectors))
-        columns.append(np.stack([waves[pin] for pin in vectors], axis=1))
-    found, expected = np.stack(columns, axis=2), families.full_response(matrices, frequency)
+    part, frequency = subcircuit(rom, "part", HEADER), np.linspace(top / 50, top, 50)
+    size = rom.B.shape[1], rom.C.shape[0]
+    found = families.spice_response(part, *size, frequency, bench.directory)
+    expected = families.full_response(matrices, frequency)
     return float((np.abs(found - expected) / np.abs(expected).max(axis=0)).max())
 
 
