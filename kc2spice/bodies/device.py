@@ -21,8 +21,7 @@ field.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import chain, pairwise
 from typing import TypeAlias
@@ -34,7 +33,7 @@ from scipy.sparse.linalg import LinearOperator, eigsh
 from skfem import LinearForm
 from skfem.mesh import MeshHex, MeshQuad
 
-from kc2spice.core.errors import UsageError, wrong
+from kc2spice.core.errors import UsageError, part_named, wrong
 from kc2spice.fem.keys import Damping
 from kc2spice.fem.materials import Material
 from kc2spice.fem.solid import Solid, assemble
@@ -47,6 +46,7 @@ MODES = (4, 8, 40)  # asked for in turn; a body that is free to move has more th
 # A mode is excited by a port if it has more than this part of the static answer (mass norm).
 COUPLED = 0.03
 REFINEMENTS = 3
+UP = np.array([0.0, 0.0, 1.0])
 Operator = Callable[[np.ndarray], np.ndarray]
 
 
@@ -117,16 +117,6 @@ class Device:
     lift: np.ndarray
     shift: float
     mass: float
-
-
-@contextmanager
-def part_named(where: str) -> Iterator[None]:
-    """Errors within say which part they are about."""
-    try:
-        yield
-    except UsageError as error:
-        error.where = where if error.where is None else f"{where}: {error.where}"
-        raise
 
 
 def make_device(solid: Solid, setup: Setup) -> Device:
@@ -262,7 +252,7 @@ def rigid_motions(solid: Solid, centre: np.ndarray) -> np.ndarray:
     one translation along the axis (axisymmetric, (d nodes, 1)).
     """
     if solid.axisymmetric:
-        return translation(solid, np.array([0.0, 0.0, 1.0]))[:, None]
+        return translation(solid, UP)[:, None]
     arm = solid.places.T - centre
     turns = np.cross(np.eye(3)[:, None], arm[None])  # (axis, nodes, component)
     moves = np.broadcast_to(np.eye(3)[:, None], turns.shape)
@@ -417,7 +407,6 @@ def _resonance(
 
 # From and to [m] along each axis; of one value along an axis it is a face, an edge or a point.
 Box: TypeAlias = tuple[tuple[float, float], ...]
-UP = np.array([0.0, 0.0, 1.0])
 
 
 @dataclass(frozen=True)

@@ -19,8 +19,9 @@ import numpy as np
 from scipy import sparse
 from skfem import BilinearForm, LinearForm, MeshHex1, MeshHex2
 
-from kc2spice.bodies.device import Device, Setup, Shape, make_device, part_named, spread
+from kc2spice.bodies.device import UP, Device, Setup, Shape, make_device, spread
 from kc2spice.bodies.stack_keys import PATCH, SECTORS, Cap, Chip
+from kc2spice.core.errors import part_named
 from kc2spice.fem.materials import Material, material
 from kc2spice.fem.solid import Solid
 from kc2spice.linalg.factor import require_bytes
@@ -29,7 +30,6 @@ from kc2spice.rom.linear import Port
 GROWTH = 0.25  # of a level's thickness with its depth
 # Fill of sparse factors of a solid grows as n^(4/3); 152 000 unknowns took 5.8 GB.
 SPARSE_BYTES = 700.0
-UPWARDS = np.array([0.0, 0.0, 1.0])
 _NEAR = 1e-9  # of the stack's size
 _FINE = 8  # of a quadrature that meets the corners of a pressure anywhere in a cell
 
@@ -263,7 +263,7 @@ def _patch(solid: Solid, pressure: Profile) -> Shape:
         return np.interp(np.hypot(w.x[0], w.x[1]), *pressure, right=0.0) * v
 
     share = LinearForm(load).assemble(solid.face(_facets(solid, solid.places[2].max()), _FINE))
-    return Shape(Port(PATCH, "mechanical"), spread(share / share.sum(), UPWARDS, solid))
+    return Shape(Port(PATCH, "mechanical"), spread(share / share.sum(), UP, solid))
 
 
 def springs(solid: Solid, kick: Chip) -> sparse.csc_array | None:
@@ -281,7 +281,7 @@ def springs(solid: Solid, kick: Chip) -> sparse.csc_array | None:
     if kick.preload_spring is not None:
         top = face(solid.places[2].max())
         share = kick.preload_spring / SECTORS / top.sum() * top
-        result.append(sparse.kron(share, np.diag(UPWARDS)))
+        result.append(sparse.kron(share, np.diag(UP)))
     return sparse.csc_array(sum(result)) if result else None
 
 

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from importlib import import_module
 from typing import Any
 
@@ -64,6 +65,16 @@ class SimulationError(Kc2spiceError):
     """A solver or simulator failed, or a truth check after it did: exit code 5."""
 
     exit_code = 5
+
+
+@contextmanager
+def part_named(where: str) -> Iterator[None]:
+    """Errors within say which part they are about."""
+    try:
+        yield
+    except UsageError as error:
+        error.where = where if error.where is None else f"{where}: {error.where}"
+        raise
 
 
 def needed(module: str, package: str, where: str, extra: str) -> Any:

@@ -30,7 +30,7 @@ from typing import Annotated, Any, Literal, TypeAlias
 import numpy as np
 from pydantic import BeforeValidator, Field, model_validator
 
-from kc2spice.core.errors import UsageError, wrong
+from kc2spice.core.errors import UsageError, part_named, wrong
 from kc2spice.core.quantities import (
     EPSILON_0,
     Density,
@@ -453,11 +453,8 @@ def material(given: str | Mapping[str, Any] | Material, where: str = "material")
         return given
     if isinstance(given, Mapping):
         table = validated(MaterialTable, given, where)
-        try:
+        with part_named(where):
             return table.build(where.rsplit(".", 1)[-1])
-        except UsageError as error:
-            error.where = where if error.where is None else f"{where}: {error.where}"
-            raise
     if given.lower() not in {name.lower() for name in _tables()}:
         hint = "or a table with density, youngs_modulus, poisson_ratio, …"
         raise wrong(where, "no such material", given, ", ".join(_tables()), hint)

@@ -32,7 +32,7 @@ from pydantic import Field, StringConstraints, model_validator
 
 from kc2spice.bodies import device as fe
 from kc2spice.core.cache import cached
-from kc2spice.core.errors import UsageError, wrong
+from kc2spice.core.errors import UsageError, part_named, wrong
 from kc2spice.core.figure import Curve, Figure, Panel, Written
 from kc2spice.core.foreign import beside
 from kc2spice.core.quantities import Count, Length, Notch, Section, validated
@@ -224,7 +224,7 @@ def device(keys: BodyKeys | Mapping[str, Any], home: Path, where: str = "body") 
         not piezoelectric.
     """
     keys = validated(BodyKeys, keys, where)
-    with fe.part_named(where):
+    with part_named(where):
         path = beside(home, keys.mesh, "mesh")
         unit = mesh_file.length_unit(path, keys.unit)
         result = mesh_file.read_mesh(
@@ -378,7 +378,7 @@ class Body(MeshedBody):
         """The bounding box of its file, then what all bodies say."""
 
         def size() -> str:
-            with fe.part_named(part.name):
+            with part_named(part.name):
                 path = _path(part, scene)
                 sides = 1e3 * mesh_file.length_unit(path, part.keys.unit) * mesh_file.extent(path)
             return " x ".join(f"{side:.4g}" for side in sides) + " mm"
