@@ -197,7 +197,7 @@ def by_rayleigh(model: LinearModel, damping: Damping) -> LinearModel:
     UsageError : there is no resonance that says at which frequency.
     """
     first = _damped_at(model, damping)
-    rayleigh = damping.rayleigh(first) if damping.zeta and first else (damping.alpha, 0.0)
+    rayleigh = damping.rayleigh(first) if first else (damping.alpha, 0.0)
     return replace(model, E=None, rayleigh=rayleigh)
 
 

@@ -320,7 +320,7 @@ class Sphere:
     @property
     def rayleigh(self) -> tuple[float, float]:
         """``alpha`` [1/s] and ``beta`` [s] of ``E = alpha M + beta K``, by that frequency."""
-        return self.damping.rayleigh(self.oblate) if self.damping.zeta else (self.damping.alpha, 0)
+        return self.damping.rayleigh(self.oblate)
 
 
 def sphere(body: Sphere, shares: np.ndarray, shape: PressureBasis, refine: int = 1) -> LinearModel:

@@ -47,13 +47,14 @@ RING, SPHERE, LOWER, UPPER = range(4)  # columns of loads and of the fields that
 # the force within 1e-5 of its maximum. The parts' surroundings matter most: an uneven mesh in the
 # far field of the sphere makes it push itself.
 _LATTICE, _SPHERE, _PART, _CORNER, _GROWTH = 1 / 8, 1 / 8, 1 / 10, 1 / 16, 0.12
-Progress = Callable[[int, int], None]
 
 
-def catch_table(catch: Catch, radius: float, progress: Progress | None = None) -> EMTable:
+def catch_table(
+    catch: Catch, radius: float, progress: Callable[[float], None] = lambda share: None
+) -> EMTable:
     """Sweep the sphere over ``catch.positions`` heights from ``y_min`` to ``y_max``.
 
-    ``progress(done, total)`` is called after each height.
+    ``progress`` gets the share that is done, after each height.
 
     Raises
     ------
@@ -69,8 +70,7 @@ def catch_table(catch: Catch, radius: float, progress: Progress | None = None) -
         forces[index] = system.force(fields)
         fluxes[index] = (system.loads.T @ fields)[[LOWER, UPPER]]
         unknowns = max(unknowns, system.free.size)
-        if progress is not None:
-            progress(done, y.size)
+        progress(done / y.size)
     sign = ring_sign(catch)
     inductance = fluxes[:, :, [LOWER, UPPER]]
     length = [catch.turns * pi * (c.inner + c.outer) for c in (catch.lower, catch.upper)]

@@ -334,7 +334,7 @@ class RingMagnetCoils(Touching):
             from kc2spice.fem.magnet_field import catch_table
 
             with clock.stage("magnetics", "field of the catch actuator") as share:
-                return catch_table(unit, key["radius"], lambda done, total: share(done / total))
+                return catch_table(unit, key["radius"], share)
 
         table = cached("catch", key, build, classes=(EMTable,), sources=SOURCES)
         magnets = keys.remanence ** np.array([2, 1, 1, 0, 0, 0])
