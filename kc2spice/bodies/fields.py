@@ -63,9 +63,7 @@ class Motion:
         return self.basis @ self.states[k], self.voltages[k]
 
 
-def recover(
-    device: Device, time: np.ndarray, inputs: Mapping[str, np.ndarray], *, order: int = ORDER
-) -> Motion:
+def recover(device: Device, time: np.ndarray, inputs: Mapping[str, np.ndarray]) -> Motion:
     """The motion of the body under port inputs (by port name, SI, over ``time``); ports that are
     not named get none. It starts at rest under the first values.
 
@@ -82,7 +80,7 @@ def recover(
             raise wrong("fields", problem, f"{name} {np.shape(wave)}", expected)
         u[:, names.index(name)] = wave
     t = np.asarray(time)
-    basis, omega, damp = _modes(device, order, float(t[-1] - t[0]))
+    basis, omega, damp = _modes(device, float(t[-1] - t[0]))
     states, _ = resonant(omega, damp, t, u @ (basis.T @ device.model.B).T)
     return Motion(device, t, u, basis, states)
 
@@ -90,19 +88,19 @@ def recover(
 def lowest_modes(device: Device, count: int, end: float) -> tuple[np.ndarray, np.ndarray]:
     """Frequencies [Hz] below ``end`` of at most ``count`` modes that the ports excite, electrodes
     shorted, and their displacements (n, modes); motions without stiffness are none of them."""
-    basis, omega, _ = _modes(device, ORDER, np.inf)
+    basis, omega, _ = _modes(device, np.inf)
     kept = np.flatnonzero((omega > STILL * omega.max()) & (omega < 2 * np.pi * end))
     kept = kept[np.argsort(omega[kept])][:count]
     return omega[kept] / (2 * np.pi), basis[:, kept]
 
 
-def _modes(device: Device, order: int, span: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _modes(device: Device, span: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Mass-normalised modes (n, q) of the projected model, their frequencies [rad/s] and damping
     [1/s] each by itself."""
     model, shift = device.model, device.shift
     solve = model.pencil.pencil_solver(-shift).solve
     V = block_arnoldi(
-        lambda v: model.K @ v + shift * (model.M @ v), solve, lambda v: model.M @ v, model.B, order
+        lambda v: model.K @ v + shift * (model.M @ v), solve, lambda v: model.M @ v, model.B, ORDER
     )
     K, E, M = model.pencil.project(V).coefficients
     squares, X = eigh(0.5 * (K + K.T), 0.5 * (M + M.T))

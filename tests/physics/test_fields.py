@@ -140,7 +140,7 @@ def test_free_disc_and_free_stack_have_a_uniform_field_and_no_stress():
 def test_every_section_of_what_is_pressed_carries_the_whole_force(device, port, symmetric):
     """Statics: the axial stress over any cross-section is the force on the end."""
     device, force = device(), -50.0
-    motion = recover(device, np.linspace(0, 1e-6, 3), {port: np.full(3, force)}, order=60)
+    motion = recover(device, np.linspace(0, 1e-6, 3), {port: np.full(3, force)})
     probe = Probe(device, gauss=True)
     axial = at_points(probe, *motion.at(0.0))[0][:, 2]
     basis = probe.basis
@@ -167,7 +167,7 @@ def test_motion_is_that_of_the_full_model():
     model = device.model
     time = np.linspace(0, 2e-5, 801)
     inputs = np.column_stack([np.sin(4e5 * time) * (time < 1e-5), 30 * np.clip(time / 1e-6, 0, 1)])
-    found = recover(device, time, dict(zip(("pull", "anode"), inputs.T, strict=True)), order=60)
+    found = recover(device, time, dict(zip(("pull", "anode"), inputs.T, strict=True)))
     squares, X = eigh(model.K.toarray(), model.M.toarray())
     keep = squares < (2 * np.pi * 60e6) ** 2
     squares, X = squares[keep], X[:, keep]
@@ -191,7 +191,7 @@ def test_free_body_falls_as_newton_says():
     device = make_device(solid, Setup(fixed, shapes=[push], damping=Damping(ratio=0.01, at=1e6)))
     time = np.linspace(0, 1e-3, 50)
     force = np.where(time > 0, 1e-3, 0.0)
-    found = outputs(recover(device, time, {"push": force}, order=5))[-1, 0]
+    found = outputs(recover(device, time, {"push": force}))[-1, 0]
     start = time[1]  # the force rises linearly over the first step
     late = time[-1] - start
     velocity = 0.5 * start
