@@ -338,9 +338,8 @@ def tightened(found: Reduction, order: int, tolerance: float) -> tuple[Reduction
         return found, order
     held = found.pencil.leading(size)
     response = Response(held)
-    static = found.space.static and not held.free
     judge = found.judge
-    inside, far = _snapshots(response, judge.band, static, _tail(found.full, tolerance))
+    inside, far = _snapshots(judge, response, _tail(found.full, tolerance))
     s = 2j * np.pi * np.r_[inside, far[0]]
     H, count = judge.exact.transfer(s), inside.size
     floor = judge.reference[1] * (1.0 if judge.norm == "peak" else FLOOR)
@@ -376,8 +375,7 @@ def refitted(found: Reduction, order: int, tolerance: float) -> tuple[Reduction,
     judge = found.judge
     if judge.norm != "peak" or not found.balanced or order > TIGHTENED:
         return found, order
-    static = found.space.static and not judge.exact.pencil.free
-    inside, _ = _snapshots(judge.exact, judge.band, static, None)
+    inside, _ = _snapshots(judge, judge.exact, None)
     s = 2j * np.pi * inside
     H, peak = judge.exact.transfer(s), judge.reference[1]
     rows, columns = blocks.scales(peak)
@@ -421,7 +419,7 @@ def _krylov(pencil: Pencil, order: int) -> Subspace:
     solve = pencil.pencil_solver(0.0).solve
     richer = order + 2 * pencil.B.shape[1]
     V = block_arnoldi(lambda v: K @ v, solve, lambda v: M @ v, pencil.B, richer)
-    return Subspace(pencil.project(V), 0.0, True, "")
+    return Subspace(Response(pencil.project(V)), 0.0, True, "")
 
 
 @dataclass(frozen=True)
@@ -579,30 +577,29 @@ def subspace_model(
 
 def ordered(plain: Reduction, two_sided: bool, tolerance: float | None) -> Reduction:
     """Order the directions of the ``plain`` subspace by what they contribute to the response."""
-    model, space, band, norm = plain.full, plain.space, plain.judge.band, plain.judge.norm
+    model, space, judge = plain.full, plain.space, plain.judge
     whole = space.response
-    core, omega = whole.core, 2 * np.pi * band[1]
+    core, omega = whole.core, 2 * np.pi * judge.band[1]
     free = core.free  # motions that damping couples to the others are kept as they are
     energy = _energy_basis(core.held, omega, static=space.static)
     basis = block_diag(np.eye(free), energy)
     response = Response(core.project(basis))
     pencil = response.pencil
-    static = space.static and not space.pencil.free
     conservative = any(p.kind in ("mechanical", "rotational") for p in model.ports)
     first = np.empty((pencil.size - free, 0))
     if free:
         K, E, _ = pencil.coefficients
         loads = [pencil.B[free:], E[free:, :free], E[:free, free:].T]
         first = _range(np.linalg.solve(K[free:, free:], np.hstack(loads)))
-    elif space.static and ((static and band[0] == 0) or conservative):
+    elif space.static and ((judge.static and judge.band[0] == 0) or conservative):
         first = _range(response.states(np.zeros(1))[0].real)
-    inside, far = _snapshots(response, band, static, _tail(model, tolerance))
+    inside, far = _snapshots(judge, response, _tail(model, tolerance))
     weight = np.r_[np.ones(inside.size), far[1]]
     s = 2j * np.pi * np.r_[inside, far[0]]
     H = whole.transfer(s)
-    sets = [_weighted(response, s, weight, H, norm)]
+    sets = [_weighted(response, s, weight, H, judge.norm)]
     if two_sided:
-        sets.append(_weighted(response.dual, s, weight, H.swapaxes(1, 2), norm))
+        sets.append(_weighted(response.dual, s, weight, H.swapaxes(1, 2), judge.norm))
     directions = _directions(np.hstack(sets)[free:], first)
     pencil = pencil.project(block_diag(np.eye(free), directions))
     pencil = replace(pencil, free=free)
@@ -638,10 +635,11 @@ def _tail(model: LinearModel, tolerance: float | None) -> float | None:
 
 
 def _snapshots(
-    response: Response, band: tuple[float, float], static: bool, tail: float | None
+    judge: Judge, response: Response, tail: float | None
 ) -> tuple[np.ndarray, tuple[np.ndarray, np.ndarray]]:
     """Frequencies [Hz] of the band and its resonances; those of a tail above with their weights."""
-    frequency = grid(band, FIT, static)
+    band = judge.band
+    frequency = grid(band, FIT, judge.static)
     at, ratio = response.within(band)
     frequency = np.union1d(frequency, around(at, ratio, np.array([0.0, 1.0])))
     if tail is None:

@@ -24,7 +24,6 @@ from __future__ import annotations
 import warnings
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import cached_property
 
 import numpy as np
 import scipy
@@ -199,10 +198,11 @@ def _sampled(full: Pencil, band: tuple[float, float], target: float, limit: floa
             "ask for a looser tolerance or a narrower band",
         )
     proof = f"checked against the full model at {len(known.frequency)} frequencies with refined "
-    at, ratio = Response(model).within(band)
+    response = Response(model)
+    at, ratio = response.within(band)
     at = at * (1 + FLANK * (ratio < SHARPEST)) if at.size else np.array(band)
     proof += "solutions" + _told(at, uncertainty(full, at), 2 * limit)
-    return Subspace(model, max(recent), True, proof)
+    return Subspace(response, max(recent), True, proof)
 
 
 def uncertainty(
@@ -270,22 +270,22 @@ ROUNDED, SPREAD = 4, 3.0  # trials of rounding, and the margin on the largest of
 
 @dataclass(frozen=True)
 class Subspace:
-    """``pencil`` (dense), its largest relative error in the full model, whether all but its free
-    motion has a static answer, what the error rests on, and how far rounding of the full model's
-    entries moves its own responses (relative): no reduction is nearer than that.
+    """The ``response`` of a dense pencil, its largest relative error in the full model, whether all
+    but its free motion has a static answer, what the error rests on, and how far rounding of the
+    full model's entries moves its own responses (relative): no reduction is nearer than that.
     """
 
-    pencil: Pencil
+    response: Response
     error: float
     static: bool
     proof: str
     floor: float = 0.0
     whole: bool = False  # all of the full model
 
-    @cached_property
-    def response(self) -> Response:
-        """Its frequency response."""
-        return Response(self.pencil)
+    @property
+    def pencil(self) -> Pencil:
+        """The model itself."""
+        return self.response.pencil
 
     @property
     def poles(self) -> np.ndarray | None:
@@ -421,9 +421,7 @@ def _whole(
             floor = SPREAD * float(size.max())
     if projected is not None:
         floor = max(floor, _taken_out(projected, full, band))
-    result = Subspace(full, error, static, proof, floor, whole=True)
-    result.__dict__["response"] = response  # as the cached property would
-    return result
+    return Subspace(response, error, static, proof, floor, whole=True)
 
 
 def _taken_out(given: Pencil, free: Pencil, band: tuple[float, float]) -> float:
@@ -494,7 +492,7 @@ def _block_krylov(
         met = met + 1 if change <= target else 0
         if met == CONFIRMATIONS or (not columns.shape[1] and change <= limit):
             proof = f"settled to {change:.0e} of the full model's response"
-            space = Subspace(response.pencil, change, True, proof)
+            space = Subspace(response, change, True, proof)
             return _with_rounding(pencil, V, band, space)
         previous = response
         blocks -= 1
@@ -561,7 +559,7 @@ def _rational(
     proof = f"checked against the full model at {search.points} frequencies"
     small = search.response.pencil
     floor = _taken_out(search.projected, small, band) if small.free else 0.0
-    result = Subspace(small, worst, search.static or small.free > 0, proof, floor)
+    result = Subspace(search.response, worst, search.static or small.free > 0, proof, floor)
     return _with_rounding(pencil, search.modal, band, result)
 
 
@@ -573,7 +571,7 @@ def _with_rounding(
     The model is rounded anew in other units of its unknowns, which leave its response as it is, and
     projected on the same directions: thin bodies answer with the small difference of large forces.
     """
-    exact = Response(found.pencil)
+    exact = found.response
     at, ratio = exact.within(band)
     points = clear_of_poles(around(at, ratio, np.array([0.0, 1.0])), at, ratio)
     if not points.size:
