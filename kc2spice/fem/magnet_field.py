@@ -120,10 +120,9 @@ class System:
         ------
         SimulationError : the fields do not satisfy their equations.
         """
-        a, matrix = np.zeros(loads.shape), self.matrix
-        norm = float(sparse.linalg.norm(matrix, 1))
+        a = np.zeros(loads.shape)
         # Minimum degree: an order by nested dissection would cost more than these factors.
-        factor = Factor(matrix, norm, supernodal(matrix))
+        factor = Factor(self.matrix, supernodal(self.matrix))
         a[self.free] = factor.solve(loads[self.free])
         return a
 

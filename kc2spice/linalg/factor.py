@@ -9,6 +9,7 @@ import os
 import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import TypeAlias
 
@@ -92,14 +93,18 @@ _orders: dict[bytes, np.ndarray | None] = {}
 
 @dataclass(frozen=True)
 class Factor:
-    """A factorised matrix and its 1-norm; ``solve`` refuses to return an inaccurate solution.
+    """A factorised matrix; ``solve`` refuses to return an inaccurate solution.
 
     A solution beyond ``RESIDUAL_LIMIT`` is refined first: ``x + A^-1 (rhs - A x)`` (Skeel 1980).
     """
 
     matrix: scipy.sparse.csc_array
-    norm: float
     apply_inverse: Inverse
+
+    @cached_property
+    def norm(self) -> float:
+        """1-norm of the matrix."""
+        return float(abs(self.matrix).sum(axis=0).max(initial=0.0))
 
     def solve(self, rhs: np.ndarray) -> np.ndarray:
         """Solve ``A x = rhs`` for one (n,) or several (n, k) right-hand sides; with fewer rows than
@@ -190,7 +195,7 @@ def factorise(matrix: scipy.sparse.csc_array, *, definite: bool) -> Factor:
             expected="positive definite",
             hint="the model may be free to move: check its supports",
         ) from error
-    return Factor(matrix, _norm(matrix), apply)
+    return Factor(matrix, apply)
 
 
 def two_sided(matrix: scipy.sparse.csc_array, *, symmetric: bool) -> tuple[Factor, Factor]:
@@ -210,17 +215,13 @@ def two_sided(matrix: scipy.sparse.csc_array, *, symmetric: bool) -> tuple[Facto
     for without_pivoting in (True, False) if symmetric else (False,):
         try:
             apply, transposed = _inverses(matrix, without_pivoting)
-            forward = Factor(matrix, _norm(matrix), apply)
+            forward = Factor(matrix, apply)
             forward.solve(trial)
-            return forward, Factor(scipy.sparse.csc_array(matrix.T), forward.norm, transposed)
+            return forward, Factor(scipy.sparse.csc_array(matrix.T), transposed)
         except (RuntimeError, MemoryError, SimulationError) as error:
             reason = error
     text = reason.message if isinstance(reason, SimulationError) else str(reason)
     raise SimulationError("matrix cannot be factorised", where="direct solver", got=text)
-
-
-def _norm(matrix: scipy.sparse.csc_array) -> float:
-    return float(abs(matrix).sum(axis=0).max()) if matrix.shape[0] else 0.0
 
 
 def _banded(coo: scipy.sparse.coo_array, bandwidth: int) -> Inverse:

@@ -358,9 +358,7 @@ def tightened(found: Reduction, order: int, tolerance: float) -> tuple[Reduction
         while order > kept:
             fewer = trial.pencil.leading(order - 1)
             off = np.abs(Response(fewer).transfer(s[:count]) - H[:count]) / base
-            if off.max() > tolerance or trial.error(order - 1, tolerance) > tolerance:
-                break
-            if trial.structure(order - 1).stable is False:
+            if off.max() > tolerance or not trial.good(order - 1, tolerance):
                 break
             best, order = trial, order - 1
         largest = off.max(axis=(1, 2))
