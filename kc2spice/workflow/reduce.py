@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -56,7 +58,8 @@ def reduce(
 
     Raises
     ------
-    UsageError : see :func:`kc2spice.bodies.readers.read_model`; nothing was written.
+    UsageError : see :func:`kc2spice.bodies.readers.read_model`; ``out`` cannot be written, which
+        is noticed before the reduction; nothing was written.
     SimulationError : the tolerance cannot be met; nothing was written.
     """
     if is_measured(Path(path)):
@@ -67,7 +70,8 @@ def reduce(
     if tolerance is None and order is None:
         tolerance = TOLERANCE
     progress("reduce", None, f"{model.order} equations")
-    reduced = reduce_model(
+    reduced = partial(
+        reduce_model,
         model,
         band=band,
         tolerance=tolerance,
@@ -90,27 +94,30 @@ def _reduce_measured(
     data = read_measured(path)
     progress("reduce", None, f"fitting {len(data.f)} frequencies")
     notes = list(data.notes)
-    reduced = None
-    if data.Y.shape[1] == 1:
-        reduced, left = one_port(data.f, data.Y[:, 0, 0], data.noise)
-        if reduced is None:
+
+    def fitted() -> LinearModel:
+        if data.Y.shape[1] == 1:
+            nearest, left = one_port(data.f, data.Y[:, 0, 0], data.noise)
+            if nearest is not None:
+                return nearest
             notes.append(f"resonances beside a capacitance leave {left:.2g}: poles of any kind")
-    if reduced is None:
         from kc2spice.rom.multiport import multi_port  # late: what few need
 
-        reduced = multi_port(data.f, data.Y, data.noise, data.where)
-    result = _written(data.name, len(data.f), reduced, out)
+        return multi_port(data.f, data.Y, data.noise, data.where)
+
+    result = _written(data.name, len(data.f), fitted, out)
     return result | {"notes": notes, "noise": data.noise}
 
 
 def _written(
-    model_name: str, unknowns: int, reduced: LinearModel, out: Path | None
+    model_name: str, unknowns: int, make: Callable[[], LinearModel], out: Path | None
 ) -> dict[str, Any]:
-    """The files of a reduced model, and what ``reduce --json`` says of it."""
+    """The files of the reduced model that is made, and what ``reduce --json`` says of it."""
     name = f"{model_name}_rom"
     directory = Path(name) if out is None else Path(out)
-    subcircuit(reduced, identifier(name, "rom"))  # what cannot be exported is not certified
     with staged(directory) as work:
+        reduced = make()
+        subcircuit(reduced, identifier(name, "rom"))  # what cannot be exported is not certified
         files = write_rom(reduced, work, name)
     certificate = reduced.certificate
     assert certificate is not None

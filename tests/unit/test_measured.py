@@ -118,6 +118,14 @@ def test_bad_measurements_are_refused(tmp_path, header, columns, said):
     assert not (tmp_path / "out").exists()
 
 
+def test_a_directory_that_cannot_be_written_is_noticed_before_the_fit(tmp_path, monkeypatch):
+    monkeypatch.setattr("kc2spice.workflow.reduce.one_port", lambda *_: pytest.fail("fitted"))
+    Y = admittance()
+    path = table(tmp_path / "part.csv", "f_hz,g_s,b_s", F, Y.real, Y.imag)
+    with pytest.raises(kc.errors.UsageError, match="is a file"):
+        reduce(path, path)
+
+
 def test_damaged_files_are_refused(tmp_path):
     for name, data in [("a.s1p", b"# Hz S RI\n1 2"), ("b.csv", b"\xff\0,"), ("c.s2p", b"[Version]"),
                        ("d.s1p", b"# Hz S RI\n1 nan 0\n" * 20), ("e.s999p", b"1 2 3")]:  # fmt: skip
