@@ -39,13 +39,10 @@ class Interval:
         """``X`` (N,) at one time, (N, nt) at many."""
         return np.concatenate((z, self.system.given(t, self.within)))
 
-    def rates(self, t: np.ndarray, r: np.ndarray) -> np.ndarray:
-        """Of ``X`` (N, nt) at times ``t`` (nt,) with these rates of the unknowns (n, nt)."""
-        return np.concatenate((r, self.system.given(t, self.within, 1)))
-
     def waves(self, t: np.ndarray, z: np.ndarray, r: np.ndarray) -> dict[str, np.ndarray]:
         """All waves (nt,) at times ``t`` (nt,) by states and their rates (n, nt)."""
-        system, X, dX = self.system, self.seen(t, z), self.rates(t, r)
+        system, X = self.system, self.seen(t, z)
+        dX = np.concatenate((r, system.given(t, self.within, 1)))
         outputs = [np.zeros((0, t.size))]
         for device, mode in zip(system.devices, self.modes, strict=True):
             points = zip((device.inputs @ X).T, (device.inputs @ dX).T, strict=True)

@@ -19,7 +19,7 @@ class LTspice(Dialect):
 
     title = "LTspice"
     command = "LTspice -b"
-    subckt_keyword = instance_keyword = "params:"
+    keyword = "params:"
     temperature = "temp"
     known_options = frozenset(
         {"reltol", "abstol", "vntol", "chgtol", "trtol", "method", "gmin", "itl1", "itl2", "itl4"}

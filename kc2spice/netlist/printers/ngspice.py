@@ -30,7 +30,7 @@ class Printer(Writer):
     """One simulator's netlists."""
 
     title = "ngspice"
-    subckt_keyword = instance_keyword = ""
+    keyword = ""  # before parameters of subcircuits and of instances
 
     def __init__(self) -> None:
         self.where = "netlist"
@@ -60,14 +60,14 @@ class Printer(Writer):
                 law = self.value(f"{{{item.expression.strip('{}')}}}")
                 return f".func {name}({','.join(arguments)}) {law}"
             case Circuit():
-                keyword = self.subckt_keyword if item.defaults else ""
+                keyword = self.keyword if item.defaults else ""
                 head = _joined(".subckt", item.name, *item.pins, keyword, self.pairs(item.defaults))
                 body = (*self.lines(item.items), *item.closing)
                 return "\n".join([head, *body, f".ends {item.name}"])
         return self.directive(item)
 
     def element(self, part: Element) -> str:
-        keyword = self.instance_keyword if part.kind == "x" and part.parameters else ""
+        keyword = self.keyword if part.kind == "x" and part.parameters else ""
         law = self.law(part) if part.quantity else ""
         values = " ".join(map(self.value, part.values))
         pairs = self.pairs(part.parameters)

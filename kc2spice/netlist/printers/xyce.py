@@ -26,7 +26,7 @@ class Xyce(Dialect):
 
     title = "Xyce"
     command = "Xyce"
-    subckt_keyword = instance_keyword = "PARAMS:"
+    keyword = "PARAMS:"
     option_prefix = ".options timeint"
     known_options = frozenset({"reltol", "abstol", "method"})
     joined = frozenset({".save", ".options"})  # of options only the last counts
