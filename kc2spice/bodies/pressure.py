@@ -223,18 +223,15 @@ def _basis_ports(shape: PressureBasis) -> list[Port]:
 
 def _basis_loads(solid: Solid, shape: PressureBasis, facets: np.ndarray) -> np.ndarray:
     """(2 nodes, n) unit axial forces, spread as the basis is over what the facets project."""
-    basis, result = (
-        solid.face(facets, 5),
-        np.zeros((2 * solid.places.shape[1], len(shape.nodes) - 1)),
-    )
+    basis = solid.face(facets, 5)
 
-    def load(heights: np.ndarray) -> LinearForm:
+    def load(heights: np.ndarray) -> np.ndarray:
         profile = partial(np.interp, xp=shape.nodes, fp=heights, right=0.0)
-        return LinearForm(lambda v, w: profile(w.x[0]) * w.x[0] * np.abs(w.n[1]) * v)
+        form = LinearForm(lambda v, w: profile(w.x[0]) * w.x[0] * np.abs(w.n[1]) * v)
+        return np.asarray(form.assemble(basis))
 
-    for column, heights in zip(result.T, np.eye(len(shape.nodes)), strict=False):
-        column[1::2] = load(heights).assemble(basis)
-    return result / result.sum(axis=0)
+    axial = np.column_stack([load(heights) for heights in np.eye(len(shape.nodes))[:-1]])
+    return np.kron(axial / axial.sum(axis=0), [[0.0], [1.0]])
 
 
 def _divided(points: np.ndarray, count: int) -> np.ndarray:
