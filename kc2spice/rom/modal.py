@@ -72,12 +72,6 @@ class Resonators:
         """(q,) ``m_j``: 1 or 0."""
         return (np.arange(self.order) < self.order - self.massless).astype(float)
 
-    def transfer(self, frequency: np.ndarray) -> np.ndarray:
-        """``H(j 2 pi f)`` (frequencies, outputs, inputs), as a sum over modes."""
-        s = 2j * np.pi * np.asarray(frequency, dtype=float)[:, None]
-        inverse = 1 / (self.inertia * s**2 + self.damp * s + self.omega**2)
-        return np.einsum("jo,fj,ji->foi", self.gain, inverse, self.gain) + self.D
-
     def linear(self) -> LinearModel:
         """The same model as matrices; :func:`resonators` takes it back to the bit."""
         return LinearModel(

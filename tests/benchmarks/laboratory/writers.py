@@ -129,7 +129,10 @@ def _first_order(setup, ratios):
     rows = []
     inside = 2j * np.pi * f[:, None, None] * np.eye(size) - A
     mixed = np.linalg.solve(inside, B[:, :1].astype(complex)[None])
-    exact = {"states": (C[:1] @ mixed)[:, 0, 0], "resonators": 1e6 * model.transfer(f)[:, 0, -1]}
+    exact = {
+        "states": (C[:1] @ mixed)[:, 0, 0],
+        "resonators": 1e6 * model.linear().transfer(f)[:, 0, -1],
+    }
     for name, part in (
         ("resonators", subcircuit(model.linear(), "dut")), ("states", subcircuit(states, "dut"))
     ):  # fmt: skip
