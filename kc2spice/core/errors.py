@@ -62,7 +62,7 @@ class GateMissedError(Kc2spiceError):
 
 
 class SimulationError(Kc2spiceError):
-    """A solver or simulator failed, or a truth check after it did: exit code 5."""
+    """A solver or simulator failed, or a physics check after it did: exit code 5."""
 
     exit_code = 5
 

@@ -216,7 +216,7 @@ class LinearBody(Touching):
         once nothing presses on it."""
         return COARSE if scene.solver.ringing == "coarse" else RINGING
 
-    def unfollowed(self, part: Part, scene: Scene) -> Iterator[Neglected]:
+    def neglected(self, part: Part, scene: Scene) -> Iterator[Neglected]:
         """What ``solver.ringing = "coarse"`` gives up."""
         if self.weights(part, scene) == COARSE:
             why = "solver.ringing lets go of it once nothing presses on the body"
@@ -624,7 +624,7 @@ class LinearBody(Touching):
             yield Neglected(
                 what, why, f"{tangent:g} of the energy of fields inside at open electrodes"
             )
-        yield from self.unfollowed(part, scene)
+        yield from self.neglected(part, scene)
 
     def sources(self) -> tuple[str, ...]:
         """Modules whose text the models of this type depend on, for the cache."""

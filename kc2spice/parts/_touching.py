@@ -352,7 +352,7 @@ def _dented_by(nodes: bytes, compliance: bytes, radius: float) -> Indented:
 # --- how far a sphere can come --------------------------------------------------------------------
 
 
-def landing(sphere: Part, scene: Scene, speed: float, why: str) -> Iterator[Penetration]:
+def impact_penetration(sphere: Part, scene: Scene, speed: float, why: str) -> Iterator[Penetration]:
     """How deep a sphere that arrives with ``speed`` [m/s] goes into the bodies that it touches.
 
     No state of the body stores less energy under a dent than the static one, so what the static

@@ -104,7 +104,7 @@ elastic = true
         megahertz through the flight, eight times as many."""
         return COARSE
 
-    def unfollowed(self, part: Part, scene: Scene) -> Iterator[Neglected]:
+    def neglected(self, part: Part, scene: Scene) -> Iterator[Neglected]:
         why = "steps let go of it once nothing presses on the sphere, whose path it is no part of"
         yield Neglected(f"free ringing of {part.keys.of}", why, "none of the path")
 

@@ -312,7 +312,7 @@ class PiezoStack(MeshedBody):
         ports = "a patch of pressure as port" if pressed else f"{kept} rings as ports"
         detail = f"quarter chip, {keys.layers} layers, {mounted(keys)}, reduced to {aim(rom)}, "
         yield f"{detail}anode {keys.electrical}, {ports}"
-        yield from self.unfollowed(part, scene)
+        yield from self.neglected(part, scene)
         yield Neglected("electrodes, coating and glue", "thin and compliant", "not estimated")
         if keys.mounting == "roller":
             why = "its bottom face slides without friction on a plane"

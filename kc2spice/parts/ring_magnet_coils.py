@@ -27,7 +27,7 @@ from kc2spice.fem.magnet_keys import Catch, Ring
 from kc2spice.netlist.cards import number
 from kc2spice.netlist.circuit import Subcircuit, positive
 from kc2spice.parts._pictures import impedances
-from kc2spice.parts._touching import Penetration, Touching, landing
+from kc2spice.parts._touching import Penetration, Touching, impact_penetration
 from kc2spice.parts.netlist import driver
 from kc2spice.parts.sphere import offset, sphere_of
 from kc2spice.scene.judge import Check
@@ -292,7 +292,7 @@ class RingMagnetCoils(Touching):
         sphere = sphere_of(part, scene)
         drop = 2 * scene.gravity * (part.keys.y_max - sphere.keys.radius)
         speed = math.sqrt(max(0.0, drop))
-        yield from landing(sphere, scene, speed, f"fall from {part.name}.y_max")
+        yield from impact_penetration(sphere, scene, speed, f"fall from {part.name}.y_max")
 
     def outline(self, part: Part, scene: Scene) -> Iterator[Shape]:
         keys = part.keys

@@ -53,7 +53,7 @@ class Throw(_touching.Touching):
 
     def penetrations(self, part: Part, scene: Scene) -> Iterator[_touching.Penetration]:
         ball, speed = sphere_of(part, scene), _arriving(part, scene)
-        yield from _touching.landing(ball, scene, speed, f"impact at {speed:.3g} m/s")
+        yield from _touching.impact_penetration(ball, scene, speed, f"impact at {speed:.3g} m/s")
 
     def metrics(self, part: Part, build: Build, waves: Waveforms) -> Mapping[str, Any]:
         """Positions from the touching height, the force of one symmetry sector."""

@@ -415,8 +415,8 @@ def _krylov(pencil: Pencil, order: int) -> Subspace:
     """The paper's model of ``order`` states and two blocks more, by which it is certified."""
     K, _, M = pencil.coefficients
     solve = pencil.pencil_solver(0.0).solve
-    richer = order + 2 * pencil.B.shape[1]
-    V = block_arnoldi(lambda v: K @ v, solve, lambda v: M @ v, pencil.B, richer)
+    larger = order + 2 * pencil.B.shape[1]
+    V = block_arnoldi(lambda v: K @ v, solve, lambda v: M @ v, pencil.B, larger)
     return Subspace(Response(pencil.project(V)), 0.0, True, "")
 
 

@@ -24,8 +24,8 @@ class Check:
 
     ``action`` says what a violation does to the run. A ``coarse`` check fails for too large steps,
     which tighter tolerances may cure. A ``wiring`` check holds the netlist against the scene, from
-    which a deck that somebody edited may differ on purpose. ``mend`` is a dotted key and its value
-    by which the scene would not violate it, where that is known and nobody chose otherwise.
+    which a deck that somebody edited may differ on purpose. ``suggested`` is a dotted key and its
+    value by which the scene would not violate it, where that is known and nobody chose otherwise.
     """
 
     name: str
@@ -36,7 +36,7 @@ class Check:
     action: Action = "fail"
     coarse: bool = False
     wiring: bool = False
-    mend: tuple[str, int] | None = None
+    suggested: tuple[str, int] | None = None
 
     @property
     def passed(self) -> bool:

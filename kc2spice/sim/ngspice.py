@@ -392,12 +392,13 @@ class Outcome:
 class RetriesFailedError(SimulationError):
     """No attempt of ``attempts`` succeeded; ``failure`` is the one that got farthest.
 
-    ``mends`` are keys of the scene, and values, that would cure all checks that the last violated.
+    ``suggested`` are keys of the scene, and values, that would cure all checks that the last
+    violated.
     """
 
     attempts: tuple[Attempt, ...]
     failure: Failure | None
-    mends: Mapping[str, int]
+    suggested: Mapping[str, int]
 
 
 def run_with_retries(
@@ -464,8 +465,8 @@ def run_with_retries(
             last.where, last.got, last.expected = error.where, error.got, error.expected
             last.hint = "; ".join(str(hint) for hint in hints if hint) or None
             last.attempts, last.failure = tuple(attempts), farthest
-            mends = dict(check.mend for check in violated if check.mend is not None)
-            last.mends = mends if len(mends) == len(violated) else {}
+            suggested = dict(check.suggested for check in violated if check.suggested is not None)
+            last.suggested = suggested if len(suggested) == len(violated) else {}
             raise last
         warnings.warn(
             f"{setting.name}: {failure.cause}; trying {following.name}: {following.why}",

@@ -153,11 +153,11 @@ def complete(
                     result = simulate(build, made, work, progress=share)
                 break
             except RetriesFailedError as error:
-                if deck is not None or not error.mends:
+                if deck is not None or not error.suggested:
                     raise
-                told = ", ".join(f"{key} = {value}" for key, value in error.mends.items())
+                told = ", ".join(f"{key} = {value}" for key, value in error.suggested.items())
                 warnings.warn(f"{error.message}, {error.got}: run again with {told}", stacklevel=2)
-                scene = load_scene(scene, error.mends)
+                scene = load_scene(scene, error.suggested)
         converged = converge(result, clock) if deck is None else None
         if converged is not None:
             result = _judged(converged)

@@ -148,10 +148,10 @@ def follows(motion: Motion, start: StepLimit, rule: Rule) -> StepLimit:
         middle = math.sqrt(low * high)
         low, high = (middle, high) if good(middle) else (low, middle)
     h = low
-    heard = peaks[:, outputs] / np.abs(exact).max(axis=0)
+    observed = peaks[:, outputs] / np.abs(exact).max(axis=0)
     delay = np.abs(rule.rates(modes.rates, h) - modes.rates)
     lasting = np.minimum(-1 / np.minimum(modes.rates.real, -1e-30), motion.stop)
-    worst = int(np.argmax(np.where(resonant, heard.max(axis=1) * delay * lasting, -1.0)))
+    worst = int(np.argmax(np.where(resonant, observed.max(axis=1) * delay * lasting, -1.0)))
     quality = modes.quality[worst]
     frequency = quantity(abs(modes.rates[worst]) / (2 * math.pi), "Hz", 4)
     damped = f"Q {quality:.3g}" if quality < 1e6 else "undamped"

@@ -110,10 +110,10 @@ class _Laws:
             (nets[n, pin], n, pin, end) for n, e in self.equations.items() for pin, end in e.pins
         ]
 
-    def joins(self, taken: Mapping[str, Source] | None = None) -> dict[str, tuple[str, ...]]:
+    def joins(self, replayed: Mapping[str, Source] | None = None) -> dict[str, tuple[str, ...]]:
         """Nets of the laws' pins. Nets of the scene that share a pin of a law are one."""
         groups = [set(net) for item in self.equations.values() for net in item.nets]
-        by_net = {net: {f"{source.name}.out"} for net, source in (taken or {}).items()}
+        by_net = {net: {f"{source.name}.out"} for net, source in (replayed or {}).items()}
         for net, _, _, end in self.ends:
             by_net.setdefault(net, {GROUND} if net == "0" else set()).add(end)
         merged = _merged([*groups, *by_net.values()])
@@ -161,7 +161,7 @@ def without_law(build: Build) -> tuple[str, ...]:
     return _laws(build).missing
 
 
-def taken_nets(build: Build) -> dict[str, str] | None:
+def replayed_nets(build: Build) -> dict[str, str] | None:
     """Nets on which parts without a law meet others, and their kind.
 
     None if nothing has a law, if one of them has no source that could stand for the part, or if
@@ -202,16 +202,16 @@ def _holds(laws: Mapping[str, Law], pin: str) -> bool:
     return isinstance(law, Device) and own in law.prescribes
 
 
-def circuits(build: Build, taken: Mapping[str, Source] | None = None) -> tuple[Circuit, ...]:
-    """The scene's independent circuits, which share nothing but ground; ``taken`` are sources on
+def circuits(build: Build, replayed: Mapping[str, Source] | None = None) -> tuple[Circuit, ...]:
+    """The scene's independent circuits, which share nothing but ground; ``replayed`` are sources on
     nets of parts without a law.
 
     Raises
     ------
     UsageError : the laws do not fit each other; a part without law is for the caller to find.
     """
-    result, taken = _laws(build), taken or {}
-    laws, joins = _listening([*result.laws.values(), *taken.values()], result.joins(taken))
+    result, replayed = _laws(build), replayed or {}
+    laws, joins = _listening([*result.laws.values(), *replayed.values()], result.joins(replayed))
     readings = {k: r for e in result.equations.values() for k, r in e.results.items()}
     sweeps = {(n, k): s for n, e in result.equations.items() for k, s in e.sweeps.items()}
     met = [{_owner(pin) for pin in pins} for net, pins in joins.items() if net != GROUND]
@@ -240,15 +240,15 @@ def _listening(
     what ngspice has on the node, volts or micrometres."""
     kinds, sensors, result = _kinds(laws), [], dict(joins)
     for net, pins in joins.items():
-        heard = tuple(pin for pin in pins if kinds[pin] == "signal")
-        rest = tuple(pin for pin in pins if pin not in heard)
-        if net == GROUND or not heard or not rest:
+        signals = tuple(pin for pin in pins if kinds[pin] == "signal")
+        rest = tuple(pin for pin in pins if pin not in signals)
+        if net == GROUND or not signals or not rest:
             continue
         kind = kinds[rest[0]]
-        name = f"{net} heard"
+        name = f"{net} signals"
         sensors.append(sensor(name, 1 / SOURCES.get(kind, ("", 1.0))[1], kind))
         result[net] = (*rest, f"{name}.a")
-        result[name] = (*heard, f"{name}.out")
+        result[name] = (*signals, f"{name}.out")
     return [*laws, *sensors], result
 
 
@@ -258,19 +258,19 @@ def _listening(
 def solve(
     build: Build,
     waves: Waveforms,
-    taken: Mapping[str, str] | None = None,
+    replayed: Mapping[str, str] | None = None,
     progress: Callable[[float], None] = lambda share: None,
 ) -> Reference:
     """The analysis of the scene at the points of ``waves``, those of ngspice.
 
-    On the nets ``taken`` (see :func:`taken_nets`) it is given what ngspice has there.
+    On the nets ``replayed`` (see :func:`replayed_nets`) it is given what ngspice has there.
 
     Raises
     ------
     UsageError : the laws do not fit each other.
     SimulationError : no equilibrium, or a law left its range.
     """
-    parts = moving(build, waves, taken or {})
+    parts = moving(build, waves, replayed or {})
     if build.scene.analysis.type != "transient":
         return Reference(steady(parts, build, waves))
     stop = build.scene.stop
@@ -280,9 +280,9 @@ def solve(
     data = {"time": grid}
     for circuit, run in runs:
         data |= read(circuit, replace(run, time=grid).waves, grid)
-    books = [run.energy for _, run in runs]
-    turnover = sum(book.turnover for book in books)
-    imbalance = sum(abs(book.residual) for book in books) / turnover if turnover else None
+    balances = [run.energy for _, run in runs]
+    turnover = sum(balance.turnover for balance in balances)
+    imbalance = sum(abs(balance.residual) for balance in balances) / turnover if turnover else None
     return Reference(Waveforms(data, {}), imbalance, tuple(runs))
 
 
@@ -327,9 +327,9 @@ def _steady(circuit: Circuit, build: Build, points: np.ndarray) -> Mapping[str, 
     return {name: np.full(values.size, value) for name, value in point.items()}
 
 
-def moving(build: Build, waves: Waveforms, taken: Mapping[str, str]) -> list[Circuit]:
-    """The circuits that are not given: by sources alone, or on all of their nets by ``taken``."""
-    sources = {net: _replayed(net, kind, waves) for net, kind in taken.items()}
+def moving(build: Build, waves: Waveforms, replayed: Mapping[str, str]) -> list[Circuit]:
+    """The circuits not given by sources alone or, on all of their nets, by ``replayed`` ones."""
+    sources = {net: _replayed(net, kind, waves) for net, kind in replayed.items()}
     whole = circuits(build, sources)
     parts = [c for c in whole if not all(isinstance(law, Source) for law in c.laws)]
     held = {f"{source.name}.out" for source in sources.values()}
@@ -337,7 +337,7 @@ def moving(build: Build, waves: Waveforms, taken: Mapping[str, str]) -> list[Cir
     return [c for c in parts if not c.given(held)]
 
 
-def taken_vectors(nets: Mapping[str, str]) -> dict[str, tuple[str, float]]:
+def replayed_vectors(nets: Mapping[str, str]) -> dict[str, tuple[str, float]]:
     """Results of a deck that hold what it has on these nets."""
     return {f"net {net}": (f"v({net})", SOURCES[kind][1]) for net, kind in nets.items()}
 
@@ -423,13 +423,13 @@ def full_solution(
     full: Build,
     ours: Waveforms,
     exact: Reference,
-    taken: Mapping[str, str],
+    replayed: Mapping[str, str],
     clock: Any,
     whole: bool,
 ) -> FullSolution | None:
     """The scene with its full models; None where no circuit has one.
 
-    ``ours`` are ngspice's waves, which give ``taken`` nets, and ``exact`` the solution with the
+    ``ours`` are ngspice's waves, which give ``replayed`` nets, and ``exact`` the solution with the
     reduced models. ``whole`` follows the full model for :data:`WHOLE` times as many steps, at most
     to the end, and takes no surrogate for it.
 
@@ -437,7 +437,7 @@ def full_solution(
     ------
     SimulationError : no equilibrium, or a step that does not settle.
     """
-    parts = moving(full, ours, taken)
+    parts = moving(full, ours, replayed)
     if build.scene.analysis.type != "transient":
         words = "at its ports"
         if build.scene.analysis.small:

@@ -36,9 +36,9 @@ from kc2spice.workflow.verify.bodies import verify_body
 from kc2spice.workflow.verify.circuit import (
     full_build,
     full_solution,
+    replayed_nets,
+    replayed_vectors,
     solve,
-    taken_nets,
-    taken_vectors,
     without_law,
 )
 
@@ -317,7 +317,7 @@ class _Verification:
     whole: bool
     found: Findings = field(default_factory=Findings)
     units: Mapping[str, str] = field(default_factory=dict)
-    taken: Mapping[str, str] = field(default_factory=dict)
+    replayed: Mapping[str, str] = field(default_factory=dict)
     verdict: Verdict = field(default_factory=Verdict)
 
     def findings(self, deck: Deck, libraries: Sequence[Subcircuit]) -> Findings:
@@ -330,24 +330,24 @@ class _Verification:
                 verify_body(part, build, libraries, self.clock, folder, self.whole, result)
         result.left_out = without_law(build)
         timed = build.scene.analysis.type == "transient"
-        taken = taken_nets(build) if result.left_out and timed else None
+        replayed = replayed_nets(build) if result.left_out and timed else None
         if result.left_out:
             told = f"left out, for they have no law: {', '.join(result.left_out)}"
-            if taken is None:
+            if replayed is None:
                 told += "; the scene as a whole is not compared, its bodies are"
-            elif taken:
+            elif replayed:
                 told += (
                     "; the others are given what ngspice has on the nets where they meet them: "
-                    + ", ".join(taken)
+                    + ", ".join(replayed)
                 )
             result.notes.append(told)
-        self.taken = taken or {}
-        if result.left_out and taken is None:
+        self.replayed = replayed or {}
+        if result.left_out and replayed is None:
             waves = self._ngspice(deck)
             self._own_checks()
             result.metrics |= solution(waves, build).metrics
         else:
-            vectors = taken_vectors(self.taken)
+            vectors = replayed_vectors(self.replayed)
             self._compared(deck.saving(vectors) if vectors else deck)
         self._summary()
         result.wall_s = {stage: time for stage, time in self.clock.wall_s.items() if time}
@@ -364,7 +364,7 @@ class _Verification:
         followed: each two of the three."""
         build, waves, result = self.build, self._ngspice(deck), self.found
         with self.clock.stage("reference", "laws of the reduced models, events located") as told:
-            reference = solve(build, waves, self.taken, told)
+            reference = solve(build, waves, self.replayed, told)
         solutions = {"ngspice": solution(waves, build), "rom": solution(reference.results, build)}
         result.metrics |= solutions["ngspice"].metrics
         result.answers |= {key: item.metrics for key, item in solutions.items()}
@@ -372,13 +372,13 @@ class _Verification:
         result.checks += self._generic(solutions, outputs)
         self._own_checks()
         if reference.imbalance is not None:
-            limit = RECORDED_BALANCE if self.taken else build.scene.gates.energy
+            limit = RECORDED_BALANCE if self.replayed else build.scene.gates.energy
             result.checks.append(
                 Check("energy of the reference integration", reference.imbalance, limit)
             )
         full = full_build(build, self.clock)
         followed = full and full_solution(
-            build, full, waves, reference, self.taken, self.clock, self.whole
+            build, full, waves, reference, self.replayed, self.clock, self.whole
         )
         if not followed:
             return
@@ -416,7 +416,7 @@ class _Verification:
         timed = scene.analysis.type == "transient"
         steady = (NOISE, NOISE) if self.build.noisy else (STEADY_METRICS, STEADY_WAVES)
         metric = gates.metrics or (METRICS * solver.reltol if timed else steady[0])
-        metric *= RECORDED if self.taken else 1.0
+        metric *= RECORDED if self.replayed else 1.0
         wave = gates.waves or (min(WAVES * solver.reltol, ANY_WAVE) if timed else steady[1])
         errors = dict(metric_errors(solutions["ngspice"], solutions["rom"], self.units))
         missed = [name for name, error in errors.items() if error is None]
