@@ -566,7 +566,7 @@ class LinearBody(Touching):
             yield _pictures.impedances(part.name, f, {"": z}, how + _pictures.PEAKS)
             return
         yield from _pictures.response_figures(part.name, waves)
-        modal = None if build.model(part) is None else resonators(build.model(part))
+        modal = resonators(build.model(part))
         poles = np.empty(0) if modal is None else modal.omega / (2 * np.pi)
         yield from _pictures.own_impedances(part.name, build.model(part), poles)
 

@@ -40,10 +40,10 @@ def impedances(name: str, frequency: np.ndarray, z: Mapping[str, np.ndarray], ho
     return Figure(f"{name}_impedance", f"Impedance of {name}", caption, panels)
 
 
-def own_impedances(name: str, model: LinearModel | None, poles: np.ndarray) -> Iterator[Figure]:
+def own_impedances(name: str, model: LinearModel, poles: np.ndarray) -> Iterator[Figure]:
     """Of every electrical port, with the others shorted and nothing pressing on the body; ``poles``
     are frequencies [Hz] that it is shown close to."""
-    if model is None or model.certificate is None:
+    if model.certificate is None:
         return
     low, high = model.certificate.band_hz
     low = max(low, high / 300)
