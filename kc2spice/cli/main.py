@@ -376,9 +376,10 @@ def scenes(caller: Caller, keys: bool = False, parts: bool = False) -> None:
     if keys:
         every = list(scene_keys())
         if caller.reads([asdict(key) for key in every]):
+            told = (": ".join(filter(None, (" | ".join(k.choices), k.doc))) for k in every)
             rows = [
-                (key.name, key.unit or "", _text(key.default), " | ".join(key.choices) or key.doc)
-                for key in every
+                (key.name, key.unit or "", _text(key.default), text)
+                for key, text in zip(every, told, strict=True)
             ]
             print_table("keys of a scene", rows, ("key", "unit", "default", ""), names=0)
     elif parts:

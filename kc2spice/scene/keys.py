@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from types import NoneType
 from typing import Any, get_args
 
 from pydantic import BaseModel
@@ -33,10 +34,6 @@ class Key:
     mixed: bool = False
 
 
-def _choices(annotation: Any) -> tuple[str, ...]:
-    return tuple(arg for arg in get_args(annotation) if isinstance(arg, str))
-
-
 def _kinds(annotation: Any) -> Iterator[Any]:
     """Types and choices that an annotation is made of."""
     inner = get_args(annotation)
@@ -47,9 +44,10 @@ def model_keys(model: type[BaseModel], prefix: str = "") -> Iterator[Key]:
     """All keys of a schema in its order, those of its tables by dotted names."""
     for path, field in entries(model):
         default = None if field.default is PydanticUndefined else field.default
-        choices, doc = _choices(field.annotation), field.description or ""
-        kinds = set(_kinds(field.annotation))
-        whole, mixed = any(k is int or type(k) is int for k in kinds), {float, str} <= kinds
+        doc, kinds = field.description or "", dict.fromkeys(_kinds(field.annotation))
+        words = tuple(kind for kind in kinds if isinstance(kind, str))
+        choices = words if kinds.keys() <= {*words, NoneType} else ()
+        whole, mixed = any(k is int or type(k) is int for k in kinds), {float, str} <= kinds.keys()
         name = prefix + ".".join(path)
         yield Key(name, unit_of(field), default, choices, doc, whole, mixed)
 
