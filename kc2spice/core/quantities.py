@@ -23,6 +23,8 @@ from pydantic_core import ErrorDetails, PydanticCustomError
 from kc2spice.core.errors import UsageError, did_you_mean
 
 KeyPath = tuple[str | int, ...]
+# What pydantic calls the member of a union, which is no key: ``dict[str,float]``, ``float``.
+_MEMBER = re.compile(r"\]$|^(float|int|str|bool)$")
 
 
 def told(
@@ -35,7 +37,8 @@ def told(
     """
     every = error.errors()
     result = next((item for item in every if item["type"] == "extra_forbidden"), every[0])
-    whole, kind, given = (*at, *result["loc"]), result["type"], result["input"]
+    path = (step for step in result["loc"] if not _MEMBER.search(str(step)))
+    whole, kind, given = (*at, *path), result["type"], result["input"]
     message, expected, hint = _words(result, schema, whole, also)
     # Of keys that contradict each other the message says what is wrong.
     contradicts = kind == "value_error" and isinstance(given, Mapping)

@@ -222,7 +222,7 @@ def reduce(
             )
     if space is None:
         assert order is not None
-        result = subspace_model(model, _krylov(pencil, order), band, norm).model(order)
+        result = _of_order([subspace_model(model, _krylov(pencil, order), band, norm)], order)
     else:
         plain = subspace_model(model, space, band, norm)
         sides = [False] if pencil.symmetric and pencil.collocated else [False, True]

@@ -5,6 +5,7 @@ import pytest
 from scipy import sparse
 
 import kc2spice as kc
+from kc2spice.fem.materials import material
 
 LANGEVIN = """
 name = "own"
@@ -127,6 +128,17 @@ def test_one_number_for_rayleigh_damping():
 def test_ports_of_a_model_are_ports():
     chain = {**CHAIN, "B": np.ones((2, 1))}
     refused(lambda: kc.LinearModel(**chain, ports=["tip"]), "'tip'", 'Port("tip", "mechanical")')
+
+
+def test_an_order_that_a_model_does_not_have():
+    definite = model(rayleigh=(0.0, 1e-6))
+    # Its one port moves both masses alike: the other motion is no direction of any reduced model.
+    refused(lambda: kc.reduce(definite, order=2, band=(0, 1e3)), "no model of this order", "1 to 1")
+
+
+def test_a_number_for_the_stiffness_of_a_material():
+    table = {"density": 7800, "stiffness": 3.0}
+    refused(lambda: material(table), "stiffness: not a table", "3.0")
 
 
 def test_frequencies_of_a_band_may_have_units():
