@@ -359,10 +359,12 @@ class Judge:
         return ~self.exact.cancelled(2j * np.pi * self.frequency)
 
     @cached_property
-    def failed(self) -> list[float]:
-        """Frequencies [Hz] at which models were furthest off, the last ones last: the next that is
-        not good enough shows there first. A few over the band to begin with."""
-        return self.frequency[:: max(1, len(self.frequency) // SPREAD)].tolist()
+    def failed(self) -> dict[float, np.ndarray]:
+        """Frequencies [Hz] at which models were furthest off, the last ones last, with the exact
+        response: the next that is not good enough shows there first. A few over the band to begin
+        with."""
+        few = slice(None, None, max(1, len(self.frequency) // SPREAD))
+        return dict(zip(self.frequency[few].tolist(), self.reference[0][few], strict=True))
 
     def sizes(self, difference: np.ndarray, H: np.ndarray) -> np.ndarray:
         """Largest error (..., frequencies) of any entry, for differences to the response H."""
@@ -373,16 +375,14 @@ class Judge:
     def error(self, found: Response, limit: float = np.inf) -> float:
         """:func:`relative_error` over the band, in the ``norm``: at ``frequency``, then closer and
         closer around where it is largest. Above ``limit`` any error that shows it is enough."""
-        for last in reversed(self.failed):
-            s = np.array([2j * np.pi * last])
-            H = self.exact.transfer(s)
+        for last, H in reversed(self.failed.items()):
             try:  # of the pencil as it is: other coordinates pay at many frequencies
-                worst = float(self.sizes(found.pencil.transfer(s) - H, H)[0])
+                ours = found.pencil.transfer(np.array([2j * np.pi * last]))[0]
+                worst = float(self.sizes(ours - H, H))
             except SimulationError:
                 worst = np.inf
             if not worst <= limit:
-                self.failed.remove(last)
-                self.failed.append(last)
+                self.failed[last] = self.failed.pop(last)
                 return worst
         at, ratio = self.exact.within((0.9 * self.band[0], 1.1 * self.band[1]))
         points, H = self.frequency, self.reference[0]
@@ -400,7 +400,8 @@ class Judge:
             order = np.argsort(points)
             points, error = points[order], error[order]
         if not (worst := float(error.max())) <= limit:
-            self.failed.append(float(points[int(np.nan_to_num(error, nan=np.inf).argmax())]))
+            last = float(points[int(np.nan_to_num(error, nan=np.inf).argmax())])
+            self.failed[last] = self.exact.transfer(np.array([2j * np.pi * last]))[0]
         return worst
 
 
