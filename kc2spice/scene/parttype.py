@@ -381,9 +381,12 @@ def flows(part: Part, pin: str, build: Build) -> dict[str, tuple[Vector, float]]
 def current_into(part: Part, pin: str, build: Build) -> Vector | None:
     """The current into a part's pin, where one result of the one other part there tells it: a
     source with other loads tells the sum of their currents."""
-    others = build.scene.joined(part.name, pin)
-    rows = [r for name, end in others for r in flows(build.scene.parts[name], end, build).values()]
-    if len(others) != 1 or len(rows) != 1:
+    others = [(build.scene.parts[name], end) for name, end in build.scene.joined(part.name, pin)]
+    # A body tells no current by itself: it asks what it is joined to in turn.
+    if len(others) != 1 or others[0][0].reduced:
+        return None
+    rows = list(flows(*others[0], build).values())
+    if len(rows) != 1:
         return None
     ((row, sign),) = rows
     return Vector(row.expression, sign * row.factor, row.unit)

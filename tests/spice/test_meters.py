@@ -143,3 +143,26 @@ def test_what_leaves_parts_at_a_net_is_nothing_together(tmp_path):
     amperes = [sign * waves[name] for rows in read for name, (_, sign) in rows]
     assert len(amperes) == 3
     assert np.abs(sum(amperes)).max() < 1e-6 * np.abs(amperes[0]).max()
+
+
+DISC = """part = "disc"
+layers = [{ material = "PZT-5A", diameter = "10 mm", thickness = "1 mm" }]
+"""
+SERIES = f"""name = "series"
+analysis = {{ type = "ac", start = "1 kHz", stop = "20 kHz", points = 5 }}
+probes = {{ i = {{ of = "drive.i", take = "max" }} }}
+[drive]
+part = "source"
+ac = 1.0
+pins = {{ out = "first.anode" }}
+[first]
+{DISC}"""
+
+
+def test_two_bodies_in_series_take_half_the_current_of_one(tmp_path):
+    """Each is the only neighbour of the other: neither tells the current into the other."""
+    second = f'pins = {{ cathode = "second.anode" }}\n[second]\n{DISC}'
+    for name, more in (("one", ""), ("two", second)):
+        (tmp_path / f"{name}.toml").write_text(SERIES + more)
+    one, two = (kc.run(kc.load_scene(tmp_path / f"{name}.toml")) for name in ("one", "two"))
+    assert two.metrics["i"] == pytest.approx(0.5 * one.metrics["i"], rel=1e-6)
