@@ -162,7 +162,7 @@ def test_two_that_need_the_same_build_it_once(folder):
     assert not list(folder.rglob("*.part"))
 
 
-# Of what a build runs, these cannot change its result: they count time, hand out keys and word errors.
+# Of what a build runs, these cannot change its result: they count time, hand out keys, word errors.
 NEUTRAL = {
     "kc2spice.core.cache", "kc2spice.core.errors", "kc2spice.core.progress",
     "kc2spice.scene.model", "kc2spice.scene.parttype",
