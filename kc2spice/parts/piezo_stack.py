@@ -152,7 +152,7 @@ class PiezoStack(MeshedBody):
 
     def kept(self, part: Part, scene: Scene) -> tuple[Port, ...]:
         """Rings up to the last that is needed, so that every scene's are nested."""
-        if scene.ports == "all" or pressure_nodes(part, scene) is not None:
+        if pressure_nodes(part, scene) is not None:
             return super().kept(part, scene)
         *own, anode = self.ports(part, scene)
         return (*own[: kept_rings(part, scene)], anode)
@@ -385,7 +385,10 @@ def ring_radii(keys: Chip) -> np.ndarray:
 
 
 def kept_rings(part: Part, scene: Scene) -> int:
-    """How many rings, ring0 first, are ports: up to the last that another part or a probe wants."""
+    """How many rings, ring0 first, are ports: up to the last that another part or a probe wants,
+    all where the stack is the only part, which is there to be exported."""
+    if len(scene.parts) == 1 or scene.ports == "all":
+        return 1 + int(part.keys.mesh.rings)
     probed = {p.of.split(".")[1] for p in scene.probes.values() if p.of.startswith(f"{part.name}.")}
     names = wanted(part, scene) | probed
     return 1 + max((_ring(part, name) for name in names if name.startswith("ring")), default=-1)

@@ -84,3 +84,13 @@ def test_the_exported_deck_is_verified_with_its_ports(chain, tmp_path):
     deck.write_text(deck.read_text().replace(".include chain.lib", library.read_text()))
     said = asked("verify", "pushed.toml", "--deck", str(deck), "-o", "inline", "-q", code=2)
     assert "no subcircuit of this part" in said  # what stands beside it is not taken for it
+
+
+def test_a_chip_alone_is_there_to_be_exported_with_all_its_rings(tmp_path):
+    mesh = "mesh = { sectors = 4, rings = 2, ring_spacing = 3e-4, outer_rings = 2 }"
+    path = tmp_path / "alone.toml"
+    path.write_text(f'[kick]\nlayers = 3\nelectrical = "open"\n{mesh}\n')
+    asked("export", path, "-o", tmp_path / "out", "-q")
+    head = re.findall(r"(?m)^\* @pin \d+ (\S+)", (tmp_path / "out" / "kick.lib").read_text())
+    assert head == ["anode", "cathode", "ring0", "ring1", "ring2", "base"]
+    assert "3 rings as ports" in asked("explain", path)
