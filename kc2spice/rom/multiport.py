@@ -49,12 +49,15 @@ def multi_port(f: np.ndarray, Y: np.ndarray, noise: float, where: str) -> Linear
     UsageError : no such state space comes near the data, or none that is passive.
     """
     ports = Y.shape[1]
-    R = float(1 / np.median(np.abs(Y[:, range(ports), range(ports)])))
+    own = np.abs(Y[:, range(ports), range(ports)])
+    R = float(1 / np.median(own[own > 0]))
     one = np.eye(ports)
     S = np.linalg.solve(one + R * Y, one - R * Y)
     model = _admittance(*_best(f, S, noise, where), R)
     answer = 2j * np.pi * f[:, None, None] * model.transfer(f)
-    deviation = np.abs(answer - Y) / np.abs(Y).max(axis=0)
+    peak = np.abs(Y).max(axis=0)
+    # what couples nothing has no size of its own
+    deviation = np.abs(answer - Y) / np.where(peak > 0, peak, peak.max())
     worst = np.unravel_index(int(deviation.argmax()), deviation.shape)
     error, at = float(deviation[worst]), float(f[worst[0]])
     rms = float(np.sqrt(np.mean(deviation**2)))

@@ -1,6 +1,7 @@
 """Measured one-ports: files against scikit-rf and against themselves, circuits against ngspice."""
 
 import re
+import warnings
 from dataclasses import replace
 from pathlib import Path
 
@@ -241,3 +242,31 @@ def test_an_amplifier_has_no_passive_model(tmp_path):
     with pytest.raises(kc.errors.UsageError, match=r"passive"):
         reduce(path, tmp_path / "out")
     assert not (tmp_path / "out").exists()
+
+
+def test_open_and_short_circuits_are_refused_without_a_warning(tmp_path):
+    """What deviations are relative to is not zero; ports that couple nothing are still measured."""
+    Y = admittance()
+    gone = Y * (np.arange(len(F)) != 7)
+    f = F[:60]
+    two = np.zeros((60, 2, 2), complex)
+    two[:, 0, 0] = 1 / (50 + 1e9 / (2j * np.pi * f))
+    apart = touchstone(tmp_path / "half.s2p", f, skrf.network.y2s(two, 50.0))
+    cases = [
+        (table(tmp_path / "y.csv", "f_hz,g_s,b_s", F, gone.real, gone.imag), "at 1 of 401"),
+        (
+            table(tmp_path / "z.csv", "f_hz,r_ohm,x_ohm", F, gone.real, gone.imag),
+            "impedance of zero",
+        ),
+        (apart, "first into port 2"),
+    ]
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        for path, words in cases:
+            with pytest.raises(kc.errors.UsageError, match=words):
+                reduce(path, tmp_path / "out")
+        two[:, 1, 1] = 1 / (20 + 1 / (2j * np.pi * f * 2e-9))
+        path = touchstone(tmp_path / "two.s2p", f, skrf.network.y2s(two, 50.0))
+        found = reduce(path, tmp_path / "out")
+    assert read_measured(path).noise < 1e-3
+    assert found["error_estimate"] < 2e-3

@@ -74,9 +74,10 @@ class Measured:
     @property
     def noise(self) -> float:
         """Relative standard deviation of one component of Y: the median size of third differences
-        of log Y, which a smooth response does not have."""
+        of log Y, which a smooth response does not have. Entries that are zero have none."""
         y = self.Y.reshape(len(self.f), -1)
-        steps = np.diff(y, 3, axis=0) / np.abs(y[1:-2])
+        size = np.abs(y[1:-2])
+        steps = np.diff(y, 3, axis=0)[size > 0] / size[size > 0]
         return float(np.median(np.abs(np.r_[steps.real, steps.imag])) / (0.6745 * np.sqrt(20)))
 
 
@@ -99,7 +100,7 @@ def read_measured(path: Path) -> Measured:
     Raises
     ------
     UsageError : no such file, damaged, too large, too few points, columns that are not known, or
-        that make a passive part give power.
+        that make a passive part give power; a short circuit, or a port that conducts nothing.
     """
     match = _TOUCHSTONE.fullmatch(path.suffix)
     expected = "a Touchstone file" if match else f"a table of an impedance analyser; {HINT}"
@@ -114,9 +115,11 @@ def read_measured(path: Path) -> Measured:
             text = data.decode("latin-1")
         return _touchstone(text, int(match[2] or 0)) if match else _response(*_rows(text))
 
-    f, Y, notes = guarded(path, expected, read)
+    with np.errstate(all="ignore"):  # what is not finite is refused
+        f, Y, notes = guarded(path, expected, read)
     if not (np.isfinite(f).all() and np.isfinite(Y).all() and f.min(initial=1.0) >= 0):
-        raise refused(path, "NaN, infinity or a frequency below zero", "finite numbers", HINT)
+        got = "NaN, infinity, an impedance of zero or a frequency below zero"
+        raise refused(path, got, "finite numbers", HINT)
     f, kept = np.unique(f, return_index=True)  # increasing, each once
     Y, kept = Y[kept], np.flatnonzero(f > 0)
     if len(kept) < FEWEST:
@@ -125,8 +128,23 @@ def read_measured(path: Path) -> Measured:
     if len(kept) > MOST:
         hint = "leave out points between resonances"
         raise refused(path, f"{len(kept)} frequencies", f"at most {MOST}", hint)
+    _require_conducting(result)
     _require_passive(result)
     return result
+
+
+def _require_conducting(data: Measured) -> None:
+    """Deviations are relative: to each admittance of one port, to the largest of several."""
+    still = np.einsum("fii->fi", data.Y) == 0
+    one = still.shape[1] == 1
+    still = still[:, 0] if one else still.all(axis=0)
+    if not still.any():
+        return
+    first, of = int(np.argmax(still)), f"{still.sum()} of {len(still)}"
+    got = f"no current at {of} frequencies, first at {data.f[first]:g} Hz"
+    got = got if one else f"no current into {of} ports, first into port {first + 1}"
+    hint = "is it connected, do the numbers have enough digits? Leave out what has none"
+    raise wrong(data.where, "is an open circuit", got, "admittances that are not zero", hint)
 
 
 def _require_passive(data: Measured) -> None:
