@@ -32,7 +32,7 @@ from kc2spice.scene.load import load_scene
 from kc2spice.scene.model import Probe, Scene
 from kc2spice.scene.parttype import register as register_part
 from kc2spice.sim.ngspice import find_ngspice, run_deck, write_files
-from kc2spice.workflow.decks import prepared
+from kc2spice.workflow.decks import prepared, spare_other_decks
 from kc2spice.workflow.run import Completed, complete, write_run_files
 
 __all__ = [
@@ -290,9 +290,11 @@ class Result:
 
         Raises
         ------
-        UsageError : ``out`` cannot be written.
+        UsageError : ``out`` cannot be written, or another deck there includes another library of
+            the same name.
         """
         with staged(out) as work:
+            spare_other_decks(Path(out), self.deck.files)
             if self._done is not None:
                 write_run_files(self._done, work, png=png)
             else:

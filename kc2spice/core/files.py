@@ -83,7 +83,7 @@ def _publish(work: Path, out: Path) -> None:
     out.mkdir(parents=True, exist_ok=True)
     with locked(out):
         files = [path.relative_to(work) for path in sorted(work.rglob("*")) if path.is_file()]
-        stale = _earlier(out) - {str(name) for name in files}
+        stale = earlier(out) - {str(name) for name in files}
         for name in files:
             if _rank(name) >= 0:
                 (out / name).unlink(missing_ok=True)
@@ -95,7 +95,7 @@ def _publish(work: Path, out: Path) -> None:
             os.replace(work / name, out / name)
 
 
-def _earlier(out: Path) -> set[str]:
+def earlier(out: Path) -> set[str]:
     """Files that an earlier run into ``out`` lists as its own; anything else there is not ours.
 
     The list is data: names with folders in them, hidden ones and links are left alone.

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from kc2spice.core.errors import UsageError, did_you_mean
+from kc2spice.core.files import earlier
 from kc2spice.core.progress import Clock
 from kc2spice.netlist.cards import comment, number, tidy
 from kc2spice.netlist.circuit import Element, Subcircuit
@@ -20,8 +21,8 @@ from kc2spice.netlist.deck import Block, Command, Deck, Option, ac, dc, transien
 from kc2spice.netlist.expression import literal, vector
 from kc2spice.netlist.foreign import ANALYSES, HARMLESS, accuracy, checked, refuse
 from kc2spice.netlist.lint import lint
-from kc2spice.netlist.read import Statement, read
-from kc2spice.netlist.scope import circuit, has_vector
+from kc2spice.netlist.read import Statement, read, statements
+from kc2spice.netlist.scope import INCLUDES, circuit, has_vector
 from kc2spice.netlist.transforms import quiet
 from kc2spice.scene.compose import Free, free, unsettled
 from kc2spice.scene.model import Names, Part, Scene, scene_hash
@@ -358,3 +359,34 @@ def _tell_options(own: Deck, cards: Iterable[Statement], path: Path) -> None:
     if changed:
         told = ", ".join(changed)
         warnings.warn(f"{path}: options are not the scene's, in brackets: {told}", stacklevel=2)
+
+
+def spare_other_decks(out: Path, files: Mapping[str, str]) -> None:
+    """Refuse to change a library under a deck in ``out`` that is not among the ``files`` and stays
+    there: it would run another part.
+
+    Raises
+    ------
+    UsageError : names the deck and the library.
+    """
+
+    def text(path: Path) -> str:
+        return path.read_text(encoding="utf-8", errors="replace")
+
+    others = {path.name: path for path in out.glob("*.cir") if path.is_file()}
+    for key in sorted(others.keys() - files.keys() - earlier(out)):
+        for card in statements(text(others[key]), key, title=True):
+            name = card.words[-1].strip("\"'") if card.keyword in INCLUDES else ""
+            if name not in files or not (out / name).is_file():
+                continue
+            old, new = (
+                [item.written for item in statements(known, name) if item.written]
+                for known in (text(out / name), files[name])
+            )
+            if old != new:  # what a simulator reads of them
+                raise UsageError(
+                    f"this deck there includes another {name}",
+                    where=str(others[key]),
+                    got=f"{name} with other cards",
+                    hint="choose another --out",
+                )

@@ -29,6 +29,7 @@ from kc2spice.scene.load import gallery, load_scene
 from kc2spice.sim.ngspice import write_files
 from kc2spice.spice.header import Header
 from kc2spice.spice.realize import loaded, subcircuit
+from kc2spice.workflow.decks import spare_other_decks
 
 TOLERANCE = 1e-4
 # Behind the name of a port, what it answers with.
@@ -179,7 +180,7 @@ def export_rom(
     Raises
     ------
     UsageError : not a reduced model, or one that has no such subcircuit, or a dialect that cannot
-        be written; nothing was written.
+        be written, or see :func:`kc2spice.workflow.decks.spare_other_decks`; nothing was written.
     """
     if dialect not in DIALECTS:
         raise unknown("unknown dialect", dialect, DIALECTS, "--dialect")
@@ -193,6 +194,7 @@ def export_rom(
     files = dialect_files(deck, dialect) | symbol_files(deck, dialect)
     files |= plot_script(deck) if dialect == "ngspice" else {}
     with staged(directory) as work:
+        spare_other_decks(directory, files)
         write_files(files, work)
     return [directory / file for file in sorted(files)]
 

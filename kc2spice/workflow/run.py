@@ -22,7 +22,7 @@ from kc2spice.scene.load import load_scene
 from kc2spice.scene.model import Probe, Scene
 from kc2spice.sim.ngspice import RetriesFailedError, Simulator, find_ngspice, write_files
 from kc2spice.workflow import meters
-from kc2spice.workflow.decks import prepared
+from kc2spice.workflow.decks import prepared, spare_other_decks
 from kc2spice.workflow.models import mode_tables
 from kc2spice.workflow.refine import Converged, converge
 from kc2spice.workflow.simulate import Run, kept_on_failure, sampled, simulate
@@ -148,6 +148,8 @@ def complete(
     with kept_on_failure(work, out, scene.name):
         while True:
             build, made = prepared(scene, clock, trust=trust, functions=functions, edited=deck)
+            if out is not None:
+                spare_other_decks(out, made.files)
             try:
                 with clock.stage("simulate", f"{simulator.name} {simulator.version}") as share:
                     result = simulate(build, made, work, progress=share)

@@ -4,13 +4,17 @@ import json
 import os
 import signal
 import threading
+from pathlib import Path
 
+import numpy as np
 import pytest
 
+import kc2spice as kc
 from kc2spice.core.errors import UsageError
 from kc2spice.core.files import staged
 from kc2spice.scene.load import load_scene
 from kc2spice.workflow.export import export
+from kc2spice.workflow.reduce import export_rom, reduce
 
 
 def write(work, **files):
@@ -203,3 +207,30 @@ def test_an_export_spares_what_another_deck_there_includes(tmp_path):
     assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == before
     (tmp_path / "drop.cir").unlink()
     exported("fall", 2e-3)
+
+
+def test_so_do_a_run_a_saved_result_and_a_reduced_model(tmp_path):
+    fall = {"name": "fall", "sphere": {"radius": 1e-3}, "solver": {"stop": 1e-3}}
+    own = tmp_path / "own.cir"
+    own.write_text("mine\n.inc 'sphere.lib'\n.include lump.lib\n.end\n")
+    (tmp_path / "gone.cir").mkdir()  # no deck
+    kc.run(fall, tmp_path)  # nothing of that name was there
+    np.savez(tmp_path / "m.npz", K=np.eye(2), M=np.diag([1.0, 2.0]), B=np.eye(2))
+    rom = Path(reduce(tmp_path / "m.npz", tmp_path / "rom", order=2, band=(0.0, 1.0))["rom"])
+    lump = rom.rename(rom.with_name("lump.npz"))
+    (tmp_path / "lump.lib").write_text("* another\nR1 a 0 1\n")
+    other = kc.run(fall | {"name": "drop", "sphere": {"radius": 2e-3}})
+    before = {path.name: path.read_bytes() for path in tmp_path.glob("*.*") if path.is_file()}
+    for write, library in (
+        (lambda: kc.run(fall, tmp_path, overrides={"sphere.radius": 2e-3}), "sphere"),
+        (lambda: other.save(tmp_path), "sphere"),
+        (lambda: export_rom(lump, tmp_path), "lump"),
+    ):
+        with pytest.raises(UsageError, match=rf"deck there includes another {library}\.lib") as e:
+            write()
+        assert str(own) in str(e.value)
+    assert {p.name: p.read_bytes() for p in tmp_path.glob("*.*") if p.is_file()} == before
+    own.unlink()
+    kc.run(fall, tmp_path, overrides={"sphere.radius": 2e-3})
+    other.save(tmp_path)  # in place of the deck of the run before
+    assert not (tmp_path / "fall.cir").exists()
