@@ -155,8 +155,9 @@ def run_deck(
             failed = failed_run(deck, str(main), text, last=last)
         if failed is not None:
             told = f"the whole log is {log.name} in the same directory"
-            failed.hint = "; ".join(filter(None, (_ADVICE.get(failed.failure.kind), told)))
-            failed.failure = replace(failed.failure, partial=_partial(deck, unfinished, text))
+            failed.hint = "; ".join(filter(None, (failed.hint, told)))
+            partial = partial_waves(deck, read_partial(unfinished), text)
+            failed.failure = replace(failed.failure, partial=partial)
             raise failed
         unfinished.rename(raw)
     except SimulationError as error:
@@ -251,9 +252,10 @@ def _processor_time(pid: int) -> int | None:
         return None
 
 
-def _partial(deck: Deck, raw: Path, text: str) -> Waveforms | None:
+def partial_waves(
+    deck: Deck, vectors: Mapping[str, np.ndarray] | None, text: str
+) -> Waveforms | None:
     """What a failed run had saved; None where nothing, or not all that the deck asks for."""
-    vectors = read_partial(raw)
     try:
         return Waveforms(named(deck, vectors), statistics(text)) if vectors else None
     except SimulationError:
@@ -288,11 +290,6 @@ def named(deck: Deck, vectors: Mapping[str, np.ndarray]) -> dict[str, np.ndarray
 
 
 _CHGTOL = "1e-14"  # ngspice's own, where the deck says nothing
-_ADVICE: Mapping[Kind | None, str] = {
-    "timestep": "try a larger kick.damping.ratio, a smaller contact.penalty or solver.max_step",
-    "singular": "look for loops of voltage sources, nodes between capacitors and parts of value 0",
-    "operating point": "look for the included circuit's state at t = 0; give it a .nodeset",
-}
 
 
 @dataclass(frozen=True)

@@ -5,6 +5,7 @@ whom they blame, and binary raw files, which are distrusted.
 from __future__ import annotations
 
 import re
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal, NamedTuple
@@ -48,6 +49,13 @@ _STATS = {
     "rejected": r"Rejected timepoints = (\d+)",
     "iterations": r"Total iterations = (\d+)",
     "cpu_s": r"Total analysis time \(seconds\) = ([0-9.eE+-]+)",
+}
+
+_ADVICE: Mapping[Kind | None, str] = {
+    "timestep": "steps shrink where something jumps or is very stiff: try more damping or a softer "
+    "stop there, hysteresis or a finite edge of a switch, or a smaller solver.max_step",
+    "singular": "look for loops of voltage sources, nodes between capacitors and parts of value 0",
+    "operating point": "look for the included circuit's state at t = 0; give it a .nodeset",
 }
 
 
@@ -129,7 +137,7 @@ def failed_run(
         cause = "ngspice stopped before the end of the transient"
         got = ", ".join(filter(None, (f"last time point {last:g} s", blamed)))
         error = FailedRunError(cause, where=where, got=got, expected=f"{stop:g} s")
-    error.failure = replace(report, cause=cause, part=part)
+    error.failure, error.hint = replace(report, cause=cause, part=part), _ADVICE.get(report.kind)
     return error
 
 

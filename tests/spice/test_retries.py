@@ -70,6 +70,8 @@ def test_the_last_failure_names_node_time_part_and_all_settings(tmp_path):
     assert "node of b1, c1, r1" in str(error)
     for attempt in error.attempts[1:]:
         assert attempt.setting in error.hint
+    assert "hysteresis" in error.hint
+    assert "kick" not in error.hint  # nothing of that name is there
     partial = error.failure.partial
     assert 0 < partial["time"][-1] <= error.failure.time < 1e-3
     assert np.isfinite(partial["b"]).all()
