@@ -156,7 +156,8 @@ def run(
     deck : a netlist of this scene that was edited by hand, to be run instead of the scene's own.
     trust : let netlists and Python files that the scene names act on the machine.
     functions : ``function(time, inputs) -> output`` of each ``controller`` part by its name, in SI,
-        instead of the Python file beside the scene.
+        instead of the Python file beside the scene. A run that is repeated with other settings
+        begins at time 0 again, where a function that remembers must forget; a file is read anew.
     overrides : as those of :func:`kc2spice.load_scene`.
 
     Raises

@@ -1,7 +1,8 @@
 """A controller that is a Python function: sampled inputs, an output held in between.
 
 The function stands in a file beside the scene, which only runs when it is trusted, or is handed
-over in Python (``kc.run(scene, functions={"NAME": function})``).
+over in Python (``kc.run(scene, functions={"NAME": function})``). A run that is repeated with other
+settings reads the file anew; a function that was handed over is asked at time 0 again.
 """
 
 from __future__ import annotations

@@ -19,7 +19,7 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import chdir, contextmanager
 from ctypes import CFUNCTYPE, POINTER, byref, c_bool, c_char_p, c_double, c_int, c_void_p
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -30,7 +30,7 @@ from kc2spice.core.waveforms import Waveforms
 from kc2spice.netlist.deck import Deck
 from kc2spice.netlist.scope import INCLUDES
 from kc2spice.scene.parttype import Sampled
-from kc2spice.sim.ngspice import named
+from kc2spice.sim.ngspice import named, partial_waves
 from kc2spice.sim.output import failed_run, read_raw, statistics
 
 _HINT = "Debian or Ubuntu: apt-get install libngspice0"
@@ -112,7 +112,8 @@ def run_shared(
     ------
     UsageError : the deck has no end of a transient.
     MissingToolError : libngspice is not on this machine.
-    SimulationError : ngspice failed or stopped early, or a function did.
+    FailedRunError : ngspice failed or stopped early; has the waveforms up to there.
+    SimulationError : a function failed.
     """
     if deck.stop is None:
         raise UsageError("no transient", where=deck.name, expected="a deck with its last time")
@@ -128,15 +129,14 @@ def run_shared(
                 "the function in the loop failed", where=deck.name, got=repr(library.broken)
             ) from library.broken
         said = library.said
-        vectors = library.vectors() if ran else {}
+        vectors = library.vectors()
     finally:
         library.clear()
     time = vectors.get("time", np.zeros(1))
-    failed = failed_run(deck, deck.name, said, last=float(time[-1]))
+    failed = failed_run(deck, deck.name, said, int(not ran), float(time[-1]))
     if failed is not None:
-        raise SimulationError(
-            failed.message, where=deck.name, got=failed.got, expected=failed.expected
-        )
+        failed.failure = replace(failed.failure, partial=partial_waves(deck, vectors, said))
+        raise failed
     return Waveforms(named(deck, vectors), {"accepted": float(time.size)} | statistics(said))
 
 

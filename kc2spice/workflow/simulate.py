@@ -8,6 +8,7 @@ import contextlib
 import os
 import shutil
 import time
+import warnings
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, replace
@@ -98,6 +99,9 @@ def simulate(
         retries=build.scene.solver.retries if retries is None else retries,
         judge=judge,
     )
+    if build.functions and len(result.attempts) > 1:
+        told = "asked from time 0 on again: what they remember of earlier attempts must go there"
+        warnings.warn(f"functions {', '.join(build.functions)}: {told}", stacklevel=2)
     used = simulator_cpu(build) - begin
     waves = _with_powers(result.waves, deck)
     return Run(deck=result.deck, waves=waves, verdict=result.verdict, attempts=result.attempts,

@@ -6,8 +6,10 @@ import numpy as np
 import pytest
 from device import built
 
+import kc2spice as kc
 from kc2spice.core.errors import UsageError
 from kc2spice.scene.load import load_scene
+from kc2spice.sim.ngspice import RetriesFailedError
 from kc2spice.sim.shared import run_shared
 from kc2spice.workflow.decks import make_deck
 from kc2spice.workflow.refine import time_again
@@ -96,3 +98,49 @@ def test_impossible_controllers_are_refused():
                         ({"analysis": {"type": "op"}}, "asked in time")):  # fmt: skip
         with pytest.raises(UsageError, match=words):
             scene(**keys)
+
+
+LAW = """
+from pathlib import Path
+calls = []
+def control(time, inputs):
+    calls.append(time)
+    with Path(__file__).with_suffix(".log").open("a") as log:
+        log.write(f"{time} {len(calls)}\\n")
+    return 0.0
+"""
+SCENE = """
+analysis = { type = "transient", stop = "1 ms" }
+own = { part = "netlist", file = "own.lib", subckt = "own" }
+load = { part = "resistor", resistance = 1e3 }
+[digits]
+part = "controller"
+file = "law.py"
+inputs = ["y"]
+units = { y = "V" }
+pins = { y = "own.b", out = "load.a" }
+"""
+# A comparator without hysteresis drives a femtofarad: no step is short enough for it.
+HOPELESS = """.subckt own b
+B1 0 b I={(V(b)>0.5) ? -1e6 : 1e6*TIME*1e6}
+C1 b 0 1e-15
+R1 b 0 1k
+.ends
+"""
+
+
+@pytest.mark.filterwarnings("ignore:.*trying")
+def test_a_failed_step_is_tried_again_with_the_function_anew(tmp_path):
+    """As without a function; the failure says where, what was tried, and keeps the waveforms."""
+    (tmp_path / "own.lib").write_text(HOPELESS)
+    (tmp_path / "law.py").write_text(LAW)
+    (tmp_path / "hopeless.toml").write_text(SCENE)
+    with pytest.raises(RetriesFailedError, match="Timestep too small") as caught:
+        kc.run(tmp_path / "hopeless.toml", tmp_path / "out", trust=True)
+    error, tried = caught.value, ["firmer pivots", "gear", "tighter tolerances"]
+    assert [a.setting for a in error.attempts[1:]] == tried
+    assert "node of xown" in str(error)
+    assert "kick" not in error.hint  # the scene has none
+    assert error.failure.partial["time"][-1] <= error.failure.time < 1e-9
+    assert (tmp_path / "out.failed" / "waveforms.partial.npz").is_file()
+    assert (tmp_path / "law.log").read_text() == "0.0 1\n" * 4  # no attempt reached a second one
