@@ -223,7 +223,8 @@ def test_damping_of_each_material(coarse):
     each = device(keys(**changes, damping={"per_material": True}), coarse).model
     whole = device(keys(**changes, damping={"quality": 50}), coarse).model
     f = np.array([each.facts["resonance_hz"]])
-    assert each.transfer(f) == pytest.approx(whole.transfer(f), rel=1e-9)
+    # rounding of entries, times the square of the highest natural frequency over the first
+    assert each.transfer(f) == pytest.approx(whole.transfer(f), rel=5e-10)
 
 
 @pytest.mark.parametrize(("changes", "message"), [
