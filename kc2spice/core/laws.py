@@ -239,6 +239,11 @@ class Device(ABC):
         loss quadratic."""
         return False
 
+    @property
+    def storing(self) -> bool:
+        """Whether it stores something else than its states."""
+        return type(self).store is not Device.store and bool(self.states or self.charged)
+
     def initial(self, taps: np.ndarray) -> np.ndarray | None:
         """States at the start (len(states),), given the taps then; None: those in equilibrium."""
         return None

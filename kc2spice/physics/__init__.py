@@ -4,5 +4,6 @@ from kc2spice.physics.declaration import Declaration as Declaration
 from kc2spice.physics.declaration import current as current
 from kc2spice.physics.declaration import displacement as displacement
 from kc2spice.physics.declaration import loop as loop
+from kc2spice.physics.declaration import seen as seen
 from kc2spice.physics.declaration import voltage as voltage
 from kc2spice.physics.part import DeclaredPart as DeclaredPart

@@ -9,9 +9,19 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
 
-from kc2spice.netlist.expression import Binary, Call, Name, Number, Probe, Tree, replaced
+from kc2spice.netlist.expression import Binary, Call, Name, Number, Probe, Tree, replaced, walk
 from kc2spice.physics.declaration import RATE, Branch, Declaration
-from kc2spice.physics.expression import ZERO, derivative, kinks, minus, names, plus, text, times
+from kc2spice.physics.expression import (
+    ONE,
+    ZERO,
+    derivative,
+    kinks,
+    minus,
+    names,
+    plus,
+    text,
+    times,
+)
 
 _MICRO, _FARAD = Number("1e-6"), "1e-06"
 _EDGE = ".model edge SW(VT=0 VH=0 RON=1e6 ROFF=2e6)"
@@ -28,6 +38,8 @@ _HEAD = {
     "held": "{node} has no other equation than {plus} = {place}: the force that makes it true, "
     "1 V = 1 N, accelerates the mass; at an operating point something else holds {plus}",
     "output": "{plus} in um: {words}",
+    "state": "a state, whose rate times 1 uF flows into {node}; 1 POhm may be all that sets it at "
+    "an operating point",
     "noise": "of the temperature of a loss, 4 k T times {loss}: this resistor has noise",
     "edge": "a switch without function: ngspice puts a time point where {argument} is zero",
 }  # fmt: skip
@@ -40,25 +52,24 @@ def body(declaration: Declaration, noise: bool = False) -> str:
 
 def noisy(declaration: Declaration) -> bool:
     """Whether anything is lost."""
-    return any(declaration.loss(b) != ZERO for b in declaration.branches)
+    return any(declaration.loss(b) != ZERO for b in declaration.acting)
 
 
 def _lines(declaration: Declaration, noise: bool) -> Iterator[str]:
     for name, tree in declaration.fixed.items():
         yield f".param {name}={{{text(tree)}}}"
-    nodes, reference = _probes(declaration), _reference(declaration)
+    nodes, rest = _probes(declaration), reference(declaration)
     for tree, name in declaration.polynomials.items():
         yield f"* the power series {name}"
-        yield f"B{name} {name} {reference} V={{{text(replaced(tree, nodes))}}}"
+        yield f"B{name} {name} {rest} V={{{text(replaced(tree, nodes))}}}"
     for branch in declaration.branches:
         if branch.less or branch.name in declaration.lags:
             yield from _own_place(declaration, branch)
         elif branch in declaration.damped and declaration.mass(branch) == ZERO:
             yield from _velocity(declaration, branch)
+    yield from _states(declaration, nodes)
     added: dict[str, Tree] = dict.fromkeys(declaration.coordinates, ZERO)
-    branches = [
-        b if b.plus else replace(b, plus=reference, minus=reference) for b in declaration.branches
-    ]
+    branches = [b if b.plus else replace(b, plus=rest, minus=rest) for b in declaration.acting]
     for branch in branches if noise else ():
         if (loss := declaration.loss(branch)) != ZERO:
             source = Probe("v", (f"noise_{branch.name}", branch.minus))
@@ -72,18 +83,37 @@ def _lines(declaration: Declaration, noise: bool) -> Iterator[str]:
     for name, tree in declaration.read.items():
         (b,) = (b for b in declaration.branches if b.name in names(tree))
         yield _comment("output", replace(b, plus=name), words=text(tree))
-        micro = times(Number("-1e6"), declaration.at_rest(tree))
-        yield from _affine(declaration, b, name, derivative(tree, b.name), micro)
+        base = declaration.base or b.minus
+        yield from _node(name, times(Number("1e6"), tree), nodes, base)
 
 
-def _affine(
-    declaration: Declaration, b: Branch, node: str, slope: Tree, rest: Tree
+def _node(name: str, tree: Tree, nodes: Mapping[str, Tree], base: str) -> Iterator[str]:
+    """A node that has the value of ``tree``."""
+    yield from _current(name, (base, name), tree, nodes)
+    yield f"R{name} {name} {base} 1"
+
+
+def _current(
+    name: str, ends: tuple[str, str], tree: Tree, nodes: Mapping[str, Tree]
 ) -> Iterator[str]:
-    """The node has ``slope`` times the coordinate in um, less ``rest``."""
-    base = declaration.base or b.minus
-    yield f"G{node} {base} {node} {' '.join(_place(declaration, b))} {{{text(slope)}}}"
-    yield f"I{node} {node} {base} {{{text(rest)}}}"
-    yield f"R{node} {node} {base} 1"
+    """A current from one end to the other: of linear sources where it is affine, which cost ngspice
+    a tenth of an expression."""
+    start, end = ends
+    seen = sorted(names(tree) & set(nodes))
+    slopes = {item: derivative(tree, item) for item in seen}
+    probes = [[p for p in walk(nodes[item]) if isinstance(p, Probe)] for item in seen]
+    simple = all(len(found) == 1 and found[0].kind == "v" for found in probes)
+    simple = simple and not any(isinstance(node, Probe) for node in walk(tree))
+    if not simple or any(names(slope) & set(nodes) for slope in slopes.values()):
+        yield f"B{name} {start} {end} I={{{text(replaced(tree, nodes))}}}"
+        return
+    for (item, slope), (probe,) in zip(slopes.items(), probes, strict=True):
+        card = f"G{name}" if len(seen) == 1 else f"G{name}_{item}"
+        micro = _MICRO if isinstance(nodes[item], Binary) else ONE
+        yield f"{card} {start} {end} {' '.join(probe.names)} {{{text(times(micro, slope))}}}"
+    rest = plus(replaced(tree, dict.fromkeys(seen, ZERO)))
+    if rest != ZERO:
+        yield f"I{name} {end} {start} {{{text(minus(ZERO, rest))}}}"
 
 
 def _mass(declaration: Declaration, b: Branch) -> Iterator[str]:
@@ -110,10 +140,10 @@ def _mass(declaration: Declaration, b: Branch) -> Iterator[str]:
 
 def _probes(declaration: Declaration) -> Mapping[str, Tree]:
     """What stands for each coordinate and rate."""
-    reference = _reference(declaration)
-    result: dict[str, Tree] = {
-        name: Probe("v", (name, reference)) for name in declaration.polynomials.values()
-    }
+    rest = reference(declaration)
+    inner = {name: name for name in (*declaration.polynomials.values(), *declaration.signals)}
+    inner |= {name: state_node(name) for name in declaration.states}
+    result: dict[str, Tree] = {n: Probe("v", (node, rest)) for n, node in inner.items()}
     for b in declaration.branches:
         across: Tree = Probe("v", _place(declaration, b))
         if b.kind == "displacement":
@@ -129,10 +159,10 @@ def _probes(declaration: Declaration) -> Mapping[str, Tree]:
 def _place(declaration: Declaration, b: Branch) -> tuple[str, str]:
     """Nodes between which a branch's coordinate is."""
     own = b.less or b.name in declaration.lags
-    return (f"x_{b.name}", _reference(declaration)) if own else (b.plus, b.minus)
+    return (f"x_{b.name}", reference(declaration)) if own else (b.plus, b.minus)
 
 
-def _reference(declaration: Declaration) -> str:
+def reference(declaration: Declaration) -> str:
     """The pin on which loops and inner nodes rest."""
     pins = (b.minus for b in declaration.branches if b.kind == "displacement")
     return declaration.base or next(pins, declaration.open[0].minus)
@@ -143,6 +173,11 @@ def meter(branch: Branch) -> str:
     return f"Vmeter_{branch.name}"
 
 
+def state_node(name: str) -> str:
+    """The node on which a state is, in its own unit."""
+    return f"state_{name}"
+
+
 def force_node(branch: Branch) -> str:
     """The node on which the force of a displacement is."""
     return f"f_{branch.name}"
@@ -150,6 +185,21 @@ def force_node(branch: Branch) -> str:
 
 def _comment(kind: str, branch: Branch, **words: str) -> str:
     return f"* {_HEAD[kind].format(plus=branch.plus, minus=branch.minus, **words)}"
+
+
+def _states(declaration: Declaration, nodes: Mapping[str, Tree]) -> Iterator[str]:
+    """Signals, then what integrates."""
+    base = reference(declaration)
+    for name, tree in declaration.sent.items():
+        yield f"*   {name} = {text(tree)}"
+        yield from _node(name, tree, nodes, base)
+    for name, tree in declaration.changes.items():
+        node, rate = state_node(name), times(Number(_FARAD), tree)
+        yield f"* {_HEAD['state'].format(node=node)}"
+        yield f"*   d/dt {name} = {text(tree)}"
+        yield f"C{node} {node} {base} {_FARAD}"
+        yield f"R{node} {node} {base} 1e15"
+        yield from _current(node, (base, node), rate, nodes)
 
 
 def _placed(declaration: Declaration, tree: Tree, nodes: Mapping[str, Tree]) -> str:
@@ -175,7 +225,7 @@ def _velocity(declaration: Declaration, b: Branch) -> Iterator[str]:
 def _own_place(declaration: Declaration, b: Branch) -> Iterator[str]:
     """A node for what is not between two pins. With two lags of a quarter of the time in a row,
     ``x + lag x'`` is ``x + 4 (2 x - first + second - first)`` but for the time squared."""
-    n, base, lag = b.name, _reference(declaration), declaration.lags.get(b.name)
+    n, base, lag = b.name, reference(declaration), declaration.lags.get(b.name)
     node = f"in_{n}" if lag else f"x_{n}"
     words = f" less {b.less}" * bool(b.less) + f" + {lag} times its rate" * bool(lag)
     yield _comment("place", b, node=f"x_{n}", words=words)
@@ -234,8 +284,10 @@ def _scaled(
 def _charge(
     declaration: Declaration, b: Branch, nodes: Mapping[str, Tree], noise: Tree
 ) -> Iterator[str]:
-    kept, direct, inner = declaration.kept(b), declaration.direct(b), f"in_{b.name}"
-    yield f"{meter(b)} {b.plus} {inner} 0"
+    kept, direct, inner = declaration.kept(b), declaration.direct(b), b.plus
+    if declaration.metered or kept != ZERO:
+        inner = f"in_{b.name}"
+        yield f"{meter(b)} {b.plus} {inner} 0"
     if kept != ZERO:
         yield _comment("charge", b, node=f"q_{b.name}", scale=f"scale_{b.name}")
         yield f"*   charge = {text(declaration.named(kept))}"
@@ -243,8 +295,8 @@ def _charge(
         yield f"Fq_{b.name} {inner} {b.minus} Vrate_{b.name} {{scale_{b.name}*1e6}}"
     if direct != ZERO or kept == ZERO:
         yield f"*   {b.through} = {text(declaration.named(direct))}"
-        whole = _placed(declaration, plus(direct, noise), nodes)
-        yield f"Bi_{b.name} {inner} {b.minus} I={{{whole}}}"
+        whole = declaration.named(plus(direct, noise))
+        yield from _current(f"i_{b.name}", (inner, b.minus), whole, nodes)
 
 
 def _flux(
@@ -263,24 +315,26 @@ def _flux(
 
 
 def _edges(declaration: Declaration, nodes: Mapping[str, Tree]) -> Iterator[str]:
-    """Watches of displacements against thresholds, 10 kV per um: ngspice shortens its steps as a
-    switch nears its threshold. Between edges the trapezoidal rule loses no energy to a spring; a
-    step across one gains or loses some."""
-    coordinates = {b.name: b for b in declaration.branches if b.kind == "displacement"}
-    result = [e for b in coordinates.values() for e in kinks(declaration.followed(b))]
-    for k, argument in enumerate(dict.fromkeys(result)):
-        seen = names(argument) & set(declaration.coordinates)
-        if len(seen) != 1 or not seen <= set(coordinates):
-            continue
-        b = coordinates[next(iter(seen))]
-        base = declaration.base or b.minus
-        yield _comment("edge", b, argument=text(argument))
+    """Watches of displacements against thresholds, 10 kV per um, and of what states have to do
+    with: ngspice shortens its steps as a switch nears its threshold. Between edges the trapezoidal
+    rule loses no energy to a spring; a step across one gains or loses some."""
+    moved = {b.name: b for b in declaration.acting if b.kind == "displacement"}
+    inner = {*declaration.states, *declaration.signals}
+    others = [declaration.direct(b) for b in declaration.acting if b.name not in moved]
+    laws = (*map(declaration.followed, moved.values()), *others, *declaration.changes.values())
+    result = []
+    for argument in dict.fromkeys(e for tree in laws for e in kinks(tree)):
+        seen = names(argument) & {*declaration.coordinates, *inner}
+        if seen & inner or (len(seen) == 1 and seen <= set(moved)):
+            result.append((argument, moved.get(next(iter(seen)))))
+    for k, (argument, b) in enumerate(result):
+        base = declaration.base or (b.minus if b else reference(declaration))
+        yield f"* {_HEAD['edge'].format(argument=text(argument))}"
         yield _EDGE if not k else f"* edge {k + 1}"
-        if declaration.metered:
-            watched = Binary("*", Number("1e10"), replaced(argument, nodes))
+        watched: Tree = Binary("*", Number("1e10"), replaced(argument, nodes))
+        if declaration.metered and b is not None:
             yield f"Bedge{k} edge{k} {base} V={{{text(watched)}}}"
         else:
-            slope = times(Number("1e4"), derivative(argument, b.name))
-            past = times(Number("-1e10"), declaration.at_rest(argument))
-            yield from _affine(declaration, b, f"edge{k}", slope, past)
+            watched = times(Number("1e4" if b is None else "1e10"), argument)
+            yield from _node(f"edge{k}", watched, nodes, base)
         yield f"Sedge{k} edge{k} {base} edge{k} {base} edge"

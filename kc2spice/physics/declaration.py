@@ -1,4 +1,4 @@
-"""A part's physics as data: energies and losses as expressions of what lies across its pins.
+"""A part's physics as data: energies, losses and states as expressions of what is across its pins.
 
 ======================  ===================  =========================  =====================
 branch                  coordinate           through, into ``plus``     its rate
@@ -15,6 +15,10 @@ With the kinetic energy ``T`` (of rates), the energy ``U`` (of displacements), t
              + any of ``forces``, which friction has no content for
     i      = d/dt (dW/dv) + dR/dv           charge q = dW/dv
     v      = d/dt (dW/di) + dR/di           flux   l = dW/di
+
+A branch that is only *seen* has a coordinate and nothing through it; what it brings in is a signal.
+``states`` follow ``dx/dt = f``, of states, coordinates and rates, and may stand wherever a rate
+may: a controller is a content of what it sees and of its states.
 
 The energy that is stored is ``T + U - W + sum v q + sum i l``, the power that becomes heat
 ``sum x_rate dR/dx_rate + sum v dR/dv + sum i dR/di``: what pins bring in is what is stored and what
@@ -52,8 +56,9 @@ RATE = "_rate"  # ends the name of a displacement's velocity
 
 @dataclass(frozen=True)
 class Branch:
-    """A coordinate between two pins; ``through`` names the result that flows into ``plus``. The
-    displacement of a pin ``less`` that ``minus`` carries is taken off as well."""
+    """A coordinate between two pins; ``through`` names the result that flows into ``plus``, nothing
+    where it is only seen. The displacement of a pin ``less`` that ``minus`` carries is taken off
+    as well."""
 
     kind: Kind
     name: str
@@ -87,6 +92,11 @@ def current(name: str = "i", plus: str = "plus", minus: str = "minus") -> Branch
     return Branch("current", name, plus, minus, name)
 
 
+def seen(branch: Branch) -> Branch:
+    """The coordinate of a displacement or voltage, without anything through it."""
+    return replace(branch, through="")
+
+
 def loop(name: str) -> Branch:
     """``name`` [A] flows in a closed loop of the part; a flux follows it."""
     return Branch("current", name, "", "", name)
@@ -98,18 +108,21 @@ class Declaration:
 
     ``keys`` are the type's keys, whose numbers (in SI) the expressions know by name, as those of
     the parameters ``given``; ``constants`` are further names with their expressions of these and of
-    constants before them. ``kinetic`` is ``1/2 m x_rate^2`` of a mass m, on which nothing but a
-    constant weight acts besides its pins, and ``starts`` names the parameters that are its
-    displacement and velocity at t = 0. ``forces`` are lost ones by displacement, of coordinates and
-    rates. ``limits`` maps words for a limit to an expression that must stay above zero.
+    constants before them; ``tables`` are functions of one argument that the expressions may call,
+    whose values come from elsewhere. ``states`` maps names to what their rates are, ``signals`` to
+    expressions of what is seen, of states and of signals before them. ``kinetic`` is that of a
+    mass, ``1/2 m x_rate^2``, on which nothing but a constant weight acts besides its pins, and
+    ``starts`` names the parameters that are its displacement and velocity at t = 0. ``forces`` are
+    lost ones by displacement, of coordinates and rates. ``limits`` maps words for a limit to an
+    expression that must stay above zero.
     ``neglected`` are rows of an effect, why it has no model, and what its absence changes.
 
     Of netlists alone: ``outputs`` are pins of displacements that are affine in one of a branch;
     ``speeds`` are the nodes of velocities of rigid bodies, which take the force,
     by the pins of their displacements; ``lags`` the time by which the force on a displacement x
     follows, whose law has ``x + lag x_rate`` in all places of x; ``base`` is the pin on which inner
-    nodes rest. Forces that are not ``metered`` cost a third of the devices: no nodes of their own,
-    watches of overlaps that are linear in x, and nobody reads them in small signals.
+    nodes rest. Where nobody reads forces and currents that are not ``metered``, they have no nodes
+    and sources of their own, a third of the devices, and watches of overlaps are linear in x.
     ``no_module`` says why no compiled module can be it.
     """
 
@@ -125,6 +138,9 @@ class Declaration:
     forces: Mapping[str, str] = field(default_factory=dict)
     given: tuple[Param, ...] = ()
     constants: Mapping[str, str] = field(default_factory=dict)
+    states: Mapping[str, str] = field(default_factory=dict)
+    signals: Mapping[str, str] = field(default_factory=dict)
+    tables: tuple[str, ...] = ()
     limits: Mapping[str, str] = field(default_factory=dict)
     neglected: tuple[tuple[str, str, str], ...] = ()
     rating: str = "not known"
@@ -141,7 +157,7 @@ class Declaration:
     no_module: str = ""
 
     def __post_init__(self) -> None:
-        known = {*self.parameters, *self.coordinates, *self.rates}
+        known = {*self.parameters, *self.coordinates, *self.rates, *self.states, *self.signals}
         for what, tree in self._stated():
             if unknown := sorted(names(tree) - known):
                 raise UsageError(
@@ -150,22 +166,31 @@ class Declaration:
                     got=", ".join(unknown),
                     expected=", ".join(sorted(known)),
                 )
-        allowed = {"energy": "displacement", "coenergy": "displacement voltage current"}
-        for what, kinds in allowed.items():
-            coordinates = {b.name for b in self.branches if b.kind in kinds.split()}
-            strange = names(self._tree(what)) - coordinates - set(self.parameters)
-            if strange:
-                raise UsageError(
-                    f"the {what} does not depend on this",
-                    where=self.name,
-                    got=", ".join(sorted(strange)),
-                    expected=", ".join(sorted(coordinates)),
-                )
+        self._only("energy", self._tree("energy"), self._acting("displacement"))
+        coordinates = self._acting("displacement", "voltage", "current")
+        self._only("coenergy", self._tree("coenergy"), coordinates)
+        passive = {name for b in self.branches if not b.through for name in (b.name, b.name + RATE)}
+        earlier = passive | {*self.states}
+        for name, tree in self.sent.items():
+            self._only(f"signal {name}", tree, earlier)
+            earlier.add(name)
+
+    def _acting(self, *kinds: str) -> set[str]:
+        return {b.name for b in self.acting if b.kind in kinds}
+
+    def _only(self, what: str, tree: Tree, allowed: set[str]) -> None:
+        if strange := names(tree) - allowed - set(self.parameters):
+            raise UsageError(
+                f"the {what} does not depend on this",
+                where=self.name,
+                got=", ".join(sorted(strange)),
+                expected=", ".join(sorted(allowed)),
+            )
 
     def _stated(self) -> Iterable[tuple[str, Tree]]:
         yield from ((what, self._tree(what)) for what in _STATED)
         yield from (*self._forces.items(), *self.bounds.items(), *self.fixed.items())
-        yield from self.read.items()
+        yield from (*self.read.items(), *self.changes.items(), *self.sent.items())
 
     # --- names ------------------------------------------------------------------------------
 
@@ -180,9 +205,23 @@ class Declaration:
         return tuple(b.name + RATE for b in self.branches if b.kind == "displacement")
 
     @cached_property
+    def acting(self) -> tuple[Branch, ...]:
+        """Branches with something through them: all but those only seen."""
+        return tuple(branch for branch in self.branches if branch.through)
+
+    @cached_property
     def open(self) -> tuple[Branch, ...]:
         """Branches between pins: all but loops."""
         return tuple(branch for branch in self.branches if branch.plus)
+
+    @cached_property
+    def kinds(self) -> dict[str, Kind]:
+        """What is across at each pin; of one that serves several, where something flows."""
+        result: dict[str, Kind] = {}
+        for b in (*self.acting, *self.branches):
+            for pin in filter(None, (b.plus, b.minus, b.less)):
+                result.setdefault(pin, b.kind)
+        return result
 
     @cached_property
     def closed(self) -> Declaration:
@@ -195,7 +234,7 @@ class Declaration:
     @cached_property
     def polynomials(self) -> dict[Tree, str]:
         """Names of all power series in what is through the branches and kept."""
-        trees = [tree for b in self.branches for tree in (self.direct(b), self.kept(b))]
+        trees = [tree for b in self.acting for tree in (self.direct(b), self.kept(b))]
         calls = (node for tree in trees for node in walk(tree))
         result = dict.fromkeys(c for c in calls if isinstance(c, Call) and c.function == "poly")
         return {call: f"poly{k}" for k, call in enumerate(result, 1)}
@@ -221,13 +260,14 @@ class Declaration:
 
     def _tree(self, what: str) -> Tree:
         """Of one of the energies, or of the content."""
-        return expression(getattr(self, what), f"{what} of {self.name}")
+        return expression(getattr(self, what), f"{what} of {self.name}", self.tables)
 
     def _slope(self, what: str, name: str) -> Tree:
         return derivative(self._tree(what), name)
 
     def _read(self, what: str, stated: Mapping[str, str]) -> dict[str, Tree]:
-        return {name: expression(text, f"{what} of {self.name}") for name, text in stated.items()}
+        where = f"{what} of {self.name}"
+        return {name: expression(text, where, self.tables) for name, text in stated.items()}
 
     @cached_property
     def _forces(self) -> dict[str, Tree]:
@@ -242,6 +282,27 @@ class Declaration:
     def fixed(self) -> dict[str, Tree]:
         """The constants' expressions."""
         return self._read("constant", self.constants)
+
+    @cached_property
+    def changes(self) -> dict[str, Tree]:
+        """The rates of the states."""
+        return self._read("state", self.states)
+
+    @cached_property
+    def sent(self) -> dict[str, Tree]:
+        """The signals' expressions."""
+        return self._read("signal", self.signals)
+
+    @cached_property
+    def _spelled(self) -> dict[str, Tree]:
+        result: dict[str, Tree] = {}
+        for name, tree in self.sent.items():
+            result[name] = replaced(tree, result)
+        return result
+
+    def spelled(self, tree: Tree) -> Tree:
+        """``tree`` with the signals' expressions in their places."""
+        return plus(replaced(tree, self._spelled)) if self.signals else tree
 
     @cached_property
     def read(self) -> dict[str, Tree]:
@@ -280,7 +341,7 @@ class Declaration:
     @cached_property
     def stored(self) -> Tree:
         """The stored energy [J]."""
-        others = (b for b in self.branches if b.kind != "displacement")
+        others = (b for b in self.acting if b.kind != "displacement")
         both = [times(Name(b.name), self.kept(b)) for b in others]
         whole = plus(self._tree("kinetic"), self._tree("energy"), *both)
         return minus(whole, self._tree("coenergy"))
@@ -289,7 +350,7 @@ class Declaration:
     def lost(self) -> Tree:
         """The power [W] that becomes heat."""
         own = (times(Name(name + RATE), tree) for name, tree in self._forces.items())
-        others = (b.name for b in self.branches if b.kind != "displacement")
+        others = (b.name for b in self.acting if b.kind != "displacement")
         return plus(*map(self._heat, self.rates), *own, *map(self._heat, others))
 
     @cached_property
@@ -303,7 +364,10 @@ class Declaration:
     @cached_property
     def equations(self) -> tuple[str, ...]:
         """What is through every branch, as text; a current's voltage."""
-        return tuple(filter(None, map(self._equation, self.branches)))
+        own = [(name, tree) for name, tree in self.sent.items()]
+        own += [(f"d/dt {name}", tree) for name, tree in self.changes.items()]
+        told = (f"{name} = {Writer().write(tree)}" for name, tree in own)
+        return (*filter(None, map(self._equation, self.acting)), *told)
 
     def _equation(self, branch: Branch) -> str:
         direct, kept = self.named(self.direct(branch)), self.named(self.kept(branch))
@@ -314,20 +378,23 @@ class Declaration:
 
     def at_rest(self, tree: Tree, but: str = "") -> Tree:
         """``tree`` where all coordinates and rates are zero, but for one of that name."""
-        still = {*self.coordinates, *self.rates} - {but}
+        still = {*self.coordinates, *self.rates, *self.states} - {but}
         return plus(replaced(tree, dict.fromkeys(still, ZERO)))
 
     @cached_property
     def linear(self) -> bool:
         """Whether what is through the branches is in proportion to coordinates and rates."""
-        seen = {*self.coordinates, *self.rates}
-        laws = [tree for b in self.branches for tree in (self.direct(b), self.kept(b))]
+        seen = {*self.coordinates, *self.rates, *self.states}
+        laws = [tree for b in self.acting for tree in (self.direct(b), self.kept(b))]
+        laws = [*map(self.spelled, (*laws, *self.changes.values()))]
         return not any(names(derivative(law, name)) & seen for law in laws for name in seen)
 
     @cached_property
     def damped(self) -> tuple[Branch, ...]:
         """Displacements whose velocities matter."""
-        stated = (self._tree("kinetic"), self._tree("content"), *self._forces.values())
+        stated = [self._tree("kinetic"), self._tree("content")]
+        stated += (*self.changes.values(), *self.sent.values())
+        stated += (times(Name(name + RATE), tree) for name, tree in self._forces.items())
         result = frozenset[str]().union(*map(names, stated))
         return tuple(b for b in self.branches if b.name + RATE in result)
 

@@ -2,9 +2,10 @@
 
 The trees are those of :mod:`kc2spice.netlist.expression`. Besides arithmetic there are ``exp``,
 ``ln``, ``sqrt``, ``sin``, ``cos``, ``sinh``, ``cosh``, ``tanh``, ``atan``, the one-sided
-``max(0, e)``, ``clip(e)``, which is e between -1 and 1, ``poly(e, c0, c1, ...)``, a power series
-of numbers, and ``integral(f, x)``, that of ``f(x)`` from zero to ``x``, which exists as a number
-and by its derivative but has no text in a netlist.
+``max(0, e)``, ``above(e)``, which is 1 where e is above zero and 0 elsewhere, ``clip(e)``, which is
+e between -1 and 1, ``poly(e, c0, c1, ...)``, a power series of numbers, tables, and
+``integral(f, x)``, that of ``f(x)`` from zero to ``x``, which exists as a number and by its
+derivative but has no text in a netlist.
 """
 
 from __future__ import annotations
@@ -37,6 +38,7 @@ from kc2spice.netlist.expression import (
 )
 
 ZERO, ONE = Number("0"), Number("1")
+SLOPE = "_slope"  # ends the name of a table's derivative
 _DIGITS = 11  # that ngspice keeps of a literal in an expression
 # Derivatives by the argument u.
 _CHAIN = {
@@ -48,8 +50,9 @@ _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(30)
 
 
 @cache
-def expression(text: str, where: str = "expression") -> Tree:
-    """The plain form of ``text``.
+def expression(text: str, where: str = "expression", tables: tuple[str, ...] = ()) -> Tree:
+    """The plain form of ``text``; ``tables`` are functions of one argument whose values are given
+    with those of names, the derivative of ``f`` as ``f_slope``.
 
     Raises
     ------
@@ -60,19 +63,19 @@ def expression(text: str, where: str = "expression") -> Tree:
         match node:
             case Call("max", (first, _)) if tidy(first) == ZERO:
                 continue
-            case Call("integral", (_, Name(_))) | Call("clip", (_,)):
+            case Call("integral", (_, Name(_))) | Call("clip" | "above", (_,)):
                 continue
             case Call("poly", (_, *series)) if series and not any(map(names, series)):
                 continue
-            case Call(name, (_,)) if name in _CHAIN:
+            case Call(name, (_,)) if name in _CHAIN or name in tables:
                 continue
             case Call(name, _):
                 raise UsageError(
                     "no such function in physics",
                     where=where,
                     got=name,
-                    expected="max(0, …), clip(…), poly(…, numbers), integral(…, x), "
-                    + ", ".join(_CHAIN),
+                    expected="max(0, …), above(…), clip(…), poly(…, numbers), integral(…, x), "
+                    + ", ".join((*_CHAIN, *tables)),
                 )
             case Choice() | Probe():
                 raise UsageError(
@@ -81,7 +84,15 @@ def expression(text: str, where: str = "expression") -> Tree:
                     got=text,
                     hint="max(0, …) is one-sided",
                 )
-    return tidy(tree)
+    return tidy(_stepped(tree))
+
+
+def _stepped(tree: Tree) -> Tree:
+    """``tree`` with a choice in place of every ``above(e)``."""
+    match tree:
+        case Call("above", (value,)):
+            return _step(tidy(_stepped(value)))
+    return rebuilt(tree, _stepped)
 
 
 class _Card(Writer):
@@ -184,9 +195,14 @@ def _derivative(tree: Tree, name: str) -> Tree:
             free = Binary("-", ONE, Binary("+", *map(_step, _ends(value))))
             return Binary("*", free, _derivative(value, name))
         case Call(function, (value,)):
-            outer = replaced(parse(_CHAIN[function]), {"u": value})
-            return Binary("*", outer, _derivative(value, name))
+            table = function not in _CHAIN
+            outer = Call(function + SLOPE, (value,)) if table else _chain(function, value)
+            return _product(outer, _derivative(value, name))
     return ZERO  # numbers, and steps, which are level on either side
+
+
+def _chain(function: str, value: Tree) -> Tree:
+    return replaced(parse(_CHAIN[function]), {"u": value})
 
 
 def _product(left: Tree, right: Tree) -> Tree:
@@ -295,7 +311,8 @@ def _terms(tree: Tree) -> list[_Product]:
         case Binary("/", left, right):
             return [_single(left).times(_single(right).inverse())]
         case Binary("^", base, Number(power)) if float(power).is_integer():
-            return [reduce(_Product.times, [_single(base)] * int(float(power)))]
+            factors = [_single(base)] * int(float(power))
+            return [reduce(_Product.times, factors, _Product(Fraction(1)))]
         case Binary("^", _, _):
             raise UsageError(
                 "a power that is no whole number", got=Writer().write(tree), hint="exp(n*ln(x))"
@@ -390,7 +407,13 @@ class _Python(Writer):
             return f"({self.write(horner(arguments[0], arguments[1:]))})"
         if function == "clip":
             return f"clip({self.write(arguments[0])}, -1, 1)"
-        return super().call(_NUMPY.get(function, function), arguments)
+        return super().call(_python(function), arguments)
+
+
+def _python(function: str) -> str:
+    """Its name in Python; a table may be named like a key."""
+    known = function in _SCOPE or function in _NUMPY
+    return _NUMPY.get(function, function) if known else f"table_{function}"
 
 
 def _integral(f: Callable[[Any], Any], x: Any) -> Any:
@@ -404,11 +427,17 @@ _SCOPE |= {_NUMPY[name]: _SCOPE[name] for name in _NUMPY} | {"integral": _integr
 _SCOPE |= {"max": np.maximum, "clip": np.clip, "where": np.where}
 
 
-def function(trees: Iterable[Tree], arguments: Iterable[str]) -> Callable[..., tuple[Any, ...]]:
-    """The values of ``trees`` by those of ``arguments``, numbers or arrays."""
+def function(
+    trees: Iterable[Tree],
+    arguments: Iterable[str],
+    tables: Mapping[str, Callable[[Any], Any]] | None = None,
+) -> Callable[..., tuple[Any, ...]]:
+    """The values of ``trees`` by those of ``arguments``, numbers or arrays; of tables the functions
+    by their names."""
     heads = ", ".join(f"_{name}" for name in arguments)
     values = "".join(f"{_Python().write(tree)}, " for tree in trees)
-    made: Callable[..., tuple[Any, ...]] = eval(f"lambda {heads}: ({values})", dict(_SCOPE))
+    scope = _SCOPE | {_python(name): table for name, table in (tables or {}).items()}
+    made: Callable[..., tuple[Any, ...]] = eval(f"lambda {heads}: ({values})", scope)
     return made
 
 

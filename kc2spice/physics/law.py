@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
@@ -25,16 +25,19 @@ from kc2spice.physics.expression import (
 
 _KIND = {"displacement": "displacement", "voltage": "electrical", "current": "electrical"}
 _Made = Callable[..., tuple[Any, ...]]
+_Table = Callable[[float], float]
 
 
 @dataclass(frozen=True)
 class DeclaredLaw(Device):
-    """The law of a part with these ``values`` of its parameters."""
+    """The law of a part with these ``values`` of its parameters, and with the functions that its
+    ``tables`` and their derivatives are."""
 
     name: str
     declaration: Declaration
     values: tuple[float, ...]
     start: tuple[float, float] | None = None  # of its mass
+    tables: Mapping[str, _Table] = field(default_factory=dict, compare=False)
 
     def _of(self, *kinds: str) -> tuple[Branch, ...]:
         return tuple(b for b in self.declaration.branches if b.kind in kinds)
@@ -42,36 +45,42 @@ class DeclaredLaw(Device):
     @property
     def pins(self) -> tuple[Pin, ...]:
         result: dict[str, Pin] = {}
+        kinds = {pin: _KIND[kind] for pin, kind in self.declaration.kinds.items()}
         for b in self.declaration.branches:
             loop = b.plus == LOOPS  # no current flows to it
-            result.setdefault(b.plus, Pin(b.plus, _KIND[b.kind], grounded=loop))
-            result.setdefault(b.minus, Pin(b.minus, _KIND[b.kind], grounded=True))
+            result.setdefault(b.plus, Pin(b.plus, kinds[b.plus], grounded=loop))
+            result.setdefault(b.minus, Pin(b.minus, kinds[b.minus], grounded=True))
             if b.less:
-                result.setdefault(b.less, Pin(b.less, _KIND[b.kind]))
+                result.setdefault(b.less, Pin(b.less, kinds[b.less]))
         return tuple(result.values())
 
     @property
     def taps(self) -> tuple[Tap, ...]:
-        across = [Tap(b.plus, b.minus, less=b.less) for b in self.declaration.branches]
-        rates = (Tap(b.plus, b.minus, True, b.less) for b in self.declaration.damped)
+        across = [Tap(b.plus, self._minus(b), less=b.less) for b in self.declaration.branches]
+        rates = (Tap(b.plus, self._minus(b), True, b.less) for b in self.declaration.damped)
         return (*across, *rates)
+
+    def _minus(self, b: Branch) -> str:
+        """Its lower pin; nothing where that is the reference of another kind of branches."""
+        return b.minus if _KIND[self.declaration.kinds[b.minus]] == _KIND[b.kind] else ""
 
     @property
     def flows(self) -> tuple[Flow, ...]:
-        return tuple(Flow(b.plus, b.minus, b.less) for b in self.declaration.branches)
+        return tuple(Flow(b.plus, b.minus, b.less) for b in self.declaration.acting)
 
     @property
     def charged(self) -> tuple[int, ...]:
         d = self.declaration
-        return tuple(
-            k
-            for k, b in enumerate(d.branches)
-            if b.kind == "voltage" or (b.kind != "current" and d.kept(b) != ZERO)
-        )
+        kept = (b.kind != "current" and d.kept(b) != ZERO for b in d.acting)
+        return tuple(k for k, stored in enumerate(kept) if stored)
 
     @property
     def states(self) -> tuple[str, ...]:
-        return tuple(b.name for b in self._of("current"))
+        return (*(b.name for b in self._of("current")), *self.declaration.states)
+
+    @property
+    def storing(self) -> bool:
+        return bool(self._of("current") or self.charged)
 
     @cached_property
     def _seen(self) -> tuple[str, ...]:
@@ -83,10 +92,10 @@ class DeclaredLaw(Device):
     @cached_property
     def affine(self) -> bool:
         d = self.declaration
-        trees = [d.direct(b) for b in d.branches if b.kind == "displacement"]
+        trees = [*map(d.spelled, (*map(d.direct, d.acting), *d.changes.values()))]
         slopes = (flagged(derivative(t, n), self._corners) for t in trees for n in self._seen)
         constant = not any(names(slope) & set(self._seen) for slope in slopes)
-        return constant and len(trees) == len(d.branches)
+        return constant and not self.storing
 
     @property
     def linear(self) -> bool:
@@ -96,28 +105,34 @@ class DeclaredLaw(Device):
     def _corners(self) -> tuple[Tree, ...]:
         """Arguments of all one-sided expressions, whose signs make modes."""
         d = self.declaration
-        trees = [d.stored, *(x for b in d.branches for x in (d.direct(b), d.kept(b)))]
-        return tuple(dict.fromkeys(e for tree in trees for e in kinks(tree)))
+        trees = [d.stored, *(x for b in d.acting for x in (d.direct(b), d.kept(b)))]
+        trees += d.changes.values()
+        return tuple(dict.fromkeys(e for tree in trees for e in kinks(d.spelled(tree))))
 
     def _made(self, trees: Iterable[Tree], slopes: bool = False) -> _Made:
         """Values of ``trees``, then the derivatives of each by all inputs."""
         flags = [f"flag{k}" for k in range(len(self._corners))]
-        trees = list(trees)
+        trees = list(map(self.declaration.spelled, trees))
         rows = [derivative(tree, name) for tree in trees for name in self._seen if slopes]
         smooth = [flagged(tree, self._corners) for tree in (*trees, *rows)]
-        return function(smooth, (*self._seen, *flags, *self.declaration.parameters))
+        arguments = (*self._seen, *flags, *self.declaration.parameters)
+        return function(smooth, arguments, self.tables)
 
     @cached_property
     def _out(self) -> _Made:
         d = self.declaration
-        flows = [Name(b.name) if b.kind == "current" else d.direct(b) for b in d.branches]
+        flows = [Name(b.name) if b.kind == "current" else d.direct(b) for b in d.acting]
         rates = [minus(Name(f"{b.name}_drop"), d.direct(b)) for b in self._of("current")]
-        return self._made([*flows, *rates], slopes=True)
+        return self._made([*flows, *rates, *d.changes.values()], slopes=True)
 
     @cached_property
     def _kept(self) -> _Made:
-        stored = (*self._of("current"), *(self.declaration.branches[k] for k in self.charged))
-        return self._made([self.declaration.kept(b) for b in stored], slopes=True)
+        d = self.declaration
+        fluxes, charges = (
+            map(d.kept, self._of("current")),
+            (d.kept(d.acting[k]) for k in self.charged),
+        )
+        return self._made([*fluxes, *map(Name, d.states), *charges], slopes=True)
 
     @cached_property
     def _energies(self) -> _Made:
@@ -143,7 +158,7 @@ class DeclaredLaw(Device):
         return self._split(self._out, e, mode)
 
     def store(self, e: np.ndarray, mode: Any) -> tuple[np.ndarray, np.ndarray]:
-        """Fluxes of the currents, then charges of the voltages and momenta."""
+        """Fluxes of the currents, the states, then charges of the voltages and momenta."""
         return self._split(self._kept, e, mode)
 
     def mode(self, t: float, e: np.ndarray) -> tuple[int, ...]:
@@ -161,16 +176,16 @@ class DeclaredLaw(Device):
 
     @cached_property
     def _loss(self) -> _Made:
-        return self._made(map(self.declaration.loss, self.declaration.branches))
+        return self._made(map(self.declaration.loss, self.declaration.acting))
 
     def noise(self, s: complex, e: np.ndarray, mode: Any) -> tuple[np.ndarray, np.ndarray] | None:
         """A force, a current, or a voltage in series with every loss."""
-        branches, currents = self.declaration.branches, self._of("current")
+        branches, currents = self.declaration.acting, self._of("current")
         root = np.sqrt(self._called(self._loss, e, mode))
-        out = np.zeros((len(branches) + len(currents), len(branches)))
+        out = np.zeros((len(branches) + len(self.states), len(branches)))
         for k, b in enumerate(branches):
             out[len(branches) + currents.index(b) if b in currents else k, k] = root[k]
-        return out, np.zeros((len(currents) + len(self.charged), len(branches)))
+        return out, np.zeros((len(self.states) + len(self.charged), len(branches)))
 
     def check(self, t: float, e: np.ndarray) -> None:
         result = self._called(self._bounds, e, self.mode(t, e))

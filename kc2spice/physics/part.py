@@ -13,7 +13,7 @@ from kc2spice.netlist.cards import distinct
 from kc2spice.netlist.cards import name as checked
 from kc2spice.netlist.circuit import Param, Pin, Subcircuit
 from kc2spice.netlist.expression import Tree
-from kc2spice.physics.cards import body, force_node, meter, noisy
+from kc2spice.physics.cards import body, force_node, meter, noisy, reference, state_node
 from kc2spice.physics.declaration import LOOPS, RATE, Branch, Declaration
 from kc2spice.physics.expression import ZERO, derivative, evaluated, kinks, names
 from kc2spice.physics.law import DeclaredLaw
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 _NODE = {"displacement": ("um", "N"), "voltage": ("V", "A"), "current": ("V", "A")}
 STRIKES = 1.0  # of a stop; plates that struck it twice to nine times were up to 20 % off
 REBOUND = "what follows may hang on every step: error_budget estimates the error of each metric"
-_OWN = "f|x|in|q|l|rest|copy|sense|first|second|noise|speed|place|pushed"
+_OWN = "f|x|in|q|l|rest|copy|sense|first|second|noise|speed|place|pushed|state"
 _INNER = rf"(?:{_OWN})_.+|(?:edge|poly)\d+"  # nodes
 _UNEXPLAINED = 1e-3  # share of what pins bring in that the steps of a run may lose
 
@@ -102,22 +102,25 @@ class DeclaredPart(PartType):
     def vectors(self, part: Part, build: Build) -> Mapping[str, Vector]:
         result, d = {}, self.built(part, build)
         for b in d.branches:
-            unit, flow = _NODE[b.kind]
-            across = across_pins(build, part, b) if b.plus else ""
+            factor, unit = (1e-6, "m") if b.kind == "displacement" else (1.0, "V")
+            if b.plus:
+                across = across_pins(build, part, b)
+                result[f"{part.name}.{b.across}"] = Vector(across, factor, unit)
+            if not b.through:
+                continue
+            through = f"i(v.x{part.name}.{meter(b)})"
             if b.kind == "displacement":
-                result[f"{part.name}.{b.name}"] = Vector(across, 1e-6, "m")
-                through = f"v(x{part.name}.{force_node(b)})"
-                if (minus := build.net(part, b.minus)) != "0":
-                    through += f"-v({minus})"
-            else:
-                if across:
-                    result[f"{part.name}.{b.across}"] = Vector(across, 1.0, unit)
-                through = f"i(v.x{part.name}.{meter(b)})"
+                through = _inner(build, part, force_node(b), b.minus)
             ends = (b.minus,), (b.plus,)
-            result[f"{part.name}.{b.through}"] = Vector(through.lower(), 1.0, flow, *ends)
+            result[f"{part.name}.{b.through}"] = Vector(through.lower(), 1.0, flow_of(b), *ends)
             if d.mass(b) != ZERO:
                 speed = f"v(x{part.name}.speed_{b.name})".lower()
                 result[f"{part.name}.v"] = Vector(speed, 1.0, "m/s")
+        inner = {name: name for name in d.signals} | {name: state_node(name) for name in d.states}
+        for name, node in inner.items():
+            result[f"{part.name}.{name}"] = Vector(
+                _inner(build, part, node, reference(d)).lower(), 1.0, "SI"
+            )
         return result
 
     def begins(self, part: Part, build: Build) -> tuple[float, float] | None:
@@ -128,11 +131,13 @@ class DeclaredPart(PartType):
         n, d = part.name, self.built(part, build)
         results = {}
         for b in d.open:  # loops of a full model are others
-            results[f"{n}.{b.through}"] = laws.reading(f"{n}.{b.plus}.through")
+            if b.through:
+                results[f"{n}.{b.through}"] = laws.reading(f"{n}.{b.plus}.through")
             if d.metered:
                 results[f"{n}.{b.across}"] = laws.difference(f"{n}.{b.plus}", f"{n}.{b.minus}")
             if d.mass(b) != ZERO:
                 results[f"{n}.v"] = laws.reading(f"{n}.{b.plus}.rate")
+        results |= {f"{n}.{state}": laws.reading(f"{n}.{state}") for state in d.states}
         values = tuple(d.values(part.keys).values())
         law = DeclaredLaw(n, d.closed, values, self.begins(part, build))
         pins = tuple((pin.name, f"{n}.{pin.name}") for pin in law.pins if pin.name != LOOPS)
@@ -157,15 +162,16 @@ class DeclaredPart(PartType):
 
         if "time" in waves:
             yield from energies(d, part, known, waves)
-            edges = {e for b in d.branches for e in kinks(d.direct(b)) if names(e) & set(known)}
+            edges = {e for b in d.acting for e in kinks(d.direct(b)) if names(e) & set(known)}
             for tree in edges:
                 met = evaluated(tree, d.values(part.keys) | known) > 0
                 strikes = float(np.count_nonzero(met[1:] & ~met[:-1]))
                 yield Check(f"strikes of {part.name}", strikes, STRIKES, "", REBOUND, "warn")
 
     def _seen(self, part: Part, build: Build, waves: Waveforms) -> dict[str, np.ndarray]:
-        """Coordinates over time, as far as the run has them."""
-        names = self.built(part, build).coordinates
+        """Coordinates, states and signals over time, as far as the run has them."""
+        d = self.built(part, build)
+        names = (*d.coordinates, *d.states, *d.signals)
         result = {name: waves.data.get(f"{part.name}.{name}") for name in names}
         return {name: wave for name, wave in result.items() if wave is not None}
 
@@ -176,21 +182,33 @@ class DeclaredPart(PartType):
         yield from (Neglected(*row) for row in self.declared(part, scene).neglected)
 
 
+def flow_of(branch: Branch) -> str:
+    """Unit of what is through it; nothing where it is only seen."""
+    return {"displacement": "N"}.get(branch.kind, "A") if branch.through else "-"
+
+
+def _inner(build: Build, part: Part, node: str, pin: str) -> str:
+    """The voltage of an inner node against a pin."""
+    low = build.net(part, pin)
+    return f"v(x{part.name}.{node})" + f"-v({low})" * (low != "0")
+
+
 def pins_of(declaration: Declaration) -> tuple[Pin, ...]:
     """In the order of its branches; with a base, all upper ends before the lower ones. The velocity
     of a rigid body stands before its place."""
-    result: dict[str, Pin] = {}
-    ends = [(b, (b.plus, b.minus, b.less)) for b in declaration.open]
-    pairs = [(k, b.kind, pin) for b, three in ends for k, pin in enumerate(three) if pin]
-    for _, kind, pin in sorted(pairs, key=lambda p: p[0]) if declaration.base else pairs:
-        unit, flow = _NODE[kind]
-        if speed := declaration.speeds.get(pin):
+    d, result = declaration, dict[str, Pin]()
+    ends = [pin for b in d.open for pin in enumerate((b.plus, b.minus, b.less)) if pin[1]]
+    touched = {pin for b in d.acting for pin in (b.plus, b.minus, b.less)}
+    for _, pin in sorted(ends, key=lambda end: end[0]) if d.base else ends:
+        unit, flow = _NODE[d.kinds[pin]]
+        if speed := d.speeds.get(pin):
             result.setdefault(checked(speed), Pin(speed, "m/s", flow))
-        result.setdefault(checked(pin), Pin(pin, unit, "-" if speed else flow))
-    result |= {checked(pin): Pin(pin, "um", "-") for pin in declaration.outputs}
-    if declaration.base:
-        result.pop(declaration.base, None)
-        result[declaration.base] = Pin(declaration.base, "um", "N")
+        quiet = speed or pin not in touched
+        result.setdefault(checked(pin), Pin(pin, unit, "-" if quiet else flow))
+    result |= {checked(pin): Pin(pin, "um", "-") for pin in d.outputs}
+    if d.base:
+        result.pop(d.base, None)
+        result[d.base] = Pin(d.base, *_NODE[d.kinds.get(d.base, "displacement")])
     return tuple(result.values())
 
 
@@ -205,7 +223,7 @@ def subcircuit(
     from kc2spice.spice.header import parameter_list, part_header  # loads scipy
 
     d, pins = declaration, pins_of(declaration)
-    distinct([pin.name for pin in pins], _INNER, where=name)
+    distinct([*(pin.name for pin in pins), *map(checked, d.signals)], _INNER, where=name)
     keys = tuple(
         Param(key.name, values[key.name], (key.unit or "-").replace(" ", "*"), key.doc)
         for key in model_keys(d.keys)
@@ -232,8 +250,12 @@ def energies(
 
     What a voltage brings in is ``int v dq``, a current ``int i dl``, and what both turn into heat.
     """
-    time, moved = waves["time"], [b for b in declaration.branches if b.kind == "displacement"]
-    if not moved or set(seen) != set(declaration.coordinates):
+    time, moved = waves["time"], [b for b in declaration.acting if b.kind == "displacement"]
+    if not moved or set(seen) < {
+        *declaration.coordinates,
+        *declaration.states,
+        *declaration.signals,
+    }:
         return
     rates = {
         b.name + RATE: np.gradient(seen[b.name], time)
@@ -248,7 +270,9 @@ def energies(
 
     stored, heat = over_time(declaration.stored), running(over_time(declaration.lost), time)
     brought = running(over_time(declaration.heated), time)
-    for b in declaration.open:  # a jump of a current is no jump of a charge
+    for b in (
+        b for b in declaration.open if b.through
+    ):  # a jump of a current is no jump of a charge
         through, over = seen[b.name], over_time(declaration.kept(b))
         if b in moved:
             through = waves.data.get(f"{part.name}.{b.through}", np.zeros_like(time))

@@ -324,7 +324,7 @@ class _Assembly:
         for law, taps, into in (*self.attached, *self.linear):
             where = self.states(law)
             small, stores = where - n + size, None
-            if has_store(law):
+            if law.storing:
                 kept = self.stores(law, into)
                 stores = W.T @ kept
                 if not law.linear:
@@ -411,11 +411,6 @@ def _split(basis: np.ndarray, pattern: np.ndarray) -> tuple[np.ndarray, np.ndarr
     return basis, acted
 
 
-def has_store(law: L.Device) -> bool:
-    """Whether the device stores something else than its states."""
-    return type(law).store is not L.Device.store and bool(law.states or law.charged)
-
-
 # --- stamps ---------------------------------------------------------------------------------------
 
 
@@ -488,7 +483,7 @@ def _device(law: L.Device, into: _Assembly) -> None:
     if law.linear:
         _linear(law, into, inputs, outputs)
         return
-    if not has_store(law):
+    if not law.storing:
         into.M += own.T @ own
     for k in law.charged:
         into.charged += np.outer(through[k], through[k])

@@ -3,11 +3,15 @@ against closed forms of textbooks."""
 
 import numpy as np
 import pytest
+from scipy.integrate import solve_ivp
 from scipy.special import ellipk
 
 import kc2spice as kc
 from kc2spice.core.waveforms import Waveforms
+from kc2spice.netlist.translate import dialect_files
+from kc2spice.physics import Declaration, DeclaredPart, seen, voltage
 from kc2spice.reference.integrate import transient
+from kc2spice.scene import parttype
 from kc2spice.scene.load import load_scene
 from kc2spice.scene.parttype import Build
 from kc2spice.workflow.judge import verdict
@@ -190,3 +194,70 @@ def test_a_mass_thrown_at_a_stop_and_what_is_said_of_its_second_strike(stop, war
     assert error < 1e-3
     (strikes,) = (c for c in result.record["checks"] if c["name"] == "strikes of comb")
     assert strikes["passed"] is not warned
+
+
+class RegulatorKeys(kc.Section):
+    """PI regulator of a voltage, whose integral stands still at its limit."""
+
+    setpoint: float = 1.0
+    kp: float = 2.0
+    ki: float = 4e3
+    most: float = 1.5
+
+
+REGULATOR = DeclaredPart(
+    Declaration(
+        "regulator",
+        "PI regulator with a limit",
+        RegulatorKeys,
+        (seen(voltage("v", "measured", "ref")), voltage("u", "out", "ref")),
+        signals={"error": "setpoint - v", "wanted": "kp*error + integral"},
+        states={"integral": "ki*error*(1 - above(wanted - most) - above(-wanted - most))"},
+        content="0.5*(u - most*clip(wanted/most))^2",  # behind an ohm
+    )
+)
+
+
+def test_states_and_signals_are_those_of_the_stated_controller(monkeypatch):
+    """A capacitor held at 3 V through 10 Ohm and the ohm, loaded beyond the limit for 1 ms, by
+    scipy."""
+    monkeypatch.setitem(parttype._types, "regulator", REGULATOR)
+    stop, ohms, farads, drawn, edge = 4e-3, 11.0, 100e-6, 0.06, 1e-6
+    pulse = {"high": drawn, "width": 1e-3, "edge": edge, "start": 0.5e-3}
+    scene = {
+        "name": "regulated",
+        "regulator": {"part": "regulator", "setpoint": 3.0, "most": 3.5,
+                      "pins": {"measured": "tank.a", "out": "line.a"}},
+        "line": {"part": "resistor", "resistance": ohms - 1.0, "pins": {"b": "tank.a"}},
+        "tank": {"part": "capacitor", "capacitance": farads},
+        "load": {"part": "source", "kind": "current", "pulse": pulse,
+                 "pins": {"out": "gnd", "ret": "tank.a"}},
+        "solver": {"stop": stop, "max_step": 5e-6, "reltol": 1e-6},
+    }  # fmt: skip
+    ngspice = kc.run(scene).waves
+    laws = solve(Build(load_scene(scene), {}), Waveforms({"time": ngspice["time"]}, {})).results
+    corners = 0.5e-3 + np.array([0.0, edge, 1e-3, 1e-3 + edge])
+
+    def wanted(t, y, *_):
+        return 2.0 * (3.0 - y[0]) + y[1] - 3.5
+
+    def rates(t, y, held):
+        load = np.interp(t, corners, [0.0, drawn, drawn, 0.0])
+        charging = (min(wanted(t, y), 0.0) + 3.5 - y[0]) / ohms - load
+        return charging / farads, 0.0 if held else 4e3 * (3.0 - y[0])
+
+    wanted.terminal, pieces, t, y = True, [], 0.0, [3.0, 3.0]
+    while t < stop:
+        wanted.direction = 1.0 - 2.0 * (len(pieces) % 2)  # to the limit, and away from it
+        pieces.append(
+            solve_ivp(rates, (t, stop), y, rtol=1e-9, atol=1e-12, max_step=2e-6, events=wanted,
+                      dense_output=True, args=(len(pieces) % 2 == 1,))
+        )  # fmt: skip
+        t, y = pieces[-1].t[-1], pieces[-1].y[:, -1]
+    assert len(pieces) == 3
+    for waves, limit in ((ngspice, 1e-4), (laws, 1e-7)):
+        owner = np.searchsorted([piece.t[-1] for piece in pieces[:-1]], waves["time"])
+        exact = [pieces[k].sol(t)[1] for k, t in zip(owner, waves["time"], strict=True)]
+        np.testing.assert_allclose(waves["regulator.integral"], exact, rtol=limit)
+    for dialect in ("xyce", "ltspice", "verilog-a"):
+        assert dialect_files(kc.deck(scene), dialect)

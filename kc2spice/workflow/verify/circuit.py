@@ -32,7 +32,7 @@ from kc2spice.core.laws import (
 )
 from kc2spice.core.waveforms import Recorded, Waveforms
 from kc2spice.reference import equilibrium
-from kc2spice.reference.assemble import System, assemble, has_store
+from kc2spice.reference.assemble import System, assemble
 from kc2spice.reference.integrate import Result, transient
 from kc2spice.reference.linear import ac, noise
 from kc2spice.reference.steps import steps
@@ -181,7 +181,7 @@ def replayed_nets(build: Build) -> dict[str, str] | None:
         if others & {*result.missing} and not any(_holds(laws, item) for item in joined):
             met[net] = kinds[target] if met.get(net, "signal") == "signal" else met[net]
     curved = (law for law in laws.values() if isinstance(law, Device) and not law.linear)
-    coils = any(map(has_store, curved))
+    coils = any(law.storing for law in curved)
     elastic = any(isinstance(law, LinearBody) for law in laws.values())
     known = laws and set(met.values()) <= set(SOURCES)
     return met if known and not (coils and elastic) else None
