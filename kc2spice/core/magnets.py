@@ -13,7 +13,6 @@ from typing import Any
 import numpy as np
 
 from kc2spice.core.errors import SimulationError
-from kc2spice.core.laws import Device, Flow, Pin, Tap
 
 
 @dataclass(frozen=True)
@@ -85,10 +84,15 @@ def cubic_spline(x: np.ndarray, values: np.ndarray) -> Piecewise:
     return Piecewise(x, np.stack([values[:-1], slope, s[:-1] / 2, np.diff(s, axis=0) / (6 * h)]))
 
 
+# Linear magnetics: what each coefficient of the force is multiplied by, as powers of both currents.
+POWERS = {"c0": (0, 0), "c1": (1, 0), "c2": (0, 1), "c11": (2, 0), "c12": (1, 1), "c22": (0, 2)}
+FORCE = tuple(POWERS)
+
+
 def products(i1: Any, i2: Any) -> np.ndarray:
-    """``1, i1, i2, i1^2, i1 i2, i2^2`` (..., 6) of the currents."""
+    """The currents to all of these powers (..., 6)."""
     i1, i2 = np.broadcast_arrays(np.asarray(i1, dtype=float), i2)
-    return np.stack([np.ones_like(i1), i1, i2, i1**2, i1 * i2, i2**2], axis=-1)
+    return np.stack([i1**a * i2**b for a, b in POWERS.values()], axis=-1)
 
 
 @dataclass(frozen=True)
@@ -99,9 +103,10 @@ class Coenergy:
     terms: Piecewise  # p (..., 6)
 
     @cached_property
-    def _slopes(self) -> tuple[Piecewise, Piecewise]:
+    def slopes(self) -> tuple[Piecewise, Piecewise, Piecewise]:
+        """p and its first and second derivatives by the height."""
         first = self.terms.derivative()
-        return first, first.derivative()
+        return self.terms, first, first.derivative()
 
     def inside(self, y: Any, where: str) -> np.ndarray:
         """``y``, if it lies in the table.
@@ -124,30 +129,12 @@ class Coenergy:
 
     def force(self, y: Any, i1: Any, i2: Any) -> np.ndarray:
         """Force on the sphere [N]; arguments broadcast. Raises as :meth:`inside`."""
-        slopes = self._slopes[0](self.inside(y, "catch"))
+        slopes = self.slopes[1](self.inside(y, "catch"))
         return np.asarray((slopes * products(i1, i2)).sum(axis=-1))
 
     def inductances(self, y: Any) -> np.ndarray:
         """Symmetric L (..., 2, 2) [H]. Raises as :meth:`inside`."""
         return _quadratic(self.terms(self.inside(y, "catch")))
-
-    def pull(self, y: float, i: np.ndarray) -> tuple[float, float, np.ndarray]:
-        """The force, and its slopes by the height and by the currents (2,)."""
-        (first, second), (a, b) = (slope(y) for slope in self._slopes), i
-        q = np.array([1.0, a, b, a * a, a * b, b * b])
-        by = np.array([(0.0, 0.0), (1.0, 0.0), (0.0, 1.0), (2 * a, 0.0), (b, a), (0.0, 2 * b)])
-        return float(first @ q), float(second @ q), first @ by
-
-    def fluxes(self, y: float, i: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Flux linkages (2,), and their slopes by the height (2,) and the currents (2, 2)."""
-        p, slopes = self.terms(y), self._slopes[0](y)
-        own, changed = _quadratic(p), _quadratic(slopes)
-        return p[1:3] + own @ i, slopes[1:3] + changed @ i, own
-
-    def stored(self, y: float, i: np.ndarray) -> float:
-        """Energy ``i' L i / 2 - p0(y)`` [J] of both coils and between the magnets."""
-        p = self.terms(y)
-        return float(i @ _quadratic(p) @ i / 2 - p[0])
 
 
 def _quadratic(p: np.ndarray) -> np.ndarray:
@@ -155,77 +142,6 @@ def _quadratic(p: np.ndarray) -> np.ndarray:
     return np.stack([2 * p[..., 3], p[..., 4], p[..., 4], 2 * p[..., 5]], -1).reshape(
         *p.shape[:-1], 2, 2
     )
-
-
-@dataclass(frozen=True)
-class PositionForce(Device):
-    """The force on what is joined to ``y``, ``offset`` below its height, with ideal coil currents:
-    ``gains`` times the signals ``i1`` and ``i2``."""
-
-    name: str
-    coenergy: Coenergy
-    gains: tuple[float, float]
-    offset: float = 0.0
-
-    pins = (Pin("y", "displacement"), *(Pin(n, "signal", grounded=True) for n in ("i1", "i2")))
-    taps = (Tap("y"), Tap("y", rate=True), Tap("i1"), Tap("i2"))
-    flows = (Flow("y"),)
-
-    def evaluate(self, e: np.ndarray, mode: Any) -> tuple[np.ndarray, np.ndarray]:
-        i = np.multiply(self.gains, e[2:])
-        force, stiffness, slopes = self.coenergy.pull(e[0] + self.offset, i)
-        return np.array([-force]), -np.array([[stiffness, 0.0, *(slopes * self.gains)]])
-
-    def check(self, t: float, e: np.ndarray) -> None:
-        self.coenergy.inside(e[0] + self.offset, f"{self.name} at t = {t:.6e} s")
-
-    def loss(self, e: np.ndarray, mode: Any) -> float:
-        # minus the work on the moving part: magnets and current sources give it
-        return float(self.evaluate(e, mode)[0][0] * e[1])
-
-
-@dataclass(frozen=True)
-class CoilForce(Device):
-    """The same with real coils between ``a1`` and ``b1``, ``a2`` and ``b2``: ``v_k = R_k i_k +
-    d(lambda_k)/dt``."""
-
-    name: str
-    coenergy: Coenergy
-    resistance: np.ndarray
-    offset: float = 0.0
-
-    pins = (
-        Pin("y", "displacement"),
-        *(Pin(end, "electrical", grounded=True) for end in ("a1", "b1", "a2", "b2")),
-    )
-    taps = (Tap("y"), Tap("a1", "b1"), Tap("a2", "b2"))
-    flows = (Flow("y"), Flow("a1", "b1"), Flow("a2", "b2"))
-    states = ("i1", "i2")
-
-    def evaluate(self, e: np.ndarray, mode: Any) -> tuple[np.ndarray, np.ndarray]:
-        i = e[3:]
-        force, stiffness, slopes = self.coenergy.pull(e[0] + self.offset, i)
-        jac = np.zeros((5, 5))
-        jac[0, 0], jac[0, 3:] = -stiffness, -slopes
-        jac[1:3, 3:] = jac[3:, 1:3] = np.eye(2)
-        jac[3:, 3:] = -np.diag(self.resistance)
-        return np.array([-force, *i, *(e[1:3] - self.resistance * i)]), jac
-
-    def store(self, e: np.ndarray, mode: Any) -> tuple[np.ndarray, np.ndarray]:
-        fluxes, by_height, by_current = self.coenergy.fluxes(e[0] + self.offset, e[3:])
-        return fluxes, np.column_stack((by_height, np.zeros((2, 2)), by_current))
-
-    def check(self, t: float, e: np.ndarray) -> None:
-        self.coenergy.inside(e[0] + self.offset, f"{self.name} at t = {t:.6e} s")
-
-    def energy(self, e: np.ndarray, mode: Any) -> float:
-        return self.coenergy.stored(e[0] + self.offset, e[3:])
-
-    def loss(self, e: np.ndarray, mode: Any) -> float:
-        return float(self.resistance @ e[3:] ** 2)
-
-
-FORCE = ("c0", "c1", "c2", "c11", "c12", "c22")
 
 
 @dataclass(frozen=True)

@@ -9,11 +9,11 @@ import numpy as np
 from pydantic import Field
 
 from kc2spice.core import laws
-from kc2spice.core.magnets import PositionForce
 from kc2spice.core.quantities import Current, Section
 from kc2spice.core.waveforms import Waveforms, constant
 from kc2spice.netlist.cards import number
 from kc2spice.parts.sphere import sphere_of
+from kc2spice.physics import coils
 from kc2spice.scene.judge import PAIRS, Check, Gate
 from kc2spice.scene.model import Part, Scene, Terminal
 from kc2spice.scene.parttype import Build, Governed, PartType, Swept, Vector, register
@@ -79,21 +79,20 @@ class CurrentCases(PartType):
 
     def law(self, part: Part, build: Build) -> laws.Equations:
         """The height is a source's; a force on it is the reaction to what the coils exert."""
-        n, sphere, coils = part.name, _sphere(part, build.scene), _coils(part, build.scene)
-        coenergy = build.model(coils).coenergy
+        n, pulled, fed = part.name, _sphere(part, build.scene), _coils(part, build.scene)
+        table, height = build.model(fed), [f"{n}.out"]
         result: list[laws.Law] = [laws.Source(n, "displacement", constant(0.0))]
-        results, nets, names = {f"{sphere}.y": laws.reading(f"{n}.out")}, [], _forces(part, build)
-        for k, (force, pair) in enumerate(zip(names, cases(part), strict=True)):
-            own = f"{coils.name} {k}"  # no part has a blank in its name
-            result.append(PositionForce(own, coenergy, (1.0, 1.0)))
-            for coil, current in enumerate(pair, 1):
-                result.append(laws.Source(f"{own}_{coil}", "signal", constant(current)))
-                nets.append((f"{own}_{coil}.out", f"{own}.i{coil}"))
+        results = {f"{pulled}.y": laws.reading(f"{n}.out")}
+        for k, force in enumerate(_forces(part, build)):
+            own, (lower, upper) = (
+                f"{fed.name} {k}",
+                cases(part)[k],
+            )  # no part has a blank in its name
+            result.append(coils.law(own, coils.held(), table, lower=lower, upper=upper))
+            height.append(f"{own}.y")
             results[force] = laws.reading(f"{own}.y.through", -1.0)
-        height = (f"{n}.out", *(f"{coils.name} {k}.y" for k in range(len(names))))
-        return laws.Equations(
-            tuple(result), (("y", f"{n}.out"),), results, {"height": (n, 1.0)}, (height, *nets)
-        )
+        pins, sweeps = (("y", f"{n}.out"),), {"height": (n, 1.0)}
+        return laws.Equations(tuple(result), pins, results, sweeps, (tuple(height),))
 
     def checks(self, part: Part, build: Build, waves: Waveforms) -> Iterator[Check | Gate]:
         """Largest change of slope from one segment of the lookup to the next, of the largest slope;

@@ -1,4 +1,5 @@
-"""PID controller of the sphere's height: operational amplifiers (paper 2.4), or its law alone."""
+"""PID controller of the sphere's height: its law, as it stands or of operational amplifiers (paper
+2.4)."""
 
 from __future__ import annotations
 
@@ -18,6 +19,9 @@ from kc2spice.netlist.transforms import self_contained
 from kc2spice.parts import sphere
 from kc2spice.parts._template import BANDWIDTH, opamp_subcircuit
 from kc2spice.parts.ring_magnet_coils import label
+from kc2spice.physics.declaration import Branch, Declaration, displacement, seen, voltage
+from kc2spice.physics.law import DeclaredLaw
+from kc2spice.physics.part import subcircuit
 from kc2spice.scene.judge import Check
 from kc2spice.scene.model import Part, Scene, Terminal
 from kc2spice.scene.parttype import Build, PartType, Vector, register
@@ -29,6 +33,7 @@ COMMAND = 10.0  # V, largest command of the output stage, well within the signal
 SUPPLY = 400.0  # V, of the output stage; more where the coils need it
 HEADROOM = 1.2  # of a supply over what it must give
 EDGE = 1e-8  # s, of the enabling signal
+EMPTYING = 1e-6  # s, in which the integral of a disabled controller dies out
 SATURATED = 0.9  # share of the time at the current limit; above it nothing is controlled
 
 
@@ -77,6 +82,65 @@ def _terminals(output: bool) -> tuple[Terminal, ...]:
     )
 
 
+def law(control: Control, *, output: bool = True) -> Declaration:
+    """``i = clip(kp e + ki integral(e) + kd de/dt / (1 + rolloff s), +-current_limit)`` between
+    ``drive`` and ``sense``, of ``e = setpoint - y`` as the volts of a sensor.
+
+    Without ``output`` it is a voltage at ``command``, 100 V for each ampere. The integral stands
+    still while the clamp holds; it is empty until ``enable`` is 1 V, and the current zero. A gain
+    that is zero has no term, so that it cannot be set either.
+    """
+    limited = "demand/current_limit"
+    within = f"(1 - above({limited} - 1) - above(-{limited} - 1))"
+    reset = f"above(0.5 - enable)*integral/{EMPTYING!r}"
+    terms = {
+        "kp": "kp/sensor*error",
+        "ki": "integral",
+        "kd": "kd/(sensor*rolloff)*(error - followed)",
+    }
+    states = {
+        "ki": ("integral", f"ki/sensor*error*{within} - {reset}"),
+        "kd": ("followed", "(error - followed)/rolloff"),
+    }
+    gains = [gain for gain in terms if getattr(control, gain)]
+    wanted = f"enable*current_limit*clip({limited})"
+    ends: tuple[Branch, ...] = (voltage("command", "command", "ref"),)
+    content = f"0.5*(command - {SENSE!r}*{wanted})^2"  # behind an ohm
+    if output:
+        ends = voltage("drop", "drive", "sense"), voltage("sensed", "sense", "ref", "returned")
+        content = f"0.5*sensed^2 - {wanted}*drop"
+    return Declaration(
+        "pid",
+        "controller of the sphere's height",
+        Section,
+        (
+            seen(displacement("y", "y", "ref")),
+            seen(voltage("enable", "enable", "ref")),
+            *ends,
+        ),
+        content=content,
+        states=dict(states[gain] for gain in gains if gain in states),
+        signals={
+            "error": "sensor*(setpoint - y)",
+            "demand": " + ".join(terms[gain] for gain in gains),
+        },
+        given=tuple(_parameters(control)),
+        constants={"sensor": repr(SENSOR)},
+        rating="its output stays within current_limit",
+        base="ref",
+        metered=False,
+    )
+
+
+def _parameters(control: Control) -> Iterator[Param]:
+    """What an instance may set."""
+    yield Param("setpoint", control.setpoint, "m", "height of the sphere's centre")
+    for gain, item, unit, doc in GAINS:
+        if getattr(control, gain):
+            yield positive(item, getattr(control, item), unit, doc)
+    yield positive("current_limit", control.current_limit, "A", "largest coil current")
+
+
 def pid_subcircuit(
     header: Header,
     control: Control,
@@ -87,39 +151,35 @@ def pid_subcircuit(
 ) -> Subcircuit:
     """The controller between the height ``y``, ``enable`` and the coils at ``drive`` and ``sense``.
 
-    Its own output stage measures with a resistor that gives 10 V at the current limit, at most
-    100 Ohm, so that no limit is beyond the rails; its supply, in steps of 100 V, drives that limit
-    through the ``load`` [Ohm] of the coils, and what is left over slews the current. Without it the
-    controller ends at ``command``, 100 V for each ampere that it wants.
+    The output stage of amplifiers measures with a resistor that gives 10 V at the current limit, at
+    most 100 Ohm, so that no limit is beyond the rails; its supply, in steps of 100 V, drives that
+    limit through the ``load`` [Ohm] of the coils, and what is left over slews the current. Without
+    it the controller ends at ``command``, 100 V for each ampere that it wants.
     """
-    limit, ideal = control.current_limit, control.form == "ideal"
+    declared = law(control, output=output)
+    if control.form == "ideal":
+        return subcircuit(header, name, declared, declared.values(control))
+    limit = control.current_limit
     sense = min(SENSE, COMMAND / limit) if output else SENSE
     supply = max(SUPPLY, 100.0 * math.ceil(HEADROOM * limit * (load + sense) / 100.0))
-    params = [Param("setpoint", control.setpoint, "m", "height of the sphere's centre")]
-    params += [
-        positive(item, getattr(control, item), unit, doc)
-        for gain, item, unit, doc in GAINS
-        if getattr(control, gain)
+    doc = "input offset of the error amplifier; 1 mV is 1 um of height"
+    rail = max(15.0, HEADROOM * sense * limit)
+    params = [
+        *declared.given,
+        Param("offset", 0.0, "V", doc),
+        positive("rail", rail, "V", "supply of the signal amplifiers"),
     ]
-    params += [positive("current_limit", limit, "A", "largest coil current")]
-    if not ideal:
-        doc = "input offset of the error amplifier; 1 mV is 1 um of height"
-        rail = max(15.0, HEADROOM * sense * limit)
-        params += [
-            Param("offset", 0.0, "V", doc),
-            positive("rail", rail, "V", "supply of the signal amplifiers"),
-        ]
-        if output:
-            params += [positive("compliance", supply, "V", "supply of the output stage")]
+    if output:
+        params += [positive("compliance", supply, "V", "supply of the output stage")]
     gains = [param.name for param in params]
     part = library(
-        "pid_ideal" if ideal else "pid",
+        "pid",
         header,
         name,
-        "controller of the sphere's height",
+        declared.title,
         _terminals(output),
         tuple(params),
-        rating="its output stays within current_limit" + " and compliance" * (output and not ideal),
+        rating=declared.rating + " and compliance" * output,
         gains=gains,
         weights=[f"gain_{gain[1]}" for gain in ("kp", "ki", "kd") if gain in gains],
         sensor=SENSOR,
@@ -128,7 +188,7 @@ def pid_subcircuit(
         pi=math.pi,
         output=output,
     )
-    return part if ideal else self_contained(part, [opamp_subcircuit(header)])
+    return self_contained(part, [opamp_subcircuit(header)])
 
 
 class Pid(PartType):
@@ -186,25 +246,25 @@ class Pid(PartType):
         return (pid_subcircuit(header, part.keys, output=local, load=load, name=name),)
 
     def vectors(self, part: Part, build: Build) -> Mapping[str, Vector]:
-        result = {f"{part.name}.error": Vector(f"v(x{part.name.lower()}.e)", 1.0 / SENSOR, "m")}
+        node = "error" if part.keys.form == "ideal" else "e"
+        error = Vector(f"v(x{part.name.lower()}.{node})", 1.0 / SENSOR, "m")
+        result = {f"{part.name}.error": error}
         if _remote(part, build.scene):
             wanted = f"v({build.net(part, 'command')})"
             result["coil.wanted"] = Vector(wanted, 1.0 / SENSE, "A")
         return result
 
     def law(self, part: Part, build: Build) -> laws.Equations | None:
-        """The ideal law; what the amplifiers add to it is an error of the netlist."""
+        """Of both forms; what the amplifiers add to it is an error of the netlist."""
         keys, n, scene = part.keys, part.name, build.scene
-        own = [name for name, _ in scene.joined(n, "enable")] == [f"{n}_enable"]
-        if _remote(part, scene) or not own or build.net(part, "ref") != "0":
+        if _remote(part, scene):
             return None
-        on = tuple(t for t, state in keys.switching if state)
-        gains, height = (keys.kp, keys.ki, keys.kd), sphere.offset(part, "y", scene)
-        limits = keys.rolloff, keys.current_limit, keys.setpoint
-        law = laws.Pid(n, *gains, *limits, height, on, tuple(keys.disable_at))
-        pins = (("y", f"{n}.y"), ("drive", f"{n}.out"))
+        declared, height = law(keys), sphere.offset(part, "y", scene)
+        values = declared.values(keys) | {"setpoint": keys.setpoint - height}
+        own = DeclaredLaw(n, declared, tuple(values.values()))
+        pins = tuple((pin.name, f"{n}.{pin.name}") for pin in own.pins)
         error = laws.reading(f"{n}.y", -1.0, keys.setpoint - height)
-        return laws.Equations((law,), pins, {f"{n}.error": error})
+        return laws.Equations((own,), pins, {f"{n}.error": error})
 
     def metrics(self, part: Part, build: Build, waves: Waveforms) -> Mapping[str, Any]:
         ball = sphere.controlled(part, build.scene)

@@ -2,7 +2,7 @@
 
 The force is six functions of the sphere's height, exact in both currents. With ideal current drive
 the coils are resistors; real coils have inductance and back-EMF from the same table. The law
-itself, in numpy, is :class:`kc2spice.core.magnets.Coenergy`.
+itself is stated in :mod:`kc2spice.physics.coils`.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from kc2spice.core import laws
 from kc2spice.core.cache import cached
 from kc2spice.core.errors import UsageError
 from kc2spice.core.figure import Curve, Figure, Panel, Shape, Written
-from kc2spice.core.magnets import FORCE, CoilForce, EMTable, PositionForce, cubic_spline
+from kc2spice.core.magnets import FORCE, POWERS, EMTable, cubic_spline
 from kc2spice.core.quantities import MU_0, si
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.fem.magnet_keys import Catch, Ring
@@ -30,6 +30,7 @@ from kc2spice.parts._pictures import impedances
 from kc2spice.parts._touching import Penetration, Touching, impact_penetration
 from kc2spice.parts.netlist import driver
 from kc2spice.parts.sphere import offset, sphere_of
+from kc2spice.physics import coils
 from kc2spice.scene.judge import Check
 from kc2spice.scene.model import Part, Scene, Terminal
 from kc2spice.scene.parttype import (
@@ -68,9 +69,8 @@ class Coils(Catch):
 # One current i through both coils, i2 = i and i1 = -i, as the control loop wires them: functions of
 # height, by powers of i, each the sum of the table's coefficients times these weights.
 SERIES = {
-    "c0": (1, 0, 0, 0, 0, 0),
-    "d1": (0, -1, 1, 0, 0, 0),
-    "d2": (0, 0, 0, 1, -1, 1),
+    name: tuple((-1) ** a * (a + b == power) for a, b in POWERS.values())
+    for power, name in enumerate(("c0", "d1", "d2"))
 }
 UNITS = ("N", "N/A and V s/m", "N/A and V s/m", "N/A^2", "N/A^2", "N/A^2")
 
@@ -166,11 +166,12 @@ def _inductive(table: EMTable, height: np.ndarray) -> dict[str, Any]:
         g = f"g{k + 1}{l + 1}"
         doc = f"{g}(y): {henry:.6g} H times the inverse of L, less its mean"
         functions.append(Lookup(g, *smooth((inverse - default)[:, k, l]), doc))
-    coils = [
+    windings = [
         {"k": 1, "name": "lower", "plus": "lp", "minus": "ln", "own": default[0, 0]},
         {"k": 2, "name": "upper", "plus": "up", "minus": "un", "own": default[1, 1]},
     ]
-    return {"henry": henry, "coils": coils, "mutual": default[0, 1], "functions": functions}
+    result = {"henry": henry, "coils": windings, "mutual": default[0, 1], "functions": functions}
+    return result | {"force": coils.force_text()}
 
 
 def smooth(values: np.ndarray) -> tuple[list[str], list[str]]:
@@ -376,25 +377,25 @@ class RingMagnetCoils(Touching):
         upper = waves.data.get(f"{label(part)}.upper.current", zero)
         return np.asarray(build.model(part).coenergy.force(y, lower, upper))
 
-    def law(self, part: Part, build: Build) -> laws.Equations | None:
+    def law(self, part: Part, build: Build) -> laws.Equations:
         n, scene, table = part.name, build.scene, build.model(part)
-        prefix, raised = label(part), offset(part, "y", scene)
-        currents = (f"{prefix}.lower.current", f"{prefix}.upper.current")
-        if real(part, scene):
-            law = CoilForce(n, table.coenergy, table.resistance, raised)
-            ends = (("lp", "a1"), ("ln", "b1"), ("up", "a2"), ("un", "b2"), ("y", "y"))
-            results = {c: laws.reading(f"{n}.i{k}") for k, c in enumerate(currents, 1)}
-            results[f"{prefix}.voltage"] = laws.difference(f"{n}.a2", f"{n}.a1")
-            return laws.Equations((law,), tuple((a, f"{n}.{b}") for a, b in ends), results)
-        feeds = scene.joined(n, "drive")
-        if any(scene.parts[other].type.name != "pid" for other, _ in feeds):
-            return None
-        gains = (-1.0, 1.0)
-        force_law = PositionForce(n, table.coenergy, gains, raised)
-        pins = (("y", f"{n}.y"), ("drive", f"{n}.i1"), ("drive", f"{n}.i2"))
-        signals = zip(currents, ("i1", "i2"), gains, strict=True)
-        results = {c: laws.reading(f"{n}.{i}", gain) for c, i, gain in signals}
-        return laws.Equations((force_law,), pins if feeds else pins[:1], results)
+        prefix, apart = label(part), real(part, scene)
+        law = coils.law(
+            n, coils.real() if apart else coils.resistive(), table, offset(part, "y", scene)
+        )
+        pins = tuple((pin.name, f"{n}.{pin.name}") for pin in law.pins)
+        ends = (
+            (("i1", 1.0), ("i2", 1.0))
+            if apart
+            else (("drive.through", -1.0), ("drive.through", 1.0))
+        )
+        results = {
+            f"{prefix}.{coil}.current": laws.reading(f"{n}.{wave}", sign)
+            for coil, (wave, sign) in zip(COILS, ends, strict=True)
+        }
+        if apart:
+            results[f"{prefix}.voltage"] = laws.difference(f"{n}.up", f"{n}.lp")
+        return laws.Equations((law,), pins, results)
 
     def metrics(self, part: Part, build: Build, waves: Waveforms) -> Mapping[str, Any]:
         if f"{label(part)}.voltage" not in waves:

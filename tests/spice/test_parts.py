@@ -21,11 +21,10 @@ Rcoils drive ret 3192
     vectors = {
         "y": ("v(y)", 1e-6),
         "i": ("@rcoils[i]", 1.0),
-        "error": ("v(xpid.e)", 1 / 2e3),
     }
     if control.ki:
-        scale = 1 / control.ki if control.form == "ideal" else -10.0 / 2e3
-        vectors["integral"] = ("v(xpid.i)", scale)
+        ideal = "v(xpid.state_integral)", 1 / control.ki
+        vectors["integral"] = ideal if control.form == "ideal" else ("v(xpid.i)", -10.0 / 2e3)
     parts = [opamp_subcircuit(header), pid_subcircuit(header, control, load=load)]
     return bench(parts, cards, vectors, stop)
 
