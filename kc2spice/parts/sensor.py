@@ -4,16 +4,22 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping
+from dataclasses import replace
 from typing import Any
 
 from pydantic import Field
 
+from kc2spice.core import laws
 from kc2spice.core.errors import UsageError
 from kc2spice.core.quantities import BOLTZMANN, TEMPERATURE, Frequency, Length, Section
+from kc2spice.netlist.cards import number
 from kc2spice.netlist.circuit import Param
-from kc2spice.parts._template import TemplatePart
+from kc2spice.parts import sphere
+from kc2spice.physics.declaration import Declaration, displacement, seen
+from kc2spice.physics.law import DeclaredLaw
+from kc2spice.physics.part import subcircuit
 from kc2spice.scene.model import Part, Scene, Terminal
-from kc2spice.scene.parttype import Build, Vector, register
+from kc2spice.scene.parttype import Build, PartType, Vector, register
 
 
 class SensorKeys(Section):
@@ -28,20 +34,32 @@ class SensorKeys(Section):
     )
 
 
-class Sensor(TemplatePart):
+def reading(keys: SensorKeys) -> Declaration:
+    """What it reads follows the position with one pole, shifted by its offset; without noise."""
+    return Declaration(
+        "sensor",
+        "position sensor",
+        Section,
+        (seen(displacement("x", "of", "ref")),),
+        states={"followed": f"{2 * math.pi:.11g}*bandwidth*(1e6*x - followed)"},  # in um
+        outputs={"out": "1e-6*followed + offset"},
+        given=(
+            Param("bandwidth", keys.bandwidth, "Hz", "of the reading", 0.0),
+            Param("offset", keys.offset, "m", "added to the reading"),
+        ),
+        rating="no range: compare the reading with that of your sensor",
+        validity="linear, one pole, constant temperature",
+        base="ref",
+        metered=False,
+    )
+
+
+class Sensor(PartType):
     name = "sensor"
     title = "position sensor with bandwidth, offset and noise"
     schema = SensorKeys
     source = "closed form"
-    template, heading = "sensor", "position sensor"
     noise = ("Rnoise",)
-    rating = "no range: compare the reading with that of your sensor"
-    validity = "linear, one pole, constant temperature"
-    fixed = (
-        Terminal("of", "um", "-", required=True),
-        Terminal("out", "um", "-", signal_out=True),
-        Terminal("ref", "V", "A", "gnd"),
-    )
     example = """
 [sensor]
 part = "sensor"
@@ -54,25 +72,53 @@ kind = "displacement"
 dc = "1 um"
 """
 
+    def pins(self, part: Part, scene: Scene) -> tuple[Terminal, ...]:
+        return (
+            Terminal("of", "um", "-", required=True),
+            Terminal("out", "um", "-", signal_out=True),
+            Terminal("ref", "um", "N", "gnd"),
+        )
+
     def problems(self, part: Part, scene: Scene) -> Iterator[UsageError]:
         kinds = ("transient", "noise")
         if part.keys.noise and scene.analysis.type not in kinds:
             words = "noise is drawn in time, or analysed"
             yield part.wrong("noise", words, scene.analysis.type, f"{' or '.join(kinds)}, or none")
 
-    def design(self, part: Part, build: Build) -> tuple[tuple[Param, ...], Mapping[str, Any]]:
-        keys = part.keys
-        params = (
-            Param("bandwidth", keys.bandwidth, "Hz", "of the reading", 0.0),
-            Param("offset", keys.offset, "m", "added to the reading"),
-        )
-        # white up to the bandwidth, over the noise voltage of an ohm
-        root = math.sqrt(4 * BOLTZMANN * TEMPERATURE * keys.bandwidth)
-        gain = 1e6 * keys.noise / root if build.noisy else 0.0
-        return params, {"noise": keys.noise, "step": 0.5 / keys.bandwidth, "gain": gain}
+    def subcircuits(self, part: Part, build: Build, header: Any) -> tuple[Any, ...]:
+        d, keys, cards = reading(part.keys), part.keys, ""
+        if keys.noise and build.noisy:
+            # white up to the bandwidth, over the noise voltage of an ohm
+            root = math.sqrt(4 * BOLTZMANN * TEMPERATURE * keys.bandwidth)
+            cards = (
+                "* noise by its density: that of an ohm at 27 C times a gain\nRnoise drawn ref 1"
+            )
+            cards += f"\nGnoise ref out drawn ref {number(1e6 * keys.noise / root)}\n"
+        elif keys.noise:
+            step, size = number(0.5 / keys.bandwidth), number(1e6 * keys.noise)
+            cards = f"* noise in um, drawn anew at every {step} s\n"
+            cards += f"Inoise ref out DC 0 TRNOISE({size} {step} 0 0)\n"
+        name = build.libraries[part.name]
+        return (subcircuit(header, name, d, d.values(Section()), more=cards),)
 
     def vectors(self, part: Part, build: Build) -> Mapping[str, Vector]:
         return {f"{part.name}.y": build.across(part, "out")}
+
+    def law(self, part: Part, build: Build) -> laws.Equations | None:
+        """Its output, as in the netlist, is behind an ohm: 1 N for a difference of 1 um."""
+        n, d = part.name, reading(part.keys)
+        if part.keys.noise:
+            return None
+        ((pin, shown),) = d.outputs.items()
+        stiff = {"y": f"1e6*(y - ({shown}))"}
+        d = replace(
+            d, branches=(*d.branches, displacement("y", pin, "ref")), forces=stiff, outputs={}
+        )
+        height = sphere.offset(part, "of", build.scene)
+        values = d.values(Section()) | {"offset": part.keys.offset + height}
+        pins = (("of", f"{n}.of"), ("out", f"{n}.out"), ("ref", f"{n}.ref"))
+        own = DeclaredLaw(n, d, tuple(values.values()))
+        return laws.Equations((own,), pins, {f"{n}.y": laws.reading(f"{n}.out")})
 
     def notes(self, part: Part, scene: Scene) -> Iterator[str]:
         keys = part.keys

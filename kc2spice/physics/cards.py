@@ -81,7 +81,7 @@ def _lines(declaration: Declaration, noise: bool) -> Iterator[str]:
         yield from make(declaration, branch, nodes, added[branch.name])
     yield from _edges(declaration, nodes)
     for name, tree in declaration.read.items():
-        (b,) = (b for b in declaration.branches if b.name in names(tree))
+        b = next((b for b in declaration.branches if b.name in names(tree)), declaration.open[0])
         yield _comment("output", replace(b, plus=name), words=text(tree))
         base = declaration.base or b.minus
         yield from _node(name, times(Number("1e6"), tree), nodes, base)

@@ -218,8 +218,10 @@ def subcircuit(
     declaration: Declaration,
     values: Mapping[str, float],
     noise: bool = False,
+    more: str = "",
 ) -> Subcircuit:
-    """Its netlist, with ``values`` of its keys as defaults; ``noise`` is that of what it loses."""
+    """Its netlist, with ``values`` of its keys as defaults; ``noise`` is that of what it loses,
+    ``more`` are further cards."""
     from kc2spice.spice.header import parameter_list, part_header  # loads scipy
 
     d, pins = declaration, pins_of(declaration)
@@ -233,7 +235,7 @@ def subcircuit(
     words = {"rating": d.rating, "validity": d.validity, "sign": d.sign}
     head = part_header(header, f"{name}: {d.title}", pins, params, **words)
     named = " ".join(pin.name for pin in pins)
-    cards = f".subckt {name} {named} {parameter_list(params)}\n{body(d, noise)}.ends {name}\n"
+    cards = f".subckt {name} {named} {parameter_list(params)}\n{body(d, noise)}{more}.ends {name}\n"
     return Subcircuit(name, pins, params, head + cards, no_module=d.no_module)
 
 

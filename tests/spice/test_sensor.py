@@ -4,8 +4,12 @@ import numpy as np
 import pytest
 from device import deck_of
 
+import kc2spice as kc
+from kc2spice.core.waveforms import Waveforms
 from kc2spice.scene.load import load_scene
+from kc2spice.scene.parttype import Build
 from kc2spice.sim.ngspice import run_deck
+from kc2spice.workflow.verify.circuit import solve
 
 BANDWIDTH, OFFSET, STEP = 50e3, 0.3e-6, 2e-6  # Hz, m, m
 
@@ -35,3 +39,15 @@ def test_noise_has_its_rms_and_is_white_between_samples(tmp_path):
     assert noise.std() == pytest.approx(rms, rel=4 / np.sqrt(2 * count))
     neighbours = np.mean(noise[1:] * noise[:-1]) / rms**2
     assert abs(neighbours) < 4 / np.sqrt(count)
+
+
+def test_the_reading_follows_a_step_by_its_pole_and_offset_in_ngspice_and_by_its_law():
+    scene = sensed(100e-6, offset=OFFSET)
+    ngspice = kc.run(scene).waves
+    law = solve(Build(scene, {}), Waveforms({"time": ngspice["time"]}, {})).results
+    # ngspice's steps; the edge of a nanosecond, of which half is a delay
+    for waves, limit in ((ngspice, 1e-3), (law, 1e-7)):
+        late = np.maximum(waves["time"] - 10e-6 - 0.5e-9, 0.0)
+        exact = OFFSET + STEP * (1 - np.exp(-2 * np.pi * BANDWIDTH * late))
+        after = abs(waves["time"] - 10e-6) > 1.1e-9
+        np.testing.assert_allclose(waves["eye.y"][after], exact[after], atol=limit * STEP)
