@@ -17,6 +17,8 @@ import numpy as np
 from kc2spice.core.errors import UsageError
 from kc2spice.core.quantities import Count, Frequency, Section, Time
 
+MOST_PULSES = 25_000  # of a train that ends: as many corners as rows of a file
+
 
 @dataclass(frozen=True)
 class Waveforms:
@@ -240,7 +242,17 @@ def pulse(
     period: float | None = None,
     count: int | None = None,
 ) -> Waveform:
-    """Trapezoids of ``width`` at half height, one, ``count`` of them, or without end."""
+    """Trapezoids of ``width`` at half height, one, ``count`` of them, or without end.
+
+    Raises
+    ------
+    UsageError : a count without a period, or of so many that a netlist cannot have their corners.
+    """
+    if count is not None and period is None:
+        raise UsageError("a count of pulses without their period", expected="period and count")
+    if count is not None and not 1 <= count <= MOST_PULSES:
+        expected = f"1 to {MOST_PULSES}; without a count the train has no end"
+        raise UsageError("not a number of pulses", got=count, expected=expected)
     edges = ((0.0, low), (edge, high), (width, high), (width + edge, low))
     one = tuple((start + t, v) for t, v in edges)
     if period is None or count is None:

@@ -86,6 +86,10 @@ LIMITS = [
      "cell.pulse={high=1, width=1e-6, edge=1.1e-6}", "longer than the pulse"),
     (CELL, "cell.pulse={high=1, width=1e-6, edge=1e-7, period=1.1e-6}",
      "cell.pulse={high=1, width=1e-6, edge=1e-7, period=1.09e-6}", "overlap"),
+    (CELL, "cell.pulse={high=1, width=1e-6, period=3e-6, count=1}",
+     "cell.pulse={high=1, width=1e-6, count=1}", "without their period"),
+    (CELL, "cell.pulse={high=1, width=1e-6, period=3e-6, count=25000}",
+     "cell.pulse={high=1, width=1e-6, period=3e-6, count=25001}", "not a number of pulses"),
     (CELL, "cell.pwl=[[0, 1], [1e-9, 2]]", "cell.pwl=[[0, 1], [0, 2]]", "must rise"),
     (CELL, "cell.dc=1", "cell.dc=1; cell.sine={amplitude=1, frequency=1}", "two shapes"),
 ]  # fmt: skip
