@@ -124,6 +124,7 @@ def _slowest(pencil: Pencil, solve: Callable[[np.ndarray], np.ndarray], count: i
 
 
 ROUNDING = 1e-11  # no estimate says less: direct solutions are hardly better in the response
+HIGHEST = 1e30  # Hz; powers of a frequency stay numbers
 LOWEST, MARGIN = 1e-10, 0.02  # tolerances that can be certified; the subspace model's part of one
 DIGITS = 4.0  # times rounding over a damping ratio: how well any solution knows that resonance
 FIXED_ORDER_TARGET = 1e-8  # of the subspace when the order is given
@@ -200,10 +201,9 @@ def reduce(
     if not pencil.B.any() or not pencil.C.any():
         raise UsageError("has no effective input or output", where=model.name)
     band = band or model.band or natural_band(pencil)
-    if not (0 <= band[0] < band[1] and np.isfinite(band[1])):
-        raise UsageError(
-            "not a frequency band", where="band", got=band, expected="0 <= f0 < f1 in Hz"
-        )
+    if not 0 <= band[0] < band[1] <= HIGHEST:
+        expected = f"0 <= f0 < f1 <= {HIGHEST:g} in Hz"
+        raise UsageError("not a frequency band", where="band", got=band, expected=expected)
     band = float(band[0]), float(band[1])
     require_factors(pencil.bordered(1.0, 1.0, 1.0))
     target = FIXED_ORDER_TARGET if tolerance is None else max(MARGIN * tolerance, 0.1 * LOWEST)

@@ -30,6 +30,7 @@ def chain(n, dashpot, **more):
         ({"order": 3, "band": (0.2, 0.1)}, "not a frequency band"),
         ({"order": 3, "band": (-0.1, 0.1)}, "not a frequency band"),
         ({"order": 3, "band": (0.0, np.inf)}, "not a frequency band"),
+        ({"order": 3, "band": (0.0, 1e300)}, "not a frequency band"),
     ],
 )
 def test_what_cannot_be_asked_for_is_refused(asked, says):
