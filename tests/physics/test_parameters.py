@@ -192,6 +192,21 @@ def test_the_example_without_parameters_keeps_its_netlist(tmp_path: Path):
     assert "inside1" not in kc.deck(kc.load_scene(_with({}))).parts[0].text
 
 
+def test_sensitivities_are_the_slopes_of_full_models(deck):
+    """Relative ones at the defaults, which are the middles of the ranges on logarithms."""
+    scene = kc.load_scene(BUZZER)
+    part = scene.parts["disc"]
+
+    def resonance(share: float) -> float:
+        other = with_values(part, {KEY: share * part.keys.layers[1].thickness})
+        return part.type.varied(other, scene, Clock(), part).facts["resonance_short_hz"]
+
+    told = kc.run(scene).metrics["sensitivity"]
+    slope = (resonance(1.01) - resonance(0.99)) / (0.02 * resonance(1.0))
+    assert told["layers_1_thickness"]["resonance"] == pytest.approx(slope, rel=0.01)
+
+
+@pytest.mark.slow
 def test_monte_carlo_of_ngspice_has_mean_and_spread_of_fresh_full_models(tmp_path):
     """The example's deck, by a Latin hypercube of full models and by first-order propagation."""
     scene = kc.load_scene(EXAMPLE / "buzzer.toml")

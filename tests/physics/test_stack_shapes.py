@@ -31,7 +31,15 @@ def stack(**keys):
         ({"side": 2e-3, "mesh": {**SMALL, "order": 1}}, 4e-6, 3, 1e-10),
         ({"side": 2e-3, "mesh": {**SMALL, "order": 1, "refine": 2}}, 4e-6, 3, 1e-10),
         ({"side": 2e-3, "mesh": {**SMALL, "order": 1, "layers_per_element": 5}}, 4e-6, 38, 1e-10),
-        ({"side": 2e-3, "mesh": {**SMALL, "refine": 2, "layers_per_element": 3}}, 4e-6, 38, 1e-10),
+        (
+            {
+                "side": 2e-3,
+                "mesh": {**SMALL, "outer_rings": 1, "refine": 2, "layers_per_element": 3},
+            },
+            4e-6,
+            8,
+            1e-10,
+        ),
         ({"side": 2e-3, "depth": 3e-3}, 6e-6, 3, 1e-10),
         ({"diameter": 2e-3}, np.pi * 1e-6, 3, 1e-4),
         ({"diameter": 2e-3, "mesh": {**SMALL, "order": 1}}, np.pi * 1e-6, 3, 1e-10),
