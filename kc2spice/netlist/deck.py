@@ -38,6 +38,9 @@ class Option:
         return f".options {self.key}={self.value}" if self.value else f".options {self.key}"
 
 
+MOST_A_DECADE = 2**31 - 1  # points, which simulators count in 32 bits
+
+
 @dataclass(frozen=True)
 class Command:
     """The analysis: its kind and the numbers of its card."""
@@ -70,10 +73,10 @@ def noise(output: str, source: str, start: float, stop: float, points: int, scal
 
 
 def _range(start: float, stop: float, points: int, scale: str) -> tuple[str, ...]:
-    if scale == "linear":
+    decades = 0.0 if scale == "linear" else math.log10(stop / start)
+    if points > MOST_A_DECADE * decades:  # a range so narrow is linear
         return "lin", str(points), number(start), number(stop)
-    decade = math.ceil(points / max(math.log10(stop / start), 1e-9))
-    return "dec", str(decade), number(start), number(stop)
+    return "dec", str(math.ceil(points / decades)), number(start), number(stop)
 
 
 def dc(source: str, first: float, last: float, points: int) -> Command:

@@ -32,6 +32,7 @@ from kc2spice.scene.parttype import Build, PartType, numerics, part_type, type_n
 from kc2spice.scene.plausible import ImplausibleError, drive_levels, judged
 
 MOST_POINTS = 1e7  # time points of a transient at its largest step
+CLOSEST = 1e-12  # of the last frequency: two points that a simulator can tell apart
 
 
 def problems(scene: Scene) -> Iterator[UsageError]:
@@ -94,12 +95,13 @@ def problems(scene: Scene) -> Iterator[UsageError]:
                 got=f"{selected.type} of {selected.sweep}",
                 expected='type = "dc" and sweep = "SOURCE.dc", or back = false',
             )
-    if selected.small and not selected.start < (selected.stop or 0.0):
+    stop = selected.stop or 0.0
+    if selected.small and not stop - selected.start > CLOSEST * selected.points * stop:
         yield UsageError(
             "empty frequency range",
             where="analysis.stop",
             got=f"{selected.start:g} … {selected.stop} Hz",
-            expected="start < stop",
+            expected=f"start < stop, and points that differ by more than {CLOSEST:g} of it",
         )
     if selected.small and selected.scale == "log" and selected.start <= 0:
         yield UsageError(

@@ -256,4 +256,7 @@ def _range(part: Part, key: str, selected: object) -> tuple[float, float]:
     units = {item.name: item.unit for item in model_keys(type(part.keys))}
     unit = getattr(part.keys, "unit", None) or units.get(key) or ""
     first, last = (quantity(getattr(selected, name), unit) for name in ("from_", "to"))
+    if first == last:  # a simulator would step on the spot without end
+        got, expected = f"{first:g} … {last:g} {unit}", "two values"
+        raise UsageError("empty range", where="analysis.to", got=got, expected=expected)
     return first, last

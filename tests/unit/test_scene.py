@@ -2,10 +2,12 @@
 
 import math
 
+import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+import kc2spice as kc
 from kc2spice.core.errors import UsageError
 from kc2spice.scene.keys import scene_keys
 from kc2spice.scene.load import MAX_BYTES, gallery, load_scene
@@ -197,3 +199,21 @@ def test_any_override_gives_a_scene_or_one_clear_error(overrides):
         assert len(str(error)) < 1500
     else:
         assert len(scene_hash(scene)) == 16
+
+
+def test_ranges_in_which_a_simulator_would_step_on_the_spot():
+    """Points that do not differ are refused; a decade has no more points than can be counted."""
+    tables = {
+        "name": "rc",
+        "drive": {"part": "source", "ac": 1.0, "dc": 1.0},
+        "r": {"part": "resistor", "resistance": 1e3, "pins": {"a": "drive.out", "b": "gnd"}},
+    }
+    ac = {"type": "ac", "start": 1e3, "points": 5}
+    with pytest.raises(UsageError, match="empty frequency range"):
+        load_scene(tables | {"analysis": ac | {"stop": 1e3 * (1 + 1e-12)}})
+    result = kc.run(tables | {"analysis": ac | {"stop": 1e3 + 1e-7}})
+    assert len(result.frequency) == 5
+    assert np.ptp(result.frequency) == pytest.approx(1e-7, rel=1e-3)
+    dc = {"type": "dc", "sweep": "drive.dc", "from": 1, "to": 1, "points": 3}
+    with pytest.raises(UsageError, match="empty range"):
+        kc.deck(tables | {"analysis": dc})
