@@ -7,6 +7,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
+from kc2spice.core.errors import UsageError
 from kc2spice.netlist.cards import comment, number, tidy
 from kc2spice.netlist.circuit import Circuit, Subcircuit
 from kc2spice.netlist.expression import terms
@@ -38,6 +39,7 @@ class Option:
         return f".options {self.key}={self.value}" if self.value else f".options {self.key}"
 
 
+LEAST_STEP = 1e-12  # V or A of a dc sweep; ngspice ends it within 2.2e-13
 MOST_A_DECADE = 2**31 - 1  # points, which simulators count in 32 bits
 
 
@@ -84,8 +86,15 @@ def dc(source: str, first: float, last: float, points: int) -> Command:
 
     The simulator adds step to step; a quarter of one beyond the end keeps rounding from losing the
     last point.
+
+    Raises
+    ------
+    UsageError : a step within what ngspice takes for the end of the range, behind which it goes on.
     """
     step = (last - first) / (points - 1)
+    if abs(step) < LEAST_STEP:
+        got, expected = f"{step:g}", f"at least {LEAST_STEP:g} in the source's unit"
+        raise UsageError("steps too small for ngspice", where=source, got=got, expected=expected)
     return Command("dc", (source, number(first), number(last + step / 4), number(step)))
 
 

@@ -217,3 +217,5 @@ def test_ranges_in_which_a_simulator_would_step_on_the_spot():
     dc = {"type": "dc", "sweep": "drive.dc", "from": 1, "to": 1, "points": 3}
     with pytest.raises(UsageError, match="empty range"):
         kc.deck(tables | {"analysis": dc})
+    with pytest.raises(UsageError, match="steps too small"):
+        kc.deck(tables | {"analysis": dc | {"from": 0, "to": 1e-13}})
