@@ -92,7 +92,7 @@ def law(control: Control, *, output: bool = True) -> Declaration:
     """
     limited = "demand/current_limit"
     within = f"(1 - above({limited} - 1) - above(-{limited} - 1))"
-    reset = f"above(0.5 - enable)*integral/{EMPTYING!r}"
+    reset = f"(1 - on)*integral/{EMPTYING!r}"
     terms = {
         "kp": "kp/sensor*error",
         "ki": "integral",
@@ -103,7 +103,7 @@ def law(control: Control, *, output: bool = True) -> Declaration:
         "kd": ("followed", "(error - followed)/rolloff"),
     }
     gains = [gain for gain in terms if getattr(control, gain)]
-    wanted = f"enable*current_limit*clip({limited})"
+    wanted = f"on*current_limit*clip({limited})"
     ends: tuple[Branch, ...] = (voltage("command", "command", "ref"),)
     content = f"0.5*(command - {SENSE!r}*{wanted})^2"  # behind an ohm
     if output:
@@ -121,6 +121,7 @@ def law(control: Control, *, output: bool = True) -> Declaration:
         content=content,
         states=dict(states[gain] for gain in gains if gain in states),
         signals={
+            "on": "above(enable - 0.5)",
             "error": "sensor*(setpoint - y)",
             "demand": " + ".join(terms[gain] for gain in gains),
         },

@@ -103,7 +103,7 @@ def _current(
     slopes = {item: derivative(tree, item) for item in seen}
     probes = [[p for p in walk(nodes[item]) if isinstance(p, Probe)] for item in seen]
     simple = all(len(found) == 1 and found[0].kind == "v" for found in probes)
-    simple = simple and not any(isinstance(node, Probe) for node in walk(tree))
+    simple = simple and not (kinks(tree) or any(isinstance(node, Probe) for node in walk(tree)))
     if not simple or any(names(slope) & set(nodes) for slope in slopes.values()):
         yield f"B{name} {start} {end} I={{{text(replaced(tree, nodes))}}}"
         return

@@ -42,6 +42,7 @@ from kc2spice.physics.expression import (
     derivative,
     evaluated,
     expression,
+    kinks,
     minus,
     names,
     plus,
@@ -387,7 +388,8 @@ class Declaration:
         seen = {*self.coordinates, *self.rates, *self.states}
         laws = [tree for b in self.acting for tree in (self.direct(b), self.kept(b))]
         laws = [*map(self.spelled, (*laws, *self.changes.values()))]
-        return not any(names(derivative(law, name)) & seen for law in laws for name in seen)
+        bent = any(map(kinks, laws))
+        return not bent and not any(names(derivative(x, n)) & seen for x in laws for n in seen)
 
     @cached_property
     def damped(self) -> tuple[Branch, ...]:

@@ -10,6 +10,7 @@ import kc2spice as kc
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.netlist.translate import dialect_files
 from kc2spice.physics import Declaration, DeclaredPart, seen, voltage
+from kc2spice.physics.cards import body
 from kc2spice.reference.integrate import transient
 from kc2spice.scene import parttype
 from kc2spice.scene.load import load_scene
@@ -261,3 +262,16 @@ def test_states_and_signals_are_those_of_the_stated_controller(monkeypatch):
         np.testing.assert_allclose(waves["regulator.integral"], exact, rtol=limit)
     for dialect in ("xyce", "ltspice", "verilog-a"):
         assert dialect_files(kc.deck(scene), dialect)
+
+
+def test_what_has_a_corner_is_neither_linear_nor_printed_as_linear_sources():
+    """A step has no slope on either side: its switching is all that it does."""
+    stepped = Declaration(
+        "stepped",
+        "a conductance above a volt",
+        kc.Section,
+        (voltage("v", "a", "b"),),
+        content="above(v - 1)*v",
+    )
+    assert not stepped.linear
+    assert "V(a,b)-1>0" in body(stepped)
