@@ -258,13 +258,13 @@ class Pid(PartType):
     def law(self, part: Part, build: Build) -> laws.Equations | None:
         """Of both forms; what the amplifiers add to it is an error of the netlist."""
         keys, n, scene = part.keys, part.name, build.scene
-        if _remote(part, scene):
+        if _remote(part, scene) or build.net(part, "ref") != "0":
             return None
         declared, height = law(keys), sphere.offset(part, "y", scene)
         values = declared.values(keys) | {"setpoint": keys.setpoint - height}
         own = DeclaredLaw(n, declared, tuple(values.values()))
         pins = tuple((pin.name, f"{n}.{pin.name}") for pin in own.pins)
-        error = laws.reading(f"{n}.y", -1.0, keys.setpoint - height)
+        error = laws.reading(f"{n}.y", -1e-6, keys.setpoint - height)
         return laws.Equations((own,), pins, {f"{n}.error": error})
 
     def metrics(self, part: Part, build: Build, waves: Waveforms) -> Mapping[str, Any]:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping
-from dataclasses import replace
 from typing import Any
 
 from pydantic import Field
@@ -15,6 +14,7 @@ from kc2spice.core.quantities import BOLTZMANN, TEMPERATURE, Frequency, Length, 
 from kc2spice.netlist.cards import number
 from kc2spice.netlist.circuit import Param
 from kc2spice.parts import sphere
+from kc2spice.physics.cards import state_node
 from kc2spice.physics.declaration import Declaration, displacement, seen
 from kc2spice.physics.law import DeclaredLaw
 from kc2spice.physics.part import subcircuit
@@ -101,24 +101,22 @@ dc = "1 um"
         name = build.libraries[part.name]
         return (subcircuit(header, name, d, d.values(Section()), more=cards),)
 
+    def settable(self, part: Part, build: Build) -> Mapping[str, float]:
+        start = sphere.beginning(part, "of", build.scene)
+        return {} if start is None else {f"x{part.name}.{state_node('followed')}": 1e6 * start}
+
     def vectors(self, part: Part, build: Build) -> Mapping[str, Vector]:
         return {f"{part.name}.y": build.across(part, "out")}
 
     def law(self, part: Part, build: Build) -> laws.Equations | None:
-        """Its output, as in the netlist, is behind an ohm: 1 N for a difference of 1 um."""
-        n, d = part.name, reading(part.keys)
         if part.keys.noise:
             return None
-        ((pin, shown),) = d.outputs.items()
-        stiff = {"y": f"1e6*(y - ({shown}))"}
-        d = replace(
-            d, branches=(*d.branches, displacement("y", pin, "ref")), forces=stiff, outputs={}
-        )
+        n, d = part.name, reading(part.keys)
         height = sphere.offset(part, "of", build.scene)
         values = d.values(Section()) | {"offset": part.keys.offset + height}
-        pins = (("of", f"{n}.of"), ("out", f"{n}.out"), ("ref", f"{n}.ref"))
         own = DeclaredLaw(n, d, tuple(values.values()))
-        return laws.Equations((own,), pins, {f"{n}.y": laws.reading(f"{n}.out")})
+        pins = tuple((pin, f"{n}.{pin}") for pin in ("of", "out", "ref"))
+        return laws.Equations((own,), pins, {f"{n}.y": laws.reading(f"{n}.out", 1e-6)})
 
     def notes(self, part: Part, scene: Scene) -> Iterator[str]:
         keys = part.keys

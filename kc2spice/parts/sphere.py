@@ -287,9 +287,22 @@ def _moved(part: Part, scene: Scene) -> bool:
 
 def offset(part: Part, pin: str, scene: Scene) -> float:
     """What a pin that reads the height of a centre has on top of its law's coordinate [m]."""
-    heights = [n for n, other in scene.joined(part.name, pin) if other == "y"]
-    spheres = [scene.parts[n] for n in heights if scene.parts[n].type.name == Sphere.name]
-    return float(spheres[0].keys.radius) if spheres else 0.0
+    ball = _read(part, pin, scene)
+    return 0.0 if ball is None else float(ball.keys.radius)
+
+
+def beginning(part: Part, pin: str, scene: Scene) -> float | None:
+    """Height of the centre [m] that a pin reads at t = 0, None where an operating point says it."""
+    ball, given = _read(part, pin, scene), begins(scene)
+    if ball is None or not given:
+        return None
+    return float(ball.keys.radius + given.get(ball.name, AT_REST).height)
+
+
+def _read(part: Part, pin: str, scene: Scene) -> Part | None:
+    """The sphere whose height a pin reads."""
+    heights = (scene.parts[n] for n, other in scene.joined(part.name, pin) if other == "y")
+    return next((item for item in heights if item.type.name == Sphere.name), None)
 
 
 def _softer(part: Part, scene: Scene) -> str:

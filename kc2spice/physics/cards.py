@@ -316,7 +316,8 @@ def _flux(
 
 def _edges(declaration: Declaration, nodes: Mapping[str, Tree]) -> Iterator[str]:
     """Watches of displacements against thresholds, 10 kV per um, and of what states have to do
-    with: ngspice shortens its steps as a switch nears its threshold. Between edges the trapezoidal
+    with, 100 V: ngspice shortens its steps as a switch nears its threshold, to 0.05 V of it, which
+    what moves fast must reach in a step that is not too small. Between edges the trapezoidal
     rule loses no energy to a spring; a step across one gains or loses some."""
     moved = {b.name: b for b in declaration.acting if b.kind == "displacement"}
     inner = {*declaration.states, *declaration.signals}
@@ -335,6 +336,6 @@ def _edges(declaration: Declaration, nodes: Mapping[str, Tree]) -> Iterator[str]
         if declaration.metered and b is not None:
             yield f"Bedge{k} edge{k} {base} V={{{text(watched)}}}"
         else:
-            watched = times(Number("1e4" if b is None else "1e10"), argument)
+            watched = times(Number("100" if b is None else "1e10"), argument)
             yield from _node(f"edge{k}", watched, nodes, base)
         yield f"Sedge{k} edge{k} {base} edge{k} {base} edge"

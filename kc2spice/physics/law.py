@@ -11,7 +11,7 @@ import numpy as np
 
 from kc2spice.core.errors import SimulationError
 from kc2spice.core.laws import Device, Flow, Pin, Tap
-from kc2spice.netlist.expression import Name, Tree
+from kc2spice.netlist.expression import Name, Number, Tree, replaced
 from kc2spice.physics.declaration import LOOPS, RATE, Branch, Declaration
 from kc2spice.physics.expression import (
     ZERO,
@@ -21,8 +21,11 @@ from kc2spice.physics.expression import (
     kinks,
     minus,
     names,
+    plus,
+    times,
 )
 
+_MICRO, _UNIT = Number("1e-6"), Number("1e6")
 _KIND = {"displacement": "displacement", "voltage": "electrical", "current": "electrical"}
 _Made = Callable[..., tuple[Any, ...]]
 _Table = Callable[[float], float]
@@ -45,14 +48,19 @@ class DeclaredLaw(Device):
     @property
     def pins(self) -> tuple[Pin, ...]:
         result: dict[str, Pin] = {}
-        kinds = {pin: _KIND[kind] for pin, kind in self.declaration.kinds.items()}
+        kinds = self._kinds
         for b in self.declaration.branches:
             loop = b.plus == LOOPS  # no current flows to it
             result.setdefault(b.plus, Pin(b.plus, kinds[b.plus], grounded=loop))
             result.setdefault(b.minus, Pin(b.minus, kinds[b.minus], grounded=True))
             if b.less:
                 result.setdefault(b.less, Pin(b.less, kinds[b.less]))
-        return tuple(result.values())
+        outputs = (Pin(name, "signal") for name in self.prescribes)
+        return (*result.values(), *outputs)
+
+    @property
+    def prescribes(self) -> tuple[str, ...]:
+        return tuple(self.declaration.outputs)
 
     @property
     def taps(self) -> tuple[Tap, ...]:
@@ -60,9 +68,18 @@ class DeclaredLaw(Device):
         rates = (Tap(b.plus, self._minus(b), True, b.less) for b in self.declaration.damped)
         return (*across, *rates)
 
+    @cached_property
+    def _kinds(self) -> dict[str, str]:
+        """Of all pins; what is only seen, without its rate, is a signal, as are outputs."""
+        d = self.declaration
+        used = {pin for b in (*d.acting, *d.damped) for pin in (b.plus, b.minus, b.less)}
+        result = {pin: _KIND[kind] for pin, kind in d.kinds.items()}
+        only = (pin for pin in d.kinds if pin not in used)
+        return result | dict.fromkeys((*only, *d.outputs), "signal")
+
     def _minus(self, b: Branch) -> str:
         """Its lower pin; nothing where that is the reference of another kind of branches."""
-        return b.minus if _KIND[self.declaration.kinds[b.minus]] == _KIND[b.kind] else ""
+        return b.minus if self._kinds[b.minus] == self._kinds[b.plus] else ""
 
     @property
     def flows(self) -> tuple[Flow, ...]:
@@ -92,7 +109,8 @@ class DeclaredLaw(Device):
     @cached_property
     def affine(self) -> bool:
         d = self.declaration
-        trees = [*map(d.spelled, (*map(d.direct, d.acting), *d.changes.values()))]
+        stated = (*map(d.direct, d.acting), *d.changes.values(), *d.read.values())
+        trees = [*map(self._plain, stated)]
         slopes = (flagged(derivative(t, n), self._corners) for t in trees for n in self._seen)
         constant = not any(names(slope) & set(self._seen) for slope in slopes)
         return constant and not self.storing
@@ -106,13 +124,24 @@ class DeclaredLaw(Device):
         """Arguments of all one-sided expressions, whose signs make modes."""
         d = self.declaration
         trees = [d.stored, *(x for b in d.acting for x in (d.direct(b), d.kept(b)))]
-        trees += d.changes.values()
-        return tuple(dict.fromkeys(e for tree in trees for e in kinks(d.spelled(tree))))
+        trees += (*d.changes.values(), *d.read.values())
+        return tuple(dict.fromkeys(e for tree in trees for e in kinks(self._plain(tree))))
+
+    def _plain(self, tree: Tree) -> Tree:
+        """``tree`` by the inputs alone: signals of displacements are in um."""
+        kinds, seen = self._kinds, (b for b in self.declaration.branches if not b.through)
+        micro = (b.name for b in seen if b.kind == "displacement" and kinds[b.plus] == "signal")
+        units = {name: times(_MICRO, Name(name)) for name in micro}
+        return plus(replaced(self.declaration.spelled(tree), units))
+
+    def _stated(self, trees: Iterable[Tree], slopes: bool = False) -> _Made:
+        """:meth:`_made` of what the declaration says."""
+        return self._made(map(self._plain, trees), slopes)
 
     def _made(self, trees: Iterable[Tree], slopes: bool = False) -> _Made:
         """Values of ``trees``, then the derivatives of each by all inputs."""
         flags = [f"flag{k}" for k in range(len(self._corners))]
-        trees = list(map(self.declaration.spelled, trees))
+        trees = list(trees)
         rows = [derivative(tree, name) for tree in trees for name in self._seen if slopes]
         smooth = [flagged(tree, self._corners) for tree in (*trees, *rows)]
         arguments = (*self._seen, *flags, *self.declaration.parameters)
@@ -123,7 +152,8 @@ class DeclaredLaw(Device):
         d = self.declaration
         flows = [Name(b.name) if b.kind == "current" else d.direct(b) for b in d.acting]
         rates = [minus(Name(f"{b.name}_drop"), d.direct(b)) for b in self._of("current")]
-        return self._made([*flows, *rates, *d.changes.values()], slopes=True)
+        shown = (times(_UNIT, tree) for tree in d.read.values())
+        return self._stated([*flows, *rates, *d.changes.values(), *shown], slopes=True)
 
     @cached_property
     def _kept(self) -> _Made:
@@ -132,11 +162,11 @@ class DeclaredLaw(Device):
             map(d.kept, self._of("current")),
             (d.kept(d.acting[k]) for k in self.charged),
         )
-        return self._made([*fluxes, *map(Name, d.states), *charges], slopes=True)
+        return self._stated([*fluxes, *map(Name, d.states), *charges], slopes=True)
 
     @cached_property
     def _energies(self) -> _Made:
-        return self._made([self.declaration.stored, self.declaration.lost])
+        return self._stated([self.declaration.stored, self.declaration.lost])
 
     @cached_property
     def _guards(self) -> _Made:
@@ -144,7 +174,7 @@ class DeclaredLaw(Device):
 
     @cached_property
     def _bounds(self) -> _Made:
-        return self._made(self.declaration.bounds.values())
+        return self._stated(self.declaration.bounds.values())
 
     def _called(self, made: _Made, e: np.ndarray, mode: Any) -> np.ndarray:
         return np.array(made(*e.tolist(), *mode, *self.values), dtype=float)
@@ -176,13 +206,14 @@ class DeclaredLaw(Device):
 
     @cached_property
     def _loss(self) -> _Made:
-        return self._made(map(self.declaration.loss, self.declaration.acting))
+        return self._stated(map(self.declaration.loss, self.declaration.acting))
 
     def noise(self, s: complex, e: np.ndarray, mode: Any) -> tuple[np.ndarray, np.ndarray] | None:
         """A force, a current, or a voltage in series with every loss."""
         branches, currents = self.declaration.acting, self._of("current")
         root = np.sqrt(self._called(self._loss, e, mode))
-        out = np.zeros((len(branches) + len(self.states), len(branches)))
+        rows = len(branches) + len(self.states) + len(self.prescribes)
+        out = np.zeros((rows, len(branches)))
         for k, b in enumerate(branches):
             out[len(branches) + currents.index(b) if b in currents else k, k] = root[k]
         return out, np.zeros((len(self.states) + len(self.charged), len(branches)))

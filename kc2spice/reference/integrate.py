@@ -35,6 +35,7 @@ _BACK = np.linalg.inv(_vectors)
 _REAL, _PAIR = int(np.argmin(np.abs(_values.imag))), int(np.argmax(_values.imag))
 _ERROR = np.array([-13 - 7 * _S6, -13 + 7 * _S6, -1.0]) / 3.0
 _MAX_NEWTON = 8
+_ROUNDING = 0.1  # of the tolerance: a controller's derivative makes 100 nV of what rounding leaves
 # Polynomials through the start and the stages, and through the stages alone.
 _CUBIC = np.linalg.inv(NODES[:, None] ** _POWERS)
 _SQUARE = np.linalg.inv(NODES[:, None] ** (_POWERS - 1))
@@ -152,7 +153,7 @@ class Radau:
             change = real + 2.0 * pair.real
             size = _norm(change / scale[:, None])
             rate = size / last if last > 0.0 else 0.0
-            if not np.isfinite(size) or (rate >= 1.0 and size > 1e-2):  # below it is rounding
+            if not np.isfinite(size) or (rate >= 1.0 and size > _ROUNDING):
                 return None
             Z += change
             done = size == 0.0 or (p.linear and k == 0)

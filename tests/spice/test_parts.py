@@ -4,8 +4,10 @@ import numpy as np
 import pytest
 from device import bench
 
+from kc2spice.core.magnets import products
 from kc2spice.parts._template import opamp_subcircuit
 from kc2spice.parts.pid import Control, pid_subcircuit
+from kc2spice.parts.ring_magnet_coils import coils_subcircuit
 from kc2spice.sim.ngspice import run_deck
 from kc2spice.sim.output import classify
 
@@ -68,3 +70,49 @@ Xpid y enable command 0 pid {given if how == "instance" else ""}
         assert error.max() < 5e-6
     assert error[0] < 1e-3
     assert (error / waves["frequency"]).max() < 2 * np.pi * 40e-9 + 1e-5
+
+
+@FORMS
+def test_a_controller_that_is_disabled_begins_anew(header, form, tmp_path):
+    """1 um above the set point all the time, with an integral that reaches ten times kp e."""
+    control = Control(form=form, kp=1e3, ki=1e7, kd=0.0)
+    cards = """Vy y 0 2501
+Venable enable 0 PULSE(0 1 1e-06 1e-08 1e-08 1e-03 1.5e-03)
+Xpid y enable drive ret 0 pid
+Rcoils drive ret 3192
+.options reltol=1e-5 trtol=1
+.tran 1e-06 2.0e-03 0 1e-06"""
+    parts = [opamp_subcircuit(header), pid_subcircuit(header, control)]
+    waves = run_deck(bench(parts, cards, {"i": ("@rcoils[i]", 1.0)}, 2e-3), tmp_path)
+    for start in (1e-6, 1.501e-3):  # an emptied integral is that of a microsecond
+        t = start + np.array([50e-6, 450e-6])
+        exact = -1e-6 * (control.kp + control.ki * (t - start))
+        np.testing.assert_allclose(np.interp(t, waves["time"], waves["i"]), exact, rtol=1e-2)
+
+
+def test_coils_push_and_induce_by_their_coenergy(header, table, tmp_path):
+    """Fixed currents, a height and a speed: force, and voltages by central differences."""
+    y, v, i1, i2 = 1.234e-3, 0.3, 0.04, -0.07
+    cards = f"""Vy y 0 {1e6 * y}
+Vv v 0 {v}
+Ilower 0 lp {i1}
+Iupper 0 up {i2}
+Xcoil lp 0 up 0 y v 0 coil
+.op"""
+    vectors = {"force": ("i(vv)", 1.0), "lower": ("v(lp)", 1.0), "upper": ("v(up)", 1.0)}
+    waves = run_deck(bench([coils_subcircuit(header, table)], cards, vectors), tmp_path)
+
+    def coenergy(y, i1, i2):
+        return float(table.coenergy.terms(y) @ products(i1, i2))
+
+    h, d = 1e-7, 1e-4
+    force = (coenergy(y + h, i1, i2) - coenergy(y - h, i1, i2)) / (2 * h)
+    assert waves["force"][0] == pytest.approx(force, rel=1e-5)
+    # at rest the flux of the currents stands still: what is left is that of the magnets
+    for name, (a, b), ohms, i in (
+        ("lower", (d, 0.0), table.resistance[0], i1),
+        ("upper", (0.0, d), table.resistance[1], i2),
+    ):
+        flux = [(coenergy(x, a, b) - coenergy(x, -a, -b)) / (2 * d) for x in (y + h, y - h)]
+        induced = (flux[0] - flux[1]) / (2 * h) * v
+        assert waves[name][0] == pytest.approx(ohms * i + induced, rel=1e-5)

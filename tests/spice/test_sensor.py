@@ -5,10 +5,11 @@ import pytest
 from device import deck_of
 
 import kc2spice as kc
+from kc2spice.core.progress import Clock
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.scene.load import load_scene
-from kc2spice.scene.parttype import Build
 from kc2spice.sim.ngspice import run_deck
+from kc2spice.workflow.models import build_models
 from kc2spice.workflow.verify.circuit import solve
 
 BANDWIDTH, OFFSET, STEP = 50e3, 0.3e-6, 2e-6  # Hz, m, m
@@ -44,10 +45,38 @@ def test_noise_has_its_rms_and_is_white_between_samples(tmp_path):
 def test_the_reading_follows_a_step_by_its_pole_and_offset_in_ngspice_and_by_its_law():
     scene = sensed(100e-6, offset=OFFSET)
     ngspice = kc.run(scene).waves
-    law = solve(Build(scene, {}), Waveforms({"time": ngspice["time"]}, {})).results
+    law = solve(build_models(scene, Clock()), Waveforms({"time": ngspice["time"]}, {})).results
     # ngspice's steps; the edge of a nanosecond, of which half is a delay
     for waves, limit in ((ngspice, 1e-3), (law, 1e-7)):
         late = np.maximum(waves["time"] - 10e-6 - 0.5e-9, 0.0)
         exact = OFFSET + STEP * (1 - np.exp(-2 * np.pi * BANDWIDTH * late))
         after = abs(waves["time"] - 10e-6) > 1.1e-9
         np.testing.assert_allclose(waves["eye.y"][after], exact[after], atol=limit * STEP)
+
+
+@pytest.mark.parametrize("eye", [None, {"offset": 2e-6}])
+def test_a_sphere_in_flight_is_held_through_a_sensor_as_by_the_laws(eye):
+    """Switched off for 0.3 ms: its integral begins anew."""
+    data = {
+        "name": "held",
+        "sphere": {"height": 1.4e-3},
+        "catch": {"positions": 11, "y_min": 1.5e-3, "y_max": 3.5e-3},
+        "control": {
+            "enable_at": [20e-6, 0.9e-3],
+            "disable_at": [0.6e-3],
+            "ki": 1e4,
+            "form": "ideal",
+        },
+        "solver": {"stop": 1.5e-3, "max_step": 2e-6, "reltol": 1e-6},
+    }
+    if eye:
+        data["eye"] = {"part": "sensor", "bandwidth": 1e6, "pins": {"of": "sphere.y"}, **eye}
+        data["control"]["pins"] = {"y": "eye.out"}
+    scene = load_scene(data)
+    ngspice = kc.run(scene).waves
+    build = build_models(scene, Clock())
+    law = solve(build, Waveforms({"time": ngspice["time"]}, {})).results
+    for name, limit in (("sphere.y", 1e-9), ("control.error", 1e-9), ("sphere.v", 1e-5)):
+        found = np.interp(law["time"], ngspice["time"], ngspice[name])
+        np.testing.assert_allclose(found, law[name], atol=limit, err_msg=name)
+    assert abs(law["control.error"][-1]) < 1e-5
