@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from pydantic import Field
 
 from kc2spice.core.errors import UsageError
 from kc2spice.core.quantities import Count, Frequency, Section, Time
@@ -103,7 +104,7 @@ class SineKeys(Section):
     """``amplitude sin(2 pi frequency (t - start))`` from ``start`` on, zero before."""
 
     amplitude: float | str = 1.0
-    frequency: Frequency
+    frequency: Frequency = Field(gt=0)
     start: Time = 0.0
 
 

@@ -265,7 +265,9 @@ class Analysis(Section):
     """What the simulator does with the circuit."""
 
     type: Literal["transient", "ac", "dc", "op", "noise"] = "transient"
-    stop: Time | Frequency | None = Field(None, description="end of a transient, or highest Hz")
+    stop: Time | Frequency | None = Field(
+        None, gt=0, description="end of a transient, or highest Hz"
+    )
     start: Frequency = Field(0.0, ge=0, description="lowest frequency of ac and noise")
     points: Annotated[Count, Notch(2.0, spaces=True)] = Field(200, ge=2, le=200_000)
     scale: Literal["log", "linear"] = Field("log", description="of ac; linear from 0 Hz on")

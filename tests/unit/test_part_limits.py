@@ -91,6 +91,10 @@ LIMITS = [
     (CELL, "cell.pulse={high=1, width=1e-6, period=3e-6, count=25000}",
      "cell.pulse={high=1, width=1e-6, period=3e-6, count=25001}", "not a number of pulses"),
     (CELL, "cell.pwl=[[0, 1], [1e-9, 2]]", "cell.pwl=[[0, 1], [0, 2]]", "must rise"),
+    (CELL, "cell.sine={amplitude=1, frequency=1e-3}", "cell.sine={amplitude=1, frequency=0}",
+     "out of range"),
+    (CELL, "analysis={type='transient', stop=1e-6}", "analysis={type='transient', stop=0}",
+     "out of range"),
     (CELL, "cell.dc=1", "cell.dc=1; cell.sine={amplitude=1, frequency=1}", "two shapes"),
 ]  # fmt: skip
 
