@@ -82,7 +82,7 @@ def _terminals(output: bool) -> tuple[Terminal, ...]:
     )
 
 
-def law(control: Control, *, output: bool = True) -> Declaration:
+def control_law(control: Control, *, output: bool = True) -> Declaration:
     """``i = clip(kp e + ki integral(e) + kd de/dt / (1 + rolloff s), +-current_limit)`` between
     ``drive`` and ``sense``, of ``e = setpoint - y`` as the volts of a sensor.
 
@@ -157,7 +157,7 @@ def pid_subcircuit(
     limit through the ``load`` [Ohm] of the coils, and what is left over slews the current. Without
     it the controller ends at ``command``, 100 V for each ampere that it wants.
     """
-    declared = law(control, output=output)
+    declared = control_law(control, output=output)
     if control.form == "ideal":
         return subcircuit(header, name, declared, declared.values(control))
     limit = control.current_limit
@@ -260,7 +260,7 @@ class Pid(PartType):
         keys, n, scene = part.keys, part.name, build.scene
         if _remote(part, scene) or build.net(part, "ref") != "0":
             return None
-        declared, height = law(keys), sphere.offset(part, "y", scene)
+        declared, height = control_law(keys), sphere.offset(part, "y", scene)
         values = declared.values(keys) | {"setpoint": keys.setpoint - height}
         own = DeclaredLaw(n, declared, tuple(values.values()))
         pins = tuple((pin.name, f"{n}.{pin.name}") for pin in own.pins)

@@ -96,8 +96,8 @@ def _node(name: str, tree: Tree, nodes: Mapping[str, Tree], base: str) -> Iterat
 def _current(
     name: str, ends: tuple[str, str], tree: Tree, nodes: Mapping[str, Tree]
 ) -> Iterator[str]:
-    """A current from one end to the other: of linear sources where it is affine, which cost ngspice
-    a tenth of an expression."""
+    """A current from one end to the other: of linear sources where it is affine, which ngspice need
+    not differentiate."""
     start, end = ends
     seen = sorted(names(tree) & set(nodes))
     slopes = {item: derivative(tree, item) for item in seen}
