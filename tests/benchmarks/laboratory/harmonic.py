@@ -5,9 +5,8 @@ from functools import partial
 import numpy as np
 
 from kc2spice.bodies.piezo_stack import stack_device
-from kc2spice.rom.modal import resonators
 from kc2spice.rom.reduce import reduce, surrogate
-from kc2spice.rom.response import relative_error
+from kc2spice.rom.response import Response, relative_error
 from laboratory.fullmodel import chip
 from laboratory.points import Outcome, Plane, Point, fastest, quick_timed, scaled, speed_up, timed
 from laboratory.setup import keys_of
@@ -35,8 +34,8 @@ def harmonic(setup):
     points, notes = [], []
     band = (0.0, float(frequency[-1]))
     for family, label, small in _models(model, band, setup):
-        form = resonators(small)
-        response, time = quick_timed(partial(form.transfer, frequency), setup.repeats)
+        form = Response(small.pencil)  # a sum over modes
+        response, time = quick_timed(partial(form.transfer, 2j * np.pi * frequency), setup.repeats)
         error = relative_error(response, exact)
         facts = {"states": float(small.order)}
         points.append(Point(family, label, error, time, {"response": error}, facts))
