@@ -138,4 +138,4 @@ def _plain_log(axes: Any, axis: Any) -> None:
     few = low > 0 and high < 10**decades * low
     axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if few else (1.0,)))
     axis.set_minor_locator(NullLocator())
-    axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    axis.set_major_formatter(FuncFormatter(lambda x, _: f"{x:g}" if x > 5e-3 else f"{x:.0e}"))
