@@ -20,7 +20,7 @@ campaign: setup  ## hundreds of random models, scenes and kills, the oldest vers
 	$(PYTEST) -n auto -m campaign
 
 OUT ?= out/bench
-bench: setup  ## speed against error beside peers: make bench OUT=DIR, 7 minutes on two quiet cores
+bench: setup  ## speed against error beside peers: make bench OUT=DIR, 8 minutes on two quiet cores
 	PYTHONPATH=tests/benchmarks .venv/bin/python -m laboratory --out $(OUT)
 
 SAMPLE ?= 60
