@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -109,6 +110,13 @@ def problems(scene: Scene) -> Iterator[UsageError]:
             where="analysis.start",
             got=f"{selected.start:g} Hz",
             expected='above 0, or scale = "linear"',
+        )
+    elif selected.small and selected.scale == "log" and math.isinf(stop / selected.start):
+        yield UsageError(
+            "a range of more decades than numbers have",
+            where="analysis.start",
+            got=f"{selected.start:g} … {selected.stop} Hz",
+            expected="at most 308 decades",
         )
     if (selected.type == "noise") != (selected.output is not None):
         yield UsageError(

@@ -95,6 +95,8 @@ LIMITS = [
      "out of range"),
     (CELL, "analysis={type='transient', stop=1e-6}", "analysis={type='transient', stop=0}",
      "out of range"),
+    (CELL, "cell.ac=1; analysis={type='ac', start=1e-150, stop=1e150, points=3}",
+     "cell.ac=1; analysis={type='ac', start=1e-160, stop=1e160, points=3}", "decades"),
     (CELL, "cell.dc=1", "cell.dc=1; cell.sine={amplitude=1, frequency=1}", "two shapes"),
 ]  # fmt: skip
 
