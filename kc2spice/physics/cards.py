@@ -81,10 +81,8 @@ def _lines(declaration: Declaration, noise: bool) -> Iterator[str]:
         yield from make(declaration, branch, nodes, added[branch.name])
     yield from _edges(declaration, nodes)
     for name, tree in declaration.read.items():
-        b = next((b for b in declaration.branches if b.name in names(tree)), declaration.open[0])
-        yield _comment("output", replace(b, plus=name), words=text(tree))
-        base = declaration.base or b.minus
-        yield from _node(name, times(Number("1e6"), tree), nodes, base)
+        yield f"* {_HEAD['output'].format(plus=name, words=text(tree))}"
+        yield from _node(name, times(Number("1e6"), tree), nodes, rest)
 
 
 def _node(name: str, tree: Tree, nodes: Mapping[str, Tree], base: str) -> Iterator[str]:
@@ -165,7 +163,7 @@ def _place(declaration: Declaration, b: Branch) -> tuple[str, str]:
 def reference(declaration: Declaration) -> str:
     """The pin on which loops and inner nodes rest."""
     pins = (b.minus for b in declaration.branches if b.kind == "displacement")
-    return declaration.base or next(pins, declaration.open[0].minus)
+    return declaration.base or next(pins, "") or declaration.open[0].minus
 
 
 def meter(branch: Branch) -> str:

@@ -212,8 +212,8 @@ class Declaration:
 
     @cached_property
     def open(self) -> tuple[Branch, ...]:
-        """Branches between pins: all but loops."""
-        return tuple(branch for branch in self.branches if branch.plus)
+        """Those of them between pins: all but loops."""
+        return tuple(branch for branch in self.acting if branch.plus)
 
     @cached_property
     def kinds(self) -> dict[str, Kind]:
@@ -227,7 +227,7 @@ class Declaration:
     @cached_property
     def closed(self) -> Declaration:
         """The same with loops that begin and end at one inner pin, ``loops``."""
-        if self.open == self.branches:
+        if self.open == self.acting:
             return self
         own = (b if b.plus else replace(b, plus=LOOPS, minus=LOOPS) for b in self.branches)
         return replace(self, branches=tuple(own))

@@ -108,19 +108,18 @@ class DeclaredPart(PartType):
                 result[f"{part.name}.{b.across}"] = Vector(across, factor, unit)
             if not b.through:
                 continue
-            through = f"i(v.x{part.name}.{meter(b)})"
+            through, flow = f"i(v.x{part.name}.{meter(b)})", _NODE[b.kind][1]
             if b.kind == "displacement":
                 through = _inner(build, part, force_node(b), b.minus)
             ends = (b.minus,), (b.plus,)
-            result[f"{part.name}.{b.through}"] = Vector(through.lower(), 1.0, flow_of(b), *ends)
+            result[f"{part.name}.{b.through}"] = Vector(through.lower(), 1.0, flow, *ends)
             if d.mass(b) != ZERO:
                 speed = f"v(x{part.name}.speed_{b.name})".lower()
                 result[f"{part.name}.v"] = Vector(speed, 1.0, "m/s")
         inner = {name: name for name in d.signals} | {name: state_node(name) for name in d.states}
         for name, node in inner.items():
-            result[f"{part.name}.{name}"] = Vector(
-                _inner(build, part, node, reference(d)).lower(), 1.0, "SI"
-            )
+            value = _inner(build, part, node, reference(d)).lower()
+            result[f"{part.name}.{name}"] = Vector(value, 1.0, "SI")
         return result
 
     def begins(self, part: Part, build: Build) -> tuple[float, float] | None:
@@ -131,8 +130,7 @@ class DeclaredPart(PartType):
         n, d = part.name, self.built(part, build)
         results = {}
         for b in d.open:  # loops of a full model are others
-            if b.through:
-                results[f"{n}.{b.through}"] = laws.reading(f"{n}.{b.plus}.through")
+            results[f"{n}.{b.through}"] = laws.reading(f"{n}.{b.plus}.through")
             if d.metered:
                 results[f"{n}.{b.across}"] = laws.difference(f"{n}.{b.plus}", f"{n}.{b.minus}")
             if d.mass(b) != ZERO:
@@ -182,11 +180,6 @@ class DeclaredPart(PartType):
         yield from (Neglected(*row) for row in self.declared(part, scene).neglected)
 
 
-def flow_of(branch: Branch) -> str:
-    """Unit of what is through it; nothing where it is only seen."""
-    return {"displacement": "N"}.get(branch.kind, "A") if branch.through else "-"
-
-
 def _inner(build: Build, part: Part, node: str, pin: str) -> str:
     """The voltage of an inner node against a pin."""
     low = build.net(part, pin)
@@ -197,7 +190,7 @@ def pins_of(declaration: Declaration) -> tuple[Pin, ...]:
     """In the order of its branches; with a base, all upper ends before the lower ones. The velocity
     of a rigid body stands before its place."""
     d, result = declaration, dict[str, Pin]()
-    ends = [pin for b in d.open for pin in enumerate((b.plus, b.minus, b.less)) if pin[1]]
+    ends = [pin for b in d.branches for pin in enumerate((b.plus, b.minus, b.less)) if pin[1]]
     touched = {pin for b in d.acting for pin in (b.plus, b.minus, b.less)}
     for _, pin in sorted(ends, key=lambda end: end[0]) if d.base else ends:
         unit, flow = _NODE[d.kinds[pin]]
@@ -252,12 +245,9 @@ def energies(
 
     What a voltage brings in is ``int v dq``, a current ``int i dl``, and what both turn into heat.
     """
-    time, moved = waves["time"], [b for b in declaration.acting if b.kind == "displacement"]
-    if not moved or set(seen) < {
-        *declaration.coordinates,
-        *declaration.states,
-        *declaration.signals,
-    }:
+    d, time = declaration, waves["time"]
+    moved = [b for b in d.acting if b.kind == "displacement"]
+    if not moved or set(seen) != {*d.coordinates, *d.states, *d.signals}:
         return
     rates = {
         b.name + RATE: np.gradient(seen[b.name], time)
@@ -272,9 +262,7 @@ def energies(
 
     stored, heat = over_time(declaration.stored), running(over_time(declaration.lost), time)
     brought = running(over_time(declaration.heated), time)
-    for b in (
-        b for b in declaration.open if b.through
-    ):  # a jump of a current is no jump of a charge
+    for b in d.open:  # a jump of a current is no jump of a charge
         through, over = seen[b.name], over_time(declaration.kept(b))
         if b in moved:
             through = waves.data.get(f"{part.name}.{b.through}", np.zeros_like(time))

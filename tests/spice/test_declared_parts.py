@@ -9,7 +9,7 @@ from scipy.special import ellipk
 import kc2spice as kc
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.netlist.translate import dialect_files
-from kc2spice.physics import Declaration, DeclaredPart, seen, voltage
+from kc2spice.physics import Declaration, DeclaredPart, displacement, seen, voltage
 from kc2spice.physics.cards import body
 from kc2spice.reference.integrate import transient
 from kc2spice.scene import parttype
@@ -275,3 +275,42 @@ def test_what_has_a_corner_is_neither_linear_nor_printed_as_linear_sources():
     )
     assert not stepped.linear
     assert "V(a,b)-1>0" in body(stepped)
+
+
+class PusherKeys(kc.Section):
+    """A force in proportion to a voltage that takes no current."""
+
+    gain: float = 2e-3
+
+
+PUSHER = DeclaredPart(
+    Declaration(
+        "pusher",
+        "force by a voltage",
+        PusherKeys,
+        (seen(voltage("v", "command", "ref")), displacement("x", "a", "b")),
+        content="-gain*v*x_rate",
+    )
+)
+
+
+def test_what_is_only_seen_brings_in_no_energy(monkeypatch):
+    """A mass under ``gain v`` goes ``gain v t^2 / 2 m``; the run's own balance holds."""
+    monkeypatch.setitem(parttype._types, "pusher", PUSHER)
+    pulse = {"high": 1.0, "width": 1.0, "edge": 1e-9, "start": 1e-6}
+    scene = {
+        "name": "pushed",
+        "gravity": 0.0,
+        "pusher": {"part": "pusher", "pins": {"command": "drive.out", "a": "box.a"}},
+        "box": {"part": "mass", "mass": 1e-3, "position": 0.0},
+        "drive": {"part": "source", "pulse": pulse},
+        "solver": {"stop": 1e-3, "max_step": 1e-6, "reltol": 1e-6},
+    }
+    times, *found = both(scene, "pusher.x")
+    exact = 2e-3 * np.maximum(times - 1e-6, 0.0) ** 2 / 2e-3
+    for x in found:
+        np.testing.assert_allclose(x[-1], exact[-1], rtol=1e-4)
+    build = Build(load_scene(scene), {})
+    balance = dict(verdict(Waveforms(dict(kc.run(scene).waves), {}), build).balances)["pusher"]
+    assert balance.scale > 0
+    assert balance.missing < 1e-3 * balance.scale
