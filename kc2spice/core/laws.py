@@ -244,10 +244,6 @@ class Device(ABC):
         """Whether it stores something else than its states."""
         return type(self).store is not Device.store and bool(self.states or self.charged)
 
-    def initial(self, taps: np.ndarray) -> np.ndarray | None:
-        """States at the start (len(states),), given the taps then; None: those in equilibrium."""
-        return None
-
     @abstractmethod
     def evaluate(self, e: np.ndarray, mode: Any) -> tuple[np.ndarray, np.ndarray]:
         """``out`` (k,) and its derivative (k, m) by ``e``."""
@@ -267,13 +263,9 @@ class Device(ABC):
         sources), where ``4 k T`` times their square is its noise; None of what has none."""
         return None
 
-    def mode(self, t: float, e: np.ndarray) -> Any:
-        """Mode at ``t``: the first one, or after one of its own corners."""
+    def mode(self, e: np.ndarray) -> Any:
+        """Mode in which it begins."""
         return None
-
-    def corners(self, stop: float) -> np.ndarray:
-        """Times at which the mode is asked for anew."""
-        return np.empty(0)
 
     def guards(self, e: np.ndarray, mode: Any) -> np.ndarray:
         """(g,) values that are positive within the mode."""
@@ -400,7 +392,7 @@ class PortBody(Device):
             self.known[s] = self.model.pencil.transfer(np.array([s]))[0]
         return self.known[s]
 
-    def mode(self, t: float, e: np.ndarray) -> Relation:
+    def mode(self, e: np.ndarray) -> Relation:
         return self.at_rest
 
     def evaluate(self, e: np.ndarray, mode: Any) -> tuple[np.ndarray, np.ndarray]:

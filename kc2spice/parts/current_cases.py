@@ -84,10 +84,8 @@ class CurrentCases(PartType):
         result: list[laws.Law] = [laws.Source(n, "displacement", constant(0.0))]
         results = {f"{pulled}.y": laws.reading(f"{n}.out")}
         for k, force in enumerate(_forces(part, build)):
-            own, (lower, upper) = (
-                f"{fed.name} {k}",
-                cases(part)[k],
-            )  # no part has a blank in its name
+            own = f"{fed.name} {k}"  # no part has a blank in its name
+            lower, upper = cases(part)[k]
             result.append(coils.law(own, coils.held(), table, lower=lower, upper=upper))
             height.append(f"{own}.y")
             results[force] = laws.reading(f"{own}.y.through", -1.0)

@@ -380,15 +380,11 @@ class RingMagnetCoils(Touching):
     def law(self, part: Part, build: Build) -> laws.Equations:
         n, scene, table = part.name, build.scene, build.model(part)
         prefix, apart = label(part), real(part, scene)
-        law = coils.law(
-            n, coils.real() if apart else coils.resistive(), table, offset(part, "y", scene)
-        )
+        stated, ends = coils.resistive(), (("drive.through", -1.0), ("drive.through", 1.0))
+        if apart:
+            stated, ends = coils.real(), (("i1", 1.0), ("i2", 1.0))
+        law = coils.law(n, stated, table, offset(part, "y", scene))
         pins = tuple((pin.name, f"{n}.{pin.name}") for pin in law.pins)
-        ends = (
-            (("i1", 1.0), ("i2", 1.0))
-            if apart
-            else (("drive.through", -1.0), ("drive.through", 1.0))
-        )
         results = {
             f"{prefix}.{coil}.current": laws.reading(f"{n}.{wave}", sign)
             for coil, (wave, sign) in zip(COILS, ends, strict=True)

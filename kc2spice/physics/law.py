@@ -191,7 +191,7 @@ class DeclaredLaw(Device):
         """Fluxes of the currents, the states, then charges of the voltages and momenta."""
         return self._split(self._kept, e, mode)
 
-    def mode(self, t: float, e: np.ndarray) -> tuple[int, ...]:
+    def mode(self, e: np.ndarray) -> tuple[int, ...]:
         flags: tuple[int, ...] = (0,) * len(self._corners)
         for k in range(len(flags)):  # one may depend on those before
             above = self._called(self._guards, e, flags)[k] > 0.0
@@ -219,7 +219,7 @@ class DeclaredLaw(Device):
         return out, np.zeros((len(self.states) + len(self.charged), len(branches)))
 
     def check(self, t: float, e: np.ndarray) -> None:
-        result = self._called(self._bounds, e, self.mode(t, e))
+        result = self._called(self._bounds, e, self.mode(e))
         for what, value in zip(self.declaration.bounds, result, strict=True):
             if value <= 0.0:
                 raise SimulationError(

@@ -493,7 +493,7 @@ def _device(law: L.Device, into: _Assembly) -> None:
 def _linear(law: L.Device, into: _Assembly, inputs: np.ndarray, outputs: np.ndarray) -> None:
     """Constant matrices of its outputs, stores, energy and loss."""
     still = np.zeros(len(inputs))
-    mode = law.mode(0.0, still)
+    mode = law.mode(still)
     (out, slope), (_, kept) = law.evaluate(still, mode), law.store(still, mode)
     into.A += outputs @ slope @ inputs
     into.const += outputs @ out

@@ -167,21 +167,12 @@ class _Rest:
     def interval(self, z: np.ndarray) -> Interval:
         """The system in the modes that its devices have at ``z``."""
         X = np.concatenate((z, self.given))
-        modes = [device.law.mode(0.0, device.inputs @ X) for device in self.system.devices]
+        modes = [device.law.mode(device.inputs @ X) for device in self.system.devices]
         return Interval(self.system, modes, 0.0)
 
     def equations(self, interval: Interval, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Residual (n,) and slopes (n, n) without what is held."""
-        f, J = interval.at(0.0, z)[1], interval.slopes(0.0, z)[1].copy()
-        for device, e in zip(self.system.devices, interval.inputs(0.0, z), strict=True):
-            start = device.law.initial(e[: len(device.law.taps)])
-            if start is not None:
-                rows = np.abs(self.system.G[:, device.states]).argmax(axis=0)
-                sizes = device.inputs[len(device.law.taps) :, device.states].diagonal()
-                J[rows] = 0.0
-                J[rows, device.states] = 1.0
-                f[rows] = z[device.states] - start / sizes
-        return f, J
+        return interval.at(0.0, z)[1], interval.slopes(0.0, z)[1]
 
 
 def equilibrium(system: System, guess: np.ndarray | None = None) -> tuple[np.ndarray, list[Any]]:

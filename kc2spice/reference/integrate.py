@@ -279,23 +279,17 @@ def transient(
 ) -> Result:
     """Integrate from equilibrium to ``stop`` [s].
 
-    Segments end at corners of sources, instants of devices and located zeros of their guards.
+    Segments end at corners of sources and located zeros of the devices' guards.
     ``times`` of the waves default to the accepted steps. ``progress`` is told the share done.
     Raises SimulationError.
     """
     z, modes = equilibrium(system)
-    own = [d.law.corners(stop) for d in system.devices]
     driven = [p.wave.corners(stop) for p in system.sources]
-    corners = np.unique(np.concatenate([[0.0, stop], *driven, *own]))
+    corners = np.unique(np.concatenate([[0.0, stop], *driven]))
     segments: list[Segment] = []
     events: list[float] = []
     for begin, end in pairwise(corners):
         t, within = begin, 0.5 * (begin + end)
-        e = Interval(system, modes, within).inputs(begin, z)
-        modes = [
-            d.law.mode(begin, x) if begin > 0.0 and np.any(at == begin) else m
-            for d, x, m, at in zip(system.devices, e, modes, own, strict=True)
-        ]
         while t < end:
             if len(segments) > _MAX_SEGMENTS:
                 raise SimulationError("contact chatters without end", where=f"t = {t:.9e} s")

@@ -142,7 +142,7 @@ def steps(
         z = given(system, z)
     es = march.interval(first).inputs(first, z)
     for k, law in march.others:
-        march.modes[k] = law.mode(first, es[k])
+        march.modes[k] = law.mode(es[k])
     times, states, intervals = [first], [z], [march.interval(first)]
     for k in range(count):
         z = march.step(first + k * step, z)
@@ -172,7 +172,6 @@ class _March:
         self.ported = [(k, law) for k, law in enumerate(laws) if isinstance(law, PortBody)]
         self.others = [(k, law) for k, law in enumerate(laws) if not isinstance(law, PortBody)]
         self.own: dict[int, _Body] = {}
-        self.corners = {k: law.corners(np.inf) for k, law in self.others}
         self.affine = all(law.affine for _, law in self.others)
 
     def interval(self, t: float) -> Interval:
@@ -196,11 +195,7 @@ class _March:
         for k, body in self.own.items():
             self.modes[k] = body.relation(second)
         es = self.interval(t).inputs(t, z)
-        begin = self.h * (1.0 if second else GAMMA)
-        for k, law in self.others:
-            if np.any((self.corners[k] > t - begin) & (self.corners[k] <= t)):
-                self.modes[k] = law.mode(t, es[k])
-        self._switch(t, es, 0)
+        self._switch(es, 0)
         for count in range(ITERATIONS):
             interval = self.interval(t)
             g, f = interval.at(t, z)
@@ -212,13 +207,13 @@ class _March:
             z = z + change
             es = interval.inputs(t, z)
             small = np.abs(change).max() <= 1e-10 * (1e-3 + np.abs(z).max())
-            if not self._switch(t, es, count) and (self.affine or small):
+            if not self._switch(es, count) and (self.affine or small):
                 for k, body in self.own.items():
                     body.loaded(es[k], second)
                 return z
         raise SimulationError("a time step does not settle", where=f"t = {t:.6e} s")
 
-    def _switch(self, t: float, es: list[np.ndarray], count: int) -> bool:
+    def _switch(self, es: list[np.ndarray], count: int) -> bool:
         """Whether a device had to change its mode."""
         changed = False
         for k, law in self.others:
@@ -228,5 +223,5 @@ class _March:
                 if count >= ONE_BY_ONE:
                     self.modes[k] = law.switch(self.modes[k], int(guards.argmin()))
                     break
-                self.modes[k] = law.mode(t, es[k])
+                self.modes[k] = law.mode(es[k])
         return changed

@@ -184,7 +184,7 @@ def worst_law(name, **keys):
         drops = {b.name: stated_.answer(b, state, rates) for b in stated_.d.branches
                  if b.kind == "current"}  # fmt: skip
         e, de = inputs(own, state, rates, drops)
-        mode = own.mode(0.0, e)
+        mode = own.mode(e)
         out, _ = own.evaluate(e, mode)
         _, by = own.store(e, mode)
         rises, n = by @ de, len(own.states)
@@ -215,7 +215,7 @@ def worst_slope(name):
     for state, rates in found:
         drops = {b.name: 1.0 for b in stated_.d.branches}
         e, _ = inputs(own, state, rates, drops)
-        mode = own.mode(0.0, e)
+        mode = own.mode(e)
         for made, (value, by) in (
             (own._out, own.evaluate(e, mode)), (own._kept, own.store(e, mode)),
         ):  # fmt: skip
@@ -345,7 +345,7 @@ def test_the_law_of_a_contact_is_what_is_stated(kind):
         known = {"p": x[0] + GAPS[0], "q": x[1] + GAPS[1], "slide": 0.0}
         speeds = {"p": rate[0], "q": rate[1], "slide": slide}
         e = np.array([(speeds if tap.rate else known)[tap.pin] for tap in own.taps])
-        mode = own.mode(0.0, e)
+        mode = own.mode(e)
         out, by = own.evaluate(e, mode)
         np.testing.assert_allclose(out, wanted, rtol=1e-12, atol=1e-12)
         exact = [np.imag(own._out(*(e + 1j * H * unit), *mode, *own.values)[: len(out)]) / H
