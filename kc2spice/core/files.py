@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import errno
+import hashlib
 import json
 import os
 import re
@@ -83,6 +84,8 @@ def _publish(work: Path, out: Path) -> None:
     out.mkdir(parents=True, exist_ok=True)
     with locked(out):
         files = [path.relative_to(work) for path in sorted(work.rglob("*")) if path.is_file()]
+        if Path(RESULT) in files:
+            _record_hashes(work, files)
         stale = earlier(out) - {str(name) for name in files}
         for name in files:
             if _rank(name) >= 0:
@@ -95,10 +98,32 @@ def _publish(work: Path, out: Path) -> None:
             os.replace(work / name, out / name)
 
 
-def earlier(out: Path) -> set[str]:
-    """Files that an earlier run into ``out`` lists as its own; anything else there is not ours.
+def _record_hashes(work: Path, files: list[Path]) -> None:
+    """Add to ``result.json`` the SHA-256 hash of every other file of the run.
 
-    The list is data: names with folders in them, hidden ones and links are left alone.
+    A later run into the same directory deletes only files whose content has this hash.
+    """
+    path = work / RESULT
+    try:
+        record = json.loads(path.read_text(encoding="utf-8"))
+    except ValueError:
+        return  # no record of a run
+    if not isinstance(record, dict):
+        return
+    record["sha256"] = {str(name): _hash(work / name) for name in files if name != Path(RESULT)}
+    path.write_text(json.dumps(record, indent=2) + "\n", encoding="utf-8")
+
+
+def _hash(path: Path) -> str:
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def earlier(out: Path) -> set[str]:
+    """Names of unchanged files that an earlier run wrote into ``out``.
+
+    ``result.json`` of that run contains their hashes. A file that has another hash, a name with a
+    folder, a hidden file and a link do not count.
     """
     try:
         if (out / RESULT).stat().st_size > _LARGEST:
@@ -106,10 +131,12 @@ def earlier(out: Path) -> set[str]:
         record = json.loads((out / RESULT).read_text(encoding="utf-8"))
     except (OSError, ValueError, RecursionError):
         return set()
-    names = record.get("files") if isinstance(record, dict) and "scene" in record else None
-    names = names if isinstance(names, list) else ()
-    plain = (name for name in names if isinstance(name, str) and _PLAIN.fullmatch(name))
-    return {name for name in plain if (out / name).is_file() and not (out / name).is_symlink()}
+    hashes = record.get("sha256") if isinstance(record, dict) and "scene" in record else None
+    if not isinstance(hashes, dict):
+        return set()
+    plain = (name for name in hashes if _PLAIN.fullmatch(name))
+    present = (name for name in plain if (out / name).is_file() and not (out / name).is_symlink())
+    return {RESULT, *(name for name in present if hashes[name] == _hash(out / name))}
 
 
 def _rank(path: Path) -> int:

@@ -192,6 +192,24 @@ def test_a_crafted_record_deletes_nothing_else(tmp_path):
     assert names(out) == [".hidden", "a.cir", "link", "result.json"]
 
 
+def test_a_later_run_deletes_only_unchanged_files_of_the_earlier_one(tmp_path):
+    """Neither files that somebody else's record lists nor files that the user edited."""
+    with staged(tmp_path) as work:
+        record(work, "old.lib", "edited.lib")
+    (tmp_path / "edited.lib").write_text("* my own values\n")
+    with staged(tmp_path) as work:
+        record(work, "new.lib")
+    assert names(tmp_path) == ["edited.lib", "new.lib", "result.json"]
+
+
+def test_files_that_a_foreign_record_lists_stay(tmp_path):
+    (tmp_path / "thesis.txt").write_text("four years of work")
+    (tmp_path / "result.json").write_text(json.dumps({"scene": "s", "files": ["thesis.txt"]}))
+    with staged(tmp_path) as work:
+        record(work, "a.cir")
+    assert (tmp_path / "thesis.txt").read_text() == "four years of work"
+
+
 def test_an_export_spares_what_another_deck_there_includes(tmp_path):
     """Its own deck may be written anew; another scene's would run another part in silence."""
 
