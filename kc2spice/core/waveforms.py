@@ -50,6 +50,18 @@ class Waveforms:
 SCALES = {"time": "s", "frequency": "Hz"}  # units
 
 
+def plain_cell(text: str) -> str:
+    """``text`` as a cell of a CSV file that no spreadsheet evaluates as a formula.
+
+    Spreadsheets evaluate cells that begin with ``=``, ``+``, ``-``, ``@``, a tab or a carriage
+    return (OWASP, CSV injection); an apostrophe in front makes them text.
+
+    >>> plain_cell("=1+1")
+    "'=1+1"
+    """
+    return f"'{text}" if text[:1] in tuple("=+-@\t\r") else text
+
+
 def write_waveforms(waves: Waveforms, units: Mapping[str, str], directory: Path) -> list[str]:
     """``waveforms.npz`` with every digit and ``waveforms.csv`` with units in its head."""
     save_arrays(waves, directory / "waveforms.npz")
@@ -58,7 +70,7 @@ def write_waveforms(waves: Waveforms, units: Mapping[str, str], directory: Path)
         for name in waves.data
         for head, values in _columns(name, waves[name], units.get(name) or SCALES.get(name, ""))
     }
-    head, table = ",".join(columns), np.column_stack(list(columns.values()))
+    head, table = ",".join(map(plain_cell, columns)), np.column_stack(list(columns.values()))
     np.savetxt(directory / "waveforms.csv", table, "%.10g", ",", header=head, comments="")
     return ["waveforms.npz", "waveforms.csv"]
 

@@ -104,3 +104,12 @@ def test_yield_has_the_exact_binomial_interval():
     assert found["caught"]["share"] == 0.8
     assert found["caught"]["low"] == pytest.approx(0.4439, abs=5e-5)
     assert found["caught"]["high"] == pytest.approx(0.9748, abs=5e-5)
+
+
+@pytest.mark.parametrize("text", ["=1+1", "+1", "-1+1", "@SUM(A1)", "\t=1"])
+def test_no_cell_of_a_table_is_a_formula(text, tmp_path):
+    """Names of probes and causes of failures are text that somebody else may have chosen."""
+    write_csv({text: [1.5], "status": [text]}, tmp_path / "t.csv")
+    with (tmp_path / "t.csv").open(newline="", encoding="utf-8") as file:
+        rows = list(csv.reader(file))
+    assert rows == [[f"'{text}", "status"], ["1.5", f"'{text}"]]

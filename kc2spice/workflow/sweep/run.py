@@ -45,6 +45,7 @@ from kc2spice.core.errors import MissingToolError, UsageError, needed, unknown
 from kc2spice.core.files import staged
 from kc2spice.core.foreign import MAX_BYTES, parse_toml, read_bounded, text_of
 from kc2spice.core.progress import Progress, silent
+from kc2spice.core.waveforms import plain_cell
 from kc2spice.netlist.transforms import with_parameters
 from kc2spice.scene.keys import keys_of
 from kc2spice.scene.load import toml
@@ -284,12 +285,21 @@ def columns(
 
 
 def write_csv(table: Mapping[str, Sequence[Any]], path: Path) -> None:
-    """Floats with all their digits, ``true`` and ``false``, nothing for None."""
+    """Write floats with all their digits, ``true`` and ``false``, and nothing for None.
+
+    Text that a spreadsheet would evaluate as a formula begins with an apostrophe.
+    """
     with path.open("w", encoding="utf-8", newline="") as file:
         writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(table)
+        writer.writerow(plain_cell(name) for name in table)
         for row in zip(*table.values(), strict=True):
-            writer.writerow([v if v is None or isinstance(v, str) else toml(v) for v in row])
+            writer.writerow(_csv_cell(value) for value in row)
+
+
+def _csv_cell(value: Any) -> str | None:
+    if isinstance(value, str):
+        return plain_cell(value)
+    return None if value is None else toml(value)
 
 
 def write_parquet(table: Mapping[str, Sequence[Any]], path: Path) -> None:
