@@ -82,6 +82,19 @@ def text_of(data: bytes) -> str:
     return data.decode("utf-8-sig")
 
 
+def lines_of(text: str) -> list[str]:
+    r"""Lines of a text, which end with ``\n``, ``\r\n`` or ``\r`` as simulators read them.
+
+    ``str.splitlines`` also breaks lines at form feeds and at U+0085, U+2028 and U+2029, so that the
+    end of a comment would become a statement.
+
+    >>> lines_of("* a comment\u2028that goes on\nR1 a b 1k\n")
+    ['* a comment\u2028that goes on', 'R1 a b 1k']
+    """
+    lines = re.split(r"\r\n|\r|\n", text)
+    return lines if lines[-1] else lines[:-1]
+
+
 def name_threat(name: str) -> str | None:
     """Why ``name`` may not be joined to a directory to name a file below it; None if it may.
 

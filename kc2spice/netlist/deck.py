@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 from kc2spice.core.errors import UsageError
+from kc2spice.core.foreign import lines_of
 from kc2spice.netlist.cards import comment, number, tidy
 from kc2spice.netlist.circuit import Circuit, Subcircuit
 from kc2spice.netlist.expression import terms
@@ -250,5 +251,5 @@ def _inserted(text: str, lines: str) -> str:
     at = next((s.line for s in statements(text, "") if s.keyword in ANALYSES), None)
     if at is None or not lines:
         return text
-    kept = text.splitlines(keepends=True)
+    kept = [f"{line}\n" for line in lines_of(text)]
     return "".join([*kept[: at - 1], lines, *kept[at - 1 :]])

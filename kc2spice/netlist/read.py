@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from kc2spice.core.errors import UsageError
-from kc2spice.core.foreign import read_bounded, text_of
+from kc2spice.core.foreign import lines_of, read_bounded, text_of
 from kc2spice.netlist.circuit import (
     Card,
     Circuit,
@@ -73,7 +73,7 @@ def statements(text: str, file: str, *, title: bool = False) -> list[Statement]:
     """
     result: list[tuple[int, list[str], list[str]]] = []  # first line, comments above, pieces
     pending: list[str] = []  # comment lines behind the newest statement
-    lines = text.splitlines()
+    lines = lines_of(text)
     for number, raw in enumerate(lines, 1):
         line = raw.strip()
         if not line or line.startswith("*") or (title and number == 1):

@@ -22,6 +22,7 @@ from kc2spice.core.foreign import (
     LONGEST_KEY,
     MAX_BYTES,
     identifier,
+    lines_of,
     parse_toml,
     read_bounded,
     text_of,
@@ -551,7 +552,7 @@ def _line_of(text: str, path: tuple[str, ...]) -> int | None:
     """Line that sets ``path`` or, failing that, the longest part of it; for messages only."""
     table: tuple[str, ...] = ()
     best: tuple[int, int | None] = (0, None)
-    for number, line in enumerate(text.splitlines(), start=1):
+    for number, line in enumerate(lines_of(text), start=1):
         line = line.strip()
         key = re.match(r"([\w.]+)\s*=", line)
         if line.startswith("["):

@@ -26,6 +26,7 @@ from typing import Any
 import numpy as np
 
 from kc2spice.core.errors import MissingToolError, SimulationError, UsageError
+from kc2spice.core.foreign import lines_of
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.netlist.deck import Deck
 from kc2spice.netlist.scope import INCLUDES
@@ -142,7 +143,7 @@ def run_shared(
 
 def _flattened(deck: Deck, file: str) -> list[str]:
     result: list[str] = []
-    for line in deck.files[file].splitlines():
+    for line in lines_of(deck.files[file]):
         word, _, target = line.partition(" ")
         included = word.lower() in INCLUDES
         result += _flattened(deck, target.strip().strip("\"'")) if included else [line]

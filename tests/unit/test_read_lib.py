@@ -67,3 +67,13 @@ def test_parameters_outside_their_range_are_refused():
             with pytest.raises(UsageError, match="outside the range"):
                 with_parameters(deck, [(f"sphere.{name}", value)])
     assert with_parameters(deck, [("sphere.gravity", -9.81)]) != deck  # any sign
+
+
+@pytest.mark.parametrize("separator", ["\x0b", "\x0c", "\x1c", "\x85", "\u2028", "\u2029"])
+def test_a_comment_ends_only_where_a_simulator_ends_it(separator, tmp_path):
+    """``str.splitlines`` breaks lines at these characters; ngspice does not."""
+    path = tmp_path / "own.lib"
+    text = f".subckt own a b\n* from a data sheet{separator}R2 broken\nR1 a b 1k\n.ends\n"
+    path.write_text(text, encoding="utf-8")
+    (part,) = read_lib(path)
+    assert [pin.name for pin in part.pins] == ["a", "b"]
