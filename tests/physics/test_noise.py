@@ -135,6 +135,11 @@ def test_an_amplifier_has_the_noise_of_its_inputs(tmp_path, volts, amperes):
     power = 400 * (volts**2 + 2 * (950 * amperes) ** 2 + 2 * 4 * KT * 950) + 4 * KT * 2
     # a gain of 1e7 at rest leaves 2e-6, a bandwidth of 2 MHz less
     np.testing.assert_allclose(found.waves["noise"], np.sqrt(power), rtol=1e-5)
+    # the powers of one part's sources add up; the load's current flows into the 2 Ohm
+    band = 1e3 - 10
+    by_part = found.metrics["noise_by_part"]
+    assert by_part["amplifier"] == pytest.approx(np.sqrt(power * band), rel=1e-5)
+    assert by_part["load"] == pytest.approx(np.sqrt(4 * KT / 1e9 * 2**2 * band), rel=1e-4)
 
 
 def test_a_sensor_has_the_noise_that_it_states(tmp_path):

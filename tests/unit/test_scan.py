@@ -132,6 +132,18 @@ def test_hostile_circuits_are_refused(text, user):
     assert "user.lib" in str(caught.value)
 
 
+CODE_MODELS = (
+    "d_process", "d_cosim", "filesource", "d_source", "d_state", "table2d", "table3d"
+)  # fmt: skip
+
+
+@pytest.mark.parametrize("model", CODE_MODELS)
+def test_code_models_that_open_files_or_start_programs_are_refused_by_their_name(model, user):
+    """Without one of the parameters that name a file, which the scan refuses for themselves."""
+    with pytest.raises(UsageError, match="code model"):
+        user({"user.lib": f"{AMPLIFIER}.model p {model} (delay=1n)\n"})
+
+
 @pytest.mark.parametrize("name", ["control block", "parent include", "waveform file", "zero byte"])
 def test_hostile_decks_are_not_verified(name, tmp_path):
     """Neither their own lines nor those of what they include, however that is written."""
