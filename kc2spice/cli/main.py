@@ -78,7 +78,9 @@ PARAMETERS = {
         "param.PART.NAME for a parameter of a subcircuit. Repeatable.",
     ),
     "trust": typer.Option(
-        "--trust", help="Let included netlists act on this machine; see 'include'."
+        "--trust",
+        help="Let included netlists act on this machine (see 'include'), and warn where ngspice "
+        "ignores or replaces something in them.",
     ),
     "as_json": typer.Option("--json", help="One JSON object on stdout, everything else on stderr."),
     "quiet": typer.Option("--quiet", "-q", help="No progress, no tables."),

@@ -108,7 +108,8 @@ class Deck:
     that they are sums of products of. ``stop`` is the last time point [s] of
     a transient, None otherwise. A deck that somebody wrote by hand has its ``text`` and the files
     that it includes in ``more``. ``controlled`` says whether a controller closes a loop, which some
-    simulators only follow in short steps; it may where nobody knows.
+    simulators only follow in short steps; it may where nobody knows. A ``trusted`` deck runs with a
+    warning where the simulator ignores or replaces something in it.
     """
 
     name: str
@@ -126,6 +127,7 @@ class Deck:
     text: str | None = None
     more: Mapping[str, str] = field(default_factory=dict)
     controlled: bool = True
+    trusted: bool = False
 
     def __repr__(self) -> str:
         files = ", ".join(self.files)

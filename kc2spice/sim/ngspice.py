@@ -31,6 +31,7 @@ from kc2spice.sim.output import (
     FailedRunError,
     Failure,
     Kind,
+    altered_run,
     failed_run,
     last_scale_value,
     read_partial,
@@ -129,8 +130,9 @@ def run_deck(
     Raises
     ------
     MissingToolError : no ngspice.
-    FailedRunError : ngspice failed or stopped early. The message holds cause, node, time and part,
-        and the directory with ``NAME.log``; the error has the waveforms up to there.
+    FailedRunError : ngspice failed, stopped early, or ignored or replaced something in a deck that
+        is not trusted. The message holds cause, node, time and part, and the directory with
+        ``NAME.log``; the error has the waveforms up to there.
     UsageError : its largest step alone asks for more than ``LARGEST_RAW`` bytes.
     SimulationError : no time left, or the raw file is not complete or too large. No failed run
         leaves a raw file.
@@ -153,6 +155,7 @@ def run_deck(
             waves = Waveforms(named(deck, vectors), facts)
             last = float(vectors["time"][-1]) if "time" in vectors else math.nan
             failed = failed_run(deck, str(main), text, last=last)
+            failed = failed or altered_run(deck, str(main), text)
         if failed is not None:
             told = f"the whole log is {log.name} in the same directory"
             failed.hint = "; ".join(filter(None, (failed.hint, told)))

@@ -5,6 +5,7 @@ whom they blame, and binary raw files, which are distrusted.
 from __future__ import annotations
 
 import re
+import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -40,6 +41,27 @@ _STRUGGLE = re.compile(
 _NODE = re.compile(
     r'trouble with (?:node |\S+-instance )?"?([^\s"]+?)"?(?:[:\s]|$)|check node (\S+)', re.I
 )
+# A parameter, value or card that ngspice took otherwise than it stands in the netlist.
+_ALTERED = re.compile(
+    r"\bignor(?:ed|ing)\b|\b(?:re)?set to\b|\bassumed?\b|\blimited to\b|\breplaced\b|"
+    r"\bdefault(?:ed|ing|s)?\b|\bnot (?:yet )?(?:supported|implemented)\b|\bunsupported\b|"
+    r"\bis used\b|\bdisabled\b|\bskipped\b|\btreated as\b|\bobsolete\b",
+    re.IGNORECASE,
+)
+# The same words where the result does not depend on it: what is printed, and a source without a
+# value, whose 0 V or 0 A the manual defines.
+_UNALTERED = re.compile(
+    r"^\s*circuit:|line ignored since rawfile|has no value, DC 0 assumed|"
+    r"dc value used for op instead of transient|no DC value, transient time 0 value used|"
+    r"^\s*seed value for",
+    re.IGNORECASE,
+)
+_MODEL = re.compile(r"model issue on line \d+", re.IGNORECASE)
+# Ratings and makers that LTspice keeps in its models for display: no equation contains them.
+_DISPLAYED = re.compile(
+    r"unrecognized parameter \((?:mfg|type|iave|vpk|icrating|vceo)\)", re.IGNORECASE
+)
+MOST_ALTERATIONS = 5  # that an error quotes
 _NO_START = re.compile(r"DC solution failed|transient op failed|initial timepoint", re.IGNORECASE)
 # A card that ngspice cannot read, and in the next line why.
 _CARD = re.compile(r"^Error on line:?[ \t]*\n[ \t]+(.+?)[ \t]*\n[ \t]+(.+?)[ \t]*$", re.M | re.I)
@@ -97,6 +119,25 @@ def classify(text: str) -> Failure:
     return Failure(cause, node, time, kind, struggles)
 
 
+def alterations(text: str) -> tuple[str, ...]:
+    """What ngspice took otherwise than it stands in the netlist, in the words of its log ``text``.
+
+    Each row names the ``.model`` card where the log tells it, and appears once.
+    """
+    result: dict[str, None] = {}
+    model, expected = "", False
+    for line in filter(None, map(str.strip, re.split(r"[\r\n]+", text))):
+        if expected:
+            model, expected = line.removesuffix("...").strip(), False
+        elif _MODEL.search(line):
+            expected = True
+        elif not _ALTERED.search(line) or _UNALTERED.search(line):
+            model = ""
+        else:
+            result[f"{model}: {line}" if model else line] = None
+    return tuple(result)
+
+
 def statistics(text: str) -> dict[str, float]:
     """Accepted and rejected points, iterations and CPU seconds that ``.options acct`` prints."""
     result = {key: re.search(pattern, text) for key, pattern in _STATS.items()}
@@ -138,6 +179,29 @@ def failed_run(
         got = ", ".join(filter(None, (f"last time point {last:g} s", blamed)))
         error = FailedRunError(cause, where=where, got=got, expected=f"{stop:g} s")
     error.failure, error.hint = replace(report, cause=cause, part=part), _ADVICE.get(report.kind)
+    return error
+
+
+def altered_run(deck: Deck, where: str, text: str) -> FailedRunError | None:
+    """The error of a run that said in ``text`` that it simulated another circuit than ``deck``.
+
+    None, and a warning of each alteration, where the deck is trusted, or where they are of what
+    models have for display.
+    """
+    altered = alterations(text)
+    fatal = [] if deck.trusted else [row for row in altered if not _DISPLAYED.search(row)]
+    if not fatal:
+        for row in altered:
+            warnings.warn(f"ngspice: {row}", stacklevel=3)
+        return None
+    message = "ngspice ignored or replaced a part of this netlist"
+    error = FailedRunError(message, where=where, got="; ".join(fatal[:MOST_ALTERATIONS]))
+    error.expected = "a netlist that ngspice simulates as it is written"
+    error.hint = (
+        "write it with parameters that ngspice has, or delete them; --trust (trust=True in Python) "
+        "runs it with a warning"
+    )
+    error.failure = Failure(fatal[0])
     return error
 
 

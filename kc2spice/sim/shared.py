@@ -32,7 +32,7 @@ from kc2spice.netlist.deck import Deck
 from kc2spice.netlist.scope import INCLUDES
 from kc2spice.scene.parttype import Sampled
 from kc2spice.sim.ngspice import named, partial_waves
-from kc2spice.sim.output import failed_run, read_raw, statistics
+from kc2spice.sim.output import altered_run, failed_run, read_raw, statistics
 
 _HINT = "Debian or Ubuntu: apt-get install libngspice0"
 
@@ -113,7 +113,8 @@ def run_shared(
     ------
     UsageError : the deck has no end of a transient.
     MissingToolError : libngspice is not on this machine.
-    FailedRunError : ngspice failed or stopped early; has the waveforms up to there.
+    FailedRunError : ngspice failed, stopped early, or ignored or replaced something in a deck that
+        is not trusted; has the waveforms up to there.
     SimulationError : a function failed.
     """
     if deck.stop is None:
@@ -135,6 +136,7 @@ def run_shared(
         library.clear()
     time = vectors.get("time", np.zeros(1))
     failed = failed_run(deck, deck.name, said, int(not ran), float(time[-1]))
+    failed = failed or altered_run(deck, deck.name, said)
     if failed is not None:
         failed.failure = replace(failed.failure, partial=partial_waves(deck, vectors, said))
         raise failed

@@ -104,6 +104,7 @@ def make_deck(build: Build) -> Deck:
         stop=scene.stop if scene.analysis.type == "transient" else None,
         initial=_initial(build, loose),
         controlled=any(_controls(part, scene) for part in scene.parts.values()),
+        trusted=build.trust,
     )
     return meters.sources(made, build) if build.noisy else made
 
