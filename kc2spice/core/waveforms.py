@@ -96,6 +96,13 @@ def running(values: np.ndarray, over: np.ndarray) -> np.ndarray:
     return np.concatenate([start, np.cumsum(steps, axis=-1)], axis=-1)
 
 
+def interpolate(at: Any, scale: np.ndarray, values: np.ndarray) -> Any:
+    """What the straight lines through ``values`` (n,) over a rising or falling ``scale`` (n,) have
+    at the places ``at``."""
+    way = -1 if scale[0] > scale[-1] else 1
+    return np.interp(at, scale[::way], values[::way])
+
+
 TOP = 1e-6  # flat top of a repeated triangle, of its edge
 NEVER = 1e4  # s; a period that no run reaches (newer ngspice repeats a pulse that has none)
 

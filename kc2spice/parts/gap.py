@@ -129,7 +129,7 @@ class Gap(Patched):
         rests has a capacitance that never falls with ``v^2``, as the coenergy's least is convex."""
         yield from super().checks(part, build, waves)
         d, seen = self.declared(part, build.scene), self._seen(part, build, waves)
-        if "sweep" not in waves or set(seen) != set(d.coordinates):
+        if "sweep" not in waves or waves.scale.size < 2 or set(seen) != set(d.coordinates):
             return
         (branch,) = (b for b in d.branches if b.kind == "voltage")
         unit = d.values(part.keys) | seen | {branch.name: 1.0}
@@ -158,8 +158,9 @@ class Gap(Patched):
             return {"gap_stiffness_n_m": law.real, "gap_damping_n_s_m": lost / omega}
         side = -1.0 if part.keys.side == "below" else 1.0
         stroke, size = np.max(side * np.array(of["x"]), axis=0), np.abs(volts)
-        steps = np.flatnonzero(np.diff((stroke >= part.keys.travel).astype(int)))
-        ends = {"pull_in_v": steps[:1], "release_v": steps[1:][-1:]}
+        turns = np.diff((stroke >= part.keys.travel).astype(int))
+        meets, last = np.flatnonzero(turns > 0), np.flatnonzero(turns)[-1:]
+        ends = {"pull_in_v": meets[:1], "release_v": last[turns[last] < 0]}
         result = {
             name: float(size[k[0]] + size[k[0] + 1]) / 2 if k.size else None
             for name, k in ends.items()

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from kc2spice.core.errors import UsageError, unknown
-from kc2spice.core.waveforms import Waveforms
+from kc2spice.core.waveforms import Waveforms, interpolate
 from kc2spice.scene.judge import Balance, Check, Gate, Verdict
 from kc2spice.scene.model import Probe
 from kc2spice.scene.parttype import Build
@@ -67,11 +67,11 @@ def metrics(waves: Waveforms, build: Build, *, partial: bool = False) -> dict[st
         for name, value in item.items()
     }
     own |= meters.metrics(waves) if meters.WAVE in waves else {}
-    last = abs(waves.scale[-1])
+    low, high = waves.scale.real.min(), waves.scale.real.max()
     return own | {
         name: take(probe, waves, name)
         for name, probe in scene.probes.items()
-        if not partial or (probe.of in waves and (probe.at is None or abs(probe.at) <= last))
+        if not partial or (probe.of in waves and (probe.at is None or low <= probe.at <= high))
     }
 
 
@@ -85,9 +85,9 @@ def take(probe: Probe, waves: Waveforms, name: str) -> float | None:
     if probe.of not in waves:
         known = list(waves.data)[1:]
         raise unknown("no such vector", probe.of, known, f"probes.{name}.of")
-    scale, values = waves.scale, waves[probe.of]
+    scale, values = waves.scale.real, waves[probe.of]
     if probe.at is not None:
-        return _value(scale.real, values, probe.at, name)
+        return _value(scale, values, probe.at, name)
     sizes = np.abs(values) if np.iscomplexobj(values) else values
     result = _TAKEN[probe.take](scale, sizes, float(probe.level or 0.0))
     return None if result is None else float(result)
@@ -98,14 +98,14 @@ def frequency(scale: np.ndarray, values: np.ndarray) -> float | None:
 
     None with fewer than two crossings.
     """
-    late = scale >= (scale[0] + scale[-1]) / 2
+    late = np.abs(scale - scale[0]) >= np.ptp(scale) / 2
     x, y = scale[late], values[late]
     y = y - _mean(x, y)
     k = np.flatnonzero((y[:-1] < 0) & (y[1:] >= 0))
     if k.size < 2:
         return None
     places = x[k] - y[k] * (x[k + 1] - x[k]) / (y[k + 1] - y[k])
-    return float((k.size - 1) / (places[-1] - places[0]))
+    return float((k.size - 1) / abs(places[-1] - places[0]))
 
 
 def crossing(scale: np.ndarray, values: np.ndarray, level: float) -> float | None:
@@ -120,13 +120,13 @@ def crossing(scale: np.ndarray, values: np.ndarray, level: float) -> float | Non
 
 
 def _mean(scale: np.ndarray, values: np.ndarray) -> float:
-    span = np.ptp(scale)
+    span = scale[-1] - scale[0]  # as the integral below zero where the scale falls
     return float(np.trapezoid(values, scale) / span if span else values[0])  # of one point its own
 
 
 # Of the scale (n,), the values (n,) and a level: what a probe takes under that name.
 _TAKEN: dict[str, Callable[[np.ndarray, np.ndarray, float], float | None]] = {
-    "argmax": lambda scale, values, _: scale[values.argmax()].real,
+    "argmax": lambda scale, values, _: scale[values.argmax()],
     "max": lambda scale, values, _: values.max(),
     "min": lambda scale, values, _: values.min(),
     "final": lambda scale, values, _: values[-1],
@@ -140,14 +140,13 @@ _TAKEN: dict[str, Callable[[np.ndarray, np.ndarray, float], float | None]] = {
 
 def _value(scale: np.ndarray, values: np.ndarray, place: float, name: str) -> float:
     """What the line through the points has at ``place``; in the complex plane its magnitude."""
-    if scale[0] > scale[-1]:  # a sweep downwards
-        scale, values = scale[::-1], values[::-1]
-    if not scale[0] <= place <= scale[-1]:
+    first, last = scale.min(), scale.max()
+    if not first <= place <= last:
         raise UsageError(
             "outside the analysis",
             where=f"probes.{name}.at",
             got=f"{place:g}",
-            expected=f"{scale[0]:g} … {scale[-1]:g}",
+            expected=f"{first:g} … {last:g}",
         )
-    result = np.interp(place, scale, values)
+    result = interpolate(place, scale, values)
     return float(np.abs(result)) if np.iscomplexobj(result) else float(result)

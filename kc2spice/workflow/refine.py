@@ -19,6 +19,7 @@ import numpy as np
 
 from kc2spice.core.errors import SimulationError, UsageError
 from kc2spice.core.progress import Clock
+from kc2spice.core.waveforms import interpolate
 from kc2spice.scene.judge import Check
 from kc2spice.scene.load import load_scene
 from kc2spice.scene.model import Action, Scene
@@ -106,7 +107,7 @@ def changes(run: Run, finer: Run, near_zero: float = 0.0) -> dict[str, float]:
         scale = max(float(np.abs(value).max()), least[name.rpartition("_")[2]])
         ours, theirs = run.waves.scale.real, finer.waves.scale.real
         if mine is not None and value.shape == theirs.shape and mine.shape == ours.shape:
-            value = np.interp(ours, theirs, value)
+            value = interpolate(ours, theirs, value)
         if mine is None or mine.shape != value.shape or not np.isfinite(mine).all():
             result[name] = np.inf
         else:

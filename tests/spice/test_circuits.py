@@ -11,7 +11,7 @@ from kc2spice.core.errors import SimulationError, UsageError
 from kc2spice.netlist.lint import lint
 from kc2spice.scene.load import load_scene
 from kc2spice.workflow.decks import make_deck
-from kc2spice.workflow.judge import metrics
+from kc2spice.workflow.judge import frequency, metrics
 from kc2spice.workflow.simulate import simulate
 
 R, L, C = 50.0, 1e-3, 1e-6
@@ -165,6 +165,49 @@ def test_every_take_of_a_probe(tmp_path):
     k = int(np.argmax(waves["cap.v"] >= 0.3))
     assert waves["time"][k - 1] <= found["rise"] <= waves["time"][k]
     assert found["never"] is None
+
+
+@pytest.mark.parametrize("ends", [(1.0, 5.0), (5.0, 1.0)])
+def test_probes_take_the_same_of_a_sweep_in_either_direction(ends, tmp_path):
+    """Of v / 10 from 1 V to 5 V: mean 0.3 A, mean square (0.5^3 - 0.1^3) / (3 0.4) A^2."""
+    probes = {take: {"of": "ohm.i", "take": take} for take in ("mean", "rms", "max", "min")}
+    probes |= {"at_2v": {"of": "ohm.i", "at": 2.0}}
+    probes |= {"cross": {"of": "ohm.i", "take": "crossing", "level": 0.33}}
+    tables = {
+        "supply": {"part": "source", "dc": 0.0, "pins": {"out": "ohm.a"}},
+        "ohm": {"part": "resistor", "resistance": 10.0},
+        "analysis": {"type": "dc", "sweep": "supply.dc", "from": ends[0], "to": ends[1],
+                     "points": 201},
+        "probes": probes,
+    }  # fmt: skip
+    _, found = run(tables, tmp_path)
+    exact = {"mean": 0.3, "rms": np.sqrt(0.124 / 1.2), "max": 0.5, "min": 0.1, "at_2v": 0.2,
+             "cross": 3.3}  # fmt: skip
+    assert {name: found[name] for name in exact} == pytest.approx(exact, rel=1e-4)
+
+
+@pytest.mark.parametrize("ends", [(1.0, 5.0), (5.0, 1.0)])
+def test_a_sweep_that_returns_begins_at_its_first_value(ends, tmp_path):
+    tables = {
+        "supply": {"part": "source", "dc": 0.0, "pins": {"out": "ohm.a"}},
+        "ohm": {"part": "resistor", "resistance": 10.0},
+        "analysis": {"type": "dc", "sweep": "supply.dc", "from": ends[0], "to": ends[1],
+                     "points": 5, "back": True},
+    }  # fmt: skip
+    waves, _ = run(tables, tmp_path)
+    there = np.linspace(*ends, 5)
+    back = there[-2::-1]
+    np.testing.assert_allclose(waves["supply.v"], np.concatenate([there, back]), rtol=1e-9)
+    np.testing.assert_allclose(waves["ohm.i"], np.concatenate([there, back]) / 10, rtol=1e-9)
+    assert waves.scale[0] == pytest.approx(ends[0], rel=1e-12)
+
+
+def test_cycles_over_a_falling_scale_have_the_same_rate():
+    """Of ten cycles in 2 V."""
+    x = np.linspace(0.0, 2.0, 4001)
+    y = np.sin(10 * np.pi * x) * (1 + x)
+    assert frequency(x, y) == pytest.approx(5.0, rel=1e-3)
+    assert frequency(x[::-1], y) == pytest.approx(5.0, rel=1e-3)
 
 
 def test_where_a_response_peaks_and_what_it_is_at_a_frequency():

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy.optimize import brentq
 
 import kc2spice as kc
 from kc2spice.core.errors import UsageError
@@ -36,6 +37,25 @@ def test_a_loop_snaps_in_at_a_third_of_the_gap_and_lets_go_where_the_spring_is_s
     release = (GAP - TRAVEL) * np.sqrt(2 * K * TRAVEL / (EPS * AREA))
     assert abs(metrics["pull_in_v"] - pull_in) <= step / 2
     assert abs(metrics["release_v"] - release) <= step / 2
+
+
+def test_a_falling_sweep_releases_and_does_not_pull_in():
+    tables = loop()
+    tables["analysis"] |= {"from": 12.0, "to": 0.0, "back": None}
+    found = kc.run(tables).metrics
+    release = (GAP - TRAVEL) * np.sqrt(2 * K * TRAVEL / (EPS * AREA))
+    assert found["pull_in_v"] is None
+    assert abs(found["release_v"] - release) <= 12.0 / 240 / 2
+
+
+def test_an_operating_point_is_where_spring_and_field_agree():
+    """``K x = eps A v^2 / (2 (g - x)^2)`` at 3 V, its lower root."""
+    tables = loop() | {"analysis": {"type": "op"}}
+    tables["drive"] = {"part": "source", "dc": 3.0}
+    found = kc.run(tables)
+    x = brentq(lambda x: K * x * 2 * (GAP - x) ** 2 - EPS * AREA * 9.0, 0.0, GAP / 3)
+    assert found.waves["plate.x1"][-1] == pytest.approx(x, rel=1e-5)
+    assert found.metrics["pull_in_v"] is None
 
 
 def blech(hertz, terms=201):
