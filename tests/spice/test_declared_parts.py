@@ -4,6 +4,7 @@ against closed forms of textbooks."""
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
+from scipy.optimize import brentq
 from scipy.special import ellipk
 
 import kc2spice as kc
@@ -85,6 +86,34 @@ def test_a_coil_in_motion_takes_few_steps():
 
 COIL = {"part": "voice_coil", "resistance": 6.0, "inductance": 5e-4, "bl": 5.0, "cms": 1e-3,
         "damping": 0.5}  # fmt: skip
+
+
+def test_a_voice_coil_at_large_strokes():
+    """``x / Cms(x) = Bl(x) v / R`` under a constant voltage, and ``v = Bl(x) x'`` when pushed at a
+    constant velocity, with all terms of Bl(x) and Cms(x) of the same size."""
+    bl1, bl2, cms1, cms2 = 400.0, 2e5, 0.05, 30.0
+    coil = COIL | {"bl1": bl1, "bl2": bl2, "cms1": cms1, "cms2": cms2}
+    sweep = {"type": "dc", "sweep": "drive.dc", "from": -2.4, "to": 2.4, "points": 9}
+    drive = {"part": "source", "dc": 0.0}
+    on_spring = coil | {"pins": {"plus": "drive.out", "a": "spring.a"}}
+    waves = kc.run({"name": "coil", "coil": on_spring, "drive": drive, "analysis": sweep,
+                    "spring": {"part": "spring", "stiffness": 100.0}}).waves  # fmt: skip
+
+    def unbalanced(x, i):
+        return 100.0 * x + x / (1e-3 + cms1 * x + cms2 * x**2) - (5.0 + bl1 * x + bl2 * x**2) * i
+
+    exact = [brentq(unbalanced, -9e-3, 9e-3, args=(v / 6.0,)) for v in waves["sweep"]]
+    np.testing.assert_allclose(waves["coil.x"], exact, rtol=1e-5, atol=1e-9)
+    speed = {"part": "source", "kind": "displacement", "pwl": [[0.0, 0.0], [0.1, 4e-3]]}
+    pushed = coil | {"pins": {"plus": "load.a", "a": "push.out"}}
+    load = {"part": "resistor", "resistance": 1e6}
+    times, *found = both({"name": "coil", "coil": pushed, "load": load, "push": speed,
+                          "solver": {"stop": 0.1, "max_step": 1e-3}}, "coil.v")  # fmt: skip
+    x = 0.04 * times
+    for v in found:
+        late = (times > 0.01) & (times < 0.099)
+        exact = 0.04 * (5.0 + bl1 * x + bl2 * x**2)
+        np.testing.assert_allclose(v[late], exact[late], rtol=1e-3)
 
 
 def test_a_voice_coil_at_small_signals():
