@@ -331,15 +331,46 @@ def _indicator(
 
 
 def _shift(solid: Solid, setup: Setup) -> float:
-    """0 [rad^2/s^2] of a supported body, else a small shift that makes ``K + shift M`` regular."""
-    motions = rigid_motions(solid, solid.mesh.p.mean(axis=1))
-    motions = motions / np.abs(motions).max(axis=0)
+    """0 [rad^2/s^2] of a body without rigid-body motion, else a small shift that makes
+    ``K + shift M`` regular."""
     held = setup.fixed if setup.springs is None else setup.fixed | (setup.springs.diagonal() > 0)
-    if np.linalg.matrix_rank(motions[held], tol=1e-6) == motions.shape[1]:
+    if _supported(solid, held, _pieces(solid, setup)):
         return 0.0
     slowest = min(np.sqrt(np.linalg.eigvalsh(m.C)[0] / m.density) for m in solid.materials)
     size = np.linalg.norm(np.ptp(solid.mesh.p, axis=1))
     return float((FREE_SHIFT * slowest / size) ** 2)
+
+
+def _pieces(solid: Solid, setup: Setup) -> list[np.ndarray]:
+    """Nodes of each piece that is rigid by itself: elements joined through faces, rigid faces.
+    Elements with only an edge in common turn about it."""
+    first, second = solid.mesh.f2t[:, solid.mesh.f2t[1] >= 0]
+    n = solid.mesh.nelements
+    links = sparse.coo_array((np.ones(first.size), (first, second)), shape=(n, n))
+    count, label = connected_components(links, directed=False)
+    nodes = solid.basis(1).element_dofs
+    pieces = [np.unique(nodes[:, label == piece]) for piece in range(count)]
+    return [*pieces, *(face.nodes for face in setup.faces)]
+
+
+def _supported(solid: Solid, fixed: np.ndarray, pieces: Sequence[np.ndarray]) -> bool:
+    """Whether displacements that are ``fixed`` (d nodes,) leave no piece a rigid-body motion; what
+    a piece without such motion shares with another one supports that one."""
+    held, waiting = fixed.copy(), list(pieces)
+    while waiting:
+        free = []
+        for nodes in waiting:
+            rows = (solid.components * nodes[:, None] + np.arange(solid.components)).ravel()
+            motions = rigid_motions(solid, solid.places[:, nodes].mean(axis=1))[rows]
+            motions = motions / np.maximum(np.abs(motions).max(axis=0), 1e-300)
+            if np.linalg.matrix_rank(motions[held[rows]], tol=1e-6) < motions.shape[1]:
+                free.append(nodes)
+            else:
+                held[rows] = True
+        if len(free) == len(waiting):
+            return False
+        waiting = free
+    return True
 
 
 def electromechanical(model: LinearModel, shift: float = 0.0) -> dict[str, float]:

@@ -20,6 +20,8 @@ from types import ModuleType
 from typing import Any
 
 import numpy as np
+from scipy import sparse
+from scipy.sparse.csgraph import connected_components
 from skfem.mesh import Mesh, MeshTet, MeshTet2, MeshTri, MeshTri2
 
 from kc2spice.core.errors import UsageError, unknown, wrong
@@ -36,6 +38,7 @@ FORMATS = {
 MAX_BYTES = 2_000_000_000  # of a file
 _HEAD = 200  # bytes that tell its format
 LENGTHS = ("m", "cm", "mm", "um")  # that a file without unit may be in
+COINCIDENT = 1e-3  # of the shortest edge: how near two nodes are at one place
 MILLIMETRE = 1e-3  # what STEP files are converted to, whatever they are written in
 # By corners of a cell: its meshes, and its edges in the order of gmsh's nodes in their middles.
 _CURVED = {
@@ -99,17 +102,19 @@ def read_mesh(
     picks: Mapping[str, Mapping[str, Any]] | None = None,
     dimension: int = 3,
     splits: int = 0,
+    merge: float | None = None,
 ) -> GroupedMesh:
     """Read or make the mesh; ``unit`` is the file's unit of length [m], ``size`` the largest edge
     of the elements of a CAD file [m], ``splits`` how often every edge is halved. ``picks`` are
     groups of a CAD file by name: entities of a ``dimension`` (0 to 3: points, curves, faces,
     solids) that contain one of the points ``at`` (n, 3), or that lie in a ``box`` of two corners,
-    all in the file's unit.
+    all in the file's unit. Nodes at most ``merge`` [m] apart become one; 0 accepts solids that
+    touch and share no nodes.
 
     Raises
     ------
     UsageError : no such file, not of the kind that its name says, without solids, a CAD file
-        without size, or a pick that selects nothing.
+        without size, a pick that selects nothing, or solids that touch and share no nodes.
     """
     data = _content(path)
     if path.suffix.lower() in STEP and unit != MILLIMETRE:
@@ -133,7 +138,7 @@ def read_mesh(
         picks=dict(picks or {}),
         splits=splits,
     )
-    return _collect(result, unit, dimension, str(path))
+    return _collect(result, unit, dimension, str(path), merge)
 
 
 def length_unit(path: Path, unit: str | None) -> float:
@@ -223,7 +228,11 @@ def _content(path: Path) -> bytes:
 
 
 def _collect(
-    found: Mapping[str, np.ndarray], unit: float, dimension: int, where: str
+    found: Mapping[str, np.ndarray],
+    unit: float,
+    dimension: int,
+    where: str,
+    merge: float | None = None,
 ) -> GroupedMesh:
     points = unit * found["points"]
     if not np.isfinite(points).all():
@@ -236,10 +245,18 @@ def _collect(
     blocks = [found[key] for key in found if key.startswith("cells")]
     if not blocks:
         raise UsageError(f"has no {'tetrahedra' if dimension == 3 else 'triangles'}", where=where)
+    record = json.loads(str(found["record"]))
+    same = np.arange(len(points))
+    if merge:
+        same = merged_nodes(points, blocks, dimension + 1, merge)
+        blocks = [same[nodes] for nodes in blocks]
+    if merge != 0:
+        owners = {name: found[f"group{k}"] for k, (name, d) in enumerate(record) if d == dimension}
+        require_joined(points, blocks, dimension + 1, owners, where)
     mesh, number = _quadratic(points, blocks, dimension + 1)
     groups: dict[str, Group] = {}
-    for k, (name, d) in enumerate(json.loads(str(found["record"]))):
-        members = found[f"group{k}"]
+    for k, (name, d) in enumerate(record):
+        members = found[f"group{k}"] if d == dimension else same[found[f"group{k}"]]
         if name in groups:
             raise UsageError("two groups of one name", where=where, got=name)
         if d == dimension:
@@ -252,6 +269,145 @@ def _collect(
             length = np.linalg.norm(points[members[:, 0]] - points[members[:, -1]], axis=1)
             groups[name] = Group(dimension - d, *_shares(mesh, ends, length, name))
     return GroupedMesh(mesh, groups)
+
+
+def merged_nodes(
+    points: np.ndarray, blocks: Sequence[np.ndarray], corners: int, distance: float
+) -> np.ndarray:
+    """The number of the node (n,) that each of ``points`` becomes when those of elements that are
+    at most ``distance`` [m] apart become one.
+
+    Raises
+    ------
+    UsageError : the distance collapses an edge of an element.
+    """
+    from scipy.spatial import cKDTree  # late: few meshes need it
+
+    used = np.unique(np.concatenate([nodes.ravel() for nodes in blocks]))
+    pairs = used[cKDTree(points[used]).query_pairs(distance, output_type="ndarray")]
+    links = sparse.coo_array((np.ones(len(pairs)), pairs.T), shape=(len(points),) * 2)
+    _, label = connected_components(links, directed=False)
+    lowest = np.full(len(points), len(points))
+    np.minimum.at(lowest, label, np.arange(len(points)))
+    same = lowest[label]
+    cells = np.sort(same[np.concatenate([nodes[:, :corners] for nodes in blocks])], axis=1)
+    if (np.diff(cells, axis=1) == 0).any():
+        shortest = f"less than the shortest edge, {_shortest_edge(points, blocks, corners):.4g} m"
+        raise wrong("merge", "this distance collapses elements", f"{distance:g} m", shortest)
+    return np.asarray(same)
+
+
+def _shortest_edge(points: np.ndarray, blocks: Sequence[np.ndarray], corners: int) -> float:
+    cells = np.concatenate([nodes[:, :corners] for nodes in blocks])
+    ends = ((i, j) for i in range(corners) for j in range(i))
+    return float(
+        min(
+            np.linalg.norm(points[cells[:, i]] - points[cells[:, j]], axis=1).min() for i, j in ends
+        )
+    )
+
+
+def require_joined(
+    points: np.ndarray,
+    blocks: Sequence[np.ndarray],
+    corners: int,
+    owners: Mapping[str, np.ndarray],
+    where: str,
+) -> None:
+    """Refuse solids that touch and share no nodes: they would move apart without a word.
+
+    ``points`` (n, d) [m], ``blocks`` of elements (k, nodes) with ``corners`` each, ``owners`` the
+    numbers of the elements of each named group.
+
+    Raises
+    ------
+    UsageError : nodes at one place, or nodes of one piece on the surface of another.
+    """
+    from scipy.spatial import cKDTree  # late: quick, yet nothing that a scene without mesh loads
+
+    near = COINCIDENT * _shortest_edge(points, blocks, corners)
+    used = np.unique(np.concatenate([nodes.ravel() for nodes in blocks]))
+    pairs = used[cKDTree(points[used]).query_pairs(near, output_type="ndarray")]
+    expected = "one node for all elements that are joined there"
+    apart = "merge = 0 keeps them apart"
+    if len(pairs):
+        got = f"{len(pairs)} pairs of nodes at one place, "
+        got += _described(points, pairs.ravel(), blocks, owners)
+        hint = f'merge = "{_engineering(10 * near)}" joins nodes up to that distance; {apart}'
+        raise wrong(where, "solids touch but share no nodes", got, expected, hint)
+    strays = _nodes_on_other_pieces(points, blocks, corners, near)
+    if strays.size:
+        got = f"{strays.size} nodes on the surface of another piece, "
+        got += _described(points, strays, blocks, owners)
+        hint = "fragment the solids before they are meshed, as occ.fragment of gmsh does; " + apart
+        raise wrong(where, "solids touch but their meshes do not match", got, expected, hint)
+
+
+def _nodes_on_other_pieces(
+    points: np.ndarray, blocks: Sequence[np.ndarray], corners: int, near: float
+) -> np.ndarray:
+    """Nodes on the surface of a piece of the mesh that they are no part of."""
+    from scipy.spatial import cKDTree
+
+    cells = np.concatenate([nodes[:, :corners] for nodes in blocks])
+    ends = np.array([cells[:, :-1].ravel(), cells[:, 1:].ravel()])
+    links = sparse.coo_array((np.ones(ends.shape[1]), ends), shape=(len(points),) * 2)
+    _, label = connected_components(links, directed=False)
+    piece = label[cells[:, 0]]
+    if (piece == piece[0]).all():
+        return np.empty(0, int)
+    omitted = [np.delete(cells, k, axis=1) for k in range(corners)]
+    faces, count = np.unique(np.sort(np.concatenate(omitted), axis=1), axis=0, return_counts=True)
+    faces = faces[count == 1]
+    middle = points[faces].mean(axis=1)
+    reach = np.linalg.norm(points[faces] - middle[:, None], axis=-1).max(axis=1) + near
+    nodes = np.unique(faces)
+    around = cKDTree(points[nodes]).query_ball_point(middle, reach)
+    face = np.repeat(np.arange(len(faces)), [len(item) for item in around])
+    node = nodes[np.concatenate([np.asarray(item, int) for item in around])]
+    other = label[faces[face, 0]] != label[node]
+    face, node = face[other], node[other]
+    return np.unique(node[_on_simplex(points[node], points[faces[face]], near)])
+
+
+def _on_simplex(places: np.ndarray, simplices: np.ndarray, near: float) -> np.ndarray:
+    """Which ``places`` (n, d) lie within ``near`` of their simplex (n, corners, d).
+
+    The foot of the perpendicular is ``s_0 + J t`` with ``J'J t = J'(x - s_0)``.
+    """
+    J = (simplices[:, 1:] - simplices[:, :1]).transpose(0, 2, 1)
+    arm = (places - simplices[:, 0])[:, :, None]
+    t = np.linalg.solve(J.transpose(0, 2, 1) @ J, J.transpose(0, 2, 1) @ arm)
+    away = np.linalg.norm((arm - J @ t)[:, :, 0], axis=1)
+    slack = near / np.linalg.norm(J, axis=1).min(axis=1)
+    inside = (t[:, :, 0] >= -slack[:, None]).all(axis=1) & (t.sum(axis=1)[:, 0] <= 1 + slack)
+    return np.asarray(inside & (away <= near))
+
+
+def _described(
+    points: np.ndarray,
+    nodes: np.ndarray,
+    blocks: Sequence[np.ndarray],
+    owners: Mapping[str, np.ndarray],
+) -> str:
+    """Where nodes lie, in millimetres, and the groups whose elements they belong to."""
+    axes = "xyz" if points.shape[1] == 3 else ("radius", "height")
+    spans = []
+    for axis, values in zip(axes, 1e3 * points[nodes].T, strict=True):
+        low, high = float(values.min()), float(values.max())
+        flat = high - low <= 1e-6 * np.abs(values).max(initial=0.0)
+        spans.append(f"{axis} = {low:.4g} mm" if flat else f"{axis} {low:.4g} … {high:.4g} mm")
+    touched = np.concatenate([np.isin(item, nodes).any(axis=1) for item in blocks])
+    names = [name for name, members in owners.items() if touched[members].any()]
+    return ", ".join(spans) + (f", groups {', '.join(sorted(names))}" if names else "")
+
+
+def _engineering(length: float) -> str:
+    """A length with one digit and a prefix."""
+    for unit, factor in (("mm", 1e-3), ("um", 1e-6)):
+        if length >= factor:
+            return f"{length / factor:.1g} {unit}"
+    return f"{length / 1e-9:.1g} nm"
 
 
 def _quadratic(

@@ -164,6 +164,12 @@ class BodyKeys(FieldKeys):
     refine: Annotated[Count, Notch(2.0, model=True)] = Field(
         1, ge=1, le=8, description="divides the size of all elements"
     )
+    merge: Length | None = Field(
+        None,
+        ge=0,
+        description="distance up to which nodes of the file become one; 0 keeps solids that "
+        "touch apart",
+    )
     axisymmetric: bool = Field(False, description="the mesh is a half plane, x the radius")
     groups: dict[str, GroupKeys] = Field(default_factory=dict)
     materials: dict[str, str | dict[str, Any]] = Field(
@@ -234,6 +240,7 @@ def device(keys: BodyKeys | Mapping[str, Any], home: Path, where: str = "body") 
             picks={name: group.pick(unit) for name, group in keys.groups.items()},
             dimension=2 if keys.axisymmetric else 3,
             splits=0 if keys.size else int(np.ceil(np.log2(keys.refine))),
+            merge=keys.merge,
         )
         solid = _solid(keys, result)
         made = fe.make_device(solid, _setup(keys, result, solid))

@@ -188,6 +188,96 @@ def test_axisymmetric_mesh_is_the_disc(tmp_path):
         assert found[name] == pytest.approx(own[name], rel=1e-3), name
 
 
+def stacked(boxes, *, join=False, sizes=()):
+    """Boxes (x, y, z, dx, dy, dz) in millimetres, each with nodes of its own unless ``join``; the
+    group of each is ``box0`` and so on, those of the faces below and above it ``low0``, ``high0``.
+    """
+
+    def draw(gmsh):
+        occ, groups = gmsh.model.occ, {}
+        solids = [occ.addBox(*box) for box in boxes]
+        if join:
+            occ.fragment([(3, solids[0])], [(3, tag) for tag in solids[1:]])
+        occ.synchronize()
+        for k, (tag, (_, _, z, _, _, dz)) in enumerate(zip(solids, boxes, strict=True)):
+            groups[3, f"box{k}"] = [tag]
+            faces = [t for _, t in gmsh.model.getBoundary([(3, tag)], oriented=False)]
+            for name, height in (("low", z), ("high", z + dz)):
+                flat = [t for t in faces if abs(occ.getCenterOfMass(2, t)[2] - height) < 1e-6]
+                groups[2, f"{name}{k}"] = flat
+        for k, size in enumerate(sizes):
+            points = gmsh.model.getBoundary([(3, solids[k])], recursive=True)
+            gmsh.model.mesh.setSize(points, size)
+        return groups
+
+    return draw
+
+
+PLATES = [(0, 0, 0, 6, 2, 1), (0, 0, 1, 6, 2, 0.5)]
+
+
+def plates(home, **changes):
+    return device({
+        "mesh": "plates.msh", "unit": "mm", "materials": {"box0": "steel", "box1": "PZT-5A"},
+        "fixed": ["low0"], "electrodes": {"anode": "high1", "cathode": "low1"}, **changes,
+    }, home)  # fmt: skip
+
+
+def test_solids_that_share_no_nodes_are_refused_or_merged(tmp_path):
+    """gmsh itself counts and removes the nodes that are twice there."""
+    write(tmp_path / "plates.msh", stacked(PLATES), size=1, order=1)
+    gmsh.initialize([], readConfigFiles=False, interruptible=False)
+    gmsh.option.setNumber("General.Verbosity", 0)
+    gmsh.open(str(tmp_path / "plates.msh"))
+    before = len(gmsh.model.mesh.getNodes()[0])
+    gmsh.model.mesh.removeDuplicateNodes()
+    twice = before - len(gmsh.model.mesh.getNodes()[0])
+    (tmp_path / "joined").mkdir()
+    gmsh.write(str(tmp_path / "joined" / "plates.msh"))
+    gmsh.finalize()
+    with pytest.raises(UsageError, match="solids touch but share no nodes") as error:
+        plates(tmp_path)
+    place = "x 0 … 6 mm, y 0 … 2 mm, z = 1 mm, groups box0, box1"
+    assert error.value.got == f"{twice} pairs of nodes at one place, {place}"
+    merged, joined = plates(tmp_path, merge="1 um"), plates(tmp_path / "joined")
+    for name in ("unknowns", "capacitance_free_f", "resonance_short_hz"):
+        assert merged.model.facts[name] == pytest.approx(joined.model.facts[name], rel=1e-9), name
+    with pytest.raises(UsageError, match="this distance collapses elements"):
+        plates(tmp_path, merge="1.2 mm")
+
+
+def test_solids_whose_meshes_do_not_match_are_refused(tmp_path):
+    inside = [(0, 0, 0, 6, 2, 1), (1.3, 0.3, 1, 4, 1.1, 0.5)]
+    write(tmp_path / "plates.msh", stacked(inside), size=1)
+    with pytest.raises(UsageError, match="their meshes do not match") as error:
+        plates(tmp_path)
+    assert "x 1.3 … 5.3 mm, y 0.3 … 1.4 mm, z = 1 mm" in error.value.got
+    write(tmp_path / "plates.msh", stacked([(0, 0, 0, 6, 2, 1), (0, 0, 1.1, 6, 2, 0.5)]), size=1)
+    assert plates(tmp_path).model.facts["unknowns"]  # a gap between them: nothing touches
+
+
+def test_rigid_motion_of_a_piece_is_no_resonance(tmp_path):
+    """A ceramic that lies loose on a plate: its lowest resonance is that of a free bar poled across
+    its thickness, ``1 / (2 length sqrt(density s11))``; damping is stated there."""
+    write(tmp_path / "plates.msh", stacked(PLATES), size=1)
+    pzt = material("PZT-5A")
+    free_bar = 1 / (2 * 6e-3 * np.sqrt(pzt.density * np.linalg.inv(pzt.C)[0, 0]))
+    model = plates(tmp_path, merge=0, damping={"ratio": 0.01}).model
+    assert model.facts["resonance_short_hz"] == pytest.approx(free_bar, rel=0.03)
+    assert model.rayleigh[1] == pytest.approx(0.01 / (np.pi * free_bar), rel=0.03)
+
+
+def test_solids_hinged_at_an_edge_have_no_resonance_there(tmp_path):
+    """Two blocks that share one edge: the second turns about it without any force."""
+    corner = [(0, 0, 0, 3, 2, 1), (3, 0, 1, 3, 2, 0.5)]
+    write(tmp_path / "plates.msh", stacked(corner, join=True), size=1)
+    found = plates(tmp_path)
+    assert found.shift > 0
+    lowest = material("PZT-5A")
+    bending = 0.5e-3 / (3e-3) ** 2 * np.sqrt(lowest.C[0, 0] / lowest.density)
+    assert found.model.facts["resonance_short_hz"] > 0.05 * bending
+
+
 @pytest.mark.parametrize(
     ("damping", "wanted"),
     [
