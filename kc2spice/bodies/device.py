@@ -50,7 +50,7 @@ UP = np.array([0.0, 0.0, 1.0])
 Operator = Callable[[np.ndarray], np.ndarray]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Shape:
     """A port of forces: ``weights`` (d nodes,) spread a unit of force over the solid."""
 
@@ -58,7 +58,7 @@ class Shape:
     weights: np.ndarray
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class RigidFace:
     """Nodes that move as one; ``ports`` maps each to its motion (ux, uy, uz, rx, ry, rz).
 
@@ -69,7 +69,7 @@ class RigidFace:
     ports: Sequence[tuple[Port, np.ndarray]]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Setup:
     """What is done to a solid: supports, electrodes, ports, masses added to nodes.
 
@@ -101,7 +101,7 @@ class Setup:
     damping: Damping = field(default_factory=Damping)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Device:
     """A solid's linear model and how its unknowns z and voltages V give the fields at the nodes:
     ``u = displacement @ z`` (d nodes,) and ``phi = potential @ p + drive @ V`` (nodes,) with
@@ -452,7 +452,7 @@ class Block:
     material: Material
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Bonded:
     """Blocks, of which a later one wins where two overlap, and what is done to them.
 

@@ -22,6 +22,7 @@ import numpy as np
 from scipy.linalg import eigh
 
 from kc2spice.bodies.device import Device
+from kc2spice.core.equality import EqualByContent
 from kc2spice.core.errors import wrong
 from kc2spice.fem.solid import strains
 from kc2spice.rom.modal import resonant
@@ -41,7 +42,7 @@ _VTK = {
 }  # fmt: skip
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Motion:
     """Displacements ``z(t) = basis @ states[t]`` and ``voltages`` (times, electrical ports)."""
 
@@ -184,8 +185,8 @@ QUANTITIES = {
 }
 
 
-@dataclass(frozen=True)
-class Extreme:
+@dataclass(frozen=True, eq=False)
+class Extreme(EqualByContent):
     """Largest value of one of :data:`QUANTITIES` in one material over time: ``value`` at
     ``instant`` [s], ``place`` [m].
 

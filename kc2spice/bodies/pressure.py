@@ -48,6 +48,7 @@ from kc2spice.bodies.device import Device, Setup, Shape, constrained, electromec
 from kc2spice.bodies.fields import Probe, principal
 from kc2spice.bodies.piezo_stack import layer_materials, stack_setup
 from kc2spice.bodies.stack_keys import PATCH, Chip
+from kc2spice.core.equality import EqualByContent
 from kc2spice.core.errors import SimulationError
 from kc2spice.fem.keys import Damping
 from kc2spice.fem.materials import Material
@@ -67,8 +68,8 @@ ANGLE = 1 / 8  # rad, of a cell at most
 PIT = 1 / 60  # rad around the upper pole without cells
 
 
-@dataclass(frozen=True)
-class PressureBasis:
+@dataclass(frozen=True, eq=False)
+class PressureBasis(EqualByContent):
     """Pressures linear in the radius (P1): function j is 1 at ``nodes[j]``, 0 at the others [m].
 
     The last node is the patch's edge, where the pressure is zero.
@@ -110,8 +111,8 @@ def pressure_basis(spacing: float, patch: float) -> PressureBasis:
     return PressureBasis(np.array([*nodes, patch]))
 
 
-@dataclass(frozen=True)
-class LocalCompliance:
+@dataclass(frozen=True, eq=False)
+class LocalCompliance(EqualByContent):
     """``compliance`` (n, n) [m/N]: what the basis functions give more than the patch that they are
     in, which itself gives ``patch`` [m/N]."""
 

@@ -7,12 +7,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
+from kc2spice.core.equality import EqualByContent
+
 if TYPE_CHECKING:
     import numpy as np
 
 
-@dataclass(frozen=True)
-class Curve:
+@dataclass(frozen=True, eq=False)
+class Curve(EqualByContent):
     """``x`` and ``y`` (n,) in the panel's units; a value that is not finite leaves a gap.
 
     ``style``: a line (``-``, ``--``, ``:``), ``reference`` (dotted, in black), ``step`` (constant
@@ -27,8 +29,8 @@ class Curve:
     names: tuple[str, ...] = ()
 
 
-@dataclass(frozen=True)
-class Map:
+@dataclass(frozen=True, eq=False)
+class Map(EqualByContent):
     """Colours ``z`` (rows, columns) at the centres ``x`` (columns,) and ``y`` (rows,), ascending;
     a value that is not finite stays grey. ``label`` is that of the colour bar."""
 

@@ -426,7 +426,7 @@ class PortBody(Device):
         return answered @ y, stored @ y
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class SignalBlock(Device):
     """``E x' = A x + B u``, ``y = C x + D u`` from what is across ``inputs`` to signals."""
 

@@ -12,11 +12,12 @@ from typing import Any
 
 import numpy as np
 
+from kc2spice.core.equality import EqualByContent
 from kc2spice.core.errors import SimulationError
 
 
-@dataclass(frozen=True)
-class Piecewise:
+@dataclass(frozen=True, eq=False)
+class Piecewise(EqualByContent):
     """``p(x) = sum_k c[k, j] (x - knots[j])^k`` in the cell j that holds ``x``.
 
     ``knots`` (n,) ascend; ``c`` (degree + 1, n - 1, m) are m functions. The polynomials of the
@@ -144,8 +145,8 @@ def _quadratic(p: np.ndarray) -> np.ndarray:
     )
 
 
-@dataclass(frozen=True)
-class EMTable:
+@dataclass(frozen=True, eq=False)
+class EMTable(EqualByContent):
     """Result of the magnetostatic FE sweep; exact in the currents because materials are linear.
 
     With the currents ``i1`` (lower coil) and ``i2`` (upper coil) at position ``y``::

@@ -15,14 +15,15 @@ from typing import Any
 import numpy as np
 from pydantic import Field
 
+from kc2spice.core.equality import EqualByContent
 from kc2spice.core.errors import UsageError
 from kc2spice.core.quantities import Count, Frequency, Section, Time
 
 MOST_PULSES = 25_000  # of a train that ends: as many corners as rows of a file
 
 
-@dataclass(frozen=True)
-class Waveforms:
+@dataclass(frozen=True, eq=False)
+class Waveforms(EqualByContent):
     """SI arrays over one scale (``time`` or ``frequency``), named as in ``waveforms.npz``.
 
     ``stats`` holds what the simulator said of itself: ``accepted`` and ``rejected`` time points,
@@ -283,8 +284,8 @@ def pulse(
     return Waveform(tuple(unique))
 
 
-@dataclass(frozen=True)
-class Recorded:
+@dataclass(frozen=True, eq=False)
+class Recorded(EqualByContent):
     """A smooth curve through ``values`` at ``times`` (n,) of cubics (Akima, J. ACM 17, 589, 1970),
     constant before and after.
 

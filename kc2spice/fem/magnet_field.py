@@ -103,7 +103,7 @@ def ring_sign(catch: Catch) -> float:
     return 1.0 if catch.polarity == "parallel" else -1.0
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class System:
     """Equations at one height: ``matrix a = loads`` on the ``free`` unknowns of all n."""
 
@@ -144,7 +144,7 @@ def systems(catch: Catch, radius: float) -> Iterator[tuple[int, System]]:
         yield from ((int(index), system(y[index])) for index in selected)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Body:
     """Element matrices of one mesh: ``local[:, e]`` goes to ``rows[:, e]``, ``cols[:, e]``."""
 

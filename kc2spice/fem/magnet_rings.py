@@ -16,6 +16,7 @@ from itertools import product
 import numpy as np
 from numpy.polynomial import chebyshev
 
+from kc2spice.core.equality import EqualByContent
 from kc2spice.core.errors import wrong
 from kc2spice.core.quantities import MU_0
 
@@ -41,7 +42,7 @@ def mutual(r: np.ndarray, z: np.ndarray, other: np.ndarray, height: np.ndarray) 
     return np.asarray(MU_0 * np.sqrt(across) * result)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Cells:
     """Rings of equal sections ``size`` (radial, axial) [m] about ``r`` (n,) and ``z`` (n,), of
     which the shares ``filled`` (n,) carry current."""
@@ -181,8 +182,8 @@ class Winding:
         return float(other.turns * self.coupling(other.cells.r, other.cells.z).mean())
 
 
-@dataclass(frozen=True)
-class Ladder:
+@dataclass(frozen=True, eq=False)
+class Ladder(EqualByContent):
     """A body as loops of 1 H and ``rates`` (k,) Ohm at 1 S/m, where ``inductance`` (c, c) [H] is
     that of the coils and ``couplings`` (c, k, degree + 1), with magnets (c + 1, k, degree + 1), are
     polynomials of ``2 (y - low) / (high - low) - 1``, lowest power first. ``error`` is the largest

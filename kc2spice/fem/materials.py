@@ -30,6 +30,7 @@ from typing import Annotated, Any, Literal, TypeAlias
 import numpy as np
 from pydantic import BeforeValidator, Field, model_validator
 
+from kc2spice.core.equality import EqualByContent
 from kc2spice.core.errors import UsageError, part_named, wrong
 from kc2spice.core.quantities import (
     EPSILON_0,
@@ -69,8 +70,8 @@ _WAYS = (
 )
 
 
-@dataclass(frozen=True, repr=False)
-class Material:
+@dataclass(frozen=True, eq=False, repr=False)
+class Material(EqualByContent):
     """Linear (piezo)elastic material in stress-charge form, in the axes of the body.
 
     Attributes

@@ -24,6 +24,7 @@ from scipy import sparse
 from scipy.sparse.csgraph import connected_components
 from skfem.mesh import Mesh, MeshTet, MeshTet2, MeshTri, MeshTri2
 
+from kc2spice.core.equality import EqualByContent
 from kc2spice.core.errors import UsageError, unknown, wrong
 from kc2spice.core.foreign import in_child, read_bounded
 from kc2spice.core.gmsh_session import gmsh_session
@@ -53,8 +54,8 @@ _MSH = re.compile(
 _STEP_TEXT = re.compile(rb"'(?:[^']|'')*'|/\*.*?\*/", re.DOTALL)
 
 
-@dataclass(frozen=True)
-class Group:
+@dataclass(frozen=True, eq=False)
+class Group(EqualByContent):
     """One named set: elements (``codimension`` 0), facets (1) or nodes (2, 3) of the mesh.
 
     ``shares`` of nodes are their parts of the length of a curve, equal for points.
@@ -65,7 +66,7 @@ class Group:
     shares: np.ndarray | None = None
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class GroupedMesh:
     """A quadratic mesh [m] of tetrahedra or triangles, and its groups by name."""
 

@@ -34,7 +34,7 @@ _VOIGT = np.array([[0, 5, 4], [5, 1, 3], [4, 3, 2]])
 _FLAT = np.array([0, 2])  # the coordinates of a meridian plane among x, y, z
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Solid:
     """A mesh whose element ``k`` is made of ``materials[owner[k]]`` (already poled), with shape
     functions of ``order`` (1 on hexahedra only). Materials of one name are one in reports.
@@ -121,7 +121,7 @@ class Solid:
         return np.unique(self.basis(1).element_dofs[:, elements])
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Operators:
     """Matrices over all nodes of a solid, no constraint; see the module."""
 

@@ -91,7 +91,7 @@ _KEPT = 2  # orders: a reduction factorises matrices of one pattern, or of two
 _orders: dict[bytes, np.ndarray | None] = {}
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Factor:
     """A factorised matrix; ``solve`` refuses to return an inaccurate solution.
 

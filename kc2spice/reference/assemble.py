@@ -22,7 +22,7 @@ from kc2spice.core.errors import UsageError
 MICRO = 1e-6  # m, the displacement that errors are judged by
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Attached:
     """A device in its place: it sees ``inputs @ X``; its outputs are added to ``f`` by ``into``."""
 
@@ -42,7 +42,7 @@ class Attached:
         return result
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Held:
     """A start that a law asks for: ``row @ X = value`` and ``rate @ X = speed``."""
 
@@ -53,7 +53,7 @@ class Held:
     into: np.ndarray  # (n,) how what holds it acts
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class System:
     """Reduced equations and how to read everything from their unknowns; made by `assemble`.
 

@@ -41,7 +41,7 @@ _CUBIC = np.linalg.inv(NODES[:, None] ** _POWERS)
 _SQUARE = np.linalg.inv(NODES[:, None] ** (_POWERS - 1))
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Step:
     """An accepted step: start, length, state at the start, increments (n, 3) at the stages."""
 
@@ -228,7 +228,7 @@ class Balance:
     turnover: float
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Result:
     """Segments of a run, to be read at ``time`` (nt,), and the ``events`` [s] at which a device
     changed its mode."""

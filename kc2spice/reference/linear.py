@@ -175,7 +175,7 @@ def _kinks(k: int, wave: Waveform, stop: float) -> list[tuple[float, int, float]
     return [(0.0, k, float(jumps[before].sum())), *result] if before.any() else result
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Modes:
     """``y = level + sum_i out_i a_i``, ``a_i' = rates_i a_i + (drive_i of the sources)``.
 
@@ -195,7 +195,7 @@ class Modes:
         return np.abs(self.rates) / np.maximum(-2 * self.rates.real, 1e-30)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Motion:
     """The exact solution, as sums of exponentials that begin at the corners of the drives."""
 

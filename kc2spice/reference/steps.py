@@ -106,7 +106,7 @@ def at_rest(pencil: Any) -> Callable[[np.ndarray], np.ndarray]:
         return _solver(pencil, SLOW * (sizes[0] / sizes[1]) ** (1 / pencil.degree))
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Steps:
     """``time`` (nt,), every wave by name (nt,) as of a `reference.integrate.Result` but currents of
     charges that devices keep, and the ``modes`` of all devices but bodies at each time."""

@@ -23,6 +23,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.linalg import block_diag, eigh, lapack, qr, schur
 
+from kc2spice.core.equality import EqualByContent
 from kc2spice.rom.linear import LinearModel, Norm, state_space
 from kc2spice.rom.pencil import Pencil, explicit, largest
 from kc2spice.rom.response import FLOOR, Response, relative_error
@@ -36,8 +37,8 @@ POINTS = 40  # frequencies at which that is looked for
 SAME = 1e-13
 
 
-@dataclass(frozen=True)
-class BlockModel:
+@dataclass(frozen=True, eq=False)
+class BlockModel(EqualByContent):
     """``z' = diag(blocks) z + B u + F w``, ``y = C z + D u + R w`` with real square blocks of any
     size and ``coupled`` signals w of no state of their own, ``0 = P z + Q u + S w``: what closes
     loops around blocks that are few entries each without them, as waves at the ports of a measured

@@ -32,6 +32,7 @@ from typing import Any
 import numpy as np
 import scipy
 
+from kc2spice.core.equality import EqualByContent
 from kc2spice.core.errors import UsageError
 from kc2spice.rom.linear import Certificate, LinearModel, Port
 from kc2spice.rom.response import Judge, Response, above_band
@@ -43,8 +44,8 @@ STILL = 1e-5  # of the band's end: a motion without stiffness, up to rounding
 COUPLED_IN = {"mechanical": "m/N", "rotational": "rad/(N m)", "acceleration": "kg s2"}
 
 
-@dataclass(frozen=True)
-class Resonators:
+@dataclass(frozen=True, eq=False)
+class Resonators(EqualByContent):
     """``m_j z_j'' + damp_j z_j' + omega_j^2 z_j = sum_k gain_jk u_k``,
     ``y_k = sum_j gain_jk z_j + sum_l D_kl u_l``.
 

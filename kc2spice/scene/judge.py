@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Literal
 
+from kc2spice.core.equality import EqualByContent
 from kc2spice.core.errors import SimulationError
 from kc2spice.scene.model import Action, Solver
 
@@ -54,8 +55,8 @@ class Check:
         return {name: getattr(self, name) for name in names}
 
 
-@dataclass(frozen=True)
-class Balance:
+@dataclass(frozen=True, eq=False)
+class Balance(EqualByContent):
     """An energy balance: ``entries`` [J] at the end of the run, ``missing`` [J] the largest gap at
     any time, ``scale`` [J] what it is measured against, ``limit`` the share that may be missing.
 

@@ -187,7 +187,7 @@ class PortTerminal:
         return Card(label, *self.control(base), row[self.column or 0])
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class _States:
     """``z' = A z + B u``, ``y = C z + D u``: each state a voltage on its node; y in volts of the
     ports' sum nodes."""

@@ -223,7 +223,7 @@ class _Body:
         return _Descent(self, made, box)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class _End:
     """Where a descent ended: values, the linearised problem there, its reduced model's box."""
 

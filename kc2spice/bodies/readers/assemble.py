@@ -68,7 +68,7 @@ def _cut(matrix: Matrix, keep: np.ndarray) -> Matrix:
     return matrix if len(keep) == matrix.shape[0] else sparse.csc_array(matrix[keep][:, keep])
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Rows:
     """A model as its files have it, ``raw``, with what its sidecar has ``said``: which row is which
     freedom, and where the nodes are. ``where`` is the path to quote, ``found`` are its matrices by

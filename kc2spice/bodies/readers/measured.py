@@ -19,6 +19,7 @@ from pathlib import Path
 import numpy as np
 
 from kc2spice.bodies.readers.raw import guarded, in_own_process, present, refused, vectors
+from kc2spice.core.equality import EqualByContent
 from kc2spice.core.errors import wrong
 from kc2spice.core.foreign import read_bounded
 
@@ -60,8 +61,8 @@ _PAIRS: dict[tuple[str, str], Callable[[Columns, np.ndarray], np.ndarray]] = {
 }
 
 
-@dataclass(frozen=True)
-class Measured:
+@dataclass(frozen=True, eq=False)
+class Measured(EqualByContent):
     """Admittance ``Y`` (n, ports, ports) [S] at the increasing frequencies ``f`` (n,) [Hz], and in
     ``notes`` what its reader took for granted."""
 

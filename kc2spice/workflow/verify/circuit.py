@@ -494,7 +494,7 @@ def _with_surrogates(
     return [replace(c, laws=tuple(replaced(law) for law in c.laws)) for c in circuits]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Difference:
     """Results of a circuit with full models less those with reduced ones, by the same steps;
     ``apart`` (nt,) where their devices are in different modes, ``events`` [s] of the run with the
