@@ -5,7 +5,7 @@ PYTEST = .venv/bin/python -m pytest
 export OMP_NUM_THREADS ?= 1
 export OPENBLAS_NUM_THREADS ?= 1
 
-.PHONY: demo test slow campaign bench mutants netlists symbols docs setup lint clean
+.PHONY: demo test slow campaign pythons bench mutants netlists symbols docs setup lint clean
 
 demo: setup  ## run the main job: kick, flight and catch in ngspice
 	$(KC2SPICE) run kick_and_catch --png --out out/kick_and_catch
@@ -18,6 +18,9 @@ slow: setup  ## the tests that take many seconds each, five to ten minutes in al
 
 campaign: setup  ## hundreds of random models, scenes and kills, the oldest versions: an hour
 	$(PYTEST) -n auto -m campaign
+
+pythons: setup  ## unit and physics tests on the oldest and the newest Python of this machine
+	tools/pythons.sh
 
 OUT ?= out/bench
 bench: setup  ## speed against error beside peers: make bench OUT=DIR, 8 minutes on two quiet cores
