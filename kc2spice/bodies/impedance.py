@@ -22,6 +22,8 @@ from kc2spice.core.errors import wrong
 
 _FEWEST = 7  # samples around the resonance, for six real coefficients
 _PASSES = 8
+OVERDAMPED = 0.5  # Q of a circuit whose charge returns without overshoot
+STANDS_OUT = 3.0  # a resonance's largest conductance by the rms of what its circuit leaves over
 
 
 @dataclass(frozen=True)
@@ -60,7 +62,8 @@ def analyse(frequency: np.ndarray, impedance_ohm: np.ndarray) -> Reading:
 
     Raises
     ------
-    UsageError : samples that are no impedance, or too few around the resonance.
+    UsageError : samples that are no impedance, no resonance among their frequencies, or too few
+        samples around it.
     """
     f, Z = np.asarray(frequency, float), np.asarray(impedance_ohm, complex)
     if f.ndim != 1 or f.shape != Z.shape or len(f) < _FEWEST:
@@ -76,16 +79,38 @@ def analyse(frequency: np.ndarray, impedance_ohm: np.ndarray) -> Reading:
     bvd = _fit(f[window], Y[window])
     ratio = bvd.cm_f / bvd.c0_f
     resonance = 1 / (2 * math.pi * math.sqrt(bvd.lm_h * bvd.cm_f))
+    quality = math.sqrt(bvd.lm_h / bvd.cm_f) / bvd.rm_ohm
+    _require_resonance(f[window], Y[window], bvd, resonance, quality)
     low = np.array([min(1e3, resonance / 10)])
     known, seen = (low, bvd.admittance(low)) if f[0] > low[0] else (f, Y)
     return Reading(
         resonance_hz=resonance,
         antiresonance_hz=resonance * math.sqrt(1 + ratio),
-        quality=math.sqrt(bvd.lm_h / bvd.cm_f) / bvd.rm_ohm,
+        quality=quality,
         coupling=math.sqrt(ratio / (1 + ratio)),
         capacitance_f=float(np.interp(low, known, seen.imag / (2 * np.pi * known))[0]),
         bvd=bvd,
     )
+
+
+def _require_resonance(
+    f: np.ndarray, Y: np.ndarray, bvd: BVD, resonance: float, quality: float
+) -> None:
+    """Refuse a circuit fitted to a maximum of the conductance that is no resonance.
+
+    The loss of a dielectric, or rounding of a body without loss, has such maxima as well.
+    """
+    branch = bvd.admittance(f) - 2j * np.pi * f * bvd.c0_f
+    conductance = Y.real - branch.real  # what the dielectric and other modes lose
+    ripple = conductance - np.polyval(np.polyfit(f, conductance, 2), f)
+    got = f"{f[0]:g} to {f[-1]:g} Hz"
+    if not f[0] <= resonance <= f[-1]:
+        got = f"a circuit that would resonate at {resonance:.4g} Hz, samples of {got}"
+    elif quality <= OVERDAMPED:
+        got = f"a circuit of Q {quality:.2g} at {resonance:.4g} Hz, which does not oscillate"
+    elif np.abs(branch.real).max() > STANDS_OUT * float(np.sqrt(np.mean(ripple**2))):
+        return
+    raise wrong(None, "no resonance among the samples", got, hint="widen the band")
 
 
 def _window(f: np.ndarray, Y: np.ndarray) -> slice:

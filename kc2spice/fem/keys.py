@@ -40,7 +40,10 @@ class Damping(Section):
     )
     alpha: Rate = Field(0.0, ge=0, description="part proportional to mass")
     loss_tangent: Ratio | None = Field(
-        None, ge=0, le=1, description="of the dielectric, tan delta, the same at all frequencies"
+        None,
+        ge=0,
+        le=1,
+        description="dielectric tan delta of the free body at 1 kHz, as data sheets state it",
     )
 
     @model_validator(mode="after")

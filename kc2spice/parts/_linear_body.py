@@ -416,7 +416,17 @@ class LinearBody(Touching):
             for end in ends:
                 model = box.at({item.key: item.value for item in keys} | {key.key: float(end)})
                 H = model.select([port]).transfer(frequency)[:, 0, 0]
-                read.append(asdict(analyse(frequency, 1 / (2j * np.pi * frequency * H))))
+                try:
+                    read.append(asdict(analyse(frequency, 1 / (2j * np.pi * frequency * H))))
+                except UsageError:
+                    warnings.warn(
+                        f"{part.name}.{key.key}: no sensitivity, because {end:g} moves the "
+                        "resonance out of the band: widen the range of the analysis",
+                        stacklevel=2,
+                    )
+                    break
+            if len(read) < 2:
+                continue
             change = math.log(ends[1] / ends[0])
             result["sensitivity"][key.param.name] = {
                 name.removesuffix("_hz").removesuffix("_f"): math.log(read[1][name] / low) / change

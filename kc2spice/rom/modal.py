@@ -15,12 +15,18 @@ A constant loss tangent of the dielectric
 
         eps(s) = eps (s / w0)^-m,    m = (2 / pi) arctan(tan delta),    w0 / (2 pi) = 1 kHz
 
-    the frequency at which sheets state permittivities. In a netlist it is Foster's sum ``a_0 +
+    the frequency at which data sheets state permittivities. In a netlist it is Foster's sum ``a_0 +
     sum_k a_k / (1 + s t_k)``, all ``a_k >= 0``, of a capacitor and series R C, passive by its form,
-    whose amplitudes are non-negative least squares over the band. Of a body with the same tangent
-    everywhere it multiplies the clamped capacitances; what it changes of the stiffness by fields
-    inside of the body is neglected, tan delta times the share of the electric energy at constant
-    charge in a mode.
+    whose amplitudes are non-negative least squares over the band. It multiplies the clamped
+    capacitances D. Data sheets state the tangent at 1 kHz of the free part, whose capacitance is
+    ``D + C_m`` with the motional capacitance ``C_m = sum_j gain_j^2 / omega_j^2``, which has no
+    loss so far below the resonances. With ``tan delta`` of the free part the clamped angle theta
+    follows from
+
+        D sin theta = tan delta (D cos theta + C_m),   theta = delta + arcsin(C_m / D sin delta).
+
+    What the loss changes of the stiffness by fields inside of the body is neglected, tan delta
+    times the share of the electric energy at constant charge in a mode.
 """
 
 from __future__ import annotations
@@ -384,13 +390,43 @@ STATED_AT = 1e3  # Hz
 DECADES = 4.0  # of a band from zero
 POINTS = 30  # a decade
 MOST = 6  # relaxations a decade
-LOSS_SHARE = 0.1  # of the tangent, or of a certified error: what the sum may be off
+LOSS_SHARE = 0.02  # of the tangent, of 0.01 at most: error of the sum
 
 
 def permittivity(frequency: np.ndarray, tangent: float) -> np.ndarray:
     """``eps(s) / eps`` (n,) at ``frequency`` (n,) [Hz]."""
     m = 2 / np.pi * np.arctan(tangent)
     return np.asarray((1j * np.asarray(frequency) / STATED_AT) ** -m)
+
+
+def clamped_tangent(tangent: float, ratio: float) -> float:
+    """Tangent of the clamped body whose free capacitance has the loss ``tangent`` at 1 kHz.
+
+    Parameters
+    ----------
+    tangent : float
+        tan delta of the free body, as data sheets state it.
+    ratio : float
+        Motional by clamped capacitance at rest, ``C_m / D``.
+
+    Raises
+    ------
+    UsageError : a clamped body of less than that capacitance cannot lose as much.
+
+    Examples
+    --------
+    >>> round(clamped_tangent(0.02, 1.0), 4)
+    0.04
+    """
+    if not tangent * ratio < 1:  # theta would reach the quarter turn of a resistor
+        raise UsageError(
+            "the clamped capacitance is too small for so much loss",
+            where="damping.loss_tangent",
+            got=f"{tangent:g}",
+            expected=f"less than {1 / ratio:.3g}, clamped by motional capacitance",
+        )
+    delta = math.atan(tangent)
+    return math.tan(delta + math.asin(ratio * math.sin(delta)))
 
 
 def foster(
@@ -420,19 +456,22 @@ def foster(
 
 
 def lossy(model: Resonators, tangent: float) -> Resonators:
-    """``model`` with a dielectric of that loss tangent in the band of its certificate, which the
-    error of the sum widens.
+    """``model`` whose free body has that loss tangent at 1 kHz, constant in the band of its
+    certificate, which the error of the sum widens. Of several electrodes the motional and the
+    clamped capacitance are the sums over all of them, each with the others shorted.
 
     Raises
     ------
-    UsageError : it has no electrodes.
+    UsageError : it has no electrodes, or a clamped capacitance too small for the loss.
     """
     known = model.certificate
     electrical = [k for k, port in enumerate(model.ports) if port.kind == "electrical"]
     if known is None or not electrical:
         raise UsageError("no dielectric to lose energy in", where="damping.loss_tangent")
-    amplitude, rates, off = foster(tangent, known.band_hz, LOSS_SHARE * min(tangent, 0.01))
     D = model.D[np.ix_(electrical, electrical)]
+    motional = np.sum((model.gain[:, electrical] / model.omega[:, None]) ** 2)
+    clamped_loss = clamped_tangent(tangent, float(motional / np.trace(D)))
+    amplitude, rates, off = foster(clamped_loss, known.band_hz, LOSS_SHARE * min(tangent, 0.01))
     w, V = np.linalg.eigh(D)
     root = (V * np.sqrt(np.maximum(w, 0.0)))[:, w > 0]
     used = amplitude[1:] > 0
@@ -443,8 +482,8 @@ def lossy(model: Resonators, tangent: float) -> Resonators:
     )
     clamped = model.D.copy()
     clamped[np.ix_(electrical, electrical)] = amplitude[0] * D
-    told = f"{known.method}; a loss tangent of {tangent:g} by {used.sum()} relaxations within "
-    told += f"{off:.1e} of a constant one"
+    told = f"{known.method}; a loss tangent of {tangent:g} at 1 kHz by {used.sum()} relaxations "
+    told += f"within {off:.1e} of a constant one"
     return replace(
         model,
         omega=np.r_[model.omega, omega],

@@ -24,7 +24,7 @@ from kc2spice.parts._box import Varied, number_of, ranged
 from kc2spice.parts._linear_body import LinearBody, loss_tangent
 from kc2spice.report.pages import write_fit
 from kc2spice.rom.linear import LinearModel
-from kc2spice.rom.modal import permittivity
+from kc2spice.rom.modal import clamped_tangent, permittivity
 from kc2spice.rom.parametric import Axis, Parametric, modal_transfer, parametric
 from kc2spice.rom.response import Response
 from kc2spice.scene.load import load_scene
@@ -43,6 +43,7 @@ STEP = 1e-5  # of finite differences, in logarithms of values
 FAR = 0.5  # of |Y|, rms at the end: another resonance was matched, or another part measured
 APART = 2.0  # times the cost of the best end: another minimum
 PROMINENT, ABOVE_NOISE = 0.005, 8.0  # of the largest conductance, of the noise: a resonance
+AT_REST = 1e-3  # of the lowest frequency of the data
 TANGENT = "damping.loss_tangent"  # which no finite element model has
 VALUES, BOX, PAGE = "fit.toml", "box.toml", "report.html"
 LIKELY, NARROWEST = 2.0, 1.1e-3  # standard errors of a key's range in a netlist, its relative half
@@ -201,19 +202,29 @@ class _Body:
 
     def exact(self, values: Mapping[str, float]) -> np.ndarray:
         """Admittance (n,) [S] of the full model."""
-        model, f = self.full(values, moved=False), self.data.f
-        return self.lossy(modal_transfer(model, f)[:, 0, 0], float(model.D[0, 0]), values)
+        model = self.full(values, moved=False)
+        charge = modal_transfer(model, self.frequencies)[:, 0, 0]
+        return self.lossy(charge, float(model.D[0, 0]), values)
+
+    @property
+    def frequencies(self) -> np.ndarray:
+        """One so low that the body is at rest, then those of the data (n + 1,) [Hz]."""
+        return np.r_[AT_REST * self.data.f[0], self.data.f]
 
     def lossy(self, charge: np.ndarray, clamped: float, values: Mapping[str, float]) -> np.ndarray:
-        """Admittance (n,) [S] of charges per volt, with the loss of the clamped capacitance."""
-        f = self.data.f
+        """Admittance (n,) [S] of charges per volt (n + 1,) at :attr:`frequencies`, with the loss
+        of the dielectric."""
+        f, charge, free = self.data.f, charge[1:], float(charge[0].real)
         tangent = values.get(TANGENT, loss_tangent(self.scene.part(self.part)))
-        return np.asarray(2j * np.pi * f * (charge + clamped * (permittivity(f, tangent) - 1)))
+        if tangent:
+            loss = permittivity(f, clamped_tangent(tangent, free / clamped - 1)) - 1
+            charge = charge + clamped * loss
+        return np.asarray(2j * np.pi * f * charge)
 
     def response(self, made: Parametric, values: Mapping[str, float]) -> np.ndarray:
         """Admittance (n,) [S] of a reduced model."""
         model = made.at(values)
-        H = Response(model.pencil).transfer(2j * np.pi * self.data.f)
+        H = Response(model.pencil).transfer(2j * np.pi * self.frequencies)
         return self.lossy(H[:, 0, 0], float(model.D[0, 0]), values)
 
     def descent(self, box: Box, degree: int | None = None) -> _Descent:

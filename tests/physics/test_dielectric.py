@@ -1,9 +1,13 @@
-"""Loss of a dielectric: closed forms of a complex capacitance, passivity, ngspice, and its fit."""
+"""Loss of a dielectric: closed forms of a complex capacitance, passivity, ngspice, and its fit.
+
+Data sheets state tan delta of the free part at 1 kHz.
+"""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.optimize import brentq
 
 import kc2spice as kc
 from kc2spice.bodies.readers.measured import Measured
@@ -21,6 +25,16 @@ def closed(f, tangent):
     """Complex permittivity of constant phase, real part stated at 1 kHz without loss."""
     m = 2 * np.arctan(tangent) / np.pi
     return (f / 1e3) ** -m * np.exp(-0.5j * np.pi * m)
+
+
+def clamped(tangent, facts):
+    """Tangent of the clamped body whose free body, without loss of its motion, has that tangent."""
+    C, free = facts["capacitance_clamped_f"], facts["capacitance_free_f"]
+
+    def excess(angle):
+        return C * np.sin(angle) - tangent * (C * np.cos(angle) + free - C)
+
+    return np.tan(brentq(excess, 0.0, 1.5))
 
 
 @pytest.mark.parametrize("tangent", [0.001, 0.02, 0.3])
@@ -45,12 +59,59 @@ def test_a_body_has_its_clamped_capacitance_complex(models):
     """Against the lossless model and the closed form; what it takes is positive far beyond."""
     plain, lossy = (model.select(["anode"]) for model in models)
     f = np.linspace(lossy.certificate.band_hz[1] / 50, lossy.certificate.band_hz[1], 60)
-    wanted = plain.transfer(f)[:, 0, 0] + plain.D[0, 0] * (closed(f, TANGENT) - 1)
+    tangent = clamped(TANGENT, plain.facts)
+    wanted = plain.transfer(f)[:, 0, 0] + plain.D[0, 0] * (closed(f, tangent) - 1)
     assert np.abs(lossy.transfer(f)[:, 0, 0] / wanted - 1).max() < 2e-3
-    assert "0.02 by" in lossy.certificate.method
+    assert "0.02 at 1 kHz by" in lossy.certificate.method
     assert lossy.certificate.error_estimate > plain.certificate.error_estimate
     wide = np.geomspace(1e-2, 1e9, 500)
     assert (lossy.transfer(wide)[:, 0, 0].imag <= 0).all()
+
+
+DISC = {
+    "title": "free disc of ceramic",
+    "disc": {
+        "part": "disc",
+        "damping": {"quality": 1e5, "loss_tangent": 0.02},
+        "pins": {"anode": "drive.out"},
+        "layers": [
+            {
+                "diameter": "20 mm",
+                "thickness": "0.5 mm",
+                "material": {
+                    "density": 7800,
+                    "symmetry": "6mm",
+                    "compliance": {"s11": 17e-12, "s12": -5.1e-12, "s13": -8e-12, "s33": 20e-12,
+                                   "s44": 45e-12},
+                    "strain_coupling": {"d31": -165e-12, "d33": 400e-12, "d15": 550e-12},
+                    "permittivity": {"eps11": 1650, "eps33": 1650},
+                    "permittivity_at": "stress",
+                },
+            }
+        ],
+    },
+    "drive": {"part": "source", "ac": "1 V"},
+    "analysis": {"type": "ac", "start": "500 Hz", "stop": "2 kHz", "points": 20},
+}  # fmt: skip
+
+
+def test_a_free_disc_has_the_tangent_of_its_data_sheet_at_1_khz():
+    """A free disc at rest is free of stress: Y = j w eps_T A / t (1 - j tan delta). Its first
+    resonance lies at 110 kHz."""
+    result = kc.run(DISC)
+    waves = result.waves
+    at = int(np.argmin(np.abs(waves["frequency"] - 1e3)))
+    Y = waves["disc.current"] / waves["disc.voltage"]
+    assert waves["frequency"][at].real == pytest.approx(1e3)
+    assert Y[at].real / Y[at].imag == pytest.approx(0.02, rel=0.01)
+    free = 1650 * 8.8541878e-12 * np.pi * 0.01**2 / 0.5e-3
+    assert Y[at].imag == pytest.approx(2e3 * np.pi * free, rel=2e-3)
+    assert not {"resonance_hz", "quality", "coupling"} & set(result.metrics)
+
+
+def test_a_tangent_that_the_clamped_body_cannot_have_is_refused():
+    with pytest.raises(UsageError, match="too small for so much loss"):
+        kc.run({**DISC, "disc": {**DISC["disc"], "damping": {"loss_tangent": 1.0}}})
 
 
 def test_a_full_model_says_that_it_has_no_loss():
@@ -73,7 +134,8 @@ def test_a_fit_tells_losses_of_the_dielectric_from_those_of_the_motion():
     f, draw = np.linspace(2e3, 9e3, 150), np.random.default_rng(5).normal(size=(2, 150))
     scene = kc.load_scene(BUZZER, {"disc.damping.quality": 60.0})
     model = kc.build(scene)["disc"].select(["anode"])
-    charge = model.transfer(f)[:, 0, 0] + model.D[0, 0] * (closed(f, 0.031) - 1)
+    loss = closed(f, clamped(0.031, model.facts)) - 1
+    charge = model.transfer(f)[:, 0, 0] + model.D[0, 0] * loss
     Y = 2j * np.pi * f * charge * (1 + 0.003 * (draw[0] + 1j * draw[1]))
     start = kc.load_scene(BUZZER, {"disc.damping.loss_tangent": 0.01})
     found = kc.fit(start, "disc", Measured("part", "part.csv", f, Y[:, None, None]), list(true))

@@ -70,3 +70,27 @@ def test_higher_modes_and_loss_are_left_to_the_rest():
 def test_samples_that_show_no_resonance_are_refused(f, Z, says):
     with pytest.raises(UsageError, match=says):
         analyse(np.array(f, float), np.array(Z))
+
+
+def test_the_loss_of_a_dielectric_is_no_resonance():
+    """Relaxations have maxima of G/w, and rounding has; neither oscillates in the band."""
+    f = np.geomspace(500, 2000, 41)
+    s = 2j * np.pi * f
+    relaxing = s * C0 * (1 + sum(0.02 / (1 + s / (2 * np.pi * r)) for r in (300, 1e3, 3e3)))
+    rounded = [s * C0 + 1e-9 * np.abs(s * C0) * (3 + random_numbers(k, f)) for k in range(10)]
+    for Y in (relaxing, *rounded):
+        with pytest.raises(UsageError, match="resonance"):
+            analyse(f, 1 / Y)
+
+
+def random_numbers(seed, f):
+    return np.random.default_rng(seed).normal(size=f.size)
+
+
+@pytest.mark.parametrize("span", [(1.1, 4), (0.05, 0.9)])
+def test_a_resonance_outside_of_the_band_gives_no_figures(span):
+    f = np.linspace(*(FS * np.array(span)), 300)
+    noise = 1 + 1e-4 * np.random.default_rng(2).normal(size=f.size)
+    for Z in (circuit(f), circuit(f) * noise):
+        with pytest.raises(UsageError, match="no resonance among the samples"):
+            analyse(f, Z)
