@@ -21,6 +21,8 @@ from kc2spice.core import __version__
 from kc2spice.core.figure import Curve, Figure, Map
 from kc2spice.netlist.cards import templates
 
+# Units that carry a prefix already: the one that takes another prefix, and how many of it.
+_PREFIXED = {"kg": ("g", 1e3), "mm": ("m", 1e-3), "um": ("m", 1e-6)}
 _PREFIXES = {-15: "f", -12: "p", -9: "n", -6: "µ", -3: "m", 0: "", 3: "k", 6: "M", 9: "G"}
 # Words of keys that are none.
 _WORDS = {"bvd": "equivalent circuit", "c0": "C0", "rm": "Rm", "lm": "Lm", "cm": "Cm"}
@@ -48,8 +50,9 @@ def quantity(value: float | None, unit: str, digits: int = 5) -> str:
         return f"{value:g} {unit}".strip()
     if not unit or (" " in unit and " per " not in unit):  # words take no prefix
         return f"{value:.{digits}g} {unit}".strip()
-    if unit == "kg":  # its prefix is part of the unit: write grams
-        return quantity(1e3 * value, "g", digits)
+    if unit in _PREFIXED:
+        plain, factor = _PREFIXED[unit]
+        return quantity(factor * value, plain, digits)
     power = 3 * math.floor(math.log10(abs(value)) / 3)
     power = power if power in _PREFIXES else 0
     sign = "−" if value < 0.0 else ""
