@@ -24,7 +24,7 @@ from scipy.linalg import eigh
 from kc2spice.bodies.device import Device
 from kc2spice.core.equality import EqualByContent
 from kc2spice.core.errors import wrong
-from kc2spice.fem.solid import strains
+from kc2spice.fem.solid import strains, tensors
 from kc2spice.rom.modal import resonant
 from kc2spice.rom.subspace import block_arnoldi
 
@@ -137,11 +137,16 @@ class Probe:
         solid, nodes = self.device.solid, self.basis.element_dofs.T
         d = solid.components
         moves = (d * nodes[:, :, None] + np.arange(d)).reshape(len(nodes), -1)
-        C = np.array([m.C for m in solid.materials])[solid.owner]
-        e = np.array([m.e for m in solid.materials])[solid.owner]
-        active = e.any(axis=(1, 2), keepdims=True)
+        constants = [tensors(solid, self.basis, material) for material in solid.materials]
+        active = np.array([m.piezoelectric for m in solid.materials])[solid.owner, None, None]
         stresses, fields = [], []
         for _, B, G in self._operators:
+            C, e = np.empty((len(nodes), 6, 6)), np.empty((len(nodes), 3, 6))
+            for number, each in enumerate(constants):
+                own = solid.owner == number
+                C_all, e_all, _ = next(each)
+                C[own] = C_all if len(C_all) == 1 else C_all[own]
+                e[own] = e_all if len(e_all) == 1 else e_all[own]
             E = -(G @ phi[nodes]) * active
             stresses.append(C @ (B @ u[moves]) - e.transpose(0, 2, 1) @ E)
             fields.append(E)
@@ -229,6 +234,9 @@ def extremes(motion: Motion) -> list[Extreme]:
         own = np.flatnonzero(names == name)
         made_of = [solid.materials[k] for k in probe.owner[own]]
         poling = np.array([item.axis for item in made_of])
+        if made_of[0].cylinder is not None and not solid.axisymmetric:
+            frames = made_of[0].cylinder.frames(places[:, own].T)
+            poling = np.einsum("pij,pj->pi", frames, poling)
         for quantity, (unit, limit) in QUANTITIES.items():
             if quantity != "principal_stress" and not made_of[0].piezoelectric:
                 continue

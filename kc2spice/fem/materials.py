@@ -43,6 +43,8 @@ from kc2spice.core.quantities import (
     validated,
 )
 
+ROUNDING = 1e-12  # of a tensor's largest component
+
 # Point groups as data sheets name them, whose free components are those of a class below; "32" is
 # that of quartz (3m has other piezoelectric components), "6mm" that of poled ceramics.
 _GROUPS = {
@@ -70,6 +72,27 @@ _WAYS = (
 )
 
 
+@dataclass(frozen=True)
+class Cylinder:
+    """Cylindrical coordinates: the direction of their axis and a ``point`` [m] on it."""
+
+    axis: tuple[float, float, float] = (0.0, 0.0, 1.0)
+    point: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+    def frames(self, places: np.ndarray) -> np.ndarray:
+        """Rotations (n, 3, 3) whose columns are the radial, hoop and axial unit vectors at
+        ``places`` (n, 3) [m]."""
+        axial = np.asarray(self.axis, float) / np.linalg.norm(self.axis)
+        arm = places - np.asarray(self.point)
+        arm = arm - np.outer(arm @ axial, axial)
+        size = np.linalg.norm(arm, axis=1, keepdims=True)
+        other = np.cross(axial, np.eye(3)[np.abs(axial).argmin()])  # any, on the axis itself
+        radial = np.where(size > 0, arm, other / np.linalg.norm(other))
+        radial = radial / np.where(size > 0, size, 1.0)
+        hoop = np.cross(axial, radial)
+        return np.stack([radial, hoop, np.broadcast_to(axial, radial.shape)], axis=-1)
+
+
 @dataclass(frozen=True, eq=False, repr=False)
 class Material(EqualByContent):
     """Linear (piezo)elastic material in stress-charge form, in the axes of the body.
@@ -88,6 +111,8 @@ class Material(EqualByContent):
     residual_stress : (3,) normal stresses at rest along x, y, z [Pa], which supports must hold.
     axis : (3,) unit vector of its z axis (the poling of a ceramic) in the axes of the body.
     dielectric : has a field between its electrodes even where that is coupled to no stress.
+    cylinder : where it is given, all tensors are in the radial, hoop and axial directions about
+        its axis, as those of a ring poled radially.
     """
 
     name: str
@@ -104,6 +129,7 @@ class Material(EqualByContent):
     axis: np.ndarray = field(default_factory=lambda: np.array([0.0, 0.0, 1.0]))
     dielectric: bool = False
     residual_stress: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    cylinder: Cylinder | None = None
 
     def __repr__(self) -> str:
         kind = "piezoelectric" if self.piezoelectric else "elastic"
@@ -124,6 +150,27 @@ class Material(EqualByContent):
             if any(not np.allclose(a, b, rtol=0, atol=0.02 * np.abs(a).max()) for a, b in pairs):
                 return False
         return True
+
+    @property
+    def twists(self) -> bool:
+        """Whether what moves in a plane through z moves the material out of it, or polarises it
+        so: it has a component that changes sign in the mirror of that plane."""
+        out, within = [3, 5], [0, 1, 2, 4]
+        coupling = [self.C[np.ix_(out, within)], self.e[np.ix_([0, 2], out)]]
+        scale = [np.abs(self.C).max(), np.abs(self.e).max()]
+        return any(
+            np.abs(part).max() > ROUNDING * size for part, size in zip(coupling, scale, strict=True)
+        )
+
+    def at(self, places: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Stiffness (n, 6, 6), coupling (n, 3, 6) and permittivity (n, 3, 3) in the axes of the
+        body at ``places`` (n, 3) [m]; without a :attr:`cylinder` one of each, n = 1."""
+        if self.cylinder is None:
+            return self.C[None], self.e[None], self.eps_S[None]
+        R = self.cylinder.frames(places)
+        M, back = bond(R), R.transpose(0, 2, 1)
+        turned = M.transpose(0, 2, 1)
+        return M @ self.C @ turned, R @ self.e @ turned, R @ self.eps_S @ back
 
     @property
     def eps_T(self) -> np.ndarray:
@@ -178,16 +225,17 @@ _PAIRS = ((0, 0), (1, 1), (2, 2), (1, 2), (0, 2), (0, 1))
 
 
 def bond(R: np.ndarray) -> np.ndarray:
-    """Bond matrix (6, 6) of a rotation: ``T' = M T`` for stresses in Voigt order.
+    """Bond matrix (…, 6, 6) of rotations (…, 3, 3): ``T' = M T`` for stresses in Voigt order.
 
     Column J is the Voigt vector of ``R T_J R'``, with T_J the symmetric tensor of unit vector J.
     """
-    M = np.empty((6, 6))
+    M = np.empty((*R.shape[:-2], 6, 6))
     for J, (k, l) in enumerate(_PAIRS):
         unit = np.zeros((3, 3))
         unit[k, l] = unit[l, k] = 1.0
-        turned = R @ unit @ R.T
-        M[:, J] = [turned[i, j] for i, j in _PAIRS]
+        turned = R @ unit @ np.swapaxes(R, -1, -2)
+        for row, (i, j) in enumerate(_PAIRS):
+            M[..., row, J] = turned[..., i, j]
     return M
 
 

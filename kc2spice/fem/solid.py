@@ -62,9 +62,14 @@ class Solid:
             hint = "repair or refine the mesh"
             raise wrong("mesh", problem, f"{flipped.sum()} of them", expected, hint)
         for material in self.materials if self.axisymmetric else ():
-            if not material.isotropic_about_z:
+            if material.cylinder is not None and material.twists:
+                problem = "a material that twists an axisymmetric body when it is driven"
+                hint = 'use a mesh in three dimensions (part = "body" without axisymmetric)'
+                raise wrong(None, problem, material.name, "a poling in the plane of the mesh", hint)
+            if material.cylinder is None and not material.isotropic_about_z:
                 problem = "an axisymmetric body needs materials that are isotropic about its axis"
-                hint = 'use a mesh (part = "body"), or give the average in the plane'
+                hint = 'use a mesh in three dimensions (part = "body"), or give the average in the '
+                hint += 'plane; poling = { GROUP = "radial" } is that of a ring poled radially'
                 raise wrong(None, problem, material.name, hint=hint)
         if self.axisymmetric and self.mesh.p[0].min() < -1e-9 * np.ptp(self.mesh.p):
             problem = "axisymmetric mesh crosses its axis"
@@ -157,6 +162,19 @@ def strains(
         yield value, B.reshape(len(B), 6, -1), G
 
 
+def tensors(
+    solid: Solid, basis: skfem.Basis, material: Material
+) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
+    """At each point of ``basis`` stiffness, coupling and permittivity of the ``material`` in the
+    axes of the solid, (elements or 1, …); of an axisymmetric solid these are cylindrical."""
+    places = np.moveaxis(np.asarray(basis.global_coordinates()), 0, -1)
+    for q in range(places.shape[1]):
+        if solid.axisymmetric:
+            yield material.C[None], material.e[None], material.eps_S[None]
+        else:
+            yield material.at(places[:, q])
+
+
 def assemble(solid: Solid, *, only: int | None = None) -> Operators:
     """Matrices of the solid; coupling and permittivity only where it is piezoelectric or
     dielectric.
@@ -181,14 +199,15 @@ def assemble(solid: Solid, *, only: int | None = None) -> Operators:
         nodes = basis.element_dofs.T
         moves = (d * nodes[:, :, None] + np.arange(d)).reshape(len(cells), -1)
         m, k, c, p = (np.zeros(()) for _ in range(4))
-        for (N, B, G), w in zip(strains(solid, basis), weights.T[:, :, None, None], strict=True):
+        points = zip(strains(solid, basis), tensors(solid, basis, material), strict=True)
+        for ((N, B, G), (C, e, eps)), w in zip(points, weights.T[:, :, None, None], strict=True):
             m = m + w * material.density * N[:, :, None] * N[:, None]
-            k = k + w * (B.transpose(0, 2, 1) @ (material.C @ B))
+            k = k + w * (B.transpose(0, 2, 1) @ (C @ B))
             if any(material.residual_stress):
                 k = k + w * _stressed(solid, material, N, B, G)
             if field:
-                c = c + w * (B.transpose(0, 2, 1) @ (material.e.T @ G))
-                p = p + w * (G.transpose(0, 2, 1) @ (material.eps_S @ G))
+                c = c + w * (B.transpose(0, 2, 1) @ (e.transpose(0, 2, 1) @ G))
+                p = p + w * (G.transpose(0, 2, 1) @ (eps @ G))
         parts[0].append((m, nodes, nodes))
         parts[1].append((k, moves, moves))
         if field:

@@ -8,7 +8,7 @@ Groups of the file name materials, supports, electrodes and ports::
     unit = "mm"                   # needed with .msh and .brep; STEP files state their own
     size = "2 mm"                 # of the elements, CAD files only
     materials = { frame = "aluminium", patch = "PZT-5A" }
-    poling = { patch = [0, 0, 1] }
+    poling = { patch = [0, 0, 1] }    # "radial" and "tangential" are about the z axis
     fixed = ["foot"]              # or { group = "foot", axes = "z" } for a roller
     electrodes = { anode = "top", cathode = "bottom" }
     ports = [
@@ -39,7 +39,7 @@ from kc2spice.core.quantities import Count, Length, Notch, Section, validated
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.fem import mesh_file
 from kc2spice.fem.keys import Damping
-from kc2spice.fem.materials import material
+from kc2spice.fem.materials import Cylinder, Material, material
 from kc2spice.fem.solid import Solid
 from kc2spice.parts._linear_body import file_stamp
 from kc2spice.parts._meshed import FieldKeys, MeshedBody
@@ -52,6 +52,8 @@ Point: TypeAlias = tuple[Length, Length, Length]
 Vector: TypeAlias = tuple[float, float, float]
 Name: TypeAlias = Annotated[str, StringConstraints(pattern=r"^[A-Za-z][A-Za-z0-9_]{0,30}$")]
 _MOTIONS = ("x", "y", "z", "rx", "ry", "rz")
+# Components of a poling along the radius, around and along the axis.
+_CYLINDRICAL = {"radial": (1.0, 0.0, 0.0), "tangential": (0.0, 1.0, 0.0)}
 _REFERENCES = ("cathode", "gnd", "ground")
 
 
@@ -149,6 +151,20 @@ class PortKeys(Section):
         return np.asarray(axis / np.linalg.norm(axis))
 
 
+class CylindricalKeys(Section):
+    """A poling that turns about an axis with its place, as in rings and tubes."""
+
+    direction: Vector = Field(description="radial, hoop and axial component of the poling")
+    axis: Vector = Field((0.0, 0.0, 1.0), description="direction of the axis")
+    through: Point = Field((0.0, 0.0, 0.0), description="a point on the axis")
+
+    @model_validator(mode="after")
+    def _directed(self) -> CylindricalKeys:
+        if not any(self.direction) or not any(self.axis):
+            raise ValueError("direction and axis need a length")
+        return self
+
+
 class BodyKeys(FieldKeys):
     """Of the electrodes, ``cathode`` (or ``gnd``, ``ground``, else the last) is the return pin of
     all others. ``floating`` electrodes are equipotential and carry no charge.
@@ -175,8 +191,10 @@ class BodyKeys(FieldKeys):
     materials: dict[str, str | dict[str, Any]] = Field(
         min_length=1, description="name or table, by group"
     )
-    poling: dict[str, Vector] = Field(
-        default_factory=dict, description="direction of each group's third axis; z unless told"
+    poling: dict[str, Vector | Literal["radial", "tangential"] | CylindricalKeys] = Field(
+        default_factory=dict,
+        description="direction of the third axis of each group's material, z by default; radial or "
+        "tangential about the z axis; or a table of direction, axis and through",
     )
     fixed: tuple[str | FixedKeys, ...] = Field((), description="groups that are held")
     electrodes: dict[Name, str | tuple[str, ...]] = Field(
@@ -204,7 +222,8 @@ class BodyKeys(FieldKeys):
         stray = set(self.poling) - set(self.materials)
         if stray:
             raise ValueError(f"poling of groups without material: {', '.join(sorted(stray))}")
-        if not all(any(direction) for direction in self.poling.values()):
+        vectors = (item for item in self.poling.values() if isinstance(item, tuple))
+        if not all(any(direction) for direction in vectors):
             raise ValueError("poling without a direction")
         if len(self.electrodes) == 1:
             raise ValueError("a single electrode has no voltage: name the one it is counted from")
@@ -260,13 +279,35 @@ def _solid(keys: BodyKeys, groups: mesh_file.GroupedMesh) -> Solid:
             other = list(keys.materials)[int(owner[cells].max())]
             raise UsageError("elements with two materials", where=where, got=f"also in {other}")
         owner[cells] = number
-        made_of = material(given, where).poled(keys.poling.get(name, (0, 0, 1)))
+        made_of = _poled(material(given, where), keys, name)
         materials.append(replace(made_of, name=f"{name} ({made_of.name})"))
     if (owner < 0).any():
         expected = f"every element in one of {', '.join(sorted(groups.groups))}"
         got = f"{np.sum(owner < 0)} elements"
         raise wrong("materials", "elements without material", got, expected)
     return Solid(groups.mesh, tuple(materials), owner, keys.axisymmetric)
+
+
+def _poled(plain: Material, keys: BodyKeys, group: str) -> Material:
+    """The material of a group, poled; of an axisymmetric body every poling off its axis turns with
+    the place.
+
+    Raises
+    ------
+    UsageError : an axis beside that of an axisymmetric mesh.
+    """
+    given = keys.poling.get(group, (0.0, 0.0, 1.0))
+    if isinstance(given, str):
+        given = CylindricalKeys(direction=_CYLINDRICAL[given])
+    if isinstance(given, CylindricalKeys):
+        about = Cylinder(given.axis, given.through)
+        along_z = not any(given.axis[:2]) and not any(given.through[:2])
+        if keys.axisymmetric and not along_z:
+            problem = "an axisymmetric mesh has one axis, z through the origin"
+            raise wrong(f"poling.{group}", problem, hint="leave out axis and through")
+        return replace(plain.poled(given.direction), cylinder=about)
+    poled = plain.poled(given)
+    return replace(poled, cylinder=Cylinder()) if keys.axisymmetric and any(given[:2]) else poled
 
 
 def _setup(keys: BodyKeys, groups: mesh_file.GroupedMesh, solid: Solid) -> fe.Setup:

@@ -188,6 +188,78 @@ def test_axisymmetric_mesh_is_the_disc(tmp_path):
         assert found[name] == pytest.approx(own[name], rel=1e-3), name
 
 
+RING = {"radius": 10.0, "wall": 0.5, "height": 0.5}  # mm, the radius that of the middle
+
+
+def ring(gmsh):
+    """A ring about z through (20, 0, 0) mm, with its two curved faces as groups."""
+    occ, middle, half = gmsh.model.occ, RING["radius"], RING["wall"] / 2
+    solid = occ.addCylinder(20, 0, 0, 0, 0, RING["height"], middle + half)
+    bore = occ.addCylinder(20, 0, 0, 0, 0, RING["height"], middle - half)
+    occ.cut([(3, solid)], [(3, bore)])
+    occ.synchronize()
+    groups = {(3, "ring"): [t for _, t in gmsh.model.getEntities(3)]}
+    for name, radius in (("outer", middle + half), ("inner", middle - half)):
+        area = 2 * np.pi * radius * RING["height"]
+        faces = [t for _, t in gmsh.model.getEntities(2)]
+        groups[2, name] = [t for t in faces if abs(occ.getMass(2, t) / area - 1) < 1e-3]
+        assert groups[2, name]
+    return groups
+
+
+def section(gmsh):
+    """The same in a meridian plane."""
+    middle, half, height = RING["radius"], RING["wall"] / 2, RING["height"]
+    gmsh.model.occ.addRectangle(middle - half, 0, 0, 2 * half, height)
+    gmsh.model.occ.synchronize()
+    groups = {(2, "ring"): [1]}
+    for name, x in (("outer", middle + half), ("inner", middle - half)):
+        lines = gmsh.model.getEntitiesInBoundingBox(x - 1e-6, -1, -1, x + 1e-6, 9, 1, 1)
+        groups[1, name] = [t for _, t in lines]
+    return groups
+
+
+@pytest.mark.parametrize(
+    ("draw", "size", "mesh", "own"),
+    [
+        (section, 0.3, 2, {"axisymmetric": True, "poling": {"ring": "radial"}}),
+        (section, 0.3, 2, {"axisymmetric": True, "poling": {"ring": [1, 0, 0]}}),
+        (ring, 1.5, 3,
+         {"poling": {"ring": {"direction": [1, 0, 0], "through": ["20 mm", 0, 0]}}}),
+    ],
+)  # fmt: skip
+def test_ring_poled_radially(tmp_path, draw, size, mesh, own):
+    """A thin ring has hoop stress alone: its breathing mode lies at ``1/(2 pi a sqrt(rho s11))``,
+    a field along the poling moves its wall by ``d31 a V/t``, its outer face by ``d33 V/2`` more,
+    and the permittivity at constant stress gives its capacitance."""
+    write(tmp_path / "ring.msh", draw, size=size, mesh=mesh)
+    table = {"mesh": "ring.msh", "unit": "mm", "materials": {"ring": "PZT-5A"}, **own}
+    table |= {"electrodes": {"anode": "inner", "cathode": "outer"}, "damping": {"ratio": 0}}
+    port = {"name": "wall", "axis": "x", "group": "outer"}
+    if mesh == 3:  # the mean over a whole turn is zero: a point of the wall
+        port = {"name": "wall", "axis": "x", "at": [30.25e-3, 0, 0.25e-3]}
+    facts = device({**table, "ports": [port]}, tmp_path).model.facts
+    pzt, (a, t, height) = material("PZT-5A"), (1e-3 * value for value in RING.values())
+    breathing = 1 / (2 * np.pi * a * np.sqrt(pzt.density * np.linalg.inv(pzt.C)[0, 0]))
+    assert facts["resonance_short_hz"] == pytest.approx(breathing, rel=5e-3)
+    area = 2 * np.pi * a * height
+    assert facts["capacitance_free_f"] == pytest.approx(pzt.eps_T[2, 2] * area / t, rel=5e-3)
+    if mesh == 2:  # in space the ring is free to move, and so is a point of it
+        stroke = pzt.d[2, 0] * a / t + pzt.d[2, 2] / 2
+        assert facts["free_stroke_wall_m_per_v"] == pytest.approx(stroke, rel=2e-3)
+
+
+def test_poling_that_twists_needs_three_dimensions(tmp_path):
+    write(tmp_path / "ring.msh", section, size=0.3, mesh=2)
+    table = {"mesh": "ring.msh", "unit": "mm", "materials": {"ring": "PZT-5A"}}
+    table |= {"axisymmetric": True, "electrodes": {"anode": "inner", "cathode": "outer"}}
+    with pytest.raises(UsageError, match="twists"):
+        device({**table, "poling": {"ring": "tangential"}}, tmp_path)
+    table["materials"] = {"ring": "quartz"}
+    with pytest.raises(UsageError, match="isotropic about its axis"):
+        device(table, tmp_path)
+
+
 def stacked(boxes, *, join=False, sizes=()):
     """Boxes (x, y, z, dx, dy, dz) in millimetres, each with nodes of its own unless ``join``; the
     group of each is ``box0`` and so on, those of the faces below and above it ``low0``, ``high0``.
