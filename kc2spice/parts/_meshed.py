@@ -24,11 +24,17 @@ from kc2spice.core.figure import Curve, Figure, Panel, Shape, Written
 from kc2spice.core.quantities import Time
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.parts._linear_body import LinearBody, LinearKeys
+from kc2spice.parts._neglected import (
+    Envelope,
+    beam_envelope,
+    disc_envelope,
+    neglected_effects,
+)
 from kc2spice.parts._pictures import deformed, shapes
 from kc2spice.rom.linear import LinearModel, Port
 from kc2spice.scene.judge import Balance, Check
 from kc2spice.scene.model import Part, Scene
-from kc2spice.scene.parttype import Build
+from kc2spice.scene.parttype import Build, Neglected
 from kc2spice.scene.plausible import layers as plausible_layers
 
 if TYPE_CHECKING:
@@ -83,6 +89,18 @@ class FieldKeys(LinearKeys):
 
 class MeshedBody(LinearBody):
     """A body with a key ``fields``; a subclass makes its device."""
+
+    @abstractmethod
+    def envelope(self, part: Part, scene: Scene) -> Envelope:
+        """Its outer size, for the sizes of effects that it lacks."""
+
+    def support(self, part: Part) -> str:
+        """What holds it, in words."""
+        return f"support is {part.keys.support}, ideal"
+
+    def neglected(self, part: Part, scene: Scene) -> Iterator[Neglected]:
+        yield from super().neglected(part, scene)
+        yield from neglected_effects(part.name, self.envelope(part, scene), self.support(part))
 
     @abstractmethod
     def make(self, part: Part, scene: Scene) -> Device:
@@ -221,6 +239,13 @@ class BondedBody(MeshedBody):
 
     def by_material(self, part: Part) -> float | None:
         return self.bonded(part).rated
+
+    def envelope(self, part: Part, scene: Scene) -> Envelope:
+        blocks = self.bonded(part).blocks
+        if len(blocks[0].box) == 3:
+            return beam_envelope(blocks)
+        held = part.keys.support not in ("free", "back")
+        return disc_envelope(blocks, held, hasattr(part.keys, "layers"))
 
     def indentation_modulus(self, part: Part) -> float | None:
         top = self.bonded(part).blocks[-1].material

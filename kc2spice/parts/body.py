@@ -43,6 +43,7 @@ from kc2spice.fem.materials import Cylinder, Material, material
 from kc2spice.fem.solid import Solid
 from kc2spice.parts._linear_body import file_stamp
 from kc2spice.parts._meshed import FieldKeys, MeshedBody
+from kc2spice.parts._neglected import Envelope, box_envelope
 from kc2spice.parts._pictures import edges
 from kc2spice.rom.linear import Port
 from kc2spice.scene.model import Part, Scene
@@ -424,16 +425,31 @@ class Body(MeshedBody):
 
     def notes(self, part: Part, scene: Scene) -> Iterator[str | Neglected]:
         """The bounding box of its file, then what all bodies say."""
+        sides = self.sides(part, scene)
+        yield " x ".join(f"{1e3 * side:.4g}" for side in sides) + " mm"
+        yield from super().notes(part, scene)
 
-        def size() -> str:
+    def sides(self, part: Part, scene: Scene) -> list[float]:
+        """Those of the bounding box of its file [m]."""
+
+        def size() -> list[float]:
             with part_named(part.name):
                 path = _path(part, scene)
-                sides = 1e3 * mesh_file.length_unit(path, part.keys.unit) * mesh_file.extent(path)
-            return " x ".join(f"{side:.4g}" for side in sides) + " mm"
+                sides = mesh_file.length_unit(path, part.keys.unit) * mesh_file.extent(path)
+            return [float(side) for side in sides]
 
         key = {"file": file_stamp(_path(part, scene)), "unit": part.keys.unit}
-        yield cached("extent", key, size, sources=self.sources())
-        yield from super().notes(part, scene)
+        return cached("extent", key, size, sources=self.sources())
+
+    def envelope(self, part: Part, scene: Scene) -> Envelope:
+        sides = self.sides(part, scene)
+        if part.keys.axisymmetric:
+            sides = [side for side in sides if side] or sides[:2]
+        return box_envelope(sides)
+
+    def support(self, part: Part) -> str:
+        groups = [item if isinstance(item, str) else item.group for item in part.keys.fixed]
+        return f"{', '.join(groups)} held ideally" if groups else "nothing holds it"
 
     def full_key(self, part: Part, scene: Scene) -> dict[str, Any]:
         return {**super().full_key(part, scene), "file": file_stamp(_path(part, scene))}

@@ -9,7 +9,7 @@ that the preload leaves in the ceramic, contact compliance, the electrodes' meta
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from typing import Any, Literal
 
@@ -21,7 +21,9 @@ from kc2spice.core.quantities import Count, Length, Ratio, Section, validated
 from kc2spice.fem.keys import Damping, Mesh
 from kc2spice.fem.materials import material
 from kc2spice.parts._meshed import BondedBody, FieldKeys
-from kc2spice.scene.parttype import register
+from kc2spice.parts._neglected import UNKNOWN
+from kc2spice.scene.model import Part, Scene
+from kc2spice.scene.parttype import Neglected, register
 
 _CELLS = 8  # along the largest radius before refinement
 
@@ -190,6 +192,11 @@ stop = "100 kHz"
 """
     source = "FE (piezoelectric, axisymmetric)"
     structure = staticmethod(structure)
+
+    def neglected(self, part: Part, scene: Scene) -> Iterator[Neglected]:
+        yield from super().neglected(part, scene)
+        why = "pieces are bonded and free of stress at rest"
+        yield Neglected(f"{part.name}: preload of the bolt, compliance of joints", why, UNKNOWN)
 
 
 register(Langevin())

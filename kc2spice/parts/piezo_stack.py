@@ -20,6 +20,7 @@ from kc2spice.core.waveforms import Waveforms, running
 from kc2spice.fem.materials import material
 from kc2spice.parts._linear_body import SOURCES, aim, wanted
 from kc2spice.parts._meshed import FieldKeys, MeshedBody
+from kc2spice.parts._neglected import Envelope, disc_air
 from kc2spice.parts._touching import Pair, Penetration, Surface
 from kc2spice.parts.netlist import driver
 from kc2spice.rom.linear import Port
@@ -266,6 +267,21 @@ class PiezoStack(MeshedBody):
         low, high = asked.band
         return Rom(band=(low, high * plain.height / part.keys.height))
 
+    def envelope(self, part: Part, scene: Scene) -> Envelope:
+        keys = part.keys
+        (x, y), caps = keys.half, (keys.bottom_cap, keys.top_cap)
+        height = keys.height + sum(cap.thickness for cap in caps if cap is not None)
+        area, rim = 4 * x * y, 4 * (x + y)
+        if keys.diameter is not None:
+            area, rim = math.pi * x**2, 2 * math.pi * x
+        surface = 2 * area + rim * height
+        return Envelope(
+            disc_air(math.sqrt(area / math.pi)), area * height * keys.ceramic.density, surface
+        )
+
+    def support(self, part: Part) -> str:
+        return "" if part.keys.mounting == "roller" else mounted(part.keys)
+
     def make(self, part: Part, scene: Scene) -> Device:
         from kc2spice.bodies.piezo_stack import stack_device
 
@@ -313,12 +329,10 @@ class PiezoStack(MeshedBody):
         detail = f"quarter chip, {keys.layers} layers, {mounted(keys)}, reduced to {aim(rom)}, "
         yield f"{detail}anode {keys.electrical}, {ports}"
         yield from self.neglected(part, scene)
-        yield Neglected("electrodes, coating and glue", "thin and compliant", "not estimated")
         if keys.mounting == "roller":
             why = "its bottom face slides without friction on a plane"
             error = f"compare with {part.name}.mounting = 'glued'; the usual chip: stroke -16 %, "
             yield Neglected(f"what holds {part.name}", why, error + "first resonance +14 %")
-        yield Neglected("hysteresis and depolarisation", "linear material law", "not estimated")
         if keys.fields and pressed:
             why = "its own mesh is too coarse for it; pressure and shear are those of a graded one"
             yield Neglected(f"tension around the contact on {part.name}", why, "not estimated")

@@ -1,0 +1,159 @@
+"""What no body of finite elements models, each effect with its size where a formula gives one.
+
+An :class:`Envelope` is what these formulas take: outer sizes, mass and layers, known from the keys
+before any mesh is made. What a body models after all (a layer of glue) is not listed.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+
+from kc2spice.bodies.device import Block
+from kc2spice.fem.materials import material
+from kc2spice.scene.parttype import Neglected
+
+AIR = 1.204  # kg/m^3 at 20 degrees Celsius and 1013 hPa
+# W/(m^2 K) from a small surface to still air, convection and radiation together: VDI Heat Atlas,
+# 2nd ed. 2010, sections F2 and K1, for 10 mm to 50 mm at some 20 K above the air.
+COOLING = 10.0
+GLUE = 10e-6  # m, a joint pressed while it cures; the glue is epoxy
+SILVER = (2 * 5e-6, 10490.0)  # m of both fired electrodes together, kg/m^3
+UNKNOWN = "not estimated"
+
+
+@dataclass(frozen=True)
+class Envelope:
+    """Outer size of a body.
+
+    Attributes
+    ----------
+    air : mass [kg] of the air that moves with it, None where no formula knows its shape.
+    mass : of the body [kg], None before its mesh is made.
+    surface : [m^2], that of its box where the shape is the user's own.
+    layers : that are glued on one another, from the bottom up; a bolted or own body has none.
+    length : [m] along which these layers are coupled: half the diameter of a disc.
+    electrode : area [m^2] of one face.
+    """
+
+    air: float | None
+    mass: float | None
+    surface: float
+    layers: Sequence[Block] = ()
+    length: float = 0.0
+    electrode: float = 0.0
+
+
+def disc_air(radius: float) -> float:
+    """Mass [kg] of the air that a rigid disc moves on both sides together, ``8/3 rho a^3``; in a
+    baffle it moves that much on each (L. L. Beranek, Acoustics, 1986, section 5.2)."""
+    return 8 / 3 * AIR * radius**3
+
+
+def disc_envelope(blocks: Sequence[Block], held: bool, glued: bool) -> Envelope:
+    """That of a body of revolution; a ``held`` rim is a baffle: the air finds no way around it."""
+    radius = max(block.box[0][1] for block in blocks)
+    low, high = min(b.box[1][0] for b in blocks), max(b.box[1][1] for b in blocks)
+    surface = 2 * math.pi * radius * (radius + high - low)
+    mass = sum(
+        math.pi * (b.box[0][1] ** 2 - b.box[0][0] ** 2) * (b.box[1][1] - b.box[1][0])
+        * b.material.density for b in blocks
+    )  # fmt: skip
+    air = (2 if held else 1) * disc_air(radius)
+    layers = blocks if glued else ()
+    return Envelope(air, mass, surface, layers, radius, math.pi * radius**2)
+
+
+def beam_envelope(blocks: Sequence[Block]) -> Envelope:
+    """That of a beam of width w and length l, which moves ``pi/4 rho w^2 l`` of the air (the flow
+    across a plate strip; J. N. Newman, Marine Hydrodynamics, 1977, section 4.16)."""
+    (x, length), (y, width) = blocks[0].box[:2]
+    length, width = length - x, width - y
+    heights = [b.box[2][1] - b.box[2][0] for b in blocks]
+    mass = sum(
+        length * width * t * b.material.density for t, b in zip(heights, blocks, strict=True)
+    )
+    surface = 2 * (length * width + sum(heights) * (length + width))
+    air = math.pi / 4 * AIR * width**2 * length
+    return Envelope(air, mass, surface, blocks, length, length * width)
+
+
+def box_envelope(sides: Sequence[float]) -> Envelope:
+    """That of a box, or of a cylinder by its radius and height [m]: the air is at most that of a
+    disc as large as the largest face, ``8/3 rho a^3``."""
+    if len(sides) == 2:
+        radius, height = sides
+        return Envelope(disc_air(radius), None, 2 * math.pi * radius * (radius + height))
+    small, middle, large = sorted(sides)
+    radius = math.sqrt(middle * large / math.pi)
+    surface = 2 * (small * middle + small * large + middle * large)
+    return Envelope(disc_air(radius), None, surface)
+
+
+def neglected_effects(name: str, envelope: Envelope, support: str) -> Iterator[Neglected]:
+    """What is left out of the body ``name``, which is held by its ``support``; nothing of that
+    where another row has it."""
+    yield Neglected(f"{name}: load of the air", "its mass and its radiation", _air(envelope))
+    if support:
+        yield Neglected(f"{name}: compliance of its mounting", support, UNKNOWN)
+    yield from _glue(name, envelope)
+    yield from _electrodes(name, envelope)
+    yield Neglected(f"{name}: hysteresis, depolarisation", "linear material law", UNKNOWN)
+    kelvin = 1e-3 / (COOLING * envelope.surface)
+    why = "constants of one temperature"
+    size = f"{kelvin:.2g} K for each mW that it dissipates, {COOLING:g} W/(m2 K) to still air"
+    yield Neglected(f"{name}: heating by its own losses", why, size)
+
+
+def _air(envelope: Envelope) -> str:
+    """A mass m_a beside m lowers a natural frequency by ``1 - (1 + m_a/m)^-1/2``."""
+    if envelope.air is None:
+        return UNKNOWN
+    if envelope.mass is None:
+        return f"at most {1e6 * envelope.air:.2g} mg of air move with it"
+    lower = 1 - (1 + envelope.air / envelope.mass) ** -0.5
+    return f"first resonance at most {100 * lower:.2g} % lower, {1e6 * envelope.air:.2g} mg of air"
+
+
+def _glue(name: str, envelope: Envelope) -> Iterator[Neglected]:
+    glue = material("epoxy")
+    layers = [b for b in envelope.layers if _youngs_modulus(b) > 2 * glue.C[0, 0]]
+    joints = [(a, b) for a, b in pairwise(layers) if a.box[-1][1] == b.box[-1][0]]
+    if not joints:
+        return
+    reach = max(glued_edge(*pair) for pair in joints)
+    share = 100 * reach / envelope.length
+    size = f"{1e6 * GLUE:g} um of epoxy: edges of {1e3 * reach:.2g} mm ({share:.2g} %) less coupled"
+    yield Neglected(f"{name}: glue between layers", "bonded where they touch", size)
+
+
+def glued_edge(below: Block, above: Block) -> float:
+    """Length [m] from an edge within which the strain of one layer reaches the other one through
+    the shear of their glue, ``(t_g / (G (1/(E1 t1) + 1/(E2 t2))))^1/2`` (E. F. Crawley and J. de
+    Luis, AIAA J. 25 (1987) 1373)."""
+    shear = material("epoxy").C[3, 3]
+    heights = [block.box[-1][1] - block.box[-1][0] for block in (below, above)]
+    moduli = [_youngs_modulus(block) for block in (below, above)]
+    softness = sum(1 / (E * t) for E, t in zip(moduli, heights, strict=True))
+    return math.sqrt(GLUE / (shear * softness))
+
+
+def _youngs_modulus(block: Block) -> float:
+    """Along the layer [Pa]."""
+    return float(1 / np.linalg.inv(block.material.C)[0, 0])
+
+
+def _electrodes(name: str, envelope: Envelope) -> Iterator[Neglected]:
+    what, why = f"{name}: metal of electrodes, solder, wires", "equipotentials without mass"
+    active = [block for block in envelope.layers if block.material.piezoelectric]
+    if not active or envelope.mass is None:
+        yield Neglected(what, why, UNKNOWN)
+        return
+    thickness, density = SILVER
+    added = len(active) * thickness * density * envelope.electrode / envelope.mass
+    size = f"{100 * added:.2g} % of its mass at most, for 5 um of silver on both faces"
+    yield Neglected(what, why, size)
