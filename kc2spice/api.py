@@ -218,7 +218,7 @@ class Result:
     Attributes
     ----------
     scene : name of the scene or deck.
-    metrics : numbers by name, in SI; the name ends in the unit.
+    metrics : numbers by name, in the SI unit that ``record["metric_units"]`` states.
     waves : arrays (points,) in SI by name, over ``scale``; complex in an ``ac`` analysis.
     units : SI unit of each wave.
     checks : what was held against physics: ``name``, ``value``, ``limit``, ``passed``, ``advice``.

@@ -54,6 +54,13 @@ class Reading:
     bvd: BVD
 
 
+# SI units of the figures, and of the elements in ``bvd``; those without have none.
+UNITS = {
+    "resonance_hz": "Hz", "antiresonance_hz": "Hz", "capacitance_f": "F",
+    "c0_f": "F", "rm_ohm": "Ohm", "lm_h": "H", "cm_f": "F",
+}  # fmt: skip
+
+
 def analyse(frequency: np.ndarray, impedance_ohm: np.ndarray) -> Reading:
     """Figures of the first resonance in samples of Z over f (increasing, Hz).
 

@@ -166,6 +166,9 @@ def _compliance(model: LinearModel) -> np.ndarray:
     return np.asarray((S + S.T) / 2)
 
 
+UNITS = {"pressure_pa": "Pa", "shear_pa": "Pa", "shear_depth_m": "m"}  # of what is stressed
+
+
 def stressed(chip: Chip, shape: PressureBasis, force: np.ndarray) -> dict[str, float]:
     """What ``force`` (n,) [N] on the basis does inside, on the graded mesh, at Gauss points: the
     largest ``pressure_pa``, and the largest ``shear_pa``, half the difference of principal

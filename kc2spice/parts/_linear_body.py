@@ -32,7 +32,7 @@ from kc2spice.rom.parametric import Axis, Loss
 from kc2spice.rom.pencil import first_order
 from kc2spice.rom.structure import structure
 from kc2spice.rom.varying import Varying
-from kc2spice.scene.judge import Balance, Check
+from kc2spice.scene.judge import Balance, Check, Metric
 from kc2spice.scene.model import GROUND, Part, Rom, Scene, Terminal
 from kc2spice.scene.parttype import Build, Neglected, Rest, Vector, current_into, numerics
 from kc2spice.scene.plausible import dimensions
@@ -399,9 +399,12 @@ class LinearBody(Touching):
         from kc2spice.bodies.impedance import analyse
 
         frequency = waves["frequency"].real
-        figures = {"frequency_hz": frequency.tolist(), "impedance_ohm": np.abs(z).tolist()}
+        figures: dict[str, Any] = {
+            "frequency_hz": Metric(frequency.tolist(), "Hz"),
+            "impedance_ohm": Metric(np.abs(z).tolist(), "Ohm"),
+        }
         try:
-            result = {**figures, **asdict(analyse(frequency, z))}
+            result = figures | _with_units(asdict(analyse(frequency, z)))
         except UsageError:  # no resonance in the range: nothing to read off but the curve
             return figures
         if not (keys := varied(part)):
@@ -640,6 +643,18 @@ class LinearBody(Touching):
         """Modules whose text the models of this type depend on, for the cache."""
         own = (kind.__module__ for kind in type(self).__mro__ if issubclass(kind, LinearBody))
         return (*SOURCES, *own)
+
+
+def _with_units(figures: Mapping[str, Any]) -> dict[str, Any]:
+    """What an impedance analyser reads, by name, with units."""
+    from kc2spice.bodies.impedance import UNITS
+
+    return {
+        name: _with_units(value)
+        if isinstance(value, Mapping)
+        else Metric(value, UNITS.get(name, ""))
+        for name, value in figures.items()
+    }
 
 
 def loss_tangent(part: Part) -> float:

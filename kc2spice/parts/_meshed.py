@@ -32,7 +32,7 @@ from kc2spice.parts._neglected import (
 )
 from kc2spice.parts._pictures import deformed, shapes
 from kc2spice.rom.linear import LinearModel, Port
-from kc2spice.scene.judge import Balance, Check
+from kc2spice.scene.judge import Balance, Check, Metric
 from kc2spice.scene.model import Part, Scene
 from kc2spice.scene.parttype import Build, Neglected
 from kc2spice.scene.plausible import layers as plausible_layers
@@ -141,11 +141,12 @@ class MeshedBody(LinearBody):
         if recovered is None:
             return result
         for item in recovered.extremes:
-            quantity, unit, *_ = _QUANTITIES[item.quantity]
-            result[f"{quantity}_{_slug(item.material)}_{unit}"] = item.value
+            quantity, word, *_ = _QUANTITIES[item.quantity]
+            of = f"{_slug(item.material)}_{word}"
+            result[f"{quantity}_{of}"] = Metric(item.value, item.unit)
             if item.limit is not None:
-                result[f"{quantity}_limit_{_slug(item.material)}_{unit}"] = item.limit
-        return result | {"worst_stress_time_s": recovered.worst.instant}
+                result[f"{quantity}_limit_{of}"] = Metric(item.limit, item.unit)
+        return result | {"worst_stress_time_s": Metric(recovered.worst.instant, "s")}
 
     def checks(self, part: Part, build: Build, waves: Waveforms) -> Iterator[Check | Balance]:
         yield from super().checks(part, build, waves)

@@ -31,7 +31,7 @@ from kc2spice.physics.cards import force_node
 from kc2spice.physics.contact import Normal, contact
 from kc2spice.physics.part import pins_of
 from kc2spice.rom.linear import LinearModel
-from kc2spice.scene.judge import PAIRS, Balance, Check, Gate, stepping
+from kc2spice.scene.judge import PAIRS, Balance, Check, Gate, Metric, stepping
 from kc2spice.scene.model import GROUND, Part, Scene, Terminal
 from kc2spice.scene.parttype import (
     Build,
@@ -195,8 +195,8 @@ class Contact(DeclaredPart):
         force, busy = waves[f"{part.name}.force"], busy_until(build.scene)
         launch = separation(waves["time"], force, v, busy, pair.normal.power)
         return {
-            "launch_velocity_m_s": launch[1] if launch else None,
-            "launch_time_s": launch[0] if launch else None,
+            "launch_velocity_m_s": Metric(launch[1] if launch else None, "m/s"),
+            "launch_time_s": Metric(launch[0] if launch else None, "s"),
         }
 
     def checks(

@@ -14,7 +14,7 @@ from kc2spice.core.waveforms import Waveforms, constant
 from kc2spice.netlist.cards import number
 from kc2spice.parts.sphere import sphere_of
 from kc2spice.physics import coils
-from kc2spice.scene.judge import PAIRS, Check, Gate
+from kc2spice.scene.judge import PAIRS, Check, Gate, Metric
 from kc2spice.scene.model import Part, Scene, Terminal
 from kc2spice.scene.parttype import Build, Governed, PartType, Swept, Vector, register
 
@@ -70,11 +70,12 @@ class CurrentCases(PartType):
 
     def metrics(self, part: Part, build: Build, waves: Waveforms) -> Mapping[str, Any]:
         forces = [waves[name] for name in _forces(part, build)]
+        largest = max(float(np.abs(force).max()) for force in forces)
         return {
-            "force_max_n": max(float(np.abs(force).max()) for force in forces),
-            "position_m": waves[f"{_sphere(part, build.scene)}.y"].tolist(),
-            "current_pairs_a": [list(case) for case in cases(part)],
-            "force_n": [force.tolist() for force in forces],
+            "force_max_n": Metric(largest, "N"),
+            "position_m": Metric(waves[f"{_sphere(part, build.scene)}.y"].tolist(), "m"),
+            "current_pairs_a": Metric([list(case) for case in cases(part)], "A"),
+            "force_n": Metric([force.tolist() for force in forces], "N"),
         }
 
     def law(self, part: Part, build: Build) -> laws.Equations:

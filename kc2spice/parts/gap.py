@@ -44,7 +44,7 @@ from kc2spice.parts._linear_body import LinearBody
 from kc2spice.physics import Declaration, DeclaredPart, displacement, voltage
 from kc2spice.physics.expression import evaluated
 from kc2spice.physics.part import pins_of
-from kc2spice.scene.judge import Balance, Check
+from kc2spice.scene.judge import Balance, Check, Metric
 from kc2spice.scene.model import Part, Scene, Terminal
 from kc2spice.scene.parttype import Build, Vector, register
 
@@ -155,17 +155,20 @@ class Gap(Patched):
             law = force / moved if moved else 0.0
             omega = 2 * np.pi * waves["frequency"][-1].real
             lost = law.imag if abs(law.imag) > ROUNDED * abs(law) else 0.0
-            return {"gap_stiffness_n_m": law.real, "gap_damping_n_s_m": lost / omega}
+            return {
+                "gap_stiffness_n_m": Metric(law.real, "N/m"),
+                "gap_damping_n_s_m": Metric(lost / omega, "N s/m"),
+            }
         side = -1.0 if part.keys.side == "below" else 1.0
         stroke, size = np.max(side * np.array(of["x"]), axis=0), np.abs(volts)
         turns = np.diff((stroke >= part.keys.travel).astype(int))
         meets, last = np.flatnonzero(turns > 0), np.flatnonzero(turns)[-1:]
         ends = {"pull_in_v": meets[:1], "release_v": last[turns[last] < 0]}
         result = {
-            name: float(size[k[0]] + size[k[0] + 1]) / 2 if k.size else None
+            name: Metric(float(size[k[0]] + size[k[0] + 1]) / 2 if k.size else None, "V")
             for name, k in ends.items()
         }
-        return result | {"largest_travel_m": float(stroke.max())}
+        return result | {"largest_travel_m": Metric(float(stroke.max()), "m")}
 
 
 def patches(part: Part, scene: Scene) -> tuple[str, ...]:

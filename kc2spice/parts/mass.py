@@ -16,6 +16,7 @@ from kc2spice.netlist.circuit import Param, positive
 from kc2spice.parts._touching import Surface, Touching
 from kc2spice.physics import Declaration, DeclaredPart, displacement
 from kc2spice.scene.compose import free, rigid
+from kc2spice.scene.judge import Metric
 from kc2spice.scene.model import GROUND, Part, Scene
 from kc2spice.scene.parttype import (
     Build,
@@ -129,8 +130,8 @@ class PointMass(Touching, DeclaredPart):
             return {}
         x, v = waves[f"{part.name}.x"], waves[f"{part.name}.v"]
         return {
-            f"{part.name}_peak_m": float(x.max()),
-            f"{part.name}_speed_m_s": float(np.abs(v).max()),
+            f"{part.name}_peak_m": Metric(float(x.max()), "m"),
+            f"{part.name}_speed_m_s": Metric(float(np.abs(v).max()), "m/s"),
         }
 
     def notes(self, part: Part, scene: Scene) -> Iterator[str]:

@@ -31,7 +31,7 @@ from kc2spice.fem.magnet_keys import Ring
 from kc2spice.fem.magnet_rings import Ladder, Winding, divided, ladder
 from kc2spice.physics import Declaration, DeclaredPart, current, displacement, loop
 from kc2spice.physics.part import settling
-from kc2spice.scene.judge import Balance, Check
+from kc2spice.scene.judge import Balance, Check, Metric
 from kc2spice.scene.model import Part, Scene
 from kc2spice.scene.parttype import Build, Neglected, Numerics, register
 
@@ -247,7 +247,11 @@ class MovingConductor(DeclaredPart):
         result = turns(waves["time"], waves[f"{part.name}.y"])
         names = [f"{part.name}_turn{k}" for k in range(1, MOST_TURNS + 1)]
         rows = zip(names, result, strict=False)
-        return {f"{n}_{unit}": v for n, row in rows for unit, v in zip("sm", row, strict=True)}
+        return {
+            f"{name}_{unit}": Metric(value, unit)
+            for name, row in rows
+            for unit, value in zip("sm", row, strict=True)
+        }
 
     def checks(self, part: Part, build: Build, waves: Waveforms) -> Iterator[Check | Balance]:
         result: Ladder = build.model(part)

@@ -22,7 +22,7 @@ from kc2spice.parts.ring_magnet_coils import label
 from kc2spice.physics.declaration import Branch, Declaration, displacement, seen, voltage
 from kc2spice.physics.law import DeclaredLaw
 from kc2spice.physics.part import subcircuit
-from kc2spice.scene.judge import Check
+from kc2spice.scene.judge import Check, Metric
 from kc2spice.scene.model import Part, Scene, Terminal
 from kc2spice.scene.parttype import Build, PartType, Vector, register
 from kc2spice.spice.header import Header, library
@@ -274,11 +274,12 @@ class Pid(PartType):
         t, y, setpoint = waves["time"], waves[f"{ball.name}.y"], part.keys.setpoint
         settled = settling_time(t, y, setpoint, sphere.settling_band(part, ball))
         current = waves.data.get(f"{label(_coils(part, build.scene))}.upper.current")
+        caught = settled is not None and bool(settled <= t[0] + 0.9 * (t[-1] - t[0]))
         return {
-            "settling_time_s": settled,
-            "final_error_m": float(setpoint - y[-1]),
-            "hold_current_a": None if current is None else tail_mean(t, current),
-            "caught": settled is not None and bool(settled <= t[0] + 0.9 * (t[-1] - t[0])),
+            "settling_time_s": Metric(settled, "s"),
+            "final_error_m": Metric(float(setpoint - y[-1]), "m"),
+            "hold_current_a": Metric(None if current is None else tail_mean(t, current), "A"),
+            "caught": Metric(caught),
         }
 
     def checks(self, part: Part, build: Build, waves: Waveforms) -> Iterator[Check]:

@@ -24,6 +24,7 @@ from kc2spice.parts._neglected import Envelope, disc_air
 from kc2spice.parts._touching import Pair, Penetration, Surface
 from kc2spice.parts.netlist import driver
 from kc2spice.rom.linear import Port
+from kc2spice.scene.judge import Metric
 from kc2spice.scene.model import Part, Rom, Scene
 from kc2spice.scene.parttype import Build, Neglected, Numerics, register
 from kc2spice.scene.plausible import within
@@ -296,23 +297,24 @@ class PiezoStack(MeshedBody):
         pressed = bool(build.scene.of("contact"))
         centre = f"{part.name}.u.{self.ports(part, build.scene)[0].name}"
         if pressed and centre in waves:
-            result["kick_stroke_m"] = float(waves[centre].max())
+            result["kick_stroke_m"] = Metric(float(waves[centre].max()), "m")
         shape, scene = pressure_nodes(part, build.scene), build.scene
         if part.keys.fields and shape is not None:  # which its own mesh does not resolve
-            from kc2spice.bodies.pressure import stressed
+            from kc2spice.bodies.pressure import UNITS, stressed
 
             name = next(c.name for c in scene.of("contact") if c.keys.shape == "pressure")
             if (most := float(waves[f"{name}.force"].max())) > 0:
                 forces = Pair(scene.parts[name], scene).basis_forces(most)
                 inside = stressed(part.keys, shape, forces)
-                result |= {f"{name}_{what}": value for what, value in inside.items()}
+                result |= {f"{name}_{key}": Metric(v, UNITS[key]) for key, v in inside.items()}
         current = waves.data.get(f"{part.name}.current")
         if part.keys.electrical == "driven" and (part.keys.driver or not pressed):
-            result["kick_voltage_peak_v"] = float(np.abs(waves[f"{part.name}.voltage"]).max())
+            peak = float(np.abs(waves[f"{part.name}.voltage"]).max())
+            result["kick_voltage_peak_v"] = Metric(peak, "V")
             if current is not None:
                 charge = running(current, waves["time"])
-                result["kick_current_peak_a"] = float(np.abs(current).max())
-                result["kick_charge_peak_c"] = float(np.abs(charge).max())
+                result["kick_current_peak_a"] = Metric(float(np.abs(current).max()), "A")
+                result["kick_charge_peak_c"] = Metric(float(np.abs(charge).max()), "C")
         return result
 
     def indentation_modulus(self, part: Part) -> float:

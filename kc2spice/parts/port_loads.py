@@ -17,7 +17,7 @@ from kc2spice.core.quantities import Count, Frequency, Notch, Section
 from kc2spice.core.waveforms import Waveforms, constant
 from kc2spice.netlist.cards import number
 from kc2spice.parts.two_terminal_types import element
-from kc2spice.scene.judge import PAIRS, Gate
+from kc2spice.scene.judge import PAIRS, Gate, Metric
 from kc2spice.scene.model import Part, Scene
 from kc2spice.scene.parttype import Build, Governed, Numerics, PartType, Vector, register
 
@@ -100,12 +100,15 @@ class PortLoads(PartType):
 
     def metrics(self, part: Part, build: Build, waves: Waveforms) -> Mapping[str, Any]:
         """``amplitude[input][output]`` per unit input, by ``frequency_hz``."""
-        amplitude: dict[str, dict[str, list[float]]] = {}
+        amplitude: dict[str, dict[str, Metric]] = {}
+        units = {name: row.unit for name, row in self.vectors(part, build).items()}
         for name, response in waves.data.items():
             source, arrow, sink = name.partition(">")
             if arrow:
-                amplitude.setdefault(source, {})[sink] = np.abs(response).tolist()
-        return {"frequency_hz": waves["frequency"].tolist(), "amplitude": amplitude}
+                amplitude.setdefault(source, {})[sink] = Metric(
+                    np.abs(response).tolist(), units[name]
+                )
+        return {"frequency_hz": Metric(waves["frequency"].tolist(), "Hz"), "amplitude": amplitude}
 
     def checks(self, part: Part, build: Build, waves: Waveforms) -> Iterator[Gate]:
         """What was asked of the reduction bounds what it may cost."""

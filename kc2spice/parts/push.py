@@ -13,7 +13,7 @@ from kc2spice.core.quantities import Count, Length, Section
 from kc2spice.core.waveforms import Waveforms, constant
 from kc2spice.parts._touching import Pair, Penetration, Touching
 from kc2spice.parts.sphere import sphere_of
-from kc2spice.scene.judge import Gate, Measure
+from kc2spice.scene.judge import Gate, Measure, Metric
 from kc2spice.scene.model import Part, Scene, Terminal
 from kc2spice.scene.parttype import Build, Governed, Numerics, Swept, Vector, register
 
@@ -76,9 +76,9 @@ class Push(Touching):
         pair = _pair(part, build.scene)
         force = waves[f"{pair.part.name}.force"] / pair.a.sectors
         return {
-            "max_force_n": float(force.max()),
-            "imprint_m": waves[f"{part.name}.depth"].tolist(),
-            "force_n": force.tolist(),
+            "max_force_n": Metric(float(force.max()), "N"),
+            "imprint_m": Metric(waves[f"{part.name}.depth"].tolist(), "m"),
+            "force_n": Metric(force.tolist(), "N"),
         }
 
     def checks(self, part: Part, build: Build, waves: Waveforms) -> Iterator[Gate]:

@@ -31,7 +31,7 @@ from kc2spice.parts._touching import Penetration, Touching, impact_penetration
 from kc2spice.parts.netlist import driver
 from kc2spice.parts.sphere import offset, sphere_of
 from kc2spice.physics import coils
-from kc2spice.scene.judge import Check
+from kc2spice.scene.judge import Check, Metric
 from kc2spice.scene.model import Part, Scene, Terminal
 from kc2spice.scene.parttype import (
     Build,
@@ -397,9 +397,10 @@ class RingMagnetCoils(Touching):
         if f"{label(part)}.voltage" not in waves:
             return {}
         current = waves[f"{label(part)}.upper.current"]
+        voltage = float(np.abs(waves[f"{label(part)}.voltage"]).max())
         return {
-            "coil_voltage_peak_v": float(np.abs(waves[f"{label(part)}.voltage"]).max()),
-            "coil_current_peak_a": float(np.abs(current).max()),
+            "coil_voltage_peak_v": Metric(voltage, "V"),
+            "coil_current_peak_a": Metric(float(np.abs(current).max()), "A"),
         }
 
     def checks(self, part: Part, build: Build, waves: Waveforms) -> Iterator[Check]:

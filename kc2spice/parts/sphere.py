@@ -21,7 +21,7 @@ from kc2spice.parts._touching import Pair, Surface, Touching
 from kc2spice.parts.mass import point_mass
 from kc2spice.physics import Declaration, DeclaredPart, displacement
 from kc2spice.physics.part import pins_of
-from kc2spice.scene.judge import Balance, Gate, stepping
+from kc2spice.scene.judge import Balance, Gate, Metric, stepping
 from kc2spice.scene.model import GROUND, Part, Scene, Terminal
 from kc2spice.scene.parttype import (
     Build,
@@ -179,10 +179,11 @@ class Sphere(Touching, DeclaredPart):
         y = waves.data.get(f"{part.name}.y")
         if y is None or "time" not in waves or part.name in begins(build.scene):
             return {}
-        result = {"peak_height_m": float(y.max()), "final_position_m": float(y[-1])}
+        heights = {"peak_height_m": float(y.max()), "final_position_m": float(y[-1])}
+        result = {name: Metric(value, "m") for name, value in heights.items()}
         v = waves.data.get(f"{part.name}.v")
         rising = v is not None and y[-1] == y.max() and v[-1] > 0
-        return result | {"still_rising": True} if rising else result
+        return result | {"still_rising": Metric(True)} if rising else result
 
     def checks(self, part: Part, build: Build, waves: Waveforms) -> Iterator[Balance | Gate]:
         """Work of all forces on the sphere against its kinetic energy.

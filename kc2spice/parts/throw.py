@@ -15,7 +15,7 @@ from kc2spice.core.quantities import Length, Section, Velocity
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.parts import _touching
 from kc2spice.parts.sphere import sphere_of
-from kc2spice.scene.judge import PAIRS, Gate
+from kc2spice.scene.judge import PAIRS, Gate, Metric
 from kc2spice.scene.model import Part, Scene
 from kc2spice.scene.parttype import Build, Numerics, State, register
 
@@ -66,11 +66,11 @@ class Throw(_touching.Touching):
         leave = _touching.separation(t, force, waves[f"{ball.name}.v"], power=pair.normal.power)
         time, lowest = minimum(t, y)
         return {
-            "min_position_m": lowest,
-            "time_of_min_s": time,
-            "separation_time_s": leave[0] if leave else None,
-            "rebound_velocity_m_s": leave[1] if leave else None,
-            "max_force_n": float(force.max() / pair.a.sectors),
+            "min_position_m": Metric(lowest, "m"),
+            "time_of_min_s": Metric(time, "s"),
+            "separation_time_s": Metric(leave[0] if leave else None, "s"),
+            "rebound_velocity_m_s": Metric(leave[1] if leave else None, "m/s"),
+            "max_force_n": Metric(float(force.max() / pair.a.sectors), "N"),
         }
 
     def checks(self, part: Part, build: Build, waves: Waveforms) -> Iterator[Gate]:

@@ -33,13 +33,12 @@ _NAMES = {
     "resonance_hz": "resonance read off the impedance (series, as if shorted)",
     "antiresonance_hz": "resonance read off the impedance (parallel, as if open)",
 }
-# Longest suffix first: the key's name says its unit, as in result.json.
-_SUFFIXES = (
-    ("_m_per_100v", "m per 100 V"), ("_m_per_v", "m/V"), ("_m_s", "m/s"), ("_v_m", "V/m"),
-    ("_pa", "Pa"), ("_mm", "mm"),
-    ("_hz", "Hz"), ("_kg", "kg"), ("_ohm", "Ω"), ("_m", "m"), ("_s", "s"), ("_a", "A"),
-    ("_n", "N"), ("_f", "F"), ("_h", "H"), ("_v", "V"), ("_c", "C"), ("_j", "J"),
-)  # fmt: skip
+# What a key of result.json ends with, by the unit that its record states.
+_SUFFIXES = {
+    "m per 100 V": "_m_per_100v", "m/V": "_m_per_v", "m/s": "_m_s", "V/m": "_v_m", "N/m": "_n_m",
+    "N s/m": "_n_s_m", "Ohm": "_ohm",
+}  # fmt: skip
+_SHOWN_UNITS = {"Ohm": "Ω"}
 
 
 def quantity(value: float | None, unit: str, digits: int = 5) -> str:
@@ -53,19 +52,11 @@ def quantity(value: float | None, unit: str, digits: int = 5) -> str:
     if unit in _PREFIXED:
         plain, factor = _PREFIXED[unit]
         return quantity(factor * value, plain, digits)
+    unit = _SHOWN_UNITS.get(unit, unit)
     power = 3 * math.floor(math.log10(abs(value)) / 3)
     power = power if power in _PREFIXES else 0
     sign = "−" if value < 0.0 else ""
     return f"{sign}{abs(value) / 10.0**power:.{digits}g} {_PREFIXES[power]}{unit}"
-
-
-def unit_of(key: str) -> str:
-    """Unit that a key of result.json names by its suffix, empty where it names none."""
-    return _suffix(key)[1]
-
-
-def _suffix(key: str) -> tuple[str, str]:
-    return next(((s, u) for s, u in _SUFFIXES if key.endswith(s)), ("", ""))
 
 
 def leaves(value: Any, joint: str = ".", path: str = "") -> Iterator[tuple[str, Any]]:
@@ -78,12 +69,11 @@ def leaves(value: Any, joint: str = ".", path: str = "") -> Iterator[tuple[str, 
 
 
 def fact(key: str, value: Any, unit: str = "") -> tuple[str, str]:
-    """A key of result.json and its value as words: the suffix of the key is the unit, but for a
-    key of a user's own choice, whose ``unit`` is told."""
-    suffix, named = _suffix(key)
-    if unit and unit != named:
-        suffix = ""
-    unit = unit or named
+    """A key of result.json and its value as words, in the ``unit`` of its record.
+
+    The key's end is left out where it spells that unit.
+    """
+    suffix = _SUFFIXES.get(unit, f"_{unit.lower()}" if unit else "")
     words = (_WORDS.get(word, word) for word in key.removesuffix(suffix).split("_"))
     name = _NAMES.get(key) or " ".join(words)
     if isinstance(value, (list, tuple)) and len(value) > 8:

@@ -19,7 +19,7 @@ from scipy.stats import binomtest
 
 from kc2spice.core.figure import Curve, Figure, Map, Panel, scale_axis
 from kc2spice.core.waveforms import Waveforms
-from kc2spice.report.html import Section, fact, quantity, unit_of, write_page
+from kc2spice.report.html import Section, fact, quantity, worded, write_page
 from kc2spice.scene.judge import PAIRS, Check
 from kc2spice.scene.model import Scene
 
@@ -223,17 +223,20 @@ def write_sweep(
     scene: Scene,
     table: Table,
     units: Mapping[str, str],
+    metric_units: Mapping[str, str],
     random: Sequence[str],
     plan: str,
     shares: Mapping[str, Mapping[str, float]],
 ) -> None:
     """Write the page of a finished ``table`` to ``path``.
 
-    ``units`` are those of the swept keys, in their order; ``random`` are the keys that were drawn,
-    ``plan`` says how much was run, ``shares`` are the :func:`yields`.
+    ``units`` are those of the swept keys, in their order, ``metric_units`` those of metrics that
+    have one. ``random`` are the keys that were drawn, ``plan`` says how much was run, ``shares``
+    are the :func:`yields`.
     """
     metrics = [n for n in table if n not in units and _has(table[n], *NUMBERS)]
-    spread = [_spread(name, table[name]) for name in metrics if not _has(table[name], bool)]
+    numbers = [name for name in metrics if not _has(table[name], bool)]
+    spread = [_spread(name, table[name], metric_units.get(name, "")) for name in numbers]
     head = ("metric", "points", "least", "5 %", "median", "95 %", "largest")
     failed = Counter(text for text in table["status"] if text != "ok").most_common(20)
     note = "Of all points; a point that failed counts as a miss."
@@ -242,7 +245,7 @@ def write_sweep(
         Section("Yield", [(fact(n, 0)[0], _share(s)) for n, s in shares.items()], note=note),
         Section("Metrics", spread, head),
         Section("Points that failed", [(str(n), why) for why, n in failed], ("points", "why")),
-        Section("Figures", figures=tuple(figures(table, units, metrics, random))),
+        Section("Figures", figures=tuple(figures(table, units, metrics, metric_units, random))),
     ]
     write_page(path, f"Sweep of {scene.name}", scene.title, sections)
 
@@ -260,22 +263,30 @@ def _swept(key: str, column: Sequence[Any], units: Mapping[str, str]) -> tuple[s
     return key, f"{len(distinct)} values, {ends}"
 
 
-def _spread(name: str, column: Sequence[Any]) -> tuple[str, ...]:
+def _spread(name: str, column: Sequence[Any], unit: str) -> tuple[str, ...]:
     values = _numbers(column)
     values = values[np.isfinite(values)]
     shares = np.quantile(values, (0.0, 0.05, 0.5, 0.95, 1.0))
-    return (fact(name, 0)[0], str(values.size), *(fact(name, float(v))[1] for v in shares))
+    texts = (worded(float(v), unit) for v in shares)
+    return (fact(name, 0, unit)[0], str(values.size), *texts)
 
 
 def figures(
-    table: Table, units: Mapping[str, str], metrics: Sequence[str], random: Sequence[str]
+    table: Table,
+    units: Mapping[str, str],
+    metrics: Sequence[str],
+    metric_units: Mapping[str, str],
+    random: Sequence[str],
 ) -> Iterator[Figure]:
-    """The ``metrics`` of a table over its swept keys, whose ``units`` are given."""
+    """The ``metrics`` of a table over its swept keys, with the units of both."""
     keys = [key for key in units if _has(table[key], *NUMBERS)]
     if not keys or not metrics:
         return
     x = {key: (_label(key, units[key]), _numbers(table[key])) for key in keys}
-    y = {name: (_label(fact(name, 0)[0], unit_of(name)), _numbers(table[name])) for name in metrics}
+    y = {}
+    for name in metrics:
+        unit = metric_units.get(name, "")
+        y[name] = _label(fact(name, 0, unit)[0], unit), _numbers(table[name])
     crossed = np.prod([np.unique(x[key][1]).size for key in keys]) == len(table["status"])
     if not random and len(keys) == 1:
         words = zip(*(table[key] for key in units if key not in x), strict=True)
@@ -354,6 +365,7 @@ class Findings:
     checks: list[Check] = field(default_factory=list)
     errors: dict[str, float] = field(default_factory=dict)
     metrics: dict[str, Any] = field(default_factory=dict)
+    units: dict[str, str] = field(default_factory=dict)
     answers: dict[str, Mapping[str, Any]] = field(default_factory=dict)
     left_out: tuple[str, ...] = ()
     outputs: list[Any] = field(default_factory=list)
@@ -368,7 +380,9 @@ class Findings:
 
     def record(self) -> dict[str, Any]:
         """Of ``verify.json``."""
-        result = {key: value for key, value in vars(self).items() if key != "figures"}
+        result = {
+            key: value for key, value in vars(self).items() if key not in ("figures", "units")
+        }
         checks = [check.record() for check in self.checks]
         outputs = [asdict(output) for output in self.outputs]
         return {"passed": self.passed, **result, "checks": checks, "outputs": outputs}
@@ -410,7 +424,10 @@ def _details(scene: str, findings: Findings) -> list[Section]:
     ]
     numbers = {k: v for k, v in findings.metrics.items() if not isinstance(v, Mapping)}
     head = ("solutions", "output", "largest error", "rms error")
-    facts, notes = [fact(key, value) for key, value in numbers.items()], " ".join(findings.notes)
+    facts, notes = (
+        [fact(k, v, findings.units.get(k, "")) for k, v in numbers.items()],
+        " ".join(findings.notes),
+    )
     return [
         Section(f"{scene}: each output", outputs, head),
         Section(f"{scene}: results", facts, note=notes),

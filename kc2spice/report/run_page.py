@@ -172,13 +172,13 @@ def result_sections(result: Mapping[str, Any]) -> list[Section]:
     for item in attempts if len(attempts) > 1 else ():
         outcome = item["cause"] or "succeeded", item["part"] or "", quantity(item["wall_s"], "s", 3)
         tried.append((item["setting"], item["settings"], *outcome))
-    models = result.get("model", {}).items()
+    models, units = result.get("model", {}).items(), result.get("model_units", {})
     spent = [(stage, quantity(float(seconds), "s", 3)) for stage, seconds in times.items()]
     return [
         Section("Metrics", _facts(result.get("metrics", {}), result.get("metric_units", {}))),
         Section("Physics checks", checks, ("", "check", "value", "limit", "action"), CHECKED),
-        *(Section(f"Model: {part}", _facts(answer)) for part, answer in models),
-        Section("Reduced model", [*_facts(facts), *above_band(rom)]),
+        *(Section(f"Model: {n}", _facts(answer, units.get(n, {}))) for n, answer in models),
+        Section("Reduced model", [*_facts(facts, {"band_hz": "Hz"}), *above_band(rom)]),
         Section("Retries", tried, ("setting", "changes", "outcome", "blamed", "time"), TRIED),
         Section("Wall time", spent, ("stage", "time"), "0 s: taken from the cache."),
     ]
@@ -211,8 +211,9 @@ def plan_sections(
     ]
 
 
-def _facts(facts: Mapping[str, Any], units: Mapping[str, str] | None = None) -> Rows:
-    return [fact(k, v, unit=(units or {}).get(k, "")) for k, v in leaves(facts, "_")]
+def _facts(facts: Mapping[str, Any], units: Mapping[str, str]) -> Rows:
+    """Rows of numbers, whose ``units`` are by dotted name."""
+    return [fact(k.replace(".", "_"), v, units.get(k, "")) for k, v in leaves(facts)]
 
 
 def _modes(part: str, found: Mapping[str, Any]) -> Section:

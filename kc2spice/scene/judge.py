@@ -1,10 +1,12 @@
-"""What is judged of a result: checks against physics, energy balances, gates of ``verify``."""
+"""What a result states and is judged by: metrics, checks against physics, energy balances, gates of
+``verify``.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 from kc2spice.core.equality import EqualByContent
 from kc2spice.core.errors import SimulationError
@@ -15,6 +17,17 @@ if TYPE_CHECKING:
 
 PAIRS = ("rom_vs_fom", "ngspice_vs_rom", "ngspice_vs_fom")
 Measure = Literal["relative", "absolute", "travel", "largest", "spectral"]
+
+
+@dataclass(frozen=True)
+class Metric:
+    """A number of a result, or an array or table of numbers, and its SI unit: ``""`` of a pure one.
+
+    Readers get the unit from here, never from the metric's name, which an author may choose freely.
+    """
+
+    value: Any
+    unit: str = ""
 
 
 @dataclass(frozen=True)

@@ -312,7 +312,8 @@ class PartType:
     # --- what a run says -----------------------------------------------------------------------
 
     def metrics(self, part: Part, build: Build, waves: Waveforms) -> Mapping[str, Any]:
-        """Numbers that describe what it did."""
+        """Numbers that describe what it did, each a :class:`kc2spice.scene.judge.Metric` with its
+        unit, or a mapping of such; a plain number has no unit."""
         return {}
 
     def checks(

@@ -6,13 +6,14 @@ import math
 from collections import Counter
 from collections.abc import Callable, Mapping
 from contextlib import suppress
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from kc2spice.core.errors import UsageError, unknown
-from kc2spice.core.waveforms import Waveforms, interpolate
-from kc2spice.scene.judge import Balance, Check, Gate, Verdict
+from kc2spice.core.waveforms import SCALES, Waveforms, interpolate
+from kc2spice.report.html import leaves
+from kc2spice.scene.judge import Balance, Check, Gate, Metric, Verdict
 from kc2spice.scene.model import Probe
 from kc2spice.scene.parttype import Build
 from kc2spice.workflow import meters
@@ -51,11 +52,34 @@ def verdict(waves: Waveforms, build: Build) -> Verdict:
     return Verdict(tuple(c for c in checks if c.action != "off"), tuple(balances.items()), gates)
 
 
-def metrics(waves: Waveforms, build: Build, *, partial: bool = False) -> dict[str, Any]:
+class Metrics(NamedTuple):
+    """Metrics by name, and the SI units of those that have one by dotted name."""
+
+    values: dict[str, Any]
+    units: dict[str, str]
+
+
+def metrics(waves: Waveforms, build: Build, *, partial: bool = False) -> Metrics:
     """Metrics of all parts, then of the probes; of ``partial`` waves those that they tell.
 
     A name that several parts have gets the part's name in front: ``left.kick_stroke_m``.
     """
+    rows = _metrics(waves, build, partial=partial)
+    units = {name: item.unit for name, item in leaves(rows) if isinstance(item, Metric)}
+    return Metrics(_plain(rows), {name: unit for name, unit in units.items() if unit})
+
+
+def _plain(rows: Mapping[str, Any]) -> dict[str, Any]:
+    """The values of metrics, in the same tables."""
+    result: dict[str, Any] = {}
+    for name, item in rows.items():
+        value = item.value if isinstance(item, Metric) else item
+        result[name] = _plain(value) if isinstance(value, Mapping) else value
+    return result
+
+
+def _metrics(waves: Waveforms, build: Build, *, partial: bool) -> dict[str, Any]:
+    """Records of metrics by name."""
     scene, result = build.scene, dict[str, Mapping[str, Any]]()
     for part in scene.parts.values():
         with suppress(*([KeyError] if partial else [])):
@@ -66,13 +90,20 @@ def metrics(waves: Waveforms, build: Build, *, partial: bool = False) -> dict[st
         for part, item in result.items()
         for name, value in item.items()
     }
-    own |= meters.metrics(waves) if meters.WAVE in waves else {}
+    own |= meters.metrics(waves, build) if meters.WAVE in waves else {}
+    units = meters.result_units(build) if scene.probes else {}
     low, high = waves.scale.real.min(), waves.scale.real.max()
-    return own | {
-        name: take(probe, waves, name)
-        for name, probe in scene.probes.items()
-        if not partial or (probe.of in waves and (probe.at is None or low <= probe.at <= high))
-    }
+    for name, probe in scene.probes.items():
+        if not partial or (probe.of in waves and (probe.at is None or low <= probe.at <= high)):
+            own[name] = Metric(take(probe, waves, name), _probe_unit(probe, waves, units))
+    return own
+
+
+def _probe_unit(probe: Probe, waves: Waveforms, units: Mapping[str, str]) -> str:
+    """SI unit of what a probe takes of a wave, whose unit is among ``units``."""
+    scale = SCALES.get(next(iter(waves)), "")
+    along = {"argmax": scale, "crossing": scale, "frequency": "Hz"}
+    return along.get(probe.take, units.get(probe.of, SCALES.get(probe.of, "")))
 
 
 def take(probe: Probe, waves: Waveforms, name: str) -> float | None:

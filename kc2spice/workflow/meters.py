@@ -18,7 +18,7 @@ from kc2spice.netlist.deck import Command, Deck, noise
 from kc2spice.netlist.expression import terms, vector
 from kc2spice.netlist.scope import Scope
 from kc2spice.scene.compose import electrical, metered
-from kc2spice.scene.judge import Check
+from kc2spice.scene.judge import Check, Metric
 from kc2spice.scene.keys import model_keys
 from kc2spice.scene.model import Names, Part
 from kc2spice.scene.parttype import Build, Swept, Vector, replaced
@@ -95,11 +95,12 @@ def by_part(waves: Waveforms) -> dict[str, np.ndarray]:
     return {part: np.sqrt(result) for part, result in power.items()}
 
 
-def metrics(waves: Waveforms) -> dict[str, Any]:
+def metrics(waves: Waveforms, build: Build) -> dict[str, Any]:
     """rms values over the band: of the output, and what each part adds to it."""
-    f, parts = waves["frequency"].real, by_part(waves)
-    added = {"noise_by_part": {part: _rms(f, result) for part, result in parts.items()}}
-    return {WAVE: _rms(f, waves[WAVE])} | (added if len(parts) > 1 else {})
+    f, parts, unit = waves["frequency"].real, by_part(waves), output(build).unit
+    added = {part: Metric(_rms(f, result), unit) for part, result in parts.items()}
+    rms: dict[str, Any] = {WAVE: Metric(_rms(f, waves[WAVE]), unit)}
+    return rms | ({"noise_by_part": added} if len(added) > 1 else {})
 
 
 def reference(build: Build) -> tuple[str, str]:
@@ -177,6 +178,13 @@ def result_vectors(build: Build) -> dict[str, Vector]:
     if build.scene.analysis.type == "ac":
         return {name: item for name, item in result.items() if "@" not in item.expression}
     return result
+
+
+def result_units(build: Build) -> dict[str, str]:
+    """SI units of all results, powers among them."""
+    results = result_vectors(build)
+    units = {name: vector.unit for name, vector in results.items()}
+    return units | dict.fromkeys(powers(build, results), "W")
 
 
 def _meter_vectors(build: Build, known: Mapping[str, Vector]) -> dict[str, Vector]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
+from fnmatch import fnmatchcase
 from typing import Any
 
 from kc2spice.core.progress import Clock
@@ -79,6 +80,21 @@ def model_facts(build: Build) -> dict[str, dict[str, float]]:
     parts = build.scene.parts.values()
     facts = {part.name: dict(build.facts(part)) for part in parts}
     return {name: result for name, result in facts.items() if result}
+
+
+# SI units of the numbers in ``model`` of result.json; those without have none.
+FACT_UNITS = {
+    "mass_kg": "kg", "resonance*_hz": "Hz", "*capacitance_*f": "F", "depoling_voltage_v": "V",
+    "free_stroke_*_m_per_v": "m/V", "free_stroke_*_m_per_100v": "m per 100 V", "extent_*_mm": "mm",
+    "force_max_n": "N", "coil_resistance_ohm": "Ohm", "coil_inductance_h": "H",
+    "coil_mutual_h": "H",
+}  # fmt: skip
+
+
+def fact_units(facts: Mapping[str, float]) -> dict[str, str]:
+    """SI unit of each of a model's ``facts`` that has one."""
+    rows = {name: [u for of, u in FACT_UNITS.items() if fnmatchcase(name, of)] for name in facts}
+    return {name: units[0] for name, units in rows.items() if units}
 
 
 def mode_tables(build: Build) -> dict[str, dict[str, Any]]:

@@ -89,22 +89,24 @@ def time_again(run: Run) -> float:
         return simulator_cpu(run.build) - begin
 
 
-def changes(run: Run, finer: Run, near_zero: float = 0.0) -> dict[str, float]:
+def changes(run: Run, finer: Run) -> dict[str, float]:
     """Relative change of every metric that ``finer`` has, infinite where ``run`` has none like it.
 
-    That of a curve is relative to its largest value, that of a small number to ``near_zero`` of the
-    largest one in its unit. A curve over other points is interpolated to those of ``run``.
+    That of a curve is relative to its largest value, that of a small number to :data:`NEAR_ZERO` of
+    the largest one with the same unit in the metrics' records; one without a unit is by itself. A
+    curve over other points is interpolated to those of ``run``.
     """
     exact = {name: v.astype(float) for name, v in finer.values.items() if v.size}
     exact = {name: v for name, v in exact.items() if np.isfinite(v).all()}
     least: dict[str, float] = {}
     for name, value in exact.items():
-        unit = name.rpartition("_")[2]
-        least[unit] = max(least.get(unit, 0.0), near_zero * float(np.abs(value).max()))
+        unit = finer.units.get(name, "")
+        if unit:
+            least[unit] = max(least.get(unit, 0.0), NEAR_ZERO * float(np.abs(value).max()))
     result = {}
     for name, value in exact.items():
         mine = run.values.get(name)
-        scale = max(float(np.abs(value).max()), least[name.rpartition("_")[2]])
+        scale = max(float(np.abs(value).max()), least.get(finer.units.get(name, ""), 0.0))
         ours, theirs = run.waves.scale.real, finer.waves.scale.real
         if mine is not None and value.shape == theirs.shape and mine.shape == ours.shape:
             value = interpolate(ours, theirs, value)
@@ -263,4 +265,4 @@ def _tried(runs: Runs, notches: Notches) -> Run | None:
 
 def _differences(run: Run, finer: Run) -> dict[str, float]:
     """Estimated relative error of each metric of ``run``."""
-    return {name: REMAINDER * change for name, change in changes(run, finer, NEAR_ZERO).items()}
+    return {name: REMAINDER * change for name, change in changes(run, finer).items()}

@@ -13,17 +13,17 @@ from kc2spice.core import __version__
 from kc2spice.core.figure import Figure, Written
 from kc2spice.core.files import staged
 from kc2spice.core.progress import Clock, Progress, silent
-from kc2spice.core.waveforms import SCALES, Waveforms, write_record, write_waveforms
+from kc2spice.core.waveforms import write_record, write_waveforms
 from kc2spice.netlist.printers.ngspice import plot_script
 from kc2spice.report.figures import draw_all
 from kc2spice.report.run_page import probe_figures, write_run
 from kc2spice.scene.judge import require
 from kc2spice.scene.load import load_scene
-from kc2spice.scene.model import Probe, Scene
+from kc2spice.scene.model import Scene
 from kc2spice.sim.ngspice import RetriesFailedError, Simulator, find_ngspice, write_files
 from kc2spice.workflow import meters
 from kc2spice.workflow.decks import prepared, spare_other_decks
-from kc2spice.workflow.models import mode_tables
+from kc2spice.workflow.models import fact_units, mode_tables, model_facts
 from kc2spice.workflow.refine import Converged, converge
 from kc2spice.workflow.simulate import Run, kept_on_failure, sampled, simulate
 
@@ -74,7 +74,8 @@ class Completed:
             "modes": mode_tables(build),
             "largest_step": None if step is None else {"s": step.step, "why": step.why},
             "metrics": run.metrics,
-            "metric_units": _probe_units(build.scene.probes, run.waves, run.deck.units),
+            "metric_units": run.units,
+            "model_units": {name: fact_units(row) for name, row in model_facts(build).items()},
             "checks": [check.record() for check in run.verdict.checks],
             "plan": build.plan,
             "wall_s": self.clock.wall_s,
@@ -82,18 +83,6 @@ class Completed:
         if self.converged is not None:
             record["convergence"] = self.converged.record()
         return record
-
-
-def _probe_units(
-    probes: Mapping[str, Probe], waves: Waveforms, units: Mapping[str, str]
-) -> dict[str, str]:
-    """SI unit of each probe's metric, of those that have one."""
-    scale = SCALES.get(next(iter(waves)), "")
-    along = {"argmax": scale, "crossing": scale, "frequency": "Hz"}
-    result = {n: along.get(p.take, units.get(p.of, "")) for n, p in probes.items()}
-    if meters.WAVE in units:
-        result[meters.WAVE] = units[meters.WAVE].removesuffix(meters.DENSITY)
-    return {name: unit for name, unit in result.items() if unit}
 
 
 def run(

@@ -42,10 +42,12 @@ FAILURE = "failure.json"
 @dataclass(frozen=True)
 class Run(Outcome):
     """What the simulation of a scene gave: deck, waves, verdict, attempts, the models behind them,
-    its metrics, and the CPU seconds of the simulator with all its retries."""
+    its metrics with the SI ``units`` of those that have one by dotted name, and the CPU seconds of
+    the simulator with all its retries."""
 
     build: Build
     metrics: Mapping[str, Any]
+    units: Mapping[str, str]
     cpu_s: float
 
     @cached_property
@@ -104,8 +106,17 @@ def simulate(
         warnings.warn(f"functions {', '.join(build.functions)}: {told}", stacklevel=2)
     used = simulator_cpu(build) - begin
     waves = _with_powers(result.waves, deck)
-    return Run(deck=result.deck, waves=waves, verdict=result.verdict, attempts=result.attempts,
-               build=build, metrics=metrics(waves, build), cpu_s=used)  # fmt: skip
+    taken = metrics(waves, build)
+    return Run(
+        deck=result.deck,
+        waves=waves,
+        verdict=result.verdict,
+        attempts=result.attempts,
+        build=build,
+        metrics=taken.values,
+        units=taken.units,
+        cpu_s=used,
+    )
 
 
 def _with_powers(waves: Waveforms, deck: Deck) -> Waveforms:

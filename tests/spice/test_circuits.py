@@ -25,7 +25,7 @@ def run(tables, directory):
     deck = make_deck(build)
     lint(deck)
     waves = simulate(build, deck, directory).waves
-    return waves, metrics(waves, build)
+    return waves, metrics(waves, build).values
 
 
 def rlc(source, analysis, **more):

@@ -39,7 +39,7 @@ def edge(waves: Waveforms) -> tuple[float, float] | None:
 
 def of_scene(waves: Waveforms, name: str) -> dict[str, object]:
     """Metrics of the parts of a gallery scene, without their models."""
-    return metrics(waves, Build(load_scene(name), {}))
+    return metrics(waves, Build(load_scene(name), {})).values
 
 
 def kick_times() -> np.ndarray:

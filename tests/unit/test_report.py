@@ -102,8 +102,10 @@ class Page(HTMLParser):
 def page(tmp_path_factory: pytest.TempPathFactory) -> Page:
     out = tmp_path_factory.mktemp("report")
     waves, scene = loop_waves(), load_scene("kick_and_catch", [])
+    found = metrics(waves, Build(scene, {}))
     result = {
-        "metrics": metrics(waves, Build(scene, {})),
+        "metrics": found.values,
+        "metric_units": found.units,
         "plan": Build(scene, {}).plan,
         "wall_s": {"mesh": 1.5, "simulate": 0.5},
         "simulator": {"name": "ngspice", "version": "39", "engine": "<batch>"},
@@ -115,6 +117,7 @@ def page(tmp_path_factory: pytest.TempPathFactory) -> Page:
             "error_estimate": 1e-3,
         },
         "model": {"kick": {"unknowns": 16722}, "catch": {"coil_resistance_ohm": 1596.0}},
+        "model_units": {"catch": {"coil_resistance_ohm": "Ohm"}},
         "files": ["kick.lib"],
     }
     path = write_run(out / "report.html", result, scene, figures(waves))

@@ -64,7 +64,8 @@ def test_a_metric_without_unit_is_judged_by_itself_and_not_by_frequencies() -> N
     waves = Waveforms({"frequency": np.array([1.0, 1e5]), "z": np.array([2.0, 3.0])}, {})
     units = {"z": "Ohm"}
     ours = Solution(waves, {"coupling": 0.33, "least_ohm": 1e-4, "zero": 0.25})
-    exact = Solution(waves, {"coupling": 0.30, "least_ohm": 2e-4, "zero": 0.0})
+    ohm = {"least_ohm": "Ohm"}
+    exact = Solution(waves, {"coupling": 0.30, "least_ohm": 2e-4, "zero": 0.0}, ohm)
     found = dict(metric_errors(ours, exact, units))
     assert found["coupling"] == pytest.approx(0.1)
     assert found["least_ohm"] == pytest.approx(1e-4 / 3e-3)  # a thousandth of the largest

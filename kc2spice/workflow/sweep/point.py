@@ -28,6 +28,7 @@ from kc2spice.scene.load import gallery, load_scene, toml
 from kc2spice.scene.model import Scene
 from kc2spice.scene.parttype import Build
 from kc2spice.workflow.decks import prepared
+from kc2spice.workflow.models import fact_units
 from kc2spice.workflow.simulate import Run, simulate
 from kc2spice.workflow.sweep.plan import PARAMETER
 
@@ -142,11 +143,13 @@ class Outcome:
     """Numbers of one run, or in one line why there are none.
 
     ``metrics`` by name; ``facts`` are all other numbers of ``result.json`` by dotted path.
+    ``units`` are the SI units of both, where they have one.
     ``interrupted``: for what happened to the machine, so that it is worth another try.
     """
 
     metrics: Mapping[str, Number] = field(default_factory=dict)
     facts: Mapping[str, Number] = field(default_factory=dict)
+    units: Mapping[str, str] = field(default_factory=dict)
     failure: str | None = None
     interrupted: bool = False
 
@@ -233,7 +236,13 @@ def _testbench(job: Job) -> tuple[Build, Deck]:
 
 def _numbers(run: Run) -> Outcome:
     checks = {check.name: check.value for check in run.verdict.checks}
-    return Outcome(_scalars(run.metrics), _scalars({**run.facts, "checks": checks}))
+    facts = run.facts
+    units = {f"model.{part}": fact_units(row) for part, row in facts["model"].items()}
+    return Outcome(
+        _scalars(run.metrics),
+        _scalars({**facts, "checks": checks}),
+        {**run.units, **dict(leaves(units))},
+    )
 
 
 def _scalars(value: Mapping[str, Any]) -> dict[str, Number]:

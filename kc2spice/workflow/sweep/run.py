@@ -644,7 +644,10 @@ def _publish(found: Sweep, rows: RowStore, out: Path, table_format: str) -> dict
     plan = found.describe()
     with staged(out) as work:
         WRITERS[table_format](table, work / name)
-        write_sweep(work / PAGE, found.scene, table, found.units, found.plan.random, plan, shares)
+        units = {k: v for item in rows.outcomes.values() for k, v in item.units.items()}
+        write_sweep(
+            work / PAGE, found.scene, table, found.units, units, found.plan.random, plan, shares
+        )
     return {
         "scene": found.scene.name,
         "points": found.plan.size,

@@ -22,7 +22,6 @@ from kc2spice.netlist.circuit import Subcircuit
 from kc2spice.netlist.deck import Deck
 from kc2spice.netlist.foreign import Flat, checked
 from kc2spice.netlist.read import subcircuits
-from kc2spice.report.html import unit_of
 from kc2spice.report.pages import Findings, comparison, write_verify
 from kc2spice.scene.compose import composed
 from kc2spice.scene.judge import PAIRS, Check, Gate, Verdict
@@ -50,10 +49,11 @@ SMALL = 1e-3  # of the largest wave of its unit: smaller metrics are judged by t
 
 @dataclass(frozen=True)
 class Solution:
-    """Waves of one solution path with their metrics."""
+    """Waves of one solution path with their metrics, and the units of these."""
 
     waves: Waveforms
     metrics: Mapping[str, Any]
+    units: Mapping[str, str] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -69,7 +69,7 @@ class OutputError:
 
 def solution(waves: Waveforms, build: Build) -> Solution:
     """A solution with those metrics of the scene's parts and probes that its waves tell."""
-    return Solution(waves, metrics(waves, build, partial=True))
+    return Solution(waves, *metrics(waves, build, partial=True))
 
 
 def gate_limits(
@@ -209,16 +209,17 @@ def metric_errors(
             continue
         if x.shape != y.shape or x.size == 0:
             continue
-        base = max(float(np.abs(y).max()), SMALL * _largest(name, exact.waves, units))
+        base = max(
+            float(np.abs(y).max()), SMALL * _largest(exact.units.get(name, ""), exact.waves, units)
+        )
         yield name, float(np.abs(x - y).max()) / (base or 1.0)
 
 
-def _largest(name: str, waves: Waveforms, units: Mapping[str, str]) -> float:
-    """The largest wave of the unit that a metric's name ends with; for times their span.
+def _largest(unit: str, waves: Waveforms, units: Mapping[str, str]) -> float:
+    """The largest wave of the ``unit`` of a metric; for times their span.
 
     A metric without a unit, such as a coupling, has no such wave: a frequency would excuse any.
     """
-    unit = unit_of(name).replace("Ω", "Ohm")
     if not unit:
         return 0.0
     if unit == "s" and "time" in waves:
@@ -345,7 +346,9 @@ class _Verification:
         if result.left_out and replayed is None:
             waves = self._ngspice(deck)
             self._own_checks()
-            result.metrics |= solution(waves, build).metrics
+            own = solution(waves, build)
+            result.metrics |= own.metrics
+            result.units |= own.units
         else:
             vectors = replayed_vectors(self.replayed)
             self._compared(deck.saving(vectors) if vectors else deck)
@@ -367,6 +370,7 @@ class _Verification:
             reference = solve(build, waves, self.replayed, told)
         solutions = {"ngspice": solution(waves, build), "rom": solution(reference.results, build)}
         result.metrics |= solutions["ngspice"].metrics
+        result.units |= solutions["ngspice"].units
         result.answers |= {key: item.metrics for key, item in solutions.items()}
         outputs = self._pairs("scene", solutions)
         result.checks += self._generic(solutions, outputs)

@@ -1,0 +1,193 @@
+"""Units of metrics come from their records: their names, which users choose, decide nothing."""
+
+from dataclasses import dataclass, field
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+import kc2spice as kc
+from kc2spice.report.run_page import result_sections
+from kc2spice.workflow import bench, refine
+from kc2spice.workflow.models import fact_units
+
+MASS, STIFFNESS, CUBIC, DAMPING, FORCE, TONE, STOP = 25e-6, 100.0, 5e9, 5e-3, 0.05, 400.0, 20e-3
+# A Duffing oscillator at a coarse step beside a source of 1 kV, and probes whose names end in words
+# that are units of other dimensions.
+SCENE = f"""
+name = "budget"
+error_budget = 1e-3
+gravity = 0.0
+[spring]
+part = "cubic_spring"
+stiffness = {STIFFNESS}
+cubic = {CUBIC}
+pins = {{ a = "mass.a" }}
+[mass]
+part = "mass"
+mass = {MASS}
+[damp]
+part = "damper"
+damping = {DAMPING}
+pins = {{ a = "mass.a" }}
+[push]
+part = "source"
+kind = "force"
+sine = {{ amplitude = {FORCE}, frequency = {TONE} }}
+pins = {{ out = "mass.a" }}
+[drive]
+part = "source"
+dc = "1 kV"
+[load]
+part = "resistor"
+resistance = "1 MOhm"
+pins = {{ a = "drive.out" }}
+[solver]
+stop = {STOP}
+max_step = "200 us"
+[probes]
+x_final = {{ of = "mass.x", take = "final" }}
+drive_final = {{ of = "drive.v", take = "final" }}
+t_m = {{ of = "drive.v", take = "max" }}
+t_s = {{ of = "drive.v", take = "argmax" }}
+"""
+
+
+def rates(t: float, state: np.ndarray) -> list[float]:
+    x, v = state
+    force = FORCE * np.sin(2 * np.pi * TONE * t)
+    return [v, (force - DAMPING * v - STIFFNESS * x - CUBIC * x**3) / MASS]
+
+
+@pytest.fixture(scope="module")
+def result(tmp_path_factory):
+    path = tmp_path_factory.mktemp("budget") / "budget.toml"
+    path.write_text(SCENE)
+    with pytest.warns(UserWarning, match="error_budget|error of x_final"):
+        return kc.run(path)
+
+
+def test_an_error_budget_covers_a_small_length_beside_a_large_voltage(result):
+    limits = {"method": "DOP853", "rtol": 1e-10, "atol": 1e-14}
+    exact = solve_ivp(rates, (0.0, STOP), [0.0, 0.0], **limits)
+    apart = abs(result.metrics["x_final"] - exact.y[0, -1])
+    scale = max(abs(exact.y[0, -1]), 0.1 * np.abs(exact.y[0]).max())
+    stated = result.record["convergence"]
+    assert apart / scale <= stated["errors"]["x_final"]
+    assert apart / scale <= 1e-3 or not stated["held"]
+
+
+def test_records_state_the_units_of_all_metrics(result):
+    assert result.record["metric_units"] == {
+        "mass_peak_m": "m",
+        "mass_speed_m_s": "m/s",
+        "x_final": "m",
+        "drive_final": "V",
+        "t_m": "V",
+        "t_s": "s",
+    }
+
+
+def test_reports_print_the_unit_of_the_record(result):
+    rows = dict(result_sections(result.record)[0].rows)
+    assert rows["t m"] == rows["drive final"] == "1 kV"
+    assert rows["mass speed"].endswith("mm/s")
+
+
+FILM = """
+name = "film"
+gravity = 0.0
+checks = { plausible = "off" }
+analysis = { type = "ac", start = "1.5 MHz", stop = "3 MHz", points = 3 }
+[g]
+part = "gap"
+a = "m.a"
+side = "above"
+area = 8e-8
+gap = "2 um"
+travel = "1.4 um"
+film = { length = "400 um", width = "200 um" }
+pins = { plus = "v.out" }
+[m]
+part = "mass"
+mass = "1 mg"
+[s]
+part = "spring"
+stiffness = 100
+pins = { a = "m.a" }
+[sh]
+part = "source"
+kind = "force"
+ac = "1 uN"
+pins = { out = "m.a" }
+[v]
+part = "source"
+"""
+
+
+def test_a_damping_is_no_length(tmp_path):
+    path = tmp_path / "film.toml"
+    path.write_text(FILM)
+    result = kc.run(path)
+    rows = dict(result_sections(result.record)[0].rows)
+    assert rows["gap stiffness"].endswith(" kN/m")
+    assert rows["gap damping"] == f"{result.metrics['gap_damping_n_s_m']:.5g} N s/m"
+
+
+@dataclass
+class Metrics:
+    """What an error estimate reads of a run."""
+
+    values: dict[str, np.ndarray]
+    units: dict[str, str]
+    waves: SimpleNamespace = field(default_factory=lambda: SimpleNamespace(scale=np.arange(2.0)))
+
+
+def runs(coarse: dict[str, float], fine: dict[str, float], units: dict[str, str]):
+    return [Metrics({k: np.asarray(v) for k, v in m.items()}, units) for m in (coarse, fine)]
+
+
+def test_a_metric_is_judged_by_those_of_its_own_unit():
+    # by name the length would be judged by 100 V, the quality by the coupling
+    units = {"x_peak": "m", "u_peak": "V", "far_m": "m"}
+    coarse, fine = runs(
+        {"x_peak": 1.1e-6, "u_peak": 1e3, "far_m": 2e-6, "quality": 90.0, "coupling_quality": 0.3},
+        {"x_peak": 1.0e-6, "u_peak": 1e3, "far_m": 2e-6, "quality": 100.0, "coupling_quality": 0.3},
+        units,
+    )
+    found = refine.changes(coarse, fine)
+    assert found["x_peak"] == pytest.approx(0.1)
+    assert found["quality"] == pytest.approx(0.1)
+
+
+def test_near_zero_values_are_judged_by_a_tenth_of_the_largest_in_their_unit():
+    units = {"rest": "m", "stroke": "m"}
+    coarse, fine = runs({"rest": 2e-9, "stroke": 1e-6}, {"rest": 1e-9, "stroke": 1e-6}, units)
+    assert refine.changes(coarse, fine)["rest"] == pytest.approx(1e-9 / 1e-7)
+
+
+def test_bench_and_error_budget_state_the_same_error():
+    units = {"rest": "m", "stroke": "m"}
+    coarse, fine = runs({"rest": 2e-9, "stroke": 1e-6}, {"rest": 1e-9, "stroke": 1.1e-6}, units)
+    assert bench._errors(coarse, fine, ("rest", "stroke")) == refine.changes(coarse, fine)
+
+
+def test_facts_of_models_have_units():
+    facts = {
+        "unknowns": 10,
+        "mass_kg": 1e-3,
+        "capacitance_free_f": 1e-9,
+        "anode_capacitance_f": 1e-9,
+        "free_stroke_tip_m_m_per_v": 1e-9,
+        "resonance_short_hz": 1e3,
+        "extent_x_mm": 3.0,
+    }
+    assert fact_units(facts) == {
+        "mass_kg": "kg",
+        "capacitance_free_f": "F",
+        "anode_capacitance_f": "F",
+        "free_stroke_tip_m_m_per_v": "m/V",
+        "resonance_short_hz": "Hz",
+        "extent_x_mm": "mm",
+    }
