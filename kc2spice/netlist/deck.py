@@ -82,6 +82,14 @@ def _range(start: float, stop: float, points: int, scale: str) -> tuple[str, ...
     return "dec", str(math.ceil(points / decades)), number(start), number(stop)
 
 
+def over(command: Command, start: float, stop: float, points: int) -> Command:
+    """A small-signal ``command`` at other frequencies [Hz], equally spaced from ``start``."""
+    kept = command.words[:2] if command.kind == "noise" else ()
+    last = command.words[6:] if command.kind == "noise" else ()
+    words = (*kept, *_range(start, stop, points, "linear"), *last)
+    return Command(command.kind, words)
+
+
 def dc(source: str, first: float, last: float, points: int) -> Command:
     """``.dc`` of a source, in its own unit.
 
@@ -106,7 +114,8 @@ class Deck:
     ``parts`` are the subcircuits, each one library file; ``vectors`` maps result names to ngspice
     expressions and the factor to SI, ``units`` to SI units, ``powers`` to the voltages and currents
     that they are sums of products of. ``stop`` is the last time point [s] of
-    a transient, None otherwise. A deck that somebody wrote by hand has its ``text`` and the files
+    a transient, None otherwise. ``refinements`` are further analyses of the kind of ``command``,
+    whose points join its own. A deck that somebody wrote by hand has its ``text`` and the files
     that it includes in ``more``. ``controlled`` says whether a controller closes a loop, which some
     simulators only follow in short steps; it may where nobody knows. A ``trusted`` deck runs with a
     warning where the simulator ignores or replaces something in it.
@@ -124,6 +133,7 @@ class Deck:
     powers: Mapping[str, tuple[tuple[str, str], ...]] = field(default_factory=dict)
     stop: float | None = None
     initial: Mapping[str, float] = field(default_factory=dict)
+    refinements: tuple[Command, ...] = ()
     text: str | None = None
     more: Mapping[str, str] = field(default_factory=dict)
     controlled: bool = True
@@ -177,7 +187,9 @@ class Deck:
     @cached_property
     def _main(self) -> str:
         if self.text is not None:
-            return _inserted(self.text, "".join(f"{item.card}\n" for item in self.options))
+            cards = [option.card for option in self.options]
+            cards += [command.card for command in self.refinements]
+            return _inserted(self.text, "".join(f"{card}\n" for card in cards))
         return "\n".join([*self._head(), *self._cards(), ".end", ""])
 
     def _head(self) -> Iterator[str]:
@@ -202,7 +214,7 @@ class Deck:
             yield " ".join((".ic", *(f"v({n})={number(v)}" for n, v in self.initial.items())))
         for option in self.options:
             yield from (f"* {option.key}: {comment(option.reason)}", option.card)
-        yield self.command.card
+        yield from (command.card for command in (self.command, *self.refinements))
         totals = ("onoise_total",) if self.command.kind == "noise" else ()  # of its second plot
         yield from (f".save {vector}" for vector in (*self.saved, *totals))
         yield " ".join((".print", self.command.kind, *self.saved[:2]))

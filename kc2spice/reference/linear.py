@@ -77,10 +77,9 @@ class Linear:
         return np.asarray(self.C0 @ X + w * (self.C1 @ X))
 
     @cached_property
-    def modes(self) -> Modes | None:
-        """The natural motions; None where they have no basis of their own, or a body is free."""
-        n, k = self.system.size, len(self.system.sources)
-        rows, cols = self.rows, self.system.differential
+    def _free_motion(self) -> _FreeMotion | None:
+        """Equations of the states alone; None where these do not determine the other unknowns."""
+        n, rows, cols = self.system.size, self.rows, self.system.differential
         if rows.sum() != cols.sum() or not cols.any():
             return None
         J, algebraic = self.F[:, :n], ~cols
@@ -89,8 +88,32 @@ class Linear:
             follow = -inner @ J[np.ix_(~rows, cols)]
             cut = J[np.ix_(rows, algebraic)] @ inner
             inverse = np.linalg.inv(self.G[:, :n][np.ix_(rows, cols)])
-            own = J[np.ix_(rows, cols)] + J[np.ix_(rows, algebraic)] @ follow
-            rates, shapes, reading, drifting = _split(inverse @ own)
+        except np.linalg.LinAlgError:
+            return None
+        own = J[np.ix_(rows, cols)] + J[np.ix_(rows, algebraic)] @ follow
+        return _FreeMotion(inverse @ own, inverse, follow, cut)
+
+    @cached_property
+    def poles(self) -> np.ndarray | None:
+        """Natural frequencies ``a`` (m,) [1/s] of free motions ``e^(a t)``, complex.
+
+        None where the states do not determine the algebraic unknowns.
+        """
+        motion = self._free_motion
+        return None if motion is None else np.linalg.eigvals(motion.rates)
+
+    @cached_property
+    def modes(self) -> Modes | None:
+        """The natural motions; None where they have no basis of their own, or a body is free."""
+        n, k = self.system.size, len(self.system.sources)
+        rows, cols = self.rows, self.system.differential
+        motion = self._free_motion
+        if motion is None:
+            return None
+        J, algebraic = self.F[:, :n], ~cols
+        inverse, follow, cut = motion.inverse, motion.follow, motion.cut
+        try:
+            rates, shapes, reading, drifting = _split(motion.rates)
         except np.linalg.LinAlgError:
             return None
         if rates is None:
@@ -173,6 +196,20 @@ def _kinks(k: int, wave: Waveform, stop: float) -> list[tuple[float, int, float]
     before = times < 0
     result = [(float(t), k, float(j)) for t, j in zip(times, jumps, strict=True) if 0 <= t < stop]
     return [(0.0, k, float(jumps[before].sum())), *result] if before.any() else result
+
+
+@dataclass(frozen=True, eq=False)
+class _FreeMotion:
+    """``x' = rates x`` of the states ``x``, with the algebraic unknowns ``follow x``.
+
+    ``inverse`` is that of the states' own part of ``G``; ``cut`` carries what acts on the algebraic
+    equations over to those of the states.
+    """
+
+    rates: np.ndarray
+    inverse: np.ndarray
+    follow: np.ndarray
+    cut: np.ndarray
 
 
 @dataclass(frozen=True, eq=False)

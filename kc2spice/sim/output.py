@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import re
 import warnings
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal, NamedTuple
@@ -247,6 +247,9 @@ def _within(deck: Deck, scope: Scope, instance: str, name: str) -> str:
     return f"{what} at its pin {pin.name} (1 V = 1 {pin.unit}{flow})"
 
 
+# Relative distance of two values of the scale that are one: ngspice adds steps up, which rounds
+# 1e-16 a step and up to 1e-13 in all.
+SAME_POINT = 1e-11
 _BINARY = b"Binary:\n"
 _NEXT = b"Title:"
 _HEAD = 1 << 20  # bytes in which the header must end
@@ -254,12 +257,13 @@ _HEAD = 1 << 20  # bytes in which the header must end
 
 class _Plot(NamedTuple):
     """Names of the vectors, points as promised, the complete ones of the file as rows of a map of
-    it, and bytes left over."""
+    it, bytes left over, and where the next plot of the file begins."""
 
     names: tuple[str, ...]
     promised: int
     table: np.ndarray
     left: int
+    end: int | None
 
     @property
     def finite(self) -> np.ndarray:
@@ -275,7 +279,10 @@ class _Plot(NamedTuple):
 
 
 def read_raw(path: Path) -> dict[str, np.ndarray]:
-    """Vectors of the one plot in ``path``, lower-case names, the scale (always real) first.
+    """Vectors in ``path`` by their lower-case names, the scale (always real) first.
+
+    Plots of the same vectors, as several analyses of one kind write them, are joined: their points
+    are sorted along the scale, and each value of the scale occurs once. Other plots are left out.
 
     Raises
     ------
@@ -283,16 +290,34 @@ def read_raw(path: Path) -> dict[str, np.ndarray]:
     """
     if not path.is_file():
         raise SimulationError("the simulator wrote no raw file", where=str(path))
-    plot = _plot(path)
-    if plot is None:
-        raise _corrupt(path, "its header is cut off")
-    held = len(plot.table)
-    if held < 1 or (held, plot.left) != (plot.promised, 0):
-        what = f"it promises {plot.promised} points and holds {held} and {plot.left} bytes"
-        raise _corrupt(path, what)
-    if not plot.finite.all():
-        raise _corrupt(path, "it holds values that are not finite")
-    return plot.columns(held)
+    plots = list(_plots(path))
+    first = plots[0]
+    plots = [first, *(plot for plot in plots[1:] if plot.names == first.names)]
+    for plot in plots:
+        if not plot.finite.all():
+            raise _corrupt(path, "it holds values that are not finite")
+    if len(plots) == 1:
+        return first.columns(len(first.table))
+    parts = [plot.columns(len(plot.table)) for plot in plots]
+    joined = {name: np.concatenate([part[name] for part in parts]) for name in first.names}
+    scale, order = np.unique(joined[first.names[0]], return_index=True)
+    apart = np.diff(scale, prepend=-np.inf) > SAME_POINT * np.abs(scale)
+    return {name: values[order[apart]] for name, values in joined.items()}
+
+
+def _plots(path: Path) -> Iterator[_Plot]:
+    """Every plot of a file, each with all the points that its header promises."""
+    begin: int | None = 0
+    while begin is not None:
+        plot = _plot(path, begin)
+        if plot is None:
+            raise _corrupt(path, "its header is cut off")
+        held = len(plot.table)
+        if held < 1 or (held, plot.left) != (plot.promised, 0):
+            what = f"it promises {plot.promised} points and holds {held} and {plot.left} bytes"
+            raise _corrupt(path, what)
+        yield plot
+        begin = plot.end
 
 
 def read_partial(path: Path) -> dict[str, np.ndarray] | None:
@@ -314,14 +339,15 @@ def last_scale_value(path: Path) -> float | None:
     return float(plot.table[-1, 0].real) if plot and len(plot.table) else None
 
 
-def _plot(path: Path) -> _Plot | None:
-    """The first plot in ``path``; None as long as its header is not complete.
+def _plot(path: Path, begin: int = 0) -> _Plot | None:
+    """The plot that begins at byte ``begin``; None as long as its header is not complete.
 
     Raises
     ------
     SimulationError : the text is not the header of a binary raw file.
     """
     with path.open("rb") as stream:
+        stream.seek(begin)
         head = stream.read(_HEAD)
     end = head.find(_BINARY)
     if end < 0:
@@ -337,12 +363,14 @@ def _plot(path: Path) -> _Plot | None:
     if len(names) != count or count < 1:
         raise _corrupt(path, f"its header promises {count} vectors and names {len(names)}")
     kind = np.dtype(np.complex128 if "complex" in fields.get("Flags", "") else np.float64)
-    offset = end + len(_BINARY)
+    offset = begin + end + len(_BINARY)
     held, left = divmod(path.stat().st_size - offset, kind.itemsize * count)
-    if held >= promised > 0 and _follows(path, offset + promised * kind.itemsize * count):
+    following = offset + promised * kind.itemsize * count
+    follows = held >= promised > 0 and _follows(path, following)
+    if follows:
         held, left = promised, 0
     table = np.memmap(path, kind, "r", offset, (held, count)) if held else np.empty((0, count))
-    return _Plot(names, promised, table, left)
+    return _Plot(names, promised, table, left, following if follows else None)
 
 
 def _follows(path: Path, offset: int) -> bool:

@@ -141,6 +141,10 @@ def ran(
     Raises as :func:`run_deck` and :func:`kc2spice.sim.shared.run_shared` do.
     """
     functions = sampled(build)
+    if build.scene.analysis.small:
+        from kc2spice.workflow.resonances import refined  # which loads scipy
+
+        return run_deck(refined(deck, build), directory, progress, timeout)
     if not functions:
         return run_deck(deck, directory, progress, timeout)
     from kc2spice.sim.shared import run_shared

@@ -4,6 +4,8 @@ import numpy as np
 import pytest
 
 import kc2spice as kc
+from kc2spice.core.waveforms import Waveforms
+from kc2spice.workflow import meters
 
 KT = 1.380649e-23 * 300.15  # J
 CIRCUIT = """
@@ -88,8 +90,7 @@ def test_equipartition(tmp_path, parts, output, total, unit):
 
 
 def test_a_body_has_the_noise_of_its_dissipation(tmp_path):
-    with pytest.warns(UserWarning, match="every second frequency"):  # nor are these meant to
-        found = noise(tmp_path, BEAM, output="beam.tip", start=100, stop=3000, points=40)
+    found = noise(tmp_path, BEAM, output="beam.tip", start=100, stop=3000, points=40)
     f = found.frequency[::6]
     full = kc.build(tmp_path / "noisy.toml")["beam"]
     s = 2j * np.pi * f
@@ -157,3 +158,12 @@ dc = "0 um"
 """
     found = noise(tmp_path, parts, output="sensor.y", start=10, stop=1e4, points=20)
     np.testing.assert_allclose(found.waves["noise"], 1e-11, rtol=1e-6)
+
+
+@pytest.mark.parametrize(("points", "passed"), [(41, False), (4001, True)])
+def test_frequencies_that_miss_a_resonance_are_noticed(points, passed):
+    """An undamped circuit of the user's own, whose resonance no equations tell."""
+    f = np.linspace(100.0, 300.0, points)
+    density = 1 / np.abs(1 - (f / 201.3) ** 2 + 1j * f / 201.3 / 500)
+    (check,) = meters.checks(Waveforms({"frequency": f, meters.WAVE: density}, {}))
+    assert check.passed is passed

@@ -1,0 +1,121 @@
+"""Frequencies that a small-signal analysis needs at the resonances of a scene.
+
+In go a build and its deck; out comes the deck with further analyses about each resonance that the
+scene's own frequencies do not resolve. The resonances are the natural frequencies of the whole
+linear circuit, driver and load included; :mod:`kc2spice.reference.linear` states its equations.
+"""
+
+from __future__ import annotations
+
+import math
+import warnings
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+
+from kc2spice.core.errors import SimulationError, UsageError
+from kc2spice.netlist.deck import Command, Deck, over
+from kc2spice.reference.linear import Linear
+from kc2spice.rom.linear import LinearModel
+from kc2spice.scene.parttype import Build
+from kc2spice.workflow.verify.circuit import Circuit, circuits, without_law
+
+LARGEST_SYSTEM = 600  # unknowns; eigenvalues of larger systems take seconds
+# Near a pole a response is R / (j w - p). With points a quarter of a half-width apart, the parabola
+# through 1/|y|^2 at three points gives the maximum of a single pole exactly; the neighbours of a
+# pole change that by less than 1e-4 (tests/spice/test_resonant_maxima.py measures it). Wider ranges
+# follow, each WIDER times as wide with as many points, up to the distance of the scene's own
+# frequencies: the trapezoidal rule then integrates |y|^2 to 2 % (same tests, by equipartition).
+HALF_WIDTHS = 4.0  # on either side of a resonance, of the narrowest range
+POINTS = 33  # of each range
+WIDER = 4.0
+# Each resonance takes a few analyses of 33 points, some 10 ms of the simulator.
+MOST_RESONANCES = 100
+
+
+def refined(deck: Deck, build: Build) -> Deck:
+    """``deck`` with further frequencies about each resonance that its own do not resolve.
+
+    A resonance at ``f`` with the pole ``p`` has the half-width ``|Re p| / (2 pi)``. It is resolved
+    where the scene's frequencies lie closer than a quarter of that. Undamped resonances have no
+    largest response and get no further frequencies.
+
+    Warns where a part has no law, such as a user's netlist: its circuit then contributes the poles
+    of the reduced models alone.
+    """
+    analysis = build.scene.analysis
+    if not analysis.small or analysis.stop is None:
+        return deck
+    found = [(f, width) for f, width in _resonances(build) if width > 0.0]
+    step = 2 * HALF_WIDTHS / (POINTS - 1)
+    narrow = [(f, width) for f, width in found if step * width < _spacing(build, f)]
+    if len(narrow) > MOST_RESONANCES:
+        warnings.warn(
+            f"{len(narrow)} resonances are narrower than the distance of the frequencies; the "
+            f"first {MOST_RESONANCES} are resolved: raise analysis.points or narrow the range",
+            stacklevel=2,
+        )
+    commands: list[Command] = []
+    for f, width in narrow[:MOST_RESONANCES]:
+        commands += _about(deck.command, f, width, build)
+    return replace(deck, refinements=tuple(commands))
+
+
+def _about(command: Command, f: float, width: float, build: Build) -> Iterator[Command]:
+    """Analyses about ``f`` [Hz] inside the scene's range, each wider than the one before."""
+    analysis, reach = build.scene.analysis, HALF_WIDTHS * width
+    while True:
+        start, stop = max(f - reach, analysis.start), min(f + reach, float(analysis.stop or 0.0))
+        yield over(command, start, stop, POINTS)
+        if reach > _spacing(build, f):
+            return
+        reach *= WIDER
+
+
+def _spacing(build: Build, f: float) -> float:
+    """Distance [Hz] of the scene's own frequencies at ``f``."""
+    analysis = build.scene.analysis
+    stop = float(analysis.stop or 0.0)
+    if analysis.scale == "linear":
+        return (stop - analysis.start) / max(analysis.points - 1, 1)
+    return f * math.expm1(math.log(stop / analysis.start) / max(analysis.points - 1, 1))
+
+
+def _resonances(build: Build) -> list[tuple[float, float]]:
+    """Frequency and half-width [Hz] of each resonance in the scene's range, in rising order."""
+    analysis = build.scene.analysis
+    poles = _poles(build)
+    f, width = np.abs(poles.imag) / (2 * np.pi), np.abs(poles.real) / (2 * np.pi)
+    inside = (poles.imag > 0) & (f > analysis.start) & (f < float(analysis.stop or 0.0))
+    rows = {(round(a, 9), round(b, 12)) for a, b in zip(f[inside], width[inside], strict=True)}
+    return sorted(rows)
+
+
+def _poles(build: Build) -> np.ndarray:
+    """Poles [1/s] of the scene's circuits, and of reduced models whose circuit has no equations."""
+    try:
+        solved = [_circuit_poles(part) for part in circuits(build)]
+    except UsageError:
+        solved = [None]
+    result = [poles for poles in solved if poles is not None]
+    missing = without_law(build)
+    models = [model for model in build.models.values() if isinstance(model, LinearModel)]
+    if models and (missing or len(result) < len(solved)):
+        cause = f"{', '.join(missing)} without equations" if missing else "a large circuit"
+        warnings.warn(
+            f"{cause}: maxima over frequency are resolved at the natural frequencies of the "
+            "reduced models, which the circuit around them may shift",
+            stacklevel=2,
+        )
+        result += [model.poles() for model in models]
+    return np.concatenate([np.zeros(0, complex), *result])
+
+
+def _circuit_poles(circuit: Circuit) -> np.ndarray | None:
+    """None of a circuit that is too large or has no operating point."""
+    try:
+        system = circuit.system()
+        return Linear(system).poles if system.size <= LARGEST_SYSTEM else None
+    except (SimulationError, UsageError, np.linalg.LinAlgError):
+        return None

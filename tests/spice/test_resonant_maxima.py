@@ -1,0 +1,137 @@
+"""Maxima over frequency do not depend on where the scene's own frequencies lie."""
+
+import numpy as np
+import pytest
+from scipy.optimize import minimize_scalar
+
+import kc2spice as kc
+
+OSCILLATOR = """
+[push]
+part = "source"
+kind = "force"
+ac = "1 mN"
+pins = {{ out = "mass.a" }}
+[mass]
+part = "mass"
+mass = "1 g"
+pins = {{ a = "spring.a" }}
+[spring]
+part = "spring"
+stiffness = "1 kN/m"
+[damper]
+part = "damper"
+damping = "{damping} N s/m"
+pins = {{ a = "spring.a" }}
+[analysis]
+type = "ac"
+start = "50 Hz"
+stop = "500 Hz"
+points = {points}
+[probes]
+largest = {{ of = "mass.x", take = "max" }}
+place = {{ of = "mass.x", take = "argmax" }}
+"""
+
+
+@pytest.mark.parametrize("quality", [5, 50, 2000, 20_000, 1e6])
+@pytest.mark.parametrize("points", [7, 40])
+def test_a_resonance_between_the_points_has_its_closed_form(quality, points, scene_file):
+    """``|x| = F / (c sqrt(k/m - c^2 / 4 m^2))`` at ``w^2 = k/m - c^2 / 2 m^2`` is the largest."""
+    F, m, k = 1e-3, 1e-3, 1e3
+    c = np.sqrt(k * m) / quality
+    found = kc.run(scene_file(OSCILLATOR.format(damping=c, points=points)))
+    f = np.sqrt(k / m - c**2 / (2 * m**2)) / (2 * np.pi)
+    assert found.metrics["place"] == pytest.approx(f, rel=2e-3 / quality + 1e-9)
+    # the parabola leaves out the pole at negative frequency, a share 1/Q of the response
+    expected = F / (c * np.sqrt(k / m - c**2 / (4 * m**2)))
+    assert found.metrics["largest"] == pytest.approx(expected, rel=1e-3 / quality + 1e-5)
+    frequency = found.frequency
+    assert frequency.size >= points
+    assert (np.diff(frequency) > 0).all()
+
+
+def test_resonances_are_those_of_body_and_driver_together(tmp_path):
+    """A coil in series with a capacitive body has a resonance that neither has alone."""
+    M, K, C0, R, L = np.diag([1e-6, 1e-6]), np.diag([4e3, 9e4]), 2e-9, 1.0, 0.05
+    E, b = 1e-4 * np.sqrt(M @ K), np.array([[1e-3], [2e-3]])
+    np.savez(tmp_path / "body.npz", M=M, E=E, K=K, B=b, C=b.T, D=[[C0]])
+    (tmp_path / "body.toml").write_text(
+        '[[ports]]\nname = "anode"\nkind = "electrical"\ncolumn = 1\n'
+    )
+    scene = tmp_path / "driven.toml"
+    scene.write_text(
+        f"""
+[drive]
+part = "source"
+ac = 1.0
+pins = {{ out = "r.a" }}
+[r]
+part = "resistor"
+resistance = {R}
+pins = {{ b = "coil.a" }}
+[coil]
+part = "inductor"
+inductance = {L}
+pins = {{ b = "body.anode" }}
+[body]
+part = "matrices"
+file = "body.npz"
+[analysis]
+type = "ac"
+start = 3e3
+stop = 6e4
+points = 25
+[probes]
+volts = {{ of = "body.voltage", take = "max" }}
+place = {{ of = "body.voltage", take = "argmax" }}
+"""
+    )
+
+    def volts(f):
+        s = 2j * np.pi * f
+        Y = s * (C0 + (b.T @ np.linalg.solve(s**2 * M + s * E + K, b))[0, 0])
+        return abs(1 / (1 + Y * (R + s * L)))
+
+    grid = np.linspace(3e3, 6e4, 200_001)
+    near = grid[np.argmax([volts(f) for f in grid[::10]]) * 10]
+    best = minimize_scalar(
+        lambda f: -volts(f), bounds=(near - 10, near + 10), method="bounded",
+        options={"xatol": 1e-6},
+    )  # fmt: skip
+    metrics = kc.run(scene).metrics
+    assert metrics["volts"] == pytest.approx(-best.fun, rel=1e-4)
+    assert metrics["place"] == pytest.approx(best.x, rel=1e-6)
+
+
+def test_a_part_without_equations_is_named(tmp_path):
+    """The resonance of the body alone is resolved; a netlist around it may move that."""
+    M, K, E, b = [[1e-6]], [[4e3]], [[1e-6 * np.sqrt(4e9) / 5000]], [[1e-3]]
+    np.savez(tmp_path / "body.npz", M=M, E=E, K=K, B=b, C=b, D=[[2e-9]])
+    (tmp_path / "body.toml").write_text(
+        '[[ports]]\nname = "anode"\nkind = "electrical"\ncolumn = 1\n'
+    )
+    (tmp_path / "own.lib").write_text(".subckt own a b\nR1 a b 1m\n.ends\n")
+    (tmp_path / "s.toml").write_text(
+        '[body]\npart = "matrices"\nfile = "body.npz"\npins = { anode = "own.b" }\n'
+        '[own]\npart = "netlist"\nfile = "own.lib"\nsubckt = "own"\npins = { a = "drive.out" }\n'
+        '[drive]\npart = "source"\nac = 1.0\n'
+        '[analysis]\ntype = "ac"\nstart = 5e3\nstop = 2e4\npoints = 10\n'
+        '[probes]\ni = { of = "body.current", take = "max" }\n'
+    )
+    with pytest.warns(UserWarning, match="own without equations"):
+        found = kc.run(tmp_path / "s.toml")
+    s = 2j * np.pi * found.frequency
+    Y = s * (2e-9 + 1e-6 / (s**2 * 1e-6 + s * E[0][0] + 4e3))
+    assert found.metrics["i"] == pytest.approx(np.abs(Y / (1 + 1e-3 * Y)).max(), rel=1e-3)
+    # b^2 / E at resonance, short of the resistance in series
+    assert found.metrics["i"] == pytest.approx(1e-6 / E[0][0], rel=1e-3)
+
+
+def test_noise_has_the_power_of_a_resonance_between_the_points(scene_file):
+    """Equipartition: ``k <x^2> = k_B T`` whatever the damping."""
+    text = OSCILLATOR.format(damping=1e-4, points=60)
+    text = text[text.index("[mass]") : text.index("[analysis]")]
+    text += '[analysis]\ntype = "noise"\noutput = "mass.x"\nstart = 0.1\nstop = 1e5\npoints = 60\n'
+    rms = kc.run(scene_file(text)).metrics["noise"]
+    assert rms == pytest.approx(np.sqrt(1.380649e-23 * 300.15 / 1e3), rel=0.02)
