@@ -24,9 +24,9 @@ import numpy as np
 from scipy.linalg import block_diag, eigh, lapack, qr, schur
 
 from kc2spice.core.equality import EqualByContent
-from kc2spice.rom.linear import LinearModel, Norm, state_space
+from kc2spice.rom.linear import LinearModel, state_space
 from kc2spice.rom.pencil import Pencil, explicit, largest
-from kc2spice.rom.response import FLOOR, Response, relative_error
+from kc2spice.rom.response import Response, relative_error
 
 # Bounds of a decoupling transformation: the first costs three digits, others what is measured.
 GROWTH = 1e3
@@ -217,13 +217,11 @@ def by_samples(model: Response, s: np.ndarray, inputs: np.ndarray, outputs: np.n
     return _balanced(model.pencil, reached, seen)
 
 
-def weights(
-    frequency: np.ndarray, H: np.ndarray, peak: np.ndarray, norm: Norm
-) -> tuple[np.ndarray, np.ndarray]:
-    """Of inputs and outputs at each frequency for an integral over the band, in the norm."""
+def weights(frequency: np.ndarray, base: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Of inputs and outputs at each frequency for an integral over the band of errors that count
+    against ``base`` (len(frequency), outputs, inputs)."""
     step = np.sqrt(np.gradient(frequency) if len(frequency) > 1 else np.ones(1))
-    size = peak[None] if norm == "peak" else np.maximum(np.abs(H), FLOOR * peak)
-    rows, columns = scales(size)
+    rows, columns = scales(base)
     return step[:, None] / columns, step[:, None] / rows
 
 

@@ -30,11 +30,11 @@ from scipy.sparse.linalg import ArpackError, LinearOperator, eigs
 from kc2spice.core.errors import SimulationError, UsageError, unknown
 from kc2spice.linalg.factor import require_factors
 from kc2spice.rom import blocks
+from kc2spice.rom.entries import Entries
 from kc2spice.rom.linear import Certificate, LinearModel, Norm
 from kc2spice.rom.pencil import Pencil, dense, eliminated, largest, proportional
 from kc2spice.rom.response import (
     FLANK,
-    FLOOR,
     SHARPEST,
     Judge,
     Response,
@@ -342,8 +342,7 @@ def tightened(found: Reduction, order: int, tolerance: float) -> tuple[Reduction
     inside, far = _snapshots(judge, response, _tail(found.full, tolerance))
     s = 2j * np.pi * np.r_[inside, far[0]]
     H, count = judge.exact.transfer(s), inside.size
-    floor = judge.reference[1] * (1.0 if judge.norm == "peak" else FLOOR)
-    base = np.maximum(np.abs(H[:count]), floor) + np.finfo(float).tiny
+    base = judge.reference[1].base(H[:count], judge.share) + np.finfo(float).tiny
     sides = [_weighted(response, s, np.ones(len(s)), H, judge.norm)]
     if not (held.symmetric and held.collocated):
         sides.append(_weighted(response.dual, s, np.ones(len(s)), H.swapaxes(1, 2), judge.norm))
@@ -375,7 +374,7 @@ def refitted(found: Reduction, order: int, tolerance: float) -> tuple[Reduction,
         return found, order
     inside, _ = _snapshots(judge, judge.exact, None)
     s = 2j * np.pi * inside
-    H, peak = judge.exact.transfer(s), judge.reference[1]
+    H, peak = judge.exact.transfer(s), judge.reference[1].peak
     rows, columns = blocks.scales(peak)
     wanted = (H - found.pencil.D) / (rows[:, None] * columns)
     best, fewer, enough = (found, order), order, CLOSER * tolerance / SAFETY
@@ -493,6 +492,7 @@ class Reduction:
         method = f"{self.origin}difference to {count} states at resonances, flanks and notches"
         if self.space.proof:
             method += f"; those {self.space.proof}; stability from {answer.proof}"
+        method += _zeros(judge.reference[1], model)
         if not self.space.static or self.space.pencil.free:
             method += "; free to move at zero frequency"
         ratio = judge.exact.within(judge.band)[1].min(initial=1.0)
@@ -528,6 +528,19 @@ class Reduction:
         return result
 
 
+LISTED_ZEROS = 6  # entries that a certificate lists
+
+
+def _zeros(entries: Entries, model: LinearModel) -> str:
+    """Entries that count as zero, for the certificate."""
+    places = zip(*np.nonzero(entries.zero), strict=True)
+    names = [f"{model.outputs[i]}/{model.inputs[j]}" for i, j in places]
+    if not names:
+        return ""
+    more = f" and {len(names) - LISTED_ZEROS} more" if len(names) > LISTED_ZEROS else ""
+    return f"; zero by symmetry: {', '.join(names[:LISTED_ZEROS])}{more}"
+
+
 def balanced(like: Reduction, states: int, tolerance: float) -> tuple[Reduction, int] | None:
     """The same subspace model in first order and balanced coordinates, over all frequencies or over
     the band, if that has fewer than so many ``states``; None where it has not, or the model is free
@@ -537,7 +550,8 @@ def balanced(like: Reduction, states: int, tolerance: float) -> tuple[Reduction,
     if not like.space.static or core.free or like.states(judge.exact.pencil.size) > BALANCED:
         return None
     model = Response(blocks.standard(core, top))
-    H, peak = judge.reference
+    H, entries = judge.reference
+    peak = entries.peak
     scales = blocks.scales(peak)
     ways = {ALL: lambda: blocks.by_gramians(model.pencil, *scales)}
     if model.pencil.size <= UNSCALED and peak.size > 1:
@@ -546,7 +560,7 @@ def balanced(like: Reduction, states: int, tolerance: float) -> tuple[Reduction,
     if model.pencil.size <= SAMPLED and model.diagonal:
         step = 1 if judge.norm == "pointwise" else THINNED
         f = judge.frequency[::step]
-        weights = blocks.weights(f, H[::step], peak, judge.norm)
+        weights = blocks.weights(f, entries.base(H[::step], judge.share))
         over = {f"{ALL} over the band": lambda: blocks.by_samples(model, 1j * f / top, *weights)}
         ways = over | ways if judge.norm == "pointwise" else ways | over
     best = None

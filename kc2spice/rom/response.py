@@ -11,12 +11,11 @@ import numpy as np
 import scipy
 
 from kc2spice.core.errors import SimulationError
+from kc2spice.rom.entries import FLOOR, Entries
 from kc2spice.rom.linear import Norm, Port
 from kc2spice.rom.pencil import INFINITE, Pencil, first_order, largest
 from kc2spice.rom.structure import free_part
 
-# Errors of entries this far below their own peak are measured against this part of the peak.
-FLOOR = 1e-6
 # A response this far below the sum of its terms is what their cancellation leaves: a zero.
 CANCELLED = 1e-13
 # Off-diagonal modal damping below this is rounding of damping that decouples.
@@ -46,10 +45,13 @@ class Response:
     ``modes`` is None, or ``(T, L, diagonals)``: ``x = T diag(1 / sum_k s^k diagonals_k) L B``.
     ``decoupled`` says that T is a real congruence (``L = T'``). A free motion that is detached is
     solved apart, and all this is that of the ``core``, the others; else that is the whole pencil.
+    ``zero`` (outputs, inputs) are entries known to be zero by symmetry.
     """
 
-    def __init__(self, pencil: Pencil, modes: Modes | None = None) -> None:
-        self.pencil = pencil
+    def __init__(
+        self, pencil: Pencil, modes: Modes | None = None, zero: np.ndarray | bool = False
+    ) -> None:
+        self.pencil, self.zero = pencil, zero
         self.core = pencil.held if pencil.detached else pencil
         self._free = pencil.leading(pencil.free) if pencil.detached else None
         self._given = modes
@@ -119,6 +121,11 @@ class Response:
         if free is not None:
             H = H - (free.transfer(2j * np.pi * frequency) - free.D)
         return np.asarray(np.abs(H).max(axis=0))
+
+    def entries(self, frequency: np.ndarray, H: np.ndarray | None = None) -> Entries:
+        """Entries of the response over ``frequency`` [Hz], there H, by :meth:`peaks`."""
+        H = self.transfer(2j * np.pi * frequency) if H is None else H
+        return Entries.of(H, self.peaks(frequency, H), self.zero)
 
     def _gains(self, s: np.ndarray) -> np.ndarray:
         """``1 / sum_k s^k diagonals_k`` (len(s), n)."""
@@ -294,7 +301,7 @@ def adaptive_frequencies(
         return frequency
     H = response.transfer(2j * np.pi * frequency)
     for _ in range(ROUNDS):
-        peak = response.peaks(frequency, H) + np.finfo(float).tiny
+        peak = response.entries(frequency, H).peak + np.finfo(float).tiny
         lowest = _leading(H / peak).reshape(len(H) - 2, -1).min(axis=1)
         deepest = np.argsort(lowest)[: min(NOTCHES, int(np.isfinite(lowest).sum()))]
         if not deepest.size:
@@ -348,15 +355,21 @@ class Judge:
         return adaptive_frequencies(self.exact, self.band, self.static, self.norm)
 
     @cached_property
-    def reference(self) -> tuple[np.ndarray, np.ndarray]:
-        """The exact response, and the peaks of its entries."""
+    def reference(self) -> tuple[np.ndarray, Entries]:
+        """The exact response, and what is known of its entries."""
         H = self.exact.transfer(2j * np.pi * self.frequency)
-        return H, self.exact.peaks(self.frequency, H)
+        return H, self.exact.entries(self.frequency, H)
+
+    @property
+    def share(self) -> float:
+        """Part of its peak that an entry's errors count against at least, in the norm."""
+        return FLOOR if self.norm == "pointwise" else 1.0
 
     @cached_property
     def _counted(self) -> np.ndarray:
-        """Which entries are not zero but for rounding."""
-        return ~self.exact.cancelled(2j * np.pi * self.frequency)
+        """Which entries are not what cancellation of their terms leaves; those that are zero by
+        symmetry count against their row and column."""
+        return ~self.exact.cancelled(2j * np.pi * self.frequency) | self.reference[1].zero
 
     @cached_property
     def failed(self) -> dict[float, np.ndarray]:
@@ -368,8 +381,7 @@ class Judge:
 
     def sizes(self, difference: np.ndarray, H: np.ndarray) -> np.ndarray:
         """Largest error (..., frequencies) of any entry, for differences to the response H."""
-        floor = (FLOOR if self.norm == "pointwise" else 1.0) * self.reference[1]
-        base = np.maximum(np.abs(H), floor) + np.finfo(float).tiny
+        base = self.reference[1].base(H, self.share) + np.finfo(float).tiny
         return np.asarray((np.abs(difference) / base * self._counted).max(axis=(-2, -1)))
 
     def error(self, found: Response, limit: float = np.inf) -> float:
@@ -423,17 +435,18 @@ def above_band(
 
 
 def relative_error(response: np.ndarray, reference: np.ndarray) -> float:
-    """Largest ``|H - H_ref| / max(|H_ref|, FLOOR peak)`` of all pairs and frequencies."""
+    """Largest error of all entries and frequencies relative to the entry, or to ``FLOOR`` of its
+    peak; see :class:`kc2spice.rom.entries.Entries` for entries that are zero."""
     return float(relative_size(response - reference, reference).max(initial=0.0))
 
 
 def relative_size(
-    difference: np.ndarray, reference: np.ndarray, peak: np.ndarray | None = None
+    difference: np.ndarray, reference: np.ndarray, entries: Entries | None = None
 ) -> np.ndarray:
-    """``|difference|`` over ``|reference|``, or over ``FLOOR`` of its peak where that is more."""
-    size = np.abs(reference)
-    base = np.maximum(size, FLOOR * (size.max(axis=0) if peak is None else peak))
-    return np.divide(np.abs(difference), base, out=np.zeros_like(size), where=base > 0)
+    """Errors (..., outputs, inputs) by :meth:`kc2spice.rom.entries.Entries.relative`, whose
+    ``entries`` are those of the reference itself by default."""
+    entries = entries or Entries.of(reference)
+    return entries.relative(difference, reference)
 
 
 def inexact(message: str, got: str, limit: float, hint: str) -> SimulationError:

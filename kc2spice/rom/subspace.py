@@ -30,11 +30,11 @@ import scipy
 
 from kc2spice.core.errors import SimulationError
 from kc2spice.linalg.exact import Solver
+from kc2spice.rom.entries import Entries
 from kc2spice.rom.linear import Norm
 from kc2spice.rom.pencil import Pencil, magnitudes, symmetric
 from kc2spice.rom.response import (
     FLANK,
-    FLOOR,
     GRID,
     SHARPEST,
     Judge,
@@ -156,7 +156,7 @@ class Samples:
 
     def relative(self, difference: np.ndarray, H: np.ndarray) -> np.ndarray:
         """Sizes relative to ``H`` or to the floor of the samples' peak."""
-        return relative_size(difference, H, np.abs(self.H).max(axis=0))
+        return relative_size(difference, H, Entries.of(self.H))
 
 
 def _sampled(full: Pencil, band: tuple[float, float], target: float, limit: float) -> Subspace:
@@ -210,23 +210,64 @@ def uncertainty(
     frequency: np.ndarray,
     states: np.ndarray | None = None,
     dual: np.ndarray | None = None,
+    zero: np.ndarray | bool = False,
 ) -> np.ndarray:
     """How far the last digits of a dense model's entries move its response (relative) at each
-    ``frequency`` [Hz]: ``eps |y_i P_ij x_j|``, root of the sum of squares.
+    ``frequency`` [Hz].
 
     ``states`` x (frequencies, n, inputs), and those of the ``dual``, may be known better than from
-    solutions here."""
+    solutions here. Entries that are ``zero`` by symmetry count against their row and column."""
+    x = pencil.states(2j * np.pi * frequency) if states is None else states
+    H = pencil.C @ x + pencil.D
+    size = relative_size(rounding_of(pencil, frequency, x, dual), H, Entries.of(H, zero=zero))
+    return np.asarray(size.max(axis=(1, 2)))
+
+
+def rounding_of(
+    pencil: Pencil, frequency: np.ndarray, x: np.ndarray, dual: np.ndarray | None = None
+) -> np.ndarray:
+    """What the last digits of a model's entries change of its response (frequencies, outputs,
+    inputs): ``eps |y_i P_ij x_j|``, root of the sum of squares, of states ``x`` (frequencies, n,
+    inputs) and those of the ``dual``."""
     s = 2j * np.pi * frequency
-    x = pencil.states(s) if states is None else states
     y = x if pencil.symmetric and pencil.collocated else dual
     y = pencil.transposed().states(s) if y is None else y
+    squares = [abs(magnitudes(P)) ** 2 for P in pencil.coefficients]
     result = []
     for item, right, left in zip(s, np.abs(x) ** 2, np.abs(y) ** 2, strict=True):
-        squares = sum(np.abs(item**k * P) ** 2 for k, P in enumerate(pencil.coefficients))
-        result.append(np.sqrt(left.T @ squares @ right))
-    H = np.abs(pencil.C @ x + pencil.D)
-    size = np.array(result) / np.maximum(H, FLOOR * H.max(axis=(1, 2), keepdims=True))
-    return np.asarray(np.finfo(float).eps * size.max(axis=(1, 2)))
+        terms = (abs(item) ** (2 * k) * (left.T @ (P @ right)) for k, P in enumerate(squares))
+        result.append(np.sqrt(sum(terms)))
+    return np.asarray(np.finfo(float).eps * np.reshape(result, (len(s), *pencil.D.shape)))
+
+
+def zero_entries(
+    pencil: Pencil, V: np.ndarray, response: Response, band: tuple[float, float]
+) -> np.ndarray | bool:
+    """Entries (outputs, inputs) of a model that are zero by symmetry, from the ``response`` of its
+    projection on V: faint nearly everywhere in the band, and no more than what rounding of the
+    model's own entries makes of them where they are not, on sharp resonances of equal modes."""
+    at, ratio = response.within(band)
+    looked = np.union1d(np.argsort(at)[:SHARP], np.argsort(ratio)[:SHARP])
+    peaks = at[looked] * (1 + FLANK * (ratio[looked] < SHARPEST))
+    f = np.r_[clear_of_poles(grid(band, COARSE, False), at, ratio), peaks]
+    if pencil.D.size == 1 or not f.size:
+        return False
+    x = response.states(2j * np.pi * f)
+    H = response.pencil.C @ x + response.pencil.D
+    faint = response.entries(f, H).faint(H)
+    suspect = (faint[: len(f) - len(peaks)].mean(axis=0) > FAINT_SHARE) & ~faint.all(axis=0)
+    if suspect.any():
+        rows = np.flatnonzero((~faint & suspect).any(axis=(1, 2)))
+        both = pencil.symmetric and pencil.collocated
+        dual = (
+            None
+            if both or not pencil.is_dense
+            else pencil.transposed().states(2j * np.pi * f[rows])
+        )
+        if both or dual is not None:
+            limit = FREE * rounding_of(pencil, f[rows], V @ x[rows], dual)
+            faint[rows] |= (np.abs(H[rows]) <= limit) & suspect
+    return np.asarray(faint.all(axis=0))
 
 
 def _decaying(small: Pencil) -> Pencil:
@@ -264,6 +305,8 @@ MANY, COSTLY = 20, 10_000  # factorisations that need a word, from so many unkno
 SKETCH = 32  # random combinations of equations that stand for all residuals
 CANDIDATES = 101
 FREE = 100.0  # times rounding: less energy than that is none
+COARSE = 50  # frequencies at which entries that are zero show
+FAINT_SHARE = 0.5  # of them at which an entry is that may be zero
 SHARP = 8  # lowest and sharpest resonances at which rounding of a small model is looked at
 ROUNDED, SPREAD = 4, 3.0  # trials of rounding, and the margin on the largest of them
 
@@ -390,6 +433,7 @@ def _whole(
         V = V @ scipy.linalg.block_diag(np.eye(full.free), T)
         full, projected = congruent(given, V, full.free)
     response = Response(full)
+    response.zero = zero_entries(given, V, response, band)
     if not response.decoupled and (
         full.degree * full.size > most or (full.size > DIRECT and not response.diagonal)
     ):
@@ -413,7 +457,7 @@ def _whole(
             states = V @ response.states(s)
         elif response.modes is not None and given is full:
             states, dual = response.states(s), response.dual.states(s)
-        size = uncertainty(given, at, states, dual)
+        size = uncertainty(given, at, states, dual, response.zero)
         if T is not None:
             proof += _told(at, size, 2 * limit)
         # products and solutions round its entries
@@ -455,13 +499,13 @@ def _solution_error(response: Response, band: tuple[float, float]) -> float:
     s = 2j * np.pi * points
     coarse = clear_of_poles(grid(band, 50, False), at, ratio)
     everywhere = 2j * np.pi * coarse
-    peak = response.peaks(coarse, response.transfer(everywhere))
+    entries = response.entries(coarse)
     flipped = Pencil(
         tuple(P[::-1, ::-1] for P in full.coefficients), full.B[::-1], full.C[:, ::-1], full.D
     )
     result = [full.transfer(s), flipped.transfer(s), response.transfer(s)]
-    apart = [relative_size(one - result[0], result[0], peak) for one in result[1:]]
-    counted = ~response.cancelled(everywhere)
+    apart = [relative_size(one - result[0], result[0], entries) for one in result[1:]]
+    counted = ~response.cancelled(everywhere) | entries.zero
     return float(np.array(apart)[..., counted].max(initial=0.0))
 
 
@@ -482,12 +526,14 @@ def _block_krylov(
         columns, column_images = extend(V, images, candidates, lambda v: K @ v)
         V, images = np.hstack([V, columns]), np.hstack([images, column_images])
         response = Response(pencil.project(V))
+        response.zero = zero_entries(pencil, V, response, band)
         frequency = samples(response, band, GRID, True, (0.0, 1.0, 4.0))  # notches come last
         s = 2j * np.pi * frequency
         result = response.transfer(s)
         size = np.ones((len(s), 1, 1))
         if previous is not None:
-            size = relative_size(previous.transfer(s) - result, result)
+            entries = response.entries(frequency, result)
+            size = relative_size(previous.transfer(s) - result, result, entries)
         before, change = change, float(size.max())
         met = met + 1 if change <= target else 0
         if met == CONFIRMATIONS or (not columns.shape[1] and change <= limit):
@@ -577,12 +623,13 @@ def _with_rounding(
     if not points.size:
         return found
     H = exact.transfer(2j * np.pi * points)
+    entries = exact.entries(np.union1d(points, grid(band, 50, False)))
     rng = np.random.default_rng(0)
     apart = 0.0
     for t in rng.uniform(1.0, 2.0, (ROUNDED, pencil.size)):
         again = Response(pencil.in_units(t).project(V / t[:, None]))
-        size = relative_size(again.transfer(2j * np.pi * points) - H, H)
-        size[:, exact.cancelled(2j * np.pi * points)] = 0.0
+        size = relative_size(again.transfer(2j * np.pi * points) - H, H, entries)
+        size[:, exact.cancelled(2j * np.pi * points) & ~entries.zero] = 0.0
         apart = max(apart, SPREAD * float(size.max()))
     proof = f"{found.proof}, which rounding moves by {apart:.0e}"
     return replace(found, floor=max(found.floor, apart), proof=proof)
@@ -618,9 +665,9 @@ class _Search:
         true = self.pencil.C @ x + self.pencil.D
         points = self._candidates()
         grid_s = 2j * np.pi * points
-        peak = self.response.peaks(points, self.response.transfer(grid_s))
-        error = relative_size(self.response.transfer(np.array([s]))[0] - true, true, peak)
-        error[self.response.cancelled(np.r_[grid_s, s])] = 0.0
+        entries = self.response.entries(points)
+        error = relative_size(self.response.transfer(np.array([s]))[0] - true, true, entries)
+        error[self.response.cancelled(np.r_[grid_s, s]) & ~entries.zero] = 0.0
         before = self.basis.shape[1]
         self.extend(s, x, *others)
         return float(error.max()), self.basis.shape[1] > before
@@ -631,9 +678,9 @@ class _Search:
         points = self._candidates()
         s = 2j * np.pi * points
         result = self.response.transfer(s)
-        peak = self.response.peaks(points, result)
-        size = relative_size(self._previous.transfer(s) - result, result, peak)
-        size[:, self.response.cancelled(s)] = 0.0
+        entries = self.response.entries(points, result)
+        size = relative_size(self._previous.transfer(s) - result, result, entries)
+        size[:, self.response.cancelled(s) & ~entries.zero] = 0.0
         self.change = float(size.max()) if self.points > 2 else np.inf
         fresh = np.array([not np.isclose(item, self._used, rtol=1e-7).any() for item in s])
         if not fresh.any():
@@ -690,6 +737,9 @@ class _Search:
             small, turn = self._apart(small)
             self.turn = self.turn @ turn
         self._previous, self.response = self.response, Response(small)
+        self.response.zero = zero_entries(
+            self.pencil, self.basis @ self.turn, self.response, self.band
+        )
 
     def _apart(self, small: Pencil) -> tuple[Pencil, np.ndarray]:
         """The free motion of the projected model, within rounding of the full one's entries."""

@@ -1,0 +1,90 @@
+"""Sizes that errors of a transfer function's entries count against, and entries that are zero.
+
+A structure with a mirror plane has entries that are zero by symmetry: a force along y moves nothing
+along z. Solutions leave rounding errors there, whose quotient means nothing. Errors of such an
+entry count against the geometric mean of the largest entries of its row and its column,
+``sqrt(|H_ii| |H_jj|)`` for two ports of a passive model. Rows and columns are balanced first, so
+that units of inputs and outputs do not matter: D. Ruiz, RAL-TR-2001-034 (2001).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+# Errors of entries this far below their own peak count against this part of the peak.
+FLOOR = 1e-6
+# An entry this far below the geometric mean of its row and column is zero. Solutions leave 1e-13
+# there at a Q factor of a thousand.
+ZERO = 1e-11
+BALANCING_STEPS = 40  # each halves the logarithm of what is missing
+
+
+@dataclass(frozen=True, eq=False)
+class Entries:
+    """Entries (outputs, inputs) of a response over a band.
+
+    ``peak`` is the largest size of each entry, of entries that are ``zero`` the geometric mean
+    ``rows columns`` of their row and column.
+    """
+
+    peak: np.ndarray
+    zero: np.ndarray
+    rows: np.ndarray
+    columns: np.ndarray
+
+    @classmethod
+    def of(
+        cls, H: np.ndarray, peak: np.ndarray | None = None, zero: np.ndarray | bool = False
+    ) -> Entries:
+        """Entries of the response H (frequencies, outputs, inputs), whose ``peak`` may be known, as
+        may be that an entry is ``zero`` though rounding exceeds the limit at a resonance."""
+        size = np.abs(H)
+        peak = size.max(axis=0, initial=0.0) if peak is None else np.asarray(peak, dtype=float)
+        rows, columns = balance(peak)
+        scale = rows[:, None] * columns
+        empty = (peak.max(axis=1, initial=0.0) == 0)[:, None] | (peak.max(axis=0, initial=0.0) == 0)
+        mean = np.maximum(_geometric_mean(size, rows, columns), scale)
+        zero = (zero | (size <= ZERO * mean).all(axis=0)) & ~empty
+        return cls(np.where(zero, scale, peak), np.asarray(zero), rows, columns)
+
+    def base(self, H: np.ndarray, share: float = FLOOR) -> np.ndarray:
+        """What errors of the response H (..., outputs, inputs) count against: each entry or this
+        ``share`` of its peak."""
+        size = np.abs(H)
+        if self.zero.any():
+            size = np.where(self.zero, _geometric_mean(size, self.rows, self.columns), size)
+        return np.asarray(np.maximum(size, share * self.peak))
+
+    def faint(self, H: np.ndarray) -> np.ndarray:
+        """Where the response H (..., outputs, inputs) is below ``ZERO`` of its row and column."""
+        scale = self.rows[:, None] * self.columns
+        mean = _geometric_mean(np.abs(H), self.rows, self.columns)
+        return np.asarray(np.abs(H) <= ZERO * np.maximum(mean, scale))
+
+    def relative(self, difference: np.ndarray, H: np.ndarray, share: float = FLOOR) -> np.ndarray:
+        """Sizes of a ``difference`` to the response H (..., outputs, inputs), relative to
+        :meth:`base`; zero where that is zero."""
+        base = self.base(H, share)
+        return np.divide(np.abs(difference), base, out=np.zeros_like(base), where=base > 0)
+
+
+def balance(size: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Factors of rows and columns that leave ``size / (rows columns)`` with a largest entry of one
+    in each row and each column that is not zero."""
+    rows, columns = np.ones(size.shape[0]), np.ones(size.shape[1])
+    for _ in range(BALANCING_STEPS if size.size > 1 else 1):
+        left = size / (rows[:, None] * columns)
+        across, down = left.max(axis=1, initial=0.0), left.max(axis=0, initial=0.0)
+        rows = rows * np.sqrt(np.where(across > 0, across, 1.0))
+        columns = columns * np.sqrt(np.where(down > 0, down, 1.0))
+    return rows, columns
+
+
+def _geometric_mean(size: np.ndarray, rows: np.ndarray, columns: np.ndarray) -> np.ndarray:
+    """Of the largest entry of each row and of each column (..., outputs, inputs)."""
+    left = size / (rows[:, None] * columns)
+    across = left.max(axis=-1, keepdims=True, initial=0.0)
+    down = left.max(axis=-2, keepdims=True, initial=0.0)
+    return np.asarray(np.sqrt(across * down) * rows[:, None] * columns)
