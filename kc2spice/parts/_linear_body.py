@@ -454,6 +454,7 @@ class LinearBody(Touching):
             highest = float(waves["frequency"].real.max())
             limit = (1 + 1e-9) * result.band_hz[1]  # a last point that is rounded
             yield Check(f"band of {part.name}", highest, limit, "Hz", OUTSIDE, "warn")
+        yield from self._within_rating(part, build, waves)
         if "time" not in waves:
             return
         if (balance := self._balance(part, build, waves)) is not None:
@@ -471,6 +472,12 @@ class LinearBody(Touching):
                 name = f"charge kept by {part.name}.{port.name} if it floats"
                 advice = f"its netlist leaks {LEAK:g} S: a resistor across it states the real leak"
                 yield Check(name, leaked, KEPT, "of it lost", advice, "warn")
+
+    def _within_rating(self, part: Part, build: Build, waves: Waveforms) -> Iterator[Check]:
+        """Whether the voltage at each electrode stays within its rating.
+
+        Of a response to small signals the amplitude counts, at the voltages that the scene states.
+        """
         volts, ports = self.rated(part, build), self.kept(part, build.scene)
         if volts is None:
             return

@@ -45,6 +45,18 @@ def test_a_run_beyond_the_rating_is_told(volts, passed):
     assert [(c.passed, c.fatal, c.unit) for c in found] == [(passed, False, "V")]
 
 
+@pytest.mark.parametrize("scale", ["frequency", "sweep", "time"])
+def test_the_rating_holds_in_every_analysis(scale):
+    """20 kV at a chip that stands 121 V: as an amplitude, as a value of a sweep, over time."""
+    chip, scene = part_of("kick_and_catch", "kick")
+    volts = np.array([1.0, -2e4]) * (1j if scale == "frequency" else 1.0)
+    waves = Waveforms({scale: np.array([1.0, 2.0]), "kick.voltage": volts}, {})
+    model = SimpleNamespace(certificate=None, facts={}, ports=(), first_order=True)
+    build = Build(scene, {"kick": model})
+    found = [c for c in chip.type.checks(chip, build, waves) if "rating" in getattr(c, "name", "")]
+    assert [(c.passed, c.value) for c in found] == [(False, 2e4)]
+
+
 def test_the_head_states_the_rating():
     from kc2spice.netlist.read import read_lib
 
