@@ -8,6 +8,7 @@ from importlib import import_module
 from typing import Any
 
 LONGEST = 200  # characters of a word that is compared with others
+SHORTEST = 4  # letters and digits of a word that is looked for inside other names
 
 
 class Kc2spiceError(Exception):
@@ -122,4 +123,12 @@ def did_you_mean(word: str, choices: Iterable[str]) -> str | None:
     for choice in choices:
         leaves.setdefault(choice.rpartition(".")[2], choice)
     near = difflib.get_close_matches(word.rpartition(".")[2], leaves, n=1, cutoff=0.7)
+    if not near:  # part numbers in the maker's spelling: 7BB-20-6 of buzzer_7bb_20_6
+        plain = _plain(word)
+        near = [leaf for leaf in leaves if len(plain) >= SHORTEST and plain in _plain(leaf)][:1]
     return f"did you mean {leaves[near[0]]!r}?" if near else None
+
+
+def _plain(word: str) -> str:
+    """Letters and digits of a word in lower case."""
+    return "".join(ch for ch in word.lower() if ch.isalnum())

@@ -71,6 +71,8 @@ def _words(
             return "no such choice", f"one of {', '.join(choices)}", near
         case "int_type":
             return "not a whole number", "a whole number, without quotes", None
+        case "dict_type" if isinstance(found["input"], (list, tuple)):
+            return "a list, not tables by name", f"[{dotted(whole)}.NAME] for each of them", None
         case "model_type" | "dict_type":
             entry = not whole or isinstance(whole[-1], int)  # of a list
             table = "{ KEY = VALUE, … }" if entry else f"[{dotted(whole)}]"

@@ -319,7 +319,10 @@ def _polynomials(nodes: np.ndarray, values: np.ndarray, tolerance: float) -> np.
     if not 0 < degree < 3 * nodes.size // 4:
         got = f"a polynomial of degree {nodes.size} misses their slopes by "
         got += f"{tails[3 * nodes.size // 4].max():.1g}"
-        hint = "a smaller range from y_min to y_max, further from the windings"
+        hint = (
+            f"raise the key tolerance, now {tolerance:g}, or choose y_min and y_max further from "
+            "the windings"
+        )
         problem = "couplings change too fast with the height"
         raise wrong(None, problem, got, f"{tolerance / 10:g}", hint)
     flat = c[: degree + 1].reshape(degree + 1, -1)

@@ -20,6 +20,7 @@ from kc2spice.scene.parttype import METER, Build, PartType, Rest, current_into
 
 Pin = tuple[str, str]
 _GROUND: Pin = (GROUND, "")
+MOST_NAMED = 5  # pins that an error lists
 
 
 def composed(scene: Scene) -> Scene:
@@ -181,18 +182,39 @@ def metered(scene: Scene) -> Iterator[tuple[str, str]]:
 def _required(scene: Scene, alone: Collection[Pin]) -> None:
     for (name, pin), terminal in scene.terminals.items():
         if terminal.required and (name, pin) in alone:
-            fitting = [
-                f"{n}.{p}"
-                for (n, p), other in scene.terminals.items()
-                if n != name and _compatible(terminal, other)
-            ]
-            target = fitting[0] if fitting else GROUND
-            raise UsageError(
-                f"pin {pin} of {name} is not joined",
-                where=f"{name}.pins.{pin}",
-                expected="gnd or one of " + ", ".join(fitting) if fitting else "gnd",
-                hint=f'add  pins = {{ {pin} = "{target}" }}  to [{name}]',
-            )
+            raise _not_joined(name, terminal, alone, scene)
+
+
+def _not_joined(name: str, terminal: Terminal, alone: Collection[Pin], scene: Scene) -> UsageError:
+    """The error of a pin that must be joined.
+
+    It suggests a pin that waits for a partner too. Any other pin may have a potential of its own,
+    such as that of a bias, which the new joint would short; ground would hold what shall move.
+    """
+    fitting = [
+        end
+        for end, other in scene.terminals.items()
+        if end[0] != name and _compatible(terminal, other)
+    ]
+    waiting = [end for end in fitting if end in alone]
+    names = [".".join(end) for end in (waiting + [e for e in fitting if e not in waiting])]
+    pin, more = terminal.name, "" if len(names) <= MOST_NAMED else ", …"
+    if waiting:
+        hint = f'add  pins = {{ {pin} = "{names[0]}" }}  to [{name}]'
+    elif fitting:
+        hint = f'choose where {pin} leads:  pins = {{ {pin} = "PART.PIN" }}  in [{name}]'
+    elif terminal.moving:
+        hint = f'add a part that {name} moves with, such as [spring] with part = "spring"'
+    else:
+        hint = f'add  pins = {{ {pin} = "{GROUND}" }}  to [{name}]'
+    ground = [] if terminal.moving else [GROUND]
+    what = "a pin of displacement" if terminal.moving else f"a pin of {terminal.kind}"
+    return UsageError(
+        f"pin {pin} of {name} is not joined",
+        where=f"{name}.pins.{pin}",
+        expected=f"{what}: {', '.join([*names[:MOST_NAMED], *ground]) or 'none is here'}{more}",
+        hint=hint,
+    )
 
 
 def _outputs(scene: Scene) -> None:

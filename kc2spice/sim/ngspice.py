@@ -346,19 +346,19 @@ RETRIES = (
     RetrySetting(
         "gear",
         ("timestep",),
-        "the trapezoidal rule rings at switching edges and in stiff contact",
+        "the trapezoidal rule rings where a switch or a stop changes the circuit at once",
         {"pivrel": "0.1", "method": "gear"},
     ),
     RetrySetting(
         "tighter tolerances",
         ("coarse", "timestep"),
-        "the steps are too coarse for the contact",
+        "the time steps are too long for the fastest change",
         factor=0.1,
     ),
     RetrySetting(
         "much tighter tolerances",
         ("coarse",),
-        "the steps are still too coarse for the contact",
+        "the time steps are still too long for the fastest change",
         factor=0.1,
     ),
 )

@@ -5,6 +5,7 @@ import pytest
 from scipy import sparse
 
 import kc2spice as kc
+from kc2spice.fem.magnet_rings import _polynomials
 from kc2spice.fem.materials import material
 
 LANGEVIN = """
@@ -161,3 +162,54 @@ def test_overrides_of_a_run():
     change = {"upper.resistance": "3 kOhm"}
     assert kc.run(divider, overrides=change).metrics["middle"] == pytest.approx(0.25, rel=1e-6)
     refused(lambda: kc.run(divider, change), "out", "overrides={")
+
+
+MASS = '[m]\npart = "mass"\nmass = "1 g"\n[solver]\nstop = "1 s"\n'
+
+
+def test_a_mass_with_an_open_pin_is_not_nailed_to_the_ground(said):
+    code, text = said(MASS)
+    assert code == 2
+    assert "pin a of m is not joined" in text
+    assert "gnd" not in text
+    assert "spring" in text
+    # a spring that waits for a partner is what the mass is meant for
+    code, text = said(MASS + '[s]\npart = "spring"\nstiffness = "1 N/m"\n')
+    assert (code, '"s.a"' in text) == (2, True)
+
+
+def test_an_open_pin_is_not_joined_to_a_bias(said, tmp_path):
+    """The bias is held by a source: the pin of the user's netlist must not short it."""
+    (tmp_path / "tia.lib").write_text(
+        ".subckt tia in out ref\nR1 in out 1Meg\nR2 out ref 1k\n.ends\n"
+    )
+    code, text = said(
+        '[bias]\npart = "source"\ndc = "5 V"\npins = { out = "plate.a" }\n'
+        '[plate]\npart = "resistor"\nresistance = "1 GOhm"\npins = { b = "tia.in" }\n'
+        '[tia]\npart = "netlist"\nfile = "tia.lib"\nsubckt = "tia"\npins = { ref = "gnd" }\n'
+        '[analysis]\ntype = "op"\n'
+    )
+    assert code == 2
+    assert "pin out of tia is not joined" in text
+    assert 'next: choose where out leads: pins = { out = "PART.PIN" }' in text
+
+
+def test_the_documented_form_of_coils_is_named(said):
+    code, text = said(
+        '[gen]\npart = "moving_magnet"\nradius = "3 mm"\nthickness = "4 mm"\n'
+        'remanence = "1 T"\ny_min = "-1 mm"\ny_max = "1 mm"\n[[gen.coils]]\nradius = "4 mm"\n'
+    )
+    assert code == 2
+    assert "[gen.coils.NAME]" in text
+
+
+def test_part_numbers_suggest_their_scene(cli):
+    done = cli("export", "7BB-20-6")
+    assert done.exit_code == 2
+    assert "did you mean 'buzzer_7bb_20_6'?" in done.stderr
+
+
+def test_couplings_that_change_too_fast_name_the_key_that_helps():
+    nodes = np.cos(np.pi * (np.arange(17) + 0.5) / 17)
+    values = np.sign(nodes)[None, :, None]  # a step: no polynomial follows it
+    refused(lambda: _polynomials(nodes, values, 1e-5), "raise the key tolerance, now 1e-05")
