@@ -10,12 +10,15 @@ import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from kc2spice.bodies.device import Block
 from kc2spice.fem.materials import material
 from kc2spice.scene.parttype import Neglected
+
+if TYPE_CHECKING:
+    from kc2spice.bodies.device import Block  # which loads the finite elements
 
 AIR = 1.204  # kg/m^3 at 20 degrees Celsius and 1013 hPa
 # W/(m^2 K) from a small surface to still air, convection and radiation together: VDI Heat Atlas,

@@ -63,8 +63,10 @@ def test_a_result_is_printed_as_tables(capsys):
            "above_band_hz": [1e6], "above_band_compliance_error": [0.11]}  # fmt: skip
     result = {
         "model": {"kick": {"mass_kg": 1.386e-4, "unknowns": 16722}},
+        "model_units": {"kick": {"mass_kg": "kg"}},
         "rom": rom,
         "metrics": {"caught": True, "launch_velocity_m_s": 1.02, "curve": [1, 2]},
+        "metric_units": {"launch_velocity_m_s": "m/s"},
         "wall_s": {"mesh": 0.5},
         "files": ["result.json"],
     }

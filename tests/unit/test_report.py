@@ -25,7 +25,8 @@ from kc2spice.workflow.judge import metrics
 
 def test_words_take_no_prefix():
     assert quantity(-3.84e-6, "over the limit") == "-3.84e-06 over the limit"
-    assert quantity(0.8, "mm") == "800 µm" and quantity(50.0, "mm") == "50 mm"
+    assert quantity(0.8, "mm") == "800 µm"
+    assert quantity(50.0, "mm") == "50 mm"
     assert quantity(2.35e-6, "m per 100 V") == "2.35 µm per 100 V"
 
 
