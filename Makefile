@@ -5,7 +5,7 @@ PYTEST = .venv/bin/python -m pytest
 export OMP_NUM_THREADS ?= 1
 export OPENBLAS_NUM_THREADS ?= 1
 
-.PHONY: demo test slow campaign pythons bench mutants netlists symbols docs setup lint clean
+.PHONY: demo test slow campaign pythons bench mutants netlists symbols docs docs-numbers setup lint clean
 
 demo: setup  ## run the main job: kick, flight and catch in ngspice
 	$(KC2SPICE) run kick_and_catch --png --out out/kick_and_catch
@@ -38,6 +38,9 @@ netlists: setup  ## write the committed netlists, symbols and examples of dialec
 
 symbols: setup  ## one KiCad library of all parts, with its models: a package for a release
 	.venv/bin/python tools/netlists.py build/kc2spice_symbols.zip
+
+docs-numbers: setup  ## write the outputs and tables of the documentation from their commands
+	.venv/bin/python tools/docs_numbers.py
 
 docs: setup  ## the static site in build/site, every link checked
 	.venv/bin/python -m pip install --quiet --editable '.[docs]'
