@@ -139,9 +139,12 @@ def fit_sections(record: Mapping[str, Any]) -> list[Section]:
     facts = [
         ("deviation of |Z|", f"{error['rms']:.2g} rms, {error['largest']:.2g} at most"),
         ("noise of the data", f"{record['noise']:.2g}"),
+        ("misfit, in units of the noise", f"{record['misfit']:.2g}"),
         ("finite element models", str(record["models"])),
         ("starts that ended in another minimum", str(record["other_minima"])),
     ]
+    if record["caution"]:
+        facts.append(("warning", record["caution"]))
     for item in record["undetermined"]:
         told = ", ".join(f"{weight:+.2f} log {key}" for key, weight in item.items())
         facts.append(("not determined by the data", told))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import warnings
 from collections.abc import Mapping, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass, field, replace
@@ -29,6 +30,7 @@ from kc2spice.rom.parametric import Axis, Parametric, modal_transfer, parametric
 from kc2spice.rom.response import Response
 from kc2spice.scene.load import load_scene
 from kc2spice.scene.model import Scene
+from kc2spice.workflow.misfit import WARNED, covariance, likely_cause, misfit
 from kc2spice.workflow.sweep.plan import number
 
 SPREAD, LOSSES = 1.3, 10.0  # range of a key by its value: ceramics differ by 30 %, losses by tens
@@ -45,6 +47,8 @@ APART = 2.0  # times the cost of the best end: another minimum
 PROMINENT, ABOVE_NOISE = 0.005, 8.0  # of the largest conductance, of the noise: a resonance
 AT_REST = 1e-3  # of the lowest frequency of the data
 TANGENT = "damping.loss_tangent"  # which no finite element model has
+MECHANICAL = {f"damping.{key}" for key in ("quality", "ratio", "ratio[0]", "loss_factor")}
+UNEXPLAINED = "the geometry, the mounting, or a loss model that the part does not follow"
 VALUES, BOX, PAGE = "fit.toml", "box.toml", "report.html"
 LIKELY, NARROWEST = 2.0, 1.1e-3  # standard errors of a key's range in a netlist, its relative half
 Box = dict[str, Axis]
@@ -69,8 +73,10 @@ def fit(
     logarithms of the values within their ranges. The model is a :class:`Parametric` one of the
     whole box for four descents from the scene's values and from the best of 64 draws, then of
     narrower boxes around the best values until the mesh itself answers as it does. Standard errors
-    are those of the linearised problem, with the deviation that is left where that is more than
-    the noise.
+    are those of the linearised problem, scaled by the misfit where it is more than the noise; if
+    the model does not describe the data they include the scatter over bands of frequency
+    (:mod:`kc2spice.workflow.misfit`). A misfit of more than three times the noise is a warning that
+    names its likely cause.
 
     Raises
     ------
@@ -220,6 +226,31 @@ class _Body:
             loss = permittivity(f, clamped_tangent(tangent, free / clamped - 1)) - 1
             charge = charge + clamped * loss
         return np.asarray(2j * np.pi * f * charge)
+
+    def causes(self, values: Mapping[str, float], Y: np.ndarray) -> dict[str, np.ndarray]:
+        """Changes (n,) of the logarithm of the fitted admittance ``Y`` (n,) [S] by what the scene
+        may lack: losses that are not varied, and the leads of the measurement."""
+        model, w = self.full(values, moved=False), 2 * np.pi * self.data.f
+        clamped = w * float(model.D[0, 0])
+        names = {item.key for item in self.keys}
+        result: dict[str, np.ndarray] = {}
+        if TANGENT not in names:
+            result[f"loss of the dielectric: vary {TANGENT}"] = clamped / Y
+        if model.rayleigh is not None and not names & MECHANICAL:
+            alpha, beta = model.rayleigh
+            for factor, what in ((1 + STEP, "more"), (1 - STEP, "less")):
+                scaled = replace(model, rayleigh=(factor * alpha, factor * beta))
+                charge = modal_transfer(scaled, self.frequencies)[:, 0, 0]
+                other = self.lossy(charge, float(model.D[0, 0]), values)
+                result[f"{what} loss of the motion: vary damping.quality"] = np.log(other / Y)
+        result |= {
+            "resistance in series, of leads or electrodes: compensate the fixture": -Y,
+            "inductance of leads: compensate the fixture": -1j * w * Y,
+            "a stray capacitance in parallel: compensate the fixture": 1j * w / Y,
+            "less capacitance than the model has: vary the permittivity or an area": -1j * w / Y,
+            "a leak in parallel: clean the part, or compensate the fixture": 1 / Y,
+        }
+        return {name: column / self.noise for name, column in result.items()}
 
     def response(self, made: Parametric, values: Mapping[str, float]) -> np.ndarray:
         """Admittance (n,) [S] of a reduced model."""
@@ -408,9 +439,9 @@ def _record(body: _Body, start: np.ndarray, end: _End, ends: Sequence[_End]) -> 
             "vary one key alone first, such as a thickness",
         )
     _, s, Vt = np.linalg.svd(J, full_matrices=False)
-    s = np.maximum(s, 1e-12)
-    covariance = _more(solved) ** 2 * (Vt.T / s**2) @ Vt
-    sigma = np.sqrt(np.diag(covariance))
+    widths = np.array([abs(float(np.log(item.high / item.low))) for item in keys])
+    scatter = covariance(J, solved.fun, widths)
+    sigma = np.sqrt(np.diag(scatter))
     weak = 4 * _more(solved) > s * _widest(keys)
     parameters = {
         item.key: {
@@ -423,6 +454,10 @@ def _record(body: _Body, start: np.ndarray, end: _End, ends: Sequence[_End]) -> 
         for k, item in enumerate(keys)
     }
     best = min(ends, key=lambda item: item.cost)
+    resonances = _matched(body, start, end)
+    caution = _caution(body, end, resonances)
+    if caution:
+        warnings.warn(f"{body.data.where}: {caution}", stacklevel=3)
     return {
         "part": body.part,
         "data": body.data.where,
@@ -431,9 +466,11 @@ def _record(body: _Body, start: np.ndarray, end: _End, ends: Sequence[_End]) -> 
         "error": {"rms": float(np.sqrt(np.mean(size**2))), "largest": float(size.max())},
         "identifiable": not weak.any(),
         "undetermined": [dict(zip(parameters, map(float, row), strict=True)) for row in Vt[weak]],
-        "correlation": (covariance / np.outer(sigma, sigma)).tolist(),
+        "correlation": (scatter / np.outer(sigma, sigma)).tolist(),
         "noise": body.data.noise,
-        "resonances": _matched(body, start, end),
+        "misfit": misfit(solved.fun, len(keys)),
+        "caution": caution,
+        "resonances": resonances,
         "starts": [{**item.values, "cost": item.cost} for item in ends],
         "other_minima": sum(item.cost > APART * best.cost for item in ends),
         "models": body.counted[0],
@@ -441,10 +478,23 @@ def _record(body: _Body, start: np.ndarray, end: _End, ends: Sequence[_End]) -> 
     }
 
 
+def _caution(
+    body: _Body, end: _End, resonances: Sequence[Mapping[str, float | None]]
+) -> str | None:
+    """What to do about a misfit that noise does not explain; None where noise explains it."""
+    ratio = misfit(end.solved.fun, len(body.keys))
+    if ratio <= WARNED:
+        return None
+    text = f"the model does not describe the data: a misfit of {ratio:.1f} times the noise"
+    cause = likely_cause(end.solved.jac, end.solved.fun, body.causes(end.values, end.exact))
+    if cause is None and any(None in (row["measured_hz"], row["fitted_hz"]) for row in resonances):
+        cause = "resonances of one that the other lacks: vary sizes, or check mounting and mesh"
+    return f"{text}; likely cause: {cause or UNEXPLAINED}"
+
+
 def _more(solved: OptimizeResult) -> float:
     """What is left over by the noise, where it is more."""
-    degrees = max(solved.jac.shape[0] - solved.jac.shape[1], 1)
-    return max(1.0, float(np.sqrt(2 * solved.cost / degrees)))
+    return max(1.0, misfit(solved.fun, solved.jac.shape[1]))
 
 
 def _widest(keys: Sequence[Varied]) -> float:

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.special import jv
 
 import kc2spice as kc
 from kc2spice.bodies.readers.measured import Measured
@@ -71,6 +72,8 @@ def test_a_fit_finds_the_values_that_made_the_data():
     assert found["error"]["rms"] == pytest.approx(0.01, rel=0.3)  # what is left is the noise
     matched = found["resonances"][0]
     assert matched["fitted_hz"] == pytest.approx(matched["measured_hz"], rel=0.01)
+    assert found["misfit"] == pytest.approx(1.0, abs=0.15)
+    assert found["caution"] is None
 
 
 def test_damping_at_two_frequencies_takes_no_finite_elements():
@@ -85,6 +88,65 @@ def test_damping_at_two_frequencies_takes_no_finite_elements():
     for key, value in true.items():
         row = found["parameters"][key]
         assert abs(row["value"] - value) < 3 * row["sigma"] < 0.05 * value
+
+
+def thin_disc(f, quality):
+    """Impedance (n,) [Ohm] of a free thin disc at its radial modes with complex constants.
+
+    IEEE Std 176-1987: complex s11 and s12, real d31 and eps33 at constant stress, so that the
+    clamped permittivity has a loss.
+    """
+    radius, thickness, density = 10e-3, 0.5e-3, 7800.0
+    s11 = 16.1e-12 * (1 - 1j / quality)
+    s12, d31, eps = -5.1 / 16.1 * s11, -180e-12, 1750 * 8.8541878e-12
+    nu = -s12 / s11
+    c11, e31 = 1 / (s11 * (1 - nu**2)), d31 / (s11 + s12)
+    z = 2 * np.pi * f * np.sqrt(density / c11) * radius
+    J = z * jv(0, z) / jv(1, z)
+    clamped = eps - 2 * d31 * e31
+    area = np.pi * radius**2
+    return thickness / area / (2j * np.pi * f * (clamped + 2 * e31**2 / c11 / (J - (1 - nu))))
+
+
+DISC = {
+    "disc": {
+        "part": "disc",
+        "damping": {"quality": 60},
+        "layers": [
+            {
+                "diameter": "20 mm",
+                "thickness": "0.5 mm",
+                "material": {
+                    "density": 7800,
+                    "symmetry": "6mm",
+                    "compliance": {"s11": 16.1e-12, "s12": -5.1e-12, "s13": -8e-12,
+                                   "s33": 20e-12, "s44": 45e-12},
+                    "strain_coupling": {"d31": -180e-12, "d33": 400e-12, "d15": 550e-12},
+                    "permittivity": {"eps11": 1650, "eps33": 1750},
+                    "permittivity_at": "stress",
+                },
+            }
+        ],
+    }
+}  # fmt: skip
+
+
+def disc_data(quality, noise=0.005):
+    f, rng = np.linspace(60e3, 160e3, 400), np.random.default_rng(5)
+    draw = rng.normal(size=(2, f.size))
+    Z = thin_disc(f, quality) * (1 + noise * (draw[0] + 1j * draw[1]))
+    return Measured("part", "part.csv", f, (1 / Z)[:, None, None])
+
+
+def test_a_loss_model_that_does_not_describe_the_data_is_a_warning():
+    """Rayleigh damping alone has no loss of the clamped dielectric, which the data have."""
+    with pytest.warns(UserWarning, match=r"misfit of .* loss of the dielectric: vary damping"):
+        found = kc.fit(DISC, "disc", disc_data(80.0), ["damping.quality=30:300"])
+    row = found["parameters"]["damping.quality"]
+    assert row["value"] < 70  # which made a standard error of 0.4 a false statement
+    assert abs(row["value"] - 80) < 2 * row["sigma"] < 40
+    assert found["misfit"] > 3
+    assert "loss of the dielectric" in found["caution"]
 
 
 def deviations(case):
