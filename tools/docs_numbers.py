@@ -14,13 +14,14 @@ A page shows an output between two comments, below the block of commands that pr
     ```
     <!-- /output -->
 
-Blocks marked ``sh`` and ``python`` run in the order of the page, in one empty directory that has the
-files of the repository; a block below ``<!-- not run -->`` is left out. What follows ``output`` says
-what is shown: ``markdown`` inserts the output as it is, such as a table; ``only REGEX`` keeps the
-lines that match. A line ``<!-- generated -->`` is followed by date and commit.
+Blocks marked ``sh`` and ``python`` run in the order of the page, in one empty directory that
+contains links to the repository's files. A block below ``<!-- not run -->`` is left out. What
+follows ``output`` says what is shown: ``markdown`` inserts the output as it is, such as a table;
+``only REGEX`` keeps the lines that match. A line ``<!-- generated -->`` is followed by date and
+commit.
 
-``--check`` compares words literally, and numbers to 0.5 % or to one unit of their last digit. It skips what a
-machine's speed decides: table columns and lines that mention wall time or CPU.
+``--check`` compares words literally, and numbers to 0.5 % or to one unit of their last digit. It
+skips what a machine's speed decides: table columns and lines that mention wall time or CPU.
 """
 
 from __future__ import annotations
@@ -176,7 +177,7 @@ def _split(line: str) -> tuple[list[str], list[str]]:
 
 
 def _close(shown: str, printed: str) -> bool:
-    """To the tolerance, or to one unit of the last digit that is shown; a count has no such digit."""
+    """To the tolerance, or to one unit of the last digit that is shown; counts have none."""
     a, b = (float(text.replace(" ", "")) for text in (shown, printed))
     mantissa, _, exponent = shown.lower().partition("e")
     count = shown.replace(" ", "").lstrip("+-").isdigit()
