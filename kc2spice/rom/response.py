@@ -436,8 +436,17 @@ def above_band(
 
 def relative_error(response: np.ndarray, reference: np.ndarray) -> float:
     """Largest error of all entries and frequencies relative to the entry, or to ``FLOOR`` of its
-    peak; see :class:`kc2spice.rom.entries.Entries` for entries that are zero."""
-    return float(relative_size(response - reference, reference).max(initial=0.0))
+    peak; see :class:`kc2spice.rom.entries.Entries` for entries that are zero.
+
+    Arrays are (frequencies, outputs, inputs), or (frequencies,) and (frequencies, entries) of
+    entries that are independent of each other.
+    """
+    difference = response - reference
+    if reference.ndim == 3:
+        return float(relative_size(difference, reference).max(initial=0.0))
+    pairs = zip(*(x.reshape(len(x), -1).T for x in (difference, reference)), strict=True)
+    sizes = (relative_size(d[:, None, None], r[:, None, None]) for d, r in pairs)
+    return max((float(size.max(initial=0.0)) for size in sizes), default=0.0)
 
 
 def relative_size(
