@@ -141,7 +141,8 @@ def _kind(path: Path) -> str:
 def _row(path: Path) -> str:
     """One library: its name without numbers, and what its head says."""
     text = path.read_text(encoding="utf-8")
-    head = dict(re.findall(r"(?m)^\* (\w[\w-]*): (.+)$", text.partition(".subckt")[0]))
+    lines = text.partition(".subckt")[0].replace("\n*   ", " ")  # of more than one line each
+    head = dict(re.findall(r"(?m)^\* (\w[\w-]*): (.+)$", lines))
     title = text.partition("\n")[0].partition(": ")[2]
     cells = (f"`{_kind(path)}`", title, _pins(text), head["sign"], head["rating"])
     return "| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |\n"

@@ -280,7 +280,10 @@ def export(
     rom: Path | None = None,
     dense: bool = False,
 ) -> None:
-    """Write netlists of SCENE, or of a reduced model; no simulation."""
+    """Write netlists of SCENE, or of a reduced model; no simulation.
+
+    Exit code 4 when a circuit misses the tolerance of its reduced model.
+    """
     if rom is not None:
         if scene is not None or set_ or tolerance is not None or count is not None:
             expected = "no scene and no scene keys"
@@ -434,7 +437,7 @@ def reduce(
 ) -> None:
     """Reduce matrices of another tool, or a measured impedance, to a model of stated error.
 
-    An unstable model ends with exit code 4.
+    An unstable model, and a circuit that misses the tolerance, end with exit code 4.
     """
     from kc2spice.workflow.reduce import reduce as reduce_study
     from kc2spice.workflow.reduce import require_stable

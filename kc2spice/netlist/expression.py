@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+import operator
 import re
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
@@ -132,6 +134,50 @@ def rebuilt(tree: Tree, change: Callable[[Tree], Tree]) -> Tree:
         return Call(tree.function, tuple(map(change, tree.arguments)))
     kind: Any = type(tree)
     return kind(*(change(x) if isinstance(x, Tree) else x for x in vars(tree).values()))
+
+
+_MATH: dict[str, Callable[..., float]] = {
+    name: getattr(math, name)
+    for name in ("acos", "asin", "atan", "cos", "cosh", "exp", "sin", "sinh", "tan", "tanh")
+} | {"abs": abs, "ln": math.log, "log10": math.log10, "max": max, "min": min, "sqrt": math.sqrt}
+_OPERATORS: dict[str, Callable[[float, float], float]] = {
+    "+": operator.add, "-": operator.sub, "*": operator.mul, "/": operator.truediv,
+    "^": operator.pow, "<": operator.lt, ">": operator.gt, "<=": operator.le, ">=": operator.ge,
+    "==": operator.eq, "!=": operator.ne,
+}  # fmt: skip
+
+
+def value(tree: Tree, names: Mapping[str, float]) -> float:
+    """The number that an expression of parameters has.
+
+    Parameters
+    ----------
+    tree : of an element's or a parameter's value.
+    names : values of the parameters, by names in lower case.
+
+    Raises
+    ------
+    UsageError : a parameter without a value, or what is no number, such as a voltage.
+
+    Examples
+    --------
+    >>> value(parse("{2*k+1}"), {"k": 3.0})
+    7.0
+    """
+    match tree:
+        case Number(text):
+            return float(text)
+        case Name(text) if text.lower() in names:
+            return names[text.lower()]
+        case Call(function, arguments) if function in _MATH:
+            return float(_MATH[function](*(value(item, names) for item in arguments)))
+        case Unary("-" | "+" as op, inner):
+            return -value(inner, names) if op == "-" else value(inner, names)
+        case Binary(op, left, right) if op in _OPERATORS:
+            return float(_OPERATORS[op](value(left, names), value(right, names)))
+        case Choice(test, yes, no):
+            return value(yes if value(test, names) else no, names)
+    raise UsageError("not a number", where="expression", got=Writer().write(tree)[:80])
 
 
 def replaced(tree: Tree, values: Mapping[str, Tree]) -> Tree:

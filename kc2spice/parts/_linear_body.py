@@ -39,7 +39,7 @@ from kc2spice.scene.plausible import dimensions
 from kc2spice.spice.header import Header
 from kc2spice.spice.realize import (
     COARSE,
-    LEAK,
+    LEAK_RATE,
     RINGING,
     UNRATED,
     StepWeights,
@@ -461,17 +461,7 @@ class LinearBody(Touching):
             yield balance
         if result is not None:
             yield from self._excited(part, build, waves, result)
-        # the netlist's leak gives a floating electrode its operating point; in long runs of small
-        # capacitances it takes some of its charge
-        for port in model.ports:
-            if port.kind != "electrical":
-                continue
-            clamped = float(model.D[model.outputs.index(port.name), model.inputs.index(port.name)])
-            leaked = -math.expm1(-build.scene.stop * LEAK / clamped) if clamped > 0 else 0.0
-            if leaked > KEPT:
-                name = f"charge kept by {part.name}.{port.name} if it floats"
-                advice = f"its netlist leaks {LEAK:g} S: a resistor across it states the real leak"
-                yield Check(name, leaked, KEPT, "of it lost", advice, "warn")
+        yield from self._leaked(part, build)
 
     def _within_rating(self, part: Part, build: Build, waves: Waveforms) -> Iterator[Check]:
         """Whether the voltage at each electrode stays within its rating.
@@ -486,6 +476,15 @@ class LinearBody(Touching):
             if port.kind == "electrical" and f"{name}.voltage" in waves:
                 largest = float(np.abs(waves[f"{name}.voltage"]).max())
                 yield Check(f"rating of {name}", largest, volts, "V", BEYOND, "warn")
+
+    def _leaked(self, part: Part, build: Build) -> Iterator[Check]:
+        """What the netlist's leak takes of the charge of a floating electrode in a long run."""
+        leaked = -math.expm1(-build.scene.stop * LEAK_RATE)
+        ports = [p.name for p in build.model(part).ports if p.kind == "electrical"]
+        for port in ports if leaked > KEPT else ():
+            name = f"charge kept by {part.name}.{port} if it floats"
+            advice = "the netlist's leak: a resistor across the electrode states the real one"
+            yield Check(name, leaked, KEPT, "of it lost", advice, "warn")
 
     def _excited(
         self, part: Part, build: Build, waves: Waveforms, certificate: Certificate

@@ -68,18 +68,33 @@ def _upwards(value: float) -> float:
     return short if short >= value else float(f"{float(mantissa) + 0.01:.2f}e{exponent}")
 
 
-def rom_line(order: int, certificate: Certificate) -> str:
-    """One comment line: order, band and certified error of a reduced model, and what contact sees
-    above the band."""
+def paragraph(text: str) -> str:
+    """``text`` as comment lines of at most 100 characters, all but the first indented."""
+    words: dict[str, Any] = {"break_long_words": False, "break_on_hyphens": False}
+    lines = textwrap.wrap(comment(text), 96, subsequent_indent="  ", **words)
+    return "".join(f"* {line}\n" for line in lines)
+
+
+def rom_line(order: int, certificate: Certificate, circuit: str = "") -> str:
+    """Comment lines: order, band and error estimate of a reduced model, how it was found, and what
+    contact sees above the band. ``circuit`` states the share of the emitted circuit."""
     low, high = certificate.band_hz
     seen = [f"{error:.2g} at {f:g} Hz" for f, error in certificate.above]
     beyond = f", compliance off by {', '.join(seen)}" if seen else ""
-    return (
+    first = (
         f"* rom: order={order} band={number(low)}..{number(high)} Hz "
-        f"norm={certificate.norm} error={number(_upwards(certificate.error_estimate))} "
-        f"({comment(certificate.method)}); "
-        f"above the band not certified{beyond}; a contact or a steep edge excites it\n"
+        f"norm={certificate.norm} error={number(_upwards(certificate.error_estimate))}\n"
     )
+    method = "; ".join(filter(None, (certificate.method, circuit)))
+    text = f"({method}); no error estimate above the band{beyond}"
+    return first + paragraph(f"rom: {text}: a contact or a steep edge excites it").replace(
+        "* rom:", "*  ", 1
+    )
+
+
+def use_line(name: str, pins: Sequence[Pin]) -> str:
+    """An instance to copy; the nodes have the names of the pins."""
+    return f"* use: X1 {' '.join(pin.name for pin in pins)} {name}\n"
 
 
 def part_header(
@@ -93,16 +108,17 @@ def part_header(
     sign: str = SIGN,
     rom: str = "",
 ) -> str:
-    """Everything above ``.subckt``: title, origin, ROM facts, sign, validity and rating, one line
-    per pin and parameter.
+    """Everything above ``.subckt``: title, an instance to copy, origin, ROM facts, sign, validity
+    and rating, one line per pin and parameter. ``title`` is ``NAME: what it is``.
 
     ``unit`` is what 1 V on the pin means, ``flow`` what 1 A into it means (``-``: a signal).
     ``sign`` is for parts with mechanical pins.
     """
     sign = sign if any(p.flow == "N" for p in pins) else FLOW
-    lines = [f"* {comment(title)}\n{header.origin()}\n{rom}"]
-    lines += [f"* sign: {comment(sign)}\n* validity: {comment(validity)}\n"]
-    lines += [f"* rating: {comment(rating)}\n"]
+    lines = [f"* {comment(title)}\n", use_line(title.partition(":")[0], pins)]
+    lines += [f"{header.origin()}\n{rom}"]
+    facts = {"sign": sign, "validity": validity, "rating": rating}
+    lines += [paragraph(f"{key}: {text}") for key, text in facts.items()]
     lines += [
         f"* @pin {i} {name(p.name)} unit={word(p.unit)} flow={word(p.flow)}\n"
         for i, p in enumerate(pins, 1)

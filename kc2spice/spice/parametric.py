@@ -9,13 +9,14 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from itertools import chain
+from itertools import chain, product
 
 import numpy as np
 
 from kc2spice.core.errors import UsageError
 from kc2spice.netlist.cards import distinct, number
 from kc2spice.netlist.circuit import Param, Subcircuit
+from kc2spice.rom.linear import LinearModel
 from kc2spice.rom.varying import Varying
 from kc2spice.spice.header import Header
 from kc2spice.spice.realize import (
@@ -36,6 +37,7 @@ from kc2spice.spice.realize import (
 
 # Names of our own among parameters.
 _TAKEN = r"[xlkgcfbt]_?\d+(_\d+)*|alpha|beta|damping|inside\d+"
+INSIDE = 6  # random points of the box at which the emitted circuit is compared, beside its corners
 _ABOUT = """\
 * Resonators whose frequencies, couplings, capacitances and damping depend on the parameters: they
 * are polynomials (Chebyshev's, of the parameters' logarithms) that are evaluated once, when the
@@ -88,8 +90,22 @@ def parametric_subcircuit(
     ]
     params = (*parameters, *([DAMPING] if any(model.damped) else []))
     words = {"title": title, "rating": rating, "within": ", parameters within their ranges,"}
-    head = header or Header(model.name, "-")
-    return enclosed(rom, name, pins, base, params, head, ([_ABOUT], body), **words)
+    head, others = header or Header(model.name, "-"), list(_judged(model, parameters))
+    return enclosed(rom, name, pins, base, params, head, ([_ABOUT], body), others=others, **words)
+
+
+def _judged(
+    model: Varying, parameters: Sequence[Param]
+) -> Iterator[tuple[LinearModel, dict[str, float]]]:
+    """The model at the corners of the box and at random points inside, each with the values of the
+    netlist's parameters."""
+    axes = list(model.box.items())
+    corners = product((-1.0, 1.0), repeat=len(axes))
+    inner = np.random.default_rng(7).uniform(-1.0, 1.0, (INSIDE, len(axes)))
+    for x in (*corners, *inner):
+        values = {key: axis.value(float(at)) for (key, axis), at in zip(axes, x, strict=True)}
+        names = (p.name.lower() for p in parameters)
+        yield model.at(values), dict(zip(names, values.values(), strict=True))
 
 
 def _stops(parameters: Sequence[Param], base: str) -> Iterator[str]:

@@ -4,18 +4,19 @@ from __future__ import annotations
 
 import hashlib
 import re
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 
-from kc2spice.core.errors import UsageError
+from kc2spice.core.errors import SimulationError, UsageError
 from kc2spice.netlist.cards import comment, distinct, number
 from kc2spice.netlist.cards import name as checked_name
 from kc2spice.netlist.circuit import Param, Pin, Subcircuit
-from kc2spice.rom.linear import LinearModel, Port
+from kc2spice.rom.linear import Certificate, LinearModel, Port
 from kc2spice.rom.modal import Resonators, resonators
+from kc2spice.spice.emitted import circuit_error
 from kc2spice.spice.header import OUTWARDS, Header, parameter_list, part_header, rom_line
 
 if TYPE_CHECKING:
@@ -25,7 +26,13 @@ MICRO = 1e-6  # 1 V on a displacement pin is 1 um, 1 V on a charge node 1 uC
 STATE = 1e-6  # farad of a fast state: one chgtol is then one tolerance of displacement
 SIEMENS = 1.0  # of a state without inertia; its capacitance is its relaxation time
 SILENT = 1e-9  # of the largest share of a mode in every port; such modes move no port
-LEAK = 1e-12  # S; the charge of a floating anode decays in hours
+# 1/s, of a floating electrode's charge. The leak is this times the clamped capacitance, through
+# which all of the port's charge passes: 1.6e-10 Hz / f of the current, whatever the capacitance.
+LEAK_RATE = 1e-9
+OPEN_INPUT = 1e-18  # S, of a signal input, so that it is zero where nothing drives it
+FREE_LEAK = 1e-12  # S, of a free integrator: of the conductance of its capacitor at the band's end
+LEAK_POINTS = 60  # frequencies at which the least charge of a bare electrode is looked for
+LOWEST = 1e-6  # of a band's end: its lowest frequency where the band begins at zero
 # A block whose smallest singular value is this far below the band integrates constant inputs.
 FREE = 1e-11
 # Cross terms of D this far below the diagonal are rounding.
@@ -57,52 +64,49 @@ class StepWeights:
 RINGING = StepWeights(3.0, 2, 0.01)  # the body's own ringing is a result
 THROWING = StepWeights(3.0, 6, 0.01)  # until it has struck: fewer points, an equal launch
 COARSE = StepWeights(8.0, 6, 1e-6)  # only what a contact throws is: half the time points
-_NOTES = "docs/notes/netlist.md"
-PIVOTS = f"""
-* Three breakpoints at a picosecond fix the pivots: {_NOTES}#pivots
-Vtick tick {{base}} PWL(0 0 1e-12 0 2e-12 0)
-Rtick tick {{base}} 1"""
+PIVOTS = """
+* A source of 0 V with corners at 1 and 2 ps makes the first time step small: the simulator fixes
+* there in which order it eliminates unknowns.
+Vtick tick {base} PWL(0 0 1e-12 0 2e-12 0)
+Rtick tick {base} 1"""
 _OUTWARDS = (
-    "* Positive um points along a port's outward direction; current into its pin is force on the "
-    "body along",
-    "* that direction (rotations: right-hand rule of the port's axis).",
+    "* Positive um are along a port's outward direction. A current into its pin is a force on the",
+    "* body along that direction (rotations: right-hand rule of the port's axis).",
 )
 _RESONATORS = f"""{_OUTWARDS[0]}
 {_OUTWARDS[1]}
-* Every mode of the reduced model is two integrators, q (displacement) and p (q'/omega), both
-* scaled so that 1 V is the mode's largest displacement of a ring in um:
+* Each mode of the reduced model is two integrators, q (displacement) and p (q'/omega). Both are
+* scaled so that 1 V is the mode's largest displacement of a port in um:
 *
 *     q' = omega p                  p' = -omega q - damp p + drive (port forces and voltages)
 *
-* A mode below {{silent:g}} of every port's largest share is left out: no port moves or feels it.
-* Modes from {{full}} times the lowest frequency on sit on 1 uF, slower ones on less by its power \
-{{power}}: {_NOTES}#capacitances-of-modes
-* The base is the mechanical and signal reference: wire it to node 0. Electrical pins float."""
+* Modes are left out whose share in every port is less than {{silent:g}} of the largest.
+* Modes above {{full}} times the lowest frequency have capacitors of 1 uF. Slower modes have smaller
+* ones, by the power {{power}} of their frequency: the simulator's time steps follow them less.
+* The base is the mechanical and signal reference: connect it to node 0. Electrical pins float."""
 _STATES = """\
-* Linear state-space model: signal inputs are sensed and load nothing, signal outputs are ideal
-* sources, 1 V is one unit of the pin. In blocks of coupled states z on {farad} F each,
+* Linear state-space model: signal inputs draw no current, signal outputs are ideal sources, 1 V is
+* one unit of the pin. Coupled states z are the voltages of capacitors of {farad} F:
 *
 *     z' = A z + B u                y = C z + D u
 *
-* scaled so that a constant input of 1 V sets states of about 1 V. {base} is the reference of all
-* pins that are not electrical: wire it to node 0."""
+* They are scaled so that a constant input of 1 V sets states of about 1 V. {base} is the reference
+* of all pins that are not electrical: connect it to node 0."""
 _LOOPED = "no states, but signals that close loops: the currents into each node are zero"
-_FREE_STATE = f"* The leak gives a free integrator its operating point: {_NOTES}#leaks"
-_CLAMPED = f"""
-* Electrical port{{name}}: the clamped capacitance of {{farad:.6g}} F in series with a voltage, \
--charge/capacitance,
-* of the charge that the modes set free (1 V on charge = 1 uC).
-* Cclamped has {{share}} of it, Gmore adds the rest of its current: {_NOTES}#clamped-capacitance
-* The node current has the cathode's current as its value: {_NOTES}#conservative-ports
-* Gleak gives a floating anode its operating point: {_NOTES}#leaks"""
-_UNCLAMPED = f"""
-* Electrical port {{name}} has no capacitance of its own: its current is the rate of the charge
+_FREE_STATE = "* The leak gives a free integrator an operating point."
+_CLAMPED = """
+* Electrical port{name}: the clamped capacitance of {farad:.6g} F in series with the voltage
+* -charge/capacitance of the charge that the modes move (1 V on charge = 1 uC).
+* Cclamped has {share} of the capacitance, Gmore adds the rest of its current: time steps then
+* follow the motion of the body, not its current. The voltage of node current is that current.
+* Gleak gives a floating electrode an operating point: its charge decays within {seconds:g} s."""
+_UNCLAMPED = """
+* Electrical port {name} has no capacitance of its own: its current is the rate of the charge
 * that the states move.
-* Gleak gives a floating pin its operating point: {_NOTES}#leaks"""
-_MOTION = f"""
-* Port {{pin}}: the modes sum to its displacement u (1 V = 1 um).
-* The node f has the force that makes pin = u as its value (1 V = 1 N): \
-{_NOTES}#conservative-ports"""
+* Gleak gives a floating electrode an operating point."""
+_MOTION = """
+* Port {pin}: its displacement u is the sum of the modes (1 V = 1 um). The voltage of node f is the
+* force that holds the pin at u (1 V = 1 N)."""
 _ROTATION = """
 * Rotation {pin}: as a displacement port, 1 V = 1 rad and 1 A = 1 N m."""
 _SHAKEN = """
@@ -113,6 +117,7 @@ _NOISE = """\
 * resistor of as many ohms. No other resistor here has noise."""
 DAMPING = Param("damping", 1.0, "-", "scale of the damping of all modes")
 _INNER_FORCE = re.compile(r"noise\d+")
+UNSEEN = 1e-3  # of an error estimate: below its three digits
 LOST = 1e-14  # of the largest loss of a model: rounding
 UNRATED = "not known; keep field and stress within the limits of its materials"
 
@@ -160,6 +165,7 @@ class PortTerminal:
     capacitance: str = ""
     sums: tuple[Card, ...] = ()
     through: tuple[Card, ...] = ()
+    leak: float = OPEN_INPUT
 
     @property
     def kind(self) -> str:
@@ -288,27 +294,55 @@ def enclosed(
     header: Header,
     cards: tuple[Iterable[str], Iterable[str]],
     within: str = "",
+    others: Sequence[tuple[LinearModel, Mapping[str, float]]] = (),
     **words: str,
 ) -> Subcircuit:
     """The subcircuit of ``cards``, comments about them and their lines, under the head of ``rom``;
-    ``words`` are its title and rating."""
+    ``words`` are its title and rating.
+
+    Its error estimate is that of the certificate and of the emitted elements together, these
+    compared with ``rom`` at the defaults and with ``others`` at their values of the parameters.
+    """
     certificate, (about, body) = rom.certificate, cards
     band = f" up to {certificate.band_hz[1]:g} Hz" if certificate else ""
+    called = [name, *(pin.name for pin in pins), *([parameter_list(params)] * bool(params))]
+    start = [f".subckt {' '.join(called)}", PIVOTS.format(base=base)]
+    text = "\n".join(["", *about, *start, *body, f".ends {name}"])
+    made, told = Subcircuit(name, pins, params, text), ""
+    if certificate is not None:
+        compared = ((rom, dict[str, float]()), *others)
+        made = _with_error(made, certificate, compared)
+        certificate = replace(certificate, error_estimate=float(made.error_estimate or 0.0))
+        told = f"emitted circuit to model: {made.circuit_error:.1g} at {made.worst_hz:.4g} Hz"
     head = part_header(
         header,
         f"{name}: {words['title']}",
         pins,
         params,
-        rom=rom_line(rom.order, certificate) if certificate else "",
+        rom=rom_line(rom.order, certificate, told) if certificate else "",
         sign=OUTWARDS,
         rating=words["rating"],
         validity=f"small signals{band}{within} at the temperature of its data (20 to 25 C, of "
         "built-in materials); no hysteresis, depolarisation or heating",
     )
-    called = [name, *(pin.name for pin in pins), *([parameter_list(params)] * bool(params))]
-    start = [f".subckt {' '.join(called)}", PIVOTS.format(base=base)]
-    text = "\n".join(["", *about, *start, *body, f".ends {name}"])
-    return Subcircuit(name, pins, params, f"{head}{text}\n")
+    return replace(made, text=f"{head}{text}\n")
+
+
+def _with_error(
+    part: Subcircuit,
+    certificate: Certificate,
+    compared: Iterable[tuple[LinearModel, Mapping[str, float]]],
+) -> Subcircuit:
+    """The subcircuit with its error estimate, by the models that it should equal at values of its
+    parameters."""
+    circuit, band = part.circuit.subcircuits[0], certificate.band_hz
+    errors = (
+        circuit_error(circuit, part.pins, m, band, certificate.norm, at) for m, at in compared
+    )
+    worst = max(errors, key=lambda item: item.error)
+    total = certificate.error_estimate
+    total += worst.error if worst.error > UNSEEN * total else 0.0
+    return replace(part, error_estimate=total, circuit_error=worst.error, worst_hz=worst.frequency)
 
 
 def _form(rom: LinearModel, dense: bool) -> Resonators | BlockModel:
@@ -360,8 +394,26 @@ def model_terminals(rom: LinearModel, D: np.ndarray, where: str) -> list[PortTer
         if clamped < 0:
             raise UsageError("negative capacitance", where=where, got=port.name)
         tag = f"_{checked_name(port.name)}" if electrical and several else ""
-        result.append(PortTerminal(port, pins, tag, into, out, clamped))
+        leak = OPEN_INPUT if clamped or not electrical else _leak(rom, port.name)
+        result.append(PortTerminal(port, pins, tag, into, out, clamped, leak=leak))
     return result
+
+
+def _leak(rom: LinearModel, port: str) -> float:
+    """Conductance [S] across an electrode without capacitance of its own: ``LEAK_RATE`` times the
+    least charge per volt that the electrode has anywhere in the band."""
+    low, high = span(rom)
+    frequency = np.geomspace(max(low, LOWEST * high), high, LEAK_POINTS)
+    try:
+        charge = np.abs(rom.select([port]).transfer(frequency))
+    except SimulationError:  # a frequency is a pole
+        return OPEN_INPUT
+    return LEAK_RATE * float(charge.min()) or OPEN_INPUT
+
+
+def span(rom: LinearModel) -> tuple[float, float]:
+    """The band [Hz] of a model: of its certificate, else of its author, else up to 1 Hz."""
+    return rom.certificate.band_hz if rom.certificate else rom.band or (0.0, 1.0)
 
 
 def subcircuit_pins(terminals: Sequence[PortTerminal], name: str) -> tuple[tuple[Pin, ...], str]:
@@ -482,12 +534,13 @@ def _port(t: PortTerminal, base: str, share: float) -> Iterator[str]:
         yield from (card.onto(base, f"u{pin}", f"Gt{pin}_") for card in t.through)
     elif t.clamped:
         words = {"name": f" {t.label}" if tag else "", "farad": t.clamped, "share": share}
+        words["seconds"] = 1 / LEAK_RATE
         yield _CLAMPED.format(**words)
         (a, b), c = t.pins, t.capacitance or t.clamped
         inverse = f"{number(MICRO)}/{c}" if isinstance(c, str) else MICRO / c
         yield f"Cclamped{tag} {a} inner{tag} {written(times(share, c))}"
         yield f"Gmore{tag}    {a} {b} current{tag} {base} {number(1 - share)}"
-        yield f"Gleak{tag}    {a} {b} {a} inner{tag} {number(LEAK)}"
+        yield f"Gleak{tag}    {a} {b} {a} inner{tag} {written(times(LEAK_RATE, c))}"
         yield f"Ginner{tag}   {base} current{tag} inner{tag} {b} 1"
         yield f"Gcharge{tag}  {base} current{tag} charge{tag} {base} {written(inverse)}"
         yield f"Gcurrent{tag} inner{tag} {b} current{tag} {base} {number(share)}"
@@ -496,7 +549,7 @@ def _port(t: PortTerminal, base: str, share: float) -> Iterator[str]:
     else:
         a, b = t.pins
         yield _UNCLAMPED.format(name=t.label)
-        yield f"Gleak{tag} {a} {b} {a} {b} {number(LEAK)}"
+        yield f"Gleak{tag} {a} {b} {a} {b} {number(t.leak)}"
         for card in t.sums:
             yield replace(card, label=f"{card.label}{tag}").onto(a, b, "Gc")
 
@@ -636,8 +689,7 @@ def _blocks(
     """
     from scipy.linalg import block_diag  # loads what most models do not need
 
-    band = rom.certificate.band_hz if rom.certificate else rom.band
-    farad = 1 / (2 * np.pi * (band[1] if band else 1.0))
+    farad = 1 / (2 * np.pi * span(rom)[1])
     B, C = model.B.copy(), model.C.copy()
     none = np.zeros((len(B), 0)), np.zeros((0, len(B))), B[:0], C[:, :0], B[:0, :0]
     F, P, Q, R, S = (item.copy() for item in model.loops or none)
@@ -668,7 +720,9 @@ def _blocks(
     inputs = [pin for pin in inputs if pin not in own]
     body = [f"R{pin} {pin} {base} 1" for pin in own]
     body += ["* An input that is left open is zero."] * bool(inputs)
-    body += [f"Gleak{k} {p} {base} {p} {base} {number(LEAK)}" for k, p in enumerate(inputs, 1)]
+    body += [
+        f"Gleak{k} {p} {base} {p} {base} {number(OPEN_INPUT)}" for k, p in enumerate(inputs, 1)
+    ]
     body += conservative(ports, base, RINGING.share)
     for index, t in enumerate((t for t in wired if t.kind == "output"), 1):
         body += [
@@ -689,7 +743,7 @@ def _blocks(
             if drifts is not None:
                 body.append(f"C{node} {node} {base} {number(farad)}")
             if drifts:
-                body += [_FREE_STATE, f"G{node} {node} {base} {node} {base} {number(LEAK)}"]
+                body += [_FREE_STATE, f"G{node} {node} {base} {node} {base} {number(FREE_LEAK)}"]
             cards = states.cards(farad * states.A[k], base)
             body += [card.onto(base, node, f"Ga{index}_") for card in cards]
             body += [

@@ -8,12 +8,16 @@ from pathlib import Path
 from kc2spice.core.errors import unknown
 from kc2spice.core.files import staged
 from kc2spice.core.progress import Clock, Progress, silent
+from kc2spice.netlist.deck import Deck
 from kc2spice.netlist.printers.ngspice import plot_script
 from kc2spice.netlist.transforms import array_deck
 from kc2spice.netlist.translate import DECKS, DIALECTS, dialect_files, symbol_files
+from kc2spice.parts._linear_body import LinearBody
 from kc2spice.scene.compose import composed
 from kc2spice.scene.model import Scene
+from kc2spice.scene.parttype import Build
 from kc2spice.sim.ngspice import write_files
+from kc2spice.spice.emitted import require_circuit
 from kc2spice.workflow.decks import prepared, spare_other_decks
 
 
@@ -36,6 +40,7 @@ def export(
     ------
     UsageError : an unknown dialect, or one that cannot say what the scene needs; see
         :func:`kc2spice.workflow.decks.spare_other_decks`.
+    GateMissedError : the circuit of a body misses the tolerance of its reduction.
     """
     known = DIALECTS if count is None else DECKS
     if dialect not in known:
@@ -43,7 +48,8 @@ def export(
         raise unknown(message, dialect, known, "--dialect")
     clock = Clock(progress)
     with staged(out) as work:
-        _, deck = prepared(composed(replace(scene, ports="declared")), clock, trust=trust)
+        build, deck = prepared(composed(replace(scene, ports="declared")), clock, trust=trust)
+        _require_circuits(build, deck)
         with clock.stage("export", "netlists and symbols"):
             if count is not None:
                 deck = array_deck(deck, count)
@@ -53,3 +59,20 @@ def export(
             spare_other_decks(Path(out), files)
             write_files(files, work)
     return [Path(out) / name for name in sorted(files)]
+
+
+def _require_circuits(build: Build, deck: Deck) -> None:
+    """Nothing, if the circuits of all bodies that are reduced to a tolerance keep it.
+
+    Raises
+    ------
+    GateMissedError : one of them does not.
+    """
+    circuits = {part.name.lower(): part for part in deck.parts if part.circuit_error is not None}
+    for part in build.scene.parts.values():
+        circuit = circuits.get(build.libraries[part.name].lower())
+        if circuit is None or not isinstance(part.type, LinearBody):
+            continue
+        tolerance = part.type.reduction(part, build.scene).tolerance
+        if tolerance is not None:
+            require_circuit(circuit, build.model(part), tolerance)

@@ -27,6 +27,7 @@ from kc2spice.rom.reduce import default_norm
 from kc2spice.rom.reduce import reduce as reduce_model
 from kc2spice.scene.load import gallery, load_scene
 from kc2spice.sim.ngspice import write_files
+from kc2spice.spice.emitted import require_circuit
 from kc2spice.spice.header import Header
 from kc2spice.spice.realize import loaded, subcircuit
 from kc2spice.workflow.decks import spare_other_decks
@@ -62,6 +63,7 @@ def reduce(
     UsageError : see :func:`kc2spice.bodies.readers.read_model`; ``out`` cannot be written, which
         is noticed before the reduction; nothing was written.
     SimulationError : the tolerance cannot be met; nothing was written.
+    GateMissedError : the circuit of the reduced model misses it; nothing was written.
     """
     if is_measured(Path(path)):
         told = {"--band": band, "--tolerance": tolerance, "--order": order, "--norm": norm}
@@ -79,7 +81,7 @@ def reduce(
         order=order,
         norm=norm or default_norm(model),  # type: ignore[arg-type]
     )
-    return _written(model.name, model.order, reduced, out)
+    return _written(model.name, model.order, reduced, out, tolerance)
 
 
 def _reduce_measured(
@@ -111,14 +113,26 @@ def _reduce_measured(
 
 
 def _written(
-    model_name: str, unknowns: int, make: Callable[[], LinearModel], out: Path | None
+    model_name: str,
+    unknowns: int,
+    make: Callable[[], LinearModel],
+    out: Path | None,
+    tolerance: float | None = None,
 ) -> dict[str, Any]:
-    """The files of the reduced model that is made, and what ``reduce --json`` says of it."""
+    """The files of the reduced model that is made, and what ``reduce --json`` says of it: the error
+    estimate is that of the emitted circuit.
+
+    Raises
+    ------
+    GateMissedError : the emitted circuit misses the tolerance; nothing was written.
+    """
     name = f"{model_name}_rom"
     directory = Path(name) if out is None else Path(out)
     with staged(directory) as work:
         reduced = make()
-        subcircuit(reduced, identifier(name, "rom"))  # what cannot be exported is not certified
+        part = subcircuit(reduced, identifier(name, "rom"))  # without a circuit, no error estimate
+        if tolerance is not None:
+            require_circuit(part, reduced, tolerance)
         files = write_rom(reduced, work, name)
     certificate = reduced.certificate
     assert certificate is not None
@@ -128,6 +142,7 @@ def _written(
         "form": "first order" if reduced.first_order else "second order",
         "order": reduced.order,
         **certificate.record(),
+        "error_estimate": part.error_estimate,
         "ports": [port.name for port in reduced.ports],
         "rom": str(directory / files[0]),
         "files": files,

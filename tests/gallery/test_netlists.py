@@ -24,6 +24,7 @@ RELATIVE, OF_ITS_TABLE = 1e-4, 1e-5
 RESPONSE, OF_CERTIFIED, BAND = 3e-5, 0.1, 1e-9
 ROM = re.compile(
     r"(?:\*|//) (?:\w+, )?rom: order=\d+ band=[\d.e+]+\.\.([\d.e+]+) Hz norm=\w+ error=(\S+).*"
+    r"(?:\n(?:\*|//)   .*)*"
 )
 IS_ROM = re.compile(r"(?m)^(?:\*|//) rom: ")  # the library of one, not a deck that names it
 

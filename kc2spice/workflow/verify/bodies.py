@@ -17,7 +17,7 @@ from kc2spice.netlist.circuit import Subcircuit
 from kc2spice.netlist.deck import Block, Deck, ac
 from kc2spice.parts._linear_body import LinearBody
 from kc2spice.report.pages import Findings, responses
-from kc2spice.rom.linear import LinearModel, Port
+from kc2spice.rom.linear import LinearModel
 from kc2spice.rom.modal import resonators
 from kc2spice.rom.response import Response, adaptive_frequencies, relative_error
 from kc2spice.rom.structure import structure as form
@@ -25,7 +25,8 @@ from kc2spice.scene.judge import Check
 from kc2spice.scene.model import Part
 from kc2spice.scene.parttype import Build
 from kc2spice.sim.ngspice import run_deck
-from kc2spice.spice.realize import LEAK, loaded
+from kc2spice.spice.emitted import reaction_mass
+from kc2spice.spice.realize import LEAK_RATE, loaded
 
 FEW, MANY = 3, 40  # frequencies at which a large full model is solved: a sample, the whole
 SMALL = 3000  # unknowns up to which all are affordable
@@ -85,18 +86,18 @@ def netlist_checks(
     """The netlist's response ``found`` (frequencies, outputs, inputs) against the reduced model's:
     all ports together, capacitance and charge for each load at each electrical port by their own
     sizes, and what a passive and reciprocal body cannot do. ``gate`` is the largest error."""
-    exact, leak = rom.transfer(frequency), leakage(rom, frequency)
-    leaked = LEAKED * float(leak.max(initial=0.0))
+    exact = rom.transfer(frequency)
+    electrical = [port.name for port in rom.ports if port.kind == "electrical"]
+    leaked = LEAKED * leakage(frequency) if electrical else 0.0
     rows: list[tuple[str, Any, Any, float]] = [
         (": netlist to ROM, all ports", slice(None), slice(None), leaked)
     ]
-    electrical = [port.name for port in rom.ports if port.kind == "electrical"]
-    for port, lost in zip(electrical, leak, strict=True):
+    for port in electrical:
         row, own = rom.outputs.index(port), rom.inputs.index(port)
-        rows.append((f": capacitance of {port}", row, [own], LEAKED * lost))
+        rows.append((f": capacitance of {port}", row, [own], leaked))
         others = np.delete(np.arange(len(rom.inputs)), own)
         if others.size:
-            rows.append((f": charge by loads of {port}", row, others, LEAKED * lost))
+            rows.append((f": charge by loads of {port}", row, others, leaked))
     checks = [
         Check(name + words, relative_error(found[:, row, cols], exact[:, row, cols]), max(gate, by))
         for words, row, cols, by in rows
@@ -108,13 +109,10 @@ def netlist_checks(
     return checks
 
 
-def leakage(rom: LinearModel, frequency: np.ndarray) -> np.ndarray:
-    """Share of the charge of each electrical port that the leak across its clamped capacitance
-    takes from the netlist's at the lowest of the frequencies: ``G / (w C)``."""
-    rows = [k for k, port in enumerate(rom.ports) if port.kind == "electrical"]
-    clamped = np.abs(np.diagonal(rom.D))[rows] if rows else np.empty(0)
-    w = 2 * np.pi * frequency.min()
-    return np.divide(LEAK, w * clamped, out=np.zeros_like(clamped), where=clamped > 0)
+def leakage(frequency: np.ndarray) -> float:
+    """Share of the current of an electrical port that its leak takes at the lowest of the
+    frequencies: ``G / (w C)``, ``G = LEAK_RATE C``."""
+    return float(LEAK_RATE / (2 * np.pi * frequency.min()))
 
 
 def own_structure(name: str, rom: LinearModel, band: tuple[float, float]) -> list[Check]:
@@ -193,16 +191,6 @@ def netlist_response(
             mass = reaction_mass(rom, port) * (np.array(rom.inputs) == port.name)
             H[:, row] = (mass - H[:, row]) / s**2
     return frequency, H
-
-
-def reaction_mass(rom: LinearModel, port: Port) -> float:
-    """Mass [kg] that a netlist's acceleration pin moves: the body's, or that of its states alone,
-    ``y'' = C A B a`` at high frequency."""
-    known = rom.facts.get("mass_kg")
-    if known is not None:
-        return known
-    A, B, C, _ = rom.state_space()
-    return float(C[rom.outputs.index(port.name)] @ A @ B[:, rom.inputs.index(port.name)])
 
 
 def _deck(

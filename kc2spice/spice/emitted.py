@@ -1,0 +1,244 @@
+"""The error of an emitted subcircuit: what its elements do otherwise than the model behind them.
+
+The circuit is the tree of the library's own text, solved by nodal analysis
+(:mod:`kc2spice.netlist.nodal`) over the model's whole band: the lowest frequency, a grid, every
+resonance with its flanks, and again where the error is largest. The error estimate of a library
+is that of its model and this one together.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from kc2spice.core.errors import GateMissedError, SimulationError
+from kc2spice.netlist.circuit import Circuit, Pin, Subcircuit
+from kc2spice.netlist.nodal import NodalCircuit
+from kc2spice.rom.linear import LinearModel, Norm, Port
+from kc2spice.rom.response import FLOOR, Response, clear_of_poles, samples
+
+MICRO = 1e-6  # m of 1 V on a displacement pin
+LOWEST = 1e-6  # of the band's end: the lowest frequency of a band that begins at zero
+GRID = 40  # points of each of two grids, linear and logarithmic
+DECADE = 3  # points of each decade below these grids
+FLANKS = (0.0, 1.0)  # half widths beside a resonance
+WORST, ZOOM = 4, 9  # neighbourhoods of the largest errors, and frequencies in each
+WORK = 4e8  # unknowns squared times frequencies: large circuits are solved at fewer frequencies
+FEWEST = 24  # frequencies of the largest circuits
+NEGLIGIBLE = 0.01  # of a tolerance: error estimates have two digits
+PERTURBED, SPREAD = 4, 10.0  # random roundings of the matrices; ratio of their effects' extremes
+
+
+@dataclass(frozen=True)
+class CircuitError:
+    """The largest relative error of a circuit, and the frequency [Hz] at which it has it."""
+
+    error: float
+    frequency: float = 0.0
+
+
+def circuit_error(
+    circuit: Circuit,
+    pins: Sequence[Pin],
+    model: LinearModel,
+    band: tuple[float, float],
+    norm: Norm = "pointwise",
+    values: Mapping[str, float] | None = None,
+) -> CircuitError:
+    """The largest difference between the responses of a subcircuit and of its model in the band.
+
+    It is relative in the ``norm`` of a :class:`kc2spice.rom.linear.Certificate`. The ports are
+    loaded as in :func:`kc2spice.spice.realize.loaded`; an acceleration port is judged by the force
+    that its pin draws.
+
+    Parameters
+    ----------
+    circuit, pins : the tree of the subcircuit and its pins.
+    model : what the circuit was made from, at these ``values`` of the netlist's parameters.
+    band : lowest and highest frequency [Hz].
+    """
+    emitted = EmittedResponse(NodalCircuit(circuit), tuple(pins), model, values or {})
+    exact = Response(model.pencil.dense())
+    frequency = _frequencies(exact, band, emitted.unknowns)
+    relative = _Relative(emitted, exact, norm)
+    error = relative(frequency)
+    if emitted.unknowns**2 * len(frequency) < WORK:
+        top = np.argsort(error)[-WORST:]
+        low, high = np.maximum(top - 1, 0), np.minimum(top + 1, len(frequency) - 1)
+        near = np.unique(np.linspace(frequency[low], frequency[high], ZOOM))
+        near = clear_of_poles(near, *exact.resonances)
+        frequency, error = np.r_[frequency, near], np.r_[error, relative(near)]
+    worst = int(np.nan_to_num(error, nan=np.inf).argmax())
+    return CircuitError(float(error[worst]), float(frequency[worst]))
+
+
+class EmittedResponse:
+    """The response of a subcircuit under unit loads, in SI, by nodal analysis."""
+
+    def __init__(
+        self,
+        circuit: NodalCircuit,
+        pins: tuple[Pin, ...],
+        model: LinearModel,
+        values: Mapping[str, float],
+    ) -> None:
+        self.model = model
+        first = {port.terminals[0].lower(): port for port in model.ports}
+        grounded = [pin.name for pin in pins if pin.name.lower() not in first]
+        held = {
+            f"held_{node}": node
+            for node, port in first.items()
+            if port.kind not in ("mechanical", "rotational", "output")
+        }
+        self.equations = circuit.equations(values, grounded, held)
+        self.loads = [_load(port) for port in model.ports if port.kind != "output"]
+        self.rows = [port for port in model.ports if port.kind != "input"]
+        self.masses = [_mass(model, port) for port in self.rows]
+
+    @property
+    def unknowns(self) -> int:
+        """Number of the equations."""
+        return len(self.equations.rows)
+
+    def transfer(self, frequency: np.ndarray) -> np.ndarray:
+        """Displacements, charges, forces of accelerated frames, and signals (frequencies, outputs,
+        inputs) by forces, voltages, accelerations and signals."""
+        s = 2j * np.pi * frequency
+        H = self.equations.solve(s, self.loads, [_answer(port) for port in self.rows])
+        for row, port in enumerate(self.rows):
+            if port.kind == "mechanical":
+                H[:, row] *= MICRO
+            elif port.kind == "electrical":
+                H[:, row] /= -s[:, None]
+            elif port.kind == "acceleration":
+                H[:, row] *= -1.0
+        return H
+
+    def seen(self, H: np.ndarray, frequency: np.ndarray) -> np.ndarray:
+        """The response ``H`` of the model as the pins have it: of an accelerated frame the force
+        ``m a - y''`` instead of y."""
+        result = H.copy()
+        s = 2j * np.pi * frequency[:, None]
+        for row, (port, mass) in enumerate(zip(self.rows, self.masses, strict=True)):
+            if port.kind == "acceleration":
+                own = np.array(self.model.inputs) == port.name
+                result[:, row] = mass * own - s**2 * H[:, row]
+        return result
+
+
+def _load(port: Port) -> dict[str, float]:
+    node = port.terminals[0].lower()
+    return {node if port.kind in ("mechanical", "rotational") else f"i(held_{node})": 1.0}
+
+
+def _answer(port: Port) -> str:
+    node = port.terminals[0].lower()
+    return f"i(held_{node})" if port.kind in ("electrical", "acceleration") else node
+
+
+def _mass(model: LinearModel, port: Port) -> float:
+    return reaction_mass(model, port) if port.kind == "acceleration" else 0.0
+
+
+def reaction_mass(model: LinearModel, port: Port) -> float:
+    """Mass [kg] that an acceleration pin moves: the body's, or that of its states alone,
+    ``y'' = C A B a`` at high frequency."""
+    known = model.facts.get("mass_kg")
+    if known is not None:
+        return known
+    A, B, C, _ = model.state_space()
+    return float(C[model.outputs.index(port.name)] @ A @ B[:, model.inputs.index(port.name)])
+
+
+@dataclass
+class _Relative:
+    """Relative errors (frequencies,) of a circuit at frequencies [Hz]; peaks are those of the
+    frequencies that come first."""
+
+    emitted: EmittedResponse
+    exact: Response
+    norm: Norm
+    floor: np.ndarray | None = None
+    counted: np.ndarray | None = None
+
+    def __call__(self, frequency: np.ndarray) -> np.ndarray:
+        if not frequency.size:
+            return np.zeros(0)
+        s = 2j * np.pi * frequency
+        with np.errstate(all="ignore"):
+            H = self.exact.transfer(s)
+        seen = self.emitted.seen(H, frequency)
+        if self.floor is None or self.counted is None:
+            framed = [port.kind == "acceleration" for port in self.emitted.rows]
+            peak = self.exact.peaks(frequency, H)
+            peak[framed] = np.abs(seen[:, framed]).max(axis=0)
+            self.floor = (FLOOR if self.norm == "pointwise" else 1.0) * peak
+            self.counted = ~self.exact.cancelled(s)
+        size = np.maximum(np.abs(seen), self.floor) + np.finfo(float).tiny
+        apart = np.abs(self.emitted.transfer(frequency) - seen) / size
+        return np.asarray((apart * self.counted).max(axis=(1, 2)))
+
+
+def _frequencies(exact: Response, band: tuple[float, float], unknowns: int) -> np.ndarray:
+    """Frequencies [Hz] over the whole band, its ends included."""
+    low, high = band[0] or LOWEST * band[1], band[1]
+    start = max(low, 1e-4 * high)
+    below = np.geomspace(low, start, max(2, round(DECADE * np.log10(start / low)) + 1))
+    result = np.r_[below, samples(exact, (start, high), GRID, False, FLANKS), high]
+    result = np.unique(clear_of_poles(result, *exact.resonances))
+    most = max(FEWEST, int(WORK / unknowns**2))
+    if len(result) > most:
+        result = result[np.unique(np.linspace(0, len(result) - 1, most).astype(int))]
+    return result
+
+
+def require_circuit(part: Subcircuit, model: LinearModel, tolerance: float) -> None:
+    """Nothing, if the emitted circuit keeps its model's tolerance.
+
+    Where rounding of the model's own numbers changes its response as much as the circuit does, no
+    circuit is better: that is a warning.
+
+    Raises
+    ------
+    GateMissedError : the error estimate of the circuit exceeds the tolerance.
+    """
+    found, stated = part.circuit_error, part.error_estimate
+    if found is None or stated is None or found <= NEGLIGIBLE * tolerance or stated <= tolerance:
+        return
+    got = f"{stated:.2g}, of which {found:.2g} at {part.worst_hz:.6g} Hz by its elements"
+    if found <= SPREAD * rounding(model, part.worst_hz):
+        told = f"{part.name}: error estimate {got}: rounding of the given matrices changes as much"
+        warnings.warn(told, stacklevel=2)
+        return
+    raise GateMissedError(
+        "the emitted circuit is less accurate than the tolerance",
+        where=part.name,
+        got=got,
+        expected=f"at most {tolerance:.2g}",
+        hint="ask for a larger tolerance, or a band that begins at a higher frequency",
+    )
+
+
+def rounding(model: LinearModel, frequency: float) -> float:
+    """Relative change of a response at a frequency [Hz] by rounding of the model's matrices: the
+    largest of :data:`PERTURBED` random ones, by the largest entry."""
+    random = np.random.default_rng(0)
+    unit = np.finfo(float).eps
+
+    def rounded(matrix: np.ndarray) -> np.ndarray:
+        change = random.choice([-unit, unit], size=matrix.shape)
+        return np.asarray(matrix * (1 + (change + change.T) / 2))  # a symmetric matrix stays one
+
+    pencil = model.pencil.dense()
+    matrices = [tuple(map(rounded, pencil.coefficients)) for _ in range(PERTURBED)]
+    others = [replace(pencil, coefficients=each, rayleigh=None) for each in matrices]
+    s = np.array([2j * np.pi * frequency])
+    try:
+        exact, *changed = (item.transfer(s)[0] for item in (pencil, *others))
+    except SimulationError:
+        return np.inf
+    size = np.abs(exact) + np.finfo(float).tiny
+    return float(max((np.abs(item - exact) / size).max() for item in changed))
