@@ -354,11 +354,6 @@ class Declaration:
         others = (b.name for b in self.acting if b.kind != "displacement")
         return plus(*map(self._heat, self.rates), *own, *map(self._heat, others))
 
-    @cached_property
-    def heated(self) -> Tree:
-        """The part of :attr:`lost` that voltages and currents between pins lose."""
-        return plus(*(self._heat(b.name) for b in self.open if b.kind != "displacement"))
-
     def _heat(self, rate: str) -> Tree:
         return times(Name(rate), self._slope("content", rate))
 

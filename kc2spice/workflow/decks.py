@@ -31,6 +31,7 @@ from kc2spice.scene.plan import MAX_STEP
 from kc2spice.scene.plausible import built, judged
 from kc2spice.spice.header import Header, plan_lines
 from kc2spice.workflow import meters
+from kc2spice.workflow.edits import changed, instance, with_value
 from kc2spice.workflow.meters import sweep_values, swept
 from kc2spice.workflow.models import build_models
 
@@ -233,7 +234,8 @@ def _initial(build: Build, loose: Sequence[Free]) -> dict[str, float]:
 
 def edited_deck(build: Build, own: Deck, path: Path) -> tuple[Deck, Build]:
     """A netlist of the scene that somebody edited, with the results of the scene's ``own`` deck;
-    and ``build`` without judgement of parts whose cards are others there, or joined otherwise.
+    and ``build`` with the parameters that parts have there, without judgement of parts whose cards
+    are others, or joined otherwise.
 
     What it includes from its own directory is written into its place; it is refused if it could
     act on the machine, unless the build is trusted.
@@ -244,7 +246,8 @@ def edited_deck(build: Build, own: Deck, path: Path) -> tuple[Deck, Build]:
         parts of the deck mean, another analysis than the scene's, vectors that the file no longer
         saves or that nothing in it has.
 
-    Warns of options that are not the scene's: they decide how accurate its results are.
+    Warns of options that are not the scene's: they decide how accurate its results are; and of
+    parts that cannot be judged.
     """
     result = checked(path, trust=build.trust)
     text, cards = result.text, list(result.cards(title=True))
@@ -287,12 +290,36 @@ def edited_deck(build: Build, own: Deck, path: Path) -> tuple[Deck, Build]:
         stop=stop,
         command=Command(own.command.kind, words),
     )
-    return deck, replace(build, unjudged=build.unjudged | _edits(own, deck))
+    return deck, _judged_by(build, own, deck, path)
 
 
-def _edits(own: Deck, edited: Deck) -> set[str]:
-    """Parts of the scene whose cards are others in the ``edited`` deck: their keys no longer say
-    what is there. Also names of cards that it has besides, and of instances joined otherwise."""
+def _judged_by(build: Build, own: Deck, edited: Deck, path: Path) -> Build:
+    """``build`` with the parameters that parts have in the ``edited`` deck; those that its keys
+    cannot tell are not judged, which is a warning."""
+    edits, parts = _edits(own, edited), dict(build.scene.parts)
+    told = {name: why for name, why in edits.items() if name in parts}
+    for name, part in build.scene.parts.items():
+        before, now = (instance(deck.scope, f"x{name}") for deck in (own, edited))
+        if before is None or now is None or name in told:
+            continue
+        if before.cards != now.cards:
+            told[name] = f"its subcircuit {now.library.name} has other cards"
+        for key, old, new in changed(before, now):
+            other = with_value(parts[name], key, old, new)
+            if other is None:
+                told[name] = f"none of its keys is the parameter {key} of {now.library.name}"
+            parts[name] = other or part
+    if told:
+        lines = "; ".join(f"{name}: {why}" for name, why in told.items())
+        warnings.warn(f"{path}: parts without checks and energy balance: {lines}", stacklevel=2)
+    unjudged = build.unjudged | edits.keys() | told.keys()
+    return replace(build, scene=replace(build.scene, parts=parts), unjudged=frozenset(unjudged))
+
+
+def _edits(own: Deck, edited: Deck) -> dict[str, str]:
+    """Parts of the scene whose cards are others in the ``edited`` deck, with the reason: their keys
+    no longer say what is there. Also names of cards that it has besides, and of instances joined
+    otherwise. Parameters of an instance, and its subcircuit, are none of these."""
     owner = {
         card.split()[0].lower(): block.title.partition(":")[0]
         for block in own.blocks
@@ -300,16 +327,18 @@ def _edits(own: Deck, edited: Deck) -> set[str]:
     }
 
     def said(card: Element) -> tuple[Any, ...]:
-        return card.model, card.values, card.settings, card.expression
+        settings = {} if card.kind == "x" else card.settings
+        return card.model, card.values, settings, card.expression
 
     before, now = ({e.key: e for e in deck.scope.elements} for deck in (own, edited))
-    result = set()
+    result = {}
     for key in before.keys() | now.keys():
         a, b = before.get(key), now.get(key)
         if a is None or b is None or said(a) != said(b):
-            result.add(owner.get(key, key))
+            result[owner.get(key, key)] = f"its card {(a or b).name} is another one"  # type: ignore[union-attr]
         elif a.ends != b.ends:  # an instance is still the part that its keys tell
-            result.add(key if key.startswith("x") else owner.get(key, key))
+            name = key if key.startswith("x") else owner.get(key, key)
+            result[name] = f"its card {a.name} is joined otherwise"
     return result
 
 

@@ -28,6 +28,7 @@ from kc2spice.scene.load import gallery, load_scene, toml
 from kc2spice.scene.model import Scene
 from kc2spice.scene.parttype import Build
 from kc2spice.workflow.decks import prepared
+from kc2spice.workflow.edits import with_value
 from kc2spice.workflow.models import fact_units
 from kc2spice.workflow.simulate import Run, simulate
 from kc2spice.workflow.sweep.plan import PARAMETER
@@ -202,10 +203,9 @@ def judged(build: Build, deck: Deck, values: Iterable[tuple[str, float]]) -> Bui
         library, _, name = key.partition(".")
         users = {library_of(p) for p in deck.parts if library in dict(cards(p))}
         for owner in (p for p, used in build.libraries.items() if used in users):
-            keys = parts[owner].keys
-            old = getattr(keys, name) if name in type(keys).model_fields else None
-            if isinstance(old, float) and math.isclose(old, known.get(key, math.nan)):
-                parts[owner] = replace(parts[owner], keys=keys.model_copy(update={name: value}))
+            other = with_value(parts[owner], name, known.get(key, math.nan), value)
+            if other is not None:
+                parts[owner] = other
             elif value != known.get(key):
                 unjudged.add(owner)
     scene = replace(build.scene, parts=parts)

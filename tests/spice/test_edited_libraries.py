@@ -1,0 +1,90 @@
+"""Libraries edited beside a deck: parts are judged by the netlist's own parameters, or not at all.
+
+The energy balance of a declared part sees a flux, a loss or a stiffness that is not the declared
+one, as it takes voltages, currents and forces from its pins.
+"""
+
+import json
+import warnings
+
+import pytest
+
+import kc2spice as kc
+from kc2spice.core.progress import Clock
+from kc2spice.scene.judge import Balance
+from kc2spice.workflow.decks import prepared
+from kc2spice.workflow.export import export
+from kc2spice.workflow.run import run
+from kc2spice.workflow.simulate import ran
+
+SCENES = {"duffing": ("spring", "cubic_spring"), "loudspeaker": ("coil", "voice_coil")}
+
+
+def edited(scene, folder, old, new, file=None):
+    """The scene's deck beside a library in which ``old`` is replaced."""
+    export(kc.load_scene(scene), folder / "ex")
+    path = folder / "ex" / (file or f"{SCENES[scene][1]}.lib")
+    text = path.read_text()
+    assert old in text
+    path.write_text(text.replace(old, new))
+    return folder / "ex" / f"{scene}.cir"
+
+
+def energy(record, part):
+    return next((c for c in record["checks"] if c["name"] == f"energy of {part}"), None)
+
+
+@pytest.mark.parametrize(
+    ("scene", "key", "old", "new"),
+    [("duffing", "stiffness", 100.0, 120.0), ("loudspeaker", "resistance", 6.0, 12.0)],
+)
+@pytest.mark.parametrize("where", ["library", "instance"])
+def test_a_part_is_judged_by_the_value_that_the_netlist_has(scene, key, old, new, where, tmp_path):
+    part, library = SCENES[scene]
+    if where == "library":
+        deck = edited(scene, tmp_path, f"{key}={old}", f"{key}={new}")
+    else:
+        deck = edited(scene, tmp_path, f" {library}\n", f" {library} {key}={new}\n", f"{scene}.cir")
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        record = run(kc.load_scene(scene), tmp_path / "out", deck=deck)
+    assert energy(record, part)["value"] < 1e-4
+    set_by_key = run(kc.load_scene(scene, {f"{part}.{key}": new}), tmp_path / "own")
+    same = {k: v for k, v in record["metrics"].items() if isinstance(v, float)}
+    assert same == pytest.approx({k: set_by_key["metrics"][k] for k in same}, rel=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("scene", "old", "new"),
+    [
+        ("duffing", "stiffness=100.0", "stiffness=120.0"),
+        ("loudspeaker", "resistance=6.0", "resistance=12.0"),
+        ("loudspeaker", "(bl*(1e-6*V(a,b))+0.5", "(1.1*bl*(1e-6*V(a,b))+0.5"),  # flux, not force
+        ("loudspeaker", "damping=0.8", "damping=1.6"),
+        ("loudspeaker", "inductance=0.0005", "inductance=0.004"),
+    ],
+)
+def test_the_balance_sees_what_is_not_declared(scene, old, new, tmp_path):
+    """The scene's keys against the run of a netlist with another value."""
+    name = SCENES[scene][0]
+    loaded = kc.load_scene(scene)
+    _, deck = prepared(loaded, Clock(), edited=edited(scene, tmp_path, old, new))
+    build, _ = prepared(loaded, Clock())
+    waves = ran(build, deck, tmp_path)
+    part = loaded.parts[name]
+    (balance,) = [row for row in part.type.checks(part, build, waves) if isinstance(row, Balance)]
+    assert balance.share > 1.5 * balance.limit
+
+
+def test_a_library_with_other_cards_is_not_judged_and_says_why(tmp_path):
+    old = "voltage besides that of the flux = resistance*i"
+    deck = edited("loudspeaker", tmp_path, "I={1e-6*V(a,b)/", "I={1.1e-6*V(a,b)/")
+    with pytest.warns(UserWarning, match="coil: its subcircuit voice_coil has other cards"):
+        record = run(kc.load_scene("loudspeaker"), tmp_path / "out", deck=deck)
+    assert energy(record, "coil") is None
+    assert json.loads((tmp_path / "out" / "result.json").read_text())["checks"]
+    again = edited("loudspeaker", tmp_path / "b", old, f"{old}, a comment")
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        record = run(kc.load_scene("loudspeaker"), tmp_path / "out2", deck=again)
+    assert energy(record, "coil")["value"] < 1e-4
