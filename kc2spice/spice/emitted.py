@@ -17,8 +17,9 @@ import numpy as np
 from kc2spice.core.errors import GateMissedError, SimulationError
 from kc2spice.netlist.circuit import Circuit, Pin, Subcircuit
 from kc2spice.netlist.nodal import NodalCircuit
+from kc2spice.rom.entries import FLOOR, Entries
 from kc2spice.rom.linear import LinearModel, Norm, Port
-from kc2spice.rom.response import FLOOR, Response, clear_of_poles, samples
+from kc2spice.rom.response import Response, clear_of_poles, samples
 
 MICRO = 1e-6  # m of 1 V on a displacement pin
 LOWEST = 1e-6  # of the band's end: the lowest frequency of a band that begins at zero
@@ -161,8 +162,7 @@ class _Relative:
     emitted: EmittedResponse
     exact: Response
     norm: Norm
-    floor: np.ndarray | None = None
-    counted: np.ndarray | None = None
+    entries: Entries | None = None
 
     def __call__(self, frequency: np.ndarray) -> np.ndarray:
         if not frequency.size:
@@ -171,15 +171,14 @@ class _Relative:
         with np.errstate(all="ignore"):
             H = self.exact.transfer(s)
         seen = self.emitted.seen(H, frequency)
-        if self.floor is None or self.counted is None:
+        if self.entries is None:
             framed = [port.kind == "acceleration" for port in self.emitted.rows]
             peak = self.exact.peaks(frequency, H)
             peak[framed] = np.abs(seen[:, framed]).max(axis=0)
-            self.floor = (FLOOR if self.norm == "pointwise" else 1.0) * peak
-            self.counted = ~self.exact.cancelled(s)
-        size = np.maximum(np.abs(seen), self.floor) + np.finfo(float).tiny
-        apart = np.abs(self.emitted.transfer(frequency) - seen) / size
-        return np.asarray((apart * self.counted).max(axis=(1, 2)))
+            self.entries = Entries.of(seen, peak, self.exact.zero)
+        share = FLOOR if self.norm == "pointwise" else 1.0
+        apart = self.entries.relative(self.emitted.transfer(frequency) - seen, seen, share)
+        return np.asarray(apart.max(axis=(1, 2)))
 
 
 def _frequencies(exact: Response, band: tuple[float, float], unknowns: int) -> np.ndarray:

@@ -297,7 +297,7 @@ def first_order(rng, folder):
 @pytest.mark.parametrize(
     ("make", "seed"),
     [
-        pytest.param(make, k, marks=[pytest.mark.slow, pytest.mark.campaign] * (k > 1))
+        pytest.param(make, k, marks=[pytest.mark.slow, pytest.mark.campaign] * (k > 0))
         for make, count in ((second_order, 60), (first_order, 30))
         for k in range(count)
     ],
@@ -321,7 +321,7 @@ def test_foreign_matrices(make, seed, tmp_path):
 
 @pytest.mark.parametrize(
     "seed",
-    [pytest.param(k, marks=[pytest.mark.slow, pytest.mark.campaign] * (k > 1)) for k in range(60)],
+    [pytest.param(k, marks=[pytest.mark.slow, pytest.mark.campaign] * (k > 0)) for k in range(60)],
 )
 def test_measured_parts(seed, tmp_path):
     """Resonators, losses and inductances over decades, with and without noise."""

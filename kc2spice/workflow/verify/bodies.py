@@ -5,7 +5,6 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -89,19 +88,18 @@ def netlist_checks(
     exact = rom.transfer(frequency)
     electrical = [port.name for port in rom.ports if port.kind == "electrical"]
     leaked = LEAKED * leakage(frequency) if electrical else 0.0
-    rows: list[tuple[str, Any, Any, float]] = [
-        (": netlist to ROM, all ports", slice(None), slice(None), leaked)
-    ]
+    every_row, every_column = list(range(len(rom.outputs))), list(range(len(rom.inputs)))
+    rows = [(": netlist to ROM, all ports", every_row, every_column)]
     for port in electrical:
-        row, own = rom.outputs.index(port), rom.inputs.index(port)
-        rows.append((f": capacitance of {port}", row, [own], leaked))
-        others = np.delete(np.arange(len(rom.inputs)), own)
-        if others.size:
-            rows.append((f": charge by loads of {port}", row, others, leaked))
-    checks = [
-        Check(name + words, relative_error(found[:, row, cols], exact[:, row, cols]), max(gate, by))
-        for words, row, cols, by in rows
-    ]
+        row, own = [rom.outputs.index(port)], rom.inputs.index(port)
+        rows.append((f": capacitance of {port}", row, [own]))
+        others = [column for column in every_column if column != own]
+        if others:
+            rows.append((f": charge by loads of {port}", row, others))
+    checks = []
+    for words, row, columns in rows:
+        at = np.ix_(range(len(frequency)), row, columns)
+        checks.append(Check(name + words, relative_error(found[at], exact[at]), max(gate, leaked)))
     if all(port.conservative for port in rom.ports):
         # a leak takes charge that a load separates, but no force from a voltage
         limit = max(NETLIST_ROUNDING, leaked)
