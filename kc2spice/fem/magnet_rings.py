@@ -1,9 +1,10 @@
 """A conducting body of revolution in the field of coaxial coils: rings, and few modes of them.
 
-The body is divided into rings of equal square or rectangular section, ``L di/dt + R i = -d/dt m j``
-for the currents i of the rings and j of the coils. L and R are constant in the body's frame; only
-the mutual inductances m depend on its height y. In the modes of ``R v = rate L v`` with ``v' L v =
-1`` the body is a set of loops of 1 H and ``rate`` Ohm, coupled to the coils by ``v' m(y)`` alone.
+The body is divided into rings of rectangular section, thin ones below its surfaces where the skin
+depth is small: ``L di/dt + R i = -d/dt m j`` for the currents i of the rings and j of the coils. L
+and R are constant in the body's frame; only the mutual inductances m depend on its height y. In the
+modes of ``R v = rate L v`` with ``v' L v = 1`` the body is a set of loops of 1 H and ``rate`` Ohm,
+coupled to the coils by ``v' m(y)`` alone.
 """
 
 from __future__ import annotations
@@ -26,6 +27,14 @@ POINTS = 16  # along it, for that with others
 SLIVER = 0.02  # of a section, below which a ring carries nothing
 NEAR = 4  # cells from the axis
 GAUSS = (-0.5 / 3**0.5, 0.5 / 3**0.5)  # of a section
+FAR = 40.0  # longest sides of two sections, from where on their distance is that of their middles
+USUAL = 400  # rings of a body, with which there are
+LAYERS = 3.0  # of them in a skin depth at the surface
+GROWTH = 1.35  # thickness of a layer over that of the one above
+SKINNED = 1500  # rings of a sphere at most, whose skin has no layers, with 400 that are asked for
+MOST = 3000  # and with more: dense matrices of 70 MB each
+PLACES = 5  # heights and frequencies at which loops are compared with those of finer rings
+STEP = 1e-4  # of the range of heights, over which a slope is taken there
 
 
 def mutual(r: np.ndarray, z: np.ndarray, other: np.ndarray, height: np.ndarray) -> np.ndarray:
@@ -44,12 +53,13 @@ def mutual(r: np.ndarray, z: np.ndarray, other: np.ndarray, height: np.ndarray) 
 
 @dataclass(frozen=True, eq=False)
 class Cells:
-    """Rings of equal sections ``size`` (radial, axial) [m] about ``r`` (n,) and ``z`` (n,), of
-    which the shares ``filled`` (n,) carry current."""
+    """Rings of sections ``wide`` (n,) times ``tall`` (n,) [m], radial and axial, about ``r`` (n,)
+    and ``z`` (n,), of which the shares ``filled`` (n,) carry current."""
 
     r: np.ndarray
     z: np.ndarray
-    size: tuple[float, float]
+    wide: np.ndarray
+    tall: np.ndarray
     filled: np.ndarray
 
     @cached_property
@@ -60,21 +70,34 @@ class Cells:
         Trans. R. Soc. Edinburgh 26 (1872) 729). The rest of it is taken between the middles, near
         the axis, where it is no smoother, between four points of each.
         """
-        r, z, size = self.r, self.z, self.size
-        x, y = np.subtract.outer(r, r), np.subtract.outer(z, z)
-        logs = _mean_log(x, y, *size)
-        result, near = _averaged(r, z, r, z, logs), r < NEAR * size[0]
-        steps = [(i * size[0], j * size[1]) for i in GAUSS for j in GAUSS]
+        r, z = self.r, self.z
+        logs = self._logs
+        result, near = _averaged(r, z, r, z, logs), r < NEAR * self.wide
+        steps = [(i * self.wide, j * self.tall) for i in GAUSS for j in GAUSS]
         part = np.zeros((np.count_nonzero(near), r.size))
         for (u, v), (s, t) in product(steps, steps):
-            part += _averaged(r[near] + u, z[near] + v, r + s, z + t, logs[near]) / len(steps) ** 2
+            ends = r[near] + u[near], z[near] + v[near], r + s, z + t
+            part += _averaged(*ends, logs[near]) / len(steps) ** 2
         result[near], result[:, near] = part, part.T
+        return result
+
+    @cached_property
+    def _logs(self) -> np.ndarray:
+        """(n, n) mean logarithms of the distance of two sections."""
+        x, y = np.subtract.outer(self.r, self.r), np.subtract.outer(self.z, self.z)
+        result = np.hypot(x, y)
+        longest = np.maximum(self.wide, self.tall)
+        near = result < FAR * np.maximum.outer(longest, longest)
+        result[~near] = np.log(result[~near])
+        a, b = np.nonzero(np.triu(near))
+        sides = self.wide[a], self.wide[b], self.tall[a], self.tall[b]
+        result[a, b] = result[b, a] = _mean_log(x[a, b], y[a, b], *sides)
         return result
 
     @cached_property
     def resistance(self) -> np.ndarray:
         """(n,) [Ohm] at 1 S/m."""
-        return 2 * np.pi * self.r / (self.size[0] * self.size[1] * self.filled)
+        return 2 * np.pi * self.r / (self.wide * self.tall * self.filled)
 
 
 def _averaged(
@@ -89,17 +112,19 @@ def _averaged(
     return np.asarray(between + MU_0 * np.sqrt(r * other) * (np.log(distance) - logs))
 
 
-def _mean_log(x: np.ndarray, y: np.ndarray, a: float, b: float) -> np.ndarray:
-    """Mean of the logarithm of the distance of two rectangles ``a`` times ``b``, ``x`` and ``y``
-    apart: fourth difference of an integral of ``ln(x^2 + y^2) / 2``."""
+def _mean_log(
+    x: np.ndarray, y: np.ndarray, a: np.ndarray, c: np.ndarray, b: np.ndarray, d: np.ndarray
+) -> np.ndarray:
+    """Mean logarithm of the distance of rectangles ``a`` times ``b`` and ``c`` times ``d``, ``x``
+    and ``y`` apart: fourth difference of an integral of ``ln(x^2 + y^2) / 2``."""
     result = np.zeros_like(x)
-    for i, p in ((-1, 1), (0, -2), (1, 1)):
-        for j, q in ((-1, 1), (0, -2), (1, 1)):
-            u, v = np.abs(x + i * a) + 1e-30, np.abs(y + j * b) + 1e-30
-            angles = u**3 * v * np.arctan2(v, u) + u * v**3 * np.arctan2(u, v)
-            logs = (u**2 * v**2 / 4 - (u**4 + v**4) / 24) * np.log(u**2 + v**2)
-            result += p * q * (logs + angles / 3 - 25 / 24 * u**2 * v**2)
-    return result / (2 * a**2 * b**2)
+    ends = ((1, 1, 1), (-1, -1, 1), (1, -1, -1), (-1, 1, -1))
+    for (i, j, p), (k, m, q) in product(ends, ends):
+        u, v = np.abs(x + (i * a + j * c) / 2) + 1e-30, np.abs(y + (k * b + m * d) / 2) + 1e-30
+        angles = u**3 * v * np.arctan2(v, u) + u * v**3 * np.arctan2(u, v)
+        logs = (u**2 * v**2 / 4 - (u**4 + v**4) / 24) * np.log(u**2 + v**2)
+        result += p * q * (logs + angles / 3 - 25 / 24 * u**2 * v**2)
+    return result / (2 * a * b * c * d)
 
 
 def divided(
@@ -109,23 +134,49 @@ def divided(
     high: float,
     count: int,
     inside: Callable[[np.ndarray, np.ndarray], np.ndarray] | None = None,
+    depth: float = np.inf,
 ) -> Cells:
-    """A section of about ``count`` nearly square cells; those that ``inside(r, z)`` cuts have a
-    share."""
+    """A section of about ``count`` nearly square cells, and of more below the surfaces where they
+    are not small to the skin ``depth`` [m]; cells that ``inside(r, z)`` cuts have a share."""
     wide, tall = outer - inner, high - low
+    thinnest = depth / LAYERS * np.sqrt(USUAL / count)
+    if inside is not None:
+        most = min(SKINNED * count / USUAL, MOST)
+        count, thinnest = int(max(count, min(most, wide * tall / thinnest**2))), np.inf
     side = np.sqrt(wide * tall / count)
     # three layers at least: the skin effect is across the thinnest side
-    n, m = (max(3, round(length / side)) for length in (wide, tall))
-    size = wide / n, tall / m
-    r, z = np.meshgrid(inner + size[0] * (np.arange(n) + 0.5), low + size[1] * (np.arange(m) + 0.5))
-    r, z, filled = r.ravel(), z.ravel(), np.ones(n * m)
-    if inside is not None:
-        offsets = (np.arange(16) + 0.5) / 16 - 0.5
-        u, v = (part.ravel() for part in np.meshgrid(offsets * size[0], offsets * size[1]))
-        filled = inside(r[:, None] + u, z[:, None] + v).mean(axis=1)
-        kept = filled > SLIVER
-        r, z, filled = r[kept], z[kept], filled[kept]
-    return Cells(r, z, size, filled)
+    across = inner + _edges(wide, side, thinnest, 2 if inner else 1)
+    along = low + _edges(tall, side, thinnest, 2)
+    r, z = (item.ravel() for item in np.meshgrid(_middles(across), _middles(along)))
+    a, b = (item.ravel() for item in np.meshgrid(np.diff(across), np.diff(along)))
+    if inside is None:
+        return Cells(r, z, a, b, np.ones(r.size))
+    offsets = (np.arange(16) + 0.5) / 16 - 0.5
+    u, v = (part.ravel() for part in np.meshgrid(offsets * a[0], offsets * b[0]))
+    filled = inside(r[:, None] + u, z[:, None] + v).mean(axis=1)
+    kept = filled > SLIVER
+    return Cells(r[kept], z[kept], a[kept], b[kept], filled[kept])
+
+
+def _middles(edges: np.ndarray) -> np.ndarray:
+    return np.asarray((edges[1:] + edges[:-1]) / 2)
+
+
+def _edges(length: float, side: float, thinnest: float, surfaces: int) -> np.ndarray:
+    """Edges of cells from 0 to ``length``: equal ones of about ``side``; where these are not
+    thinner than ``thinnest``, layers from there on that grow below the upper one of the
+    ``surfaces``, or below both."""
+    count = max(3, round(length / side))
+    if thinnest >= length / count:
+        return np.linspace(0.0, length, count + 1)
+    layers, room = [thinnest], length / surfaces
+    while layers[-1] * GROWTH < side and sum(layers) + layers[-1] * GROWTH < room:
+        layers.append(layers[-1] * GROWTH)
+    left = length - surfaces * sum(layers)
+    inner = np.full(max(1, int(np.ceil(left / min(side, layers[-1] * GROWTH)))), left)
+    sizes = [*(layers if surfaces == 2 else ()), *(inner / inner.size), *layers[::-1]]
+    edges = np.concatenate([[0.0], np.cumsum(sizes)])
+    return np.asarray(edges * length / edges[-1])
 
 
 @dataclass(frozen=True)
@@ -146,8 +197,8 @@ class Winding:
         r = self.radius - half[0] + self.width * (np.arange(parts[0]) + 0.5) / parts[0]
         z = self.y - half[1] + self.height * (np.arange(parts[1]) + 0.5) / parts[1]
         r, z = (item.ravel() for item in np.meshgrid(r, z))
-        size = self.width / parts[0], self.height / parts[1]
-        return Cells(r, z, size, np.ones_like(r))
+        even = np.ones_like(r)
+        return Cells(r, z, self.width / parts[0] * even, self.height / parts[1] * even, even)
 
     def coupling(self, r: np.ndarray, z: np.ndarray) -> np.ndarray:
         """Mutual inductance [H] with circles (...), by Gauss's points of the section."""
@@ -187,8 +238,9 @@ class Ladder(EqualByContent):
     """A body as loops of 1 H and ``rates`` (k,) Ohm at 1 S/m, where ``inductance`` (c, c) [H] is
     that of the coils and ``couplings`` (c, k, degree + 1), with magnets (c + 1, k, degree + 1), are
     polynomials of ``2 (y - low) / (high - low) - 1``, lowest power first. ``error`` is the largest
-    of what the currents of more loops change in the coils' flux and in the force, of the largest;
-    ``rings`` are those of the body.
+    of what the currents of more loops change in the coils' flux and in the force, of the largest,
+    up to ``frequency`` [Hz]; ``rings`` are those of the body and ``rough`` is what
+    finer ones change in flux, force and loss.
     """
 
     rates: np.ndarray
@@ -198,6 +250,64 @@ class Ladder(EqualByContent):
     high: float
     error: float
     rings: int
+    frequency: float = 0.0
+    rough: float = 0.0
+
+    def answer(self, heights: np.ndarray, s: complex, conductivity: float) -> Answer:
+        """What the coils and the force see of the body's currents at ``heights`` [m]."""
+        x = (2 * heights - self.low - self.high) / (self.high - self.low)
+        powers = x[:, None] ** np.arange(self.couplings.shape[2])
+        slopes = np.arange(1, self.couplings.shape[2]) * self.couplings[:, :, 1:]
+        m = np.einsum("ckd,yd->cyk", self.couplings, powers)
+        slope = np.einsum("ckd,yd->cyk", slopes, powers[:, :-1]) * 2 / (self.high - self.low)
+        share = s * conductivity / (self.rates + s * conductivity)
+        return Answer(*(np.einsum("iyk,jyk,k->ijy", end, m, share) for end in (m, slope)))
+
+
+@dataclass(frozen=True)
+class Answer:
+    """``flux`` (c, c, y) [H] that the body's currents link with the coils, less than zero, and its
+    ``slope`` (c, c, y) [H/m] by the height of the first of both coils alone, each per ampere."""
+
+    flux: np.ndarray
+    slope: np.ndarray
+
+    def apart(self, exact: Answer) -> float:
+        """The largest difference of flux, slope, and loss of any coil, of the largest."""
+        pairs = [(self.flux, exact.flux), (self.slope, exact.slope)]
+        own = np.arange(len(self.flux))
+        pairs.append((self.flux[own, own].imag, exact.flux[own, own].imag))
+        return max(float((np.abs(a - b).max(-1) / np.abs(b).max(-1)).max()) for a, b in pairs)
+
+
+def roughness(
+    body: Cells,
+    found: Ladder,
+    coils: Sequence[Winding],
+    magnets: Sequence[Winding],
+    conductivity: float,
+) -> float:
+    """How far the loops ``found`` are from the rings of another ``body``, solved directly up to
+    the frequency of the loops: see :meth:`Answer.apart`."""
+    half, middle = (found.high - found.low) / 2, (found.high + found.low) / 2
+    heights = middle + half * chebyshev.chebpts1(PLACES)
+    step, worst = 2 * STEP * half, 0.0
+
+    def couplings(y: np.ndarray) -> np.ndarray:
+        at = body.r, body.z + y[:, None]
+        m = [c.coupling(*at) for c in coils]
+        if magnets:
+            m.append(sum((c.coupling(*at) for c in magnets), np.zeros_like(at[1])))
+        return np.array(m)
+
+    m = couplings(heights)
+    slope = (couplings(heights + step) - couplings(heights - step)) / (2 * step)
+    for speed in 2 * np.pi * found.frequency * np.geomspace(0.01, 1, PLACES):
+        impedance = body.inductance + np.diag(body.resistance / (1j * speed * conductivity))
+        currents = np.linalg.solve(impedance, m.reshape(-1, body.r.size).T).T.reshape(m.shape)
+        exact = Answer(*(np.einsum("iyn,jyn->ijy", end, currents) for end in (m, slope)))
+        worst = max(worst, found.answer(heights, 1j * speed, conductivity).apart(exact))
+    return worst
 
 
 def ladder(
@@ -237,7 +347,7 @@ def ladder(
     reduced, turn = np.linalg.eigh(basis.T * rates @ basis)
     result = np.array(m) @ modes @ basis @ turn
     polynomials = _polynomials(nodes, result, tolerance)
-    return Ladder(reduced, polynomials, own, low, high, error, body.r.size)
+    return Ladder(reduced, polynomials, own, low, high, error, body.r.size, frequency)
 
 
 def carried(

@@ -117,6 +117,11 @@ class LinearDrive(CoilDriver):
         }
 
 
+RIPPLE = (
+    3  # harmonics of the carrier that a current's triangular ripple has 99.9 % of its energy in
+)
+
+
 class PwmKeys(Section):
     """Current source for the coils: H-bridge, pulse-width modulator, PI controller."""
 
@@ -154,7 +159,8 @@ class PwmDrive(CoilDriver):
 
     def numerics(self, part: Part, scene: Scene) -> Iterable[Numerics]:
         f, edge = part.keys.frequency, part.keys.edge
-        return (Numerics(f"a tenth of a period of the carrier of {part.name}", 0.1 / f, 1 / edge),)
+        what = f"a tenth of a period of the carrier of {part.name}"
+        return (Numerics(what, 0.1 / f, 1 / edge, highest=lambda stop, constant: RIPPLE * f),)
 
 
 for _driver in (Amplifier, ChargeDrive, HalfBridge, LinearDrive, PwmDrive):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping
+from dataclasses import replace
 from functools import cache
 from itertools import combinations_with_replacement
 from typing import Annotated, Any, ClassVar, Literal
@@ -26,12 +27,14 @@ from kc2spice.core.quantities import (
     Section,
     si,
 )
+from kc2spice.core.spectrum import energy_frequency
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.fem.magnet_keys import Ring
-from kc2spice.fem.magnet_rings import Ladder, Winding, divided, ladder
+from kc2spice.fem.magnet_rings import Cells, Ladder, Winding, divided, ladder, roughness
 from kc2spice.physics import Declaration, DeclaredPart, current, displacement, loop
 from kc2spice.physics.part import settling
-from kc2spice.scene.judge import Balance, Check, Metric
+from kc2spice.scene.band import highest_frequency
+from kc2spice.scene.judge import Balance, Check, Gate, Metric
 from kc2spice.scene.model import Part, Scene
 from kc2spice.scene.parttype import Build, Neglected, Numerics, register
 
@@ -40,7 +43,11 @@ SOURCES = ("kc2spice.fem.magnet_rings", __name__)
 CLOSER = 0.1  # tolerance of the full model, of that of the reduced one
 SWING = 0.05
 MOST_TURNS = 5
-FINER = 2  # rings of the full model, of those of the reduced one
+FINER = 2  # rings of the full model and its frequency, of those of the reduced one
+LEAST = 1e3  # Hz, up to which eddy currents are resolved whatever drives the scene
+SCREENED = 0.5  # of a coil's inductance, what is left of it over a conductor
+BEYOND = 1.1  # of the resolved frequency, up to which a run's currents may have their energy
+ROUGH = 0.02  # of flux, force and loss, by which the rings may be off those that are finer
 
 
 class CoilKeys(Section):
@@ -86,9 +93,18 @@ class MovingConductorKeys(Conduction, Moving):
     """Disc, ring or sphere."""
 
     shape: Literal["disc", "sphere"] = Field("disc", description="a disc with a hole is a ring")
-    frequency: Frequency = Field(1e3, gt=0, description="up to which eddy currents are resolved")
+    frequency: Frequency | None = Field(
+        None,
+        gt=0,
+        description="highest frequency of resolved eddy currents [Hz]; by default that of the "
+        "scene's analysis, sines, carriers and edges, at least 1 kHz",
+    )
     rings: Annotated[Count, Notch(2.0, model=True)] = Field(
-        400, ge=20, le=3000, description="into which the body is divided"
+        400,
+        ge=20,
+        le=3000,
+        description="number of rings that the body is divided into; thinner ones are added below "
+        "its surface where the skin depth needs them",
     )
 
 
@@ -103,7 +119,12 @@ def _branches(keys: Moving, loops: int) -> tuple[Any, ...]:
 
 @cache
 def _declared(
-    kind: MovingConductor, branches: tuple[Any, ...], low: str = "", high: str = "", **physics: Any
+    kind: MovingConductor,
+    branches: tuple[Any, ...],
+    low: str = "",
+    high: str = "",
+    reach: str = "",
+    **physics: Any,
 ) -> Declaration:
     limits = {"y above y_min": low, "y below y_max": high} if low else {}
     return Declaration(
@@ -113,7 +134,7 @@ def _declared(
         branches,
         limits=limits,
         rating=kind.rating,
-        validity="heights from y_min to y_max; rigid, not magnetic, constant temperature",
+        validity=f"heights y_min to y_max{reach}; rigid, not magnetic, isothermal",
         **physics,
     )
 
@@ -142,6 +163,7 @@ def declared(part: Part, model: Ladder) -> Declaration:
         content=" + ".join(heat) or "0",
         low=f"y - {model.low:.11g}",
         high=f"{model.high:.11g} - y",
+        reach=f", currents up to {model.frequency:g} Hz" if eddies else "",
     )
 
 
@@ -208,31 +230,41 @@ class MovingConductor(DeclaredPart):
 
     # --- model ------------------------------------------------------------------------------
 
-    def field(self, keys: Any, fixed: list[Winding], tolerance: float, rings: int) -> Ladder:
+    def resolved(self, part: Part, scene: Scene) -> float:
+        """Frequency [Hz] up to which its eddy currents are resolved."""
+        return float(part.keys.frequency or max(LEAST, highest_frequency(scene, _lag(part, scene))))
+
+    def field(
+        self, keys: Any, fixed: list[Winding], tolerance: float, rings: int, frequency: float
+    ) -> Ladder:
         """Couplings of its loops with its coils and with ``fixed`` currents, and their rates."""
-        ball = keys.shape == "sphere"
-        box = keys.inner, keys.radius, 0.0, _tall(keys), rings
+        body, coils = _divided(keys, rings, frequency), windings(keys)
+        settings = keys.y_min, keys.y_max, keys.conductivity, frequency, tolerance
+        return ladder(body, coils, fixed, *settings)
 
-        def inside(r: np.ndarray, z: np.ndarray) -> np.ndarray:
-            return np.asarray(r**2 + (z - keys.radius) ** 2 < keys.radius**2)
-
-        body = divided(*box, inside if ball else None)
-        settings = keys.y_min, keys.y_max, keys.conductivity, keys.frequency, tolerance
-        return ladder(body, windings(keys), fixed, *settings)
+    def refined(self, found: Ladder, keys: Any, fixed: list[Winding], rings: int) -> Ladder:
+        """The loops with what rings that are finer change in them."""
+        finer = _divided(keys, FINER * rings, found.frequency)
+        rough = roughness(finer, found, windings(keys), fixed, keys.conductivity)
+        return replace(found, rough=rough)
 
     def build(self, part: Part, scene: Scene, clock: Any, full: bool = False) -> Ladder:
-        """In ``full`` more loops of more rings, couplings of a closer fit."""
-        keys = part.keys
+        """In ``full`` more loops of more rings up to twice the highest frequency of the scene and
+        of the netlist, couplings of a closer fit."""
+        keys, frequency = part.keys, self.resolved(part, scene)
         tolerance = (CLOSER if full else 1.0) * keys.tolerance
         rings = (FINER if full else 1) * getattr(keys, "rings", 1)
+        if full and frequency:
+            frequency = FINER * max(frequency, highest_frequency(scene, _lag(part, scene)))
 
         def build() -> Ladder:
             fixed = [s for m in keys.magnets.values() for s in sheets(m, m.remanence)]
             with clock.stage("magnetics", f"field of {part.name}"):
-                return self.field(keys, fixed, tolerance, rings)
+                found = self.field(keys, fixed, tolerance, rings, frequency)
+                return found if full or not frequency else self.refined(found, keys, fixed, rings)
 
-        shape = {"tolerance", "rings"}
-        key = {"keys": keys.model_dump(exclude=shape, mode="json"), "of": (tolerance, rings)}
+        shape, settings = {"tolerance", "rings", "frequency"}, (tolerance, rings, frequency)
+        key = {"keys": keys.model_dump(exclude=shape, mode="json"), "of": settings}
         sources = (*SOURCES, type(self).__module__)
         try:
             return cached(self.name, key, build, classes=(Ladder,), sources=sources)
@@ -253,12 +285,24 @@ class MovingConductor(DeclaredPart):
             for unit, value in zip("sm", row, strict=True)
         }
 
-    def checks(self, part: Part, build: Build, waves: Waveforms) -> Iterator[Check | Balance]:
+    def checks(
+        self, part: Part, build: Build, waves: Waveforms
+    ) -> Iterator[Check | Balance | Gate]:
         result: Ladder = build.model(part)
         loops, limit = result.rates.size, part.keys.tolerance
         what, advice = f"{loops} loops of {part.name}", "more rings, or a lower frequency"
         if loops:
             yield Check(what, result.error, limit, "of flux and force", advice, "warn")
+            finer = f"{result.rings} rings of {part.name} against finer ones"
+            more = f"raise {part.name}.rings"
+            yield Check(finer, result.rough, ROUGH, "of flux, force and loss", more, "warn")
+            highest, unit = _seen_frequency(part, build, waves), "Hz"
+            what = f"highest frequency of the currents of {part.name}"
+            advice = f"raise {part.name}.frequency to it"
+            yield Check(what, highest, BEYOND * result.frequency, unit, advice, "warn")
+            limits = {"rom_vs_fom": ROUGH, "ngspice_vs_fom": ROUGH}
+            of = f"{part.name}.{_coil('*')}_v"
+            yield Gate(f"coils' voltages of {part.name}", of, limits, "largest")
         yield from super().checks(part, build, waves)
 
     def figures(self, part: Part, build: Build, waves: Waveforms) -> Iterator[Figure]:
@@ -270,16 +314,15 @@ class MovingConductor(DeclaredPart):
             yield Figure(f"{part.name}_height", f"Path of {part.name}", caption, (panel,))
 
     def notes(self, part: Part, scene: Scene) -> Iterator[str | Neglected]:
-        keys = part.keys
+        keys, frequency = part.keys, self.resolved(part, scene)
         yield (
             f"{len(keys.coils)} coils, eddy currents as loops to {keys.tolerance:g} of flux and "
-            f"force up to {keys.frequency:g} Hz, exact in currents, power series of the height"
+            f"force up to {frequency:.4g} Hz, exact in currents, power series of the height"
         )
-        depth = 1 / math.sqrt(math.pi * keys.frequency * MU_0 * keys.conductivity)
         yield Neglected(
-            "currents thinner than the skin depth",
-            f"loops up to {keys.frequency:g} Hz, where it is {1e3 * depth:.2g} mm",
-            "compare with a larger frequency and more rings",
+            f"eddy currents above {frequency:.4g} Hz",
+            f"loops up to there, where the skin depth is {1e3 * _depth(keys, frequency):.2g} mm",
+            "a run compares its currents and finer rings with it",
         )
         yield Neglected("eddy currents in the coils' wires", "thin wires", "not estimated")
         yield Neglected("tilting and sideways motion", "one degree of freedom", "not estimated")
@@ -300,6 +343,50 @@ def turns(time: np.ndarray, y: np.ndarray) -> list[tuple[float, float]]:
             result.append((float(time[best]), float(y[best])))
             best, way = k, -way
     return result
+
+
+def _depth(keys: Any, frequency: float) -> float:
+    """Skin depth [m]: ``1 / sqrt(pi f MU_0 conductivity)``."""
+    return 1 / math.sqrt(math.pi * frequency * MU_0 * keys.conductivity)
+
+
+def _divided(keys: Any, rings: int, frequency: float) -> Cells:
+    """The body in rings, fine enough for the skin depth at a frequency [Hz]."""
+    box = keys.inner, keys.radius, 0.0, _tall(keys), rings
+
+    def inside(r: np.ndarray, z: np.ndarray) -> np.ndarray:
+        return np.asarray(r**2 + (z - keys.radius) ** 2 < keys.radius**2)
+
+    ball = keys.shape == "sphere"
+    return divided(*box, inside if ball else None, _depth(keys, frequency))
+
+
+def _lag(part: Part, scene: Scene) -> float:
+    """The least time constant [s] of its coils with the resistors in series."""
+    result = []
+    for name, coil, winding in zip(
+        part.keys.coils, part.keys.coils.values(), windings(part.keys), strict=True
+    ):
+        ohms = coil.resistance + _in_series(part, scene, {f"{name}_p", f"{name}_n"})
+        result.append(SCREENED * winding.with_other(winding) / ohms)
+    return min(result, default=0.0)
+
+
+def _in_series(part: Part, scene: Scene, pins: set[str]) -> float:
+    """Sum of the resistors [Ohm] at one of two pins of a coil and not at the other."""
+    own = {scene.net(part.name, pin) for pin in pins} - {"0"}
+    ends = ((r, {scene.net(r.name, pin) for pin in "ab"}) for r in scene.of("resistor"))
+    return sum(r.keys.resistance for r, nets in ends if len(nets & own) == 1)
+
+
+def _seen_frequency(part: Part, build: Build, waves: Waveforms) -> float:
+    """Highest frequency [Hz] of what a run did: of its response, or of the coils' currents."""
+    if "frequency" in waves:
+        return float(waves["frequency"].real[-1])
+    currents = [waves.data.get(f"{part.name}.{_coil(name)}") for name in part.keys.coils]
+    if "time" not in waves:
+        return 0.0
+    return max((energy_frequency(waves["time"], i) for i in currents if i is not None), default=0.0)
 
 
 def windings(keys: Moving) -> list[Winding]:

@@ -84,7 +84,12 @@ sine = { amplitude = "1 V", frequency = "50 Hz" }
     def misshapen(self, part: Part) -> Iterator[UsageError]:
         return iter(())
 
-    def field(self, keys: Any, fixed: list[Winding], tolerance: float, rings: int) -> Ladder:
+    def resolved(self, part: Part, scene: Scene) -> float:
+        return 0.0
+
+    def field(
+        self, keys: Any, fixed: list[Winding], tolerance: float, rings: int, frequency: float
+    ) -> Ladder:
         shape = keys.inner, keys.radius, keys.thickness
         share = 1 / (1 + demagnetising(*shape) * (keys.mu_r - 1))
         ring = Ring(height=shape[2], outer=shape[1], inner=shape[0], y=shape[2] / 2)

@@ -15,6 +15,7 @@ from kc2spice.core import waveforms as waves_
 from kc2spice.core.errors import UsageError
 from kc2spice.core.foreign import beside, read_bounded
 from kc2spice.core.quantities import Section, quantity, refused
+from kc2spice.core.spectrum import waveform_frequency
 from kc2spice.core.waveforms import PulseKeys, SineKeys, Waveform, Waveforms
 from kc2spice.netlist.cards import number
 from kc2spice.scene.judge import Check
@@ -55,6 +56,7 @@ KINDS = {
     "displacement": Kind("m", ("um", "N"), 1e6, "V", _METRE, _NEWTON),
     "acceleration": Kind("m/s2", ("m/s2", "N"), 1.0, "V", ("a", "m/s2"), _NEWTON),
 }
+SMOOTHED = ("voltage", "force")  # by inductance and mass; all others are what moves and flows
 SHAPES = ("dc", "pulse", "sine", "pwl", "file")
 MAX_ROWS = 100_000  # of a file
 PER_PERIOD = 125  # points of a sine: 4e-4 of its amplitude lie between two of them
@@ -137,7 +139,14 @@ class Source(PartType):
         return (Terminal("out", *pins, required=True), Terminal("ret", *pins, "gnd"))
 
     def numerics(self, part: Part, scene: Scene) -> Iterator[Numerics]:
-        yield from drive_scales(part.name, part.keys.waveform(scene.home))
+        wave = part.keys.waveform(scene.home)
+        yield from drive_scales(part.name, wave)
+        direct = part.keys.kind not in SMOOTHED
+
+        def highest(stop: float, constant: float) -> float:
+            return waveform_frequency(wave, stop, 0.0 if direct else constant)
+
+        yield Numerics(part.name, highest=highest)
         yield Numerics(part.name, prescribes=quantity(part.keys.ac, part.keys.unit) != 0)
 
     def at_rest(self, part: Part, scene: Scene, model: Any | None = None) -> Rest:

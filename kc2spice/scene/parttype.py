@@ -125,7 +125,9 @@ class Numerics:
     ``content`` [Hz] up to which it excites others; whether it ``prescribes`` small signals of
     ``ac``. A step that ``decides`` stands whatever else the scene has. ``reltol`` and ``chgtol``
     are factors, 1 or less, of the solver's tolerances that it needs to be as exact as anything
-    else, ``options`` the simulator's by name: value and reason.
+    else, ``options`` the simulator's by name: value and reason. ``highest`` is the frequency
+    [Hz] up to which what it prescribes has nearly all of its energy, by the end of the run [s] and
+    the time constant [s] behind which it acts.
     """
 
     what: str
@@ -136,6 +138,7 @@ class Numerics:
     reltol: float = 1.0
     chgtol: float = 1.0
     options: Mapping[str, tuple[str, str]] = field(default_factory=dict)
+    highest: Callable[[float, float], float] | None = None
 
 
 @dataclass(frozen=True)

@@ -240,3 +240,49 @@ def test_one_changed_card_fails(chip, tmp_path):
     assert len(list(CARD.finditer(chip[1]))) > 40
     missed = [line for line in unseen(*chip, tmp_path) if not ABOVE_THE_BAND.match(line)]
     assert [line for line in missed if not NOTHING.match(line)] == []
+
+
+EDDY = """
+name = "eddy"
+[ring]
+part = "moving_conductor"
+radius = "10 mm"
+inner = "5 mm"
+thickness = "2 mm"
+conductivity = 5.8e7
+y_min = "-0.1 mm"
+y_max = "1 mm"
+rings = 20
+pins = {{ c_p = "drive.out", a = "held.a" }}
+{key}
+[ring.coils.c]
+radius = "8 mm"
+width = "1 mm"
+height = "1 mm"
+y = "-1 mm"
+turns = 10
+resistance = "1 mOhm"
+[held]
+part = "spring"
+stiffness = 1e6
+[drive]
+part = "source"
+kind = "current"
+ac = 1.0
+[analysis]
+type = "ac"
+start = "50 kHz"
+stop = "100 kHz"
+points = 3
+"""
+
+
+@pytest.mark.parametrize(("key", "passed"), [("", True), ('frequency = "1 kHz"', False)])
+def test_eddy_currents_are_resolved_to_twice_what_a_scene_has(key, passed, tmp_path):
+    """Whatever the part's own key says."""
+    (tmp_path / "eddy.toml").write_text(EDDY.format(key=key))
+    checks = verify([load_scene(tmp_path / "eddy.toml")], tmp_path / "out")["scenes"]["eddy"][
+        "checks"
+    ]
+    found = [c for c in checks if "voltages of ring" in c["name"]]
+    assert [c["passed"] for c in found] == [passed, passed]

@@ -1,0 +1,60 @@
+"""The frequency up to which a waveform, or what a run recorded, has nearly all of its energy."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from kc2spice.core.waveforms import Waveform
+
+ENERGY = 0.999  # share of its energy that a signal has up to its highest frequency
+SAMPLES = 2**16  # of a signal; 5 of them lie in a pulse of a train of 13 000
+BEGINNING = 400  # corners of a long train, looked at alone as well: samples of all may be too few
+AFTER = 20.0  # time constants for which a low-pass goes on behind a signal's end
+FEWEST = 20  # samples of the signal itself then
+
+
+def energy_frequency(
+    time: np.ndarray, values: np.ndarray, constant: float = 0.0, share: float = ENERGY
+) -> float:
+    """The frequency [Hz] up to which a signal has the ``share`` of its energy.
+
+    Its energy is that of ``x(t) - x(0)``, of straight lines through the points: a constant has
+    none. What has not returned at the end does so as it came, without a jump of its own.
+
+    Parameters
+    ----------
+    time : (n,) rising times [s].
+    values : (n,) values there.
+    constant : time constant [s] of a low-pass of first order that the signal is seen behind.
+    share : of the energy, below 1.
+    """
+    span = time[-1] - time[0]
+    if not span > 0 or not np.ptp(values):
+        return 0.0
+    step = max(span, min(AFTER * constant, SAMPLES / FEWEST * span)) / SAMPLES
+    places = np.arange(int(np.ceil(span / step)) + 1)
+    x = np.interp(time[0] + step * places, time, values - values[0])
+    if x[-1]:
+        x = np.concatenate([x, x[-2::-1]])
+    spectrum = np.fft.rfft(x, 4 * SAMPLES)
+    f = np.fft.rfftfreq(4 * SAMPLES, step)
+    power = np.abs(spectrum) ** 2 / (1 + (2 * np.pi * f * constant) ** 2)
+    power[0] /= 2  # once, all others at -f too
+    risen = np.cumsum(power)
+    return float(f[np.searchsorted(risen, share * risen[-1])])
+
+
+def waveform_frequency(wave: Waveform, stop: float, constant: float = 0.0) -> float:
+    """The same of a waveform up to ``stop`` [s]: a sine's own frequency; one period of what repeats
+    without end; of a train of many pulses what its beginning has too."""
+    if not wave.straight:
+        return wave.frequency
+    times, values = (np.array(row) for row in zip(*wave.points, strict=True))
+    if wave.period is not None:
+        times, stop = np.append(times, times[0] + wave.period), min(stop, times[0] + wave.period)
+    if wave.period is not None or times[-1] > stop or values[-1] != values[0]:
+        times = np.append(times[times < stop], stop)
+    times = times[times <= stop]
+    values = wave(times)
+    parts = {times.size, min(times.size, BEGINNING)}
+    return max(energy_frequency(times[:n], values[:n], constant) for n in parts)

@@ -1,0 +1,26 @@
+"""The highest frequency of a scene, by which its parts choose how finely they resolve."""
+
+from __future__ import annotations
+
+from kc2spice.scene.model import Scene
+from kc2spice.scene.parttype import numerics
+
+
+def highest_frequency(scene: Scene, constant: float = 0.0) -> float:
+    """The highest frequency [Hz] that a scene drives its parts with.
+
+    Of ``ac`` and ``noise`` that is the end of their range, of ``dc`` and ``op`` zero. In a
+    transient it is the largest of all sines and carriers and of the frequencies up to which what
+    has edges has 99.9 % of its energy within the run.
+
+    Parameters
+    ----------
+    scene : the scene.
+    constant : time constant [s] behind which voltages and forces act, as that of a coil.
+    """
+    if scene.analysis.small:
+        return float(scene.analysis.stop or 0.0)
+    if scene.analysis.type != "transient":
+        return 0.0
+    rows = (row.highest for row in numerics(scene) if row.highest is not None)
+    return max((highest(scene.stop, constant) for highest in rows), default=0.0)
