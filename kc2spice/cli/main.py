@@ -90,6 +90,9 @@ PARAMETERS = {
         "and plots.",
     ),
     "verify.deck": typer.Option(metavar="FILE", help="Take SCENE's deck from disk, as it stands."),
+    "verbose": typer.Option(
+        "--verbose", "-v", help="Print every table of the report, not the answer alone."
+    ),
     "png": typer.Option("--png", help="Write the report's figures as PNG files too."),
     "keep": typer.Option(
         "--keep", help="Keep the simulator's raw file, for waveform viewers, and its log."
@@ -251,6 +254,7 @@ def run(
     png: bool = False,
     keep: bool = False,
     trust: bool = False,
+    verbose: bool = False,
 ) -> None:
     """Build, reduce, export and simulate SCENE.
 
@@ -264,7 +268,7 @@ def run(
     with caller.progress() as progress:
         result = study.run(loaded, out, progress, trust=trust, deck=deck, keep=keep, png=png)
     if caller.reads(result, out):
-        show_result(result, out)
+        show_result(result, out, verbose=verbose)
 
 
 @_command

@@ -6,12 +6,11 @@ import contextlib
 import json
 import os
 import sys
-import time
 import traceback
 import warnings
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager, nullcontext
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
@@ -24,7 +23,7 @@ from kc2spice.core.progress import Progress, silent
 if TYPE_CHECKING:
     from kc2spice.report.html import Section
 COLUMNS = 80  # of what is piped
-_EVERY = 10.0  # s between two lines of progress of one stage
+MOST_METRICS, MOST_ROWS = 9, 13  # of the answer of a run, which has a title and a path besides
 INTERRUPTED = 130  # what a shell reports after Ctrl-C
 
 
@@ -36,10 +35,10 @@ class Caller:
     quiet: bool
 
     def progress(self) -> AbstractContextManager[Progress]:
-        """Progress bars in a terminal, one line for each stage elsewhere, nothing when quiet."""
+        """One line for each stage with its elapsed time in a terminal, nothing elsewhere."""
         if not self.quiet and sys.stderr.isatty():
             return _bars()
-        return nullcontext(silent if self.quiet else _Lines())
+        return nullcontext(silent)
 
     def reads(self, record: Any, out: Path | None = None) -> bool:
         """Whether it is a person who reads the answer; a program gets ``record`` and its directory
@@ -75,19 +74,6 @@ def _bars() -> Iterator[Progress]:
 
         yield show
         fill()
-
-
-class _Lines:
-    """For logs and pipes: a line when a stage begins, then what has changed now and then."""
-
-    def __init__(self) -> None:
-        self._stage, self._text, self._last = "", "", 0.0
-
-    def __call__(self, stage: str, done: float | None, text: str) -> None:
-        late = time.monotonic() - self._last > _EVERY or done == 1.0
-        if stage != self._stage or (late and text != self._text):
-            self._stage, self._text, self._last = stage, text, time.monotonic()
-            print(f"{stage}: {text}", file=sys.stderr, flush=True)
 
 
 @contextmanager
@@ -162,10 +148,16 @@ def show(sections: Iterable[Section]) -> None:
             print_table(section.title, rows, section.head)
 
 
-def show_result(result: Mapping[str, Any], directory: Path) -> None:
-    """What ``run`` found."""
-    from kc2spice.report.run_page import result_sections
+def show_result(result: Mapping[str, Any], directory: Path, *, verbose: bool = False) -> None:
+    """Print the answer of a run in at most 15 lines; ``verbose`` adds all tables of its report."""
+    from kc2spice.report.run_page import result_sections, summary_section
 
+    answer = summary_section(result, MOST_METRICS)
+    count = len(result["files"])
+    rows = [*answer.rows[:MOST_ROWS], ("report", f"{directory / 'report.html'} ({count} files)")]
+    show([replace(answer, title=str(result.get("scene", "")), rows=rows)])
+    if not verbose:
+        return
     show(result_sections(result))
     print_table(f"files in {directory}", [(", ".join(map(str, result["files"])),)])
     for raw in (name for name in result["files"] if name.endswith(".raw")):

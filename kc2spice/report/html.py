@@ -8,8 +8,11 @@ from __future__ import annotations
 
 import base64
 import math
+import shlex
+import sys
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from datetime import date
 from html import escape
 from pathlib import Path
 from typing import Any
@@ -25,13 +28,20 @@ from kc2spice.netlist.cards import templates
 _PREFIXED = {"kg": ("g", 1e3), "mm": ("m", 1e-3), "um": ("m", 1e-6)}
 _PREFIXES = {-15: "f", -12: "p", -9: "n", -6: "µ", -3: "m", 0: "", 3: "k", 6: "M", 9: "G"}
 # Words of keys that are none.
-_WORDS = {"bvd": "equivalent circuit", "c0": "C0", "rm": "Rm", "lm": "Lm", "cm": "Cm"}
+_WORDS = {
+    "bvd": "equivalent circuit",
+    "quality": "Q factor",
+    "c0": "C0",
+    "rm": "Rm",
+    "lm": "Lm",
+    "cm": "Cm",
+}
 # Whole keys: of a resonance it takes the electrical condition, and whether it was measured.
 _NAMES = {
-    "resonance_short_hz": "resonance of the model, electrodes shorted, undamped",
-    "resonance_open_hz": "resonance of the model, electrodes open, undamped",
-    "resonance_hz": "resonance read off the impedance (series, as if shorted)",
-    "antiresonance_hz": "resonance read off the impedance (parallel, as if open)",
+    "resonance_short_hz": "natural frequency, electrodes shorted",
+    "resonance_open_hz": "natural frequency, electrodes open",
+    "resonance_hz": "series resonance of the impedance",
+    "antiresonance_hz": "parallel resonance of the impedance",
 }
 # What a key of result.json ends with, by the unit that its record states.
 _SUFFIXES = {
@@ -41,8 +51,8 @@ _SUFFIXES = {
 _SHOWN_UNITS = {"Ohm": "Ω"}
 
 
-def quantity(value: float | None, unit: str, digits: int = 5) -> str:
-    """A number with an SI prefix: ``quantity(5.0573e-4, "s")`` is ``505.73 µs``."""
+def quantity(value: float | None, unit: str, digits: int = 4) -> str:
+    """A number with an SI prefix: ``quantity(5.0573e-4, "s")`` is ``505.7 µs``."""
     if value is None:
         return "—"
     if value == 0.0 or not math.isfinite(value):
@@ -52,11 +62,34 @@ def quantity(value: float | None, unit: str, digits: int = 5) -> str:
     if unit in _PREFIXED:
         plain, factor = _PREFIXED[unit]
         return quantity(factor * value, plain, digits)
-    unit = _SHOWN_UNITS.get(unit, unit)
-    power = 3 * math.floor(math.log10(abs(value)) / 3)
-    power = power if power in _PREFIXES else 0
+    return _prefixed(value, unit, digits, _power(value))
+
+
+def _prefixed(value: float, unit: str, digits: int, power: int) -> str:
     sign = "−" if value < 0.0 else ""
-    return f"{sign}{abs(value) / 10.0**power:.{digits}g} {_PREFIXES[power]}{unit}"
+    shown = f"{abs(value) / 10.0**power:.{digits}g}"
+    return f"{sign}{shown} {_PREFIXES[power]}{_SHOWN_UNITS.get(unit, unit)}"
+
+
+def _power(value: float) -> int:
+    """Exponent of the SI prefix of a number, 0 where there is no such prefix."""
+    power = 3 * math.floor(math.log10(abs(value)) / 3) if value else 0
+    return power if power in _PREFIXES else 0
+
+
+def value_and_limit(value: float, limit: float, unit: str) -> tuple[str, str]:
+    """Both with the same prefix: ``value_and_limit(4.06e5, 5e5, "Hz")`` is 406 kHz, 500 kHz.
+
+    A limit of another order of magnitude has its own prefix.
+    """
+    words = not unit or (" " in unit and " per " not in unit)
+    near = value and limit and 1e-3 < abs(limit / value) < 1e4
+    if words or unit in _PREFIXED or not near or not math.isfinite(value + limit):
+        return quantity(value, unit, 3), quantity(limit, "" if words else unit, 3)
+    power = _power(value)
+    whole = f"{abs(limit) / 10.0**power:.10g}"
+    digits = max(3, len(whole.partition(".")[0]))
+    return _prefixed(value, unit, 3, power), _prefixed(limit, unit, digits, power)
 
 
 def leaves(value: Any, joint: str = ".", path: str = "") -> Iterator[tuple[str, Any]]:
@@ -110,21 +143,29 @@ class Section:
     links: Sequence[str] = ()
 
 
-def write_page(path: Path, title: str, lead: str, sections: Sequence[Section]) -> Path:
+def write_page(
+    path: Path, title: str, lead: str, sections: Sequence[Section], *, origin: Sequence[str] = ()
+) -> Path:
     """Render ``sections`` that have more than a note to ``path``; nothing is loaded from elsewhere.
 
-    ``lead`` stands below the title.
+    ``lead`` stands below the title. The foot states version, date, command and ``origin``.
     """
     text = rendered(
         "report.html.j2",
         title=title,
         lead=lead,
         sections=[s for s in sections if s.rows or s.figures or s.drawing or s.links],
-        footer=f"kc2spice {__version__}",
+        footer=", ".join([f"kc2spice {__version__}", f"{date.today()}", *_command(), *origin]),
         plots=any(section.figures for section in sections),
     )
     path.write_text(text, encoding="utf-8")
     return path
+
+
+def _command() -> list[str]:
+    """The command line that makes the page, where it is one of ours."""
+    name, *words = sys.argv or [""]
+    return [shlex.join(["kc2spice", *words])] if Path(name).stem == "kc2spice" else []
 
 
 def rendered(template: str, **values: object) -> str:

@@ -4,6 +4,7 @@ figures, metrics, checks with wall times, model facts, omissions.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -14,10 +15,21 @@ import numpy as np
 from kc2spice.core.figure import Curve, Figure, Panel, Shape, scale_axis
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.report.figures import BLUE, GREEN, GREY
-from kc2spice.report.html import Section, fact, leaves, quantity, rendered, worded, write_page
-from kc2spice.scene.model import Probe, Scene
+from kc2spice.report.html import (
+    Section,
+    fact,
+    leaves,
+    quantity,
+    rendered,
+    value_and_limit,
+    worded,
+    write_page,
+)
+from kc2spice.scene.model import Probe, Scene, scene_hash
 
 SKETCH_WIDTH, HIGH = 520.0, 300.0  # of the devices, in units of the page
+NOISE = 1e-12  # of the largest number of its unit: smaller ones are rounding errors
+FEW = 8  # entries of a list that a row shows
 LETTER = 6.2  # width of a letter
 TRACK, BOX = 24.0, 74.0  # between two nets; height of a part
 ORANGE = "#B86E00"
@@ -139,13 +151,15 @@ def write_run(
     """Write the page of ``kc2spice run`` from ``result.json``'s content: what it is, what it did,
     then the numbers."""
     energies = (
-        Section(f"Energy: {name}", [(entry, quantity(v, "J")) for entry, v in entries.items()])
+        Section(f"Energy: {name}", _facts(entries, dict.fromkeys(entries, "J")))
         for name, entries in result.get("energy_j", {}).items()
     )
     sections = [
+        summary_section(result),
         Section("Device", drawing=devices(scene), note="Side view, to scale."),
+        Section("Main result", figures=figures[:1], note=HOW),
         Section("Circuit", drawing=circuit(scene), note=NETS),
-        Section("Figures", figures=figures, note=HOW),
+        Section("Further figures", figures=figures[1:]),
         *result_sections(result),
         *energies,
         *(_modes(part, answer) for part, answer in result.get("modes", {}).items()),
@@ -154,7 +168,7 @@ def write_run(
         Section("Files", links=result.get("files", ())),
     ]
     title = f"{scene.name}: {scene.title}" if scene.title else scene.name
-    return write_page(path, title, LEAD, sections)
+    return write_page(path, title, LEAD, sections, origin=(f"scene {scene_hash(scene)}",))
 
 
 def result_sections(result: Mapping[str, Any]) -> list[Section]:
@@ -166,9 +180,9 @@ def result_sections(result: Mapping[str, Any]) -> list[Section]:
     times = {**wall, "sum": sum(wall.values())} if wall else {}
     checks, tried = [], []
     for item in result.get("checks", ()):
-        name = item["name"] if " " in item["name"] else item["name"].replace("_", " ")
-        values = f"{item['value']:.3g} {item['unit']}", f"{item['limit']:.3g}"
-        checks.append(("ok" if item["passed"] else "VIOLATED", name, *values, item["action"]))
+        values = value_and_limit(item["value"], item["limit"], item["unit"])
+        mark = "ok" if item["passed"] else "VIOLATED"
+        checks.append((mark, _check_name(item), *values, item["action"]))
     for item in attempts if len(attempts) > 1 else ():
         outcome = item["cause"] or "succeeded", item["part"] or "", quantity(item["wall_s"], "s", 3)
         tried.append((item["setting"], item["settings"], *outcome))
@@ -182,6 +196,78 @@ def result_sections(result: Mapping[str, Any]) -> list[Section]:
         Section("Retries", tried, ("setting", "changes", "outcome", "blamed", "time"), TRIED),
         Section("Wall time", spent, ("stage", "time"), "0 s: taken from the cache."),
     ]
+
+
+def _check_name(check: Mapping[str, Any]) -> str:
+    name: str = check["name"]
+    return name if " " in name else name.replace("_", " ")
+
+
+def summary_section(result: Mapping[str, Any], most: int | None = None) -> Section:
+    """The answer of a run: its verdict, its metrics that are single numbers, its error estimates.
+
+    ``most`` is the largest number of metrics.
+    """
+    units = result.get("metric_units", {})
+    errors = result.get("convergence", {}).get("errors", {})
+    metrics = {name: v for name, v in leaves(result.get("metrics", {})) if _single(v)}
+    rows: Rows = [("checks", verdict(result.get("checks", ())))]
+    for check in result.get("checks", ()):
+        if not check["passed"]:
+            value, limit = value_and_limit(check["value"], check["limit"], check["unit"])
+            rows.append(("VIOLATED", f"{_check_name(check)}: {value}, limit {limit}"))
+    scales = _scales(metrics, units)
+    for name, value in list(metrics.items())[:most]:
+        error = errors.get(name)
+        estimate = "" if error is None else f" (error estimate {100 * error:.2g} %)"
+        label, text = fact(name.replace(".", "_"), _rounded(value, scales, units.get(name, "")),
+                           units.get(name, ""))  # fmt: skip
+        rows.append((label, text + estimate))
+    if most is not None and len(metrics) > most:
+        rows.append(("further metrics", f"{len(metrics) - most}, in the report"))
+    return Section("Result", [*rows, *_model_errors(result)])
+
+
+def verdict(checks: Sequence[Mapping[str, Any]]) -> str:
+    """``17 checks passed``, or how many of them."""
+    passed = sum(bool(check["passed"]) for check in checks)
+    if passed == len(checks):
+        return f"{passed} check{'s' * (passed != 1)} passed"
+    return f"{passed} of {len(checks)} checks passed"
+
+
+def _single(value: Any) -> bool:
+    return not isinstance(value, (list, tuple, Mapping))
+
+
+def _model_errors(result: Mapping[str, Any]) -> Rows:
+    """States, band and error estimate of each reduced model."""
+    models = result.get("roms") or {"": result["rom"]} if result.get("rom") else {}
+    rows: Rows = []
+    for name, rom in models.items():
+        label = f"reduced model {name}".strip()
+        text = f"{rom['order']} states"
+        if rom.get("error_estimate") is not None and rom.get("band_hz"):
+            top = quantity(rom["band_hz"][1], "Hz", 3)
+            text += f", error estimate {100 * rom['error_estimate']:.2g} % up to {top}"
+        rows.append((label, text))
+    return rows
+
+
+def _scales(values: Mapping[str, Any], units: Mapping[str, str]) -> dict[str, float]:
+    """Largest magnitude among numbers of one unit."""
+    result: dict[str, float] = {}
+    for name, value in values.items():
+        if isinstance(value, float) and math.isfinite(value):
+            unit = units.get(name, "")
+            result[unit] = max(result.get(unit, 0.0), abs(value))
+    return result
+
+
+def _rounded(value: Any, scales: Mapping[str, float], unit: str) -> Any:
+    """0 for a number that is rounding noise beside others of its unit."""
+    noise = isinstance(value, float) and abs(value) < NOISE * scales.get(unit, 0.0)
+    return 0.0 if noise else value
 
 
 def above_band(rom: Mapping[str, Any]) -> Rows:
@@ -212,8 +298,17 @@ def plan_sections(
 
 
 def _facts(facts: Mapping[str, Any], units: Mapping[str, str]) -> Rows:
-    """Rows of numbers, whose ``units`` are by dotted name."""
-    return [fact(k.replace(".", "_"), v, units.get(k, "")) for k, v in leaves(facts)]
+    """Rows of single numbers, whose ``units`` are by dotted name; curves are in the figures."""
+    values = {name: value for name, value in leaves(facts) if _single(value) or len(value) <= FEW}
+    scales = _scales(values, units)
+    return [
+        fact(
+            name.replace(".", "_"),
+            _rounded(value, scales, units.get(name, "")),
+            units.get(name, ""),
+        )
+        for name, value in values.items()
+    ]
 
 
 def _modes(part: str, found: Mapping[str, Any]) -> Section:

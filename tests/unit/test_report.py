@@ -127,8 +127,8 @@ def page(tmp_path_factory: pytest.TempPathFactory) -> Page:
 
 def test_page_has_all_sections(page: Page) -> None:
     assert page.headings == [
-        "Device", "Circuit", "Figures", "Metrics", "Model: kick", "Model: catch", "Reduced model",
-        "Wall time", "What is modelled", "Numerical settings", "What is left out", "Simulator",
+        "Result", "Device", "Main result", "Circuit", "Further figures", "Metrics", "Model: kick",
+        "Model: catch", "Reduced model", "Wall time", "What is modelled", "Numerical settings", "What is left out", "Simulator",
         "Files",
     ]  # fmt: skip
 
