@@ -99,6 +99,14 @@ def reduce(
     """
     from kc2spice.rom import reduce as reduction
 
+    if not isinstance(model, LinearModel):
+        raise UsageError(
+            "not a linear model",
+            where="model",
+            got=f"{type(model).__name__} {model!r}"[:120],
+            expected="a kc.LinearModel",
+            hint="kc.read_model(PATH) reads one, kc.LinearModel(M=M, K=K, B=B) makes one",
+        )
     if parameters:
         raise UsageError(
             "matrices say nothing of other values of parameters",

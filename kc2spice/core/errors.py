@@ -8,6 +8,7 @@ from importlib import import_module
 from typing import Any
 
 LONGEST = 200  # characters of a word that is compared with others
+MOST_CHOICES = 5  # that an error lists
 SHORTEST = 4  # letters and digits of a word that is looked for inside other names
 
 
@@ -108,9 +109,29 @@ def unknown(
 ) -> UsageError:
     """The error of a ``name`` that is none of the ``known`` ones, with what is near it."""
     choices = list(known)
-    expected = "one of " + ", ".join(choices) if choices else "one of those there are: none"
+    expected = "one of " + candidates(name, choices) if choices else "nothing: there are none"
     near = did_you_mean(str(name), choices)
     return UsageError(message, where=where, got=repr(name), expected=expected, hint=near)
+
+
+def candidates(word: object, choices: Iterable[str]) -> str:
+    """At most five choices, those nearest to ``word`` if there are more.
+
+    >>> candidates("v", ["a", "b"])
+    'a, b'
+    >>> candidates("c4", [f"c{k}" for k in range(9)])
+    'c4, c0, c1, c2, c3, … (9 in all)'
+    """
+    names = list(choices)
+    if len(names) <= MOST_CHOICES:
+        return ", ".join(names)
+    import difflib  # late: most errors need none of it
+
+    def distance(name: str) -> float:
+        return -difflib.SequenceMatcher(None, str(word)[:LONGEST], name).ratio()
+
+    nearest = sorted(names, key=distance)[:MOST_CHOICES]
+    return f"{', '.join(nearest)}, … ({len(names)} in all)"
 
 
 def did_you_mean(word: str, choices: Iterable[str]) -> str | None:

@@ -57,6 +57,11 @@ class Damping(Section):
         values = np.atleast_1d([x for x in (self.ratio,) if x is not None]).ravel()
         if (values < 0).any() or (self.at is not None and np.min(self.at) <= 0):
             raise ValueError("ratios are at least 0, frequencies greater than 0")
+        if (values >= 1).any() or (self.quality is not None and self.quality <= 0.5):
+            raise ValueError(
+                "a ratio of 1 or more (Q of one half or less) leaves nothing that oscillates: "
+                "1 % is ratio = 0.01, a Q factor of 50"
+            )
         if two[0] and (self.at[0] == self.at[1] or min(self._pair()) < 0 or self.alpha):  # type: ignore[index]
             raise ValueError(
                 "no alpha and beta of at least 0 give these ratios: at two frequencies f1 < f2 "

@@ -155,6 +155,9 @@ class _Reader:
             return text.replace("\r\n", "\n").replace("\r", "\n")
         except (OSError, ValueError) as error:
             reason = getattr(error, "strerror", None) or str(error)
+            if isinstance(error, FileNotFoundError) and where == str(self.main):
+                message = "this file does not exist"
+                raise UsageError(message, where=where, expected="the path of a netlist") from None
             expected = f"a text file, at most {MOST_BYTES} bytes with all that it includes"
             raise UsageError(
                 "cannot include this", where=where, got=f"{name}: {reason}", expected=expected

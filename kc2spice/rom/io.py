@@ -152,6 +152,7 @@ def mirrored(matrix: sparse.csc_array, sign: int = 1) -> sparse.csc_array:
 MAX_BYTES = 1_000_000_000
 MAX_ENTRIES = 50_000_000  # of one matrix
 MAX_TEXT = 64  # characters of a name or unit
+_ROM_FILES = "the .npz file that kc2spice reduce wrote, or the .json file beside its matrices"
 _RECORD = "record"  # the JSON text beside the arrays
 
 
@@ -188,7 +189,15 @@ def read_rom(path: Path | str) -> LinearModel:
     """
     path = Path(path)
     if not path.is_file():
-        raise UsageError("no such file", where=str(path), expected="a reduced model")
+        raise UsageError("this file does not exist", where=str(path), expected=_ROM_FILES)
+    if path.suffix not in (".npz", ".json", ".M", ".E", ".K", ".A", ".B", ".C", ".D"):
+        raise UsageError(
+            "is not a reduced model",
+            where=str(path),
+            got=f"a file that ends with {path.suffix or 'no suffix'}",
+            expected=_ROM_FILES,
+            hint="kc2spice reduce MODEL writes one, NAME_rom/NAME_rom.npz",
+        )
     try:
         matrices, record = _read_npz(path) if path.suffix == ".npz" else _read_family(path)
         return _model(matrices, json.loads(record))

@@ -109,7 +109,7 @@ def require(checks: tuple[Check, ...], where: str) -> None:
     for check in checks:
         if check.fatal:
             raise SimulationError(
-                f"the result contradicts physics: {check.name}",
+                f"a check of the result failed: {check.name}",
                 where=where,
                 got=f"{check.value:g} {check.unit}",
                 expected=f"at most {check.limit:g} {check.unit}",

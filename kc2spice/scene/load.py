@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import math
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from importlib import resources
 from importlib.resources.abc import Traversable
@@ -16,7 +17,7 @@ from typing import Any
 
 from pydantic import BaseModel, ValidationError
 
-from kc2spice.core.errors import UsageError, did_you_mean, unknown
+from kc2spice.core.errors import UsageError, candidates, did_you_mean, unknown
 from kc2spice.core.foreign import (
     DEEPEST,
     LONGEST_KEY,
@@ -198,14 +199,32 @@ def load_scene(
         changes = [(name, value, f"{name}={value}") for name, value in overrides.items()]
     else:
         changes = [(*_override(text), text) for text in override_texts(overrides)]
+    stated = [name for name, table in data.items() if isinstance(table, Mapping)]
     for name, value, text in changes:
         source.overrides[_put(data, name, value, text)] = text
+    _only_parts_of(data, stated, source)
     try:
         return _scene(data, source.folder)
     except UsageError as problem:
         if problem.where is not None:
             problem.where = source.where(problem.where)
         raise
+
+
+def _only_parts_of(data: Mapping[str, Any], stated: Sequence[str], source: _Source) -> None:
+    """Refuse overrides of a part that the scene lacks; one with a type adds a part."""
+    known = {*stated, *Frame.model_fields, *SHORT}
+    for name, table in data.items():
+        if name in known or not isinstance(table, Mapping) or "part" in table:
+            continue
+        parts = [part for part in stated if part not in Frame.model_fields]
+        raise UsageError(
+            f"this scene has no part {name!r}",
+            where=source.where(name),
+            expected=f"a key of one of its parts: {candidates(name, parts)}",
+            hint=did_you_mean(name, parts)
+            or f"a new part needs its type: --set {name}.part=TYPE (kc2spice scenes --parts)",
+        )
 
 
 def _copied(value: Any) -> Any:
@@ -329,10 +348,11 @@ def _type(name: str, table: Mapping[str, Any]) -> PartType:
     if selected is None:
         near = did_you_mean(name, [*Frame.model_fields, *SHORT])
         raise UsageError(
-            "this table is no part of the grammar and says no part type",
+            "this table states no part type",
             where=name,
-            expected="part = one of " + ", ".join(type_names()),
-            hint=near or f'add  part = "TYPE"  to [{name}]; see kc2spice scenes --parts',
+            expected=f"part = one of {candidates(name, type_names())}",
+            hint=near
+            or f'add  part = "TYPE"  to [{name}]; kc2spice scenes --parts lists the types',
         )
     result = part_type(selected) if isinstance(selected, str) else None
     if result is None:
@@ -406,8 +426,10 @@ class _Source:
         try:
             return parse_toml(self.text)
         except ValueError as error:
-            hint = "strings, quantities with units among them, stand in double quotes"
             got = clipped(str(error))
+            hint = "put text, and quantities with units, between double quotes"
+            if missing := re.search(r"Expected ('[^']+')", got):
+                hint = f"add the missing {missing[1]}"
             raise UsageError("not valid TOML", where=self.label, got=got, hint=hint) from None
 
     def where(self, key: str) -> str:
@@ -432,17 +454,26 @@ def _open(name_or_path: str | Path) -> _Source:
     except UnicodeDecodeError:
         raise UsageError("not a text file", where=name, expected="TOML in UTF-8") from None
     except (FileNotFoundError, IsADirectoryError):
-        raise UsageError(
-            "no such scene",
-            got=repr(name),
-            expected="a TOML file, or one of " + ", ".join(scenes),
-            hint=did_you_mean(name, scenes) or "see 'kc2spice scenes' for the gallery",
-        ) from None
+        raise _not_found(name, path, scenes) from None
     except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or str(error)
         raise UsageError(f"cannot be read: {reason}", where=name) from None
     folder = Path.cwd() if path.parent == Path() else path.parent  # Path() is: no folder
     return _Source(name, path.stem, text, folder)
+
+
+def _not_found(name: str, path: Path, scenes: Iterable[str]) -> UsageError:
+    """The error of a file that does not exist, or of a name that no built-in scene has."""
+    listing = "kc2spice scenes lists the built-in scenes"
+    if path.suffix != ".toml" and len(path.parts) == 1:
+        expected = f"a TOML file, or a built-in scene: {candidates(name, scenes)}"
+        hint = did_you_mean(name, scenes) or listing
+        return UsageError("no such scene", got=repr(name), expected=expected, hint=hint)
+    with contextlib.suppress(OSError):
+        near = did_you_mean(path.stem, (file.stem for file in path.parent.glob("*.toml")))
+        listing = near or listing
+    message = "is a directory" if path.is_dir() else "this file does not exist"
+    return UsageError(message, where=name, expected="the path of a TOML file", hint=listing)
 
 
 def override_texts(texts: Sequence[str]) -> list[str]:

@@ -22,7 +22,7 @@ from kc2spice.netlist.expression import literal, vector
 from kc2spice.netlist.foreign import ANALYSES, HARMLESS, accuracy, checked, refuse
 from kc2spice.netlist.lint import lint
 from kc2spice.netlist.read import Statement, read, statements
-from kc2spice.netlist.scope import INCLUDES, circuit, has_vector
+from kc2spice.netlist.scope import INCLUDES, Scope, circuit, has_vector
 from kc2spice.netlist.transforms import quiet
 from kc2spice.scene.compose import Free, free, unsettled
 from kc2spice.scene.model import Names, Part, Scene, scene_hash
@@ -334,12 +334,35 @@ def _edits(own: Deck, edited: Deck) -> dict[str, str]:
     result = {}
     for key in before.keys() | now.keys():
         a, b = before.get(key), now.get(key)
-        if a is None or b is None or said(a) != said(b):
+        if b is None and a is not None:
+            result[owner.get(key, key)] = f"the deck has no card {a.name}"
+        elif a is None or b is None or said(a) != said(b):
             result[owner.get(key, key)] = f"its card {(a or b).name} is another one"  # type: ignore[union-attr]
         elif a.ends != b.ends:  # an instance is still the part that its keys tell
             name = key if key.startswith("x") else owner.get(key, key)
             result[name] = f"its card {a.name} is joined otherwise"
     return result
+
+
+def _require_instances(now: Scope, before: Scope, path: Path) -> None:
+    """Refuse a deck that lost the subcircuit of a part and has no new card in its place.
+
+    Raises
+    ------
+    UsageError : names the card.
+    """
+    old, new = ({element.key: element for element in scope.elements} for scope in (before, now))
+    if new.keys() - old.keys():
+        return  # what came instead is for the reader of the deck to judge
+    for key in old.keys() - new.keys():
+        if old[key].kind == "x":
+            name = old[key].name
+            raise UsageError(
+                f"the deck has no card {name}",
+                where=str(path),
+                expected=f"{name} of the exported deck, or cards that take its place",
+                hint=f"copy the line that begins with {name} from a new export",
+            )
 
 
 def _require_results(own: Deck, text: str, path: Path) -> None:
@@ -350,6 +373,7 @@ def _require_results(own: Deck, text: str, path: Path) -> None:
     UsageError : names the vectors, and the card that brings back a current.
     """
     now, before = circuit(read(text, path.name, title=True)), own.scope
+    _require_instances(now, before, path)
     missing = [v for v in own.saved if not has_vector(now, v) and has_vector(before, v)]
     if not missing:
         return

@@ -83,13 +83,14 @@ def fit(
     UsageError : no such body, key or data; a key that does not move the admittance; an end that
         is not the measured part; an ``out`` that cannot be written, noticed before the fit.
     """
+    loaded = load_scene(scene)
+    loaded.part(part, "SCENE:PART")  # before the data: a misspelt part is the first mistake
     measured = data if isinstance(data, Measured) else read_measured(Path(data))
     if measured.Y.shape[1] != 1:
         got = f"{measured.Y.shape[1]} ports"
         raise UsageError("has several ports", where=measured.where, got=got, expected="one port")
     if not vary:
         raise UsageError("nothing to vary", where=part, expected="--vary KEY or KEY=low:high")
-    loaded = load_scene(scene)
     keys = _varied(loaded, part, vary)
     body = _Body(loaded, part, measured, keys, progress, loaded)
     with nullcontext(Path()) if out is None else staged(out) as work:

@@ -213,3 +213,83 @@ def test_couplings_that_change_too_fast_name_the_key_that_helps():
     nodes = np.cos(np.pi * (np.arange(17) + 0.5) / 17)
     values = np.sign(nodes)[None, :, None]  # a step: no polynomial follows it
     refused(lambda: _polynomials(nodes, values, 1e-5), "raise the key tolerance, now 1e-05")
+
+
+def test_a_file_that_does_not_exist(cli, tmp_path):
+    (tmp_path / "my_buzzer.toml").write_text("")
+    done = cli("run", "my_buzer.toml")
+    assert done.exit_code == 2
+    assert "my_buzer.toml: this file does not exist" in done.stderr
+    assert "did you mean 'my_buzzer'?" in done.stderr
+    assert "loudspeaker" not in done.stderr
+
+
+def test_at_most_five_candidates_are_listed(cli):
+    done = cli("run", "buzer_7bb")
+    listed = next(line for line in done.stderr.splitlines() if "expected" in line)
+    assert listed.count("buzzer_7bb") == 5
+    assert "in all)" in listed
+
+
+def test_a_key_of_a_part_that_the_scene_lacks(cli):
+    done = cli("run", "kick_and_catch", "--set", "disc.layers=3")
+    assert done.exit_code == 2
+    assert "--set 'disc.layers=3': this scene has no part 'disc'" in done.stderr
+    assert "kick, contact, sphere, catch, control" in done.stderr
+
+
+def test_an_unclosed_table_names_the_bracket(said):
+    code, text = said('title = "a"\n[[x\npart = "resistor"\n')
+    assert code == 2
+    assert "add the missing ']]'" in text
+
+
+@pytest.mark.parametrize(("words", "right"), [("1:2", "1:2:5"), ("log:1:2", "log:1:2:5")])
+def test_a_range_without_its_number_of_points(cli, words, right):
+    done = cli("sweep", "impact", "--set", f"impact.velocity={words}")
+    assert done.exit_code == 2
+    assert "a range needs a first value, a last value and a number of points" in done.stderr
+    assert right in done.stderr
+
+
+def test_a_deck_without_one_of_its_parts(cli, tmp_path):
+    assert cli("export", "newtons_cradle", "-o", "d").exit_code == 0
+    deck = tmp_path / "d" / "newtons_cradle.cir"
+    lines = deck.read_text().splitlines(keepends=True)
+    card = next(line for line in lines if line.startswith("X")).split()[0]
+    deck.write_text("".join(line for line in lines if not line.startswith(f"{card} ")))
+    done = cli("run", "newtons_cradle", "--deck", str(deck))
+    assert done.exit_code == 2
+    assert f"the deck has no card {card}" in done.stderr
+
+
+def test_a_deck_that_does_not_exist(cli):
+    done = cli("run", "newtons_cradle", "--deck", "nofile.cir")
+    assert done.exit_code == 2
+    assert "nofile.cir: this file does not exist" in done.stderr
+    assert "include" not in done.stderr
+
+
+def test_a_reduced_model_of_another_kind_of_file(cli, tmp_path):
+    (tmp_path / "b.toml").write_text("a = 1\n")
+    done = cli("export", "--rom", "b.toml")
+    assert done.exit_code == 2
+    assert "b.toml: is not a reduced model" in done.stderr
+    assert "b.json" not in done.stderr
+
+
+def test_a_number_instead_of_a_model():
+    refused(lambda: kc.reduce(3), "not a linear model", "int 3", "kc.read_model(PATH)")
+
+
+def test_a_misspelt_part_comes_before_its_data(cli):
+    done = cli("fit", "buzzer_7bb_20_6:disk", "nodata.csv", "--vary", "damping.quality")
+    assert done.exit_code == 2
+    assert "disk" in done.stderr
+    assert "did you mean 'disc'?" in done.stderr
+
+
+def test_damping_beyond_the_critical(cli):
+    done = cli("run", "kick_and_catch", "--set", "kick.damping.ratio=2")
+    assert done.exit_code == 2
+    assert "leaves nothing that oscillates" in done.stderr

@@ -77,7 +77,7 @@ MISTAKES = {
         12, "lower.part", ["unknown part type", "'resitor'", "did you mean 'resistor'"],
     ),
     "no part type": (
-        _changed('part = "source"\n', ""), 1, "supply", ["says no part type", "part = one of"],
+        _changed('part = "source"\n', ""), 1, "supply", ["states no part type", "part = one of"],
     ),
     "unknown key": (
         _changed("resistance = 3e3", "resistence = 3e3"),

@@ -128,7 +128,8 @@ def page(tmp_path_factory: pytest.TempPathFactory) -> Page:
 def test_page_has_all_sections(page: Page) -> None:
     assert page.headings == [
         "Result", "Device", "Main result", "Circuit", "Further figures", "Metrics", "Model: kick",
-        "Model: catch", "Reduced model", "Wall time", "What is modelled", "Numerical settings", "What is left out", "Simulator",
+        "Model: catch", "Reduced model", "Wall time", "What is modelled", "Numerical settings",
+        "What is left out", "Simulator",
         "Files",
     ]  # fmt: skip
 

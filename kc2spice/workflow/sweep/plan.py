@@ -54,6 +54,10 @@ def form(text: str) -> tuple[str, list[str]]:
     """Kind of a range (``value``, ``list``, ``linear``, ``log``, ``normal``, ``uniform``), words.
 
     The first word is a value that the key takes.
+
+    Raises
+    ------
+    UsageError : a range that has other than three words.
     """
     if text[:1] in ('"', "'"):
         return "value", [text]
@@ -61,7 +65,19 @@ def form(text: str) -> tuple[str, list[str]]:
         return call[1], _split(call[2], ",")
     words = _split(text, ":")
     if len(words) > 1:
-        return ("log", words[1:]) if words[0] == "log" else ("linear", words)
+        kind, words = ("log", words[1:]) if words[0] == "log" else ("linear", words)
+        if len(words) != 3:
+            prefix = "log:" if kind == "log" else ""
+            raise UsageError(
+                "a range needs a first value, a last value and a number of points",
+                where="--set",
+                got=text,
+                expected=f"{prefix}FIRST:LAST:POINTS",
+                hint=f"write {prefix}{':'.join([*words[:2], '5'])} for five points"
+                if len(words) == 2
+                else None,
+            )
+        return kind, words
     words = _split(text, ",")
     return ("list", words) if len(words) > 1 else ("value", words)
 
