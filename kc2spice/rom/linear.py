@@ -308,6 +308,8 @@ class LinearModel:
         put(self, "rayleigh", _rayleigh(self.rayleigh, self.name))
         n = (self.A if first else self.K).shape[0]
         B, C, D = (_checked(getattr(self, k), k, self.name, sparse=False) for k in "BCD")
+        if self.M is not None and self.E is None and self.rayleigh is None:
+            _require_outputs(C, B, n, self.name)
         C = B.T.copy() if C is None else C
         m, p = B.shape[1], C.shape[0]
         D = np.zeros((p, m)) if D is None else D
@@ -524,6 +526,22 @@ def negated(matrix: Matrix) -> Matrix:
     if isinstance(matrix, Schur):
         return Schur(-matrix.uu, -matrix.up, -matrix.pu, -matrix.pp)
     return -matrix
+
+
+def _require_outputs(C: np.ndarray | None, B: np.ndarray, n: int, where: str) -> None:
+    """Refuse a square C of an undamped second-order model that may be its damping matrix: one with
+    coupled rows."""
+    if C is None or C.shape != (n, n) or n == 1 or np.array_equal(C, B.T):
+        return
+    if (np.count_nonzero(C, axis=1) > 1).any():
+        raise UsageError(
+            "matrix C may be the damping or the outputs",
+            where=where,
+            got=f"a square C of {n} rows beside M and K",
+            expected="damping as matrix E; as many rows of C as there are outputs",
+            hint="pass the damping matrix as E; if C is meant, state that there is no damping: "
+            "rayleigh=(0, 0)",
+        )
 
 
 def half_stored(matrix: Matrix) -> bool:

@@ -10,6 +10,7 @@ from scipy import sparse
 from kc2spice.bodies.readers import extent, read_model
 from kc2spice.bodies.readers.sidecar import read_sidecar
 from kc2spice.core.errors import MissingToolError, UsageError
+from kc2spice.rom.linear import LinearModel
 
 DATA = Path(__file__).parents[1] / "data" / "matrices"
 N = 6
@@ -456,3 +457,39 @@ def test_documented_sidecar_is_read(tmp_path):
     assert [port.name for port in read.ports] == ["tip", "force"]
     assert read.length == "mm"
     assert read.fixed[0].dof == (1, 2, 3)
+
+
+def test_a_square_c_beside_m_and_k_is_damping_or_outputs_by_word_only(tmp_path):
+    """Of a chain under a tip force: the static gain 2e-3 m/N, and damping ratios by hand."""
+    n, k, m = 20, 1e4, 0.1
+    stiff = k * (2 * np.eye(n) - np.eye(n, k=1) - np.eye(n, k=-1))
+    stiff[-1, -1] = k
+    mass, load = m * np.eye(n), np.eye(n)[:, [-1]]
+    C = 0.2 * mass + 5e-4 * stiff
+    np.savez(tmp_path / "m.npz", M=mass, C=C, K=stiff, B=load)
+    for letter, matrix in {"M": mass, "C": C, "K": stiff, "B": load}.items():
+        write_market(tmp_path / f"n.{letter}", matrix)
+    for path in (tmp_path / "m.npz", tmp_path / "n.K"):
+        refused(path, "matrix C may be the damping or the outputs", "damping_matrix")
+    side = sidecar(tmp_path, 'damping_matrix = "C"\n')
+    damped = read_model(tmp_path / "m.npz", side)
+    assert damped.outputs == ("y1",)
+    assert damped.transfer(np.zeros(1))[0, 0, 0] == pytest.approx(n / k)
+    poles = damped.poles()
+    omega = 2 * np.sqrt(k / m) * np.sin(np.pi / (2 * (2 * n + 1)))  # of the lowest mode
+    ratio = 0.2 / (2 * omega) + 5e-4 * omega / 2
+    lowest = poles[np.abs(poles).argmin()]
+    assert abs(lowest) == pytest.approx(omega)
+    assert -lowest.real / omega == pytest.approx(ratio)
+    seen = read_model(tmp_path / "m.npz", sidecar(tmp_path, 'outputs = "C"\n'))
+    assert len(seen.outputs) == n
+    assert seen.pencil.undamped
+    both = sidecar(tmp_path, 'outputs = "C"\ndamping_matrix = "C"\n', "both.toml")
+    refused(tmp_path / "m.npz", "C has two meanings", side=both)
+    side = sidecar(tmp_path, 'damping_matrix = "C"\n')
+    np.savez(tmp_path / "e.npz", M=mass, C=C, E=C, K=stiff, B=load)
+    refused(tmp_path / "e.npz", "no damping matrix of this name", side=side)
+    with pytest.raises(UsageError, match="matrix C may be the damping"):
+        LinearModel(M=mass, C=C, K=stiff, B=load)
+    assert LinearModel(M=mass, C=C, K=stiff, B=load, rayleigh=(0, 0)).pencil.undamped
+    assert LinearModel(M=mass, C=np.eye(n), K=stiff, B=load).pencil.undamped

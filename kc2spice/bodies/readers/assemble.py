@@ -26,11 +26,41 @@ def assemble(rows: Rows) -> LinearModel:
     UsageError : letters missing or too many, shapes that do not fit, matrices that are zero or
         half stored, freedoms or nodes that do not exist; the message names file and key.
     """
+    rows = replace(rows, found=_named(rows))
     rows = replace(rows, found=_whole(rows))
     rows = replace(rows, found=rows.in_si())
     if any(entry.kind == "electrical" and entry.placed for entry in rows.said.ports):
         return _with_electrodes(rows)
     return _plain(rows)
+
+
+def _named(rows: Rows) -> Mapping[str, Matrix]:
+    """All matrices under our letters: many tools call the damping C, which is E here, and C the
+    outputs. Which of these a square C beside M and K is, is never guessed."""
+    found, said = rows.found, rows.said
+    C, K = found.get("C"), found.get("K")
+    if said.damping_matrix == "C":
+        where = f"{said.where}: damping_matrix"
+        if C is None or not {"M", "K"} <= set(found) or "E" in found:
+            got = f"matrices {', '.join(sorted(found))}"
+            raise wrong(where, "no damping matrix of this name", got, "M, C, K and B, without E")
+        return {"E" if letter == "C" else letter: matrix for letter, matrix in found.items()}
+    square = C is not None and K is not None and C.shape == K.shape
+    if square and "M" in found and "E" not in found and said.outputs is None:
+        raise wrong(
+            rows.where,
+            "matrix C may be the damping or the outputs",
+            f"a square C of {K.shape[0]} rows beside M and K",  # type: ignore[union-attr]
+            "damping as matrix E; as many rows of C as there are outputs",
+            f'write damping_matrix = "C" into {rows.name}.toml, or outputs = "C" if every unknown '
+            "is an output; or call the damping matrix E",
+        )
+    if square and C.shape[0] ** 2 > MAX_WIDE:  # type: ignore[union-attr]
+        got = f"{C.shape[0]} outputs"  # type: ignore[union-attr]
+        raise wrong(rows.where, "too many outputs", got, f"at most {MAX_WIDE} numbers in C")
+    if square and "M" in found and "E" not in found:  # outputs of a model without damping
+        return {**found, "E": sparse.csc_array(K.shape)}  # type: ignore[union-attr]
+    return found
 
 
 def _whole(rows: Rows) -> Mapping[str, Matrix]:

@@ -130,7 +130,8 @@ def bounded(path: Path, letter: str, shape: tuple[int, ...], entries: int | None
         raise refused(path, what, "2 dimensions")
     if max(shape) > MAX_SIZE or min(shape) < 0:
         raise refused(path, what, f"at most {MAX_SIZE} rows and columns")
-    if letter in WIDE and shape[0] * shape[1] > MAX_WIDE:
+    square = letter == "C" and shape[0] == shape[1]  # the damping, under the name it often has
+    if letter in WIDE and not square and shape[0] * shape[1] > MAX_WIDE:
         raise refused(path, what, f"few inputs or outputs, at most {MAX_WIDE} numbers")
     limit = MAX_DENSE if entries == shape[0] * shape[1] else MAX_ENTRIES
     if entries is not None and not 0 <= entries <= limit:

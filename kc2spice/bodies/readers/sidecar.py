@@ -9,6 +9,8 @@
                                   # (false: they really are triangular)
     files = { K = "a.mtx", M = "b.mtx" }      # names that do not follow NAME.K, NAME_K.mtx
     matrices = { K = "KAAX", M = "MAAX" }     # names inside an OP4 or punch file
+    damping_matrix = "C"          # a square C beside M and K is the damping; or outputs = "C", if
+                                  # its rows are outputs, one for each unknown
     mesh = "job.inp"              # coordinates and node sets: .inp, .bdf, .cdb or node,x,y,z .csv
     dofs = "rows.csv"             # node,dof of each row, where the matrices do not name them
     damping = { alpha = 0, beta = 1e-9 }      # E = alpha M + beta K on top of the file's own
@@ -266,6 +268,8 @@ class Sidecar(Section):
     matrices: Mapping[Letter, Name] = Field(default_factory=dict)
     mesh: File | None = None
     dofs: File | None = None
+    damping_matrix: Literal["C", "E"] = "E"
+    outputs: Literal["C"] | None = None
     length: Literal["m", "cm", "mm", "um", "in", "ft"] = "m"
     force: Literal["N", "mN", "uN", "kN", "lbf"] = "N"
     damping: Damping = Damping()
@@ -289,6 +293,8 @@ class Sidecar(Section):
     def _fits(self) -> Sidecar:
         if self.band is not None and not self.band[0] < self.band[1]:
             raise refused("band is none", "[f0, f1] with 0 <= f0 < f1, Hz")
+        if self.outputs == self.damping_matrix == "C":
+            raise refused("C has two meanings", 'outputs = "C" or damping_matrix = "C"')
         names = [port.name.lower() for port in self.ports]
         twice = [name for name, times in Counter(names).items() if times > 1]
         if twice:
