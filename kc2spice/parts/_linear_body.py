@@ -681,6 +681,14 @@ def full_alone(part: Part, scene: Scene, clock: Any) -> LinearModel:
     return kind.full(part, scene, clock)
 
 
+def scene_band(part: Part, scene: Scene, full: LinearModel) -> tuple[float, float]:
+    """Band [Hz] over which a scene reduces the ``full`` model of its body."""
+    kind = part.type
+    assert isinstance(kind, LinearBody)
+    target, asked = kind.reduction(part, scene), kind.model_key(part, scene)
+    return _reaching(target.band, asked, lambda: full)
+
+
 def _require_ports(
     part: Part, missing: Sequence[str], known: Sequence[str], kind: str = ""
 ) -> None:

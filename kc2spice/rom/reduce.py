@@ -18,21 +18,30 @@ the subspace model's own error in the full model.
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import get_args
 
 import numpy as np
-from scipy.linalg import LinAlgError, block_diag, cholesky, solve_triangular
-from scipy.sparse.linalg import ArpackError, LinearOperator, eigs
+from scipy.linalg import LinAlgError, block_diag, cholesky, eigh, solve_triangular
+from scipy.sparse.linalg import ArpackError, LinearOperator, eigs, eigsh
 
 from kc2spice.core.errors import SimulationError, UsageError, unknown
 from kc2spice.linalg.factor import require_factors
 from kc2spice.rom import blocks
 from kc2spice.rom.entries import Entries
 from kc2spice.rom.linear import Certificate, LinearModel, Norm
-from kc2spice.rom.pencil import Pencil, dense, eliminated, largest, proportional
+from kc2spice.rom.pencil import (
+    Matrix,
+    Pencil,
+    Schur,
+    dense,
+    eliminated,
+    largest,
+    magnitudes,
+    proportional,
+)
 from kc2spice.rom.response import (
     FLANK,
     SHARPEST,
@@ -44,28 +53,34 @@ from kc2spice.rom.response import (
     inexact,
     relative_error,
 )
-from kc2spice.rom.structure import FORM, Structure, structure
-from kc2spice.rom.subspace import Subspace, block_arnoldi, is_definite, subspace
+from kc2spice.rom.structure import FORM, RANDOM, Structure, energy_rounding, structure
+from kc2spice.rom.subspace import FREE, Subspace, block_arnoldi, is_definite, subspace
 
 MODES = 5
 SMALL = 200  # equations up to which all poles are computed
 BEYOND = 1.1  # the band ends a little past the mode, not on it
-SHIFT = 1e-3  # of the band: below it nothing need be resolved
-CLOSE = 1e-4  # of the rates, whose fifth is only rounded up to a band
+SHIFT = 1e-6  # of the largest rate: a shift of models with unknowns without inertia
+RIGID_SHIFT = 1e-9  # the same, where a Lanczos method separates elastic from rigid-body modes
+MASSLESS = 1e-13  # of the largest: an inertia that is zero
+BODY = 7  # rigid-body modes of one solid, and one more
+CLOSE = 1e-9  # relative error of eigenvalues of the shifted inverse
 
 
 def natural_band(pencil: Pencil) -> tuple[float, float]:
     """``(0, f)`` [Hz], f a little above the fifth lowest undamped natural frequency (second order)
-    or corner frequency (first order) of the full model.
+    or corner frequency (first order) of the full model. Rigid-body modes do not count.
 
     Raises
     ------
-    UsageError : the model is free to move or has no such frequency; a band must be given. Or it is
-        too large for this machine.
+    UsageError : the model has no such frequency; a band must be given. Or it is too large for this
+        machine.
     """
     try:
-        rates = _small(pencil) if pencil.size <= SMALL else _lowest(pencil)
-    except (SimulationError, ArpackError):
+        if pencil.degree == 2 and pencil.symmetric:
+            rates = elastic_modes(pencil, MODES)
+        else:
+            rates = _small(pencil) if pencil.size <= SMALL else _lowest(pencil)
+    except (SimulationError, ArpackError, LinAlgError):
         rates = np.empty(0)
     rates = np.sort(rates[rates > 0])[:MODES] ** (1 / pencil.degree)
     if not rates.size:
@@ -77,22 +92,68 @@ def natural_band(pencil: Pencil) -> tuple[float, float]:
     return 0.0, float(BEYOND * rates[-1] / (2 * np.pi))
 
 
-def band_end(pencil: Pencil, count: int, high: float) -> float:
-    """Frequency [Hz] of the ``count``-th lowest natural motion, at most ``high``; ``high`` where
-    there are not so many, or they are not to be had.
+def elastic_modes(pencil: Pencil, count: int) -> np.ndarray:
+    """The ``count`` lowest squared natural frequencies [1/s2] of a symmetric model of second order,
+    without its rigid-body modes; all where there are fewer.
 
-    A shift far below ``high`` lets the body be free to move.
+    Modes of ``K + sigma M`` with a small sigma > 0, which needs no support. A mode whose energy
+    ``x'Kx`` is no more than rounding of the entries of K leaves is one of a rigid body.
     """
+    K, M = pencil.coefficients[0], pencil.coefficients[-1]
+    if pencil.size <= SMALL:
+        K, M = dense(K), dense(M)
+        mass = np.linalg.eigvalsh(M)
+        if mass[0] > MASSLESS * mass[-1]:
+            X = np.asarray(eigh(K, M)[1])
+        else:  # modes of unknowns without inertia are infinitely fast
+            inverse, T = eigh(M, K + SHIFT * largest(K) / mass[-1] * M)
+            X = T[:, inverse > MASSLESS * inverse[-1]][:, ::-1]
+        return _energies(K, M, X)[:count]
+    require_factors(pencil.bordered(1.0, 1.0, 1.0))
+    stiffness, inertia = (abs(magnitudes(P)).diagonal() for P in (K, M))
+    top = float((stiffness[inertia > 0] / inertia[inertia > 0]).max(initial=0.0))
+    shift = RIGID_SHIFT * top
+    solve = pencil.pencil_solver(-shift).solve
+    start = solve(np.random.default_rng(0).standard_normal(pencil.size))
+    wanted = count + BODY
+    while True:
+        wanted = min(wanted, pencil.size - 2)
+        inverse = LinearOperator((pencil.size,) * 2, matvec=solve, dtype=float)
+        result = eigsh(
+            LinearOperator((pencil.size,) * 2, matvec=lambda x: K @ x, dtype=float),
+            wanted, M, sigma=-shift, OPinv=inverse, v0=start, tol=CLOSE,
+        )  # fmt: skip
+        rates = _energies(K, M, result[1])
+        if rates.size >= count or wanted == pencil.size - 2:
+            return rates[:count]
+        wanted *= 2
+
+
+def _energies(K: Matrix, M: Matrix, X: np.ndarray) -> np.ndarray:
+    """Rayleigh quotients ``x'Kx / x'Mx`` of modes, in ascending order, those of rigid bodies left
+    out."""
+    energy = np.einsum("ij,ij->j", X, K @ X)
+    mass = np.einsum("ij,ij->j", X, M @ X)
+    noise = FREE * np.finfo(float).eps * np.einsum("ij,ij->j", abs(X), magnitudes(K) @ abs(X))
+    if not isinstance(K, Schur):
+        random = [energy_rounding(K, x[:, None])[0, 0] for x in X.T]
+        noise = np.minimum(noise, RANDOM * np.array(random))
+    return np.asarray(np.sort(energy[energy > noise] / mass[energy > noise]))
+
+
+def band_end(pencil: Pencil, count: int, high: float) -> float:
+    """Frequency [Hz] of the ``count``-th lowest natural mode, at most ``high``; ``high`` where
+    there are fewer, or they cannot be computed. Rigid-body modes do not count."""
     pencil = proportional(eliminated(pencil))
     if pencil.degree != 2 or not pencil.symmetric or pencil.size <= count + 2:
         return high
-    shift = 2 * np.pi * high * SHIFT
     try:
-        rates = _slowest(pencil, pencil.pencil_solver(-(shift**2)).solve, count)
-    except (SimulationError, UsageError, ArpackError):
+        rates = elastic_modes(pencil, count)
+    except (SimulationError, UsageError, ArpackError, LinAlgError):
         return high
-    squares = rates - shift**2
-    return min(high, float(np.sqrt(max(squares.max(), 0.0)) / (2 * np.pi)))
+    if rates.size < count:
+        return high
+    return min(high, float(np.sqrt(rates[-1]) / (2 * np.pi)))
 
 
 def _small(pencil: Pencil) -> np.ndarray:
@@ -104,22 +165,12 @@ def _small(pencil: Pencil) -> np.ndarray:
 
 
 def _lowest(pencil: Pencil) -> np.ndarray:
-    """By ``P(0)^-1``, from the factors that the reduction will use where K is definite."""
+    """Reciprocals of the largest eigenvalues of ``P(0)^-1`` times the inertia."""
     require_factors(pencil.bordered(1.0, 1.0, 1.0))
-    if pencil.degree == 2 and pencil.symmetric:
-        try:
-            return _slowest(pencil, pencil.pencil_solver(0.0).solve, MODES + 1)
-        except SimulationError:
-            pass  # indefinite
-    return _slowest(pencil, pencil.solver(0.0)[0].solve, MODES + 1)
-
-
-def _slowest(pencil: Pencil, solve: Callable[[np.ndarray], np.ndarray], count: int) -> np.ndarray:
-    """Reciprocals of the largest eigenvalues of ``solve`` after the inertia."""
-    inertia = pencil.coefficients[-1]
+    solve, inertia = pencil.solver(0.0)[0].solve, pencil.coefficients[-1]
     inverse = LinearOperator((pencil.size,) * 2, matvec=lambda x: solve(inertia @ x), dtype=float)
     start = solve(pencil.B[:, 0])
-    values = np.abs(eigs(inverse, count, v0=start, tol=CLOSE, return_eigenvectors=False))
+    values = np.abs(eigs(inverse, MODES + 1, v0=start, tol=CLOSE, return_eigenvectors=False))
     return np.asarray(1 / values[values > 0])
 
 
@@ -495,7 +546,7 @@ class Reduction:
         method += _zeros(judge.reference[1], model)
         if not self.space.static or self.space.pencil.free:
             method += "; free to move at zero frequency"
-        ratio = judge.exact.within(judge.band)[1].min(initial=1.0)
+        ratio = judge.exact.visible(judge.band)[1].min(initial=1.0)
         if ratio < SHARPEST:
             method += f"; beside resonances, by {FLANK:g}, of a damping ratio below {SHARPEST:g}"
         if not np.isfinite(error):

@@ -24,6 +24,8 @@ COUPLING = 1e-9
 # are then measured on its flanks, at this relative distance.
 SHARPEST = 1e-7
 FLANK = 1e-4
+VISIBLE = 1e-10  # of an entry: the term of a pole that shows in it
+VISIBLE_GRID = 50  # frequencies that give the peaks of entries
 ABOVE = np.array([2.0, 4.0])  # times the band's end: where contact still excites a body
 CLUSTER = np.array([0.0, 0.25, 0.5, 1.0, 2.0, 5.0, 15.0, 60.0])  # half widths around a resonance
 GRID = 200
@@ -145,24 +147,56 @@ class Response:
         return self.core.poles() if self.modes is None else _finite_poles(*self.modes[2])
 
     @cached_property
-    def resonances(self) -> tuple[np.ndarray, np.ndarray]:
-        """Frequency [Hz] and damping ratio of the oscillating poles."""
+    def _resonant(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Frequency [Hz], damping ratio and mode of the oscillating poles; the modes are -1 where
+        there are none."""
         if not self.decoupled or self.core.degree == 1:
             result = np.empty(0) if self.decoupled else self._poles
-            result = result[result.imag > 0]
-            return result.imag / (2 * np.pi), np.abs(result.real) / np.abs(result)
+            mode = np.full(len(result), -1)
+            if self.modes is not None and not self.decoupled:
+                mode = np.flatnonzero(_finite(self.modes[2][0]))
+            mode, result = mode[result.imag > 0], result[result.imag > 0]
+            return result.imag / (2 * np.pi), np.abs(result.real) / np.abs(result), mode
         assert self.modes is not None
         k, e, m = self.modes[2]
         oscillating = (k > 0) & (e**2 < 4 * k * m)
         k, e, m = k[oscillating], e[oscillating], m[oscillating]
         omega, ratio = np.sqrt(k / m), np.abs(e) / (2 * np.sqrt(k * m))
-        return omega * np.sqrt(1 - ratio**2) / (2 * np.pi), ratio
+        frequency = omega * np.sqrt(1 - ratio**2) / (2 * np.pi)
+        return frequency, ratio, np.flatnonzero(oscillating)
+
+    @property
+    def resonances(self) -> tuple[np.ndarray, np.ndarray]:
+        """Frequency [Hz] and damping ratio of the oscillating poles."""
+        return self._resonant[:2]
 
     def within(self, band: tuple[float, float]) -> tuple[np.ndarray, np.ndarray]:
         """The resonances inside the band."""
         frequency, ratio = self.resonances
-        inside = (frequency > max(band[0], 1e-6 * band[1])) & (frequency < band[1])
+        inside = _inside(frequency, band)
         return frequency[inside], ratio[inside]
+
+    def visible(self, band: tuple[float, float]) -> tuple[np.ndarray, np.ndarray]:
+        """The resonances inside the band that show in the response. Zeros cancel all others in
+        every entry: modes that no input excites or no output sees, and rigid-body modes that
+        rounding gives a stiffness."""
+        frequency, ratio, mode = self._resonant
+        inside = _inside(frequency, band)
+        frequency, ratio, mode = frequency[inside], ratio[inside], mode[inside]
+        if not mode.size or mode.min() < 0:
+            return frequency, ratio
+        assert self.modes is not None
+        T, L, _ = self.modes
+        beside = frequency * (1 + FLANK * (ratio < SHARPEST))
+        s = 2j * np.pi * beside
+        gain = np.abs(self._gains(s)[np.arange(len(s)), mode])
+        out, into = np.abs(self.core.C @ T[:, mode]).T, np.abs((L @ self.core.B)[mode])
+        term = gain[:, None, None] * out[:, :, None] * into[:, None, :]
+        base = self.entries(np.union1d(beside, grid(band, VISIBLE_GRID, False))).base(
+            self.transfer(s)
+        )
+        seen = (term > VISIBLE * base).any(axis=(1, 2))
+        return frequency[seen], ratio[seen]
 
 
 def _eigenvectors(pencil: Pencil) -> Modes | None:
@@ -197,8 +231,18 @@ def _eigenvectors(pencil: Pencil) -> Modes | None:
 
 def _finite_poles(rest: np.ndarray, inertia: np.ndarray) -> np.ndarray:
     """Those of the diagonals of :func:`_eigenvectors`."""
-    finite = np.abs(1 - rest) * INFINITE > 1
+    finite = _finite(rest)
     return -rest[finite] / inertia[finite]
+
+
+def _finite(rest: np.ndarray) -> np.ndarray:
+    """Which of the diagonals of :func:`_eigenvectors` have a finite pole."""
+    return np.asarray(np.abs(1 - rest) * INFINITE > 1)
+
+
+def _inside(frequency: np.ndarray, band: tuple[float, float]) -> np.ndarray:
+    """Which frequencies [Hz] are inside the band, and not zero but for rounding."""
+    return np.asarray((frequency > max(band[0], 1e-6 * band[1])) & (frequency < band[1]))
 
 
 def _decoupled(pencil: Pencil) -> Modes | None:

@@ -14,13 +14,23 @@ import numpy as np
 import scipy
 
 from kc2spice.core.errors import SimulationError
+from kc2spice.linalg.exact import Exact
 from kc2spice.linalg.factor import factorise
-from kc2spice.rom.pencil import Matrix, Pencil, Schur, first_order, largest, symmetric
+from kc2spice.rom.pencil import (
+    Matrix,
+    Pencil,
+    Schur,
+    first_order,
+    largest,
+    magnitudes,
+    symmetric,
+)
 
 ROUNDING = 8.0  # times n eps of the largest: a stiffness, a damping or a coupling that is zero
 # Poles of a first-order model below these shares of the band's end: zero but for rounding, which
 # leaves half of the digits of a pair, and a free motion that something slows down.
 ZERO, SLOW = 1e-6, 1e-2
+RANDOM = 30.0  # times what rounding of the entries at random makes of an energy: an energy
 SURELY = 10.0  # times what would be singular: a matrix that is not
 DEPENDENT = 1e-9  # rates per band's end: a chain of integrators in first order
 Rounding: TypeAlias = tuple[np.ndarray, ...]  # bounds on that of each coefficient's entries
@@ -48,8 +58,9 @@ def apart(pencil: Pencil, omega: float, rounding: Rounding | None = None) -> Apa
     invariant subspaces. ``rounding`` is known of projections.
     """
     rest, inertia = pencil.coefficients[0], pencil.coefficients[-1]
+    X = _null_space(rest, (rounding or _rounding(pencil))[0])
+    X = _without_energy(rest, X, None if rounding is None else rounding[0])
     rounding = rounding or _rounding(pencil)
-    X = _null_space(rest, rounding[0])
     free = X.shape[1]
     if not free:
         return Apart(pencil, np.eye(pencil.size), True)
@@ -92,6 +103,28 @@ def _null_space(K: np.ndarray, rounding: np.ndarray) -> np.ndarray:
     _, size, Vt = np.linalg.svd(rows * K * columns)
     limit = np.linalg.norm(noise, 2)
     return np.linalg.qr(columns[:, None] * Vt[size <= limit].T)[0]
+
+
+def _without_energy(K: np.ndarray, X: np.ndarray, rounding: np.ndarray | None) -> np.ndarray:
+    """Those of the motions X (n, motions) whose energy is that of rounding of K's own entries, or
+    within its known ``rounding``: a support may be softer than the bound of all roundings together,
+    and still be known."""
+    if not X.size or not symmetric(K):
+        return X
+    energy = np.asarray(Exact(X.T) @ (Exact(K) @ X), dtype=float)
+    turn, size, _ = np.linalg.svd(energy)
+    X = X @ turn
+    noise = RANDOM * energy_rounding(K, X) if rounding is None else abs(X).T @ rounding @ abs(X)
+    return np.asarray(X[:, size <= np.diag(noise)])
+
+
+def energy_rounding(P: Matrix, V: np.ndarray) -> np.ndarray:
+    """What rounding of each entry of P, by itself and at random, makes of ``V'PV`` (k, k):
+    ``eps (sum_ij v_ik^2 P_ij^2 v_jl^2)^(1/2)``."""
+    squares = V**2
+    return np.asarray(
+        np.finfo(float).eps * np.sqrt(squares.T @ (abs(magnitudes(P)) ** 2 @ squares))
+    )
 
 
 def _without_force(P: np.ndarray, X: np.ndarray, rounding: np.ndarray) -> bool:

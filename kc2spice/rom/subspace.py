@@ -32,7 +32,7 @@ from kc2spice.core.errors import SimulationError
 from kc2spice.linalg.exact import Solver
 from kc2spice.rom.entries import Entries
 from kc2spice.rom.linear import Norm
-from kc2spice.rom.pencil import Pencil, magnitudes, symmetric
+from kc2spice.rom.pencil import Matrix, Pencil, Schur, magnitudes, symmetric
 from kc2spice.rom.response import (
     FLANK,
     GRID,
@@ -46,7 +46,13 @@ from kc2spice.rom.response import (
     relative_size,
     samples,
 )
-from kc2spice.rom.structure import apart, congruent, dissipative
+from kc2spice.rom.structure import (
+    RANDOM,
+    apart,
+    congruent,
+    dissipative,
+    energy_rounding,
+)
 
 # A candidate that keeps less than this of its length outside the basis brings rounding noise only.
 DEFLATION = 1e-10
@@ -246,10 +252,10 @@ def zero_entries(
     """Entries (outputs, inputs) of a model that are zero by symmetry, from the ``response`` of its
     projection on V: faint nearly everywhere in the band, and no more than what rounding of the
     model's own entries makes of them where they are not, on sharp resonances of equal modes."""
-    at, ratio = response.within(band)
+    at, ratio = response.visible(band)
     looked = np.union1d(np.argsort(at)[:SHARP], np.argsort(ratio)[:SHARP])
     peaks = at[looked] * (1 + FLANK * (ratio[looked] < SHARPEST))
-    f = np.r_[clear_of_poles(grid(band, COARSE, False), at, ratio), peaks]
+    f = np.r_[clear_of_poles(grid(band, COARSE, False), *response.within(band)), peaks]
     if pencil.D.size == 1 or not f.size:
         return False
     x = response.states(2j * np.pi * f)
@@ -392,12 +398,22 @@ def is_definite(pencil: Pencil, *, undamped_too: bool = False) -> bool:
         x, y = solve(pencil.B), solve(load)
     except SimulationError:
         return False
-    K = magnitudes(pencil.coefficients[0])
-    # Rounding may give a body that is free to move a factor: then its softest motion, which a
-    # random load excites, has no more energy than the rounding of K itself.
-    size = abs(y).T @ (K @ abs(y))
-    soft = (y.T @ load) < FREE * np.finfo(float).eps * size
-    return bool((np.einsum("ki,ki->i", x, pencil.B) >= 0).all() and not soft.any())
+    held = bool((np.einsum("ki,ki->i", x, pencil.B) >= 0).all())
+    return bool(held) and not _is_free(pencil.coefficients[0], y, load)
+
+
+def _is_free(K: Matrix, y: np.ndarray, load: np.ndarray) -> bool:
+    """Whether the softest motion, ``y = K^-1 load`` of a random load, has no more energy than the
+    rounding of K itself, which may give a body that is free to move a factor."""
+    size = magnitudes(K)
+    rounding = FREE * np.finfo(float).eps * np.sum(abs(y) * (size @ abs(y)))
+    soft = bool(np.sum(y * load) < rounding)
+    if not soft or isinstance(K, Schur):
+        return soft
+    # the factor's own error may exceed that of the entries, by which a soft support is known
+    y = y / np.linalg.norm(y)
+    energy, noise = float(np.sum(y * (K @ y))), float(energy_rounding(K, y)[0, 0])
+    return energy <= RANDOM * noise
 
 
 # ------------------------------------------------------------------------------ small models
@@ -438,17 +454,9 @@ def _whole(
         full.degree * full.size > most or (full.size > DIRECT and not response.diagonal)
     ):
         return None
-    error = _solution_error(response, band)
-    if error > limit:
-        raise inexact(
-            "the full model itself is not that accurate",
-            f"two direct solutions differ by {error:.1e}",
-            limit,
-            "ask for a looser tolerance; other units or fewer elements may help",
-        )
-    proof = f"being all of the full model, solved to {error:.0e}"
-    floor = 0.0
-    at, ratio = response.within(band)
+    error, floor, rounded = _solution_error(response, band), 0.0, 0.0
+    at, ratio = response.visible(band)
+    told = ""
     if at.size:
         looked = np.union1d(np.argsort(at)[:SHARP], np.argsort(ratio)[:SHARP])
         at = at[looked] * (1 + FLANK * (ratio[looked] < SHARPEST))
@@ -458,11 +466,21 @@ def _whole(
         elif response.modes is not None and given is full:
             states, dual = response.states(s), response.dual.states(s)
         size = uncertainty(given, at, states, dual, response.zero)
+        rounded = SPREAD * float(size.max())
         if T is not None:
-            proof += _told(at, size, 2 * limit)
+            told = _told(at, size, 2 * limit)
         # products and solutions round its entries
         if T is None or full.free or full.size < given.size:
-            floor = SPREAD * float(size.max())
+            floor = rounded
+    if error > max(limit, rounded):
+        raise inexact(
+            "the full model itself is not that accurate",
+            f"two direct solutions differ by {error:.1e}",
+            limit,
+            "ask for a looser tolerance; other units or fewer elements may help",
+        )
+    proof = f"being all of the full model, solved to {error:.0e}{told}"
+    error = min(error, limit)  # what exceeds it is rounding of the given matrices
     if projected is not None:
         floor = max(floor, _taken_out(projected, full, band))
     return Subspace(response, error, static, proof, floor, whole=True)
@@ -493,11 +511,11 @@ def _undamped_modes(full: Pencil) -> np.ndarray | None:
 def _solution_error(response: Response, band: tuple[float, float]) -> float:
     """How far direct solutions in two orders of elimination, and the modes', are apart."""
     full = response.pencil
-    at, ratio = response.within(band)
+    at, ratio = response.visible(band)
     sharpest = at[np.argsort(ratio)[:1]] * (1 + FLANK * (ratio.min(initial=1.0) < FLANK))
     points = np.r_[band[1], 0.31 * band[0] + 0.69 * band[1], sharpest]
     s = 2j * np.pi * points
-    coarse = clear_of_poles(grid(band, 50, False), at, ratio)
+    coarse = clear_of_poles(grid(band, 50, False), *response.within(band))
     everywhere = 2j * np.pi * coarse
     entries = response.entries(coarse)
     flipped = Pencil(
@@ -600,13 +618,14 @@ def _rational(
         if CONFIRMATIONS in (met, idle):
             break
     worst = max(recent)
-    if worst > limit:
-        raise _unsettled(search.response, band, worst, limit)
     proof = f"checked against the full model at {search.points} frequencies"
     small = search.response.pencil
     floor = _taken_out(search.projected, small, band) if small.free else 0.0
     result = Subspace(search.response, worst, search.static or small.free > 0, proof, floor)
-    return _with_rounding(pencil, search.modal, band, result)
+    result = _with_rounding(pencil, search.modal, band, result)
+    if worst > max(limit, result.floor) or not np.isfinite(worst):
+        raise _unsettled(search.response, band, worst, limit)
+    return replace(result, error=min(worst, limit))
 
 
 def _with_rounding(
@@ -618,8 +637,8 @@ def _with_rounding(
     projected on the same directions: thin bodies answer with the small difference of large forces.
     """
     exact = found.response
-    at, ratio = exact.within(band)
-    points = clear_of_poles(around(at, ratio, np.array([0.0, 1.0])), at, ratio)
+    at, ratio = exact.visible(band)
+    points = clear_of_poles(around(at, ratio, np.array([0.0, 1.0])), *exact.within(band))
     if not points.size:
         return found
     H = exact.transfer(2j * np.pi * points)
@@ -733,23 +752,27 @@ class _Search:
             side.extend(fresh)
         self.turn = _modes(self.pencil.project(self.basis))
         small = self.projected = self.pencil.project(self.modal)
-        if not self.static:
-            small, turn = self._apart(small)
-            self.turn = self.turn @ turn
+        small, turn = self._apart(small)
+        self.turn = self.turn @ turn
         self._previous, self.response = self.response, Response(small)
         self.response.zero = zero_entries(
             self.pencil, self.basis @ self.turn, self.response, self.band
         )
 
     def _apart(self, small: Pencil) -> tuple[Pencil, np.ndarray]:
-        """The free motion of the projected model, within rounding of the full one's entries."""
-        V, sizes = np.abs(self.modal), map(magnitudes, self.pencil.coefficients)
-        rounding = [FREE * np.finfo(float).eps * (V.T @ (next(sizes) @ V))]
-        if (np.abs(np.diag(small.coefficients[0])) > np.diag(rounding[0])).all():
+        """The rigid-body motion of the projected model, within rounding of the full one's entries;
+        where the model has a static answer, no input moves it, and it is left out."""
+        V, coefficients = self.modal, self.pencil.coefficients
+        sizes, eps = [magnitudes(P) for P in coefficients], np.finfo(float).eps
+        bound = FREE * eps * (np.abs(V).T @ (sizes[0] @ np.abs(V)))
+        own = np.abs(np.diag(small.coefficients[0]))
+        if (own > np.diag(bound)).all():
             return small, np.eye(small.size)
-        rounding += [FREE * np.finfo(float).eps * (V.T @ (P @ V)) for P in sizes]
-        result = apart(small, 2 * np.pi * self.band[1], tuple(rounding))
-        if result.pencil.degree != small.degree:
+        if not isinstance(coefficients[0], Schur):
+            bound = np.minimum(bound, RANDOM * energy_rounding(coefficients[0], V))
+        others = [FREE * eps * (np.abs(V).T @ (P @ np.abs(V))) for P in sizes[1:]]
+        result = apart(small, 2 * np.pi * self.band[1], (bound, *others))
+        if result.pencil.degree != small.degree or (self.static and result.pencil.free):
             return small, np.eye(small.size)
         return result.pencil, result.columns
 

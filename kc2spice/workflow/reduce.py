@@ -19,7 +19,7 @@ from kc2spice.netlist.circuit import Subcircuit
 from kc2spice.netlist.deck import Block, Deck, ac
 from kc2spice.netlist.printers.ngspice import plot_script
 from kc2spice.netlist.translate import DIALECTS, dialect_files, symbol_files
-from kc2spice.parts._linear_body import LinearBody, full_alone
+from kc2spice.parts._linear_body import LinearBody, full_alone, scene_band
 from kc2spice.rom.io import read_rom, write_rom
 from kc2spice.rom.linear import LinearModel
 from kc2spice.rom.measured import one_port
@@ -50,7 +50,8 @@ def reduce(
 ) -> dict[str, Any]:
     """Reduce the model at ``path`` and write ``NAME_rom.npz``, ``NAME_rom.M`` ... into ``out``.
 
-    The band is the one given, else that of ``NAME.toml``, else up to the fifth natural frequency.
+    The band is the one given, else that of ``NAME.toml`` or of the scene, else up to the fifth
+    natural frequency.
     Without tolerance and order, the tolerance is 1e-4.
     ``norm`` is 'pointwise' or 'peak', for models whose ports are all signals unless told.
     ``SCENE:PART`` instead of a path is the full model of a scene's body. A measured response
@@ -166,7 +167,7 @@ def _scene_body(text: str) -> LinearModel | None:
         )
     full = full_alone(part, scene, Clock())
     kept = full.select([port.name for port in part.type.kept(part, scene)])
-    return replace(kept, name=f"{scene.name}_{part.name}")
+    return replace(kept, name=f"{scene.name}_{part.name}", band=scene_band(part, scene, kept))
 
 
 def require_stable(found: dict[str, Any]) -> None:
