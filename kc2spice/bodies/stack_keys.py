@@ -22,14 +22,28 @@ PAPER = "THP51"  # the ceramic of the paper's chip
 class ChipMesh(Section):
     """In-plane polar mesh; ``refine`` splits every cell edge, layers included, into that many."""
 
-    refine: Count = Field(1, ge=1, le=6, description="multiplies the cells along each edge")
-    order: Literal[1, 2] = Field(1, description="of the elements")
-    sectors: Count = Field(10, ge=2, le=180, description="of the quarter circle")
-    rings: Count = Field(5, ge=1, le=100, description="contact rings around the centre node")
-    ring_spacing: Length = Field(50e-6, gt=0, description="of the contact rings")
-    outer_rings: Count = Field(11, ge=1, le=200, description="graded, out to the edge")
+    refine: Count = Field(
+        1, ge=1, le=6, description="Factor by which the cells along each edge are multiplied"
+    )
+    order: Literal[1, 2] = Field(1, description="Polynomial order of the finite elements")
+    sectors: Count = Field(10, ge=2, le=180, description="Number of sectors of the quarter circle")
+    rings: Count = Field(
+        5, ge=1, le=100, description="Number of contact rings around the centre node"
+    )
+    ring_spacing: Length = Field(50e-6, gt=0, description="Radial spacing of the contact rings")
+    outer_rings: Count = Field(
+        11,
+        ge=1,
+        le=200,
+        description="Number of graded rings between the contact rings and the edge",
+    )
     layers_per_element: Count = Field(
-        1, ge=1, le=100, description="at most, in elements that grow with their depth below the top"
+        1,
+        ge=1,
+        le=100,
+        description=(
+            "Largest number of layers in one element; elements grow with their depth below the top"
+        ),
     )
 
     @model_validator(mode="after")
@@ -43,7 +57,8 @@ class ChipDamping(Damping):
     """The ratio is met at a frequency of the paper's chip unless ``at`` says another."""
 
     at: Frequency | tuple[Frequency, Frequency] | None = Field(
-        250e3, description="where the ratio holds"
+        250e3,
+        description=("Frequency at which the damping ratio holds; two frequencies for two ratios"),
     )
 
     @property
@@ -55,9 +70,12 @@ class ChipDamping(Damping):
 class Cap(Section):
     """A layer without field at one end: the stack's own ceramic, not poled, unless ``material``."""
 
-    thickness: Length = Field(gt=0, description="of the inactive layer")
+    thickness: Length = Field(gt=0, description="Thickness of the inactive layer")
     material: str | dict[str, Any] | None = Field(
-        None, description="name or table; that of the chip unless told"
+        None,
+        description=(
+            "Material of the inactive layer, a name or a table; by default that of the chip"
+        ),
     )
 
 
@@ -70,25 +88,36 @@ class Chip(Section):
     along x.
     """
 
-    side: Length = Field(3e-3, gt=0, description="width")
-    depth: Length | None = Field(None, gt=0, description="the other width; side unless told")
-    diameter: Length | None = Field(None, gt=0, description="of a round stack, instead of side")
-    height: Length = Field(2e-3, gt=0, description="of all layers")
-    layers: Count = Field(33, ge=1, le=400, description="active ones")
-    layer_thickness: Length | None = Field(None, gt=0, description="instead of height")
+    side: Length = Field(3e-3, gt=0, description="Width of a rectangular chip")
+    depth: Length | None = Field(
+        None, gt=0, description="Second width of a rectangular chip; by default equal to side"
+    )
+    diameter: Length | None = Field(
+        None, gt=0, description="Diameter of a round stack, instead of side"
+    )
+    height: Length = Field(2e-3, gt=0, description="Height of all layers together")
+    layers: Count = Field(33, ge=1, le=400, description="Number of active layers")
+    layer_thickness: Length | None = Field(
+        None, gt=0, description="Thickness of one layer, instead of height"
+    )
     bottom_cap: Cap | None = None
     top_cap: Cap | None = None
     material: str | dict[str, Any] = Field(
-        PAPER, description="ceramic poled along z: name, or table of what differs from THP51"
+        PAPER, description="Ceramic poled along z: a name, or a table of what differs from THP51"
     )
-    poling: Literal["z", "x"] = Field("z", description="z makes the stack longer, x shears it")
+    poling: Literal["z", "x"] = Field(
+        "z", description="Direction of poling: z makes the stack longer, x shears it"
+    )
     mesh: ChipMesh = ChipMesh()
     damping: ChipDamping = ChipDamping()
     mounting: Mounting = Field(
-        "roller", description="of the bottom face: roller, glued, free, or stiffness per area N/m3"
+        "roller",
+        description=(
+            "Support of the bottom face: roller, glued, free, or a stiffness per area in N/m3"
+        ),
     )
     preload_spring: Stiffness | None = Field(
-        None, gt=0, description="of the spring that presses evenly on the top face"
+        None, gt=0, description="Stiffness of a spring that presses evenly on the top face"
     )
 
     @model_validator(mode="after")

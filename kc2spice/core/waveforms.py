@@ -111,21 +111,27 @@ NEVER = 1e4  # s; a period that no run reaches (newer ngspice repeats a pulse th
 class PulseKeys(Section):
     """From ``low`` to ``high`` from ``start`` on within ``edge``; ``width`` at half height."""
 
-    high: float | str = 1.0
-    low: float | str = 0.0
-    width: Time
-    edge: Time = 1e-9
-    start: Time = 0.0
-    period: Time | None = None
-    count: Count | None = None
+    high: float | str = Field(1.0, description="Value of the pulse, in the unit of the source")
+    low: float | str = Field(0.0, description="Value between pulses, in the unit of the source")
+    width: Time = Field(description="Width of the pulse at half of its height")
+    edge: Time = Field(1e-9, description="Rise and fall time of the pulse")
+    start: Time = Field(0.0, description="Instant at which the pulse begins to rise")
+    period: Time | None = Field(
+        None, description="Period of a train of pulses; by default one pulse"
+    )
+    count: Count | None = Field(
+        None, description="Number of pulses of a train; by default without end"
+    )
 
 
 class SineKeys(Section):
     """``amplitude sin(2 pi frequency (t - start))`` from ``start`` on, zero before."""
 
-    amplitude: float | str = 1.0
-    frequency: Frequency = Field(gt=0)
-    start: Time = 0.0
+    amplitude: float | str = Field(
+        1.0, description="Amplitude of the sine, in the unit of the source"
+    )
+    frequency: Frequency = Field(gt=0, description="Frequency of the sine")
+    start: Time = Field(0.0, description="Instant at which the sine begins")
 
 
 @dataclass(frozen=True)

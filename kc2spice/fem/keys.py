@@ -15,7 +15,7 @@ class Mesh(Section):
     """``refine`` divides every cell along each axis."""
 
     refine: Annotated[Count, Notch(2.0, model=True)] = Field(
-        1, ge=1, le=8, description="multiplies the cells along each edge"
+        1, ge=1, le=8, description="Factor by which the cells along each edge are multiplied"
     )
 
 
@@ -30,20 +30,26 @@ class Damping(Section):
     """
 
     ratio: Ratio | tuple[Ratio, Ratio] | None = Field(
-        None, description="of critical, at the first resonance or `at`; two for two frequencies"
+        None,
+        description=(
+            "Ratio to critical damping at the frequency `at`; two ratios for two frequencies"
+        ),
     )
-    quality: Ratio | None = Field(None, gt=0, description="1 / (2 ratio)")
-    loss_factor: Ratio | None = Field(None, ge=0, description="2 ratio")
-    per_material: bool = Field(False, description="from the materials' quality")
+    quality: Ratio | None = Field(None, gt=0, description="Q factor, 1 / (2 ratio)")
+    loss_factor: Ratio | None = Field(None, ge=0, description="Mechanical loss factor, 2 ratio")
+    per_material: bool = Field(
+        False, description="Whether the Q factors of the materials determine the damping"
+    )
     at: Frequency | tuple[Frequency, Frequency] | None = Field(
-        None, description="where the ratio holds; the first resonance unless told"
+        None,
+        description=("Frequency at which the damping ratio holds; by default the first resonance"),
     )
-    alpha: Rate = Field(0.0, ge=0, description="part proportional to mass")
+    alpha: Rate = Field(0.0, ge=0, description="Rate of damping proportional to mass")
     loss_tangent: Ratio | None = Field(
         None,
         ge=0,
         le=1,
-        description="dielectric tan delta of the free body at 1 kHz, as data sheets state it",
+        description=("Dielectric loss tangent of the free body at 1 kHz, as data sheets state it"),
     )
 
     @model_validator(mode="after")

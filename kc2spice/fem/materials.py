@@ -271,53 +271,73 @@ class MaterialTable(Section):
     library has its constants but for those that are given.
     """
 
-    like: str | None = Field(None, description="of the library: what else it has is of that one")
+    like: str | None = Field(
+        None,
+        description=("Built-in material that supplies every property that this table leaves out"),
+    )
     density: Density = Field(gt=0)
-    symmetry: Symmetry | None = Field(None, description="of components; or a point group: 6mm, 32")
+    symmetry: Symmetry | None = Field(
+        None, description="Crystal symmetry of the components, or a point group such as 6mm or 32"
+    )
     youngs_modulus: Annotated[_Modulus, _components("Pa")] | None = Field(
-        None, description="isotropic, or three along x, y, z"
+        None, description="Young's modulus, isotropic or one value each along x, y and z"
     )
     poisson_ratio: Annotated[float | dict[str, float], _components("")] | None = Field(
-        None, description="isotropic, or nu_xy, nu_yz, nu_xz"
+        None, description="Poisson's ratio, isotropic or nu_xy, nu_yz and nu_xz"
     )
     shear_modulus: Annotated[dict[str, float], _components("Pa")] | None = Field(
-        None, description="g_yz, g_xz, g_xy, beside three moduli"
+        None, description="Shear moduli g_yz, g_xz and g_xy, beside three Young's moduli"
     )
     stiffness: Annotated[_Tensor, _components("Pa")] | None = Field(
-        None, description="c11 …, at constant field"
+        None, description="Stiffness components c11, c12, … at constant electric field"
     )
     compliance: Annotated[_Tensor, _components("1/Pa")] | None = Field(
-        None, description="s11 …, at constant field"
+        None, description="Compliance components s11, s12, … at constant electric field"
     )
     stress_coupling: Annotated[_Tensor, _components("C/m2")] | None = Field(
-        None, description="e31 …"
+        None, description="Piezoelectric components e31, e33, … of stress per field"
     )
     strain_coupling: Annotated[_Tensor, _components("C/N")] | None = Field(
-        None, description="d31 …"
+        None, description="Piezoelectric components d31, d33, … of strain per field"
     )
     permittivity: Annotated[_Tensor, _components("")] | None = Field(
-        None, description="relative, eps11 eps22 eps33"
+        None, description="Relative permittivity components eps11, eps22 and eps33"
     )
     permittivity_at: Literal["stress", "strain"] | None = Field(
-        None, description="which is constant; most sheets say stress (T)"
+        None,
+        description=(
+            "Quantity that was constant when the permittivity was measured; most data sheets say "
+            "stress (T)"
+        ),
     )
-    conductor: bool = Field(False, description="no field inside; its faces are electrodes")
-    quality: Ratio | None = Field(None, gt=0, description="mechanical, of damping per material")
-    loss_tangent: Ratio | None = Field(None, ge=0, description="dielectric")
+    conductor: bool = Field(
+        False,
+        description=(
+            "Whether the material is a conductor, without field inside and with faces as electrodes"
+        ),
+    )
+    quality: Ratio | None = Field(
+        None, gt=0, description="Mechanical Q factor, for damping per material"
+    )
+    loss_tangent: Ratio | None = Field(
+        None, ge=0, description="Dielectric loss tangent, for damping per material"
+    )
     tensile_strength: Pressure | None = Field(
-        None, gt=0, description="largest principal stress that it stands"
+        None, gt=0, description="Largest principal stress that the material stands"
     )
     depoling_field: Annotated[float, si("V/m")] | None = Field(
-        None, gt=0, description="against the poling"
+        None, gt=0, description="Largest field against the poling"
     )
     breakdown_field: Annotated[float, si("V/m")] | None = Field(
-        None, gt=0, description="in any direction"
+        None, gt=0, description="Largest field in any direction"
     )
     residual_stress: tuple[Pressure, Pressure, Pressure] | None = Field(
-        None, description="at rest along x, y, z of the body, which its supports hold"
+        None, description="Stress at rest along x, y and z of the body, which its supports hold"
     )
-    source: str = Field("", description="of all numbers")
-    sources: dict[str, str] = Field(default_factory=dict, description="of single keys")
+    source: str = Field("", description="Source of all numbers of this table")
+    sources: dict[str, str] = Field(
+        default_factory=dict, description="Sources of single properties, by their key"
+    )
 
     @model_validator(mode="before")
     @classmethod

@@ -90,7 +90,9 @@ class LinearKeys(Section):
 
     rom: Rom | None = None
     rated_voltage: Voltage | None = Field(
-        None, gt=0, description="largest between electrodes; by its materials where they say it"
+        None,
+        gt=0,
+        description="Largest voltage between electrodes; by default that of the materials",
     )
 
 

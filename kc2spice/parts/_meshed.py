@@ -83,7 +83,8 @@ class FieldKeys(LinearKeys):
     """Whether a run recovers what happens inside the body; instants become VTU files."""
 
     fields: bool | Annotated[tuple[Time, ...], Field(min_length=1, max_length=MOST)] | None = Field(
-        None, description="true, or instants that become VTU files too; none if absent"
+        None,
+        description=("Whether fields are computed, or the instants of which VTU files are written"),
     )
 
 

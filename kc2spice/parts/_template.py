@@ -33,10 +33,18 @@ class InputNoise(Section):
     """White noise of an operational amplifier's inputs, in a noise analysis alone."""
 
     noise_voltage: Voltage | None = Field(
-        None, gt=0, description="between its amplifier's inputs, rms in 1 Hz; none unless told"
+        None,
+        gt=0,
+        description=(
+            "Noise voltage between the amplifier's inputs, rms per root hertz; by default none"
+        ),
     )
     noise_current: Current | None = Field(
-        None, gt=0, description="out of each of them, rms in 1 Hz; none unless told"
+        None,
+        gt=0,
+        description=(
+            "Noise current out of each amplifier input, rms per root hertz; by default none"
+        ),
     )
 
 

@@ -38,8 +38,8 @@ GRADING = 1.6
 class Layer(Section):
     """One layer, over the whole beam."""
 
-    material: str | dict[str, Any] = Field(description="name or table")
-    thickness: Length = Field(gt=0, description="of the layer")
+    material: str | dict[str, Any] = Field(description="Material of the layer, a name or a table")
+    thickness: Length = Field(gt=0, description="Thickness of the layer")
 
 
 class BimorphKeys(FieldKeys):
@@ -50,24 +50,32 @@ class BimorphKeys(FieldKeys):
     whole plate), by distance from the clamp.
     """
 
-    length: Length = Field(gt=0, description="along the beam, free part")
-    width: Length = Field(gt=0, description="across")
+    length: Length = Field(gt=0, description="Free length of the beam")
+    width: Length = Field(gt=0, description="Width of the beam")
     layers: tuple[Layer, ...] = Field(min_length=1)
-    wiring: Literal["series", "parallel"] | None = Field(None, description="of two ceramic layers")
-    tip_mass: Mass = Field(0.0, ge=0, description="spread over the end face")
+    wiring: Literal["series", "parallel"] | None = Field(
+        None, description="Electrical connection of two ceramic layers"
+    )
+    tip_mass: Mass = Field(0.0, ge=0, description="Mass that is spread evenly over the end face")
     support: Literal["cantilever", "clamped", "simply_supported", "free", "quarter"] = Field(
-        "cantilever", description="what holds it"
+        "cantilever", description="Mechanical support of the beam"
     )
     points: dict[
         Annotated[str, StringConstraints(pattern=r"^[A-Za-z][A-Za-z0-9_]{0,30}$")], Length
     ] = Field(
-        default_factory=dict, description="further ports on the top by distance from the clamp"
+        default_factory=dict,
+        description="Further ports on the top face, by their distance from the clamp",
     )
     patches: Count | None = Field(
-        None, ge=1, le=64, description="ports patch1 … on equal strips of the bottom, of each row"
+        None,
+        ge=1,
+        le=64,
+        description=(
+            "Number of ports patch1, patch2, … on equal strips of the bottom face, in each row"
+        ),
     )
     rows: Count | None = Field(
-        None, ge=2, le=16, description="of patches across, one after the other; one unless told"
+        None, ge=2, le=16, description="Number of rows of patches across the beam; by default one"
     )
     damping: Damping = Damping()
     mesh: Mesh = Mesh()

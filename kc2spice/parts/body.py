@@ -61,14 +61,22 @@ _REFERENCES = ("cathode", "gnd", "ground")
 class GroupKeys(Section):
     """A group of a CAD file: entities that contain one of the points, or that lie in a box."""
 
-    solids: tuple[Point, ...] = Field((), description="those that contain one of these points")
-    faces: tuple[Point, ...] = Field((), description="those that contain one of these points")
-    curves: tuple[Point, ...] = Field((), description="those that contain one of these points")
-    points: tuple[Point, ...] = Field((), description="those at one of these points")
-    solids_in: tuple[Point, Point] | None = Field(None, description="those in a box of two corners")
-    faces_in: tuple[Point, Point] | None = Field(None, description="those in a box of two corners")
-    curves_in: tuple[Point, Point] | None = Field(None, description="those in a box of two corners")
-    points_in: tuple[Point, Point] | None = Field(None, description="those in a box of two corners")
+    solids: tuple[Point, ...] = Field((), description="Solids that contain one of these points")
+    faces: tuple[Point, ...] = Field((), description="Faces that contain one of these points")
+    curves: tuple[Point, ...] = Field((), description="Curves that contain one of these points")
+    points: tuple[Point, ...] = Field((), description="Geometric points at one of these places")
+    solids_in: tuple[Point, Point] | None = Field(
+        None, description="Solids inside a box, given by two of its corners"
+    )
+    faces_in: tuple[Point, Point] | None = Field(
+        None, description="Faces inside a box, given by two of its corners"
+    )
+    curves_in: tuple[Point, Point] | None = Field(
+        None, description="Curves inside a box, given by two of its corners"
+    )
+    points_in: tuple[Point, Point] | None = Field(
+        None, description="Geometric points inside a box, given by two of its corners"
+    )
 
     @model_validator(mode="after")
     def _one(self) -> GroupKeys:
@@ -87,9 +95,12 @@ class GroupKeys(Section):
 class FixedKeys(Section):
     """A group whose displacement is zero along some axes (``x`` is the radius if axisymmetric)."""
 
-    group: str = Field(description="nodes that are held")
+    group: str = Field(description="Mesh group whose nodes are clamped")
     axes: Annotated[str, StringConstraints(pattern="^[xyz]{1,3}$")] = Field(
-        "xyz", description="along which; x is the radius if axisymmetric"
+        "xyz",
+        description=(
+            "Axes along which the nodes are clamped; x is the radius of an axisymmetric mesh"
+        ),
     )
 
 
@@ -103,14 +114,14 @@ class PortKeys(Section):
     a point instead of a group.
     """
 
-    name: Name = Field(description="of the port and its pin")
-    group: str | None = Field(None, description="where it acts")
-    at: Point | None = Field(None, description="the mesh node nearest to a point")
+    name: Name = Field(description="Name of the port and of its pin")
+    group: str | None = Field(None, description="Mesh group on which the port acts")
+    at: Point | None = Field(None, description="Point whose nearest mesh node is the port")
     axis: Literal["x", "y", "z", "rx", "ry", "rz"] | Vector | None = Field(
-        None, description="direction, or rotation about one"
+        None, description="Direction of the displacement, or axis of the rotation"
     )
     kind: Literal["mean", "rigid", "base"] = Field(
-        "mean", description="mean of a group, rigid face, or base"
+        "mean", description="Kind of port: mean displacement of a group, rigid face, or shaken base"
     )
 
     @model_validator(mode="after")
@@ -155,9 +166,9 @@ class PortKeys(Section):
 class CylindricalKeys(Section):
     """A poling that turns about an axis with its place, as in rings and tubes."""
 
-    direction: Vector = Field(description="radial, hoop and axial component of the poling")
-    axis: Vector = Field((0.0, 0.0, 1.0), description="direction of the axis")
-    through: Point = Field((0.0, 0.0, 0.0), description="a point on the axis")
+    direction: Vector = Field(description="Radial, hoop and axial component of the poling")
+    axis: Vector = Field((0.0, 0.0, 1.0), description="Direction of the cylinder's axis")
+    through: Point = Field((0.0, 0.0, 0.0), description="Point on the cylinder's axis")
 
     @model_validator(mode="after")
     def _directed(self) -> CylindricalKeys:
@@ -172,36 +183,52 @@ class BodyKeys(FieldKeys):
     """
 
     mesh: Annotated[str, StringConstraints(min_length=1, max_length=255)] = Field(
-        description="file beside the scene: mesh, STEP, BREP, IGES"
+        description=("Mesh or CAD file beside the scene: gmsh and other meshes, STEP, BREP, IGES")
     )
     unit: str | None = Field(
-        None, description="of the file's coordinates; needed where the file states none"
+        None,
+        description=("Length unit of the file's coordinates, required where the file states none"),
     )
-    size: Length | None = Field(None, gt=0, description="of elements of a CAD file")
+    size: Length | None = Field(
+        None, gt=0, description="Size of the elements that a CAD file is divided into"
+    )
     refine: Annotated[Count, Notch(2.0, model=True)] = Field(
-        1, ge=1, le=8, description="divides the size of all elements"
+        1, ge=1, le=8, description="Factor by which the size of all elements is divided"
     )
     merge: Length | None = Field(
         None,
         ge=0,
-        description="distance up to which nodes of the file become one; 0 keeps solids that "
-        "touch apart",
+        description=(
+            "Largest distance of two nodes that become one; 0 leaves solids that touch unconnected"
+        ),
     )
-    axisymmetric: bool = Field(False, description="the mesh is a half plane, x the radius")
+    axisymmetric: bool = Field(
+        False,
+        description=(
+            "Whether the mesh is the half plane of a body of revolution, with x as radius"
+        ),
+    )
     groups: dict[str, GroupKeys] = Field(default_factory=dict)
     materials: dict[str, str | dict[str, Any]] = Field(
-        min_length=1, description="name or table, by group"
+        min_length=1, description="Material of each mesh group, a name or a table"
     )
     poling: dict[str, Vector | Literal["radial", "tangential"] | CylindricalKeys] = Field(
         default_factory=dict,
-        description="direction of the third axis of each group's material, z by default; radial or "
-        "tangential about the z axis; or a table of direction, axis and through",
+        description=(
+            "Direction of the third material axis of each mesh group, by default z; radial or "
+            "tangential about the z axis; or a table of direction, axis and through"
+        ),
     )
-    fixed: tuple[str | FixedKeys, ...] = Field((), description="groups that are held")
+    fixed: tuple[str | FixedKeys, ...] = Field(
+        (), description="Mesh groups whose nodes are clamped"
+    )
     electrodes: dict[Name, str | tuple[str, ...]] = Field(
-        default_factory=dict, description="by group: the pin of each"
+        default_factory=dict,
+        description="Mesh group or groups of each electrode, by the name of its pin",
     )
-    floating: tuple[str, ...] = Field((), description="groups of one potential without a pin")
+    floating: tuple[str, ...] = Field(
+        (), description="Mesh groups that are conductors without a pin"
+    )
     ports: tuple[PortKeys, ...] = ()
     damping: Damping = Damping()
 

@@ -11,12 +11,14 @@ class CombDriveKeys(Section):
     """``C = 2 fingers eps0 thickness (overlap + x) / gap``: a force without x, ``fingers eps0
     thickness v^2 / gap``."""
 
-    fingers: Ratio = Field(gt=0, description="of the moving comb, each between two others")
-    thickness: Length = Field(gt=0, description="of the fingers, across the motion")
-    gap: Length = Field(gt=0, description="between neighbouring fingers")
-    overlap: Length = Field(gt=0, description="of the fingers at x = 0")
-    travel: Length = Field(gt=0, description="x at which the stop is met")
-    stop: Stiffness = Field(1e4, gt=0, description="of the stop")
+    fingers: Ratio = Field(
+        gt=0, description="Number of fingers of the moving comb, each between two fixed ones"
+    )
+    thickness: Length = Field(gt=0, description="Thickness of the fingers, across the motion")
+    gap: Length = Field(gt=0, description="Gap between neighbouring fingers")
+    overlap: Length = Field(gt=0, description="Overlap of the fingers at x = 0")
+    travel: Length = Field(gt=0, description="Displacement x at which the comb meets its stop")
+    stop: Stiffness = Field(1e4, gt=0, description="Stiffness of the stop")
 
 
 register(

@@ -28,16 +28,24 @@ class ControllerKeys(Section):
     sample on.
     """
 
-    kind: Literal["python"] = "python"
-    file: FileName | None = Field(None, description="Python file beside the scene; needs --trust")
-    function: str = Field("control", pattern=r"^[A-Za-z_]\w{0,63}$")
-    period: Time = Field(1e-5, gt=0)
-    delay: Time = Field(0.0, ge=0)
-    inputs: tuple[str, ...] = Field((), max_length=16, description="names of its input pins")
-    units: dict[str, Literal["um", "V", "m/s"]] = Field(
-        default_factory=dict, description="of an input pin; um unless told"
+    kind: Literal["python"] = Field("python", description="Kind of controller: a Python function")
+    file: FileName | None = Field(
+        None, description="Python file beside the scene; it runs only with --trust"
     )
-    output: Literal["voltage", "current"] = "voltage"
+    function: str = Field(
+        "control", pattern=r"^[A-Za-z_]\w{0,63}$", description="Name of the function in the file"
+    )
+    period: Time = Field(1e-5, gt=0, description="Sampling period of the controller")
+    delay: Time = Field(0.0, ge=0, description="Delay from the sample to the output")
+    inputs: tuple[str, ...] = Field(
+        (), max_length=16, description="Names of the controller's input pins"
+    )
+    units: dict[str, Literal["um", "V", "m/s"]] = Field(
+        default_factory=dict, description="Unit of each input pin; by default um"
+    )
+    output: Literal["voltage", "current"] = Field(
+        "voltage", description="Kind of output: a voltage or a current"
+    )
 
 
 class Controller(PartType):

@@ -12,8 +12,8 @@ from kc2spice.scene.parttype import register
 class CubicSpringKeys(Section):
     """``F = stiffness x + cubic x^3``; ``cubic`` below zero softens."""
 
-    stiffness: Stiffness = Field(gt=0, description="at small stretch")
-    cubic: Annotated[float, si("N/m3")] = Field(0.0, description="times the stretch cubed")
+    stiffness: Stiffness = Field(gt=0, description="Stiffness at small elongation")
+    cubic: Annotated[float, si("N/m3")] = Field(0.0, description="Force per elongation cubed")
 
 
 register(

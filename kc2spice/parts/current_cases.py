@@ -24,7 +24,12 @@ HEIGHTS = 2001  # at which the lookup is read: five per segment
 class CurrentCasesKeys(Section):
     """Each coil takes each current; the sphere's height is swept over the whole table."""
 
-    currents: tuple[Current, ...] = Field((-0.1, 0.0, 0.1), min_length=1, max_length=1000)
+    currents: tuple[Current, ...] = Field(
+        (-0.1, 0.0, 0.1),
+        min_length=1,
+        max_length=1000,
+        description="Currents of both coils, every pair of which is a case",
+    )
 
 
 class CurrentCases(PartType):

@@ -20,12 +20,20 @@ class DiodeKeys(Section):
     The defaults are those in common use for a 1N4148 (small signal, 100 V).
     """
 
-    saturation_current: Current = Field(2.52e-9, gt=0, description="IS")
-    emission: Ratio = Field(1.752, gt=0, description="N, of the exponent")
-    series_resistance: Resistance = Field(0.568, ge=0, description="RS")
-    capacitance: Capacitance = Field(4e-12, ge=0, description="CJO, of the junction at 0 V")
-    transit_time: Time = Field(20e-9, ge=0, description="TT")
-    breakdown_voltage: Voltage = Field(100.0, gt=0, description="BV")
+    saturation_current: Current = Field(
+        2.52e-9, gt=0, description="Saturation current, IS of the SPICE model"
+    )
+    emission: Ratio = Field(1.752, gt=0, description="Emission coefficient, N of the SPICE model")
+    series_resistance: Resistance = Field(
+        0.568, ge=0, description="Series resistance, RS of the SPICE model"
+    )
+    capacitance: Capacitance = Field(
+        4e-12, ge=0, description="Junction capacitance at 0 V, CJO of the SPICE model"
+    )
+    transit_time: Time = Field(20e-9, ge=0, description="Transit time, TT of the SPICE model")
+    breakdown_voltage: Voltage = Field(
+        100.0, gt=0, description="Breakdown voltage, BV of the SPICE model"
+    )
 
 
 class Diode(TemplatePart):

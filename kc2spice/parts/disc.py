@@ -37,23 +37,31 @@ class Feedback(Section):
     Sheets show a tongue; the ring stands for it: the area counts, not the angle.
     """
 
-    inner: Length = Field(0.0, ge=0, description="radius; 0 cuts out a disc")
-    outer: Length = Field(gt=0, description="radius")
-    gap: Length = Field(0.5e-3, gt=0, description="bare ceramic to the main electrode")
+    inner: Length = Field(
+        0.0, ge=0, description="Inner radius of the feedback electrode; 0 makes it a disc"
+    )
+    outer: Length = Field(gt=0, description="Outer radius of the feedback electrode")
+    gap: Length = Field(
+        0.5e-3, gt=0, description="Width of bare ceramic between feedback and main electrode"
+    )
 
 
 class Layer(Section):
     """One disc. ``electrodes`` is the diameter of its electrodes where it lies on no metal."""
 
-    material: str | dict[str, Any] = Field(description="name or table")
-    diameter: Length = Field(gt=0, description="outer")
-    thickness: Length = Field(gt=0, description="of the layer")
+    material: str | dict[str, Any] = Field(description="Material of the layer, a name or a table")
+    diameter: Length = Field(gt=0, description="Outer diameter of the layer")
+    thickness: Length = Field(gt=0, description="Thickness of the layer")
     electrodes: Length | None = Field(
-        None, gt=0, description="diameter of its electrodes; the whole face unless told"
+        None, gt=0, description="Diameter of the layer's electrodes; by default the whole face"
     )
     feedback: Feedback | None = None
-    poling: Literal["up", "down"] = Field("up", description="of a ceramic")
-    quality: Ratio | None = Field(None, gt=0, description="for damping.per_material")
+    poling: Literal["up", "down"] = Field(
+        "up", description="Direction of poling of a ceramic layer"
+    )
+    quality: Ratio | None = Field(
+        None, gt=0, description="Q factor of the layer, for damping.per_material"
+    )
 
     @model_validator(mode="after")
     def _possible(self) -> Layer:
@@ -74,7 +82,7 @@ class Layer(Section):
 class Node(Section):
     """A knife edge under the body."""
 
-    node: Length = Field(gt=0, description="diameter")
+    node: Length = Field(gt=0, description="Diameter of the circle on which the disc rests")
 
 
 class DiscKeys(FieldKeys):
@@ -85,10 +93,14 @@ class DiscKeys(FieldKeys):
     layers: tuple[Layer, ...] = Field(min_length=1)
     support: Literal["free", "clamped", "simply_supported"] | Node = "free"
     wiring: Literal["parallel", "series"] = Field(
-        "parallel", description="of several ceramic layers"
+        "parallel", description="Electrical connection of several ceramic layers"
     )
     centre: Length | None = Field(
-        None, gt=0, description="diameter of the port's patch; the thickness on the axis if absent"
+        None,
+        gt=0,
+        description=(
+            "Diameter of the patch of port centre; by default the thickness of the disc on its axis"
+        ),
     )
     damping: Damping = Damping()
     mesh: Mesh = Mesh()

@@ -28,11 +28,11 @@ from kc2spice.scene.parttype import Numerics, register
 class AmplifierKeys(InputNoise):
     """High-voltage operational amplifier with a class-AB output stage, gain 20."""
 
-    rail: Voltage = Field(120.0, gt=0, description="supply")
-    resistance: Resistance = Field(2.0, gt=0, description="between amplifier and chip")
-    bandwidth: Frequency = Field(2e6, gt=0, description="of the closed loop")
-    slew: Slew = Field(1e9, gt=0, description="fastest change of the output")
-    current_limit: Current = Field(15.0, gt=0, description="largest output current")
+    rail: Voltage = Field(120.0, gt=0, description="Supply voltage of the driver")
+    resistance: Resistance = Field(2.0, gt=0, description="Resistance between amplifier and chip")
+    bandwidth: Frequency = Field(2e6, gt=0, description="Bandwidth of the closed loop")
+    slew: Slew = Field(1e9, gt=0, description="Largest rate of change of the output voltage")
+    current_limit: Current = Field(15.0, gt=0, description="Largest output current")
 
 
 class Amplifier(Driver):
@@ -47,14 +47,16 @@ class ChargeKeys(InputNoise):
     """Amplifier that sets the chip's charge, ``capacitance`` times the kick pulse's voltage."""
 
     capacitance: Capacitance = Field(
-        150e-9, gt=0, description="charge of the chip per volt of command"
+        150e-9, gt=0, description="Charge of the chip per volt of command"
     )
-    sense: Capacitance = Field(1e-6, gt=0, description="capacitor in series with the chip")
-    rail: Voltage = Field(300.0, gt=0, description="supply")
-    resistance: Resistance = Field(20.0, gt=0, description="between amplifier and chip")
-    bandwidth: Frequency = Field(200e3, gt=0, description="of the closed loop")
-    slew: Slew = Field(1e9, gt=0, description="fastest change of the output")
-    current_limit: Current = Field(10.0, gt=0, description="largest output current")
+    sense: Capacitance = Field(
+        1e-6, gt=0, description="Capacitance in series with the chip that measures the charge"
+    )
+    rail: Voltage = Field(300.0, gt=0, description="Supply voltage of the driver")
+    resistance: Resistance = Field(20.0, gt=0, description="Resistance between amplifier and chip")
+    bandwidth: Frequency = Field(200e3, gt=0, description="Bandwidth of the closed loop")
+    slew: Slew = Field(1e9, gt=0, description="Largest rate of change of the output voltage")
+    current_limit: Current = Field(10.0, gt=0, description="Largest output current")
 
 
 class ChargeDrive(Driver):
@@ -68,14 +70,18 @@ class ChargeDrive(Driver):
 class HalfBridgeKeys(Section):
     """Two transistors from a charged capacitor; the high one is on during the kick pulse."""
 
-    rail: Voltage = Field(100.0, gt=0, description="supply")
-    resistance: Resistance = Field(2.0, gt=0, description="between bridge and chip")
-    gate_resistance: Resistance = Field(10.0, gt=0, description="of both gates")
-    current_limit: Current = Field(15.0, gt=0, description="at which a transistor saturates")
-    reservoir: Capacitance = Field(
-        10e-6, gt=0, description="capacitor that the pulse's charge comes from"
+    rail: Voltage = Field(100.0, gt=0, description="Supply voltage of the driver")
+    resistance: Resistance = Field(2.0, gt=0, description="Resistance between bridge and chip")
+    gate_resistance: Resistance = Field(10.0, gt=0, description="Series resistance of both gates")
+    current_limit: Current = Field(
+        15.0, gt=0, description="Current at which a transistor saturates"
     )
-    supply_resistance: Resistance = Field(100.0, gt=0, description="through which it is refilled")
+    reservoir: Capacitance = Field(
+        10e-6, gt=0, description="Capacitance of the supply that delivers the charge of a pulse"
+    )
+    supply_resistance: Resistance = Field(
+        100.0, gt=0, description="Resistance through which the supply's capacitance recharges"
+    )
 
 
 class HalfBridge(Driver):
@@ -89,9 +95,9 @@ class HalfBridge(Driver):
 class LinearKeys(InputNoise):
     """Current source for the coils: operational amplifier between two rails, sense resistor."""
 
-    rail: Voltage = Field(48.0, gt=0, description="supplies of plus and minus this voltage")
-    bandwidth: Frequency = Field(50e3, gt=0, description="of the current loop")
-    slew: Slew = Field(20e6, gt=0, description="fastest change of the output")
+    rail: Voltage = Field(48.0, gt=0, description="Supply voltage, positive and negative")
+    bandwidth: Frequency = Field(50e3, gt=0, description="Bandwidth of the current loop")
+    slew: Slew = Field(20e6, gt=0, description="Largest rate of change of the output voltage")
 
 
 class LinearDrive(CoilDriver):
@@ -125,11 +131,11 @@ RIPPLE = (
 class PwmKeys(Section):
     """Current source for the coils: H-bridge, pulse-width modulator, PI controller."""
 
-    rail: Voltage = Field(100.0, gt=0, description="supply of the bridge")
-    frequency: Frequency = Field(100e3, gt=0, description="of the carrier")
-    bandwidth: Frequency = Field(10e3, gt=0, description="of the current loop")
-    resistance: Resistance = Field(0.5, gt=0, description="of each switch when on")
-    edge: Time = Field(50e-9, gt=0, description="of the switched voltage")
+    rail: Voltage = Field(100.0, gt=0, description="Supply voltage of the bridge")
+    frequency: Frequency = Field(100e3, gt=0, description="Carrier frequency of the bridge")
+    bandwidth: Frequency = Field(10e3, gt=0, description="Bandwidth of the current loop")
+    resistance: Resistance = Field(0.5, gt=0, description="On-resistance of each switch")
+    edge: Time = Field(50e-9, gt=0, description="Rise and fall time of the switched voltage")
 
 
 class PwmDrive(CoilDriver):

@@ -28,7 +28,7 @@ BAND = 2.0  # times the lowest mode's frequency: the sphere breathes below
 class ElasticSphereKeys(LinearKeys):
     """Of the sphere ``of``, whose key ``elastic`` is this table."""
 
-    of: str = Field(description="part of the sphere")
+    of: str = Field(description="Name of the part that is the sphere")
     damping: Damping = Damping(ratio=1e-3)
     mesh: Mesh = Mesh()
 

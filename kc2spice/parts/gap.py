@@ -57,37 +57,49 @@ TERMS = 99  # odd m and n up to this; what is left out damps 1e-4 less
 class Fringing(Section):
     """Of a strip over a plane."""
 
-    width: Length = Field(gt=0, description="of the strip")
-    thickness: Length = Field(gt=0, description="of the strip")
+    width: Length = Field(gt=0, description="Width of the strip")
+    thickness: Length = Field(gt=0, description="Thickness of the strip")
 
 
 class Film(Section):
     """Gas between the faces, vented on all sides; the patches are strips across the length."""
 
-    length: Length = Field(gt=0, description="of the face, along the row of patches")
-    width: Length = Field(gt=0, description="of the face")
-    viscosity: Annotated[float, si("Pa s")] = Field(18.3e-6, gt=0, description="of the gas")
-    pressure: Pressure = Field(101325.0, gt=0, description="of the gas around")
+    length: Length = Field(gt=0, description="Length of the face along the row of patches")
+    width: Length = Field(gt=0, description="Width of the face")
+    viscosity: Annotated[float, si("Pa s")] = Field(
+        18.3e-6, gt=0, description="Dynamic viscosity of the gas"
+    )
+    pressure: Pressure = Field(101325.0, gt=0, description="Ambient pressure of the gas")
     branches: Count = Field(
-        3, ge=1, le=40, description="terms of the series that keep the spring of trapped gas"
+        3, ge=1, le=40, description="Number of series terms that model the spring of trapped gas"
     )
 
 
 class GapKeys(Section):
     """``a`` is a body with a row of patches, a port such as ``beam.tip``, or a list of ports."""
 
-    a: str | tuple[str, ...] = Field(description="body with patches, or its ports")
-    area: Annotated[float, si("m2")] = Field(gt=0, description="of the electrode, all patches")
-    gap: Length = Field(gt=0, description="at rest without voltage")
-    side: Literal["below", "above"] = Field("below", description="of the body, the electrode's")
-    permittivity: Ratio = Field(1.0, gt=0, description="relative, of what is in the gap")
-    travel: Length = Field(gt=0, description="of a patch to its stop, less than the gap")
-    stop: Stiffness = Field(1e6, gt=0, description="of the stop, all patches")
-    shares: tuple[float, ...] | None = Field(
-        None, description="parts of the area that the patches have; equal unless told"
+    a: str | tuple[str, ...] = Field(description="Body with patches, or the list of its ports")
+    area: Annotated[float, si("m2")] = Field(
+        gt=0, description="Area of the electrode, all patches together"
     )
-    fringing: Fringing | None = Field(None, description="field beside a strip")
-    film: Film | None = Field(None, description="squeezed gas; none unless told")
+    gap: Length = Field(gt=0, description="Gap at rest without voltage")
+    side: Literal["below", "above"] = Field(
+        "below", description="Side of the body on which the electrode lies"
+    )
+    permittivity: Ratio = Field(
+        1.0, gt=0, description="Relative permittivity of the medium in the gap"
+    )
+    travel: Length = Field(
+        gt=0, description="Displacement of a patch at which it meets its stop, less than the gap"
+    )
+    stop: Stiffness = Field(1e6, gt=0, description="Stiffness of the stop, all patches together")
+    shares: tuple[float, ...] | None = Field(
+        None, description="Share of the area of each patch; by default equal shares"
+    )
+    fringing: Fringing | None = Field(
+        None, description="Fringing field of a strip; by default none"
+    )
+    film: Film | None = Field(None, description="Squeezed gas film in the gap; by default none")
 
 
 class Patched(DeclaredPart):

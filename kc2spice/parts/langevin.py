@@ -31,24 +31,26 @@ _CELLS = 8  # along the largest radius before refinement
 class Piece(Section):
     """What all pieces have."""
 
-    material: str | dict[str, Any] = Field(description="name or table")
-    quality: Ratio | None = Field(None, gt=0, description="for damping.per_material")
+    material: str | dict[str, Any] = Field(description="Material of the piece, a name or a table")
+    quality: Ratio | None = Field(
+        None, gt=0, description="Q factor of the piece, for damping.per_material"
+    )
 
 
 class Cylinder(Piece):
     """One step of a mass."""
 
-    diameter: Length = Field(gt=0, description="outer")
-    length: Length = Field(gt=0, description="along the axis")
+    diameter: Length = Field(gt=0, description="Outer diameter of the cylinder")
+    length: Length = Field(gt=0, description="Length of the cylinder along the axis")
 
 
 class Rings(Piece):
     """``count`` equal rings (even, so that both masses are cathodes)."""
 
-    outer: Length = Field(gt=0, description="diameter")
-    inner: Length = Field(gt=0, description="diameter of the bore")
-    thickness: Length = Field(gt=0, description="of one ring")
-    count: Count = Field(2, ge=2, le=20, description="an even number")
+    outer: Length = Field(gt=0, description="Outer diameter of the ceramic rings")
+    inner: Length = Field(gt=0, description="Diameter of the bore of the ceramic rings")
+    thickness: Length = Field(gt=0, description="Thickness of one ceramic ring")
+    count: Count = Field(2, ge=2, le=20, description="Number of ceramic rings, even")
 
     @model_validator(mode="after")
     def _possible(self) -> Rings:
@@ -63,10 +65,20 @@ class Bolt(Piece):
     """The bolt along the axis; it reaches ``depth`` into the front mass and through all of the
     back mass, where its head (if any) sits on the end."""
 
-    diameter: Length = Field(gt=0, description="of the shank")
-    depth: Length | None = Field(None, gt=0, description="in the front mass; its first step")
-    head_diameter: Length | None = Field(None, gt=0, description="with head_length")
-    head_length: Length | None = Field(None, gt=0, description="with head_diameter")
+    diameter: Length = Field(gt=0, description="Diameter of the bolt's shank")
+    depth: Length | None = Field(
+        None,
+        gt=0,
+        description=(
+            "Depth of the bolt in the front mass; by default the first step of the front mass"
+        ),
+    )
+    head_diameter: Length | None = Field(
+        None, gt=0, description="Diameter of the bolt's head, together with head_length"
+    )
+    head_length: Length | None = Field(
+        None, gt=0, description="Length of the bolt's head, together with head_diameter"
+    )
 
     @model_validator(mode="after")
     def _head(self) -> Bolt:
@@ -82,7 +94,9 @@ class LangevinKeys(FieldKeys):
     back: tuple[Cylinder, ...] = Field(min_length=1)
     rings: Rings
     bolt: Bolt
-    support: Literal["free", "back"] = Field("free", description="back: its end face is held")
+    support: Literal["free", "back"] = Field(
+        "free", description="Mechanical support: free, or clamped at the back face"
+    )
     damping: Damping = Damping()
     mesh: Mesh = Mesh()
 

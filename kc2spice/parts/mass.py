@@ -32,10 +32,14 @@ class MassKeys(Section):
     equilibrium, unless ``position`` or ``velocity`` is given; where nothing does, it begins there.
     """
 
-    mass: Mass = Field(gt=0)
-    weight: bool = Field(False, description="whether gravity pulls it")
-    position: Length = Field(0.0, description="at t = 0, if given or if nothing holds it")
-    velocity: Velocity = Field(0.0, description="at t = 0, if given or if nothing holds it")
+    mass: Mass = Field(gt=0, description="Mass of the rigid body")
+    weight: bool = Field(False, description="Whether gravity acts on the mass")
+    position: Length = Field(
+        0.0, description=("Position at t = 0; by default that of equilibrium, or 0 for a free mass")
+    )
+    velocity: Velocity = Field(
+        0.0, description=("Velocity at t = 0; by default that of equilibrium, or 0 for a free mass")
+    )
 
 
 @cache

@@ -25,8 +25,12 @@ THIN = 0.02  # of its width: a line of nodes is drawn so high
 class MatricesKeys(LinearKeys):
     """Files beside the scene; ports as their sidecar TOML names them."""
 
-    file: FileName = Field(description="NAME of the matrices, or one of their files")
-    sidecar: FileName | None = Field(None, description="TOML with the ports; NAME.toml unless told")
+    file: FileName = Field(
+        description="Matrix file beside the scene, or the NAME of a family of files"
+    )
+    sidecar: FileName | None = Field(
+        None, description="TOML file that describes the ports; by default NAME.toml"
+    )
 
 
 class Matrices(LinearBody):

@@ -53,58 +53,78 @@ ROUGH = 0.02  # of flux, force and loss, by which the rings may be off those tha
 class CoilKeys(Section):
     """A winding of rectangular section about the axis."""
 
-    radius: Length = Field(gt=0, description="mean radius")
-    width: Length = Field(gt=0, description="of the section, along the radius")
-    height: Length = Field(gt=0, description="of the section, along the axis")
-    y: Length = Field(description="of the middle of the section")
-    turns: Ratio = Field(gt=0)
-    resistance: Resistance = Field(gt=0, description="of the wire")
+    radius: Length = Field(gt=0, description="Mean radius of the coil")
+    width: Length = Field(gt=0, description="Radial width of the coil's section")
+    height: Length = Field(gt=0, description="Axial height of the coil's section")
+    y: Length = Field(description="Height of the middle of the coil's section")
+    turns: Ratio = Field(gt=0, description="Number of turns of the coil")
+    resistance: Resistance = Field(gt=0, description="Resistance of the coil's wire")
 
 
 class MagnetKeys(Ring):
     """A ring or cylinder that is magnetised along the axis, of the permeability of air."""
 
-    remanence: FluxDensity = Field(description="upwards")
+    remanence: FluxDensity = Field(description="Remanence, positive upwards")
 
 
 class Conduction(Section):
     """What the loops of a body depend on in its netlist."""
 
-    conductivity: Conductivity = Field(gt=0, description="of the body, such as 3.4e7 1/(Ohm m)")
+    conductivity: Conductivity = Field(
+        gt=0, description="Electrical conductivity of the body, such as 3.4e7 1/(Ohm m)"
+    )
 
 
 class Moving(Section):
     """A body in the field of coils and magnets about one axis; y is the height of its lowest point.
     Its mass is a part ``mass`` at the pin ``a``."""
 
-    radius: Length = Field(gt=0, description="outer one")
-    inner: Length = Field(0.0, ge=0, description="radius of the hole of a disc")
-    thickness: Length | None = Field(None, gt=0, description="of a disc, along the axis")
-    coils: dict[str, CoilKeys] = Field({}, description="by name; pins NAME_p and NAME_n")
-    magnets: dict[str, MagnetKeys] = Field({}, description="fixed ones, by name")
-    y_min: Length = Field(description="lowest height")
-    y_max: Length = Field(description="largest height")
+    radius: Length = Field(gt=0, description="Outer radius of the body")
+    inner: Length = Field(0.0, ge=0, description="Radius of the hole of a disc")
+    thickness: Length | None = Field(None, gt=0, description="Thickness of a disc along the axis")
+    coils: dict[str, CoilKeys] = Field(
+        {},
+        description=(
+            "Coils by name, each a table [PART.coils.NAME]; their pins are NAME_p and NAME_n"
+        ),
+    )
+    magnets: dict[str, MagnetKeys] = Field(
+        {}, description="Fixed magnets by name, each a table [PART.magnets.NAME]"
+    )
+    y_min: Length = Field(description="Lowest height of the range of motion")
+    y_max: Length = Field(description="Largest height of the range of motion")
     tolerance: Annotated[Ratio, Notch(0.1, model=True)] = Field(
-        1e-3, gt=1e-8, lt=0.1, description="of flux and force, for the number of loops"
+        1e-3,
+        gt=1e-8,
+        lt=0.1,
+        description=(
+            "Largest relative error of flux and force, which determines the number of current loops"
+        ),
     )
 
 
 class MovingConductorKeys(Conduction, Moving):
     """Disc, ring or sphere."""
 
-    shape: Literal["disc", "sphere"] = Field("disc", description="a disc with a hole is a ring")
+    shape: Literal["disc", "sphere"] = Field(
+        "disc", description="Shape of the body; a disc with a hole is a ring"
+    )
     frequency: Frequency | None = Field(
         None,
         gt=0,
-        description="highest frequency of resolved eddy currents [Hz]; by default that of the "
-        "scene's analysis, sines, carriers and edges, at least 1 kHz",
+        description=(
+            "Highest frequency of resolved eddy currents [Hz]; by default that of the scene's "
+            "analysis, sines, carriers and edges, at least 1 kHz"
+        ),
     )
     rings: Annotated[Count, Notch(2.0, model=True)] = Field(
         400,
         ge=20,
         le=3000,
-        description="number of rings that the body is divided into; thinner ones are added below "
-        "its surface where the skin depth needs them",
+        description=(
+            "Number of rings that the body is divided into; thinner ones are added below its "
+            "surface where the skin depth needs them"
+        ),
     )
 
 

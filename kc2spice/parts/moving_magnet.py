@@ -20,7 +20,7 @@ from kc2spice.scene.parttype import Neglected, register
 class Magnetisation(Section):
     """What the field of a magnet depends on in its netlist."""
 
-    remanence: FluxDensity = Field(description="upwards")
+    remanence: FluxDensity = Field(description="Remanence, positive upwards")
 
 
 class MovingMagnetKeys(Magnetisation, Moving):
@@ -31,10 +31,20 @@ class MovingMagnetKeys(Magnetisation, Moving):
     its surfaces, so that flux and force are integrals of Maxwell's coaxial circles.
     """
 
-    thickness: Length = Field(gt=0, description="along the axis")
-    mu_r: Ratio = Field(1.0, ge=1, description="recoil permeability: remanence / (MU_0 coercivity)")
+    thickness: Length = Field(gt=0, description="Thickness of the magnet along the axis")
+    mu_r: Ratio = Field(
+        1.0,
+        ge=1,
+        description=("Recoil permeability, the remanence divided by mu_0 times the coercivity"),
+    )
     tolerance: Annotated[Ratio, Notch(0.1, model=True)] = Field(
-        1e-5, gt=1e-8, lt=0.1, description="of flux and force, for the power series"
+        1e-5,
+        gt=1e-8,
+        lt=0.1,
+        description=(
+            "Largest relative error of flux and force, which determines the degree of their power "
+            "series"
+        ),
     )
 
 

@@ -37,21 +37,29 @@ RATED = "the circuit does not keep what ratings says of it: a diode drop or a gl
 class Rating(Section):
     """What a pin keeps, over ``ref`` if the circuit has it: voltages and fastest change."""
 
-    low: Voltage | None = None
-    high: Voltage | None = None
-    slew: Slew | None = Field(None, gt=0)
+    low: Voltage | None = Field(None, description="Lowest allowed voltage of the pin")
+    high: Voltage | None = Field(None, description="Largest allowed voltage of the pin")
+    slew: Slew | None = Field(
+        None, gt=0, description="Largest allowed rate of change of the voltage"
+    )
 
 
 class NetlistKeys(Section):
     """``.subckt SUBCKT`` of ``file``, which stands beside the scene."""
 
-    file: FileName
-    subckt: str = Field(pattern=r"^[A-Za-z][A-Za-z0-9_]{0,63}$")
+    file: FileName = Field(description="Netlist file beside the scene")
+    subckt: str = Field(
+        pattern=r"^[A-Za-z][A-Za-z0-9_]{0,63}$", description="Name of the subcircuit in the file"
+    )
     units: dict[str, str] = Field(
-        default_factory=dict, description="kind of a pin, V/A unless told: um/N, m/s/N, V"
+        default_factory=dict,
+        description=(
+            "Units of pins that are not electrical: um/N, m/s/N, or V for a signal; by default V/A"
+        ),
     )
     ratings: dict[str, Rating] = Field(
-        default_factory=dict, description="{ PIN = { low, high, slew } }, checked after the run"
+        default_factory=dict,
+        description=("Limits of each pin, { PIN = { low, high, slew } }, which the run checks"),
     )
 
 

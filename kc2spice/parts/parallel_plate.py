@@ -15,11 +15,15 @@ class ParallelPlateKeys(Section):
     A spring of stiffness ``k`` between its plates snaps in at ``sqrt(8 k gap^3 / (27 eps area))``.
     """
 
-    area: Annotated[float, si("m2")] = Field(gt=0, description="of the plates")
-    gap: Length = Field(gt=0, description="between the plates at x = 0")
-    permittivity: Ratio = Field(1.0, gt=0, description="relative, of what is between the plates")
-    travel: Length = Field(gt=0, description="x at which the stop is met, less than the gap")
-    stop: Stiffness = Field(1e5, gt=0, description="of the stop")
+    area: Annotated[float, si("m2")] = Field(gt=0, description="Area of the plates")
+    gap: Length = Field(gt=0, description="Gap between the plates at x = 0")
+    permittivity: Ratio = Field(
+        1.0, gt=0, description="Relative permittivity of the medium between the plates"
+    )
+    travel: Length = Field(
+        gt=0, description="Displacement x at which the plate meets its stop, less than the gap"
+    )
+    stop: Stiffness = Field(1e5, gt=0, description="Stiffness of the stop")
 
 
 register(

@@ -68,12 +68,14 @@ FREE = {"mesh", "damping", "mounting", "preload_spring", "layer_thickness"}
 class Drive(Section):
     """Kick pulse: rises from ``start`` within ``edge``; ``width`` is measured at half height."""
 
-    voltage: Voltage = Field(100.0, description="height of the pulse")
-    width: Time = Field(25e-6, gt=0, description="at half height")
-    edge: Time = Field(0.1e-6, gt=0, description="rise and fall time")
-    start: Time = Field(0.5e-3, ge=0, description="of the rise")
-    period: Time | None = Field(None, gt=0, description="of a train of pulses")
-    count: Count | None = Field(None, ge=1, description="pulses of a train; without end if absent")
+    voltage: Voltage = Field(100.0, description="Height of the voltage pulse")
+    width: Time = Field(25e-6, gt=0, description="Width of the pulse at half of its height")
+    edge: Time = Field(0.1e-6, gt=0, description="Rise and fall time of the pulse")
+    start: Time = Field(0.5e-3, ge=0, description="Instant at which the pulse begins to rise")
+    period: Time | None = Field(None, gt=0, description="Period of a train of pulses")
+    count: Count | None = Field(
+        None, ge=1, description="Number of pulses of a train; by default without end"
+    )
 
     @model_validator(mode="after")
     def _edges(self) -> Drive:
@@ -86,17 +88,19 @@ class Stack(Chip, FieldKeys):
     """Piezoelectric chip actuator, with its drive where nothing else is joined to the anode."""
 
     electrical: Literal["open", "short", "driven"] = Field(
-        "driven", description="of an anode that nothing is joined to"
+        "driven", description="Electrical condition of an anode that no part is connected to"
     )
     rated_field: Annotated[float, si("V/m")] = Field(
         2e6,
         gt=0,
-        description="largest field in a layer along its poling: an assumption, 120 V at 60 um; "
-        "set what the maker of the stack allows",
+        description=(
+            "Largest field in a layer along its poling, an assumption of 120 V at 60 um; set what "
+            "the maker of the stack allows"
+        ),
     )
-    drive: Drive | None = Field(None, description="pulse of an ideal source on the anode")
+    drive: Drive | None = Field(None, description="Voltage pulse of an ideal source at the anode")
     driver: dict[str, dict[str, Any]] | None = Field(
-        None, description="electronics between the pulse and the chip: { TYPE = { keys } }"
+        None, description="Driver between pulse and chip, { TYPE = { keys } }"
     )
 
     @model_validator(mode="before")

@@ -27,10 +27,14 @@ SPECK = 1e-24  # F; in series with 1/SPECK volts it carries one coulomb, whateve
 class PortLoadsKeys(Section):
     """A unit load on each port in turn, all outputs, over a linear range of frequencies."""
 
-    start: Frequency = Field(0.0, ge=0)
-    stop: Frequency = Field(500e3, gt=0)
-    steps: Annotated[Count, Notch(2.0)] = Field(200, ge=2, le=100_000)
-    of: str | None = Field(None, description="the body; the only one with a surface")
+    start: Frequency = Field(0.0, ge=0, description="Lowest frequency of the responses")
+    stop: Frequency = Field(500e3, gt=0, description="Highest frequency of the responses")
+    steps: Annotated[Count, Notch(2.0)] = Field(
+        200, ge=2, le=100_000, description="Number of frequencies of the responses"
+    )
+    of: str | None = Field(
+        None, description="Body whose ports are loaded; by default the only one with a surface"
+    )
 
 
 class PortLoads(PartType):

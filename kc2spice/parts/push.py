@@ -21,9 +21,9 @@ from kc2spice.scene.parttype import Build, Governed, Numerics, Swept, Vector, re
 class PushKeys(Section):
     """The lowest point of a sphere is pushed down in equal steps."""
 
-    depth: Length = Field(50e-6, gt=0)
-    steps: Count = Field(250, ge=1, le=100_000)
-    of: str | None = Field(None, description="the sphere; the only one")
+    depth: Length = Field(50e-6, gt=0, description="Largest depth of the imprint")
+    steps: Count = Field(250, ge=1, le=100_000, description="Number of equal steps of the depth")
+    of: str | None = Field(None, description="Sphere that is pushed; by default the only one")
 
 
 class Push(Touching):

@@ -24,15 +24,21 @@ class ReluctanceKeys(Section):
     ``remanence l / (MU_0 mu_r)`` and its part of ``core`` is ``l / (MU_0 mu_r A)``.
     """
 
-    area: Annotated[float, si("m2")] = Field(gt=0, description="of each gap")
-    gap: Length = Field(gt=0, description="length of each gap at x = 0")
-    gaps: Ratio = Field(1.0, gt=0, description="how many the flux crosses one after the other")
-    core: Annotated[float, si("1/H")] = Field(0.0, ge=0, description="reluctance of all else")
-    magnet: Current = Field(0.0, description="of permanent magnets, in ampere turns")
-    turns: Ratio = Field(1.0, gt=0, description="of the coil")
-    resistance: Resistance = Field(gt=0, description="of the coil")
-    travel: Length = Field(gt=0, description="x at which the stop is met, less than the gap")
-    stop: Stiffness = Field(1e7, gt=0, description="of the stop")
+    area: Annotated[float, si("m2")] = Field(gt=0, description="Area of each air gap")
+    gap: Length = Field(gt=0, description="Length of each air gap at x = 0")
+    gaps: Ratio = Field(1.0, gt=0, description="Number of air gaps in series")
+    core: Annotated[float, si("1/H")] = Field(
+        0.0, ge=0, description="Reluctance of the rest of the circuit"
+    )
+    magnet: Current = Field(
+        0.0, description="Magnetomotive force of permanent magnets, in ampere turns"
+    )
+    turns: Ratio = Field(1.0, gt=0, description="Number of turns of the coil")
+    resistance: Resistance = Field(gt=0, description="Resistance of the coil")
+    travel: Length = Field(
+        gt=0, description="Displacement x at which the armature meets its stop, less than the gap"
+    )
+    stop: Stiffness = Field(1e7, gt=0, description="Stiffness of the stop")
 
 
 register(

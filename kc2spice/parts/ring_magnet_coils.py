@@ -58,11 +58,16 @@ class Coils(Catch):
     """Electromagnetic catch actuator, with a driver of real coils where it has one."""
 
     driver: dict[str, dict[str, Any]] | None = Field(
-        None, description="electronics between controller and real coils: { TYPE = { keys } }"
+        None, description="Driver between controller and real coils, { TYPE = { keys } }"
     )
-    of: str | None = Field(None, description="the sphere that it pulls; the only one")
+    of: str | None = Field(None, description="Sphere that the coils pull; by default the only one")
     rated_rise: Annotated[float, si("K")] = Field(
-        100.0, gt=0, description="by which the wire may heat up; enamel of class 130 from 30 C"
+        100.0,
+        gt=0,
+        description=(
+            "Largest temperature rise of the wire; 100 K is enamel of class 130 from 30 degrees "
+            "Celsius"
+        ),
     )
 
 

@@ -25,12 +25,14 @@ from kc2spice.scene.parttype import Build, PartType, Vector, register
 class SensorKeys(Section):
     """Reads a position: one pole, an offset, white noise."""
 
-    bandwidth: Frequency = Field(1e6, gt=0)
-    offset: Length = 0.0
+    bandwidth: Frequency = Field(
+        1e6, gt=0, description="Bandwidth of the sensor, a first-order low-pass filter"
+    )
+    offset: Length = Field(0.0, description="Constant error of the measured position")
     noise: Length = Field(
         0.0,
         ge=0,
-        description="rms of each sample, of which there are two a period of the bandwidth",
+        description="Noise of each sample, rms; a period of the bandwidth has two samples",
     )
 
 

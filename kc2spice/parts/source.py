@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
-from pydantic import ValidationInfo, model_validator
+from pydantic import Field, ValidationInfo, model_validator
 
 from kc2spice.core import laws
 from kc2spice.core import waveforms as waves_
@@ -69,13 +69,19 @@ DEVIATION = 1e-3  # of the swing: what an ideal source may differ from its own d
 class SourceKeys(Section):
     """One of ``dc``, ``pulse``, ``sine``, ``pwl`` and ``file``; numbers in the kind's SI unit."""
 
-    kind: Literal["voltage", "current", "force", "displacement", "acceleration"] = "voltage"
-    dc: float | str | None = None
+    kind: Literal["voltage", "current", "force", "displacement", "acceleration"] = Field(
+        "voltage", description="Quantity that the source prescribes"
+    )
+    dc: float | str | None = Field(None, description="Constant value, in the unit of the source")
     pulse: PulseKeys | None = None
     sine: SineKeys | None = None
-    pwl: tuple[tuple[float | str, float | str], ...] | None = None
-    file: str | None = None
-    ac: float | str = 0.0
+    pwl: tuple[tuple[float | str, float | str], ...] | None = Field(
+        None, description="Corners [time, value] of a piecewise linear waveform"
+    )
+    file: str | None = Field(
+        None, description="CSV file beside the scene with the columns time and value"
+    )
+    ac: float | str = Field(0.0, description="Amplitude in ac analyses, in the unit of the source")
 
     @model_validator(mode="after")
     def _one_shape(self, info: ValidationInfo) -> SourceKeys:

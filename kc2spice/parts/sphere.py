@@ -53,18 +53,31 @@ def _stuff(given: str | dict[str, Any]) -> Material:
 class SphereKeys(Section):
     """Sphere, vertical motion only; rigid unless ``elastic``."""
 
-    radius: Length = Field(1e-3, gt=0, description="of the sphere")
-    density: Density = Field(7850.0, gt=0, description="by default that of the material, or steel")
+    radius: Length = Field(1e-3, gt=0, description="Radius of the sphere")
+    density: Density = Field(
+        7850.0,
+        gt=0,
+        description="Density of the sphere; by default that of its material, or of steel",
+    )
     material: str | dict[str, Any] | None = Field(
-        None, description="for contacts that need its modulus, steel where it is elastic"
+        None,
+        description=(
+            "Material of the sphere, for contacts that need its modulus; steel where it is elastic"
+        ),
     )
     elastic: bool | dict[str, Any] | None = Field(
         None,
-        description="dents and modes under contact.shape = pressure: true, or a table of "
-        "damping, mesh, rom; rigid if absent",
+        description=(
+            "Whether the sphere deforms under contact.shape = pressure, or a table of damping, "
+            "mesh and rom; by default rigid"
+        ),
     )
-    velocity: Velocity = Field(0.0, description="at t = 0; not zero: no operating point is sought")
-    height: Length = Field(0.0, description="of the lowest point at t = 0, with a velocity")
+    velocity: Velocity = Field(
+        0.0, description="Velocity at t = 0; a value other than zero skips the operating point"
+    )
+    height: Length = Field(
+        0.0, description="Height of the sphere's lowest point at t = 0, with a velocity"
+    )
 
     @model_validator(mode="after")
     def _made_of(self) -> SphereKeys:

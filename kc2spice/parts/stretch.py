@@ -34,16 +34,17 @@ class StretchKeys(Section):
     plate held all round with ``rows`` of them, one row after the other.
     """
 
-    a: str | tuple[str, ...] = Field(description="body with patches, or its ports")
-    length: Length = Field(gt=0, description="of the beam, that of all patches of a row")
+    a: str | tuple[str, ...] = Field(description="Body with patches, or the list of its ports")
+    length: Length = Field(gt=0, description="Length of the beam, all patches of a row together")
     stiffness: Stiffness = Field(
-        gt=0, description="along the beam, E A / length; of a plate that over 1 - nu^2"
+        gt=0,
+        description=("Stiffness along the beam, E A / length; for a plate divided by 1 - nu^2"),
     )
     tension: Annotated[float, si("N")] = Field(
-        0.0, description="at rest, besides a residual_stress of the body"
+        0.0, description="Tension at rest, in addition to a residual_stress of the body"
     )
-    rows: Count = Field(1, ge=1, description="of patches across a plate, alike")
-    width: Length = Field(0.0, ge=0, description="of a plate, that of all its rows")
+    rows: Count = Field(1, ge=1, description="Number of equal rows of patches across a plate")
+    width: Length = Field(0.0, ge=0, description="Width of a plate, all its rows together")
 
 
 class Stretch(Patched):

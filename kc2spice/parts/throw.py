@@ -23,9 +23,11 @@ from kc2spice.scene.parttype import Build, Numerics, State, register
 class ThrowKeys(Section):
     """A free sphere flies onto a body."""
 
-    velocity: Velocity = -1.0
-    gap: Length = Field(1e-6, ge=0, description="between both at the start")
-    of: str | None = Field(None, description="the sphere; the only one")
+    velocity: Velocity = Field(
+        -1.0, description="Velocity of the sphere at the start, negative downwards"
+    )
+    gap: Length = Field(1e-6, ge=0, description="Gap between sphere and body at the start")
+    of: str | None = Field(None, description="Sphere that is thrown; by default the only one")
 
 
 class Throw(_touching.Touching):

@@ -14,15 +14,27 @@ class VoiceCoilKeys(Section):
     is ``Bl(x) i``, that of the suspension ``x / Cms(x)``, and the coil's voltage is
     ``resistance i + inductance i' + Bl(x) x'`` (W. Klippel, J. Audio Eng. Soc. 54 (2006) 907)."""
 
-    resistance: Resistance = Field(gt=0, description="of the coil")
-    inductance: Inductance = Field(gt=0, description="of the coil")
-    bl: Annotated[float, si("N/A")] = Field(description="force factor at rest")
-    bl1: Annotated[float, si("N/(A m)")] = Field(0.0, description="its slope by the stroke")
-    bl2: Annotated[float, si("N/(A m2)")] = Field(0.0, description="times the stroke squared")
-    cms: Annotated[float, si("m/N")] = Field(gt=0, description="compliance at rest")
-    cms1: Annotated[float, si("1/N")] = Field(0.0, description="its slope by the stroke")
-    cms2: Annotated[float, si("1/(N m)")] = Field(0.0, description="times the stroke squared")
-    damping: MechanicalDamping = Field(0.0, ge=0, description="of the suspension")
+    resistance: Resistance = Field(gt=0, description="Resistance of the coil")
+    inductance: Inductance = Field(gt=0, description="Inductance of the coil")
+    bl: Annotated[float, si("N/A")] = Field(description="Force factor at rest")
+    bl1: Annotated[float, si("N/(A m)")] = Field(
+        0.0, description="Slope of the force factor by the displacement"
+    )
+    bl2: Annotated[float, si("N/(A m2)")] = Field(
+        0.0, description="Coefficient of the displacement squared in the force factor"
+    )
+    cms: Annotated[float, si("m/N")] = Field(
+        gt=0, description="Compliance of the suspension at rest"
+    )
+    cms1: Annotated[float, si("1/N")] = Field(
+        0.0, description="Slope of the compliance by the displacement"
+    )
+    cms2: Annotated[float, si("1/(N m)")] = Field(
+        0.0, description="Coefficient of the displacement squared in the compliance"
+    )
+    damping: MechanicalDamping = Field(
+        0.0, ge=0, description="Mechanical damping of the suspension"
+    )
 
 
 register(

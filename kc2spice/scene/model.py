@@ -40,25 +40,30 @@ class Rom(Section):
     """Reduction: a fixed order, or a tolerance over a band; the tolerance unless told."""
 
     order: Annotated[Count | None, Notch(2.0)] = Field(
-        None, ge=1, le=2000, description="number of states"
+        None, ge=1, le=2000, description="Number of states, instead of a tolerance"
     )
     tolerance: Annotated[Ratio | None, Notch(0.1, finest=1e-10)] = Field(
         None,
         gt=0,
         lt=1,
-        description="largest relative error over the band; 1e-4 unless order is set",
+        description=("Largest relative error over the band; by default 1e-4 unless order is set"),
     )
     band: tuple[Frequency, Frequency] = Field(
-        (0.0, 500e3), description="frequencies that the reduction must hold"
+        (0.0, 500e3), description="Lowest and highest frequency at which the error estimate holds"
     )
     norm: Literal["pointwise", "peak"] | None = Field(
-        None, description="of the error; peak where all ports are signals, else pointwise"
+        None,
+        description=(
+            "Norm of the error; by default peak if all ports are signals, otherwise pointwise"
+        ),
     )
 
     parameters: dict[str, tuple[float | str, float | str]] | None = Field(
         None,
-        description="of the netlist: keys of the body with their ranges, four at most; the error "
-        "then holds over all of them",
+        description=(
+            "Parameters of the netlist: up to four keys of the body with their ranges, over which "
+            "the error estimate holds"
+        ),
     )
 
     @model_validator(mode="before")
@@ -91,44 +96,79 @@ class Solver(Section):
     """ngspice settings that are written into the deck."""
 
     # below 1e-7 ngspice's iterations end in rounding
-    reltol: Annotated[Ratio, Notch(0.1, finest=1e-7)] = Field(1e-4, gt=0, lt=1)
+    reltol: Annotated[Ratio, Notch(0.1, finest=1e-7)] = Field(
+        1e-4, gt=0, lt=1, description="Relative tolerance of the simulator"
+    )
     chgtol: Annotated[Charge, Notch(0.1, finest=1e-14)] = Field(
-        1e-8, gt=0, description="1 uC of a fast state is 1 um of displacement"
+        1e-8, gt=0, description="Charge tolerance; 1 uC of a fast state is 1 um of displacement"
     )
-    trtol: Ratio = Field(1.0, ge=1, le=10, description="of ngspice: trust in the error estimate")
+    trtol: Ratio = Field(
+        1.0, ge=1, le=10, description="Factor of ngspice on its estimate of the truncation error"
+    )
     ringing: Literal["followed", "coarse"] | None = Field(
-        None, description="of bodies; coarse where only what they throw is asked for: fewer steps"
+        None,
+        description=(
+            "Resolution of ringing bodies; coarse takes fewer steps where only the motion of "
+            "other parts counts"
+        ),
     )
-    method: Literal["trap", "gear"] = "trap"
+    method: Literal["trap", "gear"] = Field(
+        "trap", description="Integration rule of the simulator: trapezoidal or Gear"
+    )
     max_step: Annotated[Time | None, Notch(0.5)] = Field(
-        None, gt=0, description="largest; by what drives the scene and what resonates, see explain"
+        None,
+        gt=0,
+        description=(
+            "Largest time step; by default it follows from drives and resonances, which explain "
+            "lists"
+        ),
     )
-    stop: Time = Field(5e-3, gt=0)
-    retries: Count = Field(3, ge=0, le=4, description="with other settings, after a failure")
+    stop: Time = Field(5e-3, gt=0, description="End of the transient")
+    retries: Count = Field(
+        3, ge=0, le=4, description="Number of further attempts with other settings after a failure"
+    )
 
 
 class Checks(Section):
     """What becomes of a run whose result violates a check: it fails (exit 5), warns, or neither."""
 
-    energy: Action = Field("fail", description="energy balances of sphere, contact and chip")
-    touches: Action = Field("fail", description="contact events before the launch, against reltol")
-    range: Action = Field("fail", description="sphere in the field table, contact within the rings")
-    penetration: Action = Field("warn", description="of a contact: soft springs, coarse basis")
-    saturation: Action = Field("warn", description="share of the time at the current limit")
-    plausible: Action = Field("fail", description="keys against what exists or can be made")
+    energy: Action = Field(
+        "fail", description="Action if an energy balance of sphere, contact or chip fails"
+    )
+    touches: Action = Field(
+        "fail",
+        description=(
+            "Action if there are too many contact events before the launch for this reltol"
+        ),
+    )
+    range: Action = Field(
+        "fail",
+        description=("Action if the sphere leaves the field table or the contact leaves its rings"),
+    )
+    penetration: Action = Field(
+        "warn", description="Action if a contact is too soft or its basis too coarse"
+    )
+    saturation: Action = Field(
+        "warn", description="Action if the controller spends too long at its current limit"
+    )
+    plausible: Action = Field("fail", description="Action if a key has a value that no device has")
     reduction: Action | None = Field(
         None,
-        description="estimated error of every metric, by a refined run; off, with an error_budget "
-        "warn",
+        description=(
+            "Action if the error estimate of a metric by a refined run is too large; by default "
+            "off, with an error_budget warn"
+        ),
     )
-    start: Action = Field("fail", description="a sphere at rest on its body at t = 0")
+    start: Action = Field(
+        "fail", description="Action if a sphere does not rest on its body at t = 0"
+    )
 
 
 class Bench(Section):
     """What ``bench`` judges settings by."""
 
     metric: tuple[str, ...] = Field(
-        (), max_length=64, description="metrics that the scene is run for; empty: all numbers"
+        (), max_length=64, description="Metrics that the scene is run for; by default all numbers"
     )
 
 
@@ -136,38 +176,104 @@ class Gates(Section):
     """Largest errors that a result may have; those with a dimension must be given with a unit."""
 
     launch_velocity: Ratio | None = Field(
-        None, gt=0, description="relative, ngspice against the laws; follows reltol and chgtol"
+        None,
+        gt=0,
+        description=(
+            "Relative error of the launch velocity, ngspice against the equations; follows reltol "
+            "and chgtol"
+        ),
     )
     trajectory: GateLength | None = Field(
-        None, gt=0, description="largest, ngspice against the laws; as launch_velocity, of the way"
+        None,
+        gt=0,
+        description=(
+            "Largest error of the trajectory, ngspice against the equations; by default "
+            "launch_velocity times the distance"
+        ),
     )
     launch_full_model: Ratio | None = Field(
-        None, gt=0, description="relative, against the full model; follows the reduction's error"
+        None,
+        gt=0,
+        description=(
+            "Relative error of the launch velocity against the full model; follows the error of "
+            "the reduction"
+        ),
     )
-    position: Ratio = Field(1e-4, gt=0, description="of the travel in an impact, any two solutions")
-    rebound_velocity: Ratio = Field(5e-5, gt=0, description="relative, any two solutions")
+    position: Ratio = Field(
+        1e-4,
+        gt=0,
+        description=(
+            "Error of the position in an impact relative to the travel, between any two solutions"
+        ),
+    )
+    rebound_velocity: Ratio = Field(
+        5e-5, gt=0, description="Relative error of the rebound velocity, between any two solutions"
+    )
     separation_time: GateTime = Field(  # type: ignore[assignment]
-        default="1.5 ns", gt=0, description="end of the impact, any two solutions"
+        default="1.5 ns",
+        gt=0,
+        description="Error of the end of an impact, between any two solutions",
     )
     energy: Ratio = Field(
-        1e-7, gt=0, description="what the laws' integration loses of the energy turned over"
+        1e-7,
+        gt=0,
+        description=("Share of the turned-over energy that the integration of the equations loses"),
     )
-    imprint_rom: Ratio = Field(1e-12, gt=0, description="static force, ROM against full model")
-    imprint_ngspice: Ratio = Field(1e-11, gt=0, description="static force, ngspice against full")
-    harmonic_rom: Ratio = Field(1e-4, gt=0, description="response over the band, ROM against full")
-    harmonic_low: Ratio = Field(5e-9, gt=0, description="the same below a fifth of the band")
-    harmonic_ngspice: Ratio = Field(5e-9, gt=0, description="response, ngspice against the ROM")
+    imprint_rom: Ratio = Field(
+        1e-12, gt=0, description="Relative error of the static force, reduced against full model"
+    )
+    imprint_ngspice: Ratio = Field(
+        1e-11,
+        gt=0,
+        description="Relative error of the static force, ngspice against the full model",
+    )
+    harmonic_rom: Ratio = Field(
+        1e-4,
+        gt=0,
+        description=("Relative error of the response over the band, reduced against full model"),
+    )
+    harmonic_low: Ratio = Field(
+        5e-9,
+        gt=0,
+        description=(
+            "Relative error of the response below a fifth of the band, reduced against full model"
+        ),
+    )
+    harmonic_ngspice: Ratio = Field(
+        5e-9, gt=0, description="Relative error of the response, ngspice against the reduced model"
+    )
     metrics: Ratio | None = Field(
-        None, gt=0, description="of any metric, ngspice against the laws; 10 solver.reltol"
+        None,
+        gt=0,
+        description=(
+            "Relative error of any metric, ngspice against the equations; by default 10 "
+            "solver.reltol"
+        ),
     )
     waves: Ratio | None = Field(
-        None, gt=0, description="rms of any wave, ngspice against the laws; 200 solver.reltol"
+        None,
+        gt=0,
+        description=(
+            "Rms error of any wave, ngspice against the equations; by default 200 solver.reltol"
+        ),
     )
     lookup_slope: Ratio = Field(
-        0.05, gt=0, description="jump of the EM lookup's slope, of the largest"
+        0.05,
+        gt=0,
+        description=("Largest jump of the slope of the force table, relative to the largest slope"),
     )
-    lookup: Ratio = Field(3e-5, gt=0, description="EM force, ngspice lookup to the table's splines")
-    field: Ratio = Field(3e-4, gt=0, description="EM force, table to a denser one, of the largest")
+    lookup: Ratio = Field(
+        3e-5,
+        gt=0,
+        description="Error of the magnetic force, table of the netlist against the splines",
+    )
+    field: Ratio = Field(
+        3e-4,
+        gt=0,
+        description=(
+            "Error of the magnetic force, table against a denser one, relative to the largest force"
+        ),
+    )
 
 
 GROUND = "gnd"
@@ -264,19 +370,28 @@ class Part:
 class Analysis(Section):
     """What the simulator does with the circuit."""
 
-    type: Literal["transient", "ac", "dc", "op", "noise"] = "transient"
-    stop: Time | Frequency | None = Field(
-        None, gt=0, description="end of a transient, or highest Hz"
+    type: Literal["transient", "ac", "dc", "op", "noise"] = Field(
+        "transient", description="Kind of analysis"
     )
-    start: Frequency = Field(0.0, ge=0, description="lowest frequency of ac and noise")
-    points: Annotated[Count, Notch(2.0, spaces=True)] = Field(200, ge=2, le=200_000)
-    scale: Literal["log", "linear"] = Field("log", description="of ac; linear from 0 Hz on")
-    output: str | None = Field(None, description="of noise: a result such as disc.u, or PART.PIN")
-    sweep: str | None = Field(None, description="PART.KEY that dc moves")
-    from_: Any = Field(0.0, alias="from", description="first value of a dc sweep")
-    to: Any = Field(1.0, description="last value of a dc sweep")
+    stop: Time | Frequency | None = Field(
+        None, gt=0, description="End of a transient [s], or highest frequency of ac and noise [Hz]"
+    )
+    start: Frequency = Field(0.0, ge=0, description="Lowest frequency of ac and noise")
+    points: Annotated[Count, Notch(2.0, spaces=True)] = Field(
+        200, ge=2, le=200_000, description="Least number of frequencies or of swept values"
+    )
+    scale: Literal["log", "linear"] = Field(
+        "log", description="Spacing of the frequencies of ac and noise; linear may begin at 0 Hz"
+    )
+    output: str | None = Field(
+        None, description="Output of a noise analysis: a result such as disc.u, or PART.PIN"
+    )
+    sweep: str | None = Field(None, description="Key that a dc analysis varies, PART.KEY")
+    from_: Any = Field(0.0, alias="from", description="First value of a dc analysis")
+    to: Any = Field(1.0, description="Last value of a dc analysis")
     back: bool | None = Field(
-        None, description="the dc value of a source returns to from; its scale goes on growing"
+        None,
+        description=("Whether a dc analysis returns to its first value; its scale goes on growing"),
     )
 
     @model_validator(mode="after")
@@ -301,8 +416,10 @@ class Probe(Section):
     """
 
     of: str = Field(
-        description="a result such as disc.x, NETLIST.NODE, or PART.current, PART.PIN.current, "
-        "PART.power of whatever has electrical pins"
+        description=(
+            "Result that the probe reads: disc.x, NETLIST.NODE, or PART.current, PART.PIN.current "
+            "and PART.power of a part with electrical pins"
+        )
     )
     take: Literal[
         "max",
@@ -315,11 +432,16 @@ class Probe(Section):
         "crossing",
         "frequency",
         "value",
-    ] = Field("max", description="value where at is given")
-    at: Place | None = Field(
-        None, description="of a value: a frequency in ac, a time in a transient"
+    ] = Field(
+        "max",
+        description=("Quantity that the probe takes of the result; value reads it where `at` says"),
     )
-    level: Ratio | None = Field(None, description="of a crossing, in the vector's SI unit")
+    at: Place | None = Field(
+        None, description="Frequency, time or swept value at which take = value reads the result"
+    )
+    level: Ratio | None = Field(
+        None, description="Level of a crossing, in the SI unit of the result"
+    )
 
     @model_validator(mode="before")
     @classmethod
@@ -337,11 +459,22 @@ class Probe(Section):
 class Frame(Section):
     """Keys of a scene outside of its parts."""
 
-    name: str = Field(pattern=r"^[A-Za-z][A-Za-z0-9_]{0,63}$")
-    title: str = Field("", max_length=200, pattern=rf"^{_ONE_LINE}*$")
-    gravity: Acceleration = 9.81
+    name: str = Field(
+        pattern=r"^[A-Za-z][A-Za-z0-9_]{0,63}$",
+        description="Name of the scene; by default that of its file",
+    )
+    title: str = Field(
+        "", max_length=200, pattern=rf"^{_ONE_LINE}*$", description="Title of the scene, one line"
+    )
+    gravity: Acceleration = Field(9.81, description="Gravity, positive downwards")
     error_budget: Ratio | None = Field(
-        None, gt=0, lt=1, description="relative; sets what the scene leaves open, see explain"
+        None,
+        gt=0,
+        lt=1,
+        description=(
+            "Relative error of every metric that the run must reach by refining the settings that "
+            "the scene leaves open"
+        ),
     )
     analysis: Analysis = Analysis()
     probes: dict[str, Probe] = Field(default_factory=dict)
@@ -351,7 +484,7 @@ class Frame(Section):
     gates: Gates = Gates()
     bench: Bench = Bench()
     include: tuple[FileName, ...] = Field(
-        (), max_length=16, description="netlists beside the scene"
+        (), max_length=16, description="Netlist files beside the scene that its deck includes"
     )
 
 

@@ -48,3 +48,12 @@ def test_command_line_lists_them(docs, cli):
 )
 def test_every_key_of_every_body_is_described(name):
     assert [k.name for k in model_keys(part_types()[name].schema) if len(k.doc) < 5] == []
+
+
+def test_every_key_has_a_description_that_stands_alone():
+    """Three words or more, and none that begins as the end of another sentence."""
+    prepositions = ("of ", "by ", "in ", "on ", "at ", "to ", "from ", "over ", "between ", "its ")
+    for name, key in [(doc.name, key) for doc in part_docs() for key in doc.keys]:
+        where = f"{name}.{key.name}: {key.doc!r}"
+        assert len(key.doc.split()) > 2, where
+        assert not key.doc.lower().startswith(prepositions), where
