@@ -166,7 +166,10 @@ class PwmDrive(CoilDriver):
     def numerics(self, part: Part, scene: Scene) -> Iterable[Numerics]:
         f, edge = part.keys.frequency, part.keys.edge
         what = f"a tenth of a period of the carrier of {part.name}"
-        return (Numerics(what, 0.1 / f, 1 / edge, highest=lambda stop, constant: RIPPLE * f),)
+        return (Numerics(what, 0.1 / f, 1 / edge),)
+
+    def highest_frequency(self, part: Part, scene: Scene, constant: float) -> float:
+        return RIPPLE * float(part.keys.frequency)
 
 
 for _driver in (Amplifier, ChargeDrive, HalfBridge, LinearDrive, PwmDrive):

@@ -15,8 +15,9 @@ term::
     S = 4 l w / (pi^2 m n)     q^2 = pi^2 (m^2 / l^2 + n^2 / w^2)
     c = 48 viscosity S^2 / (q^2 gap^3 l w)     k = 4 pressure S^2 / (gap l w)
 
-The largest ``branches`` of them have their spring, the dampers of all others are one. All dampers
-grow as ``(gap / mean d)^3`` when the gap closes.
+The largest ``branches`` of them have their spring, the dampers of all others are one: as many as
+keep damping and force within a tolerance up to the highest frequency of the scene. All dampers grow
+as ``(gap / mean d)^3`` when the gap closes.
 """
 
 from __future__ import annotations
@@ -39,11 +40,13 @@ from kc2spice.core.quantities import (
     Stiffness,
     si,
 )
+from kc2spice.core.spectrum import energy_frequency
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.parts._linear_body import LinearBody
 from kc2spice.physics import Declaration, DeclaredPart, displacement, voltage
 from kc2spice.physics.expression import evaluated
 from kc2spice.physics.part import pins_of
+from kc2spice.scene.band import highest_frequency
 from kc2spice.scene.judge import Balance, Check, Metric
 from kc2spice.scene.model import Part, Scene, Terminal
 from kc2spice.scene.parttype import Build, Vector, register
@@ -52,6 +55,7 @@ PATCH = "patch"  # begins the names of a body's ports that are one row of patche
 ROUNDED = 1e-9  # of force over displacement, by which iterations leave an operating point
 UNSTABLE = 1e-5  # of the capacitance: above the last digits of ngspice where nothing moves
 TERMS = 99  # odd m and n up to this; what is left out damps 1e-4 less
+FEWEST, MOST = 3, 100  # branches that a scene sets: its motion may be faster than what drives it
 
 
 class Fringing(Section):
@@ -70,8 +74,19 @@ class Film(Section):
         18.3e-6, gt=0, description="Dynamic viscosity of the gas"
     )
     pressure: Pressure = Field(101325.0, gt=0, description="Ambient pressure of the gas")
-    branches: Count = Field(
-        3, ge=1, le=40, description="Number of series terms that model the spring of trapped gas"
+    branches: Count | None = Field(
+        None,
+        ge=1,
+        le=MOST,
+        description="Number of series terms that model the spring of trapped gas; by default 3 to "
+        "100, by the tolerance and the highest frequency of the scene",
+    )
+    tolerance: Ratio = Field(
+        0.01,
+        gt=1e-6,
+        lt=0.5,
+        description="Relative error of damping and force that the truncated series may have at the "
+        "highest frequency of the scene",
     )
 
 
@@ -120,7 +135,9 @@ class Gap(Patched):
     """The part type; how many branches it has is up to its keys."""
 
     def declared(self, part: Part, scene: Scene) -> Declaration:
-        return _declared(part.keys.model_dump_json(), len(patches(part, scene)))
+        keys, branches = part.keys, branches_of(part, scene)
+        top = highest_frequency(scene) if keys.film else 0.0
+        return _declared(keys.model_dump_json(), len(patches(part, scene)), branches, top)
 
     def problems(self, part: Part, scene: Scene) -> Iterator[UsageError]:
         keys, ports = part.keys, patches(part, scene)
@@ -140,6 +157,7 @@ class Gap(Patched):
         """After a dc sweep also that no point is on the branch between pull-in and release: what
         rests has a capacitance that never falls with ``v^2``, as the coenergy's least is convex."""
         yield from super().checks(part, build, waves)
+        yield from _film_checks(part, build, waves)
         d, seen = self.declared(part, build.scene), self._seen(part, build, waves)
         if "sweep" not in waves or waves.scale.size < 2 or set(seen) != set(d.coordinates):
             return
@@ -199,9 +217,60 @@ def patches(part: Part, scene: Scene) -> tuple[str, ...]:
     return tuple(f"{given}.{port}" for port in row)
 
 
+def branches_of(part: Part, scene: Scene) -> int:
+    """Terms of the series of its film that keep their spring; 0 without a film."""
+    keys: GapKeys = part.keys
+    if keys.film is None:
+        return 0
+    if keys.film.branches is not None:
+        return keys.film.branches
+    top = highest_frequency(scene)
+    counts = range(FEWEST, MOST + 1)
+    good = (n for n in counts if truncation(keys.film, keys.gap, n, top) <= keys.film.tolerance)
+    return next(good, MOST)
+
+
+@lru_cache(maxsize=256)
+def truncation(film: Film, gap: float, branches: int, frequency: float) -> float:
+    """Relative error of the damping or of the force at a frequency [Hz] of a series of which
+    ``branches`` terms have their spring, the larger one.
+
+    With ``z = j w c / (1 + j w c / k)`` of a term, those without a spring have ``j w c``; the
+    damping is the imaginary part.
+    """
+    if not frequency:
+        return 0.0
+    c, k, _ = _terms(film)
+    drag = 2j * np.pi * frequency * c / gap**3
+    terms = drag / (1 + drag * gap / k)
+    whole, off = terms.sum(), (drag - terms)[branches:].sum()
+    return float(max(abs(off.imag) / whole.imag, abs(off.real) / abs(whole)))
+
+
+def _film_checks(part: Part, build: Build, waves: Waveforms) -> Iterator[Check]:
+    """The error of the series at the highest frequency of a run: of its response, or that up to
+    which the velocity of its patches has 99.9 % of its energy."""
+    film, frequency = part.keys.film, 0.0
+    if film is None:
+        return
+    if "frequency" in waves:
+        frequency = float(waves["frequency"].real[-1])
+    elif "time" in waves:
+        time, rows = waves["time"], waves.data.items()
+        paths = (x for name, x in rows if name.startswith(f"{part.name}.x"))
+        moved = (energy_frequency(time, np.gradient(x, time)) for x in paths)
+        frequency = max(moved, default=0.0)
+    branches = branches_of(part, build.scene)
+    error = truncation(film, part.keys.gap, branches, frequency)
+    name = f"{branches} branches of the film of {part.name} at {frequency:.3g} Hz"
+    advice = f"raise {part.name}.film.branches"
+    yield Check(name, error, film.tolerance, "of damping and force", advice, "warn")
+
+
 @lru_cache(maxsize=32)
-def _declared(text: str, count: int) -> Declaration:
-    """The physics of a gap with so many patches."""
+def _declared(text: str, count: int, film_branches: int, top: float) -> Declaration:
+    """The physics of a gap with so many patches and branches of its film, which follow from the
+    highest frequency ``top`` [Hz]."""
     keys = GapKeys.model_validate_json(text)
     shares = keys.shares or (1 / count,) * count
     numbers: dict[str, float | str] = {"eps0": EPSILON_0}
@@ -223,7 +292,7 @@ def _declared(text: str, count: int) -> Declaration:
     content = []
     if keys.film is not None:
         mean = f"({'+'.join(f'share{k}*{left[k]}' for k in patches)})"
-        terms, rest = _film(keys.film, count)
+        terms, rest = _film(keys.film, count, film_branches)
         for n, (damper, spring, parts) in enumerate(terms, 1):
             numbers |= {f"c{n}": f"{damper!r}/gap^3", f"k{n}": f"{spring!r}/gap"}
             branches.append(displacement(f"y{n}", f"film{n}", "b", f"film_force{n}"))
@@ -243,18 +312,23 @@ def _declared(text: str, count: int) -> Declaration:
         coenergy=f"0.5*eps0*permittivity*v^2*({' + '.join(item.values())})",
         content=" + ".join(content) or "0",
         limits={f"what is left of the gap at patch {k}": f"gap - {sign}1*x{k}" for k in patches},
-        neglected=tuple(_neglected(keys)),
+        neglected=tuple(_neglected(keys, film_branches, top)),
         rating="not known; compare v / gap with the breakdown of what is in the gap",
         example=EXAMPLE,
     )
 
 
-def _neglected(keys: GapKeys) -> Iterator[tuple[str, str, str]]:
+def _neglected(keys: GapKeys, branches: int, top: float) -> Iterator[tuple[str, str, str]]:
     if keys.fringing is None:
         yield "fringing field", "no key fringing", "of the order of gap / width"
     if keys.film is None:
         yield "squeezed gas", "no key film", "not estimated"
     else:
+        error = truncation(keys.film, keys.gap, branches, top)
+        what, size = f"the springs of all but {branches} terms of the film's series", "none at rest"
+        if top:
+            size = f"{100 * error:.2g} % of its damping or force at {top:.4g} Hz"
+        yield what, "their dampers alone", size
         what = "pressure that is odd along the face, rarefaction, inertia of the gas"
         yield what, "Blech's series of a face that moves alike on both sides", "not estimated"
         what = "a spring of the gas that stiffens as the gap closes"
@@ -263,22 +337,30 @@ def _neglected(keys: GapKeys) -> Iterator[tuple[str, str, str]]:
     yield "rebound losses of the stop", "it is elastic", "not estimated"
 
 
-def _film(film: Film, count: int) -> tuple[list[tuple[float, float, np.ndarray]], float]:
-    """Terms (damper times gap^3, spring times gap, part of each patch in its motion) that keep
-    their spring, the largest dampers first, and the dampers of all others times gap^3."""
+def _terms(film: Film) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Dampers times gap^3 (n,), springs times gap (n,) and orders along the length (n,) of all
+    terms, the largest dampers first."""
     area, odd = film.length * film.width, np.arange(1, TERMS + 1, 2)
     m, n = (a.ravel() for a in np.meshgrid(odd, odd))
     S = 4 * area / (np.pi**2 * m * n)
     q = np.pi**2 * (m**2 / film.length**2 + n**2 / film.width**2)
     dampers, springs = 48 * film.viscosity * S**2 / (q * area), 4 * film.pressure * S**2 / area
     order = np.argsort(-dampers)
+    return dampers[order], springs[order], m[order]
+
+
+def _film(
+    film: Film, count: int, branches: int
+) -> tuple[list[tuple[float, float, np.ndarray]], float]:
+    """Terms (damper times gap^3, spring times gap, part of each patch in its motion) that keep
+    their spring, and the dampers of all others times gap^3."""
+    dampers, springs, orders = _terms(film)
     edges = np.linspace(0, 1, count + 1)
-    kept = order[: film.branches]
     result = []
-    for k in kept:
-        parts = -np.diff(np.cos(m[k] * np.pi * edges)) / 2
+    for k in range(branches):
+        parts = -np.diff(np.cos(orders[k] * np.pi * edges)) / 2
         result.append((float(dampers[k]), float(springs[k]), parts))
-    return result, float(dampers.sum() - dampers[kept].sum())
+    return result, float(dampers[branches:].sum())
 
 
 EXAMPLE = """
@@ -305,4 +387,4 @@ part = "source"
 dc = "3 V"
 """
 _USUAL = GapKeys(a="mass.a", area=1e-8, gap=2e-6, travel=1.5e-6, side="above")
-register(Gap(_declared(_USUAL.model_dump_json(), 1)))
+register(Gap(_declared(_USUAL.model_dump_json(), 1, 0, 0.0)))

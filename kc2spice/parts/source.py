@@ -145,15 +145,12 @@ class Source(PartType):
         return (Terminal("out", *pins, required=True), Terminal("ret", *pins, "gnd"))
 
     def numerics(self, part: Part, scene: Scene) -> Iterator[Numerics]:
-        wave = part.keys.waveform(scene.home)
-        yield from drive_scales(part.name, wave)
-        direct = part.keys.kind not in SMOOTHED
-
-        def highest(stop: float, constant: float) -> float:
-            return waveform_frequency(wave, stop, 0.0 if direct else constant)
-
-        yield Numerics(part.name, highest=highest)
+        yield from drive_scales(part.name, part.keys.waveform(scene.home))
         yield Numerics(part.name, prescribes=quantity(part.keys.ac, part.keys.unit) != 0)
+
+    def highest_frequency(self, part: Part, scene: Scene, constant: float) -> float:
+        behind = constant if part.keys.kind in SMOOTHED else 0.0
+        return waveform_frequency(part.keys.waveform(scene.home), scene.stop, behind)
 
     def at_rest(self, part: Part, scene: Scene, model: Any | None = None) -> Rest:
         pair = (("out", "ret"),)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from kc2spice.scene.model import Scene
-from kc2spice.scene.parttype import numerics
 
 
 def highest_frequency(scene: Scene, constant: float = 0.0) -> float:
@@ -22,5 +21,5 @@ def highest_frequency(scene: Scene, constant: float = 0.0) -> float:
         return float(scene.analysis.stop or 0.0)
     if scene.analysis.type != "transient":
         return 0.0
-    rows = (row.highest for row in numerics(scene) if row.highest is not None)
-    return max((highest(scene.stop, constant) for highest in rows), default=0.0)
+    parts = scene.parts.values()
+    return max((p.type.highest_frequency(p, scene, constant) for p in parts), default=0.0)

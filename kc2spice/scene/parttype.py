@@ -125,9 +125,7 @@ class Numerics:
     ``content`` [Hz] up to which it excites others; whether it ``prescribes`` small signals of
     ``ac``. A step that ``decides`` stands whatever else the scene has. ``reltol`` and ``chgtol``
     are factors, 1 or less, of the solver's tolerances that it needs to be as exact as anything
-    else, ``options`` the simulator's by name: value and reason. ``highest`` is the frequency
-    [Hz] up to which what it prescribes has nearly all of its energy, by the end of the run [s] and
-    the time constant [s] behind which it acts.
+    else, ``options`` the simulator's by name: value and reason.
     """
 
     what: str
@@ -138,7 +136,6 @@ class Numerics:
     reltol: float = 1.0
     chgtol: float = 1.0
     options: Mapping[str, tuple[str, str]] = field(default_factory=dict)
-    highest: Callable[[float, float], float] | None = None
 
 
 @dataclass(frozen=True)
@@ -300,6 +297,11 @@ class PartType:
         """What the simulator needs for it: a source's frequency and edges, a carrier, a contact,
         how close steps must follow it, and options."""
         return ()
+
+    def highest_frequency(self, part: Part, scene: Scene, constant: float) -> float:
+        """Frequency [Hz] up to which what it prescribes in a transient has nearly all of its
+        energy, behind a time constant [s] where it is a voltage or a force."""
+        return 0.0
 
     def vectors(self, part: Part, build: Build) -> Mapping[str, Vector]:
         """Its results by name."""

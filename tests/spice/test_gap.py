@@ -8,9 +8,10 @@ import kc2spice as kc
 from kc2spice.core.errors import UsageError
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.parts.bimorph import structure
+from kc2spice.parts.gap import branches_of
 from kc2spice.physics.expression import evaluated
 from kc2spice.scene.load import load_scene
-from kc2spice.scene.parttype import Build
+from kc2spice.scene.parttype import Build, Neglected
 
 EPS, AREA, GAP, TRAVEL, K = 8.8541878188e-12, 1e-8, 3e-6, 2e-6, 1.2152
 LENGTH, WIDTH, FILM, VISCOSITY, PRESSURE = 2e-3, 1e-3, 5e-6, 18.3e-6, 1e5
@@ -76,7 +77,7 @@ def film(branches, count=1, ends=("1 kHz", "100 kHz")):
         "plate": {"part": "gap", "a": ["shake.out"] * count, "area": LENGTH * WIDTH, "gap": FILM,
                   "travel": FILM / 2, "side": "above", "pins": {"plus": "drive.out"},
                   "film": {"length": LENGTH, "width": WIDTH, "viscosity": VISCOSITY,
-                           "pressure": PRESSURE, "branches": branches}},
+                           "pressure": PRESSURE, **({"branches": branches} if branches else {})}},
         "drive": {"part": "source"},
         "shake": {"part": "source", "kind": "displacement", "ac": 1e-9},
         "analysis": {"type": "ac", "start": ends[0], "stop": ends[1], "points": 11},
@@ -92,6 +93,40 @@ def test_a_film_is_blechs(branches, count, within):
         stiffness, damping = blech(hertz)
         exact = stiffness + 2j * np.pi * hertz * damping
         assert abs(found / exact - 1) < within
+
+
+@pytest.mark.parametrize("top", [100e3, 800e3])
+def test_the_branches_of_a_film_follow_from_the_band(top):
+    """Damping and force are Blech's within the tolerance, 1 %, far above the cut-off too; a sum of
+    201 terms a side has a damping that is 3e-4 larger than one of 99."""
+    tables = film(None, ends=(top / 2, top))
+    result = kc.run(tables)
+    force = result.waves["plate.force1"] / 1e-9
+    for hertz, found in zip(result.waves["frequency"].real, force, strict=True):
+        stiffness, damping = blech(hertz)
+        exact = stiffness + 2j * np.pi * hertz * damping
+        assert abs(found / exact - 1) < 0.0105
+        assert abs(found.imag / exact.imag - 1) < 0.0105
+    scene = load_scene(tables)
+    slow = load_scene(film(None, ends=("1 Hz", "2 Hz")))
+    assert branches_of(slow.parts["plate"], slow) == 3 < branches_of(scene.parts["plate"], scene)
+    told = scene.parts["plate"].type.notes(scene.parts["plate"], scene)
+    (row,) = [n for n in told if isinstance(n, Neglected) and "terms of the film" in n.effect]
+    damping = found.imag / (2 * np.pi * top)
+    missed = abs(damping / blech(top)[1] - 1)
+    assert missed == pytest.approx(float(row.error.split()[0]) / 100, abs=1e-3)
+
+
+@pytest.mark.parametrize("timed", [False, True])
+def test_too_few_branches_are_a_warning(timed):
+    tables = film(3, ends=("400 kHz", "800 kHz"))
+    if timed:
+        tables["shake"] |= {"sine": {"amplitude": 1e-9, "frequency": 800e3}}
+        tables |= {"analysis": {"stop": 1e-5}, "solver": {"max_step": 1e-8}}
+    with pytest.warns(UserWarning, match="branches of the film"):
+        checks = kc.run(tables).checks
+    (check,) = [c for c in checks if "branches of the film" in c.name]
+    assert check.value > 1.0
 
 
 def test_a_branch_that_nothing_rests_on_fails_a_sweep():
