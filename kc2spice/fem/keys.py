@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import Annotated
+from typing import Annotated, Literal
 
 import numpy as np
 from pydantic import Field, model_validator
@@ -20,13 +20,18 @@ class Mesh(Section):
 
 
 class Damping(Section):
-    """Viscous damping matrix E.
+    """Losses of the motion and of the dielectric.
+
+    By ``model = "rayleigh"`` a viscous damping matrix E.
 
     ``E = alpha M + beta K`` with ``beta = 2 zeta / omega`` so that the ratio ``zeta`` (or the
     quality ``Q = 1/(2 zeta)``, or the loss factor ``2 zeta``) is met at ``at``, by default the
     body's first resonance. Two ratios at two frequencies fix alpha and beta both:
     ``zeta = alpha/(2 omega) + beta omega/2``. With ``per_material`` E is the sum of
     ``K_i/(Q_i omega)`` over the materials i instead.
+
+    By ``model = "ieee176"`` complex constants of IEEE Std 176: Q is the same for all modes, and the
+    stiffness is as stated at ``at``, by default the body's first resonance.
     """
 
     ratio: Ratio | tuple[Ratio, Ratio] | None = Field(
@@ -51,6 +56,21 @@ class Damping(Section):
         le=1,
         description=("Dielectric loss tangent of the free body at 1 kHz, as data sheets state it"),
     )
+
+    model: Literal["rayleigh", "ieee176"] = Field(
+        "rayleigh",
+        description="Loss model: viscous damping, or complex constants of IEEE 176 with constant Q",
+    )
+
+    @model_validator(mode="after")
+    def _constant(self) -> Damping:
+        if self.model == "ieee176":
+            others = {"per_material": self.per_material, "alpha": self.alpha}
+            others["two ratios"] = isinstance(self.ratio, tuple)
+            for name, value in others.items():
+                if value:
+                    raise ValueError(f'{name} is of model = "rayleigh": give one quality')
+        return self
 
     @model_validator(mode="after")
     def _one(self) -> Damping:

@@ -264,8 +264,8 @@ class Ladder(EqualByContent):
         return Answer(*(np.einsum("iyk,jyk,k->ijy", end, m, share) for end in (m, slope)))
 
 
-@dataclass(frozen=True)
-class Answer:
+@dataclass(frozen=True, eq=False)
+class Answer(EqualByContent):
     """``flux`` (c, c, y) [H] that the body's currents link with the coils, less than zero, and its
     ``slope`` (c, c, y) [H/m] by the height of the first of both coils alone, each per ampere."""
 

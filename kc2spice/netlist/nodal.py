@@ -22,7 +22,7 @@ DENSE = 60  # unknowns up to which dense matrices, all frequencies at once, take
 _BRANCHED = frozenset("vel")  # elements whose current is an unknown of its own
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class NodalEquations:
     """``(G + s C) x = b``: node voltages, then currents of sources and inductors.
 

@@ -26,6 +26,7 @@ from kc2spice.core.waveforms import Waveforms, running
 from kc2spice.parts import _pictures
 from kc2spice.parts._box import corners, varied, with_values
 from kc2spice.parts._touching import Surface, Touching
+from kc2spice.rom.complex_constants import ComplexConstants
 from kc2spice.rom.linear import Certificate, LinearModel, Port
 from kc2spice.rom.modal import chip_response, resonators
 from kc2spice.rom.parametric import Axis, Loss
@@ -279,6 +280,9 @@ class LinearBody(Touching):
         if loss_tangent(part):
             problem = "a netlist with parameters has no loss of its dielectric"
             raise wrong(f"{part.name}.damping.loss_tangent", problem, loss_tangent(part), "0")
+        if by_complex_constants(part):
+            problem = "a netlist with parameters has viscous damping"
+            raise wrong(f"{part.name}.damping.model", problem, "ieee176", "rayleigh")
         if target.order is not None and "order" in target.model_fields_set and part.keys.rom.order:
             problem = "a netlist with parameters has as many states as its tolerance takes"
             raise wrong(f"{part.name}.rom.order", problem, target.order, "rom.tolerance")
@@ -314,8 +318,8 @@ class LinearBody(Touching):
 
     def build(self, part: Part, scene: Scene, clock: Any, full: bool = False) -> LinearModel | None:
         keys, names = varied(part), [port.name for port in self.kept(part, scene)]
-        if full and loss_tangent(part):  # which the matrices of a full model cannot have
-            return None
+        if full and (loss_tangent(part) or by_complex_constants(part)):
+            return None  # the matrices of a full model cannot have such losses
         if full and keys:  # on the mesh that all values of the box share
             middle = with_values(part, {item.key: item.axis.middle for item in keys})
             return self.varied(part, scene, clock, middle).select(names)
@@ -325,9 +329,10 @@ class LinearBody(Touching):
             return self.varying(part, scene, clock).at({item.key: item.value for item in keys})
         # Asked here, as parts of the key: what runs within ``build`` is hashed with its modules.
         target, asked = self.reduction(part, scene), self.model_key(part, scene)
-        tangent = loss_tangent(part)
+        tangent, constants = loss_tangent(part), by_complex_constants(part)
 
         def build() -> LinearModel:
+            from kc2spice.rom.complex_constants import complex_constants
             from kc2spice.rom.modal import lossy, without_inertia
             from kc2spice.rom.reduce import default_norm, reduce
 
@@ -336,22 +341,30 @@ class LinearBody(Touching):
                 order = None if target.order is None else min(target.order, selected.order)
                 band = _reaching(target.band, asked, lambda: selected)
                 norm = target.norm or default_norm(selected)
+                if constants:
+                    selected = _barely_damped(part, selected, band)
                 # what a contact, a switch or a table excites above the band
                 aims: dict[str, Any] = {"order": order, "tolerance": target.tolerance}
                 small = reduce(selected, **aims, band=band, norm=norm, contact=True)
             modal = resonators(small)  # whose later use needs no eigenvalues
-            if modal is None and tangent:
+            if modal is None and (tangent or constants):
                 got = "damping that couples its modes, or a motion that nothing holds"
-                problem = "a loss tangent needs a body of resonators"
+                problem, key = "a loss tangent needs a body of resonators", "loss_tangent"
+                if constants:
+                    problem, key = "complex constants need a body of resonators", "model"
                 expected = "ratio, quality or loss_factor"
-                raise wrong(f"{part.name}.damping.loss_tangent", problem, got, expected)
+                raise wrong(f"{part.name}.damping.{key}", problem, got, expected)
             if modal is None:
                 return small
             if asked["massless"]:
                 modal = without_inertia(modal, target.tolerance)
+            labels: dict[str, Any] = {"name": small.name, "facts": small.facts, "band": small.band}
+            if constants:
+                losses = losses_of(part, selected)
+                return replace(complex_constants(modal, losses), **labels)
             if tangent:
                 modal = lossy(modal, tangent)
-            return replace(modal.linear(), name=small.name, facts=small.facts, band=small.band)
+            return replace(modal.linear(), **labels)
 
         kinds = (LinearModel, Certificate, Port)
         return cached("body", asked, build, classes=kinds, sources=self.sources())
@@ -639,7 +652,10 @@ class LinearBody(Touching):
             if part.declares(scene):
                 why = "nothing joins them: a run leaves them out, an export keeps them"
             yield Neglected(what, why, "none")
-        if tangent := loss_tangent(part):
+        if by_complex_constants(part):
+            what = f"{part.name}: losses of shear and of piezoelectric constants of their own"
+            yield Neglected(what, "one Q for all compliances, real d of IEEE 176", "not estimated")
+        elif tangent := loss_tangent(part):
             what = f"{part.name}: what a lossy dielectric changes of its stiffness"
             why = "its loss acts on the clamped capacitance"
             yield Neglected(
@@ -670,12 +686,46 @@ def loss_tangent(part: Part) -> float:
     return float(getattr(getattr(part.keys, "damping", None), "loss_tangent", None) or 0.0)
 
 
+def by_complex_constants(part: Part) -> bool:
+    """Whether a body's losses are complex constants of IEEE 176."""
+    return getattr(getattr(part.keys, "damping", None), "model", None) == "ieee176"
+
+
+def losses_of(part: Part, model: LinearModel) -> ComplexConstants:
+    """Complex constants of a body's damping, as stated at a frequency or at a resonance of its
+    ``model``.
+
+    Raises
+    ------
+    UsageError : there is no resonance that says at which frequency.
+    """
+    damping, facts = part.keys.damping, model.facts
+    at = damping.frequency(facts.get("resonance_short_hz", facts.get("resonance_hz")))
+    if at is None:
+        where = f"{part.name}.damping.at"
+        raise wrong(where, "no resonance at which stiffness is stated", None, "a frequency")
+    return ComplexConstants(2 * damping.zeta, loss_tangent(part), at)
+
+
+def _barely_damped(part: Part, model: LinearModel, band: tuple[float, float]) -> LinearModel:
+    """``model`` with viscous damping that nowhere in the band exceeds that of complex constants, so
+    that the error of a reduction is no larger with these."""
+    loss = losses_of(part, model).loss_factor
+    return replace(model, E=None, rayleigh=(0.0, loss / (2 * math.pi * band[1])))
+
+
 def full_alone(part: Part, scene: Scene, clock: Any) -> LinearModel:
     """The full model of a body outside its scene, with a warning of what matrices cannot hold."""
     if tangent := loss_tangent(part):
         warnings.warn(
             f"{part.name}.damping.loss_tangent: {tangent:g}: matrices have no constant loss of a "
             "dielectric: this model is without it; run and export the scene to have it",
+            stacklevel=3,
+        )
+    if by_complex_constants(part):
+        warnings.warn(
+            f"{part.name}.damping.model: ieee176: matrices have no loss that is constant over "
+            "frequency: this model has viscous damping; run and export the scene to have it",
             stacklevel=3,
         )
     kind = part.type

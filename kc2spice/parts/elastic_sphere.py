@@ -64,6 +64,9 @@ elastic = true
         if part.keys.damping.per_material:
             key, expected = "elastic.damping.per_material", "ratio, quality or loss_factor"
             yield owner.wrong(key, "a sphere has one material", True, expected)
+        if part.keys.damping.model != "rayleigh":
+            got, expected = part.keys.damping.model, "rayleigh"
+            yield owner.wrong("elastic.damping.model", "a sphere rings viscously", got, expected)
 
     def surface(self, part: Part, scene: Scene, ports: tuple[str, ...] = ()) -> Surface | None:
         """None by itself: its sphere is touched, and carries the patch that a contact names."""

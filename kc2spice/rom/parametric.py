@@ -218,8 +218,13 @@ def modal_transfer(model: LinearModel, frequency: np.ndarray) -> np.ndarray:
     """``H(j 2 pi f)`` (frequencies, outputs, inputs) of a full model by its modes to twice the
     highest frequency and the static rest: a second where a solution at each takes minutes."""
     f = np.asarray(frequency, dtype=float)
-    V = _independent([_answers(model.pencil, (0.0, float(f.max())))], model.M)
-    return model.pencil.project(V).transfer(2j * np.pi * f)
+    return modal_projection(model, float(f.max())).transfer(2j * np.pi * f)
+
+
+def modal_projection(model: LinearModel, top: float) -> Pencil:
+    """The small pencil of a full model's modes to twice the frequency ``top`` [Hz] and of what
+    they leave of the answers to the ports at rest."""
+    return model.pencil.project(_independent([_answers(model.pencil, (0.0, top))], model.M))
 
 
 def natural_modes(

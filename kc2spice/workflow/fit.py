@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import re
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
+import scipy
 from scipy.optimize import OptimizeResult, least_squares
 from scipy.signal import find_peaks
 from scipy.stats import qmc
@@ -21,12 +22,21 @@ from kc2spice.bodies.readers.measured import Measured, read_measured
 from kc2spice.core.errors import UsageError
 from kc2spice.core.files import staged
 from kc2spice.core.progress import Clock, Progress, silent
+from kc2spice.fem.keys import Damping
 from kc2spice.parts._box import Varied, number_of, ranged
 from kc2spice.parts._linear_body import LinearBody, loss_tangent
 from kc2spice.report.pages import write_fit
+from kc2spice.rom.complex_constants import ComplexConstants
 from kc2spice.rom.linear import LinearModel
 from kc2spice.rom.modal import clamped_tangent, permittivity
-from kc2spice.rom.parametric import Axis, Parametric, modal_transfer, parametric
+from kc2spice.rom.parametric import (
+    Axis,
+    Parametric,
+    modal_projection,
+    modal_transfer,
+    parametric,
+)
+from kc2spice.rom.pencil import Pencil
 from kc2spice.rom.response import Response
 from kc2spice.scene.load import load_scene
 from kc2spice.scene.model import Scene
@@ -48,6 +58,13 @@ PROMINENT, ABOVE_NOISE = 0.005, 8.0  # of the largest conductance, of the noise:
 AT_REST = 1e-3  # of the lowest frequency of the data
 TANGENT = "damping.loss_tangent"  # which no finite element model has
 MECHANICAL = {f"damping.{key}" for key in ("quality", "ratio", "ratio[0]", "loss_factor")}
+LOSS_FACTORS: dict[str, Callable[[float], float]] = {
+    "damping.quality": lambda value: 1 / value,
+    "damping.ratio": lambda value: 2 * value,
+    "damping.loss_factor": lambda value: value,
+}
+EXCITED = 1e-3  # of the largest share of a mode in the capacitance: modes that a voltage excites
+CONSTANT_Q = 'losses by complex constants of IEEE 176: set damping.model = "ieee176"'
 UNEXPLAINED = "the geometry, the mounting, or a loss model that the part does not follow"
 VALUES, BOX, PAGE = "fit.toml", "box.toml", "report.html"
 LIKELY, NARROWEST = 2.0, 1.1e-3  # standard errors of a key's range in a netlist, its relative half
@@ -210,8 +227,45 @@ class _Body:
     def exact(self, values: Mapping[str, float]) -> np.ndarray:
         """Admittance (n,) [S] of the full model."""
         model = self.full(values, moved=False)
-        charge = modal_transfer(model, self.frequencies)[:, 0, 0]
+        pencil = modal_projection(model, float(self.data.f[-1]))
+        if self.damping.model == "ieee176":
+            return self.by_complex_constants(pencil, values)
+        charge = pencil.transfer(2j * np.pi * self.frequencies)[:, 0, 0]
         return self.lossy(charge, float(model.D[0, 0]), values)
+
+    @property
+    def damping(self) -> Damping:
+        """Losses of the scene's part."""
+        return cast(Damping, self.scene.part(self.part).keys.damping)
+
+    def by_complex_constants(self, pencil: Pencil, values: Mapping[str, float]) -> np.ndarray:
+        """Admittance (n,) [S] of a small model with complex constants of IEEE 176.
+
+        Stiffness is as stated at the damping's frequency, else at the lowest resonance that the
+        voltage excites.
+        """
+        K, _, M = pencil.dense().coefficients
+        squares, shapes = scipy.linalg.eigh(K, M)
+        rigid = squares < (2 * np.pi * self.frequencies[0]) ** 2
+        omega = np.where(rigid, 0.0, np.sqrt(np.maximum(squares, 0.0)))
+        gain = shapes.T @ pencil.B
+        share = np.divide(gain[:, 0], omega, out=np.zeros_like(omega), where=~rigid) ** 2
+        lowest = float(omega[share > EXCITED * share.max()].min() / (2 * np.pi))
+        at = self.damping.frequency(lowest)
+        assert at is not None
+        tangent = values.get(TANGENT, loss_tangent(self.scene.part(self.part)))
+        losses = ComplexConstants(self.loss_factor(values), tangent, at)
+        f, electrical = self.data.f, np.array([True])
+        H = losses.transfer(omega, gain, pencil.D, electrical, f)[:, 0, 0]
+        return np.asarray(2j * np.pi * f * H)
+
+    def loss_factor(self, values: Mapping[str, float]) -> float:
+        """``1 / Q`` at values of the keys."""
+        known = {name: values[name] for name in LOSS_FACTORS if name in values}
+        if not known:
+            return 2 * self.damping.zeta
+        ((name, value),) = known.items()
+        return LOSS_FACTORS[name](value)
 
     @property
     def frequencies(self) -> np.ndarray:
@@ -244,6 +298,11 @@ class _Body:
                 charge = modal_transfer(scaled, self.frequencies)[:, 0, 0]
                 other = self.lossy(charge, float(model.D[0, 0]), values)
                 result[f"{what} loss of the motion: vary damping.quality"] = np.log(other / Y)
+        if self.damping.model == "rayleigh":
+            other = self.by_complex_constants(
+                modal_projection(model, float(self.data.f[-1])), values
+            )
+            result[CONSTANT_Q] = np.log(other / Y)
         result |= {
             "resistance in series, of leads or electrodes: compensate the fixture": -Y,
             "inductance of leads: compensate the fixture": -1j * w * Y,
@@ -256,12 +315,15 @@ class _Body:
     def response(self, made: Parametric, values: Mapping[str, float]) -> np.ndarray:
         """Admittance (n,) [S] of a reduced model."""
         model = made.at(values)
+        if self.damping.model == "ieee176":
+            return self.by_complex_constants(model.pencil, values)
         H = Response(model.pencil).transfer(2j * np.pi * self.frequencies)
         return self.lossy(H[:, 0, 0], float(model.D[0, 0]), values)
 
     def descent(self, box: Box, degree: int | None = None) -> _Descent:
         """Least squares of the reduced model of a box."""
-        axes = [axis for name, axis in box.items() if name != TANGENT]
+        constant = {TANGENT, *LOSS_FACTORS} if self.damping.model == "ieee176" else {TANGENT}
+        axes = [axis for name, axis in box.items() if name not in constant]
         made = parametric(self.full, axes, self.band, degree=degree)
         return _Descent(self, made, box)
 

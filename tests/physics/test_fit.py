@@ -149,6 +149,16 @@ def test_a_loss_model_that_does_not_describe_the_data_is_a_warning():
     assert "loss of the dielectric" in found["caution"]
 
 
+def test_complex_constants_find_the_q_of_complex_constants():
+    """The closed form of a thin disc, whose frequencies are 0.03 % from those of a solid one."""
+    disc = {"disc": {**DISC["disc"], "damping": {"quality": 60, "model": "ieee176"}}}
+    with pytest.warns(UserWarning, match="misfit of 3"):  # of these frequencies
+        found = kc.fit(disc, "disc", disc_data(80.0), ["damping.quality=30:300"])
+    row = found["parameters"]["damping.quality"]
+    assert row["value"] == pytest.approx(80, rel=0.01)
+    assert abs(row["value"] - 80) < 2 * row["sigma"]
+
+
 def deviations(case):
     """Standard errors that values are off the truth, and how many finite element models it took."""
     found, off = found_and_off(*case)

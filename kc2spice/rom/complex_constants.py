@@ -1,0 +1,231 @@
+"""Piezoelectric bodies by complex material constants (IEEE Std 176-1987), as passive models.
+
+The losses of a ceramic are stated as complex compliances ``s^E (1 - j / Q)``, real d and complex
+permittivities ``eps^T (1 - j tan delta)``, constant over frequency: Q is the same for all modes. In
+a body of modes ``omega_j`` with gains g_j of voltages and forces and the clamped capacitance D,
+elastic strain alone relaxes, that is, displacements less those of the free body at the voltage V,
+
+    w_j = z_j - g_j V / omega_j^2,
+    z_j'' + chi(s) omega_j^2 w_j = f_j,        q = psi(s) C_T V + sum_j chi(s) g_j w_j,
+    C_T = D + sum_j g_j^2 / omega_j^2,         chi = 1 + j / Q,        psi = 1 - j tan delta,
+
+with chi for ``1 / (1 - j / Q)``, which differs from it by ``1 / Q^2``. The free body at rest thus
+has the tangent of its data sheet and no loss of motion; the clamped one has
+``D - j (C_T tan delta + (C_T - D) / Q)``. By causality chi and psi are powers of frequency
+(:mod:`kc2spice.rom.structural_damping`, :mod:`kc2spice.rom.modal`), equal to the above at the
+frequency of the stated constants: that of the damping, and 1 kHz of the permittivity. Both become
+sums of relaxations with positive amplitudes, so that every term stores and loses energy and the
+whole is passive as long as its instantaneous capacitance is positive.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from kc2spice.core.errors import UsageError
+from kc2spice.rom.linear import LinearModel
+from kc2spice.rom.modal import Resonators, foster, permittivity
+from kc2spice.rom.structural_damping import (
+    constant_loss,
+    relaxing_stiffness,
+    structurally_damped,
+)
+
+ERROR = 1e-3  # relative, of a response at its resonances: what relaxations may add
+DIELECTRIC_SHARE = 0.01  # of the tangent, of 0.02 at most: error of the permittivity
+FLOOR = 1e-6  # of an entry's peak: errors of less are relative to that
+BELOW = 0.7  # of the lowest resonance, from where responses amplify errors of the stiffness
+GRID = 400  # frequencies of a band at which the error is measured
+ZOOMS, ZOOM = 2, 9  # rounds of frequencies about antiresonances, and their number about each
+CLUSTER = (-2.0, -0.5, 0.0, 0.5, 2.0)  # half widths around a resonance
+
+
+@dataclass(frozen=True)
+class ComplexConstants:
+    """Losses of a body by complex constants.
+
+    Attributes
+    ----------
+    loss_factor : float
+        ``1 / Q`` of the compliances.
+    tangent : float
+        tan delta of the free body at 1 kHz.
+    at : float
+        Frequency [Hz] at which the stiffness is as stated.
+    """
+
+    loss_factor: float
+    tangent: float
+    at: float
+
+    def transfer(
+        self, omega: np.ndarray, gain: np.ndarray, D: np.ndarray, electrical: np.ndarray,
+        frequency: np.ndarray,
+    ) -> np.ndarray:  # fmt: skip
+        """Exact response (n, ports, ports) of modes with these losses.
+
+        Parameters
+        ----------
+        omega, gain : (modes,) and (modes, ports) arrays
+            Undamped modes, mass-normalised [rad/s]; rigid-body modes have omega 0.
+        D : (ports, ports) array
+            Clamped capacitances [F], zero at other ports.
+        electrical : (ports,) array of bool
+            Ports whose load is a voltage.
+        frequency : (n,) array
+            Frequencies [Hz].
+        """
+        s = 2j * np.pi * np.asarray(frequency)
+        chi = constant_loss(frequency, self.loss_factor, self.at)
+        psi = permittivity(frequency, self.tangent)
+        free = np.where(electrical, gain, 0.0)
+        elastic = omega > 0
+        shares = free[elastic] / omega[elastic, None]
+        motional = shares.T @ shares
+        forces = np.where(electrical, chi[:, None], 1.0)  # of a unit load
+        answer = 1 / (s[:, None] ** 2 + chi[:, None] * omega**2)
+        H = np.einsum("ni,ji,nj,jk,nk->nik", forces, gain, answer, gain, forces, optimize=True)
+        return np.asarray(
+            H + D + (psi[:, None, None] - 1) * (_of(D, electrical) + motional)
+            - (chi[:, None, None] - 1) * motional
+        )  # fmt: skip
+
+
+def _of(D: np.ndarray, electrical: np.ndarray) -> np.ndarray:
+    """The entries of D among electrical ports, the others zero."""
+    return np.where(np.outer(electrical, electrical), D, 0.0)
+
+
+def complex_constants(model: Resonators, losses: ComplexConstants) -> LinearModel:
+    """The passive model of a body's modes with the losses of complex constants.
+
+    Parameters
+    ----------
+    model : Resonators
+        Modes with inertia and a certificate, in whose band the losses are constant; their own
+        damping is replaced.
+    losses : ComplexConstants
+        Loss factor and tangent.
+
+    Returns
+    -------
+    LinearModel
+        Symmetric, with inner displacements of the relaxations; its certificate has the error of
+        the relaxations too, measured at resonances and between them.
+
+    Raises
+    ------
+    UsageError : modes without inertia, or a loss so large that the instantaneous capacitance is not
+        positive.
+    """
+    known, n = model.certificate, model.order
+    assert known is not None
+    if model.massless:
+        raise UsageError(
+            "modes without inertia have no complex constants",
+            where="damping.model",
+            expected='"rayleigh" beside a contact with inertia = "massless"',
+        )
+    electrical = np.array([port.kind == "electrical" for port in model.ports])
+    ports = np.flatnonzero(electrical)
+    shares = model.gain[:, ports] / model.omega[:, None]
+    motional, clamped = shares.T @ shares, model.D[np.ix_(ports, ports)]
+
+    def sensitivity(f: np.ndarray) -> np.ndarray:
+        """Q from the lowest resonance on, where a change of stiffness shifts resonances; else 1."""
+        lowest = BELOW * model.omega.min() / (2 * np.pi)
+        return np.where(f > lowest, max(1.0, 1 / max(losses.loss_factor, 1e-12)), 1.0)
+
+    chi = relaxing_stiffness(
+        losses.loss_factor, losses.at, known.band_hz, ERROR, sensitivity=sensitivity
+    )
+    amplitude, rates = np.ones(1), np.empty(0)
+    if ports.size and losses.tangent:
+        share = DIELECTRIC_SHARE * min(losses.tangent, 0.02)
+        amplitude, rates, _ = foster(losses.tangent, known.band_hz, share)
+    D = model.D.copy()
+    sudden = amplitude[0] * (clamped + motional) - chi.instantaneous * motional
+    if ports.size and np.linalg.eigvalsh(sudden)[0] < 0:
+        raise UsageError(
+            "losses too large for the coupling of the body",
+            where="damping",
+            got=f"1 / Q of {losses.loss_factor:g}, loss tangent of {losses.tangent:g}",
+            expected="losses with which the sudden capacitance stays positive",
+            hint='lower them, or set model = "rayleigh"',
+        )
+    D[np.ix_(ports, ports)] = sudden
+    lossless = replace(model, damp=np.zeros(n), certificate=None).linear()
+    elastic = structurally_damped(lossless, chi)
+    B = elastic.B.copy()
+    # voltages act on the strain of every spring
+    factors = np.r_[chi.instantaneous, -np.sqrt(chi.amplitudes)]
+    B[:, ports] = np.kron(factors[:, None], model.gain[:, ports])
+    used = amplitude[1:] > 0
+    w, V = np.linalg.eigh(clamped + motional)
+    root = (V * np.sqrt(np.maximum(w, 0.0))).T
+    pace = np.repeat(rates[used], len(ports))
+    dielectric = np.zeros((pace.size, len(model.ports)))
+    if pace.size:
+        columns = np.vstack([np.sqrt(a) * root for a in amplitude[1:][used]])
+        dielectric[:, ports] = pace[:, None] * columns
+    K, E, M = elastic.pencil.dense().coefficients
+    result = LinearModel(
+        M=_joined(M, np.zeros(pace.size)),
+        E=_joined(E, pace),
+        K=_joined(K, pace**2),
+        B=np.vstack([B, dielectric]),
+        D=D,
+        ports=model.ports,
+    )
+    error = _largest_error(result, model, losses, electrical, known.band_hz)
+    method = (
+        f"{known.method}; complex constants, 1/Q of {losses.loss_factor:g} by {len(chi.rates)} and "
+        f"a loss tangent of {losses.tangent:g} by {used.sum()} relaxations within {error:.1e}"
+    )
+    certificate = replace(known, error_estimate=known.error_estimate + error, method=method)
+    return replace(result, certificate=certificate)
+
+
+def _joined(matrix: np.ndarray, diagonal: np.ndarray) -> np.ndarray:
+    """Block diagonal of a matrix and of a diagonal one."""
+    n = len(matrix)
+    result = np.zeros((n + diagonal.size,) * 2)
+    result[:n, :n] = matrix
+    result[n:, n:] = np.diag(diagonal)
+    return result
+
+
+def _largest_error(
+    model: LinearModel,
+    modes: Resonators,
+    losses: ComplexConstants,
+    electrical: np.ndarray,
+    band: tuple[float, float],
+) -> float:
+    """Largest relative difference of the model to the exact response in the band, relative to
+    :data:`FLOOR` of an entry's peak at least."""
+    low, high = max(band[0], 1e-4 * band[1]), band[1]
+    resonances = modes.omega / (2 * np.pi)
+    near = resonances[:, None] * (1 + 0.5 * losses.loss_factor * np.array(CLUSTER))
+    f = np.union1d(np.geomspace(low, high, GRID), near[(near >= low) & (near <= high)])
+
+    def exact_response(f: np.ndarray) -> np.ndarray:
+        return losses.transfer(modes.omega, modes.gain, modes.D, electrical, f)
+
+    for _ in range(ZOOMS):
+        f = np.union1d(f, _around_minima(f, np.abs(exact_response(f))))
+    exact = exact_response(f)
+    size = np.maximum(np.abs(exact), FLOOR * np.abs(exact).max(axis=0))
+    off = np.abs(model.transfer(f) - exact)
+    return float(np.divide(off, size, out=np.zeros_like(off), where=size > 0).max())
+
+
+def _around_minima(f: np.ndarray, size: np.ndarray) -> np.ndarray:
+    """Frequencies about the local minima of every entry (n, ports, ports): antiresonances, where
+    relative errors are largest."""
+    curves = size.reshape(len(f), -1)
+    inner = (curves[1:-1] <= curves[:-2]) & (curves[1:-1] <= curves[2:])
+    lowest = np.flatnonzero(inner.any(axis=1)) + 1
+    return np.linspace(f[lowest - 1], f[lowest + 1], ZOOM).ravel()

@@ -1,0 +1,228 @@
+"""Constant loss factors as passive models: relaxing stiffness for structural damping.
+
+Structural damping ``K (1 + j eta)`` loses the same share of energy at every frequency. No causal
+model has exactly that: by the relation of Kramers and Kronig a constant loss factor makes the
+stiffness grow with frequency (A. K. Jonscher, Nature 267 (1977) 673),
+
+    chi(s) = (s / w0)^m / cos phi,    phi = arctan eta,    m = 2 phi / pi,
+
+which is ``1 + j eta`` at ``s = j w0``. In a model of finite order it is the sum of a spring and of
+springs in series with dampers (generalised Maxwell model),
+
+    chi(s) = c_0 + sum_k c_k s / (s + r_k),    all c_k >= 0,
+
+passive by its form, whose amplitudes are non-negative least squares over the band. With one inner
+displacement for each term and unknown, that of the damper times ``sqrt(c_k)``, ``K chi`` is a
+symmetric model of constant matrices:
+
+    M x'' + E x' + (c_0 + sum c_k) K x - sum sqrt(c_k) K q_k = B u
+    (1 / r_k) K q_k' + K (q_k - sqrt(c_k) x) = 0
+
+:func:`structurally_damped` makes it of a model; piezoelectric bodies by complex material constants
+are made in :mod:`kc2spice.rom.complex_constants`.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+import scipy
+
+from kc2spice.core.equality import EqualByContent
+from kc2spice.core.errors import UsageError
+from kc2spice.rom.linear import LinearModel
+
+FURTHER = 6.0  # slowest and fastest relaxation, times the ends of the band
+DECADES = 4.0  # of a band that starts at zero
+POINTS = 40  # frequencies a decade at which amplitudes are fitted
+DENSEST, FEWEST = 6, 8  # relaxations a decade, and beside these, at most
+
+
+@dataclass(frozen=True, eq=False)
+class RelaxingStiffness(EqualByContent):
+    """``chi(s) = constant + sum_k amplitudes_k s / (s + rates_k)``, a factor of stiffness.
+
+    Attributes
+    ----------
+    constant : float
+        ``c_0 >= 0``, the factor at rest.
+    amplitudes, rates : (k,) arrays
+        ``c_k > 0`` and ``r_k > 0`` [1/s].
+    error : float
+        Largest relative difference to the factor that it was fitted to, in the band.
+    """
+
+    constant: float
+    amplitudes: np.ndarray
+    rates: np.ndarray
+    error: float
+
+    def __call__(self, s: np.ndarray) -> np.ndarray:
+        """Complex factor (n,) at the Laplace variable ``s`` (n,) [1/s]."""
+        s = np.asarray(s)[..., None]
+        return np.asarray(self.constant + (self.amplitudes * s / (s + self.rates)).sum(axis=-1))
+
+    @property
+    def instantaneous(self) -> float:
+        """Factor of a sudden displacement, ``c_0 + sum_k c_k``."""
+        return float(self.constant + self.amplitudes.sum())
+
+
+def constant_loss(frequency: np.ndarray, loss_factor: float, at: float) -> np.ndarray:
+    """Causal factor of stiffness (n,) of a constant loss factor.
+
+    Parameters
+    ----------
+    frequency : (n,) array
+        Frequencies [Hz].
+    loss_factor : float
+        ``eta``, the reciprocal of a constant Q factor.
+    at : float
+        Frequency [Hz] at which the factor is ``1 + j eta``.
+
+    Examples
+    --------
+    >>> complex(np.round(constant_loss(2e3, 0.05, 2e3), 12))
+    (1+0.05j)
+    """
+    angle = math.atan(loss_factor)
+    power = (1j * np.asarray(frequency) / at) ** (2 * angle / math.pi)
+    return np.asarray(power / math.cos(angle))
+
+
+def relaxing_stiffness(
+    loss_factor: float,
+    at: float,
+    band: tuple[float, float],
+    error: float,
+    *,
+    sensitivity: Callable[[np.ndarray], np.ndarray] | None = None,
+    noncausal: bool = False,
+) -> RelaxingStiffness:
+    """Fit the fewest relaxations that make a constant loss factor in a band.
+
+    Parameters
+    ----------
+    loss_factor : float
+        ``eta``, the reciprocal of the Q factor.
+    at : float
+        Frequency [Hz] at which the stiffness is as stated.
+    band : pair of float
+        Ends of the band [Hz]; a band from zero has the loss down to a ten-thousandth of its end.
+    error : float
+        Largest product of relative difference and ``sensitivity`` in the band.
+    sensitivity : callable, optional
+        Relative change of the response by that of the stiffness (n,) at frequencies (n,) [Hz], such
+        as the Q factor at a resonance; 1 by default.
+    noncausal : bool
+        Fit ``1 + j eta`` at all frequencies instead of :func:`constant_loss`. No passive model gets
+        nearer to it than about ``eta / pi log(f2 / f1)``.
+
+    Returns
+    -------
+    RelaxingStiffness
+        Of the smallest error where none is within ``error``.
+
+    Raises
+    ------
+    UsageError : a loss factor below zero, a frequency or a band that is none.
+    """
+    if not (loss_factor >= 0 and at > 0 and 0 <= band[0] < band[1]):
+        raise UsageError(
+            "not a loss factor over a band",
+            got=f"loss factor {loss_factor:g}, at {at:g} Hz, band {band[0]:g} to {band[1]:g} Hz",
+            expected="a loss factor of 0 at least, a frequency above 0, two increasing ends",
+        )
+    if loss_factor == 0:
+        return RelaxingStiffness(1.0, np.empty(0), np.empty(0), 0.0)
+    low, high = max(band[0], band[1] / 10**DECADES), band[1]
+    decades = math.log10(high / low)
+    f = np.geomspace(low, high, int(POINTS * decades) + POINTS)
+    target = np.full(f.size, 1 + 1j * loss_factor)
+    if not noncausal:
+        target = constant_loss(f, loss_factor, at)
+    weight = np.ones(f.size) if sensitivity is None else sensitivity(f)
+    best: tuple[float, RelaxingStiffness] | None = None
+    for count in range(2, math.ceil(DENSEST * decades) + FEWEST):
+        rates = 2 * np.pi * np.geomspace(low / FURTHER, FURTHER * high, count)
+        result = _fitted(f, target, weight, rates)
+        weighted = float((weight * np.abs(result(2j * np.pi * f) / target - 1)).max())
+        if best is None or weighted < best[0]:
+            best = weighted, result
+        if weighted <= error:
+            break
+    assert best is not None
+    return best[1]
+
+
+def _fitted(
+    f: np.ndarray, target: np.ndarray, weight: np.ndarray, rates: np.ndarray
+) -> RelaxingStiffness:
+    """Amplitudes of given rates by non-negative least squares of relative differences."""
+    s = 2j * np.pi * f[:, None]
+    columns = np.column_stack([np.ones(f.size), s / (s + rates)])
+    A = columns * (weight / target)[:, None]
+    wanted = np.concatenate([weight, np.zeros(f.size)])
+    amplitudes = scipy.optimize.nnls(np.concatenate([A.real, A.imag]), wanted)[0]
+    used = amplitudes[1:] > 0
+    error = float(np.abs(columns @ amplitudes / target - 1).max())
+    return RelaxingStiffness(float(amplitudes[0]), amplitudes[1:][used], rates[used], error)
+
+
+def structurally_damped(model: LinearModel, stiffness: RelaxingStiffness) -> LinearModel:
+    """The model with ``K`` times a relaxing stiffness, by inner displacements.
+
+    Parameters
+    ----------
+    model : LinearModel
+        Symmetric, of second order, small: its matrices become dense. Its own damping stays.
+    stiffness : RelaxingStiffness
+        Factor of K.
+
+    Returns
+    -------
+    LinearModel
+        Symmetric, of ``(1 + k) n`` unknowns, of which n have mass. Its certificate, if any, is that
+        of ``model``: add the error of ``stiffness``, at resonances times Q.
+
+    Raises
+    ------
+    UsageError : a model of first order.
+    """
+    if model.first_order:
+        raise UsageError(
+            "has no structural damping", where=model.name, expected="a model with M and K"
+        )
+    K, E, M = model.pencil.dense().coefficients
+    inner = len(stiffness.rates)
+    return replace(
+        model,
+        M=np.kron(_corner(inner), M),
+        E=np.kron(_corner(inner), E) + np.kron(_dampers(stiffness), K),
+        K=np.kron(_springs(stiffness), K),
+        B=np.vstack([model.B, np.zeros((inner * model.order, model.B.shape[1]))]),
+        C=np.hstack([model.C, np.zeros((model.C.shape[0], inner * model.order))]),
+        rayleigh=None,
+    )
+
+
+def _corner(inner: int) -> np.ndarray:
+    """(1 + inner, 1 + inner) of the displacement alone."""
+    result = np.zeros((1 + inner, 1 + inner))
+    result[0, 0] = 1.0
+    return result
+
+
+def _springs(stiffness: RelaxingStiffness) -> np.ndarray:
+    """(1 + k, 1 + k) springs between a displacement and its inner ones, of unit stiffness."""
+    result = np.diag(np.r_[stiffness.instantaneous, np.ones(stiffness.rates.size)])
+    result[0, 1:] = result[1:, 0] = -np.sqrt(stiffness.amplitudes)
+    return result
+
+
+def _dampers(stiffness: RelaxingStiffness) -> np.ndarray:
+    """(1 + k, 1 + k) dampers of the inner displacements against ground."""
+    return np.diag(np.r_[0.0, 1 / stiffness.rates])
