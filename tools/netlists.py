@@ -128,24 +128,34 @@ def symbol_library() -> str:
 def page() -> str:
     """netlists/README.md with the table of parts, from the heads of the libraries."""
     ours = (path for path in reversed(libraries()) if "* tool:" in path.read_text("utf-8"))
-    kinds = {_kind(path): _row(path) for path in ours}
-    rows = TABLE_HEAD + "".join(kinds[kind] for kind in sorted(kinds))
+    designs: dict[tuple[str, ...], dict[str, str]] = {}
+    for path in ours:
+        rating, *row = _row(path)
+        designs.setdefault(tuple(row), {}).setdefault(_kind(path), rating)
+    rows = TABLE_HEAD + "".join(sorted(_line(row, kinds) for row, kinds in designs.items()))
     return TABLE.sub(lambda match: match[1] + rows + match[2], PAGE.read_text(encoding="utf-8"))
 
 
 def _kind(path: Path) -> str:
-    """``sphere.lib`` for ``sphere3.lib``."""
-    return re.sub(r"\d*\.lib$", ".lib", path.name)
+    """``sphere.lib`` for ``sphere3.lib``; part numbers stay."""
+    return re.sub(r"(?<=[a-z])\d+\.lib$", ".lib", path.name)
 
 
-def _row(path: Path) -> str:
-    """One library: its name without numbers, and what its head says."""
+def _line(row: tuple[str, ...], kinds: dict[str, str]) -> str:
+    """The libraries of one design as a line of the table."""
+    ratings = set(kinds.values())
+    rating = ratings.pop() if len(ratings) == 1 else "its own in each head"
+    cells = (", ".join(f"`{kind}`" for kind in sorted(kinds)), *row, rating)
+    return "| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |\n"
+
+
+def _row(path: Path) -> tuple[str, ...]:
+    """Rating, title, pins and signs of a library, as its head states them."""
     text = path.read_text(encoding="utf-8")
     lines = text.partition(".subckt")[0].replace("\n*   ", " ")  # of more than one line each
     head = dict(re.findall(r"(?m)^\* (\w[\w-]*): (.+)$", lines))
     title = text.partition("\n")[0].partition(": ")[2]
-    cells = (f"`{_kind(path)}`", title, _pins(text), head["sign"], head["rating"])
-    return "| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |\n"
+    return head["rating"], title, _pins(text), head["sign"]
 
 
 def _pins(text: str) -> str:

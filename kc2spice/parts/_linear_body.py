@@ -11,15 +11,16 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, replace
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
-from pydantic import Field
+from pydantic import Field, StringConstraints
 
 from kc2spice.core import laws
 from kc2spice.core.cache import cached
 from kc2spice.core.errors import UsageError, unknown, wrong
 from kc2spice.core.figure import Figure, Written
+from kc2spice.core.foreign import identifier
 from kc2spice.core.progress import Clock
 from kc2spice.core.quantities import Section, Voltage
 from kc2spice.core.waveforms import Waveforms, running
@@ -76,6 +77,9 @@ STORED = 0.1  # of the stored energy: a chip rings on after a pulse at up to 30 
 UNPRESSED = 1e-9  # of the largest force or energy, far above their rounding
 
 
+_LONGEST = 47  # letters of a scene's and a part's name in that of a library
+# Keys of a body that change no model of it.
+_NO_MODEL = {"rom", "fields", "rated_voltage", "number"}
 # Packages and modules that every full and reduced model depends on.
 SOURCES = (
     "kc2spice.linalg", "kc2spice.fem", "kc2spice.rom", "kc2spice.bodies",
@@ -90,6 +94,9 @@ class LinearKeys(Section):
     """Keys of every linear body."""
 
     rom: Rom | None = None
+    number: Annotated[str, StringConstraints(min_length=1, max_length=40)] | None = Field(
+        None, description="Part number, the name of the exported library; SCENE_PART by default"
+    )
     rated_voltage: Voltage | None = Field(
         None,
         gt=0,
@@ -138,9 +145,7 @@ class LinearBody(Touching):
 
     def full_key(self, part: Part, scene: Scene) -> Mapping[str, Any]:
         """What the full model depends on."""
-        return {
-            "keys": part.keys.model_dump(mode="json", exclude={"rom", "fields", "rated_voltage"})
-        }
+        return {"keys": part.keys.model_dump(mode="json", exclude=_NO_MODEL)}
 
     # --- scene ----------------------------------------------------------------------------------
 
@@ -370,7 +375,10 @@ class LinearBody(Touching):
         return cached("body", asked, build, classes=kinds, sources=self.sources())
 
     def library(self, part: Part, scene: Scene) -> str:
-        return part.name
+        """Its part number, else the names of scene and part: libraries of many scenes may stand in
+        one folder."""
+        own = f"{scene.name[: _LONGEST - len(part.name)]}_{part.name}"
+        return identifier(part.keys.number or own, part.name)
 
     def subcircuits(self, part: Part, build: Build, header: Header) -> tuple[Any, ...]:
         name = build.libraries[part.name]

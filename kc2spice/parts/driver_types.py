@@ -82,6 +82,9 @@ class HalfBridgeKeys(Section):
     supply_resistance: Resistance = Field(
         100.0, gt=0, description="Resistance through which the supply's capacitance recharges"
     )
+    leakage: Resistance = Field(
+        10e6, gt=0, description="Leakage resistance from the bridge to ref, with both gates off"
+    )
 
 
 class HalfBridge(Driver):

@@ -109,10 +109,10 @@ def test_the_merged_library_finds_its_models(deck_of, kicad, run, tmp_path, monk
     drawn = drawn.replace('"Sim.Library" "', '"Sim.Library" "${KC2SPICE_NETLISTS}/')
     (tmp_path / "sheet" / sheet).write_text(drawn)
     (tmp_path / "elsewhere").mkdir()
-    for name in ("kick.lib", "contact.lib", "sphere.lib"):
+    for name in ("impact_kick.lib", "contact.lib", "sphere.lib"):
         (tmp_path / "sheet" / name).rename(tmp_path / "elsewhere" / name)
     monkeypatch.setenv("KC2SPICE_NETLISTS", str(tmp_path / "elsewhere"))
     export = [kicad, "sch", "export", "netlist", "--format", "spice", "-o", "sheet.cir", sheet]
     run(export, tmp_path / "sheet")
     text = (tmp_path / "sheet" / "sheet.cir").read_text()
-    assert f'.include "{tmp_path}/elsewhere/kick.lib"' in text
+    assert f'.include "{tmp_path}/elsewhere/impact_kick.lib"' in text

@@ -54,7 +54,7 @@ def _at(deck: kc.Deck, **values: float) -> kc.Deck:
     """The same libraries, with other parameters on the instance."""
     words = "".join(f" {name}={value!r}" for name, value in values.items())
     blocks = tuple(
-        Block(b.title, tuple(c + words if c.endswith(" disc") else c for c in b.cards))
+        Block(b.title, tuple(c + words if c.endswith(" scene_disc") else c for c in b.cards))
         for b in deck.blocks
     )
     assert blocks != deck.blocks

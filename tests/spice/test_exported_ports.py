@@ -39,15 +39,15 @@ def chain(tmp_path, monkeypatch):
 
 
 def pins(library):
-    return re.search(r"(?im)^\.subckt chain (.*) base", library.read_text())[1].split()
+    return re.search(r"(?im)^\.subckt pushed_chain (.*) base", library.read_text())[1].split()
 
 
 def test_ports_that_nothing_joins_are_in_the_export_and_work(chain, tmp_path):
     chain("export", "pushed.toml", "-o", "out", "-q")
-    assert pins(tmp_path / "out" / "chain.lib") == list(PORTS)
+    assert pins(tmp_path / "out" / "pushed_chain.lib") == list(PORTS)
     (tmp_path / "out" / "own.cir").write_text(
-        "force on the port that the scene joins nothing to\n.include chain.lib\n"
-        f"Xchain left middle right 0 chain\nIpush 0 right DC {FORCE}\n"
+        "force on the port that the scene joins nothing to\n.include pushed_chain.lib\n"
+        f"Xchain left middle right 0 pushed_chain\nIpush 0 right DC {FORCE}\n"
         ".op\n.print op v(left) v(middle) v(right)\n.end\n"
     )
     done = subprocess.run(
@@ -62,7 +62,7 @@ def test_ports_that_nothing_joins_are_in_the_export_and_work(chain, tmp_path):
 
 def test_a_run_leaves_them_out_and_explain_says_so(chain, tmp_path):
     chain("run", "pushed.toml", "-o", "out", "-q")
-    assert pins(tmp_path / "out" / "chain.lib") == ["left"]
+    assert pins(tmp_path / "out" / "pushed_chain.lib") == ["left"]
     said = chain("explain", "pushed.toml")
     assert "chain: ports middle, right" in said
     assert "export keeps them" in said
@@ -71,7 +71,7 @@ def test_a_run_leaves_them_out_and_explain_says_so(chain, tmp_path):
 def test_the_exported_deck_runs_as_an_edited_one(chain, tmp_path):
     chain("export", "pushed.toml", "-o", "deck", "-q")
     chain("run", "pushed.toml", "--deck", "deck/pushed.cir", "-o", "out", "-q")
-    assert pins(tmp_path / "deck" / "chain.lib") == list(PORTS)
+    assert pins(tmp_path / "deck" / "pushed_chain.lib") == list(PORTS)
 
 
 def test_the_exported_deck_is_verified_with_its_ports(chain, tmp_path):
@@ -80,8 +80,8 @@ def test_the_exported_deck_is_verified_with_its_ports(chain, tmp_path):
     path.write_text(re.sub("analysis = .*", ac, SCENE).replace("sine", "ac = 1.0\nsine"))
     chain("export", "pushed.toml", "-o", "out", "-q")
     chain("verify", "pushed.toml", "--deck", "out/pushed.cir", "-o", "verified", "-q")
-    deck, library = tmp_path / "out" / "pushed.cir", tmp_path / "out" / "chain.lib"
-    deck.write_text(deck.read_text().replace(".include chain.lib", library.read_text()))
+    deck, library = tmp_path / "out" / "pushed.cir", tmp_path / "out" / "pushed_chain.lib"
+    deck.write_text(deck.read_text().replace(".include pushed_chain.lib", library.read_text()))
     said = asked("verify", "pushed.toml", "--deck", str(deck), "-o", "inline", "-q", code=2)
     assert "no subcircuit of this part" in said  # what stands beside it is not taken for it
 
@@ -91,6 +91,6 @@ def test_a_chip_alone_is_there_to_be_exported_with_all_its_rings(tmp_path):
     path = tmp_path / "alone.toml"
     path.write_text(f'[kick]\nlayers = 3\nelectrical = "open"\n{mesh}\n')
     asked("export", path, "-o", tmp_path / "out", "-q")
-    head = re.findall(r"(?m)^\* @pin \d+ (\S+)", (tmp_path / "out" / "kick.lib").read_text())
+    head = re.findall(r"(?m)^\* @pin \d+ (\S+)", (tmp_path / "out" / "alone_kick.lib").read_text())
     assert head == ["anode", "cathode", "ring0", "ring1", "ring2", "base"]
     assert "3 rings as ports" in asked("explain", path)

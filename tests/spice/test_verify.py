@@ -203,7 +203,7 @@ ABOVE_THE_BAND = re.compile(r"Cp6 ")
 @pytest.fixture(scope="module")
 def chip():
     build = models("kick_and_catch", *CHIP)
-    text = make_deck(build).files["kick.lib"]
+    text = make_deck(build).files["kick_and_catch_kick.lib"]
     return build, text
 
 
@@ -211,7 +211,7 @@ def missed_gates(build, text, folder):
     """Names of the netlist's checks that fail."""
     part = build.scene.parts["kick"]
     rom, band = build.model(part), (0.0, 500e3)
-    libraries = tuple(subcircuits(text, "kick.lib"))
+    libraries = tuple(subcircuits(text, "chip.lib"))
     frequency, found = bodies.netlist_response(part, build, libraries, Clock(silent), folder, band)
     gate = build.scene.gates.harmonic_ngspice
     limits = bodies.netlist_checks("kick", rom, frequency, found, gate)

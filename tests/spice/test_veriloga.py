@@ -109,10 +109,10 @@ def test_residuals_and_jacobian(parts, modules, name):
 def test_the_dialect_writes_modules(loop, parts):
     more = (*loop.parts, parts["coil"], parts["opamp"])
     files = dialect_files(replace(loop, parts=more), "verilog-a")
-    (kick,) = (part for part in loop.parts if part.filename == "kick.lib")
-    assert set(files) == {f"{name}.va" for name in NAMES} | {"loop_osdi.cir"}
+    (kick,) = (part for part in loop.parts if part.filename == "loop_kick.lib")
+    assert set(files) == {f"{name}.va" for name in ("loop_kick", *NAMES[1:])} | {"loop_osdi.cir"}
     bench = files["loop_osdi.cir"]
-    assert "pre_osdi kick.osdi" in bench
+    assert "pre_osdi loop_kick.osdi" in bench
     assert f".model mxkick {kick.name}\n" in bench
     assert not re.search(r"(?m)^(X|\.include|\.save @)", bench)
 
