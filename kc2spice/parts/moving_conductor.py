@@ -154,7 +154,7 @@ def _declared(
         branches,
         limits=limits,
         rating=kind.rating,
-        validity=f"heights y_min to y_max{reach}; rigid, not magnetic, isothermal",
+        validity=f"heights y_min to y_max{reach}; rigid, not magnetic, at constant temperature",
         **physics,
     )
 
