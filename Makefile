@@ -28,7 +28,7 @@ bench: setup  ## speed against error beside peers: make bench OUT=DIR, 8 minutes
 
 SAMPLE ?= 60
 SEED ?= 1
-mutants: setup  ## do tests notice changed operators? SAMPLE of them, an hour at first: docs/notes/mutants.md
+mutants: setup  ## do tests notice changed operators? SAMPLE of them, an hour at first: docs/development/mutants.md
 	.venv/bin/python -m pip install --quiet --editable '.[dev]'
 	.venv/bin/python tools/mutants.py record
 	.venv/bin/python tools/mutants.py run --sample $(SAMPLE) --seed $(SEED)

@@ -15,7 +15,18 @@ from typing import Any
 from mkdocs.structure.files import File, Files
 
 ROOT = Path(__file__).parents[1]
-COMMANDS = ("run", "export", "reduce", "verify", "bench", "sweep", "explain", "scenes", "doctor")
+COMMANDS = (
+    "run",
+    "export",
+    "reduce",
+    "verify",
+    "bench",
+    "fit",
+    "sweep",
+    "explain",
+    "scenes",
+    "doctor",
+)
 
 
 def on_files(files: Files, config: Any) -> Files:

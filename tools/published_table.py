@@ -1,4 +1,4 @@
-"""Writes docs/devices.md: published numbers, the full model's, the reduced model's and ngspice's.
+"""Writes docs/evidence/devices.md: published numbers, the full model's, the reduced model's and ngspice's.
 
 python tools/published_table.py [SCENE ...]
 
@@ -271,7 +271,7 @@ def page(published: Mapping[str, Any], names: Collection[str], old: str) -> str:
         _picture(name, out, figures)
     titles = {name: entry["device"] for name, entry in published.items()} | shared
     pictures = [
-        f"`{name}`: {title}\n\n![{title}](figures/devices/{name}.png)"
+        f"`{name}`: {title}\n\n![{title}](../figures/devices/{name}.png)"
         for name, title in titles.items()
         if name in PICTURES or "curve" in published.get(name, {})
     ]
@@ -341,7 +341,7 @@ def _picture(name: str, out: Path, figures: Path) -> None:
 def main(names: list[str]) -> None:
     """Write the page; of some scenes anew."""
     published = tomllib.loads((ROOT / "docs" / "published.toml").read_text("utf-8"))
-    path = ROOT / "docs" / "devices.md"
+    path = ROOT / "docs" / "evidence" / "devices.md"
     new = page(published, names or {**published, **PICTURES}, path.read_text("utf-8"))
     path.write_text(new, encoding="utf-8")
 

@@ -52,7 +52,7 @@ PARAMETERS = {
         ".B .C .D .E; heat .E .K), also NAME_K.mtx; a .npz or .mat file with such matrices; "
         "files of Abaqus, CalculiX, Nastran, Ansys; SCENE:PART for a scene's body; a measured "
         "response (.s1p, .s2p, .csv, .txt, .mat), which becomes a passive circuit. NAME.toml "
-        "beside it names ports, units, supports and band; docs/matrices.md lists its keys.",
+        "beside it names ports, units, supports and band; docs/reference/matrices.md lists its keys.",
     ),
     "target": typer.Argument(metavar="SCENE:PART", help="A body of a scene."),
     "data": typer.Argument(metavar="DATA", help="Its measured impedance: .s1p, .csv, .txt, .mat."),

@@ -12,7 +12,7 @@ from kc2spice.report.html import quantity
 from laboratory.page import bench_tables
 
 ROOT = Path(__file__).parents[2]
-RESULTS = (ROOT / "docs" / "results.md").read_text(encoding="utf-8")
+RESULTS = (ROOT / "docs" / "evidence" / "results.md").read_text(encoding="utf-8")
 BLOCKS = re.findall(r"```sh\n(.*?)```", (ROOT / "README.md").read_text(encoding="utf-8"), re.DOTALL)
 LINES = [line for block in BLOCKS for line in block.splitlines()]
 # NAME stands for the reader's own files.
@@ -29,7 +29,7 @@ def test_commands_work_in_their_order(tmp_path):
     typed(tmp_path, [shlex.split(command, comments=True)[1:] for command in COMMANDS])
 
 
-PAGES = ["README.md", "docs/journeys/matrices.md", "docs/matrices.md"]
+PAGES = ["README.md", "docs/tutorials/matrices_from_scikit_fem.md", "docs/reference/matrices.md"]
 
 
 @pytest.mark.parametrize("page", PAGES)
@@ -42,7 +42,7 @@ def test_python_blocks_run(page, tmp_path):
 
 
 def test_buzzer_of_the_journey_runs(tmp_path):
-    page = (ROOT / "docs" / "journeys" / "device.md").read_text(encoding="utf-8")
+    page = (ROOT / "docs" / "tutorials" / "first_buzzer.md").read_text(encoding="utf-8")
     scene, probes = re.findall(r"```toml\n(.*?)```", page, re.DOTALL)
     (tmp_path / "buzzer.toml").write_text(scene + probes, encoding="utf-8")
     metrics = asked("run", tmp_path / "buzzer.toml", "-o", tmp_path / "out", "--json")["metrics"]
@@ -78,9 +78,13 @@ def test_pictures_are_there():
 
 
 def test_speed_table_is_that_of_the_committed_benchmark():
-    record = json.loads((ROOT / "docs" / "bench" / "bench.json").read_text(encoding="utf-8"))
+    record = json.loads(
+        (ROOT / "docs" / "evidence" / "bench" / "bench.json").read_text(encoding="utf-8")
+    )
     assert not record["quick"]
-    assert (ROOT / "docs" / "bench" / "bench.md").read_text("utf-8") == bench_tables(record)
+    assert (ROOT / "docs" / "evidence" / "bench" / "bench.md").read_text("utf-8") == bench_tables(
+        record
+    )
     rows = re.findall(r"(?m)^\| `(\w+)` \|[^|]*\| ([^|]+) \| ([^|]+) \|$", RESULTS)
     assert len(rows) >= 10
     for name, value, error in rows:

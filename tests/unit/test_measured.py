@@ -208,7 +208,7 @@ def test_a_passive_fit_stays_near_data_that_lie_on_the_edge(tmp_path):
     assert np.sqrt(np.mean(np.abs(back - S) ** 2)) < 3 * 3e-3 * np.sqrt(2)
 
 
-JOURNEY = Path(__file__).parents[2] / "docs" / "journeys" / "measurement.md"
+JOURNEY = Path(__file__).parents[2] / "docs" / "tutorials" / "measured_part.md"
 PUBLISHED = re.findall(r"^\| `(.+\.s\dp)` \|.*\| (\S+) of", JOURNEY.read_text(), re.M)
 
 
