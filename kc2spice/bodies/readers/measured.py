@@ -1,8 +1,8 @@
 """Measured responses: Touchstone files of version 1 and 2, tables of impedance analysers, MATLAB.
 
-A table has a header whose words say what its columns are, in any order and with units in brackets
-or behind an underscore: frequency, and one of the pairs of :data:`_PAIRS`. Fields lie between
-semicolons, tabs, commas or blanks; a decimal comma is read where commas do not separate.
+A table has titles that say what its columns are (:mod:`kc2spice.bodies.readers.columns`), in any
+order: frequency, and the columns of one of :data:`COMBINATIONS`. Fields lie between semicolons,
+tabs, commas or blanks; a decimal comma is read where commas do not separate.
 
 Variables of a MATLAB file are named as columns are; a complex one is ``z``, ``y`` or ``s``, of n
 frequencies or (ports, ports, n) as MATLAB has it, ``s`` with its resistance ``z0`` beside it.
@@ -12,74 +12,162 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable
-from dataclasses import dataclass
-from functools import lru_cache
+from dataclasses import dataclass, field
+from functools import cached_property, lru_cache
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 
+from kc2spice.bodies.readers.columns import Column, column_of, read_table, read_title, units_of
 from kc2spice.bodies.readers.raw import guarded, in_own_process, present, refused, vectors
 from kc2spice.core.equality import EqualByContent
 from kc2spice.core.errors import wrong
 from kc2spice.core.foreign import read_bounded
+from kc2spice.rom.linear import Norm
 
+Quantity = Literal["S", "Z", "Y"]
 MAX_BYTES = 20_000_000
 MOST = 20_000  # frequencies: no analyser has as many, and a fit would take hours
 FEWEST = 12  # frequencies: four numbers of one resonance and its noise
 ACTIVE = 0.05  # of |Z|: a resistance so far below zero at a tenth of the points is no noise
 HINT = "name the columns in a header, such as: frequency_hz, real_ohm, imag_ohm"
 _TOUCHSTONE = re.compile(r"\.(s(\d+)p|ts)", re.IGNORECASE)
-_TABLES = (".csv", ".txt", ".tsv")
-_COMPLEX = {"z": r"z|impedance", "y": r"y|admittance", "s": r"s|s11|sparameters|scattering"}
+_TABLES = (".csv", ".txt", ".tsv", ".zma")
+_COMPLEX: dict[Quantity, str] = {
+    "Z": r"z|impedance", "Y": r"y|admittance", "S": r"s|s11|sparameters|scattering"
+}  # fmt: skip
 _RESISTANCE = ("z0", "r0", "zref", "reference")
+REFERENCE = 50.0  # Ohm, of S where no file states it
 _MATRIX = re.compile(r".*[._][MEKABCD]", re.DOTALL)  # NAME_K.txt
-# Words of a header without its units, by what they say.
-_WORDS = {
-    "f": "f|freq|frequency|frequenz",
-    "z": r"\|?z\|?|\|?impedance\|?|magnitude|mag|abs|zmag|absz|zabs|magz",
-    "y": r"\|y\||y|admittance|yabs|ymag",
-    "phase": "phase|theta|θ|φ|phi|arg|angle|argz|zphase|phasez|thetaz",
-    "r": "r|rs|resistance|real|re|rez|zreal|realz|zre",
-    "x": "x|xs|reactance|imag|imaginary|im|imz|zimag|imagz|zim",
-    "g": "g|gp|conductance|rey|yreal|realy|yre",
-    "b": "b|bp|susceptance|imy|yimag|imagy|yim",
-    "c": "cp|c|capacitance",
-    "d": "d|df|tand|tanδ|dissipation|lossfactor",
-}
-_PREFIX = {"p": 1e-12, "n": 1e-9, "u": 1e-6, "µ": 1e-6, "μ": 1e-6, "m": 1e-3, "k": 1e3, "M": 1e6,
-           "G": 1e9, "": 1.0}  # fmt: skip
-_UNIT = re.compile(r"([pnuµμmkMG]?)(hz|ohms?|Ω|Ω|s|siemens|f|farad)|(dB|deg|degrees|°|rad)", re.I)
-_NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d{1,3})?")
+_HERTZ = {"hz": 1.0, "khz": 1e3, "mhz": 1e6, "ghz": 1e9, "thz": 1e12}
+_OPTIONS = {"ri", "ma", "db", *"syzgh", *_HERTZ}
 Columns = dict[str, np.ndarray]
-# Admittance [S] of two columns, angles in rad, w in rad/s.
-_PAIRS: dict[tuple[str, str], Callable[[Columns, np.ndarray], np.ndarray]] = {
-    ("r", "x"): lambda v, w: 1 / (v["r"] + 1j * v["x"]),
-    ("g", "b"): lambda v, w: v["g"] + 1j * v["b"],
-    ("z", "phase"): lambda v, w: np.exp(-1j * v["phase"]) / v["z"],
-    ("y", "phase"): lambda v, w: np.exp(1j * v["phase"]) * v["y"],
-    ("c", "d"): lambda v, w: w * v["c"] * (v["d"] + 1j),
-}
+
+
+@dataclass(frozen=True)
+class Combination:
+    """Columns that determine the ``quantity`` together, and how: angles in rad, w in rad/s."""
+
+    columns: tuple[str, str]
+    quantity: Quantity
+    value: Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray]
+
+
+COMBINATIONS = (
+    Combination(("r", "x"), "Z", lambda r, x, w: r + 1j * x),
+    Combination(("g", "b"), "Y", lambda g, b, w: g + 1j * b),
+    Combination(("z", "phase"), "Z", lambda z, a, w: z * np.exp(1j * a)),
+    Combination(("z", "phase_z"), "Z", lambda z, a, w: z * np.exp(1j * a)),
+    Combination(("z", "phase_y"), "Z", lambda z, a, w: z * np.exp(-1j * a)),
+    Combination(("y", "phase"), "Y", lambda y, a, w: y * np.exp(1j * a)),
+    Combination(("y", "phase_y"), "Y", lambda y, a, w: y * np.exp(1j * a)),
+    Combination(("y", "phase_z"), "Y", lambda y, a, w: y * np.exp(-1j * a)),
+    Combination(("r", "cs"), "Z", lambda r, c, w: r - 1j / (w * c)),
+    Combination(("r", "ls"), "Z", lambda r, l, w: r + 1j * w * l),
+    Combination(("rp", "cp"), "Y", lambda r, c, w: 1 / r + 1j * w * c),
+    Combination(("rp", "lp"), "Y", lambda r, l, w: 1 / r - 1j / (w * l)),
+    Combination(("g", "cp"), "Y", lambda g, c, w: g + 1j * w * c),
+    Combination(("g", "lp"), "Y", lambda g, l, w: g - 1j / (w * l)),
+    Combination(("cp", "d"), "Y", lambda c, d, w: w * c * (d + 1j)),
+    Combination(("cp", "q"), "Y", lambda c, q, w: w * c * (1 / q + 1j)),
+    Combination(("cs", "d"), "Z", lambda c, d, w: (d - 1j) / (w * c)),
+    Combination(("cs", "q"), "Z", lambda c, q, w: (1 / q - 1j) / (w * c)),
+    Combination(("ls", "d"), "Z", lambda l, d, w: w * l * (d + 1j)),
+    Combination(("ls", "q"), "Z", lambda l, q, w: w * l * (1 / q + 1j)),
+    Combination(("lp", "d"), "Y", lambda l, d, w: (d - 1j) / (w * l)),
+    Combination(("lp", "q"), "Y", lambda l, q, w: (1 / q - 1j) / (w * l)),
+    Combination(("c", "d"), "Y", lambda c, d, w: w * c * (d + 1j)),
+    Combination(("s_real", "s_imag"), "S", lambda a, b, w: a + 1j * b),
+    Combination(("s_size", "s_phase"), "S", lambda s, a, w: s * np.exp(1j * a)),
+)
+
+
+@dataclass(frozen=True, eq=False)
+class Response(EqualByContent):
+    """``samples`` (n, ports, ports) of a ``quantity`` at ``f`` (n,) [Hz], the admittances ``Y``
+    that they are, the ``reference`` resistances (ports,) [Ohm] of S, what the reader assumed and
+    what the columns mean."""
+
+    f: np.ndarray
+    quantity: Quantity
+    samples: np.ndarray
+    Y: np.ndarray
+    reference: np.ndarray
+    notes: tuple[str, ...] = ()
+    columns: str = ""
 
 
 @dataclass(frozen=True, eq=False)
 class Measured(EqualByContent):
-    """Admittance ``Y`` (n, ports, ports) [S] at the increasing frequencies ``f`` (n,) [Hz], and in
-    ``notes`` what its reader took for granted."""
+    """Admittance ``Y`` (n, ports, ports) [S] at the increasing frequencies ``f`` (n,) [Hz].
+
+    ``samples`` (n, ports, ports) are the ``quantity`` that was measured, ``"S"``, ``"Z"`` or
+    ``"Y"``; ``Y`` by default. ``reference`` (ports,) [Ohm] are the resistances of S. ``notes`` are
+    assumptions of the reader, ``columns`` what it understood.
+    """
 
     name: str
     where: str
     f: np.ndarray
     Y: np.ndarray
     notes: tuple[str, ...] = ()
+    quantity: Quantity = "Y"
+    samples: np.ndarray | None = None
+    columns: str = ""
+    reference: np.ndarray = field(default_factory=lambda: np.array([REFERENCE]))
+
+    @property
+    def description(self) -> str:
+        """What the reader understood: columns, number of points, span."""
+        span = f"{len(self.f)} points from {self.f[0]:.6g} to {self.f[-1]:.6g} Hz"
+        return f"{self.columns}; {span}" if self.columns else span
+
+    @property
+    def measured_noise(self) -> float:
+        """Standard deviation of one component of the measured quantity, of Z and Y relative to
+        each entry: the median size of third differences, which a smooth response does not have.
+        Entries that are zero have none."""
+        x = self.Y if self.samples is None else self.samples
+        x = x.reshape(len(self.f), -1)
+        size = np.ones(x[1:-2].shape) if self.quantity == "S" else np.abs(x[1:-2])
+        steps = np.diff(x, 3, axis=0)[size > 0] / size[size > 0]
+        return float(np.median(np.abs(np.r_[steps.real, steps.imag])) / (0.6745 * np.sqrt(20)))
+
+    @cached_property
+    def admittance_noise(self) -> np.ndarray:
+        """Standard deviation (n, ports, ports) [S] of one component of each entry of Y, by the
+        first-order effect of independent noise of the measured entries::
+
+            dY = -Y dZ Y        R^(1/2) dY R^(1/2) = -2 (1 + S)^-1 dS (1 + S)^-1
+
+        where ``(1 + S)^-1 = (1 + R^(1/2) Y R^(1/2)) / 2``.
+        """
+        noise, one = self.measured_noise, np.eye(self.Y.shape[1])
+        if self.quantity == "Y" or self.samples is None:
+            return noise * np.abs(self.Y)
+        if self.quantity == "Z":
+            left, size = self.Y, np.abs(self.samples) ** 2
+            variance = np.abs(left) ** 2 @ size @ np.abs(left) ** 2
+            return np.asarray(noise * np.sqrt(variance))
+        root = np.sqrt(self.reference)
+        wave = 0.5 * (one + root[:, None] * self.Y * root)
+        rows, columns = (np.linalg.norm(wave, axis=k) for k in (2, 1))
+        return np.asarray(2 * noise * rows[:, :, None] * columns[:, None] / np.outer(root, root))
 
     @property
     def noise(self) -> float:
-        """Relative standard deviation of one component of Y: the median size of third differences
-        of log Y, which a smooth response does not have. Entries that are zero have none."""
-        y = self.Y.reshape(len(self.f), -1)
-        size = np.abs(y[1:-2])
-        steps = np.diff(y, 3, axis=0)[size > 0] / size[size > 0]
-        return float(np.median(np.abs(np.r_[steps.real, steps.imag])) / (0.6745 * np.sqrt(20)))
+        """Relative standard deviation of one component of Y: the median over the samples."""
+        size = np.abs(self.Y)
+        return float(np.median(self.admittance_noise[size > 0] / size[size > 0]))
+
+    def relative_noise(self, norm: Norm) -> float:
+        """Noise (rms, complex) of Y in the norm of an error: *pointwise* relative to each entry,
+        *peak* to the largest value of the entry, of which the noisiest counts."""
+        size = np.abs(self.Y)
+        size = np.broadcast_to(size.max(axis=0), size.shape) if norm == "peak" else size
+        share = np.where(size > 0, self.admittance_noise / np.where(size > 0, size, 1.0), 0.0)
+        return float(np.sqrt(2 * np.mean(share**2, axis=0)).max())
 
 
 def is_measured(path: Path) -> bool:
@@ -89,7 +177,7 @@ def is_measured(path: Path) -> bool:
     )
     if path.suffix.lower() == ".mat" and present(path):
         try:
-            return any(_is(_WORDS["f"], name) for name in _variables(path, path.stat().st_mtime))
+            return any(map(_is_frequency, _variables(path, path.stat().st_mtime)))
         except (ValueError, NotImplementedError):  # which the reader of matrices tells
             return False
     return bool(named) and present(path)
@@ -106,7 +194,7 @@ def read_measured(path: Path) -> Measured:
     match = _TOUCHSTONE.fullmatch(path.suffix)
     expected = "a Touchstone file" if match else f"a table of an impedance analyser; {HINT}"
 
-    def read() -> tuple[np.ndarray, np.ndarray, tuple[str, ...]]:
+    def read() -> Response:
         if path.suffix.lower() == ".mat":
             return _matlab(_variables(path, path.stat().st_mtime))
         data = read_bounded(path, MAX_BYTES)
@@ -114,18 +202,29 @@ def read_measured(path: Path) -> Measured:
             text = data.decode("utf-8-sig")
         except UnicodeDecodeError:
             text = data.decode("latin-1")
-        return _touchstone(text, int(match[2] or 0)) if match else _response(*_rows(text))
+        return _touchstone(text, int(match[2] or 0)) if match else _response(*read_table(text))
 
     with np.errstate(all="ignore"):  # what is not finite is refused
-        f, Y, notes = guarded(path, expected, read)
+        found = guarded(path, expected, read)
+    f, Y = found.f, found.Y
     if not (np.isfinite(f).all() and np.isfinite(Y).all() and f.min(initial=1.0) >= 0):
         got = "NaN, infinity, an impedance of zero or a frequency below zero"
         raise refused(path, got, "finite numbers", HINT)
     f, kept = np.unique(f, return_index=True)  # increasing, each once
-    Y, kept = Y[kept], np.flatnonzero(f > 0)
+    kept = kept[f > 0]
     if len(kept) < FEWEST:
         raise refused(path, f"{len(kept)} frequencies", f"at least {FEWEST}", "measure more points")
-    result = Measured(path.stem, str(path), f[kept], Y[kept], notes)
+    result = Measured(
+        name=path.stem,
+        where=str(path),
+        f=found.f[kept],
+        Y=Y[kept],
+        notes=found.notes,
+        quantity=found.quantity,
+        samples=found.samples[kept],
+        reference=found.reference,
+        columns=found.columns,
+    )
     if len(kept) > MOST:
         hint = "leave out points between resonances"
         raise refused(path, f"{len(kept)} frequencies", f"at most {MOST}", hint)
@@ -164,26 +263,34 @@ def _require_passive(data: Measured) -> None:
     raise wrong(data.where, problem, got, "Re Z >= 0 but for noise", hint)
 
 
-def _touchstone(text: str, ports: int) -> tuple[np.ndarray, np.ndarray, tuple[str, ...]]:
-    """Touchstone 1 and 2 (IBIS Open Forum, 2009): S, Y or Z in RI, MA or DB."""
+def _touchstone(text: str, ports: int) -> Response:
+    """Touchstone 1 and 2 (IBIS Open Forum, 2009): S, Y or Z in RI, MA or DB.
+
+    The first option line counts; the standard ignores others.
+    """
     unit, kind, form, reference = "ghz", "s", "ma", [50.0]
     section = words = list[str]()
     keys: dict[str, list[str]] = {}
+    options: list[list[str]] = []
     for raw in text.lower().splitlines():
         line = raw.partition("!")[0].strip()
         if line.startswith("["):
             key, _, value = line[1:].partition("]")
             section = keys[key.strip()] = value.split()
         elif line.startswith("#"):
-            option = line[1:].split()
-            if "r" in option:
-                reference = [float(w) for w in option[option.index("r") + 1 :]] or reference
-            for word in option:
-                unit = word if word in ("hz", "khz", "mhz", "ghz") else unit
-                kind = word if word in "syzgh" else kind
-                form = word if word in ("ri", "ma", "db") else form
+            options.append(line[1:].split())
         else:
             section += line.split()
+    for option in options[:1]:
+        at = option.index("r") if "r" in option else len(option)
+        reference = [float(w) for w in option[at + 1 :]] or reference
+        unknown = [word for word in option[:at] if word not in _OPTIONS]
+        if unknown:
+            raise ValueError(f"the option line has the word {unknown[0]!r}, which is not known")
+        unit = next((word for word in option[:at] if word in _HERTZ), unit)
+        kind = next((word for word in option[:at] if word in "syzgh"), kind)
+        form = next((word for word in option[:at] if word in ("ri", "ma", "db")), form)
+    notes = ["the first of several option lines counts"] if len(options) > 1 else []
     words = keys.get("network data", words)
     reference = [float(w) for w in keys.get("reference", ())] or reference
     n = int(keys.get("number of ports", [str(ports)])[0])
@@ -204,33 +311,70 @@ def _touchstone(text: str, ports: int) -> tuple[np.ndarray, np.ndarray, tuple[st
     if n == 2 and order in (None, ["21_12"]):
         P = P.swapaxes(1, 2)
     z0 = np.broadcast_to(reference if len(reference) == n else reference[:1], (n,)).astype(float)
-    one, old = np.eye(n), "version" not in keys
+    if kind != "s" and "version" not in keys:  # version 1 normalises to the first reference
+        P = P * z0[0] if kind == "z" else P / z0[0]
+    said = f"{kind.upper()} of {n} ports in {form.upper()}, frequency in {_spelled(unit)}"
+    said += f", reference {' '.join(f'{R:g}' for R in reference)} Ohm" if kind == "s" else ""
+    quantity = _QUANTITIES[kind]
+    Y = _admittance(quantity, P, z0)
+    return Response(_HERTZ[unit] * table[:, 0], quantity, P, Y, z0, tuple(notes), said)
+
+
+_QUANTITIES: dict[str, Quantity] = {"s": "S", "z": "Z", "y": "Y"}
+
+
+def _spelled(unit: str) -> str:
+    """A unit of frequency in its own case."""
+    return unit[:-2].upper().replace("K", "k") + "Hz"
+
+
+def _admittance(quantity: Quantity, P: np.ndarray, z0: np.ndarray) -> np.ndarray:
+    """Y (n, ports, ports) of S with the reference resistances ``z0`` (ports,), of Z or of Y."""
+    one = np.eye(P.shape[1])
     try:
-        if kind == "s":
+        if quantity == "S":
             root = np.diag(1 / np.sqrt(z0))
-            P = root @ np.linalg.solve(one + P, one - P) @ root
-        elif kind == "z":
-            P = np.linalg.inv(P * (z0[0] if old else 1.0))  # version 1 normalises
-        elif old:
-            P = P / z0[0]
+            return np.asarray(root @ np.linalg.solve(one + P, one - P) @ root)
+        return np.linalg.inv(P) if quantity == "Z" else P
     except np.linalg.LinAlgError:
-        raise ValueError("an ideal short circuit, which has no admittance") from None
-    factor = {"hz": 1.0, "khz": 1e3, "mhz": 1e6, "ghz": 1e9}[unit]
-    return factor * table[:, 0], P, ()
+        text = "an impedance of zero: an ideal short circuit has no admittance"
+        raise ValueError(text) from None
 
 
-def _response(
-    header: list[str], rows: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, tuple[str, ...]]:
-    columns, notes = _columns(header, rows)
-    pair = next((pair for pair in _PAIRS if set(pair) <= set(columns)), None)
-    if "f" not in columns or pair is None:
-        raise ValueError(f"columns {', '.join(header) or 'without a header'}")
-    f = columns.pop("f")
+def _response(titles: list[str], rows: np.ndarray) -> Response:
+    """The response of a table or of vectors under ``titles``; rows (n, columns)."""
+    if len(titles) != rows.shape[-1]:
+        raise ValueError(f"{len(titles)} titles above {rows.shape[-1]} columns of numbers")
+    columns: dict[str, Column] = {}
+    unknown = []
+    for text, values in zip(titles, rows.T, strict=True):
+        title = read_title(text)
+        if title is None:
+            unknown.append(repr(text.strip()))
+        elif title.meaning.quantity not in columns:
+            columns[title.meaning.quantity] = column_of(title, values)
+    combination = next((c for c in COMBINATIONS if set(c.columns) <= set(columns)), None)
+    if "f" not in columns or combination is None:
+        missing = "frequency" if "f" not in columns else "impedance"
+        no = f"{', '.join(unknown)} not known, " if unknown else ""
+        raise ValueError(f"columns {', '.join(titles)}: {no}no {missing}")
+    used = [columns[name] for name in ("f", *combination.columns)]
+    f = used[0].values
     steps = np.diff(f)
     if not ((steps >= 0).all() or (steps <= 0).all()):
         raise ValueError("the frequency column goes up and down: is it another one?")
-    return f, _PAIRS[pair](columns, 2 * np.pi * f)[:, None, None], tuple(notes)
+    first, second = (column.values for column in used[1:])
+    samples = combination.value(first, second, 2 * np.pi * f)[:, None, None]
+    notes = [column.note for column in used if column.note]
+    if combination.quantity == "S":
+        notes.append(f"no reference resistance of S, taken as {REFERENCE:g} Ohm")
+    if "c" in combination.columns:
+        notes.append(f"{columns['c'].title.text}: neither Cp nor Cs, taken as Cp")
+    left = [text for text in titles if text not in [column.title.text for column in used]]
+    said = ", ".join(map(str, used)) + (f"; not used: {', '.join(left)}" if left else "")
+    z0 = np.array([REFERENCE])
+    Y = _admittance(combination.quantity, samples, z0)
+    return Response(f, combination.quantity, samples, Y, z0, tuple(notes), said)
 
 
 @lru_cache(maxsize=1)
@@ -239,24 +383,29 @@ def _variables(path: Path, changed: float) -> dict[str, np.ndarray]:
     return in_own_process(vectors, path)
 
 
-def _is(words: str, name: str) -> bool:
-    return bool(re.fullmatch(words, _split(name)[0], re.I))
+def _is_frequency(name: str) -> bool:
+    """Whether the title of a column, or the name of a variable, is that of the frequency."""
+    try:
+        title = read_title(name)
+    except ValueError:
+        return False
+    return title is not None and title.meaning.quantity == "f"
 
 
-def _matlab(found: dict[str, np.ndarray]) -> tuple[np.ndarray, np.ndarray, tuple[str, ...]]:
+def _matlab(found: dict[str, np.ndarray]) -> Response:
     """Real vectors are columns; a complex array says all itself, its parts are those of one."""
-    first = next((name for name in found if _is(_WORDS["f"], name)), None)
+    first = next(filter(_is_frequency, found), None)
     if first is None:
         raise ValueError(f"variables {', '.join(found)}, none of them the frequency")
     n, said = found[first].size, ", ".join(found)
     columns = {
         name: a.ravel() for name, a in found.items() if a.size == n and a.dtype.kind in "fiu"
     }
-    kinds = [(k, name) for k, words in _COMPLEX.items() for name in found if _is(words, name)]
-    kinds = [(k, name) for k, name in kinds if found[name].dtype.kind == "c"]
+    numbers = [name for name in found if found[name].dtype.kind == "c"]
+    kinds = [(k, name) for k in _COMPLEX for name in numbers if _is_complex(k, name)]
     if not kinds:
         return _response(list(columns), np.column_stack(list(columns.values())))
-    kind, name = kinds[0]
+    quantity, name = kinds[0]
     P = found[name]
     if P.ndim == 3 and P.shape[2] == n and P.shape[0] == P.shape[1]:
         P = np.moveaxis(P, 2, 0)
@@ -264,79 +413,27 @@ def _matlab(found: dict[str, np.ndarray]) -> tuple[np.ndarray, np.ndarray, tuple
         P = P.reshape(n, 1, 1)
     if P.ndim != 3 or P.shape[0] != n or P.shape[1] != P.shape[2]:
         raise ValueError(f"{name} of {P.shape} beside {n} frequencies in {said}")
-    f, notes = _columns([first], found[first].reshape(n, 1))
-    unit = _UNIT.fullmatch(_split(name)[1])
-    P = P * _PREFIX.get((unit[1] if unit else "") or "", 1.0)
-    one = np.eye(P.shape[1])
-    if kind == "s":
+    title = read_title(first)
+    assert title is not None  # of the frequency
+    frequency = column_of(title, found[first].ravel())
+    notes = [frequency.note] if frequency.note else []
+    P, R = P * _scale(name), REFERENCE
+    if quantity == "S":
         given = next((found[k] for k in found if k.lower() in _RESISTANCE), None)
-        R = 50.0 if given is None else float(given.ravel()[0].real)
-        notes += [f"{name}: no reference resistance, taken as 50 Ohm"] if given is None else []
-        P = np.linalg.solve(R * (one + P), one - P)
-    return f["f"], np.linalg.inv(P) if kind == "z" else P, tuple(notes)
+        R = R if given is None else float(given.ravel()[0].real)
+        notes += [f"{name}: no reference resistance, taken as {R:g} Ohm"] if given is None else []
+    z0 = np.full(P.shape[1], R)
+    Y = _admittance(quantity, P, z0)
+    understood = f"{frequency}, {quantity} from {name!r}"
+    return Response(frequency.values, quantity, P, Y, z0, tuple(notes), understood)
 
 
-def _rows(text: str) -> tuple[list[str], np.ndarray]:
-    """The longest run of lines with as many numbers, at least three, and the words above it."""
-    best: tuple[list[str], list[list[float]]] = ([], [])
-    for sign in (";", "\t", ",", None):
-        above: list[str] = []
-        run: list[list[float]] = []
-        for line in text.splitlines():
-            fields = [w.strip().strip('"') for w in line.strip().split(sign)]
-            while fields and not fields[-1]:
-                fields.pop()
-            plain = [w if sign == "," else w.replace(",", ".") for w in fields]
-            if len(plain) >= 3 and all(_NUMBER.fullmatch(w) for w in plain):
-                if run and len(plain) != len(run[0]):
-                    run = []
-                run.append([float(w) for w in plain])
-                if len(run) > len(best[1]):
-                    best = (above, run)
-            elif fields:
-                above, run = [w.lstrip("#%! ") for w in fields], []
-    return best[0], np.array(best[1])
+def _is_complex(quantity: Quantity, name: str) -> bool:
+    """Whether a complex array of this name is the quantity, its unit left out."""
+    return bool(re.fullmatch(_COMPLEX[quantity], name.partition("_")[0], re.I))
 
 
-def _columns(header: list[str], rows: np.ndarray) -> tuple[Columns, list[str]]:
-    """What the words of a header say, in SI and rad."""
-    result: Columns = {}
-    notes = []
-    if len(header) != rows.shape[-1]:
-        raise ValueError(f"{len(header)} words above {rows.shape[-1]} columns of numbers")
-    for word, values in zip(header, rows.T, strict=True):
-        stem, unit = _split(word)
-        name = next((k for k, w in _WORDS.items() if re.fullmatch(w, stem, re.I)), None)
-        if name is None or name in result:
-            continue
-        low = unit.lower()
-        if name == "phase":  # without a unit
-            small = np.abs(values).max(initial=0.0) <= 0.51 * np.pi and np.ptp(values) > 0.5
-            turned = low == "rad" or (not unit and small)
-            if not unit:
-                notes.append(f"{word}: no unit, taken as {'rad' if turned else 'degrees'}")
-            values = values if turned else np.deg2rad(values)
-        elif low == "db":
-            values = 10 ** (values / 20)
-        elif unit:
-            match = _UNIT.fullmatch(unit)
-            prefix = (match and match[1]) or ""
-            if name == "f":
-                prefix = {"m": "M", "g": "G"}.get(prefix, prefix)  # there are no millihertz
-            values = values * _PREFIX["k" if prefix == "K" else prefix]
-        elif name == "f":
-            notes.append(f"{word}: no unit, taken as Hz")
-        result[name] = values
-    return result, notes
-
-
-def _split(word: str) -> tuple[str, str]:
-    """``frequency_hz``, ``f (kHz)``, ``R/Ohm`` as a word without marks and its unit."""
-    match = re.fullmatch(r"(.*?)\s*[\[(]\s*([^\])]*?)\s*[\])]?\s*", word.strip())
-    stem, unit = (match[1], match[2]) if match else (word.strip(), "")
-    tail = re.fullmatch(r"(.+?)[\s_/,]+(\S+)", stem) if not unit else None
-    if tail and _UNIT.fullmatch(tail[2]):
-        stem, unit = tail[1], tail[2]
-    if unit and not _UNIT.fullmatch(unit):  # Re(Z), phase(Z), Rs(series)
-        stem, unit = stem + unit if len(unit) == 1 else stem, ""
-    return re.sub(r"[\s_\-.'()]", "", stem), unit
+def _scale(name: str) -> float:
+    """SI value of the unit behind the underscore in the name of an array, 1 without."""
+    _, _, unit = name.partition("_")
+    return units_of(unit)[0].value if unit and units_of(unit) else 1.0
