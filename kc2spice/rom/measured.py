@@ -1,136 +1,457 @@
-"""A measured one-port as a passive circuit: resonators and relaxations beside a capacitance.
+"""A measured one-port as a passive circuit: resonances, losses and inductances in parallel.
 
-The charge per voltage of a passive part without inductance of its own is, with s = j w,
+With s = j w, and no amplitude below zero, so that no choice of the others gives power::
 
-    Y(s)/s = C0 + sum_k a_k / (1 + s t_k) + sum_j c_j w_j^2 / (s^2 + d_j s + w_j^2),   a, c >= 0,
+    Y(s) = G + s C0 + sum_i g_i / (1 + s t_i) + sum_k s a_k / (1 + s t_k)
+             + sum_j s c_j w_j^2 / (s^2 + d_j s + w_j^2)
 
-a Butterworth-Van Dyke branch (C = c_j, L = 1/(c_j w_j^2), R = d_j L) for every resonance j, and a
-series R C for every relaxation k: those are the loss of the dielectric. No choice of non-negative
-a and c gives power. Frequencies and dampings are least squares of the relative deviation, the
-amplitudes inside it non-negative least squares (variable projection: Golub and Pereyra, Inverse
-Problems 19 (2003) R1). Resonances are added where most is left, until noise is.
+a resistor, a capacitor, branches of R and L in series (windings with eddy currents), branches of R
+and C in series (the loss of a dielectric), and Butterworth-Van Dyke branches (C = c_j,
+L = 1 / (c_j w_j^2), R = d_j L). G and g are absent from a part that looks like a capacitor at the
+lowest frequencies: no direct current flows through it.
+
+Least squares of the logarithm of the deviation, log(Y / Y_measured), give the logarithms of all
+parameters (Levenberg and Marquardt; J. J. More, Lecture Notes in Mathematics 630 (1978) 105): for
+small deviations the relative one, without its minimum at Y = 0. Elements are added one by one:
+resonances start where the conductance that is not yet described is largest, relaxations and
+inductances on a grid of time constants. An element stays if the Bayesian information criterion
+(G. Schwarz, Ann. Statist. 6 (1978) 461) falls; elements without which it falls further are removed.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from functools import cached_property
+
 import numpy as np
 from scipy.optimize import least_squares, nnls
 
-from kc2spice.rom.linear import Certificate, LinearModel, Port
-from kc2spice.rom.modal import Resonators
+from kc2spice.rom.linear import Certificate, LinearModel
+from kc2spice.rom.network import Branch, ParallelBranches
 
-MOST = 30  # resonances
-GAIN = 0.1  # a resonance takes that share of the deviation, or the one before was the last
-NOISE = 1.1  # times the noise of the data: all that a circuit can reach
-POOR = 0.2  # relative deviation of something that is no such part
-QUALITIES = (5.0, 30.0, 200.0, 1500.0)
-SMALL = 1e-12  # of the largest amplitude
-LEAST = 1e-6  # of the least |Y/s|: a clamped capacitance below loses the digits of a netlist
+MAX_ELEMENTS = 40
+ENOUGH = 1e-5  # deviation (rms) below that of every instrument
+GAIN = 0.1  # by which an element must reduce the deviation, else it is the last one
+PATIENCE = 2  # elements in succession that may reduce it by less
+POOR = 0.2  # relative deviation (rms) of a part of another form
+QUALITIES = (5.0, 30.0, 200.0, 1500.0)  # Q factors from which a resonance starts
+PER_DECADE = 2  # time constants from which a relaxation or an inductance starts
+TRIAL, FINAL = 40, 400  # evaluations of a sum of elements to choose one, and of the last one
+CONVERGED = 1e-12  # relative change of the least squares and of the parameters
+OUTSIDE = 3.0  # times the band's end: a frequency whose resonance is a simpler element in it
+SLOWEST = 1e4  # longest time constant by the period, per radian, of the lowest frequency
+LARGEST_Q = 1e7  # of a resonance without a loss that the samples show
+LARGEST_LOG = 150.0  # of a parameter: far beyond every part, far inside of floating point
+DC_WEIGHT = 1e4  # of a resistance at zero frequency that the user states, in samples
+CAPACITIVE = np.tan(np.deg2rad(45))  # B/G at the lowest frequencies of a part that blocks dc
+LOWEST = 5  # samples whose mean decides that
+Logs = tuple[float, ...]
+Response = tuple[np.ndarray, list[np.ndarray]]  # Y (n,), dY / dlog p (n,) of every parameter
 
 
-class _Basis:
-    """Y/s of unit amplitudes over samples, weighted by the measured size."""
+def _conductance(p: np.ndarray, s: np.ndarray) -> Response:
+    """``Y = g``."""
+    Y = np.full(len(s), np.exp(p[0]), complex)
+    return Y, [Y]
 
-    def __init__(self, f: np.ndarray, Y: np.ndarray) -> None:
-        self.s = 2j * np.pi * f
-        self.H = Y / self.s
-        self.weight = 1 / np.abs(self.H)
-        decades = max(2, round(2 * np.log10(f[-1] / f[0])) + 4)
-        self.rates = 2 * np.pi * np.geomspace(f[0] / 10, 10 * f[-1], decades)
-        relaxing = 1 / (1 + self.s[:, None] / self.rates)
-        self.fixed = np.column_stack([np.ones(len(f)), relaxing])
 
-    def amplitudes(self, modes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Non-negative amplitudes for modes (j, 2), log of w and of d, and the relative deviation
-        (n,) complex that they leave."""
-        w2, d = np.exp(2 * modes[:, 0]), np.exp(modes[:, 1])
-        s = self.s[:, None]
-        columns = np.column_stack([self.fixed, w2 / (s**2 + s * d + w2)])
-        A = columns * self.weight[:, None]
-        b = self.H * self.weight
-        scale = np.linalg.norm(A, axis=0)
-        stacked = np.concatenate([A.real, A.imag]) / scale
-        x = nnls(stacked, np.concatenate([b.real, b.imag]), maxiter=50 * len(scale))[0] / scale
-        return x, A @ x - b
+def _capacitance(p: np.ndarray, s: np.ndarray) -> Response:
+    """``Y = s c``."""
+    Y = s * np.exp(p[0])
+    return Y, [Y]
 
-    def polished(self, modes: np.ndarray) -> np.ndarray:
-        """The modes with least deviation near ``modes``."""
 
-        def deviation(flat: np.ndarray) -> np.ndarray:
-            left = self.amplitudes(flat.reshape(-1, 2))[1]
-            return np.concatenate([left.real, left.imag])
+def _inductive(p: np.ndarray, s: np.ndarray) -> Response:
+    """``Y = g / (1 + s t)``: R and L in series."""
+    g, t = np.exp(p)
+    Y = g / (1 + s * t)
+    return Y, [Y, -Y * s * t / (1 + s * t)]
 
-        reach = np.tile([0.5, 6.0], len(modes))
-        start = modes.ravel()
+
+def _relaxing(p: np.ndarray, s: np.ndarray) -> Response:
+    """``Y = s a / (1 + s t)``: R and C in series."""
+    a, t = np.exp(p)
+    Y = s * a / (1 + s * t)
+    return Y, [Y, -Y * s * t / (1 + s * t)]
+
+
+def _resonant(p: np.ndarray, s: np.ndarray) -> Response:
+    """``Y = s c w^2 / (s^2 + d s + w^2)``: R, L and C in series."""
+    c, w, d = np.exp(p)
+    P = s**2 + d * s + w**2
+    Y = s * c * w**2 / P
+    return Y, [Y, Y * (2 - 2 * w**2 / P), -Y * d * s / P]
+
+
+FORMS: dict[str, Callable[[np.ndarray, np.ndarray], Response]] = {
+    "conductance": _conductance,
+    "capacitance": _capacitance,
+    "inductive": _inductive,
+    "relaxing": _relaxing,
+    "resonant": _resonant,
+}
+CONDUCTING = ("conductance", "inductive")
+# Forms that an element has where its time constants lie outside of the band.
+SIMPLER = {
+    "conductance": (),
+    "capacitance": (),
+    "inductive": ("conductance",),
+    "relaxing": ("capacitance", "conductance"),
+    "resonant": ("capacitance", "conductance", "relaxing", "inductive"),
+}
+
+
+@dataclass(frozen=True)
+class Element:
+    """One summand of Y: its form and the logarithms of its parameters, the amplitude first."""
+
+    form: str
+    logs: Logs
+
+    def response(self, s: np.ndarray) -> Response:
+        """Its admittance and derivatives at ``s`` (n,)."""
+        logs = np.clip(self.logs, -LARGEST_LOG, LARGEST_LOG)
+        return FORMS[self.form](logs, s)
+
+    def scaled(self, factor: float) -> Element:
+        """The element with its amplitude times ``factor``."""
+        return Element(self.form, (self.logs[0] + float(np.log(factor)), *self.logs[1:]))
+
+    @property
+    def conductance(self) -> float:
+        """At zero frequency [S]."""
+        if self.form not in CONDUCTING:
+            return 0.0
+        return float(np.exp(min(self.logs[0], LARGEST_LOG)))
+
+    def branch(self) -> Branch:
+        """Its resistor, inductor and capacitor in series; not of a capacitance."""
+        p = np.exp(self.logs).tolist()
+        if self.form == "conductance":
+            return Branch(1 / p[0])
+        if self.form == "inductive":
+            return Branch(1 / p[0], inductance=p[1] / p[0])
+        if self.form == "relaxing":
+            return Branch(p[1] / p[0], elastance=1 / p[0])
+        inductance = 1 / (p[0] * p[1] ** 2)
+        return Branch(p[2] * inductance, inductance, 1 / p[0])
+
+
+Elements = tuple[Element, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Samples:
+    """Admittances ``Y`` (n,) [S] at ``f`` (n,) [Hz], and the ``conductance`` [S] at zero frequency
+    where the user states it."""
+
+    f: np.ndarray
+    Y: np.ndarray
+    conductance: float | None = None
+
+    @cached_property
+    def s(self) -> np.ndarray:
+        """j w."""
+        return 2j * np.pi * self.f
+
+    @property
+    def conducting(self) -> bool:
+        """Whether direct current flows: it is stated, or else the mean phase at the lowest
+        frequencies is not that of a capacitor."""
+        if self.conductance is not None:
+            return self.conductance > 0
+        low = np.mean(self.Y[:LOWEST] / np.abs(self.Y[:LOWEST]))
+        return bool(low.imag < CAPACITIVE * low.real)
+
+    @cached_property
+    def _dc_weight(self) -> float:
+        return DC_WEIGHT * np.sqrt(len(self.f)) if self.conductance else 0.0
+
+    def response(self, elements: Elements) -> np.ndarray:
+        """Admittance (n,) complex of a sum of elements."""
+        Y = np.zeros(len(self.f), complex)
+        for element in elements:
+            Y += element.response(self.s)[0]
+        return Y
+
+    def deviation(self, elements: Elements) -> np.ndarray:
+        """Relative deviation (n,) complex of a sum of elements from the samples."""
+        return self.response(elements) / self.Y - 1
+
+    def rms(self, elements: Elements) -> float:
+        """Root of the mean square of the logarithmic deviation."""
+        misfit = np.log(self.response(elements) / self.Y)
+        return float(np.sqrt(np.mean(np.abs(misfit) ** 2)))
+
+    def criterion(self, elements: Elements) -> float:
+        """Bayesian information criterion of a fit."""
+        count = 2 * len(self.f)
+        parameters = sum(len(e.logs) for e in elements)
+        least = np.finfo(float).eps
+        return count * np.log(self.rms(elements) ** 2 + least**2) + parameters * np.log(count)
+
+    def _rows(self, x: np.ndarray, dc: float) -> np.ndarray:
+        """Numbers (n,) as real rows; below them the share of ``dc`` in the stated conductance."""
+        if not self._dc_weight or self.conductance is None:
+            return np.concatenate([x.real, x.imag])
+        return np.concatenate([x.real, x.imag, [self._dc_weight * dc / self.conductance]])
+
+    def amplitudes(self, elements: Elements) -> tuple[Elements, float]:
+        """The elements with the best non-negative amplitudes, those of zero left out, and the norm
+        of the rows that they leave."""
+        shares = [element.response(self.s)[0] / self.Y for element in elements]
+        rows = [self._rows(x, e.conductance) for x, e in zip(shares, elements, strict=True)]
+        A, target = np.column_stack(rows), self._rows(np.ones(len(self.f)), self.conductance or 0.0)
+        size = np.linalg.norm(A, axis=0)
+        x, left = nnls(A / size, target, maxiter=100 * len(size))
+        kept = [(e, x_e / size_e) for e, x_e, size_e in zip(elements, x, size, strict=True)]
+        return tuple(e.scaled(factor) for e, factor in kept if factor > 0), float(left)
+
+    def polished(self, elements: Elements, evaluations: int = TRIAL) -> Elements:
+        """The nearest least squares of all parameters, or what ``evaluations`` reach of it."""
+        if not elements:
+            return elements
+        ends = np.cumsum([len(e.logs) for e in elements])[:-1]
+
+        def unpacked(logs: np.ndarray) -> Elements:
+            parts = np.split(logs, ends)
+            return tuple(
+                Element(e.form, tuple(map(float, part)))
+                for e, part in zip(elements, parts, strict=True)
+            )
+
+        def residual(logs: np.ndarray) -> np.ndarray:
+            tried = unpacked(logs)
+            lost = sum(e.conductance for e in tried) - (self.conductance or 0.0)
+            return self._rows(np.log(self.response(tried) / self.Y), lost)
+
+        def slopes(logs: np.ndarray) -> np.ndarray:
+            tried = unpacked(logs)
+            Y, result = self.response(tried), []
+            for e in tried:
+                first, *others = e.response(self.s)[1]
+                result.append(self._rows(first / Y, e.conductance))
+                result += [self._rows(other / Y, 0.0) for other in others]
+            return np.column_stack(result)
+
+        start = np.concatenate([e.logs for e in elements])
+        if len(start) > 2 * len(self.f):
+            return elements
         result = least_squares(
-            deviation, start, bounds=(start - reach, start + reach), x_scale="jac", max_nfev=40
+            residual,
+            start,
+            slopes,
+            method="lm",
+            xtol=CONVERGED,
+            ftol=CONVERGED,
+            gtol=CONVERGED,
+            max_nfev=evaluations,
         )
-        return np.asarray(result.x.reshape(-1, 2))
-
-    def more(self, modes: np.ndarray) -> np.ndarray:
-        """One mode more: a new one where most is left, or the nearest one there split in two."""
-        left = self.amplitudes(modes)[1]
-        worst = np.abs(self.s[int(np.argmax(np.abs(left)))])
-        missing = np.abs(self.s[int(np.argmax(-(left * self.H).imag / np.abs(self.H)))])
-        tried = [
-            np.vstack([modes, [np.log(w), np.log(w / Q)]])
-            for w in (worst, missing)
-            for Q in QUALITIES
-        ]
-        starts = [min(tried, key=lambda item: _rms(self.amplitudes(item)[1]))]
-        if len(modes):
-            nearest = int(np.argmin(np.abs(modes[:, 0] - np.log(worst))))
-            log_w, log_d = modes[nearest]
-            apart = 0.25 * np.exp(log_d - log_w)
-            halves = [[log_w - apart, log_d - 0.5], [log_w + apart, log_d - 0.5]]
-            starts.append(np.vstack([np.delete(modes, nearest, axis=0), halves]))
-        ends = [self.polished(start) for start in starts]
-        return min(ends, key=lambda item: _rms(self.amplitudes(item)[1]))
+        return unpacked(result.x) if np.isfinite(result.x).all() else elements
 
 
-def one_port(f: np.ndarray, Y: np.ndarray, noise: float) -> tuple[LinearModel | None, float]:
+def one_port(
+    f: np.ndarray, Y: np.ndarray, noise: float, conductance: float | None = None
+) -> tuple[LinearModel | None, float]:
     """The circuit of admittances ``Y`` (n,) [S] at ``f`` (n,) [Hz] as a model with one electrical
-    port, ``anode``. Its certificate is the largest relative deviation from the samples.
+    port, ``anode``, and the relative deviation (rms) that it leaves; no model where that exceeds
+    :data:`POOR`. The error of its certificate is the largest relative deviation from the samples.
 
-    ``noise`` is the relative standard deviation of one component of Y. Gives also what is left,
-    root of the mean square of the relative deviation; no model where that is :data:`POOR`.
+    Parameters
+    ----------
+    noise : relative standard deviation of one component of Y, for the certificate's text.
+    conductance : at zero frequency [S], 0 of a part that blocks direct current; follows from the
+        samples if None.
     """
-    basis = _Basis(f, Y)
-    modes = np.empty((0, 2))
-    rms = _rms(basis.amplitudes(modes)[1])
-    while len(modes) < MOST and rms > NOISE * np.sqrt(2) * noise:
-        more = basis.more(modes)
-        left = _rms(basis.amplitudes(more)[1])
-        if left > (1 - GAIN) * rms:
-            break
-        modes, rms = more, left
-    x, deviation = basis.amplitudes(modes)
-    largest = int(np.argmax(np.abs(deviation)))
-    error = float(np.abs(deviation[largest]))
-    if rms > POOR or not x.any():
+    samples = Samples(f, Y, conductance)
+    elements = fit_branches(samples)
+    rms = samples.rms(elements) if elements else np.inf
+    if rms > POOR:
         return None, rms
-    told = (
-        f"{len(modes)} resonances fitted to {len(f)} samples: largest deviation {error:.2g} at "
-        f"{f[largest]:.6g} Hz, rms {rms:.2g}, noise of the samples {np.sqrt(2) * noise:.2g}; above "
-        "and below the band the circuit is a capacitor, at rest an open one"
+    network = _network(elements)
+    deviation = np.abs(network.admittance(f) / Y - 1)
+    largest = int(np.argmax(deviation))
+    error, dc = float(deviation[largest]), network.conductance
+    origin = "extrapolated from the lowest frequencies" if conductance is None else "as stated"
+    resonances = sum(element.form == "resonant" for element in elements)
+    text = (
+        f"{len(elements)} elements, {resonances} of them resonances, fitted to {len(f)} samples: "
+        f"largest deviation {error:.2g} at {f[largest]:.6g} Hz, rms {rms:.2g}, noise of the "
+        f"samples {np.sqrt(2) * noise:.2g}; "
+        + (f"{1 / dc:.4g} Ohm at zero frequency, {origin}" if dc else "no direct current flows")
     )
-    certificate = Certificate((float(f[0]), float(f[-1])), error, told, True, True)
-    count, kept = len(basis.rates), x > SMALL * x.max()
-    moving, relaxing = np.flatnonzero(kept[1 + count :]), np.flatnonzero(kept[1 : 1 + count])
-    order = moving[np.argsort(modes[moving, 0])]
-    omega = np.r_[np.exp(modes[order, 0]), basis.rates[relaxing]]
-    size = np.r_[x[1 + count :][order], x[1 : 1 + count][relaxing]]
-    result = Resonators(
-        omega=omega,
-        damp=np.r_[np.exp(modes[order, 1]), basis.rates[relaxing]],
-        gain=(np.sqrt(size) * omega)[:, None],
-        D=np.array([[max(float(x[0]), LEAST * float(np.abs(basis.H).min()))]]),
-        ports=(Port("anode", "electrical", pins=("anode", "cathode")),),
-        certificate=certificate,
-        massless=len(relaxing),
-    )
-    return result.linear(), rms
+    certificate = Certificate((float(f[0]), float(f[-1])), error, text, True, True)
+    return network.linear(certificate), rms
 
 
-def _rms(deviation: np.ndarray) -> float:
-    return float(np.sqrt(np.mean(np.abs(deviation) ** 2)))
+def _network(elements: Elements) -> ParallelBranches:
+    """The circuit of a sum of elements: resonances by their frequency, then the others."""
+    capacitance = sum(float(np.exp(e.logs[0])) for e in elements if e.form == "capacitance")
+    order = sorted(
+        (e for e in elements if e.form != "capacitance"),
+        key=lambda e: (e.form != "resonant", e.form, e.logs[1:]),
+    )
+    return ParallelBranches(capacitance, tuple(element.branch() for element in order))
+
+
+def fit_branches(samples: Samples) -> Elements:
+    """The elements whose sum describes the samples, as few as their noise asks for."""
+    elements: Elements = ()
+    best, least, useless = elements, np.inf, 0
+    while len(elements) < MAX_ELEMENTS and useless < PATIENCE:
+        ends = [samples.polished(start) for start in _starts(samples, elements)]
+        ends = [end for end in ends if _seen(samples, end)]
+        if not ends:
+            break
+        elements = min(ends, key=samples.criterion)
+        elements = _simplified(samples, elements, _beyond_band(samples, elements))
+        value = samples.criterion(elements)
+        enough = not best or samples.rms(elements) < (1 - GAIN) * samples.rms(best)
+        if value < least and enough:
+            best, least, useless = elements, value, 0
+        else:
+            useless += 1
+        if samples.rms(best) < ENOUGH:
+            break
+    best = samples.polished(_simplified(samples, best, best), FINAL)
+    slowest = np.log(SLOWEST / (2 * np.pi * samples.f[0]))
+    return best if samples.conductance else tuple(_bounded(e, slowest) for e in best)
+
+
+def _bounded(element: Element, slowest: float) -> Element:
+    """The element with a time of at most ``slowest`` (logarithm of s) and a Q factor of at most
+    :data:`LARGEST_Q`: what the samples do not determine, with the Y in the band that they do."""
+    amplitude, *others = element.logs
+    excess = _log_time(element) - slowest if others else 0.0
+    if element.form == "resonant":
+        w, d = others
+        if excess > 0:  # L = 1 / (c w^2) stays
+            amplitude, w = amplitude - 2 * excess, w + excess
+        return Element(element.form, (amplitude, w, max(d, w - float(np.log(LARGEST_Q)))))
+    if excess <= 0:
+        return element
+    return Element(element.form, (amplitude - excess, others[0] - excess))  # L or R stays
+
+
+def _beyond_band(samples: Samples, elements: Elements) -> Elements:
+    """Elements whose frequencies lie outside of the band, where simpler ones have their Y."""
+    low, high = 2 * np.pi * samples.f[0] / OUTSIDE, 2 * np.pi * samples.f[-1] * OUTSIDE
+    timed = [e for e in elements if len(e.logs) > 1]
+    return tuple(e for e in timed if not low < np.exp(-_log_time(e)) < high)
+
+
+def _log_time(element: Element) -> float:
+    """Logarithm of the time [s] per radian of an element that has one."""
+    return -element.logs[1] if element.form == "resonant" else element.logs[1]
+
+
+def _seen(samples: Samples, elements: Elements) -> bool:
+    """Whether every element exceeds what is left at more samples than it has parameters: one that
+    describes the noise of one sample does not."""
+    left = samples.rms(elements) * np.abs(samples.Y)
+    return all(
+        np.count_nonzero(np.abs(e.response(samples.s)[0]) > left) > len(e.logs) for e in elements
+    )
+
+
+def _simplified(samples: Samples, elements: Elements, doubtful: Elements) -> Elements:
+    """The elements, of which the ``doubtful`` are left out or replaced by simpler ones if the
+    criterion falls."""
+    value = samples.criterion(elements)
+    for element in doubtful:
+        for fewer in _simpler(samples, elements, element):
+            end = samples.polished(fewer)
+            if end and samples.criterion(end) < value:
+                return _simplified(samples, end, end)
+    return elements
+
+
+def _simpler(samples: Samples, elements: Elements, element: Element) -> Iterable[Elements]:
+    """Sums in which one element is absent, or has a simpler form with its Y in the band."""
+    others = tuple(e for e in elements if e is not element)
+    if others:
+        yield others
+    for form in SIMPLER[element.form]:
+        if samples.conducting or form not in CONDUCTING:
+            replaced = samples.amplitudes((*others, _like(element, form)))[0]
+            if len(replaced) == len(elements):
+                yield replaced
+
+
+def _like(element: Element, form: str) -> Element:
+    """An element of a form with one or two parameters and the time constant of another element."""
+    if form in ("conductance", "capacitance"):
+        return Element(form, (0.0,))
+    log_t = element.logs[2] - 2 * element.logs[1]  # d / w^2, the product R C of the branch
+    return Element(form, (0.0, -element.logs[2] if form == "inductive" else log_t))
+
+
+def _starts(samples: Samples, elements: Elements) -> list[Elements]:
+    """Sums with one element more, to be polished: the best of every form."""
+    result = [_peak(samples, elements)]
+    for options in _options(samples, elements):
+        tried = [samples.amplitudes((*elements, option)) for option in options]
+        result.append(min(tried, key=lambda item: item[1])[0])
+    result += [samples.amplitudes(item)[0] for item in _halves(samples, elements)]
+    return [item for item in result if item]
+
+
+def _peak(samples: Samples, elements: Elements) -> Elements:
+    """The elements and the resonance of the largest conductance that they leave, of its height and
+    its width at half of that; a capacitance beside them where there is none."""
+    missing = -(samples.deviation(elements) * samples.Y)
+    top = int(np.argmax(missing.real))
+    if missing.real[top] <= 0:
+        return ()
+    below = np.flatnonzero(missing.real < 0.5 * missing.real[top])
+    first = max((k for k in below if k < top), default=0)
+    last = min((k for k in below if k > top), default=len(missing) - 1)
+    w, d = 2 * np.pi * samples.f[top], 2 * np.pi * (samples.f[last] - samples.f[first]) / 2
+    found = Element("resonant", tuple(np.log([missing.real[top] * d / w**2, w, d]).tolist()))
+    if any(e.form == "capacitance" for e in elements):
+        return (*elements, found)
+    rest = missing - found.response(samples.s)[0]
+    clamped = float(np.median(rest.imag / (2 * np.pi * samples.f)))
+    more = (Element("capacitance", (float(np.log(clamped)),)),) if clamped > 0 else ()
+    return (*elements, found, *more)
+
+
+def _options(samples: Samples, elements: Elements) -> Iterable[list[Element]]:
+    """Elements of every form from which one is chosen."""
+    present = {element.form for element in elements}
+    forms = [form for form in FORMS if samples.conducting or form not in CONDUCTING]
+    low, high = 2 * np.pi * samples.f[0], 2 * np.pi * samples.f[-1]
+    decades = int(np.ceil(PER_DECADE * np.log10(100 * high / low))) + 1
+    times = -np.log(np.geomspace(low / 10, high * 10, decades))
+    for form in ("conductance", "capacitance"):
+        if form in forms and form not in present:
+            yield [Element(form, (0.0,))]
+    for form in ("inductive", "relaxing"):
+        if form in forms:
+            yield [Element(form, (0.0, float(t))) for t in times]
+    for w in _peaks(samples, elements):
+        yield [Element("resonant", (0.0, np.log(w), np.log(w / Q))) for Q in QUALITIES]
+
+
+def _peaks(samples: Samples, elements: Elements) -> list[float]:
+    """Angular frequencies where the conductance that ``elements`` leave is largest: by itself,
+    relative to |Y|, and where the deviation is largest."""
+    left = samples.deviation(elements)
+    missing = -(left * samples.Y).real
+    at = (missing, missing / np.abs(samples.Y), np.abs(left))
+    found = dict.fromkeys(int(np.argmax(item)) for item in at)
+    return [float(2 * np.pi * samples.f[k]) for k in found]
+
+
+def _halves(samples: Samples, elements: Elements) -> list[Elements]:
+    """The resonance nearest to the largest deviation as two, half a width apart."""
+    resonant = [e for e in elements if e.form == "resonant"]
+    if not resonant:
+        return []
+    worst = np.log(np.abs(samples.s[int(np.argmax(np.abs(samples.deviation(elements))))]))
+    nearest = min(resonant, key=lambda e: abs(e.logs[1] - worst))
+    log_c, log_w, log_d = nearest.logs
+    apart = float(0.25 * np.exp(log_d - log_w))
+    pair = [Element("resonant", (log_c, log_w + shift, log_d - 0.5)) for shift in (-apart, apart)]
+    return [(*(e for e in elements if e is not nearest), *pair)]

@@ -16,6 +16,8 @@ from kc2spice.netlist.cards import name as checked_name
 from kc2spice.netlist.circuit import Param, Pin, Subcircuit
 from kc2spice.rom.linear import Certificate, LinearModel, Port
 from kc2spice.rom.modal import Resonators, resonators
+from kc2spice.rom.network import parallel_branches
+from kc2spice.spice.branches import ABOUT, branch_cards, branch_pins
 from kc2spice.spice.emitted import circuit_error
 from kc2spice.spice.header import OUTWARDS, Header, parameter_list, part_header, rom_line
 
@@ -233,8 +235,9 @@ def subcircuit(
     the force that holds it there drives them. An acceleration pin shakes the frame and draws the
     force that this takes. Port laws and passivity are those of the model.
 
-    A symmetric definite model with modal damping becomes decoupled resonators, anything else
-    blocks of coupled states (one block of all states if ``dense``).
+    A measured one-port becomes its resistors, inductors and capacitors
+    (:mod:`kc2spice.rom.network`), a symmetric definite model with modal damping decoupled
+    resonators, anything else blocks of coupled states (one block of all states if ``dense``).
 
     Parameters
     ----------
@@ -264,6 +267,12 @@ def subcircuit(
         header = Header(rom.name, digest.hexdigest()[:16])
     if ports is not None:
         rom = rom.select(list(ports))
+    network = None if dense else parallel_branches(rom)
+    if network is not None:
+        two, network_cards = branch_pins(rom.ports[0]), branch_cards(network, rom)
+        distinct([pin.name for pin in two], INNER, where=checked_name(name))
+        words = {"title": "passive network of a measured one-port", "rating": rating}
+        return enclosed(rom, name, two, "", (), header, (ABOUT, network_cards), **words)
     form = _form(rom, dense)
     if noise and not isinstance(form, Resonators):
         rom = _with_forces(rom)
@@ -298,7 +307,7 @@ def enclosed(
     **words: str,
 ) -> Subcircuit:
     """The subcircuit of ``cards``, comments about them and their lines, under the head of ``rom``;
-    ``words`` are its title and rating.
+    ``words`` are its title and rating. Without ``base``, no pivots: passive cards need none.
 
     Its error estimate is that of the certificate and of the emitted elements together, these
     compared with ``rom`` at the defaults and with ``others`` at their values of the parameters.
@@ -306,7 +315,7 @@ def enclosed(
     certificate, (about, body) = rom.certificate, cards
     band = f" up to {certificate.band_hz[1]:g} Hz" if certificate else ""
     called = [name, *(pin.name for pin in pins), *([parameter_list(params)] * bool(params))]
-    start = [f".subckt {' '.join(called)}", PIVOTS.format(base=base)]
+    start = [f".subckt {' '.join(called)}", *([PIVOTS.format(base=base)] if base else [])]
     text = "\n".join(["", *about, *start, *body, f".ends {name}"])
     made, told = Subcircuit(name, pins, params, text), ""
     if certificate is not None:

@@ -1,0 +1,67 @@
+"""Cards of a one-port of parallel branches: the resistors, inductors and capacitors themselves."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from kc2spice.netlist.cards import number
+from kc2spice.netlist.circuit import Pin
+from kc2spice.rom.linear import LinearModel, Port
+from kc2spice.rom.network import Branch, ParallelBranches
+
+# Current through the leak at the lowest frequency of the band, relative to that of the part.
+LEAK_SHARE = 1e-9
+ABOUT = (
+    "* Passive one-port: every branch between the two pins is R, L and C in series.",
+    "* Pins float: no other node is a reference. Every resistor has thermal noise.",
+)
+_LEAK = "* Rleak gives a floating pin its operating point; no other direct current flows."
+
+
+def branch_pins(port: Port) -> tuple[Pin, ...]:
+    """The two pins of the ``port``."""
+    return tuple(Pin(pin, port.across, port.flow) for pin in port.terminals)
+
+
+def branch_cards(network: ParallelBranches, model: LinearModel) -> list[str]:
+    """Cards of the ``network`` between the pins of the port of its ``model``."""
+    plus, minus = model.ports[0].terminals
+    result = []
+    if network.capacitance > 0:
+        result.append(f"C0 {plus} {minus} {number(network.capacitance)}")
+    for index, branch in enumerate(network.branches, 1):
+        result += [f"\n* Branch {index}: {_description(branch)}"]
+        result += _series(branch, index, plus, minus)
+    if network.conductance == 0:
+        band = model.certificate.band_hz if model.certificate else (1.0, 1.0)
+        leak = LEAK_SHARE * float(np.abs(network.admittance(np.array(band[:1])))[0])
+        result += [f"\n{_LEAK}", f"Rleak {plus} {minus} {number(1 / leak)}"]
+    return result
+
+
+def _series(branch: Branch, index: int, plus: str, minus: str) -> Iterator[str]:
+    """The elements that a branch has, from ``plus`` to ``minus``; the capacitor last, so that no
+    inner node floats."""
+    values = [("R", branch.resistance), ("L", branch.inductance)]
+    values += [("C", 1 / branch.elastance)] if branch.elastance > 0 else []
+    present = [(letter, value) for letter, value in values if value > 0]
+    inner = [f"inner{index}_{k}" for k in range(1, len(present))]
+    nodes = [plus, *inner, minus]
+    for k, (letter, value) in enumerate(present):
+        yield f"{letter}{index} {nodes[k]} {nodes[k + 1]} {number(value)}"
+
+
+def _description(branch: Branch) -> str:
+    """What a branch is, with its frequency or time constant."""
+    R, L, S = branch.resistance, branch.inductance, branch.elastance
+    if L > 0 and S > 0:
+        omega = float(np.sqrt(S / L))
+        quality = f", Q factor {omega * L / R:.4g}" if R > 0 else ""
+        return f"resonance at {omega / (2 * np.pi):.6g} Hz{quality}"
+    if L > 0:
+        return f"winding, time constant {L / R:.4g} s" if R > 0 else "inductance"
+    if S > 0:
+        return f"relaxation, time constant {R / S:.4g} s"
+    return "conductance"
