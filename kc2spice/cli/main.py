@@ -123,6 +123,11 @@ PARAMETERS = {
         help="Of the error: pointwise (relative at every frequency, notches included) or peak "
         "(relative to the largest value in the band; default where all ports are signals).",
     ),
+    "dc": typer.Option(
+        metavar="R",
+        help="Resistance of a measured one-port at zero frequency, such as '80 mOhm', or open; "
+        "default: extrapolated from the lowest frequencies.",
+    ),
     "vary": typer.Option(
         metavar="KEY[=LOW:HIGH]",
         help="A key below the part, such as layers[0].thickness or damping.quality, and its "
@@ -438,15 +443,18 @@ def reduce(
     tolerance: float | None = None,
     order: int | None = None,
     norm: str | None = None,
+    dc: str | None = None,
 ) -> None:
     """Reduce matrices of another tool, or a measured impedance, to a model of stated error.
 
-    An unstable model, and a circuit that misses the tolerance, end with exit code 4.
+    Exit code 4: an unstable model, a circuit that misses the tolerance, or a measurement that
+    no circuit describes.
     """
     from kc2spice.workflow.reduce import reduce as reduce_study
     from kc2spice.workflow.reduce import require_stable
 
     wanted: dict[str, Any] = {"band": band, "tolerance": tolerance, "order": order, "norm": norm}
+    wanted["dc"] = dc
     with caller.progress() as progress:
         result = reduce_study(model, out, **wanted, progress=progress)
     if caller.reads(result):
@@ -464,7 +472,12 @@ def reduce(
             ("method", result["method"]),
             ("reduced model", result["rom"]),
         ]
+        if "data" in result:
+            rows.insert(0, ("data", result["data"]))
         print_table("reduced model", rows)
+        for kind in ("notes", "warnings"):
+            for text in result.get(kind, ()):
+                print(f"{kind[:-1]}: {text}")
     require_stable(result)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import math
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
@@ -10,11 +11,12 @@ from pathlib import Path
 from typing import Any
 
 from kc2spice.bodies.readers import read_model
-from kc2spice.bodies.readers.measured import is_measured, read_measured
+from kc2spice.bodies.readers.measured import Measured, is_measured, read_measured
 from kc2spice.core.errors import GateMissedError, UsageError, unknown
 from kc2spice.core.files import staged
 from kc2spice.core.foreign import identifier
 from kc2spice.core.progress import Clock, Progress, silent
+from kc2spice.core.quantities import quantity
 from kc2spice.netlist.circuit import Subcircuit
 from kc2spice.netlist.deck import Block, Deck, ac
 from kc2spice.netlist.printers.ngspice import plot_script
@@ -33,6 +35,9 @@ from kc2spice.spice.realize import loaded, subcircuit
 from kc2spice.workflow.decks import spare_other_decks
 
 TOLERANCE = 1e-4
+LARGEST_MISFIT = 0.1  # error of a measured part above which no model is written
+WARNED_MISFIT = 0.01  # error of a measured part above which the command warns
+ABOVE_NOISE = 3.0  # a larger error is accepted up to that many times the noise (rms)
 # Behind the name of a port, what it answers with.
 _ANSWERS = {"electrical": ".current", "mechanical": ".moved", "rotational": ".moved",
             "acceleration": ".force", "output": ""}  # fmt: skip
@@ -46,6 +51,7 @@ def reduce(
     tolerance: float | None = None,
     order: int | None = None,
     norm: str | None = None,
+    dc: str | float | None = None,
     progress: Progress = silent,
 ) -> dict[str, Any]:
     """Reduce the model at ``path`` and write ``NAME_rom.npz``, ``NAME_rom.M`` ... into ``out``.
@@ -57,10 +63,14 @@ def reduce(
     ``SCENE:PART`` instead of a path is the full model of a scene's body. A measured response
     (``.s1p``, ``.s2p``, ``.ts``, ``.csv``, ``.txt``, ``.tsv``, ``.mat``) becomes the passive
     circuit of :func:`kc2spice.rom.measured.one_port`, or of
-    :func:`kc2spice.rom.multiport.multi_port`; its order and band follow from the data.
+    :func:`kc2spice.rom.multiport.multi_port`; its order and band follow from the data. ``dc`` is
+    the resistance of such a one-port at zero frequency, ``"80 mOhm"`` or a number in Ohm, or
+    ``"open"``; it is extrapolated from the data by default.
 
     Raises
     ------
+    GateMissedError : the error of a measured part exceeds :data:`LARGEST_MISFIT` and
+        :data:`ABOVE_NOISE` times the noise of the data; nothing was written.
     UsageError : see :func:`kc2spice.bodies.readers.read_model`; ``out`` cannot be written, which
         is noticed before the reduction; nothing was written.
     SimulationError : the tolerance cannot be met; nothing was written.
@@ -68,7 +78,10 @@ def reduce(
     """
     if is_measured(Path(path)):
         told = {"--band": band, "--tolerance": tolerance, "--order": order, "--norm": norm}
-        return _reduce_measured(Path(path), out, told, progress)
+        return _reduce_measured(Path(path), out, told, dc, progress)
+    if dc is not None:
+        expected = "a measured impedance; matrices determine their response at zero frequency"
+        raise UsageError("is for measurements", where="--dc", got=dc, expected=expected)
     progress("reduce", None, "reading matrices")
     model = _scene_body(str(path)) or read_model(path)
     if tolerance is None and order is None:
@@ -86,31 +99,90 @@ def reduce(
 
 
 def _reduce_measured(
-    path: Path, out: Path | None, told: dict[str, Any], progress: Progress
+    path: Path,
+    out: Path | None,
+    told: dict[str, Any],
+    dc: str | float | None,
+    progress: Progress,
 ) -> dict[str, Any]:
-    """A measured part as the passive circuit that comes nearest: resonances and losses beside a
-    capacitance of one port where they do, else poles of any kind."""
+    """A measured part as the passive circuit that comes nearest: parallel branches of one port
+    where they do, else poles of any kind."""
     for option, value in told.items():
         if value is not None:
             expected = "nothing: noise decides the order of a measured response, its file the band"
             raise UsageError("is not for measurements", where=option, got=value, expected=expected)
+    conductance = None if dc is None else _conductance(dc)
     progress("reduce", None, "reading the measurement")
     data = read_measured(path)
+    ports = data.Y.shape[1]
+    if ports > 1 and dc is not None:
+        raise UsageError("is for one port", where="--dc", got=f"{ports} ports in {path.name}")
     progress("reduce", None, f"fitting {len(data.f)} frequencies")
     notes = list(data.notes)
 
     def fitted() -> LinearModel:
-        if data.Y.shape[1] == 1:
-            nearest, left = one_port(data.f, data.Y[:, 0, 0], data.noise)
-            if nearest is not None:
-                return nearest
-            notes.append(f"resonances beside a capacitance leave {left:.2g}: poles of any kind")
-        from kc2spice.rom.multiport import multi_port  # late: what few need
-
-        return multi_port(data.f, data.Y, data.noise, data.where)
+        model = _fitted(data, conductance, notes)
+        _require_near(model, data)
+        return model
 
     result = _written(data.name, len(data.f), fitted, out)
-    return result | {"notes": notes, "noise": data.noise}
+    error, warnings = result["error_estimate"], []
+    if error > WARNED_MISFIT:
+        text = f"the error of {error:.2g} exceeds {WARNED_MISFIT:g}: the circuit is not the part "
+        warnings.append(text + "at every frequency; compare both before you use it")
+    record = {"notes": notes, "warnings": warnings, "noise": data.measured_noise}
+    return result | record | {"quantity": data.quantity, "data": data.description}
+
+
+def _fitted(data: Measured, conductance: float | None, notes: list[str]) -> LinearModel:
+    """The passive model of the samples; ``notes`` gets what its form is if it is not the first."""
+    if data.Y.shape[1] == 1:
+        nearest, left = one_port(data.f, data.Y[:, 0, 0], data.noise, conductance)
+        if nearest is not None:
+            return nearest
+        if conductance is not None:
+            raise UsageError(
+                "no parallel branches describe the part",
+                where=data.where,
+                got=f"a deviation of {left:.2g} (rms)",
+                expected="a part whose resistance at zero frequency can be stated",
+                hint="leave out --dc: poles of any kind extrapolate it",
+            )
+        notes.append(f"parallel branches leave a deviation of {left:.2g}: poles of any kind")
+    from kc2spice.rom.multiport import multi_port  # late: what few need
+
+    return multi_port(data.f, data.Y, data.noise, data.where)
+
+
+def _require_near(model: LinearModel, data: Measured) -> None:
+    """Refuse a model whose error exceeds what noise explains."""
+    certificate = model.certificate
+    assert certificate is not None
+    error, noise = certificate.error_estimate, data.relative_noise(certificate.norm)
+    limit = max(LARGEST_MISFIT, ABOVE_NOISE * noise)
+    if error <= limit:
+        return
+    of = "of each admittance" if certificate.norm == "pointwise" else "of an entry's peak"
+    raise GateMissedError(
+        "the circuit does not describe the measurement",
+        where=data.where,
+        got=f"an error of {error:.2g} {of}; {certificate.method}",
+        expected=f"at most {limit:.2g}: the larger of {LARGEST_MISFIT:g} and {ABOVE_NOISE:g} times "
+        f"{noise:.2g}, the noise of the measured {data.quantity} in the admittance",
+        hint="measure with more points on every resonance, with less noise, or a part of the "
+        "band; no file was written",
+    )
+
+
+def _conductance(dc: str | float) -> float:
+    """Conductance [S] at zero frequency of what ``--dc`` states."""
+    if dc == "open":
+        return 0.0
+    resistance = quantity(dc, "Ohm", where="--dc")
+    if not 0 < resistance < math.inf:
+        expected = 'a positive resistance, such as "80 mOhm", or open'
+        raise UsageError("is not a resistance", where="--dc", got=dc, expected=expected)
+    return 1 / resistance
 
 
 def _written(
