@@ -369,6 +369,8 @@ def explain(caller: Caller, scene: str, set_: list[str] | None = None) -> None:
         print(textwrap.fill(f"{record['scene']}: {loaded.title}", COLUMNS))
         print(f"scene hash {record['hash']}\n")
         print_table("joined", [(line,) for line in record["joins"]])
+        if record["frames"]:
+            print_table("displacements", [(line,) for line in record["frames"]])
         show(plan_sections(record))
         budget = "X" if record["error_budget"] is None else f"{record['error_budget']:g}"
         told = "refines the settings until every metric's error is below"

@@ -202,6 +202,10 @@ class LinearBody(Touching):
         fixed = tuple((pin, end) for pin, end in result if pin not in names)
         return Rest(fixed + tuple((first, other) for other in others), inert=inert)
 
+    def inertial(self, part: Part, scene: Scene) -> tuple[str, ...]:
+        ports = (port for port in self.kept(part, scene) if port.kind == "mechanical")
+        return tuple(port.terminals[0] for port in ports)
+
     def problems(self, part: Part, scene: Scene) -> Iterator[UsageError]:
         yield from dimensions(part.name, part.keys)
         yield from corners(part, scene)
@@ -615,8 +619,7 @@ class LinearBody(Touching):
     def law(self, part: Part, build: Build) -> laws.Equations | None:
         model: LinearModel = build.model(part)
         ports, n = model.ports, part.name
-        pins = {pin.name for pin in self.pins(part, build.scene)}
-        if build.net(part, next(p for p in ("base", "ground", "ref") if p in pins)) != "0":
+        if build.net(part, self.pins(part, build.scene)[-1].name) != "0":  # its reference
             return None
         signals = all(port.kind in ("input", "output") for port in ports)
         kinds = {"mechanical": "displacement", "rotational": "rotation"}

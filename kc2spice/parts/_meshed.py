@@ -233,6 +233,12 @@ class BondedBody(MeshedBody):
     def ports(self, part: Part, scene: Scene) -> tuple[Port, ...]:
         return self.bonded(part).every_port
 
+    def directions(self, part: Part, scene: Scene) -> Mapping[str, tuple[float, ...]]:
+        """All of its motions are upwards."""
+        moved = ("mechanical", "acceleration")
+        ports = (port for port in self.ports(part, scene) if port.kind in moved)
+        return {port.terminals[0]: (0.0, 0.0, 1.0) for port in ports}
+
     def make(self, part: Part, scene: Scene) -> Device:
         return self.bonded(part).device()
 

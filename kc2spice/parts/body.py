@@ -434,6 +434,19 @@ class Body(MeshedBody):
         result: tuple[Port, ...] = part.keys.every_port
         return result
 
+    def directions(self, part: Part, scene: Scene) -> Mapping[str, tuple[float, ...]]:
+        """Axes of its translations and accelerations."""
+        result: dict[str, tuple[float, ...]] = {}
+        for keys in part.keys.ports:
+            if keys.kind != "rigid":
+                result[keys.name] = tuple(keys.direction.tolist())
+                continue
+            for port, motion in zip(keys.ports, keys.motions, strict=True):
+                if not motion.startswith("r"):
+                    axis = np.eye(3)["xyz".index(motion)]
+                    result[port.terminals[0]] = tuple(axis.tolist())
+        return result
+
     def files(self, part: Part, scene: Scene) -> tuple[str, ...]:
         _path(part, scene)
         return (part.keys.mesh,)

@@ -15,7 +15,9 @@ from kc2spice.core.waveforms import Waveforms
 from kc2spice.netlist.circuit import Param, positive
 from kc2spice.parts._touching import Surface, Touching
 from kc2spice.physics import Declaration, DeclaredPart, displacement
+from kc2spice.physics.declaration import shake
 from kc2spice.scene.compose import free, rigid
+from kc2spice.scene.frames import Shake
 from kc2spice.scene.judge import Metric
 from kc2spice.scene.model import GROUND, Part, Scene
 from kc2spice.scene.parttype import (
@@ -26,10 +28,14 @@ from kc2spice.scene.parttype import (
 )
 from kc2spice.scene.plausible import dimensions
 
+_FRAME = "frame"  # pin of the acceleration of a frame; of a second one frame2
+
 
 class MassKeys(Section):
-    """``F = m x''``, less ``m g`` with ``weight``. Where something holds it, a transient begins in
-    equilibrium, unless ``position`` or ``velocity`` is given; where nothing does, it begins there.
+    """``F = m x''``, less ``m g`` with ``weight``. Joined to a body whose ``base`` is shaken with
+    an acceleration ``a``, ``x`` is relative to that frame and the force ``-m a`` acts besides.
+    Where something holds it, a transient begins in equilibrium, unless ``position`` or
+    ``velocity`` is given; where nothing does, it begins there.
     """
 
     mass: Mass = Field(gt=0, description="Mass of the rigid body")
@@ -44,22 +50,35 @@ class MassKeys(Section):
 
 @cache
 def point_mass(
-    mass: float, gravity: float = 0.0, position: float = 0.0, velocity: float = 0.0
+    mass: float,
+    gravity: float = 0.0,
+    position: float = 0.0,
+    velocity: float = 0.0,
+    shaken: tuple[float, ...] = (),
 ) -> Declaration:
-    """The physics of a mass at the pin ``a``."""
+    """The physics of a mass at the pin ``a``, in a frame whose accelerations are ``shaken`` times
+    along its displacement: with the shares s, ``F = m x'' + m g + m sum_k s_k a_k``."""
+    ends = [_FRAME + str(k) * (k > 1) for k in range(1, 1 + len(shaken))]
+    shares = [f"along_{end}" for end in ends]
+    pulled = "+".join(f"mass*{share}*a_{end}" for share, end in zip(shares, ends, strict=True))
     return Declaration(
         "mass",
         "point mass",
         Section,
-        (displacement("x", "a", "base"),),
+        (displacement("x", "a", "base"), *(shake(f"a_{end}", end, "base") for end in ends)),
         kinetic="0.5*mass*x_rate^2",
         energy="mass*gravity*x",
+        forces={"x": pulled} if ends else {},
         starts={"x": ("position", "velocity")},
         given=(
             positive("mass", mass, "kg", "mass"),
             Param("gravity", gravity, "m/s2", "gravity, downwards"),
             Param("position", position, "m", "at t = 0, used with uic"),
             Param("velocity", velocity, "m/s", "at t = 0, used with uic"),
+            *(
+                Param(share, value, "-", f"share of {end} along the displacement of a")
+                for share, end, value in zip(shares, ends, shaken, strict=True)
+            ),
         ),
         rating="none: rigid",
         validity="rigid, in vacuum, at any temperature",
@@ -72,7 +91,15 @@ class PointMass(Touching, DeclaredPart):
 
     def declared(self, part: Part, scene: Scene) -> Declaration:
         keys, gravity = part.keys, scene.gravity if part.keys.weight else 0.0
-        return point_mass(keys.mass, gravity, keys.position, keys.velocity)
+        shares = tuple(float(shake.along or 0.0) for shake in _shakes(part, scene))
+        return point_mass(keys.mass, gravity, keys.position, keys.velocity, shares)
+
+    follows_frames = True
+
+    def default_joins(self, part: Part, scene: Scene) -> Mapping[str, str]:
+        """Its pins for the accelerations of a frame are where the body has those."""
+        pins = ((_FRAME + str(k) * (k > 1), s) for k, s in enumerate(_shakes(part, scene), 1))
+        return {pin: ".".join(shake.pin) for pin, shake in pins}
 
     def at_rest(self, part: Part, scene: Scene, model: Any | None = None) -> Rest:
         falls = part.keys.weight and scene.gravity
@@ -140,6 +167,12 @@ class PointMass(Touching, DeclaredPart):
 
     def notes(self, part: Part, scene: Scene) -> Iterator[str]:
         yield f"mass {part.keys.mass:g}"
+
+
+def _shakes(part: Part, scene: Scene) -> tuple[Shake, ...]:
+    """What shakes the frame that it is in."""
+    frame = scene.shaken_frame(part.name, "a")
+    return () if frame is None else frame.shakes
 
 
 def _given(part: Part) -> bool:

@@ -18,6 +18,7 @@ from kc2spice.physics.expression import (
     kinks,
     minus,
     names,
+    over,
     plus,
     text,
     times,
@@ -35,6 +36,8 @@ _HEAD = {
     "flux": "flux of the current from {plus} to {minus} on the node {node}, 1 V = {scale} webers; "
     "its rate is a part of the voltage",
     "mass": "mass of {plus}: velocity on {speed} (1 V = 1 m/s), place on {place} (1 V = 1 um)",
+    "shake": "the frame of {speed} is shaken by {plus} (1 V = 1 m/s2), which draws the force that "
+    "takes",
     "held": "{node} has no other equation than {plus} = {place}: the force that makes it true, "
     "1 V = 1 N, accelerates the mass; at an operating point something else holds {plus}",
     "output": "{plus} in um: {words}",
@@ -126,14 +129,24 @@ def _mass(declaration: Declaration, b: Branch) -> Iterator[str]:
     yield f"Cplace_{n} {place} {base} {_FARAD} IC={{{start}*1e6}}"
     yield f"Gplace_{n} {base} {place} {v} {base} 1"
     yield f"Cmass_{n} {v} {end} {{{text(declaration.mass(b))}}} IC={{{fast}}}"
-    if (weight := declaration.direct(b)) != ZERO:
-        yield f"Iweight_{n} {v} {base} {{{text(weight)}}}"
+    shaken = [other for other in declaration.branches if other.kind == "acceleration"]
+    weight = declaration.direct(b)
+    still = plus(replaced(weight, {other.name: ZERO for other in shaken}))
+    if still != ZERO:
+        yield f"Iweight_{n} {v} {base} {{{text(still)}}}"
+    for other in shaken:
+        share = text(derivative(weight, other.name))
+        yield _comment("shake", other, speed=v)
+        yield f"Gshake_{other.name} {v} {base} {other.plus} {other.minus} {{{share}}}"
     if not speed:
         yield f"Vmass_{n} {end} {base} 0"
         yield _comment("held", b, node=force_node(b), place=place)
         yield f"Gheld_{n} {base} {force_node(b)} {b.plus} {place} 1"
         yield f"G{force_node(b)} {b.plus} {base} {force_node(b)} {base} 1"
         yield f"Gpush_{n} {base} {v} {force_node(b)} {base} 1"
+        for other in shaken:
+            share = text(over(derivative(weight, other.name), declaration.mass(b)))
+            yield f"Gdraw_{other.name} {other.plus} {base} {force_node(b)} {base} {{{share}}}"
 
 
 def _probes(declaration: Declaration) -> Mapping[str, Tree]:

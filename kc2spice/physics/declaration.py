@@ -49,7 +49,7 @@ from kc2spice.physics.expression import (
     times,
 )
 
-Kind = Literal["displacement", "voltage", "current"]
+Kind = Literal["displacement", "voltage", "current", "acceleration"]
 LOOPS = "loops"
 _STATED = ("kinetic", "energy", "coenergy", "content")
 RATE = "_rate"  # ends the name of a displacement's velocity
@@ -91,6 +91,12 @@ def voltage(name: str = "v", plus: str = "plus", minus: str = "minus", flow: str
 def current(name: str = "i", plus: str = "plus", minus: str = "minus") -> Branch:
     """``name`` [A] flows from ``plus`` to ``minus``; a flux follows it."""
     return Branch("current", name, plus, minus, name)
+
+
+def shake(name: str, pin: str, base: str) -> Branch:
+    """``name`` [m/s2] is the acceleration of the frame that displacements are relative to. It is
+    only seen; the netlist draws from ``pin`` the force that moves the masses there."""
+    return Branch("acceleration", name, pin, base, "")
 
 
 def seen(branch: Branch) -> Branch:

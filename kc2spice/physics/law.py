@@ -26,7 +26,8 @@ from kc2spice.physics.expression import (
 )
 
 _MICRO, _UNIT = Number("1e-6"), Number("1e6")
-_KIND = {"displacement": "displacement", "voltage": "electrical", "current": "electrical"}
+_KIND = {"displacement": "displacement", "voltage": "electrical", "current": "electrical",
+         "acceleration": "signal"}  # fmt: skip
 _Made = Callable[..., tuple[Any, ...]]
 _Table = Callable[[float], float]
 

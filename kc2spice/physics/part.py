@@ -25,7 +25,8 @@ from kc2spice.scene.parttype import Build, Neglected, Numerics, PartType, Rest, 
 if TYPE_CHECKING:
     from kc2spice.spice.header import Header
 
-_NODE = {"displacement": ("um", "N"), "voltage": ("V", "A"), "current": ("V", "A")}
+_NODE = {"displacement": ("um", "N"), "voltage": ("V", "A"), "current": ("V", "A"),
+         "acceleration": ("m/s2", "N")}  # fmt: skip
 STRIKES = 1.0  # of a stop; plates that struck it twice to nine times were up to 20 % off
 REBOUND = "what follows may hang on every step: error_budget estimates the error of each metric"
 _OWN = "f|x|in|q|l|rest|copy|sense|first|second|noise|speed|place|pushed|state"
@@ -78,6 +79,11 @@ class DeclaredPart(PartType):
             for p in pins_of(self.declared(part, scene))
         )
 
+    def inertial(self, part: Part, scene: Scene) -> tuple[str, ...]:
+        d = self.declared(part, scene)
+        moved = [b for b in d.acting if b.kind == "displacement" and d.mass(b) != ZERO]
+        return tuple(d.speeds.get(b.plus, b.plus) for b in moved)
+
     def at_rest(self, part: Part, scene: Scene, model: Any | None = None) -> Rest:
         """Holds displacements with a stiffness at rest."""
         d = self.declared(part, scene)
@@ -102,7 +108,9 @@ class DeclaredPart(PartType):
     def vectors(self, part: Part, build: Build) -> Mapping[str, Vector]:
         result, d = {}, self.built(part, build)
         for b in d.branches:
-            factor, unit = (1e-6, "m") if b.kind == "displacement" else (1.0, "V")
+            factor, unit = {"displacement": (1e-6, "m"), "acceleration": (1.0, "m/s2")}.get(
+                b.kind, (1.0, "V")
+            )
             if b.plus:
                 across = across_pins(build, part, b)
                 result[f"{part.name}.{b.across}"] = Vector(across, factor, unit)
@@ -196,7 +204,7 @@ def pins_of(declaration: Declaration) -> tuple[Pin, ...]:
         unit, flow = _NODE[d.kinds[pin]]
         if speed := d.speeds.get(pin):
             result.setdefault(checked(speed), Pin(speed, "m/s", flow))
-        quiet = speed or pin not in touched
+        quiet = speed or (pin not in touched and d.kinds[pin] != "acceleration")
         result.setdefault(checked(pin), Pin(pin, unit, "-" if quiet else flow))
     result |= {checked(pin): Pin(pin, "um", "-") for pin in d.outputs}
     if d.base:

@@ -426,6 +426,11 @@ def _body(law: L.LinearBody, into: _Assembly) -> None:
     for k, port in enumerate(law.ports):
         if port.kind == "electrical":
             volts[k] = into.gap(law, port.name, port.ret)
+    shaken = {
+        k: into.form(law, port.name)
+        for k, port in enumerate(law.ports)
+        if port.kind == "acceleration"
+    }
     for k, port in enumerate(law.ports):
         if port.kind == "acceleration":
             into.A[x] += np.outer(B[:, k], into.form(law, port.name))
@@ -433,6 +438,7 @@ def _body(law: L.LinearBody, into: _Assembly) -> None:
         elif port.kind == "electrical":
             into.A[x] += np.outer(B[:, k], volts[k])
             charge = C[k] @ motion + sum((D[k, j] * f for j, f in volts.items()), np.zeros(n))
+            charge = charge + sum((D[k, j] * f for j, f in shaken.items()), np.zeros(n))
             into.M += np.outer(volts[k], charge)
             into.flows[f"{law.name}.{port.name}"] = (np.zeros(n), charge, 0.0)
         elif port.name in law.states:  # u = C x + D F with the force F on the part as an unknown
@@ -445,10 +451,17 @@ def _body(law: L.LinearBody, into: _Assembly) -> None:
             for j, other in enumerate(law.ports):
                 if D[k, j] and other.kind in L.MECHANICAL:
                     into.A[at, into.own[f"{law.name}.{other.name}"]] -= D[k, j]
+            for j, form in shaken.items():
+                into.A[at] -= D[k, j] * form
             into.flows[f"{law.name}.{port.name}"] = (force, np.zeros(n), 0.0)
             into.term("stored", force, 0.5 * D[k, k])
     moving = np.zeros((C.shape[1], n))
     moving[:, v] = np.eye(C.shape[1])
+    for k, port in enumerate(law.ports):
+        if port.kind == "acceleration":  # brings in v' B a from outside
+            work = np.zeros((C.shape[1] + 1,) * 2)
+            work[-1, :-1] = work[:-1, -1] = -0.5 * B[:, k]
+            into.term("lost", np.vstack([moving, into.form(law, port.name)]), work)
     into.term("stored", motion, 0.5 * K)
     into.term("stored", moving, 0.5 * M)
     into.term("lost", moving, E)

@@ -15,6 +15,7 @@ from string import ascii_lowercase
 from typing import Any
 
 from kc2spice.core.errors import UsageError, did_you_mean, unknown
+from kc2spice.scene.frames import frames
 from kc2spice.scene.model import GROUND, Names, Part, Scene, Terminal
 from kc2spice.scene.parttype import METER, Build, PartType, Rest, current_into
 
@@ -24,14 +25,27 @@ MOST_NAMED = 5  # pins that an error lists
 
 
 def composed(scene: Scene) -> Scene:
-    """``scene`` with its nets.
+    """``scene`` with its nets, and what displacements there are relative to.
+
+    Parts in a shaken frame have pins more, for its acceleration: they are joined once the frames
+    are known.
 
     Raises
     ------
     UsageError : an unknown part or pin, pins of one part whose names differ in case only, pins of
         different kinds on one net, a required pin that is not joined, a part whose two pins are
-        one, two outputs or a loop of ideal sources on one net; ``where`` is a dotted key.
+        one, two outputs or a loop of ideal sources on one net, displacements in different frames;
+        ``where`` is a dotted key.
     """
+    scene = _joined(replace(scene, shaken={}, nets={}))
+    if shaken := frames(scene):
+        scene = _joined(replace(scene, shaken=shaken))
+        scene = replace(scene, shaken=frames(scene))  # nodes may be named after the further pins
+    return scene
+
+
+def _joined(scene: Scene) -> Scene:
+    """``scene`` with its nets; pins of parts in a frame follow from the nets that it has."""
     terminals = {
         (part.name, pin.name): pin
         for part in scene.parts.values()

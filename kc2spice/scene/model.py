@@ -32,6 +32,7 @@ from kc2spice.core.quantities import (
 )
 
 if TYPE_CHECKING:
+    from kc2spice.scene.frames import ShakenFrame
     from kc2spice.scene.parttype import PartType
 Action = Literal["fail", "warn", "off"]
 
@@ -513,7 +514,8 @@ class Scene:
 
     ``terminals`` has every pin by ``(part, pin)``, ``nets`` its node of the netlist (``"0"`` is
     ground); ``own`` gives ``(part, *words)`` the name of what else the part has there
-    (:meth:`kc2spice.scene.parttype.Build.own`); ``home`` is the folder of the scene's file,
+    (:meth:`kc2spice.scene.parttype.Build.own`); ``shaken`` has the shaken frame that the
+    displacements of a net are relative to, by node; ``home`` is the folder of the scene's file,
     ``tables`` what it says with all overrides. Bodies keep the ``ports`` that are needed, in an
     export all that their author declares, joined or not
     (:meth:`Part.declares`), for documentation all of them.
@@ -524,6 +526,7 @@ class Scene:
     terminals: Mapping[tuple[str, str], Terminal] = field(default_factory=dict)
     nets: Mapping[tuple[str, str], str] = field(default_factory=dict)
     own: Names = field(default_factory=Names)
+    shaken: Mapping[str, ShakenFrame] = field(default_factory=dict)
     home: Path = Path()
     tables: Mapping[str, Any] = field(default_factory=dict)
     ports: Literal["needed", "declared", "all"] = "needed"
@@ -594,6 +597,10 @@ class Scene:
     def net(self, part: str, pin: str) -> str:
         """Node of the netlist that a pin is joined to."""
         return self.nets[part, pin]
+
+    def shaken_frame(self, part: str, pin: str) -> ShakenFrame | None:
+        """The shaken frame that a pin's displacement is relative to, None where it is absolute."""
+        return self.shaken.get(self.nets.get((part, pin), ""))
 
     def joined(self, part: str, pin: str) -> tuple[tuple[str, str], ...]:
         """The other pins on the net of this one; none for ground."""

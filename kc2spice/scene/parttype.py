@@ -210,6 +210,8 @@ class PartType:
     example: ClassVar[str] = ""
     #: where its model comes from, for ``explain``
     source: ClassVar[str] = "circuit"
+    #: whether it adds the force ``-m a`` of a shaken frame that its pins are in
+    follows_frames: ClassVar[bool] = False
     #: what has noise: cards of its subcircuit that are resistors of the device, or words for it
     noise: ClassVar[tuple[str, ...] | str] = ()
 
@@ -247,6 +249,14 @@ class PartType:
         By default it holds all of its own in place.
         """
         return Rest(tuple((p.name, GROUND) for p in self.pins(part, scene) if p.moving))
+
+    def directions(self, part: Part, scene: Scene) -> Mapping[str, tuple[float, ...]]:
+        """Unit vectors of the translations and accelerations at its pins, as far as known."""
+        return {}
+
+    def inertial(self, part: Part, scene: Scene) -> tuple[str, ...]:
+        """Pins that move against inertia of its own."""
+        return ()
 
     def problems(self, part: Part, scene: Scene) -> Iterable[UsageError]:
         """What is wrong with it in this scene, ``where`` a dotted key.

@@ -17,6 +17,7 @@ from pydantic.fields import FieldInfo
 
 from kc2spice.core.quantities import Notch
 from kc2spice.scene.compose import drawing
+from kc2spice.scene.frames import frame_lines
 from kc2spice.scene.model import Analysis, Part, Rom, Scene, Solver
 from kc2spice.scene.parttype import Build, Neglected
 
@@ -180,10 +181,13 @@ def _noise(part: Part, build: Build) -> str:
 
 
 def plan(build: Build) -> dict[str, Any]:
-    """What runs for a scene, as ``plan`` of ``result.json`` has it: ``parts`` with ``source`` and
-    ``detail``, ``joins`` (the nets), ``left_out`` (effects; those of several parts once), and
-    ``settings``, what trades time for error, with the relative ``error`` known of each before a
-    run: None where only a refined run can tell."""
+    """What runs for a scene, as ``plan`` of ``result.json`` has it.
+
+    ``parts`` with ``source`` and ``detail``, ``joins`` (the nets), ``frames`` (what displacements
+    count from), ``left_out`` (effects; those of several parts once), and ``settings``, what trades
+    time for error, with the relative ``error`` known of each before a run: None where only a
+    refined run can tell.
+    """
     scene = build.scene
     parts = scene.parts.values()
     notes = {part.name: list(part.type.notes(part, scene)) for part in parts}
@@ -199,6 +203,7 @@ def plan(build: Build) -> dict[str, Any]:
             {"part": p.name, "source": p.type.source, "detail": detail[p.name]} for p in parts
         ],
         "joins": drawing(scene),
+        "frames": list(frame_lines(scene)),
         "left_out": [asdict(row) for row in dict.fromkeys(left_out)],
         "error_budget": scene.error_budget,
         "settings": settings,
