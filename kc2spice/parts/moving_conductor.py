@@ -46,7 +46,8 @@ MOST_TURNS = 5
 FINER = 2  # rings of the full model and its frequency, of those of the reduced one
 LEAST = 1e3  # Hz, up to which eddy currents are resolved whatever drives the scene
 SCREENED = 0.5  # of a coil's inductance, what is left of it over a conductor
-BEYOND = 1.1  # of the resolved frequency, up to which a run's currents may have their energy
+BEYOND = 2.0  # of the resolved frequency, up to which a run's currents may have their energy:
+SEEN = 0.99  # a sine of few periods has some of it above its own frequency
 ROUGH = 0.02  # of flux, force and loss, by which the rings may be off those that are finer
 
 
@@ -76,8 +77,8 @@ class Conduction(Section):
 
 
 class Moving(Section):
-    """A body in the field of coils and magnets about one axis; y is the height of its lowest point.
-    Its mass is a part ``mass`` at the pin ``a``."""
+    """A body in the field of coils and magnets about one axis; y is the height of its centre of
+    mass. Its mass is a part ``mass`` at the pin ``a``."""
 
     radius: Length = Field(gt=0, description="Outer radius of the body")
     inner: Length = Field(0.0, ge=0, description="Radius of the hole of a disc")
@@ -91,8 +92,8 @@ class Moving(Section):
     magnets: dict[str, MagnetKeys] = Field(
         {}, description="Fixed magnets by name, each a table [PART.magnets.NAME]"
     )
-    y_min: Length = Field(description="Lowest height of the range of motion")
-    y_max: Length = Field(description="Largest height of the range of motion")
+    y_min: Length = Field(description="Lowest height of the centre of mass")
+    y_max: Length = Field(description="Largest height of the centre of mass")
     tolerance: Annotated[Ratio, Notch(0.1, model=True)] = Field(
         1e-3,
         gt=1e-8,
@@ -154,6 +155,7 @@ def _declared(
         branches,
         limits=limits,
         rating=kind.rating,
+        sign="a less b is the height of the centre of mass; 1 A into a pin pushes it up with 1 N",
         validity=f"heights y_min to y_max{reach}; rigid, not magnetic, at constant temperature",
         **physics,
     )
@@ -227,8 +229,8 @@ class MovingConductor(DeclaredPart):
         magnets = [(f"magnets.{n}", "magnet", _section(m)) for n, m in keys.magnets.items()]
         for where, what, w in (*coils, *magnets):
             apart = w.radius - w.width / 2 >= keys.radius or w.radius + w.width / 2 <= keys.inner
-            below = w.y + w.height / 2 <= keys.y_min
-            above = w.y - w.height / 2 >= keys.y_max + _tall(keys)
+            below = w.y + w.height / 2 <= keys.y_min - _tall(keys) / 2
+            above = w.y - w.height / 2 >= keys.y_max + _tall(keys) / 2
             if not (apart or below or above):
                 got = f"y_min {keys.y_min:g} m, y_max {keys.y_max:g} m"
                 yield part.wrong(where, f"the body meets the {what}", got, "room for it")
@@ -330,7 +332,7 @@ class MovingConductor(DeclaredPart):
         if y is not None and "time" in waves:
             path = Curve(part.name, 1e3 * waves["time"], 1e3 * y)
             panel = Panel("time in ms", "height in mm", (path,))
-            caption = f"Height of the lowest point of {part.name}."
+            caption = f"Height of the centre of mass of {part.name}."
             yield Figure(f"{part.name}_height", f"Path of {part.name}", caption, (panel,))
 
     def notes(self, part: Part, scene: Scene) -> Iterator[str | Neglected]:
@@ -372,10 +374,10 @@ def _depth(keys: Any, frequency: float) -> float:
 
 def _divided(keys: Any, rings: int, frequency: float) -> Cells:
     """The body in rings, fine enough for the skin depth at a frequency [Hz]."""
-    box = keys.inner, keys.radius, 0.0, _tall(keys), rings
+    box = keys.inner, keys.radius, -_tall(keys) / 2, _tall(keys) / 2, rings
 
     def inside(r: np.ndarray, z: np.ndarray) -> np.ndarray:
-        return np.asarray(r**2 + (z - keys.radius) ** 2 < keys.radius**2)
+        return np.asarray(r**2 + z**2 < keys.radius**2)
 
     ball = keys.shape == "sphere"
     return divided(*box, inside if ball else None, _depth(keys, frequency))
@@ -406,7 +408,10 @@ def _seen_frequency(part: Part, build: Build, waves: Waveforms) -> float:
     currents = [waves.data.get(f"{part.name}.{_coil(name)}") for name in part.keys.coils]
     if "time" not in waves:
         return 0.0
-    return max((energy_frequency(waves["time"], i) for i in currents if i is not None), default=0.0)
+    return max(
+        (energy_frequency(waves["time"], i, share=SEEN) for i in currents if i is not None),
+        default=0.0,
+    )
 
 
 def windings(keys: Moving) -> list[Winding]:

@@ -78,7 +78,7 @@ pins = { coil_p = "drive.out", a = "spring.a" }
 radius = "4 mm"
 width = "2 mm"
 height = "3 mm"
-y = "-4 mm"
+y = "-6 mm"
 turns = 200
 resistance = "10 Ohm"
 
@@ -102,7 +102,7 @@ sine = { amplitude = "1 V", frequency = "50 Hz" }
     ) -> Ladder:
         shape = keys.inner, keys.radius, keys.thickness
         share = 1 / (1 + demagnetising(*shape) * (keys.mu_r - 1))
-        ring = Ring(height=shape[2], outer=shape[1], inner=shape[0], y=shape[2] / 2)
+        ring = Ring(height=shape[2], outer=shape[1], inner=shape[0], y=0.0)
         return carried(
             sheets(ring, share), windings(keys), fixed, keys.y_min, keys.y_max, tolerance
         )

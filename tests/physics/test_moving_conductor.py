@@ -96,7 +96,8 @@ def test_currents_in_a_thin_skin_lose_what_dodd_and_deeds_have():
 def over(coil: Winding, drive=None, analysis=None, **keys):
     """A disc over a coil that carries an ampere."""
     keys = {"radius": 30e-3, "thickness": 2e-3, "conductivity": ALUMINIUM} | keys
-    winding = {"radius": coil.radius, "width": coil.width, "height": coil.height, "y": coil.y,
+    y = coil.y - keys["thickness"] / 2  # which counts from the disc's lower face
+    winding = {"radius": coil.radius, "width": coil.width, "height": coil.height, "y": y,
                "turns": coil.turns, "resistance": 1e-3}  # fmt: skip
     return {
         "name": "over",
@@ -132,7 +133,7 @@ def test_currents_above_the_frequency_of_the_loops_are_a_warning(drive, analysis
         assert check.passed == passed
         part = load_scene(tables).parts["disc"]
         full = part.type.build(part, load_scene(tables), Clock(silent), full=True)
-        assert full.frequency >= 2 * (100e3 if analysis is None else check.value / 1.1)
+        assert full.frequency >= 2 * (100e3 if analysis is None else check.value)
 
 
 def test_rings_too_coarse_for_a_skin_are_seen_by_finer_ones():
@@ -180,7 +181,7 @@ def test_a_ring_is_thrown_and_braked_as_by_its_two_laws(field, mass, top, low):
     resistance = 2 * np.pi * radius / (ALUMINIUM * side**2)
 
     def m(y: float) -> float:  # per ampere of the coil, or of the magnet's surface
-        place = y + side / 2
+        place = y
         if field == "coil":
             return circles(15e-3, radius, place)
         return quad(lambda z: circles(15e-3, radius, place + z) / high, 0, high)[0]

@@ -100,7 +100,7 @@ def test_a_magnet_over_a_loaded_coil_is_braked_as_by_its_law():
     waves = kc.run(scene).waves
 
     x, p = np.polynomial.legendre.leggauss(24)
-    s = TALL / 2 * (1 + x)
+    s = TALL / 2 * x
 
     def flux(y):
         return 200 * BR * TALL / MU_0 * (p / 2) @ circles(2.5e-3, RADIUS, y + s + 2.5e-3)
@@ -138,3 +138,28 @@ def test_a_magnet_over_a_loaded_coil_is_braked_as_by_its_law():
 def test_a_range_that_meets_a_coil_or_a_magnet_is_refused_by_key(given, words, tmp_path):
     with pytest.raises(UsageError, match=words):
         kc.run(SCENE, tmp_path, overrides=given)
+
+
+@pytest.mark.parametrize("kind", ["moving_magnet", "moving_conductor"])
+def test_the_height_of_a_body_is_that_of_its_centre_of_mass(kind):
+    """Two equal coils as far above as below its middle do not push a conductor there, and push a
+    magnet as much above it as below."""
+    coil = {"radius": 8e-3, "width": 1e-3, "height": 1e-3, "turns": 100, "resistance": 1.0}
+    own = {"remanence": 1.0} if kind == "moving_magnet" else {"conductivity": 3e7, "rings": 40}
+    scene = {
+        "name": "between",
+        "body": {"part": kind, "radius": 4e-3, "thickness": 5e-3, "y_min": -1e-3, "y_max": 1e-3,
+                 "coils": {"low": coil | {"y": -6e-3}, "high": coil | {"y": 6e-3}}, **own,
+                 "pins": {"low_p": "drive.out", "low_n": "body.high_p", "a": "holder.out"}},
+        "holder": {"part": "source", "kind": "displacement", "dc": 0.0},
+        "drive": {"part": "source", "kind": "current", "sine": {"frequency": 1e3}},
+        "solver": {"stop": 2e-3, "max_step": 1e-5},
+    }  # fmt: skip
+
+    def force(y):
+        holder = scene["holder"] | {"dc": y}
+        return np.abs(kc.run(scene | {"holder": holder}).waves["body.force"]).max()
+
+    above, below = force(0.8e-3), force(-0.8e-3)
+    assert above == pytest.approx(below, rel=1e-5)
+    assert force(0.0) < 1e-6 * above

@@ -253,7 +253,7 @@ def thrown(d):
     L = np.array([turns**2 * own(coil, 1e-4), own(ring, side)])
     loss = 2 * np.pi * ring / (metal * side**2)
     ohm, amp = w * L[0] * d.value(0.5, 5), d.value(1, 100)
-    m, slope = (turns * each for each in circles(ring, coil, top + side / 2))
+    m, slope = (turns * each for each in circles(ring, coil, top))
     induced = amp * w * m / np.hypot(loss, w * L[1])
     mass = float(f"{abs(slope) * amp * induced * d.stop**2 / d.value(4e-3, 4e-2):.4g}")
     keys, wave = d.wave(amp * np.hypot(ohm, w * L[0]))
@@ -267,7 +267,7 @@ def thrown(d):
     d.compared |= {f"{one}.y": 0, f"{one}.i_c": 1}
 
     def currents(x):
-        m, slope = (turns * each for each in circles(ring, coil, x[0] + side / 2))
+        m, slope = (turns * each for each in circles(ring, coil, x[0]))
         return np.linalg.solve([[L[0], m], [m, L[1]]], x[2:]), slope
 
     def rate(t, y):
@@ -322,7 +322,7 @@ def shaken(d):
         return [(r, 0.0, tall, middle, b * tall / MU) for r, b in sides if r]
 
     share = remanence / (1 + (recoil - 1) * demagnetised(inner, outer, tall))
-    body, heights = sheets(tall / 2, inner, outer, tall, share), np.linspace(-1.1, 1.1, 201) * reach
+    body, heights = sheets(0.0, inner, outer, tall, share), np.linspace(-1.1, 1.1, 201) * reach
 
     def through(windings):
         return CubicSpline(heights, sum(linked(s, w, heights) for s in body for w in windings))
@@ -348,7 +348,7 @@ def shaken(d):
         ohms[1] += load
     if rng.random() < 0.5:
         shape = outer * d.value(0.1, 0.4), outer * d.value(0.5, 1.5), outer * d.value(0.3, 1.5)
-        middle = -reach - outer * d.value(0.3, 1) - shape[2] / 2
+        middle = -reach - tall / 2 - outer * d.value(0.3, 1) - shape[2] / 2
         tesla = k * reach * rng.uniform(-0.2, 0.2)
         tesla = float(tesla / through(sheets(middle, *shape, 1.0))(0.0, 1))
         fixed = through(sheets(middle, *shape, tesla))

@@ -259,7 +259,7 @@ pins = {{ c_p = "drive.out", a = "held.a" }}
 radius = "8 mm"
 width = "1 mm"
 height = "1 mm"
-y = "-1 mm"
+y = "-2 mm"
 turns = 10
 resistance = "1 mOhm"
 [held]
