@@ -16,7 +16,7 @@ from kc2spice.netlist.cards import name as checked_name
 from kc2spice.netlist.circuit import Param, Pin, Subcircuit
 from kc2spice.rom.linear import Certificate, LinearModel, Port
 from kc2spice.rom.modal import Resonators, resonators
-from kc2spice.rom.network import parallel_branches
+from kc2spice.rom.network import ParallelBranches, parallel_branches
 from kc2spice.spice.branches import ABOUT, branch_cards, branch_pins
 from kc2spice.spice.emitted import circuit_error
 from kc2spice.spice.header import OUTWARDS, Header, parameter_list, part_header, rom_line
@@ -269,10 +269,7 @@ def subcircuit(
         rom = rom.select(list(ports))
     network = None if dense else parallel_branches(rom)
     if network is not None:
-        two, network_cards = branch_pins(rom.ports[0]), branch_cards(network, rom)
-        distinct([pin.name for pin in two], INNER, where=checked_name(name))
-        words = {"title": "passive network of a measured one-port", "rating": rating}
-        return enclosed(rom, name, two, "", (), header, (ABOUT, network_cards), **words)
+        return _network(network, rom, name, header, rating)
     form = _form(rom, dense)
     if noise and not isinstance(form, Resonators):
         rom = _with_forces(rom)
@@ -292,6 +289,16 @@ def subcircuit(
         about = [*about, *_NOISE.split("\n")]
     cards = about, body
     return enclosed(rom, name, pins, base, params, header, cards, title=title, rating=rating)
+
+
+def _network(
+    network: ParallelBranches, rom: LinearModel, name: str, header: Header, rating: str
+) -> Subcircuit:
+    """The subcircuit of the elements of a ``network``, whose matrices ``rom`` has."""
+    pins, cards = branch_pins(rom.ports[0]), (ABOUT, branch_cards(network, rom))
+    distinct([pin.name for pin in pins], INNER, where=checked_name(name))
+    title = "passive network of a measured one-port"
+    return enclosed(rom, name, pins, "", (), header, cards, title=title, rating=rating)
 
 
 def enclosed(
