@@ -30,6 +30,7 @@ from scipy.sparse.linalg import ArpackError, LinearOperator, eigs, eigsh
 from kc2spice.core.errors import SimulationError, UsageError, unknown
 from kc2spice.linalg.factor import require_factors
 from kc2spice.rom import blocks
+from kc2spice.rom.constraints import reduced_form
 from kc2spice.rom.entries import Entries
 from kc2spice.rom.linear import Certificate, LinearModel, Norm
 from kc2spice.rom.pencil import (
@@ -37,10 +38,8 @@ from kc2spice.rom.pencil import (
     Pencil,
     Schur,
     dense,
-    eliminated,
     largest,
     magnitudes,
-    proportional,
 )
 from kc2spice.rom.response import (
     FLANK,
@@ -144,7 +143,7 @@ def _energies(K: Matrix, M: Matrix, X: np.ndarray) -> np.ndarray:
 def band_end(pencil: Pencil, count: int, high: float) -> float:
     """Frequency [Hz] of the ``count``-th lowest natural mode, at most ``high``; ``high`` where
     there are fewer, or they cannot be computed. Rigid-body modes do not count."""
-    pencil = proportional(eliminated(pencil))
+    pencil = reduced_form(pencil)
     if pencil.degree != 2 or not pencil.symmetric or pencil.size <= count + 2:
         return high
     try:
@@ -248,7 +247,7 @@ def reduce(
         raise UsageError("not an order", where="order", got=order, expected="1 or more")
     if norm not in get_args(Norm):
         raise unknown("unknown norm", norm, get_args(Norm), "norm")
-    pencil = proportional(eliminated(model.pencil))
+    pencil = reduced_form(model.pencil)
     if not pencil.B.any() or not pencil.C.any():
         raise UsageError("has no effective input or output", where=model.name)
     band = band or model.band or natural_band(pencil)

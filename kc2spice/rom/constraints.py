@@ -1,0 +1,271 @@
+"""Models with constraints or infinite poles, as equivalent models without them.
+
+Rigid couplings of finite-element codes arrive with Lagrange multipliers::
+
+    M x'' + E x' + K x + G' l = B u        G x = 0
+
+The motions that the constraints leave are ``x = Z q``, ``G Z = 0``, and ``Z'MZ q'' + Z'EZ q' + Z'KZ
+q = Z'B u`` has the same response; the multipliers follow from the first equation. Symmetry and
+definiteness remain.
+
+A descriptor model ``E x' = A x + B u`` with a singular E has infinite poles. A basis that splits E
+into a regular part and zeros shows algebraic equations. Those that determine their unknowns (index
+1) are eliminated; the others are constraints with multipliers (index 2)::
+
+    E1 x' + P1 x + L l = B1 u        G x = B3 u        x = Z q + R u,  G R = B3
+
+Source: P. Kunkel and V. Mehrmann, Differential-Algebraic Equations (2006), chapters 2 and 3.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import scipy
+
+from kc2spice.core.errors import SimulationError
+from kc2spice.rom.entries import balance
+from kc2spice.rom.pencil import (
+    Matrix,
+    Pencil,
+    Schur,
+    dense,
+    eliminated,
+    first_order,
+    largest,
+    proportional,
+)
+
+DEPENDENT = 1e-12  # of the largest: a constraint that others imply
+# Singular values of a matrix below this times its size and eps are zero; E is a product of matrices
+# in many models.
+ZERO = 100.0
+DENSE = 2000  # states of a descriptor model whose E is split
+LARGEST_BLOCK = 5e7  # entries of the constraints as a full matrix
+NEGLIGIBLE = 1e-10  # relative size of a term that is zero but for rounding
+
+
+def unconstrained(pencil: Pencil) -> Pencil:
+    """The model without constraints that Lagrange multipliers enforce; the same pencil if there are
+    none, or if its response contains derivatives of its input."""
+    rest, *others = pencil.coefficients
+    if pencil.degree != 2 or isinstance(rest, Schur) or pencil.rayleigh is not None:
+        return pencil
+    multipliers = _multipliers(rest, others)
+    if not multipliers.any():
+        return pencil
+    keep, row = np.flatnonzero(~multipliers), np.flatnonzero(multipliers)
+    K, E, M = (_block(P, keep, keep) for P in pencil.coefficients)
+    G, L = _block(rest, row, keep), _block(rest, keep, row)
+    if pencil.B[row].any() or G.shape[0] * G.shape[1] > LARGEST_BLOCK:
+        return pencil
+    Z, rank = null_basis(G)
+    if Z.shape[1] == 0 or _far(
+        Z.T @ L, L
+    ):  # what the multipliers push against is not what they hold
+        return pencil
+    own = pencil.C[:, row].any()
+    if own and rank < len(row):
+        return pencil
+    parts = [_symmetrised(Z.T @ P @ Z, pencil.symmetric) for P in (K, E, M)]
+    if pencil.is_dense:
+        parts = [dense(P) for P in parts]
+    C = pencil.C[:, keep]
+    B = Z.T @ pencil.B[keep]
+    plain = Pencil(tuple(parts), B, B.T.copy() if pencil.collocated else C @ Z, pencil.D)
+    return _with_multipliers(plain, pencil, (K, E, M), L, Z) if own else plain
+
+
+def _multipliers(rest: Matrix, others: list[Matrix]) -> np.ndarray:
+    """Unknowns without inertia and damping whose own stiffness is zero, and that of all pairs."""
+    used = sum(np.asarray(abs(P).sum(axis=axis)).ravel() for P in others for axis in (0, 1))
+    result = (np.asarray(used) == 0) & (rest.diagonal() == 0)
+    found = np.flatnonzero(result)
+    if found.size:
+        among = abs(_block(rest, found, found))
+        result[found[np.asarray(among.sum(axis=0) + among.sum(axis=1)).ravel() > 0]] = False
+    return np.asarray(result)
+
+
+def null_basis(G: Matrix) -> tuple[scipy.sparse.csc_array, int]:
+    """Sparse Z (n, n - rank) with ``G Z = 0``, and the rank: some unknowns follow the others.
+
+    Examples
+    --------
+    >>> Z, rank = null_basis(np.array([[1.0, -1.0, 0.0], [2.0, -2.0, 0.0]]))
+    >>> rank, Z.toarray().tolist()
+    (1, [[1.0, 0.0], [1.0, 0.0], [0.0, 1.0]])
+    """
+    G = scipy.sparse.csc_array(G)
+    used = np.flatnonzero(np.asarray(abs(G).sum(axis=0)).ravel())
+    block = G[:, used].toarray()
+    block /= np.maximum(np.abs(block).max(axis=1, initial=0.0, keepdims=True), np.finfo(float).tiny)
+    R, order = scipy.linalg.qr(block, mode="r", pivoting=True)
+    size = np.abs(np.diag(R))
+    rank = int((size > DEPENDENT * size.max(initial=0.0)).sum())
+    followers, leaders = used[order[:rank]], used[order[rank:]]
+    follow = -scipy.linalg.solve_triangular(R[:rank, :rank], R[:rank, rank:])
+    follow[np.abs(follow) < DEPENDENT * np.abs(follow).max(initial=0.0)] = 0.0
+    free = np.setdiff1d(np.arange(G.shape[1]), followers)
+    column = np.empty(G.shape[1], dtype=int)
+    column[free] = np.arange(free.size)
+    i, j = np.nonzero(follow)
+    rows, columns = np.r_[free, followers[i]], np.r_[column[free], column[leaders[j]]]
+    values = np.r_[np.ones(free.size), follow[i, j]]
+    return scipy.sparse.csc_array((values, (rows, columns)), (G.shape[1], free.size)), rank
+
+
+def _with_multipliers(
+    plain: Pencil, pencil: Pencil, parts: tuple[Matrix, ...], L: Matrix, Z: Matrix
+) -> Pencil:
+    """With outputs that see multipliers, ``l = S^-1 L'M^-1 (B u - E x' - K x)``, ``S = L'M^-1 L``;
+    first order if these depend on velocities."""
+    row = np.flatnonzero(_multipliers(pencil.coefficients[0], list(pencil.coefficients[1:])))
+    keep = np.setdiff1d(np.arange(pencil.size), row)
+    K, E, M = (dense(P) for P in parts)
+    L, Z = dense(L), dense(Z)
+    try:
+        through = np.linalg.solve(M.T, L).T
+        lift = pencil.C[:, row] @ np.linalg.solve(through @ L, through)
+    except np.linalg.LinAlgError:
+        return pencil
+    small = plain.dense()
+    C = pencil.C[:, keep] @ Z - lift @ K @ Z
+    D = pencil.D + lift @ pencil.B[keep]
+    speed = -lift @ E @ Z
+    if np.abs(speed).max(initial=0.0) <= NEGLIGIBLE * (np.abs(lift) @ np.abs(E) @ np.abs(Z)).max():
+        return replace(small, C=C, D=D)
+    omega = float(np.sqrt(largest(K) / largest(M)))
+    result = first_order(replace(small, C=C, D=D), omega)
+    return replace(result, C=np.hstack([C, omega * speed]))
+
+
+def deflated(pencil: Pencil) -> Pencil:
+    """A descriptor model of first order without infinite poles; the same pencil if E is regular, if
+    the model is too large, or if its response contains derivatives of its input."""
+    if pencil.degree != 1 or pencil.size > DENSE or pencil.free:
+        return pencil
+    full = pencil.dense()
+    rest, inertia = full.coefficients
+    rows, columns = balance(np.abs(rest) / largest(rest) + np.abs(inertia) / largest(inertia))
+    if not _deficient(inertia / np.outer(rows, columns)):
+        return pencil
+    symmetric = pencil.symmetric
+    if symmetric:
+        rows = columns = np.sqrt(rows * columns)
+    P, E = rest / np.outer(rows, columns), inertia / np.outer(rows, columns)
+    B, C = full.B / rows[:, None], full.C / columns
+    U, V, rank = _split(E, symmetric or np.array_equal(inertia, inertia.T))
+    P, E, B, C = U.T @ P @ V, (U.T @ E @ V)[:rank, :rank], U.T @ B, C @ V
+    # algebraic equations: those that determine their unknowns, then constraints
+    U2, V2, regular = _split(P[rank:, rank:], symmetric, largest(P))
+    left, right = (scipy.linalg.block_diag(np.eye(rank), T) for T in (U2, V2))
+    P, B, C = left.T @ P @ right, left.T @ B, C @ right
+    known = slice(rank, rank + regular)
+    inner = P[known, known]
+    rest_of = np.r_[0:rank, rank + regular : len(P)]
+    held = np.linalg.solve(inner, np.hstack([P[known][:, rest_of], B[known]]))
+    keep = rest_of.size
+    D = full.D + C[:, known] @ held[:, keep:]
+    C = C[:, rest_of] - C[:, known] @ held[:, :keep]
+    B = B[rest_of] - P[rest_of][:, known] @ held[:, keep:]
+    P = P[np.ix_(rest_of, rest_of)] - P[rest_of][:, known] @ held[:, :keep]
+    result = _index_two(E, P, B, C, D, rank) if keep > rank else Pencil((P, E), B, C, D)
+    return pencil if result is None else _tidy(result, symmetric, pencil.collocated)
+
+
+def _index_two(
+    E: np.ndarray, P: np.ndarray, B: np.ndarray, C: np.ndarray, D: np.ndarray, n: int
+) -> Pencil | None:
+    """Without the constraints behind the first n equations; None where the index is higher, or the
+    response contains derivatives of the input."""
+    L, G, B3, C3 = P[:n, n:], P[n:, :n], B[n:], C[:, n:]
+    P, B, C = P[:n, :n], B[:n], C[:, :n]
+    try:
+        through = np.linalg.solve(E, L)  # E^-1 L
+        S = G @ through
+        size = np.linalg.svd(S, compute_uv=False)
+        if (
+            size[-1]
+            <= ZERO * len(E) * np.finfo(float).eps * np.abs(G).max() * np.abs(through).max()
+        ):
+            return None
+        R = through @ np.linalg.solve(S, B3)
+        lift = np.linalg.solve(S, np.linalg.solve(E.T, G.T).T)  # S^-1 G E^-1
+    except np.linalg.LinAlgError:
+        return None
+    Z, W = scipy.linalg.null_space(G), scipy.linalg.null_space(L.T)
+    if Z.shape != W.shape:
+        return None
+    B3 = np.where(np.abs(B3) <= NEGLIGIBLE * np.abs(B).max(initial=0.0), 0.0, B3)
+    slope = C3 @ np.linalg.solve(S, B3)
+    if np.abs(slope).max(initial=0.0) > NEGLIGIBLE * (np.abs(C3).max() * np.abs(B3).max()):
+        return None
+    if symmetric := np.allclose(W @ (W.T @ Z), Z, atol=1e-10):
+        W = Z
+    drive = B - P @ R
+    D = D + C @ R + C3 @ lift @ drive
+    C = C @ Z - C3 @ lift @ P @ Z
+    parts = W.T @ P @ Z, W.T @ E @ Z
+    return (
+        Pencil(parts, W.T @ drive, C, D) if symmetric or np.linalg.cond(parts[1]) < 1e12 else None
+    )
+
+
+def _deficient(matrix: np.ndarray) -> bool:
+    """Whether a matrix is singular but for rounding."""
+    lu, _, singular = scipy.linalg.lapack.dgetrf(matrix)
+    norm = float(np.abs(matrix).sum(axis=0).max(initial=0.0))
+    inverse = 0.0 if singular else scipy.linalg.lapack.dgecon(lu, norm)[0]
+    return bool(inverse <= ZERO * len(matrix) * np.finfo(float).eps)
+
+
+def _split(
+    matrix: np.ndarray, symmetric: bool, scale: float = 0.0
+) -> tuple[np.ndarray, np.ndarray, int]:
+    """Orthogonal U and V and the rank: ``U'PV`` is regular in front, and zero elsewhere."""
+    if symmetric and np.abs(matrix - matrix.T).max(initial=0.0) <= 1e-12 * largest(matrix):
+        values, U = np.linalg.eigh(0.5 * (matrix + matrix.T))
+        order = np.argsort(-np.abs(values))
+        size, U = np.abs(values[order]), U[:, order]
+        V = U
+    else:
+        U, size, Vt = np.linalg.svd(matrix)
+        V = Vt.T
+    limit = ZERO * len(matrix) * np.finfo(float).eps * max(size.max(initial=0.0), scale)
+    return U, V, int((size > limit).sum())
+
+
+def _tidy(pencil: Pencil, symmetric: bool, collocated: bool) -> Pencil:
+    """With the symmetry that the given model has, which products round."""
+    parts = pencil.coefficients
+    if symmetric:
+        parts = tuple(0.5 * (P + P.T) for P in parts)
+    near = pencil.B.shape == pencil.C.T.shape and not _far(pencil.C.T - pencil.B, pencil.B)
+    C = pencil.B.T.copy() if symmetric and collocated and near else pencil.C
+    return Pencil(parts, pencil.B, C, pencil.D)
+
+
+def _far(difference: Matrix, reference: Matrix) -> bool:
+    """Whether a difference is more than rounding of the reference."""
+    return largest(difference) > NEGLIGIBLE * largest(reference)
+
+
+def _block(P: Matrix, rows: np.ndarray, columns: np.ndarray) -> Matrix:
+    return P[np.ix_(rows, columns)] if isinstance(P, np.ndarray) else P[rows][:, columns]
+
+
+def _symmetrised(P: Matrix, symmetric: bool) -> Matrix:
+    P = scipy.sparse.csc_array(P) if scipy.sparse.issparse(P) else P
+    return 0.5 * (P + P.T) if symmetric else P
+
+
+def reduced_form(pencil: Pencil) -> Pencil:
+    """The equivalent model that a reduction starts from: without constraints, unknowns without
+    inertia and damping, and infinite poles."""
+    try:
+        pencil = deflated(eliminated(unconstrained(pencil)))
+    except (SimulationError, np.linalg.LinAlgError):
+        pencil = eliminated(pencil)
+    return proportional(pencil)
