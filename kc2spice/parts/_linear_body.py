@@ -18,7 +18,7 @@ from pydantic import Field, StringConstraints
 
 from kc2spice.core import laws
 from kc2spice.core.cache import cached
-from kc2spice.core.errors import UsageError, unknown, wrong
+from kc2spice.core.errors import SimulationError, UsageError, unknown, wrong
 from kc2spice.core.figure import Figure, Written
 from kc2spice.core.foreign import identifier
 from kc2spice.core.progress import Clock
@@ -58,8 +58,16 @@ ANSWERS = {
 RATED = "electrodes, as stated or by the field in its ceramic; the netlist itself has no limit"
 BEYOND = "the ceramic depolarises or breaks down; lower the drive, or state another limit"
 OUTSIDE = "nothing certifies what a reduced model says above its band: widen rom.band"
+TWICE = 2  # states of a reduced model that is advised, per state of one that is too coarse
 WRONG, COARSE_ROM = 0.1, 0.01  # certified relative errors that fail a run, or are warned of
 REDUCED = "the reduced model is that far off somewhere in its band: set rom.tolerance, or rom.order"
+LOADED = "rms of displacement or charge, under the run's own loads"
+FEWER = "a model of {} states answers the run's own forces and voltages that differently: set {}"
+SHARP = (
+    "the reduced model is that far off at some frequency of its band, such as a sharp resonance, "
+    "and what rings on after the loads of this run drifts out of phase: set rom.tolerance, or a "
+    "larger rom.order, if that ringing matters"
+)
 GROWS = "the body has motions that grow by themselves: check signs and halves of its matrices"
 LOST = "the full model has motions that grow by themselves, and the reduced one does not hold them"
 STEEP = "its current within an edge is off: widen rom.band, or give the drive the edge that it has"
@@ -470,9 +478,7 @@ class LinearBody(Touching):
         model: LinearModel = build.model(part)
         result = model.certificate
         if result is not None:
-            error = result.error_estimate
-            limit, action = (WRONG, "fail") if error > WRONG else (COARSE_ROM, "warn")
-            yield Check(f"reduction of {part.name}", error, limit, "", REDUCED, action)  # type: ignore[arg-type]
+            yield from self._reduced(part, build, waves, result)
             if result.stable is False:
                 lost = structure(model.pencil.dense(), result.band_hz).stable
                 advice, then = (LOST, "fail") if lost else (GROWS, "warn")
@@ -512,6 +518,68 @@ class LinearBody(Touching):
             name = f"charge kept by {part.name}.{port} if it floats"
             advice = "the netlist's leak: a resistor across the electrode states the real one"
             yield Check(name, leaked, KEPT, "of it lost", advice, "warn")
+
+    def _reduced(
+        self, part: Part, build: Build, waves: Waveforms, certificate: Certificate
+    ) -> Iterator[Check]:
+        """How far its reduced model is off: at the worst frequency of its band; in a transient,
+        where that is too much, under the recorded loads.
+
+        A pointwise error at a sharp resonance is no error of what the loads do. The recorded forces
+        and voltages weight the error by their spectrum: a model of more states answers them too.
+        """
+        name, error = part.name, certificate.error_estimate
+        if "time" in waves and error > WRONG:
+            loaded = self._error_under_load(part, build, waves, certificate.band_hz)
+            if loaded is not None:
+                worst, states = loaded
+                target = self.reduction(part, build.scene)
+                order = TWICE * (target.order or build.model(part).order)
+                key = "rom.order" if part.keys.rom is None else f"{name}.rom.order"
+                check = _reduction_check(
+                    name, worst, LOADED, FEWER.format(states, f"{key} = {order}")
+                )
+                chosen = self._chosen(part, build.scene) is not None or target.order is None
+                yield replace(check, suggested=None if chosen else (key, order))
+                what = f"resonances of {name}"
+                yield Check(what, error, COARSE_ROM, "of a response", SHARP, "warn")
+                return
+        yield _reduction_check(name, error, "", REDUCED)
+
+    def _error_under_load(
+        self, part: Part, build: Build, waves: Waveforms, band: tuple[float, float]
+    ) -> tuple[float, int] | None:
+        """Largest error of any port's answer to the run's own loads while these change, and the
+        states of the model that it is judged by; None where a load is not known, or no such model.
+        """
+        model: LinearModel = build.model(part)
+        loads = self.loads(part, build, waves)
+        if not all(name in loads for name in model.inputs):
+            return None
+        from kc2spice.rom.enriched import enriched, last_change, time_errors
+
+        t, load = waves["time"], np.column_stack([loads[name] for name in model.inputs])
+        count = last_change(load) + 1
+        asked = {**self.model_key(part, build.scene), "enriched": model.order}
+
+        def richer() -> LinearModel | None:
+            full = part.type.build(part, build.scene, Clock(), full=True)
+            if full is None:
+                return None
+            try:
+                return enriched(full, asked["enriched"], band)
+            except (SimulationError, UsageError):
+                return None
+
+        kinds = (LinearModel, Certificate, Port)
+        rich = cached("enriched", asked, richer, classes=kinds, sources=self.sources())
+        if rich is None or count < 2:
+            return None
+        driven = [port.kind == "electrical" for port in model.ports if port.kind != "output"]
+        masks = [np.array(driven), ~np.array(driven)]
+        groups = [mask for mask in masks if mask.any()]
+        errors = time_errors(model, rich, t[:count], load[:count], groups)
+        return None if errors is None else (max(errors.values(), default=0.0), rich.order)
 
     def _excited(
         self, part: Part, build: Build, waves: Waveforms, certificate: Certificate
@@ -690,6 +758,12 @@ def _with_units(figures: Mapping[str, Any]) -> dict[str, Any]:
         else Metric(value, UNITS.get(name, ""))
         for name, value in figures.items()
     }
+
+
+def _reduction_check(name: str, error: float, unit: str, advice: str) -> Check:
+    """A check of a reduced model's error, which warns before it fails."""
+    limit, action = (WRONG, "fail") if error > WRONG else (COARSE_ROM, "warn")
+    return Check(f"reduction of {name}", error, limit, unit, advice, action)  # type: ignore[arg-type]
 
 
 def loss_tangent(part: Part) -> float:

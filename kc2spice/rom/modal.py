@@ -320,7 +320,7 @@ def chip_response(
     z[:, heavy:] = drive[:, heavy:] / model.omega[heavy:] ** 2
     slow = heavy + np.flatnonzero(model.damp[heavy:])  # those undamped follow at once
     damp = model.damp[slow]
-    z[:, slow] = _march(-(model.omega[slow] ** 2) / damp, t, drive[:, slow] / damp).real
+    z[:, slow] = march(-(model.omega[slow] ** 2) / damp, t, drive[:, slow] / damp).real
     stored = (rate**2).sum(axis=1) / 2 + ((model.omega * z) ** 2).sum(axis=1) / 2
     stored += np.einsum("nk,kl,nl->n", load, model.D, load) / 2
     return z @ model.gain + load @ model.D, stored
@@ -333,15 +333,15 @@ def resonant(
     equilibrium and is linear between the times."""
     a, b = _roots(omega, damp)
     if (b == a.conj()).all():  # then x_b is the conjugate of x_a
-        x_a = _march(a, t, drive)
+        x_a = march(a, t, drive)
         x_b = x_a.conj()
     else:
-        both = _march(np.concatenate([a, b]), t, np.tile(drive, 2))
+        both = march(np.concatenate([a, b]), t, np.tile(drive, 2))
         x_a, x_b = both[:, : a.size], both[:, a.size :]
     return ((x_a - x_b) / (a - b)).real, ((a * x_a - b * x_b) / (a - b)).real
 
 
-def _march(roots: np.ndarray, t: np.ndarray, drive: np.ndarray) -> np.ndarray:
+def march(roots: np.ndarray, t: np.ndarray, drive: np.ndarray) -> np.ndarray:
     """(n, roots) of ``x' = a x + r`` from equilibrium.
 
     Rows of steps are followed side by side from zero, then each from where the one before ends.
