@@ -10,7 +10,17 @@ from typing import Any, Literal
 from pydantic import Field, model_validator
 
 from kc2spice.core.errors import UsageError
-from kc2spice.core.quantities import Count, Frequency, Length, Mounting, Section, Stiffness
+from kc2spice.core.quantities import (
+    Count,
+    Extent,
+    Frequency,
+    Length,
+    Mounting,
+    Section,
+    Stiffness,
+    Thickness,
+    Width,
+)
 from kc2spice.fem.keys import Damping
 from kc2spice.fem.materials import Material, material
 
@@ -70,7 +80,7 @@ class ChipDamping(Damping):
 class Cap(Section):
     """A layer without field at one end: the stack's own ceramic, not poled, unless ``material``."""
 
-    thickness: Length = Field(gt=0, description="Thickness of the inactive layer")
+    thickness: Thickness = Field(gt=0, description="Thickness of the inactive layer")
     material: str | dict[str, Any] | None = Field(
         None,
         description=(
@@ -88,14 +98,14 @@ class Chip(Section):
     along x.
     """
 
-    side: Length = Field(3e-3, gt=0, description="Width of a rectangular chip")
-    depth: Length | None = Field(
+    side: Width = Field(3e-3, gt=0, description="Width of a rectangular chip")
+    depth: Width | None = Field(
         None, gt=0, description="Second width of a rectangular chip; by default equal to side"
     )
-    diameter: Length | None = Field(
+    diameter: Width | None = Field(
         None, gt=0, description="Diameter of a round stack, instead of side"
     )
-    height: Length = Field(2e-3, gt=0, description="Height of all layers together")
+    height: Extent = Field(2e-3, gt=0, description="Height of all layers together")
     layers: Count = Field(33, ge=1, le=400, description="Number of active layers")
     layer_thickness: Length | None = Field(
         None, gt=0, description="Thickness of one layer, instead of height"

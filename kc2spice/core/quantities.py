@@ -16,7 +16,14 @@ from functools import partial
 from numbers import Real
 from typing import Annotated, Any, Literal, TypeVar, get_args
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Strict, ValidationError
+from pydantic import (
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    PlainValidator,
+    Strict,
+    ValidationError,
+)
 from pydantic.fields import FieldInfo
 from pydantic_core import ErrorDetails, PydanticCustomError
 
@@ -131,6 +138,12 @@ def unit_of(field: FieldInfo) -> str | None:
         if isinstance(meta, BeforeValidator) and isinstance(meta.func, partial):
             return str(meta.func.args[0])
     return None
+
+
+def role_of(field: FieldInfo) -> Plausible | None:
+    """The range of plausible values that a key's role has, None where it declares none."""
+    nested = [meta for arg in get_args(field.annotation) for meta in get_args(arg)[1:]]
+    return next((meta for meta in (*field.metadata, *nested) if isinstance(meta, Plausible)), None)
 
 
 def dotted(path: KeyPath) -> str:
@@ -274,12 +287,25 @@ def _rings(value: object) -> object:
     raise refused("no such choice", "needed, all, or a whole number from 1 on")
 
 
-def _place(value: object) -> float:
-    for unit in ("Hz", "s", "V", "A", "N", "m"):
+class ScalePlace(float):
+    """A place on the scale of an analysis; ``unit`` is empty where its author wrote none."""
+
+    unit: str = ""
+
+
+SCALE_UNITS = ("Hz", "s", "V", "A", "N", "m", "m/s2")  # of analyses: frequency, time, swept keys
+
+
+def _place(value: object) -> ScalePlace:
+    if isinstance(value, ScalePlace):
+        return value
+    for unit in SCALE_UNITS:
         try:
-            return quantity(value, unit)
+            result = ScalePlace(quantity(value, unit))
         except UsageError:
             continue
+        result.unit = unit if isinstance(value, str) else ""
+        return result
     raise refused("no place on the scale", 'such as "46 Hz" or "2 ms"')
 
 
@@ -299,7 +325,24 @@ def si(unit: str) -> BeforeValidator:
     return BeforeValidator(partial(_number, unit))
 
 
+@dataclass(frozen=True)
+class Plausible:
+    """Marks a key by the role of its number: such things are ``low`` to ``high`` in ``unit``, and
+    ``why`` nothing else is made. Zero is none of it, such as no mass at a tip."""
+
+    unit: str
+    low: float
+    high: float
+    why: str
+
+
 Length = Annotated[float, si("m")]
+# Dimensions of what is made: of layers and plates, across a device, along it.
+Thickness = Annotated[
+    Length, Plausible("m", 1e-7, 0.03, "films begin at 0.1 um, plates end at 3 cm")
+]
+Width = Annotated[Length, Plausible("m", 1e-6, 0.5, "transducers are 1 um to half a metre wide")]
+Extent = Annotated[Length, Plausible("m", 1e-6, 1.0, "transducers are 1 um to a metre long")]
 Time = Annotated[float, si("s")]
 Frequency = Annotated[float, si("Hz")]
 Voltage = Annotated[float, si("V")]
@@ -315,13 +358,14 @@ Rate = Annotated[float, si("1/s")]
 Resistance = Annotated[float, si("Ohm")]
 Capacitance = Annotated[float, si("F")]
 Inductance = Annotated[float, si("H")]
-Mass = Annotated[float, si("kg")]
+MASSES = Plausible("kg", 1e-18, 1e3, "no transducer moves less than a femtogram or more than a ton")
+Mass = Annotated[float, si("kg"), MASSES]
 MechanicalDamping = Annotated[float, si("N s/m")]
 Charge = Annotated[float, si("C")]
 Slew = Annotated[float, si("V/s")]
 Ratio = Annotated[float, si("")]
 Count = Annotated[int, Strict()]
-Place = Annotated[float, BeforeValidator(_place)]
+Place = Annotated[float, PlainValidator(_place)]
 Rings = Annotated[Literal["needed", "all"] | int, BeforeValidator(_rings)]
 Mounting = Annotated[Literal["roller", "glued", "free"] | float, BeforeValidator(_mounting)]
 GateLength = Annotated[float, BeforeValidator(partial(_number_with_unit, "m"))]

@@ -25,7 +25,16 @@ from pydantic import Field, StringConstraints, model_validator
 
 from kc2spice.bodies.device import Block, Bonded, Box
 from kc2spice.core.errors import wrong
-from kc2spice.core.quantities import Count, Length, Mass, Section, validated
+from kc2spice.core.quantities import (
+    Count,
+    Extent,
+    Length,
+    Mass,
+    Section,
+    Thickness,
+    Width,
+    validated,
+)
 from kc2spice.fem.keys import Damping, Mesh
 from kc2spice.fem.materials import material
 from kc2spice.parts._meshed import BondedBody, FieldKeys
@@ -39,7 +48,7 @@ class Layer(Section):
     """One layer, over the whole beam."""
 
     material: str | dict[str, Any] = Field(description="Material of the layer, a name or a table")
-    thickness: Length = Field(gt=0, description="Thickness of the layer")
+    thickness: Thickness = Field(gt=0, description="Thickness of the layer")
 
 
 class BimorphKeys(FieldKeys):
@@ -50,8 +59,8 @@ class BimorphKeys(FieldKeys):
     whole plate), by distance from the clamp.
     """
 
-    length: Length = Field(gt=0, description="Free length of the beam")
-    width: Length = Field(gt=0, description="Width of the beam")
+    length: Extent = Field(gt=0, description="Free length of the beam")
+    width: Width = Field(gt=0, description="Width of the beam")
     layers: tuple[Layer, ...] = Field(min_length=1)
     wiring: Literal["series", "parallel"] | None = Field(
         None, description="Electrical connection of two ceramic layers"

@@ -22,7 +22,7 @@ from pydantic import Field, model_validator
 
 from kc2spice.bodies.device import Block, Bonded, Box
 from kc2spice.core.errors import UsageError, wrong
-from kc2spice.core.quantities import Length, Ratio, Section, validated
+from kc2spice.core.quantities import Length, Ratio, Section, Thickness, Width, validated
 from kc2spice.fem.keys import Damping, Mesh
 from kc2spice.fem.materials import material
 from kc2spice.parts._meshed import BondedBody, FieldKeys
@@ -40,7 +40,7 @@ class Feedback(Section):
     inner: Length = Field(
         0.0, ge=0, description="Inner radius of the feedback electrode; 0 makes it a disc"
     )
-    outer: Length = Field(gt=0, description="Outer radius of the feedback electrode")
+    outer: Width = Field(gt=0, description="Outer radius of the feedback electrode")
     gap: Length = Field(
         0.5e-3, gt=0, description="Width of bare ceramic between feedback and main electrode"
     )
@@ -50,8 +50,8 @@ class Layer(Section):
     """One disc. ``electrodes`` is the diameter of its electrodes where it lies on no metal."""
 
     material: str | dict[str, Any] = Field(description="Material of the layer, a name or a table")
-    diameter: Length = Field(gt=0, description="Outer diameter of the layer")
-    thickness: Length = Field(gt=0, description="Thickness of the layer")
+    diameter: Width = Field(gt=0, description="Outer diameter of the layer")
+    thickness: Thickness = Field(gt=0, description="Thickness of the layer")
     electrodes: Length | None = Field(
         None, gt=0, description="Diameter of the layer's electrodes; by default the whole face"
     )

@@ -17,7 +17,16 @@ from pydantic import Field, model_validator
 
 from kc2spice.bodies.device import Block, Bonded, Box
 from kc2spice.core.errors import wrong
-from kc2spice.core.quantities import Count, Length, Ratio, Section, validated
+from kc2spice.core.quantities import (
+    Count,
+    Extent,
+    Length,
+    Ratio,
+    Section,
+    Thickness,
+    Width,
+    validated,
+)
 from kc2spice.fem.keys import Damping, Mesh
 from kc2spice.fem.materials import material
 from kc2spice.parts._meshed import BondedBody, FieldKeys
@@ -40,16 +49,16 @@ class Piece(Section):
 class Cylinder(Piece):
     """One step of a mass."""
 
-    diameter: Length = Field(gt=0, description="Outer diameter of the cylinder")
-    length: Length = Field(gt=0, description="Length of the cylinder along the axis")
+    diameter: Width = Field(gt=0, description="Outer diameter of the cylinder")
+    length: Extent = Field(gt=0, description="Length of the cylinder along the axis")
 
 
 class Rings(Piece):
     """``count`` equal rings (even, so that both masses are cathodes)."""
 
-    outer: Length = Field(gt=0, description="Outer diameter of the ceramic rings")
+    outer: Width = Field(gt=0, description="Outer diameter of the ceramic rings")
     inner: Length = Field(gt=0, description="Diameter of the bore of the ceramic rings")
-    thickness: Length = Field(gt=0, description="Thickness of one ceramic ring")
+    thickness: Thickness = Field(gt=0, description="Thickness of one ceramic ring")
     count: Count = Field(2, ge=2, le=20, description="Number of ceramic rings, even")
 
     @model_validator(mode="after")
@@ -65,8 +74,8 @@ class Bolt(Piece):
     """The bolt along the axis; it reaches ``depth`` into the front mass and through all of the
     back mass, where its head (if any) sits on the end."""
 
-    diameter: Length = Field(gt=0, description="Diameter of the bolt's shank")
-    depth: Length | None = Field(
+    diameter: Width = Field(gt=0, description="Diameter of the bolt's shank")
+    depth: Width | None = Field(
         None,
         gt=0,
         description=(

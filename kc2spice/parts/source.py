@@ -146,7 +146,9 @@ class Source(PartType):
 
     def numerics(self, part: Part, scene: Scene) -> Iterator[Numerics]:
         yield from drive_scales(part.name, part.keys.waveform(scene.home))
-        yield Numerics(part.name, prescribes=quantity(part.keys.ac, part.keys.unit) != 0)
+        train = part.keys.pulse and part.keys.pulse.count is None and part.keys.pulse.period
+        prescribes = quantity(part.keys.ac, part.keys.unit) != 0
+        yield Numerics(part.name, prescribes=prescribes, period=train or 0.0)
 
     def highest_frequency(self, part: Part, scene: Scene, constant: float) -> float:
         behind = constant if part.keys.kind in SMOOTHED else 0.0
@@ -251,7 +253,7 @@ def drive_scales(name: str, wave: Waveform) -> Iterator[Numerics]:
     if not wave.straight:
         f = wave.frequency
         what = f"1/{PER_PERIOD} of a period of {name}, a sine at {f:g} Hz"
-        yield Numerics(what, 1 / (PER_PERIOD * f), HARMONICS * f)
+        yield Numerics(what, 1 / (PER_PERIOD * f), HARMONICS * f, period=1 / f)
     else:
         times, values = np.array(wave.points).T
         moving = np.diff(times)[np.diff(values) != 0]

@@ -28,10 +28,18 @@ from kc2spice.core.foreign import (
     read_bounded,
     text_of,
 )
-from kc2spice.core.quantities import clipped, dotted, entries, shown, told
+from kc2spice.core.quantities import clipped, dotted, entries, quantity, shown, told, unit_of
 from kc2spice.scene.compose import composed, unsettled
-from kc2spice.scene.model import GROUND, SHORT, Analysis, Frame, Names, Part, Scene
-from kc2spice.scene.parttype import Build, PartType, numerics, part_type, type_names
+from kc2spice.scene.model import GROUND, SCALE_OF, SHORT, Analysis, Frame, Names, Part, Scene
+from kc2spice.scene.parttype import (
+    EVEN,
+    Build,
+    PartType,
+    drive_period,
+    numerics,
+    part_type,
+    type_names,
+)
 from kc2spice.scene.plausible import ImplausibleError, drive_levels, judged
 
 MOST_POINTS = 1e7  # time points of a transient at its largest step
@@ -136,17 +144,73 @@ def problems(scene: Scene) -> Iterator[UsageError]:
                 got=repr(selected.sweep),
                 expected="PART.KEY with a part of the scene: " + ", ".join(scene.parts),
             )
+        unit = _scale_unit(scene)
+        for key, value in (("from", selected.from_), ("to", selected.to)):
+            if unit is not None and isinstance(value, str):
+                quantity(value, unit, where=f"analysis.{key}")
     for name, probe in scene.probes.items():
-        band = (selected.start, selected.stop or 0.0)
-        ends = {"ac": band, "noise": band, "transient": (0.0, scene.stop)}
-        first, last = ends.get(selected.type, (-inf, inf))
-        if probe.at is not None and not first <= probe.at <= last:
-            yield UsageError(
-                "outside the analysis",
-                where=f"probes.{name}.at",
-                got=f"{probe.at:g}",
-                expected=f"{first:g} … {last:g} {'Hz' if selected.small else 's'}",
-            )
+        for key, place in probe.places.items():
+            yield from _misplaced(f"probes.{name}.{key}", place, scene)
+        if probe.periods is not None:
+            yield from _no_periods(f"probes.{name}.periods", probe.periods, scene)
+
+
+def _no_periods(where: str, count: int, scene: Scene) -> Iterator[UsageError]:
+    """Why a transient has no such window of its last periods."""
+    if scene.analysis.type != "transient":
+        got, expected = f"{scene.analysis.type} analysis", "a transient, or from and to"
+        yield UsageError("only a transient has periods", where=where, got=got, expected=expected)
+        return
+    period, known = drive_period(scene), sorted({row.period for row in numerics(scene)} - {0.0})
+    if period is None:
+        told = ", ".join(f"{each:.4g} s" for each in known)
+        yield UsageError(
+            "the sources of this scene have no common period",
+            where=where,
+            got=f"periods {told}" if told else "no source with a period",
+            expected="sines and pulse trains whose periods divide the longest one",
+            hint='give the window by from and to, such as from = "8 ms"',
+        )
+    elif count * period > scene.stop * (1 + EVEN):
+        got = f"{count} periods of {period:.4g} s"
+        expected = f"at most {scene.stop:g} s, the end of the transient"
+        yield UsageError("the window is longer than the run", where=where, got=got,
+                         expected=expected)  # fmt: skip
+
+
+def _misplaced(where: str, place: float, scene: Scene) -> Iterator[UsageError]:
+    """Why a place is none on the scale of the scene's analysis."""
+    selected, own = scene.analysis, getattr(place, "unit", "")
+    unit = _scale_unit(scene)
+    if own and unit is not None and own != unit:
+        examples = {"s": '"2 ms"', "Hz": '"46 Hz"', "": "a plain number"}
+        expected = f"a value in {unit}, such as {examples.get(unit, repr(f'1 {unit}'))}"
+        got = f"a value in {own}"
+        words = f"not on the scale of an {selected.type} analysis"
+        words = words.replace("an transient", "a transient").replace("an dc", "a dc")
+        yield UsageError(words, where=where, got=got, expected=expected)
+        return
+    band = (selected.start, selected.stop or 0.0)
+    ends = {"ac": band, "noise": band, "transient": (0.0, scene.stop)}
+    first, last = ends.get(selected.type, (-inf, inf))
+    if not first <= place <= last:
+        expected = f"{first:g} … {last:g} {unit or ''}".rstrip()
+        got = f"{place:g}"
+        yield UsageError("outside the analysis", where=where, got=got, expected=expected)
+
+
+def _scale_unit(scene: Scene) -> str | None:
+    """Unit of the scale of the scene's analysis, None where that is not known."""
+    selected = scene.analysis
+    if selected.type != "dc":
+        return SCALE_OF.get(selected.type)
+    name, _, key = (selected.sweep or "").partition(".")
+    part = scene.parts.get(name)
+    if part is None:
+        return None
+    own = getattr(part.keys, "unit", None)
+    field = type(part.keys).model_fields.get(key)
+    return own if isinstance(own, str) else None if field is None else unit_of(field)
 
 
 _WORD, _INDEX = r"[A-Za-z_][A-Za-z0-9_]*", r"\[-?[0-9]{1,6}\]"

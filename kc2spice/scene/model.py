@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
-from pydantic import Field, field_validator, model_validator
+from pydantic import Field, ValidationInfo, field_validator, model_validator
 
 from kc2spice.core.errors import UsageError, unknown
 from kc2spice.core.quantities import (
@@ -28,6 +28,7 @@ from kc2spice.core.quantities import (
     Ratio,
     Section,
     Time,
+    quantity,
     refused,
 )
 
@@ -368,6 +369,9 @@ class Part:
         return f"<{self.type.name} {self.name}{': ' + joined if joined else ''}>"
 
 
+SCALE_OF = {"transient": "s", "ac": "Hz", "noise": "Hz"}  # units by type of analysis
+
+
 class Analysis(Section):
     """What the simulator does with the circuit."""
 
@@ -395,6 +399,18 @@ class Analysis(Section):
         description=("Whether a dc analysis returns to its first value; its scale goes on growing"),
     )
 
+    @field_validator("stop", mode="before")
+    @classmethod
+    def _stops(cls, stop: Any, info: ValidationInfo) -> Any:
+        """The end of a transient is a time, that of ac and noise a frequency."""
+        unit = SCALE_OF.get(info.data.get("type", ""))
+        if stop is None or unit is None:
+            return stop
+        try:
+            return quantity(stop, unit)
+        except UsageError as error:
+            raise refused(error.message, error.expected) from None
+
     @model_validator(mode="after")
     def _from_zero(self) -> Analysis:
         """A range from 0 Hz is linear, unless its author says otherwise."""
@@ -413,7 +429,8 @@ class Probe(Section):
 
     ``argmax`` is where on the scale (Hz in ``ac``, s in a transient) the largest value lies,
     ``value`` what the vector has ``at`` a place of the scale, ``frequency`` the mean rate of its
-    cycles over the last half of the run. Complex values are taken by magnitude.
+    cycles over the last half of the run. Complex values are taken by magnitude. A window, ``from``
+    and ``to`` or the last ``periods``, is all that a probe reads, such as a steady state.
     """
 
     of: str = Field(
@@ -443,6 +460,26 @@ class Probe(Section):
     level: Ratio | None = Field(
         None, description="Level of a crossing, in the SI unit of the result"
     )
+    from_: Place | None = Field(
+        None, alias="from", description="First frequency, time or swept value that the probe reads"
+    )
+    to: Place | None = Field(
+        None, description="Last frequency, time or swept value that the probe reads"
+    )
+    periods: Count | None = Field(
+        None,
+        ge=1,
+        description=(
+            "Number of the last periods of the scene's sources that the probe reads, instead of "
+            "from and to"
+        ),
+    )
+
+    @property
+    def places(self) -> dict[str, float]:
+        """Its places on the scale of the analysis by their keys."""
+        given = {"at": self.at, "from": self.from_, "to": self.to}
+        return {key: place for key, place in given.items() if place is not None}
 
     @model_validator(mode="before")
     @classmethod
@@ -454,6 +491,13 @@ class Probe(Section):
         for take, key in (("value", "at"), ("crossing", "level")):
             if (self.take == take) != (getattr(self, key) is not None):
                 raise refused(f"{key} goes with {take}", f'take = "{take}" and {key}, or neither')
+        window = (self.from_, self.to, self.periods)
+        if self.at is not None and any(item is not None for item in window):
+            raise refused("at beside a window", "at, or from and to, or periods")
+        if self.periods is not None and (self.from_ is not None or self.to is not None):
+            raise refused("periods beside from or to", "periods, or from and to")
+        if self.from_ is not None and self.to is not None and self.from_ >= self.to:
+            raise refused("empty window", "from < to")
         return self
 
 

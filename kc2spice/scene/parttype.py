@@ -125,7 +125,8 @@ class Numerics:
     ``content`` [Hz] up to which it excites others; whether it ``prescribes`` small signals of
     ``ac``. A step that ``decides`` stands whatever else the scene has. ``reltol`` and ``chgtol``
     are factors, 1 or less, of the solver's tolerances that it needs to be as exact as anything
-    else, ``options`` the simulator's by name: value and reason.
+    else, ``options`` the simulator's by name: value and reason. What it drives repeats after its
+    ``period`` [s], 0 where it does not.
     """
 
     what: str
@@ -135,6 +136,7 @@ class Numerics:
     decides: bool = False
     reltol: float = 1.0
     chgtol: float = 1.0
+    period: float = 0.0
     options: Mapping[str, tuple[str, str]] = field(default_factory=dict)
 
 
@@ -210,6 +212,8 @@ class PartType:
     example: ClassVar[str] = ""
     #: where its model comes from, for ``explain``
     source: ClassVar[str] = "circuit"
+    #: whether the names of its results follow from its model
+    results_of_model: ClassVar[bool] = False
     #: whether it adds the force ``-m a`` of a shaken frame that its pins are in
     follows_frames: ClassVar[bool] = False
     #: what has noise: cards of its subcircuit that are resistors of the device, or words for it
@@ -406,6 +410,18 @@ def current_into(part: Part, pin: str, build: Build) -> Vector | None:
         return None
     ((row, sign),) = rows
     return Vector(row.expression, sign * row.factor, row.unit)
+
+
+EVEN = 1e-6  # relative, of a period that divides another
+
+
+def drive_period(scene: Scene) -> float | None:
+    """The period [s] of all that drives a scene: the longest, where the others divide it."""
+    periods = {row.period for row in numerics(scene)} - {0.0}
+    longest = max(periods, default=None)
+    if longest is None or any(abs(longest / p - round(longest / p)) > EVEN for p in periods):
+        return None
+    return longest
 
 
 def numerics(scene: Scene) -> list[Numerics]:

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from pydantic import BaseModel
 
 from kc2spice.core.errors import UsageError
+from kc2spice.core.quantities import MASSES, Plausible, role_of
 
 if TYPE_CHECKING:
     from kc2spice.scene.model import Scene
@@ -21,26 +21,6 @@ class ImplausibleError(UsageError):
     """Of what can be computed but hardly exists; often a wrong unit."""
 
 
-@dataclass(frozen=True)
-class Rule:
-    """Keys of these names are ``low`` to ``high`` in ``unit``."""
-
-    keys: tuple[str, ...]
-    unit: str
-    low: float
-    high: float
-    why: str
-
-
-# Of bodies and masses, whatever their type.
-RULES = (
-    Rule(("thickness",), "m", 1e-7, 0.03, "films begin at 0.1 um, plates end at 3 cm"),
-    Rule(("diameter", "outer", "width", "side", "depth"), "m", 1e-6, 0.5,
-         "transducers are 1 um to half a metre wide"),
-    Rule(("length", "height"), "m", 1e-6, 1.0, "transducers are 1 um to a metre long"),
-    Rule(("mass", "tip_mass", "mass_kg"), "kg", 1e-18, 1e3,
-         "no transducer moves less than a femtogram or more than a ton"),
-)  # fmt: skip
 FLAT = 10.0  # times its width: thicker than that is no layer
 OVERHANG = 1.02  # of the plate's diameter: ceramic that is wider breaks off
 BREAKDOWN = 10.0  # times the rated voltage: no slip of a drive, but of a unit; below it is told of
@@ -65,21 +45,19 @@ def within(
 
 
 def dimensions(where: str, keys: BaseModel) -> Iterator[UsageError]:
-    """What :data:`RULES` say of all keys, those of lists and inner tables as well."""
-    for name in type(keys).model_fields:
-        yield from _entry(f"{where}.{name}", name, getattr(keys, name))
+    """What the roles of all keys say of their values, those of lists and inner tables as well."""
+    for name, field in type(keys).model_fields.items():
+        yield from _entry(f"{where}.{name}", role_of(field), getattr(keys, name))
 
 
-def _entry(where: str, name: str, value: Any) -> Iterator[UsageError]:
+def _entry(where: str, role: Plausible | None, value: Any) -> Iterator[UsageError]:
     if isinstance(value, BaseModel):
         yield from dimensions(where, value)
     elif isinstance(value, tuple):
         for k, item in enumerate(value):
-            yield from _entry(f"{where}.{k}", name, item)
-    elif isinstance(value, float) and value:  # zero is none of it, such as no tip_mass
-        for rule in RULES:
-            if name in rule.keys:
-                yield from within(where, value, rule.unit, rule.low, rule.high, rule.why)
+            yield from _entry(f"{where}.{k}", role, item)
+    elif isinstance(value, float) and value and role is not None:
+        yield from within(where, value, role.unit, role.low, role.high, role.why)
 
 
 def layers(
@@ -141,10 +119,9 @@ def _voltages(body: str, scene: Scene) -> Iterator[tuple[str, float]]:
 def built(build: Build) -> Iterator[UsageError]:
     """What the facts of built models say, such as the mass of a mesh."""
     for part in build.scene.parts.values():
-        facts = build.facts(part)
-        for rule in RULES:
-            for fact in set(rule.keys) & set(facts):
-                yield from within(part.name, facts[fact], rule.unit, rule.low, rule.high, rule.why)
+        mass = build.facts(part).get("mass_kg")
+        if mass is not None:
+            yield from within(part.name, mass, MASSES.unit, MASSES.low, MASSES.high, MASSES.why)
 
 
 def judged(found: Iterable[UsageError], action: str) -> Iterator[UsageError]:

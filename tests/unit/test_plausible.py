@@ -64,3 +64,61 @@ def test_a_drive_that_may_be_meant_is_told_before_the_run(drive, rated, word):
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         load_scene(slips(drive="0.5 kV", rated_voltage=rated))
+
+
+def test_a_time_is_no_width():
+    """Ranges follow from the role that a key declares: a pulse has a width, too."""
+    scene = load_scene("kick_and_catch", {"kick.drive.width": "0.4 us"})
+    assert scene.parts["kick"].keys.drive.width == pytest.approx(0.4e-6)
+
+
+def test_every_dimension_of_a_body_has_a_role():
+    """What the shipped bodies declare as thickness, width or length is held against its range."""
+    for override, key in (
+        ("kick.side=3", "kick.side"),
+        ("kick.top_cap.thickness=1", "kick.top_cap.thickness"),
+        ("kick.height=5", "kick.height"),
+    ):
+        with pytest.raises(UsageError, match="hardly exists") as refused:
+            load_scene("kick_and_catch", [override])
+        assert key in str(refused.value)
+
+
+WRONG_DIMENSIONS = (
+    ({"analysis": {"type": "transient", "stop": "50 Hz"}}, "analysis.stop", "a number in s"),
+    ({"analysis": {"type": "ac", "start": "1 Hz", "stop": "50 ms"}}, "analysis.stop", "Hz"),
+    ({"analysis": {"type": "transient", "stop": "1 ms"},
+      "probes": {"v": {"of": "load.v", "at": "5 mV"}}}, "probes.v.at", "a value in s"),
+    ({"analysis": {"type": "ac", "start": "1 Hz", "stop": "1 kHz"},
+      "probes": {"v": {"of": "load.v", "at": "2 ms"}}}, "probes.v.at", "a value in Hz"),
+    ({"analysis": {"type": "dc", "sweep": "drive.dc", "to": "5 V"},
+      "probes": {"v": {"of": "load.v", "at": "2 ms"}}}, "probes.v.at", "a value in V"),
+    ({"analysis": {"type": "dc", "sweep": "drive.dc", "to": "5 A"}}, "analysis.to", "V"),
+    ({"analysis": {"type": "transient", "stop": "1 ms"},
+      "probes": {"v": {"of": "load.v", "take": "rms", "from": "5 Hz"}}}, "probes.v.from", "in s"),
+)  # fmt: skip
+
+
+@pytest.mark.parametrize(("tables", "key", "expected"), WRONG_DIMENSIONS)
+def test_wrong_dimensions_are_refused(tables, key, expected):
+    circuit = {
+        "name": "circuit",
+        "drive": {"part": "source", "dc": "1 V", "ac": "1 V"},
+        "load": {"part": "resistor", "resistance": 50.0, "pins": {"a": "drive.out"}},
+    }
+    with pytest.raises(UsageError) as refused:
+        load_scene({**circuit, **tables})
+    assert f"key {key}" in str(refused.value)
+    assert expected in refused.value.expected
+
+
+def test_places_without_a_unit_are_those_of_the_scale():
+    circuit = {
+        "name": "circuit",
+        "drive": {"part": "source", "dc": "1 V"},
+        "load": {"part": "resistor", "resistance": 50.0, "pins": {"a": "drive.out"}},
+        "analysis": {"type": "transient", "stop": "1 ms"},
+        "probes": {"v": {"of": "load.v", "at": 5e-4}, "w": {"of": "load.v", "at": "0.5 ms"}},
+    }
+    probes = load_scene(circuit).probes
+    assert probes["v"].at == probes["w"].at == 5e-4
