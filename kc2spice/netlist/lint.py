@@ -21,7 +21,7 @@ from kc2spice.netlist.expression import (
     walk,
 )
 from kc2spice.netlist.read import declared_pins
-from kc2spice.netlist.scope import GROUND, Scope
+from kc2spice.netlist.scope import GROUND, Scope, inside
 
 _ODD = tuple(Number(text) for text in ("1", "3", "5", "7", "9"))
 # What LTspice adds to elements, and the element that says the same everywhere.
@@ -54,8 +54,25 @@ def problems(deck: Deck) -> list[UsageError]:
     UsageError : the text cannot be read at all (missing include, broken card, unclosed subcircuit).
     """
     signals = frozenset(_signal_pins(deck.trees.values()))
-    checks = ((*_wrong_cards(item), *_dangling(item, signals)) for item in deck.scope.inwards())
+    read = _read_inside(deck)
+    checks = (
+        (*_wrong_cards(item), *_dangling(item, signals, read.get(id(item), set())))
+        for item in deck.scope.inwards()
+    )
     return [problem for result in checks for problem in result]
+
+
+def _read_inside(deck: Deck) -> dict[int, set[str]]:
+    """Nodes of subcircuits that the deck saves, such as ``v(x1.p)``, by the identity of the scope:
+    a node that is read is not one that somebody forgot to wire."""
+    result: dict[int, set[str]] = {}
+    for text in deck.saved:
+        for name in text.lower().partition("(")[2].removesuffix(")").split(","):
+            *path, node = name.strip().split(".")
+            scope = inside(deck.scope, tuple(path)) if path else None
+            if scope is not None:
+                result.setdefault(id(scope), set()).add(node)
+    return result
 
 
 def _signal_pins(circuits: Iterable[Circuit]) -> Iterator[tuple[str, str]]:
@@ -159,8 +176,11 @@ def _misread(
                 yield card.error(message, card.written, "a product")
 
 
-def _dangling(scope: Scope, signals: frozenset[tuple[str, str]]) -> Iterator[UsageError]:
-    """Nodes with one connection, unless it is a signal output, saved, probed, or named ``nc…``."""
+def _dangling(
+    scope: Scope, signals: frozenset[tuple[str, str]], read: Collection[str]
+) -> Iterator[UsageError]:
+    """Nodes with one connection, unless it is a signal output, saved, probed, named ``nc…``, or
+    among those that the deck has ``read``."""
     uses = Counter(n for part in scope.elements for n in part.ends)
     uses.update(scope.pins)
     watched = {
@@ -169,6 +189,7 @@ def _dangling(scope: Scope, signals: frozenset[tuple[str, str]]) -> Iterator[Usa
         for inside in card.written.split("(")[1:]
         for name in inside.partition(")")[0].split(",")
     }
+    watched.update(read)
     watched.update(*(part.sensed for part in scope.elements))
     for part in scope.elements:
         called = scope.find(part.model) if part.kind == "x" else None

@@ -196,6 +196,7 @@ class MovingConductor(DeclaredPart):
     parameters: ClassVar[type[Section]] = Conduction
     rating = "not known; i^2 resistance heats each coil, the eddy currents the body"
     source = "rings (integral equation, axisymmetric), reduced"
+    results_of_model = True  # as many loops as it has
 
     def numerics(self, part: Part, scene: Scene) -> Iterator[Numerics]:
         return settling(part, scene)

@@ -12,7 +12,7 @@ from itertools import chain
 from pathlib import Path
 from typing import Any
 
-from kc2spice.core.errors import UsageError, did_you_mean
+from kc2spice.core.errors import UsageError
 from kc2spice.core.files import earlier
 from kc2spice.core.progress import Clock
 from kc2spice.netlist.cards import comment, number, tidy
@@ -51,6 +51,7 @@ def prepared(
 
     Raises as :func:`make_deck` and :func:`edited_deck` do.
     """
+    meters.require_probed(Build(scene, {}, trust=trust, functions=functions or {}))
     build = build_models(scene, clock, trust=trust, functions=functions)
     with clock.stage("export", "netlists"):
         deck = make_deck(build)
@@ -78,17 +79,7 @@ def make_deck(build: Build) -> Deck:
     notes = f"{header.origin()}\n{plan_lines(build.plan, ours)}"
     results = meters.result_vectors(build)
     watts = meters.powers(build, results)
-    for name, probe in scene.probes.items():
-        known = {*results, *watts}
-        if "." in probe.of and probe.of not in known:  # without a dot: time, frequency
-            raise UsageError(
-                "no such vector",
-                where=f"probes.{name}.of",
-                got=repr(probe.of),
-                expected="PART.current, PART.PIN.current or PART.power of a part with electrical "
-                "pins, or one of " + ", ".join(results),
-                hint=did_you_mean(probe.of, known),
-            )
+    meters.require_probed(build)
     parts = tuple(_libraries(build, header))
     told = "".join(f"\n{line}" for line in _reductions(parts))
     made = Deck(

@@ -14,8 +14,8 @@ from kc2spice.core.errors import UsageError, unknown
 from kc2spice.core.waveforms import SCALES, Waveforms, interpolate
 from kc2spice.report.html import leaves
 from kc2spice.scene.judge import Balance, Check, Gate, Metric, Verdict
-from kc2spice.scene.model import Probe
-from kc2spice.scene.parttype import Build
+from kc2spice.scene.model import Probe, Scene
+from kc2spice.scene.parttype import Build, drive_period
 from kc2spice.workflow import meters
 from kc2spice.workflow.steps import step_checks
 
@@ -93,11 +93,19 @@ def _metrics(waves: Waveforms, build: Build, *, partial: bool) -> dict[str, Any]
     }
     own |= meters.metrics(waves, build) if meters.WAVE in waves else {}
     units = meters.result_units(build) if scene.probes else {}
-    low, high = waves.scale.real.min(), waves.scale.real.max()
     for name, probe in scene.probes.items():
-        if not partial or (probe.of in waves and (probe.at is None or low <= probe.at <= high)):
-            own[name] = Metric(take(probe, waves, name), _probe_unit(probe, waves, units))
+        window = window_of(probe, scene)
+        if not partial or _reached(probe, waves, window):
+            value = take(probe, waves, name, window)
+            own[name] = Metric(value, _probe_unit(probe, waves, units))
     return own
+
+
+def _reached(probe: Probe, waves: Waveforms, window: tuple[float, float] | None) -> bool:
+    """Whether the waves of a run that ended early have all that a probe reads."""
+    low, high = waves.scale.real.min(), waves.scale.real.max()
+    places = [*probe.places.values(), *(filter(math.isfinite, window or ()))]
+    return probe.of in waves and all(low <= place <= high for place in places)
 
 
 def _probe_unit(probe: Probe, waves: Waveforms, units: Mapping[str, str]) -> str:
@@ -107,8 +115,36 @@ def _probe_unit(probe: Probe, waves: Waveforms, units: Mapping[str, str]) -> str
     return along.get(probe.take, units.get(probe.of, SCALES.get(probe.of, "")))
 
 
-def take(probe: Probe, waves: Waveforms, name: str) -> float | None:
+def window_of(probe: Probe, scene: Scene) -> tuple[float, float] | None:
+    """First and last place on the scale that a probe reads; None where it reads all of it."""
+    if probe.periods is not None:
+        return scene.stop - probe.periods * (drive_period(scene) or 0.0), scene.stop
+    if probe.from_ is None and probe.to is None:
+        return None
+    first = -math.inf if probe.from_ is None else probe.from_
+    return first, math.inf if probe.to is None else probe.to
+
+
+def _windowed(
+    scale: np.ndarray, values: np.ndarray, window: tuple[float, float]
+) -> tuple[np.ndarray, np.ndarray]:
+    """Points within a window, with its ends on the straight lines between them."""
+    way = -1 if scale[0] > scale[-1] else 1
+    scale, values = scale[::way], values[::way]
+    low, high = max(window[0], scale[0]), min(window[1], scale[-1])
+    inside = (scale > low) & (scale < high)
+    at = np.concatenate([[low], scale[inside], [high]])
+    ends = [interpolate(end, scale, values) for end in (low, high)]
+    read = np.concatenate([ends[:1], values[inside], ends[1:]])
+    return at[::way], read[::way]
+
+
+def take(
+    probe: Probe, waves: Waveforms, name: str, window: tuple[float, float] | None = None
+) -> float | None:
     """What a probe takes of its vector; None for crossings or cycles that do not happen.
+
+    Where a ``window`` is given, nothing outside of it is read.
 
     Raises
     ------
@@ -120,6 +156,8 @@ def take(probe: Probe, waves: Waveforms, name: str) -> float | None:
     scale, values = waves.scale.real, waves[probe.of]
     if probe.at is not None:
         return _value(scale, values, probe.at, name)
+    if window is not None:
+        scale, values = _windowed(scale, values, window)
     if np.iscomplexobj(values) and probe.take in ("max", "argmax"):
         place, largest = response_maximum(scale.real, np.abs(values))
         return largest if probe.take == "max" else place

@@ -4,7 +4,7 @@ ask for, the source of a dc sweep, the voltage that noise is taken of.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import replace
 from typing import Any
 
@@ -17,11 +17,11 @@ from kc2spice.core.waveforms import Waveforms, running
 from kc2spice.netlist.deck import Command, Deck, noise
 from kc2spice.netlist.expression import terms, vector
 from kc2spice.netlist.scope import Scope
-from kc2spice.scene.compose import electrical, metered
+from kc2spice.scene.compose import composed, electrical, metered
 from kc2spice.scene.judge import Check, Metric
 from kc2spice.scene.keys import model_keys
 from kc2spice.scene.model import Names, Part
-from kc2spice.scene.parttype import Build, Swept, Vector, replaced
+from kc2spice.scene.parttype import Build, PartType, Swept, Vector, replaced
 
 WAVE = "noise"  # spectral density of the output, and the metric of its rms value
 DENSITY = "/sqrt(Hz)"
@@ -160,8 +160,9 @@ def figures(waves: Waveforms, unit: str) -> Iterator[Figure]:
 Pairs = tuple[tuple[str, str], ...]  # names of a voltage and of the current that belongs to it
 
 
-def result_vectors(build: Build) -> dict[str, Vector]:
-    """Results of all parts that have an instance of their own; the density alone of noise.
+def result_vectors(build: Build, without: Collection[str] = ()) -> dict[str, Vector]:
+    """Results of all parts that have an instance of their own, ``without`` those of some; the
+    density alone of noise.
 
     Of devices' own parameters (``@b1[i]``) ngspice gives the operating point in an ac analysis,
     which is no response: they are no results there.
@@ -169,7 +170,7 @@ def result_vectors(build: Build) -> dict[str, Vector]:
     if build.noisy:
         of = output(build)
         return {WAVE: Vector("onoise_spectrum", abs(of.factor), f"{of.unit}{DENSITY}")}
-    copied = replaced(build.scene)
+    copied = {*replaced(build.scene), *without}
     result: dict[str, Vector] = {}
     for part in build.scene.parts.values():
         if part.name not in copied:
@@ -185,6 +186,46 @@ def result_units(build: Build) -> dict[str, str]:
     results = result_vectors(build)
     units = {name: vector.unit for name, vector in results.items()}
     return units | dict.fromkeys(powers(build, results), "W")
+
+
+def require_probed(build: Build) -> None:
+    """Refuse probes of results that the scene does not have; its models may not be built yet.
+
+    Of a part whose results follow from its model, nothing is known until that is built.
+
+    Raises
+    ------
+    UsageError : names the key of the probe, and the results that it may read.
+    """
+    scene = build.scene
+    if not scene.probes or build.noisy:
+        return
+    waiting = {
+        p.name for p in scene.parts.values() if p.type.results_of_model and build.model(p) is None
+    }
+    results = result_vectors(build, without=waiting)
+    known = {*results, *powers(build, results)}
+    for name, probe in scene.probes.items():
+        owner = probe.of.partition(".")[0]
+        if "." not in probe.of or probe.of in known or owner in waiting:
+            continue  # without a dot: time, frequency
+        choices = _every_result(build, waiting)
+        raise unknown("no such vector", probe.of, choices, f"probes.{name}.of")
+
+
+def _every_result(build: Build, waiting: Collection[str]) -> list[str]:
+    """All that a probe may read: results, motions at ports that nothing is joined to, currents and
+    powers that are metered when a probe asks for them."""
+    scene = composed(replace(build.scene, ports="all"))
+    result = dict.fromkeys(result_vectors(replace(build, scene=scene), without=waiting))
+    for part in scene.parts.values():
+        pins = electrical(part, scene)
+        if {f"{part.name}.v", f"{part.name}.i"} <= result.keys():
+            result |= dict.fromkeys((f"{part.name}.current", f"{part.name}.power"))
+        if pins and type(part.type).cards is PartType.cards:
+            result |= dict.fromkeys(f"{part.name}.{pin}.current" for pin in pins)
+            result |= dict.fromkeys((f"{part.name}.current", f"{part.name}.power"))
+    return list(result)
 
 
 def _meter_vectors(build: Build, known: Mapping[str, Vector]) -> dict[str, Vector]:

@@ -1,0 +1,175 @@
+"""Probes: windows, names that are checked before models are built, nodes of a user's netlist."""
+
+import math
+
+import numpy as np
+import pytest
+
+import kc2spice as kc
+from kc2spice.core.errors import UsageError
+from kc2spice.core.progress import Clock
+from kc2spice.scene.load import load_scene
+from kc2spice.workflow import decks
+
+R, C, V, F = 1e3, 1e-6, 4.0, 200.0
+
+
+def rc(probes, stop=60e-3, **parts):
+    """A source of 4 V at 200 Hz on 1 kOhm and 1 uF in series: at first off its steady state."""
+    return {
+        "name": "rc",
+        "g": {"part": "source", "sine": {"amplitude": V, "frequency": F}},
+        "r": {"part": "resistor", "resistance": R, "pins": {"a": "g.out", "b": "c.a"}},
+        "c": {"part": "capacitor", "capacitance": C},
+        "analysis": {"type": "transient", "stop": stop},
+        "solver": {"reltol": 1e-5, "max_step": 1e-5},
+        "probes": probes,
+        **parts,
+    }
+
+
+def test_windows_read_a_steady_state():
+    """rms of the current, its mean, and the power of the source, against phasors."""
+    window = {"from": "30 ms", "to": "50 ms"}
+    probes = {
+        "rms": {"of": "r.i", "take": "rms", "periods": 4},
+        "rms_between": {"of": "r.i", "take": "rms", **window},
+        "mean": {"of": "c.v", "take": "mean", "periods": 4},
+        "power": {"of": "g.power", "take": "mean", "periods": 4},
+        "first": {"of": "c.v", "take": "mean", "to": "5 ms"},
+    }
+    result = kc.run(load_scene(rc(probes)))
+    omega = 2 * math.pi * F
+    current = V / (R - 1j / (omega * C))
+    assert result.metrics["rms"] == pytest.approx(abs(current) / math.sqrt(2), rel=1e-4)
+    assert result.metrics["rms_between"] == pytest.approx(abs(current) / math.sqrt(2), rel=1e-4)
+    assert abs(result.metrics["mean"]) < 1e-4 * V
+    assert result.metrics["power"] == pytest.approx((V * current.conjugate()).real / 2, rel=1e-4)
+    # over the first period, v = A e^(-t/RC) + Im(U e^(j w t)) from 0 V: A = -Im(U)
+    U = V / (1 + 1j * omega * R * C)
+    T = 1 / F
+    mean = -U.imag * R * C * (1 - math.exp(-T / (R * C))) / T
+    assert result.metrics["first"] == pytest.approx(mean, rel=1e-3)
+    assert result.record["metric_units"]["power"] == "W"
+
+
+def test_ends_of_a_window_lie_between_points():
+    """A ramp over coarse points: its mean within the window is the value in its middle."""
+    probes = {"mean": {"of": "g.v", "take": "mean", "from": "0.3 ms", "to": "0.55 ms"},
+              "last": {"of": "g.v", "take": "final", "to": "0.55 ms"}}  # fmt: skip
+    ramp = {"part": "source", "pwl": [[0, 0], ["1 ms", 10]]}
+    result = kc.run(load_scene(rc(probes, stop=1e-3, g=ramp)))
+    assert result.metrics["mean"] == pytest.approx(4.25, rel=1e-6)
+    assert result.metrics["last"] == pytest.approx(5.5, rel=1e-6)
+
+
+SECOND = {"part": "source", "sine": {"amplitude": 1.0, "frequency": 333.0}}
+LOAD = {"part": "resistor", "resistance": 1.0, "pins": {"a": "h.out"}}
+BAD_WINDOWS = (
+    ({"periods": 20}, {}, "longer than the run", None),
+    ({"periods": 2, "from": "1 ms"}, {}, "periods beside from or to", None),
+    ({"from": "5 ms", "to": "1 ms"}, {}, "empty window", None),
+    ({"from": "5 ms", "at": "6 ms", "take": "value"}, {}, "at beside a window", None),
+    ({"to": "70 ms"}, {}, "outside the analysis", None),
+    ({"periods": 2}, {"h": SECOND, "load": LOAD}, "no common period", "from and to"),
+    ({"periods": 2}, {"g": {"part": "source", "dc": 1.0}}, "no common period", "from and to"),
+)
+
+
+@pytest.mark.parametrize(("keys", "parts", "problem", "cure"), BAD_WINDOWS)
+def test_bad_windows_are_refused(keys, parts, problem, cure):
+    with pytest.raises(UsageError, match=problem) as caught:
+        load_scene(rc({"x": {"of": "r.i", "take": "rms", **keys}}, **parts))
+    assert cure is None or cure in str(caught.value.hint)
+
+
+def test_pulse_trains_have_a_period():
+    train = {"high": 1.0, "width": "2 ms", "edge": "1 us", "period": "5 ms"}
+    probes = {"mean": {"of": "g.v", "take": "mean", "periods": 2}}
+    scene = load_scene(rc(probes, stop=20e-3, g={"part": "source", "pulse": train}))
+    assert kc.run(scene).metrics["mean"] == pytest.approx(0.4, rel=1e-3)
+
+
+BEAM = {
+    "name": "beam",
+    "b": {
+        "part": "bimorph",
+        "length": "20 mm",
+        "width": "5 mm",
+        "layers": [{"material": "PZT-5A", "thickness": "0.3 mm"}] * 2,
+        "points": {"middle": "10 mm"},
+        "pins": {"anode": "g.out"},
+    },
+    "g": {"part": "source", "ac": "1 V"},
+    "analysis": {"type": "ac", "start": "10 Hz", "stop": "100 Hz", "points": 3},
+}
+
+
+@pytest.mark.parametrize(
+    ("of", "near"),
+    [("b.x", "b.u.tip"), ("b.u.tip_", "tip"), ("b.curent", "b.current"), ("g.powr", "g.power")],
+)
+def test_names_are_checked_before_any_model_is_built(of, near, monkeypatch):
+    def build(*_, **__):
+        raise AssertionError("a model was built")
+
+    monkeypatch.setattr(decks, "build_models", build)
+    with pytest.raises(UsageError) as caught:
+        decks.prepared(load_scene({**BEAM, "probes": {"u": {"of": of}}}), Clock())
+    assert near in f"{caught.value.expected} {caught.value.hint}"
+
+
+def test_motions_at_ports_that_nothing_is_joined_to_are_offered():
+    """``PART.u.PIN`` of every port: a probe alone keeps it."""
+    with pytest.raises(UsageError) as caught:
+        decks.prepared(load_scene({**BEAM, "probes": {"u": {"of": "b.u"}}}), Clock())
+    assert "b.u.tip" in caught.value.expected
+    assert "b.u.middle" in caught.value.expected
+
+
+METER = """.subckt meter a b
+R1 a b 1k
+Bp p b V=V(a,b)*V(a,b)/1000
+.ends
+"""
+READ = """
+[m]
+part = "netlist"
+file = "probe.lib"
+subckt = "meter"
+pins = { a = "g.out", b = "gnd" }
+[g]
+part = "source"
+sine = { amplitude = "4 V", frequency = "50 Hz" }
+[analysis]
+type = "transient"
+stop = "40 ms"
+[probes]
+"""
+
+
+def test_a_node_that_a_probe_reads_is_not_floating(tmp_path):
+    """Mean of ``v^2 / R`` over two periods: ``4^2 / 2 / 1 kOhm``."""
+    (tmp_path / "probe.lib").write_text(METER)
+    path = tmp_path / "pr.toml"
+    path.write_text(READ + 'p = { of = "m.p", take = "mean", periods = 2 }\n')
+    assert kc.run(path).metrics["p"] == pytest.approx(8e-3, rel=2e-3)
+    path.write_text(READ + 'a = { of = "m.a" }\n')
+    with pytest.raises(UsageError, match="floating"):
+        kc.run(path)
+
+
+def test_a_window_of_a_response_reads_its_own_peak():
+    """Within a band above its resonance the current of a resonator is largest at the lower end."""
+    scene = {
+        "name": "rlc",
+        "g": {"part": "source", "ac": "1 V"},
+        "r": {"part": "resistor", "resistance": 10.0, "pins": {"a": "g.out", "b": "l.a"}},
+        "l": {"part": "inductor", "inductance": 1e-3, "pins": {"b": "c.a"}},
+        "c": {"part": "capacitor", "capacitance": 1e-6},
+        "analysis": {"type": "ac", "start": "1 kHz", "stop": "20 kHz", "points": 400},
+        "probes": {"i": {"of": "l.i", "take": "max", "from": "10 kHz"}},
+    }
+    omega = 2 * np.pi * 10e3
+    exact = 1 / abs(10.0 + 1j * (omega * 1e-3 - 1 / (omega * 1e-6)))
+    assert kc.run(load_scene(scene)).metrics["i"] == pytest.approx(exact, rel=1e-3)
