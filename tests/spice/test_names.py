@@ -1,13 +1,17 @@
 """Names in a deck are unique, whatever parts and pins are called: its nets are the scene's."""
 
+import re
+
 import numpy as np
 import pytest
 from device import built
 
 from kc2spice.core.errors import UsageError
+from kc2spice.netlist import read_lib
 from kc2spice.scene.load import load_scene
 from kc2spice.sim.ngspice import run_deck
 from kc2spice.workflow.decks import make_deck
+from kc2spice.workflow.export import export
 
 
 def test_two_parts_whose_pins_read_alike_keep_their_voltages(tmp_path, monkeypatch):
@@ -33,3 +37,44 @@ def test_pins_that_differ_in_case_only_are_refused(tmp_path, monkeypatch):
     with pytest.raises(UsageError, match="differ in case only"):
         load_scene({"name": "one", "n": {"part": "netlist", "file": "one.lib", "subckt": "one",
                     "pins": {"A": "gnd"}}})  # fmt: skip
+
+
+MATRICES = """
+[{part}]
+part = "matrices"
+file = "m.npz"
+{number}
+pins = {{ plate = "v.out" }}
+[v]
+part = "source"
+ac = "1 V"
+[analysis]
+type = "ac"
+start = "10 Hz"
+stop = "8 kHz"
+points = 20
+"""
+
+
+@pytest.mark.parametrize(
+    ("scene", "part", "number", "name"),
+    [
+        ("first", "body", "", "first_body"),
+        ("first", "body", 'number = "7BB-20-6"', "body_7BB_20_6"),
+        ("first", "body", 'number = "FT-39T-2.5B1"', "FT_39T_2_5B1"),
+        ("a" * 60, "body", "", "a" * 43 + "_body"),
+    ],
+)
+def test_a_library_carries_the_part_number_or_scene_and_part(scene, part, number, name, tmp_path):
+    K = np.diag((2 * np.pi * np.array([1e3, 3e3])) ** 2)
+    np.savez(tmp_path / "m.npz", M=np.eye(2), E=1e-6 * K, K=K, B=[[1e-3], [2e-3]], D=[[1e-9]])
+    ports = '[[ports]]\nname = "plate"\nkind = "electrical"\ncolumn = 1\n'
+    (tmp_path / "m.toml").write_text(ports)
+    path = tmp_path / f"{scene}.toml"
+    path.write_text(MATRICES.format(part=part, number=number))
+    files = {file.name for file in export(load_scene(path), tmp_path / "out")}
+    assert f"{name}.lib" in files
+    (library,) = read_lib(tmp_path / "out" / f"{name}.lib")
+    assert library.name == name
+    (deck,) = (tmp_path / "out").glob("*.cir")
+    assert re.search(rf"(?m)^X{part} .* {name}$", deck.read_text())
