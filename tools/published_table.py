@@ -1,4 +1,4 @@
-"""Writes docs/evidence/devices.md: published numbers, the full model's, the reduced model's and ngspice's.
+"""Writes docs/evidence/devices.md: published numbers beside those of three models.
 
 python tools/published_table.py [SCENE ...]
 

@@ -72,7 +72,7 @@ def stale_names(page):
         elif re.fullmatch(r"kc2spice(/\w+)+", name):
             if not (ROOT / name).exists():
                 yield name
-        elif re.fullmatch(r"kc2spice(\.\w+)+", name):
+        elif re.fullmatch(r"kc2spice(\.\w+)+", name) and not name.endswith(".kicad_sym"):
             *module, last = name.split(".")
             if last not in members().get(module[-1], ()) and not _module(name):
                 yield name

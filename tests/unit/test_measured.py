@@ -210,13 +210,13 @@ def test_a_passive_fit_stays_near_data_that_lie_on_the_edge(tmp_path):
     assert np.sqrt(np.mean(np.abs(back - S) ** 2)) < 3 * 1e-3 * np.sqrt(2)
 
 
-JOURNEY = Path(__file__).parents[2] / "docs" / "tutorials" / "measured_part.md"
-PUBLISHED = re.findall(r"^\| `(.+\.s\dp)` \|.*\| (\S+) of", JOURNEY.read_text(), re.M)
+STATED = Path(__file__).parents[2] / "docs" / "reference" / "measured_files.md"
+PUBLISHED = re.findall(r"^\| `(.+\.s\dp)` \|.*\| (\S+) of", STATED.read_text(), re.M)
 
 
 @pytest.mark.parametrize(("name", "deviation"), PUBLISHED)
 def test_published_files_become_circuits_as_near_as_stated(tmp_path, name, deviation):
-    """What the journey says is what the product says, and what ngspice finds against scikit-rf's
+    """What the page says is what the product says, and what ngspice finds against scikit-rf's
     reading of the file, all of whose frequencies lie on one grid."""
     path = Path(skrf.__file__).parent / "data" / name
     net = skrf.Network(str(path))
