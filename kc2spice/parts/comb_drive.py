@@ -2,12 +2,13 @@
 
 from pydantic import Field
 
-from kc2spice.core.quantities import EPSILON_0, Length, Ratio, Section, Stiffness
+from kc2spice.core.quantities import EPSILON_0, Length, Ratio, Stiffness
+from kc2spice.parts import _stop
 from kc2spice.physics import Declaration, DeclaredPart, displacement, voltage
 from kc2spice.scene.parttype import register
 
 
-class CombDriveKeys(Section):
+class CombDriveKeys(_stop.Stopped):
     """``C = 2 fingers eps0 thickness (overlap + x) / gap``: a force without x, ``fingers eps0
     thickness v^2 / gap``."""
 
@@ -28,8 +29,9 @@ register(
             "electrostatic comb drive, with a stop",
             CombDriveKeys,
             (voltage("v", "plus", "minus"), displacement("x", "a", "b")),
-            constants={"eps0": repr(EPSILON_0)},
-            energy="0.5*stop*max(0, x - travel)^2",
+            constants={"eps0": repr(EPSILON_0)} | _stop.CONSTANTS,
+            energy=_stop.energy("x - travel"),
+            forces={"x": _stop.lost_force("x - travel", "x_rate")},
             coenergy="fingers*eps0*thickness*(overlap + x)*v^2/gap",
             limits={"the overlap": "overlap + x"},
             neglected=(
@@ -43,6 +45,7 @@ register(
                     "the fingers stay in the middle of their gaps",
                     "not estimated",
                 ),
+                _stop.NEGLECTED,
             ),
             rating="not known; compare the field v / gap with the breakdown of what is in the gap",
         )

@@ -5,7 +5,7 @@ has risen, ``d = gap - x`` what is left under an electrode above it, ``gap + x``
 each patch of area A the coenergy is ``C v^2 / 2`` with ``C = permittivity eps0 A / d``; with
 ``fringing`` that of a strip of width w and thickness t instead, per length ``eps0 permittivity (w/d
 + 0.77 + 1.06 (w/d)^(1/4) + 1.06 (t/d)^(1/2))`` (N. van der Meijs, J. T. Fokkema, Integration 2
-(1984) 85). The stop is a spring beyond ``travel``.
+(1984) 85). The stop is that of ``_stop`` beyond ``travel``.
 
 The film of gas is that of a rectangle vented on all sides (J. J. Blech, J. Lubr. Technol. 105
 (1983) 615). Its pressure is a series of ``sin(m pi x / l) sin(n pi y / w)``, m and n odd, and each
@@ -42,6 +42,7 @@ from kc2spice.core.quantities import (
 )
 from kc2spice.core.spectrum import energy_frequency
 from kc2spice.core.waveforms import Waveforms
+from kc2spice.parts import _stop
 from kc2spice.parts._linear_body import LinearBody
 from kc2spice.physics import Declaration, DeclaredPart, displacement, voltage
 from kc2spice.physics.expression import evaluated
@@ -90,7 +91,7 @@ class Film(Section):
     )
 
 
-class GapKeys(Section):
+class GapKeys(_stop.Stopped):
     """``a`` is a body with a row of patches, a port such as ``beam.tip``, or a list of ports."""
 
     a: str | tuple[str, ...] = Field(description="Body with patches, or the list of its ports")
@@ -273,7 +274,7 @@ def _declared(text: str, count: int, film_branches: int, top: float) -> Declarat
     highest frequency ``top`` [Hz]."""
     keys = GapKeys.model_validate_json(text)
     shares = keys.shares or (1 / count,) * count
-    numbers: dict[str, float | str] = {"eps0": EPSILON_0}
+    numbers: dict[str, float | str] = {"eps0": EPSILON_0, **_stop.CONSTANTS}
     numbers |= {f"share{k}": share for k, share in enumerate(shares, 1)}
     patches, sign = range(1, count + 1), "-" if keys.side == "below" else "+"
     branches = [voltage("v", "plus", "minus")]
@@ -288,7 +289,9 @@ def _declared(text: str, count: int, film_branches: int, top: float) -> Declarat
         for k, d in left.items():
             root = f"1.06*sqrt(sqrt(width/gap/{d})) + 1.06*sqrt(thickness/gap/{d})"
             item[k] = f"share{k}*area/width*(width/gap/{d} + 0.77 + {root})"
-    energy = [f"0.5*share{k}*stop*max(0, {sign}1*x{k} - travel)^2" for k in patches]
+    met = {k: f"{sign}1*x{k} - travel" for k in patches}
+    energy = [_stop.energy(met[k], f"share{k}*") for k in patches]
+    forces = {f"x{k}": _stop.lost_force(met[k], f"x{k}_rate", f"share{k}*") for k in patches}
     content = []
     if keys.film is not None:
         mean = f"({'+'.join(f'share{k}*{left[k]}' for k in patches)})"
@@ -309,6 +312,7 @@ def _declared(text: str, count: int, film_branches: int, top: float) -> Declarat
         tuple(branches),
         constants=constants,
         energy=" + ".join(energy),
+        forces=forces,
         coenergy=f"0.5*eps0*permittivity*v^2*({' + '.join(item.values())})",
         content=" + ".join(content) or "0",
         limits={f"what is left of the gap at patch {k}": f"gap - {sign}1*x{k}" for k in patches},
@@ -334,7 +338,7 @@ def _neglected(keys: GapKeys, branches: int, top: float) -> Iterator[tuple[str, 
         what = "a spring of the gas that stiffens as the gap closes"
         yield what, "it is that at rest", "of the order of gap / what is left"
     yield "tilt within a patch", "one displacement each", "more patches show it"
-    yield "rebound losses of the stop", "it is elastic", "not estimated"
+    yield _stop.NEGLECTED
 
 
 def _terms(film: Film) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -4,12 +4,13 @@ from typing import Annotated
 
 from pydantic import Field
 
-from kc2spice.core.quantities import EPSILON_0, Length, Ratio, Section, Stiffness, si
+from kc2spice.core.quantities import EPSILON_0, Length, Ratio, Stiffness, si
+from kc2spice.parts import _stop
 from kc2spice.physics import Declaration, DeclaredPart, displacement, voltage
 from kc2spice.scene.parttype import register
 
 
-class ParallelPlateKeys(Section):
+class ParallelPlateKeys(_stop.Stopped):
     """``C = permittivity eps0 area / (gap - x)``; the coenergy ``C v^2 / 2`` pulls x up.
 
     A spring of stiffness ``k`` between its plates snaps in at ``sqrt(8 k gap^3 / (27 eps area))``.
@@ -33,8 +34,9 @@ register(
             "electrostatic actuator of two parallel plates, with a stop",
             ParallelPlateKeys,
             (voltage("v", "plus", "minus"), displacement("x", "a", "b")),
-            constants={"eps0": repr(EPSILON_0)},
-            energy="0.5*stop*max(0, x - travel)^2",
+            constants={"eps0": repr(EPSILON_0)} | _stop.CONSTANTS,
+            energy=_stop.energy("x - travel"),
+            forces={"x": _stop.lost_force("x - travel", "x_rate")},
             coenergy="0.5*eps0*permittivity*area*v^2/(gap - x)",
             limits={"the gap": "gap - x"},
             neglected=(
@@ -44,7 +46,7 @@ register(
                     "of the order of gap / width",
                 ),
                 ("squeezed air", "a damper between a and b stands for it", "not estimated"),
-                ("rebound losses of the stop", "it is elastic", "not estimated"),
+                _stop.NEGLECTED,
             ),
             rating="not known; compare v / (gap - x) with the breakdown of what is in the gap",
         )

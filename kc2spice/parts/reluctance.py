@@ -10,15 +10,15 @@ from kc2spice.core.quantities import (
     Length,
     Ratio,
     Resistance,
-    Section,
     Stiffness,
     si,
 )
+from kc2spice.parts import _stop
 from kc2spice.physics import Declaration, DeclaredPart, current, displacement
 from kc2spice.scene.parttype import register
 
 
-class ReluctanceKeys(Section):
+class ReluctanceKeys(_stop.Stopped):
     """A flux of ``(turns i + magnet) / (core + gaps (gap - x) / (MU_0 area))`` pulls x up with
     ``gaps flux^2 / (2 MU_0 area)``. Of a permanent magnet of length l and area A, ``magnet`` is
     ``remanence l / (MU_0 mu_r)`` and its part of ``core`` is ``l / (MU_0 mu_r A)``.
@@ -48,8 +48,9 @@ register(
             "magnet or coil that pulls iron across air gaps, with a stop",
             ReluctanceKeys,
             (current("i", "plus", "minus"), displacement("x", "a", "b")),
-            constants={"mu0": repr(MU_0)},
-            energy="0.5*stop*max(0, x - travel)^2",
+            constants={"mu0": repr(MU_0)} | _stop.CONSTANTS,
+            energy=_stop.energy("x - travel"),
+            forces={"x": _stop.lost_force("x - travel", "x_rate")},
             coenergy="0.5*(turns*i + magnet)^2/(core + gaps*(gap - x)/(mu0*area))",
             content="0.5*resistance*i^2",
             limits={"the gap": "gap - x"},
@@ -57,7 +58,7 @@ register(
                 ("saturation and hysteresis", "the core is linear", "compare flux / area with 1 T"),
                 ("leakage, fringing", "all flux crosses the gaps", "of the order of gap / width"),
                 ("eddy currents in the core", "the flux follows at once", "not estimated"),
-                ("rebound losses of the stop", "it is elastic", "not estimated"),
+                _stop.NEGLECTED,
             ),
             rating="not known; i^2 resistance heats the coil",
             example="""

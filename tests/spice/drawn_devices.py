@@ -48,6 +48,19 @@ def moved(d, device, mass, stiffness, loss, size, pin="a", wave="x"):
     return lambda x: stiffness * x + cubic * x**3
 
 
+def struck(d, shape):
+    """Force of a stop with a drawn restitution or damping on what is ``depth`` beyond it at the
+    speed ``v``, whose keys go to ``shape``: stiffer on the way in than on the way out."""
+    back, damping = d.rng.choice([(1.0, 0.0), (d.value(0.3, 0.9), 0.0), (1.0, d.value(1, 30))])
+    shape |= {"restitution": back, "damping": damping}
+    lost, stop = (1 - back**2) / (1 + back**2), shape["stop"]
+
+    def force(depth, v):
+        return stop * max(0.0, depth) * (1 + lost * v / np.hypot(v, 1e-4) + damping * v)
+
+    return force
+
+
 def electrostatic(d):
     """A comb or a plate behind a resistor: charge and motion by the derivatives of an energy."""
     volts, gap, w = d.value(2, 60), d.value(1e-6, 5e-6), 2 * np.pi * d.f * d.value(0.3, 3)
@@ -61,8 +74,10 @@ def electrostatic(d):
         reach, overlap = travel * d.value(0.1, 1.5), travel * d.value(3, 5)
         fingers = k * reach * gap / (EPSILON * thick * volts**2)
         per = 2 * fingers * EPSILON * thick / gap
+        shape = {"travel": travel, "stop": stop}
+        stopping = struck(d, shape)
         one = d.part("comb_drive", fingers=fingers, thickness=thick, gap=gap, overlap=overlap,
-                     travel=travel, stop=stop)  # fmt: skip
+                     **shape)  # fmt: skip
 
         def farad(x):
             return per * (overlap + x), per
@@ -72,6 +87,7 @@ def electrostatic(d):
         stop *= 30  # stiffer than what pulls it in
         reach, area = gap / 3, 8 * k * gap**3 / (27 * EPSILON) * (share / volts) ** 2
         shape = {"area": area, "gap": gap, "travel": travel, "stop": stop}
+        stopping = struck(d, shape)
         if d.rng.random() < 0.5:
             one = d.part("parallel_plate", **shape)
         else:  # the same physics as a patch of what is joined to it
@@ -93,7 +109,7 @@ def electrostatic(d):
         x, v = gap * y[0], gap * w * y[1]
         C, slope = farad(x)
         u = y[2] * farad(0.0)[0] / C if behind else wave(t)
-        force = u * u * slope / 2 - spring(x) - loss * v - stop * max(0.0, x - travel)
+        force = u * u * slope / 2 - spring(x) - loss * v - stopping(x - travel, v)
         charged = (wave(t) - u) / (ohm * farad(0.0)[0]) if behind else 0.0
         return [v / gap, force / mass / (gap * w), charged]
 
@@ -156,6 +172,7 @@ def pulled(d):
     keys, wave = d.wave(ohm * amp)
     source = d.part("source", **keys)
     shape = {"area": area, "gap": gap, "gaps": gaps, "core": core, "travel": travel, "stop": stop}
+    stopping = struck(d, shape)
     one = d.part("reluctance", magnet=magnet, turns=turns, resistance=ohm, **shape,
                  pins={"plus": f"{source}.out"})  # fmt: skip
     spring = moved(d, one, mass, k, loss, travel)
@@ -164,8 +181,8 @@ def pulled(d):
     def reluctance(x):
         return core + per * (gap - x)
 
-    def force(x, flux):
-        return gaps * flux**2 / (2 * MU * area) - spring(x) - stop * max(0.0, x - travel)
+    def force(x, flux, v=0.0):
+        return gaps * flux**2 / (2 * MU * area) - spring(x) - stopping(x - travel, v)
 
     def current(x, flux):
         return (flux * reluctance(x) - magnet) / turns
@@ -175,7 +192,7 @@ def pulled(d):
     def rate(t, y):
         x, v, flux = y * size
         grown = (wave(t) - ohm * current(x, flux)) / turns
-        return np.array([v, (force(x, flux) - loss * v) / mass, grown]) / size
+        return np.array([v, (force(x, flux, v) - loss * v) / mass, grown]) / size
 
     def start():
         rest = magnet and brentq(lambda x: force(x, magnet / reluctance(x)), 0.0, 0.3 * gap)

@@ -208,7 +208,7 @@ def test_a_mass_thrown_at_a_stop_and_what_is_said_of_its_second_strike(stop, war
     result = kc.run({
         "name": "bouncing",
         "drive": {"part": "source", "dc": 0.0},
-        "comb": {"part": "comb_drive", "travel": travel, "stop": hard, **comb,
+        "comb": {"part": "comb_drive", "travel": travel, "stop": hard, **comb, "restitution": 1.0,
                  "pins": {"plus": "drive.out", "a": "mass.a"}},
         "mass": {"part": "mass", "mass": m, "velocity": speed},
         "spring": {"part": "spring", "stiffness": k, "pins": {"a": "mass.a"}},

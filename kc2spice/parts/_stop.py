@@ -1,0 +1,56 @@
+"""The stop of a moving plate, comb or armature: a spring that gives back a part of a strike.
+
+Beyond ``travel`` its force at the indentation d and the speed v, which d grows with, is::
+
+    F = stop d (1 + loss v / sqrt(v^2 + slow^2) + damping v)
+    loss = (1 - restitution^2) / (1 + restitution^2)
+
+Without ``damping`` what strikes it faster than ``slow`` meets a spring of ``1 + loss`` times the
+stiffness on its way in, and of ``1 - loss`` times on its way out, whatever its mass: it leaves with
+the energy ``restitution^2``, and what is slower comes to rest (O. R. Walton, R. L. Braun, J. Rheol.
+30 (1986) 949). The damping is that of K. H. Hunt, F. R. E. Crossley, J. Appl. Mech. 42 (1975) 440.
+"""
+
+from typing import Annotated
+
+from pydantic import Field
+
+from kc2spice.core.quantities import Ratio, Section, si
+
+SLOW = 1e-4  # m/s; a strike as slow rises by a nanometre under 5 m/s2
+
+
+class Stopped(Section):
+    """What a stop keeps of a strike."""
+
+    restitution: Ratio = Field(
+        0.5, ge=0, le=1, description="Speed after a strike of the stop divided by that before it"
+    )
+    damping: Annotated[float, si("s/m")] = Field(
+        0.0,
+        ge=0,
+        description="Damping of the stop after Hunt and Crossley: its force is multiplied by 1 + "
+        "damping times the closing speed; alone with restitution = 1",
+    )
+
+
+CONSTANTS = {
+    "loss": "(1 - restitution*restitution)/(1 + restitution*restitution)",
+    "slow": repr(SLOW),
+}
+NEGLECTED = (
+    "sticking and wear of the stop, rebounds by the speed",
+    "one stiffness, one restitution",
+    "not estimated",
+)
+
+
+def energy(indentation: str, share: str = "") -> str:
+    """Of the spring, or of a ``share*`` of it; ``indentation`` is negative before it is met."""
+    return f"0.5*{share}stop*max(0, {indentation})^2"
+
+
+def lost_force(indentation: str, rate: str, share: str = "") -> str:
+    """What acts on the coordinate whose velocity is ``rate`` besides, and takes energy."""
+    factor = f"(loss*{rate}/sqrt({rate}^2 + slow*slow) + damping*{rate})"
+    return f"{share}stop*max(0, {indentation})*{factor}"

@@ -1,0 +1,104 @@
+"""Stops that keep a part of each strike: bounce by bounce in closed form, until nothing bounces."""
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+import kc2spice as kc
+from kc2spice.core.waveforms import Waveforms
+from kc2spice.scene.load import load_scene
+from kc2spice.scene.parttype import Build
+from kc2spice.workflow.verify.circuit import solve
+
+MASS, PUSH, TRAVEL, STOP = 1e-6, 1e-4, 1e-4, 1e4  # kg, N, m, N/m
+PARTS = {
+    "parallel_plate": {"area": 1e-8, "gap": 2e-4, "travel": TRAVEL},
+    "comb_drive": {"fingers": 1, "thickness": 1e-6, "gap": 1e-6, "overlap": 1e-3, "travel": TRAVEL},
+    "reluctance": {"area": 1e-6, "gap": 1e-3, "resistance": 1.0, "travel": TRAVEL},
+    "above": {"area": 1e-8, "gap": 2e-4, "travel": TRAVEL, "a": "mass.a"},
+    "below": {"area": 1e-8, "gap": 2e-4, "travel": TRAVEL, "a": "mass.a"},
+}
+
+
+def pushed(kind, restitution=None, **keys):
+    """A mass that a constant force pushes against a stop, without voltage."""
+    plate = {"part": kind, **PARTS[kind], "stop": STOP, "pins": {"plus": "drive.out"}, **keys}
+    if restitution is not None:
+        plate["restitution"] = restitution
+    if kind in ("above", "below"):
+        plate |= {"part": "gap", "side": kind}
+    else:
+        plate["pins"]["a"] = "mass.a"
+    force = PUSH * (-1 if kind == "below" else 1)
+    return {
+        "name": "pushed",
+        "gravity": 0.0,
+        "plate": plate,
+        "mass": {"part": "mass", "mass": MASS},
+        "drive": {"part": "source", "dc": 0.0},
+        "push": {"part": "source", "kind": "force", "pins": {"out": "mass.a"},
+                 "pulse": {"high": force, "width": 1.0, "edge": 1e-9}},
+        "solver": {"stop": 6e-3, "max_step": 2e-6},
+    }  # fmt: skip
+
+
+def bounces(restitution, count):
+    """Time of each highest place between strikes, and how far it is from the stop: a spring of
+    ``2 STOP / (1 + e^2)`` on the way in, of e^2 times that on the way out, under constant push."""
+    a = PUSH / MASS
+    stiff = 2 * STOP / (1 + restitution**2)
+    time, speed, result = np.sqrt(2 * TRAVEL / a), np.sqrt(2 * a * TRAVEL), []
+    for _ in range(count):
+        w, rest = np.sqrt(stiff / MASS), PUSH / stiff
+        swing = np.hypot(rest, speed / w)
+        time += (np.pi - np.arctan2(speed / w, rest)) / w  # d = rest - rest cos wt + v/w sin wt
+        soft = stiff * restitution**2
+        w, below = np.sqrt(soft / MASS), PUSH / soft
+        over = rest + swing - below
+        angle = np.arccos(-below / over)
+        time, speed = time + angle / w, over * w * np.sin(angle)
+        result.append((time + speed / a, speed**2 / (2 * a)))
+        time += 2 * speed / a
+    return np.array(result)
+
+
+@pytest.mark.parametrize("kind", PARTS)
+def test_a_mass_bounces_as_its_restitution_has_it_and_comes_to_rest(kind):
+    """0.5 by default: heights fall to a quarter. Ten bounces are at the speed of the law's rest."""
+    waves = kc.run(pushed(kind)).waves
+    away = TRAVEL - np.abs(waves["mass.x"])
+    k = 1 + np.flatnonzero((np.diff(away)[:-1] > 0) & (np.diff(away)[1:] <= 0))
+    exact = bounces(0.5, 3)
+    np.testing.assert_allclose(away[k][:3], exact[:, 1], rtol=6e-3)
+    np.testing.assert_allclose(waves["time"][k][:3], exact[:, 0], rtol=1e-3)
+    late = waves["time"] > 5e-3
+    assert np.abs(waves["mass.v"][late]).max() < 1e-6
+    np.testing.assert_allclose(-away[late], PUSH / STOP, rtol=1e-3)
+
+
+@pytest.mark.parametrize(("restitution", "damping"), [(0.8, 0.0), (1.0, 2.0)])
+def test_both_kinds_of_loss_are_those_of_ngspice_and_of_the_integrator(restitution, damping):
+    scene = pushed("parallel_plate", restitution, damping=damping)
+    scene["solver"]["stop"] = 3e-3
+    waves = kc.run(scene).waves
+    law = solve(Build(load_scene(scene), {}), Waveforms({"time": waves["time"]}, {})).results
+    exact = bounces(restitution, 1)[0, 1]
+    if damping:
+        speed = left(damping, np.sqrt(2 * PUSH / MASS * TRAVEL))
+        exact = speed**2 * MASS / (2 * PUSH)
+    for times, found in ((waves["time"], waves["mass.x"]), (law["time"], law["mass.x"])):
+        assert TRAVEL - found[times > 1.5e-3].min() == pytest.approx(exact, rel=3e-3)
+
+
+def left(damping, speed):
+    """Speed after a strike: ``m d'' = PUSH - STOP d (1 + damping d')`` from d = 0 to d = 0."""
+
+    def rates(t, y):
+        return [y[1], (PUSH - STOP * y[0] * (1 + damping * y[1])) / MASS]
+
+    def out(t, y):
+        return y[0] + 1e-15 * (t == 0.0)
+
+    out.terminal, out.direction = True, -1
+    done = solve_ivp(rates, (0, 1e-3), [0.0, speed], events=out, rtol=1e-9, atol=1e-15)
+    return abs(done.y[1, -1])
