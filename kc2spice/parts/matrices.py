@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
 from pydantic import Field
 
-from kc2spice.bodies.readers import extent, read_model, source_files
+from kc2spice.bodies.readers import described, extent, read_model, source_files
+from kc2spice.bodies.readers.raw import TRANSLATIONS
 from kc2spice.core.figure import Shape
 from kc2spice.core.foreign import beside
 from kc2spice.core.progress import Clock
@@ -41,6 +42,17 @@ class Matrices(LinearBody):
 
     def ports(self, part: Part, scene: Scene) -> tuple[Port, ...]:
         return self._model(part, scene).ports
+
+    def directions(self, part: Part, scene: Scene) -> Mapping[str, tuple[float, ...]]:
+        """Those that the sidecar states by ``dof`` or ``axis``; a column of B has none."""
+        *_, said = described(*self._source(part, scene))
+        result = {}
+        for entry in said.ports:
+            translation = entry.kind in ("mechanical", "acceleration")
+            if translation and entry.weights.keys() and entry.weights.keys() <= {*TRANSLATIONS}:
+                pin = entry.port.terminals[0]
+                result[pin] = tuple(entry.weights.get(axis, 0.0) for axis in TRANSLATIONS)
+        return result
 
     def full_key(self, part: Part, scene: Scene) -> dict[str, Any]:
         stamps = {name: file_stamp(scene.home / name) for name in self.files(part, scene)}

@@ -50,8 +50,13 @@ class ShakenFrame:
         """For ``explain``."""
         shares = []
         for shake in self.shakes:
-            share = "an unknown share" if shake.along is None else f"{shake.along:.4g}"
-            shares.append(f"{share} of {'.'.join(shake.pin)}")
+            pin = ".".join(shake.pin)
+            if shake.along is None:
+                shares.append(f"an unknown share of {pin}")
+            elif abs(shake.along - 1.0) <= SQUARE:
+                shares.append(pin)
+            else:
+                shares.append(f"{shake.along:.4g} of {pin}")
         return ", ".join(shares) or f"{self.body}, whose acceleration is at a right angle"
 
 
@@ -200,7 +205,8 @@ def _followed(
                 where=f"{part.name}.{pin}",
                 got=f"joined to {_told(frame)}",
                 expected="ports and accelerations whose directions the body states",
-                hint=f"state axis of the ports of {frame.body}, or put the mass into its matrices",
+                hint=f"state axis or dof of the ports of {frame.body}, or put the mass into its "
+                "matrices",
             )
 
 

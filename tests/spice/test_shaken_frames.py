@@ -4,6 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import scipy.io
 from scipy.integrate import solve_ivp
 
 import kc2spice as kc
@@ -140,10 +141,7 @@ def test_explain_states_what_displacements_count_from():
     scene = load_scene(beam(own={"part": "mass", "mass": 1e-3, "pins": {"a": "k.a"}},
                             k={"part": "spring", "stiffness": 10.0}))  # fmt: skip
     lines = plan(Build(scene, {}))["frames"]
-    assert (
-        "beam.tip, m.a: relative to the frame that 1 of beam.base shakes; gnd is that frame"
-        in lines
-    )
+    assert "beam.tip, m.a: relative to the frame that beam.base shakes; gnd is that frame" in lines
     assert "own.a, k.a: absolute" in lines
     still = load_scene(
         beam(beam=beam()["beam"] | {"pins": {}}, shaker=None, analysis={"type": "op"})
@@ -219,3 +217,44 @@ def test_dialects_have_the_frame_too(tmp_path: Path):
     for dialect in ("xyce", "ltspice", "verilog-a"):
         export(load_scene(beam()), tmp_path / dialect, dialect=dialect)
     assert "along_frame" in (tmp_path / "xyce" / "mass.lib").read_text()
+
+
+ROD = """
+dofs = "rod.csv"
+[[fixed]]
+node = 1
+[[ports]]
+name = "tip"
+kind = "mechanical"
+node = 2
+dof = "ux"
+[[ports]]
+name = "frame"
+kind = "acceleration"
+axis = {axis}
+"""
+
+
+@pytest.mark.parametrize(("axis", "share"), [("[1, 1, 0]", np.sqrt(0.5)), ("[0, 0, 1]", 0.0)])
+def test_a_mass_feels_what_is_along_its_port(axis, share, tmp_path):
+    """Two masses on a spring of 1 kN/m: the frame is shaken at an angle to the port, or across."""
+    stiffness, own = 1e3, 2e-3
+    for letter, value in (("K", stiffness), ("M", own)):
+        scipy.io.mmwrite(tmp_path / f"rod.{letter}.mtx", np.eye(2) * value)
+    (tmp_path / "rod.csv").write_text("1,1\n2,1\n")
+    (tmp_path / "rod.toml").write_text(ROD.format(axis=axis))
+    path = tmp_path / "scene.toml"
+    path.write_text(
+        """
+        gravity = 0.0
+        rod = { part = "matrices", file = "rod", pins = { frame = "shaker.out" } }
+        shaker = { part = "source", kind = "acceleration", ac = "1 m/s2" }
+        m = { part = "mass", mass = 1e-3, pins = { a = "rod.tip" } }
+        analysis = { type = "ac", start = "5 Hz", stop = "50 Hz", points = 3 }
+        probes = { u = { of = "m.x" } }
+        """
+    )
+    result = kc.run(path)
+    w2 = (2 * np.pi * result.waves["frequency"].real) ** 2
+    exact = -(own + 1e-3) * share / (stiffness - (own + 1e-3) * w2)
+    np.testing.assert_allclose(result.waves["m.x"], exact, rtol=1e-5, atol=1e-15)
