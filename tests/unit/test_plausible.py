@@ -4,7 +4,11 @@ import warnings
 
 import pytest
 
+from kc2spice.bodies.stack_keys import Cap, Chip
 from kc2spice.core.errors import UsageError
+from kc2spice.core.quantities import role_of
+from kc2spice.core.waveforms import PulseKeys
+from kc2spice.parts import bimorph, mass
 from kc2spice.scene.load import load_scene
 
 
@@ -72,16 +76,21 @@ def test_a_time_is_no_width():
     assert scene.parts["kick"].keys.drive.width == pytest.approx(0.4e-6)
 
 
-def test_every_dimension_of_a_body_has_a_role():
-    """What the shipped bodies declare as thickness, width or length is held against its range."""
-    for override, key in (
-        ("kick.side=3", "kick.side"),
-        ("kick.top_cap.thickness=1", "kick.top_cap.thickness"),
-        ("kick.height=5", "kick.height"),
-    ):
-        with pytest.raises(UsageError, match="hardly exists") as refused:
-            load_scene("kick_and_catch", [override])
-        assert key in str(refused.value)
+ROLES = (
+    (Chip, {"side": 0.5, "depth": 0.5, "diameter": 0.5, "height": 1.0}),
+    (Cap, {"thickness": 0.03}),
+    (bimorph.BimorphKeys, {"length": 1.0, "width": 0.5, "tip_mass": 1e3}),
+    (bimorph.Layer, {"thickness": 0.03}),
+    (mass.MassKeys, {"mass": 1e3}),
+    (PulseKeys, {}),
+)
+
+
+@pytest.mark.parametrize(("schema", "largest"), ROLES)
+def test_keys_declare_their_roles(schema, largest):
+    """The largest plausible value of each key that has a role; a pulse's width has none."""
+    roles = {name: role_of(field) for name, field in schema.model_fields.items()}
+    assert {name: role.high for name, role in roles.items() if role is not None} == largest
 
 
 WRONG_DIMENSIONS = (
