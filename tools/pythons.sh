@@ -43,7 +43,7 @@ run_tests() { # NAME INTERPRETER
     environment=$root/$1
     "$2" -m venv "$environment"
     # --upgrade: an environment that exists gets today's newest versions too
-    if ! "$environment/bin/python" -m pip install --quiet --upgrade --upgrade-strategy eager \
+    if ! "$environment/bin/python" -m pip install -qq --upgrade --upgrade-strategy eager \
         --editable '.[test]'; then
         say "no libraries for $2: its tests are skipped"
         return

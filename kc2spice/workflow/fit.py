@@ -298,7 +298,7 @@ class _Body:
                 charge = modal_transfer(scaled, self.frequencies)[:, 0, 0]
                 other = self.lossy(charge, float(model.D[0, 0]), values)
                 result[f"{what} loss of the motion: vary damping.quality"] = np.log(other / Y)
-        if self.damping.model == "rayleigh":
+        if self.damping.model == "rayleigh" and not self.damping.per_material:
             other = self.by_complex_constants(
                 modal_projection(model, float(self.data.f[-1])), values
             )

@@ -14,6 +14,8 @@ from kc2spice.core.waveforms import Recorded, Waveforms
 from kc2spice.fem.materials import material
 
 PACKAGE = Path(kc.__file__).parent
+# Functions of arrays are compared by identity.
+CALLABLES = re.compile(r"Callable\[\[[^]]*\], [^]]*\]")
 ARRAYS = re.compile(r"\b(ndarray|c[sc][cr]_array|Matrix|Mesh|OptimizeResult)\b")
 
 
@@ -33,7 +35,9 @@ def test_no_class_with_arrays_has_the_equality_that_dataclass_generates():
         )
         for node in filter(generated_equality, classes):
             fields = filter(lambda item: isinstance(item, ast.AnnAssign), node.body)
-            if any(ARRAYS.search(ast.unparse(item.annotation)) for item in fields):
+            if any(
+                ARRAYS.search(CALLABLES.sub("", ast.unparse(item.annotation))) for item in fields
+            ):
                 names.append(f"{path.name}: {node.name}")
     assert names == []
 
