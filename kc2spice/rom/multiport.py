@@ -1,11 +1,12 @@
 """A measured multiport as a passive state space, by vector fitting.
 
-Scattering parameters S of a reference resistance R are fitted by common poles (B. Gustavsen,
-A. Semlyen, IEEE Trans. Power Delivery 14 (1999) 1052; scikit-rf does it), more of them until what
-is left is the noise of the data. The nearest passive model of the same poles follows by the bounded
-real lemma; the Hamiltonian of the state space, which knows all frequencies, judges it (S. Boyd, V.
-Balakrishnan, P. Kabamba, Math. Control Signals Systems 2 (1989) 207). With ``b = S a``,
-``a, b = (v / r +- r i) / 2``, ``r = sqrt(R)``::
+Scattering parameters S of a reference resistance R are fitted by common poles: a few steps of
+vector fitting (B. Gustavsen, A. Semlyen, IEEE Trans. Power Delivery 14 (1999) 1052; scikit-rf does
+it) and nonlinear least squares from there, whose minimum does not depend on rounding. More poles
+follow until what is left is the noise of the data. The nearest passive model of the same poles
+follows by the bounded real lemma; the Hamiltonian of the state space, which knows all frequencies,
+judges it (S. Boyd, V. Balakrishnan, P. Kabamba, Math. Control Signals Systems 2 (1989) 207). With
+``b = S a``, ``a, b = (v / r +- r i) / 2``, ``r = sqrt(R)``::
 
     x' = A x + B a            v / r = C x + (1 + D) a
     b  = C x + D a            i = (2 a - v / r) / r
@@ -16,23 +17,35 @@ whose charge is the output of an electrical port: a resistance at zero frequency
 from __future__ import annotations
 
 import warnings
+from collections.abc import Iterator
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import scipy
+from scipy.optimize import least_squares
 
 from kc2spice.core.errors import UsageError, needed
 from kc2spice.rom.linear import ABCD, Certificate, LinearModel, Port
 from kc2spice.rom.pencil import explicit
 
+ITERATIONS = 6  # of vector fitting, which amplify rounding; least squares continue
+MOST_STEPS = 60  # evaluations of least squares of the poles
+# Decay of a pole: at least this share of the distance between samples, at most so many times the
+# band's end. Samples do not determine others.
+NARROWEST, FASTEST = 0.25, 10.0
+# Highest frequency of a pole by the band's end, tried in this order: lines need poles above the
+# band, which are seldom passive in measured data.
+REACHES = (3.0, 1.25, 1.001)
+MOST_DETERMINED = 0.25  # parameters by numbers in the samples; more describe their noise
+EDGE = 1e-3  # of a bound: least squares start inside of it
 MOST = 60  # poles, pairs counted once
 STATES = 48  # of them all: the search for the nearest passive model takes their sixth power
 NOISE, ENOUGH = 1.2, 1e-5  # times the noise of the data, or of the largest: a good fit
 GAIN, PATIENCE = 0.1, 2  # three poles more take that share of the deviation, or two times not
-CLOSE = 1.5  # times the deviation without passivity: a passive fit as good as any
+CLOSE = 1.2  # times the deviation without passivity: a passive fit as good as any
 POOR = 0.2  # of the largest: what no rational function comes near
 ROUNDING = 1e-6  # of an optimum on the edge of what is passive
+MOST_SHRUNK = 0.1  # by which a fit may exceed what is passive; its deviation decides
 INSIDE = 1e-7  # below one, of the largest singular value that counts as passive
 
 
@@ -110,19 +123,28 @@ def _fits(f: np.ndarray, S: np.ndarray, noise: float, where: str) -> list[tuple[
     useless = 0
     for poles in range(2, MOST + 1, 3):
         fit = skrf.vectorFitting.VectorFitting(network)
+        fit.max_iterations = ITERATIONS
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # of iterations that end early; the deviation decides
             try:
                 fit.vector_fit(n_poles_real=2, n_poles_cmplx=poles, enforce_dc=False)
             except (np.linalg.LinAlgError, ValueError):
                 continue
-        model = _state_space(fit, len(S[0]))
+        parameters = (2 + poles) + poles + (3 + 2 * poles) * S[0].size
+        if result and parameters > MOST_DETERMINED * 2 * S.size:
+            break
+        least = min((item for item, _ in result), default=np.inf)
+        for reach in REACHES:
+            model = _state_space(*refined(f, S, np.asarray(fit.poles), reach))
+            if len(model[0]) > STATES:
+                break
+            result.append((_deviation(_transfer(model, f), S), model))
+            if passive(*model):
+                break
         if len(model[0]) > STATES:
             break
-        left = _deviation(_transfer(model, f), S)
-        least = min((item for item, _ in result), default=np.inf)
+        left = min(item for item, _ in result)
         useless = useless + 1 if left > (1 - GAIN) * least else 0
-        result.append((left, model))
         if left < max(NOISE * noise, ENOUGH) or useless == PATIENCE:
             break
     return sorted(result, key=lambda item: item[0])
@@ -193,16 +215,23 @@ def _passive(fit: ABCD, f: np.ndarray, S: np.ndarray) -> ABCD | None:
     """As near to the samples as a passive state space of the poles of a fit can be."""
     if (np.linalg.eigvals(fit[0]).real >= 0).any():
         return None
-    model = fit if passive(*fit) else _nearest(fit, f, S)
-    if model is None:
-        return None
+    if passive(*fit):
+        return fit
+    tried = [_shrunk(model) for model in (fit, _nearest(fit, f, S)) if model is not None]
+    found = [model for model in tried if model is not None]
+    return min(found, key=lambda model: _deviation(_transfer(model, f), S), default=None)
+
+
+def _shrunk(model: ABCD) -> ABCD | None:
+    """The model with C and D divided by the least of the factors ``1 + ROUNDING 2^k`` that makes it
+    passive, None where that is more than :data:`MOST_SHRUNK`."""
     A, B, C, D = model
-    gain = 1.0
-    while not passive(A, B, C / gain, D / gain):  # rounding of the optimum
-        gain += ROUNDING
-        if gain > 1 + 20 * ROUNDING:
+    excess = 0.0
+    while not passive(A, B, C / (1 + excess), D / (1 + excess)):
+        excess = 2 * excess or ROUNDING
+        if excess > MOST_SHRUNK:
             return None
-    return A, B, C / gain, D / gain
+    return A, B, C / (1 + excess), D / (1 + excess)
 
 
 def _transfer(model: ABCD, f: np.ndarray) -> np.ndarray:
@@ -214,17 +243,112 @@ def _deviation(one: np.ndarray, other: np.ndarray) -> float:
     return float(np.sqrt(np.mean(np.abs(one - other) ** 2)) / np.abs(other).max())
 
 
-def _state_space(fit: Any, ports: int) -> ABCD:
+def refined(
+    f: np.ndarray, S: np.ndarray, poles: np.ndarray, highest: float
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The stable poles near ``poles`` [rad/s], those in the upper half plane and real ones, with
+    the least squares of ``D + sum_k R_k / (s - p_k) + R_k* / (s - p_k*)``: also residues (poles,
+    ports, ports) and D. Poles turn at ``highest`` times the band's end at most.
+
+    Residues are linear, and eliminated (variable projection with Kaufman's Jacobian: Golub and
+    Pereyra, Inverse Problems 19 (2003) R1). Vector fitting stops where it does no better; the
+    minimum near that does not depend on rounding.
+    """
+    top = 2 * np.pi * float(f[-1])
+    s, real = 2j * np.pi * f / top, np.abs(poles.imag) == 0
+    step = float(np.median(np.diff(f))) / float(f[-1])
+    turning = np.arange(len(poles) + int(np.sum(~real))) >= len(poles)  # imaginary parts
+    least = np.log(np.where(turning, max(f[0] / f[-1], step), NARROWEST * step))
+    most = np.log(np.where(turning, highest, FASTEST))
+    parts = np.r_[np.abs(poles.real), poles.imag[~real]] / top
+    start = np.clip(np.log(np.maximum(parts, np.exp(least))), least + EDGE / 4, most - EDGE / 4)
+    target = S.reshape(len(f), -1)
+    target = np.concatenate([target.real, target.imag])
+
+    def unpacked(x: np.ndarray) -> np.ndarray:
+        p = -np.exp(x[: len(poles)]).astype(complex)
+        p[~real] += 1j * np.exp(x[len(poles) :])
+        return p
+
+    def projected(x: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Orthonormal basis, coefficients of the columns, what they leave."""
+        columns, size = _columns(s, unpacked(x), real)
+        Q, upper = np.linalg.qr(columns)
+        coefficients = scipy.linalg.lstsq(upper, Q.T @ target)[0]
+        return Q, coefficients / size[:, None], target - columns @ coefficients
+
+    def residual(x: np.ndarray) -> np.ndarray:
+        return projected(x)[2].ravel()
+
+    def slopes(x: np.ndarray) -> np.ndarray:
+        Q, coefficients, _ = projected(x)
+        result = []
+        for change in _changes(s, unpacked(x), real, coefficients):
+            rows = np.concatenate([change.real, change.imag])
+            result.append((Q @ (Q.T @ rows) - rows).ravel())
+        return np.column_stack(result)
+
+    found = least_squares(
+        residual,
+        start,
+        slopes,
+        bounds=(least, most),
+        x_scale="jac",
+        xtol=1e-10,
+        ftol=1e-10,
+        gtol=1e-12,
+        max_nfev=MOST_STEPS,
+    )
+    x = found.x
+    p, coefficients = unpacked(x), projected(x)[1]
+    residues = coefficients[1 : 1 + len(p)].astype(complex)
+    residues[~real] += 1j * coefficients[1 + len(p) :]
+    shape = S.shape[1:]
+    return p * top, (residues * top).reshape(-1, *shape), coefficients[0].reshape(shape)
+
+
+def _columns(s: np.ndarray, p: np.ndarray, real: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Real rows of ``1``, ``1 / (s - p) + 1 / (s - p*)`` (half of it of a real pole) and
+    ``j / (s - p) - j / (s - p*)`` of complex ones, scaled to norm 1; their norms."""
+    one, other = 1 / (s[:, None] - p), 1 / (s[:, None] - p.conj())
+    sums = np.where(real, one, one + other)
+    columns = np.hstack([np.ones((len(s), 1)), sums, 1j * (one - other)[:, ~real]])
+    rows = np.concatenate([columns.real, columns.imag])
+    size = np.linalg.norm(rows, axis=0)
+    return rows / size, size
+
+
+def _changes(
+    s: np.ndarray, p: np.ndarray, real: np.ndarray, coefficients: np.ndarray
+) -> Iterator[np.ndarray]:
+    """Derivatives (frequencies, entries) of the sum by the logarithms of the poles' parts."""
+    residues = coefficients[1 : 1 + len(p)].astype(complex)
+    residues[~real] += 1j * coefficients[1 + len(p) :]
+    one, other = 1 / (s[:, None] - p) ** 2, 1 / (s[:, None] - p.conj()) ** 2
+
+    def change(k: int, rate: complex) -> np.ndarray:
+        result = np.outer(rate * one[:, k], residues[k])
+        if not real[k]:
+            result = result + np.outer(np.conj(rate) * other[:, k], residues[k].conj())
+        return result
+
+    for k in range(len(p)):
+        yield change(k, p[k].real)
+    for k in np.flatnonzero(~real).tolist():
+        yield change(k, 1j * p[k].imag)
+
+
+def _state_space(poles: np.ndarray, residues: np.ndarray, D: np.ndarray) -> ABCD:
     """Real matrices of ``S = D + sum_k R_k / (s - p_k)``, every pole as often as the rank of its
     residue asks."""
-    residues = np.asarray(fit.residues).reshape(ports, ports, -1)
+    ports = len(D)
     blocks, inputs, outputs = [], [], []
-    for k, pole in enumerate(np.asarray(fit.poles)):
-        U, size, Vh = np.linalg.svd(residues[:, :, k])
+    for pole, residue in zip(poles, residues, strict=True):
+        U, size, Vh = np.linalg.svd(residue)
         rank = int(np.sum(size > 1e-9 * size[0])) if size[0] > 0 else 0
         into, out = Vh, U * size
         if rank == ports:  # each input its own states: the fewest entries
-            into, out = np.eye(ports), residues[:, :, k]
+            into, out = np.eye(ports), residue
         for column in range(rank):
             c, b = out[:, column], into[column]
             if pole.imag == 0:
@@ -237,8 +361,7 @@ def _state_space(fit: Any, ports: int) -> ABCD:
                 blocks.append(np.array([[pole.real, w], [-w, pole.real]]))
                 inputs.append(2 * np.array([b.real, -b.imag]))
                 outputs.append(np.column_stack([c.real, c.imag]))
-    D = np.asarray(fit.constant_coeff).reshape(ports, ports)
-    return scipy.linalg.block_diag(*blocks), np.vstack(inputs), np.hstack(outputs), D.real
+    return scipy.linalg.block_diag(*blocks), np.vstack(inputs), np.hstack(outputs), D
 
 
 def passive(A: np.ndarray, B: np.ndarray, C: np.ndarray, D: np.ndarray) -> bool:

@@ -14,6 +14,7 @@ import kc2spice as kc
 from kc2spice.bodies.readers.measured import is_measured, read_measured
 from kc2spice.netlist.deck import ac
 from kc2spice.rom.io import read_rom
+from kc2spice.rom.multiport import multi_port
 from kc2spice.workflow.reduce import first_deck, reduce
 
 F = np.linspace(40e3, 80e3, 401)
@@ -237,6 +238,23 @@ def test_published_files_become_circuits_as_near_as_stated(tmp_path, name, devia
         assert 1e-10 < seen.max() < 1.001 * found["error_estimate"] + 1e-8
 
 
+@pytest.mark.parametrize(
+    "name",
+    ["ring slot.s2p", "ntwk1.s2p", pytest.param("ring slot measured.s1p", marks=pytest.mark.slow)],
+)
+def test_states_of_a_published_file_do_not_depend_on_rounding(name):
+    """Samples that differ by 1e-13: long vector fitting made a third of a difference of them."""
+    data = read_measured(Path(skrf.__file__).parent / "data" / name)
+    found = []
+    for size in (0.0, 1e-13):
+        turned = 1 + size * np.random.default_rng(1).normal(size=data.Y.shape)
+        found.append(multi_port(data.f, data.Y * turned, data.noise, name))
+    assert found[0].order == found[1].order
+    errors = [model.certificate.error_estimate for model in found]
+    assert errors[0] == pytest.approx(errors[1], rel=1e-2)
+
+
+@pytest.mark.slow
 def test_a_published_file_that_no_circuit_describes_is_refused(tmp_path):
     path = Path(skrf.__file__).parent / "data" / "ring slot measured.s1p"
     with pytest.raises(kc.errors.GateMissedError, match="does not describe"):
