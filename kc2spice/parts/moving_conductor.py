@@ -155,7 +155,7 @@ def _declared(
         branches,
         limits=limits,
         rating=kind.rating,
-        sign="a less b is the height of the centre of mass; 1 A into a pin pushes it up with 1 N",
+        sign="um from b to a are the height of its centre of mass; 1 A into a pin pushes up with 1 N",
         validity=f"heights y_min to y_max{reach}; rigid, not magnetic, at constant temperature",
         **physics,
     )
