@@ -258,3 +258,23 @@ def test_a_mass_feels_what_is_along_its_port(axis, share, tmp_path):
     w2 = (2 * np.pi * result.waves["frequency"].real) ** 2
     exact = -(own + 1e-3) * share / (stiffness - (own + 1e-3) * w2)
     np.testing.assert_allclose(result.waves["m.x"], exact, rtol=1e-5, atol=1e-15)
+
+
+def test_a_constant_acceleration_bends_by_all_masses():
+    """At rest: ``u = Hta a - m Htt a``, and the shaker pushes all that it carries."""
+    scene = load_scene(
+        beam(
+            shaker={"part": "source", "kind": "acceleration", "dc": "2 m/s2"},
+            analysis={"type": "op"},
+            probes={
+                "u": {"of": "beam.u.tip", "take": "final"},
+                "force": {"of": "shaker.force", "take": "final"},
+            },
+        )
+    )
+    found = kc.run(scene).metrics
+    (body,) = kc.build(scene).values()
+    tip, base = ([p.name for p in body.ports].index(name) for name in ("tip", "base"))
+    H = body.transfer(np.zeros(1))[0].real
+    assert found["u"] == pytest.approx(2.0 * (H[tip, base] - MASS * H[tip, tip]), rel=1e-5)
+    assert found["force"] == pytest.approx(2.0 * (body.facts["mass_kg"] + MASS), rel=1e-6)
