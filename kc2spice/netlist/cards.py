@@ -11,6 +11,10 @@ from typing import Any
 
 from kc2spice.core.errors import MissingToolError, UsageError
 
+#: 1/s, at which a floating charge decays in a netlist. What holds a charge has a leak of this times
+#: its charge, so that the currents sum to zero at an operating point where the charges do, and of
+#: the current in it a share of 1.6e-10 Hz / f, whatever the capacitance.
+LEAK_RATE = 1e-9
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,63}")
 # Simulators read these as ground, clock, temperature, a constant, a multiplier, a function.
 _RESERVED = frozenset({"gnd", "time", "temper", "hertz", "temp", "dtemp", "pi", "m", "limit"})

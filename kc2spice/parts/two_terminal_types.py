@@ -13,7 +13,7 @@ from typing import Annotated, Any, NamedTuple
 from pydantic import Field, create_model
 
 from kc2spice.core.quantities import Section, si
-from kc2spice.netlist.cards import number
+from kc2spice.netlist.cards import LEAK_RATE, number
 from kc2spice.netlist.expression import Number, Tree
 from kc2spice.physics.declaration import RATE, Branch, Declaration, current, displacement, voltage
 from kc2spice.physics.expression import ONE, ZERO, derivative, evaluated, over, times
@@ -126,8 +126,16 @@ class LinearElement(DeclaredPart):
         return (
             f"{_meter(part, build)} {a} {inner} 0",
             f"C{part.name} {inner} {b} {number(self._number(part, admittance))}",
+            *(self._leak_cards(part, build, a, b) if self.branch.kind == "voltage" else ()),
             *(self._noise_cards(part, build, a, b) if build.noisy and self._lossy else ()),
         )
+
+    def _leak_cards(self, part: Part, build: Build, a: str, b: str) -> tuple[str, ...]:
+        """A conductance by which the operating point of a floating net keeps its charge: it is in
+        proportion to the capacitance, as that of a body's electrode is, so that their currents
+        ``rate C v`` sum to zero where the charges ``C v`` do."""
+        value = number(LEAK_RATE * self._number(part, self.linear[1]))
+        return (f"{build.own(part, f'G{part.name}', 'leak')} {a} {b} {a} {b} {value}",)
 
     @cached_property
     def _lossy(self) -> bool:

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
 
+from kc2spice.netlist.cards import LEAK_RATE
 from kc2spice.netlist.expression import Binary, Call, Name, Number, Probe, Tree, replaced, walk
 from kc2spice.physics.declaration import RATE, Branch, Declaration
 from kc2spice.physics.expression import (
@@ -44,6 +45,8 @@ _HEAD = {
     "state": "a state, whose rate times 1 uF flows into {node}; 1 POhm may be all that sets it at "
     "an operating point",
     "noise": "of the temperature of a loss, 4 k T times {loss}: this resistor has noise",
+    "leak": "by this current the operating point of a floating net keeps its charge, which decays "
+    "within {seconds} s",
     "edge": "a switch without function: ngspice puts a time point where {argument} is zero",
 }  # fmt: skip
 
@@ -304,6 +307,9 @@ def _charge(
         yield f"*   charge = {text(declaration.named(kept))}"
         yield from _scaled(declaration, b, kept, f"q_{b.name}", nodes)
         yield f"Fq_{b.name} {inner} {b.minus} Vrate_{b.name} {{scale_{b.name}*1e6}}"
+        yield f"* {_HEAD['leak'].format(seconds=f'{1 / LEAK_RATE:g}')}"
+        leak = f"{{{LEAK_RATE:g}*scale_{b.name}}}"
+        yield f"Gleak_{b.name} {b.plus} {b.minus} q_{b.name} {b.minus} {leak}"
     if direct != ZERO or kept == ZERO:
         yield f"*   {b.through} = {text(declaration.named(direct))}"
         whole = declaration.named(plus(direct, noise))

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, TypeAlias
 import numpy as np
 
 from kc2spice.core.errors import SimulationError, UsageError
-from kc2spice.netlist.cards import comment, distinct, number
+from kc2spice.netlist.cards import LEAK_RATE, comment, distinct, number
 from kc2spice.netlist.cards import name as checked_name
 from kc2spice.netlist.circuit import Param, Pin, Subcircuit
 from kc2spice.rom.linear import Certificate, LinearModel, Port
@@ -28,9 +28,6 @@ MICRO = 1e-6  # 1 V on a displacement pin is 1 um, 1 V on a charge node 1 uC
 STATE = 1e-6  # farad of a fast state: one chgtol is then one tolerance of displacement
 SIEMENS = 1.0  # of a state without inertia; its capacitance is its relaxation time
 SILENT = 1e-9  # of the largest share of a mode in every port; such modes move no port
-# 1/s, of a floating electrode's charge. The leak is this times the clamped capacitance, through
-# which all of the port's charge passes: 1.6e-10 Hz / f of the current, whatever the capacitance.
-LEAK_RATE = 1e-9
 OPEN_INPUT = 1e-18  # S, of a signal input, so that it is zero where nothing drives it
 FREE_LEAK = 1e-12  # S, of a free integrator: of the conductance of its capacitor at the band's end
 LEAK_POINTS = 60  # frequencies at which the least charge of a bare electrode is looked for

@@ -70,6 +70,7 @@ class Stated:
         if branch.kind == "displacement":
             held = slope(self.d.energy, known, branch.name)
             held -= slope(self.d.coenergy, known, branch.name)
+            held += stated(self.d.forces.get(branch.name, "0"), known)
             return held + slope(self.d.content, known, f"{branch.name}_rate")
         rise = 0.0
         for name, x in state.items():
