@@ -155,7 +155,7 @@ def _declared(
         branches,
         limits=limits,
         rating=kind.rating,
-        sign="um from b to a are the height of its centre of mass; 1 A into a pin pushes up with 1 N",
+        sign="um from b to a are the height of its centre of mass; 1 A lifts it with 1 N",
         validity=f"heights y_min to y_max{reach}; rigid, not magnetic, at constant temperature",
         **physics,
     )
