@@ -19,6 +19,7 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import typer
+from typer.core import TyperCommand
 
 from kc2spice.cli.tables import COLUMNS, INTERRUPTED, Caller, print_table, reported_errors, show
 from kc2spice.core import __version__
@@ -37,136 +38,173 @@ def _directory(text: str) -> Path:
     return Path(text)
 
 
+def _out(default: str) -> Any:
+    """The option ``--out`` of a command that writes into ``default`` otherwise."""
+    text = f"Directory to write into. Default: {default}."
+    return typer.Option("--out", "-o", metavar="DIR", parser=_directory, help=text)
+
+
 PARAMETERS = {
     "scene": typer.Argument(
         metavar="SCENE",
-        help="Gallery name (see 'scenes') or path of a TOML file.",
+        help="Name of a built-in scene, or path of a TOML file.",
         autocompletion=_names,
     ),
     "sweep.scene": typer.Argument(
-        metavar="SCENE", help="Gallery name, study name, or path of a TOML file of either."
+        metavar="SCENE", help="Name of a built-in scene or study, or path of a TOML file."
     ),
     "model": typer.Argument(
         metavar="MODEL",
-        help="NAME of Matrix Market or Harwell-Boeing files NAME.M .E .K .B .C (first order .A "
-        ".B .C .D .E; heat .E .K), also NAME_K.mtx; a .npz or .mat file with such matrices; "
-        "files of Abaqus, CalculiX, Nastran, Ansys; SCENE:PART for a scene's body; a measured "
-        "response (.s1p, .s2p, .csv, .txt, .mat), which becomes a passive circuit. NAME.toml "
-        "beside it names ports, units, supports and band; docs/reference/matrices.md lists its keys.",
+        help="NAME of the files NAME.M .E .K .B .C (Matrix Market or Harwell-Boeing; first order "
+        ".A .B .C .D .E); a .npz or .mat file; a file of Abaqus, CalculiX, Nastran or Ansys; "
+        "SCENE:PART for the body of a scene; a measured response (.s1p, .s2p, .csv, .txt, .mat). "
+        "NAME.toml beside the matrices names ports, units and band.",
     ),
-    "target": typer.Argument(metavar="SCENE:PART", help="A body of a scene."),
-    "data": typer.Argument(metavar="DATA", help="Its measured impedance: .s1p, .csv, .txt, .mat."),
-    "out": typer.Option(
-        "--out",
-        "-o",
-        metavar="DIR",
-        parser=_directory,
-        help="Where to write; default: ./NAME, ./NAME_verify, ./NAME_bench, ./NAME_sweep, "
-        "./NAME_rom or ./PART_fit.",
+    "target": typer.Argument(
+        metavar="SCENE:PART", help="Scene, and the body in it that is fitted."
     ),
+    "data": typer.Argument(metavar="DATA", help="Measured impedance: .s1p, .csv, .txt or .mat."),
+    "run.out": _out("./SCENE"),
+    "export.out": _out("./SCENE, or beside the reduced model"),
+    "verify.out": _out("./SCENE_verify"),
+    "reduce.out": _out("./NAME_rom"),
+    "fit.out": _out("./PART_fit"),
+    "bench.out": _out("./SCENE_bench"),
+    "sweep.out": _out("./SCENE_sweep"),
     "set_": typer.Option(
         "--set",
         metavar="KEY=VALUE",
-        help="Override a key, e.g. --set kick.drive.voltage=80 or --set control.kd='25 A s/m', or "
-        "all that a TOML file has, such as that of a fit. Repeatable; numbers are SI.",
+        help="Override a key of the scene; VALUE is a number in SI units, or text with a unit. A "
+        "TOML file overrides all keys that it contains. Repeatable.",
     ),
     "sweep.set_": typer.Option(
         "--set",
         metavar="KEY=RANGE",
-        help="a:b:n, log:a:b:n, x,y,z, normal(mu,sigma,n), uniform(a,b,n) with or without "
-        "units, or one value. KEY is a scene key (beam.layers[0].thickness too), or "
-        "param.PART.NAME for a parameter of a subcircuit. Repeatable.",
+        help="Vary a key of the scene, or param.PART.NAME of a subcircuit. RANGE is a:b:n, "
+        "log:a:b:n, x,y,z, normal(mu,sigma,n), uniform(a,b,n), or one value. Repeatable.",
     ),
     "trust": typer.Option(
         "--trust",
-        help="Let included netlists act on this machine (see 'include'), and warn where ngspice "
-        "ignores or replaces something in them.",
+        help="Let included netlists act on this machine, and warn where ngspice ignores or "
+        "replaces something in them.",
     ),
-    "as_json": typer.Option("--json", help="One JSON object on stdout, everything else on stderr."),
-    "quiet": typer.Option("--quiet", "-q", help="No progress, no tables."),
+    "as_json": typer.Option("--json", help="Print one JSON object instead of tables."),
+    "quiet": typer.Option("--quiet", "-q", help="Print neither progress nor tables."),
     "run.deck": typer.Option(
-        metavar="FILE",
-        help="Run this netlist, edited by hand, instead of SCENE's own; same metrics, checks "
-        "and plots.",
+        metavar="FILE", help="Run this edited netlist of the scene, with its metrics and checks."
     ),
-    "verify.deck": typer.Option(metavar="FILE", help="Take SCENE's deck from disk, as it stands."),
+    "verify.deck": typer.Option(metavar="FILE", help="Verify this netlist of the scene as it is."),
     "verbose": typer.Option(
         "--verbose", "-v", help="Print every table of the report, not the answer alone."
     ),
-    "png": typer.Option("--png", help="Write the report's figures as PNG files too."),
-    "keep": typer.Option(
-        "--keep", help="Keep the simulator's raw file, for waveform viewers, and its log."
+    "png": typer.Option("--png", help="Write the figures of the report as PNG files too."),
+    "keep": typer.Option("--keep", help="Keep raw file and log of the simulator."),
+    "dialect": typer.Option(
+        metavar="DIALECT", help="Simulator to write for: ngspice, xyce, ltspice or verilog-a."
     ),
-    "dialect": typer.Option(help="Language to write: ngspice, xyce, ltspice or verilog-a."),
-    "export.tolerance": typer.Option(metavar="X", help="Short for --set rom.tolerance=X."),
-    "count": typer.Option(metavar="N", help="An array: N copies of SCENE in one deck, no symbols."),
-    "rom": typer.Option(metavar="FILE", help="Reduced model of 'reduce' instead of a scene."),
-    "dense": typer.Option("--dense", help="With --rom: couple all states instead of blocks."),
+    "export.tolerance": typer.Option(
+        metavar="X", help="Tolerance of every reduction. Default: that of the scene."
+    ),
+    "count": typer.Option(metavar="N", help="Write N copies of the scene into one deck."),
+    "rom": typer.Option(metavar="FILE", help="Reduced model that 'reduce' wrote, not a scene."),
+    "dense": typer.Option("--dense", help="With --rom: couple all states, not blocks of them."),
     "all_": typer.Option("--all", help="Verify every built-in scene."),
     "full": typer.Option(
         "--full",
-        help="Follow full models 100 times as long, if need be to the scene's end, and solve "
-        "large ones at all frequencies.",
+        help="Follow full models up to 100 times as long, and solve large ones at all frequencies.",
     ),
-    "keys": typer.Option("--keys", help="List every key that a scene may have instead."),
-    "parts": typer.Option("--parts", help="List part types with their pins and keys instead."),
+    "keys": typer.Option("--keys", help="List every key that a scene may have."),
+    "parts": typer.Option("--parts", help="List the part types with their pins and keys."),
     "band": typer.Option(
         metavar="F0 F1",
-        help="Hz; default: that of NAME.toml, else up to the fifth natural frequency.",
+        help="Lowest and highest frequency of the error estimate [Hz]. Default: that of NAME.toml "
+        "or of the scene, otherwise up to the fifth natural frequency.",
     ),
     "tolerance": typer.Option(
-        metavar="X", help="Largest relative error over the band; default: 1e-4."
+        metavar="X", help="Largest relative error over the band. Default: 1e-4."
     ),
-    "order": typer.Option(metavar="Q", help="Number of states instead of a tolerance."),
+    "order": typer.Option(metavar="Q", help="Number of states, instead of a tolerance."),
     "norm": typer.Option(
         metavar="NORM",
-        help="Of the error: pointwise (relative at every frequency, notches included) or peak "
-        "(relative to the largest value in the band; default where all ports are signals).",
+        help="Norm of the error: pointwise (relative at every frequency) or peak (relative to the "
+        "largest value in the band). Default: peak if all ports are signals.",
     ),
     "dc": typer.Option(
-        metavar="R",
-        help="Resistance of a measured one-port at zero frequency, such as '80 mOhm', or open; "
-        "default: extrapolated from the lowest frequencies.",
+        metavar="OHM",
+        help="Resistance of a measured one-port at zero frequency, such as '80 mOhm', or open. "
+        "Default: extrapolated from the lowest frequencies.",
     ),
     "vary": typer.Option(
         metavar="KEY[=LOW:HIGH]",
-        help="A key below the part, such as layers[0].thickness or damping.quality, and its "
-        "range in SI; else 30 % about the scene's value, ten times of losses. Repeatable.",
+        help="Key below the part to be varied, and its range in SI units. Default: 30 % about the "
+        "value of the scene, a factor of ten for losses. Repeatable.",
     ),
     "error": typer.Option(metavar="X", min=1e-12, max=1.0, help="Largest error that you accept."),
     "bench.metric": typer.Option(
         metavar="NAME",
-        help="Whose error counts, as in result.json; repeatable. Default: bench.metric of the "
-        "scene, else every number that converges.",
+        help="Metric whose error counts. Default: bench.metric of the scene, otherwise every "
+        "number that converges. Repeatable.",
     ),
     "sweep.metric": typer.Option(
         metavar="NAME",
-        help="Column of the table, repeatable; default: all metrics. Any number of result.json "
-        "by its path: model.kick.resonance_short_hz, checks.NAME, rom.order.",
+        help="Column of the table: a metric, or any number of result.json by its path, such as "
+        "model.kick.resonance_short_hz. Default: all metrics. Repeatable.",
     ),
-    "repeats": typer.Option(min=1, help="Runs of each; the median counts."),
-    "zipped": typer.Option(
-        "--zip", help="Step through all ranges together; else they are crossed."
+    "repeats": typer.Option(metavar="N", min=1, help="Runs of each setting; the median counts."),
+    "zipped": typer.Option("--zip", help="Step through all ranges together. Default: cross them."),
+    "latin": typer.Option("--latin", help="Draw random keys by Latin hypercube."),
+    "seed": typer.Option(metavar="N", min=0, help="Seed of all random draws."),
+    "table_format": typer.Option("--format", metavar="FORMAT", help="Format: csv or parquet."),
+    "workers": typer.Option(
+        metavar="N", min=1, help="Points computed at a time. Default: number of cores."
     ),
-    "latin": typer.Option("--latin", help="Draw by Latin hypercube instead of independently."),
-    "seed": typer.Option(min=0, help="Of all draws."),
-    "table_format": typer.Option("--format", metavar="csv|parquet", help="Of the table."),
-    "workers": typer.Option(min=1, help="Points at a time; default: all cores."),
-    "dask": typer.Option(metavar="ADDRESS", help="Run on a Dask scheduler, or on 'local' workers."),
-    "timeout": typer.Option(metavar="S", min=0.1, help="Longest time for one ngspice run."),
+    "dask": typer.Option(
+        metavar="ADDRESS", help="Dask scheduler that runs the points, or 'local'."
+    ),
+    "timeout": typer.Option(metavar="S", min=0.1, help="Longest time of one run of ngspice [s]."),
     "retry_failed": typer.Option(
-        "--retry-failed",
-        help="Run all points again that failed; without it those whose run was interrupted.",
+        "--retry-failed", help="Run failed points again. Default: only interrupted ones."
     ),
-    "dry_run": typer.Option("--dry-run", help="Say what would be run and stop."),
+    "dry_run": typer.Option("--dry-run", help="Print what would be run, and stop."),
+}
+EXAMPLES = {
+    "run": (
+        "kc2spice run buzzer_7bb_20_6",
+        "kc2spice run kick_and_catch --set 'control.kd=25 A s/m' --out faster",
+    ),
+    "export": (
+        "kc2spice export impact --dialect ltspice --out netlists",
+        "kc2spice export --rom NAME_rom/NAME_rom.npz",
+    ),
+    "verify": ("kc2spice verify impact", "kc2spice verify --all --out verify"),
+    "explain": (
+        "kc2spice explain buzzer_7bb_20_6",
+        "kc2spice explain impact --set contact.shape=pressure",
+    ),
+    "scenes": ("kc2spice scenes", "kc2spice scenes --parts"),
+    "doctor": ("kc2spice doctor", "kc2spice doctor --json"),
+    "reduce": (
+        "kc2spice reduce NAME.K --tolerance 1e-4 --band 0 5e5",
+        "kc2spice reduce buzzer_7bb_20_6:disc --tolerance 1e-3",
+    ),
+    "fit": (
+        "kc2spice fit buzzer_7bb_20_6:disc DATA.csv --vary damping.quality=10:200",
+        "kc2spice fit MY.toml:disc DATA.s1p --vary 'layers[0].thickness'",
+    ),
+    "bench": ("kc2spice bench impact --error 1e-4", "kc2spice bench kick_and_catch --repeats 3"),
+    "sweep": (
+        "kc2spice sweep impact --set impact.velocity=-1:-0.2:5",
+        "kc2spice sweep kick_and_catch --set control.kp=log:2e4:2e5:10 --dry-run",
+    ),
 }
 
 
 app = typer.Typer(
     name="kc2spice",
-    help="Finite-element actuator models as SPICE subcircuits, run with their electronics.",
-    epilog="Exit codes: 0 ok, 2 bad usage or scene, 3 simulator or library missing, "
-    "4 accuracy gate failed, 5 simulation failed.",
+    help="Turn finite-element models of transducers into SPICE subcircuits, and simulate them with "
+    "their drive electronics.",
+    epilog="Exit codes: 0 success, 2 wrong usage or scene, 3 missing simulator or library, "
+    "4 error above its limit, 5 failed simulation.",
     no_args_is_help=True,
     add_completion=True,
     pretty_exceptions_enable=False,
@@ -221,6 +259,13 @@ def _common(
     pass
 
 
+class _Usage(TyperCommand):
+    """A command whose usage line shows ``SCENE``, where typer shows ``{SCENE}``."""
+
+    def collect_usage_pieces(self, ctx: Any) -> list[str]:
+        return [piece.strip("{}") for piece in super().collect_usage_pieces(ctx)]
+
+
 def _command(function: Callable[..., None]) -> Callable[..., None]:
     """Makes a command of ``function(caller, …)``: its options are those of ``PARAMETERS`` and the
     caller's ``--json`` and ``--quiet``, its exceptions one message and an exit code."""
@@ -239,7 +284,9 @@ def _command(function: Callable[..., None]) -> Callable[..., None]:
         parameters.append(item.replace(annotation=Annotated[item.annotation, info]))
     call.__annotations__ = {item.name: item.annotation for item in parameters}
     call.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
-    app.command()(call)
+    # typer does not wrap a paragraph that begins with a backspace character.
+    epilog = "\b\nExamples:\n" + "\n".join(f"  {line}" for line in EXAMPLES[name])
+    app.command(cls=_Usage, epilog=epilog)(call)
     return function
 
 
@@ -261,9 +308,10 @@ def run(
     trust: bool = False,
     verbose: bool = False,
 ) -> None:
-    """Build, reduce, export and simulate SCENE.
+    """Simulate SCENE and print its metrics.
 
-    All files appear in DIR at the end; report.html has the plots.
+    Builds and reduces the models, writes the netlists, runs ngspice and checks the result. All
+    files appear in DIR at the end; report.html contains the curves.
     """
     from kc2spice.cli.tables import show_result
     from kc2spice.workflow import run as study
@@ -289,9 +337,10 @@ def export(
     rom: Path | None = None,
     dense: bool = False,
 ) -> None:
-    """Write netlists of SCENE, or of a reduced model; no simulation.
+    """Write the netlists of SCENE or of a reduced model.
 
-    Exit code 4 when a circuit misses the tolerance of its reduced model.
+    Writes the deck, one library for each part, and symbols for KiCad and LTspice. Exit code 4 if a
+    circuit misses the tolerance of its reduced model.
     """
     if rom is not None:
         if scene is not None or set_ or tolerance is not None or count is not None:
@@ -325,9 +374,9 @@ def verify(
     set_: list[str] | None = None,
     trust: bool = False,
 ) -> None:
-    """Check SCENE three ways: full model, reduced model, emitted netlist.
+    """Compare full model, reduced model and netlist of SCENE.
 
-    Writes verify.json and verify.html into DIR. Exit code 4 when a gate of the scene is missed.
+    Writes verify.json and verify.html into DIR. Exit code 4 if an error exceeds its gate.
     """
     from kc2spice.scene.load import gallery
     from kc2spice.workflow.verify.verify import verify as verify_scenes
@@ -351,7 +400,11 @@ def verify(
 
 @_command
 def explain(caller: Caller, scene: str, set_: list[str] | None = None) -> None:
-    """Say what is modelled, its numerical settings, what was left out and why."""
+    """Print what SCENE models and what it leaves out.
+
+    Lists parts, joined pins, numerical settings with their error, and neglected effects with their
+    estimated size.
+    """
     from kc2spice.core.progress import Clock
     from kc2spice.scene.model import scene_hash
     from kc2spice.scene.parttype import Build
@@ -381,7 +434,7 @@ def explain(caller: Caller, scene: str, set_: list[str] | None = None) -> None:
 
 @_command
 def scenes(caller: Caller, keys: bool = False, parts: bool = False) -> None:
-    """List the built-in scenes, all scene keys, or all part types."""
+    """List the built-in scenes, or all keys or part types."""
     from dataclasses import asdict
 
     from kc2spice.scene.keys import part_docs, scene_keys
@@ -419,7 +472,7 @@ def _text(value: object, before: str = "") -> str:
 
 @_command
 def doctor(caller: Caller) -> None:
-    """Check ngspice and libraries; print the fix for what is missing."""
+    """Check simulator and packages, and print how to fix them."""
     from dataclasses import asdict
 
     from kc2spice.cli.doctor import examine
@@ -447,10 +500,10 @@ def reduce(
     norm: str | None = None,
     dc: str | None = None,
 ) -> None:
-    """Reduce matrices of another tool, or a measured impedance, to a model of stated error.
+    """Reduce matrices or a measured response to few states.
 
-    Exit code 4: an unstable model, a circuit that misses the tolerance, or a measurement that
-    no circuit describes.
+    Writes the reduced model with an error estimate into DIR. Exit code 4 for an unstable model, a
+    circuit that misses the tolerance, or a measurement that no circuit describes.
     """
     from kc2spice.workflow.reduce import reduce as reduce_study
     from kc2spice.workflow.reduce import require_stable
@@ -492,11 +545,10 @@ def fit(
     out: Path | None = None,
     set_: list[str] | None = None,
 ) -> None:
-    """Vary keys of a body until its impedance is the measured one.
+    """Fit keys of a body to a measured impedance.
 
-    Writes fit.toml with the values, for --set, and report.html into DIR. Tens of finite element
-    models make a reduced one of the whole range, in which several starts descend: seconds of a
-    disc, minutes of a solid.
+    Writes fit.toml with the fitted keys, for --set, and report.html into DIR. A disc takes seconds,
+    a solid minutes.
     """
     from kc2spice.workflow.fit import fit as fit_study
 
@@ -524,11 +576,10 @@ def bench(
     repeats: int = 5,
     trust: bool = False,
 ) -> None:
-    """Measure SCENE's error against time over its settings; recommend the cheapest one.
+    """Find the fastest settings of SCENE within an error.
 
-    Settings are the numerical ones that 'explain' lists, but meshes, which take no time of the
-    simulator; the reference has all of them at their finest. Exit code 4 when no setting is within
-    --error.
+    Measures error and time over the numerical settings that 'explain' lists, except meshes. The
+    reference has every setting at its finest. Exit code 4 if no setting is within --error.
     """
     from kc2spice.workflow.bench import bench as measure
 
@@ -568,11 +619,10 @@ def sweep(
     retry_failed: bool = False,
     dry_run: bool = False,
 ) -> None:
-    """Run SCENE over ranges of its keys; a table with a row for each point.
+    """Run SCENE over ranges of its keys.
 
-    A sweep that was interrupted goes on where it was when the same command is given again. Points
-    that share finite elements or a reduced model share them. Points that fail are rows that say
-    why.
+    Writes a table with one row for each point, and sweep.html with curves. An interrupted sweep
+    continues if the same command is given again. A failed point is a row that states the cause.
     """
     from kc2spice.scene.load import override_texts
     from kc2spice.workflow.sweep import run as pools

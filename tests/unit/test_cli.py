@@ -9,6 +9,7 @@ import pytest
 
 import kc2spice
 from kc2spice import __version__
+from kc2spice.cli.main import EXAMPLES
 from kc2spice.cli.tables import show_result
 from kc2spice.core.errors import GateMissedError, MissingToolError, SimulationError
 from kc2spice.core.files import staged
@@ -201,3 +202,16 @@ def test_run_without_ngspice_is_code_3_before_any_work(tmp_path):
     assert "apt-get install ngspice" in done.stderr
     assert "Traceback" not in done.stderr
     assert set(tmp_path.iterdir()) <= {home}
+
+
+@pytest.mark.parametrize("command", EXAMPLES)
+def test_help_ends_with_two_examples_and_fits_its_line(cli, command):
+    text = cli(command, "--help").stdout.rstrip()
+    first, second = text.splitlines()[-2:]
+    assert first.strip().startswith(f"kc2spice {command}")
+    assert second.strip().startswith(f"kc2spice {command}")
+    assert "{" not in text.splitlines()[0]  # SCENE, not {SCENE}
+    listing = cli("--help").stdout
+    summary = next(line for line in listing.splitlines() if line.startswith(f"  {command} "))
+    assert summary.endswith(".")
+    assert not summary.endswith("..")

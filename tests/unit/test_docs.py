@@ -96,6 +96,12 @@ def test_links_lead_somewhere_and_names_exist(page):
 def test_the_citation_is_complete():
     """The fields that readers of Citation File Format 1.2.0 require."""
     text = (ROOT / "CITATION.cff").read_text(encoding="utf-8")
-    for key in ("cff-version: 1.2.0", "message:", "title:", "authors:", "license: GPL-3.0-or-later"):
+    for key in (
+        "cff-version: 1.2.0",
+        "message:",
+        "title:",
+        "authors:",
+        "license: GPL-3.0-or-later",
+    ):
         assert re.search(f"(?m)^{re.escape(key)}", text), key
     assert "10.3390/act10110279" in text
