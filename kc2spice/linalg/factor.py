@@ -5,12 +5,10 @@ whose factors would not fit into memory before they are begun.
 from __future__ import annotations
 
 import hashlib
-import os
 import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
-from pathlib import Path
 from typing import TypeAlias
 
 import numpy as np
@@ -18,10 +16,12 @@ import scipy
 
 from kc2spice.core.errors import MissingToolError, SimulationError, UsageError
 from kc2spice.core.gmsh_session import gmsh_session
+from kc2spice.core.memory import available_bytes
 
 USABLE = 0.9
 # Entries of the LU factors over n sqrt(bandwidth): 4 for chains, 9 for plates, 34 for solids.
 FILL = 34.0
+REAL_BYTES = 12.0  # one real number and half an index
 ENTRY_BYTES = 24.0  # one complex number, its index, and the work space around it
 
 
@@ -43,19 +43,9 @@ def require_bytes(need: float, purpose: str, *, where: str, hint: str) -> None:
         )
 
 
-def available_bytes() -> float:
-    """Memory that can be had without swapping [B]; all of it where the system does not say."""
-    table = Path("/proc/meminfo")
-    if table.is_file():
-        for line in table.read_text(encoding="ascii").splitlines():
-            if line.startswith("MemAvailable:"):
-                return 1024.0 * float(line.split()[1])
-    return float(os.sysconf("SC_PAGE_SIZE")) * os.sysconf("SC_PHYS_PAGES")
-
-
 def require_factors(matrix: scipy.sparse.sparray | np.ndarray) -> None:
-    """Compare one complex factorisation, estimated up to five times too large for plates, with the
-    memory that is free now.
+    """Compare one complex factorisation, estimated up to five times too large for plates, and one
+    real one, such as that of a proof of stability, with the memory that is free now.
 
     Raises
     ------
@@ -69,7 +59,7 @@ def require_factors(matrix: scipy.sparse.sparray | np.ndarray) -> None:
     entries = pattern.tocoo()
     band = int(np.abs(place[entries.row] - place[entries.col]).max(initial=0)) + 1
     require_bytes(
-        ENTRY_BYTES * max(FILL * rows * np.sqrt(band), pattern.nnz),
+        (ENTRY_BYTES + REAL_BYTES) * max(FILL * rows * np.sqrt(band), pattern.nnz),
         f"{rows} factorised equations",
         where="reduction",
         hint="use a coarser mesh, or a machine with more memory",

@@ -7,6 +7,7 @@ made exact, and kept apart from all other unknowns: a basis and a peak are those
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import dataclass, replace
 from typing import NamedTuple, TypeAlias
 
@@ -252,7 +253,16 @@ def structure(
     on stability, and passivity is not claimed; of more than ``DENSE`` states they are not known.
     ``poles`` [1/s] spare their computation.
     """
-    if dissipative(pencil):
+    try:
+        shown = dissipative(pencil)
+    except MemoryError:
+        warnings.warn(
+            "memory does not hold the factor that proves stability and passivity: both are not "
+            "known; the error estimate is not concerned",
+            stacklevel=2,
+        )
+        return Structure(None, False, "nothing: memory does not hold another factor")
+    if shown:
         passive = pencil.collocated and semidefinite(pencil.D + pencil.D.T)
         return Structure(True, passive, FORM)
     states = pencil.degree * pencil.size

@@ -1,0 +1,89 @@
+"""Memory that this process can still have: of the machine, of its control group, and within the
+limits that a shell or a batch system has set.
+
+Sources: Linux, Documentation/admin-guide/cgroup-v2.rst and cgroup-v1/memory.rst; proc(5);
+getrlimit(2).
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from pathlib import Path
+
+PAGE = "SC_PAGE_SIZE"
+UNLIMITED = 2**62  # bytes; control groups of version 1 write almost 2^63 for no limit
+
+
+def available_bytes(root: Path = Path("/")) -> float:
+    """Memory [B] that this process can have without swapping; that of the machine where the system
+    states nothing else. Files below ``root`` are read."""
+    known = [*_of_machine(root), *_of_groups(root), *_of_limits(root)]
+    return max(min(known), 0.0) if known else _of_pages()
+
+
+def _of_pages() -> float:
+    return float(os.sysconf(PAGE)) * os.sysconf("SC_PHYS_PAGES")
+
+
+def _of_machine(root: Path) -> Iterator[float]:
+    free = _field(root / "proc/meminfo", "MemAvailable:")
+    if free is not None:
+        yield 1024.0 * free
+
+
+def _of_groups(root: Path) -> Iterator[float]:
+    """What each control group above this process has left; pages of files can be reclaimed."""
+    for line in _text(root / "proc/self/cgroup").splitlines():
+        number, _, rest = line.partition(":")
+        controllers, _, path = rest.partition(":")
+        if number == "0" and not controllers:
+            mount, names = root / "sys/fs/cgroup", ("memory.max", "memory.current")
+        elif "memory" in controllers.split(","):
+            mount = root / "sys/fs/cgroup/memory"
+            names = ("memory.limit_in_bytes", "memory.usage_in_bytes")
+        else:
+            continue
+        here = Path(path.lstrip("/"))
+        for folder in (here, *here.parents):  # a container may not see its own path
+            limit, used = (_number(mount / folder / name) for name in names)
+            if limit is None or used is None or limit >= UNLIMITED:
+                continue
+            stat = mount / folder / "memory.stat"
+            files = _field(stat, "inactive_file") or _field(stat, "total_inactive_file") or 0.0
+            yield limit - used + files
+
+
+def _of_limits(root: Path) -> Iterator[float]:
+    """What address space and data segment have left of their limits (``ulimit -v``, ``-d``)."""
+    try:
+        import resource
+    except ImportError:  # Windows
+        return
+    status = root / "proc/self/status"
+    for kind, field in (("RLIMIT_AS", "VmSize:"), ("RLIMIT_DATA", "VmData:")):
+        limit = resource.getrlimit(getattr(resource, kind))[0]
+        used = _field(status, field)
+        if limit != resource.RLIM_INFINITY and used is not None:
+            yield limit - 1024.0 * used
+
+
+def _field(path: Path, name: str) -> float | None:
+    """The number behind a name in a file of lines ``NAME NUMBER``."""
+    for line in _text(path).splitlines():
+        words = line.split()
+        if len(words) > 1 and words[0] == name:
+            return float(words[1])
+    return None
+
+
+def _number(path: Path) -> float | None:
+    text = _text(path).strip()
+    return float(text) if text.isdigit() else None
+
+
+def _text(path: Path) -> str:
+    try:
+        return path.read_text(encoding="ascii")
+    except (OSError, UnicodeDecodeError):
+        return ""
