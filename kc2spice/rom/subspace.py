@@ -376,12 +376,13 @@ def subspace(pencil: Pencil, band: tuple[float, float], target: float, limit: fl
     if is_definite(pencil, undamped_too=True):
         return _block_krylov(pencil, band, target, limit)
     scaled = pencil.scaled(2 * np.pi * band[1])
-    dense = pencil.degree == 1 and WHOLE < pencil.size <= DENSE
-    if not (dense and pencil.is_dense):
+    states = pencil.degree * pencil.size
+    moderate = WHOLE < states <= DENSE
+    if not (moderate and pencil.is_dense and pencil.degree == 1):
         try:
-            return _rational(scaled, band, target, limit, MANY if dense else MAX_POINTS)
+            return _rational(scaled, band, target, limit, MANY if moderate else MAX_POINTS)
         except SimulationError:
-            if not dense:
+            if not moderate:
                 raise
     result = _whole(scaled.dense(), band, limit, DENSE)
     return result or _rational(scaled, band, target, limit, MAX_POINTS)
@@ -583,9 +584,7 @@ def _unsettled(
         f"relative error {error:.1e} with {response.pencil.size} states; the band holds at least "
         f"{modes} resonances",
         limit,
-        "narrow the band or ask for a looser tolerance"
-        if modes
-        else "widen the band until it holds a resonance, or ask for a looser tolerance",
+        "narrow the band or ask for a looser tolerance",
     )
 
 
@@ -604,11 +603,11 @@ def _rational(
         met = met + 1 if max(error, search.change) <= target else 0
         if search.points == MANY + 1 and pencil.size >= COSTLY:
             modes = search.response.within(band)[0].size
+            text = "a narrower band, a looser tolerance or proportional damping costs less"
             warnings.warn(
                 f"the reduction takes more than {MANY} factorisations: the last frequency was "
                 f"still {error:.0e} off, {target:.0e} is looked for, and the band holds at least "
-                f"{modes} resonances; a {'narrower' if modes else 'wider'} band, a looser "
-                "tolerance or proportional damping costs less",
+                f"{modes} resonances; {text}",
                 stacklevel=2,
             )
         # An error that was found before the basis grew is no longer that of the projection.
