@@ -266,6 +266,9 @@ class LinearModel:
     follow the same order (an input has no row, an output no column). Without, they are signals
     ``u1``..., ``y1``.... Symmetric models with conservative ports only have ``C = B'``.
 
+    A complex ``K (1 + j eta)`` is structural damping: K is its real part, ``loss_factor`` is eta.
+    Such a model has a response, and becomes a circuit by :func:`kc2spice.reduce` only.
+
     ``facts`` are the numbers by which an engineer knows the body (``mass_kg``, ``unknowns``,
     ``capacitance_free_f``, …). ``band`` [Hz] is what the model's author asks to be kept, if known.
 
@@ -288,9 +291,13 @@ class LinearModel:
     facts: Mapping[str, float] = field(default_factory=dict)
     name: str = "model"
     band: tuple[float, float] | None = None
+    loss_factor: float = 0.0
 
     def __post_init__(self) -> None:
         put = object.__setattr__  # frozen: this is the constructor
+        stiffness, loss = _structural(self.K, self.name)
+        if loss is not None:
+            put(self, "K", stiffness), put(self, "loss_factor", loss)
         if self.M is self.A is None and self.E is not None and self.K is not None:
             put(self, "A", negated(_checked(self.K, "K", self.name))), put(self, "K", None)
         first = self.A is not None
@@ -378,7 +385,15 @@ class LinearModel:
         ------
         SimulationError : a frequency is a pole.
         """
-        return self.pencil.transfer(2j * np.pi * np.atleast_1d(np.asarray(frequency, dtype=float)))
+        pencil = self.pencil
+        if self.loss_factor:
+            K, E, M = pencil.coefficients
+            if isinstance(K, Schur):
+                K = Schur(*((1 + 1j * self.loss_factor) * P for P in (K.uu, K.up, K.pu, K.pp)))
+            else:
+                K = (1 + 1j * self.loss_factor) * K
+            pencil = replace(pencil, coefficients=(K, E, M), rayleigh=None)
+        return pencil.transfer(2j * np.pi * np.atleast_1d(np.asarray(frequency, dtype=float)))
 
     def poles(self) -> np.ndarray:
         """All finite poles [1/s], complex; dense work, for models up to a few thousand unknowns."""
@@ -386,6 +401,13 @@ class LinearModel:
 
     def state_space(self) -> ABCD:
         """Arrays A, B, C, D without E; see :func:`kc2spice.rom.linear.state_space`."""
+        if self.loss_factor:
+            raise UsageError(
+                "structural damping has no state-space form",
+                where=self.name,
+                got=f"a loss factor of {self.loss_factor:g}",
+                hint="reduce the model: kc2spice.reduce finds the nearest passive one",
+            )
         known = self.certificate
         return state_space(self.pencil, known.band_hz[1] if known else None)
 
@@ -526,6 +548,26 @@ def negated(matrix: Matrix) -> Matrix:
     if isinstance(matrix, Schur):
         return Schur(-matrix.uu, -matrix.up, -matrix.pu, -matrix.pp)
     return -matrix
+
+
+def _structural(K: Matrix, where: str) -> tuple[Matrix, float | None]:
+    """Real part and loss factor of a complex ``K (1 + j eta)``; K and None of any other."""
+    if K is None or isinstance(K, Schur) or not np.iscomplexobj(K):
+        return K, None
+    real, imaginary = K.real, K.imag
+    scale = abs(real).max() ** 2
+    eta = float((real.multiply(imaginary) if scipy.sparse.issparse(K) else real * imaginary).sum())
+    square = float((real.multiply(real) if scipy.sparse.issparse(K) else real * real).sum())
+    eta = eta / square if square and np.isfinite(scale) else np.nan
+    if not (eta >= 0 and abs(imaginary - eta * real).max() <= 1e-9 * abs(real).max()):
+        raise UsageError(
+            "matrix K has no single loss factor",
+            where=where,
+            got="an imaginary part that is not a multiple of the real one",
+            expected="K (1 + j eta), eta >= 0",
+            hint="state viscous damping as matrix E",
+        )
+    return real, eta
 
 
 def _require_outputs(C: np.ndarray | None, B: np.ndarray, n: int, where: str) -> None:

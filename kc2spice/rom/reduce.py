@@ -52,6 +52,7 @@ from kc2spice.rom.response import (
     inexact,
     relative_error,
 )
+from kc2spice.rom.structural import causal, without_inertia
 from kc2spice.rom.structure import FORM, RANDOM, Structure, energy_rounding, structure
 from kc2spice.rom.subspace import FREE, Subspace, block_arnoldi, is_definite, subspace
 
@@ -222,6 +223,9 @@ def reduce(
     :class:`Certificate`. Models whose ports are signals are reduced by balanced truncation too, to
     first order, where that needs fewer states and no passive resonators are lost. An order of a
     symmetric positive definite model is the paper's reduction (2.3): block Arnoldi at s0 = 0.
+    Structural damping becomes viscous damping of each mode, whose difference is in the error
+    estimate, with a warning where that exceeds the tolerance. A symmetric model of real poles only
+    loses its inertia where that changes nothing and saves states.
     Contact excites a body above any band: ``contact`` keeps some of it, a third more states.
     Without a band it is the model's own, else up to a little above the fifth natural frequency.
     Where rounding of the full model's entries moves its response by more than ``tolerance``, the
@@ -247,6 +251,39 @@ def reduce(
         raise UsageError("not an order", where="order", got=order, expected="1 or more")
     if norm not in get_args(Norm):
         raise unknown("unknown norm", norm, get_args(Norm), "norm")
+    if model.loss_factor and tolerance is None:
+        problem = "structural damping is reduced within a tolerance"
+        raise UsageError(problem, where="order", got=order, expected="a tolerance, no order")
+    if model.loss_factor:
+        found = (
+            band or model.band or natural_band(reduced_form(replace(model, loss_factor=0).pencil))
+        )
+
+        def congruence(item: LinearModel, within: float, over: tuple[float, float]) -> LinearModel:
+            return _reduce(item, within, None, over, norm, contact, keep_form=True)
+
+        assert tolerance is not None
+        return causal(model, congruence, tolerance, found, norm)
+    result = _reduce(model, tolerance, order, band, norm, contact)
+    if tolerance is None or contact or model.first_order:
+        return result
+
+    def light(item: LinearModel, within: float, over: tuple[float, float]) -> LinearModel:
+        return _reduce(item, within, None, over, norm, False, keep_form=True)
+
+    return without_inertia(model, result, light, tolerance, norm)
+
+
+def _reduce(
+    model: LinearModel,
+    tolerance: float | None,
+    order: int | None,
+    band: tuple[float, float] | None,
+    norm: Norm,
+    contact: bool,
+    keep_form: bool = False,
+) -> LinearModel:
+    """:func:`reduce` of a model with viscous damping; ``keep_form`` by a congruence."""
     pencil = reduced_form(model.pencil)
     if not pencil.B.any() or not pencil.C.any():
         raise UsageError("has no effective input or output", where=model.name)
@@ -281,7 +318,7 @@ def reduce(
             result = _of_order(list(congruences), order)
         else:
             assert tolerance is not None
-            result = _within(plain, congruences, tolerance, contact)
+            result = _within(plain, congruences, tolerance, contact, keep_form)
     certificate = result.certificate
     assert certificate is not None
     both = (full.stable, certificate.stable)
@@ -306,13 +343,17 @@ def _of_order(found: list[Reduction], order: int) -> LinearModel:
 
 
 def _within(
-    plain: Reduction, congruences: Iterable[Reduction], tolerance: float, contact: bool
+    plain: Reduction,
+    congruences: Iterable[Reduction],
+    tolerance: float,
+    contact: bool,
+    keep_form: bool,
 ) -> LinearModel:
     """The smallest model within a tolerance."""
     floor = plain.space.floor
     within = tolerance - floor  # what rounding leaves, where that leaves most of it
     within = within if within > 0.5 * tolerance else tolerance
-    selected, least = _fewest(plain, congruences, within, contact)
+    selected, least = _fewest(plain, congruences, within, contact, keep_form)
     if not contact:
         selected, least = refitted(selected, least, within)
     if floor > tolerance:
@@ -333,14 +374,18 @@ def _within(
 
 
 def _fewest(
-    plain: Reduction, congruences: Iterable[Reduction], tolerance: float, contact: bool
+    plain: Reduction,
+    congruences: Iterable[Reduction],
+    tolerance: float,
+    contact: bool,
+    keep_form: bool = False,
 ) -> tuple[Reduction, int]:
     """A congruence, or the balanced model of the ``plain`` one that needs fewer states where all
     ports are signals and no passive resonators would be lost.
 
     Directions of a congruence are turned to save more, unless it is for ``contact``.
     """
-    free, share, signals = None, 1.0, default_norm(plain.full) == "peak"
+    free, share, signals = None, 1.0, default_norm(plain.full) == "peak" and not keep_form
     form = plain.pencil.degree == 2 and structure(plain.pencil, plain.judge.band)
     if form and form.proof == FORM:
         share = FORM_SHARE
@@ -369,7 +414,7 @@ def _fewest(
         kept, order = tightened(kept, order, tolerance)
         order = kept.fewest(tolerance, kept.states(order)) or order
     states = kept.states(order)
-    if free is None and (signals or kept.states(kept.pencil.size) <= CHEAP):
+    if not keep_form and free is None and (signals or kept.states(kept.pencil.size) <= CHEAP):
         free = balanced(kept, int(np.ceil(share * states)), tolerance)
     if free is not None and free[1] < states:
         text = f"{states} first-order states, {free[1]} without keeping the form; "

@@ -144,3 +144,66 @@ def test_models_that_a_direct_solution_handles_are_reduced(kind, seed):
     assert error <= estimate + 10 * oracle.ROUNDING, (error, estimate)
     assert estimate <= tolerance
     rom.state_space()
+
+
+def response(parts, frequency):
+    """Direct solutions of matrices, complex ones too."""
+    result = []
+    for s in 2j * np.pi * frequency:
+        P = parts["K"] + s * parts["E"] + s**2 * parts["M"]
+        result.append(parts["B"].T @ np.linalg.solve(P, parts["B"]))
+    return np.array(result)
+
+
+STRUCTURAL = [
+    pytest.param(seed, marks=[pytest.mark.slow, pytest.mark.campaign]) for seed in range(3, 75)
+]
+
+
+@pytest.mark.filterwarnings("ignore:no causal model")
+@pytest.mark.parametrize("seed", [0, 1, 2, *STRUCTURAL])
+def test_structural_damping_becomes_a_passive_model_of_known_difference(seed):
+    rng = np.random.default_rng([46, 3, seed])
+    n, eta = int(rng.integers(15, 60)), 10 ** rng.uniform(-4, -1)
+    M, E, K = chain(rng, n)
+    E = E * (rng.random() < 0.3)
+    parts = {"M": M, "E": E, "K": K * (1 + 1j * eta), "B": some_ports(rng, n)}
+    modes = np.sqrt(np.linalg.eigvals(np.linalg.solve(M, K)).real) / (2 * np.pi)
+    band = 0.0, float(np.sort(modes)[max(2, int(TOP * n))])
+    norm, tolerance = ("peak", "pointwise")[seed % 2], 10 ** rng.uniform(-4, -2)
+    form = sparse.csc_array if seed % 3 else np.asarray
+    given = {k: form(P) if k in "MEK" else P for k, P in parts.items()}
+    model = LinearModel(**given)
+    rom = reduce(model, tolerance=tolerance, band=band, norm=norm)
+    known = rom.certificate
+    assert known.stable
+    assert known.passive
+    assert rom.loss_factor == 0.0
+    near = modes[modes < band[1]]
+    frequency = np.r_[rng.uniform(0.001, 1, 200) * band[1], near, near * (1 + eta)]
+    frequency = frequency[frequency < band[1]]
+    exact = response(parts, frequency)
+    np.testing.assert_allclose(model.transfer(frequency[:3]), exact[:3], rtol=1e-8)
+    size = np.abs(exact)
+    base = np.maximum(size, oracle.SHARES[norm] * size.max(axis=0))
+    error = (np.abs(rom.transfer(frequency) - exact) / base).max()
+    assert error <= known.error_estimate + oracle.ROUNDING
+    if norm == "peak":
+        assert known.error_estimate <= tolerance + 2 * eta
+
+
+@pytest.mark.slow
+def test_a_chain_of_301_masses_with_general_damping_settles():
+    """602 first-order states, dozens of resonances in the band and two dashpots that couple them."""
+    n = 301
+    K = 2 * np.eye(n) - np.eye(n, k=1) - np.eye(n, k=-1)
+    E = 1e-3 * K
+    E[0, 0] += 0.3
+    E[n // 2, n // 2] += 0.1
+    parts = {"M": np.diag(np.linspace(1, 3, n)), "E": E, "K": K, "B": np.eye(n)[:, [n // 5, n - 1]]}
+    rom = reduce(LinearModel(**parts), tolerance=1e-4, band=(0.0, 0.3), norm="peak")
+    assert rom.certificate.stable
+    frequency = np.linspace(0.0007, 0.2993, 400)
+    exact = response(parts, frequency)
+    error = np.abs(rom.transfer(frequency) - exact) / np.abs(exact).max(axis=0)
+    assert error.max() <= rom.certificate.error_estimate <= 1e-4
