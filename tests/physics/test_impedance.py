@@ -94,3 +94,12 @@ def test_a_resonance_outside_of_the_band_gives_no_figures(span):
     for Z in (circuit(f), circuit(f) * noise):
         with pytest.raises(UsageError, match="no resonance among the samples"):
             analyse(f, Z)
+
+
+@pytest.mark.parametrize(("start", "seed"), [(1.003, 0), (1.01, 5), (1.02, 2), (1.02, 5)])
+def test_noise_beside_a_resonance_below_the_band_is_no_resonance(start, seed):
+    """Noise gives the conductance a maximum; a circuit through it resonates below the band."""
+    f = np.linspace(start * FS, 2 * FS, 400)
+    noise = 1 + 3e-3 * np.random.default_rng(seed).normal(size=f.size)
+    with pytest.raises(UsageError, match="no resonance among the samples"):
+        analyse(f, circuit(f, r=2.5 * R) * noise)
