@@ -194,7 +194,7 @@ def test_structural_damping_becomes_a_passive_model_of_known_difference(seed):
 
 @pytest.mark.slow
 def test_a_chain_of_301_masses_with_general_damping_settles():
-    """602 first-order states, dozens of resonances in the band and two dashpots that couple them."""
+    """602 first-order states, dozens of resonances in the band, and dashpots that couple them."""
     n = 301
     K = 2 * np.eye(n) - np.eye(n, k=1) - np.eye(n, k=-1)
     E = 1e-3 * K
