@@ -25,7 +25,7 @@ MAY = {
     "sim": "core netlist scene",
     "reference": "core linalg",
     "report": "core netlist scene",
-    "workflow": "core netlist rom bodies scene spice parts sim reference report",
+    "workflow": "core netlist rom fem bodies scene spice parts sim reference report",
     "api": "core netlist rom scene parts sim report workflow",
     "pyspice": "core netlist",
     "cli": "core netlist scene sim report workflow",
