@@ -292,6 +292,8 @@ def _network(elements: Elements) -> ParallelBranches:
         (e for e in elements if e.form != "capacitance"),
         key=lambda e: (e.form != "resonant", e.form, e.logs[1:]),
     )
+    if not order:  # a model has at least one unknown
+        return ParallelBranches(0.0, (Branch(0.0, elastance=1 / capacitance),))
     return ParallelBranches(capacitance, tuple(element.branch() for element in order))
 
 

@@ -62,6 +62,8 @@ def _description(branch: Branch) -> str:
         return f"resonance at {omega / (2 * np.pi):.6g} Hz{quality}"
     if L > 0:
         return f"winding, time constant {L / R:.4g} s" if R > 0 else "inductance"
+    if S > 0 and R == 0:
+        return "capacitance"
     if S > 0:
         return f"relaxation, time constant {R / S:.4g} s"
     return "conductance"

@@ -152,6 +152,13 @@ def test_a_capacitor_blocks_and_its_leak_is_below_its_error(tmp_path):
     assert leak > 1e8 * np.abs(1 / Y[0])
 
 
+def test_a_capacitor_alone_is_one():
+    f = np.geomspace(10, 1e4, 40)
+    model, left = one_port(f, 2j * np.pi * f * 33e-12, 1e-6)
+    assert left < 1e-9
+    assert simulated(model, f[::20]) * 2j * np.pi * f[::20] * 33e-12 == pytest.approx(1.0)
+
+
 def test_branches_survive_their_file(tmp_path):
     """Matrices of the model are R, L and 1/C to the bit."""
     f, Y, _ = resonance("wide", 0.2, 100)
