@@ -61,7 +61,7 @@ class Metrics(NamedTuple):
 
 
 def metrics(waves: Waveforms, build: Build, *, partial: bool = False) -> Metrics:
-    """Metrics of all parts, then of the probes; of ``partial`` waves those that they tell.
+    """Metrics of the probes, then of all parts; of ``partial`` waves those that they reach.
 
     A name that several parts have gets the part's name in front: ``left.kick_stroke_m``.
     """
@@ -93,12 +93,13 @@ def _metrics(waves: Waveforms, build: Build, *, partial: bool) -> dict[str, Any]
     }
     own |= meters.metrics(waves, build) if meters.WAVE in waves else {}
     units = meters.result_units(build) if scene.probes else {}
+    probed: dict[str, Any] = {}
     for name, probe in scene.probes.items():
         window = window_of(probe, scene)
         if not partial or _reached(probe, waves, window):
             value = take(probe, waves, name, window)
-            own[name] = Metric(value, _probe_unit(probe, waves, units))
-    return own
+            probed[name] = Metric(value, _probe_unit(probe, waves, units))
+    return {**probed, **{name: value for name, value in own.items() if name not in probed}}
 
 
 def _reached(probe: Probe, waves: Waveforms, window: tuple[float, float] | None) -> bool:
