@@ -10,7 +10,6 @@ import gc
 import inspect
 import os
 import shlex
-import signal
 import sys
 import textwrap
 from collections.abc import Callable
@@ -24,6 +23,7 @@ from typer.core import TyperCommand
 from kc2spice.cli.tables import COLUMNS, INTERRUPTED, Caller, print_table, reported_errors, show
 from kc2spice.core import __version__
 from kc2spice.core.errors import GateMissedError, MissingToolError, SimulationError, UsageError
+from kc2spice.core.interrupt import end_on_signals
 
 
 def _names(incomplete: str) -> list[str]:
@@ -221,7 +221,7 @@ def main() -> None:
         os.environ.setdefault(variable, "1")
     os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "1")  # a search of all installed packages
     gc.set_threshold(100_000)  # nearly all that is imported and loaded stays until the end
-    _leave_on_signals()
+    end_on_signals()
     try:
         with reported_errors():  # also of what stands outside the commands, such as --help
             app()
@@ -229,19 +229,6 @@ def main() -> None:
         raise SystemExit(end.exit_code) from None
     finally:
         gc.freeze()  # the interpreter would look for garbage once more, in all that was imported
-
-
-def _leave_on_signals() -> None:
-    """SIGTERM and SIGHUP end as Ctrl-C does: simulators are stopped, unfinished files removed."""
-
-    def leave(number: int, frame: object) -> None:
-        signal.signal(number, signal.SIG_IGN)  # once is enough
-        raise SystemExit(128 + number)
-
-    for name in ("SIGTERM", "SIGHUP"):
-        number = getattr(signal, name, None)
-        if number is not None and signal.getsignal(number) is signal.SIG_DFL:
-            signal.signal(number, leave)
 
 
 def _version(wanted: bool) -> None:

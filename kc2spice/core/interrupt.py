@@ -1,0 +1,58 @@
+"""Signals that end the program even within a long call of a numerical library.
+
+Python handles a signal between two of its own instructions, and the factorisation of a large matrix
+is one instruction of minutes. A thread of its own therefore waits for each signal: a main thread
+that does not begin to handle it is ended from there, with its child processes.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import multiprocessing
+import os
+import signal
+import threading
+from types import FrameType
+
+GRACE = 0.5  # s in which the main thread must begin to handle a signal
+ENDING = ("SIGTERM", "SIGHUP")
+STUCK = b"kc2spice: interrupted; nothing was written\n"
+
+
+def end_on_signals(grace: float = GRACE) -> None:
+    """Ctrl-C raises KeyboardInterrupt, SIGTERM and SIGHUP raise SystemExit: simulators are stopped,
+    unfinished files removed. What does neither within ``grace`` [s] ends at once, with the same
+    exit code 128 + signal. Handlers of others are left alone."""
+    handled = threading.Semaphore(0)
+
+    def interrupt(number: int, frame: FrameType | None) -> None:
+        handled.release()
+        raise KeyboardInterrupt
+
+    def leave(number: int, frame: FrameType | None) -> None:
+        handled.release()
+        signal.signal(number, signal.SIG_IGN)  # once is enough
+        raise SystemExit(128 + number)
+
+    own = set[int]()
+    if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
+        signal.signal(signal.SIGINT, interrupt)
+        own.add(int(signal.SIGINT))
+    for number in (getattr(signal, name, None) for name in ENDING):
+        if number is not None and signal.getsignal(number) is signal.SIG_DFL:
+            signal.signal(number, leave)
+            own.add(int(number))
+    inlet, outlet = os.pipe()
+    os.set_blocking(outlet, False)
+    signal.set_wakeup_fd(outlet, warn_on_full_buffer=False)
+    threading.Thread(target=_watch, args=(inlet, own, handled, grace), daemon=True).start()
+
+
+def _watch(inlet: int, own: set[int], handled: threading.Semaphore, grace: float) -> None:
+    while arrived := os.read(inlet, 1):
+        if arrived[0] in own and not handled.acquire(timeout=grace):
+            for child in multiprocessing.active_children():
+                child.kill()
+            with contextlib.suppress(OSError):
+                os.write(2, STUCK)
+            os._exit(128 + arrived[0])
