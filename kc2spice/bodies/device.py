@@ -21,6 +21,7 @@ field.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import chain, pairwise
@@ -34,8 +35,10 @@ from skfem import LinearForm
 from skfem.mesh import MeshHex, MeshQuad
 
 from kc2spice.core.errors import UsageError, part_named, wrong
+from kc2spice.core.mesh_error import MESH_ERROR
 from kc2spice.fem.keys import Damping
 from kc2spice.fem.materials import Material
+from kc2spice.fem.recovery import EnergyProducts, energy_products
 from kc2spice.fem.solid import Solid, assemble
 from kc2spice.rom.linear import LinearModel, Port, with_potentials
 
@@ -46,6 +49,11 @@ MODES = (4, 8, 40)  # asked for in turn; a body that is free to move has more th
 # A mode is excited by a port if it has more than this part of the static answer (mass norm).
 COUPLED = 0.03
 REFINEMENTS = 3
+# Of the sum of absolute contributions of elements to the error of a static answer: of beams whose
+# contributions cancel, their sum alone is 0.3 of the error, tests/physics/test_mesh_error.py.
+CHANCE = 1 / 3
+LEAST_SHARE = 0.1  # of a value that its better one is taken to have at least
+LEAST_ERROR = 1e-4  # relative, of a mesh: below, rounding and the ports' own nodes decide
 UP = np.array([0.0, 0.0, 1.0])
 Operator = Callable[[np.ndarray], np.ndarray]
 
@@ -118,6 +126,14 @@ class Device:
     shift: float
     mass: float
 
+    def nodal(self, z: np.ndarray, voltages: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Displacements (d nodes, k) and potentials (nodes, k) of columns z (n, k), V (e, k)."""
+        phi, K = self.drive @ voltages, self.model.K
+        if self.potential.shape[1]:
+            # K.pp is -K_pp: p = K_pp^-1 (K_up' z + lift V)
+            phi = phi - self.potential @ K.inner.solve(K.pu @ z + self.lift @ voltages)
+        return self.displacement @ z, phi
+
 
 def make_device(solid: Solid, setup: Setup) -> Device:
     """Constrain, attach ports, eliminate the potentials and state the facts; see the module.
@@ -131,7 +147,8 @@ def make_device(solid: Solid, setup: Setup) -> Device:
     unknowns = bare.displacement.shape[1] + bare.potential.shape[1]
     facts = {"unknowns": unknowns, "mass_kg": bare.mass}
     facts |= {} if volts is None else {"depoling_voltage_v": volts}
-    facts |= electromechanical(bare.model, bare.shift)
+    answers = undamped_answers(bare.model, bare.shift)
+    facts |= answers.facts | mesh_errors(bare, setup, answers)
     model = replace(bare.model, facts=facts)
     return replace(bare, model=_damped(model, solid, bare.displacement, setup))
 
@@ -373,7 +390,25 @@ def _supported(solid: Solid, fixed: np.ndarray, pieces: Sequence[np.ndarray]) ->
     return True
 
 
+@dataclass(frozen=True)
+class Answers:
+    """What a model without damping does: ``facts`` by name, and the displacements z (n, …) that
+    they are of: ``static`` under 1 V at each electrical port, ``pushed`` (n, 1 or 0) under 1 N at
+    the first mechanical port, the lowest ``modes`` that the electrical ports excite (of a body
+    without any: the others), shorted."""
+
+    facts: dict[str, float]
+    static: np.ndarray
+    pushed: np.ndarray
+    modes: np.ndarray
+
+
 def electromechanical(model: LinearModel, shift: float = 0.0) -> dict[str, float]:
+    """The facts of :func:`undamped_answers`."""
+    return undamped_answers(model, shift).facts
+
+
+def undamped_answers(model: LinearModel, shift: float = 0.0) -> Answers:
     """Capacitances (of the first electrical port, those of others under their names, each with the
     rest shorted), static stroke of the first mechanical port, by its name, per volt, and the lowest
     resonances that the electrical ports excite (of a body without any: the others), all electrodes
@@ -384,16 +419,15 @@ def electromechanical(model: LinearModel, shift: float = 0.0) -> dict[str, float
     """
     kinds = [port.kind for port in model.ports]
     e = [k for k, kind in enumerate(kinds) if kind == "electrical"]
-    force = next((k for k, kind in enumerate(kinds) if kind == "mechanical"), None)
+    force = [k for k, kind in enumerate(kinds) if kind == "mechanical"][:1]
     solve = model.pencil.pencil_solver(-shift).solve
     if not e:
-        lowest = _resonance(model, solve, range(len(kinds)), shift)
-        return {} if lowest is None else {"resonance_hz": lowest}
+        lowest, modes = _resonance(model, solve, range(len(kinds)), shift)
+        facts = {} if lowest is None else {"resonance_hz": lowest}
+        return Answers(facts, model.B[:, e], _at_rest(model, solve, force, shift)[1], modes)
     load = model.B[:, e]
-    shifted = solve(load)
-    rest = shifted
-    for _ in range(REFINEMENTS if shift else 0):  # loads in equilibrium: exact in the limit
-        rest = solve(load + shift * (model.M @ rest))
+    shifted, rest = _at_rest(model, solve, [*e, *force], shift)
+    shifted, rest, pushed = shifted[:, : len(e)], rest[:, : len(e)], rest[:, len(e) :]
     weight = np.linalg.inv(model.D[np.ix_(e, e)] + load.T @ shifted)
 
     def opened(f: np.ndarray) -> np.ndarray:
@@ -402,29 +436,85 @@ def electromechanical(model: LinearModel, shift: float = 0.0) -> dict[str, float
         return np.asarray(u - shifted @ (weight @ (load.T @ u)))
 
     free = np.diag(model.D)[e] + np.sum(load * rest, axis=0)
-    facts: dict[str, float | None] = {"capacitance_free_f": float(free[0])}
-    facts["capacitance_clamped_f"] = float(model.D[e[0], e[0]])
+    found: dict[str, float | None] = {"capacitance_free_f": float(free[0])}
+    found["capacitance_clamped_f"] = float(model.D[e[0], e[0]])
     for port, capacitance in zip(e[1:], free[1:], strict=True):
-        facts[f"{model.ports[port].name}_capacitance_f"] = float(capacitance)
-    if force is not None:
-        stroke = f"free_stroke_{model.ports[force].name}_m_per_v"
-        facts[stroke] = float(model.B[:, force] @ rest[:, 0])
-    facts["resonance_short_hz"] = _resonance(model, solve, e, shift)
-    facts["resonance_open_hz"] = _resonance(model, opened, e, shift)
-    return {name: value for name, value in facts.items() if value is not None}
+        found[f"{model.ports[port].name}_capacitance_f"] = float(capacitance)
+    for port in force:
+        stroke = f"free_stroke_{model.ports[port].name}_m_per_v"
+        found[stroke] = float(model.B[:, port] @ rest[:, 0])
+    found["resonance_short_hz"], modes = _resonance(model, solve, e, shift)
+    found["resonance_open_hz"], _ = _resonance(model, opened, e, shift)
+    facts = {name: value for name, value in found.items() if value is not None}
+    return Answers(facts, rest, pushed, modes)
+
+
+def mesh_errors(device: Device, setup: Setup, answers: Answers) -> dict[str, float]:
+    """Estimated relative errors of facts that the mesh causes, by name behind :data:`MESH_ERROR`.
+
+    With the energy product A of :mod:`kc2spice.fem.recovery` and the errors e of modes w, of the
+    answers v to a voltage and p to a force,
+
+        df/f = -A(e_w, e_w) / (2 A(w, w)),   dC = A(e_v, e_v),   d(stroke) = A(e_p, e_v).
+
+    Contributions of both signs cancel by chance: a part of their absolute values,
+    :data:`CHANCE`, counts beside their sum. ``modes`` is the largest of all modes that were sought.
+    """
+    n, volts = answers.modes.shape[1], answers.static.shape[1]
+    z = np.hstack([answers.modes, answers.static, answers.pushed])
+    voltages = np.zeros((volts, z.shape[1]))
+    voltages[:, n : n + volts] = np.eye(volts)
+    products = energy_products(device.solid, *device.nodal(z, voltages))
+    own, error = np.diag(products.solution), np.diag(products.error)
+    changes = {}
+    if n:
+        each = -0.5 * error[:n] / own[:n]
+        changes = {"resonance": each[0], "modes": each[np.abs(each).argmax()]}
+    if volts:
+        free = answers.facts["capacitance_free_f"]
+        changes["capacitance"] = setup.sectors * _likely(products, n, n) / free
+    for name, stroke in answers.facts.items():
+        if name.startswith("free_stroke_") and stroke:
+            changes["stroke"] = setup.sectors * _likely(products, n, -1) / stroke
+    if not volts and answers.pushed.shape[1]:
+        changes["compliance"] = error[-1] / own[-1]
+    return {f"{MESH_ERROR}{name}": _relative(change) for name, change in changes.items()}
+
+
+def _likely(products: EnergyProducts, i: int, j: int) -> float:
+    """The error of one product, with its sign, and what cancels in it by chance."""
+    signed, spread = products.error[i, j], products.spread[i, j]
+    return math.copysign(math.hypot(signed, CHANCE * spread), signed)
+
+
+def _relative(change: float) -> float:
+    """Error of a value beside the better one, from its ``change`` to that one beside itself."""
+    return float(max(abs(change) / max(1 + change, LEAST_SHARE), LEAST_ERROR))
+
+
+def _at_rest(
+    model: LinearModel, solve: Operator, ports: list[int], shift: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Displacements (n, ports) under a constant unit at each port, with the shift and without."""
+    load = model.B[:, ports]
+    shifted = rest = solve(load) if ports else load
+    for _ in range(REFINEMENTS if shift else 0):  # loads in equilibrium: exact in the limit
+        rest = solve(load + shift * (model.M @ rest)) if ports else load
+    return shifted, rest
 
 
 def _resonance(
     model: LinearModel, solve: Operator, ports: range | list[int], shift: float
-) -> float | None:
+) -> tuple[float | None, np.ndarray]:
     """Lowest frequency [Hz] above rigid motion that the ports excite, None if it is not among the
-    lowest modes. Lanczos starts from their static answers, so it stays with what they excite.
+    lowest modes, and all modes (n, …) among these that the ports excite. Lanczos starts from their
+    static answers, so it stays with what they excite.
     """
     n, M = model.order, model.M
     inverse = LinearOperator((n, n), matvec=solve, dtype=float)
     ports = [k for k in ports if model.B[:, k].any()]
     if not ports:  # a dielectric moves nothing
-        return None
+        return None, np.empty((n, 0))
     static = np.array([solve(model.B[:, k]) for k in ports])
     start = (static / np.linalg.norm(static, axis=1, keepdims=True)).sum(axis=0)
     for count in (min(count, n - 1) for count in MODES[shift > 0 :]):
@@ -434,10 +524,11 @@ def _resonance(
         elastic = static - (static @ (M @ rigid)) @ rigid.T
         size = np.sqrt(np.sum(elastic * (M @ elastic.T).T, axis=1))
         share = np.abs(elastic @ (M @ modes)) / size[:, None]
-        result = values[(share.max(axis=0) > COUPLED) & (values > 10 * shift)]
-        if result.size:
-            return float(np.sqrt(result.min()) / (2 * np.pi))
-    return None
+        excited = np.flatnonzero((share.max(axis=0) > COUPLED) & (values > 10 * shift))
+        if excited.size:
+            excited = excited[np.argsort(values[excited])]
+            return float(np.sqrt(values[excited[0]]) / (2 * np.pi)), modes[:, excited]
+    return None, np.empty((n, 0))
 
 
 # From and to [m] along each axis; of one value along an axis it is a face, an edge or a point.

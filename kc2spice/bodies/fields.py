@@ -124,13 +124,8 @@ class Probe:
         self._operators = list(strains(solid, self.basis))
 
     def nodal(self, z: np.ndarray, voltages: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Displacements (d nodes, k) and potentials (nodes, k) of columns z (n, k), V (e, k)."""
-        device, K = self.device, self.device.model.K
-        phi = device.drive @ voltages
-        if device.potential.shape[1]:
-            # K.pp is -K_pp: p = K_pp^-1 (K_up' z + lift V)
-            phi = phi - device.potential @ K.inner.solve(K.pu @ z + device.lift @ voltages)
-        return device.displacement @ z, phi
+        """Those of :meth:`kc2spice.bodies.device.Device.nodal`."""
+        return self.device.nodal(z, voltages)
 
     def stress(self, u: np.ndarray, phi: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Stress (points, 6, k) and field (points, 3, k) of nodal columns."""

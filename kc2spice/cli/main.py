@@ -394,12 +394,10 @@ def explain(caller: Caller, scene: str, set_: list[str] | None = None) -> None:
     """
     from kc2spice.core.progress import Clock
     from kc2spice.scene.model import scene_hash
-    from kc2spice.scene.parttype import Build
     from kc2spice.workflow.models import build_models
 
     loaded = _loaded(scene, set_)
-    timed = loaded.analysis.type == "transient"
-    build = build_models(loaded, Clock()) if timed else Build(loaded, {})
+    build = build_models(loaded, Clock())
     step = None if build.largest is None else {"s": build.largest.step, "why": build.largest.why}
     head = {"scene": loaded.name, "hash": scene_hash(loaded), "largest_step": step}
     record = {**head, **build.plan}

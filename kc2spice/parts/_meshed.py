@@ -21,6 +21,7 @@ from pydantic import Field
 
 from kc2spice.core.errors import UsageError, wrong
 from kc2spice.core.figure import Curve, Figure, Panel, Shape, Written
+from kc2spice.core.mesh_error import mesh_errors
 from kc2spice.core.quantities import Time
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.parts._linear_body import LinearBody, LinearKeys
@@ -41,6 +42,9 @@ if TYPE_CHECKING:
     from kc2spice.bodies.device import Bonded, Device
     from kc2spice.bodies.fields import Extreme, Motion
 
+# Estimated relative error of a mesh above which a run warns: what a data sheet states of a part.
+COARSE = {"first resonance": 0.03, "capacitance": 0.05, "stroke": 0.1}
+TOO_COARSE = "refine the mesh (its key refine), or set error_budget, which refines all settings"
 MOST = 20  # instants that one run writes
 MODES = 6  # drawn at most, the lowest ones
 _SINGULAR = "look at the VTU file: edges of clamps and corners exceed any limit when refined"
@@ -151,6 +155,10 @@ class MeshedBody(LinearBody):
 
     def checks(self, part: Part, build: Build, waves: Waveforms) -> Iterator[Check | Balance]:
         yield from super().checks(part, build, waves)
+        for words, error in mesh_errors(build.facts(part)).items():
+            if words in COARSE:
+                name = f"mesh of {part.name}, {words}"
+                yield Check(name, error, COARSE[words], "relative, estimated", TOO_COARSE, "warn")
         recovered = self.recovered(part, build, waves)
         for item in recovered.extremes if recovered else ():
             if item.limit is not None:

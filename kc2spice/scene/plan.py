@@ -9,12 +9,14 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
+from itertools import chain
 from typing import Any
 
 from annotated_types import Ge, Le, Lt
 from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
+from kc2spice.core.mesh_error import mesh_errors
 from kc2spice.core.quantities import Notch
 from kc2spice.scene.compose import drawing
 from kc2spice.scene.frames import frame_lines
@@ -180,6 +182,22 @@ def _noise(part: Part, build: Build) -> str:
     return f"; {told}" if build.noisy else ""
 
 
+def _mesh(part: Part, build: Build) -> str:
+    """The estimated errors that the mesh of a part causes, in words."""
+    errors = mesh_errors(build.facts(part)).items()
+    text = ", ".join(f"{words} {100 * error:.2g} %" for words, error in errors)
+    return f"; error estimate of its mesh: {text}" if text else ""
+
+
+def _mesh_error(axis: Axis, build: Build) -> float | None:
+    """The largest of these for the axis of a mesh, None where it is not known."""
+    if not axis.model:
+        return None
+    parts = [p for p in build.scene.parts.values() if axis.name.startswith(f"{_prefix(p)}.")]
+    errors = (mesh_errors(build.facts(part)).values() for part in parts)
+    return max(chain.from_iterable(errors), default=None)
+
+
 def plan(build: Build) -> dict[str, Any]:
     """What runs for a scene, as ``plan`` of ``result.json`` has it.
 
@@ -193,8 +211,11 @@ def plan(build: Build) -> dict[str, Any]:
     notes = {part.name: list(part.type.notes(part, scene)) for part in parts}
     left_out = (row for rows in notes.values() for row in rows if isinstance(row, Neglected))
     told = {n: "; ".join(row for row in rows if isinstance(row, str)) for n, rows in notes.items()}
-    detail = {part.name: told[part.name] + _noise(part, build) for part in parts}
-    settings = [{"key": axis.name, "value": axis.value, "error": None} for axis in axes(build)]
+    detail = {p.name: told[p.name] + _mesh(p, build) + _noise(p, build) for p in parts}
+    settings = [
+        {"key": axis.name, "value": axis.value, "error": _mesh_error(axis, build)}
+        for axis in axes(build)
+    ]
     for item in settings if scene.analysis.small else ():  # else steps excite what is above a band
         if str(item["key"]).endswith("rom.tolerance"):
             item["error"] = item["value"]

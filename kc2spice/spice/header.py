@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from kc2spice.core import __version__
+from kc2spice.core.mesh_error import mesh_errors
 from kc2spice.netlist.cards import comment, name, number, render, word
 from kc2spice.netlist.circuit import Param, Pin, Subcircuit
 from kc2spice.rom.linear import Certificate
@@ -95,6 +96,13 @@ def rom_line(order: int, certificate: Certificate, circuit: str = "") -> str:
 def use_line(name: str, pins: Sequence[Pin]) -> str:
     """An instance to copy; the nodes have the names of the pins."""
     return f"* use: X1 {' '.join(pin.name for pin in pins)} {name}\n"
+
+
+def mesh_line(facts: Mapping[str, float]) -> str:
+    """Comment lines: what the mesh of a body costs, empty without an estimate."""
+    errors = (f"{words} {100 * error:.2g} %" for words, error in mesh_errors(facts).items())
+    text = ", ".join(errors)
+    return paragraph(f"mesh: error estimate of the full model: {text}") if text else ""
 
 
 def part_header(

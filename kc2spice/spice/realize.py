@@ -19,7 +19,7 @@ from kc2spice.rom.modal import Resonators, resonators
 from kc2spice.rom.network import ParallelBranches, parallel_branches
 from kc2spice.spice.branches import ABOUT, branch_cards, branch_pins
 from kc2spice.spice.emitted import circuit_error
-from kc2spice.spice.header import OUTWARDS, Header, parameter_list, part_header, rom_line
+from kc2spice.spice.header import OUTWARDS, Header, mesh_line, parameter_list, part_header, rom_line
 
 if TYPE_CHECKING:
     from kc2spice.rom.blocks import BlockModel
@@ -332,7 +332,7 @@ def enclosed(
         f"{name}: {words['title']}",
         pins,
         params,
-        rom=rom_line(rom.order, certificate, told) if certificate else "",
+        rom=(rom_line(rom.order, certificate, told) if certificate else "") + mesh_line(rom.facts),
         sign=OUTWARDS,
         rating=words["rating"],
         validity=f"small signals{band}{within} at the temperature of its data (20 to 25 C, of "
