@@ -561,9 +561,9 @@ def _structural(K: Matrix, where: str) -> tuple[Matrix, float | None]:
     eta = eta / square if square and np.isfinite(scale) else np.nan
     if not (eta >= 0 and abs(imaginary - eta * real).max() <= 1e-9 * abs(real).max()):
         raise UsageError(
-            "matrix K has no single loss factor",
+            "matrix K cannot be used",
             where=where,
-            got="an imaginary part that is not a multiple of the real one",
+            got="complex numbers without a single loss factor",
             expected="K (1 + j eta), eta >= 0",
             hint="state viscous damping as matrix E",
         )

@@ -29,7 +29,7 @@ def test_one_oscillator_has_its_loss_at_resonance():
 def test_what_is_no_single_loss_factor_is_refused():
     K = np.diag([1.0, 2.0])
     for bad in (K * (1 - 0.1j), K + 1j * np.diag([0.1, 0.1])):
-        with pytest.raises(UsageError, match="no single loss factor"):
+        with pytest.raises(UsageError, match="without a single loss factor"):
             LinearModel(M=np.eye(2), K=bad, B=np.eye(2))
     model = LinearModel(M=np.eye(2), K=K * (1 + 0.1j), B=np.eye(2))
     with pytest.raises(UsageError, match="no state-space form"):
