@@ -24,6 +24,7 @@ from kc2spice.core.foreign import identifier
 from kc2spice.core.progress import Clock
 from kc2spice.core.quantities import Section, Voltage
 from kc2spice.core.waveforms import Waveforms, running
+from kc2spice.netlist.cards import LEAK_RATE
 from kc2spice.parts import _pictures
 from kc2spice.parts._box import corners, varied, with_values
 from kc2spice.parts._touching import Surface, Touching
@@ -41,7 +42,6 @@ from kc2spice.scene.plausible import dimensions
 from kc2spice.spice.header import Header
 from kc2spice.spice.realize import (
     COARSE,
-    LEAK_RATE,
     RINGING,
     UNRATED,
     StepWeights,

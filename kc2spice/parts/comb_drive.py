@@ -31,6 +31,7 @@ register(
             (voltage("v", "plus", "minus"), displacement("x", "a", "b")),
             constants={"eps0": repr(EPSILON_0)} | _stop.CONSTANTS,
             energy=_stop.energy("x - travel"),
+            stops={"the stop": "x - travel"},
             forces={"x": _stop.lost_force("x - travel", "x_rate")},
             coenergy="fingers*eps0*thickness*(overlap + x)*v^2/gap",
             limits={"the overlap": "overlap + x"},

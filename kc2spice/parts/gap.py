@@ -313,6 +313,7 @@ def _declared(text: str, count: int, film_branches: int, top: float) -> Declarat
         constants=constants,
         energy=" + ".join(energy),
         forces=forces,
+        stops={f"the stop of patch {k}": met[k] for k in patches},
         coenergy=f"0.5*eps0*permittivity*v^2*({' + '.join(item.values())})",
         content=" + ".join(content) or "0",
         limits={f"what is left of the gap at patch {k}": f"gap - {sign}1*x{k}" for k in patches},

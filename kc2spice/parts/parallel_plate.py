@@ -36,6 +36,7 @@ register(
             (voltage("v", "plus", "minus"), displacement("x", "a", "b")),
             constants={"eps0": repr(EPSILON_0)} | _stop.CONSTANTS,
             energy=_stop.energy("x - travel"),
+            stops={"the stop": "x - travel"},
             forces={"x": _stop.lost_force("x - travel", "x_rate")},
             coenergy="0.5*eps0*permittivity*area*v^2/(gap - x)",
             limits={"the gap": "gap - x"},

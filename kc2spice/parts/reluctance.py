@@ -50,6 +50,7 @@ register(
             (current("i", "plus", "minus"), displacement("x", "a", "b")),
             constants={"mu0": repr(MU_0)} | _stop.CONSTANTS,
             energy=_stop.energy("x - travel"),
+            stops={"the stop": "x - travel"},
             forces={"x": _stop.lost_force("x - travel", "x_rate")},
             coenergy="0.5*(turns*i + magnet)^2/(core + gaps*(gap - x)/(mu0*area))",
             content="0.5*resistance*i^2",

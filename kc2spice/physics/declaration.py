@@ -122,6 +122,7 @@ class Declaration:
     ``starts`` names the parameters that are its displacement and velocity at t = 0. ``forces`` are
     lost ones by displacement, of coordinates and rates. ``limits`` maps words for a limit to an
     expression that must stay above zero.
+    ``stops`` maps words for a stop to an expression that is above zero where it is met.
     ``neglected`` are rows of an effect, why it has no model, and what its absence changes.
 
     Of netlists alone: ``outputs`` are pins of displacements that are affine in one of a branch;
@@ -149,6 +150,7 @@ class Declaration:
     signals: Mapping[str, str] = field(default_factory=dict)
     tables: tuple[str, ...] = ()
     limits: Mapping[str, str] = field(default_factory=dict)
+    stops: Mapping[str, str] = field(default_factory=dict)
     neglected: tuple[tuple[str, str, str], ...] = ()
     rating: str = "not known"
     validity: str = "constant temperature; nothing here heats up, ages or breaks"
@@ -196,7 +198,8 @@ class Declaration:
 
     def _stated(self) -> Iterable[tuple[str, Tree]]:
         yield from ((what, self._tree(what)) for what in _STATED)
-        yield from (*self._forces.items(), *self.bounds.items(), *self.fixed.items())
+        yield from (*self._forces.items(), *self.bounds.items(), *self.stopped.items())
+        yield from self.fixed.items()
         yield from (*self.read.items(), *self.changes.items(), *self.sent.items())
 
     # --- names ------------------------------------------------------------------------------
@@ -284,6 +287,11 @@ class Declaration:
     def bounds(self) -> dict[str, Tree]:
         """The limits' expressions."""
         return self._read("limit", self.limits)
+
+    @cached_property
+    def stopped(self) -> dict[str, Tree]:
+        """The stops' expressions."""
+        return self._read("stop", self.stops)
 
     @cached_property
     def fixed(self) -> dict[str, Tree]:

@@ -111,7 +111,7 @@ class DeclaredPart(PartType):
             factor, unit = {"displacement": (1e-6, "m"), "acceleration": (1.0, "m/s2")}.get(
                 b.kind, (1.0, "V")
             )
-            if b.plus:
+            if b.plus and {build.net(part, b.plus), build.net(part, b.minus)} != {"0"}:
                 across = across_pins(build, part, b)
                 result[f"{part.name}.{b.across}"] = Vector(across, factor, unit)
             if not b.through:
@@ -166,6 +166,8 @@ class DeclaredPart(PartType):
                     f"{d.limits[what]} must stay above zero",
                 )
 
+        if build.scene.analysis.type == "op":
+            yield from self.standing(part, build, waves)
         if "time" in waves:
             yield from energies(d, part, known, waves)
             edges = {e for b in d.acting for e in kinks(d.direct(b)) if names(e) & set(known)}
@@ -173,6 +175,17 @@ class DeclaredPart(PartType):
                 met = evaluated(tree, d.values(part.keys) | known) > 0
                 strikes = float(np.count_nonzero(met[1:] & ~met[:-1]))
                 yield Check(f"strikes of {part.name}", strikes, STRIKES, "", REBOUND, "warn")
+
+    def standing(self, part: Part, build: Build, point: Waveforms) -> Iterator[Check]:
+        """Whether it rests on a stop, about which small signals are those of the stop."""
+        d, known = self.built(part, build), self._seen(part, build, point)
+        small = build.scene.analysis.small
+        for what, tree in d.stopped.items():
+            if names(tree) - set(d.parameters) <= set(known):
+                depth = float(np.max(evaluated(tree, d.values(part.keys) | known)))
+                name = f"{part.name} beyond {what} at its operating point"
+                advice = "it has pulled in: lower the bias, or stiffen what holds it"
+                yield Check(name, max(depth, 0.0), 0.0, "m", advice, "fail" if small else "warn")
 
     def _seen(self, part: Part, build: Build, waves: Waveforms) -> dict[str, np.ndarray]:
         """Coordinates, states and signals over time, as far as the run has them."""

@@ -134,6 +134,8 @@ HOW = (
     "Move the pointer to read values, drag to look closer, double-click to see all; click a name "
     "of a legend to hide its curve."
 )
+LINEARISED = "About which the small signals are linear; results that are zero there are left out."
+POINT = 6  # results at the operating point that a terminal shows
 CHECKED = "Physics that the simulator was not told; the last column is what a violation does."
 MODES = (
     "Of the reduced model within its band, electrodes shorted, nothing pressing on it. k is the "
@@ -190,12 +192,23 @@ def result_sections(result: Mapping[str, Any]) -> list[Section]:
     spent = [(stage, quantity(float(seconds), "s", 3)) for stage, seconds in times.items()]
     return [
         Section("Metrics", _facts(result.get("metrics", {}), result.get("metric_units", {}))),
+        Section("Operating point", operating_rows(result), ("result", "value"), LINEARISED),
         Section("Physics checks", checks, ("", "check", "value", "limit", "action"), CHECKED),
         *(Section(f"Model: {n}", _facts(answer, units.get(n, {}))) for n, answer in models),
         Section("Reduced model", [*_facts(facts, {"band_hz": "Hz"}), *above_band(rom)]),
         Section("Retries", tried, ("setting", "changes", "outcome", "blamed", "time"), TRIED),
         Section("Wall time", spent, ("stage", "time"), "0 s: taken from the cache."),
     ]
+
+
+def operating_rows(result: Mapping[str, Any], most: int | None = None) -> Rows:
+    """What is not zero at the operating point of small signals, ``most`` of it at most."""
+    values = {n: v for n, v in result.get("operating_point", {}).items() if v["value"]}
+    shown = list(values.items())[:most]
+    rows: Rows = [(name, quantity(item["value"], item["unit"], 4)) for name, item in shown]
+    if len(shown) < len(values):
+        rows.append(("further results", f"{len(values) - len(shown)}, in the report"))
+    return rows
 
 
 def _check_name(check: Mapping[str, Any]) -> str:
@@ -225,6 +238,7 @@ def summary_section(result: Mapping[str, Any], most: int | None = None) -> Secti
         rows.append((label, text + estimate))
     if most is not None and len(metrics) > most:
         rows.append(("further metrics", f"{len(metrics) - most}, in the report"))
+    rows += [(f"at the operating point: {n}", text) for n, text in operating_rows(result, POINT)]
     return Section("Result", [*rows, *_model_errors(result)])
 
 

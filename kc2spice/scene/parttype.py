@@ -343,6 +343,10 @@ class PartType:
         solution paths may differ in them."""
         return ()
 
+    def standing(self, part: Part, build: Build, point: Waveforms) -> Iterable[Check]:
+        """Whether small signals about the operating ``point`` of a scene mean anything."""
+        return ()
+
     def law(self, part: Part, build: Build) -> Equations | None:
         """Its equations for the independent integrator; None where it has none."""
         return None

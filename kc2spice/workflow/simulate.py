@@ -34,6 +34,7 @@ from kc2spice.sim.ngspice import (
 )
 from kc2spice.workflow.judge import metrics, verdict
 from kc2spice.workflow.models import model_facts, rom_facts
+from kc2spice.workflow.operating import OperatingPoint, operating_point
 
 PARTIAL = "waveforms.partial.npz"
 FAILURE = "failure.json"
@@ -49,6 +50,7 @@ class Run(Outcome):
     metrics: Mapping[str, Any]
     units: Mapping[str, str]
     cpu_s: float
+    point: OperatingPoint
 
     @cached_property
     def values(self) -> dict[str, np.ndarray]:
@@ -66,6 +68,10 @@ class Run(Outcome):
             # a sweep or an operating point has no time points
             "steps": {name: int(stats.get(name, 0)) for name in ("accepted", "rejected")},
             "simulator_cpu_s": stats.get("cpu_s"),
+            "operating_point": {
+                name: {"value": value, "unit": self.point.units[name]}
+                for name, value in self.point.values.items()
+            },
             "energy_j": {name: balance.entries for name, balance in self.verdict.balances},
         }
 
@@ -87,11 +93,13 @@ def simulate(
 
     def judge(waves: Waveforms) -> Verdict:
         result = verdict(waves, build)
+        result = replace(result, checks=(*result.checks, *point.checks))
         if deck.text is None:
             return result
         checks = (replace(c, action="warn") if c.wiring else c for c in result.checks)
         return replace(result, checks=tuple(checks))
 
+    point = operating_point(build, deck)
     write_files(deck.files, directory)  # whatever comes of it
     begin = simulator_cpu(build)
     result = run_with_retries(
@@ -116,6 +124,7 @@ def simulate(
         metrics=taken.values,
         units=taken.units,
         cpu_s=used,
+        point=point,
     )
 
 

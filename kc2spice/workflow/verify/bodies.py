@@ -12,6 +12,7 @@ from kc2spice.core.cache import cached
 from kc2spice.core.errors import UsageError
 from kc2spice.core.progress import Clock
 from kc2spice.core.waveforms import Waveforms
+from kc2spice.netlist.cards import LEAK_RATE
 from kc2spice.netlist.circuit import Subcircuit
 from kc2spice.netlist.deck import Block, Deck, ac
 from kc2spice.parts._linear_body import LinearBody
@@ -25,7 +26,7 @@ from kc2spice.scene.model import Part
 from kc2spice.scene.parttype import Build
 from kc2spice.sim.ngspice import run_deck
 from kc2spice.spice.emitted import reaction_mass
-from kc2spice.spice.realize import LEAK_RATE, loaded
+from kc2spice.spice.realize import loaded
 
 FEW, MANY = 3, 40  # frequencies at which a large full model is solved: a sample, the whole
 SMALL = 3000  # unknowns up to which all are affordable

@@ -1,0 +1,52 @@
+"""The operating point about which ``ac`` and ``noise`` are linear."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+from kc2spice.core.errors import SimulationError, UsageError
+from kc2spice.core.waveforms import Waveforms
+from kc2spice.netlist.deck import Deck
+from kc2spice.scene.judge import Check
+from kc2spice.scene.model import Analysis
+from kc2spice.scene.parttype import Build
+from kc2spice.sim.ngspice import run_deck
+from kc2spice.workflow.decks import make_deck
+
+
+@dataclass(frozen=True)
+class OperatingPoint:
+    """Results of all parts at an operating point, and the checks of them."""
+
+    values: Mapping[str, float] = field(default_factory=dict)
+    units: Mapping[str, str] = field(default_factory=dict)
+    checks: tuple[Check, ...] = ()
+
+
+def operating_point(build: Build, deck: Deck) -> OperatingPoint:
+    """That of a scene whose analysis is one of small signals, from a run of its own.
+
+    Nothing of other analyses, and of a ``deck`` that somebody edited; where it is not found, a
+    warning says so.
+    """
+    scene = build.scene
+    if not scene.analysis.small or deck.text is not None:
+        return OperatingPoint()
+    frame = scene.frame.model_copy(update={"analysis": Analysis(type="op"), "probes": {}})
+    still = replace(build, scene=replace(scene, frame=frame))
+    try:
+        own = make_deck(still)
+        with TemporaryDirectory() as folder:
+            point: Waveforms = run_deck(own, Path(folder))
+    except (SimulationError, UsageError) as error:
+        told = f"the operating point of {scene.name} is not known: {error.message}"
+        warnings.warn(told, stacklevel=2)
+        return OperatingPoint()
+    values = {name: float(point[name][-1]) for name in own.units if name in point}
+    rows = (p.type.standing(p, build, point) for p in scene.parts.values())
+    checks = tuple(check for row in rows for check in row)
+    return OperatingPoint(values, {name: own.units[name] for name in values}, checks)

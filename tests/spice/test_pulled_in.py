@@ -1,0 +1,65 @@
+"""Small signals about an operating point: it is told, and no plate stands on its stop there."""
+
+import numpy as np
+import pytest
+from scipy.optimize import brentq
+
+import kc2spice as kc
+
+EPS, AREA, GAP, TRAVEL, K = 8.8541878188e-12, 1e-6, 2e-6, 1.5e-6, 20.0
+PULL_IN = np.sqrt(8 * K * GAP**3 / (27 * EPS * AREA))  # 2.31 V
+
+
+def biased(kind, volts, analysis):
+    """A plate on a spring that a bias pulls, whose force or current noise is asked for."""
+    plate = {"part": kind, "area": AREA, "gap": GAP, "travel": TRAVEL,
+             "pins": {"plus": "bias.out"}}  # fmt: skip
+    plate |= {"a": "proof.a", "side": "above"} if kind == "gap" else {}
+    plate["pins"] |= {} if kind == "gap" else {"a": "proof.a"}
+    small = {"start": 10.0, "stop": 1e3, "points": 5}
+    return {
+        "name": "biased",
+        "gravity": 0.0,
+        "plate": plate,
+        "proof": {"part": "mass", "mass": 50e-9},
+        "spring": {"part": "spring", "stiffness": K, "pins": {"a": "proof.a"}},
+        "air": {"part": "damper", "damping": 1e-4, "pins": {"a": "proof.a"}},
+        "bias": {"part": "source", "dc": volts, "ac": 1.0},
+        "analysis": {
+            "ac": {"type": "ac", **small},
+            "noise": {"type": "noise", "output": "proof.x", **small},
+            "op": {"type": "op"},
+        }[analysis],
+    }
+
+
+@pytest.mark.parametrize("kind", ["parallel_plate", "gap"])
+@pytest.mark.parametrize("analysis", ["ac", "noise"])
+def test_small_signals_tell_their_operating_point(kind, analysis):
+    """``K x = eps A v^2 / (2 (g - x)^2)``."""
+    record = kc.run(biased(kind, 2.0, analysis)).record
+    x = brentq(lambda x: K * x * 2 * (GAP - x) ** 2 - EPS * AREA * 4.0, 0.0, GAP / 3)
+    point = record["operating_point"]
+    assert point["proof.x"]["value"] == pytest.approx(x, rel=1e-5)
+    assert point["proof.x"]["unit"] == "m"
+    assert all(check["passed"] for check in record["checks"])
+
+
+@pytest.mark.parametrize("kind", ["parallel_plate", "gap"])
+@pytest.mark.parametrize("analysis", ["ac", "noise"])
+def test_small_signals_about_a_stop_fail(kind, analysis):
+    for volts, stands in ((0.99 * PULL_IN, False), (1.01 * PULL_IN, True)):
+        scene = biased(kind, volts, analysis)
+        if not stands:
+            kc.run(scene)
+            continue
+        with pytest.raises(kc.errors.SimulationError, match="at its operating point"):
+            kc.run(scene)
+
+
+def test_a_bias_that_stands_on_a_stop_is_a_warning():
+    with pytest.warns(UserWarning, match="beyond the stop at its operating point"):
+        result = kc.run(biased("parallel_plate", 5.0, "op"))
+    force = EPS * AREA * 25.0 / (2 * (GAP - TRAVEL) ** 2) - K * TRAVEL
+    (check,) = [c for c in result.checks if not c.passed]
+    assert check.value == pytest.approx(force / 1e5, rel=0.02)  # of the stop's 1e5 N/m
