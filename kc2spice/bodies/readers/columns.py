@@ -33,7 +33,8 @@ UNITS: dict[str, dict[str, float]] = {
     "number": {"": 1.0, "-": 1.0, "1": 1.0, "%": 0.01},
 }  # fmt: skip
 BARE = ("°", "db", "", "-", "1", "%")  # units without prefixes
-OPTICAL = 0.51 * np.pi, 0.5  # an angle without unit up to the first, spread by the second: in rad
+# An angle without unit is in rad if its size is at most the first and its spread above the second.
+RADIANS = 0.51 * np.pi, 0.5
 
 
 @dataclass(frozen=True)
@@ -251,7 +252,7 @@ def _assumed(title: Title, values: np.ndarray) -> Unit:
     if measures == "frequency" and re.search("ω|omega", title.text.lower()):
         return Unit("rad/s", measures, UNITS[measures]["rad/s"])
     if measures == "angle":
-        largest, spread = OPTICAL
+        largest, spread = RADIANS
         in_rad = np.abs(values).max(initial=0.0) <= largest and np.ptp(values) > spread
         return Unit("rad", measures, 1.0) if in_rad else Unit("degrees", measures, np.pi / 180)
     names = {"frequency": "Hz", "impedance": "Ohm", "admittance": "S", "capacitance": "F"}
