@@ -1,6 +1,6 @@
 """Time and memory of a reduction against the number of unknowns, each size in its own process.
 
-``python -m laboratory.reduction_scaling --help`` prints the table of docs/explanation/reduction.md.
+``python -m laboratory.reduction_scaling --help`` prints the table of docs/evidence/reduction.md.
 """
 
 import argparse
