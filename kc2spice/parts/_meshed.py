@@ -99,6 +99,10 @@ class MeshedBody(LinearBody):
     def envelope(self, part: Part, scene: Scene) -> Envelope:
         """Its outer size, for the sizes of effects that it lacks."""
 
+    def dimensions(self, part: Part) -> int:
+        """Those of its mesh."""
+        return 3
+
     def support(self, part: Part) -> str:
         """What holds it, in words."""
         return f"support is {part.keys.support}, ideal"
@@ -255,6 +259,9 @@ class BondedBody(MeshedBody):
 
     def by_material(self, part: Part) -> float | None:
         return self.bonded(part).rated
+
+    def dimensions(self, part: Part) -> int:
+        return len(self.bonded(part).blocks[0].box)
 
     def envelope(self, part: Part, scene: Scene) -> Envelope:
         blocks = self.bonded(part).blocks

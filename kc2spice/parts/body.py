@@ -487,6 +487,9 @@ class Body(MeshedBody):
             sides = [side for side in sides if side] or sides[:2]
         return box_envelope(sides)
 
+    def dimensions(self, part: Part) -> int:
+        return 2 if part.keys.axisymmetric else 3
+
     def support(self, part: Part) -> str:
         groups = [item if isinstance(item, str) else item.group for item in part.keys.fixed]
         return f"{', '.join(groups)} held ideally" if groups else "nothing holds it"

@@ -91,7 +91,7 @@ def _axes(build: Build) -> Iterator[Axis]:
         yield replace(axis, decades=_decades(scene.analysis))
     yield from _reductions(build)
     for part in scene.parts.values():
-        yield from _marked(part.keys, _prefix(part))
+        yield from _marked(part.keys, key_prefix(part))
 
 
 def _decades(analysis: Analysis) -> float:
@@ -101,7 +101,7 @@ def _decades(analysis: Analysis) -> float:
     return math.log10(float(analysis.stop or analysis.start) / analysis.start)
 
 
-def _prefix(part: Part) -> str:
+def key_prefix(part: Part) -> str:
     """Where the scene has the keys of a part."""
     return ".".join(map(str, part.at or (part.name,)))
 
@@ -127,7 +127,7 @@ def _reductions(build: Build) -> Iterator[Axis]:
         if rom is None:
             continue
         own = part.keys.rom is not None
-        prefix = f"{_prefix(part)}.rom" if own or not _alone(part, scene) else "rom"
+        prefix = f"{key_prefix(part)}.rom" if own or not _alone(part, scene) else "rom"
         if prefix in known:
             continue
         known.add(prefix)
@@ -193,7 +193,7 @@ def _mesh_error(axis: Axis, build: Build) -> float | None:
     """The largest of these for the axis of a mesh, None where it is not known."""
     if not axis.model:
         return None
-    parts = [p for p in build.scene.parts.values() if axis.name.startswith(f"{_prefix(p)}.")]
+    parts = [p for p in build.scene.parts.values() if axis.name.startswith(f"{key_prefix(p)}.")]
     errors = (mesh_errors(build.facts(part)).values() for part in parts)
     return max(chain.from_iterable(errors), default=None)
 

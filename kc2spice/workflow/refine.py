@@ -12,21 +12,29 @@ import math
 import tempfile
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from kc2spice.core.errors import SimulationError, UsageError
+from kc2spice.bodies.piezo_stack import SPARSE_BYTES
+from kc2spice.core.errors import SimulationError, UsageError, wrong
+from kc2spice.core.memory import available_bytes
+from kc2spice.core.mesh_error import mesh_errors
 from kc2spice.core.progress import Clock
 from kc2spice.core.waveforms import interpolate
+from kc2spice.parts._meshed import MeshedBody
 from kc2spice.scene.judge import Check
 from kc2spice.scene.load import load_scene
-from kc2spice.scene.model import Action, Scene
-from kc2spice.scene.plan import Axis, axes, keys_at
+from kc2spice.scene.model import Action, Part, Scene
+from kc2spice.scene.plan import Axis, axes, key_prefix, keys_at
 from kc2spice.workflow.decks import prepared
 from kc2spice.workflow.simulate import Run, ran, simulate, simulator_cpu
 
+MOST_UNKNOWNS = 200_000  # of a refined mesh: minutes of one processor
+FREE_SHARE = 0.5  # of the free memory, for one factor: matrices and modes take the rest
+PLANE_BYTES = 100.0  # for each unknown and doubling of their number: 145 000 took 0.2 GB
 MOST = 16  # runs besides the scene's own
 LIMIT = 1e-2  # error_budget where checks.reduction asks without one
 # A notch leaves half of an axis' error at most, as corners of a mesh do; what a metric changes by
@@ -55,6 +63,7 @@ class Runs:
         """The run there; raises as :func:`kc2spice.workflow.simulate.simulate` does."""
         build, settings = self.own.build, keys_at(self.axes, notches)
         if repr(settings) not in self.known:
+            self.require_size(notches)
             self.known[repr(settings)] = evaluate(
                 load_scene(build.scene, settings),
                 self.clock,
@@ -64,6 +73,53 @@ class Runs:
                 retries=self.retries,
             )
         return self.known[repr(settings)]
+
+    @cached_property
+    def limits(self) -> tuple[float, float]:
+        """Unknowns and memory [B] that a refined mesh may take."""
+        return MOST_UNKNOWNS, FREE_SHARE * available_bytes()
+
+    def require_size(self, notches: Notches) -> None:
+        """Compare the meshes there, as their refinement lets them grow, with :attr:`limits`.
+
+        Raises
+        ------
+        UsageError : too many unknowns, or too much memory.
+        """
+        for axis in self.axes:
+            part = self._body(axis)
+            if part is None or not notches.get(axis.name):
+                continue
+            assert isinstance(part.type, MeshedBody)
+            dimensions = part.type.dimensions(part)
+            grown = (axis.at(notches[axis.name])[axis.name] / axis.value) ** dimensions
+            unknowns = grown * self.own.build.facts(part)["unknowns"]
+            need = factor_bytes(unknowns, dimensions)
+            most, memory = self.limits
+            if unknowns > most or need > memory:
+                got = f"about {unknowns:,.0f} unknowns, {need / 1e9:.1f} GB".replace(",", " ")
+                expected = f"at most {most:,.0f} unknowns, {memory / 1e9:.1f} GB".replace(",", " ")
+                raise wrong(axis.name, "a refined mesh is too large", got, expected)
+
+    def _body(self, axis: Axis) -> Part | None:
+        """The body whose mesh an axis refines."""
+        parts = self.own.build.scene.parts.values()
+        bodies = (p for p in parts if isinstance(p.type, MeshedBody) and axis.model)
+        return next((p for p in bodies if axis.name.startswith(f"{key_prefix(p)}.")), None)
+
+    def mesh_error(self, names: Sequence[str], run: Run) -> float:
+        """The largest estimated error of the meshes of ``run`` that the axes ``names`` refine."""
+        bodies = (self._body(axis) for axis in self.axes if axis.name in names)
+        facts = (run.build.facts(part) for part in bodies if part is not None)
+        return max((e for each in facts for e in mesh_errors(each).values()), default=0.0)
+
+
+def factor_bytes(unknowns: float, dimensions: int) -> float:
+    """Memory [B] of the factorised stiffness: its fill grows as n^(4/3) in space and as n log n in
+    a plane (A. George, SIAM J. Numer. Anal. 10 (1973) 345)."""
+    if dimensions == 3:
+        return SPARSE_BYTES * unknowns ** (4 / 3)
+    return PLANE_BYTES * unknowns * math.log2(max(unknowns, 2.0))
 
 
 def evaluate(
@@ -149,12 +205,14 @@ class Estimate:
 @dataclass(frozen=True)
 class Converged:
     """The run that is taken, whether its estimate holds the budget, why not, and all estimates;
-    ``shares`` are the errors of single axes."""
+    ``shares`` are the errors of single axes, ``limits`` the unknowns and the memory [B] that a
+    refined mesh may take."""
 
     taken: Estimate
     check: Check
     tried: Sequence[Estimate]
     shares: Mapping[str, float]
+    limits: tuple[float, float]
 
     def record(self) -> dict[str, Any]:
         """``convergence`` of ``result.json``."""
@@ -164,6 +222,7 @@ class Converged:
             "errors": dict(self.taken.errors),
             "shares": dict(self.shares),
             "unmoved": self.taken.unmoved,
+            "limits": dict(zip(("unknowns", "memory_bytes"), self.limits, strict=True)),
             "tried": [item.record() for item in self.tried],
         }
 
@@ -179,6 +238,10 @@ def converge(own: Run, clock: Clock) -> Converged | None:
         return None
     limit = budget or LIMIT
     runs = Runs(own, axes(own.build), clock)
+    if any(axis.model for axis in runs.axes):
+        most, memory = runs.limits
+        text = f"meshes are refined up to {most:,.0f} unknowns and {memory / 1e9:.1f} GB of memory"
+        clock.progress("error budget", None, text.replace(",", " "))
     tried: list[Estimate] = []
     shares: dict[str, float] = {}
     notches: Notches = {}
@@ -205,18 +268,21 @@ def converge(own: Run, clock: Clock) -> Converged | None:
     told = f"raise error_budget, or refine what it was tried with ({why})" if why else "raise it"
     worst = max(taken.errors, key=lambda name: taken.errors[name], default="its metrics")
     check = Check(f"error of {worst}", taken.error, limit, "relative, estimated", told, action)
-    return Converged(taken, check, tried, shares)
+    return Converged(taken, check, tried, shares, runs.limits)
 
 
 def _estimate(runs: Runs, notches: Notches) -> Estimate | None:
-    """All axes a notch finer; without those of meshes where that is too much for the machine."""
+    """All axes a notch finer; without those of meshes where that is too much for the machine, whose
+    own estimates count instead."""
     now = runs.at(notches)
     meshes = tuple(axis.name for axis in runs.axes if axis.model)
     for unmoved in ((), meshes) if meshes else ((),):
         finer = _tried(runs, _moved(notches, [a for a in runs.axes if a.name not in unmoved]))
         if finer is not None:
             settings = keys_at(runs.axes, notches)
-            return Estimate(notches, settings, now, _differences(now, finer), unmoved)
+            left = runs.mesh_error(unmoved, now)  # what no refined run shows
+            errors = {name: error + left for name, error in _differences(now, finer).items()}
+            return Estimate(notches, settings, now, errors, unmoved)
     return None
 
 

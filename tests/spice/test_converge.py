@@ -3,8 +3,11 @@
 import warnings
 
 import numpy as np
+import pytest
 
 import kc2spice as kc
+from kc2spice.core.progress import Clock
+from kc2spice.workflow import refine
 
 # an RC low-pass
 LOWPASS = {
@@ -73,3 +76,39 @@ def test_curves_over_other_frequencies_are_judged_too():
     assert found["held"]
     assert "amplitude.ring0.anode" in found["errors"]
     assert all(error < 1e-3 for error in found["errors"].values())
+
+
+DISC = {
+    "disc": {
+        "part": "disc", "pins": {"anode": "g.out"},
+        "layers": [
+            {"material": "brass", "diameter": "20 mm", "thickness": "0.2 mm"},
+            {"material": "PZT-5A", "diameter": "14 mm", "thickness": "0.22 mm"},
+        ],
+    },
+    "g": {"part": "source", "ac": "1 V"},
+    "analysis": {"type": "ac", "start": "4 kHz", "stop": "8 kHz", "points": 100},
+}  # fmt: skip
+
+
+def test_meshes_are_refined_within_limits_that_are_stated_first(monkeypatch):
+    """A mesh beyond them stays, and its own error estimate counts for it."""
+    monkeypatch.setattr(refine, "MOST_UNKNOWNS", 1000)
+    said = []
+    scene = kc.load_scene(DISC, {"error_budget": 0.2})
+    own = refine.evaluate(scene, Clock())
+    done = refine.converge(own, Clock(lambda stage, done, text: said.append((stage, text))))
+    facts = own.build.facts(scene.parts["disc"])
+    assert 250 < facts["unknowns"] < 1000  # four times as many are too many
+    assert said[0][0] == "error budget"
+    assert "up to 1 000 unknowns and" in said[0][1]
+    assert done.record()["limits"]["unknowns"] == 1000
+    assert done.taken.unmoved == ("disc.mesh.refine",)
+    mesh = max(value for name, value in facts.items() if name.startswith("mesh_error_"))
+    assert min(done.taken.errors.values()) >= mesh > 1e-3
+
+
+def test_memory_of_a_factor_is_that_of_its_fill():
+    """A chip of 152 000 unknowns took 5.8 GB, a disc of 145 000 a fraction of a gigabyte."""
+    assert refine.factor_bytes(152e3, 3) == pytest.approx(5.8e9, rel=0.05)
+    assert refine.factor_bytes(145e3, 2) < 0.5e9
