@@ -133,7 +133,7 @@ def test_impossible_materials_are_refused_with_a_reason(table, says):
 
 
 def test_the_page_has_every_built_in_material_with_its_source():
-    page = (Path(__file__).parents[2] / "docs" / "materials.md").read_text("utf-8")
+    page = (Path(__file__).parents[2] / "docs" / "reference" / "materials.md").read_text("utf-8")
     library = tomllib.loads((Path(materials.__file__).with_suffix(".toml")).read_text("utf-8"))
     for name, table in library.items():
         (row,) = [line for line in page.splitlines() if line.startswith(f"| `{name}` |")]
