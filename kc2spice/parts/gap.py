@@ -23,12 +23,14 @@ as ``(gap / mean d)^3`` when the gap closes.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from dataclasses import replace
 from functools import lru_cache
 from typing import Annotated, Any, Literal
 
 import numpy as np
 from pydantic import Field
 
+from kc2spice.core import laws
 from kc2spice.core.errors import UsageError
 from kc2spice.core.quantities import (
     EPSILON_0,
@@ -48,7 +50,7 @@ from kc2spice.physics import Declaration, DeclaredPart, displacement, voltage
 from kc2spice.physics.expression import evaluated
 from kc2spice.physics.part import pins_of
 from kc2spice.scene.band import highest_frequency
-from kc2spice.scene.judge import Balance, Check, Metric
+from kc2spice.scene.judge import Balance, Check, Gate, Metric
 from kc2spice.scene.model import Part, Scene, Terminal
 from kc2spice.scene.parttype import Build, Vector, register
 
@@ -56,6 +58,7 @@ PATCH = "patch"  # begins the names of a body's ports that are one row of patche
 ROUNDED = 1e-9  # of force over displacement, by which iterations leave an operating point
 UNSTABLE = 1e-5  # of the capacitance: above the last digits of ngspice where nothing moves
 TERMS = 99  # odd m and n up to this; what is left out damps 1e-4 less
+FINER = 2  # branches of the film in verify, of those in the netlist
 FEWEST, MOST = 3, 100  # branches that a scene sets: its motion may be faster than what drives it
 
 
@@ -136,8 +139,25 @@ class Gap(Patched):
     """The part type; how many branches it has is up to its keys."""
 
     def declared(self, part: Part, scene: Scene) -> Declaration:
-        keys, branches = part.keys, branches_of(part, scene)
-        top = highest_frequency(scene) if keys.film else 0.0
+        return self._with_branches(part, scene, branches_of(part, scene))
+
+    def built(self, part: Part, build: Build) -> Declaration:
+        finer: int | None = build.model(part)
+        if finer is None:
+            return self.declared(part, build.scene)
+        return self._with_branches(part, build.scene, finer)
+
+    def build(self, part: Part, scene: Scene, clock: Any, full: bool = False) -> int | None:
+        """In ``full`` the branches of its film, :data:`FINER` times those of its netlist."""
+        return FINER * branches_of(part, scene) or None if full else None
+
+    def law(self, part: Part, build: Build) -> laws.Equations:
+        """Without the pins of branches that the netlist does not have: they are joined nowhere."""
+        result, known = super().law(part, build), {pin.name for pin in self.pins(part, build.scene)}
+        return replace(result, pins=tuple(pair for pair in result.pins if pair[0] in known))
+
+    def _with_branches(self, part: Part, scene: Scene, branches: int) -> Declaration:
+        keys, top = part.keys, highest_frequency(scene) if part.keys.film else 0.0
         return _declared(keys.model_dump_json(), len(patches(part, scene)), branches, top)
 
     def problems(self, part: Part, scene: Scene) -> Iterator[UsageError]:
@@ -154,7 +174,9 @@ class Gap(Patched):
         result = super().vectors(part, build)
         return {name: row for name, row in result.items() if ".film_force" not in name}
 
-    def checks(self, part: Part, build: Build, waves: Waveforms) -> Iterator[Check | Balance]:
+    def checks(
+        self, part: Part, build: Build, waves: Waveforms
+    ) -> Iterator[Check | Balance | Gate]:
         """After a dc sweep also that no point is on the branch between pull-in and release: what
         rests has a capacitance that never falls with ``v^2``, as the coenergy's least is convex."""
         yield from super().checks(part, build, waves)
@@ -248,12 +270,14 @@ def truncation(film: Film, gap: float, branches: int, frequency: float) -> float
     return float(max(abs(off.imag) / whole.imag, abs(off.real) / abs(whole)))
 
 
-def _film_checks(part: Part, build: Build, waves: Waveforms) -> Iterator[Check]:
+def _film_checks(part: Part, build: Build, waves: Waveforms) -> Iterator[Check | Gate]:
     """The error of the series at the highest frequency of a run: of its response, or that up to
     which the velocity of its patches has 99.9 % of its energy."""
     film, frequency = part.keys.film, 0.0
     if film is None:
         return
+    of, words = f"{part.name}.force*", f"force of {part.name}, {FINER} times the film's branches"
+    yield Gate(words, of, {"rom_vs_fom": film.tolerance}, "largest")
     if "frequency" in waves:
         frequency = float(waves["frequency"].real[-1])
     elif "time" in waves:

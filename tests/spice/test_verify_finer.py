@@ -1,0 +1,61 @@
+"""``verify`` holds what a run truncates against more of it, not against the same."""
+
+import json
+
+import pytest
+from typer.testing import CliRunner
+
+from kc2spice.cli.main import app
+
+# a film far above its cut-off, where three terms of its series damp four times too much
+FILM = """
+name = "film"
+gravity = 0.0
+[g]
+part = "gap"
+a = "m.a"
+side = "above"
+area = 8e-8
+gap = "2 um"
+travel = "1.4 um"
+film = { length = "400 um", width = "200 um" }
+pins = { plus = "v.out" }
+[m]
+part = "mass"
+mass = "1 mg"
+[s]
+part = "spring"
+stiffness = 100
+pins = { a = "m.a" }
+[sh]
+part = "source"
+kind = "force"
+ac = "1 uN"
+pins = { out = "m.a" }
+[v]
+part = "source"
+[checks]
+plausible = "off"
+[analysis]
+type = "ac"
+start = "1.5 MHz"
+stop = "3 MHz"
+points = 3
+"""
+
+
+@pytest.mark.parametrize(
+    ("branches", "code"), [(3, 4), pytest.param(None, 0, marks=pytest.mark.slow)]
+)
+def test_verify_doubles_the_branches_of_a_film(tmp_path, branches, code):
+    scene = tmp_path / "film.toml"
+    scene.write_text(FILM)
+    words = ["verify", str(scene), "-o", str(tmp_path / "out"), "--json", "--quiet"]
+    if branches:
+        words += ["--set", f"g.film.branches={branches}"]
+    done = CliRunner().invoke(app, words)
+    assert done.exit_code == code, done.output
+    checks = {c["name"]: c for c in json.loads(done.stdout)["checks"]}
+    (film,) = (c for name, c in checks.items() if "the film's branches" in name)
+    assert film["passed"] is (code == 0)
+    assert (film["value"] > 0.05) is (code == 4)
