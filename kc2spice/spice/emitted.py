@@ -239,5 +239,5 @@ def rounding(model: LinearModel, frequency: float) -> float:
         exact, *changed = (item.transfer(s)[0] for item in (pencil, *others))
     except SimulationError:
         return np.inf
-    size = np.abs(exact) + np.finfo(float).tiny
-    return float(max((np.abs(item - exact) / size).max() for item in changed))
+    entries = Entries.of(exact[None])
+    return float(max(entries.relative(item - exact, exact).max() for item in changed))

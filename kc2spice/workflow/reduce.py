@@ -10,6 +10,8 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from kc2spice.bodies.readers import read_model
 from kc2spice.bodies.readers.measured import Measured, is_measured, read_measured
 from kc2spice.core.errors import GateMissedError, UsageError, unknown
@@ -22,11 +24,13 @@ from kc2spice.netlist.deck import Block, Deck, ac
 from kc2spice.netlist.printers.ngspice import plot_script
 from kc2spice.netlist.translate import DIALECTS, dialect_files, symbol_files
 from kc2spice.parts._linear_body import LinearBody, full_alone, scene_band
+from kc2spice.rom.constraints import reduced_form
 from kc2spice.rom.io import read_rom, write_rom
 from kc2spice.rom.linear import LinearModel
 from kc2spice.rom.measured import one_port
-from kc2spice.rom.reduce import default_norm
+from kc2spice.rom.reduce import SMALL, default_norm, natural_band
 from kc2spice.rom.reduce import reduce as reduce_model
+from kc2spice.rom.structure import DENSE, structure
 from kc2spice.scene.load import gallery, load_scene
 from kc2spice.sim.ngspice import write_files
 from kc2spice.spice.emitted import require_circuit
@@ -86,7 +90,9 @@ def reduce(
     model = _scene_body(str(path)) or read_model(path)
     if tolerance is None and order is None:
         tolerance = TOLERANCE
+    _require_names(model, identifier(f"{model.name}_rom", "rom"))
     progress("reduce", None, f"{model.order} equations")
+    _require_stable_full(model, band)
     reduced = partial(
         reduce_model,
         model,
@@ -96,6 +102,45 @@ def reduce(
         norm=norm or default_norm(model),  # type: ignore[arg-type]
     )
     return _written(model.name, model.order, reduced, out, tolerance)
+
+
+def _require_names(model: LinearModel, name: str) -> None:
+    """Nothing, if a subcircuit can have the ports of the model under their names, which a model of
+    one state with the same ports shows before hours are spent on the reduction.
+
+    Raises
+    ------
+    UsageError : a port has the name of a node inside of the subcircuit, or of another pin.
+    """
+    own = {port.name for port in model.ports if port.kind == "electrical"}
+    D = [[float(out == into and out in own) for into in model.inputs] for out in model.outputs]
+    one, B = np.eye(1), np.ones((1, len(model.inputs)))
+    C = np.ones((len(model.outputs), 1))
+    subcircuit(LinearModel(M=one, E=one, K=one, B=B, C=C, D=np.array(D), ports=model.ports), name)
+
+
+def _require_stable_full(model: LinearModel, band: tuple[float, float] | None) -> None:
+    """Nothing, unless the poles show that a model of moderate size is unstable. Its reduction would
+    take minutes for nothing; a small one is reduced first and judged afterwards.
+
+    Raises
+    ------
+    GateMissedError : the model is unstable; nothing was written.
+    """
+    if not SMALL < model.order * (1 if model.first_order else 2) <= DENSE:
+        return
+    pencil = reduced_form(model.pencil)
+    if pencil.degree * pencil.size > DENSE:
+        return
+    band = band or model.band or natural_band(pencil)
+    if structure(pencil, band).stable is False:
+        raise GateMissedError(
+            "the model is unstable",
+            where=model.name,
+            got="a pole in the right half plane",
+            expected="poles that do not grow",
+            hint="check signs and halves of the matrices; nothing was reduced or written",
+        )
 
 
 def _reduce_measured(

@@ -52,6 +52,7 @@ def read_model(path: Path | str, sidecar: Path | str | None = None) -> LinearMod
         expected = "the name of a model, such as FOLDER/NAME"
         raise UsageError("is a folder, not a model", where=str(path), expected=expected)
     base, files, _, said = described(path, sidecar)
+    path = files.pop(_WHOLE, path)  # NAME stands for NAME.npz
     result = _read(path, {**files, **said.files}, said.matrices)
     sound = {k: raw.checked(m, k, result.files.get(k, path)) for k, m in result.matrices.items()}
     if said.dofs is not None:
@@ -76,6 +77,7 @@ def extent(path: Path, sidecar: Path | None) -> np.ndarray | None:
 # What may stand behind NAME.K or NAME_K.
 _TAILS = ("", ".mtx", ".mm", ".txt", ".matrix", ".hb", ".rsa", ".rua")
 _MEMBER = re.compile(r"(.+)([._])([MEKABCD])(\.(?:mtx|mm|txt|matrix|hb|rsa|rua))?")
+_WHOLE = ""  # key of the one file that holds all matrices, where the name leaves its suffix out
 _MATLAB = "a MATLAB file of version 5 to 7.2 with matrices, or with one mphmatrix struct"
 _ARRAYS = (
     "arrays of numbers; a scipy.sparse K as K.data, K.indices, K.indptr, K.shape and K.format, or "
@@ -157,7 +159,13 @@ def _family(path: Path) -> tuple[Path, dict[str, Path]]:
             result[letter] = fits[0]
     if result:
         return base, result
-    return (path.with_suffix("") if raw.present(path) else path), {}
+    archives = [path.with_name(f"{path.name}{suffix}") for suffix in READERS]
+    archives = [] if raw.present(path) else [other for other in archives if raw.present(other)]
+    if len(archives) > 1:
+        got = ", ".join(other.name for other in archives)
+        raise wrong(str(path), "several files have this name", got, "one of them, in full")
+    whole = dict.fromkeys([_WHOLE], archives[0]) if archives else {}
+    return (path.with_suffix("") if raw.present(path) else path), whole
 
 
 def _read(path: Path, files: dict[str, Path], wanted: Mapping[str, str]) -> raw.Raw:
