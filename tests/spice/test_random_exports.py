@@ -21,6 +21,7 @@ from kc2spice.workflow.reduce import export_rom, reduce
 FLOOR = 1e-6  # of an entry's peak, as the error estimate is defined
 POINTS, FEW = 25, 6  # random frequencies between the ends of a band; of solids
 DIGITS = 1.02  # of an error estimate
+ZERO = 1e-9  # of the geometric mean of the peaks in its row and column
 ROUNDING = 5e-9  # of direct solutions where entries cancel to a millionth of their peak
 
 
@@ -98,7 +99,9 @@ def require_within(found, exact, part, peak=None):
     error, norm = stated(part)
     peak = np.abs(exact).max(axis=0) if peak is None else peak
     size = peak if norm == "peak" else np.maximum(np.abs(exact), FLOOR * peak)
-    size = np.broadcast_to(np.where(size > 1e-13 * peak.max(), size, np.inf), exact.shape)
+    # an entry that is zero by symmetry counts against its row and column
+    mean = peak if peak.shape[0] != peak.shape[1] else np.sqrt(np.outer(*[np.diag(peak)] * 2))
+    size = np.where(peak < ZERO * mean, mean, size)
     off = (np.abs(found - exact) / size).max()
     assert off <= DIGITS * error + ROUNDING, (off, error, norm)
     return off
@@ -208,8 +211,8 @@ def test_bodies(family, seed, tmp_path):
 
 
 BOXES = {"disc": (disc, {"layers[1].thickness": 0.1, "layers[0].thickness": 0.1}),
-         "lossy": (disc, {"layers[1].diameter": 0.04, "damping.quality": 0.6}),
-         "bimorph": (bimorph, {"length": 0.1})}  # fmt: skip
+         "lossy": (disc, {"layers[1].thickness": 0.04, "damping.quality": 0.6})
+}  # fmt: skip
 
 
 @pytest.mark.slow
@@ -229,7 +232,7 @@ def test_parametric_bodies(family, tmp_path):
     ranges = {k: number_of(part, k, k)[0] * np.array([1 - w, 1 + w]) for k, w in widths.items()}
     keys["rom"]["parameters"] = {k: ends.tolist() for k, ends in ranges.items()}
     scene = kc.load_scene(scene)
-    export(scene, tmp_path / "out")
+    refused(export, scene, tmp_path / "out")
     (library,) = read_lib(tmp_path / "out" / "scene_body.lib")
     body = scene.parts["body"]
     names = {item.key: item.param.name for item in varied(body)}
@@ -241,6 +244,8 @@ def test_parametric_bodies(family, tmp_path):
             for at, (key, (low, high_)) in zip(x, ranges.items(), strict=True)
         }
         full = body.type.varied(with_values(body, values), scene, Clock(), middle)
+        pins = {pin.name for pin in library.pins}
+        full = full.select([port.name for port in full.ports if port.terminals[0] in pins])
         f = frequencies(rng, (0.01 * high, high))
         named = {names[key]: value for key, value in values.items()}
         require_within(ngspice(library, full.ports, f, tmp_path, named), full.transfer(f), library)
