@@ -8,7 +8,7 @@ import pytest
 from commands import python, typed
 
 ROOT = Path(__file__).parents[2]
-PAGE = (ROOT / "docs" / "own_part.md").read_text(encoding="utf-8")
+PAGE = (ROOT / "docs" / "how-to" / "own_part.md").read_text(encoding="utf-8")
 
 
 def blocks(language):
@@ -42,4 +42,4 @@ def test_the_commands_know_the_installed_part(package):
     assert (package / "xyce" / "solenoid.lib").is_file()
     assert "I(" in (package / "modules" / "solenoid.va").read_text(encoding="utf-8")
     head = (package / "xyce" / "solenoid.lib").read_text(encoding="utf-8")
-    assert "* @param travel=0.0015 unit=m x at which the stop is met" in head
+    assert "* @param travel=0.0015 unit=m Displacement x at the stop" in head
