@@ -8,11 +8,12 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
+from kc2spice.core import laws
 from kc2spice.core.errors import SimulationError, UsageError
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.netlist.deck import Deck
 from kc2spice.scene.judge import Check
-from kc2spice.scene.model import Analysis
+from kc2spice.scene.model import Analysis, Part
 from kc2spice.scene.parttype import Build
 from kc2spice.sim.ngspice import run_deck
 from kc2spice.workflow.decks import make_deck
@@ -28,15 +29,20 @@ class OperatingPoint:
 
 
 def operating_point(build: Build, deck: Deck) -> OperatingPoint:
-    """That of a scene whose analysis is one of small signals, from a run of its own.
+    """Find the operating point of small signals by a run of its own.
 
-    Nothing of other analyses, and of a ``deck`` that somebody edited; where it is not found, a
-    warning says so.
+    Other analyses, edited decks and scenes of linear parts alone have none here: small signals of
+    a linear part are the same about every point. A warning replaces what is not found.
     """
     scene = build.scene
+    parts = scene.parts.values()
     if not scene.analysis.small or deck.text is not None:
         return OperatingPoint()
-    frame = scene.frame.model_copy(update={"analysis": Analysis(type="op"), "probes": {}})
+    if all(_is_linear(part, build) for part in parts):
+        return OperatingPoint()
+    # Probes stay: what they read decides which pins a body has. Noise is no result of this run.
+    probes = {} if build.noisy else scene.probes
+    frame = scene.frame.model_copy(update={"analysis": Analysis(type="op"), "probes": probes})
     still = replace(build, scene=replace(scene, frame=frame))
     try:
         own = make_deck(still)
@@ -47,6 +53,16 @@ def operating_point(build: Build, deck: Deck) -> OperatingPoint:
         warnings.warn(told, stacklevel=2)
         return OperatingPoint()
     values = {name: float(point[name][-1]) for name in own.units if name in point}
-    rows = (p.type.standing(p, build, point) for p in scene.parts.values())
+    rows = (p.type.standing(p, build, point) for p in parts)
     checks = tuple(check for row in rows for check in row)
     return OperatingPoint(values, {name: own.units[name] for name in values}, checks)
+
+
+def _is_linear(part: Part, build: Build) -> bool:
+    """Whether the equations of ``part`` are known and linear."""
+    if part.reduced:
+        return True
+    equations = part.type.law(part, build)
+    return equations is not None and all(
+        isinstance(law, laws.LinearBody | laws.Source) or law.linear for law in equations.laws
+    )

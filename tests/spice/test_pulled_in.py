@@ -1,4 +1,4 @@
-"""Small signals about an operating point: it is told, and no plate stands on its stop there."""
+"""Operating points of small signals: where there is one, and that no plate is on its stop there."""
 
 import numpy as np
 import pytest
@@ -63,3 +63,47 @@ def test_a_bias_that_stands_on_a_stop_is_a_warning():
     force = EPS * AREA * 25.0 / (2 * (GAP - TRAVEL) ** 2) - K * TRAVEL
     (check,) = [c for c in result.checks if not c.passed]
     assert check.value == pytest.approx(force / 1e5, rel=0.02)  # of the stop's 1e5 N/m
+
+
+BENDER = {
+    "part": "bimorph",
+    "length": 20e-3,
+    "width": 2e-3,
+    "layers": [{"material": "PZT-5A", "thickness": 0.25e-3}] * 2,
+    "wiring": "parallel",
+    "pins": {"anode": "bias.out"},
+}
+
+
+def bent(bias=1.0, **parts):
+    """A clamped bimorph whose tip nothing but a probe names."""
+    return {
+        "name": "bent",
+        "bender": BENDER,
+        "bias": {"part": "source", "dc": bias, "ac": 1.0},
+        "analysis": {"type": "ac", "start": 10.0, "stop": 100.0, "points": 5},
+        "probes": {"u": {"of": "bender.u.tip", "take": "value", "at": "10 Hz"}},
+        **parts,
+    }
+
+
+@pytest.mark.filterwarnings("error:the operating point")
+def test_a_free_tip_of_a_clamped_body_has_an_operating_point():
+    """``|u| = 3 d31 V L^2 / h^2`` with both layers of thickness h/2 at V: J. G. Smits et al., Sens.
+    Actuators A 28 (1991) 41. The field within a layer makes it stiffer by the quarter of
+    ``k31^2 / (1 - k31^2)``, the clamp across the width by a few percent."""
+    coupling = 171e-12**2 / (16.4e-12 * 1700 * EPS)
+    bend = 3 * 171e-12 * (20e-3 / 0.5e-3) ** 2 / (1 + coupling / (1 - coupling) / 4)
+    result = kc.run(bent(diode={"part": "diode", "pins": {"anode": "gnd", "cathode": "bias.out"}}))
+    point = result.record["operating_point"]["bender.u.tip"]
+    assert abs(point["value"]) == pytest.approx(bend, rel=0.1)
+    assert result.metrics["u"] == pytest.approx(abs(point["value"]), rel=1e-3)  # at 10 Hz
+
+
+def test_a_linear_scene_needs_no_operating_point(monkeypatch):
+    def refused(*_):
+        raise AssertionError("a second run of the simulator")
+
+    monkeypatch.setattr("kc2spice.workflow.operating.run_deck", refused)
+    probes = {"i": {"of": "bender.current", "take": "max"}}
+    assert kc.run(bent(probes=probes)).record["operating_point"] == {}
