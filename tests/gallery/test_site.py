@@ -33,7 +33,7 @@ def page(site, name):
 
 @pytest.mark.slow
 def test_every_public_name_is_on_the_api_page(site):
-    text = page(site, "api")
+    text = page(site, "reference/python_api")
     for name in {getattr(kc, name).__name__ for name in set(kc.__all__) - {"errors", "Section"}}:
         assert re.search(rf'id="kc2spice\.[\w.]*\.{name}"', text), name
 
