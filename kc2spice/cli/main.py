@@ -214,16 +214,16 @@ app = typer.Typer(
 
 
 def main() -> None:
-    """Entry point of the ``kc2spice`` script."""
+    """Run the command line; ends the program."""
     # The matrices are sparse and small: threads of BLAS and of ngspice mostly wait for each other.
     # It must be said before numpy is loaded; whoever set a number of threads keeps it.
     for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
         os.environ.setdefault(variable, "1")
     os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "1")  # a search of all installed packages
     gc.set_threshold(100_000)  # nearly all that is imported and loaded stays until the end
-    end_on_signals()
     try:
-        with reported_errors():  # also of what stands outside the commands, such as --help
+        # also of what stands outside the commands, such as --help
+        with end_on_signals(), reported_errors():
             app()
     except typer.Exit as end:
         raise SystemExit(end.exit_code) from None

@@ -12,6 +12,7 @@ import multiprocessing
 import os
 import signal
 import threading
+from collections.abc import Iterator
 from types import FrameType
 
 GRACE = 0.5  # s in which the main thread must begin to handle a signal
@@ -19,10 +20,31 @@ ENDING = ("SIGTERM", "SIGHUP")
 STUCK = b"kc2spice: interrupted; nothing was written\n"
 
 
-def end_on_signals(grace: float = GRACE) -> None:
+@contextlib.contextmanager
+def end_on_signals(grace: float = GRACE) -> Iterator[None]:
     """Ctrl-C raises KeyboardInterrupt, SIGTERM and SIGHUP raise SystemExit: simulators are stopped,
     unfinished files removed. What does neither within ``grace`` [s] ends at once, with the same
-    exit code 128 + signal. Handlers of others are left alone."""
+    exit code 128 + signal. Handlers of others are left alone.
+
+    A KeyboardInterrupt that leaves the block ends the program with that exit code too. Behind the
+    block the exit code stands, and signals are ignored: the end of the interpreter would take back
+    the handlers, and a late signal then kill a program that has written all its results.
+    """
+    try:
+        own = _handle_signals(grace)
+        try:
+            yield
+        finally:
+            for number in own:
+                signal.signal(number, signal.SIG_IGN)
+    except KeyboardInterrupt:
+        with contextlib.suppress(OSError):
+            os.write(2, STUCK)
+        raise SystemExit(128 + signal.SIGINT) from None
+
+
+def _handle_signals(grace: float) -> set[int]:
+    """Set the handlers and start the thread that waits; return the signals that have them."""
     handled = threading.Semaphore(0)
 
     def interrupt(number: int, frame: FrameType | None) -> None:
@@ -42,10 +64,13 @@ def end_on_signals(grace: float = GRACE) -> None:
         if number is not None and signal.getsignal(number) is signal.SIG_DFL:
             signal.signal(number, leave)
             own.add(int(number))
+    if not own:
+        return own
     inlet, outlet = os.pipe()
     os.set_blocking(outlet, False)
     signal.set_wakeup_fd(outlet, warn_on_full_buffer=False)
     threading.Thread(target=_watch, args=(inlet, own, handled, grace), daemon=True).start()
+    return own
 
 
 def _watch(inlet: int, own: set[int], handled: threading.Semaphore, grace: float) -> None:

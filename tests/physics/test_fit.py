@@ -11,7 +11,7 @@ from scipy.special import jv
 
 import kc2spice as kc
 from kc2spice.bodies.readers.measured import Measured
-from kc2spice.cli.main import main
+from kc2spice.cli.main import app
 from kc2spice.rom.parametric import modal_transfer
 
 BAR = Path(__file__).parents[2] / "docs" / "examples" / "bar" / "bar.toml"
@@ -194,9 +194,8 @@ def test_the_command_writes_values_for_set_and_a_page(tmp_path, capsys, monkeypa
     (tmp_path / "part.csv").write_text("\n".join(["f_hz,r_ohm,x_ohm", *rows]))
     words = [f"{BUZZER}:disc", "part.csv", "--vary", "layers[0].thickness=5e-5:2e-4"]
     words += ["-o", "out", "--json", "--quiet"]
-    monkeypatch.setattr("sys.argv", ["kc2spice", "fit", *words])
     with pytest.raises(SystemExit) as ended:
-        main()
+        app(["fit", *words])
     assert not ended.value.code
     found = json.loads(capsys.readouterr().out)
     assert found["overrides"] == "out/fit.toml"

@@ -29,7 +29,7 @@ MAY = {
     "api": "core netlist rom scene parts sim report workflow",
     "pyspice": "core netlist",
     "cli": "core netlist scene sim report workflow",
-    "__main__": "cli",
+    "__main__": "core cli",
     "__init__": "core netlist rom bodies scene spice api workflow",
 }
 LAZY = ("gmsh", "PySpice", "matplotlib")
