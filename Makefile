@@ -13,7 +13,7 @@ demo: setup  ## run the main job: kick, flight and catch in ngspice
 test: setup  ## run the test suite
 	$(PYTEST) -n auto -m "not slow"
 
-slow: setup  ## the tests that take many seconds each, five to ten minutes in all
+slow: setup  ## tests that take many seconds each, five to ten minutes in total
 	$(PYTEST) -n auto -m "slow and not campaign"
 
 campaign: setup  ## hundreds of random models, scenes and kills, the oldest versions: an hour
@@ -28,12 +28,12 @@ bench: setup  ## speed against error beside peers: make bench OUT=DIR, 8 minutes
 
 SAMPLE ?= 60
 SEED ?= 1
-mutants: setup  ## do tests notice changed operators? SAMPLE of them, an hour at first: docs/development/mutants.md
+mutants: setup  ## check that tests fail for SAMPLE changed operators, an hour at first: docs/development/mutants.md
 	.venv/bin/python -m pip install --quiet --editable '.[dev]'
 	.venv/bin/python tools/mutants.py record
 	.venv/bin/python tools/mutants.py run --sample $(SAMPLE) --seed $(SEED)
 
-netlists: setup  ## write the committed netlists, symbols and examples of dialects anew
+netlists: setup  ## write the committed netlists, symbols and examples of dialects
 	.venv/bin/python tools/netlists.py
 
 symbols: setup  ## one KiCad library of all parts, with its models: a package for a release
@@ -50,7 +50,7 @@ docs: setup  ## the static site in build/site, every link checked
 setup:  ## ngspice, system libraries and the virtual environment
 	@./tools/bootstrap.sh
 
-lint: setup  ## what a change must pass besides the tests
+lint: setup  ## ruff and mypy
 	.venv/bin/python -m pip install --quiet --editable '.[dev]'
 	.venv/bin/ruff check . && .venv/bin/ruff format --check . && .venv/bin/mypy
 

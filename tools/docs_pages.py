@@ -1,4 +1,4 @@
-"""Pages of the site that are made from the program: parts, scenes, commands, examples.
+"""Pages of the site that are generated: parts, scenes, commands and examples.
 
 A hook of mkdocs (see mkdocs.yml); ``make docs`` builds the site.
 """
@@ -49,10 +49,10 @@ def parts_page() -> str:
     return "\n".join([
         "# Parts",
         "",
-        "A table with `part = \"TYPE\"` in a scene is a part under the table's name. *1 V is* and "
-        "*1 A is* say what a volt and an ampere on a pin mean in the netlist; a signal carries no "
-        "flow. Pins join by `pins = { PIN = \"part.pin\" }`; those with a default may be left out. "
-        "All of this is also what `kc2spice scenes --parts` prints.",
+        "A table with `part = \"TYPE\"` in a scene is a part; its name is that of the table. The "
+        "columns *1 V is* and *1 A is* state the meaning of a volt and an ampere on a pin in the "
+        "netlist; a signal carries no current. `pins = { PIN = \"part.pin\" }` joins pins. A pin "
+        "with a default may be left out. `kc2spice scenes --parts` prints the same.",
         "",
         *(line for doc in part_docs() for line in _part(doc)),
     ])  # fmt: skip
@@ -62,11 +62,11 @@ def _part(doc: Any) -> Iterator[str]:
     yield f"## {doc.name}\n\n{doc.title[:1].upper()}{doc.title[1:]}. {doc.doc}\n"
     if doc.short_for:
         tables = " or ".join(f"`[{name}]`" for name in doc.short_for)
-        yield f"A table {tables} without `part` means this type.\n"
+        yield f"A table {tables} without the key `part` has this type.\n"
     if doc.pins:
         rows = [(f"`{p.name}`", p.unit, p.flow, p.default or ("required" if p.required else ""))
                 for p in doc.pins]  # fmt: skip
-        yield _table(("pin", "1 V is 1", "1 A is 1", "unless joined"), rows)
+        yield _table(("pin", "1 V is 1", "1 A is 1", "default"), rows)
         if doc.scene:
             yield f"Pins as in the built-in scene `{doc.scene}`.\n"
     else:
@@ -92,13 +92,13 @@ def scenes_page() -> str:
     text = (ROOT / "kc2spice" / "scenes" / "buzzer_7bb_20_6.toml").read_text("utf-8")
     return "\n".join([
         "# Scenes and keys\n",
-        "A scene is a TOML file: parts by name, pins that are joined, an analysis, probes. A "
-        "number is SI, a string carries its unit (`\"25 us\"`). The whole of one:\n",
+        "A scene is a TOML file with parts, joined pins, an analysis and probes. A "
+        "number is in SI units, a string has its unit (`\"25 us\"`). A complete scene:\n",
         f"```toml\n{text.strip()}\n```\n",
         "## Built-in scenes\n",
         _table(("scene", "what", "analysis", "parts"), rows),
         "## Keys outside of parts\n",
-        "Those of each part type are on the page [Parts](parts.md).\n",
+        "The page [Parts](parts.md) lists the keys of each part type.\n",
         _keys(list(model_keys(Frame))),
     ])  # fmt: skip
 
@@ -121,8 +121,11 @@ def _help(*command: str) -> str:
 
 
 def examples_page() -> str:
-    """All examples as they stand in docs/examples."""
-    parts = ["# Examples\n", "Each of these is a file of `docs/examples` and runs as it stands.\n"]
+    """All files of docs/examples."""
+    parts = [
+        "# Examples\n",
+        "Each example is a file of `docs/examples` that runs without changes.\n",
+    ]
     for path in example_files():
         source = path.read_text("utf-8")
         title = (ast.get_docstring(ast.parse(source)) or path.stem).split("\n")[0]
@@ -143,7 +146,7 @@ def _keys(keys: Any) -> str:
         default = "" if key.default is None else f"`{key.default}`"
         said = " ".join(filter(None, [", ".join(f"`{c}`" for c in key.choices), key.doc]))
         rows.append((f"`{key.name}`", key.unit or "", default, said))
-    return _table(("key", "unit", "default", ""), rows)
+    return _table(("key", "unit", "default", "meaning"), rows)
 
 
 def _table(head: tuple[str, ...], rows: list[tuple[str, ...]]) -> str:
