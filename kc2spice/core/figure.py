@@ -65,13 +65,15 @@ class Panel:
 @dataclass(frozen=True)
 class Figure:
     """Panels above each other with one x axis, or in a grid of so many ``columns`` where each has
-    its own; ``name`` is that of its file, without ending."""
+    its own; ``name`` is that of its file, without ending. ``main`` marks the curve that a reader
+    of the scene looks for first."""
 
     name: str
     title: str
     caption: str
     panels: tuple[Panel, ...]
     columns: int = 1
+    main: bool = False
 
 
 @dataclass(frozen=True)

@@ -334,7 +334,8 @@ class MovingConductor(DeclaredPart):
             path = Curve(part.name, 1e3 * waves["time"], 1e3 * y)
             panel = Panel("time in ms", "height in mm", (path,))
             caption = f"Height of the centre of mass of {part.name}."
-            yield Figure(f"{part.name}_height", f"Path of {part.name}", caption, (panel,))
+            title = f"Path of {part.name}"
+            yield Figure(f"{part.name}_height", title, caption, (panel,), main=True)
 
     def notes(self, part: Part, scene: Scene) -> Iterator[str | Neglected]:
         keys, frequency = part.keys, self.resolved(part, scene)

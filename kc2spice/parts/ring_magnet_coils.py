@@ -477,7 +477,7 @@ class RingMagnetCoils(Touching):
 
 
 def force_map(part: Part, build: Build) -> Figure:
-    """Force over height for pairs of coil currents: lowest, none, highest."""
+    """Force over height without current, with both currents, and with opposite ones."""
     table = build.model(part)
     limit = largest_current(part, build.scene) or 0.1
     fine = np.linspace(table.y[0], table.y[-1], 401)
@@ -487,8 +487,7 @@ def force_map(part: Part, build: Build) -> Figure:
             1e3 * fine,
             1e3 * table.coenergy.force(fine, lower, upper),
         )
-        for lower in (-limit, 0.0, limit)
-        for upper in (-limit, 0.0, limit)
+        for lower, upper in ((0.0, 0.0), (limit, limit), (limit, -limit), (-limit, limit))
     )
     panel = Panel("height of the sphere's centre in mm", "force on the sphere in mN", curves)
     caption = "Vertical force on the sphere by coil currents, lower / upper in mA."

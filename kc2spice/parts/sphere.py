@@ -240,7 +240,8 @@ class Sphere(Touching, DeclaredPart):
         path = Curve(part.name, 1e3 * waves["time"], 1e3 * y)
         panel = Panel("time in ms", "height of the centre in mm", (path,), levels, bands)
         caption = f"Vertical position of {part.name}."
-        yield Figure(f"{part.name}_trajectory", f"Path of {part.name}", caption, (panel,))
+        title = f"Path of {part.name}"
+        yield Figure(f"{part.name}_trajectory", title, caption, (panel,), main=True)
 
     def begins(self, part: Part, build: Build) -> tuple[float, float] | None:
         n, scene, states = part.name, build.scene, begins(build.scene)

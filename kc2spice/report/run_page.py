@@ -156,6 +156,7 @@ def write_run(
         Section(f"Energy: {name}", _facts(entries, dict.fromkeys(entries, "J")))
         for name, entries in result.get("energy_j", {}).items()
     )
+    figures = sorted(figures, key=lambda figure: not figure.main)  # keeps the order of equals
     sections = [
         summary_section(result),
         Section("Device", drawing=devices(scene), note="Side view, to scale."),
@@ -391,4 +392,4 @@ def probe_figures(
         panels.append(Panel(label, f"{size} in {unit}" if unit else size, curves, **look))
     if panels:
         caption = "What the scene's probes look at, over the whole run."
-        yield Figure("probes", "Probed results", caption, tuple(panels))
+        yield Figure("probes", "Probed results", caption, tuple(panels), main=True)
