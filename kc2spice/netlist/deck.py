@@ -115,7 +115,8 @@ class Deck:
     expressions and the factor to SI, ``units`` to SI units, ``powers`` to the voltages and currents
     that they are sums of products of. ``stop`` is the last time point [s] of
     a transient, None otherwise. ``refinements`` are further analyses of the kind of ``command``,
-    whose points join its own. A deck that somebody wrote by hand has its ``text`` and the files
+    whose points join its own. A dc analysis sweeps its source in ``sweep_scale`` volts or amperes
+    per SI unit of the swept key. A deck that somebody wrote by hand has its ``text`` and the files
     that it includes in ``more``. ``controlled`` says whether a controller closes a loop, which some
     simulators only follow in short steps; it may where nobody knows. A ``trusted`` deck runs with a
     warning where the simulator ignores or replaces something in it.
@@ -134,6 +135,7 @@ class Deck:
     stop: float | None = None
     initial: Mapping[str, float] = field(default_factory=dict)
     refinements: tuple[Command, ...] = ()
+    sweep_scale: float = 1.0
     text: str | None = None
     more: Mapping[str, str] = field(default_factory=dict)
     controlled: bool = True

@@ -273,13 +273,15 @@ def own_reltol(deck: Deck) -> float:
 def named(deck: Deck, vectors: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
     """Result names to SI arrays over the scale ``time``, ``frequency`` or ``sweep``, the first.
 
+    The scale is in SI too: a swept displacement is in metres, although its source counts um.
+
     Raises
     ------
     SimulationError : a vector is missing.
     """
     first = next(iter(vectors))
     scale = first if first in ("time", "frequency") else "sweep"
-    data = {scale: vectors[first].real.copy()}
+    data = {scale: vectors[first].real / (deck.sweep_scale if scale == "sweep" else 1.0)}
     for key, (expression, factor) in deck.vectors.items():
         parts = []
         for sign, name in terms(expression):

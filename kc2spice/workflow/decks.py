@@ -97,6 +97,7 @@ def make_deck(build: Build) -> Deck:
         initial=_initial(build, loose),
         controlled=any(_controls(part, scene) for part in scene.parts.values()),
         trusted=build.trust,
+        sweep_scale=swept(build)[2].scale if scene.analysis.type == "dc" else 1.0,
     )
     return meters.sources(made, build) if build.noisy else made
 

@@ -20,6 +20,7 @@ from kc2spice.workflow import meters
 from kc2spice.workflow.steps import step_checks
 
 BETWEEN_POINTS = 0.05  # of the largest point: points half a half-width apart miss up to 3 %
+ROUNDED = 1e-9  # of the scale: rounding of its ends, which the simulator counts in its own units
 BUDGET_SHARE = 0.03  # of a larger error_budget, a tenth of what its time stepping gets
 
 
@@ -98,7 +99,7 @@ def _metrics(waves: Waveforms, build: Build, *, partial: bool) -> dict[str, Any]
         window = window_of(probe, scene)
         if not partial or _reached(probe, waves, window):
             value = take(probe, waves, name, window)
-            probed[name] = Metric(value, _probe_unit(probe, waves, units))
+            probed[name] = Metric(value, _probe_unit(probe, build, waves, units))
     return {**probed, **{name: value for name, value in own.items() if name not in probed}}
 
 
@@ -109,9 +110,12 @@ def _reached(probe: Probe, waves: Waveforms, window: tuple[float, float] | None)
     return probe.of in waves and all(low <= place <= high for place in places)
 
 
-def _probe_unit(probe: Probe, waves: Waveforms, units: Mapping[str, str]) -> str:
+def _probe_unit(probe: Probe, build: Build, waves: Waveforms, units: Mapping[str, str]) -> str:
     """SI unit of what a probe takes of a wave, whose unit is among ``units``."""
     scale = SCALES.get(next(iter(waves)), "")
+    if build.scene.analysis.type == "dc":
+        part, key, _ = meters.swept(build)
+        scale = meters.swept_unit(part, key)
     along = {"argmax": scale, "crossing": scale, "frequency": "Hz"}
     return along.get(probe.take, units.get(probe.of, SCALES.get(probe.of, "")))
 
@@ -127,11 +131,19 @@ def window_of(probe: Probe, scene: Scene) -> tuple[float, float] | None:
 
 
 def _windowed(
-    scale: np.ndarray, values: np.ndarray, window: tuple[float, float]
+    scale: np.ndarray, values: np.ndarray, window: tuple[float, float], name: str
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Points within a window, with its ends on the straight lines between them."""
+    """Points within a window, with its ends on the straight lines between them.
+
+    Raises
+    ------
+    UsageError : an end of the window is not on the scale.
+    """
     way = -1 if scale[0] > scale[-1] else 1
     scale, values = scale[::way], values[::way]
+    for key, end in zip(("from", "to"), window, strict=True):
+        if math.isfinite(end) and not _on(scale, end):
+            raise _outside(name, key, end, scale)
     low, high = max(window[0], scale[0]), min(window[1], scale[-1])
     inside = (scale > low) & (scale < high)
     at = np.concatenate([[low], scale[inside], [high]])
@@ -158,7 +170,7 @@ def take(
     if probe.at is not None:
         return _value(scale, values, probe.at, name)
     if window is not None:
-        scale, values = _windowed(scale, values, window)
+        scale, values = _windowed(scale, values, window, name)
     if np.iscomplexobj(values) and probe.take in ("max", "argmax"):
         place, largest = response_maximum(scale.real, np.abs(values))
         return largest if probe.take == "max" else place
@@ -243,15 +255,21 @@ _TAKEN: dict[str, Callable[[np.ndarray, np.ndarray, float], float | None]] = {
 }
 
 
+def _on(scale: np.ndarray, place: float) -> bool:
+    """Whether a place is on the scale, but for rounding."""
+    slack = ROUNDED * float(np.ptp(scale))
+    return bool(scale.min() - slack <= place <= scale.max() + slack)
+
+
+def _outside(name: str, key: str, place: float, scale: np.ndarray) -> UsageError:
+    expected = f"{scale.min():g} … {scale.max():g}"
+    return UsageError("outside the analysis", where=f"probes.{name}.{key}", got=f"{place:g}",
+                      expected=expected)  # fmt: skip
+
+
 def _value(scale: np.ndarray, values: np.ndarray, place: float, name: str) -> float:
     """What the line through the points has at ``place``; in the complex plane its magnitude."""
-    first, last = scale.min(), scale.max()
-    if not first <= place <= last:
-        raise UsageError(
-            "outside the analysis",
-            where=f"probes.{name}.at",
-            got=f"{place:g}",
-            expected=f"{first:g} … {last:g}",
-        )
+    if not _on(scale, place):
+        raise _outside(name, "at", place, scale)
     result = interpolate(place, scale, values)
     return float(np.abs(result)) if np.iscomplexobj(result) else float(result)

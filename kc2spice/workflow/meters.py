@@ -301,9 +301,14 @@ def sweep_values(build: Build) -> np.ndarray:
     return np.linspace(first, first + turns * (last - first), points)
 
 
-def _range(part: Part, key: str, selected: object) -> tuple[float, float]:
+def swept_unit(part: Part, key: str) -> str:
+    """SI unit of a key that a dc analysis moves."""
     units = {item.name: item.unit for item in model_keys(type(part.keys))}
-    unit = getattr(part.keys, "unit", None) or units.get(key) or ""
+    return getattr(part.keys, "unit", None) or units.get(key) or ""
+
+
+def _range(part: Part, key: str, selected: object) -> tuple[float, float]:
+    unit = swept_unit(part, key)
     first, last = (quantity(getattr(selected, name), unit) for name in ("from_", "to"))
     if first == last:  # a simulator would step on the spot without end
         got, expected = f"{first:g} … {last:g} {unit}", "two values"

@@ -173,3 +173,68 @@ def test_a_window_of_a_response_reads_its_own_peak():
     omega = 2 * np.pi * 10e3
     exact = 1 / abs(10.0 + 1j * (omega * 1e-3 - 1 / (omega * 1e-6)))
     assert kc.run(load_scene(scene)).metrics["i"] == pytest.approx(exact, rel=1e-3)
+
+
+SWEPT = {
+    "voltage": ("V", "ohm", "resistance", 100.0, "i"),
+    "current": ("A", "ohm", "resistance", 100.0, "v"),
+    "force": ("N", "k", "stiffness", 100.0, "x"),
+    "displacement": ("m", "k", "stiffness", 100.0, "force"),
+}
+
+
+@pytest.mark.parametrize("kind", SWEPT)
+@pytest.mark.parametrize("back", [False, True])
+def test_places_on_swept_scales_are_in_si(kind, back):
+    """A linear part over a sweep of each kind of source from 0 to 4e-6 in SI: every place that a
+    probe states or reads is in the SI unit of the source, a displacement in metres."""
+    unit, name, key, value, wave = SWEPT[kind]
+    part = "resistor" if name == "ohm" else "spring"
+    of, last = "g.x" if kind == "force" else f"{name}.{wave}", 4e-6
+    factor = {"i": 1 / value, "v": value, "x": 1 / value, "force": value}[wave]
+    probes = {
+        "at": {"of": of, "at": f"1e-6 {unit}"},
+        "within": {"of": of, "take": "mean", "from": f"1e-6 {unit}", "to": f"3e-6 {unit}"},
+        "largest": {"of": "g." + {"m": "x", "V": "v"}.get(unit, unit), "take": "argmax"},
+        "passed": {"of": of, "take": "crossing", "level": 2.5e-6 * factor},
+    }
+    if unit not in ("m", "V"):  # what a source of current or force sets is no result of a sweep
+        del probes["largest"]
+    scene = {
+        "name": "swept",
+        "g": {"part": "source", "kind": kind},
+        name: {"part": part, key: value, "pins": {"a": "g.out"}},
+        "analysis": {
+            "type": "dc", "sweep": "g.dc", "from": 0, "to": last, "points": 9, "back": back,
+        },
+        "probes": probes,
+    }  # fmt: skip
+    result = kc.run(load_scene(scene))
+    found = result.metrics
+    top = 2 * last if back else last
+    np.testing.assert_allclose(result.waves["sweep"], np.linspace(0, top, 17 if back else 9))
+    assert abs(found["at"]) == pytest.approx(1e-6 * factor, rel=1e-6)
+    assert abs(found["within"]) == pytest.approx(2e-6 * factor, rel=1e-6)
+    sign = np.sign(found["at"])
+    if sign > 0:
+        assert found["passed"] == pytest.approx(2.5e-6, rel=1e-6)
+        assert result.record["metric_units"]["passed"] == unit
+    if "largest" in found:
+        assert found["largest"] == pytest.approx(last, rel=1e-6)
+        assert result.record["metric_units"]["largest"] == unit
+
+
+@pytest.mark.parametrize(
+    "window", [{"from": "2 V"}, {"to": "-1 V"}, {"from": "0.2 V", "to": "5 V"}]
+)
+def test_windows_off_a_sweep_are_refused(window):
+    scene = {
+        "name": "swept",
+        "g": {"part": "source"},
+        "r": {"part": "resistor", "resistance": 10.0, "pins": {"a": "g.out"}},
+        "analysis": {"type": "dc", "sweep": "g.dc", "from": 1, "to": 0, "points": 5},
+        "probes": {"x": {"of": "r.i", "take": "mean", **window}},
+    }
+    with pytest.raises(UsageError, match="outside the analysis") as caught:
+        kc.run(load_scene(scene))
+    assert "0 … 1" in str(caught.value.expected)
