@@ -1,4 +1,4 @@
-"""Frequencies that a small-signal analysis needs at the resonances of a scene.
+"""Frequencies that a small-signal analysis needs: at resonances, and where probes read it.
 
 In go a build and its deck; out comes the deck with further analyses about each resonance that the
 scene's own frequencies do not resolve. The resonances are the natural frequencies of the whole
@@ -35,7 +35,10 @@ MOST_RESONANCES = 100
 
 
 def refined(deck: Deck, build: Build) -> Deck:
-    """``deck`` with further frequencies about each resonance that its own do not resolve.
+    """``deck`` with further frequencies about resonances, and at the places of probes.
+
+    A probe reads a frequency, or the end of its window, at a point of the analysis: a straight line
+    between two points of a response is no response.
 
     A resonance at ``f`` with the pole ``p`` has the half-width ``|Re p| / (2 pi)``. It is resolved
     where the scene's frequencies lie closer than a quarter of that. Undamped resonances have no
@@ -56,10 +59,18 @@ def refined(deck: Deck, build: Build) -> Deck:
             f"first {MOST_RESONANCES} are resolved: raise analysis.points or narrow the range",
             stacklevel=2,
         )
-    commands: list[Command] = []
+    commands = [over(deck.command, place, place, 1) for place in _places(build)]
     for f, width in narrow[:MOST_RESONANCES]:
         commands += _about(deck.command, f, width, build)
     return replace(deck, refinements=tuple(commands))
+
+
+def _places(build: Build) -> list[float]:
+    """Frequencies [Hz] inside the scene's range that probes read, in rising order."""
+    analysis = build.scene.analysis
+    first, last = analysis.start, float(analysis.stop or 0.0)
+    result = {f for probe in build.scene.probes.values() for f in probe.places.values()}
+    return sorted(f for f in result if first < f < last)
 
 
 def _about(command: Command, f: float, width: float, build: Build) -> Iterator[Command]:

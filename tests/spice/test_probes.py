@@ -238,3 +238,41 @@ def test_windows_off_a_sweep_are_refused(window):
     with pytest.raises(UsageError, match="outside the analysis") as caught:
         kc.run(load_scene(scene))
     assert "0 … 1" in str(caught.value.expected)
+
+
+@pytest.mark.parametrize("points", [3, 20])
+def test_responses_are_read_where_the_probe_says(points):
+    """Current of a series resonator at a frequency and at the ends of a window, in closed form."""
+    R, L, C = 10.0, 1e-3, 1e-6
+    scene = {
+        "name": "rlc",
+        "g": {"part": "source", "ac": "1 V"},
+        "r": {"part": "resistor", "resistance": R, "pins": {"a": "g.out", "b": "l.a"}},
+        "l": {"part": "inductor", "inductance": L, "pins": {"b": "c.a"}},
+        "c": {"part": "capacitor", "capacitance": C},
+        "analysis": {"type": "ac", "start": "1 kHz", "stop": "20 kHz", "points": points},
+        "probes": {
+            "at": {"of": "l.i", "at": "3.3 kHz"},
+            "below": {"of": "l.i", "take": "max", "to": "2.2 kHz"},
+            "above": {"of": "l.i", "take": "max", "from": "8 kHz"},
+        },
+    }
+    found = kc.run(load_scene(scene)).metrics
+    for name, f in (("at", 3.3e3), ("below", 2.2e3), ("above", 8e3)):
+        s = 2j * np.pi * f
+        assert found[name] == pytest.approx(abs(1 / (R + s * L + 1 / (s * C))), rel=1e-6), name
+
+
+def test_densities_are_read_where_the_probe_says():
+    """Johnson's noise of a resistor behind a capacitor, between two frequencies of the analysis."""
+    scene = {
+        "name": "rc",
+        "r": {"part": "resistor", "resistance": R, "pins": {"a": "c.a"}},
+        "c": {"part": "capacitor", "capacitance": C},
+        "analysis": {"type": "noise", "output": "c.v", "start": 1, "stop": 1e4, "points": 4},
+        "probes": {"at": {"of": "noise", "at": "170 Hz"}},
+    }
+    density = np.sqrt(4 * 1.380649e-23 * 300.15 * R) / abs(1 + 2j * np.pi * 170 * R * C)
+    with pytest.warns(UserWarning, match="noise against every second frequency"):
+        found = kc.run(load_scene(scene)).metrics
+    assert found["at"] == pytest.approx(density, rel=1e-4)
