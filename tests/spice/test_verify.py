@@ -6,11 +6,13 @@ import re
 
 import numpy as np
 import pytest
-from device import models
+from device import built, models
+from hard_cases.kit import kick
 
 from kc2spice.core.progress import Clock, silent
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.netlist.read import subcircuits
+from kc2spice.scene.judge import Gate
 from kc2spice.scene.load import load_scene
 from kc2spice.workflow.decks import make_deck
 from kc2spice.workflow.simulate import ran
@@ -286,3 +288,36 @@ def test_eddy_currents_are_resolved_to_twice_what_a_scene_has(key, passed, tmp_p
     ]
     found = [c for c in checks if "voltages of ring" in c["name"]]
     assert [c["passed"] for c in found] == [passed, passed]
+
+
+# --- the gate of a launch ------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("faster", [1.0, 1.02])
+def test_a_launch_that_is_off_fails_whatever_a_sharp_resonance_is_off(faster, model):
+    """An undamped chip is pointwise off by 50; its launch may not be off by 2 % for that."""
+    certificate = dataclasses.replace(model.certificate, error_estimate=50.0)
+    vague = dataclasses.replace(model, certificate=certificate)
+    study = kick()
+    build = built(study, vague)
+    launched = Waveforms(
+        {
+            "time": (t := np.linspace(0.0, study.stop, 400)),
+            "contact.force": 1e-3 * (t < 20e-6),
+            "sphere.v": np.minimum(t / 20e-6, 1.0),
+        },
+        {},
+    )
+    quick = Waveforms(launched.data | {"sphere.v": faster * launched["sphere.v"]}, {})
+    gates = [("contact", g) for g in contact_gates(build, launched)]
+    ours, exact = (module.solution(item, build) for item in (quick, launched))
+    checks, _ = module.gate_limits(gates, "rom_vs_fom", ours, exact)
+    (launch,) = (c for c in checks if c.name.startswith("launch velocity"))
+    assert launch.passed is (faster == 1.0)
+    assert launch.value == pytest.approx(faster - 1, abs=1e-12)
+
+
+def contact_gates(build, waves):
+    """Gates of the scene's contact; its other checks need more waves."""
+    part = build.scene.parts["contact"]
+    return [next(row for row in part.type.checks(part, build, waves) if isinstance(row, Gate))]
