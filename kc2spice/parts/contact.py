@@ -469,7 +469,7 @@ def _open_ports(pair: Pair, build: Build, waves: Waveforms, place: np.ndarray) -
         rise = waves[f"{a.part}.u.{ports[-1]}"] + static @ force - place
         gap, highest = float(pair.gaps[len(ports)]), float(rise.max())
         advice = f"set {n}.rings to more than {len(ports)}, or to 'all'"
-        suggested = (f"{n}.rings", len(ports) + 1) if pair.keys.rings == "needed" else None
+        suggested = {f"{n}.rings": len(ports) + 1} if pair.keys.rings == "needed" else {}
         yield Check("ring_left_out", highest, OPEN * gap, "m", advice, action, suggested=suggested)
     elif pair.pushed(waves) is None:
         advice = "the contact outgrows the modelled rings: more rings or a wider ring_spacing"

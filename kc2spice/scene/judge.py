@@ -38,8 +38,8 @@ class Check:
 
     ``action`` says what a violation does to the run. A ``coarse`` check fails for too large steps,
     which tighter tolerances may cure. A ``wiring`` check holds the netlist against the scene, from
-    which a deck that somebody edited may differ on purpose. ``suggested`` is a dotted key and its
-    value by which the scene would not violate it, where that is known and nobody chose otherwise.
+    which a deck that somebody edited may differ on purpose. ``suggested`` are dotted keys and their
+    values by which the scene would not violate it, where these are known and nobody chose others.
     """
 
     name: str
@@ -50,7 +50,7 @@ class Check:
     action: Action = "fail"
     coarse: bool = False
     wiring: bool = False
-    suggested: tuple[str, int] | None = None
+    suggested: Mapping[str, Any] = field(default_factory=dict)
 
     @property
     def passed(self) -> bool:

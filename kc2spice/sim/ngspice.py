@@ -395,12 +395,12 @@ class RetriesFailedError(SimulationError):
     """No attempt of ``attempts`` succeeded; ``failure`` is the one that got farthest.
 
     ``suggested`` are keys of the scene, and values, that would cure all checks that the last
-    violated.
+    violated, but for those that smaller steps cure.
     """
 
     attempts: tuple[Attempt, ...]
     failure: Failure | None
-    suggested: Mapping[str, int]
+    suggested: Mapping[str, Any]
 
 
 def run_with_retries(
@@ -467,8 +467,8 @@ def run_with_retries(
             last.where, last.got, last.expected = error.where, error.got, error.expected
             last.hint = "; ".join(str(hint) for hint in hints if hint) or None
             last.attempts, last.failure = tuple(attempts), farthest
-            suggested = dict(check.suggested for check in violated if check.suggested is not None)
-            last.suggested = suggested if len(suggested) == len(violated) else {}
+            cures = [check.suggested for check in violated if not check.coarse]
+            last.suggested = {k: v for cure in cures for k, v in cure.items()} if all(cures) else {}
             raise last
         warnings.warn(
             f"{setting.name}: {failure.cause}; trying {following.name}: {following.why}",
