@@ -21,8 +21,11 @@ EPSILON, MU = 8.8541878188e-12, 4e-7 * np.pi
 STEP = 1e-9  # s, of the chip's oracle
 
 
-def by(d, rate, start, corners, read, **how):
-    """The draw's own solution, by scipy from ``start()``: ``read`` gives waves of the states."""
+def by(d, rate, start, corners, read, pushed=None, **how):
+    """The draw's own solution, by scipy from ``start()``: ``read`` gives waves of the states,
+    ``pushed`` the rates of the states that a newton on the first wave adds."""
+
+    d.explicit = rate, start, read, {} if pushed is None else {0: pushed}
 
     def solve(points):
         t, y = integrated(rate, start(), corners, d.stop, points, **how)
@@ -117,7 +120,7 @@ def electrostatic(d):
         x = gap * y[:, 0]
         return {0: x, 2: y[:, 2] * farad(0.0)[0] / farad(x)[0]}
 
-    by(d, rate, lambda: np.zeros(3), wave.corners, read)
+    by(d, rate, lambda: np.zeros(3), wave.corners, read, [0.0, 1 / (mass * gap * w), 0.0])
 
 
 def voice(d):
@@ -257,7 +260,7 @@ def circles(a, b, apart):
 
 def thrown(d):
     """A thin ring of metal that a coil of one wire pushes off: two circles, two currents."""
-    if d.rng.random() < 0.5:
+    if d.rng.random() < 0.5 or d.analysis != "transient":
         return shaken(d)
     d.f = d.value(50, 400)
     d.stop = d.rng.uniform(2, 4) / d.f
@@ -489,14 +492,16 @@ def catch(d):
             command = min(most, max(-most, want))
             c0, c1, c2, c11, c12, c22 = splines(y)
             back = (100.0 * i - output - held) / (1 + again)
-            apart = fast * (100.0 * (command - i) + back)
+            apart = min(steep, max(-steep, fast * (100.0 * (command - i) + back)))
+            if abs(output) >= stage.get("rail", np.inf) / bridge and apart * output > 0:
+                apart = 0.0
             coil = (bridge * output - ohm * i - (c2 - c1) * v) / henry
             i = i if driver else command
             force = c0 + (c2 - c1) * i + (c11 - c12 + c22) * i * i
             return [
                 1e3 * v, force / mass - 9.81, ki * e * (enabled and abs(want) < most),
                 1e3 * (e - followed) / lag, coil if driver else 0.0, back * again * ohm / henry,
-                min(steep, max(-steep, apart)),
+                apart,
             ]  # fmt: skip
 
         first = 1e3 * y0 + 1.0  # mm, of the centre

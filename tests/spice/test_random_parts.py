@@ -1,11 +1,14 @@
 """Scenes of any parts, drawn with their pins and values, against plain equations of the test's own.
 
 ``python tests/spice/test_random_parts.py FIRST LAST`` prints draw by draw: right, refused, off and
-said, SILENT. Each number is a scene of its own, families by turns, so that ranges can be resumed.
+said, SILENT. Each number is a scene of its own, families and analyses by turns, so that ranges can
+be resumed: transients with probes over windows, operating points, sweeps up, down and back,
+responses with their true maxima, noise.
 """
 
 import json
 import random
+import re
 import signal
 import sys
 import tempfile
@@ -18,6 +21,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 from device import models
+from drawn_analyses import (
+    error_of_windows,
+    error_without_time,
+    floating,
+    framed,
+    hops,
+    table,
+    windows,
+)
 from drawn_devices import catch, elastic, electrostatic, field, stack, stretched, thrown, voice
 from own_equations import Equations, Wave
 from scipy.integrate import solve_ivp
@@ -38,8 +50,13 @@ KEYS = {"resistor": "resistance", "capacitor": "capacitance", "spring": "stiffne
 class Drawn:
     """A scene under way: text of its tables, the test's own equations, what is compared."""
 
-    def __init__(self, rng, folder):
-        self.rng, self.folder = rng, folder
+    def __init__(self, rng, folder, analysis="transient"):
+        self.rng, self.folder, self.analysis = rng, folder, analysis
+        self.level = [0.0]  # of all waves of an analysis without time, as a share of their size
+        self.bias, self.small = (rng.uniform(0.3, 1) * rng.choice([-1, 1]), rng.uniform(0.01, 1)
+                                 ) if analysis != "transient" else (0.0, 0.0)  # fmt: skip
+        self.takes, self.windowed = {}, True  # what probes take, by their names, over windows too
+        self.source, self.swept, self.period, self.pushed = "", {}, None, {}
         self.text, self.own, self.compared = [], Equations(), {}
         self.f = 10 ** rng.uniform(2, 4.5)
         self.stop, self.axis = rng.uniform(3, 9) / self.f, "time"
@@ -51,6 +68,8 @@ class Drawn:
 
     def part(self, type_, /, *, pins=None, name=None, **keys):
         name = name or self.name(type_)
+        if type_ == "source":
+            self.source, self.swept = name, keys
         lines = [f"[{name}]", f'part = "{type_}"', *(f"{k} = {_toml(v)}" for k, v in keys.items())]
         if pins:
             lines.append(f"pins = {_toml(pins)}")
@@ -70,9 +89,12 @@ class Drawn:
     def wave(self, size, *, smooth=False):
         """Keys of a source that is zero at first, and the same function of time."""
         f, rng = self.f, self.rng
+        if self.analysis != "transient":
+            keys = {"dc": size * self.bias, "ac": size * self.small}
+            return keys, Wave(lambda _: size * self.level[0])
         shape = rng.choice(["sine", "pulse", "train", "pwl"][: 1 if smooth else None])
         if shape == "sine":
-            start = rng.choice([0.0, 0.3 / f])
+            start, self.period = rng.choice([0.0, 0.3 / f]), 1 / f
             wave = Wave(
                 lambda t: size * np.sin(2 * np.pi * f * (t - start)) * (t > start), (start,)
             )
@@ -88,7 +110,7 @@ class Drawn:
         t, u = [0.0, start], [0.0, 0.0]
         count = 1 if shape == "pulse" else 1 + int(self.stop * f)
         if count > 1:
-            keys["period"] = 1 / f
+            keys["period"] = self.period = 1 / f
         for k in range(count):
             begin = start + k / f
             t += [begin, begin + edge, begin + width, begin + width + edge]
@@ -126,6 +148,8 @@ def driven(d, size, rectified=False):
 
 
 def _smaller(keys, wave, by):
+    if "dc" in keys:
+        return {k: v / by for k, v in keys.items()}, Wave(lambda t: wave(t) / by)
     ((shape, inner),) = keys.items()
     if shape == "pwl":
         inner = [[t, u / by] for t, u in inner]
@@ -193,7 +217,7 @@ def motion(d, masses=None):
     keys, wave = d.wave(1.0)
     m, w = d.value(1e-5, 1e-2), 2 * np.pi * d.f
     stiff = m * (w * d.value(0.3, 3)) ** 2
-    loss = stiff / w / d.value(1, 200)
+    loss = stiff / w / d.value(1, 200 if d.analysis == "transient" else 2e4)
     pushed = d.rng.random() < 0.6
     found = []
     for _ in range(masses or d.rng.randint(1, 4)):
@@ -259,7 +283,7 @@ def matrices(d):
     m = d.value(1e-5, 1e-2)
     stiff = m * (w * d.value(0.5, 4)) ** 2
     K = stiff * (2 * np.eye(n) - np.eye(n, k=1) - np.eye(n, k=-1))
-    M, E = m * np.eye(n), K / w / d.value(5, 300)
+    M, E = m * np.eye(n), K / w / d.value(5, 300 if d.analysis == "transient" else 2e4)
     B = np.eye(n)[:, [0, n - 1]]
     np.savez(d.folder / "own.npz", M=M, K=K, E=E, B=B, C=B.T)
     (d.folder / "own.toml").write_text("".join(
@@ -314,11 +338,15 @@ BODIES = {
 }  # fmt: skip
 
 
+FREE = {"langevin"}  # which rests nowhere
+
+
 def body(d):
     """A device behind a resistor, or pushed, with something on its port."""
     from hostile.meshes import mesh
 
-    kind = d.rng.choice(sorted(BODIES))
+    fixed = sorted(BODIES) if d.analysis in ("transient", "ac") else sorted(set(BODIES) - FREE)
+    kind = d.rng.choice(fixed)
     keys, port, high, f, m, stiff = BODIES[kind]
     (d.folder / "bar.msh").write_bytes(mesh())
     keys = f'part = "{kind}"\n{keys}\ndamping = {{ quality = {d.rng.choice([10, 50, 200])} }}\n'
@@ -389,6 +417,8 @@ def bounce(d):
 def driver(d):
     """A power stage on a resistor and a capacitor: a pole, or what it is at the end."""
     kind = d.rng.choice(["amplifier", "charge_drive", "half_bridge"])
+    if d.analysis != "transient":
+        kind = "amplifier"
     ohm, farad = d.value(10, 100), d.value(1, 100) * 1e-9
     if kind == "half_bridge":  # charged to its rail, by the reservoir and its supply
         rail = d.value(10, 200)
@@ -396,7 +426,7 @@ def driver(d):
         source = d.part("source", pulse={"high": rail, "width": 1.0, "edge": 1e-6, "start": 1e-5})
         one = d.part(kind, rail=rail, pins={"command": f"{source}.out"})
         load = d.part("capacitor", capacitance=farad, pins={"a": f"{one}.out"})
-        d.compared[f"{load}.v"] = "end"
+        d.compared[f"{load}.v"], d.windowed = "end", False
         d.solve = lambda points: (
             points[[0, -2, -1]],
             lambda name: rail * np.array([0.0, 1.0, 1.0]),
@@ -404,10 +434,10 @@ def driver(d):
         return
     keys, wave = d.wave(d.value(0.5, 5), smooth=True)
     d.f = min(d.f, 5e3 if kind == "amplifier" else 500.0)
-    keys["sine"]["frequency"] = d.f
-    start = keys["sine"]["start"]
-    size = keys["sine"]["amplitude"]
-    wave = Wave(lambda t: size * np.sin(2 * np.pi * d.f * (t - start)) * (t > start), (start,))
+    if "sine" in keys:
+        keys["sine"]["frequency"], d.period = d.f, 1 / d.f
+        start, size = keys["sine"]["start"], keys["sine"]["amplitude"]
+        wave = Wave(lambda t: size * np.sin(2 * np.pi * d.f * (t - start)) * (t > start), (start,))
     d.stop = 4 / d.f
     source = d.part("source", **keys)
     if kind == "charge_drive":  # far below its bandwidth the charge is the command's
@@ -480,18 +510,37 @@ def controller(d):
 
 FAMILIES = (
     circuit, rectifier, motion, touch, matrices, body, bounce, driver, sensor, controller,
-    electrostatic, voice, field, catch, stack, elastic, stretched, thrown,
+    electrostatic, voice, field, catch, stack, elastic, stretched, thrown, hops, framed,
 )  # fmt: skip
-QUICK = (0, 2, 6, 7, 8, 9, 17, 29, 42, 78)  # of most families, seconds in all
+LINEAR = (circuit, motion, matrices, body, driver, sensor, framed)
+CURVED = (rectifier, touch, electrostatic, voice, stretched, thrown)
+ANALYSES = {
+    "op": (*LINEAR, *CURVED, floating),
+    "dc": (*LINEAR, *CURVED, floating),
+    "ac": (*LINEAR, *CURVED),
+    "noise": (circuit, motion, matrices, body, electrostatic, framed),
+}
+DRAWN = (
+    *((family, "transient") for family in FAMILIES),
+    *((family, analysis) for analysis, families in ANALYSES.items() for family in families),
+)
+
+# of most families and all analyses, seconds in all; 106 sweeps a displacement, 254 has windows of
+# responses between the frequencies
+QUICK = (0, 2, 6, 7, 8, 9, 18, 19, 33, 42, 57, 65, 106, 145, 254)
 
 
 def drawn(number, folder):
-    rng = random.Random(f"parts {number}")
-    d = Drawn(rng, folder)
-    family = FAMILIES[number % len(FAMILIES)]
+    """Families and analyses by turns; what is drawn depends on these and the number of turns."""
+    turn, place = divmod(number, len(DRAWN))
+    family, analysis = DRAWN[place]
+    d = Drawn(random.Random(f"{family.__name__} {analysis} {turn}"), folder, analysis)
     family(d)
-    if d.stop is not None:
+    if analysis != "transient":
+        d.text += table(d)
+    elif d.stop is not None:
         d.text += ["[probes]", *(f'q{k} = {{ of = "{n}" }}' for k, n in enumerate(d.compared))]
+        d.text += windows(d, d.rng) if d.windowed else []
         d.text.append(f'[analysis]\ntype = "transient"\nstop = {float(d.stop)!r}')
     (folder / "drawn.toml").write_text('name = "drawn"\n' + "\n".join(d.text) + "\n")
     return d
@@ -518,13 +567,14 @@ def patience(limit=PATIENCE):
 
 
 def compared(number, folder):
-    """Family, word and the largest error of a scene."""
-    family = FAMILIES[number % len(FAMILIES)].__name__
+    """Family with analysis, word and the largest error of a scene."""
+    family, analysis = DRAWN[number % len(DRAWN)]
+    name = f"{family.__name__} {analysis}"
     try:
         with patience():
-            return family, *_compared(drawn(number, folder), folder)
-    except TimeoutError:
-        return family, "not compared", None
+            return name, *_compared(drawn(number, folder), folder)
+    except (TimeoutError, ArithmeticError, np.linalg.LinAlgError) as error:
+        return name, f"not compared: {error!r}", None
 
 
 def _compared(d, folder):
@@ -538,25 +588,35 @@ def _compared(d, folder):
     except Kc2spiceError as error:
         return f"refused: {error.message}", None
     waves = np.load(folder / "out" / "waveforms.npz")
+    if d.analysis == "transient":
+        worst = _error_in_time(d, waves, record["metrics"])
+    else:
+        worst = error_without_time(d, waves, record["metrics"])
+    # a step of a sampled controller is drawn from one point of the simulator to the next
+    limit = 2 * LIMIT if d.count["controller"] else LIMIT
+    word = "right" if worst <= limit else f"off, said: {said}" if said else "OFF, SILENT"
+    return word, worst
+
+
+def _error_in_time(d, waves, metrics):
+    """Largest error of waves, as the rms over their scale, and of what probes take of windows."""
     points = waves[d.axis]
     if d.axis == "time":
         points = np.unique(np.concatenate((np.linspace(0, d.stop, 1500), points[::3])))
         points = points[points <= d.stop]
     t, exact = d.solve(points) if hasattr(d, "solve") else d.own.solve(d.stop, points)
-    worst = 0.0
+    worst, found = 0.0, {}
     for name, own in d.compared.items():
         own, offset = own if isinstance(own, tuple) and own[0] == "sensed" else (own, 0.0)
         theirs, ours = exact(own) + offset, waves[name]
+        found[name] = theirs
         swing, weight = theirs, np.ones(len(t))
         if d.axis == "time":
             ours = np.interp(t, waves["time"], ours)
             swing, weight = theirs - theirs[0], np.gradient(t)
         if (scale := weight @ np.abs(swing) ** 2) > 0:
             worst = max(worst, float(np.sqrt(weight @ np.abs(ours - theirs) ** 2 / scale)))
-    # a step of a sampled controller is drawn from one point of the simulator to the next
-    limit = 2 * LIMIT if d.count["controller"] else LIMIT
-    word = "right" if worst <= limit else f"off, said: {said}" if said else "OFF, SILENT"
-    return word, worst
+    return max(worst, error_of_windows(d, metrics, t, found)) if d.takes else worst
 
 
 @pytest.mark.parametrize("number", QUICK)
@@ -566,9 +626,10 @@ def test_a_scene_of_any_parts_is_right(number, tmp_path):
 
 
 def test_all_types_of_parts_are_drawn(tmp_path):
-    found, left = set(BODIES), len(FAMILIES) * 40
-    for number in range(left):  # a body builds its model while it is drawn
-        if FAMILIES[number % len(FAMILIES)] is not body:
+    found, left = set(BODIES), len(DRAWN) * 40
+    for number in range(left):
+        family, analysis = DRAWN[number % len(DRAWN)]
+        if analysis == "transient" and family is not body:  # which builds its model to be drawn
             drawn(number, tmp_path)
             with suppress(Kc2spiceError):  # a draw that is refused shows no type
                 parts = load_scene(tmp_path / "drawn.toml").parts.values()
@@ -604,9 +665,11 @@ def told(number):
     """The word for a draw, and its line, with its scene where that is off."""
     with tempfile.TemporaryDirectory() as folder:
         family, word, worst = compared(number, Path(folder))
-        line = {"family": family, "word": word, "error": worst}
+        scene = (Path(folder) / "drawn.toml").read_text()
+        types = sorted(set(re.findall(r'(?m)^part = "(\w+)"', scene)))
+        line = {"family": family, "word": word, "error": worst, "types": types}
         if "off" in word.lower():
-            line["scene"] = (Path(folder) / "drawn.toml").read_text()
+            line["scene"] = scene
     return word, line
 
 
