@@ -130,7 +130,8 @@ def test_harvester_has_an_optimum_load(results):
     for load in (10e3, 35e3, 120e3):
         record, waves, _ = results("harvester", f"load.resistance={load}")
         volts = np.abs(waves["load.v"])
-        assert record["metrics"]["peak_voltage_v"] == pytest.approx(volts.max())
+        # between the points, the maximum of the response is interpolated
+        assert record["metrics"]["peak_voltage_v"] == pytest.approx(volts.max(), rel=1e-3)
         assert "impedance_ohm" not in record["metrics"]  # the beam feeds the load
         facts = record["model"]["beam"]
         peak = waves["frequency"].real[volts.argmax()]
@@ -246,7 +247,8 @@ def test_bracket_of_a_stranger_becomes_a_library_by_one_command(tmp_path):
     shutil.copy(EXAMPLE / "bracket.toml", tmp_path)
     runpy.run_path(str(EXAMPLE / "make_bracket.py"))["draw"](str(tmp_path / "bracket.step"))
     asked("export", tmp_path / "bracket.toml", "-o", tmp_path / "out")
-    text = (tmp_path / "out" / "bracket.lib").read_text("utf-8")
+    (library,) = (tmp_path / "out").glob("*bracket.lib")
+    text = library.read_text("utf-8")
     pins = [line.split()[3] for line in text.splitlines() if line.startswith("* @pin")]
     assert pins == ["anode", "cathode", "tip", "base", "ground"]
 

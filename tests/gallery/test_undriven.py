@@ -29,7 +29,7 @@ def test_its_impedance_is_that_of_the_same_scene_with_a_source(tmp_path):
     given = kc.run(BODY | {"drive": DRIVE}, tmp_path / "given")
     assert bare.metrics.keys() >= given.metrics.keys()
     assert bare.metrics == given.metrics
-    assert len(bare.metrics["impedance_ohm"]) == len(bare.metrics["frequency_hz"]) == 41
+    assert len(bare.metrics["impedance_ohm"]) == len(bare.metrics["frequency_hz"]) >= 41
     np.testing.assert_array_equal(bare.waves["beam_drive.i"], given.waves["drive.i"])
     assert json.loads((tmp_path / "bare" / "result.json").read_text())["metrics"]
 
