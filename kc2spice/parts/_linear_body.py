@@ -391,10 +391,14 @@ class LinearBody(Touching):
         return cached("body", asked, build, classes=kinds, sources=self.sources())
 
     def library(self, part: Part, scene: Scene) -> str:
-        """Its part number, else the names of scene and part: libraries of many scenes may stand in
-        one folder."""
+        """Its part number, else :meth:`scene_library`."""
+        own = self.scene_library(part, scene)
+        return identifier(part.keys.number, part.name) if part.keys.number else own
+
+    def scene_library(self, part: Part, scene: Scene) -> str:
+        """The names of scene and part: libraries of many scenes may stand in one folder."""
         own = f"{scene.name[: _LONGEST - len(part.name)]}_{part.name}"
-        return identifier(part.keys.number or own, part.name)
+        return identifier(own, part.name)
 
     def subcircuits(self, part: Part, build: Build, header: Header) -> tuple[Any, ...]:
         name = build.libraries[part.name]

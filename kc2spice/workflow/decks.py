@@ -119,7 +119,7 @@ def _reductions(parts: Iterable[Subcircuit]) -> Iterator[str]:
 
 
 def _libraries(build: Build, header: Header) -> Iterator[Subcircuit]:
-    known: dict[str, Subcircuit] = {}
+    known: dict[str, tuple[str, Subcircuit]] = {}
     for part in build.scene.parts.values():
         if mover(part.name, build.scene):
             continue
@@ -127,17 +127,16 @@ def _libraries(build: Build, header: Header) -> Iterator[Subcircuit]:
             if build.noisy and not part.netlist:
                 meters = part.type.noise
                 result = quiet(result, () if isinstance(meters, str) else meters)
-            same = known.get(result.filename.lower())
-            if same is None:
-                known[result.filename.lower()] = result
+            first, same = known.setdefault(result.filename.lower(), (part.name, result))
+            if same is result:
                 yield result
             elif same.text != result.text:
                 raise UsageError(
-                    "two different libraries have one name",
+                    f"{first} and {part.name} have different libraries of one name",
                     where=part.name,
                     got=result.filename,
                     expected="names that differ",
-                    hint="rename the part or the included file",
+                    hint="change the key number of a body, the name of a part or the included file",
                 )
 
 

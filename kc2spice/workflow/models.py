@@ -8,6 +8,7 @@ from fnmatch import fnmatchcase
 from typing import Any
 
 from kc2spice.core.progress import Clock
+from kc2spice.parts._linear_body import LinearBody
 from kc2spice.rom.linear import LinearModel
 from kc2spice.rom.modal import mode_table
 from kc2spice.scene.model import Names, Scene, scene_hash
@@ -55,7 +56,7 @@ def libraries(scene: Scene) -> dict[str, str]:
 def shared(build: Build) -> Build:
     """``build`` where parts of a type whose subcircuits are alike have one: under the type's name
     if all are alike, else under that of the first of each kind."""
-    header, names = Header(build.scene.name, scene_hash(build.scene)), dict(build.libraries)
+    header, names = Header(build.scene.name, scene_hash(build.scene)), _numbered(build)
     for kind in {part.type.name: part.type for part in build.scene.parts.values()}.values():
         parts = [part for part in build.scene.of(kind.name) if part.name in names]
         if len(parts) < 2 or parts[0].reduced or parts[0].netlist:
@@ -73,6 +74,25 @@ def shared(build: Build) -> Build:
             for item in group
         }
     return replace(build, libraries=names)
+
+
+def _numbered(build: Build) -> dict[str, str]:
+    """Libraries of all parts. Bodies of one part number whose subcircuits differ, as those of other
+    ports do, have the name of the number once, and the names of scene and part otherwise."""
+    scene, names = build.scene, dict(build.libraries)
+    header = Header(scene.name, scene_hash(scene))
+    users = [*names.values()]
+    given, alike = Names(users), dict[tuple[str, ...], str]()
+    for part in scene.parts.values():
+        name = build.libraries[part.name]
+        if users.count(name) < 2 or part.netlist or not isinstance(part.type, LinearBody):
+            continue
+        texts = tuple(result.text for result in part.type.subcircuits(part, build, header))
+        if texts not in alike:
+            own = part.type.scene_library(part, scene)
+            alike[texts] = given.name(part.name, own) if name in alike.values() else name
+        names[part.name] = alike[texts]
+    return names
 
 
 def model_facts(build: Build) -> dict[str, dict[str, float]]:

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from device import built
 
+import kc2spice as kc
 from kc2spice.core.errors import UsageError
 from kc2spice.netlist import read_lib
 from kc2spice.scene.load import load_scene
@@ -78,3 +79,70 @@ def test_a_library_carries_the_part_number_or_scene_and_part(scene, part, number
     assert library.name == name
     (deck,) = (tmp_path / "out").glob("*.cir")
     assert re.search(rf"(?m)^X{part} .* {name}$", deck.read_text())
+
+
+TWO = """
+[a]
+part = "matrices"
+file = "m.npz"
+number = "FT-1"
+pins = {{ plate = "v.out" }}
+[b]
+part = "matrices"
+file = "{second}.npz"
+number = "FT-1"
+pins = {{ plate = "v.out" }}
+[c]
+part = "matrices"
+file = "{second}.npz"
+number = "FT-1"
+pins = {{ plate = "v.out" }}
+[v]
+part = "source"
+ac = "1 V"
+[analysis]
+type = "ac"
+start = "10 Hz"
+stop = "8 kHz"
+points = 3
+"""
+
+
+@pytest.mark.parametrize("second", ["m", "n"])
+def test_bodies_of_one_part_number_share_a_library_if_they_are_alike(second, tmp_path):
+    """Far below all resonances the current is that of ``D + B' K^-1 B``."""
+    w2 = (2 * np.pi * np.array([100e3, 300e3])) ** 2
+    farad = {}
+    for name, share in (("m", 1.0), ("n", 3.0)):
+        B, D = share * np.array([[1.0], [2.0]]), np.array([[1e-9]])
+        farad[name] = float((D + B.T @ (B / w2[:, None]))[0, 0])
+        matrices = {"M": np.eye(2), "E": 1e-9 * np.diag(w2), "K": np.diag(w2), "B": B, "D": D}
+        np.savez(tmp_path / f"{name}.npz", **matrices)
+        ports = '[[ports]]\nname = "plate"\nkind = "electrical"\ncolumn = 1\n'
+        (tmp_path / f"{name}.toml").write_text(ports)
+    path = tmp_path / "pair.toml"
+    path.write_text(TWO.format(second=second))
+    deck = kc.deck(load_scene(path))
+    cards = [card.split() for block in deck.blocks for card in block.cards]
+    used = {words[0][1]: words[-1] for words in cards if words[0] in ("Xa", "Xb", "Xc")}
+    assert used == dict.fromkeys("abc", "FT_1") | (
+        {} if second == "m" else dict.fromkeys("bc", "pair_b")
+    )
+    waves = run_deck(deck, tmp_path / "out")
+    f = waves["frequency"].real[0]
+    current = abs(waves["v.i"][0])
+    assert current == pytest.approx(2 * np.pi * f * (farad["m"] + 2 * farad[second]), rel=1e-4)
+
+
+def test_one_name_of_two_libraries_is_refused_with_both_parts(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    for name, ohm in (("one", 1), ("two", 2)):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "r.lib").write_text(f".subckt r a ref\nR1 a ref {ohm}k\n.ends\n")
+    scene = load_scene({"name": "pair", "analysis": {"stop": 1e-5},
+        "n": {"part": "netlist", "file": "one/r.lib", "subckt": "r"},
+        "m": {"part": "netlist", "file": "two/r.lib", "subckt": "r", "pins": {"a": "n.a"}},
+    })  # fmt: skip
+    with pytest.raises(UsageError, match="n and m have different libraries of one name") as told:
+        make_deck(built(scene))
+    assert "key number" in told.value.hint
