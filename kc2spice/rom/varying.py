@@ -254,10 +254,12 @@ def _values(box: Mapping[str, Axis], x: np.ndarray) -> dict[str, float]:
 def _judged(
     made: Parametric, band: tuple[float, float], norm: Norm
 ) -> Iterator[tuple[np.ndarray, Judge]]:
-    """Points of the box, the middle and two corners first, with the dense model as a judge."""
+    """Points of the box with the dense model as a judge: the middle, all corners, where polynomials
+    deviate most, and random points."""
     count = len(made.box)
     draws = scipy.stats.qmc.Sobol(count, seed=3).random(DRAWS) * 2 - 1
-    for x in (np.zeros(count), np.ones(count), -np.ones(count), *draws):
+    corners = sorted(product((1.0, -1.0), repeat=count), key=lambda x: abs(sum(x)), reverse=True)
+    for x in (np.zeros(count), *map(np.array, corners), *draws):
         response = Response(made.at(_values(made.box, x)).pencil)
         yield x, Judge(response, band, False, norm)
 
@@ -321,6 +323,7 @@ class _Space:
         size[size == 0] = 1.0
         w, T = np.linalg.eigh(sum((a / size).T @ (a / size) for a in answers))
         large = w > max(DEPENDENT * w[-1], 0.0)
+        large[: max(0, len(w) - rest.size)] = False  # no more than there are dimensions
         self.T = T[:, large] / size[:, None]
         pairs = [self._ritz(p) for p in modes.points]
         self.w2 = np.array([w2 for w2, _ in pairs])

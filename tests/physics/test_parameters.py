@@ -130,6 +130,29 @@ def test_modes_that_cross_or_repel_in_the_box_do_not_jump(repelling, norm):
         assert np.linalg.eigvalsh(K).min() > 0
 
 
+def test_the_error_of_a_box_holds_at_its_corners():
+    """A ratio of two parameters changes most between the corners where one is at its low end and
+    the other at its high end: there polynomials deviate most."""
+    ports = (Port("one", "mechanical"), Port("two", "mechanical"))
+
+    def full(values: dict) -> LinearModel:
+        r = (values["a"] / values["b"]) ** 2
+        K = np.array([[1 + 0.3 * r, 0.2 * r, 0.1], [0.2 * r, 5 + r, 0.3 * r], [0.1, 0.3 * r, 30]])
+        B = np.array([[1.0, 0.1], [0.3, r], [0.2, 0.4]])
+        return LinearModel(M=np.diag([1, 2, 0.5]), K=K, B=B, rayleigh=(0.04, 0.02), ports=ports)
+
+    low, high = 0.85, 1.18
+    axes = [Axis("a", low, high), Axis("b", low, high)]
+    found = over_box(full, axes, (0.0, 1.5 / (2 * np.pi)), 1e-2)
+    f = np.linspace(0.1, 1, 150) * found.certificate.band_hz[1]
+    for a, b in ((low, low), (low, high), (high, low), (high, high)):
+        H, exact = (
+            model.transfer(f) for model in (found.at({"a": a, "b": b}), full({"a": a, "b": b}))
+        )
+        error = np.abs(H - exact) / np.maximum(np.abs(exact), 1e-6 * np.abs(exact).max(axis=0))
+        assert error.max() < found.certificate.error_estimate
+
+
 def test_mechanical_ports_of_a_box_answer_in_ngspice_as_the_full_model(tmp_path):
     """1 N into the first port, at a value of the parameter that is not the default."""
     full, band = oscillators(0.1), (0.0, 2 / (2 * np.pi))
