@@ -221,6 +221,20 @@ class Deck:
         yield from (f".save {vector}" for vector in (*self.saved, *totals))
         yield " ".join((".print", self.command.kind, *self.saved[:2]))
 
+    def with_command(self, command: Command) -> Deck:
+        """The same deck with this analysis instead of its own and of its refinements."""
+        if self.text is None:
+            return replace(self, command=command, refinements=())
+        at = next((s.line for s in statements(self.text, "") if s.keyword in ANALYSES), None)
+        if at is None:
+            return self
+        lines = [f"{line}\n" for line in lines_of(self.text)]
+        after = at
+        while after < len(lines) and lines[after].startswith("+"):
+            after += 1
+        text = "".join([*lines[: at - 1], f"{command.card}\n", *lines[after:]])
+        return replace(self, text=text, command=command, refinements=())
+
     def option(self, key: str) -> str | None:
         """The value of an option, None where the deck says nothing."""
         cards = (s for s in statements(self._main, self.main) if s.keyword in OPTION_CARDS)

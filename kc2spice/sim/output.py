@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import re
 import warnings
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal, NamedTuple
@@ -298,11 +298,15 @@ def read_raw(path: Path) -> dict[str, np.ndarray]:
             raise _corrupt(path, "it holds values that are not finite")
     if len(plots) == 1:
         return first.columns(len(first.table))
-    parts = [plot.columns(len(plot.table)) for plot in plots]
-    joined = {name: np.concatenate([part[name] for part in parts]) for name in first.names}
-    scale, order = np.unique(joined[first.names[0]], return_index=True)
+    return joined([plot.columns(len(plot.table)) for plot in plots])
+
+
+def joined(analyses: Sequence[Mapping[str, np.ndarray]]) -> dict[str, np.ndarray]:
+    """The points of several analyses over one scale, the first vector, in rising order."""
+    result = {name: np.concatenate([part[name] for part in analyses]) for name in analyses[0]}
+    scale, order = np.unique(next(iter(result.values())), return_index=True)
     apart = np.diff(scale, prepend=-np.inf) > SAME_POINT * np.abs(scale)
-    return {name: values[order[apart]] for name, values in joined.items()}
+    return {name: values[order[apart]] for name, values in result.items()}
 
 
 def _plots(path: Path) -> Iterator[_Plot]:

@@ -38,7 +38,7 @@ def operating_point(build: Build, deck: Deck) -> OperatingPoint:
     parts = scene.parts.values()
     if not scene.analysis.small or deck.text is not None:
         return OperatingPoint()
-    if all(_is_linear(part, build) for part in parts):
+    if all(is_linear(part, build) for part in parts):
         return OperatingPoint()
     # Probes stay: what they read decides which pins a body has. Noise is no result of this run.
     probes = {} if build.noisy else scene.probes
@@ -58,7 +58,7 @@ def operating_point(build: Build, deck: Deck) -> OperatingPoint:
     return OperatingPoint(values, {name: own.units[name] for name in values}, checks)
 
 
-def _is_linear(part: Part, build: Build) -> bool:
+def is_linear(part: Part, build: Build) -> bool:
     """Whether the equations of ``part`` are known and linear."""
     if part.reduced:
         return True

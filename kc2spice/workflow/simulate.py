@@ -14,6 +14,7 @@ from contextlib import contextmanager
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
@@ -32,9 +33,10 @@ from kc2spice.sim.ngspice import (
     run_with_retries,
     write_files,
 )
+from kc2spice.sim.output import joined
 from kc2spice.workflow.judge import metrics, verdict
 from kc2spice.workflow.models import model_facts, rom_facts
-from kc2spice.workflow.operating import OperatingPoint, operating_point
+from kc2spice.workflow.operating import OperatingPoint, is_linear, operating_point
 
 PARTIAL = "waveforms.partial.npz"
 FAILURE = "failure.json"
@@ -153,12 +155,31 @@ def ran(
     if build.scene.analysis.small:
         from kc2spice.workflow.resonances import refined  # which loads scipy
 
-        return run_deck(refined(deck, build), directory, progress, timeout)
+        whole = refined(deck, build)
+        if deck.text is None and all(is_linear(p, build) for p in build.scene.parts.values()):
+            return run_deck(whole, directory, progress, timeout)
+        return _each_from_rest(whole, directory, progress, timeout)
     if not functions:
         return run_deck(deck, directory, progress, timeout)
     from kc2spice.sim.shared import run_shared
 
     return run_shared(deck, functions, progress)
+
+
+def _each_from_rest(
+    deck: Deck, directory: Path, progress: Share, timeout: float | None
+) -> Waveforms:
+    """The points of all analyses of ``deck``, each by a run of its own.
+
+    Within one run, ngspice begins the search for the next operating point at the response that the
+    last analysis left. That leads to another operating point where there are several.
+    """
+    first = run_deck(replace(deck, refinements=()), directory, progress, timeout)
+    parts = [first.data]
+    for command in deck.refinements:
+        with TemporaryDirectory() as folder:
+            parts.append(run_deck(deck.with_command(command), Path(folder), None, timeout).data)
+    return replace(first, data=joined(parts))
 
 
 def sampled(build: Build) -> list[Sampled]:

@@ -135,3 +135,58 @@ def test_noise_has_the_power_of_a_resonance_between_the_points(scene_file):
     text += '[analysis]\ntype = "noise"\noutput = "mass.x"\nstart = 0.1\nstop = 1e5\npoints = 60\n'
     rms = kc.run(scene_file(text)).metrics["noise"]
     assert rms == pytest.approx(np.sqrt(1.380649e-23 * 300.15 / 1e3), rel=0.02)
+
+
+SOFTENING = """
+[push]
+part = "source"
+kind = "force"
+dc = 3.57e-9
+ac = 5.26e-9
+pins = { out = "mass.a" }
+[mass]
+part = "mass"
+mass = 2.106e-10
+pins = { a = "spring.a" }
+[spring]
+part = "cubic_spring"
+stiffness = 4.863e-3
+cubic = -4.722e8
+[damper]
+part = "damper"
+damping = 2.106e-9
+pins = { a = "spring.a" }
+[analysis]
+type = "ac"
+start = 70
+stop = 3.6e3
+points = 20
+[probes]
+largest = { of = "mass.x", take = "max" }
+there = { of = "mass.x", at = "2 kHz" }
+"""
+
+
+@pytest.mark.parametrize("edited", [False, True])
+def test_all_frequencies_are_about_one_operating_point(edited, scene_file, tmp_path):
+    """``x = F / (k + 3 c x0^2 + i w d - w^2 m)``, ``x0`` the smallest of three roots of
+    ``k x + c x^3 = F0``: the response that one analysis leaves leads the next to another root."""
+    F0, F, m, k, c, d = 3.57e-9, 5.26e-9, 2.106e-10, 4.863e-3, -4.722e8, 2.106e-9
+    path = scene_file(SOFTENING)
+    result = kc.run(path)
+    if edited:
+        for name, text in result.deck.files.items():
+            (tmp_path / name).write_text(text)
+        main = tmp_path / result.deck.main
+        main.write_text(main.read_text().replace(".end\n", "* edited\n.end\n"))
+        result = kc.run(path, deck=main)
+    roots = np.roots([c, 0.0, k, -F0])
+    x0 = roots[np.abs(roots).argmin()].real
+    s = 2j * np.pi * result.frequency
+    exact = F / (k + 3 * c * x0**2 + d * s + m * s**2)
+    np.testing.assert_allclose(result.waves["mass.x"], exact, rtol=1e-3)
+    stiff = k + 3 * c * x0**2
+    largest = F / (d * np.sqrt(stiff / m - d**2 / (4 * m**2)))
+    assert result.metrics["largest"] == pytest.approx(largest, rel=1e-3)
+    s = 2j * np.pi * 2e3
+    assert result.metrics["there"] == pytest.approx(abs(F / (stiff + d * s + m * s**2)), rel=1e-5)
