@@ -390,7 +390,7 @@ def _supported(solid: Solid, fixed: np.ndarray, pieces: Sequence[np.ndarray]) ->
     return True
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Answers:
     """What a model without damping does: ``facts`` by name, and the displacements z (n, …) that
     they are of: ``static`` under 1 V at each electrical port, ``pushed`` (n, 1 or 0) under 1 N at

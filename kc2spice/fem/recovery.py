@@ -56,7 +56,7 @@ def _fit_of(solid: Solid) -> _Fit:
     return _Fit(2, LOOSE, 2, SEEN) if isinstance(solid.mesh, MeshTet) else _Fit(2, FIRM, 2)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class EnergyProducts:
     """Matrices (k, k) over k solutions: ``solution`` is A of themselves, ``error`` that of their
     errors, and ``spread`` sums the absolute values of what each element adds to ``error``."""
@@ -155,7 +155,7 @@ def _monomials(x: np.ndarray, degree: int) -> tuple[np.ndarray, np.ndarray]:
     return np.stack(columns, axis=-1), np.array([len(axes) for axes in powers])
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class _Patches:
     """Fitted polynomials: ``coefficients`` (patches, terms, 9 k) in ``(x - middle) / size``.
 

@@ -18,7 +18,6 @@ from typing import Any
 
 import numpy as np
 
-from kc2spice.bodies.piezo_stack import SPARSE_BYTES
 from kc2spice.core.errors import SimulationError, UsageError, wrong
 from kc2spice.core.memory import available_bytes
 from kc2spice.core.mesh_error import mesh_errors
@@ -118,6 +117,8 @@ def factor_bytes(unknowns: float, dimensions: int) -> float:
     """Memory [B] of the factorised stiffness: its fill grows as n^(4/3) in space and as n log n in
     a plane (A. George, SIAM J. Numer. Anal. 10 (1973) 345)."""
     if dimensions == 3:
+        from kc2spice.bodies.piezo_stack import SPARSE_BYTES  # which loads the finite elements
+
         return SPARSE_BYTES * unknowns ** (4 / 3)
     return PLANE_BYTES * unknowns * math.log2(max(unknowns, 2.0))
 
