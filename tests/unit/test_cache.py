@@ -162,8 +162,8 @@ def test_two_that_need_the_same_build_it_once(folder):
     assert not list(folder.rglob("*.part"))
 
 
-# Of what a build runs, these cannot change its result: they count time, return keys, word errors, and
-# refuse what does not fit into the memory.
+# Of what a build runs, these cannot change its result: they count time, return keys, word errors,
+# and refuse what does not fit into the memory.
 NEUTRAL = {
     "kc2spice.core.cache", "kc2spice.core.errors", "kc2spice.core.memory", "kc2spice.core.progress",
     "kc2spice.scene.model", "kc2spice.scene.parttype",
