@@ -1,10 +1,27 @@
 """What several files of tests begin with."""
 
+import signal
+
 import device
 import pytest
 from typer.testing import CliRunner
 
 from kc2spice.cli.main import app
+
+
+def pytest_collection_modifyitems(items):
+    """A campaign is slow."""
+    for item in items:
+        if item.get_closest_marker("campaign"):
+            item.add_marker(pytest.mark.slow)
+
+
+@pytest.fixture(scope="session", autouse=True)
+def interruptible():
+    """Children end by Ctrl-C, also where a shell started the tests with SIGINT ignored."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
 
 
 @pytest.fixture
