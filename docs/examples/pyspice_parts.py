@@ -7,7 +7,7 @@ from kc2spice.pyspice import subcircuit
 
 for part in kc.deck("impact").parts:
     part.write(part.filename)
-chip = kc.read_lib("kick.lib")[0]
+chip = kc.read_lib("impact_kick.lib")[0]
 print(chip)
 
 circuit = Circuit("chip behind a resistor")
