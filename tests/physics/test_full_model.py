@@ -4,10 +4,12 @@ import numpy as np
 import oracle
 import pytest
 from closed_forms import hertz
+from scipy import sparse
 
 from kc2spice.bodies.piezo_stack import stack_device
 from kc2spice.bodies.stack_keys import Chip
 from kc2spice.core.errors import SimulationError
+from kc2spice.rom.linear import LinearModel
 from kc2spice.rom.reduce import reduce, surrogate
 from laboratory.usual.contact import contact_surface
 from laboratory.usual.statics import imprint
@@ -24,6 +26,32 @@ def test_surrogate_is_checked_against_direct_solutions():
     np.testing.assert_allclose(model.transfer(frequency), full.transfer(frequency), rtol=1e-9)
     with pytest.raises(SimulationError, match="cannot replace"):
         surrogate(full, (0.0, 500e3), blocks=6)  # 4e-8
+
+
+def slender_beam(elements):
+    """A cantilever of Euler-Bernoulli elements with a force at its tip; EI, mass and length are 1.
+    Its stiffness has a condition of 1e12."""
+    h, size = 1.0 / elements, 2 * elements + 2
+    bending = [[12, 6 * h, -12, 6 * h], [6 * h, 4 * h**2, -6 * h, 2 * h**2],
+               [-12, -6 * h, 12, -6 * h], [6 * h, 2 * h**2, -6 * h, 4 * h**2]]  # fmt: skip
+    inertia = [[156, 22 * h, 54, -13 * h], [22 * h, 4 * h**2, 13 * h, -3 * h**2],
+               [54, 13 * h, 156, -22 * h], [-13 * h, -3 * h**2, -22 * h, 4 * h**2]]  # fmt: skip
+    K, M = np.zeros((size, size)), np.zeros((size, size))
+    for k in range(elements):
+        own = slice(2 * k, 2 * k + 4)
+        K[own, own] += np.array(bending) / h**3
+        M[own, own] += np.array(inertia) * h / 420
+    K, M = (sparse.csc_array(matrix[2:, 2:]) for matrix in (K, M))
+    B = np.zeros((size - 2, 1))
+    B[-2] = 1.0
+    return LinearModel(M=M, E=1e-3 * M, K=K, B=B, C=B.T)
+
+
+def test_surrogate_is_as_good_as_rounding_lets_direct_solutions_be():
+    """Statics: ``L^3 / (3 E I)``."""
+    model, error = surrogate(slender_beam(400), (0.0, 2.0))
+    assert 1e-10 < error < 1e-3
+    assert model.transfer(np.array([1e-3]))[0, 0, 0].real == pytest.approx(1 / 3, rel=1e-4)
 
 
 @pytest.mark.slow
