@@ -33,8 +33,9 @@ CHUNK = 1000  # elements or corners handled at once: bounds the memory
 # one of degree p costs p^2 times that. It decides where the points do not: few elements meet in a
 # corner of a coarse mesh of tetrahedra.
 FIRM, LOOSE = 1e-6, 1e-3
-# Of tetrahedra the recovered strain sees this part of the energy of the error: 0.23 to 0.54 on six
-# meshes from a bender of 236 elements to a cube, tests/physics/test_mesh_error.py.
+# Part of the energy of the error that the recovered strain of tetrahedra sees. It was chosen on
+# meshes against much finer ones, where single quantities ranged from 0.11 (capacitance of a tube)
+# to 0.90 (resonance of a bracket); tests/physics/test_mesh_error.py limits what remains.
 SEEN = 0.45
 ELSEWHERE = 0.5  # squared distance from a patch's middle, in its own size, that a neighbour costs
 
