@@ -113,8 +113,7 @@ def test_imprint_is_verified_three_ways_and_a_missed_gate_is_exit_code_4(tmp_pat
     assert (tmp_path / "verify.html").stat().st_size > 10_000
 
 
-# One in the quick run: a base that accelerates, two layers in series; the full model is solved at
-# every frequency.
+# One in the quick run: a base that accelerates, two layers in series.
 QUICK = {"harvester": ("--set", "analysis.points=3")}
 
 
