@@ -18,23 +18,27 @@ import json
 import re
 import shutil
 import sys
+import tomllib
 import zipfile
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import Any
 
 import kc2spice
 from kc2spice.netlist import read_lib
 from kc2spice.netlist.printers.kicad import Symbol, element_symbols, library, part_symbol
 from kc2spice.netlist.read import statements
 from kc2spice.scene.load import gallery, load_scene
+from kc2spice.scene.model import Scene
 from kc2spice.workflow.export import export
 
 ROOT = Path(__file__).parents[1]
 NETLISTS, EXAMPLES = ROOT / "netlists", ROOT / "docs" / "examples" / "dialects"
 SYMBOLS, PAGE = NETLISTS / "kc2spice.kicad_sym", NETLISTS / "README.md"
 SHOWN = ("impact", "buzzer_7bb_20_6")  # the scenes that stand in every dialect
+RANGES = Path(__file__).with_name("netlist_ranges.toml")
 FOLDER = "${KC2SPICE_NETLISTS}"
 # Scenes in the folder of another one, with which they have their libraries in common.
 SHARED = {
@@ -63,9 +67,25 @@ TABLE_HEAD = """| library | part | pins (1 V is, 1 A is) | signs | rating |
 """
 
 
+def shipped(scene: str) -> Scene:
+    """The scene whose libraries are committed, with the parameters of :data:`RANGES`."""
+    table = tomllib.loads(RANGES.read_text(encoding="utf-8"))
+    plain, changes = load_scene(scene), dict[str, Any]()
+    for name, ranges in table.get(scene, {}).items():
+        part = plain.parts[name]
+        for number, layer in enumerate(part.keys.layers):
+            material = layer.material  # a material by its name has no keys that could vary
+            named = {"like": material} if isinstance(material, str) else material
+            changes[f"{name}.layers[{number}].material"] = named
+        band = list(part.type.reduction(part, plain).band)
+        rom = {"tolerance": table["tolerance"], "band": band, "parameters": ranges}
+        changes[f"{name}.rom"] = rom
+    return load_scene(scene, changes) if changes else plain
+
+
 def scene_files(scene: str, out: Path) -> list[Path]:
     """Deck and libraries of a scene, written into ``out``: what ngspice needs of an export."""
-    written = export(load_scene(scene), out)
+    written = export(shipped(scene), out)
     kept = [p for p in written if p.suffix == ".cir" or _is_library(p)]
     for path in set(written) - set(kept):
         path.unlink()
