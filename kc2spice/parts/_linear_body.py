@@ -691,9 +691,8 @@ class LinearBody(Touching):
             yield _pictures.impedances(part.name, f, {"": z}, how + _pictures.PEAKS)
             return
         yield from _pictures.response_figures(part.name, waves)
-        modal = resonators(build.model(part))
-        poles = np.empty(0) if modal is None else modal.omega / (2 * np.pi)
-        yield from _pictures.own_impedances(part.name, build.model(part), poles)
+        model = build.model(part)
+        yield from _pictures.own_impedances(part.name, model, resonators(model))
 
     def law(self, part: Part, build: Build) -> laws.Equations | None:
         model: LinearModel = build.model(part)

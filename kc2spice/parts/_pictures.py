@@ -12,6 +12,7 @@ import numpy as np
 from kc2spice.core.figure import Curve, Figure, Map, Panel, time_axis, window
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.rom.linear import LinearModel
+from kc2spice.rom.modal import Resonators
 
 if TYPE_CHECKING:
     from kc2spice.bodies.device import Device
@@ -40,15 +41,18 @@ def impedances(name: str, frequency: np.ndarray, z: Mapping[str, np.ndarray], ho
     return Figure(f"{name}_impedance", f"Impedance of {name}", caption, panels)
 
 
-def own_impedances(name: str, model: LinearModel, poles: np.ndarray) -> Iterator[Figure]:
-    """Of every electrical port, with the others shorted and nothing pressing on the body; ``poles``
-    are frequencies [Hz] that it is shown close to."""
+def own_impedances(name: str, model: LinearModel, modal: Resonators | None) -> Iterator[Figure]:
+    """Of every electrical port, with the others shorted and nothing pressing on the body, closely
+    around the resonances of ``modal`` but not at undamped ones, where there is no answer."""
     if model.certificate is None:
         return
     low, high = model.certificate.band_hz
     low = max(low, high / 300)
-    near = (poles[:, None] * (1 + 1e-3 * np.arange(-20, 21))).ravel()
-    f = np.sort(np.concatenate((np.geomspace(low, high, POINTS), near)))
+    f = np.geomspace(low, high, POINTS)
+    if modal is not None:
+        poles = modal.omega / (2 * np.pi)
+        near = (poles[:, None] * (1 + 1e-3 * np.arange(-20, 21))).ravel()
+        f = np.setdiff1d(np.concatenate((f, near)), poles[modal.damp == 0])
     f = f[(f >= low) & (f <= high)]
     answers = model.transfer(f)
     for port in (p for p in model.ports if p.kind == "electrical"):
