@@ -289,7 +289,8 @@ def _film_checks(part: Part, build: Build, waves: Waveforms) -> Iterator[Check |
     error = truncation(film, part.keys.gap, branches, frequency)
     name = f"{branches} branches of the film of {part.name} at {frequency:.3g} Hz"
     advice = f"raise {part.name}.film.branches"
-    yield Check(name, error, film.tolerance, "of damping and force", advice, "warn")
+    unit = "of damping and force"
+    yield Check(name, error, film.tolerance, unit, advice, "warn", discretisation=True)
 
 
 @lru_cache(maxsize=32)

@@ -318,11 +318,13 @@ class MovingConductor(DeclaredPart):
             yield Check(what, result.error, limit, "of flux and force", advice, "warn")
             finer = f"{result.rings} rings of {part.name} against finer ones"
             more = f"raise {part.name}.rings"
-            yield Check(finer, result.rough, ROUGH, "of flux, force and loss", more, "warn")
-            highest, unit = _seen_frequency(part, build, waves), "Hz"
+            unit = "of flux, force and loss"
+            yield Check(finer, result.rough, ROUGH, unit, more, "warn", discretisation=True)
+            highest = _seen_frequency(part, build, waves)
             what = f"highest frequency of the currents of {part.name}"
             advice = f"raise {part.name}.frequency to it"
-            yield Check(what, highest, BEYOND * result.frequency, unit, advice, "warn")
+            limit = BEYOND * result.frequency
+            yield Check(what, highest, limit, "Hz", advice, "warn", discretisation=True)
             limits = {"rom_vs_fom": ROUGH, "ngspice_vs_fom": ROUGH}
             of = f"{part.name}.{_coil('*')}_v"
             yield Gate(f"coils' voltages of {part.name}", of, limits, "largest")

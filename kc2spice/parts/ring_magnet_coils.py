@@ -422,7 +422,8 @@ class RingMagnetCoils(Touching):
         coarse = interpolation_error(build.model(part), largest_current(part, build.scene))
         name, action = f"field of {part.name} between its positions", build.scene.checks.range
         advice = f"too few heights: raise {part.name}.positions"
-        yield Check(name, coarse, COARSE, "of the largest force", advice, action)
+        unit = "of the largest force"
+        yield Check(name, coarse, COARSE, unit, advice, action, discretisation=True)
         advice = f"the sphere left the field table: widen {part.name}.y_min and {part.name}.y_max, "
         advice += "or kick it less"
         yield Check("table_left", beyond(build.model(part), y), 0.0, "m", advice, action)

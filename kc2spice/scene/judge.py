@@ -40,6 +40,8 @@ class Check:
     which tighter tolerances may cure. A ``wiring`` check holds the netlist against the scene, from
     which a deck that somebody edited may differ on purpose. ``suggested`` are dotted keys and their
     values by which the scene would not violate it, where these are known and nobody chose others.
+    A check of the ``discretisation`` compares it with a finer one at the frequencies of the run;
+    ``verify`` counts it in time, where it does not follow the finer one.
     """
 
     name: str
@@ -50,6 +52,7 @@ class Check:
     action: Action = "fail"
     coarse: bool = False
     wiring: bool = False
+    discretisation: bool = False
     suggested: Mapping[str, Any] = field(default_factory=dict)
 
     @property

@@ -440,12 +440,20 @@ class _Verification:
             yield Check(f"every wave (rms), worst {last.output}, ngspice to laws", last.rms, wave)
 
     def _own_checks(self) -> None:
-        """Physics of the netlist's run that nobody told the simulator."""
+        """Physics of the netlist's run that nobody told the simulator; in time the discretisations
+        that no finer solution replaces."""
+        timed = self.build.scene.analysis.type == "transient"
+        unfollowed = [c for c in self.verdict.checks if timed and c.discretisation]
         self.found.checks += [
             replace(check, name=f"{check.name}, ngspice")
             for check in self.verdict.checks
-            if check.action == "fail" or check.name.startswith("jump")
+            if check.action == "fail" or check.name.startswith("jump") or check in unfollowed
         ]
+        if unfollowed:
+            self.found.notes.append(
+                "not solved in time with a finer discretisation, but compared with one at the "
+                f"frequencies of the run: {'; '.join(check.name for check in unfollowed)}"
+            )
 
     def _stepped(self, waves: Waveforms, coarse: Waveforms) -> None:
         """What steps twice as long change must not decide over a gate."""
