@@ -43,12 +43,11 @@ def test_numbers_of_the_main_job_are_those_of_a_run(tmp_path):
     stroke = 1e6 * chip["free_stroke_ring0_m_per_100v"]
     wanted = {
         "free stroke at 100 V (data sheet 2.2 µm)": f"{stroke:.3f} µm",
-        "inside ±5 % of the step from": f"{1e3 * metrics['settling_time_s']:.2f} ms on",
-        "position at 5 ms, above the set point": f"{1e9 * abs(metrics['final_error_m']):.0f} nm",
+        "inside ±5 % of the step from": f"{1e3 * metrics['settling_time_s']:.2f} ms",
+        "distance from the set point at 5 ms": f"{1e9 * abs(metrics['final_error_m']):.0f} nm",
         "coil current that holds the sphere": f"{1e3 * metrics['hold_current_a']:.2f} mA",
-        "launch velocity, 5.7 µs after the kick begins":
-            f"{metrics['launch_velocity_m_s']:.3f} m/s",
-    }  # fmt: skip
+        "launch velocity": f"{metrics['launch_velocity_m_s']:.3f} m/s",
+    }
     assert {name: cells.get(name) for name in wanted} == wanted
 
 
@@ -65,9 +64,10 @@ def test_speed_table_is_that_of_the_committed_benchmark():
     assert (ROOT / "docs" / "evidence" / "bench" / "bench.md").read_text("utf-8") == bench_tables(
         record
     )
-    rows = re.findall(r"(?m)^\| `(\w+)` \|[^|]*\| ([^|]+) \| ([^|]+) \|$", RESULTS)
-    assert len(rows) >= 10
+    speed = RESULTS.split("## Speed")[1]
+    rows = re.findall(r"(?m)^\| `(\w+)` \|[^|]*\| ([^|]+) \|[^|]*\| ([^|]*) \|$", speed)
+    assert {name for name, _, _ in rows} == set(record["ratios"])
     for name, value, error in rows:
         ratio = record["ratios"][name]
         assert value == quantity(ratio["value"], ratio["unit"], 3), name
-        assert error == ("–" if ratio["error"] is None else f"{ratio['error']:.1e}"), name
+        assert error == ("" if ratio["error"] is None else f"{ratio['error']:.0e}"), name

@@ -13,7 +13,6 @@ import kc2spice as kc
 MODELS = {
     "clamped Euler beam": families.beam(),
     "three chains with dashpots": families.triple_chain(),
-    "chain of 40 masses": (families.chain(), 2.5 / (2 * np.pi)),
 }
 TOLERANCE = 1e-4
 

@@ -43,6 +43,7 @@ class Bench:
 
 
 CASES: list[Any] = []
+TABLE: list[tuple[str, str, str, float, Any]] = []  # entry, name, what, limit and measure of each
 
 
 def case(entry, what, limit=0.0, *, refused=None, slow=False, name=None):
@@ -53,6 +54,7 @@ def case(entry, what, limit=0.0, *, refused=None, slow=False, name=None):
         marks = [pytest.mark.slow] if slow else []
         called = name or measure.__name__.replace("_", " ")
         CASES.append(pytest.param(measure, limit, refused, id=called, marks=marks))
+        TABLE.append((entry, called, what, limit, measure))
         return measure
 
     return register
