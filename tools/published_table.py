@@ -9,12 +9,15 @@ minutes.
 
 from __future__ import annotations
 
+import re
 import shutil
+import subprocess
 import sys
 import tempfile
 import tomllib
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
+from datetime import date
 from pathlib import Path
 from typing import Any, TypeAlias
 
@@ -73,6 +76,8 @@ integration of the laws with the full and the reduced models. What a column cann
 `python tools/published_table.py` from `docs/published.toml`; each device
 runs by its name, `kc2spice run NAME`, or from its file in `docs/published`. What its mesh is worth
 says `kc2spice explain NAME`.
+
+{origin}
 
 | scene | quantity | published | full | reduced | ngspice | difference | within |
 |---|---|---|---|---|---|---|---|
@@ -304,7 +309,17 @@ def page(published: Mapping[str, Any], names: Collection[str], old: str) -> str:
         "## Height of the kick over the slew of the driver", "\n".join(kicks), "\n".join(edges),
         "## Pictures", "\n\n".join(sorted(pictures)), "## Sources", "\n".join(sources),
     ]  # fmt: skip
-    return HEAD + "\n\n".join(parts) + "\n"
+    return HEAD.format(origin=origin(published, names, old)) + "\n\n".join(parts) + "\n"
+
+
+def origin(published: Mapping[str, Any], names: Collection[str], old: str) -> str:
+    """Date and commit of the whole page; that of the ``old`` one if only some rows are new."""
+    earlier = re.search(r"(?m)^All rows were computed .*$", old)
+    if not published.keys() <= set(names):
+        return earlier[0] if earlier else "Rows of several runs: the page has no common date."
+    words = ["git", "-C", str(ROOT), "rev-parse", "--short", "HEAD"]
+    commit = subprocess.run(words, capture_output=True, text=True, check=False).stdout.strip()
+    return f"All rows were computed on {date.today()} from commit {commit}."
 
 
 def drawn(name: str, entry: Mapping[str, Any], figures: Path) -> None:

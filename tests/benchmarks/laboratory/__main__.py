@@ -12,6 +12,7 @@ import sys
 import tempfile
 import time
 from dataclasses import asdict
+from datetime import date
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -46,7 +47,8 @@ def bench(out, parts, *, quick, repeats):
         if part not in PARTS:
             raise UsageError("no such part", where="--part", got=part, expected=", ".join(PARTS))
     record: dict[str, Any] = {
-        "machine": machine(), "quick": quick, "repeats": repeats,
+        "date": date.today().isoformat(), "commit": commit(), "machine": machine(),
+        "quick": quick, "repeats": repeats,
         "planes": {}, "titles": {}, "ratios": {}, "seconds": {},
     }  # fmt: skip
     with staged(out) as directory, tempfile.TemporaryDirectory(prefix="kc2spice-bench-") as work:
@@ -84,6 +86,12 @@ def _points(plane):
         }
         for point in plane.points
     ]  # fmt: skip
+
+
+def commit():
+    """Short name of the commit of this package, empty outside of a clone."""
+    words = ["git", "-C", str(Path(kc2spice.__file__).parent), "rev-parse", "--short", "HEAD"]
+    return subprocess.run(words, capture_output=True, text=True, check=False).stdout.strip()
 
 
 def machine():

@@ -16,7 +16,7 @@ LEAST = 1e-16  # an error of zero is drawn here
 
 def bench_tables(record):
     """The whole record as Markdown."""
-    text = f"# Speed against error\n\n{_machine_line(record)}\n"
+    text = f"# Speed against error\n\n{_origin(record)}\n\n{_machine_line(record)}\n"
     if record["ratios"]:
         text += _section("Targets", RATIOS, map(_ratio, record["ratios"].items()), "")
     for name, points in record["planes"].items():
@@ -24,6 +24,13 @@ def bench_tables(record):
         note = " ".join(f"{note}." for note in (f"Error: {words['error']}", *words["notes"]))
         text += _section(words["title"], POINTS, map(_point, points), note)
     return text
+
+
+def _origin(record):
+    """Date and commit of the measurement, and the command that repeats it."""
+    if "date" not in record:
+        return "Written by `make bench`. This record has no date."
+    return f"Measured on {record['date']} from commit {record['commit']} by `make bench`."
 
 
 def _section(title, head, rows, note):
