@@ -106,7 +106,7 @@ def test_mesh_of_a_unimorph_is_the_parametric_one(beam):
     found = device(keys(), beam).model
     assert [p.name for p in found.ports] == [p.name for p in parametric.ports]
     for name, value in parametric.facts.items():
-        if name != "unknowns":
+        if name != "unknowns" and not name.startswith("mesh_error"):
             assert found.facts[name] == pytest.approx(value, rel=1e-2), name
     s = np.array([0.0, 900.0])
     ours, theirs = found.transfer(s), parametric.transfer(s)
