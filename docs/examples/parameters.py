@@ -17,7 +17,8 @@ library.write("buzzer_disc.lib")
 loops = """* a thousand buzzers
 .include buzzer_disc.lib
 .param thickness=120e-6 modulus=110e9
-Xdisc anode 0 0 buzzer_disc layers_1_thickness={thickness} layers_0_material_youngs_modulus={modulus}
+Xdisc anode 0 0 buzzer_disc layers_1_thickness={thickness}
++ layers_0_material_youngs_modulus={modulus}
 Vdrive anode 0 dc 0 ac 1
 .control
 set numdgt=10
