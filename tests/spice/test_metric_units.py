@@ -5,6 +5,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from films import FILM
 from scipy.integrate import solve_ivp
 
 import kc2spice as kc
@@ -93,37 +94,6 @@ def test_reports_print_the_unit_of_the_record(result):
     rows = dict(result_sections(result.record)[0].rows)
     assert rows["t m"] == rows["drive final"] == "1 kV"
     assert rows["mass speed"].endswith("mm/s")
-
-
-FILM = """
-name = "film"
-gravity = 0.0
-checks = { plausible = "off" }
-analysis = { type = "ac", start = "1.5 MHz", stop = "3 MHz", points = 3 }
-[g]
-part = "gap"
-a = "m.a"
-side = "above"
-area = 8e-8
-gap = "2 um"
-travel = "1.4 um"
-film = { length = "400 um", width = "200 um" }
-pins = { plus = "v.out" }
-[m]
-part = "mass"
-mass = "1 mg"
-[s]
-part = "spring"
-stiffness = 100
-pins = { a = "m.a" }
-[sh]
-part = "source"
-kind = "force"
-ac = "1 uN"
-pins = { out = "m.a" }
-[v]
-part = "source"
-"""
 
 
 def test_a_damping_is_no_length(tmp_path):

@@ -4,48 +4,13 @@ import importlib
 import json
 
 import pytest
+from films import FILM
 from typer.testing import CliRunner
 
 from kc2spice.cli.main import app
 from kc2spice.scene.load import load_scene
 
 verify = importlib.import_module("kc2spice.workflow.verify.verify")
-
-# a film far above its cut-off, where three terms of its series damp four times too much
-FILM = """
-name = "film"
-gravity = 0.0
-[g]
-part = "gap"
-a = "m.a"
-side = "above"
-area = 8e-8
-gap = "2 um"
-travel = "1.4 um"
-film = { length = "400 um", width = "200 um" }
-pins = { plus = "v.out" }
-[m]
-part = "mass"
-mass = "1 mg"
-[s]
-part = "spring"
-stiffness = 100
-pins = { a = "m.a" }
-[sh]
-part = "source"
-kind = "force"
-ac = "1 uN"
-pins = { out = "m.a" }
-[v]
-part = "source"
-[checks]
-plausible = "off"
-[analysis]
-type = "ac"
-start = "1.5 MHz"
-stop = "3 MHz"
-points = 3
-"""
 
 
 @pytest.mark.parametrize(
