@@ -17,6 +17,7 @@ import mor_families as families
 import numpy as np
 import pytest
 from hard_cases.kick_settings import reference
+from hard_cases.kit import LATCH
 from hard_cases.modal_kick import Kick
 from scipy.linalg import eigh
 from typer.testing import CliRunner
@@ -243,19 +244,9 @@ def at_rail(ran):
 AMPLIFIER = KICK + '[kick.driver.amplifier]\nrail = "60 V"\n'
 kicked("op-amp at its rails", "an amplifier", text=AMPLIFIER, error=at_rail, limit=2e-3)
 
-MINE = """.subckt mine command out ref
-Rin command ref 1000
-Rout command out 1
-Ifeed ref x 1
-Bx x ref I={exp(V(x))*(V(x) > 0 ? 1 : 0) - 10*exp(-V(x)*V(x))+exp(-V(x))}
-Bbad y ref V={V(y)*V(y) + 1 + V(y)}
-Rbad y ref 1
-.ends mine
-"""
-
 
 def mine(folder):
-    (folder / "mine.lib").write_text(MINE)
+    (folder / "mine.lib").write_text(LATCH)
     text = 'include = ["mine.lib"]\n' + KICK + '[kick.driver.user]\nsubckt = "mine"\n'
     return scene(text)(folder)
 

@@ -3,7 +3,7 @@
 import mor_families as families
 import numpy as np
 from device import chip, deck_of
-from hard_cases.kit import HEADER, bench_deck, case
+from hard_cases.kit import HEADER, LATCH, bench_deck, case
 
 from kc2spice.parts._template import opamp_subcircuit
 from kc2spice.rom.linear import LinearModel
@@ -96,15 +96,7 @@ R2 out n 10000
 @case("a user circuit that fails", "the log's own reason", refused="(?i)failed|iteration|timestep")
 def users_circuit_without_an_operating_point(bench):
     """A latch of exponentials that contradicts itself: no solution exists."""
-    (bench.directory / "mine.lib").write_text(""".subckt mine command out ref
-Rin command ref 1000
-Rout command out 1
-Ifeed ref x 1
-Bx x ref I={exp(V(x))*(V(x) > 0 ? 1 : 0) - 10*exp(-V(x)*V(x))+exp(-V(x))}
-Bbad y ref V={V(y)*V(y) + 1 + V(y)}
-Rbad y ref 1
-.ends mine
-""")  # fmt: skip
+    (bench.directory / "mine.lib").write_text(LATCH)
     path = bench.directory / "mine.toml"
     path.write_text(
         'name = "mine"\ninclude = ["mine.lib"]\n[kick.driver.user]\nsubckt = "mine"\n'

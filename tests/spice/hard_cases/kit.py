@@ -20,6 +20,16 @@ from kc2spice.workflow.verify.circuit import solve
 
 HEADER = Header("hard case", "0")
 TIMEOUT = 300.0  # s; a case that needs more has failed
+# A circuit without an operating point: V(y)^2 + 1 = 0 has no real solution.
+LATCH = """.subckt mine command out ref
+Rin command ref 1000
+Rout command out 1
+Ifeed ref x 1
+Bx x ref I={exp(V(x))*(V(x) > 0 ? 1 : 0) - 10*exp(-V(x)*V(x))+exp(-V(x))}
+Bbad y ref V={V(y)*V(y) + 1 + V(y)}
+Rbad y ref 1
+.ends mine
+"""
 
 
 @dataclass
