@@ -7,6 +7,8 @@ set -eu
 cd "$(dirname "$0")/.."
 venv=.venv
 stamp=$venv/.kc2spice-ready
+# An activated environment of this checkout may have to be replaced: it must not replace itself.
+PATH=$(printf ':%s:' "$PATH" | sed "s|:$PWD/$venv/bin:|:|g; s|^:||; s|:\$||")
 
 say() { printf 'kc2spice setup: %s\n' "$*"; }
 die() {
