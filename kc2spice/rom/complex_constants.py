@@ -25,6 +25,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from kc2spice.core.errors import UsageError
+from kc2spice.rom.entries import FLOOR
 from kc2spice.rom.linear import LinearModel
 from kc2spice.rom.modal import Resonators, foster, permittivity
 from kc2spice.rom.structural_damping import (
@@ -35,7 +36,6 @@ from kc2spice.rom.structural_damping import (
 
 ERROR = 1e-3  # relative, of a response at its resonances: what relaxations may add
 DIELECTRIC_SHARE = 0.01  # of the tangent, of 0.02 at most: error of the permittivity
-FLOOR = 1e-6  # of an entry's peak: errors of less are relative to that
 BELOW = 0.7  # of the lowest resonance, from where responses amplify errors of the stiffness
 GRID = 400  # frequencies of a band at which the error is measured
 ZOOMS, ZOOM = 2, 9  # rounds of frequencies about antiresonances, and their number about each
@@ -120,6 +120,8 @@ def complex_constants(model: Resonators, losses: ComplexConstants) -> LinearMode
     UsageError : modes without inertia, or a loss so large that the instantaneous capacitance is not
         positive.
     """
+    from scipy.linalg import block_diag  # late: the command line loads this module
+
     known, n = model.certificate, model.order
     assert known is not None
     if model.massless:
@@ -172,9 +174,9 @@ def complex_constants(model: Resonators, losses: ComplexConstants) -> LinearMode
         dielectric[:, ports] = pace[:, None] * columns
     K, E, M = elastic.pencil.dense().coefficients
     result = LinearModel(
-        M=_joined(M, np.zeros(pace.size)),
-        E=_joined(E, pace),
-        K=_joined(K, pace**2),
+        M=block_diag(M, np.diag(np.zeros(pace.size))),
+        E=block_diag(E, np.diag(pace)),
+        K=block_diag(K, np.diag(pace**2)),
         B=np.vstack([B, dielectric]),
         D=D,
         ports=model.ports,
@@ -186,15 +188,6 @@ def complex_constants(model: Resonators, losses: ComplexConstants) -> LinearMode
     )
     certificate = replace(known, error_estimate=known.error_estimate + error, method=method)
     return replace(result, certificate=certificate)
-
-
-def _joined(matrix: np.ndarray, diagonal: np.ndarray) -> np.ndarray:
-    """Block diagonal of a matrix and of a diagonal one."""
-    n = len(matrix)
-    result = np.zeros((n + diagonal.size,) * 2)
-    result[:n, :n] = matrix
-    result[n:, n:] = np.diag(diagonal)
-    return result
 
 
 def _largest_error(

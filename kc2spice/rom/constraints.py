@@ -61,10 +61,8 @@ def unconstrained(pencil: Pencil) -> Pencil:
     if pencil.B[row].any() or G.shape[0] * G.shape[1] > LARGEST_BLOCK:
         return pencil
     Z, rank = null_basis(G)
-    if Z.shape[1] == 0 or _far(
-        Z.T @ L, L
-    ):  # what the multipliers push against is not what they hold
-        return pencil
+    if Z.shape[1] == 0 or _far(Z.T @ L, L):
+        return pencil  # the multipliers push against other unknowns than they hold
     own = pencil.C[:, row].any()
     if own and rank < len(row):
         return pencil
@@ -74,7 +72,7 @@ def unconstrained(pencil: Pencil) -> Pencil:
     C = pencil.C[:, keep]
     B = Z.T @ pencil.B[keep]
     plain = Pencil(tuple(parts), B, B.T.copy() if pencil.collocated else C @ Z, pencil.D)
-    return _with_multipliers(plain, pencil, (K, E, M), L, Z) if own else plain
+    return _with_multipliers(plain, pencil, keep, row, (K, E, M), L, Z) if own else plain
 
 
 def _multipliers(rest: Matrix, others: list[Matrix]) -> np.ndarray:
@@ -117,12 +115,16 @@ def null_basis(G: Matrix) -> tuple[scipy.sparse.csc_array, int]:
 
 
 def _with_multipliers(
-    plain: Pencil, pencil: Pencil, parts: tuple[Matrix, ...], L: Matrix, Z: Matrix
+    plain: Pencil,
+    pencil: Pencil,
+    keep: np.ndarray,
+    row: np.ndarray,
+    parts: tuple[Matrix, ...],
+    L: Matrix,
+    Z: Matrix,
 ) -> Pencil:
     """With outputs that see multipliers, ``l = S^-1 L'M^-1 (B u - E x' - K x)``, ``S = L'M^-1 L``;
     first order if these depend on velocities."""
-    row = np.flatnonzero(_multipliers(pencil.coefficients[0], list(pencil.coefficients[1:])))
-    keep = np.setdiff1d(np.arange(pencil.size), row)
     K, E, M = (dense(P) for P in parts)
     L, Z = dense(L), dense(Z)
     try:

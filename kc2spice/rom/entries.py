@@ -21,6 +21,11 @@ ZERO = 1e-11
 BALANCING_STEPS = 40  # each halves the logarithm of what is missing
 
 
+def share_of(norm: str) -> float:
+    """Part of its peak that an entry's errors count against at least, in the norm."""
+    return FLOOR if norm == "pointwise" else 1.0
+
+
 @dataclass(frozen=True, eq=False)
 class Entries:
     """Entries (outputs, inputs) of a response over a band.

@@ -301,8 +301,7 @@ def refined(
     )
     x = found.x
     p, coefficients = unpacked(x), projected(x)[1]
-    residues = coefficients[1 : 1 + len(p)].astype(complex)
-    residues[~real] += 1j * coefficients[1 + len(p) :]
+    residues = _residues(coefficients, real)
     shape = S.shape[1:]
     return p * top, (residues * top).reshape(-1, *shape), coefficients[0].reshape(shape)
 
@@ -318,12 +317,18 @@ def _columns(s: np.ndarray, p: np.ndarray, real: np.ndarray) -> tuple[np.ndarray
     return rows / size, size
 
 
+def _residues(coefficients: np.ndarray, real: np.ndarray) -> np.ndarray:
+    """Complex residues (poles, entries) from the factors of :func:`_columns`."""
+    result = coefficients[1 : 1 + len(real)].astype(complex)
+    result[~real] += 1j * coefficients[1 + len(real) :]
+    return result
+
+
 def _changes(
     s: np.ndarray, p: np.ndarray, real: np.ndarray, coefficients: np.ndarray
 ) -> Iterator[np.ndarray]:
     """Derivatives (frequencies, entries) of the sum by the logarithms of the poles' parts."""
-    residues = coefficients[1 : 1 + len(p)].astype(complex)
-    residues[~real] += 1j * coefficients[1 + len(p) :]
+    residues = _residues(coefficients, real)
     one, other = 1 / (s[:, None] - p) ** 2, 1 / (s[:, None] - p.conj()) ** 2
 
     def change(k: int, rate: complex) -> np.ndarray:

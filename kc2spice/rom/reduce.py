@@ -119,7 +119,7 @@ def elastic_modes(pencil: Pencil, count: int) -> np.ndarray:
             X = T[:, inverse > MASSLESS * inverse[-1]][:, ::-1]
         return _energies(K, M, X)[:count]
     require_factors(pencil.bordered(1.0, 1.0, 1.0))
-    stiffness, inertia = (abs(magnitudes(P)).diagonal() for P in (K, M))
+    stiffness, inertia = (magnitudes(P).diagonal() for P in (K, M))
     top = float((stiffness[inertia > 0] / inertia[inertia > 0]).max(initial=0.0))
     shift = RIGID_SHIFT * top
     solve = pencil.pencil_solver(-shift).solve
@@ -260,27 +260,21 @@ def reduce(
         raise UsageError("not an order", where="order", got=order, expected="1 or more")
     if norm not in get_args(Norm):
         raise unknown("unknown norm", norm, get_args(Norm), "norm")
-    if model.loss_factor and tolerance is None:
-        problem = "structural damping is reduced within a tolerance"
-        raise UsageError(problem, where="order", got=order, expected="a tolerance, no order")
+
+    def congruence(item: LinearModel, within: float, over: tuple[float, float]) -> LinearModel:
+        return _reduce(item, within, None, over, norm, contact, keep_form=True)
+
     if model.loss_factor:
-        found = (
-            band or model.band or natural_band(reduced_form(replace(model, loss_factor=0).pencil))
-        )
-
-        def congruence(item: LinearModel, within: float, over: tuple[float, float]) -> LinearModel:
-            return _reduce(item, within, None, over, norm, contact, keep_form=True)
-
-        assert tolerance is not None
-        return causal(model, congruence, tolerance, found, norm)
+        if tolerance is None:
+            problem = "structural damping is reduced within a tolerance"
+            raise UsageError(problem, where="order", got=order, expected="a tolerance, no order")
+        undamped = replace(model, loss_factor=0)
+        band = band or model.band or natural_band(reduced_form(undamped.pencil))
+        return causal(model, congruence, tolerance, band, norm)
     result = _reduce(model, tolerance, order, band, norm, contact)
     if tolerance is None or contact or model.first_order:
         return result
-
-    def light(item: LinearModel, within: float, over: tuple[float, float]) -> LinearModel:
-        return _reduce(item, within, None, over, norm, False, keep_form=True)
-
-    return without_inertia(model, result, light, tolerance, norm)
+    return without_inertia(model, result, congruence, tolerance, norm)
 
 
 def _reduce(
@@ -387,7 +381,7 @@ def _fewest(
     congruences: Iterable[Reduction],
     tolerance: float,
     contact: bool,
-    keep_form: bool = False,
+    keep_form: bool,
 ) -> tuple[Reduction, int]:
     """A congruence, or the balanced model of the ``plain`` one that needs fewer states where all
     ports are signals and no passive resonators would be lost.

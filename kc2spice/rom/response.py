@@ -11,7 +11,7 @@ import numpy as np
 import scipy
 
 from kc2spice.core.errors import SimulationError
-from kc2spice.rom.entries import FLOOR, Entries
+from kc2spice.rom.entries import FLOOR, Entries, share_of
 from kc2spice.rom.linear import Norm, Port
 from kc2spice.rom.pencil import INFINITE, Pencil, first_order, largest
 from kc2spice.rom.structure import free_part
@@ -407,7 +407,7 @@ class Judge:
     @property
     def share(self) -> float:
         """Part of its peak that an entry's errors count against at least, in the norm."""
-        return FLOOR if self.norm == "pointwise" else 1.0
+        return share_of(self.norm)
 
     @cached_property
     def _counted(self) -> np.ndarray:

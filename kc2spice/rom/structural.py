@@ -22,7 +22,7 @@ import scipy
 
 from kc2spice.core.errors import SimulationError, UsageError
 from kc2spice.rom.constraints import reduced_form
-from kc2spice.rom.entries import FLOOR, Entries
+from kc2spice.rom.entries import Entries, share_of
 from kc2spice.rom.linear import LinearModel, Norm
 from kc2spice.rom.pencil import Pencil, Schur, largest
 from kc2spice.rom.response import Response, adaptive_frequencies, grid
@@ -58,7 +58,7 @@ def causal(
     """
     # nowhere in the band more damping than eta: errors beside sharper resonances are larger
     eta, beta = model.loss_factor, model.loss_factor / (2 * np.pi * band[1])
-    share, within = FLOOR if norm == "pointwise" else 1.0, BASE_SHARE * tolerance
+    share, within = share_of(norm), BASE_SHARE * tolerance
     small = reduced(_viscous(model, beta), within, band)
     result, lossy = _modal_damping(model, small, eta, beta)
     frequency, exact, more = _compared(small, result, lossy, band, norm)
@@ -154,19 +154,17 @@ def without_inertia(
 ) -> LinearModel:
     """A passive model of first order, if ``found`` has real poles only and more states."""
     known = found.certificate
-    states = found.order * (1 if found.first_order else 2)
-    pencil = reduced_form(model.pencil)
-    if known is None or pencil.degree != 2 or not (pencil.symmetric and pencil.collocated):
-        return found
-    if isinstance(pencil.coefficients[0], Schur) or any(
-        p.kind == "acceleration" for p in model.ports
-    ):
+    if known is None or any(port.kind == "acceleration" for port in model.ports):
         return found
     poles = found.poles()
     if not poles.size or (np.abs(poles.imag) > REAL * np.abs(poles)).any():
         return found
+    states = found.order * (1 if found.first_order else 2)
+    pencil = reduced_form(model.pencil)
+    if pencil.degree != 2 or not (pencil.symmetric and pencil.collocated):
+        return found
     K, E, _ = pencil.coefficients
-    if not semidefinite(E) or _singular(E):
+    if isinstance(K, Schur) or not semidefinite(E) or _singular(E):
         return found
     light = LinearModel(
         A=-K, E=E, B=pencil.B, C=pencil.C, D=pencil.D, ports=model.ports, name=model.name
@@ -176,7 +174,7 @@ def without_inertia(
         exact, ours = model.transfer(frequency), light.transfer(frequency)
     except SimulationError:
         return found
-    share = FLOOR if norm == "pointwise" else 1.0
+    share = share_of(norm)
     mass = SAFETY * float(Entries.of(exact).relative(ours - exact, exact, share).max())
     if mass > MASS_SHARE * tolerance:
         return found

@@ -123,9 +123,7 @@ def energy_rounding(P: Matrix, V: np.ndarray) -> np.ndarray:
     """What rounding of each entry of P, by itself and at random, makes of ``V'PV`` (k, k):
     ``eps (sum_ij v_ik^2 P_ij^2 v_jl^2)^(1/2)``."""
     squares = V**2
-    return np.asarray(
-        np.finfo(float).eps * np.sqrt(squares.T @ (abs(magnitudes(P)) ** 2 @ squares))
-    )
+    return np.asarray(np.finfo(float).eps * np.sqrt(squares.T @ (magnitudes(P) ** 2 @ squares)))
 
 
 def _without_force(P: np.ndarray, X: np.ndarray, rounding: np.ndarray) -> bool:

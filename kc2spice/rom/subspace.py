@@ -238,7 +238,7 @@ def rounding_of(
     s = 2j * np.pi * frequency
     y = x if pencil.symmetric and pencil.collocated else dual
     y = pencil.transposed().states(s) if y is None else y
-    squares = [abs(magnitudes(P)) ** 2 for P in pencil.coefficients]
+    squares = [magnitudes(P) ** 2 for P in pencil.coefficients]
     result = []
     for item, right, left in zip(s, np.abs(x) ** 2, np.abs(y) ** 2, strict=True):
         terms = (abs(item) ** (2 * k) * (left.T @ (P @ right)) for k, P in enumerate(squares))
@@ -400,7 +400,7 @@ def is_definite(pencil: Pencil, *, undamped_too: bool = False) -> bool:
     except SimulationError:
         return False
     held = bool((np.einsum("ki,ki->i", x, pencil.B) >= 0).all())
-    return bool(held) and not _is_free(pencil.coefficients[0], y, load)
+    return held and not _is_free(pencil.coefficients[0], y, load)
 
 
 def _is_free(K: Matrix, y: np.ndarray, load: np.ndarray) -> bool:

@@ -17,7 +17,7 @@ import numpy as np
 from kc2spice.core.errors import GateMissedError, SimulationError
 from kc2spice.netlist.circuit import Circuit, Pin, Subcircuit
 from kc2spice.netlist.nodal import NodalCircuit
-from kc2spice.rom.entries import FLOOR, Entries
+from kc2spice.rom.entries import Entries, share_of
 from kc2spice.rom.linear import LinearModel, Norm, Port
 from kc2spice.rom.response import Response, clear_of_poles, samples
 
@@ -176,7 +176,7 @@ class _Relative:
             peak = self.exact.peaks(frequency, H)
             peak[framed] = np.abs(seen[:, framed]).max(axis=0)
             self.entries = Entries.of(seen, peak, self.exact.zero)
-        share = FLOOR if self.norm == "pointwise" else 1.0
+        share = share_of(self.norm)
         apart = self.entries.relative(self.emitted.transfer(frequency) - seen, seen, share)
         return np.asarray(apart.max(axis=(1, 2)))
 
