@@ -11,7 +11,7 @@ import csv
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass
-from itertools import pairwise
+from itertools import groupby
 
 import numpy as np
 
@@ -227,12 +227,7 @@ def _words(stem: str) -> str:
     low = re.sub(r"z\s*''", "zimag", stem.lower())
     low = re.sub(r"z\s*'", "zreal", low)
     words = [w for w in re.findall(r"\|\w+\||[^\W_]+", low) if not _ADDED.fullmatch(w)]
-    whole = {"impedance": "z", "admittance": "y"}
-    return (
-        "".join(whole.get(w, w) if len(words) > 1 else w for w in words)
-        .replace("impedance", "z")
-        .replace("admittance", "y")
-    )
+    return "".join(words).replace("impedance", "z").replace("admittance", "y")
 
 
 def column_of(title: Title, values: np.ndarray) -> Column:
@@ -302,18 +297,10 @@ def _runs(lines: list[str], separator: str | None) -> Iterator[tuple[int, int, s
         numeric = len(fields) >= FEWEST_COLUMNS and all(map(_is_number, fields))
         widths.append(len(fields) if numeric else 0 if line.strip() else -1)
     filled = [k for k, width in enumerate(widths) if width >= 0]  # blank lines divide nothing
-    starts = [
-        k
-        for before, k in pairwise([-1, *filled])
-        if widths[k] > 0 and (before < 0 or widths[before] != widths[k])
-    ]
-    for start in starts:
-        last = start
-        for k in filled:
-            if k > start and widths[k] != widths[start]:
-                break
-            last = max(last, k)
-        yield start, last + 1, separator
+    for width, group in groupby(filled, key=widths.__getitem__):
+        run = list(group)
+        if width > 0:
+            yield run[0], run[-1] + 1, separator
 
 
 def _titles(above: list[str], separator: str | None, columns: int) -> list[str]:

@@ -42,7 +42,6 @@ REFERENCE = 50.0  # Ohm, of S where no file states it
 _MATRIX = re.compile(r".*[._][MEKABCD]", re.DOTALL)  # NAME_K.txt
 _HERTZ = {"hz": 1.0, "khz": 1e3, "mhz": 1e6, "ghz": 1e9, "thz": 1e12}
 _OPTIONS = {"ri", "ma", "db", *"syzgh", *_HERTZ}
-Columns = dict[str, np.ndarray]
 
 
 @dataclass(frozen=True)
@@ -436,4 +435,5 @@ def _is_complex(quantity: Quantity, name: str) -> bool:
 def _scale(name: str) -> float:
     """SI value of the unit behind the underscore in the name of an array, 1 without."""
     _, _, unit = name.partition("_")
-    return units_of(unit)[0].value if unit and units_of(unit) else 1.0
+    units = units_of(unit) if unit else []
+    return units[0].value if units else 1.0
