@@ -186,8 +186,8 @@ def _misplaced(where: str, place: float, scene: Scene) -> Iterator[UsageError]:
         examples = {"s": '"2 ms"', "Hz": '"46 Hz"', "": "a plain number"}
         expected = f"a value in {unit}, such as {examples.get(unit, repr(f'1 {unit}'))}"
         got = f"a value in {own}"
-        words = f"not on the scale of an {selected.type} analysis"
-        words = words.replace("an transient", "a transient").replace("an dc", "a dc")
+        article = "an" if selected.type in ("ac", "op") else "a"
+        words = f"not on the scale of {article} {selected.type} analysis"
         yield UsageError(words, where=where, got=got, expected=expected)
         return
     band = (selected.start, selected.stop or 0.0)
