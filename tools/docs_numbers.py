@@ -98,7 +98,8 @@ def renewed(page: Path) -> tuple[str, list[Difference]]:
                 pairs = different_lines(match["shown"], output)
                 differences += [Difference(page.name, command, a, b) for a, b in pairs]
             elif match["stamp"] is not None:
-                piece = f"<!-- generated -->\n{_stamp()}"
+                stamp = f"Generated {date_and_commit()} by `make docs-numbers`."
+                piece = f"<!-- generated -->\n{stamp}"
             pieces.append(piece)
     return "".join([*pieces, text[done:]]), differences
 
@@ -130,10 +131,11 @@ def _formatted(printed: str, how: str) -> str:
     return f"\n{text}\n" if how == "markdown" else f"```text\n{text}```\n"
 
 
-def _stamp() -> str:
+def date_and_commit() -> str:
+    """Today's date and the commit of the tree, for the heads of generated pages."""
     command = ["git", "-C", str(ROOT), "rev-parse", "--short", "HEAD"]
     commit = subprocess.run(command, capture_output=True, text=True, check=False).stdout.strip()
-    return f"Generated on {date.today()} from commit {commit} by `make docs-numbers`."
+    return f"on {date.today()} from commit {commit}"
 
 
 # --- comparison -----------------------------------------------------------------------------------

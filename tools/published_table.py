@@ -11,17 +11,16 @@ from __future__ import annotations
 
 import re
 import shutil
-import subprocess
 import sys
 import tempfile
 import tomllib
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
-from datetime import date
 from pathlib import Path
 from typing import Any, TypeAlias
 
 import numpy as np
+from docs_numbers import date_and_commit
 
 from kc2spice.bodies.impedance import analyse
 from kc2spice.core.figure import Curve, Figure, Panel, scale_axis
@@ -317,9 +316,7 @@ def origin(published: Mapping[str, Any], names: Collection[str], old: str) -> st
     earlier = re.search(r"(?m)^All rows were computed .*$", old)
     if not published.keys() <= set(names):
         return earlier[0] if earlier else "Rows of several runs: the page has no common date."
-    words = ["git", "-C", str(ROOT), "rev-parse", "--short", "HEAD"]
-    commit = subprocess.run(words, capture_output=True, text=True, check=False).stdout.strip()
-    return f"All rows were computed on {date.today()} from commit {commit}."
+    return f"All rows were computed {date_and_commit()}."
 
 
 def drawn(name: str, entry: Mapping[str, Any], figures: Path) -> None:
