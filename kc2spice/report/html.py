@@ -57,12 +57,17 @@ def quantity(value: float | None, unit: str, digits: int = 4) -> str:
         return "—"
     if value == 0.0 or not math.isfinite(value):
         return f"{value:g} {unit}".strip()
-    if not unit or (" " in unit and " per " not in unit):  # words take no prefix
+    if _is_words(unit):
         return f"{value:.{digits}g} {unit}".strip()
     if unit in _PREFIXED:
         plain, factor = _PREFIXED[unit]
         return quantity(factor * value, plain, digits)
     return _prefixed(value, unit, digits, _power(value))
+
+
+def _is_words(unit: str) -> bool:
+    """Whether a unit takes no prefix: it is empty or a phrase such as ``of the peak``."""
+    return not unit or (" " in unit and " per " not in unit)
 
 
 def _prefixed(value: float, unit: str, digits: int, power: int) -> str:
@@ -82,7 +87,7 @@ def value_and_limit(value: float, limit: float, unit: str) -> tuple[str, str]:
 
     A limit of another order of magnitude has its own prefix.
     """
-    words = not unit or (" " in unit and " per " not in unit)
+    words = _is_words(unit)
     near = value and limit and 1e-3 < abs(limit / value) < 1e4
     if words or unit in _PREFIXED or not near or not math.isfinite(value + limit):
         return quantity(value, unit, 3), quantity(limit, "" if words else unit, 3)

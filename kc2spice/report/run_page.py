@@ -206,7 +206,7 @@ def operating_rows(result: Mapping[str, Any], most: int | None = None) -> Rows:
     """What is not zero at the operating point of small signals, ``most`` of it at most."""
     values = {n: v for n, v in result.get("operating_point", {}).items() if v["value"]}
     shown = list(values.items())[:most]
-    rows: Rows = [(name, quantity(item["value"], item["unit"], 4)) for name, item in shown]
+    rows: Rows = [(name, quantity(item["value"], item["unit"])) for name, item in shown]
     if len(shown) < len(values):
         rows.append(("further results", f"{len(values) - len(shown)}, in the report"))
     return rows
@@ -234,8 +234,7 @@ def summary_section(result: Mapping[str, Any], most: int | None = None) -> Secti
     for name, value in list(metrics.items())[:most]:
         error = errors.get(name)
         estimate = "" if error is None else f" (error estimate {100 * error:.2g} %)"
-        label, text = fact(name.replace(".", "_"), _rounded(value, scales, units.get(name, "")),
-                           units.get(name, ""))  # fmt: skip
+        label, text = _fact(name, value, units, scales)
         rows.append((label, text + estimate))
     if most is not None and len(metrics) > most:
         rows.append(("further metrics", f"{len(metrics) - most}, in the report"))
@@ -257,7 +256,7 @@ def _single(value: Any) -> bool:
 
 def _model_errors(result: Mapping[str, Any]) -> Rows:
     """States, band and error estimate of each reduced model."""
-    models = result.get("roms") or {"": result["rom"]} if result.get("rom") else {}
+    models = (result.get("roms") or {"": result["rom"]}) if result.get("rom") else {}
     rows: Rows = []
     for name, rom in models.items():
         label = f"reduced model {name}".strip()
@@ -316,14 +315,15 @@ def _facts(facts: Mapping[str, Any], units: Mapping[str, str]) -> Rows:
     """Rows of single numbers, whose ``units`` are by dotted name; curves are in the figures."""
     values = {name: value for name, value in leaves(facts) if _single(value) or len(value) <= FEW}
     scales = _scales(values, units)
-    return [
-        fact(
-            name.replace(".", "_"),
-            _rounded(value, scales, units.get(name, "")),
-            units.get(name, ""),
-        )
-        for name, value in values.items()
-    ]
+    return [_fact(name, value, units, scales) for name, value in values.items()]
+
+
+def _fact(
+    name: str, value: Any, units: Mapping[str, str], scales: Mapping[str, float]
+) -> tuple[str, str]:
+    """Label and text of a number beside others whose largest magnitudes are ``scales``."""
+    unit = units.get(name, "")
+    return fact(name.replace(".", "_"), _rounded(value, scales, unit), unit)
 
 
 def _modes(part: str, found: Mapping[str, Any]) -> Section:
