@@ -29,6 +29,8 @@ from pydantic_core import ErrorDetails, PydanticCustomError
 
 from kc2spice.core.errors import UsageError, did_you_mean
 
+AIR_DENSITY = 1.204  # kg/m3 at 20 °C and 1013 hPa
+
 KeyPath = tuple[str | int, ...]
 # What pydantic calls the member of a union, which is no key: ``dict[str,float]``, ``float``.
 _MEMBER = re.compile(r"\]$|^(float|int|str|bool)$")

@@ -14,13 +14,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from kc2spice.core.quantities import AIR_DENSITY
 from kc2spice.fem.materials import material
 from kc2spice.scene.parttype import Neglected
 
 if TYPE_CHECKING:
     from kc2spice.bodies.device import Block  # which loads the finite elements
 
-AIR = 1.204  # kg/m^3 at 20 degrees Celsius and 1013 hPa
 # W/(m^2 K) from a small surface to still air, convection and radiation together: VDI Heat Atlas,
 # 2nd ed. 2010, sections F2 and K1, for 10 mm to 50 mm at some 20 K above the air.
 COOLING = 10.0
@@ -54,7 +54,7 @@ class Envelope:
 def disc_air(radius: float) -> float:
     """Mass [kg] of the air that a rigid disc moves on both sides together, ``8/3 rho a^3``; in a
     baffle it moves that much on each (L. L. Beranek, Acoustics, 1986, section 5.2)."""
-    return 8 / 3 * AIR * radius**3
+    return 8 / 3 * AIR_DENSITY * radius**3
 
 
 def disc_envelope(blocks: Sequence[Block], held: bool, glued: bool) -> Envelope:
@@ -81,7 +81,7 @@ def beam_envelope(blocks: Sequence[Block]) -> Envelope:
         length * width * t * b.material.density for t, b in zip(heights, blocks, strict=True)
     )
     surface = 2 * (length * width + sum(heights) * (length + width))
-    air = math.pi / 4 * AIR * width**2 * length
+    air = math.pi / 4 * AIR_DENSITY * width**2 * length
     return Envelope(air, mass, surface, blocks, length, length * width)
 
 
@@ -98,8 +98,8 @@ def box_envelope(sides: Sequence[float]) -> Envelope:
 
 
 def neglected_effects(name: str, envelope: Envelope, support: str) -> Iterator[Neglected]:
-    """What is left out of the body ``name``, which is held by its ``support``; nothing of that
-    where another row has it."""
+    """Effects that the model of the body ``name`` leaves out. The compliance of its mounting is
+    one of them if ``support`` names the mounting."""
     yield Neglected(f"{name}: load of the air", "its mass and its radiation", _air(envelope))
     if support:
         yield Neglected(f"{name}: compliance of its mounting", support, UNKNOWN)

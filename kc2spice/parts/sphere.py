@@ -13,7 +13,7 @@ from pydantic import Field, model_validator
 from kc2spice.core import laws
 from kc2spice.core.errors import UsageError
 from kc2spice.core.figure import Curve, Figure, Panel, Shape
-from kc2spice.core.quantities import Density, Length, Section, Velocity
+from kc2spice.core.quantities import AIR_DENSITY, Density, Length, Section, Velocity
 from kc2spice.core.waveforms import Waveforms, running
 from kc2spice.fem.materials import Material, material
 from kc2spice.netlist.circuit import positive
@@ -36,7 +36,6 @@ from kc2spice.scene.parttype import (
 from kc2spice.scene.plausible import within
 from kc2spice.spice.header import SIGN
 
-AIR_DENSITY = 1.204  # kg/m^3, 20 degC
 AIR_VISCOSITY = 1.825e-5  # Pa s
 AT_REST = State(0.0, 0.0)
 SETTLING_BAND = 0.05  # of the step from rest to set point

@@ -21,7 +21,7 @@ from kc2spice.rom.entries import Entries, share_of
 from kc2spice.rom.linear import LinearModel, Norm, Port
 from kc2spice.rom.response import Response, clear_of_poles, samples
 
-MICRO = 1e-6  # m of 1 V on a displacement pin
+MICRO = 1e-6  # 1 V on a displacement pin is 1 um, 1 V on a charge node 1 uC
 LOWEST = 1e-6  # of the band's end: the lowest frequency of a band that begins at zero
 GRID = 40  # points of each of two grids, linear and logarithmic
 DECADE = 3  # points of each decade below these grids

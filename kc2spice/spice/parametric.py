@@ -18,10 +18,10 @@ from kc2spice.netlist.cards import distinct, number
 from kc2spice.netlist.circuit import Param, Subcircuit
 from kc2spice.rom.linear import LinearModel
 from kc2spice.rom.varying import Varying
+from kc2spice.spice.emitted import MICRO
 from kc2spice.spice.header import Header
 from kc2spice.spice.realize import (
     DAMPING,
-    MICRO,
     RINGING,
     UNRATED,
     Card,

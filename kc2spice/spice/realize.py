@@ -18,20 +18,18 @@ from kc2spice.rom.linear import Certificate, LinearModel, Port
 from kc2spice.rom.modal import Resonators, resonators
 from kc2spice.rom.network import ParallelBranches, parallel_branches
 from kc2spice.spice.branches import ABOUT, branch_cards, branch_pins
-from kc2spice.spice.emitted import circuit_error
+from kc2spice.spice.emitted import LOWEST, MICRO, circuit_error
 from kc2spice.spice.header import OUTWARDS, Header, mesh_line, parameter_list, part_header, rom_line
 
 if TYPE_CHECKING:
     from kc2spice.rom.blocks import BlockModel
 
-MICRO = 1e-6  # 1 V on a displacement pin is 1 um, 1 V on a charge node 1 uC
 STATE = 1e-6  # farad of a fast state: one chgtol is then one tolerance of displacement
 SIEMENS = 1.0  # of a state without inertia; its capacitance is its relaxation time
 SILENT = 1e-9  # of the largest share of a mode in every port; such modes move no port
 OPEN_INPUT = 1e-18  # S, of a signal input, so that it is zero where nothing drives it
 FREE_LEAK = 1e-12  # S, of a free integrator: of the conductance of its capacitor at the band's end
 LEAK_POINTS = 60  # frequencies at which the least charge of a bare electrode is looked for
-LOWEST = 1e-6  # of a band's end: its lowest frequency where the band begins at zero
 # A block whose smallest singular value is this far below the band integrates constant inputs.
 FREE = 1e-11
 # Cross terms of D this far below the diagonal are rounding.
