@@ -124,7 +124,7 @@ class Probe:
         self._operators = list(strains(solid, self.basis))
 
     def nodal(self, z: np.ndarray, voltages: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Those of :meth:`kc2spice.bodies.device.Device.nodal`."""
+        """Displacements and potentials at the nodes, as :meth:`Device.nodal` returns them."""
         return self.device.nodal(z, voltages)
 
     def stress(self, u: np.ndarray, phi: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

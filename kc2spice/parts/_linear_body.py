@@ -60,9 +60,9 @@ BEYOND = "the ceramic depolarises or breaks down; lower the drive, or state anot
 OUTSIDE = "nothing certifies what a reduced model says above its band: widen rom.band"
 TWICE = 2  # states of a reduced model that is advised, per state of one that is too coarse
 WRONG, COARSE_ROM = 0.1, 0.01  # certified relative errors that fail a run, or are warned of
-# Error above its band, of the compliance of a port, from which on a body in contact is judged by
-# the run's loads. Of the shipped kicks, right to 0.3 % (rms), it is at most 0.20, of chips with 7
-# to 12 states, off by 2 to 3 %, at least 0.53.
+# Error of a port's compliance above the band. A body in contact with a larger one is judged by
+# the loads of the run. Measured: at most 0.20 for shipped kicks, whose error is below 0.3 % (rms);
+# at least 0.53 for chips of 7 to 12 states, whose error is 2 to 3 %.
 UNLIKE = 0.3
 REDUCED = "the reduced model is that far off somewhere in its band: set rom.tolerance, or rom.order"
 LOADED = "rms of displacement or charge, under the run's own loads"

@@ -126,9 +126,7 @@ class LinearDrive(CoilDriver):
         }
 
 
-RIPPLE = (
-    3  # harmonics of the carrier that a current's triangular ripple has 99.9 % of its energy in
-)
+RIPPLE = 3  # harmonics of the carrier with 99.9 % of the energy of a triangular current ripple
 
 
 class PwmKeys(Section):

@@ -48,6 +48,11 @@ class MassKeys(Section):
     )
 
 
+def _frames(count: int) -> list[str]:
+    """Pins of the accelerations of a frame: ``frame``, ``frame2``, ``frame3``."""
+    return [_FRAME + str(k) * (k > 1) for k in range(1, 1 + count)]
+
+
 @cache
 def point_mass(
     mass: float,
@@ -58,7 +63,7 @@ def point_mass(
 ) -> Declaration:
     """The physics of a mass at the pin ``a``, in a frame whose accelerations are ``shaken`` times
     along its displacement: with the shares s, ``F = m x'' + m g + m sum_k s_k a_k``."""
-    ends = [_FRAME + str(k) * (k > 1) for k in range(1, 1 + len(shaken))]
+    ends = _frames(len(shaken))
     shares = [f"along_{end}" for end in ends]
     pulled = "+".join(f"mass*{share}*a_{end}" for share, end in zip(shares, ends, strict=True))
     return Declaration(
@@ -98,7 +103,8 @@ class PointMass(Touching, DeclaredPart):
 
     def default_joins(self, part: Part, scene: Scene) -> Mapping[str, str]:
         """Its pins for the accelerations of a frame are where the body has those."""
-        pins = ((_FRAME + str(k) * (k > 1), s) for k, s in enumerate(_shakes(part, scene), 1))
+        shakes = _shakes(part, scene)
+        pins = zip(_frames(len(shakes)), shakes, strict=True)
         return {pin: ".".join(shake.pin) for pin, shake in pins}
 
     def at_rest(self, part: Part, scene: Scene, model: Any | None = None) -> Rest:

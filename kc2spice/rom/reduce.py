@@ -145,8 +145,7 @@ def _energies(K: Matrix, M: Matrix, X: np.ndarray) -> np.ndarray:
     mass = np.einsum("ij,ij->j", X, M @ X)
     noise = FREE * np.finfo(float).eps * np.einsum("ij,ij->j", abs(X), magnitudes(K) @ abs(X))
     if not isinstance(K, Schur):
-        random = [energy_rounding(K, x[:, None])[0, 0] for x in X.T]
-        noise = np.minimum(noise, RANDOM * np.array(random))
+        noise = np.minimum(noise, RANDOM * np.diag(energy_rounding(K, X)))
     return np.asarray(np.sort(energy[energy > noise] / mass[energy > noise]))
 
 

@@ -147,9 +147,9 @@ def _spread(part: Part, scene: Scene, known: dict[str, ShakenFrame]) -> None:
     """All nets that a part couples are in one frame."""
     nets = [scene.nets[part.name, pin] for pin in _moving(part, scene)]
     frame = next((known[net] for net in nets if net in known), None)
-    for net in nets if frame is not None else ():
-        assert frame is not None
-        _put(known, net, frame, part.name)
+    if frame is not None:
+        for net in nets:
+            _put(known, net, frame, part.name)
 
 
 def _compared(part: Part, scene: Scene, known: Mapping[str, ShakenFrame]) -> None:

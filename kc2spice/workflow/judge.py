@@ -147,7 +147,7 @@ def _windowed(
     low, high = max(window[0], scale[0]), min(window[1], scale[-1])
     inside = (scale > low) & (scale < high)
     at = np.concatenate([[low], scale[inside], [high]])
-    ends = [interpolate(end, scale, values) for end in (low, high)]
+    ends = np.interp([low, high], scale, values)
     read = np.concatenate([ends[:1], values[inside], ends[1:]])
     return at[::way], read[::way]
 
