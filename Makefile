@@ -24,7 +24,7 @@ pythons: setup  ## unit and physics tests on the oldest and the newest Python of
 
 OUT ?= out/bench
 bench: setup  ## speed against error beside peers: make bench OUT=DIR, 8 minutes on two quiet cores
-	PYTHONPATH=tests/benchmarks .venv/bin/python -m laboratory --out $(OUT)
+	.venv/bin/python -m bench --out $(OUT)
 
 SAMPLE ?= 60
 SEED ?= 1

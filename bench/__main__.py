@@ -1,4 +1,4 @@
-"""``python -m laboratory`` with ``tests/benchmarks`` on the path; ``make bench`` runs it.
+"""``python -m bench`` in the root of the repository; ``make bench`` runs it.
 
 Measures speed against error: ngspice, its peers and a lower bound. Writes bench.json, bench.md and
 a plot of each plane. A target that is missed is a row of the table, not a failure.
@@ -21,6 +21,9 @@ import numpy
 import scipy
 
 import kc2spice
+from bench.page import bench_figures, bench_tables
+from bench.points import pareto
+from bench.setup import Setup
 from kc2spice.core.errors import Kc2spiceError, UsageError
 from kc2spice.core.files import staged
 from kc2spice.core.progress import Clock
@@ -28,9 +31,6 @@ from kc2spice.core.waveforms import write_record
 from kc2spice.report.figures import draw_all
 from kc2spice.sim.ngspice import find_ngspice
 from kc2spice.workflow.sweep.run import cores
-from laboratory.page import bench_figures, bench_tables
-from laboratory.points import pareto
-from laboratory.setup import Setup
 
 # Each part is the function of its own name in the module of that name. What a user waits for comes
 # first: many a machine slows down under the minutes of load that the others are.
@@ -58,7 +58,7 @@ def bench(out, parts, *, quick, repeats):
                 continue
             print(part, file=sys.stderr, flush=True)
             begin = time.perf_counter()
-            outcome = getattr(import_module(f"laboratory.{part}"), part)(setup)
+            outcome = getattr(import_module(f"bench.{part}"), part)(setup)
             for plane in outcome.planes:
                 record["planes"][plane.name] = _points(plane)
                 record["titles"][plane.name] = {
@@ -115,9 +115,9 @@ def machine():
 
 def main():
     """The exit code is that of ``kc2spice``."""
-    parser = argparse.ArgumentParser(prog="python -m laboratory", description=__doc__)
+    parser = argparse.ArgumentParser(prog="python -m bench", description=__doc__)
     parser.add_argument("--part", action="append", default=[], help=f"only {', '.join(PARTS)}")
-    parser.add_argument("--out", type=Path, default=Path("bench"), help="where to write")
+    parser.add_argument("--out", type=Path, default=Path("out/bench"), help="where to write")
     parser.add_argument("--repeats", type=int, default=5, help="of each point; the median counts")
     parser.add_argument("--quick", action="store_true", help="for the shape, not for the numbers")
     asked = parser.parse_args()

@@ -4,12 +4,12 @@ from functools import partial
 
 import numpy as np
 
+from bench.points import Outcome, Plane, Point, fastest, speed_up, timed
 from kc2spice.netlist.deck import Deck
 from kc2spice.rom.linear import Certificate, LinearModel, Port
 from kc2spice.rom.modal import Resonators
 from kc2spice.sim.ngspice import run_deck
 from kc2spice.spice.realize import subcircuit
-from laboratory.points import Outcome, Plane, Point, fastest, speed_up, timed
 
 PORTS = 7
 # Name of the ratio, modes, frequencies, target. 30 is the order of the scenes' reduced chip, 348

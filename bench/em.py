@@ -4,10 +4,10 @@ from functools import partial
 
 import numpy as np
 
+from bench.points import Outcome, Plane, Point, speed_up, timed
+from bench.setup import keys_of
 from kc2spice.core.magnets import em_cases
 from kc2spice.fem.magnet_field import catch_table, positions, ring_sign, systems
-from laboratory.points import Outcome, Plane, Point, speed_up, timed
-from laboratory.setup import keys_of
 
 HEIGHTS, QUICK_HEIGHTS, FINE_HEIGHTS = (41, 21, 81), (5, 9), 161
 

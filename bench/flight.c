@@ -1,4 +1,4 @@
-/* Flight of the sphere far from the chip, for the laboratory's lower bound: four states
+/* Flight of the sphere far from the chip, for the benchmark's lower bound: four states
  *
  *     p' = v,  v' = F(p, i) / m - g,  d' = (-v - d) / Tf,  I' = KI e,  e = setpoint - R - p
  *     i = clamp(KP e + I + KD d)

@@ -2,12 +2,12 @@
 
 from functools import lru_cache
 
+from bench.law import waveforms
+from bench.setup import keys_of
+from bench.usual.contact import contact_surface
+from bench.usual.system import quarter
 from kc2spice.bodies.stack_keys import Chip
 from kc2spice.core.waveforms import Waveforms
-from laboratory.law import waveforms
-from laboratory.setup import keys_of
-from laboratory.usual.contact import contact_surface
-from laboratory.usual.system import quarter
 
 
 def chip(scene):

@@ -4,12 +4,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from laboratory.distance import compare
-from laboratory.fullmodel import as_waveforms, factorisations, full_surface, full_system, limit
-from laboratory.points import Outcome, Point, fastest, scaled, speed_up, timed
-from laboratory.setup import keys_of
-from laboratory.transient import Transient
-from laboratory.usual.transient import Ball, transient
+from bench.distance import compare
+from bench.fullmodel import as_waveforms, factorisations, full_surface, full_system, limit
+from bench.points import Outcome, Point, fastest, scaled, speed_up, timed
+from bench.setup import keys_of
+from bench.transient import Transient
+from bench.usual.transient import Ball, transient
 
 PAPER_STEP = 50e-9  # s, of the paper's Newmark integration (2.2.2)
 SAMPLED = 6  # steps of the refactorising code that are timed

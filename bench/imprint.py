@@ -2,15 +2,15 @@
 
 import numpy as np
 
+from bench.fullmodel import factorisations, full_surface, full_system
+from bench.law import law
+from bench.points import Outcome, Plane, Point, quick_timed, scaled, speed_up, timed
+from bench.setup import keys_of
+from bench.statics import pushed
+from bench.usual.statics import imprint as full_imprint
+from bench.usual.statics import imprint_refactorised
 from kc2spice.sim.ngspice import run_deck
 from kc2spice.workflow.decks import make_deck
-from laboratory.fullmodel import factorisations, full_surface, full_system
-from laboratory.law import law
-from laboratory.points import Outcome, Plane, Point, quick_timed, scaled, speed_up, timed
-from laboratory.setup import keys_of
-from laboratory.statics import pushed
-from laboratory.usual.statics import imprint as full_imprint
-from laboratory.usual.statics import imprint_refactorised
 
 REFACTOR, LOW_RANK = 374.0, 100.0  # the paper's speed-up, and the one against the same trick
 SAMPLED = 4  # depths of the refactorising code that are timed

@@ -12,6 +12,7 @@ from functools import cached_property
 import numpy as np
 from scipy.interpolate import CubicSpline
 
+from bench.setup import keys_of
 from kc2spice.bodies.stack_keys import SECTORS
 from kc2spice.core.errors import SimulationError
 from kc2spice.core.magnets import EMTable
@@ -19,7 +20,6 @@ from kc2spice.core.waveforms import Waveforms
 from kc2spice.parts.pid import Control
 from kc2spice.parts.piezo_stack import Drive
 from kc2spice.rom.modal import resonators
-from laboratory.setup import keys_of
 
 # States after the 2 q modal ones, and their number.
 HEIGHT, SPEED, RATE, INTEGRAL = range(4)
@@ -256,7 +256,7 @@ def law(build):
     static[anode, anode] = 0.0
     if np.any(static) or np.any(model.omega <= 0.0) or model.massless:
         raise SimulationError(
-            "the laboratory needs inertia, positive frequencies and no feed-through but the "
+            "the benchmark needs inertia, positive frequencies and no feed-through but the "
             "capacitance", where="kick model", hint='set contact.inertia = "lumped"',
         )  # fmt: skip
     gain, drive = model.gain[:, rings], model.gain[:, anode]

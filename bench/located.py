@@ -11,9 +11,9 @@ from functools import partial
 import numpy as np
 from scipy.integrate import solve_ivp
 
+from bench.law import EXTRA, HEIGHT, INTEGRAL, RATE, SPEED, Law
+from bench.segments import initial, saturation, segments
 from kc2spice.core.errors import SimulationError
-from laboratory.law import EXTRA, HEIGHT, INTEGRAL, RATE, SPEED, Law
-from laboratory.segments import initial, saturation, segments
 
 IMPLICIT = ("Radau", "BDF", "LSODA")
 _TOUCH = 1e-9  # m over the rings; nearer than this the sphere is not said to fly

@@ -1,8 +1,8 @@
 """Plane ``loop``: five milliseconds of kick, flight and catch, and its ratios."""
 
-from laboratory.points import Outcome, Ratio, fastest, speed_up
-from laboratory.transient import SPECIALISED, Transient
-from laboratory.variants import NO_INERTIA
+from bench.points import Outcome, Ratio, fastest, speed_up
+from bench.transient import SPECIALISED, Transient
+from bench.variants import NO_INERTIA
 
 LIMITS = {"launch": 1e-4, "position_m": 1e-7}
 TARGET = 0.05  # s of CPU

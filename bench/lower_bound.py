@@ -18,9 +18,9 @@ import numpy as np
 from scipy.linalg import eig, lu_factor, lu_solve
 from scipy.optimize import brentq
 
+from bench.law import waveforms
+from bench.segments import initial, saturation, segments
 from kc2spice.core.errors import MissingToolError, SimulationError
-from laboratory.law import waveforms
-from laboratory.segments import initial, saturation, segments
 
 SPAN = 2e-6  # s after which the magnets' pull is linearised anew
 PIECES = 20_000

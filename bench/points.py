@@ -157,7 +157,7 @@ def fastest(points, limits):
 
 @dataclass(frozen=True)
 class Outcome:
-    """What one part of the laboratory found."""
+    """What one part of the benchmark found."""
 
     planes: tuple[Plane, ...] = ()
     ratios: tuple[Ratio, ...] = ()

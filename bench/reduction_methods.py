@@ -1,6 +1,6 @@
 """States against error of reductions in both norms, on public models: a table and pictures.
 
-``python -m laboratory.reduction_methods MODELS --out DIR`` reads the SLICOT models of
+``python -m bench.reduction_methods MODELS --out DIR`` reads the SLICOT models of
 ``PUBLISHED`` in the folder MODELS (Chahlaoui and Van Dooren, SLICOT Working Note 2002-2; files
 ``NAME.mat`` at http://slicot.org/20-site/126-benchmark-examples-for-model-reduction), and adds a
 beam of steel and the paper's chip. Errors are those at frequencies that the reductions do not know,
@@ -16,6 +16,8 @@ from pathlib import Path
 import numpy as np
 import scipy
 
+from bench.beam import steel_cantilever
+from bench.fullmodel import chip
 from kc2spice.bodies.piezo_stack import stack_device
 from kc2spice.core.errors import Kc2spiceError
 from kc2spice.core.figure import Curve, Figure, Panel
@@ -23,8 +25,6 @@ from kc2spice.report.figures import draw_all
 from kc2spice.rom.linear import LinearModel, Norm, state_space
 from kc2spice.rom.reduce import reduce, surrogate
 from kc2spice.scene.load import load_scene
-from laboratory.beam import steel_cantilever
-from laboratory.fullmodel import chip
 
 NORMS = ("pointwise", "peak")
 TOLERANCES = (1e-2, 1e-3, 1e-4, 1e-5)
@@ -207,9 +207,7 @@ def picture(name, rows, other):
 
 
 def _main():
-    parser = argparse.ArgumentParser(
-        prog="python -m laboratory.reduction_methods", description=__doc__
-    )
+    parser = argparse.ArgumentParser(prog="python -m bench.reduction_methods", description=__doc__)
     parser.add_argument("models", type=Path, help="folder of the SLICOT models, if any")
     parser.add_argument("--out", type=Path, required=True, help="folder of the pictures")
     parser.add_argument("--only", nargs="+", help="names of models")

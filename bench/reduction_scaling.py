@@ -1,6 +1,6 @@
 """Time and memory of a reduction against the number of unknowns, each size in its own process.
 
-``python -m laboratory.reduction_scaling --help`` prints the table of docs/evidence/reduction.md.
+``python -m bench.reduction_scaling --help`` prints the table of docs/evidence/reduction.md.
 """
 
 import argparse
@@ -16,7 +16,7 @@ from scipy import sparse
 from kc2spice.rom.linear import LinearModel
 from kc2spice.rom.reduce import reduce
 
-MODULE = "laboratory.reduction_scaling"  # also where its name is __main__
+MODULE = "bench.reduction_scaling"  # also where its name is __main__
 TOLERANCE = 1e-4
 COUPLING = np.array([[2.0, 0.5, 0.3], [0.5, 2.0, 0.4], [0.3, 0.4, 2.0]])
 # As the command line sets them: threads of BLAS under SuperLU cost ten times what they save.
@@ -60,9 +60,7 @@ def _measure(unknowns, dimension):
 
 
 def _main():
-    parser = argparse.ArgumentParser(
-        prog="python -m laboratory.reduction_scaling", description=__doc__
-    )
+    parser = argparse.ArgumentParser(prog="python -m bench.reduction_scaling", description=__doc__)
     parser.add_argument("--kind", choices=KINDS, default="plate")
     parser.add_argument("--sizes", type=int, nargs="+", default=[10_000, 50_000, 200_000])
     parser.add_argument("--one", type=int, help=argparse.SUPPRESS)

@@ -4,8 +4,8 @@ from itertools import pairwise
 
 import numpy as np
 
-from laboratory.law import EXTRA, HEIGHT, SPEED, Mode
-from laboratory.statics import rest
+from bench.law import EXTRA, HEIGHT, SPEED, Mode
+from bench.statics import rest
 
 
 def segments(law, stop):

@@ -29,7 +29,7 @@ class Setup:
     def scene(self, name, *, lumped=True):
         """A gallery scene, coarse in a quick run.
 
-        Contact ports keep their inertia: the laboratory's integrators know the paper's form alone.
+        Contact ports keep their inertia: the benchmark's integrators know the paper's form alone.
         With ``lumped`` False they are as the product makes them, without.
         """
         sets = {"em_force": COARSE_CATCH, "kick_and_catch": (*COARSE, *COARSE_CATCH, *SHORT)}
@@ -55,7 +55,7 @@ def keys_of(scene, kind):
     """
     part = scene.only(kind)
     if part is None:
-        raise UsageError("the laboratory needs one such part", where=scene.name, expected=kind)
+        raise UsageError("the benchmark needs one such part", where=scene.name, expected=kind)
     return part.keys
 
 

@@ -7,9 +7,9 @@ import tempfile
 import time
 from pathlib import Path
 
+from bench.points import Outcome, Ratio, timing
+from bench.setup import COARSE, COARSE_CATCH
 from kc2spice.core.errors import SimulationError
-from laboratory.points import Outcome, Ratio, timing
-from laboratory.setup import COARSE, COARSE_CATCH
 
 SCENE = ("run", "kick_and_catch", "--quiet", "--json", "--out")
 GAIN = "control.kd=21 A s/m"

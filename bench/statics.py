@@ -3,8 +3,8 @@
 import numpy as np
 from scipy.optimize import brentq
 
+from bench.law import EXTRA, HEIGHT
 from kc2spice.core.errors import SimulationError
-from laboratory.law import EXTRA, HEIGHT
 
 
 def compliance(equations):

@@ -3,16 +3,16 @@
 from dataclasses import replace
 from functools import partial
 
+from bench.distance import compare
+from bench.law import law
+from bench.located import integrate, located
+from bench.lower_bound import LowerBound
+from bench.points import Plane, Point, rounds, timed, timing
+from bench.variants import SHORT, fixed_steps, launches, variants
 from kc2spice.core.errors import MissingToolError, SimulationError
 from kc2spice.sim.ngspice import run_deck
 from kc2spice.workflow.decks import make_deck
 from kc2spice.workflow.verify.circuit import solve
-from laboratory.distance import compare
-from laboratory.law import law
-from laboratory.located import integrate, located
-from laboratory.lower_bound import LowerBound
-from laboratory.points import Plane, Point, rounds, timed, timing
-from laboratory.variants import SHORT, fixed_steps, launches, variants
 
 # As fine as the steps of ngspice's own tolerances, so that both are tuned alike.
 RTOL = (1e-3, 1e-4, 5e-4, 3e-4, 2e-4, 5e-5, 3e-5, 2e-5, 1e-5, 1e-6)

@@ -3,10 +3,10 @@
 import re
 from dataclasses import dataclass, replace
 
+from bench.setup import changed
 from kc2spice.netlist.cards import number
 from kc2spice.netlist.deck import Deck
 from kc2spice.workflow.decks import make_deck
-from laboratory.setup import changed
 
 RELTOL = (1e-3, 1e-4, 1e-5, 1e-2, 1e-6, 1e-7)
 # reltol, chgtol [C], longest step [s], heights looked up: room left by a launch error of 1e-4.
@@ -87,4 +87,4 @@ def _deck(build, keys):
 
 def _option(deck, name, value):
     """``deck`` with one simulator option set to another value."""
-    return deck.with_options({name: number(value)}, "of the laboratory")
+    return deck.with_options({name: number(value)}, "of the benchmark")

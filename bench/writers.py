@@ -6,12 +6,12 @@ from types import SimpleNamespace
 
 import numpy as np
 
+from bench.dense import ran, rotation, sources, synthetic
+from bench.points import Outcome, Plane, Point, speed_up
 from kc2spice.netlist.circuit import Subcircuit
 from kc2spice.rom.linear import Certificate, LinearModel, Port
 from kc2spice.rom.multiport import _admittance, _state_space
 from kc2spice.spice.realize import subcircuit
-from laboratory.dense import ran, rotation, sources, synthetic
-from laboratory.points import Outcome, Plane, Point, speed_up
 
 OHM, TOP = 50.0, 1e9  # of the scattering parameters, Hz
 STEP, STOP = 5e-11, 1e-7  # s of the transient

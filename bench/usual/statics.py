@@ -4,9 +4,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from laboratory.statics import contact_forces
-from laboratory.usual.contact import settled
-from laboratory.usual.system import electrical_port, solver, stiffened
+from bench.statics import contact_forces
+from bench.usual.contact import settled
+from bench.usual.system import electrical_port, solver, stiffened
 
 
 @dataclass(frozen=True)

@@ -9,9 +9,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import sparse
 
-from laboratory.statics import contact_forces
-from laboratory.usual.contact import settled
-from laboratory.usual.system import electrical_port, solver, stiffened, stiffness
+from bench.statics import contact_forces
+from bench.usual.contact import settled
+from bench.usual.system import electrical_port, solver, stiffened, stiffness
 
 
 @dataclass(frozen=True)

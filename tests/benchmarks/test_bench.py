@@ -1,20 +1,16 @@
-"""The laboratory's quick run: the record's shape, and errors that are errors; never times."""
+"""The benchmark's quick run: the record's shape, and errors that are errors; never times."""
 
 import json
 import math
-from pathlib import Path
 
 import pytest
 from commands import python
 
+from bench.__main__ import PARTS
+from bench.__main__ import bench as bench_of
 from kc2spice.core.errors import UsageError
-from laboratory.__main__ import PARTS
-from laboratory.__main__ import bench as bench_of
 
 pytestmark = [pytest.mark.slow, pytest.mark.campaign]  # other programs, every scene
-
-HERE = [Path(__file__).parent]
-
 
 RATIOS = {
     "loop_cpu_s", "loop_vs_scipy", "loop_vs_scipy_specialised", "loop_vs_floor", "harmonic",
@@ -29,7 +25,7 @@ PLANES = {"loop", "impact", "imprint", "harmonic", "em", "dense", "writers"}
 @pytest.fixture(scope="module")
 def bench(tmp_path_factory):
     out = tmp_path_factory.mktemp("bench")
-    python(out, "-m", "laboratory", "--quick", "--repeats", "1", "--out", str(out), path=HERE)
+    python(out, "-m", "bench", "--quick", "--repeats", "1", "--out", str(out))
     return json.loads((out / "bench.json").read_text()), out
 
 
@@ -81,8 +77,8 @@ def test_methods_that_must_agree_do(bench):
 
 
 def test_the_table_of_sizes_is_made_by_the_documented_command(tmp_path):
-    words = ("-m", "laboratory.reduction_scaling", "--sizes", "300", "900")
-    said = python(tmp_path, *words, path=HERE)
+    words = ("-m", "bench.reduction_scaling", "--sizes", "300", "900")
+    said = python(tmp_path, *words)
     rows = [line.split("|") for line in said.splitlines() if "| plate |" in line]
     assert [int(row[2]) for row in rows] == [300, 867]
 

@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
+from bench.distance import compare
+from bench.law import law
+from bench.located import located
+from bench.lower_bound import LowerBound
 from kc2spice.sim.ngspice import run_deck
 from kc2spice.workflow.decks import make_deck
-from laboratory.distance import compare
-from laboratory.law import law
-from laboratory.located import located
-from laboratory.lower_bound import LowerBound
 
 
 @pytest.fixture(scope="module")
@@ -33,7 +33,7 @@ def test_lower_bound_flies_the_loop_exactly(loop, exact):
 
 
 def test_ngspice_flies_the_same_loop(loop, exact, tmp_path):
-    """The netlist comes from the parts, the exact solution from the laboratory's own equations."""
+    """The netlist comes from the parts, the exact solution from the benchmark's own equations."""
     error = compare(run_deck(make_deck(loop), tmp_path), exact)
     assert error["launch"] < 1e-4
     assert error["position_m"] < 1e-6

@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 from commands import asked, python
 
+from bench.page import bench_tables
 from kc2spice.report.html import quantity
-from laboratory.page import bench_tables
 
 ROOT = Path(__file__).parents[2]
 RESULTS = (ROOT / "docs" / "evidence" / "results.md").read_text(encoding="utf-8")

@@ -4,9 +4,9 @@ import numpy as np
 import oracle
 from scipy import sparse
 
+from bench.beam import hermite_beam
 from kc2spice.netlist.deck import Deck
 from kc2spice.sim.ngspice import run_deck
-from laboratory.beam import hermite_beam
 
 
 def beam(elements=40):

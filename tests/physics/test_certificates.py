@@ -9,11 +9,11 @@ import pytest
 from mor_families import damped_chain
 from scipy import sparse
 
+from bench.beam import hermite_beam
 from kc2spice.parts import disc
 from kc2spice.rom.linear import LinearModel
 from kc2spice.rom.reduce import ordered, reduce, subspace_model
 from kc2spice.rom.subspace import subspace
-from laboratory.beam import hermite_beam
 
 
 def random_case(seed):

@@ -8,9 +8,9 @@ import oracle
 import pytest
 from scipy.linalg import eigh
 
+from bench.beam import steel_cantilever
 from kc2spice.rom.linear import LinearModel
 from kc2spice.rom.reduce import reduce
-from laboratory.beam import steel_cantilever
 
 
 def eliminated(matrices, frequency):

@@ -6,14 +6,14 @@ import pytest
 from closed_forms import hertz
 from scipy import sparse
 
+from bench.usual.contact import contact_surface
+from bench.usual.statics import imprint
+from bench.usual.system import quarter
 from kc2spice.bodies.piezo_stack import stack_device
 from kc2spice.bodies.stack_keys import Chip
 from kc2spice.core.errors import SimulationError
 from kc2spice.rom.linear import LinearModel
 from kc2spice.rom.reduce import reduce, surrogate
-from laboratory.usual.contact import contact_surface
-from laboratory.usual.statics import imprint
-from laboratory.usual.system import quarter
 
 SMALL = {"sectors": 4, "rings": 2, "ring_spacing": 300e-6, "outer_rings": 2}
 

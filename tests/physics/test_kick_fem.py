@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from scipy.sparse.linalg import eigsh
 
+from bench.usual.system import quarter
 from kc2spice.bodies.piezo_stack import level_spans, stack_device
 from kc2spice.bodies.stack_keys import Chip
-from laboratory.usual.system import quarter
 
 # Rings wide enough for quadratic cells: strong grading would fold them.
 SMALL = {"sectors": 4, "rings": 2, "ring_spacing": 300e-6, "outer_rings": 2}

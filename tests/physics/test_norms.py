@@ -7,11 +7,11 @@ import oracle
 import pytest
 from typer.testing import CliRunner
 
+from bench.beam import heat, structure
+from bench.reduction_methods import Truncated, largest, schur
 from kc2spice.cli.main import app
 from kc2spice.rom.linear import LinearModel
 from kc2spice.rom.reduce import reduce
-from laboratory.beam import heat, structure
-from laboratory.reduction_methods import Truncated, largest, schur
 
 
 @pytest.mark.parametrize(

@@ -10,12 +10,12 @@ import pytest
 from scipy.integrate import solve_ivp
 from scipy.linalg import eigh
 
+from bench.usual.contact import contact_surface
+from bench.usual.statics import imprint
+from bench.usual.system import quarter
+from bench.usual.transient import Ball, transient
 from kc2spice.bodies.piezo_stack import stack_setup
 from kc2spice.bodies.stack_keys import Chip
-from laboratory.usual.contact import contact_surface
-from laboratory.usual.statics import imprint
-from laboratory.usual.system import quarter
-from laboratory.usual.transient import Ball, transient
 
 RADIUS, PENALTY, MASS = 1e-3, 1e8, 8e-6
 CHIP = Chip(layers=2, mesh={"sectors": 4, "rings": 2, "ring_spacing": 100e-6, "outer_rings": 2})

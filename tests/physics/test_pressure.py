@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from closed_forms import half_space, hertz
 
+from bench.usual.contact import sphere_gap
 from kc2spice.bodies.pressure import (
     PressureBasis,
     indentation_law,
@@ -26,7 +27,6 @@ from kc2spice.fem.materials import material
 from kc2spice.parts._touching import Pair
 from kc2spice.scene.load import load_scene
 from kc2spice.scene.parttype import Build
-from laboratory.usual.contact import sphere_gap
 
 SPACING, COUNT, PATCH = 10e-6, 12, 250e-6
 NODES = SPACING * np.arange(COUNT + 1)

@@ -1,7 +1,7 @@
 """Run the hard cases of tests/spice/hard_cases; print their errors, limits and refusals.
 
-Needs tests/spice and tests/benchmarks on PYTHONPATH. Each error is relative to a reference of the
-case: scipy, a closed form or an energy.
+Needs tests/spice and the root of the repository on PYTHONPATH. Each error is relative to a
+reference of the case: scipy, a closed form or an energy.
 """
 
 import tempfile

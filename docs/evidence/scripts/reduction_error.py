@@ -1,7 +1,7 @@
 """Compare the error estimate of reduced models with their true error on published models.
 
-Needs tests/physics, tests/spice and tests/benchmarks on PYTHONPATH. The true error comes from
-direct solutions by numpy at 300 equally spaced frequencies and at every natural frequency.
+Needs tests/physics, tests/spice and the root of the repository on PYTHONPATH. The true error comes
+from direct solutions by numpy at 300 equally spaced frequencies and at every natural frequency.
 """
 
 import mor_families as families

@@ -8,11 +8,11 @@ from hard_cases.kit import HEADER, bench_deck, case, exact, kick, relative, scen
 from hard_cases.modal_kick import Kick
 from scipy.integrate import solve_ivp
 
+from bench.distance import compare
 from kc2spice.parts.sphere import SphereKeys, rigid_sphere
 from kc2spice.physics.contact import Normal, contact
 from kc2spice.physics.part import subcircuit as declared
 from kc2spice.spice.realize import subcircuit
-from laboratory.distance import compare
 
 MASS = SphereKeys().mass
 STEP = 0.5e-9  # s, of the oracle
