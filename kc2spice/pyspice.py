@@ -6,11 +6,10 @@ clients here: decks of ours run without them.
 
 from __future__ import annotations
 
-import importlib
 import logging
 from typing import Any, Literal
 
-from kc2spice.core.errors import MissingToolError
+from kc2spice.core.extras import import_optional
 from kc2spice.netlist.circuit import Subcircuit
 
 Package = Literal["PySpice", "InSpice"]
@@ -24,12 +23,7 @@ def subcircuit(part: Subcircuit, package: Package = "PySpice") -> Any:
     MissingToolError : the package is not installed.
     """
     logging.getLogger(package).setLevel(logging.CRITICAL)  # what it says is in its output, too
-    try:
-        parent = importlib.import_module(f"{package}.Spice.Netlist").SubCircuit
-    except ImportError as error:
-        raise MissingToolError(
-            f"{package} is not installed", got=str(error), hint=f"pip install {package}"
-        ) from None
+    parent = import_optional(f"{package}.Spice.Netlist", "pyspice.subcircuit").SubCircuit
 
     class Part(parent):  # type: ignore[misc,valid-type]
         """A part of kc2spice, written out as it stands in its library file."""

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
-from importlib import import_module
-from typing import Any
 
 LONGEST = 200  # characters of a word that is compared with others
 MOST_CHOICES = 5  # that an error lists
@@ -77,20 +75,6 @@ def part_named(where: str) -> Iterator[None]:
     except UsageError as error:
         error.where = where if error.where is None else f"{where}: {error.where}"
         raise
-
-
-def needed(module: str, package: str, where: str, extra: str) -> Any:
-    """The ``module`` of a package that only some need and ``kc2spice[extra]`` brings.
-
-    Raises
-    ------
-    MissingToolError : it is not installed.
-    """
-    try:
-        return import_module(module)
-    except ImportError:
-        hint = f"pip install 'kc2spice[{extra}]'"
-        raise MissingToolError(f"{package} is not installed", where=where, hint=hint) from None
 
 
 def wrong(

@@ -14,7 +14,8 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 import scipy
 
-from kc2spice.core.errors import UsageError, needed, unknown
+from kc2spice.core.errors import UsageError, unknown
+from kc2spice.core.extras import import_optional
 from kc2spice.rom.pencil import Matrix, Pencil, Schur, first_order, largest, symmetric
 from kc2spice.rom.structure import semidefinite
 
@@ -424,7 +425,7 @@ class LinearModel:
         ------
         MissingToolError : pyMOR is not installed.
         """
-        models = needed("pymor.models.iosys", "pyMOR", "to_pymor", "pymor")
+        models = import_optional("pymor.models.iosys", "to_pymor")
         if self.first_order:
             return models.LTIModel.from_matrices(self.A, self.B, self.C, D=self.D, E=self.E)
         letters = (self.M, self.E, self.K, self.B)

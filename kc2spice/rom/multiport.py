@@ -24,7 +24,8 @@ import numpy as np
 import scipy
 from scipy.optimize import least_squares
 
-from kc2spice.core.errors import UsageError, needed
+from kc2spice.core.errors import UsageError
+from kc2spice.core.extras import import_optional
 from kc2spice.rom.linear import ABCD, Certificate, LinearModel, Port
 from kc2spice.rom.pencil import explicit
 
@@ -117,7 +118,7 @@ def _best(f: np.ndarray, S: np.ndarray, noise: float, where: str) -> ABCD:
 
 def _fits(f: np.ndarray, S: np.ndarray, noise: float, where: str) -> list[tuple[float, ABCD]]:
     """Fits with more and more poles, with their deviations, the least first."""
-    skrf = needed("skrf", "scikit-rf", where, "measured")
+    skrf = import_optional("skrf", where)
     network = skrf.Network(frequency=skrf.Frequency.from_f(f, unit="hz"), s=S, z0=1.0)
     result: list[tuple[float, ABCD]] = []
     useless = 0

@@ -29,7 +29,7 @@ import numpy as np
 from scipy import sparse
 
 from kc2spice.bodies.readers import raw
-from kc2spice.core.errors import needed
+from kc2spice.core.extras import import_optional
 from kc2spice.rom.io import indices, mirrored, numbers
 
 NAME = re.compile(r"(.*)_(STIF|MASS|DMPV)(\d*)\.mtx", re.IGNORECASE)
@@ -158,7 +158,7 @@ def unpack_full(path: str, wanted: dict[str, str]) -> dict[str, np.ndarray]:
     ------
     MissingToolError : ansys-mapdl-reader is not installed.
     """
-    file = needed("ansys.mapdl.reader.full", "ansys-mapdl-reader", path, "ansys").FullFile(path)
+    file = import_optional("ansys.mapdl.reader.full", path).FullFile(path)
     place, stiffness, mass = file.load_km()
     place = np.asarray(place, dtype=np.int64)
     kind = np.array([raw.CODES[_KINDS[int(k)]] for k in place[:, 1]])
@@ -380,7 +380,7 @@ def unpack_op4(path: str, wanted: Mapping[str, str]) -> dict[str, np.ndarray]:
     UsageError : too large, or no stiffness in it.
     MissingToolError : pyyeti is not installed.
     """
-    op4 = needed("pyyeti.nastran.op4", "pyyeti", path, "nastran")
+    op4 = import_optional("pyyeti.nastran.op4", path)
     names, sizes, _, _ = op4.dir(path, verbose=False)
     selected = choose(list(names), wanted, Path(path))
     for letter, name in selected.items():

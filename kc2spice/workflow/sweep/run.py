@@ -41,7 +41,8 @@ from typing import Any
 from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
 
 from kc2spice.core import __version__
-from kc2spice.core.errors import MissingToolError, UsageError, needed, unknown
+from kc2spice.core.errors import MissingToolError, UsageError, unknown
+from kc2spice.core.extras import import_optional
 from kc2spice.core.files import staged
 from kc2spice.core.foreign import MAX_BYTES, parse_toml, read_bounded, text_of
 from kc2spice.core.progress import Progress, silent
@@ -138,7 +139,7 @@ def dask(address: str, count: int, patience: float = 10.0) -> Workers:
 
     @contextmanager
     def opened() -> Iterator[tuple[Executor, int]]:
-        distributed = needed("distributed", "dask.distributed", "--dask", "dask")
+        distributed = import_optional("distributed", "--dask")
         # A scheduler that comes back is no reason for the tracebacks that Dask would print.
         logging.getLogger("distributed").setLevel(logging.CRITICAL)
         limit, target = next(limits), address
@@ -304,8 +305,8 @@ def _csv_cell(value: Any) -> str | None:
 
 def write_parquet(table: Mapping[str, Sequence[Any]], path: Path) -> None:
     """The same table, numbers as such."""
-    parquet = needed("pyarrow.parquet", "pyarrow", "--format", "parquet")
-    import pyarrow as arrow
+    arrow = import_optional("pyarrow", "--format")
+    parquet = import_optional("pyarrow.parquet", "--format")
 
     empty = {name for name, column in table.items() if all(value is None for value in column)}
     kinds = {name: arrow.float64() if name in empty else None for name in table}
@@ -616,7 +617,7 @@ def table_name(table_format: str) -> str:
     if table_format not in WRITERS:
         raise unknown("no such format", table_format, WRITERS, "--format")
     if table_format == "parquet":
-        needed("pyarrow.parquet", "pyarrow", "--format", "parquet")
+        import_optional("pyarrow.parquet", "--format")
     return f"sweep.{table_format}"
 
 

@@ -1,0 +1,80 @@
+"""Libraries that only some commands need: which extra installs each, and the error without it.
+
+All imports of these libraries go through :func:`import_optional`. ``pyproject.toml`` states their
+versions.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import Any, NamedTuple
+
+from kc2spice.core.errors import MissingToolError
+
+
+class OptionalLibrary(NamedTuple):
+    """A library by its name in the Python Package Index, and the extra of kc2spice with it.
+
+    ``extra`` is None for a library without an extra, which is installed by its name.
+    """
+
+    package: str
+    extra: str | None
+
+    @property
+    def install(self) -> str:
+        """The command that installs it.
+
+        >>> OptionalLibrary("pyyeti", "nastran").install
+        "pip install 'kc2spice[nastran]'"
+        """
+        name = self.package if self.extra is None else f"'kc2spice[{self.extra}]'"
+        return f"pip install {name}"
+
+
+#: Libraries by the top package of their modules.
+LIBRARIES = {
+    "ansys": OptionalLibrary("ansys-mapdl-reader", "ansys"),
+    "distributed": OptionalLibrary("dask.distributed", "dask"),
+    "InSpice": OptionalLibrary("InSpice", None),
+    "pyarrow": OptionalLibrary("pyarrow", "parquet"),
+    "pymor": OptionalLibrary("pyMOR", "pymor"),
+    "PySpice": OptionalLibrary("PySpice", None),
+    "pyyeti": OptionalLibrary("pyyeti", "nastran"),
+    "skrf": OptionalLibrary("scikit-rf", "measured"),
+}
+
+
+def import_optional(module: str, where: str) -> Any:
+    """Import a module of one of the :data:`LIBRARIES`.
+
+    Parameters
+    ----------
+    module : str
+        Dotted name.
+    where : str
+        File, option or method that needs the module.
+
+    Returns
+    -------
+    module
+        The imported module.
+
+    Raises
+    ------
+    MissingToolError : The library is not installed or cannot be loaded.
+    """
+    top = module.partition(".")[0]
+    library = LIBRARIES[top]
+    try:
+        return import_module(module)
+    except ImportError as error:
+        name = error.name or ""
+        absent = isinstance(error, ModuleNotFoundError) and name.partition(".")[0] == top
+        problem = "is not installed" if absent else "cannot be loaded"
+        raise MissingToolError(
+            f"{library.package} {problem}",
+            where=where,
+            got=None if absent else str(error) or type(error).__name__,
+            hint=library.install,
+        ) from None
