@@ -18,8 +18,8 @@ from kc2spice.netlist.deck import Deck
 from kc2spice.sim.ngspice import find_ngspice, run_deck
 
 _PYTHON = (
-    "numpy", "scipy", "scikit-fem", "gmsh", "PySpice", "matplotlib", "typer", "rich", "pydantic",
-    "Jinja2",
+    "numpy", "scipy", "cvxopt", "scikit-fem", "gmsh", "meshio", "PySpice", "matplotlib", "typer",
+    "rich", "pydantic", "Jinja2",
 )  # fmt: skip
 # Shared libraries that the gmsh wheel loads, and the Debian and Ubuntu packages that have them.
 _GMSH = {
