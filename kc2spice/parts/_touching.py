@@ -358,14 +358,13 @@ def impact_penetration(sphere: Part, scene: Scene, speed: float, why: str) -> It
     No state of the body stores less energy under a dent than the static one, so what the static
     law needs to stop the sphere is a bound: ``m v^2 / 2 = 8/15 E sqrt(R) d^(5/2)`` (Hertz 1881).
     """
-    from kc2spice.parts.sphere import made_of
-
     energy = 0.5 * sphere.keys.mass * speed**2
     for contact in scene.of("contact"):
         pair = Pair(contact, scene)
         if pair.b.part == sphere.name and pair.b.radius and (modulus := pair.a.modulus):
             if pair.b.elastic:
-                modulus = 1 / (1 / modulus + 1 / made_of(sphere).indentation_modulus)
+                assert pair.b.modulus is not None
+                modulus = 1 / (1 / modulus + 1 / pair.b.modulus)
             depth = (15 * energy / (8 * modulus * math.sqrt(pair.b.radius))) ** 0.4
             yield Penetration(_SPARE * float(depth), why)
 
