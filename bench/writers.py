@@ -8,7 +8,7 @@ import numpy as np
 
 from bench.dense import ran, rotation, sources, synthetic
 from bench.points import Outcome, Plane, Point, speed_up
-from kc2spice.netlist.circuit import Subcircuit
+from kc2spice.netlist.library import Subcircuit
 from kc2spice.rom.linear import Certificate, LinearModel, Port
 from kc2spice.rom.multiport import _admittance, _state_space
 from kc2spice.spice.realize import subcircuit

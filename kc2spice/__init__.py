@@ -16,9 +16,9 @@ if TYPE_CHECKING:
     from kc2spice.bodies.readers import read_model
     from kc2spice.core import errors
     from kc2spice.core.quantities import Section
-    from kc2spice.netlist.circuit import Param, Pin, Subcircuit
+    from kc2spice.netlist.circuit import Param, Pin
     from kc2spice.netlist.deck import Deck
-    from kc2spice.netlist.read import read_lib
+    from kc2spice.netlist.library import Subcircuit, read_lib
     from kc2spice.rom.linear import Certificate, LinearModel, Port
     from kc2spice.scene.load import load_scene
     from kc2spice.scene.model import Scene, Terminal
@@ -56,14 +56,14 @@ __all__ = [
 ]
 _HOMES = {
     **dict.fromkeys(("LinearModel", "Port", "Certificate"), "rom.linear"),
-    **dict.fromkeys(("Subcircuit", "Pin", "Param"), "netlist.circuit"),
+    **dict.fromkeys(("Pin", "Param"), "netlist.circuit"),
     **dict.fromkeys(("Scene", "Terminal"), "scene.model"),
     "Deck": "netlist.deck",
     "PartType": "scene.parttype",
     "Section": "core.quantities",
     "fit": "workflow.fit",
     "load_scene": "scene.load",
-    "read_lib": "netlist.read",
+    **dict.fromkeys(("Subcircuit", "read_lib"), "netlist.library"),
     "read_model": "bodies.readers",
     "subcircuit": "spice.realize",
 }  # within the package; all others are of its module api

@@ -10,7 +10,7 @@ import logging
 from typing import Any, Literal
 
 from kc2spice.core.extras import import_optional
-from kc2spice.netlist.circuit import Subcircuit
+from kc2spice.netlist.library import Subcircuit
 
 Package = Literal["PySpice", "InSpice"]
 

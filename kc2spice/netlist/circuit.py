@@ -6,7 +6,6 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from pathlib import Path
 
 from kc2spice.core.errors import UsageError
 from kc2spice.netlist.expression import Probe, Tree, parse, walk
@@ -172,62 +171,6 @@ class Param:
     doc: str
     low: float = -math.inf
     high: float = math.inf
-
-
-@dataclass(frozen=True, repr=False)
-class Subcircuit:
-    """One part: its ``.subckt``, pin table and the text of its library file.
-
-    ``file`` is the name of that file where it is not ``NAME.lib``. ``no_module`` says why it must
-    not become a Verilog-A module, "" where it may. ``error_estimate`` is the relative error of its
-    response that its head states, and ``circuit_error`` what its elements contribute to that, at
-    the frequency ``worst_hz``; None where there is no model to compare with.
-    """
-
-    name: str
-    pins: tuple[Pin, ...]
-    params: tuple[Param, ...]
-    text: str
-    file: str = ""
-    no_module: str = ""
-    error_estimate: float | None = None
-    circuit_error: float | None = None
-    worst_hz: float = 0.0
-
-    @property
-    def title(self) -> str:
-        """What the first line of the library says that it is."""
-        return self.text.partition("\n")[0].lstrip("* ")
-
-    @property
-    def filename(self) -> str:
-        """Name of the library file that holds this part."""
-        return self.file or f"{self.name}.lib"
-
-    @cached_property
-    def circuit(self) -> Circuit:
-        """The library as a tree, read once.
-
-        Raises
-        ------
-        UsageError : a card that is not complete.
-        """
-        from kc2spice.netlist.read import read  # which makes subcircuits
-
-        return read(self.text, self.filename)
-
-    def write(self, path: str | Path) -> Path:
-        """Write the library file to ``path``, or under its own name into the directory ``path``."""
-        path = Path(path)
-        if path.is_dir():
-            path = path / self.filename
-        path.write_text(self.text, encoding="utf-8")
-        return path
-
-    def __repr__(self) -> str:
-        pins = " ".join(f"{pin.name}[{pin.unit}/{pin.flow}]" for pin in self.pins)
-        params = " ".join(f"{param.name}={param.default:g}" for param in self.params)
-        return f"<Subcircuit {self.name}: pins {pins}{'; ' + params if params else ''}>"
 
 
 def positive(name: str, default: float, unit: str, doc: str) -> Param:

@@ -10,8 +10,9 @@ from functools import cached_property
 from kc2spice.core.errors import UsageError
 from kc2spice.core.foreign import lines_of
 from kc2spice.netlist.cards import comment, number, tidy
-from kc2spice.netlist.circuit import Circuit, Subcircuit
+from kc2spice.netlist.circuit import Circuit
 from kc2spice.netlist.expression import terms
+from kc2spice.netlist.library import Subcircuit
 from kc2spice.netlist.read import OPTION_CARDS, read, statements
 from kc2spice.netlist.scope import Scope, circuit
 

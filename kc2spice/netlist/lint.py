@@ -20,7 +20,7 @@ from kc2spice.netlist.expression import (
     parse,
     walk,
 )
-from kc2spice.netlist.read import declared_pins
+from kc2spice.netlist.library import declared_pins
 from kc2spice.netlist.scope import GROUND, Scope, inside
 
 _ODD = tuple(Number(text) for text in ("1", "3", "5", "7", "9"))

@@ -7,12 +7,10 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import combinations_with_replacement, count, takewhile
-from math import nan
-from pathlib import Path
 from typing import Any
 
 from kc2spice.core.errors import UsageError
-from kc2spice.core.foreign import lines_of, read_bounded, text_of
+from kc2spice.core.foreign import lines_of
 from kc2spice.netlist.circuit import (
     Card,
     Circuit,
@@ -21,14 +19,10 @@ from kc2spice.netlist.circuit import (
     Function,
     Item,
     Model,
-    Param,
     Parameters,
-    Pin,
-    Subcircuit,
 )
 from kc2spice.netlist.expression import literal
 
-LARGEST = 100_000_000  # bytes of one file
 # Nodes of each element letter; X counts by its subcircuit, E and G have two if behavioural.
 NODES = {
     "r": 2, "c": 2, "l": 2, "v": 2, "i": 2, "b": 2, "e": 4, "g": 4, "f": 2, "h": 2,
@@ -37,8 +31,6 @@ NODES = {
 _MODELLED = frozenset("dqjmzsw")  # the word behind nodes and controls names a .model
 _CONTROLS = {"f": 1, "h": 1, "w": 1, "k": 2}
 _LAWS = ("value", "vol", "cur", "table", "poly", "laplace")
-_PIN = re.compile(r"\* @pin \d+ (\w+) unit=(\S+) flow=(\S+)")
-_PARAM = re.compile(r"\* @param (\w+)=(\S+) unit=(\S+)(?: range=(\S+)\.\.(\S+))? ?(.*)")
 
 OPTION_CARDS = frozenset((".options", ".option", ".opt"))
 _OPEN, _CLOSE = "({[", ")}]"
@@ -320,67 +312,3 @@ def _table(text: str, where: str) -> str:
     first, last = float(ends[0] or 0.0), float(ends[1] or 0.0)
     flat = [repr(first - 1), points[1], *points, repr(last + 1), points[-1]]
     return f"pwl({control}, {', '.join(flat)})"
-
-
-# --- files ---
-
-
-def read_lib(path: str | Path) -> list[Subcircuit]:
-    """The parts of a library file with the pins, units and parameters that its heads declare.
-
-    A subcircuit without a head counts as a part if no other of the file instantiates it; its pins
-    are electrical and its parameters have no unit.
-
-    Raises
-    ------
-    UsageError : no such file, no text, no subcircuit in it, or a head that does not fit its card.
-    """
-    path = Path(path)
-    try:
-        text = text_of(read_bounded(path, LARGEST))
-    except (OSError, ValueError) as error:
-        raise UsageError("cannot read library", where=str(path), got=str(error)) from None
-    parts = subcircuits(text, path.name)
-    if not parts:
-        raise UsageError("no subcircuit in this library", where=str(path), expected=".subckt")
-    return parts
-
-
-def subcircuits(text: str, file: str) -> list[Subcircuit]:
-    """The parts in the ``text`` of a library ``file``, as :func:`read_lib` gives them."""
-    result = read(text, file).subcircuits
-    called = {model.lower() for item in result for model in _called(item)}
-    declared = [item for item in result if any(map(_PIN.match, item.notes))]
-    shown = declared or [item for item in result if item.name.lower() not in called]
-    return [_part(item, text, file) for item in shown]
-
-
-def _called(circuit: Circuit) -> Iterator[str]:
-    for item in circuit.items:
-        if isinstance(item, Circuit):
-            yield from _called(item)
-        elif isinstance(item, Element) and item.kind == "x":
-            yield item.model
-
-
-def declared_pins(circuit: Circuit) -> list[Pin]:
-    """The pins that the head of a subcircuit declares."""
-    return [Pin(*match.groups()) for match in map(_PIN.match, circuit.notes) if match]
-
-
-def _part(circuit: Circuit, text: str, file: str) -> Subcircuit:
-    pins = declared_pins(circuit)
-    if pins and [p.name.lower() for p in pins] != [n.lower() for n in circuit.pins]:
-        listed = " ".join(p.name for p in pins)
-        message = "the head does not list the pins of its subcircuit"
-        raise circuit.error(message, listed, " ".join(circuit.pins))
-    heads = {m[1].lower(): m for m in map(_PARAM.match, circuit.notes) if m}
-    params = []
-    for name, default in circuit.defaults.items():
-        given, told = literal(default, where=circuit.where), heads.get(name.lower())
-        labels = (
-            (told[3], told[6], float(told[4] or "-inf"), float(told[5] or "inf")) if told else ()
-        )
-        params.append(Param(name, nan if given is None else given, *(labels or ("-", ""))))
-    ends = tuple(pins or (Pin(name, "V", "A") for name in circuit.pins))
-    return Subcircuit(circuit.name, ends, tuple(params), text, file)

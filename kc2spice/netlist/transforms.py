@@ -9,9 +9,10 @@ from dataclasses import replace
 
 from kc2spice.core.errors import UsageError, unknown
 from kc2spice.netlist.cards import number
-from kc2spice.netlist.circuit import LEAST, Circuit, Element, Item, Param, Subcircuit
+from kc2spice.netlist.circuit import LEAST, Circuit, Element, Item, Param
 from kc2spice.netlist.deck import Block, Deck
 from kc2spice.netlist.expression import added, terms, vector
+from kc2spice.netlist.library import Subcircuit
 from kc2spice.netlist.printers.ngspice import printed
 
 Parameters = tuple[tuple[str, float], ...]  # ("PART.NAME", value)

@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import replace
 
 from kc2spice.core.errors import UsageError, unknown
-from kc2spice.netlist.circuit import Subcircuit
 from kc2spice.netlist.deck import Deck, retold
 from kc2spice.netlist.expression import added, terms
+from kc2spice.netlist.library import Subcircuit
 from kc2spice.netlist.printers import ltspice
 from kc2spice.netlist.printers.dialect import Dialect
 from kc2spice.netlist.printers.kicad import project

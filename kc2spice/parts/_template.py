@@ -15,7 +15,8 @@ from pydantic import Field
 from kc2spice.core.errors import UsageError
 from kc2spice.core.quantities import BOLTZMANN, TEMPERATURE, Current, Section, Voltage
 from kc2spice.core.waveforms import Waveforms
-from kc2spice.netlist.circuit import Param, Subcircuit, positive
+from kc2spice.netlist.circuit import Param, positive
+from kc2spice.netlist.library import Subcircuit
 from kc2spice.netlist.transforms import self_contained
 from kc2spice.scene.judge import Check
 from kc2spice.scene.keys import model_keys

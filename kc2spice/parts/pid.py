@@ -14,7 +14,8 @@ from kc2spice.core import laws
 from kc2spice.core.errors import UsageError
 from kc2spice.core.quantities import Current, Length, Section, Time, si
 from kc2spice.core.waveforms import Waveforms
-from kc2spice.netlist.circuit import Param, Subcircuit, positive
+from kc2spice.netlist.circuit import Param, positive
+from kc2spice.netlist.library import Subcircuit
 from kc2spice.netlist.transforms import self_contained
 from kc2spice.parts import sphere
 from kc2spice.parts._template import BANDWIDTH, opamp_subcircuit

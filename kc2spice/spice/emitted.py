@@ -15,7 +15,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from kc2spice.core.errors import GateMissedError, SimulationError
-from kc2spice.netlist.circuit import Circuit, Pin, Subcircuit
+from kc2spice.netlist.circuit import Circuit, Pin
+from kc2spice.netlist.library import Subcircuit
 from kc2spice.netlist.nodal import NodalCircuit
 from kc2spice.rom.entries import Entries, share_of
 from kc2spice.rom.linear import LinearModel, Norm, Port

@@ -12,7 +12,8 @@ from typing import Any
 from kc2spice.core import __version__
 from kc2spice.core.mesh_error import mesh_errors
 from kc2spice.netlist.cards import comment, name, number, render, word
-from kc2spice.netlist.circuit import Param, Pin, Subcircuit
+from kc2spice.netlist.circuit import Param, Pin
+from kc2spice.netlist.library import Subcircuit
 from kc2spice.rom.linear import Certificate
 from kc2spice.scene.model import Terminal
 

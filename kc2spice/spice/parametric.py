@@ -15,7 +15,8 @@ import numpy as np
 
 from kc2spice.core.errors import UsageError
 from kc2spice.netlist.cards import distinct, number
-from kc2spice.netlist.circuit import Param, Subcircuit
+from kc2spice.netlist.circuit import Param
+from kc2spice.netlist.library import Subcircuit
 from kc2spice.rom.linear import LinearModel
 from kc2spice.rom.varying import Varying
 from kc2spice.spice.emitted import MICRO

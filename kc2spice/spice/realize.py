@@ -13,7 +13,8 @@ import numpy as np
 from kc2spice.core.errors import SimulationError, UsageError
 from kc2spice.netlist.cards import LEAK_RATE, comment, distinct, number
 from kc2spice.netlist.cards import name as checked_name
-from kc2spice.netlist.circuit import Param, Pin, Subcircuit
+from kc2spice.netlist.circuit import Param, Pin
+from kc2spice.netlist.library import Subcircuit
 from kc2spice.rom.linear import Certificate, LinearModel, Port
 from kc2spice.rom.modal import Resonators, resonators
 from kc2spice.rom.network import ParallelBranches, parallel_branches

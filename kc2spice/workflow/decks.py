@@ -16,10 +16,11 @@ from kc2spice.core.errors import UsageError
 from kc2spice.core.files import earlier
 from kc2spice.core.progress import Clock
 from kc2spice.netlist.cards import comment, number, tidy
-from kc2spice.netlist.circuit import Element, Subcircuit
+from kc2spice.netlist.circuit import Element
 from kc2spice.netlist.deck import Block, Command, Deck, Option, ac, dc, transient
 from kc2spice.netlist.expression import literal, vector
 from kc2spice.netlist.foreign import ANALYSES, HARMLESS, accuracy, checked, refuse
+from kc2spice.netlist.library import Subcircuit
 from kc2spice.netlist.lint import lint
 from kc2spice.netlist.read import Statement, read, statements
 from kc2spice.netlist.scope import INCLUDES, Scope, circuit, has_vector

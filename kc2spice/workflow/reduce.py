@@ -19,8 +19,8 @@ from kc2spice.core.files import staged
 from kc2spice.core.foreign import identifier
 from kc2spice.core.progress import Clock, Progress, silent
 from kc2spice.core.quantities import quantity
-from kc2spice.netlist.circuit import Subcircuit
 from kc2spice.netlist.deck import Block, Deck, ac
+from kc2spice.netlist.library import Subcircuit
 from kc2spice.netlist.printers.ngspice import plot_script
 from kc2spice.netlist.translate import DIALECTS, dialect_files, symbol_files
 from kc2spice.parts._linear_body import LinearBody, full_alone, scene_band

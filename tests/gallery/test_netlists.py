@@ -11,7 +11,7 @@ import pytest
 
 from kc2spice.core.progress import Clock
 from kc2spice.netlist.deck import Deck
-from kc2spice.netlist.read import read_lib
+from kc2spice.netlist.library import read_lib
 from kc2spice.scene.load import gallery, load_scene
 from kc2spice.sim.ngspice import run_deck
 

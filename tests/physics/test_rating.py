@@ -58,7 +58,7 @@ def test_the_rating_holds_in_every_analysis(scale):
 
 
 def test_the_head_states_the_rating():
-    from kc2spice.netlist.read import read_lib
+    from kc2spice.netlist.library import read_lib
 
     (part,) = read_lib(ROOT / "netlists" / "impact" / "impact_kick.lib")
     assert re.search(r"(?m)^\* rating: 121.2 V between electrodes", part.text)

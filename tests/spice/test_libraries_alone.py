@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from kc2spice.netlist.read import read_lib
+from kc2spice.netlist.library import read_lib
 from kc2spice.sim.output import read_raw
 
 NETLISTS = Path(__file__).parents[2] / "netlists"

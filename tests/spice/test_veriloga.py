@@ -8,7 +8,8 @@ import pytest
 from networks import H, Network
 
 from kc2spice.core.errors import UsageError
-from kc2spice.netlist.circuit import Param, Pin, Subcircuit
+from kc2spice.netlist.circuit import Param, Pin
+from kc2spice.netlist.library import Subcircuit
 from kc2spice.netlist.printers.verilog_a import module_files
 from kc2spice.netlist.translate import dialect_files
 

@@ -7,8 +7,9 @@ from pathlib import Path
 import pytest
 
 from kc2spice.netlist.circuit import Circuit, Element
+from kc2spice.netlist.library import read_lib
 from kc2spice.netlist.printers.ngspice import Printer
-from kc2spice.netlist.read import read, read_lib
+from kc2spice.netlist.read import read
 
 NETLISTS = Path(__file__).parents[2] / "netlists"
 LIBRARIES = sorted(NETLISTS.glob("*/*.lib"))

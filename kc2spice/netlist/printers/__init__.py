@@ -7,7 +7,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from math import ceil
 
-from kc2spice.netlist.circuit import Pin, Subcircuit
+from kc2spice.netlist.circuit import Pin
+from kc2spice.netlist.library import Subcircuit
 from kc2spice.netlist.scope import Scope, circuit
 
 REFERENCES = frozenset({"base", "ref"})

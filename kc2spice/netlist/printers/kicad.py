@@ -19,9 +19,10 @@ from types import SimpleNamespace
 from uuid import NAMESPACE_URL, uuid5
 
 from kc2spice.netlist.cards import render
-from kc2spice.netlist.circuit import Directive, Element, Subcircuit
+from kc2spice.netlist.circuit import Directive, Element
 from kc2spice.netlist.deck import Deck
 from kc2spice.netlist.expression import vector
+from kc2spice.netlist.library import Subcircuit
 from kc2spice.netlist.printers import Place, layout
 from kc2spice.netlist.printers.ngspice import Printer
 from kc2spice.netlist.scope import GROUND, Scope

@@ -5,8 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from kc2spice.netlist.cards import number
-from kc2spice.netlist.circuit import Element, Subcircuit
+from kc2spice.netlist.circuit import Element
 from kc2spice.netlist.expression import Trace
+from kc2spice.netlist.library import Subcircuit
 from kc2spice.netlist.printers import layout
 from kc2spice.netlist.printers.dialect import Dialect
 

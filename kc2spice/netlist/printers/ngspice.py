@@ -6,18 +6,10 @@ import textwrap
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 
-from kc2spice.netlist.circuit import (
-    Circuit,
-    Directive,
-    Element,
-    Function,
-    Item,
-    Model,
-    Parameters,
-    Subcircuit,
-)
+from kc2spice.netlist.circuit import Circuit, Directive, Element, Function, Item, Model, Parameters
 from kc2spice.netlist.deck import Deck
 from kc2spice.netlist.expression import Name, Tree, Writer, parse, terms, walk
+from kc2spice.netlist.library import Subcircuit
 
 _BARE = frozenset({"time", "temper", "hertz", "pi"})  # no parameters
 _WIDTH = 96

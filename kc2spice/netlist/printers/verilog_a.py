@@ -12,14 +12,7 @@ from dataclasses import dataclass, field, replace
 
 from kc2spice.core.errors import UsageError
 from kc2spice.netlist.cards import number
-from kc2spice.netlist.circuit import (
-    Directive,
-    Element,
-    Item,
-    Model,
-    Parameters,
-    Subcircuit,
-)
+from kc2spice.netlist.circuit import Directive, Element, Item, Model, Parameters
 from kc2spice.netlist.deck import Deck, retold
 from kc2spice.netlist.expression import (
     EVERYWHERE,
@@ -35,6 +28,7 @@ from kc2spice.netlist.expression import (
     vector,
     walk,
 )
+from kc2spice.netlist.library import Subcircuit
 from kc2spice.netlist.printers.ngspice import Printer
 from kc2spice.netlist.scope import GROUND, INCLUDES, Scope, circuit
 

@@ -13,8 +13,8 @@ from kc2spice.core.errors import UsageError
 from kc2spice.core.progress import Clock
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.netlist.cards import LEAK_RATE
-from kc2spice.netlist.circuit import Subcircuit
 from kc2spice.netlist.deck import Block, Deck, ac
+from kc2spice.netlist.library import Subcircuit
 from kc2spice.parts._linear_body import LinearBody
 from kc2spice.report.pages import Findings, responses
 from kc2spice.rom.linear import LinearModel

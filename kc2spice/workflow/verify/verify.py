@@ -18,10 +18,9 @@ from kc2spice.core.errors import UsageError
 from kc2spice.core.files import staged
 from kc2spice.core.progress import Clock, Progress, silent
 from kc2spice.core.waveforms import Waveforms, write_record
-from kc2spice.netlist.circuit import Subcircuit
 from kc2spice.netlist.deck import Deck
 from kc2spice.netlist.foreign import Flat, checked
-from kc2spice.netlist.read import subcircuits
+from kc2spice.netlist.library import Subcircuit, subcircuits
 from kc2spice.report.pages import Findings, comparison, write_verify
 from kc2spice.scene.compose import composed
 from kc2spice.scene.judge import PAIRS, Check, Gate, Verdict

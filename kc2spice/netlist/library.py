@@ -1,0 +1,135 @@
+"""Libraries: parts as subcircuits with pins, units and parameters, and files with several parts."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
+from math import nan
+from pathlib import Path
+
+from kc2spice.core.errors import UsageError
+from kc2spice.core.foreign import read_bounded, text_of
+from kc2spice.netlist.circuit import Circuit, Element, Param, Pin
+from kc2spice.netlist.expression import literal
+from kc2spice.netlist.read import read
+
+LARGEST = 100_000_000  # bytes of one file
+_PIN = re.compile(r"\* @pin \d+ (\w+) unit=(\S+) flow=(\S+)")
+_PARAM = re.compile(r"\* @param (\w+)=(\S+) unit=(\S+)(?: range=(\S+)\.\.(\S+))? ?(.*)")
+
+
+@dataclass(frozen=True, repr=False)
+class Subcircuit:
+    """One part: its ``.subckt``, pin table and the text of its library file.
+
+    ``file`` is the name of that file where it is not ``NAME.lib``. ``no_module`` says why it must
+    not become a Verilog-A module, "" where it may. ``error_estimate`` is the relative error of its
+    response that its head states, and ``circuit_error`` what its elements contribute to that, at
+    the frequency ``worst_hz``; None where there is no model to compare with.
+    """
+
+    name: str
+    pins: tuple[Pin, ...]
+    params: tuple[Param, ...]
+    text: str
+    file: str = ""
+    no_module: str = ""
+    error_estimate: float | None = None
+    circuit_error: float | None = None
+    worst_hz: float = 0.0
+
+    @property
+    def title(self) -> str:
+        """What the first line of the library says that it is."""
+        return self.text.partition("\n")[0].lstrip("* ")
+
+    @property
+    def filename(self) -> str:
+        """Name of the library file that holds this part."""
+        return self.file or f"{self.name}.lib"
+
+    @cached_property
+    def circuit(self) -> Circuit:
+        """The library as a tree, read once.
+
+        Raises
+        ------
+        UsageError : a card that is not complete.
+        """
+        return read(self.text, self.filename)
+
+    def write(self, path: str | Path) -> Path:
+        """Write the library file to ``path``, or under its own name into the directory ``path``."""
+        path = Path(path)
+        if path.is_dir():
+            path = path / self.filename
+        path.write_text(self.text, encoding="utf-8")
+        return path
+
+    def __repr__(self) -> str:
+        pins = " ".join(f"{pin.name}[{pin.unit}/{pin.flow}]" for pin in self.pins)
+        params = " ".join(f"{param.name}={param.default:g}" for param in self.params)
+        return f"<Subcircuit {self.name}: pins {pins}{'; ' + params if params else ''}>"
+
+
+def read_lib(path: str | Path) -> list[Subcircuit]:
+    """The parts of a library file with the pins, units and parameters that its heads declare.
+
+    A subcircuit without a head counts as a part if no other of the file instantiates it; its pins
+    are electrical and its parameters have no unit.
+
+    Raises
+    ------
+    UsageError : no such file, no text, no subcircuit in it, or a head that does not fit its card.
+    """
+    path = Path(path)
+    try:
+        text = text_of(read_bounded(path, LARGEST))
+    except (OSError, ValueError) as error:
+        raise UsageError("cannot read library", where=str(path), got=str(error)) from None
+    parts = subcircuits(text, path.name)
+    if not parts:
+        raise UsageError("no subcircuit in this library", where=str(path), expected=".subckt")
+    return parts
+
+
+def subcircuits(text: str, file: str) -> list[Subcircuit]:
+    """The parts in the ``text`` of a library ``file``, as :func:`read_lib` gives them."""
+    result = read(text, file).subcircuits
+    called = {model.lower() for item in result for model in _called(item)}
+    declared = [item for item in result if any(map(_PIN.match, item.notes))]
+    shown = declared or [item for item in result if item.name.lower() not in called]
+    return [_part(item, text, file) for item in shown]
+
+
+def _called(circuit: Circuit) -> Iterator[str]:
+    for item in circuit.items:
+        if isinstance(item, Circuit):
+            yield from _called(item)
+        elif isinstance(item, Element) and item.kind == "x":
+            yield item.model
+
+
+def declared_pins(circuit: Circuit) -> list[Pin]:
+    """The pins that the head of a subcircuit declares."""
+    return [Pin(*match.groups()) for match in map(_PIN.match, circuit.notes) if match]
+
+
+def _part(circuit: Circuit, text: str, file: str) -> Subcircuit:
+    pins = declared_pins(circuit)
+    if pins and [p.name.lower() for p in pins] != [n.lower() for n in circuit.pins]:
+        listed = " ".join(p.name for p in pins)
+        message = "the head does not list the pins of its subcircuit"
+        raise circuit.error(message, listed, " ".join(circuit.pins))
+    heads = {m[1].lower(): m for m in map(_PARAM.match, circuit.notes) if m}
+    params = []
+    for name, default in circuit.defaults.items():
+        given, told = literal(default, where=circuit.where), heads.get(name.lower())
+        labels = (
+            (told[3], told[6], float(told[4] or "-inf"), float(told[5] or "inf")) if told else ()
+        )
+        params.append(Param(name, nan if given is None else given, *(labels or ("-", ""))))
+    ends = tuple(pins or (Pin(name, "V", "A") for name in circuit.pins))
+    return Subcircuit(circuit.name, ends, tuple(params), text, file)
