@@ -394,13 +394,14 @@ def explain(caller: Caller, scene: str, set_: list[str] | None = None) -> None:
     """
     from kc2spice.core.progress import Clock
     from kc2spice.scene.model import scene_hash
+    from kc2spice.scene.plan import plan
     from kc2spice.workflow.models import build_models
 
     loaded = _loaded(scene, set_)
     build = build_models(loaded, Clock())
     step = None if build.largest is None else {"s": build.largest.step, "why": build.largest.why}
     head = {"scene": loaded.name, "hash": scene_hash(loaded), "largest_step": step}
-    record = {**head, **build.plan}
+    record = {**head, **plan(build)}
     if caller.reads(record):
         from kc2spice.report.run_page import plan_sections
 

@@ -14,7 +14,7 @@ import math
 import pkgutil
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
-from functools import cache, cached_property
+from functools import cache
 from importlib import import_module
 from importlib.metadata import EntryPoint, entry_points
 from typing import TYPE_CHECKING, Any, ClassVar, Literal
@@ -157,13 +157,6 @@ class Build:
     unjudged: frozenset[str] = frozenset()
     functions: Mapping[str, Any] = field(default_factory=dict)
     largest: StepLimit | None = None
-
-    @cached_property
-    def plan(self) -> Mapping[str, Any]:
-        """What runs: parts, joins, omissions and numerical settings."""
-        from kc2spice.scene.plan import plan
-
-        return plan(self)
 
     @property
     def noisy(self) -> bool:

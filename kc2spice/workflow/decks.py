@@ -28,7 +28,7 @@ from kc2spice.netlist.transforms import quiet
 from kc2spice.scene.compose import Free, free, unsettled
 from kc2spice.scene.model import Names, Part, Scene, scene_hash
 from kc2spice.scene.parttype import Build, begins, mover, numerics, replaced
-from kc2spice.scene.plan import MAX_STEP
+from kc2spice.scene.plan import MAX_STEP, plan
 from kc2spice.scene.plausible import built, judged
 from kc2spice.spice.header import Header, plan_lines
 from kc2spice.workflow import meters
@@ -77,7 +77,7 @@ def make_deck(build: Build) -> Deck:
         raise problem
     header = Header(scene.name, scene_hash(scene))
     ours = () if scene.solver.max_step else (MAX_STEP,)  # a line of its own says why
-    notes = f"{header.origin()}\n{plan_lines(build.plan, ours)}"
+    notes = f"{header.origin()}\n{plan_lines(plan(build), ours)}"
     results = meters.result_vectors(build)
     watts = meters.powers(build, results)
     meters.require_probed(build)

@@ -20,6 +20,7 @@ from kc2spice.report.run_page import probe_figures, write_run
 from kc2spice.scene.judge import require
 from kc2spice.scene.load import load_scene
 from kc2spice.scene.model import Scene
+from kc2spice.scene.plan import plan
 from kc2spice.sim.ngspice import RetriesFailedError, Simulator, find_ngspice, write_files
 from kc2spice.workflow import meters
 from kc2spice.workflow.decks import prepared, spare_other_decks
@@ -77,7 +78,7 @@ class Completed:
             "metric_units": run.units,
             "model_units": {name: fact_units(row) for name, row in model_facts(build).items()},
             "checks": [check.record() for check in run.verdict.checks],
-            "plan": build.plan,
+            "plan": plan(build),
             "wall_s": self.clock.wall_s,
         }
         if self.converged is not None:

@@ -17,6 +17,7 @@ from kc2spice.fem.recovery import energy_products
 from kc2spice.parts import bimorph, disc, langevin
 from kc2spice.parts.body import device
 from kc2spice.scene.load import load_scene
+from kc2spice.scene.plan import plan
 from kc2spice.spice.header import Header
 from kc2spice.workflow.models import build_models
 
@@ -273,8 +274,9 @@ def test_run_explain_and_header_state_the_error(tmp_path):
         assert error > 0.05
         assert 0.5 < facts[f"mesh_error_{word}"] / error < 2
     words = f"first resonance {100 * facts['mesh_error_resonance']:.2g} %"
-    assert words in build.plan["parts"][0]["detail"]
-    (refine,) = [row for row in build.plan["settings"] if row["key"] == "uni.refine"]
+    planned = plan(build)
+    assert words in planned["parts"][0]["detail"]
+    (refine,) = [row for row in planned["settings"] if row["key"] == "uni.refine"]
     assert refine["error"] == max(v for k, v in facts.items() if k.startswith("mesh_error_"))
     (made,) = part.type.subcircuits(part, build, Header("s", "-"))
     assert f"* mesh: error estimate of the full model: {words}" in made.text

@@ -20,6 +20,7 @@ from kc2spice.report.html import Section, figure_html, quantity, write_page
 from kc2spice.report.run_page import write_run
 from kc2spice.scene.load import load_scene
 from kc2spice.scene.parttype import Build
+from kc2spice.scene.plan import plan
 from kc2spice.workflow.judge import metrics
 
 
@@ -107,7 +108,7 @@ def page(tmp_path_factory: pytest.TempPathFactory) -> Page:
     result = {
         "metrics": found.values,
         "metric_units": found.units,
-        "plan": Build(scene, {}).plan,
+        "plan": plan(Build(scene, {})),
         "wall_s": {"mesh": 1.5, "simulate": 0.5},
         "simulator": {"name": "ngspice", "version": "39", "engine": "<batch>"},
         "steps": {"accepted": 1234, "rejected": 5},
