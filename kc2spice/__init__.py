@@ -21,8 +21,7 @@ if TYPE_CHECKING:
     from kc2spice.netlist.library import Subcircuit, read_lib
     from kc2spice.rom.linear import Certificate, LinearModel, Port
     from kc2spice.scene.load import load_scene
-    from kc2spice.scene.model import Scene, Terminal
-    from kc2spice.scene.parttype import PartType
+    from kc2spice.scene.model import PartType, Scene, Terminal
     from kc2spice.spice.realize import subcircuit
     from kc2spice.workflow.fit import fit
 
@@ -57,9 +56,8 @@ __all__ = [
 _HOMES = {
     **dict.fromkeys(("LinearModel", "Port", "Certificate"), "rom.linear"),
     **dict.fromkeys(("Pin", "Param"), "netlist.circuit"),
-    **dict.fromkeys(("Scene", "Terminal"), "scene.model"),
+    **dict.fromkeys(("PartType", "Scene", "Terminal"), "scene.model"),
     "Deck": "netlist.deck",
-    "PartType": "scene.parttype",
     "Section": "core.quantities",
     "fit": "workflow.fit",
     "load_scene": "scene.load",

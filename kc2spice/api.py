@@ -29,8 +29,9 @@ from kc2spice.netlist.deck import Deck
 from kc2spice.rom.linear import LinearModel, Norm
 from kc2spice.scene.judge import Check
 from kc2spice.scene.load import load_scene
-from kc2spice.scene.model import Probe, Scene
+from kc2spice.scene.model import Scene
 from kc2spice.scene.parttype import register as register_part
+from kc2spice.scene.settings import Probe
 from kc2spice.sim.ngspice import find_ngspice, run_deck, write_files
 from kc2spice.workflow.decks import prepared, spare_other_decks
 from kc2spice.workflow.run import Completed, complete, write_run_files

@@ -36,9 +36,11 @@ from kc2spice.rom.pencil import first_order
 from kc2spice.rom.structure import structure
 from kc2spice.rom.varying import Varying
 from kc2spice.scene.judge import Balance, Check, Metric
-from kc2spice.scene.model import GROUND, Part, Rom, Scene, Terminal
-from kc2spice.scene.parttype import Build, Neglected, Rest, Vector, current_into, numerics
+from kc2spice.scene.model import GROUND, Build, Part, Scene, Terminal
+from kc2spice.scene.parttype import current_into, numerics
 from kc2spice.scene.plausible import dimensions
+from kc2spice.scene.rows import Neglected, Rest, Vector
+from kc2spice.scene.settings import Rom
 from kc2spice.spice.header import Header
 from kc2spice.spice.realize import (
     COARSE,

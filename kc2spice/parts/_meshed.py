@@ -34,9 +34,9 @@ from kc2spice.parts._neglected import (
 from kc2spice.parts._pictures import deformed, shapes
 from kc2spice.rom.linear import LinearModel, Port
 from kc2spice.scene.judge import Balance, Check, Metric
-from kc2spice.scene.model import Part, Scene
-from kc2spice.scene.parttype import Build, Neglected
+from kc2spice.scene.model import Build, Part, Scene
 from kc2spice.scene.plausible import layers as plausible_layers
+from kc2spice.scene.rows import Neglected
 
 if TYPE_CHECKING:
     from kc2spice.bodies.device import Bonded, Device

@@ -16,7 +16,7 @@ import numpy as np
 
 from kc2spice.core.quantities import AIR_DENSITY
 from kc2spice.fem.materials import material
-from kc2spice.scene.parttype import Neglected
+from kc2spice.scene.rows import Neglected
 
 if TYPE_CHECKING:
     from kc2spice.bodies.device import Block  # which loads the finite elements

@@ -20,8 +20,8 @@ from kc2spice.netlist.library import Subcircuit
 from kc2spice.netlist.transforms import self_contained
 from kc2spice.scene.judge import Check
 from kc2spice.scene.keys import model_keys
-from kc2spice.scene.model import Part, Scene, Terminal
-from kc2spice.scene.parttype import Build, PartType, Vector
+from kc2spice.scene.model import Build, Part, PartType, Scene, Terminal
+from kc2spice.scene.rows import Vector
 from kc2spice.spice.header import ROOM, Header, library
 
 BANDWIDTH = 1e9  # Hz, gain-bandwidth product of a fast decompensated amplifier

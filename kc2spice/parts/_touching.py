@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from kc2spice.physics.contact import Normal
-from kc2spice.scene.model import GROUND, Part, Scene
-from kc2spice.scene.parttype import PartType, begins, mover
+from kc2spice.scene.model import GROUND, Part, PartType, Scene
+from kc2spice.scene.parttype import begins, mover
 
 if TYPE_CHECKING:
     from kc2spice.bodies.pressure import Indented, LocalCompliance, PressureBasis

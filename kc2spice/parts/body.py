@@ -46,8 +46,9 @@ from kc2spice.parts._meshed import FieldKeys, MeshedBody
 from kc2spice.parts._neglected import Envelope, box_envelope
 from kc2spice.parts._pictures import edges
 from kc2spice.rom.linear import Port
-from kc2spice.scene.model import Part, Scene
-from kc2spice.scene.parttype import Build, Neglected, register
+from kc2spice.scene.model import Build, Part, Scene
+from kc2spice.scene.parttype import register
+from kc2spice.scene.rows import Neglected
 
 Point: TypeAlias = tuple[Length, Length, Length]
 Vector: TypeAlias = tuple[float, float, float]

@@ -32,16 +32,9 @@ from kc2spice.physics.contact import Normal, contact
 from kc2spice.physics.part import pins_of
 from kc2spice.rom.linear import LinearModel
 from kc2spice.scene.judge import PAIRS, Balance, Check, Gate, Metric, stepping
-from kc2spice.scene.model import GROUND, Part, Scene, Terminal
-from kc2spice.scene.parttype import (
-    Build,
-    Neglected,
-    Numerics,
-    Rest,
-    Vector,
-    mover,
-    register,
-)
+from kc2spice.scene.model import GROUND, Build, Part, Scene, Terminal
+from kc2spice.scene.parttype import mover, register
+from kc2spice.scene.rows import Neglected, Numerics, Rest, Vector
 
 # Gate of a launch against the full model: of the reduction's certified error, whose band it
 # exceeds; what it is where there is no certificate; and the largest one. A pointwise error at a

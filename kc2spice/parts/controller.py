@@ -15,8 +15,10 @@ from pydantic import Field
 
 from kc2spice.core.errors import UsageError
 from kc2spice.core.quantities import Section, Time
-from kc2spice.scene.model import FileName, Part, Scene, Terminal
-from kc2spice.scene.parttype import Build, PartType, Sampled, Vector, register
+from kc2spice.scene.model import Build, Part, PartType, Scene, Terminal
+from kc2spice.scene.parttype import register
+from kc2spice.scene.rows import Sampled, Vector
+from kc2spice.scene.settings import FileName
 
 Function = Callable[[float, Mapping[str, float]], float]
 

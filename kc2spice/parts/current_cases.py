@@ -15,8 +15,9 @@ from kc2spice.netlist.cards import number
 from kc2spice.parts.sphere import sphere_of
 from kc2spice.physics import coils
 from kc2spice.scene.judge import PAIRS, Check, Gate, Metric
-from kc2spice.scene.model import Part, Scene, Terminal
-from kc2spice.scene.parttype import Build, Governed, PartType, Swept, Vector, register
+from kc2spice.scene.model import Build, Part, PartType, Scene, Terminal
+from kc2spice.scene.parttype import register
+from kc2spice.scene.rows import Governed, Swept, Vector
 
 HEIGHTS = 2001  # at which the lookup is read: five per segment
 

@@ -22,7 +22,8 @@ from kc2spice.netlist.circuit import Param, positive
 from kc2spice.parts._template import CoilDriver, Driver, InputNoise, Load, ends, parameters
 from kc2spice.parts.pid import SENSE
 from kc2spice.scene.model import Part, Scene
-from kc2spice.scene.parttype import Numerics, register
+from kc2spice.scene.parttype import register
+from kc2spice.scene.rows import Numerics
 
 
 class AmplifierKeys(InputNoise):

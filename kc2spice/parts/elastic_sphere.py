@@ -15,8 +15,10 @@ from kc2spice.parts._linear_body import LinearBody, LinearKeys
 from kc2spice.parts._touching import PATCH, Pair, Surface
 from kc2spice.parts.sphere import made_of
 from kc2spice.rom.linear import LinearModel, Port
-from kc2spice.scene.model import Part, Rom, Scene
-from kc2spice.scene.parttype import Neglected, register
+from kc2spice.scene.model import Part, Scene
+from kc2spice.scene.parttype import register
+from kc2spice.scene.rows import Neglected
+from kc2spice.scene.settings import Rom
 from kc2spice.spice.realize import COARSE, StepWeights
 
 if TYPE_CHECKING:

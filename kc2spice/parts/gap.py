@@ -51,8 +51,9 @@ from kc2spice.physics.expression import evaluated
 from kc2spice.physics.part import pins_of
 from kc2spice.scene.band import highest_frequency
 from kc2spice.scene.judge import Balance, Check, Gate, Metric
-from kc2spice.scene.model import Part, Scene, Terminal
-from kc2spice.scene.parttype import Build, Vector, register
+from kc2spice.scene.model import Build, Part, Scene, Terminal
+from kc2spice.scene.parttype import register
+from kc2spice.scene.rows import Vector
 
 PATCH = "patch"  # begins the names of a body's ports that are one row of patches
 ROUNDED = 1e-9  # of force over displacement, by which iterations leave an operating point

@@ -32,7 +32,8 @@ from kc2spice.fem.materials import material
 from kc2spice.parts._meshed import BondedBody, FieldKeys
 from kc2spice.parts._neglected import UNKNOWN
 from kc2spice.scene.model import Part, Scene
-from kc2spice.scene.parttype import Neglected, register
+from kc2spice.scene.parttype import register
+from kc2spice.scene.rows import Neglected
 
 _CELLS = 8  # along the largest radius before refinement
 

@@ -17,16 +17,11 @@ from kc2spice.parts._touching import Surface, Touching
 from kc2spice.physics import Declaration, DeclaredPart, displacement
 from kc2spice.physics.declaration import shake
 from kc2spice.scene.compose import free, rigid
-from kc2spice.scene.frames import Shake
 from kc2spice.scene.judge import Metric
-from kc2spice.scene.model import GROUND, Part, Scene
-from kc2spice.scene.parttype import (
-    Build,
-    Rest,
-    begins,
-    register,
-)
+from kc2spice.scene.model import GROUND, Build, Part, Scene
+from kc2spice.scene.parttype import begins, register
 from kc2spice.scene.plausible import dimensions
+from kc2spice.scene.rows import Rest, Shake
 
 _FRAME = "frame"  # pin of the acceleration of a frame; of a second one frame2
 

@@ -17,8 +17,9 @@ from kc2spice.core.foreign import beside
 from kc2spice.core.progress import Clock
 from kc2spice.parts._linear_body import LinearBody, LinearKeys, file_stamp
 from kc2spice.rom.linear import LinearModel, Port
-from kc2spice.scene.model import FileName, Part, Scene
+from kc2spice.scene.model import Part, Scene
 from kc2spice.scene.parttype import register
+from kc2spice.scene.settings import FileName
 
 THIN = 0.02  # of its width: a line of nodes is drawn so high
 

@@ -35,8 +35,9 @@ from kc2spice.physics import Declaration, DeclaredPart, current, displacement, l
 from kc2spice.physics.part import settling
 from kc2spice.scene.band import highest_frequency
 from kc2spice.scene.judge import Balance, Check, Gate, Metric
-from kc2spice.scene.model import Part, Scene
-from kc2spice.scene.parttype import Build, Neglected, Numerics, register
+from kc2spice.scene.model import Build, Part, Scene
+from kc2spice.scene.parttype import register
+from kc2spice.scene.rows import Neglected, Numerics
 
 Conductivity = Annotated[float, si("1/(Ohm m)")]
 SOURCES = ("kc2spice.fem.magnet_rings", __name__)

@@ -14,7 +14,8 @@ from kc2spice.fem.magnet_keys import Ring
 from kc2spice.fem.magnet_rings import Ladder, Winding, carried
 from kc2spice.parts.moving_conductor import Moving, MovingConductor, sheets, windings
 from kc2spice.scene.model import Part, Scene
-from kc2spice.scene.parttype import Neglected, register
+from kc2spice.scene.parttype import register
+from kc2spice.scene.rows import Neglected
 
 
 class Magnetisation(Section):

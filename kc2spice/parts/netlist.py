@@ -23,8 +23,10 @@ from kc2spice.netlist.read import read
 from kc2spice.netlist.scope import Scope, circuit, has_vector
 from kc2spice.parts._template import SLACK, potentials, within
 from kc2spice.scene.judge import Check
-from kc2spice.scene.model import FileName, Part, Scene, Terminal
-from kc2spice.scene.parttype import Build, Numerics, PartType, Vector, register
+from kc2spice.scene.model import Build, Part, PartType, Scene, Terminal
+from kc2spice.scene.parttype import register
+from kc2spice.scene.rows import Numerics, Vector
+from kc2spice.scene.settings import FileName
 
 # Letter of an element and its parameter that is its current; "" for those that have a branch.
 _CURRENTS = {"r": "i", "c": "i", "l": "i", "b": "i", "d": "id", "m": "id", "j": "id", "q": "ic",

@@ -24,8 +24,9 @@ from kc2spice.physics.declaration import Branch, Declaration, displacement, seen
 from kc2spice.physics.law import DeclaredLaw
 from kc2spice.physics.part import subcircuit
 from kc2spice.scene.judge import Check, Metric
-from kc2spice.scene.model import Part, Scene, Terminal
-from kc2spice.scene.parttype import Build, PartType, Vector, register
+from kc2spice.scene.model import Build, Part, PartType, Scene, Terminal
+from kc2spice.scene.parttype import register
+from kc2spice.scene.rows import Vector
 from kc2spice.spice.header import Header, library
 
 SENSOR = 2e3  # V/m, 5 V at the paper's set point

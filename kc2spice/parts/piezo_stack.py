@@ -25,9 +25,11 @@ from kc2spice.parts._touching import Pair, Penetration, Surface
 from kc2spice.parts.netlist import driver
 from kc2spice.rom.linear import Port
 from kc2spice.scene.judge import Metric
-from kc2spice.scene.model import Part, Rom, Scene
-from kc2spice.scene.parttype import Build, Neglected, Numerics, register
+from kc2spice.scene.model import Build, Part, Scene
+from kc2spice.scene.parttype import register
 from kc2spice.scene.plausible import within
+from kc2spice.scene.rows import Neglected, Numerics
+from kc2spice.scene.settings import Rom
 from kc2spice.spice.realize import COARSE, THROWING, StepWeights
 
 # What builds is imported where it builds: most runs find their models in the cache.

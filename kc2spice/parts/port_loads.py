@@ -18,8 +18,9 @@ from kc2spice.core.waveforms import Waveforms, constant
 from kc2spice.netlist.cards import number
 from kc2spice.parts.two_terminal_types import element
 from kc2spice.scene.judge import PAIRS, Gate, Metric
-from kc2spice.scene.model import Part, Scene
-from kc2spice.scene.parttype import Build, Governed, Numerics, PartType, Vector, register
+from kc2spice.scene.model import Build, Part, PartType, Scene
+from kc2spice.scene.parttype import register
+from kc2spice.scene.rows import Governed, Numerics, Vector
 
 SPECK = 1e-24  # F; in series with 1/SPECK volts it carries one coulomb, whatever the anode does
 

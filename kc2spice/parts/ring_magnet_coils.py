@@ -33,15 +33,10 @@ from kc2spice.parts.netlist import driver
 from kc2spice.parts.sphere import offset, sphere_of
 from kc2spice.physics import coils
 from kc2spice.scene.judge import Check, Metric
-from kc2spice.scene.model import Part, Scene, Terminal
-from kc2spice.scene.parttype import (
-    Build,
-    Neglected,
-    Vector,
-    mover,
-    register,
-)
+from kc2spice.scene.model import Build, Part, Scene, Terminal
+from kc2spice.scene.parttype import mover, register
 from kc2spice.scene.plausible import within
+from kc2spice.scene.rows import Neglected, Vector
 from kc2spice.spice.header import Header, library
 
 MAGNET_CONDUCTIVITY = 150e3  # S/m, paper table A1

@@ -18,8 +18,9 @@ from kc2spice.physics.cards import state_node
 from kc2spice.physics.declaration import Declaration, displacement, seen
 from kc2spice.physics.law import DeclaredLaw
 from kc2spice.physics.part import subcircuit
-from kc2spice.scene.model import Part, Scene, Terminal
-from kc2spice.scene.parttype import Build, PartType, Vector, register
+from kc2spice.scene.model import Build, Part, PartType, Scene, Terminal
+from kc2spice.scene.parttype import register
+from kc2spice.scene.rows import Vector
 
 
 class SensorKeys(Section):

@@ -19,16 +19,9 @@ from kc2spice.core.spectrum import waveform_frequency
 from kc2spice.core.waveforms import PulseKeys, SineKeys, Waveform, Waveforms
 from kc2spice.netlist.cards import number
 from kc2spice.scene.judge import Check
-from kc2spice.scene.model import Part, Scene, Terminal
-from kc2spice.scene.parttype import (
-    Build,
-    Numerics,
-    PartType,
-    Rest,
-    Swept,
-    Vector,
-    register,
-)
+from kc2spice.scene.model import Build, Part, PartType, Scene, Terminal
+from kc2spice.scene.parttype import register
+from kc2spice.scene.rows import Numerics, Rest, Swept, Vector
 
 
 class Kind(NamedTuple):

@@ -22,18 +22,10 @@ from kc2spice.parts.mass import point_mass
 from kc2spice.physics import Declaration, DeclaredPart, displacement
 from kc2spice.physics.part import pins_of
 from kc2spice.scene.judge import Balance, Gate, Metric, stepping
-from kc2spice.scene.model import GROUND, Part, Scene, Terminal
-from kc2spice.scene.parttype import (
-    Build,
-    Neglected,
-    Rest,
-    State,
-    Vector,
-    begins,
-    mover,
-    register,
-)
+from kc2spice.scene.model import GROUND, Build, Part, Scene, Terminal
+from kc2spice.scene.parttype import begins, mover, register
 from kc2spice.scene.plausible import within
+from kc2spice.scene.rows import Neglected, Rest, State, Vector
 from kc2spice.spice.header import SIGN
 
 AIR_VISCOSITY = 1.825e-5  # Pa s

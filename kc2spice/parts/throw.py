@@ -16,8 +16,9 @@ from kc2spice.core.waveforms import Waveforms
 from kc2spice.parts import _touching
 from kc2spice.parts.sphere import sphere_of
 from kc2spice.scene.judge import PAIRS, Gate, Metric
-from kc2spice.scene.model import Part, Scene
-from kc2spice.scene.parttype import Build, Numerics, State, register
+from kc2spice.scene.model import Build, Part, Scene
+from kc2spice.scene.parttype import register
+from kc2spice.scene.rows import Numerics, State
 
 
 class ThrowKeys(Section):

@@ -20,8 +20,8 @@ from kc2spice.physics.expression import ZERO, derivative, evaluated, kinks, name
 from kc2spice.physics.law import DeclaredLaw
 from kc2spice.scene.judge import Balance, Check
 from kc2spice.scene.keys import model_keys
-from kc2spice.scene.model import Part, Scene, Terminal
-from kc2spice.scene.parttype import Build, Neglected, Numerics, PartType, Rest, Vector
+from kc2spice.scene.model import Build, Part, PartType, Scene, Terminal
+from kc2spice.scene.rows import Neglected, Numerics, Rest, Vector
 
 if TYPE_CHECKING:
     from kc2spice.spice.header import Header

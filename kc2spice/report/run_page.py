@@ -25,7 +25,8 @@ from kc2spice.report.html import (
     worded,
     write_page,
 )
-from kc2spice.scene.model import Probe, Scene, scene_hash
+from kc2spice.scene.model import Scene, scene_hash
+from kc2spice.scene.settings import Probe
 
 SKETCH_WIDTH, HIGH = 520.0, 300.0  # of the devices, in units of the page
 NOISE = 1e-12  # of the largest number of its unit: smaller ones are rounding errors

@@ -16,8 +16,9 @@ from typing import Any
 
 from kc2spice.core.errors import UsageError, did_you_mean, unknown
 from kc2spice.scene.frames import frames
-from kc2spice.scene.model import GROUND, Names, Part, Scene, Terminal
-from kc2spice.scene.parttype import METER, Build, PartType, Rest, current_into
+from kc2spice.scene.model import GROUND, METER, Build, Names, Part, PartType, Scene, Terminal
+from kc2spice.scene.parttype import current_into
+from kc2spice.scene.rows import Rest
 
 Pin = tuple[str, str]
 _GROUND: Pin = (GROUND, "")

@@ -11,53 +11,10 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 from kc2spice.core.errors import UsageError
-
-if TYPE_CHECKING:
-    from kc2spice.scene.model import Part, Scene
-
-Pin = tuple[str, str]
-SQUARE = 1e-9  # cosine of two directions at a right angle, but for rounding
-
-
-@dataclass(frozen=True)
-class Shake:
-    """The acceleration at a ``pin`` of a body, on the node ``net``, and how much of it is ``along``
-    a displacement: the cosine between both, None where a direction is not known."""
-
-    net: str
-    pin: Pin
-    along: float | None
-
-
-@dataclass(frozen=True)
-class ShakenFrame:
-    """What shakes the frame of a net; nothing where all of it is at a right angle."""
-
-    body: str
-    shakes: tuple[Shake, ...]
-
-    @property
-    def acts(self) -> frozenset[tuple[str, float | None]]:
-        """Nodes of the accelerations and their shares, by which frames are told apart."""
-        return frozenset((shake.net, shake.along) for shake in self.shakes)
-
-    @property
-    def words(self) -> str:
-        """For ``explain``."""
-        shares = []
-        for shake in self.shakes:
-            pin = ".".join(shake.pin)
-            if shake.along is None:
-                shares.append(f"an unknown share of {pin}")
-            elif abs(shake.along - 1.0) <= SQUARE:
-                shares.append(pin)
-            else:
-                shares.append(f"{shake.along:.4g} of {pin}")
-        return ", ".join(shares) or f"{self.body}, whose acceleration is at a right angle"
+from kc2spice.scene.model import Part, Scene
+from kc2spice.scene.rows import SQUARE, Shake, ShakenFrame
 
 
 def frames(scene: Scene) -> dict[str, ShakenFrame]:

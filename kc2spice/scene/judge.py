@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from kc2spice.core.equality import EqualByContent
 from kc2spice.core.errors import SimulationError
-from kc2spice.scene.model import Action, Solver
+from kc2spice.scene.settings import Action, Solver
 
 if TYPE_CHECKING:
     import numpy as np

@@ -14,8 +14,9 @@ from pydantic_core import PydanticUndefined
 from kc2spice.core.foreign import parse_toml
 from kc2spice.core.quantities import entries, unit_of
 from kc2spice.scene.load import gallery, load_scene
-from kc2spice.scene.model import TABLES, Frame, Part, Probe, Scene, Terminal
+from kc2spice.scene.model import TABLES, Part, Scene, Terminal
 from kc2spice.scene.parttype import part_types
+from kc2spice.scene.settings import Frame, Probe
 
 
 @dataclass(frozen=True)

@@ -30,17 +30,10 @@ from kc2spice.core.foreign import (
 )
 from kc2spice.core.quantities import clipped, dotted, entries, quantity, shown, told, unit_of
 from kc2spice.scene.compose import composed, unsettled
-from kc2spice.scene.model import GROUND, SCALE_OF, SHORT, Analysis, Frame, Names, Part, Scene
-from kc2spice.scene.parttype import (
-    EVEN,
-    Build,
-    PartType,
-    drive_period,
-    numerics,
-    part_type,
-    type_names,
-)
+from kc2spice.scene.model import GROUND, SHORT, Build, Names, Part, PartType, Scene
+from kc2spice.scene.parttype import EVEN, drive_period, numerics, part_type, type_names
 from kc2spice.scene.plausible import ImplausibleError, drive_levels, judged
+from kc2spice.scene.settings import SCALE_OF, Analysis, Frame
 
 MOST_POINTS = 1e7  # time points of a transient at its largest step
 CLOSEST = 1e-12  # of the last frequency: two points that a simulator can tell apart

@@ -1,282 +1,41 @@
-"""The scene as data: parts by name, joined at typed pins, with analysis, probes and settings.
+"""A scene as data, and what each part type must answer: parts by name, joined at typed pins.
 
-Nothing here knows a part type: what a type can do is behind :class:`kc2spice.scene.parttype.
-PartType`, and the types register themselves.
+Scene, part, part type and build refer to each other. No part type is named here: types are classes
+in other modules that register themselves (:mod:`kc2spice.scene.parttype`).
 """
 
 from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Hashable, Iterable, Mapping
+from collections.abc import Hashable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
+from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
-from pydantic import Field, ValidationInfo, field_validator, model_validator
+import numpy as np
 
 from kc2spice.core.errors import UsageError, unknown
-from kc2spice.core.quantities import (
-    Acceleration,
-    Charge,
-    Count,
-    Frequency,
-    GateLength,
-    GateTime,
-    Notch,
-    Place,
-    Ratio,
-    Section,
-    Time,
-    quantity,
-    refused,
+from kc2spice.core.quantities import Section
+from kc2spice.scene.rows import (
+    Governed,
+    Neglected,
+    Numerics,
+    Rest,
+    Sampled,
+    ShakenFrame,
+    State,
+    StepLimit,
+    Swept,
+    Vector,
 )
+from kc2spice.scene.settings import Frame, Rom
 
 if TYPE_CHECKING:
-    from kc2spice.scene.frames import ShakenFrame
-    from kc2spice.scene.parttype import PartType
-Action = Literal["fail", "warn", "off"]
-
-
-class Rom(Section):
-    """Reduction: a fixed order, or a tolerance over a band; the tolerance unless told."""
-
-    order: Annotated[Count | None, Notch(2.0)] = Field(
-        None, ge=1, le=2000, description="Number of states, instead of a tolerance"
-    )
-    tolerance: Annotated[Ratio | None, Notch(0.1, finest=1e-10)] = Field(
-        None,
-        gt=0,
-        lt=1,
-        description=("Largest relative error over the band; by default 1e-4 unless order is set"),
-    )
-    band: tuple[Frequency, Frequency] = Field(
-        (0.0, 500e3), description="Lowest and highest frequency at which the error estimate holds"
-    )
-    norm: Literal["pointwise", "peak"] | None = Field(
-        None,
-        description=(
-            "Norm of the error; by default peak if all ports are signals, otherwise pointwise"
-        ),
-    )
-
-    parameters: dict[str, tuple[float | str, float | str]] | None = Field(
-        None,
-        description=(
-            "Parameters of the netlist: up to four keys of the body with their ranges, over which "
-            "the error estimate holds"
-        ),
-    )
-
-    @model_validator(mode="before")
-    @classmethod
-    def _one_target(cls, data: Any) -> Any:
-        if isinstance(data, dict) and "order" in data and "tolerance" in data:
-            raise refused("order and tolerance are both set", "one of the two")
-        return data
-
-    @model_validator(mode="after")
-    def _some_target(self) -> Self:
-        if self.order is None and self.tolerance is None:
-            self.__dict__["tolerance"] = 1e-4  # frozen; not among the fields that are set
-        return self
-
-    @field_validator("band")
-    @classmethod
-    def _some_band(cls, band: tuple[float, float]) -> tuple[float, float]:
-        if not 0 <= band[0] < band[1]:
-            raise refused("empty band", "0 <= low < high")
-        return band
-
-    @property
-    def left_open(self) -> bool:
-        """Whether neither order nor tolerance was asked for."""
-        return not {"order", "tolerance"} & self.model_fields_set
-
-
-class Solver(Section):
-    """ngspice settings that are written into the deck."""
-
-    # below 1e-7 ngspice's iterations end in rounding
-    reltol: Annotated[Ratio, Notch(0.1, finest=1e-7)] = Field(
-        1e-4, gt=0, lt=1, description="Relative tolerance of the simulator"
-    )
-    chgtol: Annotated[Charge, Notch(0.1, finest=1e-14)] = Field(
-        1e-8, gt=0, description="Charge tolerance; 1 uC of a fast state is 1 um of displacement"
-    )
-    trtol: Ratio = Field(
-        1.0, ge=1, le=10, description="Factor of ngspice on its estimate of the truncation error"
-    )
-    ringing: Literal["followed", "coarse"] | None = Field(
-        None,
-        description=(
-            "Resolution of ringing bodies; coarse takes fewer steps where only the motion of "
-            "other parts counts"
-        ),
-    )
-    method: Literal["trap", "gear"] = Field(
-        "trap", description="Integration rule of the simulator: trapezoidal or Gear"
-    )
-    max_step: Annotated[Time | None, Notch(0.5)] = Field(
-        None,
-        gt=0,
-        description=(
-            "Largest time step; by default it follows from drives and resonances, which explain "
-            "lists"
-        ),
-    )
-    stop: Time = Field(5e-3, gt=0, description="End of the transient")
-    retries: Count = Field(
-        3, ge=0, le=4, description="Number of further attempts with other settings after a failure"
-    )
-
-
-class Checks(Section):
-    """What becomes of a run whose result violates a check: it fails (exit 5), warns, or neither."""
-
-    energy: Action = Field(
-        "fail", description="Action if an energy balance of sphere, contact or chip fails"
-    )
-    touches: Action = Field(
-        "fail",
-        description=(
-            "Action if there are too many contact events before the launch for this reltol"
-        ),
-    )
-    range: Action = Field(
-        "fail",
-        description=("Action if the sphere leaves the field table or the contact leaves its rings"),
-    )
-    penetration: Action = Field(
-        "warn", description="Action if a contact is too soft or its basis too coarse"
-    )
-    saturation: Action = Field(
-        "warn", description="Action if the controller spends too long at its current limit"
-    )
-    plausible: Action = Field("fail", description="Action if a key has a value that no device has")
-    reduction: Action | None = Field(
-        None,
-        description=(
-            "Action if the error estimate of a metric by a refined run is too large; by default "
-            "off, with an error_budget warn"
-        ),
-    )
-    start: Action = Field(
-        "fail", description="Action if a sphere does not rest on its body at t = 0"
-    )
-
-
-class Bench(Section):
-    """What ``bench`` judges settings by."""
-
-    metric: tuple[str, ...] = Field(
-        (), max_length=64, description="Metrics that the scene is run for; by default all numbers"
-    )
-
-
-class Gates(Section):
-    """Largest errors that a result may have; those with a dimension must be given with a unit."""
-
-    launch_velocity: Ratio | None = Field(
-        None,
-        gt=0,
-        description=(
-            "Relative error of the launch velocity, ngspice against the equations; follows reltol "
-            "and chgtol"
-        ),
-    )
-    trajectory: GateLength | None = Field(
-        None,
-        gt=0,
-        description=(
-            "Largest error of the trajectory, ngspice against the equations; by default "
-            "launch_velocity times the distance"
-        ),
-    )
-    launch_full_model: Ratio | None = Field(
-        None,
-        gt=0,
-        description=(
-            "Relative error of the launch velocity against the full model; follows the error of "
-            "the reduction"
-        ),
-    )
-    position: Ratio = Field(
-        1e-4,
-        gt=0,
-        description=(
-            "Error of the position in an impact relative to the travel, between any two solutions"
-        ),
-    )
-    rebound_velocity: Ratio = Field(
-        5e-5, gt=0, description="Relative error of the rebound velocity, between any two solutions"
-    )
-    separation_time: GateTime = Field(  # type: ignore[assignment]
-        default="1.5 ns",
-        gt=0,
-        description="Error of the end of an impact, between any two solutions",
-    )
-    energy: Ratio = Field(
-        1e-7,
-        gt=0,
-        description=("Share of the turned-over energy that the integration of the equations loses"),
-    )
-    imprint_rom: Ratio = Field(
-        1e-12, gt=0, description="Relative error of the static force, reduced against full model"
-    )
-    imprint_ngspice: Ratio = Field(
-        1e-11,
-        gt=0,
-        description="Relative error of the static force, ngspice against the full model",
-    )
-    harmonic_rom: Ratio = Field(
-        1e-4,
-        gt=0,
-        description=("Relative error of the response over the band, reduced against full model"),
-    )
-    harmonic_low: Ratio = Field(
-        5e-9,
-        gt=0,
-        description=(
-            "Relative error of the response below a fifth of the band, reduced against full model"
-        ),
-    )
-    harmonic_ngspice: Ratio = Field(
-        5e-9, gt=0, description="Relative error of the response, ngspice against the reduced model"
-    )
-    metrics: Ratio | None = Field(
-        None,
-        gt=0,
-        description=(
-            "Relative error of any metric, ngspice against the equations; by default 10 "
-            "solver.reltol"
-        ),
-    )
-    waves: Ratio | None = Field(
-        None,
-        gt=0,
-        description=(
-            "Rms error of any wave, ngspice against the equations; by default 200 solver.reltol"
-        ),
-    )
-    lookup_slope: Ratio = Field(
-        0.05,
-        gt=0,
-        description=("Largest jump of the slope of the force table, relative to the largest slope"),
-    )
-    lookup: Ratio = Field(
-        3e-5,
-        gt=0,
-        description="Error of the magnetic force, table of the netlist against the splines",
-    )
-    field: Ratio = Field(
-        3e-4,
-        gt=0,
-        description=(
-            "Error of the magnetic force, table against a denser one, relative to the largest force"
-        ),
-    )
-
+    from kc2spice.core.figure import Figure, Shape, Written
+    from kc2spice.core.laws import Equations
+    from kc2spice.core.waveforms import Waveforms
+    from kc2spice.scene.judge import Balance, Check, Gate
 
 GROUND = "gnd"
 # Tables that need no ``part`` key, and the type that each means.
@@ -292,8 +51,7 @@ SHORT = {
     "em_force": "current_cases",
 }
 TABLES = {kind: name for name, kind in SHORT.items()}
-_ONE_LINE = r"[^\x00-\x1f\x7f-\x9f\u2028\u2029]"  # such text ends up in a netlist
-FileName = Annotated[str, Field(pattern=rf"^{_ONE_LINE}+$", max_length=255)]
+METER = "meter"  # word of an ammeter's name, behind those of its pin
 
 
 @dataclass(frozen=True)
@@ -369,170 +127,6 @@ class Part:
         return f"<{self.type.name} {self.name}{': ' + joined if joined else ''}>"
 
 
-SCALE_OF = {"transient": "s", "ac": "Hz", "noise": "Hz"}  # units by type of analysis
-
-
-class Analysis(Section):
-    """What the simulator does with the circuit."""
-
-    type: Literal["transient", "ac", "dc", "op", "noise"] = Field(
-        "transient", description="Kind of analysis"
-    )
-    stop: Time | Frequency | None = Field(
-        None, gt=0, description="End of a transient [s], or highest frequency of ac and noise [Hz]"
-    )
-    start: Frequency = Field(0.0, ge=0, description="Lowest frequency of ac and noise")
-    points: Annotated[Count, Notch(2.0, spaces=True)] = Field(
-        200, ge=2, le=200_000, description="Least number of frequencies or of swept values"
-    )
-    scale: Literal["log", "linear"] = Field(
-        "log", description="Spacing of the frequencies of ac and noise; linear may begin at 0 Hz"
-    )
-    output: str | None = Field(
-        None, description="Output of a noise analysis: a result such as disc.u, or PART.PIN"
-    )
-    sweep: str | None = Field(None, description="Key that a dc analysis varies, PART.KEY")
-    from_: Any = Field(0.0, alias="from", description="First value of a dc analysis")
-    to: Any = Field(1.0, description="Last value of a dc analysis")
-    back: bool | None = Field(
-        None,
-        description=("Whether a dc analysis returns to its first value; its scale goes on growing"),
-    )
-
-    @field_validator("stop", mode="before")
-    @classmethod
-    def _stops(cls, stop: Any, info: ValidationInfo) -> Any:
-        """The end of a transient is a time, that of ac and noise a frequency."""
-        unit = SCALE_OF.get(info.data.get("type", ""))
-        if stop is None or unit is None:
-            return stop
-        try:
-            return quantity(stop, unit)
-        except UsageError as error:
-            raise refused(error.message, error.expected) from None
-
-    @model_validator(mode="after")
-    def _from_zero(self) -> Analysis:
-        """A range from 0 Hz is linear, unless its author says otherwise."""
-        if self.small and self.start == 0 and "scale" not in self.model_fields_set:
-            self.__dict__["scale"] = "linear"
-        return self
-
-    @property
-    def small(self) -> bool:
-        """Whether it is linear in signals about an operating point, over frequency."""
-        return self.type in ("ac", "noise")
-
-
-class Probe(Section):
-    """A vector of the result and what to take of it; becomes a metric.
-
-    ``argmax`` is where on the scale (Hz in ``ac``, s in a transient) the largest value lies,
-    ``value`` what the vector has ``at`` a place of the scale, ``frequency`` the mean rate of its
-    cycles over the last half of the run. Complex values are taken by magnitude. A window, ``from``
-    and ``to`` or the last ``periods``, is all that a probe reads, such as a steady state.
-    """
-
-    of: str = Field(
-        description=(
-            "Result that the probe reads: disc.x, NETLIST.NODE, or PART.current, PART.PIN.current "
-            "and PART.power of a part with electrical pins"
-        )
-    )
-    take: Literal[
-        "max",
-        "min",
-        "argmax",
-        "final",
-        "mean",
-        "rms",
-        "peak_to_peak",
-        "crossing",
-        "frequency",
-        "value",
-    ] = Field(
-        "max",
-        description=("Quantity that the probe takes of the result; value reads it where `at` says"),
-    )
-    at: Place | None = Field(
-        None, description="Frequency, time or swept value at which take = value reads the result"
-    )
-    level: Ratio | None = Field(
-        None, description="Level of a crossing, in the SI unit of the result"
-    )
-    from_: Place | None = Field(
-        None, alias="from", description="First frequency, time or swept value that the probe reads"
-    )
-    to: Place | None = Field(
-        None, description="Last frequency, time or swept value that the probe reads"
-    )
-    periods: Count | None = Field(
-        None,
-        ge=1,
-        description=(
-            "Number of the last periods of the scene's sources that the probe reads, instead of "
-            "from and to"
-        ),
-    )
-
-    @property
-    def places(self) -> dict[str, float]:
-        """Its places on the scale of the analysis by their keys."""
-        given = {"at": self.at, "from": self.from_, "to": self.to}
-        return {key: place for key, place in given.items() if place is not None}
-
-    @model_validator(mode="before")
-    @classmethod
-    def _value_at(cls, data: Any) -> Any:
-        return {"take": "value", **data} if isinstance(data, dict) and "at" in data else data
-
-    @model_validator(mode="after")
-    def _goes_together(self) -> Self:
-        for take, key in (("value", "at"), ("crossing", "level")):
-            if (self.take == take) != (getattr(self, key) is not None):
-                raise refused(f"{key} goes with {take}", f'take = "{take}" and {key}, or neither')
-        window = (self.from_, self.to, self.periods)
-        if self.at is not None and any(item is not None for item in window):
-            raise refused("at beside a window", "at, or from and to, or periods")
-        if self.periods is not None and (self.from_ is not None or self.to is not None):
-            raise refused("periods beside from or to", "periods, or from and to")
-        if self.from_ is not None and self.to is not None and self.from_ >= self.to:
-            raise refused("empty window", "from < to")
-        return self
-
-
-class Frame(Section):
-    """Keys of a scene outside of its parts."""
-
-    name: str = Field(
-        pattern=r"^[A-Za-z][A-Za-z0-9_]{0,63}$",
-        description="Name of the scene; by default that of its file",
-    )
-    title: str = Field(
-        "", max_length=200, pattern=rf"^{_ONE_LINE}*$", description="Title of the scene, one line"
-    )
-    gravity: Acceleration = Field(9.81, description="Gravity, positive downwards")
-    error_budget: Ratio | None = Field(
-        None,
-        gt=0,
-        lt=1,
-        description=(
-            "Relative error of every metric that the run must reach by refining the settings that "
-            "the scene leaves open"
-        ),
-    )
-    analysis: Analysis = Analysis()
-    probes: dict[str, Probe] = Field(default_factory=dict)
-    rom: Rom = Rom()
-    solver: Solver = Solver()
-    checks: Checks = Checks()
-    gates: Gates = Gates()
-    bench: Bench = Bench()
-    include: tuple[FileName, ...] = Field(
-        (), max_length=16, description="Netlist files beside the scene that its deck includes"
-    )
-
-
 class Names:
     """A name for each key, the wanted one unless it is ``taken``, in whatever case."""
 
@@ -558,7 +152,7 @@ class Scene:
 
     ``terminals`` has every pin by ``(part, pin)``, ``nets`` its node of the netlist (``"0"`` is
     ground); ``own`` gives ``(part, *words)`` the name of what else the part has there
-    (:meth:`kc2spice.scene.parttype.Build.own`); ``shaken`` has the shaken frame that the
+    (:meth:`Build.own`); ``shaken`` has the shaken frame that the
     displacements of a net are relative to, by node; ``home`` is the folder of the scene's file,
     ``tables`` what it says with all overrides. Bodies keep the ``ports`` that are needed, in an
     export all that their author declares, joined or not
@@ -681,3 +275,233 @@ def scene_hash(scene: Scene) -> str:
         content["every_port"] = whole
     text = json.dumps(content, sort_keys=True, separators=(",", ":"))
     return hashlib.sha256(text.encode()).hexdigest()[:16]
+
+
+@dataclass(frozen=True)
+class Build:
+    """A scene with the models of its parts: what netlist, metrics and checks are made from.
+
+    ``models`` has what :meth:`PartType.build` gave, by part; ``libraries`` maps a part to the name
+    of its subcircuit. ``unjudged`` are parts whose keys do not tell what the deck has, because
+    somebody changed parameters there: they are asked for no checks and no energy balance.
+    ``largest`` is the largest step of a transient.
+    """
+
+    scene: Scene
+    models: Mapping[str, Any]
+    libraries: Mapping[str, str] = field(default_factory=dict)
+    trust: bool = False
+    unjudged: frozenset[str] = frozenset()
+    functions: Mapping[str, Any] = field(default_factory=dict)
+    largest: StepLimit | None = None
+
+    @property
+    def noisy(self) -> bool:
+        """Whether the netlist has sources of noise."""
+        return self.scene.analysis.type == "noise"
+
+    def model(self, part: Part) -> Any:
+        """The model of a part, None where it has none."""
+        return self.models.get(part.name)
+
+    def facts(self, part: Part) -> Mapping[str, float]:
+        """``model`` of ``result.json``: the numbers by which an engineer knows the part's model."""
+        result: Mapping[str, float] = getattr(self.model(part), "facts", {})
+        return result
+
+    def net(self, part: Part, pin: str) -> str:
+        """Node of the netlist that a pin is joined to."""
+        return self.scene.net(part.name, pin)
+
+    def across(self, part: Part, pin: str) -> Vector:
+        """What a pin shows of itself, in SI."""
+        unit = next(item.unit for item in part.type.pins(part, self.scene) if item.name == pin)
+        factor, si = (1e-6, "m") if unit == "um" else (1.0, unit)
+        return Vector(f"v({self.net(part, pin)})", factor, si)
+
+    def meter(self, part: Part, pin: str) -> str | None:
+        """Name of the ammeter at a pin and of the node behind it, None where no probe asks."""
+        return self.scene.own.given.get((part.name, pin, METER))
+
+    def own(self, part: Part, *words: str) -> str:
+        """Name of a node or card of a part besides its pins' nodes and ``LETTERname``: the words
+        with ``_`` in between, or one like it where that is taken."""
+        return self.scene.own.name((part.name, *words), "_".join(words))
+
+
+class PartType:
+    """Base of all part types; every hook may stay, ``schema`` must be there.
+
+    ``name`` is what a scene writes behind ``part =``, ``title`` one line for ``scenes --parts``.
+    """
+
+    name: ClassVar[str]
+    title: ClassVar[str]
+    schema: ClassVar[type[Section]]
+    #: tables of a small scene (TOML) with a part of this type, for ``scenes --parts`` and the docs
+    example: ClassVar[str] = ""
+    #: where its model comes from, for ``explain``
+    source: ClassVar[str] = "circuit"
+    #: whether the names of its results follow from its model
+    results_of_model: ClassVar[bool] = False
+    #: whether it adds the force ``-m a`` of a shaken frame that its pins are in
+    follows_frames: ClassVar[bool] = False
+    #: what has noise: cards of its subcircuit that are resistors of the device, or words for it
+    noise: ClassVar[tuple[str, ...] | str] = ()
+
+    # --- scene: keys, pins, what a part brings along -------------------------------------------
+
+    def expand(self, part: Part, data: Mapping[str, Any]) -> Mapping[str, Mapping[str, Any]]:
+        """Tables of further parts that this one stands for; ``data`` is the whole scene.
+
+        Where the file has such a table itself, ``at`` in it names its keys: ``("kick", "drive")``.
+        A table ``analysis`` is the one that it asks for where the scene has none.
+        """
+        return {}
+
+    def pins(self, part: Part, scene: Scene) -> tuple[Terminal, ...]:
+        """Its pins in the order of its subcircuit."""
+        return ()
+
+    def default_joins(self, part: Part, scene: Scene) -> Mapping[str, str]:
+        """Joins ``pin: target`` that follow from its keys; the scene's ``pins`` come first."""
+        return {}
+
+    def files(self, part: Part, scene: Scene) -> tuple[str, ...]:
+        """Names of the files beside the scene that it reads: that of its key ``file``."""
+        file = getattr(part.keys, "file", None)
+        return () if file is None else (file,)
+
+    def governs(self, part: Part, scene: Scene) -> Mapping[str, State | Governed]:
+        """Parts of which it decides how their motion begins, all of their motion, or that they are
+        copied, see :class:`State` and :data:`Governed`."""
+        return {}
+
+    def at_rest(self, part: Part, scene: Scene, model: Any | None = None) -> Rest:
+        """What it does to the pins that move at rest; ``model`` is None before it is built.
+
+        By default it holds all of its own in place.
+        """
+        return Rest(tuple((p.name, GROUND) for p in self.pins(part, scene) if p.moving))
+
+    def directions(self, part: Part, scene: Scene) -> Mapping[str, tuple[float, ...]]:
+        """Unit vectors of the translations and accelerations at its pins, as far as known."""
+        return {}
+
+    def inertial(self, part: Part, scene: Scene) -> tuple[str, ...]:
+        """Pins that move against inertia of its own."""
+        return ()
+
+    def problems(self, part: Part, scene: Scene) -> Iterable[UsageError]:
+        """What is wrong with it in this scene, ``where`` a dotted key.
+
+        Keys that can be computed but hardly exist (:func:`kc2spice.scene.plausible.within`) are
+        warnings or nothing by ``checks.plausible``.
+        """
+        return ()
+
+    # --- models and netlist --------------------------------------------------------------------
+
+    def reduction(self, part: Part, scene: Scene) -> Rom | None:
+        """Settings of its reduction, None where its model is not a reduced one."""
+        return None
+
+    def build(self, part: Part, scene: Scene, clock: Any, full: bool = False) -> Any:
+        """Its model: fields, reduced matrices, tables; cached by all that it depends on.
+
+        In ``full`` what that approximates, in the same form: the full
+        :class:`kc2spice.rom.linear.LinearModel` of a reduced one, a table of more nodes. ``verify``
+        solves the scene with it; None where there is none.
+        """
+        return None
+
+    def library(self, part: Part, scene: Scene) -> str:
+        """Name of its subcircuit: the type's where the scene has one part of it, else its own."""
+        return self.name if len(scene.of(self.name)) == 1 else part.name
+
+    def subcircuits(self, part: Part, build: Build, header: Any) -> tuple[Any, ...]:
+        """Its subcircuit, behind those that it needs; empty for a part of plain cards."""
+        return ()
+
+    def cards(self, part: Part, build: Build) -> tuple[str, ...]:
+        """Its lines in the deck: an instance of its subcircuit with the meters that probes ask for,
+        unless it says otherwise."""
+        pins = {pin.name: build.net(part, pin.name) for pin in self.pins(part, build.scene)}
+        meters = {pin: name for pin in pins if (name := build.meter(part, pin))}
+        nodes = " ".join({**pins, **meters}.values())
+        read = (f"{name} {pins[pin]} {name} 0" for pin, name in meters.items())
+        return (f"X{part.name} {nodes} {build.libraries[part.name]}", *read)
+
+    def settable(self, part: Part, build: Build) -> Mapping[str, Swept | Sampled | float]:
+        """What its equations do not decide: by key the source that a dc sweep of it moves, the
+        function that runs beside the simulator, and by node the voltage at t = 0 (``.ic``)."""
+        return {}
+
+    def numerics(self, part: Part, scene: Scene) -> Iterable[Numerics]:
+        """What the simulator needs for it: a source's frequency and edges, a carrier, a contact,
+        how close steps must follow it, and options."""
+        return ()
+
+    def highest_frequency(self, part: Part, scene: Scene, constant: float) -> float:
+        """Frequency [Hz] up to which what it prescribes in a transient has nearly all of its
+        energy, behind a time constant [s] where it is a voltage or a force."""
+        return 0.0
+
+    def vectors(self, part: Part, build: Build) -> Mapping[str, Vector]:
+        """Its results by name."""
+        return {}
+
+    def force_on(self, part: Part, pin: str, build: Build, waves: Waveforms) -> np.ndarray | None:
+        """Force [N] over time that it puts on what its mechanical pin is joined to: the sum of the
+        results that leave it there."""
+        rows = flows(part, pin, build).items()
+        result = [sign * waves[name] for name, (_, sign) in rows if name in waves]
+        return np.sum(result, axis=0) if result else None
+
+    # --- what a run says -----------------------------------------------------------------------
+
+    def metrics(self, part: Part, build: Build, waves: Waveforms) -> Mapping[str, Any]:
+        """Numbers that describe what it did, each a :class:`kc2spice.scene.judge.Metric` with its
+        unit, or a mapping of such; a plain number has no unit."""
+        return {}
+
+    def checks(
+        self, part: Part, build: Build, waves: Waveforms
+    ) -> Iterable[Check | Balance | Gate]:
+        """Physics that the simulator was not told; after a transient its energy balance too, where
+        the run has all that it needs; and the results that the scene is run for, with how far two
+        solution paths may differ in them."""
+        return ()
+
+    def standing(self, part: Part, build: Build, point: Waveforms) -> Iterable[Check]:
+        """Whether small signals about the operating ``point`` of a scene mean anything."""
+        return ()
+
+    def law(self, part: Part, build: Build) -> Equations | None:
+        """Its equations for the independent integrator; None where it has none."""
+        return None
+
+    def figures(self, part: Part, build: Build, waves: Waveforms) -> Iterable[Figure | Written]:
+        """Plots of its results for the report, and further files of a run, arrays or fields."""
+        return ()
+
+    def outline(self, part: Part, scene: Scene) -> Iterable[Shape]:
+        """Its side view for the report; the upper face of a body is at y = 0, its axis at x = 0."""
+        return ()
+
+    # --- what explain says ---------------------------------------------------------------------
+
+    def notes(self, part: Part, scene: Scene) -> Iterator[str | Neglected]:
+        """What is modelled of it, in words, and effects that it has no model of."""
+        yield self.title
+
+
+def flows(part: Part, pin: str, build: Build) -> dict[str, tuple[Vector, float]]:
+    """Results of a part that are currents or forces at a pin, by name: with 1 where they leave it
+    there, with -1 where they enter."""
+    rows = part.type.vectors(part, build).items()
+    return {
+        name: (row, 1.0 if pin in row.leaves else -1.0)
+        for name, row in rows
+        if pin in (*row.leaves, *row.enters)
+    }

@@ -20,8 +20,9 @@ from kc2spice.core.mesh_error import mesh_errors
 from kc2spice.core.quantities import Notch
 from kc2spice.scene.compose import drawing
 from kc2spice.scene.frames import frame_lines
-from kc2spice.scene.model import Analysis, Part, Rom, Scene, Solver
-from kc2spice.scene.parttype import Build, Neglected
+from kc2spice.scene.model import Build, Part, Scene
+from kc2spice.scene.rows import Neglected
+from kc2spice.scene.settings import Analysis, Rom, Solver
 
 MAX_STEP = "solver.max_step"
 MOST_POINTS = 2e5  # of a transient

@@ -13,8 +13,7 @@ from kc2spice.core.errors import UsageError
 from kc2spice.core.quantities import MASSES, Plausible, role_of
 
 if TYPE_CHECKING:
-    from kc2spice.scene.model import Scene
-    from kc2spice.scene.parttype import Build
+    from kc2spice.scene.model import Build, Scene
 
 
 class ImplausibleError(UsageError):

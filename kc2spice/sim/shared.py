@@ -30,7 +30,7 @@ from kc2spice.core.foreign import lines_of
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.netlist.deck import Deck
 from kc2spice.netlist.scope import INCLUDES
-from kc2spice.scene.parttype import Sampled
+from kc2spice.scene.rows import Sampled
 from kc2spice.sim.ngspice import named, partial_waves
 from kc2spice.sim.output import altered_run, failed_run, read_raw, statistics
 

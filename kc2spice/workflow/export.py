@@ -14,8 +14,7 @@ from kc2spice.netlist.transforms import array_deck
 from kc2spice.netlist.translate import DECKS, DIALECTS, dialect_files, symbol_files
 from kc2spice.parts._linear_body import LinearBody
 from kc2spice.scene.compose import composed
-from kc2spice.scene.model import Scene
-from kc2spice.scene.parttype import Build
+from kc2spice.scene.model import Build, Scene
 from kc2spice.sim.ngspice import write_files
 from kc2spice.spice.emitted import require_circuit
 from kc2spice.workflow.decks import prepared, spare_other_decks

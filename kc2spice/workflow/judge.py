@@ -14,8 +14,9 @@ from kc2spice.core.errors import UsageError, unknown
 from kc2spice.core.waveforms import SCALES, Waveforms, interpolate
 from kc2spice.report.html import leaves
 from kc2spice.scene.judge import Balance, Check, Gate, Metric, Verdict
-from kc2spice.scene.model import Probe, Scene
-from kc2spice.scene.parttype import Build, drive_period
+from kc2spice.scene.model import Build, Scene
+from kc2spice.scene.parttype import drive_period
+from kc2spice.scene.settings import Probe
 from kc2spice.workflow import meters
 from kc2spice.workflow.steps import step_checks
 

@@ -20,8 +20,9 @@ from kc2spice.netlist.scope import Scope
 from kc2spice.scene.compose import composed, electrical, metered
 from kc2spice.scene.judge import Check, Metric
 from kc2spice.scene.keys import model_keys
-from kc2spice.scene.model import Names, Part
-from kc2spice.scene.parttype import Build, PartType, Swept, Vector, replaced
+from kc2spice.scene.model import Build, Names, Part, PartType
+from kc2spice.scene.parttype import replaced
+from kc2spice.scene.rows import Swept, Vector
 
 WAVE = "noise"  # spectral density of the output, and the metric of its rms value
 DENSITY = "/sqrt(Hz)"

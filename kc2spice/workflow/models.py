@@ -11,8 +11,7 @@ from kc2spice.core.progress import Clock
 from kc2spice.parts._linear_body import LinearBody
 from kc2spice.rom.linear import LinearModel
 from kc2spice.rom.modal import mode_table
-from kc2spice.scene.model import Names, Scene, scene_hash
-from kc2spice.scene.parttype import Build
+from kc2spice.scene.model import Build, Names, Scene, scene_hash
 from kc2spice.spice.header import Header
 from kc2spice.workflow.steps import largest_step
 

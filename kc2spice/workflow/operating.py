@@ -13,8 +13,8 @@ from kc2spice.core.errors import SimulationError, UsageError
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.netlist.deck import Deck
 from kc2spice.scene.judge import Check
-from kc2spice.scene.model import Analysis, Part
-from kc2spice.scene.parttype import Build
+from kc2spice.scene.model import Build, Part
+from kc2spice.scene.settings import Analysis
 from kc2spice.sim.ngspice import run_deck
 from kc2spice.workflow.decks import make_deck
 

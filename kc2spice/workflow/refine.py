@@ -26,8 +26,9 @@ from kc2spice.core.waveforms import interpolate
 from kc2spice.parts._meshed import MeshedBody
 from kc2spice.scene.judge import Check
 from kc2spice.scene.load import load_scene
-from kc2spice.scene.model import Action, Part, Scene
+from kc2spice.scene.model import Part, Scene
 from kc2spice.scene.plan import Axis, axes, key_prefix, keys_at
+from kc2spice.scene.settings import Action
 from kc2spice.workflow.decks import prepared
 from kc2spice.workflow.simulate import Run, ran, simulate, simulator_cpu
 

@@ -18,7 +18,7 @@ from kc2spice.core.errors import SimulationError, UsageError
 from kc2spice.netlist.deck import Command, Deck, over
 from kc2spice.reference.linear import Linear
 from kc2spice.rom.linear import LinearModel
-from kc2spice.scene.parttype import Build
+from kc2spice.scene.model import Build
 from kc2spice.workflow.verify.circuit import Circuit, circuits, without_law
 
 LARGEST_SYSTEM = 600  # unknowns; eigenvalues of larger systems take seconds

@@ -21,7 +21,9 @@ from kc2spice.core.errors import SimulationError, UsageError
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.report.html import quantity
 from kc2spice.scene.judge import Balance, Check
-from kc2spice.scene.parttype import Build, StepLimit, Vector, numerics
+from kc2spice.scene.model import Build
+from kc2spice.scene.parttype import numerics
+from kc2spice.scene.rows import StepLimit, Vector
 from kc2spice.workflow.meters import result_vectors
 
 if TYPE_CHECKING:

@@ -14,7 +14,7 @@ from commands import asked
 
 import kc2spice as kc
 from kc2spice.scene.load import load_scene
-from kc2spice.scene.parttype import Build
+from kc2spice.scene.model import Build
 from kc2spice.scene.plan import axes
 from kc2spice.workflow.run import run
 

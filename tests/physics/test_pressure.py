@@ -26,7 +26,7 @@ from kc2spice.core.waveforms import Waveforms
 from kc2spice.fem.materials import material
 from kc2spice.parts._touching import Pair
 from kc2spice.scene.load import load_scene
-from kc2spice.scene.parttype import Build
+from kc2spice.scene.model import Build
 
 SPACING, COUNT, PATCH = 10e-6, 12, 250e-6
 NODES = SPACING * np.arange(COUNT + 1)

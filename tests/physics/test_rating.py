@@ -10,7 +10,7 @@ import pytest
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.rom.linear import Certificate
 from kc2spice.scene.load import load_scene
-from kc2spice.scene.parttype import Build
+from kc2spice.scene.model import Build
 
 ROOT = Path(__file__).parents[2]
 

@@ -11,7 +11,7 @@ from kc2spice.netlist.deck import Deck
 from kc2spice.rom.linear import Certificate, Port
 from kc2spice.rom.modal import Resonators
 from kc2spice.scene.load import load_scene
-from kc2spice.scene.parttype import Build
+from kc2spice.scene.model import Build
 from kc2spice.sim.ngspice import run_deck
 from kc2spice.workflow.decks import make_deck
 from kc2spice.workflow.judge import verdict

@@ -21,7 +21,8 @@ from kc2spice.physics import contact, law
 from kc2spice.physics.contact import Normal
 from kc2spice.physics.part import subcircuit
 from kc2spice.scene.load import gallery, load_scene
-from kc2spice.scene.parttype import Build, part_types
+from kc2spice.scene.model import Build
+from kc2spice.scene.parttype import part_types
 from kc2spice.spice.header import Header
 
 DECLARED = {n: kind for n, kind in part_types().items() if hasattr(kind, "declaration")}

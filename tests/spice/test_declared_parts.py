@@ -15,7 +15,7 @@ from kc2spice.physics.cards import body
 from kc2spice.reference.integrate import transient
 from kc2spice.scene import parttype
 from kc2spice.scene.load import load_scene
-from kc2spice.scene.parttype import Build
+from kc2spice.scene.model import Build
 from kc2spice.workflow.judge import verdict
 from kc2spice.workflow.verify.circuit import circuits, solve
 

@@ -11,7 +11,8 @@ from kc2spice.parts.bimorph import structure
 from kc2spice.parts.gap import branches_of
 from kc2spice.physics.expression import evaluated
 from kc2spice.scene.load import load_scene
-from kc2spice.scene.parttype import Build, Neglected
+from kc2spice.scene.model import Build
+from kc2spice.scene.rows import Neglected
 
 EPS, AREA, GAP, TRAVEL, K = 8.8541878188e-12, 1e-8, 3e-6, 2e-6, 1.2152
 LENGTH, WIDTH, FILM, VISCOSITY, PRESSURE = 2e-3, 1e-3, 5e-6, 18.3e-6, 1e5

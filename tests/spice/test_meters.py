@@ -7,7 +7,7 @@ from device import models
 import kc2spice as kc
 from kc2spice.core.errors import UsageError
 from kc2spice.scene.load import load_scene
-from kc2spice.scene.parttype import flows
+from kc2spice.scene.model import flows
 from kc2spice.workflow.decks import make_deck
 from kc2spice.workflow.simulate import simulate
 

@@ -12,7 +12,7 @@ from kc2spice.parts._template import opamp_subcircuit
 from kc2spice.parts.sphere import rigid_sphere
 from kc2spice.physics.part import subcircuit as declared
 from kc2spice.pyspice import subcircuit
-from kc2spice.scene.parttype import Sampled
+from kc2spice.scene.rows import Sampled
 from kc2spice.sim.ngspice import run_deck
 from kc2spice.sim.shared import run_shared
 

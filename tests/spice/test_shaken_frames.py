@@ -10,7 +10,7 @@ from scipy.integrate import solve_ivp
 import kc2spice as kc
 from kc2spice.core.errors import UsageError
 from kc2spice.scene.load import load_scene
-from kc2spice.scene.parttype import Build
+from kc2spice.scene.model import Build
 from kc2spice.scene.plan import plan
 
 STEEL = {"density": 7800.0, "youngs_modulus": "200 GPa", "poisson_ratio": 0.3}

@@ -7,7 +7,7 @@ from scipy.integrate import solve_ivp
 import kc2spice as kc
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.scene.load import load_scene
-from kc2spice.scene.parttype import Build
+from kc2spice.scene.model import Build
 from kc2spice.workflow.verify.circuit import solve
 
 MASS, PUSH, TRAVEL, STOP = 1e-6, 1e-4, 1e-4, 1e4  # kg, N, m, N/m

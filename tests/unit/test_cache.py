@@ -166,7 +166,8 @@ def test_two_that_need_the_same_build_it_once(folder):
 # and refuse what does not fit into the memory.
 NEUTRAL = {
     "kc2spice.core.cache", "kc2spice.core.errors", "kc2spice.core.memory", "kc2spice.core.progress",
-    "kc2spice.scene.model", "kc2spice.scene.parttype",
+    "kc2spice.scene.model", "kc2spice.scene.parttype", "kc2spice.scene.rows",
+    "kc2spice.scene.settings",
 }  # fmt: skip
 SMALL = ("kick.layers=2", "kick.mesh.sectors=4", "kick.mesh.rings=1", "kick.mesh.outer_rings=1",
          "rom.order=6", "contact.rings=all", "catch.positions=4")  # fmt: skip

@@ -8,7 +8,7 @@ from scipy.sparse.linalg import spsolve
 from kc2spice.fem.materials import material
 from kc2spice.parts import _neglected, bimorph, disc
 from kc2spice.scene.load import load_scene
-from kc2spice.scene.parttype import Neglected
+from kc2spice.scene.rows import Neglected
 
 BUZZER = {
     "layers": [

@@ -19,7 +19,7 @@ from kc2spice.report.figures import draw_all
 from kc2spice.report.html import Section, figure_html, quantity, write_page
 from kc2spice.report.run_page import write_run
 from kc2spice.scene.load import load_scene
-from kc2spice.scene.parttype import Build
+from kc2spice.scene.model import Build
 from kc2spice.scene.plan import plan
 from kc2spice.workflow.judge import metrics
 

@@ -25,8 +25,7 @@ from kc2spice.netlist.foreign import included_netlist
 from kc2spice.netlist.transforms import Parameters, cards, declared, library_of, with_parameters
 from kc2spice.report.html import leaves
 from kc2spice.scene.load import gallery, load_scene, toml
-from kc2spice.scene.model import Scene
-from kc2spice.scene.parttype import Build
+from kc2spice.scene.model import Build, Scene
 from kc2spice.workflow.decks import prepared
 from kc2spice.workflow.edits import with_value
 from kc2spice.workflow.models import fact_units

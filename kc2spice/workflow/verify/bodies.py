@@ -22,8 +22,7 @@ from kc2spice.rom.modal import resonators
 from kc2spice.rom.response import Response, adaptive_frequencies, relative_error
 from kc2spice.rom.structure import structure as form
 from kc2spice.scene.judge import Check
-from kc2spice.scene.model import Part
-from kc2spice.scene.parttype import Build
+from kc2spice.scene.model import Build, Part
 from kc2spice.sim.ngspice import run_deck
 from kc2spice.spice.emitted import reaction_mass
 from kc2spice.spice.realize import loaded

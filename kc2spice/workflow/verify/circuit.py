@@ -38,7 +38,8 @@ from kc2spice.reference.linear import ac, noise
 from kc2spice.reference.steps import steps
 from kc2spice.rom.linear import LinearModel
 from kc2spice.rom.reduce import surrogate
-from kc2spice.scene.parttype import Build, replaced
+from kc2spice.scene.model import Build
+from kc2spice.scene.parttype import replaced
 from kc2spice.workflow.meters import WAVE, sweep_values, swept
 from kc2spice.workflow.verify.bodies import held_band
 

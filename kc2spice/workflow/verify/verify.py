@@ -24,8 +24,7 @@ from kc2spice.netlist.library import Subcircuit, subcircuits
 from kc2spice.report.pages import Findings, comparison, write_verify
 from kc2spice.scene.compose import composed
 from kc2spice.scene.judge import PAIRS, Check, Gate, Verdict
-from kc2spice.scene.model import Scene
-from kc2spice.scene.parttype import Build
+from kc2spice.scene.model import Build, Scene
 from kc2spice.sim.ngspice import find_ngspice
 from kc2spice.workflow.decks import prepared
 from kc2spice.workflow.judge import metrics, verdict

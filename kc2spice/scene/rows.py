@@ -1,0 +1,152 @@
+"""What part types return to the scene: initial states, results, numerical needs, shaken frames."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Literal
+
+Pin = tuple[str, str]
+SQUARE = 1e-9  # cosine of two directions at a right angle, but for rounding
+
+
+@dataclass(frozen=True)
+class Neglected:
+    """An effect without a model, why, and what its absence changes at most."""
+
+    effect: str
+    why: str
+    error: str
+
+
+@dataclass(frozen=True)
+class State:
+    """How a motion begins: velocity [m/s] and height over touching [m]."""
+
+    velocity: float
+    height: float
+
+
+#: All motion of a part, which has none of its own, or a part without cards and results of its own,
+#: as cards of another one have copies of it.
+Governed = Literal["moved", "copied"]
+
+
+@dataclass(frozen=True)
+class Rest:
+    """What a part does to its pins that move at rest.
+
+    ``held`` are pairs of them, or such a pin and ``gnd``, that it keeps apart, ``ideal`` pairs of
+    any pins whose difference it sets as an ideal source. On ``pushed`` ones it puts a constant
+    force at t = 0. ``kinked`` is the key of a motion that it prescribes with jumps of velocity,
+    ``inert`` are pins whose velocity no finite force makes jump.
+    """
+
+    held: tuple[tuple[str, str], ...] = ()
+    ideal: tuple[tuple[str, str], ...] = ()
+    pushed: tuple[str, ...] = ()
+    kinked: str = ""
+    inert: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Vector:
+    """A result: an ngspice expression (``a+b`` is a sum), the factor to SI, the SI unit; the pins
+    where, as a current or force, it ``leaves`` and ``enters`` the part."""
+
+    expression: str
+    factor: float
+    unit: str
+    leaves: tuple[str, ...] = ()
+    enters: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Swept:
+    """The source that a dc sweep of a key moves, its volts or amperes per SI unit, and first and
+    last value in SI where they are not the scene's."""
+
+    source: str
+    scale: float
+    range: tuple[float, float] | None = None
+
+
+@dataclass(frozen=True)
+class Sampled:
+    """A function outside of the simulator that sets ``source`` (a card's name in lower case).
+
+    ``call(time, values)`` sees the saved node voltages every ``period`` [s], first at zero; what
+    it returns is held from ``delay`` [s] later on.
+    """
+
+    source: str
+    period: float
+    delay: float
+    call: Callable[[float, Mapping[str, float]], float]
+
+
+@dataclass(frozen=True)
+class StepLimit:
+    """A largest time step [s] and why."""
+
+    step: float
+    why: str
+
+
+@dataclass(frozen=True)
+class Numerics:
+    """What a part does in time by itself: the longest ``step`` [s] that resolves it, and the
+    ``content`` [Hz] up to which it excites others; whether it ``prescribes`` small signals of
+    ``ac``. A step that ``decides`` stands whatever else the scene has. ``reltol`` and ``chgtol``
+    are factors, 1 or less, of the solver's tolerances that it needs to be as exact as anything
+    else, ``options`` the simulator's by name: value and reason. What it drives repeats after its
+    ``period`` [s], 0 where it does not.
+    """
+
+    what: str
+    step: float = math.inf
+    content: float = 0.0
+    prescribes: bool = False
+    decides: bool = False
+    reltol: float = 1.0
+    chgtol: float = 1.0
+    period: float = 0.0
+    options: Mapping[str, tuple[str, str]] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Shake:
+    """The acceleration at a ``pin`` of a body, on the node ``net``, and how much of it is ``along``
+    a displacement: the cosine between both, None where a direction is not known."""
+
+    net: str
+    pin: Pin
+    along: float | None
+
+
+@dataclass(frozen=True)
+class ShakenFrame:
+    """What shakes the frame of a net; nothing where all of it is at a right angle."""
+
+    body: str
+    shakes: tuple[Shake, ...]
+
+    @property
+    def acts(self) -> frozenset[tuple[str, float | None]]:
+        """Nodes of the accelerations and their shares, by which frames are told apart."""
+        return frozenset((shake.net, shake.along) for shake in self.shakes)
+
+    @property
+    def words(self) -> str:
+        """For ``explain``."""
+        shares = []
+        for shake in self.shakes:
+            pin = ".".join(shake.pin)
+            if shake.along is None:
+                shares.append(f"an unknown share of {pin}")
+            elif abs(shake.along - 1.0) <= SQUARE:
+                shares.append(pin)
+            else:
+                shares.append(f"{shake.along:.4g} of {pin}")
+        return ", ".join(shares) or f"{self.body}, whose acceleration is at a right angle"

@@ -1,0 +1,435 @@
+"""Settings of a scene outside of its parts: analysis, probes, reduction, solver, checks, gates.
+
+Each class is a table of the scene's file, with the default and the description of every key.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal, Self
+
+from pydantic import Field, ValidationInfo, field_validator, model_validator
+
+from kc2spice.core.errors import UsageError
+from kc2spice.core.quantities import (
+    Acceleration,
+    Charge,
+    Count,
+    Frequency,
+    GateLength,
+    GateTime,
+    Notch,
+    Place,
+    Ratio,
+    Section,
+    Time,
+    quantity,
+    refused,
+)
+
+Action = Literal["fail", "warn", "off"]
+_ONE_LINE = r"[^\x00-\x1f\x7f-\x9f\u2028\u2029]"  # such text ends up in a netlist
+FileName = Annotated[str, Field(pattern=rf"^{_ONE_LINE}+$", max_length=255)]
+
+
+class Rom(Section):
+    """Reduction: a fixed order, or a tolerance over a band; the tolerance unless told."""
+
+    order: Annotated[Count | None, Notch(2.0)] = Field(
+        None, ge=1, le=2000, description="Number of states, instead of a tolerance"
+    )
+    tolerance: Annotated[Ratio | None, Notch(0.1, finest=1e-10)] = Field(
+        None,
+        gt=0,
+        lt=1,
+        description=("Largest relative error over the band; by default 1e-4 unless order is set"),
+    )
+    band: tuple[Frequency, Frequency] = Field(
+        (0.0, 500e3), description="Lowest and highest frequency at which the error estimate holds"
+    )
+    norm: Literal["pointwise", "peak"] | None = Field(
+        None,
+        description=(
+            "Norm of the error; by default peak if all ports are signals, otherwise pointwise"
+        ),
+    )
+
+    parameters: dict[str, tuple[float | str, float | str]] | None = Field(
+        None,
+        description=(
+            "Parameters of the netlist: up to four keys of the body with their ranges, over which "
+            "the error estimate holds"
+        ),
+    )
+
+    @model_validator(mode="before")
+    @classmethod
+    def _one_target(cls, data: Any) -> Any:
+        if isinstance(data, dict) and "order" in data and "tolerance" in data:
+            raise refused("order and tolerance are both set", "one of the two")
+        return data
+
+    @model_validator(mode="after")
+    def _some_target(self) -> Self:
+        if self.order is None and self.tolerance is None:
+            self.__dict__["tolerance"] = 1e-4  # frozen; not among the fields that are set
+        return self
+
+    @field_validator("band")
+    @classmethod
+    def _some_band(cls, band: tuple[float, float]) -> tuple[float, float]:
+        if not 0 <= band[0] < band[1]:
+            raise refused("empty band", "0 <= low < high")
+        return band
+
+    @property
+    def left_open(self) -> bool:
+        """Whether neither order nor tolerance was asked for."""
+        return not {"order", "tolerance"} & self.model_fields_set
+
+
+class Solver(Section):
+    """ngspice settings that are written into the deck."""
+
+    # below 1e-7 ngspice's iterations end in rounding
+    reltol: Annotated[Ratio, Notch(0.1, finest=1e-7)] = Field(
+        1e-4, gt=0, lt=1, description="Relative tolerance of the simulator"
+    )
+    chgtol: Annotated[Charge, Notch(0.1, finest=1e-14)] = Field(
+        1e-8, gt=0, description="Charge tolerance; 1 uC of a fast state is 1 um of displacement"
+    )
+    trtol: Ratio = Field(
+        1.0, ge=1, le=10, description="Factor of ngspice on its estimate of the truncation error"
+    )
+    ringing: Literal["followed", "coarse"] | None = Field(
+        None,
+        description=(
+            "Resolution of ringing bodies; coarse takes fewer steps where only the motion of "
+            "other parts counts"
+        ),
+    )
+    method: Literal["trap", "gear"] = Field(
+        "trap", description="Integration rule of the simulator: trapezoidal or Gear"
+    )
+    max_step: Annotated[Time | None, Notch(0.5)] = Field(
+        None,
+        gt=0,
+        description=(
+            "Largest time step; by default it follows from drives and resonances, which explain "
+            "lists"
+        ),
+    )
+    stop: Time = Field(5e-3, gt=0, description="End of the transient")
+    retries: Count = Field(
+        3, ge=0, le=4, description="Number of further attempts with other settings after a failure"
+    )
+
+
+class Checks(Section):
+    """What becomes of a run whose result violates a check: it fails (exit 5), warns, or neither."""
+
+    energy: Action = Field(
+        "fail", description="Action if an energy balance of sphere, contact or chip fails"
+    )
+    touches: Action = Field(
+        "fail",
+        description=(
+            "Action if there are too many contact events before the launch for this reltol"
+        ),
+    )
+    range: Action = Field(
+        "fail",
+        description=("Action if the sphere leaves the field table or the contact leaves its rings"),
+    )
+    penetration: Action = Field(
+        "warn", description="Action if a contact is too soft or its basis too coarse"
+    )
+    saturation: Action = Field(
+        "warn", description="Action if the controller spends too long at its current limit"
+    )
+    plausible: Action = Field("fail", description="Action if a key has a value that no device has")
+    reduction: Action | None = Field(
+        None,
+        description=(
+            "Action if the error estimate of a metric by a refined run is too large; by default "
+            "off, with an error_budget warn"
+        ),
+    )
+    start: Action = Field(
+        "fail", description="Action if a sphere does not rest on its body at t = 0"
+    )
+
+
+class Bench(Section):
+    """What ``bench`` judges settings by."""
+
+    metric: tuple[str, ...] = Field(
+        (), max_length=64, description="Metrics that the scene is run for; by default all numbers"
+    )
+
+
+class Gates(Section):
+    """Largest errors that a result may have; those with a dimension must be given with a unit."""
+
+    launch_velocity: Ratio | None = Field(
+        None,
+        gt=0,
+        description=(
+            "Relative error of the launch velocity, ngspice against the equations; follows reltol "
+            "and chgtol"
+        ),
+    )
+    trajectory: GateLength | None = Field(
+        None,
+        gt=0,
+        description=(
+            "Largest error of the trajectory, ngspice against the equations; by default "
+            "launch_velocity times the distance"
+        ),
+    )
+    launch_full_model: Ratio | None = Field(
+        None,
+        gt=0,
+        description=(
+            "Relative error of the launch velocity against the full model; follows the error of "
+            "the reduction"
+        ),
+    )
+    position: Ratio = Field(
+        1e-4,
+        gt=0,
+        description=(
+            "Error of the position in an impact relative to the travel, between any two solutions"
+        ),
+    )
+    rebound_velocity: Ratio = Field(
+        5e-5, gt=0, description="Relative error of the rebound velocity, between any two solutions"
+    )
+    separation_time: GateTime = Field(  # type: ignore[assignment]
+        default="1.5 ns",
+        gt=0,
+        description="Error of the end of an impact, between any two solutions",
+    )
+    energy: Ratio = Field(
+        1e-7,
+        gt=0,
+        description=("Share of the turned-over energy that the integration of the equations loses"),
+    )
+    imprint_rom: Ratio = Field(
+        1e-12, gt=0, description="Relative error of the static force, reduced against full model"
+    )
+    imprint_ngspice: Ratio = Field(
+        1e-11,
+        gt=0,
+        description="Relative error of the static force, ngspice against the full model",
+    )
+    harmonic_rom: Ratio = Field(
+        1e-4,
+        gt=0,
+        description=("Relative error of the response over the band, reduced against full model"),
+    )
+    harmonic_low: Ratio = Field(
+        5e-9,
+        gt=0,
+        description=(
+            "Relative error of the response below a fifth of the band, reduced against full model"
+        ),
+    )
+    harmonic_ngspice: Ratio = Field(
+        5e-9, gt=0, description="Relative error of the response, ngspice against the reduced model"
+    )
+    metrics: Ratio | None = Field(
+        None,
+        gt=0,
+        description=(
+            "Relative error of any metric, ngspice against the equations; by default 10 "
+            "solver.reltol"
+        ),
+    )
+    waves: Ratio | None = Field(
+        None,
+        gt=0,
+        description=(
+            "Rms error of any wave, ngspice against the equations; by default 200 solver.reltol"
+        ),
+    )
+    lookup_slope: Ratio = Field(
+        0.05,
+        gt=0,
+        description=("Largest jump of the slope of the force table, relative to the largest slope"),
+    )
+    lookup: Ratio = Field(
+        3e-5,
+        gt=0,
+        description="Error of the magnetic force, table of the netlist against the splines",
+    )
+    field: Ratio = Field(
+        3e-4,
+        gt=0,
+        description=(
+            "Error of the magnetic force, table against a denser one, relative to the largest force"
+        ),
+    )
+
+
+SCALE_OF = {"transient": "s", "ac": "Hz", "noise": "Hz"}  # units by type of analysis
+
+
+class Analysis(Section):
+    """What the simulator does with the circuit."""
+
+    type: Literal["transient", "ac", "dc", "op", "noise"] = Field(
+        "transient", description="Kind of analysis"
+    )
+    stop: Time | Frequency | None = Field(
+        None, gt=0, description="End of a transient [s], or highest frequency of ac and noise [Hz]"
+    )
+    start: Frequency = Field(0.0, ge=0, description="Lowest frequency of ac and noise")
+    points: Annotated[Count, Notch(2.0, spaces=True)] = Field(
+        200, ge=2, le=200_000, description="Least number of frequencies or of swept values"
+    )
+    scale: Literal["log", "linear"] = Field(
+        "log", description="Spacing of the frequencies of ac and noise; linear may begin at 0 Hz"
+    )
+    output: str | None = Field(
+        None, description="Output of a noise analysis: a result such as disc.u, or PART.PIN"
+    )
+    sweep: str | None = Field(None, description="Key that a dc analysis varies, PART.KEY")
+    from_: Any = Field(0.0, alias="from", description="First value of a dc analysis")
+    to: Any = Field(1.0, description="Last value of a dc analysis")
+    back: bool | None = Field(
+        None,
+        description=("Whether a dc analysis returns to its first value; its scale goes on growing"),
+    )
+
+    @field_validator("stop", mode="before")
+    @classmethod
+    def _stops(cls, stop: Any, info: ValidationInfo) -> Any:
+        """The end of a transient is a time, that of ac and noise a frequency."""
+        unit = SCALE_OF.get(info.data.get("type", ""))
+        if stop is None or unit is None:
+            return stop
+        try:
+            return quantity(stop, unit)
+        except UsageError as error:
+            raise refused(error.message, error.expected) from None
+
+    @model_validator(mode="after")
+    def _from_zero(self) -> Analysis:
+        """A range from 0 Hz is linear, unless its author says otherwise."""
+        if self.small and self.start == 0 and "scale" not in self.model_fields_set:
+            self.__dict__["scale"] = "linear"
+        return self
+
+    @property
+    def small(self) -> bool:
+        """Whether it is linear in signals about an operating point, over frequency."""
+        return self.type in ("ac", "noise")
+
+
+class Probe(Section):
+    """A vector of the result and what to take of it; becomes a metric.
+
+    ``argmax`` is where on the scale (Hz in ``ac``, s in a transient) the largest value lies,
+    ``value`` what the vector has ``at`` a place of the scale, ``frequency`` the mean rate of its
+    cycles over the last half of the run. Complex values are taken by magnitude. A window, ``from``
+    and ``to`` or the last ``periods``, is all that a probe reads, such as a steady state.
+    """
+
+    of: str = Field(
+        description=(
+            "Result that the probe reads: disc.x, NETLIST.NODE, or PART.current, PART.PIN.current "
+            "and PART.power of a part with electrical pins"
+        )
+    )
+    take: Literal[
+        "max",
+        "min",
+        "argmax",
+        "final",
+        "mean",
+        "rms",
+        "peak_to_peak",
+        "crossing",
+        "frequency",
+        "value",
+    ] = Field(
+        "max",
+        description=("Quantity that the probe takes of the result; value reads it where `at` says"),
+    )
+    at: Place | None = Field(
+        None, description="Frequency, time or swept value at which take = value reads the result"
+    )
+    level: Ratio | None = Field(
+        None, description="Level of a crossing, in the SI unit of the result"
+    )
+    from_: Place | None = Field(
+        None, alias="from", description="First frequency, time or swept value that the probe reads"
+    )
+    to: Place | None = Field(
+        None, description="Last frequency, time or swept value that the probe reads"
+    )
+    periods: Count | None = Field(
+        None,
+        ge=1,
+        description=(
+            "Number of the last periods of the scene's sources that the probe reads, instead of "
+            "from and to"
+        ),
+    )
+
+    @property
+    def places(self) -> dict[str, float]:
+        """Its places on the scale of the analysis by their keys."""
+        given = {"at": self.at, "from": self.from_, "to": self.to}
+        return {key: place for key, place in given.items() if place is not None}
+
+    @model_validator(mode="before")
+    @classmethod
+    def _value_at(cls, data: Any) -> Any:
+        return {"take": "value", **data} if isinstance(data, dict) and "at" in data else data
+
+    @model_validator(mode="after")
+    def _goes_together(self) -> Self:
+        for take, key in (("value", "at"), ("crossing", "level")):
+            if (self.take == take) != (getattr(self, key) is not None):
+                raise refused(f"{key} goes with {take}", f'take = "{take}" and {key}, or neither')
+        window = (self.from_, self.to, self.periods)
+        if self.at is not None and any(item is not None for item in window):
+            raise refused("at beside a window", "at, or from and to, or periods")
+        if self.periods is not None and (self.from_ is not None or self.to is not None):
+            raise refused("periods beside from or to", "periods, or from and to")
+        if self.from_ is not None and self.to is not None and self.from_ >= self.to:
+            raise refused("empty window", "from < to")
+        return self
+
+
+class Frame(Section):
+    """Keys of a scene outside of its parts."""
+
+    name: str = Field(
+        pattern=r"^[A-Za-z][A-Za-z0-9_]{0,63}$",
+        description="Name of the scene; by default that of its file",
+    )
+    title: str = Field(
+        "", max_length=200, pattern=rf"^{_ONE_LINE}*$", description="Title of the scene, one line"
+    )
+    gravity: Acceleration = Field(9.81, description="Gravity, positive downwards")
+    error_budget: Ratio | None = Field(
+        None,
+        gt=0,
+        lt=1,
+        description=(
+            "Relative error of every metric that the run must reach by refining the settings that "
+            "the scene leaves open"
+        ),
+    )
+    analysis: Analysis = Analysis()
+    probes: dict[str, Probe] = Field(default_factory=dict)
+    rom: Rom = Rom()
+    solver: Solver = Solver()
+    checks: Checks = Checks()
+    gates: Gates = Gates()
+    bench: Bench = Bench()
+    include: tuple[FileName, ...] = Field(
+        (), max_length=16, description="Netlist files beside the scene that its deck includes"
+    )
