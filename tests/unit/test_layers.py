@@ -90,8 +90,9 @@ def test_packages_form_no_circle():
 
 
 def test_no_modules_import_each_other():
+    """Over all imports: those within functions and those for types as well."""
     TopologicalSorter({
-        name: {i for i, top in imports(path) if top and i in MODULES and i != name}
+        name: {other for other, _ in imports(path) if other in MODULES and other != name}
         for name, path in MODULES.items()
     }).prepare()  # fmt: skip
 
