@@ -29,6 +29,8 @@ DENSE = 700  # unknowns up to which all modes are as fast as a few
 ABOVE = 2.0  # times the band, up to which modes are kept
 LEAST = 10  # modes
 DEGREES = {0: 0, 1: 6, 2: 5, 3: 4, 4: 3}  # of the polynomials by number of parameters; of more, 2
+STEP = 2  # degrees more, once these are too few for the width of the ranges
+HIGHEST = {1: 10, 2: 9, 3: 6}  # degree, of 11, 55 and 84 full models
 # Of the largest: squares of what a column adds to the others that are dropped; a thin plate, whose
 # stiff motions have 1e8 times the energy, is 1e-4 off with 1e-12.
 DEPENDENT = 1e-15
@@ -212,6 +214,12 @@ def parametric(
     return Parametric(
         axes=own, losses=losses, exponents=exponents, frame=replace(frame, facts={}), terms=terms
     )
+
+
+def higher_degree(made: Parametric) -> int | None:
+    """The next total degree of the polynomials; None beyond :data:`HIGHEST`."""
+    degree = int(made.exponents.sum(axis=1).max()) + STEP
+    return degree if degree <= HIGHEST.get(len(made.axes), 0) else None
 
 
 def modal_transfer(model: LinearModel, frequency: np.ndarray) -> np.ndarray:

@@ -30,6 +30,7 @@ from kc2spice.rom.parametric import (
     Parametric,
     Values,
     exponents_to,
+    higher_degree,
     parametric,
     polynomials,
 )
@@ -133,8 +134,9 @@ def over_box(
     """The models ``full(values)`` over the box of ``axes`` with a certificate for all of it.
 
     The certified error is the largest relative difference, in the ``norm``, to full models at
-    :data:`CHECKS` points of the box that nothing was made from, and to the dense model at others,
-    times :data:`SAFETY` for what lies between them. ``facts`` of the full models are kept.
+    :data:`CHECKS` points and a corner of the box that nothing was made from, and to the dense model
+    at others, times :data:`SAFETY` for what lies between them. ``facts`` of the full models are
+    kept.
 
     Raises
     ------
@@ -155,21 +157,7 @@ def over_box(
             )
         return model
 
-    made, left = parametric(told, axes, band, progress=progress), 0.0
-    result, inner = varying(made, band, OWN * tolerance, norm)
-    draws = scipy.stats.qmc.Sobol(len(axes), seed=11).random(CHECKS) * 2 - 1
-    for k, x in enumerate([*draws, np.sign(draws[0])]):
-        progress(k, CHECKS + 1)
-        values = _values(result.box, x)
-        model = told(values)
-        space = subspace(model.pencil, band, 0.01 * tolerance, 0.3 * tolerance)
-        own = Response(result.at(values).pencil)
-        left = max(left, space.judge(band, norm).error(own) + space.error)
-    error = SAFETY * max(left, inner)
-    if error > tolerance:
-        problem = "the error cannot be certified over the box of the parameters"
-        got = f"{error:.2g} at a point that nothing was made from"
-        raise _too_wide(problem, made, got, tolerance)
+    result, error = _certified(told, axes, band, tolerance, progress, norm)
     form = structure(result.at(_values(result.box, np.zeros(len(axes)))).pencil.dense(), band)
     certificate = Certificate(
         band_hz=band,
@@ -180,6 +168,52 @@ def over_box(
         norm=norm,
     )
     return replace(result, certificate=certificate, facts=_facts(result, facts))
+
+
+def _certified(
+    full: Full,
+    axes: Sequence[Axis],
+    band: tuple[float, float],
+    tolerance: float,
+    progress: Callable[[int, int], None],
+    norm: Norm,
+) -> tuple[Varying, float]:
+    """The resonators, and :data:`SAFETY` times their largest difference to full models.
+
+    Polynomials of a higher degree, from more full models, follow if the dense model differs too
+    much from full models, or if its resonators do. Each degree has full models of its own to be
+    compared with.
+    """
+    sobol = scipy.stats.qmc.Sobol(len(axes), seed=11)
+    degree: int | None = None
+    while True:
+        made = parametric(full, axes, band, degree=degree, progress=progress)
+        draws = sobol.random(CHECKS) * 2 - 1
+        points = [_values(made.box, x) for x in (*draws, np.sign(draws[0]))]
+        checks = []
+        for k, values in enumerate(points):
+            progress(k, len(points))
+            space = subspace(full(values).pencil, band, 0.01 * tolerance, 0.3 * tolerance)
+            checks.append((values, space.judge(band, norm), space.error))
+        degree = higher_degree(made)
+        error = SAFETY * _difference(made, checks)
+        if error > tolerance and degree is not None:
+            continue
+        result, inner = varying(made, band, OWN * tolerance, norm)
+        error = SAFETY * max(inner, _difference(result, checks))
+        if error <= tolerance:
+            return result, error
+        if degree is None:
+            problem = "the error cannot be certified over the box of the parameters"
+            got = f"{error:.2g} at a point that nothing was made from"
+            raise _too_wide(problem, made, got, tolerance)
+
+
+def _difference(made: Parametric | Varying, checks: Sequence[tuple[Values, Judge, float]]) -> float:
+    """Largest relative difference to the full models of ``checks``."""
+    return max(
+        judge.error(Response(made.at(values).pencil)) + error for values, judge, error in checks
+    )
 
 
 def _facts(
