@@ -57,6 +57,7 @@ DEPENDENT = 1e-9  # of the largest: squares of Ritz vectors that add nothing
 CHECKS = 4  # and a corner: full models that nothing is made from
 OWN, SAFETY = 0.4, 1.5  # share of the tolerance for the resonators; margin on points of the box
 FINE = 1e-3  # of the tolerance: grain of coefficients
+NOTCH = 1e-2  # of that grain, with transfers between ports: at their notches large terms cancel
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -419,7 +420,7 @@ class _Space:
         exponents = exponents_to(modes.axes, degree)
         fit = np.linalg.pinv(polynomials(modes.grid, exponents))
         ratio = min(_ratio(p, modes.band) for p in modes.points)
-        fine = FINE * tolerance
+        fine = FINE * tolerance * (NOTCH if len(made.frame.ports) > 1 else 1.0)
 
         def smooth(values: np.ndarray, grain: float | np.ndarray) -> np.ndarray:
             """Coefficients (terms, …) to a grain, below which nothing is left."""

@@ -176,6 +176,25 @@ def test_a_range_too_wide_for_the_highest_degree_is_refused():
     assert told.value.hint == "narrow a range, or ask for a larger rom.tolerance"
 
 
+def test_the_notch_of_a_transfer_between_ports_is_within_the_tolerance():
+    """At w^2 = (4 a + a^2) / (1 + a) the sum of 1 / (a - w^2) and a / (4 a - w^2) is zero but for a
+    damping of 1e-5: rounding of coefficients is largest there."""
+    ports = (Port("one", "mechanical"), Port("two", "mechanical"))
+
+    def full(values: dict) -> LinearModel:
+        a, M = values["a"], np.eye(2)
+        K, B = a * np.diag([1.0, 4.0]), np.array([[1.0, 1.0], [1.0, a]])
+        return LinearModel(M=M, K=K, B=B, rayleigh=(4e-5, 0.0), ports=ports)
+
+    tolerance = 1e-2
+    found = over_box(full, [Axis("a", 0.8, 1.25)], (0.0, 3 / (2 * np.pi)), tolerance)
+    for a in (0.83, 0.97, 1.1):
+        notch = np.sqrt((4 * a + a * a) / (1 + a)) / (2 * np.pi)
+        f = notch * np.linspace(1 - 1e-4, 1 + 1e-4, 201)
+        H, exact = (model.transfer(f)[:, 0, 1] for model in (found.at({"a": a}), full({"a": a})))
+        assert np.abs(H / exact - 1).max() < tolerance
+
+
 def test_mechanical_ports_of_a_box_answer_in_ngspice_as_the_full_model(tmp_path):
     """1 N into the first port, at a value of the parameter that is not the default."""
     full, band = oscillators(0.1), (0.0, 2 / (2 * np.pi))
