@@ -3,6 +3,7 @@
 import re
 import runpy
 import tomllib
+from itertools import product
 from pathlib import Path
 from typing import NamedTuple
 
@@ -12,6 +13,7 @@ import pytest
 from kc2spice.core.progress import Clock
 from kc2spice.netlist.deck import Deck
 from kc2spice.netlist.library import read_lib
+from kc2spice.parts._linear_body import LinearBody
 from kc2spice.scene.load import gallery, load_scene
 from kc2spice.sim.ngspice import run_deck
 
@@ -138,20 +140,18 @@ def ranged(path):
     return [Ranged(name, *map(float, numbers)) for name, *numbers in rows]
 
 
-# Plain buzzers but two differ in numbers alone, and each has a model to be built; a model over the
-# ranges of its parameters takes 20 s.
-ONE_OF = re.compile(r"buzzer_7bb_(?!20_6)|buzzer_ft_(?!39t)")
+# Plain buzzers differ in numbers alone; a model over the ranges of its parameters takes 40 s.
 RANGES = {
     k: v for k, v in tomllib.loads(TOOL["RANGES"].read_text("utf-8")).items() if k in gallery()
 }
 PUBLISHED = tomllib.loads((NETLISTS.parent / "docs" / "published.toml").read_text("utf-8"))
-SPANNED = 0.07  # of the resonance at least, where the data sheet has a larger tolerance
+ONE = "buzzer_7bb_20_3"  # of them, for tests that need not run on all
+WITHOUT = "No parameters in its netlist:"  # the comment of a scene whose device has none
 
 
 def marks(scene):
     """Marks of the test that exports a scene."""
-    long = [pytest.mark.campaign] if scene in RANGES and scene != "buzzer_7bb_20_3" else []
-    return [pytest.mark.slow, *long] if ONE_OF.match(scene) else []
+    return [pytest.mark.slow] + [pytest.mark.campaign] * (scene != ONE) if scene in RANGES else []
 
 
 @pytest.mark.parametrize(
@@ -175,69 +175,116 @@ def test_committed_netlists_are_current(scene, tmp_path):
 
 
 def admittance(path, frequency, directory, **values):
-    """Current [A] of 1 V at a buzzer's electrodes, at values of its parameters."""
+    """Currents [A] into each electrode of a buzzer but the cathode, by 1 V at its anode, at values
+    of its parameters."""
     (part,) = read_lib(path)
+    ends = electrodes(path)
+    pins = " ".join(pin.name if pin.name in ends else "0" for pin in part.pins)
     words = "".join(f" {name}={value!r}" for name, value in values.items())
     start, stop, points = float(frequency[0]), float(frequency[-1]), len(frequency)
     text = "\n".join([
-        "admittance", f".include {part.filename}", f"X1 a 0 0 {part.name}{words}",
-        "V1 a 0 DC 0 AC 1", f".ac lin {points} {start!r} {stop!r}", ".save i(v1)", ".end", "",
+        "admittance", f".include {part.filename}", f"X1 {pins} {part.name}{words}",
+        *(f"V{end} {end} 0 DC 0 AC {int(end == 'anode')}" for end in ends),
+        f".ac lin {points} {start!r} {stop!r}", f".save {' '.join(f'i(v{e})' for e in ends)}",
+        ".end", "",
     ])  # fmt: skip
-    vectors = {"i": ("i(v1)", -1.0)}
+    vectors = {end: (f"i(v{end})", -1.0) for end in ends}
     deck = Deck(name="ac", text=text, more={part.filename: part.text}, vectors=vectors)
-    return run_deck(deck, directory)["i"]
+    waves = run_deck(deck, directory)
+    return np.array([waves[end] for end in ends])
+
+
+def electrodes(path):
+    """Electrical pins of a buzzer's library but the cathode, the anode first."""
+    (part,) = read_lib(path)
+    return [pin.name for pin in part.pins if pin.name not in ("cathode", "base")]
+
+
+def corners_and_inside(parameters):
+    """Values of parameters at all corners of their ranges, and at five random points inside."""
+    inside = np.random.default_rng(7).uniform(size=(5, len(parameters)))
+    for place in (*product((0.0, 1.0), repeat=len(parameters)), *inside):
+        yield {
+            p.name: float(p.low ** (1 - at) * p.high**at)
+            for p, at in zip(parameters, place, strict=True)
+        }
 
 
 @pytest.mark.parametrize(
-    "scene",
-    [pytest.param(k, marks=[pytest.mark.slow] * (k != "buzzer_7bb_20_3")) for k in RANGES],
+    "scene", [pytest.param(k, marks=[pytest.mark.slow] * (k != ONE)) for k in RANGES]
 )
 def test_shipped_parameters_are_those_of_full_models(scene, tmp_path):
-    """A full model at values that no sample had, and the tolerances of the data sheet."""
+    """Full models are solved at each frequency, of the band and around their resonance."""
     (path,) = TOOL["folder"](scene).glob("*.lib")
     error = float(ROM.search(path.read_text("utf-8"))[2])
     assert error <= 1e-2
     thickness, eps33 = ranged(path)
-    plain = load_scene(scene)
-    band = plain.parts["disc"].type.reduction(plain.parts["disc"], plain).band
-    f = np.linspace(*band, 300)
-    low, high = {}, {}
-    for p in (thickness, eps33):
-        low[p.name], high[p.name] = (
-            p.low ** (1 - at) * p.high**at for at in (0.13, 0.83)
-        )  # neither ends nor nodes of polynomials
-    for values in (low, high):
+    like = load_scene(scene).parts["disc"]
+    band = like.type.reduction(like, load_scene(scene)).band
+    middle = {"disc.layers[0].thickness": float(np.sqrt(thickness.low * thickness.high))}
+    like = load_scene(scene, middle).parts["disc"]
+    for values in corners_and_inside((thickness, eps33)):
+        permittivity = {"eps11": 1730.0, "eps33": values[eps33.name]}
         shifted = {
             "disc.layers[0].thickness": values[thickness.name],
-            "disc.layers[1].material": {
-                "like": "PZT-5A", "permittivity": {"eps11": 1730.0, "eps33": values[eps33.name]}
-            },
-        }  # fmt: skip
+            "disc.layers[1].material": {"like": "PZT-5A", "permittivity": permittivity},
+        }
         part = (changed := load_scene(scene, shifted)).parts["disc"]
-        full = part.type.varied(part, changed, Clock(), plain.parts["disc"]).select(["anode"])
-        exact = 2j * np.pi * f[::20] * full.transfer(f[::20])[:, 0, 0]
-        found = admittance(path, f, tmp_path, **values)[::20]
-        assert np.abs(found / exact - 1).max() <= error
-    near = np.linspace(0.6, 1.4, 801) * PUBLISHED[scene]["resonance_hz"]["value"]
-    near = near[near < band[1]]
-    sizes = {
-        name: PUBLISHED[scene][name]["tolerance"] for name in ("resonance_hz", "capacitance_f")
-    }
+        full = part.type.varied(part, changed, Clock(), like).select(electrodes(path))
+        around = full.facts["resonance_short_hz"] * np.linspace(0.94, 1.06, 13)
+        for f in (np.linspace(*band, 17), around):
+            exact = 2j * np.pi * f * full.transfer(f)[:, :, 0].T
+            found = admittance(path, f, tmp_path, **values)
+            assert np.abs(found / exact - 1).max() <= error
 
-    def resonance(value):
-        Y = admittance(path, near, tmp_path, **{thickness.name: value})
+
+@pytest.mark.parametrize("scene", RANGES)
+def test_parameters_reach_every_device_within_the_tolerances_of_its_sheet(scene, tmp_path):
+    """Each pair of resonance and capacitance that the sheet allows is that of some values: at the
+    low end of the thickness the resonance is below the sheet's for all permittivities, at its high
+    end above, and so are the capacitances at the ends of the permittivity (Poincare-Miranda)."""
+    (path,) = TOOL["folder"](scene).glob("*.lib")
+    thickness, eps33 = ranged(path)
+    plain = load_scene(scene)
+    band = plain.parts["disc"].type.reduction(plain.parts["disc"], plain).band
+    sheet = PUBLISHED[scene]
+    hertz, farads = (
+        sheet[name]["value"] * (1 + sheet[name]["tolerance"] * np.array([-1, 1]))
+        for name in ("resonance_hz", "capacitance_f")
+    )
+    near = np.linspace(0.7 * hertz[0], min(1.4 * hertz[1], band[1]), 1001)
+    low = np.linspace(band[0], 1.01 * band[0], 2)
+
+    def resonance(t, eps):
+        Y = admittance(path, near, tmp_path, **{thickness.name: t, eps33.name: eps})[0]
         return near[Y.real.argmax()]
 
-    def farad(value):
-        return admittance(path, f, tmp_path, **{eps33.name: value}).imag[0] / (2 * np.pi * f[0])
+    def capacitance(t, eps):
+        Y = admittance(path, low, tmp_path, **{thickness.name: t, eps33.name: eps})[0]
+        return Y.imag[0] / (2 * np.pi * low[0])
 
-    for of, p, size in (
-        (resonance, thickness, min(SPANNED, sizes["resonance_hz"])),
-        (farad, eps33, sizes["capacitance_f"]),
-    ):
-        middle = of(p.default)
-        assert of(p.low) <= middle / (1 + size) * 1.005
-        assert of(p.high) >= middle * (1 + size) * 0.995
+    for t in np.linspace(thickness.low, thickness.high, 5).tolist():
+        assert capacitance(t, eps33.low) <= farads[0]
+        assert capacitance(t, eps33.high) >= farads[1]
+    for eps in np.linspace(eps33.low, eps33.high, 5).tolist():
+        assert resonance(thickness.low, eps) <= hertz[0]
+        assert resonance(thickness.high, eps) >= hertz[1]
+
+
+def test_devices_of_data_sheets_have_parameters_or_their_scenes_state_why_not():
+    bodies, numbered = {}, []
+    for scene in gallery():
+        for name, part in load_scene(scene).parts.items():
+            if isinstance(part.type, LinearBody):
+                bodies[scene, name] = part.keys
+    for keys in bodies.values():
+        if keys.number:
+            numbered.append(getattr(keys, "layers", keys.number))
+    assert len(numbered) >= 12
+    for (scene, name), keys in bodies.items():
+        device = keys.number or getattr(keys, "layers", None) in numbered
+        text = gallery()[scene].read_text("utf-8")
+        assert bool(device) == (name in RANGES.get(scene, {}) or WITHOUT in text), scene
 
 
 @pytest.mark.parametrize("scene", TOOL["SHOWN"])
