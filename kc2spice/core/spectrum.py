@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import numpy as np
 
 from kc2spice.core.waveforms import Waveform
@@ -44,6 +46,7 @@ def energy_frequency(
     return float(f[np.searchsorted(risen, share * risen[-1])])
 
 
+@lru_cache(maxsize=64)
 def waveform_frequency(wave: Waveform, stop: float, constant: float = 0.0) -> float:
     """The same of a waveform up to ``stop`` [s]: a sine's own frequency; one period of what repeats
     without end; of a train of many pulses what its beginning has too."""
