@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -273,41 +273,77 @@ def energies(
     moved = [b for b in d.acting if b.kind == "displacement"]
     if not moved or set(seen) != {*d.coordinates, *d.states, *d.signals}:
         return
-    rates = {
-        b.name + RATE: np.gradient(seen[b.name], time)
-        if declaration.mass(b) == ZERO
-        else waves[f"{part.name}.v"]  # by which the trapezoidal rule keeps the balance exactly
-        for b in declaration.damped
-    }
-    known = declaration.values(part.keys) | dict(seen) | rates
+    massless = [b for b in d.damped if d.mass(b) == ZERO]
+    # by the velocity of a mass the trapezoidal rule keeps the balance exactly
+    speeds = {b.name + RATE: waves[f"{part.name}.v"] for b in d.damped if b not in massless}
+    slopes = {b.name + RATE: np.gradient(seen[b.name], time) for b in massless}
+    known = d.values(part.keys) | dict(seen) | speeds | slopes
 
     def over_time(tree: Tree) -> np.ndarray:
         return np.asarray(evaluated(tree, known) * np.ones_like(time))
 
-    stored, heat = over_time(declaration.stored), running(over_time(declaration.lost), time)
-    brought = np.zeros_like(time)
+    means = {b.name + RATE: np.diff(seen[b.name]) / np.diff(time) for b in massless}
+    heat, rise = _heat(d, known, means, time), np.diff(over_time(d.stored))
+    brought, forces = np.zeros_like(heat), []
     for b in d.open:
         known_as = f"{part.name}.{b.across if b.kind == 'current' else b.through}"
         pins = waves.data.get(known_as, np.zeros_like(time))
         if b in moved:
-            brought = brought + running(pins, seen[b.name])
+            forces.append((pins, np.diff(seen[b.name])))
             continue
         kept = np.diff(over_time(d.kept(b))) + np.diff(running(over_time(d.direct(b)), time))
-        brought = brought + running(seen[b.name], _integrated(pins, time, kept))
-    missing = brought - heat - (stored - stored[0])
-    turned = float(np.abs(np.diff(brought)).sum() + np.abs(heat[-1]))
+        middle = (seen[b.name][1:] + seen[b.name][:-1]) / 2
+        brought = brought + middle * _integrated(pins, time, kept)
+    brought = brought + _work(forces, rise + heat - brought, jumps=bool(massless))
+    missing = np.cumsum(brought - heat - rise)
     entries = {
-        "brought in by pins": float(brought[-1]),
-        "heat": float(heat[-1]),
-        "stored": float(stored[-1] - stored[0]),
+        "brought in by pins": float(brought.sum()),
+        "heat": float(heat.sum()),
+        "stored": float(rise.sum()),
     }
-    yield Balance(entries, float(np.abs(missing).max()), turned, _UNEXPLAINED)
+    turned = float(np.abs(brought).sum() + np.abs(heat.sum()))
+    yield Balance(entries, float(np.abs(missing).max(initial=0.0)), turned, _UNEXPLAINED)
+
+
+def _heat(
+    declaration: Declaration,
+    known: Mapping[str, Any],
+    means: Mapping[str, np.ndarray],
+    time: np.ndarray,
+) -> np.ndarray:
+    """The heat (nt - 1,) of each step, by what is ``known`` (nt,) at both of its ends.
+
+    The velocity of what has no mass jumps where what moves it has a corner. In a step it is the
+    mean velocity of this step, which ``means`` (nt - 1,) are.
+    """
+    ends = (
+        {name: v[cut] if np.size(v) > 1 else v for name, v in known.items()} | dict(means)
+        for cut in (slice(None, -1), slice(1, None))
+    )
+    first, last = (evaluated(declaration.lost, end) for end in ends)
+    return np.asarray((first + last) / 2 * np.diff(time))
+
+
+def _work(
+    forces: Iterable[tuple[np.ndarray, np.ndarray]], near: np.ndarray, *, jumps: bool
+) -> np.ndarray:
+    """The work (nt - 1,) in each step of forces (nt,) on their ways (nt - 1,): by their means, or
+    where ``jumps`` by their values at its end, whichever is nearer to ``near``."""
+    means, ends = np.zeros_like(near), np.zeros_like(near)
+    for force, way in forces:
+        means += (force[1:] + force[:-1]) / 2 * way
+        ends += force[1:] * way
+    return _nearer(near, means, ends) if jumps else means
+
+
+def _nearer(near: np.ndarray, *tried: np.ndarray) -> np.ndarray:
+    """Of two arrays at each place the value that is nearer to ``near``."""
+    first, second = tried
+    return np.where(np.abs(second - near) < np.abs(first - near), second, first)
 
 
 def _integrated(rate: np.ndarray, time: np.ndarray, near: np.ndarray) -> np.ndarray:
-    """The integral (nt,) of a rate as simulators have it: by the trapezoidal rule, or by the end of
-    a step behind a jump, whichever is nearer to ``near`` (nt - 1,) in that step."""
+    """The integral (nt - 1,) of a rate over each step as simulators have it: by the trapezoidal
+    rule, or by the end of a step behind a jump, whichever is nearer to ``near`` (nt - 1,)."""
     step = np.diff(time)
-    middle, end = step * (rate[1:] + rate[:-1]) / 2, step * rate[1:]
-    taken = np.where(np.abs(end - near) < np.abs(middle - near), end, middle)
-    return np.concatenate([[0.0], np.cumsum(taken)])
+    return _nearer(near, step * (rate[1:] + rate[:-1]) / 2, step * rate[1:])
