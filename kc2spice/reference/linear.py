@@ -25,6 +25,7 @@ from kc2spice.reference.equilibrium import Interval, equilibrium
 
 _WORST_BASIS = 1e9  # condition of the eigenvectors beyond which modes say nothing
 _STILL = 1e-7  # a rate below this share of the largest is that of a body free to move
+ROUNDED = 1e-9  # of the terms of a wave: what is left of them where they cancel
 _FREE = 1e-7  # of all that the drives do: what they may do to such a body
 
 Warp = Callable[[np.ndarray], np.ndarray]
@@ -64,17 +65,37 @@ class Linear:
             self.F = self.F + device.into @ slopes[-1]
             if device.stores is not None:
                 self.G = self.G + device.stores @ kept @ device.inputs
-        self.C0 = system.now + system.direct @ np.concatenate(slopes)
-        self.C1 = system.rated + system.direct @ np.concatenate(charges)
+        outputs, stores = np.concatenate(slopes), np.concatenate(charges)
+        self.C0 = system.now + system.direct @ outputs
+        self.C1 = system.rated + system.direct @ stores
+        direct = np.abs(system.direct)
+        self._sizes = (
+            np.abs(system.now) + direct @ np.abs(outputs),
+            np.abs(system.rated) + direct @ np.abs(stores),
+        )
 
     def answer(self, w: complex, amplitudes: np.ndarray) -> np.ndarray:
         """Outputs (ny,) for sources ``amplitudes e^(w t)``."""
+        X = self._unknowns(w, amplitudes)
+        return np.asarray(self.C0 @ X + w * (self.C1 @ X))
+
+    def terms(self, w: complex, amplitudes: np.ndarray) -> np.ndarray:
+        """Sum (ny,) of the absolute values of all terms of each output of :meth:`answer`."""
+        X = self._unknowns(w, amplitudes)
+        return self._terms(slice(None), X[:, None], np.array([w]))[:, 0]
+
+    def _unknowns(self, w: complex, amplitudes: np.ndarray) -> np.ndarray:
+        """``X`` (N,) for sources ``amplitudes e^(w t)``."""
         n, given = self.system.size, np.concatenate((amplitudes, w * amplitudes))
         P = w * self.G - self.F
         size = np.abs(P[:, :n]).max(axis=1)  # rows are scaled without devices of a frequency
         z = np.linalg.solve(P[:, :n] / size[:, None], -P[:, n:] @ given / size)
-        X = np.concatenate((z, given))
-        return np.asarray(self.C0 @ X + w * (self.C1 @ X))
+        return np.concatenate((z, given))
+
+    def _terms(self, columns: slice, X: np.ndarray, rates: np.ndarray) -> np.ndarray:
+        """``|C0| |X| + |C1| |X rates|`` (ny, m) of unknowns in these columns of both."""
+        now, rated = (size[:, columns] for size in self._sizes)
+        return np.asarray(now @ np.abs(X) + rated @ np.abs(X * rates))
 
     @cached_property
     def _free_motion(self) -> _FreeMotion | None:
@@ -121,6 +142,7 @@ class Linear:
         whole = np.zeros((n, rates.size), dtype=complex)
         whole[cols], whole[algebraic] = shapes, follow @ shapes
         out = self.C0[:, :n] @ whole + (self.C1[:, :n] @ whole) * rates
+        terms = self._terms(slice(n), whole, rates)
         # what sources e^(w t) drive: Bs + w (Bd - Gs) - w^2 Gd
         Gs, Gd = self.G[:, n : n + k], self.G[:, n + k :]
         Bs, Bd = self.F[:, n : n + k], self.F[:, n + k :]
@@ -136,7 +158,7 @@ class Linear:
             if np.abs(free).max(initial=0.0) > _FREE * held or moving:
                 return None
         level = self.C0[:, : n + k] @ np.concatenate([rest, s0]) + self.system.constant
-        return Modes(rates, out, np.asarray(drive), reading @ off, level)
+        return Modes(rates, out, terms, np.asarray(drive), reading @ off, level)
 
     def motion(self, waves: tuple[Function, ...], stop: float) -> Motion | None:
         """The exact motion up to ``stop`` [s] under the sources' waveforms; None where a source has
@@ -217,11 +239,13 @@ class Modes:
     """``y = level + sum_i out_i a_i``, ``a_i' = rates_i a_i + (drive_i of the sources)``.
 
     ``rates`` (m,) [1/s], ``out`` (ny, m), ``drive`` (m, sources): residues are their products;
+    ``terms`` (ny, m) are sums of the absolute values of all terms of ``out``;
     ``start`` (m,) are the amplitudes at t = 0, ``level`` (ny,) what the sources at t = 0 hold.
     """
 
     rates: np.ndarray
     out: np.ndarray
+    terms: np.ndarray
     drive: np.ndarray
     start: np.ndarray
     level: np.ndarray
@@ -305,9 +329,26 @@ class Motion:
 
     def peaks(self) -> np.ndarray:
         """(m, ny) largest amplitude that each mode has in each wave."""
-        spans = self._spans(self.modes.rates)
-        largest = np.max([np.abs(a) for _, _, a in spans], axis=0)
-        return np.asarray(largest[:, None] * np.abs(self.modes.out.T))
+        return np.asarray(self._amplitudes[:, None] * np.abs(self.modes.out.T))
+
+    def rounding(self) -> np.ndarray:
+        """(ny,) what of each wave is nothing but the rounding of what cancels in it.
+
+        The forces on a joint without mass, and the currents into a node, add up to zero: what such
+        a sum leaves has no course that a step could follow. It is below :data:`ROUNDED` of the
+        absolute values of its terms, those of all modes and of what the sines hold.
+        """
+        result = self.modes.terms @ self._amplitudes
+        unit = np.eye(len(self.waves))
+        for k, wave in self.sines:
+            w = 2j * np.pi * wave.frequency
+            result = result + self.linear.terms(w, wave.amplitude * unit[k])
+        return np.asarray(ROUNDED * result)
+
+    @cached_property
+    def _amplitudes(self) -> np.ndarray:
+        """(m,) largest amplitude of each mode."""
+        return np.max([np.abs(a) for _, _, a in self._spans(self.modes.rates)], axis=0)
 
     def samples(self, count: int) -> np.ndarray:
         """Times that see the whole motion, and what begins at the first corners and the last."""

@@ -5,6 +5,9 @@ thousands of steps add up: with steps ``h`` the trapezoidal rule has every natur
 lower by ``(w h)^2 / 12`` of it, which detunes a drive of it, and Gear's method damps as well. As
 both rules turn ``e^(r t)`` into another exponential, all that they make of a linear circuit follows
 in closed form, and so does the largest step that keeps it within :data:`AMPLITUDE`.
+
+Motions of a quality below :data:`RESONANT` set no step, however fast they are: an implicit rule
+follows them, and error control resolves what they show. Sums that cancel set none either.
 """
 
 from __future__ import annotations
@@ -42,7 +45,6 @@ BESIDE = 1e-5  # of the largest wave in its unit: ngspice stops its iterations b
 LEAST = {"A": 1e-11, "V": 1e-6, "N": 1e-11, "m": 1e-12, "m/s": 1e-9}  # and there
 ASIDE = 1e-9  # of the run
 FAIL = 1e-2
-TINY = 1e-9  # of its parts: what is left of a wave that cancels
 SIZE = 600  # unknowns; larger circuits take minutes
 
 
@@ -127,7 +129,7 @@ def follows(motion: Motion, start: StepLimit, rule: Rule) -> StepLimit:
     t = motion.samples(SAMPLES)
     outputs = np.arange(len(motion.linear.system.names))
     exact = motion.at(t, outputs)
-    real = np.abs(exact).max(axis=0) > TINY * peaks.sum(axis=0)
+    real = np.abs(exact).max(axis=0) > motion.rounding()
     outputs, exact = outputs[real], exact[:, real]
     modes = motion.modes
     if not outputs.size:
@@ -150,16 +152,21 @@ def follows(motion: Motion, start: StepLimit, rule: Rule) -> StepLimit:
         middle = math.sqrt(low * high)
         low, high = (middle, high) if good(middle) else (low, middle)
     h = low
-    observed = peaks[:, outputs] / np.abs(exact).max(axis=0)
+    observed = (peaks[:, outputs] / np.abs(exact).max(axis=0)).max(axis=1)
     delay = np.abs(rule.rates(modes.rates, h) - modes.rates)
     lasting = np.minimum(-1 / np.minimum(modes.rates.real, -1e-30), motion.stop)
-    worst = int(np.argmax(np.where(resonant, observed.max(axis=1) * delay * lasting, -1.0)))
-    quality = modes.quality[worst]
-    frequency = quantity(abs(modes.rates[worst]) / (2 * math.pi), "Hz", 4)
+    reasons = []
+    if resonant.any():
+        worst = int(np.argmax(np.where(resonant, observed * delay * lasting, -1.0)))
+        reasons.append(_resonance(modes.rates[worst], modes.quality[worst]))
+    reasons += [f"sine at {quantity(wave.frequency, 'Hz', 4)}" for _, wave in motion.sines]
+    return StepLimit(float(f"{h:.3g}"), "; ".join(dict.fromkeys(reasons)))
+
+
+def _resonance(rate: complex, quality: float) -> str:
+    """A natural motion in words."""
     damped = f"Q {quality:.3g}" if quality < 1e6 else "undamped"
-    text = f"a motion at {frequency}, {damped}"
-    driven = [f"sine at {quantity(wave.frequency, 'Hz', 4)}" for _, wave in motion.sines]
-    return StepLimit(float(f"{h:.3g}"), "; ".join([text, *dict.fromkeys(driven)]))
+    return f"a motion at {quantity(abs(rate) / (2 * math.pi), 'Hz', 4)}, {damped}"
 
 
 def deviation(t: np.ndarray, ours: np.ndarray, exact: np.ndarray) -> tuple[float, float]:
@@ -254,12 +261,12 @@ def _worst(
     pick = pick[np.minimum(*gap) > ASIDE * motion.stop]
     at, names = time[pick], motion.linear.system.names
     exact = dict(zip(names, motion.at(at, np.arange(len(names))).T, strict=True))
-    parts = dict(zip(names, motion.peaks().sum(axis=0), strict=True))
+    rounding = dict(zip(names, motion.rounding(), strict=True))
     result: dict[str, tuple[np.ndarray, str]] = {}
     for name, true in read(circuit, exact, at).items():
-        size = sum(abs(factor) * parts[wave] for factor, wave in circuit.readings[name].terms)
+        noise = sum(abs(factor) * rounding[wave] for factor, wave in circuit.readings[name].terms)
         unit = vectors[name].unit if name in vectors else ""
-        if name in waves and np.abs(true).max() > max(TINY * size, LEAST.get(unit, 0.0)):
+        if name in waves and np.abs(true).max() > max(noise, LEAST.get(unit, 0.0)):
             result[name] = true, unit
     largest: dict[str, float] = {}
     for true, unit in result.values():

@@ -1,11 +1,14 @@
 """A gap with a stop and a squeezed film: closed forms of pull-in, release and Blech's series."""
 
+import warnings
+
 import numpy as np
 import pytest
 from scipy.optimize import brentq
 
 import kc2spice as kc
 from kc2spice.core.errors import UsageError
+from kc2spice.core.progress import Clock, silent
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.parts.bimorph import structure
 from kc2spice.parts.gap import branches_of
@@ -13,9 +16,11 @@ from kc2spice.physics.expression import evaluated
 from kc2spice.scene.load import load_scene
 from kc2spice.scene.model import Build
 from kc2spice.scene.rows import Neglected
+from kc2spice.workflow.models import build_models
 
 EPS, AREA, GAP, TRAVEL, K = 8.8541878188e-12, 1e-8, 3e-6, 2e-6, 1.2152
 LENGTH, WIDTH, FILM, VISCOSITY, PRESSURE = 2e-3, 1e-3, 5e-6, 18.3e-6, 1e5
+HEIGHT, EDGE, BEGIN = 1e-9, 1e-6, 5e-6
 
 
 def loop(**keys):
@@ -265,3 +270,67 @@ def test_the_current_of_a_small_gap_is_that_of_its_capacitance():
     }).waves  # fmt: skip
     exact = 2j * np.pi * found["frequency"].real * EPS * 1e-11 / GAP
     np.testing.assert_allclose(found["plate.i"], exact, rtol=1e-6)
+
+
+def pulsed(**keys):
+    """The film under a face that is moved by a nanometre for 20 us, within 1 us."""
+    tables = film(None)
+    tables["plate"]["film"] |= keys
+    tables["shake"] |= {"pulse": {"high": HEIGHT, "width": 2e-5, "edge": EDGE, "start": BEGIN}}
+    return tables | {"analysis": {"stop": 1e-4}}
+
+
+def blech_ramps(t, terms=201):
+    """Force of Blech's series under the same pulse: of each term ``c (1 - exp(-t k / c))`` times
+    the speed of each ramp since it began, less the same since it ended."""
+    n, m = np.meshgrid(np.arange(1, terms, 2), np.arange(1, terms, 2))
+    n, m = n.ravel()[:, None], m.ravel()[:, None]
+    face = LENGTH * WIDTH
+    wave = (m * np.pi / LENGTH) ** 2 + (n * np.pi / WIDTH) ** 2
+    share = 64 / (np.pi**4 * (m * n) ** 2)
+    c, rate = 12 * VISCOSITY * share * face / (FILM**3 * wave), PRESSURE * FILM**2 * wave
+    rate = rate / (12 * VISCOSITY)
+
+    def since(start):
+        return np.sum(c * -np.expm1(-rate * np.maximum(t - start, 0.0)), axis=0)
+
+    speed, fall = HEIGHT / EDGE, BEGIN + 2e-5
+    rising, falling = since(BEGIN) - since(BEGIN + EDGE), since(fall) - since(fall + EDGE)
+    return speed * (rising - falling)
+
+
+def test_a_film_follows_a_pulse_of_its_displacement():
+    """To its tolerance, 1 % of the largest force, in the steps of any quiet run and at the first
+    attempt. The jumps of its velocity have more of the spectrum than the branches cover."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        warnings.filterwarnings("ignore", "check 20 branches of the film")
+        found = kc.run(pulsed())
+    t = found.waves["time"]
+    exact = blech_ramps(t)
+    assert np.abs(found.waves["plate.force1"] - exact).max() < 0.01 * np.abs(exact).max()
+    assert t.size < 1200
+
+
+def test_the_energy_of_a_film_balances_where_its_velocity_jumps():
+    """Within 100 ns; three branches damp it too much, but lose no energy from the balance."""
+    tables = pulsed(branches=3)
+    tables["shake"]["pulse"]["edge"] = 1e-7
+    with pytest.warns(UserWarning, match="branches of the film") as told:
+        found = kc.run(tables)
+    assert len(told) == 1
+    assert found.waves["time"].size < 1200
+    (energy,) = (c for c in found.checks if c.name == "energy of plate")
+    assert energy.value < 1e-4
+
+
+@pytest.mark.parametrize("branches", [3, 12])
+def test_what_cancels_in_a_film_does_not_set_the_step(branches):
+    """Nothing but rounding flows into the joint of damper and spring of a branch, which is damped
+    far too strongly to ring: the shortest motion is that of the drive."""
+    tables = pulsed(branches=branches)
+    del tables["shake"]["pulse"]
+    tables["shake"]["sine"] = {"amplitude": HEIGHT, "frequency": 1e5}
+    limit = build_models(load_scene(tables), Clock(silent)).largest
+    assert 1e-5 / 200 < limit.step < 1e-5 / 50
+    assert "a motion" not in limit.why
