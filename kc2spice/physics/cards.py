@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
 
-from kc2spice.netlist.cards import LEAK_RATE
+from kc2spice.netlist.cards import LEAK_RATE, PIVOTS
 from kc2spice.netlist.expression import Binary, Call, Name, Number, Probe, Tree, replaced, walk
 from kc2spice.physics.declaration import RATE, Branch, Declaration
 from kc2spice.physics.expression import (
@@ -345,6 +345,8 @@ def _edges(declaration: Declaration, nodes: Mapping[str, Tree]) -> Iterator[str]
         seen = names(argument) & {*declaration.coordinates, *inner}
         if seen & inner or (len(seen) == 1 and seen <= set(moved)):
             result.append((argument, moved.get(next(iter(seen)))))
+    if declaration.stops:
+        yield PIVOTS.format(base=reference(declaration))
     for k, (argument, b) in enumerate(result):
         base = declaration.base or (b.minus if b else reference(declaration))
         yield f"* {_HEAD['edge'].format(argument=text(argument))}"

@@ -31,7 +31,7 @@ _NODE = {"displacement": ("um", "N"), "voltage": ("V", "A"), "current": ("V", "A
 STRIKES = 1.0  # of a stop; plates that struck it twice to nine times were up to 20 % off
 REBOUND = "what follows may hang on every step: error_budget estimates the error of each metric"
 _OWN = "f|x|in|q|l|rest|copy|sense|first|second|noise|speed|place|pushed|state"
-_INNER = rf"(?:{_OWN})_.+|(?:edge|poly)\d+"  # nodes
+_INNER = rf"(?:{_OWN})_.+|(?:edge|poly)\d+|tick"  # nodes
 _UNEXPLAINED = 1e-3  # share of what pins bring in that the steps of a run may lose
 
 

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, TypeAlias
 import numpy as np
 
 from kc2spice.core.errors import SimulationError, UsageError
-from kc2spice.netlist.cards import LEAK_RATE, comment, distinct, number
+from kc2spice.netlist.cards import LEAK_RATE, PIVOTS, comment, distinct, number
 from kc2spice.netlist.cards import name as checked_name
 from kc2spice.netlist.circuit import Param, Pin
 from kc2spice.netlist.library import Subcircuit
@@ -62,11 +62,6 @@ class StepWeights:
 RINGING = StepWeights(3.0, 2, 0.01)  # the body's own ringing is a result
 THROWING = StepWeights(3.0, 6, 0.01)  # until it has struck: fewer points, an equal launch
 COARSE = StepWeights(8.0, 6, 1e-6)  # only what a contact throws is: half the time points
-PIVOTS = """
-* A source of 0 V with corners at 1 and 2 ps makes the first time step small: the simulator fixes
-* there in which order it eliminates unknowns.
-Vtick tick {base} PWL(0 0 1e-12 0 2e-12 0)
-Rtick tick {base} 1"""
 _OUTWARDS = (
     "* Positive um are along a port's outward direction. A current into its pin is a force on the",
     "* body along that direction (rotations: right-hand rule of the port's axis).",
@@ -318,7 +313,7 @@ def enclosed(
     certificate, (about, body) = rom.certificate, cards
     band = f" up to {certificate.band_hz[1]:g} Hz" if certificate else ""
     called = [name, *(pin.name for pin in pins), *([parameter_list(params)] * bool(params))]
-    start = [f".subckt {' '.join(called)}", *([PIVOTS.format(base=base)] if base else [])]
+    start = [f".subckt {' '.join(called)}", *([f"\n{PIVOTS.format(base=base)}"] if base else [])]
     text = "\n".join(["", *about, *start, *body, f".ends {name}"])
     made, told = Subcircuit(name, pins, params, text), ""
     if certificate is not None:

@@ -1,8 +1,11 @@
 """Stops that keep a part of each strike: bounce by bounce in closed form, until nothing bounces."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
+from scipy.optimize import brentq
 
 import kc2spice as kc
 from kc2spice.core.waveforms import Waveforms
@@ -10,6 +13,7 @@ from kc2spice.scene.load import load_scene
 from kc2spice.scene.model import Build
 from kc2spice.workflow.verify.circuit import solve
 
+PLATE = Path(__file__).parents[2] / "docs/published/plate_pull_in.toml"
 MASS, PUSH, TRAVEL, STOP = 1e-6, 1e-4, 1e-4, 1e4  # kg, N, m, N/m
 PARTS = {
     "parallel_plate": {"area": 1e-8, "gap": 2e-4, "travel": TRAVEL},
@@ -102,3 +106,33 @@ def left(damping, speed):
     out.terminal, out.direction = True, -1
     done = solve_ivp(rates, (0, 1e-3), [0.0, speed], events=out, rtol=1e-9, atol=1e-15)
     return abs(done.y[1, -1])
+
+
+@pytest.mark.parametrize("stop", [1e4, 1e6, 1e8, 1e10])
+def test_a_stop_of_any_stiffness_returns_its_restitution(stop):
+    """A mass that is thrown at it with 0.1 m/s leaves with half of that, within 1 %."""
+    scene = pushed("parallel_plate", 0.5) | {"checks": {"plausible": "off"}}
+    scene["plate"] |= {"stop": stop, "travel": 1e-5}
+    scene["push"]["pulse"] = {"high": 1e-2, "width": 1e-5, "edge": 1e-6}
+    scene["solver"] = {"stop": 4e-4}
+    waves = kc.run(scene).waves
+    before = waves["mass.v"][np.searchsorted(waves["time"], 5e-5)]
+    assert before == pytest.approx(0.1, rel=1e-3)
+    assert -waves["mass.v"][-1] / before == pytest.approx(0.5, rel=0.01)
+
+
+@pytest.mark.slow
+def test_a_hard_stop_holds_what_is_pressed_against_it():
+    """30 mg snap onto a stop of 10 GN/m and rest there, at the first attempt: ngspice has chosen
+    pivots that keep the digits of steps of picoseconds."""
+    keys = {"plate.restitution": 0.3, "solver.retries": 0, "solver.stop": "397 ms"}
+    found = kc.run(load_scene(PLATE, keys))
+    volts, gap, stiffness, travel = found.waves["drive.v"][-1], 1e-6, 3e6, 0.9e-6
+
+    def force(depth):
+        pull = 8.8541878188e-12 * 1e-6 * volts**2 / (2 * (gap - travel - depth) ** 2)
+        return 1e10 * depth + stiffness * (travel + depth) - pull
+
+    depth = brentq(force, 0.0, 5e-8)
+    assert found.waves["plate.x"][-1] - travel == pytest.approx(depth, rel=1e-3)
+    assert abs(found.waves["mass.v"][-1]) < 1e-6
