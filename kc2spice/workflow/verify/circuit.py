@@ -409,6 +409,17 @@ def full_build(build: Build, clock: Any) -> Build | None:
     return replace(build, models={**build.models, **result}) if result else None
 
 
+def finer_build(build: Build, parts: Iterable[str], clock: Any) -> Build | None:
+    """The scene with the finer discretisation of these ``parts``, such as a film with more branches
+    or a conductor with more loops; None if none of them has one."""
+    scene, result = build.scene, {}
+    for name in parts:
+        finer = scene.parts[name].type.build(scene.parts[name], scene, clock, full=True)
+        if finer is not None:
+            result[name] = finer
+    return replace(build, models={**build.models, **result}) if result else None
+
+
 def _sparse(model: LinearModel) -> LinearModel:
     """A full model given as arrays, in the form that is followed at its ports."""
     if not model.pencil.is_dense:

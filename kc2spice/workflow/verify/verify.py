@@ -6,7 +6,8 @@ from __future__ import annotations
 
 import fnmatch
 import math
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+import time
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -31,6 +32,7 @@ from kc2spice.workflow.judge import metrics, verdict
 from kc2spice.workflow.simulate import ran
 from kc2spice.workflow.verify.bodies import verify_body
 from kc2spice.workflow.verify.circuit import (
+    finer_build,
     full_build,
     full_solution,
     replayed_nets,
@@ -40,6 +42,7 @@ from kc2spice.workflow.verify.circuit import (
 )
 
 LOADED = 1e-6  # of the largest value: below, a relative error says nothing
+LONGER, SPARE = 5.0, 30.0  # times, and s, that a finer discretisation may take beside the run's
 STILL = 1e-9  # of its size: what rests moves less, by rounding alone
 NOTHING = 1e-150  # its square is zero: what rounding leaves of no current
 SMALL = 1e-3  # of the largest wave of its unit: smaller metrics are judged by that
@@ -318,6 +321,7 @@ class _Verification:
     units: Mapping[str, str] = field(default_factory=dict)
     replayed: Mapping[str, str] = field(default_factory=dict)
     verdict: Verdict = field(default_factory=Verdict)
+    finer: set[str] = field(default_factory=set)  # parts followed with a finer discretisation
 
     def findings(self, deck: Deck, libraries: Sequence[Subcircuit]) -> Findings:
         """Bodies by their ``libraries``, then the scene, then what full models say of it."""
@@ -365,13 +369,17 @@ class _Verification:
         followed: each two of the three."""
         build, waves, result = self.build, self._ngspice(deck), self.found
         with self.clock.stage("reference", "laws of the reduced models, events located") as told:
+            begin = time.monotonic()
             reference = solve(build, waves, self.replayed, told)
+            spent = time.monotonic() - begin
         solutions = {"ngspice": solution(waves, build), "rom": solution(reference.results, build)}
         result.metrics |= solutions["ngspice"].metrics
         result.units |= solutions["ngspice"].units
         result.answers |= {key: item.metrics for key, item in solutions.items()}
         outputs = self._pairs("scene", solutions)
         result.checks += self._generic(solutions, outputs)
+        if build.scene.analysis.type == "transient":
+            self._finer(waves, solutions, LONGER * spent + SPARE)
         self._own_checks()
         if reference.imbalance is not None:
             limit = RECORDED_BALANCE if self.replayed else build.scene.gates.energy
@@ -391,6 +399,32 @@ class _Verification:
         result.notes += followed.notes
         if followed.coarse is not None:
             self._stepped(followed.waves, followed.coarse)
+
+    def _finer(self, waves: Waveforms, solutions: Mapping[str, Solution], seconds: float) -> None:
+        """The laws with finer discretisations of those parts that state how much these may change,
+        integrated for at most so many ``seconds``; without a limit where the whole is asked for."""
+        scene, gates = self.build.scene, self.verdict.gates
+        stated = {part for part, gate in gates if "rom_vs_fom" in gate.limits}
+        parts = [name for name, part in scene.parts.items() if name in stated and not part.reduced]
+        finer = finer_build(self.build, parts, self.clock)
+        if finer is None:
+            return
+        names = ", ".join(parts)
+        try:
+            with self.clock.stage("full model", f"finer discretisation of {names}") as told:
+                share = told if self.whole else _limited(told, seconds)
+                exact = solution(solve(finer, waves, self.replayed, share).results, finer)
+        except _TooLongError as error:
+            self.found.notes.append(
+                f"finer discretisation of {names}: given up after {seconds:.0f} s at "
+                f"{100 * error.share:.0f} % of the run; verify --full has no limit"
+            )
+            return
+        self.finer = set(parts)
+        for pair in ("rom_vs_fom", "ngspice_vs_fom"):
+            own = [item for item in gates if item[0] in self.finer]
+            ours = solutions[pair.partition("_")[0]]
+            self.found.checks += gate_limits(own, pair, ours, exact)[0]
 
     def _pairs(self, name: str, solutions: Mapping[str, Solution]) -> list[OutputError]:
         """Gates of the parts, errors of all waves and figures, of each pair with the last."""
@@ -441,7 +475,8 @@ class _Verification:
         """Physics of the netlist's run that nobody told the simulator; in time the discretisations
         that no finer solution replaces."""
         timed = self.build.scene.analysis.type == "transient"
-        unfollowed = [c for c in self.verdict.checks if timed and c.discretisation]
+        rows = [c for c in self.verdict.checks if timed and c.discretisation]
+        unfollowed = [c for c in rows if not self.finer & set(c.name.split())]
         self.found.checks += [
             replace(check, name=f"{check.name}, ngspice")
             for check in self.verdict.checks
@@ -477,6 +512,26 @@ class _Verification:
             result.metrics["rom_order"] = model.order
             if "unknowns" in model.facts:
                 result.metrics["unknowns"] = model.facts["unknowns"]
+
+
+class _TooLongError(Exception):
+    """An integration that was given up at this ``share`` of its run."""
+
+    def __init__(self, share: float) -> None:
+        super().__init__(share)
+        self.share = share
+
+
+def _limited(told: Callable[[float], None], seconds: float) -> Callable[[float], None]:
+    """``told`` as well, and an end of what reports after so many ``seconds``."""
+    begin = time.monotonic()
+
+    def share(done: float) -> None:
+        told(done)
+        if time.monotonic() - begin > seconds:
+            raise _TooLongError(done)
+
+    return share
 
 
 def _until(waves: Waveforms, end: float | None) -> Waveforms:
