@@ -421,10 +421,10 @@ class _Verification:
             )
             return
         self.finer = set(parts)
-        for pair in ("rom_vs_fom", "ngspice_vs_fom"):
-            own = [item for item in gates if item[0] in self.finer]
-            ours = solutions[pair.partition("_")[0]]
-            self.found.checks += gate_limits(own, pair, ours, exact)[0]
+        # Laws against laws: ngspice meets the laws by the rms of each wave, and its instant of a
+        # jump in a coil's voltage differs by a time step, which a largest difference counts in full.
+        own = [item for item in gates if item[0] in self.finer]
+        self.found.checks += gate_limits(own, "rom_vs_fom", solutions["rom"], exact)[0]
 
     def _pairs(self, name: str, solutions: Mapping[str, Solution]) -> list[OutputError]:
         """Gates of the parts, errors of all waves and figures, of each pair with the last."""
