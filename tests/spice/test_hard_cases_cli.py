@@ -289,7 +289,7 @@ def paper(folder):
 
 
 def paper_launch(ran):
-    """Against the full chip on four times the states, see ``hard_cases/kick_settings.py``."""
+    """Against the full chip on many times the states, see ``hard_cases/kick_settings.py``."""
     t, _, v, touched, _ = reference(load_scene("kick_and_catch", list(ran.settings)))
     at = max(touched, ran.metric("launch_time_s")) + 1e-7
     return abs(np.interp(at, ran.waves["time"], ran.waves["sphere.v"]) / np.interp(at, t, v) - 1)
