@@ -544,7 +544,7 @@ class LinearBody(Touching):
         contact = unlike and any(contacts_on(part, build.scene))
         loaded = None
         if "time" in waves and (error > WRONG or contact):
-            loaded = self._error_under_load(part, build, waves, certificate.band_hz)
+            loaded = self.error_under_load(part, build, waves, build.model(part))
         if loaded is None:
             yield _reduction_check(name, error, "", REDUCED)
             return
@@ -556,19 +556,21 @@ class LinearBody(Touching):
         advice = FEWER.format(states, f"{key} = {order}")
         check = _reduction_check(name, worst, LOADED, advice)
         more = {key: order, f"{name}.rom.band": list(certificate.band_hz)} if default else {}
-        yield replace(check, suggested=more)
+        yield replace(check, suggested=more, loaded=True)
         yield Check(f"resonances of {name}", error, COARSE_ROM, "of a response", SHARP, "warn")
 
-    def _error_under_load(
-        self, part: Part, build: Build, waves: Waveforms, band: tuple[float, float]
+    def error_under_load(
+        self, part: Part, build: Build, waves: Waveforms, model: LinearModel
     ) -> tuple[float, int] | None:
-        """Largest error of any port's answer to the run's own loads while these change, and the
-        states of the model that it is judged by; None where a load is not known, or no such model.
+        """Largest error of the reduced ``model`` under the loads of a run while these change.
+
+        Also returns the states of the model that it is compared with. None if a load is not known,
+        or if no model with more states is known.
         """
-        model: LinearModel = build.model(part)
-        loads = self.loads(part, build, waves)
-        if not all(name in loads for name in model.inputs):
+        loads, certificate = self.loads(part, build, waves), model.certificate
+        if certificate is None or not all(name in loads for name in model.inputs):
             return None
+        band = certificate.band_hz
         from kc2spice.rom.enriched import enriched, last_change, time_errors
 
         t, load = waves["time"], np.column_stack([loads[name] for name in model.inputs])

@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Literal
@@ -42,6 +43,10 @@ class Check:
     values by which the scene would not violate it, where these are known and nobody chose others.
     A check of the ``discretisation`` compares it with a finer one at the frequencies of the run;
     ``verify`` counts it in time, where it does not follow the finer one.
+
+    The value of a ``loaded`` check is the relative error of a reduced body under the recorded loads
+    of a transient. ``distance`` is that of a motion from the limit, on either side, and ``travel``
+    the range of this motion, both in the unit of the check.
     """
 
     name: str
@@ -54,6 +59,9 @@ class Check:
     wiring: bool = False
     discretisation: bool = False
     suggested: Mapping[str, Any] = field(default_factory=dict)
+    loaded: bool = False
+    distance: float = math.inf
+    travel: float = 0.0
 
     @property
     def passed(self) -> bool:

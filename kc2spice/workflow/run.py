@@ -25,6 +25,7 @@ from kc2spice.sim.ngspice import RetriesFailedError, Simulator, find_ngspice, wr
 from kc2spice.workflow import meters
 from kc2spice.workflow.decks import prepared, spare_other_decks
 from kc2spice.workflow.models import fact_units, mode_tables, model_facts
+from kc2spice.workflow.orders import with_larger_orders
 from kc2spice.workflow.refine import Converged, converge
 from kc2spice.workflow.simulate import Run, kept_on_failure, sampled, simulate
 
@@ -130,7 +131,8 @@ def complete(
     which a failed run is kept.
 
     Where the scene leaves a key to us and what we took for it proves too little, such as the rings
-    that a contact needs, it runs again with more, and says so.
+    that a contact needs, it runs again with more, and says so. It also runs again with more states
+    of a reduced body whose error under the recorded loads is too large.
 
     Raises as :func:`run` does; warns of checks that fail without failing the run.
     """
@@ -150,6 +152,8 @@ def complete(
                 told = ", ".join(f"{key} = {value}" for key, value in error.suggested.items())
                 warnings.warn(f"{error.message}, {error.got}: run again with {told}", stacklevel=2)
                 scene = load_scene(scene, error.suggested)
+        if deck is None and scene.error_budget is None:  # which refines orders itself
+            result = with_larger_orders(result, work, clock)
         converged = converge(result, clock) if deck is None else None
         if converged is not None:
             result = _judged(converged)
