@@ -422,7 +422,10 @@ class RingMagnetCoils(Touching):
         yield Check(name, coarse, COARSE, unit, advice, action, discretisation=True)
         advice = f"the sphere left the field table: widen {part.name}.y_min and {part.name}.y_max, "
         advice += "or kick it less"
-        yield Check("table_left", beyond(build.model(part), y), 0.0, "m", advice, action)
+        table, travel = build.model(part), float(np.ptp(y))
+        distance = float(min(abs(y.min() - table.y[0]), abs(table.y[-1] - y.max())))
+        check = Check("table_left", beyond(table, y), 0.0, "m", advice, action)
+        yield replace(check, distance=distance, travel=travel)
 
     def figures(self, part: Part, build: Build, waves: Waveforms) -> Iterator[Figure | Written]:
         prefix = label(part)

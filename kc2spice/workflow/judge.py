@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -22,6 +23,7 @@ from kc2spice.workflow.steps import step_checks
 
 BETWEEN_POINTS = 0.05  # of the largest point: points half a half-width apart miss up to 3 %
 ROUNDED = 1e-9  # of the scale: rounding of its ends, which the simulator counts in its own units
+HEIGHT_PER_VELOCITY = 2.0  # relative change of the height of a flight per one of its velocity
 BUDGET_SHARE = 0.03  # of a larger error_budget, a tenth of what its time stepping gets
 
 
@@ -51,8 +53,34 @@ def verdict(waves: Waveforms, build: Build) -> Verdict:
         )
         for name, result in balances.items()
     ]
+    checks = list(with_undecided(checks))
     gates = tuple((name, row) for name, row in rows if isinstance(row, Gate))
     return Verdict(tuple(c for c in checks if c.action != "off"), tuple(balances.items()), gates)
+
+
+def with_undecided(checks: Sequence[Check]) -> Iterator[Check]:
+    """All ``checks``, and a warning for each whose outcome the errors of reduced bodies may change.
+
+    A relative error e of the velocity that a body gives changes the height of a flight, v^2 / 2 g,
+    by 2 e of it. An outcome is undecided if the motion is nearer to its limit than that.
+    """
+    error = max((check.value for check in checks if check.loaded), default=0.0)
+    for check in checks:
+        change = HEIGHT_PER_VELOCITY * error * check.travel
+        if check.distance >= change:
+            yield check
+            continue
+        side = "within" if check.passed else "beyond"
+        advice = (
+            f"the motion ends {check.distance:.3g} {check.unit} {side} its limit, nearer than the "
+            f"estimated error of reduced bodies ({error:.2%}) moves it: the outcome is not decided"
+        )
+        if check.passed:
+            yield check
+            name = f"{check.name} undecided"
+            yield Check(name, change, check.distance, check.unit, advice, "warn")
+        else:
+            yield replace(check, advice=f"{check.advice}; {advice}")
 
 
 class Metrics(NamedTuple):
