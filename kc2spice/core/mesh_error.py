@@ -1,7 +1,8 @@
-"""Names and words of the facts of a body that state what its mesh costs.
+"""Names and words of the facts of a model that state the error of its mesh.
 
-``mesh_error_resonance`` is the estimated relative error of the first resonance, and so on; those
-who build a body write these facts, results, headers and ``explain`` read them.
+``mesh_error_resonance`` is the estimated relative error of the first resonance, and so on. Parts
+that solve a field on a mesh or on rings write these facts; results, headers and ``explain`` print
+them.
 """
 
 from __future__ import annotations
@@ -11,11 +12,40 @@ from collections.abc import Mapping
 MESH_ERROR = "mesh_error_"  # begins the names of facts that are relative errors of other facts
 _MESH_ERRORS = {  # the words for what follows
     "resonance": "first resonance", "capacitance": "capacitance", "stroke": "stroke",
-    "compliance": "compliance", "modes": "lowest modes up to",
+    "compliance": "compliance", "modes": "lowest modes up to", "force": "force",
+    "inductance": "inductance", "rings": "flux, force and loss",
 }  # fmt: skip
+NOT_ESTIMATED = "error not estimated, because the matrices state no mesh"
 
 
 def mesh_errors(facts: Mapping[str, float]) -> dict[str, float]:
     """Estimated relative errors that the mesh of a body causes, by what they are errors of."""
     found = {words: facts.get(f"{MESH_ERROR}{name}") for name, words in _MESH_ERRORS.items()}
     return {words: error for words, error in found.items() if error is not None}
+
+
+def mesh_facts(facts: Mapping[str, float]) -> dict[str, float]:
+    """Those of the ``facts`` that :func:`mesh_errors` reads."""
+    names = [f"{MESH_ERROR}{name}" for name in _MESH_ERRORS]
+    return {name: float(facts[name]) for name in names if name in facts}
+
+
+def mesh_words(facts: Mapping[str, float]) -> str:
+    """Estimated errors of a mesh in words, empty without an estimate.
+
+    Parameters
+    ----------
+    facts : numbers of a model by name.
+
+    Returns
+    -------
+    str
+        What each is an error of, with the error in percent.
+
+    Examples
+    --------
+    >>> mesh_words({"mesh_error_resonance": 0.0213, "mesh_error_stroke": 0.05, "mass_kg": 1.0})
+    'first resonance 2.1 %, stroke 5 %'
+    """
+    errors = mesh_errors(facts).items()
+    return ", ".join(f"{words} {100 * error:.2g} %" for words, error in errors)

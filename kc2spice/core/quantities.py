@@ -379,14 +379,16 @@ class Notch:
     """Marks a key that trades time for error: one notch finer multiplies it by ``factor``.
 
     ``spaces`` says that it counts points, whose spaces are multiplied; ``finest`` is a value below
-    which rounding decides; ``model`` marks what costs no time of the simulator. It counts where the
-    keys ``when`` of its table have these values.
+    which rounding decides; ``model`` marks what costs no time of the simulator, ``mesh`` the
+    fineness of a mesh or of rings, whose error the part estimates. It counts where the keys
+    ``when`` of its table have these values.
     """
 
     factor: float
     spaces: bool = False
     finest: float = 0.0
     model: bool = False
+    mesh: bool = False
     when: tuple[tuple[str, object], ...] = ()
 
     def moved(self, value: float, notches: float) -> float:

@@ -14,7 +14,7 @@ from kc2spice.core.quantities import Count, Frequency, Notch, Rate, Ratio, Secti
 class Mesh(Section):
     """``refine`` divides every cell along each axis."""
 
-    refine: Annotated[Count, Notch(2.0, model=True)] = Field(
+    refine: Annotated[Count, Notch(2.0, model=True, mesh=True)] = Field(
         1, ge=1, le=8, description="Factor by which the cells along each edge are multiplied"
     )
 

@@ -21,6 +21,7 @@ from kc2spice.core.cache import cached
 from kc2spice.core.errors import SimulationError, UsageError, unknown, wrong
 from kc2spice.core.figure import Figure, Written
 from kc2spice.core.foreign import identifier
+from kc2spice.core.mesh_error import NOT_ESTIMATED
 from kc2spice.core.progress import Clock
 from kc2spice.core.quantities import Section, Voltage
 from kc2spice.core.waveforms import Waveforms, running
@@ -755,6 +756,10 @@ class LinearBody(Touching):
                 what, why, f"{tangent:g} of the energy of fields inside at open electrodes"
             )
         yield from self.neglected(part, scene)
+
+    def discretisation(self, part: Part, build: Build) -> str:
+        """Error estimate of its mesh, or why there is none."""
+        return super().discretisation(part, build) or f"mesh: {NOT_ESTIMATED}"
 
     def sources(self) -> tuple[str, ...]:
         """Modules whose text the models of this type depend on, for the cache."""

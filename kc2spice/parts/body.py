@@ -193,7 +193,7 @@ class BodyKeys(FieldKeys):
     size: Length | None = Field(
         None, gt=0, description="Size of the elements that a CAD file is divided into"
     )
-    refine: Annotated[Count, Notch(2.0, model=True)] = Field(
+    refine: Annotated[Count, Notch(2.0, model=True, mesh=True)] = Field(
         1, ge=1, le=8, description="Factor by which the size of all elements is divided"
     )
     merge: Length | None = Field(

@@ -23,6 +23,7 @@ from scipy import io, sparse
 
 from kc2spice.core.errors import UsageError
 from kc2spice.core.foreign import read_archive, read_bounded, text_of
+from kc2spice.core.mesh_error import mesh_facts
 from kc2spice.rom.linear import Certificate, LinearModel, Port
 from kc2spice.rom.pencil import Matrix
 
@@ -159,17 +160,19 @@ _RECORD = "record"  # the JSON text beside the arrays
 def write_rom(model: LinearModel, directory: Path, name: str) -> list[str]:
     """Write ``name.npz``, ``name.M`` ... (Matrix Market, 17 digits) and ``name.json``.
 
-    ``name.json`` holds ports and certificate for readers of the Matrix Market files. Returns the
-    file names, the ``.npz`` first.
+    ``name.json`` holds ports, certificate and error estimates of the mesh for readers of the Matrix
+    Market files. Returns the file names, the ``.npz`` first.
     """
     if model.certificate is None:
         raise UsageError("is not a reduced model", where=model.name, expected="one of 'reduce'")
     letters = _letters(model.first_order)
     matrices = {letter: getattr(model, letter) for letter in letters}
-    record = json.dumps(
-        {"ports": [asdict(p) for p in model.ports], "certificate": asdict(model.certificate)},
-        indent=2,
-    )
+    content = {
+        "ports": [asdict(p) for p in model.ports],
+        "certificate": asdict(model.certificate),
+        "facts": mesh_facts(model.facts),
+    }
+    record = json.dumps(content, indent=2)
     arrays = {**matrices, _RECORD: np.array(record)}
     np.savez(directory / f"{name}.npz", **arrays)
     (directory / f"{name}.json").write_text(record + "\n", encoding="utf-8")
@@ -259,7 +262,10 @@ def _model(matrices: dict[str, Any], record: dict[str, Any]) -> LinearModel:
         raise ValueError("a matrix that is not of real numbers")
     if not np.isfinite([certificate.error_estimate, *chain(*certificate.above)]).all():
         raise ValueError("the certificate is not finite")
-    return LinearModel(ports=ports, certificate=certificate, **arrays)
+    facts = mesh_facts(TypeAdapter(dict[str, float]).validate_python(record.get("facts", {})))
+    if not np.isfinite([*facts.values()]).all():
+        raise ValueError("the error estimate of the mesh is not finite")
+    return LinearModel(ports=ports, certificate=certificate, facts=facts, **arrays)
 
 
 def _letters(first_order: bool) -> str:

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Literal
 import numpy as np
 
 from kc2spice.core.errors import UsageError, unknown
+from kc2spice.core.mesh_error import mesh_words
 from kc2spice.core.quantities import Section
 from kc2spice.scene.rows import (
     Governed,
@@ -494,6 +495,11 @@ class PartType:
     def notes(self, part: Part, scene: Scene) -> Iterator[str | Neglected]:
         """What is modelled of it, in words, and effects that it has no model of."""
         yield self.title
+
+    def discretisation(self, part: Part, build: Build) -> str:
+        """Error estimate of the mesh that it is solved on, in words; empty without a mesh."""
+        text = mesh_words(build.facts(part))
+        return f"error estimate of its mesh: {text}" if text else ""
 
 
 def flows(part: Part, pin: str, build: Build) -> dict[str, tuple[Vector, float]]:

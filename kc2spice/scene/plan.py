@@ -36,7 +36,7 @@ class Axis:
     ``low`` and ``high`` bound the value. ``finer`` are further keys that any notch finer sets.
     ``band`` goes with a reduction's tolerance; its highest frequency grows by ``wider`` a notch
     finer. ``decades`` are those of a grid of equal points in each, whose finer ones contain it.
-    ``model`` marks settings that cost no time of the simulator, as that of a mesh.
+    ``model`` marks settings that cost no time of the simulator, ``mesh`` that of a mesh among them.
     """
 
     name: str
@@ -49,6 +49,7 @@ class Axis:
     wider: float = 1.0
     decades: float = 0.0
     model: bool = False
+    mesh: bool = False
 
     def at(self, notches: float) -> dict[str, Any]:
         """Keys so many notches finer, or coarser below zero; none where that changes nothing."""
@@ -164,7 +165,7 @@ def _axis(name: str, value: float, declared: FieldInfo) -> Axis:
     low, high = bounds.get(Ge, 0.0), bounds.get(Le, bounds.get(Lt, float("inf")) / 2)
     if notch.factor < 1 and notch.finest:
         low = min(notch.finest, value)
-    return Axis(name, value, notch, low, high, model=notch.model)
+    return Axis(name, value, notch, low, high, model=notch.model, mesh=notch.mesh)
 
 
 def _notch(declared: FieldInfo) -> Notch | None:
@@ -184,15 +185,14 @@ def _noise(part: Part, build: Build) -> str:
 
 
 def _mesh(part: Part, build: Build) -> str:
-    """The estimated errors that the mesh of a part causes, in words."""
-    errors = mesh_errors(build.facts(part)).items()
-    text = ", ".join(f"{words} {100 * error:.2g} %" for words, error in errors)
-    return f"; error estimate of its mesh: {text}" if text else ""
+    """What a part states of its mesh."""
+    text = part.type.discretisation(part, build)
+    return f"; {text}" if text else ""
 
 
 def _mesh_error(axis: Axis, build: Build) -> float | None:
-    """The largest of these for the axis of a mesh, None where it is not known."""
-    if not axis.model:
+    """The largest estimated error of the mesh that an axis refines, None where it is not known."""
+    if not axis.mesh:
         return None
     parts = [p for p in build.scene.parts.values() if axis.name.startswith(f"{key_prefix(p)}.")]
     errors = (mesh_errors(build.facts(part)).values() for part in parts)

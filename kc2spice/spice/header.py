@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from kc2spice.core import __version__
-from kc2spice.core.mesh_error import mesh_errors
+from kc2spice.core.mesh_error import NOT_ESTIMATED, mesh_words
 from kc2spice.netlist.cards import comment, name, number, render, word
 from kc2spice.netlist.circuit import Param, Pin
 from kc2spice.netlist.library import Subcircuit
@@ -99,11 +99,10 @@ def use_line(name: str, pins: Sequence[Pin]) -> str:
     return f"* use: X1 {' '.join(pin.name for pin in pins)} {name}\n"
 
 
-def mesh_line(facts: Mapping[str, float]) -> str:
-    """Comment lines: what the mesh of a body costs, empty without an estimate."""
-    errors = (f"{words} {100 * error:.2g} %" for words, error in mesh_errors(facts).items())
-    text = ", ".join(errors)
-    return paragraph(f"mesh: error estimate of the full model: {text}") if text else ""
+def mesh_entry(facts: Mapping[str, float]) -> str:
+    """What a head states of the mesh of a linear model: its error estimate, or why it has none."""
+    text = mesh_words(facts)
+    return f"error estimate of the full model: {text}" if text else NOT_ESTIMATED
 
 
 def part_header(
@@ -116,18 +115,20 @@ def part_header(
     validity: str = ROOM,
     sign: str = SIGN,
     rom: str = "",
+    mesh: str = "",
 ) -> str:
     """Everything above ``.subckt``: title, an instance to copy, origin, ROM facts, sign, validity
     and rating, one line per pin and parameter. ``title`` is ``NAME: what it is``.
 
+    ``mesh`` is the error estimate of the mesh that its model is solved on, in words.
     ``unit`` is what 1 V on the pin means, ``flow`` what 1 A into it means (``-``: a signal).
     ``sign`` is for parts with mechanical pins.
     """
     sign = sign if any(p.flow == "N" for p in pins) else FLOW
     lines = [f"* {comment(title)}\n", use_line(title.partition(":")[0], pins)]
     lines += [f"{header.origin()}\n{rom}"]
-    facts = {"sign": sign, "validity": validity, "rating": rating}
-    lines += [paragraph(f"{key}: {text}") for key, text in facts.items()]
+    facts = {"mesh": mesh, "sign": sign, "validity": validity, "rating": rating}
+    lines += [paragraph(f"{key}: {text}") for key, text in facts.items() if text]
     lines += [
         f"* @pin {i} {name(p.name)} unit={word(p.unit)} flow={word(p.flow)}\n"
         for i, p in enumerate(pins, 1)
@@ -161,6 +162,7 @@ def library(
     *,
     rating: str,
     validity: str = ROOM,
+    mesh: str = "",
     **values: object,
 ) -> Subcircuit:
     """``templates/TEMPLATE.j2`` under its head, see :func:`part_header`.
@@ -170,7 +172,7 @@ def library(
     """
     pins = tuple(Pin(item.name, item.unit, item.flow) for item in terminals)
     card = " ".join((name, *(pin.name for pin in pins), parameter_list(params)))
-    words = {"rating": rating, "validity": validity}
+    words = {"rating": rating, "validity": validity, "mesh": mesh}
     head = part_header(header, f"{name}: {title}", pins, params, **words)
     cards = render(f"{template}.j2", card=card, **values)
     text = f"{head}\n{cards}.ends {name}\n"

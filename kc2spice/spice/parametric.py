@@ -20,7 +20,7 @@ from kc2spice.netlist.library import Subcircuit
 from kc2spice.rom.linear import LinearModel
 from kc2spice.rom.varying import Varying
 from kc2spice.spice.emitted import MICRO
-from kc2spice.spice.header import Header
+from kc2spice.spice.header import Header, mesh_entry
 from kc2spice.spice.realize import (
     DAMPING,
     RINGING,
@@ -91,6 +91,7 @@ def parametric_subcircuit(
     ]
     params = (*parameters, *([DAMPING] if any(model.damped) else []))
     words = {"title": title, "rating": rating, "within": ", parameters within their ranges,"}
+    words["mesh"] = mesh_entry(rom.facts)
     head, others = header or Header(model.name, "-"), list(_judged(model, parameters))
     return enclosed(rom, name, pins, base, params, head, ([_ABOUT], body), others=others, **words)
 

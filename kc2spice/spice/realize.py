@@ -20,7 +20,14 @@ from kc2spice.rom.modal import Resonators, resonators
 from kc2spice.rom.network import ParallelBranches, parallel_branches
 from kc2spice.spice.branches import ABOUT, branch_cards, branch_pins
 from kc2spice.spice.emitted import LOWEST, MICRO, circuit_error
-from kc2spice.spice.header import OUTWARDS, Header, mesh_line, parameter_list, part_header, rom_line
+from kc2spice.spice.header import (
+    OUTWARDS,
+    Header,
+    mesh_entry,
+    parameter_list,
+    part_header,
+    rom_line,
+)
 
 if TYPE_CHECKING:
     from kc2spice.rom.blocks import BlockModel
@@ -279,7 +286,10 @@ def subcircuit(
     if noise:
         about = [*about, *_NOISE.split("\n")]
     cards = about, body
-    return enclosed(rom, name, pins, base, params, header, cards, title=title, rating=rating)
+    mesh = mesh_entry(rom.facts)
+    return enclosed(
+        rom, name, pins, base, params, header, cards, mesh=mesh, title=title, rating=rating
+    )
 
 
 def _network(
@@ -301,6 +311,7 @@ def enclosed(
     header: Header,
     cards: tuple[Iterable[str], Iterable[str]],
     within: str = "",
+    mesh: str = "",
     others: Sequence[tuple[LinearModel, Mapping[str, float]]] = (),
     **words: str,
 ) -> Subcircuit:
@@ -326,7 +337,8 @@ def enclosed(
         f"{name}: {words['title']}",
         pins,
         params,
-        rom=(rom_line(rom.order, certificate, told) if certificate else "") + mesh_line(rom.facts),
+        rom=rom_line(rom.order, certificate, told) if certificate else "",
+        mesh=mesh,
         sign=OUTWARDS,
         rating=words["rating"],
         validity=f"small signals{band}{within} at the temperature of its data (20 to 25 C, of "
