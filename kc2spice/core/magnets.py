@@ -6,7 +6,7 @@ modules.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -14,6 +14,7 @@ import numpy as np
 
 from kc2spice.core.equality import EqualByContent
 from kc2spice.core.errors import SimulationError
+from kc2spice.core.mesh_error import MESH_ERROR
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,6 +84,13 @@ def cubic_spline(x: np.ndarray, values: np.ndarray) -> Piecewise:
     h = h[:, None]
     slope = d - h * (2 * s[:-1] + s[1:]) / 6
     return Piecewise(x, np.stack([values[:-1], slope, s[:-1] / 2, np.diff(s, axis=0) / (6 * h)]))
+
+
+CASES = np.array([(i1, i2) for i1 in (-0.1, 0.0, 0.1) for i2 in (-0.1, 0.0, 0.1)])  # A
+NEAR = 1e-6  # of a table's range, within which two heights are one
+# Of the force in the mesh size, on quadratic triangles: 4 where the field is smooth, less at
+# corners of magnets and coils; tests/physics/test_magnetostatic.py limits what remains.
+ORDER = 3
 
 
 # Linear magnetics: what each coefficient of the force is multiplied by, as powers of both currents.
@@ -159,12 +167,29 @@ class EMTable(EqualByContent):
     B_y > 0 on the axis; the sphere's moment points to +y.
     """
 
+    def magnetised(self, remanence: float, shift: float) -> EMTable:
+        """That of magnets with so many times the remanence, ``shift`` [m] higher.
+
+        In linear materials the pull between the magnets grows with the square of the remanence,
+        what a current adds in proportion, and what currents do alone not at all.
+        """
+        magnets = remanence ** np.array([2, 1, 1, 0, 0, 0])
+        coarser = None if self.coarser is None else self.coarser.magnetised(remanence, shift)
+        return replace(
+            self,
+            y=self.y + shift,
+            coefficients=magnets * self.coefficients,
+            flux0=remanence * self.flux0,
+            coarser=coarser,
+        )
+
     y: np.ndarray
     coefficients: np.ndarray  # (n, 6) of the force, in the order of :data:`FORCE`
     flux0: np.ndarray  # (n, 2)
     inductance: np.ndarray  # (n, 2, 2)
     resistance: np.ndarray  # (2,)
     unknowns: int
+    coarser: EMTable | None = None  # at some of its heights, on a mesh half as fine
 
     @cached_property
     def splines(self) -> Piecewise:
@@ -195,14 +220,31 @@ class EMTable(EqualByContent):
     def facts(self) -> dict[str, float]:
         """The numbers by which an engineer knows the actuator: the force is the largest of the nine
         pairs of -0.1, 0 and 0.1 A in the coils."""
-        steps = (-0.1, 0.0, 0.1)
-        forces = em_cases(self, np.array([(i1, i2) for i1 in steps for i2 in steps]))
-        return {
+        forces = em_cases(self, CASES)
+        return self.mesh_errors | {
             "unknowns": self.unknowns,
             "force_max_n": float(abs(forces).max()),
             "coil_resistance_ohm": float(self.resistance[0]),
             "coil_inductance_h": float(self.inductance[:, 0, 0].mean()),
             "coil_mutual_h": float(self.inductance[:, 0, 1].mean()),
+        }
+
+    @cached_property
+    def mesh_errors(self) -> dict[str, float]:
+        """Estimated errors that the mesh causes, relative to the largest force of :data:`CASES` and
+        to the largest inductance: ``|f(2 h) - f(h)| / (2^p - 1)``, with the order p = 3."""
+        if self.coarser is None:
+            return {}
+        rows = np.searchsorted(self.y, self.coarser.y - NEAR * np.ptp(self.y))
+        force = em_cases(self, CASES)
+        pairs = {
+            "force": (force, em_cases(self.coarser, CASES) - force[:, rows]),
+            "inductance": (self.inductance, self.coarser.inductance - self.inductance[rows]),
+        }
+        return {
+            f"{MESH_ERROR}{name}": float(abs(apart).max() / abs(fine).max() / (2**ORDER - 1))
+            for name, (fine, apart) in pairs.items()
+            if fine.any()
         }
 
 

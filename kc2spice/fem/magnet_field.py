@@ -24,7 +24,7 @@ lattice's nodes, so it replaces lattice cells wherever the sphere stands on a la
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import ceil, floor, hypot, pi
 from types import ModuleType
 from typing import Any
@@ -42,6 +42,7 @@ from kc2spice.core.quantities import MU_0
 from kc2spice.fem.magnet_keys import Catch, Ring
 from kc2spice.linalg.factor import Factor, supernodal
 
+COMPARED = 5  # heights at least that are solved on a mesh half as fine
 RING, SPHERE, LOWER, UPPER = range(4)  # columns of loads and of the fields that they make
 # Mesh sizes at refine = 1 as fractions of the sphere's radius, and growth per distance. They put
 # the force within 1e-5 of its maximum. The parts' surroundings matter most: an uneven mesh in the
@@ -54,13 +55,28 @@ def catch_table(
 ) -> EMTable:
     """Sweep the sphere over ``catch.positions`` heights from ``y_min`` to ``y_max``.
 
-    ``progress`` gets the share that is done, after each height.
+    ``progress`` gets the share that is done, after each height. Some of the heights are solved on a
+    mesh half as fine too.
 
     Raises
     ------
     UsageError : the sphere leaves the air cylinder, or a part is higher.
     SimulationError : a field that does not satisfy its equations.
     """
+    settings = {"refine": catch.refine / 2, "positions": some_positions(catch.positions)}
+    rough = catch.model_copy(update=settings)  # whose fineness no key may have
+    return replace(_swept(catch, radius, progress), coarser=_swept(rough, radius))
+
+
+def some_positions(count: int) -> int:
+    """Number of heights, five at least, that are equally spaced among ``count`` equally spaced."""
+    return next((n for n in range(COMPARED, count) if (count - 1) % (n - 1) == 0), count)
+
+
+def _swept(
+    catch: Catch, radius: float, progress: Callable[[float], None] = lambda share: None
+) -> EMTable:
+    """The table of :func:`catch_table`, on one mesh."""
     y = positions(catch)
     forces = np.empty((y.size, 4, 4))
     fluxes = np.empty((y.size, 2, 4))

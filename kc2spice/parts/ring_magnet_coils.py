@@ -21,6 +21,7 @@ from kc2spice.core.cache import cached
 from kc2spice.core.errors import UsageError
 from kc2spice.core.figure import Curve, Figure, Panel, Shape, Written
 from kc2spice.core.magnets import FORCE, POWERS, EMTable, cubic_spline
+from kc2spice.core.mesh_error import mesh_errors, mesh_words
 from kc2spice.core.quantities import MU_0, si
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.fem.magnet_keys import Catch, Ring
@@ -127,6 +128,7 @@ def coils_subcircuit(
     height = np.linspace(table.y[0], table.y[-1], points)
     low, spacing = 1e6 * height[0], 1e6 * (height[1] - height[0])
     values = _inductive(table, height) if apart else _resistive(table, height)
+    errors = mesh_words(table.mesh_errors)
     return library(
         "coil" if apart else "catch",
         header,
@@ -140,6 +142,7 @@ def coils_subcircuit(
         validity=f"sphere's centre from {low:g} to {1e6 * height[-1]:g} um, constant forces "
         "beyond; linear magnetics; coils at the temperature of their data, nothing heats up",
         rating=rating,
+        mesh=f"error estimate of the field: {errors}" if errors else "",
         points=points,
         lowest=low,
         spacing=spacing,
@@ -322,11 +325,7 @@ class RingMagnetCoils(Touching):
 
     def build(self, part: Part, scene: Scene, clock: Any, full: bool = False) -> EMTable:
         """What the remanence, a factor, and the shift change is exact; a ``full`` table is so dense
-        that its splines interpolate ``DENSER**4`` times better.
-
-        In linear materials the pull between the magnets grows with the square of the remanence,
-        what a current adds in proportion, and what currents do alone not at all. Air box and ring
-        move together.
+        that its splines interpolate ``DENSER**4`` times better. Air box and ring move together.
         """
         keys, count = part.keys, (DENSER if full else 1) * (part.keys.positions - 1) + 1
         unit = self._unit(part, count)
@@ -339,9 +338,7 @@ class RingMagnetCoils(Touching):
                 return catch_table(unit, key["radius"], share)
 
         table = cached("catch", key, build, classes=(EMTable,), sources=SOURCES)
-        magnets = keys.remanence ** np.array([2, 1, 1, 0, 0, 0])
-        scaled = {"coefficients": magnets * table.coefficients, "flux0": magnets[1] * table.flux0}
-        return replace(table, y=table.y + keys.shift, **scaled)
+        return table.magnetised(keys.remanence, keys.shift)
 
     def library(self, part: Part, scene: Scene) -> str:
         return "coil" if _apart(part, scene) and part.name == "catch" else part.name
@@ -420,6 +417,10 @@ class RingMagnetCoils(Touching):
         advice = f"too few heights: raise {part.name}.positions"
         unit = "of the largest force"
         yield Check(name, coarse, COARSE, unit, advice, action, discretisation=True)
+        for words, error in mesh_errors(build.facts(part)).items():
+            if error > COARSE:
+                name, advice = f"mesh of {part.name}, {words}", f"raise {part.name}.refine"
+                yield Check(name, error, COARSE, "relative, estimated", advice, "warn")
         advice = f"the sphere left the field table: widen {part.name}.y_min and {part.name}.y_max, "
         advice += "or kick it less"
         table, travel = build.model(part), float(np.ptp(y))
