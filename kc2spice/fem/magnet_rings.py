@@ -19,6 +19,7 @@ from numpy.polynomial import chebyshev
 
 from kc2spice.core.equality import EqualByContent
 from kc2spice.core.errors import wrong
+from kc2spice.core.mesh_error import MESH_ERROR
 from kc2spice.core.quantities import MU_0
 
 NODES = 40  # heights at which the couplings are computed, Chebyshev's
@@ -239,8 +240,8 @@ class Ladder(EqualByContent):
     that of the coils and ``couplings`` (c, k, degree + 1), with magnets (c + 1, k, degree + 1), are
     polynomials of ``2 (y - low) / (high - low) - 1``, lowest power first. ``error`` is the largest
     of what the currents of more loops change in the coils' flux and in the force, of the largest,
-    up to ``frequency`` [Hz]; ``rings`` are those of the body and ``rough`` is what
-    finer ones change in flux, force and loss.
+    up to ``frequency`` [Hz]; ``rings`` are those of the body and ``rough`` is the error that they
+    are estimated to make in flux, force and loss.
     """
 
     rates: np.ndarray
@@ -252,6 +253,14 @@ class Ladder(EqualByContent):
     rings: int
     frequency: float = 0.0
     rough: float = 0.0
+
+    @property
+    def facts(self) -> dict[str, float]:
+        """Its size and its errors; of constant currents nothing is approximated."""
+        if not self.rates.size:
+            return {}
+        known = {"rings": float(self.rings), "loops": float(self.rates.size)}
+        return known | {f"{MESH_ERROR}rings": self.rough, "loop_error": self.error}
 
     def answer(self, heights: np.ndarray, s: complex, conductivity: float) -> Answer:
         """What the coils and the force see of the body's currents at ``heights`` [m]."""

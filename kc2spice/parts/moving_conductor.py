@@ -15,6 +15,7 @@ from pydantic import Field
 from kc2spice.core.cache import cached
 from kc2spice.core.errors import UsageError
 from kc2spice.core.figure import Curve, Figure, Panel, Shape
+from kc2spice.core.mesh_error import mesh_words
 from kc2spice.core.quantities import (
     MU_0,
     Count,
@@ -45,11 +46,13 @@ CLOSER = 0.1  # tolerance of the full model, of that of the reduced one
 SWING = 0.05
 MOST_TURNS = 5
 FINER = 2  # rings of the full model and its frequency, of those of the reduced one
+CIRCLES = "closed form of coaxial circles"  # what its couplings are without rings
 LEAST = 1e3  # Hz, up to which eddy currents are resolved whatever drives the scene
 SCREENED = 0.5  # of a coil's inductance, what is left of it over a conductor
 BEYOND = 2.0  # of the resolved frequency, up to which a run's currents may have their energy:
 SEEN = 0.99  # a sine of few periods has some of it above its own frequency
-ROUGH = 0.02  # of flux, force and loss, by which the rings may be off those that are finer
+ROUGH = 0.02  # of flux, force and loss, by which the rings may be off
+LEAST_CHANGE = 0.1  # part of the error of the rings that finer ones are taken to show at least
 
 
 class CoilKeys(Section):
@@ -119,7 +122,7 @@ class MovingConductorKeys(Conduction, Moving):
             "analysis, sines, carriers and edges, at least 1 kHz"
         ),
     )
-    rings: Annotated[Count, Notch(2.0, model=True)] = Field(
+    rings: Annotated[Count, Notch(2.0, model=True, mesh=True)] = Field(
         400,
         ge=20,
         le=3000,
@@ -187,6 +190,7 @@ def declared(part: Part, model: Ladder) -> Declaration:
         low=f"y - {model.low:.11g}",
         high=f"{model.high:.11g} - y",
         reach=f", currents up to {model.frequency:g} Hz" if eddies else "",
+        mesh=_of_rings(model) or f"none: {CIRCLES}",
     )
 
 
@@ -267,10 +271,11 @@ class MovingConductor(DeclaredPart):
         return ladder(body, coils, fixed, *settings)
 
     def refined(self, found: Ladder, keys: Any, fixed: list[Winding], rings: int) -> Ladder:
-        """The loops with what rings that are finer change in them."""
+        """The loops with the error of their rings: of second order in the size of a ring, thus in
+        proportion to the reciprocal of their number, and so is what finer ones change."""
         finer = _divided(keys, FINER * rings, found.frequency)
-        rough = roughness(finer, found, windings(keys), fixed, keys.conductivity)
-        return replace(found, rough=rough)
+        changed = roughness(finer, found, windings(keys), fixed, keys.conductivity)
+        return replace(found, rough=changed / max(1 - found.rings / finer.r.size, LEAST_CHANGE))
 
     def build(self, part: Part, scene: Scene, clock: Any, full: bool = False) -> Ladder:
         """In ``full`` more loops of more rings up to twice the highest frequency of the scene and
@@ -353,6 +358,15 @@ class MovingConductor(DeclaredPart):
         )
         yield Neglected("eddy currents in the coils' wires", "thin wires", "not estimated")
         yield Neglected("tilting and sideways motion", "one degree of freedom", "not estimated")
+
+    def discretisation(self, part: Part, build: Build) -> str:
+        return _of_rings(build.model(part)) or f"no mesh: {CIRCLES}"
+
+
+def _of_rings(model: Ladder) -> str:
+    """Error estimate of the rings that a body is divided into, in words; empty without rings."""
+    errors = mesh_words(model.facts)
+    return f"error estimate of its {model.rings} rings: {errors}" if errors else ""
 
 
 def turns(time: np.ndarray, y: np.ndarray) -> list[tuple[float, float]]:

@@ -131,7 +131,8 @@ class Declaration:
     follows, whose law has ``x + lag x_rate`` in all places of x; ``base`` is the pin on which inner
     nodes rest. Where nobody reads forces and currents that are not ``metered``, they have no nodes
     and sources of their own, a third of the devices, and watches of overlaps are linear in x.
-    ``no_module`` says why no compiled module can be it.
+    ``no_module`` says why no compiled module can be it. ``mesh`` is the error estimate of the mesh
+    or rings that its numbers come from, in words.
     """
 
     name: str
@@ -164,6 +165,7 @@ class Declaration:
     base: str = ""
     metered: bool = True
     no_module: str = ""
+    mesh: str = ""
 
     def __post_init__(self) -> None:
         known = {*self.parameters, *self.coordinates, *self.rates, *self.states, *self.signals}

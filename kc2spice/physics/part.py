@@ -247,7 +247,7 @@ def subcircuit(
         if key.name in d.numbers
     )
     params = keys + d.given
-    words = {"rating": d.rating, "validity": d.validity, "sign": d.sign}
+    words = {"rating": d.rating, "validity": d.validity, "sign": d.sign, "mesh": d.mesh}
     head = part_header(header, f"{name}: {d.title}", pins, params, **words)
     named = " ".join(pin.name for pin in pins)
     cards = f".subckt {name} {named} {parameter_list(params)}\n{body(d, noise)}{more}.ends {name}\n"
