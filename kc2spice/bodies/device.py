@@ -148,7 +148,7 @@ def make_device(solid: Solid, setup: Setup) -> Device:
     facts = {"unknowns": unknowns, "mass_kg": bare.mass}
     facts |= {} if volts is None else {"depoling_voltage_v": volts}
     answers = undamped_answers(bare.model, bare.shift)
-    facts |= answers.facts | mesh_errors(bare, setup, answers)
+    facts |= answers.facts | mesh_errors(bare, answers, setup.sectors)
     model = replace(bare.model, facts=facts)
     return replace(bare, model=_damped(model, solid, bare.displacement, setup))
 
@@ -403,11 +403,6 @@ class Answers:
     modes: np.ndarray
 
 
-def electromechanical(model: LinearModel, shift: float = 0.0) -> dict[str, float]:
-    """The facts of :func:`undamped_answers`."""
-    return undamped_answers(model, shift).facts
-
-
 def undamped_answers(model: LinearModel, shift: float = 0.0) -> Answers:
     """Capacitances (of the first electrical port, those of others under their names, each with the
     rest shorted), static stroke of the first mechanical port, by its name, per volt, and the lowest
@@ -449,8 +444,9 @@ def undamped_answers(model: LinearModel, shift: float = 0.0) -> Answers:
     return Answers(facts, rest, pushed, modes)
 
 
-def mesh_errors(device: Device, setup: Setup, answers: Answers) -> dict[str, float]:
+def mesh_errors(device: Device, answers: Answers, sectors: int = 1) -> dict[str, float]:
     """Estimated relative errors of facts that the mesh causes, by name behind :data:`MESH_ERROR`.
+    The model is that of so many ``sectors`` like the solid.
 
     With the energy product A of :mod:`kc2spice.fem.recovery` and the errors e of modes w, of the
     answers v to a voltage and p to a force,
@@ -472,10 +468,10 @@ def mesh_errors(device: Device, setup: Setup, answers: Answers) -> dict[str, flo
         changes = {"resonance": each[0], "modes": each[np.abs(each).argmax()]}
     if volts:
         free = answers.facts["capacitance_free_f"]
-        changes["capacitance"] = setup.sectors * _likely(products, n, n) / free
+        changes["capacitance"] = sectors * _likely(products, n, n) / free
     for name, stroke in answers.facts.items():
         if name.startswith("free_stroke_") and stroke:
-            changes["stroke"] = setup.sectors * _likely(products, n, -1) / stroke
+            changes["stroke"] = sectors * _likely(products, n, -1) / stroke
     if not volts and answers.pushed.shape[1]:
         changes["compliance"] = error[-1] / own[-1]
     return {f"{MESH_ERROR}{name}": _relative(change) for name, change in changes.items()}

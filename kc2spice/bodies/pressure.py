@@ -44,7 +44,14 @@ from scipy import sparse
 from skfem import LinearForm
 from skfem.mesh import MeshQuad, MeshQuad2
 
-from kc2spice.bodies.device import Device, Setup, Shape, constrained, electromechanical
+from kc2spice.bodies.device import (
+    Device,
+    Setup,
+    Shape,
+    constrained,
+    mesh_errors,
+    undamped_answers,
+)
 from kc2spice.bodies.fields import Probe, principal
 from kc2spice.bodies.piezo_stack import layer_materials, stack_setup
 from kc2spice.bodies.stack_keys import PATCH, Chip
@@ -329,21 +336,22 @@ def sphere(body: Sphere, shares: np.ndarray, shape: PressureBasis, refine: int =
 
     ``refine`` divides every cell along each axis.
     """
-    free, port = _free(body, shape, refine), Port(PATCH, "mechanical")
-    load = free.B @ shares[:, None]
-    model = replace(free, B=load, C=load.T, D=np.zeros((1, 1)), ports=(port,))
-    facts = {**free.facts, **electromechanical(model)}
+    device, port = _free(body, shape, refine), Port(PATCH, "mechanical")
+    load = device.model.B @ shares[:, None]
+    model = replace(device.model, B=load, C=load.T, D=np.zeros((1, 1)), ports=(port,))
+    answers = undamped_answers(model)
+    facts = {**model.facts, **answers.facts, **mesh_errors(replace(device, model=model), answers)}
     return replace(model, E=None, rayleigh=body.rayleigh, facts=facts)
 
 
 def sphere_compliance(body: Sphere, shape: PressureBasis, refine: int = 1) -> LocalCompliance:
     """Of the basis functions on the sphere, and of their patch."""
-    S = _compliance(_free(body, shape, refine))
+    S = _compliance(_free(body, shape, refine).model)
     patch = float(1 / np.linalg.solve(S, np.ones(len(S))).sum())
     return LocalCompliance(S - patch, patch)
 
 
-def _free(body: Sphere, shape: PressureBasis, refine: int) -> LinearModel:
+def _free(body: Sphere, shape: PressureBasis, refine: int) -> Device:
     """The undamped sphere with a port for every function, on the mapped grid of the module."""
     radius = body.radius
     x = _onwards(np.arcsin(_divided(shape.nodes, CELLS) / radius))
@@ -366,7 +374,7 @@ def _free(body: Sphere, shape: PressureBasis, refine: int) -> LinearModel:
     mass = float(along @ momentum)
     slow = np.linalg.eigvalsh(body.material.C)[0] / body.material.density / radius**2
     loads = _basis_loads(solid, shape, np.flatnonzero(under))[kept]
-    return with_potentials(
+    model = with_potentials(
         M=M,
         K_uu=K,
         K_up=sparse.csc_array(momentum[:, None]),
@@ -377,6 +385,9 @@ def _free(body: Sphere, shape: PressureBasis, refine: int) -> LinearModel:
         ports=_basis_ports(shape),
         facts={"unknowns": float(len(kept)), "mass_kg": mass},
     )
+    moved = sparse.eye_array(free.size, format="csc")[:, kept]
+    none = sparse.csc_array((len(free), 0))  # no field in it
+    return Device(model, solid, moved, none, none, np.zeros((0, 0)), 0.0, mass)
 
 
 def _onwards(angles: np.ndarray) -> np.ndarray:
