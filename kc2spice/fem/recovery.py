@@ -9,7 +9,9 @@ than those of the elements. Their difference d = (dS, dE) measures the error: in
 
 of two solutions. Fits stay within one piece of materials of one name, where no strain may jump.
 Layers of one name whose coupling is s times that of the first have their field times s continuous,
-as those of a stack poled by turns have under electrodes by turns.
+as those of a stack poled by turns have under electrodes by turns. Elements of first order need
+these neighbours, as they have no field within a layer; of second order each layer is a piece,
+because strain and field jump at electrodes by what the mean strain changes from layer to layer.
 Sources: O. C. Zienkiewicz and J. Z. Zhu, Int. J. Numer. Meth. Eng. 33 (1992) 1331; N.-E. Wiberg and
 F. Abdulwahab, Int. J. Numer. Meth. Eng. 36 (1993) 2703.
 """
@@ -209,8 +211,9 @@ def _samples(
 def _corners(solid: Solid) -> tuple[np.ndarray, np.ndarray]:
     """Number (elements, corners) of the corner of a piece of one material, and their places."""
     first, second = solid.mesh.f2t[:, solid.mesh.f2t[1] >= 0]
-    names = np.array([material.name for material in solid.materials])[solid.owner]
-    alike = names[first] == names[second]
+    names = np.array([material.name for material in solid.materials])
+    label = solid.owner if solid.order == 2 else names[solid.owner]
+    alike = label[first] == label[second]
     n, nodes = solid.mesh.nelements, solid.places.shape[1]
     links = sparse.coo_array((np.ones(alike.sum()), (first[alike], second[alike])), shape=(n, n))
     piece = connected_components(links, directed=False)[1]

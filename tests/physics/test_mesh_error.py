@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from drawn_meshes import drawn, rows
 from test_body import section, slabs, write
 
 from kc2spice.bodies.device import undamped_answers
@@ -204,6 +205,29 @@ def test_error_estimates_are_within_two_of_the_error(tmp_path, make, finest):
         estimate = found[f"mesh_error_{word}"]
         near = max(error, estimate) < SMALL
         assert near or 0.5 < estimate / error < 2, f"{word}: {estimate:.2%} of {error:.2%}"
+
+
+# Draws of more unknowns than the others.
+LATE = {k: [pytest.mark.campaign] for k in (1, 3, 5, 6, 8, 9, 10, 12, 15, 17, 19)}
+FEW = "150 quadratic tetrahedra: 17 % are estimated of a resonance that is 7 % off"
+OUTSIDE = {19: [pytest.mark.xfail(reason=FEW, strict=True)]}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "number",
+    [pytest.param(k, marks=[*LATE.get(k, []), *OUTSIDE.get(k, [])]) for k in range(20)],
+)
+def test_error_estimates_of_drawn_meshes_are_within_two_of_the_error(tmp_path, number):
+    """Contributions to the error of a stroke have both signs: where they cancel by chance, the
+    estimate is more than twice the error."""
+    _, make, finest = drawn(number)
+    for word, _, error, unsure, estimate in rows(make, tmp_path, finest):
+        if max(error, estimate) < SMALL:
+            continue
+        told = f"{word}: {estimate:.2%} of {error:.2%} +- {unsure:.2%}"
+        assert estimate > 0.5 * (error - unsure), told
+        assert word == "stroke" or estimate < 2 * (error + unsure), told
 
 
 def test_energy_of_solutions_is_that_of_the_model():
