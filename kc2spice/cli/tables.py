@@ -18,7 +18,7 @@ import typer
 
 from kc2spice.core.errors import Kc2spiceError, SimulationError, UsageError
 from kc2spice.core.files import FULL
-from kc2spice.core.progress import Progress, silent
+from kc2spice.core.progress import ERROR_BUDGET, Progress, silent
 
 if TYPE_CHECKING:
     from kc2spice.report.html import Section
@@ -35,10 +35,11 @@ class Caller:
     quiet: bool
 
     def progress(self) -> AbstractContextManager[Progress]:
-        """One line for each stage with its elapsed time in a terminal, nothing elsewhere."""
+        """One line for each stage with its elapsed time in a terminal; elsewhere the limits of an
+        error budget alone."""
         if not self.quiet and sys.stderr.isatty():
             return _bars()
-        return nullcontext(silent)
+        return nullcontext(silent if self.quiet or self.as_json else _limits)
 
     def reads(self, record: Any, out: Path | None = None) -> bool:
         """Whether it is a person who reads the answer; a program gets ``record`` and its directory
@@ -47,6 +48,12 @@ class Caller:
             more = {} if out is None else {"directory": str(out.absolute())}
             print(json.dumps({**record, **more} if more else record))
         return not (self.as_json or self.quiet)
+
+
+def _limits(stage: str, done: float | None, text: str) -> None:
+    """Print what a run states before it begins to refine."""
+    if stage == ERROR_BUDGET:
+        print(f"{stage}: {text}", file=sys.stderr)
 
 
 @contextmanager

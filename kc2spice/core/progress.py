@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 
 Progress = Callable[[str, float | None, str], None]
 
+ERROR_BUDGET = "error budget"  # stage that announces the limits of refined meshes
 STAGES = ("mesh", "assemble", "reduce", "magnetics", "export", "simulate", "report")
 
 

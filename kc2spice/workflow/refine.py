@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 import tempfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -21,7 +21,7 @@ import numpy as np
 from kc2spice.core.errors import SimulationError, UsageError, wrong
 from kc2spice.core.memory import available_bytes
 from kc2spice.core.mesh_error import mesh_errors
-from kc2spice.core.progress import Clock
+from kc2spice.core.progress import ERROR_BUDGET, Clock
 from kc2spice.core.waveforms import interpolate
 from kc2spice.parts._meshed import MeshedBody
 from kc2spice.scene.judge import Check
@@ -42,6 +42,7 @@ LIMIT = 1e-2  # error_budget where checks.reduction asks without one
 REMAINDER = 2.0
 PER_NOTCH, FARTHEST = 4.0, 3  # by which an error falls at best, notches that are taken at once
 NEAR_ZERO = 0.1  # of the largest metric in its unit: what a small one is judged by
+ROUNDING = 1e-6  # the same of a response to small signals, whose metrics are no small differences
 SHRINKS, STALLS = 0.9, 2  # from one estimate to the next; so often not, the axes do not converge
 
 Notches = Mapping[str, float]  # by how many notches an axis is moved, by its name
@@ -58,6 +59,7 @@ class Runs:
     ) -> None:
         self.own, self.axes, self.clock, self.retries = own, found, clock, retries
         self.known: dict[str, Run] = {repr({}): own}
+        self.refused: UsageError | None = None  # the last mesh that was too large
 
     def at(self, notches: Notches) -> Run:
         """The run there; raises as :func:`kc2spice.workflow.simulate.simulate` does."""
@@ -97,9 +99,9 @@ class Runs:
             need = factor_bytes(unknowns, dimensions)
             most, memory = self.limits
             if unknowns > most or need > memory:
-                got = f"about {unknowns:,.0f} unknowns, {need / 1e9:.1f} GB".replace(",", " ")
-                expected = f"at most {most:,.0f} unknowns, {memory / 1e9:.1f} GB".replace(",", " ")
-                raise wrong(axis.name, "a refined mesh is too large", got, expected)
+                got, expected = f"about {_size(unknowns, need)}", f"at most {_size(most, memory)}"
+                self.refused = wrong(axis.name, "a finer mesh is too large", got, expected)
+                raise self.refused
 
     def _body(self, axis: Axis) -> Part | None:
         """The body whose mesh an axis refines."""
@@ -112,6 +114,11 @@ class Runs:
         bodies = (self._body(axis) for axis in self.axes if axis.name in names)
         facts = (run.build.facts(part) for part in bodies if part is not None)
         return max((e for each in facts for e in mesh_errors(each).values()), default=0.0)
+
+
+def _size(unknowns: float, memory: float) -> str:
+    """Unknowns and memory [B] in words."""
+    return f"{unknowns:,.0f}".replace(",", " ") + f" unknowns and {memory / 1e9:.2g} GB"
 
 
 def factor_bytes(unknowns: float, dimensions: int) -> float:
@@ -151,16 +158,18 @@ def changes(run: Run, finer: Run) -> dict[str, float]:
     """Relative change of every metric that ``finer`` has, infinite where ``run`` has none like it.
 
     That of a curve is relative to its largest value, that of a small number to :data:`NEAR_ZERO` of
-    the largest one with the same unit in the metrics' records; one without a unit is by itself. A
-    curve over other points is interpolated to those of ``run``.
+    the largest one with the same unit in the metrics' records; one without a unit is by itself, and
+    so are those of a response to small signals, above :data:`ROUNDING`. A curve over other points
+    is interpolated to those of ``run``.
     """
+    share = ROUNDING if run.small else NEAR_ZERO
     exact = {name: v.astype(float) for name, v in finer.values.items() if v.size}
     exact = {name: v for name, v in exact.items() if np.isfinite(v).all()}
     least: dict[str, float] = {}
     for name, value in exact.items():
         unit = finer.units.get(name, "")
         if unit:
-            least[unit] = max(least.get(unit, 0.0), NEAR_ZERO * float(np.abs(value).max()))
+            least[unit] = max(least.get(unit, 0.0), share * float(np.abs(value).max()))
     result = {}
     for name, value in exact.items():
         mine = run.values.get(name)
@@ -182,13 +191,15 @@ def changes(run: Run, finer: Run) -> dict[str, float]:
 @dataclass(frozen=True)
 class Estimate:
     """A run with its axes moved by so many ``notches``, and the estimated error of each metric
-    from a refined one; ``unmoved`` are axes that this one could not move."""
+    from a refined one; ``unmoved`` are axes that this one could not move, whose part of the largest
+    error is ``fixed``."""
 
     notches: Notches
     settings: Mapping[str, Any]
     run: Run
     errors: Mapping[str, float] = field(default_factory=dict)
     unmoved: tuple[str, ...] = ()
+    fixed: float = 0.0
 
     @property
     def error(self) -> float:
@@ -240,14 +251,15 @@ def converge(own: Run, clock: Clock) -> Converged | None:
         return None
     limit = budget or LIMIT
     runs = Runs(own, axes(own.build), clock)
-    if any(axis.model for axis in runs.axes):
+    if any(axis.mesh for axis in runs.axes):
         most, memory = runs.limits
-        text = f"meshes are refined up to {most:,.0f} unknowns and {memory / 1e9:.1f} GB of memory"
-        clock.progress("error budget", None, text.replace(",", " "))
+        text = f"meshes are refined up to {_size(most, memory)} of memory"
+        clock.progress(ERROR_BUDGET, None, text)
     tried: list[Estimate] = []
     shares: dict[str, float] = {}
     notches: Notches = {}
     why, last, stalls = "", math.inf, 0
+    other = "refine what it was tried with"
     while True:
         now = _estimate(runs, notches)
         if now is None:
@@ -255,6 +267,10 @@ def converge(own: Run, clock: Clock) -> Converged | None:
             break
         tried.append(now)
         if now.error <= limit or budget is None:
+            break
+        if now.fixed > limit:
+            other = "give a mesh that is finer where its error arises"
+            why = _at_finest(runs, now)
             break
         stalls = stalls + 1 if now.error > SHRINKS * last else 0
         if stalls == STALLS:
@@ -267,25 +283,53 @@ def converge(own: Run, clock: Clock) -> Converged | None:
             break
         notches = moved
     taken = tried[-1] if tried else Estimate({}, {}, own)
-    told = f"raise error_budget, or refine what it was tried with ({why})" if why else "raise it"
+    told = f"raise error_budget, or {other} ({why})" if why else "raise it"
     worst = max(taken.errors, key=lambda name: taken.errors[name], default="its metrics")
     check = Check(f"error of {worst}", taken.error, limit, "relative, estimated", told, action)
     return Converged(taken, check, tried, shares, runs.limits)
 
 
+def _at_finest(runs: Runs, now: Estimate) -> str:
+    """Why the meshes of ``now`` are not refined, whose error is beyond the budget."""
+    if (large := runs.refused) is None:
+        return f"{', '.join(now.unmoved)} cannot be refined"
+    return f"{large.where}: {large.message}: {large.got}, {large.expected}"
+
+
 def _estimate(runs: Runs, notches: Notches) -> Estimate | None:
-    """All axes a notch finer; without those of meshes where that is too much for the machine, whose
-    own estimates count instead."""
+    """All axes a notch finer; without those of meshes where that is too much for the machine, see
+    :func:`_of_meshes`."""
     now = runs.at(notches)
     meshes = tuple(axis.name for axis in runs.axes if axis.model)
     for unmoved in ((), meshes) if meshes else ((),):
         finer = _tried(runs, _moved(notches, [a for a in runs.axes if a.name not in unmoved]))
         if finer is not None:
             settings = keys_at(runs.axes, notches)
-            left = runs.mesh_error(unmoved, now)  # what no refined run shows
-            errors = {name: error + left for name, error in _differences(now, finer).items()}
-            return Estimate(notches, settings, now, errors, unmoved)
+            errors = _differences(now, finer)
+            left = _of_meshes(runs, notches, unmoved, errors)  # what no refined run shows
+            fixed = max(left.values(), default=0.0)
+            errors = {name: error + left[name] for name, error in errors.items()}
+            return Estimate(notches, settings, now, errors, unmoved, fixed)
     return None
+
+
+def _of_meshes(
+    runs: Runs, notches: Notches, unmoved: Sequence[str], metrics: Iterable[str]
+) -> dict[str, float]:
+    """Estimated error of each of the ``metrics`` by the meshes of ``unmoved`` axes: that of the
+    body, or what the metric differs by on a coarser mesh, if more. A notch leaves half of an error
+    at most, so that the difference is no less than what is left."""
+    now = runs.at(notches)
+    result = dict.fromkeys(metrics, runs.mesh_error(unmoved, now))
+    for axis in (axis for axis in runs.axes if axis.name in unmoved):
+        at = notches.get(axis.name, 0)
+        coarser = None
+        if axis.at(at - 1) != axis.at(at):
+            coarser = _tried(runs, _moved(notches, [axis], -1))
+        for name, change in changes(coarser, now).items() if coarser is not None else ():
+            if math.isfinite(change):
+                result[name] = max(result.get(name, 0.0), change)
+    return result
 
 
 def _largest_share_moved(

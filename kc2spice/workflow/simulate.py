@@ -62,6 +62,11 @@ class Run(Outcome):
         return {name: value for name, value in result.items() if value.dtype.kind in "bif"}
 
     @property
+    def small(self) -> bool:
+        """Whether its metrics are those of a response to small signals."""
+        return self.build.scene.analysis.small
+
+    @property
     def facts(self) -> dict[str, Any]:
         """``result.json`` of the models, of the simulator's work and of energies."""
         stats = self.waves.stats

@@ -6,7 +6,9 @@ import numpy as np
 import pytest
 
 import kc2spice as kc
-from kc2spice.core.progress import Clock
+from kc2spice.cli.tables import Caller
+from kc2spice.core.mesh_error import mesh_errors
+from kc2spice.core.progress import ERROR_BUDGET, Clock
 from kc2spice.workflow import refine
 
 # an RC low-pass
@@ -108,7 +110,46 @@ def test_meshes_are_refined_within_limits_that_are_stated_first(monkeypatch):
     assert min(done.taken.errors.values()) >= mesh > 1e-3
 
 
+def refined_disc(monkeypatch, most, budget):
+    """The disc with a budget and a limit of unknowns, and on a mesh eight times as fine."""
+    monkeypatch.setattr(refine, "MOST_UNKNOWNS", most)
+    own = refine.evaluate(kc.load_scene(DISC, {"error_budget": budget}), Clock())
+    exact = refine.evaluate(kc.load_scene(DISC, {"disc.mesh.refine": 8}), Clock())
+    return refine.converge(own, Clock()), exact
+
+
+def test_a_mesh_at_its_limit_ends_the_refinement_with_its_reason(monkeypatch):
+    """Other settings do not help any more; no run is spent on them."""
+    done, _ = refined_disc(monkeypatch, 1000, 1e-4)
+    assert len(done.tried) == 1
+    assert not done.check.passed
+    assert "disc.mesh.refine: a finer mesh is too large: about 1 632 unknowns" in done.check.advice
+    assert "at most 1 000 unknowns" in done.check.advice
+
+
+def test_the_error_at_the_limit_is_that_of_each_metric(monkeypatch):
+    """The curve at a resonance is off by far more than the resonance; what the last refinement
+    changed in it covers that."""
+    done, exact = refined_disc(monkeypatch, 2500, 1e-4)
+    assert done.taken.settings["disc.mesh.refine"] == 2
+    assert done.taken.unmoved == ("disc.mesh.refine",)
+    true = refine.changes(done.taken.run, exact)
+    for name, error in true.items():
+        assert done.taken.errors[name] >= error, name
+    mesh = max(mesh_errors(done.taken.run.build.facts(exact.build.scene.parts["disc"])).values())
+    assert true["impedance_ohm"] > 5 * mesh
+
+
 def test_memory_of_a_factor_is_that_of_its_fill():
     """A chip of 152 000 unknowns took 5.8 GB, a disc of 145 000 a fraction of a gigabyte."""
     assert refine.factor_bytes(152e3, 3) == pytest.approx(5.8e9, rel=0.05)
     assert refine.factor_bytes(145e3, 2) < 0.5e9
+
+
+@pytest.mark.parametrize(("as_json", "quiet"), [(False, False), (True, False), (False, True)])
+def test_limits_of_meshes_are_printed_outside_of_a_terminal(capsys, as_json, quiet):
+    with Caller(as_json, quiet).progress() as progress:
+        progress(ERROR_BUDGET, None, "meshes are refined up to 1 000 unknowns")
+        progress("reduce", 0.5, "reduction of disc")
+    said = "error budget: meshes are refined up to 1 000 unknowns\n"
+    assert capsys.readouterr().err == ("" if as_json or quiet else said)

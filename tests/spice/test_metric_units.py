@@ -1,6 +1,6 @@
 """Units of metrics come from their records: their names, which users choose, decide nothing."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -112,6 +112,7 @@ class Metrics:
     values: dict[str, np.ndarray]
     units: dict[str, str]
     waves: SimpleNamespace = field(default_factory=lambda: SimpleNamespace(scale=np.arange(2.0)))
+    small: bool = False
 
 
 def runs(coarse: dict[str, float], fine: dict[str, float], units: dict[str, str]):
@@ -135,6 +136,17 @@ def test_near_zero_values_are_judged_by_a_tenth_of_the_largest_in_their_unit():
     units = {"rest": "m", "stroke": "m"}
     coarse, fine = runs({"rest": 2e-9, "stroke": 1e-6}, {"rest": 1e-9, "stroke": 1e-6}, units)
     assert refine.changes(coarse, fine)["rest"] == pytest.approx(1e-9 / 1e-7)
+
+
+def test_values_of_a_response_are_judged_by_themselves():
+    """An amplitude below a resonance is no small difference of large ones."""
+    units = {"low": "m", "peak": "m", "still": "m"}
+    coarse, fine = runs(
+        {"low": 2e-9, "peak": 1e-6, "still": 3e-19}, {"low": 1e-9, "peak": 1e-6, "still": 0}, units
+    )
+    found = refine.changes(replace(coarse, small=True), fine)
+    assert found["low"] == pytest.approx(1.0)
+    assert found["still"] < 1e-6
 
 
 def test_bench_and_error_budget_state_the_same_error():
