@@ -230,6 +230,15 @@ def test_error_estimates_of_drawn_meshes_are_within_two_of_the_error(tmp_path, n
         assert word == "stroke" or estimate < 2 * (error + unsure), told
 
 
+def test_fields_of_a_quadratic_stack_are_recovered_layer_by_layer(tmp_path):
+    """Of the first mode strain and field jump at electrodes; averages across them make the estimate
+    eight times too large."""
+    _, make, _ = drawn(6)
+    coarse, fine = (make(refine, tmp_path).model.facts for refine in (1, 2))
+    error = abs(coarse["resonance_short_hz"] / fine["resonance_short_hz"] - 1)
+    assert 0.5 < coarse["mesh_error_resonance"] / error < 2
+
+
 def test_energy_of_solutions_is_that_of_the_model():
     """``A(w, w)`` of a static answer is minus the free capacitance, of a mode its eigenvalue."""
     made = round_body(**layers(("brass", 0.2, 20), (PZT, 0.22, 14)), support="clamped")(1, None)
