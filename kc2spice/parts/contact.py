@@ -28,7 +28,7 @@ from kc2spice.core.waveforms import Waveforms, running
 from kc2spice.parts._touching import PATCH, Pair, busy_until, separation
 from kc2spice.physics import Declaration, DeclaredPart
 from kc2spice.physics.cards import force_node
-from kc2spice.physics.contact import Normal, contact
+from kc2spice.physics.contact import SPACED, Normal, contact
 from kc2spice.physics.part import pins_of
 from kc2spice.rom.linear import LinearModel
 from kc2spice.scene.judge import PAIRS, Balance, Check, Gate, Metric, stepping
@@ -283,6 +283,9 @@ class Contact(DeclaredPart):
             for word, share in _sums(pair).items()
         }
         return replace(result, results=result.results | sums)
+
+    def discretisation(self, part: Part, build: Build) -> str:
+        return f"mesh: {SPACED}" if part.keys.shape == "pressure" else ""
 
     def notes(self, part: Part, scene: Scene) -> Iterator[str | Neglected]:
         keys, pair = part.keys, Pair(part, scene)

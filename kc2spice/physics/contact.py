@@ -17,6 +17,8 @@ from kc2spice.physics.expression import derivative, evaluated, expression, minus
 
 RATING = "not known; compare the force with the strength of both surfaces (Hertz)"
 # A block between compiled modules alone ended 35 mm away instead of 0.2, without an error message.
+# What a law of pressures states of the mesh that its compliances come from.
+SPACED = "error not estimated; a run with half the key spacing shows it"
 SLIPS = "compiled modules lose the digits that friction below its creep speed needs"
 SIGN = "um, m/s and N count upwards, out of the chip; 1 A into a pin pushes the part up with 1 N"
 
@@ -151,6 +153,7 @@ def contact(
         base="base",
         metered=False,
         no_module=SLIPS if law.friction else "",
+        mesh=SPACED if law.radius else "",
     )
 
 

@@ -16,6 +16,7 @@ from kc2spice.fem.magnet_keys import Catch, Ring
 from kc2spice.fem.magnet_rings import roughness
 from kc2spice.fem.materials import material
 from kc2spice.parts import moving_conductor
+from kc2spice.physics.contact import SPACED
 from kc2spice.rom.io import read_rom, write_rom
 from kc2spice.scene.load import load_scene
 from kc2spice.scene.parttype import part_types
@@ -150,6 +151,13 @@ def test_a_magnet_states_that_it_has_no_mesh():
     assert "no mesh: closed form of coaxial circles" in detail
     assert header == "mesh: none: closed form of coaxial circles"
     assert facts == {}
+
+
+def test_a_contact_by_pressure_states_that_its_mesh_has_no_estimate():
+    settings = {"contact.shape": "pressure", "kick.electrical": "open", "kick.layers": 3}
+    detail, _, header = stated("impact", "contact", settings)
+    assert header in detail
+    assert header == f"mesh: {SPACED}"
 
 
 def test_an_elastic_sphere_states_its_mesh():
