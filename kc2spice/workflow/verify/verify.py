@@ -421,8 +421,8 @@ class _Verification:
             )
             return
         self.finer = set(parts)
-        # Laws against laws: ngspice meets the laws by the rms of each wave, and its instant of a
-        # jump in a coil's voltage differs by a time step, which a largest difference counts in full.
+        # Laws against laws. ngspice is compared with the laws by the rms of each wave: its instant
+        # of a jump in voltage differs by a time step, which a largest difference counts in full.
         own = [item for item in gates if item[0] in self.finer]
         self.found.checks += gate_limits(own, "rom_vs_fom", solutions["rom"], exact)[0]
 
