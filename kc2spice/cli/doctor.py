@@ -14,6 +14,7 @@ from pathlib import Path
 
 from kc2spice.core.cache import cache_dir
 from kc2spice.core.errors import Kc2spiceError, MissingToolError
+from kc2spice.core.packages import install_command
 from kc2spice.netlist.deck import Deck
 from kc2spice.sim.ngspice import find_ngspice, run_deck
 
@@ -83,12 +84,12 @@ def examine() -> Iterator[Finding]:
     if sys.platform == "linux":
         missing = [soname for soname in _GMSH if not _loads(soname)]
         result = "missing " + ", ".join(missing) if missing else f"{len(_GMSH)} found"
-        fix = " ".join(("apt-get install", *(_GMSH[item] for item in missing))) if missing else ""
+        fix = install_command(*(_GMSH[item] for item in missing)) if missing else ""
         yield Finding("system libraries of gmsh", not missing, result, fix)
     yield from _ngspice()
     name = ctypes.util.find_library("ngspice")
     ok = name is not None and _loads(name)
-    fix = "" if ok else "apt-get install libngspice0"
+    fix = "" if ok else install_command("libngspice0")
     yield Finding("libngspice", ok, name or "not found", fix, needed=ok)
     folder = cache_dir()
     existing = next(path for path in (folder, *folder.parents) if os.path.exists(path))
@@ -108,7 +109,7 @@ def _ngspice() -> Iterator[Finding]:
     """The program, the language that our netlists use, whatever the version says, and code models,
     which op-amp benches of users may need."""
     find_ngspice.cache_clear()
-    install, missing = "apt-get install ngspice", None
+    install, missing = install_command("ngspice"), None
     try:
         result = find_ngspice()
         yield Finding("ngspice", True, f"{result.version} ({result.path})")
@@ -116,7 +117,7 @@ def _ngspice() -> Iterator[Finding]:
         missing = error
         yield Finding("ngspice", False, f"{error.message} ({error.where})", install)
     for name, text, vectors, wanted, fix in _PROBES:
-        ok, told, needed = False, "no ngspice", text == _FEATURE_DECK
+        ok, outcome, needed = False, "no ngspice", text == _FEATURE_DECK
         if missing is None:
             deck = Deck(name="probe", text=text, vectors={k: (k, 1.0) for k in vectors})
             with tempfile.TemporaryDirectory() as folder:
@@ -124,7 +125,7 @@ def _ngspice() -> Iterator[Finding]:
                     waves = run_deck(deck, Path(folder), timeout=20)
                     ends = [float(abs(waves[vector][-1])) for vector in vectors]
                     ok = all(abs(end - wanted) < 1e-6 for end in ends)
-                    told = "a probe does" if ok else f"got {ends}"
+                    outcome = "a test netlist runs" if ok else f"got {ends}"
                 except Kc2spiceError as error:
-                    told = error.message
-        yield Finding(name, ok, told, fix if missing is None else install, needed)
+                    outcome = error.message
+        yield Finding(name, ok, outcome, fix if missing is None else install, needed)

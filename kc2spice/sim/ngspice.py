@@ -22,6 +22,7 @@ import numpy as np
 
 from kc2spice.core.errors import MissingToolError, SimulationError, UsageError
 from kc2spice.core.foreign import name_threat
+from kc2spice.core.packages import install_command
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.netlist.cards import number
 from kc2spice.netlist.deck import Deck
@@ -70,7 +71,7 @@ def find_ngspice() -> Simulator:
             "ngspice is not on this machine",
             where="PATH",
             expected="the program ngspice, version 39 or later",
-            hint="Debian or Ubuntu: apt-get install ngspice; else https://ngspice.sourceforge.io",
+            hint=f"{install_command('ngspice')}; see also https://ngspice.sourceforge.io",
         )
     asked: Any = {"capture_output": True, "timeout": ANSWERS, "stdin": subprocess.DEVNULL}
     try:

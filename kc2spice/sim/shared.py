@@ -27,14 +27,13 @@ import numpy as np
 
 from kc2spice.core.errors import MissingToolError, SimulationError, UsageError
 from kc2spice.core.foreign import lines_of
+from kc2spice.core.packages import install_command
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.netlist.deck import Deck
 from kc2spice.netlist.scope import INCLUDES
 from kc2spice.scene.rows import Sampled
 from kc2spice.sim.ngspice import named, partial_waves
 from kc2spice.sim.output import altered_run, failed_run, read_raw, statistics
-
-_HINT = "Debian or Ubuntu: apt-get install libngspice0"
 
 
 def _structure(**fields: Any) -> Any:
@@ -245,7 +244,7 @@ def _private_copy() -> ctypes.CDLL:
             "libngspice is not on this machine",
             where="shared library path",
             expected="libngspice.so.0, version 39 or later",
-            hint=_HINT,
+            hint=install_command("libngspice0"),
         )
     try:
         plain = ctypes.CDLL(result)
@@ -260,7 +259,10 @@ def _private_copy() -> ctypes.CDLL:
             return ctypes.CDLL(str(copy), mode=mode)  # mapped: the file may go
     except OSError as error:
         raise MissingToolError(
-            "libngspice cannot be loaded", where=result, got=str(error), hint=_HINT
+            "libngspice cannot be loaded",
+            where=result,
+            got=str(error),
+            hint=install_command("libngspice0"),
         ) from None
 
 

@@ -1,0 +1,89 @@
+"""The command that installs a program or library on the operating system of this machine.
+
+:func:`install_command` takes names of Debian packages. It returns a line for the shell, or a
+sentence if the package manager of a system is unknown. Commands for Fedora, macOS and Windows are
+not tested.
+"""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+_OS_RELEASE = Path("/etc/os-release")
+# First words of the command for each ID or ID_LIKE of /etc/os-release(5).
+_COMMANDS = {
+    "debian": "apt-get install",
+    "ubuntu": "apt-get install",
+    "fedora": "dnf install",
+    "rhel": "dnf install",
+    "centos": "dnf install",
+    "darwin": "brew install",
+    "win32": "scoop bucket add extras; scoop install",  # its bucket contains ngspice
+}
+# Package on other systems for each Debian package. The gmsh wheels of macOS and Windows contain the
+# libraries that the mesher loads.
+_NAMES = {
+    _COMMANDS["fedora"]: {
+        "ngspice": "ngspice",
+        "libngspice0": "libngspice",
+        "libglu1-mesa": "mesa-libGLU",
+        "libgl1": "libglvnd-glx",
+        "libx11-6": "libX11",
+        "libxext6": "libXext",
+        "libxrender1": "libXrender",
+        "libxcursor1": "libXcursor",
+        "libxfixes3": "libXfixes",
+        "libxft2": "libXft",
+        "libxinerama1": "libXinerama",
+        "libfontconfig1": "fontconfig",
+        "libgomp1": "libgomp",
+    },
+    _COMMANDS["darwin"]: {"ngspice": "ngspice", "libngspice0": "libngspice"},
+    _COMMANDS["win32"]: {"ngspice": "ngspice"},
+}
+
+
+def install_command(*packages: str) -> str:
+    """Return the command that installs Debian ``packages`` on this system.
+
+    Parameters
+    ----------
+    packages : str
+        Names of Debian packages, such as ``"ngspice"``.
+
+    Returns
+    -------
+    str
+        A command of apt-get, dnf, brew or scoop. On a system without a known package, a sentence
+        that contains the names on Debian.
+
+    Examples
+    --------
+    >>> install_command("ngspice").endswith("ngspice")
+    True
+    """
+    command = _command(sys.platform, _os_release())
+    names = _NAMES.get(command, {})
+    if command == _COMMANDS["debian"]:
+        names = {package: package for package in packages}
+    if all(package in names for package in packages):
+        return " ".join((command, *(names[package] for package in packages)))
+    return f"install the package that Debian calls {', '.join(packages)}"
+
+
+def _command(platform: str, release: str) -> str:
+    """First words of the install command of a system; empty if it is unknown."""
+    systems = [platform]
+    if platform == "linux":
+        fields = dict(line.split("=", 1) for line in release.splitlines() if "=" in line)
+        systems = f"{fields.get('ID', '')} {fields.get('ID_LIKE', '')}".replace('"', "").split()
+    return next((_COMMANDS[system] for system in systems if system in _COMMANDS), "")
+
+
+def _os_release() -> str:
+    """Text of /etc/os-release, empty on systems without that file."""
+    try:
+        return _OS_RELEASE.read_text(encoding="utf-8")
+    except OSError:
+        return ""
