@@ -20,6 +20,7 @@ import numpy as np
 
 from kc2spice.core import __version__
 from kc2spice.core.errors import UsageError, unknown
+from kc2spice.core.extras import import_optional
 from kc2spice.core.figure import Figure
 from kc2spice.core.files import staged
 from kc2spice.core.progress import Clock
@@ -292,6 +293,34 @@ class Result:
             return notebook_figure(figure)
         raise UsageError("a single point is no curve", where=self.scene, got=self.scale)
 
+    def to_xarray(self) -> Any:
+        """Return the waves as an ``xarray.Dataset`` over time, frequency or sweep.
+
+        Returns
+        -------
+        xarray.Dataset
+            One variable for each wave in SI, with its unit in ``attrs["units"]``. The coordinate is
+            that of ``scale``. Complex waves stay complex.
+
+        Raises
+        ------
+        MissingToolError : xarray is not installed.
+
+        Examples
+        --------
+        >>> import kc2spice as kc
+        >>> waves = kc.run("buzzer_7bb_20_6").to_xarray()
+        >>> waves["disc.current"].attrs["units"]
+        'A'
+        """
+        xarray = import_optional("xarray", "to_xarray")
+        variables = {
+            name: xarray.Variable((self.scale,), wave, {"units": self.units.get(name, "")})
+            for name, wave in self.waves.items()
+        }
+        coordinate = {self.scale: variables.pop(self.scale)}
+        return xarray.Dataset(variables, coordinate, {"scene": self.scene})
+
     def save(self, out: str | Path, *, png: bool = False) -> Path:
         """Write deck, libraries, waveforms, ``result.json`` and, of a scene, ``report.html``; with
         ``png`` its figures as files too.
@@ -387,6 +416,26 @@ class Table(tuple[dict[str, Any], ...]):
 
         write_csv({name: self[name] for name in self.columns}, Path(path))
         return Path(path)
+
+    def to_dataframe(self) -> Any:
+        """Return the table as a ``pandas.DataFrame`` with the same columns.
+
+        Returns
+        -------
+        pandas.DataFrame
+            One row for each point. Metrics of failed points are NaN.
+
+        Raises
+        ------
+        MissingToolError : pandas is not installed.
+
+        Examples
+        --------
+        >>> Table([{"r": 1.0, "status": "ok"}]).to_dataframe().shape
+        (1, 2)
+        """
+        pandas = import_optional("pandas", "to_dataframe")
+        return pandas.DataFrame({name: self[name] for name in self.columns})
 
     def _cells(self) -> list[list[str]]:
         return [[_shown(value) for value in row.values()] for row in self]

@@ -37,11 +37,13 @@ LIBRARIES = {
     "ansys": OptionalLibrary("ansys-mapdl-reader", "ansys"),
     "distributed": OptionalLibrary("dask.distributed", "dask"),
     "InSpice": OptionalLibrary("InSpice", None),
+    "pandas": OptionalLibrary("pandas", "dataframes"),
     "pyarrow": OptionalLibrary("pyarrow", "parquet"),
     "pymor": OptionalLibrary("pyMOR", "pymor"),
     "PySpice": OptionalLibrary("PySpice", None),
     "pyyeti": OptionalLibrary("pyyeti", "nastran"),
     "skrf": OptionalLibrary("scikit-rf", "measured"),
+    "xarray": OptionalLibrary("xarray", "dataframes"),
 }
 
 

@@ -1,7 +1,12 @@
-"""Progress and wall time of the stages of a study."""
+"""Progress and wall time of the stages of a study.
+
+``logging.getLogger("kc2spice")`` logs the start of every stage at the level INFO, and its wall time
+at DEBUG. Nothing is printed unless the caller adds a handler.
+"""
 
 from __future__ import annotations
 
+import logging
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -10,6 +15,8 @@ from dataclasses import dataclass, field
 Progress = Callable[[str, float | None, str], None]
 
 ERROR_BUDGET = "error budget"  # stage that announces the limits of refined meshes
+LOGGER = logging.getLogger("kc2spice")
+LOGGER.addHandler(logging.NullHandler())
 STAGES = ("mesh", "assemble", "reduce", "magnetics", "export", "simulate", "report")
 
 
@@ -26,8 +33,11 @@ class Clock:
 
     @contextmanager
     def stage(self, name: str, text: str) -> Iterator[Callable[[float], None]]:
-        """Announce a stage, time it, and hand out a function that takes the share done."""
+        """Announce and time a stage, and yield a function that takes the share done."""
         self.progress(name, None, text)
+        LOGGER.info("%s: %s", name, text)
         start = time.perf_counter()
         yield lambda done: self.progress(name, done, text)
-        self.wall_s[name] = self.wall_s.get(name, 0.0) + time.perf_counter() - start
+        elapsed = time.perf_counter() - start
+        LOGGER.debug("%s took %.3f s", name, elapsed)
+        self.wall_s[name] = self.wall_s.get(name, 0.0) + elapsed

@@ -136,6 +136,58 @@ def test_sweep_has_a_row_for_each_point_and_the_reason_of_a_failure(tmp_path):
         kc.sweep(PULSE, {"upper.resistance": []})
 
 
+def test_a_sweep_becomes_a_dataframe_with_nan_where_a_point_failed():
+    pandas = pytest.importorskip("pandas", reason="pip install 'kc2spice[dataframes]'")
+    rows = [
+        {"r": 500.0, "top_v": 0.5, "status": "ok"},
+        {"r": 1e3, "top_v": None, "status": "failed: x"},
+    ]
+    frame = kc.Table(rows).to_dataframe()
+    assert list(frame.columns) == ["r", "top_v", "status"]
+    assert frame["top_v"].dtype == np.float64
+    assert pandas.isna(frame["top_v"][1])
+    assert frame.set_index("r")["top_v"][500.0] == 0.5
+    assert not kc.Table([{"r": 1.0, "status": "ok"}]).to_dataframe().isna().any(axis=None)
+
+
+def test_waves_become_an_xarray_with_units_and_the_charge_of_the_capacitor():
+    pytest.importorskip("xarray", reason="pip install 'kc2spice[dataframes]'")
+    result = kc.run(PULSE)
+    waves = result.to_xarray()
+    assert list(waves.coords) == ["time"]
+    assert waves["time"].attrs["units"] == "s"
+    assert waves["store.v"].attrs["units"] == "V"
+    np.testing.assert_array_equal(waves["store.v"], result.waves["store.v"])
+    charge = waves["upper.i"].integrate("time")
+    assert abs(float(charge)) == pytest.approx(1e-6 * (1 - np.exp(-5)), rel=1e-3)
+    band = {"type": "ac", "start": "100 Hz", "stop": "200 Hz", "points": 3}
+    response = kc.run({**CIRCUIT, "analysis": band}).to_xarray()["store.v"]
+    wanted = 1 / (1 + 2j * np.pi * response["frequency"] * 1e-3)
+    np.testing.assert_allclose(response, wanted, rtol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("method", "package"), [("to_dataframe", "pandas"), ("to_xarray", "xarray")]
+)
+def test_a_missing_package_is_named_with_its_pip_line(monkeypatch, method, package):
+    monkeypatch.setitem(sys.modules, package, None)
+    owner = kc.Table([{"r": 1.0, "status": "ok"}])
+    if method == "to_xarray":
+        owner = kc.run({**CIRCUIT, "analysis": {"type": "op"}, "probes": {"v": {"of": "store.v"}}})
+    with pytest.raises(kc.errors.MissingToolError, match=f"{package} is not installed") as caught:
+        getattr(owner, method)()
+    assert caught.value.hint == "pip install 'kc2spice[dataframes]'"
+
+
+def test_the_library_logs_its_stages_and_prints_nothing(caplog, capfd):
+    with caplog.at_level("INFO", logger="kc2spice"):
+        kc.run({**CIRCUIT, "analysis": {"type": "op"}, "probes": {"v": {"of": "store.v"}}})
+    stages = [record.getMessage().split(":")[0] for record in caplog.records]
+    assert "simulate" in stages
+    assert not any("took" in record.getMessage() for record in caplog.records)
+    assert capfd.readouterr().out == ""
+
+
 def test_a_point_has_one_value_and_that_is_its_mean():
     probes = {take: {"of": "store.v", "take": take} for take in ("mean", "rms", "final")}
     result = kc.run({**CIRCUIT, "analysis": {"type": "op"}, "probes": probes})
