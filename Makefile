@@ -41,6 +41,7 @@ symbols: setup  ## one KiCad library of all parts, with its models: a package fo
 
 docs-numbers: setup  ## write the outputs and tables of the documentation from their commands
 	.venv/bin/python tools/docs_numbers.py
+	.venv/bin/python tools/notebooks.py
 
 docs: setup  ## the static site in build/site, every link checked
 	.venv/bin/python -m pip install --quiet --editable '.[docs]'
