@@ -64,23 +64,39 @@ PICTURES = {
 EDGES = (0.1, 1.0, 5.0, 10.0, 20.0)  # us, of the kick's drive
 HEAD = """# Devices with published numbers
 
-Textbook materials and the dimensions of the sheet or paper; no property is fitted. Rows
-marked *assumed* rest on a key that the source does not give. Those marked *measured* are of one
-device on a bench; the others are of sheets, closed forms and finite elements of others. Discs are
-free plates (sheets measure at the node, which changes the resonance by a tenth of a percent).
-*full* is the finite-element model, *reduced* what the subcircuit is made from, *ngspice* a run of
-the emitted netlist; of the cases with complete inputs *full* and *reduced* are the independent
-integration of the laws with the full and the reduced models. What a column cannot give is "-".
-*within* compares ngspice (else the full model) with the tolerance of the source. Written by
-`python tools/published_table.py` from `docs/published.toml`; each device
-runs by its name, `kc2spice run NAME`, or from its file in `docs/published`. What its mesh is worth
-says `kc2spice explain NAME`.
+The models have textbook materials and the dimensions of the data sheet or paper; no property is
+fitted. `kc2spice run NAME` runs a built-in scene. The other scenes are files in `docs/published`.
+`kc2spice explain NAME` prints the error estimate of the mesh.
+
+- *full* is the finite-element model.
+- *reduced* is the model from which the subcircuit is made.
+- *ngspice* is a run of the emitted netlist.
+- *difference* is that of ngspice, or of the full model if ngspice has no value.
+- *within* compares the difference with the tolerance of the source.
+- A dash marks values that do not apply.
+- *measured* marks values of one device on a bench. All others come from data sheets, closed forms
+  or finite elements of other programs.
+- *assumed* marks rows that depend on a key that the source does not give.
+
+Discs are free plates. Data sheets measure them at the node, which changes the resonance by a tenth
+of a percent. If the source gives all inputs, *full* and *reduced* are independent time integrations
+of the equations. `python tools/published_table.py` writes this page from `docs/published.toml`.
 
 {origin}
 
 | scene | quantity | published | full | reduced | ngspice | difference | within |
 |---|---|---|---|---|---|---|---|
 """
+ASSUMPTIONS = "These keys are not in the source. The rows give no verdict on the model."
+KICKS = """\
+The model reaches the measured speed with an edge of about 20 µs. The scene `kick_and_catch` has a
+sphere of 2 mm and edges of 0.1 µs. Its 1.02 m/s need a driver that gives 35 A to the chip. A driver
+that charges the capacitance of the chip more slowly does not reach this speed."""
+SOURCES = """\
+The last column names the text with which the published numbers were compared. Files `vmNNN.dat` are
+in `src/ansys/mapdl/core/examples/verif` of <https://github.com/ansys/pymapdl>. The catalogue of
+May 2014 was at `www1.futureelectronics.com/doc/Murata/7BB-20-6-MUR.pdf`."""
+SOURCES_HEAD = "| scene | device | source | compared with |\n|---|---|---|---|"
 
 
 @dataclass(frozen=True)
@@ -181,11 +197,11 @@ def case(name: str, entry: Mapping[str, Any]) -> tuple[dict[str, Answer], Path]:
     scene = load_scene(str(CASES / entry["scene"]), entry.get("set", []))
     out = Path(tempfile.mkdtemp()) / name
     if entry.get("full", True):
-        told = verify([scene], out)["scenes"][scene.name]["answers"]
+        answers = verify([scene], out)["scenes"][scene.name]["answers"]
     else:
-        told = {"ngspice": run(scene, out)["metrics"]}
+        answers = {"ngspice": run(scene, out)["metrics"]}
     names = [key for key, value in entry.items() if isinstance(value, dict) and "value" in value]
-    paths = [told.get(path, {}) for path in ("fom", "rom", "ngspice")]
+    paths = [answers.get(path, {}) for path in ("fom", "rom", "ngspice")]
     return {key: Answer(*(path.get(key) for path in paths)) for key in names}, out
 
 
@@ -293,20 +309,15 @@ def page(published: Mapping[str, Any], names: Collection[str], old: str) -> str:
         if "assumed" in entry
     ]
     sources = [
-        f"- `{name}`: {entry['device']}. {entry['source']}. Checked: {entry['checked']}."
+        f"| `{name}` | {entry['device']} | {entry['source']} | {entry['checked']} |"
         for name, entry in published.items()
     ]
-    kicks = [
-        "The speed that was measured is reached with an edge of about 20 µs. The 1.02 m/s of the",
-        "scene `kick_and_catch` (a sphere of 2 mm, edges of 0.1 µs) need a driver that gives 35 A",
-        "into the chip; no driver that charges its capacitance more slowly gets there.",
-    ]
     parts = [
-        "\n".join(lines), "What misses, and why:", "\n".join(reasons),
-        "What the source does not say and the scene assumes (no verdict on the model):",
-        "\n".join(assumed),
-        "## Height of the kick over the slew of the driver", "\n".join(kicks), "\n".join(edges),
-        "## Pictures", "\n\n".join(sorted(pictures)), "## Sources", "\n".join(sources),
+        "\n".join(lines), "## Values outside of the tolerance", "\n".join(reasons),
+        "## Assumptions", ASSUMPTIONS, "\n".join(assumed),
+        "## Height of the kick over the slew rate of the driver", KICKS, "\n".join(edges),
+        "## Pictures", "\n\n".join(sorted(pictures)),
+        "## Sources", SOURCES, "\n".join([SOURCES_HEAD, *sources]),
     ]  # fmt: skip
     return HEAD.format(origin=origin(published, names, old)) + "\n\n".join(parts) + "\n"
 
@@ -351,7 +362,7 @@ def _picture(name: str, out: Path, figures: Path) -> None:
 
 
 def main(names: list[str]) -> None:
-    """Write the page; of some scenes anew."""
+    """Write the page; ``names`` are the scenes to compute again."""
     published = tomllib.loads((ROOT / "docs" / "published.toml").read_text("utf-8"))
     path = ROOT / "docs" / "evidence" / "devices.md"
     new = page(published, names or {**published, **PICTURES}, path.read_text("utf-8"))
