@@ -53,7 +53,7 @@ def dense(setup):
         error = max(each.error for each in (ours, slow) if each is not None)
         name = f"dense_vs_resonator_{size}"
         ratios.append(speed_up(name, slow and slow.time, ours, target, what, error=error))
-    notes = ("made-up devices of the chip's kind, resonances from 270 kHz to 30 MHz",)
+    notes = ("The devices are synthetic, with resonances from 270 kHz to 30 MHz like the chip",)
     plane = Plane(
         "dense", "Forms of one device in .ac", "largest relative error of any response",
         "CPU time [s]", tuple(points), notes,

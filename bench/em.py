@@ -43,7 +43,8 @@ def em(setup):
     plane = Plane(
         "em", f"Table of the magnets' force, {cases.shape[0]} current pairs",
         "force error over the largest force", "CPU time [s]", tuple(points),
-        (f"error: of the spline between heights, against FE at {dense.y.size} heights",),
+        (f"The error is that of the spline, compared with finite elements at {dense.y.size} "
+         "heights",),
     )  # fmt: skip
     what = f"brute force over superposition, {count} cases; error: between the two"
     ratio = speed_up("em_superposition", brute_time, superposed, 8.0, what, error=equal)

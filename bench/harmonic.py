@@ -46,7 +46,7 @@ def harmonic(setup):
             error = relative_error(response, exact)
             points.append(Point("pyMOR", label, error, time, {"response": error}))
     except ImportError:
-        notes.append("pyMOR is not installed: its reductors are left out")
+        notes.append("pyMOR is not installed, so its reductors are left out")
     points.append(Point("full model", "full model, direct", certified, full))
     ratio = speed_up(
         "harmonic", full, best, TARGET, f"full model over {best and best.label}, "
@@ -55,8 +55,9 @@ def harmonic(setup):
     plane = Plane(
         "harmonic", f"{scene.title}: {frequency.size} frequencies",
         "largest relative error of any response", "CPU time of the sweep [s]", tuple(points),
-        (f"time of the full model from {taken.size} of {frequency.size} solves",
-         f"{large.order} states replace it, within {certified:.1e} of ten direct solves",
+        (f"The time of the full model is extrapolated from {taken.size} of {frequency.size} solves",
+         f"The reference has {large.order} states and differs by {certified:.1e} from direct "
+         "solves",
          *notes),
     )  # fmt: skip
     return Outcome((plane,), (ratio,))

@@ -41,7 +41,7 @@ def impact(setup):
         )
     )  # fmt: skip
     points = (*plane.points, *full.points())
-    notes = (*plane.notes, f"time of the refactorising full model {full.how}")
+    notes = (*plane.notes, f"The time of the refactorising full model is extrapolated {full.how}")
     return Outcome((replace(plane, points=points, notes=notes),), ratios)
 
 

@@ -54,7 +54,7 @@ def imprint(setup):
             reduced,
             Point("ngspice", "netlist, ngspice", deck_error, deck_time, {"force": deck_error}),
         ),
-        (f"refactorising full model from {count} of its {whole} factorisations",),
+        (f"The refactorising full model is extrapolated from {count} of {whole} factorisations",),
     )  # fmt: skip
     ratios = tuple(
         speed_up(

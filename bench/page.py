@@ -40,18 +40,19 @@ def _section(title, head, rows, note):
 
 
 def _machine_line(record):
-    """Processor and versions in one line, with a warning where the numbers mean nothing."""
+    """Processor, versions and duration, with a warning if the models were coarse."""
     m = record["machine"]
     took = sum(record["seconds"].values())
     line = (
-        f"{m['cpu']}, {m['cores']} cores, {m['os']}, Python {m['python']}, numpy {m['numpy']}, "
-        f"scipy {m['scipy']}, ngspice {m['ngspice']}, C compiler {m['compiler']}, "
-        f"kc2spice {m['kc2spice']}; CPU times, medians of {record['repeats']}, "
-        "of fewer where a run takes long"
+        f"Machine: {m['cpu']}, {m['cores']} cores, {m['os']}.\n\n"
+        f"Versions: Python {m['python']}, numpy {m['numpy']}, scipy {m['scipy']}, "
+        f"ngspice {m['ngspice']}, C compiler {m['compiler']}, kc2spice {m['kc2spice']}.\n\n"
+        f"Times are CPU times: medians of {record['repeats']} runs, or of fewer if a run takes "
+        "long."
     )
     if took:
-        line += f"; all of it took {took / 60:.1f} min"
-    quick = ". Quick run: coarse models, the numbers mean nothing."
+        line += f" The whole benchmark took {took / 60:.1f} min."
+    quick = " This was a quick run with coarse models, so its numbers mean nothing."
     return line + quick if record["quick"] else line
 
 

@@ -38,13 +38,18 @@ class Transient:
         """All methods on the scene's reduced model."""
         points, notes = self._rounds([*self._ngspice(), *self._scipy(), *self._lower_bound()])
         what = "rebound" if self.thrown else "launch"
-        notes.append("errors against the same reduced model, integrated to 1e-9")
+        notes.append("The reference is the same reduced model, integrated to 1e-9")
         notes.append(
-            "those without inertia at the contact against the product's reference integration of "
-            "the same equations"
+            "Methods without inertia at the contact are compared with the reference integration of "
+            "kc2spice"
         )
-        notes.append("time of ngspice is CPU of the whole process, start-up and files included")
-        notes.append("pyMOR's time steppers take linear models only: contact is beyond them")
+        notes.append(
+            "The time of ngspice is the CPU time of the whole process, with start-up and files"
+        )
+        notes.append(
+            "The time steppers of pyMOR accept linear models only, so they cannot simulate the "
+            "contact"
+        )
         return Plane(
             "impact" if self.thrown else "loop",
             f"{self.scene.title}: {self.scene.stop * 1e3:g} ms",

@@ -48,7 +48,8 @@ def writers(setup):
     points += _first_order(setup, ratios)
     plane = Plane(
         "writers", "Netlists of the same poles", "largest error over the largest response",
-        "CPU time [s]", tuple(points), ("in .tran relative to scikit-rf's netlist",),
+        "CPU time [s]", tuple(points),
+        ("In .tran the error is relative to the netlist of scikit-rf",),
     )  # fmt: skip
     return Outcome((plane,), tuple(ratios))
 
