@@ -87,7 +87,7 @@ of the equations. `python tools/published_table.py` writes this page from `docs/
 | scene | quantity | published | full | reduced | ngspice | difference | within |
 |---|---|---|---|---|---|---|---|
 """
-ASSUMPTIONS = "These keys are not in the source. The rows give no verdict on the model."
+ASSUMPTIONS = "The sources do not contain these keys, so the rows do not test the model."
 KICKS = """\
 The model reaches the measured speed with an edge of about 20 µs. The scene `kick_and_catch` has a
 sphere of 2 mm and edges of 0.1 µs. Its 1.02 m/s need a driver that gives 35 A to the chip. A driver
@@ -326,7 +326,11 @@ def origin(published: Mapping[str, Any], names: Collection[str], old: str) -> st
     """Date and commit of the whole page; that of the ``old`` one if only some rows are new."""
     earlier = re.search(r"(?m)^All rows were computed .*$", old)
     if not published.keys() <= set(names):
-        return earlier[0] if earlier else "Rows of several runs: the page has no common date."
+        return (
+            earlier[0]
+            if earlier
+            else "The rows come from several runs, so the page has no common date."
+        )
     return f"All rows were computed {date_and_commit()}."
 
 
