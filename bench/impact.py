@@ -73,10 +73,7 @@ class _FullModel:
             )
         whole = factorisations(result.ring_force[1:])
         self.refactorising = scaled(sample, whole / taken.factorisations)
-        self.how = (
-            f"from {taken.factorisations} of the {whole} factorisations that the closed springs of "
-            f"its {steps} steps need"
-        )
+        self.how = f"from {taken.factorisations} of the {whole} factorisations of its {steps} steps"
 
     def _run(self, step, ball=None, stop=None, method="low_rank"):
         return transient(
