@@ -113,7 +113,8 @@ class Chip(Section):
     bottom_cap: Cap | None = None
     top_cap: Cap | None = None
     material: str | dict[str, Any] = Field(
-        PAPER, description="Ceramic poled along z: a name, or a table of what differs from THP51"
+        PAPER,
+        description="Ceramic poled along z: a name, or a table of changes to THP51",
     )
     poling: Literal["z", "x"] = Field(
         "z", description="Direction of poling: z makes the stack longer, x shears it"

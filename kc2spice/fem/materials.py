@@ -323,7 +323,7 @@ class MaterialTable(Section):
         None, ge=0, description="Dielectric loss tangent, for damping per material"
     )
     tensile_strength: Pressure | None = Field(
-        None, gt=0, description="Largest principal stress that the material stands"
+        None, gt=0, description="Largest principal stress that the material withstands"
     )
     depoling_field: Annotated[float, si("V/m")] | None = Field(
         None, gt=0, description="Largest field against the poling"
@@ -332,7 +332,7 @@ class MaterialTable(Section):
         None, gt=0, description="Largest field in any direction"
     )
     residual_stress: tuple[Pressure, Pressure, Pressure] | None = Field(
-        None, description="Stress at rest along x, y and z of the body, which its supports hold"
+        None, description="Stress at rest along x, y and z of the body, balanced by its supports"
     )
     source: str = Field("", description="Source of all numbers of this table")
     sources: dict[str, str] = Field(

@@ -88,7 +88,9 @@ class FieldKeys(LinearKeys):
 
     fields: bool | Annotated[tuple[Time, ...], Field(min_length=1, max_length=MOST)] | None = Field(
         None,
-        description=("Whether fields are computed, or the instants of which VTU files are written"),
+        description=(
+            "Whether fields are computed, or a list of instants for which VTU files are written"
+        ),
     )
 
 

@@ -24,7 +24,10 @@ class Stopped(Section):
     """What a stop keeps of a strike."""
 
     restitution: Ratio = Field(
-        0.5, ge=0, le=1, description="Speed after a strike of the stop divided by that before it"
+        0.5,
+        ge=0,
+        le=1,
+        description="Speed after a strike of the stop divided by the speed before it",
     )
     damping: Annotated[float, si("s/m")] = Field(
         0.0,

@@ -200,7 +200,7 @@ class BodyKeys(FieldKeys):
         None,
         ge=0,
         description=(
-            "Largest distance of two nodes that become one; 0 leaves solids that touch unconnected"
+            "Distance up to which two nodes are merged; 0 leaves solids that touch unconnected"
         ),
     )
     axisymmetric: bool = Field(
@@ -255,7 +255,7 @@ class BodyKeys(FieldKeys):
         if not all(any(direction) for direction in vectors):
             raise ValueError("poling without a direction")
         if len(self.electrodes) == 1:
-            raise ValueError("a single electrode has no voltage: name the one it is counted from")
+            raise ValueError("a single electrode has no voltage: name the reference electrode")
         if not self.electrodes and not self.ports:
             raise ValueError("needs electrodes or ports")
         names = [port.name for port in self.ports]

@@ -82,8 +82,8 @@ class ContactKeys(Section):
     inertia: Literal["massless", "lumped"] = Field(
         "massless",
         description=(
-            "Treatment of the residual modes behind the ports: without inertia, or one mass for "
-            "each port"
+            "Inertia of the residual modes behind the ports: none (massless), or one mass for each "
+            "port (lumped)"
         ),
     )
     shape: Literal["rings", "pressure"] = Field(

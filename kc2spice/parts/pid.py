@@ -63,7 +63,7 @@ class Control(Section):
     disable_at: tuple[Time, ...] = Field(
         (),
         description=(
-            "Instants at which the controller is disabled, one after each enable_at but the last"
+            "Instants at which the controller is disabled, one after each enable_at except the last"
         ),
     )
     of: str | None = Field(

@@ -96,8 +96,8 @@ class Stack(Chip, FieldKeys):
         2e6,
         gt=0,
         description=(
-            "Largest field in a layer along its poling, an assumption of 120 V at 60 um; set what "
-            "the maker of the stack allows"
+            "Largest field in a layer along its poling; the default assumes 120 V at 60 um, so set "
+            "the value of the maker"
         ),
     )
     drive: Drive | None = Field(None, description="Voltage pulse of an ideal source at the anode")

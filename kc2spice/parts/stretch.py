@@ -38,7 +38,9 @@ class StretchKeys(Section):
     length: Length = Field(gt=0, description="Length of the beam, all patches of a row together")
     stiffness: Stiffness = Field(
         gt=0,
-        description=("Stiffness along the beam, E A / length; for a plate divided by 1 - nu^2"),
+        description=(
+            "Stiffness along the beam, E A / length; for a plate, this value divided by 1 - nu^2"
+        ),
     )
     tension: Annotated[float, si("N")] = Field(
         0.0, description="Tension at rest, in addition to a residual_stress of the body"

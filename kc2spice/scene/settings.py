@@ -95,10 +95,15 @@ class Solver(Section):
         1e-4, gt=0, lt=1, description="Relative tolerance of the simulator"
     )
     chgtol: Annotated[Charge, Notch(0.1, finest=1e-14)] = Field(
-        1e-8, gt=0, description="Charge tolerance; 1 uC of a fast state is 1 um of displacement"
+        1e-8,
+        gt=0,
+        description="Charge tolerance; for fast modes, a charge of 1 uC is a displacement of 1 um",
     )
     trtol: Ratio = Field(
-        1.0, ge=1, le=10, description="Factor of ngspice on its estimate of the truncation error"
+        1.0,
+        ge=1,
+        le=10,
+        description="Factor by which ngspice divides its estimate of the truncation error (TRTOL)",
     )
     ringing: Literal["followed", "coarse"] | None = Field(
         None,
@@ -151,7 +156,7 @@ class Checks(Section):
         None,
         description=(
             "Action if the error estimate of a metric by a refined run is too large; by default "
-            "off, with an error_budget warn"
+            "off, or warn with an error_budget"
         ),
     )
     start: Action = Field(
@@ -260,7 +265,7 @@ class Gates(Section):
     lookup: Ratio = Field(
         3e-5,
         gt=0,
-        description="Error of the magnetic force, table of the netlist against the splines",
+        description="Error of the magnetic force, table of the netlist against splines",
     )
     field: Ratio = Field(
         3e-4,
@@ -298,7 +303,9 @@ class Analysis(Section):
     to: Any = Field(1.0, description="Last value of a dc analysis")
     back: bool | None = Field(
         None,
-        description=("Whether a dc analysis returns to its first value; its scale goes on growing"),
+        description=(
+            "Whether a dc analysis returns to its first value; its scale continues to grow"
+        ),
     )
 
     @field_validator("stop", mode="before")
@@ -354,7 +361,9 @@ class Probe(Section):
         "value",
     ] = Field(
         "max",
-        description=("Quantity that the probe takes of the result; value reads it where `at` says"),
+        description=(
+            "Quantity that the probe takes of the result; take = value reads it at the key `at`"
+        ),
     )
     at: Place | None = Field(
         None, description="Frequency, time or swept value at which take = value reads the result"
