@@ -87,7 +87,7 @@ def reduce(
     The result has the same ports in the same order and a ``certificate`` of its error with respect
     to ``model``: the largest error of any transfer function over ``band``, two frequencies in Hz or
     as texts (``"20 kHz"``), relative at every frequency (``norm="pointwise"``) or to the entry's
-    largest value in the band (``"peak"``, unless told for models whose ports are all signals).
+    largest value in the band (``"peak"``, the default for models whose ports are all signals).
     ``contact`` keeps some of what a contact excites above the band, as models of scenes do.
     Without a band it is the model's own, else up to a little above the fifth natural frequency. An
     order of a symmetric definite model is the block Arnoldi reduction at s0 = 0 of Schütz, Maeter
@@ -111,7 +111,7 @@ def reduce(
         )
     if parameters:
         raise UsageError(
-            "matrices say nothing of other values of parameters",
+            "matrices have no parameters to vary",
             where="parameters",
             got=", ".join(parameters),
             expected="keys of a body in a scene, under its rom.parameters",
@@ -167,7 +167,7 @@ def run(
     trust : let netlists and Python files that the scene names act on the machine.
     functions : ``function(time, inputs) -> output`` of each ``controller`` part by its name, in SI,
         instead of the Python file beside the scene. A run that is repeated with other settings
-        begins at time 0 again, where a function that remembers must forget; a file is read anew.
+        begins at time 0 again. A function with a memory must then reset it; a file is read again.
     overrides : as those of :func:`kc2spice.load_scene`.
 
     Raises

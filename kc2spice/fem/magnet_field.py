@@ -210,7 +210,9 @@ def assemble(catch: Catch, bore: Bore) -> Callable[[float], System]:
         distance, mover[rim] = lookup.query((moved.points[:, rim] + [[0], [height]]).T)
         if not np.max(distance) < 1e-6 * bore.pitch:
             got = f"y={height:g}"
-            raise SimulationError("mover and lattice do not fit", where="magnetics", got=got)
+            raise SimulationError(
+                "the mesh does not fit the moving sphere", where="magnetics", got=got
+            )
         keep = ~(movable & (np.abs(centres[1] - height) < bore.half))
         row = np.concatenate([stator.rows[:, keep].ravel(), mover[moved.rows].ravel()])
         col = np.concatenate([stator.cols[:, keep].ravel(), mover[moved.cols].ravel()])

@@ -209,7 +209,9 @@ def require_format(path: Path, head: bytes | None = None) -> None:
             return
         got, expected = head[:40], "a header of version 2 or 4, as text or binary"
         hint = 'gmsh.option.setNumber("Mesh.MshFileVersion", 4.1) before gmsh.write'
-    raise wrong(str(path), "is not what its name says", repr(got)[1:], expected, hint)
+    raise wrong(
+        str(path), "the content does not match the file name", repr(got)[1:], expected, hint
+    )
 
 
 def _content(path: Path) -> bytes:
@@ -237,7 +239,7 @@ def _collect(
 ) -> GroupedMesh:
     points = unit * found["points"]
     if not np.isfinite(points).all():
-        raise UsageError("a node is not at a finite place", where=where)
+        raise UsageError("a node has a coordinate that is not finite", where=where)
     if dimension == 2:  # radius and height; the plane is x-y (y the axis) or x-z (z the axis)
         flat = [axis for axis in (2, 1) if np.ptp(points[:, axis]) <= 1e-9 * np.ptp(points)]
         if not flat:
@@ -294,7 +296,9 @@ def merged_nodes(
     cells = np.sort(same[np.concatenate([nodes[:, :corners] for nodes in blocks])], axis=1)
     if (np.diff(cells, axis=1) == 0).any():
         shortest = f"less than the shortest edge, {_shortest_edge(points, blocks, corners):.4g} m"
-        raise wrong("merge", "this distance collapses elements", f"{distance:g} m", shortest)
+        raise wrong(
+            "merge", "merging nodes this far apart collapses elements", f"{distance:g} m", shortest
+        )
     return np.asarray(same)
 
 
@@ -534,7 +538,7 @@ def _collected(gmsh: ModuleType, dimension: int, where: str) -> dict[str, np.nda
                     raise wrong("mesh", "element that is not supported", shape, expected)
                 at = np.minimum(np.searchsorted(ranked, nodes), len(ranked) - 1)
                 if len(ranked) == 0 or (ranked[at] != nodes).any():
-                    raise UsageError("an element has a node that is not there", where=where)
+                    raise UsageError("an element has a node that does not exist", where=where)
                 result.append((numbers, order[at].reshape(-1, count)))
         return result
 

@@ -87,10 +87,10 @@ wiring = "parallel"
             got, expected = f"{keys.delay:g} s", f"less than the period, {keys.period:g} s"
             yield part.wrong("delay", "answers come after the next sample", got, expected)
         if (kind := scene.analysis.type) != "transient":
-            yield part.wrong("", "a function is asked in time", kind, "the analysis transient")
+            yield part.wrong("", "a function needs a transient", kind, "the analysis transient")
         if not keys.inputs:
             expected = 'names of its input pins, such as inputs = ["y"]'
-            yield part.wrong("inputs", "sees nothing", "no input", expected)
+            yield part.wrong("inputs", "the controller has no inputs", "no input", expected)
 
     def cards(self, part: Part, build: Build) -> tuple[str, ...]:
         out, ret = build.net(part, "out"), build.net(part, "ret")

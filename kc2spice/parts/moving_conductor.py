@@ -245,7 +245,7 @@ class MovingConductor(DeclaredPart):
         """What is wrong with its shape."""
         keys = part.keys
         if keys.shape == "disc" and not keys.thickness:
-            yield part.wrong("thickness", "a disc without one", "none", "a length above zero")
+            yield part.wrong("thickness", "a disc needs a thickness", "none", "a length above zero")
         if keys.shape == "sphere" and (keys.inner or keys.thickness):
             got = f"inner {keys.inner:g} m, thickness {keys.thickness}"
             yield part.wrong("shape", "a sphere has a radius alone", got, "neither of them")

@@ -129,7 +129,7 @@ class Declaration:
     ``speeds`` are the nodes of velocities of rigid bodies, which take the force,
     by the pins of their displacements; ``lags`` the time by which the force on a displacement x
     follows, whose law has ``x + lag x_rate`` in all places of x; ``base`` is the pin on which inner
-    nodes rest. Where nobody reads forces and currents that are not ``metered``, they have no nodes
+    nodes rest. Where no part reads forces and currents that are not ``metered``, they have no nodes
     and sources of their own, a third of the devices, and watches of overlaps are linear in x.
     ``no_module`` says why no compiled module can be it. ``mesh`` is the error estimate of the mesh
     or rings that its numbers come from, in words.
@@ -172,7 +172,7 @@ class Declaration:
         for what, tree in self._stated():
             if unknown := sorted(names(tree) - known):
                 raise UsageError(
-                    "a name that nothing gives a value",
+                    "no value is declared for this name",
                     where=f"{self.name}: {what}",
                     got=", ".join(unknown),
                     expected=", ".join(sorted(known)),
@@ -378,8 +378,8 @@ class Declaration:
         """What is through every branch, as text; a current's voltage."""
         own = [(name, tree) for name, tree in self.sent.items()]
         own += [(f"d/dt {name}", tree) for name, tree in self.changes.items()]
-        told = (f"{name} = {Writer().write(tree)}" for name, tree in own)
-        return (*filter(None, map(self._equation, self.acting)), *told)
+        definitions = (f"{name} = {Writer().write(tree)}" for name, tree in own)
+        return (*filter(None, map(self._equation, self.acting)), *definitions)
 
     def _equation(self, branch: Branch) -> str:
         direct, kept = self.named(self.direct(branch)), self.named(self.kept(branch))

@@ -79,7 +79,7 @@ def expression(text: str, where: str = "expression", tables: tuple[str, ...] = (
                 )
             case Choice() | Probe():
                 raise UsageError(
-                    "physics has names and functions alone",
+                    "an expression contains names, numbers and functions only",
                     where=where,
                     got=text,
                     hint="max(0, …) is one-sided",
@@ -108,7 +108,7 @@ class _Card(Writer):
 
 
 def text(tree: Tree) -> str:
-    """``tree`` as it stands on a card; a root of less than 1e-18 of one-sided things is that of
+    """``tree`` as written on a card; a root of less than 1e-18 of one-sided things is that of
     1e-18.
 
     Raises
@@ -315,7 +315,7 @@ def _terms(tree: Tree) -> list[_Product]:
             return [reduce(_Product.times, factors, _Product(Fraction(1)))]
         case Binary("^", _, _):
             raise UsageError(
-                "a power that is no whole number", got=Writer().write(tree), hint="exp(n*ln(x))"
+                "the exponent is not a whole number", got=Writer().write(tree), hint="exp(n*ln(x))"
             )
     return [_Product(Fraction(1), (rebuilt(tree, tidy),))] if _lives(tree) else []
 

@@ -206,7 +206,7 @@ def equilibrium(system: System, guess: np.ndarray | None = None) -> tuple[np.nda
     raise SimulationError(
         "no equilibrium was reached",
         where="operating point",
-        hint="does something hold every part? give a mass a position to start it in flight",
+        hint="support every part, or give a mass a position to start it in flight",
     )
 
 
@@ -238,7 +238,7 @@ def _solve(
         level = np.maximum(np.abs(add).max(axis=1), 1e-300)
         if short.any() and np.abs(right).max() > 1e-12:
             raise SimulationError(
-                "nothing holds a part: there is no equilibrium",
+                "a part has no support: there is no equilibrium",
                 where="operating point",
                 hint="give a mass a position to start it in flight, or a support",
             )

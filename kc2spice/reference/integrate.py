@@ -280,7 +280,7 @@ def transient(
     """Integrate from equilibrium to ``stop`` [s].
 
     Segments end at corners of sources and located zeros of the devices' guards.
-    ``times`` of the waves default to the accepted steps. ``progress`` is told the share done.
+    ``times`` of the waves default to the accepted steps. ``progress`` receives the share done.
     Raises SimulationError.
     """
     z, modes = equilibrium(system)
@@ -292,7 +292,9 @@ def transient(
         t, within = begin, 0.5 * (begin + end)
         while t < end:
             if len(segments) > _MAX_SEGMENTS:
-                raise SimulationError("contact chatters without end", where=f"t = {t:.9e} s")
+                raise SimulationError(
+                    "contact opens and closes without end", where=f"t = {t:.9e} s"
+                )
             interval = Interval(system, modes, within)
             steps, fired = _run(interval, t, z, end, rtol, lambda t: progress(t / stop))
             if steps:
@@ -353,7 +355,7 @@ def _run(
 
 
 def _located(interval: Interval, solver: Radau, step: Step, fell: np.ndarray) -> tuple[Step, int]:
-    """The step shortened to the first zero of a guard, solved anew there."""
+    """The step shortened to the first zero of a guard, solved again there."""
 
     def value(t: float, k: int) -> float:
         return float(interval.guards(t, step.at(t)[:, 0])[k])

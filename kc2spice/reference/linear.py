@@ -271,7 +271,7 @@ class Motion:
 
     @property
     def corners(self) -> np.ndarray:
-        """Times from which on modes move anew."""
+        """Times from which on modes move again."""
         return np.unique([0.0, *(t for t, _, _ in self.kinks), *(w.start for _, w in self.sines)])
 
     @property

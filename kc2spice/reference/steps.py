@@ -211,7 +211,9 @@ class _March:
                 for k, body in self.own.items():
                     body.loaded(es[k], second)
                 return z
-        raise SimulationError("a time step does not settle", where=f"t = {t:.6e} s")
+        raise SimulationError(
+            "the iteration of a time step does not converge", where=f"t = {t:.6e} s"
+        )
 
     def _switch(self, es: list[np.ndarray], count: int) -> bool:
         """Whether a device had to change its mode."""

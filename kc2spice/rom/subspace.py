@@ -198,7 +198,7 @@ def _sampled(full: Pencil, band: tuple[float, float], target: float, limit: floa
             break
     if not max(recent) <= limit:
         raise inexact(
-            "the model cannot be told from rounding",
+            "the model cannot be distinguished from rounding errors",
             f"relative error {max(recent):.1e} with {model.size} states",
             limit,
             "ask for a looser tolerance or a narrower band",
@@ -427,8 +427,8 @@ def _told(at: np.ndarray, size: np.ndarray, tolerance: float) -> str:
     text = f"its own response is uncertain to {size[worst]:.1e} at {at[worst]:.5g} Hz"
     if size[worst] > tolerance:
         warnings.warn(
-            f"{text}: so far the last digits of the given matrices move it; they are reduced as "
-            "they are given",
+            f"{text}, because the entries of the given matrices are rounded; they are reduced "
+            "unchanged",
             stacklevel=2,
         )
     return f", {text} by the last digits of its matrices" if size[worst] > UNCERTAIN else ""

@@ -195,7 +195,7 @@ class _Body:
             loaded = load_scene(self.scene, {f"{self.part}.{k}": v for k, v in values.items()})
         except UsageError as error:
             raise UsageError(
-                "the ranges hold values that the part cannot have",
+                "the ranges contain values that the part cannot have",
                 where=", ".join(item.key for item in self.keys),
                 got=error.message if error.got is None else f"{error.message}: {error.got}",
                 expected="ranges of possible parts",
@@ -455,7 +455,7 @@ def _refined(descent: _Descent, end: _End) -> _End:
         if not any(_between(item, box[item.key], end.values[item.key]) for item in body.keys):
             width = {key: max(NARROWER * half, NARROW) for key, half in width.items()}
     raise UsageError(
-        "the fit does not settle",
+        "the fit does not converge",
         where=body.data.where,
         got=f"no end in {ROUNDS} rounds at which mesh and reduced model agree",
         expected=f"within {SETTLED:g} standard errors",
@@ -484,17 +484,17 @@ def _record(body: _Body, start: np.ndarray, end: _End, ends: Sequence[_End]) -> 
              if np.linalg.norm(c) * abs(np.log(item.high / item.low)) < 1.0]  # fmt: skip
     if still:
         raise UsageError(
-            "does not move the impedance",
+            "does not change the impedance",
             where=", ".join(still),
             got="less than the noise of the data over its range",
-            expected="a key that the data tell something of",
+            expected="a key that changes the impedance",
         )
     relative = np.abs(end.exact / body.Y - 1)
     size = np.abs(np.abs(body.Y / end.exact) - 1)  # of |Z|
     rms = float(np.sqrt(np.mean(relative**2)))
     if rms > FAR:
         raise UsageError(
-            "no values in the ranges make this part the measured one",
+            "no values in the ranges give the measured impedance",
             where=body.data.where,
             got=f"{rms:.2g} of |Y| left over, rms, from {len(ends)} starts",
             expected=f"less than {FAR:g}",

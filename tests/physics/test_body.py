@@ -314,7 +314,7 @@ def test_solids_that_share_no_nodes_are_refused_or_merged(tmp_path):
     merged, joined = plates(tmp_path, merge="1 um"), plates(tmp_path / "joined")
     for name in ("unknowns", "capacitance_free_f", "resonance_short_hz"):
         assert merged.model.facts[name] == pytest.approx(joined.model.facts[name], rel=1e-9), name
-    with pytest.raises(UsageError, match="this distance collapses elements"):
+    with pytest.raises(UsageError, match="merging nodes this far apart collapses elements"):
         plates(tmp_path, merge="1.2 mm")
 
 

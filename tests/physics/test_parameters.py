@@ -228,7 +228,7 @@ def test_the_norm_of_a_scene_is_that_of_its_box(monkeypatch):
 def test_matrices_have_no_parameters_and_a_box_no_matrices():
     """What has them instead is named."""
     full = oscillators(0.1)({"a": 1.0})
-    with pytest.raises(UsageError, match=r"say nothing of other values") as told:
+    with pytest.raises(UsageError, match=r"have no parameters to vary") as told:
         kc.reduce(full, tolerance=1e-3, parameters={"a": (0.7, 1.4)})
     assert "kc.deck" in told.value.hint
     with pytest.raises(UsageError, match="not a linear model"):

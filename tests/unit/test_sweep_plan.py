@@ -149,6 +149,6 @@ def test_a_study_of_your_own_is_a_file(tmp_path):
     both = named_sweep(str(path), ["control.kp=1e4,2e4,3e4", "control.kd=1,2,3"])
     assert both.plan.values(1) == {"control.kd": 2.0, "control.kp": 2e4}
     path.write_text('scene = "kick_and_catch"\nsets = 3\n')
-    with pytest.raises(UsageError, match="no key of a study") as caught:
+    with pytest.raises(UsageError, match="not a key of a study") as caught:
         named_sweep(str(path))
     assert "key sets" in caught.value.where

@@ -122,7 +122,9 @@ class Rows:
         dofs = self.raw.dofs
         if dofs is None:
             expected = "a column of B, or 'dofs = \"rows.csv\"' with node,dof of each row"
-            raise UsageError("the matrices do not name their rows", where=where, expected=expected)
+            raise UsageError(
+                "the nodes of the matrix rows are not known", where=where, expected=expected
+            )
         if len(dofs) != self.size:
             problem = "the names of the rows do not fit"
             raise wrong(where, problem, f"{len(dofs)} names", f"{self.size}")
@@ -156,7 +158,9 @@ class Rows:
             if not len(result):
                 expected = ", ".join(DOFS[int(k)] for k in np.unique(dofs.kind[here]))
                 hint = "the tool may have removed it because it is constrained"
-                raise wrong(where, "no such freedom at these nodes", DOFS[kind], expected, hint)
+                raise wrong(
+                    where, "no such degree of freedom at these nodes", DOFS[kind], expected, hint
+                )
         return rows if kinds else [np.flatnonzero(here)]
 
     def in_si(self) -> Mapping[str, Matrix]:
@@ -201,7 +205,9 @@ class Rows:
         for rows, weight in zip(result, entry.weights.values(), strict=True):
             load[rows] += weight / len(rows)  # their mean displacement is its product with x
         if not load[~self.held()].any():
-            raise UsageError("the port is on fixed freedoms", where=where, expected="a free node")
+            raise UsageError(
+                "the port is on fixed degrees of freedom", where=where, expected="a free node"
+            )
         return load
 
     def _listed(self, entry: PortEntry) -> np.ndarray:

@@ -256,7 +256,7 @@ def mapping(data: bytes, size: int) -> raw.Dofs:
         raise ValueError(f"freedom {unknown[0]}")
     place = indices(np.array([float(row[0]) for row in rows]), size)
     if len(np.unique(place)) < size:
-        raise ValueError("an equation stands there twice")
+        raise ValueError("an equation occurs twice")
     node, kind = np.empty(size, dtype=np.int64), np.empty(size, dtype=np.int64)
     node[place] = [int(row[1]) for row in rows]
     kind[place] = [raw.CODES[name] for name in names]

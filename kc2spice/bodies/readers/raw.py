@@ -182,7 +182,7 @@ class Dofs:
         for name in ("node", "kind"):
             given = np.asarray(getattr(self, name))
             if not (given == np.floor(given)).all() or (abs(given) >= _LARGEST_NODE).any():
-                raise ValueError("the number of a node or of its freedom is none")
+                raise ValueError("the number of a node or of its degree of freedom is missing")
             object.__setattr__(self, name, given.astype(np.int64))
         strange = ~np.isin(self.kind, list(DOFS))
         if self.node.shape != self.kind.shape or strange.any():

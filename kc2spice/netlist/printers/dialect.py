@@ -88,8 +88,8 @@ class Dialect(Printer, ABC):
 
     def refusal(self, got: str | None, what: str, expected: str | None = None) -> UsageError:
         """The error for a construct that this dialect has no words for."""
-        told, got = f"{self.title} cannot say {what}", got and got[:120]
-        return UsageError(told, where=self.where, got=got, expected=expected)
+        message, got = f"{self.title} has no equivalent of {what}", got and got[:120]
+        return UsageError(message, where=self.where, got=got, expected=expected)
 
     def element(self, part: Element) -> str:
         laplace = part.kind in "eg" and len(part.nodes) == 2 and not part.quantity

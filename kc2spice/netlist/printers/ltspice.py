@@ -45,7 +45,7 @@ class LTspice(Dialect):
         return f".model {name} SW({' '.join(f'{k.upper()}={v}' for k, v in given.items())})"
 
     def element(self, part: Element) -> str:
-        """LTspice gives inductors a milliohm unless told otherwise."""
+        """LTspice gives inductors a milliohm by default."""
         return super().element(part) + (" Rser=0" if part.kind == "l" else "")
 
     def node(self, path: list[str]) -> str:

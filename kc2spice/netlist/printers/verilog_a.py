@@ -56,7 +56,7 @@ _WORDS = (
     "zi_zd zi_zp electrical V I"
 )
 _RESERVED = frozenset(_WORDS.split())
-_UNSAID = "Verilog-A cannot say this card"
+_UNSAID = "Verilog-A has no equivalent of this card"
 HOLD = 1e9  # S, of initial conditions
 SERIES = 1e-15  # Ohm, of a source of voltage
 _SPELLED = {"uramp": "max(0.0, {0})", "sgn": "({0} > 0.0 ? 1.0 : ({0} < 0.0 ? -1.0 : 0.0))"}
@@ -143,7 +143,7 @@ class Names(Writer):
 
     def name(self, text: str) -> str:
         if text.lower() not in self.params:
-            raise UsageError("Verilog-A cannot say this word", where=self.where, got=text)
+            raise UsageError("Verilog-A has no equivalent of this word", where=self.where, got=text)
         return self.params[text.lower()]
 
     def call(self, function: str, arguments: tuple[Tree, ...]) -> str:
@@ -153,8 +153,8 @@ class Names(Writer):
             points = [value for value in given if value is not None]
             at, f = points[::2], points[1::2]
             if len(points) < max(4, len(given)) or len(at) != len(f) or at != sorted(set(at)):
-                told = "a table of a module has two rising numbers or more, each with its value"
-                raise UsageError(told, where=self.where, got=self.part)
+                message = "a table of a module has two rising numbers or more, each with its value"
+                raise UsageError(message, where=self.where, got=self.part)
             self.module.functions.append(_table(name, at, f))
             return f"{name}({self.write(arguments[0])})"
         if defined := self.scope.functions.get(function):
@@ -169,7 +169,9 @@ class Names(Writer):
             return spelled.format(self.write(arguments[0]))
         spelled = "ln" if function == "log" else function
         if spelled not in EVERYWHERE:
-            raise UsageError("Verilog-A cannot say this function", where=self.where, got=function)
+            raise UsageError(
+                "Verilog-A has no equivalent of this function", where=self.where, got=function
+            )
         return super().call(spelled, arguments)
 
 
@@ -323,7 +325,7 @@ def _switch(part: Element, names: Names) -> str:
     given = _SWITCH | ({k.lower(): v for k, v in model.parameters.items()} if model else {})
     worth = {k: literal(v, where=names.where) for k, v in given.items()}
     if not model or worth.keys() != _SWITCH.keys() or None in worth.values() or worth["vh"]:
-        raise part.error("Verilog-A cannot say this switch")
+        raise part.error("Verilog-A has no equivalent of this switch")
     on, off, level = (names.value(given[k]) for k in ("ron", "roff", "vt"))
     return f"({names.across(part.nodes[2:])} > {level} ? {on} : {off})"
 

@@ -218,7 +218,7 @@ class RowStore:
             raise UsageError(message, where=str(path), got=got, hint=hint) from None
         if held not in (None, digest):
             raise UsageError(
-                "holds another sweep",
+                "contains another sweep",
                 where=str(path.parent),
                 got=f"plan {held}"[:80],
                 expected=f"plan {digest}",
@@ -478,7 +478,7 @@ def _study(name: str) -> _Study | None:
     except ValidationError as error:
         first = error.errors()[0]
         where = f"{name}, key {'.'.join(map(str, first['loc']))}"
-        raise UsageError(f"no key of a study: {first['msg']}", where=where) from None
+        raise UsageError(f"not a key of a study: {first['msg']}", where=where) from None
 
 
 # --- running it ---------------------------------------------------------------------------------
