@@ -26,7 +26,7 @@ def subcircuit(part: Subcircuit, package: Package = "PySpice") -> Any:
     parent = import_optional(f"{package}.Spice.Netlist", "pyspice.subcircuit").SubCircuit
 
     class Part(parent):  # type: ignore[misc,valid-type]
-        """A part of kc2spice, written out as it stands in its library file."""
+        """A part of kc2spice, with the text of its library file."""
 
         def __str__(self) -> str:
             return part.text.rstrip("\n") + "\n"

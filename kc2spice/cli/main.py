@@ -412,8 +412,8 @@ def explain(caller: Caller, scene: str, set_: list[str] | None = None) -> None:
             print_table("displacements", [(line,) for line in record["frames"]])
         show(plan_sections(record))
         budget = "X" if record["error_budget"] is None else f"{record['error_budget']:g}"
-        told = "refines the settings until every metric's error is below"
-        print(f"error_budget = {budget} {told} {budget}\n")
+        effect = "refines the settings until every metric's error is below"
+        print(f"error_budget = {budget} {effect} {budget}\n")
         if step:
             print(textwrap.fill(f"largest step {step['s']:.3g} s: {step['why']}", COLUMNS))
 
@@ -431,10 +431,10 @@ def scenes(caller: Caller, keys: bool = False, parts: bool = False) -> None:
     if keys:
         every = list(scene_keys())
         if caller.reads([asdict(key) for key in every]):
-            told = (": ".join(filter(None, (" | ".join(k.choices), k.doc))) for k in every)
+            texts = (": ".join(filter(None, (" | ".join(k.choices), k.doc))) for k in every)
             rows = [
                 (key.name, key.unit or "", _text(key.default), text)
-                for key, text in zip(every, told, strict=True)
+                for key, text in zip(every, texts, strict=True)
             ]
             print_table("keys of a scene", rows, ("key", "unit", "default", ""), names=0)
     elif parts:
@@ -630,8 +630,8 @@ def sweep(
             with caller.progress() as progress:
                 result = study.sweep(answer, out, pool, progress, **again)
         except KeyboardInterrupt:
-            told = f"the points run so far are kept in {out}, the same command runs the rest"
-            print(f"kc2spice: interrupted; {told}", file=sys.stderr)
+            state = f"the points run so far are kept in {out}, the same command runs the rest"
+            print(f"kc2spice: interrupted; {state}", file=sys.stderr)
             raise typer.Exit(INTERRUPTED) from None
     if caller.reads(result):
         rows = [(name, str(result[name])) for name in ("points", "failed", "resumed", "table")]

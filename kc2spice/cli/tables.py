@@ -91,7 +91,7 @@ def reported_errors() -> Iterator[None]:
     )
     try:
         yield
-        sys.stdout.flush()  # what cannot be written is told here, not by the interpreter's end
+        sys.stdout.flush()  # so that a full disk is an error of ours, not of the interpreter's end
     except Kc2spiceError as error:
         _fail(str(error), error.exit_code)
     except KeyboardInterrupt:
@@ -102,18 +102,18 @@ def reported_errors() -> Iterator[None]:
     except typer.Exit:
         raise
     except MemoryError:
-        told = "the memory is exhausted\n  next:     a coarser mesh, fewer points or more memory"
-        _fail(told, SimulationError.exit_code)
+        text = "the memory is exhausted\n  next:     a coarser mesh, fewer points or more memory"
+        _fail(text, SimulationError.exit_code)
     except Exception as error:
         if isinstance(error, OSError) and error.errno in FULL:
             _drop_stdout()
-            told = f"cannot be written: {error.strerror}\n  next:     free some space"
-            _fail(told, UsageError.exit_code)
+            text = f"cannot be written: {error.strerror}\n  next:     free some space"
+            _fail(text, UsageError.exit_code)
         if os.environ.get("KC2SPICE_DEBUG"):
             traceback.print_exc()
         detail = f"{type(error).__name__}: {error}".splitlines()[0]
-        told = f"internal error: {detail}\n  next:     set KC2SPICE_DEBUG=1 for the details"
-        _fail(told, SimulationError.exit_code)
+        text = f"internal error: {detail}\n  next:     set KC2SPICE_DEBUG=1 for the details"
+        _fail(text, SimulationError.exit_code)
 
 
 def _drop_stdout() -> None:

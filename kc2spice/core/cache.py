@@ -97,7 +97,7 @@ def cached(
 
 @contextmanager
 def _alone(path: Path) -> Iterator[None]:
-    """Nobody else builds the same entry meanwhile; without locks two may, which costs time only."""
+    """Keep other processes from building the same entry; without locks two may do so."""
     lock = path.with_name(f".{path.stem}.lock.part")  # cleared away as any other .part
     with ExitStack() as held:
         with contextlib.suppress(OSError):

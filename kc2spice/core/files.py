@@ -145,7 +145,7 @@ def _rank(path: Path) -> int:
 
 
 def _clear_abandoned(own: Path, prefix: str) -> None:
-    """Remove work directories of runs that were killed: nobody holds their locks any more."""
+    """Remove work directories of runs that were killed: no process holds their locks any more."""
     for other in own.parent.iterdir():
         if other == own or not (other.name.startswith(prefix) and other.name.endswith(_SUFFIX)):
             continue

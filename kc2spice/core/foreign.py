@@ -306,8 +306,8 @@ def _reason(path: Path, code: int, memory: int) -> Exception:
     known = getattr(errors, kind, None)
     if isinstance(known, type) and issubclass(known, Kc2spiceError):
         return known(**own)
-    told = own["message"]
-    return NotImplementedError(told) if kind == "NotImplementedError" else ValueError(told)
+    text = own["message"]
+    return NotImplementedError(text) if kind == "NotImplementedError" else ValueError(text)
 
 
 def _main(function: str, memory: str, seconds: str) -> None:

@@ -36,10 +36,10 @@ KeyPath = tuple[str | int, ...]
 _MEMBER = re.compile(r"\]$|^(float|int|str|bool)$")
 
 
-def told(
+def describe_invalid(
     error: ValidationError, schema: type[BaseModel], at: KeyPath = (), also: Sequence[str] = ()
 ) -> tuple[KeyPath, dict[str, Any]]:
-    """The path of the one finding to tell, and its message, got, expected and hint.
+    """Path of the first invalid key, and its message, got, expected and hint.
 
     An unknown key comes before one that is missing, which it may stand for. ``at`` is where the
     table stands, ``also`` are keys that it may have beside those of the ``schema``.
@@ -171,7 +171,7 @@ EPSILON_0 = 8.8541878188e-12  # F/m, CODATA 2022; scipy.constants takes long to 
 MU_0 = 4e-7 * math.pi  # H/m
 
 BOLTZMANN = 1.380649e-23  # J/K, exact (SI, 2019)
-TEMPERATURE = 300.15  # K, of a simulation unless told
+TEMPERATURE = 300.15  # K, of a simulation by default
 
 _PREFIX = {
     "f": -15, "p": -12, "n": -9, "u": -6, "µ": -6, "μ": -6, "m": -3, "c": -2,
@@ -432,7 +432,7 @@ def validated(
     try:
         return schema.model_validate(given, context=context)
     except ValidationError as error:
-        path, words = told(error, schema)
+        path, words = describe_invalid(error, schema)
         inside = f"{where} " if where.endswith(":") else f"{where}."
         place = inside + dotted(path) if path else where.removesuffix(":")
         raise UsageError(where=place, **words) from None

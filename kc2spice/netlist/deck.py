@@ -119,7 +119,7 @@ class Deck:
     whose points join its own. A dc analysis sweeps its source in ``sweep_scale`` volts or amperes
     per SI unit of the swept key. A deck that somebody wrote by hand has its ``text`` and the files
     that it includes in ``more``. ``controlled`` says whether a controller closes a loop, which some
-    simulators only follow in short steps; it may where nobody knows. A ``trusted`` deck runs with a
+    simulators only follow in short steps; it may if that is unknown. A ``trusted`` deck runs with a
     warning where the simulator ignores or replaces something in it.
     """
 

@@ -69,7 +69,7 @@ def flatten(path: Path, home: Path, *, trust: bool, inside: bool = False) -> Fla
 
     ``trust`` takes lines as they stand and includes from anywhere; an include that cannot be read
     is then left to the simulator. With ``inside`` as well lines are taken as they stand, but only
-    files below ``home`` are opened: for a look at a circuit that nobody trusted yet.
+    files below ``home`` are opened: to read a circuit that is not trusted yet.
 
     Raises
     ------
@@ -362,7 +362,7 @@ def included_netlist(name: str, home: Path, *, trust: bool = False) -> Flat:
 
 
 def looked_at(name: str, home: Path) -> Flat:
-    """The file ``name`` as it stands, with what it includes from ``home`` or below: its pins and
+    """The file ``name`` unchanged, with what it includes from ``home`` or below: its pins and
     nodes can be known before anybody trusts it to be run.
 
     Raises

@@ -126,9 +126,9 @@ def _part(circuit: Circuit, text: str, file: str) -> Subcircuit:
     heads = {m[1].lower(): m for m in map(_PARAM.match, circuit.notes) if m}
     params = []
     for name, default in circuit.defaults.items():
-        given, told = literal(default, where=circuit.where), heads.get(name.lower())
+        given, head = literal(default, where=circuit.where), heads.get(name.lower())
         labels = (
-            (told[3], told[6], float(told[4] or "-inf"), float(told[5] or "inf")) if told else ()
+            (head[3], head[6], float(head[4] or "-inf"), float(head[5] or "inf")) if head else ()
         )
         params.append(Param(name, nan if given is None else given, *(labels or ("-", ""))))
     ends = tuple(pins or (Pin(name, "V", "A") for name in circuit.pins))

@@ -147,7 +147,7 @@ def _items(
             break
         if s.keyword == ".control":
             block = tuple(c.written for c in takewhile(lambda c: c.keyword != ".endc", cards))
-            result.append(Directive(".control", block, **_told(s)))
+            result.append(Directive(".control", block, **_origin(s)))
         else:
             result.append(_subckt(s, cards) if s.keyword == ".subckt" else _item(s))
         if s.keyword == ".end":
@@ -167,17 +167,17 @@ def _subckt(s: Statement, cards: Iterator[Statement]) -> Circuit:
         raise s.error("a pin name stands twice", " ".join(low))
     defaults = _assignments([w for w in rest[1:] if "=" in w], s)
     items, closing = _items(cards, s)
-    return Circuit(rest[0], pins, defaults, items, closing, **_told(s))
+    return Circuit(rest[0], pins, defaults, items, closing, **_origin(s))
 
 
 def _item(s: Statement) -> Item:
-    told = _told(s)
+    origin = _origin(s)
     if not s.keyword.startswith("."):
         return element(s)
     if s.keyword in (".func", ".param", ".params") and (defined := _function(s)):
         return defined
     if s.keyword in (".param", ".csparam"):
-        return Parameters(_assignments(s.words[1:], s), s.keyword, **told)
+        return Parameters(_assignments(s.words[1:], s), s.keyword, **origin)
     if s.keyword == ".model":
         if len(s.words) < 3:
             raise s.error("model card is not complete")
@@ -185,11 +185,11 @@ def _item(s: Statement) -> Item:
         kind, *more = kind.split() + words(inside.rstrip().removesuffix(")"))
         pairs = dict((w + "=").split("=", 1) for w in more)
         given = {key: value.removesuffix("=") for key, value in pairs.items()}
-        return Model(s.words[1], kind, given, **told)
-    return Directive(s.keyword, tuple(s.words[1:]), **told)
+        return Model(s.words[1], kind, given, **origin)
+    return Directive(s.keyword, tuple(s.words[1:]), **origin)
 
 
-def _told(s: Statement) -> dict[str, Any]:
+def _origin(s: Statement) -> dict[str, Any]:
     """Where a card stands, how it is written, and below which comments."""
     return {"notes": s.notes, "where": s.where, "written": s.written}
 
@@ -202,7 +202,7 @@ def _function(s: Statement) -> Function | None:
         return None
     arguments = tuple(word.strip() for word in inside.split(",") if word.strip())
     law = law.strip().removeprefix("=").strip()
-    return Function(name.strip(), arguments, law, **_told(s))
+    return Function(name.strip(), arguments, law, **_origin(s))
 
 
 def _assignments(given: Sequence[str], s: Statement) -> dict[str, str]:
@@ -222,7 +222,7 @@ def _assigned(word: str) -> bool:
 
 def element(s: Statement) -> Element:
     """Split one element card; of a letter that we do not know, all words are values."""
-    kind, told = s.written[0].lower(), _told(s)
+    kind, origin = s.written[0].lower(), _origin(s)
     if kind == "b":
         return _behaviour(s)
     name, *rest = (word for word in s.words if word.lower() != "params:")
@@ -231,9 +231,9 @@ def element(s: Statement) -> Element:
         if not plain:
             raise s.error("instance names no subcircuit")
         given = _assignments([w for w in rest if "=" in w], s)
-        return Element(kind, name, tuple(plain[:-1]), (), plain[-1], (), given, **told)
+        return Element(kind, name, tuple(plain[:-1]), (), plain[-1], (), given, **origin)
     if kind not in NODES:
-        return Element(kind, name, (), values=tuple(rest), **told)
+        return Element(kind, name, (), values=tuple(rest), **origin)
     count = _count(kind, rest)
     end = count + _CONTROLS.get(kind, 0)
     if kind in "fh" and len(rest) > 2 and rest[2].lower().startswith("poly("):
@@ -244,11 +244,11 @@ def element(s: Statement) -> Element:
         raise s.error("element is not complete", expected=f"{count} nodes{more}")
     nodes, sources, rest = tuple(rest[:count]), tuple(rest[count:end]), rest[end:]
     if kind in "eg" and count == 2:
-        return _controlled(Element(kind, name, nodes, values=tuple(rest), **told))
+        return _controlled(Element(kind, name, nodes, values=tuple(rest), **origin))
     model = rest.pop(0) if kind in _MODELLED else ""
     values = tuple(w for w in rest if not _assigned(w))
     given = dict(w.split("=", 1) for w in rest if _assigned(w))
-    return Element(kind, name, nodes, sources, model, values, given, **told)
+    return Element(kind, name, nodes, sources, model, values, given, **origin)
 
 
 def _count(kind: str, rest: Sequence[str]) -> int:
@@ -268,8 +268,8 @@ def _behaviour(s: Statement) -> Element:
     quantity, _, law = rest[2].partition("=") if len(rest) > 2 else ("", "", "")
     if quantity.strip().upper() not in ("V", "I") or not law.strip():
         raise s.error("behavioural source without a law", expected="I=… or V=expression")
-    told = _told(s) | {"quantity": quantity.strip().upper(), "expression": law.strip()}
-    return Element("b", name, tuple(rest[:2]), **told)
+    origin = _origin(s) | {"quantity": quantity.strip().upper(), "expression": law.strip()}
+    return Element("b", name, tuple(rest[:2]), **origin)
 
 
 def _controlled(part: Element) -> Element:

@@ -117,12 +117,12 @@ def _changed(part: Subcircuit, library: str, name: str, value: float) -> Subcirc
     for param in part.params if library == library_of(part) else ():
         if param.name.lower() == name.lower():
             _require_within(param, library, value)
-    told, given, new = f"* @param {name}=", number(value), dict[int, Circuit]()
+    start, given, new = f"* @param {name}=", number(value), dict[int, Circuit]()
     for where, item in cards(part):
         if where == library and name in item.defaults:
             notes = tuple(
-                f"{told}{given} unit={line.partition(' unit=')[2]}"
-                if line.startswith(told)
+                f"{start}{given} unit={line.partition(' unit=')[2]}"
+                if line.startswith(start)
                 else line
                 for line in item.notes
             )

@@ -1,4 +1,4 @@
-"""The same netlist for other tools: a printer for each writes the tree anew, or draws symbols."""
+"""The same netlist for other tools: each has a printer of the tree, and KiCad has symbols."""
 
 from __future__ import annotations
 
@@ -67,8 +67,8 @@ def dialect_files(deck: Deck, dialect: str) -> dict[str, str]:
     if left_out and not files:
         raise left_out[0]
     if left_out:
-        told = ("Not written as modules:", *map(str, left_out))
-        files["verilog-a.txt"] = "\n\n".join(told) + "\n"
+        paragraphs = ("Not written as modules:", *map(str, left_out))
+        files["verilog-a.txt"] = "\n\n".join(paragraphs) + "\n"
     return files | testbench(deck, modules)
 
 
@@ -81,7 +81,7 @@ def symbol_files(deck: Deck, dialect: str = "ngspice") -> dict[str, str]:
 
     Raises
     ------
-    UsageError : a part that LTspice cannot be told, a card that KiCad has no symbol for.
+    UsageError : a part that LTspice cannot simulate, a card that KiCad has no symbol for.
     """
     files = project(deck) if dialect == "ngspice" else {}
     if dialect in ("ngspice", "ltspice"):

@@ -33,7 +33,7 @@ class SensorKeys(Section):
     noise: Length = Field(
         0.0,
         ge=0,
-        description="Noise of each sample, rms; a period of the bandwidth has two samples",
+        description="Noise of each sample, rms; the sample rate is twice the bandwidth",
     )
 
 
@@ -99,7 +99,7 @@ dc = "1 um"
             cards += f"\nGnoise ref out drawn ref {number(1e6 * keys.noise / root)}\n"
         elif keys.noise:
             step, size = number(0.5 / keys.bandwidth), number(1e6 * keys.noise)
-            cards = f"* noise in um, drawn anew at every {step} s\n"
+            cards = f"* noise in um, a new random value at every {step} s\n"
             cards += f"Inoise ref out DC 0 TRNOISE({size} {step} 0 0)\n"
         name = build.libraries[part.name]
         return (subcircuit(header, name, d, d.values(Section()), more=cards),)

@@ -11,7 +11,7 @@ import numpy as np
 
 from kc2spice.core.figure import Curve, Figure, Panel
 
-# Okabe and Ito, "Color Universal Design" (2008): told apart with every colour vision.
+# Okabe and Ito, "Color Universal Design" (2008): distinct for every colour vision.
 BLUE, ORANGE, GREEN, RED = "#0072B2", "#E69F00", "#009E73", "#D55E00"
 SKY, PURPLE, BLACK, GREY = "#56B4E9", "#CC79A7", "#222222", "#8A8A8A"
 PALETTE = (BLUE, ORANGE, GREEN, RED, PURPLE, SKY, BLACK)
@@ -109,7 +109,7 @@ def _draw_panel(axes: Any, panel: Panel) -> None:
 
 
 def _draw_curve(axes: Any, k: int, curve: Curve) -> None:
-    """The ``k``-th of its panel; each further plain line has marks, to be told apart in print."""
+    """The ``k``-th of its panel; each further plain line has marks, to be distinct in print."""
     colour = BLACK if curve.style == "reference" else PALETTE[k % len(PALETTE)]
     look: dict[str, Any] = {"color": colour, "label": curve.label or None}
     marks = {"marker": _MARKS[k % len(_MARKS)], "ms": 4}

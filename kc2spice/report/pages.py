@@ -146,8 +146,8 @@ def fit_sections(record: Mapping[str, Any]) -> list[Section]:
     if record["caution"]:
         facts.append(("warning", record["caution"]))
     for item in record["undetermined"]:
-        told = ", ".join(f"{weight:+.2f} log {key}" for key, weight in item.items())
-        facts.append(("not determined by the data", told))
+        text = ", ".join(f"{weight:+.2f} log {key}" for key, weight in item.items())
+        facts.append(("not determined by the data", text))
     resonances = [
         tuple("" if value is None else f"{value:.6g}" for value in row.values())
         for row in record["resonances"]

@@ -137,7 +137,10 @@ HOW = (
 )
 LINEARISED = "About which the small signals are linear; results that are zero there are left out."
 POINT = 6  # results at the operating point that a terminal shows
-CHECKED = "Physics that the simulator was not told; the last column is what a violation does."
+CHECKED = (
+    "Laws of physics that the netlist does not contain. The last column states the effect of a "
+    "violation."
+)
 MODES = (
     "Of the reduced model within its band, electrodes shorted, nothing pressing on it. k is the "
     "effective coupling factor; at other ports stands what the mode adds to the static answer."

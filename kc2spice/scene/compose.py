@@ -74,7 +74,7 @@ def _joined(scene: Scene) -> Scene:
 
 
 def _joins(part: Part, scene: Scene) -> Iterator[tuple[str, str, str]]:
-    """Pin, target and the key that says so: the scene's own, then links, then defaults.
+    """Pin, target and the key that joins them: the scene's own, then links, then defaults.
 
     A pin that any part of the scene names is where the scene says, not at its default as well.
     """

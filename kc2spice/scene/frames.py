@@ -116,24 +116,26 @@ def _compared(part: Part, scene: Scene, known: Mapping[str, ShakenFrame]) -> Non
     seen = {pin: net for pin, net in seen.items() if net in moving}
     acts = {known[net].acts if net in known else None for net in seen.values()}
     if len(acts) > 1 and not part.reduced:
-        told = [f"{part.name}.{pin} in {_told(known.get(net))}" for pin, net in seen.items()]
+        frames = [
+            f"{part.name}.{pin} in {_frame_name(known.get(net))}" for pin, net in seen.items()
+        ]
         raise UsageError(
             "compares displacements in different frames",
             where=part.name,
-            got=", ".join(told),
+            got=", ".join(frames),
             expected="pins in one frame; gnd is in every frame",
             hint="join the pin that is in another frame to gnd or to a part of the same frame",
         )
 
 
-def _told(frame: ShakenFrame | None) -> str:
+def _frame_name(frame: ShakenFrame | None) -> str:
     return "the frame of the ground" if frame is None else f"the frame that {frame.words} shakes"
 
 
 def _followed(
     part: Part, scene: Scene, known: Mapping[str, ShakenFrame], own: Mapping[str, ShakenFrame]
 ) -> None:
-    """Refuse a part whose inertia does not follow the frame it is in; warn where nobody knows."""
+    """Refuse a part whose inertia does not follow the frame it is in; warn if that is unknown."""
     if own:
         return
     for pin in _moving(part, scene):
@@ -141,8 +143,8 @@ def _followed(
         if frame is None or not frame.shakes:
             continue
         if part.netlist:
-            told = f"in {_told(frame)} its masses need the force -m a of their own"
-            warnings.warn(f"{part.name}.{pin}: {told}", stacklevel=2)
+            advice = f"in {_frame_name(frame)} its masses need the force -m a of their own"
+            warnings.warn(f"{part.name}.{pin}: {advice}", stacklevel=2)
         elif pin not in part.type.inertial(part, scene):
             continue
         elif not part.type.follows_frames:
@@ -152,7 +154,7 @@ def _followed(
             raise UsageError(
                 "has inertia, but nothing that shakes it with the frame it is joined to",
                 where=f"{part.name}.{pin}",
-                got=f"joined to {_told(frame)}",
+                got=f"joined to {_frame_name(frame)}",
                 expected="a body with a port of kind base" if body else "a part that follows it",
                 hint=f'add a port of kind "base" to {part.name} and {cure}' if body else other,
             )
@@ -160,7 +162,7 @@ def _followed(
             raise UsageError(
                 "is in a frame whose acceleration has no known direction at this net",
                 where=f"{part.name}.{pin}",
-                got=f"joined to {_told(frame)}",
+                got=f"joined to {_frame_name(frame)}",
                 expected="ports and accelerations whose directions the body states",
                 hint=f"state axis or dof of the ports of {frame.body}, or put the mass into its "
                 "matrices",
@@ -182,5 +184,5 @@ def frame_lines(scene: Scene) -> Iterator[str]:
         if frame is None:
             yield f"{', '.join(pins)}: absolute"
         else:
-            told = f"relative to the frame that {frame.words} shakes; gnd is that frame"
-            yield f"{', '.join(pins)}: {told}"
+            meaning = f"relative to the frame that {frame.words} shakes; gnd is that frame"
+            yield f"{', '.join(pins)}: {meaning}"

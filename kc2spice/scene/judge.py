@@ -40,7 +40,7 @@ class Check:
     ``action`` says what a violation does to the run. A ``coarse`` check fails for too large steps,
     which tighter tolerances may cure. A ``wiring`` check holds the netlist against the scene, from
     which a deck that somebody edited may differ on purpose. ``suggested`` are dotted keys and their
-    values by which the scene would not violate it, where these are known and nobody chose others.
+    values by which the scene would not violate it, where these are known and not set.
     A check of the ``discretisation`` compares it with a finer one at the frequencies of the run;
     ``verify`` counts it in time, where it does not follow the finer one.
 

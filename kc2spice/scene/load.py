@@ -28,7 +28,15 @@ from kc2spice.core.foreign import (
     read_bounded,
     text_of,
 )
-from kc2spice.core.quantities import clipped, dotted, entries, quantity, shown, told, unit_of
+from kc2spice.core.quantities import (
+    clipped,
+    describe_invalid,
+    dotted,
+    entries,
+    quantity,
+    shown,
+    unit_of,
+)
 from kc2spice.scene.compose import composed, unsettled
 from kc2spice.scene.model import GROUND, SHORT, Build, Names, Part, PartType, Scene
 from kc2spice.scene.parttype import EVEN, drive_period, numerics, part_type, type_names
@@ -156,11 +164,11 @@ def _no_periods(where: str, count: int, scene: Scene) -> Iterator[UsageError]:
         return
     period, known = drive_period(scene), sorted({row.period for row in numerics(scene)} - {0.0})
     if period is None:
-        told = ", ".join(f"{each:.4g} s" for each in known)
+        periods = ", ".join(f"{each:.4g} s" for each in known)
         yield UsageError(
             "the sources of this scene have no common period",
             where=where,
-            got=f"periods {told}" if told else "no source with a period",
+            got=f"periods {periods}" if periods else "no source with a period",
             expected="sines and pulse trains whose periods divide the longest one",
             hint='give the window by from and to, such as from = "8 ms"',
         )
@@ -447,11 +455,11 @@ def _validated(
     at: tuple[str | int, ...],
     context: Mapping[str, Any] | None = None,
 ) -> Any:
-    """The table ``at`` as its ``schema``, in which what is wrong is told with its key."""
+    """The table ``at`` as its ``schema``, or an error that names its invalid key."""
     try:
         return schema.model_validate(table, context=context)
     except ValidationError as error:
-        path, words = told(error, schema, at, _GRAMMAR if at else ())
+        path, words = describe_invalid(error, schema, at, _GRAMMAR if at else ())
         raise UsageError(where=".".join(map(str, path)), **words) from None
 
 

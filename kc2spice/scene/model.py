@@ -469,7 +469,7 @@ class PartType:
     def checks(
         self, part: Part, build: Build, waves: Waveforms
     ) -> Iterable[Check | Balance | Gate]:
-        """Physics that the simulator was not told; after a transient its energy balance too, where
+        """Laws of physics that the netlist lacks; after a transient its energy balance too, where
         the run has all that it needs; and the results that the scene is run for, with how far two
         solution paths may differ in them."""
         return ()

@@ -25,7 +25,7 @@ TABLE = "_types"  # ends the name of a module with several types
 
 
 def mover(name: str, scene: Scene) -> str | None:
-    """The part that prescribes all motion of another one, None where that moves by itself."""
+    """The part that prescribes all motion of another one, None where no part prescribes it."""
     rows = ((p.name, p.type.governs(p, scene)) for p in scene.parts.values())
     return next((item for item, governed in rows if governed.get(name) == "moved"), None)
 
@@ -53,7 +53,7 @@ def current_into(part: Part, pin: str, build: Build) -> Vector | None:
     """The current into a part's pin, where one result of the one other part there tells it: a
     source with other loads tells the sum of their currents."""
     others = [(build.scene.parts[name], end) for name, end in build.scene.joined(part.name, pin)]
-    # A body tells no current by itself: it asks what it is joined to in turn.
+    # The current of a body follows from the parts that are joined to it.
     if len(others) != 1 or others[0][0].reduced:
         return None
     rows = list(flows(*others[0], build).values())

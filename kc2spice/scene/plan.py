@@ -72,7 +72,7 @@ class Axis:
 
 def axes(build: Build) -> tuple[Axis, ...]:
     """The settings of a scene that trade time for error; once its largest time step is known that
-    too where nobody set it."""
+    too where the scene does not set it."""
     return tuple(axis for axis in _axes(build) if axis.at(1.0))
 
 
@@ -180,8 +180,8 @@ def keys_at(found: Sequence[Axis], notches: Mapping[str, float]) -> dict[str, An
 def _noise(part: Part, build: Build) -> str:
     """What of a part has noise, where the scene asks for it."""
     result = part.type.noise
-    told = result if isinstance(result, str) else "thermal noise at 27 C" if result else "no noise"
-    return f"; {told}" if build.noisy else ""
+    noise = result if isinstance(result, str) else "thermal noise at 27 C" if result else "no noise"
+    return f"; {noise}" if build.noisy else ""
 
 
 def _mesh(part: Part, build: Build) -> str:
@@ -211,8 +211,8 @@ def plan(build: Build) -> dict[str, Any]:
     parts = scene.parts.values()
     notes = {part.name: list(part.type.notes(part, scene)) for part in parts}
     left_out = (row for rows in notes.values() for row in rows if isinstance(row, Neglected))
-    told = {n: "; ".join(row for row in rows if isinstance(row, str)) for n, rows in notes.items()}
-    detail = {p.name: told[p.name] + _mesh(p, build) + _noise(p, build) for p in parts}
+    texts = {n: "; ".join(row for row in rows if isinstance(row, str)) for n, rows in notes.items()}
+    detail = {p.name: texts[p.name] + _mesh(p, build) + _noise(p, build) for p in parts}
     settings = [
         {"key": axis.name, "value": axis.value, "error": _mesh_error(axis, build)}
         for axis in axes(build)

@@ -22,8 +22,8 @@ class ImplausibleError(UsageError):
 
 FLAT = 10.0  # times its width: thicker than that is no layer
 OVERHANG = 1.02  # of the plate's diameter: ceramic that is wider breaks off
-BREAKDOWN = 10.0  # times the rated voltage: no slip of a drive, but of a unit; below it is told of
-WHISPER = 1e-4  # of the rated voltage: a drive below is told of, as some are meant
+BREAKDOWN = 10.0  # times the rated voltage: a wrong unit; below it, a warning
+WHISPER = 1e-4  # of the rated voltage: a lower drive gives a warning, as it may be intended
 _SLIPS = {"m": {"mm": 1e-3, "um": 1e-6}, "kg": {"g": 1e-3, "mg": 1e-6, "ug": 1e-9}}
 
 
@@ -82,7 +82,7 @@ def drive_levels(scene: Scene) -> Iterator[UsageError]:
     rated = {name: pin.rated for (name, _), pin in scene.terminals.items() if pin.rated}
     for body, limit in rated.items():
         for name, peak in _voltages(body, scene):
-            told = f"{peak:.4g} V at {body}, whose ceramic stands {limit:.4g} V"
+            state = f"{peak:.4g} V at {body}, whose ceramic stands {limit:.4g} V"
             # The same number in kilovolts, volts or millivolts, where that would fit the rating.
             units = {f"{1e3 * peak:g} V": 1e3 * peak, f"{peak:g} mV": 1e-3 * peak}
             fits = (text for text, volts in units.items() if WHISPER * limit <= volts <= limit)
@@ -91,14 +91,14 @@ def drive_levels(scene: Scene) -> Iterator[UsageError]:
                 yield UsageError(
                     "the ceramic depolarises or breaks down",
                     where=name,
-                    got=told,
+                    got=state,
                     expected=f"at most {limit:.4g} V",
                     hint=hint,
                 )
             elif peak > limit:
-                warnings.warn(f"{name}: {told}: it may depolarise", stacklevel=2)
+                warnings.warn(f"{name}: {state}: it may depolarise", stacklevel=2)
             elif 0.0 < peak < WHISPER * limit:
-                warnings.warn(f"{name}: {told}: {hint or 'is the unit right?'}", stacklevel=2)
+                warnings.warn(f"{name}: {state}: {hint or 'is the unit right?'}", stacklevel=2)
 
 
 def _voltages(body: str, scene: Scene) -> Iterator[tuple[str, float]]:

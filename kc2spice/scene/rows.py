@@ -96,7 +96,7 @@ class StepLimit:
 
 @dataclass(frozen=True)
 class Numerics:
-    """What a part does in time by itself: the longest ``step`` [s] that resolves it, and the
+    """What a part does in time on its own: the longest ``step`` [s] that resolves it, and the
     ``content`` [Hz] up to which it excites others; whether it ``prescribes`` small signals of
     ``ac``. A step that ``decides`` stands whatever else the scene has. ``reltol`` and ``chgtol``
     are factors, 1 or less, of the solver's tolerances that it needs to be as exact as anything
@@ -134,7 +134,7 @@ class ShakenFrame:
 
     @property
     def acts(self) -> frozenset[tuple[str, float | None]]:
-        """Nodes of the accelerations and their shares, by which frames are told apart."""
+        """Nodes of the accelerations and their shares, by which frames differ."""
         return frozenset((shake.net, shake.along) for shake in self.shakes)
 
     @property

@@ -32,7 +32,7 @@ FileName = Annotated[str, Field(pattern=rf"^{_ONE_LINE}+$", max_length=255)]
 
 
 class Rom(Section):
-    """Reduction: a fixed order, or a tolerance over a band; the tolerance unless told."""
+    """Reduction: a fixed order, or a tolerance over a band; by default the tolerance."""
 
     order: Annotated[Count | None, Notch(2.0)] = Field(
         None, ge=1, le=2000, description="Number of states, instead of a tolerance"
@@ -361,9 +361,7 @@ class Probe(Section):
         "value",
     ] = Field(
         "max",
-        description=(
-            "Quantity that the probe takes of the result; take = value reads it at the key `at`"
-        ),
+        description=("Quantity that the probe takes of the result; value reads it at the key `at`"),
     )
     at: Place | None = Field(
         None, description="Frequency, time or swept value at which take = value reads the result"

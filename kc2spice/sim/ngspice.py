@@ -45,7 +45,7 @@ STALLED = 60.0  # s without processor time after which a run hangs
 LARGEST_RAW = 8_000_000_000  # bytes of one raw file
 SPARE = 1_000_000  # bytes; a disk with less is full
 POLL = 0.05  # s between two looks at the growing raw file
-Share = Callable[[float], None] | None  # is told the share of a transient that is done
+Share = Callable[[float], None] | None  # receives the share of a transient that is done
 
 
 @dataclass(frozen=True)
@@ -158,8 +158,8 @@ def run_deck(
             failed = failed_run(deck, str(main), text, last=last)
             failed = failed or altered_run(deck, str(main), text)
         if failed is not None:
-            told = f"the whole log is {log.name} in the same directory"
-            failed.hint = "; ".join(filter(None, (failed.hint, told)))
+            place = f"the whole log is {log.name} in the same directory"
+            failed.hint = "; ".join(filter(None, (failed.hint, place)))
             partial = partial_waves(deck, read_partial(unfinished), text)
             failed.failure = replace(failed.failure, partial=partial)
             raise failed
@@ -213,7 +213,7 @@ def _execute(
     spent = None
     with log.open("wb") as sink:
         streams: Any = {"stdin": subprocess.DEVNULL, "stdout": sink, "stderr": subprocess.STDOUT}
-        # No context of the process: at an exit it would wait for a simulator that nobody has ended.
+        # No context manager: at its exit it would wait for a simulator that is still running.
         process = subprocess.Popen(command, cwd=main.parent, env=environment, **streams)
         try:
             # A thread waits: Popen.wait with a time limit would notice the end up to 50 ms late.
@@ -231,7 +231,7 @@ def _execute(
                     hint = "give it more time, a looser solver.reltol or a shorter stop"
                 elif now - worked > STALLED:
                     what = f"ngspice hangs: no processor time for {STALLED:g} s"
-                    hint = "does it run by itself? kc2spice doctor checks it"
+                    hint = "kc2spice doctor checks whether ngspice runs"
                 elif size > LARGEST_RAW:
                     what = f"the raw file grows beyond its limit of {LARGEST_RAW:.3g} bytes"
                     hint = "raise solver.max_step or reltol, end earlier, save fewer vectors"

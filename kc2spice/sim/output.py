@@ -1,4 +1,4 @@
-"""What ngspice wrote: a log, of which failures and struggles are told from harmless notes, with
+"""What ngspice wrote: a log, whose failures and struggles are separated from harmless notes, with
 whom they blame, and binary raw files, which are distrusted.
 """
 

@@ -237,7 +237,7 @@ class Library:
 
 
 def _private_copy() -> ctypes.CDLL:
-    """libngspice from a copy of its file, so that its globals are nobody else's."""
+    """libngspice from a copy of its file, so that no other user shares its globals."""
     result = ctypes.util.find_library("ngspice")
     if result is None:
         raise MissingToolError(

@@ -210,8 +210,10 @@ def require_circuit(part: Subcircuit, model: LinearModel, tolerance: float) -> N
         return
     got = f"{stated:.2g}, of which {found:.2g} at {part.worst_hz:.6g} Hz by its elements"
     if found <= SPREAD * rounding(model, part.worst_hz):
-        told = f"{part.name}: error estimate {got}: rounding of the given matrices changes as much"
-        warnings.warn(told, stacklevel=2)
+        message = (
+            f"{part.name}: error estimate {got}: rounding of the given matrices changes as much"
+        )
+        warnings.warn(message, stacklevel=2)
         return
     raise GateMissedError(
         "the emitted circuit is less accurate than the tolerance",

@@ -114,8 +114,8 @@ def _stops(parameters: Sequence[Param], base: str) -> Iterator[str]:
     """Resistors of an ohm within the ranges, of no number beyond: their names are the message."""
     for k, p in enumerate(parameters, 1):
         words = f"{p.name}_must_be_{p.low:.6g}_to_{p.high:.6g}"
-        told = re.sub(r"\W", lambda c: {".": "p", "-": "m", "+": ""}[c[0]], words)
-        yield f"R{told} tick {base} {{sqrt(inside{k})}}"
+        suffix = re.sub(r"\W", lambda c: {".": "p", "-": "m", "+": ""}[c[0]], words)
+        yield f"R{suffix} tick {base} {{sqrt(inside{k})}}"
 
 
 def _expressions(model: Varying, parameters: Sequence[Param]) -> Iterator[str]:

@@ -326,18 +326,18 @@ def enclosed(
     called = [name, *(pin.name for pin in pins), *([parameter_list(params)] * bool(params))]
     start = [f".subckt {' '.join(called)}", *([f"\n{PIVOTS.format(base=base)}"] if base else [])]
     text = "\n".join(["", *about, *start, *body, f".ends {name}"])
-    made, told = Subcircuit(name, pins, params, text), ""
+    made, accuracy = Subcircuit(name, pins, params, text), ""
     if certificate is not None:
         compared = ((rom, dict[str, float]()), *others)
         made = _with_error(made, certificate, compared)
         certificate = replace(certificate, error_estimate=float(made.error_estimate or 0.0))
-        told = f"emitted circuit to model: {made.circuit_error:.1g} at {made.worst_hz:.4g} Hz"
+        accuracy = f"emitted circuit to model: {made.circuit_error:.1g} at {made.worst_hz:.4g} Hz"
     head = part_header(
         header,
         f"{name}: {words['title']}",
         pins,
         params,
-        rom=rom_line(rom.order, certificate, told) if certificate else "",
+        rom=rom_line(rom.order, certificate, accuracy) if certificate else "",
         mesh=mesh,
         sign=OUTWARDS,
         rating=words["rating"],
@@ -755,8 +755,8 @@ def _blocks(
     signals: list[tuple[np.ndarray, bool | None]] = [(S, None)] if len(S) else []
     for block, drifts in [*zip(scaled, held, strict=True), *signals]:
         first, at = at, at + len(block)
-        told = _LOOPED if drifts is None else comment(_description(block))
-        body.append(f"\n* States {first + 1} to {at}: {told}")
+        accuracy = _LOOPED if drifts is None else comment(_description(block))
+        body.append(f"\n* States {first + 1} to {at}: {accuracy}")
         for k in range(first, at):
             index, node = k + 1, f"z{k + 1}"
             if drifts is not None:
