@@ -277,10 +277,11 @@ def page(published: Mapping[str, Any], names: Collection[str], old: str) -> str:
     figures = ROOT / "docs" / "figures" / "devices"
     figures.mkdir(parents=True, exist_ok=True)
     lines: list[str] = []
+    kept = old.partition("\n## ")[0].splitlines()  # the table of numbers stands above all headings
     shared = {name: load_scene(name, []).title for name in PICTURES.keys() - published.keys()}
     for name, entry in published.items():
         if name not in names:
-            lines += [line for line in old.splitlines() if line.startswith(f"| `{name}` |")]
+            lines += [line for line in kept if line.startswith(f"| `{name}` |")]
             continue
         found, out = solver(name, entry)(name, entry)
         lines += rows(name, entry, found)

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import meshio
 import numpy as np
+import published_table
 import pytest
 from commands import asked
 
@@ -260,3 +261,12 @@ def test_the_mesh_of_a_body_is_an_axis_that_its_model_answers():
     models = [kc.build(load_scene("buzzer_7bb_20_6", axis.at(n)))["disc"] for n in (0, 1)]
     coarse, fine = (model.facts["resonance_short_hz"] for model in models)
     assert 0 < abs(coarse / fine - 1) < 0.01
+
+
+def test_the_devices_page_has_the_texts_of_the_published_file():
+    """Without a run the page keeps its rows of numbers, once each, and all other text is new."""
+    path = ROOT / "docs" / "evidence" / "devices.md"
+    text = path.read_text("utf-8")
+    assert published_table.page(PUBLISHED, (), text) == text
+    rows = [line for line in text.splitlines() if line.startswith("| `")]
+    assert len(rows) == len(set(rows))
