@@ -94,7 +94,9 @@ class _Reader:
         real = path.resolve()
         if real in chain:
             got = " -> ".join(file.name for file in (*chain, real))
-            raise UsageError("include goes in a circle", where=where, got=got)
+            raise UsageError(
+                "a file includes itself, directly or through others", where=where, got=got
+            )
         goes_on = False
         for number, raw in enumerate(self._text(name, real, where).split("\n"), 1):
             place, match = f"{name}:{number}", _INCLUDE.match(raw)

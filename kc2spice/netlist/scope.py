@@ -81,7 +81,9 @@ def _fill(
                 written = " ".join(words).strip("\"'")
                 target = str(PurePosixPath(chain[-1]).parent / written)  # from where the file is
                 if target in chain:
-                    raise item.error("include goes in a circle", " -> ".join(chain))
+                    raise item.error(
+                        "a file includes itself, directly or through others", " -> ".join(chain)
+                    )
                 if target not in files:
                     expected = "one of " + ", ".join(sorted(set(files) - set(chain)))
                     got = written or "no file name"

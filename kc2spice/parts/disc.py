@@ -73,8 +73,8 @@ class Layer(Section):
             filled = inner <= 0 and outer >= largest / 2
             if filled or not ring.inner < ring.outer <= largest:
                 raise ValueError(
-                    "no room for the feedback electrode: inner < outer, within the electrode of "
-                    f"{largest:g} m, some of it left"
+                    "no room for the feedback electrode: inner must be less than outer, outer at "
+                    f"most {largest:g} m, and a part of the main electrode must remain"
                 )
         return self
 

@@ -239,7 +239,7 @@ class MovingConductor(DeclaredPart):
             above = w.y - w.height / 2 >= keys.y_max + _tall(keys) / 2
             if not (apart or below or above):
                 got = f"y_min {keys.y_min:g} m, y_max {keys.y_max:g} m"
-                yield part.wrong(where, f"the body meets the {what}", got, "room for it")
+                yield part.wrong(where, f"the body touches the {what}", got, "room for it")
 
     def misshapen(self, part: Part) -> Iterator[UsageError]:
         """What is wrong with its shape."""

@@ -128,7 +128,7 @@ def numbers(text: bytes) -> np.ndarray:
         try:
             return np.fromstring(text.translate(_FORTRAN), dtype=float, sep=" ")
         except (DeprecationWarning, ValueError):
-            raise ValueError("something in it is not a number") from None
+            raise ValueError("an entry of it is not a number") from None
 
 
 def indices(values: np.ndarray, size: int) -> np.ndarray:

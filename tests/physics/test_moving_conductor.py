@@ -224,7 +224,7 @@ def test_what_a_state_stores_and_pulls_is_one_coenergy():
 
 
 def test_a_body_that_meets_a_winding_is_refused():
-    with pytest.raises(UsageError, match="the body meets the winding"):
+    with pytest.raises(UsageError, match="the body touches the winding"):
         load_scene("levitated_disc", {"conductor.y_min": "-5 mm"})
 
 

@@ -131,8 +131,11 @@ def test_a_magnet_over_a_loaded_coil_is_braked_as_by_its_law():
     ("given", "words"),
     [
         ({"magnet.y_max": "1 mm"}, "magnet.y_max: couplings change too fast"),
-        ({"magnet.y_max": "1 mm", "magnet.radius": "1.6 mm"}, "coils.coil: the body meets the win"),
-        ({"magnet.magnets.m": FIXED}, "the body meets the magnet"),
+        (
+            {"magnet.y_max": "1 mm", "magnet.radius": "1.6 mm"},
+            "coils.coil: the body touches the win",
+        ),
+        ({"magnet.magnets.m": FIXED}, "the body touches the magnet"),
     ],
 )
 def test_a_range_that_meets_a_coil_or_a_magnet_is_refused_by_key(given, words, tmp_path):

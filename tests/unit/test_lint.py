@@ -110,7 +110,7 @@ def test_wrong_wiring_is_named(cards, message, where):
         (".subckt twice a a\nR1 a 0 1\n.ends", "a pin name stands twice"),
         (".ends", ".ends without .subckt"),
         (".include divider.lib\n.include test.cir", "two subcircuits have one name"),
-        (".include test.cir", "include goes in a circle"),
+        (".include test.cir", "a file includes itself"),
     ],
 )
 def test_unreadable_decks_are_named(cards, message):

@@ -211,7 +211,7 @@ def _matrices(files: dict[str, Path]) -> raw.Raw:
     dofs, names = named.dofs, [path for path in mapped if raw.present(path)]
     if names and dofs is None:
         size = next(m.shape[0] for k, m in result.items() if k in "MEKA")
-        expected = f"lines of equation, node and freedom for {size} equations"
+        expected = f"lines of equation, node and degree of freedom for {size} equations"
         dofs = raw.parsed(names[0], expected, partial(codes.mapping, size=size))
     return raw.Raw(result, dofs, named.held, files)
 

@@ -260,18 +260,18 @@ def _plain(rows: Rows) -> LinearModel:
     said = rows.said
     keep = np.flatnonzero(~rows.held())
     if not keep.size:
-        raise UsageError("every freedom is fixed", where=said.where)
+        raise UsageError("every degree of freedom is fixed", where=said.where)
     operators = {k: _cut(m, keep) for k, m in rows.found.items() if k in "MEKA"}
     used = sum(abs(matrix).sum(axis=1) for matrix in operators.values())
     empty = np.flatnonzero(np.asarray(used) == 0)
     if empty.size:  # an unknown that nothing determines: a gap in the numbering
         problem, expected = "an equation is empty in all matrices", "no gaps in the numbering"
         got = f"row {empty[0] + 1} of the free ones, {empty.size} such in all"
-        hint = None if rows.raw.dofs is None else "fix the freedom in [[fixed]]"
+        hint = None if rows.raw.dofs is None else "fix the degree of freedom in [[fixed]]"
         raise wrong(rows.where, problem, got, expected, hint)
     B, C, D, ports = rows.ports()
     if not B[keep].any() or not C[:, keep].any():
-        expected = "B, C not zero, on freedoms that are not fixed"
+        expected = "B, C not zero, on degrees of freedom that are not fixed"
         raise wrong(rows.where, "has no effective input or output", expected=expected)
     alpha, beta = said.damping.rayleigh
     damping: dict[str, Any] = {"rayleigh": (alpha, beta)} if alpha or beta else {}

@@ -253,7 +253,7 @@ def mapping(data: bytes, size: int) -> raw.Dofs:
     names = [_ANSYS.get(row[2].upper(), row[2].lower()) for row in rows]
     unknown = sorted(set(names) - set(raw.CODES))
     if unknown:
-        raise ValueError(f"freedom {unknown[0]}")
+        raise ValueError(f"degree of freedom {unknown[0]}")
     place = indices(np.array([float(row[0]) for row in rows]), size)
     if len(np.unique(place)) < size:
         raise ValueError("an equation occurs twice")

@@ -205,7 +205,7 @@ class PortEntry(Place):
             raise refused("no place", "node, nodes, nodeset, at, column or row")
         elif self.kind == "electrical":
             if self.axis is not None or self.dof not in (None, CODES["volt"]):
-                raise refused("a direction", "nodes only, their freedom is 'volt'")
+                raise refused("a direction", "nodes only, their degree of freedom is 'volt'")
         elif (self.dof is None) == (self.axis is None):
             got = "dof and axis" if self.axis else "neither dof nor axis"
             raise refused(got, "'dof' or 'axis'")
@@ -213,7 +213,9 @@ class PortEntry(Place):
             *self._group
         }:
             expected = ", ".join(DOFS[k] for k in self._group)
-            raise refused(f"{DOFS[self.dof or 0]} is no freedom of a {self.kind} port", expected)
+            raise refused(
+                f"{DOFS[self.dof or 0]} is no degree of freedom of a {self.kind} port", expected
+            )
         return self
 
     @property
