@@ -41,6 +41,7 @@ from kc2spice.rom.pencil import (
     largest,
     magnitudes,
 )
+from kc2spice.rom.relaxing_fit import minimax
 from kc2spice.rom.response import (
     FLANK,
     SHARPEST,
@@ -211,6 +212,7 @@ TAIL_PER_ROOT = 120.0  # per root of the tolerance, as errors go with its square
 # taken from, beyond a third, and how good all of these must be; the least change of a weight; how
 # the tail fades.
 TIGHTENED, TRIALS, SPARE, SPARED, LEAST, FADING = 150, 12, 20, 0.5, 0.05, 0.5
+FITTED = 60  # rates and gains of a relaxing model that are fitted
 # Orders that may fail in a row; errors of a fit, per tolerance, that stay, and that are enough.
 MISSES, HOPELESS, CLOSER = 4, 1.5, 0.97
 EXACT, CHECKS = 1e-10, 10  # error of a surrogate, and direct solutions that measure it
@@ -357,7 +359,8 @@ def _within(
     within = within if within > 0.5 * tolerance else tolerance
     selected, least = _fewest(plain, congruences, within, contact, keep_form)
     if not contact:
-        selected, least = refitted(selected, least, within)
+        fitted = relaxing_fit if selected.relaxing else refitted
+        selected, least = fitted(selected, least, within)
     if floor > tolerance:
         warnings.warn(
             f"the full model itself is only good to {floor:.1e}: so far rounding of its "
@@ -388,7 +391,8 @@ def _fewest(
     Directions of a congruence are turned to save more, unless it is for ``contact``.
     """
     free, share, signals = None, 1.0, default_norm(plain.full) == "peak" and not keep_form
-    form = plain.pencil.degree == 2 and structure(plain.pencil, plain.judge.band)
+    congruent = plain.pencil.degree == 2 or plain.relaxing
+    form = congruent and structure(plain.pencil, plain.judge.band)
     if form and form.proof == FORM:
         share = FORM_SHARE
     if signals and not (form and form.passive):
@@ -494,6 +498,37 @@ def refitted(found: Reduction, order: int, tolerance: float) -> tuple[Reduction,
     return best
 
 
+def relaxing_fit(found: Reduction, order: int, tolerance: float) -> tuple[Reduction, int]:
+    """A relaxing model of fewer than ``order`` states that meets the tolerance in the peak norm, as
+    long as there is one: its rates and gains are fitted, and it is passive for all of these.
+
+    Conservative ports keep their static answers, and no model of theirs is fitted.
+    """
+    judge, ports = found.judge, found.pencil.B.shape[1]
+    if judge.norm != "peak" or found.first or found.pencil.free:
+        return found, order
+    inside, _ = _snapshots(judge, judge.exact, None)
+    s = 2j * np.pi * inside
+    H, base = judge.exact.transfer(s), judge.reference[1].peak + np.finfo(float).tiny
+    best = found, order
+    for fewer in range(order - 1, 0, -1):
+        if fewer * (1 + ports) > FITTED:
+            break
+        rest, inertia = found.pencil.leading(fewer).coefficients
+        rates, T = eigh(rest, inertia)
+        if rates[0] <= 0:
+            break
+        start = rates, T.T @ found.pencil.B[:fewer]
+        enough = CLOSER * tolerance / SAFETY
+        rates, gains, error = minimax(*start, s, H - found.pencil.D, base, enough)
+        pencil = Pencil((np.diag(rates), np.eye(fewer)), gains, gains.T.copy(), found.pencil.D)
+        trial = replace(found, pencil=pencil, origin=f"{found.origin}fitted rates and gains; ")
+        if error > enough or not trial.good(fewer, tolerance):
+            break
+        best = trial, fewer
+    return best
+
+
 def _least_squares(x: np.ndarray, y: np.ndarray) -> np.ndarray:
     """Real C with ``C x`` next to ``y``, over all frequencies and inputs."""
     left, right = (np.moveaxis(P, 1, 2).reshape(-1, P.shape[1]) for P in (x, y))
@@ -535,6 +570,13 @@ class Reduction:
     def states(self, order: int) -> int:
         """First-order states of the model of this order."""
         return order * self.pencil.degree
+
+    @property
+    def relaxing(self) -> bool:
+        """Whether the model is of first order and symmetric, as a network of resistors and
+        capacitors is: a congruence keeps its real poles and its passivity."""
+        pencil = self.pencil
+        return pencil.degree == 1 and pencil.symmetric and pencil.collocated
 
     @property
     def size(self) -> int:

@@ -1,0 +1,117 @@
+"""Relaxing models, as networks of resistors and capacitors are, fitted to a response.
+
+A symmetric model of first order with ``E > 0`` and ``A <= 0`` has real poles and symmetric residues
+of rank one (first Foster form),
+
+    H(s) = D + sum_k g_k g_k' / (s + r_k),    r_k >= 0,
+
+and every choice of rates ``r_k`` and gains ``g_k`` is stable and passive. A projection reaches a
+tolerance with one state more than the best choice needs. Here Gauss-Newton steps on ``log r_k`` and
+``g_k`` with weights of Lawson's minimax fit start from a projection.
+
+Source: C. L. Lawson, Contributions to the Theory of Linear Least Maximum Approximations (1961).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import scipy
+
+ROUNDS = 25  # of weights
+EVALUATIONS = 30  # of residuals in each of them
+SETTLED, HOPELESS = 4, 1.5  # rounds after which errors so many times too large end the fit
+LEAST = 0.02  # change of a weight where the error is small
+
+
+def minimax(
+    rates: np.ndarray,
+    gains: np.ndarray,
+    s: np.ndarray,
+    wanted: np.ndarray,
+    base: np.ndarray,
+    enough: float = 0.0,
+) -> tuple[np.ndarray, np.ndarray, float]:
+    """Rates and gains of a small largest error, from others next to them.
+
+    Parameters
+    ----------
+    rates : (k,) array
+        Positive ``r_k`` [1/s] to start from.
+    gains : (k, ports) array
+        ``g_k`` to start from.
+    s : (n,) array
+        Laplace variable [1/s].
+    wanted : (n, ports, ports) array
+        Response without its direct part, symmetric.
+    base : (ports, ports) array
+        What errors are relative to.
+    enough : float
+        Error at which the fit ends; it also ends where errors are far above this after some rounds.
+
+    Returns
+    -------
+    rates, gains, error
+        The best of all rounds, and its largest relative error.
+
+    Examples
+    --------
+    >>> s = 1j * np.geomspace(0.1, 10, 20)
+    >>> wanted = 4 / (s + 2)[:, None, None]
+    >>> rates, gains, error = minimax(np.ones(1), np.ones((1, 1)), s, wanted, np.ones((1, 1)))
+    >>> round(rates[0], 6), round(abs(gains[0, 0]), 6), error < 1e-9
+    (np.float64(2.0), np.float64(2.0), True)
+    """
+    count, ports = gains.shape
+    upper = np.triu_indices(ports)
+    target, scale = wanted[:, upper[0], upper[1]], base[upper]
+    weight = np.ones(len(s))
+    x = np.r_[np.log(rates), gains.ravel()]
+    best = x, np.inf
+
+    def residuals(x: np.ndarray) -> np.ndarray:
+        return _stacked(weight[:, None] * (_model(x, count, s, upper) - target) / scale)
+
+    def slopes(x: np.ndarray) -> np.ndarray:
+        return _stacked(weight[:, None, None] * _slopes(x, count, s, upper) / scale[:, None])
+
+    for k in range(ROUNDS):
+        fit = scipy.optimize.least_squares(
+            residuals, x, jac=slopes, method="lm", x_scale="jac", max_nfev=EVALUATIONS
+        )
+        x = fit.x
+        size = np.abs((_model(x, count, s, upper) - target) / scale).max(axis=1)
+        if size.max() < best[1]:
+            best = x, float(size.max())
+        if best[1] <= enough or (k >= SETTLED and best[1] > HOPELESS * enough > 0):
+            break
+        weight = weight * np.sqrt(size / max(size.max(), np.finfo(float).tiny) + LEAST)
+        weight = weight / weight.max()
+    x, error = best
+    return np.exp(x[:count]), x[count:].reshape(count, ports), error
+
+
+def _model(x: np.ndarray, count: int, s: np.ndarray, upper: tuple) -> np.ndarray:
+    """The entries (n, entries) of the ``upper`` triangle of ``sum_k g_k g_k' / (s + r_k)``."""
+    rates, gains = np.exp(x[:count]), x[count:].reshape(count, -1)
+    products = gains[:, upper[0]] * gains[:, upper[1]]
+    return np.asarray((1 / (s[:, None] + rates)) @ products)
+
+
+def _slopes(x: np.ndarray, count: int, s: np.ndarray, upper: tuple) -> np.ndarray:
+    """Derivatives (n, entries, unknowns) of :func:`_model` by ``log r_k`` and ``g_k``."""
+    rates, gains = np.exp(x[:count]), x[count:].reshape(count, -1)
+    answer = 1 / (s[:, None] + rates)
+    products = (gains[:, upper[0]] * gains[:, upper[1]]).T
+    by_rate = (-rates * answer**2)[:, None, :] * products
+    ports, entries = gains.shape[1], np.arange(len(upper[0]))
+    partial = np.zeros((len(entries), count, ports))
+    partial[entries, :, upper[0]] += gains[:, upper[1]].T
+    partial[entries, :, upper[1]] += gains[:, upper[0]].T
+    by_gain = answer[:, None, :, None] * partial
+    return np.concatenate([by_rate, by_gain.reshape(len(s), len(entries), -1)], axis=2)
+
+
+def _stacked(values: np.ndarray) -> np.ndarray:
+    """Real and imaginary parts of (n, entries, ...) as (2 n entries, ...)."""
+    flat = values.reshape(-1, *values.shape[2:])
+    return np.concatenate([flat.real, flat.imag])
