@@ -16,7 +16,7 @@ import scipy
 
 from kc2spice.core.errors import UsageError, unknown
 from kc2spice.core.extras import import_optional
-from kc2spice.rom.pencil import Matrix, Pencil, Schur, first_order, largest, symmetric
+from kc2spice.rom.pencil import Matrix, Pencil, Schur, dense, first_order, largest, symmetric
 from kc2spice.rom.structure import semidefinite
 
 if TYPE_CHECKING:
@@ -267,8 +267,10 @@ class LinearModel:
     follow the same order (an input has no row, an output no column). Without, they are signals
     ``u1``..., ``y1``.... Symmetric models with conservative ports only have ``C = B'``.
 
-    A complex ``K (1 + j eta)`` is structural damping: K is its real part, ``loss_factor`` is eta.
-    Such a model has a response, and becomes a circuit by :func:`kc2spice.reduce` only.
+    A complex K is structural damping: K is its real part. ``loss_factor`` is eta of
+    ``K (1 + j eta)``, and may be given instead; ``loss`` is the imaginary part of any other, that
+    of several materials, symmetric and positive semi-definite. Such a model has a response, and
+    becomes a circuit by :func:`kc2spice.reduce` only.
 
     ``facts`` are the numbers by which an engineer knows the body (``mass_kg``, ``unknowns``,
     ``capacitance_free_f``, …). ``band`` [Hz] is what the model's author asks to be kept, if known.
@@ -293,12 +295,11 @@ class LinearModel:
     name: str = "model"
     band: tuple[float, float] | None = None
     loss_factor: float = 0.0
+    loss: Matrix = None
 
     def __post_init__(self) -> None:
         put = object.__setattr__  # frozen: this is the constructor
-        stiffness, loss = _structural(self.K, self.name)
-        if loss is not None:
-            put(self, "K", stiffness), put(self, "loss_factor", loss)
+        _set_structural(self)
         if self.M is self.A is None and self.E is not None and self.K is not None:
             put(self, "A", negated(_checked(self.K, "K", self.name))), put(self, "K", None)
         first = self.A is not None
@@ -329,7 +330,11 @@ class LinearModel:
             put(self, "E", zero.toarray() if isinstance(whole, np.ndarray) else zero)
         elif (self.E is not None and self.rayleigh is not None) or (first and self.rayleigh):
             raise UsageError("damping is given twice", where=self.name, expected="E or rayleigh")
-        shapes = dict.fromkeys("MEKA", (n, n)) | {"B": (n, m), "C": (p, n), "D": (p, m)}
+        shapes = dict.fromkeys(("M", "E", "K", "A", "loss"), (n, n)) | {
+            "B": (n, m),
+            "C": (p, n),
+            "D": (p, m),
+        }
         for letter, shape in shapes.items():
             matrix = getattr(self, letter)
             if matrix is not None and (matrix.shape != shape or 0 in shape):
@@ -348,6 +353,11 @@ class LinearModel:
     def order(self) -> int:
         """Number n of unknowns (second-order states in second order)."""
         return int(self.B.shape[0])
+
+    @property
+    def structural(self) -> bool:
+        """Whether the model has structural damping."""
+        return bool(self.loss_factor) or self.loss is not None
 
     @property
     def first_order(self) -> bool:
@@ -387,9 +397,11 @@ class LinearModel:
         SimulationError : a frequency is a pole.
         """
         pencil = self.pencil
-        if self.loss_factor:
+        if self.structural:
             K, E, M = pencil.coefficients
-            if isinstance(K, Schur):
+            if self.loss is not None:
+                K = K + 1j * self.loss
+            elif isinstance(K, Schur):
                 K = Schur(*((1 + 1j * self.loss_factor) * P for P in (K.uu, K.up, K.pu, K.pp)))
             else:
                 K = (1 + 1j * self.loss_factor) * K
@@ -397,20 +409,26 @@ class LinearModel:
         return pencil.transfer(2j * np.pi * np.atleast_1d(np.asarray(frequency, dtype=float)))
 
     def poles(self) -> np.ndarray:
-        """All finite poles [1/s], complex; dense work, for models up to a few thousand unknowns."""
+        """All finite poles [1/s], complex; dense work, for models up to a few thousand unknowns.
+
+        Structural damping has none and is left out.
+        """
         return self.pencil.poles()
 
     def state_space(self) -> ABCD:
         """Arrays A, B, C, D without E; see :func:`kc2spice.rom.linear.state_space`."""
-        if self.loss_factor:
-            raise UsageError(
-                "structural damping has no state-space form",
-                where=self.name,
-                got=f"a loss factor of {self.loss_factor:g}",
-                hint="reduce the model: kc2spice.reduce finds the nearest passive one",
-            )
+        if self.structural:
+            raise self._without_states()
         known = self.certificate
         return state_space(self.pencil, known.band_hz[1] if known else None)
+
+    def _without_states(self) -> UsageError:
+        return UsageError(
+            "structural damping has no state-space form",
+            where=self.name,
+            got=f"a loss factor of {self.loss_factor:g}" if self.loss is None else "a complex K",
+            hint="reduce the model: kc2spice.reduce finds the nearest passive one",
+        )
 
     def to_statespace(self) -> StateSpace:
         """scipy's ``x' = A x + B u``, ``y = C x + D u``; see :meth:`state_space`."""
@@ -424,7 +442,10 @@ class LinearModel:
         Raises
         ------
         MissingToolError : pyMOR is not installed.
+        UsageError : structural damping, which has no such form.
         """
+        if self.structural:
+            raise self._without_states()
         models = import_optional("pymor.models.iosys", "to_pymor")
         if self.first_order:
             return models.LTIModel.from_matrices(self.A, self.B, self.C, D=self.D, E=self.E)
@@ -551,24 +572,62 @@ def negated(matrix: Matrix) -> Matrix:
     return -matrix
 
 
-def _structural(K: Matrix, where: str) -> tuple[Matrix, float | None]:
-    """Real part and loss factor of a complex ``K (1 + j eta)``; K and None of any other."""
-    if K is None or isinstance(K, Schur) or not np.iscomplexobj(K):
-        return K, None
-    real, imaginary = K.real, K.imag
-    scale = abs(real).max() ** 2
-    eta = float((real.multiply(imaginary) if scipy.sparse.issparse(K) else real * imaginary).sum())
-    square = float((real.multiply(real) if scipy.sparse.issparse(K) else real * real).sum())
-    eta = eta / square if square and np.isfinite(scale) else np.nan
-    if not (eta >= 0 and abs(imaginary - eta * real).max() <= 1e-9 * abs(real).max()):
-        raise UsageError(
-            "matrix K cannot be used",
-            where=where,
-            got="complex numbers without a single loss factor",
-            expected="K (1 + j eta), eta >= 0",
-            hint="state viscous damping as matrix E",
-        )
-    return real, eta
+LOSS_FACTOR = 1e-9  # of K: an imaginary part that differs less has one loss factor
+
+
+def _set_structural(model: LinearModel) -> None:
+    """Split a complex K of the model into its real part and its loss, and check the latter."""
+    put, K, where = object.__setattr__, model.K, model.name
+    if K is not None and not isinstance(K, Schur) and np.iscomplexobj(K):
+        if model.structural:
+            expected = "a complex K, or loss_factor"
+            raise UsageError("structural damping is given twice", where=where, expected=expected)
+        put(model, "K", _checked(K.real, "K", where))
+        put(model, "loss", K.imag)
+    try:
+        eta = float(model.loss_factor)
+    except (TypeError, ValueError):
+        raise _unfit(where, repr(model.loss_factor), "the loss factor") from None
+    if not 0 <= eta < np.inf:
+        raise _unfit(where, f"{eta:g}", "the loss factor")
+    if model.loss is not None:
+        loss, eta = _loss_of(model.K, _checked(model.loss, "loss", where), where)
+        put(model, "loss", loss)
+    put(model, "loss_factor", eta)
+    if model.structural and model.M is None:
+        raise UsageError("structural damping is of second-order models", where=where)
+
+
+def _loss_of(K: Matrix, loss: Matrix, where: str) -> tuple[Matrix, float]:
+    """The imaginary part of a stiffness stored as K is, None where it is a multiple of K; and that
+    multiple, its loss factor."""
+    if isinstance(K, Schur) or K is None or K.shape != loss.shape:
+        raise _unfit(where, "a loss that does not belong to K")
+    if isinstance(K, np.ndarray):
+        loss = dense(loss)
+    else:
+        K, loss = (scipy.sparse.csc_array(P) for P in (K, loss))
+    scale = largest(K)
+    if not scale:
+        raise _unfit(where, "an imaginary part without a real one")
+    square, product = (float((P * (K / scale)).sum()) for P in (K, loss))
+    eta = product / square
+    if eta >= 0 and largest(loss - eta * K) <= LOSS_FACTOR * scale:
+        return None, eta
+    if not symmetric(loss) or not semidefinite(loss):
+        raise _unfit(where, "an imaginary part that is not symmetric and positive semi-definite")
+    return loss, 0.0
+
+
+def _unfit(where: str, got: str, what: str = "matrix K") -> UsageError:
+    """The refusal of a structural damping."""
+    return UsageError(
+        f"{what} cannot be used",
+        where=where,
+        got=got,
+        expected="K (1 + j eta), eta >= 0, or K + j H, H symmetric and positive semi-definite",
+        hint="a complex response exp(+j w t); state viscous damping as matrix E",
+    )
 
 
 def _require_outputs(C: np.ndarray | None, B: np.ndarray, n: int, where: str) -> None:

@@ -233,8 +233,9 @@ def reduce(
     :class:`Certificate`. Models whose ports are signals are reduced by balanced truncation too, to
     first order, where that needs fewer states and no passive resonators are lost. An order of a
     symmetric positive definite model is the paper's reduction (2.3): block Arnoldi at s0 = 0.
-    Structural damping becomes viscous damping of each mode, whose difference is in the error
-    estimate, with a warning where that exceeds the tolerance. A symmetric model of real poles only
+    Structural damping becomes viscous damping of each mode, and relaxations where these come much
+    nearer; the difference is in the error estimate, with a warning where that exceeds the
+    tolerance. A symmetric model of real poles only
     loses its inertia where that changes nothing and saves states.
     Contact excites a body above any band: ``contact`` keeps some of it, a third more states.
     Without a band it is the model's own, else up to a little above the fifth natural frequency.
@@ -265,11 +266,11 @@ def reduce(
     def congruence(item: LinearModel, within: float, over: tuple[float, float]) -> LinearModel:
         return _reduce(item, within, None, over, norm, contact, keep_form=True)
 
-    if model.loss_factor:
+    if model.structural:
         if tolerance is None:
             problem = "structural damping is reduced within a tolerance"
             raise UsageError(problem, where="order", got=order, expected="a tolerance, no order")
-        undamped = replace(model, loss_factor=0)
+        undamped = replace(model, loss_factor=0.0, loss=None)
         band = band or model.band or natural_band(reduced_form(undamped.pencil))
         return causal(model, congruence, tolerance, band, norm)
     result = _reduce(model, tolerance, order, band, norm, contact)

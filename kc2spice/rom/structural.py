@@ -1,9 +1,11 @@
 """Damping that polynomials in s do not have, and inertia that does nothing.
 
-Structural damping ``K (1 + j eta)`` loses the same share of its energy at every frequency. No
-causal model does that in a band without a change of stiffness, so a circuit has a passive one near
-it: each mode gets the viscous damping ``eta w_j``, which is exact at its resonance and differs by
-less than ``eta`` of the mode's response elsewhere. That difference is part of the error estimate.
+Structural damping ``K + j H``, of one material ``K (1 + j eta)``, loses the same share of energy at
+every frequency. No causal model does that in a band without a change of stiffness, so a circuit has
+a passive one near it: each mode gets the viscous damping ``h_j / w_j``, which is exact at its
+resonance, and relaxations where these come nearer, see :mod:`kc2spice.rom.lossy_modes`. What
+differs is part of the error estimate. The losses of several materials couple modes; that part is
+viscous damping ``h_ij / (w_i w_j)^(1/2)``.
 
 An RC ladder or an overdamped chain has real poles only. Where its inertia changes nothing in the
 band, ``E x' + K x = B u`` has half of the states per unknown, and is passive as well.
@@ -14,8 +16,9 @@ Sources: S. H. Crandall, J. Sound Vib. 11 (1970) 3; D. J. Ewins, Modal Testing (
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable
-from dataclasses import replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 import scipy
@@ -24,9 +27,10 @@ from kc2spice.core.errors import SimulationError, UsageError
 from kc2spice.rom.constraints import reduced_form
 from kc2spice.rom.entries import Entries, share_of
 from kc2spice.rom.linear import LinearModel, Norm
+from kc2spice.rom.lossy_modes import Oscillator, joined, relaxing_oscillator, viscous_oscillator
 from kc2spice.rom.pencil import Pencil, Schur, largest
 from kc2spice.rom.response import Response, adaptive_frequencies, grid
-from kc2spice.rom.structure import semidefinite
+from kc2spice.rom.structure import semidefinite, structure
 
 Reductor = Callable[[LinearModel, float, tuple[float, float]], LinearModel]
 
@@ -34,6 +38,10 @@ SAFETY = 1.15  # on differences at samples, for what lies between them
 BASE_SHARE = 0.5  # of the tolerance: for the model with viscous damping
 LOWEST = 1e-10  # tolerances of a reduction
 DIRECT = 6  # direct solutions of the full model that check a causal model
+# Rates of relaxations per resonance, or per end of the band where that is lower.
+RELAXATIONS = ((1.0,), tuple(np.geomspace(0.03, 3.0, 7)))
+WORTH = 0.5  # of its error: a mode and a model with relaxations must come to less
+SMALL_PART = 0.1  # of what the largest error may be: modes that stay as they are
 REAL = 1e-6  # imaginary part of a pole that is real, relative
 MASSLESS = 1e-12  # of the largest eigenvalue: a damping matrix that is singular
 MASS_SHARE = 0.5  # of the tolerance: what inertia that is left out may change
@@ -46,7 +54,7 @@ def causal(
     band: tuple[float, float],
     norm: Norm,
 ) -> LinearModel:
-    """The passive model nearest to one with structural damping.
+    """A passive model next to one with structural damping.
 
     Parameters
     ----------
@@ -56,93 +64,231 @@ def causal(
     ------
     UsageError : a model of first order, or without a definite mass matrix.
     """
-    # nowhere in the band more damping than eta: errors beside sharper resonances are larger
-    eta, beta = model.loss_factor, model.loss_factor / (2 * np.pi * band[1])
-    share, within = share_of(norm), BASE_SHARE * tolerance
-    small = reduced(_viscous(model, beta), within, band)
-    result, lossy = _modal_damping(model, small, eta, beta)
-    frequency, exact, more = _compared(small, result, lossy, band, norm)
-    if more > 1:  # peaks of the damping that the base was reduced with are higher
-        small = reduced(_viscous(model, beta), max(within / more, LOWEST), band)
-        result, lossy = _modal_damping(model, small, eta, beta)
-        frequency, exact, more = _compared(small, result, lossy, band, norm)
-    entries = Entries.of(exact)
-    ours = result.transfer(frequency)
-    apart = float(entries.relative(ours - exact, exact, share).max())
-    known = small.certificate
+    search = _Search(model, reduced, band, norm)
+    error = search.reduce(BASE_SHARE * tolerance)
+    modes = search.viscous
+    for rates in RELAXATIONS:
+        if error <= tolerance:
+            break
+        trial = search.relaxing(rates, tolerance)
+        fewer = search.error(trial)
+        if fewer < WORTH * error:
+            modes, error = trial, fewer
+    result, known = search.model(modes), search.small.certificate
     assert known is not None
-    sharp = np.sort(Response(result.pencil.dense()).within(band)[0])[:DIRECT]
-    few = np.r_[band[0] + (band[1] - band[0]) * (np.arange(DIRECT) + 0.4) / DIRECT, sharp]
-    full = model.transfer(few)
-    checked = float(entries.relative(result.transfer(few) - full, full, share).max())
-    estimate = max(max(more, 1.0) * known.error_estimate + SAFETY * apart, SAFETY * checked)
+    answer = structure(result.pencil, band)
+    inner = sum(mode.rates.size for mode in modes)
+    apart = search.apart(modes)
+    added = f" and {inner} relaxations" if inner else ""
     method = (
-        f"{known.method}; structural damping of {eta:g} by viscous damping of each mode, which "
+        f"{known.method}; structural damping{_loss(model)} by viscous damping of each mode{added}, "
+        f"which differs by {apart:.1e}"
     )
-    method += f"differs by {apart:.1e}"
+    estimate = max(error, SAFETY * search.checked(result))
     if estimate > tolerance:
         warnings.warn(
-            f"no causal model has a structural damping of {eta:g} at all frequencies: the passive "
-            f"one differs by {apart:.2g}, more than the tolerance of {tolerance:g}",
+            f"no causal model has a structural damping{_loss(model)} at all frequencies: the "
+            f"passive one differs by {apart:.2g}, more than the tolerance of {tolerance:g}",
             stacklevel=4,
         )
-    return replace(
-        result, certificate=replace(known, error_estimate=estimate, method=method), loss_factor=0.0
+    certificate = replace(
+        known,
+        error_estimate=estimate,
+        method=method,
+        stable=answer.stable if known.stable else known.stable,
+        passive=known.passive and answer.passive,
     )
+    return replace(result, certificate=certificate)
 
 
-def _modal_damping(
-    model: LinearModel, small: LinearModel, eta: float, beta: float
-) -> tuple[LinearModel, Pencil]:
-    """The ``small`` model with viscous damping of each mode, and with structural damping."""
-    K, E, M = small.pencil.dense().coefficients
-    try:
-        squares, T = scipy.linalg.eigh(0.5 * (K + K.T), 0.5 * (M + M.T))
-    except np.linalg.LinAlgError:
-        raise UsageError(
-            "structural damping needs symmetric matrices and a definite mass",
-            where=model.name,
-            hint="fix unknowns without mass, or state viscous damping E",
-        ) from None
-    # E = M T diag(eta w_j) T'M, beside the viscous damping of the model itself
-    given, modal = E - beta * K, M @ T
-    E = given + (modal * (eta * np.sqrt(np.maximum(squares, 0.0)))) @ modal.T
-    lossy = Pencil((K * (1 + 1j * eta), given, M), small.B, small.C, small.D)
-    return replace(small, E=0.5 * (E + E.T)), lossy
+def _loss(model: LinearModel) -> str:
+    return f" of {model.loss_factor:g}" if model.loss_factor else ""
 
 
-def _compared(
-    base: LinearModel, result: LinearModel, lossy: Pencil, band: tuple[float, float], norm: Norm
-) -> tuple[np.ndarray, np.ndarray, float]:
-    """Frequencies [Hz] at which errors show, there the response with structural damping, and how
-    many times larger the peaks of the ``base`` are where errors count against peaks."""
-    response = Response(result.pencil.dense())
-    frequency = adaptive_frequencies(response, band, False, norm)
-    frequency = frequency[frequency > 0]
-    exact = lossy.transfer(2j * np.pi * frequency)
-    if norm == "pointwise":
-        return frequency, exact, 1.0
-    entries = Entries.of(exact)
-    sharper = np.r_[frequency, Response(base.pencil.dense()).within(band)[0]]
-    own = np.abs(base.transfer(sharper)).max(axis=0)
-    return frequency, exact, float((own / (entries.peak + np.finfo(float).tiny)).max())
+@dataclass
+class _Search:
+    """The model reduced with viscous damping, ``small``, and its passive neighbours."""
+
+    full: LinearModel
+    reduced: Reductor
+    band: tuple[float, float]
+    norm: Norm
+
+    def reduce(self, within: float) -> float:
+        """Reduce with viscous damping, again where resonances of the structural one are lower than
+        those that the reduction saw, and return the error of viscous modes."""
+        self._reduce(within)
+        if self.raised > 1:
+            self._reduce(max(within / self.raised, LOWEST))
+        return self.error(self.viscous)
+
+    def _reduce(self, within: float) -> None:
+        beta = 1 / (2 * np.pi * self.band[1])  # nowhere in the band more damping than structural
+        viscous, given = with_viscous_loss(self.full, beta)
+        self.small = small = self.reduced(viscous, within, self.band)
+        K, E, M = (0.5 * (P + P.T) for P in small.pencil.dense().coefficients)
+        try:
+            squares, T = scipy.linalg.eigh(K, M)
+        except np.linalg.LinAlgError:
+            raise UsageError(
+                "structural damping needs symmetric matrices and a definite mass",
+                where=self.full.name,
+                hint="fix unknowns without mass, or state viscous damping E",
+            ) from None
+        eta = self.full.loss_factor
+        if self.full.loss is None:
+            H = eta * K
+            given = E - beta * H
+        else:
+            given = given[0] * M + given[1] * K
+            H = (E - given) / beta
+        self.squares = np.maximum(squares, 0.0)
+        self.given, self.H = T.T @ given @ T, T.T @ H @ T
+        self.B, self.C = T.T @ small.B, small.C @ T
+        if small.pencil.collocated:
+            self.C = self.B.T.copy()
+        for former in ("viscous", "_decoupled"):
+            self.__dict__.pop(former, None)
+        self.raised = self._raised()
+
+    @property
+    def lossy(self) -> Pencil:
+        """The small model with structural damping."""
+        parts = np.diag(self.squares) + 1j * self.H, self.given, np.eye(self.squares.size)
+        return Pencil(parts, self.B, self.C, self.small.D)
+
+    @cached_property
+    def viscous(self) -> list[Oscillator]:
+        """Modes with a dashpot each; motions without stiffness have none."""
+        share = self._decoupled
+        return [
+            viscous_oscillator(k, share * h) if k > 0 else Oscillator(0.0, 0.0, 1.0, *NONE)
+            for k, h in zip(self.squares, np.diag(self.H), strict=True)
+        ]
+
+    @cached_property
+    def _decoupled(self) -> float:
+        """Share of every mode's own loss without which the rest is still a loss."""
+        own = np.diag(self.H)
+        lossy = own > MASSLESS * own.max(initial=0.0)
+        if not lossy.any():
+            return 0.0
+        scale = 1 / np.sqrt(own[lossy])
+        least = np.linalg.eigvalsh(scale[:, None] * self.H[np.ix_(lossy, lossy)] * scale)[0]
+        return float(np.clip(least, 0.0, 1.0))
+
+    def model(self, modes: Sequence[Oscillator]) -> LinearModel:
+        """The passive model of such modes and the loss that couples them."""
+        rest = self.H - self._decoupled * np.diag(np.diag(self.H))
+        pace = np.sqrt(np.where(self.squares > 0, self.squares, 1.0))
+        rest = np.where(np.outer(self.squares, self.squares) > 0, rest, 0.0)
+        K, E, M = joined(modes, self.given + rest / np.sqrt(np.outer(pace, pace)))
+        more = len(K) - len(self.B)
+        return replace(
+            self.small,
+            K=K, E=0.5 * (E + E.T), M=M, rayleigh=None, loss_factor=0.0,
+            B=np.pad(self.B, ((0, more), (0, 0))), C=np.pad(self.C, ((0, 0), (0, more))),
+        )  # fmt: skip
+
+    def relaxing(self, relative_rates: Sequence[float], tolerance: float) -> list[Oscillator]:
+        """Modes with relaxations, where these come much nearer and it matters."""
+        frequency, exact = self._compared(self.viscous)
+        s = 2j * np.pi * frequency
+        base = Entries.of(exact).base(exact, share_of(self.norm)) + np.finfo(float).tiny
+        own = np.diag(self.H)
+        trials: list[Oscillator] = []
+        before: list[float] = []
+        after: list[float] = []
+        for j, (k, mode) in enumerate(zip(self.squares, self.viscous, strict=True)):
+            wanted = k + 1j * self._decoupled * own[j] + s**2
+            whole = k + 1j * own[j] + s**2 + s * self.given[j, j]
+            product = np.abs(np.outer(self.C[:, j], self.B[j]))
+            weight = (product / base).max(axis=(1, 2)) / np.abs(whole) ** 2
+            pace = min(np.sqrt(k), 2 * np.pi * self.band[1])
+            trial = mode
+            if k > 0 and weight.any():
+                rates = pace * np.array(relative_rates)
+                trial = relaxing_oscillator(s, wanted, weight, rates)
+            trials.append(trial)
+            for errors, item in ((before, mode), (after, trial)):
+                errors.append(float((weight * np.abs(item(s) - wanted)).max()))
+        limit = SMALL_PART * max(tolerance, np.minimum(before, after).max(initial=0.0))
+        better = (np.array(before) > limit) & (np.array(after) < WORTH * np.array(before))
+        both = zip(trials, self.viscous, better, strict=True)
+        return [trial if use else mode for trial, mode, use in both]
+
+    def apart(self, modes: Sequence[Oscillator]) -> float:
+        """Largest difference of the model of such modes to structural damping."""
+        frequency, exact = self._compared(modes)
+        ours = self.model(modes).transfer(frequency)
+        return float(Entries.of(exact).relative(ours - exact, exact, share_of(self.norm)).max())
+
+    def error(self, modes: Sequence[Oscillator]) -> float:
+        """Its error estimate in the full model."""
+        known = self.small.certificate
+        assert known is not None
+        return max(self.raised, 1.0) * known.error_estimate + SAFETY * self.apart(modes)
+
+    def checked(self, result: LinearModel) -> float:
+        """Largest difference of a model to direct solutions of the full one."""
+        low, high = self.band
+        sharp = np.sort(Response(result.pencil.dense()).within(self.band)[0])[:DIRECT]
+        few = np.r_[low + (high - low) * (np.arange(DIRECT) + 0.4) / DIRECT, sharp]
+        full = self.full.transfer(few)
+        entries = Entries.of(self._compared(self.viscous)[1])
+        off = entries.relative(result.transfer(few) - full, full, share_of(self.norm))
+        return float(off.max())
+
+    def _compared(self, modes: Sequence[Oscillator]) -> tuple[np.ndarray, np.ndarray]:
+        """Frequencies [Hz] at which errors of a model show, and there the response with structural
+        damping."""
+        response = Response(self.model(modes).pencil.dense())
+        frequency = adaptive_frequencies(response, self.band, False, self.norm)
+        frequency = frequency[frequency > 0]
+        return frequency, self.lossy.transfer(2j * np.pi * frequency)
+
+    def _raised(self) -> float:
+        """How many times larger the peaks that the reduction saw are, where errors count against
+        peaks."""
+        if self.norm == "pointwise":
+            return 1.0
+        frequency, exact = self._compared(self.viscous)
+        small = Response(self.small.pencil.dense())
+        sharper = np.r_[frequency, small.within(self.band)[0]]
+        seen = np.abs(self.small.transfer(sharper)).max(axis=0)
+        return float((seen / (Entries.of(exact).peak + np.finfo(float).tiny)).max())
 
 
-def _viscous(model: LinearModel, beta: float) -> LinearModel:
-    """With damping ``beta K`` beside its own instead of structural damping."""
+NONE = np.empty(0), np.empty(0)  # amplitudes and rates
+
+
+def with_viscous_loss(model: LinearModel, beta: float) -> tuple[LinearModel, tuple[float, float]]:
+    """The model with damping ``beta H`` beside its own instead of structural damping H, and the
+    shares of M and K of its own."""
     if model.first_order:
         raise UsageError("structural damping is of second-order models", where=model.name)
-    if model.rayleigh is not None:
-        alpha, own = model.rayleigh
-        return replace(model, rayleigh=(alpha, own + beta), E=None, loss_factor=0.0)
-    if not largest(model.E):
-        return replace(model, rayleigh=(0.0, beta), E=None, loss_factor=0.0)
+    plain = replace(model, loss_factor=0.0, loss=None)
+    alpha, own = model.rayleigh or (0.0, 0.0)
+    undamped = model.rayleigh is not None or not largest(model.E)
+    if model.loss is not None:
+        if not undamped:
+            raise UsageError(
+                "structural damping of several materials beside a damping matrix",
+                where=model.name,
+                expected="one of them",
+                hint="rayleigh instead of E, or one loss factor",
+            )
+        E = beta * model.loss + own * model.K + alpha * model.M
+        return replace(plain, rayleigh=None, E=E), (alpha, own)
+    added = beta * model.loss_factor
+    if undamped:
+        return replace(plain, rayleigh=(alpha, own + added), E=None), (alpha, own)
     if isinstance(model.K, Schur):
         problem = (
             "structural damping beside a damping matrix needs potentials that are not eliminated"
         )
         raise UsageError(problem, where=model.name, hint="rayleigh instead of E")
-    return replace(model, E=model.E + beta * model.K, loss_factor=0.0)
+    return replace(plain, E=model.E + added * model.K), (alpha, own)
 
 
 def without_inertia(

@@ -1,10 +1,14 @@
 """Structural damping of one oscillator in closed form, and ladders with real poles only."""
 
+import warnings
+
 import numpy as np
 import pytest
+import scipy
 
 from kc2spice.core.errors import UsageError
 from kc2spice.rom.linear import LinearModel, Port
+from kc2spice.rom.lossy_modes import joined, relaxing_oscillator, viscous_oscillator
 from kc2spice.rom.reduce import reduce
 from kc2spice.spice.realize import subcircuit
 
@@ -26,16 +30,112 @@ def test_one_oscillator_has_its_loss_at_resonance():
     assert rom.certificate.passive
 
 
-def test_what_is_no_single_loss_factor_is_refused():
+def test_an_imaginary_part_that_is_no_loss_is_refused():
     K = np.diag([1.0, 2.0])
-    for bad in (K * (1 - 0.1j), K + 1j * np.diag([0.1, 0.1])):
-        with pytest.raises(UsageError, match="without a single loss factor"):
+    one_sided = np.array([[0.1, 0.05], [0.0, 0.1]])
+    for bad in (K * (1 - 0.1j), K + 1j * np.diag([0.1, -0.1]), K + 1j * one_sided):
+        with pytest.raises(UsageError, match="matrix K cannot be used"):
             LinearModel(M=np.eye(2), K=bad, B=np.eye(2))
-    model = LinearModel(M=np.eye(2), K=K * (1 + 0.1j), B=np.eye(2))
-    with pytest.raises(UsageError, match="no state-space form"):
-        model.state_space()
-    with pytest.raises(UsageError, match="within a tolerance"):
-        reduce(model, order=1, band=(0.0, 1.0))
+    for bad in (-0.1, np.nan, "much"):
+        with pytest.raises(UsageError, match="the loss factor cannot be used"):
+            LinearModel(M=np.eye(2), K=K, B=np.eye(2), loss_factor=bad)
+    with pytest.raises(UsageError, match="given twice"):
+        LinearModel(M=np.eye(2), K=K * (1 + 0.1j), B=np.eye(2), loss_factor=0.1)
+    with pytest.raises(UsageError, match="second-order models"):
+        LinearModel(E=np.eye(2), K=K * (1 + 0.1j), B=np.eye(2))
+    for loss in (0.1 * K, np.diag([0.1, 0.1])):
+        model = LinearModel(M=np.eye(2), K=K + 1j * loss, B=np.eye(2))
+        with pytest.raises(UsageError, match="no state-space form"):
+            model.state_space()
+        with pytest.raises(UsageError, match="within a tolerance"):
+            reduce(model, order=1, band=(0.0, 1.0))
+    model = LinearModel(M=np.eye(2), E=np.diag([0.1, 0.3]), K=K + 0.1j * np.eye(2), B=np.eye(2))
+    with pytest.raises(UsageError, match="several materials beside a damping matrix"):
+        reduce(model, tolerance=1e-3, band=(0.0, 1.0))
+
+
+def bar(n, loss):
+    """M, K and its loss of n masses in a row, and their lower natural frequencies [Hz]; the loss
+    factor of each spring is ``loss``."""
+    K, H = np.zeros((n, n)), np.zeros((n, n))
+    for k, eta in enumerate(np.broadcast_to(loss, n)):
+        stretch = np.zeros((1, n))
+        stretch[0, k] = 1.0
+        if k:
+            stretch[0, k - 1] = -1.0
+        spring = 1e6 * stretch.T @ stretch
+        K, H = K + spring, H + eta * spring
+    M = 1e-2 * np.eye(n)
+    return M, K, H, np.sqrt(np.linalg.eigvalsh(K) / 1e-2) / (2 * np.pi)
+
+
+def largest_error(rom, parts, band, modes):
+    """Of a reduced model, relative to peaks, against the solutions with the complex stiffness."""
+    M, K, H, B = parts
+    near = modes[(modes > band[0]) & (modes < band[1])]
+    f = np.unique(np.r_[np.linspace(max(band[0], 0.01), band[1], 300), near, 1.01 * near])
+    f = f[f <= band[1]]
+    exact = np.array([B.T @ np.linalg.solve(K + 1j * H - (2 * np.pi * x) ** 2 * M, B) for x in f])
+    return (np.abs(rom.transfer(f) - exact) / np.abs(exact).max(axis=0)).max()
+
+
+@pytest.mark.parametrize(
+    ("eta", "band", "most"),
+    [(0.02, (0.0, 900.0), 2e-3), (1e-3, (0.0, 900.0), 1e-4), (0.02, (200.0, 300.0), 3e-4)],
+)
+def test_relaxations_bring_a_model_nearer_than_its_loss_factor(eta, band, most):
+    """Dashpots alone differ by a quarter of eta beside each resonance."""
+    n = 40
+    M, K, H, modes = bar(n, eta)
+    B = np.eye(n)[:, [5, 30]]
+    model = LinearModel(M=M, K=K + 1j * H, B=B)
+    assert model.loss_factor == pytest.approx(eta, rel=1e-12)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore" if most > 1e-4 else "error")
+        rom = reduce(model, tolerance=1e-4, band=band, norm="peak")
+    error = largest_error(rom, (M, K, H, B), band, modes)
+    assert error <= rom.certificate.error_estimate <= most
+    assert rom.certificate.passive
+    assert rom.certificate.stable
+    assert rom.poles().real.max() < 0
+    f = np.geomspace(1, 1e5, 80)
+    velocity = 2j * np.pi * f[:, None, None] * rom.transfer(f)  # no port delivers net energy
+    assert np.linalg.eigvalsh(velocity + velocity.conj().swapaxes(1, 2)).min() >= 0
+    subcircuit(rom, "bar")
+
+
+@pytest.mark.filterwarnings("ignore:no causal model")
+@pytest.mark.parametrize("form", [np.asarray, scipy.sparse.csc_matrix])
+def test_losses_of_several_materials_make_a_passive_model_of_known_error(form):
+    n, band = 40, (0.0, 900.0)
+    M, K, H, modes = bar(n, np.where(np.arange(n) < 15, 0.02, 0.002))
+    B = np.eye(n)[:, [5, 30]]
+    model = LinearModel(M=form(M), K=form(K + 1j * H), B=B)
+    assert model.loss_factor == 0
+    rom = reduce(model, tolerance=1e-4, band=band, norm="peak")
+    error = largest_error(rom, (M, K, H, B), band, modes)
+    assert error <= rom.certificate.error_estimate <= 7e-3
+    assert rom.certificate.passive
+    low = modes[:2]  # the peaks of the lowest modes are those of their own loss
+    peaks = [B.T @ np.linalg.solve(K + 1j * H - (2 * np.pi * x) ** 2 * M, B) for x in low]
+    assert np.abs(np.abs(rom.transfer(low)) / np.abs(peaks) - 1).max() < 2e-3
+
+
+def test_an_oscillator_with_one_relaxation_is_exact_in_value_and_slope():
+    k, eta = 4e4, 0.01
+    s = 1j * np.sqrt(k) * np.unique(np.r_[np.linspace(0.01, 2, 200), np.linspace(0.9, 1.1, 201)])
+    wanted = k * (1 + 1j * eta) + s**2
+    mode = relaxing_oscillator(s, wanted, 1 / np.abs(wanted) ** 2, np.sqrt([k]))
+    assert mode.spring == pytest.approx(k * (1 - eta / 2), rel=1e-3)
+    assert mode.mass == pytest.approx(1 + eta / 2, rel=1e-3)
+    assert mode.amplitudes == pytest.approx([2 * eta * k], rel=0.05)
+    K, E, M = joined([mode], np.zeros((1, 1)))
+    at = s[::40]
+    condensed = [1 / np.linalg.inv(K + x * E + x**2 * M)[0, 0] for x in at]
+    assert mode(at) == pytest.approx(np.array(condensed), rel=1e-9)
+    assert np.abs(1 / mode(s) - 1 / wanted).max() * eta * k < 1.5 * eta**2
+    viscous = viscous_oscillator(k, eta * k)
+    assert np.abs(1 / viscous(s) - 1 / wanted).max() * eta * k > 0.2 * eta
 
 
 @pytest.mark.parametrize("kind", ["signal", "mechanical"])

@@ -1,0 +1,125 @@
+"""Modes with structural damping as passive oscillators.
+
+A mode of stiffness k, unit mass and loss h has the dynamic stiffness ``k + j h + s^2`` at
+``s = j w``. The passive oscillator
+
+    d(s) = c_0 + v s + sum_l c_l s / (s + r_l) + m s^2,    all coefficients >= 0,
+
+comes near to it: a spring, a dashpot, springs in series with dampers, and a mass. A dashpot
+``v = h / w_j`` alone is exact at the resonance ``w_j``; its loss grows with frequency, so that the
+flanks of the resonance differ by a quarter of the loss factor ``eta = h / k``, relative to the
+peak. With one relaxation of rate ``w_j`` the loss is flat there, and a little more mass cancels the
+growth of stiffness that causality demands: value and slope of the dynamic stiffness are exact,
+
+    c_1 = 2 eta k,    c_0 = (1 - eta / 2) k,    m = 1 + eta / 2,
+
+and what differs is of the order of ``eta^2``. Coefficients are non-negative least squares with
+weights of Lawson's minimax fit. A response far below all resonances keeps a difference of the order
+of ``eta``: no real model has a complex response at rest.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import scipy
+
+ROUNDS = 10  # of weights
+LEAST = 0.02  # change of a weight where the error is small
+USED = 1e-12  # of the largest amplitude: a relaxation that the fit uses
+
+
+@dataclass(frozen=True, eq=False)
+class Oscillator:
+    """A passive oscillator whose dynamic stiffness is the formula of this module.
+
+    Attributes
+    ----------
+    spring, dashpot, mass : float
+        ``c_0``, ``v``, ``m``.
+    amplitudes, rates : (k,) arrays
+        ``c_l > 0``, ``r_l > 0`` [1/s].
+    """
+
+    spring: float
+    dashpot: float
+    mass: float
+    amplitudes: np.ndarray
+    rates: np.ndarray
+
+    def __call__(self, s: np.ndarray) -> np.ndarray:
+        """Dynamic stiffness (n,) at the Laplace variable ``s`` (n,) [1/s]."""
+        relaxed = (self.amplitudes * s[:, None] / (s[:, None] + self.rates)).sum(axis=1)
+        return np.asarray(self.spring + self.dashpot * s + self.mass * s**2 + relaxed)
+
+
+def viscous_oscillator(stiffness: float, loss: float) -> Oscillator:
+    """The oscillator with a dashpot that is exact at its resonance.
+
+    Examples
+    --------
+    >>> mode = viscous_oscillator(4.0, 0.1)
+    >>> complex(mode(np.array([2j]))[0])
+    0.1j
+    """
+    none = np.empty(0)
+    return Oscillator(stiffness, loss / np.sqrt(stiffness), 1.0, none, none)
+
+
+def relaxing_oscillator(
+    s: np.ndarray, wanted: np.ndarray, weight: np.ndarray, rates: np.ndarray
+) -> Oscillator:
+    """The oscillator of given rates with the smallest largest weighted difference.
+
+    Parameters
+    ----------
+    s, wanted : (n,) arrays
+        Laplace variable [1/s], and the dynamic stiffness there.
+    weight : (n,) array
+        What a unit of difference counts.
+    rates : (k,) array
+        Rates ``r_l`` [1/s]; those that the fit does not use are left out.
+    """
+    columns = np.column_stack([np.ones(s.size), s, s**2, s[:, None] / (s[:, None] + rates)])
+    scale = np.abs(columns * weight[:, None]).max(axis=0)
+    lawson, best, least = np.ones(s.size), None, np.inf
+    for _ in range(ROUNDS):
+        A = columns * (lawson * weight)[:, None] / scale
+        y = wanted * lawson * weight
+        try:
+            found = scipy.optimize.nnls(np.r_[A.real, A.imag], np.r_[y.real, y.imag])[0] / scale
+        except RuntimeError:  # the method of active sets does not end
+            break
+        size = weight * np.abs(columns @ found - wanted)
+        if size.max() < least:
+            best, least = found, float(size.max())
+        lawson = lawson * np.sqrt(size / (size.max() + np.finfo(float).tiny) + LEAST)
+        lawson = lawson / lawson.max()
+    if best is None:
+        return viscous_oscillator(max(wanted.real.max(), 0.0), max(wanted.imag.max(), 0.0))
+    amplitudes = best[3:]
+    used = amplitudes > USED * best[0]
+    return Oscillator(best[0], best[1], best[2], amplitudes[used], rates[used])
+
+
+def joined(
+    modes: Sequence[Oscillator], damping: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Symmetric K, E, M of oscillators with the viscous ``damping`` (modes, modes) among them.
+
+    Each relaxation is one more unknown without mass, the displacement between its spring and its
+    damper; these follow the modes.
+    """
+    springs = np.array([mode.spring + mode.amplitudes.sum() for mode in modes])
+    owner = np.repeat(np.arange(len(modes)), [mode.rates.size for mode in modes])
+    amplitude = np.concatenate([mode.amplitudes for mode in modes])
+    rate = np.concatenate([mode.rates for mode in modes])
+    n, inner = len(modes), np.arange(len(modes), len(modes) + owner.size)
+    K = np.diag(np.r_[springs, amplitude])
+    K[owner, inner] = K[inner, owner] = -amplitude
+    dashpots = damping + np.diag([mode.dashpot for mode in modes])
+    E = scipy.linalg.block_diag(dashpots, np.diag(amplitude / rate))
+    M = np.diag(np.r_[[mode.mass for mode in modes], np.zeros(inner.size)])
+    return K, E[: n + inner.size, : n + inner.size], M
