@@ -29,7 +29,7 @@ from kc2spice.rom.pencil import Matrix
 
 BANNER = b"%%matrixmarket"
 _FORMS = ("coordinate", "array")
-_FIELDS = ("real", "double", "integer")
+_FIELDS = {"real": 1, "double": 1, "integer": 1, "complex": 2}  # numbers of a value
 _SYMMETRIES = ("general", "symmetric", "skew-symmetric")
 _FORTRAN = bytes.maketrans(b"Dd,", b"EE ")  # exponents, and the separator of comma lists
 
@@ -41,8 +41,8 @@ def read_market(data: bytes, allowed: Callable[[tuple[int, int], int], None]) ->
 
     Raises
     ------
-    ValueError : not a real matrix in this format, with the reason: numbers missing, too many or
-        unreadable, or an index outside the matrix.
+    ValueError : not a matrix in this format, or a Hermitian one, with the reason: numbers missing,
+        too many or unreadable, or an index outside the matrix.
     """
     end = data.find(b"\n", 0, 1000)
     banner = data[: max(end, 0)].decode("ascii", "replace").lower().split()
@@ -61,14 +61,18 @@ def read_market(data: bytes, allowed: Callable[[tuple[int, int], int], None]) ->
         raise ValueError(f"{symmetry}, but {rows} x {columns}")
     entries = sizes[2] if form == "coordinate" else _stored(rows, columns, symmetry)
     allowed((rows, columns), entries)
-    count = 3 * entries if form == "coordinate" else entries
+    width = _FIELDS[field] + (2 if form == "coordinate" else 0)
+    count = width * entries
     if 2 * count > len(data) - start + 2:
         raise ValueError(f"{len(data)} bytes cannot hold {entries} entries: it is cut off")
     values = numbers(data[start:])
     if values.size != count:
         raise ValueError(f"{values.size} numbers instead of {count}: is it cut off?")
-    make = _coordinate if form == "coordinate" else _array
-    return make(rows, columns, symmetry, values)
+    table = values.reshape(-1, width)
+    value = table[:, -1] if field != "complex" else table[:, -2] + 1j * table[:, -1]
+    if form == "array":
+        return _array(rows, columns, symmetry, value)
+    return _coordinate(rows, columns, symmetry, table, value)
 
 
 def _sizes(data: bytes, start: int) -> tuple[list[int], int]:
@@ -89,9 +93,11 @@ def _stored(rows: int, columns: int, symmetry: str) -> int:
     return rows * (rows + 1) // 2 if symmetry == "symmetric" else rows * (rows - 1) // 2
 
 
-def _coordinate(rows: int, columns: int, symmetry: str, values: np.ndarray) -> Matrix:
-    row, column = indices(values[0::3], rows), indices(values[1::3], columns)
-    matrix = sparse.csc_array((values[2::3], (row, column)), shape=(rows, columns))
+def _coordinate(
+    rows: int, columns: int, symmetry: str, table: np.ndarray, value: np.ndarray
+) -> Matrix:
+    row, column = indices(table[:, 0], rows), indices(table[:, 1], columns)
+    matrix = sparse.csc_array((value, (row, column)), shape=(rows, columns))
     if symmetry == "general":
         return matrix
     skew = symmetry != "symmetric"
@@ -104,7 +110,7 @@ def _array(rows: int, columns: int, symmetry: str, values: np.ndarray) -> Matrix
     if symmetry == "general":
         return values.reshape(columns, rows).T.copy()
     skew = symmetry != "symmetric"
-    upper = np.zeros((rows, rows))
+    upper = np.zeros((rows, rows), dtype=values.dtype)
     upper[np.triu_indices(rows, k=int(skew))] = values  # columns of the lower triangle
     return upper.T - upper if skew else upper.T + np.triu(upper, 1)
 

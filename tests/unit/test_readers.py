@@ -198,6 +198,156 @@ def test_dmig_agrees_with_another_reader(tmp_path):
     np.testing.assert_array_equal(model.K.toarray(), frame.to_numpy())
 
 
+# -------------------------------------------------------------------- structural damping
+
+COMPLEX = K + 1j * np.diag(np.arange(1.0, N + 1))  # every imaginary part different
+
+
+def dmig(name, matrix, kind=3, polar=0):
+    """Large fields of one triangle, both numbers of a complex value in one entry."""
+    lines = [f"DMIG    {name:<8}{0:8d}{6:8d}{kind:8d}{0:8d}{polar:8d}"]
+    for j, (node, direction) in enumerate(ROWS):
+        lines.append(f"DMIG*   {name:<16}{node:16d}{direction:16d}")
+        for i in range(j, N):
+            value = complex(matrix[i, j])
+            two = (abs(value), np.degrees(np.angle(value))) if polar else (value.real, value.imag)
+            pair = "".join(f"{x:16.9E}" for x in (two if kind > 2 else two[:1]))
+            lines.append(f"*       {ROWS[i][0]:16d}{ROWS[i][1]:16d}{pair}")
+    return "\n".join(lines) + "\n"
+
+
+def as_market(folder, K):
+    scipy_io.mmwrite(str(folder / "m.K.mtx"), sparse.coo_array(K), symmetry="symmetric")
+    write_family(folder, M=M)
+    return folder / "m"
+
+
+def as_market_array(folder, K):
+    scipy_io.mmwrite(str(folder / "m.K.mtx"), K, symmetry="symmetric")
+    write_family(folder, M=M)
+    return folder / "m"
+
+
+def as_archive(folder, K):
+    packed = sparse.csr_array(K)
+    np.savez(folder / "m.npz", M=M, **{
+        "K.data": packed.data, "K.indices": packed.indices, "K.indptr": packed.indptr,
+        "K.shape": packed.shape, "K.format": b"csr",
+    })  # fmt: skip
+    return folder / "m.npz"
+
+
+def as_matlab(folder, K):
+    scipy_io.savemat(folder / "m.mat", {"M": sparse.csc_matrix(M), "K": sparse.csc_matrix(K)})
+    return folder / "m.mat"
+
+
+def as_boeing(folder, K):
+    """Real and imaginary part of each value follow each other."""
+    write_boeing(folder / "m_M.matrix", M, "Mass")
+    rows = np.flatnonzero(np.tril(np.ones((N, N))))  # all entries of the triangle are stored
+    path = folder / "m_K.matrix"
+    write_boeing(path, K.real, "Stiffness")
+    lines = path.read_text().splitlines()
+    stored = sparse.csc_array(np.tril(K)).data
+    both = [f"{x:25.15E}" for value in stored for x in (value.real, value.imag)]
+    first = 5 + N + 1 + len(rows)
+    counts = [int(word) for word in lines[1].split()]
+    lines[1] = "".join(f"{x:14d}" for x in (*counts[:3], len(both), counts[4]))
+    lines[2] = lines[2].replace("RSA", "CSA")
+    path.write_text("\n".join(lines[:first] + both + lines[first + len(stored) :]) + "\n")
+    return path
+
+
+def as_dmig(folder, K):
+    (folder / "m.pch").write_text(dmig("KAAX", K) + dmig("MAAX", M, 1))
+    return folder / "m.pch"
+
+
+def as_polar_dmig(folder, K):
+    (folder / "m.pch").write_text(dmig("KAAX", K, 4, 1) + dmig("MAAX", M, 2))
+    return folder / "m.pch"
+
+
+def as_dmig_of_its_own(folder, K):
+    parts = dmig("KAAX", K.real, 1) + dmig("K4AAX", K.imag, 1) + dmig("MAAX", M, 1)
+    (folder / "m.pch").write_text(parts)
+    return folder / "m.pch"
+
+
+def as_op4(folder, K):
+    from pyyeti.nastran import op4
+
+    op4.write(str(folder / "m.op4"), {"KAA": K, "MAA": M})
+    return folder / "m.op4"
+
+
+def as_op4_of_its_own(folder, K):
+    from pyyeti.nastran import op4
+
+    op4.write(str(folder / "m.op4"), {"KAA": K.real, "K4AA": K.imag, "MAA": M})
+    return folder / "m.op4"
+
+
+def as_abaqus(folder, K):
+    for word, matrix in {"STIF": K.real, "MASS": M, "DMPS": K.imag}.items():
+        write_abaqus(folder / f"m_{word}1.mtx", matrix)
+    return folder / "m_STIF1.mtx"
+
+
+WRITERS = (as_market, as_market_array, as_archive, as_matlab, as_boeing, as_dmig, as_polar_dmig,
+           as_dmig_of_its_own, as_op4, as_op4_of_its_own, as_abaqus)  # fmt: skip
+
+
+@pytest.mark.parametrize("write", WRITERS)
+@pytest.mark.parametrize("stiffness", [COMPLEX, K * (1 + 0.03j)], ids=["several", "one"])
+def test_structural_damping_of_every_format(tmp_path, write, stiffness):
+    """The response of K + j H, which numpy solves."""
+    path = write(tmp_path, stiffness)
+    port = '[[ports]]\nname = "tip"\nkind = "mechanical"\n'
+    rows = "".join(f"{node},{kind}\n" for node, kind in ROWS)
+    (tmp_path / "rows.csv").write_text(rows)
+    named = write.__name__.split("_")[1] in ("dmig", "polar", "abaqus")
+    text = ("" if named else 'dofs = "rows.csv"\n') + port + 'node = 300\ndof = "uy"\n'
+    model = read_model(path, sidecar(tmp_path, text))
+    frequency = np.array([0.1, 0.4])
+    load = np.eye(N)[:, [5]]
+    exact = [load.T @ np.linalg.solve(stiffness - (2 * np.pi * f) ** 2 * M, load)
+             for f in frequency]  # fmt: skip
+    np.testing.assert_allclose(model.transfer(frequency), exact, rtol=1e-7)
+    assert model.loss_factor == pytest.approx(0.0 if stiffness is COMPLEX else 0.03, rel=1e-7)
+
+
+def test_a_loss_factor_in_the_sidecar(tmp_path):
+    path = write_family(tmp_path, K=K, M=M, B=np.ones((N, 1)))
+    side = sidecar(tmp_path, "damping = { loss_factor = 0.02, alpha = 0.1 }")
+    model = read_model(path, side)
+    assert (model.loss_factor, model.rayleigh) == (0.02, (0.1, 0.0))
+    one, w = np.ones((N, 1)), 2 * np.pi * 0.3
+    exact = one.T @ np.linalg.solve(K * (1 + 0.02j) + 0.1j * w * M - w**2 * M, one)
+    np.testing.assert_allclose(model.transfer([0.3])[0], exact, rtol=1e-12)
+    (tmp_path / "m.K").unlink()
+    write_market(tmp_path / "m.K", COMPLEX)
+    refused(path, "given twice", side=side)
+    side = sidecar(tmp_path, "damping = { loss_factor = -0.02 }")
+    refused(path, "loss_factor", side=side)
+    write_family(tmp_path, "h.{}", K=K, E=M, B=np.ones((N, 1)))
+    side = sidecar(tmp_path, "damping = { loss_factor = 0.02 }", "h.toml")
+    refused(tmp_path / "h", "second-order", side=side)
+
+
+def test_complex_matrices_that_are_no_structural_damping(tmp_path):
+    path = write_family(tmp_path, K=K, M=M * (1 + 0.1j), B=np.ones((N, 1)))
+    refused(path, "matrix M is complex", "only a stiffness may be complex")
+    for name, bad in (("gain", K - 0.1j * np.eye(N)), ("skew", K + 1j * np.eye(N, k=1))):
+        path = write_family(tmp_path, name + ".{}.mtx", K=bad, M=M, B=np.ones((N, 1))).parent / name
+        refused(path, "matrix K cannot be used", "positive semi-definite")
+    path = tmp_path / "m.K"
+    hermitian = "%%MatrixMarket matrix coordinate complex hermitian\n1 1 1\n1 1 2.0 0.0\n"
+    path.write_text(hermitian)
+    refused(tmp_path / "m", "'coordinate hermitian' is not read")
+
+
 def beside(folder, monkeypatch, module, text):
     """A package of this name that readers find before any that is installed."""
     *packages, name = module.split(".")
@@ -450,7 +600,7 @@ def test_documented_sidecar_is_read(tmp_path):
     from kc2spice.bodies.readers import sidecar as module
 
     block = (module.__doc__ or "").split("::\n", 1)[1].split("A mechanical port at")[0]
-    alternatives = ("damping = { ratio", "axis =", "within =", "scale =")
+    alternatives = ("damping = { ratio", "damping = { loss", "axis =", "within =", "scale =")
     lines = [line[4:] for line in block.splitlines()]
     text = "\n".join(line for line in lines if not line.startswith(alternatives))
     read = read_sidecar(sidecar(tmp_path, text))

@@ -34,9 +34,9 @@ def read_model(path: Path | str, sidecar: Path | str | None = None) -> LinearMod
 
     Second order ``M x'' + E x' + K x = B u``, ``y = C x + D u``; first order ``E x' = A x + B u``;
     heat ``E x' + K x = B u`` (E and K without M and A). Missing E is zero (second order) or one
-    (first order), a missing C is ``B'``, a missing D zero. ``path`` may be any file of the model,
-    or a TOML file with ``files``; formats are listed in :data:`FORMATS`, the keys of the TOML file
-    in :mod:`kc2spice.bodies.readers.sidecar`.
+    (first order), a missing C is ``B'``, a missing D zero. A complex K is structural damping.
+    ``path`` may be any file of the model, or a TOML file with ``files``; formats are listed in
+    :data:`FORMATS`, the keys of the TOML file in :mod:`kc2spice.bodies.readers.sidecar`.
 
     Raises
     ------
@@ -195,18 +195,22 @@ def _matrices(files: dict[str, Path]) -> raw.Raw:
         head = _head(path)
         allowed = partial(raw.bounded, path, letter)
         if head[: len(BANNER)].lower() == BANNER:
-            expected = "a Matrix Market file, 'coordinate' or 'array', 'real' or 'integer'"
+            expected = "a Matrix Market file, 'coordinate' or 'array', not 'pattern' or 'hermitian'"
             result[letter] = raw.parsed(path, expected, partial(read_market, allowed=allowed))
         elif codes.is_harwell_boeing(head):
             read = partial(codes.read_harwell_boeing, allowed=allowed)
             result[letter] = raw.parsed(path, codes.EXPECTED, read)
             mapped += (path.with_suffix(suffix) for suffix in (".mapping", ".MAPPING"))
-        elif letter in "MEK" and path.suffix.lower() == ".mtx":  # Abaqus' square matrices
+        elif letter in f"MEK{codes.LOSS}" and path.suffix.lower() == ".mtx":  # of Abaqus
             tables[letter] = path
         else:
             expected = "Matrix Market, Harwell-Boeing, or an .mtx file of Abaqus"
             raise raw.refused(path, f"matrix {letter} in an unknown format", expected)
-    named = codes.read_abaqus(tables) if tables else raw.Raw({})
+    named = raw.Raw({})
+    if tables:
+        one = next(iter(tables.values()))
+        expected = "stiffness, mass and damping of one job"
+        named = raw.guarded(one, expected, lambda: codes.read_abaqus(tables))
     result |= named.matrices
     dofs, names = named.dofs, [path for path in mapped if raw.present(path)]
     if names and dofs is None:

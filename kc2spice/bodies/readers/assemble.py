@@ -66,7 +66,11 @@ def _named(rows: Rows) -> Mapping[str, Matrix]:
 def _whole(rows: Rows) -> Mapping[str, Matrix]:
     """All matrices by letter, shapes fitting; heat ``E x' + K x = B u`` is of first order. Halves
     are mirrored if told so, never by a guess; what moves and holds a model is not zero."""
-    given = rows.found
+    given = dict(rows.found)
+    stiffness = given.get("K")
+    structural = stiffness is not None and np.iscomplexobj(stiffness)
+    if structural:
+        given["K"] = sparse.csc_array(stiffness.real)  # type: ignore[union-attr]
     if "B" not in given and not rows.said.ports:
         expected = "B, or [[ports]] in the TOML file"
         problem = "is not a complete model"
@@ -76,6 +80,8 @@ def _whole(rows: Rows) -> Mapping[str, Matrix]:
     kept = (set(given) - {"K"}) | {"A"} if model.first_order else set(given)
     kept |= set("CD") if "B" in given else set()
     result = {letter: getattr(model, letter) for letter in kept}
+    if structural and "K" in result:
+        result["K"] = stiffness
     said, square = rows.said.symmetric, {k: result[k] for k in "MEKA" if k in result}
     halves = [k for k, matrix in square.items() if half_stored(matrix)]
     if said is None and halves:
@@ -280,7 +286,7 @@ def _plain(rows: Rows) -> LinearModel:
     if damping and "E" in operators:
         damping = {}
         operators["E"] = sparse.csc_array(
-            operators["E"] + alpha * operators["M"] + beta * operators["K"]
+            operators["E"] + alpha * operators["M"] + beta * operators["K"].real
         )
     return LinearModel(
         B=B[keep],
@@ -290,6 +296,7 @@ def _plain(rows: Rows) -> LinearModel:
         facts={"unknowns": len(keep)},
         name=rows.name,
         band=said.band,
+        loss_factor=said.damping.loss_factor,
         **operators,
         **damping,
     )
@@ -304,6 +311,10 @@ def _with_electrodes(rows: Rows) -> LinearModel:
     if "A" in rows.found or any(e.kind in ("input", "output") for e in said.ports):
         raise wrong(said.where, "electrodes at nodes go with M and K and conservative ports")
     K, M, E = rows.found["K"], rows.found["M"], rows.found.get("E")
+    if np.iscomplexobj(K):
+        hint = "damping = { loss_factor = ... } in the TOML file, with the real part as matrix K"
+        problem = "a complex K does not go with electrodes at nodes"
+        raise wrong(rows.where, problem, "structural damping", "one loss factor", hint)
     if E is not None and any(said.damping.rayleigh):
         raise wrong(said.where, "damping is given twice", expected="matrix E or 'damping'")
     potential = rows.dofs(rows.where).kind == VOLT
@@ -338,5 +349,6 @@ def _with_electrodes(rows: Rows) -> LinearModel:
         facts={"unknowns": len(u) + len(p)},
         name=rows.name,
         band=said.band,
+        loss_factor=said.damping.loss_factor,
         **damping,
     )

@@ -15,15 +15,22 @@ header states (Duff, Grimes, Lewis, Users' Guide for the Harwell-Boeing Sparse M
 1992).
 
 Nastran has DMIG cards of a punch file, and OUTPUT4 files, read through pyyeti. ``K...`` is the
-stiffness, ``M...`` the mass, ``B...`` the viscous damping, unless the sidecar's ``matrices`` names
-others. DMIG: MSC Nastran Quick Reference Guide; large, small and free fields.
+stiffness, ``K4...`` its structural damping, ``M...`` the mass, ``B...`` the viscous damping, unless
+the sidecar's ``matrices`` names others. DMIG: MSC Nastran Quick Reference Guide; large, small and
+free fields.
+
+Structural damping is the imaginary part H of a complex stiffness ``K + j H``: that of a complex
+matrix, or a matrix of its own, Nastran's ``K4...`` and Abaqus' ``JOB_DMPS2.mtx``.
 """
 
 from __future__ import annotations
 
+import cmath
+import math
 import re
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from scipy import sparse
@@ -32,15 +39,17 @@ from kc2spice.bodies.readers import raw
 from kc2spice.core.extras import import_optional
 from kc2spice.rom.io import indices, mirrored, numbers
 
-NAME = re.compile(r"(.*)_(STIF|MASS|DMPV)(\d*)\.mtx", re.IGNORECASE)
-_LETTER = {"STIF": "K", "MASS": "M", "DMPV": "E"}
+LOSS = "H"  # the letter of structural damping, in K + j H
+NAME = re.compile(r"(.*)_(STIF|MASS|DMPV|DMPS)(\d*)\.mtx", re.IGNORECASE)
+_LETTER = {"STIF": "K", "MASS": "M", "DMPV": "E", "DMPS": LOSS}
 _HELD = 1e35
 _EXPECTED = "an .mtx file of *MATRIX OUTPUT, FORMAT=MATRIX INPUT or COORDINATE"
 SUFFIXES = (".sti", ".mas", ".dof")
 
 
 def siblings(path: Path) -> dict[str, Path]:
-    """Stiffness, mass and viscous damping of the job and step that ``path`` belongs to."""
+    """Stiffness, mass, viscous and structural damping of the job and step that ``path`` belongs
+    to."""
     match = NAME.fullmatch(path.name)
     if match is None:
         return {}
@@ -72,7 +81,25 @@ def read_abaqus(files: dict[str, Path]) -> raw.Raw:
         n = 1 + max(int(side.max()) for row, column, _ in tables.values() for side in (row, column))
         result = {k: sparse.csc_array((v, (i, j)), (n, n)) for k, (i, j, v) in tables.items()}
     held = result["K"].diagonal() >= _HELD if "K" in result else np.empty(0, dtype=bool)
+    result = with_loss(result)
     return raw.Raw(result, dofs, np.flatnonzero(held))
+
+
+def with_loss(matrices: Mapping[str, Any]) -> dict[str, Any]:
+    """Matrices by letter with ``K + j H`` in place of K where there is a structural damping H.
+
+    Raises
+    ------
+    ValueError : it stands without K, has another size, or K is complex itself.
+    """
+    result = dict(matrices)
+    loss = result.pop(LOSS, None)
+    if loss is None:
+        return result
+    K = result.get("K")
+    if K is None or K.shape != loss.shape or np.iscomplexobj(K) or np.iscomplexobj(loss):
+        raise ValueError("a matrix of structural damping does not belong to the stiffness")
+    return result | {"K": sparse.csc_array(K + 1j * loss)}
 
 
 def _entries(data: bytes) -> tuple[bool, raw.Triple]:
@@ -143,7 +170,7 @@ _KINDS = dict(enumerate((
     "ux", "uy", "uz", "rx", "ry", "rz", "ax", "ay", "az", "vx", "vy", "vz", "", "", "", "warp",
     "conc", "hdsp", "pres", "temp", "volt", "mag", "enke", "ends", "emf", "curr",
 )))  # fmt: skip
-EXPECTED = "an assembled, real Harwell-Boeing file: type RSA, RUA, RZA or RRA, in ASCII"
+EXPECTED = "an assembled Harwell-Boeing file in ASCII: type RSA, RUA, RZA, RRA, CSA, CUA"
 _FORMAT = re.compile(rb"\(?\s*(?:\d*P,?)?\s*(\d*)\s*[IFEDG](\d+)", re.IGNORECASE)
 _TYPE = re.compile(rb"\s*([RCPrcp][SUHZRsuhzr][AEae])\s")
 _LONGEST = 10_000  # characters of a line
@@ -186,7 +213,7 @@ def read_harwell_boeing(
 
     Raises
     ------
-    ValueError : binary, elemental, complex, a pattern or damaged.
+    ValueError : binary, elemental, Hermitian, a pattern or damaged.
     """
     lines = data.splitlines()
     if len(lines) < 5:
@@ -195,21 +222,20 @@ def read_harwell_boeing(
     if match is None:
         raise ValueError(f"the third line is {lines[2][:40]!r}")
     kind = match[1].decode().upper()
-    if kind not in ("RSA", "RUA", "RZA", "RRA"):
+    if kind not in ("RSA", "RUA", "RZA", "RRA", "CSA", "CUA"):
         raise ValueError(f"type {kind}")
     counts = [int(word) for word in lines[1].split()[:4]]
     rows, columns, entries = (int(word) for word in lines[2].split()[1:4])
     allowed((rows, columns), entries)
-    if min(counts) < 0 or (kind in ("RSA", "RZA") and rows != columns):
+    if min(counts) < 0 or (kind[1] in "SZ" and rows != columns):
         raise ValueError("the header is damaged")
     formats = _FORMAT.findall(lines[3])
     if len(formats) < 3:
         raise ValueError("the line of formats is damaged")
     sides = lines[1].split()[4:]  # right-hand sides, with a line of their own
     parts, start = [], 5 if sides and int(sides[0]) > 0 else 4
-    for (repeat, width), length, number in zip(
-        formats, counts[1:], (columns + 1, entries, entries), strict=False
-    ):
+    numbers_of = (columns + 1, entries, 2 * entries if kind[0] == "C" else entries)
+    for (repeat, width), length, number in zip(formats, counts[1:], numbers_of, strict=False):
         section = lines[start : start + length]
         parts.append(_cut_out(section, int(repeat or 1), int(width), number))
         start += length
@@ -217,14 +243,15 @@ def read_harwell_boeing(
     sound = pointer[0] == 1 and pointer[-1] == entries + 1 and (np.diff(pointer) >= 0).all()
     if not sound:
         raise ValueError("column pointers do not rise from 1 to the number of entries")
-    inner = (parts[2], row, pointer.astype(np.int64) - 1)
+    value = parts[2][0::2] + 1j * parts[2][1::2] if kind[0] == "C" else parts[2]
+    inner = (value, row, pointer.astype(np.int64) - 1)
     matrix = sparse.csc_array(inner, shape=(rows, columns))
-    if kind in ("RUA", "RRA"):
+    if kind[1] in "UR":
         return matrix
     triangle = sparse.coo_array(matrix)
     if (triangle.row < triangle.col).any() and (triangle.row > triangle.col).any():
         raise ValueError(f"type {kind} with entries on both sides, not one triangle")
-    return mirrored(matrix, 1 if kind == "RSA" else -1)
+    return mirrored(matrix, 1 if kind[1] == "S" else -1)
 
 
 def _cut_out(lines: list[bytes], repeat: int, width: int, number: int) -> np.ndarray:
@@ -263,7 +290,7 @@ def mapping(data: bytes, size: int) -> raw.Dofs:
     return raw.Dofs(node, kind)
 
 
-_FIRST = {"K": "K", "M": "M", "B": "E"}
+_FIRST = {"K": "K", "K4": LOSS, "M": "M", "B": "E"}
 _SHORT_EXPONENT = re.compile(r"(?<=[0-9.])([+-]\d+)$")  # 1.5+7 is 1.5e+7
 _SQUARE, _SYMMETRIC = 1, 6
 
@@ -282,7 +309,8 @@ def choose(names: list[str], wanted: Mapping[str, str], path: Path) -> dict[str,
             raise raw.refused(path, f"no matrix {name}", f"one of {', '.join(names)}")
         selected[letter] = known[name.upper()]
     for first, letter in _FIRST.items():
-        fits = [n for u, n in known.items() if u.startswith(first) and not u.startswith("K4")]
+        fits = [n for u, n in known.items() if u.startswith(first)]
+        fits = [n for n in fits if first != "K" or not n.upper().startswith("K4")]
         if letter in selected or not fits or wanted:
             continue
         if len(fits) > 1:
@@ -299,39 +327,54 @@ def read_dmig(path: Path, wanted: Mapping[str, str]) -> raw.Raw:
 
     Raises
     ------
-    UsageError : no such cards, complex or rectangular ones, or damage.
+    UsageError : no such cards, rectangular ones, or damage.
     """
-    expected = "real, square DMIG cards"
+    expected = "square DMIG cards"
     forms, entries = raw.parsed(path, expected, _dmig)
     selected = choose([n for n, f in forms.items() if f in (_SQUARE, _SYMMETRIC)], wanted, path)
     matrices, dofs = raw.labelled({letter: entries[name] for letter, name in selected.items()})
     symmetric = {k for k, name in selected.items() if forms[name] == _SYMMETRIC}
-    return raw.Raw({k: raw.whole(m) if k in symmetric else m for k, m in matrices.items()}, dofs)
+    mirrored_too = {k: raw.whole(m) if k in symmetric else m for k, m in matrices.items()}
+    return raw.Raw(with_loss(mirrored_too), dofs)
 
 
 def _dmig(data: bytes) -> tuple[dict[str, int], dict[str, raw.Triple]]:
     """Form of each matrix by name, and its keys of rows and columns and values."""
     forms: dict[str, int] = {}
-    entries: dict[str, list[tuple[float, ...]]] = {}
+    values: dict[str, Callable[[str, str], complex]] = {}
+    entries: dict[str, list[tuple[complex, ...]]] = {}
     if data and not data.endswith(b"\n"):
         raise ValueError("the last line has no end: is it cut off?")
     for cells in cards(data, "DMIG"):
         name = cells[0].strip().upper()
         if cells[1].strip() == "0":
             forms[name], entries[name] = int(cells[2]), []
-            if int(cells[3]) not in (1, 2):
-                raise ValueError(f"matrix {name} is complex")
+            polar = len(cells) > 5 and cells[5].strip() not in ("", "0")
+            values[name] = _value(int(cells[3]), polar, name)
             continue
         if name not in forms:
             raise ValueError(f"matrix {name} has no header card")
         column = (int(cells[1]), _component(cells[2]))
         for at in range(4, len(cells), 4):
-            grid, component, value = [*cells[at : at + 3], "", ""][:3]
+            grid, component, first, second = [*cells[at : at + 4], "", "", ""][:4]
             if grid.strip():
-                entries[name].append((int(grid), _component(component), *column, real(value)))
+                place = (int(grid), _component(component), *column)
+                entries[name].append((*place, values[name](first, second)))
     if not forms:
         raise ValueError("no DMIG card")
     return forms, {name: raw.keyed(np.array(e).reshape(-1, 5)) for name, e in entries.items()}
+
+
+def _value(kind: int, polar: bool, name: str) -> Callable[[str, str], complex]:
+    """What makes a value of the two fields of an entry: its first one, or both of a complex matrix,
+    real and imaginary part or size and angle [degrees]."""
+    if kind not in (1, 2, 3, 4):
+        raise ValueError(f"matrix {name} is of type {kind}")
+    if kind < 3:
+        return lambda first, _: real(first)
+    if polar:
+        return lambda size, angle: cmath.rect(real(size), math.radians(real(angle or "0")))
+    return lambda first, second: complex(real(first), real(second.strip() or "0"))
 
 
 def cards(data: bytes, name: str) -> Iterator[list[str]]:
@@ -386,8 +429,11 @@ def unpack_op4(path: str, wanted: Mapping[str, str]) -> dict[str, np.ndarray]:
     for letter, name in selected.items():
         raw.bounded(Path(path), letter, sizes[names.index(name)], None)
     loaded = op4.load(path, list(selected.values()), sparse=True)
-    result: dict[str, np.ndarray] = {}
+    matrices = {}
     for letter, name in selected.items():
         matrix, form = sparse.csc_array(loaded[name][0]), loaded[name][1]
-        result |= raw.packed(letter, raw.whole(matrix) if form == _SYMMETRIC else matrix)
+        matrices[letter] = raw.whole(matrix) if form == _SYMMETRIC else matrix
+    result: dict[str, np.ndarray] = {}
+    for letter, matrix in with_loss(matrices).items():
+        result |= raw.packed(letter, matrix)
     return result

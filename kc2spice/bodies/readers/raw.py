@@ -139,7 +139,8 @@ def bounded(path: Path, letter: str, shape: tuple[int, ...], entries: int | None
 
 
 def checked(matrix: Any, letter: str, path: Path) -> Matrix:
-    """``matrix`` as float64, two-dimensional, real and finite; csc unless few columns.
+    """``matrix`` in double precision, two-dimensional and finite; csc unless few columns. Real,
+    but for a stiffness of structural damping.
 
     Raises
     ------
@@ -147,17 +148,19 @@ def checked(matrix: Any, letter: str, path: Path) -> Matrix:
     """
     if sparse.issparse(matrix) and matrix.format in ("csc", "csr"):  # coo judges its indices itself
         guarded(path, f"a sound matrix {letter}", lambda: matrix.check_format(True))
+    matrix = real_if_possible(matrix)
     data = matrix.data if sparse.issparse(matrix) else matrix
-    if data.dtype.kind not in "fiub":
+    if data.dtype.kind not in ("fiubc" if letter == "K" else "fiub"):
         what = "complex" if data.dtype.kind == "c" else f"of type {data.dtype}"
-        raise refused(path, f"matrix {letter} is {what}", "a real numeric matrix")
+        hint = "only a stiffness may be complex, K (1 + j eta)" if data.dtype.kind == "c" else NEXT
+        raise refused(path, f"matrix {letter} is {what}", "a real numeric matrix", hint)
     bounded(path, letter, matrix.shape, data.size)
     if not np.isfinite(data).all():
         raise refused(path, f"matrix {letter} holds NaN or infinity", "finite numbers")
     if letter in WIDE:
         plain = matrix.toarray() if sparse.issparse(matrix) else matrix
         return np.asarray(plain, dtype=float)
-    matrix = sparse.csc_array(matrix, dtype=float)
+    matrix = sparse.csc_array(matrix, dtype=complex if data.dtype.kind == "c" else float)
     matrix.sum_duplicates()
     matrix.eliminate_zeros()
     return matrix
@@ -209,7 +212,8 @@ class Raw:
 
 def keyed(table: np.ndarray) -> Triple:
     """Keys of rows and columns, and values, of lines (node, freedom, node, freedom, value)."""
-    row, column = Dofs(*table[:, :2].T), Dofs(*table[:, 2:4].T)
+    place = table[:, :4].real
+    row, column = Dofs(*place[:, :2].T), Dofs(*place[:, 2:].T)
     return row.keys(), column.keys(), table[:, 4]
 
 
@@ -385,8 +389,8 @@ def _loaded(path: str, names: list[str], full: list[tuple[int, ...]]) -> dict[st
 
 def _plain(name: str, matrix: Any) -> Any:
     if sparse.issparse(matrix):
-        return _real(matrix.tocsc())
-    matrix = _real(np.asarray(matrix))
+        return matrix.tocsc()
+    matrix = real_if_possible(np.asarray(matrix))
     if name in _NAMES:  # MATLAB's numbers are doubles
         if not (matrix == np.floor(matrix)).all():
             raise ValueError(f"variable {name} holds fractions")
@@ -394,8 +398,9 @@ def _plain(name: str, matrix: Any) -> Any:
     return matrix
 
 
-def _real(matrix: Any) -> Any:
-    """COMSOL marks real matrices as complex where a solver was complex."""
+def real_if_possible(matrix: Any) -> Any:
+    """The real part of a complex matrix without an imaginary one, as COMSOL writes it where a
+    solver was complex."""
     data = matrix.data if sparse.issparse(matrix) else matrix
     return matrix.real if np.iscomplexobj(data) and not data.imag.any() else matrix
 

@@ -15,6 +15,7 @@
     dofs = "rows.csv"             # node,dof of each row, where the matrices do not name them
     damping = { alpha = 0, beta = 1e-9 }      # E = alpha M + beta K on top of the file's own
     damping = { ratio = 0.01, at = 250e3 }    # or beta from a ratio at a frequency [Hz]
+    damping = { loss_factor = 0.02 }          # structural damping K (1 + j eta)
 
     [[fixed]]                     # freedoms held at zero
     nodeset = "ROOT"              # or node = 7, nodes = [7, 8], at = [x, y, z]
@@ -129,6 +130,7 @@ Axis = Annotated[Point, BeforeValidator(_direction), AfterValidator(_unit_vector
 Unit = Annotated[str, Field(max_length=32), AfterValidator(_word), AfterValidator(_printable)]
 Rayleigh = tuple[float, float]
 Letter = Annotated[str, StringConstraints(pattern="^[MEKABCD]$")]
+Inner = Annotated[str, StringConstraints(pattern="^[MEKABCDH]$")]  # H: structural damping, K + j H
 
 
 class Place(Section):
@@ -237,16 +239,18 @@ class PortEntry(Place):
 
 
 class Damping(Section):
-    """``E = alpha M + beta K``, or beta from a ratio at a frequency [Hz]."""
+    """``E = alpha M + beta K``, or beta from a ratio at a frequency [Hz]; and the loss factor of
+    structural damping, ``K (1 + j loss_factor)``."""
 
     alpha: Annotated[Finite, Field(ge=0)] = 0.0
     beta: Annotated[Finite, Field(ge=0)] = 0.0
     ratio: Annotated[Finite, Field(ge=0)] | None = None
     at: Annotated[Finite, Field(gt=0)] | None = None
+    loss_factor: Annotated[Finite, Field(ge=0)] = 0.0
 
     @model_validator(mode="after")
     def _either(self) -> Damping:
-        given = self.model_fields_set
+        given = self.model_fields_set - {"loss_factor"}
         if given & {"ratio", "at"} and given != {"ratio", "at"}:
             raise refused("is no damping", "alpha and beta, or ratio and at [Hz]")
         return self
@@ -267,7 +271,7 @@ class Sidecar(Section):
     band: tuple[Annotated[Finite, Field(ge=0)], Finite] | None = None
     symmetric: StrictBool | None = None
     files: Mapping[Letter, File] = Field(default_factory=dict)
-    matrices: Mapping[Letter, Name] = Field(default_factory=dict)
+    matrices: Mapping[Inner, Name] = Field(default_factory=dict)
     mesh: File | None = None
     dofs: File | None = None
     damping_matrix: Literal["C", "E"] = "E"
