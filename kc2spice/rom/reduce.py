@@ -635,6 +635,8 @@ class Reduction:
         method += _zeros(judge.reference[1], model)
         if not self.space.static or self.space.pencil.free:
             method += "; free to move at zero frequency"
+            if hidden := self.space.hidden:
+                method += f", supports that resonate below {hidden:.1e} Hz being hidden by rounding"
         ratio = judge.exact.visible(judge.band)[1].min(initial=1.0)
         if ratio < SHARPEST:
             method += f"; beside resonances, by {FLANK:g}, of a damping ratio below {SHARPEST:g}"

@@ -32,6 +32,8 @@ ROUNDING = 8.0  # times n eps of the largest: a stiffness, a damping or a coupli
 # leaves half of the digits of a pair, and a free motion that something slows down.
 ZERO, SLOW = 1e-6, 1e-2
 RANDOM = 30.0  # times what rounding of the entries at random makes of an energy: an energy
+ABOVE_RANDOM = 4.0  # the same: an energy that is hardly rounding
+FAR = 100.0  # times the resonance of a support: a response changes by 1e-4 there
 SURELY = 10.0  # times what would be singular: a matrix that is not
 DEPENDENT = 1e-9  # rates per band's end: a chain of integrators in first order
 Rounding: TypeAlias = tuple[np.ndarray, ...]  # bounds on that of each coefficient's entries
@@ -124,6 +126,38 @@ def energy_rounding(P: Matrix, V: np.ndarray) -> np.ndarray:
     ``eps (sum_ij v_ik^2 P_ij^2 v_jl^2)^(1/2)``."""
     squares = V**2
     return np.asarray(np.finfo(float).eps * np.sqrt(squares.T @ (magnitudes(P) ** 2 @ squares)))
+
+
+def hidden_support(pencil: Pencil, X: np.ndarray, low: float) -> float:
+    """Frequency [Hz] up to which a support of the free motions X (n, motions) may resonate without
+    showing: rounding of the entries of K at random is as stiff. Zero without such motions.
+
+    An energy that exceeds this rounding, though not by so much that it is known, is a support that
+    is left out, and a warning says so unless the band starts ``low`` [Hz] far above its resonance.
+    """
+    K, M = pencil.coefficients[0], pencil.coefficients[-1]
+    if pencil.degree != 2 or isinstance(K, Schur) or not X.size or not pencil.symmetric:
+        return 0.0
+    i, j, value = scipy.sparse.find(K)
+    exact = np.asarray(X, dtype=np.longdouble)  # soft motions are small differences
+    force = np.zeros(exact.shape, dtype=np.longdouble)
+    np.add.at(force, i, value.astype(np.longdouble)[:, None] * exact[j])
+    turn, size, _ = np.linalg.svd(np.asarray(exact.T @ force, dtype=float))
+    X = X @ turn
+    random = np.diag(energy_rounding(K, X))
+    mass = np.einsum("ij,ij->j", X, M @ X)
+    if not (mass > 0).all():
+        return 0.0
+    support = size > ABOVE_RANDOM * random
+    frequency = float(np.sqrt((size / mass)[support].max(initial=0.0)) / (2 * np.pi))
+    if support.any() and low < FAR * frequency:
+        warnings.warn(
+            "a support is so soft that rounding of the stiffness matrix hides it: its resonance "
+            f"at about {frequency:.2g} Hz is left out, and the body is free to move; state the "
+            "support as a part of the circuit",
+            stacklevel=2,
+        )
+    return float(np.sqrt((RANDOM * random / mass).max()) / (2 * np.pi))
 
 
 def _without_force(P: np.ndarray, X: np.ndarray, rounding: np.ndarray) -> bool:

@@ -52,6 +52,7 @@ from kc2spice.rom.structure import (
     congruent,
     dissipative,
     energy_rounding,
+    hidden_support,
 )
 
 # A candidate that keeps less than this of its length outside the basis brings rounding noise only.
@@ -330,6 +331,7 @@ class Subspace:
     proof: str
     floor: float = 0.0
     whole: bool = False  # all of the full model
+    hidden: float = 0.0  # Hz: supports of a free motion that resonate below do not show
 
     @property
     def pencil(self) -> Pencil:
@@ -445,6 +447,7 @@ def _whole(
     """
     given = full
     full, V, static, projected = apart(given, 2 * np.pi * band[1])
+    hidden = hidden_support(given, V[:, : full.free], band[0]) if static else 0.0
     T = _undamped_modes(full.held) if static else None
     if T is not None:
         V = V @ scipy.linalg.block_diag(np.eye(full.free), T)
@@ -484,7 +487,7 @@ def _whole(
     error = min(error, limit)  # what exceeds it is rounding of the given matrices
     if projected is not None:
         floor = max(floor, _taken_out(projected, full, band))
-    return Subspace(response, error, static, proof, floor, whole=True)
+    return Subspace(response, error, static, proof, floor, whole=True, hidden=hidden)
 
 
 def _taken_out(given: Pencil, free: Pencil, band: tuple[float, float]) -> float:
@@ -620,7 +623,9 @@ def _rational(
     proof = f"checked against the full model at {search.points} frequencies"
     small = search.response.pencil
     floor = _taken_out(search.projected, small, band) if small.free else 0.0
-    result = Subspace(search.response, worst, search.static or small.free > 0, proof, floor)
+    hidden = hidden_support(pencil, search.modal[:, : small.free], band[0])
+    static = search.static or small.free > 0
+    result = Subspace(search.response, worst, static, proof, floor, hidden=hidden)
     result = _with_rounding(pencil, search.modal, band, result)
     if worst > max(limit, result.floor) or not np.isfinite(worst):
         raise _unsettled(search.response, band, worst, limit)

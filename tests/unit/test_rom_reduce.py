@@ -62,7 +62,7 @@ def test_a_free_model_keeps_its_motion_without_force():
     assert found * 3 * (2 * np.pi * frequency) ** 2 == pytest.approx(-1.0, rel=1e-9)
     assert not rom.K[0].any()
     assert not rom.K[:, 0].any()
-    assert rom.certificate.method.endswith("free to move at zero frequency")
+    assert rom.certificate.method.count("free to move at zero frequency") == 1
     assert "free to move" not in reduce(chain(9, 0.3), order=2, band=(0.0, 0.05)).certificate.method
 
 

@@ -186,3 +186,65 @@ def test_two_ports_of_a_network_of_resistors_and_capacitors_stay_passive(toleran
     assert rom.poles().real.max() < 0
     assert np.abs(rom.poles().imag).max() == 0
     assert rom.order == states
+
+
+def supported_chain(n, support, where):
+    """Masses of 10 g between springs of 1e6 N/m, held softly at the first one or at all."""
+    K = 1e6 * (2 * np.eye(n) - np.eye(n, k=1) - np.eye(n, k=-1))
+    K[0, 0] = K[-1, -1] = 1e6
+    elastic, X = np.linalg.eigh(K)
+    ground = np.zeros(n)
+    ground[: 1 if where == "end" else n] = support
+    held = scipy.sparse.csc_array(K + np.diag(ground))
+    mass = 1e-2 * scipy.sparse.eye_array(n, format="csc")
+    model = LinearModel(M=mass, rayleigh=(0.0, 1e-6), K=held, B=np.eye(n)[:, [5]])
+
+    def exact(f):
+        """Rigid body on its support and elastic modes of the free chain."""
+        w = 2 * np.pi * np.asarray(f)[:, None]
+        rest = (X[5, 1:] ** 2 / (elastic[1:] * (1 + 1e-6j * w) - 1e-2 * w**2)).sum(axis=1)
+        return 1 / (ground.sum() * (1 + 1e-6j * w[:, 0]) - n * 1e-2 * w[:, 0] ** 2) + rest
+
+    return model, exact, np.sqrt(ground.sum() / (n * 1e-2)) / (2 * np.pi)
+
+
+@pytest.mark.filterwarnings("ignore:its own response is uncertain")
+@pytest.mark.parametrize(
+    ("n", "support", "where"), [(40, 1e-6, "end"), (40, 3e-8, "all"), (1400, 3e-8, "end")]
+)
+def test_a_support_above_rounding_is_kept(n, support, where):
+    """3e-14 of the stiffness, dense and sparse: far below the resonance the support alone holds."""
+    model, exact, resonance = supported_chain(n, support, where)
+    rom = reduce(model, tolerance=1e-4, band=(0.0, 20.0), norm="peak")
+    f = resonance * np.array([0.0, 0.1, 0.5, 2.0, 10.0])
+    assert np.abs(rom.transfer(f)[:, 0, 0] / exact(f) - 1).max() < 0.01
+    assert "free to move" not in rom.certificate.method
+
+
+@pytest.mark.filterwarnings("ignore:the full model itself is only good")
+@pytest.mark.parametrize(("support", "where"), [(3e-8, "end"), (1e-9, "all")])
+def test_a_support_that_rounding_hides_is_left_out_with_a_warning(support, where):
+    """Rounding of all entries at random is a tenth of its stiffness: the response far below its
+    resonance is not known. The warning has the resonance, and above it the response is right."""
+    model, exact, resonance = supported_chain(40, support, where)
+    with pytest.warns(UserWarning, match="a support is so soft that rounding") as caught:
+        rom = reduce(model, tolerance=1e-4, band=(0.0, 20.0), norm="peak")
+    text = next(str(w.message) for w in caught if "so soft" in str(w.message))
+    stated = float(text.split("at about ")[1].split(" Hz")[0])
+    assert stated == pytest.approx(resonance, rel=0.1)
+    f = np.array([100 * resonance, 1.0, 10.0])
+    assert np.abs(rom.transfer(f)[:, 0, 0] / exact(f) - 1).max() < 1e-3
+    assert "hidden by rounding" in rom.certificate.method
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        reduce(model, tolerance=1e-4, band=(1.0, 20.0), norm="peak")
+
+
+def test_a_body_that_is_free_to_move_states_which_supports_it_could_not_see():
+    model, exact, _ = supported_chain(40, 0.0, "all")
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        rom = reduce(model, tolerance=1e-4, band=(0.0, 20.0), norm="peak")
+    assert "supports that resonate below 8.0e-05 Hz being hidden" in rom.certificate.method
+    f = np.array([1e-4, 1e-2, 1.0, 10.0])
+    assert np.abs(rom.transfer(f)[:, 0, 0] / exact(f) - 1).max() < 1e-3
