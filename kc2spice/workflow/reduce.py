@@ -25,6 +25,7 @@ from kc2spice.netlist.printers.ngspice import plot_script
 from kc2spice.netlist.translate import DIALECTS, dialect_files, symbol_files
 from kc2spice.parts._linear_body import LinearBody, full_alone, scene_band
 from kc2spice.rom.constraints import reduced_form
+from kc2spice.rom.instability import shown_unstable
 from kc2spice.rom.io import read_rom, write_rom
 from kc2spice.rom.linear import LinearModel
 from kc2spice.rom.measured import one_port
@@ -120,24 +121,29 @@ def _require_names(model: LinearModel, name: str) -> None:
 
 
 def _require_stable_full(model: LinearModel, band: tuple[float, float] | None) -> None:
-    """Nothing, unless the poles show that a model of moderate size is unstable. Its reduction would
-    take minutes for nothing; a small one is reduced first and judged afterwards.
+    """Nothing, unless the poles of a model of moderate size, or few factorisations of a large one,
+    show that it is unstable. Its reduction would take minutes for nothing; a small one is reduced
+    first and judged afterwards.
 
     Raises
     ------
     GateMissedError : the model is unstable; nothing was written.
     """
-    if not SMALL < model.order * (1 if model.first_order else 2) <= DENSE:
+    states, got = model.order * (1 if model.first_order else 2), None
+    if states <= SMALL:
         return
-    pencil = reduced_form(model.pencil)
-    if pencil.degree * pencil.size > DENSE:
-        return
-    band = band or model.band or natural_band(pencil)
-    if structure(pencil, band).stable is False:
+    if states > DENSE:
+        got = shown_unstable(model.pencil, band or model.band)
+    else:
+        pencil = reduced_form(model.pencil)
+        band = band or model.band or natural_band(pencil)
+        if pencil.degree * pencil.size <= DENSE and structure(pencil, band).stable is False:
+            got = "a pole in the right half plane"
+    if got is not None:
         raise GateMissedError(
             "the model is unstable",
             where=model.name,
-            got="a pole in the right half plane",
+            got=got,
             expected="poles that do not grow",
             hint="check signs and halves of the matrices; nothing was reduced or written",
         )

@@ -8,6 +8,8 @@ from scipy import sparse
 from typer.testing import CliRunner
 
 from kc2spice.cli.main import app
+from kc2spice.rom.instability import shown_unstable
+from kc2spice.rom.linear import LinearModel
 from kc2spice.workflow import reduce as workflow
 
 
@@ -50,6 +52,82 @@ def test_names_of_inner_nodes_are_refused_before_the_reduction(tmp_path, monkeyp
     assert name in done.output
 
 
+def save_sparse(path, **matrices):
+    """An archive of the parts of sparse matrices and of arrays."""
+    parts = {}
+    for letter, P in matrices.items():
+        if isinstance(P, np.ndarray):
+            parts[letter] = P
+            continue
+        rows = sparse.coo_array(P)
+        parts |= {
+            f"{letter}.data": rows.data, f"{letter}.row": rows.row, f"{letter}.col": rows.col,
+            f"{letter}.shape": np.array(P.shape), f"{letter}.format": np.array("coo"),
+        }  # fmt: skip
+    np.savez(path, **parts)
+
+
+def membrane(side):
+    """Stiffness of a square net of springs whose edge is held."""
+    row = 2 * np.eye(side) - np.eye(side, k=1) - np.eye(side, k=-1)
+    one = sparse.eye_array(side)
+    return sparse.csc_array(1e6 * (sparse.kron(row, one) + sparse.kron(one, row)))
+
+
+def large(kind, side=30):
+    """Matrices of 1800 first-order states, stable or with one fault."""
+    K, n = membrane(side), side**2
+    at = sparse.csc_array(([1.0], ([400], [400])), shape=(n, n))
+    E, B = 1e-5 * K, np.eye(n)[:, [5]]
+    skew = sparse.csc_array(([1.0, -1.0], ([7, 9], [9, 7])), shape=(n, n))
+    E = E + 1e-3 * skew
+    mass = 1e-2 * sparse.eye_array(n, format="csc")
+    if kind == "first order":  # x and x' over 1e4/s, one rate with the wrong sign
+        speed = 1e4 * sparse.eye_array(n)
+        A = sparse.block_array([[None, speed], [-1e-2 * K, -1e-3 * K + 4e4 * at]], format="csc")
+        return {"A": A, "B": np.vstack([0 * B, B]), "C": np.hstack([0 * B.T, B.T])}
+    if kind == "none":  # circulatory forces that damping holds
+        K = K + 1e3 * skew
+    if kind == "stiffness":
+        K = K - 9e6 * at
+    if kind == "damping":
+        E = E - 2e3 * at
+    return {"M": mass, "E": E if kind != "stiffness" else 1e-5 * K, "K": K, "B": B}
+
+
+def rightmost(parts):
+    """Largest real part of all poles [1/s], from numpy."""
+    if "A" in parts:
+        return np.linalg.eigvals(parts["A"].toarray()).real.max()
+    M, E, K = (parts[letter].toarray() for letter in "MEK")
+    n, over = len(M), np.linalg.inv(M)
+    return np.linalg.eigvals(np.block([[np.zeros((n, n)), np.eye(n)],
+                                       [-over @ K, -over @ E]])).real.max()  # fmt: skip
+
+
+@pytest.mark.parametrize("kind", ["stiffness", "damping", "first order"])
+def test_a_large_unstable_model_ends_before_its_reduction(tmp_path, monkeypatch, kind):
+    parts = large(kind)
+    assert rightmost(large(kind, 21)) > 1  # the same fault in a smaller net
+    save_sparse(tmp_path / "net.npz", **parts)
+
+    def late(*_, **__):
+        raise AssertionError("reduced first")
+
+    monkeypatch.setattr(workflow, "reduce_model", late)
+    done = run(tmp_path / "net.npz", "--band", 0, 300, "--out", tmp_path / "out")
+    assert done.exit_code == 4, done.output
+    assert "unstable" in done.output
+    assert ("negative" in done.output) is (kind == "stiffness")
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_large_stable_model_is_not_taken_for_unstable():
+    parts = large("none")
+    assert rightmost(large("none", 21)) < 0
+    assert shown_unstable(LinearModel(**parts).pencil, (0.0, 300.0)) is None
+
+
 def test_an_unstable_sparse_descriptor_ends_at_once(tmp_path, monkeypatch):
     """700 states, a tenth of them algebraic, one of which grows."""
     n, m = 630, 70
@@ -60,14 +138,7 @@ def test_an_unstable_sparse_descriptor_ends_at_once(tmp_path, monkeypatch):
         [[sparse.diags_array(rates), link], [-link.T, -sparse.eye_array(m)]], format="csc"
     )
     E = sparse.diags_array(np.r_[np.ones(n), np.zeros(m)], format="csc")
-    parts = {"B": np.ones((n + m, 1)), "C": np.ones((1, n + m))}
-    for letter, P in (("A", A), ("E", E)):
-        rows = sparse.coo_array(P)
-        parts |= {
-            f"{letter}.data": rows.data, f"{letter}.row": rows.row, f"{letter}.col": rows.col,
-            f"{letter}.shape": np.array(P.shape), f"{letter}.format": np.array("coo"),
-        }  # fmt: skip
-    np.savez(tmp_path / "net.npz", **parts)
+    save_sparse(tmp_path / "net.npz", A=A, E=E, B=np.ones((n + m, 1)), C=np.ones((1, n + m)))
 
     def late(*_, **__):
         raise AssertionError("reduced first")

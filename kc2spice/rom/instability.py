@@ -1,0 +1,144 @@
+"""Whether a large model is unstable, from few factorisations: before hours are spent on it.
+
+All poles of a large model are out of reach, but one that grows proves that it is unstable.
+
+* A symmetric model of definite mass with a motion x of negative energy ``x'Kx``: ``s^2 M + s E +
+  K`` is indefinite at rest and definite for large real s, so it is singular at some s > 0 in
+  between.
+* Otherwise the Cayley transform ``(A + c E) (A - c E)^-1`` of the linear pencil, which maps poles
+  that grow to outside of the unit circle: largest eigenvalues of a matrix of which one real
+  factorisation is needed (Y. Saad, Numerical Methods for Large Eigenvalue Problems, 2011, 8.1). c
+  is the end of the band, then the rate of a typical unknown by itself.
+
+A model of which nothing is found may still be unstable, with growth of less than about a hundredth
+of a pole's size.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import scipy
+from scipy.sparse.linalg import ArpackError, ArpackNoConvergence, LinearOperator, eigs, eigsh
+
+from kc2spice.core.errors import SimulationError
+from kc2spice.linalg.factor import require_factors
+from kc2spice.rom.pencil import Matrix, Pencil, Schur, magnitudes
+from kc2spice.rom.structure import dissipative, semidefinite
+
+POLES, VECTORS, RESTARTS = 4, 40, 12  # of the Arnoldi method
+LANCZOS = 6  # restarts of the Lanczos method, of twenty vectors each
+COARSE = 1e-2  # relative error of the softest motion
+ROUNDING = 1e3  # times that of an energy: what is none
+GROWTH = 1e-4  # least real part of a growing pole, of its size
+BACKWARD = 1e-6  # residual of a pole, relative to the terms of its equation
+
+
+def shown_unstable(pencil: Pencil, band: tuple[float, float] | None) -> str | None:
+    """What shows that a model is unstable, for an error message; None where nothing is found.
+
+    Parameters
+    ----------
+    pencil : Pencil
+        Of first or second order. Symmetric ones of proportional damping are not factorised.
+    band : pair of float, optional
+        Band of interest [Hz].
+
+    Raises
+    ------
+    UsageError : the model is too large for this machine.
+
+    Examples
+    --------
+    >>> K = scipy.sparse.diags_array([3.0, 2.0, -1.0, 4.0]).tocsc()
+    >>> one, zero = scipy.sparse.eye_array(4, format="csc"), scipy.sparse.csc_array((4, 4))
+    >>> B = np.ones((4, 1))
+    >>> shown_unstable(Pencil((K, zero, one), B, B.T, np.zeros((1, 1))), (0.0, 1.0))
+    'a motion whose stiffness is negative'
+    """
+    if any(isinstance(P, Schur) for P in pencil.coefficients):
+        return None
+    if pencil.degree == 2 and pencil.symmetric:
+        if (pencil.coefficients[2].diagonal() <= 0).any():
+            return None  # potentials or multipliers: definite only without them
+        if _falls(pencil):
+            return "a motion whose stiffness is negative"
+        if pencil.undamped or (pencil.rayleigh is not None and min(pencil.rayleigh) >= 0):
+            return None  # of definite K nothing else grows
+    require_factors(pencil.bordered(1.0, 1.0, 1.0))
+    if dissipative(pencil):
+        return None
+    rates = [2 * np.pi * band[1]] if band else []
+    for rate in [*rates, _typical_rate(pencil)]:
+        try:
+            poles = _growing(pencil, rate)
+        except (SimulationError, ArpackError):
+            continue
+        if poles.size:
+            pole = poles[poles.real.argmax()]
+            return f"a pole at {pole.real:.3g} {pole.imag:+.3g}j 1/s"
+    return None
+
+
+def _falls(pencil: Pencil) -> bool:
+    """Whether a symmetric model of definite mass has a motion of negative elastic energy."""
+    K, _, M = pencil.coefficients
+    x = _most(-K)
+    if x is None:
+        return False
+    noise = ROUNDING * np.finfo(float).eps * float(np.abs(x) @ (magnitudes(K) @ np.abs(x)))
+    return bool(x @ (K @ x) < -noise) and semidefinite(M)
+
+
+def _most(P: Matrix) -> np.ndarray | None:
+    """The direction of the largest energy of a symmetric P, rows scaled alike; None
+    where it is not found."""
+    size = np.asarray(abs(P).sum(axis=1)).ravel()
+    if not size.any():
+        return None
+    scale = scipy.sparse.diags_array(1 / np.sqrt(np.where(size > 0, size, size.max())))
+    start = np.random.default_rng(0).standard_normal(len(size))
+    try:
+        vectors = eigsh(scale @ P @ scale, 1, which="LA", tol=COARSE, maxiter=LANCZOS, v0=start)[1]
+    except ArpackError:
+        return None
+    return np.asarray(scale @ vectors[:, 0])
+
+
+def _typical_rate(pencil: Pencil) -> float:
+    """Median of the rates [1/s] of single unknowns that have inertia."""
+    rest, inertia = (abs(P.diagonal()) for P in (pencil.coefficients[0], pencil.coefficients[-1]))
+    moving = (rest > 0) & (inertia > 0)
+    if not moving.any():
+        return 1.0
+    return float(np.median(rest[moving] / inertia[moving]) ** (1 / pencil.degree))
+
+
+def _growing(pencil: Pencil, rate: float) -> np.ndarray:
+    """Growing poles [1/s], proven by their residuals, by the Cayley transform with c = ``rate``."""
+    solve = pencil.solver(rate)[0].solve
+    n, degree = pencil.size, pencil.degree
+    inertia, *loss = pencil.coefficients[:0:-1]
+
+    def cayley(z: np.ndarray) -> np.ndarray:
+        """``z + 2 c (A - c E)^-1 E z`` in the unknowns x, or x and x'."""
+        if degree == 1:
+            return np.asarray(z - 2 * rate * solve(inertia @ z))
+        x = -solve(inertia @ (z[n:] + rate * z[:n]) + loss[0] @ z[:n])
+        return z + 2 * rate * np.r_[x, z[:n] + rate * x]
+
+    operator = LinearOperator((degree * n,) * 2, matvec=cayley, dtype=float)
+    start = np.random.default_rng(0).standard_normal(degree * n)
+    options = {"ncv": VECTORS, "maxiter": RESTARTS, "tol": BACKWARD, "v0": start}
+    try:
+        values, vectors = eigs(operator, POLES, which="LM", **options)
+    except ArpackNoConvergence as error:
+        values, vectors = error.eigenvalues, error.eigenvectors
+    found = []
+    for value, x in zip(values, vectors[:n].T, strict=True):
+        pole = rate * (value + 1) / (value - 1)
+        terms = [pole**k * (P @ x) for k, P in enumerate(pencil.coefficients)]
+        size = sum(np.linalg.norm(term) for term in terms)
+        small = np.linalg.norm(np.sum(terms, axis=0)) <= BACKWARD * size
+        if small and pole.real > GROWTH * abs(pole):
+            found.append(pole)
+    return np.array(found, dtype=complex)
