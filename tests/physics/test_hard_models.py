@@ -192,6 +192,53 @@ def test_structural_damping_becomes_a_passive_model_of_known_difference(seed):
         assert known.error_estimate <= tolerance + 2 * eta
 
 
+def materials(rng, n):
+    """K of a chain between ground and its springs, and its loss: three loss factors of springs."""
+    K, H = np.zeros((n, n)), np.zeros((n, n))
+    factors = 10 ** rng.uniform(-4, -1, 3)
+    for k in range(n):
+        stretch = np.zeros((1, n))
+        stretch[0, max(k - 1, 0)] = -1.0
+        stretch[0, k] = 1.0
+        spring = 1e6 * np.exp(rng.uniform(-1, 1)) * stretch.T @ stretch
+        K, H = K + spring, H + factors[3 * k // n] * spring
+    return K, H, factors.max()
+
+
+SEVERAL = [
+    pytest.param(seed, marks=[pytest.mark.slow, pytest.mark.campaign]) for seed in range(2, 50)
+]
+
+
+@pytest.mark.filterwarnings("ignore:no causal model")
+@pytest.mark.parametrize("seed", [0, 1, *SEVERAL])
+def test_losses_of_several_materials_become_a_passive_model_of_known_difference(seed):
+    rng = np.random.default_rng([46, 4, seed])
+    n = int(rng.integers(15, 60))
+    K, H, eta = materials(rng, n)
+    M = np.diag(np.exp(rng.uniform(-1, 1, n))) * 1e-2
+    parts = {"M": M, "E": 0 * K, "K": K + 1j * H, "B": some_ports(rng, n)}
+    modes = np.sqrt(np.linalg.eigvals(np.linalg.solve(M, K)).real) / (2 * np.pi)
+    band = 0.0, float(np.sort(modes)[max(2, int(TOP * n))])
+    norm, tolerance = ("peak", "pointwise")[seed % 2], 10 ** rng.uniform(-4, -2)
+    form = sparse.csc_array if seed % 3 else np.asarray
+    given = {k: form(P) if k in "MK" else P for k, P in parts.items() if k != "E"}
+    rom = reduce(LinearModel(**given), tolerance=tolerance, band=band, norm=norm)
+    known = rom.certificate
+    assert known.stable
+    assert known.passive
+    near = modes[modes < band[1]]
+    frequency = np.r_[rng.uniform(0.001, 1, 200) * band[1], near, near * (1 + eta)]
+    frequency = frequency[frequency < band[1]]
+    exact = response(parts, frequency)
+    size = np.abs(exact)
+    base = np.maximum(size, oracle.SHARES[norm] * size.max(axis=0))
+    error = (np.abs(rom.transfer(frequency) - exact) / base).max()
+    assert error <= known.error_estimate + oracle.ROUNDING
+    if norm == "peak":
+        assert known.error_estimate <= tolerance + eta
+
+
 @pytest.mark.slow
 def test_a_chain_of_301_masses_with_general_damping_settles():
     """602 first-order states, dozens of resonances in the band, and dashpots that couple them."""
