@@ -40,6 +40,7 @@ LOWEST = 1e-10  # tolerances of a reduction
 DIRECT = 6  # direct solutions of the full model that check a causal model
 # Rates of relaxations per resonance, or per end of the band where that is lower.
 RELAXATIONS = ((1.0,), tuple(np.geomspace(0.03, 3.0, 7)))
+NEAR_REST = 10.0 ** -np.arange(9.0, 4.0, -1.0)  # of a band from zero: the loss remains at rest
 WORTH = 0.5  # of its error: a mode and a model with relaxations must come to less
 SMALL_PART = 0.1  # of what the largest error may be: modes that stay as they are
 REAL = 1e-6  # imaginary part of a pole that is real, relative
@@ -245,6 +246,8 @@ class _Search:
         response = Response(self.model(modes).pencil.dense())
         frequency = adaptive_frequencies(response, self.band, False, self.norm)
         frequency = frequency[frequency > 0]
+        if self.band[0] == 0:
+            frequency = np.r_[self.band[1] * NEAR_REST, frequency]
         return frequency, self.lossy.transfer(2j * np.pi * frequency)
 
     def _raised(self) -> float:

@@ -105,6 +105,21 @@ def test_relaxations_bring_a_model_nearer_than_its_loss_factor(eta, band, most):
 
 
 @pytest.mark.filterwarnings("ignore:no causal model")
+def test_a_band_far_above_the_resonances_includes_the_loss_at_rest():
+    n, band = 20, (0.0, 500e3)
+    M, K, H, modes = bar(n, 0.01)
+    B = np.eye(n)[:, [n - 1]]
+    rom = reduce(LinearModel(M=M, K=K + 1j * H, B=B), tolerance=1e-4, band=band, norm="peak")
+    slow = np.array([1e-3, 1.0, 20.0])
+    exact = np.array(
+        [B.T @ np.linalg.solve(K + 1j * H - (2 * np.pi * f) ** 2 * M, B) for f in slow]
+    )
+    peak = np.abs(B.T @ np.linalg.solve(K + 1j * H - (2 * np.pi * modes[0]) ** 2 * M, B))
+    error = (np.abs(rom.transfer(slow) - exact) / peak).max()
+    assert error <= rom.certificate.error_estimate < 2e-4
+
+
+@pytest.mark.filterwarnings("ignore:no causal model")
 @pytest.mark.parametrize("form", [np.asarray, scipy.sparse.csc_matrix])
 def test_losses_of_several_materials_make_a_passive_model_of_known_error(form):
     n, band = 40, (0.0, 900.0)
