@@ -396,7 +396,9 @@ def _balance(pair: Pair, waves: Waveforms, place: np.ndarray) -> Iterator[Balanc
         elastic, energy = own.force(x), own.energy(x)
     resting, gained = float(energy.max()), energy - energy[:, :1]
     missing = (running(elastic, closing) - gained).sum(axis=0)
-    entries = {"stored in the contact": float(gained[:, -1].sum())}
+    entries = {"stored in the contact": float(energy[:, -1].sum())}
+    if (before := float(energy[:, 0].sum())) > 0.0:
+        entries["stored in the contact at the start"] = before
     if own.damping or own.pace:
         lost = running(force - elastic, closing)[:, -1]
         entries["damped in the contact"] = float(lost.sum())
@@ -417,7 +419,7 @@ def _start(pair: Pair, waves: Waveforms, place: np.ndarray) -> Iterator[Check]:
     advice = f"forces on {other} balance there before anything moves: change them (magnets: "
     advice += f"polarity, remanence or position), or give {other}.height and velocity at t = 0"
     name, action = f"{other} starts at rest on {pair.a.part}", pair.scene.checks.start
-    yield Check(name, above, ALOFT, "m above it", advice, action)
+    yield Check(name, above, ALOFT, "m", advice, action)
 
 
 def _events(pair: Pair, waves: Waveforms) -> Iterator[Check]:

@@ -216,7 +216,9 @@ class Sphere(Touching, DeclaredPart):
         turnover = sum(float(np.trapezoid(np.abs(f * v), t)) for f in forces.values())
         entries = {f"work of the {name}": float(w[-1]) for name, w in work.items()}
         gap = kinetic - sum(work.values())
-        entries["kinetic"] = float(kinetic[-1])
+        entries["kinetic"] = mass * float(v[-1] ** 2) / 2
+        if v[0] != 0.0:
+            entries["kinetic at the start"] = mass * float(v[0] ** 2) / 2
         advice = "the steps are too coarse for the contact: lower solver.reltol or max_step"
         yield Balance(entries, abs(float(gap[-1])), turnover, WORK, advice)
 

@@ -283,7 +283,8 @@ def energies(
         return np.asarray(evaluated(tree, known) * np.ones_like(time))
 
     means = {b.name + RATE: np.diff(seen[b.name]) / np.diff(time) for b in massless}
-    heat, rise = _heat(d, known, means, time), np.diff(over_time(d.stored))
+    stored = over_time(d.stored)
+    heat, rise = _heat(d, known, means, time), np.diff(stored)
     brought, forces = np.zeros_like(heat), []
     for b in d.open:
         known_as = f"{part.name}.{b.across if b.kind == 'current' else b.through}"
@@ -299,8 +300,10 @@ def energies(
     entries = {
         "brought in by pins": float(brought.sum()),
         "heat": float(heat.sum()),
-        "stored": float(rise.sum()),
+        "stored": float(stored[-1]),
     }
+    if stored[0] != 0.0:
+        entries["stored at the start"] = float(stored[0])
     turned = float(np.abs(brought).sum() + np.abs(heat.sum()))
     yield Balance(entries, float(np.abs(missing).max(initial=0.0)), turned, _UNEXPLAINED)
 

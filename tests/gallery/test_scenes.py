@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from commands import asked
 
-from kc2spice.scene.load import gallery
+from kc2spice.scene.load import gallery, load_scene
 
 CONTRACT = {
     "scene", "version", "netlist", "simulator", "model", "steps", "metrics", "wall_s", "files",
@@ -125,3 +125,20 @@ def test_scene_meets_its_gates(name, tmp_path):
     asked(
         "verify", name, "-o", tmp_path, "-q", *QUICK.get(name, ())
     )  # exit code 4 where one is missed
+
+
+def test_energies_are_those_at_the_end(results):
+    """A sphere that bounces: its kinetic energy m v^2 / 2, and works that explain the change."""
+    out = results("impact")[1]
+    energies = json.loads((out / "result.json").read_text())["energy_j"]
+    with np.load(out / "waveforms.npz", allow_pickle=False) as waves:
+        speed = waves["sphere.v"]
+    mass, sphere = load_scene("impact").parts["sphere"].keys.mass, energies["sphere"]
+    assert sphere["kinetic"] == pytest.approx(mass * speed[-1] ** 2 / 2, rel=1e-9)
+    assert sphere["kinetic at the start"] == pytest.approx(mass * speed[0] ** 2 / 2, rel=1e-9)
+    work = sphere["work of the weight"] + sphere["work of the contact"]
+    gained = sphere["kinetic"] - sphere["kinetic at the start"]
+    assert gained == pytest.approx(work, abs=1e-4 * sphere["kinetic at the start"])
+    stored = [v for entries in energies.values() for k, v in entries.items() if "stored" in k]
+    assert stored
+    assert min(stored) >= 0.0
