@@ -49,6 +49,7 @@ _SUFFIXES = {
     "N s/m": "_n_s_m", "Ohm": "_ohm",
 }  # fmt: skip
 _SHOWN_UNITS = {"Ohm": "Ω"}
+NOISE = 1e-12  # of the scale of a number: smaller ones are rounding errors
 
 
 def quantity(value: float | None, unit: str, digits: int = 4) -> str:
@@ -85,12 +86,15 @@ def _power(value: float) -> int:
 def value_and_limit(value: float, limit: float, unit: str) -> tuple[str, str]:
     """Both with the same prefix: ``value_and_limit(4.06e5, 5e5, "Hz")`` is 406 kHz, 500 kHz.
 
-    A limit of another order of magnitude has its own prefix.
+    A limit of another order of magnitude has its own prefix. A value that is a rounding error
+    beside its limit, or beside 1 if it is a ratio, is 0.
     """
     words = _is_words(unit)
+    if abs(value) < NOISE * max(abs(limit), 1.0 if words else 0.0):
+        value = 0.0
     near = value and limit and 1e-3 < abs(limit / value) < 1e4
     if words or unit in _PREFIXED or not near or not math.isfinite(value + limit):
-        return quantity(value, unit, 3), quantity(limit, "" if words else unit, 3)
+        return quantity(value, unit, 3), quantity(limit, unit, 3)
     power = _power(value)
     whole = f"{abs(limit) / 10.0**power:.10g}"
     digits = max(3, len(whole.partition(".")[0]))

@@ -19,7 +19,7 @@ from scipy.stats import binomtest
 
 from kc2spice.core.figure import Curve, Figure, Map, Panel, scale_axis
 from kc2spice.core.waveforms import Waveforms
-from kc2spice.report.html import Section, fact, quantity, worded, write_page
+from kc2spice.report.html import Section, fact, quantity, value_and_limit, worded, write_page
 from kc2spice.scene.judge import PAIRS, Check
 from kc2spice.scene.model import Scene
 
@@ -410,9 +410,14 @@ def verdict_sections(scene: str, record: Mapping[str, Any]) -> list[Section]:
     checks = []
     for check in record["checks"]:
         unit = "" if check["unit"] == "1" else check["unit"]
-        given = (check["value"], check["limit"])
-        values = (quantity(None if v is None or np.isnan(v) else v, unit, 3) for v in given)
-        checks.append((MET[check["passed"]], check["name"], *values))
+        value, limit = (
+            None if v is None or np.isnan(v) else v for v in (check["value"], check["limit"])
+        )
+        if value is None or limit is None:
+            texts = quantity(value, unit, 3), quantity(limit, unit, 3)
+        else:
+            texts = value_and_limit(value, limit, unit)
+        checks.append((MET[check["passed"]], check["name"], *texts))
     times = [(stage, quantity(time, "s", 3)) for stage, time in record["wall_s"].items()]
     return [
         Section(f"{scene}: gates", checks, ("", "check", "value", "limit")),

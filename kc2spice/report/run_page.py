@@ -16,6 +16,7 @@ from kc2spice.core.figure import Curve, Figure, Panel, Shape, scale_axis
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.report.figures import BLUE, GREEN, GREY
 from kc2spice.report.html import (
+    NOISE,
     Section,
     fact,
     leaves,
@@ -29,7 +30,6 @@ from kc2spice.scene.model import Scene, scene_hash
 from kc2spice.scene.settings import Probe
 
 SKETCH_WIDTH, HIGH = 520.0, 300.0  # of the devices, in units of the page
-NOISE = 1e-12  # of the largest number of its unit: smaller ones are rounding errors
 FEW = 8  # entries of a list that a row shows
 LETTER = 6.2  # width of a letter
 TRACK, BOX = 24.0, 74.0  # between two nets; height of a part
@@ -208,9 +208,14 @@ def result_sections(result: Mapping[str, Any]) -> list[Section]:
 
 def operating_rows(result: Mapping[str, Any], most: int | None = None) -> Rows:
     """What is not zero at the operating point of small signals, ``most`` of it at most."""
-    values = {n: v for n, v in result.get("operating_point", {}).items() if v["value"]}
+    point = result.get("operating_point", {})
+    units = {name: item["unit"] for name, item in point.items()}
+    numbers = {name: float(item["value"]) for name, item in point.items()}
+    scales = _scales(numbers, units)
+    rounded = {name: _rounded(value, scales, units[name]) for name, value in numbers.items()}
+    values = {name: value for name, value in rounded.items() if value}
     shown = list(values.items())[:most]
-    rows: Rows = [(name, quantity(item["value"], item["unit"])) for name, item in shown]
+    rows: Rows = [(name, quantity(value, units[name])) for name, value in shown]
     if len(shown) < len(values):
         rows.append(("further results", f"{len(values) - len(shown)}, in the report"))
     return rows
@@ -316,10 +321,18 @@ def plan_sections(
 
 
 def _facts(facts: Mapping[str, Any], units: Mapping[str, str]) -> Rows:
-    """Rows of single numbers, whose ``units`` are by dotted name; curves are in the figures."""
-    values = {name: value for name, value in leaves(facts) if _single(value) or len(value) <= FEW}
+    """Rows of single numbers, whose ``units`` are by dotted name; curves are in the figures.
+
+    Of lists, only a range and a few words are rows.
+    """
+    values = {name: value for name, value in leaves(facts) if _single(value) or _is_short(value)}
     scales = _scales(values, units)
     return [_fact(name, value, units, scales) for name, value in values.items()]
+
+
+def _is_short(values: Sequence[Any]) -> bool:
+    words = all(isinstance(value, str) for value in values)
+    return len(values) <= (FEW if words else 2)
 
 
 def _fact(

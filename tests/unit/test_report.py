@@ -16,12 +16,35 @@ import pytest
 from kc2spice.core.figure import Curve, Figure, Panel
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.report.figures import draw_all
-from kc2spice.report.html import Section, figure_html, quantity, write_page
-from kc2spice.report.run_page import write_run
+from kc2spice.report.html import Section, figure_html, quantity, value_and_limit, write_page
+from kc2spice.report.run_page import operating_rows, result_sections, write_run
 from kc2spice.scene.load import load_scene
 from kc2spice.scene.model import Build
 from kc2spice.scene.plan import plan
 from kc2spice.workflow.judge import metrics
+
+
+def test_a_limit_has_the_unit_and_the_prefix_of_its_value() -> None:
+    assert value_and_limit(4.06e5, 5e5, "Hz") == ("406 kHz", "500 kHz")
+    assert value_and_limit(2.23e-5, 1e-3, "of its swing") == (
+        "2.23e-05 of its swing", "0.001 of its swing",
+    )  # fmt: skip
+    assert value_and_limit(1.56e-5, 4.89e-3, "A2 s") == ("1.56e-05 A2 s", "0.00489 A2 s")
+
+
+def test_a_rounding_error_prints_0() -> None:
+    assert value_and_limit(2.84e-14, 1e-3, "of its swing")[0] == "0 of its swing"
+    assert value_and_limit(1e-15, 0.5, "V")[0] == "0 V"
+    assert value_and_limit(1e-9, 0.5, "V")[0] == "1 nV"
+    point = {"a.i": (2.0, "A"), "b.i": (3e-13, "A"), "c.v": (3e-13, "V")}
+    result = {"operating_point": {n: {"value": v, "unit": u} for n, (v, u) in point.items()}}
+    assert operating_rows(result) == [("a.i", "2 A"), ("c.v", "300 fV")]
+
+
+def test_a_table_has_no_rows_of_numbers() -> None:
+    metrics = {"peaks_m": [1.0, 2.0, 3.0], "band_hz": [1.0, 2.0], "first_m": 1.0}
+    rows = {s.title: s.rows for s in result_sections({"metrics": metrics})}["Metrics"]
+    assert [name for name, _ in rows] == ["band hz", "first m"]
 
 
 def test_words_take_no_prefix():
