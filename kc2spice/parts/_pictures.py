@@ -21,7 +21,7 @@ POINTS = 600  # of an impedance, besides those near resonances
 FINE = 4000  # lines of a surface mesh, from which only its edges are drawn
 BENT = 0.05  # share of the second direction among normals that makes an edge
 SHOWN = 0.1  # of the body's size: the largest displacement in the picture
-DOTS = 240  # of a coloured picture along its longer side
+DOTS = 360  # of a coloured picture along its longer side
 PEAKS = ": minimum at resonance, maximum at antiresonance."
 OBLIQUE = 0.35  # of the depth, to the right and upwards
 

@@ -1,32 +1,29 @@
 """One self-contained HTML page: sections with a table, a note and figures each.
 
-The browser draws the figures: a page has their curves as data, and one script, ``plots.js``.
+The browser draws the figures: a page has their curves as data, the library uPlot, and one script,
+``plots.js``.
 Numbers stand there as people read them: with SI prefixes, under the names of what they are.
 """
 
 from __future__ import annotations
 
-import base64
 import math
 import shlex
 import sys
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import date
-from html import escape
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-from jinja2.utils import htmlsafe_json_dumps
-
 from kc2spice.core import __version__
-from kc2spice.core.figure import Curve, Figure, Map
+from kc2spice.core.figure import Figure
+from kc2spice.core.prefix import PREFIXES, prefix_power
 from kc2spice.netlist.cards import templates
+from kc2spice.report.charts import figure_html
 
 # Units that carry a prefix already: the one that takes another prefix, and how many of it.
 _PREFIXED = {"kg": ("g", 1e3), "mm": ("m", 1e-3), "um": ("m", 1e-6)}
-_PREFIXES = {-15: "f", -12: "p", -9: "n", -6: "µ", -3: "m", 0: "", 3: "k", 6: "M", 9: "G"}
 # Words of keys that are none.
 _WORDS = {
     "bvd": "equivalent circuit",
@@ -63,7 +60,7 @@ def quantity(value: float | None, unit: str, digits: int = 4) -> str:
     if unit in _PREFIXED:
         plain, factor = _PREFIXED[unit]
         return quantity(factor * value, plain, digits)
-    return _prefixed(value, unit, digits, _power(value))
+    return _prefixed(value, unit, digits, prefix_power(value))
 
 
 def _is_words(unit: str) -> bool:
@@ -74,13 +71,7 @@ def _is_words(unit: str) -> bool:
 def _prefixed(value: float, unit: str, digits: int, power: int) -> str:
     sign = "−" if value < 0.0 else ""
     shown = f"{abs(value) / 10.0**power:.{digits}g}"
-    return f"{sign}{shown} {_PREFIXES[power]}{_SHOWN_UNITS.get(unit, unit)}"
-
-
-def _power(value: float) -> int:
-    """Exponent of the SI prefix of a number, 0 where there is no such prefix."""
-    power = 3 * math.floor(math.log10(abs(value)) / 3) if value else 0
-    return power if power in _PREFIXES else 0
+    return f"{sign}{shown} {PREFIXES[power]}{_SHOWN_UNITS.get(unit, unit)}"
 
 
 def value_and_limit(value: float, limit: float, unit: str) -> tuple[str, str]:
@@ -95,7 +86,7 @@ def value_and_limit(value: float, limit: float, unit: str) -> tuple[str, str]:
     near = value and limit and 1e-3 < abs(limit / value) < 1e4
     if words or unit in _PREFIXED or not near or not math.isfinite(value + limit):
         return quantity(value, unit, 3), quantity(limit, unit, 3)
-    power = _power(value)
+    power = prefix_power(value)
     whole = f"{abs(limit) / 10.0**power:.10g}"
     digits = max(3, len(whole.partition(".")[0]))
     return _prefixed(value, unit, 3, power), _prefixed(limit, unit, digits, power)
@@ -133,9 +124,6 @@ def worded(value: Any, unit: str = "") -> str:
     if isinstance(value, int) and not unit:
         return f"{value:,}".replace(",", " ")
     return quantity(value, unit) if isinstance(value, (int, float)) else str(value)
-
-
-SHOWN = 4000  # points of a curve in a page
 
 
 @dataclass(frozen=True)
@@ -182,57 +170,3 @@ def rendered(template: str, **values: object) -> str:
     pages = templates(autoescape=True)
     pages.filters.update(figure=figure_html, px="{:.1f}".format)
     return str(pages.get_template(template).render(**values))
-
-
-def figure_html(figure: Figure) -> str:
-    """The element ``<figure>`` from which the page's script draws: curves as JSON, a caption."""
-    panels = [
-        {**vars(p), "curves": [_curve(curve) for curve in p.curves], "map": p.map and _map(p.map)}
-        for p in figure.panels
-    ]
-    data = htmlsafe_json_dumps(
-        {"title": figure.title, "columns": figure.columns, "panels": panels},
-        separators=(",", ":"),
-        default=np.generic.item,
-    )
-    return (
-        f'<figure data-plot><script type="application/json">{data}</script>'
-        f"<figcaption>{escape(figure.caption)}</figcaption></figure>"
-    )
-
-
-def _curve(curve: Curve) -> dict[str, Any]:
-    kept = _kept(np.asarray(curve.y, dtype=float))
-    x, y = (_numbers(np.asarray(values)[kept]) for values in (curve.x, curve.y))
-    names = [curve.names[k] for k in kept] if curve.names else []
-    return {"label": curve.label, "style": curve.style, "x": x, "y": y, "names": names}
-
-
-def _map(found: Map) -> dict[str, str]:
-    return {"label": found.label, **{name: _numbers(getattr(found, name)) for name in "xyz"}}
-
-
-def _numbers(values: np.ndarray) -> str:
-    """Little-endian float32, row by row."""
-    return base64.b64encode(np.asarray(values).astype("<f4").tobytes()).decode("ascii")
-
-
-def _kept(y: np.ndarray) -> np.ndarray:
-    """Indices of at most ``SHOWN`` points: of each stretch of points its extremes, and both sides
-    of the largest jumps and of gaps, so that neither peaks nor corners are lost."""
-    if y.size <= SHOWN:
-        return np.arange(y.size)
-    stretch = -(-y.size // (SHOWN // 5))
-    padded = np.full(stretch * -(-y.size // stretch), np.nan)
-    padded[: y.size] = y
-    rows = padded.reshape(-1, stretch)
-    known, first = np.isfinite(rows), stretch * np.arange(rows.shape[0])
-    low = first + np.where(known, rows, np.inf).argmin(axis=1)
-    high = first + np.where(known, rows, -np.inf).argmax(axis=1)
-    steps = np.abs(np.diff(y))
-    steps[~np.isfinite(steps)] = np.inf
-    jumps = np.argpartition(steps, -SHOWN // 4)[-SHOWN // 4 :]
-    kept = np.zeros(y.size, dtype=bool)
-    for selected in ([0, -1], low, high, jumps, jumps + 1):
-        kept[selected] = True
-    return np.flatnonzero(kept)

@@ -299,7 +299,8 @@ def figures(
     elif not random and len(keys) == len(units) == 2 and crossed:
         for name, axis in y.items():
             panel = _map(x[keys[0]], x[keys[1]], axis)
-            yield Figure(f"map_{name}", axis[0], "Grey where there is none.", (panel,))
+            title = axis[0].partition(" in ")[0]
+            yield Figure(f"map_{name}", title, "Grey where there is none.", (panel,))
     else:
         caption = "Lines at the median and at 5 and 95 % of the points."
         panels = [_histogram(axis) for axis in y.values()]

@@ -14,7 +14,6 @@ import numpy as np
 
 from kc2spice.core.figure import Curve, Figure, Panel, Shape, scale_axis
 from kc2spice.core.waveforms import Waveforms
-from kc2spice.report.figures import BLUE, GREEN, GREY
 from kc2spice.report.html import (
     NOISE,
     Section,
@@ -33,7 +32,9 @@ SKETCH_WIDTH, HIGH = 520.0, 300.0  # of the devices, in units of the page
 FEW = 8  # entries of a list that a row shows
 LETTER = 6.2  # width of a letter
 TRACK, BOX = 24.0, 74.0  # between two nets; height of a part
-ORANGE = "#B86E00"
+# Colours of the page, light or dark, and those of a drawing without one.
+BLUE, ORANGE = "var(--blue, #0072B2)", "var(--orange, #B86E00)"
+GREEN, GREY = "var(--green, #009E73)", "var(--grey, #75797D)"
 FILLS = {"ceramic": "#F3D9A4", "metal": "#D9D9D9", "magnet": "#B8C9E6", "coil": "#E3B7A0"}
 COLOURS = {"A": BLUE, "N": ORANGE, "Nm": ORANGE, "-": GREEN}
 
@@ -65,6 +66,7 @@ def devices(scene: Scene) -> str:
         scale=scale,
         bar=float(f"{0.25 * (right - left):.0e}"),  # one digit
         low=max(scale * (top - bottom), line) + 34,
+        spoken="Side view: " + "; ".join(shape.label for shape in shapes if shape.label),
         width=side + 50 + LETTER * max((len(label) for label, *_ in labels), default=0),
     )
 
@@ -107,9 +109,9 @@ def circuit(scene: Scene) -> str:
     for net, ends in spots.items():
         place = ends[0][2], min(places[net]), max(places[net]), heights.get(net)
         nets.append(dict(zip(keys, (net, ends, *place), strict=True)))
-    return rendered(
-        "circuit.svg.j2", boxes=boxes, nets=nets, top=top, box=BOX, width=x, blue=BLUE, grey=GREY
-    )
+    look: dict[str, Any] = {"top": top, "box": BOX, "width": x, "blue": BLUE, "grey": GREY}
+    spoken = "Circuit of " + ", ".join(scene.parts)
+    return rendered("circuit.svg.j2", boxes=boxes, nets=nets, spoken=spoken, **look)
 
 
 def _levels(nets: Mapping[str, Sequence[float]]) -> dict[str, int]:
@@ -132,8 +134,9 @@ NETS = (
     "nets are those of the netlist."
 )
 HOW = (
-    "Move the pointer to read values, drag to look closer, double-click to see all; click a name "
-    "of a legend to hide its curve."
+    "Move the pointer to read values, drag to enlarge, double-click to see all; click a name of a "
+    "legend to hide its curve. A shaded curve is the envelope of more cycles than the screen "
+    "resolves."
 )
 LINEARISED = "About which the small signals are linear; results that are zero there are left out."
 POINT = 6  # results at the operating point that a terminal shows

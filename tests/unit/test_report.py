@@ -3,9 +3,7 @@
 import base64
 import json
 import re
-import shutil
 import struct
-import subprocess
 from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
@@ -15,13 +13,16 @@ import pytest
 
 from kc2spice.core.figure import Curve, Figure, Panel
 from kc2spice.core.waveforms import Waveforms
+from kc2spice.report.charts import figure_html
 from kc2spice.report.figures import draw_all
-from kc2spice.report.html import Section, figure_html, quantity, value_and_limit, write_page
+from kc2spice.report.html import Section, quantity, value_and_limit, write_page
 from kc2spice.report.run_page import operating_rows, result_sections, write_run
 from kc2spice.scene.load import load_scene
 from kc2spice.scene.model import Build
 from kc2spice.scene.plan import plan
 from kc2spice.workflow.judge import metrics
+
+TEMPLATES = Path(__file__).parents[2] / "templates"
 
 
 def test_a_limit_has_the_unit_and_the_prefix_of_its_value() -> None:
@@ -160,7 +161,16 @@ def test_page_has_all_sections(page: Page) -> None:
 
 def test_page_loads_nothing_from_elsewhere_and_links_its_files(page: Page) -> None:
     assert [source for source in page.sources if not source.startswith("#")] == ["kick.lib"]
-    assert "http" not in page.text.replace("http://www.w3.org/2000/svg", "")
+    library = (TEMPLATES / "uplot" / "uPlot.iife.min.js").read_text(encoding="utf-8").rstrip()
+    assert library in page.text
+    known = page.text.replace(library, "").replace("http://www.w3.org/2000/svg", "")
+    assert "http" not in known
+
+
+def test_page_contains_the_licence_of_its_library(page: Page) -> None:
+    """The MIT licence asks for it in every copy."""
+    assert (TEMPLATES / "uplot" / "LICENSE").read_text(encoding="utf-8").strip() in page.text
+    assert "MIT" in page.text
 
 
 def test_sketch_names_every_part_and_net(page: Page) -> None:
@@ -194,41 +204,6 @@ def test_a_peak_of_one_point_is_drawn_wherever_it_is() -> None:
             assert np.float32(height) in shown(Curve("", t, y))[1]
 
 
-def run_script(html: str, folder: Path) -> dict:
-    """What the page's script draws, run by a JavaScript engine against the few parts of a browser
-    that it uses; it fails where the script throws or draws at a place that is no number."""
-    (folder / "page.html").write_text(html, encoding="utf-8")
-    browser = Path(__file__).parents[1] / "data" / "browser.js"
-    done = subprocess.run(["node", str(browser), str(folder / "page.html")],
-                          capture_output=True, text=True, check=False)  # fmt: skip
-    assert done.returncode == 0, done.stderr
-    return json.loads(done.stdout)
-
-
-needs_node = pytest.mark.skipif(shutil.which("node") is None, reason="needs node")
-
-
-@needs_node
-def test_the_script_draws_reads_zooms_and_hides(page: Page, tmp_path: Path) -> None:
-    found = run_script(page.text, tmp_path)
-    assert found["panels"] == 3
-    assert found["titles"] == ["Trajectory", "Response"]
-    assert found["strokes"] > 30
-    assert found["labels"] == ["ngspice", "scipy", *(f"ring{k}" for k in range(6))]
-    assert "Trajectory, height [mm]" in found["spoken"]
-    assert {"set point", "settling band", "launch", "time [ms]", "1000", "10⁵", "2"} <= {
-        *found["texts"]
-    }
-    # 2.5 - 1.5 exp(-(4.776 - 0.5057) / 0.4) mm at the place of pixel 480 of 64 … 486
-    at = next(text for text in found["read"] if text.endswith(" ms"))
-    assert float(at.removesuffix(" ms")) == pytest.approx(5.0 * (480 - 64) / 422, rel=2e-3)
-    assert "ngspice  2.5 mm" in found["read"]
-    assert sum("ring" in text and text.endswith(" um") for text in found["read"]) == 6
-    assert found["zoomed"] < 0.6 * found["whole"]
-    assert found["reset"] == found["whole"]
-    assert found["hidden"] >= 1
-
-
 def test_figures_as_files(tmp_path: Path) -> None:
     drawn = [replace(figure, columns=2) for figure in figures(loop_waves())]
     assert draw_all(tmp_path, drawn) == ["trajectory.png", "response.png"]
@@ -253,18 +228,3 @@ def test_markup_in_a_title_stays_text(tmp_path: Path) -> None:
     path = write_page(tmp_path / "x.html", BAD, BAD, [Section(BAD, [("&",)], note=BAD)])
     assert "a()</script>" not in path.read_text(encoding="utf-8")
     assert "<img" not in path.read_text(encoding="utf-8")
-
-
-@needs_node
-def test_markup_in_names_of_curves_stays_text(tmp_path: Path) -> None:
-    """Of everything that a figure has words for; the browser shows them as they are."""
-    x = np.arange(3.0)
-    curve = Curve(BAD, x, x, "o", (BAD, BAD, BAD))
-    panel = Panel(BAD, BAD, (curve,), ((1.0, BAD),), ((0.0, 1.0, BAD),), ((1.0, BAD),))
-    figure = Figure(BAD, BAD, BAD, (panel,))
-    path = write_page(tmp_path / "x.html", "t", "", [Section("s", figures=[figure])])
-    text = path.read_text(encoding="utf-8")
-    assert text.count("<script") == text.count("</script>") == 2  # the data and the code
-    assert "<img" not in text
-    found = run_script(text, tmp_path)
-    assert found["titles"] == found["labels"] == [BAD]
