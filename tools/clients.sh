@@ -1,12 +1,12 @@
 #!/bin/sh
-# KiCad 9, ngspice 46, OpenVAF, InSpice and vajax for tests/clients, in a folder of their own: nothing
-# of the system changes, no root is needed, and the ngspice that is installed stays the one that runs
-# decks.
+# KiCad 9, ngspice 46, OpenVAF, InSpice and vajax for tests/clients, and Chromium for the tests of
+# pages, in a folder of their own: nothing of the system changes, no root is needed, and the ngspice
+# that is installed stays the one that runs decks.
 #
 #   tools/clients.sh [FOLDER]     default: $KC2SPICE_CLIENTS or ~/.cache/kc2spice-clients
 #
-# Packages come from Debian bookworm and its backports (115 MB; 500 MB unpacked) and from PyPI (vajax
-# with JAX: 740 MB unpacked). On another system, or without network, it says so and ends well: the
+# Packages come from Debian bookworm and its backports (115 MB; 500 MB unpacked; Chromium where there
+# is none: 110 MB and 400 MB) and from PyPI (vajax with JAX: 740 MB unpacked). On another system, or without network, it says so and ends well: the
 # tests skip what is not there.
 set -eu
 
@@ -37,7 +37,8 @@ python_client() { # PACKAGE REQUIREMENT...
 }
 python_client InSpice InSpice numpy scipy pydantic Jinja2 # with what our netlists need
 python_client vajax vajax
-[ -e "$root/ready" ] && exit 0
+has_browser() { command -v chromium >/dev/null 2>&1 || [ -e "$root/bin/chromium" ]; }
+if [ -e "$root/ready" ] && has_browser; then exit 0; fi
 command -v apt-get >/dev/null 2>&1 || leave "no apt-get here"
 # shellcheck source=/dev/null
 codename=$(. /etc/os-release && echo "${VERSION_CODENAME:-}")
@@ -65,6 +66,29 @@ APT::Sandbox::User "";
 SETTINGS
 export APT_CONFIG="$apt/apt.conf"
 apt-get update -qq || leave "cannot reach $mirror"
+
+# Chromium with the libraries and fonts that the system lacks.
+if ! has_browser; then
+    browser=$root/chromium
+    if apt-get install -qq -y --no-install-recommends --download-only chromium >/dev/null; then
+        mkdir -p "$browser" "$root/bin"
+        for package in "$apt"/archives/*.deb; do
+            dpkg -x "$package" "$browser"
+        done
+        rm "$apt"/archives/*.deb
+        cat >"$root/bin/chromium" <<WRAPPER
+#!/bin/sh
+export LD_LIBRARY_PATH="$browser/usr/lib/x86_64-linux-gnu\${LD_LIBRARY_PATH:+:\$LD_LIBRARY_PATH}"
+export XDG_DATA_HOME="$browser/usr/share"
+[ -e /etc/fonts/fonts.conf ] || export FONTCONFIG_PATH="$browser/etc/fonts"
+exec "$browser/usr/lib/chromium/chromium" "\$@"
+WRAPPER
+        chmod +x "$root/bin/chromium"
+    else
+        say "cannot download chromium; pages will not be opened in a browser"
+    fi
+fi
+[ -e "$root/ready" ] && exit 0
 apt-get install -qq -y -t bookworm-backports --no-install-recommends --download-only \
     kicad ngspice >/dev/null || leave "cannot download the packages"
 # OpenVAF, which compiles Verilog-A for ngspice, comes with a simulator on PyPI (92 MB).
