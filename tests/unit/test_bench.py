@@ -19,7 +19,8 @@ def simulator(scene, *_, **__):
     cost = 1e-2 * order / reltol**0.5
     rest = {"caught": np.asarray(True), "noise": np.asarray(np.sin(1e9 * reltol))}
     values, waves = {"speed": np.asarray(value), **rest}, Waveforms({"time": np.arange(2)}, {})
-    return SimpleNamespace(values=values, units={}, waves=waves, cpu_s=cost, build=build)
+    return SimpleNamespace(values=values, units={}, waves=waves, cpu_s=cost, build=build,
+                           small=False)  # fmt: skip
 
 
 @pytest.fixture(autouse=True, scope="module")

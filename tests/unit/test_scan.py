@@ -242,7 +242,7 @@ MULTIPLIED = {f"{i}.lib": f".include {i + 1}.lib\n" * 2 for i in range(10)}
     [
         ({"user.lib": "V1 a 0 PWL\n.include inner.lib\n", "inner.lib": '+ file="/etc/passwd"\n'},
          "reads or writes a file"),  # a card that goes on over two files
-        ({"a.lib": ".include b.lib\n", "b.lib": ".include a.lib\n"}, "circle"),
+        ({"a.lib": ".include b.lib\n", "b.lib": ".include a.lib\n"}, "includes itself"),
         (MULTIPLIED | {"10.lib": "* end\n"}, "too many files"),
         ({"user.cir": ".include missing.lib\n"}, "cannot include this"),
         ({"user.cir": ".include .\n"}, "cannot include this"),
