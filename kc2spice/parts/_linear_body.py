@@ -27,7 +27,7 @@ from kc2spice.core.quantities import Section, Voltage
 from kc2spice.core.waveforms import Waveforms, running
 from kc2spice.netlist.cards import LEAK_RATE
 from kc2spice.parts import _pictures
-from kc2spice.parts._box import corners, varied, with_values
+from kc2spice.parts._box import PARAMETERS, corners, varied, with_values
 from kc2spice.parts._touching import Surface, Touching
 from kc2spice.rom.complex_constants import ComplexConstants
 from kc2spice.rom.linear import Certificate, LinearModel, Port
@@ -307,6 +307,11 @@ class LinearBody(Touching):
         if by_complex_constants(part):
             problem = "a netlist with parameters has viscous damping"
             raise wrong(f"{part.name}.damping.model", problem, "ieee176", "rayleigh")
+        if scene.analysis.type == "noise":
+            problem = "a netlist with parameters has no thermal noise of its losses"
+            raise wrong(
+                f"{part.name}.{PARAMETERS}", problem, ", ".join(i.key for i in keys), "none"
+            )
         if target.order is not None and "order" in target.model_fields_set and part.keys.rom.order:
             problem = "a netlist with parameters has as many states as its tolerance takes"
             raise wrong(f"{part.name}.rom.order", problem, target.order, "rom.tolerance")

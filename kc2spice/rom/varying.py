@@ -317,7 +317,10 @@ class _Modes:
         line = np.cos(np.pi * (np.arange(GRID[self.axes]) + 0.5) / GRID[self.axes])
         self.grid = np.array([np.zeros(self.axes), *product(line, repeat=self.axes)])
         points = [self.at(x) for x in self.grid]
-        while any(p.w2[self.free] < STILL * p.w2[self.free + 1] for p in points):
+        last = min(p.w2.size for p in points) - 1
+        while self.free < last and any(
+            p.w2[self.free] < STILL * p.w2[self.free + 1] for p in points
+        ):
             self.free += 1
         for p in points:
             share = np.abs(p.V.T @ p.model.B)

@@ -253,6 +253,30 @@ def test_bad_boxes_are_told_before_any_mesh(parameters, word, monkeypatch):
         kc.run(kc.load_scene(_with(parameters)))
 
 
+def test_noise_of_a_box_is_refused():
+    """Its losses would have no noise, and the sum of a noise analysis would be too small."""
+    scene = _with({KEY: ["0.11 mm", "0.13 mm"]})
+    scene["drive"] = {"part": "resistor", "resistance": "1 MOhm",
+                      "pins": {"a": "disc.anode", "b": "gnd"}}  # fmt: skip
+    scene["disc"] = {**scene["disc"], "pins": {"cathode": "gnd"}}
+    scene["analysis"] = {**BUZZER["analysis"], "type": "noise", "output": "disc.v"}
+    with pytest.raises(UsageError, match="no thermal noise") as told:
+        kc.deck(kc.load_scene(scene))
+    assert told.value.where == "disc.rom.parameters"
+
+
+def test_a_soft_mode_below_a_stiff_one_is_refused_over_a_box():
+    """Its squared frequency is 1e-8 of the next: parameters take it for a rigid-body mode."""
+
+    def full(values: dict) -> LinearModel:
+        ports = (Port("one", "mechanical"),)
+        K = np.diag([1.0, 1e8 * values["a"]])
+        return LinearModel(M=np.eye(2), K=K, B=np.ones((2, 1)), rayleigh=(0.01, 0.0), ports=ports)
+
+    with pytest.raises(UsageError, match="a body that nothing holds"):
+        over_box(full, [Axis("a", 0.9, 1.1)], (0.0, 1.0), 1e-3)
+
+
 def test_the_example_without_parameters_keeps_its_netlist(tmp_path: Path):
     assert "inside1" not in kc.deck(kc.load_scene(_with({}))).parts[0].text
 
