@@ -76,11 +76,13 @@ COARSE = {
                       "analysis.to=176"),
 }  # fmt: skip
 CASES = [n for n, entry in PUBLISHED.items() if "scene" in entry]
-SOLID = pytest.mark.slow  # three-dimensional
+LONG = ("silicon_diaphragm", "beam_pull_in", "cantilever_unbiased", "rod_on_wall", "beam_mtest",
+        "stressed_beam")  # fmt: skip
+SLOW = {n for n in CASES if n in LONG or n.startswith("piezo")}  # piezo: three-dimensional
 
 
 @pytest.mark.parametrize(
-    "name", [pytest.param(n, marks=[SOLID] if n.startswith("piezo") else []) for n in CASES]
+    "name", [pytest.param(n, marks=[pytest.mark.slow] * (n in SLOW)) for n in CASES]
 )
 def test_cases_with_complete_inputs_meet_their_targets(name, results):
     entry = PUBLISHED[name]

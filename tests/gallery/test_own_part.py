@@ -36,6 +36,7 @@ def test_the_file_and_its_closed_form_run(package):
     python(package, "trial.py", path=[package])
 
 
+@pytest.mark.slow
 def test_the_commands_know_the_installed_part(package):
     commands = [shlex.split(line)[1:] for line in "".join(blocks("sh")).splitlines()]
     typed(package, commands, path=[package])

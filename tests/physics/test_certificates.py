@@ -111,6 +111,7 @@ def test_estimate_covers_what_rounding_does_to_a_thin_free_plate():
     assert np.linalg.eigvalsh(rom.K)[0] > 0  # its electrode does not move the whole plate
 
 
+@pytest.mark.slow
 def test_cantilever_of_300_hermite_elements_says_how_good_it_is_itself():
     """Condition 1e10: less than rounding is not certified; the closed form is within the rest."""
     beta = 2 * 0.01 / 3.516

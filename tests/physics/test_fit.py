@@ -187,6 +187,7 @@ def test_keys_that_the_data_cannot_tell_apart_are_named():
     assert found["undetermined"]
 
 
+@pytest.mark.slow
 def test_the_command_writes_values_for_set_and_a_page(tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
     data = measured(BUZZER, "disc", {"layers[0].thickness": 0.105e-3}, (3e3, 8e3), 0.005, 6)

@@ -62,6 +62,7 @@ def exported(file):
     return path.read_text()
 
 
+@pytest.mark.slow
 def test_a_reduced_file_states_what_its_model_stated(tmp_path):
     """Matrices alone, and matrices of a body whose mesh has an estimate."""
     model = kc.read_model(chain(tmp_path))
@@ -124,6 +125,7 @@ def test_a_field_states_its_mesh():
     assert header.startswith(f"mesh: error estimate of the field: {force}, inductance")
 
 
+@pytest.mark.slow
 def test_a_conductor_states_its_rings():
     """Of 100 rings, against 1600; its settings show it at the key that refines them."""
     rings = {"conductor.rings": 100}
@@ -160,6 +162,7 @@ def test_a_contact_by_pressure_states_that_its_mesh_has_no_estimate():
     assert header == f"mesh: {SPACED}"
 
 
+@pytest.mark.slow
 def test_an_elastic_sphere_states_its_mesh():
     """Against cells half as large: its compliance under a patch, and its first mode."""
     body, shape = Sphere(1e-3, material("steel"), Damping(ratio=1e-3)), pressure_basis(20e-6, 2e-4)

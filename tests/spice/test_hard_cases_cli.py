@@ -166,7 +166,7 @@ def kicked(entry, name, *settings, error=launch, limit=0.0, text=KICK, **more):
     case(entry, name, "run", scene(text), settings, error=error, limit=limit, **more)
 
 
-kicked("undamped modes", "a kick", "kick.damping.ratio=0", limit=2e-2)
+kicked("undamped modes", "a kick", "kick.damping.ratio=0", limit=2e-2, slow=True)
 kicked("0.01 % damping", "0.01 %", "kick.damping.ratio=1e-4", limit=2e-2, slow=True)
 kicked("0.01 % damping", "0.1 %", "kick.damping.ratio=1e-3", limit=5e-3, slow=True)
 kicked("0.01 % damping", "1 %", limit=1e-3)

@@ -141,6 +141,7 @@ def goes_on(scene, out, undisturbed, code=0):
     return before
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(sys.platform != "linux", reason="reads /proc")
 def test_a_sweep_that_was_killed_goes_on_and_loses_nothing(undisturbed, tmp_path):
     temporary = tmp_path / "temporary"

@@ -69,6 +69,7 @@ def test_a_soft_support_is_no_free_body(ground):
     assert rom.transfer([0.0])[0, 0, 0].real * known == pytest.approx(1.0, rel=1e-6)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("dashpot", [0.0, 1e-2])
 def test_modes_that_no_port_excites_are_in_no_estimate(dashpot):
     """Equal and opposite forces on a free chain: no rigid-body motion, no symmetric modes."""
