@@ -359,8 +359,11 @@ def _shift(solid: Solid, setup: Setup) -> float:
 
 
 def _pieces(solid: Solid, setup: Setup) -> list[np.ndarray]:
-    """Nodes of each piece that is rigid by itself: elements joined through faces, rigid faces.
-    Elements with only an edge in common turn about it."""
+    """Return the nodes of each piece of the body that moves as a whole.
+
+    A piece is a rigid face, or a set of elements that are joined through common faces. Elements
+    that share only an edge can turn about it and belong to different pieces.
+    """
     first, second = solid.mesh.f2t[:, solid.mesh.f2t[1] >= 0]
     n = solid.mesh.nelements
     links = sparse.coo_array((np.ones(first.size), (first, second)), shape=(n, n))

@@ -96,8 +96,11 @@ def lowest_modes(device: Device, count: int, end: float) -> tuple[np.ndarray, np
 
 
 def _modes(device: Device, span: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Mass-normalised modes (n, q) of the projected model, their frequencies [rad/s] and damping
-    [1/s] each by itself."""
+    """Return modes of the projected model, their frequencies and their damping.
+
+    The modes (n, q) are mass-normalised. The frequencies are in rad/s. The damping [1/s] is the
+    diagonal of the modal damping matrix, so coupling of modes through damping is neglected.
+    """
     model, shift = device.model, device.shift
     solve = model.pencil.pencil_solver(-shift).solve
     V = block_arnoldi(

@@ -64,8 +64,12 @@ def _named(rows: Rows) -> Mapping[str, Matrix]:
 
 
 def _whole(rows: Rows) -> Mapping[str, Matrix]:
-    """All matrices by letter, shapes fitting; heat ``E x' + K x = B u`` is of first order. Halves
-    are mirrored if told so, never by a guess; what moves and holds a model is not zero."""
+    """Return all matrices of the model by letter, and check that their shapes fit.
+
+    Without M the model is of first order, such as heat conduction ``E x' + K x = B u``. A matrix of
+    which one triangle is stored is mirrored only if the sidecar states ``symmetric = true``.
+    Otherwise a matrix with one triangle is an error, and so is a matrix of zeros other than E.
+    """
     given = dict(rows.found)
     stiffness = given.get("K")
     structural = stiffness is not None and np.iscomplexobj(stiffness)

@@ -2,7 +2,7 @@
 
 ::
 
-    band = [0, 2e4]               # Hz: what 'reduce' certifies unless told otherwise
+    band = [0, 2e4]               # Hz: band of the certificate; --band replaces it
     length = "mm"                 # unit of the tool's displacements (m, mm, um, in); default m
     force = "N"                   # and of its forces (N, lbf)
     symmetric = true              # 'general' matrices of which one triangle is stored are halves
