@@ -18,10 +18,13 @@ INCLUDES = (".include", ".inc")
 
 @dataclass
 class Scope:
-    """A subcircuit or the top level (``name == ""``): what names in lower case mean in it.
+    """Definitions in a subcircuit or, with an empty ``name``, at the top level.
 
-    Mappings look from the inside out; their first map is what it defines itself. ``defaults`` are
-    the parameters that an instance may set, ``params`` those and its own; ``defined`` says where.
+    Names of definitions are in lower case. Each ``ChainMap`` is searched from the inside out: its
+    first map contains the definitions of this scope, the next maps those of the enclosing scopes.
+    ``defaults`` contains the parameters that an instance may set. ``params`` contains these and the
+    parameters that the subcircuit defines. ``defined`` contains the text and the card of each
+    definition.
     """
 
     name: str
