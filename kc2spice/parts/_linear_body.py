@@ -328,13 +328,13 @@ class LinearBody(Touching):
                 target.band, asked, lambda: full({item.key: item.axis.middle for item in keys})
             )
             text = f"model of {part.name} over {len(keys)} parameters"
-            with clock.stage("reduce", text) as told:
+            with clock.stage("reduce", text) as share:
                 return over_box(
                     full,
                     [item.axis for item in keys],
                     band,
                     target.tolerance or UNASKED,
-                    lambda done, of: told(done / of),
+                    lambda done, of: share(done / of),
                     target.norm or "pointwise",
                 )
 
@@ -490,7 +490,12 @@ class LinearBody(Touching):
         return result
 
     def checks(self, part: Part, build: Build, waves: Waveforms) -> Iterator[Check | Balance]:
-        """Its certified error, that the full model does not grow by itself, and what a run did."""
+        """Yield the checks of a reduced body after a run.
+
+        They are the error of the reduced model, the stability of the full model, the band and the
+        rating. After a transient, the energy balance, the band of the excitation and the charge of
+        floating electrodes follow.
+        """
         model: LinearModel = build.model(part)
         result = model.certificate
         if result is not None:

@@ -206,11 +206,13 @@ class MeshedBody(LinearBody):
                 yield Written(f"{part.name}_fields{stem}.vtu", fields)
 
     def recovered(self, part: Part, build: Build, waves: Waveforms) -> Recovered | None:
-        """What the run says of the body's inside; None where nobody asks.
+        """Return the motion inside the body during a transient.
+
+        The result is None without the key ``fields``.
 
         Raises
         ------
-        UsageError : what a port does is not recorded.
+        UsageError : the run does not record the load of a port.
         """
         if not part.keys.fields or "time" not in waves:
             return None

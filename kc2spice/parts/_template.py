@@ -84,9 +84,9 @@ class TemplatePart(PartType):
         params: tuple[Param, ...],
         values: Mapping[str, Any] = _NOTHING,
     ) -> Subcircuit:
-        """Its library under this name."""
-        told = {"rating": self.rating, "validity": self.validity}
-        words: dict[str, Any] = {**told, **self.constants, **values}
+        """Return its library as a subcircuit with this name."""
+        limits = {"rating": self.rating, "validity": self.validity}
+        words: dict[str, Any] = {**limits, **self.constants, **values}
         made = library(self.template, header, name, self.heading, self.fixed, params, **words)
         if not self.opamp:
             return made
@@ -132,8 +132,8 @@ def opamp_subcircuit(
     ohm = math.sqrt(4 * BOLTZMANN * TEMPERATURE)
     result = (noise.noise_voltage, noise.noise_current) if noise else (None, None)
     volts, amperes = (item / ohm if item else None for item in result)
-    told: dict[str, Any] = {"rating": rating, "volts": volts, "amperes": amperes}
-    return library("opamp_slew", header, "opamp_slew", title, pins, params + limits, **told)
+    words: dict[str, Any] = {"rating": rating, "volts": volts, "amperes": amperes}
+    return library("opamp_slew", header, "opamp_slew", title, pins, params + limits, **words)
 
 
 SLACK = 1e-3  # of the span or the current: rails give by millivolts, saved points have reltol

@@ -1,8 +1,9 @@
-"""A controller that is a Python function: sampled inputs, an output held in between.
+"""A controller that is a Python function of sampled inputs.
 
-The function stands in a file beside the scene, which only runs when it is trusted, or is handed
-over in Python (``kc.run(scene, functions={"NAME": function})``). A run that is repeated with other
-settings reads the file anew; a function that was handed over is asked at time 0 again.
+Its output is constant between the samples. The function is defined in a file beside the scene,
+which runs only with ``--trust``. In Python it can be passed instead: ``kc.run(scene,
+functions={"NAME": function})``. A run that is repeated with other settings reads the file again. A
+passed function is called again from time 0 on.
 """
 
 from __future__ import annotations

@@ -71,7 +71,10 @@ elastic = true
             yield owner.wrong("elastic.damping.model", "a sphere rings viscously", got, expected)
 
     def surface(self, part: Part, scene: Scene, ports: tuple[str, ...] = ()) -> Surface | None:
-        """None by itself: its sphere is touched, and carries the patch that a contact names."""
+        """Return the patch on its sphere that a contact names as port; otherwise None.
+
+        A contact touches the sphere, so this part has no other surface.
+        """
         if ports != (PATCH,):
             return None
 

@@ -297,9 +297,9 @@ class MovingConductor(DeclaredPart):
         sources = (*SOURCES, type(self).__module__)
         try:
             return cached(self.name, key, build, classes=(Ladder,), sources=sources)
-        except UsageError as error:  # of its range of heights
-            told = str(error.message), error.got, error.expected, error.hint
-            raise part.wrong("y_max", *told) from None
+        except UsageError as error:  # the range of heights is the cause
+            details = str(error.message), error.got, error.expected, error.hint
+            raise part.wrong("y_max", *details) from None
 
     def metrics(self, part: Part, build: Build, waves: Waveforms) -> Mapping[str, Any]:
         """Heights and times at which it turns back, see :func:`turns`."""

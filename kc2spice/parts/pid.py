@@ -1,5 +1,4 @@
-"""PID controller of the sphere's height: its law, as it stands or of operational amplifiers (paper
-2.4)."""
+"""PID controller of the sphere's height: ideal equations or op-amps (paper 2.4)."""
 
 from __future__ import annotations
 
@@ -324,9 +323,9 @@ def _coils(part: Part, scene: Scene) -> Part:
 
 
 def _remote(part: Part, scene: Scene) -> bool:
-    """Whether another circuit drives the coils, so that it ends at ``command``."""
-    told = scene.named(part.name, "command") or "command" in part.pins
-    return told or bool(_coils(part, scene).keys.driver)
+    """Whether the output is the pin ``command`` for another circuit with the coils."""
+    joined = scene.named(part.name, "command") or "command" in part.pins
+    return joined or bool(_coils(part, scene).keys.driver)
 
 
 def tail_mean(t: np.ndarray, values: np.ndarray) -> float:

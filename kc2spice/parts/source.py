@@ -204,10 +204,10 @@ class Source(PartType):
     def law(self, part: Part, build: Build) -> laws.Equations:
         n, keys = part.name, part.keys
         wave = part.keys.waveform(build.scene.home)
-        told = keys.kind == "voltage" and _unloaded(part, build)
+        unloaded = keys.kind == "voltage" and _unloaded(part, build)
         ac = quantity(keys.ac, keys.unit)
-        law = laws.Source(n, "signal" if told else keys.kind, wave, complex(ac))
-        signal = told or keys.kind == "acceleration"
+        law = laws.Source(n, "signal" if unloaded else keys.kind, wave, complex(ac))
+        signal = unloaded or keys.kind == "acceleration"
         pins = (("out", f"{n}.out"),) if signal else (("out", f"{n}.out"), ("ret", f"{n}.ret"))
         across = f"{n}.{KINDS[keys.kind].across[0]}"
         results = {across: laws.reading(f"{n}.out")}
