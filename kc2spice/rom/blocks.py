@@ -92,8 +92,12 @@ def _between_poles(A: np.ndarray) -> np.ndarray:
 
 
 def _looped(model: LinearModel) -> BlockModel | None:
-    """A first-order model as it stands where E is one or nothing on the diagonal and its states are
-    in small blocks: algebraic equations stay equations."""
+    """Return the blocks of a first-order model without a change of its states.
+
+    The result is None for models of other forms. E must be diagonal, with ones before zeros, and
+    the states must form small blocks. The rows where E is zero are algebraic equations and remain
+    in the result.
+    """
     if not model.first_order or model.E is None:
         return None
     rest, E = model.pencil.dense().coefficients

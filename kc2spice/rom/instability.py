@@ -1,17 +1,18 @@
-"""Whether a large model is unstable, from few factorisations: before hours are spent on it.
+"""Test with few factorisations whether a large model is unstable.
 
-All poles of a large model are out of reach, but one that grows proves that it is unstable.
+All poles of a large model take too long to compute, but one growing pole proves instability.
 
-* A symmetric model of definite mass with a motion x of negative energy ``x'Kx``: ``s^2 M + s E +
-  K`` is indefinite at rest and definite for large real s, so it is singular at some s > 0 in
-  between.
-* Otherwise the Cayley transform ``(A + c E) (A - c E)^-1`` of the linear pencil, which maps poles
-  that grow to outside of the unit circle: largest eigenvalues of a matrix of which one real
-  factorisation is needed (Y. Saad, Numerical Methods for Large Eigenvalue Problems, 2011, 8.1). c
-  is the end of the band, then the rate of a typical unknown by itself.
+* A symmetric model of definite mass is unstable if a motion x has negative energy ``x'Kx``. Then
+  ``s^2 M + s E + K`` is indefinite at s = 0 and definite for large real s. It is singular at some
+  s > 0 in between, which is a growing pole.
+* For other models, the Cayley transform ``(A + c E) (A - c E)^-1`` of the linear pencil maps
+  growing poles to the outside of the unit circle. Its largest eigenvalues need one real
+  factorisation (Y. Saad, Numerical Methods for Large Eigenvalue Problems, 2011, 8.1). The first c
+  is the end of the band. The second is the median rate of single unknowns, from the diagonals of
+  the matrices.
 
-A model of which nothing is found may still be unstable, with growth of less than about a hundredth
-of a pole's size.
+Without such a finding a model may still be unstable, with growth of less than about a hundredth of
+a pole's size.
 """
 
 from __future__ import annotations

@@ -520,8 +520,8 @@ def with_potentials(
 
     becomes ``M u'' + E u' + K u = B f + b V``, ``y = [B' u; b' u + C0 V]`` with
     ``K = K_uu + K_up K_pp^-1 K_up'``, ``b = K_up K_pp^-1 k_pV - k_uV`` and
-    ``C0 = c_VV - k_pV' K_pp^-1 k_pV``. Projecting ``[u; p]`` as it stands would be an indefinite
-    problem whose reduced models can be unstable (cf. paper 2.3, references 47 to 49).
+    ``C0 = c_VV - k_pV' K_pp^-1 k_pV``. A projection of ``[u; p]`` without this elimination is an
+    indefinite problem, whose reduced models can be unstable (cf. paper 2.3, references 47 to 49).
 
     Parameters
     ----------

@@ -437,8 +437,10 @@ def _options(samples: Samples, elements: Elements) -> Iterable[list[Element]]:
 
 
 def _peaks(samples: Samples, elements: Elements) -> list[float]:
-    """Angular frequencies where the conductance that ``elements`` leave is largest: by itself,
-    relative to |Y|, and where the deviation is largest."""
+    """Return up to three angular frequencies [rad/s] where ``elements`` fit worst.
+
+    There the missing conductance, its ratio to abs(Y), or the deviation is largest.
+    """
     left = samples.deviation(elements)
     missing = -(left * samples.Y).real
     at = (missing, missing / np.abs(samples.Y), np.abs(left))

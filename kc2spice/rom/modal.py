@@ -303,16 +303,18 @@ _BLOCK = 4096  # steps whose propagators are in memory at a time
 def chip_response(
     model: Resonators, t: np.ndarray, load: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Outputs (n, ports) in m and C and stored energy (n,) [J] by a ``load`` (n, ports; N into the
-    chip and V), linear between the times ``t`` (n,).
+    """Return the outputs of a chip and its stored energy under a given load.
+
+    The ``load`` (n, ports) is in N into the chip and in V, and is linear between the times ``t``
+    (n,). The outputs (n, ports) are in m and C, the stored energy (n,) is in J.
 
     Each mode ``z'' + d z' + w^2 z = r`` is split by its roots a, b into two states
 
         x' = a x + r,    x(t + h) = e^(ah) x + h p1(ah) r + h p2(ah) (r(t + h) - r)
 
     with ``p1 = (e^s - 1)/s`` and ``p2 = (e^s - 1 - s)/s^2``; then ``z = (x_a - x_b)/(a - b)``.
-    Exact for such loads whatever the step. A state without inertia is one such state by itself.
-    The chip starts in equilibrium with ``load[0]``.
+    The formulas are exact for such loads at any step. A mode without inertia is a single state of
+    this form. The chip starts in equilibrium with ``load[0]``.
     """
     drive, heavy = load @ model.gain.T, model.order - model.massless
     z = np.empty_like(drive)
@@ -482,8 +484,8 @@ def lossy(model: Resonators, tangent: float) -> Resonators:
     )
     clamped = model.D.copy()
     clamped[np.ix_(electrical, electrical)] = amplitude[0] * D
-    told = f"{known.method}; a loss tangent of {tangent:g} at 1 kHz by {used.sum()} relaxations "
-    told += f"within {off:.1e} of a constant one"
+    method = f"{known.method}; a loss tangent of {tangent:g} at 1 kHz by {used.sum()} relaxations "
+    method += f"within {off:.1e} of a constant one"
     return replace(
         model,
         omega=np.r_[model.omega, omega],
@@ -491,5 +493,5 @@ def lossy(model: Resonators, tangent: float) -> Resonators:
         gain=np.vstack([model.gain, gain]),
         D=clamped,
         massless=model.massless + len(omega),
-        certificate=replace(known, error_estimate=known.error_estimate + off, method=told),
+        certificate=replace(known, error_estimate=known.error_estimate + off, method=method),
     )

@@ -75,14 +75,14 @@ def multi_port(f: np.ndarray, Y: np.ndarray, noise: float, where: str) -> Linear
     worst = np.unravel_index(int(deviation.argmax()), deviation.shape)
     error, at = float(deviation[worst]), float(f[worst[0]])
     rms = float(np.sqrt(np.mean(deviation**2)))
-    told = (
+    method = (
         f"{model.order - 2 * Y.shape[1]} states fitted to {len(f)} samples: largest deviation "
         f"{error:.2g} of an entry's peak (Y{worst[1] + 1}{worst[2] + 1} at {at:.6g} Hz), rms "
         f"{rms:.2g}, noise of the samples {np.sqrt(2) * noise:.2g}; passive at all frequencies, "
         "measured in the band alone"
     )
     band = float(f[0]), float(f[-1])
-    certificate = Certificate(band, error, told, True, True, norm="peak")
+    certificate = Certificate(band, error, method, True, True, norm="peak")
     return replace(model, certificate=certificate)
 
 

@@ -1,11 +1,11 @@
-"""A linear model whose matrices depend on parameters, reduced once for a whole box of them.
+"""Reduction of a model whose matrices depend on parameters, for their ranges.
 
-One basis V spans the modes and the static answers of full models at samples of the box, so that
-``V'M V``, ``V'K V``, ``V'B`` and D are smooth functions of the parameters: products of Chebyshev
-polynomials of their logarithms, exact at the samples. The projection keeps definiteness and needs
-no modes to be told apart: they may cross or repel each other inside of the box. The mesh has to
-move with the parameters and keep its topology. Parameters that scale the damping alone are exact
-and take no samples.
+One basis V spans the modes and the static responses of full models at samples of the parameters.
+``V'M V``, ``V'K V``, ``V'B`` and D are then smooth functions of the parameters: products of
+Chebyshev polynomials of their logarithms, exact at the samples. The projection keeps definiteness.
+It tracks no single mode, so modes may cross or repel each other inside the parameter ranges. The
+mesh has to move with the parameters and keep its topology. Parameters that scale the damping alone
+are exact and take no samples.
 (P. Benner, S. Gugercin, K. Willcox, SIAM Review 57 (2015) 483, section 4: a global basis.)
 """
 
@@ -160,10 +160,11 @@ def parametric(
     degree: int | None = None,
     progress: Callable[[int, int], None] = lambda done, of: None,
 ) -> Parametric:
-    """The models ``full(values)`` over the box of ``axes``, good up to the end of ``band`` [Hz].
+    """Reduce the models ``full(values)`` over the parameter ranges ``axes``.
 
-    ``degree`` is the total degree of the polynomials. ``progress`` is told how many full models of
-    how many were computed.
+    The result is accurate up to the end of ``band`` [Hz]. ``degree`` is the total degree of the
+    polynomials. The function ``progress`` is called with the number of full models that were
+    computed, and with the number that are needed.
 
     Raises
     ------

@@ -1,6 +1,6 @@
 """Reduction of any linear model: a tolerance (or an order) and a band in, a certified model out.
 
-The band, when nobody names one, ends at the fifth lowest natural frequency.
+By default the band ends a little above the fifth lowest natural frequency.
 
 Two stages. A *subspace model* that is far more accurate than asked comes first: all of a model of
 up to a thousand unknowns or so, else block Krylov vectors (symmetric definite models: at zero,
@@ -227,20 +227,25 @@ def reduce(
     norm: Norm = "pointwise",
     contact: bool = False,
 ) -> LinearModel:
-    """The smallest model found within ``tolerance`` over ``band`` [Hz], or the one of ``order``.
+    """Return the smallest model found within ``tolerance``, or the one of ``order``.
 
-    The result has the same ports, and a certificate of its error in ``model``, in the ``norm`` of
-    :class:`Certificate`. Models whose ports are signals are reduced by balanced truncation too, to
-    first order, where that needs fewer states and no passive resonators are lost. An order of a
-    symmetric positive definite model is the paper's reduction (2.3): block Arnoldi at s0 = 0.
-    Structural damping becomes viscous damping of each mode, and relaxations where these come much
-    nearer; the difference is in the error estimate, with a warning where that exceeds the
-    tolerance. A symmetric model of real poles only
-    loses its inertia where that changes nothing and saves states.
-    Contact excites a body above any band: ``contact`` keeps some of it, a third more states.
-    Without a band it is the model's own, else up to a little above the fifth natural frequency.
-    Where rounding of the full model's entries moves its response by more than ``tolerance``, the
-    certificate holds that too, and a warning says so.
+    The result has the ports of ``model``. Its certificate states the error over ``band`` [Hz], in
+    the ``norm`` of :class:`Certificate`. The default of ``band`` is the model's own band. Without
+    such a band, it ends a little above the fifth natural frequency.
+
+    * An ``order`` of a symmetric positive definite model selects the paper's reduction (2.3): block
+      Arnoldi at s0 = 0.
+    * Models whose ports are signals are also reduced by balanced truncation, to first order. That
+      result is used if it has fewer states and no passive resonators are lost.
+    * Structural damping becomes viscous damping of each mode, or relaxations if these are much more
+      accurate. The error estimate includes the difference. The function warns if the difference
+      exceeds the tolerance.
+    * A symmetric model with only real poles loses its inertia if that saves states and changes
+      nothing.
+    * A contact excites a body above any band. With ``contact``, a third more states represent a
+      part of that response.
+    * Rounding of the full model's entries may change its response by more than ``tolerance``. The
+      error estimate then includes this change, and the function warns.
 
     Raises
     ------

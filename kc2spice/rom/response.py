@@ -265,7 +265,8 @@ def _decoupled(pencil: Pencil) -> Modes | None:
         return T, T.T, ends
     damping = T.T @ pencil.coefficients[1] @ T
     diagonal = np.diag(damping).copy()
-    # of both modes' own: one without damping is coupled by any, and solved as it stands
+    # Relative to the damping of both modes. Any coupling to an undamped mode is above this limit,
+    # and the equations are then solved without decoupling.
     limit = COUPLING * np.sqrt(np.abs(np.outer(diagonal, diagonal)))
     if (np.abs(damping - np.diag(diagonal)) > limit).any():
         return None

@@ -122,18 +122,24 @@ def _without_energy(K: np.ndarray, X: np.ndarray, rounding: np.ndarray | None) -
 
 
 def energy_rounding(P: Matrix, V: np.ndarray) -> np.ndarray:
-    """What rounding of each entry of P, by itself and at random, makes of ``V'PV`` (k, k):
-    ``eps (sum_ij v_ik^2 P_ij^2 v_jl^2)^(1/2)``."""
+    """Return the errors of ``V'PV`` (k, k) from random rounding of the entries of P.
+
+    The rounding errors of the entries are independent, so the squares of their effects add:
+    ``eps (sum_ij v_ik^2 P_ij^2 v_jl^2)^(1/2)``.
+    """
     squares = V**2
     return np.asarray(np.finfo(float).eps * np.sqrt(squares.T @ (magnitudes(P) ** 2 @ squares)))
 
 
 def hidden_support(pencil: Pencil, X: np.ndarray, low: float) -> float:
-    """Frequency [Hz] up to which a support of the free motions X (n, motions) may resonate without
-    showing: rounding of the entries of K at random is as stiff. Zero without such motions.
+    """Return the frequency [Hz] below which rounding hides the resonance of a support.
 
-    An energy that exceeds this rounding, though not by so much that it is known, is a support that
-    is left out, and a warning says so unless the band starts ``low`` [Hz] far above its resonance.
+    A support of the rigid-body motions X (n, motions) is hidden if it is no stiffer than the
+    random rounding errors of K. The frequency is zero without such motions.
+
+    The reduced model leaves out the stiffness of X. If it exceeds the rounding errors somewhat, X
+    has a support of inaccurate stiffness. The function then warns, unless the band starts at
+    ``low`` [Hz], far above the resonance of that support.
     """
     K, M = pencil.coefficients[0], pencil.coefficients[-1]
     if pencil.degree != 2 or isinstance(K, Schur) or not X.size or not pencil.symmetric:

@@ -208,7 +208,7 @@ def _sampled(full: Pencil, band: tuple[float, float], target: float, limit: floa
     response = Response(model)
     at, ratio = response.within(band)
     at = at * (1 + FLANK * (ratio < SHARPEST)) if at.size else np.array(band)
-    proof += "solutions" + _told(at, uncertainty(full, at), 2 * limit)
+    proof += "solutions" + _uncertainty_note(at, uncertainty(full, at), 2 * limit)
     return Subspace(response, max(recent), True, proof)
 
 
@@ -300,7 +300,7 @@ UNCERTAIN = 1e-9  # a response of less uncertainty needs no word
 # Unknowns of decoupled models, states of others up to which nothing is sampled, and states of
 # those that so many samples do not settle: many resonances.
 WHOLE_DECOUPLED, WHOLE, DENSE = 1300, 600, 2000
-DIRECT = 150  # unknowns up to which every frequency may be solved by itself
+DIRECT = 150  # unknowns up to which one linear system per frequency may be solved
 # K x = B solved to less than this of B: the model is free to move at zero frequency.
 SINGULAR = 1e-6
 # Krylov blocks at zero and at each other point before their gain is judged; less gain calls for a
@@ -422,9 +422,13 @@ def _is_free(K: Matrix, y: np.ndarray, load: np.ndarray) -> bool:
 # ------------------------------------------------------------------------------ small models
 
 
-def _told(at: np.ndarray, size: np.ndarray, tolerance: float) -> str:
-    """What the last digits of a given model mean for its response, for the certificate; said as a
-    warning too where that is more than the tolerance."""
+def _uncertainty_note(at: np.ndarray, size: np.ndarray, tolerance: float) -> str:
+    """Return a text on how much rounding of the given matrices changes the response.
+
+    The certificate contains this text. ``size`` is the relative change at the frequencies ``at``
+    [Hz]. The text is empty for a negligible change. A change above ``tolerance`` is also printed as
+    a warning.
+    """
     worst = int(size.argmax())
     text = f"its own response is uncertain to {size[worst]:.1e} at {at[worst]:.5g} Hz"
     if size[worst] > tolerance:
@@ -460,7 +464,7 @@ def _whole(
         return None
     error, floor, rounded = _solution_error(response, band), 0.0, 0.0
     at, ratio = response.visible(band)
-    told = ""
+    note = ""
     if at.size:
         looked = np.union1d(np.argsort(at)[:SHARP], np.argsort(ratio)[:SHARP])
         at = at[looked] * (1 + FLANK * (ratio[looked] < SHARPEST))
@@ -472,7 +476,7 @@ def _whole(
         size = uncertainty(given, at, states, dual, response.zero)
         rounded = SPREAD * float(size.max())
         if T is not None:
-            told = _told(at, size, 2 * limit)
+            note = _uncertainty_note(at, size, 2 * limit)
         # products and solutions round its entries
         if T is None or full.free or full.size < given.size:
             floor = rounded
@@ -483,7 +487,7 @@ def _whole(
             limit,
             "ask for a looser tolerance; other units or fewer elements may help",
         )
-    proof = f"being all of the full model, solved to {error:.0e}{told}"
+    proof = f"being all of the full model, solved to {error:.0e}{note}"
     error = min(error, limit)  # what exceeds it is rounding of the given matrices
     if projected is not None:
         floor = max(floor, _taken_out(projected, full, band))
@@ -635,10 +639,12 @@ def _rational(
 def _with_rounding(
     pencil: Pencil, V: np.ndarray, band: tuple[float, float], found: Subspace
 ) -> Subspace:
-    """With what rounding of the full model's own entries makes of its resonances as ``floor``.
+    """Return ``found`` with the effect of rounding on the resonances as its ``floor``.
 
-    The model is rounded anew in other units of its unknowns, which leave its response as it is, and
-    projected on the same directions: thin bodies answer with the small difference of large forces.
+    Other units of the unknowns do not change the exact response, but they round the entries of the
+    full model differently. The model in other units is projected on the same directions, and the
+    floor follows from the change of the response. Thin bodies are sensitive, because their elastic
+    forces are small differences of large forces.
     """
     exact = found.response
     at, ratio = exact.visible(band)
@@ -782,8 +788,11 @@ class _Search:
 
     @property
     def modal(self) -> np.ndarray:
-        """The basis turned into the modes of its projection, which makes them small differences of
-        few large numbers: what is projected on them anew keeps the digits of thin bodies."""
+        """Basis of the same subspace whose columns are the modes of the projected model.
+
+        Projected matrices of thin bodies are small differences of large numbers. A projection on
+        these columns has fewer such differences, and therefore smaller rounding errors.
+        """
         return self.basis @ self.turn
 
 

@@ -147,7 +147,7 @@ def over_box(
     """
     facts: list[tuple[dict[str, float], Mapping[str, float]]] = []
 
-    def told(values: Values) -> LinearModel:
+    def compute_full(values: Values) -> LinearModel:
         model = full(values)
         facts.append((dict(values), model.facts))
         if model.rayleigh is None:
@@ -158,7 +158,7 @@ def over_box(
             )
         return model
 
-    result, error = _certified(told, axes, band, tolerance, progress, norm)
+    result, error = _certified(compute_full, axes, band, tolerance, progress, norm)
     form = structure(result.at(_values(result.box, np.zeros(len(axes)))).pencil.dense(), band)
     certificate = Certificate(
         band_hz=band,
