@@ -110,7 +110,10 @@ class _Plane:
             self.points[label] = _Point(place, settings, run, errors, [run.cpu_s])
 
     def alone(self, axis: Axis, notch: float) -> Errors:
-        """What one value of an axis does by itself, never less than a finer one does."""
+        """Return the errors that one value of an axis causes while the others stay.
+
+        A value has at least the errors of every finer value.
+        """
         if (axis.name, notch) not in self.known:
             finer = next((n for n in NOTCHES if n > notch), None)
             result = dict.fromkeys(self.names, 0.0) if finer is None else self.alone(axis, finer)

@@ -82,11 +82,11 @@ def make_deck(build: Build) -> Deck:
     watts = meters.powers(build, results)
     meters.require_probed(build)
     parts = tuple(_libraries(build, header))
-    told = "".join(f"\n{line}" for line in _reductions(parts))
+    reductions = "".join(f"\n{line}" for line in _reductions(parts))
     made = Deck(
         name=scene.name,
         title=f"{scene.name}: {scene.title}",
-        notes=f"{notes}{told}{_step_line(build)}",
+        notes=f"{notes}{reductions}{_step_line(build)}",
         parts=parts,
         blocks=tuple(_blocks(build, loose)),
         options=tuple(_options(build)),
@@ -115,8 +115,8 @@ def _reductions(parts: Iterable[Subcircuit]) -> Iterator[str]:
     """Order, band and error of every reduced model, in the words of its library."""
     for part in parts:
         head = (line for item in part.circuit.items for line in item.notes)
-        told = (line[2:].partition(" (")[0] for line in head if line.startswith("* rom: "))
-        yield from (f"* {part.name}, {line}" for line in told)
+        lines = (line[2:].partition(" (")[0] for line in head if line.startswith("* rom: "))
+        yield from (f"* {part.name}, {line}" for line in lines)
 
 
 def _libraries(build: Build, header: Header) -> Iterator[Subcircuit]:
@@ -286,25 +286,28 @@ def edited_deck(build: Build, own: Deck, path: Path) -> tuple[Deck, Build]:
 
 
 def _judged_by(build: Build, own: Deck, edited: Deck, path: Path) -> Build:
-    """``build`` with the parameters that parts have in the ``edited`` deck; those that its keys
-    cannot tell are not judged, which is a warning."""
+    """Return ``build`` with the parameter values of the ``edited`` deck.
+
+    A part is not checked if its keys cannot express its cards in the edited deck. Prints a warning
+    that lists these parts.
+    """
     edits, parts = _edits(own, edited), dict(build.scene.parts)
-    told = {name: why for name, why in edits.items() if name in parts}
+    reasons = {name: why for name, why in edits.items() if name in parts}
     for name, part in build.scene.parts.items():
         before, now = (instance(deck.scope, f"x{name}") for deck in (own, edited))
-        if before is None or now is None or name in told:
+        if before is None or now is None or name in reasons:
             continue
         if before.cards != now.cards:
-            told[name] = f"its subcircuit {now.library.name} has other cards"
+            reasons[name] = f"its subcircuit {now.library.name} has other cards"
         for key, old, new in changed(before, now):
             other = with_value(parts[name], key, old, new)
             if other is None:
-                told[name] = f"none of its keys is the parameter {key} of {now.library.name}"
+                reasons[name] = f"none of its keys is the parameter {key} of {now.library.name}"
             parts[name] = other or part
-    if told:
-        lines = "; ".join(f"{name}: {why}" for name, why in told.items())
+    if reasons:
+        lines = "; ".join(f"{name}: {why}" for name, why in reasons.items())
         warnings.warn(f"{path}: parts without checks and energy balance: {lines}", stacklevel=2)
-    unjudged = build.unjudged | edits.keys() | told.keys()
+    unjudged = build.unjudged | edits.keys() | reasons.keys()
     return replace(build, scene=replace(build.scene, parts=parts), unjudged=frozenset(unjudged))
 
 
@@ -389,7 +392,7 @@ def _require_results(own: Deck, text: str, path: Path) -> None:
 
 
 def _tell_options(own: Deck, cards: Iterable[Statement], path: Path) -> None:
-    """Warn of options that decide the accuracy and are not those of the scene's own deck."""
+    """Warn of accuracy options that differ from those of the scene's own deck."""
     before, now = {o.key: o.value for o in own.options if o.key not in HARMLESS}, accuracy(cards)
     pairs = {key: (before.get(key), now.get(key)) for key in [*before, *now]}
 
@@ -403,8 +406,9 @@ def _tell_options(own: Deck, cards: Iterable[Statement], path: Path) -> None:
         if value(a) != value(b)
     ]
     if changed:
-        told = ", ".join(changed)
-        warnings.warn(f"{path}: options are not the scene's, in brackets: {told}", stacklevel=2)
+        options = ", ".join(changed)
+        problem = "options differ from those of the scene, which are in brackets"
+        warnings.warn(f"{path}: {problem}: {options}", stacklevel=2)
 
 
 def spare_other_decks(out: Path, files: Mapping[str, str]) -> None:

@@ -136,10 +136,10 @@ def _varied(
     ends = dict(vary) if isinstance(vary, Mapping) else dict.fromkeys(vary)
     result = []
     for text, span in ends.items():
-        key, _, told = text.partition("=")
+        key, _, limits = text.partition("=")
         value, unit = number_of(scene.part(part, where=part), key, key)
         factor = LOSSES if _LOSSY.search(key) else SPREAD
-        span = (_range(key, told) if told else span) or (value / factor, value * factor)
+        span = (_range(key, limits) if limits else span) or (value / factor, value * factor)
         result.append(ranged(key, unit, value, span))
     names = [item.key for item in result]
     if len(set(names)) < len(names):

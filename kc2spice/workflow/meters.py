@@ -127,9 +127,11 @@ def checks(waves: Waveforms) -> Iterator[Check]:
         even = f.size - (f.size + 1) % 2
         f, density = f[:even], waves[WAVE][:even]
         off = abs(_rms(f[::2], density[::2]) / (_rms(f, density) or 1.0) - 1.0)
-        told = "a resonance lies between the frequencies: raise analysis.points, or narrow the band"
+        advice = (
+            "a resonance lies between the frequencies: raise analysis.points, or narrow the band"
+        )
         yield Check(
-            "noise against every second frequency", off, RESOLVED, "of its rms", told, "warn"
+            "noise against every second frequency", off, RESOLVED, "of its rms", advice, "warn"
         )
 
 

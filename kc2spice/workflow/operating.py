@@ -49,8 +49,8 @@ def operating_point(build: Build, deck: Deck) -> OperatingPoint:
         with TemporaryDirectory() as folder:
             point: Waveforms = run_deck(own, Path(folder))
     except (SimulationError, UsageError) as error:
-        told = f"the operating point of {scene.name} is not known: {error.message}"
-        warnings.warn(told, stacklevel=2)
+        message = f"the operating point of {scene.name} is not known: {error.message}"
+        warnings.warn(message, stacklevel=2)
         return OperatingPoint()
     values = {name: float(point[name][-1]) for name in own.units if name in point}
     rows = (p.type.standing(p, build, point) for p in parts)

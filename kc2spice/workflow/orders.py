@@ -70,15 +70,16 @@ def with_larger_orders(run: Run, work: Path, clock: Clock) -> Run:
             with clock.stage("simulate", "with more states") as share:
                 result = simulate(again, deck, Path(folder), progress=share)
         except (SimulationError, UsageError) as error:
-            told = f"the run with more states failed ({error.message}); the first run is the result"
-            warnings.warn(told, stacklevel=3)
+            message = f"the run with more states failed: {error.message}; "
+            message += "the result is that of the first run"
+            warnings.warn(message, stacklevel=3)
             return run
         names = [item.part for item in chosen]
         before, after = _largest_error(run, names), _largest_error(result, names)
         if after >= before:
-            told = f"the run with more states has an error of {after:.2%} under its own loads, not "
-            told += f"less than {before:.2%}; the first run is the result"
-            warnings.warn(told, stacklevel=3)
+            message = f"the run with more states has an error of {after:.2%} under its own loads, "
+            message += f"not less than {before:.2%}; the result is that of the first run"
+            warnings.warn(message, stacklevel=3)
             return run
         copytree(folder, work, dirs_exist_ok=True)
     return result

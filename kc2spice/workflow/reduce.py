@@ -61,10 +61,11 @@ def reduce(
 ) -> dict[str, Any]:
     """Reduce the model at ``path`` and write ``NAME_rom.npz``, ``NAME_rom.M`` ... into ``out``.
 
-    The band is the one given, else that of ``NAME.toml`` or of the scene, else up to the fifth
-    natural frequency.
+    The default of ``band`` is the band in ``NAME.toml`` or in the scene. Without these, the band
+    ends a little above the fifth natural frequency.
     Without tolerance and order, the tolerance is 1e-4.
-    ``norm`` is 'pointwise' or 'peak', for models whose ports are all signals unless told.
+    ``norm`` is 'pointwise' or 'peak'. The default is 'peak' for models whose ports are all
+    signals, and 'pointwise' for all others.
     ``SCENE:PART`` instead of a path is the full model of a scene's body. A measured response
     (``.s1p``, ``.s2p``, ``.ts``, ``.csv``, ``.txt``, ``.tsv``, ``.mat``) becomes the passive
     circuit of :func:`kc2spice.rom.measured.one_port`, or of
@@ -82,8 +83,8 @@ def reduce(
     GateMissedError : the circuit of the reduced model misses it; nothing was written.
     """
     if is_measured(Path(path)):
-        told = {"--band": band, "--tolerance": tolerance, "--order": order, "--norm": norm}
-        return _reduce_measured(Path(path), out, told, dc, progress)
+        options = {"--band": band, "--tolerance": tolerance, "--order": order, "--norm": norm}
+        return _reduce_measured(Path(path), out, options, dc, progress)
     if dc is not None:
         expected = "a measured impedance; matrices determine their response at zero frequency"
         raise UsageError("is for measurements", where="--dc", got=dc, expected=expected)
@@ -152,13 +153,13 @@ def _require_stable_full(model: LinearModel, band: tuple[float, float] | None) -
 def _reduce_measured(
     path: Path,
     out: Path | None,
-    told: dict[str, Any],
+    options: dict[str, Any],
     dc: str | float | None,
     progress: Progress,
 ) -> dict[str, Any]:
     """A measured part as the passive circuit that comes nearest: parallel branches of one port
     where they do, else poles of any kind."""
-    for option, value in told.items():
+    for option, value in options.items():
         if value is not None:
             expected = "nothing: noise decides the order of a measured response, its file the band"
             raise UsageError("is not for measurements", where=option, got=value, expected=expected)

@@ -155,12 +155,13 @@ def time_again(run: Run) -> float:
 
 
 def changes(run: Run, finer: Run) -> dict[str, float]:
-    """Relative change of every metric that ``finer`` has, infinite where ``run`` has none like it.
+    """Return the relative change of every metric of ``finer``.
 
-    That of a curve is relative to its largest value, that of a small number to :data:`NEAR_ZERO` of
-    the largest one with the same unit in the metrics' records; one without a unit is by itself, and
-    so are those of a response to small signals, above :data:`ROUNDING`. A curve over other points
-    is interpolated to those of ``run``.
+    The change of a curve is relative to its largest value. The change of a number is relative to
+    the number itself, but at least to a share of the largest metric with the same unit. The share
+    is :data:`NEAR_ZERO`, or :data:`ROUNDING` for responses to small signals. Metrics without a unit
+    have no such lower limit. A curve over other points is interpolated to those of ``run``.
+    The change is infinite if ``run`` has no comparable metric.
     """
     share = ROUNDING if run.small else NEAR_ZERO
     exact = {name: v.astype(float) for name, v in finer.values.items() if v.size}
@@ -283,9 +284,9 @@ def converge(own: Run, clock: Clock) -> Converged | None:
             break
         notches = moved
     taken = tried[-1] if tried else Estimate({}, {}, own)
-    told = f"raise error_budget, or {other} ({why})" if why else "raise it"
+    advice = f"raise error_budget, or {other} ({why})" if why else "raise it"
     worst = max(taken.errors, key=lambda name: taken.errors[name], default="its metrics")
-    check = Check(f"error of {worst}", taken.error, limit, "relative, estimated", told, action)
+    check = Check(f"error of {worst}", taken.error, limit, "relative, estimated", advice, action)
     return Converged(taken, check, tried, shares, runs.limits)
 
 

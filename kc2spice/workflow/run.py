@@ -127,14 +127,15 @@ def complete(
 ) -> Completed:
     """Build, reduce, export and simulate ``scene`` in the directory ``work``.
 
-    ``functions`` are those of controllers, by part; ``out`` is where the result will be, beside
-    which a failed run is kept.
+    ``functions`` are the functions of controllers, by part. ``out`` is the directory of the result;
+    the files of a failed run are kept beside it.
 
-    Where the scene leaves a key to us and what we took for it proves too little, such as the rings
-    that a contact needs, it runs again with more, and says so. It also runs again with more states
-    of a reduced body whose error under the recorded loads is too large.
+    A key without a value, such as the number of contact rings, gets an automatic value. If this
+    value proves too small, the scene runs again with a larger one, which a warning names. The scene
+    also runs again with more states of a reduced body whose error under the recorded loads is
+    too large.
 
-    Raises as :func:`run` does; warns of checks that fail without failing the run.
+    Raises the errors of :func:`run`. Warns of violated checks that do not fail the run.
     """
     simulator, clock = find_ngspice(), Clock(progress)
     with kept_on_failure(work, out, scene.name):
@@ -149,8 +150,8 @@ def complete(
             except RetriesFailedError as error:
                 if deck is not None or not error.suggested:
                     raise
-                told = ", ".join(f"{key} = {value}" for key, value in error.suggested.items())
-                warnings.warn(f"{error.message}, {error.got}: run again with {told}", stacklevel=2)
+                keys = ", ".join(f"{key} = {value}" for key, value in error.suggested.items())
+                warnings.warn(f"{error.message}, {error.got}: run again with {keys}", stacklevel=2)
                 scene = load_scene(scene, error.suggested)
         if deck is None and scene.error_budget is None:  # which refines orders itself
             result = with_larger_orders(result, work, clock)
@@ -160,8 +161,8 @@ def complete(
     for check in result.verdict.checks:
         if not check.passed:
             limit = f"limit {check.limit:.3g}: {check.advice}"
-            told = f"check {check.name}: {check.value:.3g} {check.unit}, {limit}"
-            warnings.warn(told, stacklevel=2)
+            message = f"check {check.name}: {check.value:.3g} {check.unit}, {limit}"
+            warnings.warn(message, stacklevel=2)
     return Completed(result, simulator, clock, converged)
 
 
@@ -169,9 +170,10 @@ def _judged(converged: Converged) -> Run:
     """The run that holds the error budget, with the check of its estimate."""
     taken, check = converged.taken, converged.check
     if taken.settings:
-        told = ", ".join(taken.settings)
+        settings = ", ".join(taken.settings)
         warnings.warn(
-            f"error_budget {check.limit:g}: finer {told}; the deck and models are those",
+            f"error_budget {check.limit:g}: the run used finer {settings}; the written deck and "
+            "models contain these settings",
             stacklevel=2,
         )
     require((check,), taken.run.build.scene.name)

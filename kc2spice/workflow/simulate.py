@@ -118,8 +118,10 @@ def simulate(
         judge=judge,
     )
     if build.functions and len(result.attempts) > 1:
-        told = "asked from time 0 on again: what they remember of earlier attempts must go there"
-        warnings.warn(f"functions {', '.join(build.functions)}: {told}", stacklevel=2)
+        names = ", ".join(build.functions)
+        message = f"functions {names}: the simulation was repeated and called them again from time "
+        message += "0 on; values that they keep between calls must be reset there"
+        warnings.warn(message, stacklevel=2)
     used = simulator_cpu(build) - begin
     waves = _with_powers(result.waves, deck)
     taken = metrics(waves, build)
@@ -205,8 +207,11 @@ def sampled(build: Build) -> list[Sampled]:
 
 
 def simulator_cpu(build: Build) -> float:
-    """CPU seconds so far of all child processes that have ended, of this one where the simulator
-    runs in it; wall time where nobody tells."""
+    """Return the CPU seconds so far of all child processes that have ended.
+
+    If the simulator runs in this process, the result is the CPU time of this process. Systems that
+    do not record CPU time give the wall time.
+    """
     try:
         import resource
     except ImportError:

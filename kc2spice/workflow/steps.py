@@ -230,8 +230,8 @@ def _exact_motion(build: Build, waves: Waveforms) -> tuple[tuple[float, float, s
 
 def _check(name: str, found: tuple[float, float, str]) -> Check:
     amplitude, _, wave = found
-    told = "the steps are too coarse for what resonates: leave solver.max_step out, or lower it"
-    return Check(name, amplitude, FAIL, f"of the rms of {wave}", told, coarse=True, wiring=True)
+    advice = "the steps are too coarse for a resonance: leave solver.max_step out, or lower it"
+    return Check(name, amplitude, FAIL, f"of the rms of {wave}", advice, coarse=True, wiring=True)
 
 
 def _meets(build: Build, circuit: Circuit, missing: Sequence[str]) -> bool:

@@ -74,11 +74,11 @@ def _unpacked(scene: SceneText) -> tempfile.TemporaryDirectory[str]:
 
 
 def scene_text(name_or_path: str) -> SceneText:
-    """The scene as it stands now.
+    """Read the present text of a scene and of its files.
 
     Raises
     ------
-    UsageError : no such scene, or one of its files is not there or not allowed.
+    UsageError : there is no such scene, or one of its files is missing or not allowed.
     """
     if name_or_path in gallery():
         return SceneText(name_or_path, None)

@@ -66,7 +66,7 @@ from kc2spice.workflow.sweep.point import (
 # Opens an executor, and again after it was lost; gives it with the number of its workers.
 Workers = Callable[[], AbstractContextManager[tuple[Executor, int]]]
 PATIENCE = 60.0  # s that a lost scheduler may take to come back
-# Losses of workers and schedulers, told by name so that Dask need not be imported.
+# Exceptions for lost workers and schedulers. Names suffice, so that Dask need not be imported.
 _LOST = {
     "KilledWorker",
     "FutureCancelledError",
@@ -85,7 +85,7 @@ def cores() -> int:
 
 
 def is_lost(error: BaseException) -> bool:
-    """Whether a call failed with its worker or scheduler, not by itself."""
+    """Whether a call failed because its worker or scheduler was lost."""
     kinds = {kind.__name__ for kind in type(error).__mro__}
     return isinstance(error, (BrokenExecutor, CancelledError, OSError)) or bool(_LOST & kinds)
 
@@ -595,12 +595,12 @@ def sweep(
         for count, (index, outcome) in enumerate(outcomes(found, missing, workers), 1):
             rows.record(index, outcome)
             begin = time.monotonic() if count == 1 else begin
-            told = f"{count} of {len(missing)} points, {len(rows.failed)} failed"
+            text = f"{count} of {len(missing)} points, {len(rows.failed)} failed"
             if count > 1:  # the first one may have built models for all others
                 rate = (count - 1) / max(time.monotonic() - begin, 1e-9)
                 left = timedelta(seconds=round((len(missing) - count) / rate))
-                told = f"{told}, {rate:.3g}/s, {left} left"
-            progress("sweep", count / len(missing), told)
+                text = f"{text}, {rate:.3g}/s, {left} left"
+            progress("sweep", count / len(missing), text)
         progress("report", None, "table, figures and page")
         summary = _publish(found, rows, out, table_format)
     return {**summary, "resumed": len(done), "wall_s": time.monotonic() - start}

@@ -1,4 +1,4 @@
-"""Each body by itself: reduced against full model, emitted subcircuit against reduced model."""
+"""Comparison of single bodies: reduced to full model, subcircuit to reduced model."""
 
 from __future__ import annotations
 

@@ -163,14 +163,18 @@ def without_law(build: Build) -> tuple[str, ...]:
 
 
 def replayed_nets(build: Build) -> dict[str, str] | None:
-    """Nets on which parts without a law meet others, and their kind.
+    """Return the kind of each net that joins a part without a law to parts with laws.
 
-    None if nothing has a law, if one of them has no source that could stand for the part, or if
-    real coils follow an elastic body: their flux makes every step of its ringing one of Newton's
-    method, for hours.
+    Sources on these nets replace the parts without a law: they reproduce the voltage, displacement
+    or signal that ngspice computed. A net whose value a law prescribes needs no source and is not
+    in the result.
 
-    What a part without law does to the rest of a transient is then known from ngspice: its voltage,
-    displacement or signal on these nets. Nets that a law holds by itself are not among them.
+    The result is None in three cases:
+
+    * No part has a law.
+    * There is no source of the kind of one of the nets.
+    * Real coils follow an elastic body. Their flux is nonlinear, so every step of the body's
+      ringing needs Newton's method, which takes hours.
     """
     result = _laws(build)
     laws, kinds, joins = result.laws, result.kinds, result.joins()
@@ -557,8 +561,8 @@ def _followed(
     if begin + count * step > stop:
         step = (stop - begin) / count
 
-    def difference(times: int, told: str) -> Difference:
-        with clock.stage("full model", f"{names}: {told}") as share:
+    def difference(times: int, label: str) -> Difference:
+        with clock.stage("full model", f"{names}: {label}") as share:
             first, second = (
                 steps(c.system(), begin, times * step, count // times, given, share)
                 for c in (circuit, reduced)
@@ -582,9 +586,10 @@ def _followed(
 def _still_until(
     bodies: list[PortBody], run: Result
 ) -> tuple[float, Callable[[System, np.ndarray], np.ndarray] | None]:
-    """When the first body is loaded otherwise than at t = 0, and the other laws' state then.
+    """Return the last time [s] before the load of a body changes, and the state.
 
-    Until then nothing differs between models. It is 0 where the state cannot be told.
+    Until that time the full and the reduced models agree. The time is 0 and the state None if a
+    load changes at once, or if no load changes.
     """
     waves, time = run.waves, run.time
     first = time.size
@@ -603,10 +608,13 @@ def _still_until(
 
 
 def _state(system: System, z: np.ndarray, t: float, wave: Callable[[str], float]) -> np.ndarray:
-    """Unknowns that have these waves at ``t``, nearest to ``z`` where none tells."""
+    """Return the unknowns that reproduce the waves at ``t``.
+
+    Unknowns that the waves do not determine stay as near as possible to ``z``.
+    """
     read = ~(system.rated.any(axis=1) | system.direct.any(axis=1))
-    told = np.array([not name.endswith(".through") for name in system.names]) & read
-    now, names = system.now[told], np.array(system.names)[told].tolist()
+    recorded = np.array([not name.endswith(".through") for name in system.names]) & read
+    now, names = system.now[recorded], np.array(system.names)[recorded].tolist()
     A, given = now[:, : z.size], system.given(t, t)
     b = np.array([wave(name) for name in names]) - now[:, z.size :] @ given
     level = np.abs(A).max(axis=1)

@@ -194,8 +194,11 @@ def _resting(name: str, waves: Waveforms) -> float:
 def metric_errors(
     ours: Solution, exact: Solution, units: Mapping[str, str]
 ) -> Iterator[tuple[str, float | None]]:
-    """Each number that both have, by its size or by ``SMALL`` of the largest wave of its unit; a
-    difference to zero without such a wave as it stands."""
+    """Yield the relative error of each metric that both solutions contain.
+
+    The reference is the size of the exact metric, or ``SMALL`` of the largest wave of its unit if
+    that is larger. If both are zero, the error is the absolute difference.
+    """
     for name, b in exact.metrics.items():
         if name not in ours.metrics or isinstance(b, bool):
             continue
@@ -335,15 +338,15 @@ class _Verification:
         timed = build.scene.analysis.type == "transient"
         replayed = replayed_nets(build) if result.left_out and timed else None
         if result.left_out:
-            told = f"left out, for they have no law: {', '.join(result.left_out)}"
+            note = f"parts without a law are left out: {', '.join(result.left_out)}"
             if replayed is None:
-                told += "; the scene as a whole is not compared, its bodies are"
+                note += "; the bodies are compared, the whole scene is not"
             elif replayed:
-                told += (
-                    "; the others are given what ngspice has on the nets where they meet them: "
+                note += (
+                    "; sources replace them, with the waveforms of ngspice on these nets: "
                     + ", ".join(replayed)
                 )
-            result.notes.append(told)
+            result.notes.append(note)
         self.replayed = replayed or {}
         if result.left_out and replayed is None:
             waves = self._ngspice(deck)
@@ -368,9 +371,9 @@ class _Verification:
         """The scene in ngspice, by its laws, and by those with full models as far as these are
         followed: each two of the three."""
         build, waves, result = self.build, self._ngspice(deck), self.found
-        with self.clock.stage("reference", "laws of the reduced models, events located") as told:
+        with self.clock.stage("reference", "laws of the reduced models, events located") as share:
             begin = time.monotonic()
-            reference = solve(build, waves, self.replayed, told)
+            reference = solve(build, waves, self.replayed, share)
             spent = time.monotonic() - begin
         solutions = {"ngspice": solution(waves, build), "rom": solution(reference.results, build)}
         result.metrics |= solutions["ngspice"].metrics
@@ -411,8 +414,8 @@ class _Verification:
             return
         names = ", ".join(parts)
         try:
-            with self.clock.stage("full model", f"finer discretisation of {names}") as told:
-                share = told if self.whole else _limited(told, seconds)
+            with self.clock.stage("full model", f"finer discretisation of {names}") as progress:
+                share = progress if self.whole else _limited(progress, seconds)
                 exact = solution(solve(finer, waves, self.replayed, share).results, finer)
         except _TooLongError as error:
             self.found.notes.append(
@@ -472,8 +475,11 @@ class _Verification:
             yield Check(f"every wave (rms), worst {last.output}, ngspice to laws", last.rms, wave)
 
     def _own_checks(self) -> None:
-        """Physics of the netlist's run that nobody told the simulator; in time the discretisations
-        that no finer solution replaces."""
+        """Add checks of the ngspice run to the findings.
+
+        These are the checks that can fail a run, and the checks of jumps. In a transient, checks of
+        a discretisation are added as well if no finer solution replaces them.
+        """
         timed = self.build.scene.analysis.type == "transient"
         rows = [c for c in self.verdict.checks if timed and c.discretisation]
         unfollowed = [c for c in rows if not self.finer & set(c.name.split())]
@@ -522,12 +528,15 @@ class _TooLongError(Exception):
         self.share = share
 
 
-def _limited(told: Callable[[float], None], seconds: float) -> Callable[[float], None]:
-    """``told`` as well, and an end of what reports after so many ``seconds``."""
+def _limited(progress: Callable[[float], None], seconds: float) -> Callable[[float], None]:
+    """Return ``progress`` with a time limit.
+
+    A call after ``seconds`` raises an error that ends the integration.
+    """
     begin = time.monotonic()
 
     def share(done: float) -> None:
-        told(done)
+        progress(done)
         if time.monotonic() - begin > seconds:
             raise _TooLongError(done)
 
