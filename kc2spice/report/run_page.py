@@ -241,6 +241,8 @@ def summary_section(result: Mapping[str, Any], most: int | None = None) -> Secti
     for check in result.get("checks", ()):
         if not check["passed"]:
             value, limit = value_and_limit(check["value"], check["limit"], check["unit"])
+            if " " in check["unit"]:  # a phrase stands once in the sentence
+                limit = limit.removesuffix(f" {check['unit']}")
             rows.append(("VIOLATED", f"{_check_name(check)}: {value}, limit {limit}"))
     scales = _scales(metrics, units)
     for name, value in list(metrics.items())[:most]:
