@@ -53,14 +53,36 @@ Function = Callable[[float, Mapping[str, float]], float]
 
 
 def build(scene: AnyScene) -> dict[str, LinearModel]:
-    """The full model of every body of a scene, by the body's name.
+    """Build the full model of every body of a scene.
 
-    The models have all ports that the bodies offer and as many unknowns as their meshes; nothing is
-    reduced. Parts that are no bodies (drivers, contacts, …) have no entry.
+    The models have all ports that the bodies offer and as many unknowns as their meshes. No model
+    is reduced. Parts that are not bodies, such as drivers and contacts, have no entry.
+
+    Parameters
+    ----------
+    scene : Scene, str, Path or mapping
+        Scene in any form that :func:`kc2spice.load_scene` reads.
+
+    Returns
+    -------
+    dict[str, LinearModel]
+        Models by the name of the body, in SI units.
 
     Raises
     ------
     UsageError : as :func:`kc2spice.load_scene`, or a model's file cannot be read.
+
+    Examples
+    --------
+    A ceramic disc has the mass pi r^2 t rho of its cylinder, here 1.178 g.
+
+    >>> import kc2spice as kc
+    >>> layer = {"diameter": "20 mm", "thickness": "0.5 mm", "material": "PZT-4"}
+    >>> models = kc.build({"plate": {"part": "disc", "layers": [layer]}})
+    >>> [port.name for port in models["plate"].ports]
+    ['centre', 'anode']
+    >>> print(f"{1e3 * models['plate'].facts['mass_kg']:.3f} g")
+    1.178 g
     """
     from kc2spice.parts._linear_body import LinearBody, full_alone
 
@@ -82,22 +104,61 @@ def reduce(
     contact: bool = False,
     parameters: Mapping[str, Any] | None = None,
 ) -> LinearModel:
-    """Reduce a linear model to the smallest one within ``tolerance``, or to ``order`` states.
+    """Reduce a linear model to a tolerance or to a number of states.
 
-    The result has the same ports in the same order and a ``certificate`` of its error with respect
-    to ``model``: the largest error of any transfer function over ``band``, two frequencies in Hz or
-    as texts (``"20 kHz"``), relative at every frequency (``norm="pointwise"``) or to the entry's
-    largest value in the band (``"peak"``, the default for models whose ports are all signals).
-    ``contact`` keeps some of what a contact excites above the band, as models of scenes do.
-    Without a band it is the model's own, else up to a little above the fifth natural frequency. An
-    order of a symmetric definite model is the block Arnoldi reduction at s0 = 0 of Schütz, Maeter
-    and Bechtold, Actuators 10 (2021) 279, section 2.3.
+    The result has the same ports in the same order. Its ``certificate`` states the largest error of
+    any transfer function over ``band`` with respect to ``model``. With ``order``, a symmetric
+    definite model is reduced by block Arnoldi at s0 = 0 (Schütz, Maeter and Bechtold, Actuators 10
+    (2021) 279, section 2.3).
+
+    Parameters
+    ----------
+    model : LinearModel
+        Full model of n unknowns, in SI units.
+    tolerance : float, optional
+        Largest relative error over the band. The result is the smallest model found within it.
+    order : int, optional
+        Number of unknowns of the result. Exactly one of ``tolerance`` and ``order`` is required.
+    band : tuple of two floats or texts, optional
+        Lowest and highest frequency in Hz or as texts such as ``"20 kHz"``. By default it is the
+        band of the model, otherwise it ends a little above the fifth natural frequency.
+    norm : "pointwise" or "peak", optional
+        Reference of the relative error: the value at the same frequency (``"pointwise"``), or the
+        entry's largest value in the band (``"peak"``). The default is ``"peak"`` for models whose
+        ports are all signals, and ``"pointwise"`` for all others.
+    contact : bool, default False
+        Whether to keep some of what a contact excites above the band, as models of scenes do.
+    parameters : mapping, optional
+        Refused unless empty: matrices have no parameters, only bodies of a scene have them.
+
+    Returns
+    -------
+    LinearModel
+        Reduced model with the ports of ``model`` and with a ``certificate``.
 
     Raises
     ------
     UsageError : not exactly one of ``tolerance`` and ``order``, or one that is out of range; an
-        unknown norm; ``parameters``, which matrices have none of: a body of a scene has them.
+        unknown norm; ``parameters`` that are not empty.
     SimulationError : the tolerance cannot be met, or a point of the band is a pole.
+
+    Examples
+    --------
+    Four masses in a row, each 1 g on a spring of 2000 N/m, have their first resonance at 78 Hz. The
+    static compliance at the tip is that of four springs in series, 0.002 m/N.
+
+    >>> import numpy as np
+    >>> import kc2spice as kc
+    >>> stiffness = 2e3 * (np.diag([2.0, 2, 2, 1]) - np.eye(4, k=1) - np.eye(4, k=-1))
+    >>> tip = kc.Port("tip", "mechanical")
+    >>> chain = kc.LinearModel(M=1e-3 * np.eye(4), K=stiffness, B=np.eye(4)[:, 3:], ports=(tip,))
+    >>> small = kc.reduce(chain, tolerance=1e-3, band=(0, "100 Hz"))
+    >>> chain.order, small.order
+    (4, 2)
+    >>> small.certificate.error_estimate < 1e-3
+    True
+    >>> print(f"{small.transfer([0.0])[0, 0, 0].real:.5f} m/N")
+    0.00200 m/N
     """
     from kc2spice.rom import reduce as reduction
 
@@ -137,14 +198,40 @@ def reduce(
 
 
 def deck(scene: AnyScene, *, trust: bool = False) -> Deck:
-    """The netlist of a scene with its libraries; ``deck.files`` maps file names to texts.
+    """Write the netlist of a scene with the libraries of its parts.
 
-    Builds and reduces what the scene needs, from the cache where it can. ``trust`` lets netlists
-    that the scene includes act on the machine.
+    The models that the scene needs are built and reduced, or read from the cache.
+
+    Parameters
+    ----------
+    scene : Scene, str, Path or mapping
+        Scene in any form that :func:`kc2spice.load_scene` reads.
+    trust : bool, default False
+        Whether netlists that the scene includes may run commands and write files on this machine.
+
+    Returns
+    -------
+    Deck
+        Netlist and libraries; ``files`` maps the name of each file to its text.
 
     Raises
     ------
     UsageError : as :func:`kc2spice.load_scene`, or a circuit that is wired wrongly.
+
+    Examples
+    --------
+    >>> import kc2spice as kc
+    >>> lamp = {
+    ...     "name": "lamp",
+    ...     "drive": {"part": "source", "dc": "12 V"},
+    ...     "lamp": {"part": "resistor", "resistance": "6 Ohm", "pins": {"a": "drive.out"}},
+    ...     "analysis": {"type": "op"},
+    ... }
+    >>> deck = kc.deck(lamp)
+    >>> list(deck.files)
+    ['lamp.cir']
+    >>> "Rlamp drive_out 0 6.0" in deck.files["lamp.cir"]
+    True
     """
     return prepared(load_scene(scene), Clock(), trust=trust)[1]
 
@@ -162,13 +249,25 @@ def run(
 
     Parameters
     ----------
-    out : directory for what ``kc2spice run`` writes there; nothing is kept without it.
-    deck : a netlist of this scene that was edited by hand, to be run instead of the scene's own.
-    trust : let netlists and Python files that the scene names act on the machine.
-    functions : ``function(time, inputs) -> output`` of each ``controller`` part by its name, in SI,
+    scene : Scene, str, Path or mapping
+        Scene in any form that :func:`kc2spice.load_scene` reads.
+    out : str or Path, optional
+        Directory for the files that ``kc2spice run`` writes. By default no file is kept.
+    deck : str or Path, optional
+        Netlist of this scene that was edited by hand. It is simulated instead of the scene's own.
+    trust : bool, default False
+        Whether netlists and Python files that the scene names may act on this machine.
+    functions : mapping of str to callable, optional
+        ``function(time, inputs) -> output`` of each ``controller`` part by its name, in SI units,
         instead of the Python file beside the scene. A run that is repeated with other settings
         begins at time 0 again. A function with a memory must then reset it; a file is read again.
-    overrides : as those of :func:`kc2spice.load_scene`.
+    overrides : mapping, optional
+        Values by dotted key, as for :func:`kc2spice.load_scene`.
+
+    Returns
+    -------
+    Result
+        Metrics, waves and checks of the simulation, in SI units.
 
     Raises
     ------
@@ -177,6 +276,25 @@ def run(
     MissingToolError : no ngspice.
     SimulationError : ngspice or a check of its result failed. With ``out``, deck and log are kept
         in ``OUT.failed`` until a run with the same ``out`` succeeds.
+
+    Examples
+    --------
+    A lamp of 6 Ohm at 12 V draws 2 A.
+
+    >>> import kc2spice as kc
+    >>> lamp = {
+    ...     "name": "lamp",
+    ...     "drive": {"part": "source", "dc": "12 V"},
+    ...     "lamp": {"part": "resistor", "resistance": "6 Ohm", "pins": {"a": "drive.out"}},
+    ...     "analysis": {"type": "op"},
+    ...     "probes": {"current_a": {"of": "lamp.i"}},
+    ... }
+    >>> result = kc.run(lamp)
+    >>> print(f"{result.metrics['current_a']:.4f} A")
+    2.0000 A
+    >>> half = kc.run(lamp, overrides={"drive.dc": "6 V"})
+    >>> print(f"{half.metrics['current_a']:.4f} A")
+    1.0000 A
     """
     if out is not None and not isinstance(out, (str, Path)):
         raise UsageError(
@@ -201,16 +319,41 @@ def run(
 
 
 def simulate(deck: Deck, *, timeout: float | None = None) -> Result:
-    """Run a deck in ngspice, for its waveforms; ``timeout`` is in seconds of wall clock.
+    """Simulate a deck in ngspice and return its waves.
 
-    Metrics and checks are those of a scene's parts, so they need the scene: :func:`run`, with an
-    edited netlist as its ``deck``.
+    Metrics and checks need the parts of a scene. :func:`run` computes them, also for a netlist that
+    was edited by hand and is given as its ``deck``.
+
+    Parameters
+    ----------
+    deck : Deck
+        Netlist with its libraries, such as :func:`deck` returns.
+    timeout : float, optional
+        Largest wall-clock time of ngspice in s. By default there is no limit.
+
+    Returns
+    -------
+    Result
+        Waves of the simulation in SI units, without metrics and checks.
 
     Raises
     ------
     UsageError : not a deck.
     MissingToolError : no ngspice.
     SimulationError : ngspice failed or stopped early; the message says where.
+
+    Examples
+    --------
+    >>> import kc2spice as kc
+    >>> lamp = {
+    ...     "name": "lamp",
+    ...     "drive": {"part": "source", "dc": "12 V"},
+    ...     "lamp": {"part": "resistor", "resistance": "6 Ohm", "pins": {"a": "drive.out"}},
+    ...     "analysis": {"type": "op"},
+    ... }
+    >>> result = kc.simulate(kc.deck(lamp))
+    >>> print(f"{result.waves['lamp.i'][0]:.4f} {result.units['lamp.i']}")
+    2.0000 A
     """
     if not isinstance(deck, Deck):
         got = type(deck).__name__
@@ -458,27 +601,51 @@ def sweep(
     workers: int | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> Table:
-    """Run a scene at every combination of ``values``, the last key varying fastest.
+    """Run a scene at every combination of values; the last key varies fastest.
 
-    The loop is that of ``kc2spice sweep``; use the command for tables that survive a kill.
+    The points are those of ``kc2spice sweep``. Only the command can continue an interrupted sweep.
 
     Parameters
     ----------
-    values : dotted keys and the values that each takes.
-    executor : where the points run: any :class:`concurrent.futures.Executor`, such as
-        ``dask.distributed.Client(ADDRESS).get_executor()``; threads of this process unless given.
-        Workers elsewhere get a scene's files along if it is given by name or path.
-    workers : simulations at a time; the number of processors unless given.
-    progress : called with the number of points that are done and that of all.
+    scene : Scene, str, Path or mapping
+        Scene in any form that :func:`kc2spice.load_scene` reads.
+    values : mapping of str to sequence
+        Values of each swept key by its dotted name: numbers in SI units, or texts with a unit.
+    executor : concurrent.futures.Executor, optional
+        Where the points run, such as ``dask.distributed.Client(ADDRESS).get_executor()``. The
+        default is threads of this process. Workers elsewhere receive the scene's files only if the
+        scene is given by name or path.
+    workers : int, optional
+        Number of simulations at a time. The default is the number of processors.
+    progress : callable, optional
+        Called as ``progress(done, total)`` with two numbers of points after each point.
 
     Returns
     -------
-    Table : a row for each point. What goes wrong with one point stands in its ``status``.
+    Table
+        One row for each point. The reason why a point failed is in its column ``status``.
 
     Raises
     ------
     UsageError : no values, or a point that is no scene; noticed before anything is run.
     MissingToolError : no ngspice.
+
+    Examples
+    --------
+    A lamp of 3 or 6 Ohm at 12 V draws 4 or 2 A.
+
+    >>> import kc2spice as kc
+    >>> lamp = {
+    ...     "name": "lamp",
+    ...     "drive": {"part": "source", "dc": "12 V"},
+    ...     "lamp": {"part": "resistor", "resistance": "6 Ohm", "pins": {"a": "drive.out"}},
+    ...     "analysis": {"type": "op"},
+    ...     "probes": {"current_a": {"of": "lamp.i"}},
+    ... }
+    >>> kc.sweep(lamp, {"lamp.resistance": ["3 Ohm", "6 Ohm"]}, workers=1)
+    lamp.resistance  current_a  status
+              3 Ohm          4      ok
+              6 Ohm          2      ok
     """
     from kc2spice.workflow.sweep.plan import make_plan
     from kc2spice.workflow.sweep.point import Job, scene_text

@@ -16,11 +16,36 @@ Package = Literal["PySpice", "InSpice"]
 
 
 def subcircuit(part: Subcircuit, package: Package = "PySpice") -> Any:
-    """``part`` for ``circuit.subcircuit(...)`` and ``circuit.X(name, part.name, *nodes)``.
+    """Return a part as a subcircuit of PySpice or InSpice.
+
+    The result is for ``circuit.subcircuit(...)`` and ``circuit.X(name, part.name, *nodes)``.
+
+    Parameters
+    ----------
+    part : Subcircuit
+        Part of kc2spice, such as :func:`kc2spice.read_lib` or :func:`kc2spice.subcircuit` returns.
+    package : "PySpice" or "InSpice", default "PySpice"
+        Package whose subcircuit is returned.
+
+    Returns
+    -------
+    SubCircuit
+        Object of the class ``Spice.Netlist.SubCircuit`` of the package.
 
     Raises
     ------
     MissingToolError : the package is not installed.
+
+    Examples
+    --------
+    >>> from pathlib import Path
+    >>> import kc2spice as kc
+    >>> from kc2spice.pyspice import subcircuit
+    >>> cards = ["* lamp", ".subckt lamp plus minus", "R1 plus minus 6", ".ends lamp"]
+    >>> _ = Path("lamp.lib").write_text("\\n".join(cards))
+    >>> lamp = subcircuit(kc.read_lib("lamp.lib")[0])
+    >>> lamp.name, lamp.external_nodes
+    ('lamp', ('plus', 'minus'))
     """
     logging.getLogger(package).setLevel(logging.CRITICAL)  # what it says is in its output, too
     parent = import_optional(f"{package}.Spice.Netlist", "pyspice.subcircuit").SubCircuit

@@ -75,14 +75,35 @@ class Subcircuit:
 
 
 def read_lib(path: str | Path) -> list[Subcircuit]:
-    """The parts of a library file with the pins, units and parameters that its heads declare.
+    """Read the parts of a library file.
 
-    A subcircuit without a head counts as a part if no other of the file instantiates it; its pins
-    are electrical and its parameters have no unit.
+    The head of a subcircuit declares its pins, units and parameters. A subcircuit without a head
+    counts as a part if no other of the file instantiates it; its pins are electrical and its
+    parameters have no unit.
+
+    Parameters
+    ----------
+    path : str or Path
+        Path of the library file.
+
+    Returns
+    -------
+    list[Subcircuit]
+        Parts in the order of the file.
 
     Raises
     ------
     UsageError : no such file, no text, no subcircuit in it, or a head that does not fit its card.
+
+    Examples
+    --------
+    >>> from pathlib import Path
+    >>> import kc2spice as kc
+    >>> cards = [".subckt divider top mid low total=1k", "R1 top mid {0.5*total}"]
+    >>> cards += ["R2 mid low {0.5*total}", ".ends divider"]
+    >>> _ = Path("divider.lib").write_text("\\n".join(["* divider", *cards]))
+    >>> kc.read_lib("divider.lib")
+    [<Subcircuit divider: pins top[V/A] mid[V/A] low[V/A]; total=1000>]
     """
     path = Path(path)
     try:

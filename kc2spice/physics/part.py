@@ -235,8 +235,41 @@ def subcircuit(
     noise: bool = False,
     more: str = "",
 ) -> Subcircuit:
-    """Its netlist, with ``values`` of its keys as defaults; ``noise`` is that of what it loses,
-    ``more`` are further cards."""
+    """Write the netlist of a declared part.
+
+    Parameters
+    ----------
+    header : Header
+        Origin of the netlist.
+    name : str
+        Name of the subcircuit.
+    declaration : Declaration
+        Physics of the part.
+    values : mapping of str to float
+        Values of its keys in SI units, which become the defaults of the parameters.
+    noise : bool, default False
+        Whether the losses have thermal noise.
+    more : str, optional
+        Further cards, each with a line break at its end.
+
+    Returns
+    -------
+    Subcircuit
+        Pins, parameters and text of the library file.
+
+    Raises
+    ------
+    UsageError : a pin or a parameter has the name of an inner node or of another pin.
+
+    Examples
+    --------
+    >>> from kc2spice.parts.two_terminal_types import TABLE
+    >>> from kc2spice.parts.two_terminal_types import declaration as declared
+    >>> from kc2spice.spice.header import Header
+    >>> spring = declared(next(row for row in TABLE if row.name == "spring"))
+    >>> subcircuit(Header("demo", "0"), "leaf", spring, {"stiffness": 100.0})
+    <Subcircuit leaf: pins a[um/N] b[um/N]; stiffness=100>
+    """
     from kc2spice.spice.header import parameter_list, part_header  # loads scipy
 
     d, pins = declaration, pins_of(declaration)

@@ -92,7 +92,7 @@ def null_basis(G: Matrix) -> tuple[scipy.sparse.csc_array, int]:
     Examples
     --------
     >>> Z, rank = null_basis(np.array([[1.0, -1.0, 0.0], [2.0, -2.0, 0.0]]))
-    >>> rank, Z.toarray().tolist()
+    >>> rank, Z.toarray().round(12).tolist()
     (1, [[1.0, 0.0], [1.0, 0.0], [0.0, 1.0]])
     """
     G = scipy.sparse.csc_array(G)

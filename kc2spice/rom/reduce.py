@@ -230,8 +230,7 @@ def reduce(
     """Return the smallest model found within ``tolerance``, or the one of ``order``.
 
     The result has the ports of ``model``. Its certificate states the error over ``band`` [Hz], in
-    the ``norm`` of :class:`Certificate`. The default of ``band`` is the model's own band. Without
-    such a band, it ends a little above the fifth natural frequency.
+    the ``norm`` of :class:`Certificate`.
 
     * An ``order`` of a symmetric positive definite model selects the paper's reduction (2.3): block
       Arnoldi at s0 = 0.
@@ -242,10 +241,31 @@ def reduce(
       exceeds the tolerance.
     * A symmetric model with only real poles loses its inertia if that saves states and changes
       nothing.
-    * A contact excites a body above any band. With ``contact``, a third more states represent a
-      part of that response.
     * Rounding of the full model's entries may change its response by more than ``tolerance``. The
       error estimate then includes this change, and the function warns.
+
+    Parameters
+    ----------
+    model : LinearModel
+        Full model of n unknowns, in SI units.
+    tolerance : float, optional
+        Largest relative error over the band, less than 1.
+    order : int, optional
+        Number of unknowns of the result. Exactly one of ``tolerance`` and ``order`` is required.
+    band : tuple of two floats, optional
+        Lowest and highest frequency in Hz. By default it is the band of the model, otherwise it
+        ends a little above the fifth natural frequency.
+    norm : "pointwise" or "peak", default "pointwise"
+        Reference of the relative error: the value at the same frequency, or the entry's largest
+        value in the band.
+    contact : bool, default False
+        Whether to represent a part of the response above the band, which a contact excites, by a
+        third more states.
+
+    Returns
+    -------
+    LinearModel
+        Reduced model with the ports of ``model`` and with a certificate.
 
     Raises
     ------
@@ -253,6 +273,20 @@ def reduce(
         rounding, an order beyond what the response has, a model too large for this machine, one
         that answers to derivatives of its input.
     SimulationError : the tolerance cannot be met, or a point of the band is a pole.
+
+    Examples
+    --------
+    Block Arnoldi at s0 = 0 keeps the static compliance of four springs of 2000 N/m in series.
+
+    >>> from kc2spice.rom.linear import Port
+    >>> stiffness = 2e3 * (np.diag([2.0, 2, 2, 1]) - np.eye(4, k=1) - np.eye(4, k=-1))
+    >>> tip = Port("tip", "mechanical")
+    >>> chain = LinearModel(M=1e-3 * np.eye(4), K=stiffness, B=np.eye(4)[:, 3:], ports=(tip,))
+    >>> small = reduce(chain, order=2, band=(0.0, 100.0))
+    >>> small.order
+    2
+    >>> print(f"{small.transfer([0.0])[0, 0, 0].real:.9f} m/N")
+    0.002000000 m/N
     """
     if (tolerance is None) == (order is None):
         raise UsageError("give either a tolerance or an order", where="reduction")

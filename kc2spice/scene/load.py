@@ -237,18 +237,32 @@ def load_scene(
 
     Parameters
     ----------
-    scene : name of a built-in scene (``kc2spice scenes`` lists them), path of a TOML file, the
-        tables of such a file as a mapping, or a scene to be changed.
-    overrides : ``dotted.key=value`` texts, whose values are TOML (``80``, ``"80 V"``, ``[0, 1e5]``)
-        or a bare word or quantity (``80 V``, ``antiparallel``), or a mapping of dotted keys to
-        values; numbers are SI; the path of a TOML file of such keys stands for them. An entry of a
-        list is counted from 0, from its end by negative numbers: ``beam.layers[0].thickness``,
-        ``disc.layers[-1].material``.
+    scene : Scene, str, Path or mapping
+        Name of a built-in scene (``kc2spice scenes`` lists them), path of a TOML file, the tables
+        of such a file as a mapping, or a scene to be changed.
+    overrides : sequence of str, or mapping of str to value, optional
+        Texts ``dotted.key=value``, or a mapping of dotted keys to values. A value in a text is TOML
+        (``80``, ``"80 V"``, ``[0, 1e5]``), a bare word or a quantity (``80 V``, ``antiparallel``).
+        Numbers are in SI units. The path of a TOML file of such keys may replace a text. Entries of
+        a list are counted from 0, or from its end by negative numbers:
+        ``beam.layers[0].thickness``, ``disc.layers[-1].material``.
+
+    Returns
+    -------
+    Scene
+        Checked scene, whose numbers are in SI units.
 
     Raises
     ------
     UsageError : no such scene, not TOML, unknown key or part type, bad value, keys that contradict
         each other, pins that do not fit.
+
+    Examples
+    --------
+    >>> import kc2spice as kc
+    >>> scene = kc.load_scene("impact", ["impact.velocity=-50 cm/s"])
+    >>> scene.name, scene.part("impact").keys.velocity
+    ('impact', -0.5)
     """
     if isinstance(scene, Scene) and not overrides:
         return scene

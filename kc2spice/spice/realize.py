@@ -225,12 +225,12 @@ def subcircuit(
     weights: StepWeights = RINGING,
     noise: bool = False,
 ) -> Subcircuit:
-    """One ``.subckt`` with the pins of every port of ``rom``.
+    """Write one ``.subckt`` with the pins of every port of a linear model.
 
     Electrical ports are pairs of floating terminals and come first, then the other conservative
     ports, ``base`` (their reference) and the signal pins; a model of signals alone has ``ref``.
     A displacement or rotation pin is conservative: its value equals the sum over the states, and
-    the force that holds it there drives them. An acceleration pin shakes the frame and draws the
+    the force on that pin drives the states. An acceleration pin shakes the frame and draws the
     force that this takes. Port laws and passivity are those of the model.
 
     A measured one-port becomes its resistors, inductors and capacitors
@@ -239,18 +239,49 @@ def subcircuit(
 
     Parameters
     ----------
-    name : of the subcircuit and its library file.
-    header : origin; that of the model itself unless given.
-    title, rating : what the device is and what it stands, for the head of the library.
-    ports : names of the ports to bring out, all by default; the others see no load.
-    weights : how closely step control follows the modes of the resonator form.
-    noise : whether its losses have thermal noise.
+    rom : LinearModel
+        Linear model in SI units, such as :func:`kc2spice.reduce` returns.
+    name : str
+        Name of the subcircuit and of its library file.
+    header : Header, optional
+        Origin of the netlist. The default names the model and a hash of its matrices.
+    title : str, optional
+        What the device is, for the head of the library.
+    rating : str, optional
+        Largest permitted load of the device, for the head of the library.
+    ports : sequence of str, optional
+        Names of the ports to bring out. The default is all ports; the others have no load.
+    dense : bool, default False
+        Whether to write all states as one coupled block.
+    weights : StepWeights, optional
+        How closely the step control of the simulator follows the modes of the resonator form.
+    noise : bool, default False
+        Whether the losses have thermal noise.
+
+    Returns
+    -------
+    Subcircuit
+        Pins, parameters and text of the library file.
 
     Raises
     ------
     UsageError : no linear model, an unknown port, a name that the subcircuit has for itself, a
         model without state-space form or, with ``noise``, without symmetric matrices, capacitances
         between electrodes that no passive network has.
+
+    Examples
+    --------
+    A mass of 10 g on a spring of 100 N/m and a damper of 0.1 N s/m has one mechanical pin.
+
+    >>> import numpy as np
+    >>> import kc2spice as kc
+    >>> one, tip = np.ones((1, 1)), kc.Port("tip", "mechanical")
+    >>> model = kc.LinearModel(M=0.01 * one, E=0.1 * one, K=100 * one, B=one, ports=(tip,))
+    >>> part = kc.subcircuit(model, "oscillator")
+    >>> part
+    <Subcircuit oscillator: pins tip[um/N] base[um/N]; damping=1>
+    >>> part.write("oscillator.lib").name
+    'oscillator.lib'
     """
     if not isinstance(rom, LinearModel):
         raise UsageError(

@@ -81,24 +81,59 @@ def fit(
 ) -> dict[str, Any]:
     """Vary keys of a body until its admittance is the measured one.
 
-    ``vary`` are keys below the part, with ``=low:high`` in SI or with a pair as its range; else
-    30 % about the scene's value, of losses ten times. Given ``out``, values (``fit.toml``), their
-    ranges of two standard errors as parameters of the netlist (``box.toml``) and a page are written
-    there.
-
     Least squares of ``log(Y_model / Y)``, real and imaginary part over the noise of the data, over
-    logarithms of the values within their ranges. The model is a :class:`Parametric` one of the
-    whole box for four descents from the scene's values and from the best of 64 draws, then of
-    narrower boxes around the best values until the mesh itself answers as it does. Standard errors
-    are those of the linearised problem, scaled by the misfit where it is more than the noise; if
-    the model does not describe the data they include the scatter over bands of frequency
+    logarithms of the values within their ranges. The model is a :class:`Parametric` one of all
+    ranges for four descents, from the scene's values and from the best of 64 random samples. Models
+    of narrower ranges around the best values follow until they agree with the mesh itself. Standard
+    errors are those of the linearised problem, scaled by the misfit where it is more than the
+    noise; if the model does not describe the data they include the scatter over bands of frequency
     (:mod:`kc2spice.workflow.misfit`). A misfit of more than three times the noise is a warning that
     names its likely cause.
+
+    Parameters
+    ----------
+    scene : Scene, str, Path or mapping
+        Scene in any form that :func:`kc2spice.load_scene` reads.
+    part : str
+        Name of the body in the scene.
+    data : Path, str or Measured
+        Measured impedance or admittance of one port: a Touchstone file, a table or a MATLAB file.
+    vary : sequence of str, or mapping of str to pair of floats or None
+        Keys of the body, each with a range in SI units: ``KEY=low:high``, or the pair of a mapping.
+        The default range is 30 % about the scene's value, or a factor of ten for losses.
+    out : Path, optional
+        Directory for three files: the values (``fit.toml``), their ranges of two standard errors as
+        parameters of the netlist (``box.toml``), and a page. By default no file is written.
+    progress : callable, optional
+        Called as ``progress(stage, done, text)`` during the fit.
+
+    Returns
+    -------
+    dict[str, Any]
+        Fitted values in SI units by dotted key (``values``), also with their standard errors and
+        ranges (``parameters``), the misfit, and the paths of the files if ``out`` is given.
 
     Raises
     ------
     UsageError : no such body, key or data; a key that does not move the admittance; an end that
         is not the measured part; an ``out`` that cannot be written, noticed before the fit.
+
+    Examples
+    --------
+    The impedance of a buzzer with a Q factor of 45 gives that Q factor back.
+
+    >>> import numpy as np
+    >>> import kc2spice as kc
+    >>> scene = kc.load_scene("buzzer_7bb_20_3")
+    >>> damped = kc.load_scene(scene, {"disc.damping.quality": 45})
+    >>> model = kc.build(damped)["disc"].select(["anode"])
+    >>> f = np.linspace(2e3, 6e3, 60)
+    >>> Z = 1 / (2j * np.pi * f * model.transfer(f)[:, 0, 0])
+    >>> rows = np.column_stack([f, Z.real, Z.imag])
+    >>> np.savetxt("disc.csv", rows, delimiter=",", header="frequency_hz,real_ohm,imag_ohm")
+    >>> fitted = kc.fit(scene, "disc", "disc.csv", {"damping.quality": (20, 100)})
+    >>> print(f"{fitted['values']['disc.damping.quality']:.3f}")
+    45.000
     """
     loaded = load_scene(scene)
     loaded.part(part, "SCENE:PART")  # before the data: a misspelt part is the first mistake

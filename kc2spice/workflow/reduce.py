@@ -59,19 +59,39 @@ def reduce(
     dc: str | float | None = None,
     progress: Progress = silent,
 ) -> dict[str, Any]:
-    """Reduce the model at ``path`` and write ``NAME_rom.npz``, ``NAME_rom.M`` ... into ``out``.
+    """Reduce a model and write ``NAME_rom.npz`` and its matrices.
 
-    The default of ``band`` is the band in ``NAME.toml`` or in the scene. Without these, the band
-    ends a little above the fifth natural frequency.
-    Without tolerance and order, the tolerance is 1e-4.
-    ``norm`` is 'pointwise' or 'peak'. The default is 'peak' for models whose ports are all
-    signals, and 'pointwise' for all others.
-    ``SCENE:PART`` instead of a path is the full model of a scene's body. A measured response
-    (``.s1p``, ``.s2p``, ``.ts``, ``.csv``, ``.txt``, ``.tsv``, ``.mat``) becomes the passive
-    circuit of :func:`kc2spice.rom.measured.one_port`, or of
-    :func:`kc2spice.rom.multiport.multi_port`; its order and band follow from the data. ``dc`` is
-    the resistance of such a one-port at zero frequency, ``"80 mOhm"`` or a number in Ohm, or
-    ``"open"``; it is extrapolated from the data by default.
+    A measured response becomes the passive circuit of :func:`kc2spice.rom.measured.one_port`, or of
+    :func:`kc2spice.rom.multiport.multi_port`; its order and band follow from the data.
+
+    Parameters
+    ----------
+    path : Path or str
+        Matrices as for :func:`kc2spice.read_model`; ``SCENE:PART``, which is the full model of a
+        scene's body; or a measured response (``.s1p``, ``.s2p``, ``.ts``, ``.csv``, ``.txt``,
+        ``.tsv``, ``.mat``).
+    out : Path, optional
+        Directory for the files. The default is ``NAME_rom``.
+    band : tuple of two floats, optional
+        Lowest and highest frequency in Hz. By default it is the band of ``NAME.toml`` or of the
+        scene, otherwise it ends a little above the fifth natural frequency.
+    tolerance : float, optional
+        Largest relative error over the band. The default is 1e-4 if ``order`` is not given.
+    order : int, optional
+        Number of unknowns of the result, instead of ``tolerance``.
+    norm : "pointwise" or "peak", optional
+        Reference of the relative error. The default is ``"peak"`` for models whose ports are all
+        signals, and ``"pointwise"`` for all others.
+    dc : str or float, optional
+        Resistance of a measured one-port at zero frequency: ``"80 mOhm"``, a number in Ohm, or
+        ``"open"``. By default it is extrapolated from the data.
+    progress : callable, optional
+        Called as ``progress(stage, done, text)`` during the reduction.
+
+    Returns
+    -------
+    dict[str, Any]
+        What ``kc2spice reduce --json`` prints: order, error estimate, ports and names of the files.
 
     Raises
     ------
@@ -81,6 +101,17 @@ def reduce(
         is noticed before the reduction; nothing was written.
     SimulationError : the tolerance cannot be met; nothing was written.
     GateMissedError : the circuit of the reduced model misses it; nothing was written.
+
+    Examples
+    --------
+    >>> stiffness = 2e3 * (np.diag([2.0, 2, 2, 1]) - np.eye(4, k=1) - np.eye(4, k=-1))
+    >>> np.savez("chain.npz", M=1e-3 * np.eye(4), K=stiffness, B=np.eye(4)[:, 3:])
+    >>> accuracy = {"tolerance": 1e-3, "norm": "pointwise"}
+    >>> reduced = reduce("chain.npz", Path("out"), band=(0.0, 100.0), **accuracy)
+    >>> reduced["unknowns"], reduced["order"], reduced["error_estimate"] < 1e-3
+    (4, 2, True)
+    >>> Path(reduced["rom"]).is_file()
+    True
     """
     if is_measured(Path(path)):
         options = {"--band": band, "--tolerance": tolerance, "--order": order, "--norm": norm}

@@ -97,11 +97,29 @@ def run(
     keep: bool = False,
     png: bool = False,
 ) -> dict[str, Any]:
-    """Run ``scene`` and write the contract's files into ``out``; return ``result.json``.
+    """Run a scene and write the files of its result.
 
-    ``trust`` lets included netlists act on the machine; ``deck`` is a netlist of this scene that
-    somebody edited, to be run instead of the scene's own; ``keep`` keeps raw file and log; ``png``
-    draws the report's figures as files too.
+    Parameters
+    ----------
+    scene : Scene
+        Scene, such as :func:`kc2spice.load_scene` returns.
+    out : Path
+        Directory for the files. It gets all of them at once, or none.
+    progress : callable, optional
+        Called as ``progress(stage, done, text)`` during the run.
+    trust : bool, default False
+        Whether netlists that the scene includes may act on this machine.
+    deck : Path, optional
+        Netlist of this scene that was edited by hand. It is simulated instead of the scene's own.
+    keep : bool, default False
+        Whether to keep the raw file and the log of the simulator.
+    png : bool, default False
+        Whether to write the figures of the report as PNG files too.
+
+    Returns
+    -------
+    dict[str, Any]
+        Content of ``result.json``, in SI units.
 
     Raises
     ------
@@ -109,6 +127,21 @@ def run(
     MissingToolError : no ngspice; noticed before any FE is computed.
     SimulationError : a stage failed. Nothing was written to ``out``; the deck and its log are kept
         beside it in ``<out>.failed`` until a run into ``out`` succeeds.
+
+    Examples
+    --------
+    >>> lamp = {
+    ...     "name": "lamp",
+    ...     "drive": {"part": "source", "dc": "12 V"},
+    ...     "lamp": {"part": "resistor", "resistance": "6 Ohm", "pins": {"a": "drive.out"}},
+    ...     "analysis": {"type": "op"},
+    ...     "probes": {"current_a": {"of": "lamp.i"}},
+    ... }
+    >>> record = run(load_scene(lamp), Path("lamp"))
+    >>> print(f"{record['metrics']['current_a']:.4f} A")
+    2.0000 A
+    >>> Path("lamp/result.json").is_file()
+    True
     """
     with staged(out) as work:
         done = complete(scene, work, progress, out=out, trust=trust, deck=deck)

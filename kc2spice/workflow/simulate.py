@@ -93,10 +93,53 @@ def simulate(
     timeout: float | None = None,
     retries: int | None = None,
 ) -> Run:
-    """Run ``deck`` with the scene's retries, its result judged by the scene's parts; where a deck
-    edited by hand is not wired as the scene, that is a warning.
+    """Simulate a deck with the retries of its scene, and judge the result.
 
-    Raises as :func:`run_with_retries` does.
+    The checks are those of the scene's parts. If a deck that was edited by hand is not wired as the
+    scene, that is a warning.
+
+    Parameters
+    ----------
+    build : Build
+        Scene with the models of its parts.
+    deck : Deck
+        Netlist of the scene with its libraries.
+    directory : Path
+        Existing directory for the files of the deck and of the simulator.
+    progress : callable, optional
+        Called with the share of the transient that is done, between 0 and 1.
+    timeout : float, optional
+        Largest wall-clock time of one attempt in s. By default there is no limit.
+    retries : int, optional
+        Largest number of further attempts. The default is ``solver.retries`` of the scene.
+
+    Returns
+    -------
+    Run
+        Waves, metrics and checks, in SI units.
+
+    Raises
+    ------
+    RetriesFailedError : the last attempt failed.
+    SimulationError : ngspice failed in a way that no setting cures.
+    MissingToolError : no ngspice.
+
+    Examples
+    --------
+    >>> from kc2spice.core.progress import Clock
+    >>> from kc2spice.scene.load import load_scene
+    >>> from kc2spice.workflow.decks import prepared
+    >>> lamp = {
+    ...     "name": "lamp",
+    ...     "drive": {"part": "source", "dc": "12 V"},
+    ...     "lamp": {"part": "resistor", "resistance": "6 Ohm", "pins": {"a": "drive.out"}},
+    ...     "analysis": {"type": "op"},
+    ...     "probes": {"current_a": {"of": "lamp.i"}},
+    ... }
+    >>> build, deck = prepared(load_scene(lamp), Clock())
+    >>> run = simulate(build, deck, Path())
+    >>> print(f"{run.metrics['current_a']:.4f} {run.units['current_a']}")
+    2.0000 A
     """
 
     def judge(waves: Waveforms) -> Verdict:

@@ -30,13 +30,24 @@ SIDECAR_KEYS = _sidecar.__doc__ or ""  # every key of NAME.toml, for --help and 
 
 
 def read_model(path: Path | str, sidecar: Path | str | None = None) -> LinearModel:
-    """Read the model at ``path`` with the ports that ``sidecar`` (``NAME.toml`` beside it) names.
+    """Read the matrices of another tool as a linear model with ports.
 
     Second order ``M x'' + E x' + K x = B u``, ``y = C x + D u``; first order ``E x' = A x + B u``;
     heat ``E x' + K x = B u`` (E and K without M and A). Missing E is zero (second order) or one
     (first order), a missing C is ``B'``, a missing D zero. A complex K is structural damping.
-    ``path`` may be any file of the model, or a TOML file with ``files``; formats are listed in
-    :data:`FORMATS`, the keys of the TOML file in :mod:`kc2spice.bodies.readers.sidecar`.
+
+    Parameters
+    ----------
+    path : Path or str
+        Any file of the model, or a TOML file with ``files``. :data:`FORMATS` lists the formats.
+    sidecar : Path or str, optional
+        TOML file that names the ports; :mod:`kc2spice.bodies.readers.sidecar` lists its keys. The
+        default is ``NAME.toml`` beside the model, if that exists.
+
+    Returns
+    -------
+    LinearModel
+        Model in SI units. Its ports are those of the TOML file, or else signals.
 
     Raises
     ------
@@ -44,6 +55,19 @@ def read_model(path: Path | str, sidecar: Path | str | None = None) -> LinearMod
         finite; matrices or ports that do not fit together. The message names the file, the key,
         what was found and what was expected.
     MissingToolError : the format needs a package that is not installed; the message says which.
+
+    Examples
+    --------
+    A mass of 10 g on a spring of 100 N/m moves by 10 mm for 1 N.
+
+    >>> import numpy as np
+    >>> import kc2spice as kc
+    >>> np.savez("oscillator.npz", M=[[0.01]], K=[[100.0]], B=[[1.0]])
+    >>> model = kc.read_model("oscillator.npz")
+    >>> model.order, [port.name for port in model.ports]
+    (1, ['u1', 'y1'])
+    >>> print(f"{model.transfer([0.0])[0, 0, 0].real:.4f} m")
+    0.0100 m
     """
     path, sidecar = Path(path), None if sidecar is None else Path(sidecar)
     if "\0" in str(path):

@@ -569,17 +569,48 @@ def sweep(
     table_format: str = "csv",
     retry_failed: bool = False,
 ) -> dict[str, Any]:
-    """Run all points that ``out`` does not hold yet; return the contract's summary.
+    """Run all points of a sweep that are not finished, and write its table.
 
     Rows go to ``out/rows.sqlite`` as they come; the table, its figures and ``sweep.html`` appear
-    when all are there. A sweep that was killed goes on where it was when it is asked for again.
-    Points that failed for what happened to the machine are run again then, with ``retry_failed``
-    all that failed.
+    when all are there. The same call continues a sweep that was interrupted. It repeats points that
+    failed because of the machine.
+
+    Parameters
+    ----------
+    found : Sweep
+        Points and settings of the sweep, such as :func:`named_sweep` returns.
+    out : Path
+        Directory for the files of the sweep.
+    workers : callable
+        Function without arguments that returns a context manager. The manager yields an executor
+        and the number of points to run at a time; see :func:`processes` and :func:`dask`.
+    progress : callable, optional
+        Called as ``progress(stage, done, text)`` after each point.
+    table_format : "csv" or "parquet", default "csv"
+        Format of the table.
+    retry_failed : bool, default False
+        Whether to repeat all points that failed.
+
+    Returns
+    -------
+    dict[str, Any]
+        What ``kc2spice sweep --json`` prints: number of points, failures and names of the files.
 
     Raises
     ------
     UsageError : ``out`` holds another sweep, another process writes there, or it cannot be written.
     MissingToolError : no workers, or no ngspice where they are; no pyarrow for Parquet.
+
+    Examples
+    --------
+    >>> from concurrent.futures import ThreadPoolExecutor
+    >>> from contextlib import nullcontext
+    >>> drops = named_sweep("impact", ["impact.velocity=-0.1,-0.2"])
+    >>> summary = sweep(drops, Path("drops"), lambda: nullcontext((ThreadPoolExecutor(1), 1)))
+    >>> summary["points"], summary["failed"]
+    (2, 0)
+    >>> Path("drops/sweep.html").is_file()
+    True
     """
     start = begin = time.monotonic()
     with closing(_open_rows(found, out, table_format)) as rows:
