@@ -38,7 +38,8 @@ class Transient:
         """All methods on the scene's reduced model."""
         points, notes = self._rounds([*self._ngspice(), *self._scipy(), *self._lower_bound()])
         what = "rebound" if self.thrown else "launch"
-        notes.append("The reference is the same reduced model, integrated to 1e-9")
+        reference = "The reference is the same reduced model, integrated with a relative tolerance"
+        notes.append(f"{reference} of 1e-9")
         notes.append(
             "Methods without inertia at the contact are compared with the reference integration of "
             "kc2spice"

@@ -87,7 +87,9 @@ of the equations. `python tools/published_table.py` writes this page from `docs/
 | scene | quantity | published | full | reduced | ngspice | difference | within |
 |---|---|---|---|---|---|---|---|
 """
-ASSUMPTIONS = "The sources do not contain these keys, so the rows do not test the model."
+ASSUMPTIONS = (
+    "The sources do not give the values below. Rows that depend on them do not test the model."
+)
 KICKS = """\
 The model reaches the measured speed with an edge of about 20 µs. The scene `kick_and_catch` has a
 sphere of 2 mm and edges of 0.1 µs. Its 1.02 m/s need a driver that gives 35 A to the chip. A driver
