@@ -27,7 +27,7 @@ from kc2spice.core.interrupt import end_on_signals
 
 
 def _names(incomplete: str) -> list[str]:
-    """What the shell offers; file names come from the shell itself."""
+    """Completions of scene names; the shell completes file names."""
     names = (item.name for item in (resources.files("kc2spice") / "scenes").iterdir())
     return sorted(n[:-5] for n in names if n.startswith(incomplete) and n.endswith(".toml"))
 
@@ -85,8 +85,8 @@ PARAMETERS = {
     ),
     "trust": typer.Option(
         "--trust",
-        help="Let included netlists act on this machine, and warn where ngspice ignores or "
-        "replaces something in them.",
+        help="Allow included netlists to run commands and access files. Lines that ngspice "
+        "ignores or replaces then give a warning.",
     ),
     "as_json": typer.Option("--json", help="Print one JSON object instead of tables."),
     "quiet": typer.Option("--quiet", "-q", help="Print neither progress nor tables."),
@@ -107,11 +107,14 @@ PARAMETERS = {
     ),
     "count": typer.Option(metavar="N", help="Write N copies of the scene into one deck."),
     "rom": typer.Option(metavar="FILE", help="Reduced model that 'reduce' wrote, not a scene."),
-    "dense": typer.Option("--dense", help="With --rom: couple all states, not blocks of them."),
+    "dense": typer.Option(
+        "--dense", help="With --rom: write one dense state-space system instead of blocks."
+    ),
     "all_": typer.Option("--all", help="Verify every built-in scene."),
     "full": typer.Option(
         "--full",
-        help="Follow full models up to 100 times as long, and solve large ones at all frequencies.",
+        help="Follow full models for up to 400 000 steps, not 4 000, and solve large ones at all "
+        "frequencies.",
     ),
     "keys": typer.Option("--keys", help="List every key that a scene may have."),
     "parts": typer.Option("--parts", help="List the part types with their pins and keys."),
@@ -151,7 +154,9 @@ PARAMETERS = {
         "model.kick.resonance_short_hz. Default: all metrics. Repeatable.",
     ),
     "repeats": typer.Option(metavar="N", min=1, help="Runs of each setting; the median counts."),
-    "zipped": typer.Option("--zip", help="Step through all ranges together. Default: cross them."),
+    "zipped": typer.Option(
+        "--zip", help="Step through all ranges together. Default: every combination."
+    ),
     "latin": typer.Option("--latin", help="Draw random keys by Latin hypercube."),
     "seed": typer.Option(metavar="N", min=0, help="Seed of all random draws."),
     "table_format": typer.Option("--format", metavar="FORMAT", help="Format: csv or parquet."),
@@ -240,7 +245,10 @@ def _version(wanted: bool) -> None:
 @app.callback()
 def _common(
     version: Annotated[
-        bool, typer.Option("--version", callback=_version, is_eager=True, help="Print it and stop.")
+        bool,
+        typer.Option(
+            "--version", callback=_version, is_eager=True, help="Print the version and exit."
+        ),
     ] = False,
 ) -> None:
     pass

@@ -86,7 +86,7 @@ class GroupKeys(Section):
         return self
 
     def pick(self, unit: float) -> dict[str, Any]:
-        """What the mesh reader looks for in a file of this unit [m]."""
+        """Selection for the mesh reader, in a file of this unit [m]."""
         kind = next(iter(self.model_fields_set)).removesuffix("_in")
         dimension = ("points", "curves", "faces", "solids").index(kind)
         at, box = (np.divide(getattr(self, key) or (), unit) for key in (kind, f"{kind}_in"))
@@ -141,12 +141,12 @@ class PortKeys(Section):
 
     @property
     def motions(self) -> tuple[str, ...]:
-        """Those of a rigid face that are ports."""
+        """Motions of a rigid face that are ports."""
         return _MOTIONS if self.axis is None else (str(self.axis),)
 
     @property
     def ports(self) -> tuple[Port, ...]:
-        """What it is in a model."""
+        """Ports of the model for this entry."""
         if self.kind != "rigid":
             return (Port(self.name, "acceleration" if self.kind == "base" else "mechanical"),)
         names = [self.name if self.axis else f"{self.name}_{motion}" for motion in self.motions]
@@ -179,8 +179,10 @@ class CylindricalKeys(Section):
 
 
 class BodyKeys(FieldKeys):
-    """Of the electrodes, ``cathode`` (or ``gnd``, ``ground``, else the last) is the return pin of
-    all others. ``floating`` electrodes are equipotential and carry no charge.
+    """Body from a mesh or CAD file.
+
+    The electrode ``cathode`` (otherwise ``gnd``, ``ground``, or the last) is the return pin of all
+    others. ``floating`` electrodes are equipotential and carry no charge.
     """
 
     mesh: Annotated[str, StringConstraints(min_length=1, max_length=255)] = Field(
@@ -216,8 +218,8 @@ class BodyKeys(FieldKeys):
     poling: dict[str, Vector | Literal["radial", "tangential"] | CylindricalKeys] = Field(
         default_factory=dict,
         description=(
-            "Direction of the third material axis of each mesh group, by default z; radial or "
-            "tangential about the z axis; or a table of direction, axis and through"
+            "Direction of the third material axis of each mesh group: a vector (default z), "
+            '"radial" or "tangential" about z, or a table with direction, axis and through'
         ),
     )
     fixed: tuple[str | FixedKeys, ...] = Field(
@@ -241,7 +243,7 @@ class BodyKeys(FieldKeys):
 
     @property
     def every_port(self) -> tuple[Port, ...]:
-        """What its model has, electrical ports first."""
+        """All ports of the model, electrical ports first."""
         pairs = [(name, self.reference) for name in self.electrodes if name != self.reference]
         electrical = (Port(pair[0], "electrical", pins=pair) for pair in pairs)
         return (*electrical, *(port for item in self.ports for port in item.ports))
@@ -471,7 +473,7 @@ class Body(MeshedBody):
         yield from super().notes(part, scene)
 
     def sides(self, part: Part, scene: Scene) -> list[float]:
-        """Those of the bounding box of its file [m]."""
+        """Sides of the bounding box of its file [m]."""
 
         def size() -> list[float]:
             with part_named(part.name):

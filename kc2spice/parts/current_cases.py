@@ -29,7 +29,7 @@ class CurrentCasesKeys(Section):
         (-0.1, 0.0, 0.1),
         min_length=1,
         max_length=1000,
-        description="Currents of both coils, every pair of which is a case",
+        description="Coil currents; each pair of values is one case",
     )
 
 

@@ -56,15 +56,15 @@ from kc2spice.scene.parttype import register
 from kc2spice.scene.rows import Vector
 
 PATCH = "patch"  # begins the names of a body's ports that are one row of patches
-ROUNDED = 1e-9  # of force over displacement, by which iterations leave an operating point
-UNSTABLE = 1e-5  # of the capacitance: above the last digits of ngspice where nothing moves
+ROUNDED = 1e-9  # error of force over displacement at an operating point, by iterations
+UNSTABLE = 1e-5  # change of the capacitance, relative; above rounding errors of ngspice at rest
 TERMS = 99  # odd m and n up to this; what is left out damps 1e-4 less
 FINER = 2  # branches of the film in verify, of those in the netlist
 FEWEST, MOST = 3, 100  # branches that a scene sets: its motion may be faster than what drives it
 
 
 class Fringing(Section):
-    """Of a strip over a plane."""
+    """Fringing field of a strip over a plane."""
 
     width: Length = Field(gt=0, description="Width of the strip")
     thickness: Length = Field(gt=0, description="Thickness of the strip")
@@ -98,7 +98,9 @@ class Film(Section):
 class GapKeys(_stop.Stopped):
     """``a`` is a body with a row of patches, a port such as ``beam.tip``, or a list of ports."""
 
-    a: str | tuple[str, ...] = Field(description="Body with patches, or the list of its ports")
+    a: str | tuple[str, ...] = Field(
+        description="Name of the body with surface patches, or a list of its ports"
+    )
     area: Annotated[float, si("m2")] = Field(
         gt=0, description="Area of the electrode, all patches together"
     )
@@ -123,7 +125,7 @@ class GapKeys(_stop.Stopped):
 
 
 class Patched(DeclaredPart):
-    """What acts on a row of patches ``p1`` …, as many as its key ``a`` says."""
+    """Part that acts on a row of patches ``p1`` …, whose number follows from its key ``a``."""
 
     def pins(self, part: Part, scene: Scene) -> tuple[Terminal, ...]:
         ends = {"minus": "gnd", "b": "gnd"}
@@ -305,7 +307,7 @@ def _declared(text: str, count: int, film_branches: int, top: float) -> Declarat
     patches, sign = range(1, count + 1), "-" if keys.side == "below" else "+"
     branches = [voltage("v", "plus", "minus")]
     branches += [displacement(f"x{k}", f"p{k}", "b", f"force{k}") for k in patches]
-    # Of the gap, 1 at rest: ngspice adds 1e-32 to what it divides by.
+    # Relative gap, 1 at rest: ngspice adds 1e-32 to every divisor.
     left = {k: f"(1 - {sign}1*x{k}/gap)" for k in patches}
     item = {k: f"share{k}*area/gap/{left[k]}" for k in patches}
     if keys.fringing is not None:  # whose roots no iterate may take of what is below zero

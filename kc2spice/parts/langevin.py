@@ -39,7 +39,7 @@ _CELLS = 8  # along the largest radius before refinement
 
 
 class Piece(Section):
-    """What all pieces have."""
+    """Keys that all pieces have."""
 
     material: str | dict[str, Any] = Field(description="Material of the piece, a name or a table")
     quality: Ratio | None = Field(
@@ -80,7 +80,7 @@ class Bolt(Piece):
         None,
         gt=0,
         description=(
-            "Depth of the bolt in the front mass; by default the first step of the front mass"
+            "Depth of the bolt in the front mass; by default the length of the first step"
         ),
     )
     head_diameter: Length | None = Field(

@@ -34,7 +34,9 @@ class StretchKeys(Section):
     plate held all round with ``rows`` of them, one row after the other.
     """
 
-    a: str | tuple[str, ...] = Field(description="Body with patches, or the list of its ports")
+    a: str | tuple[str, ...] = Field(
+        description="Name of the body with surface patches, or a list of its ports"
+    )
     length: Length = Field(gt=0, description="Length of the beam, all patches of a row together")
     stiffness: Stiffness = Field(
         gt=0,

@@ -130,7 +130,7 @@ class Solver(Section):
 
 
 class Checks(Section):
-    """What becomes of a run whose result violates a check: it fails (exit 5), warns, or neither."""
+    """Action on a violated check: the run fails (exit 5), warns, or neither."""
 
     energy: Action = Field(
         "fail", description="Action if an energy balance of sphere, contact or chip fails"
@@ -165,7 +165,7 @@ class Checks(Section):
 
 
 class Bench(Section):
-    """What ``bench`` judges settings by."""
+    """Metrics and limits by which ``bench`` judges settings."""
 
     metric: tuple[str, ...] = Field(
         (), max_length=64, description="Metrics that the scene is run for; by default all numbers"
@@ -207,12 +207,14 @@ class Gates(Section):
         ),
     )
     rebound_velocity: Ratio = Field(
-        5e-5, gt=0, description="Relative error of the rebound velocity, between any two solutions"
+        5e-5,
+        gt=0,
+        description="Largest relative difference of the rebound velocity between any two solutions",
     )
     separation_time: GateTime = Field(  # type: ignore[assignment]
         default="1.5 ns",
         gt=0,
-        description="Error of the end of an impact, between any two solutions",
+        description="Largest difference of the end time of an impact between any two solutions",
     )
     energy: Ratio = Field(
         1e-7,
@@ -280,7 +282,7 @@ SCALE_OF = {"transient": "s", "ac": "Hz", "noise": "Hz"}  # units by type of ana
 
 
 class Analysis(Section):
-    """What the simulator does with the circuit."""
+    """Analysis that the simulator runs."""
 
     type: Literal["transient", "ac", "dc", "op", "noise"] = Field(
         "transient", description="Kind of analysis"
