@@ -366,7 +366,7 @@ def simulate(deck: Deck, *, timeout: float | None = None) -> Result:
 
 @dataclass(frozen=True, repr=False, eq=False)
 class Result:
-    """What a simulation gave.
+    """Result of a simulation.
 
     Attributes
     ----------

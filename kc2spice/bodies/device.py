@@ -44,16 +44,17 @@ from kc2spice.rom.linear import LinearModel, Port, with_potentials
 
 # Shift [rad/s] of a body that is free to move, in units of its slowest sound over its size.
 FREE_SHIFT = 1e-3
-RESIDUAL = 1e-5  # of a mode; its frequency is off by the square of that
+RESIDUAL = 1e-5  # residual of a mode; the error of its frequency is the square
 MODES = (4, 8, 40)  # asked for in turn; a body that is free to move has more than four rigid ones
 # A mode is excited by a port if it has more than this part of the static answer (mass norm).
 COUPLED = 0.03
 REFINEMENTS = 3
-# Of the sum of absolute contributions of elements to the error of a static answer: of beams whose
-# contributions cancel, their sum alone is 0.3 of the error, tests/physics/test_mesh_error.py.
+# Share of the sum of absolute element contributions in the error estimate of a static response. In
+# beams, where contributions cancel, their sum is only 0.3 of the error
+# (tests/physics/test_mesh_error.py).
 CHANCE = 1 / 3
-LEAST_SHARE = 0.1  # of a value that its better one is taken to have at least
-LEAST_ERROR = 1e-4  # relative, of a mesh: below, rounding and the ports' own nodes decide
+LEAST_SHARE = 0.1  # least ratio of a corrected value to the value itself
+LEAST_ERROR = 1e-4  # least relative mesh error; below, rounding and port nodes dominate
 UP = np.array([0.0, 0.0, 1.0])
 Operator = Callable[[np.ndarray], np.ndarray]
 
@@ -79,7 +80,7 @@ class RigidFace:
 
 @dataclass(frozen=True, eq=False)
 class Setup:
-    """What is done to a solid: supports, electrodes, ports, masses added to nodes.
+    """Boundary conditions of a solid: supports, electrodes, ports, masses added to nodes.
 
     Attributes
     ----------
@@ -395,10 +396,13 @@ def _supported(solid: Solid, fixed: np.ndarray, pieces: Sequence[np.ndarray]) ->
 
 @dataclass(frozen=True, eq=False)
 class Answers:
-    """What a model without damping does: ``facts`` by name, and the displacements z (n, …) that
-    they are of: ``static`` under 1 V at each electrical port, ``pushed`` (n, 1 or 0) under 1 N at
-    the first mechanical port, the lowest ``modes`` that the electrical ports excite (of a body
-    without any: the others), shorted."""
+    """Responses of a model without damping.
+
+    ``facts`` are numbers by name, from the displacements z (n, …): ``static`` under 1 V at each
+    electrical port, ``pushed`` (n, 1 or 0) under 1 N at the first mechanical port, and the lowest
+    ``modes`` with shorted electrical ports that these excite. A body without electrical ports has
+    the lowest other modes.
+    """
 
     facts: dict[str, float]
     static: np.ndarray
@@ -576,7 +580,7 @@ class Bonded:
 
     @property
     def every_port(self) -> tuple[Port, ...]:
-        """What its model has, electrical ports first."""
+        """All ports of the model, electrical ports first."""
         pins = [pin for pin in self.electrodes if pin != "cathode"]
         return (
             *(Port(pin, "electrical", pins=(pin, "cathode")) for pin in pins),

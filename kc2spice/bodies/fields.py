@@ -29,7 +29,7 @@ from kc2spice.rom.modal import resonant
 from kc2spice.rom.subspace import block_arnoldi
 
 ORDER = 40
-STILL = 1e-6  # of the highest frequency: a motion without stiffness
+STILL = 1e-6  # frequency of a motion without stiffness, relative to the highest
 SLOWEST = 1e-4  # angle over the whole run of a mode that is free to move
 # Instants at which extremes are looked for, half evenly spread, half of most energy: at least so
 # many, and more where points times instants stay below this.
@@ -65,8 +65,9 @@ class Motion:
 
 
 def recover(device: Device, time: np.ndarray, inputs: Mapping[str, np.ndarray]) -> Motion:
-    """The motion of the body under port inputs (by port name, SI, over ``time``); ports that are
-    not named get none. It starts at rest under the first values.
+    """Motion of the body under port inputs (by port name, SI, over ``time``).
+
+    Other ports have no input. The body starts in equilibrium with the first values.
 
     Raises
     ------
@@ -180,7 +181,7 @@ def principal(stress: np.ndarray) -> np.ndarray:
     return np.asarray(mean + 2 * size * radius * np.cos(angle))
 
 
-# What is looked for in each material: unit, and the name of its limit.
+# Fields evaluated in each material: unit, and the name of the limit.
 QUANTITIES = {
     "principal_stress": ("Pa", "tensile_strength"),
     "electric_field": ("V/m", "breakdown_field"),
@@ -209,8 +210,10 @@ class Extreme(EqualByContent):
 
 
 def extremes(motion: Motion) -> list[Extreme]:
-    """Of every material the largest principal stress, of the piezoelectric ones the largest field
-    and the largest one against the poling.
+    """Extreme values in each material.
+
+    They are the largest principal stress, and in piezoelectric materials the largest electric field
+    and the largest field against the poling.
 
     Values are those at Gauss points: at re-entrant corners and edges of clamps the stress of
     linear elasticity grows without bound as the mesh is refined.

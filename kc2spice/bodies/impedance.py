@@ -1,4 +1,4 @@
-"""What a designer reads off an impedance analyser: f_s, f_p, Q, coupling, capacitance, BVD.
+"""Values of an impedance analyser: f_s, f_p, Q, coupling, capacitance, BVD model.
 
 The Butterworth-Van Dyke circuit is a capacitor C0 beside a series branch R, L, C; with s = j w
 
@@ -108,7 +108,7 @@ def _require_resonance(
     The loss of a dielectric, or rounding of a body without loss, has such maxima as well.
     """
     branch = bvd.admittance(f) - 2j * np.pi * f * bvd.c0_f
-    conductance = Y.real - branch.real  # what the dielectric and other modes lose
+    conductance = Y.real - branch.real  # losses of the dielectric and of other modes
     ripple = conductance - np.polyval(np.polyfit(f, conductance, 2), f)
     got = f"{f[0]:g} to {f[-1]:g} Hz"
     if not f[0] <= resonance <= f[-1]:

@@ -27,11 +27,11 @@ from kc2spice.fem.solid import Solid
 from kc2spice.linalg.factor import require_bytes
 from kc2spice.rom.linear import Port
 
-GROWTH = 0.25  # of a level's thickness with its depth
+GROWTH = 0.25  # growth of a level's thickness with its depth
 # Fill of sparse factors of a solid grows as n^(4/3); 152 000 unknowns took 5.8 GB.
 SPARSE_BYTES = 700.0
-_NEAR = 1e-9  # of the stack's size
-_FINE = 8  # of a quadrature that meets the corners of a pressure anywhere in a cell
+_NEAR = 1e-9  # distance of equal positions, relative to the stack's size
+_FINE = 8  # points of a quadrature with corners of the pressure anywhere in a cell
 
 Profile = tuple[np.ndarray, np.ndarray]
 

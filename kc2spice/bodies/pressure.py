@@ -62,14 +62,14 @@ from kc2spice.fem.materials import Material
 from kc2spice.fem.solid import Solid, assemble
 from kc2spice.rom.linear import LinearModel, Port, with_potentials
 
-CELLS = 3  # of the graded mesh between two nodes of the basis
+CELLS = 3  # cells of the graded mesh between two nodes of the basis
 GROWTH = 1.3  # from cell to cell away from them
-EVEN = 0.2  # of the patch's radius, within which they are equally spaced
-WIDEST = 0.5  # of the patch's radius, of the contacts that a law is for
+EVEN = 0.2  # part of the patch's radius within which nodes are equally spaced
+WIDEST = 0.5  # radius of the widest contact of a law, relative to the patch's radius
 RESOLVED = 5  # basis functions under the narrowest contact that the law is fitted to
-DEGREE = 5  # of its polynomial in the contact's radius
-DEPTHS = 300  # that it is fitted to
-SOFT = 1e-7  # of a basis function's own compliance, which makes their matrix definite
+DEGREE = 5  # degree of the law's polynomial in the contact's radius
+DEPTHS = 300  # indentations to which the law is fitted
+SOFT = 1e-7  # added share of a basis function's compliance; it makes the matrix definite
 OBLATE = 2.65  # 2 pi f R / c of the lowest mode, c of shear waves (Lamb 1882, nu = 0.25)
 ANGLE = 1 / 8  # rad, of a cell at most
 PIT = 1 / 60  # rad around the upper pole without cells
@@ -134,7 +134,7 @@ class LocalCompliance(EqualByContent):
 
 
 def local_compliance(chip: Chip, shape: PressureBasis) -> LocalCompliance:
-    """Of the basis functions on the stack's top, and of their patch on the coarse mesh.
+    """Compliance of the basis functions on the stack's top, and of their patch on the coarse mesh.
 
     Raises
     ------
@@ -173,13 +173,15 @@ def _compliance(model: LinearModel) -> np.ndarray:
     return np.asarray((S + S.T) / 2)
 
 
-UNITS = {"pressure_pa": "Pa", "shear_pa": "Pa", "shear_depth_m": "m"}  # of what is stressed
+UNITS = {"pressure_pa": "Pa", "shear_pa": "Pa", "shear_depth_m": "m"}  # units of the stresses
 
 
 def stressed(chip: Chip, shape: PressureBasis, force: np.ndarray) -> dict[str, float]:
-    """What ``force`` (n,) [N] on the basis does inside, on the graded mesh, at Gauss points: the
-    largest ``pressure_pa``, and the largest ``shear_pa``, half the difference of principal
-    stresses, with its ``shear_depth_m`` below the top."""
+    """Stresses under ``force`` (n,) [N] on the basis, at Gauss points of the graded mesh.
+
+    They are the largest ``pressure_pa``, and the largest ``shear_pa``, half the difference of
+    principal stresses, with its ``shear_depth_m`` below the top.
+    """
     stack = _stack(chip, shape, CELLS)
     probe, model = Probe(stack, gauss=True), stack.model
     z = model.pencil.pencil_solver(0.0).solve(-model.B[:, : len(force)] @ force)
@@ -233,7 +235,10 @@ def _basis_ports(shape: PressureBasis) -> list[Port]:
 
 
 def _basis_loads(solid: Solid, shape: PressureBasis, facets: np.ndarray) -> np.ndarray:
-    """(2 nodes, n) unit axial forces, spread as the basis is over what the facets project."""
+    """Nodal loads (2 nodes, n) of unit axial force.
+
+    Each basis function distributes the force over the projected facets.
+    """
     basis = solid.face(facets, 5)
 
     def load(heights: np.ndarray) -> np.ndarray:
@@ -345,7 +350,7 @@ def sphere(body: Sphere, shares: np.ndarray, shape: PressureBasis, refine: int =
 
 
 def sphere_compliance(body: Sphere, shape: PressureBasis, refine: int = 1) -> LocalCompliance:
-    """Of the basis functions on the sphere, and of their patch."""
+    """Compliance of the basis functions on the sphere, and of their patch."""
     S = _compliance(_free(body, shape, refine).model)
     patch = float(1 / np.linalg.solve(S, np.ones(len(S))).sum())
     return LocalCompliance(S - patch, patch)
@@ -361,7 +366,7 @@ def _free(body: Sphere, shape: PressureBasis, refine: int) -> Device:
     zeta = 2 * radius * w / (1 - 1j * w)
     mesh = MeshQuad2(np.ascontiguousarray([zeta.real, zeta.imag]), mesh.t)
     solid = Solid(mesh, (body.material,), np.zeros(mesh.nelements, int), axisymmetric=True)
-    r, h = mesh.p[:, mesh.facets]  # those on the sphere within the patch around the lower pole
+    r, h = mesh.p[:, mesh.facets]  # facets on the sphere within the patch around the lower pole
     under = np.abs(np.hypot(r, h - radius) - radius).max(axis=0) < 1e-9 * radius
     under &= (r.max(axis=0) < (1 + 1e-9) * shape.nodes[-1]) & (h.max(axis=0) < radius)
     free = np.ones((solid.places.shape[1], 2), dtype=bool)

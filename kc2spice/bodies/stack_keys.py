@@ -156,7 +156,7 @@ class Chip(Section):
 
     @cached_property
     def ceramic(self) -> Material:
-        """What its layers are made of, poled along z.
+        """Ceramic of the layers, poled along z.
 
         Raises
         ------

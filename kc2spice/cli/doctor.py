@@ -38,8 +38,8 @@ R1 out 0 1
 .op
 .end
 """
-# What our netlists ask of ngspice: parameters in braces, pwl and max in a behavioural source, and
-# the current of such a source among the results.
+# ngspice features that our netlists use: parameters in braces, pwl and max in a behavioural
+# source, and the current of such a source among the results.
 _FEATURE_DECK = """* feature probe
 .param eps=2
 V1 in 0 PULSE(0 1 0 1e-6 1e-6 1)
@@ -51,7 +51,7 @@ R1 out 0 1
 .save @b1[i]
 .end
 """
-# What is probed, by which deck, the last value of these vectors, and what mends it.
+# Feature, deck that tests it, expected last values of its vectors, and remedy.
 _PROBES = (
     ("ngspice runs our netlists", _FEATURE_DECK, ("v(out)", "@b1[i]"), 4.0,
      "install a complete ngspice, version 39 or later"),

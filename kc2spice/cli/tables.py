@@ -1,4 +1,4 @@
-"""What a caller sees in the terminal: progress on stderr, tables on stdout, errors in one block."""
+"""Terminal output: progress on stderr, tables on stdout, errors in one block."""
 
 from __future__ import annotations
 
@@ -22,9 +22,9 @@ from kc2spice.core.progress import ERROR_BUDGET, Progress, silent
 
 if TYPE_CHECKING:
     from kc2spice.report.html import Section
-COLUMNS = 80  # of what is piped
-MOST_METRICS, MOST_ROWS = 9, 13  # of the answer of a run, which has a title and a path besides
-INTERRUPTED = 130  # what a shell reports after Ctrl-C
+COLUMNS = 80  # width of piped output
+MOST_METRICS, MOST_ROWS = 9, 13  # metrics and rows of the summary of a run
+INTERRUPTED = 130  # exit code of shells after Ctrl-C
 
 
 @dataclass(frozen=True)
@@ -117,7 +117,7 @@ def reported_errors() -> Iterator[None]:
 
 
 def _drop_stdout() -> None:
-    """What is still to be written goes nowhere."""
+    """Discard further output."""
     with contextlib.suppress(OSError, ValueError):  # a stream without a file
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 
 LONGEST = 200  # characters of a word that is compared with others
-MOST_CHOICES = 5  # that an error lists
+MOST_CHOICES = 5  # candidates that an error lists
 SHORTEST = 4  # letters and digits of a word that is looked for inside other names
 
 

@@ -17,8 +17,8 @@ from pathlib import Path
 
 from kc2spice.core.errors import UsageError
 
-# What a reader opens first. They go before any other file changes and come after all others:
-# whoever sees one sees the files that belong to it, even after a kill between two renames.
+# Entry files: deleted first and written last, so that a reader never finds a partial set, even
+# after a kill between two renames.
 RESULT = "result.json"
 ENTRIES = (".cir", "verify.json", RESULT)
 _SUFFIX = ".part"
@@ -122,8 +122,12 @@ def _hash(path: Path) -> str:
 def earlier(out: Path) -> set[str]:
     """Names of unchanged files that an earlier run wrote into ``out``.
 
-    ``result.json`` of that run contains their hashes. A file that has another hash, a name with a
-    folder, a hidden file and a link do not count.
+    ``result.json`` of that run contains their hashes. Ignored are
+
+    * files with another hash,
+    * names with a folder,
+    * hidden files,
+    * links.
     """
     try:
         if (out / RESULT).stat().st_size > _LARGEST:

@@ -242,8 +242,8 @@ def _declared(stream: IO[bytes]) -> tuple[tuple[int, ...], np.dtype]:
 
 ANSWER, REASON = "answer.npz", "reason.json"
 LARGEST = 8_000_000_000  # bytes of memory, libraries included
-MAX_ANSWER = 4_000_000_000  # of what comes back
-MAX_ENTRIES = 200_000_000  # of one array that comes back
+MAX_ANSWER = 4_000_000_000  # bytes of the answer
+MAX_ENTRIES = 200_000_000  # entries of one array in the answer
 
 
 def in_child(

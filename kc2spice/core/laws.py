@@ -201,11 +201,11 @@ class Device(ABC):
     @property
     @abstractmethod
     def taps(self) -> tuple[Tap, ...]:
-        """What it sees."""
+        """Waves that the law reads."""
 
     @property
     def flows(self) -> tuple[Flow, ...]:
-        """What it exerts."""
+        """Flows that the law exerts."""
         return ()
 
     @property
@@ -259,8 +259,10 @@ class Device(ABC):
         return self.evaluate(e, mode)[1], self.store(e, mode)[1]
 
     def noise(self, s: complex, e: np.ndarray, mode: Any) -> tuple[np.ndarray, np.ndarray] | None:
-        """What sources of unit density add to ``out`` (k, sources) and to the store (stored,
-        sources), where ``4 k T`` times their square is its noise; None of what has none."""
+        """Noise sources of unit density, in ``out`` (k, sources) and the store (stored, sources).
+
+        The noise is ``4 k T`` times their square; None without noise.
+        """
         return None
 
     def mode(self, e: np.ndarray) -> Any:
@@ -378,8 +380,11 @@ class PortBody(Device):
 
     @cached_property
     def at_rest(self) -> Relation:
-        """What it does to constant loads. A body that is free to move meets none (a scene with one
-        is refused): any finite answer holds it where it is, here that to a load that grows."""
+        """Static relation of loads and displacements.
+
+        A body that is free to move has no constant load, because such a scene is refused. Any
+        finite relation keeps it in place; here it is the response to a growing load.
+        """
         try:
             H = self.transfer(0.0)
         except SimulationError:
@@ -438,7 +443,7 @@ class SignalBlock(Device):
     D: np.ndarray
     inputs: tuple[str, ...]
     outputs: tuple[str, ...]
-    kind: str = "signal"  # of the inputs
+    kind: str = "signal"  # kind of the inputs
 
     linear = True
 

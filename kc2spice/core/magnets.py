@@ -87,8 +87,8 @@ def cubic_spline(x: np.ndarray, values: np.ndarray) -> Piecewise:
 
 
 CASES = np.array([(i1, i2) for i1 in (-0.1, 0.0, 0.1) for i2 in (-0.1, 0.0, 0.1)])  # A
-NEAR = 1e-6  # of a table's range, within which two heights are one
-# Of the force in the mesh size, on quadratic triangles: 4 where the field is smooth, less at
+NEAR = 1e-6  # distance of two equal heights, relative to the range of the table
+# Order of convergence of the force on quadratic triangles: 4 where the field is smooth, less at
 # corners of magnets and coils; tests/physics/test_magnetostatic.py limits what remains.
 ORDER = 3
 
@@ -168,7 +168,7 @@ class EMTable(EqualByContent):
     """
 
     def magnetised(self, remanence: float, shift: float) -> EMTable:
-        """That of magnets with so many times the remanence, ``shift`` [m] higher.
+        """Table for magnets with ``remanence`` times the remanence, ``shift`` [m] higher.
 
         In linear materials the pull between the magnets grows with the square of the remanence,
         what a current adds in proportion, and what currents do alone not at all.

@@ -33,7 +33,7 @@ def _of_machine(root: Path) -> Iterator[float]:
 
 
 def _of_groups(root: Path) -> Iterator[float]:
-    """What each control group above this process has left; pages of files can be reclaimed."""
+    """Free memory of each control group above this process, reclaimable file pages included."""
     for line in _text(root / "proc/self/cgroup").splitlines():
         number, _, rest = line.partition(":")
         controllers, _, path = rest.partition(":")
@@ -55,7 +55,7 @@ def _of_groups(root: Path) -> Iterator[float]:
 
 
 def _of_limits(root: Path) -> Iterator[float]:
-    """What address space and data segment have left of their limits (``ulimit -v``, ``-d``)."""
+    """Memory left below the limits of address space and data segment (``ulimit -v``, ``-d``)."""
     try:
         import resource
     except ImportError:  # Windows

@@ -25,7 +25,7 @@ def mesh_errors(facts: Mapping[str, float]) -> dict[str, float]:
 
 
 def mesh_facts(facts: Mapping[str, float]) -> dict[str, float]:
-    """Those of the ``facts`` that :func:`mesh_errors` reads."""
+    """Select the ``facts`` that :func:`mesh_errors` reads."""
     names = [f"{MESH_ERROR}{name}" for name in _MESH_ERRORS]
     return {name: float(facts[name]) for name in names if name in facts}
 

@@ -1,5 +1,6 @@
-"""What the keys of a scene are made of: numbers in SI with their units, and frozen tables, checked
-with errors that name the key in the words of its author.
+"""Types of the keys of a scene: numbers in SI with their units, and frozen tables.
+
+Errors name the key in the user's spelling.
 
 ``"0.5 mm"`` becomes ``5e-4``. All factors are powers of ten, so a quantity is a decimal number with
 a shifted exponent and is rounded once, when it becomes a float: ``"50 um"`` equals ``50e-6``.
@@ -32,7 +33,7 @@ from kc2spice.core.errors import UsageError, did_you_mean
 AIR_DENSITY = 1.204  # kg/m3 at 20 °C and 1013 hPa
 
 KeyPath = tuple[str | int, ...]
-# What pydantic calls the member of a union, which is no key: ``dict[str,float]``, ``float``.
+# Names that pydantic gives to members of a union, such as ``dict[str,float]``; they are not keys.
 _MEMBER = re.compile(r"\]$|^(float|int|str|bool)$")
 
 
@@ -49,7 +50,7 @@ def describe_invalid(
     path = (step for step in result["loc"] if not _MEMBER.search(str(step)))
     whole, kind, given = (*at, *path), result["type"], result["input"]
     message, expected, hint = _words(result, schema, whole, also)
-    # Of keys that contradict each other the message says what is wrong.
+    # If keys contradict each other, the message contains the reason.
     contradicts = kind == "value_error" and isinstance(given, Mapping)
     got = None if contradicts or kind in ("extra_forbidden", "missing") else shown(given)
     return whole, {"message": message, "got": got, "expected": expected, "hint": hint}
@@ -83,13 +84,15 @@ def _words(
         case "dict_type" if isinstance(found["input"], (list, tuple)):
             return "a list, not tables by name", f"[{dotted(whole)}.NAME] for each of them", None
         case "model_type" | "dict_type":
-            entry = not whole or isinstance(whole[-1], int)  # of a list
+            entry = not whole or isinstance(whole[-1], int)  # an entry of a list
             table = "{ KEY = VALUE, … }" if entry else f"[{dotted(whole)}]"
             return "not a table", f"a table, {table}", None
         case "tuple_type" | "list_type":
             given = found["input"]
             keys = ", ".join(f"{key} = …" for key in given) if isinstance(given, Mapping) else None
-            one = " … " if keys is None else f"{{ {keys} }}"  # an entry without its brackets
+            one = (
+                " … " if keys is None else f"{{ {keys} }}"
+            )  # user wrote a table where a list of tables is required
             return "not a list", f"a list, {whole[-1]} = [{one}]", None
         case "too_short" | "too_long" as kind:
             few = kind == "too_short"
@@ -179,7 +182,7 @@ _PREFIX = {
 }  # fmt: skip
 
 
-# Of each unit the power of ten and those of the base units kg, m, s, A, K.
+# Power of ten of each unit, and its exponents of the base units kg, m, s, A, K.
 _UNITS = {
     "g": (-3, 1, 0, 0, 0, 0), "m": (0, 0, 1, 0, 0, 0), "s": (0, 0, 0, 1, 0, 0),
     "A": (0, 0, 0, 0, 1, 0), "K": (0, 0, 0, 0, 0, 1), "1": (0, 0, 0, 0, 0, 0),
@@ -266,7 +269,7 @@ def quantity(value: object, si: str, *, where: str | None = None) -> float:
 
 
 def refused(reason: str, expected: str | None) -> PydanticCustomError:
-    """What a validator says of a value that it does not take."""
+    """Error of a validator for an invalid value."""
     return PydanticCustomError("quantity", "{reason}", {"reason": reason, "expected": expected})
 
 
@@ -295,7 +298,7 @@ class ScalePlace(float):
     unit: str = ""
 
 
-SCALE_UNITS = ("Hz", "s", "V", "A", "N", "m", "m/s2")  # of analyses: frequency, time, swept keys
+SCALE_UNITS = ("Hz", "s", "V", "A", "N", "m", "m/s2")  # units of the range of an analysis
 
 
 def _place(value: object) -> ScalePlace:

@@ -9,8 +9,8 @@ import numpy as np
 from kc2spice.core.waveforms import Waveform
 
 ENERGY = 0.999  # share of its energy that a signal has up to its highest frequency
-SAMPLES = 2**16  # of a signal; 5 of them lie in a pulse of a train of 13 000
-BEGINNING = 400  # corners of a long train, looked at alone as well: samples of all may be too few
+SAMPLES = 2**16  # samples of a signal; a pulse of a train of 13 000 has 5 of them
+BEGINNING = 400  # first corners of a long train, sampled separately too
 AFTER = 20.0  # time constants for which a low-pass goes on behind a signal's end
 FEWEST = 20  # samples of the signal itself then
 

@@ -19,7 +19,7 @@ from kc2spice.core.equality import EqualByContent
 from kc2spice.core.errors import UsageError
 from kc2spice.core.quantities import Count, Frequency, Section, Time
 
-MOST_PULSES = 25_000  # of a train that ends: as many corners as rows of a file
+MOST_PULSES = 25_000  # pulses of a finite train: as many corners as rows of a file
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,7 +35,7 @@ class Waveforms(EqualByContent):
 
     @property
     def scale(self) -> np.ndarray:
-        """What all others are over."""
+        """Scale of the waves: time, frequency or the swept value."""
         return next(iter(self.data.values()))
 
     def __getitem__(self, name: str) -> np.ndarray:
@@ -98,8 +98,7 @@ def running(values: np.ndarray, over: np.ndarray) -> np.ndarray:
 
 
 def interpolate(at: Any, scale: np.ndarray, values: np.ndarray) -> Any:
-    """What the straight lines through ``values`` (n,) over a rising or falling ``scale`` (n,) have
-    at the places ``at``."""
+    """Interpolate ``values`` (n,) linearly at ``at``; ``scale`` (n,) rises or falls."""
     way = -1 if scale[0] > scale[-1] else 1
     return np.interp(at, scale[::way], values[::way])
 
@@ -211,7 +210,7 @@ class Waveform:
         return result[(result > 0) & (result < stop)]
 
     def spice(self, scale: float = 1.0) -> str:
-        """What stands behind the nodes of an independent source, values times ``scale``.
+        """Value of an independent source in SPICE syntax, multiplied by ``scale``.
 
         A flat top of zero length is written as corners: ngspice reads a ``PULSE`` width of zero as
         "until the end".
@@ -341,7 +340,7 @@ def _number(value: float) -> str:
 def write_record(
     record: Mapping[str, Any], directory: Path, name: str = "result.json"
 ) -> dict[str, Any]:
-    """Write one JSON file and return what it says: numbers that are not finite are null there."""
+    """Write a JSON file, non-finite numbers as null, and return its content."""
     result: dict[str, Any] = _plain(record)
     (directory / name).write_text(json.dumps(result, indent=2) + "\n", encoding="utf-8")
     return result

@@ -25,17 +25,17 @@ from kc2spice.core.quantities import MU_0
 NODES = 40  # heights at which the couplings are computed, Chebyshev's
 FINE = 24  # divisions of a coil's longer side, for its own inductance
 POINTS = 16  # along it, for that with others
-SLIVER = 0.02  # of a section, below which a ring carries nothing
+SLIVER = 0.02  # share of a cell's section; a ring with less carries no current
 NEAR = 4  # cells from the axis
-GAUSS = (-0.5 / 3**0.5, 0.5 / 3**0.5)  # of a section
+GAUSS = (-0.5 / 3**0.5, 0.5 / 3**0.5)  # Gauss points of a section, relative to its side
 FAR = 40.0  # longest sides of two sections, from where on their distance is that of their middles
-USUAL = 400  # rings of a body, with which there are
-LAYERS = 3.0  # of them in a skin depth at the surface
+USUAL = 400  # default number of rings per body, with LAYERS layers per skin depth
+LAYERS = 3.0  # layers of rings per skin depth at the surface, with USUAL rings
 GROWTH = 1.35  # thickness of a layer over that of the one above
 SKINNED = 1500  # rings of a sphere at most, whose skin has no layers, with 400 that are asked for
 MOST = 3000  # and with more: dense matrices of 70 MB each
 PLACES = 5  # heights and frequencies at which loops are compared with those of finer rings
-STEP = 1e-4  # of the range of heights, over which a slope is taken there
+STEP = 1e-4  # step of a numerical slope, relative to the range of heights
 
 
 def mutual(r: np.ndarray, z: np.ndarray, other: np.ndarray, height: np.ndarray) -> np.ndarray:
@@ -263,7 +263,7 @@ class Ladder(EqualByContent):
         return known | {f"{MESH_ERROR}rings": self.rough, "loop_error": self.error}
 
     def answer(self, heights: np.ndarray, s: complex, conductivity: float) -> Answer:
-        """What the coils and the force see of the body's currents at ``heights`` [m]."""
+        """Effect of the body's currents on the coils and the force at ``heights`` [m]."""
         x = (2 * heights - self.low - self.high) / (self.high - self.low)
         powers = x[:, None] ** np.arange(self.couplings.shape[2])
         slopes = np.arange(1, self.couplings.shape[2]) * self.couplings[:, :, 1:]

@@ -43,7 +43,7 @@ from kc2spice.core.quantities import (
     validated,
 )
 
-ROUNDING = 1e-12  # of a tensor's largest component
+ROUNDING = 1e-12  # rounding error, relative to a tensor's largest component
 
 # Point groups as data sheets name them, whose free components are those of a class below; "32" is
 # that of quartz (3m has other piezoelectric components), "6mm" that of poled ceramics.
@@ -260,7 +260,7 @@ _Modulus: TypeAlias = float | list[float]
 
 
 class MaterialTable(Section):
-    """What a scene or the library says of a material; :meth:`build` makes the tensors.
+    """Constants of a material in a scene or the library; :meth:`build` makes the tensors.
 
     Elasticity, one of: ``youngs_modulus`` and ``poisson_ratio`` (isotropic, or orthotropic with
     three moduli, ``nu_xy nu_yz nu_xz`` and ``shear_modulus``); ``stiffness`` ``c11``…;
@@ -506,7 +506,7 @@ def _tables() -> dict[str, dict[str, Any]]:
 
 @cache
 def _named(name: str) -> Material:
-    """Of the library, in lower case."""
+    """Material of the library by its name in lower case."""
     (result,) = (key for key in _tables() if key.lower() == name)
     return MaterialTable.model_validate(_tables()[result]).build(result)
 

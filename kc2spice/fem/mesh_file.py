@@ -36,11 +36,11 @@ FORMATS = {
     ".msh": (b"$MeshFormat", "mesh.msh"), ".brep": (b"DBRep_DrawableShape", "mesh.brep"),
     ".step": (b"ISO-10303-21;", "mesh.step"), ".stp": (b"ISO-10303-21;", "mesh.step"),
 }  # fmt: skip
-MAX_BYTES = 2_000_000_000  # of a file
-_HEAD = 200  # bytes that tell its format
-LENGTHS = ("m", "cm", "mm", "um")  # that a file without unit may be in
-COINCIDENT = 1e-3  # of the shortest edge: how near two nodes are at one place
-MILLIMETRE = 1e-3  # what STEP files are converted to, whatever they are written in
+MAX_BYTES = 2_000_000_000  # size of a file
+_HEAD = 200  # first bytes of a file, which identify its format
+LENGTHS = ("m", "cm", "mm", "um")  # units accepted for a file without a unit
+COINCIDENT = 1e-3  # distance of coincident nodes, relative to the shortest edge
+MILLIMETRE = 1e-3  # m; unit to which STEP files are converted
 # By corners of a cell: its meshes, and its edges in the order of gmsh's nodes in their middles.
 _CURVED = {
     4: (MeshTet, MeshTet2, ((0, 1), (1, 2), (2, 0), (3, 0), (3, 2), (3, 1))),
@@ -215,7 +215,7 @@ def require_format(path: Path, head: bytes | None = None) -> None:
 
 
 def _content(path: Path) -> bytes:
-    """What a file holds, which is what its name says."""
+    """Content of a file, after a check of its format."""
     require_format(path)
     try:
         data = read_bounded(path, MAX_BYTES)
@@ -476,8 +476,8 @@ def _inside(found: np.ndarray, name: str) -> np.ndarray:
 
 
 DIMENSION = {0: "points", 1: "curves", 2: "faces", 3: "solids"}
-TOUCHING = 1e-6  # of the body's size: how near a face passes by a point that picks it
-MOST = 50_000_000  # elements that a size may ask for
+TOUCHING = 1e-6  # distance of a face from a point that selects it, over the body's size
+MOST = 50_000_000  # largest number of elements for a mesh size
 
 Picks = Mapping[str, Mapping[str, Any]]
 

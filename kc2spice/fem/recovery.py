@@ -61,8 +61,10 @@ def _fit_of(solid: Solid) -> _Fit:
 
 @dataclass(frozen=True, eq=False)
 class EnergyProducts:
-    """Matrices (k, k) over k solutions: ``solution`` is A of themselves, ``error`` that of their
-    errors, and ``spread`` sums the absolute values of what each element adds to ``error``."""
+    """Energy products (k, k) of k solutions (``solution``) and of their errors (``error``).
+
+    ``spread`` sums the absolute contributions of the elements to ``error``.
+    """
 
     solution: np.ndarray
     error: np.ndarray
@@ -238,8 +240,10 @@ def _normal_equations(
     samples: np.ndarray,
     degree: int,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Of each patch its size along each axis (patches, d), ``sum p p'`` (patches, terms, terms) and
-    ``sum p values`` (patches, terms, 9 k) over its points with monomials p."""
+    """Size of each patch along each axis (patches, d), and its sums over points with monomials p.
+
+    The sums are ``sum p p'`` (patches, terms, terms) and ``sum p values`` (patches, terms, 9 k).
+    """
     sizes, sums, asked = [], [], []
     for chosen in _chunks(len(middle)):
         start, end = members.indptr[chosen[0]], members.indptr[chosen[-1] + 1]

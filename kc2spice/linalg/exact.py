@@ -16,7 +16,7 @@ import scipy
 
 from kc2spice.core.errors import SimulationError
 
-SLICES = 4  # of some 21 bits each
+SLICES = 4  # slices of about 21 bits each
 REFINEMENTS = 5
 ENOUGH, LOST = 1e-8, 1e-3  # relative corrections: the next is rounding, and none has a digit
 

@@ -73,8 +73,9 @@ def word(text: str) -> str:
 
 
 def distinct(names: Sequence[str], inner: str, *, where: str) -> None:
-    """Nothing, if ``names`` can all be pins: case does not tell them apart, and none fully matches
-    the pattern ``inner`` of the nodes that the subcircuit has itself.
+    """Check that pin names differ in more than case and match no internal node.
+
+    ``inner`` is the pattern of the internal nodes of the subcircuit.
 
     Raises
     ------
@@ -102,7 +103,7 @@ def comment(text: str) -> str:
 
 @cache
 def templates(autoescape: bool = False) -> Any:
-    """What renders ``kc2spice/templates`` of a wheel, else ``templates`` beside the package."""
+    """Renderer of ``kc2spice/templates`` in a wheel, or of ``templates`` in the repository."""
     from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
     package = Path(__file__).resolve().parent.parent

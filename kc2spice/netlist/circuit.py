@@ -10,7 +10,7 @@ from functools import cached_property
 from kc2spice.core.errors import UsageError
 from kc2spice.netlist.expression import Probe, Tree, parse, walk
 
-LEAST = 1e-30  # what "above zero" means for a parameter
+LEAST = 1e-30  # least value of a parameter that must be above zero
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -218,7 +218,9 @@ class Deck:
         for option in self.options:
             yield from (f"* {option.key}: {comment(option.reason)}", option.card)
         yield from (command.card for command in (self.command, *self.refinements))
-        totals = ("onoise_total",) if self.command.kind == "noise" else ()  # of its second plot
+        totals = (
+            ("onoise_total",) if self.command.kind == "noise" else ()
+        )  # vector of the second plot
         yield from (f".save {vector}" for vector in (*self.saved, *totals))
         yield " ".join((".print", self.command.kind, *self.saved[:2]))
 

@@ -123,7 +123,7 @@ def walk(tree: Tree) -> Iterator[Tree]:
 
 
 def children(tree: Tree) -> tuple[Tree, ...]:
-    """What stands directly below ``tree``."""
+    """Direct operands of ``tree``."""
     below = tree.arguments if isinstance(tree, Call) else vars(tree).values()
     return tuple(item for item in below if isinstance(item, Tree))
 

@@ -9,9 +9,9 @@ Nothing is let through because it was not recognised: commands, element letters,
 names are allowed by name, in the text that is written. A circuit that needs more can be trusted by
 its user, word for word.
 
-A part keeps to its subcircuits. What stands outside of every one is everybody's: a function
-``max`` there replaces that of all other cards, an option changes the accuracy of the run, an
-element sits on whatever node of the deck has the name of its own.
+A part may define subcircuits only. Every other card acts on the whole deck: a function ``max``
+replaces ``max`` in all other cards, an option changes the accuracy of the run, and an element
+connects to deck nodes with the same name.
 """
 
 from __future__ import annotations
@@ -216,8 +216,7 @@ _PARTS = "a file of subcircuits with their models, parameters and functions"
 
 
 def refuse(cards: Iterable[Statement], *, part: bool) -> None:
-    """Nothing, if a part's netlist keeps to itself, or an edited deck of ours leaves its parts what
-    they are.
+    """Check that a part defines subcircuits only, and that an edited deck keeps its parts.
 
     Raises
     ------
@@ -238,7 +237,7 @@ def refuse(cards: Iterable[Statement], *, part: bool) -> None:
 
 
 def _acts(card: Statement, outside: bool, part: bool) -> Iterator[tuple[str, str, str]]:
-    """What a card does to a whole deck, what is expected, and what to do."""
+    """Effect of a card on the whole deck, the expected card, and the action to take."""
     key, given = card.keyword, accuracy((card,))
     if part and key in ANALYSES | _OUTPUTS:
         what = "asks for an analysis" if key in ANALYSES else "asks for an output"
@@ -378,7 +377,7 @@ def looked_at(name: str, home: Path) -> Flat:
 
 
 def _raw_reasons(text: str) -> Iterator[str]:
-    """What is wrong with a line as it stood in its file, whatever it continues or comments on."""
+    """Fault of a line as written in its file, also of continuation and comment lines."""
     if _HIDDEN.search(text) or "\r" in text:
         yield "has control characters that can hide text"
     if _COMMAND_COMMENT.match(text):
@@ -394,7 +393,7 @@ def _raw_reasons(text: str) -> Iterator[str]:
 
 
 def _reasons(card: Statement) -> Iterator[str]:
-    """What is wrong with a card once its continuation lines are joined."""
+    """Fault of a card after its continuation lines are joined."""
     key = card.keyword
     if key.startswith(".") or key in _SHELL_WORDS:
         if key not in COMMANDS:

@@ -42,7 +42,7 @@ class Subcircuit:
 
     @property
     def title(self) -> str:
-        """What the first line of the library says that it is."""
+        """Title in the first line of the library."""
         return self.text.partition("\n")[0].lstrip("* ")
 
     @property

@@ -24,7 +24,7 @@ from kc2spice.netlist.library import declared_pins
 from kc2spice.netlist.scope import GROUND, Scope, inside
 
 _ODD = tuple(Number(text) for text in ("1", "3", "5", "7", "9"))
-# What LTspice adds to elements, and the element that says the same everywhere.
+# Parasitic settings of elements in LTspice, and the equivalent separate elements.
 _PARASITIC = {"rser": "R in series", "lser": "L in series", "rpar": "R across it",
               "rlshunt": "R across it", "cpar": "C across it"}  # fmt: skip
 
@@ -136,7 +136,7 @@ def _references(part: Element, scope: Scope) -> Iterator[UsageError]:
 
 
 def _expressions(card: Card) -> Iterator[str]:
-    """Those of a card, its law last."""
+    """Expressions of a card, its law last."""
     if isinstance(card, Parameters):
         yield from card.values.values()
     elif isinstance(card, Element):
@@ -151,8 +151,11 @@ def _expressions(card: Card) -> Iterator[str]:
 def _misread(
     card: Card, text: str, scope: Scope, kinds: dict[str, set[str]]
 ) -> Iterator[UsageError]:
-    """What is wrong with an expression: unknown names, nodes and sources, which are listed in
-    ``kinds``; in a law functions that ngspice does not have, or has differently."""
+    """Faults of an expression: unknown names, nodes and sources.
+
+    ``kinds`` lists the known ones. In a law, functions that ngspice lacks or defines
+    differently are faults too.
+    """
     law = isinstance(card, Element) and text is card.expression
     try:
         tree = card.law if isinstance(card, Element) and law else parse(text, where=card.where)

@@ -34,7 +34,7 @@ _LAWS = ("value", "vol", "cur", "table", "poly", "laplace")
 
 OPTION_CARDS = frozenset((".options", ".option", ".opt"))
 _OPEN, _CLOSE = "({[", ")}]"
-_INLINE = re.compile(r";|(?<=\s)\$(?=\s)|//")  # what starts a comment behind a card
+_INLINE = re.compile(r";|(?<=\s)\$(?=\s)|//")  # start of a comment behind a card
 
 
 # --- logical lines ---
@@ -122,7 +122,7 @@ def _split(text: str) -> Iterator[str]:
 
 
 def read(text: str, file: str, *, title: bool = False) -> Circuit:
-    """What ``file`` holds up to ``.end``, in order.
+    """Parse the cards of ``file`` up to ``.end``, in order.
 
     Raises
     ------

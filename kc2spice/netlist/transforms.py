@@ -97,7 +97,9 @@ def declared(deck: Deck) -> dict[str, float]:
 
 
 def with_parameters(deck: Deck, values: Iterable[tuple[str, float]]) -> Deck:
-    """``deck`` with other defaults for ``("PART.NAME", value)``, in the card and in the header.
+    """Return ``deck`` with new parameter defaults in subcircuit and header.
+
+    ``values`` are pairs ``("PART.NAME", value)``.
 
     Raises
     ------

@@ -83,7 +83,7 @@ def ranged(
 
 
 def corners(part: Part, scene: Scene) -> Iterator[UsageError]:
-    """What is wrong with the box, before any full model is made."""
+    """Faults of the parameter range, before any full model is made."""
     try:
         keys = varied(part)
         ranges = [(item.low, item.high) for item in keys]

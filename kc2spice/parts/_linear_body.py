@@ -80,16 +80,16 @@ LOST = "the full model has motions that grow by themselves, and the reduced one 
 STEEP = "its current within an edge is off: widen rom.band, or give the drive the edge that it has"
 TOUCHED = "what touches the body excites motions that the reduced one does not have: widen rom.band"
 RESONANT = 1.5  # times its lowest resonance: a kick whose band ended below that was 2 % off
-STILL = 1e-9  # of a run: time points that are one
+STILL = 1e-9  # distance of equal time points, relative to the duration of a run
 FEEDING = 1e-3  # negative share of an impedance that is no rounding of a lossless body
 KEPT = 1e-4  # share of a floating electrode's charge that a run may lose by the netlist's leak
 STEP = 1e-2  # relative, of a parameter: its sensitivities are central differences
 UNASKED = 1e-4  # tolerance over a box of parameters where an order is the default
-NO_ENERGY = 1e-13  # of the stiffest motion's: rounding
+NO_ENERGY = 1e-13  # rounding error of an energy, relative to that of the stiffest motion
 LEAST = 10e3  # Hz of a transient's band at least: what switches in the circuit is not known
 MOTIONS = 20  # natural frequencies that a band reaches unasked: above them the mesh decides
-STORED = 0.1  # of the stored energy: a chip rings on after a pulse at up to 30 MHz
-UNPRESSED = 1e-9  # of the largest force or energy, far above their rounding
+STORED = 0.1  # limit relative to the stored energy; after a pulse a chip rings at up to 30 MHz
+UNPRESSED = 1e-9  # zero load, relative to the largest force or energy; far above rounding
 
 
 _LONGEST = 47  # letters of a scene's and a part's name in that of a library
@@ -159,7 +159,7 @@ class LinearBody(Touching):
         return known or mesh.get("depoling_voltage_v")
 
     def full_key(self, part: Part, scene: Scene) -> Mapping[str, Any]:
-        """What the full model depends on."""
+        """Keys on which the full model depends."""
         return {"keys": part.keys.model_dump(mode="json", exclude=_NO_MODEL)}
 
     # --- scene ----------------------------------------------------------------------------------
@@ -167,8 +167,8 @@ class LinearBody(Touching):
     def kept(self, part: Part, scene: Scene) -> tuple[Port, ...]:
         """The ports that the scene needs: electrical ones, and others that something names.
 
-        All where the body is the only part: the scene is there to export it; and in an export all
-        that the scene's author declares.
+        Return all ports if the body is the only part, because such a scene exists to export the
+        body. In an export, return all declared ports.
         """
         every = self.ports(part, scene)
         if len(scene.parts) == 1 or scene.ports == "all":
@@ -239,12 +239,14 @@ class LinearBody(Touching):
         return None
 
     def weights(self, part: Part, scene: Scene) -> StepWeights:
-        """What step control sees of it; ``COARSE`` where time steps need not follow its ringing
-        once nothing presses on it."""
+        """Weights of the modes in time step control.
+
+        ``COARSE`` if time steps need not resolve the ringing of the body without load.
+        """
         return COARSE if scene.solver.ringing == "coarse" else RINGING
 
     def neglected(self, part: Part, scene: Scene) -> Iterator[Neglected]:
-        """What ``solver.ringing = "coarse"`` gives up."""
+        """Effect that ``solver.ringing = "coarse"`` neglects."""
         if self.weights(part, scene) == COARSE:
             why = "solver.ringing lets go of it once nothing presses on the body"
             yield Neglected(
@@ -281,8 +283,10 @@ class LinearBody(Touching):
         return result.model_copy(update={"parameters": own.parameters})
 
     def sure(self, part: Part, scene: Scene) -> float | None:
-        """What the band of a transient reaches at least [Hz], whatever natural frequencies the body
-        has; None where somebody chose the band."""
+        """Least upper end of the band of a transient [Hz]; None if the user set the band.
+
+        It does not depend on the natural frequencies of the body.
+        """
         if self._chosen(part, scene) is not None or scene.analysis.type != "transient":
             return None
         return max([LEAST, *(r.content for r in numerics(scene) if math.isfinite(r.step))])
@@ -372,7 +376,7 @@ class LinearBody(Touching):
                 norm = target.norm or default_norm(selected)
                 if constants:
                     selected = _barely_damped(part, selected, band)
-                # what a contact, a switch or a table excites above the band
+                # a contact, a switch or a table excites modes above the band
                 aims: dict[str, Any] = {"order": order, "tolerance": target.tolerance}
                 small = reduce(selected, **aims, band=band, norm=norm, contact=True)
             modal = resonators(small)  # whose later use needs no eigenvalues
@@ -532,7 +536,7 @@ class LinearBody(Touching):
                 yield Check(f"rating of {name}", largest, volts, "V", BEYOND, "warn")
 
     def _leaked(self, part: Part, build: Build) -> Iterator[Check]:
-        """What the netlist's leak takes of the charge of a floating electrode in a long run."""
+        """Check of the charge that a floating electrode loses through the netlist's leak."""
         leaked = -math.expm1(-build.scene.stop * LEAK_RATE)
         ports = [p.name for p in build.model(part).ports if p.kind == "electrical"]
         for port in ports if leaked > KEPT else ():
@@ -635,8 +639,11 @@ class LinearBody(Touching):
             yield Check(name, content, high, "Hz", STEEP, "warn")
 
     def loads(self, part: Part, build: Build, waves: Waveforms) -> dict[str, np.ndarray]:
-        """What the run put on every kept port over time, in SI: voltage, acceleration, or the force
-        of all that is joined to it; without ports whose force is not recorded."""
+        """Loads of every kept port over time, in SI.
+
+        A load is a voltage, an acceleration, or the force of all parts joined to the port. Ports
+        whose force is not recorded are left out.
+        """
         kept, result = self.kept(part, build.scene), dict[str, np.ndarray]()
         still = np.zeros(waves["time"].size)
         for port in kept:
@@ -778,7 +785,7 @@ class LinearBody(Touching):
 
 
 def _with_units(figures: Mapping[str, Any]) -> dict[str, Any]:
-    """What an impedance analyser reads, by name, with units."""
+    """Values of an impedance analyser by name, with units."""
     from kc2spice.bodies.impedance import UNITS
 
     return {
@@ -875,7 +882,7 @@ def _reaching(
 
 
 def aim(rom: Rom) -> str:
-    """What a reduction aims at, in words."""
+    """Target of a reduction in words: order or tolerance, and band."""
     low, high = rom.band
     target = f"order {rom.order}"
     if rom.order is None:
@@ -914,7 +921,7 @@ def massless(part: Part, scene: Scene) -> bool:
 
 
 def file_stamp(path: Path) -> str:
-    """What tells one content of a file from another: a copy elsewhere has the same."""
+    """Identification of the content of a file; a copy elsewhere has the same."""
     try:
         result = path.stat()
         if not stat.S_ISREG(result.st_mode):
@@ -973,8 +980,11 @@ def measured(part: Part, waves: Waveforms) -> np.ndarray | None:
 
 
 def wave_name(name: str, ports: Sequence[Port], port: Port) -> str:
-    """What a port's answer is called in results; of an electrical one what its voltage and current
-    begin with: the part's name at the first of them."""
+    """Name of a port's wave in results.
+
+    For an electrical port it is the prefix of voltage and current. The first electrical port has
+    the name of the part.
+    """
     if port.kind == "electrical":
         first = next(p for p in ports if p.kind == "electrical")
         return name if port == first else f"{name}.{port.name}"

@@ -61,7 +61,7 @@ _QUANTITIES = {
         "it may depolarise; drive it along its poling, or less far",
     ),
 }  # fmt: skip
-# What the last run of each part gave: metrics, checks, figures and files all ask for it.
+# Fields of the last run of each part, which metrics, checks, figures and files use.
 _recent: dict[str, tuple[Waveforms, Recovered]] = {}
 _latest: dict[str, tuple[str, Device]] = {}
 
@@ -102,11 +102,11 @@ class MeshedBody(LinearBody):
         """Its outer size, for the sizes of effects that it lacks."""
 
     def dimensions(self, part: Part) -> int:
-        """Those of its mesh."""
+        """Number of dimensions of the mesh."""
         return 3
 
     def support(self, part: Part) -> str:
-        """What holds it, in words."""
+        """Support of the body in words."""
         return f"support is {part.keys.support}, ideal"
 
     def neglected(self, part: Part, scene: Scene) -> Iterator[Neglected]:

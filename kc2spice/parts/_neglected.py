@@ -1,4 +1,4 @@
-"""What no body of finite elements models, each effect with its size where a formula gives one.
+"""Effects that no finite-element body models, each with its size if a formula exists.
 
 An :class:`Envelope` is what these formulas take: outer sizes, mass and layers, known from the keys
 before any mesh is made. What a body models after all (a layer of glue) is not listed.
@@ -58,7 +58,7 @@ def disc_air(radius: float) -> float:
 
 
 def disc_envelope(blocks: Sequence[Block], held: bool, glued: bool) -> Envelope:
-    """That of a body of revolution; a ``held`` rim is a baffle: the air finds no way around it."""
+    """Envelope of a body of revolution; a ``held`` rim is a baffle that no air flows around."""
     radius = max(block.box[0][1] for block in blocks)
     low, high = min(b.box[1][0] for b in blocks), max(b.box[1][1] for b in blocks)
     surface = 2 * math.pi * radius * (radius + high - low)
@@ -72,8 +72,10 @@ def disc_envelope(blocks: Sequence[Block], held: bool, glued: bool) -> Envelope:
 
 
 def beam_envelope(blocks: Sequence[Block]) -> Envelope:
-    """That of a beam of width w and length l, which moves ``pi/4 rho w^2 l`` of the air (the flow
-    across a plate strip; J. N. Newman, Marine Hydrodynamics, 1977, section 4.16)."""
+    """Envelope of a beam of width w and length l, which moves ``pi/4 rho w^2 l`` of the air.
+
+    Source: flow across a plate strip, J. N. Newman, Marine Hydrodynamics (1977), section 4.16.
+    """
     (x, length), (y, width) = blocks[0].box[:2]
     length, width = length - x, width - y
     heights = [b.box[2][1] - b.box[2][0] for b in blocks]
@@ -86,8 +88,10 @@ def beam_envelope(blocks: Sequence[Block]) -> Envelope:
 
 
 def box_envelope(sides: Sequence[float]) -> Envelope:
-    """That of a box, or of a cylinder by its radius and height [m]: the air is at most that of a
-    disc as large as the largest face, ``8/3 rho a^3``."""
+    """Envelope of a box, or of a cylinder by its radius and height [m].
+
+    The moved air is at most that of a disc as large as the largest face, ``8/3 rho a^3``.
+    """
     if len(sides) == 2:
         radius, height = sides
         return Envelope(disc_air(radius), None, 2 * math.pi * radius * (radius + height))

@@ -17,13 +17,13 @@ from kc2spice.rom.modal import Resonators
 if TYPE_CHECKING:
     from kc2spice.bodies.device import Device
 
-POINTS = 600  # of an impedance, besides those near resonances
+POINTS = 600  # frequencies of an impedance, besides those near resonances
 FINE = 4000  # lines of a surface mesh, from which only its edges are drawn
 BENT = 0.05  # share of the second direction among normals that makes an edge
-SHOWN = 0.1  # of the body's size: the largest displacement in the picture
-DOTS = 360  # of a coloured picture along its longer side
+SHOWN = 0.1  # largest displacement in the picture, relative to the body's size
+DOTS = 360  # pixels of a coloured picture along its longer side
 PEAKS = ": minimum at resonance, maximum at antiresonance."
-OBLIQUE = 0.35  # of the depth, to the right and upwards
+OBLIQUE = 0.35  # drawn shift of the depth, to the right and upwards, over the depth
 
 
 def impedances(name: str, frequency: np.ndarray, z: Mapping[str, np.ndarray], how: str) -> Figure:
@@ -42,8 +42,11 @@ def impedances(name: str, frequency: np.ndarray, z: Mapping[str, np.ndarray], ho
 
 
 def own_impedances(name: str, model: LinearModel, modal: Resonators | None) -> Iterator[Figure]:
-    """Of every electrical port, with the others shorted and nothing pressing on the body, closely
-    around the resonances of ``modal`` but not at undamped ones, where there is no answer."""
+    """Impedance of every electrical port, with other ports shorted and no force on the body.
+
+    Frequencies are dense around the resonances of ``modal``, without the undamped resonances
+    themselves, where the impedance is not defined.
+    """
     if model.certificate is None:
         return
     low, high = model.certificate.band_hz
@@ -86,8 +89,10 @@ def response_figures(name: str, waves: Waveforms) -> Iterator[Figure]:
 
 
 def port_figures(name: str, waves: Waveforms) -> Iterator[Figure]:
-    """Displacements of its ports over the voltage, in the shortest stretch of time that holds all
-    that is above 2 % of their largest swing."""
+    """Displacements, voltage and current of the ports of ``name``.
+
+    They are drawn over the shortest interval that includes every swing above 2 % of the largest.
+    """
     moved = {n: v for n, v in waves.data.items() if n.startswith(f"{name}.u.")}
     if "time" not in waves or not moved:
         return

@@ -21,7 +21,7 @@ SLOW = 1e-4  # m/s; a strike as slow rises by a nanometre under 5 m/s2
 
 
 class Stopped(Section):
-    """What a stop keeps of a strike."""
+    """Keys of a stop: restitution and damping."""
 
     restitution: Ratio = Field(
         0.5,
@@ -49,11 +49,11 @@ NEGLECTED = (
 
 
 def energy(indentation: str, share: str = "") -> str:
-    """Of the spring, or of a ``share*`` of it; ``indentation`` is negative before it is met."""
+    """Energy of the stop's spring, times ``share``; ``indentation`` is negative before a strike."""
     return f"0.5*{share}stop*max(0, {indentation})^2"
 
 
 def lost_force(indentation: str, rate: str, share: str = "") -> str:
-    """What acts on the coordinate whose velocity is ``rate`` besides, and takes energy."""
+    """Additional dissipative force on the coordinate with the velocity ``rate``."""
     factor = f"(loss*{rate}/sqrt({rate}^2 + slow*slow) + damping*{rate})"
     return f"{share}stop*max(0, {indentation})*{factor}"

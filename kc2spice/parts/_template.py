@@ -136,13 +136,13 @@ def opamp_subcircuit(
     return library("opamp_slew", header, "opamp_slew", title, pins, params + limits, **words)
 
 
-SLACK = 1e-3  # of the span or the current: rails give by millivolts, saved points have reltol
+SLACK = 1e-3  # margin over span or current: rails sag by millivolts, saved points have reltol
 OUTPUT = 0.1  # Ohm, of the amplifier in it
 LOADED = "its load drives it beyond its rails, where diodes of a real output would conduct"
 
 
 class Load(NamedTuple):
-    """What the coils are between ``drive`` and ``ret``: both in series, the lower one reversed."""
+    """Load between ``drive`` and ``ret``: both coils in series, the lower one reversed."""
 
     inductance: float  # H
     resistance: float  # Ohm
@@ -221,7 +221,7 @@ class CoilDriver(Driver):
         return {} if control is None else {"command": f"{control.name}.command"}
 
     def load(self, part: Part, build: Build) -> Load:
-        """What the coils at its terminals are, with the sphere at the set point."""
+        """Coils at its terminals, with the sphere at the set point."""
         coils = _neighbour(part, "drive", build.scene, "ring_magnet_coils")
         if coils is None:
             raise UsageError(

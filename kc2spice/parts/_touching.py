@@ -1,4 +1,4 @@
-"""What parts that touch say to each other: surfaces, how far they can come, how they part."""
+"""Data that touching parts exchange: surfaces, largest approach, and separation."""
 
 from __future__ import annotations
 
@@ -24,12 +24,12 @@ PATCH = "patch"  # port of an elastic sphere
 # one a quarter as wide.
 REFINED = 3.0
 _FLIGHT = 20e-6  # several periods of the chip: a shorter gap is a bounce within the kick
-_SPARE = 1.25  # of a dent: a body is neither a half-space nor pressed on more than a few rings
+_SPARE = 1.25  # margin of an indentation: a body is no half-space, and few rings carry the force
 
 
 @dataclass(frozen=True)
 class Surface:
-    """What a part offers to a contact: its pins there and their distance from the axis [m].
+    """Surface of a part in a contact: its pins there and their distance from the axis [m].
 
     ``ports`` give the position in um and take the force, but for a rigid part, where it acts on the
     ``velocity`` pin. ``radius`` [m] is that of a sphere, None for a plane.
@@ -63,7 +63,7 @@ class Surface:
         return (self.velocity,) if self.velocity else self.ports
 
     def joins(self, pins: Iterable[str], scene: Scene) -> dict[str, str]:
-        """What a contact's pins are joined to on this side: those of the part that moves it."""
+        """Pins of the moving part to which the contact's pins on this side are joined."""
         if self.part == GROUND:
             return dict.fromkeys(pins, GROUND)
         owner = mover(self.part, scene) or self.part
@@ -92,7 +92,7 @@ class Touching(PartType):
     """Base of types that offer a surface to contacts, or press those of a scene together."""
 
     def surface(self, part: Part, scene: Scene, ports: tuple[str, ...] = ()) -> Surface | None:
-        """What it offers to a contact."""
+        """Surface for a contact; None if the part cannot touch."""
         return None
 
     def penetrations(self, part: Part, scene: Scene) -> Iterable[Penetration]:
@@ -101,7 +101,7 @@ class Touching(PartType):
 
 
 def surface_of(part: Part, scene: Scene, ports: tuple[str, ...] = ()) -> Surface | None:
-    """What a part offers to a contact at these ports, or at those that it chooses."""
+    """Surface of a part for a contact at these ports, or at ports that the part selects."""
     return part.type.surface(part, scene, ports) if isinstance(part.type, Touching) else None
 
 
@@ -123,7 +123,7 @@ class Pair:
 
     @property
     def keys(self) -> Any:
-        """Those of the contact."""
+        """Keys of the contact."""
         return self.part.keys
 
     @cached_property
@@ -265,7 +265,7 @@ class Pair:
 
     @cached_property
     def indentation(self) -> tuple[LocalCompliance, float]:
-        """Of both sides together in this basis, and the time [s] in which they follow."""
+        """Compliance of both sides in this basis, and its response time [s]."""
         return self._compliance_of(self.shape)
 
     def _compliance_of(self, shape: PressureBasis) -> tuple[LocalCompliance, float]:
@@ -401,7 +401,7 @@ def separation(
 def _edge(t: np.ndarray, v: np.ndarray, force: np.ndarray, last: int) -> tuple[float, float]:
     """Extrapolate the load to zero, and the velocity from the flight back to that instant.
 
-    Between the last loaded sample and the next one the load still bends v; the flight does not.
+    Velocity still changes under load after the last loaded sample, but is constant in flight.
     """
     time, free = float(t[last]), last + 1
     if last > 0 and force[last - 1] > force[last]:

@@ -43,13 +43,13 @@ REDUCED, BEYOND, WORST_LAUNCH = 0.4, 1e-3, 1e-2
 MISSING = 1e-3  # energy that the springs may make or lose, of what went through them
 STIFFEST = 1e15  # N/m; a gram on it rings at 160 GHz, which no simulator ends to follow
 CARRYING = 3.0  # basis functions across a contact's radius: 5e-3 off, half as many 3e-2
-OPEN = 0.95  # of its gap that the bound of a ring that was left out may reach
+OPEN = 0.95  # largest motion of an omitted ring, relative to its gap
 # Contact events of a kick that a reltol is good for, times that reltol: every event adds the error
 # of a step. Of 37 kicks of chips damped by 0.01 to 0.05 %, those above launched wrong by 9e-4.
 EVENTS = 4e-3
 ALOFT = 1e-8  # m over the body at t = 0 that a sphere at rest on it may have
 EXCITED = 500e3  # Hz that a contact excites bodies at
-CURVED, DAMPED = 0.1, 0.01  # of solver.reltol under contacts by Hertz, and under damped ones
+CURVED, DAMPED = 0.1, 0.01  # factors of solver.reltol for Hertzian and for damped contacts
 FEW = 20  # events that are not too many for any reltol
 CARRIED = "dent"  # pin that meets the port of an elastic sphere
 

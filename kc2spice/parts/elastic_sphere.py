@@ -1,4 +1,4 @@
-"""What the elasticity of a sphere adds to its rigid motion: indentation, and modes."""
+"""Elasticity of a sphere in addition to its rigid motion: indentation and modes."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ BAND = 2.0  # times the lowest mode's frequency: the sphere breathes below
 
 
 class ElasticSphereKeys(LinearKeys):
-    """Of the sphere ``of``, whose key ``elastic`` is this table."""
+    """Keys of the elastic sphere ``of``, whose key ``elastic`` is this table."""
 
     of: str = Field(description="Name of the part that is the sphere")
     damping: Damping = Damping(ratio=1e-3)

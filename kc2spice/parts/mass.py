@@ -171,7 +171,7 @@ class PointMass(Touching, DeclaredPart):
 
 
 def _shakes(part: Part, scene: Scene) -> tuple[Shake, ...]:
-    """What shakes the frame that it is in."""
+    """Accelerations that shake its frame."""
     frame = scene.shaken_frame(part.name, "a")
     return () if frame is None else frame.shakes
 

@@ -21,7 +21,7 @@ from kc2spice.scene.model import Part, Scene
 from kc2spice.scene.parttype import register
 from kc2spice.scene.settings import FileName
 
-THIN = 0.02  # of its width: a line of nodes is drawn so high
+THIN = 0.02  # drawn height of a line of nodes, relative to its width
 
 
 class MatricesKeys(LinearKeys):

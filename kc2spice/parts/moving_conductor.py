@@ -42,16 +42,16 @@ from kc2spice.scene.rows import Neglected, Numerics
 
 Conductivity = Annotated[float, si("1/(Ohm m)")]
 SOURCES = ("kc2spice.fem.magnet_rings", __name__)
-CLOSER = 0.1  # tolerance of the full model, of that of the reduced one
+CLOSER = 0.1  # ratio of tolerances, full to reduced model
 SWING = 0.05
 MOST_TURNS = 5
-FINER = 2  # rings of the full model and its frequency, of those of the reduced one
-CIRCLES = "closed form of coaxial circles"  # what its couplings are without rings
+FINER = 2  # ratio of rings and of frequency, full to reduced model
+CIRCLES = "closed form of coaxial circles"  # source of the couplings without rings
 LEAST = 1e3  # Hz, up to which eddy currents are resolved whatever drives the scene
-SCREENED = 0.5  # of a coil's inductance, what is left of it over a conductor
+SCREENED = 0.5  # inductance of a coil over a conductor, relative to that without it
 BEYOND = 2.0  # of the resolved frequency, up to which a run's currents may have their energy:
 SEEN = 0.99  # a sine of few periods has some of it above its own frequency
-ROUGH = 0.02  # of flux, force and loss, by which the rings may be off
+ROUGH = 0.02  # largest relative error of flux, force and loss by the rings
 LEAST_CHANGE = 0.1  # part of the error of the rings that finer ones are taken to show at least
 
 
@@ -73,7 +73,7 @@ class MagnetKeys(Ring):
 
 
 class Conduction(Section):
-    """What the loops of a body depend on in its netlist."""
+    """Keys on which the loops of a body in its netlist depend."""
 
     conductivity: Conductivity = Field(
         gt=0, description="Electrical conductivity of the body, such as 3.4e7 1/(Ohm m)"
@@ -242,7 +242,7 @@ class MovingConductor(DeclaredPart):
                 yield part.wrong(where, f"the body touches the {what}", got, "room for it")
 
     def misshapen(self, part: Part) -> Iterator[UsageError]:
-        """What is wrong with its shape."""
+        """Faults of its shape."""
         keys = part.keys
         if keys.shape == "disc" and not keys.thickness:
             yield part.wrong("thickness", "a disc needs a thickness", "none", "a length above zero")

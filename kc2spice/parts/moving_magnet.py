@@ -19,7 +19,7 @@ from kc2spice.scene.rows import Neglected
 
 
 class Magnetisation(Section):
-    """What the field of a magnet depends on in its netlist."""
+    """Keys on which the field of a magnet in its netlist depends."""
 
     remanence: FluxDensity = Field(description="Remanence, positive upwards")
 
@@ -27,9 +27,9 @@ class Magnetisation(Section):
 class MovingMagnetKeys(Magnetisation, Moving):
     """Cylinder or ring that is magnetised along the axis.
 
-    Its magnetisation is the even one ``remanence / (MU_0 (1 + N (mu_r - 1)))`` of the mean field
-    of its own, with the demagnetising factor N of its shape: currents ``thickness`` times that on
-    its surfaces, so that flux and force are integrals of Maxwell's coaxial circles.
+    Magnetisation is uniform, ``remanence / (MU_0 (1 + N (mu_r - 1)))``, with N the demagnetising
+    factor of the shape. The magnet is modelled as surface currents, ``thickness`` times the
+    magnetisation. Flux and force are integrals of Maxwell's formula for coaxial circles.
     """
 
     thickness: Length = Field(gt=0, description="Thickness of the magnet along the axis")

@@ -38,7 +38,7 @@ RATED = "the circuit does not keep what ratings says of it: a diode drop or a gl
 
 
 class Rating(Section):
-    """What a pin keeps, over ``ref`` if the circuit has it: voltages and fastest change."""
+    """Limits of a pin, relative to ``ref`` if the circuit has it: voltages and fastest change."""
 
     low: Voltage | None = Field(None, description="Lowest allowed voltage of the pin")
     high: Voltage | None = Field(None, description="Largest allowed voltage of the pin")
@@ -276,7 +276,7 @@ class _File:
 
 @lru_cache(maxsize=64)
 def _read(file: str, home: Path, stamp: int) -> _File:
-    """What a scene must know of a file, which is of the age ``stamp``."""
+    """Contents of a file that a scene needs; ``stamp`` is its modification time."""
     result, excites = {}, False
     for card in looked_at(file, home).cards():
         words = [word.lower() for word in card.words]

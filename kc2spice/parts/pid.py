@@ -32,7 +32,7 @@ SENSOR = 2e3  # V/m, 5 V at the paper's set point
 SENSE = 100.0  # Ohm, 10 V at the paper's 0.1 A
 COMMAND = 10.0  # V, largest command of the output stage, well within the signal amplifiers' rails
 SUPPLY = 400.0  # V, of the output stage; more where the coils need it
-HEADROOM = 1.2  # of a supply over what it must give
+HEADROOM = 1.2  # ratio of a supply voltage to the required output
 EDGE = 1e-8  # s, of the enabling signal
 EMPTYING = 1e-6  # s, in which the integral of a disabled controller dies out
 SATURATED = 0.9  # share of the time at the current limit; above it nothing is controlled
@@ -80,7 +80,7 @@ class Control(Section):
         return tuple(sorted(both))
 
 
-# Of its netlist: a gain that is zero has no stage, so that it cannot be set there either.
+# Gains of the netlist. A gain of zero has no stage, so a netlist cannot set it.
 GAINS = (
     ("kp", "kp", "A/m", "proportional gain, above zero"),
     ("ki", "ki", "A/(m.s)", "integral gain, above zero"),
@@ -152,7 +152,7 @@ def control_law(control: Control, *, output: bool = True) -> Declaration:
 
 
 def _parameters(control: Control) -> Iterator[Param]:
-    """What an instance may set."""
+    """Parameters that an instance may set."""
     yield Param("setpoint", control.setpoint, "m", "height of the sphere's centre")
     for gain, item, unit, doc in GAINS:
         if getattr(control, gain):
@@ -274,7 +274,7 @@ class Pid(PartType):
         return result
 
     def law(self, part: Part, build: Build) -> laws.Equations | None:
-        """Of both forms; what the amplifiers add to it is an error of the netlist."""
+        """Law of both forms; deviations of the amplifiers count as an error of the netlist."""
         keys, n, scene = part.keys, part.name, build.scene
         if _remote(part, scene) or build.net(part, "ref") != "0":
             return None

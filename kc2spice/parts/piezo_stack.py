@@ -32,7 +32,7 @@ from kc2spice.scene.rows import Neglected, Numerics
 from kc2spice.scene.settings import Rom
 from kc2spice.spice.realize import COARSE, THROWING, StepWeights
 
-# What builds is imported where it builds: most runs find their models in the cache.
+# Mesh and solver modules are imported on use: most runs find their models in the cache.
 if TYPE_CHECKING:
     from kc2spice.bodies.device import Device
     from kc2spice.bodies.pressure import LocalCompliance, PressureBasis
@@ -41,7 +41,7 @@ USUAL = 250e3  # Hz, where the paper's chip is damped by 1 %
 # Damping ratio there below which modes ring on through a kick, so that the errors of steps add up:
 # launches of chips damped by 0.01 to 0.1 % miss by up to 2.6e-4 at the reltol of those of 1 %.
 RINGING, UNDAMPED = 4e-3, 2e-4
-LOW_KICK = 0.03  # of reltol: what kicks of 40 to 60 V need to launch as exactly as those of 100 V
+LOW_KICK = 0.03  # factor of reltol; kicks of 40 to 60 V are then as accurate as those of 100 V
 # The same of a kick downwards: the chip leaves the sphere, rings, and strikes it at a phase that
 # every step since has moved. -100 V: 1.2e-2 at reltol 1e-4, 6e-4 at 1e-6, 1.1e-4 at 1e-7.
 DOWNWARDS, SLOWER = 2e-3, 0.1
@@ -55,7 +55,7 @@ DRIVERS = {  # types by the words of the key driver
     "charge": "charge_drive",
     "user": "netlist",
 }
-HELD = {  # what key mounting says, in words
+HELD = {  # meaning of the key mounting, in words
     "roller": "frictionless roller under its bottom face",
     "glued": "bottom face glued down, u = 0",
     "free": "nothing holds its bottom face",
@@ -63,7 +63,7 @@ HELD = {  # what key mounting says, in words
 PAPER_ORDER = 30
 # Keys that the FE model depends on: pulse, driver and electrical boundary act on the circuit.
 CHIP = set(Chip.model_fields)
-# Of these, keys that leave it the paper's chip.
+# Keys that do not change the paper's chip.
 FREE = {"mesh", "damping", "mounting", "preload_spring", "layer_thickness"}
 
 
@@ -375,7 +375,7 @@ def _downwards(part: Part) -> bool:
 
 
 def mounted(keys: Chip) -> str:
-    """What holds the bottom face, and what else is not the plain stack, in words."""
+    """Support of the bottom face and other deviations from the plain stack, in words."""
     said = [HELD.get(str(keys.mounting), "")]
     if isinstance(keys.mounting, float):
         said = [f"bottom face on springs of {keys.mounting:g} N/m per m2 along each axis"]

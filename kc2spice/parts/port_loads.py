@@ -116,7 +116,7 @@ class PortLoads(PartType):
         return {"frequency_hz": Metric(waves["frequency"].tolist(), "Hz"), "amplitude": amplitude}
 
     def checks(self, part: Part, build: Build, waves: Waveforms) -> Iterator[Gate]:
-        """What was asked of the reduction bounds what it may cost."""
+        """Gates of the harmonic loads; the tolerance of the reduction limits them."""
         gates, asked = build.scene.gates, body_of(part, build.scene).keys.rom or build.scene.rom
         rom = min(gates.harmonic_rom, asked.tolerance or gates.harmonic_rom)
         limits = dict.fromkeys(PAIRS, rom) | {"ngspice_vs_rom": gates.harmonic_ngspice}

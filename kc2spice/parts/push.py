@@ -107,7 +107,7 @@ class Push(Touching):
 
 
 def _pair(part: Part, scene: Scene) -> Pair:
-    """What the sphere is pushed into."""
+    """Contact pair of the sphere and the surface that it is pushed into."""
     return Pair(scene.partner(part, "contact"), scene)
 
 

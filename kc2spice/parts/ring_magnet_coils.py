@@ -44,8 +44,8 @@ MAGNET_CONDUCTIVITY = 150e3  # S/m, paper table A1
 
 UNRATED = "not known; compare the coils' currents with what their wire stands"
 DENSER = 4  # heights of the table that the shipped one is compared with, per interval
-POINTS = 201  # of each lookup: 6e-6 of the largest force between them
-COARSE = 1e-2  # of the largest force; the spline between the table's heights may miss as much
+POINTS = 201  # points of each lookup; the error between them is 6e-6 of the largest force
+COARSE = 1e-2  # largest error of the spline between heights, relative to the largest force
 COPPER = 3.45e6  # J/(m3 K), of volume: 385 J/(kg K) at 8960 kg/m3
 COILS = ("lower", "upper")
 SOURCES = ("kc2spice.linalg", "kc2spice.fem", "kc2spice.core.gmsh_session", __name__)
@@ -77,7 +77,7 @@ SERIES = {
 UNITS = ("N", "N/A and V s/m", "N/A and V s/m", "N/A^2", "N/A^2", "N/A^2")
 
 PLACE = Terminal("y", "um", "-"), Terminal("v", "m/s", "N"), Terminal("base", "um", "N", "gnd")
-ENDS = ("lp", "ln", "up", "un")  # of the lower and the upper coil
+ENDS = ("lp", "ln", "up", "un")  # pins of the lower and the upper coil
 PINS = (*(Terminal(end, "V", "A") for end in ENDS), *PLACE)
 SERIES_PINS = (Terminal("drive", "V", "A"), Terminal("ret", "V", "A"), *PLACE)
 
@@ -100,8 +100,10 @@ def rated_heating(keys: Coils) -> float:
 
 
 def _pulls(values: np.ndarray, current: float) -> np.ndarray:
-    """What each of :data:`SERIES` adds (3, heights) to the force at ``current`` [A], where the
-    table's coefficients are ``values`` (heights, 6)."""
+    """Contributions of each of :data:`SERIES` to the force at ``current`` [A] (3, heights).
+
+    ``values`` (heights, 6) are the coefficients of the table.
+    """
     weights = np.array(list(SERIES.values()), dtype=float)
     return current ** np.arange(3)[:, None] * (weights @ values.T)
 
@@ -151,14 +153,14 @@ def coils_subcircuit(
 
 
 def _resistive(table: EMTable, height: np.ndarray) -> dict[str, Any]:
-    """What the template ``catch`` asks for."""
+    """Variables of the template ``catch``."""
     values = table.splines(height)
     rows = enumerate(SERIES.items())
     return {"functions": [Lookup(n, *smooth(values @ w), "V(i)*" * k) for k, (n, w) in rows]}
 
 
 def _inductive(table: EMTable, height: np.ndarray) -> dict[str, Any]:
-    """What the template ``coil`` asks for."""
+    """Variables of the template ``coil``."""
     henry = float(np.mean(table.inductance[:, (0, 1), (0, 1)]))
     inverse = henry * np.linalg.inv(table.coenergy.inductances(height))
     default = inverse.mean(axis=0)
@@ -314,18 +316,20 @@ class RingMagnetCoils(Touching):
                 yield Shape(x, ring.y + keys.shift, wide, ring.height, kind, label)
 
     def _unit(self, part: Part, count: int) -> Catch:
-        """What a table depends on besides the sphere's radius."""
+        """Keys on which a table depends, besides the sphere's radius."""
         alone = {"remanence": 1.0, "shift": 0.0, "points": POINTS, "positions": count}
         return Catch(**{name: getattr(part.keys, name) for name in Catch.model_fields} | alone)
 
     def model_key(self, part: Part, scene: Scene) -> Mapping[str, Any]:
-        """What its table depends on."""
+        """Keys on which its table depends."""
         catch = self._unit(part, part.keys.positions).model_dump(mode="json")
         return {"catch": catch, "radius": sphere_of(part, scene).keys.radius}
 
     def build(self, part: Part, scene: Scene, clock: Any, full: bool = False) -> EMTable:
-        """What the remanence, a factor, and the shift change is exact; a ``full`` table is so dense
-        that its splines interpolate ``DENSER**4`` times better. Air box and ring move together.
+        """Compute the table for unit remanence, then scale and shift it, which is exact.
+
+        A ``full`` table is so dense that the interpolation error of its splines is ``DENSER**4``
+        times smaller. Air box and ring move together.
         """
         keys, count = part.keys, (DENSER if full else 1) * (part.keys.positions - 1) + 1
         unit = self._unit(part, count)

@@ -38,7 +38,7 @@ class SensorKeys(Section):
 
 
 def reading(keys: SensorKeys) -> Declaration:
-    """What it reads follows the position with one pole, shifted by its offset; without noise."""
+    """Reading: the position through one pole, shifted by the offset, without noise."""
     return Declaration(
         "sensor",
         "position sensor",

@@ -51,12 +51,12 @@ KINDS = {
 }
 SMOOTHED = ("voltage", "force")  # by inductance and mass; all others are what moves and flows
 SHAPES = ("dc", "pulse", "sine", "pwl", "file")
-MAX_ROWS = 100_000  # of a file
+MAX_ROWS = 100_000  # rows of a file
 PER_PERIOD = 125  # points of a sine: 4e-4 of its amplitude lie between two of them
 EDGE = 0.5  # over its time: where the spectrum of an edge has fallen so far that 1e-4 is left
 # times the frequency of a sine that is switched on; at 3 a mode above the band missed 1.3 %
 HARMONICS = 8.0
-DEVIATION = 1e-3  # of the swing: what an ideal source may differ from its own definition
+DEVIATION = 1e-3  # largest deviation of an ideal source from its definition, over the swing
 
 
 class SourceKeys(Section):
@@ -159,7 +159,7 @@ class Source(PartType):
 
     def cards(self, part: Part, build: Build) -> tuple[str, ...]:
         kind, ends = KINDS[part.keys.kind], [build.net(part, pin) for pin in ("out", "ret")]
-        if kind.letter == "I":  # what leaves the source at "out" flows from "ret" through it
+        if kind.letter == "I":  # the current leaves the source at "out" and enters it at "ret"
             ends.reverse()
         if _returns(part, build.scene):
             return tuple(_returning(part, build, kind, ends))
@@ -227,8 +227,11 @@ def _returns(part: Part, scene: Scene) -> bool:
 
 
 def _returning(part: Part, build: Build, kind: Kind, ends: list[str]) -> Iterator[str]:
-    """What the simulator sweeps is a voltage that goes on growing; the source has its mirror image
-    beyond ``to``, so that all is one sweep and each point begins at the one before."""
+    """Source of a sweep that returns from ``to``.
+
+    The simulator sweeps a voltage beyond ``to``. The source folds it at ``to``, so that both
+    directions form one sweep and each point starts from the solution of the previous point.
+    """
     selected = build.scene.analysis
     first, last = (kind.scale * quantity(v, kind.unit) for v in (selected.from_, selected.to))
     swept, folded = (build.own(part, part.name, word) for word in ("swept", "folded"))

@@ -30,7 +30,7 @@ from kc2spice.spice.header import SIGN
 
 AIR_VISCOSITY = 1.825e-5  # Pa s
 AT_REST = State(0.0, 0.0)
-SETTLING_BAND = 0.05  # of the step from rest to set point
+SETTLING_BAND = 0.05  # relative to the step from rest to set point
 WORK = 1e-4  # share of the work that may be unexplained; then a launch is wrong by about 1e-3
 
 
@@ -89,8 +89,10 @@ class SphereKeys(Section):
 def rigid_sphere(
     mass: float, radius: float, gravity: float, velocity: float = 0.0, height: float = 0.0
 ) -> Declaration:
-    """Of the height x of its lowest point over touching: counted from the centre, a resting contact
-    of a picometre would drown in rounding. Without ``uic`` ngspice starts from the operating point.
+    """Declaration of a sphere by the height x of its lowest point above first touch.
+
+    With the height of the centre, an indentation of a picometre would be lost in rounding. Without
+    ``uic`` ngspice starts from the operating point.
     """
     own = point_mass(mass, gravity, height, velocity)
     weight, pull, place, fast = own.given
@@ -294,7 +296,7 @@ def _moved(part: Part, scene: Scene) -> bool:
 
 
 def offset(part: Part, pin: str, scene: Scene) -> float:
-    """What a pin that reads the height of a centre has on top of its law's coordinate [m]."""
+    """Offset of a pin for the height of a centre from its law's coordinate [m]."""
     ball = _read(part, pin, scene)
     return 0.0 if ball is None else float(ball.keys.radius)
 

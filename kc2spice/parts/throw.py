@@ -50,7 +50,7 @@ class Throw(_touching.Touching):
         return {sphere_of(part, scene).name: State(part.keys.velocity, part.keys.gap)}
 
     def numerics(self, part: Part, scene: Scene) -> Iterator[Numerics]:
-        """What a step may miss shrinks with the speed of the impact."""
+        """Numerical requirements: the allowed charge error falls with the speed of the impact."""
         speed = max(1e-3, _arriving(part, scene))
         yield Numerics(f"impact at {speed:.3g} m/s", chgtol=min(1.0, speed))
 

@@ -102,7 +102,7 @@ class LinearElement(DeclaredPart):
 
     @cached_property
     def _letter(self) -> str:
-        """Of its card: in it, a displacement is the voltage and a velocity its rate."""
+        """Letter of its card, in which a displacement is the voltage and a velocity its rate."""
         return {-1: "L", 0: "R", 1: "C"}[self.linear[0] + (self.branch.kind == "displacement")]
 
     @cached_property

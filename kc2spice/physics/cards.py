@@ -153,7 +153,7 @@ def _mass(declaration: Declaration, b: Branch) -> Iterator[str]:
 
 
 def _probes(declaration: Declaration) -> Mapping[str, Tree]:
-    """What stands for each coordinate and rate."""
+    """Expression of each coordinate and rate."""
     rest = reference(declaration)
     inner = {name: name for name in (*declaration.polynomials.values(), *declaration.signals)}
     inner |= {name: state_node(name) for name in declaration.states}
@@ -227,7 +227,7 @@ def _differentiated(name: str, node: str, minus: str) -> Iterator[str]:
 
 
 def _velocity(declaration: Declaration, b: Branch) -> Iterator[str]:
-    """Of the ends without a node of their velocity."""
+    """Cards of the velocity, for ends without a velocity node."""
     base = declaration.base or b.minus
     plus, minus = (base if pin in declaration.speeds else pin for pin in (b.plus, b.minus))
     if plus != minus:
@@ -282,7 +282,7 @@ def _force(
 def _scaled(
     declaration: Declaration, b: Branch, kept: Tree, node: str, nodes: Mapping[str, Tree]
 ) -> Iterator[str]:
-    """What is kept, in units of its derivative at rest, so that its voltages are those of ``b``."""
+    """Stored quantity in units of its derivative at rest; its voltages equal those of ``b``."""
     scale = declaration.at_rest(derivative(kept, b.name))
     yield f".param scale_{b.name}={{{text(scale if scale != ZERO else Number('1e-12'))}}}"
     amount = replaced(declaration.named(kept), nodes)

@@ -101,7 +101,7 @@ def _given(*names: str) -> tuple[Param, ...]:
 def law(
     name: str, declaration: Declaration, table: EMTable, raised: float = 0.0, **given: float
 ) -> DeclaredLaw:
-    """Of coils with this ``table``, on a magnet that lies ``raised`` [m] above its coordinate."""
+    """Law of coils with this ``table``, on a magnet that is ``raised`` [m] above its coordinate."""
     known = dict(zip(_COILS, table.resistance.tolist(), strict=True)) | given
     known |= {"raised": raised, "y_min": float(table.y[0]), "y_max": float(table.y[-1])}
     values = tuple(known[param.name] for param in declaration.given)

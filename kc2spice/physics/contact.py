@@ -17,7 +17,7 @@ from kc2spice.physics.expression import derivative, evaluated, expression, minus
 
 RATING = "not known; compare the force with the strength of both surfaces (Hertz)"
 # A block between compiled modules alone ended 35 mm away instead of 0.2, without an error message.
-# What a law of pressures states of the mesh that its compliances come from.
+# Mesh statement of a law of pressures, about the mesh of its compliances.
 SPACED = "error not estimated; a run with half the key spacing shows it"
 SLIPS = "compiled modules lose the digits that friction below its creep speed needs"
 SIGN = "um, m/s and N count upwards, out of the chip; 1 A into a pin pushes the part up with 1 N"
@@ -164,7 +164,7 @@ def _parameters(
     under: tuple[float, tuple[float, ...]] | None,
     groove: float | None,
 ) -> Iterator[Param]:
-    """What an instance may set."""
+    """Parameters that an instance may set."""
     linear = law.power == 1
     what = "contact penalty of a whole ring" if linear else "Hertz: 4/3 E* sqrt(R)"
     damping, friction = "of Hunt and Crossley", "Coulomb's coefficient"

@@ -223,12 +223,12 @@ class Declaration:
 
     @cached_property
     def open(self) -> tuple[Branch, ...]:
-        """Those of them between pins: all but loops."""
+        """Acting branches between pins, without loops."""
         return tuple(branch for branch in self.acting if branch.plus)
 
     @cached_property
     def kinds(self) -> dict[str, Kind]:
-        """What is across at each pin; of one that serves several, where something flows."""
+        """Across quantity of each pin; a branch with a flow has priority."""
         result: dict[str, Kind] = {}
         for b in (*self.acting, *self.branches):
             for pin in filter(None, (b.plus, b.minus, b.less)):
@@ -271,7 +271,7 @@ class Declaration:
     # --- what follows -----------------------------------------------------------------------
 
     def _tree(self, what: str) -> Tree:
-        """Of one of the energies, or of the content."""
+        """Expression tree of one of the energies, or of the content."""
         return expression(getattr(self, what), f"{what} of {self.name}", self.tables)
 
     def _slope(self, what: str, name: str) -> Tree:
@@ -327,8 +327,11 @@ class Declaration:
         return self._read("output", self.outputs)
 
     def direct(self, branch: Branch) -> Tree:
-        """What is through a branch at once: force besides that of inertia, or current besides that
-        of the charge; of a current, the voltage besides that of the flux."""
+        """Instantaneous flow through a branch.
+
+        It is the force without that of inertia, or the current without that of the charge. For a
+        branch of kind current it is the voltage without that of the flux.
+        """
         if branch.kind != "displacement":
             return self._slope("content", branch.name)
         stored = minus(self._slope("energy", branch.name), self._slope("coenergy", branch.name))
@@ -352,7 +355,7 @@ class Declaration:
         return self._slope("coenergy", branch.name)
 
     def mass(self, branch: Branch) -> Tree:
-        """Of a displacement."""
+        """Mass of a displacement branch."""
         return derivative(self.kept(branch), branch.name + RATE)
 
     @cached_property
@@ -375,7 +378,7 @@ class Declaration:
 
     @cached_property
     def equations(self) -> tuple[str, ...]:
-        """What is through every branch, as text; a current's voltage."""
+        """Equations of the flow through every branch as text; for a current, of its voltage."""
         own = [(name, tree) for name, tree in self.sent.items()]
         own += [(f"d/dt {name}", tree) for name, tree in self.changes.items()]
         definitions = (f"{name} = {Writer().write(tree)}" for name, tree in own)

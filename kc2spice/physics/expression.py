@@ -1,4 +1,4 @@
-"""What physics does with expressions: exact derivatives, plain forms, functions of numpy.
+"""Operations on expressions: exact derivatives, plain forms, functions of numpy.
 
 The trees are those of :mod:`kc2spice.netlist.expression`. Besides arithmetic there are ``exp``,
 ``ln``, ``sqrt``, ``sin``, ``cos``, ``sinh``, ``cosh``, ``tanh``, ``atan``, the one-sided
@@ -39,7 +39,7 @@ from kc2spice.netlist.expression import (
 
 ZERO, ONE = Number("0"), Number("1")
 SLOPE = "_slope"  # ends the name of a table's derivative
-_DIGITS = 11  # that ngspice keeps of a literal in an expression
+_DIGITS = 11  # digits of a literal in an expression that ngspice keeps
 # Derivatives by the argument u.
 _CHAIN = {
     "exp": "exp(u)", "ln": "1/u", "sqrt": "0.5/sqrt(u)", "sin": "cos(u)", "cos": "-sin(u)",
@@ -206,7 +206,7 @@ def _chain(function: str, value: Tree) -> Tree:
 
 
 def _product(left: Tree, right: Tree) -> Tree:
-    """Of which nothing is written if either is zero: most derivatives of a long sum are."""
+    """Product; zero if either factor is zero, as are most derivatives of a long sum."""
     return ZERO if ZERO in (left, right) else Binary("*", left, right)
 
 
@@ -257,7 +257,7 @@ class _Product:
         return _Product(1 / self.size, self.below, self.above)
 
     def tree(self) -> Tree:
-        """Of the absolute value of the coefficient."""
+        """Expression tree with the absolute value of the coefficient."""
         size, below = abs(self.size), self.below
         if Fraction(f"{float(size):.{_DIGITS}g}") != size:
             size, below = Fraction(size.numerator), (_number(size.denominator), *below)

@@ -40,7 +40,7 @@ class DeclaredLaw(Device):
     name: str
     declaration: Declaration
     values: tuple[float, ...]
-    start: tuple[float, float] | None = None  # of its mass
+    start: tuple[float, float] | None = None  # initial state of its mass
     tables: Mapping[str, _Table] = field(default_factory=dict, compare=False)
 
     def _of(self, *kinds: str) -> tuple[Branch, ...]:
@@ -71,7 +71,7 @@ class DeclaredLaw(Device):
 
     @cached_property
     def _kinds(self) -> dict[str, str]:
-        """Of all pins; what is only seen, without its rate, is a signal, as are outputs."""
+        """Kinds of all pins; outputs are signals, as are inputs whose rate is not used."""
         d = self.declaration
         used = {pin for b in (*d.acting, *d.damped) for pin in (b.plus, b.minus, b.less)}
         result = {pin: _KIND[kind] for pin, kind in d.kinds.items()}

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 _NODE = {"displacement": ("um", "N"), "voltage": ("V", "A"), "current": ("V", "A"),
          "acceleration": ("m/s2", "N")}  # fmt: skip
-STRIKES = 1.0  # of a stop; plates that struck it twice to nine times were up to 20 % off
+STRIKES = 1.0  # strikes of a stop; plates with two to nine strikes had errors of up to 20 %
 REBOUND = "what follows may hang on every step: error_budget estimates the error of each metric"
 _OWN = "f|x|in|q|l|rest|copy|sense|first|second|noise|speed|place|pushed|state"
 _INNER = rf"(?:{_OWN})_.+|(?:edge|poly)\d+|tick"  # nodes
@@ -52,7 +52,7 @@ class DeclaredPart(PartType):
         if declaration is None:
             return
         self.declaration = declaration
-        # Names of a type are constants of its class elsewhere; here of its one instance.
+        # Other part types define these as class attributes; this type sets them per instance.
         vars(self).update(
             name=declaration.name,
             title=declaration.title,
@@ -373,7 +373,7 @@ def _work(
 
 
 def _nearer(near: np.ndarray, *tried: np.ndarray) -> np.ndarray:
-    """Of two arrays at each place the value that is nearer to ``near``."""
+    """At each place, the value of two arrays that is nearer to ``near``."""
     first, second = tried
     return np.where(np.abs(second - near) < np.abs(first - near), second, first)
 

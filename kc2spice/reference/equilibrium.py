@@ -30,7 +30,7 @@ class Interval:
             self.F = self.F + device.into @ slope @ device.inputs
             self.const = self.const + device.into @ out
         self.linear = not self.curved
-        self.rows = np.abs(system.G[:, : system.size]).max(axis=1) > 0.0  # those with a rate
+        self.rows = np.abs(system.G[:, : system.size]).max(axis=1) > 0.0  # equations with a rate
         for device in system.devices:
             if device.stores is not None:
                 self.rows = self.rows | device.stores.any(axis=1)
@@ -91,7 +91,7 @@ class Interval:
         return self.stored(X)[:, 0], self.flow(X)[:, 0]
 
     def inputs(self, t: float, z: np.ndarray) -> list[np.ndarray]:
-        """What every device sees."""
+        """Inputs of every device."""
         X = self.seen(t, z)
         return [device.inputs @ X for device in self.system.devices]
 

@@ -35,7 +35,7 @@ _BACK = np.linalg.inv(_vectors)
 _REAL, _PAIR = int(np.argmin(np.abs(_values.imag))), int(np.argmax(_values.imag))
 _ERROR = np.array([-13 - 7 * _S6, -13 + 7 * _S6, -1.0]) / 3.0
 _MAX_NEWTON = 8
-_ROUNDING = 0.1  # of the tolerance: a controller's derivative makes 100 nV of what rounding leaves
+_ROUNDING = 0.1  # over the tolerance; a controller's derivative amplifies rounding to 100 nV
 # Polynomials through the start and the stages, and through the stages alone.
 _CUBIC = np.linalg.inv(NODES[:, None] ** _POWERS)
 _SQUARE = np.linalg.inv(NODES[:, None] ** (_POWERS - 1))
@@ -143,7 +143,7 @@ class Radau:
         if self.before is not None:
             Z = self.before.at(t) - self.z[:, None]
         scale = self.rtol * (1.0 + np.abs(self.z))
-        scale = np.where(self.active, scale, 1e3 * scale)  # these carry no error onwards
+        scale = np.where(self.active, scale, 1e3 * scale)  # inactive states do not propagate errors
         last = 0.0
         for k in range(_MAX_NEWTON):
             X = np.concatenate((self.z[:, None] + Z, given))
@@ -196,7 +196,7 @@ class Radau:
         """Estimated error in units of the tolerance."""
         p, t, h = self.interval, self.t + step.length * NODES, step.length
         given = p.system.given(t, p.within)
-        # of what is stored, not of ``M`` times the unknowns: that is of an earlier state
+        # of the stored value; ``M`` times the unknowns belongs to an earlier state
         late = p.stored(np.concatenate((step.first[:, None] + step.increments, given)))
         moved = np.where(self.rows, (late - self.g[:, None]) @ _ERROR / h, 0.0)
         scale = self.rtol * (1.0 + np.maximum(np.abs(self.z), np.abs(step.last)))

@@ -25,8 +25,8 @@ from kc2spice.reference.equilibrium import Interval, equilibrium
 
 _WORST_BASIS = 1e9  # condition of the eigenvectors beyond which modes say nothing
 _STILL = 1e-7  # a rate below this share of the largest is that of a body free to move
-ROUNDED = 1e-9  # of the terms of a wave: what is left of them where they cancel
-_FREE = 1e-7  # of all that the drives do: what they may do to such a body
+ROUNDED = 1e-9  # remainder of cancelling terms of a wave, relative to the terms
+_FREE = 1e-7  # largest effect of the drives on such a body, relative to their total effect
 
 Warp = Callable[[np.ndarray], np.ndarray]
 
@@ -143,7 +143,7 @@ class Linear:
         whole[cols], whole[algebraic] = shapes, follow @ shapes
         out = self.C0[:, :n] @ whole + (self.C1[:, :n] @ whole) * rates
         terms = self._terms(slice(n), whole, rates)
-        # what sources e^(w t) drive: Bs + w (Bd - Gs) - w^2 Gd
+        # matrix driven by sources e^(w t): Bs + w (Bd - Gs) - w^2 Gd
         Gs, Gd = self.G[:, n : n + k], self.G[:, n + k :]
         Bs, Bd = self.F[:, n : n + k], self.F[:, n + k :]
         forms = [inverse @ (B[rows] - cut @ B[~rows]) for B in (Bs, Bd - Gs, -Gd)]

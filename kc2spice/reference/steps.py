@@ -28,16 +28,17 @@ from kc2spice.reference.assemble import System
 from kc2spice.reference.equilibrium import Interval, equilibrium
 
 GAMMA = 1.0 - np.sqrt(0.5)
-ITERATIONS = 60  # of a stage, modes of devices among them
+ITERATIONS = 60  # iterations of a stage, including changes of device modes
 ONE_BY_ONE = 30  # iterations after which devices change their modes one at a time
 ROUNDING = 1e-15  # by which a guard may be negative
-NOTHING = 1e-100  # of any load; what rounding leaves of none cannot be solved for
-SLOW = 3e-8  # of the fastest rate of a free body: so slow that it is at rest but for its drift
+NOTHING = 1e-100  # zero load; a solver cannot solve for its rounding errors
+SLOW = 3e-8  # rate of a free body that only drifts, relative to its fastest rate
 
 
 class _Body:
-    """A linear model, ``sum_k d^k/dt^k P_k x = B a``, in steps of one size, from rest under ``a``
-    (inputs,) on.
+    """Fixed-step integration of a linear model, ``sum_k d^k/dt^k P_k x = B a``.
+
+    It starts from rest with the initial input ``a`` (inputs,).
 
     Raises
     ------
@@ -57,7 +58,7 @@ class _Body:
             self.x = at_rest(self.pencil)(self.pencil.B @ a)
 
     def relation(self, second: bool) -> Relation:
-        """Of the next stage."""
+        """Right-hand side of the next stage."""
         P, s = self.pencil.coefficients, self.rate
         x, v = self.x, self.v
         if second:

@@ -143,7 +143,7 @@ def _prefixed(label: str, values: Sequence[np.ndarray]) -> tuple[str, float]:
 
 
 def _without_prefix(unit: str) -> tuple[float, str]:
-    """What one of ``unit`` is in the unit without prefix: ``mA`` is 1e-3 of ``A``."""
+    """Factor and unit without the prefix of ``unit``: ``mA`` is 1e-3 times ``A``."""
     if unit in _PLAIN:
         return 1.0, unit
     for power, prefix in PREFIXES.items():

@@ -56,7 +56,7 @@ def notebook_figure(figure: Figure) -> Any:
     from matplotlib.figure import Figure as Sheet
 
     class Shown(Sheet):
-        """A figure that is its own picture."""
+        """Figure that notebooks display as PNG."""
 
         def _repr_png_(self) -> bytes:
             stream = BytesIO()

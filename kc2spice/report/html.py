@@ -40,13 +40,13 @@ _NAMES = {
     "resonance_hz": "series resonance of the impedance",
     "antiresonance_hz": "parallel resonance of the impedance",
 }
-# What a key of result.json ends with, by the unit that its record states.
+# Suffix of a key of result.json, by the unit in its record.
 _SUFFIXES = {
     "m per 100 V": "_m_per_100v", "m/V": "_m_per_v", "m/s": "_m_s", "V/m": "_v_m", "N/m": "_n_m",
     "N s/m": "_n_s_m", "Ohm": "_ohm",
 }  # fmt: skip
 _SHOWN_UNITS = {"Ohm": "Ω"}
-NOISE = 1e-12  # of the scale of a number: smaller ones are rounding errors
+NOISE = 1e-12  # limit of rounding errors, relative to the scale of a number
 
 
 def quantity(value: float | None, unit: str, digits: int = 4) -> str:
@@ -77,8 +77,8 @@ def _prefixed(value: float, unit: str, digits: int, power: int) -> str:
 def value_and_limit(value: float, limit: float, unit: str) -> tuple[str, str]:
     """Both with the same prefix: ``value_and_limit(4.06e5, 5e5, "Hz")`` is 406 kHz, 500 kHz.
 
-    A limit of another order of magnitude has its own prefix. A value that is a rounding error
-    beside its limit, or beside 1 if it is a ratio, is 0.
+    A limit of another order of magnitude has its own prefix. Rounding errors, relative to the
+    limit, or to 1 for ratios, are printed as 0.
     """
     words = _is_words(unit)
     if abs(value) < NOISE * max(abs(limit), 1.0 if words else 0.0):
@@ -93,7 +93,7 @@ def value_and_limit(value: float, limit: float, unit: str) -> tuple[str, str]:
 
 
 def leaves(value: Any, joint: str = ".", path: str = "") -> Iterator[tuple[str, Any]]:
-    """What stands below mappings in mappings, by its names joined to one."""
+    """Values of nested mappings, by their names joined to one."""
     if isinstance(value, Mapping):
         for name, item in value.items():
             yield from leaves(item, joint, f"{path}{joint}{name}" if path else str(name))

@@ -34,7 +34,7 @@ def write_bench(directory: Path, title: str, record: Mapping[str, Any]) -> None:
 
 
 def bench_sections(record: Mapping[str, Any]) -> list[Section]:
-    """What ``bench`` found, for the page and for the terminal: settings the quickest first."""
+    """Results of ``bench`` for the page and the terminal, the fastest settings first."""
     points = [
         (
             point["label"],
@@ -56,7 +56,7 @@ def bench_sections(record: Mapping[str, Any]) -> list[Section]:
 
 
 def recommendation(record: Mapping[str, Any]) -> list[tuple[str, str]]:
-    """What to use, what the scene uses, and what errors are against."""
+    """Recommended settings, settings of the scene, and the reference of the errors."""
     own = next(point for point in record["points"] if point["own"])
     best, reference = record["recommended"], record["reference"]
     rows = [("error of", _names(record["metrics"])), ("the scene as it is", _cost(own))]
@@ -129,7 +129,7 @@ def write_fit(
 
 
 def fit_sections(record: Mapping[str, Any]) -> list[Section]:
-    """What ``fit`` found, for the page and for the terminal."""
+    """Results of ``fit`` for the page and the terminal."""
     values = [
         (key, f"{item['value']:.6g}", f"{item['sigma']:.2g}",
          f"{item['low']:g} to {item['high']:g}", "met" if item["at_bound"] else "")
@@ -359,7 +359,7 @@ Solutions = Mapping[str, Waveforms]
 
 @dataclass
 class Findings:
-    """What one scene's verification has found.
+    """Results of the verification of one scene.
 
     ``errors`` has those of :data:`kc2spice.scene.judge.PAIRS` (largest relative), ``wall_s`` the
     time of each stage; ``left_out`` names the parts without a law. ``answers`` has the metrics of
@@ -383,7 +383,7 @@ class Findings:
         return all(check.passed for check in self.checks)
 
     def record(self) -> dict[str, Any]:
-        """Of ``verify.json``."""
+        """Record for ``verify.json``."""
         result = {
             key: value for key, value in vars(self).items() if key not in ("figures", "units")
         }

@@ -28,7 +28,7 @@ from kc2spice.report.html import (
 from kc2spice.scene.model import Scene, scene_hash
 from kc2spice.scene.settings import Probe
 
-SKETCH_WIDTH, HIGH = 520.0, 300.0  # of the devices, in units of the page
+SKETCH_WIDTH, HIGH = 520.0, 300.0  # size of the drawings of the devices, in units of the page
 FEW = 8  # entries of a list that a row shows
 LETTER = 6.2  # width of a letter
 TRACK, BOX = 24.0, 74.0  # between two nets; height of a part
@@ -210,7 +210,7 @@ def result_sections(result: Mapping[str, Any]) -> list[Section]:
 
 
 def operating_rows(result: Mapping[str, Any], most: int | None = None) -> Rows:
-    """What is not zero at the operating point of small signals, ``most`` of it at most."""
+    """Rows of nonzero values at the small-signal operating point, at most ``most``."""
     point = result.get("operating_point", {})
     units = {name: item["unit"] for name, item in point.items()}
     numbers = {name: float(item["value"]) for name, item in point.items()}
@@ -310,8 +310,10 @@ def above_band(rom: Mapping[str, Any]) -> Rows:
 def plan_sections(
     planned: Mapping[str, Any], converged: Mapping[str, Any] | None = None
 ) -> list[Section]:
-    """What is modelled, its numerical settings with what a refined run says that each does to the
-    metrics, what is left out."""
+    """Sections of models, numerical settings and neglected effects.
+
+    Each setting is listed with its effect on the metrics, if a refined run computed it.
+    """
     result = converged or {}
     shares = result.get("shares", {})
     rows = [(k, f"{v:g}", shares.get(k, e)) for k, v, e in map(dict.values, planned["settings"])]
@@ -349,7 +351,7 @@ def _fact(
 
 
 def _modes(part: str, found: Mapping[str, Any]) -> Section:
-    """Of one body; a port that no mode moves has no column."""
+    """Table of the modes of one body; a port that no mode moves has no column."""
     units, modes = found["units"], found["modes"]
     seen = [port for port in units if any(mode["couplings"][port] > 0 for mode in modes)]
     rows = []

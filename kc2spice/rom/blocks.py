@@ -222,8 +222,11 @@ def by_samples(model: Response, s: np.ndarray, inputs: np.ndarray, outputs: np.n
 
 
 def weights(frequency: np.ndarray, base: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Of inputs and outputs at each frequency for an integral over the band of errors that count
-    against ``base`` (len(frequency), outputs, inputs)."""
+    """Weights of inputs and outputs at each frequency.
+
+    They weight an integral over the band of errors relative to ``base`` (len(frequency), outputs,
+    inputs).
+    """
     step = np.sqrt(np.gradient(frequency) if len(frequency) > 1 else np.ones(1))
     rows, columns = scales(base)
     return step[:, None] / columns, step[:, None] / rows

@@ -35,8 +35,8 @@ from kc2spice.rom.structural_damping import (
 )
 
 ERROR = 1e-3  # relative, of a response at its resonances: what relaxations may add
-DIELECTRIC_SHARE = 0.01  # of the tangent, of 0.02 at most: error of the permittivity
-BELOW = 0.7  # of the lowest resonance, from where responses amplify errors of the stiffness
+DIELECTRIC_SHARE = 0.01  # error of the permittivity, over the loss tangent of at most 0.02
+BELOW = 0.7  # ratio to the lowest resonance; above, responses amplify errors of the stiffness
 GRID = 400  # frequencies of a band at which the error is measured
 ZOOMS, ZOOM = 2, 9  # rounds of frequencies about antiresonances, and their number about each
 CLUSTER = (-2.0, -0.5, 0.0, 0.5, 2.0)  # half widths around a resonance
@@ -84,7 +84,7 @@ class ComplexConstants:
         elastic = omega > 0
         shares = free[elastic] / omega[elastic, None]
         motional = shares.T @ shares
-        forces = np.where(electrical, chi[:, None], 1.0)  # of a unit load
+        forces = np.where(electrical, chi[:, None], 1.0)  # forces of a unit load
         answer = 1 / (s[:, None] ** 2 + chi[:, None] * omega**2)
         H = np.einsum("ni,ji,nj,jk,nk->nik", forces, gain, answer, gain, forces, optimize=True)
         return np.asarray(

@@ -37,7 +37,7 @@ from kc2spice.rom.pencil import (
     proportional,
 )
 
-DEPENDENT = 1e-12  # of the largest: a constraint that others imply
+DEPENDENT = 1e-12  # size of a dependent constraint, relative to the largest
 # Singular values of a matrix below this times its size and eps are zero; E is a product of matrices
 # in many models.
 ZERO = 100.0

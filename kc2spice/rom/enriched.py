@@ -31,7 +31,7 @@ TARGET = 1e-6  # error over that band that the richer model aims at
 LIMIT = 1e-3  # error over that band that the richer model may have
 AT_ONCE = 4_000_000  # complex numbers, 64 MB: points times modes that are followed together
 DEFECTIVE = 1e8  # condition of eigenvectors beyond which sums of modes lose the digits that count
-CONSTANT = 1e-9  # of the largest value: what a load or an answer that does not change varies by
+CONSTANT = 1e-9  # variation of a constant load or response, relative to the largest value
 
 
 def enriched(model: LinearModel, order: int, band: tuple[float, float]) -> LinearModel:

@@ -1,8 +1,8 @@
-"""Sizes that errors of a transfer function's entries count against, and entries that are zero.
+"""Sizes that errors of a transfer function's entries are relative to, and entries that are zero.
 
 A structure with a mirror plane has entries that are zero by symmetry: a force along y moves nothing
 along z. Solutions leave rounding errors there, whose quotient means nothing. Errors of such an
-entry count against the geometric mean of the largest entries of its row and its column,
+entry are relative to the geometric mean of the largest entries of its row and its column,
 ``sqrt(|H_ii| |H_jj|)`` for two ports of a passive model. Rows and columns are balanced first, so
 that units of inputs and outputs do not matter: D. Ruiz, RAL-TR-2001-034 (2001).
 """
@@ -55,8 +55,10 @@ class Entries:
         return cls(np.where(zero, scale, peak), np.asarray(zero), rows, columns)
 
     def base(self, H: np.ndarray, share: float = FLOOR) -> np.ndarray:
-        """What errors of the response H (..., outputs, inputs) count against: each entry or this
-        ``share`` of its peak."""
+        """Sizes that errors of the response H (..., outputs, inputs) are relative to.
+
+        Each is the size of the entry, but at least this ``share`` of its peak.
+        """
         size = np.abs(H)
         if self.zero.any():
             size = np.where(self.zero, _geometric_mean(size, self.rows, self.columns), size)
@@ -88,7 +90,7 @@ def balance(size: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _geometric_mean(size: np.ndarray, rows: np.ndarray, columns: np.ndarray) -> np.ndarray:
-    """Of the largest entry of each row and of each column (..., outputs, inputs)."""
+    """Geometric mean of the largest entry of each row and each column (..., outputs, inputs)."""
     left = size / (rows[:, None] * columns)
     across = left.max(axis=-1, keepdims=True, initial=0.0)
     down = left.max(axis=-2, keepdims=True, initial=0.0)

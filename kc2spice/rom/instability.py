@@ -26,7 +26,7 @@ from kc2spice.linalg.factor import require_factors
 from kc2spice.rom.pencil import Matrix, Pencil, Schur, magnitudes
 from kc2spice.rom.structure import dissipative, semidefinite
 
-POLES, VECTORS, RESTARTS = 4, 40, 12  # of the Arnoldi method
+POLES, VECTORS, RESTARTS = 4, 40, 12  # settings of the Arnoldi method
 LANCZOS = 6  # restarts of the Lanczos method, of twenty vectors each
 COARSE = 1e-2  # relative error of the softest motion
 ROUNDING = 1e3  # times that of an energy: what is none
@@ -35,7 +35,7 @@ BACKWARD = 1e-6  # residual of a pole, relative to the terms of its equation
 
 
 def shown_unstable(pencil: Pencil, band: tuple[float, float] | None) -> str | None:
-    """What shows that a model is unstable, for an error message; None where nothing is found.
+    """Proof that a model is unstable, for an error message; None if no proof is found.
 
     Parameters
     ----------
@@ -64,7 +64,7 @@ def shown_unstable(pencil: Pencil, band: tuple[float, float] | None) -> str | No
         if _falls(pencil):
             return "a motion whose stiffness is negative"
         if pencil.undamped or (pencil.rayleigh is not None and min(pencil.rayleigh) >= 0):
-            return None  # of definite K nothing else grows
+            return None  # with definite K no other pole grows
     require_factors(pencil.bordered(1.0, 1.0, 1.0))
     if dissipative(pencil):
         return None

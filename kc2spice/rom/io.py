@@ -157,7 +157,7 @@ def mirrored(matrix: sparse.csc_array, sign: int = 1) -> sparse.csc_array:
 
 
 MAX_BYTES = 1_000_000_000
-MAX_ENTRIES = 50_000_000  # of one matrix
+MAX_ENTRIES = 50_000_000  # entries of one matrix
 MAX_TEXT = 64  # characters of a name or unit
 _ROM_FILES = "the .npz file that kc2spice reduce wrote, or the .json file beside its matrices"
 _RECORD = "record"  # the JSON text beside the arrays

@@ -163,7 +163,7 @@ def _improper(why: str) -> UsageError:
 PortKind = Literal["electrical", "mechanical", "rotational", "acceleration", "input", "output"]
 Norm = Literal["pointwise", "peak"]
 CONSERVATIVE = ("electrical", "mechanical", "rotational", "acceleration")
-# What 1 V and 1 A on the netlist pin of a conservative port mean.
+# Meaning of 1 V and 1 A at the netlist pin of a conservative port.
 UNITS = {
     "electrical": ("V", "A"),
     "mechanical": ("um", "N"),
@@ -221,7 +221,7 @@ class Port:
 
 @dataclass(frozen=True)
 class Certificate:
-    """What is known about a reduced model's error with respect to the *full* model.
+    """Error of a reduced model with respect to the *full* model, with its band and its proofs.
 
     ``error_estimate`` is the largest relative error of any transfer function over ``band_hz``, in
     the ``norm`` *pointwise* (relative at every frequency, or to a millionth of the entry's peak
@@ -272,8 +272,9 @@ class LinearModel:
     of several materials, symmetric and positive semi-definite. Such a model has a response, and
     becomes a circuit by :func:`kc2spice.reduce` only.
 
-    ``facts`` are the numbers by which an engineer knows the body (``mass_kg``, ``unknowns``,
-    ``capacitance_free_f``, …). ``band`` [Hz] is what the model's author asks to be kept, if known.
+    ``facts`` are characteristic numbers of the body (``mass_kg``, ``unknowns``,
+    ``capacitance_free_f``, …). ``band`` [Hz] is the frequency range that the author of the model
+    requires; None if it is unknown.
 
     Raises
     ------
@@ -572,7 +573,7 @@ def negated(matrix: Matrix) -> Matrix:
     return -matrix
 
 
-LOSS_FACTOR = 1e-9  # of K: an imaginary part that differs less has one loss factor
+LOSS_FACTOR = 1e-9  # deviation, relative to K, up to which the imaginary part is eta times K
 
 
 def _set_structural(model: LinearModel) -> None:
@@ -620,7 +621,7 @@ def _loss_of(K: Matrix, loss: Matrix, where: str) -> tuple[Matrix, float]:
 
 
 def _unfit(where: str, got: str, what: str = "matrix K") -> UsageError:
-    """The refusal of a structural damping."""
+    """Error for invalid structural damping."""
     return UsageError(
         f"{what} cannot be used",
         where=where,

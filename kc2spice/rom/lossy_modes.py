@@ -26,9 +26,9 @@ from dataclasses import dataclass
 import numpy as np
 import scipy
 
-ROUNDS = 10  # of weights
+ROUNDS = 10  # updates of the weights
 LEAST = 0.02  # change of a weight where the error is small
-USED = 1e-12  # of the largest amplitude: a relaxation that the fit uses
+USED = 1e-12  # least amplitude of a relaxation in use, relative to the largest
 
 
 @dataclass(frozen=True, eq=False)

@@ -32,8 +32,8 @@ from kc2spice.rom.network import Branch, ParallelBranches
 
 MAX_ELEMENTS = 40
 ENOUGH = 1e-5  # deviation (rms) below that of every instrument
-GAIN = 0.1  # by which an element must reduce the deviation, else it is the last one
-PATIENCE = 2  # elements in succession that may reduce it by less
+GAIN = 0.1  # minimum relative reduction of the deviation per added element
+PATIENCE = 2  # successive elements below GAIN that end the search
 POOR = 0.2  # relative deviation (rms) of a part of another form
 QUALITIES = (5.0, 30.0, 200.0, 1500.0)  # Q factors from which a resonance starts
 PER_DECADE = 2  # time constants from which a relaxation or an inductance starts
@@ -41,9 +41,9 @@ TRIAL, FINAL = 40, 400  # evaluations of a sum of elements to choose one, and of
 CONVERGED = 1e-12  # relative change of the least squares and of the parameters
 OUTSIDE = 3.0  # times the band's end: a frequency whose resonance is a simpler element in it
 SLOWEST = 1e4  # longest time constant by the period, per radian, of the lowest frequency
-LARGEST_Q = 1e7  # of a resonance without a loss that the samples show
-LARGEST_LOG = 150.0  # of a parameter: far beyond every part, far inside of floating point
-DC_WEIGHT = 1e4  # of a resistance at zero frequency that the user states, in samples
+LARGEST_Q = 1e7  # Q factor of a resonance whose loss the samples do not show
+LARGEST_LOG = 150.0  # logarithm of a parameter: beyond every part, within the float range
+DC_WEIGHT = 1e4  # samples that one stated resistance at zero frequency counts as
 CAPACITIVE = np.tan(np.deg2rad(45))  # B/G at the lowest frequencies of a part that blocks dc
 LOWEST = 5  # samples whose mean decides that
 Logs = tuple[float, ...]

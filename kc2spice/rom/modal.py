@@ -46,7 +46,7 @@ from kc2spice.rom.response import Judge, Response, above_band
 # Proportional damping is exact by construction; anything above rounding is another damping.
 COUPLING_LIMIT = 1e-8
 LISTED = 20  # modes in a table, the lowest
-STILL = 1e-5  # of the band's end: a motion without stiffness, up to rounding
+STILL = 1e-5  # frequency of a motion without stiffness, by rounding, over the end of the band
 COUPLED_IN = {"mechanical": "m/N", "rotational": "rad/(N m)", "acceleration": "kg s2"}
 
 
@@ -208,7 +208,7 @@ def _by_poles(
     return size, -2 * values[rows].real * scale, share, np.diag(model.D)
 
 
-AT_REST = 1e-3  # of a port's static compliance: what its answer at the band's end may change by
+AT_REST = 1e-3  # change of a response at the end of the band, over the static compliance
 # The same where the lowest mode that is left out would ring: its damping ratio is below RINGS. Such
 # modes are the mesh's, ring on for hundreds of periods, and are what the steps of a lightly damped
 # kick follow. Launches of a chip damped by 0.01 % move by 1.2e-3, a quarter of their distance to
@@ -216,7 +216,7 @@ AT_REST = 1e-3  # of a port's static compliance: what its answer at the band's e
 RINGING_SHARE, RINGS = 1e-2, 0.02
 FAR = 2.0  # times the band's end: no lower mode answers at once
 EQUAL = 1e-9  # relative difference of relaxation times that is none
-RANK = 1e-12  # of singular values: no port moves such a combination of modes
+RANK = 1e-12  # zero singular value, relative: no port moves such a combination of modes
 
 
 def without_inertia(model: Resonators, tolerance: float | None = None) -> Resonators:
@@ -320,7 +320,9 @@ def chip_response(
     z = np.empty_like(drive)
     z[:, :heavy], rate = resonant(model.omega[:heavy], model.damp[:heavy], t, drive[:, :heavy])
     z[:, heavy:] = drive[:, heavy:] / model.omega[heavy:] ** 2
-    slow = heavy + np.flatnonzero(model.damp[heavy:])  # those undamped follow at once
+    slow = heavy + np.flatnonzero(
+        model.damp[heavy:]
+    )  # undamped massless states follow without delay
     damp = model.damp[slow]
     z[:, slow] = march(-(model.omega[slow] ** 2) / damp, t, drive[:, slow] / damp).real
     stored = (rate**2).sum(axis=1) / 2 + ((model.omega * z) ** 2).sum(axis=1) / 2
@@ -389,10 +391,10 @@ def _steps(roots: np.ndarray, t: np.ndarray, drive: np.ndarray) -> tuple[np.ndar
 
 
 STATED_AT = 1e3  # Hz
-DECADES = 4.0  # of a band from zero
+DECADES = 4.0  # decades of a band that starts at zero
 POINTS = 30  # a decade
 MOST = 6  # relaxations a decade
-LOSS_SHARE = 0.02  # of the tangent, of 0.01 at most: error of the sum
+LOSS_SHARE = 0.02  # error of the sum, over the loss tangent of at most 0.01
 
 
 def permittivity(frequency: np.ndarray, tangent: float) -> np.ndarray:

@@ -29,7 +29,7 @@ from kc2spice.core.extras import import_optional
 from kc2spice.rom.linear import ABCD, Certificate, LinearModel, Port
 from kc2spice.rom.pencil import explicit
 
-ITERATIONS = 6  # of vector fitting, which amplify rounding; least squares continue
+ITERATIONS = 6  # iterations of vector fitting; more amplify rounding, so least squares continue
 MOST_STEPS = 60  # evaluations of least squares of the poles
 # Decay of a pole: at least this share of the distance between samples, at most so many times the
 # band's end. Samples do not determine others.
@@ -38,14 +38,14 @@ NARROWEST, FASTEST = 0.25, 10.0
 # band, which are seldom passive in measured data.
 REACHES = (3.0, 1.25, 1.001)
 MOST_DETERMINED = 0.25  # parameters by numbers in the samples; more describe their noise
-EDGE = 1e-3  # of a bound: least squares start inside of it
+EDGE = 1e-3  # least distance of the start of least squares from a bound, relative
 MOST = 60  # poles, pairs counted once
-STATES = 48  # of them all: the search for the nearest passive model takes their sixth power
+STATES = 48  # states of all poles; passivity enforcement needs time as their sixth power
 NOISE, ENOUGH = 1.2, 1e-5  # times the noise of the data, or of the largest: a good fit
 GAIN, PATIENCE = 0.1, 2  # three poles more take that share of the deviation, or two times not
 CLOSE = 1.2  # times the deviation without passivity: a passive fit as good as any
-POOR = 0.2  # of the largest: what no rational function comes near
-ROUNDING = 1e-6  # of an optimum on the edge of what is passive
+POOR = 0.2  # deviation, relative to the largest value, of data without a rational fit
+ROUNDING = 1e-6  # rounding error of an optimum at the limit of passivity
 MOST_SHRUNK = 0.1  # by which a fit may exceed what is passive; its deviation decides
 INSIDE = 1e-7  # below one, of the largest singular value that counts as passive
 
@@ -70,7 +70,7 @@ def multi_port(f: np.ndarray, Y: np.ndarray, noise: float, where: str) -> Linear
     model = _admittance(*_best(f, S, noise, where), R)
     answer = 2j * np.pi * f[:, None, None] * model.transfer(f)
     peak = np.abs(Y).max(axis=0)
-    # what couples nothing has no size of its own
+    # an uncoupled entry has no size
     deviation = np.abs(answer - Y) / np.where(peak > 0, peak, peak.max())
     worst = np.unravel_index(int(deviation.argmax()), deviation.shape)
     error, at = float(deviation[worst]), float(f[worst[0]])
@@ -87,8 +87,11 @@ def multi_port(f: np.ndarray, Y: np.ndarray, noise: float, where: str) -> Linear
 
 
 def _best(f: np.ndarray, S: np.ndarray, noise: float, where: str) -> ABCD:
-    """Of the fits with few to many poles the passive one with the least deviation, or the first
-    that is as near as they are without."""
+    """Best passive fit of those with few to many poles.
+
+    It is the one with the least deviation, or the first whose deviation equals that of the fits
+    before passivity was enforced.
+    """
     fits = _fits(f, S, noise, where)
     result, least = None, np.inf
     for left, fit in fits:
@@ -126,7 +129,7 @@ def _fits(f: np.ndarray, S: np.ndarray, noise: float, where: str) -> list[tuple[
         fit = skrf.vectorFitting.VectorFitting(network)
         fit.max_iterations = ITERATIONS
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # of iterations that end early; the deviation decides
+            warnings.simplefilter("ignore")  # iterations that end early; the deviation decides
             try:
                 fit.vector_fit(n_poles_real=2, n_poles_cmplx=poles, enforce_dc=False)
             except (np.linalg.LinAlgError, ValueError):
@@ -168,7 +171,7 @@ def _nearest(model: ABCD, f: np.ndarray, S: np.ndarray) -> ABCD | None:
     n, m = B.shape
     top = 2 * np.pi * float(f[-1])
     states = np.linalg.solve(2j * np.pi * f[:, None, None] * np.eye(n) - A, B.astype(complex)[None])
-    size = np.sqrt((np.abs(states) ** 2).mean(axis=(0, 2)))  # of each state in the samples
+    size = np.sqrt((np.abs(states) ** 2).mean(axis=(0, 2)))  # size of each state in the samples
     A, B, states = A / top * size / size[:, None], B / size[:, None] / top, states / size[:, None]
     X = np.concatenate([states, np.broadcast_to(np.eye(m), (len(f), m, m))], axis=1)
     X = np.moveaxis(X, 1, 2).reshape(-1, n + m)  # (samples and inputs, states and inputs)

@@ -28,11 +28,12 @@ from kc2spice.rom.pencil import Matrix, Pencil, Schur, dense
 DENSE = 700  # unknowns up to which all modes are as fast as a few
 ABOVE = 2.0  # times the band, up to which modes are kept
 LEAST = 10  # modes
-DEGREES = {0: 0, 1: 6, 2: 5, 3: 4, 4: 3}  # of the polynomials by number of parameters; of more, 2
+DEGREES = {0: 0, 1: 6, 2: 5, 3: 4, 4: 3}  # degree by number of parameters; 2 for more
 STEP = 2  # degrees more, once these are too few for the width of the ranges
 HIGHEST = {1: 10, 2: 9, 3: 6}  # degree, of 11, 55 and 84 full models
-# Of the largest: squares of what a column adds to the others that are dropped; a thin plate, whose
-# stiff motions have 1e8 times the energy, is 1e-4 off with 1e-12.
+# A column is dropped if the square of its addition to the others is less than this share of the
+# largest. With 1e-12 a thin plate, whose stiff motions have 1e8 times the energy, has an error of
+# 1e-4.
 DEPENDENT = 1e-15
 
 Values = Mapping[str, float]
@@ -88,8 +89,11 @@ class Loss:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class OverBox:
-    """What a model over the box of ``axes`` and ``losses`` is made from: products of Chebyshev
-    polynomials of the axes' coordinates with ``exponents`` (terms, axes)."""
+    """Matrices of a model over the parameter range of ``axes`` and ``losses``.
+
+    They are sums of products of Chebyshev polynomials of the axes' coordinates with ``exponents``
+    (terms, axes).
+    """
 
     axes: tuple[Axis, ...]
     losses: tuple[Loss, ...]

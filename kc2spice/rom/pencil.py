@@ -58,7 +58,7 @@ class Schur:
         return Schur(*(scipy.sparse.csc_array(P.T) for P in (self.uu, self.pu, self.up, self.pp)))
 
     def __matmul__(self, x: np.ndarray) -> np.ndarray:
-        if np.iscomplexobj(x):  # of real blocks, whose factor takes real vectors
+        if np.iscomplexobj(x):  # the factor of real blocks accepts real vectors only
             return self @ x.real + 1j * (self @ x.imag)
         return self.uu @ x - self.up @ self.inner.solve(self.pu @ x)
 
@@ -142,7 +142,7 @@ def congruence(P: Matrix, V: np.ndarray, known: bool = False) -> np.ndarray:
 # A pole this far beyond the reference frequency belongs to a massless or algebraic equation.
 INFINITE = 1e10
 REGULAR = 1e6  # condition of an inertia that may be divided by: ten times as fast as a pencil
-BATCH_BYTES = 8e6  # of matrices solved at once
+BATCH_BYTES = 8e6  # size of the matrices that are solved at once
 
 
 @dataclass(frozen=True, eq=False)
@@ -286,7 +286,10 @@ class Pencil:
         other.__dict__["_at_rest"] = self._at_rest
 
     def project(self, V: np.ndarray) -> Pencil:
-        """Congruence ``V'PV``, ``V'B``, ``CV``; what is symmetric or skew stays so to the bit."""
+        """Congruence ``V'PV``, ``V'B``, ``CV``.
+
+        Symmetric and skew-symmetric matrices remain exactly so.
+        """
         if self.rayleigh is None:
             reduced = tuple(congruence(P, V, self.symmetric) for P in self.coefficients)
         else:

@@ -69,9 +69,9 @@ from kc2spice.rom.subspace import (
 MODES = 5
 SMALL = 200  # equations up to which all poles are computed
 BEYOND = 1.1  # the band ends a little past the mode, not on it
-SHIFT = 1e-6  # of the largest rate: a shift of models with unknowns without inertia
+SHIFT = 1e-6  # shift of models with massless unknowns, relative to the largest rate
 RIGID_SHIFT = 1e-9  # the same, where a Lanczos method separates elastic from rigid-body modes
-MASSLESS = 1e-13  # of the largest: an inertia that is zero
+MASSLESS = 1e-13  # inertia that is zero, relative to the largest
 BODY = 7  # rigid-body modes of one solid, and one more
 CLOSE = 1e-9  # relative error of eigenvalues of the shifted inverse
 
@@ -187,7 +187,7 @@ ROUNDING = 1e-11  # no estimate says less: direct solutions are hardly better in
 HIGHEST = 1e30  # Hz; powers of a frequency stay numbers
 LOWEST, MARGIN = 1e-10, 0.02  # tolerances that can be certified; the subspace model's part of one
 DIGITS = 4.0  # times rounding over a damping ratio: how well any solution knows that resonance
-FIXED_ORDER_TARGET = 1e-8  # of the subspace when the order is given
+FIXED_ORDER_TARGET = 1e-8  # tolerance of the subspace if the order is given
 SAFETY = 1.15  # on differences at samples, for what lies between them
 SOFT = 1e12  # condition of an energy that holds a motion which costs none but for rounding
 BALANCED = 2000  # first-order states at most
@@ -204,8 +204,8 @@ FIT = 101
 TAIL = 8.0  # snapshots of mechanical ports reach so many times the band's upper edge
 TAIL_SAMPLES = 150
 TAIL_DECAY = 4  # power of the fall of the tail's weight: contact forces are smooth on the whole
-# Of eight kicks of 45 to 105 V of the paper's chip at tolerances of 1e-5 to 5e-8, 20 to 31 states
-# launch within 2.7e-4; with weights of at most 1e-2 21 states at 2e-7 are up to 9e-4 off.
+# Eight kicks of the paper's chip, 45 to 105 V, tolerances 1e-5 to 5e-8: models of 20 to 31 states
+# have launch errors within 2.7e-4. With weights of at most 1e-2, 21 states at 2e-7 have up to 9e-4.
 TAIL_WEIGHTS = 4e-3, 5e-2
 TAIL_PER_ROOT = 120.0  # per root of the tolerance, as errors go with its square
 # States up to which directions are turned to save some; how often; the directions that they are
@@ -395,7 +395,7 @@ def _within(
 ) -> LinearModel:
     """The smallest model within a tolerance."""
     floor = plain.space.floor
-    within = tolerance - floor  # what rounding leaves, where that leaves most of it
+    within = tolerance - floor  # the tolerance without rounding errors
     within = within if within > 0.5 * tolerance else tolerance
     selected, least = _fewest(plain, congruences, within, contact, keep_form)
     if not contact:

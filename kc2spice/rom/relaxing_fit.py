@@ -6,8 +6,8 @@ of rank one (first Foster form),
     H(s) = D + sum_k g_k g_k' / (s + r_k),    r_k >= 0,
 
 and every choice of rates ``r_k`` and gains ``g_k`` is stable and passive. A projection reaches a
-tolerance with one state more than the best choice needs. Here Gauss-Newton steps on ``log r_k`` and
-``g_k`` with weights of Lawson's minimax fit start from a projection.
+tolerance with one state more than optimal rates and gains need. Here Gauss-Newton steps on
+``log r_k`` and ``g_k`` with weights of Lawson's minimax fit start from a projection.
 
 Source: C. L. Lawson, Contributions to the Theory of Linear Least Maximum Approximations (1961).
 """
@@ -17,8 +17,8 @@ from __future__ import annotations
 import numpy as np
 import scipy
 
-ROUNDS = 25  # of weights
-EVALUATIONS = 30  # of residuals in each of them
+ROUNDS = 25  # updates of the weights
+EVALUATIONS = 30  # evaluations of the residuals per round
 SETTLED, HOPELESS = 4, 1.5  # rounds after which errors so many times too large end the fit
 LEAST = 0.02  # change of a weight where the error is small
 
@@ -31,7 +31,7 @@ def minimax(
     base: np.ndarray,
     enough: float = 0.0,
 ) -> tuple[np.ndarray, np.ndarray, float]:
-    """Rates and gains of a small largest error, from others next to them.
+    """Refine rates and gains to minimise the largest error.
 
     Parameters
     ----------

@@ -24,13 +24,13 @@ COUPLING = 1e-9
 # are then measured on its flanks, at this relative distance.
 SHARPEST = 1e-7
 FLANK = 1e-4
-VISIBLE = 1e-10  # of an entry: the term of a pole that shows in it
+VISIBLE = 1e-10  # least term of a visible pole, relative to the entry
 VISIBLE_GRID = 50  # frequencies that give the peaks of entries
 ABOVE = np.array([2.0, 4.0])  # times the band's end: where contact still excites a body
 CLUSTER = np.array([0.0, 0.25, 0.5, 1.0, 2.0, 5.0, 15.0, 60.0])  # half widths around a resonance
 GRID = 200
 NOTCHES, ZOOM, ROUNDS = 60, 9, 20
-SAME = 1e-12  # of a frequency, by which rounding alone sets two apart
+SAME = 1e-12  # relative difference of two equal frequencies, by rounding errors
 STEEP = 1.5  # times a minimum: what is larger beside it, or smaller between, shows a deeper one
 PEAKS, PEAK_ROUNDS = 40, 3
 SPREAD = 6  # frequencies at which a model is looked at first, and those at which others failed
@@ -75,7 +75,7 @@ class Response:
 
     @cached_property
     def dual(self) -> Response:
-        """That of the transposed pencil, in the same coordinates."""
+        """Response of the transposed pencil, in the same coordinates."""
         if self.modes is None or self._free:
             return Response(self.pencil.transposed())
         T, L, diagonals = self.modes
@@ -230,7 +230,7 @@ def _eigenvectors(pencil: Pencil) -> Modes | None:
 
 
 def _finite_poles(rest: np.ndarray, inertia: np.ndarray) -> np.ndarray:
-    """Those of the diagonals of :func:`_eigenvectors`."""
+    """Finite poles of the diagonals of :func:`_eigenvectors`."""
     finite = _finite(rest)
     return -rest[finite] / inertia[finite]
 
@@ -252,7 +252,7 @@ def _decoupled(pencil: Pencil) -> Modes | None:
     rest, inertia = pencil.coefficients[0], pencil.coefficients[-1]
     try:
         mu, T = scipy.linalg.eigh(inertia, rest)
-        if (mu[1:] > SOFT * np.abs(mu[:-1])).any():  # what rounding lets pass for stiffness
+        if (mu[1:] > SOFT * np.abs(mu[:-1])).any():  # a stiffness that is a rounding error
             raise scipy.linalg.LinAlgError
         ends = np.ones(pencil.size), mu
     except scipy.linalg.LinAlgError:
@@ -433,7 +433,7 @@ class Judge:
         """:func:`relative_error` over the band, in the ``norm``: at ``frequency``, then closer and
         closer around where it is largest. Above ``limit`` any error that shows it is enough."""
         for last, H in reversed(self.failed.items()):
-            try:  # of the pencil as it is: other coordinates pay at many frequencies
+            try:  # other coordinates are faster only for many frequencies
                 ours = found.pencil.transfer(np.array([2j * np.pi * last]))[0]
                 worst = float(self.sizes(ours - H, H))
             except SimulationError:
@@ -504,6 +504,6 @@ def relative_size(
 
 
 def inexact(message: str, got: str, limit: float, hint: str) -> SimulationError:
-    """What a reduction says when an error stays above the limit."""
+    """Error of a reduction whose error estimate stays above the limit."""
     expected = f"at most {limit:.1e}"
     return SimulationError(message, where="reduction", got=got, expected=expected, hint=hint)

@@ -35,17 +35,19 @@ from kc2spice.rom.structure import semidefinite, structure
 Reductor = Callable[[LinearModel, float, tuple[float, float]], LinearModel]
 
 SAFETY = 1.15  # on differences at samples, for what lies between them
-BASE_SHARE = 0.5  # of the tolerance: for the model with viscous damping
+BASE_SHARE = 0.5  # share of the tolerance for the model with viscous damping
 LOWEST = 1e-10  # tolerances of a reduction
 DIRECT = 6  # direct solutions of the full model that check a causal model
 # Rates of relaxations per resonance, or per end of the band where that is lower.
 RELAXATIONS = ((1.0,), tuple(np.geomspace(0.03, 3.0, 7)))
-NEAR_REST = 10.0 ** -np.arange(9.0, 4.0, -1.0)  # of a band from zero: the loss remains at rest
-WORTH = 0.5  # of its error: a mode and a model with relaxations must come to less
-SMALL_PART = 0.1  # of what the largest error may be: modes that stay as they are
+NEAR_REST = 10.0 ** -np.arange(
+    9.0, 4.0, -1.0
+)  # lowest frequencies over the end of a band from zero: the loss remains at rest
+WORTH = 0.5  # largest ratio of errors, with to without relaxations, that justifies them
+SMALL_PART = 0.1  # share of the largest allowed error below which modes remain unchanged
 REAL = 1e-6  # imaginary part of a pole that is real, relative
-MASSLESS = 1e-12  # of the largest eigenvalue: a damping matrix that is singular
-MASS_SHARE = 0.5  # of the tolerance: what inertia that is left out may change
+MASSLESS = 1e-12  # zero eigenvalue of a damping matrix, relative to the largest
+MASS_SHARE = 0.5  # share of the tolerance for the inertia that is left out
 
 
 def causal(

@@ -36,7 +36,7 @@ from kc2spice.core.errors import UsageError
 from kc2spice.rom.linear import LinearModel
 
 FURTHER = 6.0  # slowest and fastest relaxation, times the ends of the band
-DECADES = 4.0  # of a band that starts at zero
+DECADES = 4.0  # decades of a band that starts at zero
 POINTS = 40  # frequencies a decade at which amplitudes are fitted
 DENSEST, FEWEST = 6, 8  # relaxations a decade, and beside these, at most
 

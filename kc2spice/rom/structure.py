@@ -1,7 +1,7 @@
-"""What the form of a model proves, stability and passivity, without a single frequency, and the
-motions that nothing holds at rest: rigid bodies and integrators, with what slows them down.
+"""Stability and passivity from the form of the matrices, and free motions with their damping.
 
-The part of the latter of a response grows without bound towards zero frequency. It is found once,
+Free motions are rigid-body modes and integrators. Their part of a response grows without bound
+towards zero frequency. It is found once,
 made exact, and kept apart from all other unknowns: a basis and a peak are those of the rest.
 """
 
@@ -86,7 +86,7 @@ def free_part(pencil: Pencil, omega: float) -> Pencil | None:
 
 
 def _rounding(pencil: Pencil) -> Rounding:
-    """That of the entries of a pencil that is given as it is."""
+    """Bounds of the rounding errors of the entries of a given pencil."""
     limit = ROUNDING * np.finfo(float).eps * pencil.size
     return tuple(limit * np.abs(P) for P in pencil.coefficients)
 
@@ -109,9 +109,11 @@ def _null_space(K: np.ndarray, rounding: np.ndarray) -> np.ndarray:
 
 
 def _without_energy(K: np.ndarray, X: np.ndarray, rounding: np.ndarray | None) -> np.ndarray:
-    """Those of the motions X (n, motions) whose energy is that of rounding of K's own entries, or
-    within its known ``rounding``: a support may be softer than the bound of all roundings together,
-    and still be known."""
+    """Motions of X (n, motions) whose energy is a rounding error of the entries of K.
+
+    A known ``rounding`` is used instead, because a known support may be softer than the bound
+    of all rounding errors together.
+    """
     if not X.size or not symmetric(K):
         return X
     energy = np.asarray(Exact(X.T) @ (Exact(K) @ X), dtype=float)
@@ -172,8 +174,10 @@ def _without_force(P: np.ndarray, X: np.ndarray, rounding: np.ndarray) -> bool:
 
 
 def _driven(pencil: Pencil, X: np.ndarray, rounding: Rounding) -> np.ndarray:
-    """Those of the free motions X that an input moves; all where the outputs are others, or damping
-    joins them."""
+    """Free motions of X that an input moves.
+
+    All are returned if inputs and outputs are not collocated, or if damping couples the motions.
+    """
     *between, inertia = pencil.coefficients
     slowed = not all(_without_force(P, X, R) for P, R in zip(between, rounding, strict=False))
     if slowed or not pencil.collocated:

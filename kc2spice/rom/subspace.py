@@ -110,11 +110,13 @@ def real_parts(x: np.ndarray) -> list[np.ndarray]:
 
 FIRST, MOST = 12, 90  # frequencies before the error is judged, and at all
 SAMPLED_CANDIDATES = 151
-CUTS = 10.0 ** -np.arange(13, 6, -1)  # of the largest singular value: directions that are noise
+CUTS = 10.0 ** -np.arange(
+    13, 6, -1
+)  # limits of directions that are noise, over the largest singular value
 
 
 class Samples:
-    """Exact answers of a first-order pencil and the models that they make."""
+    """Solutions of the full model at sample frequencies, and models projected on them."""
 
     def __init__(self, pencil: Pencil) -> None:
         self.pencil = pencil
@@ -233,9 +235,11 @@ def uncertainty(
 def rounding_of(
     pencil: Pencil, frequency: np.ndarray, x: np.ndarray, dual: np.ndarray | None = None
 ) -> np.ndarray:
-    """What the last digits of a model's entries change of its response (frequencies, outputs,
-    inputs): ``eps |y_i P_ij x_j|``, root of the sum of squares, of states ``x`` (frequencies, n,
-    inputs) and those of the ``dual``."""
+    """Change of a response by rounding errors of the entries (frequencies, outputs, inputs).
+
+    It is the root of the sum of squares of ``eps |y_i P_ij x_j|`` with states ``x``
+    (frequencies, n, inputs), and ``y`` of the ``dual``.
+    """
     s = 2j * np.pi * frequency
     y = x if pencil.symmetric and pencil.collocated else dual
     y = pencil.transposed().states(s) if y is None else y
@@ -340,7 +344,7 @@ class Subspace:
 
     @property
     def poles(self) -> np.ndarray | None:
-        """Those of the full model [1/s], where they are known from this one."""
+        """Poles of the full model [1/s]; None if this model does not contain all of them."""
         known = self.whole and not self.pencil.free and not self.response.decoupled
         return self.response.poles if known else None
 
@@ -488,15 +492,17 @@ def _whole(
             "ask for a looser tolerance; other units or fewer elements may help",
         )
     proof = f"being all of the full model, solved to {error:.0e}{note}"
-    error = min(error, limit)  # what exceeds it is rounding of the given matrices
+    error = min(error, limit)  # a larger error is a rounding error of the given matrices
     if projected is not None:
         floor = max(floor, _taken_out(projected, full, band))
     return Subspace(response, error, static, proof, floor, whole=True, hidden=hidden)
 
 
 def _taken_out(given: Pencil, free: Pencil, band: tuple[float, float]) -> float:
-    """What the stiffness that rounding leaves to a motion without force makes of the response at
-    the lowest frequency that counts, where it is most."""
+    """Change of the response by the stiffness that rounding errors add to a free motion.
+
+    It is evaluated at the lowest relevant frequency, where it is largest.
+    """
     s = 2j * np.pi * grid(band, 2, False)[:1]
     H = free.transfer(s)
     return float(relative_size(given.transfer(s) - H, H).max())

@@ -40,24 +40,24 @@ from kc2spice.rom.subspace import subspace
 
 ABOVE = 1.2  # times the band's end, up to which modes are kept at least
 MORE = 8  # modes beyond that among which the widest gap is looked for
-STILL = 1e-6  # of the next one's square: square of the frequency of a motion without stiffness
-SILENT = 1e-9  # of the largest share of a mode in a port
+STILL = 1e-6  # squared frequency of a motion without stiffness, relative to the next one
+SILENT = 1e-9  # zero share of a mode in a port, relative to the largest
 GRID = {0: 1, 1: 33, 2: 13, 3: 7, 4: 5}  # points along each axis by number of axes
 DEGREES = {0: 0, 1: 16, 2: 10, 3: 6, 4: 4}  # highest total degree
 # Logarithms of squared frequencies: what is nearer stays together.
 GAPS = 0.03, 0.1, 0.3, 0.8, np.inf
 MOMENTS = 4  # blocks of static answers and their changes with frequency
-OVERLAP = 0.2  # of a frame with that of the middle, at least
+OVERLAP = 0.2  # least overlap of a frame with the frame of the middle
 DRAWS = 16  # points of the box at which the fit is judged
-SHARE = 0.3  # of the tolerance that the space itself may take
+SHARE = 0.3  # share of the tolerance for the error of the subspace
 MOVED = 1e-6  # share of a port in a motion without stiffness that is rounding
 WHOLE = 8.0  # gap of squared frequencies that all modes of a model count as
-WORTH = 0.02  # of the logarithm of a gap that one state more has to bring
-DEPENDENT = 1e-9  # of the largest: squares of Ritz vectors that add nothing
+WORTH = 0.02  # least reduction of the logarithm of a gap that justifies one more state
+DEPENDENT = 1e-9  # square of a dependent Ritz vector, relative to the largest
 CHECKS = 4  # and a corner: full models that nothing is made from
 OWN, SAFETY = 0.4, 1.5  # share of the tolerance for the resonators; margin on points of the box
-FINE = 1e-3  # of the tolerance: grain of coefficients
-NOTCH = 1e-2  # of that grain, with transfers between ports: at their notches large terms cancel
+FINE = 1e-3  # resolution of coefficients, relative to the tolerance
+NOTCH = 1e-2  # factor of FINE with transfers between ports: large terms cancel at their notches
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

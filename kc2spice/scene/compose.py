@@ -26,10 +26,10 @@ MOST_NAMED = 5  # pins that an error lists
 
 
 def composed(scene: Scene) -> Scene:
-    """``scene`` with its nets, and what displacements there are relative to.
+    """Return the scene with its nets and the reference frame of each net.
 
-    Parts in a shaken frame have pins more, for its acceleration: they are joined once the frames
-    are known.
+    Parts in a shaken frame have additional pins for its acceleration. These pins are joined after
+    the frames are found.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""What displacements count from: the ground, or a frame that an acceleration shakes.
+"""Reference frames of displacements: the ground, or a frame that an acceleration shakes.
 
 A body whose pin of kind ``m/s2`` is joined is fixed to a shaken frame, and its displacements are
 relative to that frame. So are those of every net that parts couple to it; ``gnd`` is the frame
@@ -170,7 +170,7 @@ def _followed(
 
 
 def frame_lines(scene: Scene) -> Iterator[str]:
-    """What the displacements of each net count from, for ``explain``."""
+    """Reference frame of the displacements of each net, for ``explain``."""
     nets: dict[str, list[str]] = {}
     for (part, pin), net in scene.nets.items():
         end = scene.terminals[part, pin]

@@ -1,6 +1,4 @@
-"""What a result states and is judged by: metrics, checks against physics, energy balances, gates of
-``verify``.
-"""
+"""Metrics of a result, and its checks: physics, energy balances, and gates of ``verify``."""
 
 from __future__ import annotations
 

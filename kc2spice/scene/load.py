@@ -44,7 +44,7 @@ from kc2spice.scene.plausible import ImplausibleError, drive_levels, judged
 from kc2spice.scene.settings import SCALE_OF, Analysis, Frame
 
 MOST_POINTS = 1e7  # time points of a transient at its largest step
-CLOSEST = 1e-12  # of the last frequency: two points that a simulator can tell apart
+CLOSEST = 1e-12  # smallest step that a simulator resolves, relative to the last frequency
 
 
 def problems(scene: Scene) -> Iterator[UsageError]:
@@ -582,7 +582,7 @@ def toml(value: Any) -> str:
     """A value as the text that a scene file would have for it, to the last bit."""
     if isinstance(value, Mapping):
         return "{" + ", ".join(f"{json.dumps(key)} = {toml(v)}" for key, v in value.items()) + "}"
-    if hasattr(value, "tolist"):  # of numpy
+    if hasattr(value, "tolist"):  # a numpy array or number
         return toml(value.tolist())
     if isinstance(value, (list, tuple)):
         return "[" + ", ".join(map(toml, value)) + "]"
@@ -647,9 +647,9 @@ def _place(holder: Any, step: str, so_far: str, where: str) -> str | int:
 
 
 def override_value(text: str) -> Any:
-    """What stands behind ``key=``: a TOML value, or the text itself where it is none.
+    """Parse the value of ``key=VALUE``.
 
-    Such texts are bare words and numbers with a unit.
+    It is a TOML value. Other texts, bare words and numbers with a unit, are returned unchanged.
     """
     try:
         table = parse_toml(f"value = {text}")

@@ -74,7 +74,7 @@ class Terminal:
 
     @property
     def kind(self) -> str:
-        """What may be joined to what: the unit pair in words."""
+        """Unit pair in words; only pins with the same pair may be joined."""
         return f"{self.unit}/{self.flow}" if self.flow != "-" else f"signal in {self.unit}"
 
     @property
@@ -315,7 +315,7 @@ class Build:
         return self.scene.net(part.name, pin)
 
     def across(self, part: Part, pin: str) -> Vector:
-        """What a pin shows of itself, in SI."""
+        """Displacement, voltage or signal of a pin in SI."""
         unit = next(item.unit for item in part.type.pins(part, self.scene) if item.name == pin)
         factor, si = (1e-6, "m") if unit == "um" else (1.0, unit)
         return Vector(f"v({self.net(part, pin)})", factor, si)
@@ -379,9 +379,9 @@ class PartType:
         return {}
 
     def at_rest(self, part: Part, scene: Scene, model: Any | None = None) -> Rest:
-        """What it does to the pins that move at rest; ``model`` is None before it is built.
+        """Constraints and loads of the part on moving pins at rest.
 
-        By default it holds all of its own in place.
+        ``model`` is None before it is built. By default the part holds all of its pins in place.
         """
         return Rest(tuple((p.name, GROUND) for p in self.pins(part, scene) if p.moving))
 
@@ -394,7 +394,7 @@ class PartType:
         return ()
 
     def problems(self, part: Part, scene: Scene) -> Iterable[UsageError]:
-        """What is wrong with it in this scene, ``where`` a dotted key.
+        """Faults of the part in this scene, ``where`` a dotted key.
 
         Keys that can be computed but hardly exist (:func:`kc2spice.scene.plausible.within`) are
         warnings or nothing by ``checks.plausible``.
@@ -434,13 +434,18 @@ class PartType:
         return (f"X{part.name} {nodes} {build.libraries[part.name]}", *read)
 
     def settable(self, part: Part, build: Build) -> Mapping[str, Swept | Sampled | float]:
-        """What its equations do not decide: by key the source that a dc sweep of it moves, the
-        function that runs beside the simulator, and by node the voltage at t = 0 (``.ic``)."""
+        """Quantities that the equations of the part do not determine.
+
+        By key: the source that a dc sweep moves, or the function that runs beside the simulator.
+        By node: the voltage at t = 0 (``.ic``).
+        """
         return {}
 
     def numerics(self, part: Part, scene: Scene) -> Iterable[Numerics]:
-        """What the simulator needs for it: a source's frequency and edges, a carrier, a contact,
-        how close steps must follow it, and options."""
+        """Numerical requirements of the part.
+
+        They are frequency and edges of a source, a carrier, a contact, time steps, and options.
+        """
         return ()
 
     def highest_frequency(self, part: Part, scene: Scene, constant: float) -> float:
@@ -493,7 +498,7 @@ class PartType:
     # --- what explain says ---------------------------------------------------------------------
 
     def notes(self, part: Part, scene: Scene) -> Iterator[str | Neglected]:
-        """What is modelled of it, in words, and effects that it has no model of."""
+        """Text about the model of the part, and the effects that it neglects."""
         yield self.title
 
     def discretisation(self, part: Part, build: Build) -> str:

@@ -1,8 +1,8 @@
 """Registered part types by name, and questions that the types of a scene's parts answer together.
 
 A module, named after the type, defines a subclass of :class:`kc2spice.scene.model.PartType` and
-calls :func:`register` with an instance. One whose name ends in ``_types`` registers a table of
-them. Everything else (deck, metrics, checks, plots, energy balance, ``explain``, sweeps, symbols,
+calls :func:`register` with an instance. A module named ``*_types`` registers several part types.
+Everything else (deck, metrics, checks, plots, energy balance, ``explain``, sweeps, symbols,
 ``verify``) asks the parts of a scene through their hooks; nothing names a type. The modules of
 ``kc2spice.parts`` are found by themselves, those of other packages through the entry point group
 ``kc2spice.parts``; each is loaded when a scene needs it.
@@ -76,7 +76,7 @@ def drive_period(scene: Scene) -> float | None:
 
 
 def numerics(scene: Scene) -> list[Numerics]:
-    """What all parts of a scene need of the simulator."""
+    """Numerical requirements of all parts of a scene."""
     return [row for part in scene.parts.values() for row in part.type.numerics(part, scene)]
 
 

@@ -1,4 +1,4 @@
-"""What runs for a scene: parts, joins, omissions, and the numerical settings, each an axis.
+"""Plan of a run: parts, joins, omissions, and the numerical settings, each an axis.
 
 A key that trades time for error is marked with :class:`kc2spice.core.quantities.Notch` where it is
 declared. ``error_budget`` and ``bench`` move along the same axes, and ``explain`` lists them.
@@ -25,7 +25,7 @@ from kc2spice.scene.rows import Neglected
 from kc2spice.scene.settings import Analysis, Rom, Solver
 
 MAX_STEP = "solver.max_step"
-MOST_POINTS = 2e5  # of a transient
+MOST_POINTS = 2e5  # time points of a transient
 WIDER = 2.0  # the highest frequency of a reduction, whose body steps and contacts excite above it
 
 
@@ -52,7 +52,7 @@ class Axis:
     mesh: bool = False
 
     def at(self, notches: float) -> dict[str, Any]:
-        """Keys so many notches finer, or coarser below zero; none where that changes nothing."""
+        """Return keys refined by ``notches`` (negative: coarser); empty if nothing changes."""
         value = self.notch.moved(self.value, notches)
         if self.decades and notches:
             item = round(math.ceil(self.value / self.decades) * self.notch.factor**notches)
@@ -178,14 +178,14 @@ def keys_at(found: Sequence[Axis], notches: Mapping[str, float]) -> dict[str, An
 
 
 def _noise(part: Part, build: Build) -> str:
-    """What of a part has noise, where the scene asks for it."""
+    """Noise sources of a part in words, if the scene has a noise analysis."""
     result = part.type.noise
     noise = result if isinstance(result, str) else "thermal noise at 27 C" if result else "no noise"
     return f"; {noise}" if build.noisy else ""
 
 
 def _mesh(part: Part, build: Build) -> str:
-    """What a part states of its mesh."""
+    """Text of a part about its mesh."""
     text = part.type.discretisation(part, build)
     return f"; {text}" if text else ""
 
@@ -200,7 +200,7 @@ def _mesh_error(axis: Axis, build: Build) -> float | None:
 
 
 def plan(build: Build) -> dict[str, Any]:
-    """What runs for a scene, as ``plan`` of ``result.json`` has it.
+    """Plan of a run, as in ``plan`` of ``result.json``.
 
     ``parts`` with ``source`` and ``detail``, ``joins`` (the nets), ``frames`` (what displacements
     count from), ``left_out`` (effects; those of several parts once), and ``settings``, what trades

@@ -1,4 +1,4 @@
-"""What exists or can be made, in numbers: ranges beyond which a key is more likely a wrong unit."""
+"""Plausible ranges of keys; a value outside of its range more likely has a wrong unit."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ if TYPE_CHECKING:
 
 
 class ImplausibleError(UsageError):
-    """Of what can be computed but hardly exists; often a wrong unit."""
+    """A value that can be computed but hardly exists; often a wrong unit."""
 
 
 FLAT = 10.0  # times its width: thicker than that is no layer
-OVERHANG = 1.02  # of the plate's diameter: ceramic that is wider breaks off
-BREAKDOWN = 10.0  # times the rated voltage: a wrong unit; below it, a warning
-WHISPER = 1e-4  # of the rated voltage: a lower drive gives a warning, as it may be intended
+OVERHANG = 1.02  # largest ratio of diameters, ceramic to plate; wider ceramic breaks off
+BREAKDOWN = 10.0  # ratio to the rated voltage; above it an error, from 1 up to it a warning
+WHISPER = 1e-4  # ratio to the rated voltage; a lower drive is a warning, it may be intended
 _SLIPS = {"m": {"mm": 1e-3, "um": 1e-6}, "kg": {"g": 1e-3, "mg": 1e-6, "ug": 1e-9}}
 
 
@@ -44,7 +44,7 @@ def within(
 
 
 def dimensions(where: str, keys: BaseModel) -> Iterator[UsageError]:
-    """What the roles of all keys say of their values, those of lists and inner tables as well."""
+    """Implausible values of all keys by their roles, including lists and inner tables."""
     for name, field in type(keys).model_fields.items():
         yield from _entry(f"{where}.{name}", role_of(field), getattr(keys, name))
 
@@ -62,8 +62,10 @@ def _entry(where: str, role: Plausible | None, value: Any) -> Iterator[UsageErro
 def layers(
     where: str, found: Iterable[tuple[float, float, bool]], *, plate: bool
 ) -> Iterator[UsageError]:
-    """Of ``(width, thickness, ceramic)`` of layers on one another: flat ones, and no ceramic wider
-    than its ``plate``."""
+    """Implausible stacks of layers ``(width, thickness, ceramic)``.
+
+    Layers must be flat, and ceramic must not be wider than its ``plate``.
+    """
     rows = list(found)
     metal = max((width for width, _, ceramic in rows if not ceramic), default=0.0)
     thick = f"no layer is more than {FLAT:g} times as thick as it is wide"
@@ -75,9 +77,9 @@ def layers(
 
 
 def drive_levels(scene: Scene) -> Iterator[UsageError]:
-    """Ideal voltages at the electrodes of bodies whose rating is known, once nets are known.
+    """Source voltages at electrodes with a known rating; needs the nets.
 
-    What is beyond the rating, but not by far, or far below it, is a warning.
+    A voltage slightly above the rating, or far below it, is a warning.
     """
     rated = {name: pin.rated for (name, _), pin in scene.terminals.items() if pin.rated}
     for body, limit in rated.items():
@@ -116,7 +118,7 @@ def _voltages(body: str, scene: Scene) -> Iterator[tuple[str, float]]:
 
 
 def built(build: Build) -> Iterator[UsageError]:
-    """What the facts of built models say, such as the mass of a mesh."""
+    """Implausible facts of built models, such as the mass of a mesh."""
     for part in build.scene.parts.values():
         mass = build.facts(part).get("mass_kg")
         if mass is not None:
@@ -124,7 +126,7 @@ def built(build: Build) -> Iterator[UsageError]:
 
 
 def judged(found: Iterable[UsageError], action: str) -> Iterator[UsageError]:
-    """What remains an error under ``checks.plausible``; warns of the others, or is silent."""
+    """Errors that remain under ``checks.plausible``; the others become warnings or are dropped."""
     if action == "off":
         return
     for item in found:

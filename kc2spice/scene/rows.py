@@ -1,4 +1,4 @@
-"""What part types return to the scene: initial states, results, numerical needs, shaken frames."""
+"""Records that part types return: initial states, results, numerical needs, shaken frames."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ Governed = Literal["moved", "copied"]
 
 @dataclass(frozen=True)
 class Rest:
-    """What a part does to its pins that move at rest.
+    """Constraints and loads of a part on its moving pins at rest.
 
     ``held`` are pairs of them, or such a pin and ``gnd``, that it keeps apart, ``ideal`` pairs of
     any pins whose difference it sets as an ideal source. On ``pushed`` ones it puts a constant
@@ -96,12 +96,13 @@ class StepLimit:
 
 @dataclass(frozen=True)
 class Numerics:
-    """What a part does in time on its own: the longest ``step`` [s] that resolves it, and the
-    ``content`` [Hz] up to which it excites others; whether it ``prescribes`` small signals of
-    ``ac``. A step that ``decides`` stands whatever else the scene has. ``reltol`` and ``chgtol``
-    are factors, 1 or less, of the solver's tolerances that it needs to be as exact as anything
-    else, ``options`` the simulator's by name: value and reason. What it drives repeats after its
-    ``period`` [s], 0 where it does not.
+    """Time scales of a part and its numerical requirements.
+
+    ``step`` is the longest time step [s] that resolves the part, ``content`` the highest frequency
+    [Hz] that it excites in others. ``prescribes`` states whether it sets small signals of ``ac``.
+    A step that ``decides`` overrides all others. ``reltol`` and ``chgtol`` are the factors, 1 or
+    less, of the solver's tolerances that the part requires. ``options`` are options of the
+    simulator by name: value and reason. Driven waves repeat after ``period`` [s]; 0 without one.
     """
 
     what: str
@@ -127,7 +128,7 @@ class Shake:
 
 @dataclass(frozen=True)
 class ShakenFrame:
-    """What shakes the frame of a net; nothing where all of it is at a right angle."""
+    """Accelerations that shake the frame of a net; empty if all are at a right angle to it."""
 
     body: str
     shakes: tuple[Shake, ...]

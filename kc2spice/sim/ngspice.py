@@ -259,7 +259,7 @@ def _processor_time(pid: int) -> int | None:
 def partial_waves(
     deck: Deck, vectors: Mapping[str, np.ndarray] | None, text: str
 ) -> Waveforms | None:
-    """What a failed run had saved; None where nothing, or not all that the deck asks for."""
+    """Waves that a failed run saved; None if vectors of the deck are missing."""
     try:
         return Waveforms(named(deck, vectors), statistics(text)) if vectors else None
     except SimulationError:

@@ -1,5 +1,7 @@
-"""What ngspice wrote: a log, whose failures and struggles are separated from harmless notes, with
-whom they blame, and binary raw files, which are distrusted.
+"""Readers of the output of ngspice: its log and its binary raw files.
+
+Failures and struggles in the log, with their node or part, are separated from harmless notes. Raw
+files are checked before use.
 """
 
 from __future__ import annotations
@@ -61,7 +63,7 @@ _MODEL = re.compile(r"model issue on line \d+", re.IGNORECASE)
 _DISPLAYED = re.compile(
     r"unrecognized parameter \((?:mfg|type|iave|vpk|icrating|vceo)\)", re.IGNORECASE
 )
-MOST_ALTERATIONS = 5  # that an error quotes
+MOST_ALTERATIONS = 5  # alterations that an error quotes
 _NO_START = re.compile(r"DC solution failed|transient op failed|initial timepoint", re.IGNORECASE)
 # A card that ngspice cannot read, and in the next line why.
 _CARD = re.compile(r"^Error on line:?[ \t]*\n[ \t]+(.+?)[ \t]*\n[ \t]+(.+?)[ \t]*$", re.M | re.I)
@@ -83,7 +85,7 @@ _ADVICE: Mapping[Kind | None, str] = {
 
 @dataclass(frozen=True)
 class Failure:
-    """What a log says about a failure.
+    """A failure as described in a log.
 
     ``cause`` is the line that names the failure, ``node``, ``time`` [s] and ``part`` what it
     blames, ``kind`` what other settings might cure; None where the log does not tell.
@@ -120,7 +122,7 @@ def classify(text: str) -> Failure:
 
 
 def alterations(text: str) -> tuple[str, ...]:
-    """What ngspice took otherwise than it stands in the netlist, in the words of its log ``text``.
+    """Lines of the log ``text`` about cards that ngspice changed or ignored.
 
     Each row names the ``.model`` card where the log tells it, and appears once.
     """
@@ -156,7 +158,7 @@ class FailedRunError(SimulationError):
 def failed_run(
     deck: Deck, where: str, text: str, code: int = 0, last: float | None = None
 ) -> FailedRunError | None:
-    """What a run that said ``text`` has failed of; None where it has not.
+    """Error of a failed run with the log ``text``; None if it did not fail.
 
     ``last`` is its last time point [s], where the run has ended; ngspice can stop a transient early
     and say nothing.
@@ -234,8 +236,10 @@ def belongs_to(deck: Deck, node: str) -> str | None:
 
 
 def _within(deck: Deck, scope: Scope, instance: str, name: str) -> str:
-    """What the library says that the ``instance`` is, and its documented pin that an inner node or
-    element is named after: ``fring0`` after ring0."""
+    """Describe the ``instance`` by its title in the library, and the pin of an inner node.
+
+    The name of an inner node or element ends with its pin: ``fring0`` belongs to ring0.
+    """
     part = next((part for part in deck.parts if part.name.lower() == scope.name.lower()), None)
     pins = part.pins if part else tuple(Pin(pin, "V", "A") for pin in scope.pins)
     named = [pin for pin in pins if name.endswith(pin.name.lower())]
@@ -325,7 +329,7 @@ def _plots(path: Path) -> Iterator[_Plot]:
 
 
 def read_partial(path: Path) -> dict[str, np.ndarray] | None:
-    """What an aborted run wrote: its complete points up to the first that is not finite.
+    """Read the complete points of an aborted run, up to the first that is not finite.
 
     None where there are fewer than two.
     """

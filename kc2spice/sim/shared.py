@@ -214,7 +214,7 @@ class Library:
     # -- what ngspice calls ------------------------------------------------------------------
 
     def _guarded(self, name: str) -> Callable[..., int]:
-        """What the loop calls so, while there is one that has not failed."""
+        """Callback that calls ``name`` of the loop, unless a callback has failed before."""
 
         def guarded(*asked: Any) -> int:
             try:

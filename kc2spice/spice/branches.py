@@ -54,7 +54,7 @@ def _series(branch: Branch, index: int, plus: str, minus: str) -> Iterator[str]:
 
 
 def _description(branch: Branch) -> str:
-    """What a branch is, with its frequency or time constant."""
+    """Kind of a branch, with its frequency or time constant."""
     R, L, S = branch.resistance, branch.inductance, branch.elastance
     if L > 0 and S > 0:
         omega = float(np.sqrt(S / L))

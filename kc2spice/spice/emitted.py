@@ -23,14 +23,14 @@ from kc2spice.rom.linear import LinearModel, Norm, Port
 from kc2spice.rom.response import Response, clear_of_poles, samples
 
 MICRO = 1e-6  # 1 V on a displacement pin is 1 um, 1 V on a charge node 1 uC
-LOWEST = 1e-6  # of the band's end: the lowest frequency of a band that begins at zero
+LOWEST = 1e-6  # lowest frequency of a band that begins at zero, relative to its end
 GRID = 40  # points of each of two grids, linear and logarithmic
 DECADE = 3  # points of each decade below these grids
 FLANKS = (0.0, 1.0)  # half widths beside a resonance
 WORST, ZOOM = 4, 9  # neighbourhoods of the largest errors, and frequencies in each
 WORK = 4e8  # unknowns squared times frequencies: large circuits are solved at fewer frequencies
 FEWEST = 24  # frequencies of the largest circuits
-NEGLIGIBLE = 0.01  # of a tolerance: error estimates have two digits
+NEGLIGIBLE = 0.01  # negligible error, relative to a tolerance: estimates have two digits
 PERTURBED, SPREAD = 4, 10.0  # random roundings of the matrices; ratio of their effects' extremes
 
 
@@ -196,7 +196,7 @@ def _frequencies(exact: Response, band: tuple[float, float], unknowns: int) -> n
 
 
 def require_circuit(part: Subcircuit, model: LinearModel, tolerance: float) -> None:
-    """Nothing, if the emitted circuit keeps its model's tolerance.
+    """Check that the emitted circuit meets its model's tolerance.
 
     Where rounding of the model's own numbers changes its response as much as the circuit does, no
     circuit is better: that is a warning.

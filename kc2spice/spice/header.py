@@ -43,7 +43,7 @@ class Header:
 
 
 def plan_lines(found: Mapping[str, Any], without: Collection[str] = ()) -> str:
-    """What a deck models, what it leaves out and its numerical settings, as comment lines."""
+    """Models, neglected effects and numerical settings of a deck, as comment lines."""
     error = (
         "not estimated" if found["error_budget"] is None else f"budget {found['error_budget']:g}"
     )
@@ -100,7 +100,7 @@ def use_line(name: str, pins: Sequence[Pin]) -> str:
 
 
 def mesh_entry(facts: Mapping[str, float]) -> str:
-    """What a head states of the mesh of a linear model: its error estimate, or why it has none."""
+    """Header entry of the mesh of a linear model: its error estimate, or the reason for none."""
     text = mesh_words(facts)
     return f"error estimate of the full model: {text}" if text else NOT_ESTIMATED
 

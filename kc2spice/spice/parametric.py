@@ -210,7 +210,7 @@ def _cards(
     order = [t for t in terminals if t.kind == "electrical"]
 
     def seen(i: int, k: int, label: str) -> list[Card]:
-        """What port k sees of state i."""
+        """Output of state i at port k."""
         share = number(MICRO / terminals[k].unit / scale[i - 1])
         there = model.gain[:, i - 1, k].any()
         return [Card(label, f"q{i}", base, f"{share}*g{i}_{k + 1}")] if there else []

@@ -33,8 +33,8 @@ if TYPE_CHECKING:
     from kc2spice.rom.blocks import BlockModel
 
 STATE = 1e-6  # farad of a fast state: one chgtol is then one tolerance of displacement
-SIEMENS = 1.0  # of a state without inertia; its capacitance is its relaxation time
-SILENT = 1e-9  # of the largest share of a mode in every port; such modes move no port
+SIEMENS = 1.0  # conductance of a massless state; its capacitance is its relaxation time
+SILENT = 1e-9  # zero share of a mode in every port, relative to the largest
 OPEN_INPUT = 1e-18  # S, of a signal input, so that it is zero where nothing drives it
 FREE_LEAK = 1e-12  # S, of a free integrator: of the conductance of its capacitor at the band's end
 LEAK_POINTS = 60  # frequencies at which the least charge of a bare electrode is looked for
@@ -42,7 +42,7 @@ LEAK_POINTS = 60  # frequencies at which the least charge of a bare electrode is
 FREE = 1e-11
 # Cross terms of D this far below the diagonal are rounding.
 CROSS = 1e-13
-JUMP = 1e-9  # of C B by its summands: a rate that jumps with an input; less is rounding
+JUMP = 1e-9  # least C B, over its summands, of a rate that jumps with an input
 INNER = r"tick|(inner|current|charge)\w*|sum\d+|[qpz]\d+|noise\d+"  # nodes of our own
 MOVING = ("mechanical", "rotational")
 _DRIVES = {"mechanical": "f", "rotational": "f", "electrical": "v", "acceleration": "s"}
@@ -50,8 +50,9 @@ _DRIVES = {"mechanical": "f", "rotational": "f", "electrical": "v", "acceleratio
 
 @dataclass(frozen=True)
 class StepWeights:
-    """What step control sees of a body: an error of charge is its error of motion
-    (:func:`_resonators`).
+    """Weights of the modes of a body in time step control.
+
+    An error of charge represents an error of motion (:func:`_resonators`).
 
     Modes below ``full`` times the lowest frequency sit on less than a microfarad by the ``power``
     of their frequency; a ``share`` of the clamped capacitance is one, whose charge is the modes'.
@@ -117,8 +118,8 @@ _NOISE = """\
 * resistor of as many ohms. No other resistor here has noise."""
 DAMPING = Param("damping", 1.0, "-", "scale of the damping of all modes")
 _INNER_FORCE = re.compile(r"noise\d+")
-UNSEEN = 1e-3  # of an error estimate: below its three digits
-LOST = 1e-14  # of the largest loss of a model: rounding
+UNSEEN = 1e-3  # relative to an error estimate: below its three digits
+LOST = 1e-14  # rounding error, relative to the largest loss of a model
 UNRATED = "not known; keep field and stress within the limits of its materials"
 
 
@@ -169,7 +170,7 @@ class PortTerminal:
 
     @property
     def kind(self) -> str:
-        """That of its port."""
+        """Kind of its port."""
         return self.port.kind
 
     @property
@@ -707,7 +708,7 @@ def input_cards(
     terminals: Sequence[PortTerminal],
     base: str,
 ) -> list[Card]:
-    """What ports drive a mode with: forces, voltages, accelerations."""
+    """Cards by which ports drive a mode: forces, voltages, accelerations."""
 
     def label(t: PortTerminal) -> str:
         own = f"{index}{t.tag}" if t.kind == "electrical" else f"{t.pins[0]}_{index}"
@@ -813,7 +814,7 @@ def _with_forces(rom: LinearModel) -> LinearModel:
 
     Raises
     ------
-    UsageError : matrices whose losses are not those of ``E`` alone.
+    UsageError : losses outside the matrix ``E``.
     """
     if rom.first_order or not rom.symmetric or not all(port.conservative for port in rom.ports):
         raise UsageError(

@@ -35,15 +35,15 @@ from kc2spice.workflow.refine import Runs, changes
 from kc2spice.workflow.simulate import Run
 
 ERROR = 1e-4
-NOTCHES = (-2.0, -1.0, -0.5, 0.0, 0.5, 1.0)  # of every axis, from coarse to fine
-CHECK, REFERENCE = 1.5, 2.0  # of the run that checks the reference, and of the reference
+NOTCHES = (-2.0, -1.0, -0.5, 0.0, 0.5, 1.0)  # refinement steps of each axis, coarse to fine
+CHECK, REFERENCE = 1.5, 2.0  # notches of the run that checks the reference; of the reference
 MOST_POINTS = 80
 UNSTEADY = 1e-2  # a metric that still moves by so much at the finest settings measures nothing
-SLOW = 5.0  # times the scene's own: such a setting is timed once
+SLOW = 5.0  # times the CPU time of the scene's settings; a slower setting is timed once
 ALIKE = 1.05  # ratio of times that are the same for the choice between two errors
 
-Place = tuple[float, ...]  # of a setting: the notches of each axis
-Errors = dict[str, float]  # of each metric
+Place = tuple[float, ...]  # one setting, as the notches of each axis
+Errors = dict[str, float]  # error of each metric
 
 
 @dataclass
@@ -87,7 +87,7 @@ class _Plane:
             raise UsageError("has no setting that trades time for error", where=where)
 
     def notches(self, place: Place) -> dict[str, float]:
-        """Those of each axis by its name."""
+        """Notches of each axis by its name."""
         return {axis.name: notch for axis, notch in zip(self.axes, place, strict=True)}
 
     def all_at(self, notch: float) -> Run:
@@ -278,8 +278,9 @@ def _wanted(run: Run, names: Sequence[str]) -> tuple[str, ...]:
 
 
 def _steady(plane: _Plane, wanted: Sequence[str], *, all_of_them: bool) -> Errors:
-    """What each wanted metric still changes by at the finest settings; those that count become the
-    ``names`` of the plane.
+    """Change of each wanted metric at the finest settings.
+
+    The metrics that converge become the ``names`` of the plane.
 
     Raises
     ------
@@ -322,7 +323,7 @@ def _words(settings: Mapping[str, Any]) -> list[str]:
 
 
 def _label(settings: Mapping[str, Any]) -> str:
-    """What is changed, in words."""
+    """Changed settings in words."""
     return ", ".join(f"{key} {_short(value)}" for key, value in settings.items()) or "as it is"
 
 

@@ -198,7 +198,7 @@ def _command(build: Build) -> Command:
         assert build.largest is not None
         return transient(scene.stop, build.largest.step, uic=bool(begins(scene)))
     if selected.type == "ac":
-        # of two linear points ngspice gives the first alone
+        # ngspice returns only the first of two linear points
         points = 3 if (selected.points, selected.scale) == (2, "linear") else selected.points
         return ac(selected.start, float(selected.stop or 0.0), points, selected.scale)
     if selected.type == "noise":
@@ -348,7 +348,7 @@ def _require_instances(now: Scope, before: Scope, path: Path) -> None:
     """
     old, new = ({element.key: element for element in scope.elements} for scope in (before, now))
     if new.keys() - old.keys():
-        return  # what came instead is for the reader of the deck to judge
+        return  # the reader of the deck must judge the replacement
     for key in old.keys() - new.keys():
         if old[key].kind == "x":
             name = old[key].name
@@ -412,12 +412,14 @@ def _tell_options(own: Deck, cards: Iterable[Statement], path: Path) -> None:
 
 
 def spare_other_decks(out: Path, files: Mapping[str, str]) -> None:
-    """Refuse to change a library under a deck in ``out`` that is not among the ``files`` and stays
-    there: it would run another part.
+    """Refuse to change a library that another deck in ``out`` includes.
+
+    A deck in ``out`` that is not among the ``files`` stays there, and would then simulate another
+    part.
 
     Raises
     ------
-    UsageError : names the deck and the library.
+    UsageError : another deck in ``out`` uses the library.
     """
 
     def text(path: Path) -> str:
@@ -433,7 +435,7 @@ def spare_other_decks(out: Path, files: Mapping[str, str]) -> None:
                 [item.written for item in statements(known, name) if item.written]
                 for known in (text(out / name), files[name])
             )
-            if old != new:  # what a simulator reads of them
+            if old != new:  # the statements that a simulator reads
                 raise UsageError(
                     f"this deck there includes another {name}",
                     where=str(others[key]),

@@ -1,4 +1,4 @@
-"""What an edited netlist has otherwise than the scene's own: parameters, or other cards.
+"""Differences of an edited netlist to the scene's netlist: parameters, or other cards.
 
 Parts are judged by the parameters that the netlist has. A part whose cards are others cannot be
 judged by its keys.
@@ -26,7 +26,7 @@ class Instance:
 
     @property
     def cards(self) -> Any:
-        """What its cards say, those of the subcircuits that it has inside included."""
+        """Content of its cards, inner subcircuits included."""
         return _cards(self.library, frozenset())
 
 
@@ -56,7 +56,7 @@ def _plain(item: Any) -> Any:
 
 
 def element(card: Element) -> tuple[Any, ...]:
-    """What an element's card says."""
+    """Content of an element's card."""
     return (
         card.key,
         card.ends,

@@ -61,7 +61,7 @@ def export(
 
 
 def _require_circuits(build: Build, deck: Deck) -> None:
-    """Nothing, if the circuits of all bodies that are reduced to a tolerance keep it.
+    """Check that the circuits of all bodies reduced to a tolerance meet it.
 
     Raises
     ------

@@ -47,15 +47,15 @@ SPREAD, LOSSES = 1.3, 10.0  # range of a key by its value: ceramics differ by 30
 _LOSSY = re.compile(r"damping|quality|ratio|loss")
 LEAST_NOISE = 1e-3  # relative: the error of the mesh, which data may be better than
 DRAWS, STARTS = 64, 4  # points of the ranges that are looked at; descents, the scene's values first
-NARROWER, NARROW = 0.25, 0.01  # of a range, in logarithms, around the best values, again and again
-DEGREE = 3  # of polynomials in a narrow range
-ROUNDS, CORRECTIONS = 8, 4  # of ranges, and of the mesh in each of them
+NARROWER, NARROW = 0.25, 0.01  # ratio of successive widths of a range; least width, in logarithms
+DEGREE = 3  # degree of polynomials in a narrow range
+ROUNDS, CORRECTIONS = 8, 4  # successive ranges; mesh corrections in each range
 SETTLED = 0.1  # standard errors that the mesh would still move the values by
-STEP = 1e-5  # of finite differences, in logarithms of values
-FAR = 0.5  # of |Y|, rms at the end: another resonance was matched, or another part measured
+STEP = 1e-5  # step of finite differences, in logarithms of values
+FAR = 0.5  # rms misfit relative to |Y|; above: another resonance matched, or another part
 APART = 2.0  # times the cost of the best end: another minimum
-PROMINENT, ABOVE_NOISE = 0.005, 8.0  # of the largest conductance, of the noise: a resonance
-AT_REST = 1e-3  # of the lowest frequency of the data
+PROMINENT, ABOVE_NOISE = 0.005, 8.0  # least peak, over the largest conductance; over the noise
+AT_REST = 1e-3  # static frequency, relative to the lowest frequency of the data
 TANGENT = "damping.loss_tangent"  # which no finite element model has
 MECHANICAL = {f"damping.{key}" for key in ("quality", "ratio", "ratio[0]", "loss_factor")}
 LOSS_FACTORS: dict[str, Callable[[float], float]] = {
@@ -63,7 +63,7 @@ LOSS_FACTORS: dict[str, Callable[[float], float]] = {
     "damping.ratio": lambda value: 2 * value,
     "damping.loss_factor": lambda value: value,
 }
-EXCITED = 1e-3  # of the largest share of a mode in the capacitance: modes that a voltage excites
+EXCITED = 1e-3  # least share in the capacitance of an excited mode, relative to the largest
 CONSTANT_Q = 'losses by complex constants of IEEE 176: set damping.model = "ieee176"'
 UNEXPLAINED = "the geometry, the mounting, or a loss model that the part does not follow"
 VALUES, BOX, PAGE = "fit.toml", "box.toml", "report.html"
@@ -215,7 +215,7 @@ class _Body:
 
     @property
     def band(self) -> tuple[float, float]:
-        """That of the data [Hz]."""
+        """Frequency range of the data [Hz]."""
         return float(self.data.f[0]), float(self.data.f[-1])
 
     def full(self, values: Mapping[str, float], moved: bool = True) -> LinearModel:
@@ -512,7 +512,7 @@ def _between(item: Varied, axis: Axis, value: float) -> bool:
 
 
 def _record(body: _Body, start: np.ndarray, end: _End, ends: Sequence[_End]) -> dict[str, Any]:
-    """What ``fit --json`` says; ``start`` is the admittance (n,) [S] of the scene's values."""
+    """Content of ``fit --json``; ``start`` is the admittance (n,) [S] of the scene's values."""
     solved, keys = end.solved, body.keys
     J = solved.jac
     still = [item.key for item, c in zip(keys, J.T, strict=True)
@@ -525,7 +525,7 @@ def _record(body: _Body, start: np.ndarray, end: _End, ends: Sequence[_End]) -> 
             expected="a key that changes the impedance",
         )
     relative = np.abs(end.exact / body.Y - 1)
-    size = np.abs(np.abs(body.Y / end.exact) - 1)  # of |Z|
+    size = np.abs(np.abs(body.Y / end.exact) - 1)  # relative error of |Z|
     rms = float(np.sqrt(np.mean(relative**2)))
     if rms > FAR:
         raise UsageError(
@@ -579,7 +579,7 @@ def _record(body: _Body, start: np.ndarray, end: _End, ends: Sequence[_End]) -> 
 def _caution(
     body: _Body, end: _End, resonances: Sequence[Mapping[str, float | None]]
 ) -> str | None:
-    """What to do about a misfit that noise does not explain; None where noise explains it."""
+    """Advice about a misfit that exceeds the noise; None if noise explains the misfit."""
     ratio = misfit(end.solved.fun, len(body.keys))
     if ratio <= WARNED:
         return None
@@ -591,7 +591,7 @@ def _caution(
 
 
 def _more(solved: OptimizeResult) -> float:
-    """What is left over by the noise, where it is more."""
+    """Ratio of the residual to the noise, at least 1."""
     return max(1.0, misfit(solved.fun, solved.jac.shape[1]))
 
 

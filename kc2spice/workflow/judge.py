@@ -1,4 +1,4 @@
-"""What a run says: metrics, checks and energy balances, asked of the parts and probes."""
+"""Results of a run: metrics, checks and energy balances of the parts and probes."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ from kc2spice.scene.settings import Probe
 from kc2spice.workflow import meters
 from kc2spice.workflow.steps import step_checks
 
-BETWEEN_POINTS = 0.05  # of the largest point: points half a half-width apart miss up to 3 %
-ROUNDED = 1e-9  # of the scale: rounding of its ends, which the simulator counts in its own units
+BETWEEN_POINTS = 0.05  # correction of a peak between points; at half a half-width up to 3 %
+ROUNDED = 1e-9  # rounding error of the ends of the scale in the simulator, relative
 HEIGHT_PER_VELOCITY = 2.0  # relative change of the height of a flight per one of its velocity
 BUDGET_SHARE = 0.03  # of a larger error_budget, a tenth of what its time stepping gets
 
@@ -184,9 +184,9 @@ def _windowed(
 def take(
     probe: Probe, waves: Waveforms, name: str, window: tuple[float, float] | None = None
 ) -> float | None:
-    """What a probe takes of its vector; None for crossings or cycles that do not happen.
+    """Value of a probe; None for crossings or cycles that do not happen.
 
-    Where a ``window`` is given, nothing outside of it is read.
+    With a ``window``, values outside of it are ignored.
 
     Raises
     ------
@@ -267,10 +267,12 @@ def crossing(scale: np.ndarray, values: np.ndarray, level: float) -> float | Non
 
 def _mean(scale: np.ndarray, values: np.ndarray) -> float:
     span = scale[-1] - scale[0]  # as the integral below zero where the scale falls
-    return float(np.trapezoid(values, scale) / span if span else values[0])  # of one point its own
+    return float(
+        np.trapezoid(values, scale) / span if span else values[0]
+    )  # a single point is its own mean
 
 
-# Of the scale (n,), the values (n,) and a level: what a probe takes under that name.
+# Values of probes by name, as functions of the scale (n,), the values (n,) and a level.
 _TAKEN: dict[str, Callable[[np.ndarray, np.ndarray, float], float | None]] = {
     "argmax": lambda scale, values, _: scale[values.argmax()],
     "max": lambda scale, values, _: values.max(),
@@ -297,7 +299,7 @@ def _outside(name: str, key: str, place: float, scale: np.ndarray) -> UsageError
 
 
 def _value(scale: np.ndarray, values: np.ndarray, place: float, name: str) -> float:
-    """What the line through the points has at ``place``; in the complex plane its magnitude."""
+    """Interpolated value at ``place``; of complex values the magnitude."""
     if not _on(scale, place):
         raise _outside(name, "at", place, scale)
     result = interpolate(place, scale, values)

@@ -1,5 +1,7 @@
-"""What is read of a deck and what moves it: vectors of the parts, currents and powers that probes
-ask for, the source of a dc sweep, the voltage that noise is taken of.
+"""Vectors, sweeps and noise output of a deck.
+
+Vectors are those of the parts, and the currents and powers of probes. A dc sweep moves one source;
+a noise analysis has one output voltage.
 """
 
 from __future__ import annotations
@@ -26,11 +28,11 @@ from kc2spice.scene.rows import Swept, Vector
 
 WAVE = "noise"  # spectral density of the output, and the metric of its rms value
 DENSITY = "/sqrt(Hz)"
-RESOLVED = 0.02  # of the rms value, which every second frequency may change
+RESOLVED = 0.02  # largest relative change of the rms value with every second frequency
 
 
 def output(build: Build) -> Vector:
-    """What the scene asks the noise of: a result, or what a pin shows.
+    """Output of the noise analysis: a result, or the wave of a pin.
 
     Raises
     ------
@@ -77,7 +79,7 @@ def sources(deck: Deck, build: Build) -> Deck:
 
 
 def _noisy(scope: Scope, path: str) -> Iterator[tuple[str, str]]:
-    """Resistors with noise, as the simulator calls them, and their paths of instances."""
+    """Simulator names of noisy resistors, and their instance paths."""
     for item in scope.elements:
         if item.kind == "x" and (inner := scope.find(item.model)) is not None:
             yield from _noisy(inner, f"{path}{item.key}.")
@@ -243,7 +245,7 @@ def _meter_vectors(build: Build, known: Mapping[str, Vector]) -> dict[str, Vecto
         if pin == electrical(part, build.scene)[0]:
             result[f"{name}.current"] = read
     for part in _asked(build, "current"):
-        if f"{part.name}.i" in known:  # of an element, under the name that bodies have it
+        if f"{part.name}.i" in known:  # current of an element, under the name that bodies use
             result.setdefault(f"{part.name}.current", known[f"{part.name}.i"])
     return {name: vector for name, vector in result.items() if name not in known}
 
@@ -296,8 +298,11 @@ def swept(build: Build) -> tuple[Part, str, Swept]:
 
 
 def sweep_values(build: Build) -> np.ndarray:
-    """What a dc analysis steps through; beyond the last value of its range on the way back, where
-    the source has ``2 last - value``."""
+    """Values of a dc sweep.
+
+    On the way back they continue beyond the last value of the range, where the source has
+    ``2 last - value``.
+    """
     first, last = swept(build)[2].range or (0.0, 0.0)
     selected, turns = build.scene.analysis, 2 if build.scene.analysis.back else 1
     points = turns * (selected.points - 1) + 1

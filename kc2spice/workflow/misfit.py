@@ -21,8 +21,8 @@ import numpy as np
 MODEL_ERROR = 1.5  # misfit that noise does not reach: 50 points scatter it by 10 %
 BANDS = 8
 WARNED = 3.0  # misfit from which a fit warns
-EQUAL = 0.8  # of the squares that the best cause removes: narrow bands tell no more apart
-EXPLAINED = 0.5  # of the squares of the residuals: a cause that removes more is likely
+EQUAL = 0.8  # share of the squares that the best cause removes; above it a cause is as likely
+EXPLAINED = 0.5  # share of squared residuals that a likely cause removes at least
 
 
 def misfit(residuals: np.ndarray, keys: int) -> float:

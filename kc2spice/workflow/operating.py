@@ -29,7 +29,7 @@ class OperatingPoint:
 
 
 def operating_point(build: Build, deck: Deck) -> OperatingPoint:
-    """Find the operating point of small signals by a run of its own.
+    """Find the operating point of small signals in a separate run.
 
     Other analyses, edited decks and scenes of linear parts alone have none here: small signals of
     a linear part are the same about every point. A warning replaces what is not found.

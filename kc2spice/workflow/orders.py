@@ -26,9 +26,9 @@ from kc2spice.scene.model import Part
 from kc2spice.workflow.decks import prepared
 from kc2spice.workflow.simulate import Run, simulate
 
-MULTIPLES = (2, 4)  # of the order of the scene, tried in turn until the error is within its limit
-MOST_STATES = 200  # of a larger model: every state costs time in each step of the simulator
-SMALLER = 0.7  # of the present error: a larger one is not worth the time of another run
+MULTIPLES = (2, 4)  # factors of the order of the scene, tried until the error is within its limit
+MOST_STATES = 200  # states of a larger model; every state adds time to each simulator step
+SMALLER = 0.7  # largest ratio of errors, new to present, that is worth another run
 
 
 @dataclass(frozen=True)

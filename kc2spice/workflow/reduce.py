@@ -138,8 +138,9 @@ def reduce(
 
 
 def _require_names(model: LinearModel, name: str) -> None:
-    """Nothing, if a subcircuit can have the ports of the model under their names, which a model of
-    one state with the same ports shows before hours are spent on the reduction.
+    """Check the port names of the model before the reduction, which can take hours.
+
+    A model of one state with the same ports is written as a subcircuit.
 
     Raises
     ------

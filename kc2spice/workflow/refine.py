@@ -32,8 +32,8 @@ from kc2spice.scene.settings import Action
 from kc2spice.workflow.decks import prepared
 from kc2spice.workflow.simulate import Run, ran, simulate, simulator_cpu
 
-MOST_UNKNOWNS = 200_000  # of a refined mesh: minutes of one processor
-FREE_SHARE = 0.5  # of the free memory, for one factor: matrices and modes take the rest
+MOST_UNKNOWNS = 200_000  # unknowns of a refined mesh: minutes of one processor
+FREE_SHARE = 0.5  # share of free memory for one factor; matrices and modes need the rest
 PLANE_BYTES = 100.0  # for each unknown and doubling of their number: 145 000 took 0.2 GB
 MOST = 16  # runs besides the scene's own
 LIMIT = 1e-2  # error_budget where checks.reduction asks without one
@@ -41,8 +41,8 @@ LIMIT = 1e-2  # error_budget where checks.reduction asks without one
 # is the other half at least.
 REMAINDER = 2.0
 PER_NOTCH, FARTHEST = 4.0, 3  # by which an error falls at best, notches that are taken at once
-NEAR_ZERO = 0.1  # of the largest metric in its unit: what a small one is judged by
-ROUNDING = 1e-6  # the same of a response to small signals, whose metrics are no small differences
+NEAR_ZERO = 0.1  # least size of a metric in errors, relative to the largest with its unit
+ROUNDING = 1e-6  # NEAR_ZERO of small signals, whose metrics are not small differences
 SHRINKS, STALLS = 0.9, 2  # from one estimate to the next; so often not, the axes do not converge
 
 Notches = Mapping[str, float]  # by how many notches an axis is moved, by its name
@@ -307,7 +307,9 @@ def _estimate(runs: Runs, notches: Notches) -> Estimate | None:
         if finer is not None:
             settings = keys_at(runs.axes, notches)
             errors = _differences(now, finer)
-            left = _of_meshes(runs, notches, unmoved, errors)  # what no refined run shows
+            left = _of_meshes(
+                runs, notches, unmoved, errors
+            )  # errors that refined runs do not show
             fixed = max(left.values(), default=0.0)
             errors = {name: error + left[name] for name, error in errors.items()}
             return Estimate(notches, settings, now, errors, unmoved, fixed)
@@ -352,7 +354,7 @@ def _largest_share_moved(
         # one notch more must still change it
         by = next((n for n in range(most, 0, -1) if axis.at(at + n) != axis.at(at + n + 1)), 0)
         if not by:
-            return None  # at its finest: what else is refined leaves its error
+            return None  # axis at its limit: refining other axes does not reduce this error
         moved = _moved(now.notches, [axis], by)
         if _tried(runs, moved) is not None:
             del shares[axis.name]

@@ -41,7 +41,7 @@ class Completed:
 
     @cached_property
     def shown(self) -> tuple[Figure | Written, ...]:
-        """What its probes and parts show of it, and further files."""
+        """Figures of probes and parts, and further files."""
         build, waves, units = self.run.build, self.run.waves, self.run.deck.units
         result: list[Figure | Written] = []
         if build.noisy:
@@ -53,7 +53,7 @@ class Completed:
 
     @property
     def figures(self) -> tuple[Figure, ...]:
-        """What is shown."""
+        """Figures of the run."""
         return tuple(item for item in self.shown if isinstance(item, Figure))
 
     @cached_property

@@ -1,6 +1,4 @@
-"""One deck of a scene through the simulator: retries, verdict, metrics, and what is kept of a run
-that failed.
-"""
+"""Simulate one deck: retries, verdict, metrics, and the files of a failed run."""
 
 from __future__ import annotations
 
@@ -45,9 +43,11 @@ FAILURE = "failure.json"
 
 @dataclass(frozen=True)
 class Run(Outcome):
-    """What the simulation of a scene gave: deck, waves, verdict, attempts, the models behind them,
-    its metrics with the SI ``units`` of those that have one by dotted name, and the CPU seconds of
-    the simulator with all its retries."""
+    """Result of the simulation of a scene: deck, waves, verdict, attempts and models.
+
+    ``units`` are the SI units of metrics by dotted name, for metrics with a unit. The CPU seconds
+    of the simulator include all retries.
+    """
 
     build: Build
     metrics: Mapping[str, Any]
@@ -197,8 +197,9 @@ def _with_powers(waves: Waveforms, deck: Deck) -> Waveforms:
 def ran(
     build: Build, deck: Deck, directory: Path, progress: Share = None, timeout: float | None = None
 ) -> Waveforms:
-    """What ngspice makes of ``deck`` in a process of its own in ``directory``, or as a library
-    where functions set sources of the scene while it runs.
+    """Run ``deck`` in ngspice, in a separate process in ``directory``.
+
+    If functions set sources of the scene while it runs, ngspice runs as a library.
 
     Raises as :func:`run_deck` and :func:`kc2spice.sim.shared.run_shared` do.
     """

@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from kc2spice.reference.linear import Motion
     from kc2spice.workflow.verify.circuit import Circuit
 
-AMPLITUDE, SHAPE = 5e-4, 1e-3  # of a wave's largest value: what steps may do to its rms, to it
+AMPLITUDE, SHAPE = 5e-4, 1e-3  # allowed error of a wave's rms; of the wave; over its largest value
 MANY, MOST = 2e5, 4e6  # points that SHAPE and AMPLITUDE are worth
 CLOSE = 1.1  # ratio of two steps that are the same
 FEWEST = 1000  # points of any run
@@ -43,7 +43,7 @@ SAMPLES, WINDOWS = 2500, 16
 SEEN = 30_000  # points that a run is compared at
 BESIDE = 1e-5  # of the largest wave in its unit: ngspice stops its iterations before
 LEAST = {"A": 1e-11, "V": 1e-6, "N": 1e-11, "m": 1e-12, "m/s": 1e-9}  # and there
-ASIDE = 1e-9  # of the run
+ASIDE = 1e-9  # relative to the duration of the run
 FAIL = 1e-2
 SIZE = 600  # unknowns; larger circuits take minutes
 
@@ -104,7 +104,7 @@ def _motion(circuit: Circuit, stop: float) -> Motion | None:
 
 
 class Rule(NamedTuple):
-    """What a rule makes of ``e^(r t)`` and of a drive ``e^(j w t)`` in equal steps ``h``."""
+    """Numerical solution of ``e^(r t)`` and of a drive ``e^(j w t)`` in equal steps ``h``."""
 
     rates: Callable[[np.ndarray, float], np.ndarray]
     axis: Callable[[np.ndarray, float], np.ndarray]
@@ -189,7 +189,7 @@ def deviation(t: np.ndarray, ours: np.ndarray, exact: np.ndarray) -> tuple[float
 
 
 def step_checks(build: Build, waves: Waveforms, balances: Mapping[str, Balance]) -> Iterator[Check]:
-    """What the steps of a run did to its waves.
+    """Check the effect of the time steps on the waves of a run.
 
     Waves of a linear circuit are held against its exact motion, unless a contact decides on the
     steps, for which not all ringing is resolved. In any other circuit the outputs of each linear
@@ -249,7 +249,7 @@ def _meets(build: Build, circuit: Circuit, missing: Sequence[str]) -> bool:
 def _worst(
     circuit: Circuit, motion: Motion, waves: Waveforms, vectors: Mapping[str, Vector]
 ) -> tuple[float, float, str]:
-    """Of every wave but those that are rounding beside others of their unit, or by themselves."""
+    """Largest deviation of any wave, without waves that are rounding errors."""
     from kc2spice.workflow.verify.circuit import read
 
     time = waves["time"]

@@ -98,7 +98,7 @@ def extent(path: Path, sidecar: Path | None) -> np.ndarray | None:
     return np.asarray(_sidecar.LENGTHS[said.length] * np.ptp(read_mesh(said.mesh).at, axis=0))
 
 
-# What may stand behind NAME.K or NAME_K.
+# Suffixes allowed behind NAME.K or NAME_K.
 _TAILS = ("", ".mtx", ".mm", ".txt", ".matrix", ".hb", ".rsa", ".rua")
 _MEMBER = re.compile(r"(.+)([._])([MEKABCD])(\.(?:mtx|mm|txt|matrix|hb|rsa|rua))?")
 _WHOLE = ""  # key of the one file that holds all matrices, where the name leaves its suffix out
@@ -137,8 +137,9 @@ def source_files(path: Path, sidecar: Path | None) -> tuple[Path, ...]:
 
 
 def described(path: Path, sidecar: Path | None) -> tuple[Path, dict[str, Path], Path, Sidecar]:
-    """The model's name with its directory, its files of one matrix each, its TOML file, which need
-    not exist unless given, and what that says.
+    """Return the model path, its matrix files, its TOML file and the parsed TOML content.
+
+    The TOML file need not exist unless ``sidecar`` names it.
 
     Raises
     ------
@@ -225,7 +226,9 @@ def _matrices(files: dict[str, Path]) -> raw.Raw:
             read = partial(codes.read_harwell_boeing, allowed=allowed)
             result[letter] = raw.parsed(path, codes.EXPECTED, read)
             mapped += (path.with_suffix(suffix) for suffix in (".mapping", ".MAPPING"))
-        elif letter in f"MEK{codes.LOSS}" and path.suffix.lower() == ".mtx":  # of Abaqus
+        elif (
+            letter in f"MEK{codes.LOSS}" and path.suffix.lower() == ".mtx"
+        ):  # matrix file of Abaqus
             tables[letter] = path
         else:
             expected = "Matrix Market, Harwell-Boeing, or an .mtx file of Abaqus"

@@ -200,7 +200,7 @@ class Rows:
     # --- ports ------------------------------------------------------------------------------------
 
     def load(self, entry: PortEntry) -> np.ndarray:
-        """What a unit of a port does to every row (of an output, what it sees of every row)."""
+        """Column of a unit input of a port; for an output, its row."""
         if entry.column is not None or entry.row is not None:
             return self._listed(entry)
         where, load = self.said.of(entry), np.zeros(self.size)

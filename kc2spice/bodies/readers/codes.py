@@ -366,8 +366,11 @@ def _dmig(data: bytes) -> tuple[dict[str, int], dict[str, raw.Triple]]:
 
 
 def _value(kind: int, polar: bool, name: str) -> Callable[[str, str], complex]:
-    """What makes a value of the two fields of an entry: its first one, or both of a complex matrix,
-    real and imaginary part or size and angle [degrees]."""
+    """Conversion of the two fields of an entry to its value.
+
+    A real matrix uses the first field. A complex matrix uses both, as real and imaginary part or as
+    magnitude and angle [degrees].
+    """
     if kind not in (1, 2, 3, 4):
         raise ValueError(f"matrix {name} is of type {kind}")
     if kind < 3:

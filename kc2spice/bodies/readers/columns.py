@@ -108,7 +108,7 @@ class Unit:
 
 @dataclass(frozen=True)
 class Title:
-    """What the title of a column says; ``unit`` is None where it names none."""
+    """Meaning of the title of a column; ``unit`` is None if the title contains no unit."""
 
     text: str
     meaning: Meaning
@@ -169,7 +169,7 @@ def _prefix(prefix: str, base: str, measures: str, text: str) -> float | None:
 
 
 def read_title(text: str) -> Title | None:
-    """What a title means, None if it is not known.
+    """Parse a title; None if its meaning is not known.
 
     Raises
     ------

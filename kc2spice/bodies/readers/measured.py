@@ -30,7 +30,7 @@ Quantity = Literal["S", "Z", "Y"]
 MAX_BYTES = 20_000_000
 MOST = 20_000  # frequencies: no analyser has as many, and a fit would take hours
 FEWEST = 12  # frequencies: four numbers of one resonance and its noise
-ACTIVE = 0.05  # of |Z|: a resistance so far below zero at a tenth of the points is no noise
+ACTIVE = 0.05  # negative resistance over |Z| that is not noise, if a tenth of the points have it
 HINT = "name the columns in a header, such as: frequency_hz, real_ohm, imag_ohm"
 _TOUCHSTONE = re.compile(r"\.(s(\d+)p|ts)", re.IGNORECASE)
 _TABLES = (".csv", ".txt", ".tsv", ".zma")
@@ -118,7 +118,7 @@ class Measured(EqualByContent):
 
     @property
     def description(self) -> str:
-        """What the reader understood: columns, number of points, span."""
+        """Columns, number of points and frequency range that the reader found."""
         span = f"{len(self.f)} points from {self.f[0]:.6g} to {self.f[-1]:.6g} Hz"
         return f"{self.columns}; {span}" if self.columns else span
 
@@ -203,7 +203,7 @@ def read_measured(path: Path) -> Measured:
             text = data.decode("latin-1")
         return _touchstone(text, int(match[2] or 0)) if match else _response(*read_table(text))
 
-    with np.errstate(all="ignore"):  # what is not finite is refused
+    with np.errstate(all="ignore"):  # values that are not finite are refused
         found = guarded(path, expected, read)
     f, Y = found.f, found.Y
     if not (np.isfinite(f).all() and np.isfinite(Y).all() and f.min(initial=1.0) >= 0):
@@ -247,7 +247,7 @@ def _require_conducting(data: Measured) -> None:
 
 
 def _require_passive(data: Measured) -> None:
-    """Of a passive part the real part of Y has no negative eigenvalue; noise may."""
+    """Check that the real part of Y has no negative eigenvalue beyond noise."""
     size = np.linalg.norm(data.Y, 2, axis=(1, 2))
     least = np.linalg.eigvalsh(0.5 * (data.Y + data.Y.conj().swapaxes(1, 2)))[:, 0]
     bad = least < -max(ACTIVE, 5 * data.noise) * size
@@ -413,7 +413,7 @@ def _matlab(found: dict[str, np.ndarray]) -> Response:
     if P.ndim != 3 or P.shape[0] != n or P.shape[1] != P.shape[2]:
         raise ValueError(f"{name} of {P.shape} beside {n} frequencies in {said}")
     title = read_title(first)
-    assert title is not None  # of the frequency
+    assert title is not None  # title of the frequency
     frequency = column_of(title, found[first].ravel())
     notes = [frequency.note] if frequency.note else []
     P, R = P * _scale(name), REFERENCE

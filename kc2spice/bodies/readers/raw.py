@@ -1,5 +1,6 @@
-"""What a file gives before ports are chosen, matrices by letter and names of their rows, and what
-every reader refuses before it takes memory or follows an index.
+"""Content of a matrix file before ports are chosen: matrices by letter, names of their rows.
+
+Every reader refuses bad sizes and indices here, before it allocates memory.
 
 Files with many arrays: ``.npz`` archives, of which nothing is unpickled, and MATLAB files.
 
@@ -98,7 +99,7 @@ def unpacked(path: Path) -> int:
 
 
 def parsed(path: Path, expected: str, parse: Callable[[bytes], T]) -> T:
-    """What ``parse`` makes of the bytes of a text file without its UTF-8 byte order mark."""
+    """Parse the bytes of a text file without its UTF-8 byte order mark by ``parse``."""
     data = existing(path).read_bytes().removeprefix(_BOM)
     return guarded(path, expected, lambda: parse(data))
 
@@ -201,8 +202,15 @@ class Dofs:
 
 @dataclass(frozen=True, eq=False)
 class Raw:
-    """Matrices by letter, the freedoms of their rows if the file names them, which of the rows the
-    tool itself holds fixed, and the file of each matrix where it has one of its own."""
+    """Matrices by letter, as a file contains them.
+
+    Parameters
+    ----------
+    matrices : matrices by letter
+    dofs : degrees of freedom of the rows, if the file names them
+    held : rows that the exporting program fixed
+    files : the file of each matrix that has a separate one
+    """
 
     matrices: Mapping[str, Matrix]
     dofs: Dofs | None = None
@@ -241,8 +249,8 @@ def whole(matrix: sparse.csc_array) -> sparse.csc_array:
 
 
 _NAMES = ("nodes", "dofs")
-_SECONDS = 8, 1_000_000  # of the processor for a small file; bytes a second of a large one
-_MEMORY = 1_300_000_000  # bytes, libraries included, beside what the file may come to
+_SECONDS = 8, 1_000_000  # CPU seconds for a small file; bytes per second of a large one
+_MEMORY = 1_300_000_000  # bytes, with libraries, in addition to the content of the file
 _OTHER = ("cell", "object", "char", "function", "opaque")
 # Fields of the structs by letter, the first that is there.
 _STATE = {"E": ("Mc",), "A": ("MA", "A"), "B": ("MB", "B"), "C": ("C",), "D": ("D",)}

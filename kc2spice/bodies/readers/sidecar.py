@@ -158,7 +158,7 @@ class Place(Section):
 
     @property
     def numbers(self) -> tuple[int, ...]:
-        """Of the nodes that are named by number."""
+        """Numbers of the nodes that are named by number."""
         return (self.node,) if self.node is not None else self.nodes or ()
 
 
@@ -234,7 +234,7 @@ class PortEntry(Place):
 
     @property
     def port(self) -> Port:
-        """What the model calls it."""
+        """Port of the model, with its name, kind, unit and pins."""
         return Port(self.name, self.kind, across=self.unit, pins=self.pins)
 
 

@@ -1,4 +1,4 @@
-"""What Xyce and LTspice have in common against ngspice; what neither can say is refused.
+"""Common syntax of Xyce and LTspice that differs from ngspice; other cards are refused.
 
 Sources: Xyce Reference Guide (devices B, S, X, commands .PRINT and .SUBCKT) and LTspice Help
 (B sources, .model SW, .save).

@@ -125,7 +125,12 @@ def _fields(reference: str, value: str, description: str) -> dict[str, str]:
 
 # --- a deck as a project ---
 
-_TURN = {"bottom": 0, "right": 90, "top": 180, "left": 270}  # of a ground, off the symbol
+_TURN = {
+    "bottom": 0,
+    "right": 90,
+    "top": 180,
+    "left": 270,
+}  # angle of a ground, away from the symbol
 # grid units at which rows break, and the papers on which the sheet then has a good shape
 _ENOUGH = {105: ("A4",), 150: ("A4", "A3"), 220: ("A3", "A2"), 320: ("A2", "A1", "A0")}
 MARGIN = 10

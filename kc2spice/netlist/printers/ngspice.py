@@ -13,7 +13,7 @@ from kc2spice.netlist.library import Subcircuit
 
 _BARE = frozenset({"time", "temper", "hertz", "pi"})  # no parameters
 _WIDTH = 96
-CURVES = 6  # of one window
+CURVES = 6  # curves of one window
 _PREFIX = {1e-6: "u", 1e-3: "m", 1.0: ""}
 _AXIS = {"tran": "", "ac": " xlog", "dc": "", "noise": " loglog"}
 

@@ -2,7 +2,7 @@
 
 Every card becomes one contribution on the same nodes, so module and ``.subckt`` are the same
 system of equations (Verilog-AMS Language Reference Manual 2.4, chapters 4 and 5). Nested instances
-are written out flat: compilers for simulators take no hierarchy.
+are flattened, because Verilog-A compilers of simulators do not support hierarchy.
 """
 
 from __future__ import annotations
@@ -269,14 +269,14 @@ def _contribute(part: Element, names: Names) -> None:
 
 
 def _right(part: Element, names: Names, across: str) -> str:
-    """What an element without an expression contributes."""
+    """Contribution of an element without an expression."""
     own = f"I({names.branch(part.name)})"
     match part.kind:
         case "r":
             return f"{across}/{_value(part, names)}"
         case "c":
-            # of equal products inside of ddt, OpenVAF (Reloaded, 2026-08) now and then gives
-            # the derivative of one to the node of another
+            # If ddt contains equal products, OpenVAF (Reloaded, 2026-08) sometimes gives the
+            # derivative of one to the node of another.
             charge = f"{_value(part, names)}*{across}"
             return f"ddt({names.module.variable(f'charge_{names.prefix}{part.key}', charge)})"
         case "l":

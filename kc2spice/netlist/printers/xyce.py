@@ -29,7 +29,7 @@ class Xyce(Dialect):
     keyword = "PARAMS:"
     option_prefix = ".options timeint"
     known_options = frozenset({"reltol", "abstol", "method"})
-    joined = frozenset({".save", ".options"})  # of options only the last counts
+    joined = frozenset({".save", ".options"})  # Xyce uses only the last .options card
     functions = COMMON - {"uramp"}
     temperature = "TEMP"
 

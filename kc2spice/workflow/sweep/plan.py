@@ -43,7 +43,7 @@ class Draws:
             return tuple((self.a + (self.b - self.a) * share).tolist())
         from scipy.special import ndtri
 
-        share = np.clip(share, 2.0**-53, 1 - 2.0**-53)  # that of 0 would be infinite
+        share = np.clip(share, 2.0**-53, 1 - 2.0**-53)  # the normal quantile of 0 is infinite
         return tuple((self.a + self.b * ndtri(share)).tolist())
 
 
@@ -95,7 +95,7 @@ def _split(text: str, separator: str) -> list[str]:
 
 
 def key_of(name: str, keys: Mapping[str, Key]) -> Key:
-    """What is known of a key, an entry of a list, a table or a parameter of a subcircuit."""
+    """Unit, range and type of a key, list entry, table or subcircuit parameter."""
     plain = Key(name, "" if PARAMETER.fullmatch(name) else None, None, (), "")
     return keys.get(re.sub(r"\[-?\d+\]", "", name), plain)
 

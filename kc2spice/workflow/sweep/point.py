@@ -89,7 +89,7 @@ def scene_text(name_or_path: str) -> SceneText:
 
 
 def scene_files(scene: Scene) -> dict[str, bytes]:
-    """What a scene reads beside itself, by name; netlists as one text with all that they include.
+    """Files that the scene reads, by name; netlists with their includes expanded.
 
     Raises
     ------
@@ -120,7 +120,7 @@ def scene_files(scene: Scene) -> dict[str, bytes]:
 
 @dataclass(frozen=True)
 class Job:
-    """What all points of a sweep have in common.
+    """Settings that all points of a sweep have in common.
 
     ``fixed`` are overrides of the scene, ``parameters`` those of subcircuits; ``timeout`` [s] is
     that of one ngspice run.

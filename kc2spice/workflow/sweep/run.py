@@ -545,7 +545,7 @@ def _completed(
 def _submitted(submit: Any, job: Job, values: Mapping[str, Any]) -> Future[Outcome]:
     try:
         future: Future[Outcome] = submit(run_point, job, values)
-    except Exception as error:  # of an executor whose workers are gone
+    except Exception as error:  # raised by an executor without workers
         future = Future()
         future.set_exception(error)
     return future

@@ -31,9 +31,9 @@ FEW, MANY = 3, 40  # frequencies at which a large full model is solved: a sample
 SMALL = 3000  # unknowns up to which all are affordable
 POINTS = 120  # frequencies of the netlist
 LEAKED = 2.0  # times what the leaks of the electrical ports explain
-ROUNDING = 1e-9  # what two direct solutions of a full model may differ by
-NETLIST_ROUNDING = 1e-9  # of a response that ngspice sums from modes, with its leaks
-OWN_ROUNDING = 1e-11  # of the reduced model's own response
+ROUNDING = 1e-9  # largest difference of two direct solutions of a full model
+NETLIST_ROUNDING = 1e-9  # rounding error of a response that ngspice sums from modes
+OWN_ROUNDING = 1e-11  # rounding error of the reduced model's response
 
 
 def verify_body(

@@ -100,7 +100,7 @@ class _Laws:
 
     @cached_property
     def kinds(self) -> dict[str, str]:
-        """Of all pins of laws."""
+        """Kinds of all pins of laws."""
         return _kinds(self.laws.values())
 
     @cached_property
@@ -149,7 +149,7 @@ def _kinds(laws: Iterable[Law]) -> dict[str, str]:
 
 
 def _merged(groups: Iterable[set[str]]) -> list[set[str]]:
-    """Groups that share something as one."""
+    """Merge groups that have an element in common."""
     result: list[set[str]] = []
     for group in groups:
         touched = [other for other in result if other & group]
@@ -376,20 +376,20 @@ def read(
 
 
 PER_PERIOD = 80  # steps of a period of the highest frequency that a reduced model holds to
-FINEST = 800  # of a scene so short that there are steps to spare
-WORK = 1e7  # unknowns times steps that a verification follows
-MOST = 4000  # steps at most: of small models the other laws cost more
-WHOLE = 100.0  # times as much where the whole scene is asked for
+FINEST = 800  # steps of such a period in a short scene
+WORK = 1e7  # largest product of unknowns and steps of a full model
+MOST = 4000  # largest number of steps; for small models the other laws need more time
+WHOLE = 100.0  # factor of the number of steps with --full
 DIRECT = 3000  # unknowns up to which every frequency is solved directly
-STILL = 1e-9  # of its swing by which a body's port may move while the body is at rest
+STILL = 1e-9  # largest motion of a port of a body at rest, relative to its swing
 
 
 @dataclass(frozen=True)
 class FullSolution:
-    """Waves of the full models over ``[0, end]``, at the points of the reduced models' own.
+    """Waves of the full models over ``[0, end]``, at the points of the reduced models' waves.
 
-    ``coarse`` are those of steps twice as long; ``end`` [s] of what was compared is None where no
-    time passes.
+    ``coarse`` are the waves of steps twice as long. ``end`` is the duration compared [s]; None
+    without a transient.
     """
 
     waves: Waveforms
@@ -540,8 +540,10 @@ class Difference:
 def _followed(
     circuit: Circuit, build: Build, exact: Reference, clock: Any, whole: bool
 ) -> tuple[Difference, Difference, str]:
-    """What a circuit's full models do otherwise, from steps and from steps twice as long, and which
-    steps these were."""
+    """Differences of full and reduced models in a circuit, from steps ``h`` and ``2 h``.
+
+    The text describes the steps.
+    """
     bodies = [law for law in circuit.laws if isinstance(law, PortBody)]
     models = {law.name: build.models[law.name] for law in bodies}
     laws = (

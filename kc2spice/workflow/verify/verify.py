@@ -41,11 +41,11 @@ from kc2spice.workflow.verify.circuit import (
     without_law,
 )
 
-LOADED = 1e-6  # of the largest value: below, a relative error says nothing
+LOADED = 1e-6  # least value with a meaningful relative error, over the largest value
 LONGER, SPARE = 5.0, 30.0  # times, and s, that a finer discretisation may take beside the run's
-STILL = 1e-9  # of its size: what rests moves less, by rounding alone
+STILL = 1e-9  # largest motion at rest, by rounding errors, relative to the size
 NOTHING = 1e-150  # its square is zero: what rounding leaves of no current
-SMALL = 1e-3  # of the largest wave of its unit: smaller metrics are judged by that
+SMALL = 1e-3  # least size of a metric in errors, relative to the largest wave of its unit
 
 
 @dataclass(frozen=True)
@@ -124,7 +124,7 @@ def measured(gate: Gate, ours: Solution, exact: Solution) -> float | None:
     size = max(float(np.abs(b).max()) for _, b in pairs)
     if gate.measure == "travel":
         size = max(STILL * size, *(float(np.ptp(b)) for _, b in pairs))
-    # of what is zero throughout, nothing is no share and all else has none
+    # with a zero reference, any difference is infinitely large
     return apart / size if size else math.inf if apart else 0.0
 
 
@@ -234,11 +234,11 @@ def _largest(unit: str, waves: Waveforms, units: Mapping[str, str]) -> float:
 
 SOLUTIONS = {"ngspice": "netlist, ngspice", "rom": "laws", "fom": "full model"}
 METRICS, WAVES = 10.0, 200.0  # times solver.reltol: gates of a transient unless the scene says
-ANY_WAVE = 0.05  # of a wave's rms, whatever reltol: more is another wave
+ANY_WAVE = 0.05  # largest error with any reltol, relative to a wave's rms
 STEADY_METRICS, STEADY_WAVES = 5e-9, 3e-8  # the same for analyses without time steps
 NOISE = 1e-6  # the same of noise: Boltzmann's constant has seven digits in ngspice
-# What was recorded on a net is as good as its samples: its slope, thus the current into a
-# capacitance, is right to some 1e-3 (2.5e-3 at the edges of a half-bridge), its work to 5e-6.
+# A recorded wave is as accurate as its samples. The error of its slope, and so of the current into
+# a capacitance, is about 1e-3 (2.5e-3 at the edges of a half-bridge), that of its work 5e-6.
 RECORDED, RECORDED_BALANCE = 5.0, 1e-5
 
 
@@ -495,7 +495,7 @@ class _Verification:
             )
 
     def _stepped(self, waves: Waveforms, coarse: Waveforms) -> None:
-        """What steps twice as long change must not decide over a gate."""
+        """Compare the effect of steps twice as long with each gate."""
         ours, exact = solution(coarse, self.build), solution(waves, self.build)
         for limit in gate_limits(self.verdict.gates, "rom_vs_fom", ours, exact)[0]:
             words = limit.name.replace("ROM to full model", "full model, steps halved")
