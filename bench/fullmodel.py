@@ -11,7 +11,7 @@ from kc2spice.core.waveforms import Waveforms
 
 
 def chip(scene):
-    """What the full model of the scene's chip depends on."""
+    """Keys on which the full model of the scene's chip depends."""
     keys = keys_of(scene, "piezo_stack")
     given = Chip.model_fields.keys() & keys.model_fields_set
     return Chip(**{name: getattr(keys, name) for name in given})

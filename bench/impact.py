@@ -94,5 +94,5 @@ class _FullModel:
         )
 
     def errors(self, waves):
-        """Of some method against the full model at its limit."""
+        """Errors of a method relative to the full model at its limit."""
         return compare(waves, self.exact)

@@ -28,7 +28,7 @@ EXTRA = 4
 
 @dataclass(frozen=True)
 class Mode:
-    """What stays the same within one smooth piece: drive ramp, controller state.
+    """Constants of one smooth piece: drive ramp, controller state.
 
     ``voltage(t) = volt + slope (t - start)``; ``saturated`` is -1, 0 or +1, None where the current
     itself tells.

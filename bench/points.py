@@ -1,4 +1,4 @@
-"""What a benchmark measures: points of error and time, planes of points, ratios with targets."""
+"""Results of a benchmark: points of error and time, planes of points, ratios with targets."""
 
 import math
 import resource
@@ -157,7 +157,7 @@ def fastest(points, limits):
 
 @dataclass(frozen=True)
 class Outcome:
-    """What one part of the benchmark found."""
+    """Results of one part of the benchmark."""
 
     planes: tuple[Plane, ...] = ()
     ratios: tuple[Ratio, ...] = ()

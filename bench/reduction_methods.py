@@ -135,7 +135,7 @@ class Truncated:
         self.errors = {}
 
     def error(self, q, norm):
-        """Of the first q states."""
+        """Error of the model of the first q states."""
         if (q, norm) not in self.errors:
             A, B, C, D = self.order
             found = schur((A[:q, :q], B[:q], C[:, :q], D))(self._w)

@@ -122,7 +122,7 @@ def _run(match: re.Match[str], work: Path, page: Path) -> str:
 
 
 def _formatted(printed: str, how: str) -> str:
-    """What a page shows of an output."""
+    """Lines of an output that a page shows."""
     lines = [line.rstrip() for line in printed.strip("\n").splitlines()]
     if how.startswith("only "):
         wanted = re.compile(how.removeprefix("only ").strip())

@@ -83,7 +83,7 @@ class Mutant:
 
     @property
     def place(self) -> Place:
-        """What it is known by."""
+        """Identification: path, operator, occurrence."""
         return self.path, self.operator, self.occurrence
 
 
@@ -209,7 +209,7 @@ class Item:
 
     @property
     def place(self) -> Place:
-        """What a mutant is known by."""
+        """Identification of a mutant: path, operator, occurrence."""
         return self.path, self.operator, self.occurrence
 
 
@@ -465,7 +465,7 @@ class Recorded:
 
 
 def recorded() -> Recorded:
-    """What ``record`` found; what fixtures execute counts for each test of the file."""
+    """Results of ``record``; lines that fixtures execute count for each test of the file."""
     import coverage
 
     files = sorted(DATA.glob("*.json"))
@@ -481,7 +481,7 @@ def recorded() -> Recorded:
 
 
 def _preload() -> None:
-    """What every test imports and no mutant changes: children inherit it."""
+    """Import modules that every test uses and no mutant changes; child processes inherit them."""
     import gmsh  # noqa: F401
     import hypothesis  # noqa: F401
     import matplotlib.figure  # noqa: F401

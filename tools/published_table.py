@@ -111,7 +111,7 @@ class Answer:
 
     @property
     def best(self) -> float:
-        """What is compared with the published number."""
+        """Computed value that is compared with the published number."""
         found = self.ngspice if self.ngspice is not None else self.full
         assert found is not None
         return found
@@ -147,7 +147,7 @@ class Analyser:
 
 
 def analysed(name: str, part: str) -> Analyser:
-    """What an analyser reads off a body whose scene is an ac analysis."""
+    """Values of an impedance analyser for a body whose scene is an ac analysis."""
     full, reduced = models(load_scene(name, []), part)
     record, waves, out = simulate(name)
     frequency = waves["frequency"].real
@@ -208,7 +208,7 @@ def case(name: str, entry: Mapping[str, Any]) -> tuple[dict[str, Answer], Path]:
 
 
 def solver(name: str, entry: Mapping[str, Any]) -> Solver:
-    """What answers for a device."""
+    """Function that computes the values of a device."""
     return case if "scene" in entry else SOLVERS.get(name, buzzer)
 
 
@@ -261,7 +261,7 @@ def rows(name: str, entry: Mapping[str, Any], found: Mapping[str, Answer]) -> li
 
 
 def slew() -> list[str]:
-    """What the edge of the drive does to the kick."""
+    """Table of the kick over the edge of the drive."""
     lines = ["| edge | slew | speed | height | peak current |", "|---|---|---|---|---|"]
     for edge in EDGES:
         metrics = simulate("kick_slew", f"kick.drive.edge={edge} us")[0]["metrics"]

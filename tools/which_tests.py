@@ -65,5 +65,5 @@ def pytest_sessionfinish() -> None:
 
 
 def seconds() -> dict[str, float]:
-    """Of each test that passed, and of ``FILE|setup``."""
+    """Duration of each test that passed, and of ``FILE|setup``."""
     return {test: spent for test, spent in _spent.items() if test not in _failed}

@@ -42,7 +42,7 @@ class PiezoSystem:
 
 
 def quarter(kick):
-    """Of the chip."""
+    """Quarter model of the chip."""
     device = stack_device(kick)
     n, model = SECTORS, device.model
     b, C0, K = model.B[:, -1] / n, model.D[-1, -1] / n, model.K

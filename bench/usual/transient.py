@@ -57,7 +57,7 @@ class _Chip:
         return -force - system.alpha * (system.M @ v) - self.open_by * (self.b @ u) * self.b
 
     def inverse(self, system):
-        """Of ``M + h/2 E + h^2/4 K`` for this or a bordered system."""
+        """Inverse of ``M + h/2 E + h^2/4 K`` for this or a bordered system."""
         self.factorisations += 1
         return solver(system, self.a, self.c, self.b, self.open_by * self.quarter)
 

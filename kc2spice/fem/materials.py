@@ -45,8 +45,8 @@ from kc2spice.core.quantities import (
 
 ROUNDING = 1e-12  # rounding error, relative to a tensor's largest component
 
-# Point groups as data sheets name them, whose free components are those of a class below; "32" is
-# that of quartz (3m has other piezoelectric components), "6mm" that of poled ceramics.
+# Point groups as data sheets name them, and the class below with the same free components. "32" is
+# the group of quartz (3m has other piezoelectric components), "6mm" that of poled ceramics.
 _GROUPS = {
     "6mm": "hexagonal", "∞m": "hexagonal", "∞mm": "hexagonal", "inf m": "hexagonal",
     "32": "trigonal", "mm2": "orthotropic", "mmm": "orthotropic", "m3m": "cubic", "-43m": "cubic",

@@ -45,7 +45,8 @@ STIFFEST = 1e15  # N/m; a gram on it rings at 160 GHz, which no simulator ends t
 CARRYING = 3.0  # basis functions across a contact's radius: 5e-3 off, half as many 3e-2
 OPEN = 0.95  # largest motion of an omitted ring, relative to its gap
 # Contact events of a kick that a reltol is good for, times that reltol: every event adds the error
-# of a step. Of 37 kicks of chips damped by 0.01 to 0.05 %, those above launched wrong by 9e-4.
+# of a step. Among 37 kicks of chips damped by 0.01 to 0.05 %, kicks above this limit had launch
+# errors of 9e-4.
 EVENTS = 4e-3
 ALOFT = 1e-8  # m over the body at t = 0 that a sphere at rest on it may have
 EXCITED = 500e3  # Hz that a contact excites bodies at

@@ -49,8 +49,8 @@ FINER = 2  # ratio of rings and of frequency, full to reduced model
 CIRCLES = "closed form of coaxial circles"  # source of the couplings without rings
 LEAST = 1e3  # Hz, up to which eddy currents are resolved whatever drives the scene
 SCREENED = 0.5  # inductance of a coil over a conductor, relative to that without it
-BEYOND = 2.0  # of the resolved frequency, up to which a run's currents may have their energy:
-SEEN = 0.99  # a sine of few periods has some of it above its own frequency
+BEYOND = 2.0  # largest frequency of a run's currents, relative to the resolved frequency
+SEEN = 0.99  # share of energy below that frequency; a sine of few periods has some above its own
 ROUGH = 0.02  # largest relative error of flux, force and loss by the rings
 LEAST_CHANGE = 0.1  # part of the error of the rings that finer ones are taken to show at least
 

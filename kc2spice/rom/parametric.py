@@ -280,7 +280,7 @@ def _required(model: LinearModel, frame: LinearModel | None) -> LinearModel:
 def _answers(pencil: Pencil, band: tuple[float, float]) -> np.ndarray:
     """Modes to above the band, and what they leave of the answers to the ports at rest, nearly."""
     top, M = 2 * np.pi * band[1], pencil.coefficients[2]
-    square = 0.0 if pencil.factorised else -((top / 3) ** 2)  # of a body held, K itself
+    square = 0.0 if pencil.factorised else -((top / 3) ** 2)  # with a support, K itself
     inverse = pencil.pencil_solver(square)
     _, V = natural_modes(pencil, ABOVE * top, square, inverse)
     still = inverse.solve(pencil.B)
@@ -308,7 +308,7 @@ def _loss(full: Full, axis: Axis, middle: Values, frame: LinearModel) -> Loss | 
         return None
     places = (-1.0, 1.0, 0.3)
     models = []
-    for x in places:  # of a parameter of the matrices the first one tells
+    for x in places:  # the first place identifies a parameter of the matrices
         model = full({**middle, axis.name: axis.value(x)})
         if model.rayleigh is None or not _same(model, frame):
             return None

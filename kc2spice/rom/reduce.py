@@ -191,13 +191,13 @@ FIXED_ORDER_TARGET = 1e-8  # tolerance of the subspace if the order is given
 SAFETY = 1.15  # on differences at samples, for what lies between them
 SOFT = 1e12  # condition of an energy that holds a motion which costs none but for rounding
 BALANCED = 2000  # first-order states at most
-UNSCALED = 500  # of them where Gramians cost less than the rest: entries of one size need no scale
-SAMPLED = 900  # of them where samples cost no more than Gramians
+UNSCALED = 500  # states up to which balancing without scaled outputs is tried too
+SAMPLED = 900  # states up to which samples take no more time than Gramians
 ALL = "balanced truncation"
 THINNED = 4  # every so many samples are enough where no notches count
-CHEAP = 200  # of them where balancing only tells what the form costs
-# Definite matrices become resonators, which prove their stability: they are given up for a model
-# of this share of their states, not for one with few fewer.
+CHEAP = 200  # states up to which balancing only measures the cost of keeping the form
+# Definite matrices become resonators, which prove stability. A model without this form is used only
+# if it has at most this share of their states.
 FORM_SHARE = 0.91
 RANK = 1e-13  # singular values of the response below this are rounding
 FIT = 101

@@ -301,8 +301,8 @@ def _decaying(small: Pencil) -> Pencil:
 
 EXTENDED = 500  # unknowns up to which a model is turned into its modes with 19 digits
 UNCERTAIN = 1e-9  # a response of less uncertainty needs no word
-# Unknowns of decoupled models, states of others up to which nothing is sampled, and states of
-# those that so many samples do not settle: many resonances.
+# Largest models that are used without samples: unknowns of decoupled models, states of others, and
+# states of models with so many resonances that samples do not converge.
 WHOLE_DECOUPLED, WHOLE, DENSE = 1300, 600, 2000
 DIRECT = 150  # unknowns up to which one linear system per frequency may be solved
 # K x = B solved to less than this of B: the model is free to move at zero frequency.
@@ -317,7 +317,7 @@ SKETCH = 32  # random combinations of equations that stand for all residuals
 CANDIDATES = 101
 FREE = 100.0  # times rounding: less energy than that is none
 COARSE = 50  # frequencies at which entries that are zero show
-FAINT_SHARE = 0.5  # of them at which an entry is that may be zero
+FAINT_SHARE = 0.5  # share of the COARSE frequencies at which a zero entry must be faint
 SHARP = 8  # lowest and sharpest resonances at which rounding of a small model is looked at
 ROUNDED, SPREAD = 4, 3.0  # trials of rounding, and the margin on the largest of them
 

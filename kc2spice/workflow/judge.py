@@ -24,7 +24,7 @@ from kc2spice.workflow.steps import step_checks
 BETWEEN_POINTS = 0.05  # correction of a peak between points; at half a half-width up to 3 %
 ROUNDED = 1e-9  # rounding error of the ends of the scale in the simulator, relative
 HEIGHT_PER_VELOCITY = 2.0  # relative change of the height of a flight per one of its velocity
-BUDGET_SHARE = 0.03  # of a larger error_budget, a tenth of what its time stepping gets
+BUDGET_SHARE = 0.03  # share of a larger error_budget, a tenth of that of time steps
 
 
 def verdict(waves: Waveforms, build: Build) -> Verdict:

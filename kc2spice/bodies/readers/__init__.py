@@ -108,8 +108,8 @@ _ARRAYS = (
     "in a file of its own, NAME.K.mtx, by scipy.io.mmwrite"
 )
 _JOB = f"{', '.join(codes.SUFFIXES)} of one job"
-# One file with all matrices, by its suffix: what it should be, and its reader, which gets the names
-# that the sidecar has for matrices.
+# Formats of one file with all matrices, by suffix: description and reader. The reader receives the
+# names of the matrices in the sidecar.
 READERS: Mapping[str, tuple[str, Callable[[Path, Mapping[str, str]], raw.Raw]]] = {
     ".npz": (_ARRAYS, raw.read_archive),
     ".mat": (_MATLAB, raw.unpacker(raw.unpack_matlab)),

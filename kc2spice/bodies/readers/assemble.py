@@ -204,7 +204,7 @@ class Rows:
         if entry.column is not None or entry.row is not None:
             return self._listed(entry)
         where, load = self.said.of(entry), np.zeros(self.size)
-        if entry.kind == "acceleration":  # of the frame: -M r
+        if entry.kind == "acceleration":  # acceleration of the frame: -M r
             if "M" not in self.found:
                 raise wrong(where, "needs a mass matrix", expected="a second-order model")
             kind = self.dofs(where).kind

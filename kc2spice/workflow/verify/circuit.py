@@ -43,7 +43,7 @@ from kc2spice.scene.parttype import replaced
 from kc2spice.workflow.meters import WAVE, sweep_values, swept
 from kc2spice.workflow.verify.bodies import held_band
 
-RTOL = 1.5e-9  # of the integrator; at 1e-8 a sphere ringing at megahertz loses 5e-7 of its energy
+RTOL = 1.5e-9  # integrator; at 1e-8 a sphere ringing at megahertz loses 5e-7 of its energy
 # Kind of a pin: the source that can stand for a part there, and the factor to SI of ngspice's node.
 SOURCES = {"electrical": ("voltage", 1.0), "displacement": ("displacement", 1e-6),
            "signal": ("signal", 1.0)}  # fmt: skip

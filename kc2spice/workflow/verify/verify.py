@@ -424,8 +424,8 @@ class _Verification:
             )
             return
         self.finer = set(parts)
-        # Laws against laws. ngspice is compared with the laws by the rms of each wave: its instant
-        # of a jump in voltage differs by a time step, which a largest difference counts in full.
+        # Laws against laws. ngspice is compared with the laws by the rms of each wave, because
+        # its voltage jumps one time step earlier or later, which dominates a largest difference.
         own = [item for item in gates if item[0] in self.finer]
         self.found.checks += gate_limits(own, "rom_vs_fom", solutions["rom"], exact)[0]
 
@@ -465,7 +465,7 @@ class _Verification:
         if known:
             worst = max(known, key=lambda name: known[name])
             yield Check(f"every metric, worst {worst}, ngspice to laws", known[worst], metric)
-        # what rings on after a launch is coarse by choice: the body's own waves and its drive's
+        # ringing after a launch is coarse by choice, in the waves of the body and of its drive
         coarse = [n for n, p in scene.parts.items() if p.reduced]
         coarse = coarse if solver.ringing == "coarse" else []
         owners = [(output, output.output.partition(".")[0]) for output in outputs]
