@@ -627,7 +627,7 @@ def sweep(
 
     Raises
     ------
-    UsageError : no values, or a point that is no scene; noticed before anything is run.
+    UsageError : empty ``values`` or an invalid point; raised before the first run.
     MissingToolError : no ngspice.
 
     Examples
