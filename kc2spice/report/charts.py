@@ -25,8 +25,14 @@ _PLAIN = {"m", "m/s", "s", "V", "A", "W", "N", "J", "C", "F", "H", "Hz", "Pa", "
 
 
 def figure_html(figure: Figure) -> str:
-    """The element ``<figure>`` from which the page's script draws: panels as JSON, a caption."""
-    panels = [part for panel in figure.panels for part in _few(_with_units(_ascending(panel)))]
+    """The element ``<figure>`` from which the page's script draws: panels as JSON, a caption.
+
+    Panels without a curve are left out, and so is a figure that has no others.
+    """
+    drawn = [panel for panel in figure.panels if panel.curves or panel.map is not None]
+    panels = [part for panel in drawn for part in _few(_with_units(_ascending(panel)))]
+    if not panels:
+        return ""
     stacked = figure.columns == 1
     if stacked:
         panels = _with_x_unit(panels, next((p.x for p in reversed(panels) if p.x), ""))

@@ -195,6 +195,15 @@ def shown(curve: Curve) -> tuple[np.ndarray, np.ndarray]:
     return x, y
 
 
+def test_a_panel_without_curves_is_left_out():
+    """An operating point, for example, has no curve over time."""
+    empty = Panel("x", "y", ())
+    assert figure_html(Figure("nothing", "Nothing", "No curve.", (empty,))) == ""
+    full = Panel("x", "y", (Curve("rise", np.arange(3.0), np.arange(3.0)),))
+    both = figure_html(Figure("one", "One", "A curve.", (empty, full)))
+    assert len(json.loads(re.search(r">({.*})</script>", both)[1])["panels"]) == 1
+
+
 def test_a_peak_of_one_point_is_drawn_wherever_it_is() -> None:
     t = np.linspace(0.0, 1.0, 100_000)
     for place in (0, 1, 77_777, 99_998, 99_999):
