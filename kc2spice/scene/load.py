@@ -37,6 +37,7 @@ from kc2spice.core.quantities import (
     shown,
     unit_of,
 )
+from kc2spice.core.toml_errors import parse_toml_file
 from kc2spice.scene.compose import composed, unsettled
 from kc2spice.scene.model import GROUND, SHORT, Build, Names, Part, PartType, Scene
 from kc2spice.scene.parttype import EVEN, drive_period, numerics, part_type, type_names
@@ -502,14 +503,7 @@ class _Source:
     overrides: dict[tuple[str, ...], str] = field(default_factory=dict)
 
     def parse(self) -> dict[str, Any]:
-        try:
-            return parse_toml(self.text)
-        except ValueError as error:
-            got = clipped(str(error))
-            hint = "put text, and quantities with units, between double quotes"
-            if missing := re.search(r"Expected ('[^']+')", got):
-                hint = f"add the missing {missing[1]}"
-            raise UsageError("not valid TOML", where=self.label, got=got, hint=hint) from None
+        return parse_toml_file(self.text, self.label)
 
     def where(self, key: str) -> str:
         """The override or the line that sets ``key``, entries of lists by numbers between dots."""

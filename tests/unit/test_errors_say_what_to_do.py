@@ -238,10 +238,95 @@ def test_a_key_of_a_part_that_the_scene_lacks(cli):
     assert "kick, contact, sphere, catch, control" in done.stderr
 
 
-def test_an_unclosed_table_names_the_bracket(said):
-    code, text = said('title = "a"\n[[x\npart = "resistor"\n')
+DIVIDER = """
+title = "Divider"
+[battery]
+part = "source"
+dc = "10 V"
+[r1]
+part = "resistor"
+resistance = "1 kOhm"
+pins = { a = "battery.out" }
+[r2]
+part = "resistor"
+resistance = "1 kOhm"
+pins = { a = "r1.b" }
+[analysis]
+type = "op"
+[probes.middle]
+of = "r2.v"
+take = "final"
+"""
+
+
+@pytest.fixture
+def divider(tmp_path, cli):
+    """Runs the divider with one line replaced: exit code, and the rows of the message by name."""
+
+    def run(line, otherwise, *words, command="run"):
+        assert DIVIDER.count(f"\n{line}\n") >= 1
+        text = DIVIDER.replace(f"\n{line}\n", f"\n{otherwise}\n", 1)
+        (tmp_path / "own.toml").write_text(text)
+        done = cli(command, "own.toml", *words)
+        head, *rows = done.stderr.splitlines() or [""]
+        names = ("got", "expected", "next")
+        found = {n: r.split(":", 1)[1].strip() for n in names for r in rows if f"  {n}:" in r}
+        return done.exit_code, {"head": head, **found}
+
+    return run
+
+
+@pytest.mark.parametrize(
+    ("line", "otherwise", "problem"),
+    [
+        ('title = "Divider"', "title = Divider", "text without quotes"),
+        ('title = "Divider"', 'title = "Divider', "missing closing quote"),
+        ('title = "Divider"', "title = 'Divider", "missing closing quote"),
+        ('title = "Divider"', 'title = Divider"', "missing opening quote"),
+        ('title = "Divider"', r'title = "C:\data"', "a backslash between double quotes"),
+        ('title = "Divider"', "gravity = .5", "a value that TOML does not read"),
+        ('resistance = "1 kOhm"', "resistance = 1 kOhm", "text without quotes"),
+        ('pins = { a = "r1.b" }', "pins = { a = r1.b } # to r1", "text without quotes"),
+        ('pins = { a = "r1.b" }', 'pins = { a = "r1.b }', "missing closing quote"),
+        ('pins = { a = "r1.b" }', 'pins = { a = "r1.b"', "{ without its }"),
+        ('pins = { a = "r1.b" }', 'pins = {\na = "r1.b",\n}', "must be on one line"),
+        ("[r1]", "[[r1]", "the brackets of a table do not match"),
+        ("[r1]", "[r1", "the brackets of a table do not match"),
+        ("[r1]", "[r1]]", "the brackets of a table do not match"),
+    ],
+)
+def test_a_line_that_is_not_toml_is_quoted_and_repaired(divider, line, otherwise, problem):
+    code, said = divider(line, otherwise)
+    first = DIVIDER.split("\n").index(line) + 1
     assert code == 2
-    assert "add the missing ']]'" in text
+    assert f"own.toml, line {first}: " in said["head"]
+    assert problem in said["head"]
+    assert said["got"] == otherwise.split("\n")[0]
+    repaired = said["next"].split("write  ")[-1].split(f"line {first}: ")[-1]
+    assert divider(line, repaired)[0] == 0
+
+
+def test_a_list_without_its_end(divider):
+    code, said = divider('type = "op"', 'type = "op"\n[rom]\nband = [0, 5e3')
+    assert (code, said["got"]) == (2, "band = [0, 5e3")
+    assert "[ without its ]" in said["head"]
+    assert said["next"].endswith(": band = [0, 5e3 ]")
+
+
+def test_a_table_that_a_file_has_twice(divider):
+    code, said = divider("[r2]", "[battery]")
+    assert code == 2
+    assert "own.toml, line 10: the table [battery] is on line 3 already" in said["head"]
+    assert said["next"].startswith("rename the second [battery] (line 10)")
+    code, said = divider('dc = "10 V"', 'dc = "10 V"\ndc = "12 V"')
+    assert (code, said["got"]) == (2, 'dc = "12 V"')
+    assert said["next"] == "delete line 5 or 6"
+
+
+def test_other_lines_that_are_not_toml(divider):
+    code, said = divider('title = "Divider"', "title : Divider")
+    assert (code, said["got"]) == (2, "title : Divider")
+    assert "KEY = VALUE" in said["expected"]
 
 
 @pytest.mark.parametrize(("words", "right"), [("1:2", "1:2:5"), ("log:1:2", "log:1:2:5")])

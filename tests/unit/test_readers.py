@@ -553,7 +553,7 @@ def test_models_that_are_none(tmp_path, matrices, words):
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        ("x = [", ("m.toml", "TOML")),
+        ("x = [", ("m.toml, line 1", "add ] at the end of line 1")),
         ("colour = 1\n" + TIP, ("colour", "band")),
         (TIP + "colour = 1\n", ("ports[0]", "colour", "axis")),
         (TIP.replace('"tip"', "3"), ("ports[0].name",)),

@@ -145,7 +145,7 @@ def test_errors_in_a_file_give_the_line(scene_file):
         ("[imprint]\n[sphere]\n", "key contact: imprint needs this part"),
         ("[em_force]\n[sphere]\n", "key catch: em_force needs this part"),
         ("[impact]\n[kick]\n", "key sphere: impact needs this part"),
-        ("kick = 10 V", "not valid TOML"),
+        ("kick = 10 V", "text without quotes"),
         ("a = " + "[" * 50_000, "not valid TOML"),
         ("a = " + "1" * 5000, "not valid TOML"),
         ("x = 1\n" * (MAX_BYTES // 5), "too long"),

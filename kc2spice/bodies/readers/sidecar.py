@@ -64,8 +64,9 @@ from pydantic import (
 )
 
 from kc2spice.bodies.readers.raw import CODES, DOFS, ROTATIONS, TRANSLATIONS, existing, guarded
-from kc2spice.core.foreign import MAX_BYTES, parse_toml, read_bounded, text_of
+from kc2spice.core.foreign import MAX_BYTES, read_bounded, text_of
 from kc2spice.core.quantities import Count, Section, refused, validated
+from kc2spice.core.toml_errors import parse_toml_file
 from kc2spice.rom.linear import CONSERVATIVE, Port, PortKind
 
 LENGTHS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "in": 0.0254, "ft": 0.3048}
@@ -318,7 +319,8 @@ def read_sidecar(path: Path) -> Sidecar:
     """
     expected = f"a TOML file of at most {MAX_BYTES} bytes"
     existing(path, expected)
-    data = guarded(path, expected, lambda: parse_toml(text_of(read_bounded(path, MAX_BYTES))))
+    text = guarded(path, expected, lambda: text_of(read_bounded(path, MAX_BYTES)))
+    data = parse_toml_file(text, str(path))
     result = validated(Sidecar, data, f"{path}:", {"folder": path.parent})
     result._where = str(path)
     return result

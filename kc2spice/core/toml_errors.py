@@ -1,0 +1,291 @@
+"""Errors of TOML files: the line as its author typed it, and a repair that the parser accepts.
+
+The parser says where it stopped, which is seldom what the author did wrong. Each function of this
+module proposes repaired lines for one kind of mistake. :func:`invalid_toml` suggests the first
+repair behind which the parser comes further.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from kc2spice.core.errors import UsageError
+from kc2spice.core.foreign import lines_of, parse_toml
+
+MOST_LINES = 40  # between an opening bracket and the line at which the parser stops
+LONGEST_LINE = 500  # characters of a line that are looked at
+_STRING = re.compile(r"\"(?:[^\"\\]|\\.)*\"|'[^']*'")
+_BARE_VALUE = re.compile(r"(?<=[=,\[])\s*([^\"'\[\]{},=#\s][^\"'\[\]{},=#]*?)\s*(?=[,\]}#]|$)")
+_HEADER = re.compile(r"\s*(\[+)([\w.\-\"' ]+)\]*\s*(?:#.*)?")
+
+
+@dataclass(frozen=True)
+class _Repair:
+    """What is wrong with a line, and the text that should replace the line ``number``."""
+
+    problem: str
+    number: int
+    line: str
+    action: str
+
+
+def parse_toml_file(text: str, label: str) -> dict[str, Any]:
+    """The tables of the file ``label`` with this ``text``.
+
+    Raises
+    ------
+    UsageError : not TOML; the message quotes the line and says what to write instead.
+    """
+    try:
+        return parse_toml(text)
+    except ValueError as error:
+        raise invalid_toml(text, error, label) from None
+
+
+def invalid_toml(text: str, error: ValueError, label: str) -> UsageError:
+    """The error of a ``text`` that the parser refused with ``error``.
+
+    Parameters
+    ----------
+    text : what the file contains.
+    error : what ``parse_toml`` raised.
+    label : name of the file.
+    """
+    number = _line_number(text, str(error))
+    if number is None:  # too long or nested too deeply
+        return UsageError("not valid TOML", where=label, got=str(error))
+    # of long lines a part: patterns take time with the square of the length
+    lines = [line[:LONGEST_LINE] for line in lines_of(text)] or [""]
+    number = min(number, len(lines))
+    known = _duplicate(lines, number, str(error), label) or _several_lines(lines, number, label)
+    if known is not None:
+        return known
+    reached = _position(text, str(error))
+    for propose in _PROPOSALS:
+        for repair in propose(lines, number):
+            if _reach(lines, repair) > reached:
+                return UsageError(
+                    repair.problem,
+                    where=f"{label}, line {repair.number}",
+                    got=_quoted(lines, repair.number),
+                    hint=repair.action,
+                )
+    return UsageError(
+        "not valid TOML",
+        where=f"{label}, line {number}",
+        got=_quoted(lines, number),
+        expected='[TABLE], or KEY = VALUE with text between double quotes, such as "1 kOhm"',
+        hint=f"write line {number} in one of these two forms",
+    )
+
+
+def _header_of(line: str) -> tuple[str, str]:
+    """Opening brackets and name of the table that begins with this line; empty of other lines."""
+    found = _HEADER.fullmatch(line) if len(line) <= LONGEST_LINE else None
+    return ("", "") if found is None else (found[1], found[2].strip())
+
+
+def _quoted(lines: Sequence[str], number: int) -> str:
+    line = lines[number - 1].strip() if number <= len(lines) else ""
+    return line if len(line) <= 120 else line[:120] + " …"
+
+
+def _position(text: str, message: str) -> tuple[float, float]:
+    """Line and column at which the parser stopped."""
+    if found := re.search(r"at line (\d+), column (\d+)\)", message):
+        return float(found[1]), float(found[2])
+    return math.inf, 0.0
+
+
+def _line_number(text: str, message: str) -> int | None:
+    """Line at which the parser stopped; None where the message names none."""
+    if found := re.search(r"at line (\d+), column", message):
+        return int(found[1])
+    if "end of document" in message:
+        return max(1, len(lines_of(text.rstrip())))
+    return None
+
+
+def _reach(lines: Sequence[str], repair: _Repair) -> tuple[float, float]:
+    """How far the parser comes with the repaired line."""
+    changed = [*lines[: repair.number - 1], repair.line, *lines[repair.number :]]
+    text = "\n".join(changed) + "\n"
+    try:
+        parse_toml(text)
+    except ValueError as error:
+        line, column = _position(text, str(error))
+        # within the same line every repair moves the columns
+        return (line, column) if line > repair.number else (0.0, column)
+    return math.inf, math.inf
+
+
+def _masked(line: str) -> str:
+    """``line`` of the same length, without the contents of its strings and its comment."""
+    masked = _STRING.sub(lambda found: '"' + "_" * (len(found[0]) - 2) + '"', line)
+    comment = masked.find("#")
+    return masked if comment < 0 else masked[:comment] + " " * (len(masked) - comment)
+
+
+def _as_typed(value: str) -> str:
+    """A value that is no TOML as what it most likely means."""
+    if value.lower() in ("true", "false"):
+        return value.lower()
+    try:
+        return repr(float(value))
+    except ValueError:
+        return f'"{value}"'
+
+
+def _is_value(text: str) -> bool:
+    try:
+        return set(parse_toml(f"x = {text}")) == {"x"}
+    except ValueError:
+        return False
+
+
+def _write(line: str) -> str:
+    return f"write  {line.strip()}"
+
+
+def _without_quotes(lines: Sequence[str], number: int) -> Iterator[_Repair]:
+    """Text, quantities and numbers that TOML does not read without quotes."""
+    line = lines[number - 1]
+    found = [m for m in _BARE_VALUE.finditer(_masked(line)) if not _is_value(m[1])]
+    repaired = line
+    for match in reversed(found):
+        start, end = match.span(1)
+        repaired = repaired[:start] + _as_typed(line[start:end]) + repaired[end:]
+    if found:
+        quoted = '"' in "".join(_as_typed(match[1]) for match in found)
+        problem = "text without quotes" if quoted else "a value that TOML does not read"
+        yield _Repair(problem, number, repaired, _write(repaired))
+
+
+def _lone_quote(line: str) -> str:
+    """The quote that opens no string of a line or closes none; empty if there is not one such."""
+    masked = _STRING.sub(lambda found: "_" * len(found[0]), line)
+    lone = [mark for mark in "\"'" if masked.count(mark) == 1]
+    return lone[0] if len(lone) == 1 else ""
+
+
+def _missing_quote(lines: Sequence[str], number: int) -> Iterator[_Repair]:
+    """A quote that opens no string or closes none."""
+    # the parser finds the missing end of 'text at the next apostrophe or at the end of the file
+    above = (at for at, line in enumerate(lines[:number], start=1) if _lone_quote(line))
+    for at in (number, next(above, number)):
+        line = lines[at - 1]
+        mark = _lone_quote(line)
+        if not mark:
+            continue
+        opening = re.sub(rf"=(\s*)([^{mark}=]+{mark}\s*)$", rf"=\1{mark}\2", line)
+        if opening != line:
+            yield _Repair("missing opening quote", at, opening, _write(opening))
+        body = line.rstrip()
+        inside = body.rstrip(" ]},")
+        for closing in (inside + mark + body[len(inside) :], body + mark):
+            yield _Repair("missing closing quote", at, closing, _write(closing))
+
+
+def _header(lines: Sequence[str], number: int) -> Iterator[_Repair]:
+    """The header of a table whose brackets do not match."""
+    brackets, name = _header_of(lines[number - 1])
+    if not name:
+        return
+    # no key at the top of a scene is a list of tables
+    header = f"[[{name}]]" if brackets == "[[" and "." in name else f"[{name}]"
+    yield _Repair("the brackets of a table do not match", number, header, _write(header))
+
+
+def _unclosed(lines: Sequence[str], number: int) -> Iterator[_Repair]:
+    """A list or table between brackets that lacks its end."""
+    for opening in range(number, max(0, number - MOST_LINES), -1):
+        masked = _masked(lines[opening - 1])
+        for left, right in ("{}", "[]"):
+            if masked.count(left) <= masked.count(right) or "=" not in masked:
+                continue
+            for at in range(opening, number + 1):
+                line = lines[at - 1]
+                body = line[: len(_masked(line).rstrip())]
+                closed = f"{body.rstrip(',')} {right}{line[len(body) :]}"
+                action = f"add {right} at the end of line {at}: {closed.strip()}"
+                yield _Repair(f"{left} without its {right}", at, closed, action)
+            return
+
+
+def _backslash(lines: Sequence[str], number: int) -> Iterator[_Repair]:
+    """A backslash that begins no escape sequence, as in a path of Windows."""
+    line = lines[number - 1]
+    plain = re.sub(r'"([^"\']*)"', r"'\1'", line)
+    if "\\" in line and plain != line:
+        yield _Repair("a backslash between double quotes", number, plain, _write(plain))
+
+
+_PROPOSALS: tuple[Callable[[Sequence[str], int], Iterator[_Repair]], ...] = (
+    _header,
+    _without_quotes,
+    _missing_quote,
+    _unclosed,
+    _backslash,
+)
+
+
+def _several_lines(lines: Sequence[str], number: int, label: str) -> UsageError | None:
+    """The error of a table between { } that does not end on its line, which TOML does not allow."""
+    if not 1 <= number <= len(lines) or "=" not in lines[number - 1]:
+        return None
+    if _masked(lines[number - 1]).rstrip()[-1:] not in ("{", ","):
+        return None
+    joined = ""
+    for line in lines[number - 1 : number + MOST_LINES]:
+        joined += " " + line[: len(_masked(line).rstrip())].strip()
+        masked = _masked(joined)
+        if masked.count("{") == masked.count("}"):
+            break
+    joined = re.sub(r",\s*}", " }", joined.strip())
+    if len(joined) > LONGEST_LINE or not _is_value(joined.partition("=")[2]):
+        return None
+    return UsageError(
+        "a table between { and } must be on one line",
+        where=f"{label}, line {number}",
+        got=_quoted(lines, number),
+        hint=_write(joined),
+    )
+
+
+def _duplicate(lines: Sequence[str], number: int, message: str, label: str) -> UsageError | None:
+    """The error of a table or key that the file has twice."""
+    twice = "Cannot declare" in message or "Cannot overwrite" in message
+    if not twice:
+        return None
+    line = _quoted(lines, number)
+    _, header = _header_of(line)
+    name = f"[{header}]" if header else line.partition("=")[0].strip()
+    first = _first_line(lines, number, name)
+    before = "" if first is None else f" is on line {first} already"
+    kind = "table" if header else "key"
+    action = f"rename the second {name} (line {number}), or delete it with its keys"
+    if not header:
+        action = f"delete line {number}" if first is None else f"delete line {first} or {number}"
+    return UsageError(
+        f"the {kind} {name}{before}" if before else f"the {kind} {name} exists already",
+        where=f"{label}, line {number}",
+        got=line,
+        hint=action,
+    )
+
+
+def _first_line(lines: Sequence[str], number: int, name: str) -> int | None:
+    """The line above ``number`` that states the table or, within one table, the key ``name``."""
+    for at in range(number - 1, 0, -1):
+        line = lines[at - 1].strip()
+        _, header = _header_of(line)
+        stated = f"[{header}]" if header else line.partition("=")[0].strip()
+        if stated == name:
+            return at
+        if header and not name.startswith("["):
+            return None
+    return None
