@@ -89,17 +89,26 @@ def wrong(
 
 
 def unknown(
-    message: str, name: object, known: Iterable[str], where: str | None = None
+    message: str,
+    name: object,
+    known: Iterable[str],
+    where: str | None = None,
+    command: str | None = None,
 ) -> UsageError:
-    """The error of a ``name`` that is none of the ``known`` ones, with what is near it."""
+    """The error of a ``name`` that is none of the ``known`` ones, with what is near it.
+
+    ``command`` is the command line that lists all of them.
+    """
     choices = list(known)
-    expected = "one of " + candidates(name, choices) if choices else "nothing: there are none"
+    expected = (
+        "one of " + candidates(name, choices, command) if choices else "nothing: there are none"
+    )
     near = did_you_mean(str(name), choices)
     return UsageError(message, where=where, got=repr(name), expected=expected, hint=near)
 
 
-def candidates(word: object, choices: Iterable[str]) -> str:
-    """At most five choices, those nearest to ``word`` if there are more.
+def candidates(word: object, choices: Iterable[str], command: str | None = None) -> str:
+    """At most five choices, those nearest to ``word`` if there are more; ``command`` lists all.
 
     >>> candidates("v", ["a", "b"])
     'a, b'
@@ -115,7 +124,8 @@ def candidates(word: object, choices: Iterable[str]) -> str:
         return -difflib.SequenceMatcher(None, str(word)[:LONGEST], name).ratio()
 
     nearest = sorted(names, key=distance)[:MOST_CHOICES]
-    return f"{', '.join(nearest)}, … ({len(names)} in all)"
+    where = "" if command is None else f": {command}"
+    return f"{', '.join(nearest)}, … ({len(names)} in all{where})"
 
 
 def did_you_mean(word: str, choices: Iterable[str]) -> str | None:

@@ -28,32 +28,56 @@ from pydantic import (
 from pydantic.fields import FieldInfo
 from pydantic_core import ErrorDetails, PydanticCustomError
 
-from kc2spice.core.errors import UsageError, did_you_mean
+from kc2spice.core.errors import UsageError, candidates, did_you_mean
 
 AIR_DENSITY = 1.204  # kg/m3 at 20 °C and 1013 hPa
 
 KeyPath = tuple[str | int, ...]
+_KEYS = "kc2spice scenes --keys"  # lists all keys with their choices
 # Names that pydantic gives to members of a union, such as ``dict[str,float]``; they are not keys.
 _MEMBER = re.compile(r"\]$|^(float|int|str|bool)$")
 
 
 def describe_invalid(
-    error: ValidationError, schema: type[BaseModel], at: KeyPath = (), also: Sequence[str] = ()
+    error: ValidationError,
+    schema: type[BaseModel],
+    at: KeyPath = (),
+    also: Sequence[str] = (),
+    table: object = None,
 ) -> tuple[KeyPath, dict[str, Any]]:
     """Path of the first invalid key, and its message, got, expected and hint.
 
     An unknown key comes before one that is missing, which it may stand for. ``at`` is where the
-    table stands, ``also`` are keys that it may have beside those of the ``schema``.
+    table stands, ``also`` are keys that it may have beside those of the ``schema``, ``table`` is
+    what the author typed.
     """
     every = error.errors()
     result = next((item for item in every if item["type"] == "extra_forbidden"), every[0])
-    path = (step for step in result["loc"] if not _MEMBER.search(str(step)))
-    whole, kind, given = (*at, *path), result["type"], result["input"]
+    path = tuple(step for step in result["loc"] if not _MEMBER.search(str(step)))
+    given = _typed(table, path, result["input"])
+    if key := result.get("ctx", {}).get("key"):  # of a table that is checked as a whole
+        below = tuple(int(step) if step.isdecimal() else step for step in key.split("."))
+        path, given = (*path, *below), _typed(given, below, None)
+    whole, kind = (*at, *path), result["type"]
     message, expected, hint = _words(result, schema, whole, also)
     # If keys contradict each other, the message contains the reason.
     contradicts = kind == "value_error" and isinstance(given, Mapping)
     got = None if contradicts or kind in ("extra_forbidden", "missing") else shown(given)
     return whole, {"message": message, "got": got, "expected": expected, "hint": hint}
+
+
+def _typed(table: object, path: KeyPath, converted: Any) -> Any:
+    """The value at ``path`` of ``table``, which a validator may have ``converted`` to SI."""
+    if isinstance(converted, Mapping):
+        return converted
+    for step in path:
+        if not isinstance(table, (Mapping, list, tuple)):
+            return converted
+        try:
+            table = table[step]  # type: ignore[index]
+        except (KeyError, IndexError, TypeError):
+            return converted
+    return table
 
 
 def _words(
@@ -65,7 +89,7 @@ def _words(
             fields = [*_table(schema, path).model_fields, *(also if len(path) == 1 else ())]
             word, every = str(path[-1]), (dotted(item) for item, _ in entries(schema))
             near = did_you_mean(word, fields) or did_you_mean(word, every)
-            return "unknown key", "one of " + ", ".join(fields), near
+            return "unknown key", "one of " + candidates(word, fields, _KEYS), near
         case "missing":
             return f"{dotted(whole)} is missing", None, None
         case "string_pattern_mismatch":
@@ -78,7 +102,8 @@ def _words(
         case "literal_error":
             choices = re.findall(r"'?(\w+)'?(?:, | or |$)", context["expected"])
             near = did_you_mean(str(found["input"]), choices)
-            return "no such choice", f"one of {', '.join(choices)}", near
+            listed = candidates(found["input"], choices, _KEYS)
+            return "no such choice", f"one of {listed}", near
         case "int_type":
             return "not a whole number", "a whole number, without quotes", None
         case "dict_type" if isinstance(found["input"], (list, tuple)):
@@ -268,9 +293,10 @@ def quantity(value: object, si: str, *, where: str | None = None) -> float:
     return result
 
 
-def refused(reason: str, expected: str | None) -> PydanticCustomError:
-    """Error of a validator for an invalid value."""
-    return PydanticCustomError("quantity", "{reason}", {"reason": reason, "expected": expected})
+def refused(reason: str, expected: str | None, key: str | None = None) -> PydanticCustomError:
+    """Error of a validator for an invalid value, or for the ``key`` of a table."""
+    context = {"reason": reason, "expected": expected, "key": key}
+    return PydanticCustomError("quantity", "{reason}", context)
 
 
 def _number(si: str, value: object) -> float:
@@ -435,7 +461,7 @@ def validated(
     try:
         return schema.model_validate(given, context=context)
     except ValidationError as error:
-        path, words = describe_invalid(error, schema)
+        path, words = describe_invalid(error, schema, table=given)
         inside = f"{where} " if where.endswith(":") else f"{where}."
         place = inside + dotted(path) if path else where.removesuffix(":")
         raise UsageError(where=place, **words) from None

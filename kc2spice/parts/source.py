@@ -83,9 +83,10 @@ class SourceKeys(Section):
             raise refused("two shapes: " + " and ".join(given), "one of them")
         try:
             self.waveform((info.context or {}).get("home", Path()))
-            quantity(self.ac, self.unit)
+            quantity(self.ac, self.unit, where="ac")
         except UsageError as error:
-            raise refused(error.message, error.expected or "numbers with units") from None
+            expected = error.expected or "numbers with units"
+            raise refused(error.message, expected, error.where) from None
         return self
 
     @property
@@ -108,7 +109,8 @@ class SourceKeys(Section):
         unit = self.unit
         if self.pulse is not None:
             p = self.pulse
-            low, high = quantity(p.low, unit), quantity(p.high, unit)
+            low = quantity(p.low, unit, where="pulse.low")
+            high = quantity(p.high, unit, where="pulse.high")
             if p.width < p.edge or p.edge <= 0:
                 raise UsageError(
                     "the edges are longer than the pulse", expected="width >= edge > 0"
@@ -118,13 +120,18 @@ class SourceKeys(Section):
             return waves_.pulse(low, high, p.start, p.width, p.edge, p.period, p.count)
         if self.sine is not None:
             s = self.sine
-            return waves_.sine(quantity(s.amplitude, unit), s.frequency, s.start)
+            return waves_.sine(
+                quantity(s.amplitude, unit, where="sine.amplitude"), s.frequency, s.start
+            )
         if self.pwl is not None:
-            points = np.array([[quantity(t, "s"), quantity(v, unit)] for t, v in self.pwl])
-            return _rising(points, "pwl")
+            points = [
+                [quantity(t, "s", where=f"pwl.{k}.0"), quantity(v, unit, where=f"pwl.{k}.1")]
+                for k, (t, v) in enumerate(self.pwl)
+            ]
+            return _rising(np.array(points), "pwl")
         if self.file is not None:
             return _rising(_table(home, self.file), self.file)
-        return waves_.constant(quantity(0.0 if self.dc is None else self.dc, unit))
+        return waves_.constant(quantity(0.0 if self.dc is None else self.dc, unit, where="dc"))
 
 
 class Source(PartType):

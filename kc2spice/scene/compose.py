@@ -14,7 +14,7 @@ from itertools import combinations
 from string import ascii_lowercase
 from typing import Any
 
-from kc2spice.core.errors import UsageError, did_you_mean, unknown
+from kc2spice.core.errors import UsageError, candidates, did_you_mean, unknown
 from kc2spice.scene.frames import frames
 from kc2spice.scene.model import GROUND, METER, Build, Names, Part, PartType, Scene, Terminal
 from kc2spice.scene.parttype import current_into
@@ -100,14 +100,15 @@ def _target(target: str, scene: Scene, where: str) -> Pin:
     name, dot, pin = target.partition(".")
     if (name, pin) in scene.terminals:
         return (name, pin)
-    pins = [other for part, other in scene.terminals if part == name]
+    pins = [f"{name}.{other}" for part, other in scene.terminals if part == name]
     if pins and not dot:
-        expected = f"{name} with one of its pins: " + ", ".join(f"{name}.{p}" for p in pins)
+        expected = f"{name} with one of its pins: {candidates(target, pins)}"
     elif pins:
-        expected = f"a pin of {name}: " + ", ".join(pins)
+        expected = f"a pin of {name}: {candidates(target, pins)}"
     else:
-        expected = "gnd or PART.PIN with a part of the scene: " + ", ".join(scene.parts)
-    near = did_you_mean(pin, pins) if pins else did_you_mean(name, scene.parts)
+        listed = candidates(name, scene.parts)
+        expected = f"gnd or PART.PIN with a part of the scene: {listed}"
+    near = did_you_mean(target, pins) if pins else did_you_mean(name, scene.parts)
     raise UsageError(
         "no such pin to join", where=where, got=repr(target), expected=expected, hint=near
     )
@@ -223,7 +224,8 @@ def _not_joined(name: str, terminal: Terminal, alone: Collection[Pin], scene: Sc
     else:
         hint = f'add  pins = {{ {pin} = "{GROUND}" }}  to [{name}]'
     ground = [] if terminal.moving else [GROUND]
-    what = "a pin of displacement" if terminal.moving else f"a pin of {terminal.kind}"
+    kind = "an electrical pin" if terminal.kind == "V/A" else f"a pin of {terminal.kind}"
+    what = "a pin of displacement" if terminal.moving else kind
     return UsageError(
         f"pin {pin} of {name} is not joined",
         where=f"{name}.pins.{pin}",

@@ -219,6 +219,7 @@ _WORD, _INDEX = r"[A-Za-z_][A-Za-z0-9_]*", r"\[-?[0-9]{1,6}\]"
 _KEY = re.compile(rf"{_WORD}({_INDEX})*(\.{_WORD}({_INDEX})*)*")
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,47}")
 _ALTERNATIVES = {"rom.order": "tolerance", "rom.tolerance": "order"}  # one replaces the other
+_PARTS = "kc2spice scenes --parts"  # lists the part types with their keys
 _GRAMMAR = ("part", "pins")  # keys of every part table
 _OVERRIDE = "dotted.key=value, such as kick.drive.voltage=80 or beam.layers[0].thickness=0.2 mm"
 
@@ -302,8 +303,7 @@ def _only_parts_of(data: Mapping[str, Any], stated: Sequence[str], source: _Sour
             f"this scene has no part {name!r}",
             where=source.where(name),
             expected=f"a key of one of its parts: {candidates(name, parts)}",
-            hint=did_you_mean(name, parts)
-            or f"a new part needs its type: --set {name}.part=TYPE (kc2spice scenes --parts)",
+            hint=did_you_mean(name, parts) or "use the name of one of these parts",
         )
 
 
@@ -418,7 +418,7 @@ def _unknown(name: str, data: Mapping[str, Any]) -> UsageError:
     return UsageError(
         "unknown key",
         where=name,
-        expected=", ".join(Frame.model_fields) + ", or a table with part = TYPE",
+        expected=f"one of {candidates(name, Frame.model_fields)}, or a table with part = TYPE",
         hint=did_you_mean(name, Frame.model_fields) or did_you_mean(name, own) or below,
     )
 
@@ -430,13 +430,13 @@ def _type(name: str, table: Mapping[str, Any]) -> PartType:
         raise UsageError(
             "this table states no part type",
             where=name,
-            expected=f"part = one of {candidates(name, type_names())}",
+            expected=f"part = one of {candidates(name, type_names(), _PARTS)}",
             hint=near
             or f'add  part = "TYPE"  to [{name}]; kc2spice scenes --parts lists the types',
         )
     result = part_type(selected) if isinstance(selected, str) else None
     if result is None:
-        raise unknown("unknown part type", selected, type_names(), f"{name}.part")
+        raise unknown("unknown part type", selected, type_names(), f"{name}.part", _PARTS)
     return result
 
 
@@ -474,7 +474,7 @@ def _validated(
     try:
         return schema.model_validate(table, context=context)
     except ValidationError as error:
-        path, words = describe_invalid(error, schema, at, _GRAMMAR if at else ())
+        path, words = describe_invalid(error, schema, at, _GRAMMAR if at else (), table)
         raise UsageError(where=".".join(map(str, path)), **words) from None
 
 
@@ -539,7 +539,9 @@ def _not_found(name: str, path: Path, scenes: Iterable[str]) -> UsageError:
     """The error of a file that does not exist, or of a name that no built-in scene has."""
     listing = "kc2spice scenes lists the built-in scenes"
     if path.suffix != ".toml" and len(path.parts) == 1:
-        expected = f"a TOML file, or a built-in scene: {candidates(name, scenes)}"
+        expected = (
+            f"a TOML file, or a built-in scene: {candidates(name, scenes, 'kc2spice scenes')}"
+        )
         hint = did_you_mean(name, scenes) or listing
         return UsageError("no such scene", got=repr(name), expected=expected, hint=hint)
     with contextlib.suppress(OSError):

@@ -228,7 +228,7 @@ def test_at_most_five_candidates_are_listed(cli):
     done = cli("run", "buzer_7bb")
     listed = next(line for line in done.stderr.splitlines() if "expected" in line)
     assert listed.count("buzzer_7bb") == 5
-    assert "in all)" in listed
+    assert "(39 in all: kc2spice scenes)" in listed
 
 
 def test_a_key_of_a_part_that_the_scene_lacks(cli):
@@ -378,3 +378,40 @@ def test_damping_beyond_the_critical(cli):
     done = cli("run", "kick_and_catch", "--set", "kick.damping.ratio=2")
     assert done.exit_code == 2
     assert "leaves nothing that oscillates" in done.stderr
+
+
+@pytest.mark.parametrize(
+    ("line", "otherwise", "head", "got"),
+    [
+        ('resistance = "1 kOhm"', 'resistance = "-1 kOhm"', "key r1.resistance", "'-1 kOhm'"),
+        ('resistance = "1 kOhm"', "resistance = -1e3", "key r1.resistance", "-1000.0"),
+        ('dc = "10 V"', 'dc = "10V DC"', "key battery.dc: unknown unit 'V DC'", "'10V DC'"),
+        ('dc = "10 V"', 'sine = { amplitude = "1 A", frequency = 50 }', "sine.amplitude", "'1 A'"),
+        ('dc = "10 V"', 'pwl = [[0, 0], ["1 ms", "1 A"]]', "battery.pwl[1][1]", "'1 A'"),
+    ],
+)
+def test_a_value_is_quoted_as_typed_with_its_key(divider, line, otherwise, head, got):
+    code, said = divider(line, otherwise)
+    assert (code, said["got"]) == (2, got)
+    assert head in said["head"]
+
+
+def test_choices_of_a_key_are_five_and_the_nearest_is_named(divider):
+    code, said = divider('take = "final"', 'take = "finel"')
+    assert (code, said["next"]) == (2, "did you mean 'final'?")
+    assert said["expected"].count(",") == 5
+    assert "(10 in all: kc2spice scenes --keys)" in said["expected"]
+    assert divider('take = "final"', 'take = "final"')[0] == 0
+
+
+def test_a_pin_that_a_part_lacks(divider):
+    code, said = divider('pins = { a = "battery.out" }', 'pins = { a = "battery.ouput" }')
+    assert (code, said["next"]) == (2, "did you mean 'battery.out'?")
+    assert "battery.out" in said["expected"]
+
+
+def test_an_override_of_a_part_that_the_scene_lacks(divider):
+    code, said = divider("[r1]", "[r1]", "--set", "load.resistance=3")
+    assert code == 2
+    assert said["expected"] == "a key of one of its parts: battery, r1, r2"
+    assert "part=" not in said["next"]

@@ -100,7 +100,7 @@ MISTAKES = {
     ),
     "no such pin of the other part": (
         _changed('"lower.a"', '"lower.c"'),
-        9, "upper.pins.b", ["no such pin to join", "a pin of lower: a, b"],
+        9, "upper.pins.b", ["no such pin to join", "a pin of lower: lower.a, lower.b"],
     ),
     "a part without its pin": (
         _changed('"lower.a"', '"lower"'),
