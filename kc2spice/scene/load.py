@@ -91,6 +91,7 @@ def problems(scene: Scene) -> Iterator[UsageError]:
             expected=f"at most {MOST_POINTS:g}",
             hint="raise solver.max_step, or end earlier (analysis.stop or solver.stop)",
         )
+    yield from _without_effect(selected)
     if selected.type != "dc" and selected.sweep is not None:
         yield UsageError(
             "only dc sweeps a key",
@@ -155,6 +156,30 @@ def problems(scene: Scene) -> Iterator[UsageError]:
             yield from _misplaced(f"probes.{name}.{key}", place, scene)
         if probe.periods is not None:
             yield from _no_periods(f"probes.{name}.periods", probe.periods, scene)
+
+
+def _without_effect(selected: Analysis) -> Iterator[UsageError]:
+    """Keys of the analysis that its type does not read; sweep, back and output have own errors."""
+    readers = {
+        "stop": ("transient", "ac", "noise"),
+        "start": ("ac", "noise"),
+        "scale": ("ac", "noise"),
+        "points": ("ac", "noise", "dc"),
+        "from_": ("dc",),
+        "to": ("dc",),
+    }
+    for name, types in readers.items():
+        value = getattr(selected, name)
+        if selected.type in types or name not in selected.model_fields_set or value is None:
+            continue
+        key = name.rstrip("_")
+        yield UsageError(
+            f"{key} has no effect in {selected.type}",
+            where=f"analysis.{key}",
+            got=f"{key} with type = {selected.type}",
+            expected=f"{key} with type = {' or '.join(types)}",
+            hint=f"delete the key {key} of [analysis]",
+        )
 
 
 def _no_periods(where: str, count: int, scene: Scene) -> Iterator[UsageError]:

@@ -404,6 +404,25 @@ def test_choices_of_a_key_are_five_and_the_nearest_is_named(divider):
     assert divider('take = "final"', 'take = "final"')[0] == 0
 
 
+@pytest.mark.parametrize("line", ['stop = "1 ms"', "points = 5", "start = 10", "to = 2"])
+def test_a_key_without_effect_in_the_analysis(divider, line):
+    code, said = divider('type = "op"', f'type = "op"\n{line}')
+    key = line.split()[0]
+    assert code == 2
+    assert f"key analysis.{key}: {key} has no effect in op" in said["head"]
+    assert said["next"] == f"delete the key {key} of [analysis]"
+
+
+def test_measurements_and_models_that_do_not_exist(cli):
+    done = cli("fit", "buzzer_7bb_20_6:disc", "none.csv", "--vary", "damping.quality")
+    assert done.exit_code == 2
+    assert "none.csv: this file does not exist" in done.stderr
+    done = cli("reduce", "nothere.K")
+    assert done.exit_code == 2
+    assert "nothere.K: this file does not exist" in done.stderr
+    assert "nothere.K.M" not in done.stderr
+
+
 def test_a_pin_that_a_part_lacks(divider):
     code, said = divider('pins = { a = "battery.out" }', 'pins = { a = "battery.ouput" }')
     assert (code, said["next"]) == (2, "did you mean 'battery.out'?")

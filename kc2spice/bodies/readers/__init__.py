@@ -198,11 +198,11 @@ def _read(path: Path, files: dict[str, Path], wanted: Mapping[str, str]) -> raw.
     if files:
         return _matrices(files)
     if not raw.present(path) or suffix == ".toml":
-        expected = (
-            f"{path.name}.M .E .K .B .C (or .A), .mtx, .matrix, .mat, .npz, .op4, .pch, .sti or "
-        )
-        expected += ".full; or a TOML file with 'files'"
-        raise wrong(str(path), "no such model", expected=expected)
+        if not raw.present(path) and suffix:
+            raise raw.absent(path, "a model: kc2spice reduce --help lists the kinds of files")
+        expected = f"{path.name}.M and {path.name}.K, or {path.name}.npz or .mat"
+        hint = "kc2spice reduce --help lists the kinds of files"
+        raise wrong(str(path), "no such model", expected=expected, hint=hint)
     if suffix not in READERS:
         hint = 'or name the files in NAME.toml: files = { K = "...", M = "..." }'
         got = "one file that is not called after its matrix"

@@ -20,7 +20,7 @@ from typing import Literal
 import numpy as np
 
 from kc2spice.bodies.readers.columns import Column, column_of, read_table, read_title, units_of
-from kc2spice.bodies.readers.raw import guarded, in_own_process, present, refused, vectors
+from kc2spice.bodies.readers.raw import absent, guarded, in_own_process, present, refused, vectors
 from kc2spice.core.equality import EqualByContent
 from kc2spice.core.errors import wrong
 from kc2spice.core.foreign import read_bounded
@@ -192,6 +192,9 @@ def read_measured(path: Path) -> Measured:
     """
     match = _TOUCHSTONE.fullmatch(path.suffix)
     expected = "a Touchstone file" if match else f"a table of an impedance analyser; {HINT}"
+
+    if not present(path):
+        raise absent(path, expected)
 
     def read() -> Response:
         if path.suffix.lower() == ".mat":

@@ -76,6 +76,14 @@ def present(path: Path) -> bool:
         return False
 
 
+def absent(path: Path, what: str) -> UsageError:
+    """The error of a file that does not exist; ``what`` is the kind of file."""
+    where = str(path).replace("\0", "\\0")
+    return UsageError(
+        "this file does not exist", where=where, expected=what, hint="give the path of a file"
+    )
+
+
 def existing(path: Path, what: str = "a model in this file") -> Path:
     """``path``, which is a file of a size that can be read.
 
@@ -84,8 +92,7 @@ def existing(path: Path, what: str = "a model in this file") -> Path:
     UsageError : no such file, or one above ``MAX_BYTES``.
     """
     if not present(path):
-        where = str(path).replace("\0", "\\0")
-        raise UsageError("no such file", where=where, expected=what)
+        raise absent(path, what)
     size = path.stat().st_size
     if size > MAX_BYTES:
         raise refused(path, f"{size} bytes", f"at most {MAX_BYTES:.3g}")
