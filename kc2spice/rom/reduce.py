@@ -912,7 +912,7 @@ def surrogate(
     error, worst = float(errors.max()), int(errors.max(axis=(1, 2)).argmax())
     if error > EXACT and error > _solution_rounding(model.pencil, frequency[worst], exact[worst]):
         raise SimulationError(
-            "the basis cannot replace the full model",
+            "the reduced model misses the tolerance",
             where="harmonic reference",
             got=f"largest relative error {error:.1e} with {small.order} states",
             expected=f"at most {EXACT:g}",

@@ -133,7 +133,7 @@ def _libraries(build: Build, header: Header) -> Iterator[Subcircuit]:
                 yield result
             elif same.text != result.text:
                 raise UsageError(
-                    f"{first} and {part.name} have different libraries of one name",
+                    f"{first} and {part.name} write different libraries with the same name",
                     where=part.name,
                     got=result.filename,
                     expected="names that differ",

@@ -143,6 +143,8 @@ def test_one_name_of_two_libraries_is_refused_with_both_parts(tmp_path, monkeypa
         "n": {"part": "netlist", "file": "one/r.lib", "subckt": "r"},
         "m": {"part": "netlist", "file": "two/r.lib", "subckt": "r", "pins": {"a": "n.a"}},
     })  # fmt: skip
-    with pytest.raises(UsageError, match="n and m have different libraries of one name") as told:
+    with pytest.raises(
+        UsageError, match="n and m write different libraries with the same name"
+    ) as told:
         make_deck(built(scene))
     assert "key number" in told.value.hint

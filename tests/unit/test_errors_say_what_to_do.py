@@ -434,3 +434,33 @@ def test_an_override_of_a_part_that_the_scene_lacks(divider):
     assert code == 2
     assert said["expected"] == "a key of one of its parts: battery, r1, r2"
     assert "part=" not in said["next"]
+
+
+@pytest.mark.parametrize(
+    ("words", "head", "got", "expected"),
+    [
+        (("bench", "impact", "--error", "2"), "--error: out of range", "2", "1e-12 to 1"),
+        (("bench", "impact", "--error=x"), "--error: not a number", "x", "a number"),
+        (("bench", "impact", "--repeats", "0"), "--repeats: out of range", "0", "at least 1"),
+        (("export", "impact", "--tolerance", "-1"), "--tolerance: out of range", "-1", "> 0"),
+        (("reduce", "x.K", "--band", "1k", "2k"), "--band: not a number", "1k", "numbers in Hz"),
+    ],
+)
+def test_options_quote_what_was_typed(cli, words, head, got, expected):
+    done = cli(*words)
+    assert done.exit_code == 2
+    rows = [line.split() for line in done.stderr.splitlines()]
+    assert head in done.stderr
+    assert ["got:", got] in rows
+    assert ["expected:", *expected.split()] in rows
+    if "--band" in words:
+        assert "--band 1000 2000" in done.stderr
+
+
+def test_a_log_range_that_starts_at_zero(divider):
+    for text in ("log:0:2:5", "log:0 Ohm:2 Ohm:5", "log:1:-2:5"):
+        sets = ("--set", f"r1.resistance={text}", "--dry-run")
+        code, said = divider("[r1]", "[r1]", *sets, command="sweep")
+        assert (code, said["got"]) == (2, text)
+    sets = ("--set", "r1.resistance=log:0.05:2:5", "--dry-run")
+    assert divider("[r1]", "[r1]", *sets, command="sweep")[0] == 0

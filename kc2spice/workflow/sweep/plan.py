@@ -22,6 +22,7 @@ from kc2spice.scene.load import override_value
 
 MAX_POINTS = 10_000_000
 PARAMETER = re.compile(r"param\.(\w+\.\w+)")  # PART.NAME of a subcircuit, not a scene key
+_ZERO = re.compile(r"[+-]?(0+\.?0*|\.0+)([eE][-+]?\d+)?(?![\d.])")
 GRAMMAR = "a:b:n, log:a:b:n, x,y,z, normal(mu,sigma,n) or uniform(a,b,n)"
 _CALL = re.compile(r"(normal|uniform)\s*\((.*)\)", re.DOTALL)
 
@@ -48,6 +49,17 @@ class Draws:
 
 
 # --- one range ----------------------------------------------------------------------------------
+
+
+def _crosses_zero(text: str) -> UsageError:
+    """The error of a logarithmic range whose ends have no common sign."""
+    return UsageError(
+        "a log range cannot start at, end at or cross 0",
+        where="--set",
+        got=text,
+        expected="log:FIRST:LAST:POINTS with two values above zero, or two below",
+        hint="write a first and a last value of one sign",
+    )
 
 
 def form(text: str) -> tuple[str, list[str]]:
@@ -77,6 +89,8 @@ def form(text: str) -> tuple[str, list[str]]:
                 if len(words) == 2
                 else None,
             )
+        if kind == "log" and any(_ZERO.match(word) for word in words[:2]):
+            raise _crosses_zero(text)
         return kind, words
     words = _split(text, ",")
     return ("list", words) if len(words) > 1 else ("value", words)
@@ -132,7 +146,7 @@ def parse(name: str, text: str, keys: Mapping[str, Key]) -> Values | Draws:
         if drawn:
             return Draws(kind, a, b, int(count))
         if kind == "log" and not a * b > 0:
-            raise refused("a logarithmic range does not pass zero", f"{a:g} … {b:g}")
+            raise _crosses_zero(text)
         values = (np.geomspace if kind == "log" else np.linspace)(a, b, int(count)).tolist()
         if key.whole and not all(value == round(value) for value in values):
             raise refused("not all values are whole numbers", values[:5])
