@@ -6,7 +6,7 @@ a noise analysis has one output voltage.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -215,7 +215,16 @@ def require_probed(build: Build) -> None:
         if "." not in probe.of or probe.of in known or owner in waiting:
             continue  # without a dot: time, frequency
         choices = _every_result(build, waiting)
-        raise unknown("no such vector", probe.of, choices, f"probes.{name}.of")
+        own = [each for each in choices if each.startswith(f"{owner}.")]
+        error = unknown("no such result", probe.of, own or choices, f"key probes.{name}.of")
+        error.hint = error.hint or _abbreviated(probe.of, own)
+        raise error
+
+
+def _abbreviated(name: str, choices: Sequence[str]) -> str | None:
+    """What to write instead of ``r2.voltage`` where a result is called ``r2.v``."""
+    near = [choice for choice in choices if name.startswith(choice)]
+    return f"did you mean {max(near, key=len)!r}?" if near else None
 
 
 def _every_result(build: Build, waiting: Collection[str]) -> list[str]:

@@ -423,6 +423,13 @@ def test_measurements_and_models_that_do_not_exist(cli):
     assert "nothere.K.M" not in done.stderr
 
 
+def test_a_probe_of_a_result_that_a_part_lacks(divider):
+    code, said = divider('of = "r2.v"', 'of = "r2.voltage"')
+    assert (code, said["got"]) == (2, "'r2.voltage'")
+    assert "probes.middle.of: no such result" in said["head"]
+    assert said["next"] == "did you mean 'r2.v'?"
+
+
 def test_a_pin_that_a_part_lacks(divider):
     code, said = divider('pins = { a = "battery.out" }', 'pins = { a = "battery.ouput" }')
     assert (code, said["next"]) == (2, "did you mean 'battery.out'?")
