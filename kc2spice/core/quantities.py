@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from decimal import Decimal
 from functools import partial
 from numbers import Real
-from typing import Annotated, Any, Literal, TypeVar, get_args
+from typing import Annotated, Any, ClassVar, Literal, TypeVar, get_args
 
 from pydantic import (
     BaseModel,
@@ -33,7 +33,6 @@ from kc2spice.core.errors import UsageError, candidates, did_you_mean
 AIR_DENSITY = 1.204  # kg/m3 at 20 °C and 1013 hPa
 
 KeyPath = tuple[str | int, ...]
-_KEYS = "kc2spice scenes --keys"  # lists all keys with their choices
 # Names that pydantic gives to members of a union, such as ``dict[str,float]``; they are not keys.
 _MEMBER = re.compile(r"\]$|^(float|int|str|bool)$")
 
@@ -89,7 +88,7 @@ def _words(
             fields = [*_table(schema, path).model_fields, *(also if len(path) == 1 else ())]
             word, every = str(path[-1]), (dotted(item) for item, _ in entries(schema))
             near = did_you_mean(word, fields) or did_you_mean(word, every)
-            return "unknown key", "one of " + candidates(word, fields, _KEYS), near
+            return "unknown key", "one of " + candidates(word, fields, _listed(schema)), near
         case "missing":
             return f"{dotted(whole)} is missing", None, None
         case "string_pattern_mismatch":
@@ -102,7 +101,7 @@ def _words(
         case "literal_error":
             choices = re.findall(r"'?(\w+)'?(?:, | or |$)", context["expected"])
             near = did_you_mean(str(found["input"]), choices)
-            listed = candidates(found["input"], choices, _KEYS)
+            listed = candidates(found["input"], choices, _listed(schema))
             return "no such choice", f"one of {listed}", near
         case "int_type":
             return "not a whole number", "a whole number, without quotes", None
@@ -133,6 +132,11 @@ def _words(
         case "value_error":
             return str(context["error"]), None, None
     return found["msg"], context.get("expected"), None
+
+
+def _listed(schema: type[BaseModel]) -> str | None:
+    """The command or page that lists all keys of a table."""
+    return getattr(schema, "listed", None)
 
 
 def _table(schema: type[BaseModel], path: KeyPath) -> type[BaseModel]:
@@ -436,6 +440,7 @@ class Section(BaseModel):
     """A table of the scene file: no unknown keys, no later change."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, validate_default=True, defer_build=True)
+    listed: ClassVar[str] = "kc2spice scenes --keys"  # command or page with all keys and choices
 
 
 Schema = TypeVar("Schema", bound=Section)

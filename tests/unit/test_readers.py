@@ -554,8 +554,8 @@ def test_models_that_are_none(tmp_path, matrices, words):
     ("text", "words"),
     [
         ("x = [", ("m.toml, line 1", "add ] at the end of line 1")),
-        ("colour = 1\n" + TIP, ("colour", "band")),
-        (TIP + "colour = 1\n", ("ports[0]", "colour", "axis")),
+        ("colour = 1\n" + TIP, ("colour", "ports, ", "docs/reference/matrices.md")),
+        (TIP + "colour = 1\n", ("ports[0]", "colour", "column", "docs/reference/matrices.md")),
         (TIP.replace('"tip"', "3"), ("ports[0].name",)),
         (TIP.replace('"tip"', '"a\\nb"'), ("ports[0].name",)),
         (TIP.replace("mechanical", "magic"), ("kind", "magic", "mechanical")),

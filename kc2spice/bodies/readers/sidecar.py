@@ -50,7 +50,7 @@ import math
 from collections import Counter
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, ClassVar, Literal
 
 from pydantic import (
     AfterValidator,
@@ -266,6 +266,8 @@ class Damping(Section):
 
 class Sidecar(Section):
     """Everything that ``NAME.toml`` says; the defaults are those of a model without one."""
+
+    listed: ClassVar[str] = "docs/reference/matrices.md"
 
     ports: tuple[PortEntry, ...] = ()
     fixed: tuple[Fixed, ...] = ()
