@@ -112,7 +112,7 @@ def test_a_source_of_the_name_of_a_meter_keeps_its_own(scene):
 
 @pytest.mark.parametrize("name", ["own.i(Rnone)", "own.none", "drive.none.current", "load.b.power"])
 def test_what_no_part_has_is_refused_before_a_run(scene, name):
-    with pytest.raises(UsageError, match=r"no such (pin|vector)"):
+    with pytest.raises(UsageError, match=r"no such (pin|vector|result)"):
         kc.deck(scene("type='op'", "dc = 1.0", probes={"x": name}))
 
 
