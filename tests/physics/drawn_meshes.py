@@ -107,6 +107,25 @@ def from_file(draw, size, dimension, **table):
     return make
 
 
+def box_groups(gmsh, boxes, margin):
+    """Groups of boxes (two opposite corners by name) and of four of their faces, for the writer of
+    meshes: entities within ``margin`` of each."""
+    groups = {}
+    for name, (low, high) in boxes.items():
+        for dimension, word, (a, b) in (
+            (3, "", (low, high)),
+            (2, "_low", (low, (*high[:2], low[2]))),
+            (2, "_high", ((*low[:2], high[2]), high)),
+            (2, "_left", (low, (low[0], *high[1:]))),
+            (2, "_right", ((high[0], *low[1:]), high)),
+        ):
+            near = (*np.subtract(a, margin), *np.add(b, margin))
+            inside = gmsh.model.getEntitiesInBoundingBox(*near, dimension)
+            if inside:
+                groups[dimension, name + word] = [tag for _, tag in inside]
+    return groups
+
+
 def shape(pieces, holes, coarser):
     """Bonded pieces ``{name: (kind, low, high)}`` in millimetres, their lowest, highest, left and
     right faces as groups. A cylinder stands in its box; ``holes`` are cylinders cut out of the
@@ -130,20 +149,7 @@ def shape(pieces, holes, coarser):
         if len(made) > 1:
             occ.fragment(made[:1], made[1:])
         occ.synchronize()
-        groups = {}
-        for name, (_, low, high) in pieces.items():
-            for dimension, word, (a, b) in (
-                (3, "", (low, high)),
-                (2, "_low", (low, (*high[:2], low[2]))),
-                (2, "_high", ((*low[:2], high[2]), high)),
-                (2, "_left", (low, (low[0], *high[1:]))),
-                (2, "_right", ((high[0], *low[1:]), high)),
-            ):
-                near = (*np.subtract(a, 1e-3), *np.add(b, 1e-3))
-                inside = gmsh.model.getEntitiesInBoundingBox(*near, dimension)
-                if inside:
-                    groups[dimension, name + word] = [tag for _, tag in inside]
-        return groups
+        return box_groups(gmsh, {name: ends for name, (_, *ends) in pieces.items()}, 1e-3)
 
     return draw
 

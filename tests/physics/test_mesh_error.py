@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from drawn_meshes import drawn, rows
+from drawn_meshes import box_groups, drawn, rows
 from test_body import section, slabs, write
 
 from kc2spice.bodies.device import undamped_answers
@@ -63,20 +63,7 @@ def solids(boxes, names):
         if len(made) > 1:
             occ.fragment(made[:1], made[1:])
         occ.synchronize()
-        groups = {}
-        for name, (low, high) in zip(names, boxes, strict=True):
-            for dimension, word, (a, b) in (
-                (3, "", (low, high)),
-                (2, "_low", (low, (*high[:2], low[2]))),
-                (2, "_high", ((*low[:2], high[2]), high)),
-                (2, "_left", (low, (low[0], *high[1:]))),
-                (2, "_right", ((high[0], *low[1:]), high)),
-            ):
-                near = (*np.subtract(a, 1e-6), *np.add(b, 1e-6))
-                inside = gmsh.model.getEntitiesInBoundingBox(*near, dimension)
-                if inside:
-                    groups[dimension, name + word] = [tag for _, tag in inside]
-        return groups
+        return box_groups(gmsh, dict(zip(names, boxes, strict=True)), 1e-6)
 
     return draw
 
