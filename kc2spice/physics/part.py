@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 _NODE = {"displacement": ("um", "N"), "voltage": ("V", "A"), "current": ("V", "A"),
          "acceleration": ("m/s2", "N")}  # fmt: skip
-STRIKES = 1.0  # strikes of a stop; plates with two to nine strikes had errors of up to 20 %
+STRIKES = 1.0  # strikes of a stop without a warning; two to nine caused errors of up to 20 %
 REBOUND = "what follows may hang on every step: error_budget estimates the error of each metric"
 _OWN = "f|x|in|q|l|rest|copy|sense|first|second|noise|speed|place|pushed|state"
 _INNER = rf"(?:{_OWN})_.+|(?:edge|poly)\d+|tick"  # nodes
@@ -349,8 +349,8 @@ def _heat(
 ) -> np.ndarray:
     """The heat (nt - 1,) of each step, by what is ``known`` (nt,) at both of its ends.
 
-    The velocity of what has no mass jumps where what moves it has a corner. In a step it is the
-    mean velocity of this step, which ``means`` (nt - 1,) are.
+    The velocity of a coordinate without mass jumps at each corner of the drive. ``means``
+    (nt - 1,) are its mean velocities over the steps, and replace the values at the ends.
     """
     ends = (
         {name: v[cut] if np.size(v) > 1 else v for name, v in known.items()} | dict(means)

@@ -233,7 +233,7 @@ class _Search:
         return max(self.raised, 1.0) * known.error_estimate + SAFETY * self.apart(modes)
 
     def checked(self, result: LinearModel) -> float:
-        """Largest difference of a model to direct solutions of the full one."""
+        """Largest relative difference between ``result`` and direct solutions of the full model."""
         low, high = self.band
         sharp = np.sort(Response(result.pencil.dense()).within(self.band)[0])[:DIRECT]
         few = np.r_[low + (high - low) * (np.arange(DIRECT) + 0.4) / DIRECT, sharp]
@@ -268,8 +268,8 @@ NONE = np.empty(0), np.empty(0)  # amplitudes and rates
 
 
 def with_viscous_loss(model: LinearModel, beta: float) -> tuple[LinearModel, tuple[float, float]]:
-    """The model with damping ``beta H`` beside its own instead of structural damping H, and the
-    shares of M and K of its own."""
+    """Replace structural damping H by viscous damping ``beta H``; return the model and the shares
+    of M and K in its other damping."""
     if model.first_order:
         raise UsageError("structural damping is of second-order models", where=model.name)
     plain = replace(model, loss_factor=0.0, loss=None)
