@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from kc2spice.core.errors import UsageError
-from kc2spice.core.foreign import lines_of, parse_toml
+from kc2spice.core.foreign import DEEPEST, LONGEST_KEY, MAX_BYTES, lines_of, parse_toml
 
 MOST_LINES = 40  # between an opening bracket and the line at which the parser stops
 LONGEST_LINE = 500  # characters of a line that are looked at
@@ -57,7 +57,14 @@ def invalid_toml(text: str, error: ValueError, label: str) -> UsageError:
     """
     number = _line_number(text, str(error))
     if number is None:  # too long or nested too deeply
-        return UsageError("not valid TOML", where=label, got=str(error))
+        return UsageError(
+            "not valid TOML",
+            where=label,
+            got=str(error),
+            expected=f"at most {MAX_BYTES} characters, keys of at most {LONGEST_KEY} characters, "
+            f"and tables and arrays nested at most {DEEPEST} deep",
+            hint=f"delete from {label} what exceeds these limits",
+        )
     # of long lines a part: patterns take time with the square of the length
     lines = [line[:LONGEST_LINE] for line in lines_of(text)] or [""]
     number = min(number, len(lines))

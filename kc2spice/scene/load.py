@@ -312,7 +312,8 @@ def load_scene(
     try:
         return _scene(data, source.folder)
     except UsageError as problem:
-        if problem.where is not None:
+        # a file that the scene names is a place of its own, not a key
+        if problem.where is not None and not Path(problem.where).is_absolute():
             problem.where = source.where(problem.where)
         raise
 
