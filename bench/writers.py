@@ -23,7 +23,10 @@ def writers(setup):
     pairs, ports = (4, 2) if setup.quick else (50, 4)
     fit, answer = multiport(5, pairs, ports)
     theirs = _scikit(setup, fit, ports)
-    ours = _admittance(*_state_space(fit, ports), OHM)
+    residues = np.moveaxis(fit.residues.reshape(ports, ports, -1), 2, 0)
+    ours = _admittance(
+        *_state_space(fit.poles, residues, fit.constant_coeff.reshape(ports, ports)), OHM
+    )
     certificate = Certificate((0.0, TOP), 0.0, "its poles", True, True)
     given = {"ports": ours.ports, "certificate": certificate}
     closed = LinearModel(**dict(zip("ABCD", ours.state_space(), strict=True)), **given)

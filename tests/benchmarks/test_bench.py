@@ -10,7 +10,7 @@ from bench.__main__ import PARTS
 from bench.__main__ import bench as bench_of
 from kc2spice.core.errors import UsageError
 
-pytestmark = [pytest.mark.slow, pytest.mark.campaign]  # other programs, every scene
+pytestmark = pytest.mark.slow  # other programs, every scene
 
 RATIOS = {
     "loop_cpu_s", "loop_vs_scipy", "loop_vs_scipy_specialised", "loop_vs_floor", "harmonic",
