@@ -15,11 +15,12 @@ from dataclasses import replace
 import numpy as np
 
 from kc2spice.core.errors import SimulationError, UsageError
+from kc2spice.equations.circuits import Circuit, circuits
+from kc2spice.equations.scene_laws import without_law
 from kc2spice.netlist.deck import Command, Deck, over
 from kc2spice.reference.linear import Linear
 from kc2spice.rom.linear import LinearModel
 from kc2spice.scene.model import Build
-from kc2spice.workflow.verify.circuit import Circuit, circuits, without_law
 
 LARGEST_SYSTEM = 600  # unknowns; eigenvalues of larger systems take seconds
 # Near a pole a response is R / (j w - p). With points a quarter of a half-width apart, the parabola

@@ -30,8 +30,8 @@ from kc2spice.scene.rows import StepLimit, Vector
 from kc2spice.workflow.meters import result_vectors
 
 if TYPE_CHECKING:
+    from kc2spice.equations.circuits import Circuit
     from kc2spice.reference.linear import Motion
-    from kc2spice.workflow.verify.circuit import Circuit
 
 AMPLITUDE, SHAPE = 5e-4, 1e-3  # allowed error of a wave's rms; of the wave; over its largest value
 MANY, MOST = 2e5, 4e6  # points that SHAPE and AMPLITUDE are worth
@@ -76,7 +76,8 @@ def largest_step(build: Build) -> StepLimit:
 
 def _circuits(build: Build) -> tuple[list[Circuit], tuple[str, ...]]:
     """The circuits that are more than sources, and the parts that are in none."""
-    from kc2spice.workflow.verify.circuit import circuits, without_law  # which load scipy
+    from kc2spice.equations.circuits import circuits  # which loads scipy
+    from kc2spice.equations.scene_laws import without_law
 
     try:
         result = circuits(build)
@@ -250,7 +251,7 @@ def _worst(
     circuit: Circuit, motion: Motion, waves: Waveforms, vectors: Mapping[str, Vector]
 ) -> tuple[float, float, str]:
     """Largest deviation of any wave, without waves that are rounding errors."""
-    from kc2spice.workflow.verify.circuit import read
+    from kc2spice.equations.circuits import read
 
     time = waves["time"]
     pick = np.unique(np.linspace(0, time.size - 1, min(time.size, SEEN)).astype(int))

@@ -17,7 +17,7 @@ from kc2spice.workflow.decks import make_deck
 from kc2spice.workflow.judge import verdict
 from kc2spice.workflow.models import build_models, libraries
 from kc2spice.workflow.steps import largest_step
-from kc2spice.workflow.verify.circuit import solve
+from kc2spice.workflow.verify.law_solution import solve
 
 RADII = 50e-6 * np.arange(6)
 

@@ -9,6 +9,7 @@ from scipy.special import ellipk
 
 import kc2spice as kc
 from kc2spice.core.waveforms import Waveforms
+from kc2spice.equations.circuits import circuits
 from kc2spice.netlist.translate import dialect_files
 from kc2spice.physics import Declaration, DeclaredPart, displacement, seen, voltage
 from kc2spice.physics.cards import body
@@ -17,7 +18,7 @@ from kc2spice.scene import parttype
 from kc2spice.scene.load import load_scene
 from kc2spice.scene.model import Build
 from kc2spice.workflow.judge import verdict
-from kc2spice.workflow.verify.circuit import circuits, solve
+from kc2spice.workflow.verify.law_solution import solve
 
 EPS = 8.8541878188e-12
 AREA, GAP, K = 1e-8, 2e-6, 1.5

@@ -6,7 +6,7 @@ from device import models
 from kc2spice.parts._touching import separation
 from kc2spice.sim.ngspice import run_deck
 from kc2spice.workflow.decks import make_deck
-from kc2spice.workflow.verify.circuit import solve
+from kc2spice.workflow.verify.law_solution import solve
 
 KEYS = ("contact.shape=pressure", "kick.layers=3", "kick.height=150 um")
 

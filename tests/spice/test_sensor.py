@@ -10,7 +10,7 @@ from kc2spice.core.waveforms import Waveforms
 from kc2spice.scene.load import load_scene
 from kc2spice.sim.ngspice import run_deck
 from kc2spice.workflow.models import build_models
-from kc2spice.workflow.verify.circuit import solve
+from kc2spice.workflow.verify.law_solution import solve
 
 BANDWIDTH, OFFSET, STEP = 50e3, 0.3e-6, 2e-6  # Hz, m, m
 

@@ -11,7 +11,7 @@ import kc2spice as kc
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.scene.load import load_scene
 from kc2spice.scene.model import Build
-from kc2spice.workflow.verify.circuit import solve
+from kc2spice.workflow.verify.law_solution import solve
 
 PLATE = Path(__file__).parents[2] / "docs/published/plate_pull_in.toml"
 MASS, PUSH, TRAVEL, STOP = 1e-6, 1e-4, 1e-4, 1e4  # kg, N, m, N/m

@@ -17,7 +17,9 @@ from kc2spice.scene.load import load_scene
 from kc2spice.workflow.decks import make_deck
 from kc2spice.workflow.simulate import ran
 from kc2spice.workflow.verify import bodies
-from kc2spice.workflow.verify.circuit import Difference, full_solution, solve
+from kc2spice.workflow.verify.full_models import full_solution
+from kc2spice.workflow.verify.full_transient import Difference
+from kc2spice.workflow.verify.law_solution import solve
 from kc2spice.workflow.verify.verify import verify
 
 module = importlib.import_module("kc2spice.workflow.verify.verify")

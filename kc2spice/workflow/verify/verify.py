@@ -19,6 +19,8 @@ from kc2spice.core.errors import UsageError
 from kc2spice.core.files import staged
 from kc2spice.core.progress import Clock, Progress, silent
 from kc2spice.core.waveforms import Waveforms, write_record
+from kc2spice.equations.replay import replayed_nets, replayed_vectors
+from kc2spice.equations.scene_laws import without_law
 from kc2spice.netlist.deck import Deck
 from kc2spice.netlist.foreign import Flat, checked
 from kc2spice.netlist.library import Subcircuit, subcircuits
@@ -31,15 +33,8 @@ from kc2spice.workflow.decks import prepared
 from kc2spice.workflow.judge import metrics, verdict
 from kc2spice.workflow.simulate import ran
 from kc2spice.workflow.verify.bodies import verify_body
-from kc2spice.workflow.verify.circuit import (
-    finer_build,
-    full_build,
-    full_solution,
-    replayed_nets,
-    replayed_vectors,
-    solve,
-    without_law,
-)
+from kc2spice.workflow.verify.full_models import finer_build, full_build, full_solution
+from kc2spice.workflow.verify.law_solution import solve
 
 LOADED = 1e-6  # least value with a meaningful relative error, over the largest value
 LONGER, SPARE = 5.0, 30.0  # times, and s, that a finer discretisation may take beside the run's

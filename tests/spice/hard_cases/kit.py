@@ -16,7 +16,7 @@ from kc2spice.sim.ngspice import run_deck
 from kc2spice.spice.header import Header
 from kc2spice.workflow.decks import make_deck
 from kc2spice.workflow.judge import verdict
-from kc2spice.workflow.verify.circuit import solve
+from kc2spice.workflow.verify.law_solution import solve
 
 HEADER = Header("hard case", "0")
 TIMEOUT = 300.0  # s; a case that needs more has failed
