@@ -1,1 +1,5 @@
-"""Laws of a scene, joined as its parts are. In goes a build, out come networks of laws in SI."""
+"""Laws of a scene: the equations of its parts, joined as the pins of the parts are.
+
+In go a scene and the models of its parts, out come networks of laws in SI units. Solvers of these
+are in :mod:`kc2spice.reference`. Begin to read at :mod:`kc2spice.equations.scene_laws`.
+"""

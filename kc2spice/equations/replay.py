@@ -1,4 +1,7 @@
-"""Sources in place of parts without laws: they reproduce what ngspice computed on a net."""
+"""Sources in place of parts without a law: they replay what ngspice computed on a net.
+
+A scene with such parts, for example a netlist of the user, can then be integrated without them.
+"""
 
 from __future__ import annotations
 
@@ -8,12 +11,16 @@ import numpy as np
 
 from kc2spice.core.laws import Device, LinearBody, Source
 from kc2spice.core.waveforms import Recorded, Waveforms
-from kc2spice.equations.circuits import SOURCES, Circuit, circuits
-from kc2spice.equations.scene_laws import _holds, _laws
+from kc2spice.equations.networks import NODE_UNITS, Network, prescribes
+from kc2spice.equations.scene_laws import SceneLaws
 from kc2spice.scene.model import Build
 
+# Kind of the source that replays a net, by the kind of the pins there.
+SOURCES = {"electrical": "voltage", "displacement": "displacement", "signal": "signal"}
+SHORTEST = 1e-6  # time between samples, relative to the run; shorter ones have rounded differences
 
-def replayed_nets(build: Build) -> dict[str, str] | None:
+
+def replayed_nets(laws: SceneLaws) -> dict[str, str] | None:
     """Return the kind of each net that joins a part without a law to parts with laws.
 
     Sources on these nets replace the parts without a law: they reproduce the voltage, displacement
@@ -27,49 +34,63 @@ def replayed_nets(build: Build) -> dict[str, str] | None:
     * Real coils follow an elastic body. Their flux is nonlinear, so every step of the body's
       ringing needs Newton's method, which takes hours.
     """
-    result = _laws(build)
-    laws, kinds, joins = result.laws, result.kinds, result.joins()
-    met: dict[str, str] = {}
-    for net, name, pin, target in result.ends:
-        ends = build.scene.joined(name, pin)
-        others = {part for part, end in ends if not _listens(build, part, end)}
-        joined = next((pins for pins in joins.values() if target in pins), (target,))
-        if others & {*result.missing} and not any(_holds(laws, item) for item in joined):
-            met[net] = kinds[target] if met.get(net, "signal") == "signal" else met[net]
-    curved = (law for law in laws.values() if isinstance(law, Device) and not law.linear)
-    coils = any(law.storing for law in curved)
-    elastic = any(isinstance(law, LinearBody) for law in laws.values())
-    known = laws and set(met.values()) <= set(SOURCES)
-    return met if known and not (coils and elastic) else None
+    build, result = laws.build, dict[str, str]()
+    nets = {pin: pins for pins in laws.joins({}).values() for pin in pins}
+    for net, name, pin, law_pin in laws.links:
+        others = {part for part, end in build.scene.joined(name, pin) if _acts(build, part, end)}
+        joined = nets.get(law_pin, (law_pin,))
+        if others & {*laws.missing} and not any(prescribes(laws.laws, item) for item in joined):
+            kind = result.get(net, "signal")
+            result[net] = laws.kinds[law_pin] if kind == "signal" else kind
+    if not laws.laws or not set(result.values()) <= set(SOURCES) or _coils_on_body(laws):
+        return None
+    return result
 
 
-def _listens(build: Build, name: str, pin: str) -> bool:
-    """Whether a pin takes no current, of a part whose cards are our own."""
+def _coils_on_body(laws: SceneLaws) -> bool:
+    """Whether a nonlinear stored quantity, such as the flux of coils, meets an elastic body."""
+    devices = [law for law in laws.laws.values() if isinstance(law, Device)]
+    nonlinear = any(law.storing and not law.linear for law in devices)
+    return nonlinear and any(isinstance(law, LinearBody) for law in laws.laws.values())
+
+
+def _acts(build: Build, name: str, pin: str) -> bool:
+    """Whether a part may change the value on the net of a pin.
+
+    A signal input of one of our own parts takes no current.
+    """
     end = build.scene.terminals[name, pin]
-    return end.flow == "-" and not end.signal_out and not build.scene.parts[name].netlist
+    return end.flow != "-" or end.signal_out or build.scene.parts[name].netlist
 
 
-def moving(build: Build, waves: Waveforms, replayed: Mapping[str, str]) -> list[Circuit]:
-    """The circuits not given by sources alone or, on all of their nets, by ``replayed`` ones."""
-    sources = {net: _replayed(net, kind, waves) for net, kind in replayed.items()}
-    whole = circuits(build, sources)
-    parts = [c for c in whole if not all(isinstance(law, Source) for law in c.laws)]
-    held = {f"{source.name}.out" for source in sources.values()}
-    # where every net is given, such as a capacitor behind a rectifier, nothing is left to integrate
-    return [c for c in parts if not c.given(held)]
+def networks_to_solve(
+    laws: SceneLaws, waves: Waveforms, replayed: Mapping[str, str]
+) -> list[Network]:
+    """The networks of the scene, without those that sources determine completely.
+
+    Sources on the nets ``replayed`` (by net, the kind of its pins) have the values of ``waves``,
+    the results of ngspice. If they are on every net of a network, such as a capacitor behind a
+    rectifier, that network has nothing left to integrate.
+    """
+    sources = {net: _recorded_source(net, kind, waves) for net, kind in replayed.items()}
+    driven = {f"{source.name}.out" for source in sources.values()}
+    networks = laws.networks_with(sources) if sources else laws.networks
+    unsolved = [network for network in networks if not network.has_sources_only]
+    return [network for network in unsolved if not network.determined_by(driven)]
 
 
 def replayed_vectors(nets: Mapping[str, str]) -> dict[str, tuple[str, float]]:
-    """Results of a deck that hold what it has on these nets."""
-    return {f"net {net}": (f"v({net})", SOURCES[kind][1]) for net, kind in nets.items()}
+    """Results of a deck that record the values on these nets: expression, and its unit in SI."""
+    return {f"net {net}": (f"v({net})", NODE_UNITS.get(kind, 1.0)) for net, kind in nets.items()}
 
 
-def _replayed(net: str, kind: str, waves: Waveforms) -> Source:
+def _recorded_source(net: str, kind: str, waves: Waveforms) -> Source:
+    """A source of the recorded values on a net."""
     times, values = waves["time"], waves[f"net {net}"]
     # Where a contact closes, points lie picoseconds apart: their differences are rounding.
-    apart = 1e-6 * float(np.ptp(times))
-    kept = [0]
+    shortest = SHORTEST * float(np.ptp(times))
+    places = [0]
     for k in range(1, times.size):
-        if times[k] - times[kept[-1]] >= apart:
-            kept.append(k)
-    return Source(f"net {net}", SOURCES[kind][0], Recorded(times[kept], values[kept]))
+        if times[k] - times[places[-1]] >= shortest:
+            places.append(k)
+    return Source(f"net {net}", SOURCES[kind], Recorded(times[places], values[places]))

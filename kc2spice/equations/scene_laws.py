@@ -1,97 +1,144 @@
-"""Laws of all parts of a scene and the nets that join their pins."""
+"""Laws of all parts of a scene, and the nets that join their pins.
+
+:func:`scene_laws` is the entry: the choice of the time step, the resonances of small signals, the
+check of the time steps, and ``verify`` take the laws from there.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import chain
+from typing import NamedTuple
 
-from kc2spice.core.laws import GROUND, Device, Equations, Law, Source
+from kc2spice.core.laws import GROUND, Equations, Law, Reading, Source
+from kc2spice.equations.networks import (
+    Network,
+    merge_groups,
+    pin_kinds,
+    prescribes,
+    split_networks,
+)
 from kc2spice.scene.model import Build
 from kc2spice.scene.parttype import replaced
 
 
+class PinLink(NamedTuple):
+    """A pin of a part on a net of the scene, and the pin ``LAW.PIN`` that represents it."""
+
+    net: str
+    part: str
+    pin: str
+    law_pin: str
+
+
 @dataclass(frozen=True)
-class _Laws:
-    """Equations of a scene's parts, the parts that have none, and all laws with their pins."""
+class SceneLaws:
+    """Laws of the parts of a build, each asked for once, when the laws are first needed.
+
+    A part without cards has no law of its own: another part contains its copy, or moves it. A part
+    that drives a load by a signal has none either, because a signal carries no current.
+    """
 
     build: Build
-    equations: Mapping[str, Equations]
-    missing: tuple[str, ...] = ()
+
+    @cached_property
+    def equations(self) -> Mapping[str, Equations]:
+        """Equations of each part that has a law."""
+        return {k: v for k, v in self._stated.items() if k not in self._loaded_signals}
+
+    @cached_property
+    def missing(self) -> tuple[str, ...]:
+        """Names of the parts without a law: the whole scene cannot be integrated."""
+        without_cards = replaced(self.build.scene)
+        names = (name for name in self.build.scene.parts if name not in without_cards)
+        return tuple(name for name in names if name not in self.equations)
 
     @cached_property
     def laws(self) -> dict[str, Law]:
-        """By name."""
-        return {law.name: law for item in self.equations.values() for law in item.laws}
+        """All laws by name."""
+        return _by_name(self.equations)
 
     @cached_property
     def kinds(self) -> dict[str, str]:
-        """Kinds of all pins of laws."""
-        return _kinds(self.laws.values())
+        """Kind of each pin of a law."""
+        return pin_kinds(self.laws.values())
 
     @cached_property
-    def ends(self) -> list[tuple[str, str, str, str]]:
-        """Net of the scene, part, its pin, and the pin of a law that stands for it."""
-        nets = self.build.scene.nets
-        return [
-            (nets[n, pin], n, pin, end) for n, e in self.equations.items() for pin, end in e.pins
-        ]
+    def links(self) -> tuple[PinLink, ...]:
+        """Pins of the parts with a law, and the pins of laws that represent them."""
+        return tuple(_links(self.build, self.equations))
 
-    def joins(self, replayed: Mapping[str, Source] | None = None) -> dict[str, tuple[str, ...]]:
-        """Nets of the laws' pins. Nets of the scene that share a pin of a law are one."""
-        groups = [set(net) for item in self.equations.values() for net in item.nets]
-        by_net = {net: {f"{source.name}.out"} for net, source in (replayed or {}).items()}
-        for net, _, _, end in self.ends:
-            by_net.setdefault(net, {GROUND} if net == "0" else set()).add(end)
-        merged = _merged([*groups, *by_net.values()])
-        free = sorted(sorted(pins) for pins in merged if GROUND not in pins and len(pins) > 1)
-        joins = {f"n{k}": tuple(pins) for k, pins in enumerate(free)}
-        ground = next((sorted(pins - {GROUND}) for pins in merged if GROUND in pins), None)
-        return joins | ({GROUND: tuple(ground)} if ground else {})
+    @cached_property
+    def networks(self) -> tuple[Network, ...]:
+        """The networks of the scene.
+
+        Raises
+        ------
+        UsageError : the laws do not fit each other.
+        """
+        return self.networks_with({})
+
+    def networks_with(self, sources: Mapping[str, Source]) -> tuple[Network, ...]:
+        """The networks with further ``sources``, each on the net that is its key."""
+        readings: dict[str, Reading] = {}
+        sweeps: dict[tuple[str, str], tuple[str, float]] = {}
+        for name, item in self.equations.items():
+            readings |= item.results
+            sweeps |= {(name, key): source for key, source in item.sweeps.items()}
+        laws = [*self.laws.values(), *sources.values()]
+        return split_networks(laws, self.joins(sources), readings, sweeps)
+
+    def joins(self, sources: Mapping[str, Source]) -> dict[str, tuple[str, ...]]:
+        """Pins of laws on each net, with ``sources`` on nets of the scene.
+
+        Nets of the scene that share a pin of a law are one net.
+        """
+        inside = chain.from_iterable(item.nets for item in self.equations.values())
+        by_net = {net: {f"{source.name}.out"} for net, source in sources.items()}
+        for link in self.links:
+            by_net.setdefault(link.net, {GROUND} if link.net == "0" else set()).add(link.law_pin)
+        groups = merge_groups([*map(set, inside), *by_net.values()])
+        grounded = set[str]().union(*(pins for pins in groups if GROUND in pins)) - {GROUND}
+        free = [sorted(pins) for pins in groups if GROUND not in pins]
+        several = sorted(pins for pins in free if len(pins) > 1)
+        result = {f"n{k}": tuple(pins) for k, pins in enumerate(several)}
+        return result | ({GROUND: tuple(sorted(grounded))} if grounded else {})
+
+    @cached_property
+    def _stated(self) -> Mapping[str, Equations]:
+        """Equations of each part with cards, as its type states them."""
+        without_cards, result = replaced(self.build.scene), {}
+        for part in self.build.scene.parts.values():
+            item = None if part.name in without_cards else part.type.law(part, self.build)
+            if item is not None:
+                result[part.name] = item
+        return result
+
+    @cached_property
+    def _loaded_signals(self) -> frozenset[str]:
+        """Names of the parts that set a signal on a net where a current or a force acts."""
+        laws, links = _by_name(self._stated), tuple(_links(self.build, self._stated))
+        kinds = pin_kinds(laws.values())
+        loaded = {link.net for link in links if kinds[link.law_pin] != "signal"}
+        signals = [link for link in links if kinds[link.law_pin] == "signal"]
+        driven = [link for link in signals if prescribes(laws, link.law_pin)]
+        return frozenset(link.part for link in driven if link.net in loaded)
 
 
-def _laws(build: Build) -> _Laws:
-    """Parts that drive a load by a signal have no law, as a signal knows no current."""
-    copied = replaced(build.scene)
-    result: dict[str, Equations] = {}
-    for part in build.scene.parts.values():
-        equations = None if part.name in copied else part.type.law(part, build)
-        if equations is not None:
-            result[part.name] = equations
-    every = _Laws(build, result)
-    circuit = {net for net, _, _, end in every.ends if every.kinds[end] != "signal"}
-    loaded = {
-        name
-        for net, name, _, end in every.ends
-        if net in circuit and every.kinds[end] == "signal" and _holds(every.laws, end)
-    }
-    known = {name: equations for name, equations in result.items() if name not in loaded}
-    missing = (name for name in build.scene.parts if name not in known and name not in copied)
-    return _Laws(build, known, tuple(missing))
+def _by_name(equations: Mapping[str, Equations]) -> dict[str, Law]:
+    laws = chain.from_iterable(item.laws for item in equations.values())
+    return {law.name: law for law in laws}
 
 
-def _kinds(laws: Iterable[Law]) -> dict[str, str]:
-    return {f"{law.name}.{pin.name}": pin.kind for law in laws for pin in law.pins}
+def _links(build: Build, equations: Mapping[str, Equations]) -> Iterator[PinLink]:
+    nets = build.scene.nets
+    for name, item in equations.items():
+        for pin, law_pin in item.pins:
+            yield PinLink(nets[name, pin], name, pin, law_pin)
 
 
-def _merged(groups: Iterable[set[str]]) -> list[set[str]]:
-    """Merge groups that have an element in common."""
-    result: list[set[str]] = []
-    for group in groups:
-        touched = [other for other in result if other & group]
-        result = [other for other in result if not other & group] + [group.union(*touched)]
-    return result
-
-
-def without_law(build: Build) -> tuple[str, ...]:
-    """Names of the parts that have no law: the scene as a whole cannot be integrated."""
-    return _laws(build).missing
-
-
-def _holds(laws: Mapping[str, Law], pin: str) -> bool:
-    """Whether the law of a pin prescribes what its net has."""
-    name, _, own = pin.partition(".")
-    law = laws[name]
-    if isinstance(law, Source):
-        return own == "out" and law.kind not in ("current", "force")
-    return isinstance(law, Device) and own in law.prescribes
+def scene_laws(build: Build) -> SceneLaws:
+    """Return the laws of the scene with the models of its parts."""
+    return SceneLaws(build)

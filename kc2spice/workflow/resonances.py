@@ -15,9 +15,10 @@ from dataclasses import replace
 import numpy as np
 
 from kc2spice.core.errors import SimulationError, UsageError
-from kc2spice.equations.circuits import Circuit, circuits
-from kc2spice.equations.scene_laws import without_law
+from kc2spice.equations.networks import Network
+from kc2spice.equations.scene_laws import scene_laws
 from kc2spice.netlist.deck import Command, Deck, over
+from kc2spice.reference.assemble import assemble
 from kc2spice.reference.linear import Linear
 from kc2spice.rom.linear import LinearModel
 from kc2spice.scene.model import Build
@@ -106,12 +107,13 @@ def _resonances(build: Build) -> list[tuple[float, float]]:
 
 def _poles(build: Build) -> np.ndarray:
     """Poles [1/s] of the scene's circuits, and of reduced models whose circuit has no equations."""
+    laws = scene_laws(build)
     try:
-        solved = [_circuit_poles(part) for part in circuits(build)]
+        solved = [_network_poles(network) for network in laws.networks]
     except UsageError:
         solved = [None]
     result = [poles for poles in solved if poles is not None]
-    missing = without_law(build)
+    missing = laws.missing
     models = [model for model in build.models.values() if isinstance(model, LinearModel)]
     if models and (missing or len(result) < len(solved)):
         cause = f"{', '.join(missing)} without equations" if missing else "a large circuit"
@@ -124,10 +126,10 @@ def _poles(build: Build) -> np.ndarray:
     return np.concatenate([np.zeros(0, complex), *result])
 
 
-def _circuit_poles(circuit: Circuit) -> np.ndarray | None:
-    """None of a circuit that is too large or has no operating point."""
+def _network_poles(network: Network) -> np.ndarray | None:
+    """None of a network that is too large or has no operating point."""
     try:
-        system = circuit.system()
+        system = assemble(network.laws, network.joins)
         return Linear(system).poles if system.size <= LARGEST_SYSTEM else None
     except (SimulationError, UsageError, np.linalg.LinAlgError):
         return None

@@ -19,9 +19,10 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from kc2spice.core import laws as L
 from kc2spice.core.errors import SimulationError, UsageError
 from kc2spice.core.waveforms import Waveforms
+from kc2spice.equations.networks import Network, law_of
+from kc2spice.equations.scene_laws import scene_laws
 from kc2spice.report.html import quantity
 from kc2spice.scene.judge import Balance, Check
 from kc2spice.scene.model import Build
@@ -30,7 +31,6 @@ from kc2spice.scene.rows import StepLimit, Vector
 from kc2spice.workflow.meters import result_vectors
 
 if TYPE_CHECKING:
-    from kc2spice.equations.circuits import Circuit
     from kc2spice.reference.linear import Motion
 
 AMPLITUDE, SHAPE = 5e-4, 1e-3  # allowed error of a wave's rms; of the wave; over its largest value
@@ -64,8 +64,8 @@ def largest_step(build: Build) -> StepLimit:
         [StepLimit(scene.stop / FEWEST, f"1/{FEWEST} of the run"), *result],
         key=lambda limit: limit.step,
     )
-    parts, missing = _circuits(build)
-    motions = [_motion(part, scene.stop) for part in parts]
+    networks, missing = _networks(build)
+    motions = [_motion(network, scene.stop) for network in networks]
     whole = not missing and all(motion is not None and motion.linear.exact for motion in motions)
     if not whole and start.step > UNKNOWN:
         start = StepLimit(UNKNOWN, "not all of it is linear")
@@ -74,25 +74,23 @@ def largest_step(build: Build) -> StepLimit:
     return min([start, *limits], key=lambda limit: limit.step)
 
 
-def _circuits(build: Build) -> tuple[list[Circuit], tuple[str, ...]]:
-    """The circuits that are more than sources, and the parts that are in none."""
-    from kc2spice.equations.circuits import circuits  # which loads scipy
-    from kc2spice.equations.scene_laws import without_law
-
+def _networks(build: Build) -> tuple[list[Network], tuple[str, ...]]:
+    """The networks that are more than sources, and the parts that are in no network."""
     try:
-        result = circuits(build)
+        laws = scene_laws(build)
+        networks, missing = laws.networks, laws.missing
     except UsageError:
         return [], tuple(build.scene.parts)
-    more = [c for c in result if not all(isinstance(law, L.Source) for law in c.laws)]
-    return more, without_law(build)
+    return [network for network in networks if not network.has_sources_only], missing
 
 
-def _motion(circuit: Circuit, stop: float) -> Motion | None:
+def _motion(network: Network, stop: float) -> Motion | None:
     """Its motion, linearised at rest; None where that has none, or is too large."""
+    from kc2spice.reference.assemble import assemble  # which loads scipy
     from kc2spice.reference.linear import Linear
 
     try:
-        system = circuit.system()
+        system = assemble(network.laws, network.joins)
         if system.size > SIZE:
             return None
         linear = Linear(system)
@@ -218,14 +216,14 @@ def step_checks(build: Build, waves: Waveforms, balances: Mapping[str, Balance])
 def _exact_motion(build: Build, waves: Waveforms) -> tuple[tuple[float, float, str], set[str]]:
     """The largest deviation of any wave of a linear circuit, and the parts of these circuits."""
     exact, worst = set[str](), (0.0, 0.0, "")
-    parts, missing = _circuits(build)
-    for circuit in parts:
-        if _meets(build, circuit, missing):
+    networks, missing = _networks(build)
+    for network in networks:
+        if _meets(build, network, missing):
             continue
-        motion = _motion(circuit, build.scene.stop)
+        motion = _motion(network, build.scene.stop)
         if motion is not None and motion.linear.exact and motion.moves:
-            worst = max(worst, _worst(circuit, motion, waves, result_vectors(build)))
-            exact |= {law.name for law in circuit.laws}
+            worst = max(worst, _worst(network, motion, waves, result_vectors(build)))
+            exact |= network.names
     return worst, exact
 
 
@@ -235,24 +233,22 @@ def _check(name: str, found: tuple[float, float, str]) -> Check:
     return Check(name, amplitude, FAIL, f"of the rms of {wave}", advice, coarse=True, wiring=True)
 
 
-def _meets(build: Build, circuit: Circuit, missing: Sequence[str]) -> bool:
-    """Whether a part without law is joined to this circuit."""
-    own = {law.name.partition(".")[0] for law in circuit.laws}
+def _meets(build: Build, network: Network, missing: Sequence[str]) -> bool:
+    """Whether a part without a law is joined to this network."""
+    parts = {law_of(name) for name in network.names}
     scene = build.scene
     return any(
         other in missing
         for (name, pin) in scene.nets
-        if name in own
+        if name in parts
         for other, _ in scene.joined(name, pin)
     )
 
 
 def _worst(
-    circuit: Circuit, motion: Motion, waves: Waveforms, vectors: Mapping[str, Vector]
+    network: Network, motion: Motion, waves: Waveforms, vectors: Mapping[str, Vector]
 ) -> tuple[float, float, str]:
     """Largest deviation of any wave, without waves that are rounding errors."""
-    from kc2spice.equations.circuits import read
-
     time = waves["time"]
     pick = np.unique(np.linspace(0, time.size - 1, min(time.size, SEEN)).astype(int))
     # where currents jump, and a point may lie on either side; an edge may begin at the end
@@ -264,8 +260,8 @@ def _worst(
     exact = dict(zip(names, motion.at(at, np.arange(len(names))).T, strict=True))
     rounding = dict(zip(names, motion.rounding(), strict=True))
     result: dict[str, tuple[np.ndarray, str]] = {}
-    for name, true in read(circuit, exact, at).items():
-        noise = sum(abs(factor) * rounding[wave] for factor, wave in circuit.readings[name].terms)
+    for name, true in network.results(exact, at).items():
+        noise = sum(abs(factor) * rounding[wave] for factor, wave in network.readings[name].terms)
         unit = vectors[name].unit if name in vectors else ""
         if name in waves and np.abs(true).max() > max(noise, LEAST.get(unit, 0.0)):
             result[name] = true, unit

@@ -8,6 +8,7 @@ from films import FILM
 from typer.testing import CliRunner
 
 from kc2spice.cli.main import app
+from kc2spice.equations.scene_laws import SceneLaws
 from kc2spice.scene.load import load_scene
 
 verify = importlib.import_module("kc2spice.workflow.verify.verify")
@@ -45,8 +46,8 @@ def test_verify_counts_in_time_the_films_error_at_the_frequencies_of_the_run(
     tmp_path, monkeypatch, branches, passed
 ):
     """The integrator takes minutes for this film; as for parts without a law it is left out."""
-    monkeypatch.setattr(verify, "without_law", lambda build: ("g",))
-    monkeypatch.setattr(verify, "replayed_nets", lambda build: None)
+    monkeypatch.setattr(SceneLaws, "missing", ("g",))
+    monkeypatch.setattr(verify, "replayed_nets", lambda laws: None)
     text = FILM.replace(SMALL_SIGNALS, IN_TIME)
     sine = 'sine = { amplitude = "1 mN", frequency = "2 MHz" }'
     (tmp_path / "film.toml").write_text(text.replace('ac = "1 uN"', sine))

@@ -24,7 +24,7 @@ MAY = {
     "parts": "core fem netlist rom bodies scene spice physics",
     "sim": "core netlist scene",
     "reference": "core linalg",
-    "equations": "core scene reference",
+    "equations": "core scene",
     "report": "core netlist scene",
     "workflow": "core netlist rom fem bodies scene spice parts sim reference equations report",
     "api": "core netlist rom scene parts sim report workflow",

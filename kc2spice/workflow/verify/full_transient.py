@@ -1,9 +1,8 @@
 """A transient with full models, as its difference to the one with the reduced models.
 
-Both models go through one integrator of equal steps (:mod:`kc2spice.reference.steps`), and what the
-full model does otherwise than the reduced one is added to the reduced one's exact solution: both
-have the same error of stepping, which cancels but for a share of their difference. That is measured
-by steps twice as long.
+One integrator of equal steps (:mod:`kc2spice.reference.steps`) solves both models. Their difference
+is added to the exact solution with the reduced models: both models have the same error of the time
+steps, which cancels except for a share of their difference. Steps twice as long measure that share.
 """
 
 from __future__ import annotations
@@ -11,14 +10,15 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from itertools import chain
 from typing import Any
 
 import numpy as np
 
 from kc2spice.core.laws import PortBody
 from kc2spice.core.waveforms import Waveforms
-from kc2spice.equations.circuits import Circuit, read
-from kc2spice.reference.assemble import System
+from kc2spice.equations.networks import Network
+from kc2spice.reference.assemble import System, assemble
 from kc2spice.reference.integrate import Result
 from kc2spice.reference.steps import steps
 from kc2spice.scene.model import Build
@@ -47,25 +47,30 @@ class FullSolution:
     notes: tuple[str, ...] = ()
 
 
-def _added(exact: Reference, found: Sequence[Difference], end: float) -> Waveforms:
-    """The reduced models' solution up to ``end`` with what full models do otherwise; without the
-    points around events that the steps do not resolve."""
+def add_differences(exact: Reference, differences: Sequence[Difference], end: float) -> Waveforms:
+    """Add the ``differences`` of full models to the solution with the reduced ones up to ``end``.
+
+    The result has no points around events that the steps do not resolve.
+    """
     time = exact.results["time"]
-    kept = time <= end * (1 + 1e-12)
-    for difference in found:
-        kept &= difference.resolved(time)
-    waves = {name: values[kept] for name, values in exact.results.data.items()}
-    for difference in found:
+    resolved = time <= end * (1 + 1e-12)
+    for difference in differences:
+        resolved &= difference.resolved(time)
+    waves = {name: values[resolved] for name, values in exact.results.data.items()}
+    at = time[resolved]
+    for difference in differences:
         for name, change in difference.results.items():
-            waves[name] = waves[name] + np.interp(time[kept], difference.time, change, left=0.0)
+            waves[name] = waves[name] + np.interp(at, difference.time, change, left=0.0)
     return Waveforms(waves, {})
 
 
 @dataclass(frozen=True, eq=False)
 class Difference:
-    """Results of a circuit with full models less those with reduced ones, by the same steps;
-    ``apart`` (nt,) where their devices are in different modes, ``events`` [s] of the run with the
-    reduced ones."""
+    """Results of a network with full models minus those with reduced ones, by the same steps.
+
+    ``apart`` (nt,) is true where their devices are in different modes. ``events`` [s] are those of
+    the solution with the reduced models.
+    """
 
     time: np.ndarray
     results: dict[str, np.ndarray]
@@ -73,8 +78,11 @@ class Difference:
     events: tuple[float, ...]
 
     def resolved(self, time: np.ndarray) -> np.ndarray:
-        """Where both models are in one mode: not within the step of an event, nor beside a step at
-        whose end only one of them has changed its mode."""
+        """Whether both models are in the same mode at each ``time``.
+
+        They are not within the step of an event, nor beside a step at whose end only one of them
+        has changed its mode.
+        """
         grid, result = self.time, np.ones(time.size, dtype=bool)
         last = grid.size - 1
         apart = np.flatnonzero(self.apart).tolist()
@@ -88,24 +96,28 @@ class Difference:
         return result
 
 
-def _followed(
-    circuit: Circuit, build: Build, exact: Reference, clock: Any, whole: bool
-) -> tuple[Difference, Difference, str]:
-    """Differences of full and reduced models in a circuit, from steps ``h`` and ``2 h``.
+def port_bodies(network: Network) -> list[PortBody]:
+    """Bodies of a network that laws describe at their ports, as full models are."""
+    return [law for law in network.laws if isinstance(law, PortBody)]
 
-    The text describes the steps.
+
+def full_differences(
+    network: Network, build: Build, exact: Reference, clock: Any, whole: bool
+) -> tuple[Difference, Difference, str]:
+    """Solve a network with full and with reduced models, by steps ``h`` and by steps ``2 h``.
+
+    Returns the difference of the models for each, and a text that describes the steps.
     """
-    bodies = [law for law in circuit.laws if isinstance(law, PortBody)]
+    bodies = port_bodies(network)
     models = {law.name: build.models[law.name] for law in bodies}
     laws = (
         PortBody(law.name, models[law.name], law.ports) if isinstance(law, PortBody) else law
-        for law in circuit.laws
+        for law in network.laws
     )
-    reduced, names = replace(circuit, laws=tuple(laws)), ", ".join(models)
+    reduced, names = replace(network, laws=tuple(laws)), ", ".join(models)
     stop = build.scene.stop
-    own = {law.name for law in circuit.laws}
-    run = next(run for other, run in exact.runs if {law.name for law in other.laws} == own)
-    begin, given = _still_until(bodies, run)
+    run = next(run for other, run in exact.runs if other.names == network.names)
+    begin, state = _still_until(bodies, run)
     top = max(held_band(model, build)[1] for model in models.values())
     size = sum(law.model.order for law in bodies)
     most = max(2 * round(min(MOST, WORK / size) / 2), 100) * (WHOLE if whole else 1.0)
@@ -114,14 +126,16 @@ def _followed(
     if begin + count * step > stop:
         step = (stop - begin) / count
 
+    systems = [assemble(item.laws, item.joins) for item in (network, reduced)]
+
     def difference(times: int, label: str) -> Difference:
         with clock.stage("full model", f"{names}: {label}") as share:
             first, second = (
-                steps(c.system(), begin, times * step, count // times, given, share)
-                for c in (circuit, reduced)
+                steps(system, begin, times * step, count // times, state, share)
+                for system in systems
             )
-        ours = read(circuit, first.waves, first.time)
-        other = read(reduced, second.waves, second.time)
+        ours = network.results(first.waves, first.time)
+        other = reduced.results(second.waves, second.time)
         apart = [a != b for a, b in zip(first.modes, second.modes, strict=True)]
         results = {name: ours[name] - other[name] for name in ours}
         return Difference(first.time, results, np.array(apart), run.events)
@@ -146,7 +160,8 @@ def _still_until(
     """
     waves, time = run.waves, run.time
     first = time.size
-    for wave in (waves[f"{law.name}.{port.name}"] for law in bodies for port in law.ports):
+    loads = chain.from_iterable(_port_waves(law) for law in bodies)
+    for wave in (waves[name] for name in loads):
         swing = np.abs(wave - wave[0])
         moved = np.flatnonzero(swing > STILL * swing.max()) if swing.any() else [time.size]
         first = min(first, int(moved[0]))
@@ -154,22 +169,28 @@ def _still_until(
         return 0.0, None
     at = first - 1
 
-    def given(system: System, z: np.ndarray) -> np.ndarray:
-        return _state(system, z, float(time[at]), lambda name: float(waves[name][at]))
+    def state(system: System, z: np.ndarray) -> np.ndarray:
+        return _state_of_waves(system, z, float(time[at]), lambda name: float(waves[name][at]))
 
-    return float(time[at]), given
+    return float(time[at]), state
 
 
-def _state(system: System, z: np.ndarray, t: float, wave: Callable[[str], float]) -> np.ndarray:
+def _port_waves(body: PortBody) -> list[str]:
+    return [f"{body.name}.{port.name}" for port in body.ports]
+
+
+def _state_of_waves(
+    system: System, z: np.ndarray, t: float, wave: Callable[[str], float]
+) -> np.ndarray:
     """Return the unknowns that reproduce the waves at ``t``.
 
     Unknowns that the waves do not determine stay as near as possible to ``z``.
     """
-    read = ~(system.rated.any(axis=1) | system.direct.any(axis=1))
-    recorded = np.array([not name.endswith(".through") for name in system.names]) & read
+    algebraic = ~(system.rated.any(axis=1) | system.direct.any(axis=1))
+    recorded = np.array([not name.endswith(".through") for name in system.names]) & algebraic
     now, names = system.now[recorded], np.array(system.names)[recorded].tolist()
-    A, given = now[:, : z.size], system.given(t, t)
-    b = np.array([wave(name) for name in names]) - now[:, z.size :] @ given
+    A, drives = now[:, : z.size], system.given(t, t)
+    b = np.array([wave(name) for name in names]) - now[:, z.size :] @ drives
     level = np.abs(A).max(axis=1)
     A, b = A[level > 0] / level[level > 0, None], b[level > 0] / level[level > 0]
     return z + np.linalg.lstsq(A, b - A @ z, rcond=1e-12)[0]

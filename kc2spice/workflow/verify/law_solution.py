@@ -1,5 +1,7 @@
-"""The scene's analysis by its laws: statics and frequency responses outright, transients by the
-independent integrator (:mod:`kc2spice.reference`).
+"""The analysis of a scene by its laws (:mod:`kc2spice.equations`), without a netlist.
+
+Statics and frequency responses are solved directly, transients by the independent integrator
+(:mod:`kc2spice.reference`).
 """
 
 from __future__ import annotations
@@ -11,10 +13,11 @@ import numpy as np
 
 from kc2spice.core.laws import reading
 from kc2spice.core.waveforms import Waveforms
-from kc2spice.equations.circuits import Circuit, _owner, read
-from kc2spice.equations.replay import moving
-from kc2spice.equations.scene_laws import _laws
+from kc2spice.equations.networks import Network, law_of
+from kc2spice.equations.replay import networks_to_solve
+from kc2spice.equations.scene_laws import scene_laws
 from kc2spice.reference import equilibrium
+from kc2spice.reference.assemble import assemble
 from kc2spice.reference.integrate import Result, transient
 from kc2spice.reference.linear import ac, noise
 from kc2spice.scene.model import Build
@@ -25,15 +28,16 @@ RTOL = 1.5e-9  # integrator; at 1e-8 a sphere ringing at megahertz loses 5e-7 of
 
 @dataclass(frozen=True)
 class Reference:
-    """The scene's analysis by the reduced models' laws.
+    """Solution of the laws of a scene with its reduced models.
 
-    ``results`` are the waves of ngspice that the laws know as well; ``imbalance`` is the share of
-    the turned-over energy that the integration cannot account for, None where no time passes.
+    ``results`` are those waves of ngspice that the laws determine too. ``imbalance`` is the error
+    of the energy balance, relative to the turned-over energy; None except for a transient.
+    ``runs`` are the integrated networks.
     """
 
     results: Waveforms
     imbalance: float | None = None
-    runs: tuple[tuple[Circuit, Result], ...] = ()
+    runs: tuple[tuple[Network, Result], ...] = ()
 
 
 def solve(
@@ -42,56 +46,62 @@ def solve(
     replayed: Mapping[str, str] | None = None,
     progress: Callable[[float], None] = lambda share: None,
 ) -> Reference:
-    """The analysis of the scene at the points of ``waves``, those of ngspice.
+    """Solve the laws of a scene at the points of ``waves``, the results of ngspice.
 
-    On the nets ``replayed`` (see :func:`replayed_nets`) it is given what ngspice has there.
+    Sources on the nets ``replayed`` (:func:`kc2spice.equations.replay.replayed_nets`) have the
+    values of ngspice there.
 
     Raises
     ------
     UsageError : the laws do not fit each other.
     SimulationError : no equilibrium, or a law left its range.
     """
-    parts = moving(build, waves, replayed or {})
+    networks = networks_to_solve(scene_laws(build), waves, replayed or {})
     if build.scene.analysis.type != "transient":
-        return Reference(steady(parts, build, waves))
+        return Reference(solve_steady(networks, build, waves))
     stop = build.scene.stop
     times = np.minimum(np.unique(waves["time"]), stop)
-    runs = [(c, transient(c.system(), stop, RTOL, times, progress)) for c in parts]
-    grid = np.unique(np.concatenate([times, *(run.time for _, run in runs)]))
+    systems = [assemble(network.laws, network.joins) for network in networks]
+    results = [transient(system, stop, RTOL, times, progress) for system in systems]
+    runs = tuple(zip(networks, results, strict=True))
+    grid = np.unique(np.concatenate([times, *(run.time for run in results)]))
     data = {"time": grid}
-    for circuit, run in runs:
-        data |= read(circuit, replace(run, time=grid).waves, grid)
-    balances = [run.energy for _, run in runs]
+    for network, run in runs:
+        data |= network.results(replace(run, time=grid).waves, grid)
+    balances = [run.energy for run in results]
     turnover = sum(balance.turnover for balance in balances)
     imbalance = sum(abs(balance.residual) for balance in balances) / turnover if turnover else None
-    return Reference(Waveforms(data, {}), imbalance, tuple(runs))
+    return Reference(Waveforms(data, {}), imbalance, runs)
 
 
-def steady(parts: Iterable[Circuit], build: Build, waves: Waveforms) -> Waveforms:
-    """:func:`solve` for circuits in which no time passes."""
+def solve_steady(networks: Iterable[Network], build: Build, waves: Waveforms) -> Waveforms:
+    """Solve networks for an analysis other than a transient, at the points of ``waves``."""
     scale, points = next(iter(waves.data.items()))
     points = points.real
     data = {scale: points}
-    for circuit in parts:
+    for network in networks:
         if build.noisy:
-            data |= _noise(circuit, build, points)
+            data |= _noise(network, build, points)
         else:
-            data |= read(circuit, _steady(circuit, build, points), points)
+            data |= network.results(_steady_waves(network, build, points), points)
     return Waveforms(data, {})
 
 
-def _noise(circuit: Circuit, build: Build, points: np.ndarray) -> dict[str, np.ndarray]:
-    """Density of the output's noise, where this circuit has it."""
+def _noise(network: Network, build: Build, points: np.ndarray) -> dict[str, np.ndarray]:
+    """Noise density of the output; empty if the output is not in this network."""
     name = str(build.scene.analysis.output)
-    ends = {f"{part}.{pin}": end for _, part, pin, end in _laws(build).ends}
-    of = circuit.readings.get(name) or (reading(ends[name]) if name in ends else None)
-    if of is None or _owner(of.terms[0][1]) not in {law.name for law in circuit.laws}:
+    law_pins = {f"{link.part}.{link.pin}": link.law_pin for link in scene_laws(build).links}
+    output = network.readings.get(name)
+    if output is None and name in law_pins:
+        output = reading(law_pins[name])
+    if output is None or law_of(output.terms[0][1]) not in network.names:
         return {}
-    return {WAVE: noise(circuit.laws, circuit.joins, of, points)}
+    return {WAVE: noise(network.laws, network.joins, output, points)}
 
 
-def _steady(circuit: Circuit, build: Build, points: np.ndarray) -> Mapping[str, np.ndarray]:
-    system, kind = circuit.system(), build.scene.analysis.type
+def _steady_waves(network: Network, build: Build, points: np.ndarray) -> Mapping[str, np.ndarray]:
+    """Waves of the laws over frequency, over a dc sweep, or at the operating point."""
+    system, kind = assemble(network.laws, network.joins), build.scene.analysis.type
     if kind == "ac":
         return ac(system, points)
     source, values = None, np.zeros(1)
@@ -101,7 +111,7 @@ def _steady(circuit: Circuit, build: Build, points: np.ndarray) -> Mapping[str, 
         values, last = sweep_values(build), result.range[1]
         if build.scene.analysis.back:
             values = last - np.sign(last - result.range[0]) * np.abs(values - last)
-        source = circuit.sweeps.get((part.name, key))
+        source = network.sweeps.get((part.name, key))
     if source is not None:
         return equilibrium.dc(system, source[0], source[1] * values)
     point = equilibrium.operating_point(system)

@@ -20,7 +20,7 @@ from kc2spice.core.files import staged
 from kc2spice.core.progress import Clock, Progress, silent
 from kc2spice.core.waveforms import Waveforms, write_record
 from kc2spice.equations.replay import replayed_nets, replayed_vectors
-from kc2spice.equations.scene_laws import without_law
+from kc2spice.equations.scene_laws import scene_laws
 from kc2spice.netlist.deck import Deck
 from kc2spice.netlist.foreign import Flat, checked
 from kc2spice.netlist.library import Subcircuit, subcircuits
@@ -329,9 +329,10 @@ class _Verification:
             if part.reduced:
                 folder = self.work / part.name
                 verify_body(part, build, libraries, self.clock, folder, self.whole, result)
-        result.left_out = without_law(build)
+        laws = scene_laws(build)
+        result.left_out = laws.missing
         timed = build.scene.analysis.type == "transient"
-        replayed = replayed_nets(build) if result.left_out and timed else None
+        replayed = replayed_nets(laws) if result.left_out and timed else None
         if result.left_out:
             note = f"parts without a law are left out: {', '.join(result.left_out)}"
             if replayed is None:

@@ -1,0 +1,158 @@
+"""Networks of laws that share nothing but ground, with the results that they determine.
+
+The functions take laws and groups of joined pins, without a scene. A pin of a law is written
+``LAW.PIN``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from kc2spice.core.laws import (
+    GROUND,
+    Device,
+    Law,
+    LinearBody,
+    PortBody,
+    Reading,
+    Source,
+    sensor,
+)
+
+NODE_UNITS = {"displacement": 1e-6}  # SI units of 1 V on a node, by kind of pin; otherwise 1
+
+
+@dataclass(frozen=True)
+class Network:
+    """Laws that are joined, directly or through other laws.
+
+    ``joins`` are the pins of each net, by its name; ``readings`` map results to waves of the laws;
+    ``sweeps`` map ``(part, key)`` to a source and its value per SI unit of the key.
+    """
+
+    laws: tuple[Law, ...]
+    joins: Mapping[str, tuple[str, ...]]
+    readings: Mapping[str, Reading]
+    sweeps: Mapping[tuple[str, str], tuple[str, float]]
+
+    @property
+    def has_sources_only(self) -> bool:
+        """Whether there is nothing to solve, as each law is a source."""
+        return all(isinstance(law, Source) for law in self.laws)
+
+    @property
+    def names(self) -> frozenset[str]:
+        """Names of the laws."""
+        return frozenset(law.name for law in self.laws)
+
+    def determined_by(self, driven: set[str]) -> bool:
+        """Whether sources at the pins ``driven`` set the value of every net, and no body moves."""
+        nets = [set(pins) for net, pins in self.joins.items() if net != GROUND]
+        if not driven or any(isinstance(law, LinearBody | PortBody) for law in self.laws):
+            return False
+        return all(pins & driven for pins in nets)
+
+    def results(self, waves: Mapping[str, np.ndarray], scale: np.ndarray) -> dict[str, np.ndarray]:
+        """Results of the laws from their ``waves``, without those of missing waves.
+
+        ``scale`` are the times [s] or frequencies [Hz] of the waves.
+        """
+        return {
+            name: _value(item, waves, scale)
+            for name, item in self.readings.items()
+            if {wave for _, wave in item.terms} <= set(waves)
+        }
+
+
+def _value(item: Reading, waves: Mapping[str, np.ndarray], scale: np.ndarray) -> np.ndarray:
+    value = np.asarray(sum(factor * waves[wave] for factor, wave in item.terms))
+    if not np.iscomplexobj(value):
+        return np.asarray(value + item.constant)
+    # small signals have no constant part
+    return np.asarray(value / (2j * np.pi * scale)) if item.charge else value
+
+
+def split_networks(
+    laws: Sequence[Law],
+    joins: Mapping[str, tuple[str, ...]],
+    readings: Mapping[str, Reading],
+    sweeps: Mapping[tuple[str, str], tuple[str, float]],
+) -> tuple[Network, ...]:
+    """Return the networks of ``laws`` that have no net in common, apart from ground."""
+    laws, joins = with_sensors(laws, joins)
+    together = [{law.name} for law in laws]
+    together += [{law_of(pin) for pin in pins} for net, pins in joins.items() if net != GROUND]
+    return tuple(
+        Network(
+            tuple(law for law in laws if law.name in names),
+            dict(_joins_within(names, joins)),
+            {key: item for key, item in readings.items() if law_of(item.terms[0][1]) in names},
+            {key: source for key, source in sweeps.items() if source[0] in names},
+        )
+        for names in merge_groups(together)
+    )
+
+
+def _joins_within(
+    names: set[str], joins: Mapping[str, tuple[str, ...]]
+) -> Iterator[tuple[str, tuple[str, ...]]]:
+    """Nets with those of their pins that belong to the laws ``names``."""
+    for net, pins in joins.items():
+        within = tuple(pin for pin in pins if law_of(pin) in names)
+        if within:
+            yield net, within
+
+
+def with_sensors(
+    laws: Sequence[Law], joins: Mapping[str, tuple[str, ...]]
+) -> tuple[list[Law], dict[str, tuple[str, ...]]]:
+    """Connect signal inputs that are joined to a voltage or a displacement through a sensor.
+
+    The output of the sensor is the voltage of the netlist's node: volts or micrometres.
+    """
+    kinds, sensors, result = pin_kinds(laws), [], dict(joins)
+    for net, pins in joins.items():
+        signals = tuple(pin for pin in pins if kinds[pin] == "signal")
+        others = tuple(pin for pin in pins if kinds[pin] != "signal")
+        if net == GROUND or not signals or not others:
+            continue
+        kind = kinds[others[0]]
+        name = f"{net} signals"
+        sensors.append(sensor(name, 1 / NODE_UNITS.get(kind, 1.0), kind))
+        result[net] = (*others, f"{name}.a")
+        result[name] = (*signals, f"{name}.out")
+    return [*laws, *sensors], result
+
+
+def law_of(pin: str) -> str:
+    """Name of the law of a pin or wave ``LAW.NAME``."""
+    return pin.partition(".")[0]
+
+
+def pin_kinds(laws: Iterable[Law]) -> dict[str, str]:
+    """Kind of each pin of the laws."""
+    result: dict[str, str] = {}
+    for law in laws:
+        result |= {f"{law.name}.{pin.name}": pin.kind for pin in law.pins}
+    return result
+
+
+def prescribes(laws: Mapping[str, Law], pin: str) -> bool:
+    """Whether the law of a pin ``LAW.PIN`` sets the across quantity there, as a voltage source."""
+    name, _, end = pin.partition(".")
+    law = laws[name]
+    if isinstance(law, Source):
+        return end == "out" and law.kind not in ("current", "force")
+    return isinstance(law, Device) and end in law.prescribes
+
+
+def merge_groups(groups: Iterable[set[str]]) -> list[set[str]]:
+    """Merge groups that have an element in common."""
+    result: list[set[str]] = []
+    for group in groups:
+        overlapping = [other for other in result if other & group]
+        result = [other for other in result if not other & group] + [group.union(*overlapping)]
+    return result
