@@ -7,7 +7,7 @@ check of the time steps, and ``verify`` take the laws from there.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import chain
 from typing import NamedTuple
@@ -140,5 +140,21 @@ def _links(build: Build, equations: Mapping[str, Equations]) -> Iterator[PinLink
 
 
 def scene_laws(build: Build) -> SceneLaws:
-    """Return the laws of the scene with the models of its parts."""
+    """Return the laws of the scene with the models of its parts.
+
+    These are the laws that the build carries (:func:`with_laws`). Laws of other keys or models,
+    which a build carries after a change of these, are made again.
+    """
+    laws = build.laws
+    if isinstance(laws, SceneLaws) and _same_parts(laws.build, build):
+        return laws
     return SceneLaws(build)
+
+
+def with_laws(build: Build) -> Build:
+    """Return a build that carries its laws, so that they are made once."""
+    return replace(build, laws=scene_laws(build))
+
+
+def _same_parts(a: Build, b: Build) -> bool:
+    return a.scene is b.scene and a.models is b.models

@@ -285,7 +285,8 @@ class Build:
     ``models`` has what :meth:`PartType.build` gave, by part; ``libraries`` maps a part to the name
     of its subcircuit. ``unjudged`` are parts whose keys do not tell what the deck has, because
     somebody changed parameters there: they are asked for no checks and no energy balance.
-    ``largest`` is the largest step of a transient.
+    ``largest`` is the largest step of a transient. ``laws`` are the laws of its parts, which
+    :func:`kc2spice.equations.scene_laws.scene_laws` returns.
     """
 
     scene: Scene
@@ -295,6 +296,7 @@ class Build:
     unjudged: frozenset[str] = frozenset()
     functions: Mapping[str, Any] = field(default_factory=dict)
     largest: StepLimit | None = None
+    laws: object = None
 
     @property
     def noisy(self) -> bool:

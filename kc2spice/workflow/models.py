@@ -8,6 +8,7 @@ from fnmatch import fnmatchcase
 from typing import Any
 
 from kc2spice.core.progress import Clock
+from kc2spice.equations.scene_laws import with_laws
 from kc2spice.parts._linear_body import LinearBody
 from kc2spice.rom.linear import LinearModel
 from kc2spice.rom.modal import mode_table
@@ -29,7 +30,8 @@ def build_models(
     part.
     """
     models = {name: part.type.build(part, scene, clock) for name, part in scene.parts.items()}
-    build = shared(Build(scene, models, libraries(scene), trust=trust, functions=functions or {}))
+    build = Build(scene, models, libraries(scene), trust=trust, functions=functions or {})
+    build = with_laws(shared(build))
     if scene.analysis.type != "transient":
         return build
     return replace(build, largest=largest_step(build))

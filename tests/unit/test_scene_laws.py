@@ -1,13 +1,18 @@
-"""The laws of a scene are joined as its parts are."""
+"""The laws of a scene are made once for a build, and again when its keys or models change."""
 
 import subprocess
 import sys
+from collections import Counter
+from dataclasses import replace
 
 import pytest
 
-from kc2spice.equations.scene_laws import scene_laws
+import kc2spice as kc
+from kc2spice.core.progress import Clock, silent
+from kc2spice.equations.scene_laws import scene_laws, with_laws
 from kc2spice.scene.load import load_scene
 from kc2spice.scene.model import Build
+from kc2spice.workflow.models import build_models
 
 LOW_PASS = {
     "name": "low_pass",
@@ -18,11 +23,42 @@ LOW_PASS = {
 }
 
 
+def test_a_run_asks_each_part_for_its_law_once(monkeypatch):
+    """For the time step and for the check of the steps after the simulation."""
+    scene, asked = load_scene(LOW_PASS), Counter()
+    for kind in {type(part.type) for part in scene.parts.values()}:
+        law = kind.law
+
+        def counted(self, part, build, law=law):
+            asked[part.name] += 1
+            return law(self, part, build)
+
+        monkeypatch.setattr(kind, "law", counted)
+    result = kc.run(scene)
+    assert "steps against the exact motion" in {check.name for check in result.checks}
+    assert asked == {"drive": 1, "r": 1, "c": 1}
+
+
+def test_a_build_carries_its_laws():
+    build = build_models(load_scene(LOW_PASS), Clock(silent))
+    assert scene_laws(build) is build.laws is scene_laws(build)
+    assert scene_laws(build).networks is scene_laws(build).networks
+
+
+def test_laws_of_other_keys_or_models_are_made_again():
+    build = build_models(load_scene(LOW_PASS), Clock(silent))
+    other = load_scene(LOW_PASS, {"r.resistance": "2 kOhm"})
+    changed = scene_laws(replace(build, scene=other))
+    assert changed.build.scene is other
+    assert changed is not scene_laws(build)
+    assert scene_laws(replace(build, models=dict(build.models))) is not scene_laws(build)
+
+
 def test_networks_share_nothing_but_ground():
     two = {k: v for k, v in LOW_PASS.items() if k not in ("name", "analysis")}
     twin = {f"{k}_2": v for k, v in two.items()}
     twin["r_2"] = twin["r_2"] | {"pins": {"a": "drive_2.out", "b": "c_2.a"}}
-    laws = scene_laws(Build(load_scene({**LOW_PASS, **twin}), {}))
+    laws = with_laws(Build(load_scene({**LOW_PASS, **twin}), {})).laws
     names = [sorted(network.names) for network in laws.networks]
     assert names == [["c", "drive", "r"], ["c_2", "drive_2", "r_2"]]
     assert not any(network.has_sources_only for network in laws.networks)

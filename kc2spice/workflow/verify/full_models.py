@@ -16,7 +16,7 @@ from kc2spice.core.laws import Law, PortBody
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.equations.networks import Network
 from kc2spice.equations.replay import networks_to_solve
-from kc2spice.equations.scene_laws import scene_laws
+from kc2spice.equations.scene_laws import scene_laws, with_laws
 from kc2spice.rom.linear import LinearModel
 from kc2spice.rom.reduce import surrogate
 from kc2spice.scene.model import Build
@@ -60,7 +60,7 @@ def finer_build(build: Build, parts: Iterable[str], clock: Any) -> Build | None:
 
 
 def _with_models(build: Build, models: Mapping[str, Any]) -> Build:
-    return replace(build, models={**build.models, **models})
+    return with_laws(replace(build, models={**build.models, **models}))
 
 
 def _sparse(model: LinearModel) -> LinearModel:
