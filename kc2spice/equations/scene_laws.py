@@ -35,7 +35,7 @@ class PinLink(NamedTuple):
 
 @dataclass(frozen=True)
 class SceneLaws:
-    """Laws of the parts of a build, each asked for once, when the laws are first needed.
+    """Laws of the parts of a build; each part is asked once, when the laws are first needed.
 
     A part without cards has no law of its own: another part contains its copy, or moves it. A part
     that drives a load by a signal has none either, because a signal carries no current.
@@ -44,16 +44,30 @@ class SceneLaws:
     build: Build
 
     @cached_property
+    def with_cards(self) -> tuple[str, ...]:
+        """Names of the parts with cards of their own."""
+        without = replaced(self.build.scene)
+        return tuple(name for name in self.build.scene.parts if name not in without)
+
+    @cached_property
+    def stated(self) -> Mapping[str, Equations]:
+        """Equations of each part with cards, as its type states them."""
+        result = {}
+        for part in map(self.build.scene.parts.__getitem__, self.with_cards):
+            item = part.type.law(part, self.build)
+            if item is not None:
+                result[part.name] = item
+        return result
+
+    @cached_property
     def equations(self) -> Mapping[str, Equations]:
         """Equations of each part that has a law."""
-        return {k: v for k, v in self._stated.items() if k not in self._loaded_signals}
+        return {k: v for k, v in self.stated.items() if k not in self._loaded_signals}
 
     @cached_property
     def missing(self) -> tuple[str, ...]:
         """Names of the parts without a law: the whole scene cannot be integrated."""
-        without_cards = replaced(self.build.scene)
-        names = (name for name in self.build.scene.parts if name not in without_cards)
-        return tuple(name for name in names if name not in self.equations)
+        return tuple(name for name in self.with_cards if name not in self.equations)
 
     @cached_property
     def laws(self) -> dict[str, Law]:
@@ -107,19 +121,9 @@ class SceneLaws:
         return result | ({GROUND: tuple(sorted(grounded))} if grounded else {})
 
     @cached_property
-    def _stated(self) -> Mapping[str, Equations]:
-        """Equations of each part with cards, as its type states them."""
-        without_cards, result = replaced(self.build.scene), {}
-        for part in self.build.scene.parts.values():
-            item = None if part.name in without_cards else part.type.law(part, self.build)
-            if item is not None:
-                result[part.name] = item
-        return result
-
-    @cached_property
     def _loaded_signals(self) -> frozenset[str]:
         """Names of the parts that set a signal on a net where a current or a force acts."""
-        laws, links = _by_name(self._stated), tuple(_links(self.build, self._stated))
+        laws, links = _by_name(self.stated), tuple(_links(self.build, self.stated))
         kinds = pin_kinds(laws.values())
         loaded = {link.net for link in links if kinds[link.law_pin] != "signal"}
         signals = [link for link in links if kinds[link.law_pin] == "signal"]

@@ -5,15 +5,17 @@ from __future__ import annotations
 import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from itertools import chain
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from kc2spice.core import laws
 from kc2spice.core.errors import SimulationError, UsageError
+from kc2spice.core.laws import LinearBody, Source
 from kc2spice.core.waveforms import Waveforms
+from kc2spice.equations.scene_laws import scene_laws
 from kc2spice.netlist.deck import Deck
 from kc2spice.scene.judge import Check
-from kc2spice.scene.model import Build, Part
+from kc2spice.scene.model import Build
 from kc2spice.scene.settings import Analysis
 from kc2spice.sim.ngspice import run_deck
 from kc2spice.workflow.decks import make_deck
@@ -35,10 +37,9 @@ def operating_point(build: Build, deck: Deck) -> OperatingPoint:
     a linear part are the same about every point. A warning replaces what is not found.
     """
     scene = build.scene
-    parts = scene.parts.values()
     if not scene.analysis.small or deck.text is not None:
         return OperatingPoint()
-    if all(is_linear(part, build) for part in parts):
+    if is_linear(build):
         return OperatingPoint()
     # Probes stay: what they read decides which pins a body has. Noise is no result of this run.
     probes = {} if build.noisy else scene.probes
@@ -53,16 +54,19 @@ def operating_point(build: Build, deck: Deck) -> OperatingPoint:
         warnings.warn(message, stacklevel=2)
         return OperatingPoint()
     values = {name: float(point[name][-1]) for name in own.units if name in point}
-    rows = (p.type.standing(p, build, point) for p in parts)
+    rows = (p.type.standing(p, build, point) for p in scene.parts.values())
     checks = tuple(check for row in rows for check in row)
     return OperatingPoint(values, {name: own.units[name] for name in values}, checks)
 
 
-def is_linear(part: Part, build: Build) -> bool:
-    """Whether the equations of ``part`` are known and linear."""
-    if part.reduced:
-        return True
-    equations = part.type.law(part, build)
-    return equations is not None and all(
-        isinstance(law, laws.LinearBody | laws.Source) or law.linear for law in equations.laws
-    )
+def is_linear(build: Build) -> bool:
+    """Whether the equations of all parts are known and linear.
+
+    A part without cards of its own does not count: another part contains its copy, or moves it.
+    """
+    laws, parts = scene_laws(build), build.scene.parts
+    names = [name for name in laws.with_cards if not parts[name].reduced]
+    if not laws.stated.keys() >= set(names):
+        return False
+    stated = chain.from_iterable(laws.stated[name].laws for name in names)
+    return all(isinstance(law, LinearBody | Source) or law.linear for law in stated)

@@ -208,7 +208,7 @@ def ran(
         from kc2spice.workflow.resonances import refined  # which loads scipy
 
         whole = refined(deck, build)
-        if deck.text is None and all(is_linear(p, build) for p in build.scene.parts.values()):
+        if deck.text is None and is_linear(build):
             return run_deck(whole, directory, progress, timeout)
         return _each_from_rest(whole, directory, progress, timeout)
     if not functions:

@@ -16,16 +16,20 @@ from kc2spice.workflow.models import build_models
 
 LOW_PASS = {
     "name": "low_pass",
-    "drive": {"part": "source", "sine": {"amplitude": "1 V", "frequency": "1 kHz"}},
+    "drive": {"part": "source", "sine": {"amplitude": "1 V", "frequency": "1 kHz"}, "ac": "1 V"},
     "r": {"part": "resistor", "resistance": "1 kOhm", "pins": {"a": "drive.out", "b": "c.a"}},
     "c": {"part": "capacitor", "capacitance": "100 nF"},
     "analysis": {"type": "transient", "stop": "2 ms"},
 }
 
 
-def test_a_run_asks_each_part_for_its_law_once(monkeypatch):
-    """For the time step and for the check of the steps after the simulation."""
-    scene, asked = load_scene(LOW_PASS), Counter()
+SMALL_SIGNALS = {"type": "ac", "start": "10 Hz", "stop": "100 kHz", "points": 20}
+
+
+@pytest.mark.parametrize("analysis", [LOW_PASS["analysis"], SMALL_SIGNALS])
+def test_a_run_asks_each_part_for_its_law_once(analysis, monkeypatch):
+    """For the time step, its check after the simulation, the operating point and resonances."""
+    scene, asked = load_scene({**LOW_PASS, "analysis": analysis}), Counter()
     for kind in {type(part.type) for part in scene.parts.values()}:
         law = kind.law
 
@@ -35,7 +39,8 @@ def test_a_run_asks_each_part_for_its_law_once(monkeypatch):
 
         monkeypatch.setattr(kind, "law", counted)
     result = kc.run(scene)
-    assert "steps against the exact motion" in {check.name for check in result.checks}
+    names = {check.name for check in result.checks}
+    assert ("steps against the exact motion" in names) is (analysis["type"] == "transient")
     assert asked == {"drive": 1, "r": 1, "c": 1}
 
 
