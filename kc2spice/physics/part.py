@@ -14,6 +14,7 @@ from kc2spice.netlist.cards import name as checked
 from kc2spice.netlist.circuit import Param, Pin
 from kc2spice.netlist.expression import Tree
 from kc2spice.netlist.library import Subcircuit
+from kc2spice.netlist.printers.ngspice import printed
 from kc2spice.physics.cards import body, force_node, meter, noisy, reference, state_node
 from kc2spice.physics.declaration import LOOPS, RATE, Branch, Declaration
 from kc2spice.physics.expression import ZERO, derivative, evaluated, kinks, names
@@ -284,7 +285,8 @@ def subcircuit(
     head = part_header(header, f"{name}: {d.title}", pins, params, **words)
     named = " ".join(pin.name for pin in pins)
     cards = f".subckt {name} {named} {parameter_list(params)}\n{body(d, noise)}{more}.ends {name}\n"
-    return Subcircuit(name, pins, params, head + cards, no_module=d.no_module)
+    part = Subcircuit(name, pins, params, head + cards, no_module=d.no_module)
+    return printed(part, part.circuit)
 
 
 def across_pins(build: Build, part: Part, branch: Branch) -> str:

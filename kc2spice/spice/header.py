@@ -14,6 +14,7 @@ from kc2spice.core.mesh_error import NOT_ESTIMATED, mesh_words
 from kc2spice.netlist.cards import comment, name, number, render, word
 from kc2spice.netlist.circuit import Param, Pin
 from kc2spice.netlist.library import Subcircuit
+from kc2spice.netlist.printers.ngspice import printed
 from kc2spice.rom.linear import Certificate
 from kc2spice.scene.model import Terminal
 
@@ -175,5 +176,5 @@ def library(
     words = {"rating": rating, "validity": validity, "mesh": mesh}
     head = part_header(header, f"{name}: {title}", pins, params, **words)
     cards = render(f"{template}.j2", card=card, **values)
-    text = f"{head}\n{cards}.ends {name}\n"
-    return Subcircuit(name, pins, params, text)
+    part = Subcircuit(name, pins, params, f"{head}\n{cards}.ends {name}\n")
+    return printed(part, part.circuit)

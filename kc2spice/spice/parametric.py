@@ -126,7 +126,7 @@ def _expressions(model: Varying, parameters: Sequence[Param]) -> Iterator[str]:
         room = 1e-9 * (p.high - p.low)
         low, high = number(p.low - room), number(p.high + room)
         # two factors that are positive inside; || and && are spelled differently elsewhere
-        yield f".param inside{k}={{({p.name}-{low})*({high}-{p.name}) >= 0 ? 1 : -1}}"
+        yield f".param inside{k}={{(({p.name}-{low})*({high}-{p.name})>=0 ? 1 : -1)}}"
     highest = model.exponents.max(axis=0, initial=0) if len(own) else []
     for k, (p, axis, top) in enumerate(zip(own, model.axes, highest, strict=True), 1):
         slope = 2 / np.log(axis.high / axis.low)

@@ -590,12 +590,12 @@ def _port(t: PortTerminal, base: str, share: float) -> Iterator[str]:
         (a, b), c = t.pins, t.capacitance or t.clamped
         inverse = f"{number(MICRO)}/{c}" if isinstance(c, str) else MICRO / c
         yield f"Cclamped{tag} {a} inner{tag} {written(times(share, c))}"
-        yield f"Gmore{tag}    {a} {b} current{tag} {base} {number(1 - share)}"
-        yield f"Gleak{tag}    {a} {b} {a} inner{tag} {written(times(LEAK_RATE, c))}"
-        yield f"Ginner{tag}   {base} current{tag} inner{tag} {b} 1"
-        yield f"Gcharge{tag}  {base} current{tag} charge{tag} {base} {written(inverse)}"
+        yield f"Gmore{tag} {a} {b} current{tag} {base} {number(1 - share)}"
+        yield f"Gleak{tag} {a} {b} {a} inner{tag} {written(times(LEAK_RATE, c))}"
+        yield f"Ginner{tag} {base} current{tag} inner{tag} {b} 1"
+        yield f"Gcharge{tag} {base} current{tag} charge{tag} {base} {written(inverse)}"
         yield f"Gcurrent{tag} inner{tag} {b} current{tag} {base} {number(share)}"
-        yield f"Rcharge{tag}  charge{tag} {base} 1"
+        yield f"Rcharge{tag} charge{tag} {base} 1"
         yield from (card.onto(base, f"charge{tag}", f"Gc{tag}_") for card in t.sums + t.through)
     else:
         a, b = t.pins

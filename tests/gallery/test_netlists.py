@@ -319,7 +319,7 @@ def test_a_changed_scene_is_noticed(name, before, after):
 
 @pytest.mark.parametrize(
     ("before", "after"),
-    [("Guring1_3 base uring1 q3", "Guring1_3 uring1 base q3"), ("Rcharge  charge base 1\n", ""),
+    [("Guring1_3 base uring1 q3", "Guring1_3 uring1 base q3"), ("Rcharge charge base 1\n", ""),
      ("28.682", "28.725"), ("500000.0 Hz", "500001.0 Hz")],
 )  # fmt: skip
 def test_a_changed_model_is_noticed(before, after, tmp_path):
