@@ -9,7 +9,7 @@ from kc2spice.core.errors import unknown
 from kc2spice.core.files import staged
 from kc2spice.core.progress import Clock, Progress, silent
 from kc2spice.netlist.deck import Deck
-from kc2spice.netlist.printers.ngspice import plot_script
+from kc2spice.netlist.printers.plot_script import plot_script
 from kc2spice.netlist.transforms import array_deck
 from kc2spice.netlist.translate import DECKS, DIALECTS, dialect_files, symbol_files
 from kc2spice.parts._linear_body import LinearBody

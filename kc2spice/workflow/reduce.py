@@ -21,7 +21,7 @@ from kc2spice.core.progress import Clock, Progress, silent
 from kc2spice.core.quantities import quantity
 from kc2spice.netlist.deck import Block, Deck, ac
 from kc2spice.netlist.library import Subcircuit
-from kc2spice.netlist.printers.ngspice import plot_script
+from kc2spice.netlist.printers.plot_script import plot_script
 from kc2spice.netlist.translate import DIALECTS, dialect_files, symbol_files
 from kc2spice.parts._linear_body import LinearBody, full_alone, scene_band
 from kc2spice.rom.constraints import reduced_form

@@ -14,7 +14,7 @@ from kc2spice.core.figure import Figure, Written
 from kc2spice.core.files import staged
 from kc2spice.core.progress import Clock, Progress, silent
 from kc2spice.core.waveforms import write_record, write_waveforms
-from kc2spice.netlist.printers.ngspice import plot_script
+from kc2spice.netlist.printers.plot_script import plot_script
 from kc2spice.report.figures import draw_all
 from kc2spice.report.run_page import probe_figures, write_run
 from kc2spice.scene.judge import require

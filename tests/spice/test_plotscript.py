@@ -6,7 +6,7 @@ import subprocess
 import pytest
 from device import deck_of
 
-from kc2spice.netlist.printers.ngspice import plot_script
+from kc2spice.netlist.printers.plot_script import plot_script
 from kc2spice.scene.load import load_scene
 from kc2spice.sim.ngspice import write_files
 

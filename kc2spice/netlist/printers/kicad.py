@@ -23,8 +23,8 @@ from kc2spice.netlist.circuit import Directive, Element
 from kc2spice.netlist.deck import Deck
 from kc2spice.netlist.expression import vector
 from kc2spice.netlist.library import Subcircuit
-from kc2spice.netlist.printers import Place, layout
 from kc2spice.netlist.printers.ngspice import Printer
+from kc2spice.netlist.printers.symbol_layout import Place, layout
 from kc2spice.netlist.scope import GROUND, Scope
 
 GRID = 2.54  # mm, 100 mil
