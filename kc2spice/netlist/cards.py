@@ -15,13 +15,6 @@ from kc2spice.core.errors import MissingToolError, UsageError
 #: its charge, so that the currents sum to zero at an operating point where the charges do, and of
 #: the current in it a share of 1.6e-10 Hz / f, whatever the capacitance.
 LEAK_RATE = 1e-9
-#: Cards by which ngspice chooses pivots that serve the picoseconds of an impact. It chooses them
-#: at its first step, and those of a long step lose digits in short ones until none converges.
-PIVOTS = """\
-* A source of 0 V with corners at 1 and 2 ps makes the first time step small: the simulator fixes
-* there in which order it eliminates unknowns.
-Vtick tick {base} PWL(0 0 1e-12 0 2e-12 0)
-Rtick tick {base} 1"""
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,63}")
 # Simulators read these as ground, clock, temperature, a constant, a multiplier, a function.
 _RESERVED = frozenset({"gnd", "time", "temper", "hertz", "temp", "dtemp", "pi", "m", "limit"})

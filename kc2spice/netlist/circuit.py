@@ -8,9 +8,17 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 from kc2spice.core.errors import UsageError
+from kc2spice.netlist.cards import number
 from kc2spice.netlist.expression import Probe, Tree, parse, walk
 
 LEAST = 1e-30  # least value of a parameter that must be above zero
+# Nodes of each element letter; X counts by its subcircuit, E and G have two if behavioural.
+NODES = {
+    "r": 2, "c": 2, "l": 2, "v": 2, "i": 2, "b": 2, "e": 4, "g": 4, "f": 2, "h": 2,
+    "d": 2, "q": 3, "j": 3, "m": 4, "z": 3, "s": 4, "w": 2, "t": 4, "k": 0,
+}  # fmt: skip
+MODELLED = frozenset("dqjmzsw")  # the word behind nodes and controls names a .model
+CONTROLS = {"f": 1, "h": 1, "w": 1, "k": 2}  # sources or inductors behind the nodes
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -48,6 +56,39 @@ class Element(Card):
     parameters: Mapping[str, str] = field(default_factory=dict)
     quantity: str = ""
     expression: str = ""
+
+    @classmethod
+    def of(cls, name: str, *words: str | float, **parameters: str) -> Element:
+        """Return the element of this name: its nodes and controls, then its model or values.
+
+        Parameters
+        ----------
+        name : str
+            Name of the element. Its first letter is its kind.
+        *words : str or float
+            Words behind the name. Numbers are spelled by :func:`kc2spice.netlist.cards.number`.
+        **parameters : str
+            Assignments behind the words.
+
+        Examples
+        --------
+        >>> Element.of("Cmass", "v", "base", 1e-5, IC="0").values
+        ('1e-05',)
+        """
+        kind, texts = name[0].lower(), tuple(w if isinstance(w, str) else number(w) for w in words)
+        if kind == "x":
+            return cls(kind, name, texts[:-1], model=texts[-1], parameters=parameters)
+        count = NODES[kind]
+        end = count + CONTROLS.get(kind, 0)
+        nodes, sources, values = texts[:count], texts[count:end], texts[end:]
+        model = values[0] if kind in MODELLED else ""
+        values = values[1:] if kind in MODELLED else values
+        return cls(kind, name, nodes, sources, model, values, parameters)
+
+    @classmethod
+    def behaviour(cls, name: str, plus: str, minus: str, quantity: str, law: str) -> Element:
+        """Return the behavioural source of a current I or a voltage V by an expression."""
+        return cls("b", name, (plus, minus), quantity=quantity, expression=law)
 
     @cached_property
     def key(self) -> str:

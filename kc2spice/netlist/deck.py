@@ -125,7 +125,7 @@ class Deck:
 
     name: str
     title: str = ""
-    notes: str = ""
+    notes: tuple[str, ...] = ()
     parts: tuple[Subcircuit, ...] = ()
     blocks: tuple[Block, ...] = ()
     options: tuple[Option, ...] = ()
@@ -174,7 +174,7 @@ class Deck:
         UsageError : a broken card.
         """
         more = {name: read(text, name) for name, text in self.more.items()}
-        own = {part.filename: part.circuit for part in self.parts}
+        own = {part.filename: part.located for part in self.parts}
         return {self.main: read(self._main, self.main, title=True)} | own | more
 
     @cached_property
@@ -198,7 +198,7 @@ class Deck:
     def _head(self) -> Iterator[str]:
         raw, plot = f"{self.name}.raw {self.main}", f"{self.name}_plot.sp"
         yield f"* {comment(self.title)}"
-        yield self.notes
+        yield from self.notes or ("",)
         yield f"* Run it with:  ngspice -b {self.main}             (prints what .print asks for)"
         yield f"*           or  ngspice -b -r {raw}  (keeps every vector saved below)"
         yield f"*           or  ngspice {plot}          (plots the main curves)"

@@ -4,15 +4,17 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from math import nan
 from pathlib import Path
 
 from kc2spice.core.errors import UsageError
 from kc2spice.core.foreign import read_bounded, text_of
+from kc2spice.netlist.cards import number
 from kc2spice.netlist.circuit import Circuit, Element, Param, Pin
 from kc2spice.netlist.expression import literal
+from kc2spice.netlist.printers.ngspice import Printer, located
 from kc2spice.netlist.read import read
 
 LARGEST = 100_000_000  # bytes of one file
@@ -20,30 +22,55 @@ _PIN = re.compile(r"\* @pin \d+ (\w+) unit=(\S+) flow=(\S+)")
 _PARAM = re.compile(r"\* @param (\w+)=(\S+) unit=(\S+)(?: range=(\S+)\.\.(\S+))? ?(.*)")
 
 
+@dataclass(frozen=True)
+class Reduction:
+    """Order, band and accuracy of the reduced model that a part was made from.
+
+    ``error_estimate`` is the relative error of the part's response in the ``norm``. A share of it,
+    ``circuit_error``, is that of the elements, at the frequency ``worst_hz``.
+    """
+
+    order: int
+    band_hz: tuple[float, float]
+    norm: str
+    error_estimate: float
+    circuit_error: float = 0.0
+    worst_hz: float = 0.0
+
+    @property
+    def summary(self) -> str:
+        """The facts on one line, the error estimate rounded upwards."""
+        low, high = map(number, self.band_hz)
+        error = number(_upwards(self.error_estimate))
+        return f"order={self.order} band={low}..{high} Hz norm={self.norm} error={error}"
+
+
+def _upwards(value: float) -> float:
+    """Three digits of it, rounded so that a bound stays one."""
+    mantissa, _, exponent = f"{value:.2e}".partition("e")
+    short = float(f"{mantissa}e{exponent}")
+    return short if short >= value else float(f"{float(mantissa) + 0.01:.2f}e{exponent}")
+
+
 @dataclass(frozen=True, repr=False)
 class Subcircuit:
-    """One part: its ``.subckt``, pin table and the text of its library file.
+    """One part: its ``.subckt`` in the ``circuit`` of its library file, and its pin table.
 
-    ``file`` is the name of that file where it is not ``NAME.lib``. ``no_module`` says why it must
-    not become a Verilog-A module, "" where it may. ``error_estimate`` is the relative error of its
-    response that its head states, and ``circuit_error`` what its elements contribute to that, at
-    the frequency ``worst_hz``; None where there is no model to compare with.
+    ``title`` is ``NAME: what it is``. ``file`` is the name of the library file where it is not
+    ``NAME.lib``. ``no_module`` states why the part must not become a Verilog-A module, "" where it
+    may. ``reduction`` is None where there is no reduced model. ``source`` is the text of a library
+    that somebody else wrote; all others are printed from their circuits.
     """
 
     name: str
     pins: tuple[Pin, ...]
     params: tuple[Param, ...]
-    text: str
+    circuit: Circuit
+    title: str = ""
     file: str = ""
     no_module: str = ""
-    error_estimate: float | None = None
-    circuit_error: float | None = None
-    worst_hz: float = 0.0
-
-    @property
-    def title(self) -> str:
-        """Title in the first line of the library."""
-        return self.text.partition("\n")[0].lstrip("* ")
+    reduction: Reduction | None = None
+    source: str = ""
 
     @property
     def filename(self) -> str:
@@ -51,14 +78,18 @@ class Subcircuit:
         return self.file or f"{self.name}.lib"
 
     @cached_property
-    def circuit(self) -> Circuit:
-        """The library as a tree, read once.
+    def text(self) -> str:
+        """Text of the library file in the words of ngspice."""
+        return self.source or Printer().file(self.circuit)
 
-        Raises
-        ------
-        UsageError : a card that is not complete.
-        """
-        return read(self.text, self.filename)
+    @cached_property
+    def located(self) -> Circuit:
+        """The circuit, each card with its place in the library file and its text, for errors."""
+        return self.circuit if self.source else located(self.circuit, self.filename)
+
+    def changed(self, circuit: Circuit) -> Subcircuit:
+        """The same part with another circuit."""
+        return replace(self, circuit=circuit, source="")
 
     def write(self, path: str | Path) -> Path:
         """Write the library file to ``path``, or under its own name into the directory ``path``."""
@@ -118,11 +149,12 @@ def read_lib(path: str | Path) -> list[Subcircuit]:
 
 def subcircuits(text: str, file: str) -> list[Subcircuit]:
     """The parts in the ``text`` of a library ``file``, as :func:`read_lib` gives them."""
-    result = read(text, file).subcircuits
+    whole = read(text, file)
+    result = whole.subcircuits
     called = {model.lower() for item in result for model in _called(item)}
     declared = [item for item in result if any(map(_PIN.match, item.notes))]
     shown = declared or [item for item in result if item.name.lower() not in called]
-    return [_part(item, text, file) for item in shown]
+    return [_part(item, whole, text, file) for item in shown]
 
 
 def _called(circuit: Circuit) -> Iterator[str]:
@@ -138,7 +170,7 @@ def declared_pins(circuit: Circuit) -> list[Pin]:
     return [Pin(*match.groups()) for match in map(_PIN.match, circuit.notes) if match]
 
 
-def _part(circuit: Circuit, text: str, file: str) -> Subcircuit:
+def _part(circuit: Circuit, whole: Circuit, text: str, file: str) -> Subcircuit:
     pins = declared_pins(circuit)
     if pins and [p.name.lower() for p in pins] != [n.lower() for n in circuit.pins]:
         listed = " ".join(p.name for p in pins)
@@ -153,4 +185,5 @@ def _part(circuit: Circuit, text: str, file: str) -> Subcircuit:
         )
         params.append(Param(name, nan if given is None else given, *(labels or ("-", ""))))
     ends = tuple(pins or (Pin(name, "V", "A") for name in circuit.pins))
-    return Subcircuit(circuit.name, ends, tuple(params), text, file)
+    title = text.partition("\n")[0].lstrip("* ")
+    return Subcircuit(circuit.name, ends, tuple(params), whole, title=title, file=file, source=text)

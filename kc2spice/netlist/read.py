@@ -12,6 +12,9 @@ from typing import Any
 from kc2spice.core.errors import UsageError
 from kc2spice.core.foreign import lines_of
 from kc2spice.netlist.circuit import (
+    CONTROLS,
+    MODELLED,
+    NODES,
     Card,
     Circuit,
     Directive,
@@ -23,13 +26,6 @@ from kc2spice.netlist.circuit import (
 )
 from kc2spice.netlist.expression import literal
 
-# Nodes of each element letter; X counts by its subcircuit, E and G have two if behavioural.
-NODES = {
-    "r": 2, "c": 2, "l": 2, "v": 2, "i": 2, "b": 2, "e": 4, "g": 4, "f": 2, "h": 2,
-    "d": 2, "q": 3, "j": 3, "m": 4, "z": 3, "s": 4, "w": 2, "t": 4, "k": 0,
-}  # fmt: skip
-_MODELLED = frozenset("dqjmzsw")  # the word behind nodes and controls names a .model
-_CONTROLS = {"f": 1, "h": 1, "w": 1, "k": 2}
 _LAWS = ("value", "vol", "cur", "table", "poly", "laplace")
 
 OPTION_CARDS = frozenset((".options", ".option", ".opt"))
@@ -235,17 +231,17 @@ def element(s: Statement) -> Element:
     if kind not in NODES:
         return Element(kind, name, (), values=tuple(rest), **origin)
     count = _count(kind, rest)
-    end = count + _CONTROLS.get(kind, 0)
+    end = count + CONTROLS.get(kind, 0)
     if kind in "fh" and len(rest) > 2 and rest[2].lower().startswith("poly("):
         end = count
-    needed = end + (kind in _MODELLED or kind not in "vi")
+    needed = end + (kind in MODELLED or kind not in "vi")
     if len(rest) < needed or any("=" in w or "(" in w for w in rest[:count]):
         more = ", then a value or model" if kind not in "vi" else ""
         raise s.error("element is not complete", expected=f"{count} nodes{more}")
     nodes, sources, rest = tuple(rest[:count]), tuple(rest[count:end]), rest[end:]
     if kind in "eg" and count == 2:
         return _controlled(Element(kind, name, nodes, values=tuple(rest), **origin))
-    model = rest.pop(0) if kind in _MODELLED else ""
+    model = rest.pop(0) if kind in MODELLED else ""
     values = tuple(w for w in rest if not _assigned(w))
     given = dict(w.split("=", 1) for w in rest if _assigned(w))
     return Element(kind, name, nodes, sources, model, values, given, **origin)

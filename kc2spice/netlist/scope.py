@@ -8,9 +8,17 @@ from dataclasses import dataclass, field
 from pathlib import PurePosixPath
 from typing import Any
 
-from kc2spice.netlist.circuit import Card, Circuit, Directive, Element, Function, Model, Parameters
+from kc2spice.netlist.circuit import (
+    NODES,
+    Card,
+    Circuit,
+    Directive,
+    Element,
+    Function,
+    Model,
+    Parameters,
+)
 from kc2spice.netlist.expression import vector
-from kc2spice.netlist.read import NODES
 
 GROUND = frozenset({"0", "gnd", "!gnd"})
 INCLUDES = (".include", ".inc")

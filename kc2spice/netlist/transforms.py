@@ -13,7 +13,6 @@ from kc2spice.netlist.circuit import LEAST, Circuit, Element, Item, Param
 from kc2spice.netlist.deck import Block, Deck
 from kc2spice.netlist.expression import added, terms, vector
 from kc2spice.netlist.library import Subcircuit
-from kc2spice.netlist.printers.ngspice import printed
 
 Parameters = tuple[tuple[str, float], ...]  # ("PART.NAME", value)
 MOST = 10_000  # copies
@@ -34,7 +33,7 @@ def self_contained(part: Subcircuit, helpers: Iterable[Subcircuit]) -> Subcircui
             kept = ("", *(line for line in item.notes if not line.startswith(_ORIGIN)))
             item = replace(item, notes=kept if item.notes else ())
             tree = replace(tree, items=(*tree.items, item))
-    return printed(part, tree)
+    return part.changed(tree)
 
 
 def quiet(part: Subcircuit, noisy: Iterable[str]) -> Subcircuit:
@@ -49,7 +48,7 @@ def quiet(part: Subcircuit, noisy: Iterable[str]) -> Subcircuit:
             return entry
         return replace(entry, parameters={**entry.parameters, "noisy": "0"})
 
-    return printed(part, part.circuit.changed(item))
+    return part.changed(part.circuit.changed(item))
 
 
 def renamed(circuit: Circuit, names: Mapping[str, str]) -> Circuit:
@@ -130,7 +129,7 @@ def _changed(part: Subcircuit, library: str, name: str, value: float) -> Subcirc
             )
             new[id(item)] = replace(item, defaults={**item.defaults, name: given}, notes=notes)
     items = tuple(new.get(id(item), item) for item in part.circuit.items)
-    return printed(part, replace(part.circuit, items=items)) if new else part
+    return part.changed(replace(part.circuit, items=items)) if new else part
 
 
 def _require_within(param: Param, library: str, value: float) -> None:

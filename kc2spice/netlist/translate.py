@@ -90,5 +90,5 @@ def symbol_files(deck: Deck, dialect: str = "ngspice") -> dict[str, str]:
             library = f"{stem}.lib" if dialect == "ltspice" else f"{stem}.ltspice.lib"
             files[f"{stem}.asy"] = ltspice.symbol(part, library)
             if dialect == "ngspice":
-                files[library] = ltspice.LTspice().file(part.circuit)
+                files[library] = ltspice.LTspice().file(part.located)
     return files

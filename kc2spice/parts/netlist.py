@@ -133,7 +133,10 @@ class Netlist(PartType):
     def subcircuits(self, part: Part, build: Build, header: Any) -> tuple[Any, ...]:
         result = included_netlist(part.keys.file, build.scene.home, trust=build.trust)
         pins = tuple(Pin(t.name, t.unit, t.flow) for t in self.pins(part, build.scene))
-        return (Subcircuit(part.keys.subckt, pins, (), result.text, file=result.file),)
+        text, file = result.text, result.file
+        title = text.partition("\n")[0].lstrip("* ")
+        tree = read(text, file)
+        return (Subcircuit(part.keys.subckt, pins, (), tree, title=title, file=file, source=text),)
 
     def vectors(self, part: Part, build: Build) -> Mapping[str, Vector]:
         """Its rated pins, and what probes name: pins, ``i(ELEMENT)``, and nodes over ``ref``."""

@@ -12,7 +12,8 @@ from kc2spice.core import laws
 from kc2spice.core.errors import UsageError
 from kc2spice.core.quantities import BOLTZMANN, TEMPERATURE, Frequency, Length, Section
 from kc2spice.netlist.cards import number
-from kc2spice.netlist.circuit import Param
+from kc2spice.netlist.circuit import Element, Item, Param
+from kc2spice.netlist.elements import noted
 from kc2spice.parts import sphere
 from kc2spice.physics.cards import state_node
 from kc2spice.physics.declaration import Declaration, displacement, seen
@@ -89,18 +90,23 @@ dc = "1 um"
             yield part.wrong("noise", words, scene.analysis.type, f"{' or '.join(kinds)}, or none")
 
     def subcircuits(self, part: Part, build: Build, header: Any) -> tuple[Any, ...]:
-        d, keys, cards = reading(part.keys), part.keys, ""
+        d, keys = reading(part.keys), part.keys
+        cards: tuple[Item, ...] = ()
         if keys.noise and build.noisy:
             # white up to the bandwidth, over the noise voltage of an ohm
             root = math.sqrt(4 * BOLTZMANN * TEMPERATURE * keys.bandwidth)
-            cards = (
-                "* noise by its density: that of an ohm at 27 C times a gain\nRnoise drawn ref 1"
-            )
-            cards += f"\nGnoise ref out drawn ref {number(1e6 * keys.noise / root)}\n"
+            cards = noted((
+                "* noise by its density: that of an ohm at 27 C times a gain",
+                Element.of("Rnoise", "drawn", "ref", "1"),
+                Element.of("Gnoise", "ref", "out", "drawn", "ref", 1e6 * keys.noise / root),
+            ))  # fmt: skip
         elif keys.noise:
             step, size = number(0.5 / keys.bandwidth), number(1e6 * keys.noise)
-            cards = f"* noise in um, a new random value at every {step} s\n"
-            cards += f"Inoise ref out DC 0 TRNOISE({size} {step} 0 0)\n"
+            wave = f"TRNOISE({size} {step} 0 0)"
+            cards = noted((
+                f"* noise in um, a new random value at every {step} s",
+                Element.of("Inoise", "ref", "out", "DC", "0", wave),
+            ))  # fmt: skip
         name = build.libraries[part.name]
         return (subcircuit(header, name, d, d.values(Section()), more=cards),)
 

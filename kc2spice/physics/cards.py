@@ -9,7 +9,9 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
 
-from kc2spice.netlist.cards import LEAK_RATE, PIVOTS
+from kc2spice.netlist.cards import LEAK_RATE
+from kc2spice.netlist.circuit import Element, Item, Model, Parameters
+from kc2spice.netlist.elements import Line, noted, pivots
 from kc2spice.netlist.expression import Binary, Call, Name, Number, Probe, Tree, replaced, walk
 from kc2spice.physics.declaration import RATE, Branch, Declaration
 from kc2spice.physics.expression import (
@@ -26,7 +28,7 @@ from kc2spice.physics.expression import (
 )
 
 _MICRO, _FARAD = Number("1e-6"), "1e-06"
-_EDGE = ".model edge SW(VT=0 VH=0 RON=1e6 ROFF=2e6)"
+_EDGE = Model("edge", "SW", {"VT": "0", "VH": "0", "RON": "1e6", "ROFF": "2e6"})
 _HEAD = {
     "force": "force into {plus}, out of {minus}, 1 V = 1 N on {node}; x = 1e-6 V({plus},{minus})",
     "direct": "force into {plus}, out of {minus}; x = 1e-6 V({plus},{minus})",
@@ -51,9 +53,9 @@ _HEAD = {
 }  # fmt: skip
 
 
-def body(declaration: Declaration, noise: bool = False) -> str:
+def body(declaration: Declaration, noise: bool = False) -> tuple[Item, ...]:
     """Cards between ``.subckt`` and ``.ends``, with their comments."""
-    return "\n".join(_lines(declaration, noise)) + "\n"
+    return noted(_lines(declaration, noise))
 
 
 def noisy(declaration: Declaration) -> bool:
@@ -61,13 +63,13 @@ def noisy(declaration: Declaration) -> bool:
     return any(declaration.loss(b) != ZERO for b in declaration.acting)
 
 
-def _lines(declaration: Declaration, noise: bool) -> Iterator[str]:
+def _lines(declaration: Declaration, noise: bool) -> Iterator[Line]:
     for name, tree in declaration.fixed.items():
-        yield f".param {name}={{{text(tree)}}}"
+        yield Parameters({name: f"{{{text(tree)}}}"})
     nodes, rest = _probes(declaration), reference(declaration)
     for tree, name in declaration.polynomials.items():
         yield f"* the power series {name}"
-        yield f"B{name} {name} {rest} V={{{text(replaced(tree, nodes))}}}"
+        yield Element.behaviour(f"B{name}", name, rest, "V", text(replaced(tree, nodes)))
     for branch in declaration.branches:
         if branch.less or branch.name in declaration.lags:
             yield from _own_place(declaration, branch)
@@ -81,7 +83,7 @@ def _lines(declaration: Declaration, noise: bool) -> Iterator[str]:
             source = Probe("v", (f"noise_{branch.name}", branch.minus))
             added[branch.name] = times(source, Call("sqrt", (loss,)))
             yield _comment("noise", branch, loss=text(loss))
-            yield f"Rnoise_{branch.name} noise_{branch.name} {branch.minus} 1"
+            yield Element.of(f"Rnoise_{branch.name}", f"noise_{branch.name}", branch.minus, "1")
     for branch in branches:
         make = {"displacement": _force, "voltage": _charge, "current": _flux}[branch.kind]
         yield from make(declaration, branch, nodes, added[branch.name])
@@ -91,15 +93,15 @@ def _lines(declaration: Declaration, noise: bool) -> Iterator[str]:
         yield from _node(name, times(Number("1e6"), tree), nodes, rest)
 
 
-def _node(name: str, tree: Tree, nodes: Mapping[str, Tree], base: str) -> Iterator[str]:
+def _node(name: str, tree: Tree, nodes: Mapping[str, Tree], base: str) -> Iterator[Line]:
     """A node that has the value of ``tree``."""
     yield from _current(name, (base, name), tree, nodes)
-    yield f"R{name} {name} {base} 1"
+    yield Element.of(f"R{name}", name, base, "1")
 
 
 def _current(
     name: str, ends: tuple[str, str], tree: Tree, nodes: Mapping[str, Tree]
-) -> Iterator[str]:
+) -> Iterator[Line]:
     """A current from one end to the other: of linear sources where it is affine, which ngspice need
     not differentiate."""
     start, end = ends
@@ -109,18 +111,19 @@ def _current(
     simple = all(len(found) == 1 and found[0].kind == "v" for found in probes)
     simple = simple and not (kinks(tree) or any(isinstance(node, Probe) for node in walk(tree)))
     if not simple or any(names(slope) & set(nodes) for slope in slopes.values()):
-        yield f"B{name} {start} {end} I={{{text(replaced(tree, nodes))}}}"
+        yield Element.behaviour(f"B{name}", start, end, "I", text(replaced(tree, nodes)))
         return
     for (item, slope), (probe,) in zip(slopes.items(), probes, strict=True):
         card = f"G{name}" if len(seen) == 1 else f"G{name}_{item}"
         micro = _MICRO if isinstance(nodes[item], Binary) else ONE
-        yield f"{card} {start} {end} {' '.join(probe.names)} {{{text(times(micro, slope))}}}"
+        gain = f"{{{text(times(micro, slope))}}}"
+        yield Element.of(card, start, end, *probe.names, gain)
     rest = plus(replaced(tree, dict.fromkeys(seen, ZERO)))
     if rest != ZERO:
-        yield f"I{name} {end} {start} {{{text(minus(ZERO, rest))}}}"
+        yield Element.of(f"I{name}", end, start, f"{{{text(minus(ZERO, rest))}}}")
 
 
-def _mass(declaration: Declaration, b: Branch) -> Iterator[str]:
+def _mass(declaration: Declaration, b: Branch) -> Iterator[Line]:
     """A velocity with the mass for a capacitance and a place that integrates it. What pins force
     into it is a node, and once more a current, whose tolerance is closer, unless its velocity is a
     pin."""
@@ -129,27 +132,29 @@ def _mass(declaration: Declaration, b: Branch) -> Iterator[str]:
     start, fast = declaration.starts[n]
     yield _comment("mass", b, speed=v, place=place)
     end = base if speed else f"pushed_{n}"
-    yield f"Cplace_{n} {place} {base} {_FARAD} IC={{{start}*1e6}}"
-    yield f"Gplace_{n} {base} {place} {v} {base} 1"
-    yield f"Cmass_{n} {v} {end} {{{text(declaration.mass(b))}}} IC={{{fast}}}"
+    yield Element.of(f"Cplace_{n}", place, base, _FARAD, IC=f"{{{start}*1e6}}")
+    yield Element.of(f"Gplace_{n}", base, place, v, base, "1")
+    yield Element.of(f"Cmass_{n}", v, end, f"{{{text(declaration.mass(b))}}}", IC=f"{{{fast}}}")
     shaken = [other for other in declaration.branches if other.kind == "acceleration"]
     weight = declaration.direct(b)
     still = plus(replaced(weight, {other.name: ZERO for other in shaken}))
     if still != ZERO:
-        yield f"Iweight_{n} {v} {base} {{{text(still)}}}"
+        yield Element.of(f"Iweight_{n}", v, base, f"{{{text(still)}}}")
     for other in shaken:
         share = text(derivative(weight, other.name))
         yield _comment("shake", other, speed=v)
-        yield f"Gshake_{other.name} {v} {base} {other.plus} {other.minus} {{{share}}}"
+        yield Element.of(f"Gshake_{other.name}", v, base, other.plus, other.minus, f"{{{share}}}")
     if not speed:
-        yield f"Vmass_{n} {end} {base} 0"
+        yield Element.of(f"Vmass_{n}", end, base, "0")
         yield _comment("held", b, node=force_node(b), place=place)
-        yield f"Gheld_{n} {base} {force_node(b)} {b.plus} {place} 1"
-        yield f"G{force_node(b)} {b.plus} {base} {force_node(b)} {base} 1"
-        yield f"Gpush_{n} {base} {v} {force_node(b)} {base} 1"
+        yield Element.of(f"Gheld_{n}", base, force_node(b), b.plus, place, "1")
+        yield Element.of(f"G{force_node(b)}", b.plus, base, force_node(b), base, "1")
+        yield Element.of(f"Gpush_{n}", base, v, force_node(b), base, "1")
         for other in shaken:
             share = text(over(derivative(weight, other.name), declaration.mass(b)))
-            yield f"Gdraw_{other.name} {other.plus} {base} {force_node(b)} {base} {{{share}}}"
+            yield Element.of(
+                f"Gdraw_{other.name}", other.plus, base, force_node(b), base, f"{{{share}}}"
+            )
 
 
 def _probes(declaration: Declaration) -> Mapping[str, Tree]:
@@ -201,7 +206,7 @@ def _comment(kind: str, branch: Branch, **words: str) -> str:
     return f"* {_HEAD[kind].format(plus=branch.plus, minus=branch.minus, **words)}"
 
 
-def _states(declaration: Declaration, nodes: Mapping[str, Tree]) -> Iterator[str]:
+def _states(declaration: Declaration, nodes: Mapping[str, Tree]) -> Iterator[Line]:
     """Signals, then what integrates."""
     base = reference(declaration)
     for name, tree in declaration.sent.items():
@@ -211,8 +216,8 @@ def _states(declaration: Declaration, nodes: Mapping[str, Tree]) -> Iterator[str
         node, rate = state_node(name), times(Number(_FARAD), tree)
         yield f"* {_HEAD['state'].format(node=node)}"
         yield f"*   d/dt {name} = {text(tree)}"
-        yield f"C{node} {node} {base} {_FARAD}"
-        yield f"R{node} {node} {base} 1e15"
+        yield Element.of(f"C{node}", node, base, _FARAD)
+        yield Element.of(f"R{node}", node, base, "1e15")
         yield from _current(node, (base, node), rate, nodes)
 
 
@@ -220,47 +225,47 @@ def _placed(declaration: Declaration, tree: Tree, nodes: Mapping[str, Tree]) -> 
     return text(replaced(declaration.named(tree), nodes))
 
 
-def _differentiated(name: str, node: str, minus: str) -> Iterator[str]:
+def _differentiated(name: str, node: str, minus: str) -> Iterator[Line]:
     """The current of ``Vrate_NAME`` is 1e-6 of the rate of the node's voltage."""
-    yield f"Crate_{name} {node} sense_{name} {_FARAD}"
-    yield f"Vrate_{name} sense_{name} {minus} 0"
+    yield Element.of(f"Crate_{name}", node, f"sense_{name}", _FARAD)
+    yield Element.of(f"Vrate_{name}", f"sense_{name}", minus, "0")
 
 
-def _velocity(declaration: Declaration, b: Branch) -> Iterator[str]:
+def _velocity(declaration: Declaration, b: Branch) -> Iterator[Line]:
     """Cards of the velocity, for ends without a velocity node."""
     base = declaration.base or b.minus
     plus, minus = (base if pin in declaration.speeds else pin for pin in (b.plus, b.minus))
     if plus != minus:
         yield _comment("rate", replace(b, plus=plus, minus=minus))
-        yield f"Ecopy_{b.name} copy_{b.name} {base} {plus} {minus} 1"
+        yield Element.of(f"Ecopy_{b.name}", f"copy_{b.name}", base, plus, minus, "1")
         yield from _differentiated(b.name, f"copy_{b.name}", base)
 
 
-def _own_place(declaration: Declaration, b: Branch) -> Iterator[str]:
+def _own_place(declaration: Declaration, b: Branch) -> Iterator[Line]:
     """A node for what is not between two pins. With two lags of a quarter of the time in a row,
     ``x + lag x'`` is ``x + 4 (2 x - first + second - first)`` but for the time squared."""
     n, base, lag = b.name, reference(declaration), declaration.lags.get(b.name)
     node = f"in_{n}" if lag else f"x_{n}"
     words = f" less {b.less}" * bool(b.less) + f" + {lag} times its rate" * bool(lag)
     yield _comment("place", b, node=f"x_{n}", words=words)
-    yield f"G{node} {base} {node} {b.plus} {b.minus} 1"
+    yield Element.of(f"G{node}", base, node, b.plus, b.minus, "1")
     if b.less:
-        yield f"Gless_{n} {node} {base} {b.less} {base} 1"
-    yield f"R{node} {node} {base} 1"
+        yield Element.of(f"Gless_{n}", node, base, b.less, base, "1")
+    yield Element.of(f"R{node}", node, base, "1")
     if lag:
         for before, name in ((node, f"first_{n}"), (f"first_{n}", f"second_{n}")):
-            yield f"G{name} {base} {name} {before} {base} 1"
-            yield f"R{name} {name} {base} 1"
-            yield f"C{name} {name} {base} {{{lag}/4}}"
-        yield f"Gnow_{n} {base} x_{n} {node} {base} 9"
-        yield f"Gthen_{n} x_{n} {base} first_{n} {base} 12"
-        yield f"Gbefore_{n} {base} x_{n} second_{n} {base} 4"
-        yield f"Rx_{n} x_{n} {base} 1"
+            yield Element.of(f"G{name}", base, name, before, base, "1")
+            yield Element.of(f"R{name}", name, base, "1")
+            yield Element.of(f"C{name}", name, base, f"{{{lag}/4}}")
+        yield Element.of(f"Gnow_{n}", base, f"x_{n}", node, base, "9")
+        yield Element.of(f"Gthen_{n}", f"x_{n}", base, f"first_{n}", base, "12")
+        yield Element.of(f"Gbefore_{n}", base, f"x_{n}", f"second_{n}", base, "4")
+        yield Element.of(f"Rx_{n}", f"x_{n}", base, "1")
 
 
 def _force(
     declaration: Declaration, b: Branch, nodes: Mapping[str, Tree], noise: Tree
-) -> Iterator[str]:
+) -> Iterator[Line]:
     if declaration.mass(b) != ZERO:
         yield from _mass(declaration, b)
         return
@@ -271,45 +276,49 @@ def _force(
     ends = (base, node) if metered else (high, low)
     yield _comment("force" if metered else "direct", b, node=node)
     yield f"*   {b.through} = {text(declaration.named(force))}"
-    yield f"B{node} {' '.join(ends)} I={{{_placed(declaration, plus(force, noise), nodes)}}}"
+    law = _placed(declaration, plus(force, noise), nodes)
+    yield Element.behaviour(f"B{node}", *ends, "I", law)
     if metered:
-        yield f"R{node} {node} {base} 1"
-        yield f"G{node} {high} {low} {node} {base} 1"
+        yield Element.of(f"R{node}", node, base, "1")
+        yield Element.of(f"G{node}", high, low, node, base, "1")
     if b.less:
-        yield f"Gless_{node} {base} {b.less} {node} {base} 1"
+        yield Element.of(f"Gless_{node}", base, b.less, node, base, "1")
 
 
 def _scaled(
     declaration: Declaration, b: Branch, kept: Tree, node: str, nodes: Mapping[str, Tree]
-) -> Iterator[str]:
+) -> Iterator[Line]:
     """Stored quantity in units of its derivative at rest; its voltages equal those of ``b``."""
     scale = declaration.at_rest(derivative(kept, b.name))
-    yield f".param scale_{b.name}={{{text(scale if scale != ZERO else Number('1e-12'))}}}"
+    unit = scale if scale != ZERO else Number("1e-12")
+    yield Parameters({f"scale_{b.name}": f"{{{text(unit)}}}"})
     amount = replaced(declaration.named(kept), nodes)
     if b.kind == "voltage":  # a quotient's slope has 1e-32 beside scale^2, which may be that small
-        yield f".param per_{b.name}={{1/scale_{b.name}}}"
+        yield Parameters({f"per_{b.name}": f"{{1/scale_{b.name}}}"})
         amount = Binary("*", Name(f"per_{b.name}"), amount)
     else:
         amount = Binary("/", amount, Name(f"scale_{b.name}"))
-    yield f"B{node} {node} {b.minus} V={{{text(amount)}}}"
+    yield Element.behaviour(f"B{node}", node, b.minus, "V", text(amount))
     yield from _differentiated(b.name, node, b.minus)
 
 
 def _charge(
     declaration: Declaration, b: Branch, nodes: Mapping[str, Tree], noise: Tree
-) -> Iterator[str]:
+) -> Iterator[Line]:
     kept, direct, inner = declaration.kept(b), declaration.direct(b), b.plus
     if declaration.metered or kept != ZERO:
         inner = f"in_{b.name}"
-        yield f"{meter(b)} {b.plus} {inner} 0"
+        yield Element.of(meter(b), b.plus, inner, "0")
     if kept != ZERO:
         yield _comment("charge", b, node=f"q_{b.name}", scale=f"scale_{b.name}")
         yield f"*   charge = {text(declaration.named(kept))}"
         yield from _scaled(declaration, b, kept, f"q_{b.name}", nodes)
-        yield f"Fq_{b.name} {inner} {b.minus} Vrate_{b.name} {{scale_{b.name}*1e6}}"
+        yield Element.of(
+            f"Fq_{b.name}", inner, b.minus, f"Vrate_{b.name}", f"{{scale_{b.name}*1e6}}"
+        )
         yield f"* {_HEAD['leak'].format(seconds=f'{1 / LEAK_RATE:g}')}"
         leak = f"{{{LEAK_RATE:g}*scale_{b.name}}}"
-        yield f"Gleak_{b.name} {b.plus} {b.minus} q_{b.name} {b.minus} {leak}"
+        yield Element.of(f"Gleak_{b.name}", b.plus, b.minus, f"q_{b.name}", b.minus, leak)
     if direct != ZERO or kept == ZERO:
         yield f"*   {b.through} = {text(declaration.named(direct))}"
         whole = declaration.named(plus(direct, noise))
@@ -318,20 +327,23 @@ def _charge(
 
 def _flux(
     declaration: Declaration, b: Branch, nodes: Mapping[str, Tree], noise: Tree
-) -> Iterator[str]:
+) -> Iterator[Line]:
     kept, drop, inner = declaration.kept(b), declaration.direct(b), f"in_{b.name}"
-    yield f"{meter(b)} {b.plus} {inner} 0"
+    yield Element.of(meter(b), b.plus, inner, "0")
     if kept != ZERO:
         yield _comment("flux", b, node=f"l_{b.name}", scale=f"scale_{b.name}")
         yield f"*   flux = {text(declaration.named(kept))}"
         yield from _scaled(declaration, b, kept, f"l_{b.name}", nodes)
-        yield f"Hl_{b.name} {inner} rest_{b.name} Vrate_{b.name} {{scale_{b.name}*1e6}}"
+        yield Element.of(
+            f"Hl_{b.name}", inner, f"rest_{b.name}", f"Vrate_{b.name}", f"{{scale_{b.name}*1e6}}"
+        )
         inner = f"rest_{b.name}"
     yield f"*   voltage besides that of the flux = {text(drop)}"
-    yield f"Bv_{b.name} {inner} {b.minus} V={{{_placed(declaration, plus(drop, noise), nodes)}}}"
+    law = _placed(declaration, plus(drop, noise), nodes)
+    yield Element.behaviour(f"Bv_{b.name}", inner, b.minus, "V", law)
 
 
-def _edges(declaration: Declaration, nodes: Mapping[str, Tree]) -> Iterator[str]:
+def _edges(declaration: Declaration, nodes: Mapping[str, Tree]) -> Iterator[Line]:
     """Watches of displacements against thresholds, 10 kV per um, and of what states have to do
     with, 100 V: ngspice shortens its steps as a switch nears its threshold, to 0.05 V of it, which
     what moves fast must reach in a step that is not too small. Between edges the trapezoidal
@@ -346,15 +358,15 @@ def _edges(declaration: Declaration, nodes: Mapping[str, Tree]) -> Iterator[str]
         if seen & inner or (len(seen) == 1 and seen <= set(moved)):
             result.append((argument, moved.get(next(iter(seen)))))
     if declaration.stops:
-        yield PIVOTS.format(base=reference(declaration))
+        yield from pivots(reference(declaration))
     for k, (argument, b) in enumerate(result):
         base = declaration.base or (b.minus if b else reference(declaration))
         yield f"* {_HEAD['edge'].format(argument=text(argument))}"
-        yield _EDGE if not k else f"* edge {k + 1}"
+        yield f"* edge {k + 1}" if k else _EDGE
         watched: Tree = Binary("*", Number("1e10"), replaced(argument, nodes))
         if declaration.metered and b is not None:
-            yield f"Bedge{k} edge{k} {base} V={{{text(watched)}}}"
+            yield Element.behaviour(f"Bedge{k}", f"edge{k}", base, "V", text(watched))
         else:
             watched = times(Number("100" if b is None else "1e10"), argument)
             yield from _node(f"edge{k}", watched, nodes, base)
-        yield f"Sedge{k} edge{k} {base} edge{k} {base} edge"
+        yield Element.of(f"Sedge{k}", f"edge{k}", base, f"edge{k}", base, "edge")

@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from kc2spice.core import laws
 from kc2spice.core.waveforms import Waveforms, running
-from kc2spice.netlist.cards import distinct
+from kc2spice.netlist.cards import comment, distinct
 from kc2spice.netlist.cards import name as checked
-from kc2spice.netlist.circuit import Param, Pin
+from kc2spice.netlist.circuit import Circuit, Item, Param, Pin
 from kc2spice.netlist.expression import Tree
 from kc2spice.netlist.library import Subcircuit
-from kc2spice.netlist.printers.ngspice import printed
 from kc2spice.physics.cards import body, force_node, meter, noisy, reference, state_node
 from kc2spice.physics.declaration import LOOPS, RATE, Branch, Declaration
 from kc2spice.physics.expression import ZERO, derivative, evaluated, kinks, names
@@ -234,7 +233,7 @@ def subcircuit(
     declaration: Declaration,
     values: Mapping[str, float],
     noise: bool = False,
-    more: str = "",
+    more: Sequence[Item] = (),
 ) -> Subcircuit:
     """Write the netlist of a declared part.
 
@@ -250,8 +249,8 @@ def subcircuit(
         Values of its keys in SI units, which become the defaults of the parameters.
     noise : bool, default False
         Whether the losses have thermal noise.
-    more : str, optional
-        Further cards, each with a line break at its end.
+    more : sequence of Item, optional
+        Further cards.
 
     Returns
     -------
@@ -271,7 +270,7 @@ def subcircuit(
     >>> subcircuit(Header("demo", "0"), "leaf", spring, {"stiffness": 100.0})
     <Subcircuit leaf: pins a[um/N] b[um/N]; stiffness=100>
     """
-    from kc2spice.spice.header import parameter_list, part_header  # loads scipy
+    from kc2spice.spice.header import defaults, part_header  # loads scipy
 
     d, pins = declaration, pins_of(declaration)
     distinct([*(pin.name for pin in pins), *map(checked, d.signals)], _INNER, where=name)
@@ -281,12 +280,18 @@ def subcircuit(
         if key.name in d.numbers
     )
     params = keys + d.given
-    words = {"rating": d.rating, "validity": d.validity, "sign": d.sign, "mesh": d.mesh}
-    head = part_header(header, f"{name}: {d.title}", pins, params, **words)
-    named = " ".join(pin.name for pin in pins)
-    cards = f".subckt {name} {named} {parameter_list(params)}\n{body(d, noise)}{more}.ends {name}\n"
-    part = Subcircuit(name, pins, params, head + cards, no_module=d.no_module)
-    return printed(part, part.circuit)
+    words: dict[str, Any] = {
+        "rating": d.rating,
+        "validity": d.validity,
+        "mesh": d.mesh,
+    }
+    head = part_header(header, f"{name}: {d.title}", pins, params, sign=d.sign, **words)
+    ends = tuple(pin.name for pin in pins)
+    items = (*body(d, noise), *more)
+    circuit = Circuit(name, ends, defaults(params), items, notes=head)
+    title = comment(f"{name}: {d.title}")
+    tree = Circuit(items=(circuit,))
+    return Subcircuit(name, pins, params, tree, title=title, no_module=d.no_module)
 
 
 def across_pins(build: Build, part: Part, branch: Branch) -> str:

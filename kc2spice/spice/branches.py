@@ -6,8 +6,8 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from kc2spice.netlist.cards import number
-from kc2spice.netlist.circuit import Pin
+from kc2spice.netlist.circuit import Element, Pin
+from kc2spice.netlist.elements import Line
 from kc2spice.rom.linear import LinearModel, Port
 from kc2spice.rom.network import Branch, ParallelBranches
 
@@ -25,23 +25,23 @@ def branch_pins(port: Port) -> tuple[Pin, ...]:
     return tuple(Pin(pin, port.across, port.flow) for pin in port.terminals)
 
 
-def branch_cards(network: ParallelBranches, model: LinearModel) -> list[str]:
+def branch_cards(network: ParallelBranches, model: LinearModel) -> list[Line]:
     """Cards of the ``network`` between the pins of the port of its ``model``."""
     plus, minus = model.ports[0].terminals
-    result = []
+    result: list[Line] = []
     if network.capacitance > 0:
-        result.append(f"C0 {plus} {minus} {number(network.capacitance)}")
+        result.append(Element.of("C0", plus, minus, network.capacitance))
     for index, branch in enumerate(network.branches, 1):
         result += [f"\n* Branch {index}: {_description(branch)}"]
         result += _series(branch, index, plus, minus)
     if network.conductance == 0:
         band = model.certificate.band_hz if model.certificate else (1.0, 1.0)
         leak = LEAK_SHARE * float(np.abs(network.admittance(np.array(band[:1])))[0])
-        result += [f"\n{_LEAK}", f"Rleak {plus} {minus} {number(1 / leak)}"]
+        result += [f"\n{_LEAK}", Element.of("Rleak", plus, minus, 1 / leak)]
     return result
 
 
-def _series(branch: Branch, index: int, plus: str, minus: str) -> Iterator[str]:
+def _series(branch: Branch, index: int, plus: str, minus: str) -> Iterator[Element]:
     """The elements that a branch has, from ``plus`` to ``minus``; the capacitor last, so that no
     inner node floats."""
     values = [("R", branch.resistance), ("L", branch.inductance)]
@@ -50,7 +50,7 @@ def _series(branch: Branch, index: int, plus: str, minus: str) -> Iterator[str]:
     inner = [f"inner{index}_{k}" for k in range(1, len(present))]
     nodes = [plus, *inner, minus]
     for k, (letter, value) in enumerate(present):
-        yield f"{letter}{index} {nodes[k]} {nodes[k + 1]} {number(value)}"
+        yield Element.of(f"{letter}{index}", nodes[k], nodes[k + 1], value)
 
 
 def _description(branch: Branch) -> str:

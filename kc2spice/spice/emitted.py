@@ -205,11 +205,15 @@ def require_circuit(part: Subcircuit, model: LinearModel, tolerance: float) -> N
     ------
     GateMissedError : the error estimate of the circuit exceeds the tolerance.
     """
-    found, stated = part.circuit_error, part.error_estimate
-    if found is None or stated is None or found <= NEGLIGIBLE * tolerance or stated <= tolerance:
+    reduction = part.reduction
+    if reduction is None or reduction.error_estimate <= tolerance:
         return
-    got = f"{stated:.2g}, of which {found:.2g} at {part.worst_hz:.6g} Hz by its elements"
-    if found <= SPREAD * rounding(model, part.worst_hz):
+    share, frequency = reduction.circuit_error, reduction.worst_hz
+    if share <= NEGLIGIBLE * tolerance:
+        return
+    total = f"{reduction.error_estimate:.2g}"
+    got = f"{total}, of which {share:.2g} at {frequency:.6g} Hz by its elements"
+    if share <= SPREAD * rounding(model, frequency):
         message = (
             f"{part.name}: error estimate {got}: rounding of the given matrices changes as much"
         )

@@ -5,16 +5,17 @@ from __future__ import annotations
 
 import math
 import textwrap
-from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import chain
 from typing import Any
 
 from kc2spice.core import __version__
 from kc2spice.core.mesh_error import NOT_ESTIMATED, mesh_words
 from kc2spice.netlist.cards import comment, name, number, render, word
-from kc2spice.netlist.circuit import Param, Pin
-from kc2spice.netlist.library import Subcircuit
-from kc2spice.netlist.printers.ngspice import printed
+from kc2spice.netlist.circuit import Circuit, Param, Pin
+from kc2spice.netlist.library import Reduction, Subcircuit
+from kc2spice.netlist.read import read
 from kc2spice.rom.linear import Certificate
 from kc2spice.scene.model import Terminal
 
@@ -34,16 +35,16 @@ class Header:
     scene: str
     scene_hash: str
 
-    def origin(self) -> str:
+    def origin(self) -> tuple[str, ...]:
         """Tool version, scene and licence, as comment lines."""
         return (
-            f"* tool: kc2spice {__version__}\n"
-            f"* scene: {comment(self.scene)} hash={comment(self.scene_hash)}\n"
-            "* licence: GPL-3.0-or-later"
+            f"* tool: kc2spice {__version__}",
+            f"* scene: {comment(self.scene)} hash={comment(self.scene_hash)}",
+            "* licence: GPL-3.0-or-later",
         )
 
 
-def plan_lines(found: Mapping[str, Any], without: Collection[str] = ()) -> str:
+def plan_lines(found: Mapping[str, Any], without: Collection[str] = ()) -> tuple[str, ...]:
     """Models, neglected effects and numerical settings of a deck, as comment lines."""
     error = (
         "not estimated" if found["error_budget"] is None else f"budget {found['error_budget']:g}"
@@ -60,44 +61,32 @@ def plan_lines(found: Mapping[str, Any], without: Collection[str] = ()) -> str:
         ),
     }
     lines = [f"{head}: {text}" for head, text in facts.items() if text]
-    wrapped = [textwrap.fill(comment(line), 96, subsequent_indent="  ") for line in lines]
-    return textwrap.indent("\n".join(wrapped), "* ")
+    wrapped = (textwrap.wrap(comment(line), 96, subsequent_indent="  ") for line in lines)
+    return tuple(f"* {line}" for line in chain.from_iterable(wrapped))
 
 
-def _upwards(value: float) -> float:
-    """Three digits of it, rounded so that a bound stays one."""
-    mantissa, _, exponent = f"{value:.2e}".partition("e")
-    short = float(f"{mantissa}e{exponent}")
-    return short if short >= value else float(f"{float(mantissa) + 0.01:.2f}e{exponent}")
-
-
-def paragraph(text: str) -> str:
+def paragraph(text: str) -> list[str]:
     """``text`` as comment lines of at most 100 characters, all but the first indented."""
     words: dict[str, Any] = {"break_long_words": False, "break_on_hyphens": False}
     lines = textwrap.wrap(comment(text), 96, subsequent_indent="  ", **words)
-    return "".join(f"* {line}\n" for line in lines)
+    return [f"* {line}" for line in lines]
 
 
-def rom_line(order: int, certificate: Certificate, circuit: str = "") -> str:
-    """Comment lines: order, band and error estimate of a reduced model, how it was found, and what
-    contact sees above the band. ``circuit`` states the share of the emitted circuit."""
-    low, high = certificate.band_hz
+def rom_lines(reduction: Reduction, certificate: Certificate) -> tuple[str, ...]:
+    """Comment lines: order, band and error estimate of a reduced model, how it was found, the share
+    of the emitted circuit, and what contact sees above the band."""
     seen = [f"{error:.2g} at {f:g} Hz" for f, error in certificate.above]
     beyond = f", compliance off by {', '.join(seen)}" if seen else ""
-    first = (
-        f"* rom: order={order} band={number(low)}..{number(high)} Hz "
-        f"norm={certificate.norm} error={number(_upwards(certificate.error_estimate))}\n"
-    )
-    method = "; ".join(filter(None, (certificate.method, circuit)))
+    share = f"{reduction.circuit_error:.1g} at {reduction.worst_hz:.4g} Hz"
+    method = "; ".join(filter(None, (certificate.method, f"emitted circuit to model: {share}")))
     text = f"({method}); no error estimate above the band{beyond}"
-    return first + paragraph(f"rom: {text}: a contact or a steep edge excites it").replace(
-        "* rom:", "*  ", 1
-    )
+    first, *more = paragraph(f"rom: {text}: a contact or a steep edge excites it")
+    return f"* rom: {reduction.summary}", first.replace("* rom:", "*  ", 1), *more
 
 
 def use_line(name: str, pins: Sequence[Pin]) -> str:
     """An instance to copy; the nodes have the names of the pins."""
-    return f"* use: X1 {' '.join(pin.name for pin in pins)} {name}\n"
+    return f"* use: X1 {' '.join(pin.name for pin in pins)} {name}"
 
 
 def mesh_entry(facts: Mapping[str, float]) -> str:
@@ -115,9 +104,9 @@ def part_header(
     rating: str,
     validity: str = ROOM,
     sign: str = SIGN,
-    rom: str = "",
+    rom: tuple[str, ...] = (),
     mesh: str = "",
-) -> str:
+) -> tuple[str, ...]:
     """Everything above ``.subckt``: title, an instance to copy, origin, ROM facts, sign, validity
     and rating, one line per pin and parameter. ``title`` is ``NAME: what it is``.
 
@@ -126,20 +115,20 @@ def part_header(
     ``sign`` is for parts with mechanical pins.
     """
     sign = sign if any(p.flow == "N" for p in pins) else FLOW
-    lines = [f"* {comment(title)}\n", use_line(title.partition(":")[0], pins)]
-    lines += [f"{header.origin()}\n{rom}"]
+    lines = [f"* {comment(title)}", use_line(title.partition(":")[0], pins)]
+    lines += [*header.origin(), *rom]
     facts = {"mesh": mesh, "sign": sign, "validity": validity, "rating": rating}
-    lines += [paragraph(f"{key}: {text}") for key, text in facts.items() if text]
+    lines += [line for key, text in facts.items() if text for line in paragraph(f"{key}: {text}")]
     lines += [
-        f"* @pin {i} {name(p.name)} unit={word(p.unit)} flow={word(p.flow)}\n"
+        f"* @pin {i} {name(p.name)} unit={word(p.unit)} flow={word(p.flow)}"
         for i, p in enumerate(pins, 1)
     ]
     lines += [
         f"* @param {name(p.name)}={number(p.default)} unit={word(p.unit)}{_range(p)} "
-        f"{comment(p.doc)}\n"
+        f"{comment(p.doc)}"
         for p in params
     ]
-    return "".join(lines)
+    return tuple(lines)
 
 
 def _range(param: Param) -> str:
@@ -148,9 +137,9 @@ def _range(param: Param) -> str:
     return f" range={param.low:g}..{param.high:g}" if bounded else ""
 
 
-def parameter_list(params: tuple[Param, ...]) -> str:
+def defaults(params: Iterable[Param]) -> dict[str, str]:
     """Parameters with their defaults as they stand behind the pins of a ``.subckt`` card."""
-    return " ".join(f"{name(p.name)}={number(p.default)}" for p in params)
+    return {name(p.name): number(p.default) for p in params}
 
 
 def library(
@@ -172,9 +161,13 @@ def library(
     with their defaults.
     """
     pins = tuple(Pin(item.name, item.unit, item.flow) for item in terminals)
-    card = " ".join((name, *(pin.name for pin in pins), parameter_list(params)))
-    words = {"rating": rating, "validity": validity, "mesh": mesh}
+    given = (f"{key}={value}" for key, value in defaults(params).items())
+    card = " ".join((name, *(pin.name for pin in pins), *given))
+    words: dict[str, Any] = {"rating": rating, "validity": validity, "mesh": mesh}
     head = part_header(header, f"{name}: {title}", pins, params, **words)
     cards = render(f"{template}.j2", card=card, **values)
-    part = Subcircuit(name, pins, params, f"{head}\n{cards}.ends {name}\n")
-    return printed(part, part.circuit)
+    (circuit,) = read(f"{cards}.ends {name}\n", f"{template}.j2").items
+    circuit = replace(circuit, notes=(*head, "", *circuit.notes))
+    return Subcircuit(
+        name, pins, params, Circuit(items=(circuit,)), title=comment(f"{name}: {title}")
+    )

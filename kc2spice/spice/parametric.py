@@ -15,7 +15,8 @@ import numpy as np
 
 from kc2spice.core.errors import UsageError
 from kc2spice.netlist.cards import distinct, number
-from kc2spice.netlist.circuit import Param
+from kc2spice.netlist.circuit import Element, Param, Parameters
+from kc2spice.netlist.elements import Line
 from kc2spice.netlist.library import Subcircuit
 from kc2spice.rom.linear import LinearModel
 from kc2spice.rom.varying import Varying
@@ -25,9 +26,9 @@ from kc2spice.spice.realize import (
     DAMPING,
     RINGING,
     UNRATED,
-    Card,
     PortTerminal,
     StepWeights,
+    Transconductance,
     conservative,
     enclosed,
     input_cards,
@@ -110,15 +111,15 @@ def _judged(
         yield model.at(values), dict(zip(names, values.values(), strict=True))
 
 
-def _stops(parameters: Sequence[Param], base: str) -> Iterator[str]:
+def _stops(parameters: Sequence[Param], base: str) -> Iterator[Line]:
     """Resistors of an ohm within the ranges, of no number beyond: their names are the message."""
     for k, p in enumerate(parameters, 1):
         words = f"{p.name}_must_be_{p.low:.6g}_to_{p.high:.6g}"
         suffix = re.sub(r"\W", lambda c: {".": "p", "-": "m", "+": ""}[c[0]], words)
-        yield f"R{suffix} tick {base} {{sqrt(inside{k})}}"
+        yield Element.of(f"R{suffix}", "tick", base, f"{{sqrt(inside{k})}}")
 
 
-def _expressions(model: Varying, parameters: Sequence[Param]) -> Iterator[str]:
+def _expressions(model: Varying, parameters: Sequence[Param]) -> Iterator[Line]:
     """``.param`` cards: coordinates, polynomials of them, what the cards of states need."""
     own = parameters[: len(model.axes)]
     yield "* 1 within the range of a parameter, -1 outside of it"
@@ -126,21 +127,21 @@ def _expressions(model: Varying, parameters: Sequence[Param]) -> Iterator[str]:
         room = 1e-9 * (p.high - p.low)
         low, high = number(p.low - room), number(p.high + room)
         # two factors that are positive inside; || and && are spelled differently elsewhere
-        yield f".param inside{k}={{(({p.name}-{low})*({high}-{p.name})>=0 ? 1 : -1)}}"
+        yield _param(f"inside{k}", f"(({p.name}-{low})*({high}-{p.name})>=0 ? 1 : -1)")
     highest = model.exponents.max(axis=0, initial=0) if len(own) else []
     for k, (p, axis, top) in enumerate(zip(own, model.axes, highest, strict=True), 1):
         slope = 2 / np.log(axis.high / axis.low)
-        yield f".param x{k}={{{number(slope)}*ln({p.name}/{number(axis.middle)})}}"
+        yield _param(f"x{k}", f"{number(slope)}*ln({p.name}/{number(axis.middle)})")
         names = ["1", f"x{k}"]
         for power in range(2, int(top) + 1):
             names.append(f"t{k}_{power}")
-            yield f".param {names[-1]}={{2*x{k}*{names[-2]}-{names[-3]}}}"
+            yield _param(f"{names[-1]}", f"2*x{k}*{names[-2]}-{names[-3]}")
     terms = []
     for row in model.exponents:
         factors = [f"x{k}" if e == 1 else f"t{k}_{e}" for k, e in enumerate(row, 1) if e]
         if len(factors) > 1:
             term = "b_" + "_".join(map(str, row))
-            yield f".param {term}={{{'*'.join(factors)}}}"
+            yield _param(f"{term}", f"{'*'.join(factors)}")
             factors = [term]
         terms.append("".join(factors))
 
@@ -161,30 +162,34 @@ def _expressions(model: Varying, parameters: Sequence[Param]) -> Iterator[str]:
     for k, word in enumerate(("alpha", "beta")):
         if model.damped[k]:
             value = f"exp({polynomial(model.rayleigh[:, k])}){losses[k]}"
-            yield f".param {word}={{{value}}}"
+            yield _param(f"{word}", f"{value}")
     lower, stiff = _nonzero(model)
     ends = np.cumsum(model.blocks)
     for at, end in zip(ends - model.blocks, ends, strict=True):
         for i in range(at, end):
-            yield f".param l{i + 1}_{i + 1}={{exp({polynomial(model.diagonal[:, i])})}}"
+            yield _param(f"l{i + 1}_{i + 1}", f"exp({polynomial(model.diagonal[:, i])})")
             for j in np.flatnonzero(lower[i, :i]):
-                yield f".param l{i + 1}_{j + 1}={{{polynomial(model.below[:, i, j])}}}"
+                yield _param(f"l{i + 1}_{j + 1}", f"{polynomial(model.below[:, i, j])}")
         for i in range(at, end):
             for j in np.flatnonzero(stiff[i, : i + 1]):
                 both = np.flatnonzero(lower[i] & lower[j]) + 1
                 products = [f"l{i + 1}_{n}*l{j + 1}_{n}" for n in both]
-                yield f".param k{i + 1}_{j + 1}={{{'+'.join(products)}}}"
+                yield _param(f"k{i + 1}_{j + 1}", f"{'+'.join(products)}")
         for i in range(at, end):
             for k in np.flatnonzero(model.gain[:, i].any(axis=0)).tolist():
-                yield f".param g{i + 1}_{k + 1}={{{polynomial(model.gain[:, i, k])}}}"
+                yield _param(f"g{i + 1}_{k + 1}", f"{polynomial(model.gain[:, i, k])}")
     for k in range(len(model.electrical)):
-        yield f".param f{k + 1}_{k + 1}={{exp({polynomial(model.capacitance[:, k])})}}"
+        yield _param(f"f{k + 1}_{k + 1}", f"exp({polynomial(model.capacitance[:, k])})")
         for n in range(k):
-            yield f".param f{k + 1}_{n + 1}={{{polynomial(model.shared[:, k, n])}}}"
+            yield _param(f"f{k + 1}_{n + 1}", f"{polynomial(model.shared[:, k, n])}")
     for k in range(len(model.electrical)):
         for n in range(k + 1):
             products = [f"f{k + 1}_{i}*f{n + 1}_{i}" for i in range(1, n + 2)]
-            yield f".param c{k + 1}_{n + 1}={{{'+'.join(products)}}}"
+            yield _param(f"c{k + 1}_{n + 1}", f"{'+'.join(products)}")
+
+
+def _param(name: str, expression: str) -> Parameters:
+    return Parameters({name: f"{{{expression}}}"})
 
 
 def _nonzero(model: Varying) -> tuple[np.ndarray, np.ndarray]:
@@ -200,7 +205,7 @@ def _cards(
     terminals: Sequence[PortTerminal],
     base: str,
     weights: StepWeights,
-) -> Iterator[str]:
+) -> Iterator[Line]:
     """Elements: ports, then states; ``gain`` and ``omega`` are those of the defaults, which scale
     states as :func:`kc2spice.spice.realize.subcircuit` scales them::
 
@@ -209,19 +214,19 @@ def _cards(
     scale, farad = scales(gain, terminals), weights.farad(omega, omega.min())
     order = [t for t in terminals if t.kind == "electrical"]
 
-    def seen(i: int, k: int, label: str) -> list[Card]:
+    def seen(i: int, k: int, label: str) -> list[Transconductance]:
         """Output of state i at port k."""
         share = number(MICRO / terminals[k].unit / scale[i - 1])
         there = model.gain[:, i - 1, k].any()
-        return [Card(label, f"q{i}", base, f"{share}*g{i}_{k + 1}")] if there else []
+        return [Transconductance(label, f"q{i}", base, f"{share}*g{i}_{k + 1}")] if there else []
 
     def wired(k: int, t: PortTerminal) -> PortTerminal:
         if t.kind != "electrical":
             sums = (seen(i, k, f"{i}") for i in range(1, model.order + 1))
             return replace(t, sums=tuple(chain.from_iterable(sums)))
-        n = order.index(t)
+        n, micro = order.index(t), number(1 / MICRO)
         shared = tuple(
-            Card(f"u{m + 1}", *o.control(base), f"{number(1 / MICRO)}*{_capacitance(n, m)}")
+            Transconductance(f"u{m + 1}", *o.control(base), f"{micro}*{_capacitance(n, m)}")
             for m, o in enumerate(order)
             if o is not t
         )
@@ -236,16 +241,17 @@ def _cards(
         at += size
         for i in names:
             c, w, s = farad[i - 1], omega[i - 1], scale[i - 1]
-            yield f"Cq{i} q{i} {base} {number(c)}"
-            yield f"Cp{i} p{i} {base} {number(c)}"
-            yield f"Gq{i} {base} q{i} p{i} {base} {number(c * w)}"
+            yield Element.of(f"Cq{i}", f"q{i}", base, c)
+            yield Element.of(f"Cp{i}", f"p{i}", base, c)
+            yield Element.of(f"Gq{i}", base, f"q{i}", f"p{i}", base, c * w)
             for j in (np.flatnonzero(stiff[i - 1]) + 1).tolist():
                 k, push = f"k{max(i, j)}_{min(i, j)}", c / w * s / scale[j - 1]
-                yield f"Gp{i}_{j} p{i} {base} q{j} {base} {{{number(push)}*{k}}}"
+                stiffness = f"{{{number(push)}*{k}}}"
+                yield Element.of(f"Gp{i}_{j}", f"p{i}", base, f"q{j}", base, stiffness)
                 lost = ["alpha"] * (model.damped[0] and i == j) + [f"beta*{k}"] * model.damped[1]
                 if lost:
                     drag = f"{{damping*{number(push * omega[j - 1])}*({'+'.join(lost)})}}"
-                    yield f"Gd{i}_{j} p{i} {base} p{j} {base} {drag}"
+                    yield Element.of(f"Gd{i}_{j}", f"p{i}", base, f"p{j}", base, drag)
             force = number(c * s / w / MICRO)
             moved = np.any(model.gain[:, i - 1], axis=0).tolist()
             row = [f"{force}*g{i}_{n}" if there else "" for n, there in enumerate(moved, 1)]

@@ -11,10 +11,11 @@ from typing import TYPE_CHECKING, TypeAlias
 import numpy as np
 
 from kc2spice.core.errors import SimulationError, UsageError
-from kc2spice.netlist.cards import LEAK_RATE, PIVOTS, comment, distinct, number
+from kc2spice.netlist.cards import LEAK_RATE, comment, distinct, number
 from kc2spice.netlist.cards import name as checked_name
-from kc2spice.netlist.circuit import Param, Pin
-from kc2spice.netlist.library import Subcircuit
+from kc2spice.netlist.circuit import Circuit, Element, Param, Pin
+from kc2spice.netlist.elements import Line, noted, pivots
+from kc2spice.netlist.library import Reduction, Subcircuit
 from kc2spice.rom.linear import Certificate, LinearModel, Port
 from kc2spice.rom.modal import Resonators, resonators
 from kc2spice.rom.network import ParallelBranches, parallel_branches
@@ -23,10 +24,10 @@ from kc2spice.spice.emitted import LOWEST, MICRO, circuit_error
 from kc2spice.spice.header import (
     OUTWARDS,
     Header,
+    defaults,
     mesh_entry,
-    parameter_list,
     part_header,
-    rom_line,
+    rom_lines,
 )
 
 if TYPE_CHECKING:
@@ -136,7 +137,7 @@ def times(factor: float, value: Value) -> Value:
 
 
 @dataclass(frozen=True)
-class Card:
+class Transconductance:
     """One controlled source: ``value`` amperes per volt between ``plus`` and ``minus``."""
 
     label: str
@@ -144,9 +145,10 @@ class Card:
     minus: str
     value: Value
 
-    def onto(self, a: str, b: str, prefix: str = "") -> str:
-        """The card with its current from ``a`` to ``b``."""
-        return f"{prefix}{self.label} {a} {b} {self.plus} {self.minus} {written(self.value)}"
+    def onto(self, a: str, b: str, prefix: str = "") -> Element:
+        """The element with its current from ``a`` to ``b``."""
+        value = written(self.value)
+        return Element.of(f"{prefix}{self.label}", a, b, self.plus, self.minus, value)
 
 
 @dataclass(frozen=True)
@@ -164,8 +166,8 @@ class PortTerminal:
     row: int | None
     clamped: float
     capacitance: str = ""
-    sums: tuple[Card, ...] = ()
-    through: tuple[Card, ...] = ()
+    sums: tuple[Transconductance, ...] = ()
+    through: tuple[Transconductance, ...] = ()
     leak: float = OPEN_INPUT
 
     @property
@@ -189,9 +191,9 @@ class PortTerminal:
             return self.pins[0], self.pins[1]
         return (f"f{self.pins[0]}" if self.kind in MOVING else self.pins[0]), base
 
-    def driven(self, label: str, row: np.ndarray | Sequence[Value], base: str) -> Card:
+    def driven(self, label: str, row: np.ndarray | Sequence[Value], base: str) -> Transconductance:
         """The card of its input, whose weight stands in a ``row`` of inputs."""
-        return Card(label, *self.control(base), row[self.column or 0])
+        return Transconductance(label, *self.control(base), row[self.column or 0])
 
 
 @dataclass(frozen=True, eq=False)
@@ -205,10 +207,10 @@ class _States:
     B: np.ndarray
     C: np.ndarray
 
-    def cards(self, row: np.ndarray, base: str) -> tuple[Card, ...]:
+    def cards(self, row: np.ndarray, base: str) -> tuple[Transconductance, ...]:
         """The sum of states with the weights ``row``."""
         return tuple(
-            Card(label, node, base, float(value))
+            Transconductance(label, node, base, float(value))
             for label, node, value in zip(self.labels, self.nodes, row, strict=True)
             if value
         )
@@ -341,7 +343,7 @@ def enclosed(
     base: str,
     params: tuple[Param, ...],
     header: Header,
-    cards: tuple[Iterable[str], Iterable[str]],
+    cards: tuple[Iterable[str], Iterable[Line]],
     within: str = "",
     mesh: str = "",
     others: Sequence[tuple[LinearModel, Mapping[str, float]]] = (),
@@ -355,45 +357,48 @@ def enclosed(
     """
     certificate, (about, body) = rom.certificate, cards
     band = f" up to {certificate.band_hz[1]:g} Hz" if certificate else ""
-    called = [name, *(pin.name for pin in pins), *([parameter_list(params)] * bool(params))]
-    start = [f".subckt {' '.join(called)}", *([f"\n{PIVOTS.format(base=base)}"] if base else [])]
-    text = "\n".join(["", *about, *start, *body, f".ends {name}"])
-    made, accuracy = Subcircuit(name, pins, params, text), ""
+    first = ("", *pivots(base)) if base else ()
+    circuit = Circuit(
+        name, tuple(pin.name for pin in pins), defaults(params), noted([*first, *body])
+    )
+    reduction = None
     if certificate is not None:
         compared = ((rom, dict[str, float]()), *others)
-        made = _with_error(made, certificate, compared)
-        certificate = replace(certificate, error_estimate=float(made.error_estimate or 0.0))
-        accuracy = f"emitted circuit to model: {made.circuit_error:.1g} at {made.worst_hz:.4g} Hz"
+        reduction = _reduction(circuit, pins, rom.order, certificate, compared)
     head = part_header(
         header,
         f"{name}: {words['title']}",
         pins,
         params,
-        rom=rom_line(rom.order, certificate, accuracy) if certificate else "",
+        rom=rom_lines(reduction, certificate) if reduction and certificate else (),
         mesh=mesh,
         sign=OUTWARDS,
         rating=words["rating"],
         validity=f"small signals{band}{within} at the temperature of its data (20 to 25 C, of "
         "built-in materials); no hysteresis, depolarisation or heating",
     )
-    return replace(made, text=f"{head}{text}\n")
+    circuit = replace(circuit, notes=(*head, "", *about))
+    title = f"{name}: {words['title']}"
+    return Subcircuit(
+        name, pins, params, Circuit(items=(circuit,)), title=comment(title), reduction=reduction
+    )
 
 
-def _with_error(
-    part: Subcircuit,
+def _reduction(
+    circuit: Circuit,
+    pins: Sequence[Pin],
+    order: int,
     certificate: Certificate,
     compared: Iterable[tuple[LinearModel, Mapping[str, float]]],
-) -> Subcircuit:
-    """The subcircuit with its error estimate, by the models that it should equal at values of its
-    parameters."""
-    circuit, band = part.circuit.subcircuits[0], certificate.band_hz
-    errors = (
-        circuit_error(circuit, part.pins, m, band, certificate.norm, at) for m, at in compared
-    )
+) -> Reduction:
+    """The facts of the reduced model with the error estimate of its emitted circuit, by the models
+    that it should equal at values of its parameters."""
+    band = certificate.band_hz
+    errors = (circuit_error(circuit, pins, m, band, certificate.norm, at) for m, at in compared)
     worst = max(errors, key=lambda item: item.error)
     total = certificate.error_estimate
     total += worst.error if worst.error > UNSEEN * total else 0.0
-    return replace(part, error_estimate=total, circuit_error=worst.error, worst_hz=worst.frequency)
+    return Reduction(order, band, certificate.norm, total, worst.error, worst.frequency)
 
 
 def _form(rom: LinearModel, dense: bool) -> Resonators | BlockModel:
@@ -517,7 +522,7 @@ def _wired(
         capacitance of its own that shares charge.
     """
 
-    def through(row: np.ndarray) -> tuple[Card, ...]:
+    def through(row: np.ndarray) -> tuple[Transconductance, ...]:
         size = np.abs(row).max(initial=0.0)
         return tuple(
             t.driven(f"u{t.column + 1}", row, base)
@@ -564,23 +569,23 @@ def _wired(
     return [wired(t) for t in terminals]
 
 
-def conservative(terminals: Sequence[PortTerminal], base: str, share: float) -> list[str]:
+def conservative(terminals: Sequence[PortTerminal], base: str, share: float) -> list[Line]:
     """Cards of the ports: electrical ones, motions, accelerations of the frame."""
     order = (("electrical",), MOVING, ("acceleration",))
     ports = [t for kinds in order for t in terminals if t.kind in kinds]
     return [line for t in ports for line in _port(t, base, share)]
 
 
-def _port(t: PortTerminal, base: str, share: float) -> Iterator[str]:
+def _port(t: PortTerminal, base: str, share: float) -> Iterator[Line]:
     pin, tag = t.pins[0], t.tag
     if t.kind == "acceleration":
         yield _SHAKEN.format(pin=pin)
         yield from (card.onto(pin, base, f"Ga{pin}_") for card in t.sums + t.through)
     elif t.kind in MOVING:
         yield (_ROTATION if t.kind == "rotational" else _MOTION).format(pin=pin)
-        yield f"Ru{pin} u{pin} {base} 1"
-        yield f"Gf{pin} {base} f{pin} {pin} u{pin} 1"
-        yield f"Gp{pin} {pin} {base} f{pin} {base} 1"
+        yield Element.of(f"Ru{pin}", f"u{pin}", base, "1")
+        yield Element.of(f"Gf{pin}", base, f"f{pin}", pin, f"u{pin}", "1")
+        yield Element.of(f"Gp{pin}", pin, base, f"f{pin}", base, "1")
         yield from (card.onto(base, f"u{pin}", f"Gu{pin}_") for card in t.sums)
         yield from (card.onto(base, f"u{pin}", f"Gt{pin}_") for card in t.through)
     elif t.clamped:
@@ -589,18 +594,19 @@ def _port(t: PortTerminal, base: str, share: float) -> Iterator[str]:
         yield _CLAMPED.format(**words)
         (a, b), c = t.pins, t.capacitance or t.clamped
         inverse = f"{number(MICRO)}/{c}" if isinstance(c, str) else MICRO / c
-        yield f"Cclamped{tag} {a} inner{tag} {written(times(share, c))}"
-        yield f"Gmore{tag} {a} {b} current{tag} {base} {number(1 - share)}"
-        yield f"Gleak{tag} {a} {b} {a} inner{tag} {written(times(LEAK_RATE, c))}"
-        yield f"Ginner{tag} {base} current{tag} inner{tag} {b} 1"
-        yield f"Gcharge{tag} {base} current{tag} charge{tag} {base} {written(inverse)}"
-        yield f"Gcurrent{tag} inner{tag} {b} current{tag} {base} {number(share)}"
-        yield f"Rcharge{tag} charge{tag} {base} 1"
+        yield Element.of(f"Cclamped{tag}", a, f"inner{tag}", written(times(share, c)))
+        yield Element.of(f"Gmore{tag}", a, b, f"current{tag}", base, 1 - share)
+        yield Element.of(f"Gleak{tag}", a, b, a, f"inner{tag}", written(times(LEAK_RATE, c)))
+        yield Element.of(f"Ginner{tag}", base, f"current{tag}", f"inner{tag}", b, "1")
+        ends = f"current{tag}", f"charge{tag}"
+        yield Element.of(f"Gcharge{tag}", base, *ends, base, written(inverse))
+        yield Element.of(f"Gcurrent{tag}", f"inner{tag}", b, f"current{tag}", base, share)
+        yield Element.of(f"Rcharge{tag}", f"charge{tag}", base, "1")
         yield from (card.onto(base, f"charge{tag}", f"Gc{tag}_") for card in t.sums + t.through)
     else:
         a, b = t.pins
         yield _UNCLAMPED.format(name=t.label)
-        yield f"Gleak{tag} {a} {b} {a} {b} {number(t.leak)}"
+        yield Element.of(f"Gleak{tag}", a, b, a, b, t.leak)
         for card in t.sums:
             yield replace(card, label=f"{card.label}{tag}").onto(a, b, "Gc")
 
@@ -615,7 +621,7 @@ def _resonators(
     base: str,
     weights: StepWeights,
     noise: bool,
-) -> tuple[list[str], list[str]]:
+) -> tuple[list[str], list[Line]]:
     """With ``z_j'' + d_j z_j' + w_j^2 z_j = sum_k g_jk u_k`` and ``s_j = max_k |g_jk|`` over the
     mechanical ports, the states are ``q_j = s_j z_j`` and ``p_j = q_j' / w_j`` in um (or, of a
     model without mechanical ports, in uC)::
@@ -659,10 +665,11 @@ def _resonators(
         node = f"p{j + 1}" if heavy[j] else f"q{j + 1}"
         body += [card.onto(base, node) for card in input_cards(j + 1, drive[j], terminals, base)]
         if noise and damp[j] > 0:
-            body.append(f"Rnoise{j + 1} noise{j + 1} {base} {{damping*{number(damp[j])}}}")
-            body.append(f"Gn{j + 1} {base} {node} noise{j + 1} {base} {number(force[j])}")
+            loss = f"{{damping*{number(damp[j])}}}"
+            body.append(Element.of(f"Rnoise{j + 1}", f"noise{j + 1}", base, loss))
+            body.append(Element.of(f"Gn{j + 1}", base, node, f"noise{j + 1}", base, force[j]))
         body += [
-            Card(f"Gc{j + 1}{t.tag}", f"q{j + 1}", base, gain[j, k] / scale[j, 0]).onto(
+            Transconductance(f"Gc{j + 1}{t.tag}", f"q{j + 1}", base, gain[j, k] / scale[j, 0]).onto(
                 base,
                 f"charge{t.tag}",  # uC per um
             )
@@ -672,26 +679,26 @@ def _resonators(
     return about, body
 
 
-def _mode(j: int, omega: float, damp: float, farad: float, base: str) -> Iterator[str]:
+def _mode(j: int, omega: float, damp: float, farad: float, base: str) -> Iterator[Line]:
     """Two integrators of one mode."""
-    turn, lost = number(farad * omega), farad * damp
+    turn, lost = farad * omega, farad * damp
     ratio = damp / (2 * omega)
     yield f"\n* Mode {j}: {omega / (2 * np.pi):.6g} Hz, damping ratio {ratio:.6g}"
-    yield f"Cq{j} q{j} {base} {number(farad)}"
-    yield f"Cp{j} p{j} {base} {number(farad)}"
-    yield f"Gq{j} {base} q{j} p{j} {base} {turn}"
-    yield f"Gp{j} p{j} {base} q{j} {base} {turn}"
+    yield Element.of(f"Cq{j}", f"q{j}", base, farad)
+    yield Element.of(f"Cp{j}", f"p{j}", base, farad)
+    yield Element.of(f"Gq{j}", base, f"q{j}", f"p{j}", base, turn)
+    yield Element.of(f"Gp{j}", f"p{j}", base, f"q{j}", base, turn)
     if lost > 0:
-        yield f"Gd{j} p{j} {base} p{j} {base} {{damping*{number(lost)}}}"
+        yield Element.of(f"Gd{j}", f"p{j}", base, f"p{j}", base, f"{{damping*{number(lost)}}}")
 
 
-def _relaxation(j: int, omega: float, damp: float, _: float, base: str) -> Iterator[str]:
+def _relaxation(j: int, omega: float, damp: float, _: float, base: str) -> Iterator[Line]:
     """One state without inertia."""
     hertz, time = omega / (2 * np.pi), damp / omega**2
     yield f"\n* Without inertia, from {hertz:.6g} Hz on: relaxes within {time:.6g} s"
     if time > 0:
-        yield f"Cq{j} q{j} {base} {{damping*{number(SIEMENS * time)}}}"
-    yield f"Gq{j} q{j} {base} q{j} {base} {number(SIEMENS)}"
+        yield Element.of(f"Cq{j}", f"q{j}", base, f"{{damping*{number(SIEMENS * time)}}}")
+    yield Element.of(f"Gq{j}", f"q{j}", base, f"q{j}", base, SIEMENS)
 
 
 def scales(gain: np.ndarray, terminals: Sequence[PortTerminal]) -> np.ndarray:
@@ -707,7 +714,7 @@ def input_cards(
     row: np.ndarray | Sequence[Value],
     terminals: Sequence[PortTerminal],
     base: str,
-) -> list[Card]:
+) -> list[Transconductance]:
     """Cards by which ports drive a mode: forces, voltages, accelerations."""
 
     def label(t: PortTerminal) -> str:
@@ -733,7 +740,7 @@ def _observable(model: Resonators) -> np.ndarray:
 
 def _blocks(
     model: BlockModel, rom: LinearModel, terminals: list[PortTerminal], base: str
-) -> tuple[list[str], list[str]]:
+) -> tuple[list[str], list[Line]]:
     """The states of every block of :func:`kc2spice.rom.blocks.block_model` are voltages on
     ``C = 1 / (2 pi f1)``, f1 the end of the band, so that conductances in the band are about 1 S.
     A block is scaled to about 1 V for a constant input of 1 V.
@@ -769,17 +776,15 @@ def _blocks(
     inputs = [t.pins[0] for t in terminals if t.kind == "input"]
     own = [pin for pin in inputs if _INNER_FORCE.fullmatch(pin)]  # forces that are noise
     inputs = [pin for pin in inputs if pin not in own]
-    body = [f"R{pin} {pin} {base} 1" for pin in own]
+    body: list[Line] = [Element.of(f"R{pin}", pin, base, "1") for pin in own]
     body += ["* An input that is left open is zero."] * bool(inputs)
-    body += [
-        f"Gleak{k} {p} {base} {p} {base} {number(OPEN_INPUT)}" for k, p in enumerate(inputs, 1)
-    ]
+    body += [Element.of(f"Gleak{k}", p, base, p, base, OPEN_INPUT) for k, p in enumerate(inputs, 1)]
     body += conservative(ports, base, RINGING.share)
     for index, t in enumerate((t for t in wired if t.kind == "output"), 1):
         body += [
             f"\n* Output {t.pins[0]}",
-            f"E{index} {t.pins[0]} {base} sum{index} {base} 1",
-            f"Rsum{index} sum{index} {base} 1",
+            Element.of(f"E{index}", t.pins[0], base, f"sum{index}", base, "1"),
+            Element.of(f"Rsum{index}", f"sum{index}", base, "1"),
             *(card.onto(base, f"sum{index}", f"Gc{index}_") for card in t.sums),
             *(card.onto(base, f"sum{index}", f"Gt{index}_") for card in t.through),
         ]
@@ -792,9 +797,9 @@ def _blocks(
         for k in range(first, at):
             index, node = k + 1, f"z{k + 1}"
             if drifts is not None:
-                body.append(f"C{node} {node} {base} {number(farad)}")
+                body.append(Element.of(f"C{node}", node, base, farad))
             if drifts:
-                body += [_FREE_STATE, f"G{node} {node} {base} {node} {base} {number(FREE_LEAK)}"]
+                body += [_FREE_STATE, Element.of(f"G{node}", node, base, node, base, FREE_LEAK)]
             cards = states.cards(farad * states.A[k], base)
             body += [card.onto(base, node, f"Ga{index}_") for card in cards]
             body += [

@@ -77,16 +77,17 @@ def make_deck(build: Build) -> Deck:
         raise problem
     header = Header(scene.name, scene_hash(scene))
     ours = () if scene.solver.max_step else (MAX_STEP,)  # a line of its own says why
-    notes = f"{header.origin()}\n{plan_lines(plan(build), ours)}"
+    notes = (*header.origin(), *plan_lines(plan(build), ours))
     results = meters.result_vectors(build)
     watts = meters.powers(build, results)
     meters.require_probed(build)
     parts = tuple(_libraries(build, header))
-    reductions = "".join(f"\n{line}" for line in _reductions(parts))
+    reduced = ((part.name, part.reduction) for part in parts)
+    reductions = (f"* {name}, rom: {facts.summary}" for name, facts in reduced if facts)
     made = Deck(
         name=scene.name,
         title=f"{scene.name}: {scene.title}",
-        notes=f"{notes}{reductions}{_step_line(build)}",
+        notes=(*notes, *reductions, *_step_lines(build)),
         parts=parts,
         blocks=tuple(_blocks(build, loose)),
         options=tuple(_options(build)),
@@ -109,14 +110,6 @@ def _controls(part: Part, scene: Scene) -> bool:
     sees = any(p.flow == "-" and p.unit in ("um", "m/s") and not p.signal_out for p in pins)
     acts = any(p.flow == "A" and p.default is None for p in pins)
     return sees and acts and not any(p.moving for p in pins)
-
-
-def _reductions(parts: Iterable[Subcircuit]) -> Iterator[str]:
-    """Order, band and error of every reduced model, in the words of its library."""
-    for part in parts:
-        head = (line for item in part.circuit.items for line in item.notes)
-        lines = (line[2:].partition(" (")[0] for line in head if line.startswith("* rom: "))
-        yield from (f"* {part.name}, {line}" for line in lines)
 
 
 def _libraries(build: Build, header: Header) -> Iterator[Subcircuit]:
@@ -184,11 +177,11 @@ def _options(build: Build) -> Iterable[Option]:
     ]
 
 
-def _step_line(build: Build) -> str:
+def _step_lines(build: Build) -> Iterator[str]:
+    """Reason for the largest time step, unless the scene sets it."""
     limit = build.largest
-    if limit is None or build.scene.solver.max_step:
-        return ""
-    return f"\n* {comment(f'largest step {limit.step:g} s: {limit.why}')}"
+    if limit is not None and not build.scene.solver.max_step:
+        yield f"* {comment(f'largest step {limit.step:g} s: {limit.why}')}"
 
 
 def _command(build: Build) -> Command:

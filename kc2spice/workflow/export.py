@@ -67,7 +67,7 @@ def _require_circuits(build: Build, deck: Deck) -> None:
     ------
     GateMissedError : one of them does not.
     """
-    circuits = {part.name.lower(): part for part in deck.parts if part.circuit_error is not None}
+    circuits = {part.name.lower(): part for part in deck.parts if part.reduction is not None}
     for part in build.scene.parts.values():
         circuit = circuits.get(build.libraries[part.name].lower())
         if circuit is None or not isinstance(part.type, LinearBody):

@@ -293,13 +293,14 @@ def _written(
         files = write_rom(reduced, work, name)
     certificate = reduced.certificate
     assert certificate is not None
+    assert part.reduction is not None
     return {
         "model": model_name,
         "unknowns": unknowns,
         "form": "first order" if reduced.first_order else "second order",
         "order": reduced.order,
         **certificate.record(),
-        "error_estimate": part.error_estimate,
+        "error_estimate": part.reduction.error_estimate,
         "ports": [port.name for port in reduced.ports],
         "rom": str(directory / files[0]),
         "files": files,
@@ -388,7 +389,7 @@ def first_deck(model: LinearModel, part: Subcircuit) -> Deck:
         title=title,
         parts=(part,),
         vectors={f"{name}{_ANSWERS[kinds[name]]}": result for name, result in answers.items()},
-        notes=f"* Over the band of the certificate, {low:g} to {high:g} Hz.",
+        notes=(f"* Over the band of the certificate, {low:g} to {high:g} Hz.",),
         blocks=(
             Block("the model", (instance,)),
             Block("what drives it, and what holds the other ports", tuple(sources)),

@@ -11,6 +11,7 @@ from kc2spice.core.errors import UsageError
 from kc2spice.netlist.circuit import Param, Pin
 from kc2spice.netlist.library import Subcircuit
 from kc2spice.netlist.printers.verilog_a import module_files
+from kc2spice.netlist.read import read
 from kc2spice.netlist.translate import dialect_files
 
 openvaf = pytest.importorskip("openvaf_py")
@@ -120,8 +121,8 @@ def test_the_dialect_writes_modules(loop, parts):
 
 def part_of(cards_):
     text = f"* part\n.subckt part a b k=2\n{cards_}\n.ends part\n"
-    return Subcircuit("part", (Pin("a", "V", "A"), Pin("b", "V", "A")),
-                      (Param("k", 2.0, "-", "gain"),), text)  # fmt: skip
+    pins, params = (Pin("a", "V", "A"), Pin("b", "V", "A")), (Param("k", 2.0, "-", "gain"),)
+    return Subcircuit("part", pins, params, read(text, "part.lib"), source=text)
 
 
 REFUSED = [

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import textwrap
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
+from itertools import count
 
 from kc2spice.netlist.circuit import Circuit, Directive, Element, Function, Item, Model, Parameters
 from kc2spice.netlist.expression import Name, Tree, Writer, parse, walk
-from kc2spice.netlist.library import Subcircuit
 
 _BARE = frozenset({"time", "temper", "hertz", "pi"})  # no parameters
 _WIDTH = 96
@@ -48,11 +48,16 @@ class Printer(Writer):
                 law = self.value(f"{{{item.expression.strip('{}')}}}")
                 return f".func {name}({','.join(arguments)}) {law}"
             case Circuit():
-                keyword = self.keyword if item.defaults else ""
-                head = _joined(".subckt", item.name, *item.pins, keyword, self.pairs(item.defaults))
                 body = (*self.lines(item.items), *item.closing)
-                return "\n".join([head, *body, f".ends {item.name}"])
+                return "\n".join([self.head(item), *body, f".ends {item.name}"])
         return self.directive(item)
+
+    def head(self, circuit: Circuit) -> str:
+        """The card that begins a subcircuit."""
+        keyword = self.keyword if circuit.defaults else ""
+        return _joined(
+            ".subckt", circuit.name, *circuit.pins, keyword, self.pairs(circuit.defaults)
+        )
 
     def element(self, part: Element) -> str:
         keyword = self.keyword if part.kind == "x" and part.parameters else ""
@@ -108,8 +113,29 @@ def _joined(*words: str) -> str:
     return " ".join(filter(None, words))
 
 
-def printed(part: Subcircuit, tree: Circuit) -> Subcircuit:
-    """``part`` with another tree, and the text of that."""
-    new = replace(part, text=Printer().file(tree))
-    vars(new)["circuit"] = tree  # it need not be read again
-    return new
+def located(circuit: Circuit, file: str) -> Circuit:
+    """Return the tree of a ``file`` with the line and the text of each card as it is printed."""
+    return replace(circuit, items=tuple(_located(circuit.items, Printer(), file, count(1))))
+
+
+def _located(
+    items: Iterable[Item], printer: Printer, file: str, lines: Iterator[int]
+) -> Iterator[Item]:
+    """Items with their places; ``lines`` yields the numbers of the file's lines."""
+    for item in items:
+        _skip(lines, len(item.notes))
+        if isinstance(item, Circuit):
+            head = printer.head(item)
+            where = f"{file}:{next(lines)}"
+            inner = tuple(_located(item.items, printer, file, lines))
+            _skip(lines, len(item.closing) + 1)
+            yield replace(item, items=inner, where=where, written=head)
+        elif card := printer.card(item):
+            where = f"{file}:{next(lines)}"
+            _skip(lines, card.count("\n"))
+            yield replace(item, where=where, written=card.replace("\n+", ""))
+
+
+def _skip(lines: Iterator[int], number: int) -> None:
+    for _ in range(number):
+        next(lines)

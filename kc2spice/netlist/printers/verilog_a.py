@@ -184,7 +184,7 @@ def module_files(part: Subcircuit) -> dict[str, str]:
     """
     if part.no_module:
         raise UsageError(part.no_module, where=part.filename, hint="it stays a library")
-    scope = circuit(part.circuit).subcircuits[part.name.lower()]
+    scope = circuit(part.located).subcircuits[part.name.lower()]
     module = Module()
     pins = {pin.name.lower(): module.identifier(pin.name) for pin in part.pins}
     params = {}

@@ -1,0 +1,42 @@
+"""Streams of cards and of the comments above them, and cards that several parts have."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import replace
+from typing import TypeAlias
+
+from kc2spice.netlist.circuit import Element, Item
+
+#: A card, or one or more comment and blank lines of the card below them.
+Line: TypeAlias = Item | str
+
+_TICK = (
+    "* A source of 0 V with corners at 1 and 2 ps makes the first time step small: the simulator "
+    "fixes\n* there in which order it eliminates unknowns."
+)
+
+
+def noted(lines: Iterable[Line]) -> tuple[Item, ...]:
+    """Return the cards among the lines, each with the comments that stand above it."""
+    result: list[Item] = []
+    notes: list[str] = []
+    for line in lines:
+        if isinstance(line, str):
+            notes += line.split("\n")
+        else:
+            result.append(replace(line, notes=(*notes, *line.notes)))
+            notes = []
+    assert not notes, "comments without a card below them"
+    return tuple(result)
+
+
+def pivots(base: str) -> Iterator[Line]:
+    """Yield cards by which ngspice chooses pivots that serve the picoseconds of an impact.
+
+    It chooses them at its first step. Those of a long step lose digits in short ones until none
+    converges.
+    """
+    yield _TICK
+    yield Element.of("Vtick", "tick", base, "PWL(0 0 1e-12 0 2e-12 0)")
+    yield Element.of("Rtick", "tick", base, "1")
