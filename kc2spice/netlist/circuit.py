@@ -24,9 +24,11 @@ CONTROLS = {"f": 1, "h": 1, "w": 1, "k": 2}  # sources or inductors behind the n
 @dataclass(frozen=True, kw_only=True)
 class Card:
     """One statement: the comment and blank lines above it, ``file:line`` of where it stood and how
-    it was written, on one line, for messages."""
+    it was written, on one line, for messages, and the ``owner``, the part of a scene that it
+    belongs to."""
 
     notes: tuple[str, ...] = ()
+    owner: str = field(default="", compare=False)
     where: str = field(default="", compare=False)
     written: str = field(default="", compare=False)
 

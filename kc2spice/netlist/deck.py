@@ -3,28 +3,23 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import Any
 
 from kc2spice.core.errors import UsageError
-from kc2spice.core.foreign import lines_of
 from kc2spice.netlist.cards import comment, number, tidy
-from kc2spice.netlist.circuit import Circuit
+from kc2spice.netlist.circuit import Circuit, Directive, Item
+from kc2spice.netlist.elements import Line, noted
 from kc2spice.netlist.expression import terms
 from kc2spice.netlist.library import Subcircuit
-from kc2spice.netlist.read import OPTION_CARDS, read, statements
-from kc2spice.netlist.scope import Scope, circuit
+from kc2spice.netlist.printers.ngspice import Printer, located
+from kc2spice.netlist.read import OPTION_CARDS, read
+from kc2spice.netlist.scope import Scope
+from kc2spice.netlist.scope import circuit as scoped
 
 ANALYSES = frozenset((".tran", ".ac", ".dc", ".op", ".noise"))
-
-
-@dataclass(frozen=True)
-class Block:
-    """Cards that belong together, under a comment."""
-
-    title: str
-    cards: tuple[str, ...]
 
 
 @dataclass(frozen=True)
@@ -36,9 +31,10 @@ class Option:
     reason: str
 
     @property
-    def card(self) -> str:
-        """The card."""
-        return f".options {self.key}={self.value}" if self.value else f".options {self.key}"
+    def card(self) -> Directive:
+        """The card with the reason above it."""
+        word = f"{self.key}={self.value}" if self.value else self.key
+        return Directive(".options", (word,), notes=(f"* {self.key}: {comment(self.reason)}",))
 
 
 LEAST_STEP = 1e-12  # V or A of a dc sweep; ngspice ends it within 2.2e-13
@@ -54,8 +50,13 @@ class Command:
 
     @property
     def card(self) -> str:
+        """Text of the card."""
+        return self.directive.text
+
+    @property
+    def directive(self) -> Directive:
         """The card."""
-        return " ".join((f".{self.kind}", *self.words))
+        return Directive(f".{self.kind}", self.words)
 
 
 def transient(stop: float, max_step: float, *, uic: bool) -> Command:
@@ -117,17 +118,18 @@ class Deck:
     that they are sums of products of. ``stop`` is the last time point [s] of
     a transient, None otherwise. ``refinements`` are further analyses of the kind of ``command``,
     whose points join its own. A dc analysis sweeps its source in ``sweep_scale`` volts or amperes
-    per SI unit of the swept key. A deck that somebody wrote by hand has its ``text`` and the files
-    that it includes in ``more``. ``controlled`` says whether a controller closes a loop, which some
-    simulators only follow in short steps; it may if that is unknown. A ``trusted`` deck runs with a
-    warning where the simulator ignores or replaces something in it.
+    per SI unit of the swept key. A deck that somebody wrote by hand has its ``text``, the ``tree``
+    of that where it was read before, and the files that it includes in ``more``. ``controlled``
+    says whether a controller closes a loop, which some simulators only follow in short steps; it
+    may if that is unknown. A ``trusted`` deck runs with a warning where the simulator ignores or
+    replaces something in it.
     """
 
     name: str
     title: str = ""
     notes: tuple[str, ...] = ()
     parts: tuple[Subcircuit, ...] = ()
-    blocks: tuple[Block, ...] = ()
+    items: tuple[Item, ...] = ()
     options: tuple[Option, ...] = ()
     command: Command = Command("op", ())
     vectors: Mapping[str, tuple[str, float]] = field(default_factory=dict)
@@ -138,6 +140,7 @@ class Deck:
     refinements: tuple[Command, ...] = ()
     sweep_scale: float = 1.0
     text: str | None = None
+    tree: Circuit | None = field(default=None, compare=False)
     more: Mapping[str, str] = field(default_factory=dict)
     controlled: bool = True
     trusted: bool = False
@@ -166,6 +169,20 @@ class Deck:
         return {self.main: self._main} | own | dict(self.more)
 
     @cached_property
+    def circuit(self) -> Circuit:
+        """The tree of the main file.
+
+        Raises
+        ------
+        UsageError : a broken card.
+        """
+        if self.text is None:
+            return self.printed_for(*self._usage)
+        cards = [option.card for option in self.options]
+        cards += [command.directive for command in self.refinements]
+        return _inserted(self._read, cards)
+
+    @cached_property
     def trees(self) -> dict[str, Circuit]:
         """``{file name: tree}`` of the deck and its libraries, each read once.
 
@@ -174,8 +191,15 @@ class Deck:
         UsageError : a broken card.
         """
         more = {name: read(text, name) for name, text in self.more.items()}
+        own = {part.filename: part.circuit for part in self.parts}
+        return {self.main: self.circuit} | own | more
+
+    @cached_property
+    def located(self) -> Mapping[str, Circuit]:
+        """The trees with the place of each card in the files that are written, for errors."""
         own = {part.filename: part.located for part in self.parts}
-        return {self.main: read(self._main, self.main, title=True)} | own | more
+        main = located(self.circuit, self.main) if self.text is None else self.circuit
+        return {**self.trees, **own, self.main: main}
 
     @cached_property
     def scope(self) -> Scope:
@@ -185,73 +209,92 @@ class Deck:
         ------
         UsageError : a broken card, a missing or circular include, a name defined twice.
         """
-        return circuit(self.trees[self.main], self.trees, self.main)
+        return scoped(self.circuit, self.trees, self.main)
+
+    @cached_property
+    def _read(self) -> Circuit:
+        """The tree of the text that somebody wrote."""
+        return self.tree or read(self.text or "", self.main, title=True)
 
     @cached_property
     def _main(self) -> str:
-        if self.text is not None:
-            cards = [option.card for option in self.options]
-            cards += [command.card for command in self.refinements]
-            return _inserted(self.text, "".join(f"{card}\n" for card in cards))
-        return "\n".join([*self._head(), *self._cards(), ".end", ""])
+        if self.text is not None and not self.options and not self.refinements:
+            return self.text
+        return Printer().file(self.circuit)
 
-    def _head(self) -> Iterator[str]:
+    @property
+    def _usage(self) -> tuple[str, ...]:
+        """How ngspice runs the deck."""
         raw, plot = f"{self.name}.raw {self.main}", f"{self.name}_plot.sp"
+        return (
+            f"* Run it with:  ngspice -b {self.main}             (prints what .print asks for)",
+            f"*           or  ngspice -b -r {raw}  (keeps every vector saved below)",
+            f"*           or  ngspice {plot}          (plots the main curves)",
+        )
+
+    def printed_for(self, *usage: str) -> Circuit:
+        """The tree of the main file whose head says how a program runs it: the lines ``usage``.
+
+        A deck that somebody wrote keeps its own head.
+        """
+        if self.text is not None:
+            return self.circuit
+        return Circuit(items=noted(self._lines(usage)))
+
+    def _lines(self, usage: Iterable[str]) -> Iterator[Line]:
         yield f"* {comment(self.title)}"
         yield from self.notes or ("",)
-        yield f"* Run it with:  ngspice -b {self.main}             (prints what .print asks for)"
-        yield f"*           or  ngspice -b -r {raw}  (keeps every vector saved below)"
-        yield f"*           or  ngspice {plot}          (plots the main curves)"
+        yield from usage
         yield (
             "* Units of the nodes: 1 V = 1 um (displacements), 1 V = 1 m/s (velocities), "
             "1 A = 1 N (forces)."
         )
-
-    def _cards(self) -> Iterator[str]:
-        yield from (f".include {part.filename}" for part in self.parts)
-        for block in self.blocks:
-            yield from ("", f"* {comment(block.title)}", *block.cards)
+        yield from (Directive(".include", (part.filename,)) for part in self.parts)
+        yield from self.items
         yield ""
         if self.initial:
             yield "* Nothing holds these nodes before the run begins."
-            yield " ".join((".ic", *(f"v({n})={number(v)}" for n, v in self.initial.items())))
-        for option in self.options:
-            yield from (f"* {option.key}: {comment(option.reason)}", option.card)
-        yield from (command.card for command in (self.command, *self.refinements))
+            yield Directive(".ic", tuple(f"v({n})={number(v)}" for n, v in self.initial.items()))
+        yield from (option.card for option in self.options)
+        yield from (command.directive for command in (self.command, *self.refinements))
         totals = (
             ("onoise_total",) if self.command.kind == "noise" else ()
         )  # vector of the second plot
-        yield from (f".save {vector}" for vector in (*self.saved, *totals))
-        yield " ".join((".print", self.command.kind, *self.saved[:2]))
+        yield from (Directive(".save", (vector,)) for vector in (*self.saved, *totals))
+        yield Directive(".print", (self.command.kind, *self.saved[:2]))
+        yield Directive(".end")
 
     def with_command(self, command: Command) -> Deck:
         """The same deck with this analysis instead of its own and of its refinements."""
         if self.text is None:
             return replace(self, command=command, refinements=())
-        at = next((s.line for s in statements(self.text, "") if s.keyword in ANALYSES), None)
+        items = self._read.items
+        at = _analysis(items)
         if at is None:
             return self
-        lines = [f"{line}\n" for line in lines_of(self.text)]
-        after = at
-        while after < len(lines) and lines[after].startswith("+"):
-            after += 1
-        text = "".join([*lines[: at - 1], f"{command.card}\n", *lines[after:]])
-        return replace(self, text=text, command=command, refinements=())
+        analysis = replace(command.directive, notes=items[at].notes)
+        tree = replace(self._read, items=(*items[:at], analysis, *items[at + 1 :]))
+        return self._rewritten(tree, command=command, refinements=())
 
     def option(self, key: str) -> str | None:
         """The value of an option, None where the deck says nothing."""
-        cards = (s for s in statements(self._main, self.main) if s.keyword in OPTION_CARDS)
-        pairs = (word.partition("=") for s in cards for word in s.words[1:])
+        cards = (item for item in self.circuit.items if isinstance(item, Directive))
+        words = (word for card in cards if card.keyword in OPTION_CARDS for word in card.words)
+        pairs = (word.partition("=") for word in words)
         result = [value for name, _, value in pairs if name.lower() == key and value]
         return result[-1] if result else None
 
     def saving(self, vectors: Mapping[str, tuple[str, float]]) -> Deck:
         """The same deck with these results besides its own."""
-        more = replace(self, vectors={**self.vectors, **vectors})
-        if self.text is None or ".save" not in (s.keyword for s in statements(self.text, "")):
-            return more
-        line = ".save " + " ".join(vector for vector, _ in vectors.values()) + "\n"
-        return replace(more, text=_inserted(self.text, line))
+        result = replace(self, vectors={**self.vectors, **vectors})
+        if self.text is None or not any(_keyword(item) == ".save" for item in self._read.items):
+            return result
+        card = Directive(".save", tuple(vector for vector, _ in vectors.values()))
+        return result._rewritten(_inserted(self._read, [card]))
+
+    def _rewritten(self, tree: Circuit, **changes: Any) -> Deck:
+        """The same deck with another main file."""
+        return replace(self, tree=tree, text=Printer().file(tree), **changes)
 
     def with_options(self, options: Mapping[str, str], reason: str) -> Deck:
         """The same deck with these options instead of its own."""
@@ -268,21 +311,18 @@ class Deck:
         return replace(self, command=Command("tran", tuple(words)))
 
 
-def retold(tree: Circuit, *usage: str) -> Circuit:
-    """The tree of a main file whose head tells how another program runs it than ngspice."""
-    if not tree.items:
+def _keyword(item: Item) -> str:
+    return item.keyword if isinstance(item, Directive) else ""
+
+
+def _analysis(items: Sequence[Item]) -> int | None:
+    """Position of the first analysis."""
+    return next((k for k, item in enumerate(items) if _keyword(item) in ANALYSES), None)
+
+
+def _inserted(tree: Circuit, cards: Sequence[Item]) -> Circuit:
+    """The tree with ``cards`` above its analysis."""
+    at = _analysis(tree.items)
+    if at is None or not cards:
         return tree
-    first, *rest = tree.items
-    kept = [line for line in first.notes if " ngspice " not in line]
-    at = next((k for k, line in enumerate(first.notes) if line not in kept), None)
-    if at is not None:
-        kept[at:at] = usage
-    return replace(tree, items=(replace(first, notes=tuple(kept)), *rest))
-
-
-def _inserted(text: str, lines: str) -> str:
-    at = next((s.line for s in statements(text, "") if s.keyword in ANALYSES), None)
-    if at is None or not lines:
-        return text
-    kept = [f"{line}\n" for line in lines_of(text)]
-    return "".join([*kept[: at - 1], lines, *kept[at - 1 :]])
+    return replace(tree, items=(*tree.items[:at], *cards, *tree.items[at:]))

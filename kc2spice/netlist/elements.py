@@ -6,6 +6,7 @@ from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from typing import TypeAlias
 
+from kc2spice.netlist.cards import comment
 from kc2spice.netlist.circuit import Element, Item
 
 #: A card, or one or more comment and blank lines of the card below them.
@@ -29,6 +30,13 @@ def noted(lines: Iterable[Line]) -> tuple[Item, ...]:
             notes = []
     assert not notes, "comments without a card below them"
     return tuple(result)
+
+
+def titled(title: str, items: Iterable[Item], owner: str = "") -> tuple[Item, ...]:
+    """Return the cards of an ``owner`` below a blank line and a title."""
+    first, *others = (replace(item, owner=owner) for item in items)
+    notes = ("", f"* {comment(title)}", *first.notes)
+    return (replace(first, notes=notes), *others)
 
 
 def pivots(base: str) -> Iterator[Line]:

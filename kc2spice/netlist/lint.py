@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import difflib
 from collections import Counter
-from collections.abc import Collection, Iterable, Iterator
+from collections.abc import Collection, Iterable, Iterator, Mapping
 
 from kc2spice.core.errors import UsageError
-from kc2spice.netlist.circuit import Card, Circuit, Element, Parameters
+from kc2spice.netlist.circuit import Card, Circuit, Directive, Element, Parameters
 from kc2spice.netlist.deck import Deck
 from kc2spice.netlist.expression import (
     BUILT_IN,
@@ -21,7 +21,7 @@ from kc2spice.netlist.expression import (
     walk,
 )
 from kc2spice.netlist.library import declared_pins
-from kc2spice.netlist.scope import GROUND, Scope, inside
+from kc2spice.netlist.scope import GROUND, Scope, circuit, inside
 
 _ODD = tuple(Number(text) for text in ("1", "3", "5", "7", "9"))
 # Parasitic settings of elements in LTspice, and the equivalent separate elements.
@@ -53,23 +53,32 @@ def problems(deck: Deck) -> list[UsageError]:
     ------
     UsageError : the text cannot be read at all (missing include, broken card, unclosed subcircuit).
     """
-    signals = frozenset(_signal_pins(deck.trees.values()))
-    read = _read_inside(deck)
+    try:
+        if not _problems(deck, deck.trees, deck.scope):
+            return []
+    except UsageError:  # raised again below, with the place of its card
+        pass
+    return _problems(deck, deck.located, circuit(deck.located[deck.main], deck.located, deck.main))
+
+
+def _problems(deck: Deck, trees: Mapping[str, Circuit], top: Scope) -> list[UsageError]:
+    signals = frozenset(_signal_pins(trees.values()))
+    read = _read_inside(deck, top)
     checks = (
         (*_wrong_cards(item), *_dangling(item, signals, read.get(id(item), set())))
-        for item in deck.scope.inwards()
+        for item in top.inwards()
     )
     return [problem for result in checks for problem in result]
 
 
-def _read_inside(deck: Deck) -> dict[int, set[str]]:
+def _read_inside(deck: Deck, top: Scope) -> dict[int, set[str]]:
     """Nodes of subcircuits that the deck saves, such as ``v(x1.p)``, by the identity of the scope:
     a node that is read is not one that somebody forgot to wire."""
     result: dict[int, set[str]] = {}
     for text in deck.saved:
         for name in text.lower().partition("(")[2].removesuffix(")").split(","):
             *path, node = name.strip().split(".")
-            scope = inside(deck.scope, tuple(path)) if path else None
+            scope = inside(top, tuple(path)) if path else None
             if scope is not None:
                 result.setdefault(id(scope), set()).add(node)
     return result
@@ -189,7 +198,7 @@ def _dangling(
     watched = {
         name.strip().lower()
         for card in scope.commands
-        for inside in card.written.split("(")[1:]
+        for inside in _written(card).split("(")[1:]
         for name in inside.partition(")")[0].split(",")
     }
     watched.update(read)
@@ -208,6 +217,10 @@ def _dangling(
                     _nearest(node, [n for n in uses if n != node]),
                     f"wire it; if it is to be free, save v({node}) or call the node nc_{node}",
                 )
+
+
+def _written(card: Card) -> str:
+    return card.text if isinstance(card, Directive) else card.written
 
 
 def _nearest(name: str, known: Collection[str]) -> str | None:

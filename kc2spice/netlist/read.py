@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import combinations_with_replacement, count, takewhile
+from itertools import accumulate, combinations_with_replacement, count, takewhile
 from typing import Any
 
 from kc2spice.core.errors import UsageError
@@ -124,8 +124,17 @@ def read(text: str, file: str, *, title: bool = False) -> Circuit:
     ------
     UsageError : a broken card, a subcircuit that does not begin or end.
     """
-    cards = iter(statements(text, file, title=title))
-    items, notes = _items(cards, None)
+    return tree_of(statements(text, file, title=title))
+
+
+def tree_of(cards: Iterable[Statement]) -> Circuit:
+    """Return the tree of cards up to ``.end``, in order.
+
+    Raises
+    ------
+    UsageError : a broken card, a subcircuit that does not begin or end.
+    """
+    items, notes = _items(iter(cards), None)
     return Circuit(items=items, closing=notes)
 
 
@@ -264,7 +273,7 @@ def _behaviour(s: Statement) -> Element:
     quantity, _, law = rest[2].partition("=") if len(rest) > 2 else ("", "", "")
     if quantity.strip().upper() not in ("V", "I") or not law.strip():
         raise s.error("behavioural source without a law", expected="I=… or V=expression")
-    origin = _origin(s) | {"quantity": quantity.strip().upper(), "expression": law.strip()}
+    origin = _origin(s) | {"quantity": quantity.strip().upper(), "expression": _bare(law)}
     return Element("b", name, tuple(rest[:2]), **origin)
 
 
@@ -280,7 +289,16 @@ def _controlled(part: Element) -> Element:
     if keyword == "laplace" or not (result := law(rest, part.where)):
         return part
     quantity = "V" if part.kind == "e" else "I"
-    return replace(part, values=(), quantity=quantity, expression=result)
+    return replace(part, values=(), quantity=quantity, expression=_bare(result))
+
+
+def _bare(law: str) -> str:
+    """An expression without the braces around all of it."""
+    law = law.strip()
+    inner = law[1:-1]
+    depths = accumulate((ch == "{") - (ch == "}") for ch in inner)
+    whole = law[:1] == "{" and law[-1:] == "}" and min(depths, default=0) >= 0
+    return inner.strip() if whole else law
 
 
 def _polynomial(text: str, where: str) -> str:

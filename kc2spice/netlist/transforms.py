@@ -10,7 +10,8 @@ from dataclasses import replace
 from kc2spice.core.errors import UsageError, unknown
 from kc2spice.netlist.cards import number
 from kc2spice.netlist.circuit import LEAST, Circuit, Element, Item, Param
-from kc2spice.netlist.deck import Block, Deck
+from kc2spice.netlist.deck import Deck
+from kc2spice.netlist.elements import titled
 from kc2spice.netlist.expression import added, terms, vector
 from kc2spice.netlist.library import Subcircuit
 
@@ -164,15 +165,15 @@ def array_deck(deck: Deck, count: int) -> Deck:
         expected = "a scene with a transient or an ac analysis"
         raise UsageError(message, where="--count", got=got, expected=expected)
     unit, numbers = f"{deck.name}_unit", range(1, count + 1)
-    first, last = Block("one copy", (f".subckt {unit} common",)), Block("", (f".ends {unit}",))
-    copies = Block(f"{count} copies", tuple(f"X{k} 0 {unit}" for k in numbers))
+    copy = titled("one copy", [Circuit(unit, ("common",), items=deck.items)])
+    copies = titled(f"{count} copies", [Element.of(f"X{k}", "0", unit) for k in numbers])
     vectors, units, initial = dict[str, tuple[str, float]](), dict[str, str](), dict[str, float]()
     for k in numbers:
         vectors |= {f"{k}.{n}": (_within(v, k), factor) for n, (v, factor) in deck.vectors.items()}
         units |= {f"{k}.{name}": item for name, item in deck.units.items()}
         initial |= {f"x{k}.{node}": value for node, value in deck.initial.items()}
-    title, blocks = f"{deck.title}, {count} copies", (first, *deck.blocks, last, copies)
-    return replace(deck, title=title, blocks=blocks, vectors=vectors, units=units, initial=initial)
+    title, items = f"{deck.title}, {count} copies", (*copy, *copies)
+    return replace(deck, title=title, items=items, vectors=vectors, units=units, initial=initial)
 
 
 def _within(expression: str, k: int) -> str:

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 from kc2spice.core.errors import UsageError, unknown
-from kc2spice.netlist.deck import Deck, retold
+from kc2spice.netlist.deck import Deck
 from kc2spice.netlist.expression import added, terms
 from kc2spice.netlist.library import Subcircuit
 from kc2spice.netlist.printers import ltspice
 from kc2spice.netlist.printers.dialect import Dialect
 from kc2spice.netlist.printers.kicad import project
+from kc2spice.netlist.printers.ngspice import located
 from kc2spice.netlist.printers.verilog_a import module_files, testbench
 from kc2spice.netlist.printers.xyce import Xyce
 
@@ -31,15 +33,16 @@ def translate(deck: Deck, dialect: str) -> Deck:
     if dialect not in PRINTERS:
         raise unknown("unknown dialect", dialect, DIALECTS, "--dialect")
     printer = PRINTERS[dialect](deck)
-    main = retold(deck.trees[deck.main], f"* Run it with:  {printer.command} {deck.main}")
-    trees = {**deck.trees, deck.main: main}
+    main = deck.printed_for(f"* Run it with:  {printer.command} {deck.main}")
+    trees = {**deck.located, deck.main: located(main, deck.main) if deck.text is None else main}
     files = {name: printer.file(tree) for name, tree in trees.items()}
     vectors = {
         key: (added([(sign, printer.vector(item)) for sign, item in terms(expression)]), factor)
         for key, (expression, factor) in deck.vectors.items()
     }
     text = files.pop(deck.main)
-    return replace(deck, text=text, more=files, parts=(), options=(), vectors=vectors)
+    changes: dict[str, Any] = {"options": (), "refinements": (), "vectors": vectors}
+    return replace(deck, text=text, tree=None, more=files, parts=(), **changes)
 
 
 def dialect_files(deck: Deck, dialect: str) -> dict[str, str]:

@@ -16,6 +16,7 @@ from pydantic import Field
 
 from kc2spice.core.errors import UsageError
 from kc2spice.core.quantities import Section, Time
+from kc2spice.netlist.circuit import Element, Item
 from kc2spice.scene.model import Build, Part, PartType, Scene, Terminal
 from kc2spice.scene.parttype import register
 from kc2spice.scene.rows import Sampled, Vector
@@ -93,12 +94,15 @@ wiring = "parallel"
             expected = 'names of its input pins, such as inputs = ["y"]'
             yield part.wrong("inputs", "the controller has no inputs", "no input", expected)
 
-    def cards(self, part: Part, build: Build) -> tuple[str, ...]:
+    def cards(self, part: Part, build: Build) -> tuple[Item, ...]:
         out, ret = build.net(part, "out"), build.net(part, "ret")
         if part.keys.output == "voltage":
-            return (f"V{part.name} {out} {ret} EXTERNAL",)
+            return (Element.of(f"V{part.name}", out, ret, "EXTERNAL"),)
         held = build.own(part, part.name.lower(), "held")
-        return (f"V{part.name} {held} 0 EXTERNAL", f"G{part.name} {ret} {out} {held} 0 1")
+        return (
+            Element.of(f"V{part.name}", held, "0", "EXTERNAL"),
+            Element.of(f"G{part.name}", ret, out, held, "0", "1"),
+        )
 
     def vectors(self, part: Part, build: Build) -> Mapping[str, Vector]:
         return {f"{part.name}.{name}": build.across(part, name) for name in part.keys.inputs}

@@ -12,6 +12,8 @@ from kc2spice.core import laws
 from kc2spice.core.quantities import Current, Section
 from kc2spice.core.waveforms import Waveforms, constant
 from kc2spice.netlist.cards import number
+from kc2spice.netlist.circuit import Element, Item
+from kc2spice.netlist.elements import Line, noted
 from kc2spice.parts.sphere import sphere_of
 from kc2spice.physics import coils
 from kc2spice.scene.judge import PAIRS, Check, Gate, Metric
@@ -49,19 +51,19 @@ class CurrentCases(PartType):
     def governs(self, part: Part, scene: Scene) -> Mapping[str, Governed]:
         return {_sphere(part, scene): "moved", _coils(part, scene).name: "copied"}
 
-    def cards(self, part: Part, build: Build) -> tuple[str, ...]:
+    def cards(self, part: Part, build: Build) -> tuple[Item, ...]:
         library, y = build.libraries[_coils(part, build.scene).name], build.net(part, "y")
-        cards = [f"{build.own(part, 'Vheight')} {y} 0 0"]
+        cards: list[Line] = [Element.of(build.own(part, "Vheight"), y, "0", "0")]
         for k, (lower, upper) in enumerate(cases(part)):
             a, b, force = (build.own(part, f"{name}{k}") for name in ("lower", "upper", "force"))
             cards += [
                 f"* {number(lower)} A in the lower, {number(upper)} A in the upper coil",
-                f"{build.own(part, f'Xcatch{k}')} {a} 0 {b} 0 {y} {force} 0 {library}",
-                f"{build.own(part, f'Ilower{k}')} 0 {a} {number(lower)}",
-                f"{build.own(part, f'Iupper{k}')} 0 {b} {number(upper)}",
-                f"{build.own(part, f'Vforce{k}')} {force} 0 0",
+                Element.of(build.own(part, f"Xcatch{k}"), a, "0", b, "0", y, force, "0", library),
+                Element.of(build.own(part, f"Ilower{k}"), "0", a, lower),
+                Element.of(build.own(part, f"Iupper{k}"), "0", b, upper),
+                Element.of(build.own(part, f"Vforce{k}"), force, "0", "0"),
             ]
-        return tuple(cards)
+        return noted(cards)
 
     def settable(self, part: Part, build: Build) -> Mapping[str, Swept]:
         keys = _coils(part, build.scene).keys

@@ -15,7 +15,8 @@ from kc2spice.core.errors import UsageError
 from kc2spice.core.figure import Curve, Figure, Panel
 from kc2spice.core.quantities import Count, Frequency, Notch, Section
 from kc2spice.core.waveforms import Waveforms, constant
-from kc2spice.netlist.cards import number
+from kc2spice.netlist.circuit import Element, Item
+from kc2spice.netlist.elements import Line, noted
 from kc2spice.parts.two_terminal_types import element
 from kc2spice.scene.judge import PAIRS, Gate, Metric
 from kc2spice.scene.model import Build, Part, PartType, Scene
@@ -61,32 +62,33 @@ class PortLoads(PartType):
     def governs(self, part: Part, scene: Scene) -> Mapping[str, Governed]:
         return {body_of(part, scene).name: "copied"}
 
-    def cards(self, part: Part, build: Build) -> tuple[str, ...]:
+    def cards(self, part: Part, build: Build) -> tuple[Item, ...]:
         body, own = body_of(part, build.scene), partial(build.own, part)
         rings, library = _rings(body, build.scene), build.libraries[body.name]
         is_open = body.keys.electrical == "open"
-        cards = []
+        cards: list[Line] = []
         for load in (*rings, "anode"):
-            nodes = " ".join(own(ring, load) for ring in rings)
+            nodes = [own(ring, load) for ring in rings]
             anode, charge, source = own("anode", load), own("charge", load), own("Vanode", load)
-            cards += [f"* Load on {load}", f"{own(f'X{load}')} {anode} 0 {nodes} 0 {library}"]
+            instance = Element.of(own(f"X{load}"), anode, "0", *nodes, "0", library)
+            cards += [f"* Load on {load}", instance]
             if load != "anode":
-                cards.append(f"{own(f'I{load}')} 0 {own(load, load)} AC 1")
+                cards.append(Element.of(own(f"I{load}"), "0", own(load, load), "AC", "1"))
             if is_open and load == "anode":
                 unit, node = own("Vload"), own("load")
                 cards += [
-                    f"{unit} {node} 0 AC 1",
-                    f"{own('Cload')} {node} 0 1",
-                    f"{own('Fload')} 0 {anode} {unit} -1",
+                    Element.of(unit, node, "0", "AC", "1"),
+                    Element.of(own("Cload"), node, "0", "1"),
+                    Element.of(own("Fload"), "0", anode, unit, "-1"),
                 ]
             if not is_open:
                 cards += [
-                    f"{source} {anode} 0 AC {int(load == 'anode')}",
-                    f"{own('Fcharge', load)} {charge} 0 {source} 1",
-                    f"{own('Ccharge', load)} {charge} 0 1",
-                    f"{own('Rcharge', load)} {charge} 0 {number(1e9)}",
+                    Element.of(source, anode, "0", "AC", f"{load == 'anode':d}"),
+                    Element.of(own("Fcharge", load), charge, "0", source, "1"),
+                    Element.of(own("Ccharge", load), charge, "0", "1"),
+                    Element.of(own("Rcharge", load), charge, "0", 1e9),
                 ]
-        return tuple(cards)
+        return noted(cards)
 
     def vectors(self, part: Part, build: Build) -> Mapping[str, Vector]:
         """``INPUT>OUTPUT``, complex: displacements [m], of the anode charge [C] or voltage [V]."""

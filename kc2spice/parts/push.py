@@ -11,6 +11,7 @@ from kc2spice.core import laws
 from kc2spice.core.errors import UsageError
 from kc2spice.core.quantities import Count, Length, Section
 from kc2spice.core.waveforms import Waveforms, constant
+from kc2spice.netlist.circuit import Element, Item
 from kc2spice.parts._touching import Pair, Penetration, Touching
 from kc2spice.parts.sphere import sphere_of
 from kc2spice.scene.judge import Gate, Measure, Metric
@@ -51,8 +52,8 @@ class Push(Touching):
             problem = "deeper than the sphere's radius"
             yield part.wrong("depth", problem, f"{part.keys.depth:g} m", expected)
 
-    def cards(self, part: Part, build: Build) -> tuple[str, ...]:
-        return (f"V{part.name} {build.net(part, 'bottom')} 0 0",)
+    def cards(self, part: Part, build: Build) -> tuple[Item, ...]:
+        return (Element.of(f"V{part.name}", build.net(part, "bottom"), "0", "0"),)
 
     def settable(self, part: Part, build: Build) -> Mapping[str, Swept]:
         return {"depth": Swept(f"V{part.name}", -1e6, (0.0, part.keys.depth))}

@@ -18,6 +18,8 @@ from kc2spice.core.quantities import Section, quantity, refused
 from kc2spice.core.spectrum import waveform_frequency
 from kc2spice.core.waveforms import PulseKeys, SineKeys, Waveform, Waveforms
 from kc2spice.netlist.cards import number
+from kc2spice.netlist.circuit import Element, Item
+from kc2spice.netlist.read import words
 from kc2spice.scene.judge import Check
 from kc2spice.scene.model import Build, Part, PartType, Scene, Terminal
 from kc2spice.scene.parttype import register
@@ -164,16 +166,16 @@ class Source(PartType):
         constant = part.keys.kind == "force" and part.keys.waveform(scene.home)(np.zeros(1))[0]
         return Rest(pushed=("out", "ret") if constant else ())
 
-    def cards(self, part: Part, build: Build) -> tuple[str, ...]:
+    def cards(self, part: Part, build: Build) -> tuple[Item, ...]:
         kind, ends = KINDS[part.keys.kind], [build.net(part, pin) for pin in ("out", "ret")]
         if kind.letter == "I":  # the current leaves the source at "out" and enters it at "ret"
             ends.reverse()
         if _returns(part, build.scene):
             return tuple(_returning(part, build, kind, ends))
-        text = part.keys.waveform(build.scene.home).spice(kind.scale)
+        wave = part.keys.waveform(build.scene.home).spice(kind.scale)
         size = kind.scale * quantity(part.keys.ac, kind.unit)
-        ac = f" AC {number(size)}" if size else ""
-        return (f"{kind.letter}{part.name} {' '.join(ends)} {text}{ac}",)
+        ac = ("AC", number(size)) if size else ()
+        return (Element.of(f"{kind.letter}{part.name}", *ends, *words(wave), *ac),)
 
     def settable(self, part: Part, build: Build) -> Mapping[str, Swept]:
         kind = KINDS[part.keys.kind]
@@ -233,7 +235,7 @@ def _returns(part: Part, scene: Scene) -> bool:
     return selected.type == "dc" and selected.back and selected.sweep == f"{part.name}.dc"
 
 
-def _returning(part: Part, build: Build, kind: Kind, ends: list[str]) -> Iterator[str]:
+def _returning(part: Part, build: Build, kind: Kind, ends: list[str]) -> Iterator[Element]:
     """Source of a sweep that returns from ``to``.
 
     The simulator sweeps a voltage beyond ``to``. The source folds it at ``to``, so that both
@@ -243,12 +245,12 @@ def _returning(part: Part, build: Build, kind: Kind, ends: list[str]) -> Iterato
     first, last = (kind.scale * quantity(v, kind.unit) for v in (selected.from_, selected.to))
     swept, folded = (build.own(part, part.name, word) for word in ("swept", "folded"))
     value = f"{number(last)}{'-' if first < last else '+'}abs(V({swept})-({number(last)}))"
-    yield f"V{swept} {swept} 0 {number(first)}"
+    yield Element.of(f"V{swept}", swept, "0", first)
     if kind.letter == "I":
-        yield f"BI{part.name} {' '.join(ends)} I={{{value}}}"
+        yield Element.behaviour(f"BI{part.name}", ends[0], ends[1], "I", value)
     else:
-        yield f"B{folded} {folded} {ends[1]} V={{{value}}}"
-        yield f"V{part.name} {ends[0]} {folded} 0"
+        yield Element.behaviour(f"B{folded}", folded, ends[1], "V", value)
+        yield Element.of(f"V{part.name}", ends[0], folded, "0")
 
 
 def drive_scales(name: str, wave: Waveform) -> Iterator[Numerics]:

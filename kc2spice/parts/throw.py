@@ -13,6 +13,7 @@ from kc2spice.core import laws
 from kc2spice.core.errors import UsageError
 from kc2spice.core.quantities import Length, Section, Velocity
 from kc2spice.core.waveforms import Waveforms
+from kc2spice.netlist.circuit import Item
 from kc2spice.parts import _touching
 from kc2spice.parts.sphere import sphere_of
 from kc2spice.scene.judge import PAIRS, Gate, Metric
@@ -37,7 +38,7 @@ class Throw(_touching.Touching):
     schema = ThrowKeys
     source = "initial state"
 
-    def cards(self, part: Part, build: Build) -> tuple[str, ...]:
+    def cards(self, part: Part, build: Build) -> tuple[Item, ...]:
         return ()
 
     def problems(self, part: Part, scene: Scene) -> Iterator[UsageError]:

@@ -13,7 +13,8 @@ from typing import Annotated, Any, NamedTuple
 from pydantic import Field, create_model
 
 from kc2spice.core.quantities import Section, si
-from kc2spice.netlist.cards import LEAK_RATE, number
+from kc2spice.netlist.cards import LEAK_RATE
+from kc2spice.netlist.circuit import Element, Item
 from kc2spice.netlist.expression import Number, Tree
 from kc2spice.physics.declaration import RATE, Branch, Declaration, current, displacement, voltage
 from kc2spice.physics.expression import ONE, ZERO, derivative, evaluated, over, times
@@ -116,38 +117,39 @@ class LinearElement(DeclaredPart):
     def subcircuits(self, part: Part, build: Build, header: Any) -> tuple[Any, ...]:
         return ()
 
-    def cards(self, part: Part, build: Build) -> tuple[str, ...]:
+    def cards(self, part: Part, build: Build) -> tuple[Item, ...]:
         a, b = build.net(part, "a"), build.net(part, "b")
         admittance = times(self._unit, self.linear[1])
         if self._letter != "C":
-            value = number(self._number(part, over(ONE, admittance)))
-            silent = " noisy=0" if build.noisy and self._letter == "R" and not self._lossy else ""
-            return (f"{self._letter}{part.name} {a} {b} {value}{silent}",)
+            value = self._number(part, over(ONE, admittance))
+            silent = build.noisy and self._letter == "R" and not self._lossy
+            words = {"noisy": "0"} if silent else {}
+            return (Element.of(f"{self._letter}{part.name}", a, b, value, **words),)
         inner = build.own(part, part.name.lower(), "metered")
         return (
-            f"{_meter(part, build)} {a} {inner} 0",
-            f"C{part.name} {inner} {b} {number(self._number(part, admittance))}",
+            Element.of(_meter(part, build), a, inner, "0"),
+            Element.of(f"C{part.name}", inner, b, self._number(part, admittance)),
             *(self._leak_cards(part, build, a, b) if self.branch.kind == "voltage" else ()),
             *(self._noise_cards(part, build, a, b) if build.noisy and self._lossy else ()),
         )
 
-    def _leak_cards(self, part: Part, build: Build, a: str, b: str) -> tuple[str, ...]:
+    def _leak_cards(self, part: Part, build: Build, a: str, b: str) -> tuple[Element, ...]:
         """A conductance by which the operating point of a floating net keeps its charge: it is in
         proportion to the capacitance, as that of a body's electrode is, so that their currents
         ``rate C v`` sum to zero where the charges ``C v`` do."""
-        value = number(LEAK_RATE * self._number(part, self.linear[1]))
-        return (f"{build.own(part, f'G{part.name}', 'leak')} {a} {b} {a} {b} {value}",)
+        value = LEAK_RATE * self._number(part, self.linear[1])
+        return (Element.of(build.own(part, f"G{part.name}", "leak"), a, b, a, b, value),)
 
     @cached_property
     def _lossy(self) -> bool:
         """Whether it is a damper or a resistor."""
         return self.linear[0] == 0
 
-    def _noise_cards(self, part: Part, build: Build, a: str, b: str) -> tuple[str, ...]:
+    def _noise_cards(self, part: Part, build: Build, a: str, b: str) -> tuple[Element, ...]:
         """Force noise ``4 k T c`` [N^2/Hz]: the voltage noise of a resistor of c ohms."""
-        n, value = part.name, number(self._number(part, self.linear[1]))
+        n, value = part.name, self._number(part, self.linear[1])
         R, G, node = (build.own(part, own, "noise") for own in (f"R{n}", f"G{n}", n.lower()))
-        return f"{R} {node} 0 {value}", f"{G} {a} {b} {node} 0 1"
+        return Element.of(R, node, "0", value), Element.of(G, a, b, node, "0", "1")
 
     def vectors(self, part: Part, build: Build) -> Mapping[str, Vector]:
         across, n = across_pins(build, part, self.branch), part.name

@@ -18,6 +18,7 @@ import numpy as np
 from kc2spice.core.errors import UsageError, unknown
 from kc2spice.core.mesh_error import mesh_words
 from kc2spice.core.quantities import Section
+from kc2spice.netlist.circuit import Element, Item
 from kc2spice.scene.rows import (
     Governed,
     Neglected,
@@ -426,14 +427,14 @@ class PartType:
         """Its subcircuit, behind those that it needs; empty for a part of plain cards."""
         return ()
 
-    def cards(self, part: Part, build: Build) -> tuple[str, ...]:
-        """Its lines in the deck: an instance of its subcircuit with the meters that probes ask for,
-        unless it says otherwise."""
+    def cards(self, part: Part, build: Build) -> tuple[Item, ...]:
+        """Its elements in the deck: an instance of its subcircuit with the meters that probes ask
+        for, unless the type overrides this method."""
         pins = {pin.name: build.net(part, pin.name) for pin in self.pins(part, build.scene)}
         meters = {pin: name for pin in pins if (name := build.meter(part, pin))}
-        nodes = " ".join({**pins, **meters}.values())
-        read = (f"{name} {pins[pin]} {name} 0" for pin, name in meters.items())
-        return (f"X{part.name} {nodes} {build.libraries[part.name]}", *read)
+        nodes = {**pins, **meters}.values()
+        read = (Element.of(name, pins[pin], name, "0") for pin, name in meters.items())
+        return (Element.of(f"X{part.name}", *nodes, build.libraries[part.name]), *read)
 
     def settable(self, part: Part, build: Build) -> Mapping[str, Swept | Sampled | float]:
         """Quantities that the equations of the part do not determine.

@@ -868,8 +868,8 @@ def _description(block: np.ndarray) -> str:
 
 def loaded(
     model: LinearModel, library: Subcircuit, load: Port, tag: str = ""
-) -> tuple[list[str], dict[str, tuple[str, float]]]:
-    """Cards of one copy of the subcircuit of ``model`` under a unit load, and by each port that
+) -> tuple[list[Element], dict[str, tuple[str, float]]]:
+    """Elements of one copy of the subcircuit of ``model`` under a unit load, and by each port that
     answers the vector that does and its factor to SI.
 
     The other electrodes are shorted, mechanical ports are free, frames stand still, other inputs
@@ -879,17 +879,17 @@ def loaded(
     ends = {port.terminals[0].lower() for port in model.ports}
     names = [pin.name if pin.name.lower() in ends else "" for pin in library.pins]
     nodes = {name.lower(): f"{name}{tag}" for name in names if name}
-    joined = " ".join(f"{name}{tag}" if name else "0" for name in names)
-    cards, result = [f"X{library.name}{tag} {joined} {library.name}"], {}
+    joined = [f"{name}{tag}" if name else "0" for name in names]
+    cards, result = [Element.of(f"X{library.name}{tag}", *joined, library.name)], {}
     for port in model.ports:
-        node, size = nodes[port.terminals[0].lower()], " AC 1" if port == load else ""
+        node, size = nodes[port.terminals[0].lower()], ("AC", "1") if port == load else ()
         if port.kind in MOVING:
-            cards += [f"I{node} 0 {node} DC 0{size}"] if size else []
+            cards += [Element.of(f"I{node}", "0", node, "DC", "0", *size)] if size else []
             result[port.name] = (f"v({node})", MICRO if port.kind == "mechanical" else 1.0)
         elif port.kind == "output":
             result[port.name] = (f"v({node})", 1.0)
         else:
-            cards.append(f"V{node} {node} 0 DC 0{size}")
+            cards.append(Element.of(f"V{node}", node, "0", "DC", "0", *size))
             if port.kind != "input":
                 result[port.name] = (f"i(v{node.lower()})", -1.0)
     return cards, result

@@ -16,13 +16,14 @@ from kc2spice.core.errors import UsageError
 from kc2spice.core.files import earlier
 from kc2spice.core.progress import Clock
 from kc2spice.netlist.cards import comment, number, tidy
-from kc2spice.netlist.circuit import Element
-from kc2spice.netlist.deck import Block, Command, Deck, Option, ac, dc, transient
+from kc2spice.netlist.circuit import Element, Item
+from kc2spice.netlist.deck import Command, Deck, Option, ac, dc, transient
+from kc2spice.netlist.elements import titled
 from kc2spice.netlist.expression import literal, vector
 from kc2spice.netlist.foreign import ANALYSES, HARMLESS, accuracy, checked, refuse
 from kc2spice.netlist.library import Subcircuit
 from kc2spice.netlist.lint import lint
-from kc2spice.netlist.read import Statement, read, statements
+from kc2spice.netlist.read import Statement, statements, tree_of
 from kc2spice.netlist.scope import INCLUDES, Scope, circuit, has_vector
 from kc2spice.netlist.transforms import quiet
 from kc2spice.scene.compose import Free, free, unsettled
@@ -32,7 +33,7 @@ from kc2spice.scene.plan import MAX_STEP, plan
 from kc2spice.scene.plausible import built, judged
 from kc2spice.spice.header import Header, plan_lines
 from kc2spice.workflow import meters
-from kc2spice.workflow.edits import changed, instance, with_value
+from kc2spice.workflow.edits import changed, element, instance, with_value
 from kc2spice.workflow.meters import sweep_values, swept
 from kc2spice.workflow.models import build_models
 
@@ -89,7 +90,7 @@ def make_deck(build: Build) -> Deck:
         title=f"{scene.name}: {scene.title}",
         notes=(*notes, *reductions, *_step_lines(build)),
         parts=parts,
-        blocks=tuple(_blocks(build, loose)),
+        items=tuple(_items(build, loose)),
         options=tuple(_options(build)),
         command=_command(build),
         vectors={name: (v.expression, v.factor) for name, v in results.items()},
@@ -134,21 +135,24 @@ def _libraries(build: Build, header: Header) -> Iterator[Subcircuit]:
                 )
 
 
-def _blocks(build: Build, loose: Sequence[Free]) -> Iterator[Block]:
+def _items(build: Build, loose: Sequence[Free]) -> Iterator[Item]:
     scene, copied = build.scene, replaced(build.scene)
     for part in scene.parts.values():
         cards = () if part.name in copied else part.type.cards(part, build)
         if cards:
-            yield Block(f"{part.name}: {part.type.title}", tuple(cards))
+            yield from titled(f"{part.name}: {part.type.title}", cards, part.name)
     if build.noisy:
         source, node = meters.reference(build)
         title = "drives nothing: what the analysis could refer the noise to"
-        yield Block(title, (f"{source} {node} 0 DC 0 AC 1", f"R{node} {node} 0 1 noisy=0"))
+        drive = Element.of(source, node, "0", "DC", "0", "AC", "1")
+        yield from titled(title, (drive, Element.of(f"R{node}", node, "0", "1", noisy="0")))
     nets = [group.nets[0] for group in loose if group.nets]
     if scene.analysis.small and nets:
         names = Names(scene.parts)
-        held = (f"L{names.name(net, f'{net}_held')} {net} 0 {number(HOLD)}" for net in nets)
-        yield Block("held at the operating point alone: nothing else does", tuple(held))
+        held = [
+            Element.of(f"L{names.name(net, f'{net}_held')}", net, "0", number(HOLD)) for net in nets
+        ]
+        yield from titled("held at the operating point alone: nothing else does", held)
 
 
 def _options(build: Build) -> Iterable[Option]:
@@ -235,7 +239,7 @@ def edited_deck(build: Build, own: Deck, path: Path) -> tuple[Deck, Build]:
     parts that cannot be judged.
     """
     result = checked(path, trust=build.trust)
-    text, cards = result.text, list(result.cards(title=True))
+    cards = list(result.cards(title=True))
     refuse(cards, part=False)
     analyses = [s for s in cards if s.keyword in ANALYSES]
     if [s.keyword for s in analyses] != [f".{own.command.kind}"]:
@@ -256,7 +260,8 @@ def edited_deck(build: Build, own: Deck, path: Path) -> tuple[Deck, Build]:
             expected=".save " + " ".join(missing),
             hint="add this line; a node that was renamed needs its old name",
         )
-    _require_results(own, text, path)
+    tree = tree_of(cards)
+    _require_results(own, circuit(tree), path)
     _tell_options(own, cards, path)
     words = tuple(analyses[0].words[1:])
     stop = own.stop
@@ -267,9 +272,10 @@ def edited_deck(build: Build, own: Deck, path: Path) -> tuple[Deck, Build]:
             raise UsageError(message, where=analyses[0].where, got=got)
     deck = replace(
         own,
-        text=text,
+        text=result.text,
+        tree=tree,
         parts=(),
-        blocks=(),
+        items=(),
         options=(),
         initial={},
         stop=stop,
@@ -308,23 +314,20 @@ def _edits(own: Deck, edited: Deck) -> dict[str, str]:
     """Parts of the scene whose cards are others in the ``edited`` deck, with the reason: their keys
     no longer say what is there. Also names of cards that it has besides, and of instances joined
     otherwise. Parameters of an instance, and its subcircuit, are none of these."""
-    owner = {
-        card.split()[0].lower(): block.title.partition(":")[0]
-        for block in own.blocks
-        for card in block.cards
-    }
 
-    def said(card: Element) -> tuple[Any, ...]:
-        settings = {} if card.kind == "x" else card.settings
-        return card.model, card.values, settings, card.expression
+    def content(card: Element) -> str:
+        """The card without its nodes, and without the parameters of an instance."""
+        plain = replace(card, nodes=())
+        return element(replace(plain, parameters={}) if card.kind == "x" else plain)
 
     before, now = ({e.key: e for e in deck.scope.elements} for deck in (own, edited))
+    owner = {key: card.owner for key, card in before.items() if card.owner}
     result = {}
     for key in before.keys() | now.keys():
         a, b = before.get(key), now.get(key)
         if b is None and a is not None:
             result[owner.get(key, key)] = f"the deck has no card {a.name}"
-        elif a is None or b is None or said(a) != said(b):
+        elif a is None or b is None or content(a) != content(b):
             result[owner.get(key, key)] = f"its card {(a or b).name} is another one"  # type: ignore[union-attr]
         elif a.ends != b.ends:  # an instance is still the part that its keys tell
             name = key if key.startswith("x") else owner.get(key, key)
@@ -353,14 +356,14 @@ def _require_instances(now: Scope, before: Scope, path: Path) -> None:
             )
 
 
-def _require_results(own: Deck, text: str, path: Path) -> None:
+def _require_results(own: Deck, now: Scope, path: Path) -> None:
     """Refuse a deck without the nodes and devices that results are read from.
 
     Raises
     ------
     UsageError : names the vectors, and the card that brings back a current.
     """
-    now, before = circuit(read(text, path.name, title=True)), own.scope
+    before = own.scope
     _require_instances(now, before, path)
     missing = [v for v in own.saved if not has_vector(now, v) and has_vector(before, v)]
     if not missing:

@@ -11,8 +11,9 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
-from kc2spice.netlist.circuit import Circuit, Element
+from kc2spice.netlist.circuit import Element
 from kc2spice.netlist.expression import literal
+from kc2spice.netlist.printers.ngspice import Printer
 from kc2spice.netlist.scope import Scope
 from kc2spice.scene.model import Part
 
@@ -46,26 +47,16 @@ def _cards(scope: Scope, above: frozenset[str]) -> Any:
         if called is not None and called.name.lower() not in above:
             within = _cards(called, above | {called.name.lower()})
             inside.append((item.model.lower(), sorted(called.defaults.items()), within))
-    plain = [replace(item, notes=()) for item in scope.commands]
-    models = {name: _plain(item) for name, item in scope.models.maps[0].items()}
+    printer = Printer()
+    plain = [printer.card(item) for item in scope.commands]
+    models = {name: printer.card(item) for name, item in scope.models.maps[0].items()}
     return scope.pins, [element(item) for item in scope.elements], plain, models, inside
 
 
-def _plain(item: Any) -> Any:
-    return item if isinstance(item, Circuit) else replace(item, notes=())
-
-
-def element(card: Element) -> tuple[Any, ...]:
-    """Content of an element's card."""
-    return (
-        card.key,
-        card.ends,
-        card.sources,
-        card.model,
-        card.values,
-        card.settings,
-        card.expression,
-    )
+def element(card: Element) -> str:
+    """Content of an element's card: blanks and brackets of expressions make no difference."""
+    plain = replace(card, name=card.key, nodes=card.ends, parameters=card.settings)
+    return Printer().element(plain)
 
 
 def changed(own: Instance, edited: Instance) -> Iterator[tuple[str, float, float]]:

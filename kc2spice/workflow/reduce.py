@@ -19,7 +19,8 @@ from kc2spice.core.files import staged
 from kc2spice.core.foreign import identifier
 from kc2spice.core.progress import Clock, Progress, silent
 from kc2spice.core.quantities import quantity
-from kc2spice.netlist.deck import Block, Deck, ac
+from kc2spice.netlist.deck import Deck, ac
+from kc2spice.netlist.elements import titled
 from kc2spice.netlist.library import Subcircuit
 from kc2spice.netlist.printers.plot_script import plot_script
 from kc2spice.netlist.translate import DIALECTS, dialect_files, symbol_files
@@ -390,9 +391,9 @@ def first_deck(model: LinearModel, part: Subcircuit) -> Deck:
         parts=(part,),
         vectors={f"{name}{_ANSWERS[kinds[name]]}": result for name, result in answers.items()},
         notes=(f"* Over the band of the certificate, {low:g} to {high:g} Hz.",),
-        blocks=(
-            Block("the model", (instance,)),
-            Block("what drives it, and what holds the other ports", tuple(sources)),
+        items=(
+            *titled("the model", (instance,)),
+            *titled("what drives it, and what holds the other ports", sources),
         ),
         command=ac(low, high, 400, "log"),
     )

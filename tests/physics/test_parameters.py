@@ -13,7 +13,6 @@ from scipy.stats import norm, qmc
 import kc2spice as kc
 from kc2spice.core.errors import SimulationError, UsageError
 from kc2spice.core.progress import Clock
-from kc2spice.netlist.deck import Block
 from kc2spice.parts._box import with_values
 from kc2spice.rom.linear import LinearModel, Port
 from kc2spice.rom.parametric import Axis, parametric
@@ -52,13 +51,13 @@ def deck() -> kc.Deck:
 
 def _at(deck: kc.Deck, **values: float) -> kc.Deck:
     """The same libraries, with other parameters on the instance."""
-    words = "".join(f" {name}={value!r}" for name, value in values.items())
-    blocks = tuple(
-        Block(b.title, tuple(c + words if c.endswith(" scene_disc") else c for c in b.cards))
-        for b in deck.blocks
+    words = {name: repr(value) for name, value in values.items()}
+    items = tuple(
+        replace(item, parameters=words) if getattr(item, "model", "") == "scene_disc" else item
+        for item in deck.items
     )
-    assert blocks != deck.blocks
-    return replace(deck, blocks=blocks)
+    assert items != deck.items
+    return replace(deck, items=items)
 
 
 def test_ngspice_gives_fresh_full_models_within_the_certified_error(deck):

@@ -139,11 +139,11 @@ def test_a_source_that_is_not_as_defined_fails_the_run(kind, tmp_path):
     checks = simulate(build, deck, tmp_path).verdict.checks
     assert any("drives as defined" in c.name for c in checks)
     wrong = tuple(
-        replace(b, cards=tuple(c.replace("3e-06", "3.01e-06") for c in b.cards))
-        for b in deck.blocks
+        replace(item, values=tuple(word.replace("3e-06", "3.01e-06") for word in item.values))
+        for item in deck.items
     )
     with pytest.raises(SimulationError, match="drive drives as defined"):
-        simulate(build, replace(deck, blocks=wrong), tmp_path)
+        simulate(build, replace(deck, items=wrong), tmp_path)
 
 
 # ------------------------------------------------------------------------------------ probes

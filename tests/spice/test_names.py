@@ -123,8 +123,7 @@ def test_bodies_of_one_part_number_share_a_library_if_they_are_alike(second, tmp
     path = tmp_path / "pair.toml"
     path.write_text(TWO.format(second=second))
     deck = kc.deck(load_scene(path))
-    cards = [card.split() for block in deck.blocks for card in block.cards]
-    used = {words[0][1]: words[-1] for words in cards if words[0] in ("Xa", "Xb", "Xc")}
+    used = {card.name[1]: card.model for card in deck.items if card.name in ("Xa", "Xb", "Xc")}
     assert used == dict.fromkeys("abc", "FT_1") | (
         {} if second == "m" else dict.fromkeys("bc", "pair_b")
     )

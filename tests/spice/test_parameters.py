@@ -9,7 +9,7 @@ from device import deck_of
 
 from kc2spice.bodies.piezo_stack import stack_device
 from kc2spice.bodies.stack_keys import Chip
-from kc2spice.netlist.deck import Block, Command, Deck
+from kc2spice.netlist.deck import Command, Deck
 from kc2spice.netlist.lint import lint
 from kc2spice.rom.reduce import reduce
 from kc2spice.sim.ngspice import run_deck
@@ -39,8 +39,7 @@ def overridden(base, other):
         before, after = interface(ours.text), interface(theirs.text)
         changed = {k: v for k, v in after.items() if before[k] != v}
         if changed:
-            text = " ".join(f"{k}={v}" for k, v in changed.items())
-            deck = with_words(deck, ours.name, text)
+            deck = with_words(deck, ours.name, {k: str(v) for k, v in changed.items()})
             given |= {f"{kind(ours.name)}.{k}": v for k, v in changed.items()}
     return deck, given
 
@@ -51,19 +50,11 @@ def kind(name):
 
 
 def with_words(deck, subcircuit, words):
-    """``words`` behind the instance of a subcircuit."""
-    count = 0
-
-    def change(card):
-        nonlocal count
-        if re.fullmatch(rf"X.* {subcircuit}(_[0-9a-f]{{6}})?", card):
-            count += 1
-            return f"{card} {words}"
-        return card
-
-    blocks = tuple(Block(b.title, tuple(change(c) for c in b.cards)) for b in deck.blocks)
-    assert count == 1
-    return replace(deck, blocks=blocks)
+    """Parameters of the instance of a subcircuit."""
+    name = re.compile(rf"{subcircuit}(_[0-9a-f]{{6}})?")
+    (card,) = [item for item in deck.items if item.kind == "x" and name.fullmatch(item.model)]
+    changed = replace(card, parameters=words)
+    return replace(deck, items=tuple(changed if item is card else item for item in deck.items))
 
 
 def short(deck):

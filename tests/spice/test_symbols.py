@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import pytest
 
-from kc2spice.netlist.deck import Block
+from kc2spice.netlist.circuit import Element
 from kc2spice.netlist.translate import symbol_files
 
 kicadfiles = pytest.importorskip("kicadfiles")
@@ -15,9 +15,11 @@ asy_reader = pytest.importorskip("spicelib.editor.asy_reader")
 @pytest.fixture(scope="module")
 def deck(parts, loop):
     """A loop, and an operational amplifier whose output nothing else is wired to."""
-    cards = "Xamp sphere_y 0 spare 0 0 0 opamp a0=1e5", "Fmirror mirror 0 Vkick_drive 0.5"
-    more = Block("more", cards)
-    return replace(loop, parts=(*loop.parts, parts["opamp"]), blocks=(*loop.blocks, more))
+    nodes = "sphere_y", "0", "spare", "0", "0", "0"
+    amplifier = Element.of("Xamp", *nodes, "opamp", a0="1e5")
+    mirror = Element.of("Fmirror", "mirror", "0", "Vkick_drive", 0.5)
+    items = (*loop.items, amplifier, mirror)
+    return replace(loop, parts=(*loop.parts, parts["opamp"]), items=items)
 
 
 @pytest.fixture(scope="module")

@@ -25,7 +25,7 @@ from kc2spice.netlist.expression import vector
 from kc2spice.netlist.library import Subcircuit
 from kc2spice.netlist.printers.ngspice import Printer
 from kc2spice.netlist.printers.symbol_layout import Place, layout
-from kc2spice.netlist.scope import GROUND, Scope
+from kc2spice.netlist.scope import GROUND, Scope, circuit
 
 GRID = 2.54  # mm, 100 mil
 _SPICE = 'type="{}" model="{}" lib=""'  # an element whose value is as on its netlist card
@@ -177,7 +177,7 @@ def project(deck: Deck) -> dict[str, str]:
     ------
     UsageError : the deck instantiates a subcircuit that none of its files defines.
     """
-    top = deck.scope
+    top = circuit(deck.located[deck.main], deck.located, deck.main)
     plain = element_symbols()
     drawn = {part.name.lower(): part_symbol(part) for part in deck.parts}
     items = [_item(element, drawn, plain) for element in top.elements]
@@ -239,7 +239,7 @@ def _item(element: Element, parts: dict[str, Symbol], plain: dict[str, Symbol]) 
         raise element.error(
             "the sheet has no symbol for this card", expected=f"one of {known} or X"
         )
-    law = f"{element.quantity}={element.expression}" if element.quantity else ""
+    law = Printer().law(element) if element.quantity else ""
     words = (*map(_reference, element.sources), *element.values, given, law)
     value = " ".join(filter(None, words))
     fields = symbol.fields | {

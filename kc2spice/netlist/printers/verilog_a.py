@@ -13,7 +13,7 @@ from dataclasses import dataclass, field, replace
 from kc2spice.core.errors import UsageError
 from kc2spice.netlist.cards import number
 from kc2spice.netlist.circuit import Directive, Element, Item, Model, Parameters
-from kc2spice.netlist.deck import Deck, retold
+from kc2spice.netlist.deck import Deck
 from kc2spice.netlist.expression import (
     EVERYWHERE,
     Binary,
@@ -376,8 +376,7 @@ def testbench(deck: Deck, modules: Collection[Subcircuit]) -> dict[str, str]:
     replaced = {p.filename for p in modules}
     main = f"{deck.name}_osdi.cir"
     compiled = " && ".join(f"openvaf-r {stem}.va" for stem in stems.values())
-    tree = retold(
-        deck.trees[deck.main],
+    tree = deck.printed_for(
         f"* Run it with:  {compiled} && ngspice -b -r {deck.name}.raw {main}",
         "* Each part is a Verilog-A module, compiled by OpenVAF and loaded by ngspice 39 or later.",
     )

@@ -13,7 +13,9 @@ from kc2spice.core.errors import UsageError
 from kc2spice.core.progress import Clock
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.netlist.cards import LEAK_RATE
-from kc2spice.netlist.deck import Block, Deck, ac
+from kc2spice.netlist.circuit import Item
+from kc2spice.netlist.deck import Deck, ac
+from kc2spice.netlist.elements import titled
 from kc2spice.netlist.library import Subcircuit
 from kc2spice.parts._linear_body import LinearBody
 from kc2spice.report.pages import Findings, responses
@@ -206,17 +208,17 @@ def _deck(
             expected=", ".join(item.name for item in libraries) or "a library",
         )
     rom: LinearModel = build.model(part)
-    blocks: list[Block] = []
+    items: list[Item] = []
     vectors: dict[str, tuple[str, float]] = {}
     for k, load in enumerate(port for port in rom.ports if port.kind != "output"):
         cards, answers = loaded(rom, own, load, f"_{k}")
-        blocks.append(Block(f"load on {load.name}", tuple(cards)))
+        items += titled(f"load on {load.name}", cards)
         vectors |= {f"{load.name}>{name}": result for name, result in answers.items()}
     return Deck(
         name=f"{part.name}_response",
         title=f"frequency response of {part.name}",
         parts=(own,),
-        blocks=tuple(blocks),
+        items=tuple(items),
         vectors=vectors,
         command=ac(band[1] / POINTS, band[1], POINTS, "linear"),
     )

@@ -1,0 +1,89 @@
+"""Libraries and decks are trees whose cards know their part; text is printed from them alone."""
+
+import pytest
+
+import kc2spice as kc
+from kc2spice.core.progress import Clock
+from kc2spice.netlist import deck as decks
+from kc2spice.netlist.circuit import Circuit, Element
+from kc2spice.netlist.read import read
+from kc2spice.workflow.decks import edited_deck, prepared
+from kc2spice.workflow.edits import element
+
+
+def elements(circuit):
+    for item in circuit.items:
+        if isinstance(item, Circuit):
+            yield from elements(item)
+        elif isinstance(item, Element):
+            yield item
+
+
+def test_libraries_read_back_to_the_trees_they_are_printed_from(loop):
+    for part in loop.parts:
+        again = read(part.text, part.filename)
+        cards = list(elements(part.located))
+        assert list(map(element, elements(again))) == list(map(element, cards))
+        assert [card.written for card in elements(again)] == [card.written for card in cards]
+        assert [card.where for card in elements(again)] == [card.where for card in cards]
+
+
+def test_decks_read_back_to_the_trees_they_are_printed_from(loop):
+    again = read(loop.files[loop.main], loop.main, title=True)
+    assert again == loop.circuit
+    lines = [item.where for item in loop.located[loop.main].items]
+    assert lines == [item.where for item in again.items]
+
+
+def test_every_element_of_a_deck_names_its_part(scene, loop):
+    owners = {item.name: item.owner for item in loop.items}
+    assert set(owners.values()) <= set(scene.parts)
+    assert owners["Vkick_drive"] == "kick_drive"
+    assert owners["Xsphere"] == "sphere"
+
+
+def test_the_head_states_the_fields_of_a_library(loop):
+    for part in loop.parts:
+        assert part.text.startswith(f"* {part.title}\n")
+    (kick,) = (part for part in loop.parts if part.reduction)
+    assert f"* rom: {kick.reduction.summary}\n" in kick.text
+    assert f"* {kick.name}, rom: {kick.reduction.summary}\n" in loop.files[loop.main]
+
+
+@pytest.fixture
+def duffing(tmp_path):
+    """The build, the deck and the path of a deck that somebody may edit."""
+    build, deck = prepared(kc.load_scene("duffing"), Clock())
+    for name, text in deck.files.items():
+        (tmp_path / name).write_text(text)
+    return build, deck, tmp_path / deck.main
+
+
+def test_an_edited_deck_is_read_once(duffing, monkeypatch):
+    """Further changes are made in its tree."""
+    build, deck, path = duffing
+    path.write_text(path.read_text().replace("reltol=", "gmin=1e-13 reltol="))
+    with pytest.warns(UserWarning, match="gmin"):
+        edited, _ = edited_deck(build, deck, path)
+
+    def unread(*_, **__):
+        raise AssertionError("read again")
+
+    monkeypatch.setattr(decks, "read", unread)
+    assert edited.files[edited.main].count("gmin") == 1
+    changed = edited.with_options({"gmin": "1e-14"}, "a test").saving({"more": ("v(more)", 1.0)})
+    assert edited.option("gmin") == "1e-13"
+    assert changed.option("gmin") == "1e-14"
+    text = changed.with_command(decks.Command("op", ())).files[edited.main]
+    assert "\n.op\n" in text
+    assert ".tran" not in text
+    assert any(item.name == "Xspring" for item in changed.scope.elements)
+
+
+def test_places_in_an_edited_deck_are_those_of_its_file(duffing):
+    build, deck, path = duffing
+    edited, _ = edited_deck(build, deck, path)
+    lines = path.read_text().splitlines()
+    line = next(k for k, text in enumerate(lines, 1) if text.startswith("Xspring "))
+    (spring,) = (item for item in edited.scope.elements if item.name == "Xspring")
+    assert spring.where == f"{path.name}:{line}"
