@@ -230,7 +230,7 @@ def deck(scene: AnyScene, *, trust: bool = False) -> Deck:
     >>> deck = kc.deck(lamp)
     >>> list(deck.files)
     ['lamp.cir']
-    >>> "Rlamp drive_out 0 6.0" in deck.files["lamp.cir"]
+    >>> "Rlamp drive_out 0 6" in deck.files["lamp.cir"]
     True
     """
     return prepared(load_scene(scene), Clock(), trust=trust)[1]

@@ -12,7 +12,7 @@ from kc2spice.core.errors import UsageError
 from kc2spice.netlist.cards import comment, number, tidy
 from kc2spice.netlist.circuit import Circuit, Directive, Item
 from kc2spice.netlist.elements import Line, noted
-from kc2spice.netlist.expression import terms
+from kc2spice.netlist.expression import literal, terms
 from kc2spice.netlist.library import Subcircuit
 from kc2spice.netlist.printers.ngspice import Printer, located
 from kc2spice.netlist.read import OPTION_CARDS, read
@@ -307,7 +307,10 @@ class Deck:
         if self.command.kind != "tran" or len(self.command.words) < 4:
             return self
         words = list(self.command.words)
-        words[3] = tidy(factor * float(words[3]))
+        step = literal(words[3], where=self.main)
+        if step is None:
+            return self
+        words[3] = tidy(factor * step)
         return replace(self, command=Command("tran", tuple(words)))
 
 

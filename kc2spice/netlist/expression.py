@@ -7,6 +7,7 @@ import operator
 import re
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
+from decimal import Decimal
 from typing import Any
 
 from kc2spice.core.errors import UsageError
@@ -29,8 +30,9 @@ FUNCTIONS = EVERYWHERE.union((
 BUILT_IN = frozenset(("boltz", "e", "gmin", "hertz", "pi", "temp", "temper", "time", "vt"))
 _LEVELS = (("||",), ("&&",), ("==", "!=", "<", ">", "<=", ">="), ("+", "-"), ("*", "/"))
 _RANK = {op: rank for rank, ops in enumerate(_LEVELS) for op in ops}
-_SUFFIX = {"meg": 1e6, "mil": 25.4e-6, "t": 1e12, "g": 1e9, "k": 1e3, "m": 1e-3, "u": 1e-6,
-           "n": 1e-9, "p": 1e-12, "f": 1e-15, "": 1.0}  # fmt: skip
+#: Powers of ten of the scale factors behind a number.
+PREFIXES = {"meg": 6, "t": 12, "g": 9, "k": 3, "m": -3, "u": -6, "n": -9, "p": -12, "f": -15, "": 0}
+MIL = 25.4e-6  # m, the one scale factor that is no power of ten
 
 
 @dataclass(frozen=True)
@@ -315,8 +317,11 @@ def _plain(literal: str, suffix: str) -> str:
     """A literal without its scale factor; letters behind the factor mean nothing."""
     if not suffix:
         return literal
-    factor = next(value for key, value in _SUFFIX.items() if suffix.lower().startswith(key))
-    return repr(float(literal.removesuffix(suffix)) * factor)
+    plain = literal.removesuffix(suffix)
+    if suffix.lower().startswith("mil"):
+        return repr(float(plain) * MIL)
+    power = next(power for key, power in PREFIXES.items() if suffix.lower().startswith(key))
+    return repr(float(Decimal(plain).scaleb(power)))  # rounded once
 
 
 # --- results: voltages of nodes and currents of devices, also inside of instances ---

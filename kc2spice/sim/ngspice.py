@@ -266,9 +266,16 @@ def partial_waves(
         return None
 
 
+def _option(deck: Deck, key: str, default: float) -> float:
+    """The value of an option in ``deck``, which may have a scale factor such as ``10n``."""
+    text = deck.option(key)
+    value = literal(text, where=deck.main) if text else None
+    return default if value is None else value
+
+
 def own_reltol(deck: Deck) -> float:
     """The ``reltol`` of ``deck``, or ngspice's own."""
-    return float(deck.option("reltol") or 1e-3)
+    return _option(deck, "reltol", 1e-3)
 
 
 def named(deck: Deck, vectors: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
@@ -295,7 +302,7 @@ def named(deck: Deck, vectors: Mapping[str, np.ndarray]) -> dict[str, np.ndarray
     return data
 
 
-_CHGTOL = "1e-14"  # ngspice's own, where the deck says nothing
+_CHGTOL = 1e-14  # ngspice's own, where the deck says nothing
 
 
 @dataclass(frozen=True)
@@ -327,7 +334,7 @@ class RetrySetting:
         options = dict(self.options)
         if self.factor != 1.0:
             options["reltol"] = number(self.factor * own_reltol(deck))
-            options["chgtol"] = number(self.factor * float(deck.option("chgtol") or _CHGTOL))
+            options["chgtol"] = number(self.factor * _option(deck, "chgtol", _CHGTOL))
         if not options:
             return deck
         changed = deck.with_options(options, f"retry with {self.name}: {self.why}")

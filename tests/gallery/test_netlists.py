@@ -19,7 +19,11 @@ from kc2spice.sim.ngspice import run_deck
 
 NETLISTS = Path(__file__).parents[2] / "netlists"
 TOOL = runpy.run_path(str(NETLISTS.parent / "tools" / "netlists.py"))
-NUMBER = re.compile(r"(?<![A-Za-z0-9_.])-?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?(?![A-Za-z0-9_])")
+FACTORS = {"": 1.0, "t": 1e12, "g": 1e9, "meg": 1e6, "k": 1e3, "m": 1e-3, "u": 1e-6, "n": 1e-9,
+           "p": 1e-12, "f": 1e-15}  # fmt: skip
+NUMBER = re.compile(
+    r"(?<![A-Za-z0-9_.])(-?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)(meg|[tgkmunpf]|)(?![A-Za-z0-9_])"
+)
 # Another mesher moves the field by some 1e-5. Each number is compared to itself; only values of a
 # lookup, which pass through zero, count beside the largest of their table.
 RELATIVE, OF_ITS_TABLE = 1e-4, 1e-5
@@ -40,7 +44,11 @@ def parts(text):
         if line.startswith(("* tool:", "* scene:")) or "uuid" in line:
             yield line, []
         else:
-            yield NUMBER.sub("#", line), [float(x) for x in NUMBER.findall(line)]
+            yield NUMBER.sub("#", line), numbers(line)
+
+
+def numbers(line):
+    return [float(digits) * FACTORS[letters] for digits, letters in NUMBER.findall(line)]
 
 
 def sizes(text):
@@ -51,7 +59,7 @@ def sizes(text):
         table = table if lookup else row
         tables.append(table if lookup else None)
         if lookup:  # heights stand before their values
-            values = [abs(float(x)) for x in NUMBER.findall(line)[1::2]]
+            values = [abs(x) for x in numbers(line)[1::2]]
             largest[table] = max(largest.get(table, 0.0), *values)
     return [largest[table] for table in tables]
 
@@ -75,7 +83,8 @@ def shapes(text):
     Coefficients of polynomials are left out where they are rounding, so their cards are no shape.
     """
     text = re.sub(r"(?m)^\.param .*$", "", text)
-    return {re.sub(r"[-+]?\d[\d.]*(e[-+]?\d+)?", "#", line) for line in text.splitlines()}
+    number = re.compile(r"[-+]?\d[\d.]*(e[-+]?\d+)?((meg|[tgkmunpf])(?!\w))?")
+    return {number.sub("#", line) for line in text.splitlines()}
 
 
 def response(path, stop, directory, values=None):
@@ -304,10 +313,10 @@ def test_examples_of_dialects_are_current(scene, tmp_path):
 @pytest.mark.parametrize(
     ("name", "before", "after"),
     [
-        ("sphere.lib", "mass=3.288", "mass=9.864"),
-        ("kick_and_catch.cir", "2.49e-05", "9e-02"),
+        ("sphere.lib", "mass=32.88", "mass=98.64"),
+        ("kick_and_catch.cir", "24.9u", "90m"),
         ("pid.lib", "kd=20", "kd=20.4"),
-        ("contact.lib", "eps=4", "eps=4.001"),
+        ("contact.lib", "eps=400meg", "eps=400.1meg"),
     ],
 )
 def test_a_changed_scene_is_noticed(name, before, after):

@@ -29,6 +29,15 @@ FUNCTIONS = {
 }  # fmt: skip
 
 
+FACTORS = {"t": 12, "g": 9, "meg": 6, "k": 3, "m": -3, "u": -6, "n": -9, "p": -12, "f": -15}
+PREFIXED = re.compile(r"(?<![\w.])(\d+\.?\d*)(meg|[tgkmunpf])(?!\w)")
+
+
+def plain(text):
+    """Text with powers of ten in place of scale factors."""
+    return PREFIXED.sub(lambda match: f"{match[1]}e{FACTORS[match[2]]}", text)
+
+
 def cards(text):
     lines = [line for line in text.splitlines() if line.strip() and not line.startswith("*")]
     return "\n".join(lines).replace("\n+", " ").splitlines()
@@ -63,7 +72,7 @@ class Network:
         def number(text):
             return eval(text.strip("{}'"), scope)
 
-        lines, caller = cards(text), ""
+        lines, caller = cards(plain(text)), ""
         models = {w[1]: line for line in lines if (w := line.split())[0] == ".model"}
         for line in lines:
             name, *words = line.split()

@@ -289,7 +289,7 @@ def test_libraries_for_ltspice_run_the_same_in_ngspice(loop, tmp_path):
     """ngspice reads all of LTspice's spellings but ``table``, so it can judge the rest."""
     spoken = translate(loop, "ltspice").files
     files = {n: t.replace("table(", "pwl(") for n, t in spoken.items() if n != loop.main}
-    short = loop.files[loop.main].replace(" 0.005 0 ", " 0.0007 0 ")
+    short = loop.files[loop.main].replace(" 5m 0 ", " 700u 0 ")
     own = replace(loop, text=short, options=(), stop=0.0007)
     twin = replace(own, parts=(), more=files)
     first, second = run_deck(own, tmp_path / "own"), run_deck(twin, tmp_path / "twin")

@@ -8,6 +8,7 @@ import pytest
 from device import bench
 
 from kc2spice.core.errors import UsageError
+from kc2spice.netlist.expression import literal
 from kc2spice.rom.linear import LinearModel, Port
 from kc2spice.sim.ngspice import run_deck
 from kc2spice.spice.header import Header
@@ -76,7 +77,7 @@ def test_every_port_answers_every_other(form, mass, tmp_path):
     model = LinearModel(M=M, E=E, K=K, B=B, D=D, ports=PORTS, facts=facts)
     part = subcircuit(model, "zoo", HEADER, dense=form == "dense")
     assert ("\nCq1 " in part.text) == (form == "resonators")
-    assert not re.search(r"(?m)^G.* -?0\.0$", part.text)
+    assert not re.search(r"(?m)^G.* -?0(\.0)?$", part.text)
     waves = answers(part, PORTS, tmp_path)
     s = 2j * np.pi * waves["frequency"].real
     H = np.array([B.T @ np.linalg.solve(z * z * M + z * E + K, B) + D for z in s])
@@ -141,7 +142,7 @@ def test_signals_of_coupled_states(dense, tmp_path):
     assert [p.name for p in part.pins] == ["u0", "u1", "y0", "y1", "ref"]
     assert "free integrator" not in part.text
     farads = re.findall(r"(?m)^Cz\d \S+ \S+ (\S+)$", part.text)
-    assert list(map(float, farads)) == pytest.approx(4 * [1 / (2 * np.pi * 1e3)])
+    assert list(map(literal, farads)) == pytest.approx(4 * [1 / (2 * np.pi * 1e3)])
     cards = ["V0 one 0 DC 1 AC 1", "X0 one 0 a0 a1 0 plant", "X1 0 one b0 b1 0 plant"]
     vectors = {f"{n}{k}": (f"v({n}{k})", 1.0) for n in "ab" for k in range(2)}
     waves = run_deck(bench([part], "\n".join([*cards, ".ac lin 4 50 800"]), vectors), tmp_path)

@@ -6,6 +6,7 @@ from dataclasses import replace
 import pytest
 
 from kc2spice.netlist.circuit import Element
+from kc2spice.netlist.expression import literal
 from kc2spice.netlist.translate import symbol_files
 
 kicadfiles = pytest.importorskip("kicadfiles")
@@ -126,5 +127,6 @@ def test_ltspice_reads_what_the_library_declares(written, deck):
         assert read.attributes["Value"] == part.name
         assert read.attributes["ModelFile"] == f"{stem}.ltspice.lib"
         line = read.attributes.get("SpiceLine", "")
-        assert dict(w.split("=") for w in line.split()) == params
+        read_values = {k: literal(v) for k, v in (w.split("=") for w in line.split())}
+        assert read_values == {k: literal(v) for k, v in params.items()}
         assert all(p.coord.X % 16 == p.coord.Y % 16 == 0 for p in read.pins)

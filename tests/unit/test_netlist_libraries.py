@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 
 from kc2spice.netlist.circuit import Circuit, Element
+from kc2spice.netlist.expression import literal
 from kc2spice.netlist.library import read_lib
 from kc2spice.netlist.printers.ngspice import Printer
 from kc2spice.netlist.read import read
@@ -16,6 +17,7 @@ LIBRARIES = sorted(NETLISTS.glob("*/*.lib"))
 TOOL = runpy.run_path(str(NETLISTS.parent / "tools" / "netlists.py"))
 OURS = [p for p in LIBRARIES if "* tool: kc2spice" in p.read_text()[:400]]
 HEAD = re.compile(r"(?m)^\* (sign|validity|rating): (\S.*)$")
+NUMBER = re.compile(r"(?<![\w.])\d+\.?\d*(?:e[-+]?\d+)?(?:meg|[tgkmunpf])?(?![\w.])")
 # what a head says of temperature
 WARMTH = re.compile(r"temperature|27 C")
 
@@ -55,9 +57,11 @@ def test_the_symbols_are_those_of_the_libraries():
 
 
 def tokens(text):
-    """Cards without blanks, brackets and continuation, which printing may set anew."""
+    """Cards without blanks, brackets and continuation, and numbers as values: printing may change
+    their spelling."""
     lines = [line for line in text.splitlines() if line.strip() and not line.startswith("*")]
-    joined = "\n".join(lines).replace("\n+", "")
+    joined = NUMBER.sub(lambda number: repr(literal(number[0])), "\n".join(lines))
+    joined = joined.replace("\n+", "")
     return [re.sub(r"[\s(){},]", "", card).lower() for card in joined.splitlines()]
 
 

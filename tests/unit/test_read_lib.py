@@ -61,7 +61,7 @@ def test_parameters_outside_their_range_are_refused():
     """A sphere without mass would leave at 6.7e8 m/s, and nothing else tells."""
     part = declared(HEADER, "sphere", rigid_sphere(3e-5, 1e-3, 9.81), {})
     deck = Deck(name="d", parts=(part,))
-    assert "mass=2e-05" in with_parameters(deck, [("sphere.mass", 2e-5)]).files["sphere.lib"]
+    assert "mass=20.00u" in with_parameters(deck, [("sphere.mass", 2e-5)]).files["sphere.lib"]
     for name in ("mass", "radius"):
         for value in (0.0, -1.0):
             with pytest.raises(UsageError, match="outside the range"):

@@ -137,6 +137,10 @@ class Dialect(Printer, ABC):
     def device(self, trace: Trace) -> str:
         return ":".join([*trace.path, *trace.names])
 
+    def number(self, text: str) -> str:
+        """Numbers as they are: scale factors differ between simulators."""
+        return text
+
     # -- expressions ------------------------------------------------------------------------
 
     def name(self, text: str) -> str:

@@ -7,10 +7,21 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from itertools import count
 
-from kc2spice.netlist.circuit import Circuit, Directive, Element, Function, Item, Model, Parameters
+from kc2spice.netlist.circuit import (
+    NODES,
+    Circuit,
+    Directive,
+    Element,
+    Function,
+    Item,
+    Model,
+    Parameters,
+)
 from kc2spice.netlist.expression import Name, Tree, Writer, parse, walk
+from kc2spice.netlist.prefixes import with_prefixes
 
 _BARE = frozenset({"time", "temper", "hertz", "pi"})  # no parameters
+_NUMBERED = frozenset({".tran", ".ac", ".dc", ".noise"})  # cards whose words are numbers
 _WIDTH = 96
 
 
@@ -62,7 +73,8 @@ class Printer(Writer):
     def element(self, part: Element) -> str:
         keyword = self.keyword if part.kind == "x" and part.parameters else ""
         law = self.law(part) if part.quantity else ""
-        values = " ".join(map(self.value, part.values))
+        known = part.kind in NODES  # of another letter the words may be nodes
+        values = " ".join(map(self.value, part.values) if known else part.values)
         pairs = self.pairs(part.parameters)
         return _joined(
             part.name, *part.nodes, *part.sources, part.model, values, law, keyword, pairs
@@ -84,7 +96,8 @@ class Printer(Writer):
         """Any other card with a dot; a control block has its commands on lines of their own."""
         if card.keyword == ".control":
             return "\n".join([".control", *card.words, ".endc"])
-        return card.text
+        words = map(self.number, card.words) if card.keyword in _NUMBERED else card.words
+        return _joined(card.keyword, *words)
 
     def pairs(self, given: Mapping[str, str]) -> str:
         """Assignments; a word without a value is a flag."""
@@ -92,10 +105,14 @@ class Printer(Writer):
             f"{key}={self.value(value)}" if value else key for key, value in given.items()
         )
 
+    def number(self, text: str) -> str:
+        """The numbers in a word of a card."""
+        return with_prefixes(text)
+
     def value(self, text: str) -> str:
         """A word of a card; what stands in braces or single quotes is an expression."""
         if text[:1] not in ("{", "'"):
-            return text
+            return self.number(text)
         written = self.write(parse(text, where=self.where))
         return f"{{{written.replace(', ', ',')}}}"  # a blank would end the word
 

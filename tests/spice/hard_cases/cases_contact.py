@@ -102,9 +102,9 @@ def two_kicks(bench):
     voltage = 20.0
     few, study = chip(6), kick(f"kick.drive.voltage={voltage}", "solver.stop=0.11 ms")
     deck = deck_of(study, few)
-    once = " 10000.0)"  # the pulse's period
+    once = " 10k)"  # the pulse's period
     assert deck.files[deck.main].count(once) == 1
-    text = deck.files[deck.main].replace(once, " 5e-05)")
+    text = deck.files[deck.main].replace(once, " 50u)")
     waves = bench.run(replace(deck, text=text, options=()))
     edges = np.array([0.0, 0.1, 25.0, 25.1]) * 1e-6
     corners = np.r_[0.0, 10e-6 + edges, 60e-6 + edges, study.stop]

@@ -1,0 +1,81 @@
+"""Numbers as an engineer writes them, ``24.9u``, where ngspice reads the same double from them.
+
+ngspice reads digits as one integer and multiplies it by a power of ten. Rounding makes ``100n``
+another double than ``1e-07``, but ``100.00n`` the same. A parameter is multiplied by its scale
+factor and printed with 16 digits before that. Both were measured on ngspice 39: 1500 random numbers
+agree with :func:`value_of` and :func:`parameter_of` in every bit.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from decimal import Decimal
+from itertools import chain
+
+from kc2spice.netlist.expression import PREFIXES
+
+LEAST_PLAIN, MOST_PLAIN = Decimal("0.1"), 1000  # sizes of numbers without a prefix
+_FLOAT = re.compile(r"[-+]?(?:\d+\.\d*|\.\d+|\d+(?=[eE]))(?:[eE][-+]?\d+)?")
+_WITHIN = re.compile(rf"(?<![\w.+-]){_FLOAT.pattern}(?![\w.])")
+_SPELLED = re.compile(r"([-+]?)(\d*)\.?(\d*)(?:[eE]([-+]?\d+))?([a-z]*)")
+_LETTERS = {power: key for key, power in PREFIXES.items()}
+
+
+def value_of(text: str) -> float:
+    """The double that ngspice reads from a number on a card."""
+    match = _SPELLED.fullmatch(text)
+    assert match is not None
+    sign, whole, rest, exponent, letters = match.groups()
+    mantissa = 0.0
+    for digit in whole + rest:
+        mantissa = 10 * mantissa + int(digit)
+    power = int(exponent or 0) - len(rest) + PREFIXES[letters]
+    return (-1.0 if sign == "-" else 1.0) * mantissa * 10.0**power
+
+
+def parameter_of(text: str) -> float:
+    """The double that ngspice reads from the value of a parameter."""
+    match = _SPELLED.fullmatch(text)
+    assert match is not None
+    plain = float(text.removesuffix(match[5])) * float(f"1e{PREFIXES[match[5]]}")
+    return value_of(f"{plain:.15e}")
+
+
+def with_prefix(text: str) -> str:
+    """Return a number with the scale factor of an engineer, or as it is.
+
+    Words that are no decimal fractions or powers of ten, such as counts and names, stay.
+
+    Examples
+    --------
+    >>> [with_prefix(text) for text in ("2.49e-05", "400000000.0", "1e-07", "0.99", "1e-18", "V1")]
+    ['24.9u', '400meg', '100.00n', '0.99', '1e-18', 'V1']
+    """
+    if not _FLOAT.fullmatch(text):
+        return text
+    number = Decimal(text)
+    if not number:
+        return "0"
+    power = number.adjusted() // 3 * 3
+    plain = LEAST_PLAIN <= abs(number) < MOST_PLAIN
+    same = value_of(text), parameter_of(text)
+    spellings = (_spellings(number, k) for k in ((0,) if plain else (power, power + 3)))
+    for spelled in chain.from_iterable(spellings):
+        if (value_of(spelled), parameter_of(spelled)) == same:
+            return spelled
+    return text
+
+
+def _spellings(number: Decimal, power: int) -> Iterator[str]:
+    """A number with the scale factor of a power of ten: further zeros may round otherwise."""
+    mantissa = number.scaleb(-power).normalize()
+    if power in _LETTERS and abs(mantissa) >= LEAST_PLAIN:
+        text = f"{mantissa:f}"
+        point = "" if "." in text else "."
+        yield from (text + zeros + _LETTERS[power] for zeros in ("", f"{point}0", f"{point}00"))
+
+
+def with_prefixes(text: str) -> str:
+    """Return a word of a card, such as a waveform, with prefixes on the numbers in it."""
+    return _WITHIN.sub(lambda match: with_prefix(match[0]), text)
