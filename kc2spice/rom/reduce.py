@@ -185,7 +185,8 @@ def _lowest(pencil: Pencil) -> np.ndarray:
 
 ROUNDING = 1e-11  # no estimate says less: direct solutions are hardly better in the response
 HIGHEST = 1e30  # Hz; powers of a frequency stay numbers
-LOWEST, MARGIN = 1e-10, 0.02  # tolerances that can be certified; the subspace model's part of one
+LOWEST = 1e-10  # tolerances that can be certified
+MARGIN = 0.02  # the subspace model's part of a tolerance
 DIGITS = 4.0  # times rounding over a damping ratio: how well any solution knows that resonance
 FIXED_ORDER_TARGET = 1e-8  # tolerance of the subspace if the order is given
 SAFETY = 1.15  # on differences at samples, for what lies between them
@@ -208,14 +209,18 @@ TAIL_DECAY = 4  # power of the fall of the tail's weight: contact forces are smo
 # have launch errors within 2.7e-4. With weights of at most 1e-2, 21 states at 2e-7 have up to 9e-4.
 TAIL_WEIGHTS = 4e-3, 5e-2
 TAIL_PER_ROOT = 120.0  # per root of the tolerance, as errors go with its square
-# States up to which directions are turned to save some; how often; the directions that they are
-# taken from, beyond a third, and how good all of these must be; the least change of a weight; how
-# the tail fades.
-TIGHTENED, TRIALS, SPARE, SPARED, LEAST, FADING = 150, 12, 20, 0.5, 0.05, 0.5
+TIGHTENED = 150  # states up to which directions are turned to save some
+TRIALS = 12  # how often directions are turned
+SPARE = 20  # directions beyond the order, at least, that are turned
+SPARED = 0.5  # share of the tolerance that all of these directions must be good to
+LEAST = 0.05  # least change of a weight
+FADING = 0.5  # factor of the weight of the tail in each trial
 FITTED = 60  # rates and gains of a relaxing model that are fitted
-# Orders that may fail in a row; errors of a fit, per tolerance, that stay, and that are enough.
-MISSES, HOPELESS, CLOSER = 4, 1.5, 0.97
-EXACT, CHECKS = 1e-10, 10  # error of a surrogate, and direct solutions that measure it
+MISSES = 4  # orders that may fail in a row
+HOPELESS = 1.5  # error of a fit, per tolerance, that stays
+CLOSER = 0.97  # error of a fit, per tolerance, that is enough
+EXACT = 1e-10  # error of a surrogate
+CHECKS = 10  # direct solutions that measure a surrogate
 
 
 def reduce(

@@ -108,7 +108,8 @@ def real_parts(x: np.ndarray) -> list[np.ndarray]:
     return [x.real, x.imag] if np.iscomplexobj(x) and x.imag.any() else [x.real]
 
 
-FIRST, MOST = 12, 90  # frequencies before the error is judged, and at all
+FIRST = 12  # frequencies before the error is judged
+MOST = 90  # frequencies at all
 SAMPLED_CANDIDATES = 151
 CUTS = 10.0 ** -np.arange(
     13, 6, -1
@@ -301,25 +302,31 @@ def _decaying(small: Pencil) -> Pencil:
 
 EXTENDED = 500  # unknowns up to which a model is turned into its modes with 19 digits
 UNCERTAIN = 1e-9  # a response of less uncertainty needs no word
-# Largest models that are used without samples: unknowns of decoupled models, states of others, and
-# states of models with so many resonances that samples do not converge.
-WHOLE_DECOUPLED, WHOLE, DENSE = 1300, 600, 2000
+# Largest models that are used without samples.
+WHOLE_DECOUPLED = 1300  # unknowns of decoupled models
+WHOLE = 600  # first-order states of others
+DENSE = 2000  # states of models with so many resonances that samples do not converge
 DIRECT = 150  # unknowns up to which one linear system per frequency may be solved
 # K x = B solved to less than this of B: the model is free to move at zero frequency.
 SINGULAR = 1e-6
 # Krylov blocks at zero and at each other point before their gain is judged; less gain calls for a
 # new point. A block costs a twentieth of the factorisation that a point costs.
-START, BLOCKS, GAIN = 4, 3, 3.0
-STATES, MAX_POINTS = 600, 180
+START = 4
+BLOCKS = 3
+GAIN = 3.0
+STATES = 600
+MAX_POINTS = 180
 CONFIRMATIONS = 2  # in a row that must be met
-MANY, COSTLY = 20, 10_000  # factorisations that need a word, from so many unknowns on
+MANY = 20  # factorisations that need a word
+COSTLY = 10_000  # unknowns from which on they do
 SKETCH = 32  # random combinations of equations that stand for all residuals
 CANDIDATES = 101
 FREE = 100.0  # times rounding: less energy than that is none
 COARSE = 50  # frequencies at which entries that are zero show
 FAINT_SHARE = 0.5  # share of the COARSE frequencies at which a zero entry must be faint
 SHARP = 8  # lowest and sharpest resonances at which rounding of a small model is looked at
-ROUNDED, SPREAD = 4, 3.0  # trials of rounding, and the margin on the largest of them
+ROUNDED = 4  # trials of rounding
+SPREAD = 3.0  # margin on the largest of them
 
 
 @dataclass(frozen=True)
