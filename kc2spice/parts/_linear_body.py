@@ -873,7 +873,7 @@ def _reaching(
     band: tuple[float, float], asked: Mapping[str, Any], full: Callable[[], LinearModel]
 ) -> tuple[float, float]:
     """The band up to the natural frequencies that the full model has in it, see ``sure``."""
-    from kc2spice.rom.reduce import band_end
+    from kc2spice.rom.band import band_end
 
     (low, high), sure = band, asked.get("sure")
     if sure is not None and high > sure:

@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 from scipy import sparse
 
+from kc2spice.rom.band import band_end, natural_band
 from kc2spice.rom.linear import LinearModel
-from kc2spice.rom.reduce import band_end, natural_band, reduce
+from kc2spice.rom.reduce import reduce
 from kc2spice.workflow.reduce import _scene_body
 
 K_LINK, MASS = 1e6, 1e-2

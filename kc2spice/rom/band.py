@@ -1,0 +1,130 @@
+"""The default band of a reduction, from the lowest natural frequencies of the full-order model."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.linalg import LinAlgError, eigh
+from scipy.sparse.linalg import ArpackError, LinearOperator, eigs, eigsh
+
+from kc2spice.core.errors import SimulationError, UsageError
+from kc2spice.linalg.factor import require_factors
+from kc2spice.rom.constraints import reduced_form
+from kc2spice.rom.pencil import Matrix, Pencil, Schur, dense, largest, magnitudes
+from kc2spice.rom.structure import RANDOM, energy_rounding
+from kc2spice.rom.subspace import FREE
+
+MODES = 5
+SMALL = 200  # equations up to which all poles are computed
+BEYOND = 1.1  # the band ends a little past the mode, not on it
+SHIFT = 1e-6  # shift of models with massless unknowns, relative to the largest rate
+RIGID_SHIFT = 1e-9  # the same, where a Lanczos method separates elastic from rigid-body modes
+MASSLESS = 1e-13  # inertia that is zero, relative to the largest
+BODY = 7  # rigid-body modes of one solid, and one more
+CLOSE = 1e-9  # relative error of eigenvalues of the shifted inverse
+
+
+def natural_band(pencil: Pencil) -> tuple[float, float]:
+    """``(0, f)`` [Hz], f a little above the fifth lowest undamped natural frequency (second order)
+    or corner frequency (first order) of the full model. Rigid-body modes do not count.
+
+    Raises
+    ------
+    UsageError : the model has no such frequency; a band must be given. Or it is too large for this
+        machine.
+    """
+    try:
+        if pencil.degree == 2 and pencil.symmetric:
+            rates = elastic_modes(pencil, MODES)
+        else:
+            rates = _small(pencil) if pencil.size <= SMALL else _lowest(pencil)
+    except (SimulationError, ArpackError, LinAlgError):
+        rates = np.empty(0)
+    rates = np.sort(rates[rates > 0])[:MODES] ** (1 / pencil.degree)
+    if not rates.size:
+        raise UsageError(
+            "no natural frequency suggests a band",
+            where="band",
+            hint="name the frequencies of interest: --band 0 2e4",
+        )
+    return 0.0, float(BEYOND * rates[-1] / (2 * np.pi))
+
+
+def elastic_modes(pencil: Pencil, count: int) -> np.ndarray:
+    """The ``count`` lowest squared natural frequencies [1/s2] of a symmetric model of second order,
+    without its rigid-body modes; all where there are fewer.
+
+    Modes of ``K + sigma M`` with a small sigma > 0, which needs no support. A mode whose energy
+    ``x'Kx`` is no more than rounding of the entries of K leaves is one of a rigid body.
+    """
+    K, M = pencil.coefficients[0], pencil.coefficients[-1]
+    if pencil.size <= SMALL:
+        K, M = dense(K), dense(M)
+        mass = np.linalg.eigvalsh(M)
+        if mass[0] > MASSLESS * mass[-1]:
+            X = np.asarray(eigh(K, M)[1])
+        else:  # modes of unknowns without inertia are infinitely fast
+            inverse, T = eigh(M, K + SHIFT * largest(K) / mass[-1] * M)
+            X = T[:, inverse > MASSLESS * inverse[-1]][:, ::-1]
+        return _energies(K, M, X)[:count]
+    require_factors(pencil.bordered(1.0, 1.0, 1.0))
+    stiffness, inertia = (magnitudes(P).diagonal() for P in (K, M))
+    top = float((stiffness[inertia > 0] / inertia[inertia > 0]).max(initial=0.0))
+    shift = RIGID_SHIFT * top
+    solve = pencil.pencil_solver(-shift).solve
+    start = solve(np.random.default_rng(0).standard_normal(pencil.size))
+    wanted = count + BODY
+    while True:
+        wanted = min(wanted, pencil.size - 2)
+        inverse = LinearOperator((pencil.size,) * 2, matvec=solve, dtype=float)
+        result = eigsh(
+            LinearOperator((pencil.size,) * 2, matvec=lambda x: K @ x, dtype=float),
+            wanted, M, sigma=-shift, OPinv=inverse, v0=start, tol=CLOSE,
+        )  # fmt: skip
+        rates = _energies(K, M, result[1])
+        if rates.size >= count or wanted == pencil.size - 2:
+            return rates[:count]
+        wanted *= 2
+
+
+def _energies(K: Matrix, M: Matrix, X: np.ndarray) -> np.ndarray:
+    """Rayleigh quotients ``x'Kx / x'Mx`` of modes, in ascending order, those of rigid bodies left
+    out."""
+    energy = np.einsum("ij,ij->j", X, K @ X)
+    mass = np.einsum("ij,ij->j", X, M @ X)
+    noise = FREE * np.finfo(float).eps * np.einsum("ij,ij->j", abs(X), magnitudes(K) @ abs(X))
+    if not isinstance(K, Schur):
+        noise = np.minimum(noise, RANDOM * np.diag(energy_rounding(K, X)))
+    return np.asarray(np.sort(energy[energy > noise] / mass[energy > noise]))
+
+
+def band_end(pencil: Pencil, count: int, high: float) -> float:
+    """Frequency [Hz] of the ``count``-th lowest natural mode, at most ``high``; ``high`` where
+    there are fewer, or they cannot be computed. Rigid-body modes do not count."""
+    pencil = reduced_form(pencil)
+    if pencil.degree != 2 or not pencil.symmetric or pencil.size <= count + 2:
+        return high
+    try:
+        rates = elastic_modes(pencil, count)
+    except (SimulationError, UsageError, ArpackError, LinAlgError):
+        return high
+    if rates.size < count:
+        return high
+    return min(high, float(np.sqrt(rates[-1]) / (2 * np.pi)))
+
+
+def _small(pencil: Pencil) -> np.ndarray:
+    rest, inertia = (dense(P) for P in (pencil.coefficients[0], pencil.coefficients[-1]))
+    if largest(rest) == 0 or largest(inertia) == 0:
+        return np.empty(0)
+    rates = np.abs(Pencil((rest, inertia), pencil.B, pencil.C, pencil.D).poles())
+    return np.asarray(rates[rates > 1e-12 * rates.max(initial=0.0)])
+
+
+def _lowest(pencil: Pencil) -> np.ndarray:
+    """Reciprocals of the largest eigenvalues of ``P(0)^-1`` times the inertia."""
+    require_factors(pencil.bordered(1.0, 1.0, 1.0))
+    solve, inertia = pencil.solver(0.0)[0].solve, pencil.coefficients[-1]
+    inverse = LinearOperator((pencil.size,) * 2, matvec=lambda x: solve(inertia @ x), dtype=float)
+    start = solve(pencil.B[:, 0])
+    values = np.abs(eigs(inverse, MODES + 1, v0=start, tol=CLOSE, return_eigenvectors=False))
+    return np.asarray(1 / values[values > 0])
