@@ -34,7 +34,7 @@ from kc2spice.rom.linear import Certificate, LinearModel, Port
 from kc2spice.rom.modal import chip_response, resonators
 from kc2spice.rom.parametric import Axis, Loss
 from kc2spice.rom.pencil import first_order
-from kc2spice.rom.structure import structure
+from kc2spice.rom.rigid_body import structure
 from kc2spice.rom.varying import Varying
 from kc2spice.scene.judge import Balance, Check, Metric
 from kc2spice.scene.model import GROUND, Build, Part, Scene, Terminal

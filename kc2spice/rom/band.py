@@ -10,7 +10,7 @@ from kc2spice.core.errors import SimulationError, UsageError
 from kc2spice.linalg.factor import require_factors
 from kc2spice.rom.constraints import reduced_form
 from kc2spice.rom.pencil import Matrix, Pencil, Schur, dense, largest, magnitudes
-from kc2spice.rom.structure import RANDOM, energy_rounding
+from kc2spice.rom.rigid_body import RANDOM, energy_rounding
 from kc2spice.rom.subspace import FREE
 
 MODES = 5

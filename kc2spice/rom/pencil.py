@@ -152,7 +152,7 @@ class Pencil:
     Second order: ``(K, E, M)``. First order ``E x' = A x + B u``: ``(-A, E)``. The first may be a
     :class:`Schur` complement. ``rayleigh = (alpha, beta)`` stands for ``E = alpha M + beta K``.
     ``B`` (n, m), ``C`` (p, n) and ``D`` (p, m) are arrays. The first ``free`` unknowns are motions
-    that nothing holds at rest; see :mod:`kc2spice.rom.structure`.
+    that nothing holds at rest; see :mod:`kc2spice.rom.rigid_body`.
     """
 
     coefficients: tuple[Matrix, ...]

@@ -47,8 +47,8 @@ from kc2spice.rom.response import (
     relative_error,
     relative_size,
 )
+from kc2spice.rom.rigid_body import FORM, Structure, structure
 from kc2spice.rom.structural import causal, without_inertia
-from kc2spice.rom.structure import FORM, Structure, structure
 from kc2spice.rom.subspace import ROUNDED, SPREAD, Subspace, block_arnoldi, is_definite, subspace
 
 ROUNDING = 1e-11  # no estimate says less: direct solutions are hardly better in the response

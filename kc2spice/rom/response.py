@@ -14,7 +14,7 @@ from kc2spice.core.errors import SimulationError
 from kc2spice.rom.entries import FLOOR, Entries, share_of
 from kc2spice.rom.linear import Norm, Port
 from kc2spice.rom.pencil import INFINITE, Pencil, first_order, largest
-from kc2spice.rom.structure import free_part
+from kc2spice.rom.rigid_body import free_part
 
 # A response this far below the sum of its terms is what their cancellation leaves: a zero.
 CANCELLED = 1e-13

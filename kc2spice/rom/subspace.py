@@ -46,7 +46,7 @@ from kc2spice.rom.response import (
     relative_size,
     samples,
 )
-from kc2spice.rom.structure import (
+from kc2spice.rom.rigid_body import (
     RANDOM,
     apart,
     congruent,
