@@ -34,7 +34,7 @@ from kc2spice.rom.linear import Certificate, LinearModel, Port
 from kc2spice.rom.modal import chip_response, resonators
 from kc2spice.rom.parametric import Axis, Loss
 from kc2spice.rom.pencil import first_order
-from kc2spice.rom.rigid_body import structure
+from kc2spice.rom.stability import structure
 from kc2spice.rom.varying import Varying
 from kc2spice.scene.judge import Balance, Check, Metric
 from kc2spice.scene.model import GROUND, Build, Part, Scene, Terminal
@@ -43,14 +43,7 @@ from kc2spice.scene.plausible import dimensions
 from kc2spice.scene.rows import Neglected, Rest, Vector
 from kc2spice.scene.settings import Rom
 from kc2spice.spice.header import Header
-from kc2spice.spice.realize import (
-    COARSE,
-    RINGING,
-    UNRATED,
-    StepWeights,
-    reference,
-    subcircuit,
-)
+from kc2spice.spice.realize import COARSE, RINGING, UNRATED, StepWeights, reference, subcircuit
 
 # SI per netlist unit, SI unit and short word of what a port answers with
 ANSWERS = {

@@ -24,7 +24,7 @@ from scipy.sparse.linalg import ArpackError, ArpackNoConvergence, LinearOperator
 from kc2spice.core.errors import SimulationError
 from kc2spice.linalg.factor import require_factors
 from kc2spice.rom.pencil import Matrix, Pencil, Schur, magnitudes
-from kc2spice.rom.rigid_body import dissipative, semidefinite
+from kc2spice.rom.stability import dissipative, semidefinite
 
 POLES, VECTORS, RESTARTS = 4, 40, 12  # settings of the Arnoldi method
 LANCZOS = 6  # restarts of the Lanczos method, of twenty vectors each

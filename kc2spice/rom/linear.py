@@ -17,7 +17,7 @@ import scipy
 from kc2spice.core.errors import UsageError, unknown
 from kc2spice.core.extras import import_optional
 from kc2spice.rom.pencil import Matrix, Pencil, Schur, dense, first_order, largest, symmetric
-from kc2spice.rom.rigid_body import semidefinite
+from kc2spice.rom.stability import semidefinite
 
 if TYPE_CHECKING:
     from scipy.signal import StateSpace

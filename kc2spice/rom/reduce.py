@@ -47,7 +47,7 @@ from kc2spice.rom.response import (
     relative_error,
     relative_size,
 )
-from kc2spice.rom.rigid_body import FORM, Structure, structure
+from kc2spice.rom.stability import FORM, Structure, structure
 from kc2spice.rom.structural import causal, without_inertia
 from kc2spice.rom.subspace import ROUNDED, SPREAD, Subspace, block_arnoldi, is_definite, subspace
 

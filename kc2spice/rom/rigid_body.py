@@ -8,24 +8,14 @@ made exact, and kept apart from all other unknowns: a basis and a peak are those
 from __future__ import annotations
 
 import warnings
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import NamedTuple, TypeAlias
 
 import numpy as np
 import scipy
 
-from kc2spice.core.errors import SimulationError
 from kc2spice.linalg.exact import Exact
-from kc2spice.linalg.factor import factorise
-from kc2spice.rom.pencil import (
-    Matrix,
-    Pencil,
-    Schur,
-    first_order,
-    largest,
-    magnitudes,
-    symmetric,
-)
+from kc2spice.rom.pencil import Matrix, Pencil, Schur, first_order, largest, magnitudes, symmetric
 
 ROUNDING = 8.0  # times n eps of the largest: a stiffness, a damping or a coupling that is zero
 # Poles of a first-order model below these shares of the band's end: zero but for rounding, which
@@ -261,122 +251,3 @@ def _chains(A: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         A[start:, start : start + still] = 0.0
         start += still
     return A, Q
-
-
-# Rounding of a congruence: a semi-definite matrix may show eigenvalues this far below zero.
-ASYMMETRY = 1e-12
-# Growth by e in a hundred million radians is rounding of an eigenvalue on the imaginary axis.
-GROWTH = 1e-8
-FORM = "definite matrices"
-DENSE = 1200  # first-order states up to which all poles of a full model are computed
-
-
-@dataclass(frozen=True)
-class Structure:
-    """``stable``: no pole right of the imaginary axis, so no growing motion (a free rigid body
-    drifts, it does not grow exponentially), None where that is not known. ``passive``: it is shown
-    that the ports cannot deliver net energy. ``proof`` says what either rests on.
-    """
-
-    stable: bool | None
-    passive: bool
-    proof: str
-
-
-def structure(
-    pencil: Pencil, band: tuple[float, float], poles: np.ndarray | None = None
-) -> Structure:
-    """Stability and passivity of a full or reduced model, from its form where that shows it.
-
-    Second order with M, K symmetric positive semi-definite and ``E + E' >= 0`` (gyroscopic terms
-    are skew) loses energy at most; with ``C = B'`` and D >= 0 it is passive between force and
-    velocity, voltage and current. First order with E symmetric positive semi-definite and
-    ``A + A' <= 0`` likewise, passive between input and output. Without such form the poles decide
-    on stability, and passivity is not claimed; of more than ``DENSE`` states they are not known.
-    ``poles`` [1/s] spare their computation.
-    """
-    try:
-        shown = dissipative(pencil)
-    except MemoryError:
-        warnings.warn(
-            "memory does not hold the factor that proves stability and passivity: both are not "
-            "known; the error estimate is not concerned",
-            stacklevel=2,
-        )
-        return Structure(None, False, "nothing: memory does not hold another factor")
-    if shown:
-        passive = pencil.collocated and semidefinite(pencil.D + pencil.D.T)
-        return Structure(True, passive, FORM)
-    states = pencil.degree * pencil.size
-    if states > DENSE and poles is None:
-        return Structure(None, False, f"nothing: {states} states are too many to know all poles")
-    omega = 2 * np.pi * band[1]
-    values = _poles(pencil, omega) if poles is None else poles
-    limit = GROWTH * np.maximum(np.abs(values), omega)
-    grows = values.real > limit
-    rounded = states * np.finfo(float).eps * np.abs(values).max(initial=0.0)
-    if grows.any() and (values.real[grows] <= rounded).all():
-        return Structure(None, False, "nothing: rounding of the poles hides which side they are on")
-    return Structure(not grows.any(), False, "poles")
-
-
-def _poles(pencil: Pencil, omega: float) -> np.ndarray:
-    """All poles, those of a free motion from that alone: rounding moves the pair of a rigid body by
-    half of the digits."""
-    result = pencil if pencil.free else apart(pencil.scaled(omega).dense(), omega).pencil
-    if not result.detached:
-        return pencil.poles(omega)
-    return np.r_[result.leading(result.free).poles(omega), result.held.poles(omega)]
-
-
-def dissipative(pencil: Pencil) -> bool:
-    """Whether the form of a model shows an energy that nothing but its ports can add to."""
-    rest, *others = pencil.coefficients
-    if not semidefinite(others[-1]):
-        return False
-    if pencil.rayleigh is None or min(pencil.rayleigh) < 0:  # else from mass and stiffness
-        loss = others[0] if others[1:] else rest
-        if not semidefinite(loss if isinstance(loss, Schur) else loss + loss.T):
-            return False
-    # a factor of K that solutions were made with shows it as well
-    held = pencil.factorised and pencil.symmetric and not isinstance(rest, Schur)
-    return pencil.degree == 1 or held or semidefinite(rest)
-
-
-def semidefinite(matrix: Matrix) -> bool:
-    """Symmetric without an eigenvalue below zero, but for rounding."""
-    if isinstance(matrix, Schur):
-        if not matrix.symmetric:
-            return False
-        if semidefinite(-matrix.pp):  # potentials add stiffness
-            return semidefinite(matrix.uu)
-        blocks = [[matrix.uu, matrix.up], [matrix.pu, matrix.pp]]
-        return semidefinite(scipy.sparse.csc_array(scipy.sparse.block_array(blocks)))
-    if not isinstance(matrix, np.ndarray):
-        return _factorises(scipy.sparse.csc_array(matrix))
-    if matrix.size == 0:
-        return True
-    if largest(matrix - matrix.T) > ASYMMETRY * largest(matrix):
-        return False
-    values = np.linalg.eigvalsh(matrix)
-    return bool(values[0] >= -ASYMMETRY * abs(values[-1]))
-
-
-def _factorises(matrix: Matrix) -> bool:
-    """Whether a sparse matrix is semidefinite: scaled to a unit diagonal and moved up by rounding
-    it has a Cholesky factor."""
-    if not largest(matrix):
-        return True
-    own = matrix.diagonal()
-    empty = np.asarray(abs(matrix).max(axis=0).toarray()).ravel() == 0
-    if not symmetric(matrix) or (own[~empty] <= 0).any():
-        return False
-    T = scipy.sparse.diags_array(1 / np.sqrt(np.where(empty, 1.0, own)))
-    scaled = T @ (0.5 * (matrix + matrix.T)) @ T
-    shift = ASYMMETRY * float(abs(scaled).sum(axis=0).max())
-    lift = scipy.sparse.diags_array(np.where(empty, 1.0, shift))
-    try:
-        factorise(scipy.sparse.csc_array(scaled + lift), definite=True)
-    except SimulationError:
-        return False
-    return True

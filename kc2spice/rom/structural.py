@@ -30,7 +30,7 @@ from kc2spice.rom.linear import LinearModel, Norm
 from kc2spice.rom.lossy_modes import Oscillator, joined, relaxing_oscillator, viscous_oscillator
 from kc2spice.rom.pencil import Pencil, Schur, largest
 from kc2spice.rom.response import Response, adaptive_frequencies, grid
-from kc2spice.rom.rigid_body import semidefinite, structure
+from kc2spice.rom.stability import semidefinite, structure
 
 Reductor = Callable[[LinearModel, float, tuple[float, float]], LinearModel]
 

@@ -46,14 +46,8 @@ from kc2spice.rom.response import (
     relative_size,
     samples,
 )
-from kc2spice.rom.rigid_body import (
-    RANDOM,
-    apart,
-    congruent,
-    dissipative,
-    energy_rounding,
-    hidden_support,
-)
+from kc2spice.rom.rigid_body import RANDOM, apart, congruent, energy_rounding, hidden_support
+from kc2spice.rom.stability import dissipative
 
 # A candidate that keeps less than this of its length outside the basis brings rounding noise only.
 DEFLATION = 1e-10

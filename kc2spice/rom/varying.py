@@ -35,7 +35,7 @@ from kc2spice.rom.parametric import (
     polynomials,
 )
 from kc2spice.rom.response import Judge, Response
-from kc2spice.rom.rigid_body import structure
+from kc2spice.rom.stability import structure
 from kc2spice.rom.subspace import subspace
 
 ABOVE = 1.2  # times the band's end, up to which modes are kept at least

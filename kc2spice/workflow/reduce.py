@@ -33,7 +33,7 @@ from kc2spice.rom.linear import LinearModel
 from kc2spice.rom.measured import one_port
 from kc2spice.rom.reduce import default_norm
 from kc2spice.rom.reduce import reduce as reduce_model
-from kc2spice.rom.rigid_body import DENSE, structure
+from kc2spice.rom.stability import DENSE, structure
 from kc2spice.scene.load import gallery, load_scene
 from kc2spice.sim.ngspice import write_files
 from kc2spice.spice.emitted import require_circuit

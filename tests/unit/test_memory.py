@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from kc2spice.core.memory import available_bytes
-from kc2spice.rom import rigid_body as proofs
+from kc2spice.rom import stability as proofs
 from kc2spice.rom.linear import LinearModel
 from kc2spice.rom.reduce import reduce
 

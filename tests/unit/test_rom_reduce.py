@@ -8,7 +8,7 @@ from kc2spice.core.errors import UsageError
 from kc2spice.rom.linear import LinearModel, Port
 from kc2spice.rom.pencil import Pencil
 from kc2spice.rom.reduce import reduce
-from kc2spice.rom.rigid_body import structure
+from kc2spice.rom.stability import structure
 
 
 def chain(n, dashpot, **more):

@@ -22,7 +22,7 @@ from kc2spice.report.pages import Findings, responses
 from kc2spice.rom.linear import LinearModel
 from kc2spice.rom.modal import resonators
 from kc2spice.rom.response import Response, adaptive_frequencies, relative_error
-from kc2spice.rom.rigid_body import structure as form
+from kc2spice.rom.stability import structure as form
 from kc2spice.scene.judge import Check
 from kc2spice.scene.model import Build, Part
 from kc2spice.sim.ngspice import run_deck
