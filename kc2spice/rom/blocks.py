@@ -24,9 +24,10 @@ import numpy as np
 from scipy.linalg import block_diag, eigh, lapack, qr, schur
 
 from kc2spice.core.equality import EqualByContent
+from kc2spice.rom.error_estimate import relative_error
 from kc2spice.rom.linear import LinearModel, state_space
 from kc2spice.rom.pencil import Pencil, explicit, largest
-from kc2spice.rom.response import Response, relative_error
+from kc2spice.rom.response import Response
 
 # Bounds of a decoupling transformation: the first costs three digits, others what is measured.
 GROWTH = 1e3

@@ -40,8 +40,9 @@ import scipy
 
 from kc2spice.core.equality import EqualByContent
 from kc2spice.core.errors import UsageError
+from kc2spice.rom.error_estimate import Judge, above_band
 from kc2spice.rom.linear import Certificate, LinearModel, Port
-from kc2spice.rom.response import Judge, Response, above_band
+from kc2spice.rom.response import Response
 
 # Proportional damping is exact by construction; anything above rounding is another damping.
 COUPLING_LIMIT = 1e-8

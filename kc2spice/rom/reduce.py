@@ -32,21 +32,11 @@ from kc2spice.rom import blocks
 from kc2spice.rom.band import natural_band
 from kc2spice.rom.constraints import reduced_form
 from kc2spice.rom.entries import Entries
+from kc2spice.rom.error_estimate import Judge, above_band, inexact, relative_error, relative_size
 from kc2spice.rom.linear import Certificate, LinearModel, Norm
 from kc2spice.rom.pencil import Pencil
 from kc2spice.rom.relaxing_fit import minimax
-from kc2spice.rom.response import (
-    FLANK,
-    SHARPEST,
-    Judge,
-    Response,
-    above_band,
-    around,
-    grid,
-    inexact,
-    relative_error,
-    relative_size,
-)
+from kc2spice.rom.response import FLANK, SHARPEST, Response, around, grid
 from kc2spice.rom.stability import FORM, Structure, structure
 from kc2spice.rom.structural import causal, without_inertia
 from kc2spice.rom.subspace import ROUNDED, SPREAD, Subspace, block_arnoldi, is_definite, subspace

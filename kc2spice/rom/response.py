@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cached_property
 from typing import TypeAlias
 
@@ -11,8 +10,7 @@ import numpy as np
 import scipy
 
 from kc2spice.core.errors import SimulationError
-from kc2spice.rom.entries import FLOOR, Entries, share_of
-from kc2spice.rom.linear import Norm, Port
+from kc2spice.rom.entries import Entries
 from kc2spice.rom.pencil import INFINITE, Pencil, first_order, largest
 from kc2spice.rom.rigid_body import free_part
 
@@ -26,17 +24,8 @@ SHARPEST = 1e-7
 FLANK = 1e-4
 VISIBLE = 1e-10  # least term of a visible pole, relative to the entry
 VISIBLE_GRID = 50  # frequencies that give the peaks of entries
-ABOVE = np.array([2.0, 4.0])  # times the band's end: where contact still excites a body
 CLUSTER = np.array([0.0, 0.25, 0.5, 1.0, 2.0, 5.0, 15.0, 60.0])  # half widths around a resonance
 GRID = 200
-NOTCHES = 60  # deepest minima that are refined in each round
-ZOOM = 9  # frequencies in an interval that is refined
-ROUNDS = 20  # rounds of refinement of notches
-SAME = 1e-12  # relative difference of two equal frequencies, by rounding errors
-STEEP = 1.5  # times a minimum: what is larger beside it, or smaller between, shows a deeper one
-PEAKS = 40  # largest errors that are refined in each round
-PEAK_ROUNDS = 3  # rounds of refinement of the largest errors
-SPREAD = 6  # frequencies at which a model is looked at first, and those at which others failed
 FEW = 12  # unknowns above which eigenvectors pay
 MANY = 2000  # states up to which eigenvectors pay
 REPRODUCED = 1e-10  # relative difference to direct solutions
@@ -327,187 +316,3 @@ def samples(
     points = np.union1d(grid(band, count, static), around(at, ratio, np.asarray(widths)))
     points = points[(points >= band[0]) & (points <= band[1])]
     return clear_of_poles(points, at, ratio)
-
-
-def adaptive_frequencies(
-    response: Response, band: tuple[float, float], static: bool, norm: Norm = "pointwise"
-) -> np.ndarray:
-    """Frequencies [Hz] at which relative errors show: a grid, every resonance with its flanks, and
-    *pointwise* every deep notch of any entry, found by zooming in."""
-    near = 0.9 * band[0], 1.1 * band[1]
-    at, ratio = response.within(near)
-    frequency = np.union1d(grid(band, GRID, static), around(at, ratio))
-    if norm == "pointwise":
-        # each three times as far as the last: the zero beside a weak, narrow resonance lies between
-        # two of them and shows as a minimum
-        width = np.where(ratio < SHARPEST, FLANK, ratio) * at
-        away = CLUSTER[-1] * width[:, None] * 3.0 ** np.arange(1, 16)
-        both = [(at[:, None] + k * away)[away < band[1] / GRID] for k in (-1, 1)]
-        frequency = np.unique(np.concatenate([frequency, *both]))
-    frequency = frequency[(frequency >= band[0]) & (frequency <= band[1])]
-    frequency = clear_of_poles(frequency, at, ratio)
-    if norm == "peak":
-        return frequency
-    H = response.transfer(2j * np.pi * frequency)
-    for _ in range(ROUNDS):
-        peak = response.entries(frequency, H).peak + np.finfo(float).tiny
-        lowest = _leading(H / peak).reshape(len(H) - 2, -1).min(axis=1)
-        deepest = np.argsort(lowest)[: min(NOTCHES, int(np.isfinite(lowest).sum()))]
-        if not deepest.size:
-            break
-        new = clear_of_poles(_zoomed(frequency, deepest, deepest + 2), at, ratio)
-        if not new.size:
-            break
-        H = np.concatenate([H, response.transfer(2j * np.pi * new)])
-        frequency = np.concatenate([frequency, new])
-        order = np.argsort(frequency)
-        frequency, H = frequency[order], H[order]
-    return frequency
-
-
-def _leading(H: np.ndarray) -> np.ndarray:
-    """Sizes of the inner minima of responses ``H`` with a peak of 1 that may lead to a deeper one,
-    infinite elsewhere: a neighbour is much larger, or the straight line to it passes much nearer
-    to zero. Errors count against the floor where a notch is deeper: those are found."""
-    size = np.abs(H)
-    step = np.diff(H, axis=0)
-    share = -(np.conj(step) * H[:-1]).real / (np.abs(step) ** 2 + np.finfo(float).tiny)
-    line = np.abs(H[:-1] + np.clip(share, 0.0, 1.0) * step)
-    inner = (size[1:-1] < size[:-2]) & (size[1:-1] <= size[2:]) & (size[1:-1] > FLOOR)
-    steep = np.maximum(size[:-2], size[2:]) > STEEP * size[1:-1]
-    inner &= steep | (STEEP * np.minimum(line[:-1], line[1:]) < size[1:-1])
-    return np.where(inner, size[1:-1], np.inf)
-
-
-def _zoomed(known: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
-    """``ZOOM`` frequencies from each ``known[low]`` to ``known[high]`` that are not ``known``, each
-    once: of two that rounding sets apart, one would hide a maximum that lies beside the other."""
-    points = np.unique(np.linspace(known[low], known[high], ZOOM))
-    points = points[np.r_[True, np.diff(points) > SAME * points[1:]]]
-    at = np.searchsorted(known, points)
-    below, above = known[np.maximum(at - 1, 0)], known[np.minimum(at, len(known) - 1)]
-    return points[np.minimum(np.abs(points - below), np.abs(points - above)) > SAME * points]
-
-
-@dataclass(frozen=True)
-class Judge:
-    """Judges models by the ``exact`` one, which has a ``static`` answer or none, over the band."""
-
-    exact: Response
-    band: tuple[float, float]
-    static: bool
-    norm: Norm = "pointwise"
-
-    @cached_property
-    def frequency(self) -> np.ndarray:
-        """Frequencies [Hz] at which errors show, at which the exact model is solved once."""
-        return adaptive_frequencies(self.exact, self.band, self.static, self.norm)
-
-    @cached_property
-    def reference(self) -> tuple[np.ndarray, Entries]:
-        """The exact response, and what is known of its entries."""
-        H = self.exact.transfer(2j * np.pi * self.frequency)
-        return H, self.exact.entries(self.frequency, H)
-
-    @property
-    def share(self) -> float:
-        """Part of its peak that an entry's errors count against at least, in the norm."""
-        return share_of(self.norm)
-
-    @cached_property
-    def _counted(self) -> np.ndarray:
-        """Which entries are not what cancellation of their terms leaves; those that are zero by
-        symmetry count against their row and column."""
-        return ~self.exact.cancelled(2j * np.pi * self.frequency) | self.reference[1].zero
-
-    @cached_property
-    def failed(self) -> dict[float, np.ndarray]:
-        """Frequencies [Hz] at which models were furthest off, the last ones last, with the exact
-        response: the next that is not good enough shows there first. A few over the band to begin
-        with."""
-        few = slice(None, None, max(1, len(self.frequency) // SPREAD))
-        return dict(zip(self.frequency[few].tolist(), self.reference[0][few], strict=True))
-
-    def sizes(self, difference: np.ndarray, H: np.ndarray) -> np.ndarray:
-        """Largest error (..., frequencies) of any entry, for differences to the response H."""
-        base = self.reference[1].base(H, self.share) + np.finfo(float).tiny
-        return np.asarray((np.abs(difference) / base * self._counted).max(axis=(-2, -1)))
-
-    def error(self, found: Response, limit: float = np.inf) -> float:
-        """:func:`relative_error` over the band, in the ``norm``: at ``frequency``, then closer and
-        closer around where it is largest. Above ``limit`` any error that shows it is enough."""
-        for last, H in reversed(self.failed.items()):
-            try:  # other coordinates are faster only for many frequencies
-                ours = found.pencil.transfer(np.array([2j * np.pi * last]))[0]
-                worst = float(self.sizes(ours - H, H))
-            except SimulationError:
-                worst = np.inf
-            if not worst <= limit:
-                self.failed[last] = self.failed.pop(last)
-                return worst
-        at, ratio = self.exact.within((0.9 * self.band[0], 1.1 * self.band[1]))
-        points, H = self.frequency, self.reference[0]
-        error = self.sizes(found.transfer(2j * np.pi * points) - H, H)
-        for _ in range(PEAK_ROUNDS):
-            inner = np.r_[True, error[1:] >= error[:-1]] & np.r_[error[:-1] >= error[1:], True]
-            top = np.argsort(np.where(inner, error, -1.0))[-PEAKS:]
-            low, high = np.maximum(top - 1, 0), np.minimum(top + 1, len(error) - 1)
-            new = clear_of_poles(_zoomed(points, low, high), at, ratio)
-            if not new.size:
-                break
-            H = self.exact.transfer(2j * np.pi * new)
-            error = np.r_[error, self.sizes(found.transfer(2j * np.pi * new) - H, H)]
-            points = np.r_[points, new]
-            order = np.argsort(points)
-            points, error = points[order], error[order]
-        if not (worst := float(error.max())) <= limit:
-            last = float(points[int(np.nan_to_num(error, nan=np.inf).argmax())])
-            self.failed[last] = self.exact.transfer(np.array([2j * np.pi * last]))[0]
-        return worst
-
-
-def above_band(
-    ports: Sequence[Port], exact: Response, found: Response, band: tuple[float, float]
-) -> tuple[tuple[float, float], ...]:
-    """``above`` of a :class:`Certificate`: the largest relative difference of any mechanical port's
-    own response, at ``ABOVE`` times the band's end; nothing where no port is mechanical."""
-    columns = [port for port in ports if port.kind != "output"]
-    rows = [port for port in ports if port.kind != "input"]
-    moved = [port for port in ports if port.kind in ("mechanical", "rotational")]
-    if not moved:
-        return ()
-    points = clear_of_poles(ABOVE * band[1], *exact.resonances)
-    own = [rows.index(port) for port in moved], [columns.index(port) for port in moved]
-    H, ours = (item.transfer(2j * np.pi * points)[:, *own] for item in (exact, found))
-    size = np.abs(ours - H) / (np.abs(H) + np.finfo(float).tiny)
-    return tuple(zip(points.tolist(), size.max(axis=1).tolist(), strict=True))
-
-
-def relative_error(response: np.ndarray, reference: np.ndarray) -> float:
-    """Largest error of all entries and frequencies relative to the entry, or to ``FLOOR`` of its
-    peak; see :class:`kc2spice.rom.entries.Entries` for entries that are zero.
-
-    Arrays are (frequencies, outputs, inputs), or (frequencies,) and (frequencies, entries) of
-    entries that are independent of each other.
-    """
-    difference = response - reference
-    if reference.ndim == 3:
-        return float(relative_size(difference, reference).max(initial=0.0))
-    pairs = zip(*(x.reshape(len(x), -1).T for x in (difference, reference)), strict=True)
-    sizes = (relative_size(d[:, None, None], r[:, None, None]) for d, r in pairs)
-    return max((float(size.max(initial=0.0)) for size in sizes), default=0.0)
-
-
-def relative_size(
-    difference: np.ndarray, reference: np.ndarray, entries: Entries | None = None
-) -> np.ndarray:
-    """Errors (..., outputs, inputs) by :meth:`kc2spice.rom.entries.Entries.relative`, whose
-    ``entries`` are those of the reference itself by default."""
-    entries = entries or Entries.of(reference)
-    return entries.relative(difference, reference)
-
-
-def inexact(message: str, got: str, limit: float, hint: str) -> SimulationError:
-    """Error of a reduction whose error estimate stays above the limit."""
-    expected = f"at most {limit:.1e}"
-    return SimulationError(message, where="reduction", got=got, expected=expected, hint=hint)

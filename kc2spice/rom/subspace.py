@@ -31,19 +31,17 @@ import scipy
 from kc2spice.core.errors import SimulationError
 from kc2spice.linalg.exact import Solver
 from kc2spice.rom.entries import Entries
+from kc2spice.rom.error_estimate import Judge, inexact, relative_size
 from kc2spice.rom.linear import Norm
 from kc2spice.rom.pencil import Matrix, Pencil, Schur, magnitudes, symmetric
 from kc2spice.rom.response import (
     FLANK,
     GRID,
     SHARPEST,
-    Judge,
     Response,
     around,
     clear_of_poles,
     grid,
-    inexact,
-    relative_size,
     samples,
 )
 from kc2spice.rom.rigid_body import RANDOM, apart, congruent, energy_rounding, hidden_support

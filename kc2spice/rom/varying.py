@@ -22,6 +22,7 @@ import numpy as np
 import scipy
 
 from kc2spice.core.errors import SimulationError, UsageError
+from kc2spice.rom.error_estimate import Judge
 from kc2spice.rom.linear import Certificate, LinearModel, Norm, Port
 from kc2spice.rom.parametric import (
     Axis,
@@ -34,7 +35,7 @@ from kc2spice.rom.parametric import (
     parametric,
     polynomials,
 )
-from kc2spice.rom.response import Judge, Response
+from kc2spice.rom.response import Response
 from kc2spice.rom.stability import structure
 from kc2spice.rom.subspace import subspace
 

@@ -5,8 +5,8 @@ import pytest
 
 from kc2spice.bodies.piezo_stack import stack_device
 from kc2spice.bodies.stack_keys import Chip
+from kc2spice.rom.error_estimate import relative_error
 from kc2spice.rom.reduce import reduce
-from kc2spice.rom.response import relative_error
 
 SMALL = {"sectors": 4, "rings": 2, "ring_spacing": 300e-6, "outer_rings": 2}
 

@@ -19,9 +19,10 @@ from kc2spice.netlist.elements import titled
 from kc2spice.netlist.library import Subcircuit
 from kc2spice.parts._linear_body import LinearBody
 from kc2spice.report.pages import Findings, responses
+from kc2spice.rom.error_estimate import adaptive_frequencies, relative_error
 from kc2spice.rom.linear import LinearModel
 from kc2spice.rom.modal import resonators
-from kc2spice.rom.response import Response, adaptive_frequencies, relative_error
+from kc2spice.rom.response import Response
 from kc2spice.rom.stability import structure as form
 from kc2spice.scene.judge import Check
 from kc2spice.scene.model import Build, Part

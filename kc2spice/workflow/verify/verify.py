@@ -108,7 +108,9 @@ def measured(gate: Gate, ours: Solution, exact: Solution) -> float | None:
         low = scale <= gate.share * scale[-1]
         pairs = [(a[low], b[low]) for a, b in pairs]
     if gate.measure == "spectral":
-        from kc2spice.rom.response import relative_error  # which loads scipy; every run is here
+        from kc2spice.rom.error_estimate import (
+            relative_error,
+        )  # which loads scipy; every run is here
 
         return relative_error(*(np.stack(item, axis=1) for item in zip(*pairs, strict=True)))
     if gate.measure == "relative":
