@@ -26,7 +26,7 @@ from kc2spice.core.equality import EqualByContent
 from kc2spice.core.errors import wrong
 from kc2spice.fem.solid import strains, tensors
 from kc2spice.rom.modal import resonant
-from kc2spice.rom.subspace import block_arnoldi
+from kc2spice.rom.reductors.block_krylov import block_arnoldi
 
 ORDER = 40
 STILL = 1e-6  # frequency of a motion without stiffness, relative to the highest

@@ -11,7 +11,7 @@ from kc2spice.linalg.factor import require_factors
 from kc2spice.rom.constraints import reduced_form
 from kc2spice.rom.pencil import Matrix, Pencil, Schur, dense, largest, magnitudes
 from kc2spice.rom.rigid_body import RANDOM, energy_rounding
-from kc2spice.rom.subspace import FREE
+from kc2spice.rom.rounding import FREE
 
 MODES = 5
 SMALL = 200  # equations up to which all poles are computed

@@ -19,7 +19,8 @@ from kc2spice.core.errors import SimulationError, UsageError
 from kc2spice.rom.linear import LinearModel
 from kc2spice.rom.modal import Resonators, chip_response, march, resonators
 from kc2spice.rom.pencil import Pencil, eliminated, proportional
-from kc2spice.rom.subspace import block_arnoldi, is_definite, subspace
+from kc2spice.rom.reductors.block_krylov import block_arnoldi
+from kc2spice.rom.subspace import is_definite, subspace
 
 # States per state of the reduced model, and the least that are added. The stroke of a chip damped
 # by 0.1 % under a kick, with 30 states: it differs from that with 60, 120 and 300 states by 1.9,

@@ -33,13 +33,16 @@ from kc2spice.rom.band import natural_band
 from kc2spice.rom.constraints import reduced_form
 from kc2spice.rom.entries import Entries
 from kc2spice.rom.error_estimate import Judge, above_band, inexact, relative_error, relative_size
+from kc2spice.rom.intermediate import Subspace
 from kc2spice.rom.linear import Certificate, LinearModel, Norm
 from kc2spice.rom.pencil import Pencil
+from kc2spice.rom.reductors.block_krylov import block_arnoldi
 from kc2spice.rom.relaxing_fit import minimax
 from kc2spice.rom.response import FLANK, SHARPEST, Response, around, grid
+from kc2spice.rom.rounding import ROUNDED, SPREAD
 from kc2spice.rom.stability import FORM, Structure, structure
 from kc2spice.rom.structural import causal, without_inertia
-from kc2spice.rom.subspace import ROUNDED, SPREAD, Subspace, block_arnoldi, is_definite, subspace
+from kc2spice.rom.subspace import is_definite, subspace
 
 ROUNDING = 1e-11  # no estimate says less: direct solutions are hardly better in the response
 HIGHEST = 1e30  # Hz; powers of a frequency stay numbers

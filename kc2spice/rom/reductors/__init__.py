@@ -1,0 +1,1 @@
+"""Methods of model order reduction, one module each."""

@@ -1,0 +1,153 @@
+"""Oblique projection of ill-conditioned dense models on refined solutions.
+
+Where rounding of the large entries of a matrix exceeds its slow motions, neither its eigenvectors
+nor its projections keep digits. Solutions do, refined with residuals in extended precision. The
+states ``X = P(s)^-1 B`` and ``Y = P(s)^-T C'`` at a few frequencies span two bases, and
+``A X = s E X - B`` projects the model on them without a product with the large matrix.
+
+Source: balancing by samples, Gosea, Gugercin and Beattie, SIAM J. Sci. Comput. 44 (2022) A408.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from kc2spice.linalg.exact import Solver
+from kc2spice.rom.entries import Entries
+from kc2spice.rom.error_estimate import inexact, relative_size
+from kc2spice.rom.intermediate import Subspace
+from kc2spice.rom.pencil import Pencil
+from kc2spice.rom.response import FLANK, SHARPEST, Response, grid, samples
+from kc2spice.rom.rounding import _uncertainty_note, uncertainty
+
+
+def real_parts(x: np.ndarray) -> list[np.ndarray]:
+    """Real vectors that span the same."""
+    return [x.real, x.imag] if np.iscomplexobj(x) and x.imag.any() else [x.real]
+
+
+FIRST = 12  # frequencies before the error is judged
+MOST = 90  # frequencies at all
+SAMPLED_CANDIDATES = 151
+CUTS = 10.0 ** -np.arange(
+    13, 6, -1
+)  # limits of directions that are noise, over the largest singular value
+
+
+class Samples:
+    """Solutions of the full model at sample frequencies, and models projected on them."""
+
+    def __init__(self, pencil: Pencil) -> None:
+        self.pencil = pencil
+        self.frequency = np.empty(0)
+        self.H = np.empty((0, *pencil.D.shape), dtype=complex)
+        n = pencil.size
+        self._E = pencil.coefficients[1]
+        self._solver = Solver(*pencil.coefficients)
+        self._right, self._images = np.empty((n, 0)), np.empty((n, 0))
+        self._left = np.empty((n, 0))
+
+    def add(self, frequency: float) -> None:
+        """Solve the full model at ``frequency`` [Hz].
+
+        Raises
+        ------
+        SimulationError : that is a pole.
+        """
+        P, s = self.pencil, 2j * np.pi * frequency
+        x, y = self._solver.at(s, P.B, P.C)
+        self.frequency = np.r_[self.frequency, frequency]
+        self.H = np.concatenate([self.H, (P.C @ x + P.D)[None]])
+        image = s * (self._E @ x) - P.B
+        size = np.linalg.norm(x, axis=0)
+        self._right = np.hstack([self._right, *real_parts(x / size)])
+        self._images = np.hstack([self._images, *real_parts(image / size)])
+        self._left = np.hstack([self._left, *real_parts(y / np.linalg.norm(y, axis=0))])
+
+    def model(self) -> tuple[Pencil, float]:
+        """The oblique projection that reproduces the samples best, and its largest error there."""
+        W, P = self._left, self.pencil
+        U, size, Vt = np.linalg.svd(W.T @ (self._E @ self._right))
+        inner = W.T @ self._images
+        B, C = W.T @ P.B, P.C @ self._right
+        models = []
+        for order in sorted({int((size > cut * size[0]).sum()) for cut in CUTS}, reverse=True):
+            root = np.sqrt(size[:order])
+            left, right = U[:, :order] / root, Vt[:order].T / root
+            small = Pencil((-(left.T @ inner @ right), np.eye(order)), left.T @ B, C @ right, P.D)
+            small = _decaying(small)
+            found = Response(small).transfer(2j * np.pi * self.frequency)
+            error = self.relative(found - self.H, self.H).max(initial=0.0)
+            models.append((error, order, small))
+        error, _, best = min(models, key=lambda found: found[:2])
+        return best, float(error)
+
+    def relative(self, difference: np.ndarray, H: np.ndarray) -> np.ndarray:
+        """Sizes relative to ``H`` or to the floor of the samples' peak."""
+        return relative_size(difference, H, Entries.of(self.H))
+
+
+def _sampled(full: Pencil, band: tuple[float, float], target: float, limit: float) -> Subspace:
+    """An ill-conditioned first-order model by exact samples.
+
+    Raises
+    ------
+    SimulationError : not even ``limit`` is met; a model free to move at zero frequency.
+    """
+    known = Samples(full)
+    every = grid(band, SAMPLED_CANDIDATES, True)
+    for k in np.unique(np.linspace(0, len(every) - 2, FIRST).astype(int)):
+        known.add(float(every[k]))
+    last = Response(known.model()[0])
+    known.add(float(band[1]))
+    model, _ = known.model()
+    recent = [np.inf]
+    while len(known.frequency) < MOST:
+        before = Response(model)
+        points = samples(before, band, SAMPLED_CANDIDATES, True)
+        points = points[~np.isclose(points[:, None], known.frequency, rtol=1e-7).any(axis=1)]
+        if not points.size:
+            break
+        H = before.transfer(2j * np.pi * points)
+        change = known.relative(last.transfer(2j * np.pi * points) - H, H).max(axis=(1, 2))
+        worst = int(np.argmax(change))
+        known.add(float(points[worst]))
+        error = float(known.relative(H[worst] - known.H[-1], known.H[-1]).max())
+        last = before
+        model, fit = known.model()
+        recent = [*recent[-1:], max(error, fit)]
+        if max(recent) <= target or (len(known.frequency) > MOST // 2 and max(recent) <= limit):
+            break
+    if not max(recent) <= limit:
+        raise inexact(
+            "the model cannot be distinguished from rounding errors",
+            f"relative error {max(recent):.1e} with {model.size} states",
+            limit,
+            "ask for a looser tolerance or a narrower band",
+        )
+    proof = f"checked against the full model at {len(known.frequency)} frequencies with refined "
+    response = Response(model)
+    at, ratio = response.within(band)
+    at = at * (1 + FLANK * (ratio < SHARPEST)) if at.size else np.array(band)
+    proof += "solutions" + _uncertainty_note(at, uncertainty(full, at), 2 * limit)
+    return Subspace(response, max(recent), True, proof)
+
+
+def _decaying(small: Pencil) -> Pencil:
+    """In real blocks of its poles, without those that grow: of a stable model they are noise."""
+    from kc2spice.rom.blocks import decoupled
+
+    blocks, X, inverse = decoupled(-small.coefficients[0])
+    A = np.zeros_like(X)
+    keep, start = [], 0
+    for block in blocks:
+        rows = np.arange(start, start + len(block))
+        start += len(block)
+        A[np.ix_(rows, rows)] = block
+        if np.linalg.eigvals(block).real.max() < 0:
+            keep += rows.tolist()
+    B, C = inverse @ small.B, small.C @ X
+    part = A[np.ix_(keep, keep)]
+    return replace(small, coefficients=(-part, np.eye(len(keep))), B=B[keep], C=C[:, keep])

@@ -1,0 +1,146 @@
+"""Effects of rounding: how far the last digits of a model's entries change its response."""
+
+from __future__ import annotations
+
+import warnings
+from dataclasses import replace
+
+import numpy as np
+
+from kc2spice.rom.entries import Entries
+from kc2spice.rom.error_estimate import relative_size
+from kc2spice.rom.intermediate import Subspace
+from kc2spice.rom.pencil import Pencil, magnitudes
+from kc2spice.rom.response import FLANK, SHARPEST, Response, around, clear_of_poles, grid
+
+
+def uncertainty(
+    pencil: Pencil,
+    frequency: np.ndarray,
+    states: np.ndarray | None = None,
+    dual: np.ndarray | None = None,
+    zero: np.ndarray | bool = False,
+) -> np.ndarray:
+    """How far the last digits of a dense model's entries move its response (relative) at each
+    ``frequency`` [Hz].
+
+    ``states`` x (frequencies, n, inputs), and those of the ``dual``, may be known better than from
+    solutions here. Entries that are ``zero`` by symmetry count against their row and column."""
+    x = pencil.states(2j * np.pi * frequency) if states is None else states
+    H = pencil.C @ x + pencil.D
+    size = relative_size(rounding_of(pencil, frequency, x, dual), H, Entries.of(H, zero=zero))
+    return np.asarray(size.max(axis=(1, 2)))
+
+
+def rounding_of(
+    pencil: Pencil, frequency: np.ndarray, x: np.ndarray, dual: np.ndarray | None = None
+) -> np.ndarray:
+    """Change of a response by rounding errors of the entries (frequencies, outputs, inputs).
+
+    It is the root of the sum of squares of ``eps |y_i P_ij x_j|`` with states ``x``
+    (frequencies, n, inputs), and ``y`` of the ``dual``.
+    """
+    s = 2j * np.pi * frequency
+    y = x if pencil.symmetric and pencil.collocated else dual
+    y = pencil.transposed().states(s) if y is None else y
+    squares = [magnitudes(P) ** 2 for P in pencil.coefficients]
+    result = []
+    for item, right, left in zip(s, np.abs(x) ** 2, np.abs(y) ** 2, strict=True):
+        terms = (abs(item) ** (2 * k) * (left.T @ (P @ right)) for k, P in enumerate(squares))
+        result.append(np.sqrt(sum(terms)))
+    return np.asarray(np.finfo(float).eps * np.reshape(result, (len(s), *pencil.D.shape)))
+
+
+def zero_entries(
+    pencil: Pencil, V: np.ndarray, response: Response, band: tuple[float, float]
+) -> np.ndarray | bool:
+    """Entries (outputs, inputs) of a model that are zero by symmetry, from the ``response`` of its
+    projection on V: faint nearly everywhere in the band, and no more than what rounding of the
+    model's own entries makes of them where they are not, on sharp resonances of equal modes."""
+    at, ratio = response.visible(band)
+    looked = np.union1d(np.argsort(at)[:SHARP], np.argsort(ratio)[:SHARP])
+    peaks = at[looked] * (1 + FLANK * (ratio[looked] < SHARPEST))
+    f = np.r_[clear_of_poles(grid(band, COARSE, False), *response.within(band)), peaks]
+    if pencil.D.size == 1 or not f.size:
+        return False
+    x = response.states(2j * np.pi * f)
+    H = response.pencil.C @ x + response.pencil.D
+    faint = response.entries(f, H).faint(H)
+    suspect = (faint[: len(f) - len(peaks)].mean(axis=0) > FAINT_SHARE) & ~faint.all(axis=0)
+    if suspect.any():
+        rows = np.flatnonzero((~faint & suspect).any(axis=(1, 2)))
+        both = pencil.symmetric and pencil.collocated
+        dual = (
+            None
+            if both or not pencil.is_dense
+            else pencil.transposed().states(2j * np.pi * f[rows])
+        )
+        if both or dual is not None:
+            limit = FREE * rounding_of(pencil, f[rows], V @ x[rows], dual)
+            faint[rows] |= (np.abs(H[rows]) <= limit) & suspect
+    return np.asarray(faint.all(axis=0))
+
+
+UNCERTAIN = 1e-9  # a response of less uncertainty needs no word
+FREE = 100.0  # times rounding: less energy than that is none
+COARSE = 50  # frequencies at which entries that are zero show
+FAINT_SHARE = 0.5  # share of the COARSE frequencies at which a zero entry must be faint
+SHARP = 8  # lowest and sharpest resonances at which rounding of a small model is looked at
+ROUNDED = 4  # trials of rounding
+SPREAD = 3.0  # margin on the largest of them
+
+
+def _uncertainty_note(at: np.ndarray, size: np.ndarray, tolerance: float) -> str:
+    """Return a text on how much rounding of the given matrices changes the response.
+
+    The certificate contains this text. ``size`` is the relative change at the frequencies ``at``
+    [Hz]. The text is empty for a negligible change. A change above ``tolerance`` is also printed as
+    a warning.
+    """
+    worst = int(size.argmax())
+    text = f"its own response is uncertain to {size[worst]:.1e} at {at[worst]:.5g} Hz"
+    if size[worst] > tolerance:
+        warnings.warn(
+            f"{text}, because the entries of the given matrices are rounded; they are reduced "
+            "unchanged",
+            stacklevel=2,
+        )
+    return f", {text} by the last digits of its matrices" if size[worst] > UNCERTAIN else ""
+
+
+def _taken_out(given: Pencil, free: Pencil, band: tuple[float, float]) -> float:
+    """Change of the response by the stiffness that rounding errors add to a free motion.
+
+    It is evaluated at the lowest relevant frequency, where it is largest.
+    """
+    s = 2j * np.pi * grid(band, 2, False)[:1]
+    H = free.transfer(s)
+    return float(relative_size(given.transfer(s) - H, H).max())
+
+
+def _with_rounding(
+    pencil: Pencil, V: np.ndarray, band: tuple[float, float], found: Subspace
+) -> Subspace:
+    """Return ``found`` with the effect of rounding on the resonances as its ``floor``.
+
+    Other units of the unknowns do not change the exact response, but they round the entries of the
+    full model differently. The model in other units is projected on the same directions, and the
+    floor follows from the change of the response. Thin bodies are sensitive, because their elastic
+    forces are small differences of large forces.
+    """
+    exact = found.response
+    at, ratio = exact.visible(band)
+    points = clear_of_poles(around(at, ratio, np.array([0.0, 1.0])), *exact.within(band))
+    if not points.size:
+        return found
+    H = exact.transfer(2j * np.pi * points)
+    entries = exact.entries(np.union1d(points, grid(band, 50, False)))
+    rng = np.random.default_rng(0)
+    apart = 0.0
+    for t in rng.uniform(1.0, 2.0, (ROUNDED, pencil.size)):
+        again = Response(pencil.in_units(t).project(V / t[:, None]))
+        size = relative_size(again.transfer(2j * np.pi * points) - H, H, entries)
+        size[:, exact.cancelled(2j * np.pi * points) & ~entries.zero] = 0.0
+        apart = max(apart, SPREAD * float(size.max()))
+    proof = f"{found.proof}, which rounding moves by {apart:.0e}"
+    return replace(found, floor=max(found.floor, apart), proof=proof)
