@@ -9,8 +9,9 @@ from bench.points import Outcome, Plane, Point, fastest, quick_timed, scaled, sp
 from bench.setup import keys_of
 from kc2spice.bodies.piezo_stack import stack_device
 from kc2spice.rom.error_estimate import relative_error
-from kc2spice.rom.reduce import reduce, surrogate
+from kc2spice.rom.reduce import reduce
 from kc2spice.rom.response import Response
+from kc2spice.rom.surrogate import surrogate
 
 ORDERS = (30, 21, 24, 35, 42)
 TOLERANCES = (1e-6, 1e-2, 1e-3, 1e-4, 1e-5, 1e-8)

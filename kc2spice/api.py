@@ -160,7 +160,8 @@ def reduce(
     >>> print(f"{small.transfer([0.0])[0, 0, 0].real:.5f} m/N")
     0.00200 m/N
     """
-    from kc2spice.rom import reduce as reduction
+    from kc2spice.rom.error_estimate import default_norm
+    from kc2spice.rom.reduce import reduce as reduce_model
 
     if not isinstance(model, LinearModel):
         raise UsageError(
@@ -191,8 +192,8 @@ def reduce(
         band = low, high
     if tolerance is not None:
         tolerance = quantity(tolerance, "", where="tolerance")
-    norm = norm or reduction.default_norm(model)
-    return reduction.reduce(
+    norm = norm or default_norm(model)
+    return reduce_model(
         model, tolerance=tolerance, order=order, band=band, norm=norm, contact=contact
     )
 

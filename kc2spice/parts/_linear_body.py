@@ -359,8 +359,9 @@ class LinearBody(Touching):
 
         def build() -> LinearModel:
             from kc2spice.rom.complex_constants import complex_constants
+            from kc2spice.rom.error_estimate import default_norm
             from kc2spice.rom.modal import lossy, without_inertia
-            from kc2spice.rom.reduce import default_norm, reduce
+            from kc2spice.rom.reduce import reduce
 
             selected = self.full(part, scene, clock).select(asked["ports"])
             with clock.stage("reduce", f"reduction of {part.name}"):

@@ -21,13 +21,12 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import block_diag, eigh, lapack, qr, schur
+from scipy.linalg import block_diag, eigh, lapack, schur
 
 from kc2spice.core.equality import EqualByContent
 from kc2spice.rom.error_estimate import relative_error
-from kc2spice.rom.linear import LinearModel, state_space
-from kc2spice.rom.pencil import Pencil, explicit, largest
-from kc2spice.rom.response import Response
+from kc2spice.rom.linear import LinearModel
+from kc2spice.rom.pencil import explicit, largest
 
 # Bounds of a decoupling transformation: the first costs three digits, others what is measured.
 GROWTH = 1e3
@@ -182,82 +181,3 @@ def _poles(T: np.ndarray) -> np.ndarray:
         product = T[i, i + 1] * T[i + 1, i] if size == 2 else 0.0
         result.append(T[i, i] + 1j * np.sqrt(max(-product, 0.0)))
     return np.array(result)
-
-
-STRICT = 1e-9  # damping of the slowest pole, per rad at the band's end
-RANK = 1e-13  # singular values below this are rounding
-
-
-def standard(pencil: Pencil, top: float) -> Pencil:
-    """``x' = A x + B u`` with rates per rad at ``top`` [Hz] and A in real Schur form, with which
-    Gramians and eigenvectors begin."""
-    omega = 2 * np.pi * top
-    A, B, C, D = state_space(pencil, top)
-    T, Z = schur(A / omega, output="real")
-    return explicit(T, Z.T @ B / omega, C @ Z, D)
-
-
-def in_hertz(pencil: Pencil, top: float) -> Pencil:
-    """The inverse of what :func:`standard` does to time."""
-    omega = 2 * np.pi * top
-    rest, one = pencil.coefficients
-    return Pencil((omega * rest, one), omega * pencil.B, pencil.C, pencil.D, free=pencil.free)
-
-
-def by_gramians(model: Pencil, rows: np.ndarray, columns: np.ndarray) -> Pencil | None:
-    """The :func:`standard` model balanced over all frequencies, outputs over ``rows`` and inputs
-    over ``columns``; None where it is not strictly stable."""
-    T = -model.coefficients[0]
-    if np.linalg.eigvals(T).real.max() > -STRICT:
-        return None
-    reached = _gramian_root(T, model.B / columns, "N", "T")
-    return _balanced(model, reached, _gramian_root(T, (model.C / rows[:, None]).T, "T", "N"))
-
-
-def by_samples(model: Response, s: np.ndarray, inputs: np.ndarray, outputs: np.ndarray) -> Pencil:
-    """The standard model balanced over samples at ``s``, with weights (len(s), inputs) and
-    (len(s), outputs) on its answers and on those of its dual."""
-    reached = _columns(model.states(s) * inputs[:, None, :])
-    seen = _columns(model.dual.states(s) * outputs[:, None, :])
-    return _balanced(model.pencil, reached, seen)
-
-
-def weights(frequency: np.ndarray, base: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Weights of inputs and outputs at each frequency.
-
-    They weight an integral over the band of errors relative to ``base`` (len(frequency), outputs,
-    inputs).
-    """
-    step = np.sqrt(np.gradient(frequency) if len(frequency) > 1 else np.ones(1))
-    rows, columns = scales(base)
-    return step[:, None] / columns, step[:, None] / rows
-
-
-def scales(size: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Factors of rows and columns whose products are next to ``size`` (..., rows, columns)."""
-    log = np.log(np.where(size > 0, size, size.max(initial=0.0) or 1.0))
-    half = 0.5 * log.mean(axis=(-2, -1))[..., None]
-    return np.exp(log.mean(axis=-1) - half), np.exp(log.mean(axis=-2) - half)
-
-
-def _balanced(model: Pencil, reached: np.ndarray, seen: np.ndarray) -> Pencil:
-    U, size, Vt = np.linalg.svd(seen.T @ reached)
-    kept = int((size > RANK * size[0]).sum())
-    T = reached @ Vt[:kept].T / np.sqrt(size[:kept])
-    W = seen @ U[:, :kept] / np.sqrt(size[:kept])
-    return explicit(-W.T @ model.coefficients[0] @ T, W.T @ model.B, model.C @ T, model.D)
-
-
-def _gramian_root(T: np.ndarray, Q: np.ndarray, way: str, other: str) -> np.ndarray:
-    """R with ``X = R R'``, ``T X + X T' = -Q Q'``, or with T transposed; rounding may leave X
-    slightly indefinite."""
-    X, scale, _ = lapack.dtrsyl(T, T, -Q @ Q.T, trana=way, tranb=other)
-    values, vectors = np.linalg.eigh(0.5 / scale * (X + X.T))
-    return vectors * np.sqrt(np.maximum(values, 0.0))
-
-
-def _columns(x: np.ndarray) -> np.ndarray:
-    """A square root of the sum of ``x x*`` over all samples, real."""
-    columns = np.moveaxis(x, 0, 1).reshape(x.shape[1], -1)
-    both = np.hstack([columns.real, columns.imag])
-    return np.asarray(qr(both.T, mode="r", overwrite_a=True, check_finite=False)[0][: len(both)].T)

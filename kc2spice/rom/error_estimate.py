@@ -14,7 +14,7 @@ import numpy as np
 
 from kc2spice.core.errors import SimulationError
 from kc2spice.rom.entries import FLOOR, Entries, share_of
-from kc2spice.rom.linear import Norm, Port
+from kc2spice.rom.linear import LinearModel, Norm, Port
 from kc2spice.rom.response import (
     CLUSTER,
     FLANK,
@@ -219,3 +219,8 @@ def inexact(message: str, got: str, limit: float, hint: str) -> SimulationError:
     """Error of a reduction whose error estimate stays above the limit."""
     expected = f"at most {limit:.1e}"
     return SimulationError(message, where="reduction", got=got, expected=expected, hint=hint)
+
+
+def default_norm(model: LinearModel) -> Norm:
+    """*peak* for models whose ports are all signals, *pointwise* where notches matter."""
+    return "pointwise" if any(port.conservative for port in model.ports) else "peak"

@@ -27,11 +27,11 @@ from kc2spice.netlist.translate import DIALECTS, dialect_files, symbol_files
 from kc2spice.parts._linear_body import LinearBody, full_alone, scene_band
 from kc2spice.rom.band import SMALL, natural_band
 from kc2spice.rom.constraints import reduced_form
+from kc2spice.rom.error_estimate import default_norm
 from kc2spice.rom.instability import shown_unstable
 from kc2spice.rom.io import read_rom, write_rom
 from kc2spice.rom.linear import LinearModel
 from kc2spice.rom.measured import one_port
-from kc2spice.rom.reduce import default_norm
 from kc2spice.rom.reduce import reduce as reduce_model
 from kc2spice.rom.stability import DENSE, structure
 from kc2spice.scene.load import gallery, load_scene

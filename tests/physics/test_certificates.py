@@ -12,7 +12,9 @@ from scipy import sparse
 from bench.beam import hermite_beam
 from kc2spice.parts import disc
 from kc2spice.rom.linear import LinearModel
-from kc2spice.rom.reduce import ordered, reduce, subspace_model
+from kc2spice.rom.reduce import reduce
+from kc2spice.rom.reduced_basis import subspace_model
+from kc2spice.rom.reductors.response_pod import ordered
 from kc2spice.rom.subspace import subspace
 
 

@@ -13,7 +13,8 @@ from kc2spice.bodies.piezo_stack import stack_device
 from kc2spice.bodies.stack_keys import Chip
 from kc2spice.core.errors import SimulationError
 from kc2spice.rom.linear import LinearModel
-from kc2spice.rom.reduce import reduce, surrogate
+from kc2spice.rom.reduce import reduce
+from kc2spice.rom.surrogate import surrogate
 
 SMALL = {"sectors": 4, "rings": 2, "ring_spacing": 300e-6, "outer_rings": 2}
 

@@ -10,7 +10,9 @@ from scipy.linalg import eig
 
 from kc2spice.core.errors import UsageError
 from kc2spice.rom.linear import LinearModel
-from kc2spice.rom.reduce import ordered, reduce, subspace_model
+from kc2spice.rom.reduce import reduce
+from kc2spice.rom.reduced_basis import subspace_model
+from kc2spice.rom.reductors.response_pod import ordered
 from kc2spice.rom.subspace import subspace
 from kc2spice.spice.realize import subcircuit
 

@@ -9,6 +9,10 @@ from collections.abc import Callable
 
 import numpy as np
 
+from kc2spice.rom.intermediate import Subspace
+from kc2spice.rom.pencil import Pencil
+from kc2spice.rom.response import Response
+
 # A candidate that keeps less than this of its length outside the basis brings rounding noise only.
 DEFLATION = 1e-10
 Operator = Callable[[np.ndarray], np.ndarray]
@@ -54,3 +58,12 @@ def extend(
             basis = np.column_stack([basis, vector / remaining])
             images = np.column_stack([images, image / remaining])
     return basis[:, old:], images[:, old:]
+
+
+def _krylov(pencil: Pencil, order: int) -> Subspace:
+    """The paper's model of ``order`` states and two blocks more, by which it is certified."""
+    K, _, M = pencil.coefficients
+    solve = pencil.pencil_solver(0.0).solve
+    larger = order + 2 * pencil.B.shape[1]
+    V = block_arnoldi(lambda v: K @ v, solve, lambda v: M @ v, pencil.B, larger)
+    return Subspace(Response(pencil.project(V)), 0.0, True, "")

@@ -1,0 +1,54 @@
+"""Models that equal a full-order model over a band to rounding, for checks of it."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from kc2spice.core.errors import SimulationError
+from kc2spice.rom.error_estimate import relative_error, relative_size
+from kc2spice.rom.linear import LinearModel
+from kc2spice.rom.pencil import Pencil
+from kc2spice.rom.reduce import reduce
+from kc2spice.rom.rounding import ROUNDED, SPREAD
+
+EXACT = 1e-10  # error of a surrogate
+CHECKS = 10  # direct solutions that measure a surrogate
+
+
+def surrogate(
+    model: LinearModel, band: tuple[float, float], *, blocks: int = 10
+) -> tuple[LinearModel, float]:
+    """A projected model that equals the full one over ``band``, and its largest measured error.
+
+    The basis is built at s = 0 alone; ``CHECKS`` direct solutions of the full model, spread over
+    the band so that none repeats a sampling frequency, are compared in all port pairs.
+
+    Raises
+    ------
+    SimulationError : the largest relative error exceeds ``EXACT`` and the rounding error of the
+        direct solutions; solve directly instead.
+    """
+    small = reduce(model, order=blocks * len(model.inputs), band=band)
+    golden = (np.sqrt(5) - 1) / 2  # never a rational fraction of the band
+    frequency = band[0] + (band[1] - band[0]) * np.sort(golden * np.arange(1, CHECKS + 1) % 1)
+    exact = model.transfer(frequency)
+    errors = relative_size(small.transfer(frequency) - exact, exact)
+    error, worst = float(errors.max()), int(errors.max(axis=(1, 2)).argmax())
+    if error > EXACT and error > _solution_rounding(model.pencil, frequency[worst], exact[worst]):
+        raise SimulationError(
+            "the reduced model misses the tolerance",
+            where="harmonic reference",
+            got=f"largest relative error {error:.1e} with {small.order} states",
+            expected=f"at most {EXACT:g}",
+            hint="narrow the band, or solve the full model at every frequency",
+        )
+    return small, error
+
+
+def _solution_rounding(pencil: Pencil, frequency: float, exact: np.ndarray) -> float:
+    """Largest relative change of a direct solution ``exact`` (outputs, inputs) in other units of
+    the unknowns, which change nothing but rounding: thin bodies answer with the small difference
+    of large forces."""
+    rng, s = np.random.default_rng(0), np.array([2j * np.pi * frequency])
+    trials = (pencil.in_units(t) for t in rng.uniform(1.0, 2.0, (ROUNDED, pencil.size)))
+    return SPREAD * max(relative_error(again.transfer(s), exact[None]) for again in trials)
