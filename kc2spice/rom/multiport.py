@@ -26,8 +26,9 @@ from scipy.optimize import least_squares
 
 from kc2spice.core.errors import UsageError
 from kc2spice.core.extras import import_optional
-from kc2spice.rom.linear import ABCD, Certificate, LinearModel, Port
+from kc2spice.rom.linear import Certificate, LinearModel, Port
 from kc2spice.rom.pencil import explicit
+from kc2spice.rom.state_space import ABCD
 
 ITERATIONS = 6  # iterations of vector fitting; more amplify rounding, so least squares continue
 MOST_STEPS = 60  # evaluations of least squares of the poles

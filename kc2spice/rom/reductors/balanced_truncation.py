@@ -14,31 +14,15 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from scipy.linalg import lapack, qr, schur
+from scipy.linalg import lapack, qr
 
-from kc2spice.rom.linear import state_space
 from kc2spice.rom.pencil import Pencil, explicit
 from kc2spice.rom.reduced_basis import Reduction
 from kc2spice.rom.response import Response
+from kc2spice.rom.state_space import in_hertz, standard
 
 STRICT = 1e-9  # damping of the slowest pole, per rad at the band's end
 RANK = 1e-13  # singular values below this are rounding
-
-
-def standard(pencil: Pencil, top: float) -> Pencil:
-    """``x' = A x + B u`` with rates per rad at ``top`` [Hz] and A in real Schur form, with which
-    Gramians and eigenvectors begin."""
-    omega = 2 * np.pi * top
-    A, B, C, D = state_space(pencil, top)
-    T, Z = schur(A / omega, output="real")
-    return explicit(T, Z.T @ B / omega, C @ Z, D)
-
-
-def in_hertz(pencil: Pencil, top: float) -> Pencil:
-    """The inverse of what :func:`standard` does to time."""
-    omega = 2 * np.pi * top
-    rest, one = pencil.coefficients
-    return Pencil((omega * rest, one), omega * pencil.B, pencil.C, pencil.D, free=pencil.free)
 
 
 def by_gramians(model: Pencil, rows: np.ndarray, columns: np.ndarray) -> Pencil | None:

@@ -1,0 +1,165 @@
+"""State-space matrices of linear models, without a matrix in front of the derivatives."""
+
+from __future__ import annotations
+
+import numpy as np
+import scipy
+from scipy.linalg import schur
+
+from kc2spice.core.errors import UsageError
+from kc2spice.rom.pencil import Pencil, explicit, first_order, largest
+from kc2spice.rom.stability import semidefinite
+
+ABCD = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
+# Masses and algebraic parts this far below the largest are zero.
+MASSLESS = 1e-13
+# Off-diagonal modal damping below this is rounding of proportional damping.
+COUPLING = 1e-10
+
+
+def state_space(pencil: Pencil, top_hz: float | None = None) -> ABCD:
+    """A, B, C, D of ``x' = A x + B u``, ``y = C x + D u``.
+
+    States are energy coordinates where there is an energy, so ``A + A' <= 0`` for a dissipative
+    model, ``A = -A'`` for a lossless one and ``A = A'`` for symmetric first order. A decoupled
+    second-order model has one 2 x 2 block per mode. Positions are scaled by ``top_hz``, the end of
+    the band; without one by the ratio of stiffness to mass.
+
+    Raises
+    ------
+    UsageError : the model answers to derivatives of its input, or its massless part is singular.
+    """
+    pencil = pencil.dense()
+    if pencil.degree == 1:
+        return _energy_states(pencil)
+    K, _, M = pencil.coefficients
+    top = largest(K) / largest(M) if largest(K) and largest(M) else 1.0
+    omega = 2 * np.pi * top_hz if top_hz is not None else float(np.sqrt(top))
+    if semidefinite(M):
+        for item in (pencil, pencil.scaled(omega)):  # a free motion's units may hide an inertia
+            mass = np.linalg.eigvalsh(item.coefficients[2])
+            if mass[0] > MASSLESS * mass[-1]:
+                return _modal(item, omega)
+        pencil = _without_static(pencil)
+    elif _singular(M, M):
+        raise UsageError(
+            "the mass matrix is singular and not symmetric",
+            where="state space",
+            expected="a regular or a symmetric positive semi-definite M",
+        )
+    A, B, C, D = _energy_states(first_order(pencil, omega))
+    return A, omega * B, C / omega, D
+
+
+def _modal(pencil: Pencil, omega: float) -> ABCD:
+    """States ``w z`` and ``z'`` of mass-normalised coordinates; modes of a symmetric K."""
+    K, E, M = pencil.coefficients
+    T, stiffness = _mass_normal(M, K)
+    K, E, B, C = T.T @ K @ T, T.T @ E @ T, T.T @ pencil.B, pencil.C @ T
+    w = np.full(len(M), omega)
+    if stiffness is not None:
+        moving = np.abs(stiffness) > MASSLESS * omega**2
+        w[moving] = np.sqrt(np.abs(stiffness[moving]))
+        K = np.diag(np.where(moving, stiffness, 0.0))
+    damp = np.abs(np.diag(E))
+    scale = np.sqrt(np.outer(damp, damp)) + np.finfo(float).tiny
+    if (np.abs(E - np.diag(np.diag(E))) <= COUPLING * scale).all():
+        E = np.diag(np.diag(E))
+    A = np.block([[np.zeros_like(K), np.diag(w)], [-K / w, -E]])
+    pairs = np.arange(2 * len(M)).reshape(2, len(M)).T.ravel()  # z1, z1', z2, z2', ...
+    drive, read = np.vstack([np.zeros_like(B), B]), np.hstack([C / w, np.zeros_like(C)])
+    return A[np.ix_(pairs, pairs)], drive[pairs], read[:, pairs], pencil.D
+
+
+def _mass_normal(M: np.ndarray, K: np.ndarray) -> tuple[np.ndarray, np.ndarray | None]:
+    """``T'MT = 1``; for a symmetric K also its eigenvalues, which T then diagonalises.
+
+    A definite K takes the part of the better conditioned matrix, so that low modes are exact.
+    """
+    if largest(K - K.T) > COUPLING * largest(K):
+        return scipy.linalg.solve_triangular(scipy.linalg.cholesky(M), np.eye(len(M))), None
+    values = np.linalg.eigvalsh(K)
+    if values[0] > MASSLESS * values[-1]:
+        inverse, T = scipy.linalg.eigh(M, K)
+        return T / np.sqrt(inverse), 1 / inverse
+    stiffness, T = scipy.linalg.eigh(K, M)
+    return T, stiffness
+
+
+def _without_static(pencil: Pencil) -> Pencil:
+    """Without the coordinates that have neither mass nor damping; the others without mass last."""
+    K, E, M = pencil.coefficients
+    mass, V = scipy.linalg.eigh(M)
+    none = mass <= MASSLESS * mass[-1]
+    damping = V[:, none].T @ E @ V[:, none]
+    size, U = scipy.linalg.eigh(0.5 * (damping + damping.T))
+    still = np.abs(size) <= MASSLESS * max(largest(E), np.finfo(float).tiny)
+    light, static = V[:, none] @ U[:, ~still], V[:, none] @ U[:, still]
+    if max(largest(E @ static), largest(E.T @ static)) > COUPLING * largest(E):
+        raise _improper("massless coordinates are coupled by damping alone")
+    T, r = np.hstack([V[:, ~none], light, static]), len(M) - static.shape[1]
+    why = "massless, undamped coordinates without stiffness"
+    K, B, C, D = _condensed(T.T @ K @ T, T.T @ pencil.B, pencil.C @ T, pencil.D, r, why)
+    M = np.diag(np.r_[mass[~none], np.zeros(light.shape[1])])
+    return Pencil((K, (T.T @ E @ T)[:r, :r], M), B, C, D)
+
+
+def _condensed(
+    P: np.ndarray, B: np.ndarray, C: np.ndarray, D: np.ndarray, r: int, why: str
+) -> ABCD:
+    """``P x = B u``, ``y = C x + D u`` without the unknowns from the r-th on; refused for the
+    reason ``why`` where these are not determined."""
+    if r == len(P):
+        return P, B, C, D
+    if _singular(P[r:, r:], P):
+        raise _improper(why)
+    held = scipy.linalg.solve(P[r:, r:], np.hstack([P[r:, :r], B[r:]]))
+    B, D = B[:r] - P[:r, r:] @ held[:, r:], D + C[:, r:] @ held[:, r:]
+    return P[:r, :r] - P[:r, r:] @ held[:, :r], B, C[:, :r] - C[:, r:] @ held[:, :r], D
+
+
+def _energy_states(pencil: Pencil) -> ABCD:
+    """Energy coordinates of a symmetric positive definite E, algebraic equations eliminated."""
+    rest, E = pencil.coefficients
+    A, B, C, D = -rest, pencil.B, pencil.C, pencil.D
+    if semidefinite(E) and np.linalg.eigvalsh(E)[0] > MASSLESS * largest(E):
+        T = scipy.linalg.solve_triangular(scipy.linalg.cholesky(E), np.eye(len(E)))
+        inner = T.T @ A @ T
+        if largest(A - A.T) <= COUPLING * largest(A):
+            inner = 0.5 * (inner + inner.T)
+        return inner, T.T @ B, C @ T, D
+    U, size, Vt = scipy.linalg.svd(E)
+    r = int((size > MASSLESS * max(size[0], np.finfo(float).tiny)).sum())
+    why = "algebraic equations that do not determine their unknowns"
+    rest, B, C, D = _condensed(U.T @ rest @ Vt.T, U.T @ B, C @ Vt.T, D, r, why)
+    return -rest / size[:r, None], B / size[:r, None], C, D
+
+
+def _singular(matrix: np.ndarray, whole: np.ndarray) -> bool:
+    """A singular value that is rounding of ``whole``."""
+    return bool(np.linalg.svd(matrix, compute_uv=False)[-1] <= MASSLESS * largest(whole))
+
+
+def _improper(why: str) -> UsageError:
+    return UsageError(
+        f"has no state-space form: {why}",
+        where="state space",
+        expected="a model whose outputs follow from inputs, not from their derivatives",
+        hint="give the coordinates in question a little mass, or fix them",
+    )
+
+
+def standard(pencil: Pencil, top: float) -> Pencil:
+    """``x' = A x + B u`` with rates per rad at ``top`` [Hz] and A in real Schur form, with which
+    Gramians and eigenvectors begin."""
+    omega = 2 * np.pi * top
+    A, B, C, D = state_space(pencil, top)
+    T, Z = schur(A / omega, output="real")
+    return explicit(T, Z.T @ B / omega, C @ Z, D)
+
+
+def in_hertz(pencil: Pencil, top: float) -> Pencil:
+    """The inverse of what :func:`standard` does to time."""
+    omega = 2 * np.pi * top
+    rest, one = pencil.coefficients
+    return Pencil((omega * rest, one), omega * pencil.B, pencil.C, pencil.D, free=pencil.free)
