@@ -20,6 +20,8 @@ if TYPE_CHECKING:
     from kc2spice.netlist.deck import Deck
     from kc2spice.netlist.library import Subcircuit, read_lib
     from kc2spice.rom.linear import Certificate, LinearModel, Port
+    from kc2spice.rom.reductors.base import Reductor
+    from kc2spice.rom.reductors.registry import register_reductor
     from kc2spice.scene.load import load_scene
     from kc2spice.scene.model import PartType, Scene, Terminal
     from kc2spice.spice.realize import subcircuit
@@ -33,6 +35,7 @@ __all__ = [
     "PartType",
     "Pin",
     "Port",
+    "Reductor",
     "Result",
     "Scene",
     "Section",
@@ -48,6 +51,7 @@ __all__ = [
     "read_model",
     "reduce",
     "register_part",
+    "register_reductor",
     "run",
     "simulate",
     "subcircuit",
@@ -63,6 +67,8 @@ _HOMES = {
     "load_scene": "scene.load",
     **dict.fromkeys(("Subcircuit", "read_lib"), "netlist.library"),
     "read_model": "bodies.readers",
+    "Reductor": "rom.reductors.base",
+    "register_reductor": "rom.reductors.registry",
     "subcircuit": "spice.realize",
 }  # within the package; all others are of its module api
 

@@ -14,7 +14,7 @@ from contextlib import ExitStack, nullcontext
 from dataclasses import dataclass, field, replace
 from html import escape
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -36,6 +36,9 @@ from kc2spice.scene.settings import Probe
 from kc2spice.sim.ngspice import find_ngspice, run_deck, write_files
 from kc2spice.workflow.decks import prepared, spare_other_decks
 from kc2spice.workflow.run import Completed, complete, write_run_files
+
+if TYPE_CHECKING:
+    from kc2spice.rom.reductors.base import Reductor
 
 __all__ = [
     "Result",
@@ -102,6 +105,7 @@ def reduce(
     band: tuple[float | str, float | str] | None = None,
     norm: Norm | None = None,
     contact: bool = False,
+    method: str | Reductor | None = None,
     parameters: Mapping[str, Any] | None = None,
 ) -> LinearModel:
     """Reduce a linear model to a tolerance or to a number of states.
@@ -128,6 +132,10 @@ def reduce(
         ports are all signals, and ``"pointwise"`` for all others.
     contact : bool, default False
         Whether to keep some of what a contact excites above the band, as models of scenes do.
+    method : str or Reductor, optional
+        Method of reduction: ``"response POD"``, ``"balanced truncation"``, ``"balanced truncation
+        over the band"``, ``"rational Krylov"``, ``"block Krylov"``, or one of
+        :func:`kc2spice.register_reductor`. By default all methods that suit the model are tried.
     parameters : mapping, optional
         Refused unless empty: matrices have no parameters, only bodies of a scene have them.
 
@@ -139,7 +147,7 @@ def reduce(
     Raises
     ------
     UsageError : not exactly one of ``tolerance`` and ``order``, or one that is out of range; an
-        unknown norm; ``parameters`` that are not empty.
+        unknown norm or method; a method that does not apply; ``parameters`` that are not empty.
     SimulationError : the tolerance cannot be met, or a point of the band is a pole.
 
     Examples
@@ -194,7 +202,13 @@ def reduce(
         tolerance = quantity(tolerance, "", where="tolerance")
     norm = norm or default_norm(model)
     return reduce_model(
-        model, tolerance=tolerance, order=order, band=band, norm=norm, contact=contact
+        model,
+        tolerance=tolerance,
+        order=order,
+        band=band,
+        norm=norm,
+        contact=contact,
+        method=method,
     )
 
 

@@ -34,7 +34,7 @@ from kc2spice.rom.linear import Certificate, LinearModel, Port
 from kc2spice.rom.modal import chip_response, resonators
 from kc2spice.rom.parametric import Axis, Loss
 from kc2spice.rom.pencil import first_order
-from kc2spice.rom.stability import structure
+from kc2spice.rom.stability import prove_stability
 from kc2spice.rom.varying import Varying
 from kc2spice.scene.judge import Balance, Check, Metric
 from kc2spice.scene.model import GROUND, Build, Part, Scene, Terminal
@@ -499,7 +499,7 @@ class LinearBody(Touching):
         if result is not None:
             yield from self._reduced(part, build, waves, result)
             if result.stable is False:
-                lost = structure(model.pencil.dense(), result.band_hz).stable
+                lost = prove_stability(model.pencil.dense(), result.band_hz).stable
                 advice, then = (LOST, "fail") if lost else (GROWS, "warn")
                 yield Check(f"stability of {part.name}", 1.0, 0.0, "", advice, then)  # type: ignore[arg-type]
         if result is not None and "frequency" in waves:

@@ -16,11 +16,12 @@ import numpy as np
 from scipy.linalg import LinAlgError, eig
 
 from kc2spice.core.errors import SimulationError, UsageError
-from kc2spice.rom.linear import LinearModel
+from kc2spice.rom.definite import is_definite
+from kc2spice.rom.first_step import intermediate_model
+from kc2spice.rom.linear import LinearModel, model_of
 from kc2spice.rom.modal import Resonators, chip_response, march, resonators
-from kc2spice.rom.pencil import Pencil, eliminated, proportional
+from kc2spice.rom.pencil import eliminated, proportional
 from kc2spice.rom.reductors.block_krylov import block_arnoldi
-from kc2spice.rom.subspace import is_definite, subspace
 
 # States per state of the reduced model, and the least that are added. The stroke of a chip damped
 # by 0.1 % under a kick, with 30 states: it differs from that with 60, 120 and 300 states by 1.9,
@@ -45,23 +46,14 @@ def enriched(model: LinearModel, order: int, band: tuple[float, float]) -> Linea
     pencil = proportional(eliminated(model.pencil))
     states = max(TIMES * order, order + MORE)
     if pencil.size <= states:
-        return _named(model, pencil.dense())
+        return model_of(pencil.dense(), model.ports)
     if is_definite(pencil, undamped_too=True):
         K, _, M = pencil.coefficients
         solve = pencil.pencil_solver(0.0).solve
         V = block_arnoldi(lambda v: K @ v, solve, lambda v: M @ v, pencil.B, states)
-        return _named(model, pencil.project(V))
+        return model_of(pencil.project(V), model.ports)
     wide = band[0], WIDER * band[1]
-    return _named(model, subspace(pencil, wide, TARGET, LIMIT).pencil)
-
-
-def _named(model: LinearModel, small: Pencil) -> LinearModel:
-    """The model of a ``small`` pencil with the ports of ``model``."""
-    parts = small.coefficients
-    matrices = {"A": -parts[0], "E": parts[1]}
-    if small.degree == 2:
-        matrices = dict(zip("KEM", parts, strict=True))
-    return LinearModel(**matrices, B=small.B, C=small.C, D=small.D, ports=model.ports)
+    return model_of(intermediate_model(pencil, wide, TARGET, LIMIT).pencil, model.ports)
 
 
 def response(model: LinearModel, t: np.ndarray, load: np.ndarray) -> np.ndarray | None:

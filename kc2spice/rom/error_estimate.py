@@ -98,7 +98,7 @@ def _zoomed(known: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
 
 
 @dataclass(frozen=True)
-class Judge:
+class ErrorEstimator:
     """Judges models by the ``exact`` one, which has a ``static`` answer or none, over the band."""
 
     exact: Response

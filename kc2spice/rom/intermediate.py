@@ -6,17 +6,34 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from kc2spice.rom.error_estimate import Judge
+from kc2spice.core.errors import SimulationError
+from kc2spice.rom.error_estimate import ErrorEstimator, inexact
 from kc2spice.rom.linear import Norm
 from kc2spice.rom.pencil import Pencil
 from kc2spice.rom.response import Response
 
 
 @dataclass(frozen=True)
-class Subspace:
-    """The ``response`` of a dense pencil, its largest relative error in the full model, whether all
-    but its free motion has a static answer, what the error rests on, and how far rounding of the
-    full model's entries moves its own responses (relative): no reduction is nearer than that.
+class IntermediateModel:
+    """A dense model that reductors start from and that errors are estimated with.
+
+    Parameters
+    ----------
+    response : Response
+        Frequency response of the model.
+    error : float
+        Largest relative error with respect to the full-order model.
+    static : bool
+        Whether all motions except rigid-body modes have a static response.
+    proof : str
+        Evidence for ``error``, for the certificate.
+    floor : float
+        Relative change of the response by rounding of the full-order model's entries. No reduced
+        model is nearer than that.
+    whole : bool
+        Whether this is the full-order model in other coordinates.
+    hidden : float
+        Frequency [Hz] below which rounding hides the resonance of a support.
     """
 
     response: Response
@@ -24,20 +41,33 @@ class Subspace:
     static: bool
     proof: str
     floor: float = 0.0
-    whole: bool = False  # all of the full model
-    hidden: float = 0.0  # Hz: supports of a free motion that resonate below do not show
+    whole: bool = False
+    hidden: float = 0.0
 
     @property
     def pencil(self) -> Pencil:
-        """The model itself."""
+        """The matrices of the model."""
         return self.response.pencil
 
     @property
     def poles(self) -> np.ndarray | None:
-        """Poles of the full model [1/s]; None if this model does not contain all of them."""
-        known = self.whole and not self.pencil.free and not self.response.decoupled
-        return self.response.poles if known else None
+        """Poles of the full-order model [1/s]; None if this model does not contain all of them."""
+        complete = self.whole and not self.pencil.free and not self.response.decoupled
+        return self.response.poles if complete else None
 
-    def judge(self, band: tuple[float, float], norm: Norm) -> Judge:
-        """Who judges smaller models by it."""
-        return Judge(self.response, band, self.static and not self.pencil.free, norm)
+    def estimator(self, band: tuple[float, float], norm: Norm) -> ErrorEstimator:
+        """Return the estimator of errors with respect to this model."""
+        return ErrorEstimator(self.response, band, self.static and not self.pencil.free, norm)
+
+
+def unsettled(
+    response: Response, band: tuple[float, float], error: float, limit: float
+) -> SimulationError:
+    modes = response.within(band)[0].size
+    return inexact(
+        "the reduced model does not settle",
+        f"relative error {error:.1e} with {response.pencil.size} states; the band holds at least "
+        f"{modes} resonances",
+        limit,
+        "narrow the band or ask for a looser tolerance",
+    )

@@ -430,6 +430,15 @@ def with_potentials(
     return LinearModel(M=M, K=K, B=drive, D=D, ports=tuple(ports), **others)
 
 
+def model_of(pencil: Pencil, ports: Sequence[Port], **labels: Any) -> LinearModel:
+    """Return the linear model with the matrices of a pencil and the ``labels`` of its fields."""
+    parts = pencil.coefficients
+    matrices = {"A": negated(parts[0]), "E": parts[1]}
+    if pencil.degree == 2:
+        matrices = dict(zip("KEM", parts, strict=True))
+    return LinearModel(**matrices, B=pencil.B, C=pencil.C, D=pencil.D, ports=tuple(ports), **labels)
+
+
 def negated(matrix: Matrix) -> Matrix:
     """``-matrix``, of a Schur complement too."""
     if isinstance(matrix, Schur):

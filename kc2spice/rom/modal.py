@@ -40,7 +40,7 @@ import scipy
 
 from kc2spice.core.equality import EqualByContent
 from kc2spice.core.errors import UsageError
-from kc2spice.rom.error_estimate import Judge, above_band
+from kc2spice.rom.error_estimate import ErrorEstimator, above_band
 from kc2spice.rom.linear import Certificate, LinearModel, Port
 from kc2spice.rom.response import Response
 
@@ -236,12 +236,12 @@ def without_inertia(model: Resonators, tolerance: float | None = None) -> Resona
         return model
     band = certificate.band_hz
     exact = Response(model.linear().pencil)
-    judge = Judge(exact, band, static=True)
+    estimator = ErrorEstimator(exact, band, static=True)
     for count in range(_beyond(model, band[1]), 0, -1):
         result = _without_inertia(model, count)
         error = certificate.error_estimate
         light = Response(result.linear().pencil)
-        error += judge.error(light)
+        error += estimator.error(light)
         if tolerance is None or error <= tolerance:
             cut = result.omega[result.order - result.massless] / (2 * np.pi)
             method = f"{certificate.method}; no inertia from {cut:.3g} Hz on, measured"

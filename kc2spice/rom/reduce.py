@@ -1,24 +1,20 @@
-"""Reduction of any linear model: a tolerance (or an order) and a band in, a certified model out.
+"""Reduction of any linear model: a tolerance or an order and a band in, a certified model out.
 
-By default the band ends a little above the fifth lowest natural frequency.
+The reduction has two steps. The first one replaces the full-order model by an intermediate model
+that is far more accurate than the tolerance: :mod:`kc2spice.rom.first_step`. The second one builds
+bases for it by the reductors that suit its structure, finds the least order whose error estimate is
+within the tolerance, and proves stability and passivity.
 
-Two stages. A *subspace model* that is far more accurate than asked comes first: all of a model of
-up to a thousand unknowns or so, else block Krylov vectors (symmetric definite models: at zero,
-then at real shifts) or multi-point rational Krylov vectors with their derivatives (all others).
-Inside it the proper orthogonal decomposition of its own response orders the directions, and the
-first q of them make the model of order q. What is free to move is set apart first and stays exact.
-Static answers come next, so static gains are exact as soon as q covers them. Everything is a
-congruence with one real basis, so symmetry, definiteness and skewness survive, and with them
-stability and passivity, at every order.
-
-Errors are differences to the subspace model at every resonance, its flanks and every notch, plus
-the subspace model's own error in the full model.
+Rigid-body modes are separated first and stay exact. The error estimate is the difference to the
+intermediate model at every resonance, its flanks and every notch, plus the error of the
+intermediate model in the full-order model.
 """
 
 from __future__ import annotations
 
 import warnings
-from dataclasses import replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from typing import get_args
 
 import numpy as np
@@ -26,35 +22,45 @@ import numpy as np
 from kc2spice.core.errors import UsageError, unknown
 from kc2spice.linalg.factor import require_factors
 from kc2spice.rom.band import natural_band
+from kc2spice.rom.certification import certified, with_full_order
 from kc2spice.rom.constraints import reduced_form
+from kc2spice.rom.definite import is_definite
+from kc2spice.rom.first_step import intermediate_model
+from kc2spice.rom.intermediate import IntermediateModel
 from kc2spice.rom.linear import LinearModel, Norm
-from kc2spice.rom.reduced_basis import subspace_model
-from kc2spice.rom.reductors.block_krylov import _krylov
-from kc2spice.rom.reductors.response_pod import ordered
-from kc2spice.rom.search import _of_order, _within
-from kc2spice.rom.stability import FORM, structure
+from kc2spice.rom.pencil import Pencil
+from kc2spice.rom.reduced_basis import ReducedBasis, Task
+from kc2spice.rom.reductors.base import Reductor
+from kc2spice.rom.reductors.block_krylov import nested_model
+from kc2spice.rom.reductors.registry import BLOCK_KRYLOV, reductor_named, suited_reductors
+from kc2spice.rom.refinement import refined
+from kc2spice.rom.search import fewest_states, of_order, require_order
+from kc2spice.rom.stability import StabilityProof, prove_stability
 from kc2spice.rom.structural import causal, without_inertia
-from kc2spice.rom.subspace import is_definite, subspace
 
-HIGHEST = 1e30  # Hz; powers of a frequency stay numbers
-LOWEST = 1e-10  # tolerances that can be certified
-MARGIN = 0.02  # the subspace model's part of a tolerance
-FIXED_ORDER_TARGET = 1e-8  # tolerance of the subspace if the order is given
+HIGHEST = 1e30  # Hz; the square of an angular frequency is still a finite number
+# Least tolerance: ten times LEAST_ERROR, as solutions of the full-order model are hardly better.
+LOWEST = 1e-10
+INTERMEDIATE_SHARE = 0.02  # target of the intermediate model, as a share of the tolerance
+# Share of the tolerance that the intermediate model may have if rounding prevents the target.
+LARGEST_SHARE = 0.5
+FIXED_ORDER_TARGET = 1e-8  # target of the intermediate model if the order is prescribed
 
 
 def reduce(
-    model: LinearModel,
+    fom: LinearModel,
     *,
     tolerance: float | None = None,
     order: int | None = None,
     band: tuple[float, float] | None = None,
     norm: Norm = "pointwise",
     contact: bool = False,
+    method: str | Reductor | None = None,
 ) -> LinearModel:
     """Return the smallest model found within ``tolerance``, or the one of ``order``.
 
-    The result has the ports of ``model``. Its certificate states the error over ``band`` [Hz], in
-    the ``norm`` of :class:`Certificate`.
+    The result has the ports of ``fom``, the full-order model. Its certificate states the error over
+    ``band`` [Hz], in the ``norm`` of :class:`Certificate`.
 
     * An ``order`` of a symmetric positive definite model selects the paper's reduction (2.3): block
       Arnoldi at s0 = 0.
@@ -70,8 +76,8 @@ def reduce(
 
     Parameters
     ----------
-    model : LinearModel
-        Full model of n unknowns, in SI units.
+    fom : LinearModel
+        Full-order model of n unknowns, in SI units.
     tolerance : float, optional
         Largest relative error over the band, less than 1.
     order : int, optional
@@ -85,11 +91,13 @@ def reduce(
     contact : bool, default False
         Whether to represent a part of the response above the band, which a contact excites, by a
         third more states.
+    method : str or Reductor, optional
+        Method of reduction. By default all methods that suit the model are tried.
 
     Returns
     -------
     LinearModel
-        Reduced model with the ports of ``model`` and with a certificate.
+        Reduced-order model with the ports of ``fom`` and with a certificate.
 
     Raises
     ------
@@ -112,6 +120,187 @@ def reduce(
     >>> print(f"{small.transfer([0.0])[0, 0, 0].real:.9f} m/N")
     0.002000000 m/N
     """
+    target = _Target(tolerance, order, band, norm, contact, method)
+    _require_valid(target)
+    if fom.structural:
+        return _with_structural_damping(fom, target)
+    rom = _reduce(fom, target)
+    if tolerance is None or contact or method or fom.first_order:
+        return rom
+    return without_inertia(fom, rom, _congruence(target), tolerance, norm)
+
+
+@dataclass(frozen=True)
+class _Target:
+    """What a reduced-order model must meet, and by which method; ``keep_form`` by a congruence."""
+
+    tolerance: float | None
+    order: int | None
+    band: tuple[float, float] | None
+    norm: Norm
+    contact: bool
+    method: str | Reductor | None
+    keep_form: bool = False
+
+
+def _reduce(fom: LinearModel, target: _Target) -> LinearModel:
+    """Reduce a model with viscous damping."""
+    pencil = reduced_form(fom.pencil)
+    band = _band(fom, pencil, target.band)
+    intermediate, full_order_proof = _first_step(pencil, band, target)
+    task = Task.of(fom, pencil, intermediate, band, target.norm, target.tolerance)
+    reductors = _reductors(task, target)
+    if target.tolerance is None:
+        basis, order = _of_order(task, reductors, target)
+    else:
+        basis, order = _within_tolerance(task, reductors, target)
+    rom = certified(basis, order)
+    _warn_of_rounding(rom, intermediate.floor, target.tolerance)
+    return with_full_order(rom, full_order_proof)
+
+
+def _band(
+    fom: LinearModel, pencil: Pencil, band: tuple[float, float] | None
+) -> tuple[float, float]:
+    """The band [Hz] that is prescribed, that of the model, or the default one."""
+    if not pencil.B.any() or not pencil.C.any():
+        raise UsageError("has no effective input or output", where=fom.name)
+    band = band or fom.band or natural_band(pencil)
+    if not 0 <= band[0] < band[1] <= HIGHEST:
+        expected = f"0 <= f0 < f1 <= {HIGHEST:g} in Hz"
+        raise UsageError("not a frequency band", where="band", got=band, expected=expected)
+    return float(band[0]), float(band[1])
+
+
+def _first_step(
+    pencil: Pencil, band: tuple[float, float], target: _Target
+) -> tuple[IntermediateModel, StabilityProof]:
+    """The intermediate model, and stability and passivity of the full-order model."""
+    require_factors(pencil.bordered(1.0, 1.0, 1.0))
+    goal, limit = FIXED_ORDER_TARGET, np.inf
+    if target.tolerance is not None:
+        goal = max(INTERMEDIATE_SHARE * target.tolerance, 0.1 * LOWEST)
+        limit = LARGEST_SHARE * target.tolerance
+    by_krylov = target.method in (None, BLOCK_KRYLOV.name, BLOCK_KRYLOV)
+    result = None
+    try:
+        if target.order is not None and by_krylov and is_definite(pencil):
+            result = nested_model(pencil, target.order)
+        else:
+            result = intermediate_model(pencil, band, goal, limit)
+    finally:
+        proof = prove_stability(pencil, band, result.poles if result else None)
+        if proof.stable is False:
+            warnings.warn(
+                "the full model is unstable: some of its motions grow without any drive, and a "
+                "frequency response says nothing of them; check signs and halves of the matrices",
+                stacklevel=3,
+            )
+    return result, proof
+
+
+def _reductors(task: Task, target: _Target) -> list[Reductor]:
+    """The method that is prescribed, otherwise all that suit the model."""
+    if target.method is not None:
+        return [reductor_named(target.method)]
+    if not task.intermediate.proof:
+        return [BLOCK_KRYLOV]
+    return suited_reductors(task)
+
+
+def _of_order(
+    task: Task, reductors: Sequence[Reductor], target: _Target
+) -> tuple[ReducedBasis, int]:
+    """The best basis of a prescribed order, and the order."""
+    assert target.order is not None
+    if target.method is not None:
+        bases = [_prescribed(task, reductors[0])]
+    else:
+        candidates = (item.basis(task) for item in reductors if item.congruence)
+        bases = [basis for basis in candidates if basis is not None]
+    return of_order(bases, target.order), target.order
+
+
+def _within_tolerance(
+    task: Task, reductors: Sequence[Reductor], target: _Target
+) -> tuple[ReducedBasis, int]:
+    """The basis of the fewest states within the tolerance, and the order."""
+    assert target.tolerance is not None
+    without_rounding = target.tolerance - task.intermediate.floor
+    enough = without_rounding > LARGEST_SHARE * target.tolerance
+    tolerance = without_rounding if enough else target.tolerance
+    if target.method is not None:
+        return require_order([_prescribed(task, reductors[0])], tolerance)
+    basis, order = fewest_states(
+        task, reductors, tolerance, tighten=not target.contact, keep_form=target.keep_form
+    )
+    return (basis, order) if target.contact else refined(basis, order, tolerance)
+
+
+def _prescribed(task: Task, reductor: Reductor) -> ReducedBasis:
+    """The basis of a prescribed method."""
+    basis = reductor.basis(task) if reductor.suits(task) else None
+    if basis is None:
+        raise UsageError(
+            "this method does not apply to the model",
+            where="method",
+            got=reductor.name,
+            expected="a method for the structure of the model, or none",
+            hint="leave method out: all methods that suit the model are tried",
+        )
+    return replace(basis, origin=f"{reductor.name}; ")
+
+
+def _warn_of_rounding(rom: LinearModel, floor: float, tolerance: float | None) -> None:
+    """Warn if rounding of the full-order model prevents the tolerance."""
+    if tolerance is None:
+        return
+    assert rom.certificate is not None
+    estimate = rom.certificate.error_estimate
+    if floor > tolerance:
+        warnings.warn(
+            f"the full model itself is only good to {floor:.1e}: so far rounding of its "
+            "entries moves its response; other units or fewer elements may condition it better",
+            stacklevel=4,
+        )
+    elif tolerance < estimate:
+        warnings.warn(
+            f"the reduced model is certified to {estimate:.2g} only, {tolerance:g} was asked "
+            f"for: rounding of the full model's entries alone moves its response by {floor:.1e}",
+            stacklevel=4,
+        )
+
+
+def _congruence(
+    target: _Target,
+) -> Callable[[LinearModel, float, tuple[float, float]], LinearModel]:
+    """A function that reduces a model within a tolerance over a band by a congruence."""
+
+    def congruence(fom: LinearModel, tolerance: float, band: tuple[float, float]) -> LinearModel:
+        return _reduce(
+            fom, replace(target, tolerance=tolerance, order=None, band=band, keep_form=True)
+        )
+
+    return congruence
+
+
+def _with_structural_damping(fom: LinearModel, target: _Target) -> LinearModel:
+    """A causal, passive model next to one with structural damping."""
+    if target.tolerance is None:
+        problem = "structural damping is reduced within a tolerance"
+        got, expected = target.order, "a tolerance, no order"
+        raise UsageError(problem, where="order", got=got, expected=expected)
+    if target.method is not None and not reductor_named(target.method).congruence:
+        problem = "structural damping needs a method that preserves the form of the matrices"
+        raise UsageError(problem, where="method", got=target.method)
+    undamped = replace(fom, loss_factor=0.0, loss=None)
+    band = target.band or fom.band or natural_band(reduced_form(undamped.pencil))
+    return causal(fom, _congruence(target), target.tolerance, band, target.norm)
+
+
+def _require_valid(target: _Target) -> None:
+    """Check tolerance, order, norm and method."""
+    tolerance, order = target.tolerance, target.order
     if (tolerance is None) == (order is None):
         raise UsageError("give either a tolerance or an order", where="reduction")
     if tolerance is not None and not LOWEST <= tolerance < 1:
@@ -123,78 +312,7 @@ def reduce(
         )
     if order is not None and order < 1:
         raise UsageError("not an order", where="order", got=order, expected="1 or more")
-    if norm not in get_args(Norm):
-        raise unknown("unknown norm", norm, get_args(Norm), "norm")
-
-    def congruence(item: LinearModel, within: float, over: tuple[float, float]) -> LinearModel:
-        return _reduce(item, within, None, over, norm, contact, keep_form=True)
-
-    if model.structural:
-        if tolerance is None:
-            problem = "structural damping is reduced within a tolerance"
-            raise UsageError(problem, where="order", got=order, expected="a tolerance, no order")
-        undamped = replace(model, loss_factor=0.0, loss=None)
-        band = band or model.band or natural_band(reduced_form(undamped.pencil))
-        return causal(model, congruence, tolerance, band, norm)
-    result = _reduce(model, tolerance, order, band, norm, contact)
-    if tolerance is None or contact or model.first_order:
-        return result
-    return without_inertia(model, result, congruence, tolerance, norm)
-
-
-def _reduce(
-    model: LinearModel,
-    tolerance: float | None,
-    order: int | None,
-    band: tuple[float, float] | None,
-    norm: Norm,
-    contact: bool,
-    keep_form: bool = False,
-) -> LinearModel:
-    """:func:`reduce` of a model with viscous damping; ``keep_form`` by a congruence."""
-    pencil = reduced_form(model.pencil)
-    if not pencil.B.any() or not pencil.C.any():
-        raise UsageError("has no effective input or output", where=model.name)
-    band = band or model.band or natural_band(pencil)
-    if not 0 <= band[0] < band[1] <= HIGHEST:
-        expected = f"0 <= f0 < f1 <= {HIGHEST:g} in Hz"
-        raise UsageError("not a frequency band", where="band", got=band, expected=expected)
-    band = float(band[0]), float(band[1])
-    require_factors(pencil.bordered(1.0, 1.0, 1.0))
-    target = FIXED_ORDER_TARGET if tolerance is None else max(MARGIN * tolerance, 0.1 * LOWEST)
-    limit = np.inf if tolerance is None else 0.5 * tolerance
-    space = None
-    try:
-        if order is None or not is_definite(pencil):
-            space = subspace(pencil, band, target, limit)
-    finally:
-        full = structure(pencil, band, space.poles if space else None)
-        if full.stable is False:
-            warnings.warn(
-                "the full model is unstable: some of its motions grow without any drive, and a "
-                "frequency response says nothing of them; check signs and halves of the matrices",
-                stacklevel=2,
-            )
-    if space is None:
-        assert order is not None
-        result = _of_order([subspace_model(model, _krylov(pencil, order), band, norm)], order)
-    else:
-        plain = subspace_model(model, space, band, norm)
-        sides = [False] if pencil.symmetric and pencil.collocated else [False, True]
-        congruences = (ordered(plain, two_sided, tolerance) for two_sided in sides)
-        if order is not None:
-            result = _of_order(list(congruences), order)
-        else:
-            assert tolerance is not None
-            result = _within(plain, congruences, tolerance, contact, keep_form)
-    certificate = result.certificate
-    assert certificate is not None
-    both = (full.stable, certificate.stable)
-    stable = False if False in both else None if None in both else True
-    method = certificate.method
-    if not full.stable or full.proof != FORM:
-        method += f"; stability of the full model from {full.proof}"
-    known = replace(
-        certificate, method=method, stable=stable, passive=certificate.passive and full.passive
-    )
-    return replace(result, certificate=known)
+    if target.norm not in get_args(Norm):
+        raise unknown("unknown norm", target.norm, get_args(Norm), "norm")
+    if target.method is not None:
+        reductor_named(target.method)

@@ -1,4 +1,9 @@
-"""The full-order model in the coordinates of a basis: reduced-order models of every order."""
+"""What a reductor reads and returns: a task, and a basis with reduced-order models of every order.
+
+A reduction has two steps (Lehner and Eberhard, Multibody Syst. Dyn. 17 (2007) 157). The first step
+makes an intermediate model that is far more accurate than the tolerance. The second step builds a
+basis for it, whose leading vectors give the reduced-order models.
+"""
 
 from __future__ import annotations
 
@@ -6,154 +11,216 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+from scipy.linalg import block_diag
 
-from kc2spice.core.errors import SimulationError
-from kc2spice.rom.entries import Entries
-from kc2spice.rom.error_estimate import Judge, above_band
-from kc2spice.rom.intermediate import Subspace
-from kc2spice.rom.linear import Certificate, LinearModel, Norm
+from kc2spice.rom.error_estimate import ErrorEstimator
+from kc2spice.rom.intermediate import IntermediateModel
+from kc2spice.rom.linear import LinearModel, Norm, model_of
 from kc2spice.rom.pencil import Pencil
-from kc2spice.rom.response import FLANK, SHARPEST, Response
-from kc2spice.rom.stability import Structure, structure
+from kc2spice.rom.response import Response
+from kc2spice.rom.stability import StabilityProof, prove_stability
+from kc2spice.rom.state_space import in_hertz, standard
 
-ROUNDING = 1e-11  # no estimate says less: direct solutions are hardly better in the response
-DIGITS = 4.0  # times rounding over a damping ratio: how well any solution knows that resonance
-SAFETY = 1.15  # on differences at samples, for what lies between them
+# No estimate is smaller: direct solutions of the response are hardly more accurate.
+LEAST_ERROR = 1e-11
+# Factor on differences at samples for what lies between them. The estimates of 500 random models
+# are between one and three times their true errors: tests/physics/test_certificates.py.
+SAFETY = 1.15
+
+DEPENDENT = 1e-10  # distance of a vector from the span of others, relative to its length
 
 
 @dataclass(frozen=True)
-class Reduction:
-    """The subspace model in ordered directions, so that the model of order q is its leading part,
-    and the ``judge`` of their errors, who knows the subspace model in coordinates that may
-    decouple. ``first`` directions are free motions and the static answers that conservative ports
-    keep.
+class Task:
+    """A full-order model ``fom`` to be reduced, and the ``intermediate`` model that replaces it.
+
+    ``pencil`` is the full-order model without constraints and infinite poles. The ``estimator``
+    contains the band and the norm. The ``tolerance`` is None if the order is prescribed.
+
+    Examples
+    --------
+    A reductor reads ``task.model`` and returns ``task.project(V)``: :class:`Reductor`.
     """
 
-    full: LinearModel
+    fom: LinearModel
     pencil: Pencil
-    space: Subspace
-    judge: Judge
-    first: int = 0
-    origin: str = ""
-    balanced: bool = False
+    intermediate: IntermediateModel
+    estimator: ErrorEstimator
+    tolerance: float | None = None
 
-    def states(self, order: int) -> int:
-        """First-order states of the model of this order."""
-        return order * self.pencil.degree
+    @classmethod
+    def of(
+        cls,
+        fom: LinearModel,
+        pencil: Pencil,
+        intermediate: IntermediateModel,
+        band: tuple[float, float],
+        norm: Norm,
+        tolerance: float | None = None,
+    ) -> Task:
+        """Return the task with the estimator of a band [Hz] and a norm."""
+        return cls(fom, pencil, intermediate, intermediate.estimator(band, norm), tolerance)
 
     @property
-    def relaxing(self) -> bool:
-        """Whether the model is of first order and symmetric, as a network of resistors and
-        capacitors is: a congruence keeps its real poles and its passivity."""
-        pencil = self.pencil
-        return pencil.degree == 1 and pencil.symmetric and pencil.collocated
+    def band(self) -> tuple[float, float]:
+        """Lowest and highest frequency [Hz]."""
+        return self.estimator.band
+
+    @property
+    def norm(self) -> Norm:
+        """Norm of the error."""
+        return self.estimator.norm
+
+    @property
+    def response(self) -> Response:
+        """Frequency response of the intermediate model."""
+        return self.intermediate.response
+
+    @property
+    def core(self) -> Pencil:
+        """Matrices of the intermediate model without rigid-body modes, unless damping couples
+        these to other motions."""
+        return self.response.core
+
+    @property
+    def collocated(self) -> bool:
+        """Whether the model equals its dual: symmetric matrices and ``C = B'``."""
+        return self.pencil.symmetric and self.pencil.collocated
+
+    @property
+    def states(self) -> int:
+        """First-order states of the intermediate model."""
+        return self.response.pencil.size * self.response.pencil.degree
+
+    @cached_property
+    def model(self) -> LinearModel:
+        """The :attr:`core` as dense matrices ``M E K B C D``, or ``A E B C D`` of first order."""
+        return model_of(self.core, ports=self.fom.ports, name=self.fom.name)
+
+    @cached_property
+    def first_order(self) -> Response:
+        """The :attr:`core` as ``x' = A x + B u`` in units of the highest frequency of the band."""
+        return Response(standard(self.core, self.band[1]))
+
+    def project(
+        self, V: np.ndarray, W: np.ndarray | None = None, *, fixed: int = 0
+    ) -> ReducedBasis:
+        """Project :attr:`model` on a basis: Galerkin projection, or Petrov-Galerkin with W.
+
+        Parameters
+        ----------
+        V : (n, k) array
+            Real basis vectors, the most important first. The model of order q has the first q.
+        W : (n, k) array, optional
+            Real test vectors. By default they are V: a congruence, which preserves symmetry,
+            stability and passivity of definite matrices.
+        fixed : int
+            Number of leading vectors that every reduced model contains.
+        """
+        if free := self.core.free:  # rigid-body modes that damping couples to other motions
+            others = _independent(V, free)
+            V = block_diag(np.eye(free), V[free:, others])
+            W = None if W is None else block_diag(np.eye(free), W[free:, others])
+        if W is None:
+            pencil = self.core.project(V)
+        else:
+            parts = tuple(W.T @ P @ V for P in self.core.coefficients)
+            pencil = Pencil(parts, W.T @ self.core.B, self.core.C @ V, self.core.D, free=free)
+        pencil = self.with_rigid_body(pencil)
+        return ReducedBasis(self, pencil, pencil.free + fixed, congruence=W is None)
+
+    def with_rigid_body(self, pencil: Pencil) -> Pencil:
+        """Return a projection of :attr:`core` with the rigid-body modes in front."""
+        if self.core is self.response.pencil:
+            return pencil
+        return pencil.joined(self.response.pencil.leading(self.response.pencil.free))
+
+    def from_first_order(self, pencil: Pencil) -> Pencil:
+        """Return a projection of :attr:`first_order` with rigid-body modes, in SI units."""
+        if free := self.response.pencil.free:
+            rigid = standard(self.response.pencil.leading(free), self.band[1])
+            pencil = pencil.joined(rigid)
+        return in_hertz(pencil, self.band[1])
+
+
+def _independent(V: np.ndarray, free: int) -> np.ndarray:
+    """Which columns of V depend on no column before them, without the first ``free`` rows."""
+    distance = np.abs(np.diag(np.linalg.qr(V[free:], mode="r")))
+    result = np.zeros(V.shape[1], dtype=bool)
+    result[: distance.size] = distance > DEPENDENT * np.linalg.norm(V, axis=0)[: distance.size]
+    return result
+
+
+@dataclass(frozen=True)
+class ReducedBasis:
+    """A model in the coordinates of a basis, the most important first.
+
+    The reduced-order model of order q is the leading part of the ``pencil``. Every model contains
+    the first ``fixed`` coordinates: rigid-body modes, and static responses of conservative ports. A
+    ``congruence`` preserves the form of the matrices. ``origin`` begins the text of the
+    certificate.
+    """
+
+    task: Task
+    pencil: Pencil
+    fixed: int = 0
+    origin: str = ""
+    congruence: bool = True
 
     @property
     def size(self) -> int:
         """Largest order."""
         return self.pencil.size
 
-    def error(self, order: int, limit: float = np.inf) -> float:
-        """Estimated largest relative error of any transfer function over the band; above ``limit``
-        something that shows it."""
-        error = self.judge.error(self.leading(order), (limit - self.space.error) / SAFETY)
-        return max(self.space.error + SAFETY * error, ROUNDING)
+    def states(self, order: int) -> int:
+        """Return the first-order states of the model of this order."""
+        return order * self.pencil.degree
 
-    def structure(self, order: int) -> Structure:
-        """Stability and passivity of the model of this order."""
-        result = self.leading(order)
-        return structure(result.pencil, self.judge.band, None if result.decoupled else result.poles)
+    @property
+    def relaxing(self) -> bool:
+        """Whether the model is symmetric and of first order, as a network of resistors and
+        capacitors is. A congruence then preserves real poles and passivity."""
+        return self.pencil.degree == 1 and self.pencil.symmetric and self.pencil.collocated
 
     def leading(self, order: int) -> Response:
-        """Response of the model of this order."""
-        if order not in self._models:
-            self._models[order] = Response(self.pencil.leading(order))
-        return self._models[order]
+        """Return the response of the model of this order."""
+        if order not in self.responses:
+            self.responses[order] = Response(self.pencil.leading(order))
+        return self.responses[order]
 
     @cached_property
-    def _models(self) -> dict[int, Response]:
+    def responses(self) -> dict[int, Response]:
+        """Responses of models by their order, as far as they are computed."""
         return {}
 
-    @cached_property
-    def _keeps(self) -> bool:
-        """Whether smaller models must be stable: a stable subspace model must not lose that."""
-        return self.balanced or self.structure(self.size).stable is not False
+    def error(self, order: int, limit: float = np.inf) -> float:
+        """Return the estimate of the largest relative error of any transfer function in the band.
 
-    def good(self, order: int, tolerance: float) -> bool:
-        """Whether the model of this order is within the tolerance, and as stable as it must be."""
+        Above ``limit`` the result may be any error that exceeds it.
+        """
+        exact = self.task.intermediate.error
+        difference = self.task.estimator.error(self.leading(order), (limit - exact) / SAFETY)
+        return max(exact + SAFETY * difference, LEAST_ERROR)
+
+    def proof(self, order: int) -> StabilityProof:
+        """Return stability and passivity of the model of this order."""
+        response = self.leading(order)
+        poles = None if response.decoupled else response.poles
+        return prove_stability(response.pencil, self.task.band, poles)
+
+    @cached_property
+    def preserves_stability(self) -> bool:
+        """Whether reduced models must be stable because the intermediate model is."""
+        return not self.congruence or self.proof(self.size).stable is not False
+
+    def acceptable(self, order: int, tolerance: float) -> bool:
+        """Whether the model of this order is within the tolerance, and as stable as it must be.
+
+        Only a congruence may have a stability that is not known.
+        """
         if not self.error(order, tolerance) <= tolerance:
             return False
-        stable = self.structure(order).stable
-        return bool(stable) if self.balanced else stable is not False or not self._keeps
-
-    def fewest(self, tolerance: float, states: float = np.inf) -> int | None:
-        """The least :meth:`good` order of those with fewer first-order ``states``; None where there
-        is none."""
-        most = int(min(self.size, (states - 1) // self.pencil.degree))
-        orders = range(max(self.first, 1), most + 1)
-        return next((order for order in orders if self.good(order, tolerance)), None)
-
-    def model(self, order: int) -> LinearModel:
-        """The reduced model with its certificate."""
-        answer, judge, model = self.structure(order), self.judge, self.full
-        response, error = self.leading(order), self.error(order) + self.space.floor
-        count, parts = self.space.pencil.size, response.pencil.coefficients
-        method = f"{self.origin}difference to {count} states at resonances, flanks and notches"
-        if self.space.proof:
-            method += f"; those {self.space.proof}; stability from {answer.proof}"
-        method += _zeros(judge.reference[1], model)
-        if not self.space.static or self.space.pencil.free:
-            method += "; free to move at zero frequency"
-            if hidden := self.space.hidden:
-                method += f", supports that resonate below {hidden:.1e} Hz being hidden by rounding"
-        ratio = judge.exact.visible(judge.band)[1].min(initial=1.0)
-        if ratio < SHARPEST:
-            method += f"; beside resonances, by {FLANK:g}, of a damping ratio below {SHARPEST:g}"
-        if not np.isfinite(error):
-            raise SimulationError(
-                "the reduced model has a state that nothing holds, slows or carries",
-                where=model.name,
-                got="sizes that double precision cannot tell from zero",
-                hint="another order or a tolerance; units in which its entries are closer in size",
-            )
-        rounding = max(ROUNDING, DIGITS * float(np.finfo(float).eps) / max(ratio, SHARPEST))
-        above = above_band(model.ports, judge.exact, response, judge.band)
-        certificate = Certificate(
-            judge.band,
-            max(error, rounding),
-            method,
-            answer.stable,
-            answer.passive,
-            above,
-            judge.norm,
-        )
-        first = {"A": -parts[0], "E": parts[1]}
-        result = LinearModel(
-            **(first if parts[2:] == () else dict(zip("KEM", parts, strict=True))),
-            **{letter: getattr(response.pencil, letter) for letter in "BCD"},
-            **{key: getattr(model, key) for key in ("ports", "facts", "name")},
-            certificate=certificate,
-            band=judge.band,
-        )
-        result.state_space()  # refuses what no netlist can hold before it is certified
-        return result
-
-
-LISTED_ZEROS = 6  # entries that a certificate lists
-
-
-def _zeros(entries: Entries, model: LinearModel) -> str:
-    """Entries that count as zero, for the certificate."""
-    places = zip(*np.nonzero(entries.zero), strict=True)
-    names = [f"{model.outputs[i]}/{model.inputs[j]}" for i, j in places]
-    if not names:
-        return ""
-    more = f" and {len(names) - LISTED_ZEROS} more" if len(names) > LISTED_ZEROS else ""
-    return f"; zero by symmetry: {', '.join(names[:LISTED_ZEROS])}{more}"
-
-
-def subspace_model(
-    model: LinearModel, space: Subspace, band: tuple[float, float], norm: Norm
-) -> Reduction:
-    """The subspace model as it is, before its directions are ordered."""
-    return Reduction(model, space.pencil, space, space.judge(band, norm))
+        stable = self.proof(order).stable
+        if self.congruence:
+            return stable is not False or not self.preserves_stability
+        return bool(stable)

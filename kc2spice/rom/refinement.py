@@ -1,4 +1,9 @@
-"""Fits that save states of a reduced-order model once its order is known."""
+"""Fits that save states of a reduced-order model in the peak norm, once its order is known.
+
+Other outputs of a projection, or other rates and gains of a relaxing model, have a smaller largest
+error. Weights follow Lawson's minimax fit: C. L. Lawson, Contributions to the Theory of Linear
+Least Maximum Approximations (1961).
+"""
 
 from __future__ import annotations
 
@@ -8,82 +13,91 @@ import numpy as np
 from scipy.linalg import eigh
 
 from kc2spice.rom.pencil import Pencil
-from kc2spice.rom.reduced_basis import SAFETY, Reduction
+from kc2spice.rom.reduced_basis import SAFETY, ReducedBasis
 from kc2spice.rom.reductors.balanced_truncation import scales
-from kc2spice.rom.reductors.response_pod import LEAST, TIGHTENED, TRIALS, _snapshots
+from kc2spice.rom.reductors.snapshots import snapshots
 from kc2spice.rom.relaxing_fit import minimax
 from kc2spice.rom.response import Response
 
-FITTED = 60  # rates and gains of a relaxing model that are fitted
-MISSES = 4  # orders that may fail in a row
-HOPELESS = 1.5  # error of a fit, per tolerance, that stays
-CLOSER = 0.97  # error of a fit, per tolerance, that is enough
+LARGEST = 150  # order up to which outputs are fitted
+LARGEST_FIT = 60  # rates and gains together up to which a relaxing model is fitted
+ROUNDS = 12  # updates of the weights
+LEAST_WEIGHT = 0.05  # squared factor of weights where the error is zero: none vanishes at once
+FAILURES = 4  # orders in a row that may fail, as the error is not monotonic in the order
+HOPELESS = 1.5  # error over the tolerance at which a fit ends
+SUFFICIENT = 0.97  # share of the tolerance at which a fit ends; the rest is for the error estimate
 
 
-def refitted(found: Reduction, order: int, tolerance: float) -> tuple[Reduction, int]:
-    """A balanced model of fewer than ``order`` states, as long as there is one that meets the
-    tolerance in the peak norm with other outputs: those of least largest error (Lawson)."""
-    judge = found.judge
-    if judge.norm != "peak" or not found.balanced or order > TIGHTENED:
-        return found, order
-    inside, _ = _snapshots(judge, judge.exact, None)
-    s = 2j * np.pi * inside
-    H, peak = judge.exact.transfer(s), judge.reference[1].peak
+def refined(basis: ReducedBasis, order: int, tolerance: float) -> tuple[ReducedBasis, int]:
+    """Return a basis with a lower order within the tolerance if a fit finds one, else the same."""
+    if basis.task.norm != "peak":
+        return basis, order
+    if basis.relaxing:
+        return fit_relaxations(basis, order, tolerance)
+    if not basis.congruence and order <= LARGEST:
+        return fit_outputs(basis, order, tolerance)
+    return basis, order
+
+
+def fit_outputs(basis: ReducedBasis, order: int, tolerance: float) -> tuple[ReducedBasis, int]:
+    """Fit other outputs C of fewer states, with the least largest error."""
+    estimator = basis.task.estimator
+    s = snapshots(estimator, estimator.exact).s
+    H, peak = estimator.exact.transfer(s), estimator.reference[1].peak
     rows, columns = scales(peak)
-    wanted = (H - found.pencil.D) / (rows[:, None] * columns)
-    best, fewer, enough = (found, order), order, CLOSER * tolerance / SAFETY
-    while fewer > max(1, found.pencil.free, best[1] - MISSES):
-        fewer -= 1
-        response = found.leading(fewer)
-        part, x = response.pencil, response.states(s) / columns
+    target = (H - basis.pencil.D) / (rows[:, None] * columns)
+    best, trial_order, sufficient = (basis, order), order, SUFFICIENT * tolerance / SAFETY
+    while trial_order > max(1, basis.pencil.free, best[1] - FAILURES):
+        trial_order -= 1
+        response = basis.leading(trial_order)
+        pencil, x = response.pencil, response.states(s) / columns
         weight = np.ones((len(s), 1, x.shape[2]))
-        for _ in range(TRIALS):
-            C = _least_squares(x * weight, wanted * weight) * rows[:, None]
-            off = np.abs(C @ (x * columns) + part.D - H) / (peak + np.finfo(float).tiny)
-            if not enough < off.max() < HOPELESS * tolerance:
+        for _ in range(ROUNDS):
+            C = _least_squares(x * weight, target * weight) * rows[:, None]
+            error = np.abs(C @ (x * columns) + pencil.D - H) / (peak + np.finfo(float).tiny)
+            if not sufficient < error.max() < HOPELESS * tolerance:
                 break
-            weight = weight * np.sqrt(off.max(axis=1, keepdims=True) / off.max() + LEAST)
-        if off.max() <= enough:
-            trial = replace(found, pencil=replace(part, C=C))
-            trial._models[fewer] = Response(trial.pencil, response.modes)
-            if trial.good(fewer, tolerance):
-                best = trial, fewer
+            ratio = error.max(axis=1, keepdims=True) / error.max()
+            weight = weight * np.sqrt(ratio + LEAST_WEIGHT)
+        if error.max() <= sufficient:
+            trial = replace(basis, pencil=replace(pencil, C=C))
+            trial.responses[trial_order] = Response(trial.pencil, response.modes)
+            if trial.acceptable(trial_order, tolerance):
+                best = trial, trial_order
     return best
 
 
-def relaxing_fit(found: Reduction, order: int, tolerance: float) -> tuple[Reduction, int]:
-    """A relaxing model of fewer than ``order`` states that meets the tolerance in the peak norm, as
-    long as there is one: its rates and gains are fitted, and it is passive for all of these.
+def fit_relaxations(basis: ReducedBasis, order: int, tolerance: float) -> tuple[ReducedBasis, int]:
+    """Fit rates and gains of fewer states; the model is passive for all values of these.
 
-    Conservative ports keep their static answers, and no model of theirs is fitted.
+    Models with rigid-body modes or with static responses of conservative ports stay as they are.
     """
-    judge, ports = found.judge, found.pencil.B.shape[1]
-    if judge.norm != "peak" or found.first or found.pencil.free:
-        return found, order
-    inside, _ = _snapshots(judge, judge.exact, None)
-    s = 2j * np.pi * inside
-    H, base = judge.exact.transfer(s), judge.reference[1].peak + np.finfo(float).tiny
-    best = found, order
+    estimator, ports = basis.task.estimator, basis.pencil.B.shape[1]
+    if basis.fixed or basis.pencil.free:
+        return basis, order
+    s = snapshots(estimator, estimator.exact).s
+    H, base = estimator.exact.transfer(s), estimator.reference[1].peak + np.finfo(float).tiny
+    best, sufficient = (basis, order), SUFFICIENT * tolerance / SAFETY
+    origin = f"{basis.origin}fitted rates and gains; "
     for fewer in range(order - 1, 0, -1):
-        if fewer * (1 + ports) > FITTED:
+        if fewer * (1 + ports) > LARGEST_FIT:
             break
-        rest, inertia = found.pencil.leading(fewer).coefficients
-        rates, T = eigh(rest, inertia)
+        rates, T = eigh(*basis.pencil.leading(fewer).coefficients)
         if rates[0] <= 0:
             break
-        start = rates, T.T @ found.pencil.B[:fewer]
-        enough = CLOSER * tolerance / SAFETY
-        rates, gains, error = minimax(*start, s, H - found.pencil.D, base, enough)
-        pencil = Pencil((np.diag(rates), np.eye(fewer)), gains, gains.T.copy(), found.pencil.D)
-        trial = replace(found, pencil=pencil, origin=f"{found.origin}fitted rates and gains; ")
-        if error > enough or not trial.good(fewer, tolerance):
+        start = rates, T.T @ basis.pencil.B[:fewer]
+        rates, gains, error = minimax(*start, s, H - basis.pencil.D, base, sufficient)
+        parts = np.diag(rates), np.eye(fewer)
+        pencil = Pencil(parts, gains, gains.T.copy(), basis.pencil.D)
+        trial = replace(basis, pencil=pencil, origin=origin)
+        if error > sufficient or not trial.acceptable(fewer, tolerance):
             break
         best = trial, fewer
     return best
 
 
 def _least_squares(x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    """Real C with ``C x`` next to ``y``, over all frequencies and inputs."""
+    """Real C with the least squared error of ``C x = y`` over all frequencies and inputs."""
     left, right = (np.moveaxis(P, 1, 2).reshape(-1, P.shape[1]) for P in (x, y))
     both = [np.vstack([P.real, P.imag]) for P in (left, right)]
     size = np.linalg.norm(both[0], axis=0) + np.finfo(float).tiny

@@ -9,9 +9,17 @@ import numpy as np
 
 from kc2spice.rom.entries import Entries
 from kc2spice.rom.error_estimate import relative_size
-from kc2spice.rom.intermediate import Subspace
+from kc2spice.rom.intermediate import IntermediateModel
 from kc2spice.rom.pencil import Pencil, magnitudes
 from kc2spice.rom.response import FLANK, SHARPEST, Response, around, clear_of_poles, grid
+
+UNCERTAIN = 1e-9  # relative change of a response by rounding that the certificate mentions
+FREE = 100.0  # motions with less energy than this times rounding have none
+ZERO_FREQUENCIES = 50  # frequencies of the band at which entries are tested for zero
+ZERO_SHARE = 0.5  # share of these frequencies at which a zero entry must be faint
+RESONANCES = 8  # lowest and sharpest resonances at which the effect of rounding is evaluated
+TRIALS = 4  # random units of the unknowns
+SPREAD = 3.0  # factor on the largest of the trials, which are few
 
 
 def uncertainty(
@@ -58,15 +66,15 @@ def zero_entries(
     projection on V: faint nearly everywhere in the band, and no more than what rounding of the
     model's own entries makes of them where they are not, on sharp resonances of equal modes."""
     at, ratio = response.visible(band)
-    looked = np.union1d(np.argsort(at)[:SHARP], np.argsort(ratio)[:SHARP])
-    peaks = at[looked] * (1 + FLANK * (ratio[looked] < SHARPEST))
-    f = np.r_[clear_of_poles(grid(band, COARSE, False), *response.within(band)), peaks]
+    chosen = np.union1d(np.argsort(at)[:RESONANCES], np.argsort(ratio)[:RESONANCES])
+    peaks = at[chosen] * (1 + FLANK * (ratio[chosen] < SHARPEST))
+    f = np.r_[clear_of_poles(grid(band, ZERO_FREQUENCIES, False), *response.within(band)), peaks]
     if pencil.D.size == 1 or not f.size:
         return False
     x = response.states(2j * np.pi * f)
     H = response.pencil.C @ x + response.pencil.D
     faint = response.entries(f, H).faint(H)
-    suspect = (faint[: len(f) - len(peaks)].mean(axis=0) > FAINT_SHARE) & ~faint.all(axis=0)
+    suspect = (faint[: len(f) - len(peaks)].mean(axis=0) > ZERO_SHARE) & ~faint.all(axis=0)
     if suspect.any():
         rows = np.flatnonzero((~faint & suspect).any(axis=(1, 2)))
         both = pencil.symmetric and pencil.collocated
@@ -81,16 +89,7 @@ def zero_entries(
     return np.asarray(faint.all(axis=0))
 
 
-UNCERTAIN = 1e-9  # a response of less uncertainty needs no word
-FREE = 100.0  # times rounding: less energy than that is none
-COARSE = 50  # frequencies at which entries that are zero show
-FAINT_SHARE = 0.5  # share of the COARSE frequencies at which a zero entry must be faint
-SHARP = 8  # lowest and sharpest resonances at which rounding of a small model is looked at
-ROUNDED = 4  # trials of rounding
-SPREAD = 3.0  # margin on the largest of them
-
-
-def _uncertainty_note(at: np.ndarray, size: np.ndarray, tolerance: float) -> str:
+def uncertainty_note(at: np.ndarray, size: np.ndarray, tolerance: float) -> str:
     """Return a text on how much rounding of the given matrices changes the response.
 
     The certificate contains this text. ``size`` is the relative change at the frequencies ``at``
@@ -108,7 +107,7 @@ def _uncertainty_note(at: np.ndarray, size: np.ndarray, tolerance: float) -> str
     return f", {text} by the last digits of its matrices" if size[worst] > UNCERTAIN else ""
 
 
-def _taken_out(given: Pencil, free: Pencil, band: tuple[float, float]) -> float:
+def removed_stiffness(given: Pencil, free: Pencil, band: tuple[float, float]) -> float:
     """Change of the response by the stiffness that rounding errors add to a free motion.
 
     It is evaluated at the lowest relevant frequency, where it is largest.
@@ -118,9 +117,9 @@ def _taken_out(given: Pencil, free: Pencil, band: tuple[float, float]) -> float:
     return float(relative_size(given.transfer(s) - H, H).max())
 
 
-def _with_rounding(
-    pencil: Pencil, V: np.ndarray, band: tuple[float, float], found: Subspace
-) -> Subspace:
+def with_rounding(
+    pencil: Pencil, V: np.ndarray, band: tuple[float, float], found: IntermediateModel
+) -> IntermediateModel:
     """Return ``found`` with the effect of rounding on the resonances as its ``floor``.
 
     Other units of the unknowns do not change the exact response, but they round the entries of the
@@ -137,7 +136,7 @@ def _with_rounding(
     entries = exact.entries(np.union1d(points, grid(band, 50, False)))
     rng = np.random.default_rng(0)
     apart = 0.0
-    for t in rng.uniform(1.0, 2.0, (ROUNDED, pencil.size)):
+    for t in rng.uniform(1.0, 2.0, (TRIALS, pencil.size)):
         again = Response(pencil.in_units(t).project(V / t[:, None]))
         size = relative_size(again.transfer(2j * np.pi * points) - H, H, entries)
         size[:, exact.cancelled(2j * np.pi * points) & ~entries.zero] = 0.0

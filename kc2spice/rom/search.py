@@ -2,114 +2,165 @@
 
 from __future__ import annotations
 
-import warnings
-from collections.abc import Iterable
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from kc2spice.core.errors import UsageError
 from kc2spice.rom.error_estimate import default_norm, inexact
-from kc2spice.rom.linear import LinearModel
-from kc2spice.rom.reduced_basis import Reduction
-from kc2spice.rom.reductors.balanced_truncation import balanced
-from kc2spice.rom.reductors.response_pod import tightened
-from kc2spice.rom.refinement import refitted, relaxing_fit
-from kc2spice.rom.stability import FORM, structure
+from kc2spice.rom.reduced_basis import ReducedBasis, Task
+from kc2spice.rom.reductors.base import Reductor
+from kc2spice.rom.stability import FORM, StabilityProof, prove_stability
 
-CHEAP = 200  # states up to which balancing only measures the cost of keeping the form
+# States up to which another method is tried only to state in the certificate what the form of the
+# matrices costs.
+CHEAP = 200
 # Definite matrices become resonators, which prove stability. A model without this form is used only
 # if it has at most this share of their states.
 FORM_SHARE = 0.91
 
 
-def _of_order(found: list[Reduction], order: int) -> LinearModel:
-    """The best model of an order."""
-    most = max(item.size for item in found)
+def least_order(basis: ReducedBasis, tolerance: float, states: float = np.inf) -> int | None:
+    """Return the least acceptable order of fewer than so many first-order ``states``.
+
+    The result is None if there is none. Orders are tried upwards, because the error is not
+    monotonic in the order and models of low order are cheap.
+    """
+    most = int(min(basis.size, (states - 1) // basis.pencil.degree))
+    orders = range(max(basis.fixed, 1), most + 1)
+    return next((order for order in orders if basis.acceptable(order, tolerance)), None)
+
+
+def of_order(bases: Sequence[ReducedBasis], order: int) -> ReducedBasis:
+    """Return the basis whose model of a prescribed order has the smallest error estimate.
+
+    Raises
+    ------
+    UsageError : no basis has so many vectors.
+    """
+    most = max(basis.size for basis in bases)
     if order > most:
         expected = f"1 to {most}"
         raise UsageError("no model of this order", where="--order", got=order, expected=expected)
-    fitting = (item for item in found if order <= item.size)
-    return min(fitting, key=lambda item: item.error(order)).model(order)
+    candidates = (basis for basis in bases if order <= basis.size)
+    return min(candidates, key=lambda basis: basis.error(order))
 
 
-def _within(
-    plain: Reduction,
-    congruences: Iterable[Reduction],
-    tolerance: float,
-    contact: bool,
-    keep_form: bool,
-) -> LinearModel:
-    """The smallest model within a tolerance."""
-    floor = plain.space.floor
-    within = tolerance - floor  # the tolerance without rounding errors
-    within = within if within > 0.5 * tolerance else tolerance
-    selected, least = _fewest(plain, congruences, within, contact, keep_form)
-    if not contact:
-        fitted = relaxing_fit if selected.relaxing else refitted
-        selected, least = fitted(selected, least, within)
-    if floor > tolerance:
-        warnings.warn(
-            f"the full model itself is only good to {floor:.1e}: so far rounding of its "
-            "entries moves its response; other units or fewer elements may condition it better",
-            stacklevel=3,
-        )
-    result = selected.model(least)
-    estimate = result.certificate.error_estimate  # type: ignore[union-attr]
-    if floor <= tolerance < estimate:
-        warnings.warn(
-            f"the reduced model is certified to {estimate:.2g} only, {tolerance:g} was asked "
-            f"for: rounding of the full model's entries alone moves its response by {floor:.1e}",
-            stacklevel=3,
-        )
-    return result
+def fewest_states(
+    task: Task, reductors: Sequence[Reductor], tolerance: float, *, tighten: bool, keep_form: bool
+) -> tuple[ReducedBasis, int]:
+    """Return the basis and the order of the fewest states, with a preference for congruences.
 
+    A congruence preserves the form of definite matrices, and with it passive resonators. Other
+    projections replace it only if all ports are signals and they save a tenth of the states. They
+    never do with ``keep_form``. ``tighten`` lets a reductor improve the basis of a congruence.
 
-def _fewest(
-    plain: Reduction,
-    congruences: Iterable[Reduction],
-    tolerance: float,
-    contact: bool,
-    keep_form: bool,
-) -> tuple[Reduction, int]:
-    """A congruence, or the balanced model of the ``plain`` one that needs fewer states where all
-    ports are signals and no passive resonators would be lost.
-
-    Directions of a congruence are turned to save more, unless it is for ``contact``.
+    Raises
+    ------
+    SimulationError : no model of any order is acceptable.
     """
-    free, share, signals = None, 1.0, default_norm(plain.full) == "peak" and not keep_form
-    congruent = plain.pencil.degree == 2 or plain.relaxing
-    form = congruent and structure(plain.pencil, plain.judge.band)
-    if form and form.proof == FORM:
-        share = FORM_SHARE
+    congruences = [item for item in reductors if item.congruence]
+    others = [] if keep_form else [item for item in reductors if not item.congruence]
+    signals = default_norm(task.fom) == "peak" and not keep_form
+    form = _form(task)
+    share = FORM_SHARE if form and form.proof == FORM else 1.0
+    other = None
     if signals and not (form and form.passive):
-        free = balanced(plain, plain.states(plain.size) + 1, tolerance)
-    if free is not None and not form:  # nothing that a congruence would keep
-        return replace(free[0], origin=f"{free[0].origin}; "), free[1]
-    result = list(congruences)
-    most = np.inf if free is None else int(free[1] / share)
-    within = [item.fewest(tolerance, most + 1) for item in result]
-    few = [(order, k) for k, order in enumerate(within) if order is not None]
-    if not few and free is not None:
-        text = f"{free[0].origin}, where a congruence needs more than {most} states; "
-        return replace(free[0], origin=text), free[1]
-    if not few:
-        error = min(item.error(item.size) for item in result)
-        raise inexact(
-            "the tolerance is out of reach",
-            f"estimate {error:.1e} with {result[0].size} states",
-            tolerance,
-            "ask for a larger tolerance or a narrower band",
-        )
-    order, k = min(few)
-    kept = result[k]
-    if not contact:
-        kept, order = tightened(kept, order, tolerance)
-        order = kept.fewest(tolerance, kept.states(order)) or order
-    states = kept.states(order)
-    if not keep_form and free is None and (signals or kept.states(kept.pencil.size) <= CHEAP):
-        free = balanced(kept, int(np.ceil(share * states)), tolerance)
-    if free is not None and free[1] < states:
-        text = f"{states} first-order states, {free[1]} without keeping the form; "
-        kept = replace(kept, origin=text)
-    return kept, order
+        other = _fewest_of(task, others, tolerance, task.states + 1)
+    if other and not form:  # a congruence would preserve nothing
+        return _with_origin(other, f"{other[0].origin}; ")
+    most = int(other[1] / share) if other else np.inf
+    reductor, basis, order = _congruence(task, congruences, tolerance, most + 1, bool(other))
+    if order is None:
+        assert other is not None
+        text = f"{other[0].origin}, where a congruence needs more than {most} states; "
+        return _with_origin(other, text)
+    if tighten:
+        basis, order = reductor.tighten(basis, order, tolerance)
+        order = least_order(basis, tolerance, basis.states(order)) or order
+    states = basis.states(order)
+    if other is None and (signals or basis.states(basis.size) <= CHEAP):
+        other = _fewest_of(task, others, tolerance, int(np.ceil(share * states)))
+    if other and other[1] < states:
+        text = f"{states} first-order states, {other[1]} without keeping the form; "
+        basis = replace(basis, origin=text)
+    return basis, order
+
+
+def _form(task: Task) -> StabilityProof | None:
+    """Stability and passivity of the intermediate model, None if a congruence preserves nothing:
+    a model of first order that is not symmetric."""
+    pencil = task.response.pencil
+    if pencil.degree == 2 or (pencil.symmetric and pencil.collocated):
+        return prove_stability(pencil, task.band)
+    return None
+
+
+def _fewest_of(
+    task: Task, reductors: Sequence[Reductor], tolerance: float, states: float
+) -> tuple[ReducedBasis, int] | None:
+    """Basis and order of fewer than so many states, None if no reductor has one.
+
+    In the peak norm it is the best of all. In the pointwise norm it is the first one, as only a
+    balancing over the band sees notches.
+    """
+    best = None
+    for reductor in reductors:
+        basis = reductor.basis(task) if reductor.suits(task) else None
+        order = least_order(basis, tolerance, states) if basis else None
+        if basis is None or order is None:
+            continue
+        best, states = (replace(basis, origin=reductor.name), order), basis.states(order)
+        if task.norm == "pointwise":
+            break
+    return best
+
+
+def _congruence(
+    task: Task, reductors: Sequence[Reductor], tolerance: float, states: float, optional: bool
+) -> tuple[Reductor, ReducedBasis, int | None]:
+    """The reductor of the least order, its basis and the order; an order of None if none is
+    acceptable and the result is ``optional``."""
+    bases = [(item, item.basis(task)) for item in reductors if item.suits(task)]
+    rows = [(item, basis) for item, basis in bases if basis is not None]
+    orders = [least_order(basis, tolerance, states) for _, basis in rows]
+    acceptable = [(order, k) for k, order in enumerate(orders) if order is not None]
+    if not acceptable:
+        if not optional:
+            raise out_of_reach([basis for _, basis in rows], tolerance)
+        return *rows[0], None
+    order, k = min(acceptable)
+    return *rows[k], order
+
+
+def _with_origin(result: tuple[ReducedBasis, int], text: str) -> tuple[ReducedBasis, int]:
+    """The same basis and order with another beginning of the certificate's text."""
+    basis, order = result
+    return replace(basis, origin=text), order
+
+
+def require_order(bases: Sequence[ReducedBasis], tolerance: float) -> tuple[ReducedBasis, int]:
+    """Return the basis that needs the fewest states, and its order.
+
+    Raises
+    ------
+    SimulationError : no model of any order is acceptable.
+    """
+    orders = [(least_order(basis, tolerance), basis) for basis in bases]
+    acceptable = [(order, basis) for order, basis in orders if order is not None]
+    if not acceptable:
+        raise out_of_reach(bases, tolerance)
+    order, basis = min(acceptable, key=lambda pair: pair[1].states(pair[0]))
+    return basis, order
+
+
+def out_of_reach(bases: Sequence[ReducedBasis], tolerance: float) -> Exception:
+    """Error of bases of which no order meets the tolerance."""
+    error = min(basis.error(basis.size) for basis in bases)
+    return inexact(
+        "the tolerance is out of reach",
+        f"estimate {error:.1e} with {bases[0].size} states",
+        tolerance,
+        "ask for a larger tolerance or a narrower band",
+    )

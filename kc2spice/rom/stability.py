@@ -25,7 +25,7 @@ DENSE = 1200  # first-order states up to which all poles of a full model are com
 
 
 @dataclass(frozen=True)
-class Structure:
+class StabilityProof:
     """``stable``: no pole right of the imaginary axis, so no growing motion (a free rigid body
     drifts, it does not grow exponentially), None where that is not known. ``passive``: it is shown
     that the ports cannot deliver net energy. ``proof`` says what either rests on.
@@ -36,9 +36,9 @@ class Structure:
     proof: str
 
 
-def structure(
+def prove_stability(
     pencil: Pencil, band: tuple[float, float], poles: np.ndarray | None = None
-) -> Structure:
+) -> StabilityProof:
     """Stability and passivity of a full or reduced model, from its form where that shows it.
 
     Second order with M, K symmetric positive semi-definite and ``E + E' >= 0`` (gyroscopic terms
@@ -56,21 +56,25 @@ def structure(
             "known; the error estimate is not concerned",
             stacklevel=2,
         )
-        return Structure(None, False, "nothing: memory does not hold another factor")
+        return StabilityProof(None, False, "nothing: memory does not hold another factor")
     if shown:
         passive = pencil.collocated and semidefinite(pencil.D + pencil.D.T)
-        return Structure(True, passive, FORM)
+        return StabilityProof(True, passive, FORM)
     states = pencil.degree * pencil.size
     if states > DENSE and poles is None:
-        return Structure(None, False, f"nothing: {states} states are too many to know all poles")
+        return StabilityProof(
+            None, False, f"nothing: {states} states are too many to know all poles"
+        )
     omega = 2 * np.pi * band[1]
     values = _poles(pencil, omega) if poles is None else poles
     limit = GROWTH * np.maximum(np.abs(values), omega)
     grows = values.real > limit
     rounded = states * np.finfo(float).eps * np.abs(values).max(initial=0.0)
     if grows.any() and (values.real[grows] <= rounded).all():
-        return Structure(None, False, "nothing: rounding of the poles hides which side they are on")
-    return Structure(not grows.any(), False, "poles")
+        return StabilityProof(
+            None, False, "nothing: rounding of the poles hides which side they are on"
+        )
+    return StabilityProof(not grows.any(), False, "poles")
 
 
 def _poles(pencil: Pencil, omega: float) -> np.ndarray:

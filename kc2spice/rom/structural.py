@@ -31,7 +31,7 @@ from kc2spice.rom.linear import LinearModel, Norm
 from kc2spice.rom.lossy_modes import Oscillator, joined, relaxing_oscillator, viscous_oscillator
 from kc2spice.rom.pencil import Pencil, Schur, largest
 from kc2spice.rom.response import Response, grid
-from kc2spice.rom.stability import semidefinite, structure
+from kc2spice.rom.stability import prove_stability, semidefinite
 
 Reductor = Callable[[LinearModel, float, tuple[float, float]], LinearModel]
 
@@ -80,7 +80,7 @@ def causal(
             modes, error = trial, fewer
     result, known = search.model(modes), search.small.certificate
     assert known is not None
-    answer = structure(result.pencil, band)
+    answer = prove_stability(result.pencil, band)
     inner = sum(mode.rates.size for mode in modes)
     apart = search.apart(modes)
     added = f" and {inner} relaxations" if inner else ""

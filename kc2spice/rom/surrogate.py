@@ -9,7 +9,7 @@ from kc2spice.rom.error_estimate import relative_error, relative_size
 from kc2spice.rom.linear import LinearModel
 from kc2spice.rom.pencil import Pencil
 from kc2spice.rom.reduce import reduce
-from kc2spice.rom.rounding import ROUNDED, SPREAD
+from kc2spice.rom.rounding import SPREAD, TRIALS
 
 EXACT = 1e-10  # error of a surrogate
 CHECKS = 10  # direct solutions that measure a surrogate
@@ -50,5 +50,5 @@ def _solution_rounding(pencil: Pencil, frequency: float, exact: np.ndarray) -> f
     the unknowns, which change nothing but rounding: thin bodies answer with the small difference
     of large forces."""
     rng, s = np.random.default_rng(0), np.array([2j * np.pi * frequency])
-    trials = (pencil.in_units(t) for t in rng.uniform(1.0, 2.0, (ROUNDED, pencil.size)))
+    trials = (pencil.in_units(t) for t in rng.uniform(1.0, 2.0, (TRIALS, pencil.size)))
     return SPREAD * max(relative_error(again.transfer(s), exact[None]) for again in trials)

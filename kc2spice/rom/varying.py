@@ -22,7 +22,8 @@ import numpy as np
 import scipy
 
 from kc2spice.core.errors import SimulationError, UsageError
-from kc2spice.rom.error_estimate import Judge
+from kc2spice.rom.error_estimate import ErrorEstimator
+from kc2spice.rom.first_step import intermediate_model
 from kc2spice.rom.linear import Certificate, LinearModel, Norm, Port
 from kc2spice.rom.parametric import (
     Axis,
@@ -36,8 +37,7 @@ from kc2spice.rom.parametric import (
     polynomials,
 )
 from kc2spice.rom.response import Response
-from kc2spice.rom.stability import structure
-from kc2spice.rom.subspace import subspace
+from kc2spice.rom.stability import prove_stability
 
 ABOVE = 1.2  # times the band's end, up to which modes are kept at least
 MORE = 8  # modes beyond that among which the widest gap is looked for
@@ -49,7 +49,7 @@ DEGREES = {0: 0, 1: 16, 2: 10, 3: 6, 4: 4}  # highest total degree
 GAPS = 0.03, 0.1, 0.3, 0.8, np.inf
 MOMENTS = 4  # blocks of static answers and their changes with frequency
 OVERLAP = 0.2  # least overlap of a frame with the frame of the middle
-DRAWS = 16  # points of the box at which the fit is judged
+DRAWS = 16  # points of the box at which the error of the fit is estimated
 SHARE = 0.3  # share of the tolerance for the error of the subspace
 MOVED = 1e-6  # share of a port in a motion without stiffness that is rounding
 WHOLE = 8.0  # gap of squared frequencies that all modes of a model count as
@@ -160,7 +160,7 @@ def over_box(
         return model
 
     result, error = _certified(compute_full, axes, band, tolerance, progress, norm)
-    form = structure(result.at(_values(result.box, np.zeros(len(axes)))).pencil.dense(), band)
+    form = prove_stability(result.at(_values(result.box, np.zeros(len(axes)))).pencil.dense(), band)
     certificate = Certificate(
         band_hz=band,
         error_estimate=error,
@@ -195,8 +195,8 @@ def _certified(
         checks = []
         for k, values in enumerate(points):
             progress(k, len(points))
-            space = subspace(full(values).pencil, band, 0.01 * tolerance, 0.3 * tolerance)
-            checks.append((values, space.judge(band, norm), space.error))
+            space = intermediate_model(full(values).pencil, band, 0.01 * tolerance, 0.3 * tolerance)
+            checks.append((values, space.estimator(band, norm), space.error))
         degree = higher_degree(made)
         error = SAFETY * _difference(made, checks)
         if error > tolerance and degree is not None:
@@ -211,10 +211,13 @@ def _certified(
             raise _too_wide(problem, made, got, tolerance)
 
 
-def _difference(made: Parametric | Varying, checks: Sequence[tuple[Values, Judge, float]]) -> float:
+def _difference(
+    made: Parametric | Varying, checks: Sequence[tuple[Values, ErrorEstimator, float]]
+) -> float:
     """Largest relative difference to the full models of ``checks``."""
     return max(
-        judge.error(Response(made.at(values).pencil)) + error for values, judge, error in checks
+        estimator.error(Response(made.at(values).pencil)) + error
+        for values, estimator, error in checks
     )
 
 
@@ -246,11 +249,11 @@ def varying(
     SimulationError : no frame is smooth enough over the box for the tolerance.
     """
     modes = _Modes(made, band)
-    judged = list(_judged(made, band, norm))
+    points = list(_check_points(made, band, norm))
     best = np.inf
     for moments in range(1, MOMENTS + 1):
         space = _Space(modes, moments)
-        exact = max(judge.error(Response(space.at(x).pencil)) for x, judge in judged[:3])
+        exact = max(estimator.error(Response(space.at(x).pencil)) for x, estimator in points[:3])
         if exact > SHARE * tolerance and moments < MOMENTS:
             continue
         for gap in GAPS:
@@ -259,9 +262,9 @@ def varying(
                 if result is None:
                     break
                 error = 0.0
-                for x, judge in judged:
+                for x, estimator in points:
                     model = result.at(_values(result.box, x))
-                    error = max(error, judge.error(Response(model.pencil)))
+                    error = max(error, estimator.error(Response(model.pencil)))
                     if error > tolerance:
                         break
                 best = min(best, max(error, exact))
@@ -287,17 +290,17 @@ def _values(box: Mapping[str, Axis], x: np.ndarray) -> dict[str, float]:
     return {name: known.get(name, axis.middle) for name, axis in box.items()}
 
 
-def _judged(
+def _check_points(
     made: Parametric, band: tuple[float, float], norm: Norm
-) -> Iterator[tuple[np.ndarray, Judge]]:
-    """Points of the box with the dense model as a judge: the middle, all corners, where polynomials
-    deviate most, and random points."""
+) -> Iterator[tuple[np.ndarray, ErrorEstimator]]:
+    """Points of the box with estimators by the dense model: the middle, all corners, where
+    polynomials     deviate most, and random points."""
     count = len(made.box)
     draws = scipy.stats.qmc.Sobol(count, seed=3).random(DRAWS) * 2 - 1
     corners = sorted(product((1.0, -1.0), repeat=count), key=lambda x: abs(sum(x)), reverse=True)
     for x in (np.zeros(count), *map(np.array, corners), *draws):
         response = Response(made.at(_values(made.box, x)).pencil)
-        yield x, Judge(response, band, False, norm)
+        yield x, ErrorEstimator(response, band, False, norm)
 
 
 @dataclass(frozen=True, eq=False)

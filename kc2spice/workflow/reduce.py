@@ -33,7 +33,7 @@ from kc2spice.rom.io import read_rom, write_rom
 from kc2spice.rom.linear import LinearModel
 from kc2spice.rom.measured import one_port
 from kc2spice.rom.reduce import reduce as reduce_model
-from kc2spice.rom.stability import DENSE, structure
+from kc2spice.rom.stability import DENSE, prove_stability
 from kc2spice.scene.load import gallery, load_scene
 from kc2spice.sim.ngspice import write_files
 from kc2spice.spice.emitted import require_circuit
@@ -172,7 +172,7 @@ def _require_stable_full(model: LinearModel, band: tuple[float, float] | None) -
     else:
         pencil = reduced_form(model.pencil)
         band = band or model.band or natural_band(pencil)
-        if pencil.degree * pencil.size <= DENSE and structure(pencil, band).stable is False:
+        if pencil.degree * pencil.size <= DENSE and prove_stability(pencil, band).stable is False:
             got = "a pole in the right half plane"
     if got is not None:
         raise GateMissedError(

@@ -11,11 +11,12 @@ from scipy import sparse
 
 from bench.beam import hermite_beam
 from kc2spice.parts import disc
+from kc2spice.rom.certification import certified
+from kc2spice.rom.first_step import intermediate_model
 from kc2spice.rom.linear import LinearModel
 from kc2spice.rom.reduce import reduce
-from kc2spice.rom.reduced_basis import subspace_model
-from kc2spice.rom.reductors.response_pod import ordered
-from kc2spice.rom.subspace import subspace
+from kc2spice.rom.reduced_basis import Task
+from kc2spice.rom.reductors.response_pod import ResponsePod
 
 
 def random_case(seed):
@@ -69,29 +70,29 @@ def test_estimate_is_between_the_error_and_three_times_it(seed, norm):
     ("unknowns", "dashpot", "way"), [(90, 0.0, "being all"), (310, 0.3, "checked"),
                                      pytest.param(1310, 0.0, "settled", marks=pytest.mark.slow)],
 )  # fmt: skip
-def test_a_subspace_says_how_far_it_is_from_the_full_model(unknowns, dashpot, way):
+def test_an_intermediate_model_states_how_far_it_is_from_the_full_model(unknowns, dashpot, way):
     """It stops as early as it may, so that its error is large where it is not all of the model."""
     matrices = damped_chain(unknowns, dashpot, 3.0)
     damping = {} if dashpot else {"E": None, "rayleigh": (0.0, 1e-2)}
     full = LinearModel(**matrices | damping)
     band = 0.0, 10.0 / unknowns / (2 * np.pi)
-    space = subspace(full.pencil, band, np.inf, np.inf)
-    assert space.proof.startswith(way)
+    intermediate = intermediate_model(full.pencil, band, np.inf, np.inf)
+    assert intermediate.proof.startswith(way)
     frequency = np.linspace(0.31, 0.97, 4) * band[1]
     exact = oracle.direct(oracle.system(matrices), frequency)
-    error = (np.abs(space.pencil.transfer(2j * np.pi * frequency) / exact - 1)).max()
+    error = (np.abs(intermediate.pencil.transfer(2j * np.pi * frequency) / exact - 1)).max()
     rounding = 1e-11 if way == "being all" else 0.0  # numpy's solution is 4e-12 off, ours 6e-14
-    assert 0 < error <= space.error + rounding
+    assert 0 < error <= intermediate.error + rounding
 
 
-def test_error_and_rounding_of_the_subspace_are_part_of_the_certificate():
+def test_error_and_rounding_of_the_intermediate_model_are_in_the_certificate():
     matrices, band, _ = random_case(1)
     M, E, K, B, C = matrices
     full = LinearModel(M=M, E=E, K=K, B=B, C=C)
-    space = subspace(full.pencil, band, 1e-8, np.inf)
-    worse = subspace_model(full, replace(space, error=2e-3, floor=1e-3), band, "pointwise")
-    found = ordered(worse, True, 1e-2)
-    estimate = found.model(found.size).certificate.error_estimate
+    intermediate = intermediate_model(full.pencil, band, 1e-8, np.inf)
+    worse = replace(intermediate, error=2e-3, floor=1e-3)
+    basis = ResponsePod(two_sided=True).basis(Task.of(full, full.pencil, worse, band, "pointwise"))
+    estimate = certified(basis, basis.size).certificate.error_estimate
     assert 3e-3 <= estimate < 3.1e-3
 
 

@@ -9,11 +9,11 @@ import pytest
 from scipy.linalg import eig
 
 from kc2spice.core.errors import UsageError
+from kc2spice.rom.first_step import intermediate_model
 from kc2spice.rom.linear import LinearModel
 from kc2spice.rom.reduce import reduce
-from kc2spice.rom.reduced_basis import subspace_model
-from kc2spice.rom.reductors.response_pod import ordered
-from kc2spice.rom.subspace import subspace
+from kc2spice.rom.reduced_basis import Task
+from kc2spice.rom.reductors.response_pod import ResponsePod
 from kc2spice.spice.realize import subcircuit
 
 FAMILIES = {
@@ -128,12 +128,11 @@ def test_random_models_are_stable_and_passive_at_every_order(seed, step):
     matrices, top = random_model(rng)
     model = LinearModel(**families.as_files(matrices), name="random")
     band = (0.0, top)
-    space = subspace(model.pencil, band, 1e-5, 1e-5)
-    plain = subspace_model(model, space, band, "pointwise")
-    found = ordered(plain, False, None)
+    intermediate = intermediate_model(model.pencil, band, 1e-5, 1e-5)
+    found = ResponsePod().basis(Task.of(model, model.pencil, intermediate, band, "pointwise"))
     omega = 2 * np.pi * top
     for order in {*range(1, found.size + 1, step), found.size}:
-        claim = found.structure(order)
+        claim = found.proof(order)
         assert claim.stable
         assert claim.passive
         rom = found.pencil.leading(order)

@@ -8,7 +8,7 @@ from kc2spice.core.errors import UsageError
 from kc2spice.rom.linear import LinearModel, Port
 from kc2spice.rom.pencil import Pencil
 from kc2spice.rom.reduce import reduce
-from kc2spice.rom.stability import structure
+from kc2spice.rom.stability import prove_stability
 
 
 def chain(n, dashpot, **more):
@@ -90,7 +90,7 @@ def test_what_the_form_proves():
     stand = {"B": one, "C": one, "D": zero}
 
     def of(*parts, **more):
-        found = structure(Pencil(parts, **(stand | more)), band)
+        found = prove_stability(Pencil(parts, **(stand | more)), band)
         return found.stable, found.passive, found.proof
 
     proven, poles = (True, True, "definite matrices"), "poles"

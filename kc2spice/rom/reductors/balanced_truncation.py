@@ -1,130 +1,116 @@
-"""Balanced truncation, over all frequencies or over a band.
+"""Balanced truncation over all frequencies, by the Gramians of a stable model.
 
-Balanced coordinates are in the order in which states are reached and seen: over all frequencies by
-the Gramians of a stable model, or over a band by samples of its states and of those of its dual,
-weighted by the norm of the reduction: what is small in the response counts little relative to its
-peak, and as much as anything else pointwise.
-
-Sources: square root method, Laub, Heath, Paige and Ward, IEEE Trans. Autom. Control 32 (1987) 115;
-balancing by quadrature, Gosea, Gugercin and Beattie, SIAM J. Sci. Comput. 44 (2022) A408.
+Balanced coordinates are in the order in which states are controllable and observable. Inputs and
+outputs are scaled by the peaks of the response, so that small entries count as much as large ones.
 """
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
-from scipy.linalg import lapack, qr
+from scipy.linalg import lapack
 
 from kc2spice.rom.pencil import Pencil, explicit
-from kc2spice.rom.reduced_basis import Reduction
-from kc2spice.rom.response import Response
-from kc2spice.rom.state_space import in_hertz, standard
+from kc2spice.rom.reduced_basis import ReducedBasis, Task
+from kc2spice.rom.reductors.base import Reductor
 
-STRICT = 1e-9  # damping of the slowest pole, per rad at the band's end
-RANK = 1e-13  # singular values below this are rounding
-
-
-def by_gramians(model: Pencil, rows: np.ndarray, columns: np.ndarray) -> Pencil | None:
-    """The :func:`standard` model balanced over all frequencies, outputs over ``rows`` and inputs
-    over ``columns``; None where it is not strictly stable."""
-    T = -model.coefficients[0]
-    if np.linalg.eigvals(T).real.max() > -STRICT:
-        return None
-    reached = _gramian_root(T, model.B / columns, "N", "T")
-    return _balanced(model, reached, _gramian_root(T, (model.C / rows[:, None]).T, "T", "N"))
+LARGEST = 2000  # first-order states up to which dense Gramians are computed
+LARGEST_UNSCALED = 500  # first-order states up to which a second pair of Gramians is tried
+# Least decay of the slowest pole in e-folds per radian at the end of the band. Gramians of slower
+# poles are rounding.
+STRICTLY_STABLE = 1e-9
+HANKEL_ROUNDING = 1e-13  # Hankel singular values below this, relative to the largest, are rounding
 
 
-def by_samples(model: Response, s: np.ndarray, inputs: np.ndarray, outputs: np.ndarray) -> Pencil:
-    """The standard model balanced over samples at ``s``, with weights (len(s), inputs) and
-    (len(s), outputs) on its answers and on those of its dual."""
-    reached = _columns(model.states(s) * inputs[:, None, :])
-    seen = _columns(model.dual.states(s) * outputs[:, None, :])
-    return _balanced(model.pencil, reached, seen)
+class BalancedTruncation(Reductor):
+    """Balanced truncation by the square root method.
 
+    With the Gramians ``P = R R'`` and ``Q = L L'`` of a stable model in first order and the
+    singular value decomposition ``L'R = U S Z'``, the projection is ``V = R Z S^(-1/2)`` and
+    ``W = L U S^(-1/2)``. The error of order q is at most ``2 (s_(q+1) + s_(q+2) + ...)`` in the
+    largest singular value over all frequencies.
 
-def weights(frequency: np.ndarray, base: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Weights of inputs and outputs at each frequency.
+    Parameters
+    ----------
+    scaled : bool
+        Whether inputs and outputs are scaled by the peaks of the response.
 
-    They weight an integral over the band of errors relative to ``base`` (len(frequency), outputs,
-    inputs).
+    Examples
+    --------
+    Two relaxations of which one is a million times weaker: one state is enough.
+
+    >>> import numpy as np
+    >>> import kc2spice as kc
+    >>> A, B = np.diag([-1.0, -3.0]), np.array([[1.0], [1e-3]])
+    >>> rom = kc.reduce(
+    ...     kc.LinearModel(A=A, B=B, C=B.T), tolerance=1e-4, band=(0, 1), norm="peak",
+    ...     method="balanced truncation",
+    ... )
+    >>> print(rom.order, f"{rom.A[0, 0]:.4f}")
+    1 -1.0000
     """
-    step = np.sqrt(np.gradient(frequency) if len(frequency) > 1 else np.ones(1))
-    rows, columns = scales(base)
-    return step[:, None] / columns, step[:, None] / rows
+
+    reference = "Laub, Heath, Paige and Ward, IEEE Trans. Autom. Control 32 (1987) 115"
+    congruence = False
+
+    def __init__(self, scaled: bool = True) -> None:
+        self.scaled = scaled
+        self.name = "balanced truncation" + ("" if scaled else " of outputs as they are")
+
+    def suits(self, task: Task) -> bool:
+        """Return whether the model has a static response and is small enough."""
+        if not has_gramians(task):
+            return False
+        entries = task.estimator.reference[1].peak.size
+        return self.scaled or (task.first_order.pencil.size <= LARGEST_UNSCALED and entries > 1)
+
+    def basis(self, task: Task) -> ReducedBasis | None:
+        """Return the balanced model; None if it is not strictly stable."""
+        model = task.first_order.pencil
+        A = -model.coefficients[0]
+        if np.linalg.eigvals(A).real.max() > -STRICTLY_STABLE:
+            return None
+        rows, columns = scales(task.estimator.reference[1].peak)
+        if not self.scaled:
+            rows, columns = np.ones(len(rows)), np.ones(len(columns))
+        controllable = _gramian_root(A, model.B / columns, "N", "T")
+        observable = _gramian_root(A, (model.C / rows[:, None]).T, "T", "N")
+        return balanced_basis(task, model, controllable, observable)
+
+
+def has_gramians(task: Task) -> bool:
+    """Whether the model is stable at rest, without rigid-body modes that damping couples to other
+    motions, and small enough for dense Gramians."""
+    return task.intermediate.static and not task.core.free and task.states <= LARGEST
+
+
+def balanced_basis(
+    task: Task, model: Pencil, controllable: np.ndarray, observable: np.ndarray
+) -> ReducedBasis:
+    """Balance a model ``x' = A x + B u`` by roots of both Gramians."""
+    U, hankel, Zt = np.linalg.svd(observable.T @ controllable)
+    count = int((hankel > HANKEL_ROUNDING * hankel[0]).sum())
+    V = controllable @ Zt[:count].T / np.sqrt(hankel[:count])
+    W = observable @ U[:, :count] / np.sqrt(hankel[:count])
+    A = -model.coefficients[0]
+    balanced = task.from_first_order(explicit(W.T @ A @ V, W.T @ model.B, model.C @ V, model.D))
+    return ReducedBasis(task, balanced, balanced.free, congruence=False)
 
 
 def scales(size: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Factors of rows and columns whose products are next to ``size`` (..., rows, columns)."""
+    """Return factors of rows and columns whose products are closest to ``size``.
+
+    The size is (..., rows, columns), and the distance is that of logarithms.
+    """
     log = np.log(np.where(size > 0, size, size.max(initial=0.0) or 1.0))
     half = 0.5 * log.mean(axis=(-2, -1))[..., None]
     return np.exp(log.mean(axis=-1) - half), np.exp(log.mean(axis=-2) - half)
 
 
-def _balanced(model: Pencil, reached: np.ndarray, seen: np.ndarray) -> Pencil:
-    U, size, Vt = np.linalg.svd(seen.T @ reached)
-    kept = int((size > RANK * size[0]).sum())
-    T = reached @ Vt[:kept].T / np.sqrt(size[:kept])
-    W = seen @ U[:, :kept] / np.sqrt(size[:kept])
-    return explicit(-W.T @ model.coefficients[0] @ T, W.T @ model.B, model.C @ T, model.D)
+def _gramian_root(T: np.ndarray, Q: np.ndarray, left: str, right: str) -> np.ndarray:
+    """R with ``X = R R'``, ``T X + X T' = -Q Q'``, or with T transposed (T in real Schur form).
 
-
-def _gramian_root(T: np.ndarray, Q: np.ndarray, way: str, other: str) -> np.ndarray:
-    """R with ``X = R R'``, ``T X + X T' = -Q Q'``, or with T transposed; rounding may leave X
-    slightly indefinite."""
-    X, scale, _ = lapack.dtrsyl(T, T, -Q @ Q.T, trana=way, tranb=other)
+    Rounding may leave X slightly indefinite.
+    """
+    X, scale, _ = lapack.dtrsyl(T, T, -Q @ Q.T, trana=left, tranb=right)
     values, vectors = np.linalg.eigh(0.5 / scale * (X + X.T))
     return vectors * np.sqrt(np.maximum(values, 0.0))
-
-
-def _columns(x: np.ndarray) -> np.ndarray:
-    """A square root of the sum of ``x x*`` over all samples, real."""
-    columns = np.moveaxis(x, 0, 1).reshape(x.shape[1], -1)
-    both = np.hstack([columns.real, columns.imag])
-    return np.asarray(qr(both.T, mode="r", overwrite_a=True, check_finite=False)[0][: len(both)].T)
-
-
-BALANCED = 2000  # first-order states at most
-UNSCALED = 500  # states up to which balancing without scaled outputs is tried too
-SAMPLED = 900  # states up to which samples take no more time than Gramians
-ALL = "balanced truncation"
-THINNED = 4  # every so many samples are enough where no notches count
-
-
-def balanced(like: Reduction, states: int, tolerance: float) -> tuple[Reduction, int] | None:
-    """The same subspace model in first order and balanced coordinates, over all frequencies or over
-    the band, if that has fewer than so many ``states``; None where it has not, or the model is free
-    to move or too large."""
-    judge, free = like.judge, like.judge.exact.pencil.free
-    core, top = judge.exact.core, judge.band[1]
-    if not like.space.static or core.free or like.states(judge.exact.pencil.size) > BALANCED:
-        return None
-    model = Response(standard(core, top))
-    H, entries = judge.reference
-    peak = entries.peak
-    factors = scales(peak)
-    ways = {ALL: lambda: by_gramians(model.pencil, *factors)}
-    if model.pencil.size <= UNSCALED and peak.size > 1:
-        one = [np.ones(len(item)) for item in factors]
-        ways[f"{ALL} of outputs as they are"] = lambda: by_gramians(model.pencil, *one)
-    if model.pencil.size <= SAMPLED and model.diagonal:
-        step = 1 if judge.norm == "pointwise" else THINNED
-        f = judge.frequency[::step]
-        factors_over_band = weights(f, entries.base(H[::step], judge.share))
-        over = {f"{ALL} over the band": lambda: by_samples(model, 1j * f / top, *factors_over_band)}
-        ways = over | ways if judge.norm == "pointwise" else ways | over
-    best = None
-    for name, way in ways.items():
-        small = way()
-        if small is None:
-            continue
-        if free:
-            small = small.joined(standard(judge.exact.pencil.leading(free), top))
-        pencil = in_hertz(small, top)
-        other = replace(like, pencil=pencil, first=pencil.free, origin=name, balanced=True)
-        fewer = other.fewest(tolerance, states)
-        if fewer is not None:
-            best, states = (other, fewer), fewer
-            if judge.norm == "pointwise":
-                break  # Gramians know nothing of notches
-    return best

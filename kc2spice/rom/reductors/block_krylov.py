@@ -1,6 +1,7 @@
 """Block Krylov subspace at one expansion point, s0 = 0.
 
-Source: Schütz, Maeter and Bechtold, Actuators 10 (2021) 279, section 2.3, equations 6 and 7.
+The bases of all orders are nested. The static response of all ports is exact, and each block of
+vectors matches two moments of a model with definite matrices.
 """
 
 from __future__ import annotations
@@ -9,13 +10,68 @@ from collections.abc import Callable
 
 import numpy as np
 
-from kc2spice.rom.intermediate import Subspace
+from kc2spice.rom.definite import is_definite
+from kc2spice.rom.intermediate import IntermediateModel
 from kc2spice.rom.pencil import Pencil
+from kc2spice.rom.reduced_basis import ReducedBasis, Task
+from kc2spice.rom.reductors.base import Reductor
 from kc2spice.rom.response import Response
 
+# Blocks beyond the order whose model estimates the error: the change by two blocks shows whether
+# the expansion has converged.
+BLOCKS_BEYOND = 2
+# Vectors for a tolerance, per state of the intermediate model, which has several expansion points.
+VECTORS_PER_STATE = 2
 # A candidate that keeps less than this of its length outside the basis brings rounding noise only.
 DEFLATION = 1e-10
 Operator = Callable[[np.ndarray], np.ndarray]
+
+
+class BlockKrylov(Reductor):
+    """Block Krylov vectors at zero frequency, by block Arnoldi with K as inner product.
+
+    ``span{X, A X, A^2 X, ...}`` with ``X = K^-1 B`` and ``A = K^-1 M`` (equations 6 and 7 of the
+    reference). The model has a definite K and proportional damping or none.
+
+    Examples
+    --------
+    One vector for one port: the static compliance of four springs of 2000 N/m in series is exact.
+
+    >>> import numpy as np
+    >>> import kc2spice as kc
+    >>> K = 2e3 * (np.diag([2.0, 2, 2, 1]) - np.eye(4, k=1) - np.eye(4, k=-1))
+    >>> chain = kc.LinearModel(M=1e-3 * np.eye(4), K=K, B=np.eye(4)[:, 3:])
+    >>> rom = kc.reduce(chain, order=1, band=(0, 100), method="block Krylov")
+    >>> print(f"{rom.transfer([0.0])[0, 0, 0].real:.9f} m/N")
+    0.002000000 m/N
+    """
+
+    name = "block Krylov"
+    reference = "Schütz, Maeter and Bechtold, Actuators 10 (2021) 279, section 2.3"
+
+    def suits(self, task: Task) -> bool:
+        """Return whether K is definite and the damping proportional or zero."""
+        return is_definite(task.pencil, undamped_too=True)
+
+    def basis(self, task: Task) -> ReducedBasis:
+        """Return the projection of the full-order model on nested Krylov vectors."""
+        if not task.intermediate.proof:  # made by this method, for a prescribed order
+            return ReducedBasis(task, task.intermediate.pencil)
+        count = VECTORS_PER_STATE * task.intermediate.pencil.size
+        return ReducedBasis(task, krylov_model(task.pencil, count))
+
+
+def krylov_model(pencil: Pencil, count: int) -> Pencil:
+    """Project a definite model on so many block Krylov vectors at zero, or on all that exist."""
+    K, _, M = pencil.coefficients
+    solve = pencil.pencil_solver(0.0).solve
+    return pencil.project(block_arnoldi(lambda v: K @ v, solve, lambda v: M @ v, pencil.B, count))
+
+
+def nested_model(pencil: Pencil, order: int) -> IntermediateModel:
+    """Return the Krylov model of two blocks more than ``order``, which estimates the error."""
+    count = order + BLOCKS_BEYOND * pencil.B.shape[1]
+    return IntermediateModel(Response(krylov_model(pencil, count)), 0.0, True, "")
 
 
 def block_arnoldi(
@@ -58,12 +114,3 @@ def extend(
             basis = np.column_stack([basis, vector / remaining])
             images = np.column_stack([images, image / remaining])
     return basis[:, old:], images[:, old:]
-
-
-def _krylov(pencil: Pencil, order: int) -> Subspace:
-    """The paper's model of ``order`` states and two blocks more, by which it is certified."""
-    K, _, M = pencil.coefficients
-    solve = pencil.pencil_solver(0.0).solve
-    larger = order + 2 * pencil.B.shape[1]
-    V = block_arnoldi(lambda v: K @ v, solve, lambda v: M @ v, pencil.B, larger)
-    return Subspace(Response(pencil.project(V)), 0.0, True, "")

@@ -17,23 +17,21 @@ import numpy as np
 from kc2spice.linalg.exact import Solver
 from kc2spice.rom.entries import Entries
 from kc2spice.rom.error_estimate import inexact, relative_size
-from kc2spice.rom.intermediate import Subspace
+from kc2spice.rom.intermediate import IntermediateModel
 from kc2spice.rom.pencil import Pencil
 from kc2spice.rom.response import FLANK, SHARPEST, Response, grid, samples
-from kc2spice.rom.rounding import _uncertainty_note, uncertainty
+from kc2spice.rom.rounding import uncertainty, uncertainty_note
+
+FIRST_POINTS = 12  # samples before the error is estimated
+MOST_POINTS = 90  # samples at which the method gives up
+CANDIDATES = 151  # frequencies of which the next sample is one
+# Limits of directions that are noise, over the largest singular value; the best one is used.
+NOISE_LIMITS = 10.0 ** -np.arange(13, 6, -1)
 
 
 def real_parts(x: np.ndarray) -> list[np.ndarray]:
     """Real vectors that span the same."""
     return [x.real, x.imag] if np.iscomplexobj(x) and x.imag.any() else [x.real]
-
-
-FIRST = 12  # frequencies before the error is judged
-MOST = 90  # frequencies at all
-SAMPLED_CANDIDATES = 151
-CUTS = 10.0 ** -np.arange(
-    13, 6, -1
-)  # limits of directions that are noise, over the largest singular value
 
 
 class Samples:
@@ -73,7 +71,9 @@ class Samples:
         inner = W.T @ self._images
         B, C = W.T @ P.B, P.C @ self._right
         models = []
-        for order in sorted({int((size > cut * size[0]).sum()) for cut in CUTS}, reverse=True):
+        for order in sorted(
+            {int((size > cut * size[0]).sum()) for cut in NOISE_LIMITS}, reverse=True
+        ):
             root = np.sqrt(size[:order])
             left, right = U[:, :order] / root, Vt[:order].T / root
             small = Pencil((-(left.T @ inner @ right), np.eye(order)), left.T @ B, C @ right, P.D)
@@ -89,7 +89,9 @@ class Samples:
         return relative_size(difference, H, Entries.of(self.H))
 
 
-def _sampled(full: Pencil, band: tuple[float, float], target: float, limit: float) -> Subspace:
+def sampled_model(
+    full: Pencil, band: tuple[float, float], target: float, limit: float
+) -> IntermediateModel:
     """An ill-conditioned first-order model by exact samples.
 
     Raises
@@ -97,16 +99,16 @@ def _sampled(full: Pencil, band: tuple[float, float], target: float, limit: floa
     SimulationError : not even ``limit`` is met; a model free to move at zero frequency.
     """
     known = Samples(full)
-    every = grid(band, SAMPLED_CANDIDATES, True)
-    for k in np.unique(np.linspace(0, len(every) - 2, FIRST).astype(int)):
+    every = grid(band, CANDIDATES, True)
+    for k in np.unique(np.linspace(0, len(every) - 2, FIRST_POINTS).astype(int)):
         known.add(float(every[k]))
     last = Response(known.model()[0])
     known.add(float(band[1]))
     model, _ = known.model()
     recent = [np.inf]
-    while len(known.frequency) < MOST:
+    while len(known.frequency) < MOST_POINTS:
         before = Response(model)
-        points = samples(before, band, SAMPLED_CANDIDATES, True)
+        points = samples(before, band, CANDIDATES, True)
         points = points[~np.isclose(points[:, None], known.frequency, rtol=1e-7).any(axis=1)]
         if not points.size:
             break
@@ -118,7 +120,9 @@ def _sampled(full: Pencil, band: tuple[float, float], target: float, limit: floa
         last = before
         model, fit = known.model()
         recent = [*recent[-1:], max(error, fit)]
-        if max(recent) <= target or (len(known.frequency) > MOST // 2 and max(recent) <= limit):
+        if max(recent) <= target or (
+            len(known.frequency) > MOST_POINTS // 2 and max(recent) <= limit
+        ):
             break
     if not max(recent) <= limit:
         raise inexact(
@@ -131,8 +135,8 @@ def _sampled(full: Pencil, band: tuple[float, float], target: float, limit: floa
     response = Response(model)
     at, ratio = response.within(band)
     at = at * (1 + FLANK * (ratio < SHARPEST)) if at.size else np.array(band)
-    proof += "solutions" + _uncertainty_note(at, uncertainty(full, at), 2 * limit)
-    return Subspace(response, max(recent), True, proof)
+    proof += "solutions" + uncertainty_note(at, uncertainty(full, at), 2 * limit)
+    return IntermediateModel(response, max(recent), True, proof)
 
 
 def _decaying(small: Pencil) -> Pencil:

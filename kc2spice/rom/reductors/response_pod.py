@@ -7,110 +7,152 @@ from dataclasses import replace
 import numpy as np
 from scipy.linalg import LinAlgError, block_diag, cholesky, solve_triangular
 
-from kc2spice.rom.error_estimate import Judge
-from kc2spice.rom.linear import LinearModel, Norm
 from kc2spice.rom.pencil import Pencil
-from kc2spice.rom.reduced_basis import Reduction
-from kc2spice.rom.response import Response, around, grid
+from kc2spice.rom.reduced_basis import ReducedBasis, Task
+from kc2spice.rom.reductors.base import Reductor
+from kc2spice.rom.reductors.snapshots import snapshots, tail_weight, weighted_states
+from kc2spice.rom.response import Response
 
-SOFT = 1e12  # condition of an energy that holds a motion which costs none but for rounding
-RANK = 1e-13  # singular values of the response below this are rounding
-FIT = 101
-TAIL = 8.0  # snapshots of mechanical ports reach so many times the band's upper edge
-TAIL_SAMPLES = 150
-TAIL_DECAY = 4  # power of the fall of the tail's weight: contact forces are smooth on the whole
-# Eight kicks of the paper's chip, 45 to 105 V, tolerances 1e-5 to 5e-8: models of 20 to 31 states
-# have launch errors within 2.7e-4. With weights of at most 1e-2, 21 states at 2e-7 have up to 9e-4.
-TAIL_WEIGHTS = 4e-3, 5e-2
-TAIL_PER_ROOT = 120.0  # per root of the tolerance, as errors go with its square
-TIGHTENED = 150  # states up to which directions are turned to save some
-TRIALS = 12  # how often directions are turned
-SPARE = 20  # directions beyond the order, at least, that are turned
-SPARED = 0.5  # share of the tolerance that all of these directions must be good to
-LEAST = 0.05  # least change of a weight
-FADING = 0.5  # factor of the weight of the tail in each trial
+# Condition of an energy above which one motion costs no energy except for rounding.
+SOFT = 1e12
+RANK = 1e-13  # singular values of snapshots below this, relative to the largest, are rounding
+TIGHTENED = 150  # order up to which other weights are tried
+TRIALS = 12  # updates of the weights
+SPARE = 20  # vectors beyond the order, at least, that a better basis is made from
+SPARE_ERROR = 0.5  # share of the tolerance that the model of all of these vectors must meet
+LEAST_WEIGHT = 0.05  # squared factor of weights where the error is zero: none vanishes at once
+TAIL_FADING = 0.5  # factor of the weight above the band in each trial, as no certificate covers it
 
 
-def tightened(found: Reduction, order: int, tolerance: float) -> tuple[Reduction, int]:
-    """Other directions of which fewer than ``order`` meet the tolerance, as long as there are any.
+class ResponsePod(Reductor):
+    """Principal directions of the response over the band.
 
-    Snapshots weigh more where the error of one state fewer is largest (Lawson's minimax fit), and
-    those of the ``tail`` above the band, which no certificate sees, less and less.
+    The first vectors are the static responses of the ports, so static gains are exact. Then follow
+    the left singular vectors of snapshots of the response, in coordinates in which the elastic
+    energy is a sum of squares, with weights for a relative error. ``two_sided`` adds snapshots of
+    the dual model, which unsymmetric models need.
+
+    Examples
+    --------
+    A chain of masses has few directions of motion in a low band.
+
+    >>> import numpy as np
+    >>> import kc2spice as kc
+    >>> K = 2 * np.eye(40) - np.eye(40, k=1) - np.eye(40, k=-1)
+    >>> chain = kc.LinearModel(M=np.eye(40), K=K, B=np.eye(40)[:, :1], rayleigh=(0, 0.1))
+    >>> kc.reduce(
+    ...     chain, tolerance=1e-2, band=(0, 0.02), norm="peak", method="response POD"
+    ... ).order
+    3
     """
-    size, kept = min(found.size, max(3 * order, order + SPARE)), max(found.first, 1)
-    if order <= kept or order > TIGHTENED or found.error(size) > SPARED * tolerance:
-        return found, order
-    held = found.pencil.leading(size)
-    response = Response(held)
-    judge = found.judge
-    inside, far = _snapshots(judge, response, _tail(found.full, tolerance))
-    s = 2j * np.pi * np.r_[inside, far[0]]
-    H, count = judge.exact.transfer(s), inside.size
-    base = judge.reference[1].base(H[:count], judge.share) + np.finfo(float).tiny
-    sides = [_weighted(response, s, np.ones(len(s)), H, judge.norm)]
-    if not (held.symmetric and held.collocated):
-        sides.append(_weighted(response.dual, s, np.ones(len(s)), H.swapaxes(1, 2), judge.norm))
-    weight, share, best = np.ones(count), 1.0, found
-    for _ in range(TRIALS):
-        both = np.r_[weight, share * far[1]]
-        columns = np.hstack(
-            [side * np.tile(np.repeat(both, side.shape[1] // (2 * len(s))), 2) for side in sides]
-        )
-        V = block_diag(np.eye(found.first), _principal(columns[found.first :])[0])
-        trial = replace(found, pencil=replace(held.project(V), free=held.free))
-        while order > kept:
-            fewer = trial.pencil.leading(order - 1)
-            off = np.abs(Response(fewer).transfer(s[:count]) - H[:count]) / base
-            if off.max() > tolerance or not trial.good(order - 1, tolerance):
-                break
-            best, order = trial, order - 1
-        largest = off.max(axis=(1, 2))
-        weight = weight * np.sqrt(largest / largest.max() + LEAST)
-        weight, share = weight / weight.max(), FADING * share
-    return best, order
+
+    reference = "Berkooz, Holmes and Lumley, Annu. Rev. Fluid Mech. 25 (1993) 539"
+
+    def __init__(self, two_sided: bool = False) -> None:
+        self.two_sided = two_sided
+        self.name = "response POD" + (" of both sides" if two_sided else "")
+
+    def basis(self, task: Task) -> ReducedBasis:
+        """Return the static responses and the principal directions of all others."""
+        core, free = task.core, task.core.free
+        energy = _energy_basis(core.held, 2 * np.pi * task.band[1], task.intermediate.static)
+        response = Response(core.project(block_diag(np.eye(free), energy)))
+        static = _static_responses(task, response)
+        points = snapshots(task.estimator, response, tail_weight(task.fom, task.tolerance))
+        states = _states(task, response, points.s, points.weights(), self.two_sided)
+        vectors = _orthonormal(np.hstack(states)[free:], static)
+        pencil = response.pencil.project(block_diag(np.eye(free), vectors))
+        pencil = task.with_rigid_body(replace(pencil, free=free))
+        fixed = pencil.free + (static.shape[1] if _mechanical(task) else 0)
+        return ReducedBasis(task, pencil, fixed)
+
+    def tighten(
+        self, basis: ReducedBasis, order: int, tolerance: float
+    ) -> tuple[ReducedBasis, int]:
+        """Return vectors of which fewer meet the tolerance.
+
+        Snapshots get larger weights where the error of one state fewer is largest (Lawson's minimax
+        fit), and those above the band smaller and smaller ones.
+        """
+        size, least = min(basis.size, max(3 * order, order + SPARE)), max(basis.fixed, 1)
+        if order <= least or order > TIGHTENED or basis.error(size) > SPARE_ERROR * tolerance:
+            return basis, order
+        pencil, task = basis.pencil.leading(size), basis.task
+        response = Response(pencil)
+        points = snapshots(task.estimator, response, tail_weight(task.fom, tolerance))
+        s, inside = points.s, slice(points.inside.size)
+        H = task.response.transfer(s[inside])
+        base = task.estimator.reference[1].base(H, task.estimator.share) + np.finfo(float).tiny
+        states = _states(task, response, s, np.ones(len(s)), not task.collocated)
+        weight, tail, best = np.ones(points.inside.size), 1.0, basis
+        for _ in range(TRIALS):
+            factors = points.weights(weight, tail)
+            columns = np.hstack([_scaled(side, factors) for side in states])[basis.fixed :]
+            V = block_diag(np.eye(basis.fixed), _principal(columns)[0])
+            trial = replace(basis, pencil=replace(pencil.project(V), free=pencil.free))
+            while order > least:
+                fewer = Response(trial.pencil.leading(order - 1)).transfer(s[inside])
+                error = np.abs(fewer - H) / base
+                if error.max() > tolerance or not trial.acceptable(order - 1, tolerance):
+                    break
+                best, order = trial, order - 1
+            largest = error.max(axis=(1, 2))
+            weight = weight * np.sqrt(largest / largest.max() + LEAST_WEIGHT)
+            weight, tail = weight / weight.max(), TAIL_FADING * tail
+        return best, order
 
 
-def ordered(plain: Reduction, two_sided: bool, tolerance: float | None) -> Reduction:
-    """Order the directions of the ``plain`` subspace by what they contribute to the response."""
-    model, space, judge = plain.full, plain.space, plain.judge
-    whole = space.response
-    core, omega = whole.core, 2 * np.pi * judge.band[1]
-    free = core.free  # motions that damping couples to the others are kept as they are
-    energy = _energy_basis(core.held, omega, static=space.static)
-    basis = block_diag(np.eye(free), energy)
-    response = Response(core.project(basis))
-    pencil = response.pencil
-    conservative = any(p.kind in ("mechanical", "rotational") for p in model.ports)
-    first = np.empty((pencil.size - free, 0))
+def _mechanical(task: Task) -> bool:
+    """Whether a port is mechanical: contacts press on it, so its static response stays exact."""
+    return any(port.kind in ("mechanical", "rotational") for port in task.fom.ports)
+
+
+def _static_responses(task: Task, response: Response) -> np.ndarray:
+    """Orthonormal vectors (n, k) of the static responses, without unknowns of rigid-body modes.
+
+    The loads include those of rigid-body modes that damping couples to other motions. Signals need
+    static responses only in a band from zero.
+    """
+    pencil, free = response.pencil, task.core.free
     if free:
         K, E, _ = pencil.coefficients
         loads = [pencil.B[free:], E[free:, :free], E[:free, free:].T]
-        first = _range(np.linalg.solve(K[free:, free:], np.hstack(loads)))
-    elif space.static and ((judge.static and judge.band[0] == 0) or conservative):
-        first = _range(response.states(np.zeros(1))[0].real)
-    inside, far = _snapshots(judge, response, _tail(model, tolerance))
-    weight = np.r_[np.ones(inside.size), far[1]]
-    s = 2j * np.pi * np.r_[inside, far[0]]
-    H = whole.transfer(s)
-    sets = [_weighted(response, s, weight, H, judge.norm)]
+        return _range(np.linalg.solve(K[free:, free:], np.hstack(loads)))
+    from_rest = task.estimator.static and task.band[0] == 0
+    if task.intermediate.static and (from_rest or _mechanical(task)):
+        return _range(response.states(np.zeros(1))[0].real)
+    return np.empty((pencil.size, 0))
+
+
+def _states(
+    task: Task, response: Response, s: np.ndarray, weight: np.ndarray, two_sided: bool
+) -> list[np.ndarray]:
+    """Weighted states of the model, and of its dual if ``two_sided``."""
+    H = task.response.transfer(s)
+    result = [weighted_states(response, s, weight, H, task.norm)]
     if two_sided:
-        sets.append(_weighted(response.dual, s, weight, H.swapaxes(1, 2), judge.norm))
-    directions = _directions(np.hstack(sets)[free:], first)
-    pencil = pencil.project(block_diag(np.eye(free), directions))
-    pencil = replace(pencil, free=free)
-    if core is not whole.pencil:
-        pencil = pencil.joined(whole.pencil.leading(whole.pencil.free))
-    kept = pencil.free + (first.shape[1] if conservative else 0)
-    return replace(plain, pencil=pencil, first=kept)
+        dual = weighted_states(response.dual, s, weight, H.swapaxes(1, 2), task.norm)
+        result.append(dual)
+    return result
 
 
-def _energy_basis(pencil: Pencil, omega: float, *, static: bool) -> np.ndarray:
-    """Coordinates in which the elastic energy (else that at ``omega``) is the plain square, where
-    there is one. A model that is not ``static`` has none at rest, though rounding of its K may let
-    a factor of it pass for one."""
+def _scaled(states: np.ndarray, factors: np.ndarray) -> np.ndarray:
+    """Real and imaginary parts of states (n, 2 frequencies inputs), times a factor of each
+    frequency."""
+    inputs = states.shape[1] // (2 * len(factors))
+    return states * np.tile(np.repeat(factors, inputs), 2)
+
+
+def _energy_basis(pencil: Pencil, omega: float, static: bool) -> np.ndarray:
+    """Coordinates in which the elastic energy is a sum of squares, otherwise the energy at
+    ``omega``; the unit matrix if none is definite.
+
+    A model that is not ``static`` has no elastic energy at rest, although rounding of K may give it
+    a Cholesky factor.
+    """
     rest, inertia = pencil.coefficients[0], pencil.coefficients[-1]
-    moving = rest + omega**pencil.degree * inertia
-    for energy in (rest, moving) if static else (moving,):
+    dynamic = rest + omega**pencil.degree * inertia
+    for energy in (rest, dynamic) if static else (dynamic,):
         energy = 0.5 * (energy + energy.T)
         if np.linalg.cond(energy) > SOFT:
             continue
@@ -118,69 +160,18 @@ def _energy_basis(pencil: Pencil, omega: float, *, static: bool) -> np.ndarray:
             return np.asarray(solve_triangular(cholesky(energy), np.eye(pencil.size)))
         except LinAlgError:
             continue
-    return np.eye(pencil.size)  # no definite energy: the scaled unknowns must do
+    return np.eye(pencil.size)
 
 
-def _tail(model: LinearModel, tolerance: float | None) -> float | None:
-    """Weight of what is above the band, where contact may act; a basis fitted to the band alone is
-    erratic there."""
-    if not any(p.kind in ("mechanical", "rotational") for p in model.ports):
-        return None
-    return float(np.clip(TAIL_PER_ROOT * np.sqrt(tolerance or 0.0), *TAIL_WEIGHTS))
-
-
-def _snapshots(
-    judge: Judge, response: Response, tail: float | None
-) -> tuple[np.ndarray, tuple[np.ndarray, np.ndarray]]:
-    """Frequencies [Hz] of the band and its resonances; those of a tail above with their weights."""
-    band = judge.band
-    frequency = grid(band, FIT, judge.static)
-    at, ratio = response.within(band)
-    frequency = np.union1d(frequency, around(at, ratio, np.array([0.0, 1.0])))
-    if tail is None:
-        return frequency, (np.empty(0), np.empty(0))
-    far = np.linspace(band[1], TAIL * band[1], TAIL_SAMPLES)
-    weight = tail * (band[1] / far) ** TAIL_DECAY * np.sqrt(FIT / TAIL_SAMPLES)
-    return frequency, (far, weight)
-
-
-def _weighted(
-    response: Response, s: np.ndarray, weight: np.ndarray, whole: np.ndarray, norm: Norm
-) -> np.ndarray:
-    """Real and imaginary parts of the states, each relative to the root of its port's response
-    (an energy) where ports have one, else to its own length; with that of a free motion, in the
-    response of the ``whole``. Relative to the peaks in that norm."""
-    x = response.states(s)
-    P = response.pencil
-    H = P.C @ x + P.D
-    if P.symmetric and P.collocated:
-        share = 1.0 if norm == "peak" else 1e-6
-        least = share * np.abs(np.einsum("fii->fi", H)).max(axis=0)
-        own = np.sqrt(np.maximum(np.abs(np.einsum("fii->fi", whole)), least))
-    else:
-        own = np.linalg.norm(x, axis=1)
-        if norm == "peak":
-            own = np.maximum(own, own.max(axis=0))
-        size = np.linalg.norm(H, axis=1)
-        more = np.divide(
-            np.linalg.norm(whole, axis=1), size, out=np.ones_like(size), where=size > 0
-        )
-        own = own * np.maximum(more, 1.0)
-    x = x * (weight[:, None] / (own + np.finfo(float).tiny))[:, None, :]
-    columns = np.moveaxis(x, 0, 1).reshape(x.shape[1], -1)
-    return np.hstack([columns.real, columns.imag])
-
-
-def _directions(columns: np.ndarray, first: np.ndarray) -> np.ndarray:
-    """Orthonormal directions: ``first``, then the principal ones of all others."""
-    for _ in range(2):
+def _orthonormal(columns: np.ndarray, first: np.ndarray) -> np.ndarray:
+    """Orthonormal vectors: ``first``, then the principal directions of the other columns."""
+    for _ in range(2):  # once leaves rounding of the projection
         columns = columns - first @ (first.T @ columns)
-    both = np.hstack([first, _principal(columns)[0]])
-    return np.asarray(np.linalg.qr(both)[0])
+    return np.asarray(np.linalg.qr(np.hstack([first, _principal(columns)[0]]))[0])
 
 
 def _range(columns: np.ndarray) -> np.ndarray:
-    """Principal directions of the columns, those beyond rounding of the largest."""
+    """Principal directions of the columns whose singular values are not rounding."""
     U, size = _principal(columns)
     return np.asarray(U[:, size > RANK * max(size.max(initial=0.0), np.finfo(float).tiny)])
 

@@ -23,7 +23,7 @@ from kc2spice.rom.error_estimate import adaptive_frequencies, relative_error
 from kc2spice.rom.linear import LinearModel
 from kc2spice.rom.modal import resonators
 from kc2spice.rom.response import Response
-from kc2spice.rom.stability import structure as form
+from kc2spice.rom.stability import prove_stability
 from kc2spice.scene.judge import Check
 from kc2spice.scene.model import Build, Part
 from kc2spice.sim.ngspice import run_deck
@@ -129,7 +129,7 @@ def own_structure(name: str, rom: LinearModel, band: tuple[float, float]) -> lis
         # A body that is free to move has poles at zero, which rounding of poles moves about; its
         # matrices show that they do not grow.
         rightmost, limit = 0.0, ROUNDING
-        if form(rom.pencil.dense(), band).proof != "definite matrices":
+        if prove_stability(rom.pencil.dense(), band).proof != "definite matrices":
             poles = rom.poles()
             size = np.maximum(np.abs(poles), 2 * np.pi * band[1])
             rightmost = float((poles.real / size).max(initial=-1.0))

@@ -1,0 +1,39 @@
+"""The test whether a model has definite matrices and real modes."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from kc2spice.core.errors import SimulationError
+from kc2spice.rom.pencil import Matrix, Pencil, Schur, magnitudes
+from kc2spice.rom.rigid_body import RANDOM, energy_rounding
+from kc2spice.rom.rounding import FREE
+
+
+def is_definite(pencil: Pencil, *, undamped_too: bool = False) -> bool:
+    """Symmetric, collocated, proportionally damped (or not at all), K positive definite."""
+    proportional = pencil.rayleigh is not None or (undamped_too and pencil.undamped)
+    if pencil.degree != 2 or not (proportional and pencil.symmetric and pencil.collocated):
+        return False
+    load = np.random.default_rng(0).standard_normal((pencil.size, 1))
+    try:
+        solve = pencil.pencil_solver(0.0).solve
+        x, y = solve(pencil.B), solve(load)
+    except SimulationError:
+        return False
+    held = bool((np.einsum("ki,ki->i", x, pencil.B) >= 0).all())
+    return held and not _is_free(pencil.coefficients[0], y, load)
+
+
+def _is_free(K: Matrix, y: np.ndarray, load: np.ndarray) -> bool:
+    """Whether the softest motion, ``y = K^-1 load`` of a random load, has no more energy than the
+    rounding of K itself, which may give a body that is free to move a factor."""
+    size = magnitudes(K)
+    rounding = FREE * np.finfo(float).eps * np.sum(abs(y) * (size @ abs(y)))
+    soft = bool(np.sum(y * load) < rounding)
+    if not soft or isinstance(K, Schur):
+        return soft
+    # the factor's own error may exceed that of the entries, by which a soft support is known
+    y = y / np.linalg.norm(y)
+    energy, noise = float(np.sum(y * (K @ y))), float(energy_rounding(K, y)[0, 0])
+    return energy <= RANDOM * noise

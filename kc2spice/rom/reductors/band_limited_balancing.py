@@ -1,0 +1,74 @@
+"""Balanced truncation over a band of frequencies, by samples of the response."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.linalg import qr
+
+from kc2spice.rom.reduced_basis import ReducedBasis, Task
+from kc2spice.rom.reductors.balanced_truncation import balanced_basis, has_gramians, scales
+from kc2spice.rom.reductors.base import Reductor
+
+LARGEST = 900  # first-order states up to which samples take no more time than Gramians
+PEAK_NORM_STEP = 4  # every fourth sample is enough in the peak norm, which does not see notches
+
+
+class BandLimitedBalancing(Reductor):
+    """Balanced truncation with Gramians that are sums over samples in the band.
+
+    The Gramians are quadratures of ``x x*`` and ``y y*`` with the states ``x = (j w - A)^-1 B`` and
+    ``y = (j w - A)^-* C'`` at the frequencies of the error estimate. Weights make the integrand the
+    relative error in the norm of the task: relative to the peak, or to the response at the same
+    frequency.
+
+    Examples
+    --------
+    A relaxation far above the band needs no state of its own over a narrow band.
+
+    >>> import numpy as np
+    >>> import kc2spice as kc
+    >>> A, B = np.diag([-1.0, -1e6]), np.array([[1.0], [1e3]])
+    >>> model = kc.LinearModel(A=A, B=B, C=B.T)
+    >>> aims = {"tolerance": 1e-3, "band": (0, 0.1), "norm": "peak"}
+    >>> kc.reduce(model, **aims, method="balanced truncation over the band").order
+    2
+    """
+
+    name = "balanced truncation over the band"
+    reference = "Gosea, Gugercin and Beattie, SIAM J. Sci. Comput. 44 (2022) A408"
+    congruence = False
+
+    def suits(self, task: Task) -> bool:
+        """Return whether the model is small enough and its samples are cheap."""
+        if not has_gramians(task):
+            return False
+        return task.first_order.pencil.size <= LARGEST and task.first_order.diagonal
+
+    def basis(self, task: Task) -> ReducedBasis:
+        """Return the model balanced over the band."""
+        estimator, response = task.estimator, task.first_order
+        step = 1 if task.norm == "pointwise" else PEAK_NORM_STEP
+        frequency, (H, entries) = estimator.frequency[::step], estimator.reference
+        inputs, outputs = _weights(frequency, entries.base(H[::step], estimator.share))
+        s = 1j * frequency / task.band[1]
+        controllable = _sample_root(response.states(s) * inputs[:, None, :])
+        observable = _sample_root(response.dual.states(s) * outputs[:, None, :])
+        return balanced_basis(task, response.pencil, controllable, observable)
+
+
+def _weights(frequency: np.ndarray, base: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Weights of inputs and outputs at each frequency.
+
+    They weight an integral over the band of errors relative to ``base`` (frequencies, outputs,
+    inputs).
+    """
+    step = np.sqrt(np.gradient(frequency) if len(frequency) > 1 else np.ones(1))
+    rows, columns = scales(base)
+    return step[:, None] / columns, step[:, None] / rows
+
+
+def _sample_root(x: np.ndarray) -> np.ndarray:
+    """Real square root of the sum of ``x x*`` over all samples."""
+    columns = np.moveaxis(x, 0, 1).reshape(x.shape[1], -1)
+    both = np.hstack([columns.real, columns.imag])
+    return np.asarray(qr(both.T, mode="r", overwrite_a=True, check_finite=False)[0][: len(both)].T)

@@ -1,0 +1,62 @@
+"""The interface of a method of reduction."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+
+from kc2spice.rom.reduced_basis import ReducedBasis, Task
+
+
+class Reductor(ABC):
+    """A method of reduction: it builds a basis whose leading vectors give reduced-order models.
+
+    A subclass has a ``name``, a literature ``reference`` and the method :meth:`basis`. The choice
+    of the order, the error estimate and the proofs of stability and passivity are the same for all
+    methods. ``congruence`` states whether the projection is a Galerkin projection, which preserves
+    the form of the matrices.
+
+    Examples
+    --------
+    Modal truncation keeps the modes of lowest frequency. Three springs of 1 N/m in series have a
+    compliance of 3 m/N at the end; the lowest mode has 2.742 m/N of it.
+
+    >>> import numpy as np
+    >>> import kc2spice as kc
+    >>> from scipy.linalg import eigh
+    >>> class ModalTruncation(kc.Reductor):
+    ...     name = "modal truncation"
+    ...     reference = "Craig and Kurdila, Fundamentals of Structural Dynamics (2006), chapter 11"
+    ...     def basis(self, task):
+    ...         return task.project(eigh(task.model.K, task.model.M)[1])
+    >>> K = np.array([[2.0, -1, 0], [-1, 2, -1], [0, -1, 1]])
+    >>> chain = kc.LinearModel(M=np.eye(3), K=K, B=np.eye(3)[:, 2:])
+    >>> rom = kc.reduce(chain, order=1, band=(0, 0.1), method=ModalTruncation())
+    >>> print(f"{rom.transfer([0.0])[0, 0, 0].real:.3f}")
+    2.742
+    """
+
+    name: str = ""
+    reference: str = ""
+    congruence: bool = True
+
+    def suits(self, task: Task) -> bool:
+        """Return whether the method applies to this model; by default it always does."""
+        return True
+
+    @abstractmethod
+    def basis(self, task: Task) -> ReducedBasis | None:
+        """Return the basis, usually ``task.project(V)``; None if there is none.
+
+        Parameters
+        ----------
+        task : Task
+            Its ``model`` is the model to be projected: dense matrices in coordinates that need not
+            be the unknowns of the full-order model. ``band``, ``norm`` and ``tolerance`` state the
+            target.
+        """
+
+    def tighten(
+        self, basis: ReducedBasis, order: int, tolerance: float
+    ) -> tuple[ReducedBasis, int]:
+        """Return a better basis and a lower order within the tolerance; by default the same."""
+        return basis, order

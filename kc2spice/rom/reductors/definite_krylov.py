@@ -1,0 +1,76 @@
+"""Rational Krylov subspaces of definite models, at zero and at real shifts.
+
+The pencil ``K - w^2 M`` of a shift w^2 serves the pair of expansion points +-j w, so all vectors
+and all factorisations are real. Blocks follow at one point while they pay, then at the shift where
+the last block changed the response most.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from kc2spice.rom.error_estimate import relative_size
+from kc2spice.rom.intermediate import IntermediateModel, unsettled
+from kc2spice.rom.pencil import Pencil
+from kc2spice.rom.reductors.block_krylov import extend
+from kc2spice.rom.reductors.rational_krylov import CONFIRMATIONS, MOST_VECTORS
+from kc2spice.rom.response import GRID, Response, samples
+from kc2spice.rom.rounding import with_rounding, zero_entries
+
+# A block costs a twentieth of the factorisation that a new point costs, so several blocks come
+# before a new point is considered.
+BLOCKS_AT_ZERO = 4
+BLOCKS_AT_SHIFT = 3
+GAIN = 3.0  # factor by which a further block must reduce the change, otherwise a point follows
+NEAREST = 1e-3  # least distance of two points, relative to the end of the band
+
+
+def definite_krylov_model(
+    pencil: Pencil, band: tuple[float, float], target: float, limit: float
+) -> IntermediateModel:
+    """Return a model within ``target`` over ``band`` [Hz], or within ``limit`` if rounding prevents
+    more. The error is the change by the last two blocks.
+
+    Raises
+    ------
+    SimulationError : not even ``limit`` is met.
+    """
+    K, _, M = pencil.coefficients
+    current = pencil.pencil_solver(0.0)
+    V = images = np.empty((pencil.size, 0))
+    candidates = current.solve(pencil.B)
+    used, met, change, before = [0.0], 0, np.inf, np.inf
+    blocks = BLOCKS_AT_ZERO
+    previous: Response | None = None
+    while V.shape[1] < MOST_VECTORS:
+        columns, column_images = extend(V, images, candidates, lambda v: K @ v)
+        V, images = np.hstack([V, columns]), np.hstack([images, column_images])
+        response = Response(pencil.project(V))
+        response.zero = zero_entries(pencil, V, response, band)
+        frequency = samples(response, band, GRID, True, (0.0, 1.0, 4.0))  # notches come last
+        s = 2j * np.pi * frequency
+        H = response.transfer(s)
+        size = np.ones((len(s), 1, 1))
+        if previous is not None:
+            entries = response.entries(frequency, H)
+            size = relative_size(previous.transfer(s) - H, H, entries)
+        before, change = change, float(size.max())
+        met = met + 1 if change <= target else 0
+        if met == CONFIRMATIONS or (not columns.shape[1] and change <= limit):
+            proof = f"settled to {change:.0e} of the full model's response"
+            result = IntermediateModel(response, change, True, proof)
+            return with_rounding(pencil, V, band, result)
+        previous = response
+        blocks -= 1
+        if columns.shape[1] and (blocks >= 0 or change <= before / GAIN):
+            candidates = current.solve(M @ columns)
+            continue
+        apart = np.abs(frequency[:, None] - np.array(used)).min(axis=1) > NEAREST * band[1]
+        if not apart.any():
+            break
+        worst = float(frequency[np.argmax(np.where(apart, size.max(axis=(1, 2)), -1.0))])
+        used.append(worst)
+        blocks = BLOCKS_AT_SHIFT - 1
+        current = pencil.pencil_solver((2 * np.pi * worst) ** 2)
+        candidates = current.solve(pencil.B)
+    raise unsettled(response, band, change, limit)

@@ -1,0 +1,204 @@
+"""A rational Krylov basis that grows by one expansion point after the other.
+
+Points are chosen where a sketched residual is largest, in turn with points where the last point
+changed the response most. Each point is solved on the model first as a check of the projection, and
+only then joins the basis with its derivative by s. Real and imaginary parts are separate vectors,
+so that all matrices stay real.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import scipy
+
+from kc2spice.core.errors import SimulationError
+from kc2spice.rom.error_estimate import relative_size
+from kc2spice.rom.pencil import Pencil, Schur, magnitudes
+from kc2spice.rom.reductors.block_krylov import DEFLATION
+from kc2spice.rom.reductors.exact_samples import real_parts
+from kc2spice.rom.response import Response, samples
+from kc2spice.rom.rigid_body import RANDOM, apart, energy_rounding
+from kc2spice.rom.rounding import FREE, zero_entries
+
+# K x = B solved to less than this of B: the model is free to move at zero frequency.
+SINGULAR = 1e-6
+SKETCH = 32  # random combinations of equations that stand for all residuals
+CANDIDATES = 101
+
+
+class GreedyBasis:
+    """The basis as it grows, with what the residual estimate needs of it."""
+
+    def __init__(self, pencil: Pencil, band: tuple[float, float]) -> None:
+        self.pencil, self.band = pencil, band
+        self.two_sided = not (pencil.symmetric and pencil.collocated)
+        self.basis = np.empty((pencil.size, 0))
+        self.points = 0
+        self.change = np.inf
+        sketch = np.random.default_rng(0).standard_normal((SKETCH, pencil.size))
+        self._sides = [_Sketch(sketch, pencil.coefficients, pencil.B)]
+        if self.two_sided:
+            dual = pencil.transposed()
+            self._sides.append(_Sketch(sketch, dual.coefficients, dual.B))
+        self._used: list[complex] = []
+        self.turn = np.empty((0, 0))
+        self.response = Response(pencil.project(self.basis))
+        self._previous = self.response
+        self.static = False
+        self.static = self._add_static()
+
+    def check(self, s: complex) -> tuple[float, bool]:
+        """Relative error of the present projection at ``s``, which then joins the basis.
+
+        Also returns whether the basis grew.
+        """
+        x, *others = self.solve(s)
+        true = self.pencil.C @ x + self.pencil.D
+        points = self._candidates()
+        grid_s = 2j * np.pi * points
+        entries = self.response.entries(points)
+        error = relative_size(self.response.transfer(np.array([s]))[0] - true, true, entries)
+        error[self.response.cancelled(np.r_[grid_s, s]) & ~entries.zero] = 0.0
+        before = self.basis.shape[1]
+        self.extend(s, x, *others)
+        return float(error.max()), self.basis.shape[1] > before
+
+    def next_point(self) -> complex:
+        """The candidate, not used before, of the largest residual; every second time that where
+        the last point changed the response most."""
+        points = self._candidates()
+        s = 2j * np.pi * points
+        result = self.response.transfer(s)
+        entries = self.response.entries(points, result)
+        size = relative_size(self._previous.transfer(s) - result, result, entries)
+        size[:, self.response.cancelled(s) & ~entries.zero] = 0.0
+        self.change = float(size.max()) if self.points > 2 else np.inf
+        fresh = np.array([not np.isclose(item, self._used, rtol=1e-7).any() for item in s])
+        if not fresh.any():
+            raise SimulationError("no frequency is left to sample", where="reduction")
+        measure = size.max(axis=(1, 2))
+        if self.points % 2:
+            measure = self._sides[0].residual(s, self.turn @ self.response.states(s))
+            if self.two_sided:
+                measure = measure * self._sides[1].residual(s, self.response.dual.states(s))
+        return complex(s[np.argmax(np.where(fresh, measure, -1.0))])
+
+    def _candidates(self) -> np.ndarray:
+        return samples(self.response, self.band, CANDIDATES, self.static)
+
+    def _add_static(self) -> bool:
+        """Add the static answers if there are any; False for a model that is free to move."""
+        b = self.pencil.B
+        try:
+            answers = self.solve(0.0)
+        except SimulationError:
+            return False
+        residual = self.pencil.coefficients[0] @ answers[0] - b
+        if np.linalg.norm(residual) > SINGULAR * np.linalg.norm(b):
+            return False
+        self.extend(0.0, *answers)
+        return True
+
+    def solve(self, s: complex) -> tuple[np.ndarray, ...]:
+        """``x = P(s)^-1 B`` and ``-x'(s)``; where the output side differs, ``P(s)^-T C'`` too."""
+        forward, backward = self.pencil.solver(s)
+        self.points += 1
+        x = forward.solve(self.pencil.B)
+        answers = [x, forward.solve(self.pencil.slope(s, x))]
+        if self.two_sided:
+            dual = self.pencil.transposed()
+            y = backward.solve(dual.B)
+            answers += [y, backward.solve(dual.slope(s, y))]
+        return tuple(answers)
+
+    def extend(self, s: complex, *answers: np.ndarray) -> None:
+        """Add ``answers`` at ``s`` to the basis."""
+        self._used.append(s)
+        new = np.column_stack([part for x in answers for part in real_parts(x)])
+        fresh = _independent(self.basis, new)
+        if not fresh.shape[1]:
+            self._previous = self.response
+            return
+        self.basis = np.hstack([self.basis, fresh])
+        for side in self._sides:
+            side.extend(fresh)
+        self.turn = _modes(self.pencil.project(self.basis))
+        small = self.projected = self.pencil.project(self.modal)
+        small, turn = self._apart(small)
+        self.turn = self.turn @ turn
+        self._previous, self.response = self.response, Response(small)
+        self.response.zero = zero_entries(
+            self.pencil, self.basis @ self.turn, self.response, self.band
+        )
+
+    def _apart(self, small: Pencil) -> tuple[Pencil, np.ndarray]:
+        """The rigid-body motion of the projected model, within rounding of the full one's entries;
+        where the model has a static answer, no input moves it, and it is left out."""
+        V, coefficients = self.modal, self.pencil.coefficients
+        sizes, eps = [magnitudes(P) for P in coefficients], np.finfo(float).eps
+        bound = FREE * eps * (np.abs(V).T @ (sizes[0] @ np.abs(V)))
+        own = np.abs(np.diag(small.coefficients[0]))
+        if (own > np.diag(bound)).all():
+            return small, np.eye(small.size)
+        if not isinstance(coefficients[0], Schur):
+            bound = np.minimum(bound, RANDOM * energy_rounding(coefficients[0], V))
+        others = [FREE * eps * (np.abs(V).T @ (P @ np.abs(V))) for P in sizes[1:]]
+        result = apart(small, 2 * np.pi * self.band[1], (bound, *others))
+        if result.pencil.degree != small.degree or (self.static and result.pencil.free):
+            return small, np.eye(small.size)
+        return result.pencil, result.columns
+
+    @property
+    def modal(self) -> np.ndarray:
+        """Basis of the same subspace whose columns are the modes of the projected model.
+
+        Projected matrices of thin bodies are small differences of large numbers. A projection on
+        these columns has fewer such differences, and therefore smaller rounding errors.
+        """
+        return self.basis @ self.turn
+
+
+class _Sketch:
+    """Residual norms of ``P(s) V x(s) = b`` from a few random combinations of its rows."""
+
+    def __init__(self, sketch: np.ndarray, coefficients: tuple, b: np.ndarray) -> None:
+        self._rows = [np.asarray((P.T @ sketch.T).T) for P in coefficients]
+        self._images = [np.empty((SKETCH, 0)) for _ in coefficients]
+        self._b = sketch @ b
+
+    def extend(self, columns: np.ndarray) -> None:
+        self._images = [
+            np.hstack([image, rows @ columns])
+            for image, rows in zip(self._images, self._rows, strict=True)
+        ]
+
+    def residual(self, s: np.ndarray, x: np.ndarray) -> np.ndarray:
+        """Largest relative residual of all right-hand sides at each ``s``."""
+        product = sum(s[:, None, None] ** k * (image @ x) for k, image in enumerate(self._images))
+        size = np.linalg.norm(self._b, axis=0) + np.finfo(float).tiny
+        return np.asarray((np.linalg.norm(self._b - product, axis=1) / size).max(axis=1))
+
+
+def _modes(pencil: Pencil) -> np.ndarray:
+    """Undamped modes of a small symmetric pencil of second order, the unit matrix of any other."""
+    if pencil.degree == 2 and pencil.symmetric:
+        K, _, M = pencil.coefficients
+        try:
+            return np.asarray(scipy.linalg.eigh(K, M)[1])
+        except np.linalg.LinAlgError:  # no definite mass
+            pass
+    return np.eye(pencil.size)
+
+
+def _independent(basis: np.ndarray, new: np.ndarray) -> np.ndarray:
+    """Orthonormal directions of ``new`` outside ``basis``; what is dependent is deflated."""
+    result = np.empty((basis.shape[0], 0))
+    for column in new.T:
+        length = np.linalg.norm(column)
+        for _ in range(2):  # twice is enough (Kahan, Parlett)
+            column = column - basis @ (basis.T @ column)
+            column = column - result @ (result.T @ column)
+        rest = np.linalg.norm(column)
+        if rest > DEFLATION * length and basis.shape[1] + result.shape[1] < basis.shape[0]:
+            result = np.column_stack([result, column / rest])
+    return result

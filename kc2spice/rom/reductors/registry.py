@@ -1,0 +1,90 @@
+"""Methods of reduction by name, and the choice of methods for a model."""
+
+from __future__ import annotations
+
+from kc2spice.core.errors import UsageError, unknown
+from kc2spice.rom.reduced_basis import Task
+from kc2spice.rom.reductors.balanced_truncation import BalancedTruncation
+from kc2spice.rom.reductors.band_limited_balancing import BandLimitedBalancing
+from kc2spice.rom.reductors.base import Reductor
+from kc2spice.rom.reductors.block_krylov import BlockKrylov
+from kc2spice.rom.reductors.rational_krylov import RationalKrylov
+from kc2spice.rom.reductors.response_pod import ResponsePod
+
+POD, TWO_SIDED_POD = ResponsePod(), ResponsePod(two_sided=True)
+BALANCED, UNSCALED = BalancedTruncation(), BalancedTruncation(scaled=False)
+OVER_BAND, BLOCK_KRYLOV = BandLimitedBalancing(), BlockKrylov()
+_BUILT_IN = (POD, TWO_SIDED_POD, BALANCED, UNSCALED, OVER_BAND, BLOCK_KRYLOV, RationalKrylov())
+_reductors: dict[str, Reductor] = {reductor.name: reductor for reductor in _BUILT_IN}
+
+
+def register_reductor(reductor: Reductor) -> Reductor:
+    """Register a method of reduction under its name, for ``method=`` of :func:`kc2spice.reduce`.
+
+    A second method of the same name replaces the first one.
+
+    Parameters
+    ----------
+    reductor : Reductor
+        Method with the attribute ``name``.
+
+    Returns
+    -------
+    Reductor
+        The same method.
+
+    Raises
+    ------
+    UsageError : it has no name, or is not an instance of :class:`Reductor`.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import kc2spice as kc
+    >>> from scipy.linalg import eigh
+    >>> class ModalTruncation(kc.Reductor):
+    ...     name = "modal truncation"
+    ...     reference = "Craig and Kurdila, Fundamentals of Structural Dynamics (2006), chapter 11"
+    ...     def basis(self, task):
+    ...         return task.project(eigh(task.model.K, task.model.M)[1])
+    >>> kc.register_reductor(ModalTruncation()).name
+    'modal truncation'
+    >>> model = kc.LinearModel(M=np.eye(3), K=np.diag([1.0, 4.0, 9.0]), B=np.ones((3, 1)))
+    >>> kc.reduce(model, order=2, band=(0, 0.1), method="modal truncation").order
+    2
+    """
+    if not isinstance(reductor, Reductor) or not reductor.name:
+        raise UsageError(
+            "not a method of reduction",
+            where="register_reductor",
+            got=repr(reductor),
+            expected="an instance of a subclass of kc.Reductor with a name",
+        )
+    _reductors[reductor.name] = reductor
+    return reductor
+
+
+def reductor_named(method: str | Reductor) -> Reductor:
+    """Return a method by its name, or the method itself.
+
+    Raises
+    ------
+    UsageError : no method has this name.
+    """
+    if isinstance(method, Reductor):
+        return method
+    if method not in _reductors:
+        raise unknown("unknown method of reduction", str(method), list(_reductors), "method")
+    return _reductors[method]
+
+
+def suited_reductors(task: Task) -> list[Reductor]:
+    """Return the methods to try for the structure of a model.
+
+    Congruences come first. Balancing over the band sees notches, which count in the pointwise norm
+    only.
+    """
+    congruences: list[Reductor] = [POD] if task.collocated else [POD, TWO_SIDED_POD]
+    if task.norm == "pointwise":
+        return [*congruences, OVER_BAND, BALANCED, UNSCALED]
+    return [*congruences, BALANCED, UNSCALED, OVER_BAND]
