@@ -62,7 +62,7 @@ def _bars() -> Iterator[Progress]:
     from rich import progress as rich
     from rich.console import Console
 
-    stage, text = "{task.fields[stage]:<10}", rich.TextColumn("{task.description}", markup=False)
+    stage, text = "{task.fields[stage]:<10}", rich.TextColumn("{task.fields[text]}", markup=False)
     left = (rich.SpinnerColumn(), rich.TextColumn(stage), rich.BarColumn(24))
     right = (rich.TimeElapsedColumn(), text)
     with rich.Progress(*left, *right, console=Console(stderr=True)) as bars:
@@ -75,9 +75,9 @@ def _bars() -> Iterator[Progress]:
             tasks = {task.fields["stage"]: task.id for task in bars.tasks}
             if stage not in tasks:
                 fill()
-                tasks[stage] = bars.add_task(text, total=None, stage=stage)
+                tasks[stage] = bars.add_task("", total=None, stage=stage, text=text)
             total = None if done is None else 1.0
-            bars.update(tasks[stage], description=text, total=total, completed=done or 0.0)
+            bars.update(tasks[stage], total=total, completed=done or 0.0, text=text)
 
         yield show
         fill()
