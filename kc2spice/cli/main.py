@@ -315,14 +315,17 @@ class _Usage(TyperCommand):
 
 
 def _command(function: Callable[..., None]) -> Callable[..., None]:
-    """Makes a command of ``function(caller, …)``: its options are those of ``PARAMETERS`` and the
-    caller's ``--json`` and ``--quiet``, its exceptions one message and an exit code."""
+    """Make the command ``name`` of the function ``_name(caller, …)``.
+
+    Its options are those of ``PARAMETERS`` and the caller's ``--json`` and ``--quiet``. Its
+    exceptions are one message and an exit code.
+    """
 
     def call(as_json: bool, quiet: bool, **words: Any) -> None:
         with reported_errors():
             function(Caller(as_json, quiet), **words)
 
-    name = call.__name__ = function.__name__
+    name = call.__name__ = function.__name__.removeprefix("_")
     call.__doc__ = function.__doc__
     _, *own = inspect.signature(function).parameters.values()
     flags = (item.replace(default=False) for item in inspect.signature(call).parameters.values())
@@ -345,7 +348,7 @@ def _loaded(scene: str, set_: list[str] | None) -> Any:
 
 
 @_command
-def run(
+def _run(
     caller: Caller,
     scene: str,
     out: Path | None = None,
@@ -373,7 +376,7 @@ def run(
 
 
 @_command
-def export(
+def _export(
     caller: Caller,
     scene: str | None = None,
     out: Path | None = None,
@@ -417,7 +420,7 @@ def export(
 
 
 @_command
-def verify(
+def _verify(
     caller: Caller,
     scene: str | None = None,
     all_: bool = False,
@@ -452,7 +455,7 @@ def verify(
 
 
 @_command
-def explain(caller: Caller, scene: str, set_: list[str] | None = None) -> None:
+def _explain(caller: Caller, scene: str, set_: list[str] | None = None) -> None:
     """Print what SCENE models and what it leaves out.
 
     Lists parts, joined pins, numerical settings with their error, and neglected effects with their
@@ -485,7 +488,7 @@ def explain(caller: Caller, scene: str, set_: list[str] | None = None) -> None:
 
 
 @_command
-def scenes(caller: Caller, keys: bool = False, parts: bool = False) -> None:
+def _scenes(caller: Caller, keys: bool = False, parts: bool = False) -> None:
     """List the built-in scenes, or all keys or part types."""
     from dataclasses import asdict
 
@@ -523,7 +526,7 @@ def _text(value: object, before: str = "") -> str:
 
 
 @_command
-def doctor(caller: Caller) -> None:
+def _doctor(caller: Caller) -> None:
     """Check simulator and packages, and print how to fix them."""
     from dataclasses import asdict
 
@@ -542,7 +545,7 @@ def doctor(caller: Caller) -> None:
 
 
 @_command
-def reduce(
+def _reduce(
     caller: Caller,
     model: str,
     out: Path | None = None,
@@ -589,7 +592,7 @@ def reduce(
 
 
 @_command
-def fit(
+def _fit(
     caller: Caller,
     target: str,
     data: Path,
@@ -618,7 +621,7 @@ def fit(
 
 
 @_command
-def bench(
+def _bench(
     caller: Caller,
     scene: str,
     error: float = 1e-4,
@@ -655,7 +658,7 @@ def bench(
 
 
 @_command
-def sweep(
+def _sweep(
     caller: Caller,
     scene: str,
     set_: list[str] | None = None,
