@@ -20,7 +20,7 @@ from typing import Annotated, Any
 import typer
 
 from kc2spice.cli.tables import COLUMNS, INTERRUPTED, Caller, print_table, reported_errors, show
-from kc2spice.cli.usage import Command
+from kc2spice.cli.usage import Command, Commands
 from kc2spice.core import __version__
 from kc2spice.core.errors import GateMissedError, MissingToolError, SimulationError, UsageError
 from kc2spice.core.interrupt import end_on_signals
@@ -34,7 +34,13 @@ def _names(incomplete: str) -> list[str]:
 
 def _directory(text: str) -> Path:
     if not text.strip():  # Path("") would be where one stands
-        raise typer.BadParameter("names no directory; . is the one you are in")
+        raise UsageError(
+            "the name of the directory is empty",
+            where="--out",
+            got=repr(text),
+            expected="a directory",
+            hint="write --out . for the current directory",
+        )
     return Path(text)
 
 
@@ -206,6 +212,7 @@ EXAMPLES = {
 
 app = typer.Typer(
     name="kc2spice",
+    cls=Commands,
     help="Turn finite-element models of transducers into SPICE subcircuits, and simulate them with "
     "their drive electronics.",
     epilog="Exit codes: 0 success, 2 wrong usage or scene, 3 missing simulator or library, "
@@ -335,13 +342,26 @@ def _export(
     """
     if rom is not None:
         if scene is not None or set_ or tolerance is not None or count is not None:
-            expected = "no scene and no scene keys"
-            raise UsageError("a reduced model is final", where="--rom", expected=expected)
+            settings = {"SCENE": scene, "--set": set_, "--tolerance": tolerance, "--count": count}
+            others = [name for name, value in settings.items() if value not in (None, [])]
+            raise UsageError(
+                f"--rom cannot be combined with {' and '.join(others)}",
+                where="export",
+                got=f"--rom {rom} with {' and '.join(others)}",
+                expected="SCENE with its options, or --rom FILE with --dialect, --dense and --out",
+                hint=f"kc2spice export --rom {rom}",
+            )
         from kc2spice.workflow.reduce import export_rom
 
         files, head = export_rom(rom, out, dialect=dialect, dense=dense), {"rom": str(rom)}
     elif scene is None:
-        raise UsageError("nothing to export", expected="SCENE or --rom FILE")
+        raise UsageError(
+            "nothing to export",
+            where="export",
+            got="neither SCENE nor --rom",
+            expected="kc2spice export SCENE, or kc2spice export --rom FILE",
+            hint="for example  kc2spice export impact",
+        )
     else:
         from kc2spice.workflow.export import export as write
 
@@ -378,7 +398,14 @@ def _verify(
     from kc2spice.workflow.verify.verify import verify as verify_scenes
 
     if (scene is None) is not all_:
-        raise UsageError("give either a SCENE or --all", where="verify")
+        got = "neither of them" if scene is None else f"{scene} and --all"
+        raise UsageError(
+            "needs either a SCENE or --all",
+            where="verify",
+            got=got,
+            expected="kc2spice verify SCENE, or kc2spice verify --all",
+            hint=f"for example  kc2spice verify {scene or 'impact'}",
+        )
     loaded = [_loaded(name, set_) for name in ([scene] if scene else gallery())]
     out = out or Path("verify" if all_ else f"{loaded[0].name}_verify")
     with caller.progress() as progress:
@@ -436,7 +463,13 @@ def _scenes(caller: Caller, keys: bool = False, parts: bool = False) -> None:
     from kc2spice.scene.load import gallery, load_scene
 
     if keys and parts:
-        raise UsageError("give either --keys or --parts", where="scenes")
+        raise UsageError(
+            "--keys cannot be combined with --parts",
+            where="scenes",
+            got="--keys --parts",
+            expected="one of them",
+            hint="run kc2spice scenes --keys, then kc2spice scenes --parts",
+        )
     if keys:
         every = list(scene_keys())
         if caller.reads([asdict(key) for key in every]):
@@ -505,8 +538,13 @@ def _reduce(
 
     wanted: dict[str, Any] = {"band": band, "tolerance": tolerance, "order": order, "norm": norm}
     wanted["dc"] = dc
-    with caller.progress() as progress:
-        result = reduce_study(model, out, **wanted, progress=progress)
+    try:
+        with caller.progress() as progress:
+            result = reduce_study(model, out, **wanted, progress=progress)
+    except UsageError as error:
+        if error.where in wanted:  # Python calls name arguments, not options
+            error.where = f"--{error.where}"
+        raise
     if caller.reads(result):
         from kc2spice.report.run_page import above_band
 
@@ -549,7 +587,13 @@ def _fit(
 
     name, colon, part = target.rpartition(":")
     if not colon:
-        raise UsageError("names no part", where=target, expected="SCENE:PART")
+        raise UsageError(
+            "the name of the part is missing",
+            where="fit",
+            got=target,
+            expected="SCENE:PART, such as buzzer_7bb_20_6:disc",
+            hint=f"write {target}:PART with a part that 'kc2spice explain {target}' lists",
+        )
     scene = _loaded(name, set_)
     with caller.progress() as progress:
         result = fit_study(scene, part, data, vary or (), out or Path(f"{part}_fit"), progress)
@@ -651,5 +695,5 @@ def _sweep(
             rows.append(("files", ", ".join(result["files"])))
         print_table("sweep", rows)
     if result["points"] == result["failed"]:
-        hint = "the column status says why"
+        hint = "read the column status of this table: it states the cause of each failure"
         raise SimulationError("every point failed", where=result["table"], hint=hint)

@@ -1,39 +1,209 @@
-"""Errors of options of the command line, with what was typed, what is accepted and what to do."""
+"""Errors of the command line: options, arguments and commands, with what was typed and what helps.
+
+typer reports such mistakes in a form of its own. :class:`Command` and :class:`Commands` report
+them as every other error: what is wrong, what was typed, what is accepted, and what to do next.
+"""
 
 from __future__ import annotations
 
 import contextlib
+import difflib
 import re
+import shlex
+from importlib import resources
 from typing import Any
 
 import typer
-from typer.core import TyperCommand
+from typer.core import TyperCommand, TyperGroup
 
 from kc2spice.cli.tables import reported_errors
-from kc2spice.core.errors import UsageError
+from kc2spice.core.errors import UsageError, candidates, did_you_mean, unknown
+
+PROGRAM = "kc2spice"
+_ParserError: Any = typer.BadParameter.__base__  # older typer has it from click
 
 
-def _bad_option(param: Any, typed: list[str]) -> UsageError:
-    """The error of an option whose value in the words ``typed`` is no number or out of range."""
-    name, words = param.opts[0], [""]
+class Command(TyperCommand):
+    """A command whose usage line shows ``SCENE``, where typer shows ``{SCENE}``, and whose errors
+    have the form of all others."""
+
+    def make_context(self, info_name: Any, args: Any, parent: Any = None, **extra: Any) -> Any:
+        typed = list(args)
+        extra.setdefault("allow_extra_args", True)  # refused below, with what was typed
+        with reported_errors():
+            try:
+                context = super().make_context(info_name, args, parent, **extra)
+            except _ParserError as error:
+                raise _refused(self, error, typed) from None
+            if context.args and not context.resilient_parsing:
+                raise _one_too_many(self, context.args[0], typed)
+        return context
+
+    def collect_usage_pieces(self, ctx: Any) -> list[str]:
+        return [piece.strip("{}") for piece in super().collect_usage_pieces(ctx)]
+
+
+class Commands(TyperGroup):
+    """All commands; a command or option that does not exist is reported as other errors are."""
+
+    def make_context(self, info_name: Any, args: Any, parent: Any = None, **extra: Any) -> Any:
+        try:
+            return super().make_context(info_name, args, parent, **extra)
+        except _ParserError as error:
+            if not hasattr(error, "option_name"):  # no argument at all prints the help
+                raise
+            with reported_errors():
+                raise _no_such_option(self, error.option_name, PROGRAM) from None
+
+    def resolve_command(self, ctx: Any, args: list[str]) -> Any:
+        name = str(args[0])
+        if self.get_command(ctx, name) is None and not ctx.resilient_parsing:
+            with reported_errors():
+                raise _no_such_command(name, self.list_commands(ctx))
+        return super().resolve_command(ctx, args)
+
+
+def _no_such_command(name: str, commands: list[str]) -> UsageError:
+    error = unknown("no such command", name, commands, command=f"{PROGRAM} --help")
+    scene = resources.files("kc2spice") / "scenes" / f"{name}.toml"
+    near = difflib.get_close_matches(name, commands, n=1)
+    if near:
+        error.hint = f"did you mean {near[0]!r}?"
+    else:
+        known = name.endswith(".toml") or scene.is_file()
+        error.hint = (
+            f"{PROGRAM} run {name}" if known else f"{PROGRAM} --help describes all commands"
+        )
+    return error
+
+
+def _refused(command: Any, error: Any, typed: list[str]) -> UsageError:
+    """The error of a command whose words ``typed`` the parser refused with ``error``."""
+    param = getattr(error, "param", None)
+    name = getattr(error, "option_name", None)
+    if name is not None:
+        param = next((item for item in command.params if name in item.opts), None)
+        if param is None:
+            return _no_such_option(command, name, f"{PROGRAM} {command.name}")
+        return _without_value(param, name, typed)
+    if param is None:
+        return UsageError(
+            error.format_message(), where=command.name, got=_typed_line(command, typed)
+        )
+    if type(error) is not typer.BadParameter:
+        return _missing(command, param, typed)
+    number = re.search("number|integer|float|range", error.message)
+    if number or _limits(param) != (None, None):
+        return _bad_number(param, typed, "integer" in error.message)
+    return UsageError(error.message, where=param.opts[0], got=_typed_line(command, typed))
+
+
+def _typed_line(command: Any, typed: list[str]) -> str:
+    """The command line as typed."""
+    return " ".join([PROGRAM, command.name, shlex.join(typed)]).strip()
+
+
+def _no_such_option(command: Any, name: str, line: str) -> UsageError:
+    options = [opt for item in command.params for opt in item.opts if opt.startswith("--")]
+    expected = f"one of {candidates(name, options, f'{line} --help')}"
+    hint = did_you_mean(name, options) or f"{line} --help describes all options"
+    where = line.removeprefix(PROGRAM).strip() or None
+    return UsageError("no such option", where=where, got=name, expected=expected, hint=hint)
+
+
+def _without_value(param: Any, name: str, typed: list[str]) -> UsageError:
+    """The error of an option without its value, or of a flag with one."""
+    words = _words_of(param, typed)
+    if getattr(param, "is_flag", False):
+        got = next((word for word in typed if word.startswith(f"{name}=")), name)
+        return UsageError(
+            "this option has no value",
+            where=name,
+            got=got,
+            expected=name,
+            hint=f"write {name} alone",
+        )
+    expected = f"{name} {param.metavar}"
+    got = " ".join([name, *words])
+    problem = "the value is missing" if param.nargs == 1 else f"needs {param.nargs} values"
+    hint = f"write {param.metavar} behind {name}, or leave out {name}"
+    return UsageError(problem, where=name, got=got, expected=expected, hint=hint)
+
+
+def _missing(command: Any, param: Any, typed: list[str]) -> UsageError:
+    """The error of a command without one of its arguments."""
+    arguments = [item.metavar for item in command.params if item.param_type_name == "argument"]
+    return UsageError(
+        f"the argument {param.metavar} is missing",
+        where=command.name,
+        got=_typed_line(command, typed),
+        expected=" ".join([PROGRAM, command.name, *arguments]),
+        hint=f"for example  {_example(command)}",
+    )
+
+
+def _one_too_many(command: Any, word: str, typed: list[str]) -> UsageError:
+    """The error of a word that is neither an option nor an argument of the command."""
+    place = typed.index(word) if word in typed else 0
+    hint = f"delete {shlex.quote(word)}"
+    if typed[max(0, place - 2) : place - 1] == ["--set"]:
+        value = [typed[place - 1]]
+        for item in typed[place - 1 + 1 :]:
+            if item.startswith("--"):
+                break
+            value.append(item)
+        hint = f"put quotes around a value with blanks: --set {shlex.quote(' '.join(value))}"
+    elif "=" in word:
+        hint = f"write --set {shlex.quote(word)}"
+    arguments = [item.metavar for item in command.params if item.param_type_name == "argument"]
+    return UsageError(
+        "one argument too many",
+        where=command.name,
+        got=word,
+        expected=" ".join([PROGRAM, command.name, *arguments, "[OPTIONS]"]),
+        hint=hint,
+    )
+
+
+def _example(command: Any) -> str:
+    """The first example of the help text."""
+    lines = [line.strip() for line in (command.epilog or "").splitlines()]
+    return next((line for line in lines if line.startswith(PROGRAM)), f"{PROGRAM} --help")
+
+
+def _words_of(param: Any, typed: list[str]) -> list[str]:
+    """What was typed as the value of an option, where it is given last."""
+    words: list[str] = []
     for k, word in enumerate(typed):
         if word in param.opts:
             words = typed[k + 1 : k + 1 + param.nargs]
         elif word.partition("=")[0] in param.opts:
             words = [word.partition("=")[2]]
+    return words
+
+
+def _bad_number(param: Any, typed: list[str], whole: bool) -> UsageError:
+    """The error of an option whose value in the words ``typed`` is no number or out of range.
+
+    ``whole`` states that the value is not a whole number although the option needs one.
+    """
+    name, words = param.opts[0], _words_of(param, typed)
     wrong = next((word for word in words if not _is_number(word)), None)
     low, high = _limits(param)
     limits = f"{low:g} to {high:g}" if high is not None else f"at least {low or 0:g}"
     if wrong is None:
-        return UsageError("out of range", where=name, got=" ".join(words), expected=limits)
+        problem = "not a whole number" if whole else "out of range"
+        unlimited = low is None and high is None
+        expected = "a whole number" + ("" if unlimited else f", {limits}") if whole else limits
+        return UsageError(problem, where=name, got=" ".join(words), expected=expected)
     if param.name != "band":
         return UsageError("not a number", where=name, got=wrong, expected="a number")
-    hint = f"kc2spice reduce MODEL {name} 1000 2000"
+    hint = f"write {name} 1000 2000 for 1 to 2 kHz"
     with contextlib.suppress(UsageError):
         from kc2spice.core.quantities import quantity
 
         ends = [quantity(word if word.endswith("Hz") else f"{word}Hz", "Hz") for word in words]
-        hint = " ".join([name, *(f"{end:.12g}" for end in ends)])
+        hint = " ".join(["write", name, *(f"{end:.12g}" for end in ends)])
     return UsageError("not a number", where=name, got=wrong, expected="numbers in Hz", hint=hint)
 
 
@@ -49,23 +219,3 @@ def _is_number(word: str) -> bool:
     except ValueError:
         return False
     return True
-
-
-class Command(TyperCommand):
-    """A command whose usage line shows ``SCENE``, where typer shows ``{SCENE}``, and that names
-    what was typed for an option with an invalid number."""
-
-    def make_context(self, info_name: Any, args: Any, parent: Any = None, **extra: Any) -> Any:
-        typed = list(args)
-        try:
-            return super().make_context(info_name, args, parent, **extra)
-        except typer.BadParameter as error:
-            number = re.search("number|integer|float|range", error.message)
-            limited = _limits(error.param) != (None, None)
-            if type(error) is not typer.BadParameter or not (number or limited):
-                raise
-            with reported_errors():
-                raise _bad_option(error.param, typed) from None
-
-    def collect_usage_pieces(self, ctx: Any) -> list[str]:
-        return [piece.strip("{}") for piece in super().collect_usage_pieces(ctx)]

@@ -84,5 +84,5 @@ def test_a_directory_without_a_name_is_bad_usage(command, tmp_path, monkeypatch)
     monkeypatch.chdir(tmp_path)
     done = CliRunner().invoke(app, [command, "harvester", "-o", ""])
     assert done.exit_code == 2
-    assert "names no directory" in done.output
+    assert "the name of the directory is empty" in done.output
     assert not list(tmp_path.iterdir())

@@ -144,9 +144,9 @@ def test_failures_have_a_code_one_message_and_no_files(cli, monkeypatch, tmp_pat
         (["run", "kick_and_cach"], "did you mean 'kick_and_catch'"),
         (["export", "kick_and_catch", "--set", "kick.drive.volage=1"], "did you mean 'voltage'"),
         (["explain", "kick_and_catch", "--set", "oops"], "not an override"),
-        (["run"], "Missing argument"),
-        (["rum"], "No such command"),
-        (["run", "kick_and_catch", "--nope"], "No such option"),
+        (["run"], "run: the argument SCENE is missing"),
+        (["rum"], "did you mean 'run'?"),
+        (["run", "kick_and_catch", "--nope"], "run: no such option got: --nope"),
         (["export", "kick_and_catch", "--tolerance", "x"], "tolerance"),
     ],
 )
