@@ -101,7 +101,9 @@ def unknown(
     """
     choices = list(known)
     expected = (
-        "one of " + candidates(name, choices, command) if choices else "nothing: there are none"
+        "one of " + candidates(name, choices, command)
+        if choices
+        else "nothing: there are no names to choose from"
     )
     near = did_you_mean(str(name), choices)
     return UsageError(message, where=where, got=repr(name), expected=expected, hint=near)

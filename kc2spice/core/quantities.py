@@ -8,6 +8,7 @@ a shifted exponent and is rounded once, when it becomes a float: ``"50 um"`` equ
 
 from __future__ import annotations
 
+import contextlib
 import math
 import re
 from collections.abc import Iterator, Mapping, Sequence
@@ -88,16 +89,17 @@ def _words(
             fields = [*_table(schema, path).model_fields, *(also if len(path) == 1 else ())]
             word, every = str(path[-1]), (dotted(item) for item, _ in entries(schema))
             near = did_you_mean(word, fields) or did_you_mean(word, every)
+            near = _other_word(word, fields) or near
             return "unknown key", "one of " + candidates(word, fields, _listed(schema)), near
         case "missing":
-            return f"{dotted(whole)} is missing", None, None
+            return (f"{dotted(whole)} is missing", *_missing(schema, path, whole))
         case "string_pattern_mismatch":
             expected = "a letter, then letters, digits and _, at most 64 in all"
             if whole[0] in ("title", "include"):  # it ends up in the netlist: a line is a command
                 expected = "one line of text without control characters"
             return "not allowed", expected, None
         case "quantity":
-            return context["reason"], context["expected"], None
+            return context["reason"], context["expected"], context.get("hint")
         case "literal_error":
             choices = re.findall(r"'?(\w+)'?(?:, | or |$)", context["expected"])
             near = did_you_mean(str(found["input"]), choices)
@@ -132,6 +134,36 @@ def _words(
         case "value_error":
             return str(context["error"]), None, None
     return found["msg"], context.get("expected"), None
+
+
+# Words for which another key stands, and how both are related.
+_OTHER_WORDS = {
+    "radius": ("diameter", "use the key diameter, which is twice the radius"),
+    "diameter": ("radius", "use the key radius, which is half the diameter"),
+    "height": ("thickness", "did you mean 'thickness'?"),
+    "thickness": ("height", "did you mean 'height'?"),
+    "q": ("quality", "did you mean 'quality'?"),
+    "zeta": ("ratio", "did you mean 'ratio'?"),
+}
+
+
+def _other_word(word: str, fields: Sequence[str]) -> str | None:
+    """How to state what ``word`` means where the table has another key for it."""
+    key, hint = _OTHER_WORDS.get(word.lower(), ("", ""))
+    return hint if key in fields else None
+
+
+def _missing(
+    schema: type[BaseModel], path: KeyPath, whole: KeyPath
+) -> tuple[str | None, str | None]:
+    """What a key that is missing may be, and how to add it."""
+    names = tuple(step for step in path if isinstance(step, str))
+    unit = next((unit_of(field) for item, field in entries(schema) if item == names), None)
+    table = dotted(whole[:-1])
+    value = f'"1 {unit}"' if unit else "VALUE"
+    place = f"  to {table}" if table else ""
+    expected = f'a number in {unit}, or a string with a unit such as "1 {unit}"' if unit else None
+    return expected, f"add  {whole[-1]} = {value}{place}"
 
 
 def _listed(schema: type[BaseModel]) -> str | None:
@@ -189,9 +221,18 @@ def dotted(path: KeyPath) -> str:
 def shown(value: Any) -> str:
     """``repr``, or what can be said of a number of more digits than Python prints."""
     try:
-        return clipped(repr(value))
+        return clipped(_as_toml(value))
     except ValueError:
         return f"a {type(value).__name__} that is too long to print"
+
+
+def _as_toml(value: Any) -> str:
+    """Tables and lists as a scene file would have them, other values as ``repr``."""
+    if isinstance(value, Mapping):
+        return "{ " + ", ".join(f"{key} = {_as_toml(item)}" for key, item in value.items()) + " }"
+    if isinstance(value, list):
+        return "[" + ", ".join(map(_as_toml, value)) + "]"
+    return repr(value)
 
 
 def clipped(text: str) -> str:
@@ -257,6 +298,8 @@ def _parse_unit(text: str) -> tuple[int, ...] | None:
 def _from_text(text: str, si: str) -> float:
     """Value of a number with a unit; ValueError says in a few words what is wrong with it."""
     match = _NUMBER.fullmatch(text) if len(text) <= _LONGEST else None
+    if match is not None and match[2].startswith(","):
+        raise ValueError("a comma in a number")
     if match is None:
         raise ValueError("not a quantity")
     if not match[2] and si:
@@ -293,13 +336,28 @@ def quantity(value: object, si: str, *, where: str | None = None) -> float:
         got = repr(value) if len(repr(value)) <= _LONGEST else repr(value)[:_LONGEST] + " ..."
         message = "not a finite number" if isinstance(error, OverflowError) else str(error)
         expected = expected if si else "a plain number"
-        raise UsageError(message, where=where, got=got, expected=expected) from None
+        hint = _corrected(value, si)
+        raise UsageError(message, where=where, got=got, expected=expected, hint=hint) from None
     return result
 
 
-def refused(reason: str, expected: str | None, key: str | None = None) -> PydanticCustomError:
+def _corrected(value: object, si: str) -> str | None:
+    """What to write instead of a text with a decimal comma or without its unit."""
+    if not isinstance(value, str) or len(value) > _LONGEST:
+        return None
+    for text in (value.replace(",", ".", 1), f"{value.rstrip()}{si}", f"{value.rstrip()} {si}"):
+        with contextlib.suppress(ValueError):
+            _from_text(text, si)
+            number, unit = _NUMBER.fullmatch(text).groups()  # type: ignore[union-attr]
+            return f'write  "{f"{number} {unit}".strip()}"'
+    return None
+
+
+def refused(
+    reason: str, expected: str | None, key: str | None = None, hint: str | None = None
+) -> PydanticCustomError:
     """Error of a validator for an invalid value, or for the ``key`` of a table."""
-    context = {"reason": reason, "expected": expected, "key": key}
+    context = {"reason": reason, "expected": expected, "key": key, "hint": hint}
     return PydanticCustomError("quantity", "{reason}", context)
 
 
@@ -307,7 +365,7 @@ def _number(si: str, value: object) -> float:
     try:
         return quantity(value, si)
     except UsageError as error:
-        raise refused(error.message, error.expected) from None
+        raise refused(error.message, error.expected, hint=error.hint) from None
 
 
 def _number_with_unit(si: str, value: object) -> float:

@@ -158,14 +158,22 @@ def _blocks(disc: DiscKeys, where: str) -> list[Block]:
         here = f"{where}.layers.{i}"
         one = material(layer.material, f"{here}.material")
         if layer.electrodes is not None and not one.piezoelectric:
-            raise wrong(here, "an electrode on a material that is not piezoelectric", one.name)
+            problem = "an electrode on a material that is not piezoelectric"
+            hint = "delete the key electrodes of this layer"
+            raise wrong(here, problem, one.name, "a piezoelectric material", hint)
         poled = one.poled((0, 0, 1 if layer.poling == "up" else -1))
         quality = layer.quality or one.quality
         poled = replace(poled, name=f"layers[{i}] ({one.name})", quality=quality)
         result.append(Block(((0.0, layer.diameter / 2), span), poled))
     if not any(block.material.piezoelectric for block in result):
         got = ", ".join(block.material.name for block in result)
-        raise UsageError("no piezoelectric layer", where=f"{where}.layers", got=got)
+        raise UsageError(
+            "no layer is piezoelectric",
+            where=f"{where}.layers",
+            got=got,
+            expected='a layer of a piezoelectric material, such as "PZT-5A"',
+            hint='write  material = "PZT-5A"  in one of the layers',
+        )
     return result
 
 
@@ -196,7 +204,10 @@ def _plane(disc: DiscKeys, ceramic: list[int], height: float, below: int, where:
     diameters = {disc.layers[k].electrodes or disc.layers[k].diameter for k in ceramic}
     if len(diameters) > 1 and all(disc.layers[k].electrodes for k in ceramic):
         problem = "two layers state different diameters of the electrode between them"
-        raise wrong(f"{where}.layers.{ceramic[-1]}.electrodes", problem, sorted(diameters))
+        got = " and ".join(f"{each:g} m" for each in sorted(diameters))
+        hint = "state electrodes in one of the two layers"
+        where = f"{where}.layers.{ceramic[-1]}.electrodes"
+        raise wrong(where, problem, got, "one diameter", hint)
     radius = min(diameters) / 2
     ring = disc.layers[below].feedback if below in ceramic else None
     if ring is None:

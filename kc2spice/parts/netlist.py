@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from pydantic import Field
 
-from kc2spice.core.errors import UsageError, did_you_mean
+from kc2spice.core.errors import UsageError, candidates, did_you_mean
 from kc2spice.core.quantities import Section, Slew, Voltage
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.netlist.cards import name as checked
@@ -111,13 +111,14 @@ class Netlist(PartType):
                     )
                 continue
             nodes = dict.fromkeys((*pins, *(n for e in scope.elements for n in e.ends)))
-            read = [f"i({e.key})" for e in scope.elements if e.kind in _CURRENTS]
+            choices = [n for n in nodes if n != "0"]
+            choices += [f"i({e.key})" for e in scope.elements if e.kind in _CURRENTS]
             yield UsageError(
                 "no such pin, node or current",
                 where=f"probes.{name}.of",
                 got=repr(f"{part.name}.{node}"),
-                expected=f"of {part.name}: " + ", ".join([*(n for n in nodes if n != "0"), *read]),
-                hint=did_you_mean(node, [*nodes, *read]),
+                expected=f"of {part.name}: {candidates(node, choices)}",
+                hint=did_you_mean(node, choices),
             )
         for name in part.keys.ratings:
             if name not in pins:
@@ -197,7 +198,9 @@ def driver(part: Part, known: Mapping[str, str], data: Mapping[str, Any]) -> dic
         include = data.get("include")
         if not isinstance(include, (list, tuple)) or not include:
             expected = 'include = ["FILE"], a file beside the scene'
-            raise part.wrong(f"driver.{kind}", "needs a netlist", expected=expected)
+            hint = 'add  include = ["FILE"]  at the top of the scene'
+            problem = "this driver needs a netlist"
+            raise part.wrong(f"driver.{kind}", problem, expected=expected, hint=hint)
         table = {**table, "file": str(include[0])}
     return {**table, "part": selected, "at": (part.name, "driver", kind)}
 
@@ -216,7 +219,7 @@ def _pins(part: Part, scene: Scene) -> tuple[str, ...]:
             "subckt",
             "no such subcircuit",
             repr(part.keys.subckt),
-            ", ".join(known) or f"a .subckt in {part.keys.file}",
+            candidates(part.keys.subckt, known) or f"a .subckt in {part.keys.file}",
             did_you_mean(part.keys.subckt, known),
         )
     for pin in pins:

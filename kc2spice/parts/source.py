@@ -82,13 +82,14 @@ class SourceKeys(Section):
     def _one_shape(self, info: ValidationInfo) -> SourceKeys:
         given = [name for name in SHAPES if getattr(self, name) is not None]
         if len(given) > 1:
-            raise refused("two shapes: " + " and ".join(given), "one of them")
+            hint = f"delete the key {given[0]} or the key {given[1]}"
+            raise refused("two shapes: " + " and ".join(given), "one of them", hint=hint)
         try:
             self.waveform((info.context or {}).get("home", Path()))
             quantity(self.ac, self.unit, where="ac")
         except UsageError as error:
             expected = error.expected or "numbers with units"
-            raise refused(error.message, expected, error.where) from None
+            raise refused(error.message, expected, error.where, error.hint) from None
         return self
 
     @property
@@ -115,10 +116,18 @@ class SourceKeys(Section):
             high = quantity(p.high, unit, where="pulse.high")
             if p.width < p.edge or p.edge <= 0:
                 raise UsageError(
-                    "the edges are longer than the pulse", expected="width >= edge > 0"
+                    "the edges are longer than the pulse",
+                    where="pulse",
+                    expected=f"an edge above zero and of at most the width, {p.width:g} s",
+                    hint="shorten pulse.edge",
                 )
             if p.period is not None and p.period < p.width + p.edge:
-                raise UsageError("pulses overlap", expected="period >= width + edge")
+                raise UsageError(
+                    "pulses overlap",
+                    where="pulse",
+                    expected=f"a period of at least width + edge, {p.width + p.edge:g} s",
+                    hint="lengthen pulse.period",
+                )
             return waves_.pulse(low, high, p.start, p.width, p.edge, p.period, p.count)
         if self.sine is not None:
             s = self.sine
@@ -278,8 +287,19 @@ def _unloaded(part: Part, build: Build) -> bool:
 
 
 def _rising(points: np.ndarray, what: str) -> Waveform:
-    if len(points) < 2 or (np.diff(points[:, 0]) <= 0).any():
-        raise UsageError(f"times of {what} must rise", expected="at least two rows [time, value]")
+    key = "pwl" if what == "pwl" else "file"
+    if len(points) < 2:
+        expected = "at least two rows of time and value"
+        raise UsageError(f"{what} has {len(points)} rows", where=key, expected=expected)
+    late = np.flatnonzero(np.diff(points[:, 0]) <= 0)
+    if late.size:
+        first = int(late[0])
+        raise UsageError(
+            f"the times of {what} do not increase from row {first + 1} to row {first + 2}",
+            where=key,
+            expected="times that increase from row to row",
+            hint="sort the rows by time, and delete rows with equal times",
+        )
     return waves_.linear(points)
 
 
@@ -289,12 +309,29 @@ def _table(home: Path, name: str) -> np.ndarray:
     try:
         data = read_bounded(path, 40 * MAX_ROWS)
         rows = np.genfromtxt(io.BytesIO(data), delimiter=",", comments="#", ndmin=2)
+    except FileNotFoundError:
+        raise UsageError(
+            "this file does not exist",
+            where="file",
+            expected="a CSV file beside the scene, with the columns time [s] and value",
+            hint=f"copy the file to {path}",
+        ) from None
     except (OSError, ValueError) as error:
-        raise UsageError(f"file {name!r} cannot be read: {error}") from None
+        reason = getattr(error, "strerror", None) or str(error)
+        raise UsageError(
+            f"this file cannot be read: {reason}",
+            where="file",
+            expected="rows of two numbers: time [s], value",
+        ) from None
     if rows.shape[1:] == (2,) and np.isnan(rows[0]).any():  # a head
         rows = rows[1:]
     if rows.ndim != 2 or rows.shape[1] != 2 or not np.isfinite(rows).all():
-        raise UsageError(f"file {name!r} is no table", expected="two columns: time [s], value")
+        raise UsageError(
+            "this file is not a table of two columns",
+            where="file",
+            expected="rows of two numbers: time [s], value",
+            hint="separate the numbers by a comma, and write decimal points",
+        )
     return rows
 
 

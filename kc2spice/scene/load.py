@@ -110,12 +110,22 @@ def problems(scene: Scene) -> Iterator[UsageError]:
                 expected='type = "dc" and sweep = "SOURCE.dc", or back = false',
             )
     stop = selected.stop or 0.0
-    if selected.small and not stop - selected.start > CLOSEST * selected.points * stop:
+    if selected.small and selected.stop is None:
+        yield UsageError(
+            f"analysis.stop is missing in {selected.type}",
+            where="analysis",
+            got=f'type = "{selected.type}" without stop',
+            expected='the last frequency, such as stop = "100 kHz"',
+            hint='add  stop = "100 kHz"  to [analysis]',
+        )
+    elif selected.small and not stop - selected.start > CLOSEST * selected.points * stop:
         yield UsageError(
             "empty frequency range",
             where="analysis.stop",
-            got=f"{selected.start:g} … {selected.stop} Hz",
-            expected=f"start < stop, and points that differ by more than {CLOSEST:g} of it",
+            got=f"{selected.start:g} … {stop:g} Hz",
+            expected=f"a stop above the start, {selected.start:g} Hz, and points that differ by "
+            f"more than {CLOSEST:g} of the stop",
+            hint="raise analysis.stop, or lower analysis.start",
         )
     if selected.small and selected.scale == "log" and selected.start <= 0:
         yield UsageError(
@@ -128,24 +138,34 @@ def problems(scene: Scene) -> Iterator[UsageError]:
         yield UsageError(
             "a range of more decades than numbers have",
             where="analysis.start",
-            got=f"{selected.start:g} … {selected.stop} Hz",
+            got=f"{selected.start:g} … {stop:g} Hz",
             expected="at most 308 decades",
         )
     if (selected.type == "noise") != (selected.output is not None):
         yield UsageError(
-            "noise is that of an output",
-            where="analysis.output",
-            got=f"{selected.type} of {selected.output}",
-            expected='type = "noise" with output = "PART.RESULT" or "PART.PIN", or neither',
+            "a noise analysis needs an output"
+            if selected.output is None
+            else f"output has no effect in {selected.type}",
+            where="analysis" if selected.output is None else "analysis.output",
+            got=f'type = "{selected.type}"'
+            + (" without output" if selected.output is None else f', output = "{selected.output}"'),
+            expected='output = "PART.RESULT" or "PART.PIN" with type = "noise"',
+            hint='add  output = "PART.RESULT"  to [analysis]'
+            if selected.output is None
+            else "delete the key output of [analysis]",
         )
     if selected.type == "dc":
         name, _, _ = (selected.sweep or "").partition(".")
         if name not in scene.parts:
+            sources = [part.name for part in scene.of("source")] or list(scene.parts)
             yield UsageError(
-                "dc sweeps a key of a part",
-                where="analysis.sweep",
-                got=repr(selected.sweep),
-                expected="PART.KEY with a part of the scene: " + ", ".join(scene.parts),
+                "analysis.sweep is missing in dc"
+                if selected.sweep is None
+                else f"this scene has no part {name!r}",
+                where="analysis" if selected.sweep is None else "analysis.sweep",
+                got='type = "dc" without sweep' if selected.sweep is None else repr(selected.sweep),
+                expected=f"PART.dc of a source of the scene: {candidates(name, sources)}",
+                hint=f'write  sweep = "{sources[0]}.dc"  in [analysis]',
             )
         unit = _scale_unit(scene)
         for key, value in (("from", selected.from_), ("to", selected.to)):
@@ -293,6 +313,14 @@ def load_scene(
     """
     if isinstance(scene, Scene) and not overrides:
         return scene
+    if not isinstance(scene, (Scene, str, Path, Mapping)):
+        raise UsageError(
+            "not a scene",
+            where="scene",
+            got=f"{type(scene).__name__} {scene!r}"[:120],
+            expected="a name or path, a mapping with its tables, or a kc.Scene",
+            hint='write for example kc.load_scene("impact")',
+        )
     if isinstance(scene, Scene):
         source, data = _Source("scene", scene.name, "", scene.home), _copied(scene.tables)
     elif isinstance(scene, Mapping):
@@ -301,6 +329,14 @@ def load_scene(
         source = _open(scene)
         data = source.parse()
     data.setdefault("name", identifier(source.stem, "scene"))
+    if isinstance(overrides, str):
+        raise UsageError(
+            "overrides is a text, not a list of texts",
+            where="overrides",
+            got=repr(clipped(overrides)),
+            expected='a list such as ["KEY=VALUE"], or a mapping such as {"KEY": VALUE}',
+            hint=f"write overrides=[{clipped(overrides)!r}]",
+        )
     if isinstance(overrides, Mapping):
         changes = [(name, value, f"{name}={value}") for name, value in overrides.items()]
     else:
@@ -310,7 +346,7 @@ def load_scene(
         source.overrides[_put(data, name, value, text)] = text
     _only_parts_of(data, stated, source)
     try:
-        return _scene(data, source.folder)
+        return _scene(data, source)
     except UsageError as problem:
         # a file that the scene names is a place of its own, not a key
         if problem.where is not None and not Path(problem.where).is_absolute():
@@ -340,8 +376,9 @@ def _copied(value: Any) -> Any:
     return [_copied(item) for item in value] if isinstance(value, (list, tuple)) else value
 
 
-def _scene(data: dict[str, Any], home: Path) -> Scene:
+def _scene(data: dict[str, Any], source: _Source) -> Scene:
     """The scene that ``data`` says; of errors ``where`` is a key."""
+    home = source.folder
     types = {name: _type(name, table) for name, table in _part_tables(data)}
     frame = {key: data[key] for key in data if key not in types}
     scene = Scene(_validated(Frame, frame, ()), {}, home=home)
@@ -361,7 +398,7 @@ def _scene(data: dict[str, Any], home: Path) -> Scene:
             own = {key: value for key, value in table.items() if key != "at"}
             at = tuple(table.get("at", (name,)))
             parts[name] = _part(name, own, _type(name, own), home, at)
-    scene = replace(scene, parts=parts, tables=_copied(data))
+    scene = replace(scene, parts=parts, tables=_copied(data), source=source)
     if asked is not None and "analysis" not in data:
         scene = replace(scene, frame=scene.frame.model_copy(update={"analysis": asked}))
     for problem in problems(scene):
@@ -420,14 +457,16 @@ def _part_tables(data: Mapping[str, Any]) -> Iterator[tuple[str, Mapping]]:
                 where=name,
                 got=repr(clipped(name)),
                 expected="a letter, then letters, digits and _, at most 48 in all; not gnd",
+                hint=f"rename it, such as [{identifier(name, 'part')}]",
             )
         first = taken.setdefault(name.lower(), name)
         if first != name:
             raise UsageError(
-                "two parts whose names differ in case only",
+                "two parts whose names differ in case only, which netlists ignore",
                 where=name,
                 got=f"{first} and {name}",
-                expected="netlists do not tell case apart",
+                expected="names that differ in more than case",
+                hint=f"rename one of them, such as {name}_2",
             )
         yield name, table
 
@@ -479,10 +518,11 @@ def _part(
     pins = table.get("pins", {})
     if not isinstance(pins, Mapping) or not all(isinstance(v, str) for v in pins.values()):
         raise UsageError(
-            "pins is no table of names",
+            "pins is not a table",
             where=f"{name}.pins",
             got=clipped(repr(pins)),
-            expected='pins = { PIN = "part.pin" } or "gnd"',
+            expected="a table of pins, each with the pin that it joins, or gnd",
+            hint='write  pins = { PIN = "PART.PIN" }',
         )
     keys = {key: value for key, value in table.items() if key not in _GRAMMAR}
     keys, context = _completed(keys, kind.schema), {"home": home, "short": short}
@@ -620,7 +660,15 @@ def _override(text: str) -> tuple[str, Any]:
 
 
 def _no_override(text: str) -> UsageError:
-    return UsageError("not an override", where="--set", got=repr(clipped(text)), expected=_OVERRIDE)
+    name, equals, _ = text.partition("=")
+    hint = None if equals else f"write {clipped(name)}=VALUE"
+    return UsageError(
+        "not an override",
+        where="--set",
+        got=repr(clipped(text)),
+        expected=_OVERRIDE,
+        hint=hint,
+    )
 
 
 def _put(data: dict[str, Any], name: str, value: Any, text: str) -> tuple[str, ...]:
@@ -680,16 +728,30 @@ def override_value(text: str) -> Any:
     return table["value"] if set(table) == {"value"} else text
 
 
+def _numbered(table: tuple[str, ...], counts: Mapping[tuple[str, ...], int]) -> tuple[str, ...]:
+    """The path of a table with the number of the entry behind each list of tables."""
+    result: list[str] = []
+    for end in range(1, len(table) + 1):
+        result.append(table[end - 1])
+        if table[:end] in counts:
+            result.append(str(counts[table[:end]]))
+    return tuple(result)
+
+
 def _line_of(text: str, path: tuple[str, ...]) -> int | None:
     """Line that sets ``path`` or, failing that, the longest part of it; for messages only."""
     table: tuple[str, ...] = ()
+    counts: dict[tuple[str, ...], int] = {}  # of the entries of each list of tables
     best: tuple[int, int | None] = (0, None)
     for number, line in enumerate(lines_of(text), start=1):
         line = line.strip()
         key = re.match(r"([\w.]+)\s*=", line)
         if line.startswith("["):
             header = line.partition("]")[0].lstrip("[")
-            table = names = tuple(part.strip() for part in header.split("."))
+            table = tuple(part.strip() for part in header.split("."))
+            if line.startswith("[["):
+                counts[table] = counts.get(table, -1) + 1
+            table = names = _numbered(table, counts)
         elif key:
             names = table + tuple(key[1].split("."))
         else:

@@ -158,7 +158,8 @@ class Scene:
     displacements of a net are relative to, by node; ``home`` is the folder of the scene's file,
     ``tables`` what it says with all overrides. Bodies keep the ``ports`` that are needed, in an
     export all that their author declares, joined or not
-    (:meth:`Part.declares`), for documentation all of them.
+    (:meth:`Part.declares`), for documentation all of them. ``source`` is the text of the scene's
+    file with all overrides, by which :meth:`where` finds the line of a key.
     """
 
     frame: Frame
@@ -170,12 +171,17 @@ class Scene:
     home: Path = Path()
     tables: Mapping[str, Any] = field(default_factory=dict)
     ports: Literal["needed", "declared", "all"] = "needed"
+    source: Any = None
 
     def __getattr__(self, name: str) -> Any:
         """Keys of the frame: ``scene.solver``, ``scene.rom``, ``scene.gravity``, …"""
         if name.startswith("_") or name == "frame":
             raise AttributeError(name)
         return getattr(self.frame, name)
+
+    def where(self, key: str) -> str:
+        """File, line and name of a key, for errors; the name alone of a scene without a file."""
+        return key if self.source is None else str(self.source.where(key))
 
     @property
     def stop(self) -> float:

@@ -65,7 +65,8 @@ class Rom(Section):
     @classmethod
     def _one_target(cls, data: Any) -> Any:
         if isinstance(data, dict) and "order" in data and "tolerance" in data:
-            raise refused("order and tolerance are both set", "one of the two")
+            hint = "delete the key order"
+            raise refused("order and tolerance are both set", "one of the two", hint=hint)
         return data
 
     @model_validator(mode="after")
@@ -400,13 +401,21 @@ class Probe(Section):
     @model_validator(mode="after")
     def _goes_together(self) -> Self:
         for take, key in (("value", "at"), ("crossing", "level")):
-            if (self.take == take) != (getattr(self, key) is not None):
-                raise refused(f"{key} goes with {take}", f'take = "{take}" and {key}, or neither')
+            present = getattr(self, key) is not None
+            if self.take == take and not present:
+                hint = f"add  {key} = VALUE  to this probe"
+                raise refused(f'{key} is missing with take = "{take}"', f"a {key}", hint=hint)
+            if self.take != take and present:
+                hint = f"delete take = {self.take!r}" if key == "at" else f"delete the key {key}"
+                problem = f'{key} has no effect with take = "{self.take}"'
+                raise refused(problem, f'{key} with take = "{take}"', hint=hint)
         window = (self.from_, self.to, self.periods)
         if self.at is not None and any(item is not None for item in window):
-            raise refused("at beside a window", "at, or from and to, or periods")
+            expected = "at, or from and to, or periods"
+            raise refused("at beside a window", expected, hint="delete the key at")
         if self.periods is not None and (self.from_ is not None or self.to is not None):
-            raise refused("periods beside from or to", "periods, or from and to")
+            expected = "periods, or from and to"
+            raise refused("periods beside from or to", expected, hint="delete the key periods")
         if self.from_ is not None and self.to is not None and self.from_ >= self.to:
             raise refused("empty window", "from < to")
         return self

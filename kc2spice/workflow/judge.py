@@ -194,7 +194,7 @@ def take(
     """
     if probe.of not in waves:
         known = list(waves.data)[1:]
-        raise unknown("no such vector", probe.of, known, f"probes.{name}.of")
+        raise unknown("no such result", probe.of, known, f"key probes.{name}.of")
     scale, values = waves.scale.real, waves[probe.of]
     if probe.at is not None:
         return _value(scale, values, probe.at, name)

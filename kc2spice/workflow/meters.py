@@ -50,7 +50,7 @@ def output(build: Build) -> Vector:
     voltages = {item: result for item, result in known.items() if _ends(result) is not None}
     if name not in voltages:
         message = "noise is that of a voltage or a motion"
-        raise unknown(message, name, voltages, "analysis.output")
+        raise unknown(message, name, voltages, build.scene.where("analysis.output"))
     return voltages[name]
 
 
@@ -211,19 +211,22 @@ def require_probed(build: Build) -> None:
     results = result_vectors(build, without=waiting)
     known = {*results, *powers(build, results)}
     for name, probe in scene.probes.items():
-        owner = probe.of.partition(".")[0]
-        if "." not in probe.of or probe.of in known or owner in waiting:
+        owner, dot, _ = probe.of.partition(".")
+        if probe.of in known or owner in waiting or not (dot or owner in scene.parts):
             continue  # without a dot: time, frequency
-        choices = _every_result(build, waiting)
-        own = [each for each in choices if each.startswith(f"{owner}.")]
-        error = unknown("no such result", probe.of, own or choices, f"key probes.{name}.of")
-        error.hint = error.hint or _abbreviated(probe.of, own)
+        where = scene.where(f"probes.{name}.of")
+        if owner not in scene.parts:
+            raise unknown(f"this scene has no part {owner!r}", probe.of, scene.parts, where)
+        choices = [each for each in _every_result(build, waiting) if each.startswith(f"{owner}.")]
+        error = unknown("no such result", probe.of, choices, where)
+        error.hint = error.hint or _abbreviated(probe.of, choices)
         raise error
 
 
 def _abbreviated(name: str, choices: Sequence[str]) -> str | None:
     """What to write instead of ``r2.voltage`` where a result is called ``r2.v``."""
     near = [choice for choice in choices if name.startswith(choice)]
+    near = near or [choice for choice in choices if choice.startswith(f"{name}.")][:1]
     return f"did you mean {max(near, key=len)!r}?" if near else None
 
 
@@ -297,11 +300,11 @@ def swept(build: Build) -> tuple[Part, str, Swept]:
     result = part.type.settable(part, build).get(key)
     if not isinstance(result, Swept):
         raise UsageError(
-            "cannot be swept by dc",
-            where="analysis.sweep",
+            "a dc analysis cannot sweep this key",
+            where=scene.where("analysis.sweep"),
             got=str(scene.analysis.sweep),
             expected="the dc value of a source, such as push.dc",
-            hint="kc2spice sweep varies any key, one run each",
+            hint=f"kc2spice sweep SCENE --set {scene.analysis.sweep}=FROM:TO:POINTS sweeps any key",
         )
     return part, key, replace(result, range=result.range or _range(part, key, scene.analysis))
 

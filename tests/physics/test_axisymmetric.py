@@ -195,7 +195,7 @@ RING = {"inner": "2 mm", "outer": "4 mm"}
     ("keys", "says"),
     [
         ({"layers": []}, "at least 1"),
-        ({"layers": [BRASS]}, "no piezoelectric layer"),
+        ({"layers": [BRASS]}, "no layer is piezoelectric"),
         ({"layers": [BRASS | {"electrodes": "5 mm"}, CERAMIC]}, "not piezoelectric"),
         ({"layers": [BRASS, CERAMIC | {"electrodes": "15 mm"}]}, "larger than the layer"),
         ({"layers": [BRASS, CERAMIC | {"diameter": "14 s"}]}, "wrong unit"),

@@ -66,6 +66,6 @@ def test_an_unknown_node_is_told_before_the_run(looked, tmp_path):
     assert done.exit_code == 2
     assert "probes.looked" in said
     assert "got: 'filter.mod'" in said
-    assert "of filter: in, out, ref, mid" in said
+    assert "of filter: mid, out, in, ref" in said
     assert "simulate" not in said
     assert not (tmp_path / "out").exists()

@@ -148,11 +148,11 @@ MISTAKES = {
     ),
     "pins that are no table": (
         _changed('pins = { b = "lower.a" }', "pins = 3"),
-        9, "upper.pins", ["no table of names", "PIN ="],
+        9, "upper.pins", ["pins is not a table", "PIN ="],
     ),
     "a dc sweep of nothing": (
         _changed('type = "op"', 'type = "dc"\nsweep = "suply.dc"\nto = 1.0'),
-        17, "analysis.sweep", ["dc sweeps a key of a part", "'suply.dc'", "supply"],
+        17, "analysis.sweep", ["this scene has no part 'suply'", "'suply.dc'", "supply.dc"],
     ),
     "an ac range upside down": (
         _changed('type = "op"', 'type = "ac"\nstart = 100.0\nstop = 10.0'),
@@ -160,7 +160,7 @@ MISTAKES = {
     ),
     "a level without a crossing": (
         DIVIDER + '\n[probes]\ntop = { of = "lower.v", level = 1.0 }\n',
-        19, "probes.top", ["level goes with crossing"],
+        19, "probes.top", ["level has no effect with take", "delete the key level"],
     ),
 }  # fmt: skip
 

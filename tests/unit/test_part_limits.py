@@ -90,7 +90,7 @@ LIMITS = [
      "cell.pulse={high=1, width=1e-6, count=1}", "without their period"),
     (CELL, "cell.pulse={high=1, width=1e-6, period=3e-6, count=25000}",
      "cell.pulse={high=1, width=1e-6, period=3e-6, count=25001}", "not a number of pulses"),
-    (CELL, "cell.pwl=[[0, 1], [1e-9, 2]]", "cell.pwl=[[0, 1], [0, 2]]", "must rise"),
+    (CELL, "cell.pwl=[[0, 1], [1e-9, 2]]", "cell.pwl=[[0, 1], [0, 2]]", "do not increase"),
     (CELL, "cell.sine={amplitude=1, frequency=1e-3}", "cell.sine={amplitude=1, frequency=0}",
      "out of range"),
     (CELL, "analysis={type='transient', stop=1e-6}", "analysis={type='transient', stop=0}",

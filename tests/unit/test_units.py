@@ -61,7 +61,7 @@ def test_is_rounded_once(mantissa, prefix):
         ("1 N", "N/m", "wrong unit 'N'"),
         ("3 bananas", "m", "unknown unit"),
         ("3 m/", "m", "unknown unit"),
-        ("2,5 mm", "m", "unknown unit"),
+        ("2,5 mm", "m", "a comma in a number"),
         ("25", "s", "needs its unit"),
         ("fast", "m/s", "not a quantity"),
         ("", "m", "not a quantity"),
