@@ -223,7 +223,12 @@ def _damped_at(model: LinearModel, damping: Damping) -> float | None:
     facts = model.facts
     first = damping.frequency(facts.get("resonance_short_hz", facts.get("resonance_hz")))
     if first is None and (damping.zeta or damping.per_material):
-        raise UsageError("no resonance to damp at", where="damping.at", expected="a frequency")
+        raise UsageError(
+            "the body has no resonance at which its damping is stated",
+            where="damping.at",
+            expected='the frequency of ratio or quality, such as at = "10 kHz"',
+            hint='add  at = "10 kHz"  to the damping of this body',
+        )
     return first
 
 
@@ -237,8 +242,9 @@ def _damped(model: LinearModel, solid: Solid, P: sparse.csc_array, setup: Setup)
     loss = []
     for material in solid.materials:
         if material.quality is None:
-            hint = "give it in a material table, or a ratio for all"
-            raise wrong("damping.per_material", "no quality known", material.name, hint=hint)
+            hint = "add  quality = VALUE  to the table of this material"
+            problem, expected = "this material has no Q factor", "a Q factor of every material"
+            raise wrong("damping.per_material", problem, material.name, expected, hint)
         loss.append(1 / (material.quality * 2 * np.pi * first))
     # The least loss is that of the whole, whose first mode holds rounding alike in K and E: summed
     # by materials it would be that of the stiffest motion in the damping of the softest.
@@ -316,9 +322,13 @@ def _potentials(
     for nodes in (*setup.electrodes.values(), *setup.floating):
         taken[nodes[live[nodes]]] += 1
     if taken.max(initial=0) > 1:
-        hint = "one pin may have several groups: PIN = [GROUP, GROUP]"
-        got = f"{np.sum(taken > 1)} common nodes"
-        expected = "a gap between any two of them"
+        hint = (
+            "choose groups of faces without common nodes, or one pin for all: PIN = [GROUP, GROUP]"
+        )
+        common = np.flatnonzero(taken > 1)
+        pins = [pin for pin, nodes in setup.electrodes.items() if np.isin(common, nodes).any()]
+        got = f"{len(common)} common nodes of {', '.join(pins)}"
+        expected = "a gap between any two electrodes"
         raise wrong("electrodes", "electrodes touch each other", got, expected, hint)
     if setup.graded is not None:
         taken[setup.graded[0]] += 1

@@ -105,7 +105,7 @@ def test_matlab_files_say_what_tables_say(tmp_path):
 @pytest.mark.parametrize(
     ("header", "columns", "said"),
     [
-        ("f_hz,x_ohm,r_ohm", lambda Z: (F, Z.real, Z.imag), "swapped"),
+        ("f_hz,x_ohm,r_ohm", lambda Z: (F, Z.real, Z.imag), "swap the columns"),
         ("f_hz,r_ohm,x_ohm", lambda Z: (F, -Z.real, Z.imag), "gives power"),
         ("f_hz,r_ohm,x_ohm", lambda Z: (Z.real, F, Z.imag), "up and down"),
         ("a,b,c", lambda Z: (F, Z.real, Z.imag), "columns a, b, c"),

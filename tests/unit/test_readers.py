@@ -563,10 +563,10 @@ def test_models_that_are_none(tmp_path, matrices, words):
         (TIP.replace("uy", "rz"), ("mechanical", "rz")),
         (TIP.replace("uy", "uz"), ("uz", "ux, uy")),
         (TIP.replace("300", "301"), ("node 301", "7 to 300")),
-        (TIP + 'axis = "y"\n', ("dof and axis",)),
-        (TIP.replace('dof = "uy"', ""), ("neither dof nor axis",)),
+        (TIP + 'axis = "y"\n', ("both dof and axis",)),
+        (TIP.replace('dof = "uy"', ""), ("no direction", 'axis = "z"')),
         (TIP + 'nodeset = "ENDS"\n', ("node, nodeset",)),
-        (TIP.replace("node = 300", 'nodeset = "ENDS"'), ("mesh",)),
+        (TIP.replace("node = 300", 'nodeset = "ENDS"'), ("nodeset and at need a mesh",)),
         ('mesh="mesh.inp"\n' + TIP.replace("node = 300", 'nodeset = "NONE"'), ("NONE", "ENDS")),
         ('mesh="mesh.inp"\n' + TIP.replace("node = 300", "at = [20, 1, 0]"), ("node 300", "0.5")),
         ('mesh="none.inp"\n' + TIP.replace("node = 300", "at = [0, 0, 0]"), ("none.inp",)),
@@ -579,7 +579,7 @@ def test_models_that_are_none(tmp_path, matrices, words):
         (TIP + TIP, ("one name",)),
         (TIP + 'unit = "a b"\n', ("unit",)),
         ("[[fixed]]\nnode = 301\n" + TIP, ("fixed[0]", "301")),
-        ("[[fixed]]\ndof = 1\n" + TIP, ("fixed[0]", "where")),
+        ("[[fixed]]\ndof = 1\n" + TIP, ("fixed[0]", "names no nodes", "node = 1")),
         ("[[fixed]]\nnodes = [7, 20, 300]\n" + TIP, ("fixed",)),
         ('[[ports]]\nname="e"\nkind="electrical"\nnode=7\n', ("volt",)),
         ('[[ports]]\nname="a"\nkind="acceleration"\n', ("axis",)),
@@ -635,7 +635,7 @@ def test_a_square_c_beside_m_and_k_is_damping_or_outputs_by_word_only(tmp_path):
     assert len(seen.outputs) == n
     assert seen.pencil.undamped
     both = sidecar(tmp_path, 'outputs = "C"\ndamping_matrix = "C"\n', "both.toml")
-    refused(tmp_path / "m.npz", "C has two meanings", side=both)
+    refused(tmp_path / "m.npz", "outputs and damping_matrix are both C", side=both)
     side = sidecar(tmp_path, 'damping_matrix = "C"\n')
     np.savez(tmp_path / "e.npz", M=mass, C=C, E=C, K=stiff, B=load)
     refused(tmp_path / "e.npz", "no damping matrix of this name", side=side)

@@ -179,7 +179,9 @@ def _family(path: Path) -> tuple[Path, dict[str, Path]]:
         ]
         if len(fits) > 1:
             problem = f"two files for matrix {letter}"
-            raise wrong(str(base), problem, ", ".join(other.name for other in fits), "one of them")
+            names = ", ".join(other.name for other in fits)
+            hint = f"delete or rename one of these files: {names}"
+            raise wrong(str(base), problem, names, "one file for each matrix", hint)
         if fits:
             result[letter] = fits[0]
     if result:
@@ -188,7 +190,8 @@ def _family(path: Path) -> tuple[Path, dict[str, Path]]:
     archives = [] if raw.present(path) else [other for other in archives if raw.present(other)]
     if len(archives) > 1:
         got = ", ".join(other.name for other in archives)
-        raise wrong(str(path), "several files have this name", got, "one of them, in full")
+        hint = f"give the full name, such as {archives[0].name}"
+        raise wrong(str(path), "several files have this name", got, "one file", hint)
     whole = dict.fromkeys([_WHOLE], archives[0]) if archives else {}
     return (path.with_suffix("") if raw.present(path) else path), whole
 
@@ -205,8 +208,8 @@ def _read(path: Path, files: dict[str, Path], wanted: Mapping[str, str]) -> raw.
         raise wrong(str(path), "no such model", expected=expected, hint=hint)
     if suffix not in READERS:
         hint = 'or name the files in NAME.toml: files = { K = "...", M = "..." }'
-        got = "one file that is not called after its matrix"
-        raise raw.refused(path, got, "NAME.K, NAME_K.mtx, JOB_STIF1.mtx", hint)
+        got = "a file whose name does not end with the letter of a matrix"
+        raise raw.refused(path, got, "names such as NAME.K, NAME_K.mtx or JOB_STIF1.mtx", hint)
     expected, read = READERS[suffix]
     return raw.guarded(path, expected, lambda: read(path, wanted))
 
@@ -256,5 +259,5 @@ def _rows(data: bytes) -> raw.Dofs:
     """``node,dof`` of each row in order, dofs by number."""
     values = numbers(data)
     if values.size == 0 or values.size % 2:
-        raise ValueError(f"{values.size} numbers in two columns")
+        raise ValueError(f"expected an even number of values (node, dof), got {values.size}")
     return raw.Dofs(*values.reshape(-1, 2).T)

@@ -76,9 +76,10 @@ def _whole(rows: Rows) -> Mapping[str, Matrix]:
     if structural:
         given["K"] = sparse.csc_array(stiffness.real)  # type: ignore[union-attr]
     if "B" not in given and not rows.said.ports:
-        expected = "B, or [[ports]] in the TOML file"
-        problem = "is not a complete model"
-        raise wrong(rows.where, problem, "matrices " + ", ".join(sorted(given)), expected)
+        expected = "matrix B with a column for each input, or [[ports]] in the TOML file"
+        got = "matrices " + ", ".join(sorted(given))
+        hint = f"add the matrix B, or [[ports]] to {rows.name}.toml"
+        raise wrong(rows.where, "the model has no inputs", got, expected, hint)
     size = max((matrix.shape[0] for k, matrix in given.items() if k in "MEKA"), default=1)
     model = LinearModel(**{"B": np.ones((size, 1)), **given}, name=rows.where)
     kept = (set(given) - {"K"}) | {"A"} if model.first_order else set(given)
@@ -131,13 +132,15 @@ class Rows:
         """The names of the rows, which ``where`` asks for."""
         dofs = self.raw.dofs
         if dofs is None:
-            expected = "a column of B, or 'dofs = \"rows.csv\"' with node,dof of each row"
             raise UsageError(
-                "the nodes of the matrix rows are not known", where=where, expected=expected
+                "the matrices do not contain the nodes of their rows",
+                where=where,
+                expected="a column of B, or a file with node,dof of each row",
+                hint='write  column = 1  instead of nodes, or add  dofs = "rows.csv"',
             )
         if len(dofs) != self.size:
-            problem = "the names of the rows do not fit"
-            raise wrong(where, problem, f"{len(dofs)} names", f"{self.size}")
+            problem = "the list of nodes does not fit the matrices"
+            raise wrong(where, problem, f"{len(dofs)} rows with node,dof", f"{self.size} rows")
         return dofs
 
     def find(self, place: Place, kinds: tuple[int, ...]) -> list[np.ndarray]:
@@ -149,7 +152,8 @@ class Rows:
             nodes = np.unique(np.array(place.numbers, dtype=np.int64))
         elif mesh is None:
             expected = 'mesh = "FILE" with nodes and node sets in the TOML file'
-            raise wrong(where, "there is no mesh to look into", expected=expected)
+            hint = 'add  mesh = "FILE"  to the TOML file'
+            raise wrong(where, "nodeset and at need a mesh", None, expected, hint)
         elif place.nodeset is not None:
             nodes = read_mesh(mesh).nodeset(place.nodeset, where)
         else:
@@ -206,7 +210,8 @@ class Rows:
         where, load = self.said.of(entry), np.zeros(self.size)
         if entry.kind == "acceleration":  # acceleration of the frame: -M r
             if "M" not in self.found:
-                raise wrong(where, "needs a mass matrix", expected="a second-order model")
+                problem = "a port of kind acceleration needs a mass matrix"
+                raise wrong(where, problem, None, "matrix M", "add the matrix M")
             kind = self.dofs(where).kind
             for k, weight in entry.weights.items():
                 load[kind == k] = weight
@@ -216,7 +221,10 @@ class Rows:
             load[rows] += weight / len(rows)  # their mean displacement is its product with x
         if not load[~self.held()].any():
             raise UsageError(
-                "the port is on fixed degrees of freedom", where=where, expected="a free node"
+                "the port is on fixed degrees of freedom",
+                where=where,
+                expected="a node that is free to move",
+                hint="name another node, or delete the [[fixed]] entry of this one",
             )
         return load
 
@@ -227,7 +235,9 @@ class Rows:
         where, place = self.said.of(entry), entry.column or entry.row or 0
         table, what = (B.T, "columns of B") if entry.row is None else (C, "rows of C")
         if place > len(table):
-            raise wrong(where, "does not exist", place, f"1 to {len(table)} ({what})")
+            counted = "column" if entry.row is None else "row"
+            problem = f"there is no {counted} {place}"
+            raise wrong(where, problem, place, f"1 to {len(table)}, the {what}")
         load = np.asarray(table[place - 1])
         if entry.kind in ("input", "output"):
             return load
@@ -244,13 +254,16 @@ class Rows:
             return self.found["B"], self.found["C"], self.found["D"], ()
         if self.size * len(said.ports) > MAX_WIDE:
             got = f"{len(said.ports)} ports of {self.size} rows"
-            raise UsageError("too many ports", where=said.where, got=got, expected="fewer ports")
+            expected = f"at most {MAX_WIDE // self.size} ports of this model"
+            raise UsageError("too many ports", where=said.where, got=got, expected=expected)
         loads = {entry.name: self.load(entry) for entry in said.ports}
         inputs = [entry for entry in said.ports if entry.kind != "output"]
         outputs = [entry for entry in said.ports if entry.kind != "input"]
         if not inputs or not outputs:
-            expected = "a conservative port, or 'input' and 'output'"
-            raise wrong(said.where, "ports need an input and an output", expected=expected)
+            expected = "ports of the kinds input and output, or a port of another kind"
+            lacking = "output" if inputs else "input"
+            hint = f'add a port with  kind = "{lacking}"'
+            raise wrong(said.where, f"no port is an {lacking}", None, expected, hint)
         into = np.array([entry.scale for entry in inputs])  # 1 of conservative ones
         out = 1 / np.array([[entry.scale] for entry in outputs])
         D = np.zeros((len(outputs), len(inputs)))
@@ -270,7 +283,8 @@ def _plain(rows: Rows) -> LinearModel:
     said = rows.said
     keep = np.flatnonzero(~rows.held())
     if not keep.size:
-        raise UsageError("every degree of freedom is fixed", where=said.where)
+        cure = "delete one of the [[fixed]] entries"
+        raise UsageError("every degree of freedom is fixed", where=said.where, hint=cure)
     operators = {k: _cut(m, keep) for k, m in rows.found.items() if k in "MEKA"}
     used = sum(abs(matrix).sum(axis=1) for matrix in operators.values())
     empty = np.flatnonzero(np.asarray(used) == 0)
@@ -282,11 +296,14 @@ def _plain(rows: Rows) -> LinearModel:
     B, C, D, ports = rows.ports()
     if not B[keep].any() or not C[:, keep].any():
         expected = "B, C not zero, on degrees of freedom that are not fixed"
-        raise wrong(rows.where, "has no effective input or output", expected=expected)
+        cure = "apply the ports at free nodes, or delete the [[fixed]] entries there"
+        raise wrong(rows.where, "has no effective input or output", None, expected, cure)
     alpha, beta = said.damping.rayleigh
     damping: dict[str, Any] = {"rayleigh": (alpha, beta)} if alpha or beta else {}
     if damping and "A" in operators:
-        raise wrong(f"{said.where}: damping", "a first-order model has no Rayleigh damping")
+        hint = "delete the key damping"
+        problem = "a first-order model has no Rayleigh damping"
+        raise wrong(f"{said.where}: damping", problem, None, "no damping", hint)
     if damping and "E" in operators:
         damping = {}
         operators["E"] = sparse.csc_array(
@@ -313,14 +330,17 @@ def _with_electrodes(rows: Rows) -> LinearModel:
     """
     said = rows.said
     if "A" in rows.found or any(e.kind in ("input", "output") for e in said.ports):
-        raise wrong(said.where, "electrodes at nodes go with M and K and conservative ports")
+        problem = "electrodes at nodes need matrices M and K, and no inputs and outputs"
+        expected = "ports of the kinds electrical, mechanical, rotational and acceleration"
+        raise wrong(said.where, problem, None, expected)
     K, M, E = rows.found["K"], rows.found["M"], rows.found.get("E")
     if np.iscomplexobj(K):
         hint = "damping = { loss_factor = ... } in the TOML file, with the real part as matrix K"
         problem = "a complex K does not go with electrodes at nodes"
         raise wrong(rows.where, problem, "structural damping", "one loss factor", hint)
     if E is not None and any(said.damping.rayleigh):
-        raise wrong(said.where, "damping is given twice", expected="matrix E or 'damping'")
+        problem, hint = "damping is stated twice", "delete alpha and beta of the key damping"
+        raise wrong(said.where, problem, None, "matrix E or damping", hint)
     potential = rows.dofs(rows.where).kind == VOLT
     taken = rows.held()
     electrodes = [entry for entry in said.ports if entry.kind == "electrical"]
@@ -329,7 +349,9 @@ def _with_electrodes(rows: Rows) -> LinearModel:
         (place,) = rows.find(entry, (VOLT,))
         if taken[place].any():
             where = said.of(entry)
-            raise UsageError("an electrode is fixed or another port's", where=where)
+            expected = "nodes that are neither fixed nor of another port"
+            problem = "an electrode shares nodes with another port or with a fixed entry"
+            raise UsageError(problem, where=where, expected=expected)
         column[place], taken[place] = 1.0, True
     u, p = np.flatnonzero(~taken & ~potential), np.flatnonzero(~taken & potential)
     KT = K @ T

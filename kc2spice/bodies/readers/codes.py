@@ -110,7 +110,11 @@ def _entries(data: bytes) -> tuple[bool, raw.Triple]:
     width = len(data.lstrip().split(b"\n", 1)[0].replace(b",", b" ").split())
     values = numbers(data)
     if width not in (3, 5) or values.size == 0 or values.size % width:
-        raise ValueError(f"{values.size} numbers in {width} columns: is it cut off?")
+        raise ValueError(
+            f"{values.size} numbers do not fill rows of {width}; the file may be truncated"
+            if width in (3, 5)
+            else f"the first row has {width} numbers instead of 3 or 5"
+        )
     table = values.reshape(-1, width)
     if width == 5:
         return True, raw.keyed(table)
@@ -257,7 +261,10 @@ def read_harwell_boeing(
 def _cut_out(lines: list[bytes], repeat: int, width: int, number: int) -> np.ndarray:
     """``number`` values of ``width`` characters, ``repeat`` of them on each line."""
     if len(lines) * repeat < number:
-        raise ValueError(f"{len(lines)} lines for {number} numbers: is it cut off?")
+        raise ValueError(
+            f"the file ends after {len(lines)} of {math.ceil(number / repeat)} lines with "
+            f"{number} numbers; it may be truncated"
+        )
     if not 0 < repeat * width <= _LONGEST:
         raise ValueError(f"lines of {repeat} fields of {width} characters")
     text = b"".join(line[: repeat * width].ljust(repeat * width) for line in lines)

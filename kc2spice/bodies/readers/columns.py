@@ -267,7 +267,7 @@ def read_table(text: str) -> tuple[list[str], np.ndarray]:
     lines = text.splitlines()
     runs = [run for separator in SEPARATORS for run in _runs(lines, separator)]
     if not runs:
-        raise ValueError(f"no lines of {FEWEST_COLUMNS} numbers or more")
+        raise ValueError(f"the file has no rows of {FEWEST_COLUMNS} numbers or more")
     first, last, separator = max(runs, key=lambda run: run[1] - run[0])
     rows = [_fields(line, separator) for line in lines[first:last] if line.strip()]
     titles = _titles(lines[:first], separator, len(rows[0]))
@@ -313,14 +313,17 @@ def _titles(above: list[str], separator: str | None, columns: int) -> list[str]:
     """
     lines = [line.strip().lstrip(_COMMENT) for line in above if line.strip().strip(_COMMENT)]
     if not lines:
-        raise ValueError("columns without a header")
+        raise ValueError("the columns have no header")
     last = _divided(lines[-1], separator, columns)
     units = last is not None and all(_is_unit(w) for w in last)
     names = _divided(lines[-2], separator, columns) if units and len(lines) > 1 else None
     if last is not None and names is not None:
         return [f"{a} ({b.strip('()[]')})" for a, b in zip(names, last, strict=True)]
     if last is None:
-        raise ValueError(f"the header {lines[-1][:80]!r} has not {columns} titles, one per column")
+        raise ValueError(
+            f"the header {lines[-1][:80]!r} does not have the separators of the {columns} columns "
+            "of numbers below it"
+        )
     return last
 
 

@@ -31,7 +31,7 @@ MAX_BYTES = 20_000_000
 MOST = 20_000  # frequencies: no analyser has as many, and a fit would take hours
 FEWEST = 12  # frequencies: four numbers of one resonance and its noise
 ACTIVE = 0.05  # negative resistance over |Z| that is not noise, if a tenth of the points have it
-HINT = "name the columns in a header, such as: frequency_hz, real_ohm, imag_ohm"
+HINT = "name the columns in the first line, such as  frequency_hz,real_ohm,imag_ohm"
 _TOUCHSTONE = re.compile(r"\.(s(\d+)p|ts)", re.IGNORECASE)
 _TABLES = (".csv", ".txt", ".tsv", ".zma")
 _COMPLEX: dict[Quantity, str] = {
@@ -191,7 +191,11 @@ def read_measured(path: Path) -> Measured:
         that make a passive part give power; a short circuit, or a port that conducts nothing.
     """
     match = _TOUCHSTONE.fullmatch(path.suffix)
-    expected = "a Touchstone file" if match else f"a table of an impedance analyser; {HINT}"
+    expected = "a table with a frequency and two columns of impedance, admittance or reflection"
+    advice = HINT
+    if match:
+        expected = "a Touchstone file with S, Y or Z parameters in RI, MA or DB"
+        advice = "export the file again as Touchstone"
 
     if not present(path):
         raise absent(path, expected)
@@ -207,7 +211,7 @@ def read_measured(path: Path) -> Measured:
         return _touchstone(text, int(match[2] or 0)) if match else _response(*read_table(text))
 
     with np.errstate(all="ignore"):  # values that are not finite are refused
-        found = guarded(path, expected, read)
+        found = guarded(path, expected, read, advice)
     f, Y = found.f, found.Y
     if not (np.isfinite(f).all() and np.isfinite(Y).all() and f.min(initial=1.0) >= 0):
         got = "NaN, infinity, an impedance of zero or a frequency below zero"
@@ -245,7 +249,7 @@ def _require_conducting(data: Measured) -> None:
     first, of = int(np.argmax(still)), f"{still.sum()} of {len(still)}"
     got = f"no current at {of} frequencies, first at {data.f[first]:g} Hz"
     got = got if one else f"no current into {of} ports, first into port {first + 1}"
-    hint = "is it connected, do the numbers have enough digits? Leave out what has none"
+    hint = "delete these frequencies from the file, or measure with the part connected"
     raise wrong(data.where, "is an open circuit", got, "admittances that are not zero", hint)
 
 
@@ -256,13 +260,13 @@ def _require_passive(data: Measured) -> None:
     bad = least < -max(ACTIVE, 5 * data.noise) * size
     if np.mean(bad) < 0.1:
         return
-    hint = "are two columns swapped, is the phase that of Y, is its sign turned? Or is it active?"
+    hint = "check the order of the columns and the sign of the phase"
     if data.Y.shape[1] == 1 and (data.Y.imag[bad] > 0).mean() < 0.5:
-        hint = "real and imaginary part may be swapped; " + hint
+        hint = "swap the columns of real and imaginary part, which seem to be interchanged"
     got = f"a real part below zero at {bad.sum()} of {len(bad)} frequencies, "
     got += f"first at {data.f[bad][0]:g} Hz"
-    problem = "gives power: no passive part measures so"
-    raise wrong(data.where, problem, got, "Re Z >= 0 but for noise", hint)
+    problem = "the measured part gives power, which no passive part does"
+    raise wrong(data.where, problem, got, "Re Z >= 0, except for noise", hint)
 
 
 def _touchstone(text: str, ports: int) -> Response:
@@ -357,9 +361,9 @@ def _response(titles: list[str], rows: np.ndarray) -> Response:
             columns[title.meaning.quantity] = column_of(title, values)
     combination = next((c for c in COMBINATIONS if set(c.columns) <= set(columns)), None)
     if "f" not in columns or combination is None:
-        missing = "frequency" if "f" not in columns else "impedance"
-        no = f"{', '.join(unknown)} not known, " if unknown else ""
-        raise ValueError(f"columns {', '.join(titles)}: {no}no {missing}")
+        missing = "no frequency" if "f" not in columns else "no complete impedance"
+        strange = f"; unknown: {', '.join(unknown[:5])}" if unknown else ""
+        raise ValueError(f"the columns {', '.join(titles[:5])} contain {missing}{strange}")
     used = [columns[name] for name in ("f", *combination.columns)]
     f = used[0].values
     steps = np.diff(f)

@@ -40,7 +40,7 @@ MAX_DENSE = 50_000_000  # entries of a full matrix
 MAX_WIDE = 25_000_000  # entries of B, C or D, which may be more than their file holds
 MAX_BYTES = 4_000_000_000  # one file, unpacked
 UNPACKED = 100_000_000, 100  # bytes of any packed file, and times its size of a large one
-NEXT = "write it again with the tool that it comes from; formats: kc2spice reduce --help"
+NEXT = "export the file again; kc2spice reduce --help lists the formats"
 _BOM = b"\xef\xbb\xbf"
 
 # Degrees of freedom by number: 1 to 6 as every tool counts them, the others as Abaqus or ours.
@@ -111,8 +111,11 @@ def parsed(path: Path, expected: str, parse: Callable[[bytes], T]) -> T:
     return guarded(path, expected, lambda: parse(data))
 
 
-def guarded(path: Path, expected: str, read: Callable[[], T]) -> T:
-    """``read()``; whatever a damaged file makes a parser raise becomes one clear error."""
+def guarded(path: Path, expected: str, read: Callable[[], T], advice: str = NEXT) -> T:
+    """``read()``; whatever a damaged file makes a parser raise becomes one clear error.
+
+    ``advice`` is what to do with a damaged file.
+    """
     try:
         return read()
     except Kc2spiceError:
@@ -121,7 +124,7 @@ def guarded(path: Path, expected: str, read: Callable[[], T]) -> T:
         message, got, hint = "is in a format that is not read", None, "in MATLAB: save(..., '-v7')"
     except Exception as error:  # parsers of hostile bytes raise nearly anything
         got = " ".join(str(error).split())[:160] or type(error).__name__
-        message, hint = "cannot be read", NEXT
+        message, hint = "cannot be read", advice
     raise UsageError(message, where=str(path), got=got, expected=expected, hint=hint)
 
 

@@ -64,6 +64,7 @@ from pydantic import (
 )
 
 from kc2spice.bodies.readers.raw import CODES, DOFS, ROTATIONS, TRANSLATIONS, existing, guarded
+from kc2spice.core.errors import candidates, did_you_mean
 from kc2spice.core.foreign import MAX_BYTES, read_bounded, text_of
 from kc2spice.core.quantities import Count, Section, refused, validated
 from kc2spice.core.toml_errors import parse_toml_file
@@ -92,7 +93,8 @@ def _beside(value: Path, info: ValidationInfo) -> Path:
     """Never elsewhere, so that a stranger's file cannot look around."""
     _printable(str(value))
     if value.is_absolute() or ".." in value.parts:
-        raise refused("is not beside the TOML file", "a relative path")
+        hint = "copy the file beside the TOML file and write its name alone"
+        raise refused("this file is not beside the TOML file", "a relative path", hint=hint)
     folder: Path = (info.context or {}).get("folder", Path())
     return folder / value
 
@@ -100,7 +102,9 @@ def _beside(value: Path, info: ValidationInfo) -> Path:
 def _dof(value: object) -> int:
     code = CODES.get(value.lower()) if isinstance(value, str) else value
     if type(code) is not int or code not in DOFS:
-        raise refused("no such degree of freedom", ", ".join(CODES))
+        expected = f"one of {candidates(value, CODES, 'docs/reference/matrices.md')}"
+        hint = did_you_mean(str(value), CODES)
+        raise refused("no such degree of freedom", expected, hint=hint)
     return code
 
 
@@ -147,9 +151,12 @@ class Place(Section):
     def _once(self) -> Place:
         given = [k for k in ("node", "nodes", "nodeset", "at") if getattr(self, k) is not None]
         if len(given) > 1:
-            raise refused(f"nodes are given twice: {', '.join(given)}", "one of them")
+            hint = f"delete {given[0]} or {given[1]}"
+            raise refused(f"nodes are stated twice: {', '.join(given)}", "one of them", hint=hint)
         if self.within is not None and self.at is None:
-            raise refused("'within' stands without 'at'", "a distance, with 'at'")
+            raise refused(
+                "within has no effect without at", "at and within", hint="add at = [x, y, z]"
+            )
         return self
 
     @property
@@ -171,7 +178,8 @@ class Fixed(Place):
     @model_validator(mode="after")
     def _somewhere(self) -> Fixed:
         if not self.placed:
-            raise refused("says nothing of where", "node, nodes, nodeset or at")
+            expected = "one of node, nodes, nodeset and at"
+            raise refused("this entry names no nodes", expected, hint="add for example  node = 1")
         return self
 
 
@@ -191,27 +199,35 @@ class PortEntry(Place):
     @model_validator(mode="after")
     def _one_port(self) -> PortEntry:
         if self.scale != 1 and self.kind in CONSERVATIVE:
-            raise refused("a conservative port has no scale", "'scale' of inputs and outputs only")
+            problem = f"a port of kind {self.kind} has no scale"
+            raise refused(problem, "scale of inputs and outputs only", hint="delete the key scale")
         if self.row is not None and self.kind != "output":
-            raise refused("row", "'row' for an output; 'column' for every other port")
+            problem = f"a port of kind {self.kind} has a column, not a row"
+            raise refused(problem, "column", hint=f"write  column = {self.row}  instead of row")
         if self.column is not None and self.kind == "output":
-            raise refused("column", "'row' for an output")
+            hint = f"write  row = {self.column}  instead of column"
+            raise refused("a port of kind output has a row, not a column", "row", hint=hint)
         directed = self.dof is not None or self.axis is not None
         if self.column is not None or self.row is not None:
             if self.placed or directed:
-                raise refused("column or row beside nodes", "either of them")
+                expected = "column or row alone, or nodes with dof or axis"
+                raise refused("a column or row beside nodes", expected, hint="delete one of them")
         elif self.kind == "acceleration":
             if self.axis is None or self.placed or self.dof is not None:
-                got = "no axis" if self.axis is None else "a node"
-                raise refused(f"acceleration with {got}", "'axis' and nothing else")
+                problem = "a port of kind acceleration has an axis and nothing else"
+                raise refused(problem, "axis", hint='write  axis = "z"  and neither node nor dof')
         elif not self.placed:
-            raise refused("no place", "node, nodes, nodeset, at, column or row")
+            expected = "one of node, nodes, nodeset, at, column and row"
+            raise refused("this port has no place", expected, hint="add for example  column = 1")
         elif self.kind == "electrical":
             if self.axis is not None or self.dof not in (None, CODES["volt"]):
-                raise refused("a direction", "nodes only, their degree of freedom is 'volt'")
+                hint = "delete axis and dof of this port"
+                raise refused("an electrical port has no direction", "nodes alone", hint=hint)
         elif (self.dof is None) == (self.axis is None):
-            got = "dof and axis" if self.axis else "neither dof nor axis"
-            raise refused(got, "'dof' or 'axis'")
+            both = self.axis is not None
+            problem = "this port has both dof and axis" if both else "this port has no direction"
+            hint = "delete dof or axis" if both else 'add  axis = "z"'
+            raise refused(problem, "either dof or axis", hint=hint)
         elif self.kind in ("mechanical", "rotational") and not self.weights.keys() <= {
             *self._group
         }:
@@ -253,7 +269,8 @@ class Damping(Section):
     def _either(self) -> Damping:
         given = self.model_fields_set - {"loss_factor"}
         if given & {"ratio", "at"} and given != {"ratio", "at"}:
-            raise refused("is no damping", "alpha and beta, or ratio and at [Hz]")
+            expected = "alpha and beta, or ratio and at [Hz]"
+            raise refused("ratio and at need each other, without alpha and beta", expected)
         return self
 
     @property
@@ -301,13 +318,17 @@ class Sidecar(Section):
     @model_validator(mode="after")
     def _fits(self) -> Sidecar:
         if self.band is not None and not self.band[0] < self.band[1]:
-            raise refused("band is none", "[f0, f1] with 0 <= f0 < f1, Hz")
+            hint = "write the lower frequency first, such as band = [0, 20000]"
+            raise refused("not a frequency band", "[f0, f1] with 0 <= f0 < f1, Hz", "band", hint)
         if self.outputs == self.damping_matrix == "C":
-            raise refused("C has two meanings", 'outputs = "C" or damping_matrix = "C"')
+            expected = 'outputs = "C" or damping_matrix = "C"'
+            hint = "delete one of these two keys"
+            raise refused("outputs and damping_matrix are both C", expected, hint=hint)
         names = [port.name.lower() for port in self.ports]
         twice = [name for name, times in Counter(names).items() if times > 1]
         if twice:
-            raise refused(f"two ports have one name: {', '.join(twice[:5])}", "a name for each")
+            problem = f"two ports have one name: {', '.join(twice[:5])}"
+            raise refused(problem, "a name for each port", hint="rename one of these ports")
         return self
 
 
