@@ -209,9 +209,12 @@ def assemble(catch: Catch, bore: Bore) -> Callable[[float], System]:
         mover = count + np.arange(more)
         distance, mover[rim] = lookup.query((moved.points[:, rim] + [[0], [height]]).T)
         if not np.max(distance) < 1e-6 * bore.pitch:
-            got = f"y={height:g}"
             raise SimulationError(
-                "the mesh does not fit the moving sphere", where="magnetics", got=got
+                "internal error: the meshes of stator and sphere do not match",
+                where="magnetic field of the coils",
+                got=f"sphere at y = {height:g} m",
+                expected="nodes of both meshes at the same places",
+                hint="report this error with your scene file",
             )
         keep = ~(movable & (np.abs(centres[1] - height) < bore.half))
         row = np.concatenate([stator.rows[:, keep].ravel(), mover[moved.rows].ravel()])

@@ -31,7 +31,7 @@ import numpy as np
 from pydantic import BeforeValidator, Field, model_validator
 
 from kc2spice.core.equality import EqualByContent
-from kc2spice.core.errors import UsageError, part_named, wrong
+from kc2spice.core.errors import UsageError, candidates, did_you_mean, part_named, wrong
 from kc2spice.core.quantities import (
     EPSILON_0,
     Density,
@@ -430,9 +430,15 @@ class MaterialTable(Section):
         else:
             expected = f"three youngs_modulus, poisson_ratio {' '.join(ratios)}, "
             expected += f"shear_modulus {' '.join(planes)}"
-            raise UsageError("orthotropic moduli", got=(given, nu, G), expected=expected)
+            raise UsageError(
+                "not the moduli of a material",
+                got=(given, nu, G),
+                expected=f"one youngs_modulus and one poisson_ratio, or {expected}",
+                hint="leave out shear_modulus of an isotropic material",
+            )
         if min(E) <= 0 or not min(g) > 0:
-            raise UsageError("moduli must be positive", got=[*E, *g])
+            expected = "moduli above zero, and a poisson_ratio above -1"
+            raise UsageError("a modulus is not positive", got=[*E, *g], expected=expected)
         s = np.diag(1 / np.array([*E, *g]))
         s[0, 1:3], s[1, 2] = -np.array(n[:2]) / E[0], -n[2] / E[1]
         return np.triu(s) + np.triu(s, 1).T
@@ -445,7 +451,8 @@ class MaterialTable(Section):
             return _full(values, (3, 3), "permittivity")
         if "eps11" not in values or set(values) - set(names):
             expected = "eps11, and eps22 or eps33 where they differ from it"
-            raise wrong(None, "permittivity components", ", ".join(values), expected)
+            problem = "not the components of a permittivity"
+            raise wrong("permittivity", problem, ", ".join(values), expected)
         return np.diag([values.get(name, values["eps11"]) for name in names])
 
     def _tensor(self, key: str, letter: str) -> np.ndarray:
@@ -480,10 +487,13 @@ class MaterialTable(Section):
 
 def _full(rows: list[list[float]], shape: tuple[int, int], key: str) -> np.ndarray:
     if [len(row) for row in rows] != [shape[1]] * shape[0]:
-        raise UsageError("wrong shape", where=key, got=rows, expected=f"{shape[0]} x {shape[1]}")
+        got = f"rows of {', '.join(str(len(row)) for row in rows[:8])} numbers"
+        expected = f"{shape[0]} rows of {shape[1]} numbers"
+        raise UsageError("wrong number of entries", where=key, got=got, expected=expected)
     matrix = np.array(rows)
     if shape[0] == shape[1] and not np.allclose(matrix, matrix.T, rtol=1e-6):
-        raise UsageError("not symmetric", where=key, got=rows)
+        expected = "equal entries on both sides of the diagonal"
+        raise UsageError("this matrix is not symmetric", where=key, got=rows, expected=expected)
     return matrix
 
 
@@ -525,6 +535,9 @@ def material(given: str | Mapping[str, Any] | Material, where: str = "material")
         with part_named(where):
             return table.build(where.rsplit(".", 1)[-1])
     if given.lower() not in {name.lower() for name in _tables()}:
-        hint = "or a table with density, youngs_modulus, poisson_ratio, …"
-        raise wrong(where, "no such material", given, ", ".join(_tables()), hint)
+        names = list(_tables())
+        expected = f"one of {candidates(given, names, 'docs/reference/materials.md')}"
+        hint = did_you_mean(given, names)
+        hint = hint or 'write a table: { density = …, youngs_modulus = "… GPa", poisson_ratio = … }'
+        raise wrong(where, "no such material", repr(given), expected, hint)
     return _named(given.lower())

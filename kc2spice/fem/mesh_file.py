@@ -25,7 +25,7 @@ from scipy.sparse.csgraph import connected_components
 from skfem.mesh import Mesh, MeshTet, MeshTet2, MeshTri, MeshTri2
 
 from kc2spice.core.equality import EqualByContent
-from kc2spice.core.errors import UsageError, unknown, wrong
+from kc2spice.core.errors import UsageError, candidates, unknown, wrong
 from kc2spice.core.foreign import in_child, read_bounded
 from kc2spice.core.gmsh_session import gmsh_session
 from kc2spice.core.quantities import quantity
@@ -81,17 +81,28 @@ class GroupedMesh:
         UsageError : there is none, an empty one, or one of another kind.
         """
         result = self.groups.get(name)
+        if not self.groups:
+            raise UsageError(
+                "the mesh has no groups",
+                where=where,
+                got=repr(name),
+                expected="a physical group of the mesh for each material, electrode and port",
+                hint=f'name it in gmsh: gmsh.model.addPhysicalGroup(3, [1], name="{name}")',
+            )
         if result is None:
             raise unknown("no such group in the mesh", name, sorted(self.groups), where)
         if not result.members.size:
-            raise UsageError("group is empty", where=where, got=name)
+            expected = "a group with elements in the mesh"
+            raise UsageError("this group is empty", where=where, got=name, expected=expected)
         if codimensions and result.codimension not in codimensions:
             kinds = ("elements", "faces", "curves", "points")
             if self.mesh.dim() == 2:
                 kinds = ("elements", "curves", "points", "")
-            got = f"{name}, {kinds[result.codimension]}"
-            problem = "group of the wrong kind"
-            raise wrong(where, problem, got, " or ".join(kinds[c] for c in codimensions))
+            got = f"{name}, a group of {kinds[result.codimension]}"
+            fitting = [k for k, group in self.groups.items() if group.codimension in codimensions]
+            needed = " or ".join(kinds[c] for c in codimensions)
+            expected = f"a group of {needed}: {candidates(name, fitting) or 'the mesh has none'}"
+            raise wrong(where, f"this group does not consist of {needed}", got, expected)
         return result
 
 
@@ -125,7 +136,8 @@ def read_mesh(
         if cad:
             expected = 'a length such as "1 mm"'
             raise wrong("size", "a CAD file needs the size of its elements", expected=expected)
-        raise wrong("size", "a mesh has its size already", expected="no size with .msh")
+        problem = "size has no effect on a .msh file, which contains elements already"
+        raise wrong("size", problem, f"{size:g} m", "no size", "delete the key size")
     if picks and not cad:
         problem = "groups are picked in CAD files only"
         raise wrong("groups", problem, hint="name physical groups in the mesh")
@@ -196,14 +208,21 @@ def require_format(path: Path, head: bytes | None = None) -> None:
     """
     known = FORMATS.get(path.suffix.lower())
     if known is None:
-        raise wrong(str(path), "not a kind of mesh", path.suffix or "no suffix", ", ".join(FORMATS))
+        raise wrong(
+            str(path),
+            "not a mesh or CAD file",
+            path.suffix or "a name without suffix",
+            f"a file that ends with {', '.join(FORMATS)}",
+            "save the mesh as .msh with gmsh",
+        )
     if head is None:
         if not path.is_file():
             return
         with path.open("rb") as file:
             head = file.read(_HEAD)
     magic = known[0]
-    got, expected, hint = head[:20], f"{magic.decode()} as its very first characters", None
+    got, expected = head[:20], f"a file that begins with {magic.decode()}"
+    hint = f"export the file again as {path.suffix}"
     if head.startswith(magic):
         if magic != b"$MeshFormat" or _MSH.match(head):
             return
@@ -220,8 +239,12 @@ def _content(path: Path) -> bytes:
     try:
         data = read_bounded(path, MAX_BYTES)
     except (OSError, ValueError) as error:
+        if isinstance(error, FileNotFoundError):
+            expected = f"a mesh or CAD file: {', '.join(FORMATS)}"
+            hint = f"copy the file to {path}, or correct the key mesh"
+            raise wrong(str(path), "this file does not exist", None, expected, hint) from None
         reason = getattr(error, "strerror", None) or str(error)
-        raise UsageError("cannot be read", where=str(path), got=reason) from None
+        raise UsageError(f"cannot be read: {reason}", where=str(path)) from None
     require_format(path, data[:_HEAD])
     if path.suffix.lower() in STEP and b"DOCUMENT_FILE" in _STEP_TEXT.sub(b"", data):
         hint = "export it without external references"
@@ -243,11 +266,18 @@ def _collect(
     if dimension == 2:  # radius and height; the plane is x-y (y the axis) or x-z (z the axis)
         flat = [axis for axis in (2, 1) if np.ptp(points[:, axis]) <= 1e-9 * np.ptp(points)]
         if not flat:
-            raise wrong(where, "axisymmetric mesh is not plane", expected="z = 0 or y = 0")
+            problem = "the axisymmetric mesh is not plane"
+            raise wrong(where, problem, expected="all nodes at z = 0, or all at y = 0")
         points = points[:, [0, 3 - flat[0]]]
     blocks = [found[key] for key in found if key.startswith("cells")]
     if not blocks:
-        raise UsageError(f"has no {'tetrahedra' if dimension == 3 else 'triangles'}", where=where)
+        shape, what = ("tetrahedra", "solid") if dimension == 3 else ("triangles", "face")
+        raise UsageError(
+            f"the mesh has no {shape}",
+            where=where,
+            expected=f"{shape} in each {what} of the body",
+            hint=f"mesh the {what} with gmsh.model.mesh.generate({dimension}) before gmsh.write",
+        )
     record = json.loads(str(found["record"]))
     same = np.arange(len(points))
     if merge:
@@ -261,7 +291,8 @@ def _collect(
     for k, (name, d) in enumerate(record):
         members = found[f"group{k}"] if d == dimension else same[found[f"group{k}"]]
         if name in groups:
-            raise UsageError("two groups of one name", where=where, got=name)
+            hint = "rename one of these groups in gmsh"
+            raise wrong(where, "two groups have one name", name, "a name for each group", hint)
         if d == dimension:
             groups[name] = Group(0, members)
         elif d == dimension - 1:
@@ -471,7 +502,11 @@ def _shares(
 
 def _inside(found: np.ndarray, name: str) -> np.ndarray:
     if (found < 0).any():
-        raise UsageError("group does not lie on the body's elements", where=f"group {name}")
+        raise UsageError(
+            "this group does not lie on the elements of the body",
+            where=f"group {name}",
+            expected="faces, curves or points of the elements that have a material",
+        )
     return found
 
 
@@ -534,8 +569,11 @@ def _collected(gmsh: ModuleType, dimension: int, where: str) -> dict[str, np.nda
             for kind, numbers, nodes in blocks:
                 shape, _, _, count, _, corners = gmsh.model.mesh.getElementProperties(kind)
                 if corners != d + 1 or count not in (d + 1, (d + 1) * (d + 2) // 2):
-                    expected = "triangles, tetrahedra of order 1 or 2"
-                    raise wrong("mesh", "element that is not supported", shape, expected)
+                    expected = "triangles and tetrahedra of order 1 or 2"
+                    hint = (
+                        "mesh with simplices in gmsh: Mesh.RecombineAll = 0, Mesh.ElementOrder = 2"
+                    )
+                    raise wrong("mesh", "an element is not supported", shape, expected, hint)
                 at = np.minimum(np.searchsorted(ranked, nodes), len(ranked) - 1)
                 if len(ranked) == 0 or (ranked[at] != nodes).any():
                     raise UsageError("an element has a node that does not exist", where=where)
@@ -564,12 +602,15 @@ def _make(gmsh: ModuleType, size: float, dimension: int, picks: Picks) -> None:
     """Join the solids, name the groups, mesh with quadratic elements."""
     bodies = gmsh.model.getEntities(dimension)
     if not bodies:
-        raise UsageError(f"has no {DIMENSION[dimension]}", where="mesh")
+        problem = f"the CAD file contains no {DIMENSION[dimension]}"
+        hint = f"export the {DIMENSION[dimension]} of the body into this file"
+        raise UsageError(problem, where="mesh", hint=hint)
     sides = np.reshape(gmsh.model.getBoundingBox(-1, -1), (2, 3))
     wanted = float(np.prod(np.maximum(np.ptp(sides, axis=0) / size, 1.0)))
     if not wanted <= MOST:
         problem = "elements of this size are too many"
-        raise wrong("size", problem, f"about {wanted:.1g} of them", f"at most {MOST}")
+        got, hint = f"about {wanted:.1g} of them", "write a larger size"
+        raise wrong("size", problem, got, f"at most {MOST}", hint)
     labels = {e: gmsh.model.getEntityName(*e).rsplit("/", 1)[-1] for e in gmsh.model.getEntities()}
     if len(bodies) > 1:
         _, pieces = gmsh.model.occ.fragment(bodies[:1], bodies[1:])
@@ -620,7 +661,8 @@ def _pick(
         inside = gmsh.model.getEntitiesInBoundingBox(*low, *high, dimension)
         result += [tag for _, tag in inside]
     if not result:
-        raise UsageError("group selects nothing", where=f"groups.{name}")
+        expected = f"a point of, or a box around, {DIMENSION[dimension]} of the geometry"
+        raise UsageError("this group selects nothing", where=f"groups.{name}", expected=expected)
     return sorted({int(tag) for tag in result})
 
 

@@ -32,7 +32,7 @@ from pydantic import Field, StringConstraints, model_validator
 
 from kc2spice.bodies import device as fe
 from kc2spice.core.cache import cached
-from kc2spice.core.errors import UsageError, part_named, wrong
+from kc2spice.core.errors import UsageError, candidates, part_named, wrong
 from kc2spice.core.figure import Curve, Figure, Panel, Written
 from kc2spice.core.foreign import beside
 from kc2spice.core.quantities import Count, Length, Notch, Section, validated
@@ -308,14 +308,23 @@ def _solid(keys: BodyKeys, groups: mesh_file.GroupedMesh) -> Solid:
         cells = groups.group(name, where, 0).members
         if (owner[cells] >= 0).any():
             other = list(keys.materials)[int(owner[cells].max())]
-            raise UsageError("elements with two materials", where=where, got=f"also in {other}")
+            raise UsageError(
+                "some elements have two materials",
+                where=where,
+                got=f"elements that are also in the group {other}",
+                expected="groups without common elements",
+                hint=f"delete materials.{name}, or take the elements out of one group",
+            )
         owner[cells] = number
         made_of = _poled(material(given, where), keys, name)
         materials.append(replace(made_of, name=f"{name} ({made_of.name})"))
     if (owner < 0).any():
-        expected = f"every element in one of {', '.join(sorted(groups.groups))}"
-        got = f"{np.sum(owner < 0)} elements"
-        raise wrong("materials", "elements without material", got, expected)
+        solids = [name for name, group in groups.groups.items() if group.codimension == 0]
+        rest = [name for name in solids if name not in keys.materials] or solids
+        expected = "a material for every element"
+        got = f"{np.sum(owner < 0)} elements without material"
+        hint = f"add a material for one of these groups: {candidates('', rest)}"
+        raise wrong("materials", "some elements have no material", got, expected, hint)
     return Solid(groups.mesh, tuple(materials), owner, keys.axisymmetric)
 
 
@@ -355,7 +364,8 @@ def _setup(keys: BodyKeys, groups: mesh_file.GroupedMesh, solid: Solid) -> fe.Se
     for port in kinds["rigid"]:
         where = f"ports.{port.name}"
         if solid.axisymmetric:
-            raise wrong(where, "no rigid faces in axisymmetric bodies")
+            problem = "an axisymmetric body has no rigid faces"
+            raise wrong(where, problem, "rigid", "mean or base", 'write  kind = "mean"')
         nodes = _facet_nodes(solid, groups.group(str(port.group), where, 1).members)
         moves = [unit[motion] for motion in port.motions]
         faces.append(fe.RigidFace(nodes, [*zip(port.ports, moves, strict=True)]))
@@ -387,7 +397,8 @@ def _electrode(solid: Solid, groups: mesh_file.GroupedMesh, name: str, where: st
         made_of = {solid.materials[k].name for k in solid.owner[sides[sides >= 0]]}
         problem = "electrode on a material that is not piezoelectric"
         got = f"{name} on {', '.join(sorted(made_of))}"
-        raise wrong(where, problem, got, "a face of a piezoelectric group")
+        hint = 'give its group a piezoelectric material, such as "PZT-5A"'
+        raise wrong(where, problem, got, "a face of a piezoelectric group", hint)
     return _facet_nodes(solid, facets)
 
 

@@ -391,16 +391,16 @@ def test_damping_of_each_material(coarse):
 
 @pytest.mark.parametrize(("changes", "message"), [
     ({"fixed": ["foot"]}, "no such group"),
-    ({"materials": {"layer0": "steel"}, "poling": {}}, "elements without material"),
+    ({"materials": {"layer0": "steel"}, "poling": {}}, "elements have no material"),
     ({"fixed": ["root"], "electrodes": {"anode": "level0", "cathode": "level2"}},
      "not piezoelectric"),
-    ({"electrodes": {"anode": "layer1", "cathode": "level1"}}, "wrong kind"),
+    ({"electrodes": {"anode": "layer1", "cathode": "level1"}}, "does not consist of faces"),
     ({"electrodes": {"anode": "level2", "cathode": ["level1", "root"]}}, "touch each other|fixed"),
     ({"floating": ["level2"]}, "touch each other"),
     ({"ports": [{"name": "a", "group": "root", "kind": "rigid"}]}, "touches a support"),
-    ({"size": "1 mm"}, "has its size"),
-    ({"mesh": "absent.msh"}, "cannot be read"),
-    ({"mesh": "coarse.stl"}, "not a kind of mesh"),
+    ({"size": "1 mm"}, "size has no effect"),
+    ({"mesh": "absent.msh"}, "does not exist"),
+    ({"mesh": "coarse.stl"}, "not a mesh or CAD file"),
     ({"groups": {"a": {"faces": [[0, 0, 0]]}}}, "CAD files only"),
     ({"unit": "kg"}, "wrong unit"),
 ])  # fmt: skip
