@@ -608,6 +608,24 @@ class Table(tuple[dict[str, Any], ...]):
         return _html(self.columns, self._cells())
 
 
+def _require_lists(values: Mapping[str, Sequence[Any]]) -> None:
+    """Refuse values of a sweep that are not lists with entries, by key.
+
+    Raises
+    ------
+    UsageError : names the key.
+    """
+    expected = "a mapping of keys to lists, such as {'load.resistance': ['1 kOhm', '2 kOhm']}"
+    for key, item in values.items():
+        if isinstance(item, str) or not hasattr(item, "__len__"):
+            hint = f"write [{item!r}] for a single value"
+            raise UsageError("not a list of values", where=f"values: {key}", got=repr(item)[:120],
+                             expected=expected, hint=hint)  # fmt: skip
+    if not values or not all(len(item) for item in values.values()):
+        raise UsageError("nothing to sweep", where="values", got=repr(dict(values))[:120],
+                         expected=expected)  # fmt: skip
+
+
 def sweep(
     scene: AnyScene,
     values: Mapping[str, Sequence[Any]],
@@ -666,8 +684,7 @@ def sweep(
     from kc2spice.workflow.sweep.point import Job, scene_text
     from kc2spice.workflow.sweep.run import columns, cores, outcomes, planned
 
-    if not values or not all(len(item) for item in values.values()):
-        raise UsageError("nothing to sweep", where="values", expected="{key: [value, …]}")
+    _require_lists(values)
     if executor is None:
         find_ngspice()
     named = isinstance(scene, (str, Path))

@@ -11,8 +11,8 @@ from typing import Any
 
 from pydantic import BaseModel
 
-from kc2spice.core.errors import UsageError, wrong
-from kc2spice.core.quantities import unit_of, validated
+from kc2spice.core.errors import UsageError, did_you_mean, wrong
+from kc2spice.core.quantities import dotted, entries, unit_of, validated
 from kc2spice.fem.materials import MaterialTable
 from kc2spice.netlist.circuit import Param
 from kc2spice.rom.parametric import Axis
@@ -129,9 +129,20 @@ def _steps(key: str) -> list[str | int]:
 
 
 def _no_key(part: Part, key: str, where: str) -> UsageError:
-    expected = "keys below the part, such as layers[1].thickness or damping.ratio, with a value"
-    hint = 'a material by its name has no keys: write it as a table, { like = "PZT-5A", … }'
-    return wrong(where, "not a number of the part that can vary", key, expected, hint)
+    known = [dotted(path) for path, _ in entries(type(part.keys))]
+    plain = re.sub(r"\[-?\d+\]", "", key)
+    expected = "a number below the part, such as layers[1].thickness or damping.ratio"
+    if "material" in plain.split("."):
+        hint = 'write the material as a table, such as { like = "PZT-5A" }, and vary its constants'
+        return wrong(where, "a material by its name has no numbers", key, expected, hint)
+    if plain in known:
+        hint = f"write a number for {key} into the scene first, or vary another key"
+        return wrong(where, f"{part.name} has no number there", key, expected, hint)
+    above = key.rpartition(".")[0] + "." if "." in key else ""
+    below = plain.rpartition(".")[0] + "." if "." in plain else ""
+    leaves = [above + name.removeprefix(below) for name in known if name.startswith(below)]
+    near = did_you_mean(key, leaves) or did_you_mean(plain, known)
+    return wrong(where, f"{part.name} has no such number", key, expected, near)
 
 
 def number_of(part: Part, key: str, where: str) -> tuple[float, str]:

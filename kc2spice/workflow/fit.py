@@ -39,7 +39,7 @@ from kc2spice.rom.parametric import (
 from kc2spice.rom.pencil import Pencil
 from kc2spice.rom.response import Response
 from kc2spice.scene.load import load_scene
-from kc2spice.scene.model import Scene
+from kc2spice.scene.model import Part, Scene
 from kc2spice.workflow.misfit import WARNED, covariance, likely_cause, misfit
 from kc2spice.workflow.sweep.plan import number
 
@@ -140,9 +140,23 @@ def fit(
     measured = data if isinstance(data, Measured) else read_measured(Path(data))
     if measured.Y.shape[1] != 1:
         got = f"{measured.Y.shape[1]} ports"
-        raise UsageError("has several ports", where=measured.where, got=got, expected="one port")
+        hint = "measure the impedance between the electrodes, or save one port alone"
+        raise UsageError(
+            "a fit needs the impedance of one port",
+            where=measured.where,
+            got=got,
+            expected="one port",
+            hint=hint,
+        )
     if not vary:
-        raise UsageError("nothing to vary", where=part, expected="--vary KEY or KEY=low:high")
+        raise UsageError(
+            "no key to vary",
+            where=part,
+            got="no --vary",
+            expected="--vary KEY, or --vary KEY=LOW:HIGH",
+            hint="add for example  --vary damping.quality=10:200",
+        )
+    _require_linear(loaded.part(part))
     keys = _varied(loaded, part, vary)
     body = _Body(loaded, part, measured, keys, progress, loaded)
     with nullcontext(Path()) if out is None else staged(out) as work:
@@ -165,10 +179,32 @@ def fit(
     }
 
 
+def _require_linear(part: Part) -> None:
+    """Refuse a part that has no linear model.
+
+    Raises
+    ------
+    UsageError : it has none.
+    """
+    if not isinstance(part.type, LinearBody):
+        raise UsageError(
+            "this part has no linear model",
+            where=part.name,
+            got=f"a part of type {part.type.name}",
+            expected="a body with electrodes, such as a disc or a piezo_stack",
+            hint="kc2spice explain SCENE lists the parts with their types",
+        )
+
+
 def _varied(
     scene: Scene, part: str, vary: Sequence[str] | Mapping[str, tuple[float, float] | None]
 ) -> list[Varied]:
     ends = dict(vary) if isinstance(vary, Mapping) else dict.fromkeys(vary)
+    for key, span in ends.items():
+        if span is not None and not (isinstance(span, (tuple, list)) and len(span) == 2):
+            expected = "two numbers in SI units, or None for the default range"
+            hint = f'write {{"{key}": (LOW, HIGH)}}'
+            raise UsageError("not a range", where=key, got=repr(span), expected=expected, hint=hint)
     result = []
     for text, span in ends.items():
         key, _, limits = text.partition("=")
@@ -178,14 +214,27 @@ def _varied(
         result.append(ranged(key, unit, value, span))
     names = [item.key for item in result]
     if len(set(names)) < len(names):
-        raise UsageError("a key is varied twice", where=part, got=", ".join(names))
+        twice = next(name for name in names if names.count(name) > 1)
+        raise UsageError(
+            "a key is varied twice",
+            where=part,
+            got=twice,
+            expected="each key once",
+            hint=f"delete one of the options --vary {twice}",
+        )
     return result
 
 
 def _range(key: str, text: str) -> tuple[float, float]:
     ends = text.split(":")
     if len(ends) != 2:
-        raise UsageError("not a range", where=key, got=text, expected="low:high in SI")
+        raise UsageError(
+            "not a range",
+            where=key,
+            got=text,
+            expected="LOW:HIGH in SI units",
+            hint=f"write {key}=LOW:HIGH with a colon between two numbers",
+        )
     low, high = (number(end, "", key) for end in ends)
     return low, high
 
@@ -237,9 +286,7 @@ class _Body:
                 hint="give a narrower one: --vary KEY=low:high",
             ) from None
         part = loaded.part(self.part, where=self.part)
-        if not isinstance(part.type, LinearBody):
-            got = part.type.name
-            raise UsageError("has no linear model", where=self.part, got=got, expected="a body")
+        assert isinstance(part.type, LinearBody)  # required before the fit
         rest = {k: v for k, v in values.items() if not k.startswith("damping.")}
         key, damping = (id(self.like) if moved else 0, *rest.items()), part.keys.damping
         if key in self.last and not damping.per_material:
@@ -253,7 +300,11 @@ class _Body:
             model = part.type.full(part, loaded, Clock())
         electrical = [port.name for port in model.ports if port.kind == "electrical"]
         if not electrical:
-            raise UsageError("has no electrodes", where=self.part, expected="a piezoelectric part")
+            raise UsageError(
+                "this part has no electrodes, thus no impedance",
+                where=self.part,
+                expected="a piezoelectric part",
+            )
         model = replace(model.select(electrical[:1]), name=self.part)
         self.last.clear()
         self.last[key] = model

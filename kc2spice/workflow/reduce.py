@@ -14,7 +14,7 @@ import numpy as np
 
 from kc2spice.bodies.readers import read_model
 from kc2spice.bodies.readers.measured import Measured, is_measured, read_measured
-from kc2spice.core.errors import GateMissedError, UsageError, unknown
+from kc2spice.core.errors import GateMissedError, UsageError, candidates, unknown
 from kc2spice.core.files import staged
 from kc2spice.core.foreign import identifier
 from kc2spice.core.progress import Clock, Progress, silent
@@ -119,8 +119,13 @@ def reduce(
         options = {"--band": band, "--tolerance": tolerance, "--order": order, "--norm": norm}
         return _reduce_measured(Path(path), out, options, dc, progress)
     if dc is not None:
-        expected = "a measured impedance; matrices determine their response at zero frequency"
-        raise UsageError("is for measurements", where="--dc", got=dc, expected=expected)
+        raise UsageError(
+            "applies to a measured response only",
+            where="--dc",
+            got=dc,
+            expected="no --dc with matrices, which determine the response at zero frequency",
+            hint="leave out --dc",
+        )
     progress("reduce", None, "reading matrices")
     model = _scene_body(str(path)) or read_model(path)
     if tolerance is None and order is None:
@@ -195,14 +200,25 @@ def _reduce_measured(
     where they do, else poles of any kind."""
     for option, value in options.items():
         if value is not None:
-            expected = "nothing: noise decides the order of a measured response, its file the band"
-            raise UsageError("is not for measurements", where=option, got=value, expected=expected)
+            raise UsageError(
+                "has no effect on a measured response",
+                where=option,
+                got=value,
+                expected="the order follows from the noise, the band from the file",
+                hint=f"leave out {option}",
+            )
     conductance = None if dc is None else _conductance(dc)
     progress("reduce", None, "reading the measurement")
     data = read_measured(path)
     ports = data.Y.shape[1]
     if ports > 1 and dc is not None:
-        raise UsageError("is for one port", where="--dc", got=f"{ports} ports in {path.name}")
+        raise UsageError(
+            "applies to a response of one port only",
+            where="--dc",
+            got=f"{ports} ports in {path.name}",
+            expected="one port",
+            hint="leave out --dc",
+        )
     progress("reduce", None, f"fitting {len(data.f)} frequencies")
     notes = list(data.notes)
 
@@ -319,10 +335,10 @@ def _scene_body(text: str) -> LinearModel | None:
     if not isinstance(part.type, LinearBody):
         bodies = [p.name for p in scene.parts.values() if isinstance(p.type, LinearBody)]
         raise UsageError(
-            "has no linear model",
+            "this part has no linear model",
             where=text,
             got=f"a part of type {part.type.name}",
-            expected=", ".join(bodies) or "a body; this scene has none",
+            expected=candidates(wanted, bodies) or "a body; this scene has none",
         )
     full = full_alone(part, scene, Clock())
     kept = full.select([port.name for port in part.type.kept(part, scene)])

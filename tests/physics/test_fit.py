@@ -221,7 +221,8 @@ def test_keys_that_cannot_be_varied(vary):
     f = np.linspace(3e3, 8e3, 50)
     data = Measured("part", "part.csv", f, (2e-9j * np.pi * f)[:, None, None])
     with pytest.raises(
-        kc.errors.UsageError, match=r"can vary|not the range|not a range|to vary|twice"
+        kc.errors.UsageError,
+        match=r"no number|no such number|not the range|not a range|to vary|twice",
     ):
         kc.fit(BUZZER, "disc", data, vary)
 
@@ -242,5 +243,5 @@ def test_other_parts_and_several_ports_are_refused():
     with pytest.raises(kc.errors.UsageError, match="cannot have"):  # less than its electrodes
         kc.fit(BUZZER, "disc", data, ["layers[1].diameter"])
     two = Measured("two", "two.s2p", data.f, np.tile(np.eye(2), (len(data.f), 1, 1)))
-    with pytest.raises(kc.errors.UsageError, match="several ports"):
+    with pytest.raises(kc.errors.UsageError, match="impedance of one port"):
         kc.fit(BUZZER, "disc", two, ["layers[0].thickness"])

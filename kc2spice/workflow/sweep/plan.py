@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from kc2spice.core.errors import UsageError
+from kc2spice.core.errors import UsageError, candidates, did_you_mean
 from kc2spice.core.quantities import quantity
 from kc2spice.scene.keys import Key
 from kc2spice.scene.load import override_value
@@ -74,7 +74,19 @@ def form(text: str) -> tuple[str, list[str]]:
     if text[:1] in ('"', "'"):
         return "value", [text]
     if call := _CALL.fullmatch(text):
-        return call[1], _split(call[2], ",")
+        words = _split(call[2], ",")
+        if len(words) != 3:
+            last = "MEAN,DEVIATION,POINTS" if call[1] == "normal" else "LOW,HIGH,POINTS"
+            raise UsageError(
+                f"{call[1]} takes three values",
+                where="--set",
+                got=text,
+                expected=f"{call[1]}({last})",
+                hint=f"write {call[1]}({','.join([*words[:2], '50'])}) for fifty points"
+                if len(words) == 2
+                else None,
+            )
+        return call[1], words
     words = _split(text, ":")
     if len(words) > 1:
         kind, words = ("log", words[1:]) if words[0] == "log" else ("linear", words)
@@ -125,8 +137,10 @@ def parse(name: str, text: str, keys: Mapping[str, Key]) -> Values | Draws:
     where = f"--set '{name}={text}'"
     drawn = kind in ("normal", "uniform")
 
-    def refused(message: str, got: object, expected: str = GRAMMAR) -> UsageError:
-        return UsageError(message, where=where, got=got, expected=expected)
+    def refused(
+        message: str, got: object, expected: str = GRAMMAR, hint: str | None = None
+    ) -> UsageError:
+        return UsageError(message, where=where, got=got, expected=expected, hint=hint)
 
     if kind in ("list", "value"):
         values = [_value(where, key, word) for word in words]
@@ -137,7 +151,10 @@ def parse(name: str, text: str, keys: Mapping[str, Key]) -> Values | Draws:
     else:
         count = words[2]
         if not count.isdecimal() or not 2 <= int(count) <= MAX_POINTS:
-            raise refused("not a number of points", repr(count), f"2 … {MAX_POINTS}")
+            expected = f"a whole number of points, 2 to {MAX_POINTS}"
+            known = text.removesuffix(count) if text.endswith(count) else ""
+            hint = f"write {known}5 for five points" if known else None
+            raise refused("not a number of points", repr(count), expected, hint)
         a, b = (float(_value(where, key, word)) for word in words[:2])
         if kind == "normal" and b < 0:
             raise refused("a standard deviation is not negative", f"{b:g}")
@@ -159,10 +176,12 @@ def parse(name: str, text: str, keys: Mapping[str, Key]) -> Values | Draws:
 def _value(where: str, key: Key, text: str) -> Any:
     """One value: a number in SI, a whole number, one of the choices, or what TOML says it is."""
     if key.choices and text not in key.choices:
-        choices = ", ".join(key.choices)
-        raise UsageError("no such choice", where=where, got=repr(text), expected=choices)
+        choices = f"one of {candidates(text, key.choices)}"
+        hint = did_you_mean(text, key.choices)
+        raise UsageError("no such choice", where=where, got=repr(text), expected=choices, hint=hint)
     if key.whole and not re.fullmatch(r"[+-]?\d+", text):
-        raise UsageError("not a whole number", where=where, got=repr(text))
+        expected = "a whole number, or a range of whole numbers"
+        raise UsageError("not a whole number", where=where, got=repr(text), expected=expected)
     if key.whole or key.choices or key.unit is None or text[:1] in ("[", "{"):
         return override_value(text)
     return number(text, key.unit, where)
@@ -244,7 +263,13 @@ def make_plan(
     UsageError : nothing to sweep, unequal lengths, too many points.
     """
     if not ranges:
-        raise UsageError("nothing to sweep", where="--set", expected="--set KEY=a:b:n")
+        raise UsageError(
+            "nothing to sweep",
+            where="sweep",
+            got="no --set",
+            expected="--set KEY=RANGE",
+            hint="add for example  --set KEY=FIRST:LAST:POINTS",
+        )
     random = {key: item for key, item in ranges.items() if isinstance(item, Draws)}
     blocks = [{key: item} for key, item in ranges.items() if not isinstance(item, Draws)]
     if random:
