@@ -61,7 +61,13 @@ def word(text: str) -> str:
     UsageError : anything else; a line break in it would begin a card.
     """
     if not text.isprintable() or len(text.split()) != 1 or len(text) > 64:
-        raise UsageError("not one word", where="netlist", got=repr(text), expected="a unit")
+        raise UsageError(
+            "not a unit: it contains a blank, a line break or more than 64 characters",
+            where="netlist",
+            got=repr(text[:80]),
+            expected="one word, such as N/m",
+            hint="write the unit without blanks",
+        )
     return text
 
 

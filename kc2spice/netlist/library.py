@@ -140,7 +140,8 @@ def read_lib(path: str | Path) -> list[Subcircuit]:
     try:
         text = text_of(read_bounded(path, LARGEST))
     except (OSError, ValueError) as error:
-        raise UsageError("cannot read library", where=str(path), got=str(error)) from None
+        reason = getattr(error, "strerror", None) or str(error)
+        raise UsageError("this library cannot be read", where=str(path), got=reason) from None
     parts = subcircuits(text, path.name)
     if not parts:
         raise UsageError("no subcircuit in this library", where=str(path), expected=".subckt")

@@ -159,7 +159,9 @@ def array_deck(deck: Deck, count: int) -> Deck:
     """
     if not 1 <= count <= MOST:
         expected = f"1 to {MOST}"
-        raise UsageError("number of copies", where="--count", got=count, expected=expected)
+        raise UsageError(
+            "not a possible number of copies", where="--count", got=count, expected=expected
+        )
     if deck.command.kind == "dc":
         message, got = "a dc sweep moves one source, not one of each copy", deck.command.card
         expected = "a scene with a transient or an ac analysis"

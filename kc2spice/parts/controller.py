@@ -122,22 +122,29 @@ wiring = "parallel"
     def _function(self, part: Part, build: Build) -> Function:
         keys = part.keys
         if keys.file is None:
-            expected = "a Python file, or a function handed over"
-            hint = f"kc.run(scene, functions={{'{part.name}': function}})"
-            raise part.wrong("file", "no function", expected=expected, hint=hint)
+            expected = (
+                f"file = \"NAME.py\", or kc.run(scene, functions={{'{part.name}': FUNCTION}})"
+            )
+            hint = f'add  file = "NAME.py"  to [{part.name}], a file beside the scene'
+            raise part.wrong("file", "the controller has no function", expected=expected, hint=hint)
         if not build.trust:
             hint = "read the file; if you trust every line of it, repeat with --trust"
             problem = "runs a Python file of the scene"
             raise part.wrong("file", problem, keys.file, hint=hint)
         path = build.scene.home / keys.file
         if not path.is_file():
-            raise part.wrong("file", "no such Python file", str(path))
+            hint = f"write the function {keys.function}(time, inputs) into this file"
+            raise part.wrong("file", "this file does not exist", str(path), hint=hint)
         try:
             result = runpy.run_path(str(path), run_name=f"kc2spice_{part.name}").get(keys.function)
         except Exception as error:
-            raise part.wrong("file", "the file fails", repr(error)) from error
+            problem = f"{keys.file} stops with an error"
+            hint = f"run  python {path}  and correct the file"
+            raise part.wrong("file", problem, repr(error), hint=hint) from error
         if not callable(result):
-            raise part.wrong("function", "the file has no such function", keys.function)
+            problem = f"{keys.file} defines no function of this name"
+            hint = f"write  def {keys.function}(time, inputs):  into {keys.file}"
+            raise part.wrong("function", problem, keys.function, hint=hint)
         return cast(Function, result)
 
     def notes(self, part: Part, scene: Scene) -> Iterator[str]:

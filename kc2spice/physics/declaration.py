@@ -33,7 +33,7 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Literal
 
-from kc2spice.core.errors import UsageError
+from kc2spice.core.errors import UsageError, candidates, did_you_mean
 from kc2spice.core.quantities import Section
 from kc2spice.netlist.circuit import Param
 from kc2spice.netlist.expression import Call, Name, Tree, Writer, rebuilt, replaced, walk
@@ -109,6 +109,20 @@ def loop(name: str) -> Branch:
     return Branch("current", name, "", "", name)
 
 
+def _unknown_name(part: str, what: str, strange: Iterable[str], known: Iterable[str]) -> UsageError:
+    """The error of names in the equation ``what`` of a part that are none of the ``known`` ones."""
+    unknown = list(strange)
+    first = unknown[0]
+    choices = sorted(known)
+    return UsageError(
+        f"unknown name in the {what}",
+        where=part,
+        got=", ".join(unknown),
+        expected=f"one of {candidates(first, choices)}" if choices else "numbers",
+        hint=did_you_mean(first, choices) or f"declare {first}, or use one of these names",
+    )
+
+
 @dataclass(frozen=True)
 class Declaration:
     """The physics of a part type: everything else is generated.
@@ -171,12 +185,7 @@ class Declaration:
         known = {*self.parameters, *self.coordinates, *self.rates, *self.states, *self.signals}
         for what, tree in self._stated():
             if unknown := sorted(names(tree) - known):
-                raise UsageError(
-                    "no value is declared for this name",
-                    where=f"{self.name}: {what}",
-                    got=", ".join(unknown),
-                    expected=", ".join(sorted(known)),
-                )
+                raise _unknown_name(self.name, what, unknown, known)
         self._only("energy", self._tree("energy"), self._acting("displacement"))
         coordinates = self._acting("displacement", "voltage", "current")
         self._only("coenergy", self._tree("coenergy"), coordinates)
@@ -191,12 +200,7 @@ class Declaration:
 
     def _only(self, what: str, tree: Tree, allowed: set[str]) -> None:
         if strange := names(tree) - allowed - set(self.parameters):
-            raise UsageError(
-                f"the {what} does not depend on this",
-                where=self.name,
-                got=", ".join(sorted(strange)),
-                expected=", ".join(sorted(allowed)),
-            )
+            raise _unknown_name(self.name, what, sorted(strange), {*allowed, *self.parameters})
 
     def _stated(self) -> Iterable[tuple[str, Tree]]:
         yield from ((what, self._tree(what)) for what in _STATED)

@@ -19,7 +19,7 @@ from typing import Any
 
 import numpy as np
 
-from kc2spice.core.errors import UsageError
+from kc2spice.core.errors import UsageError, candidates
 from kc2spice.netlist.expression import (
     Binary,
     Call,
@@ -41,6 +41,8 @@ ZERO, ONE = Number("0"), Number("1")
 SLOPE = "_slope"  # ends the name of a table's derivative
 _DIGITS = 11  # digits of a literal in an expression that ngspice keeps
 # Derivatives by the argument u.
+# Functions with a special number of arguments.
+_SPECIAL = ("max(0, …)", "above(…)", "clip(…)", "poly(…, numbers)", "integral(…, x)")
 _CHAIN = {
     "exp": "exp(u)", "ln": "1/u", "sqrt": "0.5/sqrt(u)", "sin": "cos(u)", "cos": "-sin(u)",
     "sinh": "cosh(u)", "cosh": "sinh(u)", "tanh": "1-tanh(u)*tanh(u)", "atan": "1/(1+u*u)",
@@ -70,19 +72,19 @@ def expression(text: str, where: str = "expression", tables: tuple[str, ...] = (
             case Call(name, (_,)) if name in _CHAIN or name in tables:
                 continue
             case Call(name, _):
+                functions = (*_SPECIAL, *_CHAIN, *tables)
                 raise UsageError(
                     "no such function in physics",
                     where=where,
                     got=name,
-                    expected="max(0, …), above(…), clip(…), poly(…, numbers), integral(…, x), "
-                    + ", ".join((*_CHAIN, *tables)),
+                    expected="one of " + candidates(name, functions, "docs/how-to/own_part.md"),
                 )
             case Choice() | Probe():
                 raise UsageError(
                     "an expression contains names, numbers and functions only",
                     where=where,
                     got=text,
-                    hint="max(0, …) is one-sided",
+                    hint="write max(0, x) for a condition x > 0",
                 )
     return tidy(_stepped(tree))
 

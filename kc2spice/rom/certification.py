@@ -32,10 +32,10 @@ def certified(basis: ReducedBasis, order: int) -> LinearModel:
     error = basis.error(order) + task.intermediate.floor
     if not np.isfinite(error):
         raise SimulationError(
-            "the reduced model has a state that nothing holds, slows or carries",
+            "the reduced model has a state without stiffness, damping or inertia",
             where=task.fom.name,
-            got="sizes that double precision cannot tell from zero",
-            hint="another order or a tolerance; units in which its entries are closer in size",
+            got="entries of the matrices that rounding errors exceed",
+            hint="reduce to a tolerance instead of an order: --tolerance 1e-4",
         )
     sharpest = max(estimator.exact.visible(task.band)[1].min(initial=1.0), SHARPEST)
     rounding = ROUNDING_AT_RESONANCE * float(np.finfo(float).eps) / sharpest

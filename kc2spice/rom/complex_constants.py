@@ -126,9 +126,11 @@ def complex_constants(model: Resonators, losses: ComplexConstants) -> LinearMode
     assert known is not None
     if model.massless:
         raise UsageError(
-            "modes without inertia have no complex constants",
+            'damping.model = "ieee176" cannot be combined with contact.inertia = "massless"',
             where="damping.model",
-            expected='"rayleigh" beside a contact with inertia = "massless"',
+            got='"ieee176"',
+            expected='"rayleigh", or contact.inertia = "lumped"',
+            hint='write model = "rayleigh" in the damping of this body',
         )
     electrical = np.array([port.kind == "electrical" for port in model.ports])
     ports = np.flatnonzero(electrical)

@@ -198,7 +198,12 @@ def read_rom(path: Path | str) -> LinearModel:
     """
     path = Path(path)
     if not path.is_file():
-        raise UsageError("this file does not exist", where=str(path), expected=_ROM_FILES)
+        raise UsageError(
+            "this file does not exist",
+            where=str(path),
+            expected=_ROM_FILES,
+            hint="kc2spice reduce MODEL writes one, NAME_rom/NAME_rom.npz",
+        )
     if path.suffix not in (".npz", ".json", ".M", ".E", ".K", ".A", ".B", ".C", ".D"):
         raise UsageError(
             "is not a reduced model",
@@ -239,7 +244,10 @@ def _read_family(path: Path) -> tuple[dict[str, np.ndarray], str]:
 
 def _bounded(shape: tuple[int, int], entries: int) -> None:
     if max(shape[0] * shape[1], entries) > MAX_ENTRIES:
-        raise ValueError(f"a matrix of {shape[0]} x {shape[1]}, {entries} entries")
+        raise ValueError(
+            f"a matrix of {shape[0]} x {shape[1]} with {entries} entries exceeds the limit of "
+            f"{MAX_ENTRIES} entries"
+        )
 
 
 def _plain(text: str, longest: int) -> str:

@@ -597,7 +597,9 @@ def _checked(matrix: Matrix, letter: str, where: str, *, sparse: bool = True) ->
             f"matrix {letter} has {matrix.ndim} dimensions",
             where=where,
             expected="2 dimensions",
-            hint="rayleigh = (alpha, beta) damps by two numbers" if letter == "E" else None,
+            hint="rayleigh = (alpha, beta) damps by two numbers"
+            if letter == "E"
+            else f"write {letter} as a table of rows, such as {letter}.reshape(-1, 1)",
         )
     if full:
         return np.ascontiguousarray(matrix, dtype=float)

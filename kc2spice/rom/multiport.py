@@ -110,12 +110,11 @@ def _best(f: np.ndarray, S: np.ndarray, noise: float, where: str) -> ABCD:
         raise UsageError(
             "no passive model comes near the measurement",
             where=where,
-            got=f"{least:.2g} of its largest left over by the best of {len(fits)}"
+            got=f"{100 * least:.2g} % deviation of the best of {len(fits)} models"
             if result
-            else f"none of {len(fits)} is passive",
-            expected=f"less than {POOR:g}",
-            hint="is the unit of the frequency right, is the reference plane, are there enough "
-            "points on every resonance? A part that amplifies has no such model",
+            else f"{len(fits)} models, none of them passive",
+            expected=f"less than {100 * POOR:g} %",
+            hint="check the units of frequency and impedance, and the sign of the phase",
         )
     return result
 

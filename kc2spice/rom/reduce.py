@@ -168,7 +168,13 @@ def _band(
     band = band or fom.band or natural_band(pencil)
     if not 0 <= band[0] < band[1] <= HIGHEST:
         expected = f"0 <= f0 < f1 <= {HIGHEST:g} in Hz"
-        raise UsageError("not a frequency band", where="band", got=band, expected=expected)
+        raise UsageError(
+            "not a frequency band",
+            where="band",
+            got=f"{band[0]:g} to {band[1]:g} Hz",
+            expected=expected,
+            hint="name the lower frequency first, such as 0 and 20000",
+        )
     return float(band[0]), float(band[1])
 
 
@@ -287,9 +293,13 @@ def _congruence(
 def _with_structural_damping(fom: LinearModel, target: _Target) -> LinearModel:
     """A causal, passive model next to one with structural damping."""
     if target.tolerance is None:
-        problem = "structural damping is reduced within a tolerance"
-        got, expected = target.order, "a tolerance, no order"
-        raise UsageError(problem, where="order", got=got, expected=expected)
+        raise UsageError(
+            "structural damping is reduced within a tolerance",
+            where="order",
+            got=target.order,
+            expected="a tolerance, no order",
+            hint="give the tolerance 1e-4 instead of the order",
+        )
     if target.method is not None and not reductor_named(target.method).congruence:
         problem = "structural damping needs a method that preserves the form of the matrices"
         raise UsageError(problem, where="method", got=target.method)
@@ -302,16 +312,24 @@ def _require_valid(target: _Target) -> None:
     """Check tolerance, order, norm and method."""
     tolerance, order = target.tolerance, target.order
     if (tolerance is None) == (order is None):
-        raise UsageError("give either a tolerance or an order", where="reduction")
+        raise UsageError(
+            "needs either a tolerance or an order",
+            where="reduce",
+            got="neither of them" if order is None else f"tolerance {tolerance}, order {order}",
+            expected="tolerance, the largest relative error, or order, the number of states",
+            hint="leave one of them out" if order is not None else "add tolerance=1e-4",
+        )
     if tolerance is not None and not LOWEST <= tolerance < 1:
         raise UsageError(
-            "not a tolerance that can be certified",
+            "out of range",
             where="tolerance",
             got=tolerance,
-            expected=f"between {LOWEST:g} and 1; less is out of reach of double precision",
+            expected=f"at least {LOWEST:g}, the limit of double precision, and below 1",
         )
     if order is not None and order < 1:
-        raise UsageError("not an order", where="order", got=order, expected="1 or more")
+        raise UsageError(
+            "not a number of states", where="order", got=order, expected="a whole number from 1 on"
+        )
     if target.norm not in get_args(Norm):
         raise unknown("unknown norm", target.norm, get_args(Norm), "norm")
     if target.method is not None:

@@ -42,7 +42,13 @@ def of_order(bases: Sequence[ReducedBasis], order: int) -> ReducedBasis:
     most = max(basis.size for basis in bases)
     if order > most:
         expected = f"1 to {most}"
-        raise UsageError("no model of this order", where="--order", got=order, expected=expected)
+        raise UsageError(
+            "no model of this order",
+            where="order",
+            got=order,
+            expected=expected,
+            hint=f"use the order {most}",
+        )
     candidates = (basis for basis in bases if order <= basis.size)
     return min(candidates, key=lambda basis: basis.error(order))
 

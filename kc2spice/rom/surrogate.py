@@ -40,7 +40,7 @@ def surrogate(
             where="harmonic reference",
             got=f"largest relative error {error:.1e} with {small.order} states",
             expected=f"at most {EXACT:g}",
-            hint="narrow the band, or solve the full model at every frequency",
+            hint="repeat the command with --full, which solves at every frequency",
         )
     return small, error
 

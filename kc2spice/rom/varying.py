@@ -280,7 +280,7 @@ def _too_wide(problem: str, made: Parametric, got: str, tolerance: float) -> Sim
         where=made.frame.name,
         got=got,
         expected=f"at most {tolerance:.2g}",
-        hint="narrow a range, or ask for a larger rom.tolerance",
+        hint="narrow the ranges in rom.parameters",
     )
 
 
@@ -330,9 +330,11 @@ class _Modes:
             share = np.abs(p.V.T @ p.model.B)
             if (share[: self.free].max(axis=0, initial=0.0) > MOVED * share.max(axis=0)).any():
                 raise UsageError(
-                    "a port moves a body that nothing holds: no parameters in its netlist",
+                    "netlist parameters need a body with a support",
                     where=made.frame.name,
-                    expected="a support, or electrical ports alone",
+                    got="rom.parameters of a body that a port can move without any stiffness",
+                    expected="a body with a support, or with electrical ports only",
+                    hint="remove the key rom.parameters of this body",
                 )
         self.points = [self._held(p) for p in points]
         w2 = np.array([p.w2 for p in self.points])

@@ -291,8 +291,8 @@ def subcircuit(
             "not a linear model",
             where=name,
             got=type(rom).__name__,
-            expected="a LinearModel, such as of kc.reduce",
-            hint="a body over a box of parameters: kc.deck(SCENE).parts, by its rom.parameters",
+            expected="a kc.LinearModel, such as kc.reduce returns",
+            hint="kc.read_model(PATH) reads a model from a file",
         )
     if header is None:
         digest = hashlib.sha256(rom.B.tobytes() + rom.C.tobytes() + rom.D.tobytes())

@@ -131,7 +131,7 @@ def _libraries(build: Build, header: Header) -> Iterator[Subcircuit]:
                     where=part.name,
                     got=result.filename,
                     expected="names that differ",
-                    hint="change the key number of a body, the name of a part or the included file",
+                    hint=f"rename the part {part.name}",
                 )
 
 
@@ -248,7 +248,7 @@ def edited_deck(build: Build, own: Deck, path: Path) -> tuple[Deck, Build]:
             where=str(path),
             got=" and ".join(s.written for s in analyses) or "none",
             expected=own.command.card,
-            hint="one analysis of the same kind; its numbers are free",
+            hint=f"write this line into the deck: {own.command.card}",
         )
     saved = {vector(w.lower()) for s in cards if s.keyword == ".save" for w in s.words[1:]}
     missing = [v for v in own.saved if vector(v.lower()) not in saved]
@@ -257,8 +257,8 @@ def edited_deck(build: Build, own: Deck, path: Path) -> tuple[Deck, Build]:
             "the scene's metrics need vectors that this deck does not save",
             where=str(path),
             got=", ".join(missing),
-            expected=".save " + " ".join(missing),
-            hint="add this line; a node that was renamed needs its old name",
+            expected="these vectors on a line that begins with .save",
+            hint="add this line to the deck: .save " + " ".join(missing),
         )
     tree = tree_of(cards)
     _require_results(own, circuit(tree), path)
@@ -377,9 +377,9 @@ def _require_results(own: Deck, now: Scope, path: Path) -> None:
             f"{source.name} {node} NODE 0, with your driver's output at NODE"
         )
     if len(hints) < len(missing):
-        hints.append("nodes and devices that were renamed need their old names")
+        hints.append("give renamed nodes and devices their old names")
     raise UsageError(
-        "the scene's results are read from what this deck does not have",
+        "the scene's results need nodes or devices that this deck does not have",
         where=str(path),
         got=", ".join(missing),
         expected="nodes and devices of these names",
@@ -436,5 +436,5 @@ def spare_other_decks(out: Path, files: Mapping[str, str]) -> None:
                     f"this deck there includes another {name}",
                     where=str(others[key]),
                     got=f"{name} with other cards",
-                    hint="choose another --out",
+                    hint=f"write to another directory, such as --out {out.name}_2",
                 )

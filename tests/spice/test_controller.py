@@ -84,7 +84,10 @@ def test_a_run_says_that_it_was_within_this_process_and_can_be_timed_again(tmp_p
 
 
 def test_files_that_are_no_function_are_refused(tmp_path):
-    for text, words in (("1 / 0\n", "the file fails"), ("x = 1\n", "no such function")):
+    for text, words in (
+        ("1 / 0\n", "law.py stops with an error"),
+        ("x = 1\n", "defines no function of this name"),
+    ):
         (tmp_path / "law.py").write_text(text)
         loaded = replace(scene(file="law.py"), home=tmp_path)
         part = loaded.part("digits")

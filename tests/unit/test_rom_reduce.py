@@ -23,9 +23,9 @@ def chain(n, dashpot, **more):
     [
         ({}, "either a tolerance or an order"),
         ({"tolerance": 1e-3, "order": 3}, "either a tolerance or an order"),
-        ({"tolerance": 0.9e-10}, "not a tolerance"),
-        ({"tolerance": 1.0}, "not a tolerance"),
-        ({"order": 0}, "not an order"),
+        ({"tolerance": 0.9e-10}, "out of range"),
+        ({"tolerance": 1.0}, "out of range"),
+        ({"order": 0}, "not a number of states"),
         ({"order": 3, "band": (0.0, 0.0)}, "not a frequency band"),
         ({"order": 3, "band": (0.2, 0.1)}, "not a frequency band"),
         ({"order": 3, "band": (-0.1, 0.1)}, "not a frequency band"),

@@ -163,7 +163,7 @@ def test_every_text_of_a_record_is_checked(place, evil, tmp_path):
 
 
 def test_a_header_takes_no_line_break():
-    with pytest.raises(UsageError, match="not one word"):
+    with pytest.raises(UsageError, match="not a unit"):
         part_header(Header("s", "h"), "t", (Pin("a", EVIL, "A"),), rating="none")
     params = (Param("k", 2.0, "N/m", EVIL), positive("c", 1e-9, "F", "size"))
     lines = part_header(Header(EVIL, "h"), "t", (Pin("a", "V", "A"),), params, rating="none")

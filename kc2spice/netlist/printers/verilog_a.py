@@ -183,7 +183,13 @@ def module_files(part: Subcircuit) -> dict[str, str]:
     UsageError : a construct without a Verilog-A form (waveforms, hysteresis, global ground).
     """
     if part.no_module:
-        raise UsageError(part.no_module, where=part.filename, hint="it stays a library")
+        raise UsageError(
+            f"cannot be written as a Verilog-A module: {part.no_module}",
+            where=part.filename,
+            got="--dialect verilog-a",
+            expected="ngspice, xyce or ltspice",
+            hint="export this scene with --dialect ngspice",
+        )
     scope = circuit(part.located).subcircuits[part.name.lower()]
     module = Module()
     pins = {pin.name.lower(): module.identifier(pin.name) for pin in part.pins}

@@ -267,7 +267,13 @@ def verify(
     SimulationError : a solution path ended without a result.
     """
     if deck is not None and len(scenes) != 1:
-        raise UsageError("one deck is one scene's", where="--deck", got=f"{len(scenes)} scenes")
+        raise UsageError(
+            "--deck needs exactly one scene",
+            where="--deck",
+            got=f"{len(scenes)} scenes",
+            expected="the scene from which the deck was exported",
+            hint=f"kc2spice verify SCENE --deck {deck}",
+        )
     libraries = () if deck is None else _libraries(checked(deck, trust=trust))
     find_ngspice()
     answer: dict[str, Findings] = {}
