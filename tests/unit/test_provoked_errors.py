@@ -1,0 +1,204 @@
+"""Mistakes on the command line, in scenes, files and Python calls, with the advice for each."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import kc2spice as kc
+
+BUZZER = """[disc]
+part = "disc"
+[[disc.layers]]
+material = "brass"
+diameter = "20 mm"
+thickness = "0.2 mm"
+[[disc.layers]]
+material = "PZT-5A"
+diameter = "14 mm"
+thickness = "0.2 mm"
+[analysis]
+type = "ac"
+stop = "10 kHz"
+"""
+DIVIDER = """[battery]
+part = "source"
+dc = "10 V"
+[load]
+part = "resistor"
+resistance = "1 kOhm"
+pins = { a = "battery.out" }
+[analysis]
+type = "op"
+[probes.current]
+of = "load.i"
+"""
+
+
+def rows(text):
+    """First line of a message, and the rows below it by their names."""
+    head, *below = text.splitlines() or [""]
+    pairs = (line.strip().partition(":") for line in below)
+    return {"head": head} | {name: value.strip() for name, _, value in pairs}
+
+
+@pytest.mark.parametrize(
+    ("words", "head", "got", "advice"),
+    [
+        ("run", "run: the argument SCENE is missing", "kc2spice run", "kc2spice run buzzer"),
+        ("fit impact", "fit: the argument DATA is missing", "kc2spice fit impact", "DATA.csv"),
+        ("rum", "no such command", "'rum'", "did you mean 'run'?"),
+        ("impact", "no such command", "'impact'", "kc2spice run impact"),
+        ("--nope", "no such option", "--nope", "kc2spice --help"),
+        ("run impact --verbos", "run: no such option", "--verbos", "did you mean '--verbose'?"),
+        ("run impact --nope=3", "run: no such option", "--nope", "kc2spice run --help"),
+        ("run impact --deck", "--deck: the value is missing", "--deck", "write FILE behind --deck"),
+        ("reduce x.K --band 1", "--band: needs 2 values", "--band 1", "write F0 F1 behind --band"),
+        ("run impact --json=yes", "--json: this option has no value", "--json=yes", "write --json"),
+        ("run impact more", "run: one argument too many", "more", "delete more"),
+        ("run impact a.b=3", "run: one argument too many", "a.b=3", "write --set a.b=3"),
+        ("run impact --set a.b=3 A", "one argument too many", "A", "--set 'a.b=3 A'"),
+        ("export", "export: nothing to export", "neither SCENE", "kc2spice export impact"),
+        ("export impact --rom r.npz", "--rom cannot be combined with SCENE", "--rom r.npz",
+         "kc2spice export --rom r.npz"),
+        ("verify", "verify: needs either a SCENE or --all", "neither", "kc2spice verify impact"),
+        ("scenes --keys --parts", "--keys cannot be combined with --parts", "--keys", "then"),
+        ("fit impact x.csv", "the name of the part is missing", "impact", "impact:PART"),
+        ("fit impact:sphere {table} --vary radius", "this part has no linear model", "sphere",
+         "kc2spice explain"),
+        ("fit buzzer_7bb_20_6:disc {table}", "no key to vary", "no --vary", "--vary"),
+        ("fit buzzer_7bb_20_6:disc {table} --vary damping.qualty", "disc has no such number",
+         "damping.qualty", "did you mean 'damping.quality'?"),
+        ("sweep impact", "sweep: nothing to sweep", "no --set", "--set KEY=FIRST:LAST:POINTS"),
+        ("sweep impact --set impact.velocity=normal(-1,0.1)", "normal takes three values",
+         "normal(-1,0.1)", "write normal(-1,0.1,50)"),
+        ("sweep impact --set impact.velocity=-1:-0.2:x", "not a number of points", "'x'",
+         "write -1:-0.2:5"),
+    ],
+)  # fmt: skip
+def test_a_mistake_on_the_command_line(cli, tmp_path, words, head, got, advice):
+    f = np.linspace(1e3, 1e5, 200)
+    table = tmp_path / "z.csv"
+    np.savetxt(table, np.column_stack([f, 0 * f + 1, -1e7 / f]), delimiter=",",
+               header="frequency_hz,real_ohm,imag_ohm", comments="")  # fmt: skip
+    parts = words.split()
+    done = cli(*(str(table) if part == "{table}" else part for part in parts))
+    found = rows(done.stderr)
+    assert done.exit_code == 2
+    assert head in found["head"]
+    assert got in found["got"]
+    assert advice in found["next"]
+    assert "Usage:" not in done.stderr
+
+
+@pytest.mark.parametrize(
+    ("line", "otherwise", "place", "head", "advice"),
+    [
+        ('resistance = "1 kOhm"', 'resistance = "1k"', 6, "unknown unit 'k'", 'write  "1 kOhm"'),
+        ('resistance = "1 kOhm"', 'resistance = "1,5 kOhm"', 6, "a comma", 'write  "1.5 kOhm"'),
+        ('resistance = "1 kOhm"', 'resistance = "5"', 6, "needs its unit", 'write  "5 Ohm"'),
+        ("[load]", "[lo-ad]", 4, "not a name for a part", "such as [lo_ad]"),
+        ('type = "op"', 'type = "ac"', 8, "analysis.stop is missing", 'stop = "100 kHz"'),
+        ('type = "op"', 'type = "dc"', 8, "analysis.sweep is missing", 'sweep = "battery.dc"'),
+        ('type = "op"', 'type = "noise"\nstop = "1 kHz"', 8, "needs an output", "add  output"),
+        ('of = "load.i"', 'of = "load"', 11, "no such result", "did you mean 'load."),
+        ('of = "load.i"', 'of = "load.curent"', 11, "no such result", "'load.current'"),
+        ('of = "load.i"', 'of = "load.i"\ntake = "crossing"', 10, "level is missing", "add  level"),
+        ('of = "load.i"', 'of = "load.i"\nat = "1 V"\ntake = "max"', 10, "at has no effect",
+         "delete take"),
+        ('pins = { a = "battery.out" }', 'pins = "battery.out"', 7, "not a table", "pins = {"),
+        ('dc = "10 V"', 'file = "no.csv"', 3, "this file does not exist", "copy the file to"),
+        ('dc = "10 V"', "pwl = [[0, 0], [0, 1]]", 3, "from row 1 to row 2", "sort the rows"),
+        ('dc = "10 V"', 'sine = { amplitude = "1 V" }', 3, "sine.frequency is missing",
+         'frequency = "1 Hz"'),
+    ],
+)  # fmt: skip
+def test_a_mistake_in_a_scene(cli, line, otherwise, place, head, advice):
+    assert DIVIDER.count(line) == 1
+    Path("own.toml").write_text(DIVIDER.replace(line, otherwise))
+    done = cli("run", "own.toml")
+    found = rows(done.stderr)
+    assert done.exit_code == 2
+    assert f"own.toml, line {place}, key " in found["head"]
+    assert head in found["head"]
+    assert advice in found["next"]
+
+
+@pytest.mark.parametrize(
+    ("line", "otherwise", "place", "advice"),
+    [
+        ('diameter = "14 mm"', 'radius = "7 mm"', 9, "use the key diameter"),
+        ('material = "PZT-5A"', 'material = "PZT5A"', 8, "did you mean 'PZT-5A'?"),
+        ('material = "PZT-5A"', 'material = "steel"', 1, 'material = "PZT-5A"'),
+        ('thickness = "0.2 mm"\n[analysis]', 'thickness = "0.2 m"\n[analysis]', 10, '"0.2 mm"'),
+    ],
+)
+def test_a_mistake_in_an_entry_of_a_list(cli, line, otherwise, place, advice):
+    assert BUZZER.count(line) == 1
+    Path("own.toml").write_text(BUZZER.replace(line, otherwise))
+    done = cli("run", "own.toml")
+    found = rows(done.stderr)
+    assert done.exit_code == 2
+    assert f"own.toml, line {place}, key disc.layers" in found["head"]
+    assert found["expected"].count(",") <= 5
+    assert advice in found["next"]
+
+
+@pytest.mark.parametrize(
+    ("text", "got", "advice"),
+    [
+        ("freq,a\n{}", "contain no complete impedance; unknown: 'a'", "frequency_hz,real_ohm"),
+        ("frequency [Hz],|Z| [Ohm]\n{}", "no complete impedance", "frequency_hz,real_ohm"),
+        ("", "no rows of 2 numbers", "frequency_hz,real_ohm"),
+    ],
+)
+def test_a_table_that_is_no_impedance(cli, text, got, advice):
+    numbers = "\n".join(f"{k},1" for k in range(1, 50))
+    Path("own.csv").write_text(text.format(numbers))
+    found = rows(cli("reduce", "own.csv").stderr)
+    assert got in found["got"]
+    assert advice in found["next"]
+
+
+@pytest.mark.parametrize(
+    ("table", "head", "advice"),
+    [
+        ("", "this port has no place", "column = 1"),
+        ('kind = "output"\ncolumn = 1', "a row, not a column", "row = 1"),
+        ("node = 1", "this port has no direction", 'axis = "z"'),
+        ('node = 1\ndof = "volts"', "no such degree of freedom", "did you mean 'volt'?"),
+        ("column = 3", "there is no column 3", None),
+    ],
+)
+def test_a_port_beside_matrices(cli, table, head, advice):
+    np.savez("own.npz", M=np.eye(2), K=np.eye(2), B=np.ones((2, 1)))
+    kind = "" if "kind" in table else 'kind = "mechanical"\n'
+    Path("own.toml").write_text(f'[[ports]]\nname = "tip"\n{kind}{table}\n')
+    found = rows(cli("reduce", "own.npz").stderr)
+    assert head in found["head"]
+    assert advice is None or advice in found["next"]
+
+
+@pytest.mark.parametrize(
+    ("call", "head", "advice"),
+    [
+        (lambda: kc.load_scene(3), "not a scene", 'kc.load_scene("impact")'),
+        (lambda: kc.load_scene("impact", "a.b=3"), "overrides is a text", "['a.b=3']"),
+        (lambda: kc.sweep("impact", {"impact.velocity": 3}), "not a list of values", "[3]"),
+        (lambda: kc.reduce(model()), "either a tolerance or an order", "tolerance=1e-4"),
+        (lambda: kc.reduce(model(), tolerance=1, order=2), "either a tolerance", "leave one"),
+        (lambda: kc.LinearModel(M=np.eye(2), K=np.eye(2), B=np.ones(2)), "B has 1 dimensions",
+         "B.reshape(-1, 1)"),
+    ],
+)  # fmt: skip
+def test_a_mistake_in_python(call, head, advice):
+    with pytest.raises(kc.errors.UsageError) as caught:
+        call()
+    found = rows(str(caught.value))
+    assert head in found["head"]
+    assert advice in found["next"]
+    assert "--" not in str(caught.value)
+
+
+def model():
+    return kc.LinearModel(M=np.eye(2), K=np.eye(2), B=np.ones((2, 1)))
