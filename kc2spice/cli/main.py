@@ -20,7 +20,7 @@ from typing import Annotated, Any
 import typer
 
 from kc2spice.cli.tables import COLUMNS, INTERRUPTED, Caller, print_table, reported_errors, show
-from kc2spice.cli.usage import Command, Commands
+from kc2spice.cli.usage import CheckedCommand, CheckedCommands
 from kc2spice.core import __version__
 from kc2spice.core.errors import GateMissedError, MissingToolError, SimulationError, UsageError
 from kc2spice.core.interrupt import end_on_signals
@@ -212,7 +212,7 @@ EXAMPLES = {
 
 app = typer.Typer(
     name="kc2spice",
-    cls=Commands,
+    cls=CheckedCommands,
     help="Turn finite-element models of transducers into SPICE subcircuits, and simulate them with "
     "their drive electronics.",
     epilog="Exit codes: 0 success, 2 wrong usage or scene, 3 missing simulator or library, "
@@ -284,7 +284,7 @@ def _command(function: Callable[..., None]) -> Callable[..., None]:
     call.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
     # typer does not wrap a paragraph that begins with a backspace character.
     epilog = "\b\nExamples:\n" + "\n".join(f"  {line}" for line in EXAMPLES[name])
-    app.command(cls=Command, epilog=epilog)(call)
+    app.command(cls=CheckedCommand, epilog=epilog)(call)
     return function
 
 

@@ -1,7 +1,7 @@
 """Errors of the command line: options, arguments and commands, with what was typed and what helps.
 
-typer reports such mistakes in a form of its own. :class:`Command` and :class:`Commands` report
-them as every other error: what is wrong, what was typed, what is accepted, and what to do next.
+typer reports such mistakes in another form. :class:`CheckedCommand` and :class:`CheckedCommands`
+report them as every other error: what is wrong, what was typed, what is accepted, what to do next.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ PROGRAM = "kc2spice"
 _ParserError: Any = typer.BadParameter.__base__  # older typer has it from click
 
 
-class Command(TyperCommand):
+class CheckedCommand(TyperCommand):
     """A command whose usage line shows ``SCENE``, where typer shows ``{SCENE}``, and whose errors
     have the form of all others."""
 
@@ -43,7 +43,7 @@ class Command(TyperCommand):
         return [piece.strip("{}") for piece in super().collect_usage_pieces(ctx)]
 
 
-class Commands(TyperGroup):
+class CheckedCommands(TyperGroup):
     """All commands; a command or option that does not exist is reported as other errors are."""
 
     def make_context(self, info_name: Any, args: Any, parent: Any = None, **extra: Any) -> Any:
