@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from scipy.linalg import block_diag
+import scipy
 
 from kc2spice.rom.error_estimate import ErrorEstimator
 from kc2spice.rom.intermediate import IntermediateModel
@@ -119,8 +119,8 @@ class Task:
         """
         if free := self.core.free:  # rigid-body modes that damping couples to other motions
             others = _independent(V, free)
-            V = block_diag(np.eye(free), V[free:, others])
-            W = None if W is None else block_diag(np.eye(free), W[free:, others])
+            V = scipy.linalg.block_diag(np.eye(free), V[free:, others])
+            W = None if W is None else scipy.linalg.block_diag(np.eye(free), W[free:, others])
         if W is None:
             pencil = self.core.project(V)
         else:

@@ -10,7 +10,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from scipy.linalg import eigh
+import scipy
 
 from kc2spice.rom.pencil import Pencil
 from kc2spice.rom.reduced_basis import SAFETY, ReducedBasis
@@ -82,7 +82,7 @@ def fit_relaxations(basis: ReducedBasis, order: int, tolerance: float) -> tuple[
     for fewer in range(order - 1, 0, -1):
         if fewer * (1 + ports) > LARGEST_FIT:
             break
-        rates, T = eigh(*basis.pencil.leading(fewer).coefficients)
+        rates, T = scipy.linalg.eigh(*basis.pencil.leading(fewer).coefficients)
         if rates[0] <= 0:
             break
         start = rates, T.T @ basis.pencil.B[:fewer]

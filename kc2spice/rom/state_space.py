@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 import scipy
-from scipy.linalg import schur
 
 from kc2spice.core.errors import UsageError
 from kc2spice.rom.pencil import Pencil, explicit, first_order, largest
@@ -154,7 +153,7 @@ def standard(pencil: Pencil, top: float) -> Pencil:
     Gramians and eigenvectors begin."""
     omega = 2 * np.pi * top
     A, B, C, D = state_space(pencil, top)
-    T, Z = schur(A / omega, output="real")
+    T, Z = scipy.linalg.schur(A / omega, output="real")
     return explicit(T, Z.T @ B / omega, C @ Z, D)
 
 

@@ -7,7 +7,7 @@ outputs are scaled by the peaks of the response, so that small entries count as 
 from __future__ import annotations
 
 import numpy as np
-from scipy.linalg import lapack
+import scipy
 
 from kc2spice.rom.pencil import Pencil, explicit
 from kc2spice.rom.reduced_basis import ReducedBasis, Task
@@ -111,6 +111,6 @@ def _gramian_root(T: np.ndarray, Q: np.ndarray, left: str, right: str) -> np.nda
 
     Rounding may leave X slightly indefinite.
     """
-    X, scale, _ = lapack.dtrsyl(T, T, -Q @ Q.T, trana=left, tranb=right)
+    X, scale, _ = scipy.linalg.lapack.dtrsyl(T, T, -Q @ Q.T, trana=left, tranb=right)
     values, vectors = np.linalg.eigh(0.5 / scale * (X + X.T))
     return vectors * np.sqrt(np.maximum(values, 0.0))

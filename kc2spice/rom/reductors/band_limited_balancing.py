@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.linalg import qr
+import scipy
 
 from kc2spice.rom.reduced_basis import ReducedBasis, Task
 from kc2spice.rom.reductors.balanced_truncation import balanced_basis, has_gramians, scales
@@ -71,4 +71,6 @@ def _sample_root(x: np.ndarray) -> np.ndarray:
     """Real square root of the sum of ``x x*`` over all samples."""
     columns = np.moveaxis(x, 0, 1).reshape(x.shape[1], -1)
     both = np.hstack([columns.real, columns.imag])
-    return np.asarray(qr(both.T, mode="r", overwrite_a=True, check_finite=False)[0][: len(both)].T)
+    return np.asarray(
+        scipy.linalg.qr(both.T, mode="r", overwrite_a=True, check_finite=False)[0][: len(both)].T
+    )

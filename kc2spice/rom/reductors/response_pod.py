@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from scipy.linalg import LinAlgError, block_diag, cholesky, solve_triangular
+import scipy
 
 from kc2spice.rom.pencil import Pencil
 from kc2spice.rom.reduced_basis import ReducedBasis, Task
@@ -56,12 +56,12 @@ class ResponsePod(Reductor):
         """Return the static responses and the principal directions of all others."""
         core, free = task.core, task.core.free
         energy = _energy_basis(core.held, 2 * np.pi * task.band[1], task.intermediate.static)
-        response = Response(core.project(block_diag(np.eye(free), energy)))
+        response = Response(core.project(scipy.linalg.block_diag(np.eye(free), energy)))
         static = _static_responses(task, response)
         points = snapshots(task.estimator, response, tail_weight(task.fom, task.tolerance))
         states = _states(task, response, points.s, points.weights(), self.two_sided)
         vectors = _orthonormal(np.hstack(states)[free:], static)
-        pencil = response.pencil.project(block_diag(np.eye(free), vectors))
+        pencil = response.pencil.project(scipy.linalg.block_diag(np.eye(free), vectors))
         pencil = task.with_rigid_body(replace(pencil, free=free))
         fixed = pencil.free + (static.shape[1] if _mechanical(task) else 0)
         return ReducedBasis(task, pencil, fixed)
@@ -88,7 +88,7 @@ class ResponsePod(Reductor):
         for _ in range(TRIALS):
             factors = points.weights(weight, tail)
             columns = np.hstack([_scaled(side, factors) for side in states])[basis.fixed :]
-            V = block_diag(np.eye(basis.fixed), _principal(columns)[0])
+            V = scipy.linalg.block_diag(np.eye(basis.fixed), _principal(columns)[0])
             trial = replace(basis, pencil=replace(pencil.project(V), free=pencil.free))
             while order > least:
                 fewer = Response(trial.pencil.leading(order - 1)).transfer(s[inside])
@@ -157,8 +157,10 @@ def _energy_basis(pencil: Pencil, omega: float, static: bool) -> np.ndarray:
         if np.linalg.cond(energy) > SOFT:
             continue
         try:
-            return np.asarray(solve_triangular(cholesky(energy), np.eye(pencil.size)))
-        except LinAlgError:
+            return np.asarray(
+                scipy.linalg.solve_triangular(scipy.linalg.cholesky(energy), np.eye(pencil.size))
+            )
+        except scipy.linalg.LinAlgError:
             continue
     return np.eye(pencil.size)
 
