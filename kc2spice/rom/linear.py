@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 import scipy
 
+from kc2spice.core.domains import PORTS, Domain
 from kc2spice.core.errors import UsageError, unknown
 from kc2spice.core.extras import import_optional
 from kc2spice.rom.pencil import Matrix, Pencil, Schur, dense, largest, symmetric
@@ -24,16 +25,8 @@ if TYPE_CHECKING:
     from scipy.signal import StateSpace
 
 
-PortKind = Literal["electrical", "mechanical", "rotational", "acceleration", "input", "output"]
 Norm = Literal["pointwise", "peak"]
-CONSERVATIVE = ("electrical", "mechanical", "rotational", "acceleration")
-# Meaning of 1 V and 1 A at the netlist pin of a conservative port.
-UNITS = {
-    "electrical": ("V", "A"),
-    "mechanical": ("um", "N"),
-    "rotational": ("rad", "Nm"),
-    "acceleration": ("m/s2", "N"),
-}
+PORT_KINDS = (*PORTS, "input", "output")
 
 
 @dataclass(frozen=True)
@@ -50,37 +43,51 @@ class Port:
     * *input* and *output*: a signal in units of its own, in one direction. An input has no row of
       C, an output no column of B.
 
-    ``across`` and ``flow`` are what 1 V and 1 A on the netlist pin mean; those of ``UNITS`` unless
-    given. ``pins`` are the names of the netlist pins; empty stands for ``(name,)``, or for
-    ``(name, name_ret)`` of an electrical port.
+    ``across`` and ``flow`` are what 1 V and 1 A on the netlist pin mean; those of its ``domain``
+    (:mod:`kc2spice.core.domains`) unless given. ``pins`` are the names of the netlist pins; empty
+    stands for ``(name,)``, or for ``(name, name_ret)`` of an electrical port.
     """
 
     name: str
-    kind: PortKind
+    kind: str
     across: str = ""
     flow: str = ""
     pins: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
-        if self.kind not in (*CONSERVATIVE, "input", "output"):
-            kinds = (*CONSERVATIVE, "input", "output")
-            raise unknown("unknown kind of port", self.kind, kinds, self.name)
-        across, flow = UNITS.get(self.kind, ("-", "-"))
+        if self.kind not in PORT_KINDS:
+            raise unknown("unknown kind of port", self.kind, PORT_KINDS, self.name)
+        across, flow = ("-", "-") if self.domain is None else self.domain.units
         object.__setattr__(self, "across", self.across or across)
         object.__setattr__(self, "flow", self.flow or flow)
         object.__setattr__(self, "pins", tuple(self.pins))
 
     @property
+    def domain(self) -> Domain | None:
+        """Physical domain of a conservative port; None for a signal."""
+        return PORTS.get(self.kind)
+
+    @property
     def conservative(self) -> bool:
         """Whether the port exchanges energy: one column of B and one row of C."""
-        return self.kind in CONSERVATIVE
+        return self.domain is not None
+
+    @property
+    def paired(self) -> bool:
+        """Whether the port is a pair of pins without a common reference."""
+        return self.domain is not None and not self.domain.reference
+
+    @property
+    def moving(self) -> bool:
+        """Whether the port answers a force or a torque with a position."""
+        return self.domain is not None and self.domain.position
 
     @property
     def terminals(self) -> tuple[str, ...]:
         """Names of the netlist pins."""
         if self.pins:
             return self.pins
-        return (self.name, f"{self.name}_ret") if self.kind == "electrical" else (self.name,)
+        return (self.name, f"{self.name}_ret") if self.paired else (self.name,)
 
 
 @dataclass(frozen=True)
@@ -413,7 +420,7 @@ def with_potentials(
         lift = -K.inner.solve(k_pV)
         b = b + K_up @ lift
         C0 = C0 - k_pV.T @ lift
-    is_electrode = np.array([p.kind == "electrical" for p in ports])
+    is_electrode = np.array([p.paired for p in ports])
     if is_electrode.sum() != electrodes or (~is_electrode).sum() != B.shape[1]:
         raise UsageError(
             "ports do not fit",
@@ -558,7 +565,7 @@ def _ports(ports: tuple[Port, ...], m: int, p: int, where: str) -> tuple[Port, .
     if not ports:
         names = [(f"u{i + 1}", "input") for i in range(m)]
         names += [(f"y{i + 1}", "output") for i in range(p)]
-        return tuple(Port(name, kind) for name, kind in names)  # type: ignore[arg-type]
+        return tuple(Port(name, kind) for name, kind in names)
     columns = sum(port.kind != "output" for port in ports)
     rows = sum(port.kind != "input" for port in ports)
     low = [port.name.lower() for port in ports]

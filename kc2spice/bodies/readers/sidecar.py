@@ -64,11 +64,12 @@ from pydantic import (
 )
 
 from kc2spice.bodies.readers.raw import CODES, DOFS, ROTATIONS, TRANSLATIONS, existing, guarded
+from kc2spice.core.domains import PORTS
 from kc2spice.core.errors import candidates, did_you_mean
 from kc2spice.core.foreign import MAX_BYTES, read_bounded, text_of
 from kc2spice.core.quantities import Count, Section, refused, validated
 from kc2spice.core.toml_errors import parse_toml_file
-from kc2spice.rom.linear import CONSERVATIVE, Port, PortKind
+from kc2spice.rom.linear import PORT_KINDS, Port
 
 LENGTHS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "in": 0.0254, "ft": 0.3048}
 FORCES = {"N": 1.0, "mN": 1e-3, "uN": 1e-6, "kN": 1e3, "lbf": 4.4482216152605}
@@ -187,7 +188,7 @@ class PortEntry(Place):
     """One ``[[ports]]`` table: one way of saying where it acts, and one direction."""
 
     name: Name
-    kind: PortKind
+    kind: Literal[PORT_KINDS]  # type: ignore[valid-type]
     dof: Dof | None = None
     axis: Axis | None = None
     column: Position | None = None
@@ -198,7 +199,7 @@ class PortEntry(Place):
 
     @model_validator(mode="after")
     def _one_port(self) -> PortEntry:
-        if self.scale != 1 and self.kind in CONSERVATIVE:
+        if self.scale != 1 and self.kind in PORTS:
             problem = f"a port of kind {self.kind} has no scale"
             raise refused(problem, "scale of inputs and outputs only", hint="delete the key scale")
         if self.row is not None and self.kind != "output":

@@ -1,0 +1,224 @@
+"""Physical domains as one table: what is across a pin, what flows through it, and in which units.
+
+Ports of models, branches of declarations, pins of netlists, sources, symbols, headers and energy
+balances read this table. A new domain is one row of :data:`TABLE` and its tests.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Literal
+
+# Power that enters a part through a pin, in words of the quantities across and through it.
+Power = Literal[
+    "across * through",
+    "d(across)/dt * through",
+    "through",
+    "velocity of the frame * through",
+    "none",
+]
+Side = Literal["across", "through"]
+BASE, SIGNAL = "base", "-"
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """A physical quantity on a pin.
+
+    ``name`` is what sources and branches call it, ``symbol`` the word in names of results and
+    ``unit`` its SI unit. One volt or one ampere on a pin is one ``pin_unit``, which is ``factor``
+    in SI.
+    """
+
+    name: str
+    symbol: str
+    unit: str
+    pin_unit: str
+    factor: float = 1.0
+
+    @property
+    def per_unit(self) -> float:
+        """Volts or amperes on a pin for one SI unit."""
+        return float(f"{1 / self.factor:.15g}")
+
+
+@dataclass(frozen=True)
+class Domain:
+    """A physical domain: the quantities on its pins, their power, and the meaning of rest.
+
+    The values of ``across`` are equal on all pins of a net and those of ``through`` sum to zero.
+    ``power`` states what power enters a part through a pin. ``rest`` describes an operating point.
+
+    ``port`` is the kind of a model's port. Its input is the ``driven`` quantity, its output has the
+    unit ``answer_unit`` and the short name ``word`` in results; ``response`` is the name of the
+    wave that answers in a first deck and ``compliance`` the unit of a static output for each input.
+    The value across a pin counts from the pin ``reference``; without one, ports are pairs of pins.
+    ``rate`` is a second quantity across pins, the rate of ``across``. ``frame`` is the domain whose
+    quantity shakes the frame that ``across`` is relative to.
+    """
+
+    name: str
+    across: Quantity
+    through: Quantity | None
+    power: Power
+    rest: str
+    driven: Side = "across"
+    port: str = ""
+    answer_unit: str = ""
+    compliance: str = ""
+    word: str = ""
+    response: str = ""
+    reference: str = ""
+    rate: Quantity | None = None
+    frame: str = ""
+
+    @property
+    def conservative(self) -> bool:
+        """Whether its pins exchange energy."""
+        return self.through is not None
+
+    @property
+    def flow(self) -> str:
+        """Unit of 1 A through a pin, ``-`` for a signal."""
+        return SIGNAL if self.through is None else self.through.pin_unit
+
+    @property
+    def units(self) -> tuple[str, str]:
+        """Units of 1 V and 1 A on a pin."""
+        return self.across.pin_unit, self.flow
+
+    @property
+    def potential(self) -> bool:
+        """Whether the value across a pin is a potential, such as a voltage."""
+        return self.power in ("across * through", "through")
+
+    @property
+    def position(self) -> bool:
+        """Whether the value across a pin is a position, whose rate makes the power."""
+        return self.power == "d(across)/dt * through"
+
+    @property
+    def quantities(self) -> Iterator[tuple[Quantity, Side]]:
+        """The quantities that a source can prescribe."""
+        yield self.across, "across"
+        if self.through is not None:
+            yield self.through, "through"
+
+    def quantity(self, side: Side) -> Quantity:
+        """The quantity across or through a pin."""
+        result = self.across if side == "across" else self.through
+        assert result is not None, f"{self.name} has nothing {side} its pins"
+        return result
+
+
+ELECTRICAL = Domain(
+    "electrical",
+    Quantity("voltage", "v", "V", "V"),
+    Quantity("current", "i", "A", "A"),
+    "across * through",
+    "no capacitor carries a current and no inductor has a voltage; a floating net keeps its charge",
+    port="electrical",
+    answer_unit="C",
+    compliance="F",
+    response="current",
+)
+TRANSLATION = Domain(
+    "translation",
+    Quantity("displacement", "x", "m", "um", 1e-6),
+    Quantity("force", "force", "N", "N"),
+    "d(across)/dt * through",
+    "velocities are zero and forces sum to zero; a spring, a support or a source holds every net",
+    driven="through",
+    port="mechanical",
+    answer_unit="m",
+    compliance="m/N",
+    word="u",
+    response="moved",
+    reference=BASE,
+    rate=Quantity("velocity", "v", "m/s", "m/s"),
+    frame="acceleration",
+)
+ROTATION = Domain(
+    "rotation",
+    Quantity("angle", "angle", "rad", "rad"),
+    Quantity("torque", "torque", "N m", "Nm"),
+    "d(across)/dt * through",
+    "angular velocities are zero and torques sum to zero",
+    driven="through",
+    port="rotational",
+    answer_unit="rad",
+    compliance="rad/(N m)",
+    word="angle",
+    response="moved",
+    reference=BASE,
+)
+ACCELERATION = Domain(
+    "acceleration",
+    Quantity("acceleration", "a", "m/s2", "m/s2"),
+    Quantity("force", "force", "N", "N"),
+    "velocity of the frame * through",
+    "the frame has a constant acceleration and carries the weight of all masses in it",
+    port="acceleration",
+    answer_unit="kg m",
+    compliance="kg s2",
+    word="a",
+    response="force",
+    reference=BASE,
+)
+SIGNALS = Domain(
+    "signal",
+    Quantity("signal", "", "", ""),
+    None,
+    "none",
+    "constant; one output sets each net, and inputs draw no current",
+)
+TABLE = (ELECTRICAL, TRANSLATION, ROTATION, ACCELERATION, SIGNALS)
+
+DOMAINS = {domain.name: domain for domain in TABLE}
+PORTS = {domain.port: domain for domain in TABLE if domain.port}
+CONSERVATIVE = tuple(domain for domain in TABLE if domain.conservative)
+
+
+def _by_quantity() -> dict[str, tuple[Domain, Side]]:
+    """Domain and side of each quantity; a force belongs to translation."""
+    result: dict[str, tuple[Domain, Side]] = {}
+    for domain in CONSERVATIVE:
+        for quantity, side in domain.quantities:
+            result.setdefault(quantity.name, (domain, side))
+    return result
+
+
+QUANTITIES = _by_quantity()
+
+
+def domain_of(unit: str, flow: str) -> Domain | None:
+    """Return the domain of a pin by what 1 V and 1 A mean on it; None for signals and unknown ones.
+
+    Examples
+    --------
+    >>> domain_of("um", "N").name
+    'translation'
+    >>> domain_of("V", "-") is None
+    True
+    """
+    for domain in CONSERVATIVE:
+        rate = domain.rate.pin_unit if domain.rate else unit
+        if domain.flow == flow and unit in (domain.across.pin_unit, rate):
+            return domain
+    return None
+
+
+def across_of(unit: str) -> Quantity | None:
+    """Return the quantity across pins of this unit, None for a signal in another unit.
+
+    Examples
+    --------
+    >>> across_of("um").factor
+    1e-06
+    """
+    for domain in CONSERVATIVE:
+        for quantity in (domain.across, domain.rate):
+            if quantity is not None and quantity.pin_unit == unit:
+                return quantity
+    return None
