@@ -99,6 +99,11 @@ class Domain:
         return self.power == "d(across)/dt * through"
 
     @property
+    def kind_of_law(self) -> str:
+        """Kind of its pins in the laws of the reference solution, where a frame is a signal."""
+        return "signal" if self.power == "velocity of the frame * through" else self.name
+
+    @property
     def quantities(self) -> Iterator[tuple[Quantity, Side]]:
         """The quantities that a source can prescribe."""
         yield self.across, "across"
@@ -112,6 +117,7 @@ class Domain:
         return result
 
 
+VELOCITY = Quantity("velocity", "v", "m/s", "m/s")
 ELECTRICAL = Domain(
     "electrical",
     Quantity("voltage", "v", "V", "V"),
@@ -136,7 +142,7 @@ TRANSLATION = Domain(
     word="u",
     response="moved",
     reference=BASE,
-    rate=Quantity("velocity", "v", "m/s", "m/s"),
+    rate=VELOCITY,
     frame="acceleration",
 )
 ROTATION = Domain(
@@ -190,6 +196,17 @@ def _by_quantity() -> dict[str, tuple[Domain, Side]]:
 
 
 QUANTITIES = _by_quantity()
+
+
+def _pin_units() -> Iterator[tuple[str, str]]:
+    """What 1 V and 1 A mean on each kind of conservative pin."""
+    for domain in CONSERVATIVE:
+        yield domain.units
+        if domain.rate is not None:
+            yield domain.rate.pin_unit, domain.flow
+
+
+PIN_UNITS = tuple(_pin_units())
 
 
 def domain_of(unit: str, flow: str) -> Domain | None:

@@ -1,16 +1,9 @@
 """Laws of parts: what each type of part says of itself to the independent integrator.
 
-A law is plain data in SI with named, typed pins. It knows no scene and no netlist. A pin's kind
-says which *across* quantity all pins of a net share and which *through* ones sum to zero there:
-
-================  ===================  ==========================
-kind              across               through
-================  ===================  ==========================
-``electrical``    voltage [V]          current into the part [A]
-``displacement``  displacement [m]     force on the part [N]
-``rotation``      angle [rad]          torque on the part [N m]
-``signal``        value                none; one pin of a net sets it
-================  ===================  ==========================
+A law is plain data in SI with named, typed pins. It knows no scene and no netlist. A pin's kind is
+the name of a domain (:mod:`kc2spice.core.domains`). It states which *across* quantity all pins of a
+net share, such as a voltage [V], and which *through* quantities into the parts sum to zero there,
+such as currents [A]. The kind ``signal`` has nothing through its pins; one pin of a net sets it.
 
 Bodies and sources are stamped into matrices by the assembler
 (:mod:`kc2spice.reference.assemble`). Every other law is a :class:`Device`: smooth expressions
@@ -26,10 +19,12 @@ from typing import Any
 
 import numpy as np
 
+from kc2spice.core.domains import CONSERVATIVE, QUANTITIES, SIGNALS, Domain
 from kc2spice.core.errors import SimulationError
 from kc2spice.core.waveforms import Function
 
-MECHANICAL = ("displacement", "rotation")
+MECHANICAL = tuple(domain.name for domain in CONSERVATIVE if domain.position)
+POTENTIALS = tuple(domain.name for domain in CONSERVATIVE if domain.potential)
 GROUND = "gnd"
 
 
@@ -128,7 +123,7 @@ def port_pins(ports: tuple[Port, ...]) -> tuple[Pin, ...]:
     """One pin a port, and the returns; accelerations, inputs and outputs are signals."""
     result: list[Pin] = []
     for port in ports:
-        kind = port.kind if port.kind in (*MECHANICAL, "electrical") else "signal"
+        kind = port.kind if port.kind in (*MECHANICAL, *POTENTIALS) else "signal"
         result.append(Pin(port.name, kind))
         if port.ret and port.ret not in {p.name for p in result}:
             result.append(Pin(port.ret, kind, grounded=True))
@@ -139,9 +134,9 @@ def port_pins(ports: tuple[Port, ...]) -> tuple[Pin, ...]:
 class Source:
     """A prescribed quantity between ``out`` and ``ret``.
 
-    ``kind``: ``voltage`` [V], ``current`` [A] out of ``out``, ``force`` [N] on what is joined to
-    ``out``, ``displacement`` [m], ``acceleration``
-    [m/s^2] (a signal pin), ``signal``. ``ac`` is the complex amplitude of an ac analysis.
+    ``kind`` is a quantity of :mod:`kc2spice.core.domains`, such as ``voltage`` between the pins or
+    ``current`` out of ``out``, or ``signal``. An ``acceleration`` is on a signal pin. ``ac`` is the
+    complex amplitude of an ac analysis.
     """
 
     name: str
@@ -150,10 +145,25 @@ class Source:
     ac: complex = 0.0
 
     @property
+    def domain(self) -> Domain:
+        """Domain of its pins."""
+        return SIGNALS if self.kind == SIGNALS.name else QUANTITIES[self.kind][0]
+
+    @property
+    def signal(self) -> bool:
+        """Whether it sets a signal."""
+        return self.domain.kind_of_law == SIGNALS.name
+
+    @property
+    def flows(self) -> bool:
+        """Whether it prescribes what flows through its pins."""
+        return self.kind in QUANTITIES and QUANTITIES[self.kind][1] == "through"
+
+    @property
     def pins(self) -> tuple[Pin, ...]:
-        if self.kind in ("signal", "acceleration"):
-            return (Pin("out", "signal"),)
-        kind = "electrical" if self.kind in ("voltage", "current") else "displacement"
+        kind = self.domain.kind_of_law
+        if self.signal:
+            return (Pin("out", kind),)
         return (Pin("out", kind), Pin("ret", kind, grounded=True))
 
 

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from kc2spice.core.domains import TABLE
 from kc2spice.core.laws import (
     GROUND,
     Device,
@@ -22,7 +23,8 @@ from kc2spice.core.laws import (
     sensor,
 )
 
-NODE_UNITS = {"displacement": 1e-6}  # SI units of 1 V on a node, by kind of pin; otherwise 1
+# SI units of 1 V on a node, by kind of pin.
+NODE_UNITS = {domain.kind_of_law: domain.across.factor for domain in TABLE}
 
 
 @dataclass(frozen=True)
@@ -121,7 +123,7 @@ def with_sensors(
             continue
         kind = kinds[others[0]]
         name = f"{net} signals"
-        sensors.append(sensor(name, 1 / NODE_UNITS.get(kind, 1.0), kind))
+        sensors.append(sensor(name, 1 / NODE_UNITS[kind], kind))
         result[net] = (*others, f"{name}.a")
         result[name] = (*signals, f"{name}.out")
     return [*laws, *sensors], result
@@ -145,7 +147,7 @@ def prescribes(laws: Mapping[str, Law], pin: str) -> bool:
     name, _, end = pin.partition(".")
     law = laws[name]
     if isinstance(law, Source):
-        return end == "out" and law.kind not in ("current", "force")
+        return end == "out" and not law.flows
     return isinstance(law, Device) and end in law.prescribes
 
 

@@ -9,6 +9,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from kc2spice.core.domains import TABLE
 from kc2spice.core.laws import Device, LinearBody, Source
 from kc2spice.core.waveforms import Recorded, Waveforms
 from kc2spice.equations.networks import NODE_UNITS, Network, prescribes
@@ -16,7 +17,7 @@ from kc2spice.equations.scene_laws import SceneLaws
 from kc2spice.scene.model import Build
 
 # Kind of the source that replays a net, by the kind of the pins there.
-SOURCES = {"electrical": "voltage", "displacement": "displacement", "signal": "signal"}
+SOURCES = {d.name: d.across.name for d in TABLE if d.kind_of_law == d.name}
 SHORTEST = 1e-6  # time between samples, relative to the run; shorter ones have rounded differences
 
 
@@ -81,7 +82,7 @@ def networks_to_solve(
 
 def replayed_vectors(nets: Mapping[str, str]) -> dict[str, tuple[str, float]]:
     """Results of a deck that record the values on these nets: expression, and its unit in SI."""
-    return {f"net {net}": (f"v({net})", NODE_UNITS.get(kind, 1.0)) for net, kind in nets.items()}
+    return {f"net {net}": (f"v({net})", NODE_UNITS[kind]) for net, kind in nets.items()}
 
 
 def _recorded_source(net: str, kind: str, waves: Waveforms) -> Source:

@@ -94,21 +94,23 @@ class LinearElement(DeclaredPart):
         d, b = self.declaration, self.branch
         stiff, slow = derivative(d.direct(b), b.name), derivative(d.direct(b), b.name + RATE)
         kept = derivative(d.kept(b), b.name)
-        if b.kind == "current":
+        if b.flows:
             return -1, over(ONE, kept)
-        if b.kind == "voltage":
-            return (1, kept) if kept != ZERO else (0, stiff)
-        return (-1, stiff) if stiff != ZERO else (0, slow)
+        if b.moves:
+            return (-1, stiff) if stiff != ZERO else (0, slow)
+        return (1, kept) if kept != ZERO else (0, stiff)
 
     @cached_property
     def _letter(self) -> str:
         """Letter of its card, in which a displacement is the voltage and a velocity its rate."""
-        return {-1: "L", 0: "R", 1: "C"}[self.linear[0] + (self.branch.kind == "displacement")]
+        return {-1: "L", 0: "R", 1: "C"}[self.linear[0] + self.branch.moves]
 
     @cached_property
     def _unit(self) -> Number:
-        """Volts on a node per SI unit, inverted."""
-        return Number("1e-6") if self.branch.kind == "displacement" else ONE
+        """Factor of an admittance in SI to one in amperes and volts of the pins."""
+        domain = self.branch.domain
+        value = domain.across.factor * domain.quantity("through").per_unit
+        return ONE if value == 1 else Number(f"{value:g}")
 
     def _number(self, part: Part, tree: Tree) -> float:
         return float(evaluated(tree, self.declaration.values(part.keys)))
@@ -128,7 +130,7 @@ class LinearElement(DeclaredPart):
         return (
             Element.of(_meter(part, build), a, inner, "0"),
             Element.of(f"C{part.name}", inner, b, self._number(part, admittance)),
-            *(self._leak_cards(part, build, a, b) if self.branch.kind == "voltage" else ()),
+            *(() if self.branch.moves else self._leak_cards(part, build, a, b)),
             *(self._noise_cards(part, build, a, b) if build.noisy and self._lossy else ()),
         )
 
@@ -136,7 +138,7 @@ class LinearElement(DeclaredPart):
         """A conductance by which the operating point of a floating net keeps its charge: it is in
         proportion to the capacitance, as that of a body's electrode is, so that their currents
         ``rate C v`` sum to zero where the charges ``C v`` do."""
-        value = LEAK_RATE * self._number(part, self.linear[1])
+        value = LEAK_RATE * self._number(part, times(self._unit, self.linear[1]))
         return (Element.of(build.own(part, f"G{part.name}", "leak"), a, b, a, b, value),)
 
     @cached_property
@@ -151,17 +153,18 @@ class LinearElement(DeclaredPart):
         return Element.of(R, node, "0", value), Element.of(G, a, b, node, "0", "1")
 
     def vectors(self, part: Part, build: Build) -> Mapping[str, Vector]:
-        across, n = across_pins(build, part, self.branch), part.name
-        unit = "N" if self.branch.kind == "displacement" else "A"
+        across, n, b = across_pins(build, part, self.branch), part.name, self.branch
+        voltage, flow = b.domain.across, b.domain.quantity("through")
         if self._letter == "R":
-            factor = self._number(part, times(self._unit, self.linear[1]))
-            through = Vector(across, factor, unit, ("b",), ("a",))
+            factor = self._number(part, times(Number(f"{voltage.factor:g}"), self.linear[1]))
+            through = Vector(across, factor, flow.unit, ("b",), ("a",))
         else:
             own = _meter(part, build) if self._letter == "C" else f"l{n}"
-            through = Vector(f"i({own.lower()})", 1.0, unit, ("b",), ("a",))
-        if unit == "N":
-            return {f"{n}.{self.branch.through}": through}
-        return {f"{n}.v": Vector(across, 1.0, "V"), f"{n}.i": through}
+            through = Vector(f"i({own.lower()})", flow.factor, flow.unit, ("b",), ("a",))
+        if b.moves:
+            return {f"{n}.{b.through}": through}
+        difference = Vector(across, voltage.factor, voltage.unit)
+        return {f"{n}.{b.across}": difference, f"{n}.{b.through}": through}
 
     def notes(self, part: Part, scene: Scene) -> Iterator[str]:
         row = next(row for row in TABLE if row.name == self.name)

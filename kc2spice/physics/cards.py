@@ -1,14 +1,16 @@
 """A declaration as a subcircuit: one source of current or voltage a branch.
 
-Inside, 1 V between displacement pins is 1 um, other nodes are in SI. What changes over time is
-differentiated by the current of a capacitor that a source charges.
+Inside, 1 V between pins is the unit of their domain, such as 1 um; other nodes are in SI. What
+changes over time is differentiated by the current of a capacitor that a source charges.
 """
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
 
+from kc2spice.core.domains import QUANTITIES, Quantity
 from kc2spice.netlist.cards import LEAK_RATE
 from kc2spice.netlist.circuit import Element, Item, Model, Parameters
 from kc2spice.netlist.elements import Line, noted, pivots
@@ -27,11 +29,12 @@ from kc2spice.physics.expression import (
     times,
 )
 
-_MICRO, _FARAD = Number("1e-6"), "1e-06"
+_FARAD = "1e-06"
 _EDGE = Model("edge", "SW", {"VT": "0", "VH": "0", "RON": "1e6", "ROFF": "2e6"})
 _HEAD = {
-    "force": "force into {plus}, out of {minus}, 1 V = 1 N on {node}; x = 1e-6 V({plus},{minus})",
-    "direct": "force into {plus}, out of {minus}; x = 1e-6 V({plus},{minus})",
+    "force": "{flow} into {plus}, out of {minus}, 1 V = 1 {unit} on {node}; "
+    "{word} = {factor}V({plus},{minus})",
+    "direct": "{flow} into {plus}, out of {minus}; {word} = {factor}V({plus},{minus})",
     "place": "in um on {node}: {plus} less {minus}{words}",
     "rate": "velocity of {plus} less that of {minus} [m/s]: the current of 1 uF on that voltage",
     "charge": "charge between {plus} and {minus} on the node {node}, 1 V = {scale} coulombs; its "
@@ -85,7 +88,7 @@ def _lines(declaration: Declaration, noise: bool) -> Iterator[Line]:
             yield _comment("noise", branch, loss=text(loss))
             yield Element.of(f"Rnoise_{branch.name}", f"noise_{branch.name}", branch.minus, "1")
     for branch in branches:
-        make = {"displacement": _force, "voltage": _charge, "current": _flux}[branch.kind]
+        make = _force if branch.moves else _flux if branch.flows else _charge
         yield from make(declaration, branch, nodes, added[branch.name])
     yield from _edges(declaration, nodes)
     for name, tree in declaration.read.items():
@@ -115,8 +118,9 @@ def _current(
         return
     for (item, slope), (probe,) in zip(slopes.items(), probes, strict=True):
         card = f"G{name}" if len(seen) == 1 else f"G{name}_{item}"
-        micro = _MICRO if isinstance(nodes[item], Binary) else ONE
-        gain = f"{{{text(times(micro, slope))}}}"
+        at = nodes[item]
+        unit = at.left if isinstance(at, Binary) else ONE
+        gain = f"{{{text(times(unit, slope))}}}"
         yield Element.of(card, start, end, *probe.names, gain)
     rest = plus(replaced(tree, dict.fromkeys(seen, ZERO)))
     if rest != ZERO:
@@ -135,7 +139,7 @@ def _mass(declaration: Declaration, b: Branch) -> Iterator[Line]:
     yield Element.of(f"Cplace_{n}", place, base, _FARAD, IC=f"{{{start}*1e6}}")
     yield Element.of(f"Gplace_{n}", base, place, v, base, "1")
     yield Element.of(f"Cmass_{n}", v, end, f"{{{text(declaration.mass(b))}}}", IC=f"{{{fast}}}")
-    shaken = [other for other in declaration.branches if other.kind == "acceleration"]
+    shaken = [other for other in declaration.branches if other.domain.name == b.domain.frame]
     weight = declaration.direct(b)
     still = plus(replaced(weight, {other.name: ZERO for other in shaken}))
     if still != ZERO:
@@ -164,15 +168,30 @@ def _probes(declaration: Declaration) -> Mapping[str, Tree]:
     inner |= {name: state_node(name) for name in declaration.states}
     result: dict[str, Tree] = {n: Probe("v", (node, rest)) for n, node in inner.items()}
     for b in declaration.branches:
-        across: Tree = Probe("v", _place(declaration, b))
-        if b.kind == "displacement":
-            across = Binary("*", _MICRO, across)
-        result[b.name] = Probe("i", (meter(b),)) if b.kind == "current" else across
+        read = Probe("i", (meter(b),)) if b.flows else Probe("v", _place(declaration, b))
+        result[b.name] = _in_si(read, coordinate(b).factor)
         ends = (declaration.speeds.get(pin) for pin in (b.plus, b.minus))
         high, low = (Probe("v", (end,)) if end else ZERO for end in ends)
-        sensed = Probe("i", (f"Vrate_{b.name}",)) if ZERO in (high, low) else ZERO
+        sensed = _in_si(Probe("i", (f"Vrate_{b.name}",)), coordinate(b).factor * 1e6)
+        sensed = sensed if ZERO in (high, low) else ZERO
         result[b.name + RATE] = plus(sensed, minus(high, low))
     return result
+
+
+def coordinate(b: Branch) -> Quantity:
+    """Quantity that the coordinate of a branch is."""
+    domain, side = QUANTITIES[b.kind]
+    return domain.quantity(side)
+
+
+def _in_si(tree: Tree, factor: float) -> Tree:
+    """``factor`` times a voltage or current, as a product that shows it."""
+    return tree if factor == 1 else Binary("*", _decimal(factor), tree)
+
+
+def _decimal(value: float) -> Number:
+    """A power of ten as it is written by hand, such as 1e-6."""
+    return ONE if value == 1 else Number(re.sub(r"e([-+])0", r"e\1", f"{value:g}").replace("+", ""))
 
 
 def _place(declaration: Declaration, b: Branch) -> tuple[str, str]:
@@ -183,7 +202,7 @@ def _place(declaration: Declaration, b: Branch) -> tuple[str, str]:
 
 def reference(declaration: Declaration) -> str:
     """The pin on which loops and inner nodes rest."""
-    pins = (b.minus for b in declaration.branches if b.kind == "displacement")
+    pins = (b.minus for b in declaration.branches if b.moves)
     return declaration.base or next(pins, "") or declaration.open[0].minus
 
 
@@ -274,7 +293,10 @@ def _force(
     force = declaration.followed(b)
     metered = declaration.metered or b.less
     ends = (base, node) if metered else (high, low)
-    yield _comment("force" if metered else "direct", b, node=node)
+    across, through = b.domain.across, b.domain.quantity("through")
+    factor = "" if across.factor == 1 else f"{text(_decimal(across.factor))} "
+    words = {"flow": through.name, "unit": through.pin_unit, "word": across.symbol}
+    yield _comment("force" if metered else "direct", b, node=node, factor=factor, **words)
     yield f"*   {b.through} = {text(declaration.named(force))}"
     law = _placed(declaration, plus(force, noise), nodes)
     yield Element.behaviour(f"B{node}", *ends, "I", law)
@@ -290,10 +312,11 @@ def _scaled(
 ) -> Iterator[Line]:
     """Stored quantity in units of its derivative at rest; its voltages equal those of ``b``."""
     scale = declaration.at_rest(derivative(kept, b.name))
+    scale = times(_decimal(coordinate(b).factor), scale)
     unit = scale if scale != ZERO else Number("1e-12")
     yield Parameters({f"scale_{b.name}": f"{{{text(unit)}}}"})
     amount = replaced(declaration.named(kept), nodes)
-    if b.kind == "voltage":  # a quotient's slope has 1e-32 beside scale^2, which may be that small
+    if not b.flows:  # a quotient's slope has 1e-32 beside scale^2, which may be that small
         yield Parameters({f"per_{b.name}": f"{{1/scale_{b.name}}}"})
         amount = Binary("*", Name(f"per_{b.name}"), amount)
     else:
@@ -306,6 +329,8 @@ def _charge(
     declaration: Declaration, b: Branch, nodes: Mapping[str, Tree], noise: Tree
 ) -> Iterator[Line]:
     kept, direct, inner = declaration.kept(b), declaration.direct(b), b.plus
+    unit = _decimal(b.domain.quantity("through").per_unit)
+    times_unit = "" if unit == ONE else f"*{text(unit)}"
     if declaration.metered or kept != ZERO:
         inner = f"in_{b.name}"
         yield Element.of(meter(b), b.plus, inner, "0")
@@ -313,15 +338,14 @@ def _charge(
         yield _comment("charge", b, node=f"q_{b.name}", scale=f"scale_{b.name}")
         yield f"*   charge = {text(declaration.named(kept))}"
         yield from _scaled(declaration, b, kept, f"q_{b.name}", nodes)
-        yield Element.of(
-            f"Fq_{b.name}", inner, b.minus, f"Vrate_{b.name}", f"{{scale_{b.name}*1e6}}"
-        )
+        rate = f"{{scale_{b.name}*1e6{times_unit}}}"
+        yield Element.of(f"Fq_{b.name}", inner, b.minus, f"Vrate_{b.name}", rate)
         yield f"* {_HEAD['leak'].format(seconds=f'{1 / LEAK_RATE:g}')}"
-        leak = f"{{{LEAK_RATE:g}*scale_{b.name}}}"
+        leak = f"{{{LEAK_RATE:g}*scale_{b.name}{times_unit}}}"
         yield Element.of(f"Gleak_{b.name}", b.plus, b.minus, f"q_{b.name}", b.minus, leak)
     if direct != ZERO or kept == ZERO:
         yield f"*   {b.through} = {text(declaration.named(direct))}"
-        whole = declaration.named(plus(direct, noise))
+        whole = times(unit, declaration.named(plus(direct, noise)))
         yield from _current(f"i_{b.name}", (inner, b.minus), whole, nodes)
 
 
@@ -329,6 +353,7 @@ def _flux(
     declaration: Declaration, b: Branch, nodes: Mapping[str, Tree], noise: Tree
 ) -> Iterator[Line]:
     kept, drop, inner = declaration.kept(b), declaration.direct(b), f"in_{b.name}"
+    unit = _decimal(b.domain.across.per_unit)
     yield Element.of(meter(b), b.plus, inner, "0")
     if kept != ZERO:
         yield _comment("flux", b, node=f"l_{b.name}", scale=f"scale_{b.name}")
@@ -339,7 +364,7 @@ def _flux(
         )
         inner = f"rest_{b.name}"
     yield f"*   voltage besides that of the flux = {text(drop)}"
-    law = _placed(declaration, plus(drop, noise), nodes)
+    law = _placed(declaration, times(unit, plus(drop, noise)), nodes)
     yield Element.behaviour(f"Bv_{b.name}", inner, b.minus, "V", law)
 
 
@@ -348,7 +373,7 @@ def _edges(declaration: Declaration, nodes: Mapping[str, Tree]) -> Iterator[Line
     with, 100 V: ngspice shortens its steps as a switch nears its threshold, to 0.05 V of it, which
     what moves fast must reach in a step that is not too small. Between edges the trapezoidal
     rule loses no energy to a spring; a step across one gains or loses some."""
-    moved = {b.name: b for b in declaration.acting if b.kind == "displacement"}
+    moved = {b.name: b for b in declaration.acting if b.moves}
     inner = {*declaration.states, *declaration.signals}
     others = [declaration.direct(b) for b in declaration.acting if b.name not in moved]
     laws = (*map(declaration.followed, moved.values()), *others, *declaration.changes.values())

@@ -31,9 +31,9 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Literal
 
-from kc2spice.core.errors import UsageError, candidates, did_you_mean
+from kc2spice.core.domains import QUANTITIES, Domain
+from kc2spice.core.errors import UsageError, candidates, did_you_mean, unknown
 from kc2spice.core.quantities import Section
 from kc2spice.netlist.circuit import Param
 from kc2spice.netlist.expression import Call, Name, Tree, Writer, rebuilt, replaced, walk
@@ -49,19 +49,24 @@ from kc2spice.physics.expression import (
     times,
 )
 
-Kind = Literal["displacement", "voltage", "current", "acceleration"]
 LOOPS = "loops"
 _STATED = ("kinetic", "energy", "coenergy", "content")
 RATE = "_rate"  # ends the name of a displacement's velocity
+# A force or a torque determines no displacement, and no part stores energy by a flow of heat.
+COORDINATES = tuple(
+    kind
+    for kind, (domain, side) in QUANTITIES.items()
+    if side == "across" or domain.power == "across * through"
+)
 
 
 @dataclass(frozen=True)
 class Branch:
     """A coordinate between two pins; ``through`` names the result that flows into ``plus``, nothing
     where it is only seen. The displacement of a pin ``less`` that ``minus`` carries is taken off
-    as well."""
+    as well. ``kind`` is the quantity of a domain that the coordinate is."""
 
-    kind: Kind
+    kind: str
     name: str
     plus: str
     minus: str
@@ -69,11 +74,51 @@ class Branch:
     less: str = ""
 
     @property
+    def domain(self) -> Domain:
+        """Domain of its pins."""
+        return QUANTITIES[self.kind][0]
+
+    @property
+    def flows(self) -> bool:
+        """Whether its coordinate flows through the pins, such as a current."""
+        return QUANTITIES[self.kind][1] == "through"
+
+    @property
+    def moves(self) -> bool:
+        """Whether its coordinate is a position, such as a displacement."""
+        return self.domain.position and not self.flows
+
+    @property
     def across(self) -> str:
         """Word of the result across it: a coordinate's, or a current's voltage."""
-        if self.kind != "current":
+        if not self.flows:
             return self.name
-        return "v" if self.name == "i" else f"{self.name}_v"
+        through, word = self.domain.quantity("through").symbol, self.domain.across.symbol
+        return word if self.name == through else f"{self.name}_{word}"
+
+
+def branch(
+    kind: str, name: str = "", plus: str = "a", minus: str = "b", through: str = ""
+) -> Branch:
+    """Branch in any domain, whose coordinate is the quantity ``kind``, such as ``"pressure"``.
+
+    The names of the coordinate and of what flows through are by default the symbols of the
+    quantities in :mod:`kc2spice.core.domains`.
+
+    Raises
+    ------
+    UsageError : no domain has this quantity, or its stored energy is not a function of it.
+
+    Examples
+    --------
+    >>> branch("temperature")
+    Branch(kind='temperature', name='temperature', plus='a', minus='b', through='heat', less='')
+    """
+    if kind not in COORDINATES:
+        raise unknown("no such coordinate of a branch", kind, COORDINATES, "branch")
+    domain, side = QUANTITIES[kind]
+    name, flow = name or domain.quantity(side).symbol, domain.quantity("through").symbol
+    return Branch(kind, name, plus, minus, name if side == "through" else through or flow)
 
 
 def displacement(
@@ -186,17 +231,13 @@ class Declaration:
         for what, tree in self._stated():
             if unknown := sorted(names(tree) - known):
                 raise _unknown_name(self.name, what, unknown, known)
-        self._only("energy", self._tree("energy"), self._acting("displacement"))
-        coordinates = self._acting("displacement", "voltage", "current")
-        self._only("coenergy", self._tree("coenergy"), coordinates)
+        self._only("energy", self._tree("energy"), {b.name for b in self.acting if b.moves})
+        self._only("coenergy", self._tree("coenergy"), {b.name for b in self.acting})
         passive = {name for b in self.branches if not b.through for name in (b.name, b.name + RATE)}
         earlier = passive | {*self.states}
         for name, tree in self.sent.items():
             self._only(f"signal {name}", tree, earlier)
             earlier.add(name)
-
-    def _acting(self, *kinds: str) -> set[str]:
-        return {b.name for b in self.acting if b.kind in kinds}
 
     def _only(self, what: str, tree: Tree, allowed: set[str]) -> None:
         if strange := names(tree) - allowed - set(self.parameters):
@@ -218,7 +259,7 @@ class Declaration:
     @cached_property
     def rates(self) -> tuple[str, ...]:
         """Names of the velocities."""
-        return tuple(b.name + RATE for b in self.branches if b.kind == "displacement")
+        return tuple(b.name + RATE for b in self.branches if b.moves)
 
     @cached_property
     def acting(self) -> tuple[Branch, ...]:
@@ -231,12 +272,12 @@ class Declaration:
         return tuple(branch for branch in self.acting if branch.plus)
 
     @cached_property
-    def kinds(self) -> dict[str, Kind]:
-        """Across quantity of each pin; a branch with a flow has priority."""
-        result: dict[str, Kind] = {}
+    def domains(self) -> dict[str, Domain]:
+        """Domain of each pin; a branch with a flow has priority."""
+        result: dict[str, Domain] = {}
         for b in (*self.acting, *self.branches):
             for pin in filter(None, (b.plus, b.minus, b.less)):
-                result.setdefault(pin, b.kind)
+                result.setdefault(pin, b.domain)
         return result
 
     @cached_property
@@ -336,7 +377,7 @@ class Declaration:
         It is the force without that of inertia, or the current without that of the charge. For a
         branch of kind current it is the voltage without that of the flux.
         """
-        if branch.kind != "displacement":
+        if not branch.moves:
             return self._slope("content", branch.name)
         stored = minus(self._slope("energy", branch.name), self._slope("coenergy", branch.name))
         lost = self._slope("content", branch.name + RATE)
@@ -349,12 +390,12 @@ class Declaration:
 
     def loss(self, branch: Branch) -> Tree:
         """Damping, conductance or resistance of a branch, for small signals."""
-        own = branch.name + RATE * (branch.kind == "displacement")
+        own = branch.name + RATE * branch.moves
         return derivative(self._slope("content", own), own)
 
     def kept(self, branch: Branch) -> Tree:
         """Momentum, charge or flux of a branch, whose rate adds to :meth:`direct`."""
-        if branch.kind == "displacement":
+        if branch.moves:
             return self._slope("kinetic", branch.name + RATE)
         return self._slope("coenergy", branch.name)
 
@@ -365,7 +406,7 @@ class Declaration:
     @cached_property
     def stored(self) -> Tree:
         """The stored energy [J]."""
-        others = (b for b in self.acting if b.kind != "displacement")
+        others = (b for b in self.acting if not b.moves)
         both = [times(Name(b.name), self.kept(b)) for b in others]
         whole = plus(self._tree("kinetic"), self._tree("energy"), *both)
         return minus(whole, self._tree("coenergy"))
@@ -374,7 +415,7 @@ class Declaration:
     def lost(self) -> Tree:
         """The power [W] that becomes heat."""
         own = (times(Name(name + RATE), tree) for name, tree in self._forces.items())
-        others = (b.name for b in self.acting if b.kind != "displacement")
+        others = (b.name for b in self.acting if not b.moves)
         return plus(*map(self._heat, self.rates), *own, *map(self._heat, others))
 
     def _heat(self, rate: str) -> Tree:
@@ -392,7 +433,7 @@ class Declaration:
         direct, kept = self.named(self.direct(branch)), self.named(self.kept(branch))
         terms = [f"d/dt ({Writer().write(kept)})"] if kept != ZERO else []
         terms += [Writer().write(direct)] if direct != ZERO else []
-        name = branch.across if branch.kind == "current" else branch.through
+        name = branch.across if branch.flows else branch.through
         return f"{name} = {' + '.join(terms)}" if terms else ""
 
     def at_rest(self, tree: Tree, but: str = "") -> Tree:

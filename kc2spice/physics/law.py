@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from kc2spice.core.domains import TRANSLATION
 from kc2spice.core.errors import SimulationError
 from kc2spice.core.laws import Device, Flow, Pin, Tap
 from kc2spice.netlist.expression import Name, Number, Tree, replaced
@@ -25,11 +26,12 @@ from kc2spice.physics.expression import (
     times,
 )
 
-_MICRO, _UNIT = Number("1e-6"), Number("1e6")
-_KIND = {"displacement": "displacement", "voltage": "electrical", "current": "electrical",
-         "acceleration": "signal"}  # fmt: skip
 _Made = Callable[..., tuple[Any, ...]]
 _Table = Callable[[float], float]
+
+
+def _number(value: float) -> Number:
+    return Number(f"{value:g}")
 
 
 @dataclass(frozen=True)
@@ -43,8 +45,9 @@ class DeclaredLaw(Device):
     start: tuple[float, float] | None = None  # initial state of its mass
     tables: Mapping[str, _Table] = field(default_factory=dict, compare=False)
 
-    def _of(self, *kinds: str) -> tuple[Branch, ...]:
-        return tuple(b for b in self.declaration.branches if b.kind in kinds)
+    @property
+    def _flowing(self) -> tuple[Branch, ...]:
+        return tuple(b for b in self.declaration.branches if b.flows)
 
     @property
     def pins(self) -> tuple[Pin, ...]:
@@ -74,8 +77,8 @@ class DeclaredLaw(Device):
         """Kinds of all pins; outputs are signals, as are inputs whose rate is not used."""
         d = self.declaration
         used = {pin for b in (*d.acting, *d.damped) for pin in (b.plus, b.minus, b.less)}
-        result = {pin: _KIND[kind] for pin, kind in d.kinds.items()}
-        only = (pin for pin in d.kinds if pin not in used)
+        result = {pin: domain.kind_of_law for pin, domain in d.domains.items()}
+        only = (pin for pin in d.domains if pin not in used)
         return result | dict.fromkeys((*only, *d.outputs), "signal")
 
     def _minus(self, b: Branch) -> str:
@@ -89,22 +92,22 @@ class DeclaredLaw(Device):
     @property
     def charged(self) -> tuple[int, ...]:
         d = self.declaration
-        kept = (b.kind != "current" and d.kept(b) != ZERO for b in d.acting)
+        kept = (not b.flows and d.kept(b) != ZERO for b in d.acting)
         return tuple(k for k, stored in enumerate(kept) if stored)
 
     @property
     def states(self) -> tuple[str, ...]:
-        return (*(b.name for b in self._of("current")), *self.declaration.states)
+        return (*(b.name for b in self._flowing), *self.declaration.states)
 
     @property
     def storing(self) -> bool:
-        return bool(self._of("current") or self.charged)
+        return bool(self._flowing or self.charged)
 
     @cached_property
     def _seen(self) -> tuple[str, ...]:
         """Names of the inputs."""
         d = self.declaration
-        across = [f"{b.name}_drop" if b.kind == "current" else b.name for b in d.branches]
+        across = [f"{b.name}_drop" if b.flows else b.name for b in d.branches]
         return (*across, *(b.name + RATE for b in d.damped), *self.states)
 
     @cached_property
@@ -129,10 +132,10 @@ class DeclaredLaw(Device):
         return tuple(dict.fromkeys(e for tree in trees for e in kinks(self._plain(tree))))
 
     def _plain(self, tree: Tree) -> Tree:
-        """``tree`` by the inputs alone: signals of displacements are in um."""
+        """``tree`` by the inputs alone: a signal has the unit of its pin, such as um."""
         kinds, seen = self._kinds, (b for b in self.declaration.branches if not b.through)
-        micro = (b.name for b in seen if b.kind == "displacement" and kinds[b.plus] == "signal")
-        units = {name: times(_MICRO, Name(name)) for name in micro}
+        signals = (b for b in seen if kinds[b.plus] == "signal")
+        units = {b.name: times(_number(b.domain.across.factor), Name(b.name)) for b in signals}
         return plus(replaced(self.declaration.spelled(tree), units))
 
     def _stated(self, trees: Iterable[Tree], slopes: bool = False) -> _Made:
@@ -151,16 +154,16 @@ class DeclaredLaw(Device):
     @cached_property
     def _out(self) -> _Made:
         d = self.declaration
-        flows = [Name(b.name) if b.kind == "current" else d.direct(b) for b in d.acting]
-        rates = [minus(Name(f"{b.name}_drop"), d.direct(b)) for b in self._of("current")]
-        shown = (times(_UNIT, tree) for tree in d.read.values())
+        flows = [Name(b.name) if b.flows else d.direct(b) for b in d.acting]
+        rates = [minus(Name(f"{b.name}_drop"), d.direct(b)) for b in self._flowing]
+        shown = (times(_number(TRANSLATION.across.per_unit), tree) for tree in d.read.values())
         return self._stated([*flows, *rates, *d.changes.values(), *shown], slopes=True)
 
     @cached_property
     def _kept(self) -> _Made:
         d = self.declaration
         fluxes, charges = (
-            map(d.kept, self._of("current")),
+            map(d.kept, self._flowing),
             (d.kept(d.acting[k]) for k in self.charged),
         )
         return self._stated([*fluxes, *map(Name, d.states), *charges], slopes=True)
@@ -211,7 +214,7 @@ class DeclaredLaw(Device):
 
     def noise(self, s: complex, e: np.ndarray, mode: Any) -> tuple[np.ndarray, np.ndarray] | None:
         """A force, a current, or a voltage in series with every loss."""
-        branches, currents = self.declaration.acting, self._of("current")
+        branches, currents = self.declaration.acting, self._flowing
         root = np.sqrt(self._called(self._loss, e, mode))
         rows = len(branches) + len(self.states) + len(self.prescribes)
         out = np.zeros((rows, len(branches)))

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from kc2spice.core import laws
+from kc2spice.core.domains import SIGNALS, TRANSLATION, VELOCITY
 from kc2spice.core.waveforms import Waveforms, running
 from kc2spice.netlist.cards import comment, distinct
 from kc2spice.netlist.cards import name as checked
@@ -26,8 +27,6 @@ from kc2spice.scene.rows import Neglected, Numerics, Rest, Vector
 if TYPE_CHECKING:
     from kc2spice.spice.header import Header
 
-_NODE = {"displacement": ("um", "N"), "voltage": ("V", "A"), "current": ("V", "A"),
-         "acceleration": ("m/s2", "N")}  # fmt: skip
 STRIKES = 1.0  # strikes of a stop without a warning; two to nine caused errors of up to 20 %
 REBOUND = "what follows may hang on every step: error_budget estimates the error of each metric"
 _OWN = "f|x|in|q|l|rest|copy|sense|first|second|noise|speed|place|pushed|state"
@@ -82,14 +81,14 @@ class DeclaredPart(PartType):
 
     def inertial(self, part: Part, scene: Scene) -> tuple[str, ...]:
         d = self.declared(part, scene)
-        moved = [b for b in d.acting if b.kind == "displacement" and d.mass(b) != ZERO]
+        moved = [b for b in d.acting if b.moves and d.mass(b) != ZERO]
         return tuple(d.speeds.get(b.plus, b.plus) for b in moved)
 
     def at_rest(self, part: Part, scene: Scene, model: Any | None = None) -> Rest:
         """Holds displacements with a stiffness at rest."""
         d = self.declared(part, scene)
         values = d.values(part.keys)
-        moved = [b for b in d.branches if b.kind == "displacement"]
+        moved = [b for b in d.branches if b.moves]
         # all others at rest first: what a long sum leaves of it has a short derivative
         slopes = [derivative(d.at_rest(d.direct(b), b.name), b.name) for b in moved]
         stiff = [float(evaluated(d.at_rest(slope), values)) for slope in slopes]
@@ -109,22 +108,20 @@ class DeclaredPart(PartType):
     def vectors(self, part: Part, build: Build) -> Mapping[str, Vector]:
         result, d = {}, self.built(part, build)
         for b in d.branches:
-            factor, unit = {"displacement": (1e-6, "m"), "acceleration": (1.0, "m/s2")}.get(
-                b.kind, (1.0, "V")
-            )
+            voltage = b.domain.across
             if b.plus and {build.net(part, b.plus), build.net(part, b.minus)} != {"0"}:
                 across = across_pins(build, part, b)
-                result[f"{part.name}.{b.across}"] = Vector(across, factor, unit)
+                result[f"{part.name}.{b.across}"] = Vector(across, voltage.factor, voltage.unit)
             if not b.through:
                 continue
-            through, flow = f"i(v.x{part.name}.{meter(b)})", _NODE[b.kind][1]
-            if b.kind == "displacement":
+            through, of = f"i(v.x{part.name}.{meter(b)})", b.domain.quantity("through")
+            if b.moves:
                 through = _inner(build, part, force_node(b), b.minus)
             ends = (b.minus,), (b.plus,)
-            result[f"{part.name}.{b.through}"] = Vector(through.lower(), 1.0, flow, *ends)
+            result[f"{part.name}.{b.through}"] = Vector(through.lower(), of.factor, of.unit, *ends)
             if d.mass(b) != ZERO:
                 speed = f"v(x{part.name}.speed_{b.name})".lower()
-                result[f"{part.name}.v"] = Vector(speed, 1.0, "m/s")
+                result[f"{part.name}.v"] = Vector(speed, VELOCITY.factor, VELOCITY.unit)
         inner = {name: name for name in d.signals} | {name: state_node(name) for name in d.states}
         for name, node in inner.items():
             value = _inner(build, part, node, reference(d)).lower()
@@ -215,15 +212,15 @@ def pins_of(declaration: Declaration) -> tuple[Pin, ...]:
     ends = [pin for b in d.branches for pin in enumerate((b.plus, b.minus, b.less)) if pin[1]]
     touched = {pin for b in d.acting for pin in (b.plus, b.minus, b.less)}
     for _, pin in sorted(ends, key=lambda end: end[0]) if d.base else ends:
-        unit, flow = _NODE[d.kinds[pin]]
+        unit, flow = d.domains[pin].units
         if speed := d.speeds.get(pin):
-            result.setdefault(checked(speed), Pin(speed, "m/s", flow))
-        quiet = speed or (pin not in touched and d.kinds[pin] != "acceleration")
+            result.setdefault(checked(speed), Pin(speed, VELOCITY.pin_unit, flow))
+        quiet = speed or (pin not in touched and d.domains[pin].kind_of_law != SIGNALS.name)
         result.setdefault(checked(pin), Pin(pin, unit, "-" if quiet else flow))
-    result |= {checked(pin): Pin(pin, "um", "-") for pin in d.outputs}
+    result |= {checked(pin): Pin(pin, TRANSLATION.across.pin_unit, "-") for pin in d.outputs}
     if d.base:
         result.pop(d.base, None)
-        result[d.base] = Pin(d.base, *_NODE[d.kinds.get(d.base, "displacement")])
+        result[d.base] = Pin(d.base, *d.domains.get(d.base, TRANSLATION).units)
     return tuple(result.values())
 
 
@@ -310,7 +307,7 @@ def energies(
     the pins: a charge, a flux or a loss that is not the declared one does not balance.
     """
     d, time = declaration, waves["time"]
-    moved = [b for b in d.acting if b.kind == "displacement"]
+    moved = [b for b in d.acting if b.moves]
     if not moved or set(seen) != {*d.coordinates, *d.states, *d.signals}:
         return
     massless = [b for b in d.damped if d.mass(b) == ZERO]
@@ -327,7 +324,7 @@ def energies(
     heat, rise = _heat(d, known, means, time), np.diff(stored)
     brought, forces = np.zeros_like(heat), []
     for b in d.open:
-        known_as = f"{part.name}.{b.across if b.kind == 'current' else b.through}"
+        known_as = f"{part.name}.{b.across if b.flows else b.through}"
         pins = waves.data.get(known_as, np.zeros_like(time))
         if b in moved:
             forces.append((pins, np.diff(seen[b.name])))

@@ -165,7 +165,7 @@ class _Assembly:
         }
         at = 2 * self.nq
         nodes, signals = (
-            [n for n in used if self.kinds[n] == kind] for kind in ("electrical", "signal")
+            [n for n in used if self.kinds[n] in kinds] for kinds in (L.POTENTIALS, ("signal",))
         )
         self.node = {n: at + k for k, n in enumerate(nodes)}
         at += len(self.node)
@@ -212,7 +212,7 @@ class _Assembly:
         if self.kinds[net] in L.MECHANICAL:
             row[: self.nq] = self.place[net]
         else:
-            row[(self.node if self.kinds[net] == "electrical" else self.signal)[net]] = 1.0
+            row[(self.node if self.kinds[net] in L.POTENTIALS else self.signal)[net]] = 1.0
         return row
 
     def gap(self, law: L.Law, a: str, *others: str) -> np.ndarray:
@@ -385,7 +385,7 @@ class _Assembly:
                 by[touched] = solve[held[0]]
                 rated = -by @ self.M @ expansion
                 rows[name] = (by @ acting, rated, by @ raw, float(by @ self.const))
-            elif source.kind in ("current", "force"):
+            elif source.flows:
                 rows[name] = (-np.eye(1, size, size - 2 * sources + at)[0], 0.0, 0.0, 0.0)
         columns = tuple(zip(*rows.values(), strict=True))
         return {
@@ -472,11 +472,11 @@ def _body(law: L.LinearBody, into: _Assembly) -> None:
 
 def _source(law: L.Source, into: _Assembly) -> None:
     k = into.sources.index(law)
-    if law.kind in ("signal", "acceleration"):
+    if law.signal:
         into.S[:, k] += into.form(law, "out")
         return
     form = into.gap(law, "out", "ret")
-    if law.kind in ("current", "force"):
+    if law.flows:
         into.S[:, k] += form
         into.rate(form)  # for its power
     else:

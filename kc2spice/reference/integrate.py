@@ -398,8 +398,8 @@ def _exchanged(system: System, segment: Segment) -> tuple[list[float], list[floa
     came, went = [], []
     waves = interval.waves(t, z, r) if system.sources else {}
     for source in system.sources:
-        if source.kind not in ("signal", "acceleration"):
-            what = ".rate" if source.kind in ("force", "displacement") else ""
+        if not source.signal:
+            what = ".rate" if source.domain.position else ""
             high, low = (waves[f"{source.name}.{pin}{what}"] for pin in ("out", "ret"))
             came.append(float(-waves[f"{source.name}.out.through"] * (high - low) @ w))
     if system.lost.any():
