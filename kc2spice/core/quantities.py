@@ -29,6 +29,7 @@ from pydantic import (
 from pydantic.fields import FieldInfo
 from pydantic_core import ErrorDetails, PydanticCustomError
 
+from kc2spice.core.domains import QUANTITIES
 from kc2spice.core.errors import UsageError, candidates, did_you_mean
 
 AIR_DENSITY = 1.204  # kg/m3 at 20 °C and 1013 hPa
@@ -256,6 +257,7 @@ _PREFIX = {
 _UNITS = {
     "g": (-3, 1, 0, 0, 0, 0), "m": (0, 0, 1, 0, 0, 0), "s": (0, 0, 0, 1, 0, 0),
     "A": (0, 0, 0, 0, 1, 0), "K": (0, 0, 0, 0, 0, 1), "1": (0, 0, 0, 0, 0, 0),
+    "rad": (0, 0, 0, 0, 0, 0),
     "%": (-2, 0, 0, 0, 0, 0), "Hz": (0, 0, 0, -1, 0, 0), "N": (0, 1, 1, -2, 0, 0),
     "Pa": (0, 1, -1, -2, 0, 0), "J": (0, 1, 2, -2, 0, 0), "W": (0, 1, 2, -3, 0, 0),
     "C": (0, 0, 0, 1, 1, 0), "V": (0, 1, 2, -3, -1, 0), "Ohm": (0, 1, 2, -3, -2, 0),
@@ -386,7 +388,8 @@ class ScalePlace(float):
     unit: str = ""
 
 
-SCALE_UNITS = ("Hz", "s", "V", "A", "N", "m", "m/s2")  # units of the range of an analysis
+# Units of the range of an analysis: those of a scale, and of what a source prescribes.
+SCALE_UNITS = ("Hz", "s", *dict.fromkeys(d.quantity(side).unit for d, side in QUANTITIES.values()))
 
 
 def _place(value: object) -> ScalePlace:

@@ -1,4 +1,4 @@
-"""Independent sources: voltage, current, force, displacement, acceleration."""
+"""Independent sources of every quantity in the table of domains."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from pydantic import Field, ValidationInfo, model_validator
 
 from kc2spice.core import laws
 from kc2spice.core import waveforms as waves_
+from kc2spice.core.domains import QUANTITIES, Domain, Quantity, Side
 from kc2spice.core.errors import UsageError
 from kc2spice.core.foreign import beside, read_bounded
 from kc2spice.core.quantities import Section, quantity, refused
@@ -27,30 +28,38 @@ from kc2spice.scene.rows import Numerics, Rest, Swept, Vector
 
 
 class Kind(NamedTuple):
-    """``unit`` in SI, unit and flow of the pins, netlist units per SI unit, letter of the card, and
-    the names of what is ``across`` its pins and ``through`` them, with SI units of both."""
+    """The quantity that a source prescribes, its domain, and on which side of the pins it is."""
 
-    unit: str
-    pins: tuple[str, str]
-    scale: float
-    letter: str
-    across: tuple[str, str]
-    through: tuple[str, str]
+    domain: Domain
+    side: Side
+
+    @property
+    def quantity(self) -> Quantity:
+        """What the source prescribes."""
+        return self.domain.quantity(self.side)
+
+    @property
+    def unit(self) -> str:
+        """SI unit of the values."""
+        return self.quantity.unit
+
+    @property
+    def scale(self) -> float:
+        """Volts or amperes for one SI unit."""
+        return self.quantity.per_unit
+
+    @property
+    def letter(self) -> str:
+        """Letter of the card."""
+        return "V" if self.side == "across" else "I"
 
     @property
     def sets(self) -> str:
         """Name of the result that it sets."""
-        return self.across[0] if self.letter == "V" else self.through[0]
+        return self.quantity.symbol
 
 
-_VOLT, _AMPERE, _NEWTON, _METRE = ("v", "V"), ("i", "A"), ("force", "N"), ("x", "m")
-KINDS = {
-    "voltage": Kind("V", ("V", "A"), 1.0, "V", _VOLT, _AMPERE),
-    "current": Kind("A", ("V", "A"), 1.0, "I", _VOLT, _AMPERE),
-    "force": Kind("N", ("um", "N"), 1.0, "I", _METRE, _NEWTON),
-    "displacement": Kind("m", ("um", "N"), 1e6, "V", _METRE, _NEWTON),
-    "acceleration": Kind("m/s2", ("m/s2", "N"), 1.0, "V", ("a", "m/s2"), _NEWTON),
-}
+KINDS = {name: Kind(*place) for name, place in QUANTITIES.items()}
 SMOOTHED = ("voltage", "force")  # by inductance and mass; all others are what moves and flows
 SHAPES = ("dc", "pulse", "sine", "pwl", "file")
 MAX_ROWS = 100_000  # rows of a file
@@ -64,7 +73,7 @@ DEVIATION = 1e-3  # largest deviation of an ideal source from its definition, ov
 class SourceKeys(Section):
     """One of ``dc``, ``pulse``, ``sine``, ``pwl`` and ``file``; numbers in the kind's SI unit."""
 
-    kind: Literal["voltage", "current", "force", "displacement", "acceleration"] = Field(
+    kind: Literal[tuple(KINDS)] = Field(  # type: ignore[valid-type]
         "voltage", description="Quantity that the source prescribes"
     )
     dc: float | str | None = Field(None, description="Constant value, in the unit of the source")
@@ -152,7 +161,7 @@ class Source(PartType):
     source = "ideal source"
 
     def pins(self, part: Part, scene: Scene) -> tuple[Terminal, ...]:
-        pins = KINDS[part.keys.kind].pins
+        pins = KINDS[part.keys.kind].domain.units
         return (Terminal("out", *pins, required=True), Terminal("ret", *pins, "gnd"))
 
     def numerics(self, part: Part, scene: Scene) -> Iterator[Numerics]:
@@ -194,17 +203,18 @@ class Source(PartType):
 
     def vectors(self, part: Part, build: Build) -> Mapping[str, Vector]:
         n, kind, result = part.name, KINDS[part.keys.kind], {}
-        word, si = kind.through
+        flow = kind.domain.quantity("through")
+        name, factor, unit = f"{n}.{flow.symbol}", flow.factor, flow.unit
         if kind.letter == "V":
-            result[f"{n}.{word}"] = Vector(f"i(v{n.lower()})", -1.0, si, ("out",), ("ret",))
+            result[name] = Vector(f"i(v{n.lower()})", -factor, unit, ("out",), ("ret",))
         elif build.scene.analysis.type == "transient":
-            pushed = (("out",), ("ret",)) if si == "N" else ()
-            result[f"{n}.{word}"] = Vector(f"@i{n.lower()}[current]", 1.0, si, *pushed)
+            pushed = (("out",), ("ret",)) if kind.domain.position else ()
+            result[name] = Vector(f"@i{n.lower()}[current]", factor, unit, *pushed)
         out, ret = build.net(part, "out"), build.net(part, "ret")
         if out != ret and (kind.letter == "V" or ret == "0"):
-            word, si = kind.across
+            across = kind.domain.across
             ends = "".join(f"{s}v({net})" for s, net in (("", out), ("-", ret)) if net != "0")
-            result[f"{n}.{word}"] = Vector(ends, 1e-6 if si == "m" else 1.0, si)
+            result[f"{n}.{across.symbol}"] = Vector(ends, across.factor, across.unit)
         return result
 
     def checks(self, part: Part, build: Build, waves: Waveforms) -> Iterator[Check]:
@@ -225,13 +235,14 @@ class Source(PartType):
         unloaded = keys.kind == "voltage" and _unloaded(part, build)
         ac = quantity(keys.ac, keys.unit)
         law = laws.Source(n, "signal" if unloaded else keys.kind, wave, complex(ac))
-        signal = unloaded or keys.kind == "acceleration"
+        signal = law.signal
         pins = (("out", f"{n}.out"),) if signal else (("out", f"{n}.out"), ("ret", f"{n}.ret"))
-        across = f"{n}.{KINDS[keys.kind].across[0]}"
+        domain = KINDS[keys.kind].domain
+        across, through = (f"{n}.{item.symbol}" for item, _ in domain.quantities)
         results = {across: laws.reading(f"{n}.out")}
         if not signal:
             results = {across: laws.difference(f"{n}.out", f"{n}.ret")}
-            results[f"{n}.i"] = results[f"{n}.force"] = laws.reading(f"{n}.out.through", -1.0)
+            results[through] = laws.reading(f"{n}.out.through", -1.0)
         return laws.Equations((law,), pins, results, {"dc": (n, 1.0)})
 
     def notes(self, part: Part, scene: Scene) -> Iterator[str]:
