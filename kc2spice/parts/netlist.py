@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from pydantic import Field
 
+from kc2spice.core.domains import PIN_UNITS, SIGNAL
 from kc2spice.core.errors import UsageError, candidates, did_you_mean
 from kc2spice.core.quantities import Section, Slew, Voltage
 from kc2spice.core.waveforms import Waveforms
@@ -31,7 +32,9 @@ from kc2spice.scene.settings import FileName
 # Letter of an element and its parameter that is its current; "" for those that have a branch.
 _CURRENTS = {"r": "i", "c": "i", "l": "i", "b": "i", "d": "id", "m": "id", "j": "id", "q": "ic",
              "v": "", "e": "", "h": ""}  # fmt: skip
-KINDS = {"V/A": ("V", "A"), "um/N": ("um", "N"), "m/s/N": ("m/s", "N"), "V": ("V", "-")}
+# Kinds of pins: units of 1 V and 1 A, which a signal has not.
+KINDS = {f"{unit}/{flow}": (unit, flow) for unit, flow in PIN_UNITS} | {"V": ("V", SIGNAL)}
+OTHERS = ", ".join(kind for kind in KINDS if kind not in ("V/A", "V"))
 
 
 RATED = "the circuit does not keep what ratings says of it: a diode drop or a glitch beyond?"
@@ -57,7 +60,7 @@ class NetlistKeys(Section):
     units: dict[str, str] = Field(
         default_factory=dict,
         description=(
-            "Units of pins that are not electrical: um/N, m/s/N, or V for a signal; by default V/A"
+            f"Units of pins that are not electrical: {OTHERS}, or V for a signal; by default V/A"
         ),
     )
     ratings: dict[str, Rating] = Field(

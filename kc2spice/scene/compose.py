@@ -14,6 +14,7 @@ from itertools import combinations
 from string import ascii_lowercase
 from typing import Any
 
+from kc2spice.core.domains import ELECTRICAL, TRANSLATION
 from kc2spice.core.errors import UsageError, candidates, did_you_mean, unknown
 from kc2spice.scene.frames import frames
 from kc2spice.scene.model import GROUND, METER, Build, Names, Part, PartType, Scene, Terminal
@@ -174,7 +175,7 @@ def electrical(part: Part, scene: Scene) -> tuple[str, ...]:
     return tuple(
         pin
         for (name, pin), end in scene.terminals.items()
-        if name == part.name and (end.unit, end.flow) == ("V", "A") and scene.net(name, pin) != "0"
+        if name == part.name and end.domain is ELECTRICAL and scene.net(name, pin) != "0"
     )
 
 
@@ -224,7 +225,7 @@ def _not_joined(name: str, terminal: Terminal, alone: Collection[Pin], scene: Sc
     else:
         hint = f'add  pins = {{ {pin} = "{GROUND}" }}  to [{name}]'
     ground = [] if terminal.moving else [GROUND]
-    kind = "an electrical pin" if terminal.kind == "V/A" else f"a pin of {terminal.kind}"
+    kind = "an electrical pin" if terminal.domain is ELECTRICAL else f"a pin of {terminal.kind}"
     what = "a pin of displacement" if terminal.moving else kind
     return UsageError(
         f"pin {pin} of {name} is not joined",
@@ -477,5 +478,6 @@ def _groups(
 def _free(group: frozenset[str], scene: Scene) -> Free:
     ends = (key for key, pin in scene.terminals.items() if pin.moving and scene.nets[key] in group)
     parts = tuple(dict.fromkeys(name for name, _ in ends))
-    nets = tuple(net for net, unit in _moving(scene).items() if net in group and unit == "um")
+    placed = [net for net, unit in _moving(scene).items() if unit == TRANSLATION.across.pin_unit]
+    nets = tuple(net for net in placed if net in group)
     return Free(nets, parts, tuple(name for name in parts if scene.parts[name].reduced))

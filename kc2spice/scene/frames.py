@@ -12,9 +12,12 @@ from __future__ import annotations
 import warnings
 from collections.abc import Iterator, Mapping
 
+from kc2spice.core.domains import ACCELERATION, TRANSLATION, VELOCITY
 from kc2spice.core.errors import UsageError
 from kc2spice.scene.model import Part, Scene
 from kc2spice.scene.rows import SQUARE, Shake, ShakenFrame
+
+MOTIONS = (TRANSLATION.across.pin_unit, VELOCITY.pin_unit)  # units of pins that move or sense it
 
 
 def frames(scene: Scene) -> dict[str, ShakenFrame]:
@@ -54,7 +57,7 @@ def _ports(part: Part, scene: Scene) -> dict[str, ShakenFrame]:
     shaken = [
         pin
         for pin, end in ends.items()
-        if end.unit == "m/s2" and end.flow == "N" and scene.nets[part.name, pin] != "0"
+        if end.domain is ACCELERATION and scene.nets[part.name, pin] != "0"
     ]
     if not shaken:
         return {}
@@ -78,7 +81,7 @@ def _moving(part: Part, scene: Scene, *, listening: bool = False) -> list[str]:
     too that only see them."""
     result = []
     for (name, pin), end in scene.terminals.items():
-        mechanical = end.moving or (listening and end.unit in ("um", "m/s") and not end.signal_out)
+        mechanical = end.moving or (listening and end.unit in MOTIONS and not end.signal_out)
         if name == part.name and mechanical and scene.nets[name, pin] != "0":
             result.append(pin)
     return result
@@ -174,7 +177,7 @@ def frame_lines(scene: Scene) -> Iterator[str]:
     nets: dict[str, list[str]] = {}
     for (part, pin), net in scene.nets.items():
         end = scene.terminals[part, pin]
-        if net != "0" and (end.moving or (net in nets and end.unit in ("um", "m/s"))):
+        if net != "0" and (end.moving or (net in nets and end.unit in MOTIONS)):
             nets.setdefault(net, []).append(f"{part}.{pin}")
     relative = {net: frame for net in nets if (frame := scene.shaken.get(net)) is not None}
     if nets and not relative:

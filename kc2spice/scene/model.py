@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 import numpy as np
 
+from kc2spice.core.domains import Domain, across_of, domain_of
 from kc2spice.core.errors import UsageError, unknown
 from kc2spice.core.mesh_error import mesh_words
 from kc2spice.core.quantities import Section
@@ -81,7 +82,12 @@ class Terminal:
     @property
     def moving(self) -> bool:
         """Whether something moves along it under a force."""
-        return self.flow == "N" and self.unit in ("um", "m/s")
+        return self.domain is not None and bool(self.domain.frame)
+
+    @property
+    def domain(self) -> Domain | None:
+        """Physical domain of the pin, None for a signal."""
+        return domain_of(self.unit, self.flow)
 
 
 @dataclass(frozen=True)
@@ -326,7 +332,8 @@ class Build:
     def across(self, part: Part, pin: str) -> Vector:
         """Displacement, voltage or signal of a pin in SI."""
         unit = next(item.unit for item in part.type.pins(part, self.scene) if item.name == pin)
-        factor, si = (1e-6, "m") if unit == "um" else (1.0, unit)
+        quantity = across_of(unit)
+        factor, si = (quantity.factor, quantity.unit) if quantity else (1.0, unit)
         return Vector(f"v({self.net(part, pin)})", factor, si)
 
     def meter(self, part: Part, pin: str) -> str | None:

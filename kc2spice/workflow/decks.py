@@ -12,6 +12,7 @@ from itertools import chain
 from pathlib import Path
 from typing import Any
 
+from kc2spice.core.domains import ELECTRICAL, SIGNAL
 from kc2spice.core.errors import UsageError
 from kc2spice.core.files import earlier
 from kc2spice.core.progress import Clock
@@ -27,6 +28,7 @@ from kc2spice.netlist.read import Statement, statements, tree_of
 from kc2spice.netlist.scope import INCLUDES, Scope, circuit, has_vector
 from kc2spice.netlist.transforms import quiet
 from kc2spice.scene.compose import Free, free, unsettled
+from kc2spice.scene.frames import MOTIONS
 from kc2spice.scene.model import Build, Names, Part, Scene, scene_hash
 from kc2spice.scene.parttype import begins, mover, numerics, replaced
 from kc2spice.scene.plan import MAX_STEP, plan
@@ -108,8 +110,8 @@ def make_deck(build: Build) -> Deck:
 def _controls(part: Part, scene: Scene) -> bool:
     """Whether it measures a motion and sets a voltage or current, which may close a loop."""
     pins = [pin for (name, _), pin in scene.terminals.items() if name == part.name]
-    sees = any(p.flow == "-" and p.unit in ("um", "m/s") and not p.signal_out for p in pins)
-    acts = any(p.flow == "A" and p.default is None for p in pins)
+    sees = any(p.flow == SIGNAL and p.unit in MOTIONS and not p.signal_out for p in pins)
+    acts = any(p.domain is ELECTRICAL and p.default is None for p in pins)
     return sees and acts and not any(p.moving for p in pins)
 
 
