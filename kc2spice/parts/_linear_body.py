@@ -18,6 +18,7 @@ from pydantic import Field, StringConstraints
 
 from kc2spice.core import laws
 from kc2spice.core.cache import cached
+from kc2spice.core.domains import ELECTRICAL, PORTS, TRANSLATION
 from kc2spice.core.errors import SimulationError, UsageError, unknown, wrong
 from kc2spice.core.figure import Figure, Written
 from kc2spice.core.foreign import identifier
@@ -43,14 +44,11 @@ from kc2spice.scene.plausible import dimensions
 from kc2spice.scene.rows import Neglected, Rest, Vector
 from kc2spice.scene.settings import Rom
 from kc2spice.spice.header import Header
-from kc2spice.spice.realize import COARSE, RINGING, UNRATED, StepWeights, reference, subcircuit
+from kc2spice.spice.realize import COARSE, RINGING, UNRATED, StepWeights, reference_pin, subcircuit
 
-# SI per netlist unit, SI unit and short word of what a port answers with
-ANSWERS = {
-    "mechanical": (1e-6, "m", "u"),
-    "rotational": (1.0, "rad", "angle"),
-    "acceleration": (1.0, "m/s2", "a"),
-}
+# Kinds of ports with one pin against the common reference, and the short words of their waves.
+ANSWERS = {kind: domain for kind, domain in PORTS.items() if domain.reference}
+WORDS = tuple(domain.word for domain in ANSWERS.values())
 RATED = "electrodes, as stated or by the field in its ceramic; the netlist itself has no limit"
 BEYOND = "the ceramic depolarises or breaks down; lower the drive, or state another limit"
 OUTSIDE = "nothing certifies what a reduced model says above its band: widen rom.band"
@@ -171,17 +169,13 @@ class LinearBody(Touching):
         _require_ports(part, sorted(names - known), [port.name for port in every])
         if scene.ports == "declared" and part.declares(scene):
             return every
-        used = [
-            p
-            for p in every
-            if p.kind in ("electrical", "input", "output") or names & {p.name, *p.terminals}
-        ]
+        used = [p for p in every if p.kind not in ANSWERS or names & {p.name, *p.terminals}]
         return tuple(used) or every[:1]
 
     def pins(self, part: Part, scene: Scene) -> tuple[Terminal, ...]:
         """In the order of the subcircuit."""
         ports, rated = self.kept(part, scene), self.rated(part)
-        electrical = [p for p in ports if p.kind == "electrical"]
+        electrical = [p for p in ports if p.paired]
         moved = [p for p in ports if p.kind in ANSWERS]
         result: list[Terminal] = []
         shared: set[str] = set()
@@ -194,11 +188,11 @@ class LinearBody(Touching):
             shared.add(minus)
         result += [Terminal(port.terminals[0], port.across, port.flow) for port in moved]
         for port in ports:
-            if port.kind in ("input", "output"):
+            if not port.conservative:
                 out = port.kind == "output"
                 result.append(Terminal(port.terminals[0], port.across, "-", signal_out=out))
-        ends = (reference(ports), "um", "N") if electrical or moved else ("ref", "V", "A")
-        return (*result, Terminal(*ends, "gnd"))
+        last = reference_pin(ports)
+        return (*result, Terminal(last.name, last.unit, last.flow, "gnd"))
 
     def at_rest(self, part: Part, scene: Scene, model: Any | None = None) -> Rest:
         result = super().at_rest(part, scene).held
@@ -211,7 +205,7 @@ class LinearBody(Touching):
         return Rest(fixed + tuple((first, other) for other in others), inert=inert)
 
     def inertial(self, part: Part, scene: Scene) -> tuple[str, ...]:
-        ports = (port for port in self.kept(part, scene) if port.kind == "mechanical")
+        ports = (port for port in self.kept(part, scene) if port.domain is TRANSLATION)
         return tuple(port.terminals[0] for port in ports)
 
     def problems(self, part: Part, scene: Scene) -> Iterator[UsageError]:
@@ -219,7 +213,7 @@ class LinearBody(Touching):
         yield from corners(part, scene)
 
     def surface(self, part: Part, scene: Scene, ports: tuple[str, ...] = ()) -> Surface | None:
-        mechanical = [p.name for p in self.ports(part, scene) if p.kind == "mechanical"]
+        mechanical = [p.name for p in self.ports(part, scene) if p.domain is TRANSLATION]
         names = ports or tuple(mechanical[:1])
         _require_ports(part, [n for n in names if n not in mechanical], mechanical, "mechanical ")
         if not names:
@@ -410,7 +404,7 @@ class LinearBody(Touching):
         name = build.libraries[part.name]
         volts = self.rated(part, build)
         rating = f"{volts:.4g} V between {RATED}" if volts else UNRATED
-        if not volts and any(port.kind == "electrical" for port in build.model(part).ports):
+        if not volts and any(port.paired for port in build.model(part).ports):
             rating += "; key rated_voltage states the largest voltage, a run then warns beyond it"
         words: dict[str, Any] = {"title": self.headline(part), "rating": rating}
         words["weights"] = self.weights(part, build.scene)
@@ -428,14 +422,15 @@ class LinearBody(Touching):
         ports = self.kept(part, build.scene)
         for port in ports:
             name, node = wave_name(part.name, ports, port), build.net(part, port.terminals[0])
-            if port.kind == "electrical":
+            if port.paired:
                 nets = zip(("", "-"), (build.net(part, pin) for pin in port.terminals), strict=True)
                 if across := "".join(f"{sign}v({net})" for sign, net in nets if net != "0"):
                     result[f"{name}.voltage"] = Vector(across, 1.0, "V")
                 if (meter := current_into(part, port.terminals[0], build)) is not None:
                     result[f"{name}.current"] = meter
             elif node != "0":
-                factor, unit, _ = ANSWERS.get(port.kind, (1.0, port.across, ""))
+                known = None if port.domain is None else port.domain.across
+                factor, unit = (known.factor, known.unit) if known else (1.0, port.across)
                 result[name] = Vector(f"v({node})", factor, unit)
         return result
 
@@ -460,7 +455,7 @@ class LinearBody(Touching):
             return result
         # d ln(metric) / d ln(key), by key and metric: central differences within the ranges
         box = self.varying(part, build.scene, Clock())
-        port = next(port.name for port in box.ports if port.kind == "electrical")
+        port = next(port.name for port in box.ports if port.paired)
         result["sensitivity"] = {}
         for key in keys:
             ends = np.clip(key.value * (1 + STEP * np.array([-1, 1])), key.low, key.high)
@@ -525,14 +520,14 @@ class LinearBody(Touching):
             return
         for port in ports:
             name = wave_name(part.name, ports, port)
-            if port.kind == "electrical" and f"{name}.voltage" in waves:
+            if port.paired and f"{name}.voltage" in waves:
                 largest = float(np.abs(waves[f"{name}.voltage"]).max())
                 yield Check(f"rating of {name}", largest, volts, "V", BEYOND, "warn")
 
     def _leaked(self, part: Part, build: Build) -> Iterator[Check]:
         """Check of the charge that a floating electrode loses through the netlist's leak."""
         leaked = -math.expm1(-build.scene.stop * LEAK_RATE)
-        ports = [p.name for p in build.model(part).ports if p.kind == "electrical"]
+        ports = [p.name for p in build.model(part).ports if p.paired]
         for port in ports if leaked > KEPT else ():
             name = f"charge kept by {part.name}.{port} if it floats"
             advice = "the netlist's leak: a resistor across the electrode states the real one"
@@ -599,7 +594,7 @@ class LinearBody(Touching):
         rich = cached("enriched", asked, richer, classes=kinds, sources=self.sources())
         if rich is None or count < 2:
             return None
-        driven = [port.kind == "electrical" for port in model.ports if port.kind != "output"]
+        driven = [port.paired for port in model.ports if port.kind != "output"]
         masks = [np.array(driven), ~np.array(driven)]
         groups = [mask for mask in masks if mask.any()]
         errors = time_errors(model, rich, t[:count], load[:count], groups)
@@ -621,7 +616,7 @@ class LinearBody(Touching):
             return
         apart = np.diff(t) > STILL * t[-1]
         for port in self.kept(part, scene):
-            if port.kind != "electrical" or not apart.any():
+            if not port.paired or not apart.any():
                 continue
             name = wave_name(part.name, build.model(part).ports, port)
             voltage = waves.data.get(f"{name}.voltage")
@@ -642,8 +637,8 @@ class LinearBody(Touching):
         still = np.zeros(waves["time"].size)
         for port in kept:
             name = wave_name(part.name, kept, port)
-            if port.kind not in ("mechanical", "rotational"):
-                wave = f"{name}.voltage" if port.kind == "electrical" else name
+            if not port.loaded:
+                wave = f"{name}.voltage" if port.paired else name
                 result[port.name] = waves.data.get(wave, still)
                 continue
             joined = build.scene.joined(part.name, port.terminals[0])
@@ -663,8 +658,8 @@ class LinearBody(Touching):
         nothing presses on the body any more; else displacements [m] and charges [C] are exact.
         """
         model, t = resonators(build.model(part)), waves["time"]
-        kinds = {port.kind for port in self.kept(part, build.scene)}
-        if model is None or not kinds <= {"electrical", "mechanical"}:
+        domains = {port.domain for port in self.kept(part, build.scene)}
+        if model is None or not domains <= {ELECTRICAL, TRANSLATION}:
             return None
         loads = self.loads(part, build, waves)
         if len(loads) < len(model.ports):
@@ -677,7 +672,7 @@ class LinearBody(Touching):
         for port, load, exact in zip(model.ports, inputs.T, outputs.T, strict=True):
             took, name = running(load, exact), wave_name(part.name, model.ports, port)
             damped = damped + took
-            if port.kind == "electrical":
+            if port.paired:
                 what, result = "electrical work", took
                 current = waves.data.get(f"{name}.current")
                 if current is not None:
@@ -690,7 +685,7 @@ class LinearBody(Touching):
             gap += result - took
         entries |= {"stored": float(stored[-1]), "damped": float(damped[-1])}
         if pressed := self.weights(part, build.scene) == COARSE:
-            forces = [loads[port.name] for port in model.ports if port.kind == "mechanical"]
+            forces = [loads[port.name] for port in model.ports if port.domain is TRANSLATION]
             largest = np.abs(forces).max(axis=0, initial=0.0)
             last = np.flatnonzero(largest > UNPRESSED * largest.max(initial=0.0)).max(initial=0)
             gap = gap[: int(last) + 1]
@@ -715,10 +710,10 @@ class LinearBody(Touching):
         ports, n = model.ports, part.name
         if build.net(part, self.pins(part, build.scene)[-1].name) != "0":  # its reference
             return None
-        signals = all(port.kind in ("input", "output") for port in ports)
-        kinds = {"mechanical": "displacement", "rotational": "rotation"}
+        signals = not any(port.conservative for port in ports)
         own = tuple(
-            laws.Port(p.name, kinds.get(p.kind, p.kind), "".join(p.terminals[1:])) for p in ports
+            laws.Port(p.name, p.domain.name if p.domain else p.kind, "".join(p.terminals[1:]))
+            for p in ports
         )
         if not signals and (model.first_order or not all(port.conservative for port in ports)):
             return None
@@ -737,7 +732,7 @@ class LinearBody(Touching):
         results: dict[str, laws.Reading] = {}  # under the names of vectors
         for port in ports:
             mine, name = f"{n}.{port.name}", wave_name(n, ports, port)
-            if port.kind == "electrical":
+            if port.paired:
                 results[f"{name}.voltage"] = laws.difference(mine, f"{n}.{port.terminals[1]}")
                 results[f"{name}.current"] = laws.reading(f"{mine}.through")
             else:
@@ -896,7 +891,7 @@ def wanted(part: Part, scene: Scene) -> set[str]:
         if other.type.governs(other, scene).get(part.name) == "copied":
             result |= {port.name for port in part.type.ports(part, scene) if port.kind in ANSWERS}
     for probe in scene.probes.values():
-        if probe.of.startswith((f"{prefix}u.", f"{prefix}angle.", f"{prefix}a.")):
+        if probe.of.startswith(tuple(f"{prefix}{word}." for word in WORDS)):
             result.add(probe.of.rpartition(".")[2])
     return result
 
@@ -942,7 +937,7 @@ def inert_ports(model: LinearModel) -> tuple[str, ...]:
     return tuple(
         port.terminals[0]
         for port, own in zip(driven, yields, strict=True)
-        if port.kind == "mechanical" and own <= 0
+        if port.domain is TRANSLATION and own <= 0
     )
 
 
@@ -979,8 +974,8 @@ def wave_name(name: str, ports: Sequence[Port], port: Port) -> str:
     For an electrical port it is the prefix of voltage and current. The first electrical port has
     the name of the part.
     """
-    if port.kind == "electrical":
-        first = next(p for p in ports if p.kind == "electrical")
+    if port.paired:
+        first = next(p for p in ports if p.paired)
         return name if port == first else f"{name}.{port.name}"
-    _, _, word = ANSWERS.get(port.kind, (1.0, "", ""))
+    word = "" if port.domain is None else port.domain.word
     return ".".join(filter(None, (name, word, port.name)))

@@ -181,7 +181,7 @@ def above_band(
     own response, at ``ABOVE`` times the band's end; nothing where no port is mechanical."""
     columns = [port for port in ports if port.kind != "output"]
     rows = [port for port in ports if port.kind != "input"]
-    moved = [port for port in ports if port.kind in ("mechanical", "rotational")]
+    moved = [port for port in ports if port.moving]
     if not moved:
         return ()
     points = clear_of_poles(ABOVE * band[1], *exact.resonances)

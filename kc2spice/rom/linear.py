@@ -78,6 +78,11 @@ class Port:
         return self.domain is not None and not self.domain.reference
 
     @property
+    def loaded(self) -> bool:
+        """Whether its input flows through its pin, such as a force, and its output is across."""
+        return self.domain is not None and self.domain.driven == "through"
+
+    @property
     def moving(self) -> bool:
         """Whether the port answers a force or a torque with a position."""
         return self.domain is not None and self.domain.position

@@ -38,6 +38,7 @@ from typing import Any
 import numpy as np
 import scipy
 
+from kc2spice.core.domains import PORTS
 from kc2spice.core.equality import EqualByContent
 from kc2spice.core.errors import UsageError
 from kc2spice.rom.error_estimate import ErrorEstimator, above_band
@@ -48,7 +49,7 @@ from kc2spice.rom.response import Response
 COUPLING_LIMIT = 1e-8
 LISTED = 20  # modes in a table, the lowest
 STILL = 1e-5  # frequency of a motion without stiffness, by rounding, over the end of the band
-COUPLED_IN = {"mechanical": "m/N", "rotational": "rad/(N m)", "acceleration": "kg s2"}
+COUPLED_IN = {kind: domain.compliance for kind, domain in PORTS.items() if domain.reference}
 
 
 @dataclass(frozen=True, eq=False)
@@ -153,7 +154,7 @@ def mode_table(model: LinearModel) -> dict[str, Any] | None:
     omega, damp, share, rest = result
     end = np.inf if model.certificate is None else model.certificate.band_hz[1]
     order = np.argsort(omega)
-    electrical = np.array([port.kind == "electrical" for port in model.ports])
+    electrical = np.array([port.paired for port in model.ports])
     above = rest + share[order].sum(axis=0) - np.cumsum(share[order], axis=0)
     modes = []
     for j, higher in zip(order[:LISTED], above, strict=False):
@@ -256,7 +257,7 @@ def without_inertia(model: Resonators, tolerance: float | None = None) -> Resona
 
 def _beyond(model: Resonators, top: float) -> int:
     """Number of the highest modes whose inertia decides nothing up to ``top`` [Hz]."""
-    moved = [port.kind in ("mechanical", "rotational") for port in model.ports]
+    moved = [port.moving for port in model.ports]
     down = np.argsort(model.omega)[::-1]
     omega, ratio = model.omega[down], 2 * np.pi * top / model.omega[down]
     share = (model.gain[down][:, moved] / omega[:, None]) ** 2
@@ -270,7 +271,7 @@ def _beyond(model: Resonators, top: float) -> int:
 def _without_inertia(model: Resonators, count: int) -> Resonators:
     """``model`` without the inertia of its ``count`` highest modes."""
     for port, own in zip(model.ports, np.diag(model.D), strict=True):
-        if port.kind == "electrical" and own <= 0:
+        if port.paired and own <= 0:
             raise UsageError(
                 "an electrode without capacitance of its own on a body with a massless contact",
                 where=port.name,

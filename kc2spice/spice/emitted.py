@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from kc2spice.core.domains import ACCELERATION, TRANSLATION
 from kc2spice.core.errors import GateMissedError, SimulationError
 from kc2spice.netlist.circuit import Circuit, Pin
 from kc2spice.netlist.library import Subcircuit
@@ -22,7 +23,7 @@ from kc2spice.rom.entries import Entries, share_of
 from kc2spice.rom.linear import LinearModel, Norm, Port
 from kc2spice.rom.response import Response, clear_of_poles, samples
 
-MICRO = 1e-6  # 1 V on a displacement pin is 1 um, 1 V on a charge node 1 uC
+MICRO = TRANSLATION.across.factor  # m on 1 V of a displacement pin; a charge node has as many C
 LOWEST = 1e-6  # lowest frequency of a band that begins at zero, relative to its end
 GRID = 40  # points of each of two grids, linear and logarithmic
 DECADE = 3  # points of each decade below these grids
@@ -93,7 +94,7 @@ class EmittedResponse:
         held = {
             f"held_{node}": node
             for node, port in first.items()
-            if port.kind not in ("mechanical", "rotational", "output")
+            if not port.loaded and port.kind != "output"
         }
         self.equations = circuit.equations(values, grounded, held)
         self.loads = [_load(port) for port in model.ports if port.kind != "output"]
@@ -111,11 +112,11 @@ class EmittedResponse:
         s = 2j * np.pi * frequency
         H = self.equations.solve(s, self.loads, [_answer(port) for port in self.rows])
         for row, port in enumerate(self.rows):
-            if port.kind == "mechanical":
-                H[:, row] *= MICRO
-            elif port.kind == "electrical":
+            if port.domain is not None and port.loaded:
+                H[:, row] *= port.domain.across.factor
+            elif port.paired:
                 H[:, row] /= -s[:, None]
-            elif port.kind == "acceleration":
+            elif shakes(port):
                 H[:, row] *= -1.0
         return H
 
@@ -125,24 +126,29 @@ class EmittedResponse:
         result = H.copy()
         s = 2j * np.pi * frequency[:, None]
         for row, (port, mass) in enumerate(zip(self.rows, self.masses, strict=True)):
-            if port.kind == "acceleration":
+            if shakes(port):
                 own = np.array(self.model.inputs) == port.name
                 result[:, row] = mass * own - s**2 * H[:, row]
         return result
 
 
+def shakes(port: Port) -> bool:
+    """Whether the port accelerates the frame of the body."""
+    return port.domain is ACCELERATION
+
+
 def _load(port: Port) -> dict[str, float]:
     node = port.terminals[0].lower()
-    return {node if port.kind in ("mechanical", "rotational") else f"i(held_{node})": 1.0}
+    return {node if port.loaded else f"i(held_{node})": 1.0}
 
 
 def _answer(port: Port) -> str:
     node = port.terminals[0].lower()
-    return f"i(held_{node})" if port.kind in ("electrical", "acceleration") else node
+    return f"i(held_{node})" if port.conservative and not port.loaded else node
 
 
 def _mass(model: LinearModel, port: Port) -> float:
-    return reaction_mass(model, port) if port.kind == "acceleration" else 0.0
+    return reaction_mass(model, port) if shakes(port) else 0.0
 
 
 def reaction_mass(model: LinearModel, port: Port) -> float:
@@ -173,7 +179,7 @@ class _Relative:
             H = self.exact.transfer(s)
         seen = self.emitted.seen(H, frequency)
         if self.entries is None:
-            framed = [port.kind == "acceleration" for port in self.emitted.rows]
+            framed = [shakes(port) for port in self.emitted.rows]
             peak = self.exact.peaks(frequency, H)
             peak[framed] = np.abs(seen[:, framed]).max(axis=0)
             self.entries = Entries.of(seen, peak, self.exact.zero)

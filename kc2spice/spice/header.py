@@ -11,6 +11,7 @@ from itertools import chain
 from typing import Any
 
 from kc2spice.core import __version__
+from kc2spice.core.domains import TRANSLATION
 from kc2spice.core.mesh_error import NOT_ESTIMATED, mesh_words
 from kc2spice.netlist.cards import comment, name, number, render, word
 from kc2spice.netlist.circuit import Circuit, Param, Pin
@@ -114,7 +115,7 @@ def part_header(
     ``unit`` is what 1 V on the pin means, ``flow`` what 1 A into it means (``-``: a signal).
     ``sign`` is for parts with mechanical pins.
     """
-    sign = sign if any(p.flow == "N" for p in pins) else FLOW
+    sign = sign if any(p.flow == TRANSLATION.flow for p in pins) else FLOW
     lines = [f"* {comment(title)}", use_line(title.partition(":")[0], pins)]
     lines += [*header.origin(), *rom]
     facts = {"mesh": mesh, "sign": sign, "validity": validity, "rating": rating}

@@ -212,7 +212,7 @@ def _cards(
         C p_i' = -C / w_i sum_j (s_i / s_j) (k_ij q_j + e_ij w_j p_j) + (C s_i / w_i) sum_k g_ik u_k
     """
     scale, farad = scales(gain, terminals), weights.farad(omega, omega.min())
-    order = [t for t in terminals if t.kind == "electrical"]
+    order = [t for t in terminals if t.port.paired]
 
     def seen(i: int, k: int, label: str) -> list[Transconductance]:
         """Output of state i at port k."""
@@ -221,7 +221,7 @@ def _cards(
         return [Transconductance(label, f"q{i}", base, f"{share}*g{i}_{k + 1}")] if there else []
 
     def wired(k: int, t: PortTerminal) -> PortTerminal:
-        if t.kind != "electrical":
+        if not t.port.paired:
             sums = (seen(i, k, f"{i}") for i in range(1, model.order + 1))
             return replace(t, sums=tuple(chain.from_iterable(sums)))
         n, micro = order.index(t), number(1 / MICRO)

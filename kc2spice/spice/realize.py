@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 
+from kc2spice.core.domains import ACCELERATION, BASE, ELECTRICAL, PORTS, TRANSLATION
 from kc2spice.core.errors import SimulationError, UsageError
 from kc2spice.netlist.cards import LEAK_RATE, comment, distinct, number
 from kc2spice.netlist.cards import name as checked_name
@@ -45,8 +46,11 @@ FREE = 1e-11
 CROSS = 1e-13
 JUMP = 1e-9  # least C B, over its summands, of a rate that jumps with an input
 INNER = r"tick|(inner|current|charge)\w*|sum\d+|[qpz]\d+|noise\d+"  # nodes of our own
-MOVING = ("mechanical", "rotational")
-_DRIVES = {"mechanical": "f", "rotational": "f", "electrical": "v", "acceleration": "s"}
+LOADED = tuple(kind for kind, domain in PORTS.items() if domain.driven == "through")
+FRAMES = tuple(kind for kind, domain in PORTS.items() if domain is ACCELERATION)
+PAIRS = tuple(kind for kind, domain in PORTS.items() if not domain.reference)
+# Letter of the cards by which a port drives states: forces, voltages, accelerations.
+_DRIVES = {kind: "f" if kind in LOADED else "s" if kind in FRAMES else "v" for kind in PORTS}
 
 
 @dataclass(frozen=True)
@@ -183,13 +187,15 @@ class PortTerminal:
     @property
     def unit(self) -> float:
         """SI value of 1 V on the node that sums its output."""
-        return MICRO if self.kind in ("mechanical", "electrical") else 1.0
+        if self.port.domain is None:
+            return 1.0
+        return self.port.domain.across.factor if self.kind in LOADED else MICRO
 
     def control(self, base: str) -> tuple[str, str]:
         """The nodes between which the port's input in SI is a voltage."""
-        if self.kind == "electrical":
+        if self.port.paired:
             return self.pins[0], self.pins[1]
-        return (f"f{self.pins[0]}" if self.kind in MOVING else self.pins[0]), base
+        return (f"f{self.pins[0]}" if self.kind in LOADED else self.pins[0]), base
 
     def driven(self, label: str, row: np.ndarray | Sequence[Value], base: str) -> Transconductance:
         """The card of its input, whose weight stands in a ``row`` of inputs."""
@@ -419,7 +425,7 @@ def _modal(rom: LinearModel) -> Resonators | None:
     if result is None or not all(port.conservative for port in rom.ports):
         return None
     rates = [
-        port.kind == "acceleration" or (port.kind == "electrical" and own <= 0)
+        port.kind in FRAMES or (port.paired and own <= 0)
         for port, own in zip(rom.ports, np.diag(rom.D), strict=True)
     ]
     relaxing = np.abs(result.gain[result.inertia == 0.0][:, rates])
@@ -430,11 +436,11 @@ def _modal(rom: LinearModel) -> Resonators | None:
 
 
 def model_terminals(rom: LinearModel, D: np.ndarray, where: str) -> list[PortTerminal]:
-    several = sum(port.kind == "electrical" for port in rom.ports) > 1
+    several = sum(port.paired for port in rom.ports) > 1
     result, column, row = [], 0, 0
     for port in rom.ports:
         pins = tuple(checked_name(pin) for pin in port.terminals)
-        electrical = port.kind == "electrical"
+        electrical = port.paired
         if len(pins) != (2 if electrical else 1):
             raise UsageError(
                 "wrong number of pins",
@@ -489,22 +495,27 @@ def subcircuit_pins(terminals: Sequence[PortTerminal], name: str) -> tuple[tuple
         ]
 
     # electrical ports against one cathode share its pin
-    electrical, signals = list(dict.fromkeys(of("electrical"))), of("input", "output")
-    moving = of(*MOVING, "acceleration")
-    base, unit = reference([t.port for t in terminals]), ("um", "N")
-    if not electrical and not moving:
-        base, unit = "ref", ("V", "A")
-    pins = (*electrical, *moving, *signals, Pin(base, *unit))
-    moved = (t.pins[0].lower() for t in terminals if t.kind in MOVING)
+    electrical, signals = list(dict.fromkeys(of(*PAIRS))), of("input", "output")
+    moving = of(*LOADED, *FRAMES)
+    common = reference_pin([t.port for t in terminals])
+    pins = (*electrical, *moving, *signals, common)
+    moved = (t.pins[0].lower() for t in terminals if t.kind in LOADED)
     inner = "|".join([INNER, *(f"[uf]{pin}" for pin in moved)])
     distinct([pin.name for pin in pins], inner, where=checked_name(name))
-    return pins, base
+    return pins, common.name
 
 
 def reference(ports: Sequence[Port]) -> str:
     """Name of the pin that displacements count from: ``base``, or ``ground`` if a port is that."""
     taken = {pin for port in ports for pin in port.terminals}
-    return "ground" if "base" in taken else "base"
+    return "ground" if BASE in taken else BASE
+
+
+def reference_pin(ports: Sequence[Port]) -> Pin:
+    """The last pin: what displacements and signals count from, and signals alone."""
+    if any(port.conservative for port in ports):
+        return Pin(reference(ports), *TRANSLATION.units)
+    return Pin("ref", *ELECTRICAL.units)
 
 
 def _wired(
@@ -535,7 +546,7 @@ def _wired(
             return t
         row, direct = states.C[t.row], D[t.row] / t.unit
         rate = t.unit * row @ states.A
-        if t.kind == "acceleration":
+        if t.kind in FRAMES:
             jump = np.abs(row @ states.B) > JUMP * (np.abs(row) @ np.abs(states.B))
             at_once = np.abs(D[t.row] - rom.D[t.row]) > CROSS * np.abs(D).max()
             if jump.any() or at_once.any():
@@ -551,7 +562,7 @@ def _wired(
             mass = rom.facts.get("mass_kg")
             force[t.column] = 0.0 if mass is None else mass + force[t.column]
             return replace(t, sums=states.cards(-(rate @ states.A), base), through=through(force))
-        if t.kind == "electrical":  # the clamped capacitance is a capacitor
+        if t.port.paired:  # the clamped capacitance is a capacitor
             direct = np.where(np.abs(direct) > CROSS * np.abs(direct).max(), direct, 0.0)
             direct[t.column] = 0.0
             if direct.any() and not t.clamped:
@@ -571,18 +582,18 @@ def _wired(
 
 def conservative(terminals: Sequence[PortTerminal], base: str, share: float) -> list[Line]:
     """Cards of the ports: electrical ones, motions, accelerations of the frame."""
-    order = (("electrical",), MOVING, ("acceleration",))
+    order = (PAIRS, LOADED, FRAMES)
     ports = [t for kinds in order for t in terminals if t.kind in kinds]
     return [line for t in ports for line in _port(t, base, share)]
 
 
 def _port(t: PortTerminal, base: str, share: float) -> Iterator[Line]:
     pin, tag = t.pins[0], t.tag
-    if t.kind == "acceleration":
+    if t.kind in FRAMES:
         yield _SHAKEN.format(pin=pin)
         yield from (card.onto(pin, base, f"Ga{pin}_") for card in t.sums + t.through)
-    elif t.kind in MOVING:
-        yield (_ROTATION if t.kind == "rotational" else _MOTION).format(pin=pin)
+    elif t.kind in LOADED:
+        yield (_MOTION if t.port.domain is TRANSLATION else _ROTATION).format(pin=pin)
         yield Element.of(f"Ru{pin}", f"u{pin}", base, "1")
         yield Element.of(f"Gf{pin}", base, f"f{pin}", pin, f"u{pin}", "1")
         yield Element.of(f"Gp{pin}", pin, base, f"f{pin}", base, "1")
@@ -703,7 +714,7 @@ def _relaxation(j: int, omega: float, damp: float, _: float, base: str) -> Itera
 
 def scales(gain: np.ndarray, terminals: Sequence[PortTerminal]) -> np.ndarray:
     """Largest share (q,) of each mode in a displacement, or in any port."""
-    mechanical = [t.kind == "mechanical" for t in terminals]
+    mechanical = [t.port.domain is TRANSLATION for t in terminals]
     scale = np.abs(gain[:, mechanical]).max(axis=1, initial=0.0)
     scale = np.where(scale > 0, scale, np.abs(gain).max(axis=1))
     return np.where(scale > 0, scale, 1.0)
@@ -718,7 +729,7 @@ def input_cards(
     """Cards by which ports drive a mode: forces, voltages, accelerations."""
 
     def label(t: PortTerminal) -> str:
-        own = f"{index}{t.tag}" if t.kind == "electrical" else f"{t.pins[0]}_{index}"
+        own = f"{index}{t.tag}" if t.port.paired else f"{t.pins[0]}_{index}"
         return f"G{_DRIVES[t.kind]}{own}"
 
     ordered = sorted(terminals, key=lambda t: "fvs".index(_DRIVES[t.kind]))
@@ -883,9 +894,9 @@ def loaded(
     cards, result = [Element.of(f"X{library.name}{tag}", *joined, library.name)], {}
     for port in model.ports:
         node, size = nodes[port.terminals[0].lower()], ("AC", "1") if port == load else ()
-        if port.kind in MOVING:
+        if port.domain is not None and port.kind in LOADED:
             cards += [Element.of(f"I{node}", "0", node, "DC", "0", *size)] if size else []
-            result[port.name] = (f"v({node})", MICRO if port.kind == "mechanical" else 1.0)
+            result[port.name] = (f"v({node})", port.domain.across.factor)
         elif port.kind == "output":
             result[port.name] = (f"v({node})", 1.0)
         else:

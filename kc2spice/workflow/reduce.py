@@ -30,7 +30,7 @@ from kc2spice.rom.constraints import reduced_form
 from kc2spice.rom.error_estimate import default_norm
 from kc2spice.rom.instability import shown_unstable
 from kc2spice.rom.io import read_rom, write_rom
-from kc2spice.rom.linear import LinearModel
+from kc2spice.rom.linear import PORT_KINDS, LinearModel
 from kc2spice.rom.measured import one_port
 from kc2spice.rom.reduce import reduce as reduce_model
 from kc2spice.rom.stability import DENSE, prove_stability
@@ -45,9 +45,6 @@ TOLERANCE = 1e-4
 LARGEST_MISFIT = 0.1  # error of a measured part above which no model is written
 WARNED_MISFIT = 0.01  # error of a measured part above which the command warns
 ABOVE_NOISE = 3.0  # a larger error is accepted up to that many times the noise (rms)
-# Behind the name of a port, what it answers with.
-_ANSWERS = {"electrical": ".current", "mechanical": ".moved", "rotational": ".moved",
-            "acceleration": ".force", "output": ""}  # fmt: skip
 
 
 def reduce(
@@ -153,7 +150,7 @@ def _require_names(model: LinearModel, name: str) -> None:
     ------
     UsageError : a port has the name of a node inside of the subcircuit, or of another pin.
     """
-    own = {port.name for port in model.ports if port.kind == "electrical"}
+    own = {port.name for port in model.ports if port.paired}
     D = [[float(out == into and out in own) for into in model.inputs] for out in model.outputs]
     one, B = np.eye(1), np.ones((1, len(model.inputs)))
     C = np.ones((len(model.outputs), 1))
@@ -394,19 +391,19 @@ def first_deck(model: LinearModel, part: Subcircuit) -> Deck:
     """The response of ``model`` to 1 V, 1 N or one unit at its first port, over its band, with the
     other ports as :func:`kc2spice.spice.realize.loaded` has them."""
     drivable = [port for port in model.ports if port.kind != "output"]
-    order = ("electrical", "mechanical", "rotational", "acceleration", "input")
-    driven = min(drivable, key=lambda port: order.index(port.kind))
+    driven = min(drivable, key=lambda port: PORT_KINDS.index(port.kind))
     (instance, *sources), answers = loaded(model, part, driven)
-    kinds = {port.name: port.kind for port in model.ports}
+    words = {port.name: f".{port.domain.response}" for port in model.ports if port.domain}
     low, high = model.certificate.band_hz if model.certificate else (1.0, 1e6)
     low = max(low, high / 1e3)
-    what = {"electrical": "1 V", "mechanical": "1 N", "rotational": "1 N m"}
-    title = f"{part.name}: response to {what.get(driven.kind, 'one unit')} at {driven.name}"
+    known = None if driven.domain is None else driven.domain.quantity(driven.domain.driven)
+    what = f"1 {known.unit}" if known else "one unit"
+    title = f"{part.name}: response to {what} at {driven.name}"
     return Deck(
         name=f"{part.name}_response",
         title=title,
         parts=(part,),
-        vectors={f"{name}{_ANSWERS[kinds[name]]}": result for name, result in answers.items()},
+        vectors={f"{name}{words.get(name, '')}": result for name, result in answers.items()},
         notes=(f"* Over the band of the certificate, {low:g} to {high:g} Hz.",),
         items=(
             *titled("the model", (instance,)),

@@ -5,11 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 from math import ceil
 
+from kc2spice.core.domains import ELECTRICAL, SIGNAL, TABLE, TRANSLATION
 from kc2spice.netlist.circuit import Pin
 from kc2spice.netlist.library import Subcircuit
 from kc2spice.netlist.scope import Scope, circuit
 
-REFERENCES = frozenset({"base", "ref"})
+REFERENCES = frozenset({"ref", *(domain.reference for domain in TABLE if domain.reference)})
 _LETTER = 0.45  # width of a letter in grid units
 _CONTROLLED = frozenset("egs")  # the last two nodes of these draw nothing
 
@@ -76,17 +77,18 @@ def _sensed(scope: Scope | None) -> set[str]:
 def _sides(part: Subcircuit) -> tuple[list[tuple[int, Pin]], ...]:
     """Pins with their numbers, left, right and below."""
     plain = [pin for pin in part.pins if pin.name not in REFERENCES]
-    electric = [pin.name for pin in plain if pin.flow == "A"]
-    mechanical = [pin for pin in plain if pin.flow not in ("A", "-")]
+    electric = [pin.name for pin in plain if pin.flow == ELECTRICAL.flow]
+    mechanical = [pin for pin in plain if pin.flow not in (ELECTRICAL.flow, SIGNAL)]
     quiet = _sensed(circuit(part.circuit).find(part.name))
     left = {pin.name for pin in plain if pin.name.lower() in quiet}
     if electric and mechanical:
         left = set(electric)
     elif electric:
-        left |= {pin.name for pin in plain if pin.flow == "-"}  # a command, though it be loaded
+        left |= {pin.name for pin in plain if pin.flow == SIGNAL}  # a command, though it be loaded
         left = left or {electric[0]}
     elif mechanical:
-        left = {pin.name for pin in mechanical if pin.unit == "um"} or {p.name for p in mechanical}
+        placed = {pin.name for pin in mechanical if pin.unit == TRANSLATION.across.pin_unit}
+        left = placed or {pin.name for pin in mechanical}
     sides: tuple[list[tuple[int, Pin]], ...] = ([], [], [])
     for number, pin in enumerate(part.pins, 1):
         side = 0 if pin.name in left else 1

@@ -104,7 +104,7 @@ class ResponsePod(Reductor):
 
 def _mechanical(task: Task) -> bool:
     """Whether a port is mechanical: contacts press on it, so its static response stays exact."""
-    return any(port.kind in ("mechanical", "rotational") for port in task.fom.ports)
+    return any(port.loaded for port in task.fom.ports)
 
 
 def _static_responses(task: Task, response: Response) -> np.ndarray:

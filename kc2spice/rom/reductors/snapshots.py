@@ -49,7 +49,7 @@ class Snapshots(NamedTuple):
 
 def tail_weight(model: LinearModel, tolerance: float | None) -> float | None:
     """Return the weight of snapshots above the band; None without mechanical ports."""
-    if not any(port.kind in ("mechanical", "rotational") for port in model.ports):
+    if not any(port.moving for port in model.ports):
         return None
     return float(np.clip(TAIL_PER_ROOT * np.sqrt(tolerance or 0.0), *TAIL_WEIGHTS))
 

@@ -27,7 +27,7 @@ from kc2spice.rom.stability import prove_stability
 from kc2spice.scene.judge import Check
 from kc2spice.scene.model import Build, Part
 from kc2spice.sim.ngspice import run_deck
-from kc2spice.spice.emitted import reaction_mass
+from kc2spice.spice.emitted import reaction_mass, shakes
 from kc2spice.spice.realize import loaded
 
 FEW, MANY = 3, 40  # frequencies at which a large full model is solved: a sample, the whole
@@ -89,7 +89,7 @@ def netlist_checks(
     all ports together, capacitance and charge for each load at each electrical port by their own
     sizes, and what a passive and reciprocal body cannot do. ``gate`` is the largest error."""
     exact = rom.transfer(frequency)
-    electrical = [port.name for port in rom.ports if port.kind == "electrical"]
+    electrical = [port.name for port in rom.ports if port.paired]
     leaked = LEAKED * leakage(frequency) if electrical else 0.0
     every_row, every_column = list(range(len(rom.outputs))), list(range(len(rom.inputs)))
     rows = [(": netlist to ROM, all ports", every_row, every_column)]
@@ -186,9 +186,9 @@ def netlist_response(
     s = 2j * np.pi * frequency[:, None]
     for port in rom.ports:
         row = rom.outputs.index(port.name) if port.kind != "input" else -1
-        if port.kind == "electrical":
+        if port.paired:
             H[:, row] /= s
-        elif port.kind == "acceleration":  # its pin draws the force m a - s^2 y
+        elif shakes(port):  # its pin draws the force m a - s^2 y
             mass = reaction_mass(rom, port) * (np.array(rom.inputs) == port.name)
             H[:, row] = (mass - H[:, row]) / s**2
     return frequency, H
