@@ -19,7 +19,7 @@ Power = Literal[
     "none",
 ]
 Side = Literal["across", "through"]
-BASE, SIGNAL = "base", "-"
+BASE, AMBIENT, SIGNAL = "base", "ambient", "-"
 
 
 @dataclass(frozen=True)
@@ -172,6 +172,20 @@ ACCELERATION = Domain(
     response="force",
     reference=BASE,
 )
+THERMAL = Domain(
+    "thermal",
+    Quantity("temperature", "temperature", "K", "K"),
+    Quantity("heat_flow", "heat", "W", "W"),
+    "through",
+    "no heat capacity takes up heat; a path of thermal resistances leads to a known temperature",
+    driven="through",
+    port="thermal",
+    answer_unit="K",
+    compliance="K/W",
+    word="temperature",
+    response="temperature",
+    reference=AMBIENT,
+)
 SIGNALS = Domain(
     "signal",
     Quantity("signal", "", "", ""),
@@ -179,11 +193,13 @@ SIGNALS = Domain(
     "none",
     "constant; one output sets each net, and inputs draw no current",
 )
-TABLE = (ELECTRICAL, TRANSLATION, ROTATION, ACCELERATION, SIGNALS)
+TABLE = (ELECTRICAL, TRANSLATION, ROTATION, ACCELERATION, THERMAL, SIGNALS)
 
 DOMAINS = {domain.name: domain for domain in TABLE}
 PORTS = {domain.port: domain for domain in TABLE if domain.port}
 CONSERVATIVE = tuple(domain for domain in TABLE if domain.conservative)
+# Names of the pins that others count from; that of signals is ``ref``.
+REFERENCES = frozenset({"ref", *(domain.reference for domain in TABLE if domain.reference)})
 
 
 def _by_quantity() -> dict[str, tuple[Domain, Side]]:

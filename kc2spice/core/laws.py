@@ -25,6 +25,8 @@ from kc2spice.core.waveforms import Function
 
 MECHANICAL = tuple(domain.name for domain in CONSERVATIVE if domain.position)
 POTENTIALS = tuple(domain.name for domain in CONSERVATIVE if domain.potential)
+# Kinds whose port answers a flow with a potential: the flow is an unknown.
+HEATED = tuple(d.name for d in CONSERVATIVE if d.potential and d.driven == "through")
 GROUND = "gnd"
 
 
@@ -94,9 +96,11 @@ class Port:
 @dataclass(frozen=True, eq=False)
 class LinearBody:
     """``M x'' + E x' + K x = B in``, ``out = C x + D in`` of a small ``model`` with a dense
-    ``pencil`` of second order, whose unknowns are some of the equations'.
+    ``pencil`` of second order, or of first order without M, whose unknowns are some of the
+    equations'.
 
-    A port with ``D`` must be electrical or have an own positive compliance.
+    A port with ``D`` must be electrical or have an own positive compliance. Energy and loss of a
+    heat model are those of a circuit of the same numbers: ``x' E x / 2`` and ``x' K x``.
     """
 
     name: str
@@ -109,9 +113,14 @@ class LinearBody:
 
     @property
     def states(self) -> tuple[str, ...]:
-        """Forces at mechanical ports that have a compliance of their own besides the modes."""
+        """Forces at mechanical ports that have a compliance of their own besides the modes, and
+        flows of heat."""
         pairs = zip(self.ports, self.model.D, strict=True)
-        return tuple(port.name for port, row in pairs if port.kind in MECHANICAL and row.any())
+        return tuple(
+            port.name
+            for port, row in pairs
+            if port.kind in HEATED or (port.kind in MECHANICAL and row.any())
+        )
 
     @property
     def scales(self) -> tuple[float, ...]:
@@ -341,7 +350,7 @@ class PortBody(Device):
     @cached_property
     def _own(self) -> tuple[Port, ...]:
         """Ports whose through quantity is an unknown."""
-        return tuple(p for p in self.ports if p.kind == "electrical" or p.kind in MECHANICAL)
+        return tuple(p for p in self.ports if p.kind in (*POTENTIALS, *MECHANICAL))
 
     @property
     def pins(self) -> tuple[Pin, ...]:
@@ -372,10 +381,10 @@ class PortBody(Device):
         direct, answered = np.zeros((2 * k + drives, n + k)), np.zeros((2 * k + drives, len(rows)))
         direct[:k, n:] = np.eye(k)
         for row, port in enumerate(self._loads):
-            force = port.kind in MECHANICAL
+            force = port.kind in (*MECHANICAL, *HEATED)
             load[row, n + self._own.index(port) if force else row] = 1.0
         for at, port in enumerate(self._own):
-            if port.kind == "electrical":
+            if port.kind in POTENTIALS and port.kind not in HEATED:
                 stored[at, rows.index(port)] = direct[k + at, n + at] = 1.0
             else:
                 direct[k + at, self._loads.index(port)] = 1 / MICRO
@@ -431,7 +440,7 @@ class PortBody(Device):
     def noise(self, s: complex, e: np.ndarray, mode: Any) -> tuple[np.ndarray, np.ndarray] | None:
         """Answers have the density ``4 k T (s H + (s H)^H) / (2 |s|^2)`` (loads times rates of
         answers are power)."""
-        if any(port.kind in ("input", "output") for port in self.ports):
+        if any(port.kind in ("input", "output", *HEATED) for port in self.ports):
             return None
         _, stored, _, answered = self._maps
         Y = s * self.transfer(s)

@@ -18,7 +18,7 @@ from pydantic import Field, StringConstraints
 
 from kc2spice.core import laws
 from kc2spice.core.cache import cached
-from kc2spice.core.domains import ELECTRICAL, PORTS, TRANSLATION
+from kc2spice.core.domains import ELECTRICAL, PORTS, REFERENCES, TRANSLATION
 from kc2spice.core.errors import SimulationError, UsageError, unknown, wrong
 from kc2spice.core.figure import Figure, Written
 from kc2spice.core.foreign import identifier
@@ -44,6 +44,7 @@ from kc2spice.scene.plausible import dimensions
 from kc2spice.scene.rows import Neglected, Rest, Vector
 from kc2spice.scene.settings import Rom
 from kc2spice.spice.header import Header
+from kc2spice.spice.heat import is_heat
 from kc2spice.spice.realize import COARSE, RINGING, UNRATED, StepWeights, reference_pin, subcircuit
 
 # Kinds of ports with one pin against the common reference, and the short words of their waves.
@@ -165,7 +166,7 @@ class LinearBody(Touching):
         if len(scene.parts) == 1 or scene.ports == "all":
             return every
         names = wanted(part, scene)
-        known = {"base", "ground", "ref", *(t for p in every for t in (p.name, *p.terminals))}
+        known = {"ground", *REFERENCES, *(t for p in every for t in (p.name, *p.terminals))}
         _require_ports(part, sorted(names - known), [port.name for port in every])
         if scene.ports == "declared" and part.declares(scene):
             return every
@@ -708,14 +709,20 @@ class LinearBody(Touching):
     def law(self, part: Part, build: Build) -> laws.Equations | None:
         model: LinearModel = build.model(part)
         ports, n = model.ports, part.name
-        if build.net(part, self.pins(part, build.scene)[-1].name) != "0":  # its reference
+        heat, last = is_heat(model), self.pins(part, build.scene)[-1].name
+        if build.net(part, last) != "0" and not heat:  # its reference
             return None
         signals = not any(port.conservative for port in ports)
         own = tuple(
-            laws.Port(p.name, p.domain.name if p.domain else p.kind, "".join(p.terminals[1:]))
+            laws.Port(
+                p.name,
+                p.domain.name if p.domain else p.kind,
+                last if heat else "".join(p.terminals[1:]),
+            )
             for p in ports
         )
-        if not signals and (model.first_order or not all(port.conservative for port in ports)):
+        mixed = not all(port.conservative for port in ports)
+        if not signals and (mixed or model.first_order != heat):
             return None
         law: laws.Law
         if not model.pencil.is_dense:
@@ -729,6 +736,7 @@ class LinearBody(Touching):
             law = laws.LinearBody(n, model if modal is None else modal.linear(), own)
         joins = [(port.terminals[0], f"{n}.{port.name}") for port in ports]
         joins += [(pin, f"{n}.{pin}") for port in ports for pin in port.terminals[1:]]
+        joins += [(last, f"{n}.{last}")] * heat
         results: dict[str, laws.Reading] = {}  # under the names of vectors
         for port in ports:
             mine, name = f"{n}.{port.name}", wave_name(n, ports, port)

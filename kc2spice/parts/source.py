@@ -208,7 +208,7 @@ class Source(PartType):
         if kind.letter == "V":
             result[name] = Vector(f"i(v{n.lower()})", -factor, unit, ("out",), ("ret",))
         elif build.scene.analysis.type == "transient":
-            pushed = (("out",), ("ret",)) if kind.domain.position else ()
+            pushed = (("out",), ("ret",)) if kind.domain.driven == "through" else ()
             result[name] = Vector(f"@i{n.lower()}[current]", factor, unit, *pushed)
         out, ret = build.net(part, "out"), build.net(part, "ret")
         if out != ret and (kind.letter == "V" or ret == "0"):

@@ -192,7 +192,7 @@ class _Assembly:
             for port, row in zip(b.ports, np.abs(b.model.C), strict=True):
                 if port.kind in L.MECHANICAL:
                     reach = np.maximum(reach, row)
-                elif port.kind == "electrical":
+                elif port.kind in L.POTENTIALS:
                     charge = np.maximum(charge, row)
             if not reach.any():
                 reach = charge
@@ -417,7 +417,9 @@ def _split(basis: np.ndarray, pattern: np.ndarray) -> tuple[np.ndarray, np.ndarr
 def _body(law: L.LinearBody, into: _Assembly) -> None:
     x, nq, n = into.body[law.name], into.nq, into.size
     v = slice(nq + x.start, nq + x.stop)
-    (K, E, M), B, C, D = law.model.pencil.coefficients, law.model.B, law.model.C, law.model.D
+    (K, E, *inertia), B, C, D = law.model.pencil.coefficients, law.model.B, law.model.C, law.model.D
+    M = inertia[0] if inertia else np.zeros_like(E)
+    heat = any(port.kind in L.HEATED for port in law.ports)
     into.M[x, v] += M
     into.A[x, x] -= K
     into.A[x, v] -= E
@@ -445,16 +447,16 @@ def _body(law: L.LinearBody, into: _Assembly) -> None:
             at = into.own[f"{law.name}.{port.name}"]
             force = np.eye(1, n, at)[0]
             into.A[x, at] += B[:, k]
-            form = into.form(law, port.name)
+            form = into.gap(law, port.name, port.ret)
             into.A[:, at] -= form
             into.A[at] += form - C[k] @ motion
             for j, other in enumerate(law.ports):
-                if D[k, j] and other.kind in L.MECHANICAL:
+                if D[k, j] and other.name in law.states:
                     into.A[at, into.own[f"{law.name}.{other.name}"]] -= D[k, j]
             for j, form in shaken.items():
                 into.A[at] -= D[k, j] * form
             into.flows[f"{law.name}.{port.name}"] = (force, np.zeros(n), 0.0)
-            into.term("stored", force, 0.5 * D[k, k])
+            into.term(*(("lost", force, D[k, k]) if heat else ("stored", force, 0.5 * D[k, k])))
     moving = np.zeros((C.shape[1], n))
     moving[:, v] = np.eye(C.shape[1])
     for k, port in enumerate(law.ports):
@@ -462,6 +464,10 @@ def _body(law: L.LinearBody, into: _Assembly) -> None:
             work = np.zeros((C.shape[1] + 1,) * 2)
             work[-1, :-1] = work[:-1, -1] = -0.5 * B[:, k]
             into.term("lost", np.vstack([moving, into.form(law, port.name)]), work)
+    if heat:
+        into.term("stored", motion, 0.5 * E)
+        into.term("lost", motion, K)
+        return
     into.term("stored", motion, 0.5 * K)
     into.term("stored", moving, 0.5 * M)
     into.term("lost", moving, E)

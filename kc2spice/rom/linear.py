@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 import scipy
 
-from kc2spice.core.domains import PORTS, Domain
+from kc2spice.core.domains import PORTS, THERMAL, Domain
 from kc2spice.core.errors import UsageError, unknown
 from kc2spice.core.extras import import_optional
 from kc2spice.rom.pencil import Matrix, Pencil, Schur, dense, largest, symmetric
@@ -38,6 +38,7 @@ class Port:
     * *electrical*: voltage [V] between ``pins[0]`` and ``pins[1]``, charge [C] into ``pins[0]``;
     * *mechanical*: force [N] on the body along the port's direction, displacement [m] along it;
     * *rotational*: moment [N m], angle [rad];
+    * *thermal*: heat flow [W] into the body, temperature rise [K];
     * *acceleration*: acceleration [m/s^2] of the frame that the body is fixed to, and its
       conjugate (B = -M r, y = B' x [kg m]); coordinates are relative to the frame;
     * *input* and *output*: a signal in units of its own, in one direction. An input has no row of
@@ -225,6 +226,7 @@ class LinearModel:
                     else None,
                 )
         put(self, "ports", _ports(tuple(self.ports), m, p, self.name))
+        _require_heat(self)
 
     @property
     def order(self) -> int:
@@ -582,6 +584,20 @@ def _ports(ports: tuple[Port, ...], m: int, p: int, where: str) -> tuple[Port, .
             expected=f"{m} columns of B and {p} rows of C, each name once",
         )
     return ports
+
+
+def _require_heat(model: LinearModel) -> None:
+    """Refuse ports of heat beside others, or on a model of second order."""
+    of_heat = [port.domain is THERMAL for port in model.ports]
+    if any(of_heat) and not (all(of_heat) and model.first_order):
+        raise UsageError(
+            "thermal ports belong to models of heat alone",
+            where=model.name,
+            got=", ".join(f"{port.name} ({port.kind})" for port in model.ports)
+            + f", {'first' if model.first_order else 'second'} order",
+            expected="E x' + K x = B q with thermal ports only",
+            hint="the matrix of heat capacities is E, that of conductivities is K; M is left out",
+        )
 
 
 def _checked(matrix: Matrix, letter: str, where: str, *, sparse: bool = True) -> Matrix:

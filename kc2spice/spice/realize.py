@@ -10,7 +10,15 @@ from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 
-from kc2spice.core.domains import ACCELERATION, BASE, ELECTRICAL, PORTS, TRANSLATION
+from kc2spice.core.domains import (
+    ACCELERATION,
+    AMBIENT,
+    BASE,
+    ELECTRICAL,
+    PORTS,
+    THERMAL,
+    TRANSLATION,
+)
 from kc2spice.core.errors import SimulationError, UsageError
 from kc2spice.netlist.cards import LEAK_RATE, comment, distinct, number
 from kc2spice.netlist.cards import name as checked_name
@@ -30,6 +38,7 @@ from kc2spice.spice.header import (
     part_header,
     rom_lines,
 )
+from kc2spice.spice.heat import heat_cards, heat_modes, is_heat
 
 if TYPE_CHECKING:
     from kc2spice.rom.blocks import BlockModel
@@ -46,6 +55,7 @@ FREE = 1e-11
 CROSS = 1e-13
 JUMP = 1e-9  # least C B, over its summands, of a rate that jumps with an input
 INNER = r"tick|(inner|current|charge)\w*|sum\d+|[qpz]\d+|noise\d+"  # nodes of our own
+HEAT_NODES = r"h\d+"
 LOADED = tuple(kind for kind, domain in PORTS.items() if domain.driven == "through")
 FRAMES = tuple(kind for kind, domain in PORTS.items() if domain is ACCELERATION)
 PAIRS = tuple(kind for kind, domain in PORTS.items() if not domain.reference)
@@ -125,6 +135,7 @@ DAMPING = Param("damping", 1.0, "-", "scale of the damping of all modes")
 _INNER_FORCE = re.compile(r"noise\d+")
 UNSEEN = 1e-3  # relative to an error estimate: below its three digits
 LOST = 1e-14  # rounding error, relative to the largest loss of a model
+RATED_BY_HEAT = "not known; keep temperatures within the limits of its materials"
 UNRATED = "not known; keep field and stress within the limits of its materials"
 
 
@@ -308,6 +319,8 @@ def subcircuit(
     network = None if dense else parallel_branches(rom)
     if network is not None:
         return _network(network, rom, name, header, rating)
+    if is_heat(rom):
+        return _heat(rom, name, header, rating)
     form = _form(rom, dense)
     if noise and not isinstance(form, Resonators):
         rom = _with_forces(rom)
@@ -340,6 +353,22 @@ def _network(
     distinct([pin.name for pin in pins], INNER, where=checked_name(name))
     title = "passive network of a measured one-port"
     return enclosed(rom, name, pins, "", (), header, cards, title=title, rating=rating)
+
+
+def _heat(rom: LinearModel, name: str, header: Header, rating: str) -> Subcircuit:
+    """The subcircuit of a heat model."""
+    common = reference_pin(rom.ports)
+    pins = [Pin(port.terminals[0], port.across, port.flow) for port in rom.ports]
+    inner = "|".join([INNER, HEAT_NODES, *(f"[uf]{pin.name.lower()}" for pin in pins)])
+    distinct([*(pin.name for pin in pins), common.name], inner, where=checked_name(name))
+    cards = heat_cards(heat_modes(rom), common.name)
+    base = common.name if len(pins) > 1 else ""  # resistors and capacitors need no pivots
+    rating = RATED_BY_HEAT if rating == UNRATED else rating
+    title = "reduced heat model"
+    return enclosed(
+        rom, name, (*pins, common), base, (), header, cards, title=title, rating=rating,
+        valid="conductivities and heat capacities of its data, whatever the temperature",
+    )  # fmt: skip
 
 
 def enclosed(
@@ -380,8 +409,9 @@ def enclosed(
         mesh=mesh,
         sign=OUTWARDS,
         rating=words["rating"],
-        validity=f"small signals{band}{within} at the temperature of its data (20 to 25 C, of "
-        "built-in materials); no hysteresis, depolarisation or heating",
+        validity=words.get("valid")
+        or f"small signals{band}{within} at the temperature of its "
+        "data (20 to 25 C, of built-in materials); no hysteresis, depolarisation or heating",
     )
     circuit = replace(circuit, notes=(*head, "", *about))
     title = f"{name}: {words['title']}"
@@ -513,7 +543,10 @@ def reference(ports: Sequence[Port]) -> str:
 
 def reference_pin(ports: Sequence[Port]) -> Pin:
     """The last pin: what displacements and signals count from, and signals alone."""
-    if any(port.conservative for port in ports):
+    domains = {port.domain for port in ports if port.domain is not None}
+    if domains == {THERMAL}:
+        return Pin(AMBIENT, *THERMAL.units)
+    if domains:
         return Pin(reference(ports), *TRANSLATION.units)
     return Pin("ref", *ELECTRICAL.units)
 

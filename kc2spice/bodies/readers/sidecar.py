@@ -23,7 +23,7 @@
 
     [[ports]]
     name = "tip"
-    kind = "mechanical"           # electrical, mechanical, rotational, acceleration, input, output
+    kind = "mechanical"           # or electrical, rotational, acceleration, thermal, input, output
     node = 12                     # or nodes = [...], nodeset = "TIP", at = [x, y, z] (unit length)
     within = 0.1                  # how far from 'at' the node may be (unit length)
     dof = "uz"                    # ux uy uz rx ry rz volt temp, or 1 to 6
@@ -73,6 +73,7 @@ from kc2spice.rom.linear import PORT_KINDS, Port
 
 LENGTHS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "in": 0.0254, "ft": 0.3048}
 FORCES = {"N": 1.0, "mN": 1e-3, "uN": 1e-6, "kN": 1e3, "lbf": 4.4482216152605}
+SCALARS = {"electrical": "volt", "thermal": "temp"}  # degrees of freedom without a direction
 _AXES = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
 
 
@@ -220,10 +221,12 @@ class PortEntry(Place):
         elif not self.placed:
             expected = "one of node, nodes, nodeset, at, column and row"
             raise refused("this port has no place", expected, hint="add for example  column = 1")
-        elif self.kind == "electrical":
-            if self.axis is not None or self.dof not in (None, CODES["volt"]):
+        elif self.kind in SCALARS:
+            if self.axis is not None or self.dof not in (None, CODES[SCALARS[self.kind]]):
                 hint = "delete axis and dof of this port"
-                raise refused("an electrical port has no direction", "nodes alone", hint=hint)
+                article = "an" if self.kind[0] in "aeiou" else "a"
+                problem = f"{article} {self.kind} port has no direction"
+                raise refused(problem, "nodes alone", hint=hint)
         elif (self.dof is None) == (self.axis is None):
             both = self.axis is not None
             problem = "this port has both dof and axis" if both else "this port has no direction"
@@ -247,6 +250,8 @@ class PortEntry(Place):
         """Freedoms of its nodes that it acts on, and with which share."""
         if self.dof is not None:
             return {self.dof: 1.0}
+        if self.kind in SCALARS:
+            return {CODES[SCALARS[self.kind]]: 1.0}
         axis = zip(self._group, self.axis or (0.0, 0.0, 0.0), strict=True)
         return {kind: weight for kind, weight in axis if weight}
 

@@ -5,12 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 from math import ceil
 
-from kc2spice.core.domains import ELECTRICAL, SIGNAL, TABLE, TRANSLATION
+from kc2spice.core.domains import ELECTRICAL, REFERENCES, SIGNAL, TRANSLATION
 from kc2spice.netlist.circuit import Pin
 from kc2spice.netlist.library import Subcircuit
 from kc2spice.netlist.scope import Scope, circuit
 
-REFERENCES = frozenset({"ref", *(domain.reference for domain in TABLE if domain.reference)})
 _LETTER = 0.45  # width of a letter in grid units
 _CONTROLLED = frozenset("egs")  # the last two nodes of these draw nothing
 

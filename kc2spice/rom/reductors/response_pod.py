@@ -63,7 +63,7 @@ class ResponsePod(Reductor):
         vectors = _orthonormal(np.hstack(states)[free:], static)
         pencil = response.pencil.project(scipy.linalg.block_diag(np.eye(free), vectors))
         pencil = task.with_rigid_body(replace(pencil, free=free))
-        fixed = pencil.free + (static.shape[1] if _mechanical(task) else 0)
+        fixed = pencil.free + (static.shape[1] if _keeps_static(task) else 0)
         return ReducedBasis(task, pencil, fixed)
 
     def tighten(
@@ -102,8 +102,8 @@ class ResponsePod(Reductor):
         return best, order
 
 
-def _mechanical(task: Task) -> bool:
-    """Whether a port is mechanical: contacts press on it, so its static response stays exact."""
+def _keeps_static(task: Task) -> bool:
+    """Whether loads act on a port, such as forces or heat, so its static response stays exact."""
     return any(port.loaded for port in task.fom.ports)
 
 
@@ -119,7 +119,7 @@ def _static_responses(task: Task, response: Response) -> np.ndarray:
         loads = [pencil.B[free:], E[free:, :free], E[:free, free:].T]
         return _range(np.linalg.solve(K[free:, free:], np.hstack(loads)))
     from_rest = task.estimator.static and task.band[0] == 0
-    if task.intermediate.static and (from_rest or _mechanical(task)):
+    if task.intermediate.static and (from_rest or _keeps_static(task)):
         return _range(response.states(np.zeros(1))[0].real)
     return np.empty((pencil.size, 0))
 

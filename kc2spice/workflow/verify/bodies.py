@@ -28,6 +28,7 @@ from kc2spice.scene.judge import Check
 from kc2spice.scene.model import Build, Part
 from kc2spice.sim.ngspice import run_deck
 from kc2spice.spice.emitted import reaction_mass, shakes
+from kc2spice.spice.heat import is_heat
 from kc2spice.spice.realize import loaded
 
 FEW, MANY = 3, 40  # frequencies at which a large full model is solved: a sample, the whole
@@ -106,7 +107,7 @@ def netlist_checks(
     if all(port.conservative for port in rom.ports):
         # a leak takes charge that a load separates, but no force from a voltage
         limit = max(NETLIST_ROUNDING, leaked)
-        checks += structure(f"{name}: netlist", frequency, found, limit)
+        checks += structure(f"{name}: netlist", frequency, found, limit, rates=not is_heat(rom))
     return checks
 
 
@@ -136,20 +137,25 @@ def own_structure(name: str, rom: LinearModel, band: tuple[float, float]) -> lis
     result = [Check(f"{name}: ROM, growth of its poles", rightmost, limit)]
     if all(port.conservative for port in rom.ports) and rom.symmetric:
         frequency = np.linspace(0.0, band[1], 202)[1:]
-        result += structure(f"{name}: ROM", frequency, rom.transfer(frequency), OWN_ROUNDING)
+        H, rates = rom.transfer(frequency), not is_heat(rom)
+        result += structure(f"{name}: ROM", frequency, H, OWN_ROUNDING, rates=rates)
     return result
 
 
-def structure(name: str, frequency: np.ndarray, H: np.ndarray, limit: float) -> list[Check]:
-    """``Re (s H)`` positive semi-definite and ``H`` symmetric.
+def structure(
+    name: str, frequency: np.ndarray, H: np.ndarray, limit: float, *, rates: bool = True
+) -> list[Check]:
+    """``Re (s H)`` positive semi-definite and ``H`` symmetric; of heat models without ``rates``,
+    ``Re H``.
 
-    ``s H`` maps forces and voltages to velocities and currents; a network is passive if its
+    ``s H`` maps forces and voltages to velocities and currents, and H heat flows to temperatures; a
+    network is passive if its
     Hermitian part has no negative eigenvalue at any frequency, relative to the largest entry of the
     balanced response. Reciprocity is that of each pair by its own size; one port has no pair.
     """
     balance = np.sqrt(np.abs(np.diagonal(H, axis1=1, axis2=2)).max(axis=0))
     H = H / np.outer(balance, balance)
-    Y = 2j * np.pi * frequency[:, None, None] * H
+    Y = 2j * np.pi * frequency[:, None, None] * H if rates else H
     hermitian = (Y + Y.conj().transpose(0, 2, 1)) / 2
     lowest = np.linalg.eigvalsh(hermitian)[:, 0] / np.abs(Y).max(axis=(1, 2))
     result = [Check(f"{name}, active power over all frequencies", max(0.0, -lowest.min()), limit)]

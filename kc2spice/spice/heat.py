@@ -1,0 +1,168 @@
+"""Subcircuits of heat models: resistors, capacitors and, between several ports, ideal transformers.
+
+``E x' + K x = B q`` and ``T = B' x + D q`` with symmetric E and K without negative eigenvalues have
+the modes
+
+    C_j h_j' + h_j / R_j = sum_k a_kj q_k,    T_k = sum_j a_kj h_j + sum_l D_kl q_l
+
+with the heat flows ``q`` [W] into the ports and their temperature rises ``T`` [K] over the pin
+``ambient``. Every mode is a thermal resistance R_j beside a heat capacity C_j, and its largest
+``|a_kj|`` is one. The modes of one port are in series: Foster's form. The same factors a_kj act in
+both directions, as those of ideal transformers do, so the circuit is passive for all positive R_j
+and C_j. (E. Kuh and R. Rohrer, Theory of Linear Active Networks, 1967, chapter 6.)
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+import scipy
+
+from kc2spice.core.domains import THERMAL
+from kc2spice.core.errors import UsageError
+from kc2spice.netlist.cards import LEAK_RATE
+from kc2spice.netlist.circuit import Element
+from kc2spice.netlist.elements import Line
+from kc2spice.rom.linear import LinearModel, Port
+
+# Eigenvalue, relative to the largest one, that is rounding: a heat that nothing leads away.
+STILL = 1e-13
+UNHEATED = 1e-9  # share of a mode in every port, relative to the largest, that is zero
+_ABOUT = """\
+* Heat network: 1 V is 1 K of temperature rise over the pin {base}, 1 A is 1 W into the pin.
+* Connect {base} to node 0, or to a source whose voltage is the temperature there.
+* Every mode is a thermal resistance [K/W] beside a heat capacity [J/K]: passive by its form."""
+_SERIES = "* The modes of the port are in series (Foster's form)."
+_COUPLED = """\
+* Ports feel the modes through ideal transformers: V(h1) times its factor adds to the temperature
+* of the port, and the heat flow times the same factor goes into the node h1. The voltage of node f
+* is the heat flow that holds the pin at that temperature (1 V = 1 W)."""
+_STORED = "nothing leads its heat away; the leak gives it an operating point"
+
+
+@dataclass(frozen=True, eq=False)
+class HeatModes:
+    """Thermal ``resistance`` [K/W] and ``capacity`` [J/K] (modes,), ``share`` (modes, ports) of the
+    modes' temperatures in those of the ports, and ``direct`` resistances (ports, ports) [K/W]."""
+
+    resistance: np.ndarray
+    capacity: np.ndarray
+    share: np.ndarray
+    direct: np.ndarray
+    ports: tuple[Port, ...]
+
+
+def is_heat(model: LinearModel) -> bool:
+    """Whether the ports of a model exchange heat."""
+    return any(port.domain is THERMAL for port in model.ports)
+
+
+def heat_modes(model: LinearModel) -> HeatModes:
+    """The modes of a heat model, slowest first; those that no port feels are left out.
+
+    Static shares decide on a network at rest, so modes are those of ``E x = t K x`` where K is
+    positive definite; t is their time constant. Otherwise nothing leads the heat of some away, and
+    a leak takes the place of their resistance.
+
+    Raises
+    ------
+    UsageError : E, K or D is not symmetric and positive semi-definite, or E and K are singular.
+    """
+    K, E = model.pencil.dense().coefficients
+    if not model.symmetric or np.linalg.eigvalsh(model.D).min(initial=0.0) < 0:
+        raise _active(model, "matrices that are not symmetric, or a negative D")
+    K, E = 0.5 * (K + K.T), 0.5 * (E + E.T)
+    paths, heats = np.linalg.eigvalsh(K), np.linalg.eigvalsh(E)
+    if any(size[0] < -STILL * np.abs(size).max() for size in (paths, heats)):
+        raise _active(model, "a matrix E or K with a negative eigenvalue")
+    if paths[0] > STILL * paths[-1]:
+        times, shapes = scipy.linalg.eigh(E, K)
+    elif heats[0] > STILL * heats[-1]:
+        rates, shapes = scipy.linalg.eigh(K, E)
+        rates = np.maximum(rates, 0.0)
+        times = 1 / np.where(rates > STILL * rates[-1], rates, LEAK_RATE)
+        shapes = shapes * np.sqrt(times)
+    else:
+        raise _active(model, "a matrix E and a matrix K that are both singular")
+    gain, times = (shapes.T @ model.B)[::-1], np.maximum(times[::-1], 0.0)
+    size = np.abs(gain).max(axis=1)
+    felt = (np.abs(gain) / (np.abs(gain).max(axis=0) + np.finfo(float).tiny)).max(axis=1) > UNHEATED
+    gain, times, size = gain[felt], times[felt], size[felt]
+    sign = np.sign(gain[np.arange(len(gain)), np.abs(gain).argmax(axis=1)])
+    return HeatModes(
+        resistance=size**2,
+        capacity=times / size**2,
+        share=gain * (sign / size)[:, None],
+        direct=model.D,
+        ports=model.ports,
+    )
+
+
+def _active(model: LinearModel, got: str) -> UsageError:
+    return UsageError(
+        "is no passive heat model",
+        where=model.name,
+        got=got,
+        expected="E x' + K x = B q, y = B' x + D q with symmetric E, K and D without negative "
+        "eigenvalues",
+        hint="E contains heat capacities, K thermal conductances; check their signs",
+    )
+
+
+def heat_cards(modes: HeatModes, base: str) -> tuple[list[str], list[Line]]:
+    """Comments about the network and its cards between the pins of the ports and ``base``."""
+    one = len(modes.ports) == 1
+    about = [*_ABOUT.format(base=base).split("\n"), *(_SERIES if one else _COUPLED).split("\n")]
+    return about, list(_series(modes, base) if one else _coupled(modes, base))
+
+
+def _described(modes: HeatModes, j: int) -> str:
+    R, C = modes.resistance[j], modes.capacity[j]
+    text = f"time constant {R * C:.4g} s, {R:.4g} K/W, {C:.4g} J/K"
+    if R * C * LEAK_RATE >= 1 - STILL:
+        text = f"{C:.4g} J/K: {_STORED}"
+    return f"\n* Mode {j + 1}: {text}"
+
+
+def _elements(modes: HeatModes, j: int, node: str, other: str) -> Iterator[Line]:
+    yield Element.of(f"R{j + 1}", node, other, float(modes.resistance[j]))
+    if modes.capacity[j] > 0:
+        yield Element.of(f"C{j + 1}", node, other, float(modes.capacity[j]))
+
+
+def _series(modes: HeatModes, base: str) -> Iterator[Line]:
+    """Foster's form of one port."""
+    node, count = modes.ports[0].terminals[0], len(modes.resistance)
+    if (direct := float(modes.direct[0, 0])) > 0:
+        yield f"\n* Resistance without a heat capacity: {direct:.4g} K/W"
+        yield Element.of("Rdirect", node, "h1", direct)
+        node = "h1"
+    for j in range(count):
+        following = base if j == count - 1 else f"h{j + 2}"
+        yield _described(modes, j)
+        yield from _elements(modes, j, node, following)
+        node = following
+
+
+def _coupled(modes: HeatModes, base: str) -> Iterator[Line]:
+    """Modes that several ports feel."""
+    names = [port.terminals[0] for port in modes.ports]
+    for k, pin in enumerate(names):
+        yield f"\n* Port {pin}: its temperature rise u is the sum of the modes (1 V = 1 K)."
+        yield Element.of(f"Ru{pin}", f"u{pin}", base, "1")
+        yield Element.of(f"Gf{pin}", base, f"f{pin}", pin, f"u{pin}", "1")
+        yield Element.of(f"Gp{pin}", pin, base, f"f{pin}", base, "1")
+        for j, share in enumerate(modes.share[:, k], 1):
+            yield Element.of(f"Gu{pin}_{j}", base, f"u{pin}", f"h{j}", base, float(share))
+        for other, direct in zip(names, modes.direct[k], strict=True):
+            if direct:
+                name = f"Gd{pin}_{other}"
+                yield Element.of(name, base, f"u{pin}", f"f{other}", base, float(direct))
+    for j, row in enumerate(modes.share):
+        node = f"h{j + 1}"
+        yield _described(modes, j)
+        yield from _elements(modes, j, node, base)
+        for pin, share in zip(names, row, strict=True):
+            yield Element.of(f"Gq{pin}_{j + 1}", base, node, f"f{pin}", base, float(share))
