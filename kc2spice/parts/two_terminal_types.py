@@ -16,7 +16,15 @@ from kc2spice.core.quantities import Section, si
 from kc2spice.netlist.cards import LEAK_RATE
 from kc2spice.netlist.circuit import Element, Item
 from kc2spice.netlist.expression import Number, Tree
-from kc2spice.physics.declaration import RATE, Branch, Declaration, current, displacement, voltage
+from kc2spice.physics.declaration import (
+    RATE,
+    Branch,
+    Declaration,
+    branch,
+    current,
+    displacement,
+    voltage,
+)
 from kc2spice.physics.expression import ONE, ZERO, derivative, evaluated, over, times
 from kc2spice.physics.law import DeclaredLaw
 from kc2spice.physics.part import DeclaredPart, across_pins
@@ -39,7 +47,9 @@ class Row(NamedTuple):
 
 
 VOLT, AMPERE, FORCE = 'dc = "1 V"', 'kind = "current"\ndc = "1 A"', 'kind = "force"\ndc = "10 mN"'
+HEAT = 'kind = "heat_flow"\ndc = "1 W"'
 V, I, X = voltage("v", "a", "b"), current("i", "a", "b"), displacement("x", "a", "b")
+T = branch("temperature")
 TABLE = (
     Row("resistor", "ideal resistor", "resistance", "Ohm", "50 Ohm", V,
         {"content": "0.5*v^2/resistance"}, VOLT),
@@ -51,14 +61,19 @@ TABLE = (
         {"energy": "0.5*stiffness*x^2"}, FORCE),
     Row("damper", "viscous damper between two displacement pins", "damping", "N s/m",
         "0.02 N s/m", X, {"content": "0.5*damping*x_rate^2"}, FORCE),
+    Row("thermal_resistor", "thermal resistance between two pins of temperature", "resistance",
+        "K/W", "20 K/W", T, {"content": "0.5*temperature^2/resistance"}, HEAT),
+    Row("thermal_capacitor", "heat capacity between a pin of temperature and its surroundings",
+        "capacity", "J/K", "0.5 J/K", T, {"coenergy": "0.5*capacity*temperature^2"}, HEAT),
 )  # fmt: skip
 
 
 def declaration(row: Row) -> Declaration:
     """The row's physics with its key, an example and its equations as documentation."""
-    value = Field(gt=0, description=f"{row.key.capitalize()} of the {row.name}")
+    description = f"{row.key.capitalize()} of the {row.name.replace('_', ' ')}"
+    value = Field(gt=0, description=description)
     fields: dict[str, Any] = {row.key: (Annotated[float, si(row.unit)], value)}
-    words = f"{row.name.title()}Keys"
+    words = f"{row.name.title().replace('_', '')}Keys"
     keys = create_model(words, __base__=Section, __module__=__name__, **fields)
     example = f"""
 [{row.name}]
@@ -143,8 +158,8 @@ class LinearElement(DeclaredPart):
 
     @cached_property
     def _lossy(self) -> bool:
-        """Whether it is a damper or a resistor."""
-        return self.linear[0] == 0
+        """Whether it has the thermal noise of a loss."""
+        return self.declaration.loss(self.branch) != ZERO
 
     def _noise_cards(self, part: Part, build: Build, a: str, b: str) -> tuple[Element, ...]:
         """Force noise ``4 k T c`` [N^2/Hz]: the voltage noise of a resistor of c ohms."""
@@ -168,7 +183,7 @@ class LinearElement(DeclaredPart):
 
     def notes(self, part: Part, scene: Scene) -> Iterator[str]:
         row = next(row for row in TABLE if row.name == self.name)
-        yield f"{row.name} of {getattr(part.keys, row.key):g} {row.unit}"
+        yield f"{row.name.replace('_', ' ')} of {getattr(part.keys, row.key):g} {row.unit}"
 
 
 def _meter(part: Part, build: Build) -> str:

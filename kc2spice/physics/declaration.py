@@ -389,7 +389,10 @@ class Declaration:
         return plus(replaced(tree, {f"{name}{RATE}": ZERO for name in self.lags}))
 
     def loss(self, branch: Branch) -> Tree:
-        """Damping, conductance or resistance of a branch, for small signals."""
+        """Damping, conductance or resistance of a branch, for small signals; zero where heat
+        flows, which has no noise of this kind."""
+        if branch.domain.power == "through":
+            return ZERO
         own = branch.name + RATE * branch.moves
         return derivative(self._slope("content", own), own)
 
