@@ -186,6 +186,14 @@ THERMAL = Domain(
     response="temperature",
     reference=AMBIENT,
 )
+ACOUSTIC = Domain(
+    "acoustic",
+    Quantity("pressure", "pressure", "Pa", "Pa"),
+    Quantity("volume_velocity", "flow", "m3/s", "cm3/s", 1e-6),
+    "across * through",
+    "pressures are constant: no cavity takes up volume and no acoustic mass has a pressure drop",
+    reference=AMBIENT,
+)
 SIGNALS = Domain(
     "signal",
     Quantity("signal", "", "", ""),
@@ -193,7 +201,7 @@ SIGNALS = Domain(
     "none",
     "constant; one output sets each net, and inputs draw no current",
 )
-TABLE = (ELECTRICAL, TRANSLATION, ROTATION, ACCELERATION, THERMAL, SIGNALS)
+TABLE = (ELECTRICAL, TRANSLATION, ROTATION, ACCELERATION, THERMAL, ACOUSTIC, SIGNALS)
 
 DOMAINS = {domain.name: domain for domain in TABLE}
 PORTS = {domain.port: domain for domain in TABLE if domain.port}

@@ -49,7 +49,8 @@ class Row(NamedTuple):
 VOLT, AMPERE, FORCE = 'dc = "1 V"', 'kind = "current"\ndc = "1 A"', 'kind = "force"\ndc = "10 mN"'
 HEAT = 'kind = "heat_flow"\ndc = "1 W"'
 V, I, X = voltage("v", "a", "b"), current("i", "a", "b"), displacement("x", "a", "b")
-T = branch("temperature")
+PUSH, BLOW = 'kind = "pressure"\ndc = "1 Pa"', 'kind = "volume_velocity"\ndc = "1e-6 m3/s"'
+T, P, U = branch("temperature"), branch("pressure"), branch("volume_velocity")
 TABLE = (
     Row("resistor", "ideal resistor", "resistance", "Ohm", "50 Ohm", V,
         {"content": "0.5*v^2/resistance"}, VOLT),
@@ -65,6 +66,12 @@ TABLE = (
         "K/W", "20 K/W", T, {"content": "0.5*temperature^2/resistance"}, HEAT),
     Row("thermal_capacitor", "heat capacity between a pin of temperature and its surroundings",
         "capacity", "J/K", "0.5 J/K", T, {"coenergy": "0.5*capacity*temperature^2"}, HEAT),
+    Row("acoustic_resistor", "acoustic resistance between two pins of pressure", "resistance",
+        "Pa s/m3", "1e6 Pa s/m3", P, {"content": "0.5*pressure^2/resistance"}, PUSH),
+    Row("acoustic_compliance", "acoustic compliance of a closed volume", "compliance", "m3/Pa",
+        "7e-11 m3/Pa", P, {"coenergy": "0.5*compliance*pressure^2"}, PUSH),
+    Row("acoustic_mass", "acoustic mass of moving fluid between two pins of pressure", "mass",
+        "kg/m4", "150 kg/m4", U, {"coenergy": "0.5*mass*flow^2"}, BLOW),
 )  # fmt: skip
 
 
@@ -138,15 +145,16 @@ class LinearElement(DeclaredPart):
         admittance = times(self._unit, self.linear[1])
         if self._letter != "C":
             value = self._number(part, over(ONE, admittance))
-            silent = build.noisy and self._letter == "R" and not self._lossy
+            noise = self._noise_cards(part, build, a, b) if build.noisy and not self._card else ()
+            silent = build.noisy and self._letter == "R" and not (self._lossy and self._card)
             words = {"noisy": "0"} if silent else {}
-            return (Element.of(f"{self._letter}{part.name}", a, b, value, **words),)
+            return (Element.of(f"{self._letter}{part.name}", a, b, value, **words), *noise)
         inner = build.own(part, part.name.lower(), "metered")
         return (
             Element.of(_meter(part, build), a, inner, "0"),
             Element.of(f"C{part.name}", inner, b, self._number(part, admittance)),
             *(() if self.branch.moves else self._leak_cards(part, build, a, b)),
-            *(self._noise_cards(part, build, a, b) if build.noisy and self._lossy else ()),
+            *(self._noise_cards(part, build, a, b) if build.noisy else ()),
         )
 
     def _leak_cards(self, part: Part, build: Build, a: str, b: str) -> tuple[Element, ...]:
@@ -161,11 +169,19 @@ class LinearElement(DeclaredPart):
         """Whether it has the thermal noise of a loss."""
         return self.declaration.loss(self.branch) != ZERO
 
+    @cached_property
+    def _card(self) -> bool:
+        """Whether the noise of a resistor's card is that of the element, whose units are SI."""
+        return self._unit == ONE
+
     def _noise_cards(self, part: Part, build: Build, a: str, b: str) -> tuple[Element, ...]:
         """Force noise ``4 k T c`` [N^2/Hz]: the voltage noise of a resistor of c ohms."""
+        if not self._lossy:
+            return ()
         n, value = part.name, self._number(part, self.linear[1])
         R, G, node = (build.own(part, own, "noise") for own in (f"R{n}", f"G{n}", n.lower()))
-        return Element.of(R, node, "0", value), Element.of(G, a, b, node, "0", "1")
+        gain = f"{self.branch.domain.quantity('through').per_unit:g}"
+        return Element.of(R, node, "0", value), Element.of(G, a, b, node, "0", gain)
 
     def vectors(self, part: Part, build: Build) -> Mapping[str, Vector]:
         across, n, b = across_pins(build, part, self.branch), part.name, self.branch

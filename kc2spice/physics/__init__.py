@@ -1,6 +1,7 @@
 """Physics stated once, as expressions, and what is generated from it."""
 
 from kc2spice.physics.declaration import Declaration as Declaration
+from kc2spice.physics.declaration import branch as branch
 from kc2spice.physics.declaration import current as current
 from kc2spice.physics.declaration import displacement as displacement
 from kc2spice.physics.declaration import loop as loop
