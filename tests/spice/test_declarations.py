@@ -29,7 +29,17 @@ DECLARED = {n: kind for n, kind in part_types().items() if hasattr(kind, "declar
 DIALECTS = ("ngspice", "xyce", "ltspice", "verilog-a")
 PLAIN = {row.name for row in TABLE}  # cards of a deck, of which there is no module
 PRINTED = [(n, d) for n in sorted(DECLARED) for d in DIALECTS if d != "verilog-a" or n not in PLAIN]
-SIZES = {"displacement": (-7.0, -3.0), "voltage": (-1.0, 1.5), "current": (-3.0, 0.5)}
+SIZES = {
+    "displacement": (-7.0, -3.0),
+    "voltage": (-1.0, 1.5),
+    "current": (-3.0, 0.5),
+    "temperature": (-1.0, 3.0),
+    "pressure": (-2.0, 4.0),
+    "volume_velocity": (-9.0, -4.0),
+}
+FLOWS = ("current", "volume_velocity")
+PER_SI = {"displacement": 1e6, "volume_velocity": 1e6}  # volts or amperes of a coordinate
+ANSWERED = {"pressure": 1e6}  # amperes for a unit of what flows
 
 
 # --- what is stated, by complex steps of its text ----------------------------------------------
@@ -126,12 +136,12 @@ def driven(branches, state, rates, rng):
     """Voltages and currents of the pins in the units of a netlist; ``minus`` is anywhere."""
     drives, changes = {}, {}
     for b in branches:
-        micro = 1e6 if b.kind == "displacement" else 1.0
+        unit = PER_SI.get(b.kind, 1.0)
         if b.minus not in drives:  # which branches may share
             drives[b.minus], changes[b.minus] = rng.uniform(-1, 1), rng.uniform(-1, 1)
-        key = ("I", b.plus) if b.kind == "current" else b.plus
-        base = (0.0, 0.0) if b.kind == "current" else (drives[b.minus], changes[b.minus])
-        drives[key], changes[key] = base[0] + micro * state[b.name], base[1] + micro * rates[b.name]
+        key = ("I", b.plus) if b.kind in FLOWS else b.plus
+        base = (0.0, 0.0) if b.kind in FLOWS else (drives[b.minus], changes[b.minus])
+        drives[key], changes[key] = base[0] + unit * state[b.name], base[1] + unit * rates[b.name]
     return drives, changes
 
 
@@ -145,8 +155,8 @@ def worst_printed(name, text):
         answers = network.answers(*driven(branches, state, rates, rng))
         for b in branches:
             exact = stated_.answer(b, state, rates)
-            got = answers.get(f"I pin {b.plus}")
-            if b.kind == "current":
+            got = answers.get(f"I pin {b.plus}", 0.0) / ANSWERED.get(b.kind, 1.0)
+            if b.kind in FLOWS:
                 got = answers[b.plus] - answers[b.minus]
             errors.append(abs(got / exact - 1))
     return max(errors)
@@ -162,7 +172,7 @@ def test_the_printed_text_is_what_is_stated(name, dialect):
 def inputs(own, state, rates, drops):
     """What a law sees, by the order of its taps and states, and the rates of that."""
     rows = [
-        (drops[b.name], 0.0) if b.kind == "current" else (state[b.name], rates[b.name])
+        (drops[b.name], 0.0) if b.kind in FLOWS else (state[b.name], rates[b.name])
         for b in own.declaration.branches
     ]
     rows += [(rates[b.name], 0.0) for b in own.declaration.damped]
@@ -184,7 +194,7 @@ def worst_law(name, **keys):
     errors, powers = [], []
     for state, rates in found:
         drops = {b.name: stated_.answer(b, state, rates) for b in stated_.d.branches
-                 if b.kind == "current"}  # fmt: skip
+                 if b.kind in FLOWS}  # fmt: skip
         e, de = inputs(own, state, rates, drops)
         mode = own.mode(e)
         out, _ = own.evaluate(e, mode)
@@ -196,10 +206,10 @@ def worst_law(name, **keys):
         errors += [abs(out[len(own.flows) + k] / rises[k] - 1) for k in range(n)]
         brought = 0.0
         for k, b in enumerate(stated_.d.branches):
-            exact = state[b.name] if b.kind == "current" else stated_.answer(b, state, rates)
+            exact = state[b.name] if b.kind in FLOWS else stated_.answer(b, state, rates)
             errors.append(abs(through[k] / exact - 1))
             across = rates[b.name] if b.kind == "displacement" else state[b.name]
-            if b.kind == "current":  # what its flux takes and what it drops
+            if b.kind in FLOWS:  # what its flux takes and what it drops
                 place = own.states.index(b.name)
                 across = rises[place] + drops[b.name] - out[len(own.flows) + place]
             brought += through[k] * across
