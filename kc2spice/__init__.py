@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from kc2spice.api import Result, Table, build, deck, reduce, register_part, run, simulate, sweep
     from kc2spice.bodies.readers import read_model
     from kc2spice.core import errors
+    from kc2spice.core.domains import Domain
     from kc2spice.core.quantities import Section
     from kc2spice.netlist.circuit import Param, Pin
     from kc2spice.netlist.deck import Deck
@@ -30,6 +31,7 @@ if TYPE_CHECKING:
 __all__ = [
     "Certificate",
     "Deck",
+    "Domain",
     "LinearModel",
     "Param",
     "PartType",
@@ -62,6 +64,7 @@ _HOMES = {
     **dict.fromkeys(("Pin", "Param"), "netlist.circuit"),
     **dict.fromkeys(("PartType", "Scene", "Terminal"), "scene.model"),
     "Deck": "netlist.deck",
+    "Domain": "core.domains",
     "Section": "core.quantities",
     "fit": "workflow.fit",
     "load_scene": "scene.load",

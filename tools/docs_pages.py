@@ -33,6 +33,7 @@ def on_files(files: Files, config: Any) -> Files:
     """Add the generated pages."""
     pages = {
         "parts.md": parts_page(),
+        "domains.md": domains_page(),
         "scenes.md": scenes_page(),
         "cli.md": commands_page(),
         "examples.md": examples_page(),
@@ -75,6 +76,52 @@ def _part(doc: Any) -> Iterator[str]:
         yield _keys(doc.keys)
     if doc.example:
         yield f"```toml\n{doc.example}\n```\n"
+
+
+def domains_page() -> str:
+    """Quantities, units, power and rest of every physical domain."""
+    from kc2spice.core.domains import CONSERVATIVE, QUANTITIES
+    from kc2spice.physics.declaration import COORDINATES
+
+    head = ("domain", "1 V is", "1 A is", "power into a part", "sources", "branches", "port")
+    rows = []
+    for domain in CONSERVATIVE:
+        quantities = [quantity.name for quantity, _ in domain.quantities]
+        names = [name for name in quantities if QUANTITIES[name][0] is domain]
+        branches = [f"`{name}`" for name in names if name in COORDINATES]
+        port = f"`{domain.port}`" if domain.port else ""
+        sources = ", ".join(f"`{name}`" for name in names)
+        units = tuple(f"1 {unit}" for unit in domain.units)
+        rows.append((domain.name, *units, domain.power, sources, ", ".join(branches), port))
+    rest = [f"- {domain.name}: {domain.rest}." for domain in CONSERVATIVE]
+    return "\n".join([
+        "# Physical domains",
+        "",
+        "Every pin of a netlist belongs to a domain. A voltage on the pin is the quantity *across* "
+        "it and a current is the quantity *through* it. Only pins of one domain can be joined. A "
+        "pin of translation may carry a velocity instead of a displacement; 1 V is then 1 m/s.",
+        "",
+        _table(head, rows),
+        "*Sources* are values of the key `kind` of the part `source`. *Branches* are arguments of "
+        "`kc2spice.physics.branch` in a [declaration](reference/declarations.md). *Port* is the "
+        "`kind` of a port in [matrices](reference/matrices.md). Results and keys are in SI units.",
+        "",
+        "The quantity across a pin counts from the pin `base`, of heat from the pin `ambient`, and "
+        "electrical ports are pairs of pins. If `ambient` is on node 0, temperatures are rises "
+        "over the surroundings. A source of temperature there makes them absolute.",
+        "",
+        "## At rest",
+        "",
+        "An operating point is the state in which nothing changes:",
+        "",
+        *rest,
+        "",
+        "## Add a domain",
+        "",
+        "A domain is one row of the table in `kc2spice/core/domains.py`. Its two-terminal parts "
+        "are rows of the table in `kc2spice/parts/two_terminal_types.py`.",
+        "",
+    ])  # fmt: skip
 
 
 def scenes_page() -> str:

@@ -43,7 +43,7 @@ class Quantity:
         return float(f"{1 / self.factor:.15g}")
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Domain:
     """A physical domain: the quantities on its pins, their power, and the meaning of rest.
 
@@ -56,6 +56,13 @@ class Domain:
     The value across a pin counts from the pin ``reference``; without one, ports are pairs of pins.
     ``rate`` is a second quantity across pins, the rate of ``across``. ``frame`` is the domain whose
     quantity shakes the frame that ``across`` is relative to.
+
+    Examples
+    --------
+    >>> DOMAINS["translation"]
+    <Domain translation: 1 V is 1 um, 1 A is 1 N; power: d(across)/dt * through>
+    >>> DOMAINS["acoustic"].through
+    Quantity(name='volume_velocity', symbol='flow', unit='m3/s', pin_unit='cm3/s', factor=1e-06)
     """
 
     name: str
@@ -72,6 +79,10 @@ class Domain:
     reference: str = ""
     rate: Quantity | None = None
     frame: str = ""
+
+    def __repr__(self) -> str:
+        text = f"<Domain {self.name}: 1 V is 1 {self.across.pin_unit or 'unit'}"
+        return f"{text}, 1 A is 1 {self.flow}; power: {self.power}>"
 
     @property
     def conservative(self) -> bool:

@@ -56,7 +56,8 @@ RATE = "_rate"  # ends the name of a displacement's velocity
 COORDINATES = tuple(
     kind
     for kind, (domain, side) in QUANTITIES.items()
-    if side == "across" or domain.power == "across * through"
+    if domain.power == "across * through"
+    or (side == "across" and (domain.position or domain.potential))
 )
 
 

@@ -19,7 +19,7 @@ def blocks(language):
 def package(tmp_path_factory):
     """What a reader installs: the file, and the entry point of its ``pyproject.toml``."""
     folder = tmp_path_factory.mktemp("package")
-    part, _trial = blocks("python")
+    part, *_ = blocks("python")
     entry, scene = blocks("toml")
     (folder / "solenoid.py").write_text(part, encoding="utf-8")
     (folder / "pull.toml").write_text(scene, encoding="utf-8")
