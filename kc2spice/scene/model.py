@@ -162,10 +162,11 @@ class Scene:
     ground); ``own`` gives ``(part, *words)`` the name of what else the part has there
     (:meth:`Build.own`); ``shaken`` has the shaken frame that the
     displacements of a net are relative to, by node; ``home`` is the folder of the scene's file,
-    ``tables`` what it says with all overrides. Bodies keep the ``ports`` that are needed, in an
-    export all that their author declares, joined or not
-    (:meth:`Part.declares`), for documentation all of them. ``source`` is the text of the scene's
-    file with all overrides, by which :meth:`where` finds the line of a key.
+    ``tables`` what it says with all overrides. ``resolved_frequency`` [Hz] is the highest frequency
+    that the parts resolve, None if it follows from the analysis. Bodies keep the ``ports`` that are
+    needed, in an export all that their author declares, joined or not (:meth:`Part.declares`), for
+    documentation all of them. ``source`` is the text of the scene's file with all overrides, by
+    which :meth:`where` finds the line of a key.
     """
 
     frame: Frame
@@ -178,6 +179,7 @@ class Scene:
     tables: Mapping[str, Any] = field(default_factory=dict)
     ports: Literal["needed", "declared", "all"] = "needed"
     source: Any = None
+    resolved_frequency: float | None = None
 
     def __getattr__(self, name: str) -> Any:
         """Keys of the frame: ``scene.solver``, ``scene.rom``, ``scene.gravity``, …"""

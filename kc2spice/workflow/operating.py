@@ -14,6 +14,7 @@ from kc2spice.core.laws import LinearBody, Source
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.equations.scene_laws import scene_laws
 from kc2spice.netlist.deck import Deck
+from kc2spice.scene.band import highest_frequency
 from kc2spice.scene.judge import Check
 from kc2spice.scene.model import Build
 from kc2spice.scene.settings import Analysis
@@ -44,7 +45,9 @@ def operating_point(build: Build, deck: Deck) -> OperatingPoint:
     # Probes stay: what they read decides which pins a body has. Noise is no result of this run.
     probes = {} if build.noisy else scene.probes
     frame = scene.frame.model_copy(update={"analysis": Analysis(type="op"), "probes": probes})
-    still = replace(build, scene=replace(scene, frame=frame))
+    # Pins and models stay: films and eddy currents are resolved up to the same frequency.
+    resolved = replace(scene, frame=frame, resolved_frequency=highest_frequency(scene))
+    still = replace(build, scene=resolved)
     try:
         own = make_deck(still)
         with TemporaryDirectory() as folder:

@@ -45,6 +45,19 @@ def test_small_signals_tell_their_operating_point(kind, analysis):
     assert all(check["passed"] for check in record["checks"])
 
 
+@pytest.mark.filterwarnings("error:the operating point")
+def test_a_film_of_many_branches_has_an_operating_point():
+    """A film at rest exerts no force: ``K x = eps A v^2 / (2 (g - x)^2)``."""
+    scene = biased("gap", 2.0, "ac")
+    scene["plate"]["film"] = {"length": 4e-4, "width": 2e-4}
+    scene["analysis"] |= {"start": 100e3, "stop": 5e5}
+    record = kc.run(scene).record
+    (branches,) = [c["name"] for c in record["checks"] if "branches" in c["name"]]
+    assert int(branches.split()[0]) > 3  # as many as an analysis without frequencies has
+    x = brentq(lambda x: K * x * 2 * (GAP - x) ** 2 - EPS * AREA * 4.0, 0.0, GAP / 3)
+    assert record["operating_point"]["proof.x"]["value"] == pytest.approx(x, rel=1e-5)
+
+
 @pytest.mark.parametrize("kind", ["parallel_plate", "gap"])
 @pytest.mark.parametrize("analysis", ["ac", "noise"])
 def test_small_signals_about_a_stop_fail(kind, analysis):
