@@ -338,9 +338,10 @@ def _bounded(element: Element, slowest: float) -> Element:
 
 def _beyond_band(samples: Samples, elements: Elements) -> Elements:
     """Elements whose frequencies lie outside of the band, where simpler ones have their Y."""
-    low, high = 2 * np.pi * samples.f[0] / OUTSIDE, 2 * np.pi * samples.f[-1] * OUTSIDE
+    low = np.log(2 * np.pi * samples.f[0] / OUTSIDE)
+    high = np.log(2 * np.pi * samples.f[-1] * OUTSIDE)
     timed = [e for e in elements if len(e.logs) > 1]
-    return tuple(e for e in timed if not low < np.exp(-_log_time(e)) < high)
+    return tuple(e for e in timed if not low < -_log_time(e) < high)
 
 
 def _log_time(element: Element) -> float:

@@ -138,6 +138,17 @@ def test_a_resistor_beside_a_capacitor_conducts(tmp_path):
     assert parallel_branches(blocked).conductance == 0
 
 
+@pytest.mark.filterwarnings("error")
+def test_an_electrochemical_cell_conducts_without_a_warning():
+    """10 Ohm in series with 100 Ohm parallel to 10 uF: ``Y = g0 + s a / (1 + s t)``."""
+    f = np.geomspace(1, 1e5, 120)
+    Z = 10 + 100 / (1 + 2j * np.pi * f * 1e-3)
+    noise = np.random.default_rng(0).standard_normal((2, f.size))
+    model, _ = one_port(f, 1 / (Z * (1 + NOISE * (noise[0] + 1j * noise[1]))), NOISE)
+    assert 1 / parallel_branches(model).conductance == pytest.approx(110, rel=1e-3)
+    assert np.abs(2j * np.pi * f * model.transfer(f)[:, 0, 0] * Z - 1).max() < 2 * NOISE
+
+
 def test_a_capacitor_blocks_and_its_leak_is_below_its_error(tmp_path):
     """20 pF with 1 nF and 1 kOhm in series, down to 10 mHz."""
     f = np.geomspace(0.01, 1e3, 60)
