@@ -235,11 +235,12 @@ class MovingConductor(DeclaredPart):
         magnets = [(f"magnets.{n}", "magnet", _section(m)) for n, m in keys.magnets.items()]
         for where, what, w in (*coils, *magnets):
             apart = w.radius - w.width / 2 >= keys.radius or w.radius + w.width / 2 <= keys.inner
-            below = w.y + w.height / 2 <= keys.y_min - _tall(keys) / 2
-            above = w.y - w.height / 2 >= keys.y_max + _tall(keys) / 2
-            if not (apart or below or above):
-                got = f"y_min {keys.y_min:g} m, y_max {keys.y_max:g} m"
-                yield part.wrong(where, f"the body touches the {what}", got, "room for it")
+            over = w.y + w.height / 2 + _tall(keys) / 2
+            under = w.y - w.height / 2 - _tall(keys) / 2
+            if not (apart or keys.y_min >= over or keys.y_max <= under):
+                got = f"y_min {keys.y_min:g} m, y_max {keys.y_max:g} m, of its centre of mass"
+                expected = f"y_min of at least {over:g} m, or y_max of at most {under:g} m"
+                yield part.wrong(where, f"the body touches the {what}", got, expected)
 
     def misshapen(self, part: Part) -> Iterator[UsageError]:
         """Faults of its shape."""

@@ -153,17 +153,7 @@ class DeclaredPart(PartType):
         """Its limits, strikes, and what pins bring in against what is stored and lost."""
         d = self.built(part, build)
         known = {} if "frequency" in waves else self._seen(part, build, waves)
-        for what, tree in d.bounds.items():
-            if names(tree) - set(d.parameters) <= set(known):
-                value = float(np.min(evaluated(tree, d.values(part.keys) | known)))
-                yield Check(
-                    f"{what} of {part.name}",
-                    -value,
-                    0.0,
-                    "over the limit",
-                    f"{d.limits[what]} must stay above zero",
-                )
-
+        yield from _limit_checks(d, part, known)
         if build.scene.analysis.type == "op":
             yield from self.standing(part, build, waves)
         if "time" in waves:
@@ -175,9 +165,12 @@ class DeclaredPart(PartType):
                 yield Check(f"strikes of {part.name}", strikes, STRIKES, "", REBOUND, "warn")
 
     def standing(self, part: Part, build: Build, point: Waveforms) -> Iterator[Check]:
-        """Whether it rests on a stop, about which small signals are those of the stop."""
+        """Whether it rests on a stop, about which small signals are those of the stop, or beyond
+        its limits."""
         d, known = self.built(part, build), self._seen(part, build, point)
         small = build.scene.analysis.small
+        if small:
+            yield from _limit_checks(d, part, known, " at its operating point")
         for what, tree in d.stopped.items():
             if names(tree) - set(d.parameters) <= set(known):
                 depth = float(np.max(evaluated(tree, d.values(part.keys) | known)))
@@ -197,6 +190,17 @@ class DeclaredPart(PartType):
     def notes(self, part: Part, scene: Scene) -> Iterator[str | Neglected]:
         yield "; ".join(self.declared(part, scene).equations)
         yield from (Neglected(*row) for row in self.declared(part, scene).neglected)
+
+
+def _limit_checks(
+    d: Declaration, part: Part, known: dict[str, np.ndarray], where: str = ""
+) -> Iterator[Check]:
+    """Whether the limits hold that ``known`` coordinates, states and signals decide."""
+    for what, tree in d.bounds.items():
+        if names(tree) - set(d.parameters) <= set(known):
+            value = float(np.min(evaluated(tree, d.values(part.keys) | known)))
+            advice = f"{d.limits[what]} must stay above zero"
+            yield Check(f"{what} of {part.name}{where}", -value, 0.0, "over the limit", advice)
 
 
 def _inner(build: Build, part: Part, node: str, pin: str) -> str:

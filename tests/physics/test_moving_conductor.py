@@ -1,5 +1,6 @@
 """Eddy currents in a body that moves along coils, by closed forms that share nothing with it."""
 
+import re
 import warnings
 
 import numpy as np
@@ -136,6 +137,20 @@ def test_currents_above_the_frequency_of_the_loops_are_a_warning(drive, analysis
         assert full.frequency >= 2 * (100e3 if analysis is None else check.value)
 
 
+@pytest.mark.parametrize("kind", ["ac", "noise"])
+def test_small_signals_beyond_the_heights_of_the_table_fail(kind):
+    """The disc rests at 0, where the power series of its couplings are extrapolated."""
+    analysis = {"type": kind, "start": 50e3, "stop": 100e3, "points": 2}
+    if kind == "noise":
+        analysis["output"] = "disc.i_c_v"
+    tables = over(Winding(15e-3, 1e-3, 1e-3, -3e-3, 10.0), None, analysis, **RING)
+    del tables["probes"]
+    kc.run(tables)
+    tables["disc"] |= {"y_min": 1e-3, "y_max": 2e-3}
+    with pytest.raises(kc.errors.SimulationError, match="y above y_min of disc at its operating"):
+        kc.run(tables)
+
+
 def test_rings_too_coarse_for_a_skin_are_seen_by_finer_ones():
     rough = {}
     for count in (20, 200):
@@ -224,8 +239,10 @@ def test_what_a_state_stores_and_pulls_is_one_coenergy():
 
 
 def test_a_body_that_meets_a_winding_is_refused():
-    with pytest.raises(UsageError, match="the body touches the winding"):
+    with pytest.raises(UsageError, match="the body touches the winding") as refusal:
         load_scene("levitated_disc", {"conductor.y_min": "-5 mm"})
+    least = re.search("y_min of at least (.*) m, or", str(refusal.value))[1]
+    load_scene("levitated_disc", {"conductor.y_min": float(least)})
 
 
 def test_the_mean_force_on_a_disc_is_that_of_others_finite_elements():
