@@ -76,6 +76,11 @@ def axes(build: Build) -> tuple[Axis, ...]:
     return tuple(axis for axis in _axes(build) if axis.at(1.0))
 
 
+def finest_axes(build: Build) -> tuple[Axis, ...]:
+    """The settings at their finest value: only a coarser run shows their error."""
+    return tuple(axis for axis in _axes(build) if not axis.at(1.0) and axis.at(-1.0))
+
+
 def _axes(build: Build) -> Iterator[Axis]:
     scene = build.scene
     if scene.analysis.type == "transient":

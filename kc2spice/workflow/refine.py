@@ -27,7 +27,7 @@ from kc2spice.parts._meshed import MeshedBody
 from kc2spice.scene.judge import Check
 from kc2spice.scene.load import load_scene
 from kc2spice.scene.model import Part, Scene
-from kc2spice.scene.plan import Axis, axes, key_prefix, keys_at
+from kc2spice.scene.plan import Axis, axes, finest_axes, key_prefix, keys_at
 from kc2spice.scene.settings import Action
 from kc2spice.workflow.decks import prepared
 from kc2spice.workflow.simulate import Run, ran, simulate, simulator_cpu
@@ -52,18 +52,28 @@ Notches = Mapping[str, float]  # by how many notches an axis is moved, by its na
 
 
 class Runs:
-    """Runs of the scene of ``own`` by notches of its axes, each made once."""
+    """Runs of the scene of ``own`` by notches of its axes, each made once.
+
+    Axes in ``finest`` can only be moved coarser.
+    """
 
     def __init__(
-        self, own: Run, found: Sequence[Axis], clock: Clock, *, retries: int | None = None
+        self,
+        own: Run,
+        found: Sequence[Axis],
+        clock: Clock,
+        *,
+        finest: Sequence[Axis] = (),
+        retries: int | None = None,
     ) -> None:
         self.own, self.axes, self.clock, self.retries = own, found, clock, retries
+        self.finest = finest
         self.known: dict[str, Run] = {repr({}): own}
         self.refused: UsageError | None = None  # the last mesh that was too large
 
     def at(self, notches: Notches) -> Run:
         """The run there; raises as :func:`kc2spice.workflow.simulate.simulate` does."""
-        build, settings = self.own.build, keys_at(self.axes, notches)
+        build, settings = self.own.build, keys_at(self.all_axes, notches)
         if repr(settings) not in self.known:
             self.require_size(notches)
             self.known[repr(settings)] = evaluate(
@@ -75,6 +85,11 @@ class Runs:
                 retries=self.retries,
             )
         return self.known[repr(settings)]
+
+    @property
+    def all_axes(self) -> tuple[Axis, ...]:
+        """Those that can be moved finer, then the others."""
+        return (*self.axes, *self.finest)
 
     @cached_property
     def limits(self) -> tuple[float, float]:
@@ -111,7 +126,7 @@ class Runs:
 
     def mesh_error(self, names: Sequence[str], run: Run) -> float:
         """The largest estimated error of the meshes of ``run`` that the axes ``names`` refine."""
-        bodies = (self._body(axis) for axis in self.axes if axis.name in names)
+        bodies = (self._body(axis) for axis in self.all_axes if axis.name in names)
         facts = (run.build.facts(part) for part in bodies if part is not None)
         return max((e for each in facts for e in mesh_errors(each).values()), default=0.0)
 
@@ -251,7 +266,7 @@ def converge(own: Run, clock: Clock) -> Converged | None:
     if action == "off":
         return None
     limit = budget or LIMIT
-    runs = Runs(own, axes(own.build), clock)
+    runs = Runs(own, axes(own.build), clock, finest=finest_axes(own.build))
     if any(axis.mesh for axis in runs.axes):
         most, memory = runs.limits
         text = f"meshes are refined up to {_size(most, memory)} of memory"
@@ -270,7 +285,8 @@ def converge(own: Run, clock: Clock) -> Converged | None:
         if now.error <= limit or budget is None:
             break
         if now.fixed > limit:
-            other = "give a mesh that is finer where its error arises"
+            if any(axis.mesh for axis in runs.all_axes if axis.name in now.unmoved):
+                other = "give a mesh that is finer where its error arises"
             why = _at_finest(runs, now)
             break
         stalls = stalls + 1 if now.error > SHRINKS * last else 0
@@ -299,32 +315,32 @@ def _at_finest(runs: Runs, now: Estimate) -> str:
 
 def _estimate(runs: Runs, notches: Notches) -> Estimate | None:
     """All axes a notch finer; without those of meshes where that is too much for the machine, see
-    :func:`_of_meshes`."""
+    :func:`_coarser_changes`."""
     now = runs.at(notches)
+    finest = tuple(axis.name for axis in runs.finest)
     meshes = tuple(axis.name for axis in runs.axes if axis.model)
     for unmoved in ((), meshes) if meshes else ((),):
         finer = _tried(runs, _moved(notches, [a for a in runs.axes if a.name not in unmoved]))
         if finer is not None:
             settings = keys_at(runs.axes, notches)
             errors = _differences(now, finer)
-            left = _of_meshes(
-                runs, notches, unmoved, errors
-            )  # errors that refined runs do not show
+            # errors that refined runs do not show
+            left = _coarser_changes(runs, notches, (*unmoved, *finest), errors)
             fixed = max(left.values(), default=0.0)
             errors = {name: error + left[name] for name, error in errors.items()}
-            return Estimate(notches, settings, now, errors, unmoved, fixed)
+            return Estimate(notches, settings, now, errors, (*unmoved, *finest), fixed)
     return None
 
 
-def _of_meshes(
+def _coarser_changes(
     runs: Runs, notches: Notches, unmoved: Sequence[str], metrics: Iterable[str]
 ) -> dict[str, float]:
-    """Estimated error of each of the ``metrics`` by the meshes of ``unmoved`` axes: that of the
-    body, or what the metric differs by on a coarser mesh, if more. A notch leaves half of an error
-    at most, so that the difference is no less than what is left."""
+    """Estimated error of each of the ``metrics`` by ``unmoved`` axes: that of a body's mesh, or
+    what the metric differs by with a coarser setting, if more. A notch leaves half of an error at
+    most, so that the difference is no less than what is left."""
     now = runs.at(notches)
     result = dict.fromkeys(metrics, runs.mesh_error(unmoved, now))
-    for axis in (axis for axis in runs.axes if axis.name in unmoved):
+    for axis in (axis for axis in runs.all_axes if axis.name in unmoved):
         at = notches.get(axis.name, 0)
         coarser = None
         if axis.at(at - 1) != axis.at(at):

@@ -79,6 +79,18 @@ def test_an_error_budget_covers_a_small_length_beside_a_large_voltage(result):
     assert apart / scale <= 1e-3 or not stated["held"]
 
 
+@pytest.mark.parametrize("chgtol", [1e-8, 1e-14])
+def test_settings_at_their_finest_have_an_error_too(tmp_path, chgtol):
+    path = tmp_path / "budget.toml"
+    path.write_text(SCENE)
+    finest = {"error_budget": 0.5, "solver.reltol": 1e-7, "solver.chgtol": chgtol}
+    result = kc.run(kc.load_scene(path, finest))
+    limits = {"method": "DOP853", "rtol": 1e-12, "atol": 1e-15}
+    exact = solve_ivp(rates, (0.0, STOP), [0.0, 0.0], **limits).y[0, -1]
+    error = result.record["convergence"]["errors"]["x_final"]
+    assert abs(result.metrics["x_final"] / exact - 1) < error < 1e-2
+
+
 def test_records_state_the_units_of_all_metrics(result):
     assert result.record["metric_units"] == {
         "mass_peak_m": "m",
