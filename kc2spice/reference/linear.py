@@ -123,6 +123,28 @@ class Linear:
         motion = self._free_motion
         return None if motion is None else np.linalg.eigvals(motion.rates)
 
+    def zeros(self, of: L.Reading, amplitudes: np.ndarray) -> np.ndarray:
+        """Rates ``w`` (m,) [1/s], complex, at which a reading is zero for ``amplitudes e^(w t)``.
+
+        With ``v = w u`` and the sources ``amplitudes u`` it is a linear eigenvalue problem of
+        ``[X, u, v]``: the equations, ``w u = v``, and the reading (H. H. Rosenbrock, State-Space
+        and Multivariable Theory (1970)).
+        """
+        n, k = self.system.size, len(self.system.sources)
+        names = list(self.system.names)
+        C0 = sum(factor * self.C0[names.index(wave)] for factor, wave in of.terms)
+        C1 = sum(factor * self.C1[names.index(wave)] for factor, wave in of.terms)
+        given = np.zeros((n + 2 * k, n + 2), dtype=complex)
+        given[:n, :n] = np.eye(n)
+        given[n : n + k, n], given[n + k :, n + 1] = amplitudes, amplitudes
+        now = np.vstack([self.F @ given, np.eye(n + 2)[n + 1], -np.atleast_2d(C0) @ given])
+        rated = np.vstack([self.G @ given, np.eye(n + 2)[n], np.atleast_2d(C1) @ given])
+        for axis in (1, 0):  # units of all sizes
+            size = np.maximum(np.abs(now), np.abs(rated)).max(axis=axis, keepdims=True)
+            now, rated = now / np.where(size, size, 1.0), rated / np.where(size, size, 1.0)
+        w = sla.eigvals(now, rated)
+        return np.asarray(w[np.isfinite(w)])
+
     @cached_property
     def modes(self) -> Modes | None:
         """The natural motions; None where they have no basis of their own, or a body is free."""

@@ -203,6 +203,8 @@ def take(
     if np.iscomplexobj(values) and probe.take in ("max", "argmax"):
         place, largest = response_maximum(scale.real, np.abs(values))
         return largest if probe.take == "max" else place
+    if np.iscomplexobj(values) and probe.take == "min":
+        return response_minimum(scale.real, np.abs(values))
     sizes = np.abs(values) if np.iscomplexobj(values) else values
     result = _TAKEN[probe.take](scale, sizes, float(probe.level or 0.0))
     return None if result is None else float(result)
@@ -237,6 +239,14 @@ def response_maximum(frequency: np.ndarray, size: np.ndarray) -> tuple[float, fl
     if least < 1 / (1 + BETWEEN_POINTS) ** 2:
         return place, largest
     return float(place - linear / (2 * square)), float(largest / math.sqrt(least))
+
+
+def response_minimum(frequency: np.ndarray, size: np.ndarray) -> float:
+    """The least magnitude of a frequency response, between its points too.
+
+    Near a zero the reciprocal of a response has a pole.
+    """
+    return 1 / response_maximum(frequency, 1 / size)[1] if size.all() else 0.0
 
 
 def frequency(scale: np.ndarray, values: np.ndarray) -> float | None:

@@ -1,4 +1,5 @@
-"""Frequencies that a small-signal analysis needs: at resonances, and where probes read it.
+"""Frequencies that a small-signal analysis needs: at resonances, at notches that probes read, and
+where probes read it.
 
 In go a build and its deck; out comes the deck with further analyses about each resonance that the
 scene's own frequencies do not resolve. The resonances are the natural frequencies of the whole
@@ -9,7 +10,7 @@ from __future__ import annotations
 
 import math
 import warnings
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -52,7 +53,7 @@ def refined(deck: Deck, build: Build) -> Deck:
     analysis = build.scene.analysis
     if not analysis.small or analysis.stop is None:
         return deck
-    found = [(f, width) for f, width in _resonances(build) if width > 0.0]
+    found = [(f, width) for f, width in _narrow(build) if width > 0.0]
     step = 2 * HALF_WIDTHS / (POINTS - 1)
     narrow = [(f, width) for f, width in found if step * width < _spacing(build, f)]
     if len(narrow) > MOST_RESONANCES:
@@ -95,10 +96,11 @@ def _spacing(build: Build, f: float) -> float:
     return f * math.expm1(math.log(stop / analysis.start) / max(analysis.points - 1, 1))
 
 
-def _resonances(build: Build) -> list[tuple[float, float]]:
-    """Frequency and half-width [Hz] of each resonance in the scene's range, in rising order."""
+def _narrow(build: Build) -> list[tuple[float, float]]:
+    """Frequency and half-width [Hz] of each resonance and of each notch that a probe takes the
+    least value of, in the scene's range, in rising order."""
     analysis = build.scene.analysis
-    poles = _poles(build)
+    poles = np.concatenate([_poles(build), _zeros(build)])
     f, width = np.abs(poles.imag) / (2 * np.pi), np.abs(poles.real) / (2 * np.pi)
     inside = (poles.imag > 0) & (f > analysis.start) & (f < float(analysis.stop or 0.0))
     rows = {(round(a, 9), round(b, 12)) for a, b in zip(f[inside], width[inside], strict=True)}
@@ -124,6 +126,39 @@ def _poles(build: Build) -> np.ndarray:
         )
         result += [model.poles() for model in models]
     return np.concatenate([np.zeros(0, complex), *result])
+
+
+def _zeros(build: Build) -> np.ndarray:
+    """Zeros [1/s] of the responses whose least value a probe takes.
+
+    Warns where a circuit has no equations, is too large, or has no operating point.
+    """
+    of = {probe.of for probe in build.scene.probes.values() if probe.take == "min"}
+    if not of or build.scene.analysis.type != "ac":
+        return np.zeros(0, complex)
+    laws, result = scene_laws(build), dict[str, np.ndarray]()
+    try:
+        for network in laws.networks:
+            result |= _network_zeros(network, of & network.readings.keys())
+    except (SimulationError, UsageError, np.linalg.LinAlgError):
+        pass
+    if unknown := sorted(of if laws.missing else of - result.keys()):
+        warnings.warn(
+            f"{', '.join(unknown)}: the least value is read at the scene's frequencies, since a "
+            "part of its circuit has no equations: raise analysis.points",
+            stacklevel=2,
+        )
+    return np.concatenate([np.zeros(0, complex), *result.values()])
+
+
+def _network_zeros(network: Network, of: Iterable[str]) -> dict[str, np.ndarray]:
+    """Zeros of each response ``of`` a network; none of a large one."""
+    system = assemble(network.laws, network.joins) if of else None
+    if system is None or system.size > LARGEST_SYSTEM:
+        return {}
+    amplitudes = np.array([source.ac for source in system.sources])
+    linear = Linear(system)
+    return {name: linear.zeros(network.readings[name], amplitudes) for name in of}
 
 
 def _network_poles(network: Network) -> np.ndarray | None:

@@ -51,6 +51,37 @@ def test_a_resonance_between_the_points_has_its_closed_form(quality, points, sce
     assert (np.diff(frequency) > 0).all()
 
 
+@pytest.mark.parametrize("quality", [20, 2000, 1e5])
+@pytest.mark.parametrize("points", [7, 40])
+def test_the_least_response_is_that_of_the_absorber(quality, points):
+    """A force drives a mass ``m`` on ``k``, which carries an absorber ``n`` on ``s`` and ``d``: the
+    response is least near ``w^2 = s / n``, by both equations of motion."""
+    F, m, k, n, s = 1e-3, 1e-3, 1e3, 0.2e-3, 150.0
+    d, c = np.sqrt(s * n) / quality, 0.02
+    free = {"part": "mass", "mass": n, "pins": {"a": "soft.b"}}
+    result = kc.run({
+        "gravity": 0.0,
+        "push": {"part": "source", "kind": "force", "ac": F, "pins": {"out": "heavy.a"}},
+        "heavy": {"part": "mass", "mass": m},
+        "stiff": {"part": "spring", "stiffness": k, "pins": {"a": "heavy.a"}},
+        "loss": {"part": "damper", "damping": c, "pins": {"a": "heavy.a"}},
+        "soft": {"part": "spring", "stiffness": s, "pins": {"a": "heavy.a"}},
+        "rub": {"part": "damper", "damping": d, "pins": {"a": "heavy.a", "b": "soft.b"}},
+        "light": free,
+        "analysis": {"type": "ac", "start": 50.0, "stop": 200.0, "points": points},
+        "probes": {"least": {"of": "heavy.x", "take": "min"}},
+    })  # fmt: skip
+
+    def size(w):
+        z = s + 1j * w * d
+        A = [[k + z - m * w**2 + 1j * w * c, -z], [-z, z - n * w**2]]
+        return abs(np.linalg.solve(A, [F, 0])[0])
+
+    at = np.sqrt(s / n)
+    near = minimize_scalar(size, bounds=(0.99 * at, 1.01 * at), options={"xatol": 1e-9 * at})
+    assert result.metrics["least"] == pytest.approx(near.fun, rel=2e-3)
+
+
 def test_resonances_are_those_of_body_and_driver_together(tmp_path):
     """A coil in series with a capacitive body has a resonance that neither has alone."""
     M, K, C0, R, L = np.diag([1e-6, 1e-6]), np.diag([4e3, 9e4]), 2e-9, 1.0, 0.05
@@ -118,8 +149,12 @@ def test_a_part_without_equations_is_named(tmp_path):
         '[drive]\npart = "source"\nac = 1.0\n'
         '[analysis]\ntype = "ac"\nstart = 5e3\nstop = 2e4\npoints = 10\n'
         '[probes]\ni = { of = "body.current", take = "max" }\n'
+        'least = { of = "body.current", take = "min" }\n'
     )
-    with pytest.warns(UserWarning, match="own without equations"):
+    with (
+        pytest.warns(UserWarning, match="own without equations"),
+        pytest.warns(UserWarning, match=r"body.current: the least value is read at the scene's"),
+    ):
         found = kc.run(tmp_path / "s.toml")
     s = 2j * np.pi * found.frequency
     Y = s * (2e-9 + 1e-6 / (s**2 * 1e-6 + s * E[0][0] + 4e3))
