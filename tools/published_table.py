@@ -15,7 +15,7 @@ import sys
 import tempfile
 import tomllib
 from collections.abc import Callable, Collection, Mapping
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, TypeAlias
 
@@ -50,6 +50,9 @@ SUFFIXES = {
     "_m_s": "m/s", "_m": "m", "_n": "N", "_s": "s", "_v": "V", "_a": "A", "_hz": "Hz",
     "_siemens": "S",
 }  # fmt: skip
+PLACE_UNITS = {"us": "µs", "ms": "ms", "hz": "Hz", "khz": "kHz", "um": "µm", "nm": "nm", "v": "V"}
+# The place at the end of a metric's name: at_180us, first_at_1_5hz, back_at_14p5_v.
+PLACE = re.compile(rf"_(\d+)(?:[p_](\d+))?_?({'|'.join(PLACE_UNITS)})$")
 PREFIXES = ((1e3, "k"), (1.0, ""), (1e-3, "m"), (1e-6, "µ"), (1e-9, "n"))
 PICTURES = {
     "buzzer_ft_20t_6_5a1": "disc_impedance.png",
@@ -129,7 +132,7 @@ def models(scene: Scene, part: str) -> tuple[LinearModel, LinearModel]:
     """Full and reduced model of a body."""
     clock = Clock()
     body = scene.parts[part]
-    return body.type.full(body, scene, clock), build_models(scene, clock).model(part)
+    return body.type.full(body, scene, clock), build_models(scene, clock).model(body)
 
 
 Solver: TypeAlias = Callable[[str, Mapping[str, Any]], tuple[dict[str, Answer], Path]]
@@ -153,7 +156,7 @@ def analysed(name: str, part: str) -> Analyser:
     frequency = waves["frequency"].real
     at = [port.name for port in reduced.ports].index("anode")
     charge = reduced.transfer(frequency)[:, at, at]
-    read = analyse(frequency, 1 / (2j * np.pi * frequency * charge)).metrics()
+    read = asdict(analyse(frequency, 1 / (2j * np.pi * frequency * charge)))
     return Analyser(full, read, record["metrics"], out)
 
 
@@ -217,7 +220,12 @@ def shown(quantity: str) -> tuple[str, float, str]:
     if quantity in UNITS:
         return UNITS[quantity]
     suffix = next(s for s in SUFFIXES if quantity.endswith(s))
-    return quantity.removesuffix(suffix).replace("_", " "), 1.0, SUFFIXES[suffix]
+    words = quantity.removesuffix(suffix)
+    if place := PLACE.search(words):
+        whole, decimals, unit = place.groups()
+        number = f"{whole}.{decimals}" if decimals else whole
+        words = f"{words[: place.start()]}_{number} {PLACE_UNITS[unit]}"
+    return re.sub(r"(?<=[a-z])(\d+)$", r" \1", words).replace("_", " "), 1.0, SUFFIXES[suffix]
 
 
 SOLVERS: dict[str, Solver] = {
@@ -255,9 +263,15 @@ def rows(name: str, entry: Mapping[str, Any], found: Mapping[str, Answer]) -> li
         cells = ["-" if v is None else f"{v / unit:.4g} {text}".strip() for v in values]
         lines.append(
             f"| `{name}` | {label} | {limit} | {' | '.join(cells)} "
-            f"| {'' if sheet.get('at_least') else f'{100 * difference:+.1f} %'} | {verdict} |"
+            f"| {'' if sheet.get('at_least') else percent(difference)} | {verdict} |"
         )
     return lines
+
+
+def percent(share: float) -> str:
+    """A share in percent with its sign, without that of a zero."""
+    text = f"{100 * share:+.1f} %"
+    return text[1:] if float(text[:-2]) == 0 else text
 
 
 def slew() -> list[str]:

@@ -12,6 +12,7 @@ import numpy as np
 import published_table
 import pytest
 from commands import asked
+from docs_numbers import different_lines
 
 import kc2spice as kc
 from kc2spice.scene.load import load_scene
@@ -272,3 +273,32 @@ def test_the_devices_page_has_the_texts_of_the_published_file():
     assert published_table.page(PUBLISHED, (), text) == text
     rows = [line for line in text.splitlines() if line.startswith("| `")]
     assert len(rows) == len(set(rows))
+
+
+@pytest.mark.parametrize("name", ["buzzer_7bb_20_6", "plate_biased"])
+def test_rows_of_the_devices_page_are_those_of_its_program(name):
+    found, _ = published_table.solver(name, PUBLISHED[name])(name, PUBLISHED[name])
+    printed = "\n".join(published_table.rows(name, PUBLISHED[name], found))
+    page = (ROOT / "docs" / "evidence" / "devices.md").read_text("utf-8")
+    table = page.partition("\n## ")[0].splitlines()
+    shown = "\n".join(line for line in table if line.startswith(f"| `{name}` |"))
+    assert not list(different_lines(shown, printed))
+
+
+@pytest.mark.parametrize(
+    ("quantity", "label"),
+    [
+        ("at_180us_v", "at 180 µs"),
+        ("first_at_1_5hz_m", "first at 1.5 Hz"),
+        ("at_14p5_v_m", "at 14.5 V"),
+        ("stroke_234_v_m", "stroke 234 V"),
+        ("conductor_turn1_s", "conductor turn 1"),
+    ],
+)
+def test_labels_of_the_devices_page_have_units(quantity, label):
+    assert published_table.shown(quantity)[0] == label
+
+
+def test_a_difference_of_rounding_has_no_sign():
+    texts = [published_table.percent(share) for share in (-3e-4, 3e-4, -1e-3, 0.75)]
+    assert texts == ["0.0 %", "0.0 %", "-0.1 %", "+75.0 %"]
