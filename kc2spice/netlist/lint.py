@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import re
 from collections import Counter
 from collections.abc import Collection, Iterable, Iterator, Mapping
 
@@ -27,6 +28,9 @@ _ODD = tuple(Number(text) for text in ("1", "3", "5", "7", "9"))
 # Parasitic settings of elements in LTspice, and the equivalent separate elements.
 _PARASITIC = {"rser": "R in series", "lser": "L in series", "rpar": "R across it",
               "rlshunt": "R across it", "cpar": "C across it"}  # fmt: skip
+# A unit in place of the decimal point, such as 4k7, but no exponent such as 1e5: ngspice ends the
+# number at the unit.
+_INFIX = re.compile(r"(\d+)([a-df-z][a-z]*)(\d+)", re.IGNORECASE)
 
 
 def lint(deck: Deck) -> None:
@@ -137,6 +141,13 @@ def _references(part: Element, scope: Scope) -> Iterator[UsageError]:
                 f"{instead}, as an element of its own",
                 f"write the {instead} as a card of its own and leave {param} out",
             )
+    for value in part.values:
+        if number := _INFIX.fullmatch(value):
+            whole, unit, decimals = number.groups()
+            suffix = "" if unit.lower() == "r" else unit
+            read = f"{whole}{suffix}"
+            message = f"ngspice reads {value} as {read}"
+            yield part.error(message, f"{value} of {part.name}", f"{whole}.{decimals}{suffix}")
     kind = "l" if part.kind == "k" else "v"
     present = [e.key for e in scope.elements if e.kind == kind]
     for source in map(str.lower, part.sources):

@@ -47,7 +47,7 @@ _NODE = re.compile(
 _ALTERED = re.compile(
     r"\bignor(?:ed|ing)\b|\b(?:re)?set to\b|\bassumed?\b|\blimited to\b|\breplaced\b|"
     r"\bdefault(?:ed|ing|s)?\b|\bnot (?:yet )?(?:supported|implemented)\b|\bunsupported\b|"
-    r"\bis used\b|\bdisabled\b|\bskipped\b|\btreated as\b|\bobsolete\b",
+    r"\bsetting\b.*\bto\b|\bis used\b|\bdisabled\b|\bskipped\b|\btreated as\b|\bobsolete\b",
     re.IGNORECASE,
 )
 # The same words where the result does not depend on it: what is printed, and a source without a

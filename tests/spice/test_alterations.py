@@ -84,6 +84,7 @@ ALTERED = (
     "MIF: unrecognized parameter (foo) - ignored",
     "r0: resistance to low, set to 1 mOhm",
     "illegal (too high) argument to level parameter - level=1 assumed",
+    "Level must be < 99 (Setting Level to 1)",
 )
 UNALTERED = (
     "Circuit: * what if damping is ignored",

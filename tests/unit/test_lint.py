@@ -28,6 +28,7 @@ def complaints(cards, library=LIBRARY):
 
 
 GOOD = [
+    "V1 in 0 1e1\nR1 in 0 1e5\nR2 in 0 2.2k\nC1 in 0 10uF\nR3 in 0 1meg",
     "V1 in 0 1\nX1 in out 0 divider\nR9 out 0 1k\n.op",
     "V1 in 0 1\nX1 in out 0 divider ratio=0.1\n+ total=5\nR9 out 0 1k",
     "V1 in 0 DC 1 AC 1\nX1 in nc1 0 divider\nX2 in nc2 0 divider",
@@ -65,6 +66,9 @@ BAD = [
     ("V1 in 0 1\nX1 in out 0 divider rato=2", "no such parameter", "test.cir:4"),
     ("V1 in 0 1\nX1 in out 0 divider upper=2", "no such parameter", "test.cir:4"),
     ("V1 in 0 1\nR1 in 0 1\nR1 in 0 2", "two parts have one name", "test.cir:5"),
+    ("V1 in 0 1\nR1 in 0 4k7", "ngspice reads 4k7 as 4k", "test.cir:4"),
+    ("V1 in 0 1\nR1 in 0 1\nC1 in 0 2n2", "ngspice reads 2n2 as 2n", "test.cir:5"),
+    ("V1 in 0 1\nR1 in 0 1R5", "ngspice reads 1R5 as 1", "test.cir:4"),
     ("V1 in 0 1\nR1 in 0 1\nr1 in 0 2", "two parts have one name", "test.cir:5"),
     ("V1 in 0 1\nR1 imn 0 1", "floating port: nothing else is wired to node imn", "test.cir:4"),
     ("V1 in 0 1\nX1 in out bot divider\nR1 out 0 1", "wired to node bot", "test.cir:4"),
