@@ -280,7 +280,7 @@ class LinearBody(Touching):
         return max([LEAST, *(r.content for r in numerics(scene) if math.isfinite(r.step))])
 
     def model_key(self, part: Part, scene: Scene) -> Mapping[str, Any]:
-        rom = self.reduction(part, scene)
+        rom = reduction_target(part, scene)
         kept = [port.name for port in self.kept(part, scene)]
         own = rom.model_dump(mode="json")
         result = {"type": self.name, "full": self.full_key(part, scene), "ports": kept, "rom": own}
@@ -292,7 +292,7 @@ class LinearBody(Touching):
         """The resonators over the box of ``rom.parameters``, which no value of these changes."""
         keys = varied(part)
         middle = with_values(part, {item.key: item.axis.middle for item in keys})
-        target, asked = self.reduction(part, scene), self.model_key(middle, scene)
+        target, asked = reduction_target(part, scene), self.model_key(middle, scene)
         if loss_tangent(part):
             problem = "a netlist with parameters has no loss of its dielectric"
             raise wrong(f"{part.name}.damping.loss_tangent", problem, loss_tangent(part), "0")
@@ -349,7 +349,7 @@ class LinearBody(Touching):
         if keys:
             return self.varying(part, scene, clock).at({item.key: item.value for item in keys})
         # Asked here, as parts of the key: what runs within ``build`` is hashed with its modules.
-        target, asked = self.reduction(part, scene), self.model_key(part, scene)
+        target, asked = reduction_target(part, scene), self.model_key(part, scene)
         tangent, constants = loss_tangent(part), by_complex_constants(part)
 
         def build() -> LinearModel:
@@ -554,7 +554,7 @@ class LinearBody(Touching):
             yield _reduction_check(name, error, "", REDUCED)
             return
         worst, states = loaded
-        model, target = build.model(part), self.reduction(part, build.scene)
+        model, target = build.model(part), reduction_target(part, build.scene)
         order = TWICE * (target.order or model.order)
         default = self._chosen(part, build.scene) is None and not varied(part)
         key = "rom.order" if part.keys.rom is None and not default else f"{name}.rom.order"
@@ -709,7 +709,7 @@ class LinearBody(Touching):
     def law(self, part: Part, build: Build) -> laws.Equations | None:
         model: LinearModel = build.model(part)
         ports, n = model.ports, part.name
-        heat, last = is_heat(model), self.pins(part, build.scene)[-1].name
+        heat, last = is_heat(model), build.scene.pins(part.name)[-1].name
         if build.net(part, last) != "0" and not heat:  # its reference
             return None
         signals = not any(port.conservative for port in ports)
@@ -748,7 +748,7 @@ class LinearBody(Touching):
         return laws.Equations((law,), tuple(joins), results)
 
     def notes(self, part: Part, scene: Scene) -> Iterator[str | Neglected]:
-        rom = self.reduction(part, scene)
+        rom = reduction_target(part, scene)
         kept = self.kept(part, scene)
         ports = ", ".join(port.name for port in kept)
         reach = "" if self.sure(part, scene) is None else f", or {MOTIONS} natural frequencies"
@@ -855,7 +855,7 @@ def scene_band(part: Part, scene: Scene, full: LinearModel) -> tuple[float, floa
     """Band [Hz] over which a scene reduces the ``full`` model of its body."""
     kind = part.type
     assert isinstance(kind, LinearBody)
-    target, asked = kind.reduction(part, scene), kind.model_key(part, scene)
+    target, asked = reduction_target(part, scene), kind.model_key(part, scene)
     return _reaching(target.band, asked, lambda: full)
 
 
@@ -887,16 +887,27 @@ def aim(rom: Rom) -> str:
     return f"{target}, band {low:g} … {high:g} Hz"
 
 
+def reduction_target(part: Part, scene: Scene) -> Rom:
+    """Settings of a body's reduction; those of a body with other keys than the scene's follow from
+    its keys."""
+    record = scene.record(part)
+    result = None if record is None else record.reduction
+    if result is None:
+        result = part.type.reduction(part, scene)
+    assert result is not None
+    return result
+
+
 def wanted(part: Part, scene: Scene) -> set[str]:
     """Names of ports or pins of ``part`` that other parts, its own pins or probes name."""
     prefix = f"{part.name}."
     assert isinstance(part.type, LinearBody)
     result = set(part.pins)
     for other in scene.parts.values():
-        names = (*other.pins.values(), *other.type.default_joins(other, scene).values())
+        names = (*other.pins.values(), *scene.default_joins(other).values())
         result |= {name.removeprefix(prefix) for name in names if name.startswith(prefix)}
         # copies of it, with loads on all ports
-        if other.type.governs(other, scene).get(part.name) == "copied":
+        if scene.records[other.name].governs.get(part.name) == "copied":
             result |= {port.name for port in part.type.ports(part, scene) if port.kind in ANSWERS}
     for probe in scene.probes.values():
         if probe.of.startswith(tuple(f"{prefix}{word}." for word in WORDS)):
@@ -907,7 +918,7 @@ def wanted(part: Part, scene: Scene) -> set[str]:
 def contacts_on(part: Part, scene: Scene) -> Iterator[Part]:
     """The contacts that press on ports of ``part``."""
     for contact in scene.of("contact"):
-        targets = contact.type.default_joins(contact, scene).values()
+        targets = scene.default_joins(contact).values()
         if any(target.startswith(f"{part.name}.") for target in targets):
             yield contact
 

@@ -330,10 +330,18 @@ class Pair:
         return None if dent is None else result + dent
 
 
+def pair_of(contact: Part, scene: Scene) -> Pair:
+    """Both sides of a contact, as its record has them."""
+    record = scene.record(contact)
+    if record is None or not isinstance(record.detail, Pair):
+        return Pair(contact, scene)
+    return record.detail
+
+
 def only_pair(scene: Scene) -> Pair | None:
     """The scene's contact, where it has one."""
     contact = scene.only("contact")
-    return None if contact is None else Pair(contact, scene)
+    return None if contact is None else pair_of(contact, scene)
 
 
 def _indentation_law(shape: PressureBasis, compliance: np.ndarray, radius: float) -> Indented:
@@ -360,7 +368,7 @@ def impact_penetration(sphere: Part, scene: Scene, speed: float, why: str) -> It
     """
     energy = 0.5 * sphere.keys.mass * speed**2
     for contact in scene.of("contact"):
-        pair = Pair(contact, scene)
+        pair = pair_of(contact, scene)
         if pair.b.part == sphere.name and pair.b.radius and (modulus := pair.a.modulus):
             if pair.b.elastic:
                 assert pair.b.modulus is not None

@@ -156,7 +156,7 @@ class Gap(Patched):
 
     def law(self, part: Part, build: Build) -> laws.Equations:
         """Without the pins of branches that the netlist does not have: they are joined nowhere."""
-        result, known = super().law(part, build), {pin.name for pin in self.pins(part, build.scene)}
+        result, known = super().law(part, build), {pin.name for pin in build.scene.pins(part.name)}
         return replace(result, pins=tuple(pair for pair in result.pins if pair[0] in known))
 
     def _with_branches(self, part: Part, scene: Scene, branches: int) -> Declaration:

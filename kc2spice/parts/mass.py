@@ -137,7 +137,7 @@ class PointMass(Touching, DeclaredPart):
             for name, pin in scene.joined(part.name, "a"):
                 other = scene.parts[name]
                 moved = other.type.name == part.type.name or other.reduced
-                if moved or other.type.at_rest(other, scene).ideal:
+                if moved or scene.records[name].rest.ideal:
                     problem = "begins where and as fast as what it is fixed to"
                     hint = "a stiff spring between both lets each have its own"
                     got, expected = f"{name}.{pin} on the same net", "neither position nor velocity"

@@ -136,7 +136,7 @@ class Netlist(PartType):
 
     def subcircuits(self, part: Part, build: Build, header: Any) -> tuple[Any, ...]:
         result = included_netlist(part.keys.file, build.scene.home, trust=build.trust)
-        pins = tuple(Pin(t.name, t.unit, t.flow) for t in self.pins(part, build.scene))
+        pins = tuple(Pin(t.name, t.unit, t.flow) for t in build.scene.pins(part.name))
         text, file = result.text, result.file
         title = text.partition("\n")[0].lstrip("* ")
         tree = read(text, file)
@@ -144,7 +144,7 @@ class Netlist(PartType):
 
     def vectors(self, part: Part, build: Build) -> Mapping[str, Vector]:
         """Its rated pins, and what probes name: pins, ``i(ELEMENT)``, and nodes over ``ref``."""
-        scene, pins = build.scene, {t.name: t for t in self.pins(part, build.scene)}
+        scene, pins = build.scene, {t.name: t for t in build.scene.pins(part.name)}
         rated = part.keys.ratings if scene.analysis.type == "transient" else ()
         probed = dict.fromkeys(node for _, node in _probed(part, scene))
         volts = [p for p in probed if p in pins and pins[p].unit == "V"]

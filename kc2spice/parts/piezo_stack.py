@@ -18,10 +18,10 @@ from kc2spice.core.figure import Shape
 from kc2spice.core.quantities import Count, Section, Time, Voltage, si
 from kc2spice.core.waveforms import Waveforms, running
 from kc2spice.fem.materials import material
-from kc2spice.parts._linear_body import SOURCES, aim, wanted
+from kc2spice.parts._linear_body import SOURCES, aim, reduction_target, wanted
 from kc2spice.parts._meshed import FieldKeys, MeshedBody
 from kc2spice.parts._neglected import Envelope, disc_air
-from kc2spice.parts._touching import Pair, Penetration, Surface
+from kc2spice.parts._touching import Penetration, Surface, pair_of
 from kc2spice.parts.netlist import driver
 from kc2spice.rom.linear import Port
 from kc2spice.scene.judge import Metric
@@ -310,7 +310,7 @@ class PiezoStack(MeshedBody):
 
             name = next(c.name for c in scene.of("contact") if c.keys.shape == "pressure")
             if (most := float(waves[f"{name}.force"].max())) > 0:
-                forces = Pair(scene.parts[name], scene).basis_forces(most)
+                forces = pair_of(scene.parts[name], scene).basis_forces(most)
                 inside = stressed(part.keys, shape, forces)
                 result |= {f"{name}_{key}": Metric(v, UNITS[key]) for key, v in inside.items()}
         current = waves.data.get(f"{part.name}.current")
@@ -330,7 +330,7 @@ class PiezoStack(MeshedBody):
         return float(top.indentation_modulus)
 
     def notes(self, part: Part, scene: Scene) -> Iterator[str | Neglected]:
-        keys, rom = part.keys, self.reduction(part, scene)
+        keys, rom = part.keys, reduction_target(part, scene)
         pressed = pressure_nodes(part, scene) is not None
         kept, last = kept_rings(part, scene), keys.mesh.rings
         ports = "a patch of pressure as port" if pressed else f"{kept} rings as ports"

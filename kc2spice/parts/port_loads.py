@@ -192,9 +192,8 @@ def body_of(part: Part, scene: Scene) -> Part:
 
 
 def _rings(body: Part, scene: Scene) -> tuple[str, ...]:
-    return tuple(
-        pin.name for pin in body.type.pins(body, scene) if pin.unit == "um" and pin.name != "base"
-    )
+    pins = scene.pins(body.name)
+    return tuple(pin.name for pin in pins if pin.unit == "um" and pin.name != "base")
 
 
 register(PortLoads())

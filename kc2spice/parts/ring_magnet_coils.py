@@ -532,7 +532,7 @@ def _driven(part: Part, scene: Scene) -> bool:
         target
         for other in scene.parts.values()
         if other is not part
-        for target in (*other.pins.values(), *other.type.default_joins(other, scene).values())
+        for target in (*other.pins.values(), *scene.default_joins(other).values())
     )
     return bool(part.pins) or any(target in targets for target in joined)
 

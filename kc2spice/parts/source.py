@@ -289,10 +289,7 @@ def drive_scales(name: str, wave: Waveform) -> Iterator[Numerics]:
 def _unloaded(part: Part, build: Build) -> bool:
     """Whether nothing but inputs of signals, which draw no current, listens to its voltage."""
     result = [
-        terminal.flow
-        for name, pin in build.scene.joined(part.name, "out")
-        for terminal in build.scene.parts[name].type.pins(build.scene.parts[name], build.scene)
-        if terminal.name == pin
+        build.scene.terminals[name, pin].flow for name, pin in build.scene.joined(part.name, "out")
     ]
     return bool(result) and set(result) == {"-"} and build.net(part, "ret") == "0"
 

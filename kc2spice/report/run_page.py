@@ -90,7 +90,7 @@ def circuit(scene: Scene) -> str:
     spots: dict[str, list[tuple[float, str, str]]] = {}
     boxes, x = [], 10.0
     for part in scene.parts.values():
-        pins = part.type.pins(part, scene)
+        pins = scene.pins(part.name)
         steps = [max(30.0, LETTER * len(pin.name) + 10) for pin in pins]
         width = max(sum(steps), LETTER * max(len(part.name), len(part.type.name)) + 16)
         boxes.append((x, width, part.name, part.type.name.replace("_", " ")))

@@ -48,6 +48,8 @@ def composed(scene: Scene) -> Scene:
 
 def _joined(scene: Scene) -> Scene:
     """``scene`` with its nets; pins of parts in a frame follow from the nets that it has."""
+    joins = {name: r.part.type.default_joins(r.part, scene) for name, r in scene.records.items()}
+    scene = _with_answers(scene, "joins", joins)
     terminals = {
         (part.name, pin.name): pin
         for part in scene.parts.values()
@@ -65,6 +67,8 @@ def _joined(scene: Scene) -> Scene:
     for net in groups:
         _one_kind(net, scene)
     scene = replace(scene, nets=_names(groups, scene))
+    rests = {name: r.part.type.at_rest(r.part, scene) for name, r in scene.records.items()}
+    scene = _with_answers(scene, "rest", rests)
     scene = replace(scene, own=_own(scene))
     _required(scene, {net[0] for net in groups if len(net) == 1})
     _outputs(scene)
@@ -72,6 +76,14 @@ def _joined(scene: Scene) -> Scene:
     _source_loops(scene)
     _grounded(scene)
     return scene
+
+
+def _with_answers(scene: Scene, name: str, answers: Mapping[str, Any]) -> Scene:
+    """``scene`` whose records have the answers of all parts to one question."""
+    rows = scene.records.items()
+    return replace(
+        scene, records={part: replace(record, **{name: answers[part]}) for part, record in rows}
+    )
 
 
 def _joins(part: Part, scene: Scene) -> Iterator[tuple[str, str, str]]:
@@ -86,7 +98,7 @@ def _joins(part: Part, scene: Scene) -> Iterator[tuple[str, str, str]]:
         if pin not in own:
             raise unknown(f"{part.type.name} has no such pin", pin, sorted(own), where)
         yield pin, target, where
-    links = {k: v for k, v in part.type.default_joins(part, scene).items() if k not in part.pins}
+    links = {k: v for k, v in scene.default_joins(part).items() if k not in part.pins}
     yield from ((pin, target, part.name) for pin, target in links.items())
     for pin in sorted(own - {*links, *part.pins}):
         default = scene.terminals[part.name, pin].default
@@ -274,7 +286,7 @@ def _source_loops(scene: Scene) -> None:
     """No two ideal sources in parallel, no loop of them: their currents would be undetermined."""
     union = Groups(["0", *scene.nets.values()])
     for part in scene.parts.values():
-        for plus, minus in part.type.at_rest(part, scene).ideal:
+        for plus, minus in scene.records[part.name].rest.ideal:
             a, b = scene.nets[part.name, plus], scene.nets[part.name, minus]
             if union.together(a, b):
                 raise part.wrong(
@@ -369,8 +381,8 @@ def free(build: Build) -> tuple[Free, ...]:
 def rigid(scene: Scene, without: str = "") -> list[frozenset[str]]:
     """Nets whose displacements ideal sources, all but ``without``, tie to each other; alone where
     nothing does."""
-    parts = [part for part in scene.parts.values() if part.name != without]
-    return _groups(scene, [(part, part.type.at_rest(part, scene).ideal) for part in parts])
+    records = [record for name, record in scene.records.items() if name != without]
+    return _groups(scene, [(record.part, record.rest.ideal) for record in records])
 
 
 def unsettled(build: Build) -> Iterator[UsageError]:

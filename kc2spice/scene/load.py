@@ -38,10 +38,12 @@ from kc2spice.core.quantities import (
     unit_of,
 )
 from kc2spice.core.toml_errors import parse_toml_file
-from kc2spice.scene.compose import composed, unsettled
+from kc2spice.scene.compose import unsettled
 from kc2spice.scene.model import GROUND, SHORT, Build, Names, Part, PartType, Scene
-from kc2spice.scene.parttype import EVEN, drive_period, numerics, part_type, type_names
+from kc2spice.scene.parttype import EVEN, drive_period, part_type, type_names
 from kc2spice.scene.plausible import ImplausibleError, drive_levels, judged
+from kc2spice.scene.resolve import resolve, with_governed
+from kc2spice.scene.rows import Numerics
 from kc2spice.scene.settings import SCALE_OF, Analysis, Frame
 
 MOST_POINTS = 1e7  # time points of a transient at its largest step
@@ -208,7 +210,8 @@ def _no_periods(where: str, count: int, scene: Scene) -> Iterator[UsageError]:
         got, expected = f"{scene.analysis.type} analysis", "a transient, or from and to"
         yield UsageError("only a transient has periods", where=where, got=got, expected=expected)
         return
-    period, known = drive_period(scene), sorted({row.period for row in numerics(scene)} - {0.0})
+    rows = _numerics(scene)
+    period, known = drive_period(rows), sorted({row.period for row in rows} - {0.0})
     if period is None:
         periods = ", ".join(f"{each:.4g} s" for each in known)
         yield UsageError(
@@ -401,9 +404,10 @@ def _scene(data: dict[str, Any], source: _Source) -> Scene:
     scene = replace(scene, parts=parts, tables=_copied(data), source=source)
     if asked is not None and "analysis" not in data:
         scene = replace(scene, frame=scene.frame.model_copy(update={"analysis": asked}))
+    scene = with_governed(scene)
     for problem in problems(scene):
         raise problem
-    scene = composed(_driven(scene))
+    scene = resolve(_driven(scene))
     wild = judged(drive_levels(scene), scene.checks.plausible)
     for problem in chain(unsettled(Build(scene, {})), wild):
         raise problem
@@ -418,7 +422,7 @@ def _driven(scene: Scene) -> Scene:
     UsageError : nothing drives it, and there is no such port or something is joined to it.
     """
     parts = scene.parts
-    if scene.analysis.type != "ac" or any(row.prescribes for row in numerics(scene)):
+    if scene.analysis.type != "ac" or any(row.prescribes for row in _numerics(scene)):
         return scene
     whole = replace(scene, ports="all")
     bodies = [part for part in parts.values() if part.reduced]
@@ -438,6 +442,11 @@ def _driven(scene: Scene) -> Scene:
     table = {"part": "source", "ac": "1 V", "pins": {"out": ".".join(ports[0])}}
     drive = _part(name, table, _type(name, table), scene.home)
     return replace(scene, parts={**parts, name: drive})
+
+
+def _numerics(scene: Scene) -> list[Numerics]:
+    """Numerical requirements of the parts, before the scene is resolved."""
+    return [*chain.from_iterable(p.type.numerics(p, scene) for p in scene.parts.values())]
 
 
 def _part_tables(data: Mapping[str, Any]) -> Iterator[tuple[str, Mapping]]:

@@ -11,7 +11,7 @@ import json
 from collections.abc import Hashable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar, Literal
+from typing import TYPE_CHECKING, Any, ClassVar, Generic, Literal, TypeVar
 
 import numpy as np
 
@@ -55,6 +55,7 @@ SHORT = {
 }
 TABLES = {kind: name for name, kind in SHORT.items()}
 METER = "meter"  # word of an ammeter's name, behind those of its pin
+T = TypeVar("T")
 
 
 @dataclass(frozen=True)
@@ -135,6 +136,25 @@ class Part:
         return f"<{self.type.name} {self.name}{': ' + joined if joined else ''}>"
 
 
+@dataclass(frozen=True)
+class Record(Generic[T]):
+    """Answers of one part of a scene; :mod:`kc2spice.scene.resolve` asks for each of them once.
+
+    ``detail`` is the answer of :meth:`PartType.detail`, in a class of the part's package.
+    ``joins``, ``rest``, ``numerics`` and ``reduction`` are those of the methods of
+    :class:`PartType` with these names, before any model is built. ``joins`` is None until the pins
+    of the scene are joined.
+    """
+
+    part: Part
+    governs: Mapping[str, State | Governed] = field(default_factory=dict)
+    detail: T | None = None
+    joins: Mapping[str, str] | None = None
+    rest: Rest = field(default_factory=Rest)
+    numerics: tuple[Numerics, ...] = ()
+    reduction: Rom | None = None
+
+
 class Names:
     """A name for each key, the wanted one unless it is ``taken``, in whatever case."""
 
@@ -158,7 +178,8 @@ class Names:
 class Scene:
     """A checked scene. ``parts`` are in the order of the file, what they expand to behind them.
 
-    ``terminals`` has every pin by ``(part, pin)``, ``nets`` its node of the netlist (``"0"`` is
+    ``records`` has the answers of each part,
+    ``terminals`` every pin by ``(part, pin)``, ``nets`` its node of the netlist (``"0"`` is
     ground); ``own`` gives ``(part, *words)`` the name of what else the part has there
     (:meth:`Build.own`); ``shaken`` has the shaken frame that the
     displacements of a net are relative to, by node; ``home`` is the folder of the scene's file,
@@ -171,6 +192,7 @@ class Scene:
 
     frame: Frame
     parts: Mapping[str, Part]
+    records: Mapping[str, Record[Any]] = field(default_factory=dict)
     terminals: Mapping[tuple[str, str], Terminal] = field(default_factory=dict)
     nets: Mapping[tuple[str, str], str] = field(default_factory=dict)
     own: Names = field(default_factory=Names)
@@ -247,6 +269,22 @@ class Scene:
         """Whether the ``pins`` of another part name this one, so that no default joins it."""
         target = f"{part}.{pin}"
         return any(target in other.pins.values() for other in self.parts.values())
+
+    def record(self, part: Part) -> Record[Any] | None:
+        """Answers of a part; None for a part that the scene has with other keys."""
+        result = self.records.get(part.name)
+        return result if result is not None and result.part is part else None
+
+    def default_joins(self, part: Part) -> Mapping[str, str]:
+        """Joins that follow from the keys of a part."""
+        record = self.record(part)
+        if record is None or record.joins is None:
+            return part.type.default_joins(part, self)
+        return record.joins
+
+    def pins(self, part: str) -> tuple[Terminal, ...]:
+        """Pins of a part in the order of its subcircuit."""
+        return tuple(pin for (name, _), pin in self.terminals.items() if name == part)
 
     def net(self, part: str, pin: str) -> str:
         """Node of the netlist that a pin is joined to."""
@@ -333,7 +371,7 @@ class Build:
 
     def across(self, part: Part, pin: str) -> Vector:
         """Displacement, voltage or signal of a pin in SI."""
-        unit = next(item.unit for item in part.type.pins(part, self.scene) if item.name == pin)
+        unit = self.scene.terminals[part.name, pin].unit
         quantity = across_of(unit)
         factor, si = (quantity.factor, quantity.unit) if quantity else (1.0, unit)
         return Vector(f"v({self.net(part, pin)})", factor, si)
@@ -396,12 +434,17 @@ class PartType:
         copied, see :class:`State` and :data:`Governed`."""
         return {}
 
+    def detail(self, part: Part, scene: Scene) -> Any:
+        """Data that parts of the same package need of it, in a class of that package; they are in
+        its :class:`Record`. It follows from keys and from what parts govern."""
+        return None
+
     def at_rest(self, part: Part, scene: Scene, model: Any | None = None) -> Rest:
         """Constraints and loads of the part on moving pins at rest.
 
         ``model`` is None before it is built. By default the part holds all of its pins in place.
         """
-        return Rest(tuple((p.name, GROUND) for p in self.pins(part, scene) if p.moving))
+        return Rest(tuple((p.name, GROUND) for p in scene.pins(part.name) if p.moving))
 
     def directions(self, part: Part, scene: Scene) -> Mapping[str, tuple[float, ...]]:
         """Unit vectors of the translations and accelerations at its pins, as far as known."""
@@ -445,7 +488,7 @@ class PartType:
     def cards(self, part: Part, build: Build) -> tuple[Item, ...]:
         """Its elements in the deck: an instance of its subcircuit with the meters that probes ask
         for, unless the type overrides this method."""
-        pins = {pin.name: build.net(part, pin.name) for pin in self.pins(part, build.scene)}
+        pins = {pin.name: build.net(part, pin.name) for pin in build.scene.pins(part.name)}
         meters = {pin: name for pin in pins if (name := build.meter(part, pin))}
         nodes = {**pins, **meters}.values()
         read = (Element.of(name, pins[pin], name, "0") for pin, name in meters.items())

@@ -11,10 +11,11 @@ Everything else (deck, metrics, checks, plots, energy balance, ``explain``, swee
 from __future__ import annotations
 
 import pkgutil
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from functools import cache
 from importlib import import_module
 from importlib.metadata import EntryPoint, entry_points
+from itertools import chain
 
 from kc2spice.core.errors import UsageError
 from kc2spice.scene.model import Build, Part, PartType, Scene, flows
@@ -26,14 +27,16 @@ TABLE = "_types"  # ends the name of a module with several types
 
 def mover(name: str, scene: Scene) -> str | None:
     """The part that prescribes all motion of another one, None where no part prescribes it."""
-    rows = ((p.name, p.type.governs(p, scene)) for p in scene.parts.values())
-    return next((item for item, governed in rows if governed.get(name) == "moved"), None)
+    rows = scene.records.items()
+    return next((item for item, record in rows if record.governs.get(name) == "moved"), None)
 
 
 def replaced(scene: Scene) -> set[str]:
     """Parts without cards of their own, as those of others have copies of them or move them."""
-    governed = [part.type.governs(part, scene) for part in scene.parts.values()]
-    return {name for item in governed for name, what in item.items() if isinstance(what, str)}
+    result: set[str] = set()
+    for record in scene.records.values():
+        result |= {name for name, what in record.governs.items() if isinstance(what, str)}
+    return result
 
 
 def begins(scene: Scene) -> dict[str, State]:
@@ -42,9 +45,9 @@ def begins(scene: Scene) -> dict[str, State]:
     What another part says of one beats its own keys.
     """
     result: dict[str, State] = {}
-    for part in scene.parts.values():
-        for name, state in part.type.governs(part, scene).items():
-            if isinstance(state, State) and (name != part.name or name not in result):
+    for owner, record in scene.records.items():
+        for name, state in record.governs.items():
+            if isinstance(state, State) and (name != owner or name not in result):
                 result[name] = state
     return result
 
@@ -66,9 +69,9 @@ def current_into(part: Part, pin: str, build: Build) -> Vector | None:
 EVEN = 1e-6  # relative, of a period that divides another
 
 
-def drive_period(scene: Scene) -> float | None:
+def drive_period(rows: Iterable[Numerics]) -> float | None:
     """The period [s] of all that drives a scene: the longest, where the others divide it."""
-    periods = {row.period for row in numerics(scene)} - {0.0}
+    periods = {row.period for row in rows} - {0.0}
     longest = max(periods, default=None)
     if longest is None or any(abs(longest / p - round(longest / p)) > EVEN for p in periods):
         return None
@@ -76,8 +79,8 @@ def drive_period(scene: Scene) -> float | None:
 
 
 def numerics(scene: Scene) -> list[Numerics]:
-    """Numerical requirements of all parts of a scene."""
-    return [row for part in scene.parts.values() for row in part.type.numerics(part, scene)]
+    """Numerical requirements of all parts of a resolved scene."""
+    return [*chain.from_iterable(record.numerics for record in scene.records.values())]
 
 
 _types: dict[str, PartType] = {}

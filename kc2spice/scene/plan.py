@@ -130,7 +130,7 @@ def _reductions(build: Build) -> Iterator[Axis]:
     timed = scene.analysis.type == "transient"
     known: set[str] = set()
     for part in scene.parts.values():
-        rom = part.type.reduction(part, scene)
+        rom = scene.records[part.name].reduction
         if rom is None:
             continue
         own = part.keys.rom is not None
@@ -154,8 +154,8 @@ def _reductions(build: Build) -> Iterator[Axis]:
 
 def _alone(part: Part, scene: Scene) -> bool:
     """Whether all reductions of the scene are that of ``part``, so that one key moves them all."""
-    every = [item.type.reduction(item, scene) for item in scene.parts.values()]
-    own = part.type.reduction(part, scene)
+    every = [record.reduction for record in scene.records.values()]
+    own = scene.records[part.name].reduction
     return all(rom is None or rom == own for rom in every)
 
 

@@ -33,6 +33,7 @@ from kc2spice.scene.model import Build, Names, Part, Scene, scene_hash
 from kc2spice.scene.parttype import begins, mover, numerics, replaced
 from kc2spice.scene.plan import MAX_STEP, plan
 from kc2spice.scene.plausible import built, judged
+from kc2spice.scene.resolve import resolve_again
 from kc2spice.spice.header import Header, plan_lines
 from kc2spice.workflow import meters
 from kc2spice.workflow.edits import changed, element, instance, with_value
@@ -309,7 +310,8 @@ def _judged_by(build: Build, own: Deck, edited: Deck, path: Path) -> Build:
         lines = "; ".join(f"{name}: {why}" for name, why in reasons.items())
         warnings.warn(f"{path}: parts without checks and energy balance: {lines}", stacklevel=2)
     unjudged = build.unjudged | edits.keys() | reasons.keys()
-    return replace(build, scene=replace(build.scene, parts=parts), unjudged=frozenset(unjudged))
+    scene = resolve_again(replace(build.scene, parts=parts))
+    return replace(build, scene=scene, unjudged=frozenset(unjudged))
 
 
 def _edits(own: Deck, edited: Deck) -> dict[str, str]:

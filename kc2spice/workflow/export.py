@@ -12,9 +12,9 @@ from kc2spice.netlist.deck import Deck
 from kc2spice.netlist.printers.plot_script import plot_script
 from kc2spice.netlist.transforms import array_deck
 from kc2spice.netlist.translate import DECKS, DIALECTS, dialect_files, symbol_files
-from kc2spice.parts._linear_body import LinearBody
-from kc2spice.scene.compose import composed
+from kc2spice.parts._linear_body import LinearBody, reduction_target
 from kc2spice.scene.model import Build, Scene
+from kc2spice.scene.resolve import resolve
 from kc2spice.sim.ngspice import write_files
 from kc2spice.spice.emitted import require_circuit
 from kc2spice.workflow.decks import prepared, spare_other_decks
@@ -47,7 +47,7 @@ def export(
         raise unknown(message, dialect, known, "--dialect")
     clock = Clock(progress)
     with staged(out) as work:
-        build, deck = prepared(composed(replace(scene, ports="declared")), clock, trust=trust)
+        build, deck = prepared(resolve(replace(scene, ports="declared")), clock, trust=trust)
         _require_circuits(build, deck)
         with clock.stage("export", "netlists and symbols"):
             if count is not None:
@@ -72,6 +72,6 @@ def _require_circuits(build: Build, deck: Deck) -> None:
         circuit = circuits.get(build.libraries[part.name].lower())
         if circuit is None or not isinstance(part.type, LinearBody):
             continue
-        tolerance = part.type.reduction(part, build.scene).tolerance
+        tolerance = reduction_target(part, build.scene).tolerance
         if tolerance is not None:
             require_circuit(circuit, build.model(part), tolerance)

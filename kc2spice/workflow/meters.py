@@ -19,11 +19,12 @@ from kc2spice.core.waveforms import Waveforms, running
 from kc2spice.netlist.deck import Command, Deck, noise
 from kc2spice.netlist.expression import terms, vector
 from kc2spice.netlist.scope import Scope
-from kc2spice.scene.compose import composed, electrical, metered
+from kc2spice.scene.compose import electrical, metered
 from kc2spice.scene.judge import Check, Metric
 from kc2spice.scene.keys import model_keys
 from kc2spice.scene.model import Build, Names, Part, PartType
 from kc2spice.scene.parttype import replaced
+from kc2spice.scene.resolve import resolve
 from kc2spice.scene.rows import Swept, Vector
 
 WAVE = "noise"  # spectral density of the output, and the metric of its rms value
@@ -41,7 +42,7 @@ def output(build: Build) -> Vector:
     parts, name = build.scene.parts, str(build.scene.analysis.output)
     known = {k: v for part in parts.values() for k, v in part.type.vectors(part, build).items()}
     for part in parts.values():
-        pins = (pin.name for pin in part.type.pins(part, build.scene))
+        pins = (pin.name for pin in build.scene.pins(part.name))
         known |= {
             item: build.across(part, pin)
             for pin in pins
@@ -233,7 +234,7 @@ def _abbreviated(name: str, choices: Sequence[str]) -> str | None:
 def _every_result(build: Build, waiting: Collection[str]) -> list[str]:
     """All that a probe may read: results, motions at ports that nothing is joined to, currents and
     powers that are metered when a probe asks for them."""
-    scene = composed(replace(build.scene, ports="all"))
+    scene = resolve(replace(build.scene, ports="all"))
     result = dict.fromkeys(result_vectors(replace(build, scene=scene), without=waiting))
     for part in scene.parts.values():
         pins = electrical(part, scene)

@@ -17,6 +17,7 @@ from kc2spice.netlist.deck import Deck
 from kc2spice.scene.band import highest_frequency
 from kc2spice.scene.judge import Check
 from kc2spice.scene.model import Build
+from kc2spice.scene.resolve import resolve_again
 from kc2spice.scene.settings import Analysis
 from kc2spice.sim.ngspice import run_deck
 from kc2spice.workflow.decks import make_deck
@@ -47,8 +48,8 @@ def operating_point(build: Build, deck: Deck) -> OperatingPoint:
     frame = scene.frame.model_copy(update={"analysis": Analysis(type="op"), "probes": probes})
     # Pins and models stay: films and eddy currents are resolved up to the same frequency.
     resolved = replace(scene, frame=frame, resolved_frequency=highest_frequency(scene))
-    still = replace(build, scene=resolved)
     try:
+        still = replace(build, scene=resolve_again(resolved))
         own = make_deck(still)
         with TemporaryDirectory() as folder:
             point: Waveforms = run_deck(own, Path(folder))

@@ -19,7 +19,7 @@ from typing import Any
 from kc2spice.core.errors import SimulationError, UsageError
 from kc2spice.core.progress import Clock
 from kc2spice.parts._box import varied
-from kc2spice.parts._linear_body import LinearBody
+from kc2spice.parts._linear_body import LinearBody, reduction_target
 from kc2spice.scene.judge import Check
 from kc2spice.scene.load import load_scene
 from kc2spice.scene.model import Part
@@ -102,7 +102,7 @@ def _larger_order(run: Run, part: Part, check: Check, clock: Clock) -> Larger | 
     least error; None where none is better than the present order."""
     build, kind = run.build, part.type
     assert isinstance(kind, LinearBody)
-    model, target = build.model(part), kind.reduction(part, build.scene)
+    model, target = build.model(part), reduction_target(part, build.scene)
     assert model.certificate is not None
     order, key = target.order or model.order, f"{part.name}.rom"
     common: dict[str, Any] = {f"{key}.band": list(model.certificate.band_hz)}

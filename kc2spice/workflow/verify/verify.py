@@ -25,9 +25,9 @@ from kc2spice.netlist.deck import Deck
 from kc2spice.netlist.foreign import Flat, checked
 from kc2spice.netlist.library import Subcircuit, subcircuits
 from kc2spice.report.pages import Findings, comparison, write_verify
-from kc2spice.scene.compose import composed
 from kc2spice.scene.judge import PAIRS, Check, Gate, Verdict
 from kc2spice.scene.model import Build, Scene
+from kc2spice.scene.resolve import resolve
 from kc2spice.sim.ngspice import find_ngspice
 from kc2spice.workflow.decks import prepared
 from kc2spice.workflow.judge import metrics, verdict
@@ -305,11 +305,11 @@ def _libraries(flat: Flat) -> tuple[Subcircuit, ...]:
 def _as_shipped(scene: Scene, libraries: Sequence[Subcircuit]) -> Scene:
     """``scene`` with the ports that an export keeps although nothing joins them, if the libraries
     have them."""
-    exported = composed(replace(scene, ports="declared"))
+    exported = resolve(replace(scene, ports="declared"))
     more = {
-        tuple(pin.name for pin in part.type.pins(part, exported))
+        tuple(pin.name for pin in exported.pins(part.name))
         for part in exported.parts.values()
-        if part.reduced and part.type.pins(part, exported) != part.type.pins(part, scene)
+        if part.reduced and exported.pins(part.name) != scene.pins(part.name)
     }
     shipped = {tuple(pin.name for pin in library.pins) for library in libraries}
     return exported if more & shipped else scene
