@@ -25,7 +25,7 @@ from kc2spice.core.quantities import (
     si,
 )
 from kc2spice.core.waveforms import Waveforms, running
-from kc2spice.parts._touching import PATCH, Pair, busy_until, separation
+from kc2spice.parts._touching import PATCH, Pair, busy_until, pair_of, separation
 from kc2spice.physics import Declaration, DeclaredPart
 from kc2spice.physics.cards import force_node
 from kc2spice.physics.contact import SPACED, Normal, contact
@@ -146,14 +146,18 @@ class Contact(DeclaredPart):
     title = "unilateral penalty contact"
     schema = ContactKeys
 
+    def detail(self, part: Part, scene: Scene) -> Pair:
+        """Both sides of the contact."""
+        return Pair(part, scene)
+
     def declared(self, part: Part, scene: Scene) -> Declaration:
-        pair = Pair(part, scene)
+        pair = pair_of(part, scene)
         radius, distance = pair.b.radius, pair.a.distance
         under = None if radius is None else (radius, tuple(map(float, distance)))
         return _declared(pair, pair.normal, under, part.keys.groove)
 
     def pins(self, part: Part, scene: Scene) -> tuple[Terminal, ...]:
-        d = _declared(Pair(part, scene), Normal(1.0, friction=part.keys.friction))
+        d = _declared(pair_of(part, scene), Normal(1.0, friction=part.keys.friction))
         ends = {"rail": "gnd", "base": "gnd"}
         return tuple(
             Terminal(p.name, p.unit, p.flow, ends.get(p.name), required=p.name == "slide")
@@ -161,14 +165,14 @@ class Contact(DeclaredPart):
         )
 
     def default_joins(self, part: Part, scene: Scene) -> Mapping[str, str]:
-        pair = Pair(part, scene)
+        pair = pair_of(part, scene)
         joins = pair.a.joins(("va", "a") if pair.a.rigid else pair.ports, scene)
         joins |= pair.b.joins(("v", "bottom") if pair.b.rigid else ("b",), scene)
         return joins | ({CARRIED: f"{pair.b.elastic}.{PATCH}"} if pair.b.elastic else {})
 
     def at_rest(self, part: Part, scene: Scene, model: Any | None = None) -> Rest:
         """Surfaces that touch at rest: what presses on them finds its place."""
-        pair = Pair(part, scene)
+        pair = pair_of(part, scene)
         held = [(pin, GROUND) for pin in ("base", *["va"] * pair.a.rigid, *["v"] * pair.b.rigid)]
         if part.keys.gap <= 0.0 and not pair.a.rigid and not pair.b.rigid:
             held += [(port, "b") for port in pair.ports]
@@ -183,7 +187,7 @@ class Contact(DeclaredPart):
         yield Numerics(what, content=EXCITED, reltol=reltol)
 
     def problems(self, part: Part, scene: Scene) -> Iterator[UsageError]:
-        pair = Pair(part, scene)
+        pair = pair_of(part, scene)
         a, b = pair.a, pair.b
         if a.part == b.part != GROUND and set(a.pushed) & set(b.pushed):
             got, expected = f"{a.part} on both sides", "two parts, or two ports of a body"
@@ -201,7 +205,7 @@ class Contact(DeclaredPart):
             assert pair.normal  # says what it cannot know
 
     def vectors(self, part: Part, build: Build) -> Mapping[str, Vector]:
-        n, pair, d = part.name, Pair(part, build.scene), self.declared(part, build.scene)
+        n, pair, d = part.name, pair_of(part, build.scene), self.declared(part, build.scene)
         card = f"@b.x{n}.b{{}}[i]"
         item = {b.through: card.format(force_node(b)).lower() for b in d.branches}
         result = {
@@ -219,7 +223,7 @@ class Contact(DeclaredPart):
         }
 
     def metrics(self, part: Part, build: Build, waves: Waveforms) -> Mapping[str, Any]:
-        pair = Pair(part, build.scene)
+        pair = pair_of(part, build.scene)
         v = waves.data.get(f"{pair.b.part}.v")
         if "time" not in waves or v is None or pair.thrown:
             return {}
@@ -233,7 +237,7 @@ class Contact(DeclaredPart):
     def checks(
         self, part: Part, build: Build, waves: Waveforms
     ) -> Iterator[Check | Balance | Gate]:
-        pair, gates = Pair(part, build.scene), build.scene.gates
+        pair, gates = pair_of(part, build.scene), build.scene.gates
         if "time" in waves and not pair.thrown:
             steps = stepping(build.scene.solver)
             certificate = getattr(build.models.get(pair.a.part), "certificate", None)
@@ -257,7 +261,7 @@ class Contact(DeclaredPart):
         force = waves.data.get(f"{part.name}.force")
         if force is None:
             return
-        pair = Pair(part, build.scene)
+        pair = pair_of(part, build.scene)
         inside = _loaded(force) if "time" in waves else slice(None)
         scale = next(iter(waves.data.values()))
         x, factor = time_axis(scale[inside])
@@ -277,7 +281,7 @@ class Contact(DeclaredPart):
         yield Figure(f"{part.name}_force", f"Contact of {sides}", caption, (panel,))
 
     def law(self, part: Part, build: Build) -> laws.Equations:
-        n, pair, result = part.name, Pair(part, build.scene), super().law(part, build)
+        n, pair, result = part.name, pair_of(part, build.scene), super().law(part, build)
         item = [result.results[f"{n}.force.{port}"].terms[0][1] for port in pair.ports]
         sums = {
             f"{n}.{word}": laws.Reading(tuple((share, wave) for wave in item))
@@ -289,7 +293,7 @@ class Contact(DeclaredPart):
         return f"mesh: {SPACED}" if part.keys.shape == "pressure" else ""
 
     def notes(self, part: Part, scene: Scene) -> Iterator[str | Neglected]:
-        keys, pair = part.keys, Pair(part, scene)
+        keys, pair = part.keys, pair_of(part, scene)
         own = pair.normal
         if keys.shape == "pressure":
             detail = f"pressure under a sphere, up to {own.depth:.3g} m deep; basis functions "

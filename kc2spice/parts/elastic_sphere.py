@@ -12,7 +12,7 @@ from kc2spice.core.cache import cached
 from kc2spice.core.errors import UsageError
 from kc2spice.fem.keys import Damping, Mesh
 from kc2spice.parts._linear_body import LinearBody, LinearKeys
-from kc2spice.parts._touching import PATCH, Pair, Surface
+from kc2spice.parts._touching import PATCH, Surface, pair_of
 from kc2spice.parts.sphere import made_of
 from kc2spice.rom.linear import LinearModel, Port
 from kc2spice.scene.model import Part, Scene
@@ -89,13 +89,13 @@ elastic = true
             "stiffness": body.material.C.tolist(),
             "rayleigh": body.rayleigh,
             "own": own,
-            "pressure_basis": Pair(_contact(part, scene), scene).shape.nodes.tolist(),
+            "pressure_basis": pair_of(_contact(part, scene), scene).shape.nodes.tolist(),
         }
 
     def full(self, part: Part, scene: Scene, clock: Any) -> LinearModel:
         from kc2spice.bodies.pressure import sphere
 
-        shape = Pair(_contact(part, scene), scene).shape
+        shape = pair_of(_contact(part, scene), scene).shape
         with clock.stage("assemble", f"mesh and matrices of {part.name}"):
             shares = self._compliance_of(part, scene, shape).shares
             return sphere(_body(part, scene), shares, shape, part.keys.mesh.refine)
@@ -118,7 +118,7 @@ elastic = true
 
     def notes(self, part: Part, scene: Scene) -> Iterator[str | Neglected]:
         yield from super().notes(part, scene)
-        deep = Pair(_contact(part, scene), scene).normal.depth / _body(part, scene).radius
+        deep = pair_of(_contact(part, scene), scene).normal.depth / _body(part, scene).radius
         yield Neglected(
             f"slope of {part.keys.of} under the contact",
             "pressure acts along the axis",
@@ -145,7 +145,7 @@ def _body(part: Part, scene: Scene) -> Sphere:
 def _contact(part: Part, scene: Scene) -> Part:
     """The one contact of the sphere, by pressure."""
     owner = scene.parts[part.keys.of]
-    pairs = ((contact, Pair(contact, scene)) for contact in scene.of("contact"))
+    pairs = ((contact, pair_of(contact, scene)) for contact in scene.of("contact"))
     result = [contact for contact, p in pairs if part.name in (p.a.elastic, p.b.elastic)]
     if len(result) != 1:
         got = ", ".join(c.name for c in result) or "none"

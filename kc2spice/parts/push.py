@@ -12,7 +12,7 @@ from kc2spice.core.errors import UsageError
 from kc2spice.core.quantities import Count, Length, Section
 from kc2spice.core.waveforms import Waveforms, constant
 from kc2spice.netlist.circuit import Element, Item
-from kc2spice.parts._touching import Pair, Penetration, Touching
+from kc2spice.parts._touching import Pair, Penetration, Touching, pair_of
 from kc2spice.parts.sphere import sphere_of
 from kc2spice.scene.judge import Gate, Measure, Metric
 from kc2spice.scene.model import Build, Part, Scene, Terminal
@@ -109,7 +109,7 @@ class Push(Touching):
 
 def _pair(part: Part, scene: Scene) -> Pair:
     """Contact pair of the sphere and the surface that it is pushed into."""
-    return Pair(scene.partner(part, "contact"), scene)
+    return pair_of(scene.partner(part, "contact"), scene)
 
 
 register(Push())

@@ -17,7 +17,7 @@ from kc2spice.core.quantities import AIR_DENSITY, Density, Length, Section, Velo
 from kc2spice.core.waveforms import Waveforms, running
 from kc2spice.fem.materials import Material, material
 from kc2spice.netlist.circuit import positive
-from kc2spice.parts._touching import Pair, Surface, Touching
+from kc2spice.parts._touching import Surface, Touching, pair_of
 from kc2spice.parts.mass import point_mass
 from kc2spice.physics import Declaration, DeclaredPart, displacement
 from kc2spice.physics.part import pins_of
@@ -318,7 +318,7 @@ def _read(part: Part, pin: str, scene: Scene) -> Part | None:
 def _softer(part: Part, scene: Scene) -> str:
     """How much softer the contact with an elastic sphere would be, of steel if nothing is said."""
     own = made_of(part).indentation_modulus
-    under = (Pair(contact, scene).a.modulus for contact in scene.of("contact"))
+    under = (pair_of(contact, scene).a.modulus for contact in scene.of("contact"))
     result = [modulus / own for modulus in under if modulus is not None]
     return f"the dent would be {100 * max(result):.0f} % softer" if result else "not estimated"
 
