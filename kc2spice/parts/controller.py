@@ -109,15 +109,19 @@ wiring = "parallel"
 
     def settable(self, part: Part, build: Build) -> Mapping[str, Sampled]:
         keys = part.keys
-        function = build.functions.get(part.name) or self._function(part, build)
         nodes = {name: build.net(part, name) for name in keys.inputs}
         factors = {name: build.across(part, name).factor for name in keys.inputs}
 
-        def call(time: float, values: Mapping[str, float]) -> float:
-            inputs = {name: factors[name] * values[node] for name, node in nodes.items()}
-            return float(function(time, inputs))
+        def load() -> Callable[[float, Mapping[str, float]], float]:
+            function = build.functions.get(part.name) or self._function(part, build)
 
-        return {"out": Sampled(f"v{part.name}".lower(), keys.period, keys.delay, call)}
+            def call(time: float, values: Mapping[str, float]) -> float:
+                inputs = {name: factors[name] * values[node] for name, node in nodes.items()}
+                return float(function(time, inputs))
+
+            return call
+
+        return {"out": Sampled(f"v{part.name}".lower(), keys.period, keys.delay, load(), load)}
 
     def _function(self, part: Part, build: Build) -> Function:
         keys = part.keys

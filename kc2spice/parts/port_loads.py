@@ -108,7 +108,7 @@ class PortLoads(PartType):
     def metrics(self, part: Part, build: Build, waves: Waveforms) -> Mapping[str, Any]:
         """``amplitude[input][output]`` per unit input, by ``frequency_hz``."""
         amplitude: dict[str, dict[str, Metric]] = {}
-        units = {name: row.unit for name, row in self.vectors(part, build).items()}
+        units = {name: row.unit for name, row in build.vectors(part).items()}
         for name, response in waves.data.items():
             source, arrow, sink = name.partition(">")
             if arrow:

@@ -400,8 +400,7 @@ def unsettled(build: Build) -> Iterator[UsageError]:
 
 
 def _rests(build: Build) -> list[tuple[Part, Rest]]:
-    scene = build.scene
-    return [(p, p.type.at_rest(p, scene, build.model(p))) for p in scene.parts.values()]
+    return [(part, build.rest(part)) for part in build.scene.parts.values()]
 
 
 def _unheld(build: Build, rests: list[tuple[Part, Rest]]) -> Iterator[frozenset[str]]:

@@ -332,13 +332,33 @@ def scene_hash(scene: Scene) -> str:
 
 
 @dataclass(frozen=True)
+class BuildRecord:
+    """Answers of one part about a build: those of the methods of :class:`PartType` named
+    ``at_rest``, ``vectors`` and ``settable``."""
+
+    rest: Rest
+    vectors: Mapping[str, Vector] | None = None
+    settable: Mapping[str, Swept | Sampled | float] | None = None
+
+
+@dataclass(frozen=True)
+class BuildRecords:
+    """Answers of all parts about a build of this scene with these models."""
+
+    scene: Scene
+    models: Mapping[str, Any]
+    records: Mapping[str, BuildRecord]
+
+
+@dataclass(frozen=True)
 class Build:
     """A scene with the models of its parts: what netlist, metrics and checks are made from.
 
     ``models`` has what :meth:`PartType.build` gave, by part; ``libraries`` maps a part to the name
     of its subcircuit. ``unjudged`` are parts whose keys do not tell what the deck has, because
     somebody changed parameters there: they are asked for no checks and no energy balance.
-    ``largest`` is the largest step of a transient. ``laws`` are the laws of its parts, which
+    ``largest`` is the largest step of a transient. ``records`` has the answers of its parts, which
+    :func:`kc2spice.scene.resolve.resolve_build` asks for. ``laws`` are the laws of its parts, which
     :func:`kc2spice.equations.scene_laws.scene_laws` returns.
     """
 
@@ -349,6 +369,7 @@ class Build:
     unjudged: frozenset[str] = frozenset()
     functions: Mapping[str, Any] = field(default_factory=dict)
     largest: StepLimit | None = None
+    records: BuildRecords | None = None
     laws: object = None
 
     @property
@@ -359,6 +380,35 @@ class Build:
     def model(self, part: Part) -> Any:
         """The model of a part, None where it has none."""
         return self.models.get(part.name)
+
+    def _record(self, part: Part) -> BuildRecord | None:
+        """Answers of a part; None where scene or models are others than those of the records."""
+        known = self.records
+        if known is None or known.scene is not self.scene or known.models is not self.models:
+            return None
+        return known.records.get(part.name)
+
+    def rest(self, part: Part) -> Rest:
+        """Constraints and loads of a part at rest, with its model where that is built."""
+        if (record := self._record(part)) is not None:
+            return record.rest
+        if (model := self.model(part)) is None:
+            return self.scene.records[part.name].rest
+        return part.type.at_rest(part, self.scene, model)
+
+    def vectors(self, part: Part) -> Mapping[str, Vector]:
+        """Results of a part by name."""
+        record = self._record(part)
+        if record is None or record.vectors is None:
+            return part.type.vectors(part, self)
+        return record.vectors
+
+    def settable(self, part: Part) -> Mapping[str, Swept | Sampled | float]:
+        """Quantities that the equations of a part do not determine."""
+        record = self._record(part)
+        if record is None or record.settable is None:
+            return part.type.settable(part, self)
+        return record.settable
 
     def facts(self, part: Part) -> Mapping[str, float]:
         """``model`` of ``result.json``: the numbers by which an engineer knows the part's model."""
@@ -571,7 +621,7 @@ class PartType:
 def flows(part: Part, pin: str, build: Build) -> dict[str, tuple[Vector, float]]:
     """Results of a part that are currents or forces at a pin, by name: with 1 where they leave it
     there, with -1 where they enter."""
-    rows = part.type.vectors(part, build).items()
+    rows = build.vectors(part).items()
     return {
         name: (row, 1.0 if pin in row.leaves else -1.0)
         for name, row in rows

@@ -10,7 +10,8 @@ from dataclasses import replace
 from typing import Any
 
 from kc2spice.scene.compose import composed
-from kc2spice.scene.model import Record, Scene
+from kc2spice.scene.model import Build, BuildRecord, BuildRecords, Record, Scene
+from kc2spice.scene.parttype import replaced
 
 
 def resolve(scene: Scene) -> Scene:
@@ -23,6 +24,26 @@ def resolve(scene: Scene) -> Scene:
     if any(scene.record(part) is None for part in scene.parts.values()):
         scene = with_governed(scene)
     return with_numerics(composed(scene))
+
+
+def resolve_build(build: Build) -> Build:
+    """Return the build with the answers of its parts about it.
+
+    The current of a body follows from the results of the parts that are joined to it, and what can
+    be set on a part follows from what holds the others at rest. Parts without cards have neither
+    results nor anything that can be set.
+    """
+    records = {part.name: BuildRecord(build.rest(part)) for part in build.scene.parts.values()}
+    build = replace(build, records=BuildRecords(build.scene, build.models, records))
+    without = replaced(build.scene)
+    parts = [part for name, part in build.scene.parts.items() if name not in without]
+    for part in sorted(parts, key=lambda item: item.reduced):
+        vectors = part.type.vectors(part, build)
+        records[part.name] = replace(records[part.name], vectors=vectors)
+    for part in parts:
+        settable = part.type.settable(part, build)
+        records[part.name] = replace(records[part.name], settable=settable)
+    return build
 
 
 def with_governed(scene: Scene) -> Scene:

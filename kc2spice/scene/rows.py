@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 Pin = tuple[str, str]
@@ -77,13 +77,20 @@ class Sampled:
     """A function outside of the simulator that sets ``source`` (a card's name in lower case).
 
     ``call(time, values)`` sees the saved node voltages every ``period`` [s], first at zero; what
-    it returns is held from ``delay`` [s] later on.
+    it returns is held from ``delay`` [s] later on. A function that remembers earlier calls has
+    ``reload``, which returns it as it is before its first call.
     """
 
     source: str
     period: float
     delay: float
     call: Callable[[float, Mapping[str, float]], float]
+    reload: Callable[[], Callable[[float, Mapping[str, float]], float]] | None = None
+
+    @property
+    def at_start(self) -> Sampled:
+        """The same before the first call of a run."""
+        return self if self.reload is None else replace(self, call=self.reload())
 
 
 @dataclass(frozen=True)

@@ -33,7 +33,7 @@ from kc2spice.scene.model import Build, Names, Part, Scene, scene_hash
 from kc2spice.scene.parttype import begins, mover, numerics, replaced
 from kc2spice.scene.plan import MAX_STEP, plan
 from kc2spice.scene.plausible import built, judged
-from kc2spice.scene.resolve import resolve_again
+from kc2spice.scene.resolve import resolve_again, resolve_build
 from kc2spice.spice.header import Header, plan_lines
 from kc2spice.workflow import meters
 from kc2spice.workflow.edits import changed, element, instance, with_value
@@ -215,7 +215,7 @@ def _initial(build: Build, loose: Sequence[Free]) -> dict[str, float]:
     if build.scene.analysis.type != "transient":
         return {}
     own = (part for part in parts.values() if not mover(part.name, build.scene))
-    rows = {part.name: part.type.settable(part, build).items() for part in own}
+    rows = {part.name: build.settable(part).items() for part in own}
     states = {n: {k: v for k, v in row if isinstance(v, float)} for n, row in rows.items()}
     result = {node: value for item in states.values() for node, value in item.items()}
     for group in loose:
@@ -311,7 +311,7 @@ def _judged_by(build: Build, own: Deck, edited: Deck, path: Path) -> Build:
         warnings.warn(f"{path}: parts without checks and energy balance: {lines}", stacklevel=2)
     unjudged = build.unjudged | edits.keys() | reasons.keys()
     scene = resolve_again(replace(build.scene, parts=parts))
-    return replace(build, scene=scene, unjudged=frozenset(unjudged))
+    return resolve_build(replace(build, scene=scene, unjudged=frozenset(unjudged)))
 
 
 def _edits(own: Deck, edited: Deck) -> dict[str, str]:

@@ -40,7 +40,7 @@ def output(build: Build) -> Vector:
     UsageError : there is no such result, or it is no voltage of the netlist.
     """
     parts, name = build.scene.parts, str(build.scene.analysis.output)
-    known = {k: v for part in parts.values() for k, v in part.type.vectors(part, build).items()}
+    known = {k: v for part in parts.values() for k, v in build.vectors(part).items()}
     for part in parts.values():
         pins = (pin.name for pin in build.scene.pins(part.name))
         known |= {
@@ -180,7 +180,7 @@ def result_vectors(build: Build, without: Collection[str] = ()) -> dict[str, Vec
     result: dict[str, Vector] = {}
     for part in build.scene.parts.values():
         if part.name not in copied:
-            result |= part.type.vectors(part, build)
+            result |= build.vectors(part)
     result |= _meter_vectors(build, result)
     if build.scene.analysis.type == "ac":
         return {name: item for name, item in result.items() if "@" not in item.expression}
@@ -298,7 +298,7 @@ def swept(build: Build) -> tuple[Part, str, Swept]:
     scene = build.scene
     name, _, key = str(scene.analysis.sweep).partition(".")
     part = scene.part(name, "analysis.sweep")
-    result = part.type.settable(part, build).get(key)
+    result = build.settable(part).get(key)
     if not isinstance(result, Swept):
         raise UsageError(
             "a dc analysis cannot sweep this key",

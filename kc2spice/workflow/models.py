@@ -13,6 +13,7 @@ from kc2spice.parts._linear_body import LinearBody
 from kc2spice.rom.linear import LinearModel
 from kc2spice.rom.modal import mode_table
 from kc2spice.scene.model import Build, Names, Scene, scene_hash
+from kc2spice.scene.resolve import resolve_build
 from kc2spice.spice.header import Header
 from kc2spice.workflow.steps import largest_step
 
@@ -31,7 +32,7 @@ def build_models(
     """
     models = {name: part.type.build(part, scene, clock) for name, part in scene.parts.items()}
     build = Build(scene, models, libraries(scene), trust=trust, functions=functions or {})
-    build = with_laws(shared(build))
+    build = with_laws(resolve_build(shared(build)))
     if scene.analysis.type != "transient":
         return build
     return replace(build, largest=largest_step(build))

@@ -17,7 +17,7 @@ from kc2spice.netlist.deck import Deck
 from kc2spice.scene.band import highest_frequency
 from kc2spice.scene.judge import Check
 from kc2spice.scene.model import Build
-from kc2spice.scene.resolve import resolve_again
+from kc2spice.scene.resolve import resolve_again, resolve_build
 from kc2spice.scene.settings import Analysis
 from kc2spice.sim.ngspice import run_deck
 from kc2spice.workflow.decks import make_deck
@@ -49,7 +49,8 @@ def operating_point(build: Build, deck: Deck) -> OperatingPoint:
     # Pins and models stay: films and eddy currents are resolved up to the same frequency.
     resolved = replace(scene, frame=frame, resolved_frequency=highest_frequency(scene))
     try:
-        still = replace(build, scene=resolve_again(resolved))
+        at_rest = resolve_again(resolved)
+        still = resolve_build(replace(build, scene=at_rest))
         own = make_deck(still)
         with TemporaryDirectory() as folder:
             point: Waveforms = run_deck(own, Path(folder))

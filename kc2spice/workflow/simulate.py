@@ -203,7 +203,7 @@ def ran(
 
     Raises as :func:`run_deck` and :func:`kc2spice.sim.shared.run_shared` do.
     """
-    functions = sampled(build)
+    functions = [item.at_start for item in sampled(build)]
     if build.scene.analysis.small:
         from kc2spice.workflow.resonances import refined  # which loads scipy
 
@@ -245,7 +245,7 @@ def sampled(build: Build) -> list[Sampled]:
         item
         for part in build.scene.parts.values()
         if build.scene.analysis.type == "transient"
-        for item in part.type.settable(part, build).values()
+        for item in build.settable(part).values()
         if isinstance(item, Sampled)
     ]
 

@@ -26,7 +26,7 @@ from kc2spice.netlist.transforms import Parameters, cards, declared, library_of,
 from kc2spice.report.html import leaves
 from kc2spice.scene.load import gallery, load_scene, toml
 from kc2spice.scene.model import Build, Scene
-from kc2spice.scene.resolve import resolve_again
+from kc2spice.scene.resolve import resolve_again, resolve_build
 from kc2spice.workflow.decks import prepared
 from kc2spice.workflow.edits import with_value
 from kc2spice.workflow.models import fact_units
@@ -209,7 +209,7 @@ def judged(build: Build, deck: Deck, values: Iterable[tuple[str, float]]) -> Bui
             elif value != known.get(key):
                 unjudged.add(owner)
     scene = resolve_again(replace(build.scene, parts=parts))
-    return replace(build, scene=scene, unjudged=frozenset(unjudged))
+    return resolve_build(replace(build, scene=scene, unjudged=frozenset(unjudged)))
 
 
 def _disk_is_full() -> bool:
