@@ -94,9 +94,6 @@ SOURCES = (
 )  # fmt: skip
 
 
-_boxes: dict[str, tuple[Mapping[str, Any], Varying]] = {}  # by part: the last one and its key
-
-
 class LinearKeys(Section):
     """Keys of every linear body."""
 
@@ -330,12 +327,11 @@ class LinearBody(Touching):
                     target.norm or "pointwise",
                 )
 
-        known = _boxes.get(part.name)
-        if known is None or known[0] != asked:
+        def load() -> Varying:
             classes = (Varying, Axis, Loss, Certificate, Port)
-            box = cached("box", asked, build, classes=classes, sources=self.sources())
-            known = _boxes[part.name] = asked, box
-        return known[1]
+            return cached("box", asked, build, classes=classes, sources=self.sources())
+
+        return scene.workspace.latest(f"range of {part.name}", asked, load)
 
     def build(self, part: Part, scene: Scene, clock: Any, full: bool = False) -> LinearModel | None:
         keys, names = varied(part), [port.name for port in self.kept(part, scene)]

@@ -61,9 +61,6 @@ _QUANTITIES = {
         "it may depolarise; drive it along its poling, or less far",
     ),
 }  # fmt: skip
-# Fields of the last run of each part, which metrics, checks, figures and files use.
-_recent: dict[str, tuple[Waveforms, Recovered]] = {}
-_latest: dict[str, tuple[str, Device]] = {}
 
 
 @dataclass(frozen=True)
@@ -118,15 +115,10 @@ class MeshedBody(LinearBody):
         """The full model with its mesh."""
 
     def device(self, part: Part, scene: Scene) -> Device:
-        """The same; the last one of the type stays in memory, as the next scene often asks for
-        another reduction of it."""
+        """The same; the latest of the type stays in the workspace of the scene, as the next scene
+        often asks for another reduction of it."""
         key = json.dumps([part.name, self.full_key(part, scene)], sort_keys=True)
-        known = _latest.pop(self.name, None)
-        if known is None or known[0] != key:
-            known = None  # before the next one is built: two would need twice the memory
-            known = key, self.make(part, scene)
-        _latest[self.name] = known
-        return known[1]
+        return scene.workspace.latest(f"device {self.name}", key, lambda: self.make(part, scene))
 
     def full(self, part: Part, scene: Scene, clock: Any) -> LinearModel:
         with clock.stage("assemble", f"mesh and matrices of {part.name}"):
@@ -216,8 +208,8 @@ class MeshedBody(LinearBody):
         """
         if not part.keys.fields or "time" not in waves:
             return None
-        known = _recent.get(part.name)
-        if known is None or known[0] is not waves:
+
+        def recover_fields() -> tuple[Waveforms, Recovered]:
             from kc2spice.bodies.fields import extremes, recover
 
             loads = self.loads(part, build, waves)
@@ -228,8 +220,11 @@ class MeshedBody(LinearBody):
                 problem = "fields need every load of the body"
                 raise wrong(f"{part.name}.fields", problem, got, expected)
             motion = recover(self.device(part, build.scene), waves["time"], loads)
-            known = _recent[part.name] = (waves, Recovered(motion, tuple(extremes(motion))))
-        return known[1]
+            return waves, Recovered(motion, tuple(extremes(motion)))
+
+        # The identity of the waves is a key for as long as the result contains them.
+        kind = f"fields of {part.name}"
+        return build.workspace.latest(kind, id(waves), recover_fields)[1]
 
 
 def chosen(part: Part) -> tuple[float, ...]:

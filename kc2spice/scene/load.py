@@ -349,7 +349,8 @@ def load_scene(
         source.overrides[_put(data, name, value, text)] = text
     _only_parts_of(data, stated, source)
     try:
-        return _scene(data, source)
+        result = _scene(data, source)
+        return replace(result, workspace=scene.workspace) if isinstance(scene, Scene) else result
     except UsageError as problem:
         # a file that the scene names is a place of its own, not a key
         if problem.where is not None and not Path(problem.where).is_absolute():

@@ -19,6 +19,7 @@ from kc2spice.core.domains import Domain, across_of, domain_of
 from kc2spice.core.errors import UsageError, unknown
 from kc2spice.core.mesh_error import mesh_words
 from kc2spice.core.quantities import Section
+from kc2spice.core.workspace import Workspace
 from kc2spice.netlist.circuit import Element, Item
 from kc2spice.scene.rows import (
     Governed,
@@ -187,7 +188,8 @@ class Scene:
     that the parts resolve, None if it follows from the analysis. Bodies keep the ``ports`` that are
     needed, in an export all that their author declares, joined or not (:meth:`Part.declares`), for
     documentation all of them. ``source`` is the text of the scene's file with all overrides, by
-    which :meth:`where` finds the line of a key.
+    which :meth:`where` finds the line of a key. ``workspace`` has
+    large results, such as meshes, that scenes which are made from this one may use as well.
     """
 
     frame: Frame
@@ -202,6 +204,7 @@ class Scene:
     ports: Literal["needed", "declared", "all"] = "needed"
     source: Any = None
     resolved_frequency: float | None = None
+    workspace: Workspace = field(default_factory=Workspace)
 
     def __getattr__(self, name: str) -> Any:
         """Keys of the frame: ``scene.solver``, ``scene.rom``, ``scene.gravity``, …"""
@@ -359,7 +362,8 @@ class Build:
     somebody changed parameters there: they are asked for no checks and no energy balance.
     ``largest`` is the largest step of a transient. ``records`` has the answers of its parts, which
     :func:`kc2spice.scene.resolve.resolve_build` asks for. ``laws`` are the laws of its parts, which
-    :func:`kc2spice.equations.scene_laws.scene_laws` returns.
+    :func:`kc2spice.equations.scene_laws.scene_laws` returns. ``workspace`` has large results of its
+    latest run.
     """
 
     scene: Scene
@@ -371,6 +375,7 @@ class Build:
     largest: StepLimit | None = None
     records: BuildRecords | None = None
     laws: object = None
+    workspace: Workspace = field(default_factory=Workspace)
 
     @property
     def noisy(self) -> bool:

@@ -20,6 +20,7 @@ from kc2spice.core.errors import Kc2spiceError, MissingToolError, UsageError
 from kc2spice.core.files import FULL
 from kc2spice.core.foreign import MAX_BYTES, read_bounded, text_of
 from kc2spice.core.progress import Clock
+from kc2spice.core.workspace import Workspace
 from kc2spice.netlist.deck import Deck
 from kc2spice.netlist.foreign import included_netlist
 from kc2spice.netlist.transforms import Parameters, cards, declared, library_of, with_parameters
@@ -124,19 +125,21 @@ class Job:
     """Settings that all points of a sweep have in common.
 
     ``fixed`` are overrides of the scene, ``parameters`` those of subcircuits; ``timeout`` [s] is
-    that of one ngspice run.
+    that of one ngspice run. The scenes of points in one process share ``workspace``.
     """
 
     scene: SceneText | Scene
     fixed: tuple[str, ...] = ()
     parameters: Parameters = ()
     timeout: float | None = None
+    workspace: Workspace = field(default_factory=Workspace, compare=False)
 
     def load(self, values: Mapping[str, Any]) -> Scene:
         """The scene where the swept keys have these values; raises as :func:`load_scene` does."""
         overrides = (*self.fixed, *_overrides(values))
         own = self.scene
-        return own.load(overrides) if isinstance(own, SceneText) else load_scene(own, overrides)
+        scene = own.load(overrides) if isinstance(own, SceneText) else load_scene(own, overrides)
+        return replace(scene, workspace=self.workspace)
 
 
 @dataclass(frozen=True)
