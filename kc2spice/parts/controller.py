@@ -104,6 +104,9 @@ wiring = "parallel"
             Element.of(f"G{part.name}", ret, out, held, "0", "1"),
         )
 
+    def inner_names(self, part: Part, scene: Scene) -> Iterator[tuple[str, ...]]:
+        yield part.name.lower(), "held"
+
     def vectors(self, part: Part, build: Build) -> Mapping[str, Vector]:
         return {f"{part.name}.{name}": build.across(part, name) for name in part.keys.inputs}
 

@@ -65,6 +65,12 @@ class CurrentCases(PartType):
             ]
         return noted(cards)
 
+    def inner_names(self, part: Part, scene: Scene) -> Iterator[tuple[str, ...]]:
+        yield ("Vheight",)
+        words = "lower", "upper", "force", "Xcatch", "Ilower", "Iupper", "Vforce"
+        for k in range(len(cases(part))):
+            yield from ((f"{word}{k}",) for word in words)
+
     def settable(self, part: Part, build: Build) -> Mapping[str, Swept]:
         keys = _coils(part, build.scene).keys
         heights = keys.y_min + keys.shift, keys.y_max + keys.shift

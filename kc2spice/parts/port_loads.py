@@ -90,6 +90,15 @@ class PortLoads(PartType):
                 ]
         return noted(cards)
 
+    def inner_names(self, part: Part, scene: Scene) -> Iterator[tuple[str, ...]]:
+        rings = _rings(body_of(part, scene), scene)
+        for load in (*rings, "anode"):
+            yield from ((ring, load) for ring in rings)
+            yield from ((f"{letter}{load}",) for letter in "XI")
+            yield from ((word, load) for word in ("anode", "charge", "Vanode"))
+            yield from ((f"{letter}charge", load) for letter in "FCR")
+        yield from ((word,) for word in ("Vload", "load", "Cload", "Fload"))
+
     def vectors(self, part: Part, build: Build) -> Mapping[str, Vector]:
         """``INPUT>OUTPUT``, complex: displacements [m], of the anode charge [C] or voltage [V]."""
         body = body_of(part, build.scene)

@@ -195,6 +195,10 @@ class Source(PartType):
         ac = ("AC", number(size)) if size else ()
         return (Element.of(f"{kind.letter}{part.name}", *ends, *words(wave), *ac),)
 
+    def inner_names(self, part: Part, scene: Scene) -> Iterator[tuple[str, ...]]:
+        if _returns(part, scene):
+            yield from ((part.name, word) for word in ("swept", "folded"))
+
     def settable(self, part: Part, build: Build) -> Mapping[str, Swept]:
         kind = KINDS[part.keys.kind]
         if _returns(part, build.scene):

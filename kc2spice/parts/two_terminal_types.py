@@ -140,6 +140,11 @@ class LinearElement(DeclaredPart):
     def subcircuits(self, part: Part, build: Build, header: Any) -> tuple[Any, ...]:
         return ()
 
+    def inner_names(self, part: Part, scene: Scene) -> Iterator[tuple[str, ...]]:
+        n = part.name
+        yield from ((f"V{n}", "meter"), (n.lower(), "metered"), (f"G{n}", "leak"))
+        yield from ((name, "noise") for name in (f"R{n}", f"G{n}", n.lower()))
+
     def cards(self, part: Part, build: Build) -> tuple[Item, ...]:
         a, b = build.net(part, "a"), build.net(part, "b")
         admittance = times(self._unit, self.linear[1])

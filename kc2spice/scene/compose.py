@@ -17,13 +17,14 @@ from typing import Any
 from kc2spice.core.domains import ELECTRICAL, TRANSLATION
 from kc2spice.core.errors import UsageError, candidates, did_you_mean, unknown
 from kc2spice.scene.frames import frames
-from kc2spice.scene.model import GROUND, METER, Build, Names, Part, PartType, Scene, Terminal
+from kc2spice.scene.model import GROUND, Build, Names, Part, PartType, Scene, Terminal
 from kc2spice.scene.parttype import current_into
 from kc2spice.scene.rows import Rest
 
 Pin = tuple[str, str]
 _GROUND: Pin = (GROUND, "")
 MOST_NAMED = 5  # pins that an error lists
+METER = "meter"  # word of an ammeter's name, behind those of its pin
 
 
 def composed(scene: Scene) -> Scene:
@@ -69,7 +70,7 @@ def _joined(scene: Scene) -> Scene:
     scene = replace(scene, nets=_names(groups, scene))
     rests = {name: r.part.type.at_rest(r.part, scene) for name, r in scene.records.items()}
     scene = _with_answers(scene, "rest", rests)
-    scene = replace(scene, own=_own(scene))
+    scene = _with_inner_names(scene)
     _required(scene, {net[0] for net in groups if len(net) == 1})
     _outputs(scene)
     _across_nothing(scene)
@@ -173,13 +174,21 @@ def _names(groups: list[list[Pin]], scene: Scene) -> dict[Pin, str]:
     return {pin: nets[pin] for pin in scene.terminals}
 
 
-def _own(scene: Scene) -> Names:
-    """Names besides those of nets and of cards ``LETTERname``: meters, and what parts ask for."""
+def _with_inner_names(scene: Scene) -> Scene:
+    """``scene`` with the names besides those of nets and of cards ``LETTERname``."""
     cards = (f"{letter}{name}" for name in scene.parts for letter in ascii_lowercase)
-    names = Names((*scene.nets.values(), *cards))
-    for part, pin in metered(scene):
-        names.name((part, pin, METER), f"v{part}_{pin}_{METER}".lower())
-    return names
+    free = Names((*scene.nets.values(), *cards))
+    names: dict[tuple[str, ...], str] = {}
+    for part in scene.parts.values():
+        for words in part.type.inner_names(part, scene):
+            key = part.name, *words
+            names[key] = free.name(key, "_".join(words))
+    scene = replace(scene, names=names)
+    meters = {
+        (part, pin): free.name((METER, part, pin), f"v{part}_{pin}_{METER}".lower())
+        for part, pin in _metered(scene)
+    }
+    return replace(scene, meters=meters)
 
 
 def electrical(part: Part, scene: Scene) -> tuple[str, ...]:
@@ -191,7 +200,7 @@ def electrical(part: Part, scene: Scene) -> tuple[str, ...]:
     )
 
 
-def metered(scene: Scene) -> Iterator[tuple[str, str]]:
+def _metered(scene: Scene) -> Iterator[tuple[str, str]]:
     """Pins of subcircuits whose current probes ask for by ``PART.current``, that of the first pin,
     ``PART.PIN.current`` or ``PART.power``, where no neighbour tells it."""
     for of in dict.fromkeys(probe.of for probe in scene.probes.values()):

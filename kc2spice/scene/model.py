@@ -55,7 +55,6 @@ SHORT = {
     "em_force": "current_cases",
 }
 TABLES = {kind: name for name, kind in SHORT.items()}
-METER = "meter"  # word of an ammeter's name, behind those of its pin
 T = TypeVar("T")
 
 
@@ -181,8 +180,8 @@ class Scene:
 
     ``records`` has the answers of each part,
     ``terminals`` every pin by ``(part, pin)``, ``nets`` its node of the netlist (``"0"`` is
-    ground); ``own`` gives ``(part, *words)`` the name of what else the part has there
-    (:meth:`Build.own`); ``shaken`` has the shaken frame that the
+    ground); ``meters`` has the names of the ammeters at pins, ``names`` those of all other nodes
+    and cards by ``(part, *words)`` (:meth:`Build.own`); ``shaken`` has the shaken frame that the
     displacements of a net are relative to, by node; ``home`` is the folder of the scene's file,
     ``tables`` what it says with all overrides. ``resolved_frequency`` [Hz] is the highest frequency
     that the parts resolve, None if it follows from the analysis. Bodies keep the ``ports`` that are
@@ -197,7 +196,8 @@ class Scene:
     records: Mapping[str, Record[Any]] = field(default_factory=dict)
     terminals: Mapping[tuple[str, str], Terminal] = field(default_factory=dict)
     nets: Mapping[tuple[str, str], str] = field(default_factory=dict)
-    own: Names = field(default_factory=Names)
+    meters: Mapping[tuple[str, str], str] = field(default_factory=dict)
+    names: Mapping[tuple[str, ...], str] = field(default_factory=dict)
     shaken: Mapping[str, ShakenFrame] = field(default_factory=dict)
     home: Path = Path()
     tables: Mapping[str, Any] = field(default_factory=dict)
@@ -433,12 +433,12 @@ class Build:
 
     def meter(self, part: Part, pin: str) -> str | None:
         """Name of the ammeter at a pin and of the node behind it, None where no probe asks."""
-        return self.scene.own.given.get((part.name, pin, METER))
+        return self.scene.meters.get((part.name, pin))
 
     def own(self, part: Part, *words: str) -> str:
-        """Name of a node or card of a part besides its pins' nodes and ``LETTERname``: the words
-        with ``_`` in between, or one like it where that is taken."""
-        return self.scene.own.name((part.name, *words), "_".join(words))
+        """Name of one of a part's :meth:`PartType.inner_names`: the words with ``_`` in between, or
+        one like it where that is taken."""
+        return self.scene.names[part.name, *words]
 
 
 class PartType:
@@ -488,6 +488,11 @@ class PartType:
         """Parts of which it decides how their motion begins, all of their motion, or that they are
         copied, see :class:`State` and :data:`Governed`."""
         return {}
+
+    def inner_names(self, part: Part, scene: Scene) -> Iterable[tuple[str, ...]]:
+        """Words of the names of its nodes and cards besides its pins' nodes and ``LETTERname``;
+        :meth:`Build.own` returns the names."""
+        return ()
 
     def detail(self, part: Part, scene: Scene) -> Any:
         """Data that parts of the same package need of it, in a class of that package; they are in

@@ -19,7 +19,7 @@ from kc2spice.core.waveforms import Waveforms, running
 from kc2spice.netlist.deck import Command, Deck, noise
 from kc2spice.netlist.expression import terms, vector
 from kc2spice.netlist.scope import Scope
-from kc2spice.scene.compose import electrical, metered
+from kc2spice.scene.compose import electrical
 from kc2spice.scene.judge import Check, Metric
 from kc2spice.scene.keys import model_keys
 from kc2spice.scene.model import Build, Names, Part, PartType
@@ -250,7 +250,7 @@ def _meter_vectors(build: Build, known: Mapping[str, Vector]) -> dict[str, Vecto
     """Results ``PART.PIN.current`` [A], into the part, and ``PART.PIN.potential`` [V] of pins with
     a meter, and ``PART.current``, that of the first pin."""
     result: dict[str, Vector] = {}
-    for name, pin in metered(build.scene):
+    for name, pin in build.scene.meters:
         part = build.scene.parts[name]
         read = Vector(f"i({build.meter(part, pin)})", 1.0, "A")
         result[f"{name}.{pin}.current"] = read
