@@ -197,7 +197,7 @@ def declared(part: Part, model: Ladder) -> Declaration:
 class MovingConductor(DeclaredPart):
     name = "moving_conductor"
     title = "conducting body that moves along coils and magnets (eddy currents)"
-    schema: ClassVar[type[Section]] = MovingConductorKeys
+    schema: type[Section] = MovingConductorKeys
     parameters: ClassVar[type[Section]] = Conduction
     rating = "not known; i^2 resistance heats each coil, the eddy currents the body"
     source = "rings (integral equation, axisymmetric), reduced"

@@ -8,7 +8,7 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from pydantic import Field, model_validator
+from pydantic import Field, field_validator, model_validator
 
 from kc2spice.core import laws
 from kc2spice.core.errors import UsageError
@@ -76,9 +76,13 @@ class SphereKeys(Section):
             density = _stuff(self.material).density
             if "density" not in self.model_fields_set:
                 object.__setattr__(self, "density", density)
-        if self.elastic is False:
-            object.__setattr__(self, "elastic", None)
         return self
+
+    @field_validator("elastic")
+    @classmethod
+    def _rigid(cls, elastic: bool | dict[str, Any] | None) -> bool | dict[str, Any] | None:
+        """A sphere that is not elastic has no such key."""
+        return None if elastic is False else elastic
 
     @property
     def mass(self) -> float:

@@ -51,14 +51,9 @@ class DeclaredPart(PartType):
         if declaration is None:
             return
         self.declaration = declaration
-        # Other part types define these as class attributes; this type sets them per instance.
-        vars(self).update(
-            name=declaration.name,
-            title=declaration.title,
-            schema=declaration.keys,
-            example=declaration.example,
-            noise=("Rnoise",) if noisy(declaration) else (),
-        )
+        self.name, self.title = declaration.name, declaration.title
+        self.schema, self.example = declaration.keys, declaration.example
+        self.noise = ("Rnoise",) if noisy(declaration) else ()
 
     # --- pins and netlist -------------------------------------------------------------------
 

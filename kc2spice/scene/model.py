@@ -447,11 +447,11 @@ class PartType:
     ``name`` is what a scene writes behind ``part =``, ``title`` one line for ``scenes --parts``.
     """
 
-    name: ClassVar[str]
-    title: ClassVar[str]
-    schema: ClassVar[type[Section]]
+    name: str
+    title: str
+    schema: type[Section]
     #: tables of a small scene (TOML) with a part of this type, for ``scenes --parts`` and the docs
-    example: ClassVar[str] = ""
+    example: str = ""
     #: where its model comes from, for ``explain``
     source: ClassVar[str] = "circuit"
     #: whether the names of its results follow from its model
@@ -459,7 +459,7 @@ class PartType:
     #: whether it adds the force ``-m a`` of a shaken frame that its pins are in
     follows_frames: ClassVar[bool] = False
     #: what has noise: cards of its subcircuit that are resistors of the device, or words for it
-    noise: ClassVar[tuple[str, ...] | str] = ()
+    noise: tuple[str, ...] | str = ()
 
     # --- scene: keys, pins, what a part brings along -------------------------------------------
 

@@ -41,6 +41,7 @@ class Rom(Section):
         None,
         gt=0,
         lt=1,
+        validate_default=True,
         description=("Largest relative error over the band; by default 1e-4 unless order is set"),
     )
     band: tuple[Frequency, Frequency] = Field(
@@ -69,11 +70,12 @@ class Rom(Section):
             raise refused("order and tolerance are both set", "one of the two", hint=hint)
         return data
 
-    @model_validator(mode="after")
-    def _some_target(self) -> Self:
-        if self.order is None and self.tolerance is None:
-            self.__dict__["tolerance"] = 1e-4  # frozen; not among the fields that are set
-        return self
+    @field_validator("tolerance")
+    @classmethod
+    def _some_target(cls, tolerance: float | None, info: ValidationInfo) -> float | None:
+        """The default without an order, which is not among the fields that are set."""
+        order_set = info.data.get("order") is not None
+        return 1e-4 if tolerance is None and not order_set else tolerance
 
     @field_validator("band")
     @classmethod
