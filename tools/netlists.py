@@ -174,7 +174,7 @@ def _row(path: Path) -> tuple[str, ...]:
     text = path.read_text(encoding="utf-8")
     lines = text.partition(".subckt")[0].replace("\n*   ", " ")  # of more than one line each
     head = dict(re.findall(r"(?m)^\* (\w[\w-]*): (.+)$", lines))
-    title = text.partition("\n")[0].partition(": ")[2]
+    title = lines.partition("\n")[0].partition(": ")[2]
     return head["rating"], title, _pins(text), head["sign"]
 
 

@@ -227,9 +227,9 @@ class Deck:
         """How ngspice runs the deck."""
         raw, plot = f"{self.name}.raw {self.main}", f"{self.name}_plot.sp"
         return (
-            f"* Run it with:  ngspice -b {self.main}             (prints what .print asks for)",
-            f"*           or  ngspice -b -r {raw}  (keeps every vector saved below)",
-            f"*           or  ngspice {plot}          (plots the main curves)",
+            f"* Run it with:  ngspice -b {self.main}  (prints results)",
+            f"*           or  ngspice -b -r {raw}  (saves all vectors)",
+            f"*           or  ngspice {plot}  (plots the main curves)",
         )
 
     def printed_for(self, *usage: str) -> Circuit:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
 from math import nan
@@ -166,6 +166,11 @@ def _called(circuit: Circuit) -> Iterator[str]:
             yield item.model
 
 
+def entries(notes: Iterable[str]) -> list[str]:
+    """Return comments as one line each: three blanks and more continue the line above."""
+    return "\n".join(notes).replace("\n*   ", " ").split("\n")
+
+
 def declared_pins(circuit: Circuit) -> list[Pin]:
     """The pins that the head of a subcircuit declares."""
     return [Pin(*match.groups()) for match in map(_PIN.match, circuit.notes) if match]
@@ -177,7 +182,7 @@ def _part(circuit: Circuit, whole: Circuit, text: str, file: str) -> Subcircuit:
         listed = " ".join(p.name for p in pins)
         message = "the head does not list the pins of its subcircuit"
         raise circuit.error(message, listed, " ".join(circuit.pins))
-    heads = {m[1].lower(): m for m in map(_PARAM.match, circuit.notes) if m}
+    heads = {m[1].lower(): m for m in map(_PARAM.match, entries(circuit.notes)) if m}
     params = []
     for name, default in circuit.defaults.items():
         given, head = literal(default, where=circuit.where), heads.get(name.lower())
@@ -186,5 +191,5 @@ def _part(circuit: Circuit, whole: Circuit, text: str, file: str) -> Subcircuit:
         )
         params.append(Param(name, nan if given is None else given, *(labels or ("-", ""))))
     ends = tuple(pins or (Pin(name, "V", "A") for name in circuit.pins))
-    title = text.partition("\n")[0].lstrip("* ")
+    title = entries(text.split("\n"))[0].lstrip("* ")
     return Subcircuit(circuit.name, ends, tuple(params), whole, title=title, file=file, source=text)

@@ -131,7 +131,7 @@ def assert_answers_alike(ours, theirs, directory):
         assert apart.max() <= limit, f"{theirs}: {apart.max():.1e}"
 
 
-RANGE = re.compile(r"(?m)^\* @param (\w+)=(\S+) unit=\S+ range=([-+.\de]+)\.\.([-+.\de]+) ")
+RANGE = re.compile(r"(?m)^\* @param (\w+)=(\S+) unit=\S+ range=([-+.\de]+)\.\.([-+.\de]+)(?: |$)")
 
 
 class Ranged(NamedTuple):
@@ -340,3 +340,12 @@ def test_a_changed_model_is_noticed(before, after, tmp_path):
     theirs.write_text(text, encoding="utf-8")
     with pytest.raises(AssertionError):
         assert_answers_alike(ours, theirs, tmp_path / "response")
+
+
+def test_lines_of_committed_netlists_have_at_most_100_characters():
+    files = [*NETLISTS.glob("*/*.lib"), *NETLISTS.glob("*/*.cir")]
+    printed = {path: text for path in files if "* tool:" in (text := path.read_text("utf-8"))}
+    assert len(printed) > 100
+    for path, text in printed.items():
+        for line in text.splitlines():
+            assert len(line) <= 100, f"{path}: {line}"

@@ -28,7 +28,7 @@ def decks(model, table):
 
 def interface(text):
     """Defaults on the ``.subckt`` card of a library."""
-    card = re.search(r"(?m)^\.subckt (.*)$", text)[1]
+    card = re.search(r"(?m)^\.subckt (.*)$", text.replace("\n+", ""))[1]
     return dict(w.split("=") for w in card.split() if "=" in w)
 
 

@@ -38,7 +38,7 @@ def written(files, tmp_path_factory):
 
 def card(part):
     """``(pins, params)`` as they stand on the ``.subckt`` card."""
-    words = re.search(r"(?m)^\.subckt (.*)$", part.text)[1].split()[1:]
+    words = re.search(r"(?m)^\.subckt (.*)$", part.text.replace("\n+", ""))[1].split()[1:]
     pins = [w for w in words if "=" not in w]
     return pins, dict(w.split("=") for w in words if "=" in w)
 

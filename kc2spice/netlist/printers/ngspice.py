@@ -5,7 +5,7 @@ from __future__ import annotations
 import textwrap
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
-from itertools import count
+from itertools import chain, count
 
 from kc2spice.netlist.circuit import (
     NODES,
@@ -19,6 +19,7 @@ from kc2spice.netlist.circuit import (
 )
 from kc2spice.netlist.expression import Name, Tree, Writer, parse, walk
 from kc2spice.netlist.prefixes import with_prefixes
+from kc2spice.netlist.printers.lines import card_lines, comment_lines
 
 _BARE = frozenset({"time", "temper", "hertz", "pi"})  # no parameters
 _NUMBERED = frozenset({".tran", ".ac", ".dc", ".noise"})  # cards whose words are numbers
@@ -35,16 +36,16 @@ class Printer(Writer):
         self.where = "netlist"
 
     def file(self, circuit: Circuit) -> str:
-        lines = [*self.lines(circuit.items), *circuit.closing]
+        lines = [*self.lines(circuit.items), *_comments(circuit.closing)]
         return "\n".join(lines) + "\n"
 
     def lines(self, items: Sequence[Item]) -> Iterator[str]:
         """Cards with the comments above them."""
         for item in items:
-            yield from item.notes
+            yield from _comments(item.notes)
             self.where = item.where
             if card := self.card(item):
-                yield card
+                yield card if isinstance(item, Circuit) else _continued(card)
 
     def card(self, item: Item) -> str:
         """One card, or a subcircuit, without the comments above it; "" for none."""
@@ -59,8 +60,8 @@ class Printer(Writer):
                 law = self.value(f"{{{item.expression.strip('{}')}}}")
                 return f".func {name}({','.join(arguments)}) {law}"
             case Circuit():
-                body = (*self.lines(item.items), *item.closing)
-                return "\n".join([self.head(item), *body, f".ends {item.name}"])
+                body = (*self.lines(item.items), *_comments(item.closing))
+                return "\n".join([_continued(self.head(item)), *body, f".ends {item.name}"])
         return self.directive(item)
 
     def head(self, circuit: Circuit) -> str:
@@ -126,6 +127,16 @@ class Printer(Writer):
         return f"pwl({head},\n+ " + "\n+ ".join(lines) + ")"
 
 
+def _comments(notes: Iterable[str]) -> tuple[str, ...]:
+    """Comments as the lines that are printed."""
+    return tuple(chain.from_iterable(map(comment_lines, notes)))
+
+
+def _continued(card: str) -> str:
+    """A card with its continuation lines; a control block has none."""
+    return card if card.startswith(".control") else "\n".join(card_lines(card))
+
+
 def _joined(*words: str) -> str:
     return " ".join(filter(None, words))
 
@@ -140,14 +151,16 @@ def _located(
 ) -> Iterator[Item]:
     """Items with their places; ``lines`` yields the numbers of the file's lines."""
     for item in items:
-        _skip(lines, len(item.notes))
+        _skip(lines, len(_comments(item.notes)))
         if isinstance(item, Circuit):
-            head = printer.head(item)
+            head = _continued(printer.head(item))
             where = f"{file}:{next(lines)}"
+            _skip(lines, head.count("\n"))
             inner = tuple(_located(item.items, printer, file, lines))
-            _skip(lines, len(item.closing) + 1)
-            yield replace(item, items=inner, where=where, written=head)
+            _skip(lines, len(_comments(item.closing)) + 1)
+            yield replace(item, items=inner, where=where, written=head.replace("\n+", ""))
         elif card := printer.card(item):
+            card = _continued(card)
             where = f"{file}:{next(lines)}"
             _skip(lines, card.count("\n"))
             yield replace(item, where=where, written=card.replace("\n+", ""))

@@ -1,0 +1,100 @@
+"""Lines of at most 100 characters: continuation lines of cards and of comments."""
+
+from __future__ import annotations
+
+import re
+import textwrap
+from collections.abc import Iterator, Sequence
+
+WIDTH = 100  # characters of the longest line
+SHORTEST = 50  # characters that a line has before a break within a word is worse than a short line
+_EXPRESSION = re.compile(r"(?i)^[beg]\S*\s.*?=|=\{|^\+ ")
+_SUMMAND = re.compile(r"(?<=[\w)}\]])(?<![\d.][eE])[-+]")
+_OPERATOR = re.compile(r"(?<=[\w)}\]])[*/]|(?<=,)(?=\S)")
+_PROBE = re.compile(r"(?i)\b[vi]\([^()]*\)")
+
+
+def card_lines(card: str) -> Iterator[str]:
+    """Yield the lines of a card. A long one goes on behind ``+``.
+
+    Simulators put a blank between the pieces. A line therefore ends between words, or before an
+    operator or behind a comma of an expression.
+    """
+    for line in card.split("\n"):
+        begin, lead = 0, ""
+        breaks = _breaks(line) if len(line) > WIDTH else ()
+        while len(lead) + len(line) - begin > WIDTH:
+            end = _best(breaks, begin, WIDTH - len(lead))
+            if not end:
+                break
+            yield lead + line[begin:end].rstrip()
+            begin, lead = end + (line[end] == " "), "+ "
+        yield lead + line[begin:]
+
+
+def comment_lines(text: str) -> Iterator[str]:
+    """Yield comments as lines. Further lines of one are indented by three blanks at least."""
+    for line in text.split("\n"):
+        yield from _wrapped(line)
+
+
+def _wrapped(line: str) -> Iterator[str]:
+    if len(line) <= WIDTH or not line.startswith("*"):
+        yield line
+        return
+    lead = line[: len(line) - len(line.lstrip("* "))]
+    further = "*   + " if line.startswith("* use: ") else "*" + " " * max(3, len(lead) + 1)
+    yield from textwrap.wrap(
+        _spaced(line[len(lead) :], WIDTH - len(further)),
+        WIDTH,
+        initial_indent=lead,
+        subsequent_indent=further,
+        break_long_words=False,
+        break_on_hyphens=False,
+    )
+
+
+def _spaced(text: str, width: int) -> str:
+    """Return a text with blanks before operators of words that are longer than a line."""
+    words = (_SUMMAND.sub(r" \g<0>", w) if len(w) > width else w for w in text.split(" "))
+    return " ".join(words)
+
+
+def _best(breaks: Sequence[Sequence[int]], begin: int, width: int) -> int:
+    """Return where a line that begins at ``begin`` ends at best, 0 where it must stay whole.
+
+    ``breaks`` are the possible ends, the better kinds first.
+    """
+    for places in breaks:
+        if within := [place for place in places if SHORTEST <= place - begin <= width]:
+            return within[-1]
+    possible = sorted(place for places in breaks for place in places)
+    further = [place for place in possible if place > begin]
+    short = [place for place in further if place - begin <= width]
+    return short[-1] if short else next(iter(further), 0)
+
+
+def _breaks(line: str) -> tuple[list[int], ...]:
+    """Return the blanks of a line between words, those within brackets, and its operators.
+
+    Those of sums come before those of products.
+    """
+    outer, inner, fixed, depth, quote = list[int](), list[int](), set[int](), 0, ""
+    for place, ch in enumerate(line):
+        if quote or ch in "\"'":
+            fixed.add(place)
+            quote = "" if ch == quote else quote or ch
+        elif ch in "({[":
+            depth += 1
+        elif ch in ")}]":
+            depth -= 1
+        elif ch == " " and place > 1:
+            (inner if depth > 0 else outer).append(place)
+    for probe in _PROBE.finditer(line):
+        fixed.update(range(*probe.span()))
+    match = _EXPRESSION.search(line)
+    begin = match.end() if match else len(line)
+    signs, others = (
+        [found.start() for found in kind.finditer(line, begin)] for kind in (_SUMMAND, _OPERATOR)
+    )
+    return outer, *([k for k in kind if k not in fixed] for kind in (inner, signs, others))
