@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
+import math
 import re
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
-from math import nan
 from pathlib import Path
 
 from kc2spice.core.errors import UsageError
 from kc2spice.core.foreign import read_bounded, text_of
-from kc2spice.netlist.cards import number
+from kc2spice.netlist.cards import comment, number, word
+from kc2spice.netlist.cards import name as checked_name
 from kc2spice.netlist.circuit import Circuit, Element, Param, Pin
 from kc2spice.netlist.expression import literal
+from kc2spice.netlist.prefixes import with_prefix
 from kc2spice.netlist.printers.ngspice import Printer, located
 from kc2spice.netlist.read import read
 
@@ -59,7 +61,8 @@ class Subcircuit:
     ``title`` is ``NAME: what it is``. ``file`` is the name of the library file where it is not
     ``NAME.lib``. ``no_module`` states why the part must not become a Verilog-A module, "" where it
     may. ``reduction`` is None where there is no reduced model. ``source`` is the text of a library
-    that somebody else wrote; all others are printed from their circuits.
+    that somebody else wrote; all others are printed from their circuits. The first ``head_lines``
+    comments above the circuit of this name are its head.
     """
 
     name: str
@@ -71,6 +74,7 @@ class Subcircuit:
     no_module: str = ""
     reduction: Reduction | None = None
     source: str = ""
+    head_lines: int = 0
 
     @property
     def filename(self) -> str:
@@ -148,6 +152,26 @@ def read_lib(path: str | Path) -> list[Subcircuit]:
     return parts
 
 
+def use_line(name: str, pins: Iterable[str], defaults: Mapping[str, str]) -> str:
+    """Return an instance to copy, as a comment: its nodes have the names of the ``pins``.
+
+    Examples
+    --------
+    >>> use_line("contact", ("ring", "v", "base"), {"eps": "400000000.0"})
+    '* use: X1 ring v base contact eps=400meg'
+    """
+    settings = (f"{key}={with_prefix(value)}" for key, value in defaults.items())
+    return " ".join(("* use: X1", *pins, name, *settings))
+
+
+def parameter_line(param: Param) -> str:
+    """Return the comment of a parameter: default, unit, range and explanation."""
+    bounded = math.isfinite(param.low) or math.isfinite(param.high)
+    bounds = f" range={param.low:g}..{param.high:g}" if bounded else ""
+    head = f"* @param {checked_name(param.name)}={number(param.default)} unit={word(param.unit)}"
+    return f"{head}{bounds} {comment(param.doc)}"
+
+
 def subcircuits(text: str, file: str) -> list[Subcircuit]:
     """The parts in the ``text`` of a library ``file``, as :func:`read_lib` gives them."""
     whole = read(text, file)
@@ -189,7 +213,7 @@ def _part(circuit: Circuit, whole: Circuit, text: str, file: str) -> Subcircuit:
         labels = (
             (head[3], head[6], float(head[4] or "-inf"), float(head[5] or "inf")) if head else ()
         )
-        params.append(Param(name, nan if given is None else given, *(labels or ("-", ""))))
+        params.append(Param(name, math.nan if given is None else given, *(labels or ("-", ""))))
     ends = tuple(pins or (Pin(name, "V", "A") for name in circuit.pins))
     title = entries(text.split("\n"))[0].lstrip("* ")
     return Subcircuit(circuit.name, ends, tuple(params), whole, title=title, file=file, source=text)

@@ -13,12 +13,11 @@ from kc2spice.netlist.circuit import LEAST, Circuit, Element, Item, Param
 from kc2spice.netlist.deck import Deck
 from kc2spice.netlist.elements import titled
 from kc2spice.netlist.expression import added, terms, vector
-from kc2spice.netlist.library import Subcircuit
+from kc2spice.netlist.library import Subcircuit, parameter_line, use_line
 
 Parameters = tuple[tuple[str, float], ...]  # ("PART.NAME", value)
 MOST = 10_000  # copies
 DIGITS = "0123456789"
-_ORIGIN = ("* tool:", "* scene:", "* licence:", "* sign:", "* validity:", "* rating:", "* @")
 
 
 def self_contained(part: Subcircuit, helpers: Iterable[Subcircuit]) -> Subcircuit:
@@ -28,12 +27,15 @@ def self_contained(part: Subcircuit, helpers: Iterable[Subcircuit]) -> Subcircui
     """
     tree = part.circuit
     for helper in helpers:
-        names = {helper.name: f"{part.name}_{helper.name}"}
-        tree = renamed(tree, names)
-        for item in renamed(helper.circuit, names).items:
-            kept = ("", *(line for line in item.notes if not line.startswith(_ORIGIN)))
-            item = replace(item, notes=kept if item.notes else ())
-            tree = replace(tree, items=(*tree.items, item))
+        name = f"{part.name}_{helper.name}"
+        tree = renamed(tree, {helper.name: name})
+        items = list(renamed(helper.circuit, {helper.name: name}).items)
+        for k, item in enumerate(items):
+            if isinstance(item, Circuit) and item.name == name:
+                title = f"* {name}:{helper.title.partition(':')[2]}"
+                head = ("", title, use_line(name, item.pins, item.defaults))
+                items[k] = replace(item, notes=(*head, *item.notes[helper.head_lines :]))
+        tree = replace(tree, items=(*tree.items, *items))
     return part.changed(tree)
 
 
@@ -116,21 +118,25 @@ def with_parameters(deck: Deck, values: Iterable[tuple[str, float]]) -> Deck:
 
 
 def _changed(part: Subcircuit, library: str, name: str, value: float) -> Subcircuit:
-    for param in part.params if library == library_of(part) else ():
+    new = dict[int, Circuit]()
+    params = list(part.params)
+    for k, param in enumerate(params if library == library_of(part) else ()):
         if param.name.lower() == name.lower():
             _require_within(param, library, value)
-    start, given, new = f"* @param {name}=", number(value), dict[int, Circuit]()
+            params[k] = replace(param, default=value)
+    lines = dict(zip(map(parameter_line, part.params), map(parameter_line, params), strict=True))
     for where, item in cards(part):
         if where == library and name in item.defaults:
-            notes = tuple(
-                f"{start}{given} unit={line.partition(' unit=')[2]}"
-                if line.startswith(start)
-                else line
-                for line in item.notes
-            )
-            new[id(item)] = replace(item, defaults={**item.defaults, name: given}, notes=notes)
+            defaults = {**item.defaults, name: number(value)}
+            before, after = (use_line(item.name, item.pins, d) for d in (item.defaults, defaults))
+            lines[before] = after
+            notes = tuple(lines.get(line, line) for line in item.notes)
+            new[id(item)] = replace(item, defaults=defaults, notes=notes)
     items = tuple(new.get(id(item), item) for item in part.circuit.items)
-    return part.changed(replace(part.circuit, items=items)) if new else part
+    if not new:
+        return part
+    changed = part.changed(replace(part.circuit, items=items))
+    return replace(changed, params=tuple(params))
 
 
 def _require_within(param: Param, library: str, value: float) -> None:

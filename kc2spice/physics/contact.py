@@ -20,7 +20,7 @@ RATING = "not known; compare the force with the strength of both surfaces (Hertz
 # Mesh statement of a law of pressures, about the mesh of its compliances.
 SPACED = "error not estimated; a run with half the key spacing shows it"
 SLIPS = "compiled modules lose the digits that friction below its creep speed needs"
-SIGN = "um, m/s and N count upwards, out of the chip; 1 A into a pin pushes the part up with 1 N"
+SIGN = "um, m/s and N count upwards; 1 A into a pin pushes the part up with 1 N"
 
 
 @dataclass(frozen=True)

@@ -287,7 +287,8 @@ def subcircuit(
     circuit = Circuit(name, ends, defaults(params), items, notes=head)
     title = comment(f"{name}: {d.title}")
     tree = Circuit(items=(circuit,))
-    return Subcircuit(name, pins, params, tree, title=title, no_module=d.no_module)
+    facts: dict[str, Any] = {"no_module": d.no_module, "head_lines": len(head)}
+    return Subcircuit(name, pins, params, tree, title=title, **facts)
 
 
 def across_pins(build: Build, part: Part, branch: Branch) -> str:

@@ -3,7 +3,6 @@ what each pin and parameter means."""
 
 from __future__ import annotations
 
-import math
 import textwrap
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -15,12 +14,12 @@ from kc2spice.core.domains import TRANSLATION
 from kc2spice.core.mesh_error import NOT_ESTIMATED, mesh_words
 from kc2spice.netlist.cards import comment, name, number, render, word
 from kc2spice.netlist.circuit import Circuit, Param, Pin
-from kc2spice.netlist.library import Reduction, Subcircuit
+from kc2spice.netlist.library import Reduction, Subcircuit, parameter_line, use_line
 from kc2spice.netlist.read import read
 from kc2spice.rom.linear import Certificate
 from kc2spice.scene.model import Terminal
 
-SIGN = "um, m/s and N count upwards, out of the chip; 1 A into a pin pushes the part up with 1 N"
+SIGN = "um, m/s and N count upwards; 1 A into a pin pushes the part up with 1 N"
 FLOW = "1 V counts from the reference, 1 A into the pin"
 ROOM = "constant temperature; nothing here heats up, ages or breaks"
 OUTWARDS = (
@@ -85,11 +84,6 @@ def rom_lines(reduction: Reduction, certificate: Certificate) -> tuple[str, ...]
     return f"* rom: {reduction.summary}", first.replace("* rom:", "*  ", 1), *more
 
 
-def use_line(name: str, pins: Sequence[Pin]) -> str:
-    """An instance to copy; the nodes have the names of the pins."""
-    return f"* use: X1 {' '.join(pin.name for pin in pins)} {name}"
-
-
 def mesh_entry(facts: Mapping[str, float]) -> str:
     """Header entry of the mesh of a linear model: its error estimate, or the reason for none."""
     text = mesh_words(facts)
@@ -116,7 +110,8 @@ def part_header(
     ``sign`` is for parts with mechanical pins.
     """
     sign = sign if any(p.flow == TRANSLATION.flow for p in pins) else FLOW
-    lines = [f"* {comment(title)}", use_line(title.partition(":")[0], pins)]
+    ends = (pin.name for pin in pins)
+    lines = [f"* {comment(title)}", use_line(title.partition(":")[0], ends, defaults(params))]
     lines += [*header.origin(), *rom]
     facts = {"mesh": mesh, "sign": sign, "validity": validity, "rating": rating}
     lines += [line for key, text in facts.items() if text for line in paragraph(f"{key}: {text}")]
@@ -124,18 +119,8 @@ def part_header(
         f"* @pin {i} {name(p.name)} unit={word(p.unit)} flow={word(p.flow)}"
         for i, p in enumerate(pins, 1)
     ]
-    lines += [
-        f"* @param {name(p.name)}={number(p.default)} unit={word(p.unit)}{_range(p)} "
-        f"{comment(p.doc)}"
-        for p in params
-    ]
+    lines += map(parameter_line, params)
     return tuple(lines)
-
-
-def _range(param: Param) -> str:
-    """`` range=low..high`` where the parameter has one."""
-    bounded = math.isfinite(param.low) or math.isfinite(param.high)
-    return f" range={param.low:g}..{param.high:g}" if bounded else ""
 
 
 def defaults(params: Iterable[Param]) -> dict[str, str]:
@@ -169,6 +154,6 @@ def library(
     cards = render(f"{template}.j2", card=card, **values)
     (circuit,) = read(f"{cards}.ends {name}\n", f"{template}.j2").items
     circuit = replace(circuit, notes=(*head, "", *circuit.notes))
-    return Subcircuit(
-        name, pins, params, Circuit(items=(circuit,)), title=comment(f"{name}: {title}")
-    )
+    title = comment(f"{name}: {title}")
+    tree = Circuit(items=(circuit,))
+    return Subcircuit(name, pins, params, tree, title=title, head_lines=len(head))

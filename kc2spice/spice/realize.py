@@ -6,7 +6,7 @@ import hashlib
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, TypeAlias
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 
@@ -415,9 +415,8 @@ def enclosed(
     )
     circuit = replace(circuit, notes=(*head, "", *about))
     title = f"{name}: {words['title']}"
-    return Subcircuit(
-        name, pins, params, Circuit(items=(circuit,)), title=comment(title), reduction=reduction
-    )
+    facts: dict[str, Any] = {"reduction": reduction, "head_lines": len(head)}
+    return Subcircuit(name, pins, params, Circuit(items=(circuit,)), title=comment(title), **facts)
 
 
 def _reduction(

@@ -1,11 +1,22 @@
 """Heads of libraries: the error estimate, an instance to copy, and the length of lines."""
 
+from dataclasses import replace
+from pathlib import Path
+
 import pytest
 
+import kc2spice as kc
 from kc2spice.netlist.circuit import Pin
-from kc2spice.netlist.library import Reduction
+from kc2spice.netlist.deck import Deck
+from kc2spice.netlist.library import Reduction, entries
+from kc2spice.netlist.printers.ngspice import Printer
+from kc2spice.netlist.read import read
+from kc2spice.netlist.transforms import with_parameters
 from kc2spice.rom.linear import Certificate
+from kc2spice.sim.ngspice import run_deck
 from kc2spice.spice.header import Header, part_header, rom_lines
+
+NETLISTS = Path(__file__).parents[2] / "netlists"
 
 
 @pytest.mark.parametrize(
@@ -31,3 +42,52 @@ def test_a_head_has_an_instance_to_copy_and_lines_of_100_characters():
     assert "\n* use: X1 plus base part\n" in head
     assert max(map(len, head.splitlines())) <= 100
     assert long.strip() in head.replace("\n*   ", " ")
+
+
+def declared_use(circuit):
+    """The instance that the head of a subcircuit shows, as an element."""
+    (line,) = (line for line in entries(circuit.notes) if line.startswith("* use: "))
+    (element,) = read(line.removeprefix("* use: ").replace(" + ", " ") + "\n", "use").items
+    return element
+
+
+@pytest.mark.parametrize("path", sorted(NETLISTS.glob("*/*.lib")), ids=lambda p: p.stem)
+def test_the_instance_of_a_head_has_the_pins_and_parameters_of_its_subcircuit(path):
+    text = path.read_text(encoding="utf-8")
+    if "* tool:" not in text:
+        return
+    for circuit in read(text, path.name).subcircuits:
+        use = declared_use(circuit)
+        assert (use.model, use.nodes) == (circuit.name, circuit.pins)
+        assert use.parameters == circuit.defaults
+
+
+def test_the_instance_of_a_helper_runs_as_it_is_copied(tmp_path):
+    path = NETLISTS / "kick_and_catch" / "amplifier.lib"
+    whole = read(path.read_text("utf-8"), path.name)
+    (helper,) = (c for c in whole.subcircuits if c.name == "amplifier_opamp_slew")
+    assert "* amplifier_opamp_slew: operational amplifier with slew rate and current limit" in (
+        helper.notes
+    )
+    use = Printer().card(replace(declared_use(helper), nodes=("in", "o", "o", "vp", "vn", "0")))
+    sources = ["Vp vp 0 10", "Vn vn 0 -10", "Vin in 0 2.5"]
+    cards = ["follower", f".include {path.name}", use, *sources, ".op", ".end", ""]
+    more, vectors = {path.name: path.read_text("utf-8")}, {"o": ("v(o)", 1.0)}
+    deck = Deck(name="use", text="\n".join(cards), more=more, vectors=vectors)
+    assert run_deck(deck, tmp_path)["o"].real[-1] == pytest.approx(2.5, rel=1e-6)
+
+
+def test_changed_parameters_change_the_instance_and_the_facts():
+    loop = kc.deck("kick_and_catch")
+    changed = with_parameters(loop, [("sphere.radius", 2e-3), ("opamp.gbw", 1e6)])
+    texts = {part.name: part.text for part in changed.parts}
+    assert " radius=2m " in texts["sphere"].partition("\n* tool:")[0]
+    assert "* @param radius=0.002 unit=m " in texts["sphere"]
+    assert " gbw=1meg " in texts["pid"].partition("* pid_opamp:")[2].partition("\n.subckt")[0]
+    (sphere,) = (part for part in changed.parts if part.name == "sphere")
+    assert {p.name: p.default for p in sphere.params}["radius"] == 2e-3
+
+
+def test_no_sign_line_speaks_of_a_chip_in_a_scene_without_one():
+    for part in kc.deck("newtons_cradle").parts:
+        assert "chip" not in part.text
