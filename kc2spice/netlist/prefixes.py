@@ -67,6 +67,21 @@ def with_prefix(text: str) -> str:
     return text
 
 
+def rounded(value: float, digits: int = 4) -> str:
+    """Return a number to some digits with its prefix, for comments.
+
+    Examples
+    --------
+    >>> [rounded(x) for x in (8.4153e-8, 41.2e6, 0.0, 12.0, 3e-20)]
+    ['84.15n', '41.2meg', '0', '12', '3e-20']
+    """
+    number = Decimal(f"{value:.{digits - 1}e}")
+    power = number.adjusted() // 3 * 3
+    if not number or power not in _LETTERS:
+        return f"{value:.{digits}g}"
+    return f"{number.scaleb(-power).normalize():f}{_LETTERS[power]}"
+
+
 def _spellings(number: Decimal, power: int) -> Iterator[str]:
     """A number with the scale factor of a power of ten: further zeros may round otherwise."""
     mantissa = number.scaleb(-power).normalize()

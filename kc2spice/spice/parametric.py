@@ -32,6 +32,8 @@ from kc2spice.spice.realize import (
     conservative,
     enclosed,
     input_cards,
+    mode_branch,
+    mode_facts,
     model_terminals,
     scales,
     subcircuit_pins,
@@ -88,7 +90,7 @@ def parametric_subcircuit(
         *_expressions(model, parameters),
         _STOP,
         *_stops(parameters, base),
-        *_cards(model, rom.B, np.sqrt(np.diag(rom.K)), terminals, base, weights),
+        *_cards(model, rom, terminals, base, weights),
     ]
     params = (*parameters, *([DAMPING] if any(model.damped) else []))
     words = {"title": title, "rating": rating, "within": ", parameters within their ranges,"}
@@ -200,17 +202,19 @@ def _nonzero(model: Varying) -> tuple[np.ndarray, np.ndarray]:
 
 def _cards(
     model: Varying,
-    gain: np.ndarray,
-    omega: np.ndarray,
+    rom: LinearModel,
     terminals: Sequence[PortTerminal],
     base: str,
     weights: StepWeights,
 ) -> Iterator[Line]:
-    """Elements: ports, then states; ``gain`` and ``omega`` are those of the defaults, which scale
-    states as :func:`kc2spice.spice.realize.subcircuit` scales them::
+    """Yield the elements of the ports, then those of the states.
+
+    ``rom`` is the model of the defaults, by which states are scaled as in
+    :func:`kc2spice.spice.realize.subcircuit`::
 
         C p_i' = -C / w_i sum_j (s_i / s_j) (k_ij q_j + e_ij w_j p_j) + (C s_i / w_i) sum_k g_ik u_k
     """
+    gain, omega, damp = rom.B, np.sqrt(np.diag(rom.K)), np.diag(rom.E)
     scale, farad = scales(gain, terminals), weights.farad(omega, omega.min())
     order = [t for t in terminals if t.port.paired]
 
@@ -236,8 +240,13 @@ def _cards(
     at, stiff = 0, _nonzero(model)[1]
     for size in model.blocks:
         names = range(at + 1, at + size + 1)
-        hertz = ", ".join(f"{w:.6g}" for w in omega[at : at + size] / (2 * np.pi))
-        yield f"\n* {'Mode' if size == 1 else 'Block'} of {hertz} Hz at the defaults"
+        if size == 1:
+            facts = mode_facts(omega[at], damp[at])
+            branch = mode_branch(damp[at], omega[at], gain[at], gain, terminals)
+            yield f"\n* Mode {at + 1}, at the defaults: {facts}{branch}"
+        else:
+            hertz = ", ".join(f"{w:.6g}" for w in omega[at : at + size] / (2 * np.pi))
+            yield f"\n* Block of {hertz} Hz at the defaults"
         at += size
         for i in names:
             c, w, s = farad[i - 1], omega[i - 1], scale[i - 1]

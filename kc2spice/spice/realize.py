@@ -16,15 +16,18 @@ from kc2spice.core.domains import (
     BASE,
     ELECTRICAL,
     PORTS,
+    ROTATION,
     THERMAL,
     TRANSLATION,
 )
 from kc2spice.core.errors import SimulationError, UsageError
+from kc2spice.core.prefix import PREFIXES, prefix_power
 from kc2spice.netlist.cards import LEAK_RATE, comment, distinct, number
 from kc2spice.netlist.cards import name as checked_name
 from kc2spice.netlist.circuit import Circuit, Element, Param, Pin
 from kc2spice.netlist.elements import Line, noted, pivots
 from kc2spice.netlist.library import Reduction, Subcircuit
+from kc2spice.netlist.prefixes import rounded
 from kc2spice.rom.linear import Certificate, LinearModel, Port
 from kc2spice.rom.modal import Resonators, resonators
 from kc2spice.rom.network import ParallelBranches, parallel_branches
@@ -45,6 +48,7 @@ if TYPE_CHECKING:
 
 STATE = 1e-6  # farad of a fast state: one chgtol is then one tolerance of displacement
 SIEMENS = 1.0  # conductance of a massless state; its capacitance is its relaxation time
+ALIKE = 1e-6  # relative difference of the gains of ports that count as equal
 SILENT = 1e-9  # zero share of a mode in every port, relative to the largest
 OPEN_INPUT = 1e-18  # S, of a signal input, so that it is zero where nothing drives it
 FREE_LEAK = 1e-12  # S, of a free integrator: of the conductance of its capacitor at the band's end
@@ -96,6 +100,9 @@ _RESONATORS = f"""{_OUTWARDS[0]}
 *
 *     q' = omega p                  p' = -omega q - damp p + drive (port forces and voltages)
 *
+* The comment of a mode states its frequency, its Q and the branch that it is, with damping=1, at
+* the port that it moves most: L, C and R in series across an electrical port, or the mass m [kg],
+* damper c [N s/m] and spring k [N/m] at a pin.
 * Modes are left out whose share in every port is less than {{silent:g}} of the largest.
 * Modes above {{full}} times the lowest frequency have capacitors of 1 uF. Slower modes have smaller
 * ones, by the power {{power}} of their frequency: the simulator's time steps follow them less.
@@ -702,9 +709,13 @@ def _resonators(
     wired = _wired(terminals, states, rom.D, rom, base)
     stored = [replace(t, sums=()) if t.clamped else t for t in wired]
     body = conservative(stored, base, weights.share)
+    branches = [mode_branch(damp[j], omega[j], gain[j], gain, terminals) for j in range(len(order))]
     for j in range(len(order)):
-        make = _mode if heavy[j] else _relaxation
-        body += make(j + 1, omega[j], damp[j], farad[j], base)
+        if heavy[j]:
+            body.append(f"\n* Mode {j + 1}: {mode_facts(omega[j], damp[j])}{branches[j]}")
+            body += _mode(j + 1, omega[j], damp[j], farad[j], base)
+        else:
+            body += _relaxation(j + 1, omega[j], damp[j], base)
         node = f"p{j + 1}" if heavy[j] else f"q{j + 1}"
         body += [card.onto(base, node) for card in input_cards(j + 1, drive[j], terminals, base)]
         if noise and damp[j] > 0:
@@ -725,8 +736,6 @@ def _resonators(
 def _mode(j: int, omega: float, damp: float, farad: float, base: str) -> Iterator[Line]:
     """Two integrators of one mode."""
     turn, lost = farad * omega, farad * damp
-    ratio = damp / (2 * omega)
-    yield f"\n* Mode {j}: {omega / (2 * np.pi):.6g} Hz, damping ratio {ratio:.6g}"
     yield Element.of(f"Cq{j}", f"q{j}", base, farad)
     yield Element.of(f"Cp{j}", f"p{j}", base, farad)
     yield Element.of(f"Gq{j}", base, f"q{j}", f"p{j}", base, turn)
@@ -735,7 +744,51 @@ def _mode(j: int, omega: float, damp: float, farad: float, base: str) -> Iterato
         yield Element.of(f"Gd{j}", f"p{j}", base, f"p{j}", base, f"{{damping*{number(lost)}}}")
 
 
-def _relaxation(j: int, omega: float, damp: float, _: float, base: str) -> Iterator[Line]:
+def mode_facts(omega: float, damp: float) -> str:
+    """Return frequency and Q factor of a mode of ``omega`` [rad/s] that loses ``damp`` [1/s].
+
+    Examples
+    --------
+    >>> mode_facts(2 * np.pi * 41.2e3, 2 * np.pi * 824.0)
+    '41.2 kHz, Q 50'
+    """
+    hertz = omega / (2 * np.pi)
+    power = prefix_power(hertz)
+    quality = f"Q {omega / damp:.4g}" if damp > 0 else "undamped"
+    return f"{hertz / 10.0**power:.6g} {PREFIXES[power]}Hz, {quality}"
+
+
+def mode_branch(
+    damp: float,
+    omega: float,
+    gain: np.ndarray,
+    gains: np.ndarray,
+    terminals: Sequence[PortTerminal],
+) -> str:
+    """Return what a mode is at its port, as words of a comment; "" where it has none.
+
+    A mode ``z'' + damp z' + omega^2 z = g v`` whose charge is ``g z`` is L = 1/g^2, R = damp/g^2
+    and C = g^2/omega^2 in series across an electrical port; by the same law it is the mass
+    m = 1/g^2, the damper c = damp/g^2 and the spring k = omega^2/g^2 at a mechanical one. ``gains``
+    are those of all modes, by which rounding is told from a ``gain``.
+    """
+    largest = np.abs(gains).max(axis=0)
+    for domains, names in (((ELECTRICAL,), "LCR"), ((TRANSLATION, ROTATION), "mck")):
+        shares = [
+            abs(g) if t.port.domain in domains and abs(g) > SILENT * most else 0.0
+            for t, g, most in zip(terminals, gain, largest, strict=True)
+        ]
+        if not any(shares):
+            continue
+        port = int(np.argmax(np.array(shares) >= max(shares) * (1 - ALIKE)))
+        m, c, k = (float(value / shares[port] ** 2) for value in (1.0, damp, omega**2))
+        values = (m, 1 / k, c) if names == "LCR" else (m, c, k)
+        words = (f"{n}={rounded(v)}" for n, v in zip(names, values, strict=True))
+        return f", {' '.join(words)} at {terminals[port].pins[0]}"
+    return ""
+
+
+def _relaxation(j: int, omega: float, damp: float, base: str) -> Iterator[Line]:
     """One state without inertia."""
     hertz, time = omega / (2 * np.pi), damp / omega**2
     yield f"\n* Without inertia, from {hertz:.6g} Hz on: relaxes within {time:.6g} s"

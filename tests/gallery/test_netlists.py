@@ -12,6 +12,7 @@ import pytest
 
 from kc2spice.core.progress import Clock
 from kc2spice.netlist.deck import Deck
+from kc2spice.netlist.expression import literal
 from kc2spice.netlist.library import read_lib
 from kc2spice.parts._linear_body import LinearBody
 from kc2spice.scene.load import gallery, load_scene
@@ -349,3 +350,25 @@ def test_lines_of_committed_netlists_have_at_most_100_characters():
     for path, text in printed.items():
         for line in text.splitlines():
             assert len(line) <= 100, f"{path}: {line}"
+
+
+@pytest.mark.parametrize("scene", RANGES)
+def test_modes_of_shipped_buzzers_are_the_branches_that_their_comments_state(scene, tmp_path):
+    """What the branches leave of the simulated charge per volt is the clamped capacitance, the same
+    at all frequencies. C follows from L and from the frequency, which has more digits: near the
+    resonance the rounding of C counts Q times."""
+    (path,) = TOOL["folder"](scene).glob("*.lib")
+    form = r"\* Mode \d+, at the defaults: (\S+) kHz, .*, L=(\S+) C=(\S+) R=(\S+) at anode"
+    rows = re.findall(form, path.read_text("utf-8"))
+    branches = [(1e3 * float(f), *map(literal, row)) for f, *row in rows]
+    assert all(
+        L * C * (2 * np.pi * f) ** 2 == pytest.approx(1, rel=1e-3) for f, L, C, _ in branches
+    )
+    frequency = branches[0][0] * np.linspace(0.5, 1.5, 101)
+    s = 2j * np.pi * frequency
+    charge = admittance(path, frequency, tmp_path)[0] / s
+    motional = sum(1 / (L * (s**2 + (2 * np.pi * f) ** 2) + s * R) for f, L, _, R in branches)
+    clamped = charge - motional
+    assert np.ptp(clamped.real) < 3e-3 * np.abs(charge).max()
+    assert np.abs(clamped.imag).max() < 3e-3 * np.abs(charge).max()
+    assert clamped.real.min() > 0
