@@ -59,6 +59,27 @@ class Command:
         return Directive(f".{self.kind}", self.words)
 
 
+@dataclass(frozen=True)
+class Measure:
+    """A ``.meas`` card of an analysis ``kind``: ``words`` behind its name, and the factor to SI."""
+
+    name: str
+    kind: str
+    words: tuple[str, ...]
+    factor: float = 1.0
+
+    @property
+    def cards(self) -> Iterator[Directive]:
+        """The card, and where the vector is not in SI a second one that scales its value."""
+        if self.factor == 1.0:
+            yield Directive(".meas", (self.kind, self.name, *self.words))
+            return
+        plain = f"{self.name}_raw"
+        scaled = f"param='{number(self.factor)}*{plain}'"
+        yield Directive(".meas", (self.kind, plain, *self.words))
+        yield Directive(".meas", (self.kind, self.name, scaled))
+
+
 def transient(stop: float, max_step: float, *, uic: bool) -> Command:
     """``.tran`` to ``stop`` [s] in steps of ``max_step`` [s] at most."""
     step = min(max_step, stop / 1000)
@@ -122,7 +143,8 @@ class Deck:
     of that where it was read before, and the files that it includes in ``more``. ``controlled``
     says whether a controller closes a loop, which some simulators only follow in short steps; it
     may if that is unknown. A ``trusted`` deck runs with a warning where the simulator ignores or
-    replaces something in it.
+    replaces something in it. ``measures`` are taken by the simulator itself where it keeps no raw
+    file.
     """
 
     name: str
@@ -135,6 +157,7 @@ class Deck:
     vectors: Mapping[str, tuple[str, float]] = field(default_factory=dict)
     units: Mapping[str, str] = field(default_factory=dict)
     powers: Mapping[str, tuple[tuple[str, str], ...]] = field(default_factory=dict)
+    measures: tuple[Measure, ...] = ()
     stop: float | None = None
     initial: Mapping[str, float] = field(default_factory=dict)
     refinements: tuple[Command, ...] = ()
@@ -261,8 +284,18 @@ class Deck:
             ("onoise_total",) if self.command.kind == "noise" else ()
         )  # vector of the second plot
         yield from (Directive(".save", (vector,)) for vector in (*self.saved, *totals))
+        yield from self._measured
         yield Directive(".print", (self.command.kind, *self.saved[:2]))
         yield Directive(".end")
+
+    @property
+    def _measured(self) -> Iterator[Line]:
+        """The cards of the measures that this analysis has."""
+        rows = [measure for measure in self.measures if measure.kind == self.command.kind]
+        if rows:
+            yield "* Main metrics in SI units, which ngspice prints without -r"
+        for measure in rows:
+            yield from measure.cards
 
     def with_command(self, command: Command) -> Deck:
         """The same deck with this analysis instead of its own and of its refinements."""

@@ -181,6 +181,7 @@ def array_deck(deck: Deck, count: int) -> Deck:
         units |= {f"{k}.{name}": item for name, item in deck.units.items()}
         initial |= {f"x{k}.{node}": value for node, value in deck.initial.items()}
     title, items = f"{deck.title}, {count} copies", (*copy, *copies)
+    deck = replace(deck, measures=())
     return replace(deck, title=title, items=items, vectors=vectors, units=units, initial=initial)
 
 

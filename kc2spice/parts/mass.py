@@ -22,6 +22,7 @@ from kc2spice.scene.model import GROUND, Build, Part, Scene
 from kc2spice.scene.parttype import begins, register
 from kc2spice.scene.plausible import dimensions
 from kc2spice.scene.rows import Rest, Shake
+from kc2spice.scene.settings import Probe
 
 _FRAME = "frame"  # pin of the acceleration of a frame; of a second one frame2
 
@@ -156,6 +157,11 @@ class PointMass(Touching, DeclaredPart):
     def checks(self, part: Part, build: Build, waves: Waveforms) -> Iterator[Any]:
         """None: a mass at rest on something stiff turns over less energy than the steps lose."""
         return iter(())
+
+    def main_metrics(self, part: Part, build: Build) -> Mapping[str, Probe]:
+        if build.scene.analysis.type != "transient":
+            return {}
+        return {f"{part.name}_peak_m": Probe(of=f"{part.name}.x", take="max")}
 
     def metrics(self, part: Part, build: Build, waves: Waveforms) -> Mapping[str, Any]:
         if "time" not in waves:

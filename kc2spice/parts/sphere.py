@@ -26,6 +26,7 @@ from kc2spice.scene.model import GROUND, Build, Part, Scene, Terminal
 from kc2spice.scene.parttype import begins, mover, register
 from kc2spice.scene.plausible import within
 from kc2spice.scene.rows import Neglected, Rest, State, Vector
+from kc2spice.scene.settings import Probe
 from kc2spice.spice.header import SIGN
 
 AIR_VISCOSITY = 1.825e-5  # Pa s
@@ -184,6 +185,15 @@ class Sphere(Touching, DeclaredPart):
 
     def vectors(self, part: Part, build: Build) -> Mapping[str, Vector]:
         return {f"{part.name}.{pin}": build.across(part, pin) for pin in ("y", "v")}
+
+    def main_metrics(self, part: Part, build: Build) -> Mapping[str, Probe]:
+        if build.scene.analysis.type != "transient" or part.name in begins(build.scene):
+            return {}
+        of = f"{part.name}.y"
+        return {
+            "peak_height_m": Probe(of=of, take="max"),
+            "final_position_m": Probe(of=of, take="final"),
+        }
 
     def metrics(self, part: Part, build: Build, waves: Waveforms) -> Mapping[str, Any]:
         y = waves.data.get(f"{part.name}.y")

@@ -33,7 +33,7 @@ from kc2spice.scene.rows import (
     Swept,
     Vector,
 )
-from kc2spice.scene.settings import Frame, Rom
+from kc2spice.scene.settings import Frame, Probe, Rom
 
 if TYPE_CHECKING:
     from kc2spice.core.figure import Figure, Shape, Written
@@ -590,6 +590,10 @@ class PartType:
     def metrics(self, part: Part, build: Build, waves: Waveforms) -> Mapping[str, Any]:
         """Numbers that describe what it did, each a :class:`kc2spice.scene.judge.Metric` with its
         unit, or a mapping of such; a plain number has no unit."""
+        return {}
+
+    def main_metrics(self, part: Part, build: Build) -> Mapping[str, Probe]:
+        """Those of its metrics that a simulator can take, as probes of its results."""
         return {}
 
     def checks(

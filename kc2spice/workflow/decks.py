@@ -37,6 +37,7 @@ from kc2spice.scene.resolve import resolve_again, resolve_build
 from kc2spice.spice.header import Header, plan_lines
 from kc2spice.workflow import meters
 from kc2spice.workflow.edits import changed, element, instance, with_value
+from kc2spice.workflow.measures import measures
 from kc2spice.workflow.meters import sweep_values, swept
 from kc2spice.workflow.models import build_models
 
@@ -99,6 +100,7 @@ def make_deck(build: Build) -> Deck:
         vectors={name: (v.expression, v.factor) for name, v in results.items()},
         units={name: v.unit for name, v in results.items()} | dict.fromkeys(watts, "W"),
         powers=watts,
+        measures=measures(build, results),
         stop=scene.stop if scene.analysis.type == "transient" else None,
         initial=_initial(build, loose),
         controlled=any(_controls(part, scene) for part in scene.parts.values()),

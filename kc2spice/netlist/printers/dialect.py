@@ -76,6 +76,8 @@ class Dialect(Printer, ABC):
         if not isinstance(item, Directive):
             return super().card(item)
         match item.keyword:
+            case ".meas":
+                return f"* {self.title} prints no {item.text}"
             case ".print":  # ngspice's own; what .save names is what a dialect prints
                 return ""
             case ".options" | ".option" | ".opt":

@@ -142,7 +142,7 @@ _STAMP = 40  # mm, height of the title block
 _COMMENT = 80  # letters of a line in it
 _VALUE = 56  # letters of a value
 _NUMBER = re.compile(r"(?<![\w.])\d+\.?\d*(?:e[-+]?\d+)?(?![\w.])")
-_OURS = frozenset({".save", ".print", ".end", ".include", ".inc"})
+_OURS = frozenset({".save", ".print", ".meas", ".end", ".include", ".inc"})
 _KINDS = {".tran": "TRAN", ".ac": "AC", ".dc": "DC", ".op": "OP"}
 _COLOURS = ("rgb(228, 26, 28)", "rgb(55, 126, 184)", "rgb(77, 175, 74)", "rgb(152, 78, 163)")
 

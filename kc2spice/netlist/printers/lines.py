@@ -21,6 +21,9 @@ def card_lines(card: str) -> Iterator[str]:
     operator or behind a comma of an expression.
     """
     for line in card.split("\n"):
+        if line.startswith("*"):
+            yield from _wrapped(line)
+            continue
         begin, lead = 0, ""
         breaks = _breaks(line) if len(line) > WIDTH else ()
         while len(lead) + len(line) - begin > WIDTH:

@@ -412,7 +412,7 @@ def _changed(item: Item, stems: Mapping[str, str], replaced: Collection[str]) ->
         words = tuple(word for word in words if _outer(word))
     elif item.keyword == ".tran":
         words = tuple(word for word in words if word.lower() != "uic")
-    elif item.keyword == ".print" or (item.keyword in INCLUDES and words[0] in replaced):
+    elif item.keyword in (".print", ".meas") or (item.keyword in INCLUDES and words[0] in replaced):
         words = ()
     dropped = item.words and not words
     return replace(item, keyword="" if dropped else item.keyword, words=words)
