@@ -1,17 +1,10 @@
-"""State spaces in other coordinates: decoupled real blocks, and balanced truncation.
+"""State spaces in other coordinates: decoupled real blocks.
 
 Blocks are one per real pole, one 2 x 2 per complex pair. Poles that repeat, or lie so close that
 separating them would cost digits, stay together in one larger block; a defective pole does so by
 itself. Source: Bavely and Stewart, SIAM J. Numer. Anal. 16 (1979) 359: real Schur form, clusters
 decoupled by Sylvester equations of bounded solution. The bound is raised for as long as the
 response keeps its digits: a netlist grows with the square of a block.
-
-Balanced coordinates are in the order in which states are reached and seen: over all frequencies by
-the Gramians of a stable model, or over a band by samples of its states and of those of its dual,
-weighted by the norm that the reduction is certified in: what is small in the response counts little
-relative to its peak, and as much as anything else pointwise. Sources: square root method, Laub,
-Heath, Paige and Ward, IEEE Trans. Autom. Control 32 (1987) 115; balancing by quadrature, Gosea,
-Gugercin and Beattie, SIAM J. Sci. Comput. 44 (2022) A408.
 """
 
 from __future__ import annotations

@@ -14,7 +14,8 @@ from kc2spice.rom.reduced_basis import LEAST_ERROR, ReducedBasis
 from kc2spice.rom.response import FLANK, SHARPEST
 from kc2spice.rom.stability import FORM, StabilityProof
 
-# Rounding errors of a response at a resonance are at most so many eps over the damping ratio.
+# No error estimate of a resonance is below so many eps over its damping ratio: rounding of the
+# stiffness by eps moves the response by eps over twice the ratio. The factor is chosen by trial.
 ROUNDING_AT_RESONANCE = 4.0
 LISTED_ZEROS = 6  # entries of zero by symmetry that a certificate lists; others are counted
 

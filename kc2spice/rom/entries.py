@@ -15,8 +15,8 @@ import numpy as np
 
 # Errors of entries this far below their own peak count against this part of the peak.
 FLOOR = 1e-6
-# An entry this far below the geometric mean of its row and column is zero. Solutions leave 1e-13
-# there at a Q factor of a thousand.
+# An entry this far below the geometric mean of its row and column is zero. Rounding leaves about
+# eps times the Q factor there, 2e-13 for a Q factor of a thousand.
 ZERO = 1e-11
 BALANCING_STEPS = 40  # each halves the logarithm of what is missing
 

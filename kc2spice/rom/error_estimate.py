@@ -27,6 +27,8 @@ from kc2spice.rom.response import (
 )
 
 ABOVE = np.array([2.0, 4.0])  # times the band's end: where contact still excites a body
+# Numbers of the search for the largest error. Chosen by trial; tests/physics/test_certificates.py
+# compares its result with errors on fine grids.
 NOTCHES = 60  # deepest minima that are refined in each round
 ZOOM = 9  # frequencies in an interval that is refined
 ROUNDS = 20  # rounds of refinement of notches

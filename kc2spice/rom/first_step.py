@@ -31,8 +31,9 @@ from kc2spice.rom.rounding import (
 )
 from kc2spice.rom.stability import dissipative
 
-EXTENDED = 500  # unknowns up to which a model is turned into its modes with 19 digits
-# Largest models that are used without samples.
+# Unknowns up to which a model is turned into its modes with 19 digits: a limit of the work.
+EXTENDED = 500
+# Largest models that are used without samples: limits of the work. Chosen by trial.
 WHOLE_DECOUPLED = 1300  # unknowns of decoupled models
 WHOLE = 600  # first-order states of others
 DENSE = 2000  # states of models with so many resonances that samples do not converge

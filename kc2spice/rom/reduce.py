@@ -41,10 +41,13 @@ from kc2spice.rom.structural import causal, without_inertia
 HIGHEST = 1e30  # Hz; the square of an angular frequency is still a finite number
 # Least tolerance: ten times LEAST_ERROR, as solutions of the full-order model are hardly better.
 LOWEST = 1e-10
-INTERMEDIATE_SHARE = 0.02  # target of the intermediate model, as a share of the tolerance
+# Target of the intermediate model, as a share of the tolerance: small beside the error of the
+# reduced model. Chosen by trial.
+INTERMEDIATE_SHARE = 0.02
 # Share of the tolerance that the intermediate model may have if rounding prevents the target.
 LARGEST_SHARE = 0.5
-FIXED_ORDER_TARGET = 1e-8  # target of the intermediate model if the order is prescribed
+# Target of the intermediate model if the order is prescribed. Chosen by trial.
+FIXED_ORDER_TARGET = 1e-8
 
 
 def reduce(

@@ -19,6 +19,7 @@ from kc2spice.rom.reductors.snapshots import snapshots
 from kc2spice.rom.relaxing_fit import minimax
 from kc2spice.rom.response import Response
 
+# Limits and factors of the fits. Chosen by trial.
 LARGEST = 150  # order up to which outputs are fitted
 LARGEST_FIT = 60  # rates and gains together up to which a relaxing model is fitted
 ROUNDS = 12  # updates of the weights

@@ -25,9 +25,10 @@ FLANK = 1e-4
 VISIBLE = 1e-10  # least term of a visible pole, relative to the entry
 VISIBLE_GRID = 50  # frequencies that give the peaks of entries
 CLUSTER = np.array([0.0, 0.25, 0.5, 1.0, 2.0, 5.0, 15.0, 60.0])  # half widths around a resonance
-GRID = 200
-FEW = 12  # unknowns above which eigenvectors pay
-MANY = 2000  # states up to which eigenvectors pay
+GRID = 200  # frequencies of each grid of a band, linear and logarithmic. Chosen by trial.
+# Sizes between which eigenvectors are computed. Chosen by trial.
+FEW = 12  # unknowns
+MANY = 2000  # first-order states
 REPRODUCED = 1e-10  # relative difference to direct solutions
 SOFT = 1e8  # ratio of squared frequencies of neighbours: the lower is a motion without force
 DEFECTIVE = 1e10  # condition of eigenvectors: a free body moves on in a Jordan block

@@ -15,6 +15,7 @@ from kc2spice.rom.response import FLANK, SHARPEST, Response, around, clear_of_po
 
 UNCERTAIN = 1e-9  # relative change of a response by rounding that the certificate mentions
 FREE = 100.0  # motions with less energy than this times rounding have none
+# Numbers chosen by trial.
 ZERO_FREQUENCIES = 50  # frequencies of the band at which entries are tested for zero
 ZERO_SHARE = 0.5  # share of these frequencies at which a zero entry must be faint
 RESONANCES = 8  # lowest and sharpest resonances at which the effect of rounding is evaluated

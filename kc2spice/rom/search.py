@@ -14,10 +14,10 @@ from kc2spice.rom.reductors.base import Reductor
 from kc2spice.rom.stability import FORM, StabilityProof, prove_stability
 
 # States up to which another method is tried only to state in the certificate what the form of the
-# matrices costs.
+# matrices costs: a limit of the work, chosen by trial.
 CHEAP = 200
 # Definite matrices become resonators, which prove stability. A model without this form is used only
-# if it has at most this share of their states.
+# if it saves at least a tenth of their states: 10 instead of 11.
 FORM_SHARE = 0.91
 
 

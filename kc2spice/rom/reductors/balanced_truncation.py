@@ -13,6 +13,7 @@ from kc2spice.rom.pencil import Pencil, explicit
 from kc2spice.rom.reduced_basis import ReducedBasis, Task
 from kc2spice.rom.reductors.base import Reductor
 
+# Limits of the work, which grows with the cube of the states. Chosen by trial.
 LARGEST = 2000  # first-order states up to which dense Gramians are computed
 LARGEST_UNSCALED = 500  # first-order states up to which a second pair of Gramians is tried
 # Least decay of the slowest pole in e-folds per radian at the end of the band. Gramians of slower

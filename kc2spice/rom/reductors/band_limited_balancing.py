@@ -9,8 +9,9 @@ from kc2spice.rom.reduced_basis import ReducedBasis, Task
 from kc2spice.rom.reductors.balanced_truncation import balanced_basis, has_gramians, scales
 from kc2spice.rom.reductors.base import Reductor
 
-LARGEST = 900  # first-order states up to which samples take no more time than Gramians
-PEAK_NORM_STEP = 4  # every fourth sample is enough in the peak norm, which does not see notches
+LARGEST = 900  # first-order states up to which the method is tried: a limit of the work, by trial
+# Every fourth sample is used in the peak norm, which does not see notches. Chosen by trial.
+PEAK_NORM_STEP = 4
 
 
 class BandLimitedBalancing(Reductor):
@@ -35,7 +36,10 @@ class BandLimitedBalancing(Reductor):
     """
 
     name = "balanced truncation over the band"
-    reference = "Gosea, Gugercin and Beattie, SIAM J. Sci. Comput. 44 (2022) A408"
+    reference = (
+        "Gawronski and Juang, Int. J. Syst. Sci. 21 (1990) 349; by quadrature: Gosea, Gugercin and "
+        "Beattie, SIAM J. Sci. Comput. 44 (2022), arXiv:2104.01006"
+    )
     congruence = False
 
     def suits(self, task: Task) -> bool:

@@ -17,10 +17,11 @@ from kc2spice.rom.reduced_basis import ReducedBasis, Task
 from kc2spice.rom.reductors.base import Reductor
 from kc2spice.rom.response import Response
 
-# Blocks beyond the order whose model estimates the error: the change by two blocks shows whether
-# the expansion has converged.
+# Blocks beyond the order whose model estimates the error: the change by the second block shows
+# whether the first one was enough. Chosen by trial.
 BLOCKS_BEYOND = 2
-# Vectors for a tolerance, per state of the intermediate model, which has several expansion points.
+# Vectors for a tolerance, per state of the intermediate model, which may have several expansion
+# points. Chosen by trial.
 VECTORS_PER_STATE = 2
 # A candidate that keeps less than this of its length outside the basis brings rounding noise only.
 DEFLATION = 1e-10

@@ -17,9 +17,10 @@ from kc2spice.rom.reductors.rational_krylov import CONFIRMATIONS, MOST_VECTORS
 from kc2spice.rom.response import GRID, Response, samples
 from kc2spice.rom.rounding import with_rounding, zero_entries
 
-# A block costs a twentieth of the factorisation that a new point costs, so several blocks come
-# before a new point is considered.
-BLOCKS_AT_ZERO = 4
+# Blocks before a new point is considered. The factor at zero is a Cholesky factor, and that of a
+# shift is an indefinite one of several times its time and memory. Blocks at zero are therefore
+# the cheapest vectors as long as they converge. Both numbers are chosen by trial.
+BLOCKS_AT_ZERO = 60
 BLOCKS_AT_SHIFT = 3
 GAIN = 3.0  # factor by which a further block must reduce the change, otherwise a point follows
 NEAREST = 1e-3  # least distance of two points, relative to the end of the band

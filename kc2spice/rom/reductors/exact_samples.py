@@ -5,7 +5,8 @@ nor its projections keep digits. Solutions do, refined with residuals in extende
 states ``X = P(s)^-1 B`` and ``Y = P(s)^-T C'`` at a few frequencies span two bases, and
 ``A X = s E X - B`` projects the model on them without a product with the large matrix.
 
-Source: balancing by samples, Gosea, Gugercin and Beattie, SIAM J. Sci. Comput. 44 (2022) A408.
+Source: balancing by samples, Gosea, Gugercin and Beattie, SIAM J. Sci. Comput. 44 (2022),
+arXiv:2104.01006.
 """
 
 from __future__ import annotations
@@ -22,6 +23,7 @@ from kc2spice.rom.pencil import Pencil
 from kc2spice.rom.response import FLANK, SHARPEST, Response, grid, samples
 from kc2spice.rom.rounding import uncertainty, uncertainty_note
 
+# Numbers of frequencies. Chosen by trial.
 FIRST_POINTS = 12  # samples before the error is estimated
 MOST_POINTS = 90  # samples at which the method gives up
 CANDIDATES = 151  # frequencies of which the next sample is one

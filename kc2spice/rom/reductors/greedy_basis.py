@@ -22,8 +22,9 @@ from kc2spice.rom.rounding import FREE, zero_entries
 
 # K x = B solved to less than this of B: the model is free to move at zero frequency.
 SINGULAR = 1e-6
-SKETCH = 32  # random combinations of equations that stand for all residuals
-CANDIDATES = 101
+# Numbers chosen by trial.
+SKETCH = 32  # random combinations of equations that represent all residuals
+CANDIDATES = 101  # frequencies of each grid, linear and logarithmic, of which the next point is one
 
 
 class GreedyBasis:

@@ -16,12 +16,13 @@ from kc2spice.rom.reductors.greedy_basis import GreedyBasis
 from kc2spice.rom.rigid_body import hidden_support
 from kc2spice.rom.rounding import removed_stiffness, with_rounding
 
-MOST_VECTORS = 600  # vectors of a basis at which the method gives up
-MOST_POINTS = 180  # factorisations at which the method gives up
+# Limits of the work at which the method gives up. Chosen by trial.
+MOST_VECTORS = 600  # vectors of a basis
+MOST_POINTS = 180  # factorisations
 CONFIRMATIONS = 2  # points in a row that must meet the target, as one may be a coincidence
 MANY_POINTS = 20  # factorisations after which the user is told the cause, in a large model
-LARGE = 10_000  # unknowns from which on a factorisation takes seconds
-BASIS_SHARE = 0.01  # share of the tolerance at which a basis of the method ends
+LARGE = 10_000  # unknowns of a large model. Chosen by trial.
+BASIS_SHARE = 0.01  # share of the tolerance at which a basis of the method ends. By trial.
 
 
 class RationalKrylov(Reductor):
@@ -47,7 +48,7 @@ class RationalKrylov(Reductor):
     name = "rational Krylov"
     reference = (
         "Grimme, PhD thesis, University of Illinois (1997); greedy choice of points: Feng, "
-        "Antoulas and Benner, ESAIM: M2AN 51 (2017) 2129"
+        "Antoulas and Benner, ESAIM: M2AN 51 (2017), doi:10.1051/m2an/2017014"
     )
 
     def basis(self, task: Task) -> ReducedBasis:

@@ -16,6 +16,7 @@ from kc2spice.rom.response import Response
 # Condition of an energy above which one motion costs no energy except for rounding.
 SOFT = 1e12
 RANK = 1e-13  # singular values of snapshots below this, relative to the largest, are rounding
+# Limits and factors of the fit of weights. Chosen by trial.
 TIGHTENED = 150  # order up to which other weights are tried
 TRIALS = 12  # updates of the weights
 SPARE = 20  # vectors beyond the order, at least, that a better basis is made from
