@@ -8,13 +8,16 @@ from kc2spice.rom.reductors.balanced_truncation import BalancedTruncation
 from kc2spice.rom.reductors.band_limited_balancing import BandLimitedBalancing
 from kc2spice.rom.reductors.base import Reductor
 from kc2spice.rom.reductors.block_krylov import BlockKrylov
+from kc2spice.rom.reductors.irka import Irka
 from kc2spice.rom.reductors.rational_krylov import RationalKrylov
 from kc2spice.rom.reductors.response_pod import ResponsePod
 
 POD, TWO_SIDED_POD = ResponsePod(), ResponsePod(two_sided=True)
 BALANCED, UNSCALED = BalancedTruncation(), BalancedTruncation(scaled=False)
 OVER_BAND, BLOCK_KRYLOV = BandLimitedBalancing(), BlockKrylov()
-_BUILT_IN = (POD, TWO_SIDED_POD, BALANCED, UNSCALED, OVER_BAND, BLOCK_KRYLOV, RationalKrylov())
+_BUILT_IN = (
+    POD, TWO_SIDED_POD, BALANCED, UNSCALED, OVER_BAND, BLOCK_KRYLOV, RationalKrylov(), Irka()
+)  # fmt: skip
 _reductors: dict[str, Reductor] = {reductor.name: reductor for reductor in _BUILT_IN}
 
 
@@ -62,6 +65,11 @@ def register_reductor(reductor: Reductor) -> Reductor:
         )
     _reductors[reductor.name] = reductor
     return reductor
+
+
+def reductor_names() -> list[str]:
+    """Return the names of all registered methods, built-in methods first."""
+    return list(_reductors)
 
 
 def reductor_named(method: str | Reductor) -> Reductor:

@@ -1,0 +1,149 @@
+"""Iterative rational Krylov algorithm: models that are locally optimal in the H2 norm."""
+
+from __future__ import annotations
+
+import warnings
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from kc2spice.rom.pencil import Pencil, explicit
+from kc2spice.rom.reduced_basis import ReducedBasis, Task
+from kc2spice.rom.reductors.balanced_truncation import BalancedTruncation, has_gramians
+from kc2spice.rom.reductors.base import Reductor
+from kc2spice.rom.response import Response
+
+CONVERGED = 1e-9  # relative change of the poles at which the iteration ends
+ITERATIONS = 100  # iterations after which the method gives up. Chosen by trial.
+# Error of the balanced model, over the tolerance, above which an order is not tried. By trial.
+HOPELESS = 10.0
+
+
+class Irka(Reductor):
+    """Tangential interpolation at the mirror images of the poles of the reduced-order model.
+
+    The model of order q with poles ``l_i`` and residues ``c_i b_i'`` has the projection
+    ``V = [(-l_i - A)^-1 B b_i]`` and ``W = [(-l_i - A)^-T C' c_i]``, iterated from balanced
+    truncation until the poles no longer change. It then meets the first-order conditions of least
+    error in the H2 norm::
+
+        H(-l_i) b_i = H_q(-l_i) b_i     c_i'H(-l_i) = c_i'H_q(-l_i)
+        c_i'H'(-l_i) b_i = c_i'H_q'(-l_i) b_i
+
+    Each order has a basis of its own, so a tolerance takes longer than with nested bases. The norm
+    covers all frequencies.
+
+    Examples
+    --------
+    One state for three relaxations interpolates the response at the mirror image of its pole.
+
+    >>> import numpy as np
+    >>> import kc2spice as kc
+    >>> A, B = np.diag([-1.0, -3.0, -9.0]), np.array([[1.0], [1.0], [1.0]])
+    >>> model = kc.LinearModel(A=A, B=B, C=B.T)
+    >>> rom = kc.reduce(model, order=1, band=(0, 1), method="IRKA")
+    >>> pole = rom.poles()[0].real
+    >>> H = [(m.C @ np.linalg.solve(-pole * m.E - m.A, m.B))[0, 0] for m in (model, rom)]
+    >>> bool(abs(H[1] / H[0] - 1) < 1e-9)
+    True
+    """
+
+    name = "IRKA"
+    reference = "Gugercin, Antoulas and Beattie, SIAM J. Matrix Anal. Appl. 30 (2008) 609"
+    congruence = False
+
+    def suits(self, task: Task) -> bool:
+        """Return whether the model has a static response and is small enough."""
+        return has_gramians(task)
+
+    def basis(self, task: Task) -> ReducedBasis | None:
+        """Return the models of all orders, each computed when it is needed; None if the model is
+        not strictly stable."""
+        start = BalancedTruncation(scaled=False).basis(task)
+        if start is None:
+            return None
+        return OptimalModels(task, start.pencil, start.fixed, congruence=False)
+
+
+@dataclass(frozen=True)
+class OptimalModels(ReducedBasis):
+    """Models that are locally optimal in the H2 norm. ``pencil`` is balanced: its leading parts are
+    the starts of the iteration."""
+
+    def leading(self, order: int) -> Response:
+        """Return the response of the optimal model of this order."""
+        if order not in self.responses:
+            self.responses[order] = Response(self._optimal(order))
+        return self.responses[order]
+
+    def acceptable(self, order: int, tolerance: float) -> bool:
+        """Whether the model of this order is stable and within the tolerance.
+
+        The iteration is skipped if the balanced model of the same order is far from it.
+        """
+        limit = HOPELESS * tolerance
+        if not self.balanced.error(order, limit) <= limit:
+            return False
+        return super().acceptable(order, tolerance)
+
+    @cached_property
+    def balanced(self) -> ReducedBasis:
+        """The balanced models."""
+        return ReducedBasis(self.task, self.pencil, self.fixed, congruence=False)
+
+    def unknowns(self, order: int) -> np.ndarray | None:
+        """Return nothing: the basis is not stored."""
+        return None
+
+    def _optimal(self, order: int) -> Pencil:
+        """Iterate the poles of the model of this order from those of the balanced model."""
+        count = order - self.pencil.free
+        if count <= 0:
+            return self.pencil.leading(order)
+        full, omega = self.task.first_order, 2 * np.pi * self.task.band[1]
+        balanced = self.pencil.held.leading(count)
+        rest, inertia = balanced.coefficients
+        reduced = Pencil((rest / omega, inertia), balanced.B / omega, balanced.C, balanced.D)
+        former, change = np.full(count, np.inf, dtype=complex), np.inf
+        for _ in range(ITERATIONS):
+            poles, left, right = residues(reduced)
+            change = float(np.abs(np.sort_complex(poles) / np.sort_complex(former) - 1).max())
+            if change <= CONVERGED:
+                break
+            former = poles
+            reduced = interpolated(full, mirrored(poles), left, right)
+        else:
+            warnings.warn(
+                f"IRKA of order {order} has not converged: its poles still change by {change:.1e} "
+                "(relative), and the model is not optimal; the error estimate is not concerned",
+                stacklevel=2,
+            )
+        return self.task.from_first_order(reduced)
+
+
+def residues(pencil: Pencil) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return poles (q,), and left (q, outputs) and right (q, inputs) directions of residues."""
+    poles, X = np.linalg.eig(-pencil.coefficients[0])
+    return poles, (pencil.C @ X).T, np.linalg.solve(X, pencil.B.astype(complex))
+
+
+def mirrored(poles: np.ndarray) -> np.ndarray:
+    """Return the mirror images of stable poles, and unstable poles themselves."""
+    return np.asarray(np.abs(poles.real) - 1j * poles.imag)
+
+
+def interpolated(full: Response, shifts: np.ndarray, left: np.ndarray, right: np.ndarray) -> Pencil:
+    """Return the model that interpolates ``full`` at the shifts in the tangential directions."""
+    V = _real_basis(shifts, full.states(shifts) @ right[:, :, None])
+    W = _real_basis(shifts, full.dual.states(shifts) @ left[:, :, None])
+    pencil, inner = full.pencil, W.T @ V
+    A = np.linalg.solve(inner, W.T @ -pencil.coefficients[0] @ V)
+    return explicit(A, np.linalg.solve(inner, W.T @ pencil.B), pencil.C @ V, pencil.D)
+
+
+def _real_basis(shifts: np.ndarray, vectors: np.ndarray) -> np.ndarray:
+    """Orthonormal basis (n, q) of vectors (q, n, 1) at pairs of conjugate shifts."""
+    real, pairs = shifts.imag == 0, shifts.imag > 0
+    columns = [vectors[real, :, 0].real, vectors[pairs, :, 0].real, vectors[pairs, :, 0].imag]
+    return np.asarray(np.linalg.qr(np.concatenate(columns).T)[0])
