@@ -21,7 +21,9 @@ if TYPE_CHECKING:
     from kc2spice.netlist.deck import Deck
     from kc2spice.netlist.library import Subcircuit, read_lib
     from kc2spice.rom.linear import Certificate, LinearModel, Port
+    from kc2spice.rom.reduction import Reduction
     from kc2spice.rom.reductors.base import Reductor
+    from kc2spice.rom.reductors.rational_krylov import RationalKrylov
     from kc2spice.rom.reductors.registry import register_reductor
     from kc2spice.scene.load import load_scene
     from kc2spice.scene.model import PartType, Scene, Terminal
@@ -37,6 +39,8 @@ __all__ = [
     "PartType",
     "Pin",
     "Port",
+    "RationalKrylov",
+    "Reduction",
     "Reductor",
     "Result",
     "Scene",
@@ -70,6 +74,8 @@ _HOMES = {
     "load_scene": "scene.load",
     **dict.fromkeys(("Subcircuit", "read_lib"), "netlist.library"),
     "read_model": "bodies.readers",
+    "RationalKrylov": "rom.reductors.rational_krylov",
+    "Reduction": "rom.reduction",
     "Reductor": "rom.reductors.base",
     "register_reductor": "rom.reductors.registry",
     "subcircuit": "spice.realize",

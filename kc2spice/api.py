@@ -168,6 +168,7 @@ def reduce(
     >>> print(f"{small.transfer([0.0])[0, 0, 0].real:.5f} m/N")
     0.00200 m/N
     """
+    from kc2spice.rom.band import frequency_band
     from kc2spice.rom.error_estimate import default_norm
     from kc2spice.rom.reduce import reduce as reduce_model
 
@@ -188,16 +189,6 @@ def reduce(
             hint='kc.deck(kc.load_scene(SCENE, {"PART.rom": {"parameters": {KEY: [LOW, HIGH]}}})), '
             "whose parts are the subcircuits",
         )
-    if band is not None:
-        if isinstance(band, (str, float, int)) or len(band) != 2:
-            raise UsageError(
-                "not a frequency band",
-                where="band",
-                got=repr(band),
-                expected='two frequencies, such as (0, 20e3) or (0, "20 kHz")',
-            )
-        low, high = (quantity(frequency, "Hz", where="band") for frequency in band)
-        band = low, high
     if tolerance is not None:
         tolerance = quantity(tolerance, "", where="tolerance")
     norm = norm or default_norm(model)
@@ -205,7 +196,7 @@ def reduce(
         model,
         tolerance=tolerance,
         order=order,
-        band=band,
+        band=frequency_band(band),
         norm=norm,
         contact=contact,
         method=method,

@@ -1,4 +1,4 @@
-"""The default band of a reduction, from the lowest natural frequencies of the full-order model."""
+"""The band of a reduction: prescribed, or from the lowest natural frequencies of the model."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from scipy.linalg import LinAlgError, eigh
 from scipy.sparse.linalg import ArpackError, LinearOperator, eigs, eigsh
 
 from kc2spice.core.errors import SimulationError, UsageError
+from kc2spice.core.quantities import quantity
 from kc2spice.linalg.factor import require_factors
 from kc2spice.rom.constraints import reduced_form
 from kc2spice.rom.pencil import Matrix, Pencil, Schur, dense, largest, magnitudes
@@ -128,3 +129,25 @@ def _lowest(pencil: Pencil) -> np.ndarray:
     start = solve(pencil.B[:, 0])
     values = np.abs(eigs(inverse, MODES + 1, v0=start, tol=CLOSE, return_eigenvectors=False))
     return np.asarray(1 / values[values > 0])
+
+
+def frequency_band(
+    band: tuple[float | str, float | str] | None,
+) -> tuple[float, float] | None:
+    """Return a band of numbers or texts such as ``(0, "20 kHz")`` in Hz; None stays None.
+
+    Raises
+    ------
+    UsageError : not two frequencies.
+    """
+    if band is None:
+        return None
+    if isinstance(band, (str, float, int)) or len(band) != 2:
+        raise UsageError(
+            "not a frequency band",
+            where="band",
+            got=repr(band),
+            expected='two frequencies, such as (0, 20e3) or (0, "20 kHz")',
+        )
+    low, high = (quantity(frequency, "Hz", where="band") for frequency in band)
+    return low, high

@@ -50,6 +50,7 @@ def certified(basis: ReducedBasis, order: int) -> LinearModel:
         task.norm,
     )
     labels = {key: getattr(task.fom, key) for key in ("ports", "facts", "name")}
+    labels["basis"] = basis.unknowns(order)
     result = model_of(response.pencil, **labels, certificate=certificate, band=task.band)
     result.state_space()  # a model that no netlist can contain is an error
     return result

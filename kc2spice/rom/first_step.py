@@ -8,6 +8,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import scipy
 
@@ -67,7 +69,7 @@ def intermediate_model(
         if inaccurate is not None:
             raise inaccurate
         if whole is not None:
-            return whole
+            return _in_units_of(pencil, band, whole)
     if is_definite(pencil, undamped_too=True):
         return definite_krylov_model(pencil, band, target, limit)
     scaled = pencil.scaled(2 * np.pi * band[1])
@@ -76,12 +78,24 @@ def intermediate_model(
     points = MANY_POINTS if moderate else MOST_POINTS
     if not (moderate and pencil.is_dense and pencil.degree == 1):
         try:
-            return rational_krylov_model(scaled, band, target, limit, points)
+            result = rational_krylov_model(scaled, band, target, limit, points)
+            return _in_units_of(pencil, band, result)
         except SimulationError:
             if not moderate:
                 raise
-    result = _whole(scaled.dense(), band, limit, DENSE)
-    return result or rational_krylov_model(scaled, band, target, limit, MOST_POINTS)
+    whole = _whole(scaled.dense(), band, limit, DENSE)
+    result = whole or rational_krylov_model(scaled, band, target, limit, MOST_POINTS)
+    return _in_units_of(pencil, band, result)
+
+
+def _in_units_of(
+    pencil: Pencil, band: tuple[float, float], result: IntermediateModel
+) -> IntermediateModel:
+    """An intermediate model of ``pencil.scaled(...)`` with a basis in the units of the pencil."""
+    if result.basis is None:
+        return result
+    units = pencil.units(2 * np.pi * band[1])
+    return replace(result, basis=units[:, None] * result.basis)
 
 
 def _whole(
@@ -135,7 +149,9 @@ def _whole(
     error = min(error, limit)  # a larger error is a rounding error of the given matrices
     if projected is not None:
         floor = max(floor, removed_stiffness(projected, full, band))
-    return IntermediateModel(response, error, static, proof, floor, whole=True, hidden=hidden)
+    return IntermediateModel(
+        response, error, static, proof, floor, whole=True, hidden=hidden, basis=V[: given.size]
+    )
 
 
 def _undamped_modes(full: Pencil) -> np.ndarray | None:

@@ -34,6 +34,10 @@ class IntermediateModel:
         Whether this is the full-order model in other coordinates.
     hidden : float
         Frequency [Hz] below which rounding hides the resonance of a support.
+    basis : (n, k) array, optional
+        Unknowns of the full-order model per unknown of this model.
+    points : tuple of floats
+        Frequencies [Hz] at which the full-order model was factorised for the basis.
     """
 
     response: Response
@@ -43,6 +47,8 @@ class IntermediateModel:
     floor: float = 0.0
     whole: bool = False
     hidden: float = 0.0
+    basis: np.ndarray | None = None
+    points: tuple[float, ...] = ()
 
     @property
     def pencil(self) -> Pencil:

@@ -151,7 +151,8 @@ class LinearModel:
 
     ``facts`` are characteristic numbers of the body (``mass_kg``, ``unknowns``,
     ``capacitance_free_f``, …). ``band`` [Hz] is the frequency range that the author of the model
-    requires; None if it is unknown.
+    requires; None if it is unknown. ``basis`` (n, states) contains the unknowns of the full-order
+    model per state of a reduced-order one, for :meth:`reconstruct`; files do not contain it.
 
     Raises
     ------
@@ -174,6 +175,7 @@ class LinearModel:
     band: tuple[float, float] | None = None
     loss_factor: float = 0.0
     loss: Matrix = None
+    basis: np.ndarray | None = None
 
     def __post_init__(self) -> None:
         put = object.__setattr__  # frozen: this is the constructor
@@ -286,6 +288,50 @@ class LinearModel:
                 K = (1 + 1j * self.loss_factor) * K
             pencil = replace(pencil, coefficients=(K, E, M), rayleigh=None)
         return pencil.transfer(2j * np.pi * np.atleast_1d(np.asarray(frequency, dtype=float)))
+
+    def reconstruct(self, states: np.ndarray) -> np.ndarray:
+        """Return the unknowns of the full-order model for states of this reduced-order model.
+
+        Parameters
+        ----------
+        states : (states,) or (states, ...) array
+            States, real or complex: of second order those of K, of first order those of A.
+
+        Returns
+        -------
+        (n,) or (n, ...) array
+            Unknowns of the full-order model, such as nodal displacements [m].
+
+        Raises
+        ------
+        UsageError : the basis is not known, or the states do not fit.
+
+        Examples
+        --------
+        The static shape of four springs in series, each 1 mm longer, from two states.
+
+        >>> import kc2spice as kc
+        >>> K = 1e3 * (np.diag([2.0, 2, 2, 1]) - np.eye(4, k=1) - np.eye(4, k=-1))
+        >>> chain = kc.LinearModel(M=np.eye(4), K=K, B=np.eye(4)[:, 3:])
+        >>> rom = kc.reduce(chain, order=2, band=(0, 1))
+        >>> shape = rom.reconstruct(np.linalg.solve(rom.K, rom.B[:, 0]))
+        >>> print((1e3 * shape).round(6))
+        [1. 2. 3. 4.]
+        """
+        states = np.asarray(states)
+        if self.basis is None:
+            raise UsageError(
+                "no basis to reconstruct unknowns of the full-order model from",
+                where=self.name,
+                expected="a result of kc.reduce for a model without constraints",
+                hint="reduce the model by a congruence, such as method='response POD'",
+            )
+        if not states.ndim or len(states) != self.order:
+            expected = f"{self.order} states along the first axis"
+            raise UsageError(
+                "states do not fit", where="states", got=states.shape, expected=expected
+            )
+        return np.asarray(np.tensordot(self.basis, states, axes=1))
 
     def poles(self) -> np.ndarray:
         """All finite poles [1/s], complex; dense work, for models up to a few thousand unknowns.

@@ -346,13 +346,17 @@ class Pencil:
 
     def scaled(self, omega: float) -> Pencil:
         """The same transfer function in unknowns whose energies at ``omega`` are alike."""
+        return self.in_units(self.units(omega))
+
+    def units(self, omega: float) -> np.ndarray:
+        """Units (n,) of the unknowns in which their energies at ``omega`` are alike."""
         size = np.zeros(self.size)
         for k, P in enumerate(self.coefficients):
             rows = magnitudes(P).max(axis=1)
             rows = rows.toarray() if scipy.sparse.issparse(rows) else rows
             size += omega**k * np.asarray(rows, dtype=float).ravel()
         t = 1 / np.sqrt(np.where(size > 0, size, 1.0))
-        return self.in_units(np.exp2(np.round(np.log2(t))))  # powers of two round nothing
+        return np.asarray(np.exp2(np.round(np.log2(t))))  # powers of two round nothing
 
     def in_units(self, t: np.ndarray) -> Pencil:
         """The same transfer function in unknowns ``x / t``: ``diag(t) P diag(t)``."""

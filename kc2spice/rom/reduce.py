@@ -123,8 +123,8 @@ def reduce(
     >>> print(f"{small.transfer([0.0])[0, 0, 0].real:.9f} m/N")
     0.002000000 m/N
     """
-    target = _Target(tolerance, order, band, norm, contact, method)
-    _require_valid(target)
+    target = Target(tolerance, order, band, norm, contact, method)
+    require_valid(target)
     if fom.structural:
         return _with_structural_damping(fom, target)
     rom = _reduce(fom, target)
@@ -134,8 +134,12 @@ def reduce(
 
 
 @dataclass(frozen=True)
-class _Target:
-    """What a reduced-order model must meet, and by which method; ``keep_form`` by a congruence."""
+class Target:
+    """What a reduced-order model must meet, and by which method.
+
+    ``keep_form`` admits congruences only. ``exact`` requires that the intermediate model is
+    accurate enough for the tolerance.
+    """
 
     tolerance: float | None
     order: int | None
@@ -144,25 +148,26 @@ class _Target:
     contact: bool
     method: str | Reductor | None
     keep_form: bool = False
+    exact: bool = True
 
 
-def _reduce(fom: LinearModel, target: _Target) -> LinearModel:
+def _reduce(fom: LinearModel, target: Target) -> LinearModel:
     """Reduce a model with viscous damping."""
     pencil = reduced_form(fom.pencil)
-    band = _band(fom, pencil, target.band)
-    intermediate, full_order_proof = _first_step(pencil, band, target)
+    band = band_of(fom, pencil, target.band)
+    intermediate, full_order_proof = verified_first_step(pencil, band, target)
     task = Task.of(fom, pencil, intermediate, band, target.norm, target.tolerance)
-    reductors = _reductors(task, target)
+    reductors = methods_of(task, target)
     if target.tolerance is None:
-        basis, order = _of_order(task, reductors, target)
+        basis, order = basis_of_order(task, reductors, target)
     else:
-        basis, order = _within_tolerance(task, reductors, target)
+        basis, order = basis_within(task, reductors, target)
     rom = certified(basis, order)
-    _warn_of_rounding(rom, intermediate.floor, target.tolerance)
+    warn_of_rounding(rom, intermediate.floor, target.tolerance)
     return with_full_order(rom, full_order_proof)
 
 
-def _band(
+def band_of(
     fom: LinearModel, pencil: Pencil, band: tuple[float, float] | None
 ) -> tuple[float, float]:
     """The band [Hz] that is prescribed, that of the model, or the default one."""
@@ -181,15 +186,18 @@ def _band(
     return float(band[0]), float(band[1])
 
 
-def _first_step(
-    pencil: Pencil, band: tuple[float, float], target: _Target
+def verified_first_step(
+    pencil: Pencil, band: tuple[float, float], target: Target
 ) -> tuple[IntermediateModel, StabilityProof]:
-    """The intermediate model, and stability and passivity of the full-order model."""
+    """The intermediate model, and stability and passivity of the full-order model.
+
+    Without ``exact`` the error of the intermediate model may be any: a later target decides.
+    """
     require_factors(pencil.bordered(1.0, 1.0, 1.0))
     goal, limit = FIXED_ORDER_TARGET, np.inf
     if target.tolerance is not None:
         goal = max(INTERMEDIATE_SHARE * target.tolerance, 0.1 * LOWEST)
-        limit = LARGEST_SHARE * target.tolerance
+        limit = LARGEST_SHARE * target.tolerance if target.exact else np.inf
     by_krylov = target.method in (None, BLOCK_KRYLOV.name, BLOCK_KRYLOV)
     result = None
     try:
@@ -208,7 +216,7 @@ def _first_step(
     return result, proof
 
 
-def _reductors(task: Task, target: _Target) -> list[Reductor]:
+def methods_of(task: Task, target: Target) -> list[Reductor]:
     """The method that is prescribed, otherwise all that suit the model."""
     if target.method is not None:
         return [reductor_named(target.method)]
@@ -217,21 +225,27 @@ def _reductors(task: Task, target: _Target) -> list[Reductor]:
     return suited_reductors(task)
 
 
-def _of_order(
-    task: Task, reductors: Sequence[Reductor], target: _Target
+def basis_of_order(
+    task: Task,
+    reductors: Sequence[Reductor],
+    target: Target,
+    bases: dict[str, list[ReducedBasis]] | None = None,
 ) -> tuple[ReducedBasis, int]:
-    """The best basis of a prescribed order, and the order."""
+    """The best basis of a prescribed order, and the order; ``bases`` by name may be known."""
     assert target.order is not None
-    if target.method is not None:
-        bases = [_prescribed(task, reductors[0])]
-    else:
-        candidates = (item.basis(task) for item in reductors if item.congruence)
-        bases = [basis for basis in candidates if basis is not None]
-    return of_order(bases, target.order), target.order
+    bases = {} if bases is None else bases
+    key = reductor_named(target.method).name if target.method is not None else ""
+    if key not in bases:
+        if target.method is not None:
+            bases[key] = [_prescribed(task, reductors[0])]
+        else:
+            candidates = (item.basis(task) for item in reductors if item.congruence)
+            bases[key] = [basis for basis in candidates if basis is not None]
+    return of_order(bases[key], target.order), target.order
 
 
-def _within_tolerance(
-    task: Task, reductors: Sequence[Reductor], target: _Target
+def basis_within(
+    task: Task, reductors: Sequence[Reductor], target: Target
 ) -> tuple[ReducedBasis, int]:
     """The basis of the fewest states within the tolerance, and the order."""
     assert target.tolerance is not None
@@ -260,7 +274,7 @@ def _prescribed(task: Task, reductor: Reductor) -> ReducedBasis:
     return replace(basis, origin=f"{reductor.name}; ")
 
 
-def _warn_of_rounding(rom: LinearModel, floor: float, tolerance: float | None) -> None:
+def warn_of_rounding(rom: LinearModel, floor: float, tolerance: float | None) -> None:
     """Warn if rounding of the full-order model prevents the tolerance."""
     if tolerance is None:
         return
@@ -281,7 +295,7 @@ def _warn_of_rounding(rom: LinearModel, floor: float, tolerance: float | None) -
 
 
 def _congruence(
-    target: _Target,
+    target: Target,
 ) -> Callable[[LinearModel, float, tuple[float, float]], LinearModel]:
     """A function that reduces a model within a tolerance over a band by a congruence."""
 
@@ -293,7 +307,7 @@ def _congruence(
     return congruence
 
 
-def _with_structural_damping(fom: LinearModel, target: _Target) -> LinearModel:
+def _with_structural_damping(fom: LinearModel, target: Target) -> LinearModel:
     """A causal, passive model next to one with structural damping."""
     if target.tolerance is None:
         raise UsageError(
@@ -311,7 +325,7 @@ def _with_structural_damping(fom: LinearModel, target: _Target) -> LinearModel:
     return causal(fom, _congruence(target), target.tolerance, band, target.norm)
 
 
-def _require_valid(target: _Target) -> None:
+def require_valid(target: Target) -> None:
     """Check tolerance, order, norm and method."""
     tolerance, order = target.tolerance, target.order
     if (tolerance is None) == (order is None):

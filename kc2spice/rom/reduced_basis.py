@@ -7,8 +7,9 @@ basis for it, whose leading vectors give the reduced-order models.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Literal
 
 import numpy as np
 import scipy
@@ -27,6 +28,7 @@ LEAST_ERROR = 1e-11
 # are between one and three times their true errors: tests/physics/test_certificates.py.
 SAFETY = 1.15
 
+Coordinates = Literal["intermediate", "first order", "full order"]
 DEPENDENT = 1e-10  # distance of a vector from the span of others, relative to its length
 
 
@@ -126,14 +128,37 @@ class Task:
         else:
             parts = tuple(W.T @ P @ V for P in self.core.coefficients)
             pencil = Pencil(parts, W.T @ self.core.B, self.core.C @ V, self.core.D, free=free)
-        pencil = self.with_rigid_body(pencil)
-        return ReducedBasis(self, pencil, pencil.free + fixed, congruence=W is None)
+        pencil, vectors = self.with_rigid_body(pencil), self.beside_rigid_body(V)
+        fixed += pencil.free
+        return ReducedBasis(self, pencil, fixed, congruence=W is None, vectors=vectors)
 
     def with_rigid_body(self, pencil: Pencil) -> Pencil:
         """Return a projection of :attr:`core` with the rigid-body modes in front."""
         if self.core is self.response.pencil:
             return pencil
         return pencil.joined(self.response.pencil.leading(self.response.pencil.free))
+
+    def beside_rigid_body(self, V: np.ndarray) -> np.ndarray:
+        """Return vectors V of :attr:`core` as those of the intermediate model, rigid-body modes in
+        front."""
+        free = self.response.pencil.size - self.core.size
+        return np.asarray(scipy.linalg.block_diag(np.eye(free), V)) if free else V
+
+    @cached_property
+    def displacements(self) -> np.ndarray | None:
+        """Unknowns of the intermediate model per state of :meth:`from_first_order`; None if they
+        also depend on the input."""
+        pencil, free = self.response.pencil, self.response.pencil.size - self.core.size
+        parts = [pencil.leading(free), self.core] if free else [self.core]
+        rows = []
+        for part in parts:
+            size = part.size
+            observed = replace(part, C=np.eye(size), D=np.zeros((size, part.B.shape[1])))
+            observed = standard(observed, self.band[1])
+            if observed.D.any():
+                return None
+            rows.append(observed.C)
+        return np.asarray(scipy.linalg.block_diag(*rows))
 
     def from_first_order(self, pencil: Pencil) -> Pencil:
         """Return a projection of :attr:`first_order` with rigid-body modes, in SI units."""
@@ -158,7 +183,8 @@ class ReducedBasis:
     The reduced-order model of order q is the leading part of the ``pencil``. Every model contains
     the first ``fixed`` coordinates: rigid-body modes, and static responses of conservative ports. A
     ``congruence`` preserves the form of the matrices. ``origin`` begins the text of the
-    certificate.
+    certificate. The ``vectors`` are columns in the ``coordinates`` of a model; None if they are not
+    known.
     """
 
     task: Task
@@ -166,6 +192,8 @@ class ReducedBasis:
     fixed: int = 0
     origin: str = ""
     congruence: bool = True
+    vectors: np.ndarray | None = None
+    coordinates: Coordinates = "intermediate"
 
     @property
     def size(self) -> int:
@@ -192,6 +220,24 @@ class ReducedBasis:
     def responses(self) -> dict[int, Response]:
         """Responses of models by their order, as far as they are computed."""
         return {}
+
+    def unknowns(self, order: int) -> np.ndarray | None:
+        """Return the unknowns of the full-order model per state of the model of this order.
+
+        The result (n, order) is None if they are not known, or not unknowns of the given model.
+        """
+        task, V = self.task, self.vectors
+        if V is None or task.pencil.size != task.fom.order:
+            return None
+        V = V[:, :order]
+        if self.coordinates == "full order":
+            return V
+        if self.coordinates == "first order":
+            if task.displacements is None:
+                return None
+            V = task.displacements @ V
+        frame = task.intermediate.basis
+        return None if frame is None else np.asarray(frame @ V)
 
     def error(self, order: int, limit: float = np.inf) -> float:
         """Return the estimate of the largest relative error of any transfer function in the band.

@@ -90,7 +90,7 @@ def fit_relaxations(basis: ReducedBasis, order: int, tolerance: float) -> tuple[
         rates, gains, error = minimax(*start, s, H - basis.pencil.D, base, sufficient)
         parts = np.diag(rates), np.eye(fewer)
         pencil = Pencil(parts, gains, gains.T.copy(), basis.pencil.D)
-        trial = replace(basis, pencil=pencil, origin=origin)
+        trial = replace(basis, pencil=pencil, origin=origin, vectors=None)
         if error > sufficient or not trial.acceptable(fewer, tolerance):
             break
         best = trial, fewer

@@ -66,16 +66,33 @@ class BalancedTruncation(Reductor):
 
     def basis(self, task: Task) -> ReducedBasis | None:
         """Return the balanced model; None if it is not strictly stable."""
-        model = task.first_order.pencil
-        A = -model.coefficients[0]
-        if np.linalg.eigvals(A).real.max() > -STRICTLY_STABLE:
-            return None
         rows, columns = scales(task.estimator.reference[1].peak)
         if not self.scaled:
             rows, columns = np.ones(len(rows)), np.ones(len(columns))
-        controllable = _gramian_root(A, model.B / columns, "N", "T")
-        observable = _gramian_root(A, (model.C / rows[:, None]).T, "T", "N")
-        return balanced_basis(task, model, controllable, observable)
+        roots = _gramian_roots(task.first_order.pencil, rows, columns)
+        return None if roots is None else balanced_basis(task, task.first_order.pencil, *roots)
+
+
+def hankel_singular_values(task: Task) -> np.ndarray | None:
+    """Return the Hankel singular values of the intermediate model, in descending order; None if it
+    is not strictly stable or too large."""
+    if not has_gramians(task):
+        return None
+    model = task.first_order.pencil
+    roots = _gramian_roots(model, np.ones(len(model.C)), np.ones(model.B.shape[1]))
+    return None if roots is None else np.linalg.svd(roots[1].T @ roots[0], compute_uv=False)
+
+
+def _gramian_roots(
+    model: Pencil, rows: np.ndarray, columns: np.ndarray
+) -> tuple[np.ndarray, np.ndarray] | None:
+    """Roots of both Gramians with outputs and inputs divided by ``rows`` and ``columns``; None if
+    the model is not strictly stable."""
+    A = -model.coefficients[0]
+    if np.linalg.eigvals(A).real.max() > -STRICTLY_STABLE:
+        return None
+    controllable = _gramian_root(A, model.B / columns, "N", "T")
+    return controllable, _gramian_root(A, (model.C / rows[:, None]).T, "T", "N")
 
 
 def has_gramians(task: Task) -> bool:
@@ -94,7 +111,10 @@ def balanced_basis(
     W = observable @ U[:, :count] / np.sqrt(hankel[:count])
     A = -model.coefficients[0]
     balanced = task.from_first_order(explicit(W.T @ A @ V, W.T @ model.B, model.C @ V, model.D))
-    return ReducedBasis(task, balanced, balanced.free, congruence=False)
+    vectors = scipy.linalg.block_diag(np.eye(balanced.free), V)
+    return ReducedBasis(
+        task, balanced, balanced.free, congruence=False, vectors=vectors, coordinates="first order"
+    )
 
 
 def scales(size: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

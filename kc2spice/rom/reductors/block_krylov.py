@@ -57,22 +57,25 @@ class BlockKrylov(Reductor):
     def basis(self, task: Task) -> ReducedBasis:
         """Return the projection of the full-order model on nested Krylov vectors."""
         if not task.intermediate.proof:  # made by this method, for a prescribed order
-            return ReducedBasis(task, task.intermediate.pencil)
-        count = VECTORS_PER_STATE * task.intermediate.pencil.size
-        return ReducedBasis(task, krylov_model(task.pencil, count))
+            V = task.intermediate.basis
+            return ReducedBasis(task, task.intermediate.pencil, vectors=V, coordinates="full order")
+        V = krylov_vectors(task.pencil, VECTORS_PER_STATE * task.intermediate.pencil.size)
+        return ReducedBasis(task, task.pencil.project(V), vectors=V, coordinates="full order")
 
 
-def krylov_model(pencil: Pencil, count: int) -> Pencil:
-    """Project a definite model on so many block Krylov vectors at zero, or on all that exist."""
+def krylov_vectors(pencil: Pencil, count: int) -> np.ndarray:
+    """Return so many block Krylov vectors of a definite model at zero, or all that exist."""
     K, _, M = pencil.coefficients
     solve = pencil.pencil_solver(0.0).solve
-    return pencil.project(block_arnoldi(lambda v: K @ v, solve, lambda v: M @ v, pencil.B, count))
+    return block_arnoldi(lambda v: K @ v, solve, lambda v: M @ v, pencil.B, count)
 
 
 def nested_model(pencil: Pencil, order: int) -> IntermediateModel:
     """Return the Krylov model of two blocks more than ``order``, which estimates the error."""
     count = order + BLOCKS_BEYOND * pencil.B.shape[1]
-    return IntermediateModel(Response(krylov_model(pencil, count)), 0.0, True, "")
+    V = krylov_vectors(pencil, count)
+    response = Response(pencil.project(V))
+    return IntermediateModel(response, 0.0, True, "", basis=V, points=(0.0,))
 
 
 def block_arnoldi(

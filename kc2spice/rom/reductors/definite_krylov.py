@@ -59,7 +59,7 @@ def definite_krylov_model(
         met = met + 1 if change <= target else 0
         if met == CONFIRMATIONS or (not columns.shape[1] and change <= limit):
             proof = f"settled to {change:.0e} of the full model's response"
-            result = IntermediateModel(response, change, True, proof)
+            result = IntermediateModel(response, change, True, proof, basis=V, points=tuple(used))
             return with_rounding(pencil, V, band, result)
         previous = response
         blocks -= 1

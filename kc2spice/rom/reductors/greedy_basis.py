@@ -28,9 +28,12 @@ CANDIDATES = 101  # frequencies of each grid, linear and logarithmic, of which t
 
 
 class GreedyBasis:
-    """The basis as it grows, with what the residual estimate needs of it."""
+    """The basis as it grows, with what the residual estimate needs of it.
 
-    def __init__(self, pencil: Pencil, band: tuple[float, float]) -> None:
+    It begins with the ``static`` responses if there are any.
+    """
+
+    def __init__(self, pencil: Pencil, band: tuple[float, float], static: bool = True) -> None:
         self.pencil, self.band = pencil, band
         self.two_sided = not (pencil.symmetric and pencil.collocated)
         self.basis = np.empty((pencil.size, 0))
@@ -46,7 +49,7 @@ class GreedyBasis:
         self.response = Response(pencil.project(self.basis))
         self._previous = self.response
         self.static = False
-        self.static = self._add_static()
+        self.static = static and self._add_static()
 
     def check(self, s: complex) -> tuple[float, bool]:
         """Relative error of the present projection at ``s``, which then joins the basis.
@@ -148,6 +151,11 @@ class GreedyBasis:
         if result.pencil.degree != small.degree or (self.static and result.pencil.free):
             return small, np.eye(small.size)
         return result.pencil, result.columns
+
+    @property
+    def frequencies(self) -> tuple[float, ...]:
+        """Frequencies [Hz] of the expansion points, in the order of their use."""
+        return tuple(float(abs(s) / (2 * np.pi)) for s in self._used)
 
     @property
     def modal(self) -> np.ndarray:

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import warnings
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
-from kc2spice.core.errors import SimulationError
+from kc2spice.core.errors import SimulationError, UsageError
 from kc2spice.rom.intermediate import IntermediateModel, unsettled
 from kc2spice.rom.pencil import Pencil
 from kc2spice.rom.reduced_basis import ReducedBasis, Task
@@ -32,6 +33,15 @@ class RationalKrylov(Reductor):
     solutions of the dual model. Vectors are in the order of their points: first the static
     response, then the end of the band, then points of the largest residual.
 
+    Parameters
+    ----------
+    points : sequence of floats, optional
+        Expansion points in Hz that replace the choice, in the order of their vectors.
+
+    Raises
+    ------
+    UsageError : no points, or points that are not finite frequencies of at least zero.
+
     Examples
     --------
     The response at the end of the band, an expansion point, is exact.
@@ -51,8 +61,16 @@ class RationalKrylov(Reductor):
         "Antoulas and Benner, ESAIM: M2AN 51 (2017), doi:10.1051/m2an/2017014"
     )
 
+    def __init__(self, points: Sequence[float] | None = None) -> None:
+        self.points = None if points is None else _frequencies(points)
+
     def basis(self, task: Task) -> ReducedBasis:
         """Return the projection on vectors in the order of their points."""
+        if self.points is not None:
+            search = GreedyBasis(task.core, task.band, static=False)
+            for s in 2j * np.pi * self.points:
+                search.extend(s, *search.solve(s if s else 0.0))
+            return task.project(search.basis)
         target = BASIS_SHARE * (task.tolerance or 0.0)
         search = GreedyBasis(task.core, task.band)
         end = 2j * np.pi * task.band[1]
@@ -65,6 +83,22 @@ class RationalKrylov(Reductor):
                 break
             met = met + 1 if max(error, search.change) <= target or not grown else 0
         return task.project(search.basis)
+
+
+def _frequencies(points: Sequence[float]) -> np.ndarray:
+    """The points as an array of frequencies [Hz]."""
+    try:
+        result = np.array(points, dtype=float).ravel()
+    except (TypeError, ValueError):
+        result = np.empty(0)
+    if not result.size or not (np.isfinite(result) & (result >= 0)).all():
+        raise UsageError(
+            "not expansion points",
+            where="points",
+            got=repr(points),
+            expected="frequencies in Hz of at least zero, such as [0, 2e3, 2e4]",
+        )
+    return result
 
 
 def rational_krylov_model(
@@ -107,7 +141,10 @@ def rational_krylov_model(
     floor = removed_stiffness(search.projected, small, band) if small.free else 0.0
     hidden = hidden_support(pencil, search.modal[:, : small.free], band[0])
     static = search.static or small.free > 0
-    result = IntermediateModel(search.response, worst, static, proof, floor, hidden=hidden)
+    result = IntermediateModel(
+        search.response, worst, static, proof, floor, hidden=hidden,
+        basis=search.basis @ search.turn, points=search.frequencies,
+    )  # fmt: skip
     result = with_rounding(pencil, search.modal, band, result)
     if worst > max(limit, result.floor) or not np.isfinite(worst):
         raise unsettled(search.response, band, worst, limit)

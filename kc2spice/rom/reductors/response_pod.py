@@ -65,7 +65,8 @@ class ResponsePod(Reductor):
         pencil = response.pencil.project(scipy.linalg.block_diag(np.eye(free), vectors))
         pencil = task.with_rigid_body(replace(pencil, free=free))
         fixed = pencil.free + (static.shape[1] if _keeps_static(task) else 0)
-        return ReducedBasis(task, pencil, fixed)
+        columns = task.beside_rigid_body(scipy.linalg.block_diag(np.eye(free), energy @ vectors))
+        return ReducedBasis(task, pencil, fixed, vectors=columns)
 
     def tighten(
         self, basis: ReducedBasis, order: int, tolerance: float
@@ -90,7 +91,9 @@ class ResponsePod(Reductor):
             factors = points.weights(weight, tail)
             columns = np.hstack([_scaled(side, factors) for side in states])[basis.fixed :]
             V = scipy.linalg.block_diag(np.eye(basis.fixed), _principal(columns)[0])
-            trial = replace(basis, pencil=replace(pencil.project(V), free=pencil.free))
+            turned = None if basis.vectors is None else basis.vectors[:, :size] @ V
+            projected = replace(pencil.project(V), free=pencil.free)
+            trial = replace(basis, pencil=projected, vectors=turned)
             while order > least:
                 fewer = Response(trial.pencil.leading(order - 1)).transfer(s[inside])
                 error = np.abs(fewer - H) / base

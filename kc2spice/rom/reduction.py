@@ -1,0 +1,208 @@
+"""Several reductions of one full-order model, which share the work on it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from kc2spice.core.errors import UsageError
+from kc2spice.rom.band import frequency_band
+from kc2spice.rom.certification import certified, with_full_order
+from kc2spice.rom.constraints import reduced_form
+from kc2spice.rom.error_estimate import default_norm
+from kc2spice.rom.linear import LinearModel, Norm
+from kc2spice.rom.reduce import (
+    LARGEST_SHARE,
+    Target,
+    band_of,
+    basis_of_order,
+    basis_within,
+    methods_of,
+    require_valid,
+    verified_first_step,
+    warn_of_rounding,
+)
+from kc2spice.rom.reduced_basis import ReducedBasis, Task
+from kc2spice.rom.reductors.balanced_truncation import hankel_singular_values
+from kc2spice.rom.reductors.base import Reductor
+from kc2spice.rom.reductors.rational_krylov import RationalKrylov
+
+SMALLEST_TOLERANCE = 1e-6  # by default; one more digit costs one or two more solutions
+
+
+class Reduction:
+    """One basis of a full-order model over a band, from which many reduced-order models follow.
+
+    Factorisations and solutions of the full-order model are made once, for ``tolerance``, the
+    smallest one that is needed. A smaller tolerance of :meth:`reduce` extends the basis once more.
+
+    Parameters
+    ----------
+    model : LinearModel
+        Full-order model of n unknowns, in SI units, without structural damping.
+    band : tuple of two floats or texts, optional
+        Lowest and highest frequency in Hz or as texts such as ``"20 kHz"``. By default it is the
+        band of the model, otherwise it ends a little above the fifth natural frequency.
+    norm : "pointwise" or "peak", optional
+        Reference of the relative error, as for :func:`kc2spice.reduce`.
+    tolerance : float, default 1e-6
+        Smallest tolerance that the basis is made for.
+    method : str or Reductor, optional
+        Method of all reduced-order models. By default all methods that suit the model are tried.
+    points : sequence of floats, optional
+        Expansion points in Hz, for rational Krylov vectors at these points instead of ``method``.
+
+    Attributes
+    ----------
+    band : tuple of two floats
+        Lowest and highest frequency in Hz.
+    norm : str
+        Reference of the relative error.
+
+    Raises
+    ------
+    UsageError : structural damping, an invalid band or norm, an unknown method, or both a method
+        and points.
+
+    Examples
+    --------
+    >>> import kc2spice as kc
+    >>> K = 2 * np.eye(40) - np.eye(40, k=1) - np.eye(40, k=-1)
+    >>> chain = kc.LinearModel(M=np.eye(40), K=K, B=np.eye(40)[:, :1], rayleigh=(0.0, 0.02))
+    >>> reduction = kc.Reduction(chain, band=(0, 0.05), norm="peak")
+    >>> [reduction.reduce(tolerance=tolerance).order for tolerance in (1e-1, 1e-3)]
+    [4, 5]
+    >>> reduction.error(6) < 1e-3 < reduction.error(4)
+    True
+    """
+
+    def __init__(
+        self,
+        model: LinearModel,
+        *,
+        band: tuple[float | str, float | str] | None = None,
+        norm: Norm | None = None,
+        tolerance: float = SMALLEST_TOLERANCE,
+        method: str | Reductor | None = None,
+        points: Sequence[float] | None = None,
+    ) -> None:
+        if points is not None:
+            if method is not None:
+                raise UsageError("give either a method or points", where="points", got=method)
+            method = RationalKrylov(points)
+        if model.structural:
+            raise UsageError(
+                "structural damping has no basis of its own",
+                where=model.name,
+                hint="kc.reduce(model, tolerance=...) makes the nearest causal model",
+            )
+        self._target = Target(
+            tolerance, None, None, norm or default_norm(model), False, method, exact=False
+        )
+        require_valid(self._target)
+        self.model, self.norm = model, self._target.norm
+        self._pencil = reduced_form(model.pencil)
+        self.band = band_of(model, self._pencil, frequency_band(band))
+        self._bases: dict[str, list[ReducedBasis]] = {}
+        self._prepare(self._target)
+
+    def _prepare(self, target: Target) -> None:
+        """Make the intermediate model for the tolerance of a target."""
+        assert target.tolerance is not None
+        self._intermediate, self._proof = verified_first_step(self._pencil, self.band, target)
+        self._tolerance = target.tolerance
+        self._task = Task.of(self.model, self._pencil, self._intermediate, self.band, self.norm)
+        self._bases.clear()
+
+    @property
+    def points(self) -> tuple[float, ...]:
+        """Expansion points [Hz] of the basis, in the order of their use; none for a model that is
+        small enough to be used as a whole."""
+        return self._intermediate.points
+
+    @property
+    def basis(self) -> np.ndarray | None:
+        """Basis (n, k): unknowns of the full-order model per unknown of the intermediate one. It is
+        None if constraints or massless unknowns are eliminated first."""
+        return self._intermediate.basis if self._pencil.size == self.model.order else None
+
+    @property
+    def hankel(self) -> np.ndarray:
+        """Hankel singular values, in descending order.
+
+        The error of balanced truncation to order q is at most twice the sum of all values from
+        ``hankel[q]`` on, in the largest singular value of the response over all frequencies.
+
+        Raises
+        ------
+        UsageError : the model is not strictly stable, or has more than 2000 states in the basis.
+        """
+        values = hankel_singular_values(self._task)
+        if values is None:
+            raise UsageError(
+                "has no Hankel singular values",
+                where=self.model.name,
+                expected="a model whose poles all decay, with a static response",
+            )
+        return values
+
+    def reduce(
+        self,
+        *,
+        tolerance: float | None = None,
+        order: int | None = None,
+        method: str | Reductor | None = None,
+    ) -> LinearModel:
+        """Return the smallest model within a tolerance, or the most accurate model of an order.
+
+        Parameters
+        ----------
+        tolerance : float, optional
+            Largest relative error over the band.
+        order : int, optional
+            Number of unknowns of the result. Exactly one of ``tolerance`` and ``order`` is
+            required. Unlike :func:`kc2spice.reduce`, all methods are tried. A tolerance may give
+            a more accurate model of the same order, because it improves the basis for that order.
+        method : str or Reductor, optional
+            Method of this model only.
+
+        Returns
+        -------
+        LinearModel
+            Reduced-order model with a certificate; its ``reconstruct`` returns displacements.
+
+        Raises
+        ------
+        UsageError, SimulationError : as :func:`kc2spice.reduce`.
+        """
+        target = replace(self._target, tolerance=tolerance, order=order, exact=True)
+        target = replace(target, method=method or self._target.method)
+        require_valid(target)
+        if tolerance is None:
+            basis, order = self._of_order(target)
+        else:
+            if not self._serves(tolerance):
+                self._prepare(target)
+            task = replace(self._task, tolerance=tolerance)
+            basis, order = basis_within(task, methods_of(task, target), target)
+        rom = certified(basis, order)
+        warn_of_rounding(rom, self._intermediate.floor, tolerance)
+        return with_full_order(rom, self._proof)
+
+    def error(self, order: int) -> float:
+        """Return the error estimate of the model of an order; see :meth:`reduce`."""
+        target = replace(self._target, tolerance=None, order=order)
+        require_valid(target)
+        basis, order = self._of_order(target)
+        return basis.error(order) + self._intermediate.floor
+
+    def _of_order(self, target: Target) -> tuple[ReducedBasis, int]:
+        """The best basis of a prescribed order, and the order."""
+        return basis_of_order(self._task, methods_of(self._task, target), target, self._bases)
+
+    def _serves(self, tolerance: float) -> bool:
+        """Whether the basis is accurate enough for a tolerance."""
+        limit = max(LARGEST_SHARE * tolerance, self._intermediate.floor)
+        return tolerance >= self._tolerance and self._intermediate.error <= limit

@@ -1,0 +1,242 @@
+"""Several reductions of one model: shared work, error estimates, reconstruction, optimality."""
+
+import json
+
+import mor_families as families
+import numpy as np
+import pytest
+from scipy import sparse
+from scipy.linalg import solve_continuous_lyapunov
+from typer.testing import CliRunner
+
+import kc2spice as kc
+from kc2spice.cli.main import app
+from kc2spice.core.errors import UsageError
+from kc2spice.linalg import factor
+
+TOLERANCES = 1e-2, 1e-3, 1e-4, 1e-5, 1e-6
+
+
+def sparse_chain(dashpot):
+    """Masses on springs, 1400 unknowns: real solutions, or complex ones with a ``dashpot``."""
+    matrices = families.damped_chain(1400, dashpot, 3.0)
+    if not dashpot:
+        matrices = matrices | {"E": None, "rayleigh": (0.0, 1e-2)}
+    return {key: sparse.csc_array(P) if key in "MEK" and P is not None else P
+            for key, P in matrices.items()}  # fmt: skip
+
+
+@pytest.fixture
+def solved(monkeypatch):
+    """Number of right-hand sides that are solved with factors of sparse matrices."""
+    count, solve = [0], factor.Factor.solve
+
+    def counted(self, rhs):
+        count[0] += rhs.shape[1] if rhs.ndim > 1 else 1
+        return solve(self, rhs)
+
+    monkeypatch.setattr(factor.Factor, "solve", counted)
+    return count
+
+
+@pytest.mark.parametrize("dashpot", [0.0, 0.3])
+def test_five_tolerances_cost_at_most_a_fifth_more_than_one(dashpot, solved):
+    model, band = kc.LinearModel(**sparse_chain(dashpot)), (0, 0.003)
+    kc.Reduction(model, band=band).reduce(tolerance=min(TOLERANCES))
+    one, solved[0] = solved[0], 0
+    model = kc.LinearModel(**sparse_chain(dashpot))  # without factors
+    reduction = kc.Reduction(model, band=band)
+    orders = [reduction.reduce(tolerance=tolerance).order for tolerance in TOLERANCES]
+    assert orders == sorted(orders)
+    assert len(set(orders)) >= 4
+    assert 0 < solved[0] <= 1.2 * one
+    assert reduction.points
+    solved[0] = 0
+    for tolerance in TOLERANCES:
+        kc.reduce(kc.LinearModel(**sparse_chain(dashpot)), tolerance=tolerance, band=band)
+    assert solved[0] > 2.5 * one
+
+
+def test_a_smaller_tolerance_extends_the_basis():
+    model, band = kc.LinearModel(**sparse_chain(0.3)), (0, 0.003)
+    reduction = kc.Reduction(model, band=band, tolerance=1e-2)
+    points = reduction.points
+    rom = reduction.reduce(tolerance=1e-6)
+    assert len(reduction.points) > len(points)
+    resonances = np.abs(rom.poles().imag) / (2 * np.pi)
+    frequency = np.r_[np.linspace(0.0, 0.003, 20), resonances[resonances < 0.003]]
+    exact = model.transfer(frequency)
+    error = (np.abs(rom.transfer(frequency) - exact).max(axis=0) / np.abs(exact).max(axis=0)).max()
+    assert error <= rom.certificate.error_estimate <= 1e-6
+
+
+@pytest.mark.filterwarnings("ignore:IRKA of order")  # light damping
+@pytest.mark.parametrize("method", [None, "balanced truncation", "IRKA"])
+def test_error_is_the_estimate_of_the_model_of_that_order(method):
+    model = kc.LinearModel(**families.chain(40))
+    reduction = kc.Reduction(model, band=(0, 0.1), norm="peak", method=method)
+    resonances = np.abs(model.poles().imag) / (2 * np.pi)
+    frequency = np.r_[np.linspace(0.0, 0.1, 2000), resonances[resonances < 0.1]]
+    exact = model.transfer(frequency)
+    for order in (7, 8):
+        rom = reduction.reduce(order=order)
+        difference = np.abs(rom.transfer(frequency) - exact).max(axis=0)
+        error = (difference / np.abs(exact).max(axis=0)).max()
+        assert reduction.error(order) == pytest.approx(rom.certificate.error_estimate, rel=1e-9)
+        assert error <= reduction.error(order) <= 1.5 * error
+
+
+def bodies():
+    """Models of each kind of intermediate model and of each form of a basis."""
+    n = 60
+    free = 2 * np.eye(n) - np.eye(n, k=1) - np.eye(n, k=-1)
+    free[0, 0] = free[-1, -1] = 1.0
+    body = {"M": np.eye(n), "K": free, "B": np.eye(n)[:, :2]}
+    slowed = 0.01 * free + np.diag(np.r_[0.1, np.zeros(n - 1)])
+    return {
+        "small": (families.chain(40), 0.1),
+        "definite": (sparse_chain(0.0), 0.003),
+        "damped": (sparse_chain(0.3), 0.003),
+        "free": (body | {"E": 0.01 * free}, 0.1),
+        "slowed": (body | {"E": slowed}, 0.1),
+    }
+
+
+@pytest.mark.parametrize(
+    ("name", "method"),
+    [("small", None), ("small", "rational Krylov"), ("definite", None), ("damped", None),
+     ("definite", "block Krylov"), ("free", None), ("slowed", None)],
+)  # fmt: skip
+def test_the_basis_of_a_congruence_gives_matrices_and_displacements(name, method):
+    """``V'KV``, ``V'MV`` and ``V'B`` of the full-order model, and its states within 1 %."""
+    matrices, top = bodies()[name]
+    model = kc.LinearModel(**matrices)
+    rom = kc.Reduction(model, band=(0, top), tolerance=1e-9).reduce(tolerance=1e-8, method=method)
+    V, scale = rom.basis, np.abs(rom.K).max()
+    assert V.shape == (model.order, rom.order)
+    np.testing.assert_allclose(V.T @ (model.K @ V), rom.K, atol=1e-8 * scale)
+    np.testing.assert_allclose(V.T @ (model.M @ V), rom.M, atol=1e-8 * np.abs(rom.M).max())
+    np.testing.assert_allclose(V.T @ model.B, rom.B, atol=1e-8 * np.abs(rom.B).max())
+    s = np.array([2j * np.pi * 0.4 * top])
+    exact = model.pencil.states(s)[0]
+    states = rom.reconstruct(rom.pencil.states(s)[0])
+    assert np.abs(states - exact).max() < 1e-2 * np.abs(exact).max()
+
+
+@pytest.mark.parametrize("name", ["small", "free"])
+@pytest.mark.parametrize("method", ["balanced truncation", "balanced truncation over the band"])
+def test_displacements_of_a_balanced_model_are_those_of_the_full_model(name, method):
+    matrices, top = bodies()[name]
+    model = kc.LinearModel(**matrices)
+    rom = kc.Reduction(model, band=(0, top), tolerance=1e-9, method=method, norm="peak").reduce(
+        tolerance=1e-8
+    )
+    np.testing.assert_allclose(model.B.T @ rom.basis, rom.C, atol=1e-9 * np.abs(rom.C).max())
+    s = np.array([2j * np.pi * 0.4 * top])
+    exact = model.pencil.states(s)[0]
+    states = rom.reconstruct(rom.pencil.states(s)[0])
+    assert np.abs(states - exact).max() < 1e-2 * np.abs(exact).max()
+
+
+def test_states_that_do_not_fit_and_models_without_a_basis_are_errors():
+    model = kc.LinearModel(**families.chain(40))
+    rom = kc.reduce(model, tolerance=1e-3, band=(0, 0.1))
+    with pytest.raises(UsageError, match="states do not fit"):
+        rom.reconstruct(np.zeros(rom.order + 1))
+    with pytest.raises(UsageError, match="no basis"):
+        model.reconstruct(np.zeros(40))
+
+
+def test_hankel_singular_values_are_those_of_the_gramians():
+    rng = np.random.default_rng(5)
+    A = np.diag(-np.geomspace(0.5, 20.0, 12)) + np.triu(rng.standard_normal((12, 12)), 1)
+    B, C = rng.standard_normal((12, 2)), rng.standard_normal((3, 12))
+    reach = solve_continuous_lyapunov(A, -B @ B.T)
+    seen = solve_continuous_lyapunov(A.T, -C.T @ C)
+    exact = np.sort(np.sqrt(np.abs(np.linalg.eigvals(reach @ seen))))[::-1]
+    reduction = kc.Reduction(kc.LinearModel(A=A, B=B, C=C), band=(0, 2))
+    np.testing.assert_allclose(reduction.hankel, exact, atol=1e-9 * exact[0])
+    undamped = kc.LinearModel(M=np.eye(2), K=np.diag([1.0, 4.0]), B=np.ones((2, 1)))
+    with pytest.raises(UsageError, match="no Hankel singular values"):
+        kc.Reduction(undamped, band=(0, 0.1)).hankel  # noqa: B018
+
+
+def test_given_points_are_interpolated_with_their_slopes():
+    """The projection has the response and its slope at each point, as direct solutions do."""
+    matrices = families.chain(40)
+    model, points = kc.LinearModel(**matrices), [0.0, 0.03, 0.08]
+    reduction = kc.Reduction(model, band=(0, 0.1), points=points)
+    rom = reduction.reduce(order=18)  # of two ports: the static responses, and 8 at each pair
+    step = 1e-5
+    for point in points:
+        near = np.array([point, point + step])
+        exact, ours = model.transfer(near), rom.transfer(near)
+        assert np.abs(ours[0] - exact[0]).max() < 1e-9 * np.abs(exact[0]).max()
+        slope = np.abs(exact[1] - exact[0]).max()
+        assert np.abs((ours[1] - ours[0]) - (exact[1] - exact[0])).max() < 1e-2 * slope
+    for wrong in ([], [-1.0], [np.nan], "near", [[1], [2, 3]]):
+        with pytest.raises(UsageError, match="not expansion points"):
+            kc.RationalKrylov(wrong)
+    with pytest.raises(UsageError, match="either a method or points"):
+        kc.Reduction(model, points=points, method="IRKA")
+
+
+@pytest.mark.parametrize("order", [1, 4, 7])
+def test_irka_meets_the_conditions_of_h2_optimality(order):
+    """Response and slope in the directions of the residues, at the mirror images of the poles."""
+    rng = np.random.default_rng(2)
+    n, inputs, outputs = 20, 2, 3
+    A = np.diag(-np.geomspace(0.3, 20.0, n)) + np.triu(rng.standard_normal((n, n)), 1)
+    A[:2, :2] = [[-0.1, 2.0], [-2.0, -0.1]]
+    B, C = rng.standard_normal((n, inputs)), rng.standard_normal((outputs, n))
+    model = kc.LinearModel(A=A, B=B, C=C)
+    rom = kc.reduce(model, order=order, band=(0, 1), norm="peak", method="IRKA")
+    F = np.linalg.solve(rom.E, rom.A)
+    poles, X = np.linalg.eig(F)
+    left, right = (rom.C @ X).T, np.linalg.solve(X, np.linalg.solve(rom.E, rom.B))
+
+    def response(s, A, B, C):
+        """``H(s)`` and ``H'(s)``."""
+        inverse = np.linalg.inv(s * np.eye(len(A)) - A)
+        return C @ inverse @ B, -C @ inverse @ inverse @ B
+
+    for pole, c, b in zip(poles, left, right, strict=True):
+        H, slope = response(-pole, A, B, C)
+        ours, our_slope = response(-pole, F, np.linalg.solve(rom.E, rom.B), rom.C)
+        np.testing.assert_allclose(ours @ b, H @ b, atol=1e-6 * np.abs(H @ b).max())
+        np.testing.assert_allclose(c @ ours, c @ H, atol=1e-6 * np.abs(c @ H).max())
+        np.testing.assert_allclose(c @ our_slope @ b, c @ slope @ b, rtol=1e-5)
+
+
+def test_structural_damping_is_left_to_kc_reduce():
+    matrices = families.chain(40)
+    lossy = kc.LinearModel(M=matrices["M"], K=matrices["K"] * (1 + 0.01j), B=matrices["B"])
+    with pytest.raises(UsageError, match="structural damping"):
+        kc.Reduction(lossy)
+
+
+def test_all_methods_are_compared_in_one_table(tmp_path):
+    """States and estimates are those of each method alone; no files are written."""
+    matrices = families.damped_chain(40, 0.3)
+    np.savez(tmp_path / "chain.npz", **matrices)
+    words = ["reduce", str(tmp_path / "chain.npz"), "--band", "0", "0.1", "--tolerance", "1e-3"]
+    ran = CliRunner().invoke(app, [*words, "--method", "compare", "--json"])
+    rows = {row["method"]: row for row in json.loads(ran.stdout)["methods"]}
+    assert {"IRKA", "rational Krylov", "response POD", "block Krylov"} <= set(rows)
+    assert rows["block Krylov"]["states"] is None
+    assert "does not apply" in rows["block Krylov"]["reason"]
+    alone = kc.reduce(
+        kc.LinearModel(**matrices), tolerance=1e-3, band=(0, 0.1), norm="peak",
+        method="balanced truncation",
+    )  # fmt: skip
+    assert rows["balanced truncation"]["states"] == alone.order
+    assert rows["balanced truncation"]["error_estimate"] == pytest.approx(
+        alone.certificate.error_estimate, rel=1e-6
+    )
+    assert [path.name for path in tmp_path.iterdir()] == ["chain.npz"]
+    table = CliRunner().invoke(app, [*words, "--method", "compare"]).stdout
+    assert "rational Krylov" in table
+    wrong = CliRunner().invoke(app, [*words, "--method", "compare", "-o", str(tmp_path / "out")])
+    assert wrong.exit_code == 2
+    one = CliRunner().invoke(app, [*words, "--method", "IRKA", "--json", "-o", str(tmp_path / "o")])
+    assert json.loads(one.stdout)["method"].startswith("IRKA; ")
