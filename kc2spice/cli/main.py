@@ -12,7 +12,8 @@ import os
 import shlex
 import sys
 import textwrap
-from collections.abc import Callable
+from collections.abc import Callable, Container, Iterator
+from contextlib import contextmanager
 from importlib import resources
 from pathlib import Path
 from typing import Annotated, Any
@@ -133,6 +134,11 @@ PARAMETERS = {
         metavar="X", help="Largest relative error over the band. Default: 1e-4."
     ),
     "order": typer.Option(metavar="Q", help="Number of states, instead of a tolerance."),
+    "method": typer.Option(
+        metavar="NAME",
+        help="Method of reduction, such as 'response POD', or compare for a table of all methods. "
+        "Default: all that suit the model, the fewest states win.",
+    ),
     "norm": typer.Option(
         metavar="NORM",
         help="Norm of the error: pointwise (relative at every frequency) or peak (relative to the "
@@ -196,7 +202,7 @@ EXAMPLES = {
     "doctor": ("kc2spice doctor", "kc2spice doctor --json"),
     "reduce": (
         "kc2spice reduce NAME.K --tolerance 1e-4 --band 0 5e5",
-        "kc2spice reduce buzzer_7bb_20_6:disc --tolerance 1e-3",
+        "kc2spice reduce NAME.npz --method compare",
     ),
     "fit": (
         "kc2spice fit buzzer_7bb_20_6:disc DATA.csv --vary damping.quality=10:200",
@@ -526,6 +532,7 @@ def _reduce(
     tolerance: float | None = None,
     order: int | None = None,
     norm: str | None = None,
+    method: str | None = None,
     dc: str | None = None,
 ) -> None:
     """Reduce matrices or a measured response to few states.
@@ -537,14 +544,12 @@ def _reduce(
     from kc2spice.workflow.reduce import require_stable
 
     wanted: dict[str, Any] = {"band": band, "tolerance": tolerance, "order": order, "norm": norm}
-    wanted["dc"] = dc
-    try:
-        with caller.progress() as progress:
-            result = reduce_study(model, out, **wanted, progress=progress)
-    except UsageError as error:
-        if error.where in wanted:  # Python calls name arguments, not options
-            error.where = f"--{error.where}"
-        raise
+    if method == "compare":
+        _compare_methods(caller, model, wanted, out, dc)
+        return
+    wanted |= {"dc": dc, "method": method}
+    with _arguments_as_options(wanted), caller.progress() as progress:
+        result = reduce_study(model, out, **wanted, progress=progress)
     if caller.reads(result):
         from kc2spice.report.run_page import above_band
 
@@ -567,6 +572,46 @@ def _reduce(
             for text in result.get(kind, ()):
                 print(f"{kind[:-1]}: {text}")
     require_stable(result)
+
+
+@contextmanager
+def _arguments_as_options(names: Container[str]) -> Iterator[None]:
+    """Name the options of the command in errors of Python calls, which name arguments."""
+    try:
+        yield
+    except UsageError as error:
+        if error.where in names:
+            error.where = f"--{error.where}"
+        raise
+
+
+METHOD_COLUMNS = "method", "states", "error estimate", "CPU time"
+
+
+def _compare_methods(
+    caller: Caller, model: str, wanted: dict[str, Any], out: Path | None, dc: str | None
+) -> None:
+    """Print states, error estimate and CPU time of every method of reduction."""
+    from kc2spice.workflow.methods import compare
+
+    for option, value in (("--out", out), ("--dc", dc)):
+        if value is not None:
+            expected = "nothing: --method compare prints a table and writes no files"
+            raise UsageError("is not for a comparison", where=option, got=value, expected=expected)
+    with _arguments_as_options(wanted), caller.progress() as progress:
+        result = compare(model, **wanted, progress=progress)
+    if caller.reads(result):
+        title = f"{result['unknowns']} equations, error {result['norm']}"
+        print_table(title, [_method_row(row) for row in result["methods"]], METHOD_COLUMNS)
+        print(f"CPU time of the basis that all methods use: {result['shared_cpu_s']:.2g} s")
+
+
+def _method_row(row: dict[str, Any]) -> tuple[str, ...]:
+    """One method of the table, with its reason if it has no model."""
+    cpu = f"{row['cpu_s']:.2g} s"
+    if row["states"] is None:
+        return row["method"], "-", row["reason"], cpu
+    return row["method"], str(row["states"]), f"{row['error_estimate']:.2g}", cpu
 
 
 @_command

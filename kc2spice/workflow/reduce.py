@@ -56,6 +56,7 @@ def reduce(
     order: int | None = None,
     norm: str | None = None,
     dc: str | float | None = None,
+    method: str | None = None,
     progress: Progress = silent,
 ) -> dict[str, Any]:
     """Reduce a model and write ``NAME_rom.npz`` and its matrices.
@@ -84,6 +85,8 @@ def reduce(
     dc : str or float, optional
         Resistance of a measured one-port at zero frequency: ``"80 mOhm"``, a number in Ohm, or
         ``"open"``. By default it is extrapolated from the data.
+    method : str, optional
+        Method of reduction. By default all methods that suit the model are tried.
     progress : callable, optional
         Called as ``progress(stage, done, text)`` during the reduction.
 
@@ -114,6 +117,7 @@ def reduce(
     """
     if is_measured(Path(path)):
         options = {"--band": band, "--tolerance": tolerance, "--order": order, "--norm": norm}
+        options["--method"] = method
         return _reduce_measured(Path(path), out, options, dc, progress)
     if dc is not None:
         raise UsageError(
@@ -124,7 +128,7 @@ def reduce(
             hint="leave out --dc",
         )
     progress("reduce", None, "reading matrices")
-    model = _scene_body(str(path)) or read_model(path)
+    model = given_model(path)
     if tolerance is None and order is None:
         tolerance = TOLERANCE
     _require_names(model, identifier(f"{model.name}_rom", "rom"))
@@ -137,8 +141,14 @@ def reduce(
         tolerance=tolerance,
         order=order,
         norm=norm or default_norm(model),  # type: ignore[arg-type]
+        method=method,
     )
     return _written(model.name, model.order, reduced, out, tolerance)
+
+
+def given_model(path: Path | str) -> LinearModel:
+    """Return the model of matrices in files, or of a scene's body ``SCENE:PART``."""
+    return _scene_body(str(path)) or read_model(path)
 
 
 def _require_names(model: LinearModel, name: str) -> None:

@@ -1,0 +1,113 @@
+"""``reduce --method compare``: all methods of reduction on one model, in one table."""
+
+from __future__ import annotations
+
+import time
+import warnings
+from pathlib import Path
+from typing import Any
+
+from kc2spice.bodies.readers.measured import is_measured
+from kc2spice.core.errors import Kc2spiceError, UsageError
+from kc2spice.core.progress import Progress, silent
+from kc2spice.rom.error_estimate import default_norm
+from kc2spice.rom.linear import LinearModel
+from kc2spice.rom.reduction import SMALLEST_TOLERANCE, Reduction
+from kc2spice.rom.reductors.registry import reductor_names
+from kc2spice.workflow.reduce import TOLERANCE, given_model
+
+
+def compare(
+    path: Path | str,
+    *,
+    band: tuple[float, float] | None = None,
+    tolerance: float | None = None,
+    order: int | None = None,
+    norm: str | None = None,
+    progress: Progress = silent,
+) -> dict[str, Any]:
+    """Reduce a model by every method of reduction that is registered.
+
+    Parameters
+    ----------
+    path : Path or str
+        Matrices as for :func:`kc2spice.read_model`, or ``SCENE:PART``.
+    band, tolerance, order, norm : optional
+        As for :func:`kc2spice.workflow.reduce.reduce`.
+    progress : callable, optional
+        Called as ``progress(stage, done, text)`` before each method.
+
+    Returns
+    -------
+    dict[str, Any]
+        What ``kc2spice reduce --method compare --json`` prints: ``methods`` contains a row for each
+        method with its ``states`` of first order, ``error_estimate`` and ``cpu_s``. A method
+        without a model has no states but a ``reason``. ``shared_cpu_s`` is the time of the basis
+        of the full-order model, which all methods use.
+
+    Raises
+    ------
+    UsageError : the file cannot be read, or is a measurement; invalid options.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> K = 2 * np.eye(20) - np.eye(20, k=1) - np.eye(20, k=-1)
+    >>> np.savez("chain.npz", M=np.eye(20), E=0.05 * K, K=K, B=np.eye(20)[:, :1])
+    >>> rows = compare("chain.npz", band=(0.0, 0.05), tolerance=1e-2)["methods"]
+    >>> next(row["states"] for row in rows if row["method"] == "response POD")
+    6
+    """
+    if is_measured(Path(path)):
+        expected = "matrices; a measured response is fitted by one method"
+        raise UsageError("is a measurement", where="--method", got=path, expected=expected)
+    model = given_model(path)
+    if tolerance is None and order is None:
+        tolerance = TOLERANCE
+    progress("reduce", None, f"{model.order} equations")
+    begin = time.process_time()
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # a table of trials: each model has its error estimate
+        reduction = Reduction(
+            model,
+            band=band,
+            norm=norm or default_norm(model),  # type: ignore[arg-type]
+            tolerance=tolerance or SMALLEST_TOLERANCE,
+        )
+        shared = time.process_time() - begin
+        rows = []
+        for method in reductor_names():
+            progress("reduce", None, method)
+            rows.append(_row(reduction, method, tolerance, order))
+    rows.sort(key=lambda row: (row["states"] is None, row["states"] or 0))
+    return {
+        "model": model.name,
+        "unknowns": model.order,
+        "norm": reduction.norm,
+        "band_hz": list(reduction.band),
+        "shared_cpu_s": shared,
+        "methods": rows,
+    }
+
+
+def _row(
+    reduction: Reduction, method: str, tolerance: float | None, order: int | None
+) -> dict[str, Any]:
+    """States, error estimate and CPU time [s] of one method, or the reason why it has no model."""
+    begin, rom, reason = time.process_time(), None, None
+    try:
+        rom = reduction.reduce(tolerance=tolerance, order=order, method=method)
+    except Kc2spiceError as error:
+        reason = error.message
+    except Exception as error:  # a method of the user must not end the comparison
+        reason = f"{type(error).__name__}: {error}"
+    row: dict[str, Any] = {"method": method, "states": None, "error_estimate": None}
+    if rom is not None:
+        assert rom.certificate is not None
+        row |= {"states": first_order_states(rom), "error_estimate": rom.certificate.error_estimate}
+    return row | {"cpu_s": time.process_time() - begin, "reason": reason}
+
+
+def first_order_states(rom: LinearModel) -> int:
+    """Return the number of states in first order."""
+    return rom.order * (1 if rom.first_order else 2)
