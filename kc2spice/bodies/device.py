@@ -289,26 +289,26 @@ def rigid_motions(solid: Solid, centre: np.ndarray) -> np.ndarray:
 
 def _moving(solid: Solid, setup: Setup) -> tuple[sparse.csc_array, list[tuple[Port, np.ndarray]]]:
     """``P`` of ``u = P z``, and the columns of the rigid faces' ports."""
-    d, kept = solid.components, ~setup.fixed
+    d, free = solid.components, ~setup.fixed
     where = solid.places.T
     blocks = []
     for face in setup.faces:
         rows = (d * face.nodes[:, None] + np.arange(d)).ravel()
-        if not kept[rows].all():
+        if not free[rows].all():
             problem = "a rigid face touches a support or another rigid face"
             hint = "give it free nodes"
             raise wrong(", ".join(port.name for port, _ in face.ports), problem, hint=hint)
-        kept[rows] = False
-        motion = np.zeros((len(kept), 6))
+        free[rows] = False
+        motion = np.zeros((len(free), 6))
         motion[rows] = rigid_motions(solid, where[face.nodes].mean(axis=0))[rows]
         blocks.append(sparse.csc_array(motion))
-    identity = sparse.eye_array(len(kept), format="csc")[:, np.flatnonzero(kept)]
+    identity = sparse.eye_array(len(free), format="csc")[:, np.flatnonzero(free)]
     P = sparse.hstack([identity, *blocks], format="csc")
     columns = []
     for number, face in enumerate(setup.faces):
         for port, motion in face.ports:
             z = np.zeros(P.shape[1])
-            z[kept.sum() + 6 * number + np.arange(6)] = motion
+            z[free.sum() + 6 * number + np.arange(6)] = motion
             columns.append((port, z))
     return P, columns
 
@@ -318,26 +318,26 @@ def _potentials(
 ) -> tuple[sparse.csc_array, sparse.csc_array, list[Port]]:
     """``Q`` and ``R`` of ``phi = Q p + R V``, and the electrical ports."""
     live = K_pp.diagonal() > 0
-    taken = np.zeros(len(live), int)
+    times_driven = np.zeros(len(live), int)
     for nodes in (*setup.electrodes.values(), *setup.floating):
-        taken[nodes[live[nodes]]] += 1
-    if taken.max(initial=0) > 1:
+        times_driven[nodes[live[nodes]]] += 1
+    if times_driven.max(initial=0) > 1:
         hint = (
             "choose groups of faces without common nodes, or one pin for all: PIN = [GROUP, GROUP]"
         )
-        common = np.flatnonzero(taken > 1)
+        common = np.flatnonzero(times_driven > 1)
         pins = [pin for pin, nodes in setup.electrodes.items() if np.isin(common, nodes).any()]
         got = f"{len(common)} common nodes of {', '.join(pins)}"
         expected = "a gap between any two electrodes"
         raise wrong("electrodes", "electrodes touch each other", got, expected, hint)
     if setup.graded is not None:
-        taken[setup.graded[0]] += 1
+        times_driven[setup.graded[0]] += 1
     _, piece = connected_components(K_pp, directed=False)
-    if np.setdiff1d(piece[live], piece[taken > 0]).size:
+    if np.setdiff1d(piece[live], piece[times_driven > 0]).size:
         problem = "a ceramic touches no electrode: its potential is undetermined"
         hint = "every piezoelectric piece needs an electrode on one face at least"
         raise wrong("electrodes", problem, hint=hint)
-    free = np.flatnonzero(live & (taken == 0))
+    free = np.flatnonzero(live & (times_driven == 0))
     identity = sparse.eye_array(len(live), format="csc")
     Q = sparse.hstack([identity[:, free], *(_indicator(n, live) for n in setup.floating)], "csc")
     driven = {pin: n for pin, n in setup.electrodes.items() if pin != setup.reference}
@@ -361,8 +361,10 @@ def _indicator(
 def _shift(solid: Solid, setup: Setup) -> float:
     """0 [rad^2/s^2] of a body without rigid-body motion, else a small shift that makes
     ``K + shift M`` regular."""
-    held = setup.fixed if setup.springs is None else setup.fixed | (setup.springs.diagonal() > 0)
-    if _supported(solid, held, _pieces(solid, setup)):
+    constrained = (
+        setup.fixed if setup.springs is None else setup.fixed | (setup.springs.diagonal() > 0)
+    )
+    if _supported(solid, constrained, _pieces(solid, setup)):
         return 0.0
     slowest = min(np.sqrt(np.linalg.eigvalsh(m.C)[0] / m.density) for m in solid.materials)
     size = np.linalg.norm(np.ptp(solid.mesh.p, axis=1))
@@ -387,17 +389,17 @@ def _pieces(solid: Solid, setup: Setup) -> list[np.ndarray]:
 def _supported(solid: Solid, fixed: np.ndarray, pieces: Sequence[np.ndarray]) -> bool:
     """Whether displacements that are ``fixed`` (d nodes,) leave no piece a rigid-body motion; what
     a piece without such motion shares with another one supports that one."""
-    held, waiting = fixed.copy(), list(pieces)
+    constrained, waiting = fixed.copy(), list(pieces)
     while waiting:
         free = []
         for nodes in waiting:
             rows = (solid.components * nodes[:, None] + np.arange(solid.components)).ravel()
             motions = rigid_motions(solid, solid.places[:, nodes].mean(axis=1))[rows]
             motions = motions / np.maximum(np.abs(motions).max(axis=0), 1e-300)
-            if np.linalg.matrix_rank(motions[held[rows]], tol=1e-6) < motions.shape[1]:
+            if np.linalg.matrix_rank(motions[constrained[rows]], tol=1e-6) < motions.shape[1]:
                 free.append(nodes)
             else:
-                held[rows] = True
+                constrained[rows] = True
         if len(free) == len(waiting):
             return False
         waiting = free
@@ -448,16 +450,16 @@ def undamped_answers(model: LinearModel, shift: float = 0.0) -> Answers:
         return np.asarray(u - shifted @ (weight @ (load.T @ u)))
 
     free = np.diag(model.D)[e] + np.sum(load * rest, axis=0)
-    found: dict[str, float | None] = {"capacitance_free_f": float(free[0])}
-    found["capacitance_clamped_f"] = float(model.D[e[0], e[0]])
+    stated: dict[str, float | None] = {"capacitance_free_f": float(free[0])}
+    stated["capacitance_clamped_f"] = float(model.D[e[0], e[0]])
     for port, capacitance in zip(e[1:], free[1:], strict=True):
-        found[f"{model.ports[port].name}_capacitance_f"] = float(capacitance)
+        stated[f"{model.ports[port].name}_capacitance_f"] = float(capacitance)
     for port in force:
         stroke = f"free_stroke_{model.ports[port].name}_m_per_v"
-        found[stroke] = float(model.B[:, port] @ rest[:, 0])
-    found["resonance_short_hz"], modes = _resonance(model, solve, e, shift)
-    found["resonance_open_hz"], _ = _resonance(model, opened, e, shift)
-    facts = {name: value for name, value in found.items() if value is not None}
+        stated[stroke] = float(model.B[:, port] @ rest[:, 0])
+    stated["resonance_short_hz"], modes = _resonance(model, solve, e, shift)
+    stated["resonance_open_hz"], _ = _resonance(model, opened, e, shift)
+    facts = {name: value for name, value in stated.items() if value is not None}
     return Answers(facts, rest, pushed, modes)
 
 
@@ -478,10 +480,10 @@ def mesh_errors(device: Device, answers: Answers, sectors: int = 1) -> dict[str,
     voltages = np.zeros((volts, z.shape[1]))
     voltages[:, n : n + volts] = np.eye(volts)
     products = energy_products(device.solid, *device.nodal(z, voltages))
-    own, error = np.diag(products.solution), np.diag(products.error)
+    energy, error = np.diag(products.solution), np.diag(products.error)
     changes = {}
     if n:
-        each = -0.5 * error[:n] / own[:n]
+        each = -0.5 * error[:n] / energy[:n]
         changes = {"resonance": each[0], "modes": each[np.abs(each).argmax()]}
     if volts:
         free = answers.facts["capacitance_free_f"]
@@ -490,7 +492,7 @@ def mesh_errors(device: Device, answers: Answers, sectors: int = 1) -> dict[str,
         if name.startswith("free_stroke_") and stroke:
             changes["stroke"] = sectors * _likely(products, n, -1) / stroke
     if not volts and answers.pushed.shape[1]:
-        changes["compliance"] = error[-1] / own[-1]
+        changes["compliance"] = error[-1] / energy[-1]
     return {f"{MESH_ERROR}{name}": _relative(change) for name, change in changes.items()}
 
 
@@ -628,8 +630,8 @@ class Bonded:
         """Along each axis all edges and equal cells between them."""
         model = self if self.like is None else self.like
         result = []
-        for own, others in zip(self._edges(), model._edges(), strict=True):
-            (points, place), (counted, alike) = _distinct(own), _distinct(others)
+        for edges, model_edges in zip(self._edges(), model._edges(), strict=True):
+            (points, place), (counted, alike) = _distinct(edges), _distinct(model_edges)
             if not np.array_equal(place, alike):
                 problem = "the body's edges change their order, which no mesh that moves can follow"
                 expected = "sizes that keep which edge lies beyond which: narrower ranges"
@@ -657,9 +659,9 @@ class Bonded:
         owner = np.full(mesh.nelements, -1)
         for block in self.blocks:
             owner[_within(block.box, middle, near)] = list(materials).index(block.material.name)
-        kept = np.flatnonzero(owner >= 0)
+        occupied = np.flatnonzero(owner >= 0)
         result = tuple(materials.values())
-        return Solid(mesh.restrict(kept), result, owner[kept], axisymmetric=len(grid) == 2)
+        return Solid(mesh.restrict(occupied), result, owner[occupied], axisymmetric=len(grid) == 2)
 
     def _setup(self, solid: Solid, near: float) -> Setup:
         places, letters = solid.places, "xz" if solid.axisymmetric else "xyz"

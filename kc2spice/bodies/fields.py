@@ -91,9 +91,9 @@ def lowest_modes(device: Device, count: int, end: float) -> tuple[np.ndarray, np
     """Frequencies [Hz] below ``end`` of at most ``count`` modes that the ports excite, electrodes
     shorted, and their displacements (n, modes); motions without stiffness are none of them."""
     basis, omega, _ = _modes(device, np.inf)
-    kept = np.flatnonzero((omega > STILL * omega.max()) & (omega < 2 * np.pi * end))
-    kept = kept[np.argsort(omega[kept])][:count]
-    return omega[kept] / (2 * np.pi), basis[:, kept]
+    selected = np.flatnonzero((omega > STILL * omega.max()) & (omega < 2 * np.pi * end))
+    selected = selected[np.argsort(omega[selected])][:count]
+    return omega[selected] / (2 * np.pi), basis[:, selected]
 
 
 def _modes(device: Device, span: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -142,10 +142,10 @@ class Probe:
         for _, B, G in self._operators:
             C, e = np.empty((len(nodes), 6, 6)), np.empty((len(nodes), 3, 6))
             for number, each in enumerate(constants):
-                own = solid.owner == number
+                members = solid.owner == number
                 C_all, e_all, _ = next(each)
-                C[own] = C_all if len(C_all) == 1 else C_all[own]
-                e[own] = e_all if len(e_all) == 1 else e_all[own]
+                C[members] = C_all if len(C_all) == 1 else C_all[members]
+                e[members] = e_all if len(e_all) == 1 else e_all[members]
             E = -(G @ phi[nodes]) * active
             stresses.append(C @ (B @ u[moves]) - e.transpose(0, 2, 1) @ E)
             fields.append(E)
@@ -232,22 +232,22 @@ def extremes(motion: Motion) -> list[Extreme]:
     names = np.array([material.name for material in solid.materials])[probe.owner]
     result = []
     for name in dict.fromkeys(material.name for material in solid.materials):
-        own = np.flatnonzero(names == name)
-        made_of = [solid.materials[k] for k in probe.owner[own]]
+        members = np.flatnonzero(names == name)
+        made_of = [solid.materials[k] for k in probe.owner[members]]
         poling = np.array([item.axis for item in made_of])
         if made_of[0].cylinder is not None and not solid.axisymmetric:
-            frames = made_of[0].cylinder.frames(places[:, own].T)
+            frames = made_of[0].cylinder.frames(places[:, members].T)
             poling = np.einsum("pij,pj->pi", frames, poling)
         for quantity, (unit, limit) in QUANTITIES.items():
             if quantity != "principal_stress" and not made_of[0].piezoelectric:
                 continue
-            values = partial(_values, quantity, T[own], E[own], poling)
+            values = partial(_values, quantity, T[members], E[members], poling)
             parts = map(values, np.array_split(states, -(-len(states) // CHUNK)))
             rows = [(part.max(axis=1), part.argmax(axis=1)) for part in parts]
             curve, points = (np.concatenate(item) for item in zip(*rows, strict=True))
             k = int(curve.argmax())
             point = int(points[k])
-            at, place = float(motion.time[selected[k]]), tuple(places[:, own[point]])
+            at, place = float(motion.time[selected[k]]), tuple(places[:, members[point]])
             largest = float(curve[k]), getattr(made_of[point], limit), at, place
             result.append(Extreme(name, quantity, unit, *largest, motion.time[selected], curve))
     return result

@@ -89,13 +89,15 @@ def analyse(frequency: np.ndarray, impedance_ohm: np.ndarray) -> Reading:
     quality = math.sqrt(bvd.lm_h / bvd.cm_f) / bvd.rm_ohm
     _require_resonance(f[window], Y[window], bvd, resonance, quality)
     low = np.array([min(1e3, resonance / 10)])
-    known, seen = (low, bvd.admittance(low)) if f[0] > low[0] else (f, Y)
+    sampled_at, admittance = (low, bvd.admittance(low)) if f[0] > low[0] else (f, Y)
     return Reading(
         resonance_hz=resonance,
         antiresonance_hz=resonance * math.sqrt(1 + ratio),
         quality=quality,
         coupling=math.sqrt(ratio / (1 + ratio)),
-        capacitance_f=float(np.interp(low, known, seen.imag / (2 * np.pi * known))[0]),
+        capacitance_f=float(
+            np.interp(low, sampled_at, admittance.imag / (2 * np.pi * sampled_at))[0]
+        ),
         bvd=bvd,
     )
 

@@ -186,13 +186,20 @@ def layer_materials(
     """Materials, and the number of that of each level from the bottom up, of so many layers each
     (none in a cap)."""
     plain = replace(kick.ceramic, breakdown_field=breakdown)
-    own, active = plain.poled((0, 0, 1) if kick.poling == "z" else (1, 0, 0)), np.flatnonzero(spans)
+    poled, active = (
+        plain.poled((0, 0, 1) if kick.poling == "z" else (1, 0, 0)),
+        np.flatnonzero(spans),
+    )
     owner = np.zeros(len(spans), int)
     signed = np.where(np.arange(len(active)) % 2, spans[active], -spans[active])
     kinds, owner[active] = np.unique(signed, return_inverse=True)
     materials = [
         replace(
-            own, e=n * own.e, eps_S=n**2 * own.eps_S, axis=np.sign(n) * own.axis, dielectric=True
+            poled,
+            e=n * poled.e,
+            eps_S=n**2 * poled.eps_S,
+            axis=np.sign(n) * poled.axis,
+            dielectric=True,
         )
         for n in kinds
     ]
@@ -213,8 +220,8 @@ def _fixed(kick: Chip, solid: Solid) -> np.ndarray:
     """Mask of the displacements ``3 node + axis`` that mirror planes and the mounting hold."""
     fixed = np.zeros(solid.places.T.shape, dtype=bool)
     near = _NEAR * solid.places.max()
-    held = {"roller": "z", "glued": "xyz"}.get(str(kick.mounting), "")
-    sides = ("x" if kick.poling == "z" else "yz", "y", held)
+    mounting = {"roller": "z", "glued": "xyz"}.get(str(kick.mounting), "")
+    sides = ("x" if kick.poling == "z" else "yz", "y", mounting)
     for axes, height in zip(sides, solid.places, strict=True):
         for axis in axes:
             fixed[height < near, "xyz".index(axis)] = True

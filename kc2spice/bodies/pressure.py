@@ -143,10 +143,10 @@ def local_compliance(chip: Chip, shape: PressureBasis) -> LocalCompliance:
     S = surface_compliance(chip, shape)
     # the round stack of the same layers and the same mesh under the patch
     alike = ("height", "layers", "bottom_cap", "top_cap", "material", "mesh", "damping")
-    own = {name: getattr(chip, name) for name in alike} | {"diameter": 2 * min(chip.half)}
+    chip_keys = {name: getattr(chip, name) for name in alike} | {"diameter": 2 * min(chip.half)}
     pressure = shape.pressure(LocalCompliance(S, 0.0).shares)
     coarse = float(
-        _compliance(constrained(*stack_setup(Chip(**own), pressure=pressure)).model)[0, 0]
+        _compliance(constrained(*stack_setup(Chip(**chip_keys), pressure=pressure)).model)[0, 0]
     )
     lowest = float(np.linalg.eigvalsh(S - coarse)[0])
     if lowest < 0:
@@ -371,26 +371,26 @@ def _free(body: Sphere, shape: PressureBasis, refine: int) -> Device:
     under &= (r.max(axis=0) < (1 + 1e-9) * shape.nodes[-1]) & (h.max(axis=0) < radius)
     free = np.ones((solid.places.shape[1], 2), dtype=bool)
     free[solid.places[0] < 1e-6 * shape.nodes[1], 0] = False
-    kept = np.flatnonzero(free.ravel())
+    unknowns = np.flatnonzero(free.ravel())
     full = assemble(solid)
-    M, K = (sparse.csc_array(P[kept][:, kept]) for P in (full.M, full.K_uu))
-    along = (kept % 2).astype(float)
+    M, K = (sparse.csc_array(P[unknowns][:, unknowns]) for P in (full.M, full.K_uu))
+    along = (unknowns % 2).astype(float)
     momentum = M @ along
     mass = float(along @ momentum)
     slow = np.linalg.eigvalsh(body.material.C)[0] / body.material.density / radius**2
-    loads = _basis_loads(solid, shape, np.flatnonzero(under))[kept]
+    loads = _basis_loads(solid, shape, np.flatnonzero(under))[unknowns]
     model = with_potentials(
         M=M,
         K_uu=K,
         K_up=sparse.csc_array(momentum[:, None]),
         K_pp=sparse.csc_array([[mass / slow]]),
-        k_uV=np.zeros((len(kept), 0)),
+        k_uV=np.zeros((len(unknowns), 0)),
         c_VV=np.zeros((0, 0)),
         B=loads - momentum[:, None] / mass,
         ports=_basis_ports(shape),
-        facts={"unknowns": float(len(kept)), "mass_kg": mass},
+        facts={"unknowns": float(len(unknowns)), "mass_kg": mass},
     )
-    moved = sparse.eye_array(free.size, format="csc")[:, kept]
+    moved = sparse.eye_array(free.size, format="csc")[:, unknowns]
     none = sparse.csc_array((len(free), 0))  # no field in it
     return Device(model, solid, moved, none, none, np.zeros((0, 0)), 0.0, mass)
 

@@ -162,10 +162,10 @@ class Chip(Section):
         ------
         UsageError : no such material, or none that is isotropic about z.
         """
-        given = self.material
-        if not isinstance(given, str):
-            given = {"like": PAPER, **given}
-        result = material(given)
+        table = self.material
+        if not isinstance(table, str):
+            table = {"like": PAPER, **table}
+        result = material(table)
         if result.conductor or not result.isotropic_about_z:
             raise UsageError(f"{result.name} is no ceramic poled along z (class 6mm)")
         return replace(result, name="ceramic")

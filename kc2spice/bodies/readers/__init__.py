@@ -75,14 +75,14 @@ def read_model(path: Path | str, sidecar: Path | str | None = None) -> LinearMod
     if not path.name:
         expected = "the name of a model, such as FOLDER/NAME"
         raise UsageError("is a folder, not a model", where=str(path), expected=expected)
-    base, files, _, said = described(path, sidecar)
+    base, files, _, settings = described(path, sidecar)
     path = files.pop(_WHOLE, path)  # NAME stands for NAME.npz
-    result = _read(path, {**files, **said.files}, said.matrices)
+    result = _read(path, {**files, **settings.files}, settings.matrices)
     sound = {k: raw.checked(m, k, result.files.get(k, path)) for k, m in result.matrices.items()}
-    if said.dofs is not None:
-        dofs = raw.parsed(said.dofs, "lines 'node,dof', one for each row", _rows)
+    if settings.dofs is not None:
+        dofs = raw.parsed(settings.dofs, "lines 'node,dof', one for each row", _rows)
         result = replace(result, dofs=dofs)
-    return assemble(Rows(base.name, str(path), said, result, sound))
+    return assemble(Rows(base.name, str(path), settings, result, sound))
 
 
 def extent(path: Path, sidecar: Path | None) -> np.ndarray | None:
@@ -92,10 +92,12 @@ def extent(path: Path, sidecar: Path | None) -> np.ndarray | None:
     ------
     UsageError : a sidecar or a mesh that is wrong.
     """
-    *_, said = described(path, sidecar)
-    if said.mesh is None:
+    *_, settings = described(path, sidecar)
+    if settings.mesh is None:
         return None
-    return np.asarray(_sidecar.LENGTHS[said.length] * np.ptp(read_mesh(said.mesh).at, axis=0))
+    return np.asarray(
+        _sidecar.LENGTHS[settings.length] * np.ptp(read_mesh(settings.mesh).at, axis=0)
+    )
 
 
 # Suffixes allowed behind NAME.K or NAME_K.
@@ -130,10 +132,17 @@ def source_files(path: Path, sidecar: Path | None) -> tuple[Path, ...]:
     ------
     UsageError : a sidecar that is wrong.
     """
-    base, files, selected, said = described(path, sidecar)
-    named = [path, selected, *files.values(), *said.files.values(), said.mesh, said.dofs]
-    named += [*base.parent.glob(f"{base.name}.*"), *base.parent.glob(f"{base.name}_*")]
-    return tuple(sorted({item for item in named if item is not None and item.is_file()}))
+    base, files, selected, settings = described(path, sidecar)
+    paths = [
+        path,
+        selected,
+        *files.values(),
+        *settings.files.values(),
+        settings.mesh,
+        settings.dofs,
+    ]
+    paths += [*base.parent.glob(f"{base.name}.*"), *base.parent.glob(f"{base.name}_*")]
+    return tuple(sorted({item for item in paths if item is not None and item.is_file()}))
 
 
 def described(path: Path, sidecar: Path | None) -> tuple[Path, dict[str, Path], Path, Sidecar]:
@@ -146,10 +155,10 @@ def described(path: Path, sidecar: Path | None) -> tuple[Path, dict[str, Path], 
     UsageError : a sidecar that is wrong.
     """
     base, files = _family(path)
-    beside = path if path.suffix == ".toml" else base.with_name(f"{base.name}.toml")
-    selected, given = sidecar or beside, sidecar is not None or path.suffix == ".toml"
-    said = read_sidecar(selected) if given or raw.present(beside) else Sidecar()
-    return base, files, selected, said
+    default = path if path.suffix == ".toml" else base.with_name(f"{base.name}.toml")
+    selected, required = sidecar or default, sidecar is not None or path.suffix == ".toml"
+    settings = read_sidecar(selected) if required or raw.present(default) else Sidecar()
+    return base, files, selected, settings
 
 
 def _family(path: Path) -> tuple[Path, dict[str, Path]]:
@@ -192,11 +201,11 @@ def _family(path: Path) -> tuple[Path, dict[str, Path]]:
         got = ", ".join(other.name for other in archives)
         hint = f"give the full name, such as {archives[0].name}"
         raise wrong(str(path), "several files have this name", got, "one file", hint)
-    whole = dict.fromkeys([_WHOLE], archives[0]) if archives else {}
-    return (path.with_suffix("") if raw.present(path) else path), whole
+    archive = dict.fromkeys([_WHOLE], archives[0]) if archives else {}
+    return (path.with_suffix("") if raw.present(path) else path), archive
 
 
-def _read(path: Path, files: dict[str, Path], wanted: Mapping[str, str]) -> raw.Raw:
+def _read(path: Path, files: dict[str, Path], requested: Mapping[str, str]) -> raw.Raw:
     suffix = path.suffix.lower()
     if files:
         return _matrices(files)
@@ -211,7 +220,7 @@ def _read(path: Path, files: dict[str, Path], wanted: Mapping[str, str]) -> raw.
         got = "a file whose name does not end with the letter of a matrix"
         raise raw.refused(path, got, "names such as NAME.K, NAME_K.mtx or JOB_STIF1.mtx", hint)
     expected, read = READERS[suffix]
-    return raw.guarded(path, expected, lambda: read(path, wanted))
+    return raw.guarded(path, expected, lambda: read(path, requested))
 
 
 def _matrices(files: dict[str, Path]) -> raw.Raw:
@@ -236,18 +245,18 @@ def _matrices(files: dict[str, Path]) -> raw.Raw:
         else:
             expected = "Matrix Market, Harwell-Boeing, or an .mtx file of Abaqus"
             raise raw.refused(path, f"matrix {letter} in an unknown format", expected)
-    named = raw.Raw({})
+    abaqus = raw.Raw({})
     if tables:
         one = next(iter(tables.values()))
         expected = "stiffness, mass and damping of one job"
-        named = raw.guarded(one, expected, lambda: codes.read_abaqus(tables))
-    result |= named.matrices
-    dofs, names = named.dofs, [path for path in mapped if raw.present(path)]
+        abaqus = raw.guarded(one, expected, lambda: codes.read_abaqus(tables))
+    result |= abaqus.matrices
+    dofs, names = abaqus.dofs, [path for path in mapped if raw.present(path)]
     if names and dofs is None:
         size = next(m.shape[0] for k, m in result.items() if k in "MEKA")
         expected = f"lines of equation, node and degree of freedom for {size} equations"
         dofs = raw.parsed(names[0], expected, partial(codes.mapping, size=size))
-    return raw.Raw(result, dofs, named.held, files)
+    return raw.Raw(result, dofs, abaqus.fixed, files)
 
 
 def _head(path: Path) -> bytes:

@@ -26,27 +26,27 @@ def assemble(rows: Rows) -> LinearModel:
     UsageError : letters missing or too many, shapes that do not fit, matrices that are zero or
         half stored, freedoms or nodes that do not exist; the message names file and key.
     """
-    rows = replace(rows, found=_named(rows))
-    rows = replace(rows, found=_whole(rows))
-    rows = replace(rows, found=rows.in_si())
-    if any(entry.kind == "electrical" and entry.placed for entry in rows.said.ports):
+    rows = replace(rows, matrices=_match_letters(rows))
+    rows = replace(rows, matrices=_complete(rows))
+    rows = replace(rows, matrices=rows.in_si())
+    if any(entry.kind == "electrical" and entry.placed for entry in rows.sidecar.ports):
         return _with_electrodes(rows)
     return _plain(rows)
 
 
-def _named(rows: Rows) -> Mapping[str, Matrix]:
+def _match_letters(rows: Rows) -> Mapping[str, Matrix]:
     """All matrices under our letters: many tools call the damping C, which is E here, and C the
     outputs. Which of these a square C beside M and K is, is never guessed."""
-    found, said = rows.found, rows.said
-    C, K = found.get("C"), found.get("K")
-    if said.damping_matrix == "C":
-        where = f"{said.where}: damping_matrix"
-        if C is None or not {"M", "K"} <= set(found) or "E" in found:
-            got = f"matrices {', '.join(sorted(found))}"
+    matrices, settings = rows.matrices, rows.sidecar
+    C, K = matrices.get("C"), matrices.get("K")
+    if settings.damping_matrix == "C":
+        where = f"{settings.where}: damping_matrix"
+        if C is None or not {"M", "K"} <= set(matrices) or "E" in matrices:
+            got = f"matrices {', '.join(sorted(matrices))}"
             raise wrong(where, "no damping matrix of this name", got, "M, C, K and B, without E")
-        return {"E" if letter == "C" else letter: matrix for letter, matrix in found.items()}
+        return {"E" if letter == "C" else letter: matrix for letter, matrix in matrices.items()}
     square = C is not None and K is not None and C.shape == K.shape
-    if square and "M" in found and "E" not in found and said.outputs is None:
+    if square and "M" in matrices and "E" not in matrices and settings.outputs is None:
         raise wrong(
             rows.where,
             "matrix C may be the damping or the outputs",
@@ -58,45 +58,45 @@ def _named(rows: Rows) -> Mapping[str, Matrix]:
     if square and C.shape[0] ** 2 > MAX_WIDE:  # type: ignore[union-attr]
         got = f"{C.shape[0]} outputs"  # type: ignore[union-attr]
         raise wrong(rows.where, "too many outputs", got, f"at most {MAX_WIDE} numbers in C")
-    if square and "M" in found and "E" not in found:  # outputs of a model without damping
-        return {**found, "E": sparse.csc_array(K.shape)}  # type: ignore[union-attr]
-    return found
+    if square and "M" in matrices and "E" not in matrices:  # outputs of a model without damping
+        return {**matrices, "E": sparse.csc_array(K.shape)}  # type: ignore[union-attr]
+    return matrices
 
 
-def _whole(rows: Rows) -> Mapping[str, Matrix]:
+def _complete(rows: Rows) -> Mapping[str, Matrix]:
     """Return all matrices of the model by letter, and check that their shapes fit.
 
     Without M the model is of first order, such as heat conduction ``E x' + K x = B u``. A matrix of
     which one triangle is stored is mirrored only if the sidecar states ``symmetric = true``.
     Otherwise a matrix with one triangle is an error, and so is a matrix of zeros other than E.
     """
-    given = dict(rows.found)
-    stiffness = given.get("K")
+    matrices = dict(rows.matrices)
+    stiffness = matrices.get("K")
     structural = stiffness is not None and np.iscomplexobj(stiffness)
     if structural:
-        given["K"] = sparse.csc_array(stiffness.real)  # type: ignore[union-attr]
-    if "B" not in given and not rows.said.ports:
+        matrices["K"] = sparse.csc_array(stiffness.real)  # type: ignore[union-attr]
+    if "B" not in matrices and not rows.sidecar.ports:
         expected = "matrix B with a column for each input, or [[ports]] in the TOML file"
-        got = "matrices " + ", ".join(sorted(given))
+        got = "matrices " + ", ".join(sorted(matrices))
         hint = f"add the matrix B, or [[ports]] to {rows.name}.toml"
         raise wrong(rows.where, "the model has no inputs", got, expected, hint)
-    size = max((matrix.shape[0] for k, matrix in given.items() if k in "MEKA"), default=1)
-    model = LinearModel(**{"B": np.ones((size, 1)), **given}, name=rows.where)
-    kept = (set(given) - {"K"}) | {"A"} if model.first_order else set(given)
-    kept |= set("CD") if "B" in given else set()
-    result = {letter: getattr(model, letter) for letter in kept}
+    size = max((matrix.shape[0] for k, matrix in matrices.items() if k in "MEKA"), default=1)
+    model = LinearModel(**{"B": np.ones((size, 1)), **matrices}, name=rows.where)
+    letters = (set(matrices) - {"K"}) | {"A"} if model.first_order else set(matrices)
+    letters |= set("CD") if "B" in matrices else set()
+    result = {letter: getattr(model, letter) for letter in letters}
     if structural and "K" in result:
         result["K"] = stiffness
-    said, square = rows.said.symmetric, {k: result[k] for k in "MEKA" if k in result}
+    symmetric, square = rows.sidecar.symmetric, {k: result[k] for k in "MEKA" if k in result}
     halves = [k for k, matrix in square.items() if half_stored(matrix)]
-    if said is None and halves:
+    if symmetric is None and halves:
         hint = f"in {rows.name}.toml: symmetric = true for halves, false if it is triangular"
         problem = "only one triangle is stored, but the file says 'general'"
         raise wrong(rows.where, problem, f"matrix {', '.join(halves)}", "the whole matrix", hint)
-    square |= {k: mirrored(square[k]) for k in halves if said}
+    square |= {k: mirrored(square[k]) for k in halves if symmetric}
     for letter, matrix in square.items():
-        if said and abs(matrix - matrix.T).max() > 1e-9 * abs(matrix).max():
-            expected = f"what symmetric = true in {rows.said.where} says"
+        if symmetric and abs(matrix - matrix.T).max() > 1e-9 * abs(matrix).max():
+            expected = f"what symmetric = true in {rows.sidecar.where} says"
             raise wrong(rows.where, f"matrix {letter} is not symmetric", expected=expected)
         if letter != "E" and not matrix.count_nonzero():
             problem, expected = f"matrix {letter} is zero", f"entries in {letter}"
@@ -111,22 +111,24 @@ def _cut(matrix: Matrix, keep: np.ndarray) -> Matrix:
 
 @dataclass(frozen=True, eq=False)
 class Rows:
-    """A model as its files have it, ``raw``, with what its sidecar has ``said``: which row is which
-    freedom, and where the nodes are. ``where`` is the path to quote, ``found`` are its matrices by
-    letter."""
+    """A model as its files contain it, ``raw``, with the degrees of freedom of its rows and the
+    places of its nodes from its ``sidecar``.
+
+    Errors quote the path ``where``. ``matrices`` are the matrices by letter.
+    """
 
     name: str
     where: str
-    said: Sidecar
+    sidecar: Sidecar
     raw: Raw
-    found: Mapping[str, Matrix]
+    matrices: Mapping[str, Matrix]
 
     # --- freedoms ---------------------------------------------------------------------------------
 
     @property
     def size(self) -> int:
         """How many rows there are."""
-        return int(self.found["K" if "K" in self.found else "A"].shape[0])
+        return int(self.matrices["K" if "K" in self.matrices else "A"].shape[0])
 
     def dofs(self, where: str) -> Dofs:
         """The names of the rows, which ``where`` asks for."""
@@ -146,8 +148,8 @@ class Rows:
     def find(self, place: Place, kinds: tuple[int, ...]) -> list[np.ndarray]:
         """Rows of the freedoms ``kinds`` at the nodes of ``place``, one array per kind; of all
         freedoms there, each its own, without any kind. None of a set's nodes need be missing."""
-        where = self.said.of(place)
-        dofs, mesh = self.dofs(where), self.said.mesh
+        where = self.sidecar.of(place)
+        dofs, mesh = self.dofs(where), self.sidecar.mesh
         if place.numbers:
             nodes = np.unique(np.array(place.numbers, dtype=np.int64))
         elif mesh is None:
@@ -179,27 +181,27 @@ class Rows:
 
     def in_si(self) -> Mapping[str, Matrix]:
         """Matrices in metres and newtons: virtual work is what both unit systems agree on."""
-        said = self.said
-        length, force = LENGTHS[said.length], FORCES[said.force]
+        settings = self.sidecar
+        length, force = LENGTHS[settings.length], FORCES[settings.force]
         if length == force == 1:
-            return self.found
-        where = f"{said.where}: length"
+            return self.matrices
+        where = f"{settings.where}: length"
         kind = self.dofs(where).kind
         strange = np.setdiff1d(kind, TRANSLATIONS + ROTATIONS)
-        if strange.size or "A" in self.found or "B" in self.found:
+        if strange.size or "A" in self.matrices or "B" in self.matrices:
             got = DOFS[int(strange[0])] if strange.size else "A or B"
             expected = "displacements and rotations only, M and K"
             raise UsageError("cannot be converted", where=where, got=got, expected=expected)
         t = sparse.diags_array(np.where(np.isin(kind, TRANSLATIONS), 1 / length, 1.0))
-        return {k: sparse.csc_array(force * length * (t @ m @ t)) for k, m in self.found.items()}
+        return {k: sparse.csc_array(force * length * (t @ m @ t)) for k, m in self.matrices.items()}
 
-    def held(self) -> np.ndarray:
+    def fixed(self) -> np.ndarray:
         """Mask (rows,) of those that the tool or the sidecar holds at zero."""
-        held = np.zeros(self.size, dtype=bool)
-        held[self.raw.held] = True
-        for fixed in self.said.fixed:
-            held[np.concatenate(self.find(fixed, fixed.dof))] = True
-        return held
+        fixed_rows = np.zeros(self.size, dtype=bool)
+        fixed_rows[self.raw.fixed] = True
+        for fixed in self.sidecar.fixed:
+            fixed_rows[np.concatenate(self.find(fixed, fixed.dof))] = True
+        return fixed_rows
 
     # --- ports ------------------------------------------------------------------------------------
 
@@ -207,19 +209,19 @@ class Rows:
         """Column of a unit input of a port; for an output, its row."""
         if entry.column is not None or entry.row is not None:
             return self._listed(entry)
-        where, load = self.said.of(entry), np.zeros(self.size)
+        where, load = self.sidecar.of(entry), np.zeros(self.size)
         if entry.kind == "acceleration":  # acceleration of the frame: -M r
-            if "M" not in self.found:
+            if "M" not in self.matrices:
                 problem = "a port of kind acceleration needs a mass matrix"
                 raise wrong(where, problem, None, "matrix M", "add the matrix M")
             kind = self.dofs(where).kind
             for k, weight in entry.weights.items():
                 load[kind == k] = weight
-            return -np.asarray(self.found["M"] @ load)
+            return -np.asarray(self.matrices["M"] @ load)
         result = self.find(entry, tuple(entry.weights))
         for rows, weight in zip(result, entry.weights.values(), strict=True):
             load[rows] += weight / len(rows)  # their mean displacement is its product with x
-        if not load[~self.held()].any():
+        if not load[~self.fixed()].any():
             raise UsageError(
                 "the port is on fixed degrees of freedom",
                 where=where,
@@ -230,9 +232,9 @@ class Rows:
 
     def _listed(self, entry: PortEntry) -> np.ndarray:
         """A column of B or row of C; conservative ports see what they drive, so a C must agree."""
-        B = self.found.get("B", np.zeros((self.size, 0)))
-        C = self.found.get("C", B.T)  # the file's, or what goes with nodes alone
-        where, place = self.said.of(entry), entry.column or entry.row or 0
+        B = self.matrices.get("B", np.zeros((self.size, 0)))
+        C = self.matrices.get("C", B.T)  # the file's, or what goes with nodes alone
+        where, place = self.sidecar.of(entry), entry.column or entry.row or 0
         table, what = (B.T, "columns of B") if entry.row is None else (C, "rows of C")
         if place > len(table):
             counted = "column" if entry.row is None else "row"
@@ -249,43 +251,43 @@ class Rows:
 
     def ports(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, tuple[Port, ...]]:
         """B, C, D over all rows and the ports, in the order of the sidecar."""
-        said = self.said
-        if not said.ports:
-            return self.found["B"], self.found["C"], self.found["D"], ()
-        if self.size * len(said.ports) > MAX_WIDE:
-            got = f"{len(said.ports)} ports of {self.size} rows"
+        settings = self.sidecar
+        if not settings.ports:
+            return self.matrices["B"], self.matrices["C"], self.matrices["D"], ()
+        if self.size * len(settings.ports) > MAX_WIDE:
+            got = f"{len(settings.ports)} ports of {self.size} rows"
             expected = f"at most {MAX_WIDE // self.size} ports of this model"
-            raise UsageError("too many ports", where=said.where, got=got, expected=expected)
-        loads = {entry.name: self.load(entry) for entry in said.ports}
-        inputs = [entry for entry in said.ports if entry.kind != "output"]
-        outputs = [entry for entry in said.ports if entry.kind != "input"]
+            raise UsageError("too many ports", where=settings.where, got=got, expected=expected)
+        loads = {entry.name: self.load(entry) for entry in settings.ports}
+        inputs = [entry for entry in settings.ports if entry.kind != "output"]
+        outputs = [entry for entry in settings.ports if entry.kind != "input"]
         if not inputs or not outputs:
             expected = "ports of the kinds input and output, or a port of another kind"
             lacking = "output" if inputs else "input"
             hint = f'add a port with  kind = "{lacking}"'
-            raise wrong(said.where, f"no port is an {lacking}", None, expected, hint)
+            raise wrong(settings.where, f"no port is an {lacking}", None, expected, hint)
         into = np.array([entry.scale for entry in inputs])  # 1 of conservative ones
         out = 1 / np.array([[entry.scale] for entry in outputs])
         D = np.zeros((len(outputs), len(inputs)))
-        if "D" in self.found:  # where both the column and the row are the file's
+        if "D" in self.matrices:  # where both the column and the row are the file's
             rows, columns = ([e.row or e.column or 0 for e in side] for side in (outputs, inputs))
-            D = np.pad(self.found["D"], ((1, 0), (1, 0)))[np.ix_(rows, columns)]
+            D = np.pad(self.matrices["D"], ((1, 0), (1, 0)))[np.ix_(rows, columns)]
         return (
             np.column_stack([loads[e.name] for e in inputs]) * into,
             np.array([loads[e.name] for e in outputs]) * out,
             D * into * out,
-            tuple(entry.port for entry in said.ports),
+            tuple(entry.port for entry in settings.ports),
         )
 
 
 def _plain(rows: Rows) -> LinearModel:
     """Rows that nothing holds, with the damping of the sidecar on top."""
-    said = rows.said
-    keep = np.flatnonzero(~rows.held())
+    settings = rows.sidecar
+    keep = np.flatnonzero(~rows.fixed())
     if not keep.size:
         cure = "delete one of the [[fixed]] entries"
-        raise UsageError("every degree of freedom is fixed", where=said.where, hint=cure)
-    operators = {k: _cut(m, keep) for k, m in rows.found.items() if k in "MEKA"}
+        raise UsageError("every degree of freedom is fixed", where=settings.where, hint=cure)
+    operators = {k: _cut(m, keep) for k, m in rows.matrices.items() if k in "MEKA"}
     used = sum(abs(matrix).sum(axis=1) for matrix in operators.values())
     empty = np.flatnonzero(np.asarray(used) == 0)
     if empty.size:  # an unknown that nothing determines: a gap in the numbering
@@ -298,12 +300,12 @@ def _plain(rows: Rows) -> LinearModel:
         expected = "B, C not zero, on degrees of freedom that are not fixed"
         cure = "apply the ports at free nodes, or delete the [[fixed]] entries there"
         raise wrong(rows.where, "has no effective input or output", None, expected, cure)
-    alpha, beta = said.damping.rayleigh
+    alpha, beta = settings.damping.rayleigh
     damping: dict[str, Any] = {"rayleigh": (alpha, beta)} if alpha or beta else {}
     if damping and "A" in operators:
         hint = "delete the key damping"
         problem = "a first-order model has no Rayleigh damping"
-        raise wrong(f"{said.where}: damping", problem, None, "no damping", hint)
+        raise wrong(f"{settings.where}: damping", problem, None, "no damping", hint)
     if damping and "E" in operators:
         damping = {}
         operators["E"] = sparse.csc_array(
@@ -316,8 +318,8 @@ def _plain(rows: Rows) -> LinearModel:
         ports=ports,
         facts={"unknowns": len(keep)},
         name=rows.name,
-        band=said.band,
-        loss_factor=said.damping.loss_factor,
+        band=settings.band,
+        loss_factor=settings.damping.loss_factor,
         **operators,
         **damping,
     )
@@ -328,40 +330,40 @@ def _with_electrodes(rows: Rows) -> LinearModel:
 
     The tool's matrix is ``[[K_uu, K_up], [K_up', -K_pp]]``, as Ansys and Abaqus write it.
     """
-    said = rows.said
-    if "A" in rows.found or any(e.kind in ("input", "output") for e in said.ports):
+    settings = rows.sidecar
+    if "A" in rows.matrices or any(e.kind in ("input", "output") for e in settings.ports):
         problem = "electrodes at nodes need matrices M and K, and no inputs and outputs"
         expected = "ports of the kinds electrical, mechanical, rotational and acceleration"
-        raise wrong(said.where, problem, None, expected)
-    K, M, E = rows.found["K"], rows.found["M"], rows.found.get("E")
+        raise wrong(settings.where, problem, None, expected)
+    K, M, E = rows.matrices["K"], rows.matrices["M"], rows.matrices.get("E")
     if np.iscomplexobj(K):
         hint = "damping = { loss_factor = ... } in the TOML file, with the real part as matrix K"
         problem = "a complex K does not go with electrodes at nodes"
         raise wrong(rows.where, problem, "structural damping", "one loss factor", hint)
-    if E is not None and any(said.damping.rayleigh):
+    if E is not None and any(settings.damping.rayleigh):
         problem, hint = "damping is stated twice", "delete alpha and beta of the key damping"
-        raise wrong(said.where, problem, None, "matrix E or damping", hint)
+        raise wrong(settings.where, problem, None, "matrix E or damping", hint)
     potential = rows.dofs(rows.where).kind == VOLT
-    taken = rows.held()
-    electrodes = [entry for entry in said.ports if entry.kind == "electrical"]
+    occupied = rows.fixed()
+    electrodes = [entry for entry in settings.ports if entry.kind == "electrical"]
     T = np.zeros((rows.size, len(electrodes)))
     for column, entry in zip(T.T, electrodes, strict=True):
         (place,) = rows.find(entry, (VOLT,))
-        if taken[place].any():
-            where = said.of(entry)
+        if occupied[place].any():
+            where = settings.of(entry)
             expected = "nodes that are neither fixed nor of another port"
             problem = "an electrode shares nodes with another port or with a fixed entry"
             raise UsageError(problem, where=where, expected=expected)
-        column[place], taken[place] = 1.0, True
-    u, p = np.flatnonzero(~taken & ~potential), np.flatnonzero(~taken & potential)
+        column[place], occupied[place] = 1.0, True
+    u, p = np.flatnonzero(~occupied & ~potential), np.flatnonzero(~occupied & potential)
     KT = K @ T
     c = -(T.T @ KT)
     if M[:, potential].count_nonzero() or (np.diag(c) <= 0).any():
         expected = "K = [[K_uu, K_up], [K_up', -K_pp]] with K_pp positive definite"
         got = "mass on a potential, or a positive dielectric block"
         raise wrong(rows.where, "potentials are not as expected", got, expected)
-    loads = [rows.load(entry)[u] for entry in said.ports if entry.kind != "electrical"]
-    damping = {"rayleigh": said.damping.rayleigh} if E is None else {"E": _cut(E, u)}
+    loads = [rows.load(entry)[u] for entry in settings.ports if entry.kind != "electrical"]
+    damping = {"rayleigh": settings.damping.rayleigh} if E is None else {"E": _cut(E, u)}
     return with_potentials(
         M=_cut(M, u),
         K_uu=_cut(K, u),
@@ -371,10 +373,10 @@ def _with_electrodes(rows: Rows) -> LinearModel:
         k_pV=-KT[p],
         c_VV=c,
         B=np.reshape(loads, (len(loads), len(u))).T,
-        ports=[entry.port for entry in said.ports],
+        ports=[entry.port for entry in settings.ports],
         facts={"unknowns": len(u) + len(p)},
         name=rows.name,
-        band=said.band,
-        loss_factor=said.damping.loss_factor,
+        band=settings.band,
+        loss_factor=settings.damping.loss_factor,
         **damping,
     )

@@ -42,7 +42,7 @@ from kc2spice.rom.io import indices, mirrored, numbers
 LOSS = "H"  # the letter of structural damping, in K + j H
 NAME = re.compile(r"(.*)_(STIF|MASS|DMPV|DMPS)(\d*)\.mtx", re.IGNORECASE)
 _LETTER = {"STIF": "K", "MASS": "M", "DMPV": "E", "DMPS": LOSS}
-_HELD = 1e35
+_FIXED_STIFFNESS = 1e35
 _EXPECTED = "an .mtx file of *MATRIX OUTPUT, FORMAT=MATRIX INPUT or COORDINATE"
 SUFFIXES = (".sti", ".mas", ".dof")
 
@@ -71,18 +71,18 @@ def read_abaqus(files: dict[str, Path]) -> raw.Raw:
     """
     read = {letter: raw.parsed(path, _EXPECTED, _entries) for letter, path in files.items()}
     tables, dofs = {letter: table for letter, (_, table) in read.items()}, None
-    if len({named for named, _ in read.values()}) > 1:
+    if len({labelled for labelled, _ in read.values()}) > 1:
         one = next(iter(files.values()))
         raise raw.refused(one, "MATRIX INPUT and COORDINATE", "one format for all matrices")
-    if all(named for named, _ in read.values()):
+    if all(labelled for labelled, _ in read.values()):
         result, dofs = raw.labelled(tables)
-        result = {letter: raw.whole(matrix) for letter, matrix in result.items()}
+        result = {letter: raw.both_triangles(matrix) for letter, matrix in result.items()}
     else:
         n = 1 + max(int(side.max()) for row, column, _ in tables.values() for side in (row, column))
         result = {k: sparse.csc_array((v, (i, j)), (n, n)) for k, (i, j, v) in tables.items()}
-    held = result["K"].diagonal() >= _HELD if "K" in result else np.empty(0, dtype=bool)
+    fixed = result["K"].diagonal() >= _FIXED_STIFFNESS if "K" in result else np.empty(0, dtype=bool)
     result = with_loss(result)
-    return raw.Raw(result, dofs, np.flatnonzero(held))
+    return raw.Raw(result, dofs, np.flatnonzero(fixed))
 
 
 def with_loss(matrices: Mapping[str, Any]) -> dict[str, Any]:
@@ -166,7 +166,7 @@ def _triangle(data: bytes, n: int) -> sparse.csc_array:
     bare = np.bincount(row[row == column], minlength=n) == 0
     if bare.any():  # CalculiX writes every diagonal entry, zeros too
         raise ValueError(f"row {bare.argmax() + 1} has no diagonal entry: is it cut off?")
-    return raw.whole(sparse.csc_array((values[2::3], (row, column)), shape=(n, n)))
+    return raw.both_triangles(sparse.csc_array((values[2::3], (row, column)), shape=(n, n)))
 
 
 # Ansys counts freedoms in this file from 0.
@@ -181,9 +181,9 @@ _LONGEST = 10_000  # characters of a line
 _ANSYS = {"ROTX": "rx", "ROTY": "ry", "ROTZ": "rz"}
 
 
-def unpack_full(path: str, wanted: dict[str, str]) -> dict[str, np.ndarray]:
+def unpack_full(path: str, requested: dict[str, str]) -> dict[str, np.ndarray]:
     """Stiffness and mass of a ``.full`` file as arrays of an archive, with the freedoms that Ansys
-    constrains as ``held``; ``wanted`` means nothing here.
+    constrains as ``fixed``; ``requested`` is ignored.
 
     Raises
     ------
@@ -195,8 +195,8 @@ def unpack_full(path: str, wanted: dict[str, str]) -> dict[str, np.ndarray]:
     kind = np.array([raw.CODES[_KINDS[int(k)]] for k in place[:, 1]])
     const = np.asarray(file.const, dtype=np.int64).reshape(-1, 2)  # whose rows are left empty
     keys, constrained = (item[:, 0] * 64 + item[:, 1] for item in (place, const))
-    held = np.flatnonzero(np.isin(keys, constrained))
-    result = {"nodes": place[:, 0], "dofs": kind, "held": held}
+    fixed = np.flatnonzero(np.isin(keys, constrained))
+    result = {"nodes": place[:, 0], "dofs": kind, "fixed": fixed}
     for letter, matrix in (("K", stiffness), ("M", mass)):  # the upper triangle is stored
         result |= raw.packed(letter, mirrored(sparse.csc_array(matrix)))
     return result
@@ -302,7 +302,7 @@ _SHORT_EXPONENT = re.compile(r"(?<=[0-9.])([+-]\d+)$")  # 1.5+7 is 1.5e+7
 _SQUARE, _SYMMETRIC = 1, 6
 
 
-def choose(names: list[str], wanted: Mapping[str, str], path: Path) -> dict[str, str]:
+def choose(names: list[str], requested: Mapping[str, str], path: Path) -> dict[str, str]:
     """Which of the file's matrices stands for which letter.
 
     Raises
@@ -311,14 +311,14 @@ def choose(names: list[str], wanted: Mapping[str, str], path: Path) -> dict[str,
     """
     known = {name.upper(): name for name in names}
     selected = {}
-    for letter, name in wanted.items():
+    for letter, name in requested.items():
         if name.upper() not in known:
             raise raw.refused(path, f"no matrix {name}", f"one of {', '.join(names)}")
         selected[letter] = known[name.upper()]
     for first, letter in _FIRST.items():
         fits = [n for u, n in known.items() if u.startswith(first)]
         fits = [n for n in fits if first != "K" or not n.upper().startswith("K4")]
-        if letter in selected or not fits or wanted:
+        if letter in selected or not fits or requested:
             continue
         if len(fits) > 1:
             hint = f'matrices = {{ {letter} = "{fits[0]}" }} in the TOML file'
@@ -329,7 +329,7 @@ def choose(names: list[str], wanted: Mapping[str, str], path: Path) -> dict[str,
     return selected
 
 
-def read_dmig(path: Path, wanted: Mapping[str, str]) -> raw.Raw:
+def read_dmig(path: Path, requested: Mapping[str, str]) -> raw.Raw:
     """Matrices of the DMIG cards in ``path``, rows named by grid and component.
 
     Raises
@@ -338,10 +338,10 @@ def read_dmig(path: Path, wanted: Mapping[str, str]) -> raw.Raw:
     """
     expected = "square DMIG cards"
     forms, entries = raw.parsed(path, expected, _dmig)
-    selected = choose([n for n, f in forms.items() if f in (_SQUARE, _SYMMETRIC)], wanted, path)
+    selected = choose([n for n, f in forms.items() if f in (_SQUARE, _SYMMETRIC)], requested, path)
     matrices, dofs = raw.labelled({letter: entries[name] for letter, name in selected.items()})
     symmetric = {k for k, name in selected.items() if forms[name] == _SYMMETRIC}
-    mirrored_too = {k: raw.whole(m) if k in symmetric else m for k, m in matrices.items()}
+    mirrored_too = {k: raw.both_triangles(m) if k in symmetric else m for k, m in matrices.items()}
     return raw.Raw(with_loss(mirrored_too), dofs)
 
 
@@ -424,7 +424,7 @@ def real(text: str) -> float:
     return float(_SHORT_EXPONENT.sub(r"E\1", text.strip().upper().replace("D", "E")))
 
 
-def unpack_op4(path: str, wanted: Mapping[str, str]) -> dict[str, np.ndarray]:
+def unpack_op4(path: str, requested: Mapping[str, str]) -> dict[str, np.ndarray]:
     """The matrices of an OUTPUT4 file, text or binary, of either byte order, as arrays of an
     archive.
 
@@ -435,14 +435,14 @@ def unpack_op4(path: str, wanted: Mapping[str, str]) -> dict[str, np.ndarray]:
     """
     op4 = import_optional("pyyeti.nastran.op4", path)
     names, sizes, _, _ = op4.dir(path, verbose=False)
-    selected = choose(list(names), wanted, Path(path))
+    selected = choose(list(names), requested, Path(path))
     for letter, name in selected.items():
         raw.bounded(Path(path), letter, sizes[names.index(name)], None)
     loaded = op4.load(path, list(selected.values()), sparse=True)
     matrices = {}
     for letter, name in selected.items():
         matrix, form = sparse.csc_array(loaded[name][0]), loaded[name][1]
-        matrices[letter] = raw.whole(matrix) if form == _SYMMETRIC else matrix
+        matrices[letter] = raw.both_triangles(matrix) if form == _SYMMETRIC else matrix
     result: dict[str, np.ndarray] = {}
     for letter, matrix in with_loss(matrices).items():
         result |= raw.packed(letter, matrix)

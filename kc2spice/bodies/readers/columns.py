@@ -336,11 +336,11 @@ def _is_unit(word: str) -> bool:
 
 def _divided(line: str, separator: str | None, columns: int) -> list[str] | None:
     """A line as so many titles, None where no separator does."""
-    ways = [_fields(line, separator)]
+    splits = [_fields(line, separator)]
     if separator is None:  # blanks also divide the words of one title
-        ways += [_fields(line, other) for other in SEPARATORS if other is not None]
-        ways.append(re.split(r"\s{2,}", line.strip()))
-    return next((fields for fields in ways if len(fields) == columns), None)
+        splits += [_fields(line, other) for other in SEPARATORS if other is not None]
+        splits.append(re.split(r"\s{2,}", line.strip()))
+    return next((fields for fields in splits if len(fields) == columns), None)
 
 
 def _column_numbers(

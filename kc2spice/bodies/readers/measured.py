@@ -171,7 +171,7 @@ class Measured(EqualByContent):
 
 def is_measured(path: Path) -> bool:
     """Whether a path is that of a measured response."""
-    named = _TOUCHSTONE.fullmatch(path.suffix) or (
+    by_suffix = _TOUCHSTONE.fullmatch(path.suffix) or (
         path.suffix.lower() in _TABLES and not _MATRIX.fullmatch(path.stem)
     )
     if path.suffix.lower() == ".mat" and present(path):
@@ -179,7 +179,7 @@ def is_measured(path: Path) -> bool:
             return any(map(_is_frequency, _variables(path, path.stat().st_mtime)))
         except (ValueError, NotImplementedError):  # which the reader of matrices tells
             return False
-    return bool(named) and present(path)
+    return bool(by_suffix) and present(path)
 
 
 def read_measured(path: Path) -> Measured:
@@ -211,29 +211,31 @@ def read_measured(path: Path) -> Measured:
         return _touchstone(text, int(match[2] or 0)) if match else _response(*read_table(text))
 
     with np.errstate(all="ignore"):  # values that are not finite are refused
-        found = guarded(path, expected, read, advice)
-    f, Y = found.f, found.Y
+        response = guarded(path, expected, read, advice)
+    f, Y = response.f, response.Y
     if not (np.isfinite(f).all() and np.isfinite(Y).all() and f.min(initial=1.0) >= 0):
         got = "NaN, infinity, an impedance of zero or a frequency below zero"
         raise refused(path, got, "finite numbers", HINT)
-    f, kept = np.unique(f, return_index=True)  # increasing, each once
-    kept = kept[f > 0]
-    if len(kept) < FEWEST:
-        raise refused(path, f"{len(kept)} frequencies", f"at least {FEWEST}", "measure more points")
+    f, order = np.unique(f, return_index=True)  # increasing, each once
+    order = order[f > 0]
+    if len(order) < FEWEST:
+        raise refused(
+            path, f"{len(order)} frequencies", f"at least {FEWEST}", "measure more points"
+        )
     result = Measured(
         name=path.stem,
         where=str(path),
-        f=found.f[kept],
-        Y=Y[kept],
-        notes=found.notes,
-        quantity=found.quantity,
-        samples=found.samples[kept],
-        reference=found.reference,
-        columns=found.columns,
+        f=response.f[order],
+        Y=Y[order],
+        notes=response.notes,
+        quantity=response.quantity,
+        samples=response.samples[order],
+        reference=response.reference,
+        columns=response.columns,
     )
-    if len(kept) > MOST:
+    if len(order) > MOST:
         hint = "leave out points between resonances"
-        raise refused(path, f"{len(kept)} frequencies", f"at most {MOST}", hint)
+        raise refused(path, f"{len(order)} frequencies", f"at most {MOST}", hint)
     _require_conducting(result)
     _require_passive(result)
     return result
@@ -319,11 +321,11 @@ def _touchstone(text: str, ports: int) -> Response:
     z0 = np.broadcast_to(reference if len(reference) == n else reference[:1], (n,)).astype(float)
     if kind != "s" and "version" not in keys:  # version 1 normalises to the first reference
         P = P * z0[0] if kind == "z" else P / z0[0]
-    said = f"{kind.upper()} of {n} ports in {form.upper()}, frequency in {_spelled(unit)}"
-    said += f", reference {' '.join(f'{R:g}' for R in reference)} Ohm" if kind == "s" else ""
+    summary = f"{kind.upper()} of {n} ports in {form.upper()}, frequency in {_spelled(unit)}"
+    summary += f", reference {' '.join(f'{R:g}' for R in reference)} Ohm" if kind == "s" else ""
     quantity = _QUANTITIES[kind]
     Y = _admittance(quantity, P, z0)
-    return Response(_HERTZ[unit] * table[:, 0], quantity, P, Y, z0, tuple(notes), said)
+    return Response(_HERTZ[unit] * table[:, 0], quantity, P, Y, z0, tuple(notes), summary)
 
 
 _QUANTITIES: dict[str, Quantity] = {"s": "S", "z": "Z", "y": "Y"}
@@ -377,10 +379,10 @@ def _response(titles: list[str], rows: np.ndarray) -> Response:
     if "c" in combination.columns:
         notes.append(f"{columns['c'].title.text}: neither Cp nor Cs, taken as Cp")
     left = [text for text in titles if text not in [column.title.text for column in used]]
-    said = ", ".join(map(str, used)) + (f"; not used: {', '.join(left)}" if left else "")
+    summary = ", ".join(map(str, used)) + (f"; not used: {', '.join(left)}" if left else "")
     z0 = np.array([REFERENCE])
     Y = _admittance(combination.quantity, samples, z0)
-    return Response(f, combination.quantity, samples, Y, z0, tuple(notes), said)
+    return Response(f, combination.quantity, samples, Y, z0, tuple(notes), summary)
 
 
 @lru_cache(maxsize=1)
@@ -398,36 +400,38 @@ def _is_frequency(name: str) -> bool:
     return title is not None and title.meaning.quantity == "f"
 
 
-def _matlab(found: dict[str, np.ndarray]) -> Response:
+def _matlab(variables: dict[str, np.ndarray]) -> Response:
     """Real vectors are columns; a complex array says all itself, its parts are those of one."""
-    first = next(filter(_is_frequency, found), None)
+    first = next(filter(_is_frequency, variables), None)
     if first is None:
-        raise ValueError(f"variables {', '.join(found)}, none of them the frequency")
-    n, said = found[first].size, ", ".join(found)
+        raise ValueError(f"variables {', '.join(variables)}, none of them the frequency")
+    n, names = variables[first].size, ", ".join(variables)
     columns = {
-        name: a.ravel() for name, a in found.items() if a.size == n and a.dtype.kind in "fiu"
+        name: a.ravel() for name, a in variables.items() if a.size == n and a.dtype.kind in "fiu"
     }
-    numbers = [name for name in found if found[name].dtype.kind == "c"]
+    numbers = [name for name in variables if variables[name].dtype.kind == "c"]
     kinds = [(k, name) for k in _COMPLEX for name in numbers if _is_complex(k, name)]
     if not kinds:
         return _response(list(columns), np.column_stack(list(columns.values())))
     quantity, name = kinds[0]
-    P = found[name]
+    P = variables[name]
     if P.ndim == 3 and P.shape[2] == n and P.shape[0] == P.shape[1]:
         P = np.moveaxis(P, 2, 0)
     elif P.size == n:
         P = P.reshape(n, 1, 1)
     if P.ndim != 3 or P.shape[0] != n or P.shape[1] != P.shape[2]:
-        raise ValueError(f"{name} of {P.shape} beside {n} frequencies in {said}")
+        raise ValueError(f"{name} of {P.shape} beside {n} frequencies in {names}")
     title = read_title(first)
     assert title is not None  # title of the frequency
-    frequency = column_of(title, found[first].ravel())
+    frequency = column_of(title, variables[first].ravel())
     notes = [frequency.note] if frequency.note else []
     P, R = P * _scale(name), REFERENCE
     if quantity == "S":
-        given = next((found[k] for k in found if k.lower() in _RESISTANCE), None)
-        R = R if given is None else float(given.ravel()[0].real)
-        notes += [f"{name}: no reference resistance, taken as {R:g} Ohm"] if given is None else []
+        resistance = next((variables[k] for k in variables if k.lower() in _RESISTANCE), None)
+        R = R if resistance is None else float(resistance.ravel()[0].real)
+        notes += (
+            [f"{name}: no reference resistance, taken as {R:g} Ohm"] if resistance is None else []
+        )
     z0 = np.full(P.shape[1], R)
     Y = _admittance(quantity, P, z0)
     understood = f"{frequency}, {quantity} from {name!r}"

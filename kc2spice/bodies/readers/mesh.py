@@ -81,8 +81,8 @@ def read_mesh(path: Path) -> Mesh:
         at = np.array(list(nodes.values()), dtype=float)
         if not np.isfinite(at).all():
             raise ValueError("a coordinate is not finite")
-        named = {name: np.unique(np.array(item, np.int64)) for name, item in sets.items()}
-        return Mesh(str(path), node, at, named)
+        node_sets = {name: np.unique(np.array(item, np.int64)) for name, item in sets.items()}
+        return Mesh(str(path), node, at, node_sets)
 
     return parsed(path, _EXPECTED, mesh)
 

@@ -194,10 +194,10 @@ class Dofs:
 
     def __post_init__(self) -> None:
         for name in ("node", "kind"):
-            given = np.asarray(getattr(self, name))
-            if not (given == np.floor(given)).all() or (abs(given) >= _LARGEST_NODE).any():
+            labels = np.asarray(getattr(self, name))
+            if not (labels == np.floor(labels)).all() or (abs(labels) >= _LARGEST_NODE).any():
                 raise ValueError("the number of a node or of its degree of freedom is missing")
-            object.__setattr__(self, name, given.astype(np.int64))
+            object.__setattr__(self, name, labels.astype(np.int64))
         strange = ~np.isin(self.kind, list(DOFS))
         if self.node.shape != self.kind.shape or strange.any():
             raise ValueError(f"degree of freedom {', '.join(map(str, self.kind[strange][:1]))}")
@@ -218,13 +218,13 @@ class Raw:
     ----------
     matrices : matrices by letter
     dofs : degrees of freedom of the rows, if the file names them
-    held : rows that the exporting program fixed
+    fixed : rows that the exporting program fixed
     files : the file of each matrix that has a separate one
     """
 
     matrices: Mapping[str, Matrix]
     dofs: Dofs | None = None
-    held: np.ndarray = field(default_factory=lambda: np.empty(0, dtype=np.int64))
+    fixed: np.ndarray = field(default_factory=lambda: np.empty(0, dtype=np.int64))
     files: Mapping[str, Path] = field(default_factory=dict)
 
 
@@ -249,7 +249,7 @@ def labelled(triples: Mapping[str, Triple]) -> tuple[dict[str, sparse.csc_array]
     return result, Dofs(keys // _KINDS, keys % _KINDS)
 
 
-def whole(matrix: sparse.csc_array) -> sparse.csc_array:
+def both_triangles(matrix: sparse.csc_array) -> sparse.csc_array:
     """A matrix whose pairs off the diagonal were stored once, on either side of it; as it is where
     any pair is stored twice.
     """
@@ -276,14 +276,14 @@ def read_archive(path: Path, _: object) -> Raw:
         no matrix.
     """
 
-    def wanted(name: str) -> bool:
+    def is_known(name: str) -> bool:
         return name.split(".")[0] in (*LETTERS, *_NAMES)
 
     def largest(name: str) -> int:
         return MAX_DENSE if name in LETTERS else MAX_ENTRIES
 
     total = unpacked(path)
-    return _raw(foreign.read_archive(path, wanted, entries=largest, total=total), path)
+    return _raw(foreign.read_archive(path, is_known, entries=largest, total=total), path)
 
 
 def in_own_process(
@@ -305,8 +305,10 @@ def in_own_process(
 
 
 def unpacker(function: Callable[..., object]) -> Callable[[Path, Mapping[str, str]], Raw]:
-    """A reader of what ``function(path, wanted)`` packs, by :func:`in_own_process`."""
-    return lambda path, wanted: _raw(in_own_process(function, path, wanted=dict(wanted)), path)
+    """A reader of what ``function(path, requested)`` packs, by :func:`in_own_process`."""
+    return lambda path, requested: _raw(
+        in_own_process(function, path, requested=dict(requested)), path
+    )
 
 
 def packed(name: str, matrix: Any) -> dict[str, np.ndarray]:
@@ -324,7 +326,7 @@ def _raw(arrays: Mapping[str, np.ndarray], path: Path) -> Raw:
         parts = {k.partition(".")[2]: a for k, a in arrays.items() if k.split(".")[0] == letter}
         if parts:
             result[letter] = parts[""] if "" in parts else _sparse(path, letter, parts)
-    return Raw(result, _dofs(arrays), arrays.get("held", np.empty(0, dtype=np.int64)))
+    return Raw(result, _dofs(arrays), arrays.get("fixed", np.empty(0, dtype=np.int64)))
 
 
 def _sparse(path: Path, letter: str, parts: dict[str, np.ndarray]) -> sparse.sparray:
@@ -340,20 +342,20 @@ def _sparse(path: Path, letter: str, parts: dict[str, np.ndarray]) -> sparse.spa
 
 
 def _dofs(arrays: Mapping[str, np.ndarray]) -> Dofs | None:
-    given = [np.asarray(arrays[name]).ravel() for name in _NAMES if name in arrays]
-    if not given:
+    present_arrays = [np.asarray(arrays[name]).ravel() for name in _NAMES if name in arrays]
+    if not present_arrays:
         return None
-    if len(given) == 1 or any(array.dtype.kind not in "iu" for array in given):
+    if len(present_arrays) == 1 or any(array.dtype.kind not in "iu" for array in present_arrays):
         raise ValueError("nodes and dofs are not integers, one of each for every row")
-    return Dofs(*given)
+    return Dofs(*present_arrays)
 
 
 # --- MATLAB ---------------------------------------------------------------------------------------
 
 
-def unpack_matlab(path: str, wanted: dict[str, str]) -> dict[str, np.ndarray]:
+def unpack_matlab(path: str, requested: dict[str, str]) -> dict[str, np.ndarray]:
     """The matrices of a MATLAB file as arrays of an archive; other variables are not looked at, and
-    ``wanted`` means nothing here.
+    ``requested`` is ignored.
 
     Raises
     ------

@@ -91,7 +91,7 @@ def _word(value: str) -> str:
     return value
 
 
-def _beside(value: Path, info: ValidationInfo) -> Path:
+def _beside_the_toml_file(value: Path, info: ValidationInfo) -> Path:
     """Never elsewhere, so that a stranger's file cannot look around."""
     _printable(str(value))
     if value.is_absolute() or ".." in value.parts:
@@ -127,7 +127,7 @@ def _listed(value: object) -> object:
 
 
 Name = Annotated[str, Field(min_length=1, max_length=200), AfterValidator(_printable)]
-File = Annotated[Path, AfterValidator(_beside)]
+File = Annotated[Path, AfterValidator(_beside_the_toml_file)]
 Finite = Annotated[float, Field(allow_inf_nan=False, strict=True)]
 Node = Annotated[Count, Field(gt=-(2**40), lt=2**40)]
 Position = Annotated[Count, Field(ge=1)]
@@ -150,11 +150,13 @@ class Place(Section):
     within: Annotated[Finite, Field(ge=0)] | None = None
 
     @model_validator(mode="after")
-    def _once(self) -> Place:
-        given = [k for k in ("node", "nodes", "nodeset", "at") if getattr(self, k) is not None]
-        if len(given) > 1:
-            hint = f"delete {given[0]} or {given[1]}"
-            raise refused(f"nodes are stated twice: {', '.join(given)}", "one of them", hint=hint)
+    def _one_selector(self) -> Place:
+        selectors = [k for k in ("node", "nodes", "nodeset", "at") if getattr(self, k) is not None]
+        if len(selectors) > 1:
+            hint = f"delete {selectors[0]} or {selectors[1]}"
+            raise refused(
+                f"nodes are stated twice: {', '.join(selectors)}", "one of them", hint=hint
+            )
         if self.within is not None and self.at is None:
             raise refused(
                 "within has no effect without at", "at and within", hint="add at = [x, y, z]"
@@ -273,8 +275,8 @@ class Damping(Section):
 
     @model_validator(mode="after")
     def _either(self) -> Damping:
-        given = self.model_fields_set - {"loss_factor"}
-        if given & {"ratio", "at"} and given != {"ratio", "at"}:
+        keys = self.model_fields_set - {"loss_factor"}
+        if keys & {"ratio", "at"} and keys != {"ratio", "at"}:
             expected = "alpha and beta, or ratio and at [Hz]"
             raise refused("ratio and at need each other, without alpha and beta", expected)
         return self
