@@ -74,8 +74,8 @@ class Damping(Section):
 
     @model_validator(mode="after")
     def _one(self) -> Damping:
-        given = [self.ratio, self.quality, self.loss_factor]
-        if sum(item is not None for item in given) + self.per_material > 1:
+        choices = [self.ratio, self.quality, self.loss_factor]
+        if sum(item is not None for item in choices) + self.per_material > 1:
             raise ValueError("give one of ratio, quality, loss_factor, per_material")
         two = isinstance(self.ratio, tuple), isinstance(self.at, tuple)
         if two[0] != two[1]:

@@ -330,8 +330,8 @@ def air(catch: Catch) -> tuple[float, float, float, float]:
 
 def lattice_pitch(catch: Catch, radius: float, spacing: float) -> float:
     """Cell height [m] near the wanted size that ``spacing`` is a multiple, or a divisor, of."""
-    wanted = min(_LATTICE * radius, _gap(catch, radius)) / catch.refine
-    ratio = spacing / wanted
+    target = min(_LATTICE * radius, _gap(catch, radius)) / catch.refine
+    ratio = spacing / target
     return spacing / ceil(ratio) if ratio >= 1 else spacing * floor(1 / ratio)
 
 
@@ -376,9 +376,9 @@ def stator_mesh(catch: Catch, bore: Bore) -> MeshTri2:
     with gmsh_session() as gmsh:
         occ = gmsh.model.occ
         plates = [(2, occ.addRectangle(a, b, 0, c - a, d - b)) for a, b, c, d in shapes]
-        _, made = occ.fragment(plates[:1], plates[1:])
+        _, pieces = occ.fragment(plates[:1], plates[1:])
         occ.synchronize()
-        lattice = made[1][0]
+        lattice = pieces[1][0]
         for _, curve in gmsh.model.getBoundary([lattice], oriented=False):
             _, low, _, _, high, _ = gmsh.model.getBoundingBox(1, curve)
             cells = bore.rows if high - low > bore.pitch / 2 else bore.columns

@@ -155,8 +155,8 @@ def divided(
     offsets = (np.arange(16) + 0.5) / 16 - 0.5
     u, v = (part.ravel() for part in np.meshgrid(offsets * a[0], offsets * b[0]))
     filled = inside(r[:, None] + u, z[:, None] + v).mean(axis=1)
-    kept = filled > SLIVER
-    return Cells(r[kept], z[kept], a[kept], b[kept], filled[kept])
+    present = filled > SLIVER
+    return Cells(r[present], z[present], a[present], b[present], filled[present])
 
 
 def _middles(edges: np.ndarray) -> np.ndarray:
@@ -284,21 +284,21 @@ class Answer(EqualByContent):
     def apart(self, exact: Answer) -> float:
         """The largest difference of flux, slope, and loss of any coil, of the largest."""
         pairs = [(self.flux, exact.flux), (self.slope, exact.slope)]
-        own = np.arange(len(self.flux))
-        pairs.append((self.flux[own, own].imag, exact.flux[own, own].imag))
+        coils = np.arange(len(self.flux))
+        pairs.append((self.flux[coils, coils].imag, exact.flux[coils, coils].imag))
         return max(float((np.abs(a - b).max(-1) / np.abs(b).max(-1)).max()) for a, b in pairs)
 
 
 def roughness(
     body: Cells,
-    found: Ladder,
+    ladder: Ladder,
     coils: Sequence[Winding],
     magnets: Sequence[Winding],
     conductivity: float,
 ) -> float:
-    """How far the loops ``found`` are from the rings of another ``body``, solved directly up to
+    """How far the loops ``ladder`` are from the rings of another ``body``, solved directly up to
     the frequency of the loops: see :meth:`Answer.apart`."""
-    half, middle = (found.high - found.low) / 2, (found.high + found.low) / 2
+    half, middle = (ladder.high - ladder.low) / 2, (ladder.high + ladder.low) / 2
     heights = middle + half * chebyshev.chebpts1(PLACES)
     step, worst = 2 * STEP * half, 0.0
 
@@ -311,11 +311,11 @@ def roughness(
 
     m = couplings(heights)
     slope = (couplings(heights + step) - couplings(heights - step)) / (2 * step)
-    for speed in 2 * np.pi * found.frequency * np.geomspace(0.01, 1, PLACES):
+    for speed in 2 * np.pi * ladder.frequency * np.geomspace(0.01, 1, PLACES):
         impedance = body.inductance + np.diag(body.resistance / (1j * speed * conductivity))
         currents = np.linalg.solve(impedance, m.reshape(-1, body.r.size).T).T.reshape(m.shape)
         exact = Answer(*(np.einsum("iyn,jyn->ijy", end, currents) for end in (m, slope)))
-        worst = max(worst, found.answer(heights, 1j * speed, conductivity).apart(exact))
+        worst = max(worst, ladder.answer(heights, 1j * speed, conductivity).apart(exact))
     return worst
 
 
@@ -341,7 +341,7 @@ def ladder(
     UsageError : the couplings are no smooth functions of the height, as where body and coil meet.
     """
     nodes, heights = _nodes(low, high)
-    own = _inductance(coils)
+    inductance = _inductance(coils)
     at = body.r, body.z + heights[:, None]
     m = [c.coupling(*at) for c in coils]  # (c, y, n)
     if magnets:
@@ -349,14 +349,14 @@ def ladder(
     from scipy.linalg import eigh
 
     rates, modes = eigh(np.diag(body.resistance), body.inductance)
-    seen = np.array(m) @ modes
-    seen /= np.linalg.norm(seen, axis=2).max(axis=1)[:, None, None]
+    couplings = np.array(m) @ modes
+    couplings /= np.linalg.norm(couplings, axis=2).max(axis=1)[:, None, None]
     speeds = 2 * np.pi * frequency * conductivity * np.geomspace(1e-3, 1, 13)
-    basis, error = _subspace(rates, seen, speeds, nodes, tolerance)
+    basis, error = _subspace(rates, couplings, speeds, nodes, tolerance)
     reduced, turn = np.linalg.eigh(basis.T * rates @ basis)
     result = np.array(m) @ modes @ basis @ turn
     polynomials = _polynomials(nodes, result, tolerance)
-    return Ladder(reduced, polynomials, own, low, high, error, body.r.size, frequency)
+    return Ladder(reduced, polynomials, inductance, low, high, error, body.r.size, frequency)
 
 
 def carried(
@@ -388,29 +388,29 @@ def _inductance(coils: Sequence[Winding]) -> np.ndarray:
 
 
 def _subspace(
-    rates: np.ndarray, seen: np.ndarray, speeds: np.ndarray, nodes: np.ndarray, tolerance: float
+    rates: np.ndarray, mutual: np.ndarray, speeds: np.ndarray, nodes: np.ndarray, tolerance: float
 ) -> tuple[np.ndarray, float]:
-    """Orthonormal columns that hold the answers to the couplings ``seen`` (c, y, n) of coils at
+    """Orthonormal columns that hold the answers to the couplings ``mutual`` (c, y, n) of coils at
     every other one of the angular frequencies ``speeds``, and how much others miss by them."""
 
     def answers(some: np.ndarray, couplings: np.ndarray) -> np.ndarray:
         return couplings[:, :, None, :] * (1j * some / (rates[:, None] + 1j * some)).T
 
-    sampled = answers(speeds[::2], seen[:, ::3]).reshape(-1, rates.size)
+    sampled = answers(speeds[::2], mutual[:, ::3]).reshape(-1, rates.size)
     left, _, _ = np.linalg.svd(np.concatenate([sampled.real, sampled.imag]).T, full_matrices=False)
-    slopes = chebyshev.chebval(nodes, chebyshev.chebder(_fitted(nodes, seen))).transpose(0, 2, 1)
+    slopes = chebyshev.chebval(nodes, chebyshev.chebder(_fitted(nodes, mutual))).transpose(0, 2, 1)
 
     def acted(rate: np.ndarray, at: np.ndarray, slope: np.ndarray) -> list[np.ndarray]:
         share = 1j * speeds / (rate[:, None] + 1j * speeds)
         return [np.einsum("iyn,jyn,nf->ijyf", at, other, share) for other in (at, slope)]
 
-    whole = acted(rates, seen, slopes)
+    exact = acted(rates, mutual, slopes)
     error = np.inf
     for count in range(1, left.shape[1] + 1):
         basis = left[:, :count]
         reduced, turn = np.linalg.eigh(basis.T * rates @ basis)
-        part = acted(reduced, seen @ basis @ turn, slopes @ basis @ turn)
-        error = max(np.abs(a - b).max() / np.abs(a).max() for a, b in zip(whole, part, strict=True))
+        part = acted(reduced, mutual @ basis @ turn, slopes @ basis @ turn)
+        error = max(np.abs(a - b).max() / np.abs(a).max() for a, b in zip(exact, part, strict=True))
         if error < tolerance:
             break
     return basis, float(error)

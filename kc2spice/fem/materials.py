@@ -66,7 +66,7 @@ _FREE = {
 }
 _DERIVED_66 = ("hexagonal", "trigonal")  # c66 = (c11 - c12)/2, s66 = 2 (s11 - s12)
 # Ways to state one thing; who states one of them takes no other from the material that it is like.
-_WAYS = (
+_ALTERNATIVES = (
     (("youngs_modulus", "poisson_ratio", "shear_modulus"), ("stiffness",), ("compliance",)),
     (("stress_coupling",), ("strain_coupling",)),
 )
@@ -347,10 +347,10 @@ class MaterialTable(Section):
         base = dict(_tables().get(data["like"], {}))
         if not base:
             raise ValueError(f"like: no such material: {data['like']}; {', '.join(_tables())}")
-        for ways in _WAYS:
-            for way in ways if any(set(way) & set(data) for way in ways) else ():
-                if not set(way) & set(data):
-                    base = {key: value for key, value in base.items() if key not in way}
+        for forms in _ALTERNATIVES:
+            for keys in forms if any(set(form) & set(data) for form in forms) else ():
+                if not set(keys) & set(data):
+                    base = {key: value for key, value in base.items() if key not in keys}
         both = {key for key in set(base) & set(data) if isinstance(base[key], dict)}
         inner = {key: base[key] | data[key] for key in both if isinstance(data[key], Mapping)}
         return base | dict(data) | inner
@@ -394,8 +394,8 @@ class MaterialTable(Section):
         hint = "is the permittivity at constant stress or at constant strain?" if e.any() else None
         _require_definite(eps, "permittivity at constant strain", hint)
         same = {key for key in type(self).model_fields if key in Material.__dataclass_fields__}
-        given = {key: value for key in same if (value := getattr(self, key)) is not None}
-        return Material(name=name, C=C, e=e, eps_S=eps, **given)
+        stated = {key: value for key in same if (value := getattr(self, key)) is not None}
+        return Material(name=name, C=C, e=e, eps_S=eps, **stated)
 
     def _stiffness(self) -> np.ndarray:
         if self.stiffness is not None:
@@ -414,25 +414,25 @@ class MaterialTable(Section):
 
     def _engineering(self) -> np.ndarray:
         """Compliance of Young's moduli and Poisson's ratios ``nu_ij = -S_jj/S_ii``."""
-        given, nu, G = self.youngs_modulus, self.poisson_ratio, self.shear_modulus
+        E_keys, nu, G = self.youngs_modulus, self.poisson_ratio, self.shear_modulus
         ratios, planes = ("nu_xy", "nu_xz", "nu_yz"), ("g_yz", "g_xz", "g_xy")
-        if isinstance(given, float) and isinstance(nu, float) and G is None:
-            shear = given / (2 * (1 + nu)) if nu > -1 else np.nan
-            E, n, g = [given] * 3, [nu] * 3, [shear] * 3
+        if isinstance(E_keys, float) and isinstance(nu, float) and G is None:
+            shear = E_keys / (2 * (1 + nu)) if nu > -1 else np.nan
+            E, n, g = [E_keys] * 3, [nu] * 3, [shear] * 3
         elif (
-            isinstance(given, list)
-            and len(given) == 3
+            isinstance(E_keys, list)
+            and len(E_keys) == 3
             and isinstance(nu, dict)
             and isinstance(G, dict)
             and (set(nu), set(G)) == (set(ratios), set(planes))
         ):
-            E, n, g = given, [nu[name] for name in ratios], [G[name] for name in planes]
+            E, n, g = E_keys, [nu[name] for name in ratios], [G[name] for name in planes]
         else:
             expected = f"three youngs_modulus, poisson_ratio {' '.join(ratios)}, "
             expected += f"shear_modulus {' '.join(planes)}"
             raise UsageError(
                 "not the moduli of a material",
-                got=(given, nu, G),
+                got=(E_keys, nu, G),
                 expected=f"one youngs_modulus and one poisson_ratio, or {expected}",
                 hint="leave out shear_modulus of an isotropic material",
             )
@@ -471,9 +471,9 @@ class MaterialTable(Section):
             values = {last: factor * (values[first] - values[second]), **values}
         free = _FREE[self.symmetry][0 if elastic else 1]
         groups = [group.split("=") for group in free.split()]
-        wanted = {letter + group[0] for group in groups}
-        if set(values) != wanted:
-            problem, expected = "wrong components for this symmetry", ", ".join(sorted(wanted))
+        required = {letter + group[0] for group in groups}
+        if set(values) != required:
+            problem, expected = "wrong components for this symmetry", ", ".join(sorted(required))
             raise UsageError(problem, where=key, got=", ".join(sorted(values)), expected=expected)
         matrix = np.zeros(shape)
         for group in groups:
@@ -515,29 +515,31 @@ def _tables() -> dict[str, dict[str, Any]]:
 
 
 @cache
-def _named(name: str) -> Material:
+def _library_material(name: str) -> Material:
     """Material of the library by its name in lower case."""
     (result,) = (key for key in _tables() if key.lower() == name)
     return MaterialTable.model_validate(_tables()[result]).build(result)
 
 
-def material(given: str | Mapping[str, Any] | Material, where: str = "material") -> Material:
+def material(
+    name_or_table: str | Mapping[str, Any] | Material, where: str = "material"
+) -> Material:
     """Material by its name in the library (case does not matter) or from a table.
 
     Raises
     ------
     UsageError : no such name, or a table that describes no material.
     """
-    if isinstance(given, Material):
-        return given
-    if isinstance(given, Mapping):
-        table = validated(MaterialTable, given, where)
+    if isinstance(name_or_table, Material):
+        return name_or_table
+    if isinstance(name_or_table, Mapping):
+        table = validated(MaterialTable, name_or_table, where)
         with part_named(where):
             return table.build(where.rsplit(".", 1)[-1])
-    if given.lower() not in {name.lower() for name in _tables()}:
+    if name_or_table.lower() not in {name.lower() for name in _tables()}:
         names = list(_tables())
-        expected = f"one of {candidates(given, names, 'docs/reference/materials.md')}"
-        hint = did_you_mean(given, names)
+        expected = f"one of {candidates(name_or_table, names, 'docs/reference/materials.md')}"
+        hint = did_you_mean(name_or_table, names)
         hint = hint or 'write a table: { density = …, youngs_modulus = "… GPa", poisson_ratio = … }'
-        raise wrong(where, "no such material", repr(given), expected, hint)
-    return _named(given.lower())
+        raise wrong(where, "no such material", repr(name_or_table), expected, hint)
+    return _library_material(name_or_table.lower())

@@ -165,13 +165,15 @@ def length_unit(path: Path, unit: str | None) -> float:
         return quantity(f"1 {unit or 'mm'}", "m", where="unit")
     sides = extent(path)
 
-    def shown(scale: float) -> str:
+    def millimetres(scale: float) -> str:
         return " x ".join(f"{scale * side:.4g}" for side in sides)
 
-    sizes = (f'"{name}" if it is {shown(1e3 * quantity(f"1 {name}", "m"))} mm' for name in LENGTHS)
+    sizes = (
+        f'"{name}" if it is {millimetres(1e3 * quantity(f"1 {name}", "m"))} mm' for name in LENGTHS
+    )
     problem = f"a {path.suffix} file does not state its unit of length"
     hint = 'state it beside mesh, such as unit = "mm"'
-    raise wrong("unit", problem, f"{shown(1.0)} in that unit", ", ".join(sizes), hint)
+    raise wrong("unit", problem, f"{millimetres(1.0)} in that unit", ", ".join(sizes), hint)
 
 
 def extent(path: Path) -> np.ndarray:
@@ -254,13 +256,13 @@ def _content(path: Path) -> bytes:
 
 
 def _collect(
-    found: Mapping[str, np.ndarray],
+    arrays: Mapping[str, np.ndarray],
     unit: float,
     dimension: int,
     where: str,
     merge: float | None = None,
 ) -> GroupedMesh:
-    points = unit * found["points"]
+    points = unit * arrays["points"]
     if not np.isfinite(points).all():
         raise UsageError("a node has a coordinate that is not finite", where=where)
     if dimension == 2:  # radius and height; the plane is x-y (y the axis) or x-z (z the axis)
@@ -269,7 +271,7 @@ def _collect(
             problem = "the axisymmetric mesh is not plane"
             raise wrong(where, problem, expected="all nodes at z = 0, or all at y = 0")
         points = points[:, [0, 3 - flat[0]]]
-    blocks = [found[key] for key in found if key.startswith("cells")]
+    blocks = [arrays[key] for key in arrays if key.startswith("cells")]
     if not blocks:
         shape, what = ("tetrahedra", "solid") if dimension == 3 else ("triangles", "face")
         raise UsageError(
@@ -278,18 +280,18 @@ def _collect(
             expected=f"{shape} in each {what} of the body",
             hint=f"mesh the {what} with gmsh.model.mesh.generate({dimension}) before gmsh.write",
         )
-    record = json.loads(str(found["record"]))
+    record = json.loads(str(arrays["record"]))
     same = np.arange(len(points))
     if merge:
         same = merged_nodes(points, blocks, dimension + 1, merge)
         blocks = [same[nodes] for nodes in blocks]
     if merge != 0:
-        owners = {name: found[f"group{k}"] for k, (name, d) in enumerate(record) if d == dimension}
+        owners = {name: arrays[f"group{k}"] for k, (name, d) in enumerate(record) if d == dimension}
         require_joined(points, blocks, dimension + 1, owners, where)
     mesh, number = _quadratic(points, blocks, dimension + 1)
     groups: dict[str, Group] = {}
     for k, (name, d) in enumerate(record):
-        members = found[f"group{k}"] if d == dimension else same[found[f"group{k}"]]
+        members = arrays[f"group{k}"] if d == dimension else same[arrays[f"group{k}"]]
         if name in groups:
             hint = "rename one of these groups in gmsh"
             raise wrong(where, "two groups have one name", name, "a name for each group", hint)
@@ -459,10 +461,10 @@ def _quadratic(
     mesh = curved.from_mesh(kind(points[vertices].T.copy(), cells.T.copy()))
     places, start = mesh.doflocs.copy(), 0
     for nodes in blocks:
-        own = cells[start : start + len(nodes)]
+        corners_of = cells[start : start + len(nodes)]
         start += len(nodes)
         for edge, middle in zip(ends, nodes.T[corners:], strict=False):
-            places[:, _edge_nodes(mesh, own[:, edge])] = points[middle].T
+            places[:, _edge_nodes(mesh, corners_of[:, edge])] = points[middle].T
     number = np.full(len(points), -1)
     number[vertices] = np.arange(len(vertices))
     return curved(places, mesh.t), number
@@ -474,15 +476,15 @@ def _edge_nodes(mesh: Mesh, pairs: np.ndarray) -> np.ndarray:
     return mesh.nvertices + _find(edges, pairs, mesh.nvertices)
 
 
-def _find(simplices: np.ndarray, wanted: np.ndarray, vertices: int) -> np.ndarray:
-    """Columns of ``simplices`` (corners, n) that have the corners ``wanted`` (k, corners); -1
+def _find(simplices: np.ndarray, corners: np.ndarray, vertices: int) -> np.ndarray:
+    """Columns of ``simplices`` (corners, n) that have the corners ``corners`` (k, corners); -1
     where there is none.
     """
     base = vertices ** np.arange(len(simplices))
-    keys, asked = base @ np.sort(simplices, axis=0), np.sort(wanted, axis=1) @ base
+    keys, corner_keys = base @ np.sort(simplices, axis=0), np.sort(corners, axis=1) @ base
     order = np.argsort(keys)
-    place = order[np.minimum(np.searchsorted(keys[order], asked), len(keys) - 1)]
-    return np.where(keys[place] == asked, place, -1)
+    place = order[np.minimum(np.searchsorted(keys[order], corner_keys), len(keys) - 1)]
+    return np.where(keys[place] == corner_keys, place, -1)
 
 
 def _shares(
@@ -500,14 +502,14 @@ def _shares(
     return unique, total / (total.sum() or 1.0)
 
 
-def _inside(found: np.ndarray, name: str) -> np.ndarray:
-    if (found < 0).any():
+def _inside(places: np.ndarray, name: str) -> np.ndarray:
+    if (places < 0).any():
         raise UsageError(
             "this group does not lie on the elements of the body",
             where=f"group {name}",
             expected="faces, curves or points of the elements that have a material",
         )
-    return found
+    return places
 
 
 DIMENSION = {0: "points", 1: "curves", 2: "faces", 3: "solids"}
@@ -606,19 +608,19 @@ def _make(gmsh: ModuleType, size: float, dimension: int, picks: Picks) -> None:
         hint = f"export the {DIMENSION[dimension]} of the body into this file"
         raise UsageError(problem, where="mesh", hint=hint)
     sides = np.reshape(gmsh.model.getBoundingBox(-1, -1), (2, 3))
-    wanted = float(np.prod(np.maximum(np.ptp(sides, axis=0) / size, 1.0)))
-    if not wanted <= MOST:
+    elements = float(np.prod(np.maximum(np.ptp(sides, axis=0) / size, 1.0)))
+    if not elements <= MOST:
         problem = "elements of this size are too many"
-        got, hint = f"about {wanted:.1g} of them", "write a larger size"
+        got, hint = f"about {elements:.1g} of them", "write a larger size"
         raise wrong("size", problem, got, f"at most {MOST}", hint)
     labels = {e: gmsh.model.getEntityName(*e).rsplit("/", 1)[-1] for e in gmsh.model.getEntities()}
     if len(bodies) > 1:
         _, pieces = gmsh.model.occ.fragment(bodies[:1], bodies[1:])
         gmsh.model.occ.synchronize()
         result = set(gmsh.model.getEntities())
-        kept = {e: text for e, text in labels.items() if e[0] == dimension or e in result}
+        named_entities = {e: text for e, text in labels.items() if e[0] == dimension or e in result}
         origin = dict(zip(bodies, pieces, strict=True))
-        labels = {new: text for e, text in kept.items() for new in origin.get(e, [e])}
+        labels = {new: text for e, text in named_entities.items() for new in origin.get(e, [e])}
     names: dict[tuple[str, int], list[int]] = {}
     for (d, tag), text in labels.items():
         if text:

@@ -50,7 +50,7 @@ class _Fit:
     degree: int
     ridge: float
     points: int
-    seen: float = 1.0
+    visible: float = 1.0
 
 
 def _fit_of(solid: Solid) -> _Fit:
@@ -82,19 +82,19 @@ def energy_products(solid: Solid, u: np.ndarray, phi: np.ndarray) -> EnergyProdu
         basis = solid.basis(elements=cells)
         places = np.moveaxis(np.asarray(basis.global_coordinates()), 0, -1)
         weights = basis.dx * (2 * np.pi * places[:, :, 0] if solid.axisymmetric else 1.0)
-        own = np.zeros((len(cells), k, k))
+        energy = np.zeros((len(cells), k, k))
         hats = _hats(solid, basis.X)
         points = zip(
             _values(solid, basis, cells, u, phi), _energy(solid, basis, cells), strict=True
         )
-        for q, (found, H) in enumerate(points):
+        for q, (field, H) in enumerate(points):
             w = weights[:, q, None, None]
-            delta = patches.recovered(cells, places[:, q], hats[q]) - found
-            own += w * (delta.transpose(0, 2, 1) @ (H @ delta))
-            solution += (w * (found.transpose(0, 2, 1) @ (H @ found))).sum(axis=0)
-        error += own.sum(axis=0)
-        spread += np.abs(own).sum(axis=0)
-    return EnergyProducts(solution, error / fit.seen, spread / fit.seen)
+            delta = patches.recovered(cells, places[:, q], hats[q]) - field
+            energy += w * (delta.transpose(0, 2, 1) @ (H @ delta))
+            solution += (w * (field.transpose(0, 2, 1) @ (H @ field))).sum(axis=0)
+        error += energy.sum(axis=0)
+        spread += np.abs(energy).sum(axis=0)
+    return EnergyProducts(solution, error / fit.visible, spread / fit.visible)
 
 
 def _chunks(count: int) -> Iterator[np.ndarray]:
@@ -128,12 +128,16 @@ def _energy(solid: Solid, basis: skfem.Basis, cells: np.ndarray) -> Iterator[np.
     for _ in range(basis.X.shape[-1]):
         H = np.zeros((len(cells), 9, 9))
         for number, (material, each) in enumerate(zip(solid.materials, constants, strict=True)):
-            own = owner == number
-            C, e, eps = (item if len(item) == 1 else item[own] for item in next(each))
-            H[own, :6, :6] = C
+            members = owner == number
+            C, e, eps = (item if len(item) == 1 else item[members] for item in next(each))
+            H[members, :6, :6] = C
             if material.piezoelectric or material.dielectric:
                 e, eps = e / factors[number], eps / factors[number] ** 2
-                H[own, 6:, :6], H[own, :6, 6:], H[own, 6:, 6:] = -e, -e.transpose(0, 2, 1), -eps
+                H[members, 6:, :6], H[members, :6, 6:], H[members, 6:, 6:] = (
+                    -e,
+                    -e.transpose(0, 2, 1),
+                    -eps,
+                )
         yield H
 
 
@@ -178,11 +182,11 @@ class _Patches:
         places, samples = _samples(solid, u, phi, fit.points)
         number, middle = _corners(solid)
         members = _wider(_members(number, len(middle)), number, middle, places)
-        size, sums, asked = _normal_equations(members, middle, places, samples, fit.degree)
+        size, sums, right = _normal_equations(members, middle, places, samples, fit.degree)
         degrees = _monomials(middle[:1], fit.degree)[1]
         mean = np.trace(sums, axis1=1, axis2=2) / len(degrees)
         sums += fit.ridge * mean[:, None, None] * np.diag(degrees**2)
-        coefficients = np.linalg.solve(sums, asked)
+        coefficients = np.linalg.solve(sums, right)
         return _Patches(number, middle, size, coefficients, fit.degree)
 
     def recovered(self, cells: np.ndarray, at: np.ndarray, hats: np.ndarray) -> np.ndarray:
@@ -205,8 +209,8 @@ def _samples(
     for cells in _chunks(solid.mesh.nelements):
         basis = solid.basis(order, elements=cells)
         places.append(np.moveaxis(np.asarray(basis.global_coordinates()), 0, -1))
-        found = np.stack([*_values(solid, basis, cells, u, phi)], axis=1)
-        values.append(found.reshape(*found.shape[:2], -1))
+        fields = np.stack([*_values(solid, basis, cells, u, phi)], axis=1)
+        values.append(fields.reshape(*fields.shape[:2], -1))
     return np.concatenate(places), np.concatenate(values)
 
 
@@ -244,7 +248,7 @@ def _normal_equations(
 
     The sums are ``sum p p'`` (patches, terms, terms) and ``sum p values`` (patches, terms, 9 k).
     """
-    sizes, sums, asked = [], [], []
+    sizes, sums, rights = [], [], []
     for chosen in _chunks(len(middle)):
         start, end = members.indptr[chosen[0]], members.indptr[chosen[-1] + 1]
         elements = members.indices[start:end]
@@ -256,8 +260,8 @@ def _normal_equations(
         turned = P.transpose(0, 2, 1)
         sizes.append(size)
         sums.append(np.add.reduceat(turned @ P, first))
-        asked.append(np.add.reduceat(turned @ samples[elements], first))
-    return np.concatenate(sizes), np.concatenate(sums), np.concatenate(asked)
+        rights.append(np.add.reduceat(turned @ samples[elements], first))
+    return np.concatenate(sizes), np.concatenate(sums), np.concatenate(rights)
 
 
 def _wider(
@@ -265,10 +269,10 @@ def _wider(
 ) -> sparse.csr_array:
     """The elements of each patch and those of the neighbour that lies most in their middle."""
     use = _most_central(number, members, middle, places)
-    own = np.arange(len(use))
-    other = use != own
+    index = np.arange(len(use))
+    other = use != index
     more = sparse.csr_array(
-        (np.ones(other.sum()), (own[other], use[other])), shape=(len(use), len(use))
+        (np.ones(other.sum()), (index[other], use[other])), shape=(len(use), len(use))
     )
     result = sparse.csr_array(members + more @ members)
     result.data[:] = 1.0
@@ -291,9 +295,9 @@ def _most_central(
     away = (middle - mean)[:, :, None]
     distance = (away.transpose(0, 2, 1) @ np.linalg.solve(spread, away))[:, 0, 0]
     corners = number.shape[1]
-    own = np.repeat(number, corners, axis=1).ravel()
+    patch = np.repeat(number, corners, axis=1).ravel()
     other = np.tile(number, corners).ravel()
-    cost = distance[other] + ELSEWHERE * (own != other)
-    order = np.lexsort((cost, own))
-    first = np.r_[True, np.diff(own[order]) > 0]
+    cost = distance[other] + ELSEWHERE * (patch != other)
+    order = np.lexsort((cost, patch))
+    first = np.r_[True, np.diff(patch[order]) > 0]
     return np.asarray(other[order][first])

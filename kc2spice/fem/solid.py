@@ -183,10 +183,10 @@ def assemble(solid: Solid, *, only: int | None = None) -> Operators:
     """
     d = solid.components
     parts: list[list[tuple[np.ndarray, ...]]] = [[], [], [], []]
-    own = {k: np.flatnonzero(solid.owner == k) for k in range(len(solid.materials))}
+    members = {k: np.flatnonzero(solid.owner == k) for k in range(len(solid.materials))}
     chunks = [
         (solid.materials[k], cells[start : start + CHUNK])
-        for k, cells in own.items()
+        for k, cells in members.items()
         if only in (None, k)
         for start in range(0, len(cells), CHUNK)
     ]
