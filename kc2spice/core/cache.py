@@ -54,9 +54,9 @@ def _home() -> Path:
     try:
         return Path.home()
     except RuntimeError:
-        made = tempfile.mkdtemp(prefix="kc2spice-")
-        atexit.register(shutil.rmtree, made, ignore_errors=True)
-        return Path(made)
+        directory = tempfile.mkdtemp(prefix="kc2spice-")
+        atexit.register(shutil.rmtree, directory, ignore_errors=True)
+        return Path(directory)
 
 
 def cached(
@@ -99,12 +99,12 @@ def cached(
 def _alone(path: Path) -> Iterator[None]:
     """Keep other processes from building the same entry; without locks two may do so."""
     lock = path.with_name(f".{path.stem}.lock.part")  # cleared away as any other .part
-    with ExitStack() as held:
+    with ExitStack() as stack:
         with contextlib.suppress(OSError):
             path.parent.mkdir(parents=True, exist_ok=True)
             lock.touch(0o600)
-            held.enter_context(locked(lock))
-            held.callback(lock.unlink, missing_ok=True)
+            stack.enter_context(locked(lock))
+            stack.callback(lock.unlink, missing_ok=True)
         yield
 
 

@@ -39,7 +39,7 @@ class Kc2spiceError(Exception):
     def __str__(self) -> str:
         head = f"{self.where}: {self.message}" if self.where else self.message
         rows = {"got:": self.got, "expected:": self.expected, "next:": self.hint}
-        lines = (f"  {word:<9} {said}" for word, said in rows.items() if said is not None)
+        lines = (f"  {word:<9} {text}" for word, text in rows.items() if text is not None)
         return "\n".join((head, *lines))
 
 

@@ -148,10 +148,12 @@ def _rank(path: Path) -> int:
     return next((rank for rank, end in enumerate(ENTRIES) if path.name.endswith(end)), -1)
 
 
-def _clear_abandoned(own: Path, prefix: str) -> None:
+def _clear_abandoned(directory: Path, prefix: str) -> None:
     """Remove work directories of runs that were killed: no process holds their locks any more."""
-    for other in own.parent.iterdir():
-        if other == own or not (other.name.startswith(prefix) and other.name.endswith(_SUFFIX)):
+    for other in directory.parent.iterdir():
+        if other == directory or not (
+            other.name.startswith(prefix) and other.name.endswith(_SUFFIX)
+        ):
             continue
         with contextlib.suppress(OSError):
             if time.time() - other.stat().st_mtime > _ABANDONED:

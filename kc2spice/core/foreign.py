@@ -113,7 +113,7 @@ def name_threat(name: str) -> str | None:
     return None
 
 
-def beside(home: Path, name: str, where: str) -> Path:
+def file_in_folder(home: Path, name: str, where: str) -> Path:
     """The file ``name`` in the folder ``home`` of the scene that names it, or below.
 
     Tables that a Python program hands over have no folder (``Path()``): what they name is the
@@ -126,12 +126,12 @@ def beside(home: Path, name: str, where: str) -> Path:
     path = home / name
     if home == Path():
         return path
-    given = Path(name)
+    relative = Path(name)
     try:
         outside = not path.resolve().is_relative_to(home.resolve())
     except (OSError, ValueError, RuntimeError):  # a zero byte, too long, a circle of links
         outside = True
-    if given.is_absolute() or ".." in given.parts or outside:
+    if relative.is_absolute() or ".." in relative.parts or outside:
         raise UsageError(
             "leads out of the scene's folder",
             where=where,
@@ -190,9 +190,9 @@ def _bounded(text: str) -> None:
 
 
 def read_archive(
-    path: Path, wanted: Callable[[str], bool], *, entries: Callable[[str], int], total: int
+    path: Path, select: Callable[[str], bool], *, entries: Callable[[str], int], total: int
 ) -> dict[str, np.ndarray]:
-    """The arrays of an ``.npz`` file whose names are ``wanted``; nothing is unpickled.
+    """The arrays of an ``.npz`` file whose names ``select`` accepts; nothing is unpickled.
 
     Memory is taken only once every wanted member has declared at most ``entries(name)`` numbers,
     all of them at most ``total`` bytes, and no more than it holds.
@@ -203,7 +203,7 @@ def read_archive(
     """
     with zipfile.ZipFile(path) as archive:
         members = {item.filename.removesuffix(".npy"): item for item in archive.infolist()}
-        selected = {name: item for name, item in members.items() if wanted(name)}
+        selected = {name: item for name, item in members.items() if select(name)}
         declared = 0
         for name, item in selected.items():
             with archive.open(item) as stream:
@@ -297,7 +297,7 @@ def in_child(
 
 def _reason(path: Path, code: int, memory: int) -> Exception:
     try:
-        kind, own = json.loads(path.read_bytes())
+        kind, attributes = json.loads(path.read_bytes())
     except (OSError, ValueError):
         name = signal.strsignal(-code) if code < 0 else f"exit code {code}"
         return ValueError(f"it makes the reader crash ({name})")
@@ -305,8 +305,8 @@ def _reason(path: Path, code: int, memory: int) -> Exception:
         return ValueError(f"it needs more than {memory / 1e9:.0f} GB of memory")
     known = getattr(errors, kind, None)
     if isinstance(known, type) and issubclass(known, Kc2spiceError):
-        return known(**own)
-    text = own["message"]
+        return known(**attributes)
+    text = attributes["message"]
     return NotImplementedError(text) if kind == "NotImplementedError" else ValueError(text)
 
 
@@ -325,8 +325,8 @@ def _main(function: str, memory: str, seconds: str) -> None:
         np.savez(ANSWER, **call(**json.loads(line)))
     except Exception as error:  # a damaged file makes a parser raise nearly anything
         text = " ".join(str(error).split())[:300] or type(error).__name__
-        own = vars(error) if isinstance(error, Kc2spiceError) else {"message": text}
-        record = (type(error).__name__, own)
+        attributes = vars(error) if isinstance(error, Kc2spiceError) else {"message": text}
+        record = (type(error).__name__, attributes)
         Path(REASON).write_text(json.dumps(record, default=str), encoding="utf-8")
         os._exit(1)
     os._exit(0)  # destructors of other people's libraries have nothing to add

@@ -31,11 +31,11 @@ def end_on_signals(grace: float = GRACE) -> Iterator[None]:
     the handlers, and a late signal then kill a program that has written all its results.
     """
     try:
-        own = _handle_signals(grace)
+        signals = _handle_signals(grace)
         try:
             yield
         finally:
-            for number in own:
+            for number in signals:
                 signal.signal(number, signal.SIG_IGN)
     except KeyboardInterrupt:
         with contextlib.suppress(OSError):
@@ -56,26 +56,26 @@ def _handle_signals(grace: float) -> set[int]:
         signal.signal(number, signal.SIG_IGN)  # once is enough
         raise SystemExit(128 + number)
 
-    own = set[int]()
+    signals = set[int]()
     if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
         signal.signal(signal.SIGINT, interrupt)
-        own.add(int(signal.SIGINT))
+        signals.add(int(signal.SIGINT))
     for number in (getattr(signal, name, None) for name in ENDING):
         if number is not None and signal.getsignal(number) is signal.SIG_DFL:
             signal.signal(number, leave)
-            own.add(int(number))
-    if not own:
-        return own
+            signals.add(int(number))
+    if not signals:
+        return signals
     inlet, outlet = os.pipe()
     os.set_blocking(outlet, False)
     signal.set_wakeup_fd(outlet, warn_on_full_buffer=False)
-    threading.Thread(target=_watch, args=(inlet, own, handled, grace), daemon=True).start()
-    return own
+    threading.Thread(target=_watch, args=(inlet, signals, handled, grace), daemon=True).start()
+    return signals
 
 
-def _watch(inlet: int, own: set[int], handled: threading.Semaphore, grace: float) -> None:
+def _watch(inlet: int, signals: set[int], handled: threading.Semaphore, grace: float) -> None:
     while arrived := os.read(inlet, 1):
-        if arrived[0] in own and not handled.acquire(timeout=grace):
+        if arrived[0] in signals and not handled.acquire(timeout=grace):
             processes = sys.modules.get("multiprocessing")  # importing it takes 7 ms
             for child in processes.active_children() if processes else ():
                 child.kill()

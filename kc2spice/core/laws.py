@@ -348,7 +348,7 @@ class PortBody(Device):
         return tuple(port for port in self.ports if port.kind != "output")
 
     @cached_property
-    def _own(self) -> tuple[Port, ...]:
+    def _flow_ports(self) -> tuple[Port, ...]:
         """Ports whose through quantity is an unknown."""
         return tuple(p for p in self.ports if p.kind in (*POTENTIALS, *MECHANICAL))
 
@@ -362,11 +362,11 @@ class PortBody(Device):
 
     @property
     def flows(self) -> tuple[Flow, ...]:
-        return tuple(Flow(port.name, port.ret) for port in self._own)
+        return tuple(Flow(port.name, port.ret) for port in self._flow_ports)
 
     @property
     def states(self) -> tuple[str, ...]:
-        return tuple(f"{port.name}.through" for port in self._own)
+        return tuple(f"{port.name}.through" for port in self._flow_ports)
 
     @property
     def prescribes(self) -> tuple[str, ...]:
@@ -375,15 +375,15 @@ class PortBody(Device):
     @cached_property
     def _maps(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """``a = load @ e``, ``charges = stored @ y`` and ``out = direct @ e + answered @ y``."""
-        n, k, drives = len(self._loads), len(self._own), len(self.prescribes)
+        n, k, drives = len(self._loads), len(self._flow_ports), len(self.prescribes)
         rows = [port for port in self.ports if port.kind != "input"]
         load, stored = np.zeros((n, n + k)), np.zeros((k, len(rows)))
         direct, answered = np.zeros((2 * k + drives, n + k)), np.zeros((2 * k + drives, len(rows)))
         direct[:k, n:] = np.eye(k)
         for row, port in enumerate(self._loads):
             force = port.kind in (*MECHANICAL, *HEATED)
-            load[row, n + self._own.index(port) if force else row] = 1.0
-        for at, port in enumerate(self._own):
+            load[row, n + self._flow_ports.index(port) if force else row] = 1.0
+        for at, port in enumerate(self._flow_ports):
             if port.kind in POTENTIALS and port.kind not in HEATED:
                 stored[at, rows.index(port)] = direct[k + at, n + at] = 1.0
             else:
@@ -445,8 +445,8 @@ class PortBody(Device):
         _, stored, _, answered = self._maps
         Y = s * self.transfer(s)
         size = np.sqrt(np.abs(np.diagonal(Y)))
-        lost, shapes = np.linalg.eigh((Y + Y.conj().T) / (2 * np.outer(size, size)))
-        y = size[:, None] * shapes * np.sqrt(np.maximum(lost, 0.0)) / s
+        powers, shapes = np.linalg.eigh((Y + Y.conj().T) / (2 * np.outer(size, size)))
+        y = size[:, None] * shapes * np.sqrt(np.maximum(powers, 0.0)) / s
         return answered @ y, stored @ y
 
 
@@ -492,8 +492,8 @@ class SignalBlock(Device):
         return slope @ e, slope
 
     def store(self, e: np.ndarray, mode: Any) -> tuple[np.ndarray, np.ndarray]:
-        kept = np.hstack([0.0 * self.B, self.E])
-        return kept @ e, kept
+        slope = np.hstack([0.0 * self.B, self.E])
+        return slope @ e, slope
 
 
 def sensor(name: str, gain: float, kind: str) -> SignalBlock:

@@ -20,8 +20,8 @@ NOT_ESTIMATED = "error not estimated, because the matrices state no mesh"
 
 def mesh_errors(facts: Mapping[str, float]) -> dict[str, float]:
     """Estimated relative errors that the mesh of a body causes, by what they are errors of."""
-    found = {words: facts.get(f"{MESH_ERROR}{name}") for name, words in _MESH_ERRORS.items()}
-    return {words: error for words, error in found.items() if error is not None}
+    errors = {words: facts.get(f"{MESH_ERROR}{name}") for name, words in _MESH_ERRORS.items()}
+    return {words: error for words, error in errors.items() if error is not None}
 
 
 def mesh_facts(facts: Mapping[str, float]) -> dict[str, float]:

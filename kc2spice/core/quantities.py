@@ -55,16 +55,16 @@ def describe_invalid(
     every = error.errors()
     result = next((item for item in every if item["type"] == "extra_forbidden"), every[0])
     path = tuple(step for step in result["loc"] if not _MEMBER.search(str(step)))
-    given = _typed(table, path, result["input"])
+    typed = _typed(table, path, result["input"])
     if key := result.get("ctx", {}).get("key"):  # of a table that is checked as a whole
         below = tuple(int(step) if step.isdecimal() else step for step in key.split("."))
-        path, given = (*path, *below), _typed(given, below, None)
-    whole, kind = (*at, *path), result["type"]
-    message, expected, hint = _words(result, schema, whole, also)
+        path, typed = (*path, *below), _typed(typed, below, None)
+    full_path, kind = (*at, *path), result["type"]
+    message, expected, hint = _words(result, schema, full_path, also)
     # If keys contradict each other, the message contains the reason.
-    contradicts = kind == "value_error" and isinstance(given, Mapping)
-    got = None if contradicts or kind in ("extra_forbidden", "missing") else shown(given)
-    return whole, {"message": message, "got": got, "expected": expected, "hint": hint}
+    contradicts = kind == "value_error" and isinstance(typed, Mapping)
+    got = None if contradicts or kind in ("extra_forbidden", "missing") else display_text(typed)
+    return full_path, {"message": message, "got": got, "expected": expected, "hint": hint}
 
 
 def _typed(table: object, path: KeyPath, converted: Any) -> Any:
@@ -82,10 +82,10 @@ def _typed(table: object, path: KeyPath, converted: Any) -> Any:
 
 
 def _words(
-    found: ErrorDetails, schema: type[BaseModel], whole: KeyPath, also: Sequence[str]
+    details: ErrorDetails, schema: type[BaseModel], full_path: KeyPath, also: Sequence[str]
 ) -> tuple[str, str | None, str | None]:
-    path, context = found["loc"], found.get("ctx", {})
-    match found["type"]:
+    path, context = details["loc"], details.get("ctx", {})
+    match details["type"]:
         case "extra_forbidden":
             fields = [*_table(schema, path).model_fields, *(also if len(path) == 1 else ())]
             word, every = str(path[-1]), (dotted(item) for item, _ in entries(schema))
@@ -93,39 +93,52 @@ def _words(
             near = _other_word(word, fields) or near
             return "unknown key", "one of " + candidates(word, fields, _listed(schema)), near
         case "missing":
-            return (f"{dotted(whole)} is missing", *_missing(schema, path, whole))
+            return (f"{dotted(full_path)} is missing", *_missing(schema, path, full_path))
         case "string_pattern_mismatch":
             expected = "a letter, then letters, digits and _, at most 64 in all"
-            if whole[0] in ("title", "include"):  # it ends up in the netlist: a line is a command
+            if full_path[0] in (
+                "title",
+                "include",
+            ):  # it ends up in the netlist: a line is a command
                 expected = "one line of text without control characters"
             return "not allowed", expected, None
         case "quantity":
             return context["reason"], context["expected"], context.get("hint")
         case "literal_error":
             choices = re.findall(r"'?(\w+)'?(?:, | or |$)", context["expected"])
-            near = did_you_mean(str(found["input"]), choices)
-            listed = candidates(found["input"], choices, _listed(schema))
+            near = did_you_mean(str(details["input"]), choices)
+            listed = candidates(details["input"], choices, _listed(schema))
             return "no such choice", f"one of {listed}", near
         case "int_type":
             return "not a whole number", "a whole number, without quotes", None
-        case "dict_type" if isinstance(found["input"], (list, tuple)):
-            return "a list, not tables by name", f"[{dotted(whole)}.NAME] for each of them", None
+        case "dict_type" if isinstance(details["input"], (list, tuple)):
+            return (
+                "a list, not tables by name",
+                f"[{dotted(full_path)}.NAME] for each of them",
+                None,
+            )
         case "model_type" | "dict_type":
-            entry = not whole or isinstance(whole[-1], int)  # an entry of a list
-            table = "{ KEY = VALUE, … }" if entry else f"[{dotted(whole)}]"
+            entry = not full_path or isinstance(full_path[-1], int)  # an entry of a list
+            table = "{ KEY = VALUE, … }" if entry else f"[{dotted(full_path)}]"
             return "not a table", f"a table, {table}", None
         case "tuple_type" | "list_type":
-            given = found["input"]
-            keys = ", ".join(f"{key} = …" for key in given) if isinstance(given, Mapping) else None
+            entered = details["input"]
+            keys = (
+                ", ".join(f"{key} = …" for key in entered) if isinstance(entered, Mapping) else None
+            )
             one = (
                 " … " if keys is None else f"{{ {keys} }}"
             )  # user wrote a table where a list of tables is required
-            return "not a list", f"a list, {whole[-1]} = [{one}]", None
+            return "not a list", f"a list, {full_path[-1]} = [{one}]", None
         case "too_short" | "too_long" as kind:
-            few = kind == "too_short"
-            count = context["min_length" if few else "max_length"]
-            bound = f"{'least' if few else 'most'} {count} entr{'y' if count == 1 else 'ies'}"
-            return f"too {'few' if few else 'many'} entries", f"a list of at {bound}", None
+            too_short = kind == "too_short"
+            count = context["min_length" if too_short else "max_length"]
+            bound = f"{'least' if too_short else 'most'} {count} entr{'y' if count == 1 else 'ies'}"
+            return (
+                f"too {'too_short' if too_short else 'many'} entries",
+                f"a list of at {bound}",
+                None,
+            )
         case "greater_than" | "greater_than_equal" | "less_than" | "less_than_equal":
             sign = {"gt": ">", "ge": ">=", "lt": "<", "le": "<="}
             limit = ", ".join(f"{sign[key]} {bound:g}" for key, bound in context.items())
@@ -134,7 +147,7 @@ def _words(
             return "out of range", f"{limit} {unit or ''}".rstrip(), None
         case "value_error":
             return str(context["error"]), None, None
-    return found["msg"], context.get("expected"), None
+    return details["msg"], context.get("expected"), None
 
 
 # Words for which another key stands, and how both are related.
@@ -155,16 +168,16 @@ def _other_word(word: str, fields: Sequence[str]) -> str | None:
 
 
 def _missing(
-    schema: type[BaseModel], path: KeyPath, whole: KeyPath
+    schema: type[BaseModel], path: KeyPath, full_path: KeyPath
 ) -> tuple[str | None, str | None]:
     """What a key that is missing may be, and how to add it."""
     names = tuple(step for step in path if isinstance(step, str))
     unit = next((unit_of(field) for item, field in entries(schema) if item == names), None)
-    table = dotted(whole[:-1])
+    table = dotted(full_path[:-1])
     value = f'"1 {unit}"' if unit else "VALUE"
     place = f"  to {table}" if table else ""
     expected = f'a number in {unit}, or a string with a unit such as "1 {unit}"' if unit else None
-    return expected, f"add  {whole[-1]} = {value}{place}"
+    return expected, f"add  {full_path[-1]} = {value}{place}"
 
 
 def _listed(schema: type[BaseModel]) -> str | None:
@@ -183,11 +196,11 @@ def _table(schema: type[BaseModel], path: KeyPath) -> type[BaseModel]:
 def entries(schema: type[BaseModel]) -> Iterator[tuple[tuple[str, ...], FieldInfo]]:
     """All keys of a schema in its order, those of its tables behind their names."""
     for name, field in schema.model_fields.items():
-        section, own = submodel(field.annotation), (field.alias or name,)
+        section, path = submodel(field.annotation), (field.alias or name,)
         if section is None:
-            yield own, field
+            yield path, field
         else:
-            yield from ((own + below, item) for below, item in entries(section))
+            yield from ((path + below, item) for below, item in entries(section))
 
 
 def submodel(annotation: Any) -> type[BaseModel] | None:
@@ -219,7 +232,7 @@ def dotted(path: KeyPath) -> str:
     return text.removeprefix(".")
 
 
-def shown(value: Any) -> str:
+def display_text(value: Any) -> str:
     """``repr``, or what can be said of a number of more digits than Python prints."""
     try:
         return clipped(_as_toml(value))
@@ -523,11 +536,11 @@ def validated(
     """
     if isinstance(table, schema):
         return table
-    given = dict(table) if isinstance(table, Mapping) else table
+    plain = dict(table) if isinstance(table, Mapping) else table
     try:
-        return schema.model_validate(given, context=context)
+        return schema.model_validate(plain, context=context)
     except ValidationError as error:
-        path, words = describe_invalid(error, schema, table=given)
+        path, words = describe_invalid(error, schema, table=plain)
         inside = f"{where} " if where.endswith(":") else f"{where}."
         place = inside + dotted(path) if path else where.removesuffix(":")
         raise UsageError(where=place, **words) from None

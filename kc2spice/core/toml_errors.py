@@ -92,8 +92,8 @@ def invalid_toml(text: str, error: ValueError, label: str) -> UsageError:
 
 def _header_of(line: str) -> tuple[str, str]:
     """Opening brackets and name of the table that begins with this line; empty of other lines."""
-    found = _HEADER.fullmatch(line) if len(line) <= LONGEST_LINE else None
-    return ("", "") if found is None else (found[1], found[2].strip())
+    header = _HEADER.fullmatch(line) if len(line) <= LONGEST_LINE else None
+    return ("", "") if header is None else (header[1], header[2].strip())
 
 
 def _quoted(lines: Sequence[str], number: int) -> str:
@@ -103,15 +103,15 @@ def _quoted(lines: Sequence[str], number: int) -> str:
 
 def _position(text: str, message: str) -> tuple[float, float]:
     """Line and column at which the parser stopped."""
-    if found := re.search(r"at line (\d+), column (\d+)\)", message):
-        return float(found[1]), float(found[2])
+    if match := re.search(r"at line (\d+), column (\d+)\)", message):
+        return float(match[1]), float(match[2])
     return math.inf, 0.0
 
 
 def _line_number(text: str, message: str) -> int | None:
     """Line at which the parser stopped; None where the message names none."""
-    if found := re.search(r"at line (\d+), column", message):
-        return int(found[1])
+    if match := re.search(r"at line (\d+), column", message):
+        return int(match[1])
     if "end of document" in message:
         return max(1, len(lines_of(text.rstrip())))
     return None
@@ -161,13 +161,13 @@ def _write(line: str) -> str:
 def _without_quotes(lines: Sequence[str], number: int) -> Iterator[_Repair]:
     """Text, quantities and numbers that TOML does not read without quotes."""
     line = lines[number - 1]
-    found = [m for m in _BARE_VALUE.finditer(_masked(line)) if not _is_value(m[1])]
+    bare = [m for m in _BARE_VALUE.finditer(_masked(line)) if not _is_value(m[1])]
     repaired = line
-    for match in reversed(found):
+    for match in reversed(bare):
         start, end = match.span(1)
         repaired = repaired[:start] + _as_typed(line[start:end]) + repaired[end:]
-    if found:
-        quoted = '"' in "".join(_as_typed(match[1]) for match in found)
+    if bare:
+        quoted = '"' in "".join(_as_typed(match[1]) for match in bare)
         problem = "text without quotes" if quoted else "a value that TOML does not read"
         yield _Repair(problem, number, repaired, _write(repaired))
 

@@ -99,8 +99,8 @@ def running(values: np.ndarray, over: np.ndarray) -> np.ndarray:
 
 def interpolate(at: Any, scale: np.ndarray, values: np.ndarray) -> Any:
     """Interpolate ``values`` (n,) linearly at ``at``; ``scale`` (n,) rises or falls."""
-    way = -1 if scale[0] > scale[-1] else 1
-    return np.interp(at, scale[::way], values[::way])
+    direction = -1 if scale[0] > scale[-1] else 1
+    return np.interp(at, scale[::direction], values[::direction])
 
 
 TOP = 1e-6  # flat top of a repeated triangle, of its edge
@@ -165,7 +165,7 @@ class Waveform:
         return np.inf if self.straight else 0.05 / self.frequency
 
     @cached_property
-    def _once(self) -> tuple[np.ndarray, np.ndarray]:
+    def _corners(self) -> tuple[np.ndarray, np.ndarray]:
         times, values = np.array(self.points, dtype=float).T
         return times, values
 
@@ -178,7 +178,7 @@ class Waveform:
 
     def __call__(self, t: Any) -> Any:
         if self.straight:
-            return np.interp(self._folded(t), *self._once)
+            return np.interp(self._folded(t), *self._corners)
         return self._turned(t, t, 0)
 
     def _turned(self, t: Any, within: Any, order: int) -> Any:
@@ -190,14 +190,14 @@ class Waveform:
         """Time derivatives at ``t``, of the smooth pieces that hold the times ``within``."""
         if not self.straight:
             return self._turned(t, within, order)
-        times, values = self._once
+        times, values = self._corners
         slopes = np.concatenate(([0.0], np.diff(values) / np.diff(times), [0.0]))
         piece = np.searchsorted(times, self._folded(within))
         return slopes[piece] * (order == 1) + 0.0 * np.asarray(t)
 
     def knots(self, stop: float) -> tuple[np.ndarray, np.ndarray]:
         """Times [s] of all points and values there, those of periods that begin up to ``stop``."""
-        times, values = self._once
+        times, values = self._corners
         if self.period is not None:
             turns = self.period * np.arange(max(1, int((stop - times[0]) / self.period) + 1))
             times, first = np.unique((times + turns[:, None]).ravel(), return_index=True)

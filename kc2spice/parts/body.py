@@ -34,7 +34,7 @@ from kc2spice.bodies import device as fe
 from kc2spice.core.cache import cached
 from kc2spice.core.errors import UsageError, candidates, part_named, wrong
 from kc2spice.core.figure import Curve, Figure, Panel, Written
-from kc2spice.core.foreign import beside
+from kc2spice.core.foreign import file_in_folder
 from kc2spice.core.quantities import Count, Length, Notch, Section, validated
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.fem import mesh_file
@@ -281,7 +281,7 @@ def device(keys: BodyKeys | Mapping[str, Any], home: Path, where: str = "body") 
     """
     keys = validated(BodyKeys, keys, where)
     with part_named(where):
-        path = beside(home, keys.mesh, "mesh")
+        path = file_in_folder(home, keys.mesh, "mesh")
         unit = mesh_file.length_unit(path, keys.unit)
         result = mesh_file.read_mesh(
             path,
@@ -530,7 +530,7 @@ class Body(MeshedBody):
 
 
 def _path(part: Part, scene: Scene) -> Path:
-    return beside(scene.home, part.keys.mesh, f"{part.name}.mesh")
+    return file_in_folder(scene.home, part.keys.mesh, f"{part.name}.mesh")
 
 
 register(Body())

@@ -13,7 +13,7 @@ from pydantic import Field
 from kc2spice.bodies.readers import described, extent, read_model, source_files
 from kc2spice.bodies.readers.raw import TRANSLATIONS
 from kc2spice.core.figure import Shape
-from kc2spice.core.foreign import beside
+from kc2spice.core.foreign import file_in_folder
 from kc2spice.core.progress import Clock
 from kc2spice.parts._linear_body import LinearBody, LinearKeys, file_stamp
 from kc2spice.rom.linear import LinearModel, Port
@@ -81,8 +81,10 @@ class Matrices(LinearBody):
     def _source(self, part: Part, scene: Scene) -> tuple[Path, Path | None]:
         """Path of the matrices, and of the TOML file that is named."""
         name, home, keys = part.name, scene.home, part.keys
-        sidecar = None if keys.sidecar is None else beside(home, keys.sidecar, f"{name}.sidecar")
-        return beside(home, keys.file, f"{name}.file"), sidecar
+        sidecar = (
+            None if keys.sidecar is None else file_in_folder(home, keys.sidecar, f"{name}.sidecar")
+        )
+        return file_in_folder(home, keys.file, f"{name}.file"), sidecar
 
 
 @lru_cache(maxsize=4)

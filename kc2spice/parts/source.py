@@ -14,7 +14,7 @@ from kc2spice.core import laws
 from kc2spice.core import waveforms as waves_
 from kc2spice.core.domains import QUANTITIES, Domain, Quantity, Side
 from kc2spice.core.errors import UsageError
-from kc2spice.core.foreign import beside, read_bounded
+from kc2spice.core.foreign import file_in_folder, read_bounded
 from kc2spice.core.quantities import Section, quantity, refused
 from kc2spice.core.spectrum import waveform_frequency
 from kc2spice.core.waveforms import PulseKeys, SineKeys, Waveform, Waveforms
@@ -317,7 +317,7 @@ def _rising(points: np.ndarray, what: str) -> Waveform:
 
 def _table(home: Path, name: str) -> np.ndarray:
     """Rows ``time, value`` of a CSV file beside the scene."""
-    path = beside(home, name, "file")
+    path = file_in_folder(home, name, "file")
     try:
         data = read_bounded(path, 40 * MAX_ROWS)
         rows = np.genfromtxt(io.BytesIO(data), delimiter=",", comments="#", ndmin=2)

@@ -31,10 +31,10 @@ from kc2spice.core.foreign import (
 from kc2spice.core.quantities import (
     clipped,
     describe_invalid,
+    display_text,
     dotted,
     entries,
     quantity,
-    shown,
     unit_of,
 )
 from kc2spice.core.toml_errors import parse_toml_file
@@ -458,7 +458,7 @@ def _part_tables(data: Mapping[str, Any]) -> Iterator[tuple[str, Mapping]]:
             continue
         if not isinstance(table, Mapping) and name in SHORT:
             expected = f"a table, [{name}]"
-            raise UsageError("not a table", where=name, got=shown(table), expected=expected)
+            raise UsageError("not a table", where=name, got=display_text(table), expected=expected)
         if not isinstance(table, Mapping):
             raise _unknown(name, data)
         if not _NAME.fullmatch(name) or name.lower() == GROUND:
