@@ -43,7 +43,7 @@ class Attached:
 
 
 @dataclass(frozen=True, eq=False)
-class Held:
+class InitialValue:
     """A start that a law asks for: ``row @ X = value`` and ``rate @ X = speed``."""
 
     row: np.ndarray
@@ -58,7 +58,7 @@ class System:
     """Reduced equations and how to read everything from their unknowns; made by `assemble`.
 
     Waves are ``now X + d/dt (rated X) + direct (outputs of all devices) + constant`` in the order
-    of ``names``. Linear laws store ``X' stored X + lifted X`` [J] and lose ``X' lost X`` [W].
+    of ``names``. Linear laws store ``X' stored X + lifted X`` [J] and lose ``X' dissipated X`` [W].
     """
 
     G: np.ndarray  # (n, N)
@@ -70,7 +70,7 @@ class System:
     sources: tuple[L.Source, ...]
     devices: tuple[Attached, ...]
     linear: tuple[Attached, ...]  # whose outputs and stores are in ``G``, ``F`` and ``const``
-    held: tuple[Held, ...]
+    initial_values: tuple[InitialValue, ...]
     names: tuple[str, ...]
     now: np.ndarray  # (W, N)
     rated: np.ndarray
@@ -78,14 +78,14 @@ class System:
     constant: np.ndarray
     stored: np.ndarray  # (N, N)
     lifted: np.ndarray  # (N,)
-    lost: np.ndarray
+    dissipated: np.ndarray
 
     @property
     def size(self) -> int:
         """Number of unknowns."""
         return self.const.size
 
-    def given(self, t: np.ndarray | float, within: float, order: int = 0) -> np.ndarray:
+    def source_values(self, t: np.ndarray | float, within: float, order: int = 0) -> np.ndarray:
         """Derivatives of this ``order`` of the sources, and the next ones, (2 sources,) or
         (2 sources, nt) at ``t``, of the smooth pieces that hold the time ``within``."""
         waves = [p.wave for p in self.sources]
@@ -123,12 +123,12 @@ class _Assembly:
         self.sources = tuple(p for p in laws if isinstance(p, L.Source))
         self.S = np.zeros((n, len(self.sources)))
         self.constraints: list[tuple[np.ndarray, np.ndarray]] = []  # forms, and of which sources
-        self.forms: dict[str, Any] = {k: np.zeros((n, n)) for k in ("stored", "lost")}
+        self.forms: dict[str, Any] = {k: np.zeros((n, n)) for k in ("stored", "dissipated")}
         self.lifted = np.zeros(n)
         self.flows: dict[str, tuple[np.ndarray, np.ndarray, float]] = {}
         self.attached: list[tuple[L.Device, np.ndarray, np.ndarray]] = []
         self.linear: list[tuple[L.Device, np.ndarray, np.ndarray]] = []
-        self.held: list[tuple[np.ndarray, float, np.ndarray, float]] = []
+        self.initial_values: list[tuple[np.ndarray, float, np.ndarray, float]] = []
         for form in self.rigid:
             self.constrain(form, -1)
         for at in self.signal.values():
@@ -157,11 +157,11 @@ class _Assembly:
                 if port.kind in L.MECHANICAL and port.name not in b.states:
                     net = self.nets[f"{b.name}.{port.name}"]
                     moved.setdefault(net, []).append((self.body[b.name], b.model.C[k]))
-        own = [n for n in used if self.kinds[n] in L.MECHANICAL and n not in moved]
-        self.nq = at + len(own)
+        independent = [n for n in used if self.kinds[n] in L.MECHANICAL and n not in moved]
+        self.nq = at + len(independent)
         self.sizes = np.full(self.nq, MICRO)
         self.place: dict[str, np.ndarray] = {
-            n: np.eye(1, self.nq, at + k)[0] for k, n in enumerate(own)
+            n: np.eye(1, self.nq, at + k)[0] for k, n in enumerate(independent)
         }
         at = 2 * self.nq
         nodes, signals = (
@@ -171,12 +171,14 @@ class _Assembly:
         at += len(self.node)
         self.signal = {n: at + k for k, n in enumerate(signals)}
         at += len(self.signal)
-        self.own: dict[str, int] = {}
+        self.state_index: dict[str, int] = {}
         extra = [1.0] * (at - 2 * self.nq)
         for law in self.laws:
             if isinstance(law, L.Device | L.LinearBody):
                 extra += law.scales
-                self.own |= {f"{law.name}.{state}": k for k, state in enumerate(law.states, at)}
+                self.state_index |= {
+                    f"{law.name}.{state}": k for k, state in enumerate(law.states, at)
+                }
                 at += len(law.states)
         self.size = at
         self.rigid: list[np.ndarray] = []
@@ -238,7 +240,7 @@ class _Assembly:
 
     def states(self, law: L.Device) -> np.ndarray:
         """Places of a device's own states."""
-        return np.array([self.own[f"{law.name}.{s}"] for s in law.states], dtype=int)
+        return np.array([self.state_index[f"{law.name}.{s}"] for s in law.states], dtype=int)
 
     def stores(self, law: L.Device, outputs: np.ndarray) -> np.ndarray:
         """Into which balances the rates of what a device stores go, (size, stored)."""
@@ -325,11 +327,11 @@ class _Assembly:
             where = self.states(law)
             small, stores = where - n + size, None
             if law.storing:
-                kept = self.stores(law, into)
-                stores = W.T @ kept
+                storing = self.stores(law, into)
+                stores = W.T @ storing
                 if not law.linear:
                     differential[small] = True
-                    differential |= (kept[:, small.size :].T @ T).any(axis=0)
+                    differential |= (storing[:, small.size :].T @ T).any(axis=0)
             devices.append(Attached(law, taps @ expansion, W.T @ into, stores, small, first))
             first += 0 if law.linear else into.shape[1]
         devices, linear = (devices[: len(self.attached)], devices[len(self.attached) :])
@@ -343,8 +345,9 @@ class _Assembly:
             sources=self.sources,
             devices=tuple(devices),
             linear=tuple(linear),
-            held=tuple(
-                Held(r @ expansion, x, v @ expansion, y, W.T @ r) for r, x, v, y in self.held
+            initial_values=tuple(
+                InitialValue(r @ expansion, x, v @ expansion, y, W.T @ r)
+                for r, x, v, y in self.initial_values
             ),
             lifted=self.lifted @ expansion,
             **{kind: expansion.T @ form @ expansion for kind, form in self.forms.items()},
@@ -379,10 +382,10 @@ class _Assembly:
         raw = np.hstack([np.zeros((self.size, 0)), *(into for _, _, into in self.attached)])
         for at, source in enumerate(self.sources):
             name = f"{source.name}.out.through"
-            held = [j for j, (_, by) in enumerate(self.constraints) if by[at]]
-            if held:
+            forced = [j for j, (_, by) in enumerate(self.constraints) if by[at]]
+            if forced:
                 by = np.zeros(self.size)
-                by[touched] = solve[held[0]]
+                by[touched] = solve[forced[0]]
                 rated = -by @ self.M @ expansion
                 rows[name] = (by @ acting, rated, by @ raw, float(by @ self.const))
             elif source.flows:
@@ -399,13 +402,13 @@ class _Assembly:
 
 def _split(basis: np.ndarray, pattern: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Turn ``basis`` so that ``pattern`` (not negative) acts on some of its columns alone."""
-    seen = basis.T @ pattern @ basis
-    seen = 0.5 * (seen + seen.T)
-    level = np.sqrt(np.maximum(np.diag(seen), 0.0))
+    reduced = basis.T @ pattern @ basis
+    reduced = 0.5 * (reduced + reduced.T)
+    level = np.sqrt(np.maximum(np.diag(reduced), 0.0))
     acted = level > 0.0
-    scaled = seen[np.ix_(acted, acted)] / np.outer(level[acted], level[acted])
+    scaled = reduced[np.ix_(acted, acted)] / np.outer(level[acted], level[acted])
     if acted.any() and np.linalg.eigvalsh(scaled)[0] < 1e-10:
-        values, vectors = sla.eigh(seen)
+        values, vectors = sla.eigh(reduced)
         acted = values > 1e-12 * values[-1]
         return basis @ vectors, acted
     return basis, acted
@@ -444,7 +447,7 @@ def _body(law: L.LinearBody, into: _Assembly) -> None:
             into.M += np.outer(volts[k], charge)
             into.flows[f"{law.name}.{port.name}"] = (np.zeros(n), charge, 0.0)
         elif port.name in law.states:  # u = C x + D F with the force F on the part as an unknown
-            at = into.own[f"{law.name}.{port.name}"]
+            at = into.state_index[f"{law.name}.{port.name}"]
             force = np.eye(1, n, at)[0]
             into.A[x, at] += B[:, k]
             form = into.gap(law, port.name, port.ret)
@@ -452,25 +455,25 @@ def _body(law: L.LinearBody, into: _Assembly) -> None:
             into.A[at] += form - C[k] @ motion
             for j, other in enumerate(law.ports):
                 if D[k, j] and other.name in law.states:
-                    into.A[at, into.own[f"{law.name}.{other.name}"]] -= D[k, j]
+                    into.A[at, into.state_index[f"{law.name}.{other.name}"]] -= D[k, j]
             for j, form in shaken.items():
                 into.A[at] -= D[k, j] * form
             into.flows[f"{law.name}.{port.name}"] = (force, np.zeros(n), 0.0)
-            into.term(*(("lost", force, D[k, k]) if heat else ("stored", force, 0.5 * D[k, k])))
+            into.term(*(("dissipated", force, D[k, k]) if heat else ("stored", force, 0.5 * D[k, k])))
     moving = np.zeros((C.shape[1], n))
     moving[:, v] = np.eye(C.shape[1])
     for k, port in enumerate(law.ports):
         if port.kind == "acceleration":  # brings in v' B a from outside
             work = np.zeros((C.shape[1] + 1,) * 2)
             work[-1, :-1] = work[:-1, -1] = -0.5 * B[:, k]
-            into.term("lost", np.vstack([moving, into.form(law, port.name)]), work)
+            into.term("dissipated", np.vstack([moving, into.form(law, port.name)]), work)
     if heat:
         into.term("stored", motion, 0.5 * E)
-        into.term("lost", motion, K)
+        into.term("dissipated", motion, K)
         return
     into.term("stored", motion, 0.5 * K)
     into.term("stored", moving, 0.5 * M)
-    into.term("lost", moving, E)
+    into.term("dissipated", moving, E)
     if volts:
         keys = list(volts)
         into.term("stored", np.array(list(volts.values())), 0.5 * D[np.ix_(keys, keys)])
@@ -493,17 +496,17 @@ def _device(law: L.Device, into: _Assembly) -> None:
     taps = [into.gap(law, t.pin, t.minus, t.less) for t in law.taps]
     taps = [into.rate(form) if t.rate else form for t, form in zip(law.taps, taps, strict=True)]
     if law.start is not None:
-        into.held.append((taps[0], law.start[0], into.rate(taps[0]), law.start[1]))
-    own = np.eye(into.size)[into.states(law)]
+        into.initial_values.append((taps[0], law.start[0], into.rate(taps[0]), law.start[1]))
+    states = np.eye(into.size)[into.states(law)]
     through = [-into.gap(law, f.pin, f.minus, f.less) for f in law.flows]
     driven = [into.form(law, pin) for pin in law.prescribes]
-    inputs = np.array([*taps, *own]).reshape(-1, into.size)
-    outputs = np.array([*through, *own, *driven]).reshape(-1, into.size).T
+    inputs = np.array([*taps, *states]).reshape(-1, into.size)
+    outputs = np.array([*through, *states, *driven]).reshape(-1, into.size).T
     if law.linear:
         _linear(law, into, inputs, outputs)
         return
     if not law.storing:
-        into.M += own.T @ own
+        into.M += states.T @ states
     for k in law.charged:
         into.charged += np.outer(through[k], through[k])
     into.attached.append((law, inputs, outputs))
@@ -513,11 +516,11 @@ def _linear(law: L.Device, into: _Assembly, inputs: np.ndarray, outputs: np.ndar
     """Constant matrices of its outputs, stores, energy and loss."""
     still = np.zeros(len(inputs))
     mode = law.mode(still)
-    (out, slope), (_, kept) = law.evaluate(still, mode), law.store(still, mode)
+    (out, slope), (_, stored_slope) = law.evaluate(still, mode), law.store(still, mode)
     into.A += outputs @ slope @ inputs
     into.const += outputs @ out
-    into.M += into.stores(law, outputs) @ kept @ inputs
-    rated = dict(zip(law.charged, kept[len(law.states) :] @ inputs, strict=True))
+    into.M += into.stores(law, outputs) @ stored_slope @ inputs
+    rated = dict(zip(law.charged, stored_slope[len(law.states) :] @ inputs, strict=True))
     for k, flow in enumerate(law.flows):
         rate = rated.get(k, 0.0 * inputs[0])
         into.flows[f"{law.name}.{flow.pin}"] = slope[k] @ inputs, rate, float(out[k])
@@ -525,7 +528,7 @@ def _linear(law: L.Device, into: _Assembly, inputs: np.ndarray, outputs: np.ndar
         stored, lifted = _quadratic(lambda e: law.energy(e, mode), len(inputs))
         into.term("stored", inputs, stored)
         into.lifted += lifted @ inputs
-        into.term("lost", inputs, _quadratic(lambda e: law.loss(e, mode), len(inputs))[0])
+        into.term("dissipated", inputs, _quadratic(lambda e: law.loss(e, mode), len(inputs))[0])
     into.linear.append((law, inputs, outputs))
 
 

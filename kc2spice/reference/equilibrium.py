@@ -35,14 +35,14 @@ class Interval:
             if device.stores is not None:
                 self.rows = self.rows | device.stores.any(axis=1)
 
-    def seen(self, t: np.ndarray | float, z: np.ndarray) -> np.ndarray:
+    def with_sources(self, t: np.ndarray | float, z: np.ndarray) -> np.ndarray:
         """``X`` (N,) at one time, (N, nt) at many."""
-        return np.concatenate((z, self.system.given(t, self.within)))
+        return np.concatenate((z, self.system.source_values(t, self.within)))
 
     def waves(self, t: np.ndarray, z: np.ndarray, r: np.ndarray) -> dict[str, np.ndarray]:
         """All waves (nt,) at times ``t`` (nt,) by states and their rates (n, nt)."""
-        system, X = self.system, self.seen(t, z)
-        dX = np.concatenate((r, system.given(t, self.within, 1)))
+        system, X = self.system, self.with_sources(t, z)
+        dX = np.concatenate((r, system.source_values(t, self.within, 1)))
         outputs = [np.zeros((0, t.size))]
         for device, mode in zip(system.devices, self.modes, strict=True):
             points = zip((device.inputs @ X).T, (device.inputs @ dX).T, strict=True)
@@ -52,7 +52,7 @@ class Interval:
 
     def energy(self, t: float, z: np.ndarray) -> float:
         """Energy stored [J]."""
-        X = self.seen(t, z)
+        X = self.with_sources(t, z)
         item = zip(self.system.devices, self.inputs(t, z), self.modes, strict=True)
         devices = sum(device.law.energy(e, mode) for device, e, mode in item)
         return float(X @ self.system.stored @ X + self.system.lifted @ X + devices)
@@ -62,8 +62,8 @@ class Interval:
         g: np.ndarray = self.system.G @ X
         for device, mode in self.curved:
             if device.stores is not None:
-                kept = [device.law.store(e, mode)[0] for e in (device.inputs @ X).T]
-                g += device.stores @ np.array(kept).T
+                stores = [device.law.store(e, mode)[0] for e in (device.inputs @ X).T]
+                g += device.stores @ np.array(stores).T
         return g
 
     def flow(self, X: np.ndarray) -> np.ndarray:
@@ -76,7 +76,7 @@ class Interval:
 
     def slopes(self, t: float, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """``dg/dz`` and ``df/dz`` (n, n)."""
-        n, X = self.system.size, self.seen(t, z)
+        n, X = self.system.size, self.with_sources(t, z)
         M, J = self.system.G[:, :n], self.F[:, :n]
         for device, mode in self.curved:
             e, by = device.inputs @ X, device.inputs[:, :n]
@@ -87,12 +87,12 @@ class Interval:
 
     def at(self, t: float, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """``g`` and ``f`` (n,) at one time."""
-        X = self.seen(t, z)[:, None]
+        X = self.with_sources(t, z)[:, None]
         return self.stored(X)[:, 0], self.flow(X)[:, 0]
 
     def inputs(self, t: float, z: np.ndarray) -> list[np.ndarray]:
         """Inputs of every device."""
-        X = self.seen(t, z)
+        X = self.with_sources(t, z)
         return [device.inputs @ X for device in self.system.devices]
 
     def guards(self, t: float, z: np.ndarray) -> np.ndarray:
@@ -158,15 +158,15 @@ class _Rest:
 
     def __init__(self, system: System) -> None:
         self.system = _with_waves(system, {})
-        self.given = self.system.given(0.0, 0.0)
-        n, held = system.size, system.held
-        self.H = np.array([h.row[:n] for h in held]).reshape(-1, n)
-        self.h = np.array([h.value - h.row[n:] @ self.given for h in held])
-        self.into = np.array([h.into for h in held]).reshape(-1, n).T
+        self.source_values = self.system.source_values(0.0, 0.0)
+        n, values = system.size, system.initial_values
+        self.H = np.array([h.row[:n] for h in values]).reshape(-1, n)
+        self.h = np.array([h.value - h.row[n:] @ self.source_values for h in values])
+        self.into = np.array([h.into for h in values]).reshape(-1, n).T
 
     def interval(self, z: np.ndarray) -> Interval:
         """The system in the modes that its devices have at ``z``."""
-        X = np.concatenate((z, self.given))
+        X = np.concatenate((z, self.source_values))
         modes = [device.law.mode(device.inputs @ X) for device in self.system.devices]
         return Interval(self.system, modes, 0.0)
 
@@ -230,11 +230,11 @@ def _solve(
     rank = int((sing > 1e-15 * sing[0]).sum())
     if rank < n + m:
         idle = u[:, rank:]
-        kept = (idle[:n] / size[:n, None]).T
+        conserved = (idle[:n] / size[:n, None]).T
         short = np.abs(idle.T @ right) > 1e-9 * np.abs(right).max(initial=1e-300)
         stored, slope = interval.at(0.0, z)[0], interval.slopes(0.0, z)[0]
-        add = np.hstack((kept @ slope, np.zeros((len(kept), m))))
-        drop = -kept @ stored
+        add = np.hstack((conserved @ slope, np.zeros((len(conserved), m))))
+        drop = -conserved @ stored
         level = np.maximum(np.abs(add).max(axis=1), 1e-300)
         if short.any() and np.abs(right).max() > 1e-12:
             raise SimulationError(
@@ -249,9 +249,11 @@ def _solve(
 
 def _moving(system: System, z: np.ndarray) -> np.ndarray:
     """Give held masses their velocities."""
-    if not system.held:
+    if not system.initial_values:
         return z
-    forms = np.array([h.rate[: system.size] for h in system.held])[:, system.velocity]
+    forms = np.array([h.rate[: system.size] for h in system.initial_values])[:, system.velocity]
     z = z.copy()
-    z[system.velocity] = np.linalg.lstsq(forms, [h.speed for h in system.held], rcond=None)[0]
+    z[system.velocity] = np.linalg.lstsq(
+        forms, [h.speed for h in system.initial_values], rcond=None
+    )[0]
     return z

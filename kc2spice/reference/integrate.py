@@ -138,7 +138,7 @@ class Radau:
         """Solve one step of length ``h``; None if Newton's method does not converge."""
         self._factor(h)
         p, t = self.interval, self.t + h * NODES
-        given = p.system.given(t, p.within)
+        sources = p.system.source_values(t, p.within)
         Z = np.zeros((self.z.size, 3))
         if self.before is not None:
             Z = self.before.at(t) - self.z[:, None]
@@ -146,7 +146,7 @@ class Radau:
         scale = np.where(self.active, scale, 1e3 * scale)  # inactive states do not propagate errors
         last = 0.0
         for k in range(_MAX_NEWTON):
-            X = np.concatenate((self.z[:, None] + Z, given))
+            X = np.concatenate((self.z[:, None] + Z, sources))
             r = p.flow(X) - (p.stored(X) - self.g[:, None]) @ _INVERSE.T / h
             real = np.outer(self._solve(r @ _BACK[_REAL].real, 0), _vectors[:, _REAL].real)
             pair = np.outer(self._solve(r @ _BACK[_PAIR], 1), _vectors[:, _PAIR])
@@ -195,9 +195,9 @@ class Radau:
     def _error(self, step: Step) -> float:
         """Estimated error in units of the tolerance."""
         p, t, h = self.interval, self.t + step.length * NODES, step.length
-        given = p.system.given(t, p.within)
+        sources = p.system.source_values(t, p.within)
         # of the stored value; ``M`` times the unknowns belongs to an earlier state
-        late = p.stored(np.concatenate((step.first[:, None] + step.increments, given)))
+        late = p.stored(np.concatenate((step.first[:, None] + step.increments, sources)))
         moved = np.where(self.rows, (late - self.g[:, None]) @ _ERROR / h, 0.0)
         scale = self.rtol * (1.0 + np.maximum(np.abs(self.z), np.abs(step.last)))
         error = self._solve(self.f + moved, 0)
@@ -250,8 +250,8 @@ class Result:
             segment, t = self.segments[k], self.time[owner == k]
             at = np.searchsorted([s.start for s in segment.steps[1:]], t, side="left")
             steps = [(segment.steps[j], t[at == j]) for j in np.unique(at)]
-            z = np.hstack([step.at(own) for step, own in steps])
-            r = np.hstack([step.rate(own) for step, own in steps])
+            z = np.hstack([step.at(times) for step, times in steps])
+            r = np.hstack([step.rate(times) for step, times in steps])
             result.append(segment.interval.waves(t, z, r))
         joined = {name: np.concatenate([waves[name] for waves in result]) for name in result[0]}
         return {"time": self.time, **joined}
@@ -394,7 +394,7 @@ def _exchanged(system: System, segment: Segment) -> tuple[list[float], list[floa
     t = np.concatenate([s.start + s.length * NODES for s in steps])
     w = np.concatenate([s.length * WEIGHTS for s in steps])
     z, r = (np.hstack(rows) for rows in zip(*(s.nodes() for s in steps), strict=True))
-    X = interval.seen(t, z)
+    X = interval.with_sources(t, z)
     came, went = [], []
     waves = interval.waves(t, z, r) if system.sources else {}
     for source in system.sources:
@@ -402,8 +402,8 @@ def _exchanged(system: System, segment: Segment) -> tuple[list[float], list[floa
             what = ".rate" if source.domain.position else ""
             high, low = (waves[f"{source.name}.{pin}{what}"] for pin in ("out", "ret"))
             came.append(float(-waves[f"{source.name}.out.through"] * (high - low) @ w))
-    if system.lost.any():
-        went.append(float(np.einsum("it,ij,jt,t", X, system.lost, X, w, optimize=True)))
+    if system.dissipated.any():
+        went.append(float(np.einsum("it,ij,jt,t", X, system.dissipated, X, w, optimize=True)))
     for device, mode in zip(system.devices, interval.modes, strict=True):
         law = device.law
         if type(law).loss is not Device.loss:

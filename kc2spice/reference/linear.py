@@ -50,21 +50,21 @@ class Linear:
         point: tuple[np.ndarray, list[Any]] | None = None,
     ) -> None:
         self.system = system
-        self.z0, self.held = point or equilibrium(system)
-        interval = Interval(system, self.held, 0.0)
+        self.z0, self.device_modes = point or equilibrium(system)
+        interval = Interval(system, self.device_modes, 0.0)
         self.rows, self.exact = interval.rows, not system.devices
         self.G, self.F = system.G, system.F
         slopes, charges = [np.zeros((0, self.F.shape[1]))], [np.zeros((0, self.F.shape[1]))]
-        seen = zip(system.devices, interval.inputs(0.0, self.z0), self.held, strict=True)
-        for device, e, mode in seen:
-            slope, kept = device.law.small(at, e, mode)
+        devices = zip(system.devices, interval.inputs(0.0, self.z0), self.device_modes, strict=True)
+        for device, e, mode in devices:
+            slope, charge_slope = device.law.small(at, e, mode)
             rated = np.zeros_like(slope)
-            rated[list(device.law.charged)] = kept[len(device.law.states) :]
+            rated[list(device.law.charged)] = charge_slope[len(device.law.states) :]
             slopes.append(slope @ device.inputs)
             charges.append(rated @ device.inputs)
             self.F = self.F + device.into @ slopes[-1]
             if device.stores is not None:
-                self.G = self.G + device.stores @ kept @ device.inputs
+                self.G = self.G + device.stores @ charge_slope @ device.inputs
         outputs, stores = np.concatenate(slopes), np.concatenate(charges)
         self.C0 = system.now + system.direct @ outputs
         self.C1 = system.rated + system.direct @ stores
@@ -86,11 +86,11 @@ class Linear:
 
     def _unknowns(self, w: complex, amplitudes: np.ndarray) -> np.ndarray:
         """``X`` (N,) for sources ``amplitudes e^(w t)``."""
-        n, given = self.system.size, np.concatenate((amplitudes, w * amplitudes))
+        n, sources = self.system.size, np.concatenate((amplitudes, w * amplitudes))
         P = w * self.G - self.F
         size = np.abs(P[:, :n]).max(axis=1)  # rows are scaled without devices of a frequency
-        z = np.linalg.solve(P[:, :n] / size[:, None], -P[:, n:] @ given / size)
-        return np.concatenate((z, given))
+        z = np.linalg.solve(P[:, :n] / size[:, None], -P[:, n:] @ sources / size)
+        return np.concatenate((z, sources))
 
     def _terms(self, columns: slice, X: np.ndarray, rates: np.ndarray) -> np.ndarray:
         """``|C0| |X| + |C1| |X rates|`` (ny, m) of unknowns in these columns of both."""
@@ -111,8 +111,8 @@ class Linear:
             inverse = np.linalg.inv(self.G[:, :n][np.ix_(rows, cols)])
         except np.linalg.LinAlgError:
             return None
-        own = J[np.ix_(rows, cols)] + J[np.ix_(rows, algebraic)] @ follow
-        return _FreeMotion(inverse @ own, inverse, follow, cut)
+        dynamics = J[np.ix_(rows, cols)] + J[np.ix_(rows, algebraic)] @ follow
+        return _FreeMotion(inverse @ dynamics, inverse, follow, cut)
 
     @cached_property
     def poles(self) -> np.ndarray | None:
@@ -161,23 +161,23 @@ class Linear:
             return None
         if rates is None:
             return None
-        whole = np.zeros((n, rates.size), dtype=complex)
-        whole[cols], whole[algebraic] = shapes, follow @ shapes
-        out = self.C0[:, :n] @ whole + (self.C1[:, :n] @ whole) * rates
-        terms = self._terms(slice(n), whole, rates)
+        unknowns = np.zeros((n, rates.size), dtype=complex)
+        unknowns[cols], unknowns[algebraic] = shapes, follow @ shapes
+        out = self.C0[:, :n] @ unknowns + (self.C1[:, :n] @ unknowns) * rates
+        terms = self._terms(slice(n), unknowns, rates)
         # matrix driven by sources e^(w t): Bs + w (Bd - Gs) - w^2 Gd
         Gs, Gd = self.G[:, n : n + k], self.G[:, n + k :]
         Bs, Bd = self.F[:, n : n + k], self.F[:, n + k :]
         forms = [inverse @ (B[rows] - cut @ B[~rows]) for B in (Bs, Bd - Gs, -Gd)]
         drive = sum(reading @ form * rates[:, None] ** j for j, form in enumerate(forms))
-        s0 = self.system.given(0.0, 0.0)[:k]
+        s0 = self.system.source_values(0.0, 0.0)[:k]
         rest = np.linalg.lstsq(J, -Bs @ s0 - self.system.const, rcond=1e-14)[0]
         off = (self.z0 - rest)[cols]
         if drifting.size:
             free = drifting @ inverse @ ((Bs - Gs)[rows] - cut @ Bs[~rows])
-            held = np.linalg.norm(inverse @ (Bs - Gs)[rows]) + 1e-300
+            scale = np.linalg.norm(inverse @ (Bs - Gs)[rows]) + 1e-300
             moving = np.linalg.norm(drifting @ off) > _FREE * (np.linalg.norm(self.z0) + 1e-300)
-            if np.abs(free).max(initial=0.0) > _FREE * held or moving:
+            if np.abs(free).max(initial=0.0) > _FREE * scale or moving:
                 return None
         level = self.C0[:, : n + k] @ np.concatenate([rest, s0]) + self.system.constant
         return Modes(rates, out, terms, np.asarray(drive), reading @ off, level)
@@ -310,8 +310,8 @@ class Motion:
     ) -> np.ndarray:
         """Waves (nt, len(outputs)) at rising times: those of a rule of integration where ``rates``
         says what it makes of the modes' rates and ``axis`` of the frequency ``j w`` of a sine."""
-        own = self.modes.rates
-        moved = own if rates is None else rates(own)
+        poles = self.modes.rates
+        moved = poles if rates is None else rates(poles)
         y = np.tile(self.modes.level[outputs], (t.size, 1)).astype(float)
         for k, wave in enumerate(self.waves):
             if wave.straight:
@@ -332,16 +332,16 @@ class Motion:
         return y
 
     def _spans(self, moved: np.ndarray) -> list[tuple[float, float, np.ndarray]]:
-        own, drive = self.modes.rates, self.modes.drive
+        poles, drive = self.modes.rates, self.modes.drive
         begun: dict[float, np.ndarray] = {0.0: self.modes.start.astype(complex)}
         for t, k, jump in self.kinks:
-            begun[t] = begun.get(t, 0.0) + jump * drive[:, k] / own**2
+            begun[t] = begun.get(t, 0.0) + jump * drive[:, k] / poles**2
         for k, wave in self.sines:
             w = 2 * np.pi * wave.frequency
-            kick = wave.amplitude * w / (own**2 + w**2) * drive[:, k]
+            kick = wave.amplitude * w / (poles**2 + w**2) * drive[:, k]
             begun[wave.start] = begun.get(wave.start, 0.0) + kick
         times = sorted(begun)
-        result, now = [], np.zeros(own.size, dtype=complex)
+        result, now = [], np.zeros(poles.size, dtype=complex)
         for k, t in enumerate(times):
             now = now + begun[t]
             end = times[k + 1] if k + 1 < len(times) else self.stop
@@ -409,15 +409,15 @@ def _power(at: Linear, of: L.Reading, s: complex) -> float:
     level = np.abs(P).max(axis=1)
     adjoint = np.linalg.solve((P / level[:, None]).T, (C0 + s * C1)[:n]) / level
     power = 0.0
-    held = (*at.held, *(() for _ in system.linear))
-    for device, mode in zip((*system.devices, *system.linear), held, strict=True):
+    modes = (*at.device_modes, *(() for _ in system.linear))
+    for device, mode in zip((*system.devices, *system.linear), modes, strict=True):
         e = device.inputs @ np.concatenate([at.z0, np.zeros(2 * k)])
         result = device.law.noise(s, e, mode)
         if result is None:
             continue
-        out, kept = result
+        out, charge = result
         drive = device.into @ out
         if device.stores is not None:
-            drive = drive - s * device.stores @ kept
+            drive = drive - s * device.stores @ charge
         power += float((np.abs(adjoint @ drive) ** 2).sum())
     return power

@@ -122,13 +122,14 @@ def steps(
     first: float,
     step: float,
     count: int,
-    given: Callable[[System, np.ndarray], np.ndarray] | None = None,
+    start_from: Callable[[System, np.ndarray], np.ndarray] | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> Steps:
     """``count`` steps from ``first`` [s] on.
 
-    The laws begin in equilibrium, the bodies in that of t = 0, until ``first``; ``given`` turns the
-    unknowns there into those of ``first``, for laws that move before the bodies do.
+    The laws begin in equilibrium, the bodies in that of t = 0, until ``first``.
+    ``start_from`` converts the unknowns there to those at ``first``, for laws that move before the
+    bodies do.
 
     Raises
     ------
@@ -138,9 +139,9 @@ def steps(
     march = _March(system, modes, step)
     es = march.interval(0.0).inputs(0.0, z)
     for k, ported in march.ported:
-        march.own[k] = _Body(ported, step, es[k])
-    if given is not None:
-        z = given(system, z)
+        march.bodies[k] = _Body(ported, step, es[k])
+    if start_from is not None:
+        z = start_from(system, z)
     es = march.interval(first).inputs(first, z)
     for k, law in march.others:
         march.modes[k] = law.mode(es[k])
@@ -159,8 +160,8 @@ def steps(
     laws = [law for _, law in march.others]
     charges = {f"{law.name}.{law.flows[k].pin}.through" for law in laws for k in law.charged}
     waves = {name: np.concatenate([row[name] for row in item]) for name in {*item[0]} - charges}
-    seen = [tuple(interval.modes[k] for k, _ in march.others) for interval in intervals]
-    return Steps(time, {"time": time} | waves, seen)
+    mode_history = [tuple(interval.modes[k] for k, _ in march.others) for interval in intervals]
+    return Steps(time, {"time": time} | waves, mode_history)
 
 
 class _March:
@@ -172,7 +173,7 @@ class _March:
         laws = [device.law for device in system.devices]
         self.ported = [(k, law) for k, law in enumerate(laws) if isinstance(law, PortBody)]
         self.others = [(k, law) for k, law in enumerate(laws) if not isinstance(law, PortBody)]
-        self.own: dict[int, _Body] = {}
+        self.bodies: dict[int, _Body] = {}
         self.affine = all(law.affine for _, law in self.others)
 
     def interval(self, t: float) -> Interval:
@@ -181,19 +182,19 @@ class _March:
 
     def step(self, t: float, z: np.ndarray) -> np.ndarray:
         """The unknowns a step after ``t``; the modes become those there."""
-        kept = self.interval(t).at(t, z)[0]
+        stored = self.interval(t).at(t, z)[0]
         within = t + GAMMA * self.h
-        first = self._stage(within, z, kept, False)
+        first = self._stage(within, z, stored, False)
         inner = self.interval(within).at(within, first)[0]
-        last = self._stage(t + self.h, first, kept + (1 - GAMMA) / GAMMA * (inner - kept), True)
+        last = self._stage(t + self.h, first, stored + (1 - GAMMA) / GAMMA * (inner - stored), True)
         es = self.interval(t + self.h).inputs(t + self.h, last)
         for k, law in self.others:
             law.check(t + self.h, es[k])
         return last
 
-    def _stage(self, t: float, z: np.ndarray, kept: np.ndarray, second: bool) -> np.ndarray:
+    def _stage(self, t: float, z: np.ndarray, stored: np.ndarray, second: bool) -> np.ndarray:
         """Solve ``g(z) - kept = f(z) / rate`` at ``t`` for unknowns and modes."""
-        for k, body in self.own.items():
+        for k, body in self.bodies.items():
             self.modes[k] = body.relation(second)
         es = self.interval(t).inputs(t, z)
         self._switch(es, 0)
@@ -203,13 +204,13 @@ class _March:
             M, J = interval.slopes(t, z)
             J = J - self.rate * M
             size = np.abs(J).max(axis=1)
-            right = self.rate * (g - kept) - f
+            right = self.rate * (g - stored) - f
             change = np.linalg.solve(J / size[:, None], right / size)
             z = z + change
             es = interval.inputs(t, z)
             small = np.abs(change).max() <= 1e-10 * (1e-3 + np.abs(z).max())
             if not self._switch(es, count) and (self.affine or small):
-                for k, body in self.own.items():
+                for k, body in self.bodies.items():
                     body.loaded(es[k], second)
                 return z
         raise SimulationError(
