@@ -30,7 +30,7 @@ def figure_html(figure: Figure) -> str:
     Panels without a curve are left out, and so is a figure that has no others.
     """
     drawn = [panel for panel in figure.panels if panel.curves or panel.map is not None]
-    panels = [part for panel in drawn for part in _few(_with_units(_ascending(panel)))]
+    panels = [part for panel in drawn for part in _split_curves(_with_units(_ascending(panel)))]
     if not panels:
         return ""
     stacked = figure.columns == 1
@@ -162,7 +162,7 @@ def _largest(values: np.ndarray) -> float:
     return float(np.abs(values[np.isfinite(values)]).max(initial=0.0))
 
 
-def _few(panel: Panel) -> Iterator[Panel]:
+def _split_curves(panel: Panel) -> Iterator[Panel]:
     """Panels of at most ``MOST`` curves; a reference is in each of them."""
     if panel.equal or len(panel.curves) <= MOST:
         yield panel
@@ -190,8 +190,8 @@ def _panel(title: str, panel: Panel, span: Range | None, last: bool) -> dict[str
         "range_x": span, "curves": [], "outlines": [], "map": None,
     }  # fmt: skip
     outlines = panel.equal or panel.map is not None
-    kept = zip(panel.curves, _kept(panel), strict=True)
-    curves = [_curve(curve, points, not outlines) for curve, points in kept]
+    selected = zip(panel.curves, _selected_points(panel), strict=True)
+    curves = [_curve(curve, points, not outlines) for curve, points in selected]
     if outlines:
         range_y = _range_y(panel)
         result |= {"outlines": curves, "whole_x": span, "whole_y": range_y, "range_y": range_y}
@@ -270,20 +270,20 @@ def _opened(ends: Range) -> Range:
     return (low, high) if low < high else (low - half, high + half)
 
 
-def _curve(curve: Curve, kept: np.ndarray, ascending: bool) -> dict[str, Any]:
-    x = np.asarray(curve.x, dtype="<f4")[kept]
-    y = _encoded(np.asarray(curve.y, dtype=float)[kept])
-    names = [curve.names[k] for k in kept] if curve.names else []
+def _curve(curve: Curve, indices: np.ndarray, ascending: bool) -> dict[str, Any]:
+    x = np.asarray(curve.x, dtype="<f4")[indices]
+    y = _encoded(np.asarray(curve.y, dtype=float)[indices])
+    names = [curve.names[k] for k in indices] if curve.names else []
     at = _encoded(_apart(x) if ascending else x)
     return {"label": curve.label, "style": curve.style, "x": at, "y": y, "names": names}
 
 
-def _map(found: Map, low: float, high: float) -> dict[str, str]:
+def _map(field: Map, low: float, high: float) -> dict[str, str]:
     """Centres, and colours as whole numbers: 0 is ``low``, 65534 ``high``, 65535 no colour."""
-    share = (np.asarray(found.z, dtype=float) - low) / ((high - low) or 1.0)
+    share = (np.asarray(field.z, dtype=float) - low) / ((high - low) or 1.0)
     z = np.where(np.isfinite(share), np.round(65534 * share), 65535).astype("<u2")
-    axes = {name: _encoded(getattr(found, name)) for name in "xy"}
-    return {"label": found.label, **axes, "z": base64.b64encode(z.tobytes()).decode("ascii")}
+    axes = {name: _encoded(getattr(field, name)) for name in "xy"}
+    return {"label": field.label, **axes, "z": base64.b64encode(z.tobytes()).decode("ascii")}
 
 
 def _encoded(values: np.ndarray) -> str:
@@ -304,7 +304,7 @@ def _apart(x: np.ndarray) -> np.ndarray:
     return bits.astype("<i4").view("<f4")
 
 
-def _kept(panel: Panel) -> list[np.ndarray]:
+def _selected_points(panel: Panel) -> list[np.ndarray]:
     """Indices of the points of each curve that a page contains; curves over one x share them."""
     curves = panel.curves
     if panel.equal or panel.map is not None:
@@ -332,7 +332,7 @@ def _thinned(y: np.ndarray, count: int) -> np.ndarray:
     steps = np.abs(np.diff(y))
     steps[~np.isfinite(steps)] = np.inf
     jumps = np.argpartition(steps, -count // 4)[-count // 4 :]
-    kept = np.zeros(y.size, dtype=bool)
+    mask = np.zeros(y.size, dtype=bool)
     for selected in ([0, -1], low, high, jumps, jumps + 1):
-        kept[selected] = True
-    return np.flatnonzero(kept)
+        mask[selected] = True
+    return np.flatnonzero(mask)

@@ -86,11 +86,11 @@ def _draw_panel(axes: Any, panel: Panel) -> None:
     for k, curve in enumerate(panel.curves):
         _draw_curve(axes, k, curve)
     if panel.map is not None:
-        shown = panel.map
+        field = panel.map
         axes.set_facecolor("#D8D8D8")
         axes.grid(False)
-        mesh = axes.pcolormesh(shown.x, shown.y, shown.z, shading="nearest", cmap="viridis")
-        axes.figure.colorbar(mesh, ax=axes, label=shown.label)
+        mesh = axes.pcolormesh(field.x, field.y, field.z, shading="nearest", cmap="viridis")
+        axes.figure.colorbar(mesh, ax=axes, label=field.label)
     for axis, log in ((axes.xaxis, panel.log_x), (axes.yaxis, panel.log_y)):
         if log:
             _plain_log(axes, axis)
@@ -135,7 +135,7 @@ def _plain_log(axes: Any, axis: Any) -> None:
     axes.set(**{f"{axis.axis_name}scale": "log"})
     low, high = axis.get_data_interval()
     decades = 2 if axis.axis_name == "x" else 3  # beyond, labels side by side would overlap
-    few = low > 0 and high < 10**decades * low
-    axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if few else (1.0,)))
+    narrow = low > 0 and high < 10**decades * low
+    axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if narrow else (1.0,)))
     axis.set_minor_locator(NullLocator())
     axis.set_major_formatter(FuncFormatter(lambda x, _: f"{x:g}" if x > 5e-3 else f"{x:.0e}"))

@@ -70,8 +70,8 @@ def _is_words(unit: str) -> bool:
 
 def _prefixed(value: float, unit: str, digits: int, power: int) -> str:
     sign = "−" if value < 0.0 else ""
-    shown = f"{abs(value) / 10.0**power:.{digits}g}"
-    return f"{sign}{shown} {PREFIXES[power]}{_SHOWN_UNITS.get(unit, unit)}"
+    digits_text = f"{abs(value) / 10.0**power:.{digits}g}"
+    return f"{sign}{digits_text} {PREFIXES[power]}{_SHOWN_UNITS.get(unit, unit)}"
 
 
 def value_and_limit(value: float, limit: float, unit: str) -> tuple[str, str]:
@@ -87,8 +87,8 @@ def value_and_limit(value: float, limit: float, unit: str) -> tuple[str, str]:
     if words or unit in _PREFIXED or not near or not math.isfinite(value + limit):
         return quantity(value, unit, 3), quantity(limit, unit, 3)
     power = prefix_power(value)
-    whole = f"{abs(limit) / 10.0**power:.10g}"
-    digits = max(3, len(whole.partition(".")[0]))
+    digits_text = f"{abs(limit) / 10.0**power:.10g}"
+    digits = max(3, len(digits_text.partition(".")[0]))
     return _prefixed(value, unit, 3, power), _prefixed(limit, unit, digits, power)
 
 

@@ -57,9 +57,9 @@ def bench_sections(record: Mapping[str, Any]) -> list[Section]:
 
 def recommendation(record: Mapping[str, Any]) -> list[tuple[str, str]]:
     """Recommended settings, settings of the scene, and the reference of the errors."""
-    own = next(point for point in record["points"] if point["own"])
+    current = next(point for point in record["points"] if point["own"])
     best, reference = record["recommended"], record["reference"]
-    rows = [("error of", _names(record["metrics"])), ("the scene as it is", _cost(own))]
+    rows = [("error of", _names(record["metrics"])), ("the scene as it is", _cost(current))]
     if best is None:
         nearest = min(record["points"], key=lambda p: max(p["error"], p["bound"]))
         rows.append((f"within {record['limit']:g}", "none of the settings"))
@@ -392,15 +392,15 @@ class Findings:
         return {"passed": self.passed, **result, "checks": checks, "outputs": outputs}
 
 
-def write_verify(path: Path, found: Mapping[str, Findings]) -> Path:
+def write_verify(path: Path, findings_by_scene: Mapping[str, Findings]) -> Path:
     """Write the page for the findings of each scene, by its name."""
     rows = [
         (scene, MET[item.passed], *(quantity(item.errors.get(pair), "", 2) for pair in PAIRS))
-        for scene, item in found.items()
+        for scene, item in findings_by_scene.items()
     ]
     head = ("scene", "gates", "reduced − full", "ngspice − reduced", "ngspice − full")
     sections = [Section("Summary", rows, head, "Errors are the largest relative ones.")]
-    for scene, findings in found.items():
+    for scene, findings in findings_by_scene.items():
         sections += [*verdict_sections(scene, findings.record()), *_details(scene, findings)]
     lead = "Full model, reduced model and ngspice on the emitted netlist, against each other."
     return write_page(path, "Verification", lead, sections)

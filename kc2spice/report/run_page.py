@@ -116,14 +116,14 @@ def circuit(scene: Scene) -> str:
 
 def _levels(nets: Mapping[str, Sequence[float]]) -> dict[str, int]:
     """Height of each net, short ones lowest; two of one height do not overlap."""
-    taken: list[list[tuple[float, float]]] = []
+    levels: list[list[tuple[float, float]]] = []
     result = {}
     for net, places in sorted(nets.items(), key=lambda item: max(item[1]) - min(item[1])):
         low, high = min(places) - 6, max(max(places), min(places) + LETTER * len(net)) + 6
-        taken.append([])
-        free = (k for k, row in enumerate(taken) if all(high < a or b < low for a, b in row))
+        levels.append([])
+        free = (k for k, row in enumerate(levels) if all(high < a or b < low for a, b in row))
         result[net] = next(free)
-        taken[result[net]].append((low, high))
+        levels[result[net]].append((low, high))
     return result
 
 
@@ -217,10 +217,10 @@ def operating_rows(result: Mapping[str, Any], most: int | None = None) -> Rows:
     scales = _scales(numbers, units)
     rounded = {name: _rounded(value, scales, units[name]) for name, value in numbers.items()}
     values = {name: value for name, value in rounded.items() if value}
-    shown = list(values.items())[:most]
-    rows: Rows = [(name, quantity(value, units[name])) for name, value in shown]
-    if len(shown) < len(values):
-        rows.append(("further results", f"{len(values) - len(shown)}, in the report"))
+    first = list(values.items())[:most]
+    rows: Rows = [(name, quantity(value, units[name])) for name, value in first]
+    if len(first) < len(values):
+        rows.append(("further results", f"{len(values) - len(first)}, in the report"))
     return rows
 
 
@@ -350,17 +350,17 @@ def _fact(
     return fact(name.replace(".", "_"), _rounded(value, scales, unit), unit)
 
 
-def _modes(part: str, found: Mapping[str, Any]) -> Section:
+def _modes(part: str, table: Mapping[str, Any]) -> Section:
     """Table of the modes of one body; a port that no mode moves has no column."""
-    units, modes = found["units"], found["modes"]
-    seen = [port for port in units if any(mode["couplings"][port] > 0 for mode in modes)]
+    units, modes = table["units"], table["modes"]
+    coupled = [port for port in units if any(mode["couplings"][port] > 0 for mode in modes)]
     rows = []
     for mode in modes:
-        moved = (quantity(mode["couplings"][port], units[port], 3) for port in seen)
+        moved = (quantity(mode["couplings"][port], units[port], 3) for port in coupled)
         rows.append(
             (quantity(mode["frequency_hz"], "Hz"), quantity(mode["quality"], "", 4), *moved)
         )
-    head = ("frequency", "Q", *(port if units[port] else f"k of {port}" for port in seen))
+    head = ("frequency", "Q", *(port if units[port] else f"k of {port}" for port in coupled))
     return Section(f"Modes: {part}", rows, head, MODES)
 
 
@@ -397,22 +397,26 @@ def probe_figures(
     log = scale == "frequency" and bool(x[0] > 0 and x[-1] / x[0] > WIDE)
     panels = []
     for unit in dict.fromkeys(units.get(probe.of, "") for probe in probes.values()):
-        own = {n: p for n, p in probes.items() if units.get(p.of, "") == unit and p.of in waves}
-        complex_ = any(np.iscomplexobj(waves[p.of]) for p in own.values())
-        shown = {p.of: np.abs(waves[p.of]) if complex_ else waves[p.of] for p in own.values()}
+        panel_probes = {
+            n: p for n, p in probes.items() if units.get(p.of, "") == unit and p.of in waves
+        }
+        complex_ = any(np.iscomplexobj(waves[p.of]) for p in panel_probes.values())
+        curves_by_result = {
+            p.of: np.abs(waves[p.of]) if complex_ else waves[p.of] for p in panel_probes.values()
+        }
         size = "magnitude" if complex_ else "value"
         places = {
-            n: float(x[shown[p.of].argmax()] if p.at is None else p.at)
-            for n, p in own.items()
+            n: float(x[curves_by_result[p.of].argmax()] if p.at is None else p.at)
+            for n, p in panel_probes.items()
             if p.take in ("argmax", "value")
         }
         look: dict[str, Any] = {
-            "levels": tuple((p.level, n) for n, p in own.items() if p.level is not None),
+            "levels": tuple((p.level, n) for n, p in panel_probes.items() if p.level is not None),
             "marks": tuple((factor * place, n) for n, place in places.items()),
             "log_x": log,
-            "log_y": complex_ and all((v != 0).all() for v in shown.values()),
+            "log_y": complex_ and all((v != 0).all() for v in curves_by_result.values()),
         }
-        curves = tuple(Curve(of, factor * x, values) for of, values in shown.items())
+        curves = tuple(Curve(of, factor * x, values) for of, values in curves_by_result.items())
         panels.append(Panel(label, f"{size} in {unit}" if unit else size, curves, **look))
     if panels:
         caption = "What the scene's probes look at, over the whole run."
