@@ -116,7 +116,7 @@ def _ngspice() -> Iterator[Finding]:
     except MissingToolError as error:
         missing = error
         yield Finding("ngspice", False, f"{error.message} ({error.where})", install)
-    for name, text, vectors, wanted, fix in _PROBES:
+    for name, text, vectors, expected, fix in _PROBES:
         ok, outcome, needed = False, "no ngspice", text == _FEATURE_DECK
         if missing is None:
             deck = Deck(name="probe", text=text, vectors={k: (k, 1.0) for k in vectors})
@@ -124,7 +124,7 @@ def _ngspice() -> Iterator[Finding]:
                 try:
                     waves = run_deck(deck, Path(folder), timeout=20)
                     ends = [float(abs(waves[vector][-1])) for vector in vectors]
-                    ok = all(abs(end - wanted) < 1e-6 for end in ends)
+                    ok = all(abs(end - expected) < 1e-6 for end in ends)
                     outcome = "a test netlist runs" if ok else f"got {ends}"
                 except Kc2spiceError as error:
                     outcome = error.message

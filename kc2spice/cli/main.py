@@ -249,8 +249,8 @@ def main() -> None:
         gc.freeze()  # the interpreter would look for garbage once more, in all that was imported
 
 
-def _version(wanted: bool) -> None:
-    if wanted:
+def _version(requested: bool) -> None:
+    if requested:
         print(f"kc2spice {__version__}")
         raise typer.Exit
 
@@ -280,10 +280,10 @@ def _command(function: Callable[..., None]) -> Callable[..., None]:
 
     name = call.__name__ = function.__name__.removeprefix("_")
     call.__doc__ = function.__doc__
-    _, *own = inspect.signature(function).parameters.values()
+    _, *command_parameters = inspect.signature(function).parameters.values()
     flags = (item.replace(default=False) for item in inspect.signature(call).parameters.values())
     parameters = []
-    for item in (*own, next(flags), next(flags)):
+    for item in (*command_parameters, next(flags), next(flags)):
         info = PARAMETERS.get(f"{name}.{item.name}") or PARAMETERS[item.name]
         parameters.append(item.replace(annotation=Annotated[item.annotation, info]))
     call.__annotations__ = {item.name: item.annotation for item in parameters}
@@ -543,13 +543,13 @@ def _reduce(
     from kc2spice.workflow.reduce import reduce as reduce_study
     from kc2spice.workflow.reduce import require_stable
 
-    wanted: dict[str, Any] = {"band": band, "tolerance": tolerance, "order": order, "norm": norm}
+    options: dict[str, Any] = {"band": band, "tolerance": tolerance, "order": order, "norm": norm}
     if method == "compare":
-        _compare_methods(caller, model, wanted, out, dc)
+        _compare_methods(caller, model, options, out, dc)
         return
-    wanted |= {"dc": dc, "method": method}
-    with _arguments_as_options(wanted), caller.progress() as progress:
-        result = reduce_study(model, out, **wanted, progress=progress)
+    options |= {"dc": dc, "method": method}
+    with _arguments_as_options(options), caller.progress() as progress:
+        result = reduce_study(model, out, **options, progress=progress)
     if caller.reads(result):
         from kc2spice.report.run_page import above_band
 
@@ -669,9 +669,9 @@ def _bench(
 
     loaded, names = _loaded(scene, set_), tuple(metric or ())
     out = out or Path(f"{loaded.name}_bench")
-    wanted: dict[str, Any] = {"error": error, "metric": names, "repeats": repeats, "trust": trust}
+    options: dict[str, Any] = {"error": error, "metric": names, "repeats": repeats, "trust": trust}
     with caller.progress() as progress:
-        record = measure(loaded, out, **wanted, progress=progress)
+        record = measure(loaded, out, **options, progress=progress)
     best = record["recommended"]
     if caller.reads(record, out):
         from kc2spice.report.pages import bench_sections
@@ -679,8 +679,8 @@ def _bench(
         front = [point for point in record["points"] if point["front"] or point["own"]]
         show(bench_sections({**record, "points": front}))
         if best is not None:
-            given = [word for item in set_ or () for word in ("--set", item)]
-            print("kc2spice run", shlex.join([scene, *given, *best["set"]]))
+            settings = [word for item in set_ or () for word in ("--set", item)]
+            print("kc2spice run", shlex.join([scene, *settings, *best["set"]]))
         print(f"all of it: {out / 'bench.html'}")
     if best is None:
         raise typer.Exit(GateMissedError.exit_code)
@@ -713,8 +713,8 @@ def _sweep(
     from kc2spice.workflow.sweep import run as study
 
     table = study.table_name(table_format)
-    wanted: dict[str, Any] = {"zipped": zipped, "latin": latin, "seed": seed, "timeout": timeout}
-    answer = study.named_sweep(scene, override_texts(set_ or ()), metrics=metric or (), **wanted)
+    options: dict[str, Any] = {"zipped": zipped, "latin": latin, "seed": seed, "timeout": timeout}
+    answer = study.named_sweep(scene, override_texts(set_ or ()), metrics=metric or (), **options)
     out = out or Path(f"{answer.scene.name}_sweep")
     count = workers or pools.cores()
     pool = pools.processes(count) if dask is None else pools.dask(dask, count)

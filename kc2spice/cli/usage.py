@@ -182,19 +182,19 @@ def _words_of(param: Any, typed: list[str]) -> list[str]:
     return words
 
 
-def _bad_number(param: Any, typed: list[str], whole: bool) -> UsageError:
+def _bad_number(param: Any, typed: list[str], fractional: bool) -> UsageError:
     """The error of an option whose value in the words ``typed`` is no number or out of range.
 
-    ``whole`` states that the value is not a whole number although the option needs one.
+    ``fractional`` states that the value is not a whole number although the option needs one.
     """
     name, words = param.opts[0], _words_of(param, typed)
     wrong = next((word for word in words if not _is_number(word)), None)
     low, high = _limits(param)
     limits = f"{low:g} to {high:g}" if high is not None else f"at least {low or 0:g}"
     if wrong is None:
-        problem = "not a whole number" if whole else "out of range"
+        problem = "not a whole number" if fractional else "out of range"
         unlimited = low is None and high is None
-        expected = "a whole number" + ("" if unlimited else f", {limits}") if whole else limits
+        expected = "a whole number" + ("" if unlimited else f", {limits}") if fractional else limits
         return UsageError(problem, where=name, got=" ".join(words), expected=expected)
     if param.name != "band":
         return UsageError("not a number", where=name, got=wrong, expected="a number")
