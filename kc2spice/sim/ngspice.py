@@ -73,9 +73,9 @@ def find_ngspice() -> Simulator:
             expected="the program ngspice, version 39 or later",
             hint=f"{install_command('ngspice')}; see also https://ngspice.sourceforge.io",
         )
-    asked: Any = {"capture_output": True, "timeout": ANSWERS, "stdin": subprocess.DEVNULL}
+    options: Any = {"capture_output": True, "timeout": ANSWERS, "stdin": subprocess.DEVNULL}
     try:
-        said = subprocess.run([path, "--version"], check=False, **asked).stdout
+        answer = subprocess.run([path, "--version"], check=False, **options).stdout
     except (OSError, subprocess.TimeoutExpired) as error:
         hangs = isinstance(error, subprocess.TimeoutExpired)
         raise MissingToolError(
@@ -84,7 +84,7 @@ def find_ngspice() -> Simulator:
             got=f"no answer within {ANSWERS:g} s" if hangs else str(error),
             hint="install it again; kc2spice doctor checks it",
         ) from None
-    text = said.decode(errors="replace")
+    text = answer.decode(errors="replace")
     version = re.search(r"ngspice-(\S+)", text)
     if version is None:
         message, got = "this ngspice does not tell its version", text.strip()[:80]
@@ -153,7 +153,7 @@ def run_deck(
         if failed is None:
             vectors = read_raw(unfinished)
             facts = {**statistics(text), "reltol": own_reltol(deck)}
-            waves = Waveforms(named(deck, vectors), facts)
+            waves = Waveforms(waves_by_name(deck, vectors), facts)
             last = float(vectors["time"][-1]) if "time" in vectors else math.nan
             failed = failed_run(deck, str(main), text, last=last)
             failed = failed or altered_run(deck, str(main), text)
@@ -261,7 +261,7 @@ def partial_waves(
 ) -> Waveforms | None:
     """Waves that a failed run saved; None if vectors of the deck are missing."""
     try:
-        return Waveforms(named(deck, vectors), statistics(text)) if vectors else None
+        return Waveforms(waves_by_name(deck, vectors), statistics(text)) if vectors else None
     except SimulationError:
         return None
 
@@ -278,7 +278,7 @@ def own_reltol(deck: Deck) -> float:
     return _option(deck, "reltol", 1e-3)
 
 
-def named(deck: Deck, vectors: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+def waves_by_name(deck: Deck, vectors: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
     """Result names to SI arrays over the scale ``time``, ``frequency`` or ``sweep``, the first.
 
     The scale is in SI too: a swept displacement is in metres, although its source counts um.

@@ -164,13 +164,13 @@ def failed_run(
     and say nothing.
     """
     report, stop = classify(text), deck.stop
-    said = report.cause is not None or code != 0
+    reported = report.cause is not None or code != 0
     early = last is not None and stop is not None and not abs(last - stop) <= 1e-9 * stop
-    if not said and not early:
+    if not reported and not early:
         return None
     part = belongs_to(deck, report.node) if report.node else None
     blamed = report.node and f"node {report.node}"
-    if said:
+    if reported:
         cause = report.cause or f"exit code {code}"
         at = None if report.time is None else f"t = {report.time:g} s"
         tail = None if report.cause else " | ".join(text.strip().splitlines()[-3:])
@@ -242,11 +242,11 @@ def _within(deck: Deck, scope: Scope, instance: str, name: str) -> str:
     """
     part = next((part for part in deck.parts if part.name.lower() == scope.name.lower()), None)
     pins = part.pins if part else tuple(Pin(pin, "V", "A") for pin in scope.pins)
-    named = [pin for pin in pins if name.endswith(pin.name.lower())]
+    matching = [pin for pin in pins if name.endswith(pin.name.lower())]
     what = f"part {instance} ({part.title if part else scope.name})"
-    if not named:
+    if not matching:
         return f"{what}, inside at {name}"
-    pin = max(named, key=lambda pin: len(pin.name))
+    pin = max(matching, key=lambda pin: len(pin.name))
     flow = "" if pin.flow == "-" else f", 1 A = 1 {pin.flow}"
     return f"{what} at its pin {pin.name} (1 V = 1 {pin.unit}{flow})"
 
@@ -320,9 +320,9 @@ def _plots(path: Path) -> Iterator[_Plot]:
         plot = _plot(path, begin)
         if plot is None:
             raise _corrupt(path, "its header is cut off")
-        held = len(plot.table)
-        if held < 1 or (held, plot.left) != (plot.promised, 0):
-            what = f"it promises {plot.promised} points and holds {held} and {plot.left} bytes"
+        points = len(plot.table)
+        if points < 1 or (points, plot.left) != (plot.promised, 0):
+            what = f"it promises {plot.promised} points and holds {points} and {plot.left} bytes"
             raise _corrupt(path, what)
         yield plot
         begin = plot.end
@@ -372,12 +372,14 @@ def _plot(path: Path, begin: int = 0) -> _Plot | None:
         raise _corrupt(path, f"its header promises {count} vectors and names {len(names)}")
     kind = np.dtype(np.complex128 if "complex" in fields.get("Flags", "") else np.float64)
     offset = begin + end + len(_BINARY)
-    held, left = divmod(path.stat().st_size - offset, kind.itemsize * count)
+    complete, left = divmod(path.stat().st_size - offset, kind.itemsize * count)
     following = offset + promised * kind.itemsize * count
-    follows = held >= promised > 0 and _follows(path, following)
+    follows = complete >= promised > 0 and _follows(path, following)
     if follows:
-        held, left = promised, 0
-    table = np.memmap(path, kind, "r", offset, (held, count)) if held else np.empty((0, count))
+        complete, left = promised, 0
+    table = (
+        np.memmap(path, kind, "r", offset, (complete, count)) if complete else np.empty((0, count))
+    )
     return _Plot(names, promised, table, left, following if follows else None)
 
 

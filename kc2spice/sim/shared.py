@@ -32,7 +32,7 @@ from kc2spice.core.waveforms import Waveforms
 from kc2spice.netlist.deck import Deck
 from kc2spice.netlist.scope import INCLUDES
 from kc2spice.scene.rows import Sampled
-from kc2spice.sim.ngspice import named, partial_waves
+from kc2spice.sim.ngspice import partial_waves, waves_by_name
 from kc2spice.sim.output import altered_run, failed_run, read_raw, statistics
 
 
@@ -62,9 +62,9 @@ class _Sampler:
     sampled: Sequence[Sampled]
     stop: float
     progress: Callable[[float], None] | None
-    shown: float = 0.0
+    reported: float = 0.0
     samples: Counter[int] = field(default_factory=Counter)
-    held: dict[str, float] = field(default_factory=dict)
+    inputs: dict[str, float] = field(default_factory=dict)
     answers: dict[str, tuple[float, float]] = field(default_factory=dict)
 
     def point(self, data: Any, *_: object) -> None:
@@ -72,8 +72,8 @@ class _Sampler:
         points = [data.contents.vectors[k].contents for k in range(data.contents.count)]
         time = next((point.real for point in points if point.is_scale), 0.0)
         share = min(1.0, time / self.stop)
-        if self.progress is not None and (share - self.shown >= 1e-3 or share > 1 - 1e-9):
-            self.shown = share
+        if self.progress is not None and (share - self.reported >= 1e-3 or share > 1 - 1e-9):
+            self.reported = share
             self.progress(share)
         for k, item in enumerate(self.sampled):
             due = self.samples[k] * item.period
@@ -86,8 +86,8 @@ class _Sampler:
         """Nothing changes before the step that ends at the instant is over."""
         key = name.decode().lower()
         if key in self.answers and time > self.answers[key][0] * (1 + 1e-12):
-            self.held[key] = self.answers.pop(key)[1]
-        volts[0] = self.held.get(key, 0.0)
+            self.inputs[key] = self.answers.pop(key)[1]
+        volts[0] = self.inputs.get(key, 0.0)
 
     def step(self, time: float, step: Any, *_: object) -> None:
         """A step that ends at the next instant at the latest."""
@@ -129,17 +129,17 @@ def run_shared(
             raise SimulationError(
                 "the function in the loop failed", where=deck.name, got=repr(library.broken)
             ) from library.broken
-        said = library.said
+        log = library.log
         vectors = library.vectors()
     finally:
         library.clear()
     time = vectors.get("time", np.zeros(1))
-    failed = failed_run(deck, deck.name, said, int(not ran), float(time[-1]))
-    failed = failed or altered_run(deck, deck.name, said)
+    failed = failed_run(deck, deck.name, log, int(not ran), float(time[-1]))
+    failed = failed or altered_run(deck, deck.name, log)
     if failed is not None:
-        failed.failure = replace(failed.failure, partial=partial_waves(deck, vectors, said))
+        failed.failure = replace(failed.failure, partial=partial_waves(deck, vectors, log))
         raise failed
-    return Waveforms(named(deck, vectors), {"accepted": float(time.size)} | statistics(said))
+    return Waveforms(waves_by_name(deck, vectors), {"accepted": float(time.size)} | statistics(log))
 
 
 def _flattened(deck: Deck, file: str) -> list[str]:
@@ -164,7 +164,7 @@ class Library:
     """
 
     def __init__(self) -> None:
-        self.said = ""
+        self.log = ""
         self.dead = False
         self.broken: Exception | None = None
         self._loop: _Sampler | None = None
@@ -185,7 +185,7 @@ class Library:
 
     def load(self, circuit: Sequence[str]) -> bool:
         """Read the lines of a deck without includes; False if ngspice refuses it."""
-        self.said, self.broken = "", None
+        self.log, self.broken = "", None
         lines = [*(line.encode() for line in circuit), None]
         return self._library.ngSpice_Circ((c_char_p * len(lines))(*lines)) == 0
 
@@ -228,7 +228,7 @@ class Library:
 
     def _on_text(self, text: bytes, *_: object) -> int:
         line = text.decode(errors="replace")
-        self.said += line.removeprefix("stdout ").removeprefix("stderr ") + "\n"
+        self.log += line.removeprefix("stdout ").removeprefix("stderr ") + "\n"
         return 0
 
     def _on_exit(self, *_: object) -> int:
@@ -270,7 +270,7 @@ def _private_copy() -> ctypes.CDLL:
 def _no_start_up_files() -> Iterator[None]:
     """ngspice finds empty start-up files first, so it reads neither the user's nor code models."""
     variables = ("HOME", "SPICE_SCRIPTS", "SPICE_USERINIT_DIR")
-    kept = {name: os.environ[name] for name in variables if name in os.environ}
+    previous = {name: os.environ[name] for name in variables if name in os.environ}
     with tempfile.TemporaryDirectory(prefix="kc2spice-") as folder, chdir(folder):
         for name in ("spinit", ".spiceinit"):
             Path(name).write_text("* empty\n", encoding="ascii")
@@ -280,4 +280,4 @@ def _no_start_up_files() -> Iterator[None]:
         finally:
             for name in variables:
                 del os.environ[name]
-            os.environ |= kept
+            os.environ |= previous
