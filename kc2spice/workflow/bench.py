@@ -74,16 +74,16 @@ class _Plane:
     """All that was run of a scene, by the labels of the settings; ``names`` are the metrics whose
     error counts."""
 
-    def __init__(self, own: Run) -> None:
+    def __init__(self, run: Run) -> None:
         # a mesh costs the simulator nothing
-        self.axes = [axis for axis in axes(own.build) if not axis.model]
-        self.runs = Runs(own, self.axes, Clock(), retries=0)
+        self.axes = [axis for axis in axes(run.build) if not axis.model]
+        self.runs = Runs(run, self.axes, Clock(), retries=0)
         self.points: dict[str, _Point] = {}
         self.failed: dict[str, dict[str, Any]] = {}
         self.names: tuple[str, ...] = ()
         self.known: dict[tuple[str, float], Errors] = {}
         if not self.axes:
-            where = f"bench {own.build.scene.name}"
+            where = f"bench {run.build.scene.name}"
             raise UsageError("has no setting that trades time for error", where=where)
 
     def notches(self, place: Place) -> dict[str, float]:
@@ -134,16 +134,16 @@ class _Plane:
 
     def cheapest(self, limit: float) -> _Point | None:
         """Cheapest point within ``limit``; of those that take the same time the most exact."""
-        kept = [point for point in self.points.values() if self.guarded(point) <= limit]
-        least = min((point.time for point in kept), default=0.0)
-        alike = [point for point in kept if point.time <= ALIKE * least]
+        accurate = [point for point in self.points.values() if self.guarded(point) <= limit]
+        least = min((point.time for point in accurate), default=0.0)
+        alike = [point for point in accurate if point.time <= ALIKE * least]
         return min(alike, key=self.guarded, default=None)
 
     def search(self, limit: float, progress: Progress) -> None:
         """Move one axis at a time, then walk to the cheapest settings in the limit and the own."""
-        own = (0.0,) * len(self.axes)
-        star = [own, *(_moved(own, k, n) for k in range(len(own)) for n in NOTCHES)]
-        star += [(n,) * len(own) for n in NOTCHES if n > 0]
+        origin = (0.0,) * len(self.axes)
+        star = [origin, *(_moved(origin, k, n) for k in range(len(origin)) for n in NOTCHES)]
+        star += [(n,) * len(origin) for n in NOTCHES if n > 0]
         for done, place in enumerate(star):
             progress("settings", done / len(star), f"{done} of {len(star)}")
             self.visit(place)
@@ -153,8 +153,8 @@ class _Plane:
                     where="bench",
                     got=failed["why"],
                 )
-        for wanted in sorted({limit, self.guarded(self.points[_label({})])}):
-            self._walk(wanted, progress)
+        for bound in sorted({limit, self.guarded(self.points[_label({})])}):
+            self._walk(bound, progress)
 
     def _walk(self, limit: float, progress: Progress) -> None:
         """Along the axes from the cheapest setting in ``limit``, as long as that gives a cheaper
@@ -167,9 +167,9 @@ class _Plane:
             start = start or min(self.points.values(), key=self.guarded)
             progress("search", None, f"{known} settings, now {_label(start.settings)}")
             for k, notch in enumerate(start.place):
-                beside = NOTCHES.index(notch) + step
-                if 0 <= beside < len(NOTCHES):
-                    self.visit(_moved(start.place, k, NOTCHES[beside]))
+                neighbour = NOTCHES.index(notch) + step
+                if 0 <= neighbour < len(NOTCHES):
+                    self.visit(_moved(start.place, k, NOTCHES[neighbour]))
 
     def time(self, repeats: int, progress: Progress) -> None:
         """Rounds over all settings but the slow ones."""
@@ -226,11 +226,11 @@ def bench(
     simulator = find_ngspice()
     with staged(out) as work:
         progress("models", None, "the scene as it is")
-        own = refine.evaluate(scene, Clock(), trust=trust, retries=0)
-        plane, asked = _Plane(own), metric or scene.bench.metric
-        wanted = _wanted(own, asked)
+        run = refine.evaluate(scene, Clock(), trust=trust, retries=0)
+        plane, requested = _Plane(run), metric or scene.bench.metric
+        selected = _select_metrics(run, requested)
         progress("reference", None, "all settings at their finest")
-        check = _steady(plane, wanted, all_of_them=bool(asked))
+        check = _steady(plane, selected, all_of_them=bool(requested))
         plane.search(error, progress)
         plane.time(repeats, progress)
         finest = keys_at(plane.axes, plane.notches((REFERENCE,) * len(plane.axes)))
@@ -242,7 +242,7 @@ def bench(
             "limit": error,
             "repeats": repeats,
             "metrics": plane.names,
-            "left_out": {name: check.get(name) for name in wanted if name not in plane.names},
+            "left_out": {name: check.get(name) for name in selected if name not in plane.names},
             "points": [plane.record(point) for point in points],  # the quickest first
             "failed": list(plane.failed.values()),
             "recommended": best and {**plane.record(best), "set": _words(best.settings)},
@@ -257,7 +257,7 @@ def bench(
         return write_record(record, work, "bench.json")
 
 
-def _wanted(run: Run, names: Sequence[str]) -> tuple[str, ...]:
+def _select_metrics(run: Run, names: Sequence[str]) -> tuple[str, ...]:
     """Metrics of ``run`` that ``names`` mean, each alone or all that begin with it and a dot.
 
     Without any: all scalars that are numbers; of a run that has none, all curves.
@@ -277,7 +277,7 @@ def _wanted(run: Run, names: Sequence[str]) -> tuple[str, ...]:
     return tuple(dict.fromkeys(result or scalars or numbers))
 
 
-def _steady(plane: _Plane, wanted: Sequence[str], *, all_of_them: bool) -> Errors:
+def _steady(plane: _Plane, selected: Sequence[str], *, all_of_them: bool) -> Errors:
     """Change of each wanted metric at the finest settings.
 
     The metrics that converge become the ``names`` of the plane.
@@ -286,16 +286,16 @@ def _steady(plane: _Plane, wanted: Sequence[str], *, all_of_them: bool) -> Error
     ------
     SimulationError : none converges.
     """
-    own, finer, exact = map(plane.all_at, (0.0, CHECK, REFERENCE))
-    moved, changed = changes(finer, exact), changes(own, exact)
+    start, finer, exact = map(plane.all_at, (0.0, CHECK, REFERENCE))
+    moved, changed = changes(finer, exact), changes(start, exact)
     known = {name for name, by in moved.items() if max(by, changed[name]) < np.inf}
-    present = [name for name in wanted if name in known and exact.values[name].any()]
+    present = [name for name in selected if name in known and exact.values[name].any()]
     check = _errors(finer, exact, present)
     plane.names = tuple(name for name, by in check.items() if by <= UNSTEADY or all_of_them)
     if not plane.names:
         raise SimulationError(
             "no metric converges",
-            where=f"bench {own.build.scene.name}",
+            where=f"bench {start.build.scene.name}",
             got=", ".join(f"{n} changes by {v:.1e}" for n, v in check.items()) or None,
             expected=f"at most {UNSTEADY:g} between the two finest settings",
             hint="name a steadier one with --metric",

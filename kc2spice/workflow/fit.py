@@ -160,10 +160,10 @@ def fit(
     keys = _varied(loaded, part, vary)
     body = _Body(loaded, part, measured, keys, progress, loaded)
     with nullcontext(Path()) if out is None else staged(out) as work:
-        whole = body.descent({item.key: item.axis for item in keys})
-        ends = _descents(whole)
-        end = _refined(whole, ends[0])
-        start = body.response(whole.made, {item.key: item.value for item in keys})
+        descent = body.descent({item.key: item.axis for item in keys})
+        ends = _descents(descent)
+        end = _refined(descent, ends[0])
+        start = body.response(descent.reduced, {item.key: item.value for item in keys})
         record = _record(body, start, end, ends)
         if out is None:
             return record
@@ -398,9 +398,9 @@ class _Body:
         }
         return {name: column / self.noise for name, column in result.items()}
 
-    def response(self, made: Parametric, values: Mapping[str, float]) -> np.ndarray:
+    def response(self, reduced: Parametric, values: Mapping[str, float]) -> np.ndarray:
         """Admittance (n,) [S] of a reduced model."""
-        model = made.at(values)
+        model = reduced.at(values)
         if self.damping.model == "ieee176":
             return self.by_complex_constants(model.pencil, values)
         H = Response(model.pencil).transfer(2j * np.pi * self.frequencies)
@@ -410,8 +410,8 @@ class _Body:
         """Least squares of the reduced model of a box."""
         constant = {TANGENT, *LOSS_FACTORS} if self.damping.model == "ieee176" else {TANGENT}
         axes = [axis for name, axis in box.items() if name not in constant]
-        made = parametric(self.full, axes, self.band, degree=degree)
-        return _Descent(self, made, box)
+        reduced = parametric(self.full, axes, self.band, degree=degree)
+        return _Descent(self, reduced, box)
 
 
 @dataclass(frozen=True, eq=False)
@@ -434,7 +434,7 @@ class _Descent:
     """Least squares of a reduced model within its box, over logarithms of the values."""
 
     body: _Body
-    made: Parametric
+    reduced: Parametric
     box: Box
 
     @cached_property
@@ -454,9 +454,9 @@ class _Descent:
 
     def deviation(self, x: np.ndarray) -> np.ndarray:
         """(2 n,) real and imaginary part of the logarithm of both admittances' ratio, by noise."""
-        return self.left_over(self.body.response(self.made, self.values(x)))
+        return self.log_ratio(self.body.response(self.reduced, self.values(x)))
 
-    def left_over(self, Y: np.ndarray) -> np.ndarray:
+    def log_ratio(self, Y: np.ndarray) -> np.ndarray:
         """The same of an admittance (n,) [S]."""
         ratio = np.log(Y / self.body.Y)
         return np.concatenate([ratio.real, ratio.imag]) / self.body.noise
@@ -504,7 +504,7 @@ def _corrected(descent: _Descent, end: _End) -> _End | None:
     for _ in range(CORRECTIONS):
         values = descent.values(x)
         exact = body.exact(values)
-        left, J = descent.left_over(exact), descent.jacobian(x)
+        left, J = descent.log_ratio(exact), descent.jacobian(x)
         result = OptimizeResult(fun=left, jac=J, cost=0.5 * float(left @ left))
         free = np.array([not _at_bound(item, values[item.key]) for item in body.keys])
         U, s, Vt = np.linalg.svd(J[:, free], full_matrices=False)

@@ -116,12 +116,12 @@ def _metrics(waves: Waveforms, build: Build, *, partial: bool) -> dict[str, Any]
         with suppress(*([KeyError] if partial else [])):
             result[part.name] = part.type.metrics(part, build, waves)
     count = Counter(name for item in result.values() for name in item)
-    own = {
+    records = {
         name if count[name] == 1 else f"{part}.{name}": value
         for part, item in result.items()
         for name, value in item.items()
     }
-    own |= meters.metrics(waves, build) if meters.WAVE in waves else {}
+    records |= meters.metrics(waves, build) if meters.WAVE in waves else {}
     units = meters.result_units(build) if scene.probes else {}
     probed: dict[str, Any] = {}
     for name, probe in scene.probes.items():
@@ -129,7 +129,7 @@ def _metrics(waves: Waveforms, build: Build, *, partial: bool) -> dict[str, Any]
         if not partial or _reached(probe, waves, window):
             value = take(probe, waves, name, window)
             probed[name] = Metric(value, _probe_unit(probe, build, waves, units))
-    return {**probed, **{name: value for name, value in own.items() if name not in probed}}
+    return {**probed, **{name: value for name, value in records.items() if name not in probed}}
 
 
 def _reached(probe: Probe, waves: Waveforms, window: tuple[float, float] | None) -> bool:
@@ -168,8 +168,8 @@ def _windowed(
     ------
     UsageError : an end of the window is not on the scale.
     """
-    way = -1 if scale[0] > scale[-1] else 1
-    scale, values = scale[::way], values[::way]
+    direction = -1 if scale[0] > scale[-1] else 1
+    scale, values = scale[::direction], values[::direction]
     for key, end in zip(("from", "to"), window, strict=True):
         if math.isfinite(end) and not _on(scale, end):
             raise _outside(name, key, end, scale)
@@ -178,7 +178,7 @@ def _windowed(
     at = np.concatenate([[low], scale[inside], [high]])
     ends = np.interp([low, high], scale, values)
     read = np.concatenate([ends[:1], values[inside], ends[1:]])
-    return at[::way], read[::way]
+    return at[::direction], read[::direction]
 
 
 def take(

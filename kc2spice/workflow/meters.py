@@ -55,9 +55,9 @@ def output(build: Build) -> Vector:
     return voltages[name]
 
 
-def _ends(found: Vector) -> str | None:
+def _ends(probe_vector: Vector) -> str | None:
     """The voltage as the simulator's card has it, None where the vector is none."""
-    read = [(sign, vector(text)) for sign, text in terms(found.expression)]
+    read = [(sign, vector(text)) for sign, text in terms(probe_vector.expression)]
     if any(v is None or v.quantity != "v" or len(v.names) > 1 for _, v in read) or len(read) > 2:
         return None
     nodes = [v.names[0] for sign, v in sorted(read, key=lambda row: -row[0]) if v is not None]
@@ -71,8 +71,8 @@ def sources(deck: Deck, build: Build) -> Deck:
     _, factor = deck.vectors[WAVE]
     vectors = {}
     for name, path in result.items():
-        own = path.partition(".")[0][1:]
-        part = next((p for p in parts if own.startswith(p.lower())), None)
+        device = path.partition(".")[0][1:]
+        part = next((p for p in parts if device.startswith(p.lower())), None)
         if part is not None:
             vectors[f"{WAVE}.{part}.{path.rpartition('.')[2]}"] = (f"onoise_{name}", factor)
     units = dict.fromkeys(vectors, deck.units[WAVE])
@@ -257,7 +257,7 @@ def _meter_vectors(build: Build, known: Mapping[str, Vector]) -> dict[str, Vecto
         result[f"{name}.{pin}.potential"] = Vector(f"v({build.net(part, pin)})", 1.0, "V")
         if pin == electrical(part, build.scene)[0]:
             result[f"{name}.current"] = read
-    for part in _asked(build, "current"):
+    for part in _probed_parts(build, "current"):
         if f"{part.name}.i" in known:  # current of an element, under the name that bodies use
             result.setdefault(f"{part.name}.current", known[f"{part.name}.i"])
     return {name: vector for name, vector in result.items() if name not in known}
@@ -267,7 +267,7 @@ def powers(build: Build, known: Mapping[str, Vector]) -> dict[str, Pairs]:
     """``PART.power`` [W] that probes ask for, by what it is the sum of: all that goes into a
     part, and what a source gives."""
     result: dict[str, Pairs] = {}
-    for part in _asked(build, "power"):
+    for part in _probed_parts(build, "power"):
         n = part.name
         pairs = tuple(
             (f"{n}.{pin}.potential", f"{n}.{pin}.current") for pin in electrical(part, build.scene)
@@ -279,7 +279,7 @@ def powers(build: Build, known: Mapping[str, Vector]) -> dict[str, Pairs]:
     return result
 
 
-def _asked(build: Build, what: str) -> list[Part]:
+def _probed_parts(build: Build, what: str) -> list[Part]:
     names = dict.fromkeys(
         p.of.partition(".")[0]
         for p in build.scene.probes.values()

@@ -71,9 +71,9 @@ def covariance(J: np.ndarray, residuals: np.ndarray, widest: np.ndarray) -> np.n
 
 def _move_without(J: np.ndarray, residuals: np.ndarray, band: np.ndarray) -> np.ndarray:
     """Change (k,) of the values when a fit leaves out the frequencies of ``band``."""
-    kept = np.ones(len(residuals), dtype=bool)
-    kept[band] = kept[band + len(residuals) // 2] = False
-    return np.asarray(-np.linalg.lstsq(J[kept], residuals[kept], rcond=None)[0])
+    used = np.ones(len(residuals), dtype=bool)
+    used[band] = used[band + len(residuals) // 2] = False
+    return np.asarray(-np.linalg.lstsq(J[used], residuals[used], rcond=None)[0])
 
 
 def likely_cause(
@@ -97,10 +97,10 @@ def likely_cause(
     str or None
         None if no cause removes more than half of the squares.
     """
-    whole = float(residuals @ residuals)
-    removed = {name: whole - _left_with(J, residuals, column) for name, column in causes.items()}
+    total = float(residuals @ residuals)
+    removed = {name: total - _left_with(J, residuals, column) for name, column in causes.items()}
     largest = max(removed.values(), default=0.0)
-    if largest <= EXPLAINED * whole:
+    if largest <= EXPLAINED * total:
         return None
     return next(name for name, share in removed.items() if share >= EQUAL * largest)
 

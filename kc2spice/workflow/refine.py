@@ -52,28 +52,28 @@ Notches = Mapping[str, float]  # by how many notches an axis is moved, by its na
 
 
 class Runs:
-    """Runs of the scene of ``own`` by notches of its axes, each made once.
+    """Runs of the scene of ``start`` by notches of its axes, each made once.
 
     Axes in ``finest`` can only be moved coarser.
     """
 
     def __init__(
         self,
-        own: Run,
-        found: Sequence[Axis],
+        start: Run,
+        axes: Sequence[Axis],
         clock: Clock,
         *,
         finest: Sequence[Axis] = (),
         retries: int | None = None,
     ) -> None:
-        self.own, self.axes, self.clock, self.retries = own, found, clock, retries
+        self.start, self.axes, self.clock, self.retries = start, axes, clock, retries
         self.finest = finest
-        self.known: dict[str, Run] = {repr({}): own}
+        self.known: dict[str, Run] = {repr({}): start}
         self.refused: UsageError | None = None  # the last mesh that was too large
 
     def at(self, notches: Notches) -> Run:
         """The run there; raises as :func:`kc2spice.workflow.simulate.simulate` does."""
-        build, settings = self.own.build, keys_at(self.all_axes, notches)
+        build, settings = self.start.build, keys_at(self.all_axes, notches)
         if repr(settings) not in self.known:
             self.require_size(notches)
             self.known[repr(settings)] = evaluate(
@@ -110,7 +110,7 @@ class Runs:
             assert isinstance(part.type, MeshedBody)
             dimensions = part.type.dimensions(part)
             grown = (axis.at(notches[axis.name])[axis.name] / axis.value) ** dimensions
-            unknowns = grown * self.own.build.facts(part)["unknowns"]
+            unknowns = grown * self.start.build.facts(part)["unknowns"]
             need = factor_bytes(unknowns, dimensions)
             most, memory = self.limits
             if unknowns > most or need > memory:
@@ -120,7 +120,7 @@ class Runs:
 
     def _body(self, axis: Axis) -> Part | None:
         """The body whose mesh an axis refines."""
-        parts = self.own.build.scene.parts.values()
+        parts = self.start.build.scene.parts.values()
         bodies = (p for p in parts if isinstance(p.type, MeshedBody) and axis.model)
         return next((p for p in bodies if axis.name.startswith(f"{key_prefix(p)}.")), None)
 
@@ -233,11 +233,11 @@ class Estimate:
 
 @dataclass(frozen=True)
 class Converged:
-    """The run that is taken, whether its estimate holds the budget, why not, and all estimates;
+    """The final run, whether its estimate is within the budget, why not, and all estimates;
     ``shares`` are the errors of single axes, ``limits`` the unknowns and the memory [B] that a
     refined mesh may take."""
 
-    taken: Estimate
+    final: Estimate
     check: Check
     tried: Sequence[Estimate]
     shares: Mapping[str, float]
@@ -248,25 +248,25 @@ class Converged:
         return {
             "budget": self.check.limit,
             "held": self.check.passed,
-            "errors": dict(self.taken.errors),
+            "errors": dict(self.final.errors),
             "shares": dict(self.shares),
-            "unmoved": self.taken.unmoved,
+            "unmoved": self.final.unmoved,
             "limits": dict(zip(("unknowns", "memory_bytes"), self.limits, strict=True)),
             "tried": [item.record() for item in self.tried],
         }
 
 
-def converge(own: Run, clock: Clock) -> Converged | None:
+def converge(start: Run, clock: Clock) -> Converged | None:
     """Refine the scene until the estimated error of every metric is within ``error_budget``.
 
     Without a budget ``checks.reduction`` asks for one estimate; None where neither does.
     """
-    scene, budget = own.build.scene, own.build.scene.error_budget
+    scene, budget = start.build.scene, start.build.scene.error_budget
     action: Action = scene.checks.reduction or ("off" if budget is None else "warn")
     if action == "off":
         return None
     limit = budget or LIMIT
-    runs = Runs(own, axes(own.build), clock, finest=finest_axes(own.build))
+    runs = Runs(start, axes(start.build), clock, finest=finest_axes(start.build))
     if any(axis.mesh for axis in runs.axes):
         most, memory = runs.limits
         text = f"meshes are refined up to {_size(most, memory)} of memory"
@@ -299,11 +299,11 @@ def converge(own: Run, clock: Clock) -> Converged | None:
             why = "nothing more to refine" if _left(runs) else f"{MOST} runs do not suffice"
             break
         notches = moved
-    taken = tried[-1] if tried else Estimate({}, {}, own)
+    final = tried[-1] if tried else Estimate({}, {}, start)
     advice = f"raise error_budget, or {other} ({why})" if why else "raise it"
-    worst = max(taken.errors, key=lambda name: taken.errors[name], default="its metrics")
-    check = Check(f"error of {worst}", taken.error, limit, "relative, estimated", advice, action)
-    return Converged(taken, check, tried, shares, runs.limits)
+    worst = max(final.errors, key=lambda name: final.errors[name], default="its metrics")
+    check = Check(f"error of {worst}", final.error, limit, "relative, estimated", advice, action)
+    return Converged(final, check, tried, shares, runs.limits)
 
 
 def _at_finest(runs: Runs, now: Estimate) -> str:

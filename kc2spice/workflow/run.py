@@ -201,7 +201,7 @@ def complete(
 
 def _judged(converged: Converged) -> Run:
     """The run that holds the error budget, with the check of its estimate."""
-    taken, check = converged.taken, converged.check
+    taken, check = converged.final, converged.check
     if taken.settings:
         settings = ", ".join(taken.settings)
         warnings.warn(

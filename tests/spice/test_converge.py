@@ -105,9 +105,9 @@ def test_meshes_are_refined_within_limits_that_are_stated_first(monkeypatch):
     assert said[0][0] == "error budget"
     assert "up to 1 000 unknowns and" in said[0][1]
     assert done.record()["limits"]["unknowns"] == 1000
-    assert done.taken.unmoved == ("disc.mesh.refine",)
+    assert done.final.unmoved == ("disc.mesh.refine",)
     mesh = max(value for name, value in facts.items() if name.startswith("mesh_error_"))
-    assert min(done.taken.errors.values()) >= mesh > 1e-3
+    assert min(done.final.errors.values()) >= mesh > 1e-3
 
 
 def refined_disc(monkeypatch, most, budget):
@@ -131,12 +131,12 @@ def test_the_error_at_the_limit_is_that_of_each_metric(monkeypatch):
     """The curve at a resonance is off by far more than the resonance; what the last refinement
     changed in it covers that."""
     done, exact = refined_disc(monkeypatch, 2500, 1e-4)
-    assert done.taken.settings["disc.mesh.refine"] == 2
-    assert done.taken.unmoved == ("disc.mesh.refine",)
-    true = refine.changes(done.taken.run, exact)
+    assert done.final.settings["disc.mesh.refine"] == 2
+    assert done.final.unmoved == ("disc.mesh.refine",)
+    true = refine.changes(done.final.run, exact)
     for name, error in true.items():
-        assert done.taken.errors[name] >= error, name
-    mesh = max(mesh_errors(done.taken.run.build.facts(exact.build.scene.parts["disc"])).values())
+        assert done.final.errors[name] >= error, name
+    mesh = max(mesh_errors(done.final.run.build.facts(exact.build.scene.parts["disc"])).values())
     assert true["impedance_ohm"] > 5 * mesh
 
 

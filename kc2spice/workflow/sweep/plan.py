@@ -233,8 +233,8 @@ class Plan:
         for k, block in enumerate(self.blocks):
             for values in block.values():
                 numbers = all(isinstance(value, (int, float)) for value in values)
-                seen = (min(values), max(values)) if numbers else values
-                steps = {values.index(value) for value in seen}
+                extremes = (min(values), max(values)) if numbers else values
+                steps = {values.index(value) for value in extremes}
                 places += [step * prod(self.lengths[k + 1 :]) for step in sorted(steps)]
         return [self.values(place) for place in dict.fromkeys(places)]
 

@@ -98,7 +98,7 @@ def scene_files(scene: Scene) -> dict[str, bytes]:
     UsageError : a file that is missing, not allowed or too long.
     """
     parts = [(part.netlist, part.type.files(part, scene)) for part in scene.parts.values()]
-    netlists = {*scene.include, *(file for own, files in parts if own for file in files)}
+    netlists = {*scene.include, *(file for local, files in parts if local for file in files)}
     result = {}
     for name in sorted(netlists.union(*(files for _, files in parts))):
         if name in netlists:
@@ -137,8 +137,10 @@ class Job:
     def load(self, values: Mapping[str, Any]) -> Scene:
         """The scene where the swept keys have these values; raises as :func:`load_scene` does."""
         overrides = (*self.fixed, *_overrides(values))
-        own = self.scene
-        scene = own.load(overrides) if isinstance(own, SceneText) else load_scene(own, overrides)
+        source = self.scene
+        scene = (
+            source.load(overrides) if isinstance(source, SceneText) else load_scene(source, overrides)
+        )
         return replace(scene, workspace=self.workspace)
 
 

@@ -202,10 +202,10 @@ class RowStore:
         try:
             self._rows = sqlite3.connect(path, timeout=0.0, isolation_level=None)
             self._rows.executescript(_OPEN)
-            (held,) = self._rows.execute("select digest from sweep").fetchone() or (None,)
-            if held is None:
+            (stored,) = self._rows.execute("select digest from sweep").fetchone() or (None,)
+            if stored is None:
                 self._rows.execute("insert into sweep values (?)", (digest,))
-            for point, text in self._rows.execute("select * from row") if held == digest else ():
+            for point, text in self._rows.execute("select * from row") if stored == digest else ():
                 if point not in range(points):
                     raise ValueError(f"point {str(point)[:80]!r}")
                 self._keep(point, _OUTCOME.validate_json(text, strict=True))
@@ -216,11 +216,11 @@ class RowStore:
                 message, hint = "another sweep writes here now", "wait for it, or choose another"
             got = str(error).splitlines()[0][:200]
             raise UsageError(message, where=str(path), got=got, hint=hint) from None
-        if held not in (None, digest):
+        if stored not in (None, digest):
             raise UsageError(
                 "contains another sweep",
                 where=str(path.parent),
-                got=f"plan {held}"[:80],
+                got=f"plan {stored}"[:80],
                 expected=f"plan {digest}",
                 hint="choose another --out, or remove the old one",
             )
@@ -250,13 +250,13 @@ class RowStore:
         self._rows.close()
 
 
-def require_columns(outcome: Outcome, wanted: Sequence[str], scene: str) -> None:
+def require_columns(outcome: Outcome, names: Sequence[str], scene: str) -> None:
     """Raise UsageError if a run of ``scene`` has no such numbers, or none at all to tabulate."""
     known = {**outcome.metrics, **outcome.facts}
-    for name in wanted:
+    for name in names:
         if name not in known:
             raise unknown("the result has no such number", name, known, "--metric")
-    if not wanted and not outcome.metrics:
+    if not names and not outcome.metrics:
         raise UsageError(
             "nothing to tabulate: every metric is a curve",
             where=scene,
@@ -266,14 +266,14 @@ def require_columns(outcome: Outcome, wanted: Sequence[str], scene: str) -> None
 
 
 def columns(
-    outcomes: Mapping[int, Outcome], plan: Plan, wanted: Sequence[str] = ()
+    outcomes: Mapping[int, Outcome], plan: Plan, metrics: Sequence[str] = ()
 ) -> dict[str, list[Any]]:
-    """The table: swept keys, ``wanted`` numbers (or every metric that a run has), ``status``.
+    """The table: swept keys, ``metrics`` numbers (or every metric that a run has), ``status``.
 
     A point without a number has None there.
     """
     rows = sorted(outcomes.items())
-    names = wanted or dict.fromkeys(name for _, item in rows for name in item.metrics)
+    names = metrics or dict.fromkeys(name for _, item in rows for name in item.metrics)
     table: dict[str, list[Any]] = {name: [] for name in (*plan.keys, *names, "status")}
     for point, outcome in rows:
         numbers = {**outcome.facts, **outcome.metrics}
@@ -458,8 +458,10 @@ def named_sweep(name: str, sets: Sequence[str] = (), **asked: Any) -> Sweep:
         key: f"{key}={v if isinstance(v, str) else toml(v)}" for key, v in study.ranges.items()
     }
     ranges |= {text.partition("=")[0].strip(): text for text in sets}
-    own = study.model_dump(include={"zipped", "latin", "seed", "metrics"})
-    selected = own | {key: value for key, value in asked.items() if value or key not in own}
+    settings = study.model_dump(include={"zipped", "latin", "seed", "metrics"})
+    selected = settings | {
+        key: value for key, value in asked.items() if value or key not in settings
+    }
     return make_sweep(scene_text(study.scene), tuple(ranges.values()), **selected)
 
 
@@ -485,7 +487,7 @@ def _study(name: str) -> _Study | None:
 
 
 def outcomes(
-    found: Sweep, points: Iterable[int], workers: Workers
+    definition: Sweep, points: Iterable[int], workers: Workers
 ) -> Iterator[tuple[int, Outcome]]:
     """Run ``points`` and give each with its outcome as it comes.
 
@@ -499,26 +501,26 @@ def outcomes(
         first good point has nothing for a column.
     MissingToolError : no workers, or no ngspice where they are.
     """
-    ends = [pair for values in found.plan.ends() for pair in parameters(values)]
-    if changed := [*found.job.parameters, *ends]:
-        _, deck = testbench(found.job, found.plan.values(0))
+    ends = [pair for values in definition.plan.ends() for pair in parameters(values)]
+    if changed := [*definition.job.parameters, *ends]:
+        _, deck = testbench(definition.job, definition.plan.values(0))
         with_parameters(deck, changed)
     again: list[int] = []
     known = False
-    for index, outcome in _completed(found, points, workers):
+    for index, outcome in _completed(definition, points, workers):
         if outcome.failure is None and not known:
-            require_columns(outcome, found.metrics, found.scene.name)
+            require_columns(outcome, definition.metrics, definition.scene.name)
             known = True
         if outcome.interrupted:
             again.append(index)
         else:
             yield index, outcome
     if again:
-        yield from _completed(found, again, workers, at_once=1)
+        yield from _completed(definition, again, workers, at_once=1)
 
 
 def _completed(
-    found: Sweep, points: Iterable[int], workers: Workers, at_once: int | None = None
+    definition: Sweep, points: Iterable[int], workers: Workers, at_once: int | None = None
 ) -> Iterator[tuple[int, Outcome]]:
     """Outcomes of ``points`` as they come, no more in flight than keeps all workers busy.
 
@@ -529,8 +531,8 @@ def _completed(
         executor, count = opened.enter_context(workers())
         while True:
             for index in islice(left, max(0, (at_once or 2 * count + 1) - len(pending))):
-                values = found.plan.values(index)
-                pending[_submitted(executor.submit, found.job, values)] = index
+                values = definition.plan.values(index)
+                pending[_submitted(executor.submit, definition.job, values)] = index
             if not pending:
                 return
             results = {f: _result(f) for f in wait(pending, return_when=FIRST_COMPLETED).done}
@@ -561,7 +563,7 @@ def _result(future: Future[Outcome]) -> Outcome:
 
 
 def sweep(
-    found: Sweep,
+    definition: Sweep,
     out: Path,
     workers: Workers,
     progress: Progress = silent,
@@ -577,7 +579,7 @@ def sweep(
 
     Parameters
     ----------
-    found : Sweep
+    definition : Sweep
         Points and settings of the sweep, such as :func:`named_sweep` returns.
     out : Path
         Directory for the files of the sweep.
@@ -613,7 +615,7 @@ def sweep(
     True
     """
     start = begin = time.monotonic()
-    with closing(_open_rows(found, out, table_format)) as rows:
+    with closing(_open_rows(definition, out, table_format)) as rows:
         done = {
             index
             for index, outcome in rows.outcomes.items()
@@ -621,9 +623,9 @@ def sweep(
         }
         good = (item for item in rows.outcomes.values() if item.failure is None)
         for outcome in islice(good, 1):
-            require_columns(outcome, found.metrics, found.scene.name)
-        missing = [index for index in range(found.plan.size) if index not in done]
-        for count, (index, outcome) in enumerate(outcomes(found, missing, workers), 1):
+            require_columns(outcome, definition.metrics, definition.scene.name)
+        missing = [index for index in range(definition.plan.size) if index not in done]
+        for count, (index, outcome) in enumerate(outcomes(definition, missing, workers), 1):
             rows.record(index, outcome)
             begin = time.monotonic() if count == 1 else begin
             text = f"{count} of {len(missing)} points, {len(rows.failed)} failed"
@@ -633,7 +635,7 @@ def sweep(
                 text = f"{text}, {rate:.3g}/s, {left} left"
             progress("sweep", count / len(missing), text)
         progress("report", None, "table, figures and page")
-        summary = _publish(found, rows, out, table_format)
+        summary = _publish(definition, rows, out, table_format)
     return {**summary, "resumed": len(done), "wall_s": time.monotonic() - start}
 
 
@@ -652,7 +654,7 @@ def table_name(table_format: str) -> str:
     return f"sweep.{table_format}"
 
 
-def _open_rows(found: Sweep, out: Path, table_format: str) -> RowStore:
+def _open_rows(definition: Sweep, out: Path, table_format: str) -> RowStore:
     name = table_name(table_format)
     if out.exists() and not out.is_dir():
         raise UsageError("is a file, not a directory", where=str(out), hint="choose another --out")
@@ -663,30 +665,37 @@ def _open_rows(found: Sweep, out: Path, table_format: str) -> RowStore:
         out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise UsageError(f"cannot be written: {error.strerror}", where=str(out)) from None
-    return RowStore(out / ROWS, found.plan.size, found.digest)
+    return RowStore(out / ROWS, definition.plan.size, definition.digest)
 
 
-def _publish(found: Sweep, rows: RowStore, out: Path, table_format: str) -> dict[str, Any]:
+def _publish(definition: Sweep, rows: RowStore, out: Path, table_format: str) -> dict[str, Any]:
     """Write table, figures and page; what the summary says of them."""
     from kc2spice.report.pages import write_sweep, yields
 
-    table = columns(rows.outcomes, found.plan, found.metrics)
+    table = columns(rows.outcomes, definition.plan, definition.metrics)
     name = table_name(table_format)
-    shares = yields(table, found.plan.keys) if found.plan.random else {}
-    plan = found.describe()
+    shares = yields(table, definition.plan.keys) if definition.plan.random else {}
+    plan = definition.describe()
     with staged(out) as work:
         WRITERS[table_format](table, work / name)
         units = {k: v for item in rows.outcomes.values() for k, v in item.units.items()}
         write_sweep(
-            work / PAGE, found.scene, table, found.units, units, found.plan.random, plan, shares
+            work / PAGE,
+            definition.scene,
+            table,
+            definition.units,
+            units,
+            definition.plan.random,
+            plan,
+            shares,
         )
     return {
-        "scene": found.scene.name,
-        "points": found.plan.size,
+        "scene": definition.scene.name,
+        "points": definition.plan.size,
         "failed": len(rows.failed),
         "table": str((out / name).absolute()),
         "directory": str(out.absolute()),
-        "runs": found.runs,
+        "runs": definition.runs,
         "yield": shares,
         "files": [name, PAGE],
     }

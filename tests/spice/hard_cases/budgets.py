@@ -289,7 +289,7 @@ def _compared(family, tables, judge):
         pass
     else:
         assert found is not None
-        stated = found.taken.errors.get(METRICS.get(family, "range"), np.nan)
+        stated = found.final.errors.get(METRICS.get(family, "range"), np.nan)
         right = error <= budget and error <= 3 * stated + OWN
         outcome = "said" if not found.check.passed else "holds" if right else "SILENT"
         worst = f"{found.check.name.removeprefix('error of ')} {found.check.value:.1e}"
