@@ -39,7 +39,7 @@ from kc2spice.core.mesh_error import MESH_ERROR
 from kc2spice.fem.keys import Damping
 from kc2spice.fem.materials import Material
 from kc2spice.fem.recovery import EnergyProducts, energy_products
-from kc2spice.fem.solid import Solid, assemble
+from kc2spice.fem.solid import Solid, assemble_solid
 from kc2spice.rom.linear import LinearModel, Port, with_potentials
 
 # Shift [rad/s] of a body that is free to move, in units of its slowest sound over its size.
@@ -60,7 +60,7 @@ Operator = Callable[[np.ndarray], np.ndarray]
 
 
 @dataclass(frozen=True, eq=False)
-class Shape:
+class ForceShape:
     """A port of forces: ``weights`` (d nodes,) spread a unit of force over the solid."""
 
     port: Port
@@ -100,7 +100,7 @@ class Setup:
     electrodes: Mapping[str, np.ndarray] = field(default_factory=dict)
     reference: str = ""
     floating: Sequence[np.ndarray] = ()
-    shapes: Sequence[Shape] = ()
+    shapes: Sequence[ForceShape] = ()
     faces: Sequence[RigidFace] = ()
     base: Sequence[tuple[Port, np.ndarray]] = ()
     graded: tuple[np.ndarray, np.ndarray] | None = None
@@ -111,7 +111,7 @@ class Setup:
 
 
 @dataclass(frozen=True, eq=False)
-class Device:
+class FiniteElementModel:
     """A solid's linear model and how its unknowns z and voltages V give the fields at the nodes:
     ``u = displacement @ z`` (d nodes,) and ``phi = potential @ p + drive @ V`` (nodes,) with
     ``K_pp p = K_up' z + lift V``. ``shift`` [rad^2/s^2] makes ``K + shift M`` regular.
@@ -136,7 +136,7 @@ class Device:
         return self.displacement @ z, phi
 
 
-def make_device(solid: Solid, setup: Setup) -> Device:
+def make_device(solid: Solid, setup: Setup) -> FiniteElementModel:
     """Constrain, attach ports, eliminate the potentials and state the facts; see the module.
 
     Raises
@@ -149,14 +149,14 @@ def make_device(solid: Solid, setup: Setup) -> Device:
     facts = {"unknowns": unknowns, "mass_kg": bare.mass}
     facts |= {} if volts is None else {"depoling_voltage_v": volts}
     answers = undamped_answers(bare.model, bare.shift)
-    facts |= answers.facts | mesh_errors(bare, answers, setup.sectors)
+    facts |= answers.facts | estimate_mesh_errors(bare, answers, setup.sectors)
     model = replace(bare.model, facts=facts)
     return replace(bare, model=_damped(model, solid, bare.displacement, setup))
 
 
-def constrained(solid: Solid, setup: Setup) -> Device:
+def constrained(solid: Solid, setup: Setup) -> FiniteElementModel:
     """The device before its damping and facts."""
-    full = assemble(solid)
+    full = assemble_solid(solid)
     P, motions = _moving(solid, setup)
     Q, R, pins = _potentials(full.K_pp, setup)
     mass, K_uu = full.M, full.K_uu
@@ -180,7 +180,7 @@ def constrained(solid: Solid, setup: Setup) -> Device:
         B=np.array([c for _, c in columns]).reshape(len(columns), P.shape[1]).T,
         ports=[*(port for port, _ in columns), *pins],
     )
-    return Device(
+    return FiniteElementModel(
         model,
         solid,
         P,
@@ -251,7 +251,7 @@ def _damped(model: LinearModel, solid: Solid, P: sparse.csc_array, setup: Setup)
     E = damping.alpha * model.M
     more = [(k, beta - min(loss)) for k, beta in enumerate(loss) if beta > min(loss)]
     for only, beta in [(None, min(loss)), *more]:
-        E = E + beta * (P.T @ (setup.sectors * assemble(solid, only=only).K_uu) @ P)
+        E = E + beta * (P.T @ (setup.sectors * assemble_solid(solid, only=only).K_uu) @ P)
     return replace(model, E=sparse.csc_array(E), rayleigh=None)
 
 
@@ -463,7 +463,9 @@ def undamped_answers(model: LinearModel, shift: float = 0.0) -> Answers:
     return Answers(facts, rest, pushed, modes)
 
 
-def mesh_errors(device: Device, answers: Answers, sectors: int = 1) -> dict[str, float]:
+def estimate_mesh_errors(
+    device: FiniteElementModel, answers: Answers, sectors: int = 1
+) -> dict[str, float]:
     """Estimated relative errors of facts that the mesh causes, by name behind :data:`MESH_ERROR`.
     The model is that of so many ``sectors`` like the solid.
 
@@ -612,7 +614,7 @@ class Bonded:
         fields = np.array(limits, dtype=float)
         return float(fields.min() * thick.sum() if self.floating else (fields * thick).min())
 
-    def device(self) -> Device:
+    def device(self) -> FiniteElementModel:
         """Its mesh and full model.
 
         Raises
@@ -689,7 +691,7 @@ class Bonded:
             reference="cathode",
             floating=[touched(faces) for faces in self.floating],
             shapes=[
-                Shape(Port(name, "mechanical"), spread(shares(box), UP, solid))
+                ForceShape(Port(name, "mechanical"), spread(shares(box), UP, solid))
                 for name, box in self.ports.items()
             ],
             base=[(Port("base", "acceleration"), UP)] if self.moved else [],

@@ -21,7 +21,7 @@ from pathlib import Path
 import numpy as np
 from scipy.linalg import eigh
 
-from kc2spice.bodies.device import Device
+from kc2spice.bodies.device import FiniteElementModel
 from kc2spice.core.equality import EqualByContent
 from kc2spice.core.errors import wrong
 from kc2spice.fem.solid import strains, tensors
@@ -43,10 +43,10 @@ _VTK = {
 
 
 @dataclass(frozen=True, eq=False)
-class Motion:
+class NodalMotion:
     """Displacements ``z(t) = basis @ states[t]`` and ``voltages`` (times, electrical ports)."""
 
-    device: Device
+    device: FiniteElementModel
     time: np.ndarray
     inputs: np.ndarray
     basis: np.ndarray
@@ -64,7 +64,9 @@ class Motion:
         return self.basis @ self.states[k], self.voltages[k]
 
 
-def recover(device: Device, time: np.ndarray, inputs: Mapping[str, np.ndarray]) -> Motion:
+def recover(
+    device: FiniteElementModel, time: np.ndarray, inputs: Mapping[str, np.ndarray]
+) -> NodalMotion:
     """Motion of the body under port inputs (by port name, SI, over ``time``).
 
     Other ports have no input. The body starts in equilibrium with the first values.
@@ -84,10 +86,12 @@ def recover(device: Device, time: np.ndarray, inputs: Mapping[str, np.ndarray]) 
     t = np.asarray(time)
     basis, omega, damp = _modes(device, float(t[-1] - t[0]))
     states, _ = resonant(omega, damp, t, u @ (basis.T @ device.model.B).T)
-    return Motion(device, t, u, basis, states)
+    return NodalMotion(device, t, u, basis, states)
 
 
-def lowest_modes(device: Device, count: int, end: float) -> tuple[np.ndarray, np.ndarray]:
+def lowest_modes(
+    device: FiniteElementModel, count: int, end: float
+) -> tuple[np.ndarray, np.ndarray]:
     """Frequencies [Hz] below ``end`` of at most ``count`` modes that the ports excite, electrodes
     shorted, and their displacements (n, modes); motions without stiffness are none of them."""
     basis, omega, _ = _modes(device, np.inf)
@@ -96,7 +100,7 @@ def lowest_modes(device: Device, count: int, end: float) -> tuple[np.ndarray, np
     return omega[selected] / (2 * np.pi), basis[:, selected]
 
 
-def _modes(device: Device, span: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _modes(device: FiniteElementModel, span: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return modes of the projected model, their frequencies and their damping.
 
     The modes (n, q) are mass-normalised. The frequencies are in rad/s. The damping [1/s] is the
@@ -113,10 +117,10 @@ def _modes(device: Device, span: float) -> tuple[np.ndarray, np.ndarray, np.ndar
     return V @ X, omega, np.einsum("ij,ik,kj->j", X, E, X)
 
 
-class Probe:
+class FieldProbe:
     """Evaluates fields at the same points of every element: its nodes, or Gauss points."""
 
-    def __init__(self, device: Device, *, gauss: bool) -> None:
+    def __init__(self, device: FiniteElementModel, *, gauss: bool) -> None:
         self.device = device
         solid = device.solid
         local = solid.element.doflocs
@@ -153,11 +157,13 @@ class Probe:
         return T.reshape(-1, *T.shape[2:]), E.reshape(-1, *E.shape[2:])
 
 
-def at_nodes(device: Device, z: np.ndarray, voltages: np.ndarray) -> dict[str, np.ndarray]:
+def at_nodes(
+    device: FiniteElementModel, z: np.ndarray, voltages: np.ndarray
+) -> dict[str, np.ndarray]:
     """At the nodes of the elements, element by element and node by node, under z (n,) and voltages
     (e,): ``displacement`` (points, 3) [m], ``potential`` (points,) [V], ``field`` (points, 3)
     [V/m], ``stress`` (points, 6) [Pa] in Voigt order, and the number of each ``material``."""
-    probe = Probe(device, gauss=False)
+    probe = FieldProbe(device, gauss=False)
     u, phi = probe.nodal(z[:, None], voltages[:, None])
     T, E = probe.stress(u, phi)
     nodes, d = probe.basis.element_dofs.T.ravel(), device.solid.components
@@ -209,7 +215,7 @@ class Extreme(EqualByContent):
     curve: np.ndarray
 
 
-def extremes(motion: Motion) -> list[Extreme]:
+def extremes(motion: NodalMotion) -> list[Extreme]:
     """Extreme values in each material.
 
     They are the largest principal stress, and in piezoelectric materials the largest electric field
@@ -218,7 +224,7 @@ def extremes(motion: Motion) -> list[Extreme]:
     Values are those at Gauss points: at re-entrant corners and edges of clamps the stress of
     linear elasticity grows without bound as the mesh is refined.
     """
-    probe = Probe(motion.device, gauss=True)
+    probe = FieldProbe(motion.device, gauss=True)
     selected = _instants(motion, max(INSTANTS, WORK // probe.owner.size))
     solid = motion.device.solid
     places = np.asarray(probe.basis.global_coordinates()).reshape(solid.mesh.dim(), -1)
@@ -265,7 +271,7 @@ def _values(
     return np.asarray(0.0 - np.einsum("kpi,pi->kp", field, poling))
 
 
-def _instants(motion: Motion, count: int) -> np.ndarray:
+def _instants(motion: NodalMotion, count: int) -> np.ndarray:
     """Samples evenly spread over time, and those of most energy in states and voltages."""
     K = motion.device.model.pencil.project(motion.basis).coefficients[0]
     energy = np.einsum("ti,ij,tj->t", motion.states, K, motion.states)
@@ -276,7 +282,7 @@ def _instants(motion: Motion, count: int) -> np.ndarray:
     return np.union1d(np.searchsorted(motion.time, even), np.argsort(energy)[-(count // 2) :])
 
 
-def write_vtu(path: Path, device: Device, z: np.ndarray, voltages: np.ndarray) -> None:
+def write_vtu(path: Path, device: FiniteElementModel, z: np.ndarray, voltages: np.ndarray) -> None:
     """Displacement [m], potential [V], field [V/m], stress [Pa] and largest principal stress at
     the nodes of every element, as a VTU file of cells that share no points.
     """

@@ -43,7 +43,7 @@ class BVD:
 
 
 @dataclass(frozen=True)
-class Reading:
+class AnalyserFigures:
     """The analyser's figures: metrics of an ``ac`` scene, by their names."""
 
     resonance_hz: float
@@ -61,7 +61,7 @@ UNITS = {
 }  # fmt: skip
 
 
-def analyse(frequency: np.ndarray, impedance_ohm: np.ndarray) -> Reading:
+def analyse(frequency: np.ndarray, impedance_ohm: np.ndarray) -> AnalyserFigures:
     """Figures of the first resonance in samples of Z over f (increasing, Hz).
 
     ``capacitance_f`` is Im(Y)/w at 1 kHz or at a tenth of the resonance, whichever is lower (from
@@ -90,7 +90,7 @@ def analyse(frequency: np.ndarray, impedance_ohm: np.ndarray) -> Reading:
     _require_resonance(f[window], Y[window], bvd, resonance, quality)
     low = np.array([min(1e3, resonance / 10)])
     sampled_at, admittance = (low, bvd.admittance(low)) if f[0] > low[0] else (f, Y)
-    return Reading(
+    return AnalyserFigures(
         resonance_hz=resonance,
         antiresonance_hz=resonance * math.sqrt(1 + ratio),
         quality=quality,

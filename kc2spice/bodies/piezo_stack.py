@@ -19,7 +19,7 @@ import numpy as np
 from scipy import sparse
 from skfem import BilinearForm, LinearForm, MeshHex1, MeshHex2
 
-from kc2spice.bodies.device import UP, Device, Setup, Shape, make_device, spread
+from kc2spice.bodies.device import UP, FiniteElementModel, ForceShape, Setup, make_device, spread
 from kc2spice.bodies.stack_keys import PATCH, SECTORS, Cap, Chip
 from kc2spice.core.errors import part_named
 from kc2spice.fem.materials import Material, material
@@ -38,7 +38,7 @@ Profile = tuple[np.ndarray, np.ndarray]
 
 def stack_device(
     kick: Chip, breakdown: float | None = None, pressure: Profile | None = None
-) -> Device:
+) -> FiniteElementModel:
     """The stack with ring ports ring0, ring1, ... and the anode, voltage driven, and its facts.
 
     Boundary conditions: u_x = 0 on x = 0 and u_y = 0 on y = 0. On the bottom face z = 0, by
@@ -246,7 +246,7 @@ def _electrodes(
     )
 
 
-def _rings(kick: Chip, solid: Solid) -> list[Shape]:
+def _rings(kick: Chip, solid: Solid) -> list[ForceShape]:
     """Unit ring forces along z, or along x where that is the poling, equal along the circle.
 
     Nodes on a symmetry plane carry half (the other half acts on the mirror image). Weights sum to
@@ -259,18 +259,18 @@ def _rings(kick: Chip, solid: Solid) -> list[Shape]:
         ring = (away < near) & (z > z.max() - near)
         share = np.where((x < near) | (y < near), 0.5, 1.0) * ring
         weights = spread(share / share.sum(), axis, solid)
-        shapes.append(Shape(Port(f"ring{number}", "mechanical"), weights))
+        shapes.append(ForceShape(Port(f"ring{number}", "mechanical"), weights))
     return shapes
 
 
-def _patch(solid: Solid, pressure: Profile) -> Shape:
+def _patch(solid: Solid, pressure: Profile) -> ForceShape:
     """A unit axial force on the top, spread as the pressure is."""
 
     def load(v, w):  # type: ignore[no-untyped-def]
         return np.interp(np.hypot(w.x[0], w.x[1]), *pressure, right=0.0) * v
 
     share = LinearForm(load).assemble(solid.face(_facets(solid, solid.places[2].max()), _FINE))
-    return Shape(Port(PATCH, "mechanical"), spread(share / share.sum(), UP, solid))
+    return ForceShape(Port(PATCH, "mechanical"), spread(share / share.sum(), UP, solid))
 
 
 def springs(solid: Solid, kick: Chip) -> sparse.csc_array | None:

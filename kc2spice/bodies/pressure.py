@@ -20,10 +20,10 @@ modes lie above the sound's frequency over the patch, ten megahertz. Nothing but
 a sphere's indentation beyond the patch's motion sets the forces therefore, and their sum is one law
 of one depth (:func:`indentation_law`), which a circuit evaluates at the cost of one spring.
 
-The other side may be a free elastic :class:`Sphere` under the same basis, on quadrilaterals that
-grow away from its lowest point. The conformal map ``zeta = w / (1 - i w / 2R)`` of ``zeta = r + i
-h`` takes the quarter plane ``w = 2R (tan x/2 + i tan y/2)`` to the half disc, h the height above
-the pole: a grid of the angles x, along the surface, and y, along the axis, has right angles
+The other side may be a free elastic :class:`IsotropicSphere` under the same basis, on
+quadrilaterals that grow away from its lowest point. The conformal map ``zeta = w / (1 - i w / 2R)``
+of ``zeta = r + i h`` takes the quarter plane ``w = 2R (tan x/2 + i tan y/2)`` to the half disc, h
+the height above the pole: a grid of the angles x, along the surface, and y, along the axis, has right angles
 everywhere and, at the pole, the lines of the basis. The other pole lies at infinity; there a pit of
 ``R / 30`` is left out, 1e-5 of the mass.
 
@@ -45,21 +45,21 @@ from skfem import LinearForm
 from skfem.mesh import MeshQuad, MeshQuad2
 
 from kc2spice.bodies.device import (
-    Device,
+    FiniteElementModel,
+    ForceShape,
     Setup,
-    Shape,
     constrained,
-    mesh_errors,
+    estimate_mesh_errors,
     undamped_answers,
 )
-from kc2spice.bodies.fields import Probe, principal
+from kc2spice.bodies.fields import FieldProbe, principal
 from kc2spice.bodies.piezo_stack import layer_materials, stack_setup
 from kc2spice.bodies.stack_keys import PATCH, Chip
 from kc2spice.core.equality import EqualByContent
 from kc2spice.core.errors import SimulationError
 from kc2spice.fem.keys import Damping
 from kc2spice.fem.materials import Material
-from kc2spice.fem.solid import Solid, assemble
+from kc2spice.fem.solid import Solid, assemble_solid
 from kc2spice.rom.linear import LinearModel, Port, with_potentials
 
 CELLS = 3  # cells of the graded mesh between two nodes of the basis
@@ -183,7 +183,7 @@ def stressed(chip: Chip, shape: PressureBasis, force: np.ndarray) -> dict[str, f
     principal stresses, with its ``shear_depth_m`` below the top.
     """
     stack = _stack(chip, shape, CELLS)
-    probe, model = Probe(stack, gauss=True), stack.model
+    probe, model = FieldProbe(stack, gauss=True), stack.model
     z = model.pencil.pencil_solver(0.0).solve(-model.B[:, : len(force)] @ force)
     T, _ = probe.stress(*probe.nodal(z[:, None], np.zeros((1, 1))))
     shear = (principal(T[..., 0]) + principal(-T[..., 0])) / 2
@@ -195,7 +195,7 @@ def stressed(chip: Chip, shape: PressureBasis, force: np.ndarray) -> dict[str, f
     }
 
 
-def _stack(chip: Chip, shape: PressureBasis, cells: int) -> Device:
+def _stack(chip: Chip, shape: PressureBasis, cells: int) -> FiniteElementModel:
     """The round stack on a roller, with a port for every basis function, on quadrilaterals that
     grow away from them, with a line at every face of a layer."""
     ends = [cap.thickness if cap else 0.0 for cap in (chip.bottom_cap, chip.top_cap)]
@@ -225,7 +225,7 @@ def _stack(chip: Chip, shape: PressureBasis, cells: int) -> Device:
         np.column_stack([r < near, z < near]).ravel(),
         {"anode": level(planes[1::2]), "cathode": level(planes[::2])},
         "cathode",
-        shapes=[*map(Shape, ports, _basis_loads(solid, shape, top).T)],
+        shapes=[*map(ForceShape, ports, _basis_loads(solid, shape, top).T)],
     )
     return constrained(solid, setup)
 
@@ -317,7 +317,7 @@ def pressing(compliance: np.ndarray, gap: np.ndarray, depth: np.ndarray) -> np.n
 
 
 @dataclass(frozen=True)
-class Sphere:
+class IsotropicSphere:
     """``radius`` [m] and what it is made of; isotropic about the axis."""
 
     radius: float
@@ -336,7 +336,9 @@ class Sphere:
         return self.damping.rayleigh(self.oblate)
 
 
-def sphere(body: Sphere, shares: np.ndarray, shape: PressureBasis, refine: int = 1) -> LinearModel:
+def sphere(
+    body: IsotropicSphere, shares: np.ndarray, shape: PressureBasis, refine: int = 1
+) -> LinearModel:
     """The sphere with the port ``patch``, upwards: ``shares`` (n,) of the basis; see the module.
 
     ``refine`` divides every cell along each axis.
@@ -345,18 +347,24 @@ def sphere(body: Sphere, shares: np.ndarray, shape: PressureBasis, refine: int =
     load = device.model.B @ shares[:, None]
     model = replace(device.model, B=load, C=load.T, D=np.zeros((1, 1)), ports=(port,))
     answers = undamped_answers(model)
-    facts = {**model.facts, **answers.facts, **mesh_errors(replace(device, model=model), answers)}
+    facts = {
+        **model.facts,
+        **answers.facts,
+        **estimate_mesh_errors(replace(device, model=model), answers),
+    }
     return replace(model, E=None, rayleigh=body.rayleigh, facts=facts)
 
 
-def sphere_compliance(body: Sphere, shape: PressureBasis, refine: int = 1) -> LocalCompliance:
+def sphere_compliance(
+    body: IsotropicSphere, shape: PressureBasis, refine: int = 1
+) -> LocalCompliance:
     """Compliance of the basis functions on the sphere, and of their patch."""
     S = _compliance(_free(body, shape, refine).model)
     patch = float(1 / np.linalg.solve(S, np.ones(len(S))).sum())
     return LocalCompliance(S - patch, patch)
 
 
-def _free(body: Sphere, shape: PressureBasis, refine: int) -> Device:
+def _free(body: IsotropicSphere, shape: PressureBasis, refine: int) -> FiniteElementModel:
     """The undamped sphere with a port for every function, on the mapped grid of the module."""
     radius = body.radius
     x = _onwards(np.arcsin(_divided(shape.nodes, CELLS) / radius))
@@ -372,7 +380,7 @@ def _free(body: Sphere, shape: PressureBasis, refine: int) -> Device:
     free = np.ones((solid.places.shape[1], 2), dtype=bool)
     free[solid.places[0] < 1e-6 * shape.nodes[1], 0] = False
     unknowns = np.flatnonzero(free.ravel())
-    full = assemble(solid)
+    full = assemble_solid(solid)
     M, K = (sparse.csc_array(P[unknowns][:, unknowns]) for P in (full.M, full.K_uu))
     along = (unknowns % 2).astype(float)
     momentum = M @ along
@@ -392,7 +400,7 @@ def _free(body: Sphere, shape: PressureBasis, refine: int) -> Device:
     )
     moved = sparse.eye_array(free.size, format="csc")[:, unknowns]
     none = sparse.csc_array((len(free), 0))  # no field in it
-    return Device(model, solid, moved, none, none, np.zeros((0, 0)), 0.0, mass)
+    return FiniteElementModel(model, solid, moved, none, none, np.zeros((0, 0)), 0.0, mass)
 
 
 def _onwards(angles: np.ndarray) -> np.ndarray:

@@ -551,7 +551,7 @@ def _reduce(
     with _arguments_as_options(options), caller.progress() as progress:
         result = reduce_study(model, out, **options, progress=progress)
     if caller.reads(result):
-        from kc2spice.report.run_page import above_band
+        from kc2spice.report.run_page import above_band_rows
 
         low, high = result["band_hz"]
         rows = [
@@ -559,7 +559,7 @@ def _reduce(
             ("states", str(result["order"])),
             ("band", f"{low:g} … {high:g} Hz"),
             ("error estimate", f"{result['error_estimate']:.3g}, {result['norm']}"),
-            *above_band(result),
+            *above_band_rows(result),
             ("stable", {True: "yes", False: "NO", None: "not known"}[result["stable"]]),
             ("passive", "yes" if result["passive"] else "not shown"),
             ("method", result["method"]),

@@ -21,7 +21,7 @@ from kc2spice.core.files import FULL
 from kc2spice.core.progress import ERROR_BUDGET, Progress, silent
 
 if TYPE_CHECKING:
-    from kc2spice.report.html import Section
+    from kc2spice.report.html import PageSection
 COLUMNS = 80  # width of piped output
 MOST_METRICS, MOST_ROWS = 9, 13  # metrics and rows of the summary of a run
 INTERRUPTED = 130  # exit code of shells after Ctrl-C
@@ -147,7 +147,7 @@ def print_table(
     Console(width=width).print(table)
 
 
-def show(sections: Iterable[Section]) -> None:
+def show(sections: Iterable[PageSection]) -> None:
     """The tables of a page."""
     for section in sections:
         if section.rows:

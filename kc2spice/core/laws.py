@@ -81,7 +81,7 @@ class Equations:
 
 @dataclass(frozen=True)
 class Port:
-    """A port of a :class:`LinearBody`: one column of B, one row of C.
+    """A port of a :class:`SecondOrderBody`: one column of B, one row of C.
 
     Electrical: voltage in, charge out; ``ret`` names the pin of its return. Mechanical: force in,
     displacement out. ``acceleration``: acceleration of the base in [m/s^2] (a signal pin), reaction
@@ -94,7 +94,7 @@ class Port:
 
 
 @dataclass(frozen=True, eq=False)
-class LinearBody:
+class SecondOrderBody:
     """``M x'' + E x' + K x = B in``, ``out = C x + D in`` of a small ``model`` with a dense
     ``pencil`` of second order, or of first order without M, whose unknowns are some of the
     equations'.
@@ -140,7 +140,7 @@ def port_pins(ports: tuple[Port, ...]) -> tuple[Pin, ...]:
 
 
 @dataclass(frozen=True)
-class Source:
+class IdealSource:
     """A prescribed quantity between ``out`` and ``ret``.
 
     ``kind`` is a quantity of :mod:`kc2spice.core.domains`, such as ``voltage`` between the pins or
@@ -308,7 +308,7 @@ class Device(ABC):
         return 0.0
 
 
-Law = LinearBody | Source | Device
+Law = SecondOrderBody | IdealSource | Device
 
 MICRO = 1e-6  # m, in which displacements are balanced
 GROWING = 1e3  # 1/s, of a load on a body that is free to move

@@ -135,7 +135,7 @@ def _words(
             count = context["min_length" if too_short else "max_length"]
             bound = f"{'least' if too_short else 'most'} {count} entr{'y' if count == 1 else 'ies'}"
             return (
-                f"too {'too_short' if too_short else 'many'} entries",
+                f"too {'few' if too_short else 'many'} entries",
                 f"a list of at {bound}",
                 None,
             )

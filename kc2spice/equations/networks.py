@@ -15,11 +15,11 @@ from kc2spice.core.domains import TABLE
 from kc2spice.core.laws import (
     GROUND,
     Device,
+    IdealSource,
     Law,
-    LinearBody,
     PortBody,
     Reading,
-    Source,
+    SecondOrderBody,
     sensor,
 )
 
@@ -43,7 +43,7 @@ class Network:
     @property
     def has_sources_only(self) -> bool:
         """Whether there is nothing to solve, as each law is a source."""
-        return all(isinstance(law, Source) for law in self.laws)
+        return all(isinstance(law, IdealSource) for law in self.laws)
 
     @property
     def names(self) -> frozenset[str]:
@@ -53,7 +53,7 @@ class Network:
     def determined_by(self, driven: set[str]) -> bool:
         """Whether sources at the pins ``driven`` set the value of every net, and no body moves."""
         nets = [set(pins) for net, pins in self.joins.items() if net != GROUND]
-        if not driven or any(isinstance(law, LinearBody | PortBody) for law in self.laws):
+        if not driven or any(isinstance(law, SecondOrderBody | PortBody) for law in self.laws):
             return False
         return all(pins & driven for pins in nets)
 
@@ -146,7 +146,7 @@ def prescribes(laws: Mapping[str, Law], pin: str) -> bool:
     """Whether the law of a pin ``LAW.PIN`` sets the across quantity there, as a voltage source."""
     name, _, end = pin.partition(".")
     law = laws[name]
-    if isinstance(law, Source):
+    if isinstance(law, IdealSource):
         return end == "out" and not law.flows
     return isinstance(law, Device) and end in law.prescribes
 

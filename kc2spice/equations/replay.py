@@ -10,7 +10,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from kc2spice.core.domains import TABLE
-from kc2spice.core.laws import Device, LinearBody, Source
+from kc2spice.core.laws import Device, IdealSource, SecondOrderBody
 from kc2spice.core.waveforms import Recorded, Waveforms
 from kc2spice.equations.networks import NODE_UNITS, Network, prescribes
 from kc2spice.equations.scene_laws import SceneLaws
@@ -52,7 +52,7 @@ def _coils_on_body(laws: SceneLaws) -> bool:
     """Whether a nonlinear stored quantity, such as the flux of coils, meets an elastic body."""
     devices = [law for law in laws.laws.values() if isinstance(law, Device)]
     nonlinear = any(law.storing and not law.linear for law in devices)
-    return nonlinear and any(isinstance(law, LinearBody) for law in laws.laws.values())
+    return nonlinear and any(isinstance(law, SecondOrderBody) for law in laws.laws.values())
 
 
 def _acts(build: Build, name: str, pin: str) -> bool:
@@ -85,7 +85,7 @@ def replayed_vectors(nets: Mapping[str, str]) -> dict[str, tuple[str, float]]:
     return {f"net {net}": (f"v({net})", NODE_UNITS[kind]) for net, kind in nets.items()}
 
 
-def _recorded_source(net: str, kind: str, waves: Waveforms) -> Source:
+def _recorded_source(net: str, kind: str, waves: Waveforms) -> IdealSource:
     """A source of the recorded values on a net."""
     times, values = waves["time"], waves[f"net {net}"]
     # Where a contact closes, points lie picoseconds apart: their differences are rounding.
@@ -94,4 +94,4 @@ def _recorded_source(net: str, kind: str, waves: Waveforms) -> Source:
     for k in range(1, times.size):
         if times[k] - times[places[-1]] >= shortest:
             places.append(k)
-    return Source(f"net {net}", SOURCES[kind], Recorded(times[places], values[places]))
+    return IdealSource(f"net {net}", SOURCES[kind], Recorded(times[places], values[places]))

@@ -12,7 +12,7 @@ from functools import cached_property
 from itertools import chain
 from typing import NamedTuple
 
-from kc2spice.core.laws import GROUND, Equations, Law, Reading, Source
+from kc2spice.core.laws import GROUND, Equations, IdealSource, Law, Reading
 from kc2spice.equations.networks import (
     Network,
     merge_groups,
@@ -94,7 +94,7 @@ class SceneLaws:
         """
         return self.networks_with({})
 
-    def networks_with(self, sources: Mapping[str, Source]) -> tuple[Network, ...]:
+    def networks_with(self, sources: Mapping[str, IdealSource]) -> tuple[Network, ...]:
         """The networks with further ``sources``, each on the net that is its key."""
         readings: dict[str, Reading] = {}
         sweeps: dict[tuple[str, str], tuple[str, float]] = {}
@@ -104,7 +104,7 @@ class SceneLaws:
         laws = [*self.laws.values(), *sources.values()]
         return split_networks(laws, self.joins(sources), readings, sweeps)
 
-    def joins(self, sources: Mapping[str, Source]) -> dict[str, tuple[str, ...]]:
+    def joins(self, sources: Mapping[str, IdealSource]) -> dict[str, tuple[str, ...]]:
         """Pins of laws on each net, with ``sources`` on nets of the scene.
 
         Nets of the scene that share a pin of a law are one net.

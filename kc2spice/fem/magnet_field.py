@@ -120,7 +120,7 @@ def ring_sign(catch: Catch) -> float:
 
 
 @dataclass(frozen=True, eq=False)
-class System:
+class FieldEquations:
     """Equations at one height: ``matrix a = loads`` on the ``free`` unknowns of all n."""
 
     matrix: sparse.csc_array
@@ -148,7 +148,7 @@ class System:
         return -0.5 * near.T @ (self.stretch @ near)
 
 
-def systems(catch: Catch, radius: float) -> Iterator[tuple[int, System]]:
+def systems(catch: Catch, radius: float) -> Iterator[tuple[int, FieldEquations]]:
     """Index and equations of each height; heights on one lattice share their meshes."""
     y = positions(catch)
     pitch = lattice_pitch(catch, radius, (y[-1] - y[0]) / (y.size - 1))
@@ -156,12 +156,12 @@ def systems(catch: Catch, radius: float) -> Iterator[tuple[int, System]]:
     for value in np.unique(offset):
         selected = np.flatnonzero(offset == value)
         lattice = bore(catch, radius, pitch, y[selected[0]], y[selected[-1]])
-        system = assemble(catch, lattice)
+        system = assemble_field(catch, lattice)
         yield from ((int(index), system(y[index])) for index in selected)
 
 
 @dataclass(frozen=True, eq=False)
-class Body:
+class ElementMatrices:
     """Element matrices of one mesh: ``local[:, e]`` goes to ``rows[:, e]``, ``cols[:, e]``."""
 
     points: np.ndarray  # (2, n): places of the unknowns [m]
@@ -171,7 +171,7 @@ class Body:
     loads: np.ndarray  # (n, 4): ring and sphere magnet, 1 A in the lower and in the upper coil
 
 
-def assemble(catch: Catch, bore: Bore) -> Callable[[float], System]:
+def assemble_field(catch: Catch, bore: Bore) -> Callable[[float], FieldEquations]:
     """Mesh and assemble stator and mover for the lattice ``bore``: what gives the equations with
     the sphere's centre at a height [m], a lattice point."""
     mesh, sphere = mover_mesh(bore)
@@ -205,7 +205,7 @@ def assemble(catch: Catch, bore: Bore) -> Callable[[float], System]:
     free = (r < right - edge) & (y > low + edge) & (y < high - edge)
     lookup, count, more = cKDTree(stator.points.T), stator.points.shape[1], moved.points.shape[1]
 
-    def system(height: float) -> System:
+    def system(height: float) -> FieldEquations:
         mover = count + np.arange(more)
         distance, mover[rim] = lookup.query((moved.points[:, rim] + [[0], [height]]).T)
         if not np.max(distance) < 1e-6 * bore.pitch:
@@ -230,7 +230,7 @@ def assemble(catch: Catch, bore: Bore) -> Callable[[float], System]:
         loads = np.zeros((count + more, 4))
         loads[:count] = stator.loads
         loads[mover] += moved.loads
-        return System(matrix.tocsc(), loads, solved, mover, stretch)
+        return FieldEquations(matrix.tocsc(), loads, solved, mover, stretch)
 
     return system
 
@@ -240,7 +240,7 @@ def _body(
     mesh: MeshTri2,
     magnet: np.ndarray,
     sources: dict[int, tuple[LinearForm, float, np.ndarray]],
-) -> Body:
+) -> ElementMatrices:
     """A mesh with a ``magnet`` and its ``sources`` by column: form, size, elements."""
     basis = _basis(mesh)
     loads = np.zeros((basis.N, 4))
@@ -250,7 +250,7 @@ def _body(
     rows, cols = coo.indices.reshape(2, -1, mesh.nelements)
     reluctivity = np.where(magnet, 1 / catch.mu_r, 1.0) / MU_0
     local = coo.data.reshape(-1, mesh.nelements) * reluctivity
-    return Body(basis.doflocs, rows, cols, local, loads)
+    return ElementMatrices(basis.doflocs, rows, cols, local, loads)
 
 
 def _basis(mesh: MeshTri2, elements: np.ndarray | None = None) -> Basis:

@@ -73,7 +73,7 @@ _ALTERNATIVES = (
 
 
 @dataclass(frozen=True)
-class Cylinder:
+class CylindricalAxes:
     """Cylindrical coordinates: the direction of their axis and a ``point`` [m] on it."""
 
     axis: tuple[float, float, float] = (0.0, 0.0, 1.0)
@@ -129,7 +129,7 @@ class Material(EqualByContent):
     axis: np.ndarray = field(default_factory=lambda: np.array([0.0, 0.0, 1.0]))
     dielectric: bool = False
     residual_stress: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    cylinder: Cylinder | None = None
+    cylinder: CylindricalAxes | None = None
 
     def __repr__(self) -> str:
         kind = "piezoelectric" if self.piezoelectric else "elastic"

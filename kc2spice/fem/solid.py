@@ -175,7 +175,7 @@ def tensors(
             yield material.at(places[:, q])
 
 
-def assemble(solid: Solid, *, only: int | None = None) -> Operators:
+def assemble_solid(solid: Solid, *, only: int | None = None) -> Operators:
     """Matrices of the solid; coupling and permittivity only where it is piezoelectric or
     dielectric.
 

@@ -56,7 +56,7 @@ def _slices(P: np.ndarray, bits: int) -> Iterator[np.ndarray]:
         yield part
 
 
-class Solver:
+class RefinedSolver:
     """Solves with ``A + s E`` at any s, refined until all digits of the given entries count."""
 
     def __init__(self, A: np.ndarray, E: np.ndarray) -> None:

@@ -729,7 +729,7 @@ class LinearBody(Touching):
             law = laws.SignalBlock(n, E, -rest, A.B, A.C, A.D, model.inputs, model.outputs)
         else:
             modal = resonators(model)
-            law = laws.LinearBody(n, model if modal is None else modal.linear(), own)
+            law = laws.SecondOrderBody(n, model if modal is None else modal.linear(), own)
         joins = [(port.terminals[0], f"{n}.{port.name}") for port in ports]
         joins += [(pin, f"{n}.{pin}") for port in ports for pin in port.terminals[1:]]
         joins += [(last, f"{n}.{last}")] * heat

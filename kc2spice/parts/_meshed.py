@@ -39,8 +39,8 @@ from kc2spice.scene.plausible import layers as plausible_layers
 from kc2spice.scene.rows import Neglected
 
 if TYPE_CHECKING:
-    from kc2spice.bodies.device import Bonded, Device
-    from kc2spice.bodies.fields import Extreme, Motion
+    from kc2spice.bodies.device import Bonded, FiniteElementModel
+    from kc2spice.bodies.fields import Extreme, NodalMotion
 
 # Estimated relative error of a mesh above which a run warns: what a data sheet states of a part.
 COARSE = {"first resonance": 0.03, "capacitance": 0.05, "stroke": 0.1}
@@ -67,7 +67,7 @@ _QUANTITIES = {
 class Recovered:
     """Motion of a body in a run and the extremes of its fields."""
 
-    motion: Motion
+    motion: NodalMotion
     extremes: tuple[Extreme, ...]
 
     @property
@@ -111,10 +111,10 @@ class MeshedBody(LinearBody):
         yield from neglected_effects(part.name, self.envelope(part, scene), self.support(part))
 
     @abstractmethod
-    def make(self, part: Part, scene: Scene) -> Device:
+    def make(self, part: Part, scene: Scene) -> FiniteElementModel:
         """The full model with its mesh."""
 
-    def device(self, part: Part, scene: Scene) -> Device:
+    def device(self, part: Part, scene: Scene) -> FiniteElementModel:
         """The same; the latest of the type stays in the workspace of the scene, as the next scene
         often asks for another reduction of it."""
         key = json.dumps([part.name, self.full_key(part, scene)], sort_keys=True)
@@ -250,7 +250,7 @@ class BondedBody(MeshedBody):
         ports = (port for port in self.ports(part, scene) if port.kind in moved)
         return {port.terminals[0]: (0.0, 0.0, 1.0) for port in ports}
 
-    def make(self, part: Part, scene: Scene) -> Device:
+    def make(self, part: Part, scene: Scene) -> FiniteElementModel:
         return self.bonded(part).device()
 
     def varied(self, part: Part, scene: Scene, clock: Any, like: Part) -> LinearModel:

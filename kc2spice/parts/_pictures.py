@@ -15,7 +15,7 @@ from kc2spice.rom.linear import LinearModel
 from kc2spice.rom.modal import Resonators
 
 if TYPE_CHECKING:
-    from kc2spice.bodies.device import Device
+    from kc2spice.bodies.device import FiniteElementModel
 
 POINTS = 600  # frequencies of an impedance, besides those near resonances
 FINE = 4000  # lines of a surface mesh, from which only its edges are drawn
@@ -113,7 +113,9 @@ def port_figures(name: str, waves: Waveforms) -> Iterator[Figure]:
     yield Figure(f"{name}_ports", f"Motion of {name}", caption, tuple(panels))
 
 
-def deformed(device: Device, z: np.ndarray, voltages: np.ndarray) -> tuple[Panel, float]:
+def deformed(
+    device: FiniteElementModel, z: np.ndarray, voltages: np.ndarray
+) -> tuple[Panel, float]:
     """The body under displacements z (n,) and voltages (e,), coloured by the largest principal
     stress, over its edges at rest; and by how much displacements are enlarged."""
     from kc2spice.bodies.fields import at_nodes, principal
@@ -127,7 +129,7 @@ def deformed(device: Device, z: np.ndarray, voltages: np.ndarray) -> tuple[Panel
     return panel, factor
 
 
-def shapes(device: Device, hertz: np.ndarray, columns: np.ndarray) -> Iterator[Panel]:
+def shapes(device: FiniteElementModel, hertz: np.ndarray, columns: np.ndarray) -> Iterator[Panel]:
     """A panel for each mode, ``columns`` (n, modes)."""
     from kc2spice.bodies.fields import at_nodes
 
@@ -142,7 +144,7 @@ def shapes(device: Device, hertz: np.ndarray, columns: np.ndarray) -> Iterator[P
         yield Panel(f"mm, {word}", "mm", (at_rest,), equal=True, map=colours)
 
 
-def _enlarged(device: Device, moves: np.ndarray) -> tuple[np.ndarray, float]:
+def _enlarged(device: FiniteElementModel, moves: np.ndarray) -> tuple[np.ndarray, float]:
     """Corners (elements, vertices, 3) [m] with enlarged displacements, and the factor."""
     mesh = device.solid.mesh
     corners = mesh.p[:, mesh.t].transpose(2, 1, 0)
@@ -154,7 +156,7 @@ def _enlarged(device: Device, moves: np.ndarray) -> tuple[np.ndarray, float]:
     return corners + factor * moves, factor
 
 
-def _map(device: Device, corners: np.ndarray, values: np.ndarray, label: str) -> Map:
+def _map(device: FiniteElementModel, corners: np.ndarray, values: np.ndarray, label: str) -> Map:
     """``values`` at the nodes of every element on what is seen of its surface."""
     mesh = device.solid.mesh
     values = values.reshape(len(corners), -1)[:, : corners.shape[1]]

@@ -39,7 +39,7 @@ from kc2spice.core.quantities import Count, Length, Notch, Section, validated
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.fem import mesh_file
 from kc2spice.fem.keys import Damping
-from kc2spice.fem.materials import Cylinder, Material, material
+from kc2spice.fem.materials import CylindricalAxes, Material, material
 from kc2spice.fem.solid import Solid
 from kc2spice.parts._linear_body import file_stamp
 from kc2spice.parts._meshed import FieldKeys, MeshedBody
@@ -267,7 +267,9 @@ class BodyKeys(FieldKeys):
         return self
 
 
-def device(keys: BodyKeys | Mapping[str, Any], home: Path, where: str = "body") -> fe.Device:
+def device(
+    keys: BodyKeys | Mapping[str, Any], home: Path, where: str = "body"
+) -> fe.FiniteElementModel:
     """Read the mesh (relative to ``home``), name its groups, assemble.
 
     ``refine`` divides the size of the elements; a ``.msh`` is split so often that its edges are at
@@ -340,14 +342,18 @@ def _poled(plain: Material, keys: BodyKeys, group: str) -> Material:
     if isinstance(given, str):
         given = CylindricalKeys(direction=_CYLINDRICAL[given])
     if isinstance(given, CylindricalKeys):
-        about = Cylinder(given.axis, given.through)
+        about = CylindricalAxes(given.axis, given.through)
         along_z = not any(given.axis[:2]) and not any(given.through[:2])
         if keys.axisymmetric and not along_z:
             problem = "an axisymmetric mesh has one axis, z through the origin"
             raise wrong(f"poling.{group}", problem, hint="leave out axis and through")
         return replace(plain.poled(given.direction), cylinder=about)
     poled = plain.poled(given)
-    return replace(poled, cylinder=Cylinder()) if keys.axisymmetric and any(given[:2]) else poled
+    return (
+        replace(poled, cylinder=CylindricalAxes())
+        if keys.axisymmetric and any(given[:2])
+        else poled
+    )
 
 
 def _setup(keys: BodyKeys, groups: mesh_file.GroupedMesh, solid: Solid) -> fe.Setup:
@@ -375,7 +381,9 @@ def _setup(keys: BodyKeys, groups: mesh_file.GroupedMesh, solid: Solid) -> fe.Se
         reference=keys.reference,
         floating=[_electrode(solid, groups, name, "floating") for name in keys.floating],
         shapes=[
-            fe.Shape(port.ports[0], fe.spread(_shares(port, groups, solid), port.direction, solid))
+            fe.ForceShape(
+                port.ports[0], fe.spread(_shares(port, groups, solid), port.direction, solid)
+            )
             for port in kinds["mean"]
         ],
         faces=faces,
@@ -525,7 +533,7 @@ class Body(MeshedBody):
         yield Figure(f"{part.name}_mesh", f"Mesh of {part.name}", caption, (panel,))
         yield from super().figures(part, build, waves)
 
-    def make(self, part: Part, scene: Scene) -> fe.Device:
+    def make(self, part: Part, scene: Scene) -> fe.FiniteElementModel:
         return device(part.keys, scene.home, part.name)
 
 

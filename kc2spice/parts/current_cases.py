@@ -96,7 +96,7 @@ class CurrentCases(PartType):
         """The height is a source's; a force on it is the reaction to what the coils exert."""
         n, pulled, fed = part.name, _sphere(part, build.scene), _coils(part, build.scene)
         table, height = build.model(fed), [f"{n}.out"]
-        result: list[laws.Law] = [laws.Source(n, "displacement", constant(0.0))]
+        result: list[laws.Law] = [laws.IdealSource(n, "displacement", constant(0.0))]
         results = {f"{pulled}.y": laws.reading(f"{n}.out")}
         for k, force in enumerate(_forces(part, build)):
             own = f"{fed.name} {k}"  # no part has a blank in its name

@@ -22,7 +22,7 @@ from kc2spice.scene.settings import Rom
 from kc2spice.spice.realize import COARSE, StepWeights
 
 if TYPE_CHECKING:
-    from kc2spice.bodies.pressure import LocalCompliance, PressureBasis, Sphere
+    from kc2spice.bodies.pressure import IsotropicSphere, LocalCompliance, PressureBasis
 
 BAND = 2.0  # times the lowest mode's frequency: the sphere breathes below
 
@@ -135,11 +135,11 @@ elastic = true
         )
 
 
-def _body(part: Part, scene: Scene) -> Sphere:
-    from kc2spice.bodies.pressure import Sphere
+def _body(part: Part, scene: Scene) -> IsotropicSphere:
+    from kc2spice.bodies.pressure import IsotropicSphere
 
     owner = scene.parts[part.keys.of]
-    return Sphere(owner.keys.radius, made_of(owner), part.keys.damping)
+    return IsotropicSphere(owner.keys.radius, made_of(owner), part.keys.damping)
 
 
 def _contact(part: Part, scene: Scene) -> Part:

@@ -10,7 +10,7 @@ from typing import Any
 
 from pydantic import Field
 
-from kc2spice.bodies.readers import described, extent, read_model, source_files
+from kc2spice.bodies.readers import described, mesh_extent, read_model, source_files
 from kc2spice.bodies.readers.raw import TRANSLATIONS
 from kc2spice.core.figure import Shape
 from kc2spice.core.foreign import file_in_folder
@@ -68,7 +68,7 @@ class Matrices(LinearBody):
 
     def outline(self, part: Part, scene: Scene) -> Iterator[Shape]:
         """The box of its mesh from the side, where its TOML file names one."""
-        size = extent(*self._source(part, scene))
+        size = mesh_extent(*self._source(part, scene))
         if size is None or not size[:2].any():
             return
         wide, high = float(size[:2].max()), float(size[2] or size[:2].min())

@@ -34,7 +34,7 @@ from kc2spice.spice.realize import COARSE, THROWING, StepWeights
 
 # Mesh and solver modules are imported on use: most runs find their models in the cache.
 if TYPE_CHECKING:
-    from kc2spice.bodies.device import Device
+    from kc2spice.bodies.device import FiniteElementModel
     from kc2spice.bodies.pressure import LocalCompliance, PressureBasis
 
 USUAL = 250e3  # Hz, where the paper's chip is damped by 1 %
@@ -289,7 +289,7 @@ class PiezoStack(MeshedBody):
     def support(self, part: Part) -> str:
         return "" if part.keys.mounting == "roller" else mounted(part.keys)
 
-    def make(self, part: Part, scene: Scene) -> Device:
+    def make(self, part: Part, scene: Scene) -> FiniteElementModel:
         from kc2spice.bodies.piezo_stack import stack_device
 
         shape = pressure_nodes(part, scene)

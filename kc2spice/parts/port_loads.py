@@ -151,7 +151,7 @@ class PortLoads(PartType):
         if equations is None:
             return None
         (law,) = equations.laws
-        assert isinstance(law, laws.LinearBody | laws.PortBody)
+        assert isinstance(law, laws.SecondOrderBody | laws.PortBody)
         rings, is_open = _rings(body, build.scene), body.keys.electrical == "open"
         result: list[laws.Law] = []
         nets: list[tuple[str, ...]] = []
@@ -160,9 +160,9 @@ class PortLoads(PartType):
         for load in (*rings, "anode"):
             name = f"{body.name} {load}"  # no part has a blank in its name
             result.append(replace(law, name=name))
-            volts = laws.Source(f"{name}_volts", "voltage", still, float(load == "anode"))
+            volts = laws.IdealSource(f"{name}_volts", "voltage", still, float(load == "anode"))
             if load != "anode":
-                result.append(laws.Source(f"{name}_force", "force", still, 1.0))
+                result.append(laws.IdealSource(f"{name}_force", "force", still, 1.0))
                 nets.append((f"{name}.{load}", f"{name}_force.out"))
             if not is_open:
                 result.append(volts)

@@ -98,7 +98,7 @@ class Push(Touching):
 
     def law(self, part: Part, build: Build) -> laws.Equations:
         n = part.name
-        source = laws.Source(n, "displacement", constant(0.0))
+        source = laws.IdealSource(n, "displacement", constant(0.0))
         results = {f"{n}.depth": laws.reading(f"{n}.out", -1.0)}
         return laws.Equations((source,), (("bottom", f"{n}.out"),), results, {"depth": (n, -1.0)})
 

@@ -238,7 +238,7 @@ class Source(PartType):
         wave = part.keys.waveform(build.scene.home)
         unloaded = keys.kind == "voltage" and _unloaded(part, build)
         ac = quantity(keys.ac, keys.unit)
-        law = laws.Source(n, "signal" if unloaded else keys.kind, wave, complex(ac))
+        law = laws.IdealSource(n, "signal" if unloaded else keys.kind, wave, complex(ac))
         signal = law.signal
         pins = (("out", f"{n}.out"),) if signal else (("out", f"{n}.out"), ("ret", f"{n}.ret"))
         domain = KINDS[keys.kind].domain

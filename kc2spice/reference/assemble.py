@@ -55,7 +55,7 @@ class InitialValue:
 
 @dataclass(frozen=True, eq=False)
 class System:
-    """Reduced equations and how to read everything from their unknowns; made by `assemble`.
+    """Reduced equations and how to read everything from their unknowns; made by `assemble_system`.
 
     Waves are ``now X + d/dt (rated X) + direct (outputs of all devices) + constant`` in the order
     of ``names``. Linear laws store ``X' stored X + lifted X`` [J] and lose ``X' dissipated X`` [W].
@@ -67,7 +67,7 @@ class System:
     differential: np.ndarray  # (n,) bool
     velocity: np.ndarray  # (m,) places of velocities among the unknowns
     moved: np.ndarray  # (m,) places of the displacements whose they are
-    sources: tuple[L.Source, ...]
+    sources: tuple[L.IdealSource, ...]
     devices: tuple[Attached, ...]
     linear: tuple[Attached, ...]  # whose outputs and stores are in ``G``, ``F`` and ``const``
     initial_values: tuple[InitialValue, ...]
@@ -93,7 +93,7 @@ class System:
         return np.array(result, dtype=float).reshape(len(result), *np.shape(t))
 
 
-def assemble(laws: Iterable[L.Law], joins: Mapping[str, Iterable[str]]) -> System:
+def assemble_system(laws: Iterable[L.Law], joins: Mapping[str, Iterable[str]]) -> System:
     """Join the pins of ``laws`` at nets.
 
     ``joins`` maps a net's name to its pins ``NAME.pin``, of one kind; the net ``gnd`` is the
@@ -120,7 +120,7 @@ class _Assembly:
         self.M, self.A, self.const = np.zeros((n, n)), np.zeros((n, n)), np.zeros(n)
         self.moving = np.zeros((self.nq, self.nq))  # which displacements need velocities
         self.charged = np.zeros((n, n))  # which voltages charges of devices follow
-        self.sources = tuple(p for p in laws if isinstance(p, L.Source))
+        self.sources = tuple(p for p in laws if isinstance(p, L.IdealSource))
         self.S = np.zeros((n, len(self.sources)))
         self.constraints: list[tuple[np.ndarray, np.ndarray]] = []  # forms, and of which sources
         self.forms: dict[str, Any] = {k: np.zeros((n, n)) for k in ("stored", "dissipated")}
@@ -135,9 +135,9 @@ class _Assembly:
             self.A[at, at] = -1.0
         for law in laws:
             match law:
-                case L.LinearBody():
+                case L.SecondOrderBody():
                     _body(law, self)
-                case L.Source():
+                case L.IdealSource():
                     _source(law, self)
                 case _:
                     _device(law, self)
@@ -145,7 +145,7 @@ class _Assembly:
     def _number(self) -> None:
         """Give every unknown its place; a net on a body's port needs none of its own."""
         used = [n for n in dict.fromkeys(self.nets.values()) if n != L.GROUND]
-        bodies = [b for b in self.laws if isinstance(b, L.LinearBody)]
+        bodies = [b for b in self.laws if isinstance(b, L.SecondOrderBody)]
         self.body: dict[str, slice] = {}
         at = 0
         for b in bodies:
@@ -174,7 +174,7 @@ class _Assembly:
         self.state_index: dict[str, int] = {}
         extra = [1.0] * (at - 2 * self.nq)
         for law in self.laws:
-            if isinstance(law, L.Device | L.LinearBody):
+            if isinstance(law, L.Device | L.SecondOrderBody):
                 extra += law.scales
                 self.state_index |= {
                     f"{law.name}.{state}": k for k, state in enumerate(law.states, at)
@@ -417,7 +417,7 @@ def _split(basis: np.ndarray, pattern: np.ndarray) -> tuple[np.ndarray, np.ndarr
 # --- stamps ---------------------------------------------------------------------------------------
 
 
-def _body(law: L.LinearBody, into: _Assembly) -> None:
+def _body(law: L.SecondOrderBody, into: _Assembly) -> None:
     x, nq, n = into.body[law.name], into.nq, into.size
     v = slice(nq + x.start, nq + x.stop)
     (K, E, *inertia), B, C, D = law.model.pencil.coefficients, law.model.B, law.model.C, law.model.D
@@ -459,7 +459,9 @@ def _body(law: L.LinearBody, into: _Assembly) -> None:
             for j, form in shaken.items():
                 into.A[at] -= D[k, j] * form
             into.flows[f"{law.name}.{port.name}"] = (force, np.zeros(n), 0.0)
-            into.term(*(("dissipated", force, D[k, k]) if heat else ("stored", force, 0.5 * D[k, k])))
+            into.term(
+                *(("dissipated", force, D[k, k]) if heat else ("stored", force, 0.5 * D[k, k]))
+            )
     moving = np.zeros((C.shape[1], n))
     moving[:, v] = np.eye(C.shape[1])
     for k, port in enumerate(law.ports):
@@ -479,7 +481,7 @@ def _body(law: L.LinearBody, into: _Assembly) -> None:
         into.term("stored", np.array(list(volts.values())), 0.5 * D[np.ix_(keys, keys)])
 
 
-def _source(law: L.Source, into: _Assembly) -> None:
+def _source(law: L.IdealSource, into: _Assembly) -> None:
     k = into.sources.index(law)
     if law.signal:
         into.S[:, k] += into.form(law, "out")

@@ -117,7 +117,7 @@ _ITERATIONS = 400
 _DIRECT = 12  # Newton steps from a guess
 
 
-def operating_point(system: System) -> dict[str, float]:
+def solve_operating_point(system: System) -> dict[str, float]:
     """Every wave at the equilibrium with the sources as they are at t = 0.
 
     Charges of floating nets are zero. Raises SimulationError where nothing holds a part, or where
@@ -126,10 +126,10 @@ def operating_point(system: System) -> dict[str, float]:
     return _values(system, *equilibrium(system))
 
 
-def dc(system: System, source: str, values: np.ndarray) -> dict[str, np.ndarray]:
+def solve_dc(system: System, source: str, values: np.ndarray) -> dict[str, np.ndarray]:
     """Equilibria while ``source`` takes ``values``, each started from the one before.
 
-    Returns arrays over the sweep: ``sweep`` and every name of `operating_point`.
+    Returns arrays over the sweep: ``sweep`` and every name of `solve_operating_point`.
     """
     z, result = None, []
     for value in np.asarray(values, dtype=float):

@@ -220,7 +220,7 @@ class Segment:
 
 
 @dataclass(frozen=True)
-class Balance:
+class EnergyBalance:
     """Energy [J] that a run cannot account for, what came in less what is stored more or became
     heat, and the ``turnover`` that it is judged by: all that came in, was lost or was there."""
 
@@ -229,7 +229,7 @@ class Balance:
 
 
 @dataclass(frozen=True, eq=False)
-class Result:
+class Trajectory:
     """Segments of a run, to be read at ``time`` (nt,), and the ``events`` [s] at which a device
     changed its mode."""
 
@@ -257,7 +257,7 @@ class Result:
         return {"time": self.time, **joined}
 
     @cached_property
-    def energy(self) -> Balance:
+    def energy(self) -> EnergyBalance:
         """Energies at both ends, and powers by the quadrature of the method itself."""
         came, went = np.zeros(2), np.zeros(2)  # sums, and those of sizes
         for segment in self.segments:
@@ -267,16 +267,16 @@ class Result:
         before = begin.interval.energy(begin.steps[0].start, begin.steps[0].first)
         after = end.interval.energy(end.steps[-1].end, end.steps[-1].last)
         residual = came[0] - went[0] + before - after
-        return Balance(float(residual), float(came[1] + went[1] + abs(before)))
+        return EnergyBalance(float(residual), float(came[1] + went[1] + abs(before)))
 
 
-def transient(
+def solve_transient(
     system: System,
     stop: float,
     rtol: float = 1e-9,
     times: np.ndarray | None = None,
     progress: Callable[[float], None] = lambda share: None,
-) -> Result:
+) -> Trajectory:
     """Integrate from equilibrium to ``stop`` [s].
 
     Segments end at corners of sources and located zeros of the devices' guards.
@@ -307,7 +307,7 @@ def transient(
                 events.append(t)
     grid = [s.start for p in segments for s in p.steps] + [stop]
     time = np.unique(grid) if times is None else np.union1d(times, events)
-    return Result(system, time, tuple(segments), tuple(events))
+    return Trajectory(system, time, tuple(segments), tuple(events))
 
 
 def _switched(system: System, modes: list[Any], fired: int) -> list[Any]:

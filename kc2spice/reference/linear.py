@@ -20,7 +20,7 @@ import scipy.linalg as sla
 from kc2spice.core import laws as L
 from kc2spice.core.quantities import BOLTZMANN, TEMPERATURE
 from kc2spice.core.waveforms import Function, Waveform
-from kc2spice.reference.assemble import System, assemble
+from kc2spice.reference.assemble import System, assemble_system
 from kc2spice.reference.equilibrium import Interval, equilibrium
 
 _WORST_BASIS = 1e9  # condition of the eigenvectors beyond which modes say nothing
@@ -182,7 +182,7 @@ class Linear:
         level = self.C0[:, : n + k] @ np.concatenate([rest, s0]) + self.system.constant
         return Modes(rates, out, terms, np.asarray(drive), reading @ off, level)
 
-    def motion(self, waves: tuple[Function, ...], stop: float) -> Motion | None:
+    def motion(self, waves: tuple[Function, ...], stop: float) -> ExponentialSolution | None:
         """The exact motion up to ``stop`` [s] under the sources' waveforms; None where a source has
         another shape than straight lines and sines, or a mode has no end."""
         modes = self.modes
@@ -202,10 +202,12 @@ class Linear:
         shape = len(waves), len(self.system.names)
         still = np.array([(a + b) / 2 for a, b in pairs]).reshape(shape)
         drift = np.array([(a - b) / (2 * small) for a, b in pairs]).reshape(shape)
-        return Motion(self, modes, waves, tuple(sorted(lines)), tuple(sines), still, drift, stop)
+        return ExponentialSolution(
+            self, modes, waves, tuple(sorted(lines)), tuple(sines), still, drift, stop
+        )
 
 
-def ac(system: System, frequencies: np.ndarray) -> dict[str, np.ndarray]:
+def solve_ac(system: System, frequencies: np.ndarray) -> dict[str, np.ndarray]:
     """Complex waves for the ``ac`` amplitudes of all sources.
 
     Linearised about the operating point. ``NAME.pin`` and ``NAME.pin.through`` (nf,) as in
@@ -279,7 +281,7 @@ class Modes:
 
 
 @dataclass(frozen=True, eq=False)
-class Motion:
+class ExponentialSolution:
     """The exact solution, as sums of exponentials that begin at the corners of the drives."""
 
     linear: Linear
@@ -382,18 +384,18 @@ class Motion:
         return np.unique(np.concatenate([spread, close[close <= self.stop]]))
 
 
-def noise(
+def solve_noise(
     laws: Iterable[L.Law], joins: Mapping[str, Iterable[str]], of: L.Reading, f: np.ndarray
 ) -> np.ndarray:
     """Spectral density (nf,) of a reading, in its unit per root Hz, at the frequencies ``f`` [Hz].
 
-    ``joins`` are those of :func:`kc2spice.reference.assemble.assemble`.
+    ``joins`` are those of :func:`kc2spice.reference.assemble.assemble_system`.
     """
     answering = (
-        L.PortBody(law.name, law.model, law.ports) if isinstance(law, L.LinearBody) else law
+        L.PortBody(law.name, law.model, law.ports) if isinstance(law, L.SecondOrderBody) else law
         for law in laws
     )
-    system = assemble(answering, joins)
+    system = assemble_system(answering, joins)
     point = equilibrium(system)
     power = [_power(Linear(system, s, point), of, s) for s in 2j * np.pi * f]
     return np.sqrt(4 * BOLTZMANN * TEMPERATURE * np.array(power))

@@ -49,7 +49,7 @@ _SHOWN_UNITS = {"Ohm": "Ω"}
 NOISE = 1e-12  # limit of rounding errors, relative to the scale of a number
 
 
-def quantity(value: float | None, unit: str, digits: int = 4) -> str:
+def format_quantity(value: float | None, unit: str, digits: int = 4) -> str:
     """A number with an SI prefix: ``quantity(5.0573e-4, "s")`` is ``505.7 µs``."""
     if value is None:
         return "—"
@@ -59,7 +59,7 @@ def quantity(value: float | None, unit: str, digits: int = 4) -> str:
         return f"{value:.{digits}g} {unit}".strip()
     if unit in _PREFIXED:
         plain, factor = _PREFIXED[unit]
-        return quantity(factor * value, plain, digits)
+        return format_quantity(factor * value, plain, digits)
     return _prefixed(value, unit, digits, prefix_power(value))
 
 
@@ -85,7 +85,7 @@ def value_and_limit(value: float, limit: float, unit: str) -> tuple[str, str]:
         value = 0.0
     near = value and limit and 1e-3 < abs(limit / value) < 1e4
     if words or unit in _PREFIXED or not near or not math.isfinite(value + limit):
-        return quantity(value, unit, 3), quantity(limit, unit, 3)
+        return format_quantity(value, unit, 3), format_quantity(limit, unit, 3)
     power = prefix_power(value)
     digits_text = f"{abs(limit) / 10.0**power:.10g}"
     digits = max(3, len(digits_text.partition(".")[0]))
@@ -123,11 +123,11 @@ def worded(value: Any, unit: str = "") -> str:
         return "yes" if value else "no"
     if isinstance(value, int) and not unit:
         return f"{value:,}".replace(",", " ")
-    return quantity(value, unit) if isinstance(value, (int, float)) else str(value)
+    return format_quantity(value, unit) if isinstance(value, (int, float)) else str(value)
 
 
 @dataclass(frozen=True)
-class Section:
+class PageSection:
     """A heading with, in this order and where given, a drawing (HTML that needs no escaping), a
     table, links to files, a note and figures."""
 
@@ -141,7 +141,12 @@ class Section:
 
 
 def write_page(
-    path: Path, title: str, lead: str, sections: Sequence[Section], *, origin: Sequence[str] = ()
+    path: Path,
+    title: str,
+    lead: str,
+    sections: Sequence[PageSection],
+    *,
+    origin: Sequence[str] = (),
 ) -> Path:
     """Render ``sections`` that have more than a note to ``path``; nothing is loaded from elsewhere.
 

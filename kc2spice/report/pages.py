@@ -19,7 +19,14 @@ from scipy.stats import binomtest
 
 from kc2spice.core.figure import Curve, Figure, Map, Panel, scale_axis
 from kc2spice.core.waveforms import Waveforms
-from kc2spice.report.html import Section, fact, quantity, value_and_limit, worded, write_page
+from kc2spice.report.html import (
+    PageSection,
+    fact,
+    format_quantity,
+    value_and_limit,
+    worded,
+    write_page,
+)
 from kc2spice.scene.judge import PAIRS, Check
 from kc2spice.scene.model import Scene
 
@@ -28,20 +35,23 @@ _LEAST = 1e-16  # an error of zero is drawn here
 
 def write_bench(directory: Path, title: str, record: Mapping[str, Any]) -> None:
     """Write the page of the ``record`` of ``bench``."""
-    sections = [Section("Error against time", figures=[_figure(record)]), *bench_sections(record)]
+    sections = [
+        PageSection("Error against time", figures=[_figure(record)]),
+        *bench_sections(record),
+    ]
     lead = f"{record['simulator']}; CPU time of the simulator, median of {record['repeats']}"
     write_page(directory / "bench.html", f"Settings of {title}", lead, sections)
 
 
-def bench_sections(record: Mapping[str, Any]) -> list[Section]:
+def bench_sections(record: Mapping[str, Any]) -> list[PageSection]:
     """Results of ``bench`` for the page and the terminal, the fastest settings first."""
     points = [
         (
             point["label"],
             f"{point['error']:.1e}",
             f"{point['bound']:.1e}",
-            quantity(point["time_s"], "s", 3),
-            f"{quantity(point['time_low_s'], 's', 3)} … {quantity(point['time_high_s'], 's', 3)}",
+            format_quantity(point["time_s"], "s", 3),
+            " … ".join(format_quantity(point[f"time_{end}_s"], "s", 3) for end in ("low", "high")),
             "front" if point["front"] else "",
         )
         for point in record["points"]
@@ -49,9 +59,9 @@ def bench_sections(record: Mapping[str, Any]) -> list[Section]:
     failed = [(item["label"], item["why"]) for item in record["failed"]]
     head = ("setting", "error", "sum of errors", "CPU time", "spread", "")
     return [
-        Section("Recommended", recommendation(record)),
-        Section("Settings", points, head),
-        Section("Settings without a result", failed, ("setting", "why")),
+        PageSection("Recommended", recommendation(record)),
+        PageSection("Settings", points, head),
+        PageSection("Settings without a result", failed, ("setting", "why")),
     ]
 
 
@@ -68,7 +78,9 @@ def recommendation(record: Mapping[str, Any]) -> list[tuple[str, str]]:
         words = " ".join(map(shlex.quote, best["set"])) or "the scene as it is"
         rows.append((f"cheapest within {record['limit']:.2g}", words))
         rows.append(("", _cost(best)))
-    rows.append(("reference", f"{reference['label']}: {quantity(reference['time_s'], 's', 3)}"))
+    rows.append(
+        ("reference", f"{reference['label']}: {format_quantity(reference['time_s'], 's', 3)}")
+    )
     rows.append(("uncertainty of the reference", f"{reference['error']:.1e}"))
     for name, change in record["left_out"].items():
         why = "no value" if change is None else f"changes by {change:.1e} at the finest settings"
@@ -84,7 +96,9 @@ def _names(metrics: Sequence[str]) -> str:
 
 def _cost(point: Mapping[str, Any]) -> str:
     bound = f"{point['bound']:.1e} if nothing cancelled"
-    return f"error {point['error']:.1e} ({bound}) in {quantity(point['time_s'], 's', 3)} of CPU"
+    return (
+        f"error {point['error']:.1e} ({bound}) in {format_quantity(point['time_s'], 's', 3)} of CPU"
+    )
 
 
 def _figure(record: Mapping[str, Any]) -> Figure:
@@ -120,7 +134,7 @@ def write_fit(
     """Write the page of ``record``; ``Y``, ``before`` and ``after`` (n,) are admittances [S] at
     ``f`` [Hz]."""
     figures = fit_figures(f, Y, before, after)
-    sections = [*fit_sections(record), Section("Impedance", figures=figures)]
+    sections = [*fit_sections(record), PageSection("Impedance", figures=figures)]
     lead = (
         f"The values for which {record['part']} is that of {Path(record['data']).name}. Export "
         "with --set fit.toml --set box.toml writes a netlist with these keys as parameters."
@@ -128,7 +142,7 @@ def write_fit(
     write_page(path, f"{record['part']}, fitted", lead, sections)
 
 
-def fit_sections(record: Mapping[str, Any]) -> list[Section]:
+def fit_sections(record: Mapping[str, Any]) -> list[PageSection]:
     """Results of ``fit`` for the page and the terminal."""
     values = [
         (key, f"{item['value']:.6g}", f"{item['sigma']:.2g}",
@@ -159,12 +173,12 @@ def fit_sections(record: Mapping[str, Any]) -> list[Section]:
         for key, row in zip(keys, record["correlation"], strict=True)
     ]
     return [
-        Section("Values", values, ("key", "value", "standard error", "range", "bound")),
-        Section("Fit", facts),
-        Section("Resonances", resonances, ("measured in Hz", "at the scene's values", "fitted"),
+        PageSection("Values", values, ("key", "value", "standard error", "range", "bound")),
+        PageSection("Fit", facts),
+        PageSection("Resonances", resonances, ("measured in Hz", "at the scene's values", "fitted"),
                 note="peaks of the conductance, in their order"),
-        Section("Starts", starts, (*keys, "half the sum of squares")),
-        Section("Correlation", correlation, ("", *keys)),
+        PageSection("Starts", starts, (*keys, "half the sum of squares")),
+        PageSection("Correlation", correlation, ("", *keys)),
     ]  # fmt: skip
 
 
@@ -244,11 +258,13 @@ def write_sweep(
     failed = Counter(text for text in table["status"] if text != "ok").most_common(20)
     note = "Of all points; a point that failed counts as a miss."
     sections = [
-        Section("Plan", [("points", plan), *(_swept(key, table[key], units) for key in units)]),
-        Section("Yield", [(fact(n, 0)[0], _share(s)) for n, s in shares.items()], note=note),
-        Section("Metrics", spread, head),
-        Section("Points that failed", [(str(n), why) for why, n in failed], ("points", "why")),
-        Section("Figures", figures=tuple(figures(table, units, metrics, metric_units, random))),
+        PageSection("Plan", [("points", plan), *(_swept(key, table[key], units) for key in units)]),
+        PageSection("Yield", [(fact(n, 0)[0], _share(s)) for n, s in shares.items()], note=note),
+        PageSection("Metrics", spread, head),
+        PageSection("Points that failed", [(str(n), why) for why, n in failed], ("points", "why")),
+        PageSection(
+            "Figures", figures=tuple(sweep_figures(table, units, metrics, metric_units, random))
+        ),
     ]
     write_page(path, f"Sweep of {scene.name}", scene.title, sections)
 
@@ -274,7 +290,7 @@ def _spread(name: str, column: Sequence[Any], unit: str) -> tuple[str, ...]:
     return (fact(name, 0, unit)[0], str(values.size), *texts)
 
 
-def figures(
+def sweep_figures(
     table: Table,
     units: Mapping[str, str],
     metrics: Sequence[str],
@@ -395,18 +411,22 @@ class Findings:
 def write_verify(path: Path, findings_by_scene: Mapping[str, Findings]) -> Path:
     """Write the page for the findings of each scene, by its name."""
     rows = [
-        (scene, MET[item.passed], *(quantity(item.errors.get(pair), "", 2) for pair in PAIRS))
+        (
+            scene,
+            MET[item.passed],
+            *(format_quantity(item.errors.get(pair), "", 2) for pair in PAIRS),
+        )
         for scene, item in findings_by_scene.items()
     ]
     head = ("scene", "gates", "reduced − full", "ngspice − reduced", "ngspice − full")
-    sections = [Section("Summary", rows, head, "Errors are the largest relative ones.")]
+    sections = [PageSection("Summary", rows, head, "Errors are the largest relative ones.")]
     for scene, findings in findings_by_scene.items():
         sections += [*verdict_sections(scene, findings.record()), *_details(scene, findings)]
     lead = "Full model, reduced model and ngspice on the emitted netlist, against each other."
     return write_page(path, "Verification", lead, sections)
 
 
-def verdict_sections(scene: str, record: Mapping[str, Any]) -> list[Section]:
+def verdict_sections(scene: str, record: Mapping[str, Any]) -> list[PageSection]:
     """Gates and times of one scene's record, for the page and for the terminal."""
     checks = []
     for check in record["checks"]:
@@ -415,18 +435,18 @@ def verdict_sections(scene: str, record: Mapping[str, Any]) -> list[Section]:
             None if v is None or np.isnan(v) else v for v in (check["value"], check["limit"])
         )
         if value is None or limit is None:
-            texts = quantity(value, unit, 3), quantity(limit, unit, 3)
+            texts = format_quantity(value, unit, 3), format_quantity(limit, unit, 3)
         else:
             texts = value_and_limit(value, limit, unit)
         checks.append((MET[check["passed"]], check["name"], *texts))
-    times = [(stage, quantity(time, "s", 3)) for stage, time in record["wall_s"].items()]
+    times = [(stage, format_quantity(time, "s", 3)) for stage, time in record["wall_s"].items()]
     return [
-        Section(f"{scene}: gates", checks, ("", "check", "value", "limit")),
-        Section(f"{scene}: time", times, ("stage", "wall time")),
+        PageSection(f"{scene}: gates", checks, ("", "check", "value", "limit")),
+        PageSection(f"{scene}: time", times, ("stage", "wall time")),
     ]
 
 
-def _details(scene: str, findings: Findings) -> list[Section]:
+def _details(scene: str, findings: Findings) -> list[PageSection]:
     outputs = [
         (e.pair.replace("_vs_", " to "), e.output, f"{e.largest:.2g}", f"{e.rms:.2g}")
         for e in findings.outputs
@@ -438,9 +458,9 @@ def _details(scene: str, findings: Findings) -> list[Section]:
         " ".join(findings.notes),
     )
     return [
-        Section(f"{scene}: each output", outputs, head),
-        Section(f"{scene}: results", facts, note=notes),
-        Section(f"{scene}: figures", figures=findings.figures),
+        PageSection(f"{scene}: each output", outputs, head),
+        PageSection(f"{scene}: results", facts, note=notes),
+        PageSection(f"{scene}: figures", figures=findings.figures),
     ]
 
 

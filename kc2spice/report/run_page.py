@@ -16,10 +16,10 @@ from kc2spice.core.figure import Curve, Figure, Panel, Shape, scale_axis
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.report.html import (
     NOISE,
-    Section,
+    PageSection,
     fact,
+    format_quantity,
     leaves,
-    quantity,
     rendered,
     value_and_limit,
     worded,
@@ -85,7 +85,7 @@ def _side_by_side(scene: Scene) -> list[Shape]:
     return result
 
 
-def circuit(scene: Scene) -> str:
+def draw_circuit(scene: Scene) -> str:
     """Parts as boxes in a row; each net is a line above them, under its name in the netlist."""
     spots: dict[str, list[tuple[float, str, str]]] = {}
     boxes, x = [], 10.0
@@ -160,28 +160,28 @@ def write_run(
     """Write the page of ``kc2spice run`` from ``result.json``'s content: what it is, what it did,
     then the numbers."""
     energies = (
-        Section(f"Energy: {name}", _facts(entries, dict.fromkeys(entries, "J")))
+        PageSection(f"Energy: {name}", _facts(entries, dict.fromkeys(entries, "J")))
         for name, entries in result.get("energy_j", {}).items()
     )
     figures = sorted(figures, key=lambda figure: not figure.main)  # keeps the order of equals
     sections = [
         summary_section(result),
-        Section("Device", drawing=devices(scene), note="Side view, to scale."),
-        Section("Main result", figures=figures[:1], note=HOW),
-        Section("Circuit", drawing=circuit(scene), note=NETS),
-        Section("Further figures", figures=figures[1:]),
+        PageSection("Device", drawing=devices(scene), note="Side view, to scale."),
+        PageSection("Main result", figures=figures[:1], note=HOW),
+        PageSection("Circuit", drawing=draw_circuit(scene), note=NETS),
+        PageSection("Further figures", figures=figures[1:]),
         *result_sections(result),
         *energies,
         *(_modes(part, answer) for part, answer in result.get("modes", {}).items()),
         *plan_sections(result["plan"], result.get("convergence", {})),
-        Section("Simulator", _simulator(result, scene)),
-        Section("Files", links=result.get("files", ())),
+        PageSection("Simulator", _simulator(result, scene)),
+        PageSection("Files", links=result.get("files", ())),
     ]
     title = f"{scene.name}: {scene.title}" if scene.title else scene.name
     return write_page(path, title, LEAD, sections, origin=(f"scene {scene_hash(scene)}",))
 
 
-def result_sections(result: Mapping[str, Any]) -> list[Section]:
+def result_sections(result: Mapping[str, Any]) -> list[PageSection]:
     """The numbers of ``result.json``, for the page and for the terminal."""
     rom = result.get("rom", {})
     facts = {k: v for k, v in rom.items() if v is not None and not k.startswith("above_band")}
@@ -194,18 +194,22 @@ def result_sections(result: Mapping[str, Any]) -> list[Section]:
         mark = "ok" if item["passed"] else "VIOLATED"
         checks.append((mark, _check_name(item), *values, item["action"]))
     for item in attempts if len(attempts) > 1 else ():
-        outcome = item["cause"] or "succeeded", item["part"] or "", quantity(item["wall_s"], "s", 3)
+        outcome = (
+            item["cause"] or "succeeded",
+            item["part"] or "",
+            format_quantity(item["wall_s"], "s", 3),
+        )
         tried.append((item["setting"], item["settings"], *outcome))
     models, units = result.get("model", {}).items(), result.get("model_units", {})
-    spent = [(stage, quantity(float(seconds), "s", 3)) for stage, seconds in times.items()]
+    spent = [(stage, format_quantity(float(seconds), "s", 3)) for stage, seconds in times.items()]
     return [
-        Section("Metrics", _facts(result.get("metrics", {}), result.get("metric_units", {}))),
-        Section("Operating point", operating_rows(result), ("result", "value"), LINEARISED),
-        Section("Physics checks", checks, ("", "check", "value", "limit", "action"), CHECKED),
-        *(Section(f"Model: {n}", _facts(answer, units.get(n, {}))) for n, answer in models),
-        Section("Reduced model", [*_facts(facts, {"band_hz": "Hz"}), *above_band(rom)]),
-        Section("Retries", tried, ("setting", "changes", "outcome", "blamed", "time"), TRIED),
-        Section("Wall time", spent, ("stage", "time"), "0 s: taken from the cache."),
+        PageSection("Metrics", _facts(result.get("metrics", {}), result.get("metric_units", {}))),
+        PageSection("Operating point", operating_rows(result), ("result", "value"), LINEARISED),
+        PageSection("Physics checks", checks, ("", "check", "value", "limit", "action"), CHECKED),
+        *(PageSection(f"Model: {n}", _facts(answer, units.get(n, {}))) for n, answer in models),
+        PageSection("Reduced model", [*_facts(facts, {"band_hz": "Hz"}), *above_band_rows(rom)]),
+        PageSection("Retries", tried, ("setting", "changes", "outcome", "blamed", "time"), TRIED),
+        PageSection("Wall time", spent, ("stage", "time"), "0 s: taken from the cache."),
     ]
 
 
@@ -218,7 +222,7 @@ def operating_rows(result: Mapping[str, Any], most: int | None = None) -> Rows:
     rounded = {name: _rounded(value, scales, units[name]) for name, value in numbers.items()}
     values = {name: value for name, value in rounded.items() if value}
     first = list(values.items())[:most]
-    rows: Rows = [(name, quantity(value, units[name])) for name, value in first]
+    rows: Rows = [(name, format_quantity(value, units[name])) for name, value in first]
     if len(first) < len(values):
         rows.append(("further results", f"{len(values) - len(first)}, in the report"))
     return rows
@@ -229,7 +233,7 @@ def _check_name(check: Mapping[str, Any]) -> str:
     return name if " " in name else name.replace("_", " ")
 
 
-def summary_section(result: Mapping[str, Any], most: int | None = None) -> Section:
+def summary_section(result: Mapping[str, Any], most: int | None = None) -> PageSection:
     """The answer of a run: its verdict, its metrics that are single numbers, its error estimates.
 
     ``most`` is the largest number of metrics.
@@ -237,7 +241,7 @@ def summary_section(result: Mapping[str, Any], most: int | None = None) -> Secti
     units = result.get("metric_units", {})
     errors = result.get("convergence", {}).get("errors", {})
     metrics = {name: v for name, v in leaves(result.get("metrics", {})) if _single(v)}
-    rows: Rows = [("checks", verdict(result.get("checks", ())))]
+    rows: Rows = [("checks", verdict_text(result.get("checks", ())))]
     for check in result.get("checks", ()):
         if not check["passed"]:
             value, limit = value_and_limit(check["value"], check["limit"], check["unit"])
@@ -253,10 +257,10 @@ def summary_section(result: Mapping[str, Any], most: int | None = None) -> Secti
     if most is not None and len(metrics) > most:
         rows.append(("further metrics", f"{len(metrics) - most}, in the report"))
     rows += [(f"at the operating point: {n}", text) for n, text in operating_rows(result, POINT)]
-    return Section("Result", [*rows, *_model_errors(result)])
+    return PageSection("Result", [*rows, *_model_errors(result)])
 
 
-def verdict(checks: Sequence[Mapping[str, Any]]) -> str:
+def verdict_text(checks: Sequence[Mapping[str, Any]]) -> str:
     """``17 checks passed``, or how many of them."""
     passed = sum(bool(check["passed"]) for check in checks)
     if passed == len(checks):
@@ -276,7 +280,7 @@ def _model_errors(result: Mapping[str, Any]) -> Rows:
         label = f"reduced model {name}".strip()
         text = f"{rom['order']} states"
         if rom.get("error_estimate") is not None and rom.get("band_hz"):
-            top = quantity(rom["band_hz"][1], "Hz", 3)
+            top = format_quantity(rom["band_hz"][1], "Hz", 3)
             text += f", error estimate {100 * rom['error_estimate']:.2g} % up to {top}"
         rows.append((label, text))
     return rows
@@ -298,7 +302,7 @@ def _rounded(value: Any, scales: Mapping[str, float], unit: str) -> Any:
     return 0.0 if noise else value
 
 
-def above_band(rom: Mapping[str, Any]) -> Rows:
+def above_band_rows(rom: Mapping[str, Any]) -> Rows:
     """Rows of what a certificate says of the compliance above its band."""
     errors = rom.get("above_band_compliance_error", ())
     return [
@@ -309,7 +313,7 @@ def above_band(rom: Mapping[str, Any]) -> Rows:
 
 def plan_sections(
     planned: Mapping[str, Any], converged: Mapping[str, Any] | None = None
-) -> list[Section]:
+) -> list[PageSection]:
     """Sections of models, numerical settings and neglected effects.
 
     Each setting is listed with its effect on the metrics, if a refined run computed it.
@@ -321,9 +325,9 @@ def plan_sections(
     settings = [(*row, "not estimated" if e is None else f"{e:.2g}") for *row, e in rows]
     parts, omitted = ([[*row.values()] for row in planned[key]] for key in ("parts", "left_out"))
     return [
-        Section("What is modelled", parts, ("part", "source", "model")),
-        Section("Numerical settings", settings, ("key", "value", "error"), ESTIMATED),
-        Section("What is left out", omitted, ("effect", "why", "size")),
+        PageSection("What is modelled", parts, ("part", "source", "model")),
+        PageSection("Numerical settings", settings, ("key", "value", "error"), ESTIMATED),
+        PageSection("What is left out", omitted, ("effect", "why", "size")),
     ]
 
 
@@ -350,18 +354,22 @@ def _fact(
     return fact(name.replace(".", "_"), _rounded(value, scales, unit), unit)
 
 
-def _modes(part: str, table: Mapping[str, Any]) -> Section:
+def _modes(part: str, table: Mapping[str, Any]) -> PageSection:
     """Table of the modes of one body; a port that no mode moves has no column."""
     units, modes = table["units"], table["modes"]
     coupled = [port for port in units if any(mode["couplings"][port] > 0 for mode in modes)]
     rows = []
     for mode in modes:
-        moved = (quantity(mode["couplings"][port], units[port], 3) for port in coupled)
+        moved = (format_quantity(mode["couplings"][port], units[port], 3) for port in coupled)
         rows.append(
-            (quantity(mode["frequency_hz"], "Hz"), quantity(mode["quality"], "", 4), *moved)
+            (
+                format_quantity(mode["frequency_hz"], "Hz"),
+                format_quantity(mode["quality"], "", 4),
+                *moved,
+            )
         )
     head = ("frequency", "Q", *(port if units[port] else f"k of {port}" for port in coupled))
-    return Section(f"Modes: {part}", rows, head, MODES)
+    return PageSection(f"Modes: {part}", rows, head, MODES)
 
 
 def _simulator(result: Mapping[str, Any], scene: Scene) -> Rows:
@@ -374,8 +382,11 @@ def _simulator(result: Mapping[str, Any], scene: Scene) -> Rows:
         *((f"{k} time points", worded(v, "")) for k, v in result.get("steps", {}).items()),
         ("reltol", f"{solver.reltol:g}"),
         ("method", solver.method),
-        ("largest step", f"{quantity(step['s'], 's')}: {step['why']}" if step else "unknown"),
-        ("stop", quantity(scene.stop, "s")),
+        (
+            "largest step",
+            f"{format_quantity(step['s'], 's')}: {step['why']}" if step else "unknown",
+        ),
+        ("stop", format_quantity(scene.stop, "s")),
     ]
 
 

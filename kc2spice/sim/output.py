@@ -302,10 +302,10 @@ def read_raw(path: Path) -> dict[str, np.ndarray]:
             raise _corrupt(path, "it holds values that are not finite")
     if len(plots) == 1:
         return first.columns(len(first.table))
-    return joined([plot.columns(len(plot.table)) for plot in plots])
+    return join_analyses([plot.columns(len(plot.table)) for plot in plots])
 
 
-def joined(analyses: Sequence[Mapping[str, np.ndarray]]) -> dict[str, np.ndarray]:
+def join_analyses(analyses: Sequence[Mapping[str, np.ndarray]]) -> dict[str, np.ndarray]:
     """The points of several analyses over one scale, the first vector, in rising order."""
     result = {name: np.concatenate([part[name] for part in analyses]) for name in analyses[0]}
     scale, order = np.unique(next(iter(result.values())), return_index=True)

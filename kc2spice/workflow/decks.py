@@ -147,7 +147,7 @@ def _items(build: Build, loose: Sequence[Free]) -> Iterator[Item]:
         if cards:
             yield from titled(f"{part.name}: {part.type.title}", cards, part.name)
     if build.noisy:
-        source, node = meters.reference(build)
+        source, node = meters.noise_input(build)
         title = "drives nothing: what the analysis could refer the noise to"
         drive = Element.of(source, node, "0", "DC", "0", "AC", "1")
         yield from titled(title, (drive, Element.of(f"R{node}", node, "0", "1", noisy="0")))

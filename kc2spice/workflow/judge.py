@@ -121,7 +121,7 @@ def _metrics(waves: Waveforms, build: Build, *, partial: bool) -> dict[str, Any]
         for part, item in result.items()
         for name, value in item.items()
     }
-    records |= meters.metrics(waves, build) if meters.WAVE in waves else {}
+    records |= meters.noise_metrics(waves, build) if meters.WAVE in waves else {}
     units = meters.result_units(build) if scene.probes else {}
     probed: dict[str, Any] = {}
     for name, probe in scene.probes.items():

@@ -99,7 +99,7 @@ def by_part(waves: Waveforms) -> dict[str, np.ndarray]:
     return {part: np.sqrt(result) for part, result in power.items()}
 
 
-def metrics(waves: Waveforms, build: Build) -> dict[str, Any]:
+def noise_metrics(waves: Waveforms, build: Build) -> dict[str, Any]:
     """rms values over the band: of the output, and what each part adds to it."""
     f, parts, unit = waves["frequency"].real, by_part(waves), output(build).unit
     added = {part: Metric(_rms(f, result), unit) for part, result in parts.items()}
@@ -107,7 +107,7 @@ def metrics(waves: Waveforms, build: Build) -> dict[str, Any]:
     return rms | ({"noise_by_part": added} if len(added) > 1 else {})
 
 
-def reference(build: Build) -> tuple[str, str]:
+def noise_input(build: Build) -> tuple[str, str]:
     """Names of a source that drives nothing, which the analysis asks for, and of its node."""
     name = Names((*build.scene.parts, *build.scene.nets.values())).name(WAVE, "noise_input")
     return f"V{name}", name
@@ -117,7 +117,7 @@ def command(build: Build) -> Command:
     """The card of the analysis."""
     selected, ends = build.scene.analysis, _ends(output(build))
     first, last = selected.start, float(selected.stop or 0.0)
-    return noise(str(ends), reference(build)[0], first, last, selected.points, selected.scale)
+    return noise(str(ends), noise_input(build)[0], first, last, selected.points, selected.scale)
 
 
 def _rms(f: np.ndarray, density: np.ndarray) -> float:
@@ -138,7 +138,7 @@ def checks(waves: Waveforms) -> Iterator[Check]:
         )
 
 
-def figures(waves: Waveforms, unit: str) -> Iterator[Figure]:
+def noise_figures(waves: Waveforms, unit: str) -> Iterator[Figure]:
     """The spectral density, and what it adds up to from the lowest frequency on."""
     f, density = waves["frequency"].real, np.abs(waves[WAVE])
     label, factor = scale_axis("frequency", f)

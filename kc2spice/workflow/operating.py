@@ -10,7 +10,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from kc2spice.core.errors import SimulationError, UsageError
-from kc2spice.core.laws import LinearBody, Source
+from kc2spice.core.laws import IdealSource, SecondOrderBody
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.equations.scene_laws import scene_laws
 from kc2spice.netlist.deck import Deck
@@ -74,4 +74,4 @@ def is_linear(build: Build) -> bool:
     if not laws.stated.keys() >= set(names):
         return False
     stated = chain.from_iterable(laws.stated[name].laws for name in names)
-    return all(isinstance(law, LinearBody | Source) or law.linear for law in stated)
+    return all(isinstance(law, SecondOrderBody | IdealSource) or law.linear for law in stated)

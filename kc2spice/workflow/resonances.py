@@ -19,7 +19,7 @@ from kc2spice.core.errors import SimulationError, UsageError
 from kc2spice.equations.networks import Network
 from kc2spice.equations.scene_laws import scene_laws
 from kc2spice.netlist.deck import Command, Deck, over
-from kc2spice.reference.assemble import assemble
+from kc2spice.reference.assemble import assemble_system
 from kc2spice.reference.linear import Linear
 from kc2spice.rom.linear import LinearModel
 from kc2spice.scene.model import Build
@@ -153,7 +153,7 @@ def _zeros(build: Build) -> np.ndarray:
 
 def _network_zeros(network: Network, of: Iterable[str]) -> dict[str, np.ndarray]:
     """Zeros of each response ``of`` a network; none of a large one."""
-    system = assemble(network.laws, network.joins) if of else None
+    system = assemble_system(network.laws, network.joins) if of else None
     if system is None or system.size > LARGEST_SYSTEM:
         return {}
     amplitudes = np.array([source.ac for source in system.sources])
@@ -164,7 +164,7 @@ def _network_zeros(network: Network, of: Iterable[str]) -> dict[str, np.ndarray]
 def _network_poles(network: Network) -> np.ndarray | None:
     """None of a network that is too large or has no operating point."""
     try:
-        system = assemble(network.laws, network.joins)
+        system = assemble_system(network.laws, network.joins)
         return Linear(system).poles if system.size <= LARGEST_SYSTEM else None
     except (SimulationError, UsageError, np.linalg.LinAlgError):
         return None

@@ -45,7 +45,7 @@ class Completed:
         build, waves, units = self.run.build, self.run.waves, self.run.deck.units
         result: list[Figure | Written] = []
         if build.noisy:
-            result += meters.figures(waves, units[meters.WAVE])
+            result += meters.noise_figures(waves, units[meters.WAVE])
         result += probe_figures(build.scene.probes, waves, units)
         for part in build.scene.parts.values():
             result += part.type.figures(part, build, waves)

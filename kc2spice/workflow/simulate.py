@@ -32,7 +32,7 @@ from kc2spice.sim.ngspice import (
     run_with_retries,
     write_files,
 )
-from kc2spice.sim.output import joined
+from kc2spice.sim.output import join_analyses
 from kc2spice.workflow.judge import metrics, verdict
 from kc2spice.workflow.models import model_facts, rom_facts
 from kc2spice.workflow.operating import OperatingPoint, is_linear, operating_point
@@ -231,7 +231,7 @@ def _each_from_rest(
     for command in deck.refinements:
         with TemporaryDirectory() as folder:
             parts.append(run_deck(deck.with_command(command), Path(folder), None, timeout).data)
-    return replace(first, data=joined(parts))
+    return replace(first, data=join_analyses(parts))
 
 
 def sampled(build: Build) -> list[Sampled]:

@@ -23,7 +23,7 @@ from kc2spice.core.errors import SimulationError, UsageError
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.equations.networks import Network, law_of
 from kc2spice.equations.scene_laws import scene_laws
-from kc2spice.report.html import quantity
+from kc2spice.report.html import format_quantity
 from kc2spice.scene.judge import Balance, Check
 from kc2spice.scene.model import Build
 from kc2spice.scene.parttype import numerics
@@ -31,7 +31,7 @@ from kc2spice.scene.rows import StepLimit, Vector
 from kc2spice.workflow.meters import result_vectors
 
 if TYPE_CHECKING:
-    from kc2spice.reference.linear import Motion
+    from kc2spice.reference.linear import ExponentialSolution
 
 AMPLITUDE, SHAPE = 5e-4, 1e-3  # allowed error of a wave's rms; of the wave; over its largest value
 MANY, MOST = 2e5, 4e6  # points that SHAPE and AMPLITUDE are worth
@@ -84,13 +84,13 @@ def _networks(build: Build) -> tuple[list[Network], tuple[str, ...]]:
     return [network for network in networks if not network.has_sources_only], missing
 
 
-def _motion(network: Network, stop: float) -> Motion | None:
+def _motion(network: Network, stop: float) -> ExponentialSolution | None:
     """Its motion, linearised at rest; None where that has none, or is too large."""
-    from kc2spice.reference.assemble import assemble  # which loads scipy
+    from kc2spice.reference.assemble import assemble_system  # which loads scipy
     from kc2spice.reference.linear import Linear
 
     try:
-        system = assemble(network.laws, network.joins)
+        system = assemble_system(network.laws, network.joins)
         if system.size > SIZE:
             return None
         linear = Linear(system)
@@ -121,7 +121,7 @@ RULES = {
 }
 
 
-def follows(motion: Motion, start: StepLimit, rule: Rule) -> StepLimit:
+def follows(motion: ExponentialSolution, start: StepLimit, rule: Rule) -> StepLimit:
     """The largest step up to ``start`` with which ``rule`` is right to :data:`AMPLITUDE`, and to
     :data:`SHAPE` where that takes less than :data:`MANY` points."""
     peaks = motion.peaks()
@@ -158,14 +158,14 @@ def follows(motion: Motion, start: StepLimit, rule: Rule) -> StepLimit:
     if resonant.any():
         worst = int(np.argmax(np.where(resonant, observed * delay * lasting, -1.0)))
         reasons.append(_resonance(modes.rates[worst], modes.quality[worst]))
-    reasons += [f"sine at {quantity(wave.frequency, 'Hz', 4)}" for _, wave in motion.sines]
+    reasons += [f"sine at {format_quantity(wave.frequency, 'Hz', 4)}" for _, wave in motion.sines]
     return StepLimit(float(f"{h:.3g}"), "; ".join(dict.fromkeys(reasons)))
 
 
 def _resonance(rate: complex, quality: float) -> str:
     """A natural motion in words."""
     damped = f"Q {quality:.3g}" if quality < 1e6 else "undamped"
-    return f"a motion at {quantity(abs(rate) / (2 * math.pi), 'Hz', 4)}, {damped}"
+    return f"a motion at {format_quantity(abs(rate) / (2 * math.pi), 'Hz', 4)}, {damped}"
 
 
 def deviation(t: np.ndarray, ours: np.ndarray, exact: np.ndarray) -> tuple[float, float]:
@@ -246,7 +246,7 @@ def _meets(build: Build, network: Network, missing: Sequence[str]) -> bool:
 
 
 def _worst(
-    network: Network, motion: Motion, waves: Waveforms, vectors: Mapping[str, Vector]
+    network: Network, motion: ExponentialSolution, waves: Waveforms, vectors: Mapping[str, Vector]
 ) -> tuple[float, float, str]:
     """Largest deviation of any wave, without waves that are rounding errors."""
     time = waves["time"]

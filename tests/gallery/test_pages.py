@@ -12,7 +12,7 @@ import pytest
 from commands import asked
 
 from kc2spice.core.figure import Curve, Figure, Map, Panel
-from kc2spice.report.html import Section, write_page
+from kc2spice.report.html import PageSection, write_page
 
 # A response, a sweep there and back, noise, an impact, a waveform of many cycles.
 RUNS = {
@@ -199,7 +199,7 @@ def require_hides(sheet):
 
 def sheet_of(browser, folder, *panels, scheme="light", width=WIDE, columns=1, title="Title"):
     figure = Figure("f", title, "Caption.", panels, columns=columns)
-    path = write_page(folder / "page.html", "Page", "", [Section("Section", figures=[figure])])
+    path = write_page(folder / "page.html", "Page", "", [PageSection("Section", figures=[figure])])
     sheet = Sheet(browser, path, width, scheme)
     assert not sheet.errors
     return sheet

@@ -8,7 +8,7 @@ import pytest
 from commands import asked, python
 
 from bench.page import bench_tables
-from kc2spice.report.html import quantity
+from kc2spice.report.html import format_quantity
 
 ROOT = Path(__file__).parents[2]
 RESULTS = (ROOT / "docs" / "evidence" / "results.md").read_text(encoding="utf-8")
@@ -69,5 +69,5 @@ def test_speed_table_is_that_of_the_committed_benchmark():
     assert {name for name, _, _ in rows} == set(record["ratios"])
     for name, value, error in rows:
         ratio = record["ratios"][name]
-        assert value == quantity(ratio["value"], ratio["unit"], 3), name
+        assert value == format_quantity(ratio["value"], ratio["unit"], 3), name
         assert error == ("" if ratio["error"] is None else f"{ratio['error']:.0e}"), name

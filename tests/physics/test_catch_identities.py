@@ -6,7 +6,7 @@ from scipy.interpolate import CubicSpline
 from skfem import Basis, ElementTriP2, Functional
 
 from kc2spice.fem import magnet_field as magmesh
-from kc2spice.fem.magnet_field import LOWER, SPHERE, assemble, catch_table
+from kc2spice.fem.magnet_field import LOWER, SPHERE, assemble_field, catch_table
 from kc2spice.fem.magnet_keys import Catch
 
 RADIUS = 1e-3
@@ -43,7 +43,7 @@ def test_coil_is_pushed_back() -> None:
     catch = Catch(mu_r=1.0, air_radius=0.1, air_height=0.3)
     pitch = magmesh.lattice_pitch(catch, RADIUS, 0.25e-3)
     bore = magmesh.bore(catch, RADIUS, pitch, 0.0, 1e-3)
-    system = assemble(catch, bore)(1e-3 - 4 * pitch)
+    system = assemble_field(catch, bore)(1e-3 - 4 * pitch)
     fields = system.solve(system.loads)
     stator = magmesh.stator_mesh(catch, bore)
     r, y = stator.p[:, stator.t].mean(axis=1)

@@ -7,9 +7,9 @@ from scipy.linalg import eigh
 from scipy.signal import StateSpace, lsim
 from skfem.mesh import MeshHex, MeshQuad, MeshTet, MeshTet2, MeshTri, MeshTri2
 
-from kc2spice.bodies.device import Setup, Shape, make_device, node_shares, spread
+from kc2spice.bodies.device import ForceShape, Setup, make_device, node_shares, spread
 from kc2spice.bodies.fields import (
-    Probe,
+    FieldProbe,
     at_nodes,
     extremes,
     lowest_modes,
@@ -51,7 +51,7 @@ def pulled(solid, damping=None):
     fixed[np.all(x < 1e-9, axis=0)] = True
     fixed[(x[0] < 1e-9) & (x[1] < 1e-9), 1] = True
     end = solid.mesh.facets_satisfying(lambda p: p[0] > SIZE[0] - 1e-9)
-    pull = Shape(
+    pull = ForceShape(
         Port("pull", "mechanical"), spread(node_shares(solid, facets=end), np.eye(3)[0], solid)
     )
     electrodes = {"anode": at(solid, 2, SIZE[2]), "cathode": at(solid, 2, 0.0)}
@@ -78,7 +78,7 @@ def test_uniform_stress_and_field_are_exact(kind):
     force, voltage = 3.0, 20.0
     motion = recover(device, time, {"pull": np.full(3, force), "anode": np.full(3, voltage)})
     for gauss in (False, True):
-        stress, field = at_points(Probe(device, gauss=gauss), *motion.at(1e-6))
+        stress, field = at_points(FieldProbe(device, gauss=gauss), *motion.at(1e-6))
         pressure = force / (SIZE[1] * SIZE[2])
         assert stress[:, 0] == pytest.approx(pressure, rel=1e-6)
         assert np.abs(stress[:, 1:]).max() < 1e-6 * pressure
@@ -141,7 +141,7 @@ def test_every_section_of_what_is_pressed_carries_the_whole_force(device, port, 
     """Statics: the axial stress over any cross-section is the force on the end."""
     device, force = device(), -50.0
     motion = recover(device, np.linspace(0, 1e-6, 3), {port: np.full(3, force)})
-    probe = Probe(device, gauss=True)
+    probe = FieldProbe(device, gauss=True)
     axial = at_points(probe, *motion.at(0.0))[0][:, 2]
     basis = probe.basis
     where = np.asarray(basis.global_coordinates())
@@ -187,7 +187,7 @@ def test_free_body_falls_as_newton_says():
     everywhere = spread(
         node_shares(solid, elements=np.arange(solid.mesh.nelements)), np.eye(3)[2], solid
     )
-    push = Shape(Port("push", "mechanical"), everywhere)
+    push = ForceShape(Port("push", "mechanical"), everywhere)
     device = make_device(solid, Setup(fixed, shapes=[push], damping=Damping(ratio=0.01, at=1e6)))
     time = np.linspace(0, 1e-3, 50)
     force = np.where(time > 0, 1e-3, 0.0)

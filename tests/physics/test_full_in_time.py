@@ -11,9 +11,9 @@ from kc2spice.core.waveforms import constant, linear
 from kc2spice.parts.mass import point_mass
 from kc2spice.parts.two_terminal_types import element
 from kc2spice.physics.law import DeclaredLaw
-from kc2spice.reference.assemble import assemble
-from kc2spice.reference.equilibrium import operating_point
-from kc2spice.reference.linear import ac
+from kc2spice.reference.assemble import assemble_system
+from kc2spice.reference.equilibrium import solve_operating_point
+from kc2spice.reference.linear import solve_ac
 from kc2spice.reference.steps import steps
 from kc2spice.rom.linear import LinearModel, Port
 
@@ -41,11 +41,11 @@ def risen(t: np.ndarray) -> np.ndarray:
 
 
 def test_steps_follow_a_closed_form_with_an_error_of_second_order() -> None:
-    force = laws.Source("f", "force", linear(((0.0, 0.0), (RAMP, 1.0))))
-    still = laws.Source("v", "voltage", constant(0.0))
+    force = laws.IdealSource("f", "force", linear(((0.0, 0.0), (RAMP, 1.0))))
+    still = laws.IdealSource("v", "voltage", constant(0.0))
     body = laws.PortBody("x", oscillator(), KICK)
     joins = {"a": ("x.tip", "f.out"), "b": ("x.anode", "v.out")}
-    system, errors = assemble((body, force, still), joins), []
+    system, errors = assemble_system((body, force, still), joins), []
     for count in (400, 800):
         step = 200e-6 / count
         run = steps(system, 0.0, step, count)
@@ -62,17 +62,17 @@ def test_a_body_at_its_ports_is_the_same_as_with_its_states() -> None:
     """At rest and at a frequency, on a floating electrode with a capacitor and a spring."""
     full = oscillator()
     whole = {k: P.toarray() for k, P in zip("KEM", full.pencil.coefficients, strict=True)}
-    states = laws.LinearBody("x", replace(full, **whole), KICK)
+    states = laws.SecondOrderBody("x", replace(full, **whole), KICK)
     found = []
     for body in (states, laws.PortBody("x", full, KICK)):
         parts = (
             body, element("c", "capacitor", 2e-9), element("k", "spring", 3e4),
             DeclaredLaw("lifted", point_mass(1e-3, -30.0), (1e-3, -30.0, 0.0, 0.0)),
-            laws.Source("f", "force", constant(0.1), 1.0),
+            laws.IdealSource("f", "force", constant(0.1), 1.0),
         )  # fmt: skip
         joins = {"a": ("x.tip", "k.a", "lifted.a", "f.out"), "b": ("x.anode", "c.a")}
-        system = assemble(parts, joins)
-        point, waves = operating_point(system), ac(system, np.array([1e3, 2.9e4]))
+        system = assemble_system(parts, joins)
+        point, waves = solve_operating_point(system), solve_ac(system, np.array([1e3, 2.9e4]))
         found.append((point["x.tip"], point["x.anode"], *waves["x.tip"], *waves["x.anode"]))
     np.testing.assert_allclose(found[1], found[0], rtol=1e-9)
     # by hand: 3 nF share the charge 0.3 u; 30 mN lift

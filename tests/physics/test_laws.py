@@ -11,10 +11,10 @@ from kc2spice.parts.mass import point_mass
 from kc2spice.parts.two_terminal_types import element
 from kc2spice.physics.contact import Normal, contact
 from kc2spice.physics.law import DeclaredLaw
-from kc2spice.reference.assemble import assemble
-from kc2spice.reference.equilibrium import operating_point
-from kc2spice.reference.integrate import Result, transient
-from kc2spice.reference.linear import ac
+from kc2spice.reference.assemble import assemble_system
+from kc2spice.reference.equilibrium import solve_operating_point
+from kc2spice.reference.integrate import Trajectory, solve_transient
+from kc2spice.reference.linear import solve_ac
 from kc2spice.rom.linear import LinearModel, Port
 
 
@@ -30,20 +30,20 @@ def mass(
     return DeclaredLaw(name, point_mass(kg, gravity), (kg, gravity, 0.0, 0.0), start)
 
 
-def balanced(result: Result, share: float) -> bool:
+def balanced(result: Trajectory, share: float) -> bool:
     energy = result.energy
     return abs(energy.residual) < share * energy.turnover
 
 
 def test_rlc_answers_a_ramp_as_the_matrix_exponential() -> None:
     r, ind, c, edge = 100.0, 1e-3, 1e-6, 20e-6
-    system = assemble(
-        [L.Source("v", "voltage", linear(((0, 0), (edge, 1)))), element("r", "resistor", r),
+    system = assemble_system(
+        [L.IdealSource("v", "voltage", linear(((0, 0), (edge, 1)))), element("r", "resistor", r),
          element("l", "inductor", ind), element("c", "capacitor", c)],
         {"in": ["v.out", "r.a"], "mid": ["r.b", "l.a"], "out": ["l.b", "c.a"]},
     )  # fmt: skip
     times = np.linspace(0.0, 1e-3, 101)
-    result = transient(system, 1e-3, 1e-10, times=times)
+    result = solve_transient(system, 1e-3, 1e-10, times=times)
     a = np.array([[0, 1 / c, 0, 0], [-1 / ind, -r / ind, 1 / ind, 0], [0, 0, 0, 1], [0, 0, 0, 0]])
     end = expm(a * edge) @ [0, 0, 0, 1 / edge]
     hold = end * [1, 1, 1, 0]
@@ -66,12 +66,12 @@ def test_rlc_answers_a_ramp_as_the_matrix_exponential() -> None:
 
 def test_sphere_bounces_on_a_spring_without_loss() -> None:
     m, k, h = 1e-3, 1e5, 1e-3
-    system = assemble(
+    system = assemble_system(
         [mass("ball", m, 9.81, (h, 0.0)),
          touching("floor", k)],
         {"y": ["ball.a", "floor.b"], "gnd": ["floor.a"]},
     )  # fmt: skip
-    result = transient(system, 0.1, 1e-9)
+    result = solve_transient(system, 0.1, 1e-9)
     closes, opens = result.events[::2], result.events[1::2]
     speed, w = np.sqrt(2 * 9.81 * h), np.sqrt(k / m)
     touch = 2 / w * (np.pi / 2 + np.arctan(9.81 / (w * speed)))
@@ -91,34 +91,36 @@ def test_every_element_tells_what_flows_through_it() -> None:
              "spring": value * t, "damper": value + 0 * t}  # fmt: skip
     for drive, found in kinds.items():
         for kind in found:
-            ramp = L.Source("ramp", drive, linear(((0, 0), (stop, stop))))
-            system = assemble([ramp, element("e", kind, value)], {"net": ["ramp.out", "e.a"]})
-            waves = transient(system, stop, 1e-9, t).waves
+            ramp = L.IdealSource("ramp", drive, linear(((0, 0), (stop, stop))))
+            system = assemble_system(
+                [ramp, element("e", kind, value)], {"net": ["ramp.out", "e.a"]}
+            )
+            waves = solve_transient(system, stop, 1e-9, t).waves
             np.testing.assert_allclose(waves["e.a.through"], exact[kind], atol=1e-9 * value)
             np.testing.assert_allclose(waves["ramp.out.through"], -exact[kind], atol=1e-9 * value)
 
 
-def piezo(name: str, stiffness: float = 2e7, mass: float = 1e-3) -> L.LinearBody:
+def piezo(name: str, stiffness: float = 2e7, mass: float = 1e-3) -> L.SecondOrderBody:
     """One mode, 0.4 N/V, 100 nF clamped, whose top moves with the mode."""
     gain, c0 = 0.4, 100e-9
     ports = (L.Port("top", "translation"), L.Port("anode", "electrical"))
     M, E, K = np.array([[[mass]], [[2.0]], [[stiffness]]])
     kinds = Port("top", "mechanical"), Port("anode", "electrical")
     model = LinearModel(M=M, E=E, K=K, B=np.array([[1.0, gain]]), D=np.diag([0.0, c0]), ports=kinds)
-    return L.LinearBody(name, model, ports)
+    return L.SecondOrderBody(name, model, ports)
 
 
 def test_piezo_with_a_resistor_as_its_load() -> None:
-    system = assemble(
+    system = assemble_system(
         [
             piezo("p"),
             element("load", "resistor", 1e4),
-            L.Source("push", "force", linear(((0, 0), (1e-4, 1))), 1.0),
+            L.IdealSource("push", "force", linear(((0, 0), (1e-4, 1))), 1.0),
         ],
         {"hot": ["p.anode", "load.a"], "tip": ["p.top", "push.out"]},
     )
     times = np.linspace(0.0, 1e-3, 60)
-    result = transient(system, 1e-3, 1e-10, times=times)
+    result = solve_transient(system, 1e-3, 1e-10, times=times)
     # States x, v, V, F: m v' = F - k x - d v + g V and C0 V' + g v + V / R = 0.
     m, k, d, g, c, r = 1e-3, 2e7, 2.0, 0.4, 100e-9, 1e4
     a = np.array([[0, 1, 0, 0, 0], [-k / m, -d / m, g / m, 1 / m, 0],
@@ -131,7 +133,7 @@ def test_piezo_with_a_resistor_as_its_load() -> None:
     assert np.abs(result.waves["p.top"] - exact[:, 0]).max() < 1e-14
     assert np.abs(result.waves["p.anode"] - exact[:, 2]).max() < 1e-8 * np.abs(exact[:, 2]).max()
     assert balanced(result, 1e-8)
-    response = ac(system, np.array([1e3, 2.2e4, 5e4]))
+    response = solve_ac(system, np.array([1e3, 2.2e4, 5e4]))
     for f, x in zip(response["frequency"], response["p.top"], strict=True):
         s = 2j * np.pi * f
         volts = -s * g / (s * c + 1 / r)
@@ -140,15 +142,15 @@ def test_piezo_with_a_resistor_as_its_load() -> None:
 
 def test_falling_mass_without_a_start_has_no_equilibrium() -> None:
     with pytest.raises(SimulationError, match="equilibrium"):
-        operating_point(assemble([mass("m", 1.0, 9.81)], {}))
+        solve_operating_point(assemble_system([mass("m", 1.0, 9.81)], {}))
 
 
 def test_a_shaken_mass_pulls_at_what_shakes_it() -> None:
     size, f, m = 1e-6, 1e3, 1e-3
-    parts = [L.Source("table", "displacement", sine(size, f)), mass("block", m)]
-    system = assemble(parts, {"x": ["table.out", "block.a"]})
+    parts = [L.IdealSource("table", "displacement", sine(size, f)), mass("block", m)]
+    system = assemble_system(parts, {"x": ["table.out", "block.a"]})
     times = np.linspace(0.0, 2e-3, 41)
-    result = transient(system, 2e-3, 1e-9, times)
+    result = solve_transient(system, 2e-3, 1e-9, times)
     w = 2 * np.pi * f
     exact = m * size * w**2 * np.sin(w * times)
     assert np.abs(result.waves["table.out.through"] - exact).max() < 1e-9 * exact.max()
@@ -156,13 +158,13 @@ def test_a_shaken_mass_pulls_at_what_shakes_it() -> None:
 
 def test_inductors_in_series_share_the_voltage_of_a_ramp() -> None:
     """Index 2: v = (L1 + L2) i', with as much at each as its inductance."""
-    system = assemble(
-        [L.Source("v", "voltage", linear(((0, 0), (1e-3, 1)))), element("one", "inductor", 1e-3),
-         element("two", "inductor", 2e-3)],
+    system = assemble_system(
+        [L.IdealSource("v", "voltage", linear(((0, 0), (1e-3, 1)))),
+         element("one", "inductor", 1e-3), element("two", "inductor", 2e-3)],
         {"in": ["v.out", "one.a"], "mid": ["one.b", "two.a"]},
     )  # fmt: skip
     times = np.linspace(0.0, 1e-3, 11)
-    waves = transient(system, 1e-3, 1e-9, times).waves
+    waves = solve_transient(system, 1e-3, 1e-9, times).waves
     np.testing.assert_allclose(waves["two.a"], 2 / 3 * times / 1e-3, atol=1e-9)
     np.testing.assert_allclose(waves["one.a.through"], times**2 / 2e-3 / 3e-3, atol=1e-9)
 
@@ -170,14 +172,14 @@ def test_inductors_in_series_share_the_voltage_of_a_ramp() -> None:
 def test_what_rings_freely_under_a_falling_ball_is_followed() -> None:
     """112 periods, with the energy that they lose."""
     edge, stop, ball = 1e-4, 5e-3, 1e-9
-    system = assemble(
-        [piezo("p"), L.Source("push", "force", linear(((0, 0), (edge, 1)))),
+    system = assemble_system(
+        [piezo("p"), L.IdealSource("push", "force", linear(((0, 0), (edge, 1)))),
          mass("ball", ball, 9.81, (1e-2, 0.0)),
          touching("touch", 1e5)],
         {"tip": ["p.top", "push.out", "touch.a"], "y": ["ball.a", "touch.b"], "gnd": ["p.anode"]},
     )  # fmt: skip
     times = np.linspace(edge, stop, 50)
-    result = transient(system, stop, 1e-9, times)
+    result = solve_transient(system, stop, 1e-9, times)
     # States x, v, F, F'.
     a = np.array([[0, 1, 0, 0], [-2e7 / 1e-3, -2 / 1e-3, 1 / 1e-3, 0], [0, 0, 0, 1], [0] * 4])
     begun = (expm(a * edge) @ [0, 0, 0, 1 / edge]) * [1, 1, 1, 0]

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import kc2spice as kc
-from kc2spice.bodies.pressure import Sphere, pressure_basis, sphere, sphere_compliance
+from kc2spice.bodies.pressure import IsotropicSphere, pressure_basis, sphere, sphere_compliance
 from kc2spice.core.magnets import CASES, em_cases
 from kc2spice.core.mesh_error import mesh_errors
 from kc2spice.core.progress import Clock
@@ -165,7 +165,10 @@ def test_a_contact_by_pressure_states_that_its_mesh_has_no_estimate():
 @pytest.mark.slow
 def test_an_elastic_sphere_states_its_mesh():
     """Against cells half as large: its compliance under a patch, and its first mode."""
-    body, shape = Sphere(1e-3, material("steel"), Damping(ratio=1e-3)), pressure_basis(20e-6, 2e-4)
+    body, shape = (
+        IsotropicSphere(1e-3, material("steel"), Damping(ratio=1e-3)),
+        pressure_basis(20e-6, 2e-4),
+    )
     shares = sphere_compliance(body, shape).shares
     coarse, fine = (sphere(body, shares, shape, refine) for refine in (1, 2))
     soft = [m.B[:, 0] @ m.pencil.pencil_solver(0.0).solve(m.B[:, 0]) for m in (coarse, fine)]

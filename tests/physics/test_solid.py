@@ -5,11 +5,11 @@ import pytest
 from scipy.optimize import brentq
 from skfem.mesh import MeshHex, MeshTet, MeshTet2
 
-from kc2spice.bodies.device import Setup, Shape, make_device, node_shares, spread
+from kc2spice.bodies.device import ForceShape, Setup, make_device, node_shares, spread
 from kc2spice.core.errors import UsageError
 from kc2spice.fem.keys import Damping
 from kc2spice.fem.materials import material
-from kc2spice.fem.solid import Solid, assemble
+from kc2spice.fem.solid import Solid, assemble_solid
 from kc2spice.rom.linear import Port
 
 STEEL = material({"density": 7800, "youngs_modulus": "200 GPa", "poisson_ratio": 0.3})
@@ -63,7 +63,7 @@ def test_patch_of_anisotropic_piezoelectric(kind):
     made_of = material("quartz").poled((0.3, -0.5, 0.8))
     mesh = distorted(kind)
     solid = Solid(mesh, (made_of,), np.zeros(mesh.nelements, int))
-    full, x = assemble(solid), places(solid)
+    full, x = assemble_solid(solid), places(solid)
     A = np.random.default_rng(2).standard_normal((3, 3))
     b = 1e9 * np.array([0.4, -1.1, 0.7])
     u, phi = (A @ x).T.ravel(), b @ x
@@ -87,7 +87,7 @@ def test_patch_of_anisotropic_piezoelectric(kind):
 def test_cantilever_bends_as_euler_and_bernoulli_say():
     L, w, h = 0.1, 2e-3, 2e-3
     solid = box((L, w, h), (40, 2, 2), SLENDER)
-    tip = Shape(
+    tip = ForceShape(
         Port("tip", "mechanical"),
         spread(node_shares(solid, facets=end(solid, 0, L)), np.eye(3)[2], solid),
     )
@@ -135,8 +135,8 @@ def test_longitudinal_wave_converges_with_the_fourth_power(axis, kind):
                  for a in range(3) if a != axis]  # fmt: skip
         near = spread(node_shares(solid, facets=end(solid, axis, 0.0)), np.eye(3)[axis], solid)
         far = spread(node_shares(solid, facets=end(solid, axis, L)), np.eye(3)[axis], solid)
-        pull = Shape(Port("pull", "mechanical"), far - near)  # keeps out the even, rigid ones
-        squeeze = Shape(Port("push", "mechanical"), far)
+        pull = ForceShape(Port("pull", "mechanical"), far - near)  # keeps out the even, rigid ones
+        squeeze = ForceShape(Port("push", "mechanical"), far)
         fixed = held(solid, *sides)
         model = make_device(
             solid, Setup(fixed, shapes=[squeeze, pull], damping=Damping(ratio=0, at=1e5))

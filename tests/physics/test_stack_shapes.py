@@ -5,7 +5,7 @@ import pytest
 from closed_forms import rod_resonance
 from skfem.mesh import MeshHex
 
-from kc2spice.bodies.device import Setup, Shape, make_device, node_shares, spread
+from kc2spice.bodies.device import ForceShape, Setup, make_device, node_shares, spread
 from kc2spice.bodies.piezo_stack import stack_device
 from kc2spice.bodies.stack_keys import Chip
 from kc2spice.core.errors import UsageError
@@ -109,7 +109,7 @@ def test_shear_agrees_with_solid_elements_over_the_whole_section():
     top = node_shares(solid, facets=mesh.facets_satisfying(lambda p: p[2] > height - 1e-9))
     pins = {"anode": np.flatnonzero(abs(z - height / 2) < 1e-9),
             "cathode": np.flatnonzero((z < 1e-9) | (z > height - 1e-9))}  # fmt: skip
-    shape = Shape(Port("top", "mechanical"), spread(top, np.array([1.0, 0, 0]), solid))
+    shape = ForceShape(Port("top", "mechanical"), spread(top, np.array([1.0, 0, 0]), solid))
     setup = Setup(fixed=np.repeat(z < 1e-9, 3), electrodes=pins, reference="cathode",
                   shapes=[shape])  # fmt: skip
     other = make_device(solid, setup).model.facts

@@ -14,8 +14,8 @@ from kc2spice.netlist.printers.ngspice import Printer
 from kc2spice.netlist.translate import dialect_files
 from kc2spice.physics import Declaration, DeclaredPart, displacement, seen, voltage
 from kc2spice.physics.cards import body
-from kc2spice.reference.assemble import assemble
-from kc2spice.reference.integrate import transient
+from kc2spice.reference.assemble import assemble_system
+from kc2spice.reference.integrate import solve_transient
 from kc2spice.scene import parttype
 from kc2spice.scene.load import load_scene
 from kc2spice.scene.model import Build
@@ -84,7 +84,9 @@ def test_a_coil_in_motion_takes_few_steps():
     """The flux depends on the stroke: an error estimate by its slope at an earlier step sees an
     error that no shorter step makes smaller, and needs tens of thousands of them for this."""
     (network,) = scene_laws(Build(load_scene("loudspeaker"), {})).networks
-    assert transient(assemble(network.laws, network.joins), 5e-3, 1e-9).time.size < 2000
+    assert (
+        solve_transient(assemble_system(network.laws, network.joins), 5e-3, 1e-9).time.size < 2000
+    )
 
 
 COIL = {"part": "voice_coil", "resistance": 6.0, "inductance": 5e-4, "bl": 5.0, "cms": 1e-3,

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 import kc2spice as kc
-from kc2spice.workflow.sweep.point import Outcome
+from kc2spice.workflow.sweep.point import PointResult
 
 ROOT = Path(__file__).parents[2]
 CONTRACT = (
@@ -198,7 +198,7 @@ def test_a_sweep_without_a_number_ends_at_the_first_good_point():
     class Done(Executor):
         """One worker, whose first point fails; the others have curves alone."""
 
-        outcomes = iter([Outcome(failure="not this one"), Outcome()])
+        outcomes = iter([PointResult(failure="not this one"), PointResult()])
 
         def submit(self, *_):
             future = Future()

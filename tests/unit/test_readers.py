@@ -7,7 +7,7 @@ import pytest
 from scipy import io as scipy_io
 from scipy import sparse
 
-from kc2spice.bodies.readers import extent, read_model
+from kc2spice.bodies.readers import mesh_extent, read_model
 from kc2spice.bodies.readers.sidecar import read_sidecar
 from kc2spice.core.errors import MissingToolError, UsageError
 from kc2spice.rom.linear import LinearModel
@@ -411,7 +411,7 @@ def labelled(tmp_path):
 
 def test_the_mesh_tells_the_size_that_reports_draw(labelled, tmp_path):
     labelled('mesh="mesh.inp"\nlength="mm"\n' + TIP)
-    np.testing.assert_allclose(extent(tmp_path / "m.npz", None), [20e-3, 1.5e-3, 0.0])
+    np.testing.assert_allclose(mesh_extent(tmp_path / "m.npz", None), [20e-3, 1.5e-3, 0.0])
 
 
 def test_port_over_a_node_set_is_the_mean_along_the_axis(labelled):

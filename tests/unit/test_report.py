@@ -15,7 +15,7 @@ from kc2spice.core.figure import Curve, Figure, Panel
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.report.charts import figure_html
 from kc2spice.report.figures import draw_all
-from kc2spice.report.html import Section, quantity, value_and_limit, write_page
+from kc2spice.report.html import PageSection, format_quantity, value_and_limit, write_page
 from kc2spice.report.run_page import operating_rows, result_sections, write_run
 from kc2spice.scene.load import load_scene
 from kc2spice.scene.model import Build
@@ -49,10 +49,10 @@ def test_a_table_has_no_rows_of_numbers() -> None:
 
 
 def test_words_take_no_prefix():
-    assert quantity(-3.84e-6, "over the limit") == "-3.84e-06 over the limit"
-    assert quantity(0.8, "mm") == "800 µm"
-    assert quantity(50.0, "mm") == "50 mm"
-    assert quantity(2.35e-6, "m per 100 V") == "2.35 µm per 100 V"
+    assert format_quantity(-3.84e-6, "over the limit") == "-3.84e-06 over the limit"
+    assert format_quantity(0.8, "mm") == "800 µm"
+    assert format_quantity(50.0, "mm") == "50 mm"
+    assert format_quantity(2.35e-6, "m per 100 V") == "2.35 µm per 100 V"
 
 
 def loop_waves() -> Waveforms:
@@ -234,6 +234,6 @@ BAD = "</script><script>a()</script><img src=x onerror=a()>"
 
 
 def test_markup_in_a_title_stays_text(tmp_path: Path) -> None:
-    path = write_page(tmp_path / "x.html", BAD, BAD, [Section(BAD, [("&",)], note=BAD)])
+    path = write_page(tmp_path / "x.html", BAD, BAD, [PageSection(BAD, [("&",)], note=BAD)])
     assert "a()</script>" not in path.read_text(encoding="utf-8")
     assert "<img" not in path.read_text(encoding="utf-8")

@@ -9,7 +9,7 @@ import pytest
 from kc2spice.core.errors import UsageError
 from kc2spice.report.pages import yields
 from kc2spice.workflow.sweep.plan import make_plan
-from kc2spice.workflow.sweep.point import Outcome
+from kc2spice.workflow.sweep.point import PointResult
 from kc2spice.workflow.sweep.run import RowStore, columns, write_csv
 
 PLAN = make_plan({"a": tuple(0.1 * k for k in range(6))})
@@ -17,9 +17,9 @@ PLAN = make_plan({"a": tuple(0.1 * k for k in range(6))})
 
 def outcome(index):
     if index == 2:
-        return Outcome(failure='stopped, at "x"\n2')
+        return PointResult(failure='stopped, at "x"\n2')
     metrics = {"t": index / 7.0, "caught": index % 2 == 0, "never": None}
-    return Outcome(metrics, {"rom.order": float(index)})
+    return PointResult(metrics, {"rom.order": float(index)})
 
 
 @contextlib.contextmanager
@@ -53,13 +53,13 @@ def test_rows_are_sorted_and_exact(tmp_path):
 
 def test_rows_are_there_again_and_the_last_of_a_point_counts(tmp_path):
     with opened(tmp_path / "rows", 3) as store:
-        store.record(0, Outcome({"x": 1.0}))
-        store.record(2, Outcome(failure="killed", interrupted=True))
+        store.record(0, PointResult({"x": 1.0}))
+        store.record(2, PointResult(failure="killed", interrupted=True))
     with opened(tmp_path / "rows", 3) as store:
         assert store.outcomes[0].metrics == {"x": 1.0}
         assert store.outcomes[2].interrupted
         assert store.failed == {2}
-        store.record(2, Outcome({"x": 5.0}))
+        store.record(2, PointResult({"x": 5.0}))
         assert not store.failed
     with opened(tmp_path / "rows", 3) as store:
         assert store.outcomes[2].metrics == {"x": 5.0}

@@ -10,7 +10,7 @@ from pathlib import Path
 
 from tables import power, print_table
 
-from kc2spice.report.html import quantity
+from kc2spice.report.html import format_quantity
 
 MEANING = {
     "start_help_s": "`kc2spice --help`",
@@ -40,7 +40,7 @@ def ratio(name: str) -> list[str]:
     """Value, target and error of one figure."""
     found = RECORD["ratios"][name]
     value, target = (
-        "" if found[key] is None else quantity(found[key], found["unit"], 3)
+        "" if found[key] is None else format_quantity(found[key], found["unit"], 3)
         for key in ("value", "target")
     )
     sign = "≥ " if found["at_least"] else "≤ "
@@ -50,7 +50,7 @@ def ratio(name: str) -> list[str]:
 
 def point(found: dict) -> list[str]:
     """Error and median time of one setting."""
-    return [found["label"], power(found["error"]), quantity(found["time_s"], "s", 3)]
+    return [found["label"], power(found["error"]), format_quantity(found["time_s"], "s", 3)]
 
 
 if __name__ == "__main__":

@@ -12,8 +12,8 @@ import numpy as np
 
 from kc2spice.bodies.readers import codes, raw
 from kc2spice.bodies.readers import sidecar as _sidecar
-from kc2spice.bodies.readers.assemble import Rows, assemble
-from kc2spice.bodies.readers.mesh import read_mesh
+from kc2spice.bodies.readers.assemble import Rows, assemble_model
+from kc2spice.bodies.readers.mesh import read_nodes
 from kc2spice.bodies.readers.sidecar import Sidecar, read_sidecar
 from kc2spice.core.errors import UsageError, wrong
 from kc2spice.rom.io import BANNER, numbers, read_market
@@ -78,14 +78,16 @@ def read_model(path: Path | str, sidecar: Path | str | None = None) -> LinearMod
     base, files, _, settings = described(path, sidecar)
     path = files.pop(_WHOLE, path)  # NAME stands for NAME.npz
     result = _read(path, {**files, **settings.files}, settings.matrices)
-    sound = {k: raw.checked(m, k, result.files.get(k, path)) for k, m in result.matrices.items()}
+    sound = {
+        k: raw.checked_matrix(m, k, result.files.get(k, path)) for k, m in result.matrices.items()
+    }
     if settings.dofs is not None:
         dofs = raw.parsed(settings.dofs, "lines 'node,dof', one for each row", _rows)
         result = replace(result, dofs=dofs)
-    return assemble(Rows(base.name, str(path), settings, result, sound))
+    return assemble_model(Rows(base.name, str(path), settings, result, sound))
 
 
-def extent(path: Path, sidecar: Path | None) -> np.ndarray | None:
+def mesh_extent(path: Path, sidecar: Path | None) -> np.ndarray | None:
     """Size (3,) [m] of the mesh that the TOML file names; None where it names none.
 
     Raises
@@ -96,7 +98,7 @@ def extent(path: Path, sidecar: Path | None) -> np.ndarray | None:
     if settings.mesh is None:
         return None
     return np.asarray(
-        _sidecar.LENGTHS[settings.length] * np.ptp(read_mesh(settings.mesh).at, axis=0)
+        _sidecar.LENGTHS[settings.length] * np.ptp(read_nodes(settings.mesh).at, axis=0)
     )
 
 
@@ -113,7 +115,7 @@ _JOB = f"{', '.join(codes.SUFFIXES)} of one job"
 # Formats of one file with all matrices, by suffix: description and reader. The reader receives the
 # names of the matrices in the sidecar.
 READERS: Mapping[str, tuple[str, Callable[[Path, Mapping[str, str]], raw.Raw]]] = {
-    ".npz": (_ARRAYS, raw.read_archive),
+    ".npz": (_ARRAYS, raw.read_matrix_archive),
     ".mat": (_MATLAB, raw.unpacker(raw.unpack_matlab)),
     ".full": ("a symmetric .full file of Ansys", raw.unpacker(codes.unpack_full)),
     ".op4": ("a Nastran OUTPUT4 file", raw.unpacker(codes.unpack_op4)),
@@ -218,7 +220,9 @@ def _read(path: Path, files: dict[str, Path], requested: Mapping[str, str]) -> r
     if suffix not in READERS:
         hint = 'or name the files in NAME.toml: files = { K = "...", M = "..." }'
         got = "a file whose name does not end with the letter of a matrix"
-        raise raw.refused(path, got, "names such as NAME.K, NAME_K.mtx or JOB_STIF1.mtx", hint)
+        raise raw.unusable_file(
+            path, got, "names such as NAME.K, NAME_K.mtx or JOB_STIF1.mtx", hint
+        )
     expected, read = READERS[suffix]
     return raw.guarded(path, expected, lambda: read(path, requested))
 
@@ -244,7 +248,7 @@ def _matrices(files: dict[str, Path]) -> raw.Raw:
             tables[letter] = path
         else:
             expected = "Matrix Market, Harwell-Boeing, or an .mtx file of Abaqus"
-            raise raw.refused(path, f"matrix {letter} in an unknown format", expected)
+            raise raw.unusable_file(path, f"matrix {letter} in an unknown format", expected)
     abaqus = raw.Raw({})
     if tables:
         one = next(iter(tables.values()))

@@ -9,16 +9,16 @@ from typing import Any
 import numpy as np
 from scipy import sparse
 
-from kc2spice.bodies.readers.mesh import read_mesh
+from kc2spice.bodies.readers.mesh import read_nodes
 from kc2spice.bodies.readers.raw import DOFS, MAX_WIDE, ROTATIONS, TRANSLATIONS, VOLT, Dofs, Raw
-from kc2spice.bodies.readers.sidecar import FORCES, LENGTHS, Place, PortEntry, Sidecar
+from kc2spice.bodies.readers.sidecar import FORCES, LENGTHS, NodeSelection, PortEntry, Sidecar
 from kc2spice.core.errors import UsageError, wrong
 from kc2spice.rom.io import mirrored
 from kc2spice.rom.linear import LinearModel, Port, half_stored, with_potentials
 from kc2spice.rom.pencil import Matrix
 
 
-def assemble(rows: Rows) -> LinearModel:
+def assemble_model(rows: Rows) -> LinearModel:
     """The model of ``rows`` in SI with the ports of its sidecar.
 
     Raises
@@ -145,7 +145,7 @@ class Rows:
             raise wrong(where, problem, f"{len(dofs)} rows with node,dof", f"{self.size} rows")
         return dofs
 
-    def find(self, place: Place, kinds: tuple[int, ...]) -> list[np.ndarray]:
+    def find(self, place: NodeSelection, kinds: tuple[int, ...]) -> list[np.ndarray]:
         """Rows of the freedoms ``kinds`` at the nodes of ``place``, one array per kind; of all
         freedoms there, each its own, without any kind. None of a set's nodes need be missing."""
         where = self.sidecar.of(place)
@@ -157,10 +157,10 @@ class Rows:
             hint = 'add  mesh = "FILE"  to the TOML file'
             raise wrong(where, "nodeset and at need a mesh", None, expected, hint)
         elif place.nodeset is not None:
-            nodes = read_mesh(mesh).nodeset(place.nodeset, where)
+            nodes = read_nodes(mesh).nodeset(place.nodeset, where)
         else:
             assert place.at is not None
-            nodes = np.array([read_mesh(mesh).nearest(place.at, place.within, where)])
+            nodes = np.array([read_nodes(mesh).nearest(place.at, place.within, where)])
         here = np.isin(dofs.node, nodes)
         missing = nodes[~np.isin(nodes, dofs.node)]
         if len(missing) == len(nodes) or (missing.size and not isinstance(place, PortEntry)):

@@ -73,7 +73,7 @@ def read_abaqus(files: dict[str, Path]) -> raw.Raw:
     tables, dofs = {letter: table for letter, (_, table) in read.items()}, None
     if len({labelled for labelled, _ in read.values()}) > 1:
         one = next(iter(files.values()))
-        raise raw.refused(one, "MATRIX INPUT and COORDINATE", "one format for all matrices")
+        raise raw.unusable_file(one, "MATRIX INPUT and COORDINATE", "one format for all matrices")
     if all(labelled for labelled, _ in read.values()):
         result, dofs = raw.labelled(tables)
         result = {letter: raw.both_triangles(matrix) for letter, matrix in result.items()}
@@ -136,7 +136,9 @@ def read_calculix(path: Path, _: object) -> raw.Raw:
     for file in (stiffness, mass, rows):
         if not raw.present(file):
             hint = f"{file.suffix} is written by *FREQUENCY, SOLVER=MATRIXSTORAGE"
-            raise raw.refused(path, f"no {file.name}", f"{', '.join(SUFFIXES)} side by side", hint)
+            raise raw.unusable_file(
+                path, f"no {file.name}", f"{', '.join(SUFFIXES)} side by side", hint
+            )
     dofs = raw.parsed(rows, "lines node.direction", _dofs)
     expected = f"lines 'row column value' for {len(dofs)} rows"
     files = {"K": stiffness, "M": mass}
@@ -313,7 +315,7 @@ def choose(names: list[str], requested: Mapping[str, str], path: Path) -> dict[s
     selected = {}
     for letter, name in requested.items():
         if name.upper() not in known:
-            raise raw.refused(path, f"no matrix {name}", f"one of {', '.join(names)}")
+            raise raw.unusable_file(path, f"no matrix {name}", f"one of {', '.join(names)}")
         selected[letter] = known[name.upper()]
     for first, letter in _FIRST.items():
         fits = [n for u, n in known.items() if u.startswith(first)]
@@ -322,10 +324,14 @@ def choose(names: list[str], requested: Mapping[str, str], path: Path) -> dict[s
             continue
         if len(fits) > 1:
             hint = f'matrices = {{ {letter} = "{fits[0]}" }} in the TOML file'
-            raise raw.refused(path, f"matrices {', '.join(fits)}", f"one that is {letter}", hint)
+            raise raw.unusable_file(
+                path, f"matrices {', '.join(fits)}", f"one that is {letter}", hint
+            )
         selected[letter] = fits[0]
     if not selected:
-        raise raw.refused(path, f"matrices {', '.join(names)}", "K..., M... and as needed B...")
+        raise raw.unusable_file(
+            path, f"matrices {', '.join(names)}", "K..., M... and as needed B..."
+        )
     return selected
 
 
@@ -352,7 +358,7 @@ def _dmig(data: bytes) -> tuple[dict[str, int], dict[str, raw.Triple]]:
     entries: dict[str, list[tuple[complex, ...]]] = {}
     if data and not data.endswith(b"\n"):
         raise ValueError("the last line has no end: is it cut off?")
-    for cells in cards(data, "DMIG"):
+    for cells in bulk_data_cards(data, "DMIG"):
         name = cells[0].strip().upper()
         if cells[1].strip() == "0":
             forms[name], entries[name] = int(cells[2]), []
@@ -381,13 +387,17 @@ def _value(kind: int, polar: bool, name: str) -> Callable[[str, str], complex]:
     if kind not in (1, 2, 3, 4):
         raise ValueError(f"matrix {name} is of type {kind}")
     if kind < 3:
-        return lambda first, _: real(first)
+        return lambda first, _: fortran_number(first)
     if polar:
-        return lambda size, angle: cmath.rect(real(size), math.radians(real(angle or "0")))
-    return lambda first, second: complex(real(first), real(second.strip() or "0"))
+        return lambda size, angle: cmath.rect(
+            fortran_number(size), math.radians(fortran_number(angle or "0"))
+        )
+    return lambda first, second: complex(
+        fortran_number(first), fortran_number(second.strip() or "0")
+    )
 
 
-def cards(data: bytes, name: str) -> Iterator[list[str]]:
+def bulk_data_cards(data: bytes, name: str) -> Iterator[list[str]]:
     """The fields of each card of this name behind it, continuation lines joined; bulk data in
     small, large and free fields."""
     cells: list[str] = []
@@ -419,7 +429,7 @@ def _component(text: str) -> int:
     return value
 
 
-def real(text: str) -> float:
+def fortran_number(text: str) -> float:
     """A number as Fortran writes it: 1.5D+7, or 1.5+7."""
     return float(_SHORT_EXPONENT.sub(r"E\1", text.strip().upper().replace("D", "E")))
 

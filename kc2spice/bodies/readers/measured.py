@@ -20,7 +20,14 @@ from typing import Literal
 import numpy as np
 
 from kc2spice.bodies.readers.columns import Column, column_of, read_table, read_title, units_of
-from kc2spice.bodies.readers.raw import absent, guarded, in_own_process, present, refused, vectors
+from kc2spice.bodies.readers.raw import (
+    absent,
+    guarded,
+    in_own_process,
+    present,
+    unusable_file,
+    vectors,
+)
 from kc2spice.core.equality import EqualByContent
 from kc2spice.core.errors import wrong
 from kc2spice.core.foreign import read_bounded
@@ -83,7 +90,7 @@ COMBINATIONS = (
 
 
 @dataclass(frozen=True, eq=False)
-class Response(EqualByContent):
+class MeasuredResponse(EqualByContent):
     """``samples`` (n, ports, ports) of a ``quantity`` at ``f`` (n,) [Hz], the admittances ``Y``
     that they are, the ``reference`` resistances (ports,) [Ohm] of S, what the reader assumed and
     what the columns mean."""
@@ -200,7 +207,7 @@ def read_measured(path: Path) -> Measured:
     if not present(path):
         raise absent(path, expected)
 
-    def read() -> Response:
+    def read() -> MeasuredResponse:
         if path.suffix.lower() == ".mat":
             return _matlab(_variables(path, path.stat().st_mtime))
         data = read_bounded(path, MAX_BYTES)
@@ -215,11 +222,11 @@ def read_measured(path: Path) -> Measured:
     f, Y = response.f, response.Y
     if not (np.isfinite(f).all() and np.isfinite(Y).all() and f.min(initial=1.0) >= 0):
         got = "NaN, infinity, an impedance of zero or a frequency below zero"
-        raise refused(path, got, "finite numbers", HINT)
+        raise unusable_file(path, got, "finite numbers", HINT)
     f, order = np.unique(f, return_index=True)  # increasing, each once
     order = order[f > 0]
     if len(order) < FEWEST:
-        raise refused(
+        raise unusable_file(
             path, f"{len(order)} frequencies", f"at least {FEWEST}", "measure more points"
         )
     result = Measured(
@@ -235,7 +242,7 @@ def read_measured(path: Path) -> Measured:
     )
     if len(order) > MOST:
         hint = "leave out points between resonances"
-        raise refused(path, f"{len(order)} frequencies", f"at most {MOST}", hint)
+        raise unusable_file(path, f"{len(order)} frequencies", f"at most {MOST}", hint)
     _require_conducting(result)
     _require_passive(result)
     return result
@@ -271,7 +278,7 @@ def _require_passive(data: Measured) -> None:
     raise wrong(data.where, problem, got, "Re Z >= 0, except for noise", hint)
 
 
-def _touchstone(text: str, ports: int) -> Response:
+def _touchstone(text: str, ports: int) -> MeasuredResponse:
     """Touchstone 1 and 2 (IBIS Open Forum, 2009): S, Y or Z in RI, MA or DB.
 
     The first option line counts; the standard ignores others.
@@ -325,7 +332,7 @@ def _touchstone(text: str, ports: int) -> Response:
     summary += f", reference {' '.join(f'{R:g}' for R in reference)} Ohm" if kind == "s" else ""
     quantity = _QUANTITIES[kind]
     Y = _admittance(quantity, P, z0)
-    return Response(_HERTZ[unit] * table[:, 0], quantity, P, Y, z0, tuple(notes), summary)
+    return MeasuredResponse(_HERTZ[unit] * table[:, 0], quantity, P, Y, z0, tuple(notes), summary)
 
 
 _QUANTITIES: dict[str, Quantity] = {"s": "S", "z": "Z", "y": "Y"}
@@ -349,7 +356,7 @@ def _admittance(quantity: Quantity, P: np.ndarray, z0: np.ndarray) -> np.ndarray
         raise ValueError(text) from None
 
 
-def _response(titles: list[str], rows: np.ndarray) -> Response:
+def _response(titles: list[str], rows: np.ndarray) -> MeasuredResponse:
     """The response of a table or of vectors under ``titles``; rows (n, columns)."""
     if len(titles) != rows.shape[-1]:
         raise ValueError(f"{len(titles)} titles above {rows.shape[-1]} columns of numbers")
@@ -382,7 +389,7 @@ def _response(titles: list[str], rows: np.ndarray) -> Response:
     summary = ", ".join(map(str, used)) + (f"; not used: {', '.join(left)}" if left else "")
     z0 = np.array([REFERENCE])
     Y = _admittance(combination.quantity, samples, z0)
-    return Response(f, combination.quantity, samples, Y, z0, tuple(notes), summary)
+    return MeasuredResponse(f, combination.quantity, samples, Y, z0, tuple(notes), summary)
 
 
 @lru_cache(maxsize=1)
@@ -400,7 +407,7 @@ def _is_frequency(name: str) -> bool:
     return title is not None and title.meaning.quantity == "f"
 
 
-def _matlab(variables: dict[str, np.ndarray]) -> Response:
+def _matlab(variables: dict[str, np.ndarray]) -> MeasuredResponse:
     """Real vectors are columns; a complex array says all itself, its parts are those of one."""
     first = next(filter(_is_frequency, variables), None)
     if first is None:
@@ -435,7 +442,7 @@ def _matlab(variables: dict[str, np.ndarray]) -> Response:
     z0 = np.full(P.shape[1], R)
     Y = _admittance(quantity, P, z0)
     understood = f"{frequency}, {quantity} from {name!r}"
-    return Response(frequency.values, quantity, P, Y, z0, tuple(notes), understood)
+    return MeasuredResponse(frequency.values, quantity, P, Y, z0, tuple(notes), understood)
 
 
 def _is_complex(quantity: Quantity, name: str) -> bool:

@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from kc2spice.bodies.readers.codes import cards, real
+from kc2spice.bodies.readers.codes import bulk_data_cards, fortran_number
 from kc2spice.bodies.readers.raw import MAX_SIZE, parsed
 from kc2spice.core.errors import UsageError, unknown, wrong
 
@@ -22,7 +22,7 @@ _EXPECTED = "an .inp, .cdb, .bdf, .dat, .nas, .pch or .csv file with the nodes"
 
 
 @dataclass(frozen=True, eq=False)
-class Mesh:
+class NodeMesh:
     """Numbers (n,) and coordinates (n, 3) of the nodes in the file's own unit, node sets by name
     (upper case).
     """
@@ -62,7 +62,7 @@ class Mesh:
         return int(self.node[best])
 
 
-def read_mesh(path: Path) -> Mesh:
+def read_nodes(path: Path) -> NodeMesh:
     """Nodes and node sets of ``path``, by its suffix.
 
     Raises
@@ -73,7 +73,7 @@ def read_mesh(path: Path) -> Mesh:
     if read is None:
         raise UsageError("is no mesh", where=str(path), got=path.suffix, expected=_EXPECTED)
 
-    def mesh(data: bytes) -> Mesh:
+    def mesh(data: bytes) -> NodeMesh:
         nodes, sets = read(data)
         if not nodes:
             raise ValueError("no node in it")
@@ -82,7 +82,7 @@ def read_mesh(path: Path) -> Mesh:
         if not np.isfinite(at).all():
             raise ValueError("a coordinate is not finite")
         node_sets = {name: np.unique(np.array(item, np.int64)) for name, item in sets.items()}
-        return Mesh(str(path), node, at, node_sets)
+        return NodeMesh(str(path), node, at, node_sets)
 
     return parsed(path, _EXPECTED, mesh)
 
@@ -96,7 +96,7 @@ def _lines(data: bytes) -> list[str]:
 
 
 def _point(words: Iterable[str]) -> tuple[float, float, float]:
-    values = [real(word) if word.strip() else 0.0 for word in words][:3]
+    values = [fortran_number(word) if word.strip() else 0.0 for word in words][:3]
     x, y, z = values + [0.0] * (3 - len(values))
     return x, y, z
 
@@ -149,7 +149,7 @@ def _keywords(data: bytes) -> Found:
 def _bulk(data: bytes) -> Found:
     """Nastran."""
     nodes: Nodes = {}
-    for cells in cards(data, "GRID"):
+    for cells in bulk_data_cards(data, "GRID"):
         number, system, *place = (cell.strip() for cell in cells[:5])
         if system not in ("", "0"):
             raise ValueError(f"grid {number} is in coordinate system {system}")

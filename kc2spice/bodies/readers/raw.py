@@ -63,7 +63,7 @@ T = TypeVar("T")
 # --- what is refused ------------------------------------------------------------------------------
 
 
-def refused(path: Path, got: object, expected: str, hint: str = NEXT) -> UsageError:
+def unusable_file(path: Path, got: object, expected: str, hint: str = NEXT) -> UsageError:
     """The error for a file that cannot be used."""
     return UsageError("cannot be used", where=str(path), got=got, expected=expected, hint=hint)
 
@@ -95,7 +95,7 @@ def existing(path: Path, what: str = "a model in this file") -> Path:
         raise absent(path, what)
     size = path.stat().st_size
     if size > MAX_BYTES:
-        raise refused(path, f"{size} bytes", f"at most {MAX_BYTES:.3g}")
+        raise unusable_file(path, f"{size} bytes", f"at most {MAX_BYTES:.3g}")
     return path
 
 
@@ -138,18 +138,18 @@ def bounded(path: Path, letter: str, shape: tuple[int, ...], entries: int | None
     shape = tuple(int(k) for k in shape)
     what = f"matrix {letter} of {' x '.join(map(str, shape))}"
     if len(shape) != 2:
-        raise refused(path, what, "2 dimensions")
+        raise unusable_file(path, what, "2 dimensions")
     if max(shape) > MAX_SIZE or min(shape) < 0:
-        raise refused(path, what, f"at most {MAX_SIZE} rows and columns")
+        raise unusable_file(path, what, f"at most {MAX_SIZE} rows and columns")
     square = letter == "C" and shape[0] == shape[1]  # the damping, under the name it often has
     if letter in WIDE and not square and shape[0] * shape[1] > MAX_WIDE:
-        raise refused(path, what, f"few inputs or outputs, at most {MAX_WIDE} numbers")
+        raise unusable_file(path, what, f"few inputs or outputs, at most {MAX_WIDE} numbers")
     limit = MAX_DENSE if entries == shape[0] * shape[1] else MAX_ENTRIES
     if entries is not None and not 0 <= entries <= limit:
-        raise refused(path, f"{entries} entries in matrix {letter}", f"at most {limit}")
+        raise unusable_file(path, f"{entries} entries in matrix {letter}", f"at most {limit}")
 
 
-def checked(matrix: Any, letter: str, path: Path) -> Matrix:
+def checked_matrix(matrix: Any, letter: str, path: Path) -> Matrix:
     """``matrix`` in double precision, two-dimensional and finite; csc unless few columns. Real,
     but for a stiffness of structural damping.
 
@@ -164,10 +164,10 @@ def checked(matrix: Any, letter: str, path: Path) -> Matrix:
     if data.dtype.kind not in ("fiubc" if letter == "K" else "fiub"):
         what = "complex" if data.dtype.kind == "c" else f"of type {data.dtype}"
         hint = "only a stiffness may be complex, K (1 + j eta)" if data.dtype.kind == "c" else NEXT
-        raise refused(path, f"matrix {letter} is {what}", "a real numeric matrix", hint)
+        raise unusable_file(path, f"matrix {letter} is {what}", "a real numeric matrix", hint)
     bounded(path, letter, matrix.shape, data.size)
     if not np.isfinite(data).all():
-        raise refused(path, f"matrix {letter} holds NaN or infinity", "finite numbers")
+        raise unusable_file(path, f"matrix {letter} holds NaN or infinity", "finite numbers")
     if letter in WIDE:
         plain = matrix.toarray() if sparse.issparse(matrix) else matrix
         return np.asarray(plain, dtype=float)
@@ -267,7 +267,7 @@ _STATE = {"E": ("Mc",), "A": ("MA", "A"), "B": ("MB", "B"), "C": ("C",), "D": ("
 _SECOND = {"M": ("Ec", "E"), "E": ("Dc", "D"), "K": ("Kc", "K"), "B": ("Lc", "L")}
 
 
-def read_archive(path: Path, _: object) -> Raw:
+def read_matrix_archive(path: Path, _: object) -> Raw:
     """Matrices of the archive at ``path``.
 
     Raises

@@ -140,7 +140,7 @@ Letter = Annotated[str, StringConstraints(pattern="^[MEKABCD]$")]
 Inner = Annotated[str, StringConstraints(pattern="^[MEKABCDH]$")]  # H: structural damping, K + j H
 
 
-class Place(Section):
+class NodeSelection(Section):
     """Nodes: by number, by set, or by coordinate."""
 
     node: Node | None = None
@@ -150,7 +150,7 @@ class Place(Section):
     within: Annotated[Finite, Field(ge=0)] | None = None
 
     @model_validator(mode="after")
-    def _one_selector(self) -> Place:
+    def _one_selector(self) -> NodeSelection:
         selectors = [k for k in ("node", "nodes", "nodeset", "at") if getattr(self, k) is not None]
         if len(selectors) > 1:
             hint = f"delete {selectors[0]} or {selectors[1]}"
@@ -174,7 +174,7 @@ class Place(Section):
         return (self.node,) if self.node is not None else self.nodes or ()
 
 
-class Fixed(Place):
+class Fixed(NodeSelection):
     """Freedoms held at zero; ``dof`` empty for all of the nodes."""
 
     dof: Annotated[tuple[Dof, ...], BeforeValidator(_listed)] = ()
@@ -187,7 +187,7 @@ class Fixed(Place):
         return self
 
 
-class PortEntry(Place):
+class PortEntry(NodeSelection):
     """One ``[[ports]]`` table: one way of saying where it acts, and one direction."""
 
     name: Name
@@ -263,7 +263,7 @@ class PortEntry(Place):
         return Port(self.name, self.kind, across=self.unit, pins=self.pins)
 
 
-class Damping(Section):
+class MatrixDamping(Section):
     """``E = alpha M + beta K``, or beta from a ratio at a frequency [Hz]; and the loss factor of
     structural damping, ``K (1 + j loss_factor)``."""
 
@@ -274,7 +274,7 @@ class Damping(Section):
     loss_factor: Annotated[Finite, Field(ge=0)] = 0.0
 
     @model_validator(mode="after")
-    def _either(self) -> Damping:
+    def _either(self) -> MatrixDamping:
         keys = self.model_fields_set - {"loss_factor"}
         if keys & {"ratio", "at"} and keys != {"ratio", "at"}:
             expected = "alpha and beta, or ratio and at [Hz]"
@@ -306,7 +306,7 @@ class Sidecar(Section):
     outputs: Literal["C"] | None = None
     length: Literal["m", "cm", "mm", "um", "in", "ft"] = "m"
     force: Literal["N", "mN", "uN", "kN", "lbf"] = "N"
-    damping: Damping = Damping()
+    damping: MatrixDamping = MatrixDamping()
     _where: str = PrivateAttr("")
 
     @property
@@ -314,7 +314,7 @@ class Sidecar(Section):
         """The file, for errors that show later."""
         return self._where
 
-    def of(self, entry: Place) -> str:
+    def of(self, entry: NodeSelection) -> str:
         """The file and the table that ``entry`` is."""
         for word in ("ports", "fixed"):
             for number, item in enumerate(getattr(self, word)):

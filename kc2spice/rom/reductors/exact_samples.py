@@ -15,7 +15,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from kc2spice.linalg.exact import Solver
+from kc2spice.linalg.exact import RefinedSolver
 from kc2spice.rom.entries import Entries
 from kc2spice.rom.error_estimate import inexact, relative_size
 from kc2spice.rom.intermediate import IntermediateModel
@@ -45,7 +45,7 @@ class Samples:
         self.H = np.empty((0, *pencil.D.shape), dtype=complex)
         n = pencil.size
         self._E = pencil.coefficients[1]
-        self._solver = Solver(*pencil.coefficients)
+        self._solver = RefinedSolver(*pencil.coefficients)
         self._right, self._images = np.empty((n, 0)), np.empty((n, 0))
         self._left = np.empty((n, 0))
 

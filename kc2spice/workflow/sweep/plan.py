@@ -126,7 +126,7 @@ def key_of(name: str, keys: Mapping[str, Key]) -> Key:
     return keys.get(re.sub(r"\[-?\d+\]", "", name), plain)
 
 
-def parse(name: str, text: str, keys: Mapping[str, Key]) -> Values | Draws:
+def parse_range(name: str, text: str, keys: Mapping[str, Key]) -> Values | Draws:
     """The range ``text`` of the key ``name``.
 
     Raises
@@ -184,10 +184,10 @@ def _value(where: str, key: Key, text: str) -> Any:
         raise UsageError("not a whole number", where=where, got=repr(text), expected=expected)
     if key.whole or key.choices or key.unit is None or text[:1] in ("[", "{"):
         return override_value(text)
-    return number(text, key.unit, where)
+    return parse_value(text, key.unit, where)
 
 
-def number(text: str, unit: str, where: str) -> float:
+def parse_value(text: str, unit: str, where: str) -> float:
     """``text`` in the SI unit ``unit``; a plain number is in it already."""
     try:
         return quantity(float(text), unit, where=where)

@@ -145,7 +145,7 @@ class Job:
 
 
 @dataclass(frozen=True)
-class Outcome:
+class PointResult:
     """Numbers of one run, or in one line why there are none.
 
     ``metrics`` by name; ``facts`` are all other numbers of ``result.json`` by dotted path.
@@ -165,13 +165,13 @@ def _overrides(values: Mapping[str, Any]) -> tuple[str, ...]:
     return tuple(f"{k}={toml(v)}" for k, v in values.items() if not PARAMETER.fullmatch(k))
 
 
-def parameters(values: Mapping[str, Any]) -> Parameters:
+def subcircuit_parameters(values: Mapping[str, Any]) -> Parameters:
     """``("PART.NAME", value)`` of a point's subcircuit parameters."""
     result = ((PARAMETER.fullmatch(key), value) for key, value in values.items())
     return tuple((name[1], float(value)) for name, value in result if name)
 
 
-def run_point(job: Job, values: Mapping[str, Any]) -> Outcome:
+def run_point(job: Job, values: Mapping[str, Any]) -> PointResult:
     """Run one point. What goes wrong with it is its outcome; it never ends the sweep.
 
     Raises
@@ -179,9 +179,9 @@ def run_point(job: Job, values: Mapping[str, Any]) -> Outcome:
     MissingToolError : no ngspice here: no point of this machine could succeed.
     """
     try:
-        build, deck = testbench(job, values)
-        changed = (*job.parameters, *parameters(values))
-        build, deck = judged(build, deck, changed), with_parameters(deck, changed)
+        build, deck = build_point(job, values)
+        changed = (*job.parameters, *subcircuit_parameters(values))
+        build, deck = with_changed_parameters(build, deck, changed), with_parameters(deck, changed)
         with tempfile.TemporaryDirectory(prefix="kc2spice-") as directory:
             return _numbers(simulate(build, deck, Path(directory), timeout=job.timeout))
     except MissingToolError:
@@ -190,14 +190,14 @@ def run_point(job: Job, values: Mapping[str, Any]) -> Outcome:
         where = error.where if isinstance(error, UsageError) else None
         got = None if error.got is None else f"got {error.got}"
         text = ", ".join(filter(None, (where, error.message, got))).replace("\n", " ")
-        return Outcome(failure=text, interrupted=bool(_SIGNAL.search(text)) or _disk_is_full())
+        return PointResult(failure=text, interrupted=bool(_SIGNAL.search(text)) or _disk_is_full())
     except OSError as error:
-        return Outcome(failure=f"{error}", interrupted=error.errno in FULL or _disk_is_full())
+        return PointResult(failure=f"{error}", interrupted=error.errno in FULL or _disk_is_full())
     except Exception as error:
-        return Outcome(failure=f"{type(error).__name__}: {error}")
+        return PointResult(failure=f"{type(error).__name__}: {error}")
 
 
-def judged(build: Build, deck: Deck, values: Iterable[tuple[str, float]]) -> Build:
+def with_changed_parameters(build: Build, deck: Deck, values: Iterable[tuple[str, float]]) -> Build:
     """``build`` for metrics and checks of a ``deck`` whose parameters are changed.
 
     A part with a key of that name and value has the changed one; of a part without, whose keys no
@@ -228,7 +228,7 @@ def _disk_is_full() -> bool:
 _lock = threading.Lock()  # threads of one worker must not build the same model side by side
 
 
-def testbench(job: Job, values: Mapping[str, Any]) -> tuple[Build, Deck]:
+def build_point(job: Job, values: Mapping[str, Any]) -> tuple[Build, Deck]:
     """Models and deck; points that differ in subcircuit parameters alone share both."""
     with _lock:
         return _testbench(replace(job, fixed=(*job.fixed, *_overrides(values))))
@@ -239,11 +239,11 @@ def _testbench(job: Job) -> tuple[Build, Deck]:
     return prepared(job.load({}), Clock())
 
 
-def _numbers(run: Run) -> Outcome:
+def _numbers(run: Run) -> PointResult:
     checks = {check.name: check.value for check in run.verdict.checks}
     facts = run.facts
     units = {f"model.{part}": fact_units(row) for part, row in facts["model"].items()}
-    return Outcome(
+    return PointResult(
         _scalars(run.metrics),
         _scalars({**facts, "checks": checks}),
         {**run.units, **dict(leaves(units))},

@@ -51,16 +51,24 @@ from kc2spice.netlist.transforms import with_parameters
 from kc2spice.scene.keys import keys_of
 from kc2spice.scene.load import toml
 from kc2spice.scene.model import Scene, scene_hash
-from kc2spice.workflow.sweep.plan import PARAMETER, Plan, form, key_of, make_plan, number, parse
+from kc2spice.workflow.sweep.plan import (
+    PARAMETER,
+    Plan,
+    form,
+    key_of,
+    make_plan,
+    parse_range,
+    parse_value,
+)
 from kc2spice.workflow.sweep.point import (
     Job,
-    Outcome,
+    PointResult,
     SceneText,
-    parameters,
+    build_point,
     run_point,
     scene_files,
     scene_text,
-    testbench,
+    subcircuit_parameters,
 )
 
 # Opens an executor, and again after it was lost; gives it with the number of its workers.
@@ -182,7 +190,7 @@ create table if not exists sweep (digest text);
 create table if not exists row (point integer primary key, outcome text);
 commit;
 """
-_OUTCOME = TypeAdapter(Outcome)
+_OUTCOME = TypeAdapter(PointResult)
 
 
 class RowStore:
@@ -196,7 +204,7 @@ class RowStore:
     """
 
     def __init__(self, path: Path, points: int, digest: str) -> None:
-        self.path, self.outcomes, self.failed = path, dict[int, Outcome](), set[int]()
+        self.path, self.outcomes, self.failed = path, dict[int, PointResult](), set[int]()
         if path.is_symlink() or (path.exists() and not path.is_file()):
             raise UsageError("is no file of a sweep", where=str(path), hint="remove it")
         try:
@@ -225,7 +233,7 @@ class RowStore:
                 hint="choose another --out, or remove the old one",
             )
 
-    def record(self, point: int, outcome: Outcome) -> None:
+    def record(self, point: int, outcome: PointResult) -> None:
         """Write one row in place of an earlier one of the same point.
 
         Raises
@@ -241,7 +249,7 @@ class RowStore:
             raise UsageError(message, where=str(self.path), hint=hint) from None
         self._keep(point, outcome)
 
-    def _keep(self, point: int, outcome: Outcome) -> None:
+    def _keep(self, point: int, outcome: PointResult) -> None:
         self.outcomes[point] = outcome
         (self.failed.discard if outcome.failure is None else self.failed.add)(point)
 
@@ -250,7 +258,7 @@ class RowStore:
         self._rows.close()
 
 
-def require_columns(outcome: Outcome, names: Sequence[str], scene: str) -> None:
+def require_columns(outcome: PointResult, names: Sequence[str], scene: str) -> None:
     """Raise UsageError if a run of ``scene`` has no such numbers, or none at all to tabulate."""
     known = {**outcome.metrics, **outcome.facts}
     for name in names:
@@ -266,7 +274,7 @@ def require_columns(outcome: Outcome, names: Sequence[str], scene: str) -> None:
 
 
 def columns(
-    outcomes: Mapping[int, Outcome], plan: Plan, metrics: Sequence[str] = ()
+    outcomes: Mapping[int, PointResult], plan: Plan, metrics: Sequence[str] = ()
 ) -> dict[str, list[Any]]:
     """The table: swept keys, ``metrics`` numbers (or every metric that a run has), ``status``.
 
@@ -318,7 +326,7 @@ WRITERS = {"csv": write_csv, "parquet": write_parquet}
 
 
 ROWS, PAGE = "rows.sqlite", "sweep.html"
-LOST = Outcome(failure="its worker process died, twice", interrupted=True)
+LOST = PointResult(failure="its worker process died, twice", interrupted=True)
 
 
 # --- what is asked ------------------------------------------------------------------------------
@@ -393,13 +401,13 @@ def make_sweep(
             ranges[name] = value
             firsts += [] if parameter else [f"{name}={words[0]}"]
         elif parameter:
-            constants.append((parameter[1], number(value, "", f"--set {text!r}")))
+            constants.append((parameter[1], parse_value(value, "", f"--set {text!r}")))
         else:
             fixed.append(text)
     # A range may make a part that the scene does not have without it.
     keys = keys_of(scene.load((*fixed, *firsts)))
     plan = make_plan(
-        {name: parse(name, value, keys) for name, value in ranges.items()},
+        {name: parse_range(name, value, keys) for name, value in ranges.items()},
         zipped=zipped,
         latin=latin,
         seed=seed,
@@ -488,7 +496,7 @@ def _study(name: str) -> _Study | None:
 
 def outcomes(
     definition: Sweep, points: Iterable[int], workers: Workers
-) -> Iterator[tuple[int, Outcome]]:
+) -> Iterator[tuple[int, PointResult]]:
     """Run ``points`` and give each with its outcome as it comes.
 
     Whoever needs a model first builds it into the cache, where all others wait for it. A point that
@@ -501,9 +509,9 @@ def outcomes(
         first good point has nothing for a column.
     MissingToolError : no workers, or no ngspice where they are.
     """
-    ends = [pair for values in definition.plan.ends() for pair in parameters(values)]
+    ends = [pair for values in definition.plan.ends() for pair in subcircuit_parameters(values)]
     if changed := [*definition.job.parameters, *ends]:
-        _, deck = testbench(definition.job, definition.plan.values(0))
+        _, deck = build_point(definition.job, definition.plan.values(0))
         with_parameters(deck, changed)
     again: list[int] = []
     known = False
@@ -521,12 +529,12 @@ def outcomes(
 
 def _completed(
     definition: Sweep, points: Iterable[int], workers: Workers, at_once: int | None = None
-) -> Iterator[tuple[int, Outcome]]:
+) -> Iterator[tuple[int, PointResult]]:
     """Outcomes of ``points`` as they come, no more in flight than keeps all workers busy.
 
     Where a worker dies, all that was in flight is ``LOST``, and the workers are opened again.
     """
-    left, pending = iter(points), dict[Future[Outcome], int]()
+    left, pending = iter(points), dict[Future[PointResult], int]()
     with ExitStack() as opened:
         executor, count = opened.enter_context(workers())
         while True:
@@ -544,16 +552,16 @@ def _completed(
                 yield pending.pop(future), outcome
 
 
-def _submitted(submit: Any, job: Job, values: Mapping[str, Any]) -> Future[Outcome]:
+def _submitted(submit: Any, job: Job, values: Mapping[str, Any]) -> Future[PointResult]:
     try:
-        future: Future[Outcome] = submit(run_point, job, values)
+        future: Future[PointResult] = submit(run_point, job, values)
     except Exception as error:  # raised by an executor without workers
         future = Future()
         future.set_exception(error)
     return future
 
 
-def _result(future: Future[Outcome]) -> Outcome:
+def _result(future: Future[PointResult]) -> PointResult:
     try:
         return future.result()
     except Exception as error:

@@ -18,8 +18,8 @@ import numpy as np
 from kc2spice.core.laws import PortBody
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.equations.networks import Network
-from kc2spice.reference.assemble import System, assemble
-from kc2spice.reference.integrate import Result
+from kc2spice.reference.assemble import System, assemble_system
+from kc2spice.reference.integrate import Trajectory
 from kc2spice.reference.steps import steps
 from kc2spice.scene.model import Build
 from kc2spice.workflow.verify.bodies import held_band
@@ -126,7 +126,7 @@ def full_differences(
     if begin + count * step > stop:
         step = (stop - begin) / count
 
-    systems = [assemble(item.laws, item.joins) for item in (network, reduced)]
+    systems = [assemble_system(item.laws, item.joins) for item in (network, reduced)]
 
     def difference(times: int, label: str) -> Difference:
         with clock.stage("full model", f"{names}: {label}") as share:
@@ -151,7 +151,7 @@ def full_differences(
 
 
 def _still_until(
-    bodies: list[PortBody], run: Result
+    bodies: list[PortBody], run: Trajectory
 ) -> tuple[float, Callable[[System, np.ndarray], np.ndarray] | None]:
     """Return the last time [s] before the load of a body changes, and the state.
 

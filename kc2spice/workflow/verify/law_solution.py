@@ -17,9 +17,9 @@ from kc2spice.equations.networks import Network, law_of
 from kc2spice.equations.replay import networks_to_solve
 from kc2spice.equations.scene_laws import scene_laws
 from kc2spice.reference import equilibrium
-from kc2spice.reference.assemble import assemble
-from kc2spice.reference.integrate import Result, transient
-from kc2spice.reference.linear import ac, noise
+from kc2spice.reference.assemble import assemble_system
+from kc2spice.reference.integrate import Trajectory, solve_transient
+from kc2spice.reference.linear import solve_ac, solve_noise
 from kc2spice.scene.model import Build
 from kc2spice.workflow.meters import WAVE, sweep_values, swept
 
@@ -37,7 +37,7 @@ class Reference:
 
     results: Waveforms
     imbalance: float | None = None
-    runs: tuple[tuple[Network, Result], ...] = ()
+    runs: tuple[tuple[Network, Trajectory], ...] = ()
 
 
 def solve(
@@ -61,8 +61,8 @@ def solve(
         return Reference(solve_steady(networks, build, waves))
     stop = build.scene.stop
     times = np.minimum(np.unique(waves["time"]), stop)
-    systems = [assemble(network.laws, network.joins) for network in networks]
-    results = [transient(system, stop, RTOL, times, progress) for system in systems]
+    systems = [assemble_system(network.laws, network.joins) for network in networks]
+    results = [solve_transient(system, stop, RTOL, times, progress) for system in systems]
     runs = tuple(zip(networks, results, strict=True))
     grid = np.unique(np.concatenate([times, *(run.time for run in results)]))
     data = {"time": grid}
@@ -96,14 +96,14 @@ def _noise(network: Network, build: Build, points: np.ndarray) -> dict[str, np.n
         output = reading(law_pins[name])
     if output is None or law_of(output.terms[0][1]) not in network.names:
         return {}
-    return {WAVE: noise(network.laws, network.joins, output, points)}
+    return {WAVE: solve_noise(network.laws, network.joins, output, points)}
 
 
 def _steady_waves(network: Network, build: Build, points: np.ndarray) -> Mapping[str, np.ndarray]:
     """Waves of the laws over frequency, over a dc sweep, or at the operating point."""
-    system, kind = assemble(network.laws, network.joins), build.scene.analysis.type
+    system, kind = assemble_system(network.laws, network.joins), build.scene.analysis.type
     if kind == "ac":
-        return ac(system, points)
+        return solve_ac(system, points)
     source, values = None, np.zeros(1)
     if kind == "dc":
         part, key, result = swept(build)
@@ -113,6 +113,6 @@ def _steady_waves(network: Network, build: Build, points: np.ndarray) -> Mapping
             values = last - np.sign(last - result.range[0]) * np.abs(values - last)
         source = network.sweeps.get((part.name, key))
     if source is not None:
-        return equilibrium.dc(system, source[0], source[1] * values)
-    point = equilibrium.operating_point(system)
+        return equilibrium.solve_dc(system, source[0], source[1] * values)
+    point = equilibrium.solve_operating_point(system)
     return {name: np.full(values.size, value) for name, value in point.items()}
