@@ -615,7 +615,7 @@ class Bonded:
         return float(fields.min() * thick.sum() if self.floating else (fields * thick).min())
 
     def device(self) -> FiniteElementModel:
-        """Its mesh and full model.
+        """The mesh and the full model of the device.
 
         Raises
         ------

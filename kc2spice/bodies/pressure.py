@@ -23,9 +23,9 @@ of one depth (:func:`indentation_law`), which a circuit evaluates at the cost of
 The other side may be a free elastic :class:`IsotropicSphere` under the same basis, on
 quadrilaterals that grow away from its lowest point. The conformal map ``zeta = w / (1 - i w / 2R)``
 of ``zeta = r + i h`` takes the quarter plane ``w = 2R (tan x/2 + i tan y/2)`` to the half disc, h
-the height above the pole: a grid of the angles x, along the surface, and y, along the axis, has right angles
-everywhere and, at the pole, the lines of the basis. The other pole lies at infinity; there a pit of
-``R / 30`` is left out, 1e-5 of the mass.
+the height above the pole: a grid of the angles x, along the surface, and y, along the axis, has
+right angles everywhere and, at the pole, the lines of the basis. The other pole lies at infinity;
+there a pit of ``R / 30`` is left out, 1e-5 of the mass.
 
 Its displacements are relative to the centre of mass. With the motion t (n,) of the whole along the
 axis and the mass ``m = t' M t``, forces F at the ports B act with the inertia that balances them,
@@ -86,7 +86,7 @@ class PressureBasis(EqualByContent):
 
     @property
     def areas(self) -> np.ndarray:
-        """Their integrals over the plane [m^2]."""
+        """Integrals of the basis functions over the plane [m^2]."""
         return self._moments(0)
 
     @property

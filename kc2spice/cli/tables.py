@@ -29,7 +29,7 @@ INTERRUPTED = 130  # exit code of shells after Ctrl-C
 
 @dataclass(frozen=True)
 class Caller:
-    """Who gave a command: a program that asked for JSON, a person, or one who wants it quiet."""
+    """The reader of the output: a program (JSON), or a person, with progress or quiet."""
 
     as_json: bool
     quiet: bool

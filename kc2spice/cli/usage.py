@@ -172,7 +172,7 @@ def _example(command: Any) -> str:
 
 
 def _words_of(param: Any, typed: list[str]) -> list[str]:
-    """What was typed as the value of an option, where it is given last."""
+    """Words typed as the last value of an option."""
     words: list[str] = []
     for k, word in enumerate(typed):
         if word in param.opts:

@@ -234,7 +234,7 @@ QUANTITIES = _by_quantity()
 
 
 def _pin_units() -> Iterator[tuple[str, str]]:
-    """What 1 V and 1 A mean on each kind of conservative pin."""
+    """Units that 1 V and 1 A represent on each kind of conservative pin."""
     for domain in CONSERVATIVE:
         yield domain.units
         if domain.rate is not None:

@@ -162,7 +162,7 @@ _OTHER_WORDS = {
 
 
 def _other_word(word: str, fields: Sequence[str]) -> str | None:
-    """How to state what ``word`` means where the table has another key for it."""
+    """Suggest the key that the table has for the meaning of ``word``."""
     key, hint = _OTHER_WORDS.get(word.lower(), ("", ""))
     return hint if key in fields else None
 
@@ -170,7 +170,7 @@ def _other_word(word: str, fields: Sequence[str]) -> str | None:
 def _missing(
     schema: type[BaseModel], path: KeyPath, full_path: KeyPath
 ) -> tuple[str | None, str | None]:
-    """What a key that is missing may be, and how to add it."""
+    """Return the values that a missing key accepts, and the line to add."""
     names = tuple(step for step in path if isinstance(step, str))
     unit = next((unit_of(field) for item, field in entries(schema) if item == names), None)
     table = dotted(full_path[:-1])
@@ -357,7 +357,7 @@ def quantity(value: object, si: str, *, where: str | None = None) -> float:
 
 
 def _corrected(value: object, si: str) -> str | None:
-    """What to write instead of a text with a decimal comma or without its unit."""
+    """Return the spelling that replaces a decimal comma or a missing unit."""
     if not isinstance(value, str) or len(value) > _LONGEST:
         return None
     for text in (value.replace(",", ".", 1), f"{value.rstrip()}{si}", f"{value.rstrip()} {si}"):

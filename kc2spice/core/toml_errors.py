@@ -25,7 +25,7 @@ _HEADER = re.compile(r"\s*(\[+)([\w.\-\"' ]+)\]*\s*(?:#.*)?")
 
 @dataclass(frozen=True)
 class _Repair:
-    """What is wrong with a line, and the text that should replace the line ``number``."""
+    """The fault of a line, and the text that replaces the line ``number``."""
 
     problem: str
     number: int
@@ -118,7 +118,7 @@ def _line_number(text: str, message: str) -> int | None:
 
 
 def _reach(lines: Sequence[str], repair: _Repair) -> tuple[float, float]:
-    """How far the parser comes with the repaired line."""
+    """Return the position that the parser reaches with the repaired line."""
     changed = [*lines[: repair.number - 1], repair.line, *lines[repair.number :]]
     text = "\n".join(changed) + "\n"
     try:

@@ -192,7 +192,7 @@ class Winding:
 
     @cached_property
     def cells(self) -> Cells:
-        """Its section in cells."""
+        """Cells of the section of the ring."""
         half, longest = (self.width / 2, self.height / 2), max(self.width, self.height)
         parts = [max(2, round(FINE * side / longest)) for side in (self.width, self.height)]
         r = self.radius - half[0] + self.width * (np.arange(parts[0]) + 0.5) / parts[0]
@@ -256,7 +256,7 @@ class Ladder(EqualByContent):
 
     @property
     def facts(self) -> dict[str, float]:
-        """Its size and its errors; of constant currents nothing is approximated."""
+        """Size and errors of the loops. Constant currents have no approximation error."""
         if not self.rates.size:
             return {}
         known = {"rings": float(self.rings), "loops": float(self.rates.size)}
@@ -296,8 +296,8 @@ def roughness(
     magnets: Sequence[Winding],
     conductivity: float,
 ) -> float:
-    """How far the loops ``ladder`` are from the rings of another ``body``, solved directly up to
-    the frequency of the loops: see :meth:`Answer.apart`."""
+    """Largest relative difference between the loops ``ladder`` and a direct solution of the rings
+    of another ``body``, up to the frequency of the loops: see :meth:`Answer.apart`."""
     half, middle = (ladder.high - ladder.low) / 2, (ladder.high + ladder.low) / 2
     heights = middle + half * chebyshev.chebpts1(PLACES)
     step, worst = 2 * STEP * half, 0.0

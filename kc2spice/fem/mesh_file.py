@@ -409,7 +409,7 @@ def _nodes_on_other_pieces(
 
 
 def _on_simplex(places: np.ndarray, simplices: np.ndarray, near: float) -> np.ndarray:
-    """Which ``places`` (n, d) lie within ``near`` of their simplex (n, corners, d).
+    """Mask of the ``places`` (n, d) that lie within ``near`` of their simplex (n, corners, d).
 
     The foot of the perpendicular is ``s_0 + J t`` with ``J'J t = J'(x - s_0)``.
     """
@@ -428,7 +428,7 @@ def _described(
     blocks: Sequence[np.ndarray],
     owners: Mapping[str, np.ndarray],
 ) -> str:
-    """Where nodes lie, in millimetres, and the groups whose elements they belong to."""
+    """Describe the box of nodes in millimetres, and the groups of their elements."""
     axes = "xyz" if points.shape[1] == 3 else ("radius", "height")
     spans = []
     for axis, values in zip(axes, 1e3 * points[nodes].T, strict=True):

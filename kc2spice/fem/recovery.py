@@ -1,4 +1,4 @@
-"""How far the strain and field of finite elements are from those that they approximate.
+"""Error estimates of the strain and field of finite elements.
 
 Around every corner of the mesh a polynomial is fitted to the strain and field of the elements that
 meet there, by least squares at the points where these are best. Blended by the linear shape
@@ -229,7 +229,7 @@ def _corners(solid: Solid) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _members(number: np.ndarray, count: int) -> sparse.csr_array:
-    """Which elements meet in the corner of each patch (patches, elements)."""
+    """Incidence matrix (patches, elements) of the elements that meet in the corner of a patch."""
     elements = np.repeat(np.arange(len(number)), number.shape[1])
     ones = np.ones(number.size)
     result = sparse.csr_array((ones, (number.ravel(), elements)), shape=(count, len(number)))

@@ -1,4 +1,4 @@
-"""How numbers and names are spelled on a netlist card, and templates that a person reads."""
+"""Spelling of numbers and names on a netlist card, and templates for readable cards."""
 
 from __future__ import annotations
 

@@ -35,7 +35,7 @@ class Card:
     def error(
         self, message: str, got: str = "", expected: str | None = None, hint: str | None = None
     ) -> UsageError:
-        """That something is wrong with it; ``got`` is how it was written unless given."""
+        """The error for this element; ``got`` is by default the element as written."""
         got = got or self.written[:80]
         return UsageError(message, where=self.where, got=got, expected=expected, hint=hint)
 
@@ -94,17 +94,17 @@ class Element(Card):
 
     @cached_property
     def key(self) -> str:
-        """Its name as simulators compare it."""
+        """The name in lower case, as simulators compare names."""
         return self.name.lower()
 
     @cached_property
     def ends(self) -> tuple[str, ...]:
-        """Its nodes as simulators compare them."""
+        """The nodes in lower case, as simulators compare nodes."""
         return tuple(node.lower() for node in self.nodes)
 
     @cached_property
     def settings(self) -> dict[str, str]:
-        """Its parameters by names in lower case."""
+        """Parameters of the element by names in lower case."""
         return {key.lower(): value for key, value in self.parameters.items()}
 
     @cached_property

@@ -247,7 +247,7 @@ class Deck:
 
     @property
     def _usage(self) -> tuple[str, ...]:
-        """How ngspice runs the deck."""
+        """Comment with the command that runs the deck in ngspice."""
         raw, plot = f"{self.name}.raw {self.main}", f"{self.name}_plot.sp"
         return (
             f"* Run it with:  ngspice -b {self.main}  (prints results)",

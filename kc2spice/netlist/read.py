@@ -195,7 +195,7 @@ def _item(s: Statement) -> Item:
 
 
 def _origin(s: Statement) -> dict[str, Any]:
-    """Where a card stands, how it is written, and below which comments."""
+    """File and line of a card, its text, and the comments above it."""
     return {"notes": s.notes, "where": s.where, "written": s.written}
 
 

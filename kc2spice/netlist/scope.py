@@ -116,7 +116,7 @@ def _fill(
 
 
 def _require_same(scope: Scope, what: str, value: str, card: Card) -> None:
-    """That no two files define something differently."""
+    """Raise UsageError if two files define a name differently."""
     what, value = what.lower(), value.lower()
     first, place = scope.defined.setdefault(what, (value, card))
     files = {item.where.rpartition(":")[0] for item in (place, card)}

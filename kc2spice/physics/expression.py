@@ -133,22 +133,22 @@ def names(tree: Tree) -> frozenset[str]:
 
 
 def plus(*trees: Tree) -> Tree:
-    """Their sum in plain form."""
+    """The simplified sum of two expressions."""
     return tidy(_joined("+", (ZERO, *trees)))
 
 
 def minus(first: Tree, second: Tree) -> Tree:
-    """Their difference in plain form."""
+    """The simplified difference of two expressions."""
     return tidy(Binary("-", first, second))
 
 
 def times(*trees: Tree) -> Tree:
-    """Their product in plain form."""
+    """The simplified product of two expressions."""
     return tidy(_joined("*", (ONE, *trees)))
 
 
 def over(first: Tree, second: Tree) -> Tree:
-    """Their quotient in plain form."""
+    """The simplified quotient of two expressions."""
     return tidy(Binary("/", first, second))
 
 
@@ -230,7 +230,7 @@ def _step(value: Tree) -> Tree:
 
 
 def _ends(value: Tree) -> tuple[Tree, Tree]:
-    """How far ``value`` is above 1, and below -1."""
+    """Excess of ``value`` above 1, and below -1."""
     return minus(value, ONE), minus(Unary("-", value), ONE)
 
 
@@ -413,7 +413,7 @@ class _Python(Writer):
 
 
 def _python(function: str) -> str:
-    """Its name in Python; a table may be named like a key."""
+    """Name of a table in Python, distinct from that of a key."""
     known = function in _SCOPE or function in _NUMPY
     return _NUMPY.get(function, function) if known else f"table_{function}"
 

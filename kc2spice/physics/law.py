@@ -82,7 +82,7 @@ class DeclaredLaw(Device):
         return result | dict.fromkeys((*only, *d.outputs), "signal")
 
     def _minus(self, b: Branch) -> str:
-        """Its lower pin; nothing where that is the reference of another kind of branches."""
+        """Lower pin of a branch; empty if it is the reference of another kind of branches."""
         return b.minus if self._kinds[b.minus] == self._kinds[b.plus] else ""
 
     @property

@@ -35,7 +35,7 @@ _UNEXPLAINED = 1e-3  # share of what pins bring in that the steps of a run may l
 
 
 def settling(part: Part, scene: Scene) -> Iterator[Numerics]:
-    """Where a sweep begins each point at the one before, Newton's method stops at once."""
+    """Tighter tolerance of Newton's method in sweeps, whose points begin at the previous one."""
     if scene.analysis.type in ("dc", "op"):
         change = "1e-6", "change at which Newton's method stops: nonlinear parts"
         yield Numerics(part.name, options={"reltol": change})
@@ -145,7 +145,7 @@ class DeclaredPart(PartType):
     # --- what a run says --------------------------------------------------------------------
 
     def checks(self, part: Part, build: Build, waves: Waveforms) -> Iterator[Any]:
-        """Its limits, strikes, and what pins bring in against what is stored and lost."""
+        """Limits, impacts, and the balance of the energy through pins, stored energy and losses."""
         d = self.built(part, build)
         known = {} if "frequency" in waves else self._seen(part, build, waves)
         yield from _limit_checks(d, part, known)

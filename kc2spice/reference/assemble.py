@@ -34,7 +34,7 @@ class Attached:
     first: int  # place of its outputs among those of all devices
 
     def out(self, e: np.ndarray, rate: np.ndarray, mode: Any) -> np.ndarray:
-        """Its outputs (k,), with the rates of its charges, for inputs ``e`` of this ``rate``."""
+        """Outputs (k,), with the rates of charges, for inputs ``e`` of this ``rate``."""
         law, result = self.law, self.law.evaluate(e, mode)[0]
         if law.charged:
             result = result.copy()

@@ -271,8 +271,10 @@ class _Plot(NamedTuple):
 
     @property
     def finite(self) -> np.ndarray:
-        """Which rows are; of the scale, the first column, only the real part counts: ngspice leaves
-        the imaginary part of a frequency to what its stack holds."""
+        """Mask of the rows with finite numbers only.
+
+        Of the scale, the first column, only the real part counts, because ngspice does not
+        initialise the imaginary part of a frequency."""
         return np.isfinite(self.table[:, 0].real) & np.isfinite(self.table[:, 1:]).all(axis=1)
 
     def columns(self, points: int) -> dict[str, np.ndarray]:

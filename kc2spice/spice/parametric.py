@@ -148,7 +148,7 @@ def _expressions(model: Varying, parameters: Sequence[Param]) -> Iterator[Line]:
         terms.append("".join(factors))
 
     def polynomial(c: np.ndarray) -> str:
-        """Its text; what is zero is left out."""
+        """Text of the polynomial without its zero terms."""
         words = [
             f"{value:+.12g}" + (f"*{term}" if term else "")
             for value, term in zip(c, terms, strict=True)

@@ -672,7 +672,9 @@ def _resonators(
     weights: StepWeights,
     noise: bool,
 ) -> tuple[list[str], list[Line]]:
-    """With ``z_j'' + d_j z_j' + w_j^2 z_j = sum_k g_jk u_k`` and ``s_j = max_k |g_jk|`` over the
+    """Cards of the resonators in modal coordinates.
+
+    With ``z_j'' + d_j z_j' + w_j^2 z_j = sum_k g_jk u_k`` and ``s_j = max_k |g_jk|`` over the
     mechanical ports, the states are ``q_j = s_j z_j`` and ``p_j = q_j' / w_j`` in um (or, of a
     model without mechanical ports, in uC)::
 

@@ -416,7 +416,7 @@ class _Body:
 
 @dataclass(frozen=True, eq=False)
 class _End:
-    """Where a descent ended: values, the linearised problem there, its reduced model's box."""
+    """Result of a descent: values, the linearised problem there, and the parameter range."""
 
     values: dict[str, float]
     solved: OptimizeResult

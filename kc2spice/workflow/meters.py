@@ -225,7 +225,7 @@ def require_probed(build: Build) -> None:
 
 
 def _abbreviated(name: str, choices: Sequence[str]) -> str | None:
-    """What to write instead of ``r2.voltage`` where a result is called ``r2.v``."""
+    """Return the name of a result for a long spelling, such as ``r2.v`` for ``r2.voltage``."""
     near = [choice for choice in choices if name.startswith(choice)]
     near = near or [choice for choice in choices if choice.startswith(f"{name}.")][:1]
     return f"did you mean {max(near, key=len)!r}?" if near else None

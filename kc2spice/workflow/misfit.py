@@ -1,4 +1,4 @@
-"""How far a fitted model is from its data: standard errors, and the likely cause of a misfit.
+"""Standard errors of a fitted model, and the likely cause of a misfit.
 
 In go the residuals ``r`` of a fit in units of the noise, real parts before imaginary parts, and
 their Jacobian J. With n values, k keys and the misfit ``m = sqrt(r'r / (n - k))``:

@@ -223,7 +223,7 @@ class Estimate:
         return max(self.errors.values(), default=math.inf)
 
     def record(self) -> dict[str, Any]:
-        """Its row of ``result.json``."""
+        """Row of this estimate in ``result.json``."""
         return {
             "settings": dict(self.settings),
             "errors": dict(self.errors),

@@ -85,7 +85,7 @@ def _networks(build: Build) -> tuple[list[Network], tuple[str, ...]]:
 
 
 def _motion(network: Network, stop: float) -> ExponentialSolution | None:
-    """Its motion, linearised at rest; None where that has none, or is too large."""
+    """Motion of a network, linearised at rest; None if it is too large or has no solution."""
     from kc2spice.reference.assemble import assemble_system  # which loads scipy
     from kc2spice.reference.linear import Linear
 

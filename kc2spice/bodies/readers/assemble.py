@@ -127,7 +127,7 @@ class Rows:
 
     @property
     def size(self) -> int:
-        """How many rows there are."""
+        """Number of rows."""
         return int(self.matrices["K" if "K" in self.matrices else "A"].shape[0])
 
     def dofs(self, where: str) -> Dofs:

@@ -305,7 +305,7 @@ _SQUARE, _SYMMETRIC = 1, 6
 
 
 def choose(names: list[str], requested: Mapping[str, str], path: Path) -> dict[str, str]:
-    """Which of the file's matrices stands for which letter.
+    """Assign matrices of the file to the letters M, E, K, A, B, C, D.
 
     Raises
     ------

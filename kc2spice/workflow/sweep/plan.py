@@ -239,7 +239,7 @@ class Plan:
         return [self.values(place) for place in dict.fromkeys(places)]
 
     def distinct(self, keys: Sequence[str]) -> int:
-        """How many combinations of values the given keys take in all points."""
+        """Number of combinations of values of the ``keys`` in all points."""
         blocks = (
             [map(repr, v) for key, v in block.items() if key in keys] for block in self.blocks
         )

@@ -364,8 +364,8 @@ class Sweep:
 
     @property
     def runs(self) -> dict[str, int]:
-        """How many decks and ngspice runs there will be; points that differ in parameters of
-        subcircuits alone share a deck."""
+        """Numbers of decks and ngspice runs. Points that differ only in parameters of subcircuits
+        share a deck."""
         keys = [key for key in self.plan.keys if not PARAMETER.fullmatch(key)]
         return {"netlists": self.plan.distinct(keys), "ngspice": self.plan.size}
 
