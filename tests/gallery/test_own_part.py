@@ -17,7 +17,7 @@ def blocks(language):
 
 @pytest.fixture(scope="module")
 def package(tmp_path_factory):
-    """What a reader installs: the file, and the entry point of its ``pyproject.toml``."""
+    """Package of a reader: the file, and the entry point of its ``pyproject.toml``."""
     folder = tmp_path_factory.mktemp("package")
     part, *_ = blocks("python")
     entry, scene = blocks("toml")

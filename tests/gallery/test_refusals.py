@@ -1,4 +1,4 @@
-"""What was accepted in silence and never made sense: refused before a run, by name."""
+"""Refusal of meaningless input before a run, by name."""
 
 import pytest
 from typer.testing import CliRunner
@@ -72,7 +72,7 @@ def test_more_than_ten_million_points_are_told_before_the_run(keys):
 
 
 def test_a_raw_file_that_grows_beyond_its_limit_ends_the_run(monkeypatch, tmp_path):
-    """Its steps are shorter than the largest: nobody could know."""
+    """Steps shorter than the largest one make the file larger than expected."""
     monkeypatch.setattr(ngspice, "LARGEST_RAW", 400_000.0)
     drive = {"part": "source", "pulse": {"high": 1.0, "width": 5e-7, "edge": 1e-8, "period": 1e-6}}
     with pytest.raises(SimulationError, match="grows beyond its limit"):

@@ -92,7 +92,7 @@ def fine(model, band, found):
 
 
 def clear(points, band, found):
-    """Those of the ``points`` in the band, at zero none, that keep clear of undamped poles."""
+    """Select nonzero ``points`` in the band that are not close to an undamped pole."""
     at = found.imag[np.abs(found.real) < SHARP * found.imag] / (2 * np.pi)
     points = np.unique(points[(points >= band[0]) & (points <= band[1]) & (points > 0)])
     return points[(np.abs(points[:, None] - at) >= 0.99 * FLANK * at).all(axis=1)]

@@ -38,7 +38,7 @@ PARTS = {
 
 
 def measured(scene, part, true, band, noise, seed, points=150):
-    """What an analyser would see of a body: a small model is solved at every frequency."""
+    """Admittance of a body: a small model is solved at every frequency."""
     changed = kc.load_scene(scene, {f"{part}.{key}": value for key, value in true.items()})
     model = kc.build(changed)[part].select(["anode"])
     f = np.linspace(*band, points)

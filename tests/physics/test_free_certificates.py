@@ -91,7 +91,7 @@ def steel_rod(length=0.1, width=0.01):
 
 @pytest.mark.parametrize("ratio", [pytest.param(1e-3, marks=pytest.mark.slow), 1e-6])
 def test_a_free_rod_of_bricks_keeps_the_form_that_proves_it_stable(ratio):
-    """What rounding of large matrices leaves of its free motions would hide the form."""
+    """Rounding errors in the rigid-body modes of large matrices would hide the form."""
     M, K, B = steel_rod()
     beta = ratio / (np.pi * 25e3)
     full = LinearModel(M=M, K=K, B=B, rayleigh=(0.0, beta))

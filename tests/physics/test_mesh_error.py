@@ -1,4 +1,4 @@
-"""What bodies state as the error of their mesh, against the same bodies on finer meshes."""
+"""Estimated mesh errors of bodies, against the same bodies on finer meshes."""
 
 import shutil
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""What parts other than piezoelectric bodies state of their mesh or rings, against finer ones."""
+"""Estimated mesh errors of other parts, against finer meshes or rings."""
 
 import tomllib
 
@@ -29,7 +29,7 @@ UNKNOWN = "mesh: error not estimated, because the matrices state no mesh"
 
 
 def stated(tables, name, overrides=None):
-    """What ``explain``, the result and the header state of one part."""
+    """Statements of ``explain``, of the result and of the header about one part."""
     build = build_models(load_scene(tables, overrides or {}), Clock())
     part = build.scene.parts[name]
     (detail,) = (row["detail"] for row in plan(build)["parts"] if row["part"] == name)

@@ -1,4 +1,4 @@
-"""What holds the bottom face of the chip: closed-form limits, and values of the usual chip."""
+"""Mounting of the bottom face of the chip: closed-form limits, and values of the usual chip."""
 
 import numpy as np
 import pytest

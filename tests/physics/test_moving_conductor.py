@@ -67,7 +67,7 @@ def test_a_coil_over_a_plate_sees_the_integral_of_dodd_and_deeds():
 
 
 def over_a_plate(coil: Winding, thick: float, hertz: float, conductivity: float) -> complex:
-    """What an endless plate below y = 0 adds to the inductance of a coil (Dodd and Deeds)."""
+    """Change of a coil's inductance by an infinite plate below y = 0 (Dodd and Deeds)."""
     inner, outer = coil.radius - coil.width / 2, coil.radius + coil.width / 2
     lift, s = coil.y - coil.height / 2, 2j * np.pi * hertz
 

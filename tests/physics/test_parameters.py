@@ -161,7 +161,7 @@ def thin_plate(values: dict) -> LinearModel:
 
 
 def test_polynomials_of_a_thin_plate_have_a_higher_degree():
-    """What polynomials of degree 6 miss of the stiff spring changes the soft motion by 70 %."""
+    """The error of polynomials of degree 6 in the stiff spring changes the soft motion by 70 %."""
     found = over_box(thin_plate, [Axis("a", 0.7, 1.4)], (0.0, 2 / (2 * np.pi)), 1e-2)
     f = np.linspace(0.1, 1, 200) * found.certificate.band_hz[1]
     for a in np.linspace(0.7, 1.4, 41):
@@ -225,7 +225,7 @@ def test_the_norm_of_a_scene_is_that_of_its_box(monkeypatch):
 
 
 def test_matrices_have_no_parameters_and_a_box_no_matrices():
-    """What has them instead is named."""
+    """The error names the parts that have parameters."""
     full = oscillators(0.1)({"a": 1.0})
     with pytest.raises(UsageError, match=r"have no parameters to vary") as told:
         kc.reduce(full, tolerance=1e-3, parameters={"a": (0.7, 1.4)})
@@ -253,7 +253,7 @@ def test_bad_boxes_are_told_before_any_mesh(parameters, word, monkeypatch):
 
 
 def test_noise_of_a_box_is_refused():
-    """Its losses would have no noise, and the sum of a noise analysis would be too small."""
+    """Losses without noise would make the sum of a noise analysis too small."""
     scene = _with({KEY: ["0.11 mm", "0.13 mm"]})
     scene["drive"] = {"part": "resistor", "resistance": "1 MOhm",
                       "pins": {"a": "disc.anode", "b": "gnd"}}  # fmt: skip
@@ -265,7 +265,7 @@ def test_noise_of_a_box_is_refused():
 
 
 def test_a_soft_mode_below_a_stiff_one_is_refused_over_a_box():
-    """Its squared frequency is 1e-8 of the next: parameters take it for a rigid-body mode."""
+    """A mode with 1e-8 of the next squared frequency looks like a rigid-body mode."""
 
     def full(values: dict) -> LinearModel:
         ports = (Port("one", "mechanical"),)

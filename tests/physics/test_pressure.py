@@ -52,7 +52,7 @@ def modulus(stiffness):
 
 
 def without_mean(S):
-    """What no rigid motion, nor an indentation far wider than the basis functions, changes."""
+    """Remove rigid motions and indentations far wider than the basis functions."""
     n = len(S)
     free = np.eye(n) - 1 / n
     return free @ S @ free

@@ -96,7 +96,7 @@ def test_a_small_entry_that_symmetry_does_not_make_zero_counts_as_it_is():
 
 
 def test_a_large_sparse_brick_with_a_mirror_plane_is_reduced():
-    """Its subspace comes from Krylov vectors: y and z stay apart there too."""
+    """Krylov vectors of the subspace keep motions in y and z apart too."""
     n = 700
     K = block_diag(chain(n, 4e6), chain(n, 5e6))
     rotation = np.kron([[np.cos(0.3), -np.sin(0.3)], [np.sin(0.3), np.cos(0.3)]], np.eye(n))

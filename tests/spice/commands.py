@@ -33,7 +33,7 @@ def python(folder, *words, path=()):
 
 
 def typed(folder, commands, path=()):
-    """What ``kc2spice`` says to commands that are lists of words, one after the other."""
+    """Output of ``kc2spice`` for commands that are lists of words, one after the other."""
     return python(folder, "-c", EACH, json.dumps(commands), path=path)
 
 
@@ -49,7 +49,7 @@ def session(leader):
 
 
 def asked(*words, code=0):
-    """What a command says in this process: the record under ``--json``, else all of its text."""
+    """Output of a command in this process: the record with ``--json``, otherwise all text."""
     done = CliRunner().invoke(app, list(map(str, words)))
     assert done.exit_code == code, done.output
     assert "Traceback" not in done.output

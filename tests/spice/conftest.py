@@ -62,13 +62,13 @@ def scene():
 
 @pytest.fixture(scope="session")
 def loop(scene, model, table):
-    """Its deck."""
+    """Deck of the loop."""
     return device.deck_of(scene, model, table)
 
 
 @pytest.fixture(scope="session")
 def waves(loop, tmp_path_factory):
-    """What ngspice makes of it."""
+    """Waves of ngspice for the loop."""
     return run_deck(loop, tmp_path_factory.mktemp("loop"))
 
 

@@ -82,7 +82,7 @@ def models(scene, *sets):
 
 
 def both(scene, folder):
-    """What ngspice and the independent integrator make of a scene, and its failed checks."""
+    """Waves of ngspice and of the independent integrator for a scene, and its failed checks."""
     build = models(scene)
     waves = run_deck(make_deck(build), folder)
     failed = [check for check in verdict(waves, build).checks if not check.passed]

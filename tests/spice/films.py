@@ -1,4 +1,4 @@
-"""What tests of squeezed films share: a plate on its spring, driven far above the cut-off."""
+"""Shared setup for squeezed films: a plate on its spring, driven far above the cut-off."""
 
 # Three terms of the series of this film damp four times too much.
 FILM = """

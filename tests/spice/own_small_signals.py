@@ -206,8 +206,8 @@ def explicit(rate, read, states, level, pushed):
 
 
 def settled(system, level, y, time):
-    """Where ``y' = residual`` comes to rest: by Newton's method if it is stable and near, otherwise
-    by integration; and whether it snapped there."""
+    """Equilibrium of ``y' = residual``: by Newton's method if it is stable and near, otherwise by
+    integration; and whether the state snapped to another branch."""
     found = system.rest(level, y)
     plain = np.allclose(system.E, np.eye(len(y)))
     if found is not None and not plain:

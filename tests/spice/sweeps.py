@@ -1,4 +1,4 @@
-"""What tests of sweeps share: a circuit of milliseconds, the command line, tables."""
+"""Shared tools for sweeps: a circuit of milliseconds, the command line, tables."""
 
 import csv
 import sys

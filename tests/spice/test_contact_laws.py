@@ -37,7 +37,7 @@ def test_restitution_is_that_of_hunt_and_crossley(damping, law, tmp_path):
 
 @pytest.mark.parametrize("angle", [60.0, 180.0])
 def test_a_sphere_in_a_groove_leans_on_both_flanks(angle, tmp_path):
-    """Its weight is held by flanks that are approached by s x and push along the axis with s."""
+    """Flanks approach the sphere by s x, and push along the axis with s times their force."""
     scene = load_scene({
         "name": "groove", "gravity": 9.81, "sphere": {"part": "sphere"},
         "contact": {"part": "contact", "a": "gnd", "penalty": 1e6, "groove": angle},

@@ -1,4 +1,4 @@
-"""What a user's netlist may not say to the rest of a deck, and what it may."""
+"""Commands for the whole deck that a user's netlist must not contain, and those that it may."""
 
 import pytest
 from device import built

@@ -103,7 +103,7 @@ def example(name):
 
 
 def printed(name, dialect):
-    """Its library, or its plain cards in the deck with pins as nodes."""
+    """Library of the part, or its plain cards in the deck with pins as nodes."""
     scene, part = example(name)
     deck = kc.deck(scene)
     files = deck.files if dialect == "ngspice" else dialect_files(deck, dialect)
@@ -170,7 +170,7 @@ def test_the_printed_text_is_what_is_stated(name, dialect):
 
 
 def inputs(own, state, rates, drops):
-    """What a law sees, by the order of its taps and states, and the rates of that."""
+    """Inputs of a law in the order of its taps and states, and their rates."""
     rows = [
         (drops[b.name], 0.0) if b.kind in FLOWS else (state[b.name], rates[b.name])
         for b in own.declaration.branches

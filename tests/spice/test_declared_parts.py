@@ -124,7 +124,7 @@ def test_a_voice_coil_at_large_strokes():
 
 
 def test_a_voice_coil_at_small_signals():
-    """Its impedance is ``R + s L + s Bl^2 / (m s^2 + c s + 1 / Cms)``."""
+    """The impedance is ``R + s L + s Bl^2 / (m s^2 + c s + 1 / Cms)``."""
     scene = {
         "name": "coil",
         "coil": {**COIL, "pins": {"plus": "drive.out", "a": "cone.a"}},

@@ -251,7 +251,7 @@ def flat(x, *points):
 
 
 def logic(v, b, c, k):
-    """What ngspice computes: whatever is not zero is true."""
+    """Logic as ngspice computes it: every number but zero is true."""
     return 3.0 if (v > 1 or c == 0) and b != 0 and k != 7 else -2.0
 
 

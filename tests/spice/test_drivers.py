@@ -147,8 +147,8 @@ Lcoils middle ret {LOAD.inductance}
 
 
 def test_linear_drive_closes_like_one_pole(header, tmp_path):
-    """Its amplifier of five times the bandwidth adds 2 % to the pole, the command that goes past
-    the controller 3 % well below it."""
+    """The amplifier of five times the bandwidth adds 2 % to the pole. The command that bypasses
+    the controller adds 3 % well below the pole."""
     part = LinearDrive().netlist(header, "linear", *LinearDrive().for_load(LinearKeys(), LOAD))
     cards = f"""Vwanted wanted 0 AC 100
 Xdriver wanted drive ret 0 linear

@@ -51,7 +51,7 @@ def test_a_body_follows_a_jump_by_what_of_it_has_no_inertia(light, D, found):
 
 
 def test_two_masses_on_a_spring_keep_their_momentum(tmp_path):
-    """Their centre flies on; about it they swing with ``sqrt(k (1 / m1 + 1 / m2))``."""
+    """The centre of mass keeps its velocity; masses swing with ``sqrt(k (1 / m1 + 1 / m2))``."""
     other = {"part": "mass", "mass": 2 * MASS}
     join = {"part": "spring", "stiffness": 1.0, "pins": {"a": "box.a", "b": "other.a"}}
     tables = {"box": BOX | {"velocity": 1.0}, "other": other, "join": join,

@@ -42,7 +42,7 @@ STEP = 1e-9  # s, of the oracle
 
 @dataclass(frozen=True)
 class Ran:
-    """What a command left: its printed record, its files, and the scene that it ran."""
+    """Results of a command: its printed record, its files, and the scene that it ran."""
 
     record: dict[str, Any]
     folder: Path
@@ -209,7 +209,7 @@ kicked("50 ms of flight after a kick", "height", "solver.stop=50 ms", error=para
 
 
 def charge(ran):
-    """What an ideal source puts on the chip within a microsecond, by modes in closed form."""
+    """Charge of the chip from an ideal source within a microsecond, by modes in closed form."""
     omega, gain, clamped = modes()
     chip, waves, span = (
         load_scene(ran.scene, list(ran.settings)).parts["kick"].keys,

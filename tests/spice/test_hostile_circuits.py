@@ -39,7 +39,7 @@ def traced(command, log, **options):
 
 
 def acts(calls, program):
-    """What is touched beside the system and the deck's own files, and programs but ``program``.
+    """Files touched outside the system and the deck's files, and programs other than ``program``.
 
     The product may read what a circuit includes: how else could it refuse it? Nobody writes there.
     """

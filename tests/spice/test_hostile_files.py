@@ -108,7 +108,7 @@ def test_every_other_file_lies_beside_its_scene(table, name, home):
 
 @pytest.mark.parametrize("name", sorted(meshes.good()))
 def test_an_honest_mesh_is_read_in_every_format(name, home):
-    """Its mass is that of 12 x 3 x 2 mm of steel."""
+    """The mass is that of 12 x 3 x 2 mm of steel."""
     data, more = meshes.good()[name]
     (home / name).write_bytes(data)
     mesh_scene(home, name, more)

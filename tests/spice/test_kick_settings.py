@@ -62,7 +62,7 @@ def test_random_settings_are_solved_or_leave_the_table(number, tmp_path):
 @pytest.mark.slow
 @pytest.mark.parametrize("number", [23, 30, 58, 87])
 def test_lightly_damped_kicks_take_enough_states(number, tmp_path):
-    """With the order of the scene, the launch of setting 87 is 0.7 % off."""
+    """The order of the scene gives an error of 0.7 % for the launch of setting 87."""
     word, chosen, run = outcome(number, tmp_path)
     apart = confirmed(word, chosen, run)
     assert word == SOLVED

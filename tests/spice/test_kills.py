@@ -50,7 +50,7 @@ def hashes(out):
 
 
 def assert_whole(command, out):
-    """What a reader would take for a result is one, all of one run."""
+    """Files that look like a result are complete and all of one run."""
     entry = {"run": "result.json", "export": "impact.cir", "sweep": "sweep.csv"}[command]
     if not (out / entry).exists():
         return False

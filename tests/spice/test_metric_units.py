@@ -119,7 +119,7 @@ def test_a_damping_is_no_length(tmp_path):
 
 @dataclass
 class Metrics:
-    """What an error estimate reads of a run."""
+    """The attributes of a run that an error estimate reads."""
 
     values: dict[str, np.ndarray]
     units: dict[str, str]

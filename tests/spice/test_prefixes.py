@@ -57,7 +57,7 @@ def test_ngspice_reads_the_same_double(kind, tmp_path):
 
 
 def test_plain_prefixes_would_be_other_doubles(tmp_path):
-    """What this module is for: 100n is not 1e-07."""
+    """Plain prefixes round differently: 100n is not 1e-07."""
     one, other = read_by_ngspice("value", ["1e-07", "100n"], tmp_path)
     assert one != other
 

@@ -153,7 +153,7 @@ def require_within(found, exact, part, peak=None):
 
 
 def refused(action, *words, **options):
-    """What an export gives; a case that it refuses with a reason is no result."""
+    """Result of an export; skip the test if the export is refused with a reason."""
     try:
         return action(*words, **options)
     except GateMissedError as error:

@@ -466,7 +466,7 @@ def driver(d):
 
 
 def sensor(d):
-    """What a position sensor says of a mass: one pole and an offset."""
+    """Output of a position sensor at a mass: one pole and an offset."""
     masses = motion(d)
     band, offset = d.f * d.value(0.5, 50), d.value(0.1, 10) * 1e-6
     one = d.part("sensor", bandwidth=band, offset=offset, pins={"of": f"{masses[-1]}.a"})

@@ -1,4 +1,4 @@
-"""What a run says of its reduced bodies: how far off they are, and that they do not grow."""
+"""Checks of reduced bodies in a run: their error, and no growing motions."""
 
 import json
 

@@ -69,7 +69,7 @@ SMALL = ("kick.layers=2", "kick.mesh.sectors=4", "kick.mesh.rings=1", "kick.mesh
 
 
 def scaled(waves):
-    """With all contact forces one per cent larger."""
+    """Copy of ``waves`` with all contact forces one per cent larger."""
     more = {name: 1.01 * each for name, each in waves.data.items() if ".force" in name}
     return Waveforms(waves.data | more, waves.stats)
 
@@ -112,7 +112,7 @@ def test_each_solution_is_compared_with_both_others(wrong, tmp_path, monkeypatch
 
 
 def test_points_that_steps_do_not_resolve_are_not_compared():
-    """Those within the step of an event, and beside a step whose end only one model is at."""
+    """Excluded are points within the step of an event, and beside a step of one model only."""
     steps = Difference(np.arange(6.0), {}, np.arange(6) == 4, (0.5,))
     points = np.array([0.0, 0.2, 0.8, 1.0, 2.9, 3.0, 4.5, 5.0])
     assert steps.resolved(points).tolist() == [True, *2 * [False], *2 * [True], *3 * [False]]

@@ -63,7 +63,7 @@ def linearised(parts, part, at, x, params):
     flows = {name: f"flow(br_{name})" for kind, name, *_ in network.elements if kind == "V"}
 
     def stamps(x):
-        """What flows out of every node, and rows of voltages."""
+        """Currents out of every node, and rows of voltages."""
         f, q = np.zeros((2, len(at)), dtype=complex)
         known = {name: x[k] for name, k in at.items()}
         known |= {f"I {name}": x[at[flow]] for name, flow in flows.items()}

@@ -37,7 +37,7 @@ LATE = {"numpy", "scipy", "pydantic", "jinja2"}
     ids=["help", "run with cached models", "its body"],
 )
 def test_what_answers_at_once_loads_nothing_heavy(module, heavy):
-    """What keeps --help and a run with another gain quick, without timing them."""
+    """Few imports keep ``--help`` and a run with another gain quick."""
     code = f"import sys, kc2spice.{module}; print(sorted({heavy!r} & set(sys.modules)))"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "[]"

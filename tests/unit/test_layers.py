@@ -50,7 +50,7 @@ def package(dotted):
 
 @cache
 def walked(path):
-    """What stands at the top level of a module, and its imports and constants."""
+    """Nodes at the top level of a module, its imports and its constants."""
     tree = ast.parse(path.read_text(encoding="utf-8"))
     kinds = ast.Import | ast.ImportFrom | ast.Constant
     return set(tree.body), [node for node in ast.walk(tree) if isinstance(node, kinds)]

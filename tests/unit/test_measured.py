@@ -272,7 +272,7 @@ def test_an_amplifier_has_no_passive_model(tmp_path):
 
 
 def test_open_and_short_circuits_are_refused_without_a_warning(tmp_path):
-    """What deviations are relative to is not zero; ports that couple nothing are still measured."""
+    """Deviations are relative to a nonzero scale; ports without coupling are still measured."""
     Y = admittance()
     gone = Y * (np.arange(len(F)) != 7)
     f = F[:60]

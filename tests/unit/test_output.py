@@ -211,7 +211,7 @@ def test_files_that_a_foreign_record_lists_stay(tmp_path):
 
 
 def test_an_export_spares_what_another_deck_there_includes(tmp_path):
-    """Its own deck may be written anew; another scene's would run another part in silence."""
+    """An export overwrites its earlier deck, but no library of another scene's deck."""
 
     def exported(name, radius):
         scene = load_scene({"name": name, "sphere": {"radius": radius}, "solver": {"stop": 1e-3}})

@@ -1,4 +1,4 @@
-"""Where keys of parts begin to be refused, and what the neighbours of a refused number are."""
+"""Limits of the keys of parts: refused numbers, and accepted numbers next to them."""
 
 import pytest
 

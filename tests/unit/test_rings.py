@@ -1,4 +1,4 @@
-"""Which rings a scene keeps, against the paper's chip and closed forms."""
+"""Rings that a scene needs, against the paper's chip and closed forms."""
 
 import pytest
 
@@ -7,7 +7,7 @@ from kc2spice.scene.load import load_scene
 
 
 def rings_of(scene, chip="kick"):
-    """How many of its rings a chip has as pins."""
+    """Number of rings that are pins of a chip."""
     pins = [pin for part, pin in scene.nets if part == chip]
     count = len(pins) - 3
     assert pins == ["anode", "cathode", *(f"ring{k}" for k in range(count)), "base"]

@@ -1,4 +1,4 @@
-"""What is made of a simulator's words, files and failures, with a program in its place."""
+"""Interpretation of a simulator's output, files and failures, with a program in its place."""
 
 import os
 

@@ -1,4 +1,4 @@
-"""What a sweep would run: ranges in their units, draws, points in order, shared models."""
+"""Plan of a sweep: ranges in their units, random samples, order of points, shared models."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""What a verification compares: every wave and pair of a gate, points, metrics without a unit."""
+"""Comparisons of a verification: waves and pairs of a gate, points, metrics without a unit."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""What the hard cases share: how one is declared and run, and their scenes."""
+"""Shared tools of the hard cases: declaration, run and scenes."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -45,7 +45,7 @@ class Bench:
         return run_deck(deck, self.directory / str(self.decks), timeout=TIMEOUT)
 
     def scene(self, scene, model=None, table=None):
-        """What ``kc2spice run`` does with a scene: the deck, ngspice, then the physics checks."""
+        """Run a scene as ``kc2spice run``: the deck, ngspice, then the physics checks."""
         build = built(scene, model or chip(), table or magnets())
         waves = self.run(make_deck(build))
         require(verdict(waves, build).checks, build.scene.name)

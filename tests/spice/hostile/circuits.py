@@ -91,7 +91,7 @@ def blocks():
 
 
 def honest():
-    """What must run, lest a product that refuses everything should pass."""
+    """Circuits that must run; a program that refuses everything fails here."""
     return "* nothing\n", ".include\textra.lib\n", '.INC "extra.lib" ; x\n'
 
 

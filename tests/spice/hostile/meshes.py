@@ -118,7 +118,7 @@ def scripts(victim):
 
 
 def names(outside):
-    """What a scene may call its mesh without it lying beside the scene; a good mesh is there."""
+    """Mesh names that a scene must not contain; most lead out of its folder, to a good mesh."""
     return (
         str(outside), "../outside/bar.msh", "folder/../../outside/bar.msh", "link.msh",
         "linked/bar.msh", "~/bar.msh", "/dev/zero", "/dev/stdin", "pipe.msh", "folder.msh",

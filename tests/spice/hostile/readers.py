@@ -100,7 +100,7 @@ COMMANDS = {
 
 
 class Watch:
-    """What is executed and what is opened for writing while it is on."""
+    """Record of programs executed and files opened for writing."""
 
     def __init__(self):
         self.on, self.seen, self.allowed = False, [], ()
@@ -152,7 +152,7 @@ def prepared(kind, mutation, root):
 
 
 def honest(kind, root):
-    """What the product itself wrote of that kind."""
+    """Files of each kind that kc2spice itself wrote."""
     home = root / f"honest {kind}"
     if home.exists():
         return home
