@@ -11,6 +11,7 @@ import difflib
 import re
 import shlex
 from importlib import resources
+from itertools import chain
 from typing import Any
 
 import typer
@@ -104,7 +105,8 @@ def _typed_line(command: Any, typed: list[str]) -> str:
 
 
 def _no_such_option(command: Any, name: str, line: str) -> UsageError:
-    options = [opt for item in command.params for opt in item.opts if opt.startswith("--")]
+    words = chain.from_iterable(item.opts for item in command.params)
+    options = [word for word in words if word.startswith("--")]
     expected = f"one of {candidates(name, options, f'{line} --help')}"
     hint = did_you_mean(name, options) or f"{line} --help describes all options"
     where = line.removeprefix(PROGRAM).strip() or None

@@ -25,6 +25,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
+from itertools import chain, product
 from math import ceil, floor, hypot, pi
 from types import ModuleType
 from typing import Any
@@ -363,7 +364,7 @@ def stator_mesh(catch: Catch, bore: Bore) -> MeshTri2:
     top = bore.bottom + bore.rows * bore.pitch
     boxes = [rectangle(part) for part in parts(catch)]
     shapes = [air(catch), (0.0, bore.bottom, bore.wall, top), *boxes]
-    corners = [(r, y) for box in boxes for r in box[::2] for y in box[1::2]]
+    corners = [*chain.from_iterable(product(box[::2], box[1::2]) for box in boxes)]
 
     def size(r: float, y: float) -> float:
         to_corner = min(hypot(r - a, y - b) for a, b in corners)

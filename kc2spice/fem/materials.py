@@ -394,7 +394,8 @@ class MaterialTable(Section):
         hint = "is the permittivity at constant stress or at constant strain?" if e.any() else None
         _require_definite(eps, "permittivity at constant strain", hint)
         same = {key for key in type(self).model_fields if key in Material.__dataclass_fields__}
-        stated = {key: value for key in same if (value := getattr(self, key)) is not None}
+        values = {key: getattr(self, key) for key in same}
+        stated = {key: value for key, value in values.items() if value is not None}
         return Material(name=name, C=C, e=e, eps_S=eps, **stated)
 
     def _stiffness(self) -> np.ndarray:

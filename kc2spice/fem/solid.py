@@ -175,6 +175,15 @@ def tensors(
             yield material.at(places[:, q])
 
 
+def _chunks(solid: Solid, only: int | None) -> Iterator[tuple[Material, np.ndarray]]:
+    """Yield materials with at most ``CHUNK`` of their elements; ``only`` selects one material."""
+    for number, material in enumerate(solid.materials):
+        cells = np.flatnonzero(solid.owner == number)
+        if only in (None, number):
+            for start in range(0, len(cells), CHUNK):
+                yield material, cells[start : start + CHUNK]
+
+
 def assemble_solid(solid: Solid, *, only: int | None = None) -> Operators:
     """Matrices of the solid; coupling and permittivity only where it is piezoelectric or
     dielectric.
@@ -183,14 +192,7 @@ def assemble_solid(solid: Solid, *, only: int | None = None) -> Operators:
     """
     d = solid.components
     parts: list[list[tuple[np.ndarray, ...]]] = [[], [], [], []]
-    members = {k: np.flatnonzero(solid.owner == k) for k in range(len(solid.materials))}
-    chunks = [
-        (solid.materials[k], cells[start : start + CHUNK])
-        for k, cells in members.items()
-        if only in (None, k)
-        for start in range(0, len(cells), CHUNK)
-    ]
-    for material, cells in chunks:
+    for material, cells in _chunks(solid, only):
         field = material.piezoelectric or material.dielectric
         basis = solid.basis(elements=cells)
         weights = basis.dx

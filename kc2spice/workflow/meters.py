@@ -42,12 +42,10 @@ def output(build: Build) -> Vector:
     parts, name = build.scene.parts, str(build.scene.analysis.output)
     known = {k: v for part in parts.values() for k, v in build.vectors(part).items()}
     for part in parts.values():
-        pins = (pin.name for pin in build.scene.pins(part.name))
-        known |= {
-            item: build.across(part, pin)
-            for pin in pins
-            if (item := f"{part.name}.{pin}") not in known and build.net(part, pin) != "0"
-        }
+        pins = [pin.name for pin in build.scene.pins(part.name)]
+        live = [pin for pin in pins if build.net(part, pin) != "0"]
+        across = {f"{part.name}.{pin}": build.across(part, pin) for pin in live}
+        known |= {item: result for item, result in across.items() if item not in known}
     voltages = {item: result for item, result in known.items() if _ends(result) is not None}
     if name not in voltages:
         message = "noise is that of a voltage or a motion"

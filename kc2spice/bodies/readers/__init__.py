@@ -181,13 +181,11 @@ def _family(path: Path) -> tuple[Path, dict[str, Path]]:
     separators = (match[2],) if match else (".", "_")
     result: dict[str, Path] = {}
     for letter in raw.LETTERS:
-        fits = [
-            other
-            for separator in separators
-            for tail in _TAILS
-            if (tail or separator == ".")
-            and raw.present(other := base.with_name(f"{base.name}{separator}{letter}{tail}"))
-        ]
+        stems = [f"{base.name}{separator}{letter}" for separator in separators]
+        candidates = [f"{stem}{tail}" for stem in stems for tail in _TAILS]
+        if "_" in separators:  # a matrix file NAME_K has a suffix
+            candidates.remove(f"{base.name}_{letter}")
+        fits = [other for other in map(base.with_name, candidates) if raw.present(other)]
         if len(fits) > 1:
             problem = f"two files for matrix {letter}"
             names = ", ".join(other.name for other in fits)

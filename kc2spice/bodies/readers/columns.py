@@ -11,7 +11,7 @@ import csv
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass
-from itertools import groupby
+from itertools import chain, groupby
 
 import numpy as np
 
@@ -360,7 +360,7 @@ def _column_numbers(
                 raise ValueError(f"column {titles[index]!r}: commas and points in one table")
             plain = [w.replace(",", "") for w in plain]
         else:
-            marked = [w for row in rows for w in row if "," in w]
+            marked = [w for w in chain.from_iterable(rows) if "," in w]
             if all(re.fullmatch(r"[-+]?[1-9]\d{0,2},\d{3}", w) for w in marked):
                 example = next(w for w in plain if "," in w)
                 raise ValueError(

@@ -14,6 +14,7 @@ import re
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property, lru_cache
+from itertools import product
 from pathlib import Path
 from typing import Literal
 
@@ -417,7 +418,8 @@ def _matlab(variables: dict[str, np.ndarray]) -> MeasuredResponse:
         name: a.ravel() for name, a in variables.items() if a.size == n and a.dtype.kind in "fiu"
     }
     numbers = [name for name in variables if variables[name].dtype.kind == "c"]
-    kinds = [(k, name) for k in _COMPLEX for name in numbers if _is_complex(k, name)]
+    pairs = product(_COMPLEX, numbers)
+    kinds = [(kind, name) for kind, name in pairs if _is_complex(kind, name)]
     if not kinds:
         return _response(list(columns), np.column_stack(list(columns.values())))
     quantity, name = kinds[0]

@@ -11,6 +11,7 @@ import threading
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -98,7 +99,7 @@ def scene_files(scene: Scene) -> dict[str, bytes]:
     UsageError : a file that is missing, not allowed or too long.
     """
     parts = [(part.netlist, part.type.files(part, scene)) for part in scene.parts.values()]
-    netlists = {*scene.include, *(file for local, files in parts if local for file in files)}
+    netlists = {*scene.include, *chain.from_iterable(files for local, files in parts if local)}
     result = {}
     for name in sorted(netlists.union(*(files for _, files in parts))):
         if name in netlists:
