@@ -673,7 +673,7 @@ def sweep(
     """
     from kc2spice.workflow.sweep.plan import make_plan
     from kc2spice.workflow.sweep.point import Job, scene_text
-    from kc2spice.workflow.sweep.run import columns, cores, outcomes, planned
+    from kc2spice.workflow.sweep.run import columns, cores, outcomes, sweep_of_plan
 
     _require_lists(values)
     if executor is None:
@@ -681,7 +681,7 @@ def sweep(
     named = isinstance(scene, (str, Path))
     source = scene_text(str(scene)) if named else load_scene(scene)
     plan = make_plan({key: tuple(item) for key, item in values.items()})
-    asked = planned(Job(source), plan, dict.fromkeys(plan.keys, ""))
+    asked = sweep_of_plan(Job(source), plan, dict.fromkeys(plan.keys, ""))
     result: dict[int, Any] = {}
     with ExitStack() as opened, warnings.catch_warnings():
         warnings.simplefilter("ignore")

@@ -144,17 +144,17 @@ def make_device(solid: Solid, setup: Setup) -> FiniteElementModel:
     UsageError : electrodes or rigid faces touch each other, or damping per material lacks a
         quality.
     """
-    bare, volts = constrained(solid, setup), _depoling_voltage(solid, setup)
+    bare, volts = constrain_device(solid, setup), _depoling_voltage(solid, setup)
     unknowns = bare.displacement.shape[1] + bare.potential.shape[1]
     facts = {"unknowns": unknowns, "mass_kg": bare.mass}
     facts |= {} if volts is None else {"depoling_voltage_v": volts}
     answers = undamped_answers(bare.model, bare.shift)
     facts |= answers.facts | estimate_mesh_errors(bare, answers, setup.sectors)
     model = replace(bare.model, facts=facts)
-    return replace(bare, model=_damped(model, solid, bare.displacement, setup))
+    return replace(bare, model=_damp(model, solid, bare.displacement, setup))
 
 
-def constrained(solid: Solid, setup: Setup) -> FiniteElementModel:
+def constrain_device(solid: Solid, setup: Setup) -> FiniteElementModel:
     """The device before its damping and facts."""
     full = assemble_solid(solid)
     P, motions = _moving(solid, setup)
@@ -232,7 +232,7 @@ def _damped_at(model: LinearModel, damping: Damping) -> float | None:
     return first
 
 
-def _damped(model: LinearModel, solid: Solid, P: sparse.csc_array, setup: Setup) -> LinearModel:
+def _damp(model: LinearModel, solid: Solid, P: sparse.csc_array, setup: Setup) -> LinearModel:
     """Rayleigh damping, or of each material's elastic stiffness by its quality."""
     damping = setup.damping
     if not damping.per_material:
@@ -364,7 +364,7 @@ def _shift(solid: Solid, setup: Setup) -> float:
     constrained = (
         setup.fixed if setup.springs is None else setup.fixed | (setup.springs.diagonal() > 0)
     )
-    if _supported(solid, constrained, _pieces(solid, setup)):
+    if _is_supported(solid, constrained, _pieces(solid, setup)):
         return 0.0
     slowest = min(np.sqrt(np.linalg.eigvalsh(m.C)[0] / m.density) for m in solid.materials)
     size = np.linalg.norm(np.ptp(solid.mesh.p, axis=1))
@@ -386,7 +386,7 @@ def _pieces(solid: Solid, setup: Setup) -> list[np.ndarray]:
     return [*pieces, *(face.nodes for face in setup.faces)]
 
 
-def _supported(solid: Solid, fixed: np.ndarray, pieces: Sequence[np.ndarray]) -> bool:
+def _is_supported(solid: Solid, fixed: np.ndarray, pieces: Sequence[np.ndarray]) -> bool:
     """Whether displacements that are ``fixed`` (d nodes,) leave no piece a rigid-body motion; what
     a piece without such motion shares with another one supports that one."""
     constrained, waiting = fixed.copy(), list(pieces)
@@ -660,7 +660,7 @@ class Bonded:
         materials = {block.material.name: block.material for block in self.blocks}
         owner = np.full(mesh.nelements, -1)
         for block in self.blocks:
-            owner[_within(block.box, middle, near)] = list(materials).index(block.material.name)
+            owner[_inside_box(block.box, middle, near)] = list(materials).index(block.material.name)
         occupied = np.flatnonzero(owner >= 0)
         result = tuple(materials.values())
         return Solid(mesh.restrict(occupied), result, owner[occupied], axisymmetric=len(grid) == 2)
@@ -672,16 +672,18 @@ class Bonded:
             fixed[places[0] < near, 0] = True
         for axes, box in self.fixed:
             for axis in axes:
-                fixed[_within(box, places, near), letters.index(axis)] = True
+                fixed[_inside_box(box, places, near), letters.index(axis)] = True
 
         def touched(faces: Sequence[Box]) -> np.ndarray:
-            return np.flatnonzero(np.any([_within(face, places, near) for face in faces], axis=0))
+            return np.flatnonzero(
+                np.any([_inside_box(face, places, near) for face in faces], axis=0)
+            )
 
         def shares(box: Box) -> np.ndarray:
             if all(low == high for low, high in box):
-                result = _within(box, places, near)
+                result = _inside_box(box, places, near)
                 return np.asarray(result / result.sum())
-            face = solid.mesh.facets_satisfying(lambda x: _within(box, x, near))
+            face = solid.mesh.facets_satisfying(lambda x: _inside_box(box, x, near))
             return node_shares(solid, facets=face)
 
         lumped = [mass * shares(box) for mass, box in self.masses]
@@ -707,7 +709,7 @@ def _distinct(edges: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return points, np.searchsorted(points, edges + 1e-9 * np.ptp(points), side="right") - 1
 
 
-def _within(box: Box, places: np.ndarray, near: float) -> np.ndarray:
+def _inside_box(box: Box, places: np.ndarray, near: float) -> np.ndarray:
     """Mask of the places (d, …) in a box, its edges included."""
     inside = [
         (x > low - near) & (x < high + near) for x, (low, high) in zip(places, box, strict=True)

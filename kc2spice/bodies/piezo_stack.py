@@ -94,7 +94,7 @@ def stack_setup(
         solid = Solid(mesh, materials, owner[level], order=kick.mesh.order, numbers=numbers)
     electrodes, graded = _electrodes(spans, heights[::steps], solid)
     return solid, Setup(
-        _fixed(kick, solid),
+        _fixed_mask(kick, solid),
         electrodes,
         "cathode",
         shapes=_rings(kick, solid) if pressure is None else [_patch(solid, pressure)],
@@ -216,7 +216,7 @@ def layer_materials(
     return tuple(materials), owner
 
 
-def _fixed(kick: Chip, solid: Solid) -> np.ndarray:
+def _fixed_mask(kick: Chip, solid: Solid) -> np.ndarray:
     """Mask of the displacements ``3 node + axis`` that mirror planes and the mounting hold."""
     fixed = np.zeros(solid.places.T.shape, dtype=bool)
     near = _NEAR * solid.places.max()

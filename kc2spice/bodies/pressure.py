@@ -48,7 +48,7 @@ from kc2spice.bodies.device import (
     FiniteElementModel,
     ForceShape,
     Setup,
-    constrained,
+    constrain_device,
     estimate_mesh_errors,
     undamped_answers,
 )
@@ -146,7 +146,9 @@ def local_compliance(chip: Chip, shape: PressureBasis) -> LocalCompliance:
     chip_keys = {name: getattr(chip, name) for name in alike} | {"diameter": 2 * min(chip.half)}
     pressure = shape.pressure(LocalCompliance(S, 0.0).shares)
     coarse = float(
-        _compliance(constrained(*stack_setup(Chip(**chip_keys), pressure=pressure)).model)[0, 0]
+        _compliance(constrain_device(*stack_setup(Chip(**chip_keys), pressure=pressure)).model)[
+            0, 0
+        ]
     )
     lowest = float(np.linalg.eigvalsh(S - coarse)[0])
     if lowest < 0:
@@ -176,7 +178,7 @@ def _compliance(model: LinearModel) -> np.ndarray:
 UNITS = {"pressure_pa": "Pa", "shear_pa": "Pa", "shear_depth_m": "m"}  # units of the stresses
 
 
-def stressed(chip: Chip, shape: PressureBasis, force: np.ndarray) -> dict[str, float]:
+def stresses_under(chip: Chip, shape: PressureBasis, force: np.ndarray) -> dict[str, float]:
     """Stresses under ``force`` (n,) [N] on the basis, at Gauss points of the graded mesh.
 
     They are the largest ``pressure_pa``, and the largest ``shear_pa``, half the difference of
@@ -203,7 +205,7 @@ def _stack(chip: Chip, shape: PressureBasis, cells: int) -> FiniteElementModel:
     layers = [chip.height / chip.layers] * chip.layers
     heights = np.r_[0.0, np.cumsum([*ends[:1] * caps[0], *layers, *ends[1:] * caps[1]])]
     planes, near = heights[caps[0] :][: chip.layers + 1], 1e-9 * heights[-1]
-    inner = _divided(shape.nodes, cells)
+    inner = _subdivide(shape.nodes, cells)
     outer = _growing(inner[-1], min(chip.half), inner[-1] - inner[-2])
     lines, step = [heights[-1:]], shape.nodes[1] / cells
     for low, high in zip(heights[-2::-1], heights[:0:-1], strict=True):
@@ -227,7 +229,7 @@ def _stack(chip: Chip, shape: PressureBasis, cells: int) -> FiniteElementModel:
         "cathode",
         shapes=[*map(ForceShape, ports, _basis_loads(solid, shape, top).T)],
     )
-    return constrained(solid, setup)
+    return constrain_device(solid, setup)
 
 
 def _basis_ports(shape: PressureBasis) -> list[Port]:
@@ -250,7 +252,7 @@ def _basis_loads(solid: Solid, shape: PressureBasis, facets: np.ndarray) -> np.n
     return np.kron(axial / axial.sum(axis=0), [[0.0], [1.0]])
 
 
-def _divided(points: np.ndarray, count: int) -> np.ndarray:
+def _subdivide(points: np.ndarray, count: int) -> np.ndarray:
     """Every interval in ``count`` equal ones."""
     parts = np.arange(count * (len(points) - 1) + 1) / count
     return np.interp(parts, np.arange(len(points)), points)
@@ -367,9 +369,9 @@ def sphere_compliance(
 def _free(body: IsotropicSphere, shape: PressureBasis, refine: int) -> FiniteElementModel:
     """The undamped sphere with a port for every function, on the mapped grid of the module."""
     radius = body.radius
-    x = _onwards(np.arcsin(_divided(shape.nodes, CELLS) / radius))
+    x = _onwards(np.arcsin(_subdivide(shape.nodes, CELLS) / radius))
     y = _onwards(np.array([0.0, x[1]]))
-    mesh = MeshQuad2.from_mesh(MeshQuad.init_tensor(_divided(x, refine), _divided(y, refine)))
+    mesh = MeshQuad2.from_mesh(MeshQuad.init_tensor(_subdivide(x, refine), _subdivide(y, refine)))
     w = np.tan(mesh.doflocs[0] / 2) + 1j * np.tan(mesh.doflocs[1] / 2)
     zeta = 2 * radius * w / (1 - 1j * w)
     mesh = MeshQuad2(np.ascontiguousarray([zeta.real, zeta.imag]), mesh.t)

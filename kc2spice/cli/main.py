@@ -294,7 +294,7 @@ def _command(function: Callable[..., None]) -> Callable[..., None]:
     return function
 
 
-def _loaded(scene: str, set_: list[str] | None) -> Any:
+def _load(scene: str, set_: list[str] | None) -> Any:
     from kc2spice.scene.load import load_scene
 
     return load_scene(scene, set_ or [])
@@ -320,7 +320,7 @@ def _run(
     from kc2spice.cli.tables import show_result
     from kc2spice.workflow import run as study
 
-    loaded = _loaded(scene, set_)
+    loaded = _load(scene, set_)
     out = out or Path(loaded.name)
     with caller.progress() as progress:
         result = study.run(loaded, out, progress, trust=trust, deck=deck, keep=keep, png=png)
@@ -373,7 +373,7 @@ def _export(
 
         short = [] if tolerance is None else [f"rom.tolerance={tolerance}"]
         try:
-            loaded = _loaded(scene, [*(set_ or []), *short])
+            loaded = _load(scene, [*(set_ or []), *short])
         except UsageError as error:
             if short and error.where == f"--set {short[0]!r}":
                 error.where, error.got = "--tolerance", f"{tolerance:g}"
@@ -412,7 +412,7 @@ def _verify(
             expected="kc2spice verify SCENE, or kc2spice verify --all",
             hint=f"for example  kc2spice verify {scene or 'impact'}",
         )
-    loaded = [_loaded(name, set_) for name in ([scene] if scene else gallery())]
+    loaded = [_load(name, set_) for name in ([scene] if scene else gallery())]
     out = out or Path("verify" if all_ else f"{loaded[0].name}_verify")
     with caller.progress() as progress:
         result = verify_scenes(loaded, out, full=full, deck=deck, trust=trust, progress=progress)
@@ -439,7 +439,7 @@ def _explain(caller: Caller, scene: str, set_: list[str] | None = None) -> None:
     from kc2spice.scene.plan import plan
     from kc2spice.workflow.models import build_models
 
-    loaded = _loaded(scene, set_)
+    loaded = _load(scene, set_)
     build = build_models(loaded, Clock())
     step = None if build.largest is None else {"s": build.largest.step, "why": build.largest.why}
     head = {"scene": loaded.name, "hash": scene_hash(loaded), "largest_step": step}
@@ -639,7 +639,7 @@ def _fit(
             expected="SCENE:PART, such as buzzer_7bb_20_6:disc",
             hint=f"write {target}:PART with a part that 'kc2spice explain {target}' lists",
         )
-    scene = _loaded(name, set_)
+    scene = _load(name, set_)
     with caller.progress() as progress:
         result = fit_study(scene, part, data, vary or (), out or Path(f"{part}_fit"), progress)
     if caller.reads(result):
@@ -667,7 +667,7 @@ def _bench(
     """
     from kc2spice.workflow.bench import bench as measure
 
-    loaded, names = _loaded(scene, set_), tuple(metric or ())
+    loaded, names = _load(scene, set_), tuple(metric or ())
     out = out or Path(f"{loaded.name}_bench")
     options: dict[str, Any] = {"error": error, "metric": names, "repeats": repeats, "trust": trust}
     with caller.progress() as progress:

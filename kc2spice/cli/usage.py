@@ -35,7 +35,7 @@ class CheckedCommand(TyperCommand):
             try:
                 context = super().make_context(info_name, args, parent, **extra)
             except _ParserError as error:
-                raise _refused(self, error, typed) from None
+                raise _parser_error(self, error, typed) from None
             if context.args and not context.resilient_parsing:
                 raise _one_too_many(self, context.args[0], typed)
         return context
@@ -78,7 +78,7 @@ def _no_such_command(name: str, commands: list[str]) -> UsageError:
     return error
 
 
-def _refused(command: Any, error: Any, typed: list[str]) -> UsageError:
+def _parser_error(command: Any, error: Any, typed: list[str]) -> UsageError:
     """The error of a command whose words ``typed`` the parser refused with ``error``."""
     param = getattr(error, "param", None)
     name = getattr(error, "option_name", None)

@@ -87,7 +87,7 @@ def cached(
     path = cache_dir() / kind / f"{_digest(key, modules)}.entry"
     answer = _load(path, known)
     if answer is None:
-        with _alone(path):
+        with _exclusive(path):
             answer = _load(path, known)  # somebody else may have built it since
             if answer is None:
                 _store(path, result := build(), known)
@@ -96,7 +96,7 @@ def cached(
 
 
 @contextmanager
-def _alone(path: Path) -> Iterator[None]:
+def _exclusive(path: Path) -> Iterator[None]:
     """Keep other processes from building the same entry; without locks two may do so."""
     lock = path.with_name(f".{path.stem}.lock.part")  # cleared away as any other .part
     with ExitStack() as stack:

@@ -163,14 +163,14 @@ def parse_toml(text: str) -> dict[str, Any]:
     """
     if len(text) > MAX_BYTES:
         raise ValueError(f"longer than {MAX_BYTES} characters")
-    _bounded(text)
+    _require_simple(text)
     try:
         return tomllib.loads(text)
     except RecursionError:
         raise ValueError("nested too deeply") from None
 
 
-def _bounded(text: str) -> None:
+def _require_simple(text: str) -> None:
     """Refuse text with deep brackets, long chains of dots, or a long word where a key stands."""
     depth = dots = 0
     for token in _TOKEN.finditer(text):
@@ -207,7 +207,7 @@ def read_archive(
         declared = 0
         for name, item in selected.items():
             with archive.open(item) as stream:
-                shape, kind = _declared(stream)
+                shape, kind = _read_header(stream)
             count = math.prod(shape)
             size = count * kind.itemsize
             if count > entries(name):
@@ -226,7 +226,7 @@ def read_archive(
         return result
 
 
-def _declared(stream: IO[bytes]) -> tuple[tuple[int, ...], np.dtype]:
+def _read_header(stream: IO[bytes]) -> tuple[tuple[int, ...], np.dtype]:
     version = np.lib.format.read_magic(stream)
     readers = {
         (1, 0): np.lib.format.read_array_header_1_0,

@@ -55,10 +55,10 @@ def describe_invalid(
     every = error.errors()
     result = next((item for item in every if item["type"] == "extra_forbidden"), every[0])
     path = tuple(step for step in result["loc"] if not _MEMBER.search(str(step)))
-    typed = _typed(table, path, result["input"])
+    typed = _value_at(table, path, result["input"])
     if key := result.get("ctx", {}).get("key"):  # of a table that is checked as a whole
         below = tuple(int(step) if step.isdecimal() else step for step in key.split("."))
-        path, typed = (*path, *below), _typed(typed, below, None)
+        path, typed = (*path, *below), _value_at(typed, below, None)
     full_path, kind = (*at, *path), result["type"]
     message, expected, hint = _words(result, schema, full_path, also)
     # If keys contradict each other, the message contains the reason.
@@ -67,7 +67,7 @@ def describe_invalid(
     return full_path, {"message": message, "got": got, "expected": expected, "hint": hint}
 
 
-def _typed(table: object, path: KeyPath, converted: Any) -> Any:
+def _value_at(table: object, path: KeyPath, converted: Any) -> Any:
     """The value at ``path`` of ``table``, which a validator may have ``converted`` to SI."""
     if isinstance(converted, Mapping):
         return converted
@@ -91,7 +91,7 @@ def _words(
             word, every = str(path[-1]), (dotted(item) for item, _ in entries(schema))
             near = did_you_mean(word, fields) or did_you_mean(word, every)
             near = _other_word(word, fields) or near
-            return "unknown key", "one of " + candidates(word, fields, _listed(schema)), near
+            return "unknown key", "one of " + candidates(word, fields, _key_list(schema)), near
         case "missing":
             return (f"{dotted(full_path)} is missing", *_missing(schema, path, full_path))
         case "string_pattern_mismatch":
@@ -107,7 +107,7 @@ def _words(
         case "literal_error":
             choices = re.findall(r"'?(\w+)'?(?:, | or |$)", context["expected"])
             near = did_you_mean(str(details["input"]), choices)
-            listed = candidates(details["input"], choices, _listed(schema))
+            listed = candidates(details["input"], choices, _key_list(schema))
             return "no such choice", f"one of {listed}", near
         case "int_type":
             return "not a whole number", "a whole number, without quotes", None
@@ -180,7 +180,7 @@ def _missing(
     return expected, f"add  {full_path[-1]} = {value}{place}"
 
 
-def _listed(schema: type[BaseModel]) -> str | None:
+def _key_list(schema: type[BaseModel]) -> str | None:
     """The command or page that lists all keys of a table."""
     return getattr(schema, "listed", None)
 
@@ -351,12 +351,12 @@ def quantity(value: object, si: str, *, where: str | None = None) -> float:
         got = repr(value) if len(repr(value)) <= _LONGEST else repr(value)[:_LONGEST] + " ..."
         message = "not a finite number" if isinstance(error, OverflowError) else str(error)
         expected = expected if si else "a plain number"
-        hint = _corrected(value, si)
+        hint = _correct_spelling(value, si)
         raise UsageError(message, where=where, got=got, expected=expected, hint=hint) from None
     return result
 
 
-def _corrected(value: object, si: str) -> str | None:
+def _correct_spelling(value: object, si: str) -> str | None:
     """Return the spelling that replaces a decimal comma or a missing unit."""
     if not isinstance(value, str) or len(value) > _LONGEST:
         return None

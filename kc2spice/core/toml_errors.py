@@ -78,13 +78,13 @@ def invalid_toml(text: str, error: ValueError, label: str) -> UsageError:
                 return UsageError(
                     repair.problem,
                     where=f"{label}, line {repair.number}",
-                    got=_quoted(lines, repair.number),
+                    got=_quote_line(lines, repair.number),
                     hint=repair.action,
                 )
     return UsageError(
         "not valid TOML",
         where=f"{label}, line {number}",
-        got=_quoted(lines, number),
+        got=_quote_line(lines, number),
         expected='[TABLE], or KEY = VALUE with text between double quotes, such as "1 kOhm"',
         hint=f"write line {number} in one of these two forms",
     )
@@ -96,7 +96,7 @@ def _header_of(line: str) -> tuple[str, str]:
     return ("", "") if header is None else (header[1], header[2].strip())
 
 
-def _quoted(lines: Sequence[str], number: int) -> str:
+def _quote_line(lines: Sequence[str], number: int) -> str:
     line = lines[number - 1].strip() if number <= len(lines) else ""
     return line if len(line) <= 120 else line[:120] + " …"
 
@@ -130,7 +130,7 @@ def _reach(lines: Sequence[str], repair: _Repair) -> tuple[float, float]:
     return math.inf, math.inf
 
 
-def _masked(line: str) -> str:
+def _mask_strings(line: str) -> str:
     """``line`` of the same length, without the contents of its strings and its comment."""
     masked = _STRING.sub(lambda found: '"' + "_" * (len(found[0]) - 2) + '"', line)
     comment = masked.find("#")
@@ -161,7 +161,7 @@ def _write(line: str) -> str:
 def _without_quotes(lines: Sequence[str], number: int) -> Iterator[_Repair]:
     """Text, quantities and numbers that TOML does not read without quotes."""
     line = lines[number - 1]
-    bare = [m for m in _BARE_VALUE.finditer(_masked(line)) if not _is_value(m[1])]
+    bare = [m for m in _BARE_VALUE.finditer(_mask_strings(line)) if not _is_value(m[1])]
     repaired = line
     for match in reversed(bare):
         start, end = match.span(1)
@@ -207,16 +207,16 @@ def _header(lines: Sequence[str], number: int) -> Iterator[_Repair]:
     yield _Repair("the brackets of a table do not match", number, header, _write(header))
 
 
-def _unclosed(lines: Sequence[str], number: int) -> Iterator[_Repair]:
+def _close_brackets(lines: Sequence[str], number: int) -> Iterator[_Repair]:
     """A list or table between brackets that lacks its end."""
     for opening in range(number, max(0, number - MOST_LINES), -1):
-        masked = _masked(lines[opening - 1])
+        masked = _mask_strings(lines[opening - 1])
         for left, right in ("{}", "[]"):
             if masked.count(left) <= masked.count(right) or "=" not in masked:
                 continue
             for at in range(opening, number + 1):
                 line = lines[at - 1]
-                body = line[: len(_masked(line).rstrip())]
+                body = line[: len(_mask_strings(line).rstrip())]
                 closed = f"{body.rstrip(',')} {right}{line[len(body) :]}"
                 action = f"add {right} at the end of line {at}: {closed.strip()}"
                 yield _Repair(f"{left} without its {right}", at, closed, action)
@@ -235,7 +235,7 @@ _PROPOSALS: tuple[Callable[[Sequence[str], int], Iterator[_Repair]], ...] = (
     _header,
     _without_quotes,
     _missing_quote,
-    _unclosed,
+    _close_brackets,
     _backslash,
 )
 
@@ -244,12 +244,12 @@ def _several_lines(lines: Sequence[str], number: int, label: str) -> UsageError 
     """The error of a table between { } that does not end on its line, which TOML does not allow."""
     if not 1 <= number <= len(lines) or "=" not in lines[number - 1]:
         return None
-    if _masked(lines[number - 1]).rstrip()[-1:] not in ("{", ","):
+    if _mask_strings(lines[number - 1]).rstrip()[-1:] not in ("{", ","):
         return None
     joined = ""
     for line in lines[number - 1 : number + MOST_LINES]:
-        joined += " " + line[: len(_masked(line).rstrip())].strip()
-        masked = _masked(joined)
+        joined += " " + line[: len(_mask_strings(line).rstrip())].strip()
+        masked = _mask_strings(joined)
         if masked.count("{") == masked.count("}"):
             break
     joined = re.sub(r",\s*}", " }", joined.strip())
@@ -258,7 +258,7 @@ def _several_lines(lines: Sequence[str], number: int, label: str) -> UsageError 
     return UsageError(
         "a table between { and } must be on one line",
         where=f"{label}, line {number}",
-        got=_quoted(lines, number),
+        got=_quote_line(lines, number),
         hint=_write(joined),
     )
 
@@ -268,7 +268,7 @@ def _duplicate(lines: Sequence[str], number: int, message: str, label: str) -> U
     twice = "Cannot declare" in message or "Cannot overwrite" in message
     if not twice:
         return None
-    line = _quoted(lines, number)
+    line = _quote_line(lines, number)
     _, header = _header_of(line)
     name = f"[{header}]" if header else line.partition("=")[0].strip()
     first = _first_line(lines, number, name)

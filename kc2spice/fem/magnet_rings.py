@@ -73,12 +73,12 @@ class Cells:
         """
         r, z = self.r, self.z
         logs = self._logs
-        result, near = _averaged(r, z, r, z, logs), r < NEAR * self.wide
+        result, near = _mean_mutual(r, z, r, z, logs), r < NEAR * self.wide
         steps = [(i * self.wide, j * self.tall) for i in GAUSS for j in GAUSS]
         part = np.zeros((np.count_nonzero(near), r.size))
         for (u, v), (s, t) in product(steps, steps):
             ends = r[near] + u[near], z[near] + v[near], r + s, z + t
-            part += _averaged(*ends, logs[near]) / len(steps) ** 2
+            part += _mean_mutual(*ends, logs[near]) / len(steps) ** 2
         result[near], result[:, near] = part, part.T
         return result
 
@@ -101,7 +101,7 @@ class Cells:
         return 2 * np.pi * self.r / (self.wide * self.tall * self.filled)
 
 
-def _averaged(
+def _mean_mutual(
     r: np.ndarray, z: np.ndarray, other: np.ndarray, height: np.ndarray, logs: np.ndarray
 ) -> np.ndarray:
     """:func:`mutual` (n, m) with ``logs`` for the logarithm of the distance in it."""
@@ -128,7 +128,7 @@ def _mean_log(
     return result / (2 * a * b * c * d)
 
 
-def divided(
+def divide_section(
     inner: float,
     outer: float,
     low: float,
@@ -359,7 +359,7 @@ def ladder(
     return Ladder(reduced, polynomials, inductance, low, high, error, body.r.size, frequency)
 
 
-def carried(
+def current_body(
     sheets: Sequence[Winding],
     coils: Sequence[Winding],
     magnets: Sequence[Winding],
@@ -398,7 +398,9 @@ def _subspace(
 
     sampled = answers(speeds[::2], mutual[:, ::3]).reshape(-1, rates.size)
     left, _, _ = np.linalg.svd(np.concatenate([sampled.real, sampled.imag]).T, full_matrices=False)
-    slopes = chebyshev.chebval(nodes, chebyshev.chebder(_fitted(nodes, mutual))).transpose(0, 2, 1)
+    slopes = chebyshev.chebval(nodes, chebyshev.chebder(_chebyshev_fit(nodes, mutual))).transpose(
+        0, 2, 1
+    )
 
     def acted(rate: np.ndarray, at: np.ndarray, slope: np.ndarray) -> list[np.ndarray]:
         share = 1j * speeds / (rate[:, None] + 1j * speeds)
@@ -416,7 +418,7 @@ def _subspace(
     return basis, float(error)
 
 
-def _fitted(nodes: np.ndarray, values: np.ndarray) -> np.ndarray:
+def _chebyshev_fit(nodes: np.ndarray, values: np.ndarray) -> np.ndarray:
     """Chebyshev coefficients (NODES, c, k) of ``values`` (c, NODES, k)."""
     count, _, k = values.shape
     table = values.transpose(1, 0, 2).reshape(nodes.size, -1)
@@ -428,7 +430,7 @@ def _fitted(nodes: np.ndarray, values: np.ndarray) -> np.ndarray:
 def _polynomials(nodes: np.ndarray, values: np.ndarray, tolerance: float) -> np.ndarray:
     """Power series (c, k, degree + 1) of ``values`` (c, NODES, k), as short as lets each coil's
     slopes miss by a tenth of the ``tolerance``."""
-    c = _fitted(nodes, values)
+    c = _chebyshev_fit(nodes, values)
     order = np.arange(nodes.size)[:, None, None] ** 2  # slope of a Chebyshev polynomial, at most
     size = np.abs(chebyshev.chebval(nodes, chebyshev.chebder(c))).max(axis=(1, 2))
     tails = np.cumsum((order * np.abs(c))[::-1], axis=0)[::-1].max(axis=2) / size

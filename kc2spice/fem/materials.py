@@ -241,14 +241,14 @@ def bond(R: np.ndarray) -> np.ndarray:
 
 def _components(unit: str) -> BeforeValidator:
     """A tensor as named components or as nested lists, each number with or without unit."""
-    return BeforeValidator(partial(_converted, unit))
+    return BeforeValidator(partial(_convert, unit))
 
 
-def _converted(unit: str, value: object) -> object:
+def _convert(unit: str, value: object) -> object:
     if isinstance(value, Mapping):
-        return {str(key): _converted(unit, item) for key, item in value.items()}
+        return {str(key): _convert(unit, item) for key, item in value.items()}
     if isinstance(value, (list, tuple)):
-        return [_converted(unit, item) for item in value]
+        return [_convert(unit, item) for item in value]
     try:
         return quantity(value, unit)
     except UsageError as error:

@@ -370,13 +370,13 @@ def require_joined(
     apart = "merge = 0 keeps them apart"
     if len(pairs):
         got = f"{len(pairs)} pairs of nodes at one place, "
-        got += _described(points, pairs.ravel(), blocks, owners)
+        got += _describe_nodes(points, pairs.ravel(), blocks, owners)
         hint = f'merge = "{_engineering(10 * near)}" joins nodes up to that distance; {apart}'
         raise wrong(where, "solids touch but share no nodes", got, expected, hint)
     strays = _nodes_on_other_pieces(points, blocks, corners, near)
     if strays.size:
         got = f"{strays.size} nodes on the surface of another piece, "
-        got += _described(points, strays, blocks, owners)
+        got += _describe_nodes(points, strays, blocks, owners)
         hint = "fragment the solids before they are meshed, as occ.fragment of gmsh does; " + apart
         raise wrong(where, "solids touch but their meshes do not match", got, expected, hint)
 
@@ -422,7 +422,7 @@ def _on_simplex(places: np.ndarray, simplices: np.ndarray, near: float) -> np.nd
     return np.asarray(inside & (away <= near))
 
 
-def _described(
+def _describe_nodes(
     points: np.ndarray,
     nodes: np.ndarray,
     blocks: Sequence[np.ndarray],
@@ -543,7 +543,7 @@ def tables(
             _make(gmsh, size, dimension, picks)
         for _ in range(splits):
             gmsh.model.mesh.refine()
-        return _collected(gmsh, dimension, name)
+        return _collect_arrays(gmsh, dimension, name)
 
 
 def box(file: str) -> dict[str, np.ndarray]:
@@ -558,7 +558,7 @@ def box(file: str) -> dict[str, np.ndarray]:
         return {"box": np.reshape(gmsh.model.getBoundingBox(-1, -1), (2, 3))}
 
 
-def _collected(gmsh: ModuleType, dimension: int, where: str) -> dict[str, np.ndarray]:
+def _collect_arrays(gmsh: ModuleType, dimension: int, where: str) -> dict[str, np.ndarray]:
     tags, coordinates, _ = gmsh.model.mesh.getNodes()
     order = np.argsort(tags)
     ranked = tags[order]

@@ -206,7 +206,7 @@ def assemble_solid(solid: Solid, *, only: int | None = None) -> Operators:
             m = m + w * material.density * N[:, :, None] * N[:, None]
             k = k + w * (B.transpose(0, 2, 1) @ (C @ B))
             if any(material.residual_stress):
-                k = k + w * _stressed(solid, material, N, B, G)
+                k = k + w * _stress_stiffness(solid, material, N, B, G)
             if field:
                 c = c + w * (B.transpose(0, 2, 1) @ (e.transpose(0, 2, 1) @ G))
                 p = p + w * (G.transpose(0, 2, 1) @ (eps @ G))
@@ -222,7 +222,7 @@ def assemble_solid(solid: Solid, *, only: int | None = None) -> Operators:
     return Operators(M, _symmetric(K_uu), K_up, _symmetric(K_pp))
 
 
-def _stressed(
+def _stress_stiffness(
     solid: Solid, material: Material, N: np.ndarray, B: np.ndarray, G: np.ndarray
 ) -> np.ndarray:
     """``grad v . sigma0 grad u`` of each component, (elements, l d, l d): how a stress at rest

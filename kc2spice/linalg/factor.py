@@ -176,7 +176,7 @@ def factorise(matrix: scipy.sparse.csc_array, *, definite: bool) -> Factor:
     bandwidth = int(np.abs(coo.row - coo.col).max(initial=0))
     try:
         narrow = bandwidth <= NARROW
-        apply = _banded(coo, bandwidth) if narrow else supernodal(matrix, _order(matrix))
+        apply = _factor_banded(coo, bandwidth) if narrow else supernodal(matrix, _order(matrix))
     except (np.linalg.LinAlgError, RuntimeError) as error:
         raise SimulationError(
             "matrix cannot be factorised",
@@ -214,7 +214,7 @@ def two_sided(matrix: scipy.sparse.csc_array, *, symmetric: bool) -> tuple[Facto
     raise SimulationError("matrix cannot be factorised", where="direct solver", got=text)
 
 
-def _banded(coo: scipy.sparse.coo_array, bandwidth: int) -> Inverse:
+def _factor_banded(coo: scipy.sparse.coo_array, bandwidth: int) -> Inverse:
     band = np.zeros((bandwidth + 1, coo.shape[0]))
     lower = coo.row >= coo.col
     band[(coo.row - coo.col)[lower], coo.col[lower]] = coo.data[lower]
@@ -263,13 +263,13 @@ def _order(matrix: scipy.sparse.csc_array) -> np.ndarray | None:
     pattern.update(matrix.indices.tobytes())
     key = pattern.digest()
     if key not in _orders:
-        _orders[key] = _dissected(matrix)
+        _orders[key] = _nested_dissection(matrix)
         for old in list(_orders)[:-_KEPT]:
             del _orders[old]
     return _orders[key]
 
 
-def _dissected(matrix: scipy.sparse.csc_array) -> np.ndarray | None:
+def _nested_dissection(matrix: scipy.sparse.csc_array) -> np.ndarray | None:
     group, first = _nodes(matrix)
     columns = scipy.sparse.coo_array(matrix[:, first])
     pairs = np.sort(np.column_stack([group[columns.row], columns.col]), axis=1).astype(np.int64)
@@ -279,7 +279,7 @@ def _dissected(matrix: scipy.sparse.csc_array) -> np.ndarray | None:
     place = np.full(first.size, first.size)
     if key.size:
         try:
-            old, new = _renumbered(np.column_stack([key // first.size, key % first.size]))
+            old, new = _graph_order(np.column_stack([key // first.size, key % first.size]))
         except MissingToolError as error:
             warnings.warn(f"large matrices are factorised in a slower order: {error}", stacklevel=2)
             return None
@@ -296,7 +296,7 @@ def _nodes(matrix: scipy.sparse.csc_array) -> tuple[np.ndarray, np.ndarray]:
     return group, first
 
 
-def _renumbered(edges: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _graph_order(edges: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Nodes of a graph of ``edges`` (m, 2) and their places, from a mesh of lines."""
     nodes = int(edges.max()) + 1
     with gmsh_session() as gmsh:

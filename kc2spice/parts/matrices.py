@@ -10,7 +10,7 @@ from typing import Any
 
 from pydantic import Field
 
-from kc2spice.bodies.readers import described, mesh_extent, read_model, source_files
+from kc2spice.bodies.readers import locate_model, mesh_extent, read_model, source_files
 from kc2spice.bodies.readers.raw import TRANSLATIONS
 from kc2spice.core.figure import Shape
 from kc2spice.core.foreign import file_in_folder
@@ -46,7 +46,7 @@ class Matrices(LinearBody):
 
     def directions(self, part: Part, scene: Scene) -> Mapping[str, tuple[float, ...]]:
         """Those that the sidecar states by ``dof`` or ``axis``; a column of B has none."""
-        *_, said = described(*self._source(part, scene))
+        *_, said = locate_model(*self._source(part, scene))
         result = {}
         for entry in said.ports:
             translation = entry.kind in ("mechanical", "acceleration")

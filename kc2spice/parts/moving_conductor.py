@@ -31,7 +31,7 @@ from kc2spice.core.quantities import (
 from kc2spice.core.spectrum import energy_frequency
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.fem.magnet_keys import Ring
-from kc2spice.fem.magnet_rings import Cells, Ladder, Winding, divided, ladder, roughness
+from kc2spice.fem.magnet_rings import Cells, Ladder, Winding, divide_section, ladder, roughness
 from kc2spice.physics import Declaration, DeclaredPart, current, displacement, loop
 from kc2spice.physics.part import settling
 from kc2spice.scene.band import highest_frequency
@@ -400,7 +400,7 @@ def _divided(keys: Any, rings: int, frequency: float) -> Cells:
         return np.asarray(r**2 + z**2 < keys.radius**2)
 
     ball = keys.shape == "sphere"
-    return divided(*box, inside if ball else None, _depth(keys, frequency))
+    return divide_section(*box, inside if ball else None, _depth(keys, frequency))
 
 
 def _lag(part: Part, scene: Scene) -> float:

@@ -11,7 +11,7 @@ from pydantic import Field
 from kc2spice.core.errors import UsageError
 from kc2spice.core.quantities import MU_0, FluxDensity, Length, Notch, Ratio, Section
 from kc2spice.fem.magnet_keys import Ring
-from kc2spice.fem.magnet_rings import Ladder, Winding, carried
+from kc2spice.fem.magnet_rings import Ladder, Winding, current_body
 from kc2spice.parts.moving_conductor import Moving, MovingConductor, sheets, windings
 from kc2spice.scene.model import Part, Scene
 from kc2spice.scene.parttype import register
@@ -104,7 +104,7 @@ sine = { amplitude = "1 V", frequency = "50 Hz" }
         shape = keys.inner, keys.radius, keys.thickness
         share = 1 / (1 + demagnetising(*shape) * (keys.mu_r - 1))
         ring = Ring(height=shape[2], outer=shape[1], inner=shape[0], y=0.0)
-        return carried(
+        return current_body(
             sheets(ring, share), windings(keys), fixed, keys.y_min, keys.y_max, tolerance
         )
 

@@ -306,12 +306,12 @@ class PiezoStack(MeshedBody):
             result["kick_stroke_m"] = Metric(float(waves[centre].max()), "m")
         shape, scene = pressure_nodes(part, build.scene), build.scene
         if part.keys.fields and shape is not None:  # which its own mesh does not resolve
-            from kc2spice.bodies.pressure import UNITS, stressed
+            from kc2spice.bodies.pressure import UNITS, stresses_under
 
             name = next(c.name for c in scene.of("contact") if c.keys.shape == "pressure")
             if (most := float(waves[f"{name}.force"].max())) > 0:
                 forces = pair_of(scene.parts[name], scene).basis_forces(most)
-                inside = stressed(part.keys, shape, forces)
+                inside = stresses_under(part.keys, shape, forces)
                 result |= {f"{name}_{key}": Metric(v, UNITS[key]) for key, v in inside.items()}
         current = waves.data.get(f"{part.name}.current")
         if part.keys.electrical == "driven" and (part.keys.driver or not pressed):

@@ -261,7 +261,7 @@ class Trajectory:
         """Energies at both ends, and powers by the quadrature of the method itself."""
         came, went = np.zeros(2), np.zeros(2)  # sums, and those of sizes
         for segment in self.segments:
-            for sums, energies in zip((came, went), _exchanged(self.system, segment), strict=True):
+            for sums, energies in zip((came, went), _exchanges(self.system, segment), strict=True):
                 sums += np.sum(energies), np.abs(energies).sum()
         begin, end = self.segments[0], self.segments[-1]
         before = begin.interval.energy(begin.steps[0].start, begin.steps[0].first)
@@ -303,14 +303,14 @@ def solve_transient(
             if fired is None:
                 t = end
             else:
-                modes = _switched(system, modes, fired)
+                modes = _switch_mode(system, modes, fired)
                 events.append(t)
     grid = [s.start for p in segments for s in p.steps] + [stop]
     time = np.unique(grid) if times is None else np.union1d(times, events)
     return Trajectory(system, time, tuple(segments), tuple(events))
 
 
-def _switched(system: System, modes: list[Any], fired: int) -> list[Any]:
+def _switch_mode(system: System, modes: list[Any], fired: int) -> list[Any]:
     """Modes after guard number ``fired`` fell to zero."""
     item = zip(system.devices, modes, strict=True)
     counts = [len(d.law.guards(np.zeros(len(d.inputs)), mode)) for d, mode in item]
@@ -341,7 +341,7 @@ def _run(
         if wrong.size:
             return steps, int(wrong[0])
         fell = np.flatnonzero((after < 0.0) & (before >= 0.0))
-        step, fired = _located(interval, solver, step, fell) if fell.size else (step, None)
+        step, fired = _locate_zero(interval, solver, step, fell) if fell.size else (step, None)
         inputs = interval.inputs(step.end, step.last)
         for device, e in zip(interval.system.devices, inputs, strict=True):
             device.law.check(step.end, e)
@@ -354,7 +354,9 @@ def _run(
     return steps, None
 
 
-def _located(interval: Interval, solver: Radau, step: Step, fell: np.ndarray) -> tuple[Step, int]:
+def _locate_zero(
+    interval: Interval, solver: Radau, step: Step, fell: np.ndarray
+) -> tuple[Step, int]:
     """The step shortened to the first zero of a guard, solved again there."""
 
     def value(t: float, k: int) -> float:
@@ -388,7 +390,7 @@ def _located(interval: Interval, solver: Radau, step: Step, fell: np.ndarray) ->
     return result, guard
 
 
-def _exchanged(system: System, segment: Segment) -> tuple[list[float], list[float]]:
+def _exchanges(system: System, segment: Segment) -> tuple[list[float], list[float]]:
     """Energies [J] that sources and devices bring in, and those that become heat."""
     interval, steps = segment.interval, segment.steps
     t = np.concatenate([s.start + s.length * NODES for s in steps])

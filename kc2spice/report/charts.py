@@ -91,10 +91,10 @@ def _with_units(panel: Panel) -> Panel:
     if panel.equal:
         return panel
     if panel.map is not None:
-        label, scale = _prefixed(panel.map.label, [panel.map.z])
+        label, scale = _with_prefix(panel.map.label, [panel.map.z])
         return replace(panel, map=replace(panel.map, label=label, z=scale * panel.map.z))
     levels = np.array([level for level, _ in panel.levels])
-    label, scale = _prefixed(panel.y, [*(curve.y for curve in panel.curves), levels])
+    label, scale = _with_prefix(panel.y, [*(curve.y for curve in panel.curves), levels])
     if scale == 1.0 or (panel.log_y and _has_decade(panel)):
         return panel  # its numbers are powers of ten
     return replace(
@@ -116,13 +116,13 @@ def _with_x_unit(panels: Sequence[Panel], label: str) -> list[Panel]:
     """``panels`` over one x axis of this label, which gets the SI prefix that suits it."""
     values = [curve.x for panel in panels for curve in panel.curves]
     values += [panel.map.x for panel in panels if panel.map is not None]
-    name, scale = _prefixed(label, values)
+    name, scale = _with_prefix(label, values)
     if any(panel.log_x or panel.equal for panel in panels) or scale == 1.0:
         return [replace(panel, x=panel.x or label) for panel in panels]
-    return [_over(panel, name, scale) for panel in panels]
+    return [_rescale_x(panel, name, scale) for panel in panels]
 
 
-def _over(panel: Panel, label: str, scale: float) -> Panel:
+def _rescale_x(panel: Panel, label: str, scale: float) -> Panel:
     return replace(
         panel,
         x=label,
@@ -133,7 +133,7 @@ def _over(panel: Panel, label: str, scale: float) -> Panel:
     )
 
 
-def _prefixed(label: str, values: Sequence[np.ndarray]) -> tuple[str, float]:
+def _with_prefix(label: str, values: Sequence[np.ndarray]) -> tuple[str, float]:
     """``quantity in unit`` with the prefix that suits the largest of ``values``, which are to be
     multiplied by the second number."""
     quantity, _, text = label.rpartition(" in ")
@@ -238,13 +238,13 @@ def _range_x(panel: Panel) -> Range:
         halves = [_half_bar(curve) for curve in panel.curves]
         both = [_ends(curve.x) for curve in panel.curves]
         ends = _union([(a - h, b + h) for (a, b), h in zip(both, halves, strict=True)])
-    return _opened(ends)
+    return _widen_range(ends)
 
 
 def _range_y(panel: Panel) -> Range:
     if panel.map is not None:
-        return _opened(_outer(panel.map.y, panel.log_y))
-    return _opened(_ends(_all_y(panel)))
+        return _widen_range(_outer(panel.map.y, panel.log_y))
+    return _widen_range(_ends(_all_y(panel)))
 
 
 def _outer(centres: np.ndarray, log: bool) -> Range:
@@ -263,7 +263,7 @@ def _union(ranges: Sequence[Range]) -> Range:
     return min(low for low, _ in ranges), max(high for _, high in ranges)
 
 
-def _opened(ends: Range) -> Range:
+def _widen_range(ends: Range) -> Range:
     """A range that is one number becomes one about it."""
     low, high = ends
     half = abs(low) / 2 or 1.0
@@ -272,9 +272,9 @@ def _opened(ends: Range) -> Range:
 
 def _curve(curve: Curve, indices: np.ndarray, ascending: bool) -> dict[str, Any]:
     x = np.asarray(curve.x, dtype="<f4")[indices]
-    y = _encoded(np.asarray(curve.y, dtype=float)[indices])
+    y = _encode(np.asarray(curve.y, dtype=float)[indices])
     names = [curve.names[k] for k in indices] if curve.names else []
-    at = _encoded(_apart(x) if ascending else x)
+    at = _encode(_separate_equal(x) if ascending else x)
     return {"label": curve.label, "style": curve.style, "x": at, "y": y, "names": names}
 
 
@@ -282,16 +282,16 @@ def _map(field: Map, low: float, high: float) -> dict[str, str]:
     """Centres, and colours as whole numbers: 0 is ``low``, 65534 ``high``, 65535 no colour."""
     share = (np.asarray(field.z, dtype=float) - low) / ((high - low) or 1.0)
     z = np.where(np.isfinite(share), np.round(65534 * share), 65535).astype("<u2")
-    axes = {name: _encoded(getattr(field, name)) for name in "xy"}
+    axes = {name: _encode(getattr(field, name)) for name in "xy"}
     return {"label": field.label, **axes, "z": base64.b64encode(z.tobytes()).decode("ascii")}
 
 
-def _encoded(values: np.ndarray) -> str:
+def _encode(values: np.ndarray) -> str:
     """Little-endian float32, row by row."""
     return base64.b64encode(np.asarray(values).astype("<f4").tobytes()).decode("ascii")
 
 
-def _apart(x: np.ndarray) -> np.ndarray:
+def _separate_equal(x: np.ndarray) -> np.ndarray:
     """Ascending float32, equal numbers replaced by the next larger ones.
 
     The bits of positive floats are ordered as integers are; those of negative ones descend.
@@ -310,14 +310,14 @@ def _selected_points(panel: Panel) -> list[np.ndarray]:
     if panel.equal or panel.map is not None:
         return [np.arange(len(curve.x)) for curve in curves]
     count = max(len(curves), 1)
-    alone = [_thinned(np.asarray(curve.y, dtype=float), SHOWN // count) for curve in curves]
+    alone = [_thin_points(np.asarray(curve.y, dtype=float), SHOWN // count) for curve in curves]
     if all(np.array_equal(curve.x, curves[0].x) for curve in curves[1:]):
         both = np.unique(np.concatenate([np.zeros(0, dtype=int), *alone]))
         return [both] * len(curves)
     return alone
 
 
-def _thinned(y: np.ndarray, count: int) -> np.ndarray:
+def _thin_points(y: np.ndarray, count: int) -> np.ndarray:
     """Indices of about ``count`` points: of each stretch of points its extremes, and both sides of
     the largest jumps and of gaps, so that neither peaks nor corners are lost."""
     if y.size <= count:

@@ -60,7 +60,7 @@ def format_quantity(value: float | None, unit: str, digits: int = 4) -> str:
     if unit in _PREFIXED:
         plain, factor = _PREFIXED[unit]
         return format_quantity(factor * value, plain, digits)
-    return _prefixed(value, unit, digits, prefix_power(value))
+    return _with_prefix(value, unit, digits, prefix_power(value))
 
 
 def _is_words(unit: str) -> bool:
@@ -68,7 +68,7 @@ def _is_words(unit: str) -> bool:
     return not unit or (" " in unit and " per " not in unit)
 
 
-def _prefixed(value: float, unit: str, digits: int, power: int) -> str:
+def _with_prefix(value: float, unit: str, digits: int, power: int) -> str:
     sign = "−" if value < 0.0 else ""
     digits_text = f"{abs(value) / 10.0**power:.{digits}g}"
     return f"{sign}{digits_text} {PREFIXES[power]}{_SHOWN_UNITS.get(unit, unit)}"
@@ -89,7 +89,7 @@ def value_and_limit(value: float, limit: float, unit: str) -> tuple[str, str]:
     power = prefix_power(value)
     digits_text = f"{abs(limit) / 10.0**power:.10g}"
     digits = max(3, len(digits_text.partition(".")[0]))
-    return _prefixed(value, unit, 3, power), _prefixed(limit, unit, digits, power)
+    return _with_prefix(value, unit, 3, power), _with_prefix(limit, unit, digits, power)
 
 
 def leaves(value: Any, joint: str = ".", path: str = "") -> Iterator[tuple[str, Any]]:
@@ -112,10 +112,10 @@ def fact(key: str, value: Any, unit: str = "") -> tuple[str, str]:
     if isinstance(value, (list, tuple)) and len(value) > 8:
         return name, f"{len(value)} values, in result.json"
     values = value if isinstance(value, (list, tuple)) else [value]
-    return name, ", ".join(worded(v, unit) for v in values)
+    return name, ", ".join(format_value(v, unit) for v in values)
 
 
-def worded(value: Any, unit: str = "") -> str:
+def format_value(value: Any, unit: str = "") -> str:
     """A number with its unit, yes or no, or the word for what was not reached."""
     if value is None:
         return "not reached"
@@ -152,7 +152,7 @@ def write_page(
 
     ``lead`` stands below the title. The foot states version, date, command and ``origin``.
     """
-    text = rendered(
+    text = render(
         "report.html.j2",
         title=title,
         lead=lead,
@@ -170,7 +170,7 @@ def _command() -> list[str]:
     return [shlex.join(["kc2spice", *words])] if Path(name).stem == "kc2spice" else []
 
 
-def rendered(template: str, **values: object) -> str:
+def render(template: str, **values: object) -> str:
     """A page or a drawing; whatever text it is given stays text in it."""
     pages = templates(autoescape=True)
     pages.filters.update(figure=figure_html, px="{:.1f}".format)

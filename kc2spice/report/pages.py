@@ -23,8 +23,8 @@ from kc2spice.report.html import (
     PageSection,
     fact,
     format_quantity,
+    format_value,
     value_and_limit,
-    worded,
     write_page,
 )
 from kc2spice.scene.judge import PAIRS, Check
@@ -253,7 +253,7 @@ def write_sweep(
     """
     metrics = [n for n in table if n not in units and _has(table[n], *NUMBERS)]
     numbers = [name for name in metrics if not _has(table[name], bool)]
-    spread = [_spread(name, table[name], metric_units.get(name, "")) for name in numbers]
+    spread = [_quantile_row(name, table[name], metric_units.get(name, "")) for name in numbers]
     head = ("metric", "points", "least", "5 %", "median", "95 %", "largest")
     failed = Counter(text for text in table["status"] if text != "ok").most_common(20)
     note = "Of all points; a point that failed counts as a miss."
@@ -282,11 +282,11 @@ def _swept(key: str, column: Sequence[Any], units: Mapping[str, str]) -> tuple[s
     return key, f"{len(distinct)} values, {ends}"
 
 
-def _spread(name: str, column: Sequence[Any], unit: str) -> tuple[str, ...]:
+def _quantile_row(name: str, column: Sequence[Any], unit: str) -> tuple[str, ...]:
     values = _numbers(column)
     values = values[np.isfinite(values)]
     shares = np.quantile(values, (0.0, 0.05, 0.5, 0.95, 1.0))
-    texts = (worded(float(v), unit) for v in shares)
+    texts = (format_value(float(v), unit) for v in shares)
     return (fact(name, 0, unit)[0], str(values.size), *texts)
 
 

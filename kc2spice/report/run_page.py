@@ -19,10 +19,10 @@ from kc2spice.report.html import (
     PageSection,
     fact,
     format_quantity,
+    format_value,
     leaves,
-    rendered,
+    render,
     value_and_limit,
-    worded,
     write_page,
 )
 from kc2spice.scene.model import Scene, scene_hash
@@ -57,7 +57,7 @@ def devices(scene: Scene) -> str:
             edge = x + width / 2 * (0.7 if shape.round else 0.9)
             labels.append((shape.label, edge, y, line))
     side = scale * (right - left)
-    return rendered(
+    return render(
         "devices.svg.j2",
         shapes=placed,
         fills=FILLS,
@@ -111,7 +111,7 @@ def draw_circuit(scene: Scene) -> str:
         nets.append(dict(zip(keys, (net, ends, *place), strict=True)))
     look: dict[str, Any] = {"top": top, "box": BOX, "width": x, "blue": BLUE, "grey": GREY}
     spoken = "Circuit of " + ", ".join(scene.parts)
-    return rendered("circuit.svg.j2", boxes=boxes, nets=nets, spoken=spoken, **look)
+    return render("circuit.svg.j2", boxes=boxes, nets=nets, spoken=spoken, **look)
 
 
 def _levels(nets: Mapping[str, Sequence[float]]) -> dict[str, int]:
@@ -219,7 +219,7 @@ def operating_rows(result: Mapping[str, Any], most: int | None = None) -> Rows:
     units = {name: item["unit"] for name, item in point.items()}
     numbers = {name: float(item["value"]) for name, item in point.items()}
     scales = _scales(numbers, units)
-    rounded = {name: _rounded(value, scales, units[name]) for name, value in numbers.items()}
+    rounded = {name: _chop_rounding(value, scales, units[name]) for name, value in numbers.items()}
     values = {name: value for name, value in rounded.items() if value}
     first = list(values.items())[:most]
     rows: Rows = [(name, format_quantity(value, units[name])) for name, value in first]
@@ -296,7 +296,7 @@ def _scales(values: Mapping[str, Any], units: Mapping[str, str]) -> dict[str, fl
     return result
 
 
-def _rounded(value: Any, scales: Mapping[str, float], unit: str) -> Any:
+def _chop_rounding(value: Any, scales: Mapping[str, float], unit: str) -> Any:
     """0 for a number that is rounding noise beside others of its unit."""
     noise = isinstance(value, float) and abs(value) < NOISE * scales.get(unit, 0.0)
     return 0.0 if noise else value
@@ -351,7 +351,7 @@ def _fact(
 ) -> tuple[str, str]:
     """Label and text of a number beside others whose largest magnitudes are ``scales``."""
     unit = units.get(name, "")
-    return fact(name.replace(".", "_"), _rounded(value, scales, unit), unit)
+    return fact(name.replace(".", "_"), _chop_rounding(value, scales, unit), unit)
 
 
 def _modes(part: str, table: Mapping[str, Any]) -> PageSection:
@@ -379,7 +379,7 @@ def _simulator(result: Mapping[str, Any], scene: Scene) -> Rows:
     solver, step = scene.solver, result.get("largest_step")
     return [
         *rows,
-        *((f"{k} time points", worded(v, "")) for k, v in result.get("steps", {}).items()),
+        *((f"{k} time points", format_value(v, "")) for k, v in result.get("steps", {}).items()),
         ("reltol", f"{solver.reltol:g}"),
         ("method", solver.method),
         (

@@ -223,7 +223,7 @@ def belongs_to(deck: Deck, node: str) -> str | None:
     if scope is None:
         return None
     if path:
-        return _within(deck, scope, path[-1], name)
+        return _describe_instance(deck, scope, path[-1], name)
     if any(element.key == name for element in scope.elements):
         return f"{name} in {deck.main}"
     wired = []
@@ -235,7 +235,7 @@ def belongs_to(deck: Deck, node: str) -> str | None:
     return f"node of {', '.join(wired)}" if wired else None
 
 
-def _within(deck: Deck, scope: Scope, instance: str, name: str) -> str:
+def _describe_instance(deck: Deck, scope: Scope, instance: str, name: str) -> str:
     """Describe the ``instance`` by its title in the library, and the pin of an inner node.
 
     The name of an inner node or element ends with its pin: ``fring0`` belongs to ring0.
@@ -376,7 +376,7 @@ def _plot(path: Path, begin: int = 0) -> _Plot | None:
     offset = begin + end + len(_BINARY)
     complete, left = divmod(path.stat().st_size - offset, kind.itemsize * count)
     following = offset + promised * kind.itemsize * count
-    follows = complete >= promised > 0 and _follows(path, following)
+    follows = complete >= promised > 0 and _has_next_plot(path, following)
     if follows:
         complete, left = promised, 0
     table = (
@@ -385,7 +385,7 @@ def _plot(path: Path, begin: int = 0) -> _Plot | None:
     return _Plot(names, promised, table, left, following if follows else None)
 
 
-def _follows(path: Path, offset: int) -> bool:
+def _has_next_plot(path: Path, offset: int) -> bool:
     """Whether another plot begins there, as that of totals does behind a noise spectrum."""
     with path.open("rb") as stream:
         stream.seek(offset)

@@ -124,7 +124,7 @@ def run_shared(
     library = _library
     loop = _Sampler(sampled, deck.stop, progress) if sampled or progress else None
     try:
-        ran = library.load(_flattened(deck, deck.main)) and library.run(loop)
+        ran = library.load(_flatten(deck, deck.main)) and library.run(loop)
         if library.broken is not None:
             raise SimulationError(
                 "the function in the loop failed", where=deck.name, got=repr(library.broken)
@@ -142,12 +142,12 @@ def run_shared(
     return Waveforms(waves_by_name(deck, vectors), {"accepted": float(time.size)} | statistics(log))
 
 
-def _flattened(deck: Deck, file: str) -> list[str]:
+def _flatten(deck: Deck, file: str) -> list[str]:
     result: list[str] = []
     for line in lines_of(deck.files[file]):
         word, _, target = line.partition(" ")
         included = word.lower() in INCLUDES
-        result += _flattened(deck, target.strip().strip("\"'")) if included else [line]
+        result += _flatten(deck, target.strip().strip("\"'")) if included else [line]
     return result
 
 

@@ -142,7 +142,7 @@ class _Plane:
     def search(self, limit: float, progress: Progress) -> None:
         """Move one axis at a time, then walk to the cheapest settings in the limit and the own."""
         origin = (0.0,) * len(self.axes)
-        star = [origin, *(_moved(origin, k, n) for k in range(len(origin)) for n in NOTCHES)]
+        star = [origin, *(_move(origin, k, n) for k in range(len(origin)) for n in NOTCHES)]
         star += [(n,) * len(origin) for n in NOTCHES if n > 0]
         for done, place in enumerate(star):
             progress("settings", done / len(star), f"{done} of {len(star)}")
@@ -169,7 +169,7 @@ class _Plane:
             for k, notch in enumerate(start.place):
                 neighbour = NOTCHES.index(notch) + step
                 if 0 <= neighbour < len(NOTCHES):
-                    self.visit(_moved(start.place, k, NOTCHES[neighbour]))
+                    self.visit(_move(start.place, k, NOTCHES[neighbour]))
 
     def time(self, repeats: int, progress: Progress) -> None:
         """Rounds over all settings but the slow ones."""
@@ -197,7 +197,7 @@ class _Plane:
         }
 
 
-def _moved(place: Place, axis: int, notch: float) -> Place:
+def _move(place: Place, axis: int, notch: float) -> Place:
     return (*place[:axis], notch, *place[axis + 1 :])
 
 

@@ -157,12 +157,12 @@ def fit(
             hint="add for example  --vary damping.quality=10:200",
         )
     _require_linear(loaded.part(part))
-    keys = _varied(loaded, part, vary)
+    keys = _varied_keys(loaded, part, vary)
     body = _Body(loaded, part, measured, keys, progress, loaded)
     with nullcontext(Path()) if out is None else staged(out) as work:
         descent = body.descent({item.key: item.axis for item in keys})
         ends = _descents(descent)
-        end = _refined(descent, ends[0])
+        end = _refine_end(descent, ends[0])
         start = body.response(descent.reduced, {item.key: item.value for item in keys})
         record = _record(body, start, end, ends)
         if out is None:
@@ -196,7 +196,7 @@ def _require_linear(part: Part) -> None:
         )
 
 
-def _varied(
+def _varied_keys(
     scene: Scene, part: str, vary: Sequence[str] | Mapping[str, tuple[float, float] | None]
 ) -> list[Varied]:
     ends = dict(vary) if isinstance(vary, Mapping) else dict.fromkeys(vary)
@@ -495,7 +495,7 @@ def _descents(descent: _Descent) -> list[_End]:
     return sorted((descent.solve(values) for values in starts), key=lambda end: end.cost)
 
 
-def _corrected(descent: _Descent, end: _End) -> _End | None:
+def _correct_end(descent: _Descent, end: _End) -> _End | None:
     """The end moved by what the mesh leaves over, with the reduced model's derivatives, until that
     pulls at no combination of the keys by more than :data:`SETTLED` of its standard error; None
     where it does not within the box."""
@@ -517,7 +517,7 @@ def _corrected(descent: _Descent, end: _End) -> _End | None:
     return None
 
 
-def _refined(descent: _Descent, end: _End) -> _End:
+def _refine_end(descent: _Descent, end: _End) -> _End:
     """The end for the mesh itself; where the derivatives of the reduced model do not lead there,
     in ever narrower ranges.
 
@@ -530,7 +530,7 @@ def _refined(descent: _Descent, end: _End) -> _End:
         item.key: 0.5 * abs(float(np.log(item.high / item.low))) * NARROWER for item in body.keys
     }
     for _ in range(ROUNDS):
-        result = _corrected(descent, end)
+        result = _correct_end(descent, end)
         if result is not None:
             return result
         values = {f"{body.part}.{key}": value for key, value in end.values.items()}
@@ -603,7 +603,7 @@ def _record(body: _Body, start: np.ndarray, end: _End, ends: Sequence[_End]) -> 
         for k, item in enumerate(keys)
     }
     best = min(ends, key=lambda item: item.cost)
-    resonances = _matched(body, start, end)
+    resonances = _match_resonances(body, start, end)
     caution = _caution(body, end, resonances)
     if caution:
         warnings.warn(f"{body.data.where}: {caution}", stacklevel=3)
@@ -668,7 +668,7 @@ def _at_bound(item: Varied, value: float) -> bool:
     return bool(nearest < 1e-4 * abs(np.log(item.high / item.low)))
 
 
-def _matched(body: _Body, start: np.ndarray, end: _End) -> list[dict[str, float | None]]:
+def _match_resonances(body: _Body, start: np.ndarray, end: _End) -> list[dict[str, float | None]]:
     """Resonances of the measurement, of the scene's values and of the end, in their order: peaks of
     the conductance."""
     rows = [_peaks(body.data.f, Y, body.data.noise) for Y in (body.Y, start, end.exact)]

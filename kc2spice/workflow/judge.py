@@ -126,13 +126,13 @@ def _metrics(waves: Waveforms, build: Build, *, partial: bool) -> dict[str, Any]
     probed: dict[str, Any] = {}
     for name, probe in scene.probes.items():
         window = window_of(probe, scene)
-        if not partial or _reached(probe, waves, window):
+        if not partial or _covers_probe(probe, waves, window):
             value = take(probe, waves, name, window)
             probed[name] = Metric(value, _probe_unit(probe, build, waves, units))
     return {**probed, **{name: value for name, value in records.items() if name not in probed}}
 
 
-def _reached(probe: Probe, waves: Waveforms, window: tuple[float, float] | None) -> bool:
+def _covers_probe(probe: Probe, waves: Waveforms, window: tuple[float, float] | None) -> bool:
     """Whether the waves of a run that ended early have all that a probe reads."""
     low, high = waves.scale.real.min(), waves.scale.real.max()
     places = [*probe.places.values(), *(filter(math.isfinite, window or ()))]
@@ -159,7 +159,7 @@ def window_of(probe: Probe, scene: Scene) -> tuple[float, float] | None:
     return first, math.inf if probe.to is None else probe.to
 
 
-def _windowed(
+def _clip_to_window(
     scale: np.ndarray, values: np.ndarray, window: tuple[float, float], name: str
 ) -> tuple[np.ndarray, np.ndarray]:
     """Points within a window, with its ends on the straight lines between them.
@@ -171,7 +171,7 @@ def _windowed(
     direction = -1 if scale[0] > scale[-1] else 1
     scale, values = scale[::direction], values[::direction]
     for key, end in zip(("from", "to"), window, strict=True):
-        if math.isfinite(end) and not _on(scale, end):
+        if math.isfinite(end) and not _is_on_scale(scale, end):
             raise _outside(name, key, end, scale)
     low, high = max(window[0], scale[0]), min(window[1], scale[-1])
     inside = (scale > low) & (scale < high)
@@ -199,7 +199,7 @@ def take(
     if probe.at is not None:
         return _value(scale, values, probe.at, name)
     if window is not None:
-        scale, values = _windowed(scale, values, window, name)
+        scale, values = _clip_to_window(scale, values, window, name)
     if np.iscomplexobj(values) and probe.take in ("max", "argmax"):
         place, largest = response_maximum(scale.real, np.abs(values))
         return largest if probe.take == "max" else place
@@ -296,7 +296,7 @@ _TAKEN: dict[str, Callable[[np.ndarray, np.ndarray, float], float | None]] = {
 }
 
 
-def _on(scale: np.ndarray, place: float) -> bool:
+def _is_on_scale(scale: np.ndarray, place: float) -> bool:
     """Whether a place is on the scale, but for rounding."""
     slack = ROUNDED * float(np.ptp(scale))
     return bool(scale.min() - slack <= place <= scale.max() + slack)
@@ -310,7 +310,7 @@ def _outside(name: str, key: str, place: float, scale: np.ndarray) -> UsageError
 
 def _value(scale: np.ndarray, values: np.ndarray, place: float, name: str) -> float:
     """Interpolated value at ``place``; of complex values the magnitude."""
-    if not _on(scale, place):
+    if not _is_on_scale(scale, place):
         raise _outside(name, "at", place, scale)
     result = interpolate(place, scale, values)
     return float(np.abs(result)) if np.iscomplexobj(result) else float(result)

@@ -218,11 +218,11 @@ def require_probed(build: Build) -> None:
             raise unknown(f"this scene has no part {owner!r}", probe.of, scene.parts, where)
         choices = [each for each in _every_result(build, waiting) if each.startswith(f"{owner}.")]
         error = unknown("no such result", probe.of, choices, where)
-        error.hint = error.hint or _abbreviated(probe.of, choices)
+        error.hint = error.hint or _short_name(probe.of, choices)
         raise error
 
 
-def _abbreviated(name: str, choices: Sequence[str]) -> str | None:
+def _short_name(name: str, choices: Sequence[str]) -> str | None:
     """Return the name of a result for a long spelling, such as ``r2.v`` for ``r2.voltage``."""
     near = [choice for choice in choices if name.startswith(choice)]
     near = near or [choice for choice in choices if choice.startswith(f"{name}.")][:1]

@@ -295,8 +295,8 @@ def converge(start: Run, clock: Clock) -> Converged | None:
             break
         last = now.error
         moved = _largest_share_moved(runs, now, shares, limit)
-        if moved is None or not _left(runs):
-            why = "nothing more to refine" if _left(runs) else f"{MOST} runs do not suffice"
+        if moved is None or not _runs_left(runs):
+            why = "nothing more to refine" if _runs_left(runs) else f"{MOST} runs do not suffice"
             break
         notches = moved
     final = tried[-1] if tried else Estimate({}, {}, start)
@@ -320,7 +320,7 @@ def _estimate(runs: Runs, notches: Notches) -> Estimate | None:
     finest = tuple(axis.name for axis in runs.finest)
     meshes = tuple(axis.name for axis in runs.axes if axis.model)
     for unmoved in ((), meshes) if meshes else ((),):
-        finer = _tried(runs, _moved(notches, [a for a in runs.axes if a.name not in unmoved]))
+        finer = _try_run(runs, _move_axes(notches, [a for a in runs.axes if a.name not in unmoved]))
         if finer is not None:
             settings = keys_at(runs.axes, notches)
             errors = _differences(now, finer)
@@ -344,7 +344,7 @@ def _coarser_changes(
         at = notches.get(axis.name, 0)
         coarser = None
         if axis.at(at - 1) != axis.at(at):
-            coarser = _tried(runs, _moved(notches, [axis], -1))
+            coarser = _try_run(runs, _move_axes(notches, [axis], -1))
         for name, change in changes(coarser, now).items() if coarser is not None else ():
             if math.isfinite(change):
                 result[name] = max(result.get(name, 0.0), change)
@@ -358,7 +358,7 @@ def _largest_share_moved(
     ``shares`` are kept up to date: of axes that were not moved since, they stand."""
     for axis in runs.axes:
         if axis.name not in shares and axis.name not in now.unmoved:
-            alone = _tried(runs, _moved(now.notches, [axis]))
+            alone = _try_run(runs, _move_axes(now.notches, [axis]))
             if alone is not None:
                 shares[axis.name] = max(_differences(now.run, alone).values(), default=0.0)
     for axis in sorted(runs.axes, key=lambda axis: shares.get(axis.name, -1.0), reverse=True):
@@ -371,25 +371,25 @@ def _largest_share_moved(
         by = next((n for n in range(most, 0, -1) if axis.at(at + n) != axis.at(at + n + 1)), 0)
         if not by:
             return None  # axis at its limit: refining other axes does not reduce this error
-        moved = _moved(now.notches, [axis], by)
-        if _tried(runs, moved) is not None:
+        moved = _move_axes(now.notches, [axis], by)
+        if _try_run(runs, moved) is not None:
             del shares[axis.name]
             return moved
     return None
 
 
-def _moved(notches: Notches, moved: Sequence[Axis], by: int = 1) -> Notches:
+def _move_axes(notches: Notches, moved: Sequence[Axis], by: int = 1) -> Notches:
     return {**notches, **{axis.name: notches.get(axis.name, 0) + by for axis in moved}}
 
 
-def _left(runs: Runs) -> bool:
+def _runs_left(runs: Runs) -> bool:
     return len(runs.known) <= MOST
 
 
-def _tried(runs: Runs, notches: Notches) -> Run | None:
+def _try_run(runs: Runs, notches: Notches) -> Run | None:
     """None where that has no result, or where no runs are left."""
     try:
-        return runs.at(notches) if _left(runs) else None
+        return runs.at(notches) if _runs_left(runs) else None
     except (SimulationError, UsageError):
         return None
 

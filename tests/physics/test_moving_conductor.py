@@ -13,7 +13,7 @@ from scipy.special import j1, spherical_jn
 import kc2spice as kc
 from kc2spice.core.errors import UsageError
 from kc2spice.core.progress import Clock, silent
-from kc2spice.fem.magnet_rings import Winding, divided, ladder
+from kc2spice.fem.magnet_rings import Winding, divide_section, ladder
 from kc2spice.parts.moving_conductor import ROUGH, declared
 from kc2spice.physics.law import DeclaredLaw
 from kc2spice.scene.load import load_scene
@@ -33,7 +33,7 @@ def test_a_thin_ring_is_one_loop_of_closed_form(shape, sizes):
     """``L = MU_0 R (ln(8 R / 0.2235 (a + b)) - 2)``; its distance of a rectangle's mean log is good
     to 1e-3 of L and to a few 1e-3 of a flat one (Rosa and Grover 1912)."""
     radius, (wide, tall) = 20e-3, sizes
-    body = divided(radius - wide / 2, radius + wide / 2, 0.0, tall, 40)
+    body = divide_section(radius - wide / 2, radius + wide / 2, 0.0, tall, 40)
     coil = Winding(15e-3, 0.1e-3, 0.1e-3, 0.0, 1.0)
     found = ladder(body, [coil], [], 2e-3, 12e-3, ALUMINIUM, 1e3, 1e-4)
     own = MU_0 * radius * (np.log(8 * radius / (0.2235 * (wide + tall))) - 2)
@@ -49,7 +49,7 @@ def test_currents_in_a_sphere_die_away_as_in_closed_form():
     """Rates ``k^2 / MU_0 sigma`` where ``j_(l-1)(k a) = 0``: pi, 4.4934, 5.7635, 2 pi (Smythe,
     Static and Dynamic Electricity, 10.03); a staircase of 1300 rings misses them by 0.5 %."""
     a = 5e-3
-    body = divided(0.0, a, -a, a, 1600, lambda r, z: r**2 + z**2 < a**2)
+    body = divide_section(0.0, a, -a, a, 1600, lambda r, z: r**2 + z**2 < a**2)
     rates = eigh(np.diag(body.resistance), body.inductance, eigvals_only=True)[:4]
     roots = np.array([np.pi, 4.493409, 5.763459, 2 * np.pi])
     assert np.abs(spherical_jn([0, 1, 2, 0], roots)).max() < 1e-6
@@ -60,7 +60,7 @@ def test_a_coil_over_a_plate_sees_the_integral_of_dodd_and_deeds():
     """C. V. Dodd, W. E. Deeds, J. Appl. Phys. 39 (1968) 2829, of a plate without end; the edge at
     six radii of the coil and 1000 rings change less than 4e-3."""
     coil = Winding(10e-3, 4e-3, 4e-3, 4e-3, 100.0)
-    body = divided(0.0, 60e-3, -5e-3, 0.0, 1000)
+    body = divide_section(0.0, 60e-3, -5e-3, 0.0, 1000)
     found = ladder(body, [coil], [], -0.2e-3, 0.2e-3, ALUMINIUM, 2e3, 1e-4)
     changed = (seen(found, 0.0, 2j * np.pi * 1e3) - found.inductance)[0, 0]
     assert changed == pytest.approx(over_a_plate(coil, 5e-3, 1e3, ALUMINIUM), rel=4e-3)
@@ -221,7 +221,9 @@ def test_what_a_state_stores_and_pulls_is_one_coenergy():
     power series of degree 8 lose 1e-7."""
     part = load_scene("levitated_disc").parts["conductor"]
     coils = [Winding(c.radius, c.width, c.height, c.y, c.turns) for c in part.keys.coils.values()]
-    found = ladder(divided(0, 65e-3, 0, 3e-3, 60), coils, [], 2e-3, 22e-3, ALUMINIUM, 1e3, 1e-3)
+    found = ladder(
+        divide_section(0, 65e-3, 0, 3e-3, 60), coils, [], 2e-3, 22e-3, ALUMINIUM, 1e3, 1e-3
+    )
     law = DeclaredLaw("c", declared(part, found).closed, (ALUMINIUM,))
     first = len(law.taps)
     rng = np.random.default_rng(5)
@@ -249,7 +251,9 @@ def test_the_mean_force_on_a_disc_is_that_of_others_finite_elements():
     """1.0963 N at 20 A and 50 Hz, 10.8 mm over the coils of TEAM problem 28 (half of 2.19253 N, as
     in radia's examples), to which three-dimensional elements there come within 1 %."""
     coils = [Winding(41e-3, 28e-3, 52e-3, -26e-3, 960), Winding(87.5e-3, 15e-3, 52e-3, -26e-3, 576)]
-    found = ladder(divided(0, 65e-3, 0, 3e-3, 400), coils, [], 5e-3, 15e-3, ALUMINIUM, 1e3, 1e-3)
+    found = ladder(
+        divide_section(0, 65e-3, 0, 3e-3, 400), coils, [], 5e-3, 15e-3, ALUMINIUM, 1e3, 1e-3
+    )
     both, s, step = np.array([1.0, -1.0]), 2j * np.pi * 50, 1e-5
     high, low = (both @ seen(found, 10.8e-3 + d, s).real @ both for d in (step, -step))
     assert 20**2 / 4 * (high - low) / (2 * step) == pytest.approx(1.0963, rel=2e-3)

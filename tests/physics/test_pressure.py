@@ -18,7 +18,7 @@ from kc2spice.bodies.pressure import (
     local_compliance,
     pressing,
     pressure_basis,
-    stressed,
+    stresses_under,
     surface_compliance,
 )
 from kc2spice.bodies.stack_keys import Chip
@@ -106,7 +106,7 @@ def test_stress_below_a_sphere_is_that_of_hertz_and_huber():
     """``p0 = 2 E* a / pi R``; on the axis the shear is largest half a radius down (Johnson 4.2)."""
     shape, S, gap = graded(5e-6)
     depth, nu = 6e-6, 0.291
-    found = stressed(Chip(material=steel()), shape, pressing(S, gap, np.array([depth]))[0])
+    found = stresses_under(Chip(material=steel()), shape, pressing(S, gap, np.array([depth]))[0])
     a = np.sqrt(R * depth)
     p0 = 2 * STEEL * a / (np.pi * R)
     z = np.linspace(0.01, 2, 20001)  # in units of a

@@ -16,7 +16,7 @@ import numpy as np
 from scipy.optimize import brentq
 
 import kc2spice as kc
-from kc2spice.fem.magnet_rings import Winding, divided
+from kc2spice.fem.magnet_rings import Winding, divide_section
 from kc2spice.parts.moving_conductor import turns
 
 ROOT = Path(__file__).parents[3]
@@ -61,7 +61,7 @@ def path(kind: str, **shape: float) -> tuple[np.ndarray, np.ndarray]:
 def steady(current=20.0, conductivity=3.4e7, radius=65e-3, thickness=3e-3, turns=(960, 576),
            outer=87.5e-3, inner=41e-3, frequency=50.0):  # fmt: skip
     """Height and period of small swings where the mean force is the weight, by all rings."""
-    body = divided(0.0, radius, 0.0, thickness, 300)
+    body = divide_section(0.0, radius, 0.0, thickness, 300)
     coils = (
         Winding(inner, 28e-3, 52e-3, -26e-3, turns[0]),
         Winding(outer, 15e-3, 52e-3, -26e-3, turns[1]),

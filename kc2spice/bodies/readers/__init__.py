@@ -75,14 +75,14 @@ def read_model(path: Path | str, sidecar: Path | str | None = None) -> LinearMod
     if not path.name:
         expected = "the name of a model, such as FOLDER/NAME"
         raise UsageError("is a folder, not a model", where=str(path), expected=expected)
-    base, files, _, settings = described(path, sidecar)
+    base, files, _, settings = locate_model(path, sidecar)
     path = files.pop(_WHOLE, path)  # NAME stands for NAME.npz
-    result = _read(path, {**files, **settings.files}, settings.matrices)
+    result = _read_files(path, {**files, **settings.files}, settings.matrices)
     sound = {
         k: raw.checked_matrix(m, k, result.files.get(k, path)) for k, m in result.matrices.items()
     }
     if settings.dofs is not None:
-        dofs = raw.parsed(settings.dofs, "lines 'node,dof', one for each row", _rows)
+        dofs = raw.parse_file(settings.dofs, "lines 'node,dof', one for each row", _rows)
         result = replace(result, dofs=dofs)
     return assemble_model(Rows(base.name, str(path), settings, result, sound))
 
@@ -94,7 +94,7 @@ def mesh_extent(path: Path, sidecar: Path | None) -> np.ndarray | None:
     ------
     UsageError : a sidecar or a mesh that is wrong.
     """
-    *_, settings = described(path, sidecar)
+    *_, settings = locate_model(path, sidecar)
     if settings.mesh is None:
         return None
     return np.asarray(
@@ -134,7 +134,7 @@ def source_files(path: Path, sidecar: Path | None) -> tuple[Path, ...]:
     ------
     UsageError : a sidecar that is wrong.
     """
-    base, files, selected, settings = described(path, sidecar)
+    base, files, selected, settings = locate_model(path, sidecar)
     paths = [
         path,
         selected,
@@ -147,7 +147,7 @@ def source_files(path: Path, sidecar: Path | None) -> tuple[Path, ...]:
     return tuple(sorted({item for item in paths if item is not None and item.is_file()}))
 
 
-def described(path: Path, sidecar: Path | None) -> tuple[Path, dict[str, Path], Path, Sidecar]:
+def locate_model(path: Path, sidecar: Path | None) -> tuple[Path, dict[str, Path], Path, Sidecar]:
     """Return the model path, its matrix files, its TOML file and the parsed TOML content.
 
     The TOML file need not exist unless ``sidecar`` names it.
@@ -205,7 +205,7 @@ def _family(path: Path) -> tuple[Path, dict[str, Path]]:
     return (path.with_suffix("") if raw.present(path) else path), archive
 
 
-def _read(path: Path, files: dict[str, Path], requested: Mapping[str, str]) -> raw.Raw:
+def _read_files(path: Path, files: dict[str, Path], requested: Mapping[str, str]) -> raw.Raw:
     suffix = path.suffix.lower()
     if files:
         return _matrices(files)
@@ -222,7 +222,7 @@ def _read(path: Path, files: dict[str, Path], requested: Mapping[str, str]) -> r
             path, got, "names such as NAME.K, NAME_K.mtx or JOB_STIF1.mtx", hint
         )
     expected, read = READERS[suffix]
-    return raw.guarded(path, expected, lambda: read(path, requested))
+    return raw.call_reader(path, expected, lambda: read(path, requested))
 
 
 def _matrices(files: dict[str, Path]) -> raw.Raw:
@@ -232,13 +232,13 @@ def _matrices(files: dict[str, Path]) -> raw.Raw:
     mapped: list[Path] = []
     for letter, path in files.items():
         head = _head(path)
-        allowed = partial(raw.bounded, path, letter)
+        allowed = partial(raw.require_size, path, letter)
         if head[: len(BANNER)].lower() == BANNER:
             expected = "a Matrix Market file, 'coordinate' or 'array', not 'pattern' or 'hermitian'"
-            result[letter] = raw.parsed(path, expected, partial(read_market, allowed=allowed))
+            result[letter] = raw.parse_file(path, expected, partial(read_market, allowed=allowed))
         elif codes.is_harwell_boeing(head):
             read = partial(codes.read_harwell_boeing, allowed=allowed)
-            result[letter] = raw.parsed(path, codes.EXPECTED, read)
+            result[letter] = raw.parse_file(path, codes.EXPECTED, read)
             mapped += (path.with_suffix(suffix) for suffix in (".mapping", ".MAPPING"))
         elif (
             letter in f"MEK{codes.LOSS}" and path.suffix.lower() == ".mtx"
@@ -251,13 +251,13 @@ def _matrices(files: dict[str, Path]) -> raw.Raw:
     if tables:
         one = next(iter(tables.values()))
         expected = "stiffness, mass and damping of one job"
-        abaqus = raw.guarded(one, expected, lambda: codes.read_abaqus(tables))
+        abaqus = raw.call_reader(one, expected, lambda: codes.read_abaqus(tables))
     result |= abaqus.matrices
     dofs, names = abaqus.dofs, [path for path in mapped if raw.present(path)]
     if names and dofs is None:
         size = next(m.shape[0] for k, m in result.items() if k in "MEKA")
         expected = f"lines of equation, node and degree of freedom for {size} equations"
-        dofs = raw.parsed(names[0], expected, partial(codes.mapping, size=size))
+        dofs = raw.parse_file(names[0], expected, partial(codes.mapping, size=size))
     return raw.Raw(result, dofs, abaqus.fixed, files)
 
 

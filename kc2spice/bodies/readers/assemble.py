@@ -105,7 +105,7 @@ def _complete(rows: Rows) -> Mapping[str, Matrix]:
     return result | square
 
 
-def _cut(matrix: Matrix, keep: np.ndarray) -> Matrix:
+def _restrict(matrix: Matrix, keep: np.ndarray) -> Matrix:
     return matrix if len(keep) == matrix.shape[0] else sparse.csc_array(matrix[keep][:, keep])
 
 
@@ -287,7 +287,7 @@ def _plain(rows: Rows) -> LinearModel:
     if not keep.size:
         cure = "delete one of the [[fixed]] entries"
         raise UsageError("every degree of freedom is fixed", where=settings.where, hint=cure)
-    operators = {k: _cut(m, keep) for k, m in rows.matrices.items() if k in "MEKA"}
+    operators = {k: _restrict(m, keep) for k, m in rows.matrices.items() if k in "MEKA"}
     used = sum(abs(matrix).sum(axis=1) for matrix in operators.values())
     empty = np.flatnonzero(np.asarray(used) == 0)
     if empty.size:  # an unknown that nothing determines: a gap in the numbering
@@ -363,12 +363,12 @@ def _with_electrodes(rows: Rows) -> LinearModel:
         got = "mass on a potential, or a positive dielectric block"
         raise wrong(rows.where, "potentials are not as expected", got, expected)
     loads = [rows.load(entry)[u] for entry in settings.ports if entry.kind != "electrical"]
-    damping = {"rayleigh": settings.damping.rayleigh} if E is None else {"E": _cut(E, u)}
+    damping = {"rayleigh": settings.damping.rayleigh} if E is None else {"E": _restrict(E, u)}
     return with_potentials(
-        M=_cut(M, u),
-        K_uu=_cut(K, u),
+        M=_restrict(M, u),
+        K_uu=_restrict(K, u),
         K_up=sparse.csc_array(K[u][:, p]),
-        K_pp=-_cut(K, p),
+        K_pp=-_restrict(K, p),
         k_uV=KT[u],
         k_pV=-KT[p],
         c_VV=c,

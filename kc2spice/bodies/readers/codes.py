@@ -69,13 +69,13 @@ def read_abaqus(files: dict[str, Path]) -> raw.Raw:
     ------
     UsageError : damaged, formats mixed, too large, or entries that are not those of one matrix.
     """
-    read = {letter: raw.parsed(path, _EXPECTED, _entries) for letter, path in files.items()}
+    read = {letter: raw.parse_file(path, _EXPECTED, _entries) for letter, path in files.items()}
     tables, dofs = {letter: table for letter, (_, table) in read.items()}, None
     if len({labelled for labelled, _ in read.values()}) > 1:
         one = next(iter(files.values()))
         raise raw.unusable_file(one, "MATRIX INPUT and COORDINATE", "one format for all matrices")
     if all(labelled for labelled, _ in read.values()):
-        result, dofs = raw.labelled(tables)
+        result, dofs = raw.matrices_by_letter(tables)
         result = {letter: raw.both_triangles(matrix) for letter, matrix in result.items()}
     else:
         n = 1 + max(int(side.max()) for row, column, _ in tables.values() for side in (row, column))
@@ -117,7 +117,7 @@ def _entries(data: bytes) -> tuple[bool, raw.Triple]:
         )
     table = values.reshape(-1, width)
     if width == 5:
-        return True, raw.keyed(table)
+        return True, raw.row_keys(table)
     return False, (
         indices(table[:, 0], raw.MAX_SIZE),
         indices(table[:, 1], raw.MAX_SIZE),
@@ -139,11 +139,11 @@ def read_calculix(path: Path, _: object) -> raw.Raw:
             raise raw.unusable_file(
                 path, f"no {file.name}", f"{', '.join(SUFFIXES)} side by side", hint
             )
-    dofs = raw.parsed(rows, "lines node.direction", _dofs)
+    dofs = raw.parse_file(rows, "lines node.direction", _dofs)
     expected = f"lines 'row column value' for {len(dofs)} rows"
     files = {"K": stiffness, "M": mass}
     result = {
-        letter: raw.parsed(file, expected, lambda data: _triangle(data, len(dofs)))
+        letter: raw.parse_file(file, expected, lambda data: _triangle(data, len(dofs)))
         for letter, file in files.items()
     }
     return raw.Raw(result, dofs, files=files)
@@ -200,7 +200,7 @@ def unpack_full(path: str, requested: dict[str, str]) -> dict[str, np.ndarray]:
     fixed = np.flatnonzero(np.isin(keys, constrained))
     result = {"nodes": place[:, 0], "dofs": kind, "fixed": fixed}
     for letter, matrix in (("K", stiffness), ("M", mass)):  # the upper triangle is stored
-        result |= raw.packed(letter, mirrored(sparse.csc_array(matrix)))
+        result |= raw.pack_matrix(letter, mirrored(sparse.csc_array(matrix)))
     return result
 
 
@@ -343,9 +343,11 @@ def read_dmig(path: Path, requested: Mapping[str, str]) -> raw.Raw:
     UsageError : no such cards, rectangular ones, or damage.
     """
     expected = "square DMIG cards"
-    forms, entries = raw.parsed(path, expected, _dmig)
+    forms, entries = raw.parse_file(path, expected, _dmig)
     selected = choose([n for n, f in forms.items() if f in (_SQUARE, _SYMMETRIC)], requested, path)
-    matrices, dofs = raw.labelled({letter: entries[name] for letter, name in selected.items()})
+    matrices, dofs = raw.matrices_by_letter(
+        {letter: entries[name] for letter, name in selected.items()}
+    )
     symmetric = {k for k, name in selected.items() if forms[name] == _SYMMETRIC}
     mirrored_too = {k: raw.both_triangles(m) if k in symmetric else m for k, m in matrices.items()}
     return raw.Raw(with_loss(mirrored_too), dofs)
@@ -375,7 +377,7 @@ def _dmig(data: bytes) -> tuple[dict[str, int], dict[str, raw.Triple]]:
                 entries[name].append((*place, values[name](first, second)))
     if not forms:
         raise ValueError("no DMIG card")
-    return forms, {name: raw.keyed(np.array(e).reshape(-1, 5)) for name, e in entries.items()}
+    return forms, {name: raw.row_keys(np.array(e).reshape(-1, 5)) for name, e in entries.items()}
 
 
 def _value(kind: int, polar: bool, name: str) -> Callable[[str, str], complex]:
@@ -447,7 +449,7 @@ def unpack_op4(path: str, requested: Mapping[str, str]) -> dict[str, np.ndarray]
     names, sizes, _, _ = op4.dir(path, verbose=False)
     selected = choose(list(names), requested, Path(path))
     for letter, name in selected.items():
-        raw.bounded(Path(path), letter, sizes[names.index(name)], None)
+        raw.require_size(Path(path), letter, sizes[names.index(name)], None)
     loaded = op4.load(path, list(selected.values()), sparse=True)
     matrices = {}
     for letter, name in selected.items():
@@ -455,5 +457,5 @@ def unpack_op4(path: str, requested: Mapping[str, str]) -> dict[str, np.ndarray]
         matrices[letter] = raw.both_triangles(matrix) if form == _SYMMETRIC else matrix
     result: dict[str, np.ndarray] = {}
     for letter, matrix in with_loss(matrices).items():
-        result |= raw.packed(letter, matrix)
+        result |= raw.pack_matrix(letter, matrix)
     return result

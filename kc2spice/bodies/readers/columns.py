@@ -234,14 +234,14 @@ def column_of(title: Title, values: np.ndarray) -> Column:
     """The column of a title with its ``values`` (n,) in SI."""
     unit, note, name = title.unit, "", title.text.strip()
     if unit is None:
-        unit = _assumed(title, values)
+        unit = _assumed_unit(title, values)
         if unit.text:
             note = f"{name}: no unit, taken as {unit.text}"
     scaled = 10 ** (values / 20) if unit.measures == "decibel" else unit.value * values
     return Column(title, title.sign * scaled, note, unit.text or "1")
 
 
-def _assumed(title: Title, values: np.ndarray) -> Unit:
+def _assumed_unit(title: Title, values: np.ndarray) -> Unit:
     """The unit of a column that states none."""
     measures = title.meaning.measures[0]
     if measures == "frequency" and re.search("ω|omega", title.text.lower()):
@@ -314,9 +314,9 @@ def _titles(above: list[str], separator: str | None, columns: int) -> list[str]:
     lines = [line.strip().lstrip(_COMMENT) for line in above if line.strip().strip(_COMMENT)]
     if not lines:
         raise ValueError("the columns have no header")
-    last = _divided(lines[-1], separator, columns)
+    last = _split_titles(lines[-1], separator, columns)
     units = last is not None and all(_is_unit(w) for w in last)
-    names = _divided(lines[-2], separator, columns) if units and len(lines) > 1 else None
+    names = _split_titles(lines[-2], separator, columns) if units and len(lines) > 1 else None
     if last is not None and names is not None:
         return [f"{a} ({b.strip('()[]')})" for a, b in zip(names, last, strict=True)]
     if last is None:
@@ -334,7 +334,7 @@ def _is_unit(word: str) -> bool:
         return True
 
 
-def _divided(line: str, separator: str | None, columns: int) -> list[str] | None:
+def _split_titles(line: str, separator: str | None, columns: int) -> list[str] | None:
     """A line as so many titles, None where no separator does."""
     splits = [_fields(line, separator)]
     if separator is None:  # blanks also divide the words of one title

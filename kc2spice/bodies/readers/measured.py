@@ -23,7 +23,7 @@ import numpy as np
 from kc2spice.bodies.readers.columns import Column, column_of, read_table, read_title, units_of
 from kc2spice.bodies.readers.raw import (
     absent,
-    guarded,
+    call_reader,
     in_own_process,
     present,
     unusable_file,
@@ -219,7 +219,7 @@ def read_measured(path: Path) -> Measured:
         return _touchstone(text, int(match[2] or 0)) if match else _response(*read_table(text))
 
     with np.errstate(all="ignore"):  # values that are not finite are refused
-        response = guarded(path, expected, read, advice)
+        response = call_reader(path, expected, read, advice)
     f, Y = response.f, response.Y
     if not (np.isfinite(f).all() and np.isfinite(Y).all() and f.min(initial=1.0) >= 0):
         got = "NaN, infinity, an impedance of zero or a frequency below zero"
@@ -329,7 +329,7 @@ def _touchstone(text: str, ports: int) -> MeasuredResponse:
     z0 = np.broadcast_to(reference if len(reference) == n else reference[:1], (n,)).astype(float)
     if kind != "s" and "version" not in keys:  # version 1 normalises to the first reference
         P = P * z0[0] if kind == "z" else P / z0[0]
-    summary = f"{kind.upper()} of {n} ports in {form.upper()}, frequency in {_spelled(unit)}"
+    summary = f"{kind.upper()} of {n} ports in {form.upper()}, frequency in {_spell_unit(unit)}"
     summary += f", reference {' '.join(f'{R:g}' for R in reference)} Ohm" if kind == "s" else ""
     quantity = _QUANTITIES[kind]
     Y = _admittance(quantity, P, z0)
@@ -339,7 +339,7 @@ def _touchstone(text: str, ports: int) -> MeasuredResponse:
 _QUANTITIES: dict[str, Quantity] = {"s": "S", "z": "Z", "y": "Y"}
 
 
-def _spelled(unit: str) -> str:
+def _spell_unit(unit: str) -> str:
     """A unit of frequency in its own case."""
     return unit[:-2].upper().replace("K", "k") + "Hz"
 

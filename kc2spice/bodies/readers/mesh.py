@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from kc2spice.bodies.readers.codes import bulk_data_cards, fortran_number
-from kc2spice.bodies.readers.raw import MAX_SIZE, parsed
+from kc2spice.bodies.readers.raw import MAX_SIZE, parse_file
 from kc2spice.core.errors import UsageError, unknown, wrong
 
 _EXPECTED = "an .inp, .cdb, .bdf, .dat, .nas, .pch or .csv file with the nodes"
@@ -84,7 +84,7 @@ def read_nodes(path: Path) -> NodeMesh:
         node_sets = {name: np.unique(np.array(item, np.int64)) for name, item in sets.items()}
         return NodeMesh(str(path), node, at, node_sets)
 
-    return parsed(path, _EXPECTED, mesh)
+    return parse_file(path, _EXPECTED, mesh)
 
 
 Nodes = dict[int, tuple[float, float, float]]

@@ -99,19 +99,19 @@ def existing(path: Path, what: str = "a model in this file") -> Path:
     return path
 
 
-def unpacked(path: Path) -> int:
+def unpacked_limit(path: Path) -> int:
     """Bytes that a packed file may come to: a small one is never much."""
     least, times = UNPACKED
     return min(MAX_BYTES, max(least, times * existing(path).stat().st_size))
 
 
-def parsed(path: Path, expected: str, parse: Callable[[bytes], T]) -> T:
+def parse_file(path: Path, expected: str, parse: Callable[[bytes], T]) -> T:
     """Parse the bytes of a text file without its UTF-8 byte order mark by ``parse``."""
     data = existing(path).read_bytes().removeprefix(_BOM)
-    return guarded(path, expected, lambda: parse(data))
+    return call_reader(path, expected, lambda: parse(data))
 
 
-def guarded(path: Path, expected: str, read: Callable[[], T], advice: str = NEXT) -> T:
+def call_reader(path: Path, expected: str, read: Callable[[], T], advice: str = NEXT) -> T:
     """``read()``; whatever a damaged file makes a parser raise becomes one clear error.
 
     ``advice`` is what to do with a damaged file.
@@ -128,7 +128,7 @@ def guarded(path: Path, expected: str, read: Callable[[], T], advice: str = NEXT
     raise UsageError(message, where=str(path), got=got, expected=expected, hint=hint)
 
 
-def bounded(path: Path, letter: str, shape: tuple[int, ...], entries: int | None) -> None:
+def require_size(path: Path, letter: str, shape: tuple[int, ...], entries: int | None) -> None:
     """Refuse a matrix by its declared size, before memory is taken for it.
 
     Raises
@@ -158,14 +158,14 @@ def checked_matrix(matrix: Any, letter: str, path: Path) -> Matrix:
     UsageError : it is anything else; the message says what.
     """
     if sparse.issparse(matrix) and matrix.format in ("csc", "csr"):  # coo judges its indices itself
-        guarded(path, f"a sound matrix {letter}", lambda: matrix.check_format(True))
+        call_reader(path, f"a sound matrix {letter}", lambda: matrix.check_format(True))
     matrix = real_if_possible(matrix)
     data = matrix.data if sparse.issparse(matrix) else matrix
     if data.dtype.kind not in ("fiubc" if letter == "K" else "fiub"):
         what = "complex" if data.dtype.kind == "c" else f"of type {data.dtype}"
         hint = "only a stiffness may be complex, K (1 + j eta)" if data.dtype.kind == "c" else NEXT
         raise unusable_file(path, f"matrix {letter} is {what}", "a real numeric matrix", hint)
-    bounded(path, letter, matrix.shape, data.size)
+    require_size(path, letter, matrix.shape, data.size)
     if not np.isfinite(data).all():
         raise unusable_file(path, f"matrix {letter} holds NaN or infinity", "finite numbers")
     if letter in WIDE:
@@ -228,15 +228,15 @@ class Raw:
     files: Mapping[str, Path] = field(default_factory=dict)
 
 
-def keyed(table: np.ndarray) -> Triple:
+def row_keys(table: np.ndarray) -> Triple:
     """Keys of rows and columns, and values, of lines (node, freedom, node, freedom, value)."""
     place = table[:, :4].real
     row, column = Dofs(*place[:, :2].T), Dofs(*place[:, 2:].T)
     return row.keys(), column.keys(), table[:, 4]
 
 
-def labelled(triples: Mapping[str, Triple]) -> tuple[dict[str, sparse.csc_array], Dofs]:
-    """Matrices by letter, on one common set of rows, from what :func:`keyed` gives.
+def matrices_by_letter(triples: Mapping[str, Triple]) -> tuple[dict[str, sparse.csc_array], Dofs]:
+    """Matrices by letter, on one common set of rows, from what :func:`row_keys` gives.
 
     Rows are sorted by node, then by freedom; gaps in the numbering leave no empty rows.
     """
@@ -282,7 +282,7 @@ def read_matrix_archive(path: Path, _: object) -> Raw:
     def largest(name: str) -> int:
         return MAX_DENSE if name in LETTERS else MAX_ENTRIES
 
-    total = unpacked(path)
+    total = unpacked_limit(path)
     return _raw(foreign.read_archive(path, is_known, entries=largest, total=total), path)
 
 
@@ -297,7 +297,7 @@ def in_own_process(
     UsageError, ValueError : the file is missing or too large, or anything else goes wrong there.
     MissingToolError : the function needs a package that is not there.
     """
-    memory = _MEMORY + 2 * unpacked(path)
+    memory = _MEMORY + 2 * unpacked_limit(path)
     seconds = _SECONDS[0] + path.stat().st_size // _SECONDS[1]
     request = {"path": str(path.absolute()), **options}
     name = f"{function.__module__}:{function.__name__}"
@@ -311,7 +311,7 @@ def unpacker(function: Callable[..., object]) -> Callable[[Path, Mapping[str, st
     )
 
 
-def packed(name: str, matrix: Any) -> dict[str, np.ndarray]:
+def pack_matrix(name: str, matrix: Any) -> dict[str, np.ndarray]:
     """A matrix, or the numbers of rows, as the arrays of an archive."""
     if not sparse.issparse(matrix):
         return {name: np.asarray(matrix)}
@@ -333,7 +333,7 @@ def _sparse(path: Path, letter: str, parts: dict[str, np.ndarray]) -> sparse.spa
     kind = str(parts["format"].item()) if "format" in parts else "coo"
     kind = kind.removeprefix("b'").removesuffix("'")
     rows, columns = (int(k) for k in parts["shape"])
-    bounded(path, letter, (rows, columns), parts["data"].size)
+    require_size(path, letter, (rows, columns), parts["data"].size)
     if kind == "coo":
         inner = (parts["data"], (parts["row"], parts["col"]))
         return sparse.coo_array(inner, shape=(rows, columns))
@@ -374,11 +374,11 @@ def unpack_matlab(path: str, requested: dict[str, str]) -> dict[str, np.ndarray]
             if kinds[name][1] in (*_OTHER, "struct"):
                 raise ValueError(f"variable {name} is a {kinds[name][1]}")
         full = [kinds[name][0] for name in plain if kinds[name][1] != "sparse"]
-        result = _loaded(path, plain, full)
+        result = _load_variables(path, plain, full)
     parts: dict[str, np.ndarray] = {}
     for name in names:
         if name in result:
-            parts |= packed(name, _plain(name, result[name]))
+            parts |= pack_matrix(name, _plain(name, result[name]))
     return parts
 
 
@@ -395,14 +395,14 @@ def vectors(path: str) -> dict[str, np.ndarray]:
     plain = [name for name, (_, kind) in kinds.items() if kind in numbers]
     if {"M", "K", "A"} & set(kinds):
         return {}
-    result = _loaded(path, plain, [kinds[name][0] for name in plain])
+    result = _load_variables(path, plain, [kinds[name][0] for name in plain])
     return {name: np.asarray(result[name]) for name in plain if result[name].size}
 
 
-def _loaded(path: str, names: list[str], full: list[tuple[int, ...]]) -> dict[str, Any]:
+def _load_variables(path: str, names: list[str], full: list[tuple[int, ...]]) -> dict[str, Any]:
     """The variables of these names, of which full arrays have these shapes."""
     size = sum(8 * np.prod(shape, dtype=float) for shape in full)
-    if size > unpacked(Path(path)):
+    if size > unpacked_limit(Path(path)):
         raise ValueError(f"its variables of {size:g} bytes are too large")
     return io.loadmat(path, appendmat=False, variable_names=names) if names else {}
 

@@ -63,7 +63,7 @@ from pydantic import (
     model_validator,
 )
 
-from kc2spice.bodies.readers.raw import CODES, DOFS, ROTATIONS, TRANSLATIONS, existing, guarded
+from kc2spice.bodies.readers.raw import CODES, DOFS, ROTATIONS, TRANSLATIONS, call_reader, existing
 from kc2spice.core.domains import PORTS
 from kc2spice.core.errors import candidates, did_you_mean
 from kc2spice.core.foreign import MAX_BYTES, read_bounded, text_of
@@ -122,7 +122,7 @@ def _unit_vector(value: tuple[float, float, float]) -> tuple[float, float, float
     return x, y, z
 
 
-def _listed(value: object) -> object:
+def _as_list(value: object) -> object:
     return value if isinstance(value, list | tuple) else [value]
 
 
@@ -177,7 +177,7 @@ class NodeSelection(Section):
 class Fixed(NodeSelection):
     """Freedoms held at zero; ``dof`` empty for all of the nodes."""
 
-    dof: Annotated[tuple[Dof, ...], BeforeValidator(_listed)] = ()
+    dof: Annotated[tuple[Dof, ...], BeforeValidator(_as_list)] = ()
 
     @model_validator(mode="after")
     def _somewhere(self) -> Fixed:
@@ -350,7 +350,7 @@ def read_sidecar(path: Path) -> Sidecar:
     """
     expected = f"a TOML file of at most {MAX_BYTES} bytes"
     existing(path, expected)
-    text = guarded(path, expected, lambda: text_of(read_bounded(path, MAX_BYTES)))
+    text = call_reader(path, expected, lambda: text_of(read_bounded(path, MAX_BYTES)))
     data = parse_toml_file(text, str(path))
     result = validated(Sidecar, data, f"{path}:", {"folder": path.parent})
     result._where = str(path)

@@ -57,7 +57,7 @@ class SceneText:
         """The scene with ``overrides`` on top of it; raises as :func:`load_scene` does."""
         if self.text is None:
             return load_scene(self.name, overrides)
-        home = Path(_unpacked(self).name)
+        home = Path(_unpack(self).name)
         try:
             return load_scene(home / f"{self.name}.toml", overrides)
         except UsageError as error:  # rows say the same wherever they are run
@@ -66,7 +66,7 @@ class SceneText:
 
 
 @lru_cache(maxsize=_KEPT)
-def _unpacked(scene: SceneText) -> tempfile.TemporaryDirectory[str]:
+def _unpack(scene: SceneText) -> tempfile.TemporaryDirectory[str]:
     """A directory that holds the files of ``scene`` until this process ends."""
     directory = tempfile.TemporaryDirectory(prefix="kc2spice-scene-")
     for name, content in ((f"{scene.name}.toml", (scene.text or "").encode()), *scene.files):
@@ -138,10 +138,10 @@ class Job:
     def load(self, values: Mapping[str, Any]) -> Scene:
         """The scene where the swept keys have these values; raises as :func:`load_scene` does."""
         overrides = (*self.fixed, *_overrides(values))
-        source = self.scene
-        scene = (
-            source.load(overrides) if isinstance(source, SceneText) else load_scene(source, overrides)
-        )
+        if isinstance(self.scene, SceneText):
+            scene = self.scene.load(overrides)
+        else:
+            scene = load_scene(self.scene, overrides)
         return replace(scene, workspace=self.workspace)
 
 

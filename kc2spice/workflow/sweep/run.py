@@ -414,10 +414,12 @@ def make_sweep(
     )
     units = {key: key_of(key, keys).unit or "" for key in plan.keys}
     job = Job(scene, tuple(fixed), tuple(constants), timeout)
-    return planned(job, plan, units, tuple(dict.fromkeys(metrics)))
+    return sweep_of_plan(job, plan, units, tuple(dict.fromkeys(metrics)))
 
 
-def planned(job: Job, plan: Plan, units: Mapping[str, str], metrics: tuple[str, ...] = ()) -> Sweep:
+def sweep_of_plan(
+    job: Job, plan: Plan, units: Mapping[str, str], metrics: tuple[str, ...] = ()
+) -> Sweep:
     """The sweep of ``plan``.
 
     Raises
@@ -515,7 +517,7 @@ def outcomes(
         with_parameters(deck, changed)
     again: list[int] = []
     known = False
-    for index, outcome in _completed(definition, points, workers):
+    for index, outcome in _complete_points(definition, points, workers):
         if outcome.failure is None and not known:
             require_columns(outcome, definition.metrics, definition.scene.name)
             known = True
@@ -524,10 +526,10 @@ def outcomes(
         else:
             yield index, outcome
     if again:
-        yield from _completed(definition, again, workers, at_once=1)
+        yield from _complete_points(definition, again, workers, at_once=1)
 
 
-def _completed(
+def _complete_points(
     definition: Sweep, points: Iterable[int], workers: Workers, at_once: int | None = None
 ) -> Iterator[tuple[int, PointResult]]:
     """Outcomes of ``points`` as they come, no more in flight than keeps all workers busy.
@@ -540,7 +542,7 @@ def _completed(
         while True:
             for index in islice(left, max(0, (at_once or 2 * count + 1) - len(pending))):
                 values = definition.plan.values(index)
-                pending[_submitted(executor.submit, definition.job, values)] = index
+                pending[_submit_point(executor.submit, definition.job, values)] = index
             if not pending:
                 return
             results = {f: _result(f) for f in wait(pending, return_when=FIRST_COMPLETED).done}
@@ -552,7 +554,7 @@ def _completed(
                 yield pending.pop(future), outcome
 
 
-def _submitted(submit: Any, job: Job, values: Mapping[str, Any]) -> Future[PointResult]:
+def _submit_point(submit: Any, job: Job, values: Mapping[str, Any]) -> Future[PointResult]:
     try:
         future: Future[PointResult] = submit(run_point, job, values)
     except Exception as error:  # raised by an executor without workers
