@@ -772,7 +772,7 @@ def mode_branch(
     A mode ``z'' + damp z' + omega^2 z = g v`` whose charge is ``g z`` is L = 1/g^2, R = damp/g^2
     and C = g^2/omega^2 in series across an electrical port; by the same law it is the mass
     m = 1/g^2, the damper c = damp/g^2 and the spring k = omega^2/g^2 at a mechanical one. ``gains``
-    are those of all modes, by which rounding is told from a ``gain``.
+    are those of all modes; rounding is far below the largest of them.
     """
     largest = np.abs(gains).max(axis=0)
     for domains, names in (((ELECTRICAL,), "LCR"), ((TRANSLATION, ROTATION), "mck")):

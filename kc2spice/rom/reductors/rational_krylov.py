@@ -21,7 +21,7 @@ from kc2spice.rom.rounding import removed_stiffness, with_rounding
 MOST_VECTORS = 600  # vectors of a basis
 MOST_POINTS = 180  # factorisations
 CONFIRMATIONS = 2  # points in a row that must meet the target, as one may be a coincidence
-MANY_POINTS = 20  # factorisations after which the user is told the cause, in a large model
+MANY_POINTS = 20  # factorisations after which a large model warns of the cause
 LARGE = 10_000  # unknowns of a large model. Chosen by trial.
 BASIS_SHARE = 0.01  # share of the tolerance at which a basis of the method ends. By trial.
 
