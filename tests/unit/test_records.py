@@ -93,7 +93,9 @@ def cards_of(scene):
 
     return {
         name: collections.Counter(
-            renamed(line) for line in text.splitlines() if not line.startswith(ORDERED)
+            renamed(line)
+            for line in text.replace("\n+", "").splitlines()  # lines are wrapped by their length
+            if not line.startswith(ORDERED)
         )
         for name, text in deck.files.items()
     }
