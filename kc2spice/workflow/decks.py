@@ -136,7 +136,7 @@ def _libraries(build: Build, header: Header) -> Iterator[Subcircuit]:
                     where=part.name,
                     got=result.filename,
                     expected="names that differ",
-                    hint=f"rename the part {part.name}",
+                    hint=f"rename the file of {part.name} and the subcircuit in it",
                 )
 
 

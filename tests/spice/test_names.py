@@ -146,4 +146,4 @@ def test_one_name_of_two_libraries_is_refused_with_both_parts(tmp_path, monkeypa
         UsageError, match="n and m write different libraries with the same name"
     ) as told:
         make_deck(built(scene))
-    assert "key number" in told.value.hint
+    assert "rename the file of m" in told.value.hint

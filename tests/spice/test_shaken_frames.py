@@ -9,7 +9,7 @@ from scipy.integrate import solve_ivp
 
 import kc2spice as kc
 from kc2spice.core.errors import UsageError
-from kc2spice.scene.load import load_scene
+from kc2spice.scene.load import _scene, _Source, load_scene
 from kc2spice.scene.model import Build
 from kc2spice.scene.plan import plan
 
@@ -203,12 +203,9 @@ def test_a_netlist_on_a_shaken_body_warns(tmp_path: Path):
         "units": {"a": "um/N", "base": "um/N"},
         "pins": {"a": "beam.tip"},
     }
-    path = tmp_path / "scene.toml"
-    path.write_text("")
-    from kc2spice.scene.load import _scene
-
+    source = _Source("scene", "scene", "", tmp_path)  # a scene in Python whose files are there
     with pytest.warns(UserWarning, match="-m a"):
-        _scene(beam(own=table), tmp_path)
+        _scene(beam(own=table), source)
 
 
 def test_dialects_have_the_frame_too(tmp_path: Path):
