@@ -85,11 +85,14 @@ _orders: dict[bytes, np.ndarray | None] = {}
 class Factor:
     """A factorised matrix; ``solve`` refuses to return an inaccurate solution.
 
+    ``order`` (n,) is the order of elimination, None if the solver chose it.
+
     A solution beyond ``RESIDUAL_LIMIT`` is refined first: ``x + A^-1 (rhs - A x)`` (Skeel 1980).
     """
 
     matrix: scipy.sparse.csc_array
     apply_inverse: Inverse
+    order: np.ndarray | None = None
 
     @cached_property
     def norm(self) -> float:
@@ -159,12 +162,15 @@ def supernodal(matrix: scipy.sparse.csc_array, order: np.ndarray | None = None) 
     return solve
 
 
-def factorise(matrix: scipy.sparse.csc_array, *, definite: bool) -> Factor:
+def factorise(
+    matrix: scipy.sparse.csc_array, *, definite: bool, order: np.ndarray | None = None
+) -> Factor:
     """Factorise a symmetric matrix, real or complex.
 
     A narrow positive definite matrix (planes numbered one after another) gets a banded Cholesky
     factor, which costs n b^2 operations and no fill, any other definite one a supernodal Cholesky
-    factor; everything else that of :func:`two_sided`.
+    factor; everything else that of :func:`two_sided`. An ``order`` of elimination that is known
+    from a matrix of a similar pattern spares the search for one.
 
     Raises
     ------
@@ -176,7 +182,11 @@ def factorise(matrix: scipy.sparse.csc_array, *, definite: bool) -> Factor:
     bandwidth = int(np.abs(coo.row - coo.col).max(initial=0))
     try:
         narrow = bandwidth <= NARROW
-        apply = _factor_banded(coo, bandwidth) if narrow else supernodal(matrix, _order(matrix))
+        if narrow:
+            order, apply = None, _factor_banded(coo, bandwidth)
+        else:
+            order = _order(matrix) if order is None else order
+            apply = supernodal(matrix, order)
     except (np.linalg.LinAlgError, RuntimeError) as error:
         raise SimulationError(
             "matrix cannot be factorised",
@@ -185,7 +195,7 @@ def factorise(matrix: scipy.sparse.csc_array, *, definite: bool) -> Factor:
             expected="positive definite",
             hint="the model may be free to move: check its supports",
         ) from error
-    return Factor(matrix, apply)
+    return Factor(matrix, apply, order)
 
 
 def two_sided(matrix: scipy.sparse.csc_array, *, symmetric: bool) -> tuple[Factor, Factor]:

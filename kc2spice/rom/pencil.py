@@ -122,13 +122,16 @@ def symmetric(matrix: Matrix) -> bool:
     return matrix.symmetric if isinstance(matrix, Schur) else same(matrix, matrix.T)
 
 
-def congruence(P: Matrix, V: np.ndarray, known: bool = False) -> np.ndarray:
+def congruence(
+    P: Matrix, V: np.ndarray, known: bool = False, image: np.ndarray | None = None
+) -> np.ndarray:
     """``V'PV``, its symmetric and skew parts each from that part of P alone.
 
-    That P is symmetric may be ``known``: its parts take longer than the product.
+    That P is symmetric may be ``known``: its parts take longer than the product. The ``image`` P V
+    of a symmetric P may be known too.
     """
     if known or isinstance(P, Schur):
-        R = V.T @ (P @ V)
+        R = V.T @ (P @ V if image is None else image)
         return np.asarray(0.5 * (R + R.T) if known or P.symmetric else R)
     total = np.zeros((V.shape[1],) * 2)
     for sign in (1, -1):
@@ -272,6 +275,13 @@ class Pencil:
         return self._at_rest[0]
 
     @property
+    def elimination_order(self) -> np.ndarray | None:
+        """Order of elimination of the factor of K, for other matrices of the same unknowns; None
+        if there is none."""
+        order = self._at_rest[0].order if self._at_rest else None
+        return None if order is None else order[order < self.size]
+
+    @property
     def factorised(self) -> bool:
         """Whether factors of K are known."""
         return bool(self._at_rest)
@@ -285,16 +295,20 @@ class Pencil:
         """Let ``other``, which has the same K, use the factors of this one."""
         other.__dict__["_at_rest"] = self._at_rest
 
-    def project(self, V: np.ndarray) -> Pencil:
-        """Congruence ``V'PV``, ``V'B``, ``CV``.
+    def project(self, V: np.ndarray, images: tuple[np.ndarray | None, ...] | None = None) -> Pencil:
+        """Congruence ``V'PV``, ``V'B``, ``CV``; ``images`` may contain ``P V`` of each matrix.
 
         Symmetric and skew-symmetric matrices remain exactly so.
         """
+        known = images or (None,) * len(self.coefficients)
+        parts = zip(self.coefficients, known, strict=True)
         if self.rayleigh is None:
-            reduced = tuple(congruence(P, V, self.symmetric) for P in self.coefficients)
+            reduced = tuple(congruence(P, V, self.symmetric, image) for P, image in parts)
         else:
             alpha, beta = self.rayleigh
-            K, M = (congruence(self.coefficients[k], V, self.symmetric) for k in (0, 2))
+            (K, stiff), _, (M, heavy) = parts
+            K = congruence(K, V, self.symmetric, stiff)
+            M = congruence(M, V, self.symmetric, heavy)
             reduced = (K, alpha * M + beta * K, M)
         B = V.T @ self.B
         return Pencil(reduced, B, B.T.copy() if self.collocated else self.C @ V, self.D)

@@ -89,19 +89,21 @@ def _poles(pencil: Pencil, omega: float) -> np.ndarray:
 def dissipative(pencil: Pencil) -> bool:
     """Whether the form of a model shows an energy that nothing but its ports can add to."""
     rest, *others = pencil.coefficients
-    if not semidefinite(others[-1]):
+    order = pencil.elimination_order
+    if not semidefinite(others[-1], order):
         return False
     if pencil.rayleigh is None or min(pencil.rayleigh) < 0:  # else from mass and stiffness
         loss = others[0] if others[1:] else rest
-        if not semidefinite(loss if isinstance(loss, Schur) else loss + loss.T):
+        if not semidefinite(loss if isinstance(loss, Schur) else loss + loss.T, order):
             return False
     # a factor of K that solutions were made with shows it as well
     held = pencil.factorised and pencil.symmetric and not isinstance(rest, Schur)
     return pencil.degree == 1 or held or semidefinite(rest)
 
 
-def semidefinite(matrix: Matrix) -> bool:
-    """Symmetric without an eigenvalue below zero, but for rounding."""
+def semidefinite(matrix: Matrix, order: np.ndarray | None = None) -> bool:
+    """Symmetric without an eigenvalue below zero, but for rounding; an ``order`` of elimination of
+    sparse matrices may be known."""
     if isinstance(matrix, Schur):
         if not matrix.symmetric:
             return False
@@ -110,7 +112,7 @@ def semidefinite(matrix: Matrix) -> bool:
         blocks = [[matrix.uu, matrix.up], [matrix.pu, matrix.pp]]
         return semidefinite(scipy.sparse.csc_array(scipy.sparse.block_array(blocks)))
     if not isinstance(matrix, np.ndarray):
-        return _factorises(scipy.sparse.csc_array(matrix))
+        return _factorises(scipy.sparse.csc_array(matrix), order)
     if matrix.size == 0:
         return True
     if largest(matrix - matrix.T) > ASYMMETRY * largest(matrix):
@@ -119,7 +121,7 @@ def semidefinite(matrix: Matrix) -> bool:
     return bool(values[0] >= -ASYMMETRY * abs(values[-1]))
 
 
-def _factorises(matrix: Matrix) -> bool:
+def _factorises(matrix: Matrix, order: np.ndarray | None = None) -> bool:
     """Whether a sparse matrix is semidefinite: scaled to a unit diagonal and moved up by rounding
     it has a Cholesky factor."""
     if not largest(matrix):
@@ -133,7 +135,7 @@ def _factorises(matrix: Matrix) -> bool:
     shift = ASYMMETRY * float(abs(scaled).sum(axis=0).max())
     lift = scipy.sparse.diags_array(np.where(empty, 1.0, shift))
     try:
-        factorise(scipy.sparse.csc_array(scaled + lift), definite=True)
+        factorise(scipy.sparse.csc_array(scaled + lift), definite=True, order=order)
     except SimulationError:
         return False
     return True

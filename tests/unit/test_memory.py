@@ -62,7 +62,7 @@ def test_limits_of_the_process_count():
 
 
 def test_a_proof_without_memory_leaves_stability_open(monkeypatch):
-    def full(_):
+    def full(*_):
         raise MemoryError
 
     monkeypatch.setattr(proofs, "semidefinite", full)

@@ -240,3 +240,43 @@ def test_all_methods_are_compared_in_one_table(tmp_path):
     assert wrong.exit_code == 2
     one = CliRunner().invoke(app, [*words, "--method", "IRKA", "--json", "-o", str(tmp_path / "o")])
     assert json.loads(one.stdout)["method"].startswith("IRKA; ")
+
+
+def cube(n):
+    """An elastic cube of n^3 unknowns on a flexible support: trilinear elements."""
+    stiff, mass = (
+        sparse.diags_array([a, b, a], offsets=[-1, 0, 1], shape=(n, n))
+        for a, b in ((-1.0, 2.0), (1 / 6, 2 / 3))
+    )
+    K = sum(
+        sparse.kron(sparse.kron(*pair), last)
+        for *pair, last in ((stiff, mass, mass), (mass, stiff, mass), (mass, mass, stiff))
+    )
+    M = sparse.kron(sparse.kron(mass, mass), sparse.eye_array(n))  # fewer entries than K
+    B = np.zeros((n**3, 2))
+    B[0, 0] = B[-1, 1] = 1.0
+    order = np.random.default_rng(0).permutation(n**3)  # no narrow band
+    K, M = (sparse.csc_array(P)[order][:, order] for P in (K, M))
+    return kc.LinearModel(M=M, K=K, B=B[order], rayleigh=(0.0, 0.05))
+
+
+def test_a_large_definite_model_has_one_order_and_one_expansion_point(monkeypatch):
+    """The order of elimination of K serves the proof that M is semidefinite."""
+    count, search = [0], factor._nested_dissection
+
+    def counted(matrix):
+        count[0] += 1
+        return search(matrix)
+
+    monkeypatch.setattr(factor, "_nested_dissection", counted)
+    model = cube(18)
+    assert model.order > factor.LARGE
+    reduction = kc.Reduction(model, band=(0, 0.08), tolerance=1e-3, norm="pointwise")
+    rom = reduction.reduce(tolerance=1e-3)
+    assert rom.certificate.stable
+    assert rom.certificate.passive
+    assert count[0] == 1
+    assert reduction.points == (0.0,)
+    frequency = np.array([0.0, 0.031, 0.0783])
+    exact = model.transfer(frequency)
+    assert (np.abs(rom.transfer(frequency) - exact) <= 1e-3 * np.abs(exact)).all()

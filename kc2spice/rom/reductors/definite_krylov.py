@@ -38,7 +38,7 @@ def definite_krylov_model(
     """
     K, _, M = pencil.coefficients
     current = pencil.pencil_solver(0.0)
-    V = images = np.empty((pencil.size, 0))
+    V = images = stiff = heavy = np.empty((pencil.size, 0))
     candidates = current.solve(pencil.B)
     used, met, change, before = [0.0], 0, np.inf, np.inf
     blocks = BLOCKS_AT_ZERO
@@ -46,7 +46,9 @@ def definite_krylov_model(
     while V.shape[1] < MOST_VECTORS:
         columns, column_images = extend(V, images, candidates, lambda v: K @ v)
         V, images = np.hstack([V, columns]), np.hstack([images, column_images])
-        response = Response(pencil.project(V))
+        inertia = M @ columns
+        stiff, heavy = np.hstack([stiff, K @ columns]), np.hstack([heavy, inertia])
+        response = Response(pencil.project(V, (stiff, None, heavy)))
         response.zero = zero_entries(pencil, V, response, band)
         frequency = samples(response, band, GRID, True, (0.0, 1.0, 4.0))  # notches come last
         s = 2j * np.pi * frequency
@@ -64,7 +66,7 @@ def definite_krylov_model(
         previous = response
         blocks -= 1
         if columns.shape[1] and (blocks >= 0 or change <= before / GAIN):
-            candidates = current.solve(M @ columns)
+            candidates = current.solve(inertia)
             continue
         apart = np.abs(frequency[:, None] - np.array(used)).min(axis=1) > NEAREST * band[1]
         if not apart.any():
