@@ -25,7 +25,7 @@ _PARAM = re.compile(r"\* @param (\w+)=(\S+) unit=(\S+)(?: range=(\S+)\.\.(\S+))?
 
 
 @dataclass(frozen=True)
-class Reduction:
+class ReductionFacts:
     """Order, band and accuracy of the reduced model that a part was made from.
 
     ``error_estimate`` is the relative error of the part's response in the ``norm``. A share of it,
@@ -72,7 +72,7 @@ class Subcircuit:
     title: str = ""
     file: str = ""
     no_module: str = ""
-    reduction: Reduction | None = None
+    reduction: ReductionFacts | None = None
     source: str = ""
     head_lines: int = 0
 

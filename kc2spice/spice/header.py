@@ -14,7 +14,7 @@ from kc2spice.core.domains import TRANSLATION
 from kc2spice.core.mesh_error import NOT_ESTIMATED, mesh_words
 from kc2spice.netlist.cards import comment, name, number, render, word
 from kc2spice.netlist.circuit import Circuit, Param, Pin
-from kc2spice.netlist.library import Reduction, Subcircuit, parameter_line, use_line
+from kc2spice.netlist.library import ReductionFacts, Subcircuit, parameter_line, use_line
 from kc2spice.netlist.read import read
 from kc2spice.rom.linear import Certificate
 from kc2spice.scene.model import Terminal
@@ -72,7 +72,7 @@ def paragraph(text: str) -> list[str]:
     return [f"* {line}" for line in lines]
 
 
-def rom_lines(reduction: Reduction, certificate: Certificate) -> tuple[str, ...]:
+def rom_lines(reduction: ReductionFacts, certificate: Certificate) -> tuple[str, ...]:
     """Comment lines: order, band and error estimate of a reduced model, how it was found, the share
     of the emitted circuit, and what contact sees above the band."""
     seen = [f"{error:.2g} at {f:g} Hz" for f, error in certificate.above]

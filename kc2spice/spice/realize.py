@@ -26,7 +26,7 @@ from kc2spice.netlist.cards import LEAK_RATE, comment, distinct, number
 from kc2spice.netlist.cards import name as checked_name
 from kc2spice.netlist.circuit import Circuit, Element, Param, Pin
 from kc2spice.netlist.elements import Line, noted, pivots
-from kc2spice.netlist.library import Reduction, Subcircuit
+from kc2spice.netlist.library import ReductionFacts, Subcircuit
 from kc2spice.netlist.prefixes import rounded
 from kc2spice.rom.linear import Certificate, LinearModel, Port
 from kc2spice.rom.modal import Resonators, resonators
@@ -432,7 +432,7 @@ def _reduction(
     order: int,
     certificate: Certificate,
     compared: Iterable[tuple[LinearModel, Mapping[str, float]]],
-) -> Reduction:
+) -> ReductionFacts:
     """The facts of the reduced model with the error estimate of its emitted circuit, by the models
     that it should equal at values of its parameters."""
     band = certificate.band_hz
@@ -440,7 +440,7 @@ def _reduction(
     worst = max(errors, key=lambda item: item.error)
     total = certificate.error_estimate
     total += worst.error if worst.error > UNSEEN * total else 0.0
-    return Reduction(order, band, certificate.norm, total, worst.error, worst.frequency)
+    return ReductionFacts(order, band, certificate.norm, total, worst.error, worst.frequency)
 
 
 def _form(rom: LinearModel, dense: bool) -> Resonators | BlockModel:

@@ -8,7 +8,7 @@ import pytest
 import kc2spice as kc
 from kc2spice.netlist.circuit import Pin
 from kc2spice.netlist.deck import Deck
-from kc2spice.netlist.library import Reduction, entries
+from kc2spice.netlist.library import ReductionFacts, entries
 from kc2spice.netlist.printers.ngspice import Printer
 from kc2spice.netlist.read import read
 from kc2spice.netlist.transforms import with_parameters
@@ -26,7 +26,7 @@ NETLISTS = Path(__file__).parents[2] / "netlists"
 )  # fmt: skip
 def test_a_bound_is_rounded_upwards(error, written):
     certificate = Certificate((0.0, 5e5), error, "residual", True, True)
-    reduction = Reduction(7, (0.0, 5e5), "pointwise", error, 1e-12, 3.0)
+    reduction = ReductionFacts(7, (0.0, 5e5), "pointwise", error, 1e-12, 3.0)
     first, second, *_ = lines = rom_lines(reduction, certificate)
     assert first == f"* rom: order=7 band=0.0..500000.0 Hz norm=pointwise error={written}"
     assert second.startswith("*   (residual; emitted circuit")
