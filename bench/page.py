@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from kc2spice.core.figure import Curve, Figure, Panel
-from kc2spice.report.html import quantity
+from kc2spice.report.html import format_quantity
 
 Record = Mapping[str, Any]
 RATIOS = ("figure", "value", "target", "", "taken at error", "what it is")
@@ -62,8 +62,8 @@ def _ratio(item):
     target = ratio["target"]
     return (
         name,
-        "not reached" if value is None else quantity(value, unit, 4),
-        "" if target is None else f"{sign} {quantity(target, unit, 4)}",
+        "not reached" if value is None else format_quantity(value, unit, 4),
+        "" if target is None else f"{sign} {format_quantity(target, unit, 4)}",
         "" if target is None else "met" if ratio["met"] else "MISSED",
         _number(ratio["error"]),
         ratio["what"],
@@ -77,7 +77,7 @@ def _point(point):
         point["family"],
         f"{point['label']}{' *' if point['pareto'] else ''}",
         _number(point["error"]),
-        quantity(point["time_s"], "s", 3),
+        format_quantity(point["time_s"], "s", 3),
         f"{(point['time_high_s'] - point['time_low_s']) / point['time_s']:.0%}",
         "; ".join([*extra, *([point["note"]] if point["note"] else [])]),
     )

@@ -13,7 +13,7 @@ from kc2spice.rom.pencil import Pencil
 from kc2spice.rom.response import Response
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class IntermediateModel:
     """A dense model that reductors start from and that errors are estimated with.
 

@@ -176,7 +176,7 @@ def _independent(V: np.ndarray, free: int) -> np.ndarray:
     return result
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class ReducedBasis:
     """A model in the coordinates of a basis, the most important first.
 

@@ -143,11 +143,17 @@ def run_shared(
 
 
 def _flatten(deck: Deck, file: str) -> list[str]:
+    """Lines of the file and its includes, without ``.meas`` cards: the library evaluates their
+    parameters before any point exists."""
     result: list[str] = []
+    measures = False
     for line in lines_of(deck.files[file]):
         word, _, target = line.partition(" ")
-        included = word.lower() in INCLUDES
-        result += _flatten(deck, target.strip().strip("\"'")) if included else [line]
+        measures = word.lower().startswith(".meas") or (measures and word.startswith("+"))
+        if word.lower() in INCLUDES:
+            result += _flatten(deck, target.strip().strip("\"'"))
+        elif not measures:
+            result.append(line)
     return result
 
 

@@ -166,6 +166,7 @@ def test_two_that_need_the_same_build_it_once(folder):
 # and refuse what does not fit into the memory.
 NEUTRAL = {
     "kc2spice.core.cache", "kc2spice.core.errors", "kc2spice.core.memory", "kc2spice.core.progress",
+    "kc2spice.core.workspace",
     "kc2spice.scene.model", "kc2spice.scene.parttype", "kc2spice.scene.rows",
     "kc2spice.scene.settings",
 }  # fmt: skip

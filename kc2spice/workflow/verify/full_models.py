@@ -20,7 +20,6 @@ from kc2spice.equations.scene_laws import scene_laws, with_laws
 from kc2spice.rom.linear import LinearModel
 from kc2spice.rom.surrogate import surrogate
 from kc2spice.scene.model import Build
-from kc2spice.scene.resolve import resolve_build
 from kc2spice.workflow.verify.full_transient import (
     FullSolution,
     add_differences,
@@ -61,7 +60,7 @@ def finer_build(build: Build, parts: Iterable[str], clock: Any) -> Build | None:
 
 
 def _with_models(build: Build, models: Mapping[str, Any]) -> Build:
-    return with_laws(resolve_build(replace(build, models={**build.models, **models})))
+    return with_laws(replace(build, models={**build.models, **models}))
 
 
 def _sparse(model: LinearModel) -> LinearModel:
