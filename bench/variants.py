@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 from bench.setup import changed
 from kc2spice.netlist.cards import number
 from kc2spice.netlist.deck import Deck
+from kc2spice.netlist.read import read
 from kc2spice.workflow.decks import make_deck
 
 RELTOL = (1e-3, 1e-4, 1e-5, 1e-2, 1e-6, 1e-7)
@@ -71,9 +72,13 @@ def fixed_steps(build):
     """The paper's fixed system step: ngspice with error control and watched contacts taken away."""
     deck = _deck(build, {"solver.max_step": PAPER_STEP})
     deck = _option(_option(deck, "trtol", 1e12), "chgtol", 1.0)
-    unwatched, watches = re.subn(r"(?m)^Sedge.*\n", "", deck.files["contact.lib"])
+    unwatched, watches = re.subn(r"(?m)^Sedge.*\n(?:\+.*\n)*", "", deck.files["contact.lib"])
     assert watches, "no watched contacts"
-    parts = [replace(p, text=unwatched) if p.filename == "contact.lib" else p for p in deck.parts]
+    circuit = read(unwatched, "contact.lib")
+    parts = (
+        replace(part, circuit=circuit, source=unwatched) if part.filename == "contact.lib" else part
+        for part in deck.parts
+    )
     deck = replace(deck, parts=tuple(parts))
     return Variant(
         "fixed 10 us steps", "fixed 10 us steps, as in the paper", deck,

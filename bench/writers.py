@@ -9,6 +9,7 @@ import numpy as np
 from bench.dense import ran, rotation, sources, synthetic
 from bench.points import Outcome, Plane, Point, speed_up
 from kc2spice.netlist.library import Subcircuit
+from kc2spice.netlist.read import read
 from kc2spice.rom.linear import Certificate, LinearModel, Port
 from kc2spice.rom.multiport import _admittance, _state_space
 from kc2spice.spice.realize import subcircuit
@@ -95,7 +96,8 @@ def _scikit(setup, fit, ports):
     found.proportional_coeff = np.zeros(ports**2)
     file = setup.work / "skrf.sp"
     found.write_spice_subcircuit_s(str(file), "dut")
-    return Subcircuit("dut", (), (), file.read_text())
+    text = file.read_text()
+    return Subcircuit("dut", (), (), read(text, file.name), source=text)
 
 
 def _cards(part, ports, analysis, count):
