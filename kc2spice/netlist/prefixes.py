@@ -45,7 +45,7 @@ def parameter_of(text: str) -> float:
 def with_prefix(text: str) -> str:
     """Return a number with the scale factor of an engineer, or as it is.
 
-    Words that are no decimal fractions or powers of ten, such as counts and names, stay.
+    Names and plain integers, such as ``V1`` and ``12``, are returned unchanged.
 
     Examples
     --------

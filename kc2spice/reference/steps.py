@@ -36,7 +36,7 @@ SLOW = 3e-8  # rate of a free body that only drifts, relative to its fastest rat
 
 
 class _Body:
-    """Fixed-step integration of a linear model, ``sum_k d^k/dt^k P_k x = B a``.
+    """Integrator of the linear model ``sum_k P_k d^k x/dt^k = B a`` with steps of fixed length.
 
     It starts from rest with the initial input ``a`` (inputs,).
 

@@ -45,8 +45,10 @@ DIRECT = 150  # unknowns up to which one linear system per frequency may be solv
 def intermediate_model(
     pencil: Pencil, band: tuple[float, float], target: float, limit: float
 ) -> IntermediateModel:
-    """A model within ``target`` of the full one over ``band`` [Hz], or within ``limit`` where
-    rounding of the full model's solutions keeps it from that.
+    """Return a model whose relative error over ``band`` [Hz] is at most ``target``.
+
+    If rounding errors of the full model's solutions exceed ``target``, the error is at most
+    ``limit``.
 
     Raises
     ------

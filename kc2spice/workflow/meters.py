@@ -223,7 +223,7 @@ def require_probed(build: Build) -> None:
 
 
 def _short_name(name: str, choices: Sequence[str]) -> str | None:
-    """Return the name of a result for a long spelling, such as ``r2.v`` for ``r2.voltage``."""
+    """Suggest a result for an unknown name that begins alike: ``r2.v`` for ``r2.voltage``."""
     near = [choice for choice in choices if name.startswith(choice)]
     near = near or [choice for choice in choices if choice.startswith(f"{name}.")][:1]
     return f"did you mean {max(near, key=len)!r}?" if near else None
@@ -311,8 +311,8 @@ def swept(build: Build) -> tuple[Part, str, Swept]:
 def sweep_values(build: Build) -> np.ndarray:
     """Values of a dc sweep.
 
-    On the way back they continue beyond the last value of the range, where the source has
-    ``2 last - value``.
+    ngspice sweeps in one direction only. Values of the return sweep are therefore beyond ``last``,
+    the end of the range. The source has ``2 last - value`` there.
     """
     first, last = swept(build)[2].range or (0.0, 0.0)
     selected, turns = build.scene.analysis, 2 if build.scene.analysis.back else 1

@@ -38,8 +38,9 @@ class Box:
 def layout(part: Subcircuit) -> Box:
     """The symbol of ``part``; the number of a pin is its position on the ``.subckt`` card.
 
-    Electrical terminals of an actuator are left of its mechanical ports; of electronics, what only
-    senses is left of what drives; of mechanical parts, displacements left of the rest.
+    The left side of an actuator has its electrical terminals, the right side its mechanical ports.
+    Electronics have their inputs on the left and their outputs on the right. Mechanical parts have
+    their displacements on the left and all other pins on the right.
     """
     sides = _sides(part)
     left, right, below = (max([0, *(len(pin.name) for _, pin in side)]) for side in sides)

@@ -1,4 +1,4 @@
-"""A transient with full models, as its difference to the one with the reduced models.
+"""Transient analysis with full models, computed as a correction of the reduced models' result.
 
 One integrator of equal steps (:mod:`kc2spice.reference.steps`) solves both models. Their difference
 is added to the exact solution with the reduced models: both models have the same error of the time

@@ -234,8 +234,8 @@ METRICS, WAVES = 10.0, 200.0  # times solver.reltol: gates of a transient unless
 ANY_WAVE = 0.05  # largest error with any reltol, relative to a wave's rms
 STEADY_METRICS, STEADY_WAVES = 5e-9, 3e-8  # the same for analyses without time steps
 NOISE = 1e-6  # the same of noise: Boltzmann's constant has seven digits in ngspice
-# A recorded wave is as accurate as its samples. The error of its slope, and so of the current into
-# a capacitance, is about 1e-3 (2.5e-3 at the edges of a half-bridge), that of its work 5e-6.
+# A source that replays samples of ngspice has an error of about 1e-3 in its slope, which is the
+# current into a capacitance (2.5e-3 at the edges of a half-bridge). Its work is off by 5e-6.
 RECORDED, RECORDED_BALANCE = 5.0, 1e-5
 
 
