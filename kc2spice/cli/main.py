@@ -593,6 +593,7 @@ def _compare_methods(
 ) -> None:
     """Print states, error estimate and CPU time of every method of reduction."""
     from kc2spice.workflow.methods import compare
+    from kc2spice.workflow.reduce import require_stable
 
     for option, value in (("--out", out), ("--dc", dc)):
         if value is not None:
@@ -604,6 +605,7 @@ def _compare_methods(
         title = f"{result['unknowns']} equations, error {result['norm']}"
         print_table(title, [_method_row(row) for row in result["methods"]], METHOD_COLUMNS)
         print(f"CPU time of the basis that all methods use: {result['shared_cpu_s']:.2g} s")
+    require_stable(result)
 
 
 def _method_row(row: dict[str, Any]) -> tuple[str, ...]:

@@ -129,6 +129,11 @@ class Reduction:
         return self._intermediate.basis if self._pencil.size == self.model.order else None
 
     @property
+    def stable(self) -> bool | None:
+        """Whether the full-order model is stable, None if that was not shown."""
+        return self._proof.stable
+
+    @property
     def hankel(self) -> np.ndarray:
         """Hankel singular values, in descending order.
 

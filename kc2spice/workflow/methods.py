@@ -43,7 +43,7 @@ def compare(
         What ``kc2spice reduce --method compare --json`` prints: ``methods`` contains a row for each
         method with its ``states`` of first order, ``error_estimate`` and ``cpu_s``. A method
         without a model has no states but a ``reason``. ``shared_cpu_s`` is the time of the basis
-        of the full-order model, which all methods use.
+        of the full-order model, which all methods use. ``stable`` is that of the full-order model.
 
     Raises
     ------
@@ -66,16 +66,16 @@ def compare(
         tolerance = TOLERANCE
     progress("reduce", None, f"{model.order} equations")
     begin = time.process_time()
+    reduction = Reduction(
+        model,
+        band=band,
+        norm=norm or default_norm(model),  # type: ignore[arg-type]
+        tolerance=tolerance or SMALLEST_TOLERANCE,
+    )
+    shared = time.process_time() - begin
+    rows = []
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # a table of trials: each model has its error estimate
-        reduction = Reduction(
-            model,
-            band=band,
-            norm=norm or default_norm(model),  # type: ignore[arg-type]
-            tolerance=tolerance or SMALLEST_TOLERANCE,
-        )
-        shared = time.process_time() - begin
-        rows = []
         for method in reductor_names():
             progress("reduce", None, method)
             rows.append(_row(reduction, method, tolerance, order))
@@ -85,6 +85,7 @@ def compare(
         "unknowns": model.order,
         "norm": reduction.norm,
         "band_hz": list(reduction.band),
+        "stable": reduction.stable,
         "shared_cpu_s": shared,
         "methods": rows,
     }

@@ -353,19 +353,20 @@ def _scene_body(text: str) -> LinearModel | None:
 
 
 def require_stable(found: dict[str, Any]) -> None:
-    """Nothing, unless the model of :func:`reduce` is known to be unstable.
+    """Check that the model of :func:`reduce`, or of a comparison, is not known to be unstable.
 
     Raises
     ------
     GateMissedError : it is not.
     """
     if found["stable"] is False:
+        written = f"; {found['rom']} was written as it is" if "rom" in found else ""
         raise GateMissedError(
             "the model is unstable",
             where=found["model"],
             got="a pole in the right half plane",
             expected="poles that do not grow",
-            hint=f"check signs and halves of the matrices; {found['rom']} was written as it is",
+            hint=f"check signs and halves of the matrices{written}",
         )
 
 

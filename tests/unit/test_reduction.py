@@ -280,3 +280,19 @@ def test_a_large_definite_model_has_one_order_and_one_expansion_point(monkeypatc
     frequency = np.array([0.0, 0.031, 0.0783])
     exact = model.transfer(frequency)
     assert (np.abs(rom.transfer(frequency) - exact) <= 1e-3 * np.abs(exact)).all()
+
+
+def test_a_comparison_of_an_unstable_model_warns_and_has_its_exit_code(tmp_path):
+    """Masses with negative damping: the table stands on stdout, as of any other model."""
+    K = 2 * np.eye(20) - np.eye(20, k=1) - np.eye(20, k=-1)
+    file = tmp_path / "growing.npz"
+    np.savez(file, M=np.eye(20), E=-0.05 * K, K=K, B=np.eye(20)[:, :1])
+    words = ["reduce", str(file), "--band", "0", "0.05", "--tolerance", "1e-2"]
+    with pytest.warns(UserWarning, match="the full model is unstable"):
+        reduction = kc.Reduction(kc.read_model(file), band=(0, 0.05))
+    assert reduction.stable is False
+    ran = CliRunner().invoke(app, [*words, "--method", "compare"])
+    assert ran.exit_code == 4
+    assert "rational Krylov" in ran.stdout
+    assert "the model is unstable" in ran.stderr
+    assert "was written" not in ran.stderr
