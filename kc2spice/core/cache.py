@@ -29,7 +29,7 @@ from typing import Any, TypeVar, cast
 import numpy as np
 
 from kc2spice.core.files import locked
-from kc2spice.core.foreign import read_archive
+from kc2spice.core.untrusted_files import read_archive
 
 T = TypeVar("T")
 MAX_TOTAL_BYTES = 2_000_000_000

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from kc2spice.core.errors import UsageError
-from kc2spice.core.foreign import DEEPEST, LONGEST_KEY, MAX_BYTES, lines_of, parse_toml
+from kc2spice.core.untrusted_files import DEEPEST, LONGEST_KEY, MAX_BYTES, lines_of, parse_toml
 
 MOST_LINES = 40  # between an opening bracket and the line at which the parser stops
 LONGEST_LINE = 500  # characters of a line that are looked at

@@ -4,9 +4,9 @@
 their solids are first made to share faces. Their groups are the labels of the file and what a
 :func:`read_mesh` picks.
 
-gmsh runs in a process of its own (:mod:`kc2spice.core.foreign`), on a copy whose name and format
-were chosen and checked: it decides by extension and content what it reads, runs any file that it
-does not know as a script, and has no option that keeps scripts from starting programs.
+gmsh runs in a separate process (:mod:`kc2spice.core.untrusted_files`), on a copy whose name and
+format were chosen and checked: it decides by extension and content what it reads, runs any file
+that it does not know as a script, and has no option that keeps scripts from starting programs.
 """
 
 from __future__ import annotations
@@ -26,9 +26,9 @@ from skfem.mesh import Mesh, MeshTet, MeshTet2, MeshTri, MeshTri2
 
 from kc2spice.core.equality import EqualByContent
 from kc2spice.core.errors import UsageError, candidates, unknown, wrong
-from kc2spice.core.foreign import in_child, read_bounded
 from kc2spice.core.gmsh_session import gmsh_session
 from kc2spice.core.quantities import quantity
+from kc2spice.core.untrusted_files import in_child, read_bounded
 
 STEP = (".step", ".stp")
 # How each file must begin, and the name under which gmsh gets it.

@@ -22,7 +22,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path, PurePosixPath
 
 from kc2spice.core.errors import UsageError
-from kc2spice.core.foreign import name_threat, plain_name, read_bounded
+from kc2spice.core.untrusted_files import name_threat, plain_name, read_bounded
 from kc2spice.netlist.cards import comment
 from kc2spice.netlist.expression import BUILT_IN, FUNCTIONS
 from kc2spice.netlist.read import OPTION_CARDS, Statement, split_comment, statements

@@ -10,7 +10,7 @@ from functools import cached_property
 from pathlib import Path
 
 from kc2spice.core.errors import UsageError
-from kc2spice.core.foreign import read_bounded, text_of
+from kc2spice.core.untrusted_files import read_bounded, text_of
 from kc2spice.netlist.cards import comment, number, word
 from kc2spice.netlist.cards import name as checked_name
 from kc2spice.netlist.circuit import Circuit, Element, Param, Pin

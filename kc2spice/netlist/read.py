@@ -10,7 +10,7 @@ from itertools import accumulate, combinations_with_replacement, count, takewhil
 from typing import Any
 
 from kc2spice.core.errors import UsageError
-from kc2spice.core.foreign import lines_of
+from kc2spice.core.untrusted_files import lines_of
 from kc2spice.netlist.circuit import (
     CONTROLS,
     MODELLED,

@@ -21,10 +21,10 @@ from kc2spice.core.cache import cached
 from kc2spice.core.domains import ELECTRICAL, PORTS, REFERENCES, TRANSLATION
 from kc2spice.core.errors import SimulationError, UsageError, unknown, wrong
 from kc2spice.core.figure import Figure, Written
-from kc2spice.core.foreign import identifier
 from kc2spice.core.mesh_error import NOT_ESTIMATED
 from kc2spice.core.progress import Clock
 from kc2spice.core.quantities import Section, Voltage
+from kc2spice.core.untrusted_files import identifier
 from kc2spice.core.waveforms import Waveforms, running
 from kc2spice.netlist.cards import LEAK_RATE
 from kc2spice.parts import _pictures
@@ -91,7 +91,7 @@ _NO_MODEL = {"rom", "fields", "rated_voltage", "number"}
 SOURCES = (
     "kc2spice.linalg", "kc2spice.fem", "kc2spice.rom", "kc2spice.bodies",
     "kc2spice.core.domains", "kc2spice.core.quantities", "kc2spice.core.gmsh_session",
-    "kc2spice.core.foreign",
+    "kc2spice.core.untrusted_files",
 )  # fmt: skip
 
 

@@ -34,8 +34,8 @@ from kc2spice.bodies import device as fe
 from kc2spice.core.cache import cached
 from kc2spice.core.errors import UsageError, candidates, part_named, wrong
 from kc2spice.core.figure import Curve, Figure, Panel, Written
-from kc2spice.core.foreign import file_in_folder
 from kc2spice.core.quantities import Count, Length, Notch, Section, validated
+from kc2spice.core.untrusted_files import file_in_folder
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.fem import mesh_file
 from kc2spice.fem.keys import Damping

@@ -13,8 +13,8 @@ from pydantic import Field
 from kc2spice.bodies.readers import locate_model, mesh_extent, read_model, source_files
 from kc2spice.bodies.readers.raw import TRANSLATIONS
 from kc2spice.core.figure import Shape
-from kc2spice.core.foreign import file_in_folder
 from kc2spice.core.progress import Clock
+from kc2spice.core.untrusted_files import file_in_folder
 from kc2spice.parts._linear_body import LinearBody, LinearKeys, file_stamp
 from kc2spice.rom.linear import LinearModel, Port
 from kc2spice.scene.model import Part, Scene

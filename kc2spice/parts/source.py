@@ -14,9 +14,9 @@ from kc2spice.core import laws
 from kc2spice.core import waveforms as waves_
 from kc2spice.core.domains import QUANTITIES, Domain, Quantity, Side
 from kc2spice.core.errors import UsageError
-from kc2spice.core.foreign import file_in_folder, read_bounded
 from kc2spice.core.quantities import Section, quantity, refused
 from kc2spice.core.spectrum import waveform_frequency
+from kc2spice.core.untrusted_files import file_in_folder, read_bounded
 from kc2spice.core.waveforms import PulseKeys, SineKeys, Waveform, Waveforms
 from kc2spice.netlist.cards import number
 from kc2spice.netlist.circuit import Element, Item

@@ -11,8 +11,8 @@ from typing import Any, get_args
 from pydantic import BaseModel
 from pydantic_core import PydanticUndefined
 
-from kc2spice.core.foreign import parse_toml
 from kc2spice.core.quantities import entries, unit_of
+from kc2spice.core.untrusted_files import parse_toml
 from kc2spice.scene.load import gallery, load_scene
 from kc2spice.scene.model import TABLES, Part, Scene, Terminal
 from kc2spice.scene.parttype import part_types

@@ -18,16 +18,6 @@ from typing import Any
 from pydantic import BaseModel, ValidationError
 
 from kc2spice.core.errors import UsageError, candidates, did_you_mean, unknown
-from kc2spice.core.foreign import (
-    DEEPEST,
-    LONGEST_KEY,
-    MAX_BYTES,
-    identifier,
-    lines_of,
-    parse_toml,
-    read_bounded,
-    text_of,
-)
 from kc2spice.core.quantities import (
     clipped,
     describe_invalid,
@@ -38,6 +28,16 @@ from kc2spice.core.quantities import (
     unit_of,
 )
 from kc2spice.core.toml_errors import parse_toml_file
+from kc2spice.core.untrusted_files import (
+    DEEPEST,
+    LONGEST_KEY,
+    MAX_BYTES,
+    identifier,
+    lines_of,
+    parse_toml,
+    read_bounded,
+    text_of,
+)
 from kc2spice.scene.compose import unsettled
 from kc2spice.scene.model import GROUND, SHORT, Build, Names, Part, PartType, Scene
 from kc2spice.scene.parttype import EVEN, drive_period, part_type, type_names

@@ -21,8 +21,8 @@ from typing import Any
 import numpy as np
 
 from kc2spice.core.errors import MissingToolError, SimulationError, UsageError
-from kc2spice.core.foreign import name_threat
 from kc2spice.core.packages import install_command
+from kc2spice.core.untrusted_files import name_threat
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.netlist.cards import number
 from kc2spice.netlist.deck import Deck

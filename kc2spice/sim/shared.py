@@ -26,8 +26,8 @@ from typing import Any
 import numpy as np
 
 from kc2spice.core.errors import MissingToolError, SimulationError, UsageError
-from kc2spice.core.foreign import lines_of
 from kc2spice.core.packages import install_command
+from kc2spice.core.untrusted_files import lines_of
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.netlist.deck import Deck
 from kc2spice.netlist.scope import INCLUDES

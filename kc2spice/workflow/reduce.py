@@ -16,9 +16,9 @@ from kc2spice.bodies.readers import read_model
 from kc2spice.bodies.readers.measured import Measured, is_measured, read_measured
 from kc2spice.core.errors import GateMissedError, UsageError, candidates, unknown
 from kc2spice.core.files import staged
-from kc2spice.core.foreign import identifier
 from kc2spice.core.progress import Clock, Progress, silent
 from kc2spice.core.quantities import quantity
+from kc2spice.core.untrusted_files import identifier
 from kc2spice.netlist.deck import Deck, ac
 from kc2spice.netlist.elements import titled
 from kc2spice.netlist.library import Subcircuit

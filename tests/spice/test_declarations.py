@@ -13,7 +13,7 @@ import pytest
 from networks import FUNCTIONS, H, Network
 
 import kc2spice as kc
-from kc2spice.core.foreign import parse_toml
+from kc2spice.core.untrusted_files import parse_toml
 from kc2spice.netlist.printers.verilog_a import module_files
 from kc2spice.netlist.translate import PRINTERS, dialect_files
 from kc2spice.parts.two_terminal_types import TABLE

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from kc2spice.core.errors import MissingToolError, UsageError
-from kc2spice.core.foreign import in_child
+from kc2spice.core.untrusted_files import in_child
 
 WORK = """
 import ctypes, os, subprocess, time
@@ -68,7 +68,7 @@ def test_errors_keep_what_they_say():
 def test_nothing_outlives_who_asked(tmp_path):
     """Even one that is killed on the spot."""
     script = (
-        "import sys; from pathlib import Path; from kc2spice.core.foreign import in_child\n"
+        "import sys; from pathlib import Path; from kc2spice.core.untrusted_files import in_child\n"
         f"in_child('work:wait', {{'file': {str(tmp_path / 'pid')!r}}}, "
         f"lambda home: (home / 'work.py').write_text({WORK!r}))"
     )

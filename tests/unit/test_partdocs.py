@@ -4,7 +4,7 @@ import json
 
 import pytest
 
-from kc2spice.core.foreign import parse_toml
+from kc2spice.core.untrusted_files import parse_toml
 from kc2spice.scene.keys import model_keys, part_docs
 from kc2spice.scene.load import load_scene
 from kc2spice.scene.parttype import part_types

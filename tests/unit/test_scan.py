@@ -3,7 +3,7 @@
 import pytest
 
 from kc2spice.core.errors import UsageError
-from kc2spice.core.foreign import name_threat
+from kc2spice.core.untrusted_files import name_threat
 from kc2spice.netlist.deck import Deck
 from kc2spice.netlist.foreign import checked, included_netlist
 from kc2spice.netlist.lint import lint

@@ -13,7 +13,13 @@ from typer.testing import CliRunner
 from kc2spice.bodies.readers import read_model
 from kc2spice.cli.main import app
 from kc2spice.core.errors import UsageError
-from kc2spice.core.foreign import MAX_BYTES, name_threat, parse_toml, plain_name, read_bounded
+from kc2spice.core.untrusted_files import (
+    MAX_BYTES,
+    name_threat,
+    parse_toml,
+    plain_name,
+    read_bounded,
+)
 from kc2spice.netlist.circuit import Param, Pin, positive
 from kc2spice.rom.io import read_rom, write_rom
 from kc2spice.rom.linear import Certificate, LinearModel, Port

@@ -26,9 +26,9 @@ from typing import Any, TypeAlias, TypeVar
 import numpy as np
 from scipy import io, sparse
 
-from kc2spice.core import foreign
+from kc2spice.core import untrusted_files
 from kc2spice.core.errors import Kc2spiceError, UsageError
-from kc2spice.core.foreign import in_child
+from kc2spice.core.untrusted_files import in_child
 from kc2spice.rom.io import mirrored
 from kc2spice.rom.pencil import Matrix
 
@@ -283,7 +283,7 @@ def read_matrix_archive(path: Path, _: object) -> Raw:
         return MAX_DENSE if name in LETTERS else MAX_ENTRIES
 
     total = unpacked_limit(path)
-    return _raw(foreign.read_archive(path, is_known, entries=largest, total=total), path)
+    return _raw(untrusted_files.read_archive(path, is_known, entries=largest, total=total), path)
 
 
 def in_own_process(

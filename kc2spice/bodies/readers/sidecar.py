@@ -66,9 +66,9 @@ from pydantic import (
 from kc2spice.bodies.readers.raw import CODES, DOFS, ROTATIONS, TRANSLATIONS, call_reader, existing
 from kc2spice.core.domains import PORTS
 from kc2spice.core.errors import candidates, did_you_mean
-from kc2spice.core.foreign import MAX_BYTES, read_bounded, text_of
 from kc2spice.core.quantities import Count, Section, refused, validated
 from kc2spice.core.toml_errors import parse_toml_file
+from kc2spice.core.untrusted_files import MAX_BYTES, read_bounded, text_of
 from kc2spice.rom.linear import PORT_KINDS, Port
 
 LENGTHS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "in": 0.0254, "ft": 0.3048}

@@ -19,8 +19,8 @@ import numpy as np
 
 from kc2spice.core.errors import Kc2spiceError, MissingToolError, UsageError
 from kc2spice.core.files import FULL
-from kc2spice.core.foreign import MAX_BYTES, read_bounded, text_of
 from kc2spice.core.progress import Clock
+from kc2spice.core.untrusted_files import MAX_BYTES, read_bounded, text_of
 from kc2spice.core.workspace import Workspace
 from kc2spice.netlist.deck import Deck
 from kc2spice.netlist.foreign import included_netlist

@@ -44,8 +44,8 @@ from kc2spice.core import __version__
 from kc2spice.core.errors import MissingToolError, UsageError, unknown
 from kc2spice.core.extras import import_optional
 from kc2spice.core.files import staged
-from kc2spice.core.foreign import MAX_BYTES, parse_toml, read_bounded, text_of
 from kc2spice.core.progress import Progress, silent
+from kc2spice.core.untrusted_files import MAX_BYTES, parse_toml, read_bounded, text_of
 from kc2spice.core.waveforms import plain_cell
 from kc2spice.netlist.transforms import with_parameters
 from kc2spice.scene.keys import keys_of
