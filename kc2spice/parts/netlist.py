@@ -18,7 +18,7 @@ from kc2spice.core.quantities import Section, Slew, Voltage
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.netlist.cards import name as checked
 from kc2spice.netlist.circuit import Pin
-from kc2spice.netlist.foreign import included_netlist, looked_at
+from kc2spice.netlist.include_scan import included_netlist, looked_at
 from kc2spice.netlist.library import Subcircuit
 from kc2spice.netlist.read import read
 from kc2spice.netlist.scope import Scope, circuit, has_vector

@@ -21,7 +21,7 @@ from kc2spice.netlist.circuit import Element, Item
 from kc2spice.netlist.deck import Command, Deck, Option, ac, dc, transient
 from kc2spice.netlist.elements import titled
 from kc2spice.netlist.expression import literal, vector
-from kc2spice.netlist.foreign import ANALYSES, HARMLESS, accuracy, checked, refuse
+from kc2spice.netlist.include_scan import ANALYSES, HARMLESS, accuracy, checked, refuse
 from kc2spice.netlist.library import Subcircuit
 from kc2spice.netlist.lint import lint
 from kc2spice.netlist.read import Statement, statements, tree_of

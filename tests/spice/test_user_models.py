@@ -7,7 +7,7 @@ every transistor switches, in ngspice, through the same gates as a user's own fi
 import pytest
 
 from kc2spice.netlist.deck import Deck
-from kc2spice.netlist.foreign import checked
+from kc2spice.netlist.include_scan import checked
 from kc2spice.netlist.lint import lint
 from kc2spice.sim.ngspice import run_deck
 

@@ -5,7 +5,7 @@ import pytest
 from kc2spice.core.errors import UsageError
 from kc2spice.core.untrusted_files import name_threat
 from kc2spice.netlist.deck import Deck
-from kc2spice.netlist.foreign import checked, included_netlist
+from kc2spice.netlist.include_scan import checked, included_netlist
 from kc2spice.netlist.lint import lint
 from kc2spice.scene.load import load_scene
 from kc2spice.workflow.verify.verify import verify

@@ -23,7 +23,7 @@ from kc2spice.core.progress import Clock
 from kc2spice.core.untrusted_files import MAX_BYTES, read_bounded, text_of
 from kc2spice.core.workspace import Workspace
 from kc2spice.netlist.deck import Deck
-from kc2spice.netlist.foreign import included_netlist
+from kc2spice.netlist.include_scan import included_netlist
 from kc2spice.netlist.transforms import Parameters, cards, declared, library_of, with_parameters
 from kc2spice.report.html import leaves
 from kc2spice.scene.load import gallery, load_scene, toml

@@ -22,7 +22,7 @@ from kc2spice.core.waveforms import Waveforms, write_record
 from kc2spice.equations.replay import replayed_nets, replayed_vectors
 from kc2spice.equations.scene_laws import scene_laws
 from kc2spice.netlist.deck import Deck
-from kc2spice.netlist.foreign import Flat, checked
+from kc2spice.netlist.include_scan import Flat, checked
 from kc2spice.netlist.library import Subcircuit, subcircuits
 from kc2spice.report.pages import Findings, comparison, write_verify
 from kc2spice.scene.judge import PAIRS, Check, Gate, Verdict
