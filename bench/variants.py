@@ -4,9 +4,9 @@ import re
 from dataclasses import dataclass, replace
 
 from bench.setup import changed
-from kc2spice.netlist.cards import number
 from kc2spice.netlist.deck import Deck
 from kc2spice.netlist.read import read
+from kc2spice.netlist.spelling import number
 from kc2spice.workflow.decks import make_deck
 
 RELTOL = (1e-3, 1e-4, 1e-5, 1e-2, 1e-6, 1e-7)

@@ -8,8 +8,8 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 from kc2spice.core.errors import UsageError
-from kc2spice.netlist.cards import number
 from kc2spice.netlist.expression import Probe, Tree, parse, walk
+from kc2spice.netlist.spelling import number
 
 LEAST = 1e-30  # least value of a parameter that must be above zero
 # Nodes of each element letter; X counts by its subcircuit, E and G have two if behavioural.
@@ -68,7 +68,7 @@ class Element(Card):
         name : str
             Name of the element. Its first letter is its kind.
         *words : str or float
-            Words behind the name. Numbers are spelled by :func:`kc2spice.netlist.cards.number`.
+            Words behind the name. Numbers are spelled by :func:`kc2spice.netlist.spelling.number`.
         **parameters : str
             Assignments behind the words.
 

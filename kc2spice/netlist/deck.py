@@ -9,7 +9,6 @@ from functools import cached_property
 from typing import Any
 
 from kc2spice.core.errors import UsageError
-from kc2spice.netlist.cards import comment, number, tidy
 from kc2spice.netlist.circuit import Circuit, Directive, Item
 from kc2spice.netlist.elements import Line, noted
 from kc2spice.netlist.expression import literal, terms
@@ -18,6 +17,7 @@ from kc2spice.netlist.printers.ngspice import Printer, located
 from kc2spice.netlist.read import OPTION_CARDS, read
 from kc2spice.netlist.scope import Scope
 from kc2spice.netlist.scope import circuit as scoped
+from kc2spice.netlist.spelling import comment, number, tidy
 
 ANALYSES = frozenset((".tran", ".ac", ".dc", ".op", ".noise"))
 

@@ -6,8 +6,8 @@ from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from typing import TypeAlias
 
-from kc2spice.netlist.cards import comment
 from kc2spice.netlist.circuit import Element, Item
+from kc2spice.netlist.spelling import comment
 
 #: A card, or one or more comment and blank lines of the card below them.
 Line: TypeAlias = Item | str

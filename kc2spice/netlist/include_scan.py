@@ -23,9 +23,9 @@ from pathlib import Path, PurePosixPath
 
 from kc2spice.core.errors import UsageError
 from kc2spice.core.untrusted_files import name_threat, plain_name, read_bounded
-from kc2spice.netlist.cards import comment
 from kc2spice.netlist.expression import BUILT_IN, FUNCTIONS
 from kc2spice.netlist.read import OPTION_CARDS, Statement, split_comment, statements
+from kc2spice.netlist.spelling import comment
 
 MOST_BYTES = 4_000_000  # bytes of one file, and characters of the whole text
 MOST_FILES = 64  # files of one circuit

@@ -11,13 +11,13 @@ from pathlib import Path
 
 from kc2spice.core.errors import UsageError
 from kc2spice.core.untrusted_files import read_bounded, text_of
-from kc2spice.netlist.cards import comment, number, word
-from kc2spice.netlist.cards import name as checked_name
 from kc2spice.netlist.circuit import Circuit, Element, Param, Pin
 from kc2spice.netlist.expression import literal
 from kc2spice.netlist.prefixes import with_prefix
 from kc2spice.netlist.printers.ngspice import Printer, located
 from kc2spice.netlist.read import read
+from kc2spice.netlist.spelling import comment, number, word
+from kc2spice.netlist.spelling import name as checked_name
 
 LARGEST = 100_000_000  # bytes of one file
 _PIN = re.compile(r"\* @pin \d+ (\w+) unit=(\S+) flow=(\S+)")

@@ -8,12 +8,12 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
 
 from kc2spice.core.errors import UsageError, unknown
-from kc2spice.netlist.cards import number
 from kc2spice.netlist.circuit import LEAST, Circuit, Element, Item, Param
 from kc2spice.netlist.deck import Deck
 from kc2spice.netlist.elements import titled
 from kc2spice.netlist.expression import added, terms, vector
 from kc2spice.netlist.library import Subcircuit, parameter_line, use_line
+from kc2spice.netlist.spelling import number
 
 Parameters = tuple[tuple[str, float], ...]  # ("PART.NAME", value)
 MOST = 10_000  # copies

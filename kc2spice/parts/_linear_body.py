@@ -26,7 +26,7 @@ from kc2spice.core.progress import Clock
 from kc2spice.core.quantities import Section, Voltage
 from kc2spice.core.untrusted_files import identifier
 from kc2spice.core.waveforms import Waveforms, running
-from kc2spice.netlist.cards import LEAK_RATE
+from kc2spice.netlist.spelling import LEAK_RATE
 from kc2spice.parts import _pictures
 from kc2spice.parts._box import PARAMETERS, corners, varied, with_values
 from kc2spice.parts._touching import Surface, Touching

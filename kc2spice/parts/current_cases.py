@@ -11,9 +11,9 @@ from pydantic import Field
 from kc2spice.core import laws
 from kc2spice.core.quantities import Current, Section
 from kc2spice.core.waveforms import Waveforms, constant
-from kc2spice.netlist.cards import number
 from kc2spice.netlist.circuit import Element, Item
 from kc2spice.netlist.elements import Line, noted
+from kc2spice.netlist.spelling import number
 from kc2spice.parts.sphere import sphere_of
 from kc2spice.physics import coils
 from kc2spice.scene.judge import PAIRS, Check, Gate, Metric

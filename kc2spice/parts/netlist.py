@@ -16,12 +16,12 @@ from kc2spice.core.domains import PIN_UNITS, SIGNAL
 from kc2spice.core.errors import UsageError, candidates, did_you_mean
 from kc2spice.core.quantities import Section, Slew, Voltage
 from kc2spice.core.waveforms import Waveforms
-from kc2spice.netlist.cards import name as checked
 from kc2spice.netlist.circuit import Pin
 from kc2spice.netlist.include_scan import included_netlist, looked_at
 from kc2spice.netlist.library import Subcircuit
 from kc2spice.netlist.read import read
 from kc2spice.netlist.scope import Scope, circuit, has_vector
+from kc2spice.netlist.spelling import name as checked
 from kc2spice.parts._template import SLACK, potentials, within
 from kc2spice.scene.judge import Check
 from kc2spice.scene.model import Build, Part, PartType, Scene, Terminal

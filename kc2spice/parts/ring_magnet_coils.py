@@ -25,9 +25,9 @@ from kc2spice.core.mesh_error import mesh_errors, mesh_words
 from kc2spice.core.quantities import MU_0, si
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.fem.magnet_keys import Catch, Ring
-from kc2spice.netlist.cards import number
 from kc2spice.netlist.circuit import positive
 from kc2spice.netlist.library import Subcircuit
+from kc2spice.netlist.spelling import number
 from kc2spice.parts._pictures import impedances
 from kc2spice.parts._touching import Penetration, Touching, impact_penetration
 from kc2spice.parts.netlist import driver

@@ -11,9 +11,9 @@ from pydantic import Field
 from kc2spice.core import laws
 from kc2spice.core.errors import UsageError
 from kc2spice.core.quantities import BOLTZMANN, TEMPERATURE, Frequency, Length, Section
-from kc2spice.netlist.cards import number
 from kc2spice.netlist.circuit import Element, Item, Param
 from kc2spice.netlist.elements import noted
+from kc2spice.netlist.spelling import number
 from kc2spice.parts import sphere
 from kc2spice.physics.cards import state_node
 from kc2spice.physics.declaration import Declaration, displacement, seen

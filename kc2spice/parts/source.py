@@ -18,9 +18,9 @@ from kc2spice.core.quantities import Section, quantity, refused
 from kc2spice.core.spectrum import waveform_frequency
 from kc2spice.core.untrusted_files import file_in_folder, read_bounded
 from kc2spice.core.waveforms import PulseKeys, SineKeys, Waveform, Waveforms
-from kc2spice.netlist.cards import number
 from kc2spice.netlist.circuit import Element, Item
 from kc2spice.netlist.read import words
+from kc2spice.netlist.spelling import number
 from kc2spice.scene.judge import Check
 from kc2spice.scene.model import Build, Part, PartType, Scene, Terminal
 from kc2spice.scene.parttype import register

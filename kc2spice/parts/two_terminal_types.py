@@ -13,9 +13,9 @@ from typing import Annotated, Any, NamedTuple
 from pydantic import Field, create_model
 
 from kc2spice.core.quantities import Section, si
-from kc2spice.netlist.cards import LEAK_RATE
 from kc2spice.netlist.circuit import Element, Item
 from kc2spice.netlist.expression import Number, Tree
+from kc2spice.netlist.spelling import LEAK_RATE
 from kc2spice.physics.declaration import (
     RATE,
     Branch,

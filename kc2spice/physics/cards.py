@@ -11,10 +11,10 @@ from collections.abc import Iterator, Mapping
 from dataclasses import replace
 
 from kc2spice.core.domains import QUANTITIES, Quantity
-from kc2spice.netlist.cards import LEAK_RATE
 from kc2spice.netlist.circuit import Element, Item, Model, Parameters
 from kc2spice.netlist.elements import Line, noted, pivots
 from kc2spice.netlist.expression import Binary, Call, Name, Number, Probe, Tree, replaced, walk
+from kc2spice.netlist.spelling import LEAK_RATE
 from kc2spice.physics.declaration import RATE, Branch, Declaration
 from kc2spice.physics.expression import (
     ONE,

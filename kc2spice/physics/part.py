@@ -10,11 +10,11 @@ import numpy as np
 from kc2spice.core import laws
 from kc2spice.core.domains import SIGNALS, TRANSLATION, VELOCITY
 from kc2spice.core.waveforms import Waveforms, running
-from kc2spice.netlist.cards import comment, distinct
-from kc2spice.netlist.cards import name as checked
 from kc2spice.netlist.circuit import Circuit, Item, Param, Pin
 from kc2spice.netlist.expression import Tree
 from kc2spice.netlist.library import Subcircuit
+from kc2spice.netlist.spelling import comment, distinct
+from kc2spice.netlist.spelling import name as checked
 from kc2spice.physics.cards import body, force_node, meter, noisy, reference, state_node
 from kc2spice.physics.declaration import LOOPS, RATE, Branch, Declaration
 from kc2spice.physics.expression import ZERO, derivative, evaluated, kinks, names

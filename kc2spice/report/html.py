@@ -19,7 +19,7 @@ from typing import Any
 from kc2spice.core import __version__
 from kc2spice.core.figure import Figure
 from kc2spice.core.prefix import PREFIXES, prefix_power
-from kc2spice.netlist.cards import templates
+from kc2spice.netlist.spelling import templates
 from kc2spice.report.charts import figure_html
 
 # Units that carry a prefix already: the one that takes another prefix, and how many of it.

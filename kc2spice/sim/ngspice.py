@@ -24,9 +24,9 @@ from kc2spice.core.errors import MissingToolError, SimulationError, UsageError
 from kc2spice.core.packages import install_command
 from kc2spice.core.untrusted_files import name_threat
 from kc2spice.core.waveforms import Waveforms
-from kc2spice.netlist.cards import number
 from kc2spice.netlist.deck import Deck
 from kc2spice.netlist.expression import literal, terms
+from kc2spice.netlist.spelling import number
 from kc2spice.scene.judge import Check, Verdict, require
 from kc2spice.sim.output import (
     FailedRunError,

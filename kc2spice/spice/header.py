@@ -12,10 +12,10 @@ from typing import Any
 from kc2spice.core import __version__
 from kc2spice.core.domains import TRANSLATION
 from kc2spice.core.mesh_error import NOT_ESTIMATED, mesh_words
-from kc2spice.netlist.cards import comment, name, number, render, word
 from kc2spice.netlist.circuit import Circuit, Param, Pin
 from kc2spice.netlist.library import ReductionFacts, Subcircuit, parameter_line, use_line
 from kc2spice.netlist.read import read
+from kc2spice.netlist.spelling import comment, name, number, render, word
 from kc2spice.rom.linear import Certificate
 from kc2spice.scene.model import Terminal
 

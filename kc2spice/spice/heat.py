@@ -22,9 +22,9 @@ import scipy
 
 from kc2spice.core.domains import THERMAL
 from kc2spice.core.errors import UsageError
-from kc2spice.netlist.cards import LEAK_RATE
 from kc2spice.netlist.circuit import Element
 from kc2spice.netlist.elements import Line
+from kc2spice.netlist.spelling import LEAK_RATE
 from kc2spice.rom.linear import LinearModel, Port
 
 # Eigenvalue, relative to the largest one, that is rounding: a heat that nothing leads away.

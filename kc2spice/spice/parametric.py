@@ -14,10 +14,10 @@ from itertools import chain, product
 import numpy as np
 
 from kc2spice.core.errors import UsageError
-from kc2spice.netlist.cards import distinct, number
 from kc2spice.netlist.circuit import Element, Param, Parameters
 from kc2spice.netlist.elements import Line
 from kc2spice.netlist.library import Subcircuit
+from kc2spice.netlist.spelling import distinct, number
 from kc2spice.rom.linear import LinearModel
 from kc2spice.rom.varying import Varying
 from kc2spice.spice.emitted import MICRO

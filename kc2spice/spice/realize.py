@@ -22,12 +22,12 @@ from kc2spice.core.domains import (
 )
 from kc2spice.core.errors import SimulationError, UsageError
 from kc2spice.core.prefix import PREFIXES, prefix_power
-from kc2spice.netlist.cards import LEAK_RATE, comment, distinct, number
-from kc2spice.netlist.cards import name as checked_name
 from kc2spice.netlist.circuit import Circuit, Element, Param, Pin
 from kc2spice.netlist.elements import Line, noted, pivots
 from kc2spice.netlist.library import ReductionFacts, Subcircuit
 from kc2spice.netlist.prefixes import rounded
+from kc2spice.netlist.spelling import LEAK_RATE, comment, distinct, number
+from kc2spice.netlist.spelling import name as checked_name
 from kc2spice.rom.linear import Certificate, LinearModel, Port
 from kc2spice.rom.modal import Resonators, resonators
 from kc2spice.rom.network import ParallelBranches, parallel_branches

@@ -16,7 +16,6 @@ from kc2spice.core.domains import ELECTRICAL, SIGNAL
 from kc2spice.core.errors import UsageError
 from kc2spice.core.files import earlier
 from kc2spice.core.progress import Clock
-from kc2spice.netlist.cards import comment, number, tidy
 from kc2spice.netlist.circuit import Element, Item
 from kc2spice.netlist.deck import Command, Deck, Option, ac, dc, transient
 from kc2spice.netlist.elements import titled
@@ -26,6 +25,7 @@ from kc2spice.netlist.library import Subcircuit
 from kc2spice.netlist.lint import lint
 from kc2spice.netlist.read import Statement, statements, tree_of
 from kc2spice.netlist.scope import INCLUDES, Scope, circuit, has_vector
+from kc2spice.netlist.spelling import comment, number, tidy
 from kc2spice.netlist.transforms import quiet
 from kc2spice.scene.compose import Free, free, unsettled
 from kc2spice.scene.frames import MOTIONS

@@ -11,10 +11,10 @@ import re
 from collections import Counter
 from collections.abc import Iterator, Mapping
 
-from kc2spice.netlist.cards import number
 from kc2spice.netlist.deck import Measure
 from kc2spice.netlist.expression import terms
 from kc2spice.netlist.expression import vector as parsed
+from kc2spice.netlist.spelling import number
 from kc2spice.scene.model import Build
 from kc2spice.scene.parttype import mover
 from kc2spice.scene.rows import Vector

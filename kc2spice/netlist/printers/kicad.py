@@ -18,7 +18,6 @@ from textwrap import shorten
 from types import SimpleNamespace
 from uuid import NAMESPACE_URL, uuid5
 
-from kc2spice.netlist.cards import render
 from kc2spice.netlist.circuit import Directive, Element
 from kc2spice.netlist.deck import Deck
 from kc2spice.netlist.expression import vector
@@ -26,6 +25,7 @@ from kc2spice.netlist.library import Subcircuit
 from kc2spice.netlist.printers.ngspice import Printer
 from kc2spice.netlist.printers.symbol_layout import Place, layout
 from kc2spice.netlist.scope import GROUND, Scope, circuit
+from kc2spice.netlist.spelling import render
 
 GRID = 2.54  # mm, 100 mil
 _SPICE = 'type="{}" model="{}" lib=""'  # an element whose value is as on its netlist card

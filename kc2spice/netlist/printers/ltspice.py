@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from kc2spice.netlist.cards import number
 from kc2spice.netlist.circuit import Element
 from kc2spice.netlist.expression import Trace
 from kc2spice.netlist.library import Subcircuit
 from kc2spice.netlist.printers.dialect import Dialect
 from kc2spice.netlist.printers.symbol_layout import layout
+from kc2spice.netlist.spelling import number
 
 GRID = 32  # LTspice's units, two of its grid: pins must lie on multiples of 16
 _SIDES = {"left": "LEFT", "right": "RIGHT", "bottom": "BOTTOM", "top": "TOP"}

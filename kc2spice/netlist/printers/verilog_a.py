@@ -11,7 +11,6 @@ from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 
 from kc2spice.core.errors import UsageError
-from kc2spice.netlist.cards import number
 from kc2spice.netlist.circuit import Directive, Element, Item, Model, Parameters
 from kc2spice.netlist.deck import Deck
 from kc2spice.netlist.expression import (
@@ -31,6 +30,7 @@ from kc2spice.netlist.expression import (
 from kc2spice.netlist.library import Subcircuit
 from kc2spice.netlist.printers.ngspice import Printer
 from kc2spice.netlist.scope import GROUND, INCLUDES, Scope, circuit
+from kc2spice.netlist.spelling import number
 
 # Verilog-AMS Language Reference Manual 2.4, annex B, and the names of our own header.
 _WORDS = (

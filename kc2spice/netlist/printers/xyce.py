@@ -7,12 +7,12 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property
 
-from kc2spice.netlist.cards import number, tidy
 from kc2spice.netlist.circuit import Directive, Element
 from kc2spice.netlist.deck import ANALYSES, Deck
 from kc2spice.netlist.expression import Number, Tree, literal
 from kc2spice.netlist.printers.dialect import COMMON, Dialect
 from kc2spice.netlist.scope import GROUND
+from kc2spice.netlist.spelling import number, tidy
 
 STEP = 1e-6  # s, largest where a controller closes a loop
 TIGHT = 1e-5  # largest reltol, and a tenth of the given one: contacts within 1e-5

@@ -12,11 +12,11 @@ from kc2spice.core.cache import cached
 from kc2spice.core.errors import UsageError
 from kc2spice.core.progress import Clock
 from kc2spice.core.waveforms import Waveforms
-from kc2spice.netlist.cards import LEAK_RATE
 from kc2spice.netlist.circuit import Item
 from kc2spice.netlist.deck import Deck, ac
 from kc2spice.netlist.elements import titled
 from kc2spice.netlist.library import Subcircuit
+from kc2spice.netlist.spelling import LEAK_RATE
 from kc2spice.parts._linear_body import LinearBody
 from kc2spice.report.pages import Findings, responses
 from kc2spice.rom.error_estimate import adaptive_frequencies, relative_error
