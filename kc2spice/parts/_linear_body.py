@@ -37,7 +37,7 @@ from kc2spice.rom.parametric import Axis, Loss
 from kc2spice.rom.pencil import first_order
 from kc2spice.rom.stability import prove_stability
 from kc2spice.rom.varying import Varying
-from kc2spice.scene.judge import Balance, Check, Metric
+from kc2spice.scene.checks import Balance, Check, Metric
 from kc2spice.scene.model import GROUND, Build, Part, Scene, Terminal
 from kc2spice.scene.parttype import current_into, numerics
 from kc2spice.scene.plausible import dimensions

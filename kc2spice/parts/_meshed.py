@@ -33,7 +33,7 @@ from kc2spice.parts._neglected import (
 )
 from kc2spice.parts._pictures import deformed, shapes
 from kc2spice.rom.linear import LinearModel, Port
-from kc2spice.scene.judge import Balance, Check, Metric
+from kc2spice.scene.checks import Balance, Check, Metric
 from kc2spice.scene.model import Build, Part, Scene
 from kc2spice.scene.plausible import layers as plausible_layers
 from kc2spice.scene.rows import Neglected

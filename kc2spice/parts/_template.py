@@ -18,7 +18,7 @@ from kc2spice.core.waveforms import Waveforms
 from kc2spice.netlist.circuit import Param, positive
 from kc2spice.netlist.library import Subcircuit
 from kc2spice.netlist.transforms import self_contained
-from kc2spice.scene.judge import Check
+from kc2spice.scene.checks import Check
 from kc2spice.scene.keys import model_keys
 from kc2spice.scene.model import Build, Part, PartType, Scene, Terminal
 from kc2spice.scene.rows import Vector

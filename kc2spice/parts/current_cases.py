@@ -16,7 +16,7 @@ from kc2spice.netlist.elements import Line, noted
 from kc2spice.netlist.spelling import number
 from kc2spice.parts.sphere import sphere_of
 from kc2spice.physics import coils
-from kc2spice.scene.judge import PAIRS, Check, Gate, Metric
+from kc2spice.scene.checks import PAIRS, Check, Gate, Metric
 from kc2spice.scene.model import Build, Part, PartType, Scene, Terminal
 from kc2spice.scene.parttype import register
 from kc2spice.scene.rows import Governed, Swept, Vector

@@ -16,8 +16,8 @@ from kc2spice.netlist.circuit import Param, positive
 from kc2spice.parts._touching import Surface, Touching
 from kc2spice.physics import Declaration, DeclaredPart, displacement
 from kc2spice.physics.declaration import shake
+from kc2spice.scene.checks import Metric
 from kc2spice.scene.compose import free, rigid
-from kc2spice.scene.judge import Metric
 from kc2spice.scene.model import GROUND, Build, Part, Scene
 from kc2spice.scene.parttype import begins, register
 from kc2spice.scene.plausible import dimensions

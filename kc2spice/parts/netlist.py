@@ -23,7 +23,7 @@ from kc2spice.netlist.read import read
 from kc2spice.netlist.scope import Scope, circuit, has_vector
 from kc2spice.netlist.spelling import name as checked
 from kc2spice.parts._template import SLACK, potentials, within
-from kc2spice.scene.judge import Check
+from kc2spice.scene.checks import Check
 from kc2spice.scene.model import Build, Part, PartType, Scene, Terminal
 from kc2spice.scene.parttype import register
 from kc2spice.scene.rows import Numerics, Vector

@@ -22,7 +22,7 @@ from kc2spice.parts.ring_magnet_coils import label
 from kc2spice.physics.declaration import Branch, Declaration, displacement, seen, voltage
 from kc2spice.physics.law import DeclaredLaw
 from kc2spice.physics.part import subcircuit
-from kc2spice.scene.judge import Check, Metric
+from kc2spice.scene.checks import Check, Metric
 from kc2spice.scene.model import Build, Part, PartType, Scene, Terminal
 from kc2spice.scene.parttype import register
 from kc2spice.scene.rows import Vector

@@ -18,7 +18,7 @@ from kc2spice.core.waveforms import Waveforms, constant
 from kc2spice.netlist.circuit import Element, Item
 from kc2spice.netlist.elements import Line, noted
 from kc2spice.parts.two_terminal_types import element
-from kc2spice.scene.judge import PAIRS, Gate, Metric
+from kc2spice.scene.checks import PAIRS, Gate, Metric
 from kc2spice.scene.model import Build, Part, PartType, Scene
 from kc2spice.scene.parttype import register
 from kc2spice.scene.rows import Governed, Numerics, Vector

@@ -14,7 +14,7 @@ from kc2spice.core.waveforms import Waveforms, constant
 from kc2spice.netlist.circuit import Element, Item
 from kc2spice.parts._touching import Pair, Penetration, Touching, pair_of
 from kc2spice.parts.sphere import sphere_of
-from kc2spice.scene.judge import Gate, Measure, Metric
+from kc2spice.scene.checks import Gate, Measure, Metric
 from kc2spice.scene.model import Build, Part, Scene, Terminal
 from kc2spice.scene.parttype import register
 from kc2spice.scene.rows import Governed, Numerics, Swept, Vector

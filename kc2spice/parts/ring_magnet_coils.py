@@ -33,7 +33,7 @@ from kc2spice.parts._touching import Penetration, Touching, impact_penetration
 from kc2spice.parts.netlist import driver
 from kc2spice.parts.sphere import offset, sphere_of
 from kc2spice.physics import coils
-from kc2spice.scene.judge import Check, Metric
+from kc2spice.scene.checks import Check, Metric
 from kc2spice.scene.model import Build, Part, Scene, Terminal
 from kc2spice.scene.parttype import mover, register
 from kc2spice.scene.plausible import within

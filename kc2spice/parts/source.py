@@ -21,7 +21,7 @@ from kc2spice.core.waveforms import PulseKeys, SineKeys, Waveform, Waveforms
 from kc2spice.netlist.circuit import Element, Item
 from kc2spice.netlist.read import words
 from kc2spice.netlist.spelling import number
-from kc2spice.scene.judge import Check
+from kc2spice.scene.checks import Check
 from kc2spice.scene.model import Build, Part, PartType, Scene, Terminal
 from kc2spice.scene.parttype import register
 from kc2spice.scene.rows import Numerics, Rest, Swept, Vector

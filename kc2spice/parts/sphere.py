@@ -21,7 +21,7 @@ from kc2spice.parts._touching import Surface, Touching, pair_of
 from kc2spice.parts.mass import point_mass
 from kc2spice.physics import Declaration, DeclaredPart, displacement
 from kc2spice.physics.part import pins_of
-from kc2spice.scene.judge import Balance, Gate, Metric, stepping
+from kc2spice.scene.checks import Balance, Gate, Metric, stepping
 from kc2spice.scene.model import GROUND, Build, Part, Scene, Terminal
 from kc2spice.scene.parttype import begins, mover, register
 from kc2spice.scene.plausible import within

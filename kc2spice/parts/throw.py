@@ -16,7 +16,7 @@ from kc2spice.core.waveforms import Waveforms
 from kc2spice.netlist.circuit import Item
 from kc2spice.parts import _touching
 from kc2spice.parts.sphere import sphere_of
-from kc2spice.scene.judge import PAIRS, Gate, Metric
+from kc2spice.scene.checks import PAIRS, Gate, Metric
 from kc2spice.scene.model import Build, Part, Scene
 from kc2spice.scene.parttype import register
 from kc2spice.scene.rows import Numerics, State

@@ -19,7 +19,7 @@ from kc2spice.physics.cards import body, force_node, meter, noisy, reference, st
 from kc2spice.physics.declaration import LOOPS, RATE, Branch, Declaration
 from kc2spice.physics.expression import ZERO, derivative, evaluated, kinks, names
 from kc2spice.physics.law import DeclaredLaw
-from kc2spice.scene.judge import Balance, Check
+from kc2spice.scene.checks import Balance, Check
 from kc2spice.scene.keys import model_keys
 from kc2spice.scene.model import Build, Part, PartType, Scene, Terminal
 from kc2spice.scene.rows import Neglected, Numerics, Rest, Vector

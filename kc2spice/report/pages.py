@@ -27,7 +27,7 @@ from kc2spice.report.html import (
     value_and_limit,
     write_page,
 )
-from kc2spice.scene.judge import PAIRS, Check
+from kc2spice.scene.checks import PAIRS, Check
 from kc2spice.scene.model import Scene
 
 _LEAST = 1e-16  # an error of zero is drawn here
@@ -377,7 +377,7 @@ Solutions = Mapping[str, Waveforms]
 class Findings:
     """Results of the verification of one scene.
 
-    ``errors`` has those of :data:`kc2spice.scene.judge.PAIRS` (largest relative), ``wall_s`` the
+    ``errors`` has those of :data:`kc2spice.scene.checks.PAIRS` (largest relative), ``wall_s`` the
     time of each stage; ``left_out`` names the parts without a law. ``answers`` has the metrics of
     each solution: ``ngspice``, ``rom`` (laws) and ``fom`` (with full models, as far as followed).
     """

@@ -39,7 +39,7 @@ if TYPE_CHECKING:
     from kc2spice.core.figure import Figure, Shape, Written
     from kc2spice.core.laws import Equations
     from kc2spice.core.waveforms import Waveforms
-    from kc2spice.scene.judge import Balance, Check, Gate
+    from kc2spice.scene.checks import Balance, Check, Gate
 
 GROUND = "gnd"
 # Tables that need no ``part`` key, and the type that each means.
@@ -588,7 +588,7 @@ class PartType:
     # --- what a run says -----------------------------------------------------------------------
 
     def metrics(self, part: Part, build: Build, waves: Waveforms) -> Mapping[str, Any]:
-        """Numbers that describe what it did, each a :class:`kc2spice.scene.judge.Metric` with its
+        """Numbers that describe what it did, each a :class:`kc2spice.scene.checks.Metric` with its
         unit, or a mapping of such; a plain number has no unit."""
         return {}
 

@@ -27,7 +27,7 @@ from kc2spice.core.waveforms import Waveforms
 from kc2spice.netlist.deck import Deck
 from kc2spice.netlist.expression import literal, terms
 from kc2spice.netlist.spelling import number
-from kc2spice.scene.judge import Check, Verdict, require
+from kc2spice.scene.checks import Check, Verdict, require
 from kc2spice.sim.output import (
     FailedRunError,
     Failure,

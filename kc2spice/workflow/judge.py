@@ -14,7 +14,7 @@ import numpy as np
 from kc2spice.core.errors import UsageError, unknown
 from kc2spice.core.waveforms import SCALES, Waveforms, interpolate
 from kc2spice.report.html import leaves
-from kc2spice.scene.judge import Balance, Check, Gate, Metric, Verdict
+from kc2spice.scene.checks import Balance, Check, Gate, Metric, Verdict
 from kc2spice.scene.model import Build, Scene
 from kc2spice.scene.parttype import drive_period, numerics
 from kc2spice.scene.settings import Probe

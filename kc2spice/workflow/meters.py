@@ -19,8 +19,8 @@ from kc2spice.core.waveforms import Waveforms, running
 from kc2spice.netlist.deck import Command, Deck, noise
 from kc2spice.netlist.expression import terms, vector
 from kc2spice.netlist.scope import Scope
+from kc2spice.scene.checks import Check, Metric
 from kc2spice.scene.compose import electrical
-from kc2spice.scene.judge import Check, Metric
 from kc2spice.scene.keys import model_keys
 from kc2spice.scene.model import Build, Names, Part, PartType
 from kc2spice.scene.parttype import replaced

@@ -15,7 +15,7 @@ from kc2spice.core.waveforms import Waveforms
 from kc2spice.equations.scene_laws import scene_laws
 from kc2spice.netlist.deck import Deck
 from kc2spice.scene.band import highest_frequency
-from kc2spice.scene.judge import Check
+from kc2spice.scene.checks import Check
 from kc2spice.scene.model import Build
 from kc2spice.scene.resolve import resolve_again, resolve_build
 from kc2spice.scene.settings import Analysis

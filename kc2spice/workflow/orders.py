@@ -20,7 +20,7 @@ from kc2spice.core.errors import SimulationError, UsageError
 from kc2spice.core.progress import Clock
 from kc2spice.parts._box import varied
 from kc2spice.parts._linear_body import LinearBody, reduction_target
-from kc2spice.scene.judge import Check
+from kc2spice.scene.checks import Check
 from kc2spice.scene.load import load_scene
 from kc2spice.scene.model import Part
 from kc2spice.workflow.decks import prepared

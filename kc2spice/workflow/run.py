@@ -17,7 +17,7 @@ from kc2spice.core.waveforms import write_record, write_waveforms
 from kc2spice.netlist.printers.plot_script import plot_script
 from kc2spice.report.figures import draw_all
 from kc2spice.report.run_page import probe_figures, write_run
-from kc2spice.scene.judge import require
+from kc2spice.scene.checks import require
 from kc2spice.scene.load import load_scene
 from kc2spice.scene.model import Scene
 from kc2spice.scene.plan import plan

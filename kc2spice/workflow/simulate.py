@@ -21,7 +21,7 @@ from kc2spice.core.errors import SimulationError
 from kc2spice.core.waveforms import Waveforms, save_arrays, write_record
 from kc2spice.netlist.deck import Deck
 from kc2spice.report.html import leaves
-from kc2spice.scene.judge import Verdict
+from kc2spice.scene.checks import Verdict
 from kc2spice.scene.model import Build
 from kc2spice.scene.rows import Sampled
 from kc2spice.sim.ngspice import (

@@ -24,7 +24,7 @@ from kc2spice.core.waveforms import Waveforms
 from kc2spice.equations.networks import Network, law_of
 from kc2spice.equations.scene_laws import scene_laws
 from kc2spice.report.html import format_quantity
-from kc2spice.scene.judge import Balance, Check
+from kc2spice.scene.checks import Balance, Check
 from kc2spice.scene.model import Build
 from kc2spice.scene.parttype import numerics
 from kc2spice.scene.rows import StepLimit, Vector

@@ -7,7 +7,7 @@ import pytest
 from device import built
 
 from kc2spice.core.errors import SimulationError
-from kc2spice.scene.judge import require
+from kc2spice.scene.checks import require
 from kc2spice.workflow.judge import verdict
 
 BALANCES = {"sphere", "contact", "kick"}

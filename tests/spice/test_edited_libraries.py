@@ -11,7 +11,7 @@ import pytest
 
 import kc2spice as kc
 from kc2spice.core.progress import Clock
-from kc2spice.scene.judge import Balance
+from kc2spice.scene.checks import Balance
 from kc2spice.workflow.decks import prepared
 from kc2spice.workflow.export import export
 from kc2spice.workflow.run import run

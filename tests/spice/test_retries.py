@@ -7,7 +7,7 @@ import pytest
 from device import built
 
 from kc2spice.netlist.deck import Deck
-from kc2spice.scene.judge import Verdict
+from kc2spice.scene.checks import Verdict
 from kc2spice.sim.ngspice import RetriesFailedError, run_deck, run_with_retries
 from kc2spice.workflow.decks import make_deck
 from kc2spice.workflow.judge import verdict

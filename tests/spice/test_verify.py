@@ -12,7 +12,7 @@ from hard_cases.kit import kick
 from kc2spice.core.progress import Clock, silent
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.netlist.library import subcircuits
-from kc2spice.scene.judge import Gate
+from kc2spice.scene.checks import Gate
 from kc2spice.scene.load import load_scene
 from kc2spice.workflow.decks import make_deck
 from kc2spice.workflow.simulate import ran

@@ -2,7 +2,7 @@
 
 import pytest
 
-from kc2spice.scene.judge import Check
+from kc2spice.scene.checks import Check
 from kc2spice.workflow.judge import with_undecided
 
 GRAVITY = 9.81

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from kc2spice.core.waveforms import Waveforms
-from kc2spice.scene.judge import Gate
+from kc2spice.scene.checks import Gate
 from kc2spice.workflow.verify.verify import (
     Solution,
     gate_limits,

@@ -24,7 +24,7 @@ from kc2spice.rom.linear import LinearModel
 from kc2spice.rom.modal import resonators
 from kc2spice.rom.response import Response
 from kc2spice.rom.stability import prove_stability
-from kc2spice.scene.judge import Check
+from kc2spice.scene.checks import Check
 from kc2spice.scene.model import Build, Part
 from kc2spice.sim.ngspice import run_deck
 from kc2spice.spice.emitted import reaction_mass, shakes

@@ -25,7 +25,7 @@ from kc2spice.netlist.deck import Deck
 from kc2spice.netlist.include_scan import Flat, checked
 from kc2spice.netlist.library import Subcircuit, subcircuits
 from kc2spice.report.pages import Findings, comparison, write_verify
-from kc2spice.scene.judge import PAIRS, Check, Gate, Verdict
+from kc2spice.scene.checks import PAIRS, Check, Gate, Verdict
 from kc2spice.scene.model import Build, Scene
 from kc2spice.scene.resolve import resolve
 from kc2spice.sim.ngspice import find_ngspice
