@@ -33,7 +33,7 @@ from kc2spice.sim.ngspice import (
     write_files,
 )
 from kc2spice.sim.output import join_analyses
-from kc2spice.workflow.judge import metrics, verdict
+from kc2spice.workflow.metrics import metrics, verdict
 from kc2spice.workflow.models import model_facts, rom_facts
 from kc2spice.workflow.operating import OperatingPoint, is_linear, operating_point
 

@@ -8,7 +8,7 @@ from device import built
 
 from kc2spice.core.errors import SimulationError
 from kc2spice.scene.checks import require
-from kc2spice.workflow.judge import verdict
+from kc2spice.workflow.metrics import verdict
 
 BALANCES = {"sphere", "contact", "kick"}
 ALL = {

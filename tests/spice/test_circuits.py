@@ -11,7 +11,7 @@ from kc2spice.core.errors import SimulationError, UsageError
 from kc2spice.netlist.lint import lint
 from kc2spice.scene.load import load_scene
 from kc2spice.workflow.decks import make_deck
-from kc2spice.workflow.judge import frequency, metrics
+from kc2spice.workflow.metrics import frequency, metrics
 from kc2spice.workflow.simulate import simulate
 
 R, L, C = 50.0, 1e-3, 1e-6

@@ -19,7 +19,7 @@ from kc2spice.reference.integrate import solve_transient
 from kc2spice.scene import parttype
 from kc2spice.scene.load import load_scene
 from kc2spice.scene.model import Build
-from kc2spice.workflow.judge import verdict
+from kc2spice.workflow.metrics import verdict
 from kc2spice.workflow.verify.law_solution import solve
 
 EPS = 8.8541878188e-12

@@ -10,7 +10,7 @@ from kc2spice.netlist.deck import Deck
 from kc2spice.scene.checks import Verdict
 from kc2spice.sim.ngspice import RetriesFailedError, run_deck, run_with_retries
 from kc2spice.workflow.decks import make_deck
-from kc2spice.workflow.judge import verdict
+from kc2spice.workflow.metrics import verdict
 
 # A comparator without hysteresis drives a femtofarad: no step is short enough for it.
 HOPELESS = "B1 0 b I={(V(b)>0.5) ? -1e6 : 1e6*TIME*1e6}\nC1 b 0 1e-15\nR1 b 0 1k\n.tran 1u 1m\n"

@@ -10,7 +10,7 @@ from kc2spice.parts._touching import separation
 from kc2spice.parts.pid import settling_time
 from kc2spice.scene.load import load_scene
 from kc2spice.scene.model import Build
-from kc2spice.workflow.judge import metrics
+from kc2spice.workflow.metrics import metrics
 
 RADIUS, LAUNCH, SPEED, DECEL = 1e-3, 5.0057e-4, 1.02, 40.0
 

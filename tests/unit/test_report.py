@@ -20,7 +20,7 @@ from kc2spice.report.run_page import operating_rows, result_sections, write_run
 from kc2spice.scene.load import load_scene
 from kc2spice.scene.model import Build
 from kc2spice.scene.plan import plan
-from kc2spice.workflow.judge import metrics
+from kc2spice.workflow.metrics import metrics
 
 TEMPLATES = Path(__file__).parents[2] / "templates"
 

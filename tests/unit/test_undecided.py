@@ -3,7 +3,7 @@
 import pytest
 
 from kc2spice.scene.checks import Check
-from kc2spice.workflow.judge import with_undecided
+from kc2spice.workflow.metrics import with_undecided
 
 GRAVITY = 9.81
 

@@ -30,7 +30,7 @@ from kc2spice.scene.model import Build, Scene
 from kc2spice.scene.resolve import resolve
 from kc2spice.sim.ngspice import find_ngspice
 from kc2spice.workflow.decks import prepared
-from kc2spice.workflow.judge import metrics, verdict
+from kc2spice.workflow.metrics import metrics, verdict
 from kc2spice.workflow.simulate import ran
 from kc2spice.workflow.verify.bodies import verify_body
 from kc2spice.workflow.verify.full_models import finer_build, full_build, full_solution

@@ -15,7 +15,7 @@ from kc2spice.scene.load import load_scene
 from kc2spice.sim.ngspice import run_deck
 from kc2spice.spice.header import Header
 from kc2spice.workflow.decks import make_deck
-from kc2spice.workflow.judge import verdict
+from kc2spice.workflow.metrics import verdict
 from kc2spice.workflow.verify.law_solution import solve
 
 HEADER = Header("hard case", "0")
