@@ -1,6 +1,6 @@
 """``bench SCENE``: error against time over its settings, the front of the best, what to use.
 
-The scene is run as it is, with one axis (:mod:`kc2spice.scene.plan`) moved at a time, with all of
+The scene is run as it is, with one axis (:mod:`kc2spice.scene.axes`) moved at a time, with all of
 them finer, and from there along the axes towards the cheapest setting within the wanted error, and
 within the scene's own. Errors are against a run with every axis at its finest; a second, less fine
 one tells how well that has converged. Times are medians of the simulator's CPU time over rounds
@@ -27,8 +27,8 @@ from kc2spice.core.files import staged
 from kc2spice.core.progress import Clock, Progress, silent
 from kc2spice.core.waveforms import write_record
 from kc2spice.report.pages import write_bench
+from kc2spice.scene.axes import Axis, axes, keys_at
 from kc2spice.scene.model import Scene
-from kc2spice.scene.plan import Axis, axes, keys_at
 from kc2spice.sim.ngspice import find_ngspice
 from kc2spice.workflow import refine
 from kc2spice.workflow.refine import Runs, changes

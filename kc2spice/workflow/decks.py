@@ -27,11 +27,11 @@ from kc2spice.netlist.read import Statement, statements, tree_of
 from kc2spice.netlist.scope import INCLUDES, Scope, circuit, has_vector
 from kc2spice.netlist.spelling import comment, number, tidy
 from kc2spice.netlist.transforms import quiet
+from kc2spice.scene.axes import MAX_STEP, plan
 from kc2spice.scene.compose import Free, free, unsettled
 from kc2spice.scene.frames import MOTIONS
 from kc2spice.scene.model import Build, Names, Part, Scene, scene_hash
 from kc2spice.scene.parttype import begins, mover, numerics, replaced
-from kc2spice.scene.plan import MAX_STEP, plan
 from kc2spice.scene.plausible import built, judged
 from kc2spice.scene.resolve import resolve_again, resolve_build
 from kc2spice.spice.header import Header, plan_lines

@@ -1,6 +1,6 @@
 """Runs of a scene with its numerical settings refined, and the error of every metric from them.
 
-The settings are axes (:mod:`kc2spice.scene.plan`), each with "one notch finer". A refined run moves
+The settings are axes (:mod:`kc2spice.scene.axes`), each with "one notch finer". A refined run moves
 all of them by a notch; what a metric changes by is its estimated error, times :data:`REMAINDER`. A
 scene with an ``error_budget`` goes along the axis with the largest share, which is what moving it
 alone changes, until the estimate holds for every metric, or says what it tried.
@@ -24,10 +24,10 @@ from kc2spice.core.mesh_error import mesh_errors
 from kc2spice.core.progress import ERROR_BUDGET, Clock
 from kc2spice.core.waveforms import interpolate
 from kc2spice.parts._meshed import MeshedBody
+from kc2spice.scene.axes import Axis, axes, finest_axes, key_prefix, keys_at
 from kc2spice.scene.checks import Check
 from kc2spice.scene.load import load_scene
 from kc2spice.scene.model import Part, Scene
-from kc2spice.scene.plan import Axis, axes, finest_axes, key_prefix, keys_at
 from kc2spice.scene.settings import Action
 from kc2spice.workflow.decks import prepared
 from kc2spice.workflow.simulate import Run, ran, simulate, simulator_cpu

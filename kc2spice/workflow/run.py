@@ -17,10 +17,10 @@ from kc2spice.core.waveforms import write_record, write_waveforms
 from kc2spice.netlist.printers.plot_script import plot_script
 from kc2spice.report.figures import draw_all
 from kc2spice.report.run_page import probe_figures, write_run
+from kc2spice.scene.axes import plan
 from kc2spice.scene.checks import require
 from kc2spice.scene.load import load_scene
 from kc2spice.scene.model import Scene
-from kc2spice.scene.plan import plan
 from kc2spice.sim.ngspice import RetriesFailedError, Simulator, find_ngspice, write_files
 from kc2spice.workflow import meters
 from kc2spice.workflow.decks import prepared, spare_other_decks

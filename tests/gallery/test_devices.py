@@ -15,9 +15,9 @@ from commands import asked
 from docs_numbers import different_lines
 
 import kc2spice as kc
+from kc2spice.scene.axes import axes
 from kc2spice.scene.load import load_scene
 from kc2spice.scene.model import Build
-from kc2spice.scene.plan import axes
 from kc2spice.workflow.run import run
 
 ROOT = Path(__file__).parents[2]

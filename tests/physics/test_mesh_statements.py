@@ -18,9 +18,9 @@ from kc2spice.fem.materials import material
 from kc2spice.parts import moving_conductor
 from kc2spice.physics.contact import SPACED
 from kc2spice.rom.io import read_rom, write_rom
+from kc2spice.scene.axes import plan
 from kc2spice.scene.load import load_scene
 from kc2spice.scene.parttype import part_types
-from kc2spice.scene.plan import plan
 from kc2spice.spice.header import Header
 from kc2spice.workflow.models import build_models, model_facts
 from kc2spice.workflow.reduce import export_rom

@@ -9,9 +9,9 @@ from scipy.integrate import solve_ivp
 
 import kc2spice as kc
 from kc2spice.core.errors import UsageError
+from kc2spice.scene.axes import plan
 from kc2spice.scene.load import _scene, _Source, load_scene
 from kc2spice.scene.model import Build
-from kc2spice.scene.plan import plan
 
 STEEL = {"density": 7800.0, "youngs_modulus": "200 GPa", "poisson_ratio": 0.3}
 MASS, SPRING, AMPLITUDE, TONE, STOP = 3e-3, 300.0, 5.0, 60.0, 40e-3

@@ -17,9 +17,9 @@ from kc2spice.report.charts import figure_html
 from kc2spice.report.figures import draw_all
 from kc2spice.report.html import PageSection, format_quantity, value_and_limit, write_page
 from kc2spice.report.run_page import operating_rows, result_sections, write_run
+from kc2spice.scene.axes import plan
 from kc2spice.scene.load import load_scene
 from kc2spice.scene.model import Build
-from kc2spice.scene.plan import plan
 from kc2spice.workflow.metrics import metrics
 
 TEMPLATES = Path(__file__).parents[2] / "templates"
