@@ -671,7 +671,7 @@ def sweep(
               3 Ohm          4      ok
               6 Ohm          2      ok
     """
-    from kc2spice.workflow.sweep.plan import make_plan
+    from kc2spice.workflow.sweep.grid import make_plan
     from kc2spice.workflow.sweep.point import Job, scene_text
     from kc2spice.workflow.sweep.run import columns, cores, outcomes, sweep_of_plan
 

@@ -41,7 +41,7 @@ from kc2spice.rom.response import Response
 from kc2spice.scene.load import load_scene
 from kc2spice.scene.model import Part, Scene
 from kc2spice.workflow.misfit import WARNED, covariance, likely_cause, misfit
-from kc2spice.workflow.sweep.plan import parse_value
+from kc2spice.workflow.sweep.grid import parse_value
 
 SPREAD, LOSSES = 1.3, 10.0  # range of a key by its value: ceramics differ by 30 %, losses by tens
 _LOSSY = re.compile(r"damping|quality|ratio|loss")

@@ -8,7 +8,7 @@ import pytest
 
 from kc2spice.core.errors import UsageError
 from kc2spice.report.pages import yields
-from kc2spice.workflow.sweep.plan import make_plan
+from kc2spice.workflow.sweep.grid import make_plan
 from kc2spice.workflow.sweep.point import PointResult
 from kc2spice.workflow.sweep.run import RowStore, columns, write_csv
 

@@ -33,7 +33,7 @@ from kc2spice.workflow.decks import prepared
 from kc2spice.workflow.edits import with_value
 from kc2spice.workflow.models import fact_units
 from kc2spice.workflow.simulate import Run, simulate
-from kc2spice.workflow.sweep.plan import PARAMETER
+from kc2spice.workflow.sweep.grid import PARAMETER
 
 _SIGNAL = re.compile(r"exit code -\d+")  # somebody ended the simulator
 _ROOM = 5_000_000  # bytes that a run needs on the temporary disk

@@ -51,7 +51,7 @@ from kc2spice.netlist.transforms import with_parameters
 from kc2spice.scene.keys import keys_of
 from kc2spice.scene.load import toml
 from kc2spice.scene.model import Scene, scene_hash
-from kc2spice.workflow.sweep.plan import (
+from kc2spice.workflow.sweep.grid import (
     PARAMETER,
     Plan,
     form,
