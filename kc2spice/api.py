@@ -561,7 +561,7 @@ class Table(tuple[dict[str, Any], ...]):
 
     def save(self, path: str | Path) -> Path:
         """Write the table as CSV."""
-        from kc2spice.workflow.sweep.run import write_csv
+        from kc2spice.workflow.sweep.engine import write_csv
 
         write_csv({name: self[name] for name in self.columns}, Path(path))
         return Path(path)
@@ -671,9 +671,9 @@ def sweep(
               3 Ohm          4      ok
               6 Ohm          2      ok
     """
+    from kc2spice.workflow.sweep.engine import columns, cores, outcomes, sweep_of_plan
     from kc2spice.workflow.sweep.grid import make_plan
     from kc2spice.workflow.sweep.point import Job, scene_text
-    from kc2spice.workflow.sweep.run import columns, cores, outcomes, sweep_of_plan
 
     _require_lists(values)
     if executor is None:

@@ -711,15 +711,14 @@ def _sweep(
     continues if the same command is given again. A failed point is a row that states the cause.
     """
     from kc2spice.scene.load import override_texts
-    from kc2spice.workflow.sweep import run as pools
-    from kc2spice.workflow.sweep import run as study
+    from kc2spice.workflow.sweep import engine
 
-    table = study.table_name(table_format)
+    table = engine.table_name(table_format)
     options: dict[str, Any] = {"zipped": zipped, "latin": latin, "seed": seed, "timeout": timeout}
-    answer = study.named_sweep(scene, override_texts(set_ or ()), metrics=metric or (), **options)
+    answer = engine.named_sweep(scene, override_texts(set_ or ()), metrics=metric or (), **options)
     out = out or Path(f"{answer.scene.name}_sweep")
-    count = workers or pools.cores()
-    pool = pools.processes(count) if dask is None else pools.dask(dask, count)
+    count = workers or engine.cores()
+    pool = engine.processes(count) if dask is None else engine.dask(dask, count)
     if not caller.quiet:
         print(answer.describe(), file=sys.stderr)
     result = {"scene": answer.scene.name, "points": answer.plan.size, "failed": 0, "resumed": 0}
@@ -728,7 +727,7 @@ def _sweep(
         again: dict[str, Any] = {"table_format": table_format, "retry_failed": retry_failed}
         try:
             with caller.progress() as progress:
-                result = study.sweep(answer, out, pool, progress, **again)
+                result = engine.sweep(answer, out, pool, progress, **again)
         except KeyboardInterrupt:
             state = f"the points run so far are kept in {out}, the same command runs the rest"
             print(f"kc2spice: interrupted; {state}", file=sys.stderr)

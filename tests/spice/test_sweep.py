@@ -13,7 +13,7 @@ import pytest
 from commands import session
 from sweeps import circuit, command, rows, sweep
 
-from kc2spice.workflow.sweep import run
+from kc2spice.workflow.sweep import engine
 
 GRID = ("wire.resistance=500 Ohm:2 kOhm:4", "supply.pulse.high=5 V,10 V")
 TIME = 1e-3  # s of charging
@@ -129,7 +129,7 @@ def begun(scene, out, count=2, **options):
 
 
 def recorded(out):
-    path = out / run.ROWS
+    path = out / engine.ROWS
     return path.read_bytes().count(b'"interrupted": ') if path.exists() else 0
 
 

@@ -9,7 +9,7 @@ import pytest
 from scipy.io import mmwrite
 from sweeps import rows
 
-from kc2spice.workflow.sweep import run
+from kc2spice.workflow.sweep import engine
 from kc2spice.workflow.sweep.point import scene_text
 
 OWN = """
@@ -53,13 +53,13 @@ def test_files_of_the_parts_travel_with_the_sweep(own, tmp_path):
     path = str(own / "own.toml")
     names = {name for name, _ in scene_text(path).files}
     assert names == {"push.csv", "beam.toml", "stiff.mtx", *(f"beam.{x}.mtx" for x in "MEBC")}
-    found = run.make_sweep(scene_text(path), ("solver.reltol=1e-3,1e-4",))
+    found = engine.make_sweep(scene_text(path), ("solver.reltol=1e-3,1e-4",))
     before = found.digest
     (own / "push.csv").write_text("0,0\n1e-4,2\n1,2\n")
-    again = run.make_sweep(scene_text(path), ("solver.reltol=1e-3,1e-4",))
+    again = engine.make_sweep(scene_text(path), ("solver.reltol=1e-3,1e-4",))
     assert again.digest != before
     shutil.rmtree(own)  # as on another machine
-    summary = run.sweep(found, tmp_path / "o", lambda: nullcontext((ThreadPoolExecutor(1), 1)))
+    summary = engine.sweep(found, tmp_path / "o", lambda: nullcontext((ThreadPoolExecutor(1), 1)))
     assert summary["failed"] == 0
     # A step of 1 N within a fifth of the period: static 3e-4 m, overshoot below twice of it.
     assert all(3e-4 < float(row["top"]) < 6e-4 for row in rows(summary))

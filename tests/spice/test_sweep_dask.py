@@ -7,9 +7,9 @@ import time
 
 import pytest
 
-from kc2spice.workflow.sweep import run
+from kc2spice.workflow.sweep import engine
+from kc2spice.workflow.sweep.engine import dask, processes
 from kc2spice.workflow.sweep.point import SceneText
-from kc2spice.workflow.sweep.run import dask, processes
 
 pytest.importorskip("distributed")
 
@@ -31,8 +31,8 @@ def test_a_killed_worker_and_a_restarted_scheduler_lose_no_point(tmp_path):
     scheduler = ("distributed.cli.dask_scheduler", "--host", "127.0.0.1", "--port", str(port))
     worker = ("distributed.cli.dask_worker", address, "--nthreads", "1", "--no-nanny")
     daemons = {"scheduler": start(*scheduler), "a": start(*worker), "b": start(*worker)}
-    rows = tmp_path / "dask" / run.ROWS
-    study = run.make_sweep(SceneText("kick_and_catch", None), SETS)
+    rows = tmp_path / "dask" / engine.ROWS
+    study = engine.make_sweep(SceneText("kick_and_catch", None), SETS)
     done = []
 
     def interfere(stage, share, text):
@@ -50,14 +50,14 @@ def test_a_killed_worker_and_a_restarted_scheduler_lose_no_point(tmp_path):
 
     try:
         workers = dask(address, 1, patience=60.0)
-        distributed = run.sweep(study, tmp_path / "dask", workers, interfere)
+        distributed = engine.sweep(study, tmp_path / "dask", workers, interfere)
     finally:
         for process in daemons.values():
             process.kill()
             process.wait()
     assert (distributed["points"], distributed["failed"]) == (16, 0)
     assert done == sorted(set(done))  # each row is recorded once
-    local = run.sweep(study, tmp_path / "local", processes(2))
+    local = engine.sweep(study, tmp_path / "local", processes(2))
     tables = [(tmp_path / name / "sweep.csv").read_bytes() for name in ("dask", "local")]
     assert tables[0] == tables[1]
     assert local["failed"] == 0

@@ -4,8 +4,8 @@ import pytest
 
 import kc2spice as kc
 from kc2spice.core.errors import UsageError
+from kc2spice.workflow.sweep.engine import make_sweep
 from kc2spice.workflow.sweep.point import SceneText
-from kc2spice.workflow.sweep.run import make_sweep
 
 HARVESTER = SceneText("harvester", None)
 

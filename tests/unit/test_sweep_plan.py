@@ -5,8 +5,8 @@ import pytest
 from scipy import stats
 
 from kc2spice.core.errors import UsageError
+from kc2spice.workflow.sweep.engine import make_sweep, named_sweep
 from kc2spice.workflow.sweep.point import SceneText
-from kc2spice.workflow.sweep.run import make_sweep, named_sweep
 
 LOOP = SceneText("kick_and_catch", None)
 

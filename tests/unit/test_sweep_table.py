@@ -8,9 +8,9 @@ import pytest
 
 from kc2spice.core.errors import UsageError
 from kc2spice.report.pages import yields
+from kc2spice.workflow.sweep.engine import RowStore, columns, write_csv
 from kc2spice.workflow.sweep.grid import make_plan
 from kc2spice.workflow.sweep.point import PointResult
-from kc2spice.workflow.sweep.run import RowStore, columns, write_csv
 
 PLAN = make_plan({"a": tuple(0.1 * k for k in range(6))})
 
