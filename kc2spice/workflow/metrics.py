@@ -19,7 +19,7 @@ from kc2spice.scene.model import Build, Scene
 from kc2spice.scene.parttype import drive_period, numerics
 from kc2spice.scene.settings import Probe
 from kc2spice.workflow import meters
-from kc2spice.workflow.steps import step_checks
+from kc2spice.workflow.time_step import step_checks
 
 BETWEEN_POINTS = 0.05  # correction of a peak between points; at half a half-width up to 3 %
 ROUNDED = 1e-9  # rounding error of the ends of the scale in the simulator, relative

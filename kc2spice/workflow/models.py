@@ -15,7 +15,7 @@ from kc2spice.rom.modal import mode_table
 from kc2spice.scene.model import Build, Names, Scene, scene_hash
 from kc2spice.scene.resolve import resolve_build
 from kc2spice.spice.header import Header
-from kc2spice.workflow.steps import largest_step
+from kc2spice.workflow.time_step import largest_step
 
 
 def build_models(

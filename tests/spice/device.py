@@ -16,7 +16,7 @@ from kc2spice.sim.ngspice import run_deck
 from kc2spice.workflow.decks import make_deck
 from kc2spice.workflow.metrics import verdict
 from kc2spice.workflow.models import build_models, libraries
-from kc2spice.workflow.steps import largest_step
+from kc2spice.workflow.time_step import largest_step
 from kc2spice.workflow.verify.law_solution import solve
 
 RADII = 50e-6 * np.arange(6)
