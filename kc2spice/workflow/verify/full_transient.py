@@ -1,8 +1,9 @@
 """Transient analysis with full models, computed as a correction of the reduced models' result.
 
-One integrator of equal steps (:mod:`kc2spice.reference.steps`) solves both models. Their difference
-is added to the exact solution with the reduced models: both models have the same error of the time
-steps, which cancels except for a share of their difference. Steps twice as long measure that share.
+One integrator of equal steps (:mod:`kc2spice.reference.fixed_step`) solves both models. Their
+difference is added to the exact solution with the reduced models: both models have the same error
+of the time steps, which cancels except for a share of their difference. Steps twice as long measure
+that share.
 """
 
 from __future__ import annotations
@@ -19,8 +20,8 @@ from kc2spice.core.laws import PortBody
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.equations.networks import Network
 from kc2spice.reference.assemble import System, assemble_system
+from kc2spice.reference.fixed_step import steps
 from kc2spice.reference.integrate import Trajectory
-from kc2spice.reference.steps import steps
 from kc2spice.scene.model import Build
 from kc2spice.workflow.verify.bodies import held_band
 from kc2spice.workflow.verify.law_solution import Reference
