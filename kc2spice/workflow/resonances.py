@@ -3,7 +3,8 @@ where probes read it.
 
 In go a build and its deck; out comes the deck with further analyses about each resonance that the
 scene's own frequencies do not resolve. The resonances are the natural frequencies of the whole
-linear circuit, driver and load included; :mod:`kc2spice.reference.linear` states its equations.
+linear circuit, driver and load included; :mod:`kc2spice.reference.small_signal` states its
+equations.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ from kc2spice.equations.networks import Network
 from kc2spice.equations.scene_laws import scene_laws
 from kc2spice.netlist.deck import Command, Deck, over
 from kc2spice.reference.assemble import assemble_system
-from kc2spice.reference.linear import Linear
+from kc2spice.reference.small_signal import Linear
 from kc2spice.rom.linear import LinearModel
 from kc2spice.scene.model import Build
 

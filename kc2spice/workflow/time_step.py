@@ -31,7 +31,7 @@ from kc2spice.scene.rows import StepLimit, Vector
 from kc2spice.workflow.meters import result_vectors
 
 if TYPE_CHECKING:
-    from kc2spice.reference.linear import ExponentialSolution
+    from kc2spice.reference.small_signal import ExponentialSolution
 
 AMPLITUDE, SHAPE = 5e-4, 1e-3  # allowed error of a wave's rms; of the wave; over its largest value
 MANY, MOST = 2e5, 4e6  # points that SHAPE and AMPLITUDE are worth
@@ -87,7 +87,7 @@ def _networks(build: Build) -> tuple[list[Network], tuple[str, ...]]:
 def _motion(network: Network, stop: float) -> ExponentialSolution | None:
     """Motion of a network, linearised at rest; None if it is too large or has no solution."""
     from kc2spice.reference.assemble import assemble_system  # which loads scipy
-    from kc2spice.reference.linear import Linear
+    from kc2spice.reference.small_signal import Linear
 
     try:
         system = assemble_system(network.laws, network.joins)

@@ -14,7 +14,7 @@ from kc2spice.physics.law import DeclaredLaw
 from kc2spice.reference.assemble import assemble_system
 from kc2spice.reference.equilibrium import solve_operating_point
 from kc2spice.reference.integrate import Trajectory, solve_transient
-from kc2spice.reference.linear import solve_ac
+from kc2spice.reference.small_signal import solve_ac
 from kc2spice.rom.linear import LinearModel, Port
 
 

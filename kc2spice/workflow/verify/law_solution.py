@@ -19,7 +19,7 @@ from kc2spice.equations.scene_laws import scene_laws
 from kc2spice.reference import equilibrium
 from kc2spice.reference.assemble import assemble_system
 from kc2spice.reference.integrate import Trajectory, solve_transient
-from kc2spice.reference.linear import solve_ac, solve_noise
+from kc2spice.reference.small_signal import solve_ac, solve_noise
 from kc2spice.scene.model import Build
 from kc2spice.workflow.meters import WAVE, sweep_values, swept
 
