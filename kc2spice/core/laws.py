@@ -6,7 +6,7 @@ net share, such as a voltage [V], and which *through* quantities into the parts 
 such as currents [A]. The kind ``signal`` has nothing through its pins; one pin of a net sets it.
 
 Bodies and sources are stamped into matrices by the assembler
-(:mod:`kc2spice.reference.assemble`). Every other law is a :class:`Device`: smooth expressions
+(:mod:`kc2spice.reference.system`). Every other law is a :class:`Device`: smooth expressions
 within a *mode*, and guards whose zeros end the mode; a linear one becomes constant matrices too.
 """
 

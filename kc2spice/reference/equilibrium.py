@@ -11,7 +11,7 @@ import numpy as np
 
 from kc2spice.core.errors import SimulationError
 from kc2spice.core.waveforms import constant
-from kc2spice.reference.assemble import System
+from kc2spice.reference.system import System
 
 
 class Interval:

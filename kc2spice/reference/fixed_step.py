@@ -24,8 +24,8 @@ from scipy import sparse
 from kc2spice.core.errors import SimulationError
 from kc2spice.core.laws import PortBody, Relation
 from kc2spice.linalg.factor import factorise
-from kc2spice.reference.assemble import System
 from kc2spice.reference.equilibrium import Interval, equilibrium
+from kc2spice.reference.system import System
 
 GAMMA = 1.0 - np.sqrt(0.5)
 ITERATIONS = 60  # iterations of a stage, including changes of device modes

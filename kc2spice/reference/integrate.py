@@ -21,8 +21,8 @@ from scipy.optimize import brentq
 
 from kc2spice.core.errors import SimulationError
 from kc2spice.core.laws import Device
-from kc2spice.reference.assemble import System
 from kc2spice.reference.equilibrium import Interval, equilibrium
+from kc2spice.reference.system import System
 
 _S6 = np.sqrt(6.0)
 NODES = np.array([(4 - _S6) / 10, (4 + _S6) / 10, 1.0])

@@ -20,8 +20,8 @@ import scipy.linalg as sla
 from kc2spice.core import laws as L
 from kc2spice.core.quantities import BOLTZMANN, TEMPERATURE
 from kc2spice.core.waveforms import Function, Waveform
-from kc2spice.reference.assemble import System, assemble_system
 from kc2spice.reference.equilibrium import Interval, equilibrium
+from kc2spice.reference.system import System, assemble_system
 
 _WORST_BASIS = 1e9  # condition of the eigenvectors beyond which modes say nothing
 _STILL = 1e-7  # a rate below this share of the largest is that of a body free to move
@@ -389,7 +389,7 @@ def solve_noise(
 ) -> np.ndarray:
     """Spectral density (nf,) of a reading, in its unit per root Hz, at the frequencies ``f`` [Hz].
 
-    ``joins`` are those of :func:`kc2spice.reference.assemble.assemble_system`.
+    ``joins`` are those of :func:`kc2spice.reference.system.assemble_system`.
     """
     answering = (
         L.PortBody(law.name, law.model, law.ports) if isinstance(law, L.SecondOrderBody) else law

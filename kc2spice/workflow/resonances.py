@@ -20,8 +20,8 @@ from kc2spice.core.errors import SimulationError, UsageError
 from kc2spice.equations.networks import Network
 from kc2spice.equations.scene_laws import scene_laws
 from kc2spice.netlist.deck import Command, Deck, over
-from kc2spice.reference.assemble import assemble_system
 from kc2spice.reference.small_signal import Linear
+from kc2spice.reference.system import assemble_system
 from kc2spice.rom.linear import LinearModel
 from kc2spice.scene.model import Build
 

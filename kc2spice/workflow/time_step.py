@@ -86,8 +86,8 @@ def _networks(build: Build) -> tuple[list[Network], tuple[str, ...]]:
 
 def _motion(network: Network, stop: float) -> ExponentialSolution | None:
     """Motion of a network, linearised at rest; None if it is too large or has no solution."""
-    from kc2spice.reference.assemble import assemble_system  # which loads scipy
     from kc2spice.reference.small_signal import Linear
+    from kc2spice.reference.system import assemble_system  # which loads scipy
 
     try:
         system = assemble_system(network.laws, network.joins)

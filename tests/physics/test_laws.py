@@ -11,10 +11,10 @@ from kc2spice.parts.mass import point_mass
 from kc2spice.parts.two_terminal_types import element
 from kc2spice.physics.contact import Normal, contact
 from kc2spice.physics.law import DeclaredLaw
-from kc2spice.reference.assemble import assemble_system
 from kc2spice.reference.equilibrium import solve_operating_point
 from kc2spice.reference.integrate import Trajectory, solve_transient
 from kc2spice.reference.small_signal import solve_ac
+from kc2spice.reference.system import assemble_system
 from kc2spice.rom.linear import LinearModel, Port
 
 

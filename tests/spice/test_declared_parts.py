@@ -14,8 +14,8 @@ from kc2spice.netlist.printers.ngspice import Printer
 from kc2spice.netlist.translate import dialect_files
 from kc2spice.physics import Declaration, DeclaredPart, displacement, seen, voltage
 from kc2spice.physics.cards import body
-from kc2spice.reference.assemble import assemble_system
 from kc2spice.reference.integrate import solve_transient
+from kc2spice.reference.system import assemble_system
 from kc2spice.scene import parttype
 from kc2spice.scene.load import load_scene
 from kc2spice.scene.model import Build

@@ -19,9 +19,9 @@ import numpy as np
 from kc2spice.core.laws import PortBody
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.equations.networks import Network
-from kc2spice.reference.assemble import System, assemble_system
 from kc2spice.reference.fixed_step import steps
 from kc2spice.reference.integrate import Trajectory
+from kc2spice.reference.system import System, assemble_system
 from kc2spice.scene.model import Build
 from kc2spice.workflow.verify.bodies import held_band
 from kc2spice.workflow.verify.law_solution import Reference

@@ -17,9 +17,9 @@ from kc2spice.equations.networks import Network, law_of
 from kc2spice.equations.replay import networks_to_solve
 from kc2spice.equations.scene_laws import scene_laws
 from kc2spice.reference import equilibrium
-from kc2spice.reference.assemble import assemble_system
 from kc2spice.reference.integrate import Trajectory, solve_transient
 from kc2spice.reference.small_signal import solve_ac, solve_noise
+from kc2spice.reference.system import assemble_system
 from kc2spice.scene.model import Build
 from kc2spice.workflow.meters import WAVE, sweep_values, swept
 
