@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from kc2spice.rom.linear import LinearModel
+from kc2spice.rom.linear_model import LinearModel
 
 
 def hermite_beam(elements, bending=1.0, line=1.0, *, scaled=False):

@@ -6,7 +6,7 @@ import numpy as np
 
 from bench.points import Outcome, Plane, Point, fastest, speed_up, timed
 from kc2spice.netlist.deck import Deck
-from kc2spice.rom.linear import Certificate, LinearModel, Port
+from kc2spice.rom.linear_model import Certificate, LinearModel, Port
 from kc2spice.rom.modal import Resonators
 from kc2spice.sim.ngspice import run_deck
 from kc2spice.spice.realize import subcircuit

@@ -22,7 +22,7 @@ from kc2spice.bodies.piezo_stack import stack_device
 from kc2spice.core.errors import Kc2spiceError
 from kc2spice.core.figure import Curve, Figure, Panel
 from kc2spice.report.figures import draw_all
-from kc2spice.rom.linear import LinearModel, Norm
+from kc2spice.rom.linear_model import LinearModel, Norm
 from kc2spice.rom.reduce import reduce
 from kc2spice.rom.state_space import state_space
 from kc2spice.rom.surrogate import surrogate

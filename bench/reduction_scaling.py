@@ -13,7 +13,7 @@ import time
 import numpy as np
 from scipy import sparse
 
-from kc2spice.rom.linear import LinearModel
+from kc2spice.rom.linear_model import LinearModel
 from kc2spice.rom.reduce import reduce
 
 MODULE = "bench.reduction_scaling"  # also where its name is __main__

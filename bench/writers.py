@@ -10,7 +10,7 @@ from bench.dense import ran, rotation, sources, synthetic
 from bench.points import Outcome, Plane, Point, speed_up
 from kc2spice.netlist.library import Subcircuit
 from kc2spice.netlist.read import read
-from kc2spice.rom.linear import Certificate, LinearModel, Port
+from kc2spice.rom.linear_model import Certificate, LinearModel, Port
 from kc2spice.rom.multiport import _admittance, _state_space
 from kc2spice.spice.realize import subcircuit
 

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from kc2spice.netlist.circuit import Param, Pin
     from kc2spice.netlist.deck import Deck
     from kc2spice.netlist.library import Subcircuit, read_lib
-    from kc2spice.rom.linear import Certificate, LinearModel, Port
+    from kc2spice.rom.linear_model import Certificate, LinearModel, Port
     from kc2spice.rom.reduction import Reduction
     from kc2spice.rom.reductors.base import Reductor
     from kc2spice.rom.reductors.rational_krylov import RationalKrylov
@@ -64,7 +64,7 @@ __all__ = [
     "sweep",
 ]
 _HOMES = {
-    **dict.fromkeys(("LinearModel", "Port", "Certificate"), "rom.linear"),
+    **dict.fromkeys(("LinearModel", "Port", "Certificate"), "rom.linear_model"),
     **dict.fromkeys(("Pin", "Param"), "netlist.circuit"),
     **dict.fromkeys(("PartType", "Scene", "Terminal"), "scene.model"),
     "Deck": "netlist.deck",

@@ -27,7 +27,7 @@ from kc2spice.core.progress import Clock
 from kc2spice.core.quantities import quantity
 from kc2spice.core.waveforms import SCALES, Waveforms, write_record, write_waveforms
 from kc2spice.netlist.deck import Deck
-from kc2spice.rom.linear import LinearModel, Norm
+from kc2spice.rom.linear_model import LinearModel, Norm
 from kc2spice.scene.checks import Check
 from kc2spice.scene.load import load_scene
 from kc2spice.scene.model import Scene

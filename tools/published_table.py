@@ -26,7 +26,7 @@ from kc2spice.bodies.impedance import analyse
 from kc2spice.core.figure import Curve, Figure, Panel, scale_axis
 from kc2spice.core.progress import Clock
 from kc2spice.report.figures import draw_all
-from kc2spice.rom.linear import LinearModel
+from kc2spice.rom.linear_model import LinearModel
 from kc2spice.scene.load import load_scene
 from kc2spice.scene.model import Scene
 from kc2spice.workflow.models import build_models

@@ -8,7 +8,7 @@ the voltages of the driven electrodes. With shapes S of the forces,
                      Q'K_up'P z - Q'K_pp Q p - Q'K_pp R V = 0
         charge = R'K_pp R V + R'K_pp Q p - R'K_up'P z,        y = S'P z,
 
-of which :func:`kc2spice.rom.linear.with_potentials` eliminates p exactly.
+of which :func:`kc2spice.rom.linear_model.with_potentials` eliminates p exactly.
 
 Bodies made of blocks that are bonded where they touch: layers, rings, beams.
 
@@ -40,7 +40,7 @@ from kc2spice.fem.keys import Damping
 from kc2spice.fem.materials import Material
 from kc2spice.fem.recovery import EnergyProducts, energy_products
 from kc2spice.fem.solid import Solid, assemble_solid
-from kc2spice.rom.linear import LinearModel, Port, with_potentials
+from kc2spice.rom.linear_model import LinearModel, Port, with_potentials
 
 # Shift [rad/s] of a body that is free to move, in units of its slowest sound over its size.
 FREE_SHIFT = 1e-3

@@ -25,7 +25,7 @@ from kc2spice.core.errors import part_named
 from kc2spice.fem.materials import Material, material
 from kc2spice.fem.solid import Solid
 from kc2spice.linalg.factor import require_bytes
-from kc2spice.rom.linear import Port
+from kc2spice.rom.linear_model import Port
 
 GROWTH = 0.25  # growth of a level's thickness with its depth
 # Fill of sparse factors of a solid grows as n^(4/3); 152 000 unknowns took 5.8 GB.

@@ -60,7 +60,7 @@ from kc2spice.core.errors import SimulationError
 from kc2spice.fem.keys import Damping
 from kc2spice.fem.materials import Material
 from kc2spice.fem.solid import Solid, assemble_solid
-from kc2spice.rom.linear import LinearModel, Port, with_potentials
+from kc2spice.rom.linear_model import LinearModel, Port, with_potentials
 
 CELLS = 3  # cells of the graded mesh between two nodes of the basis
 GROWTH = 1.3  # from cell to cell away from them

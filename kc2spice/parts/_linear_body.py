@@ -31,7 +31,7 @@ from kc2spice.parts import _pictures
 from kc2spice.parts._box import PARAMETERS, corners, varied, with_values
 from kc2spice.parts._touching import Surface, Touching
 from kc2spice.rom.complex_constants import ComplexConstants
-from kc2spice.rom.linear import Certificate, LinearModel, Port
+from kc2spice.rom.linear_model import Certificate, LinearModel, Port
 from kc2spice.rom.modal import chip_response, resonators
 from kc2spice.rom.parametric import Axis, Loss
 from kc2spice.rom.pencil import first_order
@@ -110,7 +110,7 @@ class LinearKeys(Section):
 
 
 class LinearBody(Touching):
-    """A part whose model is a :class:`kc2spice.rom.linear.LinearModel`.
+    """A part whose model is a :class:`kc2spice.rom.linear_model.LinearModel`.
 
     A subclass says which :meth:`ports` its keys give and builds the :meth:`full` model of the
     whole device with them.

@@ -32,7 +32,7 @@ from kc2spice.parts._neglected import (
     neglected_effects,
 )
 from kc2spice.parts._pictures import deformed, shapes
-from kc2spice.rom.linear import LinearModel, Port
+from kc2spice.rom.linear_model import LinearModel, Port
 from kc2spice.scene.checks import Balance, Check, Metric
 from kc2spice.scene.model import Build, Part, Scene
 from kc2spice.scene.plausible import layers as plausible_layers

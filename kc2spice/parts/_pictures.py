@@ -11,7 +11,7 @@ import numpy as np
 
 from kc2spice.core.figure import Curve, Figure, Map, Panel, time_axis, window
 from kc2spice.core.waveforms import Waveforms
-from kc2spice.rom.linear import LinearModel
+from kc2spice.rom.linear_model import LinearModel
 from kc2spice.rom.modal import Resonators
 
 if TYPE_CHECKING:

@@ -45,7 +45,7 @@ from kc2spice.parts._linear_body import file_stamp
 from kc2spice.parts._meshed import FieldKeys, MeshedBody
 from kc2spice.parts._neglected import Envelope, box_envelope
 from kc2spice.parts._pictures import edges
-from kc2spice.rom.linear import Port
+from kc2spice.rom.linear_model import Port
 from kc2spice.scene.model import Build, Part, Scene
 from kc2spice.scene.parttype import register
 from kc2spice.scene.rows import Neglected

@@ -30,7 +30,7 @@ from kc2spice.physics import Declaration, DeclaredPart
 from kc2spice.physics.cards import force_node
 from kc2spice.physics.contact import SPACED, Normal, contact
 from kc2spice.physics.part import pins_of
-from kc2spice.rom.linear import LinearModel
+from kc2spice.rom.linear_model import LinearModel
 from kc2spice.scene.checks import PAIRS, Balance, Check, Gate, Metric, stepping
 from kc2spice.scene.model import GROUND, Build, Part, Scene, Terminal
 from kc2spice.scene.parttype import mover, register

@@ -14,7 +14,7 @@ from kc2spice.fem.keys import Damping, Mesh
 from kc2spice.parts._linear_body import LinearBody, LinearKeys
 from kc2spice.parts._touching import PATCH, Surface, pair_of
 from kc2spice.parts.sphere import made_of
-from kc2spice.rom.linear import LinearModel, Port
+from kc2spice.rom.linear_model import LinearModel, Port
 from kc2spice.scene.model import Part, Scene
 from kc2spice.scene.parttype import register
 from kc2spice.scene.rows import Neglected

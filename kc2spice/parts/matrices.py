@@ -16,7 +16,7 @@ from kc2spice.core.figure import Shape
 from kc2spice.core.progress import Clock
 from kc2spice.core.untrusted_files import file_in_folder
 from kc2spice.parts._linear_body import LinearBody, LinearKeys, file_stamp
-from kc2spice.rom.linear import LinearModel, Port
+from kc2spice.rom.linear_model import LinearModel, Port
 from kc2spice.scene.model import Part, Scene
 from kc2spice.scene.parttype import register
 from kc2spice.scene.settings import FileName

@@ -23,7 +23,7 @@ from kc2spice.parts._meshed import FieldKeys, MeshedBody
 from kc2spice.parts._neglected import Envelope, disc_air
 from kc2spice.parts._touching import Penetration, Surface, pair_of
 from kc2spice.parts.netlist import driver
-from kc2spice.rom.linear import Port
+from kc2spice.rom.linear_model import Port
 from kc2spice.scene.checks import Metric
 from kc2spice.scene.model import Build, Part, Scene
 from kc2spice.scene.parttype import register

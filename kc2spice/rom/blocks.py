@@ -18,7 +18,7 @@ from scipy.linalg import block_diag, eigh, lapack, schur
 
 from kc2spice.core.equality import EqualByContent
 from kc2spice.rom.error_estimate import relative_error
-from kc2spice.rom.linear import LinearModel
+from kc2spice.rom.linear_model import LinearModel
 from kc2spice.rom.pencil import explicit, largest
 
 # Bounds of a decoupling transformation: the first costs three digits, others what is measured.

@@ -9,7 +9,7 @@ import numpy as np
 from kc2spice.core.errors import SimulationError
 from kc2spice.rom.entries import Entries
 from kc2spice.rom.error_estimate import above_band
-from kc2spice.rom.linear import Certificate, LinearModel, model_of
+from kc2spice.rom.linear_model import Certificate, LinearModel, model_of
 from kc2spice.rom.reduced_basis import LEAST_ERROR, ReducedBasis
 from kc2spice.rom.response import FLANK, SHARPEST
 from kc2spice.rom.stability import FORM, StabilityProof

@@ -26,7 +26,7 @@ import numpy as np
 
 from kc2spice.core.errors import UsageError
 from kc2spice.rom.entries import FLOOR
-from kc2spice.rom.linear import LinearModel
+from kc2spice.rom.linear_model import LinearModel
 from kc2spice.rom.modal import Resonators, foster, permittivity
 from kc2spice.rom.structural_damping import (
     constant_loss,

@@ -18,7 +18,7 @@ from scipy.linalg import LinAlgError, eig
 from kc2spice.core.errors import SimulationError, UsageError
 from kc2spice.rom.definite import is_definite
 from kc2spice.rom.first_step import intermediate_model
-from kc2spice.rom.linear import LinearModel, model_of
+from kc2spice.rom.linear_model import LinearModel, model_of
 from kc2spice.rom.modal import Resonators, chip_response, march, resonators
 from kc2spice.rom.pencil import eliminated, proportional
 from kc2spice.rom.reductors.block_krylov import block_arnoldi

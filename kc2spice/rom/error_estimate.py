@@ -14,7 +14,7 @@ import numpy as np
 
 from kc2spice.core.errors import SimulationError
 from kc2spice.rom.entries import FLOOR, Entries, share_of
-from kc2spice.rom.linear import LinearModel, Norm, Port
+from kc2spice.rom.linear_model import LinearModel, Norm, Port
 from kc2spice.rom.response import (
     CLUSTER,
     FLANK,

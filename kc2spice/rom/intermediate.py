@@ -8,7 +8,7 @@ import numpy as np
 
 from kc2spice.core.errors import SimulationError
 from kc2spice.rom.error_estimate import ErrorEstimator, inexact
-from kc2spice.rom.linear import Norm
+from kc2spice.rom.linear_model import Norm
 from kc2spice.rom.pencil import Pencil
 from kc2spice.rom.response import Response
 

@@ -24,7 +24,7 @@ from scipy import io, sparse
 from kc2spice.core.errors import UsageError
 from kc2spice.core.mesh_error import mesh_facts
 from kc2spice.core.untrusted_files import read_archive, read_bounded, text_of
-from kc2spice.rom.linear import Certificate, LinearModel, Port
+from kc2spice.rom.linear_model import Certificate, LinearModel, Port
 from kc2spice.rom.pencil import Matrix
 
 BANNER = b"%%matrixmarket"

@@ -27,7 +27,7 @@ from functools import cached_property
 import numpy as np
 from scipy.optimize import least_squares, nnls
 
-from kc2spice.rom.linear import Certificate, LinearModel
+from kc2spice.rom.linear_model import Certificate, LinearModel
 from kc2spice.rom.network import Branch, ParallelBranches
 
 MAX_ELEMENTS = 40

@@ -42,7 +42,7 @@ from kc2spice.core.domains import PORTS
 from kc2spice.core.equality import EqualByContent
 from kc2spice.core.errors import UsageError
 from kc2spice.rom.error_estimate import ErrorEstimator, above_band
-from kc2spice.rom.linear import Certificate, LinearModel, Port
+from kc2spice.rom.linear_model import Certificate, LinearModel, Port
 from kc2spice.rom.response import Response
 
 # Proportional damping is exact by construction; anything above rounding is another damping.

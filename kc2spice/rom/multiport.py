@@ -26,7 +26,7 @@ from scipy.optimize import least_squares
 
 from kc2spice.core.errors import UsageError
 from kc2spice.core.extras import import_optional
-from kc2spice.rom.linear import Certificate, LinearModel, Port
+from kc2spice.rom.linear_model import Certificate, LinearModel, Port
 from kc2spice.rom.pencil import explicit
 from kc2spice.rom.state_space import ABCD
 

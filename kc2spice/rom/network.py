@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from kc2spice.rom.linear import Certificate, LinearModel, Port
+from kc2spice.rom.linear_model import Certificate, LinearModel, Port
 
 PORT = Port("anode", "electrical", pins=("anode", "cathode"))
 

@@ -22,7 +22,7 @@ import scipy
 
 from kc2spice.core.errors import UsageError
 from kc2spice.linalg.factor import Factor
-from kc2spice.rom.linear import LinearModel
+from kc2spice.rom.linear_model import LinearModel
 from kc2spice.rom.pencil import Matrix, Pencil, Schur, dense
 
 DENSE = 700  # unknowns up to which all modes are as fast as a few

@@ -27,7 +27,7 @@ from kc2spice.rom.constraints import reduced_form
 from kc2spice.rom.definite import is_definite
 from kc2spice.rom.first_step import intermediate_model
 from kc2spice.rom.intermediate import IntermediateModel
-from kc2spice.rom.linear import LinearModel, Norm
+from kc2spice.rom.linear_model import LinearModel, Norm
 from kc2spice.rom.pencil import Pencil
 from kc2spice.rom.reduced_basis import ReducedBasis, Task
 from kc2spice.rom.reductors.base import Reductor
@@ -113,7 +113,7 @@ def reduce(
     --------
     Block Arnoldi at s0 = 0 keeps the static compliance of four springs of 2000 N/m in series.
 
-    >>> from kc2spice.rom.linear import Port
+    >>> from kc2spice.rom.linear_model import Port
     >>> stiffness = 2e3 * (np.diag([2.0, 2, 2, 1]) - np.eye(4, k=1) - np.eye(4, k=-1))
     >>> tip = Port("tip", "mechanical")
     >>> chain = LinearModel(M=1e-3 * np.eye(4), K=stiffness, B=np.eye(4)[:, 3:], ports=(tip,))

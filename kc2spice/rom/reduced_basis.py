@@ -16,7 +16,7 @@ import scipy
 
 from kc2spice.rom.error_estimate import ErrorEstimator
 from kc2spice.rom.intermediate import IntermediateModel
-from kc2spice.rom.linear import LinearModel, Norm, model_of
+from kc2spice.rom.linear_model import LinearModel, Norm, model_of
 from kc2spice.rom.pencil import Pencil
 from kc2spice.rom.response import Response
 from kc2spice.rom.stability import StabilityProof, prove_stability

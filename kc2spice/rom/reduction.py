@@ -12,7 +12,7 @@ from kc2spice.rom.band import frequency_band
 from kc2spice.rom.certification import certified, with_full_order
 from kc2spice.rom.constraints import reduced_form
 from kc2spice.rom.error_estimate import default_norm
-from kc2spice.rom.linear import LinearModel, Norm
+from kc2spice.rom.linear_model import LinearModel, Norm
 from kc2spice.rom.reduce import (
     LARGEST_SHARE,
     Target,

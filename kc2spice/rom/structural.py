@@ -27,7 +27,7 @@ from kc2spice.core.errors import SimulationError, UsageError
 from kc2spice.rom.constraints import reduced_form
 from kc2spice.rom.entries import Entries, share_of
 from kc2spice.rom.error_estimate import adaptive_frequencies
-from kc2spice.rom.linear import LinearModel, Norm
+from kc2spice.rom.linear_model import LinearModel, Norm
 from kc2spice.rom.lossy_modes import Oscillator, joined, relaxing_oscillator, viscous_oscillator
 from kc2spice.rom.pencil import Pencil, Schur, largest
 from kc2spice.rom.response import Response, grid

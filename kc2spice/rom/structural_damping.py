@@ -33,7 +33,7 @@ import scipy
 
 from kc2spice.core.equality import EqualByContent
 from kc2spice.core.errors import UsageError
-from kc2spice.rom.linear import LinearModel
+from kc2spice.rom.linear_model import LinearModel
 
 FURTHER = 6.0  # slowest and fastest relaxation, times the ends of the band
 DECADES = 4.0  # decades of a band that starts at zero

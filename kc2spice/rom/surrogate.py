@@ -6,7 +6,7 @@ import numpy as np
 
 from kc2spice.core.errors import SimulationError
 from kc2spice.rom.error_estimate import relative_error, relative_size
-from kc2spice.rom.linear import LinearModel
+from kc2spice.rom.linear_model import LinearModel
 from kc2spice.rom.pencil import Pencil
 from kc2spice.rom.reduce import reduce
 from kc2spice.rom.rounding import SPREAD, TRIALS

@@ -24,7 +24,7 @@ import scipy
 from kc2spice.core.errors import SimulationError, UsageError
 from kc2spice.rom.error_estimate import ErrorEstimator
 from kc2spice.rom.first_step import intermediate_model
-from kc2spice.rom.linear import Certificate, LinearModel, Norm, Port
+from kc2spice.rom.linear_model import Certificate, LinearModel, Norm, Port
 from kc2spice.rom.parametric import (
     Axis,
     Full,

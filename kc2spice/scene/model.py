@@ -532,8 +532,8 @@ class PartType:
         """Its model: fields, reduced matrices, tables; cached by all that it depends on.
 
         In ``full`` what that approximates, in the same form: the full
-        :class:`kc2spice.rom.linear.LinearModel` of a reduced one, a table of more nodes. ``verify``
-        solves the scene with it; None where there is none.
+        :class:`kc2spice.rom.linear_model.LinearModel` of a reduced one, a table of more nodes.
+        ``verify`` solves the scene with it; None where there is none.
         """
         return None
 

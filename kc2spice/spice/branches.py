@@ -8,7 +8,7 @@ import numpy as np
 
 from kc2spice.netlist.circuit import Element, Pin
 from kc2spice.netlist.elements import Line
-from kc2spice.rom.linear import LinearModel, Port
+from kc2spice.rom.linear_model import LinearModel, Port
 from kc2spice.rom.network import Branch, ParallelBranches
 
 # Current through the leak at the lowest frequency of the band, relative to that of the part.

@@ -20,7 +20,7 @@ from kc2spice.netlist.circuit import Circuit, Pin
 from kc2spice.netlist.library import Subcircuit
 from kc2spice.netlist.nodal import NodalCircuit
 from kc2spice.rom.entries import Entries, share_of
-from kc2spice.rom.linear import LinearModel, Norm, Port
+from kc2spice.rom.linear_model import LinearModel, Norm, Port
 from kc2spice.rom.response import Response, clear_of_poles, samples
 
 MICRO = TRANSLATION.across.factor  # m on 1 V of a displacement pin; a charge node has as many C
@@ -53,9 +53,9 @@ def circuit_error(
 ) -> CircuitError:
     """The largest difference between the responses of a subcircuit and of its model in the band.
 
-    It is relative in the ``norm`` of a :class:`kc2spice.rom.linear.Certificate`. The ports are
-    loaded as in :func:`kc2spice.spice.realize.loaded`; an acceleration port is judged by the force
-    that its pin draws.
+    It is relative in the ``norm`` of a :class:`kc2spice.rom.linear_model.Certificate`. The ports
+    are loaded as in :func:`kc2spice.spice.realize.loaded`; an acceleration port is judged by the
+    force that its pin draws.
 
     Parameters
     ----------

@@ -16,7 +16,7 @@ from kc2spice.netlist.circuit import Circuit, Param, Pin
 from kc2spice.netlist.library import ReductionFacts, Subcircuit, parameter_line, use_line
 from kc2spice.netlist.read import read
 from kc2spice.netlist.spelling import comment, name, number, render, word
-from kc2spice.rom.linear import Certificate
+from kc2spice.rom.linear_model import Certificate
 from kc2spice.scene.model import Terminal
 
 SIGN = "um, m/s and N count upwards; 1 A into a pin pushes the part up with 1 N"

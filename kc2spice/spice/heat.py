@@ -25,7 +25,7 @@ from kc2spice.core.errors import UsageError
 from kc2spice.netlist.circuit import Element
 from kc2spice.netlist.elements import Line
 from kc2spice.netlist.spelling import LEAK_RATE
-from kc2spice.rom.linear import LinearModel, Port
+from kc2spice.rom.linear_model import LinearModel, Port
 
 # Eigenvalue, relative to the largest one, that is rounding: a heat that nothing leads away.
 STILL = 1e-13

@@ -28,7 +28,7 @@ from kc2spice.netlist.library import ReductionFacts, Subcircuit
 from kc2spice.netlist.prefixes import rounded
 from kc2spice.netlist.spelling import LEAK_RATE, comment, distinct, number
 from kc2spice.netlist.spelling import name as checked_name
-from kc2spice.rom.linear import Certificate, LinearModel, Port
+from kc2spice.rom.linear_model import Certificate, LinearModel, Port
 from kc2spice.rom.modal import Resonators, resonators
 from kc2spice.rom.network import ParallelBranches, parallel_branches
 from kc2spice.spice.branches import ABOUT, branch_cards, branch_pins

@@ -27,7 +27,7 @@ from kc2spice.parts._box import Varied, number_of, ranged
 from kc2spice.parts._linear_body import LinearBody, loss_tangent
 from kc2spice.report.pages import write_fit
 from kc2spice.rom.complex_constants import ComplexConstants
-from kc2spice.rom.linear import LinearModel
+from kc2spice.rom.linear_model import LinearModel
 from kc2spice.rom.modal import clamped_tangent, permittivity
 from kc2spice.rom.parametric import (
     Axis,

@@ -11,7 +11,7 @@ from kc2spice.bodies.readers.measured import is_measured
 from kc2spice.core.errors import Kc2spiceError, UsageError
 from kc2spice.core.progress import Progress, silent
 from kc2spice.rom.error_estimate import default_norm
-from kc2spice.rom.linear import LinearModel
+from kc2spice.rom.linear_model import LinearModel
 from kc2spice.rom.reduction import SMALLEST_TOLERANCE, Reduction
 from kc2spice.rom.reductors.registry import reductor_names
 from kc2spice.workflow.reduce import TOLERANCE, given_model

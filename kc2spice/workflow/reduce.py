@@ -30,7 +30,7 @@ from kc2spice.rom.constraints import reduced_form
 from kc2spice.rom.error_estimate import default_norm
 from kc2spice.rom.instability import shown_unstable
 from kc2spice.rom.io import read_rom, write_rom
-from kc2spice.rom.linear import PORT_KINDS, LinearModel
+from kc2spice.rom.linear_model import PORT_KINDS, LinearModel
 from kc2spice.rom.measured import one_port
 from kc2spice.rom.reduce import reduce as reduce_model
 from kc2spice.rom.stability import DENSE, prove_stability

@@ -22,7 +22,7 @@ from kc2spice.equations.scene_laws import scene_laws
 from kc2spice.netlist.deck import Command, Deck, over
 from kc2spice.reference.small_signal import Linear
 from kc2spice.reference.system import assemble_system
-from kc2spice.rom.linear import LinearModel
+from kc2spice.rom.linear_model import LinearModel
 from kc2spice.scene.model import Build
 
 LARGEST_SYSTEM = 600  # unknowns; eigenvalues of larger systems take seconds

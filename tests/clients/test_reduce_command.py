@@ -9,7 +9,7 @@ from typer.testing import CliRunner
 
 from kc2spice.cli.main import app
 from kc2spice.rom.instability import shown_unstable
-from kc2spice.rom.linear import LinearModel
+from kc2spice.rom.linear_model import LinearModel
 from kc2spice.workflow import reduce as workflow
 
 

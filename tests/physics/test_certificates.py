@@ -13,7 +13,7 @@ from bench.beam import hermite_beam
 from kc2spice.parts import disc
 from kc2spice.rom.certification import certified
 from kc2spice.rom.first_step import intermediate_model
-from kc2spice.rom.linear import LinearModel
+from kc2spice.rom.linear_model import LinearModel
 from kc2spice.rom.reduce import reduce
 from kc2spice.rom.reduced_basis import Task
 from kc2spice.rom.reductors.response_pod import ResponsePod

@@ -8,7 +8,7 @@ import kc2spice as kc
 from kc2spice.core.errors import UsageError
 from kc2spice.core.progress import Clock, silent
 from kc2spice.rom.complex_constants import ComplexConstants, complex_constants
-from kc2spice.rom.linear import Certificate, Port
+from kc2spice.rom.linear_model import Certificate, Port
 from kc2spice.rom.modal import Resonators
 from kc2spice.workflow.models import build_models
 

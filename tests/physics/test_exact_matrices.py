@@ -9,7 +9,7 @@ import pytest
 from scipy.linalg import eigh
 
 from bench.beam import steel_cantilever
-from kc2spice.rom.linear import LinearModel
+from kc2spice.rom.linear_model import LinearModel
 from kc2spice.rom.reduce import reduce
 
 

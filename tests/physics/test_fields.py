@@ -25,7 +25,7 @@ from kc2spice.fem.materials import material
 from kc2spice.fem.solid import Solid
 from kc2spice.parts import disc, langevin
 from kc2spice.parts._pictures import OBLIQUE, deformed, shapes
-from kc2spice.rom.linear import Port
+from kc2spice.rom.linear_model import Port
 from kc2spice.scene.load import load_scene
 
 PZT = material("PZT-5A")

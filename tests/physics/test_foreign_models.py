@@ -9,7 +9,7 @@ import oracle
 import pytest
 
 from kc2spice.core.errors import SimulationError, UsageError
-from kc2spice.rom.linear import LinearModel
+from kc2spice.rom.linear_model import LinearModel
 from kc2spice.rom.reduce import reduce
 from kc2spice.spice.realize import subcircuit
 

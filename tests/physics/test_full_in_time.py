@@ -15,7 +15,7 @@ from kc2spice.reference.equilibrium import solve_operating_point
 from kc2spice.reference.fixed_step import steps
 from kc2spice.reference.small_signal import solve_ac
 from kc2spice.reference.system import assemble_system
-from kc2spice.rom.linear import LinearModel, Port
+from kc2spice.rom.linear_model import LinearModel, Port
 
 M, K, ZETA = 2e-6, 8e4, 0.02
 W = np.sqrt(K / M)

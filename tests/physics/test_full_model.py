@@ -12,7 +12,7 @@ from bench.usual.system import quarter
 from kc2spice.bodies.piezo_stack import stack_device
 from kc2spice.bodies.stack_keys import Chip
 from kc2spice.core.errors import SimulationError
-from kc2spice.rom.linear import LinearModel
+from kc2spice.rom.linear_model import LinearModel
 from kc2spice.rom.reduce import reduce
 from kc2spice.rom.surrogate import surrogate
 

@@ -9,7 +9,7 @@ import pytest
 from scipy import sparse
 from scipy.linalg import block_diag, null_space
 
-from kc2spice.rom.linear import LinearModel
+from kc2spice.rom.linear_model import LinearModel
 from kc2spice.rom.reduce import reduce
 
 TOP = 0.35  # of the poles: where the band ends

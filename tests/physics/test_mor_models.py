@@ -10,7 +10,7 @@ from scipy.linalg import eig
 
 from kc2spice.core.errors import UsageError
 from kc2spice.rom.first_step import intermediate_model
-from kc2spice.rom.linear import LinearModel
+from kc2spice.rom.linear_model import LinearModel
 from kc2spice.rom.reduce import reduce
 from kc2spice.rom.reduced_basis import Task
 from kc2spice.rom.reductors.response_pod import ResponsePod

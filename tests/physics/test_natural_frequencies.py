@@ -8,7 +8,7 @@ from scipy.linalg import eigvalsh
 
 from kc2spice.core.errors import SimulationError, UsageError
 from kc2spice.rom.band import natural_band
-from kc2spice.rom.linear import LinearModel
+from kc2spice.rom.linear_model import LinearModel
 from kc2spice.rom.response import Response
 
 STIFFNESS, MASS = 4e6, 1e-6

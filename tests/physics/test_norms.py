@@ -10,7 +10,7 @@ from typer.testing import CliRunner
 from bench.beam import heat, structure
 from bench.reduction_methods import Truncated, largest, schur
 from kc2spice.cli.main import app
-from kc2spice.rom.linear import LinearModel
+from kc2spice.rom.linear_model import LinearModel
 from kc2spice.rom.reduce import reduce
 
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from kc2spice.core.waveforms import Waveforms
-from kc2spice.rom.linear import Certificate
+from kc2spice.rom.linear_model import Certificate
 from kc2spice.scene.load import load_scene
 from kc2spice.scene.model import Build
 

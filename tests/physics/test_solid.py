@@ -10,7 +10,7 @@ from kc2spice.core.errors import UsageError
 from kc2spice.fem.keys import Damping
 from kc2spice.fem.materials import material
 from kc2spice.fem.solid import Solid, assemble_solid
-from kc2spice.rom.linear import Port
+from kc2spice.rom.linear_model import Port
 
 STEEL = material({"density": 7800, "youngs_modulus": "200 GPa", "poisson_ratio": 0.3})
 # without lateral contraction, clamps do what beam theory says

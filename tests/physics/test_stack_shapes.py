@@ -12,7 +12,7 @@ from kc2spice.core.errors import UsageError
 from kc2spice.core.quantities import validated
 from kc2spice.fem.materials import material
 from kc2spice.fem.solid import Solid
-from kc2spice.rom.linear import Port
+from kc2spice.rom.linear_model import Port
 from kc2spice.rom.reduce import reduce
 
 PZT = material("PZT-5A")

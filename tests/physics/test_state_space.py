@@ -7,7 +7,7 @@ from scipy.linalg import block_diag
 
 from kc2spice.core.errors import UsageError
 from kc2spice.rom.blocks import block_model, decoupled
-from kc2spice.rom.linear import LinearModel
+from kc2spice.rom.linear_model import LinearModel
 
 N = 6
 RNG = np.random.default_rng(5)

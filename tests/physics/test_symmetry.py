@@ -6,7 +6,7 @@ import pytest
 from scipy import sparse
 from scipy.linalg import block_diag, hadamard
 
-from kc2spice.rom.linear import LinearModel, Port
+from kc2spice.rom.linear_model import LinearModel, Port
 from kc2spice.rom.reduce import reduce
 
 

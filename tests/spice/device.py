@@ -8,7 +8,7 @@ import numpy as np
 from kc2spice.core.magnets import EMTable
 from kc2spice.core.progress import Clock, silent
 from kc2spice.netlist.deck import Deck
-from kc2spice.rom.linear import Certificate, Port
+from kc2spice.rom.linear_model import Certificate, Port
 from kc2spice.rom.modal import Resonators
 from kc2spice.scene.load import load_scene
 from kc2spice.scene.model import Build

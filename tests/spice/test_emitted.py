@@ -14,7 +14,7 @@ from kc2spice.cli.main import app
 from kc2spice.core.errors import GateMissedError
 from kc2spice.netlist.circuit import Param
 from kc2spice.netlist.read import read
-from kc2spice.rom.linear import Certificate, LinearModel, Port
+from kc2spice.rom.linear_model import Certificate, LinearModel, Port
 from kc2spice.rom.parametric import Axis, polynomials
 from kc2spice.rom.varying import Varying
 from kc2spice.sim.ngspice import run_deck

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from kc2spice.rom.constraints import deflated, null_basis, reduced_form
-from kc2spice.rom.linear import LinearModel
+from kc2spice.rom.linear_model import LinearModel
 from kc2spice.rom.reduce import reduce
 
 

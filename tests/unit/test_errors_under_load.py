@@ -5,7 +5,7 @@ import pytest
 from scipy.signal import lsim
 
 from kc2spice.rom.enriched import enriched, last_change, response, time_errors
-from kc2spice.rom.linear import LinearModel, Port
+from kc2spice.rom.linear_model import LinearModel, Port
 
 PUSH = (Port("tip", "mechanical"),)
 EVERY = [np.ones(1, bool)]

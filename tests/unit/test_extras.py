@@ -13,7 +13,7 @@ import pytest
 from kc2spice.cli.doctor import _PYTHON
 from kc2spice.core.errors import MissingToolError
 from kc2spice.core.extras import LIBRARIES, import_optional
-from kc2spice.rom.linear import LinearModel
+from kc2spice.rom.linear_model import LinearModel
 
 ROOT = Path(__file__).parents[2]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]

@@ -12,7 +12,7 @@ from kc2spice.netlist.library import ReductionFacts, entries
 from kc2spice.netlist.printers.ngspice import Printer
 from kc2spice.netlist.read import read
 from kc2spice.netlist.transforms import with_parameters
-from kc2spice.rom.linear import Certificate
+from kc2spice.rom.linear_model import Certificate
 from kc2spice.sim.ngspice import run_deck
 from kc2spice.spice.header import Header, part_header, rom_lines
 

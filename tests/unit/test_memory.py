@@ -10,7 +10,7 @@ import pytest
 
 from kc2spice.core.memory import available_bytes
 from kc2spice.rom import stability as proofs
-from kc2spice.rom.linear import LinearModel
+from kc2spice.rom.linear_model import LinearModel
 from kc2spice.rom.reduce import reduce
 
 

@@ -5,7 +5,7 @@ import pytest
 from scipy import sparse
 
 from kc2spice.rom.band import band_end, natural_band
-from kc2spice.rom.linear import LinearModel
+from kc2spice.rom.linear_model import LinearModel
 from kc2spice.rom.reduce import reduce
 from kc2spice.workflow.reduce import _scene_body
 

@@ -10,7 +10,7 @@ from scipy import sparse
 from kc2spice.bodies.readers import mesh_extent, read_model
 from kc2spice.bodies.readers.sidecar import read_sidecar
 from kc2spice.core.errors import MissingToolError, UsageError
-from kc2spice.rom.linear import LinearModel
+from kc2spice.rom.linear_model import LinearModel
 
 DATA = Path(__file__).parents[1] / "data" / "matrices"
 N = 6

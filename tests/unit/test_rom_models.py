@@ -6,7 +6,7 @@ import pytest
 from scipy import sparse
 
 from kc2spice.core.errors import SimulationError, UsageError
-from kc2spice.rom.linear import LinearModel, Port, with_potentials
+from kc2spice.rom.linear_model import LinearModel, Port, with_potentials
 from kc2spice.rom.pencil import eliminated
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.signal import StateSpace, lsim
 
-from kc2spice.rom.linear import Certificate, LinearModel, Port
+from kc2spice.rom.linear_model import Certificate, LinearModel, Port
 from kc2spice.rom.modal import Resonators, chip_response, mode_table, without_inertia
 
 RNG = np.random.default_rng(12)

@@ -5,7 +5,7 @@ import pytest
 from mor_families import damped_chain
 
 from kc2spice.core.errors import UsageError
-from kc2spice.rom.linear import LinearModel, Port
+from kc2spice.rom.linear_model import LinearModel, Port
 from kc2spice.rom.pencil import Pencil
 from kc2spice.rom.reduce import reduce
 from kc2spice.rom.stability import prove_stability

@@ -22,7 +22,7 @@ from kc2spice.core.untrusted_files import (
 )
 from kc2spice.netlist.circuit import Param, Pin, positive
 from kc2spice.rom.io import read_rom, write_rom
-from kc2spice.rom.linear import Certificate, LinearModel, Port
+from kc2spice.rom.linear_model import Certificate, LinearModel, Port
 from kc2spice.scene.load import load_scene
 from kc2spice.sim.ngspice import write_files
 from kc2spice.spice.header import Header, part_header

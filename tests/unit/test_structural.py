@@ -7,7 +7,7 @@ import pytest
 import scipy
 
 from kc2spice.core.errors import UsageError
-from kc2spice.rom.linear import LinearModel, Port
+from kc2spice.rom.linear_model import LinearModel, Port
 from kc2spice.rom.lossy_modes import joined, relaxing_oscillator, viscous_oscillator
 from kc2spice.rom.reduce import reduce
 from kc2spice.spice.realize import subcircuit

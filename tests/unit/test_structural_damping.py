@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from kc2spice.core.errors import UsageError
-from kc2spice.rom.linear import LinearModel, Port
+from kc2spice.rom.linear_model import LinearModel, Port
 from kc2spice.rom.structural_damping import (
     constant_loss,
     relaxing_stiffness,

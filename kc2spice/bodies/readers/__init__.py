@@ -17,7 +17,7 @@ from kc2spice.bodies.readers.mesh import read_nodes
 from kc2spice.bodies.readers.sidecar import Sidecar, read_sidecar
 from kc2spice.core.errors import UsageError, wrong
 from kc2spice.rom.io import BANNER, numbers, read_market
-from kc2spice.rom.linear import LinearModel
+from kc2spice.rom.linear_model import LinearModel
 from kc2spice.rom.pencil import Matrix
 
 FORMATS = """\

@@ -14,7 +14,7 @@ from kc2spice.bodies.readers.raw import DOFS, MAX_WIDE, ROTATIONS, TRANSLATIONS,
 from kc2spice.bodies.readers.sidecar import FORCES, LENGTHS, NodeSelection, PortEntry, Sidecar
 from kc2spice.core.errors import UsageError, wrong
 from kc2spice.rom.io import mirrored
-from kc2spice.rom.linear import LinearModel, Port, half_stored, with_potentials
+from kc2spice.rom.linear_model import LinearModel, Port, half_stored, with_potentials
 from kc2spice.rom.pencil import Matrix
 
 

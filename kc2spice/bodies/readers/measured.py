@@ -32,7 +32,7 @@ from kc2spice.bodies.readers.raw import (
 from kc2spice.core.equality import EqualByContent
 from kc2spice.core.errors import wrong
 from kc2spice.core.untrusted_files import read_bounded
-from kc2spice.rom.linear import Norm
+from kc2spice.rom.linear_model import Norm
 
 Quantity = Literal["S", "Z", "Y"]
 MAX_BYTES = 20_000_000

@@ -69,7 +69,7 @@ from kc2spice.core.errors import candidates, did_you_mean
 from kc2spice.core.quantities import Count, Section, refused, validated
 from kc2spice.core.toml_errors import parse_toml_file
 from kc2spice.core.untrusted_files import MAX_BYTES, read_bounded, text_of
-from kc2spice.rom.linear import PORT_KINDS, Port
+from kc2spice.rom.linear_model import PORT_KINDS, Port
 
 LENGTHS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "in": 0.0254, "ft": 0.3048}
 FORCES = {"N": 1.0, "mN": 1e-3, "uN": 1e-6, "kN": 1e3, "lbf": 4.4482216152605}

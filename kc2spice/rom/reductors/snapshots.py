@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from kc2spice.rom.error_estimate import ErrorEstimator
-from kc2spice.rom.linear import LinearModel, Norm
+from kc2spice.rom.linear_model import LinearModel, Norm
 from kc2spice.rom.response import Response, around, grid
 
 # Points of each grid, linear and logarithmic. Every resonance adds snapshots of its own, so the

@@ -20,7 +20,7 @@ from kc2spice.netlist.spelling import LEAK_RATE
 from kc2spice.parts._linear_body import LinearBody
 from kc2spice.report.pages import Findings, responses
 from kc2spice.rom.error_estimate import adaptive_frequencies, relative_error
-from kc2spice.rom.linear import LinearModel
+from kc2spice.rom.linear_model import LinearModel
 from kc2spice.rom.modal import resonators
 from kc2spice.rom.response import Response
 from kc2spice.rom.stability import prove_stability

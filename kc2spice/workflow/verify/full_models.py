@@ -17,7 +17,7 @@ from kc2spice.core.waveforms import Waveforms
 from kc2spice.equations.networks import Network
 from kc2spice.equations.replay import networks_to_solve
 from kc2spice.equations.scene_laws import scene_laws, with_laws
-from kc2spice.rom.linear import LinearModel
+from kc2spice.rom.linear_model import LinearModel
 from kc2spice.rom.surrogate import surrogate
 from kc2spice.scene.model import Build
 from kc2spice.workflow.verify.full_transient import (

@@ -8,7 +8,7 @@ from hard_cases.kit import HEADER, bench_deck, case, exact, kick, launch_error, 
 from scipy.linalg import expm
 
 from kc2spice.core.waveforms import Waveforms
-from kc2spice.rom.linear import Port
+from kc2spice.rom.linear_model import Port
 from kc2spice.spice.realize import subcircuit
 
 LAUNCH = "launch, relative"
