@@ -26,12 +26,12 @@ from kc2spice.netlist.printers.plot_script import plot_script
 from kc2spice.netlist.translate import DIALECTS, dialect_files, symbol_files
 from kc2spice.parts._linear_body import LinearBody, full_alone, scene_band
 from kc2spice.rom.band import SMALL, natural_band
+from kc2spice.rom.branch_fit import one_port
 from kc2spice.rom.constraints import reduced_form
 from kc2spice.rom.error_estimate import default_norm
 from kc2spice.rom.instability import shown_unstable
 from kc2spice.rom.io import read_rom, write_rom
 from kc2spice.rom.linear_model import PORT_KINDS, LinearModel
-from kc2spice.rom.measured import one_port
 from kc2spice.rom.reduce import reduce as reduce_model
 from kc2spice.rom.stability import DENSE, prove_stability
 from kc2spice.scene.load import gallery, load_scene
@@ -61,8 +61,8 @@ def reduce(
 ) -> dict[str, Any]:
     """Reduce a model and write ``NAME_rom.npz`` and its matrices.
 
-    A measured response becomes the passive circuit of :func:`kc2spice.rom.measured.one_port`, or of
-    :func:`kc2spice.rom.multiport.multi_port`; its order and band follow from the data.
+    A measured response becomes the passive circuit of :func:`kc2spice.rom.branch_fit.one_port`, or
+    of :func:`kc2spice.rom.multiport.multi_port`; its order and band follow from the data.
 
     Parameters
     ----------

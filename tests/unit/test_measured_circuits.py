@@ -10,8 +10,8 @@ import pytest
 import kc2spice as kc
 from kc2spice.netlist.deck import ac
 from kc2spice.netlist.expression import parse
+from kc2spice.rom.branch_fit import one_port
 from kc2spice.rom.io import read_rom
-from kc2spice.rom.measured import one_port
 from kc2spice.rom.network import parallel_branches
 from kc2spice.workflow.reduce import first_deck, reduce
 
