@@ -34,8 +34,8 @@ from kc2spice.fem.magnet_keys import Ring
 from kc2spice.fem.magnet_rings import Cells, Ladder, Winding, divide_section, ladder, roughness
 from kc2spice.physics import Declaration, DeclaredPart, current, displacement, loop
 from kc2spice.physics.part import settling
-from kc2spice.scene.band import highest_frequency
 from kc2spice.scene.checks import Balance, Check, Gate, Metric
+from kc2spice.scene.highest_frequency import highest_frequency
 from kc2spice.scene.model import Build, Part, Scene
 from kc2spice.scene.parttype import register
 from kc2spice.scene.rows import Neglected, Numerics

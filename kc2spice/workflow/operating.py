@@ -14,8 +14,8 @@ from kc2spice.core.laws import IdealSource, SecondOrderBody
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.equations.scene_laws import scene_laws
 from kc2spice.netlist.deck import Deck
-from kc2spice.scene.band import highest_frequency
 from kc2spice.scene.checks import Check
+from kc2spice.scene.highest_frequency import highest_frequency
 from kc2spice.scene.model import Build
 from kc2spice.scene.resolve import resolve_again, resolve_build
 from kc2spice.scene.settings import Analysis

@@ -6,7 +6,7 @@ from scipy.integrate import cumulative_trapezoid
 
 from kc2spice.core.spectrum import energy_frequency, waveform_frequency
 from kc2spice.core.waveforms import constant, linear, pulse, sine
-from kc2spice.scene.band import highest_frequency
+from kc2spice.scene.highest_frequency import highest_frequency
 from kc2spice.scene.load import load_scene
 
 # Each edge of height V leaves V^2 / (2 pi^2 F) above the frequency F.
