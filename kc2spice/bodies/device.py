@@ -36,7 +36,7 @@ from skfem.mesh import MeshHex, MeshQuad
 
 from kc2spice.core.errors import UsageError, part_named, wrong
 from kc2spice.core.mesh_error import MESH_ERROR
-from kc2spice.fem.keys import Damping
+from kc2spice.fem.body_keys import Damping
 from kc2spice.fem.materials import Material
 from kc2spice.fem.recovery import EnergyProducts, energy_products
 from kc2spice.fem.solid import Solid, assemble_solid

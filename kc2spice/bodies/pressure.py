@@ -57,7 +57,7 @@ from kc2spice.bodies.piezo_stack import layer_materials, stack_setup
 from kc2spice.bodies.stack_keys import PATCH, Chip
 from kc2spice.core.equality import EqualByContent
 from kc2spice.core.errors import SimulationError
-from kc2spice.fem.keys import Damping
+from kc2spice.fem.body_keys import Damping
 from kc2spice.fem.materials import Material
 from kc2spice.fem.solid import Solid, assemble_solid
 from kc2spice.rom.linear_model import LinearModel, Port, with_potentials

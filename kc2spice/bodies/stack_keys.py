@@ -21,7 +21,7 @@ from kc2spice.core.quantities import (
     Thickness,
     Width,
 )
-from kc2spice.fem.keys import Damping
+from kc2spice.fem.body_keys import Damping
 from kc2spice.fem.materials import Material, material
 
 SECTORS = 4  # quarters of the chip that move alike, of which one is modelled

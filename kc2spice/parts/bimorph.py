@@ -35,7 +35,7 @@ from kc2spice.core.quantities import (
     Width,
     validated,
 )
-from kc2spice.fem.keys import Damping, Mesh
+from kc2spice.fem.body_keys import Damping, Mesh
 from kc2spice.fem.materials import material
 from kc2spice.parts._meshed import BondedBody, FieldKeys
 from kc2spice.scene.parttype import register

@@ -38,7 +38,7 @@ from kc2spice.core.quantities import Count, Length, Notch, Section, validated
 from kc2spice.core.untrusted_files import file_in_folder
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.fem import mesh_file
-from kc2spice.fem.keys import Damping
+from kc2spice.fem.body_keys import Damping
 from kc2spice.fem.materials import CylindricalAxes, Material, material
 from kc2spice.fem.solid import Solid
 from kc2spice.parts._linear_body import file_stamp

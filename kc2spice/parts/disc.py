@@ -23,7 +23,7 @@ from pydantic import Field, model_validator
 from kc2spice.bodies.device import Block, Bonded, Box
 from kc2spice.core.errors import UsageError, wrong
 from kc2spice.core.quantities import Length, Ratio, Section, Thickness, Width, validated
-from kc2spice.fem.keys import Damping, Mesh
+from kc2spice.fem.body_keys import Damping, Mesh
 from kc2spice.fem.materials import material
 from kc2spice.parts._meshed import BondedBody, FieldKeys
 from kc2spice.scene.parttype import register

@@ -10,7 +10,7 @@ from pydantic import Field
 
 from kc2spice.core.cache import cached
 from kc2spice.core.errors import UsageError
-from kc2spice.fem.keys import Damping, Mesh
+from kc2spice.fem.body_keys import Damping, Mesh
 from kc2spice.parts._linear_body import LinearBody, LinearKeys
 from kc2spice.parts._touching import PATCH, Surface, pair_of
 from kc2spice.parts.sphere import made_of

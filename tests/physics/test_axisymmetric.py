@@ -12,7 +12,7 @@ from scipy.special import i0, i1, j0, j1
 
 from kc2spice.bodies.device import Block, Bonded, node_shares
 from kc2spice.core.errors import UsageError
-from kc2spice.fem.keys import Damping
+from kc2spice.fem.body_keys import Damping
 from kc2spice.fem.materials import material
 from kc2spice.parts import disc, langevin
 

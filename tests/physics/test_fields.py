@@ -20,7 +20,7 @@ from kc2spice.bodies.fields import (
 from kc2spice.bodies.piezo_stack import stack_device
 from kc2spice.bodies.stack_keys import Chip
 from kc2spice.core.errors import UsageError
-from kc2spice.fem.keys import Damping
+from kc2spice.fem.body_keys import Damping
 from kc2spice.fem.materials import material
 from kc2spice.fem.solid import Solid
 from kc2spice.parts import disc, langevin

@@ -10,7 +10,7 @@ from kc2spice.bodies.pressure import IsotropicSphere, pressure_basis, sphere, sp
 from kc2spice.core.magnets import CASES, em_cases
 from kc2spice.core.mesh_error import mesh_errors
 from kc2spice.core.progress import Clock
-from kc2spice.fem.keys import Damping
+from kc2spice.fem.body_keys import Damping
 from kc2spice.fem.magnet_field import catch_table, some_positions
 from kc2spice.fem.magnet_keys import Catch, Ring
 from kc2spice.fem.magnet_rings import roughness

@@ -7,7 +7,7 @@ from skfem.mesh import MeshHex, MeshTet, MeshTet2
 
 from kc2spice.bodies.device import ForceShape, Setup, make_device, node_shares, spread
 from kc2spice.core.errors import UsageError
-from kc2spice.fem.keys import Damping
+from kc2spice.fem.body_keys import Damping
 from kc2spice.fem.materials import material
 from kc2spice.fem.solid import Solid, assemble_solid
 from kc2spice.rom.linear_model import Port

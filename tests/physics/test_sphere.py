@@ -16,7 +16,7 @@ from kc2spice.bodies.pressure import (
     sphere,
     sphere_compliance,
 )
-from kc2spice.fem.keys import Damping
+from kc2spice.fem.body_keys import Damping
 from kc2spice.fem.materials import material
 from kc2spice.rom.modal import resonators
 from kc2spice.rom.reduce import reduce
