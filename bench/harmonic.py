@@ -7,7 +7,7 @@ import numpy as np
 from bench.fullmodel import chip
 from bench.points import Outcome, Plane, Point, fastest, quick_timed, scaled, speed_up, timed
 from bench.setup import keys_of
-from kc2spice.bodies.piezo_stack import stack_device
+from kc2spice.bodies.stack import stack_device
 from kc2spice.rom.error_estimate import relative_error
 from kc2spice.rom.reduce import reduce
 from kc2spice.rom.response import Response

@@ -18,7 +18,7 @@ import scipy
 
 from bench.beam import steel_cantilever
 from bench.fullmodel import chip
-from kc2spice.bodies.piezo_stack import stack_device
+from kc2spice.bodies.stack import stack_device
 from kc2spice.core.errors import Kc2spiceError
 from kc2spice.core.figure import Curve, Figure, Panel
 from kc2spice.report.figures import draw_all

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from kc2spice.bodies.piezo_stack import stack_setup
+from kc2spice.bodies.stack import stack_setup
 from kc2spice.core.errors import SimulationError
 
 ITERATIONS = 60  # of the closed springs

@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import sparse
 
-from kc2spice.bodies.piezo_stack import stack_device
+from kc2spice.bodies.stack import stack_device
 from kc2spice.bodies.stack_keys import SECTORS
 from kc2spice.linalg.factor import factorise
 from kc2spice.rom.linear_model import Port

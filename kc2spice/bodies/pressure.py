@@ -53,7 +53,7 @@ from kc2spice.bodies.device import (
     undamped_answers,
 )
 from kc2spice.bodies.fields import FieldProbe, principal
-from kc2spice.bodies.piezo_stack import layer_materials, stack_setup
+from kc2spice.bodies.stack import layer_materials, stack_setup
 from kc2spice.bodies.stack_keys import PATCH, Chip
 from kc2spice.core.equality import EqualByContent
 from kc2spice.core.errors import SimulationError

@@ -290,7 +290,7 @@ class PiezoStack(MeshedBody):
         return "" if part.keys.mounting == "roller" else mounted(part.keys)
 
     def make(self, part: Part, scene: Scene) -> FiniteElementModel:
-        from kc2spice.bodies.piezo_stack import stack_device
+        from kc2spice.bodies.stack import stack_device
 
         shape = pressure_nodes(part, scene)
         pressure = None if shape is None else shape.pressure(_compliance_of(part, shape).shares)

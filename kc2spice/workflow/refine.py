@@ -140,7 +140,7 @@ def factor_bytes(unknowns: float, dimensions: int) -> float:
     """Memory [B] of the factorised stiffness: its fill grows as n^(4/3) in space and as n log n in
     a plane (A. George, SIAM J. Numer. Anal. 10 (1973) 345)."""
     if dimensions == 3:
-        from kc2spice.bodies.piezo_stack import SPARSE_BYTES  # which loads the finite elements
+        from kc2spice.bodies.stack import SPARSE_BYTES  # which loads the finite elements
 
         return SPARSE_BYTES * unknowns ** (4 / 3)
     return PLANE_BYTES * unknowns * math.log2(max(unknowns, 2.0))

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 from test_body import write
 
-from kc2spice.bodies.piezo_stack import stack_device
+from kc2spice.bodies.stack import stack_device
 from kc2spice.bodies.stack_keys import Chip
 from kc2spice.core.mesh_error import MESH_ERROR
 from kc2spice.parts import bimorph, disc, langevin

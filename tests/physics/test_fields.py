@@ -17,7 +17,7 @@ from kc2spice.bodies.fields import (
     recover,
     write_vtu,
 )
-from kc2spice.bodies.piezo_stack import stack_device
+from kc2spice.bodies.stack import stack_device
 from kc2spice.bodies.stack_keys import Chip
 from kc2spice.core.errors import UsageError
 from kc2spice.fem.body_keys import Damping

@@ -9,7 +9,7 @@ from scipy import sparse
 from bench.usual.contact import contact_surface
 from bench.usual.statics import imprint
 from bench.usual.system import quarter
-from kc2spice.bodies.piezo_stack import stack_device
+from kc2spice.bodies.stack import stack_device
 from kc2spice.bodies.stack_keys import Chip
 from kc2spice.core.errors import SimulationError
 from kc2spice.rom.linear_model import LinearModel

@@ -5,7 +5,7 @@ import pytest
 from scipy.sparse.linalg import eigsh
 
 from bench.usual.system import quarter
-from kc2spice.bodies.piezo_stack import level_spans, stack_device
+from kc2spice.bodies.stack import level_spans, stack_device
 from kc2spice.bodies.stack_keys import Chip
 
 # Rings wide enough for quadratic cells: strong grading would fold them.

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from kc2spice.bodies.piezo_stack import stack_device
+from kc2spice.bodies.stack import stack_device
 from kc2spice.bodies.stack_keys import Chip
 from kc2spice.rom.error_estimate import relative_error
 from kc2spice.rom.reduce import reduce

@@ -9,7 +9,7 @@ from drawn_meshes import box_groups, drawn, rows
 from test_body import section, slabs, write
 
 from kc2spice.bodies.device import undamped_answers
-from kc2spice.bodies.piezo_stack import stack_device
+from kc2spice.bodies.stack import stack_device
 from kc2spice.bodies.stack_keys import Chip
 from kc2spice.core.progress import Clock
 from kc2spice.core.waveforms import Waveforms

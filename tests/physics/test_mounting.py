@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from kc2spice.bodies.piezo_stack import stack_device, stack_setup
+from kc2spice.bodies.stack import stack_device, stack_setup
 from kc2spice.bodies.stack_keys import Chip, ChipMesh
 from kc2spice.core.errors import UsageError
 from kc2spice.scene.load import load_scene

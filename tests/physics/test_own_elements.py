@@ -14,7 +14,7 @@ from bench.usual.contact import contact_surface
 from bench.usual.statics import imprint
 from bench.usual.system import quarter
 from bench.usual.transient import Ball, transient
-from kc2spice.bodies.piezo_stack import stack_setup
+from kc2spice.bodies.stack import stack_setup
 from kc2spice.bodies.stack_keys import Chip
 
 RADIUS, PENALTY, MASS = 1e-3, 1e8, 8e-6

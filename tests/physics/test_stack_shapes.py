@@ -6,7 +6,7 @@ from closed_forms import rod_resonance
 from skfem.mesh import MeshHex
 
 from kc2spice.bodies.device import ForceShape, Setup, make_device, node_shares, spread
-from kc2spice.bodies.piezo_stack import stack_device
+from kc2spice.bodies.stack import stack_device
 from kc2spice.bodies.stack_keys import Chip
 from kc2spice.core.errors import UsageError
 from kc2spice.core.quantities import validated

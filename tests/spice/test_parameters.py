@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from device import deck_of
 
-from kc2spice.bodies.piezo_stack import stack_device
+from kc2spice.bodies.stack import stack_device
 from kc2spice.bodies.stack_keys import Chip
 from kc2spice.netlist.deck import Command, Deck
 from kc2spice.netlist.lint import lint
