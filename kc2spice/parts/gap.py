@@ -47,8 +47,8 @@ from kc2spice.core.waveforms import Waveforms
 from kc2spice.parts import _stop
 from kc2spice.parts._linear_body import LinearBody
 from kc2spice.physics import Declaration, DeclaredPart, displacement, voltage
-from kc2spice.physics.expression import evaluated
 from kc2spice.physics.part import pins_of
+from kc2spice.physics.symbolic import evaluated
 from kc2spice.scene.checks import Balance, Check, Gate, Metric
 from kc2spice.scene.highest_frequency import highest_frequency
 from kc2spice.scene.model import Build, Part, Scene, Terminal

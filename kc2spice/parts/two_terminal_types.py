@@ -25,9 +25,9 @@ from kc2spice.physics.declaration import (
     displacement,
     voltage,
 )
-from kc2spice.physics.expression import ONE, ZERO, derivative, evaluated, over, times
 from kc2spice.physics.law import DeclaredLaw
 from kc2spice.physics.part import DeclaredPart, across_pins
+from kc2spice.physics.symbolic import ONE, ZERO, derivative, evaluated, over, times
 from kc2spice.scene.model import Build, Part, Scene
 from kc2spice.scene.parttype import register
 from kc2spice.scene.rows import Vector

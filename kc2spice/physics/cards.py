@@ -16,7 +16,7 @@ from kc2spice.netlist.elements import Line, noted, pivots
 from kc2spice.netlist.expression import Binary, Call, Name, Number, Probe, Tree, replaced, walk
 from kc2spice.netlist.spelling import LEAK_RATE
 from kc2spice.physics.declaration import RATE, Branch, Declaration
-from kc2spice.physics.expression import (
+from kc2spice.physics.symbolic import (
     ONE,
     ZERO,
     derivative,

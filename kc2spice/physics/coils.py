@@ -15,8 +15,8 @@ from kc2spice.core.quantities import Section
 from kc2spice.netlist.circuit import Param
 from kc2spice.netlist.expression import Writer, replaced
 from kc2spice.physics.declaration import Branch, Declaration, current, displacement, voltage
-from kc2spice.physics.expression import SLOPE, ZERO, derivative, expression, minus
 from kc2spice.physics.law import DeclaredLaw
+from kc2spice.physics.symbolic import SLOPE, ZERO, derivative, expression, minus
 
 _TABLES = tuple(f"int_{name}" for name in POWERS)  # over the height
 _COILS = ("resistance_lower", "resistance_upper")

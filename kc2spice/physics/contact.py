@@ -13,7 +13,7 @@ from kc2spice.core.quantities import Section
 from kc2spice.netlist.circuit import Param, positive
 from kc2spice.netlist.expression import Name, Tree, Writer, replaced
 from kc2spice.physics.declaration import RATE, Declaration, displacement
-from kc2spice.physics.expression import derivative, evaluated, expression, minus, over, plus, times
+from kc2spice.physics.symbolic import derivative, evaluated, expression, minus, over, plus, times
 
 RATING = "not known; compare the force with the strength of both surfaces (Hertz)"
 # A block between compiled modules alone ended 35 mm away instead of 0.2, without an error message.

@@ -37,7 +37,7 @@ from kc2spice.core.errors import UsageError, candidates, did_you_mean, unknown
 from kc2spice.core.quantities import Section
 from kc2spice.netlist.circuit import Param
 from kc2spice.netlist.expression import Call, Name, Tree, Writer, rebuilt, replaced, walk
-from kc2spice.physics.expression import (
+from kc2spice.physics.symbolic import (
     ZERO,
     derivative,
     evaluated,

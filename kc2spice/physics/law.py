@@ -14,7 +14,7 @@ from kc2spice.core.errors import SimulationError
 from kc2spice.core.laws import Device, Flow, Pin, Tap
 from kc2spice.netlist.expression import Name, Number, Tree, replaced
 from kc2spice.physics.declaration import LOOPS, RATE, Branch, Declaration
-from kc2spice.physics.expression import (
+from kc2spice.physics.symbolic import (
     ZERO,
     derivative,
     flagged,

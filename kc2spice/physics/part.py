@@ -17,8 +17,8 @@ from kc2spice.netlist.spelling import comment, distinct
 from kc2spice.netlist.spelling import name as checked
 from kc2spice.physics.cards import body, force_node, meter, noisy, reference, state_node
 from kc2spice.physics.declaration import LOOPS, RATE, Branch, Declaration
-from kc2spice.physics.expression import ZERO, derivative, evaluated, kinks, names
 from kc2spice.physics.law import DeclaredLaw
+from kc2spice.physics.symbolic import ZERO, derivative, evaluated, kinks, names
 from kc2spice.scene.checks import Balance, Check
 from kc2spice.scene.keys import model_keys
 from kc2spice.scene.model import Build, Part, PartType, Scene, Terminal

@@ -12,7 +12,7 @@ from kc2spice.core.progress import Clock, silent
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.parts.bimorph import structure
 from kc2spice.parts.gap import branches_of
-from kc2spice.physics.expression import evaluated
+from kc2spice.physics.symbolic import evaluated
 from kc2spice.scene.load import load_scene
 from kc2spice.scene.model import Build
 from kc2spice.scene.rows import Neglected
