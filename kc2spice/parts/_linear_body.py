@@ -407,7 +407,7 @@ class LinearBody(Touching):
         words: dict[str, Any] = {"title": self.headline(part), "rating": rating}
         words["weights"] = self.weights(part, build.scene)
         if keys := varied(part):
-            from kc2spice.spice.parametric import parametric_subcircuit
+            from kc2spice.spice.parametric_resonators import parametric_subcircuit
 
             result = self.varying(part, build.scene, Clock())
             known = {item.key: item.param for item in keys}

@@ -18,9 +18,9 @@ from kc2spice.rom.linear_model import Certificate, LinearModel, Port
 from kc2spice.rom.parametric import Axis, polynomials
 from kc2spice.rom.varying import Varying
 from kc2spice.sim.ngspice import run_deck
-from kc2spice.spice import parametric, realize
+from kc2spice.spice import parametric_resonators, realize
 from kc2spice.spice.emitted import circuit_error, require_circuit
-from kc2spice.spice.parametric import parametric_subcircuit
+from kc2spice.spice.parametric_resonators import parametric_subcircuit
 from kc2spice.spice.realize import subcircuit
 
 W, Q, FORCE, CHARGE, CLAMPED = 2 * np.pi * 1e3, 50.0, 3.0, 2e-4, 20e-12
@@ -128,7 +128,7 @@ def test_parametric_circuits_are_compared_at_corners_and_inside(monkeypatch):
         damped=(False, True), facts={}, certificate=CERTIFICATE,
     )  # fmt: skip
     parameter = Param("length", 1.0, "m", "of it", 0.5, 2.0)
-    points = [at for _, at in parametric._judged(model, [parameter])]
+    points = [at for _, at in parametric_resonators._judged(model, [parameter])]
     assert {0.5, 2.0} <= {at["length"] for at in points}
     assert sum(0.5 < at["length"] < 2.0 for at in points) >= 4
     part = parametric_subcircuit(model, "bar", [parameter])
