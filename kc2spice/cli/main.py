@@ -357,7 +357,7 @@ def _export(
                 expected="SCENE with its options, or --rom FILE with --dialect, --dense and --out",
                 hint=f"kc2spice export --rom {rom}",
             )
-        from kc2spice.workflow.reduce import export_rom
+        from kc2spice.workflow.reduce_files import export_rom
 
         files, head = export_rom(rom, out, dialect=dialect, dense=dense), {"rom": str(rom)}
     elif scene is None:
@@ -540,8 +540,8 @@ def _reduce(
     Writes the reduced model with an error estimate into DIR. Exit code 4 for an unstable model, a
     circuit that misses the tolerance, or a measurement that no circuit describes.
     """
-    from kc2spice.workflow.reduce import reduce as reduce_study
-    from kc2spice.workflow.reduce import require_stable
+    from kc2spice.workflow.reduce_files import reduce as reduce_study
+    from kc2spice.workflow.reduce_files import require_stable
 
     options: dict[str, Any] = {"band": band, "tolerance": tolerance, "order": order, "norm": norm}
     if method == "compare":
@@ -593,7 +593,7 @@ def _compare_methods(
 ) -> None:
     """Print states, error estimate and CPU time of every method of reduction."""
     from kc2spice.workflow.methods import compare
-    from kc2spice.workflow.reduce import require_stable
+    from kc2spice.workflow.reduce_files import require_stable
 
     for option, value in (("--out", out), ("--dc", dc)):
         if value is not None:

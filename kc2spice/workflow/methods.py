@@ -14,7 +14,7 @@ from kc2spice.rom.error_estimate import default_norm
 from kc2spice.rom.linear_model import LinearModel
 from kc2spice.rom.reduction import SMALLEST_TOLERANCE, Reduction
 from kc2spice.rom.reductors.registry import reductor_names
-from kc2spice.workflow.reduce import TOLERANCE, given_model
+from kc2spice.workflow.reduce_files import TOLERANCE, given_model
 
 
 def compare(
@@ -33,7 +33,7 @@ def compare(
     path : Path or str
         Matrices as for :func:`kc2spice.read_model`, or ``SCENE:PART``.
     band, tolerance, order, norm : optional
-        As for :func:`kc2spice.workflow.reduce.reduce`.
+        As for :func:`kc2spice.workflow.reduce_files.reduce`.
     progress : callable, optional
         Called as ``progress(stage, done, text)`` before each method.
 

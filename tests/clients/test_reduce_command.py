@@ -10,7 +10,7 @@ from typer.testing import CliRunner
 from kc2spice.cli.main import app
 from kc2spice.rom.instability import shown_unstable
 from kc2spice.rom.linear_model import LinearModel
-from kc2spice.workflow import reduce as workflow
+from kc2spice.workflow import reduce_files as workflow
 
 
 def chain(n):

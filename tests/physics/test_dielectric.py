@@ -16,7 +16,7 @@ from kc2spice.core.progress import Clock, silent
 from kc2spice.netlist.deck import ac
 from kc2spice.rom.modal import foster
 from kc2spice.workflow.models import build_models
-from kc2spice.workflow.reduce import first_deck
+from kc2spice.workflow.reduce_files import first_deck
 
 BUZZER, TANGENT = "buzzer_7bb_20_3", 0.02
 

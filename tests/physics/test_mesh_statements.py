@@ -23,7 +23,7 @@ from kc2spice.scene.load import load_scene
 from kc2spice.scene.parttype import part_types
 from kc2spice.spice.header import Header
 from kc2spice.workflow.models import build_models, model_facts
-from kc2spice.workflow.reduce import export_rom
+from kc2spice.workflow.reduce_files import export_rom
 
 UNKNOWN = "mesh: error not estimated, because the matrices state no mesh"
 

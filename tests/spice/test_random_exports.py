@@ -18,7 +18,7 @@ from kc2spice.core.progress import Clock
 from kc2spice.netlist import read_lib
 from kc2spice.parts._box import number_of, varied, with_values
 from kc2spice.workflow.export import export
-from kc2spice.workflow.reduce import export_rom, reduce
+from kc2spice.workflow.reduce_files import export_rom, reduce
 
 FLOOR = 1e-6  # of an entry's peak, as the error estimate is defined
 POINTS, FEW = 25, 6  # random frequencies between the ends of a band; of solids

@@ -15,7 +15,7 @@ from kc2spice.bodies.readers.measured import is_measured, read_measured
 from kc2spice.netlist.deck import ac
 from kc2spice.rom.io import read_rom
 from kc2spice.rom.multiport import multi_port
-from kc2spice.workflow.reduce import first_deck, reduce
+from kc2spice.workflow.reduce_files import first_deck, reduce
 
 F = np.linspace(40e3, 80e3, 401)
 W = 2 * np.pi * F
@@ -121,7 +121,7 @@ def test_bad_measurements_are_refused(tmp_path, header, columns, said):
 
 
 def test_a_directory_that_cannot_be_written_is_noticed_before_the_fit(tmp_path, monkeypatch):
-    monkeypatch.setattr("kc2spice.workflow.reduce.one_port", lambda *_: pytest.fail("fitted"))
+    monkeypatch.setattr("kc2spice.workflow.reduce_files.one_port", lambda *_: pytest.fail("fitted"))
     Y = admittance()
     path = table(tmp_path / "part.csv", "f_hz,g_s,b_s", F, Y.real, Y.imag)
     with pytest.raises(kc.errors.UsageError, match="is a file"):

@@ -13,7 +13,7 @@ from kc2spice.netlist.expression import parse
 from kc2spice.rom.branch_fit import one_port
 from kc2spice.rom.io import read_rom
 from kc2spice.rom.network import parallel_branches
-from kc2spice.workflow.reduce import first_deck, reduce
+from kc2spice.workflow.reduce_files import first_deck, reduce
 
 NOISE = 1e-3
 RMS = np.sqrt(2) * NOISE

@@ -7,7 +7,7 @@ from scipy import sparse
 from kc2spice.rom.band import band_end, natural_band
 from kc2spice.rom.linear_model import LinearModel
 from kc2spice.rom.reduce import reduce
-from kc2spice.workflow.reduce import _scene_body
+from kc2spice.workflow.reduce_files import _scene_body
 
 K_LINK, MASS = 1e6, 1e-2
 

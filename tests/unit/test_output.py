@@ -14,7 +14,7 @@ from kc2spice.core.errors import UsageError
 from kc2spice.core.files import staged
 from kc2spice.scene.load import load_scene
 from kc2spice.workflow.export import export
-from kc2spice.workflow.reduce import export_rom, reduce
+from kc2spice.workflow.reduce_files import export_rom, reduce
 
 
 def write(work, **files):
