@@ -4,9 +4,10 @@ matrices may be applied and solved with, but never formed.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any, TypeAlias
+from typing import Any, Generic, TypeAlias, TypeVar
 
 import numpy as np
 import scipy
@@ -19,6 +20,31 @@ Matrix: TypeAlias = Any  # np.ndarray, scipy.sparse.csc_array or Schur; scipy br
 
 # Two matrices whose entries differ by less than this of the largest one are the same matrix.
 SAME = 1e-12
+
+
+T = TypeVar("T")
+
+
+class Shared(Generic[T]):
+    """A value that is computed at its first use, for all objects that it is shared by."""
+
+    def __init__(self) -> None:
+        self._values: list[T] = []
+
+    @property
+    def known(self) -> T | None:
+        """The value, None before its first use."""
+        return self._values[0] if self._values else None
+
+    def get(self, compute: Callable[[], T]) -> T:
+        """Return the value, which ``compute`` returns at the first use."""
+        if not self._values:
+            self._values.append(compute())
+        return self._values[0]
+
+    def join(self, other: Shared[T]) -> None:
+        """Share the value of ``other`` from now on."""
+        self._values = other._values
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,6 +61,7 @@ class Schur:
     up: scipy.sparse.csc_array
     pu: scipy.sparse.csc_array
     pp: scipy.sparse.csc_array
+    factor: Shared[Factor] = field(default_factory=Shared, repr=False)
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -47,10 +74,10 @@ class Schur:
         pairs = ((self.uu, self.uu.T), (self.pp, self.pp.T), (self.up, self.pu.T))
         return all(same(a, b) for a, b in pairs)
 
-    @cached_property
+    @property
     def inner(self) -> Factor:
         """Factor of ``pp``."""
-        return two_sided(self.pp, symmetric=same(self.pp, self.pp.T))[0]
+        return self.factor.get(lambda: two_sided(self.pp, symmetric=same(self.pp, self.pp.T))[0])
 
     @cached_property
     def T(self) -> Schur:
@@ -72,10 +99,7 @@ class Schur:
 
     def _beside(self, uu: Matrix, up: Matrix, pu: Matrix) -> Schur:
         """With the same ``pp`` and its factor."""
-        result = Schur(uu, up, pu, self.pp)
-        if "inner" in self.__dict__:
-            result.__dict__["inner"] = self.inner
-        return result
+        return Schur(uu, up, pu, self.pp, self.factor)
 
     def toarray(self) -> np.ndarray:
         """The dense matrix."""
@@ -164,6 +188,8 @@ class Pencil:
     D: np.ndarray
     rayleigh: tuple[float, float] | None = None
     free: int = 0
+    factors: Shared[Factor] = field(default_factory=Shared, init=False, repr=False)
+    symmetry: Shared[bool] = field(default_factory=Shared, init=False, repr=False)
 
     def __post_init__(self) -> None:
         if self.rayleigh is not None:
@@ -183,11 +209,11 @@ class Pencil:
         """1 for a first-order model, 2 for a second-order one."""
         return len(self.coefficients) - 1
 
-    @cached_property
+    @property
     def symmetric(self) -> bool:
         """Every coefficient equals its transpose."""
-        given = self.coefficients[:: 1 if self.rayleigh is None else 2]
-        return all(symmetric(P) for P in given)
+        stated = self.coefficients[:: 1 if self.rayleigh is None else 2]
+        return self.symmetry.get(lambda: all(symmetric(P) for P in stated))
 
     @cached_property
     def collocated(self) -> bool:
@@ -268,32 +294,28 @@ class Pencil:
         """
         if square:
             return factorise(self.bordered(1.0, 0.0, -square), definite=False)
-        if not self._at_rest:
-            K = scipy.sparse.csc_array(self.bordered(1.0, 0.0, 0.0))
-            plain = not isinstance(self.coefficients[0], Schur)
-            self._at_rest.append(factorise(K, definite=plain))
-        return self._at_rest[0]
+        return self.factors.get(self._factorise_stiffness)
+
+    def _factorise_stiffness(self) -> Factor:
+        K = scipy.sparse.csc_array(self.bordered(1.0, 0.0, 0.0))
+        return factorise(K, definite=not isinstance(self.coefficients[0], Schur))
 
     @property
     def elimination_order(self) -> np.ndarray | None:
         """Order of elimination of the factor of K, for other matrices of the same unknowns; None
         if there is none."""
-        order = self._at_rest[0].order if self._at_rest else None
+        factor = self.factors.known
+        order = None if factor is None else factor.order
         return None if order is None else order[order < self.size]
 
     @property
     def factorised(self) -> bool:
         """Whether factors of K are known."""
-        return bool(self._at_rest)
-
-    @cached_property
-    def _at_rest(self) -> list[Factor]:
-        """Factors of K, once there are any: stages of a reduction and further ones need them."""
-        return []
+        return self.factors.known is not None
 
     def share(self, other: Pencil) -> None:
         """Let ``other``, which has the same K, use the factors of this one."""
-        other.__dict__["_at_rest"] = self._at_rest
+        other.factors.join(self.factors)
 
     def project(self, V: np.ndarray, images: tuple[np.ndarray | None, ...] | None = None) -> Pencil:
         """Congruence ``V'PV``, ``V'B``, ``CV``; ``images`` may contain ``P V`` of each matrix.
@@ -384,8 +406,8 @@ class Pencil:
         B = t[:, None] * self.B
         C = B.T.copy() if self.collocated else self.C * t
         result = Pencil(parts, B, C, self.D, self.rayleigh)
-        if self.symmetric:  # which no scale of the unknowns changes: a look costs a transposition
-            result.__dict__["symmetric"] = True
+        if self.symmetric:  # no scale of the unknowns changes it, and a test takes a transposition
+            result.symmetry.get(lambda: True)
         return result
 
     def states(self, s: np.ndarray) -> np.ndarray:
