@@ -89,6 +89,15 @@ class Cap(Section):
     )
 
 
+HEIGHT = 2e-3  # m, of the stack of the paper
+
+
+def _default_height(keys: dict[str, Any]) -> float:
+    """Height [m] of all active layers, from the thickness of one layer where it is given."""
+    layers, thickness = keys.get("layers"), keys.get("layer_thickness")
+    return HEIGHT if layers is None or thickness is None else float(layers * thickness)
+
+
 class Chip(Section):
     """Layered piezoelectric stack, one quarter of it modelled: its cross-section is a square of
     ``side``, a rectangle of ``side`` (x) and ``depth`` (y), or a circle of ``diameter``.
@@ -105,10 +114,14 @@ class Chip(Section):
     diameter: Width | None = Field(
         None, gt=0, description="Diameter of a round stack, instead of side"
     )
-    height: Extent = Field(2e-3, gt=0, description="Height of all layers together")
     layers: Count = Field(33, ge=1, le=400, description="Number of active layers")
     layer_thickness: Length | None = Field(
         None, gt=0, description="Thickness of one layer, instead of height"
+    )
+    height: Extent = Field(
+        default_factory=_default_height,
+        gt=0,
+        description="Height of all layers together",
     )
     bottom_cap: Cap | None = None
     top_cap: Cap | None = None
@@ -137,9 +150,8 @@ class Chip(Section):
             raise ValueError("give diameter, or side and depth")
         if self.layer_thickness is not None:
             height = self.layers * self.layer_thickness
-            if "height" in self.model_fields_set and not math.isclose(height, self.height):
+            if not math.isclose(height, self.height):
                 raise ValueError("give height or layer_thickness; height is layers times it")
-            object.__setattr__(self, "height", height)
         outermost, half = self.mesh.rings * self.mesh.ring_spacing, min(self.half)
         if outermost > half * (1 - 1e-6):
             raise ValueError(

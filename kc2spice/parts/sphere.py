@@ -8,7 +8,7 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from pydantic import Field, field_validator, model_validator
+from pydantic import Field, field_validator
 
 from kc2spice.core import laws
 from kc2spice.core.errors import UsageError
@@ -30,9 +30,16 @@ from kc2spice.scene.settings import Probe
 from kc2spice.spice.header import SIGN
 
 AIR_VISCOSITY = 1.825e-5  # Pa s
+STEEL_DENSITY = 7850.0  # kg/m^3
 AT_REST = State(0.0, 0.0)
 SETTLING_BAND = 0.05  # relative to the step from rest to set point
 WORK = 1e-4  # share of the work that may be unexplained; then a launch is wrong by about 1e-3
+
+
+def _default_density(keys: dict[str, Any]) -> float:
+    """Density [kg/m^3] of the material of a sphere, that of steel without one."""
+    material = keys.get("material")
+    return STEEL_DENSITY if material is None else _stuff(material).density
 
 
 def _stuff(given: str | dict[str, Any]) -> Material:
@@ -46,16 +53,16 @@ class SphereKeys(Section):
     """Sphere, vertical motion only; rigid unless ``elastic``."""
 
     radius: Length = Field(1e-3, gt=0, description="Radius of the sphere")
-    density: Density = Field(
-        7850.0,
-        gt=0,
-        description="Density of the sphere; by default that of its material, or of steel",
-    )
     material: str | dict[str, Any] | None = Field(
         None,
         description=(
             "Material of the sphere, for contacts that need its modulus; steel where it is elastic"
         ),
+    )
+    density: Density = Field(
+        default_factory=_default_density,
+        gt=0,
+        description="Density of the sphere; by default that of its material, or of steel",
     )
     elastic: bool | dict[str, Any] | None = Field(
         None,
@@ -71,13 +78,13 @@ class SphereKeys(Section):
         0.0, description="Height of the sphere's lowest point at t = 0, with a velocity"
     )
 
-    @model_validator(mode="after")
-    def _made_of(self) -> SphereKeys:
-        if self.material is not None:
-            density = _stuff(self.material).density
-            if "density" not in self.model_fields_set:
-                object.__setattr__(self, "density", density)
-        return self
+    @field_validator("material")
+    @classmethod
+    def _known(cls, material: str | dict[str, Any] | None) -> str | dict[str, Any] | None:
+        """Refuse a material that is not in the table."""
+        if material is not None:
+            _stuff(material)
+        return material
 
     @field_validator("elastic")
     @classmethod

@@ -9,7 +9,7 @@ from types import NoneType
 from typing import Any, get_args
 
 from pydantic import BaseModel
-from pydantic_core import PydanticUndefined
+from pydantic.fields import FieldInfo
 
 from kc2spice.core.quantities import entries, unit_of
 from kc2spice.core.untrusted_files import parse_toml
@@ -44,13 +44,20 @@ def _kinds(annotation: Any) -> Iterator[Any]:
 def model_keys(model: type[BaseModel], prefix: str = "") -> Iterator[Key]:
     """All keys of a schema in its order, those of its tables by dotted names."""
     for path, field in entries(model):
-        default = None if field.default is PydanticUndefined else field.default
+        default = _default(field)
         doc, kinds = field.description or "", dict.fromkeys(_kinds(field.annotation))
         words = tuple(kind for kind in kinds if isinstance(kind, str))
         choices = words if kinds.keys() <= {*words, NoneType} else ()
         whole, mixed = any(k is int or type(k) is int for k in kinds), {float, str} <= kinds.keys()
         name = prefix + ".".join(path)
         yield Key(name, unit_of(field), default, choices, doc, whole, mixed)
+
+
+def _default(field: FieldInfo) -> Any:
+    """Default of a key, None if it has none. Keys that it follows from have their defaults."""
+    if field.is_required():
+        return None
+    return field.get_default(call_default_factory=True, validated_data={})
 
 
 def scene_keys() -> Iterator[Key]:

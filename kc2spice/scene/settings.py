@@ -282,6 +282,13 @@ class Gates(Section):
 
 
 SCALE_OF = {"transient": "s", "ac": "Hz", "noise": "Hz"}  # units by type of analysis
+SMALL_SIGNALS = ("ac", "noise")  # types of analysis that are linear about an operating point
+
+
+def _default_scale(keys: dict[str, Any]) -> Literal["log", "linear"]:
+    """Spacing of frequencies: linear where their range begins at 0 Hz."""
+    from_zero = keys.get("type") in SMALL_SIGNALS and keys.get("start") == 0
+    return "linear" if from_zero else "log"
 
 
 class Analysis(Section):
@@ -298,7 +305,8 @@ class Analysis(Section):
         200, ge=2, le=200_000, description="Least number of frequencies or of swept values"
     )
     scale: Literal["log", "linear"] = Field(
-        "log", description="Spacing of the frequencies of ac and noise; linear may begin at 0 Hz"
+        default_factory=_default_scale,
+        description="Spacing of the frequencies of ac and noise; linear may begin at 0 Hz",
     )
     output: str | None = Field(
         None, description="Output of a noise analysis: a result such as disc.u, or PART.PIN"
@@ -325,17 +333,10 @@ class Analysis(Section):
         except UsageError as error:
             raise refused(error.message, error.expected) from None
 
-    @model_validator(mode="after")
-    def _from_zero(self) -> Analysis:
-        """A range from 0 Hz is linear, unless its author says otherwise."""
-        if self.small and self.start == 0 and "scale" not in self.model_fields_set:
-            self.__dict__["scale"] = "linear"
-        return self
-
     @property
     def small(self) -> bool:
         """Whether it is linear in signals about an operating point, over frequency."""
-        return self.type in ("ac", "noise")
+        return self.type in SMALL_SIGNALS
 
 
 class Probe(Section):
