@@ -39,7 +39,7 @@ from kc2spice.rom.stability import prove_stability
 from kc2spice.rom.varying import Varying
 from kc2spice.scene.checks import Balance, Check, Metric
 from kc2spice.scene.model import GROUND, Build, Part, Scene, Terminal
-from kc2spice.scene.parttype import current_into, numerics
+from kc2spice.scene.parttype import current_into, numerics, pin_forces
 from kc2spice.scene.plausible import dimensions
 from kc2spice.scene.rows import Neglected, Rest, Vector
 from kc2spice.scene.settings import Rom
@@ -632,7 +632,7 @@ class LinearBody(Touching):
         whose force is not recorded are left out.
         """
         kept, result = self.kept(part, build.scene), dict[str, np.ndarray]()
-        still = np.zeros(waves["time"].size)
+        still, acting = np.zeros(waves["time"].size), pin_forces(build, waves)
         for port in kept:
             name = wave_name(part.name, kept, port)
             if not port.loaded:
@@ -640,11 +640,8 @@ class LinearBody(Touching):
                 result[port.name] = waves.data.get(wave, still)
                 continue
             joined = build.scene.joined(part.name, port.terminals[0])
-            others = [(build.scene.parts[other], pin) for other, pin in joined]
-            forces = [other.type.force_on(other, pin, build, waves) for other, pin in others]
-            known = [force for force in forces if force is not None]
-            if len(known) == len(forces) and build.net(part, port.terminals[0]) != "0":
-                result[port.name] = sum(known, start=still)
+            if acting.keys() >= set(joined) and build.net(part, port.terminals[0]) != "0":
+                result[port.name] = sum((acting[end] for end in joined), start=still)
         return result
 
     def _balance(self, part: Part, build: Build, waves: Waveforms) -> Balance | None:

@@ -26,7 +26,7 @@ from kc2spice.parts._template import SLACK, potentials, within
 from kc2spice.scene.checks import Check
 from kc2spice.scene.model import Build, Part, PartType, Scene, Terminal
 from kc2spice.scene.parttype import register
-from kc2spice.scene.rows import Numerics, Vector
+from kc2spice.scene.rows import Vector
 from kc2spice.scene.settings import FileName
 
 # Letter of an element and its parameter that is its current; "" for those that have a branch.
@@ -127,9 +127,8 @@ class Netlist(PartType):
             if name not in pins:
                 yield part.wrong("ratings", "no such pin", name, ", ".join(pins))
 
-    def numerics(self, part: Part, scene: Scene) -> Iterator[Numerics]:
-        drives = _read(part.keys.file, scene.home, _stamp(part, scene)).excites
-        yield Numerics(f"a source with AC of {part.name}", prescribes=drives)
+    def drives(self, part: Part, scene: Scene) -> bool:
+        return _read(part.keys.file, scene.home, _stamp(part, scene)).excites
 
     def library(self, part: Part, scene: Scene) -> str:
         return str(part.keys.subckt)

@@ -21,7 +21,7 @@ from kc2spice.parts.two_terminal_types import element
 from kc2spice.scene.checks import PAIRS, Gate, Metric
 from kc2spice.scene.model import Build, Part, PartType, Scene
 from kc2spice.scene.parttype import register
-from kc2spice.scene.rows import Governed, Numerics, Vector
+from kc2spice.scene.rows import Governed, Vector
 
 SPECK = 1e-24  # F; in series with 1/SPECK volts it carries one coulomb, whatever the anode does
 
@@ -50,8 +50,8 @@ class PortLoads(PartType):
         linear = {"scale": "linear", "points": points, "stop": stop}
         return {"analysis": {"type": "ac", "start": start + (stop - start) / points, **linear}}
 
-    def numerics(self, part: Part, scene: Scene) -> Iterator[Numerics]:
-        yield Numerics(part.name, prescribes=True)
+    def drives(self, part: Part, scene: Scene) -> bool:
+        return True
 
     def problems(self, part: Part, scene: Scene) -> Iterator[UsageError]:
         body_of(part, scene)

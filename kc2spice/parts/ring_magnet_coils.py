@@ -370,14 +370,14 @@ class RingMagnetCoils(Touching):
             result[f"{prefix}.voltage"] = Vector(f"v({up})-v({lp})", 1.0, "V")
         return result
 
-    def force_on(self, part: Part, pin: str, build: Build, waves: Waveforms) -> np.ndarray | None:
+    def forces(self, part: Part, build: Build, waves: Waveforms) -> Mapping[str, np.ndarray]:
         y = waves.data.get(f"{sphere_of(part, build.scene).name}.y")
-        if pin != "v" or y is None or beyond(build.model(part), y) > 0:
-            return None
+        if y is None or beyond(build.model(part), y) > 0:
+            return {}
         zero = np.zeros_like(y)
         lower = waves.data.get(f"{label(part)}.lower.current", zero)
         upper = waves.data.get(f"{label(part)}.upper.current", zero)
-        return np.asarray(build.model(part).coenergy.force(y, lower, upper))
+        return {"v": np.asarray(build.model(part).coenergy.force(y, lower, upper))}
 
     def law(self, part: Part, build: Build) -> laws.Equations:
         n, scene, table = part.name, build.scene, build.model(part)

@@ -166,9 +166,12 @@ class Source(PartType):
 
     def numerics(self, part: Part, scene: Scene) -> Iterator[Numerics]:
         yield from drive_scales(part.name, part.keys.waveform(scene.home))
-        train = part.keys.pulse and part.keys.pulse.count is None and part.keys.pulse.period
-        prescribes = quantity(part.keys.ac, part.keys.unit) != 0
-        yield Numerics(part.name, prescribes=prescribes, period=train or 0.0)
+        pulse = part.keys.pulse
+        if pulse is not None and pulse.count is None and pulse.period:
+            yield Numerics(part.name, period=pulse.period)
+
+    def drives(self, part: Part, scene: Scene) -> bool:
+        return quantity(part.keys.ac, part.keys.unit) != 0
 
     def highest_frequency(self, part: Part, scene: Scene, constant: float) -> float:
         behind = constant if part.keys.kind in SMOOTHED else 0.0

@@ -23,7 +23,7 @@ from kc2spice.physics import Declaration, DeclaredPart, displacement
 from kc2spice.physics.part import pins_of
 from kc2spice.scene.checks import Balance, Gate, Metric, stepping
 from kc2spice.scene.model import GROUND, Build, Part, Scene, Terminal
-from kc2spice.scene.parttype import begins, mover, register
+from kc2spice.scene.parttype import begins, mover, pin_forces, register
 from kc2spice.scene.plausible import within
 from kc2spice.scene.rows import Neglected, Rest, State, Vector
 from kc2spice.scene.settings import Probe
@@ -228,12 +228,11 @@ class Sphere(Touching, DeclaredPart):
                 yield Gate(words, of, {"ngspice_vs_rom": given}, "absolute", "m")
         t, v, mass = waves["time"], waves[f"{part.name}.v"], part.keys.mass
         forces = {"weight": np.full_like(t, -mass * build.scene.gravity)}
-        for name, pin in build.scene.joined(part.name, "v"):
-            other = build.scene.parts[name]
-            result = other.type.force_on(other, pin, build, waves)
-            if result is None:
+        acting = pin_forces(build, waves)
+        for name, pin in scene.joined(part.name, "v"):
+            if (name, pin) not in acting:
                 return
-            forces[name] = result
+            forces[name] = acting[name, pin]
         work = {name: running(f * v, t) for name, f in forces.items()}
         kinetic = mass * (v**2 - v[0] ** 2) / 2
         turnover = sum(float(np.trapezoid(np.abs(f * v), t)) for f in forces.values())

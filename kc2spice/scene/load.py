@@ -40,10 +40,9 @@ from kc2spice.core.untrusted_files import (
 )
 from kc2spice.scene.compose import unsettled
 from kc2spice.scene.model import GROUND, SHORT, Build, Names, Part, PartType, Scene
-from kc2spice.scene.parttype import EVEN, drive_period, part_type, type_names
+from kc2spice.scene.parttype import EVEN, drive_period, numerics, part_type, type_names
 from kc2spice.scene.plausible import ImplausibleError, drive_levels, judged
 from kc2spice.scene.resolve import resolve, with_governed
-from kc2spice.scene.rows import Numerics
 from kc2spice.scene.settings import SCALE_OF, Analysis, Frame
 
 MOST_POINTS = 1e7  # time points of a transient at its largest step
@@ -176,8 +175,6 @@ def problems(scene: Scene) -> Iterator[UsageError]:
     for name, probe in scene.probes.items():
         for key, place in probe.places.items():
             yield from _misplaced(f"probes.{name}.{key}", place, scene)
-        if probe.periods is not None:
-            yield from _no_periods(f"probes.{name}.periods", probe.periods, scene)
 
 
 def _without_effect(selected: Analysis) -> Iterator[UsageError]:
@@ -204,13 +201,20 @@ def _without_effect(selected: Analysis) -> Iterator[UsageError]:
         )
 
 
+def _without_periods(scene: Scene) -> Iterator[UsageError]:
+    """Probes of the last periods of a run that has no such periods."""
+    for name, probe in scene.probes.items():
+        if probe.periods is not None:
+            yield from _no_periods(f"probes.{name}.periods", probe.periods, scene)
+
+
 def _no_periods(where: str, count: int, scene: Scene) -> Iterator[UsageError]:
     """Why a transient has no such window of its last periods."""
     if scene.analysis.type != "transient":
         got, expected = f"{scene.analysis.type} analysis", "a transient, or from and to"
         yield UsageError("only a transient has periods", where=where, got=got, expected=expected)
         return
-    rows = _numerics(scene)
+    rows = numerics(scene)
     period, known = drive_period(rows), sorted({row.period for row in rows} - {0.0})
     if period is None:
         periods = ", ".join(f"{each:.4g} s" for each in known)
@@ -410,7 +414,7 @@ def _scene(data: dict[str, Any], source: _Source) -> Scene:
         raise problem
     scene = resolve(_driven(scene))
     wild = judged(drive_levels(scene), scene.checks.plausible)
-    for problem in chain(unsettled(Build(scene, {})), wild):
+    for problem in chain(_without_periods(scene), unsettled(Build(scene, {})), wild):
         raise problem
     return scene
 
@@ -423,7 +427,7 @@ def _driven(scene: Scene) -> Scene:
     UsageError : nothing drives it, and there is no such port or something is joined to it.
     """
     parts = scene.parts
-    if scene.analysis.type != "ac" or any(row.prescribes for row in _numerics(scene)):
+    if scene.analysis.type != "ac" or any(part.type.drives(part, scene) for part in parts.values()):
         return scene
     whole = replace(scene, ports="all")
     bodies = [part for part in parts.values() if part.reduced]
@@ -443,11 +447,6 @@ def _driven(scene: Scene) -> Scene:
     table = {"part": "source", "ac": "1 V", "pins": {"out": ".".join(ports[0])}}
     drive = _part(name, table, _type(name, table), scene.home)
     return replace(scene, parts={**parts, name: drive})
-
-
-def _numerics(scene: Scene) -> list[Numerics]:
-    """Numerical requirements of the parts, before the scene is resolved."""
-    return [*chain.from_iterable(p.type.numerics(p, scene) for p in scene.parts.values())]
 
 
 def _part_tables(data: Mapping[str, Any]) -> Iterator[tuple[str, Mapping]]:

@@ -562,6 +562,10 @@ class PartType:
         """
         return {}
 
+    def drives(self, part: Part, scene: Scene) -> bool:
+        """Whether it sets small signals of an ``ac`` analysis."""
+        return False
+
     def numerics(self, part: Part, scene: Scene) -> Iterable[Numerics]:
         """Numerical requirements of the part.
 
@@ -578,12 +582,18 @@ class PartType:
         """Its results by name."""
         return {}
 
-    def force_on(self, part: Part, pin: str, build: Build, waves: Waveforms) -> np.ndarray | None:
-        """Force [N] over time that it puts on what its mechanical pin is joined to: the sum of the
-        results that leave it there."""
-        rows = flows(part, pin, build).items()
-        result = [sign * waves[name] for name, (_, sign) in rows if name in waves]
-        return np.sum(result, axis=0) if result else None
+    def forces(self, part: Part, build: Build, waves: Waveforms) -> Mapping[str, np.ndarray]:
+        """Forces [N] over time on what its mechanical pins are joined to, by pin.
+
+        Each is the sum of the results that leave the part there. Pins without a result are absent.
+        """
+        result = {}
+        for pin in build.scene.pins(part.name):
+            rows = flows(part, pin.name, build).items()
+            leaving = [sign * waves[name] for name, (_, sign) in rows if name in waves]
+            if leaving:
+                result[pin.name] = np.sum(leaving, axis=0)
+        return result
 
     # --- what a run says -----------------------------------------------------------------------
 

@@ -17,7 +17,10 @@ from importlib import import_module
 from importlib.metadata import EntryPoint, entry_points
 from itertools import chain
 
+import numpy as np
+
 from kc2spice.core.errors import UsageError
+from kc2spice.core.waveforms import Waveforms
 from kc2spice.scene.model import Build, Part, PartType, Scene, flows
 from kc2spice.scene.rows import Numerics, State, Vector
 
@@ -64,6 +67,19 @@ def current_into(part: Part, pin: str, build: Build) -> Vector | None:
         return None
     ((row, sign),) = rows
     return Vector(row.expression, sign * row.factor, row.unit)
+
+
+def pin_forces(build: Build, waves: Waveforms) -> Mapping[tuple[str, str], np.ndarray]:
+    """Forces [N] over time of all parts on what their pins are joined to, by part and pin."""
+
+    def asked() -> tuple[Build, Waveforms, dict[tuple[str, str], np.ndarray]]:
+        result = {}
+        for name, part in build.scene.parts.items():
+            for pin, force in part.type.forces(part, build, waves).items():
+                result[name, pin] = force
+        return build, waves, result  # both stay in memory, so that no other one has their identity
+
+    return build.workspace.latest("forces", (id(build), id(waves)), asked)[2]
 
 
 EVEN = 1e-6  # relative, of a period that divides another

@@ -106,16 +106,15 @@ class Numerics:
     """Time scales of a part and its numerical requirements.
 
     ``step`` is the longest time step [s] that resolves the part, ``content`` the highest frequency
-    [Hz] that it excites in others. ``prescribes`` states whether it sets small signals of ``ac``.
-    A step that ``decides`` overrides all others. ``reltol`` and ``chgtol`` are the factors, 1 or
-    less, of the solver's tolerances that the part requires. ``options`` are options of the
-    simulator by name: value and reason. Driven waves repeat after ``period`` [s]; 0 without one.
+    [Hz] that it excites in others. A step that ``decides`` overrides all others. ``reltol`` and
+    ``chgtol`` are the factors, 1 or less, of the solver's tolerances that the part requires.
+    ``options`` are options of the simulator by name: value and reason. Driven waves repeat after
+    ``period`` [s]; 0 without one.
     """
 
     what: str
     step: float = math.inf
     content: float = 0.0
-    prescribes: bool = False
     decides: bool = False
     reltol: float = 1.0
     chgtol: float = 1.0
