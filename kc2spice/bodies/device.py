@@ -34,6 +34,7 @@ from scipy.sparse.linalg import LinearOperator, eigsh
 from skfem import LinearForm
 from skfem.mesh import MeshHex, MeshQuad
 
+from kc2spice.core.domains import ACCELERATION, BASE, ELECTRICAL, TRANSLATION
 from kc2spice.core.errors import UsageError, part_named, wrong
 from kc2spice.core.mesh_error import MESH_ERROR
 from kc2spice.fem.body_keys import Damping
@@ -346,7 +347,7 @@ def _potentials(
     if setup.graded is not None:
         columns[0] = columns[0] + _indicator(setup.graded[0], live, setup.graded[1])
     R = sparse.hstack([none, *columns], "csc")
-    ports = [Port(p, "electrical", pins=(p, setup.reference)) for p in driven]
+    ports = [Port(p, ELECTRICAL.port, pins=(p, setup.reference)) for p in driven]
     return Q, R, ports
 
 
@@ -431,12 +432,11 @@ def undamped_answers(model: LinearModel, shift: float = 0.0) -> Answers:
     ``shift`` [rad^2/s^2] makes ``K + shift M`` regular; 0 for a supported body. A resonance that is
     not among the lowest modes is left out.
     """
-    kinds = [port.kind for port in model.ports]
-    e = [k for k, kind in enumerate(kinds) if kind == "electrical"]
-    force = [k for k, kind in enumerate(kinds) if kind == "mechanical"][:1]
+    e = [k for k, port in enumerate(model.ports) if port.electrical]
+    force = [k for k, port in enumerate(model.ports) if port.domain is TRANSLATION][:1]
     solve = model.pencil.pencil_solver(-shift).solve
     if not e:
-        lowest, modes = _resonance(model, solve, range(len(kinds)), shift)
+        lowest, modes = _resonance(model, solve, range(len(model.ports)), shift)
         facts = {} if lowest is None else {"resonance_hz": lowest}
         return Answers(facts, model.B[:, e], _at_rest(model, solve, force, shift)[1], modes)
     load = model.B[:, e]
@@ -597,9 +597,9 @@ class Bonded:
         """All ports of the model, electrical ports first."""
         pins = [pin for pin in self.electrodes if pin != "cathode"]
         return (
-            *(Port(pin, "electrical", pins=(pin, "cathode")) for pin in pins),
-            *(Port(name, "mechanical") for name in self.ports),
-            *([Port("base", "acceleration")] if self.moved else []),
+            *(Port(pin, ELECTRICAL.port, pins=(pin, "cathode")) for pin in pins),
+            *(Port(name, TRANSLATION.port) for name in self.ports),
+            *([Port(BASE, ACCELERATION.port)] if self.moved else []),
         )
 
     @property
@@ -693,10 +693,10 @@ class Bonded:
             reference="cathode",
             floating=[touched(faces) for faces in self.floating],
             shapes=[
-                ForceShape(Port(name, "mechanical"), spread(shares(box), UP, solid))
+                ForceShape(Port(name, TRANSLATION.port), spread(shares(box), UP, solid))
                 for name, box in self.ports.items()
             ],
-            base=[(Port("base", "acceleration"), UP)] if self.moved else [],
+            base=[(Port(BASE, ACCELERATION.port), UP)] if self.moved else [],
             lumped=np.sum(lumped, axis=0) if lumped else None,
             damping=self.damping,
         )

@@ -56,7 +56,7 @@ class NodalMotion:
     def voltages(self) -> np.ndarray:
         """Inputs of the electrical ports (times, e)."""
         ports = self.device.model.ports
-        return self.inputs[:, [port.kind == "electrical" for port in ports]]
+        return self.inputs[:, [port.electrical for port in ports]]
 
     def at(self, instant: float) -> tuple[np.ndarray, np.ndarray]:
         """Displacements z (n,) and voltages (e,) at the sample nearest to ``instant`` [s]."""

@@ -55,6 +55,7 @@ from kc2spice.bodies.device import (
 from kc2spice.bodies.fields import FieldProbe, principal
 from kc2spice.bodies.stack import layer_materials, stack_setup
 from kc2spice.bodies.stack_keys import PATCH, Chip
+from kc2spice.core.domains import TRANSLATION
 from kc2spice.core.equality import EqualByContent
 from kc2spice.core.errors import SimulationError
 from kc2spice.fem.body_keys import Damping
@@ -170,7 +171,7 @@ def surface_compliance(chip: Chip, shape: PressureBasis, cells: int = CELLS) -> 
 
 def _compliance(model: LinearModel) -> np.ndarray:
     """(n, n) static displacements [m] of the mechanical ports, which come first, per force [N]."""
-    loads = model.B[:, [port.kind == "mechanical" for port in model.ports]]
+    loads = model.B[:, [port.domain is TRANSLATION for port in model.ports]]
     S = loads.T @ model.pencil.pencil_solver(0.0).solve(loads)
     return np.asarray((S + S.T) / 2)
 
@@ -233,7 +234,7 @@ def _stack(chip: Chip, shape: PressureBasis, cells: int) -> FiniteElementModel:
 
 
 def _basis_ports(shape: PressureBasis) -> list[Port]:
-    return [Port(f"basis{k}", "mechanical") for k in range(len(shape.nodes) - 1)]
+    return [Port(f"basis{k}", TRANSLATION.port) for k in range(len(shape.nodes) - 1)]
 
 
 def _basis_loads(solid: Solid, shape: PressureBasis, facets: np.ndarray) -> np.ndarray:
@@ -345,7 +346,7 @@ def sphere(
 
     ``refine`` divides every cell along each axis.
     """
-    device, port = _free(body, shape, refine), Port(PATCH, "mechanical")
+    device, port = _free(body, shape, refine), Port(PATCH, TRANSLATION.port)
     load = device.model.B @ shares[:, None]
     model = replace(device.model, B=load, C=load.T, D=np.zeros((1, 1)), ports=(port,))
     answers = undamped_answers(model)

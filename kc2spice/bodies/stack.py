@@ -21,6 +21,7 @@ from skfem import BilinearForm, LinearForm, MeshHex1, MeshHex2
 
 from kc2spice.bodies.device import UP, FiniteElementModel, ForceShape, Setup, make_device, spread
 from kc2spice.bodies.stack_keys import PATCH, SECTORS, Cap, Chip
+from kc2spice.core.domains import TRANSLATION
 from kc2spice.core.errors import part_named
 from kc2spice.fem.materials import Material, material
 from kc2spice.fem.solid import Solid
@@ -259,7 +260,7 @@ def _rings(kick: Chip, solid: Solid) -> list[ForceShape]:
         ring = (away < near) & (z > z.max() - near)
         share = np.where((x < near) | (y < near), 0.5, 1.0) * ring
         weights = spread(share / share.sum(), axis, solid)
-        shapes.append(ForceShape(Port(f"ring{number}", "mechanical"), weights))
+        shapes.append(ForceShape(Port(f"ring{number}", TRANSLATION.port), weights))
     return shapes
 
 
@@ -270,7 +271,7 @@ def _patch(solid: Solid, pressure: Profile) -> ForceShape:
         return np.interp(np.hypot(w.x[0], w.x[1]), *pressure, right=0.0) * v
 
     share = LinearForm(load).assemble(solid.face(_facets(solid, solid.places[2].max()), _FINE))
-    return ForceShape(Port(PATCH, "mechanical"), spread(share / share.sum(), UP, solid))
+    return ForceShape(Port(PATCH, TRANSLATION.port), spread(share / share.sum(), UP, solid))
 
 
 def springs(solid: Solid, kick: Chip) -> sparse.csc_array | None:

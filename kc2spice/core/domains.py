@@ -95,6 +95,11 @@ class Domain:
         return SIGNAL if self.through is None else self.through.pin_unit
 
     @property
+    def admittance(self) -> float:
+        """Amperes per volt on pins for one SI unit of the quantity through by that across."""
+        return 1.0 if self.through is None else self.across.factor * self.through.per_unit
+
+    @property
     def units(self) -> tuple[str, str]:
         """Units of 1 V and 1 A on a pin."""
         return self.across.pin_unit, self.flow
@@ -108,6 +113,11 @@ class Domain:
     def position(self) -> bool:
         """Whether the value across a pin is a position, whose rate makes the power."""
         return self.power == "d(across)/dt * through"
+
+    @property
+    def charged(self) -> bool:
+        """Whether the answer of a port is what has flowed through its pin, such as a charge."""
+        return self.driven == "across" and self.power == "across * through"
 
     @property
     def kind_of_law(self) -> str:
@@ -156,6 +166,7 @@ TRANSLATION = Domain(
     rate=VELOCITY,
     frame="acceleration",
 )
+DISPLACEMENT = TRANSLATION.across
 ROTATION = Domain(
     "rotation",
     Quantity("angle", "angle", "rad", "rad"),
@@ -203,6 +214,11 @@ ACOUSTIC = Domain(
     Quantity("volume_velocity", "flow", "m3/s", "cm3/s", 1e-6),
     "across * through",
     "pressures are constant: no cavity takes up volume and no acoustic mass has a pressure drop",
+    port="acoustic",
+    answer_unit="m3",
+    compliance="m3/Pa",
+    word="pressure",
+    response="flow",
     reference=AMBIENT,
 )
 SIGNALS = Domain(

@@ -27,6 +27,8 @@ MECHANICAL = tuple(domain.name for domain in CONSERVATIVE if domain.position)
 POTENTIALS = tuple(domain.name for domain in CONSERVATIVE if domain.potential)
 # Kinds whose port answers a flow with a potential: the flow is an unknown.
 HEATED = tuple(d.name for d in CONSERVATIVE if d.potential and d.driven == "through")
+# Kinds whose port answers a potential with what has flowed through it, such as a charge.
+CHARGED = tuple(domain.name for domain in CONSERVATIVE if domain.charged)
 GROUND = "gnd"
 
 
@@ -83,9 +85,9 @@ class Equations:
 class Port:
     """A port of a :class:`SecondOrderBody`: one column of B, one row of C.
 
-    Electrical: voltage in, charge out; ``ret`` names the pin of its return. Mechanical: force in,
-    displacement out. ``acceleration``: acceleration of the base in [m/s^2] (a signal pin), reaction
-    force out [N], seen in the wave ``NAME.PORT.reaction``.
+    Electrical: voltage in, charge out; ``ret`` names the pin of its return. Acoustic: pressure in,
+    volume out. Mechanical: force in, displacement out. ``acceleration``: acceleration of the base
+    in [m/s^2] (a signal pin), reaction force out [N], seen in the wave ``NAME.PORT.reaction``.
     """
 
     name: str
@@ -99,8 +101,8 @@ class SecondOrderBody:
     ``pencil`` of second order, or of first order without M, whose unknowns are some of the
     equations'.
 
-    A port with ``D`` must be electrical or have an own positive compliance. Energy and loss of a
-    heat model are those of a circuit of the same numbers: ``x' E x / 2`` and ``x' K x``.
+    A port with ``D`` must be electrical or acoustic or have an own positive compliance. Energy and
+    loss of a heat model are those of a circuit of the same numbers: ``x' E x / 2``, ``x' K x``.
     """
 
     name: str

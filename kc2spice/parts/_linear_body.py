@@ -18,7 +18,7 @@ from pydantic import Field, StringConstraints
 
 from kc2spice.core import laws
 from kc2spice.core.cache import cached
-from kc2spice.core.domains import ELECTRICAL, PORTS, REFERENCES, TRANSLATION
+from kc2spice.core.domains import PORTS, REFERENCES, TRANSLATION
 from kc2spice.core.errors import SimulationError, UsageError, unknown, wrong
 from kc2spice.core.figure import Figure, Written
 from kc2spice.core.mesh_error import NOT_ESTIMATED
@@ -49,7 +49,9 @@ from kc2spice.spice.realize import COARSE, RINGING, UNRATED, StepWeights, refere
 
 # Kinds of ports with one pin against the common reference, and the short words of their waves.
 ANSWERS = {kind: domain for kind, domain in PORTS.items() if domain.reference}
-WORDS = tuple(domain.word for domain in ANSWERS.values())
+_FILLED = (domain for domain in ANSWERS.values() if domain.charged)
+FLOWS = {domain.port: domain.quantity("through").symbol for domain in _FILLED}
+WORDS = (*(domain.word for domain in ANSWERS.values()), *FLOWS.values())
 RATED = "electrodes, as stated or by the field in its ceramic; the netlist itself has no limit"
 BEYOND = "the ceramic depolarises or breaks down; lower the drive, or state another limit"
 OUTSIDE = "nothing certifies what a reduced model says above its band: widen rom.band"
@@ -430,6 +432,9 @@ class LinearBody(Touching):
                 known = None if port.domain is None else port.domain.across
                 factor, unit = (known.factor, known.unit) if known else (1.0, port.across)
                 result[name] = Vector(f"v({node})", factor, unit)
+                flow = current_into(part, port.terminals[0], build) if port.charged else None
+                if flow is not None:
+                    result[flow_name(part.name, ports, port)] = flow
         return result
 
     # --- what a run says ------------------------------------------------------------------------
@@ -592,9 +597,9 @@ class LinearBody(Touching):
         rich = cached("enriched", asked, richer, classes=kinds, sources=self.sources())
         if rich is None or count < 2:
             return None
-        driven = [port.paired for port in model.ports if port.kind != "output"]
-        masks = [np.array(driven), ~np.array(driven)]
-        groups = [mask for mask in masks if mask.any()]
+        driven = [port for port in model.ports if port.kind != "output"]
+        answered = [port.domain if port.charged else None for port in driven]
+        groups = [np.array([item is kind for item in answered]) for kind in dict.fromkeys(answered)]
         errors = time_errors(model, rich, t[:count], load[:count], groups)
         return None if errors is None else (max(errors.values(), default=0.0), rich.order)
 
@@ -654,7 +659,7 @@ class LinearBody(Touching):
         """
         model, t = resonators(build.model(part)), waves["time"]
         domains = {port.domain for port in self.kept(part, build.scene)}
-        if model is None or not domains <= {ELECTRICAL, TRANSLATION}:
+        if model is None or not all(d is TRANSLATION or (d and d.charged) for d in domains):
             return None
         loads = self.loads(part, build, waves)
         if len(loads) < len(model.ports):
@@ -667,9 +672,9 @@ class LinearBody(Touching):
         for port, load, exact in zip(model.ports, inputs.T, outputs.T, strict=True):
             took, name = running(load, exact), wave_name(part.name, model.ports, port)
             damped = damped + took
-            if port.paired:
-                what, result = "electrical work", took
-                current = waves.data.get(f"{name}.current")
+            if port.charged and port.domain is not None:
+                what, result = f"{port.domain.name} work", took
+                current = waves.data.get(flow_name(part.name, model.ports, port))
                 if current is not None:
                     result = running(load * current, t)
                     answers[f"charge of {name}"] = running(current, t) + exact[0], exact
@@ -736,9 +741,10 @@ class LinearBody(Touching):
             mine, name = f"{n}.{port.name}", wave_name(n, ports, port)
             if port.paired:
                 results[f"{name}.voltage"] = laws.difference(mine, f"{n}.{port.terminals[1]}")
-                results[f"{name}.current"] = laws.reading(f"{mine}.through")
             else:
                 results[name] = laws.reading(mine)
+            if port.charged:
+                results[flow_name(n, ports, port)] = laws.reading(f"{mine}.through")
         return laws.Equations((law,), tuple(joins), results)
 
     def notes(self, part: Part, scene: Scene) -> Iterator[str | Neglected]:
@@ -992,3 +998,10 @@ def wave_name(name: str, ports: Sequence[Port], port: Port) -> str:
         return name if port == first else f"{name}.{port.name}"
     word = "" if port.domain is None else port.domain.word
     return ".".join(filter(None, (name, word, port.name)))
+
+
+def flow_name(name: str, ports: Sequence[Port], port: Port) -> str:
+    """Name of the wave of the flow through a port's pin: the current of an electrode."""
+    if port.paired:
+        return f"{wave_name(name, ports, port)}.current"
+    return f"{name}.{FLOWS[port.kind]}.{port.name}"

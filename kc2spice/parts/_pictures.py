@@ -58,7 +58,7 @@ def own_impedances(name: str, model: LinearModel, modal: Resonators | None) -> I
         f = np.setdiff1d(np.concatenate((f, near)), poles[modal.damp == 0])
     f = f[(f >= low) & (f <= high)]
     answers = model.transfer(f)
-    for port in (p for p in model.ports if p.kind == "electrical"):
+    for port in (p for p in model.ports if p.electrical):
         charge = answers[:, model.outputs.index(port.name), model.inputs.index(port.name)]
         own = name if port.name == "anode" else f"{name}_{port.name}"
         how = "of the reduced model, nothing pressing on the body, other electrodes shorted"

@@ -32,6 +32,7 @@ from pydantic import Field, StringConstraints, model_validator
 
 from kc2spice.bodies import device as fe
 from kc2spice.core.cache import cached
+from kc2spice.core.domains import ELECTRICAL
 from kc2spice.core.errors import UsageError, candidates, part_named, wrong
 from kc2spice.core.figure import Curve, Figure, Panel, Written
 from kc2spice.core.quantities import Count, Length, Notch, Section, validated
@@ -245,7 +246,7 @@ class BodyKeys(FieldKeys):
     def every_port(self) -> tuple[Port, ...]:
         """All ports of the model, electrical ports first."""
         pairs = [(name, self.reference) for name in self.electrodes if name != self.reference]
-        electrical = (Port(pair[0], "electrical", pins=pair) for pair in pairs)
+        electrical = (Port(pair[0], ELECTRICAL.port, pins=pair) for pair in pairs)
         return (*electrical, *(port for item in self.ports for port in item.ports))
 
     @model_validator(mode="after")

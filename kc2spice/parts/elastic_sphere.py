@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 from pydantic import Field
 
 from kc2spice.core.cache import cached
+from kc2spice.core.domains import TRANSLATION
 from kc2spice.core.errors import UsageError
 from kc2spice.fem.body_keys import Damping, Mesh
 from kc2spice.parts._linear_body import LinearBody, LinearKeys
@@ -54,7 +55,7 @@ elastic = true
 """
 
     def ports(self, part: Part, scene: Scene) -> tuple[Port, ...]:
-        return (Port(PATCH, "mechanical"),)
+        return (Port(PATCH, TRANSLATION.port),)
 
     def problems(self, part: Part, scene: Scene) -> Iterator[UsageError]:
         yield from super().problems(part, scene)

@@ -12,6 +12,7 @@ from pydantic import Field
 
 from kc2spice.bodies.readers import locate_model, mesh_extent, read_model, source_files
 from kc2spice.bodies.readers.raw import TRANSLATIONS
+from kc2spice.core.domains import ACCELERATION, TRANSLATION
 from kc2spice.core.figure import Shape
 from kc2spice.core.progress import Clock
 from kc2spice.core.untrusted_files import file_in_folder
@@ -49,7 +50,7 @@ class Matrices(LinearBody):
         *_, said = locate_model(*self._source(part, scene))
         result = {}
         for entry in said.ports:
-            translation = entry.kind in ("mechanical", "acceleration")
+            translation = entry.kind in (TRANSLATION.port, ACCELERATION.port)
             if translation and entry.weights.keys() and entry.weights.keys() <= {*TRANSLATIONS}:
                 pin = entry.port.terminals[0]
                 result[pin] = tuple(entry.weights.get(axis, 0.0) for axis in TRANSLATIONS)

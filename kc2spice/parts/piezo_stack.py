@@ -13,6 +13,7 @@ from pydantic import Field, ValidationInfo, model_validator
 
 from kc2spice.bodies.stack_keys import PATCH, SECTORS, Chip
 from kc2spice.core.cache import cached
+from kc2spice.core.domains import ELECTRICAL, TRANSLATION
 from kc2spice.core.errors import UsageError
 from kc2spice.core.figure import Shape
 from kc2spice.core.quantities import Count, Section, Time, Voltage, si
@@ -155,8 +156,8 @@ class PiezoStack(MeshedBody):
         names = [f"ring{k}" for k in range(part.keys.mesh.rings + 1)]
         if pressure_nodes(part, scene) is not None:
             names = [PATCH]
-        own = (Port(name, "mechanical") for name in names)
-        return (*own, Port("anode", "electrical", pins=("anode", "cathode")))
+        own = (Port(name, TRANSLATION.port) for name in names)
+        return (*own, Port("anode", ELECTRICAL.port, pins=("anode", "cathode")))
 
     def kept(self, part: Part, scene: Scene) -> tuple[Port, ...]:
         """Rings up to the last that is needed, so that every scene's are nested."""

@@ -130,8 +130,7 @@ class LinearElement(DeclaredPart):
     @cached_property
     def _unit(self) -> Number:
         """Factor of an admittance in SI to one in amperes and volts of the pins."""
-        domain = self.branch.domain
-        value = domain.across.factor * domain.quantity("through").per_unit
+        value = self.branch.domain.admittance
         return ONE if value == 1 else Number(f"{value:g}")
 
     def _number(self, part: Part, tree: Tree) -> float:

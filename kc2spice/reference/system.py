@@ -17,6 +17,7 @@ import numpy as np
 import scipy.linalg as sla
 
 from kc2spice.core import laws as L
+from kc2spice.core.domains import ACCELERATION
 from kc2spice.core.errors import UsageError
 
 MICRO = 1e-6  # m, the displacement that errors are judged by
@@ -429,18 +430,18 @@ def _body(law: L.SecondOrderBody, into: _Assembly) -> None:
     motion, volts = np.zeros((C.shape[1], n)), {}
     motion[:, x] = np.eye(C.shape[1])
     for k, port in enumerate(law.ports):
-        if port.kind == "electrical":
+        if port.kind in L.CHARGED:
             volts[k] = into.gap(law, port.name, port.ret)
     shaken = {
         k: into.form(law, port.name)
         for k, port in enumerate(law.ports)
-        if port.kind == "acceleration"
+        if port.kind == ACCELERATION.name
     }
     for k, port in enumerate(law.ports):
-        if port.kind == "acceleration":
+        if port.kind == ACCELERATION.name:
             into.A[x] += np.outer(B[:, k], into.form(law, port.name))
             into.flows[f"{law.name}.{port.name}"] = (C[k] @ motion, np.zeros(n), 0.0)
-        elif port.kind == "electrical":
+        elif port.kind in L.CHARGED:
             into.A[x] += np.outer(B[:, k], volts[k])
             charge = C[k] @ motion + sum((D[k, j] * f for j, f in volts.items()), np.zeros(n))
             charge = charge + sum((D[k, j] * f for j, f in shaken.items()), np.zeros(n))
@@ -465,7 +466,7 @@ def _body(law: L.SecondOrderBody, into: _Assembly) -> None:
     moving = np.zeros((C.shape[1], n))
     moving[:, v] = np.eye(C.shape[1])
     for k, port in enumerate(law.ports):
-        if port.kind == "acceleration":  # brings in v' B a from outside
+        if port.kind == ACCELERATION.name:  # brings in v' B a from outside
             work = np.zeros((C.shape[1] + 1,) * 2)
             work[-1, :-1] = work[:-1, -1] = -0.5 * B[:, k]
             into.term("dissipated", np.vstack([moving, into.form(law, port.name)]), work)

@@ -132,7 +132,7 @@ def complex_constants(model: Resonators, losses: ComplexConstants) -> LinearMode
             expected='"rayleigh", or contact.inertia = "lumped"',
             hint='write model = "rayleigh" in the damping of this body',
         )
-    electrical = np.array([port.kind == "electrical" for port in model.ports])
+    electrical = np.array([port.electrical for port in model.ports])
     ports = np.flatnonzero(electrical)
     shares = model.gain[:, ports] / model.omega[:, None]
     motional, clamped = shares.T @ shares, model.D[np.ix_(ports, ports)]

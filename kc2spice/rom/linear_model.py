@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 import scipy
 
-from kc2spice.core.domains import PORTS, THERMAL, Domain
+from kc2spice.core.domains import ELECTRICAL, PORTS, THERMAL, Domain
 from kc2spice.core.errors import UsageError, unknown
 from kc2spice.core.extras import import_optional
 from kc2spice.rom.pencil import Matrix, Pencil, Schur, dense, largest, symmetric
@@ -39,6 +39,7 @@ class Port:
     * *mechanical*: force [N] on the body along the port's direction, displacement [m] along it;
     * *rotational*: moment [N m], angle [rad];
     * *thermal*: heat flow [W] into the body, temperature rise [K];
+    * *acoustic*: pressure [Pa] on the body, volume [m^3] by which the body gives way to it;
     * *acceleration*: acceleration [m/s^2] of the frame that the body is fixed to, and its
       conjugate (B = -M r, y = B' x [kg m]); coordinates are relative to the frame;
     * *input* and *output*: a signal in units of its own, in one direction. An input has no row of
@@ -77,6 +78,16 @@ class Port:
     def paired(self) -> bool:
         """Whether the port is a pair of pins without a common reference."""
         return self.domain is not None and not self.domain.reference
+
+    @property
+    def electrical(self) -> bool:
+        """Whether the port is an electrode, driven by a voltage."""
+        return self.domain is ELECTRICAL
+
+    @property
+    def charged(self) -> bool:
+        """Whether the port answers with what has flowed through its pin, such as a charge."""
+        return self.domain is not None and self.domain.charged
 
     @property
     def loaded(self) -> bool:
@@ -473,7 +484,7 @@ def with_potentials(
         lift = -K.inner.solve(k_pV)
         b = b + K_up @ lift
         C0 = C0 - k_pV.T @ lift
-    is_electrode = np.array([p.paired for p in ports])
+    is_electrode = np.array([p.electrical for p in ports])
     if is_electrode.sum() != electrodes or (~is_electrode).sum() != B.shape[1]:
         raise UsageError(
             "ports do not fit",

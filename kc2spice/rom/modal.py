@@ -38,7 +38,7 @@ from typing import Any
 import numpy as np
 import scipy
 
-from kc2spice.core.domains import PORTS
+from kc2spice.core.domains import ACCELERATION, PORTS
 from kc2spice.core.equality import EqualByContent
 from kc2spice.core.errors import UsageError
 from kc2spice.rom.error_estimate import ErrorEstimator, above_band
@@ -154,7 +154,7 @@ def mode_table(model: LinearModel) -> dict[str, Any] | None:
     omega, damp, share, rest = result
     end = np.inf if model.certificate is None else model.certificate.band_hz[1]
     order = np.argsort(omega)
-    electrical = np.array([port.paired for port in model.ports])
+    electrical = np.array([port.electrical for port in model.ports])
     above = rest + share[order].sum(axis=0) - np.cumsum(share[order], axis=0)
     modes = []
     for j, higher in zip(order[:LISTED], above, strict=False):
@@ -271,7 +271,7 @@ def _beyond(model: Resonators, top: float) -> int:
 def _without_inertia(model: Resonators, count: int) -> Resonators:
     """``model`` without the inertia of its ``count`` highest modes."""
     for port, own in zip(model.ports, np.diag(model.D), strict=True):
-        if port.paired and own <= 0:
+        if port.charged and own <= 0:
             raise UsageError(
                 "an electrode without capacitance of its own on a body with a massless contact",
                 where=port.name,
@@ -280,7 +280,7 @@ def _without_inertia(model: Resonators, count: int) -> Resonators:
     order = np.argsort(model.omega)
     low, high = order[:-count], order[-count:]
     omega, damp, gain = model.omega[high], model.damp[high], model.gain[high].copy()
-    gain[:, [port.kind == "acceleration" for port in model.ports]] = 0.0
+    gain[:, [port.domain is ACCELERATION for port in model.ports]] = 0.0
     pace = damp / omega**2
     if np.ptp(pace) <= EQUAL * pace.max():
         _, size, shapes = np.linalg.svd(gain / omega[:, None], full_matrices=False)
@@ -471,7 +471,7 @@ def lossy(model: Resonators, tangent: float) -> Resonators:
     UsageError : it has no electrodes, or a clamped capacitance too small for the loss.
     """
     known = model.certificate
-    electrical = [k for k, port in enumerate(model.ports) if port.kind == "electrical"]
+    electrical = [k for k, port in enumerate(model.ports) if port.electrical]
     if known is None or not electrical:
         raise UsageError("no dielectric to lose energy in", where="damping.loss_tangent")
     D = model.D[np.ix_(electrical, electrical)]

@@ -24,6 +24,7 @@ import numpy as np
 import scipy
 from scipy.optimize import least_squares
 
+from kc2spice.core.domains import ELECTRICAL
 from kc2spice.core.errors import UsageError
 from kc2spice.core.extras import import_optional
 from kc2spice.rom.linear_model import Certificate, LinearModel, Port
@@ -412,7 +413,7 @@ def _admittance(
         ]
     )
     ports = tuple(
-        Port(f"port{k + 1}", "electrical", pins=(f"port{k + 1}", "ref")) for k in range(m)
+        Port(f"port{k + 1}", ELECTRICAL.port, pins=(f"port{k + 1}", "ref")) for k in range(m)
     )
     return LinearModel(
         A=wide,

@@ -14,9 +14,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from kc2spice.core.domains import ELECTRICAL
 from kc2spice.rom.linear_model import Certificate, LinearModel, Port
 
-PORT = Port("anode", "electrical", pins=("anode", "cathode"))
+PORT = Port("anode", ELECTRICAL.port, pins=("anode", "cathode"))
 
 
 @dataclass(frozen=True)
@@ -71,7 +72,7 @@ class ParallelBranches:
 
 def parallel_branches(model: LinearModel) -> ParallelBranches | None:
     """The network whose matrices ``model`` has; None where it is another model."""
-    one_port = len(model.ports) == 1 and model.ports[0].kind == "electrical"
+    one_port = len(model.ports) == 1 and model.ports[0].electrical
     if model.first_order or not one_port or not (model.B == 1).all() or not (model.C == 1).all():
         return None
     K, E, M = model.pencil.dense().coefficients

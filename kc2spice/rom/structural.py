@@ -23,6 +23,7 @@ from functools import cached_property
 import numpy as np
 import scipy
 
+from kc2spice.core.domains import ACCELERATION
 from kc2spice.core.errors import SimulationError, UsageError
 from kc2spice.rom.constraints import reduced_form
 from kc2spice.rom.entries import Entries, share_of
@@ -306,7 +307,7 @@ def without_inertia(
 ) -> LinearModel:
     """A passive model of first order, if ``found`` has real poles only and more states."""
     known = found.certificate
-    if known is None or any(port.kind == "acceleration" for port in model.ports):
+    if known is None or any(port.domain is ACCELERATION for port in model.ports):
         return found
     poles = found.poles()
     if not poles.size or (np.abs(poles.imag) > REAL * np.abs(poles)).any():

@@ -94,7 +94,7 @@ class Varying(OverBox):
     @property
     def electrical(self) -> list[int]:
         """Columns of the electrical ports."""
-        return [k for k, port in enumerate(self.ports) if port.kind == "electrical"]
+        return [k for k, port in enumerate(self.ports) if port.electrical]
 
     def at(self, values: Values) -> LinearModel:
         """The model at values of all parameters.
@@ -449,7 +449,7 @@ class _Space:
             gain.append(
                 smooth(g, fine * np.minimum(np.abs(g).max(axis=(0, 1)) + SILENT * port, port))
             )
-        electrical = [k for k, item in enumerate(made.frame.ports) if item.kind == "electrical"]
+        electrical = [k for k, item in enumerate(made.frame.ports) if item.electrical]
         D = np.array([p.model.D[np.ix_(electrical, electrical)] for p in modes.points])
         F = np.linalg.cholesky(D) if electrical else D
         own = np.diagonal(F, axis1=1, axis2=2)

@@ -114,8 +114,8 @@ class EmittedResponse:
         for row, port in enumerate(self.rows):
             if port.domain is not None and port.loaded:
                 H[:, row] *= port.domain.across.factor
-            elif port.paired:
-                H[:, row] /= -s[:, None]
+            elif port.charged and port.domain is not None:
+                H[:, row] /= -s[:, None] / port.domain.quantity("through").factor
             elif shakes(port):
                 H[:, row] *= -1.0
         return H
@@ -139,7 +139,8 @@ def shakes(port: Port) -> bool:
 
 def _load(port: Port) -> dict[str, float]:
     node = port.terminals[0].lower()
-    return {node if port.loaded else f"i(held_{node})": 1.0}
+    unit = port.domain.quantity(port.domain.driven).per_unit if port.domain else 1.0
+    return {node if port.loaded else f"i(held_{node})": unit}
 
 
 def _answer(port: Port) -> str:

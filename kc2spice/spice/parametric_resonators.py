@@ -216,7 +216,7 @@ def _cards(
     """
     gain, omega, damp = rom.B, np.sqrt(np.diag(rom.K)), np.diag(rom.E)
     scale, farad = scales(gain, terminals), weights.farad(omega, omega.min())
-    order = [t for t in terminals if t.port.paired]
+    order = [t for t in terminals if t.port.charged]
 
     def seen(i: int, k: int, label: str) -> list[Transconductance]:
         """Output of state i at port k."""
@@ -225,7 +225,7 @@ def _cards(
         return [Transconductance(label, f"q{i}", base, f"{share}*g{i}_{k + 1}")] if there else []
 
     def wired(k: int, t: PortTerminal) -> PortTerminal:
-        if not t.port.paired:
+        if not t.port.charged:
             sums = (seen(i, k, f"{i}") for i in range(1, model.order + 1))
             return replace(t, sums=tuple(chain.from_iterable(sums)))
         n, micro = order.index(t), number(1 / MICRO)

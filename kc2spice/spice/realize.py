@@ -12,13 +12,12 @@ import numpy as np
 
 from kc2spice.core.domains import (
     ACCELERATION,
-    AMBIENT,
     BASE,
     ELECTRICAL,
     PORTS,
     ROTATION,
-    THERMAL,
     TRANSLATION,
+    Domain,
 )
 from kc2spice.core.errors import SimulationError, UsageError
 from kc2spice.core.prefix import PREFIXES, prefix_power
@@ -63,6 +62,7 @@ HEAT_NODES = r"h\d+"
 LOADED = tuple(kind for kind, domain in PORTS.items() if domain.driven == "through")
 FRAMES = tuple(kind for kind, domain in PORTS.items() if domain is ACCELERATION)
 PAIRS = tuple(kind for kind, domain in PORTS.items() if not domain.reference)
+CHARGED = tuple(kind for kind, domain in PORTS.items() if domain.charged)
 # Letter of the cards by which a port drives states: forces, voltages, accelerations.
 _DRIVES = {kind: "f" if kind in LOADED else "s" if kind in FRAMES else "v" for kind in PORTS}
 
@@ -93,20 +93,19 @@ _OUTWARDS = (
     "* Positive um are along a port's outward direction. A current into its pin is a force on the",
     "* body along that direction (rotations: right-hand rule of the port's axis).",
 )
-_RESONATORS = f"""{_OUTWARDS[0]}
-{_OUTWARDS[1]}
+_RESONATORS = """\
 * Each mode of the reduced model is two integrators, q (displacement) and p (q'/omega). Both are
-* scaled so that 1 V is the mode's largest displacement of a port in um:
+* scaled so that 1 V is the mode's largest {answer}:
 *
 *     q' = omega p                  p' = -omega q - damp p + drive (port forces and voltages)
 *
 * The comment of a mode states its frequency, its Q and the branch that it is, with damping=1, at
 * the port that it moves most: L, C and R in series across an electrical port, or the mass m [kg],
 * damper c [N s/m] and spring k [N/m] at a pin.
-* Modes are left out whose share in every port is less than {{silent:g}} of the largest.
-* Modes above {{full}} times the lowest frequency have capacitors of 1 uF. Slower modes have smaller
-* ones, by the power {{power}} of their frequency: the simulator's time steps follow them less.
-* The base is the mechanical and signal reference: connect it to node 0. Electrical pins float."""
+* Modes are left out whose share in every port is less than {silent:g} of the largest.
+* Modes above {full} times the lowest frequency have capacitors of 1 uF. Slower modes have smaller
+* ones, by the power {power} of their frequency: the simulator's time steps follow them less.
+* {reference}: connect it to node 0. Electrical pins float."""
 _STATES = """\
 * Linear state-space model: signal inputs draw no current, signal outputs are ideal sources, 1 V is
 * one unit of the pin. Coupled states z are the voltages of capacitors of {farad} F:
@@ -123,6 +122,16 @@ _CLAMPED = """
 * Cclamped has {share} of the capacitance, Gmore adds the rest of its current: time steps then
 * follow the motion of the body, not its current. The voltage of node current is that current.
 * Gleak gives a floating electrode an operating point: its charge decays within {seconds:g} s."""
+_FILLED = """
+* Port {pin}: 1 V is 1 {across} over {base}, 1 A is 1 {flow} into the body. What it takes up at once
+* is the charge of {farad:.6g} F, in series with the voltage -charge/capacitance of the charge that
+* the modes take up (1 V on charge = 1 uC, thus 1e-6 {flow} s).
+* Cclamped has {share} of the capacitance, Gmore adds the rest of its current, which is the
+* voltage of node current. Gleak gives the pin an operating point: the charge decays
+* within {seconds:g} s."""
+_UNFILLED = """
+* Port {pin}: 1 V is 1 {across} over {base}, 1 A is 1 {flow} into the body. Its current is the rate
+* of what the states take up. Gleak gives the pin an operating point."""
 _UNCLAMPED = """
 * Electrical port {name} has no capacitance of its own: its current is the rate of the charge
 * that the states move.
@@ -205,19 +214,33 @@ class PortTerminal:
     @property
     def unit(self) -> float:
         """SI value of 1 V on the node that sums its output."""
-        if self.port.domain is None:
+        domain = self.port.domain
+        if domain is None:
             return 1.0
-        return self.port.domain.across.factor if self.kind in LOADED else MICRO
+        if self.kind in LOADED:
+            return domain.across.factor
+        return MICRO * domain.quantity("through").factor
+
+    @property
+    def input_unit(self) -> float:
+        """SI value of 1 V between the nodes of its input."""
+        domain = self.port.domain
+        return 1.0 if domain is None else domain.quantity(domain.driven).factor
+
+    def ends(self, base: str) -> tuple[str, str]:
+        """The pins between which it is driven."""
+        return (self.pins[0], self.pins[1]) if self.port.paired else (self.pins[0], base)
 
     def control(self, base: str) -> tuple[str, str]:
-        """The nodes between which the port's input in SI is a voltage."""
-        if self.port.paired:
-            return self.pins[0], self.pins[1]
-        return (f"f{self.pins[0]}" if self.kind in LOADED else self.pins[0]), base
+        """The nodes between which the port's input is a voltage."""
+        return (f"f{self.pins[0]}", base) if self.kind in LOADED else self.ends(base)
 
     def driven(self, label: str, row: np.ndarray | Sequence[Value], base: str) -> Transconductance:
         """The card of its input, whose weight stands in a ``row`` of inputs."""
-        return Transconductance(label, *self.control(base), row[self.column or 0])
+        value = row[self.column or 0]
+        if self.input_unit != 1.0 and value:
+            value = times(self.input_unit, value)
+        return Transconductance(label, *self.control(base), value)
 
 
 @dataclass(frozen=True, eq=False)
@@ -461,7 +484,7 @@ def _modal(rom: LinearModel) -> Resonators | None:
     if result is None or not all(port.conservative for port in rom.ports):
         return None
     rates = [
-        port.kind in FRAMES or (port.paired and own <= 0)
+        port.kind in FRAMES or (port.charged and own <= 0)
         for port, own in zip(rom.ports, np.diag(rom.D), strict=True)
     ]
     relaxing = np.abs(result.gain[result.inertia == 0.0][:, rates])
@@ -472,12 +495,11 @@ def _modal(rom: LinearModel) -> Resonators | None:
 
 
 def model_terminals(rom: LinearModel, D: np.ndarray, where: str) -> list[PortTerminal]:
-    several = sum(port.paired for port in rom.ports) > 1
+    several = sum(port.charged for port in rom.ports) > 1
     result, column, row = [], 0, 0
     for port in rom.ports:
         pins = tuple(checked_name(pin) for pin in port.terminals)
-        electrical = port.paired
-        if len(pins) != (2 if electrical else 1):
+        if len(pins) != (2 if port.paired else 1):
             raise UsageError(
                 "wrong number of pins",
                 where=where,
@@ -488,25 +510,31 @@ def model_terminals(rom: LinearModel, D: np.ndarray, where: str) -> list[PortTer
         out = None if port.kind == "input" else row
         column += into is not None
         row += out is not None
-        clamped = float(D[out, into]) if electrical else 0.0
+        clamped = _capacitance(port.domain, D[out, into]) if port.charged else 0.0
         if clamped < 0:
             raise UsageError("negative capacitance", where=where, got=port.name)
-        tag = f"_{checked_name(port.name)}" if electrical and several else ""
-        leak = OPEN_INPUT if clamped or not electrical else _leak(rom, port.name)
+        tag = f"_{checked_name(port.name)}" if port.charged and several else ""
+        leak = OPEN_INPUT if clamped or not port.charged else _leak(rom, port)
         result.append(PortTerminal(port, pins, tag, into, out, clamped, leak=leak))
     return result
 
 
-def _leak(rom: LinearModel, port: str) -> float:
+def _capacitance(domain: Domain | None, stored: Any) -> float:
+    """Farads between pins of a domain that store in SI what is ``stored`` for each unit across."""
+    assert domain is not None
+    return float(stored) * domain.admittance
+
+
+def _leak(rom: LinearModel, port: Port) -> float:
     """Conductance [S] across an electrode without capacitance of its own: ``LEAK_RATE`` times the
     least charge per volt that the electrode has anywhere in the band."""
     low, high = span(rom)
     frequency = np.geomspace(max(low, LOWEST * high), high, LEAK_POINTS)
     try:
-        charge = np.abs(rom.select([port]).transfer(frequency))
+        charge = np.abs(rom.select([port.name]).transfer(frequency))
     except SimulationError:  # a frequency is a pole
         return OPEN_INPUT
-    return LEAK_RATE * float(charge.min()) or OPEN_INPUT
+    return LEAK_RATE * _capacitance(port.domain, charge.min()) or OPEN_INPUT
 
 
 def span(rom: LinearModel) -> tuple[float, float]:
@@ -532,7 +560,7 @@ def subcircuit_pins(terminals: Sequence[PortTerminal], name: str) -> tuple[tuple
 
     # electrical ports against one cathode share its pin
     electrical, signals = list(dict.fromkeys(of(*PAIRS))), of("input", "output")
-    moving = of(*LOADED, *FRAMES)
+    moving = of(*(kind for kind in PORTS if kind not in PAIRS))
     common = reference_pin([t.port for t in terminals])
     pins = (*electrical, *moving, *signals, common)
     moved = (t.pins[0].lower() for t in terminals if t.kind in LOADED)
@@ -548,10 +576,14 @@ def reference(ports: Sequence[Port]) -> str:
 
 
 def reference_pin(ports: Sequence[Port]) -> Pin:
-    """The last pin: what displacements and signals count from, and signals alone."""
+    """The last pin: what the values of pins that are no pairs count from, signals among them.
+
+    Displacements count from the base, and all others with them.
+    """
     domains = {port.domain for port in ports if port.domain is not None}
-    if domains == {THERMAL}:
-        return Pin(AMBIENT, *THERMAL.units)
+    others = {domain for domain in domains if domain.reference}
+    if len(others) == 1 and (domain := others.pop()).reference != BASE:
+        return Pin(domain.reference, *domain.units)
     if domains:
         return Pin(reference(ports), *TRANSLATION.units)
     return Pin("ref", *ELECTRICAL.units)
@@ -584,7 +616,7 @@ def _wired(
         if t.row is None:
             return t
         row, direct = states.C[t.row], D[t.row] / t.unit
-        rate = t.unit * row @ states.A
+        rate = MICRO * row @ states.A
         if t.kind in FRAMES:
             jump = np.abs(row @ states.B) > JUMP * (np.abs(row) @ np.abs(states.B))
             at_once = np.abs(D[t.row] - rom.D[t.row]) > CROSS * np.abs(D).max()
@@ -601,7 +633,7 @@ def _wired(
             mass = rom.facts.get("mass_kg")
             force[t.column] = 0.0 if mass is None else mass + force[t.column]
             return replace(t, sums=states.cards(-(rate @ states.A), base), through=through(force))
-        if t.port.paired:  # the clamped capacitance is a capacitor
+        if t.port.charged:  # the clamped capacitance is a capacitor
             direct = np.where(np.abs(direct) > CROSS * np.abs(direct).max(), direct, 0.0)
             direct[t.column] = 0.0
             if direct.any() and not t.clamped:
@@ -611,7 +643,7 @@ def _wired(
                     expected="a positive semi-definite D",
                 )
             if not t.clamped:
-                jumps = through(t.unit * row @ states.B)
+                jumps = through(MICRO * row @ states.B)
                 jumps = tuple(replace(card, label=f"t{card.label}") for card in jumps)
                 return replace(t, sums=states.cards(rate, base) + jumps)
         return replace(t, sums=states.cards(row, base), through=through(direct))
@@ -621,7 +653,7 @@ def _wired(
 
 def conservative(terminals: Sequence[PortTerminal], base: str, share: float) -> list[Line]:
     """Cards of the ports: electrical ones, motions, accelerations of the frame."""
-    order = (PAIRS, LOADED, FRAMES)
+    order = (CHARGED, LOADED, FRAMES)
     ports = [t for kinds in order for t in terminals if t.kind in kinds]
     return [line for t in ports for line in _port(t, base, share)]
 
@@ -641,8 +673,8 @@ def _port(t: PortTerminal, base: str, share: float) -> Iterator[Line]:
     elif t.clamped:
         words = {"name": f" {t.label}" if tag else "", "farad": t.clamped, "share": share}
         words["seconds"] = 1 / LEAK_RATE
-        yield _CLAMPED.format(**words)
-        (a, b), c = t.pins, t.capacitance or t.clamped
+        yield (_CLAMPED if t.port.paired else _FILLED).format(**words, **_units(t, base))
+        (a, b), c = t.ends(base), t.capacitance or t.clamped
         inverse = f"{number(MICRO)}/{c}" if isinstance(c, str) else MICRO / c
         yield Element.of(f"Cclamped{tag}", a, f"inner{tag}", written(times(share, c)))
         yield Element.of(f"Gmore{tag}", a, b, f"current{tag}", base, 1 - share)
@@ -654,11 +686,16 @@ def _port(t: PortTerminal, base: str, share: float) -> Iterator[Line]:
         yield Element.of(f"Rcharge{tag}", f"charge{tag}", base, "1")
         yield from (card.onto(base, f"charge{tag}", f"Gc{tag}_") for card in t.sums + t.through)
     else:
-        a, b = t.pins
-        yield _UNCLAMPED.format(name=t.label)
+        a, b = t.ends(base)
+        yield (_UNCLAMPED if t.port.paired else _UNFILLED).format(name=t.label, **_units(t, base))
         yield Element.of(f"Gleak{tag}", a, b, a, b, t.leak)
         for card in t.sums:
             yield replace(card, label=f"{card.label}{tag}").onto(a, b, "Gc")
+
+
+def _units(t: PortTerminal, base: str) -> dict[str, str]:
+    """Words about a port's pin for a comment."""
+    return {"pin": t.pins[0], "base": base, "across": t.port.across, "flow": t.port.flow}
 
 
 # -------------------------------------------------------------------------------- resonators
@@ -707,7 +744,7 @@ def _resonators(
     siemens = np.where(heavy, farad * omega, SIEMENS)
     force = siemens * scale[:, 0] / (omega**2 * MICRO)
     drive = force[:, None] * gain
-    about = _RESONATORS.format(full=weights.full, power=weights.power, silent=SILENT).split("\n")
+    about = _about_resonators(terminals, base, weights)
     wired = _wired(terminals, states, rom.D, rom, base)
     stored = [replace(t, sums=()) if t.clamped else t for t in wired]
     body = conservative(stored, base, weights.share)
@@ -725,14 +762,34 @@ def _resonators(
             body.append(Element.of(f"Rnoise{j + 1}", f"noise{j + 1}", base, loss))
             body.append(Element.of(f"Gn{j + 1}", base, node, f"noise{j + 1}", base, force[j]))
         body += [
-            Transconductance(f"Gc{j + 1}{t.tag}", f"q{j + 1}", base, gain[j, k] / scale[j, 0]).onto(
-                base,
-                f"charge{t.tag}",  # uC per um
-            )
+            Transconductance(
+                f"Gc{j + 1}{t.tag}", f"q{j + 1}", base, gain[j, k] / scale[j, 0] * MICRO / t.unit
+            ).onto(base, f"charge{t.tag}")  # uC per um
             for k, t in enumerate(terminals)
             if t.clamped
         ]
     return about, body
+
+
+def _about_resonators(
+    terminals: Sequence[PortTerminal], base: str, weights: StepWeights
+) -> list[str]:
+    """Comments about the form of the circuit and its reference pin."""
+    words: dict[str, Any] = {"full": weights.full, "power": weights.power, "silent": SILENT}
+    words["answer"] = "displacement of a port in um"
+    words["reference"] = "The base is the mechanical and signal reference"
+    lines = list(_OUTWARDS)
+    if _unplaced(terminals):
+        units = dict.fromkeys(t.port.domain.answer_unit for t in terminals if t.port.domain)
+        words["answer"] = f"answer of a port in 1e-6 {' or '.join(units)}"
+        words["reference"], lines = f"Values of pins count from {base}", []
+    return [*lines, *_RESONATORS.format(**words).split("\n")]
+
+
+def _unplaced(terminals: Sequence[PortTerminal]) -> bool:
+    """Whether values at pins count from another reference than that of displacements."""
+    references = {t.port.domain.reference for t in terminals if t.port.domain} - {""}
+    return bool(references) and BASE not in references
 
 
 def _mode(j: int, omega: float, damp: float, farad: float, base: str) -> Iterator[Line]:
@@ -908,7 +965,7 @@ def _blocks(
                 if t.column is not None and states.B[k, t.column]
             ]
     about = _STATES.format(farad=number(farad), base=base).split("\n")
-    return ([*_OUTWARDS, *about] if ports else about), body
+    return ([*_OUTWARDS, *about] if ports and not _unplaced(terminals) else about), body
 
 
 def _with_forces(rom: LinearModel) -> LinearModel:
@@ -971,23 +1028,26 @@ def loaded(
     answers the vector that does and its factor to SI.
 
     The other electrodes are shorted, mechanical ports are free, frames stand still, other inputs
-    are zero, as in :meth:`LinearModel.transfer`; an electrode answers with its current, a frame
-    with its force. ``tag`` is what the copy's names have behind them.
+    are zero, as in :meth:`LinearModel.transfer`; an electrode answers with its current, another
+    driven pin with its flow, a frame with its force. ``tag`` is what the copy's names have behind
+    them.
     """
     ends = {port.terminals[0].lower() for port in model.ports}
     names = [pin.name if pin.name.lower() in ends else "" for pin in library.pins]
     nodes = {name.lower(): f"{name}{tag}" for name in names if name}
     joined = [f"{name}{tag}" if name else "0" for name in names]
     cards, result = [Element.of(f"X{library.name}{tag}", *joined, library.name)], {}
+    one = 1.0 if load.domain is None else load.domain.quantity(load.domain.driven).factor
     for port in model.ports:
         node, size = nodes[port.terminals[0].lower()], ("AC", "1") if port == load else ()
         if port.domain is not None and port.kind in LOADED:
             cards += [Element.of(f"I{node}", "0", node, "DC", "0", *size)] if size else []
-            result[port.name] = (f"v({node})", port.domain.across.factor)
+            result[port.name] = (f"v({node})", port.domain.across.factor / one)
         elif port.kind == "output":
-            result[port.name] = (f"v({node})", 1.0)
+            result[port.name] = (f"v({node})", 1.0 / one)
         else:
             cards.append(Element.of(f"V{node}", node, "0", "DC", "0", *size))
-            if port.kind != "input":
-                result[port.name] = (f"i(v{node.lower()})", -1.0)
+            if port.domain is not None:
+                flow = port.domain.quantity("through").factor
+                result[port.name] = (f"i(v{node.lower()})", -flow / one)
     return cards, result

@@ -298,7 +298,7 @@ class _Body:
             model = part.type.varied(part, loaded, Clock(), like)
         else:
             model = part.type.full(part, loaded, Clock())
-        electrical = [port.name for port in model.ports if port.kind == "electrical"]
+        electrical = [port.name for port in model.ports if port.electrical]
         if not electrical:
             raise UsageError(
                 "this part has no electrodes, thus no impedance",

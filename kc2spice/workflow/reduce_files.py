@@ -160,7 +160,7 @@ def _require_names(model: LinearModel, name: str) -> None:
     ------
     UsageError : a port has the name of a node inside of the subcircuit, or of another pin.
     """
-    own = {port.name for port in model.ports if port.paired}
+    own = {port.name for port in model.ports if port.charged}
     D = [[float(out == into and out in own) for into in model.inputs] for out in model.outputs]
     one, B = np.eye(1), np.ones((1, len(model.inputs)))
     C = np.ones((len(model.outputs), 1))

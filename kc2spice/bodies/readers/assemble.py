@@ -12,6 +12,7 @@ from scipy import sparse
 from kc2spice.bodies.readers.mesh import read_nodes
 from kc2spice.bodies.readers.raw import DOFS, MAX_WIDE, ROTATIONS, TRANSLATIONS, VOLT, Dofs, Raw
 from kc2spice.bodies.readers.sidecar import FORCES, LENGTHS, NodeSelection, PortEntry, Sidecar
+from kc2spice.core.domains import ACCELERATION, ELECTRICAL
 from kc2spice.core.errors import UsageError, wrong
 from kc2spice.rom.io import mirrored
 from kc2spice.rom.linear_model import LinearModel, Port, half_stored, with_potentials
@@ -29,7 +30,7 @@ def assemble_model(rows: Rows) -> LinearModel:
     rows = replace(rows, matrices=_match_letters(rows))
     rows = replace(rows, matrices=_complete(rows))
     rows = replace(rows, matrices=rows.in_si())
-    if any(entry.kind == "electrical" and entry.placed for entry in rows.sidecar.ports):
+    if any(entry.kind == ELECTRICAL.port and entry.placed for entry in rows.sidecar.ports):
         return _with_electrodes(rows)
     return _plain(rows)
 
@@ -210,7 +211,7 @@ class Rows:
         if entry.column is not None or entry.row is not None:
             return self._listed(entry)
         where, load = self.sidecar.of(entry), np.zeros(self.size)
-        if entry.kind == "acceleration":  # acceleration of the frame: -M r
+        if entry.kind == ACCELERATION.port:  # acceleration of the frame: -M r
             if "M" not in self.matrices:
                 problem = "a port of kind acceleration needs a mass matrix"
                 raise wrong(where, problem, None, "matrix M", "add the matrix M")
@@ -345,7 +346,7 @@ def _with_electrodes(rows: Rows) -> LinearModel:
         raise wrong(settings.where, problem, None, "matrix E or damping", hint)
     potential = rows.dofs(rows.where).kind == VOLT
     occupied = rows.fixed()
-    electrodes = [entry for entry in settings.ports if entry.kind == "electrical"]
+    electrodes = [entry for entry in settings.ports if entry.kind == ELECTRICAL.port]
     T = np.zeros((rows.size, len(electrodes)))
     for column, entry in zip(T.T, electrodes, strict=True):
         (place,) = rows.find(entry, (VOLT,))
@@ -362,7 +363,7 @@ def _with_electrodes(rows: Rows) -> LinearModel:
         expected = "K = [[K_uu, K_up], [K_up', -K_pp]] with K_pp positive definite"
         got = "mass on a potential, or a positive dielectric block"
         raise wrong(rows.where, "potentials are not as expected", got, expected)
-    loads = [rows.load(entry)[u] for entry in settings.ports if entry.kind != "electrical"]
+    loads = [rows.load(entry)[u] for entry in settings.ports if entry.kind != ELECTRICAL.port]
     damping = {"rayleigh": settings.damping.rayleigh} if E is None else {"E": _restrict(E, u)}
     return with_potentials(
         M=_restrict(M, u),

@@ -23,7 +23,8 @@
 
     [[ports]]
     name = "tip"
-    kind = "mechanical"           # or electrical, rotational, acceleration, thermal, input, output
+    kind = "mechanical"           # or electrical, rotational, acceleration, thermal, acoustic,
+                                  # input, output
     node = 12                     # or nodes = [...], nodeset = "TIP", at = [x, y, z] (unit length)
     within = 0.1                  # how far from 'at' the node may be (unit length)
     dof = "uz"                    # ux uy uz rx ry rz volt temp, or 1 to 6
@@ -39,7 +40,9 @@
 
 A mechanical port at several nodes is their mean displacement; its force is spread evenly over
 them. A port of kind ``acceleration`` moves the frame that the fixed freedoms stand on: it needs
-only ``axis``. An ``electrical`` port at nodes ties their ``volt`` freedoms to one electrode. Ports
+only ``axis``. A port of kind ``acoustic`` has a ``column``: the force on each unknown for 1 Pa at
+the port, whose product with the unknowns is the volume by which the body gives way. An
+``electrical`` port at nodes ties their ``volt`` freedoms to one electrode. Ports
 with ``column`` of a conservative kind take the same row of C; without ``[[ports]]`` the columns of
 B and rows of C are signals ``u1`` ..., ``y1`` ....
 """
@@ -64,7 +67,14 @@ from pydantic import (
 )
 
 from kc2spice.bodies.readers.raw import CODES, DOFS, ROTATIONS, TRANSLATIONS, call_reader, existing
-from kc2spice.core.domains import PORTS
+from kc2spice.core.domains import (
+    ACCELERATION,
+    ELECTRICAL,
+    PORTS,
+    ROTATION,
+    THERMAL,
+    TRANSLATION,
+)
 from kc2spice.core.errors import candidates, did_you_mean
 from kc2spice.core.quantities import Count, Section, refused, validated
 from kc2spice.core.toml_errors import parse_toml_file
@@ -73,7 +83,9 @@ from kc2spice.rom.linear_model import PORT_KINDS, Port
 
 LENGTHS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "in": 0.0254, "ft": 0.3048}
 FORCES = {"N": 1.0, "mN": 1e-3, "uN": 1e-6, "kN": 1e3, "lbf": 4.4482216152605}
-SCALARS = {"electrical": "volt", "thermal": "temp"}  # degrees of freedom without a direction
+SCALARS = {ELECTRICAL.port: "volt", THERMAL.port: "temp"}  # degrees of freedom without a direction
+DIRECTED = (TRANSLATION.port, ROTATION.port)  # kinds that act on nodes along an axis
+LISTED = tuple(PORTS.keys() - {*SCALARS, *DIRECTED, ACCELERATION.port})  # columns of B alone
 _AXES = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
 
 
@@ -216,7 +228,10 @@ class PortEntry(NodeSelection):
             if self.placed or directed:
                 expected = "column or row alone, or nodes with dof or axis"
                 raise refused("a column or row beside nodes", expected, hint="delete one of them")
-        elif self.kind == "acceleration":
+        elif self.kind in LISTED:
+            problem = f"a port of kind {self.kind} has a column of B and nothing else"
+            raise refused(problem, "column", hint="write  column = 1  and neither node nor axis")
+        elif self.kind == ACCELERATION.port:
             if self.axis is None or self.placed or self.dof is not None:
                 problem = "a port of kind acceleration has an axis and nothing else"
                 raise refused(problem, "axis", hint='write  axis = "z"  and neither node nor dof')
@@ -234,9 +249,7 @@ class PortEntry(NodeSelection):
             problem = "this port has both dof and axis" if both else "this port has no direction"
             hint = "delete dof or axis" if both else 'add  axis = "z"'
             raise refused(problem, "either dof or axis", hint=hint)
-        elif self.kind in ("mechanical", "rotational") and not self.weights.keys() <= {
-            *self._group
-        }:
+        elif self.kind in DIRECTED and not self.weights.keys() <= {*self._group}:
             expected = ", ".join(DOFS[k] for k in self._group)
             raise refused(
                 f"{DOFS[self.dof or 0]} is no degree of freedom of a {self.kind} port", expected
@@ -245,7 +258,7 @@ class PortEntry(NodeSelection):
 
     @property
     def _group(self) -> tuple[int, ...]:
-        return ROTATIONS if self.kind == "rotational" else TRANSLATIONS
+        return ROTATIONS if self.kind == ROTATION.port else TRANSLATIONS
 
     @property
     def weights(self) -> dict[int, float]:

@@ -192,7 +192,7 @@ def netlist_response(
     s = 2j * np.pi * frequency[:, None]
     for port in rom.ports:
         row = rom.outputs.index(port.name) if port.kind != "input" else -1
-        if port.paired:
+        if port.charged:
             H[:, row] /= s
         elif shakes(port):  # its pin draws the force m a - s^2 y
             mass = reaction_mass(rom, port) * (np.array(rom.inputs) == port.name)
