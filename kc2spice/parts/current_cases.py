@@ -9,6 +9,7 @@ import numpy as np
 from pydantic import Field
 
 from kc2spice.core import laws
+from kc2spice.core.domains import DISPLACEMENT, TRANSLATION
 from kc2spice.core.quantities import Current, Section
 from kc2spice.core.waveforms import Waveforms, constant
 from kc2spice.netlist.circuit import Element, Item
@@ -17,7 +18,7 @@ from kc2spice.netlist.spelling import number
 from kc2spice.parts.sphere import sphere_of
 from kc2spice.physics import coils
 from kc2spice.scene.checks import PAIRS, Check, Gate, Metric
-from kc2spice.scene.model import Build, Part, PartType, Scene, Terminal
+from kc2spice.scene.model import GROUND, Build, Part, PartType, Scene, Terminal
 from kc2spice.scene.parttype import register
 from kc2spice.scene.rows import Governed, Swept, Vector
 
@@ -46,7 +47,8 @@ class CurrentCases(PartType):
         return {"analysis": sweep}
 
     def pins(self, part: Part, scene: Scene) -> tuple[Terminal, ...]:
-        return Terminal("y", "um", "-", signal_out=True), Terminal("v", "m/s", "N", "gnd")
+        height = Terminal.signal("y", DISPLACEMENT, signal_out=True)
+        return height, Terminal.speed("v", TRANSLATION, GROUND)
 
     def governs(self, part: Part, scene: Scene) -> Mapping[str, Governed]:
         return {_sphere(part, scene): "moved", _coils(part, scene).name: "copied"}
@@ -74,7 +76,7 @@ class CurrentCases(PartType):
     def settable(self, part: Part, build: Build) -> Mapping[str, Swept]:
         keys = _coils(part, build.scene).keys
         heights = keys.y_min + keys.shift, keys.y_max + keys.shift
-        return {"height": Swept(build.own(part, "Vheight"), 1e6, heights)}
+        return {"height": Swept(build.own(part, "Vheight"), DISPLACEMENT.per_unit, heights)}
 
     def vectors(self, part: Part, build: Build) -> Mapping[str, Vector]:
         result = {f"{_sphere(part, build.scene)}.y": build.across(part, "y")}

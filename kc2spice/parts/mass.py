@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from pydantic import Field
 
+from kc2spice.core.domains import DISPLACEMENT
 from kc2spice.core.errors import UsageError
 from kc2spice.core.quantities import Length, Mass, Section, Velocity
 from kc2spice.core.waveforms import Waveforms
@@ -118,7 +119,7 @@ class PointMass(Touching, DeclaredPart):
         if state is None:
             return {}
         inner = f"x{part.name.lower()}"
-        return {f"{inner}.place_x": 1e6 * state[0], f"{inner}.speed_x": state[1]}
+        return {f"{inner}.place_x": DISPLACEMENT.per_unit * state[0], f"{inner}.speed_x": state[1]}
 
     def surface(self, part: Part, scene: Scene, ports: tuple[str, ...] = ()) -> Surface:
         return Surface(part.name, ("a",), (0.0,))

@@ -10,6 +10,7 @@ import numpy as np
 from pydantic import Field
 
 from kc2spice.core import laws
+from kc2spice.core.domains import DISPLACEMENT
 from kc2spice.core.errors import UsageError
 from kc2spice.core.quantities import Current, Length, Section, Time, si
 from kc2spice.core.waveforms import Waveforms
@@ -93,7 +94,7 @@ def _terminals(output: bool) -> tuple[Terminal, ...]:
     """Pins with an output stage of its own, or with the command to a driver."""
     ends = ("drive", "sense") if output else ("command",)
     return (
-        Terminal("y", "um", "-", required=True),
+        Terminal.signal("y", DISPLACEMENT, required=True),
         Terminal("enable", "V", "-"),
         *(Terminal(end, "V", "A") for end in ends),
         Terminal("ref", "V", "A", "gnd"),
@@ -282,7 +283,7 @@ class Pid(PartType):
         values = declared.values(keys) | {"setpoint": keys.setpoint - height}
         own = DeclaredLaw(n, declared, tuple(values.values()))
         pins = tuple((pin.name, f"{n}.{pin.name}") for pin in own.pins)
-        error = laws.reading(f"{n}.y", -1e-6, keys.setpoint - height)
+        error = laws.reading(f"{n}.y", -DISPLACEMENT.factor, keys.setpoint - height)
         return laws.Equations((own,), pins, {f"{n}.error": error})
 
     def metrics(self, part: Part, build: Build, waves: Waveforms) -> Mapping[str, Any]:

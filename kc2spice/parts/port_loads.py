@@ -11,6 +11,7 @@ import numpy as np
 from pydantic import Field
 
 from kc2spice.core import laws
+from kc2spice.core.domains import BASE, DISPLACEMENT
 from kc2spice.core.errors import UsageError
 from kc2spice.core.figure import Curve, Figure, Panel
 from kc2spice.core.quantities import Count, Frequency, Notch, Section
@@ -108,7 +109,9 @@ class PortLoads(PartType):
         for load in (*rings, "anode"):
             for ring in rings:
                 node = build.own(part, ring, load).lower()
-                result[f"{load}>{ring}"] = Vector(f"v({node})", 1e-6, "m")
+                result[f"{load}>{ring}"] = Vector(
+                    f"v({node})", DISPLACEMENT.factor, DISPLACEMENT.unit
+                )
             result[f"{load}>anode"] = Vector(
                 f"v({build.own(part, meter, load).lower()})", 1.0, unit
             )
@@ -202,7 +205,7 @@ def body_of(part: Part, scene: Scene) -> Part:
 
 def _rings(body: Part, scene: Scene) -> tuple[str, ...]:
     pins = scene.pins(body.name)
-    return tuple(pin.name for pin in pins if pin.unit == "um" and pin.name != "base")
+    return tuple(pin.name for pin in pins if pin.unit == DISPLACEMENT.pin_unit and pin.name != BASE)
 
 
 register(PortLoads())

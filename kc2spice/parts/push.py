@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from dataclasses import replace
 from typing import Any
 
 from pydantic import Field
 
 from kc2spice.core import laws
+from kc2spice.core.domains import DISPLACEMENT, TRANSLATION
 from kc2spice.core.errors import UsageError
 from kc2spice.core.quantities import Count, Length, Section
 from kc2spice.core.waveforms import Waveforms, constant
@@ -15,7 +17,7 @@ from kc2spice.netlist.circuit import Element, Item
 from kc2spice.parts._touching import Pair, Penetration, Touching, pair_of
 from kc2spice.parts.sphere import sphere_of
 from kc2spice.scene.checks import Gate, Measure, Metric
-from kc2spice.scene.model import Build, Part, Scene, Terminal
+from kc2spice.scene.model import GROUND, Build, Part, Scene, Terminal
 from kc2spice.scene.parttype import register
 from kc2spice.scene.rows import Governed, Numerics, Swept, Vector
 
@@ -39,7 +41,8 @@ class Push(Touching):
         return {"analysis": {"type": "dc", "sweep": f"{part.name}.depth", "points": points}}
 
     def pins(self, part: Part, scene: Scene) -> tuple[Terminal, ...]:
-        return Terminal("bottom", "um", "-", signal_out=True), Terminal("v", "m/s", "N", "gnd")
+        bottom = Terminal.signal("bottom", DISPLACEMENT, signal_out=True)
+        return bottom, Terminal.speed("v", TRANSLATION, GROUND)
 
     def governs(self, part: Part, scene: Scene) -> Mapping[str, Governed]:
         return {sphere_of(part, scene).name: "moved"}
@@ -56,13 +59,14 @@ class Push(Touching):
         return (Element.of(f"V{part.name}", build.net(part, "bottom"), "0", "0"),)
 
     def settable(self, part: Part, build: Build) -> Mapping[str, Swept]:
-        return {"depth": Swept(f"V{part.name}", -1e6, (0.0, part.keys.depth))}
+        return {"depth": Swept(f"V{part.name}", -DISPLACEMENT.per_unit, (0.0, part.keys.depth))}
 
     def penetrations(self, part: Part, scene: Scene) -> Iterator[Penetration]:
         yield Penetration(part.keys.depth, f"{part.name}.depth")
 
     def vectors(self, part: Part, build: Build) -> Mapping[str, Vector]:
-        return {f"{part.name}.depth": Vector(f"v({build.net(part, 'bottom')})", -1e-6, "m")}
+        bottom = build.across(part, "bottom")
+        return {f"{part.name}.depth": replace(bottom, factor=-bottom.factor)}
 
     def numerics(self, part: Part, scene: Scene) -> Iterator[Numerics]:
         last = "1e-09", "the law is piecewise linear, so the last iteration is exact"

@@ -18,6 +18,7 @@ from pydantic import Field
 
 from kc2spice.core import laws
 from kc2spice.core.cache import cached
+from kc2spice.core.domains import BASE, DISPLACEMENT, TRANSLATION
 from kc2spice.core.errors import UsageError
 from kc2spice.core.figure import Curve, Figure, Panel, Shape, Written
 from kc2spice.core.magnets import FORCE, POWERS, EMTable, cubic_spline
@@ -34,7 +35,7 @@ from kc2spice.parts.netlist import driver
 from kc2spice.parts.sphere import offset, sphere_of
 from kc2spice.physics import coils
 from kc2spice.scene.checks import Check, Metric
-from kc2spice.scene.model import Build, Part, Scene, Terminal
+from kc2spice.scene.model import GROUND, Build, Part, Scene, Terminal
 from kc2spice.scene.parttype import mover, register
 from kc2spice.scene.plausible import within
 from kc2spice.scene.rows import Neglected, Vector
@@ -76,7 +77,11 @@ SERIES = {
 }
 UNITS = ("N", "N/A and V s/m", "N/A and V s/m", "N/A^2", "N/A^2", "N/A^2")
 
-PLACE = Terminal("y", "um", "-"), Terminal("v", "m/s", "N"), Terminal("base", "um", "N", "gnd")
+PLACE = (
+    Terminal.signal("y", DISPLACEMENT),
+    Terminal.speed("v", TRANSLATION),
+    Terminal.of(BASE, TRANSLATION, GROUND),
+)
 ENDS = ("lp", "ln", "up", "un")  # pins of the lower and the upper coil
 PINS = (*(Terminal(end, "V", "A") for end in ENDS), *PLACE)
 SERIES_PINS = (Terminal("drive", "V", "A"), Terminal("ret", "V", "A"), *PLACE)
@@ -128,7 +133,8 @@ def coils_subcircuit(
     ``points`` are the heights of the resampled lookups, equally spaced over the table.
     """
     height = np.linspace(table.y[0], table.y[-1], points)
-    low, spacing = 1e6 * height[0], 1e6 * (height[1] - height[0])
+    micrometres = DISPLACEMENT.per_unit * height
+    low, spacing = micrometres[0], DISPLACEMENT.per_unit * (height[1] - height[0])
     values = _inductive(table, height) if apart else _resistive(table, height)
     errors = mesh_words(table.mesh_errors)
     return library(
@@ -141,8 +147,9 @@ def coils_subcircuit(
             positive(f"resistance_{coil}", float(ohm), "Ohm", f"of the {coil} coil")
             for coil, ohm in zip(COILS, table.resistance, strict=True)
         ),
-        validity=f"sphere's centre from {low:g} to {1e6 * height[-1]:g} um, constant forces "
-        "beyond; linear magnetics; coils at the temperature of their data, nothing heats up",
+        validity=f"sphere's centre from {low:g} to {micrometres[-1]:g} {DISPLACEMENT.pin_unit}, "
+        "constant forces beyond; linear magnetics; coils at the temperature of their data, nothing "
+        "heats up",
         rating=rating,
         mesh=f"error estimate of the field: {errors}" if errors else "",
         points=points,

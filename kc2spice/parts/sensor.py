@@ -9,6 +9,7 @@ from typing import Any
 from pydantic import Field
 
 from kc2spice.core import laws
+from kc2spice.core.domains import DISPLACEMENT, TRANSLATION
 from kc2spice.core.errors import UsageError
 from kc2spice.core.quantities import BOLTZMANN, TEMPERATURE, Frequency, Length, Section
 from kc2spice.netlist.circuit import Element, Item, Param
@@ -19,9 +20,11 @@ from kc2spice.physics.cards import state_node
 from kc2spice.physics.declaration import Declaration, displacement, seen
 from kc2spice.physics.law import DeclaredLaw
 from kc2spice.physics.part import subcircuit
-from kc2spice.scene.model import Build, Part, PartType, Scene, Terminal
+from kc2spice.scene.model import GROUND, Build, Part, PartType, Scene, Terminal
 from kc2spice.scene.parttype import register
 from kc2spice.scene.rows import Vector
+
+MICROMETRES = f"{DISPLACEMENT.per_unit:g}"  # volts of a pin for one metre
 
 
 class SensorKeys(Section):
@@ -45,8 +48,8 @@ def reading(keys: SensorKeys) -> Declaration:
         "position sensor",
         Section,
         (seen(displacement("x", "of", "ref")),),
-        states={"followed": f"{2 * math.pi:.11g}*bandwidth*(1e6*x - followed)"},  # in um
-        outputs={"out": "1e-6*followed + offset"},
+        states={"followed": f"{2 * math.pi:.11g}*bandwidth*({MICROMETRES}*x - followed)"},
+        outputs={"out": f"{DISPLACEMENT.factor:g}*followed + offset"},
         given=(
             Param("bandwidth", keys.bandwidth, "Hz", "of the reading", 0.0),
             Param("offset", keys.offset, "m", "added to the reading"),
@@ -78,9 +81,9 @@ dc = "1 um"
 
     def pins(self, part: Part, scene: Scene) -> tuple[Terminal, ...]:
         return (
-            Terminal("of", "um", "-", required=True),
-            Terminal("out", "um", "-", signal_out=True),
-            Terminal("ref", "um", "N", "gnd"),
+            Terminal.signal("of", DISPLACEMENT, required=True),
+            Terminal.signal("out", DISPLACEMENT, signal_out=True),
+            Terminal.of("ref", TRANSLATION, GROUND),
         )
 
     def problems(self, part: Part, scene: Scene) -> Iterator[UsageError]:
@@ -92,19 +95,20 @@ dc = "1 um"
     def subcircuits(self, part: Part, build: Build, header: Any) -> tuple[Any, ...]:
         d, keys = reading(part.keys), part.keys
         cards: tuple[Item, ...] = ()
+        size = DISPLACEMENT.per_unit * keys.noise
         if keys.noise and build.noisy:
             # white up to the bandwidth, over the noise voltage of an ohm
             root = math.sqrt(4 * BOLTZMANN * TEMPERATURE * keys.bandwidth)
             cards = noted((
                 "* noise by its density: that of an ohm at 27 C times a gain",
                 Element.of("Rnoise", "drawn", "ref", "1"),
-                Element.of("Gnoise", "ref", "out", "drawn", "ref", 1e6 * keys.noise / root),
+                Element.of("Gnoise", "ref", "out", "drawn", "ref", size / root),
             ))  # fmt: skip
         elif keys.noise:
-            step, size = number(0.5 / keys.bandwidth), number(1e6 * keys.noise)
-            wave = f"TRNOISE({size} {step} 0 0)"
+            step = number(0.5 / keys.bandwidth)
+            wave = f"TRNOISE({number(size)} {step} 0 0)"
             cards = noted((
-                f"* noise in um, a new random value at every {step} s",
+                f"* noise in {DISPLACEMENT.pin_unit}, a new random value at every {step} s",
                 Element.of("Inoise", "ref", "out", "DC", "0", wave),
             ))  # fmt: skip
         name = build.libraries[part.name]
@@ -112,7 +116,9 @@ dc = "1 um"
 
     def settable(self, part: Part, build: Build) -> Mapping[str, float]:
         start = sphere.beginning(part, "of", build.scene)
-        return {} if start is None else {f"x{part.name}.{state_node('followed')}": 1e6 * start}
+        if start is None:
+            return {}
+        return {f"x{part.name}.{state_node('followed')}": DISPLACEMENT.per_unit * start}
 
     def vectors(self, part: Part, build: Build) -> Mapping[str, Vector]:
         return {f"{part.name}.y": build.across(part, "out")}
@@ -125,7 +131,8 @@ dc = "1 um"
         values = d.values(Section()) | {"offset": part.keys.offset + height}
         own = DeclaredLaw(n, d, tuple(values.values()))
         pins = tuple((pin, f"{n}.{pin}") for pin in ("of", "out", "ref"))
-        return laws.Equations((own,), pins, {f"{n}.y": laws.reading(f"{n}.out", 1e-6)})
+        result = laws.reading(f"{n}.out", DISPLACEMENT.factor)
+        return laws.Equations((own,), pins, {f"{n}.y": result})
 
     def notes(self, part: Part, scene: Scene) -> Iterator[str]:
         keys = part.keys

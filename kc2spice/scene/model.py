@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Generic, Literal, TypeVar
 
 import numpy as np
 
-from kc2spice.core.domains import Domain, across_of, domain_of
+from kc2spice.core.domains import SIGNAL, Domain, Quantity, across_of, domain_of
 from kc2spice.core.errors import UsageError, unknown
 from kc2spice.core.mesh_error import mesh_words
 from kc2spice.core.quantities import Section
@@ -75,10 +75,28 @@ class Terminal:
     signal_out: bool = False
     rated: float | None = None
 
+    @classmethod
+    def of(cls, name: str, domain: Domain, default: str | None = None) -> Terminal:
+        """A conservative pin of a domain."""
+        return cls(name, *domain.units, default)
+
+    @classmethod
+    def speed(cls, name: str, domain: Domain, default: str | None = None) -> Terminal:
+        """A conservative pin that carries the rate of the quantity across pins of a domain."""
+        assert domain.rate is not None, f"{domain.name} has no rate"
+        return cls(name, domain.rate.pin_unit, domain.flow, default)
+
+    @classmethod
+    def signal(
+        cls, name: str, quantity: Quantity, *, required: bool = False, signal_out: bool = False
+    ) -> Terminal:
+        """A signal pin that carries a quantity."""
+        return cls(name, quantity.pin_unit, SIGNAL, required=required, signal_out=signal_out)
+
     @property
     def kind(self) -> str:
         """Unit pair in words; only pins with the same pair may be joined."""
-        return f"{self.unit}/{self.flow}" if self.flow != "-" else f"signal in {self.unit}"
+        return f"{self.unit}/{self.flow}" if self.flow != SIGNAL else f"signal in {self.unit}"
 
     @property
     def moving(self) -> bool:
