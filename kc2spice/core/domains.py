@@ -57,6 +57,10 @@ class Domain:
     ``rate`` is a second quantity across pins, the rate of ``across``. ``frame`` is the domain whose
     quantity shakes the frame that ``across`` is relative to.
 
+    In a domain with a ``path`` every net needs one to the reference, by what the words describe
+    or the part type ``path_part``; without one it has no operating point, which ``adrift`` says of
+    a part.
+
     Examples
     --------
     >>> DOMAINS["translation"]
@@ -79,6 +83,9 @@ class Domain:
     reference: str = ""
     rate: Quantity | None = None
     frame: str = ""
+    path: str = ""
+    path_part: str = ""
+    adrift: str = ""
 
     def __repr__(self) -> str:
         text = f"<Domain {self.name}: 1 V is 1 {self.across.pin_unit or 'unit'}"
@@ -118,6 +125,11 @@ class Domain:
     def charged(self) -> bool:
         """Whether the answer of a port is what has flowed through its pin, such as a charge."""
         return self.driven == "across" and self.power == "across * through"
+
+    @property
+    def metered(self) -> bool:
+        """Whether the power through a pin follows from what is across and through that pin."""
+        return self.conservative and self.power != "velocity of the frame * through"
 
     @property
     def kind_of_law(self) -> str:
@@ -165,6 +177,8 @@ TRANSLATION = Domain(
     reference=BASE,
     rate=VELOCITY,
     frame="acceleration",
+    path="a spring, a contact, a clamped body or a displacement source between it and gnd",
+    adrift="nothing holds {part}",
 )
 DISPLACEMENT = TRANSLATION.across
 ROTATION = Domain(
@@ -180,6 +194,8 @@ ROTATION = Domain(
     word="angle",
     response="moved",
     reference=BASE,
+    path="a torsion spring, a clamped body or an angle source between it and gnd",
+    adrift="nothing holds {part}",
 )
 ACCELERATION = Domain(
     "acceleration",
@@ -207,6 +223,9 @@ THERMAL = Domain(
     word="temperature",
     response="temperature",
     reference=AMBIENT,
+    path="a thermal_resistor or a temperature source between it and gnd, the ambient temperature",
+    path_part="thermal_resistor",
+    adrift="no path leads heat from {part} to the ambient temperature",
 )
 ACOUSTIC = Domain(
     "acoustic",
@@ -220,6 +239,9 @@ ACOUSTIC = Domain(
     word="pressure",
     response="flow",
     reference=AMBIENT,
+    path="an acoustic_resistor, an acoustic_mass or a pressure source between it and gnd",
+    path_part="acoustic_resistor",
+    adrift="no path leads flow from {part} to the ambient pressure",
 )
 SIGNALS = Domain(
     "signal",

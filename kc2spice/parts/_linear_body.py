@@ -18,7 +18,7 @@ from pydantic import Field, StringConstraints
 
 from kc2spice.core import laws
 from kc2spice.core.cache import cached
-from kc2spice.core.domains import PORTS, REFERENCES, TRANSLATION
+from kc2spice.core.domains import BASE, PORTS, REFERENCES, TRANSLATION
 from kc2spice.core.errors import SimulationError, UsageError, unknown, wrong
 from kc2spice.core.figure import Figure, Written
 from kc2spice.core.mesh_error import NOT_ESTIMATED
@@ -196,13 +196,25 @@ class LinearBody(Touching):
         return (*result, Terminal(last.name, last.unit, last.flow, "gnd"))
 
     def at_rest(self, part: Part, scene: Scene, model: Any | None = None) -> Rest:
-        result = super().at_rest(part, scene).held
-        inert = () if model is None else inert_ports(model)
-        if model is None or not free_to_move(model):
+        """Holds all pins against its reference; those of a free body against each other.
+
+        A port that takes up volume for a pressure is a path for flow only if the body gives way
+        without end.
+        """
+        ports = self.kept(part, scene)
+        last = scene.pins(part.name)[-1]
+        end = GROUND if last.name in (BASE, "ground") else last.name
+        result = tuple((pin, end) for pin, _ in super().at_rest(part, scene).held if pin != end)
+        if model is None:
+            return Rest(result)
+        inert, free = inert_ports(model), free_to_move(model)
+        filled = set() if free else {port.terminals[0] for port in ports if port.charged}
+        result = tuple(pair for pair in result if pair[0] not in filled)
+        if not free:
             return Rest(result, inert=inert)
-        names = {port.name for port in self.kept(part, scene)}
+        names = {port.name for port in ports if not port.charged}
         first, *others = [pin for pin, _ in result if pin in names] or [GROUND]
-        fixed = tuple((pin, end) for pin, end in result if pin not in names)
+        fixed = tuple(pair for pair in result if pair[0] not in names)
         return Rest(fixed + tuple((first, other) for other in others), inert=inert)
 
     def inertial(self, part: Part, scene: Scene) -> tuple[str, ...]:

@@ -184,7 +184,7 @@ class Source(PartType):
             moves = wave.amplitude or np.ptp([value for _, value in wave.points])
             kinked = part.keys.kind == "displacement" and moves  # a sine too, where it starts
             return Rest(pair, pair, kinked=part.keys.shape if kinked else "")
-        constant = part.keys.kind == "force" and part.keys.waveform(scene.home)(np.zeros(1))[0]
+        constant = part.keys.waveform(scene.home)(np.zeros(1))[0]
         return Rest(pushed=("out", "ret") if constant else ())
 
     def cards(self, part: Part, build: Build) -> tuple[Item, ...]:

@@ -80,15 +80,17 @@ class DeclaredPart(PartType):
         return tuple(d.speeds.get(b.plus, b.plus) for b in moved)
 
     def at_rest(self, part: Part, scene: Scene, model: Any | None = None) -> Rest:
-        """Holds displacements with a stiffness at rest."""
+        """Holds displacements with a stiffness at rest, and is a path for flows."""
         d = self.declared(part, scene)
         values = d.values(part.keys)
-        moved = [b for b in d.branches if b.moves]
+        paths = [b for b in d.branches if b.domain.path]
+        flowing = tuple((b.plus, b.minus) for b in paths if b.flows)
+        moved = [b for b in paths if not b.flows]
         # all others at rest first: what a long sum leaves of it has a short derivative
         slopes = [derivative(d.at_rest(d.direct(b), b.name), b.name) for b in moved]
         stiff = [float(evaluated(d.at_rest(slope), values)) for slope in slopes]
         pairs = ((b.plus, b.minus) for b, result in zip(moved, stiff, strict=True) if result)
-        return Rest(tuple(pairs))
+        return Rest((*pairs, *flowing))
 
     def subcircuits(self, part: Part, build: Build, header: Header) -> tuple[Any, ...]:
         d, name = self.built(part, build), build.libraries[part.name]

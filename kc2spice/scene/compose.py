@@ -14,7 +14,7 @@ from itertools import combinations
 from string import ascii_lowercase
 from typing import Any
 
-from kc2spice.core.domains import ELECTRICAL, TRANSLATION
+from kc2spice.core.domains import ELECTRICAL, TRANSLATION, Domain
 from kc2spice.core.errors import UsageError, candidates, did_you_mean, unknown
 from kc2spice.scene.frames import frames
 from kc2spice.scene.model import GROUND, Build, Names, Part, PartType, Scene, Terminal
@@ -363,20 +363,19 @@ def drawing(scene: Scene) -> tuple[str, ...]:
     return tuple(lines)
 
 
-HELD = "a spring, a contact, a clamped body or a displacement source between it and gnd"
-
-
 @dataclass(frozen=True)
 class Free:
     """Nets that are held against each other at most: they move together without any force.
 
     ``nets`` are those of displacements, none for a sphere, whose pins are a velocity and signals.
-    ``parts`` have a pin there, ``bodies`` of them move along by states of their own.
+    ``parts`` have a pin there, ``bodies`` of them move along by states of their own. ``domain`` is
+    that of the pins: heat and flow without a path are no motion.
     """
 
     nets: tuple[str, ...]
     parts: tuple[str, ...]
     bodies: tuple[str, ...]
+    domain: Domain
 
 
 def free(build: Build) -> tuple[Free, ...]:
@@ -403,7 +402,9 @@ def unsettled(build: Build) -> Iterator[UsageError]:
     """
     rests, kind = _rests(build), build.scene.analysis.type
     for group in _unheld(build, rests):
-        yield from _unheld_problem(group, build.scene, rests)
+        adrift = _free(group, build.scene)
+        why = _unheld_problem if adrift.domain.position else _undrained_problem
+        yield from why(adrift, group, build.scene, rests)
     if kind == "transient":
         yield from _jumps(build.scene, rests)
 
@@ -418,22 +419,20 @@ def _unheld(build: Build, rests: list[tuple[Part, Rest]]) -> Iterator[frozenset[
 
 
 def _unheld_problem(
-    group: frozenset[str], scene: Scene, rests: list[tuple[Part, Rest]]
+    result: Free, group: frozenset[str], scene: Scene, rests: list[tuple[Part, Rest]]
 ) -> Iterator[UsageError]:
-    """Why the analysis has no operating point of these nets to begin at."""
-    result, kind = _free(group, scene), scene.analysis.type
+    """Why the analysis has no operating point of these nets of positions to begin at."""
+    kind, path = scene.analysis.type, result.domain.path
     heavy = [part.name for part, rest in rests if rest.inert and part.name in result.parts]
     named = (*result.bodies, *heavy, *result.parts)[0]
-    pushed = [
-        p.name for p, rest in rests if any(scene.nets[p.name, x] in group for x in rest.pushed)
-    ]
+    pushed = _pushing(group, scene, rests)
     by = "pushed by " + ", ".join(pushed) if pushed else ""
     if kind in ("op", "dc"):
         yield UsageError(
             f"nothing holds {named}: it has no operating point",
             where=named,
             got=", ".join(filter(None, (f"analysis {kind}", by))),
-            expected=HELD,
+            expected=path,
             hint='analysis.type = "transient" lets it move',
         )
     elif by and scene.analysis.small:
@@ -442,7 +441,7 @@ def _unheld_problem(
             "linearise about",
             where=named,
             got=by,
-            expected=f"no constant force, or {HELD}",
+            expected=f"no constant force, or {path}",
             hint="ac = … without dc; weight = false",
         )
     elif by and result.bodies:
@@ -453,6 +452,38 @@ def _unheld_problem(
             got=by,
             expected="a force that is zero at t = 0, such as a pulse, or a support",
         )
+
+
+def _pushing(group: frozenset[str], scene: Scene, rests: list[tuple[Part, Rest]]) -> list[str]:
+    """Parts that put a constant force or flow on these nets at t = 0."""
+    on_group = ((p.name, {scene.nets[p.name, pin] for pin in rest.pushed}) for p, rest in rests)
+    return [name for name, nets in on_group if nets & group]
+
+
+def _undrained_problem(
+    result: Free, group: frozenset[str], scene: Scene, rests: list[tuple[Part, Rest]]
+) -> Iterator[UsageError]:
+    """Why the analysis has no operating point of these nets of heat or sound to begin at.
+
+    Without a constant flow it has one: small signals and pulses are stored.
+    """
+    kind, domain = scene.analysis.type, result.domain
+    pushed = _pushing(group, scene, rests)
+    if kind not in ("op", "dc") and not pushed:
+        return
+    ends = ((n, pin) for (n, pin), end in scene.terminals.items() if end.domain is domain)
+    pin = next(".".join(key) for key in ends if scene.nets[key] in group)
+    flow = domain.quantity("through").name.replace("_", " ")
+    stored = next((name for name in result.parts if name not in pushed), result.parts[0])
+    later = "" if kind in ("op", "dc", "ac", "noise") else f"; or a {flow} that is zero at t = 0"
+    yield UsageError(
+        f"{domain.adrift.format(part=stored)}: it has no operating point",
+        where=stored,
+        got=", ".join([f"analysis {kind}", *(f"{flow} of {name}" for name in pushed)]),
+        expected=f"{domain.path}{later}",
+        hint=f'add [path] with part = "{domain.path_part}", its resistance and  '
+        f'pins = {{ a = "{pin}" }}',
+    )
 
 
 def _jumps(scene: Scene, rests: list[tuple[Part, Rest]]) -> Iterator[UsageError]:
@@ -477,8 +508,8 @@ def _jumps(scene: Scene, rests: list[tuple[Part, Rest]]) -> Iterator[UsageError]
 
 
 def _moving(scene: Scene) -> dict[str, str]:
-    """Nets of conservative pins that move and the unit there, in the order of the scene."""
-    ends = ((key, pin.unit) for key, pin in scene.terminals.items() if pin.moving)
+    """Nets of pins that need a path and the unit there, in the order of the scene."""
+    ends = ((key, pin.unit) for key, pin in scene.terminals.items() if pin.needs_path)
     return {"0": ""} | {scene.nets[key]: unit for key, unit in ends}
 
 
@@ -496,8 +527,11 @@ def _groups(
 
 
 def _free(group: frozenset[str], scene: Scene) -> Free:
-    ends = (key for key, pin in scene.terminals.items() if pin.moving and scene.nets[key] in group)
+    rows = scene.terminals.items()
+    ends = {key: pin for key, pin in rows if pin.needs_path and scene.nets[key] in group}
     parts = tuple(dict.fromkeys(name for name, _ in ends))
+    domain = next(pin.domain for pin in ends.values() if pin.domain is not None)
     placed = [net for net, unit in _moving(scene).items() if unit == TRANSLATION.across.pin_unit]
     nets = tuple(net for net in placed if net in group)
-    return Free(nets, parts, tuple(name for name in parts if scene.parts[name].reduced))
+    bodies = tuple(name for name in parts if scene.parts[name].reduced)
+    return Free(nets, parts, bodies, domain)

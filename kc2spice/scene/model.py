@@ -104,6 +104,11 @@ class Terminal:
         return self.domain is not None and bool(self.domain.frame)
 
     @property
+    def needs_path(self) -> bool:
+        """Whether its net has no operating point without a path to the reference of its domain."""
+        return self.domain is not None and bool(self.domain.path)
+
+    @property
     def domain(self) -> Domain | None:
         """Physical domain of the pin, None for a signal."""
         return domain_of(self.unit, self.flow)
@@ -518,11 +523,11 @@ class PartType:
         return None
 
     def at_rest(self, part: Part, scene: Scene, model: Any | None = None) -> Rest:
-        """Constraints and loads of the part on moving pins at rest.
+        """Constraints and loads of the part at rest on pins that need a path to their reference.
 
         ``model`` is None before it is built. By default the part holds all of its pins in place.
         """
-        return Rest(tuple((p.name, GROUND) for p in scene.pins(part.name) if p.moving))
+        return Rest(tuple((p.name, GROUND) for p in scene.pins(part.name) if p.needs_path))
 
     def directions(self, part: Part, scene: Scene) -> Mapping[str, tuple[float, ...]]:
         """Unit vectors of the translations and accelerations at its pins, as far as known."""

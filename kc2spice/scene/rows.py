@@ -35,12 +35,13 @@ Governed = Literal["moved", "copied"]
 
 @dataclass(frozen=True)
 class Rest:
-    """Constraints and loads of a part on its moving pins at rest.
+    """Constraints and loads of a part at rest on pins that need a path to their reference.
 
-    ``held`` are pairs of them, or such a pin and ``gnd``, that it keeps apart, ``ideal`` pairs of
-    any pins whose difference it sets as an ideal source. On ``pushed`` ones it puts a constant
-    force at t = 0. ``kinked`` is the key of a motion that it prescribes with jumps of velocity,
-    ``inert`` are pins whose velocity no finite force makes jump.
+    ``held`` are pairs of them, or such a pin and ``gnd``, between which it is a path: it holds them
+    apart, or leads heat. ``ideal`` are pairs of any pins whose difference it sets as an ideal
+    source. On ``pushed`` ones it puts a constant force or flow at t = 0. ``kinked`` is the key of a
+    motion that it prescribes with jumps of velocity, ``inert`` are pins whose velocity no finite
+    force makes jump.
     """
 
     held: tuple[tuple[str, str], ...] = ()
