@@ -1,8 +1,8 @@
 """Measured responses: Touchstone files of version 1 and 2, tables of impedance analysers, MATLAB.
 
-A table has titles that say what its columns are (:mod:`kc2spice.bodies.readers.columns`), in any
-order: frequency, and the columns of one of :data:`COMBINATIONS`. Fields lie between semicolons,
-tabs, commas or blanks; a decimal comma is read where commas do not separate.
+A table has titles that say what its columns are (:mod:`kc2spice.bodies.readers.meanings`), in any
+order: frequency, and the columns of one combination. Fields lie between semicolons, tabs, commas or
+blanks; a decimal comma is read where commas do not separate.
 
 Variables of a MATLAB file are named as columns are; a complex one is ``z``, ``y`` or ``s``, of n
 frequencies or (ports, ports, n) as MATLAB has it, ``s`` with its resistance ``z0`` beside it.
@@ -11,16 +11,20 @@ frequencies or (ports, ports, n) as MATLAB has it, ``s`` with its resistance ``z
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property, lru_cache
 from itertools import product
 from pathlib import Path
-from typing import Literal
 
 import numpy as np
 
-from kc2spice.bodies.readers.columns import Column, column_of, read_table, read_title, units_of
+from kc2spice.bodies.readers.complex_response import (
+    REFERENCE,
+    MeasuredResponse,
+    admittance_of,
+    response_of,
+)
+from kc2spice.bodies.readers.meanings import Quantity
 from kc2spice.bodies.readers.raw import (
     absent,
     call_reader,
@@ -29,12 +33,14 @@ from kc2spice.bodies.readers.raw import (
     unusable_file,
     vectors,
 )
+from kc2spice.bodies.readers.text_table import read_table
+from kc2spice.bodies.readers.titles import column_of, read_title, units_of
+from kc2spice.bodies.readers.touchstone import touchstone_response
 from kc2spice.core.equality import EqualByContent
 from kc2spice.core.errors import wrong
 from kc2spice.core.untrusted_files import read_bounded
 from kc2spice.rom.linear_model import Norm
 
-Quantity = Literal["S", "Z", "Y"]
 MAX_BYTES = 20_000_000
 MOST = 20_000  # frequencies: no analyser has as many, and a fit would take hours
 FEWEST = 12  # frequencies: four numbers of one resonance and its noise
@@ -46,63 +52,7 @@ _COMPLEX: dict[Quantity, str] = {
     "Z": r"z|impedance", "Y": r"y|admittance", "S": r"s|s11|sparameters|scattering"
 }  # fmt: skip
 _RESISTANCE = ("z0", "r0", "zref", "reference")
-REFERENCE = 50.0  # Ohm, of S where no file states it
 _MATRIX = re.compile(r".*[._][MEKABCD]", re.DOTALL)  # NAME_K.txt
-_HERTZ = {"hz": 1.0, "khz": 1e3, "mhz": 1e6, "ghz": 1e9, "thz": 1e12}
-_OPTIONS = {"ri", "ma", "db", *"syzgh", *_HERTZ}
-
-
-@dataclass(frozen=True)
-class Combination:
-    """Columns that determine the ``quantity`` together, and how: angles in rad, w in rad/s."""
-
-    columns: tuple[str, str]
-    quantity: Quantity
-    value: Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray]
-
-
-COMBINATIONS = (
-    Combination(("r", "x"), "Z", lambda r, x, w: r + 1j * x),
-    Combination(("g", "b"), "Y", lambda g, b, w: g + 1j * b),
-    Combination(("z", "phase"), "Z", lambda z, a, w: z * np.exp(1j * a)),
-    Combination(("z", "phase_z"), "Z", lambda z, a, w: z * np.exp(1j * a)),
-    Combination(("z", "phase_y"), "Z", lambda z, a, w: z * np.exp(-1j * a)),
-    Combination(("y", "phase"), "Y", lambda y, a, w: y * np.exp(1j * a)),
-    Combination(("y", "phase_y"), "Y", lambda y, a, w: y * np.exp(1j * a)),
-    Combination(("y", "phase_z"), "Y", lambda y, a, w: y * np.exp(-1j * a)),
-    Combination(("r", "cs"), "Z", lambda r, c, w: r - 1j / (w * c)),
-    Combination(("r", "ls"), "Z", lambda r, l, w: r + 1j * w * l),
-    Combination(("rp", "cp"), "Y", lambda r, c, w: 1 / r + 1j * w * c),
-    Combination(("rp", "lp"), "Y", lambda r, l, w: 1 / r - 1j / (w * l)),
-    Combination(("g", "cp"), "Y", lambda g, c, w: g + 1j * w * c),
-    Combination(("g", "lp"), "Y", lambda g, l, w: g - 1j / (w * l)),
-    Combination(("cp", "d"), "Y", lambda c, d, w: w * c * (d + 1j)),
-    Combination(("cp", "q"), "Y", lambda c, q, w: w * c * (1 / q + 1j)),
-    Combination(("cs", "d"), "Z", lambda c, d, w: (d - 1j) / (w * c)),
-    Combination(("cs", "q"), "Z", lambda c, q, w: (1 / q - 1j) / (w * c)),
-    Combination(("ls", "d"), "Z", lambda l, d, w: w * l * (d + 1j)),
-    Combination(("ls", "q"), "Z", lambda l, q, w: w * l * (1 / q + 1j)),
-    Combination(("lp", "d"), "Y", lambda l, d, w: (d - 1j) / (w * l)),
-    Combination(("lp", "q"), "Y", lambda l, q, w: (1 / q - 1j) / (w * l)),
-    Combination(("c", "d"), "Y", lambda c, d, w: w * c * (d + 1j)),
-    Combination(("s_real", "s_imag"), "S", lambda a, b, w: a + 1j * b),
-    Combination(("s_size", "s_phase"), "S", lambda s, a, w: s * np.exp(1j * a)),
-)
-
-
-@dataclass(frozen=True, eq=False)
-class MeasuredResponse(EqualByContent):
-    """``samples`` (n, ports, ports) of a ``quantity`` at ``f`` (n,) [Hz], the admittances ``Y``
-    that they are, the ``reference`` resistances (ports,) [Ohm] of S, what the reader assumed and
-    what the columns mean."""
-
-    f: np.ndarray
-    quantity: Quantity
-    samples: np.ndarray
-    Y: np.ndarray
-    reference: np.ndarray
-    notes: tuple[str, ...] = ()
-    columns: str = ""
 
 
 @dataclass(frozen=True, eq=False)
@@ -216,7 +166,11 @@ def read_measured(path: Path) -> Measured:
             text = data.decode("utf-8-sig")
         except UnicodeDecodeError:
             text = data.decode("latin-1")
-        return _touchstone(text, int(match[2] or 0)) if match else _response(*read_table(text))
+        return (
+            touchstone_response(text, int(match[2] or 0))
+            if match
+            else response_of(*read_table(text))
+        )
 
     with np.errstate(all="ignore"):  # values that are not finite are refused
         response = call_reader(path, expected, read, advice)
@@ -279,120 +233,6 @@ def _require_passive(data: Measured) -> None:
     raise wrong(data.where, problem, got, "Re Z >= 0, except for noise", hint)
 
 
-def _touchstone(text: str, ports: int) -> MeasuredResponse:
-    """Touchstone 1 and 2 (IBIS Open Forum, 2009): S, Y or Z in RI, MA or DB.
-
-    The first option line counts; the standard ignores others.
-    """
-    unit, kind, form, reference = "ghz", "s", "ma", [50.0]
-    section = words = list[str]()
-    keys: dict[str, list[str]] = {}
-    options: list[list[str]] = []
-    for raw in text.lower().splitlines():
-        line = raw.partition("!")[0].strip()
-        if line.startswith("["):
-            key, _, value = line[1:].partition("]")
-            section = keys[key.strip()] = value.split()
-        elif line.startswith("#"):
-            options.append(line[1:].split())
-        else:
-            section += line.split()
-    for option in options[:1]:
-        at = option.index("r") if "r" in option else len(option)
-        reference = [float(w) for w in option[at + 1 :]] or reference
-        unknown = [word for word in option[:at] if word not in _OPTIONS]
-        if unknown:
-            raise ValueError(f"the option line has the word {unknown[0]!r}, which is not known")
-        unit = next((word for word in option[:at] if word in _HERTZ), unit)
-        kind = next((word for word in option[:at] if word in "syzgh"), kind)
-        form = next((word for word in option[:at] if word in ("ri", "ma", "db")), form)
-    notes = ["the first of several option lines counts"] if len(options) > 1 else []
-    words = keys.get("network data", words)
-    reference = [float(w) for w in keys.get("reference", ())] or reference
-    n = int(keys.get("number of ports", [str(ports)])[0])
-    order, shape = keys.get("two-port data order"), keys.get("matrix format", ["full"])
-    if kind in "gh" or not 1 <= n <= 64 or shape != ["full"]:
-        raise ValueError(f"{kind.upper()} parameters of {n} ports, {' '.join(shape)}")
-    width = 1 + 2 * n * n
-    values = np.array([float(w) for w in words])
-    table = values[: len(values) // width * width].reshape(-1, width)
-    back = np.flatnonzero(np.diff(table[:, 0]) < 0)  # noise parameters of version 1 come last
-    if len(values) % width and not back.size:
-        raise ValueError(f"{len(values)} numbers, not {width} a frequency")
-    table = table[: back[0] + 1] if back.size else table
-    a, b = table[:, 1::2], table[:, 2::2]
-    polar = np.deg2rad(b)
-    size = 10 ** (a / 20) if form == "db" else a
-    P = (a + 1j * b if form == "ri" else size * np.exp(1j * polar)).reshape(-1, n, n)
-    if n == 2 and order in (None, ["21_12"]):
-        P = P.swapaxes(1, 2)
-    z0 = np.broadcast_to(reference if len(reference) == n else reference[:1], (n,)).astype(float)
-    if kind != "s" and "version" not in keys:  # version 1 normalises to the first reference
-        P = P * z0[0] if kind == "z" else P / z0[0]
-    summary = f"{kind.upper()} of {n} ports in {form.upper()}, frequency in {_spell_unit(unit)}"
-    summary += f", reference {' '.join(f'{R:g}' for R in reference)} Ohm" if kind == "s" else ""
-    quantity = _QUANTITIES[kind]
-    Y = _admittance(quantity, P, z0)
-    return MeasuredResponse(_HERTZ[unit] * table[:, 0], quantity, P, Y, z0, tuple(notes), summary)
-
-
-_QUANTITIES: dict[str, Quantity] = {"s": "S", "z": "Z", "y": "Y"}
-
-
-def _spell_unit(unit: str) -> str:
-    """A unit of frequency in its own case."""
-    return unit[:-2].upper().replace("K", "k") + "Hz"
-
-
-def _admittance(quantity: Quantity, P: np.ndarray, z0: np.ndarray) -> np.ndarray:
-    """Y (n, ports, ports) of S with the reference resistances ``z0`` (ports,), of Z or of Y."""
-    one = np.eye(P.shape[1])
-    try:
-        if quantity == "S":
-            root = np.diag(1 / np.sqrt(z0))
-            return np.asarray(root @ np.linalg.solve(one + P, one - P) @ root)
-        return np.linalg.inv(P) if quantity == "Z" else P
-    except np.linalg.LinAlgError:
-        text = "an impedance of zero: an ideal short circuit has no admittance"
-        raise ValueError(text) from None
-
-
-def _response(titles: list[str], rows: np.ndarray) -> MeasuredResponse:
-    """The response of a table or of vectors under ``titles``; rows (n, columns)."""
-    if len(titles) != rows.shape[-1]:
-        raise ValueError(f"{len(titles)} titles above {rows.shape[-1]} columns of numbers")
-    columns: dict[str, Column] = {}
-    unknown = []
-    for text, values in zip(titles, rows.T, strict=True):
-        title = read_title(text)
-        if title is None:
-            unknown.append(repr(text.strip()))
-        elif title.meaning.quantity not in columns:
-            columns[title.meaning.quantity] = column_of(title, values)
-    combination = next((c for c in COMBINATIONS if set(c.columns) <= set(columns)), None)
-    if "f" not in columns or combination is None:
-        missing = "no frequency" if "f" not in columns else "no complete impedance"
-        strange = f"; unknown: {', '.join(unknown[:5])}" if unknown else ""
-        raise ValueError(f"the columns {', '.join(titles[:5])} contain {missing}{strange}")
-    used = [columns[name] for name in ("f", *combination.columns)]
-    f = used[0].values
-    steps = np.diff(f)
-    if not ((steps >= 0).all() or (steps <= 0).all()):
-        raise ValueError("the frequency column goes up and down: is it another one?")
-    first, second = (column.values for column in used[1:])
-    samples = combination.value(first, second, 2 * np.pi * f)[:, None, None]
-    notes = [column.note for column in used if column.note]
-    if combination.quantity == "S":
-        notes.append(f"no reference resistance of S, taken as {REFERENCE:g} Ohm")
-    if "c" in combination.columns:
-        notes.append(f"{columns['c'].title.text}: neither Cp nor Cs, taken as Cp")
-    left = [text for text in titles if text not in [column.title.text for column in used]]
-    summary = ", ".join(map(str, used)) + (f"; not used: {', '.join(left)}" if left else "")
-    z0 = np.array([REFERENCE])
-    Y = _admittance(combination.quantity, samples, z0)
-    return MeasuredResponse(f, combination.quantity, samples, Y, z0, tuple(notes), summary)
-
-
 @lru_cache(maxsize=1)
 def _variables(path: Path, changed: float) -> dict[str, np.ndarray]:
     """Numeric arrays of a MATLAB file by name, none of one that has matrices of a model."""
@@ -421,7 +261,7 @@ def _matlab(variables: dict[str, np.ndarray]) -> MeasuredResponse:
     pairs = product(_COMPLEX, numbers)
     kinds = [(kind, name) for kind, name in pairs if _is_complex(kind, name)]
     if not kinds:
-        return _response(list(columns), np.column_stack(list(columns.values())))
+        return response_of(list(columns), np.column_stack(list(columns.values())))
     quantity, name = kinds[0]
     P = variables[name]
     if P.ndim == 3 and P.shape[2] == n and P.shape[0] == P.shape[1]:
@@ -442,7 +282,7 @@ def _matlab(variables: dict[str, np.ndarray]) -> MeasuredResponse:
             [f"{name}: no reference resistance, taken as {R:g} Ohm"] if resistance is None else []
         )
     z0 = np.full(P.shape[1], R)
-    Y = _admittance(quantity, P, z0)
+    Y = admittance_of(quantity, P, z0)
     understood = f"{frequency}, {quantity} from {name!r}"
     return MeasuredResponse(frequency.values, quantity, P, Y, z0, tuple(notes), understood)
 

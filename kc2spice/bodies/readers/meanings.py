@@ -1,0 +1,127 @@
+"""Columns that instruments write: their quantities, units and titles, and what two of them give.
+
+Data only. :mod:`kc2spice.bodies.readers.titles` reads titles by :data:`MEANINGS` and
+:data:`UNITS`, :mod:`kc2spice.bodies.readers.complex_response` combines columns by
+:data:`COMBINATIONS`. A new kind of column is one row here.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+Quantity = Literal["S", "Z", "Y"]
+PREFIXES = {"f": 1e-15, "p": 1e-12, "n": 1e-9, "u": 1e-6, "µ": 1e-6, "μ": 1e-6, "m": 1e-3, "": 1.0,
+            "k": 1e3, "M": 1e6, "G": 1e9, "T": 1e12}  # fmt: skip
+LARGE = "kMGT"  # prefixes of both cases where a small letter is no smaller prefix
+# Spellings of each unit, by what it measures, with its value in SI.
+UNITS: dict[str, dict[str, float]] = {
+    "frequency": {"hz": 1.0, "hertz": 1.0, "rad/s": 0.5 / np.pi, "rads": 0.5 / np.pi},
+    "impedance": {"ohm": 1.0, "ohms": 1.0},
+    "admittance": {"s": 1.0, "siemens": 1.0, "mho": 1.0},
+    "capacitance": {"f": 1.0, "farad": 1.0},
+    "inductance": {"h": 1.0, "henry": 1.0},
+    "angle": {"deg": np.pi / 180, "degree": np.pi / 180, "degrees": np.pi / 180,
+              "°": np.pi / 180, "rad": 1.0},
+    "decibel": {"db": 1.0},
+    "number": {"": 1.0, "-": 1.0, "1": 1.0, "%": 0.01},
+}  # fmt: skip
+BARE = ("°", "db", "", "-", "1", "%")  # units without prefixes
+# An angle without unit is in rad if its size is at most the first and its spread above the second.
+RADIANS = 0.51 * np.pi, 0.5
+
+
+@dataclass(frozen=True)
+class Meaning:
+    """A kind of column: its ``quantity``, what it may be measured in, the first by default, and the
+    pattern of its title in small letters, without sign, unit, blanks and words of instruments.
+    With ``needs_unit`` the title alone does not tell it from others."""
+
+    quantity: str
+    measures: tuple[str, ...]
+    names: str
+    needs_unit: bool = False
+
+
+_PHASE = r"(phase|theta|θ|φ|phi|arg|angle|ang)"
+_SIZE = r"(mag|magnitude|abs|mod|modulus)"
+_REAL, _IMAG = r"(re|real|realpart)", r"(im|imag|imaginary|imagpart)"
+
+
+def _part(of: str, word: str) -> str:
+    """The word before or behind the letter ``of``, as in ``magz`` and ``zmag``."""
+    return rf"{of}{word}|{word}{of}|{word}\|{of}\|"
+
+
+MEANINGS = (
+    Meaning("f", ("frequency",), r"f|freq|frequency|frequenz|frq|omega|ω"),
+    Meaning("z", ("impedance", "decibel"), rf"z|z?\|z\||{_SIZE}|{_part('z', _SIZE)}"),
+    Meaning("y", ("admittance", "decibel"), rf"y|y?\|y\||{_SIZE}|{_part('y', _SIZE)}"),
+    Meaning("phase", ("angle",), _PHASE),
+    Meaning("phase_z", ("angle",), _part("z", _PHASE)),
+    Meaning("phase_y", ("angle",), _part("y", _PHASE)),
+    Meaning("r", ("impedance",), rf"r|z?rs|resistance|{_REAL}|{_part('z', _REAL)}"),
+    Meaning("x", ("impedance",), rf"x|z?xs|reactance|{_IMAG}|{_part('z', _IMAG)}"),
+    Meaning("rp", ("impedance",), r"z?rp"),
+    Meaning("g", ("admittance",), rf"g|y?gp|conductance|{_REAL}|{_part('y', _REAL)}"),
+    Meaning("b", ("admittance",), rf"b|y?bp|susceptance|{_IMAG}|{_part('y', _IMAG)}"),
+    Meaning("c", ("capacitance",), r"c|capacitance"),
+    Meaning("cp", ("capacitance",), r"[zy]?cp"),
+    Meaning("cs", ("capacitance",), r"[zy]?cs"),
+    Meaning("lp", ("inductance",), r"[zy]?lp"),
+    Meaning("ls", ("inductance",), r"[zy]?ls"),
+    Meaning("d", ("number",), r"d|df|tan(d|δ|delta)|dissipation(factor)?|loss(factor|tangent)"),
+    Meaning("q", ("number",), r"q|quality(factor)?|qfactor"),
+    Meaning("s_size", ("decibel",), r"s|s11|γ|gamma", needs_unit=True),
+    Meaning("s_phase", ("angle",), r"s|s11|γ|gamma", needs_unit=True),
+    Meaning("s_size", ("number", "decibel"), rf"{_part('s', _SIZE)}|{_part('s11', _SIZE)}"),
+    Meaning("s_phase", ("angle",), rf"{_part('s', _PHASE)}|{_part('s11', _PHASE)}"),
+    Meaning("s_real", ("number",), rf"{_part('s', _REAL)}|{_part('s11', _REAL)}"),
+    Meaning("s_imag", ("number",), rf"{_part('s', _IMAG)}|{_part('s11', _IMAG)}"),
+)  # fmt: skip
+# Words that instruments add to a title.
+ADDED = re.compile(
+    r"trace|tr\d*|ch\d*|channel|data|measured|measurement|meas|value|\d+|parameter|primary|secondary"
+)
+
+
+@dataclass(frozen=True)
+class Combination:
+    """Columns that determine the ``quantity`` together, and how: angles in rad, w in rad/s."""
+
+    columns: tuple[str, str]
+    quantity: Quantity
+    value: Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray]
+
+
+COMBINATIONS = (
+    Combination(("r", "x"), "Z", lambda r, x, w: r + 1j * x),
+    Combination(("g", "b"), "Y", lambda g, b, w: g + 1j * b),
+    Combination(("z", "phase"), "Z", lambda z, a, w: z * np.exp(1j * a)),
+    Combination(("z", "phase_z"), "Z", lambda z, a, w: z * np.exp(1j * a)),
+    Combination(("z", "phase_y"), "Z", lambda z, a, w: z * np.exp(-1j * a)),
+    Combination(("y", "phase"), "Y", lambda y, a, w: y * np.exp(1j * a)),
+    Combination(("y", "phase_y"), "Y", lambda y, a, w: y * np.exp(1j * a)),
+    Combination(("y", "phase_z"), "Y", lambda y, a, w: y * np.exp(-1j * a)),
+    Combination(("r", "cs"), "Z", lambda r, c, w: r - 1j / (w * c)),
+    Combination(("r", "ls"), "Z", lambda r, l, w: r + 1j * w * l),
+    Combination(("rp", "cp"), "Y", lambda r, c, w: 1 / r + 1j * w * c),
+    Combination(("rp", "lp"), "Y", lambda r, l, w: 1 / r - 1j / (w * l)),
+    Combination(("g", "cp"), "Y", lambda g, c, w: g + 1j * w * c),
+    Combination(("g", "lp"), "Y", lambda g, l, w: g - 1j / (w * l)),
+    Combination(("cp", "d"), "Y", lambda c, d, w: w * c * (d + 1j)),
+    Combination(("cp", "q"), "Y", lambda c, q, w: w * c * (1 / q + 1j)),
+    Combination(("cs", "d"), "Z", lambda c, d, w: (d - 1j) / (w * c)),
+    Combination(("cs", "q"), "Z", lambda c, q, w: (1 / q - 1j) / (w * c)),
+    Combination(("ls", "d"), "Z", lambda l, d, w: w * l * (d + 1j)),
+    Combination(("ls", "q"), "Z", lambda l, q, w: w * l * (1 / q + 1j)),
+    Combination(("lp", "d"), "Y", lambda l, d, w: (d - 1j) / (w * l)),
+    Combination(("lp", "q"), "Y", lambda l, q, w: (1 / q - 1j) / (w * l)),
+    Combination(("c", "d"), "Y", lambda c, d, w: w * c * (d + 1j)),
+    Combination(("s_real", "s_imag"), "S", lambda a, b, w: a + 1j * b),
+    Combination(("s_size", "s_phase"), "S", lambda s, a, w: s * np.exp(1j * a)),
+)

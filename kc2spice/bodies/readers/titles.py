@@ -1,0 +1,186 @@
+"""Titles of columns: the quantity, the sign and the unit of a title, and its column in SI.
+
+A title of an instrument, such as ``Trace 2: Impedance: Phase (deg)`` or ``-Im(Z)/Ohm``, is taken
+apart into a sign, words and a unit; :mod:`kc2spice.bodies.readers.meanings` lists the words and
+units. Columns without a known meaning are not used.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from kc2spice.bodies.readers.meanings import (
+    ADDED,
+    BARE,
+    LARGE,
+    MEANINGS,
+    PREFIXES,
+    RADIANS,
+    UNITS,
+    Meaning,
+)
+from kc2spice.core.equality import EqualByContent
+
+_GREEK_OHM = str.maketrans({"\u2126": "Ohm", "Ω": "Ohm", "−": "-", "–": "-", "′": "'", "″": "''"})
+COMMENT = "#%!*; "  # marks in front of a title
+
+
+@dataclass(frozen=True)
+class Unit:
+    """A unit as it is written, what it ``measures`` and its ``value`` in SI."""
+
+    text: str
+    measures: str
+    value: float
+
+
+@dataclass(frozen=True)
+class Title:
+    """Meaning of the title of a column; ``unit`` is None if the title contains no unit."""
+
+    text: str
+    meaning: Meaning
+    sign: float
+    unit: Unit | None
+
+
+@dataclass(frozen=True, eq=False)
+class Column(EqualByContent):
+    """The ``values`` (n,) of a quantity in SI, angles in rad."""
+
+    title: Title
+    values: np.ndarray
+    note: str
+    unit: str
+
+    def __str__(self) -> str:
+        sign = "-" if self.title.sign < 0 else ""
+        return f"{sign}{self.title.meaning.quantity} [{self.unit}] from {self.title.text!r}"
+
+
+def units_of(text: str) -> list[Unit]:
+    """Units that ``text`` may be; ``s`` is siemens, ``f`` farad.
+
+    Raises
+    ------
+    ValueError : the case of ``mhz`` or ``MF`` does not tell a prefix.
+    """
+    plain = text.strip().translate(_GREEK_OHM).replace(" ", "")
+    result = []
+    for measures, spellings in UNITS.items():
+        for base, value in spellings.items():
+            if not plain.lower().endswith(base) or (not base and plain):
+                continue
+            prefix, spelled = plain[: len(plain) - len(base)], plain[len(plain) - len(base) :]
+            factor = _prefix(prefix, spelled, measures, text)
+            if factor is None or (prefix and base in BARE):
+                continue
+            result.append(Unit(text.strip(), measures, factor * value))
+    return result
+
+
+def _prefix(prefix: str, base: str, measures: str, text: str) -> float | None:
+    """The factor of a prefix, None for what is none."""
+    if len(prefix) > 1:
+        return None
+    doubtful = (prefix == "m" and base == "hz") or (
+        prefix == "M" and measures in ("capacitance", "inductance")
+    )
+    if doubtful:
+        big = "MHz or mHz" if base == "hz" else f"milli or mega {measures}"
+        raise ValueError(f"the unit {text!r} may be {big}: write its prefix in the right case")
+    if prefix in PREFIXES:
+        return PREFIXES[prefix]
+    other = prefix.swapcase()
+    known = other in PREFIXES and (other in LARGE) == (measures == "frequency" or prefix == "K")
+    return PREFIXES[other] if known else None
+
+
+def read_title(text: str) -> Title | None:
+    """Parse a title; None if its meaning is not known.
+
+    Raises
+    ------
+    ValueError : a unit that its quantity is not measured in, or whose prefix is not clear.
+    """
+    plain = text.strip().strip('"').lstrip(COMMENT).translate(_GREEK_OHM).strip()
+    sign = -1.0 if re.match(r"-\s*[^\s\d-]", plain) else 1.0
+    plain = plain.lstrip("-+ ")
+    unfit = ""
+    for stem, unit_text in _splits(plain):
+        words = _words(stem)
+        meanings = [m for m in MEANINGS if re.fullmatch(m.names, words)]
+        if not meanings:
+            continue
+        if unit_text is None:
+            first = next((m for m in meanings if not m.needs_unit), None)
+            if first is None:
+                raise ValueError(f"column {text!r} has no unit: is it dB, deg, real or imag?")
+            return Title(text, first, sign, None)
+        units = units_of(unit_text)
+        for meaning in meanings:
+            for unit in units:
+                if unit.measures in meaning.measures:
+                    return Title(text, meaning, sign, unit)
+        unfit = unfit or f"column {text!r}: {unit_text!r} is no unit of {meanings[0].measures[0]}"
+    if unfit:
+        raise ValueError(unfit)
+    return None
+
+
+def _splits(title: str) -> Iterator[tuple[str, str | None]]:
+    """Ways to divide a title into words and a unit; None is a title without one."""
+    for match in re.finditer(r"[\[(]([^\[\]()]*)[\])]", title):
+        if units_of(match[1]):
+            yield title[: match.start()] + " " + title[match.end() :], match[1]
+            return
+    tail = re.fullmatch(r"(.*?\S)\s*(?:/|[\s_,]+)\s*((?:rad/s|[^\s_/,()\[\]]+))", title)
+    if tail and _units_or_none(tail[2]):
+        yield tail[1], tail[2]
+    bracket = re.fullmatch(r"(.*?\S)\s*[\[(]([^\[\]()]+)[\])](.*)", title)
+    if bracket:  # Re(Z) names a quantity, frequency (rpm) an unknown unit
+        yield title, None
+        yield bracket[1] + bracket[3], bracket[2]
+    else:
+        yield title, None
+
+
+def _units_or_none(text: str) -> list[Unit]:
+    """Units of a word that may be part of a name instead."""
+    return units_of(text) if text not in ("-", "1") else []
+
+
+def _words(stem: str) -> str:
+    """The words of a title in small letters and in one, without those of instruments."""
+    low = re.sub(r"z\s*''", "zimag", stem.lower())
+    low = re.sub(r"z\s*'", "zreal", low)
+    words = [w for w in re.findall(r"\|\w+\||[^\W_]+", low) if not ADDED.fullmatch(w)]
+    return "".join(words).replace("impedance", "z").replace("admittance", "y")
+
+
+def column_of(title: Title, values: np.ndarray) -> Column:
+    """The column of a title with its ``values`` (n,) in SI."""
+    unit, note, name = title.unit, "", title.text.strip()
+    if unit is None:
+        unit = _assumed_unit(title, values)
+        if unit.text:
+            note = f"{name}: no unit, taken as {unit.text}"
+    scaled = 10 ** (values / 20) if unit.measures == "decibel" else unit.value * values
+    return Column(title, title.sign * scaled, note, unit.text or "1")
+
+
+def _assumed_unit(title: Title, values: np.ndarray) -> Unit:
+    """The unit of a column that states none."""
+    measures = title.meaning.measures[0]
+    if measures == "frequency" and re.search("ω|omega", title.text.lower()):
+        return Unit("rad/s", measures, UNITS[measures]["rad/s"])
+    if measures == "angle":
+        largest, spread = RADIANS
+        in_rad = np.abs(values).max(initial=0.0) <= largest and np.ptp(values) > spread
+        return Unit("rad", measures, 1.0) if in_rad else Unit("degrees", measures, np.pi / 180)
+    names = {"frequency": "Hz", "impedance": "Ohm", "admittance": "S", "capacitance": "F"}
+    return Unit(names.get(measures, "H" if measures == "inductance" else ""), measures, 1.0)

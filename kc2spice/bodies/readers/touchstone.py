@@ -1,0 +1,74 @@
+"""Touchstone files of version 1 and 2 (IBIS Open Forum, 2009) as complex responses."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from kc2spice.bodies.readers.complex_response import MeasuredResponse, admittance_of
+from kc2spice.bodies.readers.meanings import Quantity
+
+_HERTZ = {"hz": 1.0, "khz": 1e3, "mhz": 1e6, "ghz": 1e9, "thz": 1e12}
+_OPTIONS = {"ri", "ma", "db", *"syzgh", *_HERTZ}
+_QUANTITIES: dict[str, Quantity] = {"s": "S", "z": "Z", "y": "Y"}
+
+
+def touchstone_response(text: str, ports: int) -> MeasuredResponse:
+    """Touchstone 1 and 2 (IBIS Open Forum, 2009): S, Y or Z in RI, MA or DB.
+
+    The first option line counts; the standard ignores others.
+    """
+    unit, kind, form, reference = "ghz", "s", "ma", [50.0]
+    section = words = list[str]()
+    keys: dict[str, list[str]] = {}
+    options: list[list[str]] = []
+    for raw in text.lower().splitlines():
+        line = raw.partition("!")[0].strip()
+        if line.startswith("["):
+            key, _, value = line[1:].partition("]")
+            section = keys[key.strip()] = value.split()
+        elif line.startswith("#"):
+            options.append(line[1:].split())
+        else:
+            section += line.split()
+    for option in options[:1]:
+        at = option.index("r") if "r" in option else len(option)
+        reference = [float(w) for w in option[at + 1 :]] or reference
+        unknown = [word for word in option[:at] if word not in _OPTIONS]
+        if unknown:
+            raise ValueError(f"the option line has the word {unknown[0]!r}, which is not known")
+        unit = next((word for word in option[:at] if word in _HERTZ), unit)
+        kind = next((word for word in option[:at] if word in "syzgh"), kind)
+        form = next((word for word in option[:at] if word in ("ri", "ma", "db")), form)
+    notes = ["the first of several option lines counts"] if len(options) > 1 else []
+    words = keys.get("network data", words)
+    reference = [float(w) for w in keys.get("reference", ())] or reference
+    n = int(keys.get("number of ports", [str(ports)])[0])
+    order, shape = keys.get("two-port data order"), keys.get("matrix format", ["full"])
+    if kind in "gh" or not 1 <= n <= 64 or shape != ["full"]:
+        raise ValueError(f"{kind.upper()} parameters of {n} ports, {' '.join(shape)}")
+    width = 1 + 2 * n * n
+    values = np.array([float(w) for w in words])
+    table = values[: len(values) // width * width].reshape(-1, width)
+    back = np.flatnonzero(np.diff(table[:, 0]) < 0)  # noise parameters of version 1 come last
+    if len(values) % width and not back.size:
+        raise ValueError(f"{len(values)} numbers, not {width} a frequency")
+    table = table[: back[0] + 1] if back.size else table
+    a, b = table[:, 1::2], table[:, 2::2]
+    polar = np.deg2rad(b)
+    size = 10 ** (a / 20) if form == "db" else a
+    P = (a + 1j * b if form == "ri" else size * np.exp(1j * polar)).reshape(-1, n, n)
+    if n == 2 and order in (None, ["21_12"]):
+        P = P.swapaxes(1, 2)
+    z0 = np.broadcast_to(reference if len(reference) == n else reference[:1], (n,)).astype(float)
+    if kind != "s" and "version" not in keys:  # version 1 normalises to the first reference
+        P = P * z0[0] if kind == "z" else P / z0[0]
+    summary = f"{kind.upper()} of {n} ports in {form.upper()}, frequency in {_spell_unit(unit)}"
+    summary += f", reference {' '.join(f'{R:g}' for R in reference)} Ohm" if kind == "s" else ""
+    quantity = _QUANTITIES[kind]
+    Y = admittance_of(quantity, P, z0)
+    return MeasuredResponse(_HERTZ[unit] * table[:, 0], quantity, P, Y, z0, tuple(notes), summary)
+
+
+def _spell_unit(unit: str) -> str:
+    """A unit of frequency in its own case."""
+    return unit[:-2].upper().replace("K", "k") + "Hz"
