@@ -97,6 +97,18 @@ def running(values: np.ndarray, over: np.ndarray) -> np.ndarray:
     return np.concatenate([start, np.cumsum(steps, axis=-1)], axis=-1)
 
 
+def slope(values: np.ndarray, over: np.ndarray) -> np.ndarray:
+    """Derivative (n,) of ``values`` (n,) by ``over`` (n,), which may have equal points.
+
+    It is that of the parabola through three points, of the second order in their distance.
+    """
+    first = np.r_[True, np.diff(over) > 0]
+    if first.sum() < 3:
+        return np.zeros_like(values)
+    inner = np.gradient(values[first], over[first], edge_order=2)
+    return np.asarray(np.interp(over, over[first], inner))
+
+
 def interpolate(at: Any, scale: np.ndarray, values: np.ndarray) -> Any:
     """Interpolate ``values`` (n,) linearly at ``at``; ``scale`` (n,) rises or falls."""
     direction = -1 if scale[0] > scale[-1] else 1

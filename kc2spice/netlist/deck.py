@@ -6,8 +6,9 @@ import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any
+from typing import Any, NamedTuple
 
+from kc2spice.core.domains import Power
 from kc2spice.core.errors import UsageError
 from kc2spice.netlist.circuit import Circuit, Directive, Item
 from kc2spice.netlist.elements import Line, noted
@@ -80,6 +81,20 @@ class Measure:
         yield Directive(".meas", (self.kind, self.name, scaled))
 
 
+class PowerTerm(NamedTuple):
+    """A power [W] as a product of two results by their names: what is ``across`` pins and what
+    flows ``through`` them, by the ``law`` of their domain."""
+
+    across: str
+    through: str
+    law: Power
+
+    @property
+    def names(self) -> frozenset[str]:
+        """Results that it needs."""
+        return frozenset({self.through} if self.law == "through" else {self.across, self.through})
+
+
 def transient(stop: float, max_step: float, *, uic: bool) -> Command:
     """``.tran`` to ``stop`` [s] in steps of ``max_step`` [s] at most."""
     step = min(max_step, stop / 1000)
@@ -135,8 +150,8 @@ class Deck:
     """A testbench with its libraries.
 
     ``parts`` are the subcircuits, each one library file; ``vectors`` maps result names to ngspice
-    expressions and the factor to SI, ``units`` to SI units, ``powers`` to the voltages and currents
-    that they are sums of products of. ``stop`` is the last time point [s] of
+    expressions and the factor to SI, ``units`` to SI units, ``powers`` to the terms that
+    they are sums of. ``stop`` is the last time point [s] of
     a transient, None otherwise. ``refinements`` are further analyses of the kind of ``command``,
     whose points join its own. A dc analysis sweeps its source in ``sweep_scale`` volts or amperes
     per SI unit of the swept key. A deck that somebody wrote by hand has its ``text``, the ``tree``
@@ -156,7 +171,7 @@ class Deck:
     command: Command = Command("op", ())
     vectors: Mapping[str, tuple[str, float]] = field(default_factory=dict)
     units: Mapping[str, str] = field(default_factory=dict)
-    powers: Mapping[str, tuple[tuple[str, str], ...]] = field(default_factory=dict)
+    powers: Mapping[str, tuple[PowerTerm, ...]] = field(default_factory=dict)
     measures: tuple[Measure, ...] = ()
     stop: float | None = None
     initial: Mapping[str, float] = field(default_factory=dict)

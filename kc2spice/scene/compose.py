@@ -191,28 +191,52 @@ def _with_inner_names(scene: Scene) -> Scene:
     return replace(scene, meters=meters)
 
 
-def electrical(part: Part, scene: Scene) -> tuple[str, ...]:
-    """Its pins that carry a current and are not on ground."""
-    return tuple(
-        pin
-        for (name, pin), end in scene.terminals.items()
-        if name == part.name and end.domain is ELECTRICAL and scene.net(name, pin) != "0"
-    )
+def metered_pins(part: Part, scene: Scene) -> dict[str, Domain]:
+    """Its pins off ground whose flow can be metered, with their domains, in order.
+
+    The flow at a reference pin, such as ``ambient``, is the sum of those at the others where power
+    is the flow itself.
+    """
+    result: dict[str, Domain] = {}
+    for pin in scene.pins(part.name):
+        domain = pin.domain
+        if domain is None or not domain.metered or scene.net(part.name, pin.name) == "0":
+            continue
+        if domain.power != "through" or pin.name != domain.reference:
+            result[pin.name] = domain
+    return result
+
+
+def powered_pins(part: Part, scene: Scene) -> dict[str, Domain]:
+    """Its pins by which power enters in one domain: electrical ones where it has any, otherwise
+    those of the domain of its first pin."""
+    pins = metered_pins(part, scene)
+    domains = [*pins.values()]
+    one = ELECTRICAL if ELECTRICAL in domains else next(iter(domains), None)
+    return {pin: domain for pin, domain in pins.items() if domain is one}
 
 
 def _metered(scene: Scene) -> Iterator[tuple[str, str]]:
-    """Pins of subcircuits whose current probes ask for by ``PART.current``, that of the first pin,
-    ``PART.PIN.current`` or ``PART.power``, where no neighbour tells it."""
+    """Pins of subcircuits whose flow probes ask for by ``PART.current``, that of the first pin,
+    ``PART.PIN.current`` or ``PART.power``, where no neighbour tells it; heat flows, forces and
+    volume velocities likewise."""
     for of in dict.fromkeys(probe.of for probe in scene.probes.values()):
         name, _, asked = of.partition(".")
         part = scene.parts.get(name)
         if part is None or type(part.type).cards is not PartType.cards:
             continue
-        pins = electrical(part, scene)
-        for pin in pins:
-            if asked == "power" or (
-                asked in (f"{pin}.current", "current" if pin == pins[0] else "")
-                and not (part.reduced and current_into(part, pin, Build(scene, {})))
+        powered = powered_pins(part, scene)
+        for pin, domain in metered_pins(part, scene).items():
+            flow = domain.quantity("through").name
+            first = bool(powered) and pin == next(iter(powered))
+            paired = part.reduced and not domain.reference  # a result of the body
+            if (
+                (asked == "power" and pin in powered)
+                or asked == f"{pin}.power"
+                or (
+                    asked in (f"{pin}.{flow}", flow if first else "")
+                    and not (paired and current_into(part, pin, Build(scene, {})))
+                )
             ):
                 yield name, pin
 

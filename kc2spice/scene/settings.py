@@ -350,8 +350,8 @@ class Probe(Section):
 
     of: str = Field(
         description=(
-            "Result that the probe reads: disc.x, NETLIST.NODE, or PART.current, PART.PIN.current "
-            "and PART.power of a part with electrical pins"
+            "Result that the probe reads: disc.x, NETLIST.NODE, or PART.current, PART.PIN.current, "
+            "PART.power and PART.PIN.power; force, heat_flow or volume_velocity instead of current"
         )
     )
     take: Literal[

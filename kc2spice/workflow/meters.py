@@ -12,23 +12,25 @@ from typing import Any
 
 import numpy as np
 
+from kc2spice.core.domains import QUANTITIES, Domain
 from kc2spice.core.errors import UsageError, unknown
 from kc2spice.core.figure import Curve, Figure, Panel, scale_axis
 from kc2spice.core.quantities import quantity
 from kc2spice.core.waveforms import Waveforms, running
-from kc2spice.netlist.deck import Command, Deck, noise
+from kc2spice.netlist.deck import Command, Deck, PowerTerm, noise
 from kc2spice.netlist.expression import terms, vector
 from kc2spice.netlist.scope import Scope
 from kc2spice.scene.checks import Check, Metric
-from kc2spice.scene.compose import electrical
+from kc2spice.scene.compose import metered_pins, powered_pins
 from kc2spice.scene.keys import model_keys
-from kc2spice.scene.model import Build, Names, Part, PartType
+from kc2spice.scene.model import Build, Names, Part, PartType, Scene
 from kc2spice.scene.parttype import replaced
 from kc2spice.scene.resolve import resolve
 from kc2spice.scene.rows import Swept, Vector
 
 WAVE = "noise"  # spectral density of the output, and the metric of its rms value
 DENSITY = "/sqrt(Hz)"
+WATT = "W"
 RESOLVED = 0.02  # largest relative change of the rms value with every second frequency
 
 
@@ -161,7 +163,7 @@ def noise_figures(waves: Waveforms, unit: str) -> Iterator[Figure]:
     yield Figure("noise", "Noise", "Of the scene's output, at 27 °C.", tuple(panels))
 
 
-Pairs = tuple[tuple[str, str], ...]  # names of a voltage and of the current that belongs to it
+Powers = tuple[PowerTerm, ...]  # powers whose sum is one of a part
 
 
 def result_vectors(build: Build, without: Collection[str] = ()) -> dict[str, Vector]:
@@ -189,7 +191,7 @@ def result_units(build: Build) -> dict[str, str]:
     """SI units of all results, powers among them."""
     results = result_vectors(build)
     units = {name: vector.unit for name, vector in results.items()}
-    return units | dict.fromkeys(powers(build, results), "W")
+    return units | dict.fromkeys(powers(build, results), WATT)
 
 
 def require_probed(build: Build) -> None:
@@ -235,46 +237,88 @@ def _every_result(build: Build, waiting: Collection[str]) -> list[str]:
     scene = resolve(replace(build.scene, ports="all"))
     result = dict.fromkeys(result_vectors(replace(build, scene=scene), without=waiting))
     for part in scene.parts.values():
-        pins = electrical(part, scene)
-        if {f"{part.name}.v", f"{part.name}.i"} <= result.keys():
-            result |= dict.fromkeys((f"{part.name}.current", f"{part.name}.power"))
-        if pins and type(part.type).cards is PartType.cards:
-            result |= dict.fromkeys(f"{part.name}.{pin}.current" for pin in pins)
-            result |= dict.fromkeys((f"{part.name}.current", f"{part.name}.power"))
+        result |= dict.fromkeys(_offered(part, scene, result))
     return list(result)
 
 
+def _offered(part: Part, scene: Scene, known: Collection[str]) -> Iterator[str]:
+    """Names of flows and powers of a part that probes may read besides the ``known`` results."""
+    n, pins, powered = part.name, metered_pins(part, scene), powered_pins(part, scene)
+    for domain in dict.fromkeys(powered.values()):
+        through = domain.quantity("through")
+        if f"{n}.{through.symbol}" in known or type(part.type).cards is PartType.cards:
+            yield from (f"{n}.{through.name}", f"{n}.power")
+    if type(part.type).cards is PartType.cards:
+        for pin, domain in pins.items():
+            yield from (f"{n}.{pin}.{domain.quantity('through').name}", f"{n}.{pin}.power")
+
+
 def _meter_vectors(build: Build, known: Mapping[str, Vector]) -> dict[str, Vector]:
-    """Results ``PART.PIN.current`` [A], into the part, and ``PART.PIN.potential`` [V] of pins with
-    a meter, and ``PART.current``, that of the first pin."""
+    """Results of pins with a meter, in SI: ``PART.PIN.current``, into the part, and ``PART.PIN.v``;
+    ``PART.current`` is that of the first pin. Other domains have their own words for both."""
     result: dict[str, Vector] = {}
     for name, pin in build.scene.meters:
         part = build.scene.parts[name]
-        read = Vector(f"i({build.meter(part, pin)})", 1.0, "A")
-        result[f"{name}.{pin}.current"] = read
-        result[f"{name}.{pin}.potential"] = Vector(f"v({build.net(part, pin)})", 1.0, "V")
-        if pin == electrical(part, build.scene)[0]:
-            result[f"{name}.current"] = read
-    for part in _probed_parts(build, "current"):
-        if f"{part.name}.i" in known:  # current of an element, under the name that bodies use
-            result.setdefault(f"{part.name}.current", known[f"{part.name}.i"])
+        domain = metered_pins(part, build.scene)[pin]
+        through = domain.quantity("through")
+        read = Vector(f"i({build.meter(part, pin)})", through.factor, through.unit)
+        result[f"{name}.{pin}.{through.name}"] = read
+        result[f"{name}.{pin}.{domain.across.symbol}"] = build.across(part, pin)
+        if pin == next(iter(powered_pins(part, build.scene))):
+            result[f"{name}.{through.name}"] = read
+    for quantity_name, (domain, side) in QUANTITIES.items():
+        for part in _probed_parts(build, quantity_name) if side == "through" else ():
+            known_as = f"{part.name}.{domain.quantity(side).symbol}"
+            if known_as in known:  # flow of an element, under the name that bodies use
+                result.setdefault(f"{part.name}.{quantity_name}", known[known_as])
+    for part in _probed_parts(build, "power"):
+        result |= _element_vectors(part, build)
     return {name: vector for name, vector in result.items() if name not in known}
 
 
-def powers(build: Build, known: Mapping[str, Vector]) -> dict[str, Pairs]:
-    """``PART.power`` [W] that probes ask for, by what it is the sum of: all that goes into a
-    part, and what a source gives."""
-    result: dict[str, Pairs] = {}
+def _element_vectors(part: Part, build: Build) -> dict[str, Vector]:
+    """What is across an element of two pins of one domain whose cards stand in the deck."""
+    pins = [pin for pin in build.scene.pins(part.name) if pin.domain is not None]
+    if type(part.type).cards is PartType.cards or len(pins) != 2 or pins[0].kind != pins[1].kind:
+        return {}
+    domain, ends = pins[0].domain, [build.across(part, pin.name) for pin in pins]
+    assert domain is not None
+    pairs = zip(("", "-"), (end.expression for end in ends), strict=True)
+    text = "".join(sign + node for sign, node in pairs if node != "v(0)")
+    name = f"{part.name}.{domain.across.symbol}"
+    return {name: replace(ends[0], expression=text)} if text else {}
+
+
+def powers(build: Build, known: Mapping[str, Vector]) -> dict[str, Powers]:
+    """``PART.power`` and ``PART.PIN.power`` [W] that probes ask for, by what they are the sums of:
+    all that goes into a part, and what a source gives."""
+    result: dict[str, Powers] = {}
     for part in _probed_parts(build, "power"):
-        n = part.name
-        pairs = tuple(
-            (f"{n}.{pin}.potential", f"{n}.{pin}.current") for pin in electrical(part, build.scene)
+        n, pins = part.name, powered_pins(part, build.scene)
+        terms = tuple(_pin_power(part, pin, domain, build) for pin, domain in pins.items())
+        if not terms or not all(term.through in known for term in terms):
+            domains = dict.fromkeys(pins.values())
+            terms = tuple(
+                PowerTerm(f"{n}.{d.across.symbol}", f"{n}.{d.quantity('through').symbol}", d.power)
+                for d in domains
+            )
+        if terms and all(term.names <= known.keys() for term in terms):
+            result[f"{n}.power"] = terms
+    for name, pin in build.scene.meters:
+        part = build.scene.parts[name]
+        result[f"{name}.{pin}.power"] = (
+            _pin_power(part, pin, metered_pins(part, build.scene)[pin], build),
         )
-        if not pairs or not all(i in known for _, i in pairs):
-            pairs = ((f"{n}.v", f"{n}.i"),)
-        if all(item in known for pair in pairs for item in pair):
-            result[f"{n}.power"] = pairs
-    return result
+    probed = {probe.of for probe in build.scene.probes.values()}
+    return {name: terms for name, terms in result.items() if name in probed}
+
+
+def _pin_power(part: Part, pin: str, domain: Domain, build: Build) -> PowerTerm:
+    """The power that enters a part through one of its pins; a velocity pin has no rate."""
+    unit = build.scene.terminals[part.name, pin].unit
+    power = domain.power if unit == domain.across.pin_unit else "across * through"
+    across, through = domain.across.symbol, domain.quantity("through").name
+    return PowerTerm(f"{part.name}.{pin}.{across}", f"{part.name}.{pin}.{through}", power)
 
 
 def _probed_parts(build: Build, what: str) -> list[Part]:

@@ -18,8 +18,8 @@ from typing import Any
 import numpy as np
 
 from kc2spice.core.errors import SimulationError
-from kc2spice.core.waveforms import Waveforms, save_arrays, write_record
-from kc2spice.netlist.deck import Deck
+from kc2spice.core.waveforms import Waveforms, save_arrays, slope, write_record
+from kc2spice.netlist.deck import Deck, PowerTerm
 from kc2spice.report.html import leaves
 from kc2spice.scene.checks import Verdict
 from kc2spice.scene.model import Build
@@ -183,15 +183,26 @@ def simulate(
 
 def _with_powers(waves: Waveforms, deck: Deck) -> Waveforms:
     """The waves and these powers: at every instant, or in ``ac`` the mean over a period."""
-
-    def power(v: np.ndarray, i: np.ndarray) -> np.ndarray:
-        return (v * i.conj()).real / 2 if np.iscomplexobj(v) else v * i
-
     result = {
-        name: np.asarray(sum(power(waves[v], waves[i]) for v, i in item))
-        for name, item in deck.powers.items()
+        name: np.asarray(sum(_power(term, waves) for term in terms))
+        for name, terms in deck.powers.items()
     }
     return replace(waves, data={**waves.data, **result})
+
+
+def _power(term: PowerTerm, waves: Waveforms) -> np.ndarray:
+    """A power over the scale of the waves: zero as the mean of a heat flow over a period, and at
+    the operating points of a sweep, where nothing moves."""
+    through = waves[term.through]
+    if term.law == "through":
+        return np.zeros(through.size) if np.iscomplexobj(through) else through
+    across = waves[term.across]
+    if term.law == "d(across)/dt * through":
+        if "frequency" in waves:
+            across = 2j * np.pi * waves["frequency"].real * across
+        else:
+            across = slope(across, waves["time"]) if "time" in waves else 0.0 * across
+    return (across * through.conj()).real / 2 if np.iscomplexobj(through) else across * through
 
 
 def ran(
