@@ -48,6 +48,7 @@ class Row(NamedTuple):
 
 VOLT, AMPERE, FORCE = 'dc = "1 V"', 'kind = "current"\ndc = "1 A"', 'kind = "force"\ndc = "10 mN"'
 HEAT = 'kind = "heat_flow"\ndc = "1 W"'
+HEAT_PULSE = 'kind = "heat_flow"\npulse = { high = "1 W", width = "10 s", edge = "1 ms" }'
 V, I, X = voltage("v", "a", "b"), current("i", "a", "b"), displacement("x", "a", "b")
 PUSH, BLOW = 'kind = "pressure"\ndc = "1 Pa"', 'kind = "volume_velocity"\ndc = "1e-6 m3/s"'
 T, P, U = branch("temperature"), branch("pressure"), branch("volume_velocity")
@@ -65,7 +66,7 @@ TABLE = (
     Row("thermal_resistor", "thermal resistance between two pins of temperature", "resistance",
         "K/W", "20 K/W", T, {"content": "0.5*temperature^2/resistance"}, HEAT),
     Row("thermal_capacitor", "heat capacity between a pin of temperature and its surroundings",
-        "capacity", "J/K", "0.5 J/K", T, {"coenergy": "0.5*capacity*temperature^2"}, HEAT),
+        "capacity", "J/K", "0.5 J/K", T, {"coenergy": "0.5*capacity*temperature^2"}, HEAT_PULSE),
     Row("acoustic_resistor", "acoustic resistance between two pins of pressure", "resistance",
         "Pa s/m3", "1e6 Pa s/m3", P, {"content": "0.5*pressure^2/resistance"}, PUSH),
     Row("acoustic_compliance", "acoustic compliance of a closed volume", "compliance", "m3/Pa",
