@@ -21,7 +21,6 @@ from kc2spice.equations.networks import (
     split_networks,
 )
 from kc2spice.scene.model import Build
-from kc2spice.scene.parttype import replaced
 
 
 class PinLink(NamedTuple):
@@ -46,8 +45,8 @@ class SceneLaws:
     @cached_property
     def with_cards(self) -> tuple[str, ...]:
         """Names of the parts with cards of their own."""
-        without = replaced(self.build.scene)
-        return tuple(name for name in self.build.scene.parts if name not in without)
+        scene = self.build.scene
+        return tuple(name for name in scene.parts if name not in scene.without_cards)
 
     @cached_property
     def stated(self) -> Mapping[str, Equations]:

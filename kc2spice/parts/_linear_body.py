@@ -39,7 +39,7 @@ from kc2spice.rom.stability import prove_stability
 from kc2spice.rom.varying import Varying
 from kc2spice.scene.checks import Balance, Check, Metric
 from kc2spice.scene.model import GROUND, Build, Part, Scene, Terminal
-from kc2spice.scene.parttype import current_into, numerics, pin_forces
+from kc2spice.scene.parttype import current_into, pin_forces
 from kc2spice.scene.plausible import dimensions
 from kc2spice.scene.rows import Neglected, Rest, Vector
 from kc2spice.scene.settings import Rom
@@ -168,7 +168,7 @@ class LinearBody(Touching):
         names = wanted(part, scene)
         known = {"ground", *REFERENCES, *(t for p in every for t in (p.name, *p.terminals))}
         _require_ports(part, sorted(names - known), [port.name for port in every])
-        if scene.ports == "declared" and part.declares(scene):
+        if scene.ports == "declared" and part.declares:
             return every
         used = [p for p in every if p.kind not in ANSWERS or names & {p.name, *p.terminals}]
         return tuple(used) or every[:1]
@@ -195,18 +195,23 @@ class LinearBody(Touching):
         last = reference_pin(ports)
         return (*result, Terminal(last.name, last.unit, last.flow, "gnd"))
 
-    def at_rest(self, part: Part, scene: Scene, model: Any | None = None) -> Rest:
+    def at_rest(self, part: Part, scene: Scene) -> Rest:
+        """Holds all pins against its reference."""
+        last = scene.pins(part.name)[-1]
+        end = GROUND if last.name in (BASE, "ground") else last.name
+        pins = (pin for pin, _ in super().at_rest(part, scene).held)
+        return Rest(tuple((pin, end) for pin in pins if pin != end))
+
+    def rest_with_model(self, part: Part, build: Build) -> Rest:
         """Holds all pins against its reference; those of a free body against each other.
 
         A port that takes up volume for a pressure is a path for flow only if the body gives way
         without end.
         """
-        ports = self.kept(part, scene)
-        last = scene.pins(part.name)[-1]
-        end = GROUND if last.name in (BASE, "ground") else last.name
-        result = tuple((pin, end) for pin, _ in super().at_rest(part, scene).held if pin != end)
+        model, rest = build.model(part), build.scene.records[part.name].rest
         if model is None:
-            return Rest(result)
+            return rest
+        ports, result = self.kept(part, build.scene), rest.held
         inert, free = inert_ports(model), free_to_move(model)
         filled = set() if free else {port.terminals[0] for port in ports if port.charged}
         result = tuple(pair for pair in result if pair[0] not in filled)
@@ -276,7 +281,7 @@ class LinearBody(Touching):
             low, high = scene.analysis.start, float(scene.analysis.stop or 1.0)
             result = Rom(tolerance=1e-3, band=(0.8 * low, 1.2 * high))
         elif result is None:
-            content = max((row.content for row in numerics(scene)), default=0.0)
+            content = max((row.content for row in scene.numerics), default=0.0)
             result = Rom(tolerance=1e-4, band=(0.0, max(content, LEAST)))
         if own is None or result is own:
             return result
@@ -289,7 +294,7 @@ class LinearBody(Touching):
         """
         if self._chosen(part, scene) is not None or scene.analysis.type != "transient":
             return None
-        return max([LEAST, *(r.content for r in numerics(scene) if math.isfinite(r.step))])
+        return max([LEAST, *(r.content for r in scene.numerics if math.isfinite(r.step))])
 
     def model_key(self, part: Part, scene: Scene) -> Mapping[str, Any]:
         rom = reduction_target(part, scene)
@@ -622,7 +627,7 @@ class LinearBody(Touching):
         of a sine and a third of the reciprocal of an edge; or its first resonance, which a contact
         excites more than any drive."""
         scene, t, high = build.scene, waves["time"], certificate.band_hz[1]
-        rows = numerics(scene)
+        rows = scene.numerics
         if any(row.decides for row in rows):
             lowest = build.model(part).facts.get("resonance_short_hz")
             if lowest is not None:
@@ -769,7 +774,7 @@ class LinearBody(Touching):
         if rest:
             what = f"{part.name}: ports {', '.join(rest)}"
             why = "nothing of the scene needs them"
-            if part.declares(scene):
+            if part.declares:
                 why = "nothing joins them: a run leaves them out, an export keeps them"
             yield Neglected(what, why, "none")
         if by_complex_constants(part):
@@ -916,7 +921,7 @@ def wanted(part: Part, scene: Scene) -> set[str]:
     assert isinstance(part.type, LinearBody)
     result = set(part.pins)
     for other in scene.parts.values():
-        names = (*other.pins.values(), *scene.default_joins(other).values())
+        names = (*other.pins.values(), *scene.joins[other.name].values())
         result |= {name.removeprefix(prefix) for name in names if name.startswith(prefix)}
         # copies of it, with loads on all ports
         if scene.records[other.name].governs.get(part.name) == "copied":
@@ -930,7 +935,7 @@ def wanted(part: Part, scene: Scene) -> set[str]:
 def contacts_on(part: Part, scene: Scene) -> Iterator[Part]:
     """The contacts that press on ports of ``part``."""
     for contact in scene.of("contact"):
-        targets = scene.default_joins(contact).values()
+        targets = scene.joins[contact.name].values()
         if any(target.startswith(f"{part.name}.") for target in targets):
             yield contact
 

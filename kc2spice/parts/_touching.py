@@ -12,7 +12,6 @@ import numpy as np
 
 from kc2spice.physics.contact import Normal
 from kc2spice.scene.model import GROUND, Part, PartType, Scene
-from kc2spice.scene.parttype import begins, mover
 
 if TYPE_CHECKING:
     from kc2spice.bodies.pressure import Indented, LocalCompliance, PressureBasis
@@ -66,7 +65,7 @@ class Surface:
         """Pins of the moving part to which the contact's pins on this side are joined."""
         if self.part == GROUND:
             return dict.fromkeys(pins, GROUND)
-        owner = mover(self.part, scene) or self.part
+        owner = scene.movers.get(self.part) or self.part
         ends = (*self.pushed, *self.ports) if self.rigid else self.ports
         return {pin: f"{owner}.{end}" for pin, end in zip(pins, ends, strict=False)}
 
@@ -187,7 +186,7 @@ class Pair:
     @cached_property
     def deepest(self) -> Penetration:
         """The largest of what the parts of the scene can do, or the one that moves side ``b``."""
-        parts, by = self.scene.parts, mover(self.b.part, self.scene)
+        parts, by = self.scene.parts, self.scene.movers.get(self.b.part)
         able = parts.values() if by is None else [parts[by]]
         types = [(p, p.type) for p in able if isinstance(p.type, Touching)]
         result = [item for p, kind in types for item in kind.penetrations(p, self.scene)]
@@ -196,7 +195,7 @@ class Pair:
     @property
     def thrown(self) -> bool:
         """Whether one side starts with a prescribed velocity, or each may; no ceiling does."""
-        return self.b.part == GROUND or self.a.rigid or self.b.part in begins(self.scene)
+        return self.b.part == GROUND or self.a.rigid or self.b.part in self.scene.initial_states
 
     # --- the law ----------------------------------------------------------------------------
 
@@ -318,7 +317,7 @@ class Pair:
 
     def pushed(self, waves: Waveforms) -> np.ndarray | None:
         """How deep [m] another part pushes side ``b``; None where it moves freely."""
-        return waves.data.get(f"{mover(self.b.part, self.scene)}.depth")
+        return waves.data.get(f"{self.scene.movers.get(self.b.part)}.depth")
 
     def place(self, waves: Waveforms) -> np.ndarray | None:
         """Position [m] of side ``b`` at its lowest point, zero where it touches."""

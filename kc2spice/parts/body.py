@@ -452,6 +452,7 @@ class Body(MeshedBody):
     title = "the user's own mesh (piezoelectric FE, reduced)"
     schema = BodyKeys
     source = "FE (piezoelectric, the user's mesh)"
+    ports_of_files = True
 
     def ports(self, part: Part, scene: Scene) -> tuple[Port, ...]:
         result: tuple[Port, ...] = part.keys.every_port

@@ -33,7 +33,7 @@ from kc2spice.physics.part import pins_of
 from kc2spice.rom.linear_model import LinearModel
 from kc2spice.scene.checks import PAIRS, Balance, Check, Gate, Metric, stepping
 from kc2spice.scene.model import GROUND, Build, Part, Scene, Terminal
-from kc2spice.scene.parttype import mover, register
+from kc2spice.scene.parttype import register
 from kc2spice.scene.rows import Neglected, Numerics, Rest, Vector
 
 # Gate of a launch against the full model: of the reduction's certified error, whose band it
@@ -170,7 +170,7 @@ class Contact(DeclaredPart):
         joins |= pair.b.joins(("v", "bottom") if pair.b.rigid else ("b",), scene)
         return joins | ({CARRIED: f"{pair.b.elastic}.{PATCH}"} if pair.b.elastic else {})
 
-    def at_rest(self, part: Part, scene: Scene, model: Any | None = None) -> Rest:
+    def at_rest(self, part: Part, scene: Scene) -> Rest:
         """Surfaces that touch at rest: what presses on them finds its place."""
         pair = pair_of(part, scene)
         held = [(pin, GROUND) for pin in ("base", *["va"] * pair.a.rigid, *["v"] * pair.b.rigid)]
@@ -418,7 +418,7 @@ def _balance(pair: Pair, waves: Waveforms, place: np.ndarray) -> Iterator[Balanc
 def _start(pair: Pair, waves: Waveforms, place: np.ndarray) -> Iterator[Check]:
     """The operating point may hold the sphere elsewhere: other forces balance its weight there."""
     force, other = waves.data.get(f"{pair.part.name}.force"), pair.b.part
-    if pair.b.radius is None or force is None or mover(other, pair.scene) or pair.thrown:
+    if pair.b.radius is None or force is None or pair.scene.movers.get(other) or pair.thrown:
         return
     above = 0.0 if force[0] > 0 else float(place[0]) + pair.keys.gap
     advice = f"forces on {other} balance there before anything moves: change them (magnets: "

@@ -20,7 +20,7 @@ from kc2spice.physics.declaration import shake
 from kc2spice.scene.checks import Metric
 from kc2spice.scene.compose import free, rigid
 from kc2spice.scene.model import GROUND, Build, Part, Scene
-from kc2spice.scene.parttype import begins, register
+from kc2spice.scene.parttype import register
 from kc2spice.scene.plausible import dimensions
 from kc2spice.scene.rows import Rest, Shake
 from kc2spice.scene.settings import Probe
@@ -104,7 +104,7 @@ class PointMass(Touching, DeclaredPart):
         pins = zip(_frames(len(shakes)), shakes, strict=True)
         return {pin: ".".join(shake.pin) for pin, shake in pins}
 
-    def at_rest(self, part: Part, scene: Scene, model: Any | None = None) -> Rest:
+    def at_rest(self, part: Part, scene: Scene) -> Rest:
         falls = part.keys.weight and scene.gravity
         return Rest((("base", GROUND),), pushed=("a",) if falls else (), inert=("a",))
 
@@ -145,10 +145,10 @@ class PointMass(Touching, DeclaredPart):
                     got, expected = f"{name}.{pin} on the same net", "neither position nor velocity"
                     raise part.wrong("", problem, got, expected, hint)
             return given
-        if scene.analysis.type == "transient" and begins(scene):
+        if scene.analysis.type == "transient" and scene.initial_states:
             return given
         net = scene.nets[part.name, "a"]
-        group = next((group for group in free(build) if net in group.nets), None)
+        group = next((group for group in free(scene, build.rests) if net in group.nets), None)
         if group is None or group.bodies:
             return None
         fixed = next(nets for nets in rigid(scene) if net in nets)
@@ -179,7 +179,7 @@ class PointMass(Touching, DeclaredPart):
 
 def _shakes(part: Part, scene: Scene) -> tuple[Shake, ...]:
     """Accelerations that shake its frame."""
-    frame = scene.shaken_frame(part.name, "a")
+    frame = scene.frames.get((part.name, "a"))
     return () if frame is None else frame.shakes
 
 

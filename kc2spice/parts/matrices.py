@@ -41,6 +41,7 @@ class Matrices(LinearBody):
     title = "linear model from the matrices of another tool, reduced"
     schema = MatricesKeys
     source = "matrices of another tool"
+    ports_of_files = True
 
     def ports(self, part: Part, scene: Scene) -> tuple[Port, ...]:
         return self._model(part, scene).ports

@@ -120,7 +120,7 @@ class PortLoads(PartType):
     def metrics(self, part: Part, build: Build, waves: Waveforms) -> Mapping[str, Any]:
         """``amplitude[input][output]`` per unit input, by ``frequency_hz``."""
         amplitude: dict[str, dict[str, Metric]] = {}
-        units = {name: row.unit for name, row in build.vectors(part).items()}
+        units = {name: row.unit for name, row in build.records[part.name].vectors.items()}
         for name, response in waves.data.items():
             source, arrow, sink = name.partition(">")
             if arrow:

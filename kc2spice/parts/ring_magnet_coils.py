@@ -36,7 +36,7 @@ from kc2spice.parts.sphere import offset, sphere_of
 from kc2spice.physics import coils
 from kc2spice.scene.checks import Check, Metric
 from kc2spice.scene.model import GROUND, Build, Part, Scene, Terminal
-from kc2spice.scene.parttype import mover, register
+from kc2spice.scene.parttype import register
 from kc2spice.scene.plausible import within
 from kc2spice.scene.rows import Neglected, Vector
 from kc2spice.spice.header import Header, library
@@ -252,7 +252,7 @@ class RingMagnetCoils(Touching):
 
     def default_joins(self, part: Part, scene: Scene) -> Mapping[str, str]:
         ball = sphere_of(part, scene).name
-        ball = mover(ball, scene) or ball
+        ball = scene.movers.get(ball) or ball
         return {"y": f"{ball}.y", "v": f"{ball}.v"}
 
     def problems(self, part: Part, scene: Scene) -> Iterator[UsageError]:
@@ -539,7 +539,7 @@ def _driven(part: Part, scene: Scene) -> bool:
         target
         for other in scene.parts.values()
         if other is not part
-        for target in (*other.pins.values(), *scene.default_joins(other).values())
+        for target in (*other.pins.values(), *scene.joins[other.name].values())
     )
     return bool(part.pins) or any(target in targets for target in joined)
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import io
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Any, Literal, NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 from pydantic import Field, ValidationInfo, model_validator
@@ -177,7 +177,7 @@ class Source(PartType):
         behind = constant if part.keys.kind in SMOOTHED else 0.0
         return waveform_frequency(part.keys.waveform(scene.home), scene.stop, behind)
 
-    def at_rest(self, part: Part, scene: Scene, model: Any | None = None) -> Rest:
+    def at_rest(self, part: Part, scene: Scene) -> Rest:
         pair = (("out", "ret"),)
         if KINDS[part.keys.kind].letter == "V":
             wave = part.keys.waveform(scene.home)

@@ -23,7 +23,7 @@ from kc2spice.physics import Declaration, DeclaredPart, displacement
 from kc2spice.physics.part import pins_of
 from kc2spice.scene.checks import Balance, Gate, Metric, stepping
 from kc2spice.scene.model import GROUND, Build, Part, Scene, Terminal
-from kc2spice.scene.parttype import begins, mover, pin_forces, register
+from kc2spice.scene.parttype import pin_forces, register
 from kc2spice.scene.plausible import within
 from kc2spice.scene.rows import Neglected, Rest, State, Vector
 from kc2spice.scene.settings import Probe
@@ -130,7 +130,7 @@ class Sphere(Touching, DeclaredPart):
     schema = SphereKeys
 
     def declared(self, part: Part, scene: Scene) -> Declaration:
-        keys, begin = part.keys, begins(scene).get(part.name, AT_REST)
+        keys, begin = part.keys, scene.initial_states.get(part.name, AT_REST)
         return rigid_sphere(keys.mass, keys.radius, scene.gravity, begin.velocity, begin.height)
 
     def expand(self, part: Part, data: Mapping[str, Any]) -> Mapping[str, Mapping[str, Any]]:
@@ -178,14 +178,18 @@ class Sphere(Touching, DeclaredPart):
         given = keys.velocity or keys.height
         return {part.name: State(keys.velocity, keys.height)} if given else {}
 
-    def at_rest(self, part: Part, scene: Scene, model: Any | None = None) -> Rest:
+    def at_rest(self, part: Part, scene: Scene) -> Rest:
         if _moved(part, scene):
             return Rest()
         return Rest((("base", GROUND),), pushed=("v",) if scene.gravity else (), inert=("v",))
 
     def settable(self, part: Part, build: Build) -> Mapping[str, float]:
         held = build.scene.joined(part.name, "v")
-        if held or build.scene.joined(part.name, "bottom") or part.name in begins(build.scene):
+        if (
+            held
+            or build.scene.joined(part.name, "bottom")
+            or part.name in build.scene.initial_states
+        ):
             return {}
         # nothing holds the sphere: it starts at rest where it would touch
         return {build.net(part, "v"): 0.0, build.net(part, "bottom"): 0.0}
@@ -194,7 +198,7 @@ class Sphere(Touching, DeclaredPart):
         return {f"{part.name}.{pin}": build.across(part, pin) for pin in ("y", "v")}
 
     def main_metrics(self, part: Part, build: Build) -> Mapping[str, Probe]:
-        if build.scene.analysis.type != "transient" or part.name in begins(build.scene):
+        if build.scene.analysis.type != "transient" or part.name in build.scene.initial_states:
             return {}
         of = f"{part.name}.y"
         return {
@@ -204,7 +208,7 @@ class Sphere(Touching, DeclaredPart):
 
     def metrics(self, part: Part, build: Build, waves: Waveforms) -> Mapping[str, Any]:
         y = waves.data.get(f"{part.name}.y")
-        if y is None or "time" not in waves or part.name in begins(build.scene):
+        if y is None or "time" not in waves or part.name in build.scene.initial_states:
             return {}
         heights = {"peak_height_m": float(y.max()), "final_position_m": float(y[-1])}
         result = {name: Metric(value, "m") for name, value in heights.items()}
@@ -220,7 +224,7 @@ class Sphere(Touching, DeclaredPart):
         if "time" not in waves or f"{part.name}.v" not in waves:
             return
         scene, words, of = build.scene, f"height of {part.name}", f"{part.name}.y"
-        if part.name not in begins(scene):
+        if part.name not in scene.initial_states:
             given, default = scene.gates.trajectory, {"ngspice_vs_rom": stepping(scene.solver)}
             if given is None:
                 yield Gate(f"{words} over its way", of, default, "travel")
@@ -259,7 +263,7 @@ class Sphere(Touching, DeclaredPart):
         yield Figure(f"{part.name}_trajectory", title, caption, (panel,), main=True)
 
     def begins(self, part: Part, build: Build) -> tuple[float, float] | None:
-        n, scene, states = part.name, build.scene, begins(build.scene)
+        n, scene, states = part.name, build.scene, build.scene.initial_states
         if not states and (scene.joined(n, "v") or scene.joined(n, "bottom")):
             return None
         begin = states.get(n, AT_REST)
@@ -312,7 +316,7 @@ def settling_band(pid: Part, ball: Part) -> float:
 
 def _moved(part: Part, scene: Scene) -> bool:
     """Whether another part prescribes its motion, so that it has none of its own."""
-    return mover(part.name, scene) is not None
+    return scene.movers.get(part.name) is not None
 
 
 def offset(part: Part, pin: str, scene: Scene) -> float:
@@ -323,7 +327,7 @@ def offset(part: Part, pin: str, scene: Scene) -> float:
 
 def beginning(part: Part, pin: str, scene: Scene) -> float | None:
     """Height of the centre [m] that a pin reads at t = 0, None where an operating point says it."""
-    ball, given = _read(part, pin, scene), begins(scene)
+    ball, given = _read(part, pin, scene), scene.initial_states
     if ball is None or not given:
         return None
     return float(ball.keys.radius + given.get(ball.name, AT_REST).height)

@@ -79,7 +79,7 @@ class DeclaredPart(PartType):
         moved = [b for b in d.acting if b.moves and d.mass(b) != ZERO]
         return tuple(d.speeds.get(b.plus, b.plus) for b in moved)
 
-    def at_rest(self, part: Part, scene: Scene, model: Any | None = None) -> Rest:
+    def at_rest(self, part: Part, scene: Scene) -> Rest:
         """Holds displacements with a stiffness at rest, and is a path for flows."""
         d = self.declared(part, scene)
         values = d.values(part.keys)

@@ -17,7 +17,7 @@ from typing import Any
 from kc2spice.core.domains import ELECTRICAL, TRANSLATION, Domain
 from kc2spice.core.errors import UsageError, candidates, did_you_mean, unknown
 from kc2spice.scene.frames import frames
-from kc2spice.scene.model import GROUND, Build, Names, Part, PartType, Scene, Terminal
+from kc2spice.scene.model import GROUND, Build, BuildRecord, Names, Part, PartType, Scene, Terminal
 from kc2spice.scene.parttype import current_into
 from kc2spice.scene.rows import Rest
 
@@ -40,17 +40,17 @@ def composed(scene: Scene) -> Scene:
         one, two outputs or a loop of ideal sources on one net, displacements in different frames;
         ``where`` is a dotted key.
     """
-    scene = _joined(replace(scene, shaken={}, nets={}))
-    if shaken := frames(scene):
-        scene = _joined(replace(scene, shaken=shaken))
-        scene = replace(scene, shaken=frames(scene))  # nodes may be named after the further pins
+    scene = _joined(replace(scene, frames={}, nets={}))
+    if known := frames(scene):
+        scene = _joined(replace(scene, frames=known))
+        scene = replace(scene, frames=frames(scene))  # nodes may be named after the further pins
     return scene
 
 
 def _joined(scene: Scene) -> Scene:
     """``scene`` with its nets; pins of parts in a frame follow from the nets that it has."""
     joins = {name: r.part.type.default_joins(r.part, scene) for name, r in scene.records.items()}
-    scene = _with_answers(scene, "joins", joins)
+    scene = replace(scene, joins=joins)
     terminals = {
         (part.name, pin.name): pin
         for part in scene.parts.values()
@@ -69,22 +69,14 @@ def _joined(scene: Scene) -> Scene:
         _one_kind(net, scene)
     scene = replace(scene, nets=_names(groups, scene))
     rests = {name: r.part.type.at_rest(r.part, scene) for name, r in scene.records.items()}
-    scene = _with_answers(scene, "rest", rests)
-    scene = _with_inner_names(scene)
+    records = {name: replace(r, rest=rests[name]) for name, r in scene.records.items()}
+    scene = _with_inner_names(replace(scene, records=records))
     _required(scene, {net[0] for net in groups if len(net) == 1})
     _outputs(scene)
     _across_nothing(scene)
     _source_loops(scene)
     _grounded(scene)
     return scene
-
-
-def _with_answers(scene: Scene, name: str, answers: Mapping[str, Any]) -> Scene:
-    """``scene`` whose records have the answers of all parts to one question."""
-    rows = scene.records.items()
-    return replace(
-        scene, records={part: replace(record, **{name: answers[part]}) for part, record in rows}
-    )
 
 
 def _joins(part: Part, scene: Scene) -> Iterator[tuple[str, str, str]]:
@@ -99,7 +91,7 @@ def _joins(part: Part, scene: Scene) -> Iterator[tuple[str, str, str]]:
         if pin not in own:
             raise unknown(f"{part.type.name} has no such pin", pin, sorted(own), where)
         yield pin, target, where
-    links = {k: v for k, v in scene.default_joins(part).items() if k not in part.pins}
+    links = {k: v for k, v in scene.joins[part.name].items() if k not in part.pins}
     yield from ((pin, target, part.name) for pin, target in links.items())
     for pin in sorted(own - {*links, *part.pins}):
         default = scene.terminals[part.name, pin].default
@@ -235,10 +227,19 @@ def _metered(scene: Scene) -> Iterator[tuple[str, str]]:
                 or asked == f"{pin}.power"
                 or (
                     asked in (f"{pin}.{flow}", flow if first else "")
-                    and not (paired and current_into(part, pin, Build(scene, {})))
+                    and not (paired and _is_read(part, pin, scene))
                 )
             ):
                 yield name, pin
+
+
+def _is_read(body: Part, pin: str, scene: Scene) -> bool:
+    """Whether a result of the part that is joined to a pin of a body is the current there."""
+    build, rest = Build(scene, {}), Rest()
+    names = [name for name, _ in scene.joined(body.name, pin) if not scene.parts[name].reduced]
+    parts = [scene.parts[name] for name in names]
+    records = {part.name: BuildRecord(rest, part.type.vectors(part, build)) for part in parts}
+    return current_into(body, pin, replace(build, records=records)) is not None
 
 
 def _required(scene: Scene, alone: Collection[Pin]) -> None:
@@ -402,52 +403,47 @@ class Free:
     domain: Domain
 
 
-def free(build: Build) -> tuple[Free, ...]:
+def free(scene: Scene, rests: Mapping[str, Rest]) -> tuple[Free, ...]:
     """The groups of nets without an equilibrium of their own, in the order of the scene.
 
     Parts whose model is not built yet count as held.
     """
-    return tuple(_free(group, build.scene) for group in _unheld(build, _rests(build)))
+    return tuple(_free(group, scene) for group in _unheld(scene, rests))
 
 
 def rigid(scene: Scene, without: str = "") -> list[frozenset[str]]:
     """Nets whose displacements ideal sources, all but ``without``, tie to each other; alone where
     nothing does."""
-    records = [record for name, record in scene.records.items() if name != without]
-    return _groups(scene, [(record.part, record.rest.ideal) for record in records])
+    rests = ((name, rest) for name, rest in scene.rests.items() if name != without)
+    return _groups(scene, {name: rest.ideal for name, rest in rests})
 
 
-def unsettled(build: Build) -> Iterator[UsageError]:
+def unsettled(scene: Scene, rests: Mapping[str, Rest]) -> Iterator[UsageError]:
     """Why the analysis cannot begin: nets without an operating point, and sources that make the
     velocity of inertia jump with nothing that yields in between. Their force is an impulse, and a
     simulator gives what its step makes of it, ringing after it.
 
     Parts whose model is not built yet count as held and as yielding.
     """
-    rests, kind = _rests(build), build.scene.analysis.type
-    for group in _unheld(build, rests):
-        adrift = _free(group, build.scene)
+    for group in _unheld(scene, rests):
+        adrift = _free(group, scene)
         why = _unheld_problem if adrift.domain.position else _undrained_problem
-        yield from why(adrift, group, build.scene, rests)
-    if kind == "transient":
-        yield from _jumps(build.scene, rests)
+        yield from why(adrift, group, scene, rests)
+    if scene.analysis.type == "transient":
+        yield from _jumps(scene, rests)
 
 
-def _rests(build: Build) -> list[tuple[Part, Rest]]:
-    return [(part, build.rest(part)) for part in build.scene.parts.values()]
-
-
-def _unheld(build: Build, rests: list[tuple[Part, Rest]]) -> Iterator[frozenset[str]]:
-    held = [(part, rest.held) for part, rest in rests]
-    return (group for group in _groups(build.scene, held) if "0" not in group)
+def _unheld(scene: Scene, rests: Mapping[str, Rest]) -> Iterator[frozenset[str]]:
+    held = {name: rest.held for name, rest in rests.items()}
+    return (group for group in _groups(scene, held) if "0" not in group)
 
 
 def _unheld_problem(
-    result: Free, group: frozenset[str], scene: Scene, rests: list[tuple[Part, Rest]]
+    result: Free, group: frozenset[str], scene: Scene, rests: Mapping[str, Rest]
 ) -> Iterator[UsageError]:
     """Why the analysis has no operating point of these nets of positions to begin at."""
     kind, path = scene.analysis.type, result.domain.path
-    heavy = [part.name for part, rest in rests if rest.inert and part.name in result.parts]
+    heavy = [name for name, rest in rests.items() if rest.inert and name in result.parts]
     named = (*result.bodies, *heavy, *result.parts)[0]
     pushed = _pushing(group, scene, rests)
     by = "pushed by " + ", ".join(pushed) if pushed else ""
@@ -478,14 +474,14 @@ def _unheld_problem(
         )
 
 
-def _pushing(group: frozenset[str], scene: Scene, rests: list[tuple[Part, Rest]]) -> list[str]:
+def _pushing(group: frozenset[str], scene: Scene, rests: Mapping[str, Rest]) -> list[str]:
     """Parts that put a constant force or flow on these nets at t = 0."""
-    on_group = ((p.name, {scene.nets[p.name, pin] for pin in rest.pushed}) for p, rest in rests)
+    on_group = ((n, {scene.nets[n, pin] for pin in rest.pushed}) for n, rest in rests.items())
     return [name for name, nets in on_group if nets & group]
 
 
 def _undrained_problem(
-    result: Free, group: frozenset[str], scene: Scene, rests: list[tuple[Part, Rest]]
+    result: Free, group: frozenset[str], scene: Scene, rests: Mapping[str, Rest]
 ) -> Iterator[UsageError]:
     """Why the analysis has no operating point of these nets of heat or sound to begin at.
 
@@ -510,14 +506,17 @@ def _undrained_problem(
     )
 
 
-def _jumps(scene: Scene, rests: list[tuple[Part, Rest]]) -> Iterator[UsageError]:
-    inert = {scene.nets[p.name, pin]: p.name for p, rest in rests for pin in rest.inert}
+def _jumps(scene: Scene, rests: Mapping[str, Rest]) -> Iterator[UsageError]:
+    inert: dict[str, str] = {}
+    for name, rest in rests.items():
+        inert |= {scene.nets[name, pin]: name for pin in rest.inert}
     inert.pop("0", None)
-    for part, rest in rests:
+    for name, rest in rests.items():
         if not rest.kinked:
             continue
-        ends = {scene.nets[part.name, pin] for pair in rest.ideal for pin in pair}
-        sides = [nets for nets in rigid(scene, part.name) if nets & ends]
+        part = scene.parts[name]
+        ends = {scene.nets[name, pin] for pair in rest.ideal for pin in pair}
+        sides = [nets for nets in rigid(scene, name) if nets & ends]
         driven = [inert[net] for nets in sides for net in sorted(nets) if net in inert]
         if driven and len(sides) > 1 and all(nets & {"0", *inert} for nets in sides):
             yield part.wrong(
@@ -538,13 +537,13 @@ def _moving(scene: Scene) -> dict[str, str]:
 
 
 def _groups(
-    scene: Scene, joined: Iterable[tuple[Part, tuple[tuple[str, str], ...]]]
+    scene: Scene, joined: Mapping[str, tuple[tuple[str, str], ...]]
 ) -> list[frozenset[str]]:
     """Nets that move by what pairs of pins join; pairs of others, such as voltages, say nothing."""
     union = Groups(nets := _moving(scene))
-    for part, pairs in joined:
+    for name, pairs in joined.items():
         for pins in pairs:
-            a, b = ("0" if pin == GROUND else scene.nets[part.name, pin] for pin in pins)
+            a, b = ("0" if pin == GROUND else scene.nets[name, pin] for pin in pins)
             if a in nets and b in nets:
                 union.join(a, b)
     return list(map(frozenset, union.groups()))

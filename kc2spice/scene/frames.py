@@ -20,8 +20,8 @@ from kc2spice.scene.rows import SQUARE, Shake, ShakenFrame
 MOTIONS = (TRANSLATION.across.pin_unit, VELOCITY.pin_unit)  # units of pins that move or sense it
 
 
-def frames(scene: Scene) -> dict[str, ShakenFrame]:
-    """The frame of every net of displacements that is relative to a shaken one, by node.
+def frames(scene: Scene) -> dict[tuple[str, str], ShakenFrame]:
+    """The frame of every pin whose displacement is relative to a shaken one, by part and pin.
 
     Raises
     ------
@@ -45,7 +45,7 @@ def frames(scene: Scene) -> dict[str, ShakenFrame]:
     for part in scene.parts.values():
         _compared(part, scene, result)
         _followed(part, scene, result, bodies.get(part.name, {}))
-    return result
+    return {pin: result[net] for pin, net in scene.nets.items() if net in result}
 
 
 def _ports(part: Part, scene: Scene) -> dict[str, ShakenFrame]:
@@ -179,7 +179,7 @@ def frame_lines(scene: Scene) -> Iterator[str]:
         end = scene.terminals[part, pin]
         if net != "0" and (end.moving or (net in nets and end.unit in MOTIONS)):
             nets.setdefault(net, []).append(f"{part}.{pin}")
-    relative = {net: frame for net in nets if (frame := scene.shaken.get(net)) is not None}
+    relative = {scene.nets[pin]: frame for pin, frame in scene.frames.items()}
     if nets and not relative:
         yield "all displacements are absolute: they count from gnd, which is at rest"
     for net, pins in nets.items() if relative else ():

@@ -39,8 +39,8 @@ from kc2spice.core.untrusted_files import (
     text_of,
 )
 from kc2spice.scene.compose import unsettled
-from kc2spice.scene.model import GROUND, SHORT, Build, Names, Part, PartType, Scene
-from kc2spice.scene.parttype import EVEN, drive_period, numerics, part_type, type_names
+from kc2spice.scene.model import GROUND, SHORT, Names, Part, PartType, Scene
+from kc2spice.scene.parttype import EVEN, drive_period, part_type, type_names
 from kc2spice.scene.plausible import ImplausibleError, drive_levels, judged
 from kc2spice.scene.resolve import resolve, with_governed
 from kc2spice.scene.settings import SCALE_OF, Analysis, Frame
@@ -214,7 +214,7 @@ def _no_periods(where: str, count: int, scene: Scene) -> Iterator[UsageError]:
         got, expected = f"{scene.analysis.type} analysis", "a transient, or from and to"
         yield UsageError("only a transient has periods", where=where, got=got, expected=expected)
         return
-    rows = numerics(scene)
+    rows = scene.numerics
     period, known = drive_period(rows), sorted({row.period for row in rows} - {0.0})
     if period is None:
         periods = ", ".join(f"{each:.4g} s" for each in known)
@@ -414,7 +414,7 @@ def _scene(data: dict[str, Any], source: _Source) -> Scene:
         raise problem
     scene = resolve(_driven(scene))
     wild = judged(drive_levels(scene), scene.checks.plausible)
-    for problem in chain(_without_periods(scene), unsettled(Build(scene, {})), wild):
+    for problem in chain(_without_periods(scene), unsettled(scene, scene.rests), wild):
         raise problem
     return scene
 

@@ -138,9 +138,10 @@ class Part:
         """Whether it is a body, whose model is a reduced one, so that ``rom`` matters."""
         return hasattr(self.keys, "rom")
 
-    def declares(self, scene: Scene) -> bool:
+    @property
+    def declares(self) -> bool:
         """Whether it is a body out of files, whose author declares its ports."""
-        return self.reduced and bool(self.type.files(self, scene))
+        return self.reduced and self.type.ports_of_files
 
     def wrong(
         self,
@@ -164,15 +165,13 @@ class Record(Generic[T]):
     """Answers of one part of a scene; :mod:`kc2spice.scene.resolve` asks for each of them once.
 
     ``detail`` is the answer of :meth:`PartType.detail`, in a class of the part's package.
-    ``joins``, ``rest``, ``numerics`` and ``reduction`` are those of the methods of
-    :class:`PartType` with these names, before any model is built. ``joins`` is None until the pins
-    of the scene are joined.
+    ``rest``, ``numerics`` and ``reduction`` are those of the methods of :class:`PartType` with
+    these names, before any model is built.
     """
 
     part: Part
     governs: Mapping[str, State | Governed] = field(default_factory=dict)
     detail: T | None = None
-    joins: Mapping[str, str] | None = None
     rest: Rest = field(default_factory=Rest)
     numerics: tuple[Numerics, ...] = ()
     reduction: Rom | None = None
@@ -201,11 +200,14 @@ class Names:
 class Scene:
     """A checked scene. ``parts`` are in the order of the file, what they expand to behind them.
 
-    ``records`` has the answers of each part,
+    ``records`` has the answers of each part, by its name. From them follow ``movers``, the part
+    that prescribes all motion of another one, ``initial_states`` of the parts whose state at t = 0
+    is stated, ``without_cards``, the parts that others copy or move, and ``numerics`` of all parts.
+    ``joins`` has the targets of pins that follow from keys, by part,
     ``terminals`` every pin by ``(part, pin)``, ``nets`` its node of the netlist (``"0"`` is
-    ground); ``meters`` has the names of the ammeters at pins, ``names`` those of all other nodes
-    and cards by ``(part, *words)`` (:meth:`Build.own`); ``shaken`` has the shaken frame that the
-    displacements of a net are relative to, by node; ``home`` is the folder of the scene's file,
+    ground), ``frames`` the shaken frame that its displacement is relative to, if it is not
+    absolute; ``meters`` has the names of the ammeters at pins, ``names`` those of all other nodes
+    and cards by ``(part, *words)`` (:meth:`Build.own`); ``home`` is the folder of the scene's file,
     ``tables`` what it says with all overrides. ``resolved_frequency`` [Hz] is the highest frequency
     that the parts resolve, None if it follows from the analysis. Bodies keep the ``ports`` that are
     needed, in an export all that their author declares, joined or not (:meth:`Part.declares`), for
@@ -217,11 +219,16 @@ class Scene:
     frame: Frame
     parts: Mapping[str, Part]
     records: Mapping[str, Record[Any]] = field(default_factory=dict)
+    movers: Mapping[str, str] = field(default_factory=dict)
+    initial_states: Mapping[str, State] = field(default_factory=dict)
+    without_cards: frozenset[str] = frozenset()
+    numerics: tuple[Numerics, ...] = ()
+    joins: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
     terminals: Mapping[tuple[str, str], Terminal] = field(default_factory=dict)
     nets: Mapping[tuple[str, str], str] = field(default_factory=dict)
     meters: Mapping[tuple[str, str], str] = field(default_factory=dict)
     names: Mapping[tuple[str, ...], str] = field(default_factory=dict)
-    shaken: Mapping[str, ShakenFrame] = field(default_factory=dict)
+    frames: Mapping[tuple[str, str], ShakenFrame] = field(default_factory=dict)
     home: Path = Path()
     tables: Mapping[str, Any] = field(default_factory=dict)
     ports: Literal["needed", "declared", "all"] = "needed"
@@ -296,17 +303,15 @@ class Scene:
         target = f"{part}.{pin}"
         return any(target in other.pins.values() for other in self.parts.values())
 
+    @property
+    def rests(self) -> dict[str, Rest]:
+        """Constraints and loads of each part at rest, by its name, before any model is built."""
+        return {name: record.rest for name, record in self.records.items()}
+
     def record(self, part: Part) -> Record[Any] | None:
         """Answers of a part; None for a part that the scene has with other keys."""
         result = self.records.get(part.name)
         return result if result is not None and result.part is part else None
-
-    def default_joins(self, part: Part) -> Mapping[str, str]:
-        """Joins that follow from the keys of a part."""
-        record = self.record(part)
-        if record is None or record.joins is None:
-            return part.type.default_joins(part, self)
-        return record.joins
 
     def pins(self, part: str) -> tuple[Terminal, ...]:
         """Pins of a part in the order of its subcircuit."""
@@ -315,10 +320,6 @@ class Scene:
     def net(self, part: str, pin: str) -> str:
         """Node of the netlist that a pin is joined to."""
         return self.nets[part, pin]
-
-    def shaken_frame(self, part: str, pin: str) -> ShakenFrame | None:
-        """The shaken frame that a pin's displacement is relative to, None where it is absolute."""
-        return self.shaken.get(self.nets.get((part, pin), ""))
 
     def joined(self, part: str, pin: str) -> tuple[tuple[str, str], ...]:
         """The other pins on the net of this one; none for ground."""
@@ -351,8 +352,8 @@ def scene_hash(scene: Scene) -> str:
         for part in scene.parts.values()
     }
     several = scene.parts.values() if len(scene.parts) > 1 else ()  # one keeps all in any case
-    if scene.ports == "declared" and (whole := [p.name for p in several if p.declares(scene)]):
-        content["every_port"] = whole
+    if scene.ports == "declared" and (bodies := [p.name for p in several if p.declares]):
+        content["every_port"] = bodies
     text = json.dumps(content, sort_keys=True, separators=(",", ":"))
     return hashlib.sha256(text.encode()).hexdigest()[:16]
 
@@ -360,20 +361,11 @@ def scene_hash(scene: Scene) -> str:
 @dataclass(frozen=True)
 class BuildRecord:
     """Answers of one part about a build: those of the methods of :class:`PartType` named
-    ``at_rest``, ``vectors`` and ``settable``."""
+    ``rest_with_model``, ``vectors`` and ``settable``. A part without cards has no results."""
 
     rest: Rest
-    vectors: Mapping[str, Vector] | None = None
-    settable: Mapping[str, Swept | Sampled | float] | None = None
-
-
-@dataclass(frozen=True)
-class BuildRecords:
-    """Answers of all parts about a build of this scene with these models."""
-
-    scene: Scene
-    models: Mapping[str, Any]
-    records: Mapping[str, BuildRecord]
+    vectors: Mapping[str, Vector] = field(default_factory=dict)
+    settable: Mapping[str, Swept | Sampled | float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -383,10 +375,10 @@ class Build:
     ``models`` has what :meth:`PartType.build` gave, by part; ``libraries`` maps a part to the name
     of its subcircuit. ``unjudged`` are parts whose keys do not tell what the deck has, because
     somebody changed parameters there: they are asked for no checks and no energy balance.
-    ``largest`` is the largest step of a transient. ``records`` has the answers of its parts, which
-    :func:`kc2spice.scene.resolve.resolve_build` asks for. ``laws`` are the laws of its parts, which
-    :func:`kc2spice.equations.scene_laws.scene_laws` returns. ``workspace`` has large results of its
-    latest run.
+    ``largest`` is the largest step of a transient. ``records`` has the answers of its parts by
+    name, which :func:`kc2spice.scene.resolve.resolve_build` asks for. ``laws`` are the laws of its
+    parts, which :func:`kc2spice.equations.scene_laws.scene_laws` returns. ``workspace`` has large
+    results of its latest run.
     """
 
     scene: Scene
@@ -396,7 +388,7 @@ class Build:
     unjudged: frozenset[str] = frozenset()
     functions: Mapping[str, Any] = field(default_factory=dict)
     largest: StepLimit | None = None
-    records: BuildRecords | None = None
+    records: Mapping[str, BuildRecord] = field(default_factory=dict)
     laws: object = None
     workspace: Workspace = field(default_factory=Workspace)
 
@@ -409,34 +401,10 @@ class Build:
         """The model of a part, None where it has none."""
         return self.models.get(part.name)
 
-    def _record(self, part: Part) -> BuildRecord | None:
-        """Answers of a part; None where scene or models are others than those of the records."""
-        known = self.records
-        if known is None or known.scene is not self.scene or known.models is not self.models:
-            return None
-        return known.records.get(part.name)
-
-    def rest(self, part: Part) -> Rest:
-        """Constraints and loads of a part at rest, with its model where that is built."""
-        if (record := self._record(part)) is not None:
-            return record.rest
-        if (model := self.model(part)) is None:
-            return self.scene.records[part.name].rest
-        return part.type.at_rest(part, self.scene, model)
-
-    def vectors(self, part: Part) -> Mapping[str, Vector]:
-        """Results of a part by name."""
-        record = self._record(part)
-        if record is None or record.vectors is None:
-            return part.type.vectors(part, self)
-        return record.vectors
-
-    def settable(self, part: Part) -> Mapping[str, Swept | Sampled | float]:
-        """Quantities that the equations of a part do not determine."""
-        record = self._record(part)
-        if record is None or record.settable is None:
-            return part.type.settable(part, self)
-        return record.settable
+    @property
+    def rests(self) -> dict[str, Rest]:
+        """Constraints and loads of each part at rest, by its name."""
+        return self.scene.rests | {name: record.rest for name, record in self.records.items()}
 
     def facts(self, part: Part) -> Mapping[str, float]:
         """``model`` of ``result.json``: the numbers by which an engineer knows the part's model."""
@@ -481,6 +449,8 @@ class PartType:
     results_of_model: ClassVar[bool] = False
     #: whether it adds the force ``-m a`` of a shaken frame that its pins are in
     follows_frames: ClassVar[bool] = False
+    #: whether files name the ports of its bodies
+    ports_of_files: ClassVar[bool] = False
     #: what has noise: cards of its subcircuit that are resistors of the device, or words for it
     noise: tuple[str, ...] | str = ()
 
@@ -522,10 +492,10 @@ class PartType:
         its :class:`Record`. It follows from keys and from what parts govern."""
         return None
 
-    def at_rest(self, part: Part, scene: Scene, model: Any | None = None) -> Rest:
+    def at_rest(self, part: Part, scene: Scene) -> Rest:
         """Constraints and loads of the part at rest on pins that need a path to their reference.
 
-        ``model`` is None before it is built. By default the part holds all of its pins in place.
+        They apply before its model is built. By default the part holds all of its pins in place.
         """
         return Rest(tuple((p.name, GROUND) for p in scene.pins(part.name) if p.needs_path))
 
@@ -601,6 +571,10 @@ class PartType:
         energy, behind a time constant [s] where it is a voltage or a force."""
         return 0.0
 
+    def rest_with_model(self, part: Part, build: Build) -> Rest:
+        """Constraints and loads of the part on moving pins at rest, with its model."""
+        return build.scene.records[part.name].rest
+
     def vectors(self, part: Part, build: Build) -> Mapping[str, Vector]:
         """Its results by name."""
         return {}
@@ -612,7 +586,7 @@ class PartType:
         """
         result = {}
         for pin in build.scene.pins(part.name):
-            rows = flows(part, pin.name, build).items()
+            rows = flows(build.records[part.name].vectors, pin.name).items()
             leaving = [sign * waves[name] for name, (_, sign) in rows if name in waves]
             if leaving:
                 result[pin.name] = np.sum(leaving, axis=0)
@@ -665,12 +639,11 @@ class PartType:
         return f"error estimate of its mesh: {text}" if text else ""
 
 
-def flows(part: Part, pin: str, build: Build) -> dict[str, tuple[Vector, float]]:
-    """Results of a part that are currents or forces at a pin, by name: with 1 where they leave it
-    there, with -1 where they enter."""
-    rows = build.vectors(part).items()
+def flows(vectors: Mapping[str, Vector], pin: str) -> dict[str, tuple[Vector, float]]:
+    """Those of a part's results that are currents or forces at a pin, by name: with 1 where they
+    leave it there, with -1 where they enter."""
     return {
         name: (row, 1.0 if pin in row.leaves else -1.0)
-        for name, row in rows
+        for name, row in vectors.items()
         if pin in (*row.leaves, *row.enters)
     }

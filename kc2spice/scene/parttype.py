@@ -15,54 +15,27 @@ from collections.abc import Iterable, Mapping
 from functools import cache
 from importlib import import_module
 from importlib.metadata import EntryPoint, entry_points
-from itertools import chain
 
 import numpy as np
 
 from kc2spice.core.errors import UsageError
 from kc2spice.core.waveforms import Waveforms
-from kc2spice.scene.model import Build, Part, PartType, Scene, flows
-from kc2spice.scene.rows import Numerics, State, Vector
+from kc2spice.scene.model import Build, Part, PartType, flows
+from kc2spice.scene.rows import Numerics, Vector
 
 PACKAGE = "kc2spice.parts"
 TABLE = "_types"  # ends the name of a module with several types
 
 
-def mover(name: str, scene: Scene) -> str | None:
-    """The part that prescribes all motion of another one, None where no part prescribes it."""
-    rows = scene.records.items()
-    return next((item for item, record in rows if record.governs.get(name) == "moved"), None)
-
-
-def replaced(scene: Scene) -> set[str]:
-    """Parts without cards of their own, as those of others have copies of them or move them."""
-    result: set[str] = set()
-    for record in scene.records.values():
-        result |= {name for name, what in record.governs.items() if isinstance(what, str)}
-    return result
-
-
-def begins(scene: Scene) -> dict[str, State]:
-    """The parts whose state at t = 0 is given; a transient then has no operating point.
-
-    What another part says of one beats its own keys.
-    """
-    result: dict[str, State] = {}
-    for owner, record in scene.records.items():
-        for name, state in record.governs.items():
-            if isinstance(state, State) and (name != owner or name not in result):
-                result[name] = state
-    return result
-
-
 def current_into(part: Part, pin: str, build: Build) -> Vector | None:
     """The current into a part's pin, where one result of the one other part there tells it: a
     source with other loads tells the sum of their currents."""
-    others = [(build.scene.parts[name], end) for name, end in build.scene.joined(part.name, pin)]
+    others = build.scene.joined(part.name, pin)
     # The current of a body follows from the parts that are joined to it.
-    if len(others) != 1 or others[0][0].reduced:
+    if len(others) != 1 or build.scene.parts[others[0][0]].reduced:
         return None
-    rows = list(flows(*others[0], build).values())
+    ((name, end),) = others
+    rows = list(flows(build.records[name].vectors, end).values())
     if len(rows) != 1:
         return None
     ((row, sign),) = rows
@@ -92,11 +65,6 @@ def drive_period(rows: Iterable[Numerics]) -> float | None:
     if longest is None or any(abs(longest / p - round(longest / p)) > EVEN for p in periods):
         return None
     return longest
-
-
-def numerics(scene: Scene) -> list[Numerics]:
-    """Numerical requirements of all parts of a resolved scene."""
-    return [*chain.from_iterable(record.numerics for record in scene.records.values())]
 
 
 _types: dict[str, PartType] = {}

@@ -31,7 +31,6 @@ from kc2spice.scene.axes import MAX_STEP, plan
 from kc2spice.scene.compose import Free, free, unsettled
 from kc2spice.scene.frames import MOTIONS
 from kc2spice.scene.model import Build, Names, Part, Scene, scene_hash
-from kc2spice.scene.parttype import begins, mover, numerics, replaced
 from kc2spice.scene.plausible import built, judged
 from kc2spice.scene.resolve import resolve_again, resolve_build
 from kc2spice.spice.header import Header, plan_lines
@@ -77,8 +76,8 @@ def make_deck(build: Build) -> Deck:
         operating point to begin at.
     """
     scene = build.scene
-    loose, wild = free(build), judged(built(build), scene.checks.plausible)
-    for problem in chain(unsettled(build), wild):
+    loose, wild = free(scene, build.rests), judged(built(build), scene.checks.plausible)
+    for problem in chain(unsettled(scene, build.rests), wild):
         raise problem
     header = Header(scene.name, scene_hash(scene))
     ours = () if scene.solver.max_step else (MAX_STEP,)  # a line of its own says why
@@ -121,7 +120,7 @@ def _controls(part: Part, scene: Scene) -> bool:
 def _libraries(build: Build, header: Header) -> Iterator[Subcircuit]:
     known: dict[str, tuple[str, Subcircuit]] = {}
     for part in build.scene.parts.values():
-        if mover(part.name, build.scene):
+        if part.name in build.scene.movers:
             continue
         for result in part.type.subcircuits(part, build, header):
             if build.noisy and not part.netlist:
@@ -141,9 +140,9 @@ def _libraries(build: Build, header: Header) -> Iterator[Subcircuit]:
 
 
 def _items(build: Build, loose: Sequence[Free]) -> Iterator[Item]:
-    scene, copied = build.scene, replaced(build.scene)
+    scene = build.scene
     for part in scene.parts.values():
-        cards = () if part.name in copied else part.type.cards(part, build)
+        cards = () if part.name in scene.without_cards else part.type.cards(part, build)
         if cards:
             yield from titled(f"{part.name}: {part.type.title}", cards, part.name)
     if build.noisy:
@@ -162,7 +161,7 @@ def _items(build: Build, loose: Sequence[Free]) -> Iterator[Item]:
 
 def _options(build: Build) -> Iterable[Option]:
     scene = build.scene
-    solver, rows = scene.solver, numerics(scene)
+    solver, rows = scene.solver, scene.numerics
     own = [Option(key, *why) for row in rows for key, why in row.options.items()]
     if scene.analysis.type != "transient":
         return own
@@ -198,7 +197,7 @@ def _command(build: Build) -> Command:
     selected = scene.analysis
     if selected.type == "transient":
         assert build.largest is not None
-        return transient(scene.stop, build.largest.step, uic=bool(begins(scene)))
+        return transient(scene.stop, build.largest.step, uic=bool(scene.initial_states))
     if selected.type == "ac":
         # ngspice returns only the first of two linear points
         points = 3 if (selected.points, selected.scale) == (2, "linear") else selected.points
@@ -213,11 +212,9 @@ def _command(build: Build) -> Command:
 
 
 def _initial(build: Build, loose: Sequence[Free]) -> dict[str, float]:
-    parts = build.scene.parts
     if build.scene.analysis.type != "transient":
         return {}
-    own = (part for part in parts.values() if not mover(part.name, build.scene))
-    rows = {part.name: build.settable(part).items() for part in own}
+    rows = {name: record.settable.items() for name, record in build.records.items()}
     states = {n: {k: v for k, v in row if isinstance(v, float)} for n, row in rows.items()}
     result = {node: value for item in states.values() for node, value in item.items()}
     for group in loose:

@@ -16,7 +16,6 @@ from kc2spice.netlist.expression import terms
 from kc2spice.netlist.expression import vector as parsed
 from kc2spice.netlist.spelling import number
 from kc2spice.scene.model import Build
-from kc2spice.scene.parttype import mover
 from kc2spice.scene.rows import Vector
 from kc2spice.scene.settings import Probe
 
@@ -28,7 +27,7 @@ KINDS = {"transient": "tran", "dc": "dc", "ac": "ac"}
 
 def measures(build: Build, results: Mapping[str, Vector]) -> tuple[Measure, ...]:
     """Return the measures of a scene whose results are these vectors, probes first."""
-    parts = [part for part in build.scene.parts.values() if not mover(part.name, build.scene)]
+    parts = [p for name, p in build.scene.parts.items() if name not in build.scene.movers]
     rows = [row for part in parts for row in part.type.main_metrics(part, build).items()]
     count = Counter(name for name, _ in rows)  # a name of two parts is none of a card
     single = {name: probe for name, probe in rows if count[name] == 1}

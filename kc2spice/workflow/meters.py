@@ -24,8 +24,7 @@ from kc2spice.scene.checks import Check, Metric
 from kc2spice.scene.compose import metered_pins, powered_pins
 from kc2spice.scene.keys import model_keys
 from kc2spice.scene.model import Build, Names, Part, PartType, Scene
-from kc2spice.scene.parttype import replaced
-from kc2spice.scene.resolve import resolve
+from kc2spice.scene.resolve import resolve, with_vectors
 from kc2spice.scene.rows import Swept, Vector
 
 WAVE = "noise"  # spectral density of the output, and the metric of its rms value
@@ -42,7 +41,7 @@ def output(build: Build) -> Vector:
     UsageError : there is no such result, or it is no voltage of the netlist.
     """
     parts, name = build.scene.parts, str(build.scene.analysis.output)
-    known = {k: v for part in parts.values() for k, v in build.vectors(part).items()}
+    known = {k: v for record in build.records.values() for k, v in record.vectors.items()}
     for part in parts.values():
         pins = [pin.name for pin in build.scene.pins(part.name)]
         live = [pin for pin in pins if build.net(part, pin) != "0"]
@@ -166,9 +165,8 @@ def noise_figures(waves: Waveforms, unit: str) -> Iterator[Figure]:
 Powers = tuple[PowerTerm, ...]  # powers whose sum is one of a part
 
 
-def result_vectors(build: Build, without: Collection[str] = ()) -> dict[str, Vector]:
-    """Results of all parts that have an instance of their own, ``without`` those of some; the
-    density alone of noise.
+def result_vectors(build: Build) -> dict[str, Vector]:
+    """Results of all parts that have an instance of their own; the density alone of noise.
 
     Of devices' own parameters (``@b1[i]``) ngspice gives the operating point in an ac analysis,
     which is no response: they are no results there.
@@ -176,11 +174,9 @@ def result_vectors(build: Build, without: Collection[str] = ()) -> dict[str, Vec
     if build.noisy:
         of = output(build)
         return {WAVE: Vector("onoise_spectrum", abs(of.factor), f"{of.unit}{DENSITY}")}
-    copied = {*replaced(build.scene), *without}
     result: dict[str, Vector] = {}
-    for part in build.scene.parts.values():
-        if part.name not in copied:
-            result |= build.vectors(part)
+    for record in build.records.values():
+        result |= record.vectors
     result |= _meter_vectors(build, result)
     if build.scene.analysis.type == "ac":
         return {name: item for name, item in result.items() if "@" not in item.expression}
@@ -209,7 +205,8 @@ def require_probed(build: Build) -> None:
     waiting = {
         p.name for p in scene.parts.values() if p.type.results_of_model and build.model(p) is None
     }
-    results = result_vectors(build, without=waiting)
+    build = build if build.records else with_vectors(build, without=waiting)
+    results = result_vectors(build)
     known = {*results, *powers(build, results)}
     for name, probe in scene.probes.items():
         owner, dot, _ = probe.of.partition(".")
@@ -235,7 +232,7 @@ def _every_result(build: Build, waiting: Collection[str]) -> list[str]:
     """All that a probe may read: results, motions at ports that nothing is joined to, currents and
     powers that are metered when a probe asks for them."""
     scene = resolve(replace(build.scene, ports="all"))
-    result = dict.fromkeys(result_vectors(replace(build, scene=scene), without=waiting))
+    result = dict.fromkeys(result_vectors(with_vectors(replace(build, scene=scene), waiting)))
     for part in scene.parts.values():
         result |= dict.fromkeys(_offered(part, scene, result))
     return list(result)
@@ -340,7 +337,7 @@ def swept(build: Build) -> tuple[Part, str, Swept]:
     scene = build.scene
     name, _, key = str(scene.analysis.sweep).partition(".")
     part = scene.part(name, "analysis.sweep")
-    result = build.settable(part).get(key)
+    result = build.records[part.name].settable.get(key)
     if not isinstance(result, Swept):
         raise UsageError(
             "a dc analysis cannot sweep this key",

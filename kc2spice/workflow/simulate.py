@@ -256,7 +256,7 @@ def sampled(build: Build) -> list[Sampled]:
         item
         for part in build.scene.parts.values()
         if build.scene.analysis.type == "transient"
-        for item in build.settable(part).values()
+        for item in build.records[part.name].settable.values()
         if isinstance(item, Sampled)
     ]
 

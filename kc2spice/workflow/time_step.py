@@ -26,7 +26,6 @@ from kc2spice.equations.scene_laws import scene_laws
 from kc2spice.report.html import format_quantity
 from kc2spice.scene.checks import Balance, Check
 from kc2spice.scene.model import Build
-from kc2spice.scene.parttype import numerics
 from kc2spice.scene.rows import StepLimit, Vector
 from kc2spice.workflow.meters import result_vectors
 
@@ -54,7 +53,7 @@ def largest_step(build: Build) -> StepLimit:
     scene = build.scene
     if scene.solver.max_step is not None:
         return StepLimit(scene.solver.max_step, "set by solver.max_step")
-    scales = numerics(scene)
+    scales = scene.numerics
     decided = [row for row in scales if row.decides]
     if decided:
         row = min(decided, key=lambda row: row.step)
@@ -198,7 +197,7 @@ def step_checks(build: Build, waves: Waveforms, balances: Mapping[str, Balance])
     scene = build.scene
     if scene.analysis.type != "transient" or "time" not in waves:
         return
-    decided = any(row.decides for row in numerics(scene))
+    decided = any(row.decides for row in scene.numerics)
     known = not decided and not build.unjudged
     worst, exact = _exact_motion(build, waves) if known else ((0.0, 0.0, ""), set())
     if worst[2]:

@@ -12,6 +12,7 @@ from kc2spice.rom.linear_model import Certificate, Port
 from kc2spice.rom.modal import Resonators
 from kc2spice.scene.load import load_scene
 from kc2spice.scene.model import Build
+from kc2spice.scene.resolve import resolve_build
 from kc2spice.sim.ngspice import run_deck
 from kc2spice.workflow.decks import make_deck
 from kc2spice.workflow.metrics import verdict
@@ -71,7 +72,7 @@ def built(scene, model=None, table=None):
             models[part.name] = model.linear().select(kept)
         if part.type.name == "ring_magnet_coils" and table is not None:
             models[part.name] = table
-    result = Build(scene, models, libraries(scene))
+    result = resolve_build(Build(scene, models, libraries(scene)))
     timed = scene.analysis.type == "transient"
     return replace(result, largest=largest_step(result)) if timed else result
 

@@ -19,6 +19,7 @@ from kc2spice.reference.system import assemble_system
 from kc2spice.scene import parttype
 from kc2spice.scene.load import load_scene
 from kc2spice.scene.model import Build
+from kc2spice.scene.resolve import resolve_build
 from kc2spice.workflow.metrics import verdict
 from kc2spice.workflow.verify.law_solution import solve
 
@@ -165,7 +166,7 @@ def test_a_force_that_is_off_is_in_the_balance():
     """Of the stop of a plate, by a hundredth; the run itself keeps 1e-3 of what is turned over."""
     scene = load_scene("plate_pull_in", {"solver.stop": "6 ms"})
     waves = kc.run(scene).waves
-    build = Build(scene, {})
+    build = resolve_build(Build(scene, {}))
     wrong = {**waves, "plate.force": 1.01 * waves["plate.force"]}
     good, bad = (
         dict(verdict(Waveforms(data, {}), build).balances)["plate"] for data in ({**waves}, wrong)
@@ -346,7 +347,7 @@ def test_what_is_only_seen_brings_in_no_energy(monkeypatch):
     exact = 2e-3 * np.maximum(times - 1e-6, 0.0) ** 2 / 2e-3
     for x in found:
         np.testing.assert_allclose(x[-1], exact[-1], rtol=1e-4)
-    build = Build(load_scene(scene), {})
+    build = resolve_build(Build(load_scene(scene), {}))
     balance = dict(verdict(Waveforms(dict(kc.run(scene).waves), {}), build).balances)["pusher"]
     assert balance.scale > 0
     assert balance.missing < 1e-3 * balance.scale

@@ -15,6 +15,7 @@ from kc2spice.parts.gap import branches_of
 from kc2spice.physics.symbolic import evaluated
 from kc2spice.scene.load import load_scene
 from kc2spice.scene.model import Build
+from kc2spice.scene.resolve import resolve_build
 from kc2spice.scene.rows import Neglected
 from kc2spice.workflow.models import build_models
 
@@ -138,7 +139,7 @@ def test_too_few_branches_are_a_warning(timed):
 def test_a_branch_that_nothing_rests_on_fails_a_sweep():
     """A body that comes nearer, or goes, while the voltage falls."""
     scene = load_scene(loop())
-    part, build = scene.parts["plate"], Build(scene, {})
+    part, build = scene.parts["plate"], resolve_build(Build(scene, {}))
     for rise, passed in ((1e-7, True), (-1e-7, False)):
         volts = np.linspace(10, 8, 21)
         waves = Waveforms({"sweep": volts, "plate.v": volts,

@@ -10,6 +10,7 @@ from kc2spice.parts._touching import separation
 from kc2spice.parts.pid import settling_time
 from kc2spice.scene.load import load_scene
 from kc2spice.scene.model import Build
+from kc2spice.scene.resolve import resolve_build
 from kc2spice.workflow.metrics import metrics
 
 RADIUS, LAUNCH, SPEED, DECEL = 1e-3, 5.0057e-4, 1.02, 40.0
@@ -39,7 +40,7 @@ def edge(waves: Waveforms) -> tuple[float, float] | None:
 
 def of_scene(waves: Waveforms, name: str) -> dict[str, object]:
     """Metrics of the parts of a gallery scene, without their models."""
-    return metrics(waves, Build(load_scene(name), {})).values
+    return metrics(waves, resolve_build(Build(load_scene(name), {}))).values
 
 
 def kick_times() -> np.ndarray:
