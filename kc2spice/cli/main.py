@@ -721,7 +721,12 @@ def _sweep(
     pool = engine.processes(count) if dask is None else engine.dask(dask, count)
     if not caller.quiet:
         print(answer.describe(), file=sys.stderr)
-    result = {"scene": answer.scene.name, "points": answer.plan.size, "failed": 0, "resumed": 0}
+    result: dict[str, Any] = {
+        "scene": answer.scene.name,
+        "points": answer.plan.size,
+        "failed": 0,
+        "resumed": 0,
+    }
     result |= {"table": str((out / table).absolute()), "runs": answer.runs}
     if not dry_run:
         again: dict[str, Any] = {"table_format": table_format, "retry_failed": retry_failed}

@@ -16,7 +16,10 @@ from kc2spice.core.quantities import dotted, entries, unit_of, validated
 from kc2spice.fem.materials import MaterialTable
 from kc2spice.netlist.circuit import Param
 from kc2spice.rom.parametric import Axis
-from kc2spice.scene.model import Part, Scene
+from kc2spice.scene.model import (
+    GovernedScene,
+    Part,
+)
 
 MOST = 4  # parameters: more need hundreds of full models
 PARAMETERS = "rom.parameters"
@@ -82,7 +85,7 @@ def ranged(
     return Varied(key, unit, value, low, high)
 
 
-def corners(part: Part, scene: Scene) -> Iterator[UsageError]:
+def corners(part: Part, scene: GovernedScene) -> Iterator[UsageError]:
     """Faults of the parameter range, before any full model is made."""
     try:
         keys = varied(part)

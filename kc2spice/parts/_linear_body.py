@@ -38,7 +38,17 @@ from kc2spice.rom.pencil import first_order
 from kc2spice.rom.stability import prove_stability
 from kc2spice.rom.varying import Varying
 from kc2spice.scene.checks import Balance, Check, Metric
-from kc2spice.scene.model import GROUND, Build, Part, Scene, Terminal
+from kc2spice.scene.model import (
+    GROUND,
+    Build,
+    DeclaredScene,
+    GovernedScene,
+    JoinedScene,
+    Part,
+    Scene,
+    Terminal,
+    WiredScene,
+)
 from kc2spice.scene.parttype import current_into, pin_forces
 from kc2spice.scene.plausible import dimensions
 from kc2spice.scene.rows import Neglected, Rest, Vector
@@ -125,14 +135,14 @@ class LinearBody(Touching):
     # --- what a subclass says -------------------------------------------------------------------
 
     @abstractmethod
-    def ports(self, part: Part, scene: Scene) -> tuple[Port, ...]:
+    def ports(self, part: Part, scene: DeclaredScene) -> tuple[Port, ...]:
         """All ports that the body offers."""
 
     @abstractmethod
-    def full(self, part: Part, scene: Scene, clock: Any) -> LinearModel:
+    def full(self, part: Part, scene: GovernedScene, clock: Any) -> LinearModel:
         """The full model of the whole device."""
 
-    def varied(self, part: Part, scene: Scene, clock: Any, like: Part) -> LinearModel:
+    def varied(self, part: Part, scene: GovernedScene, clock: Any, like: Part) -> LinearModel:
         """:meth:`full` on the mesh that ``like`` has, a part of other values, moved to these."""
         return self.full(part, scene, clock)
 
@@ -150,13 +160,13 @@ class LinearBody(Touching):
         known = part.keys.rated_voltage or self.by_material(part)
         return known or mesh.get("depoling_voltage_v")
 
-    def full_key(self, part: Part, scene: Scene) -> Mapping[str, Any]:
+    def full_key(self, part: Part, scene: GovernedScene) -> Mapping[str, Any]:
         """Keys on which the full model depends."""
         return {"keys": part.keys.model_dump(mode="json", exclude=_NO_MODEL)}
 
     # --- scene ----------------------------------------------------------------------------------
 
-    def kept(self, part: Part, scene: Scene) -> tuple[Port, ...]:
+    def kept(self, part: Part, scene: JoinedScene) -> tuple[Port, ...]:
         """The ports that the scene needs: electrical ones, and others that something names.
 
         Return all ports if the body is the only part, because such a scene exists to export the
@@ -173,7 +183,7 @@ class LinearBody(Touching):
         used = [p for p in every if p.kind not in ANSWERS or names & {p.name, *p.terminals}]
         return tuple(used) or every[:1]
 
-    def pins(self, part: Part, scene: Scene) -> tuple[Terminal, ...]:
+    def pins(self, part: Part, scene: JoinedScene) -> tuple[Terminal, ...]:
         """In the order of the subcircuit."""
         ports, rated = self.kept(part, scene), self.rated(part)
         electrical = [p for p in ports if p.paired]
@@ -195,7 +205,7 @@ class LinearBody(Touching):
         last = reference_pin(ports)
         return (*result, Terminal(last.name, last.unit, last.flow, "gnd"))
 
-    def at_rest(self, part: Part, scene: Scene) -> Rest:
+    def at_rest(self, part: Part, scene: WiredScene) -> Rest:
         """Holds all pins against its reference."""
         last = scene.pins(part.name)[-1]
         end = GROUND if last.name in (BASE, "ground") else last.name
@@ -222,15 +232,17 @@ class LinearBody(Touching):
         fixed = tuple(pair for pair in result if pair[0] not in names)
         return Rest(fixed + tuple((first, other) for other in others), inert=inert)
 
-    def inertial(self, part: Part, scene: Scene) -> tuple[str, ...]:
+    def inertial(self, part: Part, scene: JoinedScene) -> tuple[str, ...]:
         ports = (port for port in self.kept(part, scene) if port.domain is TRANSLATION)
         return tuple(port.terminals[0] for port in ports)
 
-    def problems(self, part: Part, scene: Scene) -> Iterator[UsageError]:
+    def problems(self, part: Part, scene: GovernedScene) -> Iterator[UsageError]:
         yield from dimensions(part.name, part.keys)
         yield from corners(part, scene)
 
-    def surface(self, part: Part, scene: Scene, ports: tuple[str, ...] = ()) -> Surface | None:
+    def surface(
+        self, part: Part, scene: GovernedScene, ports: tuple[str, ...] = ()
+    ) -> Surface | None:
         mechanical = [p.name for p in self.ports(part, scene) if p.domain is TRANSLATION]
         names = ports or tuple(mechanical[:1])
         _require_ports(part, [n for n in names if n not in mechanical], mechanical, "mechanical ")
@@ -243,7 +255,7 @@ class LinearBody(Touching):
         """Modulus [Pa] of the half-space that a contact presses on; None where it is not one."""
         return None
 
-    def weights(self, part: Part, scene: Scene) -> StepWeights:
+    def weights(self, part: Part, scene: DeclaredScene) -> StepWeights:
         """Weights of the modes in time step control.
 
         ``COARSE`` if time steps need not resolve the ringing of the body without load.
@@ -849,7 +861,7 @@ def _barely_damped(part: Part, model: LinearModel, band: tuple[float, float]) ->
     return replace(model, E=None, rayleigh=(0.0, loss / (2 * math.pi * band[1])))
 
 
-def full_alone(part: Part, scene: Scene, clock: Any) -> LinearModel:
+def full_alone(part: Part, scene: GovernedScene, clock: Any) -> LinearModel:
     """The full model of a body outside its scene, with a warning of what matrices cannot hold."""
     if tangent := loss_tangent(part):
         warnings.warn(
@@ -915,7 +927,7 @@ def reduction_target(part: Part, scene: Scene) -> Rom:
     return result
 
 
-def wanted(part: Part, scene: Scene) -> set[str]:
+def wanted(part: Part, scene: JoinedScene) -> set[str]:
     """Names of ports or pins of ``part`` that other parts, its own pins or probes name."""
     prefix = f"{part.name}."
     assert isinstance(part.type, LinearBody)
@@ -932,7 +944,7 @@ def wanted(part: Part, scene: Scene) -> set[str]:
     return result
 
 
-def contacts_on(part: Part, scene: Scene) -> Iterator[Part]:
+def contacts_on(part: Part, scene: JoinedScene) -> Iterator[Part]:
     """The contacts that press on ports of ``part``."""
     for contact in scene.of("contact"):
         targets = scene.joins[contact.name].values()
@@ -940,7 +952,7 @@ def contacts_on(part: Part, scene: Scene) -> Iterator[Part]:
             yield contact
 
 
-def massless(part: Part, scene: Scene) -> bool:
+def massless(part: Part, scene: JoinedScene) -> bool:
     """Whether a contact presses on ``part`` and wants no inertia behind its ports."""
     return any(contact.keys.inertia == "massless" for contact in contacts_on(part, scene))
 

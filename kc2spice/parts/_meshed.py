@@ -34,7 +34,13 @@ from kc2spice.parts._neglected import (
 from kc2spice.parts._pictures import deformed, shapes
 from kc2spice.rom.linear_model import LinearModel, Port
 from kc2spice.scene.checks import Balance, Check, Metric
-from kc2spice.scene.model import Build, Part, Scene
+from kc2spice.scene.model import (
+    Build,
+    DeclaredScene,
+    GovernedScene,
+    Part,
+    Scene,
+)
 from kc2spice.scene.plausible import layers as plausible_layers
 from kc2spice.scene.rows import Neglected
 
@@ -95,7 +101,7 @@ class MeshedBody(LinearBody):
     """A body with a key ``fields``; a subclass makes its device."""
 
     @abstractmethod
-    def envelope(self, part: Part, scene: Scene) -> Envelope:
+    def envelope(self, part: Part, scene: DeclaredScene) -> Envelope:
         """Its outer size, for the sizes of effects that it lacks."""
 
     def dimensions(self, part: Part) -> int:
@@ -111,20 +117,20 @@ class MeshedBody(LinearBody):
         yield from neglected_effects(part.name, self.envelope(part, scene), self.support(part))
 
     @abstractmethod
-    def make(self, part: Part, scene: Scene) -> FiniteElementModel:
+    def make(self, part: Part, scene: GovernedScene) -> FiniteElementModel:
         """The full model with its mesh."""
 
-    def device(self, part: Part, scene: Scene) -> FiniteElementModel:
+    def device(self, part: Part, scene: GovernedScene) -> FiniteElementModel:
         """The same; the latest of the type stays in the workspace of the scene, as the next scene
         often asks for another reduction of it."""
         key = json.dumps([part.name, self.full_key(part, scene)], sort_keys=True)
         return scene.workspace.latest(f"device {self.name}", key, lambda: self.make(part, scene))
 
-    def full(self, part: Part, scene: Scene, clock: Any) -> LinearModel:
+    def full(self, part: Part, scene: GovernedScene, clock: Any) -> LinearModel:
         with clock.stage("assemble", f"mesh and matrices of {part.name}"):
             return self.device(part, scene).model
 
-    def problems(self, part: Part, scene: Scene) -> Iterator[UsageError]:
+    def problems(self, part: Part, scene: GovernedScene) -> Iterator[UsageError]:
         yield from super().problems(part, scene)
         kind = scene.analysis.type
         if kind != "transient" and (chosen(part) or (part.keys.fields and kind != "ac")):
@@ -241,19 +247,19 @@ class BondedBody(MeshedBody):
         """Its blocks, electrodes, supports and ports."""
         return _bonded(self, part.keys.model_dump_json(exclude={"rom"}), part.name)
 
-    def ports(self, part: Part, scene: Scene) -> tuple[Port, ...]:
+    def ports(self, part: Part, scene: DeclaredScene) -> tuple[Port, ...]:
         return self.bonded(part).every_port
 
-    def directions(self, part: Part, scene: Scene) -> Mapping[str, tuple[float, ...]]:
+    def directions(self, part: Part, scene: DeclaredScene) -> Mapping[str, tuple[float, ...]]:
         """All of its motions are upwards."""
         moved = ("mechanical", "acceleration")
         ports = (port for port in self.ports(part, scene) if port.kind in moved)
         return {port.terminals[0]: (0.0, 0.0, 1.0) for port in ports}
 
-    def make(self, part: Part, scene: Scene) -> FiniteElementModel:
+    def make(self, part: Part, scene: GovernedScene) -> FiniteElementModel:
         return self.bonded(part).device()
 
-    def varied(self, part: Part, scene: Scene, clock: Any, like: Part) -> LinearModel:
+    def varied(self, part: Part, scene: GovernedScene, clock: Any, like: Part) -> LinearModel:
         return replace(self.bonded(part), like=self.bonded(like)).device().model
 
     def by_material(self, part: Part) -> float | None:
@@ -262,7 +268,7 @@ class BondedBody(MeshedBody):
     def dimensions(self, part: Part) -> int:
         return len(self.bonded(part).blocks[0].box)
 
-    def envelope(self, part: Part, scene: Scene) -> Envelope:
+    def envelope(self, part: Part, scene: DeclaredScene) -> Envelope:
         blocks = self.bonded(part).blocks
         if len(blocks[0].box) == 3:
             return beam_envelope(blocks)
@@ -273,7 +279,7 @@ class BondedBody(MeshedBody):
         top = self.bonded(part).blocks[-1].material
         return top.indentation_modulus if hasattr(part.keys, "layers") else None
 
-    def problems(self, part: Part, scene: Scene) -> Iterator[UsageError]:
+    def problems(self, part: Part, scene: GovernedScene) -> Iterator[UsageError]:
         """As those of all bodies, and what :func:`kc2spice.scene.plausible.layers` says of layers
         of their own diameters, or all as wide as the body."""
         yield from super().problems(part, scene)

@@ -20,7 +20,16 @@ from kc2spice.netlist.library import Subcircuit
 from kc2spice.netlist.transforms import self_contained
 from kc2spice.scene.checks import Check
 from kc2spice.scene.keys import model_keys
-from kc2spice.scene.model import Build, Part, PartType, Scene, Terminal
+from kc2spice.scene.model import (
+    Build,
+    GovernedScene,
+    JoinedScene,
+    Part,
+    PartType,
+    Scene,
+    Terminal,
+    WiredScene,
+)
 from kc2spice.scene.rows import Vector
 from kc2spice.spice.header import ROOM, Header, library
 
@@ -64,7 +73,7 @@ class TemplatePart(PartType):
     opamp: ClassVar[Level | None] = None
     constants: ClassVar[Mapping[str, float]] = {}
 
-    def pins(self, part: Part, scene: Scene) -> tuple[Terminal, ...]:
+    def pins(self, part: Part, scene: JoinedScene) -> tuple[Terminal, ...]:
         return self.fixed
 
     def design(self, part: Part, build: Build) -> tuple[tuple[Param, ...], Mapping[str, Any]]:
@@ -216,7 +225,7 @@ class CoilDriver(Driver):
     def for_load(self, keys: Any, load: Load) -> tuple[tuple[Param, ...], Mapping[str, Any]]:
         """Parameters and values of its template for these coils."""
 
-    def default_joins(self, part: Part, scene: Scene) -> Mapping[str, str]:
+    def default_joins(self, part: Part, scene: GovernedScene) -> Mapping[str, str]:
         control = scene.only("pid")
         return {} if control is None else {"command": f"{control.name}.command"}
 
@@ -240,7 +249,7 @@ class CoilDriver(Driver):
         return Load(inductance, float(table.resistance.sum()), float(current))
 
 
-def _neighbour(part: Part, pin: str, scene: Scene, kind: str) -> Part | None:
+def _neighbour(part: Part, pin: str, scene: WiredScene, kind: str) -> Part | None:
     """The part of this kind that a pin is joined to."""
     joined = (scene.parts[name] for name, _ in scene.joined(part.name, pin))
     return next((other for other in joined if other.type.name == kind), None)

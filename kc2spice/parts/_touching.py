@@ -11,7 +11,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from kc2spice.physics.contact import Normal
-from kc2spice.scene.model import GROUND, Part, PartType, Scene
+from kc2spice.scene.model import (
+    GROUND,
+    GovernedScene,
+    Part,
+    PartType,
+    WiredScene,
+)
 
 if TYPE_CHECKING:
     from kc2spice.bodies.pressure import Indented, LocalCompliance, PressureBasis
@@ -61,7 +67,7 @@ class Surface:
         """Pins that take the force."""
         return (self.velocity,) if self.velocity else self.ports
 
-    def joins(self, pins: Iterable[str], scene: Scene) -> dict[str, str]:
+    def joins(self, pins: Iterable[str], scene: GovernedScene) -> dict[str, str]:
         """Pins of the moving part to which the contact's pins on this side are joined."""
         if self.part == GROUND:
             return dict.fromkeys(pins, GROUND)
@@ -90,16 +96,18 @@ class Penetration:
 class Touching(PartType):
     """Base of types that offer a surface to contacts, or press those of a scene together."""
 
-    def surface(self, part: Part, scene: Scene, ports: tuple[str, ...] = ()) -> Surface | None:
+    def surface(
+        self, part: Part, scene: GovernedScene, ports: tuple[str, ...] = ()
+    ) -> Surface | None:
         """Surface for a contact; None if the part cannot touch."""
         return None
 
-    def penetrations(self, part: Part, scene: Scene) -> Iterable[Penetration]:
+    def penetrations(self, part: Part, scene: GovernedScene) -> Iterable[Penetration]:
         """How far it can press contacts of the scene together."""
         return ()
 
 
-def surface_of(part: Part, scene: Scene, ports: tuple[str, ...] = ()) -> Surface | None:
+def surface_of(part: Part, scene: GovernedScene, ports: tuple[str, ...] = ()) -> Surface | None:
     """Surface of a part for a contact at these ports, or at ports that the part selects."""
     return part.type.surface(part, scene, ports) if isinstance(part.type, Touching) else None
 
@@ -118,7 +126,7 @@ class Pair:
     """Both sides of a contact: ``a`` with one or several ports, and ``b``, whose rise opens it."""
 
     part: Part
-    scene: Scene
+    scene: GovernedScene
 
     @property
     def keys(self) -> Any:
@@ -329,7 +337,7 @@ class Pair:
         return None if dent is None else result + dent
 
 
-def pair_of(contact: Part, scene: Scene) -> Pair:
+def pair_of(contact: Part, scene: GovernedScene) -> Pair:
     """Both sides of a contact, as its record has them."""
     record = scene.record(contact)
     if record is None or not isinstance(record.detail, Pair):
@@ -337,7 +345,7 @@ def pair_of(contact: Part, scene: Scene) -> Pair:
     return record.detail
 
 
-def only_pair(scene: Scene) -> Pair | None:
+def only_pair(scene: GovernedScene) -> Pair | None:
     """The scene's contact, where it has one."""
     contact = scene.only("contact")
     return None if contact is None else pair_of(contact, scene)
@@ -359,7 +367,9 @@ def _dented_by(nodes: bytes, compliance: bytes, radius: float) -> Indented:
 # --- how far a sphere can come --------------------------------------------------------------------
 
 
-def impact_penetration(sphere: Part, scene: Scene, speed: float, why: str) -> Iterator[Penetration]:
+def impact_penetration(
+    sphere: Part, scene: GovernedScene, speed: float, why: str
+) -> Iterator[Penetration]:
     """How deep a sphere that arrives with ``speed`` [m/s] goes into the bodies that it touches.
 
     No state of the body stores less energy under a dent than the static one, so what the static
@@ -419,7 +429,7 @@ def _edge(t: np.ndarray, v: np.ndarray, force: np.ndarray, last: int) -> tuple[f
     return float(time), float(v[free] + slope * (time - t[free]))
 
 
-def busy_until(scene: Scene) -> float:
+def busy_until(scene: WiredScene) -> float:
     """Time [s] at which the last source stops changing, but for those that only enable something.
 
     Infinite where one never does or there is none.

@@ -47,7 +47,13 @@ from kc2spice.parts._meshed import FieldKeys, MeshedBody
 from kc2spice.parts._neglected import Envelope, box_envelope
 from kc2spice.parts._pictures import edges
 from kc2spice.rom.linear_model import Port
-from kc2spice.scene.model import Build, Part, Scene
+from kc2spice.scene.model import (
+    Build,
+    DeclaredScene,
+    GovernedScene,
+    Part,
+    Scene,
+)
 from kc2spice.scene.parttype import register
 from kc2spice.scene.rows import Neglected
 
@@ -454,11 +460,11 @@ class Body(MeshedBody):
     source = "FE (piezoelectric, the user's mesh)"
     ports_of_files = True
 
-    def ports(self, part: Part, scene: Scene) -> tuple[Port, ...]:
+    def ports(self, part: Part, scene: DeclaredScene) -> tuple[Port, ...]:
         result: tuple[Port, ...] = part.keys.every_port
         return result
 
-    def directions(self, part: Part, scene: Scene) -> Mapping[str, tuple[float, ...]]:
+    def directions(self, part: Part, scene: DeclaredScene) -> Mapping[str, tuple[float, ...]]:
         """Axes of its translations and accelerations."""
         result: dict[str, tuple[float, ...]] = {}
         for keys in part.keys.ports:
@@ -471,11 +477,11 @@ class Body(MeshedBody):
                     result[port.terminals[0]] = tuple(axis.tolist())
         return result
 
-    def files(self, part: Part, scene: Scene) -> tuple[str, ...]:
+    def files(self, part: Part, scene: DeclaredScene) -> tuple[str, ...]:
         _path(part, scene)
         return (part.keys.mesh,)
 
-    def problems(self, part: Part, scene: Scene) -> Iterator[UsageError]:
+    def problems(self, part: Part, scene: GovernedScene) -> Iterator[UsageError]:
         yield from super().problems(part, scene)
         try:
             path = _path(part, scene)
@@ -493,7 +499,7 @@ class Body(MeshedBody):
         yield " x ".join(f"{1e3 * side:.4g}" for side in sides) + " mm"
         yield from super().notes(part, scene)
 
-    def sides(self, part: Part, scene: Scene) -> list[float]:
+    def sides(self, part: Part, scene: DeclaredScene) -> list[float]:
         """Sides of the bounding box of its file [m]."""
 
         def size() -> list[float]:
@@ -505,7 +511,7 @@ class Body(MeshedBody):
         key = {"file": file_stamp(_path(part, scene)), "unit": part.keys.unit}
         return cached("extent", key, size, sources=self.sources())
 
-    def envelope(self, part: Part, scene: Scene) -> Envelope:
+    def envelope(self, part: Part, scene: DeclaredScene) -> Envelope:
         sides = self.sides(part, scene)
         if part.keys.axisymmetric:
             sides = [side for side in sides if side] or sides[:2]
@@ -518,7 +524,7 @@ class Body(MeshedBody):
         groups = [item if isinstance(item, str) else item.group for item in part.keys.fixed]
         return f"{', '.join(groups)} held ideally" if groups else "nothing holds it"
 
-    def full_key(self, part: Part, scene: Scene) -> dict[str, Any]:
+    def full_key(self, part: Part, scene: GovernedScene) -> dict[str, Any]:
         return {**super().full_key(part, scene), "file": file_stamp(_path(part, scene))}
 
     def figures(self, part: Part, build: Build, waves: Waveforms) -> Iterator[Figure | Written]:
@@ -535,11 +541,11 @@ class Body(MeshedBody):
         yield Figure(f"{part.name}_mesh", f"Mesh of {part.name}", caption, (panel,))
         yield from super().figures(part, build, waves)
 
-    def make(self, part: Part, scene: Scene) -> fe.FiniteElementModel:
+    def make(self, part: Part, scene: GovernedScene) -> fe.FiniteElementModel:
         return device(part.keys, scene.home, part.name)
 
 
-def _path(part: Part, scene: Scene) -> Path:
+def _path(part: Part, scene: DeclaredScene) -> Path:
     return file_in_folder(scene.home, part.keys.mesh, f"{part.name}.mesh")
 
 

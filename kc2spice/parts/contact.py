@@ -32,7 +32,16 @@ from kc2spice.physics.contact import SPACED, Normal, contact
 from kc2spice.physics.part import pins_of
 from kc2spice.rom.linear_model import LinearModel
 from kc2spice.scene.checks import PAIRS, Balance, Check, Gate, Metric, stepping
-from kc2spice.scene.model import GROUND, Build, Part, Scene, Terminal
+from kc2spice.scene.model import (
+    GROUND,
+    Build,
+    GovernedScene,
+    JoinedScene,
+    Part,
+    Scene,
+    Terminal,
+    WiredScene,
+)
 from kc2spice.scene.parttype import register
 from kc2spice.scene.rows import Neglected, Numerics, Rest, Vector
 
@@ -146,17 +155,17 @@ class Contact(DeclaredPart):
     title = "unilateral penalty contact"
     schema = ContactKeys
 
-    def detail(self, part: Part, scene: Scene) -> Pair:
+    def detail(self, part: Part, scene: GovernedScene) -> Pair:
         """Both sides of the contact."""
         return Pair(part, scene)
 
-    def declared(self, part: Part, scene: Scene) -> Declaration:
+    def declared(self, part: Part, scene: GovernedScene) -> Declaration:
         pair = pair_of(part, scene)
         radius, distance = pair.b.radius, pair.a.distance
         under = None if radius is None else (radius, tuple(map(float, distance)))
         return _declared(pair, pair.normal, under, part.keys.groove)
 
-    def pins(self, part: Part, scene: Scene) -> tuple[Terminal, ...]:
+    def pins(self, part: Part, scene: JoinedScene) -> tuple[Terminal, ...]:
         d = _declared(pair_of(part, scene), Normal(1.0, friction=part.keys.friction))
         ends = {"rail": "gnd", "base": "gnd"}
         return tuple(
@@ -164,13 +173,13 @@ class Contact(DeclaredPart):
             for p in pins_of(d)
         )
 
-    def default_joins(self, part: Part, scene: Scene) -> Mapping[str, str]:
+    def default_joins(self, part: Part, scene: GovernedScene) -> Mapping[str, str]:
         pair = pair_of(part, scene)
         joins = pair.a.joins(("va", "a") if pair.a.rigid else pair.ports, scene)
         joins |= pair.b.joins(("v", "bottom") if pair.b.rigid else ("b",), scene)
         return joins | ({CARRIED: f"{pair.b.elastic}.{PATCH}"} if pair.b.elastic else {})
 
-    def at_rest(self, part: Part, scene: Scene) -> Rest:
+    def at_rest(self, part: Part, scene: WiredScene) -> Rest:
         """Surfaces that touch at rest: what presses on them finds its place."""
         pair = pair_of(part, scene)
         held = [(pin, GROUND) for pin in ("base", *["va"] * pair.a.rigid, *["v"] * pair.b.rigid)]
@@ -178,7 +187,7 @@ class Contact(DeclaredPart):
             held += [(port, "b") for port in pair.ports]
         return Rest(tuple(held))
 
-    def numerics(self, part: Part, scene: Scene) -> Iterator[Numerics]:
+    def numerics(self, part: Part, scene: WiredScene) -> Iterator[Numerics]:
         """A trapezoid's errors of closing and opening cancel for a linear spring alone. Rebounds
         that lose 0 to 70 % of their energy are then good to 1.5e-4 at the usual reltol."""
         curved = part.keys.law == "hertz" or part.keys.shape == "pressure"
@@ -186,7 +195,7 @@ class Contact(DeclaredPart):
         what = "contact, as far as a body has motions"
         yield Numerics(what, content=EXCITED, reltol=reltol)
 
-    def problems(self, part: Part, scene: Scene) -> Iterator[UsageError]:
+    def problems(self, part: Part, scene: GovernedScene) -> Iterator[UsageError]:
         pair = pair_of(part, scene)
         a, b = pair.a, pair.b
         if a.part == b.part != GROUND and set(a.pushed) & set(b.pushed):

@@ -17,7 +17,16 @@ from pydantic import Field
 from kc2spice.core.errors import UsageError
 from kc2spice.core.quantities import Section, Time
 from kc2spice.netlist.circuit import Element, Item
-from kc2spice.scene.model import Build, Part, PartType, Scene, Terminal
+from kc2spice.scene.model import (
+    Build,
+    GovernedScene,
+    JoinedScene,
+    Part,
+    PartType,
+    Scene,
+    Terminal,
+    WiredScene,
+)
 from kc2spice.scene.parttype import register
 from kc2spice.scene.rows import Sampled, Vector
 from kc2spice.scene.settings import FileName
@@ -75,7 +84,7 @@ layers = [
 wiring = "parallel"
 """
 
-    def pins(self, part: Part, scene: Scene) -> tuple[Terminal, ...]:
+    def pins(self, part: Part, scene: JoinedScene) -> tuple[Terminal, ...]:
         keys = part.keys
         inputs = (
             Terminal(name, keys.units.get(name, "um"), "-", required=True) for name in keys.inputs
@@ -83,7 +92,7 @@ wiring = "parallel"
         ends = (Terminal("out", "V", "A", required=True), Terminal("ret", "V", "A", "gnd"))
         return (*inputs, *ends)
 
-    def problems(self, part: Part, scene: Scene) -> Iterator[UsageError]:
+    def problems(self, part: Part, scene: GovernedScene) -> Iterator[UsageError]:
         keys = part.keys
         if keys.delay >= keys.period:
             got, expected = f"{keys.delay:g} s", f"less than the period, {keys.period:g} s"
@@ -104,7 +113,7 @@ wiring = "parallel"
             Element.of(f"G{part.name}", ret, out, held, "0", "1"),
         )
 
-    def inner_names(self, part: Part, scene: Scene) -> Iterator[tuple[str, ...]]:
+    def inner_names(self, part: Part, scene: WiredScene) -> Iterator[tuple[str, ...]]:
         yield part.name.lower(), "held"
 
     def vectors(self, part: Part, build: Build) -> Mapping[str, Vector]:

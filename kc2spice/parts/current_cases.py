@@ -18,7 +18,17 @@ from kc2spice.netlist.spelling import number
 from kc2spice.parts.sphere import sphere_of
 from kc2spice.physics import coils
 from kc2spice.scene.checks import PAIRS, Check, Gate, Metric
-from kc2spice.scene.model import GROUND, Build, Part, PartType, Scene, Terminal
+from kc2spice.scene.model import (
+    GROUND,
+    Build,
+    DeclaredScene,
+    JoinedScene,
+    Part,
+    PartType,
+    Scene,
+    Terminal,
+    WiredScene,
+)
 from kc2spice.scene.parttype import register
 from kc2spice.scene.rows import Governed, Swept, Vector
 
@@ -46,11 +56,11 @@ class CurrentCases(PartType):
         sweep = {"type": "dc", "sweep": f"{part.name}.height", "points": HEIGHTS}
         return {"analysis": sweep}
 
-    def pins(self, part: Part, scene: Scene) -> tuple[Terminal, ...]:
+    def pins(self, part: Part, scene: JoinedScene) -> tuple[Terminal, ...]:
         height = Terminal.signal("y", DISPLACEMENT, signal_out=True)
         return height, Terminal.speed("v", TRANSLATION, GROUND)
 
-    def governs(self, part: Part, scene: Scene) -> Mapping[str, Governed]:
+    def governs(self, part: Part, scene: DeclaredScene) -> Mapping[str, Governed]:
         return {_sphere(part, scene): "moved", _coils(part, scene).name: "copied"}
 
     def cards(self, part: Part, build: Build) -> tuple[Item, ...]:
@@ -67,7 +77,7 @@ class CurrentCases(PartType):
             ]
         return noted(cards)
 
-    def inner_names(self, part: Part, scene: Scene) -> Iterator[tuple[str, ...]]:
+    def inner_names(self, part: Part, scene: WiredScene) -> Iterator[tuple[str, ...]]:
         yield ("Vheight",)
         words = "lower", "upper", "force", "Xcatch", "Ilower", "Iupper", "Vforce"
         for k in range(len(cases(part))):
@@ -139,11 +149,11 @@ def _forces(part: Part, build: Build) -> list[str]:
     return [f"{_coils(part, build.scene).name}.force.{k}" for k in range(len(cases(part)))]
 
 
-def _coils(part: Part, scene: Scene) -> Part:
+def _coils(part: Part, scene: DeclaredScene) -> Part:
     return scene.partner(part, "ring_magnet_coils")
 
 
-def _sphere(part: Part, scene: Scene) -> str:
+def _sphere(part: Part, scene: DeclaredScene) -> str:
     return sphere_of(_coils(part, scene), scene).name
 
 

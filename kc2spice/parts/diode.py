@@ -10,7 +10,12 @@ from pydantic import Field
 from kc2spice.core.quantities import Capacitance, Current, Ratio, Resistance, Section, Time, Voltage
 from kc2spice.netlist.circuit import Param
 from kc2spice.parts._template import TemplatePart
-from kc2spice.scene.model import Build, Part, Scene, Terminal
+from kc2spice.scene.model import (
+    Build,
+    Part,
+    Scene,
+    Terminal,
+)
 from kc2spice.scene.parttype import register
 from kc2spice.scene.rows import Neglected, Vector
 

@@ -21,7 +21,11 @@ from kc2spice.core.quantities import (
 from kc2spice.netlist.circuit import Param, positive
 from kc2spice.parts._template import CoilDriver, Driver, InputNoise, Load, ends, parameters
 from kc2spice.parts.pid import SENSE
-from kc2spice.scene.model import Part, Scene
+from kc2spice.scene.model import (
+    DeclaredScene,
+    Part,
+    WiredScene,
+)
 from kc2spice.scene.parttype import register
 from kc2spice.scene.rows import Numerics
 
@@ -165,12 +169,12 @@ class PwmDrive(CoilDriver):
             "constant": load.inductance / resistance,
         }
 
-    def numerics(self, part: Part, scene: Scene) -> Iterable[Numerics]:
+    def numerics(self, part: Part, scene: WiredScene) -> Iterable[Numerics]:
         f, edge = part.keys.frequency, part.keys.edge
         what = f"a tenth of a period of the carrier of {part.name}"
         return (Numerics(what, 0.1 / f, 1 / edge),)
 
-    def highest_frequency(self, part: Part, scene: Scene, constant: float) -> float:
+    def highest_frequency(self, part: Part, scene: DeclaredScene, constant: float) -> float:
         return RIPPLE * float(part.keys.frequency)
 
 

@@ -16,7 +16,12 @@ from kc2spice.parts._linear_body import LinearBody, LinearKeys
 from kc2spice.parts._touching import PATCH, Surface, pair_of
 from kc2spice.parts.sphere import made_of
 from kc2spice.rom.linear_model import LinearModel, Port
-from kc2spice.scene.model import Part, Scene
+from kc2spice.scene.model import (
+    DeclaredScene,
+    GovernedScene,
+    Part,
+    Scene,
+)
 from kc2spice.scene.parttype import register
 from kc2spice.scene.rows import Neglected
 from kc2spice.scene.settings import Rom
@@ -54,10 +59,10 @@ shape = "pressure"
 elastic = true
 """
 
-    def ports(self, part: Part, scene: Scene) -> tuple[Port, ...]:
+    def ports(self, part: Part, scene: DeclaredScene) -> tuple[Port, ...]:
         return (Port(PATCH, TRANSLATION.port),)
 
-    def problems(self, part: Part, scene: Scene) -> Iterator[UsageError]:
+    def problems(self, part: Part, scene: GovernedScene) -> Iterator[UsageError]:
         yield from super().problems(part, scene)
         _contact(part, scene)  # says what it cannot be
         owner, stuff = scene.parts[part.keys.of], made_of(scene.parts[part.keys.of])
@@ -71,7 +76,9 @@ elastic = true
             got, expected = part.keys.damping.model, "rayleigh"
             yield owner.wrong("elastic.damping.model", "a sphere rings viscously", got, expected)
 
-    def surface(self, part: Part, scene: Scene, ports: tuple[str, ...] = ()) -> Surface | None:
+    def surface(
+        self, part: Part, scene: GovernedScene, ports: tuple[str, ...] = ()
+    ) -> Surface | None:
         """Return the patch on its sphere that a contact names as port; otherwise None.
 
         A contact touches the sphere, so this part has no other surface.
@@ -82,7 +89,7 @@ elastic = true
         compliance, pace = partial(self._compliance_of, part, scene), _body(part, scene).rayleigh[1]
         return Surface(part.name, ports, (0.0,), compliance=compliance, pace=pace)
 
-    def full_key(self, part: Part, scene: Scene) -> Mapping[str, Any]:
+    def full_key(self, part: Part, scene: GovernedScene) -> Mapping[str, Any]:
         body, own = _body(part, scene), part.keys.model_dump(mode="json", include={"mesh"})
         return {
             "radius": body.radius,
@@ -93,7 +100,7 @@ elastic = true
             "pressure_basis": pair_of(_contact(part, scene), scene).shape.nodes.tolist(),
         }
 
-    def full(self, part: Part, scene: Scene, clock: Any) -> LinearModel:
+    def full(self, part: Part, scene: GovernedScene, clock: Any) -> LinearModel:
         from kc2spice.bodies.pressure import sphere
 
         shape = pair_of(_contact(part, scene), scene).shape
@@ -108,7 +115,7 @@ elastic = true
             return own
         return Rom(tolerance=1e-3, band=(0.0, float(f"{BAND * _body(part, scene).oblate:.3g}")))
 
-    def weights(self, part: Part, scene: Scene) -> StepWeights:
+    def weights(self, part: Part, scene: DeclaredScene) -> StepWeights:
         """Nothing is joined to it that could tell: at 0.01 % of damping steps would follow its
         megahertz through the flight, eight times as many."""
         return COARSE
@@ -126,7 +133,9 @@ elastic = true
             f"at most {deep:.1g} of the dent, by its depth over the radius",
         )
 
-    def _compliance_of(self, part: Part, scene: Scene, shape: PressureBasis) -> LocalCompliance:
+    def _compliance_of(
+        self, part: Part, scene: GovernedScene, shape: PressureBasis
+    ) -> LocalCompliance:
         from kc2spice.bodies.pressure import LocalCompliance, sphere_compliance
 
         key = {**self.full_key(part, scene), "pressure_basis": shape.nodes.tolist()}
@@ -136,14 +145,14 @@ elastic = true
         )
 
 
-def _body(part: Part, scene: Scene) -> IsotropicSphere:
+def _body(part: Part, scene: DeclaredScene) -> IsotropicSphere:
     from kc2spice.bodies.pressure import IsotropicSphere
 
     owner = scene.parts[part.keys.of]
     return IsotropicSphere(owner.keys.radius, made_of(owner), part.keys.damping)
 
 
-def _contact(part: Part, scene: Scene) -> Part:
+def _contact(part: Part, scene: GovernedScene) -> Part:
     """The one contact of the sphere, by pressure."""
     owner = scene.parts[part.keys.of]
     pairs = ((contact, pair_of(contact, scene)) for contact in scene.of("contact"))

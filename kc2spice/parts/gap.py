@@ -51,7 +51,15 @@ from kc2spice.physics.part import pins_of
 from kc2spice.physics.symbolic import evaluated
 from kc2spice.scene.checks import Balance, Check, Gate, Metric
 from kc2spice.scene.highest_frequency import highest_frequency
-from kc2spice.scene.model import Build, Part, Scene, Terminal
+from kc2spice.scene.model import (
+    Build,
+    DeclaredScene,
+    GovernedScene,
+    JoinedScene,
+    Part,
+    Scene,
+    Terminal,
+)
 from kc2spice.scene.parttype import register
 from kc2spice.scene.rows import Vector
 
@@ -127,21 +135,21 @@ class GapKeys(_stop.Stopped):
 class Patched(DeclaredPart):
     """Part that acts on a row of patches ``p1`` …, whose number follows from its key ``a``."""
 
-    def pins(self, part: Part, scene: Scene) -> tuple[Terminal, ...]:
+    def pins(self, part: Part, scene: JoinedScene) -> tuple[Terminal, ...]:
         ends = {"minus": "gnd", "b": "gnd"}
         return tuple(
             Terminal(p.name, p.unit, p.flow, ends.get(p.name), required=p.name == "plus")
             for p in pins_of(self.declared(part, scene))
         )
 
-    def default_joins(self, part: Part, scene: Scene) -> Mapping[str, str]:
+    def default_joins(self, part: Part, scene: GovernedScene) -> Mapping[str, str]:
         return {f"p{k}": port for k, port in enumerate(patches(part, scene), 1)}
 
 
 class Gap(Patched):
     """The part type; how many branches it has is up to its keys."""
 
-    def declared(self, part: Part, scene: Scene) -> Declaration:
+    def declared(self, part: Part, scene: GovernedScene) -> Declaration:
         return self._with_branches(part, scene, branches_of(part, scene))
 
     def built(self, part: Part, build: Build) -> Declaration:
@@ -159,11 +167,11 @@ class Gap(Patched):
         result, known = super().law(part, build), {pin.name for pin in build.scene.pins(part.name)}
         return replace(result, pins=tuple(pair for pair in result.pins if pair[0] in known))
 
-    def _with_branches(self, part: Part, scene: Scene, branches: int) -> Declaration:
+    def _with_branches(self, part: Part, scene: GovernedScene, branches: int) -> Declaration:
         keys, top = part.keys, highest_frequency(scene) if part.keys.film else 0.0
         return _declared(keys.model_dump_json(), len(patches(part, scene)), branches, top)
 
-    def problems(self, part: Part, scene: Scene) -> Iterator[UsageError]:
+    def problems(self, part: Part, scene: GovernedScene) -> Iterator[UsageError]:
         keys, ports = part.keys, patches(part, scene)
         if not keys.travel < keys.gap:
             got, expected = f"{keys.travel:g} m", f"less than the gap, {keys.gap:g} m"
@@ -227,7 +235,7 @@ class Gap(Patched):
         return result | {"largest_travel_m": Metric(float(stroke.max()), "m")}
 
 
-def patches(part: Part, scene: Scene) -> tuple[str, ...]:
+def patches(part: Part, scene: DeclaredScene) -> tuple[str, ...]:
     """Ports of the body that a part's patches are, in their order."""
     given = part.keys.a
     if not isinstance(given, str):
@@ -243,7 +251,7 @@ def patches(part: Part, scene: Scene) -> tuple[str, ...]:
     return tuple(f"{given}.{port}" for port in row)
 
 
-def branches_of(part: Part, scene: Scene) -> int:
+def branches_of(part: Part, scene: DeclaredScene) -> int:
     """Terms of the series of its film that keep their spring; 0 without a film."""
     keys: GapKeys = part.keys
     if keys.film is None:

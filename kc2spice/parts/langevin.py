@@ -31,7 +31,10 @@ from kc2spice.fem.body_keys import Damping, Mesh
 from kc2spice.fem.materials import material
 from kc2spice.parts._meshed import BondedBody, FieldKeys
 from kc2spice.parts._neglected import UNKNOWN
-from kc2spice.scene.model import Part, Scene
+from kc2spice.scene.model import (
+    Part,
+    Scene,
+)
 from kc2spice.scene.parttype import register
 from kc2spice.scene.rows import Neglected
 

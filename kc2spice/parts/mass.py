@@ -19,7 +19,14 @@ from kc2spice.physics import Declaration, DeclaredPart, displacement
 from kc2spice.physics.declaration import shake
 from kc2spice.scene.checks import Metric
 from kc2spice.scene.compose import free, rigid
-from kc2spice.scene.model import GROUND, Build, Part, Scene
+from kc2spice.scene.model import (
+    GROUND,
+    Build,
+    GovernedScene,
+    Part,
+    Scene,
+    WiredScene,
+)
 from kc2spice.scene.parttype import register
 from kc2spice.scene.plausible import dimensions
 from kc2spice.scene.rows import Rest, Shake
@@ -91,24 +98,24 @@ def point_mass(
 class PointMass(Touching, DeclaredPart):
     name, title, schema = "mass", "point mass at a displacement pin", MassKeys
 
-    def declared(self, part: Part, scene: Scene) -> Declaration:
+    def declared(self, part: Part, scene: GovernedScene) -> Declaration:
         keys, gravity = part.keys, scene.gravity if part.keys.weight else 0.0
         shares = tuple(float(shake.along or 0.0) for shake in _shakes(part, scene))
         return point_mass(keys.mass, gravity, keys.position, keys.velocity, shares)
 
     follows_frames = True
 
-    def default_joins(self, part: Part, scene: Scene) -> Mapping[str, str]:
+    def default_joins(self, part: Part, scene: GovernedScene) -> Mapping[str, str]:
         """Its pins for the accelerations of a frame are where the body has those."""
         shakes = _shakes(part, scene)
         pins = zip(_frames(len(shakes)), shakes, strict=True)
         return {pin: ".".join(shake.pin) for pin, shake in pins}
 
-    def at_rest(self, part: Part, scene: Scene) -> Rest:
+    def at_rest(self, part: Part, scene: WiredScene) -> Rest:
         falls = part.keys.weight and scene.gravity
         return Rest((("base", GROUND),), pushed=("a",) if falls else (), inert=("a",))
 
-    def problems(self, part: Part, scene: Scene) -> Iterator[UsageError]:
+    def problems(self, part: Part, scene: GovernedScene) -> Iterator[UsageError]:
         if _given(part) and scene.analysis.type != "transient":
             problem = "a position or velocity at t = 0 begins a transient"
             yield part.wrong("", problem, f"analysis {scene.analysis.type}", "neither of them")
@@ -121,7 +128,7 @@ class PointMass(Touching, DeclaredPart):
         inner = f"x{part.name.lower()}"
         return {f"{inner}.place_x": DISPLACEMENT.per_unit * state[0], f"{inner}.speed_x": state[1]}
 
-    def surface(self, part: Part, scene: Scene, ports: tuple[str, ...] = ()) -> Surface:
+    def surface(self, part: Part, scene: GovernedScene, ports: tuple[str, ...] = ()) -> Surface:
         return Surface(part.name, ("a",), (0.0,))
 
     def begins(self, part: Part, build: Build) -> tuple[float, float] | None:
@@ -177,7 +184,7 @@ class PointMass(Touching, DeclaredPart):
         yield f"mass {part.keys.mass:g}"
 
 
-def _shakes(part: Part, scene: Scene) -> tuple[Shake, ...]:
+def _shakes(part: Part, scene: GovernedScene) -> tuple[Shake, ...]:
     """Accelerations that shake its frame."""
     frame = scene.frames.get((part.name, "a"))
     return () if frame is None else frame.shakes

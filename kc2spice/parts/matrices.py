@@ -18,7 +18,12 @@ from kc2spice.core.progress import Clock
 from kc2spice.core.untrusted_files import file_in_folder
 from kc2spice.parts._linear_body import LinearBody, LinearKeys, file_stamp
 from kc2spice.rom.linear_model import LinearModel, Port
-from kc2spice.scene.model import Part, Scene
+from kc2spice.scene.model import (
+    DeclaredScene,
+    GovernedScene,
+    Part,
+    Scene,
+)
 from kc2spice.scene.parttype import register
 from kc2spice.scene.settings import FileName
 
@@ -43,10 +48,10 @@ class Matrices(LinearBody):
     source = "matrices of another tool"
     ports_of_files = True
 
-    def ports(self, part: Part, scene: Scene) -> tuple[Port, ...]:
+    def ports(self, part: Part, scene: DeclaredScene) -> tuple[Port, ...]:
         return self._model(part, scene).ports
 
-    def directions(self, part: Part, scene: Scene) -> Mapping[str, tuple[float, ...]]:
+    def directions(self, part: Part, scene: DeclaredScene) -> Mapping[str, tuple[float, ...]]:
         """Those that the sidecar states by ``dof`` or ``axis``; a column of B has none."""
         *_, said = locate_model(*self._source(part, scene))
         result = {}
@@ -57,15 +62,18 @@ class Matrices(LinearBody):
                 result[pin] = tuple(entry.weights.get(axis, 0.0) for axis in TRANSLATIONS)
         return result
 
-    def full_key(self, part: Part, scene: Scene) -> dict[str, Any]:
-        stamps = {name: file_stamp(scene.home / name) for name in self.files(part, scene)}
-        return {**super().full_key(part, scene), "files": stamps}
+    def full_key(self, part: Part, scene: GovernedScene) -> dict[str, Any]:
+        return {**super().full_key(part, scene), "files": self._stamps(part, scene)}
 
-    def files(self, part: Part, scene: Scene) -> tuple[str, ...]:
+    def _stamps(self, part: Part, scene: DeclaredScene) -> dict[str, str]:
+        """Identification of the content of each file."""
+        return {name: file_stamp(scene.home / name) for name in self.files(part, scene)}
+
+    def files(self, part: Part, scene: DeclaredScene) -> tuple[str, ...]:
         result = source_files(*self._source(part, scene))
         return tuple(os.path.relpath(path, scene.home) for path in result)
 
-    def full(self, part: Part, scene: Scene, clock: Clock) -> LinearModel:
+    def full(self, part: Part, scene: GovernedScene, clock: Clock) -> LinearModel:
         return self._model(part, scene)
 
     def outline(self, part: Part, scene: Scene) -> Iterator[Shape]:
@@ -77,10 +85,10 @@ class Matrices(LinearBody):
         high = max(high, THIN * wide)
         yield Shape(0.0, -high / 2, wide, high, label=part.name)
 
-    def _model(self, part: Part, scene: Scene) -> LinearModel:
-        return _read(*self._source(part, scene), str(self.full_key(part, scene)["files"]))
+    def _model(self, part: Part, scene: DeclaredScene) -> LinearModel:
+        return _read(*self._source(part, scene), str(self._stamps(part, scene)))
 
-    def _source(self, part: Part, scene: Scene) -> tuple[Path, Path | None]:
+    def _source(self, part: Part, scene: DeclaredScene) -> tuple[Path, Path | None]:
         """Path of the matrices, and of the TOML file that is named."""
         name, home, keys = part.name, scene.home, part.keys
         sidecar = (

@@ -36,7 +36,13 @@ from kc2spice.physics import Declaration, DeclaredPart, current, displacement, l
 from kc2spice.physics.part import settling
 from kc2spice.scene.checks import Balance, Check, Gate, Metric
 from kc2spice.scene.highest_frequency import highest_frequency
-from kc2spice.scene.model import Build, Part, Scene
+from kc2spice.scene.model import (
+    Build,
+    GovernedScene,
+    Part,
+    Scene,
+    WiredScene,
+)
 from kc2spice.scene.parttype import register
 from kc2spice.scene.rows import Neglected, Numerics
 
@@ -203,16 +209,16 @@ class MovingConductor(DeclaredPart):
     source = "rings (integral equation, axisymmetric), reduced"
     results_of_model = True  # as many loops as it has
 
-    def numerics(self, part: Part, scene: Scene) -> Iterator[Numerics]:
+    def numerics(self, part: Part, scene: WiredScene) -> Iterator[Numerics]:
         return settling(part, scene)
 
-    def declared(self, part: Part, scene: Scene) -> Declaration:
+    def declared(self, part: Part, scene: GovernedScene) -> Declaration:
         return _declared(self, _branches(part.keys, 0))
 
     def built(self, part: Part, build: Build) -> Declaration:
         return declared(part, build.model(part))
 
-    def problems(self, part: Part, scene: Scene) -> Iterator[UsageError]:
+    def problems(self, part: Part, scene: GovernedScene) -> Iterator[UsageError]:
         keys = part.keys
         if keys.y_min >= keys.y_max:
             got = f"{keys.y_min:g} … {keys.y_max:g} m"
@@ -403,7 +409,7 @@ def _divided(keys: Any, rings: int, frequency: float) -> Cells:
     return divide_section(*box, inside if ball else None, _depth(keys, frequency))
 
 
-def _lag(part: Part, scene: Scene) -> float:
+def _lag(part: Part, scene: WiredScene) -> float:
     """The least time constant [s] of its coils with the resistors in series."""
     result = []
     for name, coil, winding in zip(
@@ -414,7 +420,7 @@ def _lag(part: Part, scene: Scene) -> float:
     return min(result, default=0.0)
 
 
-def _in_series(part: Part, scene: Scene, pins: set[str]) -> float:
+def _in_series(part: Part, scene: WiredScene, pins: set[str]) -> float:
     """Sum of the resistors [Ohm] at one of two pins of a coil and not at the other."""
     own = {scene.net(part.name, pin) for pin in pins} - {"0"}
     ends = ((r, {scene.net(r.name, pin) for pin in "ab"}) for r in scene.of("resistor"))

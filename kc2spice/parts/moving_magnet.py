@@ -13,7 +13,10 @@ from kc2spice.core.quantities import MU_0, FluxDensity, Length, Notch, Ratio, Se
 from kc2spice.fem.magnet_keys import Ring
 from kc2spice.fem.magnet_rings import Ladder, Winding, current_body
 from kc2spice.parts.moving_conductor import Moving, MovingConductor, sheets, windings
-from kc2spice.scene.model import Part, Scene
+from kc2spice.scene.model import (
+    Part,
+    Scene,
+)
 from kc2spice.scene.parttype import register
 from kc2spice.scene.rows import Neglected
 

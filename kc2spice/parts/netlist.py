@@ -24,7 +24,16 @@ from kc2spice.netlist.scope import Scope, circuit, has_vector
 from kc2spice.netlist.spelling import name as checked
 from kc2spice.parts._template import SLACK, potentials, within
 from kc2spice.scene.checks import Check
-from kc2spice.scene.model import Build, Part, PartType, Scene, Terminal
+from kc2spice.scene.model import (
+    Build,
+    DeclaredScene,
+    GovernedScene,
+    JoinedScene,
+    Part,
+    PartType,
+    Scene,
+    Terminal,
+)
 from kc2spice.scene.parttype import register
 from kc2spice.scene.rows import Vector
 from kc2spice.scene.settings import FileName
@@ -76,7 +85,7 @@ class Netlist(PartType):
     schema = NetlistKeys
     source = "yours"
 
-    def pins(self, part: Part, scene: Scene) -> tuple[Terminal, ...]:
+    def pins(self, part: Part, scene: JoinedScene) -> tuple[Terminal, ...]:
         result = []
         for name in _pins(part, scene):
             unit, flow = KINDS[part.keys.units.get(name, "V/A")]
@@ -86,7 +95,7 @@ class Netlist(PartType):
             )
         return tuple(result)
 
-    def default_joins(self, part: Part, scene: Scene) -> Mapping[str, str]:
+    def default_joins(self, part: Part, scene: GovernedScene) -> Mapping[str, str]:
         """As the driver of another part's table its ``command`` is what a controller asks for."""
         control = scene.only("pid")
         commanded = part.at[1:2] == ("driver",) and "drive" in part.pins
@@ -94,7 +103,7 @@ class Netlist(PartType):
             return {}
         return {"command": f"{control.name}.command"}
 
-    def problems(self, part: Part, scene: Scene) -> Iterator[UsageError]:
+    def problems(self, part: Part, scene: GovernedScene) -> Iterator[UsageError]:
         pins = _pins(part, scene)
         for name, kind in part.keys.units.items():
             if name not in pins or kind not in KINDS:
@@ -127,7 +136,7 @@ class Netlist(PartType):
             if name not in pins:
                 yield part.wrong("ratings", "no such pin", name, ", ".join(pins))
 
-    def drives(self, part: Part, scene: Scene) -> bool:
+    def drives(self, part: Part, scene: DeclaredScene) -> bool:
         return _read(part.keys.file, scene.home, _stamp(part, scene)).excites
 
     def library(self, part: Part, scene: Scene) -> str:
@@ -207,7 +216,7 @@ def driver(part: Part, known: Mapping[str, str], data: Mapping[str, Any]) -> dic
     return {**table, "part": selected, "at": (part.name, "driver", kind)}
 
 
-def _pins(part: Part, scene: Scene) -> tuple[str, ...]:
+def _pins(part: Part, scene: DeclaredScene) -> tuple[str, ...]:
     """Pins of the subcircuit in its own order.
 
     Raises
@@ -237,7 +246,7 @@ def _pins(part: Part, scene: Scene) -> tuple[str, ...]:
     return pins
 
 
-def _probed(part: Part, scene: Scene) -> Iterator[tuple[str, str]]:
+def _probed(part: Part, scene: DeclaredScene) -> Iterator[tuple[str, str]]:
     """Names of the probes of this part, with the pin, node or ``i(ELEMENT)`` that each looks at;
     those of a meter at a pin are everybody's."""
     for name, probe in scene.probes.items():
@@ -259,7 +268,7 @@ def _inside(node: str, part: str = "") -> str:
     return f"i({name})" if read == "" else f"@{name}[{read}]"
 
 
-def _scope(part: Part, scene: Scene) -> Scope:
+def _scope(part: Part, scene: DeclaredScene) -> Scope:
     """Its subcircuit as elements with nodes."""
     flat = looked_at(part.keys.file, scene.home)
     result = circuit(read(flat.text, flat.file)).find(part.keys.subckt)
@@ -268,7 +277,7 @@ def _scope(part: Part, scene: Scene) -> Scope:
     return result
 
 
-def _stamp(part: Part, scene: Scene) -> int:
+def _stamp(part: Part, scene: DeclaredScene) -> int:
     """Age of the part's file."""
     path = scene.home / part.keys.file
     return path.stat().st_mtime_ns if path.is_file() else 0

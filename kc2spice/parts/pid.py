@@ -24,7 +24,16 @@ from kc2spice.physics.declaration import Branch, Declaration, displacement, seen
 from kc2spice.physics.law import DeclaredLaw
 from kc2spice.physics.part import subcircuit
 from kc2spice.scene.checks import Check, Metric
-from kc2spice.scene.model import Build, Part, PartType, Scene, Terminal
+from kc2spice.scene.model import (
+    Build,
+    DeclaredScene,
+    GovernedScene,
+    JoinedScene,
+    Part,
+    PartType,
+    Scene,
+    Terminal,
+)
 from kc2spice.scene.parttype import register
 from kc2spice.scene.rows import Vector
 from kc2spice.spice.header import Header, library
@@ -227,10 +236,10 @@ class Pid(PartType):
             state = value
         return {f"{part.name}_enable": {"part": "source", "pwl": tuple(points), "pins": pins}}
 
-    def pins(self, part: Part, scene: Scene) -> tuple[Terminal, ...]:
+    def pins(self, part: Part, scene: JoinedScene) -> tuple[Terminal, ...]:
         return _terminals(not _remote(part, scene))
 
-    def default_joins(self, part: Part, scene: Scene) -> Mapping[str, str]:
+    def default_joins(self, part: Part, scene: GovernedScene) -> Mapping[str, str]:
         ball = sphere.controlled(part, scene)
         joins = {} if ball is None else {"y": f"{ball.name}.y"}
         if not _remote(part, scene):
@@ -238,7 +247,7 @@ class Pid(PartType):
             joins |= {"drive": f"{coils}.drive", "sense": f"{coils}.ret"}
         return joins
 
-    def problems(self, part: Part, scene: Scene) -> Iterator[UsageError]:
+    def problems(self, part: Part, scene: GovernedScene) -> Iterator[UsageError]:
         keys, coils = part.keys, _coils(part, scene)
         low, high = coils.keys.y_min, coils.keys.y_max
         if not low < keys.setpoint < high:
@@ -318,12 +327,12 @@ class Pid(PartType):
         yield f"{form} PID, output clamped at {part.keys.current_limit:g} A, {coils}"
 
 
-def _coils(part: Part, scene: Scene) -> Part:
+def _coils(part: Part, scene: DeclaredScene) -> Part:
     """The coils that it feeds."""
     return scene.partner(part, "ring_magnet_coils", key="coils")
 
 
-def _remote(part: Part, scene: Scene) -> bool:
+def _remote(part: Part, scene: DeclaredScene) -> bool:
     """Whether the output is the pin ``command`` for another circuit with the coils."""
     joined = scene.named(part.name, "command") or "command" in part.pins
     return joined or bool(_coils(part, scene).keys.driver)

@@ -26,7 +26,15 @@ from kc2spice.parts._touching import Penetration, Surface, pair_of
 from kc2spice.parts.netlist import driver
 from kc2spice.rom.linear_model import Port
 from kc2spice.scene.checks import Metric
-from kc2spice.scene.model import Build, Part, Scene
+from kc2spice.scene.model import (
+    Build,
+    DeclaredScene,
+    GovernedScene,
+    JoinedScene,
+    Part,
+    Scene,
+    WiredScene,
+)
 from kc2spice.scene.parttype import register
 from kc2spice.scene.plausible import within
 from kc2spice.scene.rows import Neglected, Numerics
@@ -152,21 +160,21 @@ class PiezoStack(MeshedBody):
         source["pins"] = {"out": f"{name}.command"}
         return {f"{part.name}_drive": source, name: {**table, "pins": pins}}
 
-    def ports(self, part: Part, scene: Scene) -> tuple[Port, ...]:
+    def ports(self, part: Part, scene: DeclaredScene) -> tuple[Port, ...]:
         names = [f"ring{k}" for k in range(part.keys.mesh.rings + 1)]
         if pressure_nodes(part, scene) is not None:
             names = [PATCH]
         own = (Port(name, TRANSLATION.port) for name in names)
         return (*own, Port("anode", ELECTRICAL.port, pins=("anode", "cathode")))
 
-    def kept(self, part: Part, scene: Scene) -> tuple[Port, ...]:
+    def kept(self, part: Part, scene: JoinedScene) -> tuple[Port, ...]:
         """Rings up to the last that is needed, so that every scene's are nested."""
         if pressure_nodes(part, scene) is not None:
             return super().kept(part, scene)
         *own, anode = self.ports(part, scene)
         return (*own[: kept_rings(part, scene)], anode)
 
-    def problems(self, part: Part, scene: Scene) -> Iterator[UsageError]:
+    def problems(self, part: Part, scene: GovernedScene) -> Iterator[UsageError]:
         yield from super().problems(part, scene)
         keys, name, drive = part.keys, part.name, part.keys.drive
         transient = scene.analysis.type == "transient"
@@ -189,7 +197,7 @@ class PiezoStack(MeshedBody):
             why = f"{drive.voltage:g} V across {layer:.3g} m; the ceramic breaks down"
             yield from within(f"{name}.drive.voltage", field, "V/m", 0.0, 2e7, why)
 
-    def surface(self, part: Part, scene: Scene, ports: tuple[str, ...] = ()) -> Surface:
+    def surface(self, part: Part, scene: GovernedScene, ports: tuple[str, ...] = ()) -> Surface:
         if part.keys.poling == "x":
             problem = "the top of a stack that shears moves sideways: nothing can press on it"
             raise part.wrong("poling", problem, "x", "z under a contact")
@@ -210,7 +218,7 @@ class PiezoStack(MeshedBody):
             modulus=modulus,
         )
 
-    def numerics(self, part: Part, scene: Scene) -> Iterator[Numerics]:
+    def numerics(self, part: Part, scene: WiredScene) -> Iterator[Numerics]:
         """A trapezoid's error of phase adds up as long as a mode rings while something touches.
 
         A low kick closes fewer rings and its launch depends more on every step: from 40 to 60 V
@@ -233,11 +241,11 @@ class PiezoStack(MeshedBody):
         chgtol = min(1.0, speed or 1.0)
         yield Numerics(what, FLIGHT, decides=True, reltol=close, chgtol=chgtol)
 
-    def weights(self, part: Part, scene: Scene) -> StepWeights:
+    def weights(self, part: Part, scene: DeclaredScene) -> StepWeights:
         """Its ringing is what strikes the sphere if the kick begins downwards."""
         return THROWING if _downwards(part) else super().weights(part, scene)
 
-    def penetrations(self, part: Part, scene: Scene) -> Iterator[Penetration]:
+    def penetrations(self, part: Part, scene: GovernedScene) -> Iterator[Penetration]:
         voltage = highest_voltage(part, scene)
         if voltage:
             stroke = free_stroke(part.keys, voltage)
@@ -256,7 +264,7 @@ class PiezoStack(MeshedBody):
     def by_material(self, part: Part) -> float:
         return float(part.keys.rated_field * part.keys.height / part.keys.layers)
 
-    def full_key(self, part: Part, scene: Scene) -> Mapping[str, Any]:
+    def full_key(self, part: Part, scene: GovernedScene) -> Mapping[str, Any]:
         shape, chip = pressure_nodes(part, scene), part.keys.model_dump(mode="json", include=CHIP)
         result = {"chip": chip, "field": part.keys.rated_field}
         return result if shape is None else result | {"pressure_basis": shape.nodes.tolist()}
@@ -275,7 +283,7 @@ class PiezoStack(MeshedBody):
         low, high = asked.band
         return Rom(band=(low, high * plain.height / part.keys.height))
 
-    def envelope(self, part: Part, scene: Scene) -> Envelope:
+    def envelope(self, part: Part, scene: DeclaredScene) -> Envelope:
         keys = part.keys
         (x, y), caps = keys.half, (keys.bottom_cap, keys.top_cap)
         height = keys.height + sum(cap.thickness for cap in caps if cap is not None)
@@ -290,7 +298,7 @@ class PiezoStack(MeshedBody):
     def support(self, part: Part) -> str:
         return "" if part.keys.mounting == "roller" else mounted(part.keys)
 
-    def make(self, part: Part, scene: Scene) -> FiniteElementModel:
+    def make(self, part: Part, scene: GovernedScene) -> FiniteElementModel:
         from kc2spice.bodies.stack import stack_device
 
         shape = pressure_nodes(part, scene)
@@ -355,7 +363,7 @@ class PiezoStack(MeshedBody):
             yield Neglected(effect, "nothing of the scene needs them", "checked after the run")
 
 
-def _kick_speed(part: Part, scene: Scene) -> float | None:
+def _kick_speed(part: Part, scene: GovernedScene) -> float | None:
     """Speed [m/s] of a kick that lasts as the stack's quarter wave, or as the edge of its pulse:
     the free stroke over ``4 H / c`` or the edge; None without a voltage."""
     voltage = highest_voltage(part, scene)
@@ -392,7 +400,7 @@ def mounted(keys: Chip) -> str:
     return ", ".join(said)
 
 
-def pressure_nodes(part: Part, scene: Scene) -> PressureBasis | None:
+def pressure_nodes(part: Part, scene: DeclaredScene) -> PressureBasis | None:
     """Pressure on the top where a contact asks for it, as far out as the rings are."""
     for contact in scene.of("contact"):
         if contact.keys.shape == "pressure" and contact.keys.a in (None, part.name):
@@ -407,7 +415,7 @@ def ring_radii(keys: Chip) -> np.ndarray:
     return keys.mesh.ring_spacing * np.arange(keys.mesh.rings + 1)
 
 
-def kept_rings(part: Part, scene: Scene) -> int:
+def kept_rings(part: Part, scene: JoinedScene) -> int:
     """How many rings, ring0 first, are ports: up to the last that another part or a probe wants,
     all where the stack is the only part, which is there to be exported."""
     if len(scene.parts) == 1 or scene.ports == "all":
@@ -424,7 +432,7 @@ def _ring(part: Part, name: str) -> int:
     return int(match[1])
 
 
-def highest_voltage(part: Part, scene: Scene) -> float:
+def highest_voltage(part: Part, scene: DeclaredScene) -> float:
     """Largest voltage [V] that the drive asks for; 0 where the anode is not driven."""
     keys = part.keys
     if keys.drive is not None and keys.electrical == "driven":

@@ -20,7 +20,15 @@ from kc2spice.netlist.circuit import Element, Item
 from kc2spice.netlist.elements import Line, noted
 from kc2spice.parts.two_terminal_types import element
 from kc2spice.scene.checks import PAIRS, Gate, Metric
-from kc2spice.scene.model import Build, Part, PartType, Scene
+from kc2spice.scene.model import (
+    Build,
+    DeclaredScene,
+    GovernedScene,
+    Part,
+    PartType,
+    Scene,
+    WiredScene,
+)
 from kc2spice.scene.parttype import register
 from kc2spice.scene.rows import Governed, Vector
 
@@ -51,16 +59,16 @@ class PortLoads(PartType):
         linear = {"scale": "linear", "points": points, "stop": stop}
         return {"analysis": {"type": "ac", "start": start + (stop - start) / points, **linear}}
 
-    def drives(self, part: Part, scene: Scene) -> bool:
+    def drives(self, part: Part, scene: DeclaredScene) -> bool:
         return True
 
-    def problems(self, part: Part, scene: Scene) -> Iterator[UsageError]:
+    def problems(self, part: Part, scene: GovernedScene) -> Iterator[UsageError]:
         body_of(part, scene)
         if part.keys.start >= part.keys.stop:
             got = f"{part.keys.start:g} … {part.keys.stop:g} Hz"
             yield part.wrong("stop", "empty frequency range", got, "start < stop")
 
-    def governs(self, part: Part, scene: Scene) -> Mapping[str, Governed]:
+    def governs(self, part: Part, scene: DeclaredScene) -> Mapping[str, Governed]:
         return {body_of(part, scene).name: "copied"}
 
     def cards(self, part: Part, build: Build) -> tuple[Item, ...]:
@@ -91,7 +99,7 @@ class PortLoads(PartType):
                 ]
         return noted(cards)
 
-    def inner_names(self, part: Part, scene: Scene) -> Iterator[tuple[str, ...]]:
+    def inner_names(self, part: Part, scene: WiredScene) -> Iterator[tuple[str, ...]]:
         rings = _rings(body_of(part, scene), scene)
         for load in (*rings, "anode"):
             yield from ((ring, load) for ring in rings)
@@ -186,7 +194,7 @@ class PortLoads(PartType):
         yield f"{keys.steps} frequencies, {keys.start:g} … {keys.stop:g} Hz"
 
 
-def body_of(part: Part, scene: Scene) -> Part:
+def body_of(part: Part, scene: DeclaredScene) -> Part:
     """The body that is loaded.
 
     Raises
@@ -203,7 +211,7 @@ def body_of(part: Part, scene: Scene) -> Part:
     return result[0]
 
 
-def _rings(body: Part, scene: Scene) -> tuple[str, ...]:
+def _rings(body: Part, scene: WiredScene) -> tuple[str, ...]:
     pins = scene.pins(body.name)
     return tuple(pin.name for pin in pins if pin.unit == DISPLACEMENT.pin_unit and pin.name != BASE)
 

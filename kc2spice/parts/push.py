@@ -17,7 +17,17 @@ from kc2spice.netlist.circuit import Element, Item
 from kc2spice.parts._touching import Pair, Penetration, Touching, pair_of
 from kc2spice.parts.sphere import sphere_of
 from kc2spice.scene.checks import Gate, Measure, Metric
-from kc2spice.scene.model import GROUND, Build, Part, Scene, Terminal
+from kc2spice.scene.model import (
+    GROUND,
+    Build,
+    DeclaredScene,
+    GovernedScene,
+    JoinedScene,
+    Part,
+    Scene,
+    Terminal,
+    WiredScene,
+)
 from kc2spice.scene.parttype import register
 from kc2spice.scene.rows import Governed, Numerics, Swept, Vector
 
@@ -40,14 +50,14 @@ class Push(Touching):
         points = part.keys.steps + 1
         return {"analysis": {"type": "dc", "sweep": f"{part.name}.depth", "points": points}}
 
-    def pins(self, part: Part, scene: Scene) -> tuple[Terminal, ...]:
+    def pins(self, part: Part, scene: JoinedScene) -> tuple[Terminal, ...]:
         bottom = Terminal.signal("bottom", DISPLACEMENT, signal_out=True)
         return bottom, Terminal.speed("v", TRANSLATION, GROUND)
 
-    def governs(self, part: Part, scene: Scene) -> Mapping[str, Governed]:
+    def governs(self, part: Part, scene: DeclaredScene) -> Mapping[str, Governed]:
         return {sphere_of(part, scene).name: "moved"}
 
-    def problems(self, part: Part, scene: Scene) -> Iterator[UsageError]:
+    def problems(self, part: Part, scene: GovernedScene) -> Iterator[UsageError]:
         ball = sphere_of(part, scene)
         _pair(part, scene)  # says what it needs
         if part.keys.depth >= ball.keys.radius:
@@ -61,14 +71,14 @@ class Push(Touching):
     def settable(self, part: Part, build: Build) -> Mapping[str, Swept]:
         return {"depth": Swept(f"V{part.name}", -DISPLACEMENT.per_unit, (0.0, part.keys.depth))}
 
-    def penetrations(self, part: Part, scene: Scene) -> Iterator[Penetration]:
+    def penetrations(self, part: Part, scene: GovernedScene) -> Iterator[Penetration]:
         yield Penetration(part.keys.depth, f"{part.name}.depth")
 
     def vectors(self, part: Part, build: Build) -> Mapping[str, Vector]:
         bottom = build.across(part, "bottom")
         return {f"{part.name}.depth": replace(bottom, factor=-bottom.factor)}
 
-    def numerics(self, part: Part, scene: Scene) -> Iterator[Numerics]:
+    def numerics(self, part: Part, scene: WiredScene) -> Iterator[Numerics]:
         last = "1e-09", "the law is piecewise linear, so the last iteration is exact"
         if _pair(part, scene).keys.shape == "pressure":
             last = "1e-12", "the law is curved: what the last iteration leaves"
@@ -111,7 +121,7 @@ class Push(Touching):
         yield f"{keys.steps} steps down to {keys.depth:g} m"
 
 
-def _pair(part: Part, scene: Scene) -> Pair:
+def _pair(part: Part, scene: GovernedScene) -> Pair:
     """Contact pair of the sphere and the surface that it is pushed into."""
     return pair_of(scene.partner(part, "contact"), scene)
 

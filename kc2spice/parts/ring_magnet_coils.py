@@ -35,7 +35,16 @@ from kc2spice.parts.netlist import driver
 from kc2spice.parts.sphere import offset, sphere_of
 from kc2spice.physics import coils
 from kc2spice.scene.checks import Check, Metric
-from kc2spice.scene.model import GROUND, Build, Part, Scene, Terminal
+from kc2spice.scene.model import (
+    GROUND,
+    Build,
+    DeclaredScene,
+    GovernedScene,
+    JoinedScene,
+    Part,
+    Scene,
+    Terminal,
+)
 from kc2spice.scene.parttype import register
 from kc2spice.scene.plausible import within
 from kc2spice.scene.rows import Neglected, Vector
@@ -242,7 +251,7 @@ class RingMagnetCoils(Touching):
         pins = {"drive": f"{part.name}.up", "ret": f"{part.name}.lp"}
         return {f"{part.name}_driver": {**driver(part, known, data), "pins": pins}}
 
-    def pins(self, part: Part, scene: Scene) -> tuple[Terminal, ...]:
+    def pins(self, part: Part, scene: JoinedScene) -> tuple[Terminal, ...]:
         if not real(part, scene):
             rest = None if _driven(part, scene) else "gnd"
             return (*(replace(end, default=rest) for end in SERIES_PINS[:2]), *PLACE)
@@ -250,12 +259,12 @@ class RingMagnetCoils(Touching):
             replace(pin, default=f"{part.name}.un") if pin.name == "ln" else pin for pin in PINS
         )
 
-    def default_joins(self, part: Part, scene: Scene) -> Mapping[str, str]:
+    def default_joins(self, part: Part, scene: GovernedScene) -> Mapping[str, str]:
         ball = sphere_of(part, scene).name
         ball = scene.movers.get(ball) or ball
         return {"y": f"{ball}.y", "v": f"{ball}.v"}
 
-    def problems(self, part: Part, scene: Scene) -> Iterator[UsageError]:
+    def problems(self, part: Part, scene: GovernedScene) -> Iterator[UsageError]:
         keys, name, ball = part.keys, part.name, sphere_of(part, scene)
         radius = ball.keys.radius
         if keys.y_min >= keys.y_max:
@@ -302,7 +311,7 @@ class RingMagnetCoils(Touching):
         long = "field and force fall off with the fourth power of the distance"
         yield from within(f"{name}.air_radius", keys.air_radius, "m", 1e-4, 1.0, long)
 
-    def penetrations(self, part: Part, scene: Scene) -> Iterator[Penetration]:
+    def penetrations(self, part: Part, scene: GovernedScene) -> Iterator[Penetration]:
         sphere = sphere_of(part, scene)
         drop = 2 * scene.gravity * (part.keys.y_max - sphere.keys.radius)
         speed = math.sqrt(max(0.0, drop))
@@ -522,18 +531,18 @@ def label(part: Part) -> str:
     return "coil" if part.name == "catch" else part.name
 
 
-def real(part: Part, scene: Scene) -> bool:
+def real(part: Part, scene: DeclaredScene) -> bool:
     """Whether its coils have inductance and back-EMF: where a circuit drives their terminals."""
     named = any(scene.named(part.name, pin) or pin in part.pins for pin in ENDS)
     return bool(part.keys.driver) or named
 
 
-def _apart(part: Part, scene: Scene) -> bool:
+def _apart(part: Part, scene: DeclaredScene) -> bool:
     """Whether its netlist has terminals of both coils: real ones, or of cases that feed each."""
     return real(part, scene) or bool(scene.of("current_cases"))
 
 
-def _driven(part: Part, scene: Scene) -> bool:
+def _driven(part: Part, scene: JoinedScene) -> bool:
     targets = {f"{part.name}.{pin}" for pin in ("drive", "ret", *ENDS)}
     joined = (
         target
@@ -544,7 +553,7 @@ def _driven(part: Part, scene: Scene) -> bool:
     return bool(part.pins) or any(target in targets for target in joined)
 
 
-def largest_current(part: Part, scene: Scene) -> float:
+def largest_current(part: Part, scene: JoinedScene) -> float:
     """Largest coil current [A] that a controller of the scene asks for.
 
     1 A where something drives the coils that tells no limit, 0 where nothing does.

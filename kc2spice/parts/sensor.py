@@ -20,7 +20,16 @@ from kc2spice.physics.cards import state_node
 from kc2spice.physics.declaration import Declaration, displacement, seen
 from kc2spice.physics.law import DeclaredLaw
 from kc2spice.physics.part import subcircuit
-from kc2spice.scene.model import GROUND, Build, Part, PartType, Scene, Terminal
+from kc2spice.scene.model import (
+    GROUND,
+    Build,
+    GovernedScene,
+    JoinedScene,
+    Part,
+    PartType,
+    Scene,
+    Terminal,
+)
 from kc2spice.scene.parttype import register
 from kc2spice.scene.rows import Vector
 
@@ -79,14 +88,14 @@ kind = "displacement"
 dc = "1 um"
 """
 
-    def pins(self, part: Part, scene: Scene) -> tuple[Terminal, ...]:
+    def pins(self, part: Part, scene: JoinedScene) -> tuple[Terminal, ...]:
         return (
             Terminal.signal("of", DISPLACEMENT, required=True),
             Terminal.signal("out", DISPLACEMENT, signal_out=True),
             Terminal.of("ref", TRANSLATION, GROUND),
         )
 
-    def problems(self, part: Part, scene: Scene) -> Iterator[UsageError]:
+    def problems(self, part: Part, scene: GovernedScene) -> Iterator[UsageError]:
         kinds = ("transient", "noise")
         if part.keys.noise and scene.analysis.type not in kinds:
             words = "noise is drawn in time, or analysed"

@@ -22,7 +22,16 @@ from kc2spice.netlist.circuit import Element, Item
 from kc2spice.netlist.read import words
 from kc2spice.netlist.spelling import number
 from kc2spice.scene.checks import Check
-from kc2spice.scene.model import Build, Part, PartType, Scene, Terminal
+from kc2spice.scene.model import (
+    Build,
+    DeclaredScene,
+    JoinedScene,
+    Part,
+    PartType,
+    Scene,
+    Terminal,
+    WiredScene,
+)
 from kc2spice.scene.parttype import register
 from kc2spice.scene.rows import Numerics, Rest, Swept, Vector
 
@@ -160,24 +169,24 @@ class Source(PartType):
     schema = SourceKeys
     source = "ideal source"
 
-    def pins(self, part: Part, scene: Scene) -> tuple[Terminal, ...]:
+    def pins(self, part: Part, scene: JoinedScene) -> tuple[Terminal, ...]:
         pins = KINDS[part.keys.kind].domain.units
         return (Terminal("out", *pins, required=True), Terminal("ret", *pins, "gnd"))
 
-    def numerics(self, part: Part, scene: Scene) -> Iterator[Numerics]:
+    def numerics(self, part: Part, scene: WiredScene) -> Iterator[Numerics]:
         yield from drive_scales(part.name, part.keys.waveform(scene.home))
         pulse = part.keys.pulse
         if pulse is not None and pulse.count is None and pulse.period:
             yield Numerics(part.name, period=pulse.period)
 
-    def drives(self, part: Part, scene: Scene) -> bool:
+    def drives(self, part: Part, scene: DeclaredScene) -> bool:
         return quantity(part.keys.ac, part.keys.unit) != 0
 
-    def highest_frequency(self, part: Part, scene: Scene, constant: float) -> float:
+    def highest_frequency(self, part: Part, scene: DeclaredScene, constant: float) -> float:
         behind = constant if part.keys.kind in SMOOTHED else 0.0
         return waveform_frequency(part.keys.waveform(scene.home), scene.stop, behind)
 
-    def at_rest(self, part: Part, scene: Scene) -> Rest:
+    def at_rest(self, part: Part, scene: WiredScene) -> Rest:
         pair = (("out", "ret"),)
         if KINDS[part.keys.kind].letter == "V":
             wave = part.keys.waveform(scene.home)
@@ -198,7 +207,7 @@ class Source(PartType):
         ac = ("AC", number(size)) if size else ()
         return (Element.of(f"{kind.letter}{part.name}", *ends, *words(wave), *ac),)
 
-    def inner_names(self, part: Part, scene: Scene) -> Iterator[tuple[str, ...]]:
+    def inner_names(self, part: Part, scene: WiredScene) -> Iterator[tuple[str, ...]]:
         if _returns(part, scene):
             yield from ((part.name, word) for word in ("swept", "folded"))
 
@@ -256,10 +265,11 @@ class Source(PartType):
         yield f"{part.keys.kind}, {part.keys.shape}"
 
 
-def _returns(part: Part, scene: Scene) -> bool:
+def _returns(part: Part, scene: DeclaredScene) -> bool:
     """Whether a dc sweep moves it to the end and back."""
     selected = scene.analysis
-    return selected.type == "dc" and selected.back and selected.sweep == f"{part.name}.dc"
+    moved = selected.type == "dc" and selected.sweep == f"{part.name}.dc"
+    return moved and bool(selected.back)
 
 
 def _returning(part: Part, build: Build, kind: Kind, ends: list[str]) -> Iterator[Element]:

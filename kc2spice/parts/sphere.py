@@ -22,7 +22,17 @@ from kc2spice.parts.mass import point_mass
 from kc2spice.physics import Declaration, DeclaredPart, displacement
 from kc2spice.physics.part import pins_of
 from kc2spice.scene.checks import Balance, Gate, Metric, stepping
-from kc2spice.scene.model import GROUND, Build, Part, Scene, Terminal
+from kc2spice.scene.model import (
+    GROUND,
+    Build,
+    DeclaredScene,
+    GovernedScene,
+    JoinedScene,
+    Part,
+    Scene,
+    Terminal,
+    WiredScene,
+)
 from kc2spice.scene.parttype import pin_forces, register
 from kc2spice.scene.plausible import within
 from kc2spice.scene.rows import Neglected, Rest, State, Vector
@@ -129,7 +139,7 @@ class Sphere(Touching, DeclaredPart):
     title = "rigid sphere, vertical motion"
     schema = SphereKeys
 
-    def declared(self, part: Part, scene: Scene) -> Declaration:
+    def declared(self, part: Part, scene: GovernedScene) -> Declaration:
         keys, begin = part.keys, scene.initial_states.get(part.name, AT_REST)
         return rigid_sphere(keys.mass, keys.radius, scene.gravity, begin.velocity, begin.height)
 
@@ -139,14 +149,14 @@ class Sphere(Touching, DeclaredPart):
         table = {"part": "elastic_sphere", "of": part.name, "at": (part.name, "elastic")}
         return {_carried(part): table if given is True else {**given, **table}}
 
-    def pins(self, part: Part, scene: Scene) -> tuple[Terminal, ...]:
+    def pins(self, part: Part, scene: JoinedScene) -> tuple[Terminal, ...]:
         own = () if _moved(part, scene) else pins_of(self.declared(part, scene))
         return tuple(
             Terminal(p.name, p.unit, p.flow, {"base": "gnd"}.get(p.name), signal_out=p.flow == "-")
             for p in own
         )
 
-    def problems(self, part: Part, scene: Scene) -> Iterator[UsageError]:
+    def problems(self, part: Part, scene: GovernedScene) -> Iterator[UsageError]:
         bodies = [p.name for p in scene.parts.values() if p.reduced]
         if bodies and not scene.of("contact") and scene.analysis.type == "transient":
             yield UsageError(
@@ -162,7 +172,7 @@ class Sphere(Touching, DeclaredPart):
         solid = "no solid is lighter than an aerogel or heavier than osmium"
         yield from within(f"{name}.density", keys.density, "kg/m3", 1.0, 22_600.0, solid)
 
-    def surface(self, part: Part, scene: Scene, ports: tuple[str, ...] = ()) -> Surface:
+    def surface(self, part: Part, scene: GovernedScene, ports: tuple[str, ...] = ()) -> Surface:
         keys, carried = part.keys, _carried(part)
         known = keys.material is not None or carried
         modulus = made_of(part).indentation_modulus if known else None
@@ -173,12 +183,12 @@ class Sphere(Touching, DeclaredPart):
         r, label = part.keys.radius, f"{part.name}: radius {1e3 * part.keys.radius:g} mm"
         yield Shape(0.0, r, 2 * r, 2 * r, "metal", label, round=True)
 
-    def governs(self, part: Part, scene: Scene) -> Mapping[str, State]:
+    def governs(self, part: Part, scene: DeclaredScene) -> Mapping[str, State]:
         keys = part.keys
         given = keys.velocity or keys.height
         return {part.name: State(keys.velocity, keys.height)} if given else {}
 
-    def at_rest(self, part: Part, scene: Scene) -> Rest:
+    def at_rest(self, part: Part, scene: WiredScene) -> Rest:
         if _moved(part, scene):
             return Rest()
         return Rest((("base", GROUND),), pushed=("v",) if scene.gravity else (), inert=("v",))
@@ -289,7 +299,7 @@ class Sphere(Touching, DeclaredPart):
             yield Neglected("rotation and sideways motion of the sphere", why, "not estimated")
 
 
-def sphere_of(part: Part, scene: Scene) -> Part:
+def sphere_of(part: Part, scene: DeclaredScene) -> Part:
     """The sphere that another part throws, pushes or pulls."""
     return scene.partner(part, "sphere", "of")
 
@@ -304,7 +314,7 @@ def _carried(part: Part) -> str:
     return "" if part.keys.elastic is None else f"{part.name}_elastic"
 
 
-def controlled(pid: Part, scene: Scene) -> Part | None:
+def controlled(pid: Part, scene: DeclaredScene) -> Part | None:
     """The sphere whose height a controller controls."""
     return scene.parts.get(pid.keys.of) if pid.keys.of else scene.only("sphere")
 
@@ -314,18 +324,18 @@ def settling_band(pid: Part, ball: Part) -> float:
     return SETTLING_BAND * abs(float(pid.keys.setpoint - ball.keys.radius))
 
 
-def _moved(part: Part, scene: Scene) -> bool:
+def _moved(part: Part, scene: GovernedScene) -> bool:
     """Whether another part prescribes its motion, so that it has none of its own."""
     return scene.movers.get(part.name) is not None
 
 
-def offset(part: Part, pin: str, scene: Scene) -> float:
+def offset(part: Part, pin: str, scene: WiredScene) -> float:
     """Offset of a pin for the height of a centre from its law's coordinate [m]."""
     ball = _read(part, pin, scene)
     return 0.0 if ball is None else float(ball.keys.radius)
 
 
-def beginning(part: Part, pin: str, scene: Scene) -> float | None:
+def beginning(part: Part, pin: str, scene: WiredScene) -> float | None:
     """Height of the centre [m] that a pin reads at t = 0, None where an operating point says it."""
     ball, given = _read(part, pin, scene), scene.initial_states
     if ball is None or not given:
@@ -333,13 +343,13 @@ def beginning(part: Part, pin: str, scene: Scene) -> float | None:
     return float(ball.keys.radius + given.get(ball.name, AT_REST).height)
 
 
-def _read(part: Part, pin: str, scene: Scene) -> Part | None:
+def _read(part: Part, pin: str, scene: WiredScene) -> Part | None:
     """The sphere whose height a pin reads."""
     heights = (scene.parts[n] for n, other in scene.joined(part.name, pin) if other == "y")
     return next((item for item in heights if item.type.name == Sphere.name), None)
 
 
-def _softer(part: Part, scene: Scene) -> str:
+def _softer(part: Part, scene: GovernedScene) -> str:
     """How much softer the contact with an elastic sphere would be, of steel if nothing is said."""
     own = made_of(part).indentation_modulus
     under = (pair_of(contact, scene).a.modulus for contact in scene.of("contact"))

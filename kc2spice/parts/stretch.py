@@ -25,7 +25,10 @@ from kc2spice.core.errors import UsageError
 from kc2spice.core.quantities import Count, Length, Section, Stiffness, si
 from kc2spice.parts.gap import Patched, patches
 from kc2spice.physics import Declaration, displacement
-from kc2spice.scene.model import Part, Scene
+from kc2spice.scene.model import (
+    GovernedScene,
+    Part,
+)
 from kc2spice.scene.parttype import register
 
 
@@ -54,10 +57,10 @@ class StretchKeys(Section):
 class Stretch(Patched):
     """The part type; how many branches it has is up to its keys."""
 
-    def declared(self, part: Part, scene: Scene) -> Declaration:
+    def declared(self, part: Part, scene: GovernedScene) -> Declaration:
         return _declared(len(patches(part, scene)), part.keys.rows)
 
-    def problems(self, part: Part, scene: Scene) -> Iterator[UsageError]:
+    def problems(self, part: Part, scene: GovernedScene) -> Iterator[UsageError]:
         keys, count = part.keys, len(patches(part, scene))
         if count % keys.rows:
             problem, got = "patches do not fill the rows", f"{count} patches, {keys.rows} rows"

@@ -17,7 +17,14 @@ from kc2spice.netlist.circuit import Item
 from kc2spice.parts import _touching
 from kc2spice.parts.sphere import sphere_of
 from kc2spice.scene.checks import PAIRS, Gate, Metric
-from kc2spice.scene.model import Build, Part, Scene
+from kc2spice.scene.model import (
+    Build,
+    DeclaredScene,
+    GovernedScene,
+    Part,
+    Scene,
+    WiredScene,
+)
 from kc2spice.scene.parttype import register
 from kc2spice.scene.rows import Numerics, State
 
@@ -41,21 +48,21 @@ class Throw(_touching.Touching):
     def cards(self, part: Part, build: Build) -> tuple[Item, ...]:
         return ()
 
-    def problems(self, part: Part, scene: Scene) -> Iterator[UsageError]:
+    def problems(self, part: Part, scene: GovernedScene) -> Iterator[UsageError]:
         sphere_of(part, scene)
         if part.keys.velocity >= 0:
             got = f"{part.keys.velocity:g} m/s"
             yield part.wrong("velocity", "the sphere never arrives", got, "negative (downwards)")
 
-    def governs(self, part: Part, scene: Scene) -> Mapping[str, State]:
+    def governs(self, part: Part, scene: DeclaredScene) -> Mapping[str, State]:
         return {sphere_of(part, scene).name: State(part.keys.velocity, part.keys.gap)}
 
-    def numerics(self, part: Part, scene: Scene) -> Iterator[Numerics]:
+    def numerics(self, part: Part, scene: WiredScene) -> Iterator[Numerics]:
         """Numerical requirements: the allowed charge error falls with the speed of the impact."""
         speed = max(1e-3, _arriving(part, scene))
         yield Numerics(f"impact at {speed:.3g} m/s", chgtol=min(1.0, speed))
 
-    def penetrations(self, part: Part, scene: Scene) -> Iterator[_touching.Penetration]:
+    def penetrations(self, part: Part, scene: GovernedScene) -> Iterator[_touching.Penetration]:
         ball, speed = sphere_of(part, scene), _arriving(part, scene)
         yield from _touching.impact_penetration(ball, scene, speed, f"impact at {speed:.3g} m/s")
 
@@ -97,7 +104,7 @@ class Throw(_touching.Touching):
         yield f"{keys.velocity:g} m/s from {keys.gap:g} m"
 
 
-def _arriving(part: Part, scene: Scene) -> float:
+def _arriving(part: Part, scene: DeclaredScene) -> float:
     """Speed [m/s] of the impact."""
     return math.sqrt(part.keys.velocity**2 + 2 * max(scene.gravity, 0.0) * part.keys.gap)
 

@@ -28,7 +28,12 @@ from kc2spice.physics.declaration import (
 from kc2spice.physics.law import DeclaredLaw
 from kc2spice.physics.part import DeclaredPart, across_pins
 from kc2spice.physics.symbolic import ONE, ZERO, derivative, evaluated, over, times
-from kc2spice.scene.model import Build, Part, Scene
+from kc2spice.scene.model import (
+    Build,
+    Part,
+    Scene,
+    WiredScene,
+)
 from kc2spice.scene.parttype import register
 from kc2spice.scene.rows import Vector
 
@@ -140,7 +145,7 @@ class LinearElement(DeclaredPart):
     def subcircuits(self, part: Part, build: Build, header: Any) -> tuple[Any, ...]:
         return ()
 
-    def inner_names(self, part: Part, scene: Scene) -> Iterator[tuple[str, ...]]:
+    def inner_names(self, part: Part, scene: WiredScene) -> Iterator[tuple[str, ...]]:
         n = part.name
         yield from ((f"V{n}", "meter"), (n.lower(), "metered"), (f"G{n}", "leak"))
         yield from ((name, "noise") for name in (f"R{n}", f"G{n}", n.lower()))

@@ -21,7 +21,17 @@ from kc2spice.physics.law import DeclaredLaw
 from kc2spice.physics.symbolic import ZERO, derivative, evaluated, kinks, names
 from kc2spice.scene.checks import Balance, Check
 from kc2spice.scene.keys import model_keys
-from kc2spice.scene.model import Build, Part, PartType, Scene, Terminal
+from kc2spice.scene.model import (
+    Build,
+    DeclaredScene,
+    GovernedScene,
+    JoinedScene,
+    Part,
+    PartType,
+    Scene,
+    Terminal,
+    WiredScene,
+)
 from kc2spice.scene.rows import Neglected, Numerics, Rest, Vector
 
 if TYPE_CHECKING:
@@ -34,7 +44,7 @@ _INNER = rf"(?:{_OWN})_.+|(?:edge|poly)\d+|tick"  # nodes
 _UNEXPLAINED = 1e-3  # share of what pins bring in that the steps of a run may lose
 
 
-def settling(part: Part, scene: Scene) -> Iterator[Numerics]:
+def settling(part: Part, scene: DeclaredScene) -> Iterator[Numerics]:
     """Tighter tolerance of Newton's method in sweeps, whose points begin at the previous one."""
     if scene.analysis.type in ("dc", "op"):
         change = "1e-6", "change at which Newton's method stops: nonlinear parts"
@@ -57,7 +67,7 @@ class DeclaredPart(PartType):
 
     # --- pins and netlist -------------------------------------------------------------------
 
-    def declared(self, part: Part, scene: Scene) -> Declaration:
+    def declared(self, part: Part, scene: GovernedScene) -> Declaration:
         """The physics of a part; that of its type, unless its keys say how many branches it has."""
         return self.declaration
 
@@ -65,7 +75,7 @@ class DeclaredPart(PartType):
         """The same, of a part that may have a model."""
         return self.declared(part, build.scene)
 
-    def pins(self, part: Part, scene: Scene) -> tuple[Terminal, ...]:
+    def pins(self, part: Part, scene: JoinedScene) -> tuple[Terminal, ...]:
         plus = {b.plus for b in self.declared(part, scene).branches}
         return tuple(
             Terminal(p.name, p.unit, p.flow, required=True)
@@ -74,12 +84,12 @@ class DeclaredPart(PartType):
             for p in pins_of(self.declared(part, scene))
         )
 
-    def inertial(self, part: Part, scene: Scene) -> tuple[str, ...]:
+    def inertial(self, part: Part, scene: JoinedScene) -> tuple[str, ...]:
         d = self.declared(part, scene)
         moved = [b for b in d.acting if b.moves and d.mass(b) != ZERO]
         return tuple(d.speeds.get(b.plus, b.plus) for b in moved)
 
-    def at_rest(self, part: Part, scene: Scene) -> Rest:
+    def at_rest(self, part: Part, scene: WiredScene) -> Rest:
         """Holds displacements with a stiffness at rest, and is a path for flows."""
         d = self.declared(part, scene)
         values = d.values(part.keys)
@@ -96,7 +106,7 @@ class DeclaredPart(PartType):
         d, name = self.built(part, build), build.libraries[part.name]
         return (subcircuit(header, name, d, d.values(part.keys), build.noisy),)
 
-    def numerics(self, part: Part, scene: Scene) -> Iterator[Numerics]:
+    def numerics(self, part: Part, scene: WiredScene) -> Iterator[Numerics]:
         if not self.declared(part, scene).linear:
             yield from settling(part, scene)
 

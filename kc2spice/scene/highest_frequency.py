@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from kc2spice.scene.model import Scene
+from kc2spice.scene.model import (
+    DeclaredScene,
+)
 
 
-def highest_frequency(scene: Scene, constant: float = 0.0) -> float:
+def highest_frequency(scene: DeclaredScene, constant: float = 0.0) -> float:
     """The highest frequency [Hz] that a scene drives its parts with.
 
     Of ``ac`` and ``noise`` that is the end of their range, of ``dc`` and ``op`` zero. In a

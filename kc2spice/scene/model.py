@@ -11,7 +11,7 @@ import json
 from collections.abc import Hashable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar, Generic, Literal, TypeVar
+from typing import TYPE_CHECKING, Any, ClassVar, Generic, Literal, Protocol, TypeVar
 
 import numpy as np
 
@@ -33,7 +33,7 @@ from kc2spice.scene.rows import (
     Swept,
     Vector,
 )
-from kc2spice.scene.settings import Frame, Probe, Rom
+from kc2spice.scene.settings import Analysis, Bench, Checks, Frame, Gates, Probe, Rom, Solver
 
 if TYPE_CHECKING:
     from kc2spice.core.figure import Figure, Shape, Written
@@ -196,55 +196,91 @@ class Names:
         return self.given[key]
 
 
-@dataclass(frozen=True, eq=False)
-class Scene:
-    """A checked scene. ``parts`` are in the order of the file, what they expand to behind them.
+class Source(Protocol):
+    """Text of a scene's file with the overrides on top of it."""
 
-    ``records`` has the answers of each part, by its name. From them follow ``movers``, the part
-    that prescribes all motion of another one, ``initial_states`` of the parts whose state at t = 0
-    is stated, ``without_cards``, the parts that others copy or move, and ``numerics`` of all parts.
-    ``joins`` has the targets of pins that follow from keys, by part,
-    ``terminals`` every pin by ``(part, pin)``, ``nets`` its node of the netlist (``"0"`` is
-    ground), ``frames`` the shaken frame that its displacement is relative to, if it is not
-    absolute; ``meters`` has the names of the ammeters at pins, ``names`` those of all other nodes
-    and cards by ``(part, *words)`` (:meth:`Build.own`); ``home`` is the folder of the scene's file,
-    ``tables`` what it says with all overrides. ``resolved_frequency`` [Hz] is the highest frequency
-    that the parts resolve, None if it follows from the analysis. Bodies keep the ``ports`` that are
-    needed, in an export all that their author declares, joined or not (:meth:`Part.declares`), for
-    documentation all of them. ``source`` is the text of the scene's file with all overrides, by
-    which :meth:`where` finds the line of a key. ``workspace`` has
-    large results, such as meshes, that scenes which are made from this one may use as well.
+    def where(self, key: str) -> str:
+        """File, line and name of a key."""
+
+
+@dataclass(frozen=True, eq=False)
+class DeclaredScene:
+    """A scene as its file declares it: checked keys and parts, before any part type has answered.
+
+    ``parts`` are in the order of the file, what they expand to behind them; ``home`` is the folder
+    of the scene's file. Bodies keep the ``ports`` that are needed, in an export all that their
+    author declares, joined or not (:attr:`Part.declares`), for documentation all of them.
+    ``resolved_frequency`` [Hz] is the highest frequency that the parts resolve, None if it follows
+    from the analysis. ``workspace`` has large results, such as meshes, that scenes which are made
+    from this one may use as well.
     """
 
     frame: Frame
     parts: Mapping[str, Part]
-    records: Mapping[str, Record[Any]] = field(default_factory=dict)
-    movers: Mapping[str, str] = field(default_factory=dict)
-    initial_states: Mapping[str, State] = field(default_factory=dict)
-    without_cards: frozenset[str] = frozenset()
-    numerics: tuple[Numerics, ...] = ()
-    joins: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
-    terminals: Mapping[tuple[str, str], Terminal] = field(default_factory=dict)
-    nets: Mapping[tuple[str, str], str] = field(default_factory=dict)
-    meters: Mapping[tuple[str, str], str] = field(default_factory=dict)
-    names: Mapping[tuple[str, ...], str] = field(default_factory=dict)
-    frames: Mapping[tuple[str, str], ShakenFrame] = field(default_factory=dict)
     home: Path = Path()
-    tables: Mapping[str, Any] = field(default_factory=dict)
     ports: Literal["needed", "declared", "all"] = "needed"
-    source: Any = None
     resolved_frequency: float | None = None
     workspace: Workspace = field(default_factory=Workspace)
 
-    def __getattr__(self, name: str) -> Any:
-        """Keys of the frame: ``scene.solver``, ``scene.rom``, ``scene.gravity``, …"""
-        if name.startswith("_") or name == "frame":
-            raise AttributeError(name)
-        return getattr(self.frame, name)
+    @property
+    def name(self) -> str:
+        """Name of the scene."""
+        return self.frame.name
 
-    def where(self, key: str) -> str:
-        """File, line and name of a key, for errors; the name alone of a scene without a file."""
-        return key if self.source is None else str(self.source.where(key))
+    @property
+    def title(self) -> str:
+        """Title of the scene, one line."""
+        return self.frame.title
+
+    @property
+    def gravity(self) -> float:
+        """Gravity [m/s^2], positive downwards."""
+        return self.frame.gravity
+
+    @property
+    def error_budget(self) -> float | None:
+        """Relative error of every metric that the run must reach."""
+        return self.frame.error_budget
+
+    @property
+    def analysis(self) -> Analysis:
+        """Analysis that the simulator runs."""
+        return self.frame.analysis
+
+    @property
+    def probes(self) -> Mapping[str, Probe]:
+        """Results to read, by the names of their metrics."""
+        return self.frame.probes
+
+    @property
+    def rom(self) -> Rom:
+        """Reduction of bodies that state none."""
+        return self.frame.rom
+
+    @property
+    def solver(self) -> Solver:
+        """Settings of the simulator."""
+        return self.frame.solver
+
+    @property
+    def checks(self) -> Checks:
+        """What happens if a check fails."""
+        return self.frame.checks
+
+    @property
+    def gates(self) -> Gates:
+        """Limits of differences between solution paths."""
+        return self.frame.gates
+
+    @property
+    def bench(self) -> Bench:
+        """Settings of the benchmark."""
+        return self.frame.bench
+
+    @property
+    def include(self) -> tuple[str, ...]:
+        """Netlist files beside the scene that its deck includes."""
+        return self.frame.include
 
     @property
     def stop(self) -> float:
@@ -303,15 +339,46 @@ class Scene:
         target = f"{part}.{pin}"
         return any(target in other.pins.values() for other in self.parts.values())
 
-    @property
-    def rests(self) -> dict[str, Rest]:
-        """Constraints and loads of each part at rest, by its name, before any model is built."""
-        return {name: record.rest for name, record in self.records.items()}
+
+@dataclass(frozen=True, eq=False)
+class GovernedScene(DeclaredScene):
+    """A scene whose parts have stated what they govern, and the details of their packages.
+
+    ``records`` has the answers of each part, by its name. From them follow ``movers``, the part
+    that prescribes all motion of another one, ``initial_states`` of the parts whose state at t = 0
+    is stated, and ``without_cards``, the parts that others copy or move. ``frames`` has the shaken
+    frame that the displacement of a pin is relative to, if it is not absolute.
+    """
+
+    records: Mapping[str, Record[Any]] = field(default_factory=dict)
+    movers: Mapping[str, str] = field(default_factory=dict)
+    initial_states: Mapping[str, State] = field(default_factory=dict)
+    without_cards: frozenset[str] = frozenset()
+    frames: Mapping[tuple[str, str], ShakenFrame] = field(default_factory=dict)
 
     def record(self, part: Part) -> Record[Any] | None:
         """Answers of a part; None for a part that the scene has with other keys."""
         result = self.records.get(part.name)
         return result if result is not None and result.part is part else None
+
+
+@dataclass(frozen=True, eq=False)
+class JoinedScene(GovernedScene):
+    """A scene with the targets of pins that follow from keys: ``joins``, by part."""
+
+    joins: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, eq=False)
+class WiredScene(JoinedScene):
+    """A scene whose pins are on nets.
+
+    ``terminals`` has every pin by ``(part, pin)``, ``nets`` its node of the netlist (``"0"`` is
+    ground).
+    """
+
+    terminals: Mapping[tuple[str, str], Terminal] = field(default_factory=dict)
+    nets: Mapping[tuple[str, str], str] = field(default_factory=dict)
 
     def pins(self, part: str) -> tuple[Terminal, ...]:
         """Pins of a part in the order of its subcircuit."""
@@ -327,6 +394,33 @@ class Scene:
         if net == "0":
             return ()
         return tuple(key for key, other in self.nets.items() if other == net and key != (part, pin))
+
+
+@dataclass(frozen=True, eq=False)
+class Scene(WiredScene):
+    """A checked scene with the answers of all its parts.
+
+    Each class that it is derived from is what part types see at one stage of
+    :func:`kc2spice.scene.resolve.resolve`. ``numerics`` are the time scales of all parts;
+    ``meters`` has the names of the ammeters at pins, ``names`` those of all other nodes and cards
+    by ``(part, *words)`` (:meth:`Build.own`). ``tables`` is what the file says with all overrides,
+    ``source`` its text, by which :meth:`where` finds the line of a key.
+    """
+
+    numerics: tuple[Numerics, ...] = ()
+    meters: Mapping[tuple[str, str], str] = field(default_factory=dict)
+    names: Mapping[tuple[str, ...], str] = field(default_factory=dict)
+    tables: Mapping[str, Any] = field(default_factory=dict)
+    source: Source | None = None
+
+    def where(self, key: str) -> str:
+        """File, line and name of a key, for errors; the name alone of a scene without a file."""
+        return key if self.source is None else self.source.where(key)
+
+    @property
+    def rests(self) -> dict[str, Rest]:
+        """Constraints and loads of each part at rest, by its name, before any model is built."""
+        return {name: record.rest for name, record in self.records.items()}
 
     def __repr__(self) -> str:
         parts = ", ".join(f"{part.name}: {part.type.name}" for part in self.parts.values())
@@ -464,50 +558,50 @@ class PartType:
         """
         return {}
 
-    def pins(self, part: Part, scene: Scene) -> tuple[Terminal, ...]:
+    def pins(self, part: Part, scene: JoinedScene) -> tuple[Terminal, ...]:
         """Its pins in the order of its subcircuit."""
         return ()
 
-    def default_joins(self, part: Part, scene: Scene) -> Mapping[str, str]:
+    def default_joins(self, part: Part, scene: GovernedScene) -> Mapping[str, str]:
         """Joins ``pin: target`` that follow from its keys; the scene's ``pins`` come first."""
         return {}
 
-    def files(self, part: Part, scene: Scene) -> tuple[str, ...]:
+    def files(self, part: Part, scene: DeclaredScene) -> tuple[str, ...]:
         """Names of the files beside the scene that it reads: that of its key ``file``."""
         file = getattr(part.keys, "file", None)
         return () if file is None else (file,)
 
-    def governs(self, part: Part, scene: Scene) -> Mapping[str, State | Governed]:
+    def governs(self, part: Part, scene: DeclaredScene) -> Mapping[str, State | Governed]:
         """Parts of which it decides how their motion begins, all of their motion, or that they are
         copied, see :class:`State` and :data:`Governed`."""
         return {}
 
-    def inner_names(self, part: Part, scene: Scene) -> Iterable[tuple[str, ...]]:
+    def inner_names(self, part: Part, scene: WiredScene) -> Iterable[tuple[str, ...]]:
         """Words of the names of its nodes and cards besides its pins' nodes and ``LETTERname``;
         :meth:`Build.own` returns the names."""
         return ()
 
-    def detail(self, part: Part, scene: Scene) -> Any:
+    def detail(self, part: Part, scene: GovernedScene) -> Any:
         """Data that parts of the same package need of it, in a class of that package; they are in
         its :class:`Record`. It follows from keys and from what parts govern."""
         return None
 
-    def at_rest(self, part: Part, scene: Scene) -> Rest:
+    def at_rest(self, part: Part, scene: WiredScene) -> Rest:
         """Constraints and loads of the part at rest on pins that need a path to their reference.
 
         They apply before its model is built. By default the part holds all of its pins in place.
         """
         return Rest(tuple((p.name, GROUND) for p in scene.pins(part.name) if p.needs_path))
 
-    def directions(self, part: Part, scene: Scene) -> Mapping[str, tuple[float, ...]]:
+    def directions(self, part: Part, scene: DeclaredScene) -> Mapping[str, tuple[float, ...]]:
         """Unit vectors of the translations and accelerations at its pins, as far as known."""
         return {}
 
-    def inertial(self, part: Part, scene: Scene) -> tuple[str, ...]:
+    def inertial(self, part: Part, scene: JoinedScene) -> tuple[str, ...]:
         """Pins that move against inertia of its own."""
         return ()
 
-    def problems(self, part: Part, scene: Scene) -> Iterable[UsageError]:
+    def problems(self, part: Part, scene: GovernedScene) -> Iterable[UsageError]:
         """Faults of the part in this scene, ``where`` a dotted key.
 
         Keys that can be computed but hardly exist (:func:`kc2spice.scene.plausible.within`) are
@@ -555,18 +649,18 @@ class PartType:
         """
         return {}
 
-    def drives(self, part: Part, scene: Scene) -> bool:
+    def drives(self, part: Part, scene: DeclaredScene) -> bool:
         """Whether it sets small signals of an ``ac`` analysis."""
         return False
 
-    def numerics(self, part: Part, scene: Scene) -> Iterable[Numerics]:
+    def numerics(self, part: Part, scene: WiredScene) -> Iterable[Numerics]:
         """Numerical requirements of the part.
 
         They are frequency and edges of a source, a carrier, a contact, time steps, and options.
         """
         return ()
 
-    def highest_frequency(self, part: Part, scene: Scene, constant: float) -> float:
+    def highest_frequency(self, part: Part, scene: DeclaredScene, constant: float) -> float:
         """Frequency [Hz] up to which what it prescribes in a transient has nearly all of its
         energy, behind a time constant [s] where it is a voltage or a force."""
         return 0.0

@@ -249,8 +249,8 @@ def held_band(rom: LinearModel, build: Build) -> tuple[float, float]:
     """Frequencies [Hz] between which the reduced model is meant to hold."""
     if rom.certificate is not None:
         return rom.certificate.band_hz
-    scene = build.scene
-    return scene.rom.band if not scene.analysis.small else (0.0, float(scene.analysis.stop))
+    selected = build.scene.analysis
+    return (0.0, float(selected.stop or 0.0)) if selected.small else build.scene.rom.band
 
 
 def _sampled(rom: LinearModel, band: tuple[float, float]) -> np.ndarray:
