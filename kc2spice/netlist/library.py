@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 
+from kc2spice.core import __version__
 from kc2spice.core.errors import UsageError
 from kc2spice.core.untrusted_files import read_bounded, text_of
 from kc2spice.netlist.circuit import Circuit, Element, Param, Pin
@@ -22,6 +23,22 @@ from kc2spice.netlist.spelling import name as checked_name
 LARGEST = 100_000_000  # bytes of one file
 _PIN = re.compile(r"\* @pin \d+ (\w+) unit=(\S+) flow=(\S+)")
 _PARAM = re.compile(r"\* @param (\w+)=(\S+) unit=(\S+)(?: range=(\S+)\.\.(\S+))? ?(.*)")
+
+
+@dataclass(frozen=True)
+class Header:
+    """Origin of a netlist: the scene's name and the hash of all that its numbers depend on."""
+
+    scene: str
+    scene_hash: str
+
+    def origin(self) -> tuple[str, ...]:
+        """Tool version, scene and licence, as comment lines."""
+        return (
+            f"* tool: kc2spice {__version__}",
+            f"* scene: {comment(self.scene)} hash={comment(self.scene_hash)}",
+            "* licence: GPL-3.0-or-later",
+        )
 
 
 @dataclass(frozen=True)

@@ -26,6 +26,7 @@ from kc2spice.core.progress import Clock
 from kc2spice.core.quantities import Section, Voltage
 from kc2spice.core.untrusted_files import identifier
 from kc2spice.core.waveforms import Waveforms, running
+from kc2spice.netlist.library import Header
 from kc2spice.netlist.spelling import LEAK_RATE
 from kc2spice.parts import _pictures
 from kc2spice.parts._box import PARAMETERS, corners, varied, with_values
@@ -53,7 +54,6 @@ from kc2spice.scene.parttype import current_into, pin_forces
 from kc2spice.scene.plausible import dimensions
 from kc2spice.scene.rows import Neglected, Rest, Vector
 from kc2spice.scene.settings import Rom
-from kc2spice.spice.header import Header
 from kc2spice.spice.heat import is_heat
 from kc2spice.spice.realize import COARSE, RINGING, UNRATED, StepWeights, reference_pin, subcircuit
 

@@ -16,7 +16,7 @@ from kc2spice.core.errors import UsageError
 from kc2spice.core.quantities import BOLTZMANN, TEMPERATURE, Current, Section, Voltage
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.netlist.circuit import Param, positive
-from kc2spice.netlist.library import Subcircuit
+from kc2spice.netlist.library import Header, Subcircuit
 from kc2spice.netlist.transforms import self_contained
 from kc2spice.scene.checks import Check
 from kc2spice.scene.keys import model_keys
@@ -31,7 +31,7 @@ from kc2spice.scene.model import (
     WiredScene,
 )
 from kc2spice.scene.rows import Vector
-from kc2spice.spice.header import ROOM, Header, library
+from kc2spice.spice.header import ROOM, library
 
 BANDWIDTH = 1e9  # Hz, gain-bandwidth product of a fast decompensated amplifier
 

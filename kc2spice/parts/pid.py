@@ -15,7 +15,7 @@ from kc2spice.core.errors import UsageError
 from kc2spice.core.quantities import Current, Length, Section, Time, si
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.netlist.circuit import Param, positive
-from kc2spice.netlist.library import Subcircuit
+from kc2spice.netlist.library import Header, Subcircuit
 from kc2spice.netlist.transforms import self_contained
 from kc2spice.parts import sphere
 from kc2spice.parts._template import BANDWIDTH, opamp_subcircuit
@@ -36,7 +36,7 @@ from kc2spice.scene.model import (
 )
 from kc2spice.scene.parttype import register
 from kc2spice.scene.rows import Vector
-from kc2spice.spice.header import Header, library
+from kc2spice.spice.header import library
 
 SENSOR = 2e3  # V/m, 5 V at the paper's set point
 SENSE = 100.0  # Ohm, 10 V at the paper's 0.1 A

@@ -27,7 +27,7 @@ from kc2spice.core.quantities import MU_0, si
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.fem.magnet_keys import Catch, Ring
 from kc2spice.netlist.circuit import positive
-from kc2spice.netlist.library import Subcircuit
+from kc2spice.netlist.library import Header, Subcircuit
 from kc2spice.netlist.spelling import number
 from kc2spice.parts._pictures import impedances
 from kc2spice.parts._touching import Penetration, Touching, impact_penetration
@@ -48,7 +48,7 @@ from kc2spice.scene.model import (
 from kc2spice.scene.parttype import register
 from kc2spice.scene.plausible import within
 from kc2spice.scene.rows import Neglected, Vector
-from kc2spice.spice.header import Header, library
+from kc2spice.spice.header import library
 
 MAGNET_CONDUCTIVITY = 150e3  # S/m, paper table A1
 

@@ -35,7 +35,7 @@ from kc2spice.scene.model import (
 from kc2spice.scene.rows import Neglected, Numerics, Rest, Vector
 
 if TYPE_CHECKING:
-    from kc2spice.spice.header import Header
+    from kc2spice.netlist.library import Header
 
 STRIKES = 1.0  # strikes of a stop without a warning; two to nine caused errors of up to 20 %
 REBOUND = "what follows may hang on every step: error_budget estimates the error of each metric"
@@ -273,7 +273,7 @@ def subcircuit(
     --------
     >>> from kc2spice.parts.two_terminal_types import TABLE
     >>> from kc2spice.parts.two_terminal_types import declaration as declared
-    >>> from kc2spice.spice.header import Header
+    >>> from kc2spice.netlist.library import Header
     >>> spring = declared(next(row for row in TABLE if row.name == "spring"))
     >>> subcircuit(Header("demo", "0"), "leaf", spring, {"stiffness": 100.0})
     <Subcircuit leaf: pins a[um/N] b[um/N]; stiffness=100>

@@ -5,15 +5,14 @@ from __future__ import annotations
 
 import textwrap
 from collections.abc import Collection, Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import chain
 from typing import Any
 
-from kc2spice.core import __version__
 from kc2spice.core.domains import TRANSLATION
 from kc2spice.core.mesh_error import NOT_ESTIMATED, mesh_words
 from kc2spice.netlist.circuit import Circuit, Param, Pin
-from kc2spice.netlist.library import ReductionFacts, Subcircuit, parameter_line, use_line
+from kc2spice.netlist.library import Header, ReductionFacts, Subcircuit, parameter_line, use_line
 from kc2spice.netlist.read import read
 from kc2spice.netlist.spelling import comment, name, number, render, word
 from kc2spice.rom.linear_model import Certificate
@@ -26,22 +25,6 @@ OUTWARDS = (
     "um and N count along each port's direction, out of the body; 1 A into a pin pushes the body "
     "that way with 1 N"
 )
-
-
-@dataclass(frozen=True)
-class Header:
-    """Origin of a netlist: the scene's name and the hash of all that its numbers depend on."""
-
-    scene: str
-    scene_hash: str
-
-    def origin(self) -> tuple[str, ...]:
-        """Tool version, scene and licence, as comment lines."""
-        return (
-            f"* tool: kc2spice {__version__}",
-            f"* scene: {comment(self.scene)} hash={comment(self.scene_hash)}",
-            "* licence: GPL-3.0-or-later",
-        )
 
 
 def plan_lines(found: Mapping[str, Any], without: Collection[str] = ()) -> tuple[str, ...]:

@@ -16,12 +16,12 @@ import numpy as np
 from kc2spice.core.errors import UsageError
 from kc2spice.netlist.circuit import Element, Param, Parameters
 from kc2spice.netlist.elements import Line
-from kc2spice.netlist.library import Subcircuit
+from kc2spice.netlist.library import Header, Subcircuit
 from kc2spice.netlist.spelling import distinct, number
 from kc2spice.rom.linear_model import LinearModel
 from kc2spice.rom.varying import Varying
 from kc2spice.spice.emitted import MICRO
-from kc2spice.spice.header import Header, mesh_entry
+from kc2spice.spice.header import mesh_entry
 from kc2spice.spice.realize import (
     DAMPING,
     RINGING,

@@ -23,7 +23,7 @@ from kc2spice.core.errors import SimulationError, UsageError
 from kc2spice.core.prefix import PREFIXES, prefix_power
 from kc2spice.netlist.circuit import Circuit, Element, Param, Pin
 from kc2spice.netlist.elements import Line, noted, pivots
-from kc2spice.netlist.library import ReductionFacts, Subcircuit
+from kc2spice.netlist.library import Header, ReductionFacts, Subcircuit
 from kc2spice.netlist.prefixes import rounded
 from kc2spice.netlist.spelling import LEAK_RATE, comment, distinct, number
 from kc2spice.netlist.spelling import name as checked_name
@@ -34,7 +34,6 @@ from kc2spice.spice.branches import ABOUT, branch_cards, branch_pins
 from kc2spice.spice.emitted import LOWEST, MICRO, circuit_error
 from kc2spice.spice.header import (
     OUTWARDS,
-    Header,
     defaults,
     mesh_entry,
     part_header,

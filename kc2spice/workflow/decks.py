@@ -21,7 +21,7 @@ from kc2spice.netlist.deck import Command, Deck, Option, ac, dc, transient
 from kc2spice.netlist.elements import titled
 from kc2spice.netlist.expression import literal, vector
 from kc2spice.netlist.include_scan import ANALYSES, HARMLESS, accuracy, checked, refuse
-from kc2spice.netlist.library import Subcircuit
+from kc2spice.netlist.library import Header, Subcircuit
 from kc2spice.netlist.lint import lint
 from kc2spice.netlist.read import Statement, statements, tree_of
 from kc2spice.netlist.scope import INCLUDES, Scope, circuit, has_vector
@@ -33,7 +33,7 @@ from kc2spice.scene.frames import MOTIONS
 from kc2spice.scene.model import Build, Names, Part, Scene, scene_hash
 from kc2spice.scene.plausible import built, judged
 from kc2spice.scene.resolve import resolve_again, resolve_build
-from kc2spice.spice.header import Header, plan_lines
+from kc2spice.spice.header import plan_lines
 from kc2spice.workflow import meters
 from kc2spice.workflow.edits import changed, element, instance, with_value
 from kc2spice.workflow.measures import measures

@@ -9,12 +9,12 @@ from typing import Any
 
 from kc2spice.core.progress import Clock
 from kc2spice.equations.scene_laws import with_laws
+from kc2spice.netlist.library import Header
 from kc2spice.parts._linear_body import LinearBody
 from kc2spice.rom.linear_model import LinearModel
 from kc2spice.rom.modal import mode_table
 from kc2spice.scene.model import Build, Names, Scene, scene_hash
 from kc2spice.scene.resolve import resolve_build
-from kc2spice.spice.header import Header
 from kc2spice.workflow.time_step import largest_step
 
 

@@ -21,7 +21,7 @@ from kc2spice.core.quantities import quantity
 from kc2spice.core.untrusted_files import identifier
 from kc2spice.netlist.deck import Deck, ac
 from kc2spice.netlist.elements import titled
-from kc2spice.netlist.library import Subcircuit
+from kc2spice.netlist.library import Header, Subcircuit
 from kc2spice.netlist.printers.plot_script import plot_script
 from kc2spice.netlist.translate import DIALECTS, dialect_files, symbol_files
 from kc2spice.parts._linear_body import LinearBody, full_alone, scene_band
@@ -37,7 +37,6 @@ from kc2spice.rom.stability import DENSE, prove_stability
 from kc2spice.scene.load import gallery, load_scene
 from kc2spice.sim.ngspice import write_files
 from kc2spice.spice.emitted import require_circuit
-from kc2spice.spice.header import Header
 from kc2spice.spice.realize import loaded, subcircuit
 from kc2spice.workflow.decks import spare_other_decks
 

@@ -15,13 +15,13 @@ from kc2spice.fem.magnet_field import catch_table, some_positions
 from kc2spice.fem.magnet_keys import Catch, Ring
 from kc2spice.fem.magnet_rings import roughness
 from kc2spice.fem.materials import material
+from kc2spice.netlist.library import Header
 from kc2spice.parts import moving_conductor
 from kc2spice.physics.contact import SPACED
 from kc2spice.rom.io import read_rom, write_rom
 from kc2spice.scene.axes import plan
 from kc2spice.scene.load import load_scene
 from kc2spice.scene.parttype import part_types
-from kc2spice.spice.header import Header
 from kc2spice.workflow.models import build_models, model_facts
 from kc2spice.workflow.reduce_files import export_rom
 

@@ -3,6 +3,7 @@
 import device
 import pytest
 
+from kc2spice.netlist.library import Header
 from kc2spice.parts._template import opamp_subcircuit
 from kc2spice.parts._touching import ring_gaps
 from kc2spice.parts.pid import Control, pid_subcircuit
@@ -12,7 +13,6 @@ from kc2spice.physics.contact import Normal, contact
 from kc2spice.physics.part import subcircuit as declared
 from kc2spice.scene.load import load_scene
 from kc2spice.sim.ngspice import run_deck
-from kc2spice.spice.header import Header
 from kc2spice.spice.realize import subcircuit
 
 LOOP = {

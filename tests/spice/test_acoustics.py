@@ -9,11 +9,11 @@ from kc2spice.core.domains import DOMAINS
 from kc2spice.core.quantities import BOLTZMANN, TEMPERATURE, Ratio
 from kc2spice.netlist.circuit import Element
 from kc2spice.netlist.deck import Deck, ac
+from kc2spice.netlist.library import Header
 from kc2spice.physics import Declaration, branch
 from kc2spice.physics.part import subcircuit
 from kc2spice.scene.load import load_scene
 from kc2spice.sim.ngspice import run_deck
-from kc2spice.spice.header import Header
 from kc2spice.workflow.verify.verify import verify
 
 DENSITY, SPEED = 1.204, 343.2  # kg/m3 and m/s, air at 20 C

@@ -14,6 +14,7 @@ from networks import FUNCTIONS, H, Network
 
 import kc2spice as kc
 from kc2spice.core.untrusted_files import parse_toml
+from kc2spice.netlist.library import Header
 from kc2spice.netlist.printers.verilog_a import module_files
 from kc2spice.netlist.translate import PRINTERS, dialect_files
 from kc2spice.parts.two_terminal_types import TABLE
@@ -23,7 +24,6 @@ from kc2spice.physics.part import subcircuit
 from kc2spice.scene.load import gallery, load_scene
 from kc2spice.scene.model import Build
 from kc2spice.scene.parttype import part_types
-from kc2spice.spice.header import Header
 
 DECLARED = {n: kind for n, kind in part_types().items() if hasattr(kind, "declaration")}
 DIALECTS = ("ngspice", "xyce", "ltspice", "verilog-a")

@@ -9,9 +9,9 @@ from device import bench
 
 from kc2spice.core.errors import UsageError
 from kc2spice.netlist.expression import literal
+from kc2spice.netlist.library import Header
 from kc2spice.rom.linear_model import LinearModel, Port
 from kc2spice.sim.ngspice import run_deck
-from kc2spice.spice.header import Header
 from kc2spice.spice.realize import subcircuit
 
 HEADER = Header("made up", "0")

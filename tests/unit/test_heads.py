@@ -8,13 +8,13 @@ import pytest
 import kc2spice as kc
 from kc2spice.netlist.circuit import Pin
 from kc2spice.netlist.deck import Deck
-from kc2spice.netlist.library import ReductionFacts, entries
+from kc2spice.netlist.library import Header, ReductionFacts, entries
 from kc2spice.netlist.printers.ngspice import Printer
 from kc2spice.netlist.read import read
 from kc2spice.netlist.transforms import with_parameters
 from kc2spice.rom.linear_model import Certificate
 from kc2spice.sim.ngspice import run_deck
-from kc2spice.spice.header import Header, part_header, rom_lines
+from kc2spice.spice.header import part_header, rom_lines
 
 NETLISTS = Path(__file__).parents[2] / "netlists"
 

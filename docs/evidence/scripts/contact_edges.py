@@ -9,10 +9,10 @@ from tables import power, print_table
 
 import kc2spice as kc
 from kc2spice.netlist.deck import Deck
+from kc2spice.netlist.library import Header
 from kc2spice.parts.sphere import SphereKeys, rigid_sphere
 from kc2spice.physics.contact import Normal, contact
 from kc2spice.physics.part import subcircuit
-from kc2spice.spice.header import Header
 
 MASS, STIFFNESS, GRAVITY = SphereKeys().mass, 4e8, 9.81  # kg, N/m, m/s2
 SPEED, HEIGHT, LANDINGS = 0.01, 1e-7, 100  # m/s downwards, m
