@@ -26,7 +26,7 @@ from kc2spice.core.progress import Clock
 from kc2spice.core.quantities import Section, Voltage
 from kc2spice.core.untrusted_files import identifier
 from kc2spice.core.waveforms import Waveforms, running
-from kc2spice.netlist.library import Header
+from kc2spice.netlist.library import Header, Subcircuit
 from kc2spice.netlist.spelling import LEAK_RATE
 from kc2spice.parts import _pictures
 from kc2spice.parts._box import PARAMETERS, corners, varied, with_values
@@ -139,10 +139,10 @@ class LinearBody(Touching):
         """All ports that the body offers."""
 
     @abstractmethod
-    def full(self, part: Part, scene: GovernedScene, clock: Any) -> LinearModel:
+    def full(self, part: Part, scene: GovernedScene, clock: Clock) -> LinearModel:
         """The full model of the whole device."""
 
-    def varied(self, part: Part, scene: GovernedScene, clock: Any, like: Part) -> LinearModel:
+    def varied(self, part: Part, scene: GovernedScene, clock: Clock, like: Part) -> LinearModel:
         """:meth:`full` on the mesh that ``like`` has, a part of other values, moved to these."""
         return self.full(part, scene, clock)
 
@@ -156,7 +156,7 @@ class LinearBody(Touching):
 
     def rated(self, part: Part, build: Build | None = None) -> float | None:
         """Largest voltage [V] between electrodes: as its keys, its layers or its mesh say."""
-        mesh = {} if build is None else build.model(part).facts
+        mesh = {} if build is None else build.model(part, LinearModel).facts
         known = part.keys.rated_voltage or self.by_material(part)
         return known or mesh.get("depoling_voltage_v")
 
@@ -218,8 +218,8 @@ class LinearBody(Touching):
         A port that takes up volume for a pressure is a path for flow only if the body gives way
         without end.
         """
-        model, rest = build.model(part), build.scene.records[part.name].rest
-        if model is None:
+        model, rest = build.models.get(part.name), build.scene.records[part.name].rest
+        if not isinstance(model, LinearModel):
             return rest
         ports, result = self.kept(part, build.scene), rest.held
         inert, free = inert_ports(model), free_to_move(model)
@@ -317,7 +317,7 @@ class LinearBody(Touching):
         reached = {} if sure is None else {"sure": sure, "motions": MOTIONS}
         return result | reached | {"massless": massless(part, scene)}
 
-    def varying(self, part: Part, scene: Scene, clock: Any) -> Varying:
+    def varying(self, part: Part, scene: Scene, clock: Clock) -> Varying:
         """The resonators over the box of ``rom.parameters``, which no value of these changes."""
         keys = varied(part)
         middle = with_values(part, {item.key: item.axis.middle for item in keys})
@@ -365,7 +365,9 @@ class LinearBody(Touching):
 
         return scene.workspace.latest(f"range of {part.name}", asked, load)
 
-    def build(self, part: Part, scene: Scene, clock: Any, full: bool = False) -> LinearModel | None:
+    def build(
+        self, part: Part, scene: Scene, clock: Clock, full: bool = False
+    ) -> LinearModel | None:
         keys, names = varied(part), [port.name for port in self.kept(part, scene)]
         if full and (loss_tangent(part) or by_complex_constants(part)):
             return None  # the matrices of a full model cannot have such losses
@@ -429,11 +431,11 @@ class LinearBody(Touching):
         own = f"{scene.name[: _LONGEST - len(part.name)]}_{part.name}"
         return identifier(own, part.name)
 
-    def subcircuits(self, part: Part, build: Build, header: Header) -> tuple[Any, ...]:
+    def subcircuits(self, part: Part, build: Build, header: Header) -> tuple[Subcircuit, ...]:
         name = build.libraries[part.name]
         volts = self.rated(part, build)
         rating = f"{volts:.4g} V between {RATED}" if volts else UNRATED
-        if not volts and any(port.paired for port in build.model(part).ports):
+        if not volts and any(port.paired for port in build.model(part, LinearModel).ports):
             rating += "; key rated_voltage states the largest voltage, a run then warns beyond it"
         words: dict[str, Any] = {"title": self.headline(part), "rating": rating}
         words["weights"] = self.weights(part, build.scene)
@@ -444,7 +446,9 @@ class LinearBody(Touching):
             known = {item.key: item.param for item in keys}
             params = [known[key] for key in result.box]
             return (parametric_subcircuit(result, name, params, header, **words),)
-        return (subcircuit(build.model(part), name, header, **words, noise=build.noisy),)
+        return (
+            subcircuit(build.model(part, LinearModel), name, header, **words, noise=build.noisy),
+        )
 
     def vectors(self, part: Part, build: Build) -> Mapping[str, Vector]:
         result: dict[str, Vector] = {}
@@ -468,7 +472,7 @@ class LinearBody(Touching):
 
     # --- what a run says ------------------------------------------------------------------------
 
-    def metrics(self, part: Part, build: Build, waves: Waveforms) -> Mapping[str, Any]:
+    def metrics(self, part: Part, build: Build, waves: Waveforms) -> Mapping[str, object]:
         z = measured(part, waves)
         if z is None:
             return {}
@@ -521,7 +525,7 @@ class LinearBody(Touching):
         rating. After a transient, the energy balance, the band of the excitation and the charge of
         floating electrodes follow.
         """
-        model: LinearModel = build.model(part)
+        model = build.model(part, LinearModel)
         result = model.certificate
         if result is not None:
             yield from self._reduced(part, build, waves, result)
@@ -559,7 +563,7 @@ class LinearBody(Touching):
     def _leaked(self, part: Part, build: Build) -> Iterator[Check]:
         """Check of the charge that a floating electrode loses through the netlist's leak."""
         leaked = -math.expm1(-build.scene.stop * LEAK_RATE)
-        ports = [p.name for p in build.model(part).ports if p.paired]
+        ports = [p.name for p in build.model(part, LinearModel).ports if p.paired]
         for port in ports if leaked > KEPT else ():
             name = f"charge kept by {part.name}.{port} if it floats"
             advice = "the netlist's leak: a resistor across the electrode states the real one"
@@ -580,12 +584,12 @@ class LinearBody(Touching):
         contact = unlike and any(contacts_on(part, build.scene))
         loaded = None
         if "time" in waves and (error > WRONG or contact):
-            loaded = self.error_under_load(part, build, waves, build.model(part))
+            loaded = self.error_under_load(part, build, waves, build.model(part, LinearModel))
         if loaded is None:
             yield _reduction_check(name, error, "", REDUCED)
             return
         worst, states = loaded
-        model, target = build.model(part), reduction_target(part, build.scene)
+        model, target = build.model(part, LinearModel), reduction_target(part, build.scene)
         order = TWICE * (target.order or model.order)
         default = self._chosen(part, build.scene) is None and not varied(part)
         key = "rom.order" if part.keys.rom is None and not default else f"{name}.rom.order"
@@ -614,7 +618,7 @@ class LinearBody(Touching):
         asked = {**self.model_key(part, build.scene), "enriched": model.order}
 
         def richer() -> LinearModel | None:
-            full = part.type.build(part, build.scene, Clock(), full=True)
+            full = self.build(part, build.scene, Clock(), full=True)
             if full is None:
                 return None
             try:
@@ -641,7 +645,7 @@ class LinearBody(Touching):
         scene, t, high = build.scene, waves["time"], certificate.band_hz[1]
         rows = scene.numerics
         if any(row.decides for row in rows):
-            lowest = build.model(part).facts.get("resonance_short_hz")
+            lowest = build.model(part, LinearModel).facts.get("resonance_short_hz")
             if lowest is not None:
                 name = f"band of {part.name}, first resonance"
                 yield Check(name, RESONANT * lowest, high, "Hz", TOUCHED, "warn")
@@ -650,7 +654,7 @@ class LinearBody(Touching):
         for port in self.kept(part, scene):
             if not port.paired or not apart.any():
                 continue
-            name = wave_name(part.name, build.model(part).ports, port)
+            name = wave_name(part.name, build.model(part, LinearModel).ports, port)
             voltage = waves.data.get(f"{name}.voltage")
             if voltage is None or not np.ptp(voltage):
                 continue
@@ -686,7 +690,7 @@ class LinearBody(Touching):
         of what rounds it where nothing moves. Where the ringing is coarse, that is judged until
         nothing presses on the body any more; else displacements [m] and charges [C] are exact.
         """
-        model, t = resonators(build.model(part)), waves["time"]
+        model, t = resonators(build.model(part, LinearModel)), waves["time"]
         domains = {port.domain for port in self.kept(part, build.scene)}
         if model is None or not all(d is TRANSLATION or (d and d.charged) for d in domains):
             return None
@@ -731,11 +735,11 @@ class LinearBody(Touching):
             yield _pictures.impedances(part.name, f, {"": z}, how + _pictures.PEAKS)
             return
         yield from _pictures.response_figures(part.name, waves)
-        model = build.model(part)
+        model = build.model(part, LinearModel)
         yield from _pictures.own_impedances(part.name, model, resonators(model))
 
     def law(self, part: Part, build: Build) -> laws.Equations | None:
-        model: LinearModel = build.model(part)
+        model = build.model(part, LinearModel)
         ports, n = model.ports, part.name
         heat, last = is_heat(model), build.scene.pins(part.name)[-1].name
         if build.net(part, last) != "0" and not heat:  # its reference
@@ -861,7 +865,14 @@ def _barely_damped(part: Part, model: LinearModel, band: tuple[float, float]) ->
     return replace(model, E=None, rayleigh=(0.0, loss / (2 * math.pi * band[1])))
 
 
-def full_alone(part: Part, scene: GovernedScene, clock: Any) -> LinearModel:
+def full_model(part: Part, scene: Scene, clock: Clock) -> LinearModel | None:
+    """The full model of a body in its scene, None where a full model cannot have its losses."""
+    kind = part.type
+    assert isinstance(kind, LinearBody)
+    return kind.build(part, scene, clock, full=True)
+
+
+def full_alone(part: Part, scene: GovernedScene, clock: Clock) -> LinearModel:
     """The full model of a body outside its scene, with a warning of what matrices cannot hold."""
     if tangent := loss_tangent(part):
         warnings.warn(

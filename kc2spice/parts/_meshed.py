@@ -22,6 +22,7 @@ from pydantic import Field
 from kc2spice.core.errors import UsageError, wrong
 from kc2spice.core.figure import Curve, Figure, Panel, Shape, Written
 from kc2spice.core.mesh_error import mesh_errors
+from kc2spice.core.progress import Clock
 from kc2spice.core.quantities import Time
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.parts._linear_body import LinearBody, LinearKeys
@@ -126,7 +127,7 @@ class MeshedBody(LinearBody):
         key = json.dumps([part.name, self.full_key(part, scene)], sort_keys=True)
         return scene.workspace.latest(f"device {self.name}", key, lambda: self.make(part, scene))
 
-    def full(self, part: Part, scene: GovernedScene, clock: Any) -> LinearModel:
+    def full(self, part: Part, scene: GovernedScene, clock: Clock) -> LinearModel:
         with clock.stage("assemble", f"mesh and matrices of {part.name}"):
             return self.device(part, scene).model
 
@@ -144,7 +145,7 @@ class MeshedBody(LinearBody):
             expected = f"0 to {scene.stop:g} s"
             yield wrong(f"{part.name}.fields", problem, f"{outside[0]:g} s", expected)
 
-    def metrics(self, part: Part, build: Build, waves: Waveforms) -> Mapping[str, Any]:
+    def metrics(self, part: Part, build: Build, waves: Waveforms) -> Mapping[str, object]:
         result = dict(super().metrics(part, build, waves))
         recovered = self.recovered(part, build, waves)
         if recovered is None:
@@ -176,7 +177,7 @@ class MeshedBody(LinearBody):
         if part.keys.fields:
             from kc2spice.bodies.fields import lowest_modes
 
-            device, model = self.device(part, build.scene), build.model(part)
+            device, model = self.device(part, build.scene), build.model(part, LinearModel)
             end = np.inf if model.certificate is None else model.certificate.band_hz[1]
             hertz, columns = lowest_modes(device, MODES, end)
             if hertz.size:
@@ -259,7 +260,7 @@ class BondedBody(MeshedBody):
     def make(self, part: Part, scene: GovernedScene) -> FiniteElementModel:
         return self.bonded(part).device()
 
-    def varied(self, part: Part, scene: GovernedScene, clock: Any, like: Part) -> LinearModel:
+    def varied(self, part: Part, scene: GovernedScene, clock: Clock, like: Part) -> LinearModel:
         return replace(self.bonded(part), like=self.bonded(like)).device().model
 
     def by_material(self, part: Part) -> float | None:

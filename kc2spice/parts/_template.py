@@ -13,6 +13,7 @@ import numpy as np
 from pydantic import Field
 
 from kc2spice.core.errors import UsageError
+from kc2spice.core.magnets import EMTable
 from kc2spice.core.quantities import BOLTZMANN, TEMPERATURE, Current, Section, Voltage
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.netlist.circuit import Param, positive
@@ -80,7 +81,7 @@ class TemplatePart(PartType):
         """Parameters of its netlist, and further values that the template asks for."""
         return parameters(part.keys), _NOTHING
 
-    def subcircuits(self, part: Part, build: Build, header: Any) -> tuple[Any, ...]:
+    def subcircuits(self, part: Part, build: Build, header: Header) -> tuple[Subcircuit, ...]:
         params, values = self.design(part, build)
         if build.noisy and isinstance(part.keys, InputNoise):
             values = {**values, "input_noise": part.keys}
@@ -243,7 +244,7 @@ class CoilDriver(Driver):
         height, current = (
             (control.keys.setpoint, control.keys.current_limit) if control else (0.0, 1.0)
         )
-        table = build.model(coils)
+        table = build.model(coils, EMTable)
         series = np.array([1.0, -1.0])
         inductance = float(series @ table.coenergy.inductances(height) @ series)
         return Load(inductance, float(table.resistance.sum()), float(current))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 import numpy as np
 from pydantic import Field
@@ -231,7 +231,7 @@ class Contact(DeclaredPart):
             for word, by in _sums(pair).items()
         }
 
-    def metrics(self, part: Part, build: Build, waves: Waveforms) -> Mapping[str, Any]:
+    def metrics(self, part: Part, build: Build, waves: Waveforms) -> Mapping[str, object]:
         pair = pair_of(part, build.scene)
         v = waves.data.get(f"{pair.b.part}.v")
         if "time" not in waves or v is None or pair.thrown:
@@ -474,7 +474,7 @@ def _open_ports(pair: Pair, build: Build, waves: Waveforms, place: np.ndarray) -
     if pair.b.radius is None or len(a.ports) < 2:
         return
     force, body = np.array([waves[f"{n}.force.{name}"] for name in ports]), pair.scene.parts[a.part]
-    model = build.model(body)
+    model = build.model(body, LinearModel)
     if len(ports) < len(a.ports) and isinstance(model, LinearModel):
         rows = [model.outputs.index(name) for name in ports]
         static = model.transfer(np.zeros(1))[0][rows, rows[-1]].real

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from typing import Any
 
 import numpy as np
 from pydantic import Field
 
 from kc2spice.core import laws
 from kc2spice.core.domains import DISPLACEMENT, TRANSLATION
+from kc2spice.core.magnets import EMTable
 from kc2spice.core.quantities import Current, Section
 from kc2spice.core.waveforms import Waveforms, constant
 from kc2spice.netlist.circuit import Element, Item
@@ -52,7 +52,7 @@ class CurrentCases(PartType):
     schema = CurrentCasesKeys
     source = "ideal sources"
 
-    def expand(self, part: Part, data: Mapping[str, Any]) -> Mapping[str, Mapping[str, Any]]:
+    def expand(self, part: Part, data: Mapping[str, object]) -> Mapping[str, Mapping[str, object]]:
         sweep = {"type": "dc", "sweep": f"{part.name}.height", "points": HEIGHTS}
         return {"analysis": sweep}
 
@@ -94,7 +94,7 @@ class CurrentCases(PartType):
             result[name] = Vector(f"i({build.own(part, f'Vforce{k}').lower()})", 1.0, "N")
         return result
 
-    def metrics(self, part: Part, build: Build, waves: Waveforms) -> Mapping[str, Any]:
+    def metrics(self, part: Part, build: Build, waves: Waveforms) -> Mapping[str, object]:
         forces = [waves[name] for name in _forces(part, build)]
         largest = max(float(np.abs(force).max()) for force in forces)
         return {
@@ -107,7 +107,7 @@ class CurrentCases(PartType):
     def law(self, part: Part, build: Build) -> laws.Equations:
         """The height is a source's; a force on it is the reaction to what the coils exert."""
         n, pulled, fed = part.name, _sphere(part, build.scene), _coils(part, build.scene)
-        table, height = build.model(fed), [f"{n}.out"]
+        table, height = build.model(fed, EMTable), [f"{n}.out"]
         result: list[laws.Law] = [laws.IdealSource(n, "displacement", constant(0.0))]
         results = {f"{pulled}.y": laws.reading(f"{n}.out")}
         for k, force in enumerate(_forces(part, build)):

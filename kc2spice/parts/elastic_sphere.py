@@ -11,6 +11,7 @@ from pydantic import Field
 from kc2spice.core.cache import cached
 from kc2spice.core.domains import TRANSLATION
 from kc2spice.core.errors import UsageError
+from kc2spice.core.progress import Clock
 from kc2spice.fem.body_keys import Damping, Mesh
 from kc2spice.parts._linear_body import LinearBody, LinearKeys
 from kc2spice.parts._touching import PATCH, Surface, pair_of
@@ -100,7 +101,7 @@ elastic = true
             "pressure_basis": pair_of(_contact(part, scene), scene).shape.nodes.tolist(),
         }
 
-    def full(self, part: Part, scene: GovernedScene, clock: Any) -> LinearModel:
+    def full(self, part: Part, scene: GovernedScene, clock: Clock) -> LinearModel:
         from kc2spice.bodies.pressure import sphere
 
         shape = pair_of(_contact(part, scene), scene).shape

@@ -25,13 +25,14 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from functools import lru_cache
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 import numpy as np
 from pydantic import Field
 
 from kc2spice.core import laws
 from kc2spice.core.errors import UsageError
+from kc2spice.core.progress import Clock
 from kc2spice.core.quantities import (
     EPSILON_0,
     Count,
@@ -153,12 +154,12 @@ class Gap(Patched):
         return self._with_branches(part, scene, branches_of(part, scene))
 
     def built(self, part: Part, build: Build) -> Declaration:
-        finer: int | None = build.model(part)
-        if finer is None:
+        finer = build.models.get(part.name)
+        if not isinstance(finer, int):
             return self.declared(part, build.scene)
         return self._with_branches(part, build.scene, finer)
 
-    def build(self, part: Part, scene: Scene, clock: Any, full: bool = False) -> int | None:
+    def build(self, part: Part, scene: Scene, clock: Clock, full: bool = False) -> int | None:
         """In ``full`` the branches of its film, :data:`FINER` times those of its netlist."""
         return FINER * branches_of(part, scene) or None if full else None
 
@@ -204,7 +205,7 @@ class Gap(Patched):
         what = "of its capacitance, more as the voltage falls"
         yield Check(name, most, UNSTABLE, what, advice)
 
-    def metrics(self, part: Part, build: Build, waves: Waveforms) -> Mapping[str, Any]:
+    def metrics(self, part: Part, build: Build, waves: Waveforms) -> Mapping[str, object]:
         """Voltage at which a patch first meets the stop, and at which the last one then leaves it,
         each the mean of the two points around, and the largest travel; in ``ac`` the real part of
         force over displacement, and the imaginary one over ``2 pi f``, none where that is rounding,

@@ -171,7 +171,7 @@ class PointMass(Touching, DeclaredPart):
             return {}
         return {f"{part.name}_peak_m": Probe(of=f"{part.name}.x", take="max")}
 
-    def metrics(self, part: Part, build: Build, waves: Waveforms) -> Mapping[str, Any]:
+    def metrics(self, part: Part, build: Build, waves: Waveforms) -> Mapping[str, object]:
         if "time" not in waves:
             return {}
         x, v = waves[f"{part.name}.x"], waves[f"{part.name}.v"]

@@ -16,6 +16,7 @@ from kc2spice.core.cache import cached
 from kc2spice.core.errors import UsageError
 from kc2spice.core.figure import Curve, Figure, Panel, Shape
 from kc2spice.core.mesh_error import mesh_words
+from kc2spice.core.progress import Clock
 from kc2spice.core.quantities import (
     MU_0,
     Count,
@@ -33,6 +34,7 @@ from kc2spice.core.waveforms import Waveforms
 from kc2spice.fem.magnet_keys import Ring
 from kc2spice.fem.magnet_rings import Cells, Ladder, Winding, divide_section, ladder, roughness
 from kc2spice.physics import Declaration, DeclaredPart, current, displacement, loop
+from kc2spice.physics.declaration import Branch
 from kc2spice.physics.part import settling
 from kc2spice.scene.checks import Balance, Check, Gate, Metric
 from kc2spice.scene.highest_frequency import highest_frequency
@@ -143,7 +145,7 @@ def _coil(name: str) -> str:
     return f"i_{name}"
 
 
-def _branches(keys: Moving, loops: int) -> tuple[Any, ...]:
+def _branches(keys: Moving, loops: int) -> tuple[Branch, ...]:
     coils = (current(_coil(n), f"{n}_p", f"{n}_n") for n in keys.coils)
     return (*coils, displacement("y", "a", "b"), *(loop(f"eddy{k + 1}") for k in range(loops)))
 
@@ -151,7 +153,7 @@ def _branches(keys: Moving, loops: int) -> tuple[Any, ...]:
 @cache
 def _declared(
     kind: MovingConductor,
-    branches: tuple[Any, ...],
+    branches: tuple[Branch, ...],
     low: str = "",
     high: str = "",
     reach: str = "",
@@ -216,7 +218,7 @@ class MovingConductor(DeclaredPart):
         return _declared(self, _branches(part.keys, 0))
 
     def built(self, part: Part, build: Build) -> Declaration:
-        return declared(part, build.model(part))
+        return declared(part, build.model(part, Ladder))
 
     def problems(self, part: Part, scene: GovernedScene) -> Iterator[UsageError]:
         keys = part.keys
@@ -284,7 +286,7 @@ class MovingConductor(DeclaredPart):
         changed = roughness(finer, found, windings(keys), fixed, keys.conductivity)
         return replace(found, rough=changed / max(1 - found.rings / finer.r.size, LEAST_CHANGE))
 
-    def build(self, part: Part, scene: Scene, clock: Any, full: bool = False) -> Ladder:
+    def build(self, part: Part, scene: Scene, clock: Clock, full: bool = False) -> Ladder:
         """In ``full`` more loops of more rings up to twice the highest frequency of the scene and
         of the netlist, couplings of a closer fit."""
         keys, frequency = part.keys, self.resolved(part, scene)
@@ -308,7 +310,7 @@ class MovingConductor(DeclaredPart):
             details = str(error.message), error.got, error.expected, error.hint
             raise part.wrong("y_max", *details) from None
 
-    def metrics(self, part: Part, build: Build, waves: Waveforms) -> Mapping[str, Any]:
+    def metrics(self, part: Part, build: Build, waves: Waveforms) -> Mapping[str, object]:
         """Heights and times at which it turns back, see :func:`turns`."""
         if "time" not in waves or f"{part.name}.y" not in waves:
             return {}
@@ -324,7 +326,7 @@ class MovingConductor(DeclaredPart):
     def checks(
         self, part: Part, build: Build, waves: Waveforms
     ) -> Iterator[Check | Balance | Gate]:
-        result: Ladder = build.model(part)
+        result = build.model(part, Ladder)
         loops, limit = result.rates.size, part.keys.tolerance
         what, advice = f"{loops} loops of {part.name}", "more rings, or a lower frequency"
         if loops:
@@ -367,7 +369,7 @@ class MovingConductor(DeclaredPart):
         yield Neglected("tilting and sideways motion", "one degree of freedom", "not estimated")
 
     def discretisation(self, part: Part, build: Build) -> str:
-        return _of_rings(build.model(part)) or f"no mesh: {CIRCLES}"
+        return _of_rings(build.model(part, Ladder)) or f"no mesh: {CIRCLES}"
 
 
 def _of_rings(model: Ladder) -> str:

@@ -18,7 +18,7 @@ from kc2spice.core.quantities import Section, Slew, Voltage
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.netlist.circuit import Pin
 from kc2spice.netlist.include_scan import included_netlist, looked_at
-from kc2spice.netlist.library import Subcircuit
+from kc2spice.netlist.library import Header, Subcircuit
 from kc2spice.netlist.read import read
 from kc2spice.netlist.scope import Scope, circuit, has_vector
 from kc2spice.netlist.spelling import name as checked
@@ -142,7 +142,7 @@ class Netlist(PartType):
     def library(self, part: Part, scene: Scene) -> str:
         return str(part.keys.subckt)
 
-    def subcircuits(self, part: Part, build: Build, header: Any) -> tuple[Any, ...]:
+    def subcircuits(self, part: Part, build: Build, header: Header) -> tuple[Subcircuit, ...]:
         result = included_netlist(part.keys.file, build.scene.home, trust=build.trust)
         pins = tuple(Pin(t.name, t.unit, t.flow) for t in build.scene.pins(part.name))
         text, file = result.text, result.file

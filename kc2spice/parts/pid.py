@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 import numpy as np
 from pydantic import Field
@@ -12,6 +12,7 @@ from pydantic import Field
 from kc2spice.core import laws
 from kc2spice.core.domains import DISPLACEMENT
 from kc2spice.core.errors import UsageError
+from kc2spice.core.magnets import EMTable
 from kc2spice.core.quantities import Current, Length, Section, Time, si
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.netlist.circuit import Param, positive
@@ -225,7 +226,7 @@ class Pid(PartType):
     title = "PID controller of a sphere's height"
     schema = Control
 
-    def expand(self, part: Part, data: Mapping[str, Any]) -> Mapping[str, Mapping[str, Any]]:
+    def expand(self, part: Part, data: Mapping[str, object]) -> Mapping[str, Mapping[str, object]]:
         switching, pins = part.keys.switching, {"out": f"{part.name}.enable"}
         if len(switching) == 1:
             wave = {"high": 1.0, "width": 1e3, "edge": EDGE, "start": switching[0][0]}
@@ -268,9 +269,9 @@ class Pid(PartType):
             expected = f"before the end of the simulation, {scene.stop:g} s"
             yield part.wrong("enable_at", problem, f"{times[0]:g} s", expected)
 
-    def subcircuits(self, part: Part, build: Build, header: Any) -> tuple[Any, ...]:
+    def subcircuits(self, part: Part, build: Build, header: Header) -> tuple[Subcircuit, ...]:
         local = not _remote(part, build.scene)
-        load = float(build.model(_coils(part, build.scene)).resistance.sum())
+        load = float(build.model(_coils(part, build.scene), EMTable).resistance.sum())
         name = build.libraries[part.name]
         return (pid_subcircuit(header, part.keys, output=local, load=load, name=name),)
 
@@ -295,7 +296,7 @@ class Pid(PartType):
         error = laws.reading(f"{n}.y", -DISPLACEMENT.factor, keys.setpoint - height)
         return laws.Equations((own,), pins, {f"{n}.error": error})
 
-    def metrics(self, part: Part, build: Build, waves: Waveforms) -> Mapping[str, Any]:
+    def metrics(self, part: Part, build: Build, waves: Waveforms) -> Mapping[str, object]:
         ball = sphere.controlled(part, build.scene)
         if "time" not in waves or ball is None or f"{ball.name}.y" not in waves:
             return {}

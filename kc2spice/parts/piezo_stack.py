@@ -141,7 +141,7 @@ class PiezoStack(MeshedBody):
     schema = Stack
     source = "FE (piezoelectric, linear)"
 
-    def expand(self, part: Part, data: Mapping[str, Any]) -> Mapping[str, Mapping[str, Any]]:
+    def expand(self, part: Part, data: Mapping[str, object]) -> Mapping[str, Mapping[str, object]]:
         keys: Stack = part.keys
         anode = f"{part.name}.anode"
         if keys.electrical == "short":
@@ -305,7 +305,7 @@ class PiezoStack(MeshedBody):
         pressure = None if shape is None else shape.pressure(_compliance_of(part, shape).shares)
         return stack_device(part.keys, part.keys.rated_field, pressure)
 
-    def metrics(self, part: Part, build: Build, waves: Waveforms) -> Mapping[str, Any]:
+    def metrics(self, part: Part, build: Build, waves: Waveforms) -> Mapping[str, object]:
         result = dict(super().metrics(part, build, waves))
         if "time" not in waves:
             return result

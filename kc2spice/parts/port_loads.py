@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from functools import partial
-from typing import Annotated, Any
+from typing import Annotated
 
 import numpy as np
 from pydantic import Field
@@ -54,7 +54,7 @@ class PortLoads(PartType):
     schema = PortLoadsKeys
     source = "unit loads"
 
-    def expand(self, part: Part, data: Mapping[str, Any]) -> Mapping[str, Mapping[str, Any]]:
+    def expand(self, part: Part, data: Mapping[str, object]) -> Mapping[str, Mapping[str, object]]:
         start, stop, points = part.keys.start, part.keys.stop, part.keys.steps
         linear = {"scale": "linear", "points": points, "stop": stop}
         return {"analysis": {"type": "ac", "start": start + (stop - start) / points, **linear}}
@@ -125,7 +125,7 @@ class PortLoads(PartType):
             )
         return result
 
-    def metrics(self, part: Part, build: Build, waves: Waveforms) -> Mapping[str, Any]:
+    def metrics(self, part: Part, build: Build, waves: Waveforms) -> Mapping[str, object]:
         """``amplitude[input][output]`` per unit input, by ``frequency_hz``."""
         amplitude: dict[str, dict[str, Metric]] = {}
         units = {name: row.unit for name, row in build.records[part.name].vectors.items()}

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
-from typing import Any
 
 from pydantic import Field
 
@@ -46,7 +45,7 @@ class Push(Touching):
     schema = PushKeys
     source = "prescribed"
 
-    def expand(self, part: Part, data: Mapping[str, Any]) -> Mapping[str, Mapping[str, Any]]:
+    def expand(self, part: Part, data: Mapping[str, object]) -> Mapping[str, Mapping[str, object]]:
         points = part.keys.steps + 1
         return {"analysis": {"type": "dc", "sweep": f"{part.name}.depth", "points": points}}
 
@@ -87,7 +86,7 @@ class Push(Touching):
         options = {"reltol": last, "vntol": near, "pivrel": ("0.9", pivots)}
         yield Numerics("imprint", options=options)
 
-    def metrics(self, part: Part, build: Build, waves: Waveforms) -> Mapping[str, Any]:
+    def metrics(self, part: Part, build: Build, waves: Waveforms) -> Mapping[str, object]:
         """Force of one symmetry sector at each depth, and the largest."""
         pair = _pair(part, build.scene)
         force = waves[f"{pair.part.name}.force"] / pair.a.sectors

@@ -23,6 +23,7 @@ from kc2spice.core.errors import UsageError
 from kc2spice.core.figure import Curve, Figure, Panel, Shape, Written
 from kc2spice.core.magnets import FORCE, POWERS, EMTable, cubic_spline
 from kc2spice.core.mesh_error import mesh_errors, mesh_words
+from kc2spice.core.progress import Clock
 from kc2spice.core.quantities import MU_0, si
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.fem.magnet_keys import Catch, Ring
@@ -244,7 +245,7 @@ class RingMagnetCoils(Touching):
     schema = Coils
     source = "FE (magnetostatic, axisymmetric)"
 
-    def expand(self, part: Part, data: Mapping[str, Any]) -> Mapping[str, Mapping[str, Any]]:
+    def expand(self, part: Part, data: Mapping[str, object]) -> Mapping[str, Mapping[str, object]]:
         if part.keys.driver is None:
             return {}
         known = {"linear": "linear_drive", "pwm": "pwm_drive", "user": "netlist"}
@@ -341,7 +342,7 @@ class RingMagnetCoils(Touching):
         catch = self._unit(part, part.keys.positions).model_dump(mode="json")
         return {"catch": catch, "radius": sphere_of(part, scene).keys.radius}
 
-    def build(self, part: Part, scene: Scene, clock: Any, full: bool = False) -> EMTable:
+    def build(self, part: Part, scene: Scene, clock: Clock, full: bool = False) -> EMTable:
         """Compute the table for unit remanence, then scale and shift it, which is exact.
 
         A ``full`` table is so dense that the interpolation error of its splines is ``DENSER**4``
@@ -363,13 +364,13 @@ class RingMagnetCoils(Touching):
     def library(self, part: Part, scene: Scene) -> str:
         return "coil" if _apart(part, scene) and part.name == "catch" else part.name
 
-    def subcircuits(self, part: Part, build: Build, header: Any) -> tuple[Any, ...]:
+    def subcircuits(self, part: Part, build: Build, header: Header) -> tuple[Subcircuit, ...]:
         keys, name, apart = part.keys, build.libraries[part.name], _apart(part, build.scene)
         rating = f"{rated_heating(keys):.3g} A^2 s in each coil, the integral of i^2 that "
         rating += f"warms its copper by {keys.rated_rise:g} K without cooling; steady current: not "
         rating += "known, it depends on that"
         words: dict[str, Any] = {"apart": apart, "points": keys.points, "rating": rating}
-        return (coils_subcircuit(header, build.model(part), name, **words),)
+        return (coils_subcircuit(header, build.model(part, EMTable), name, **words),)
 
     def vectors(self, part: Part, build: Build) -> Mapping[str, Vector]:
         if not _driven(part, build.scene):
@@ -388,15 +389,15 @@ class RingMagnetCoils(Touching):
 
     def forces(self, part: Part, build: Build, waves: Waveforms) -> Mapping[str, np.ndarray]:
         y = waves.data.get(f"{sphere_of(part, build.scene).name}.y")
-        if y is None or beyond(build.model(part), y) > 0:
+        if y is None or beyond(build.model(part, EMTable), y) > 0:
             return {}
         zero = np.zeros_like(y)
         lower = waves.data.get(f"{label(part)}.lower.current", zero)
         upper = waves.data.get(f"{label(part)}.upper.current", zero)
-        return {"v": np.asarray(build.model(part).coenergy.force(y, lower, upper))}
+        return {"v": np.asarray(build.model(part, EMTable).coenergy.force(y, lower, upper))}
 
     def law(self, part: Part, build: Build) -> laws.Equations:
-        n, scene, table = part.name, build.scene, build.model(part)
+        n, scene, table = part.name, build.scene, build.model(part, EMTable)
         prefix, apart = label(part), real(part, scene)
         stated, ends = coils.resistive(), (("drive.through", -1.0), ("drive.through", 1.0))
         if apart:
@@ -411,7 +412,7 @@ class RingMagnetCoils(Touching):
             results[f"{prefix}.voltage"] = laws.difference(f"{n}.up", f"{n}.lp")
         return laws.Equations((law,), pins, results)
 
-    def metrics(self, part: Part, build: Build, waves: Waveforms) -> Mapping[str, Any]:
+    def metrics(self, part: Part, build: Build, waves: Waveforms) -> Mapping[str, object]:
         if f"{label(part)}.voltage" not in waves:
             return {}
         current = waves[f"{label(part)}.upper.current"]
@@ -432,7 +433,7 @@ class RingMagnetCoils(Touching):
             advice = "the coils overheat: less current, or thicker wire, or shorter"
             limit = rated_heating(part.keys)
             yield Check(f"rating of {part.name}", heating, limit, "A2 s", advice, "warn")
-        coarse = interpolation_error(build.model(part), largest_current(part, build.scene))
+        coarse = interpolation_error(build.model(part, EMTable), largest_current(part, build.scene))
         name, action = f"field of {part.name} between its positions", build.scene.checks.range
         advice = f"too few heights: raise {part.name}.positions"
         unit = "of the largest force"
@@ -443,7 +444,7 @@ class RingMagnetCoils(Touching):
                 yield Check(name, error, COARSE, "relative, estimated", advice, "warn")
         advice = f"the sphere left the field table: widen {part.name}.y_min and {part.name}.y_max, "
         advice += "or kick it less"
-        table, travel = build.model(part), float(np.ptp(y))
+        table, travel = build.model(part, EMTable), float(np.ptp(y))
         distance = float(min(abs(y.min() - table.y[0]), abs(table.y[-1] - y.max())))
         check = Check("table_left", beyond(table, y), 0.0, "m", advice, action)
         yield replace(check, distance=distance, travel=travel)
@@ -466,7 +467,7 @@ class RingMagnetCoils(Touching):
         if real(part, build.scene):
             yield coil_impedance(part, build)
         yield force_map(part, build)
-        table, alone = build.model(part), len(build.scene.of(self.name)) == 1
+        table, alone = build.model(part, EMTable), len(build.scene.of(self.name)) == 1
         arrays = {"y": table.y} | dict(zip(FORCE, table.coefficients.T, strict=True))
         file = "em_table.npz" if alone else f"{part.name}_table.npz"
         yield Written(file, lambda path: np.savez_compressed(path, **arrays))
@@ -499,7 +500,7 @@ class RingMagnetCoils(Touching):
 
 def force_map(part: Part, build: Build) -> Figure:
     """Force over height without current, with both currents, and with opposite ones."""
-    table = build.model(part)
+    table = build.model(part, EMTable)
     limit = largest_current(part, build.scene) or 0.1
     fine = np.linspace(table.y[0], table.y[-1], 401)
     curves = tuple(
@@ -517,7 +518,7 @@ def force_map(part: Part, build: Build) -> Figure:
 
 def coil_impedance(part: Part, build: Build) -> Figure:
     """``|R + j w L|`` of the coils, alone and in series as one current with two signs sees them."""
-    table = build.model(part)
+    table = build.model(part, EMTable)
     matrix = table.coenergy.inductances(0.5 * (table.y[0] + table.y[-1]))
     item = {"lower": np.array([1.0, 0.0]), "upper": np.array([0.0, 1.0]), "both": np.array([1, -1])}
     f = np.geomspace(10.0, 1e5, 201)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping
-from typing import Any
 
 from pydantic import Field
 
@@ -14,6 +13,7 @@ from kc2spice.core.errors import UsageError
 from kc2spice.core.quantities import BOLTZMANN, TEMPERATURE, Frequency, Length, Section
 from kc2spice.netlist.circuit import Element, Item, Param
 from kc2spice.netlist.elements import noted
+from kc2spice.netlist.library import Header, Subcircuit
 from kc2spice.netlist.spelling import number
 from kc2spice.parts import sphere
 from kc2spice.physics.cards import state_node
@@ -101,7 +101,7 @@ dc = "1 um"
             words = "noise is drawn in time, or analysed"
             yield part.wrong("noise", words, scene.analysis.type, f"{' or '.join(kinds)}, or none")
 
-    def subcircuits(self, part: Part, build: Build, header: Any) -> tuple[Any, ...]:
+    def subcircuits(self, part: Part, build: Build, header: Header) -> tuple[Subcircuit, ...]:
         d, keys = reading(part.keys), part.keys
         cards: tuple[Item, ...] = ()
         size = DISPLACEMENT.per_unit * keys.noise

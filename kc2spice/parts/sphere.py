@@ -143,7 +143,7 @@ class Sphere(Touching, DeclaredPart):
         keys, begin = part.keys, scene.initial_states.get(part.name, AT_REST)
         return rigid_sphere(keys.mass, keys.radius, scene.gravity, begin.velocity, begin.height)
 
-    def expand(self, part: Part, data: Mapping[str, Any]) -> Mapping[str, Mapping[str, Any]]:
+    def expand(self, part: Part, data: Mapping[str, object]) -> Mapping[str, Mapping[str, object]]:
         if (given := part.keys.elastic) is None:
             return {}
         table = {"part": "elastic_sphere", "of": part.name, "at": (part.name, "elastic")}
@@ -216,7 +216,7 @@ class Sphere(Touching, DeclaredPart):
             "final_position_m": Probe(of=of, take="final"),
         }
 
-    def metrics(self, part: Part, build: Build, waves: Waveforms) -> Mapping[str, Any]:
+    def metrics(self, part: Part, build: Build, waves: Waveforms) -> Mapping[str, object]:
         y = waves.data.get(f"{part.name}.y")
         if y is None or "time" not in waves or part.name in build.scene.initial_states:
             return {}

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping
-from typing import Any
 
 import numpy as np
 from pydantic import Field
@@ -66,7 +65,7 @@ class Throw(_touching.Touching):
         ball, speed = sphere_of(part, scene), _arriving(part, scene)
         yield from _touching.impact_penetration(ball, scene, speed, f"impact at {speed:.3g} m/s")
 
-    def metrics(self, part: Part, build: Build, waves: Waveforms) -> Mapping[str, Any]:
+    def metrics(self, part: Part, build: Build, waves: Waveforms) -> Mapping[str, object]:
         """Positions from the touching height, the force of one symmetry sector."""
         pair = _touching.only_pair(build.scene)
         if pair is None or "time" not in waves:

@@ -15,6 +15,7 @@ from pydantic import Field, create_model
 from kc2spice.core.quantities import Section, si
 from kc2spice.netlist.circuit import Element, Item
 from kc2spice.netlist.expression import Number, Tree
+from kc2spice.netlist.library import Header, Subcircuit
 from kc2spice.netlist.spelling import LEAK_RATE
 from kc2spice.physics.declaration import (
     RATE,
@@ -142,7 +143,7 @@ class LinearElement(DeclaredPart):
     def _number(self, part: Part, tree: Tree) -> float:
         return float(evaluated(tree, self.declaration.values(part.keys)))
 
-    def subcircuits(self, part: Part, build: Build, header: Any) -> tuple[Any, ...]:
+    def subcircuits(self, part: Part, build: Build, header: Header) -> tuple[Subcircuit, ...]:
         return ()
 
     def inner_names(self, part: Part, scene: WiredScene) -> Iterator[tuple[str, ...]]:

@@ -13,6 +13,7 @@ from kc2spice.core.domains import TRANSLATION
 from kc2spice.core.errors import SimulationError
 from kc2spice.core.laws import Device, Flow, Pin, Tap
 from kc2spice.netlist.expression import Name, Number, Tree, replaced
+from kc2spice.netlist.library import Subcircuit
 from kc2spice.physics.declaration import LOOPS, RATE, Branch, Declaration
 from kc2spice.physics.symbolic import (
     ZERO,
@@ -26,7 +27,7 @@ from kc2spice.physics.symbolic import (
     times,
 )
 
-_Made = Callable[..., tuple[Any, ...]]
+_Made = Callable[..., tuple[Subcircuit, ...]]
 _Table = Callable[[float], float]
 
 

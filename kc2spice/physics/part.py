@@ -102,7 +102,7 @@ class DeclaredPart(PartType):
         pairs = ((b.plus, b.minus) for b, result in zip(moved, stiff, strict=True) if result)
         return Rest((*pairs, *flowing))
 
-    def subcircuits(self, part: Part, build: Build, header: Header) -> tuple[Any, ...]:
+    def subcircuits(self, part: Part, build: Build, header: Header) -> tuple[Subcircuit, ...]:
         d, name = self.built(part, build), build.libraries[part.name]
         return (subcircuit(header, name, d, d.values(part.keys), build.noisy),)
 

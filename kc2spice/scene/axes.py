@@ -143,7 +143,7 @@ def _reductions(build: Build) -> Iterator[Axis]:
             continue
         band = rom.band
         if not own and "rom" not in scene.tables:
-            certificate = getattr(build.model(part), "certificate", None)
+            certificate = getattr(build.models.get(part.name), "certificate", None)
             band = rom.band if certificate is None else certificate.band_hz
         axis = _axis(f"{prefix}.tolerance", rom.tolerance, Rom.model_fields["tolerance"])
         # At the values of a run no box is needed, nor a band as narrow as polynomials want it.

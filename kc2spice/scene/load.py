@@ -404,8 +404,9 @@ def _scene(data: dict[str, Any], source: _Source) -> Scene:
                 expected = f"another name: {part.name} brings a part of this one along"
                 raise UsageError("this name is taken", where=name, got=name, expected=expected)
             own = {key: value for key, value in table.items() if key != "at"}
-            at = tuple(table.get("at", (name,)))
-            parts[name] = _part(name, own, _type(name, own), home, at)
+            at = table.get("at")
+            place = at if isinstance(at, tuple) else (name,)
+            parts[name] = _part(name, own, _type(name, own), home, place)
     scene = replace(scene, parts=parts, tables=_copied(data), source=source)
     if asked is not None and "analysis" not in data:
         scene = replace(scene, frame=scene.frame.model_copy(update={"analysis": asked}))

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Hashable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Generic, Literal, Protocol, TypeVar
@@ -38,7 +38,9 @@ from kc2spice.scene.settings import Analysis, Bench, Checks, Frame, Gates, Probe
 if TYPE_CHECKING:
     from kc2spice.core.figure import Figure, Shape, Written
     from kc2spice.core.laws import Equations
+    from kc2spice.core.progress import Clock
     from kc2spice.core.waveforms import Waveforms
+    from kc2spice.netlist.library import Header, Subcircuit
     from kc2spice.scene.checks import Balance, Check, Gate
 
 GROUND = "gnd"
@@ -56,6 +58,8 @@ SHORT = {
 }
 TABLES = {kind: name for name, kind in SHORT.items()}
 T = TypeVar("T")
+M = TypeVar("M")
+Function = Callable[[float, Mapping[str, float]], float]  # of a controller: time, inputs -> output
 
 
 @dataclass(frozen=True)
@@ -350,13 +354,13 @@ class GovernedScene(DeclaredScene):
     frame that the displacement of a pin is relative to, if it is not absolute.
     """
 
-    records: Mapping[str, Record[Any]] = field(default_factory=dict)
+    records: Mapping[str, Record[object]] = field(default_factory=dict)
     movers: Mapping[str, str] = field(default_factory=dict)
     initial_states: Mapping[str, State] = field(default_factory=dict)
     without_cards: frozenset[str] = frozenset()
     frames: Mapping[tuple[str, str], ShakenFrame] = field(default_factory=dict)
 
-    def record(self, part: Part) -> Record[Any] | None:
+    def record(self, part: Part) -> Record[object] | None:
         """Answers of a part; None for a part that the scene has with other keys."""
         result = self.records.get(part.name)
         return result if result is not None and result.part is part else None
@@ -476,11 +480,11 @@ class Build:
     """
 
     scene: Scene
-    models: Mapping[str, Any]
+    models: Mapping[str, object]
     libraries: Mapping[str, str] = field(default_factory=dict)
     trust: bool = False
     unjudged: frozenset[str] = frozenset()
-    functions: Mapping[str, Any] = field(default_factory=dict)
+    functions: Mapping[str, Function] = field(default_factory=dict)
     largest: StepLimit | None = None
     records: Mapping[str, BuildRecord] = field(default_factory=dict)
     laws: object = None
@@ -491,9 +495,17 @@ class Build:
         """Whether the netlist has sources of noise."""
         return self.scene.analysis.type == "noise"
 
-    def model(self, part: Part) -> Any:
-        """The model of a part, None where it has none."""
-        return self.models.get(part.name)
+    def model(self, part: Part, kind: type[M]) -> M:
+        """The model of a part, which is of the class ``kind``.
+
+        Raises
+        ------
+        TypeError : the part has no model, or one of another class.
+        """
+        result = self.models.get(part.name)
+        if not isinstance(result, kind):
+            raise TypeError(f"the model of {part.name} is no {kind.__name__}: {result!r:.80}")
+        return result
 
     @property
     def rests(self) -> dict[str, Rest]:
@@ -502,7 +514,7 @@ class Build:
 
     def facts(self, part: Part) -> Mapping[str, float]:
         """``model`` of ``result.json``: the numbers by which an engineer knows the part's model."""
-        result: Mapping[str, float] = getattr(self.model(part), "facts", {})
+        result: Mapping[str, float] = getattr(self.models.get(part.name), "facts", {})
         return result
 
     def net(self, part: Part, pin: str) -> str:
@@ -550,7 +562,7 @@ class PartType:
 
     # --- scene: keys, pins, what a part brings along -------------------------------------------
 
-    def expand(self, part: Part, data: Mapping[str, Any]) -> Mapping[str, Mapping[str, Any]]:
+    def expand(self, part: Part, data: Mapping[str, object]) -> Mapping[str, Mapping[str, object]]:
         """Tables of further parts that this one stands for; ``data`` is the whole scene.
 
         Where the file has such a table itself, ``at`` in it names its keys: ``("kick", "drive")``.
@@ -581,7 +593,7 @@ class PartType:
         :meth:`Build.own` returns the names."""
         return ()
 
-    def detail(self, part: Part, scene: GovernedScene) -> Any:
+    def detail(self, part: Part, scene: GovernedScene) -> object:
         """Data that parts of the same package need of it, in a class of that package; they are in
         its :class:`Record`. It follows from keys and from what parts govern."""
         return None
@@ -615,7 +627,7 @@ class PartType:
         """Settings of its reduction, None where its model is not a reduced one."""
         return None
 
-    def build(self, part: Part, scene: Scene, clock: Any, full: bool = False) -> Any:
+    def build(self, part: Part, scene: Scene, clock: Clock, full: bool = False) -> object:
         """Its model: fields, reduced matrices, tables; cached by all that it depends on.
 
         In ``full`` what that approximates, in the same form: the full
@@ -628,7 +640,7 @@ class PartType:
         """Name of its subcircuit: the type's where the scene has one part of it, else its own."""
         return self.name if len(scene.of(self.name)) == 1 else part.name
 
-    def subcircuits(self, part: Part, build: Build, header: Any) -> tuple[Any, ...]:
+    def subcircuits(self, part: Part, build: Build, header: Header) -> tuple[Subcircuit, ...]:
         """Its subcircuit, behind those that it needs; empty for a part of plain cards."""
         return ()
 
@@ -688,7 +700,7 @@ class PartType:
 
     # --- what a run says -----------------------------------------------------------------------
 
-    def metrics(self, part: Part, build: Build, waves: Waveforms) -> Mapping[str, Any]:
+    def metrics(self, part: Part, build: Build, waves: Waveforms) -> Mapping[str, object]:
         """Numbers that describe what it did, each a :class:`kc2spice.scene.checks.Metric` with its
         unit, or a mapping of such; a plain number has no unit."""
         return {}

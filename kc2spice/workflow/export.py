@@ -13,6 +13,7 @@ from kc2spice.netlist.printers.plot_script import plot_script
 from kc2spice.netlist.transforms import array_deck
 from kc2spice.netlist.translate import DECKS, DIALECTS, dialect_files, symbol_files
 from kc2spice.parts._linear_body import LinearBody, reduction_target
+from kc2spice.rom.linear_model import LinearModel
 from kc2spice.scene.model import Build, Scene
 from kc2spice.scene.resolve import resolve
 from kc2spice.sim.ngspice import write_files
@@ -74,4 +75,4 @@ def _require_circuits(build: Build, deck: Deck) -> None:
             continue
         tolerance = reduction_target(part, build.scene).tolerance
         if tolerance is not None:
-            require_circuit(circuit, build.model(part), tolerance)
+            require_circuit(circuit, build.model(part, LinearModel), tolerance)

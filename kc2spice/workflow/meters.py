@@ -202,9 +202,8 @@ def require_probed(build: Build) -> None:
     scene = build.scene
     if not scene.probes or build.noisy:
         return
-    waiting = {
-        p.name for p in scene.parts.values() if p.type.results_of_model and build.model(p) is None
-    }
+    unbuilt = (p for name, p in scene.parts.items() if build.models.get(name) is None)
+    waiting = {part.name for part in unbuilt if part.type.results_of_model}
     build = build if build.records else with_vectors(build, without=waiting)
     results = result_vectors(build)
     known = {*results, *powers(build, results)}

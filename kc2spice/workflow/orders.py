@@ -20,6 +20,7 @@ from kc2spice.core.errors import SimulationError, UsageError
 from kc2spice.core.progress import Clock
 from kc2spice.parts._box import varied
 from kc2spice.parts._linear_body import LinearBody, reduction_target
+from kc2spice.rom.linear_model import LinearModel
 from kc2spice.scene.checks import Check
 from kc2spice.scene.load import load_scene
 from kc2spice.scene.model import Part
@@ -102,7 +103,7 @@ def _larger_order(run: Run, part: Part, check: Check, clock: Clock) -> Larger | 
     least error; None where none is better than the present order."""
     build, kind = run.build, part.type
     assert isinstance(kind, LinearBody)
-    model, target = build.model(part), reduction_target(part, build.scene)
+    model, target = build.model(part, LinearModel), reduction_target(part, build.scene)
     assert model.certificate is not None
     order, key = target.order or model.order, f"{part.name}.rom"
     common: dict[str, Any] = {f"{key}.band": list(model.certificate.band_hz)}
@@ -133,7 +134,7 @@ def _largest_error(run: Run, names: Sequence[str]) -> float:
     for name in names:
         part = run.build.scene.parts[name]
         assert isinstance(part.type, LinearBody)
-        model = run.build.model(part)
+        model = run.build.model(part, LinearModel)
         found = part.type.error_under_load(part, run.build, run.waves, model)
         result = max(result, math.inf if found is None else found[0])
     return result

@@ -1,19 +1,21 @@
 """Ratings in heads, and the warning of a run that goes beyond them."""
 
 import re
+from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from kc2spice.core.waveforms import Waveforms
-from kc2spice.rom.linear_model import Certificate
+from kc2spice.rom.linear_model import Certificate, LinearModel, Port
 from kc2spice.scene.load import load_scene
 from kc2spice.scene.model import Build
 from kc2spice.scene.resolve import resolve_build
 
 ROOT = Path(__file__).parents[2]
+ONE = np.eye(1)
+MODEL = LinearModel(K=ONE, E=0.1 * ONE, M=ONE, B=ONE, ports=(Port("anode", "electrical"),))
 
 
 def part_of(name, part, **overrides):
@@ -40,8 +42,7 @@ def test_a_run_beyond_the_rating_is_told(volts, passed):
     chip, scene = part_of("kick_and_catch", "kick")
     data = {"time": np.array([0.0, 1.0]), "kick.voltage": np.array([0.0, volts])}
     waves = Waveforms(data, {})
-    model = SimpleNamespace(certificate=None, facts={}, ports=(), first_order=True)
-    build = resolve_build(Build(scene, {"kick": model}))
+    build = resolve_build(Build(scene, {"kick": MODEL}))
     found = [c for c in chip.type.checks(chip, build, waves) if "rating" in getattr(c, "name", "")]
     assert [(c.passed, c.fatal, c.unit) for c in found] == [(passed, False, "V")]
 
@@ -52,8 +53,7 @@ def test_the_rating_holds_in_every_analysis(scale):
     chip, scene = part_of("kick_and_catch", "kick")
     volts = np.array([1.0, -2e4]) * (1j if scale == "frequency" else 1.0)
     waves = Waveforms({scale: np.array([1.0, 2.0]), "kick.voltage": volts}, {})
-    model = SimpleNamespace(certificate=None, facts={}, ports=(), first_order=True)
-    build = resolve_build(Build(scene, {"kick": model}))
+    build = resolve_build(Build(scene, {"kick": MODEL}))
     found = [c for c in chip.type.checks(chip, build, waves) if "rating" in getattr(c, "name", "")]
     assert [(c.passed, c.value) for c in found] == [(False, 2e4)]
 
@@ -70,7 +70,7 @@ def test_the_head_states_the_rating():
 def test_a_sweep_beyond_the_certified_band_is_told(top, passed):
     chip, scene = part_of("harmonic", "kick")
     certificate = Certificate((0.0, 5e5), 1e-3, "made up", True, True)
-    model = SimpleNamespace(certificate=certificate, facts={}, ports=())
+    model = replace(MODEL, certificate=certificate)
     waves = Waveforms({"frequency": np.array([1e3, top])}, {})
     checks = chip.type.checks(chip, resolve_build(Build(scene, {"kick": model})), waves)
     found = [c for c in checks if "band" in c.name]

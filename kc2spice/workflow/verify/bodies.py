@@ -17,7 +17,7 @@ from kc2spice.netlist.deck import Deck, ac
 from kc2spice.netlist.elements import titled
 from kc2spice.netlist.library import Subcircuit
 from kc2spice.netlist.spelling import LEAK_RATE
-from kc2spice.parts._linear_body import LinearBody
+from kc2spice.parts._linear_body import LinearBody, full_model
 from kc2spice.report.pages import Findings, responses
 from kc2spice.rom.error_estimate import adaptive_frequencies, relative_error
 from kc2spice.rom.linear_model import LinearModel
@@ -54,11 +54,11 @@ def verify_body(
     ``libraries`` are the subcircuits to test, those of a shipped deck or those just emitted. The
     reduced model's limit is what its certificate says, thus the tolerance that was asked for.
     """
-    rom: LinearModel = build.model(part)
+    rom = build.model(part, LinearModel)
     band = held_band(rom, build)
     errors, curves = {}, {}
     at = _sampled(rom, band)
-    full = part.type.build(part, build.scene, clock, full=True)
+    full = full_model(part, build.scene, clock)
     if full is not None:
         count = at.size if whole or full.order <= SMALL else FEW
         at = _first(rom, at, min(count, MANY))
@@ -185,7 +185,7 @@ def netlist_response(
     deck = _deck(part, build, libraries, band)
     with clock.stage("simulate", f"frequency response of {part.name}"):
         waves = run_deck(deck, work)
-    rom: LinearModel = build.model(part)
+    rom = build.model(part, LinearModel)
     frequency = waves["frequency"].real
     H = np.array([[waves[f"{i}>{o}"] for i in rom.inputs] for o in rom.outputs])
     H = np.moveaxis(H, -1, 0)
@@ -214,7 +214,7 @@ def _deck(
             got=wanted,
             expected=", ".join(item.name for item in libraries) or "a library",
         )
-    rom: LinearModel = build.model(part)
+    rom = build.model(part, LinearModel)
     items: list[Item] = []
     vectors: dict[str, tuple[str, float]] = {}
     for k, load in enumerate(port for port in rom.ports if port.kind != "output"):

@@ -13,6 +13,7 @@ from typing import Any
 
 from kc2spice.core.errors import SimulationError
 from kc2spice.core.laws import Law, PortBody
+from kc2spice.core.progress import Clock
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.equations.networks import Network
 from kc2spice.equations.replay import networks_to_solve
@@ -31,7 +32,7 @@ from kc2spice.workflow.verify.law_solution import Reference, solve_steady
 DIRECT = 3000  # unknowns up to which every frequency is solved directly
 
 
-def full_build(build: Build, clock: Any) -> Build | None:
+def full_build(build: Build, clock: Clock) -> Build | None:
     """Return ``build`` with full models in place of the reduced ones; None if there are none.
 
     In a transient only bodies have full models, which the integrator solves at their ports.
@@ -46,7 +47,7 @@ def full_build(build: Build, clock: Any) -> Build | None:
     return _with_models(build, result) if result else None
 
 
-def finer_build(build: Build, parts: Iterable[str], clock: Any) -> Build | None:
+def finer_build(build: Build, parts: Iterable[str], clock: Clock) -> Build | None:
     """Return ``build`` with a finer discretisation of ``parts``; None if none of them has one.
 
     Examples are a film with more branches and a conductor with more loops.
@@ -79,7 +80,7 @@ def full_solution(
     ours: Waveforms,
     exact: Reference,
     replayed: Mapping[str, str],
-    clock: Any,
+    clock: Clock,
     whole: bool,
 ) -> FullSolution | None:
     """Solve the scene with its full models; None if no network contains one.
@@ -115,7 +116,7 @@ def full_solution(
     return FullSolution(waves, coarse_waves, end, notes)
 
 
-def _with_surrogates(networks: list[Network], stop: float, clock: Any) -> list[Network]:
+def _with_surrogates(networks: list[Network], stop: float, clock: Clock) -> list[Network]:
     """Replace large models by surrogates of small order, certified against direct solutions.
 
     All copies of a body have one surrogate.

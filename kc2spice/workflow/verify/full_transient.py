@@ -12,16 +12,17 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from itertools import chain
-from typing import Any
 
 import numpy as np
 
 from kc2spice.core.laws import PortBody
+from kc2spice.core.progress import Clock
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.equations.networks import Network
 from kc2spice.reference.fixed_step import steps
 from kc2spice.reference.integrate import Trajectory
 from kc2spice.reference.system import System, assemble_system
+from kc2spice.rom.linear_model import LinearModel
 from kc2spice.scene.model import Build
 from kc2spice.workflow.verify.bodies import held_band
 from kc2spice.workflow.verify.law_solution import Reference
@@ -103,14 +104,15 @@ def port_bodies(network: Network) -> list[PortBody]:
 
 
 def full_differences(
-    network: Network, build: Build, exact: Reference, clock: Any, whole: bool
+    network: Network, build: Build, exact: Reference, clock: Clock, whole: bool
 ) -> tuple[Difference, Difference, str]:
     """Solve a network with full and with reduced models, by steps ``h`` and by steps ``2 h``.
 
     Returns the difference of the models for each, and a text that describes the steps.
     """
     bodies = port_bodies(network)
-    models = {law.name: build.models[law.name] for law in bodies}
+    parts = build.scene.parts
+    models = {law.name: build.model(parts[law.name], LinearModel) for law in bodies}
     laws = (
         PortBody(law.name, models[law.name], law.ports) if isinstance(law, PortBody) else law
         for law in network.laws

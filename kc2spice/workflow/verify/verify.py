@@ -25,6 +25,7 @@ from kc2spice.netlist.deck import Deck
 from kc2spice.netlist.include_scan import Flat, checked
 from kc2spice.netlist.library import Subcircuit, subcircuits
 from kc2spice.report.pages import Findings, comparison, write_verify
+from kc2spice.rom.linear_model import LinearModel
 from kc2spice.scene.checks import PAIRS, Check, Gate, Verdict
 from kc2spice.scene.model import Build, Scene
 from kc2spice.scene.resolve import resolve
@@ -518,7 +519,7 @@ class _Verification:
             result.metrics["rom_error"] = result.errors["rom_vs_fom"]
         bodies = [part for part in parts if part.reduced]
         if len(bodies) == 1:
-            model = self.build.model(bodies[0])
+            model = self.build.model(bodies[0], LinearModel)
             result.metrics["rom_order"] = model.order
             if "unknowns" in model.facts:
                 result.metrics["unknowns"] = model.facts["unknowns"]
