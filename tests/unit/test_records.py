@@ -7,6 +7,7 @@ import pickle
 import re
 import threading
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import fields
 
 import pytest
 
@@ -14,7 +15,13 @@ import kc2spice as kc
 from kc2spice.core.progress import Clock
 from kc2spice.core.workspace import Workspace
 from kc2spice.parts._touching import Pair
-from kc2spice.scene.model import PartType
+from kc2spice.scene.model import (
+    DeclaredScene,
+    GovernedScene,
+    JoinedScene,
+    PartType,
+    WiredScene,
+)
 from kc2spice.scene.parttype import part_types
 from kc2spice.workflow.decks import prepared
 
@@ -66,6 +73,38 @@ def test_a_scene_asks_each_part_once_while_it_is_loaded(monkeypatch):
     scene = kc.load_scene("kick_and_catch")
     once = ("governs", "detail", "default_joins", "at_rest", "numerics", "reduction", "pins")
     assert {calls[method, part] for method in once for part in scene.parts} == {1}
+
+
+STAGES = {kind.__name__: kind for kind in (DeclaredScene, GovernedScene, JoinedScene, WiredScene)}
+
+
+def narrowed(function, stage):
+    """The method with a scene that has the fields of its stage alone."""
+    place = [*inspect.signature(function).parameters].index("scene")
+
+    @functools.wraps(function)
+    def wrapper(*args, **keywords):
+        known = {item.name: getattr(args[place], item.name) for item in fields(stage)}
+        return function(*args[:place], stage(**known), *args[place + 1 :], **keywords)
+
+    return wrapper
+
+
+@pytest.mark.parametrize("name", ["kick_and_catch", "imprint", "harmonic", "harvester_bridge"])
+def test_part_types_read_nothing_beyond_their_stage(name, monkeypatch):
+    expected = kc.load_scene(name)
+    narrow = 0
+    for cls in {PartType}.union(*(type(kind).__mro__ for kind in part_types().values())) - {object}:
+        for method, function in list(vars(cls).items()):
+            stage = STAGES.get(getattr(function, "__annotations__", {}).get("scene"))
+            if inspect.isfunction(function) and stage is not None:
+                monkeypatch.setattr(cls, method, narrowed(function, stage))
+                narrow += 1
+    scene = kc.load_scene(name)
+    assert narrow > 100
+    assert scene.nets == expected.nets
+    assert scene.numerics == expected.numerics
+    assert scene.rests == expected.rests
 
 
 def test_a_contact_has_one_pair_of_surfaces(monkeypatch, tmp_path):
