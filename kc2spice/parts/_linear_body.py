@@ -928,12 +928,8 @@ def aim(rom: Rom) -> str:
 
 
 def reduction_target(part: Part, scene: Scene) -> Rom:
-    """Settings of a body's reduction; those of a body with other keys than the scene's follow from
-    its keys."""
-    record = scene.record(part)
-    result = None if record is None else record.reduction
-    if result is None:
-        result = part.type.reduction(part, scene)
+    """Settings of a body's reduction, as its record in the scene has them."""
+    result = scene.records[part.name].reduction
     assert result is not None
     return result
 

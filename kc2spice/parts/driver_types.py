@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping
+from functools import partial
 from typing import Any, ClassVar
 
 from pydantic import Field
@@ -27,7 +28,7 @@ from kc2spice.scene.model import (
     WiredScene,
 )
 from kc2spice.scene.parttype import register
-from kc2spice.scene.rows import Numerics
+from kc2spice.scene.rows import HighestFrequency, Numerics
 
 
 class AmplifierKeys(InputNoise):
@@ -174,8 +175,13 @@ class PwmDrive(CoilDriver):
         what = f"a tenth of a period of the carrier of {part.name}"
         return (Numerics(what, 0.1 / f, 1 / edge),)
 
-    def highest_frequency(self, part: Part, scene: DeclaredScene, constant: float) -> float:
-        return RIPPLE * float(part.keys.frequency)
+    def highest_frequency(self, part: Part, scene: DeclaredScene) -> HighestFrequency:
+        return partial(_ripple_frequency, float(part.keys.frequency))
+
+
+def _ripple_frequency(carrier: float, constant: float) -> float:
+    """Frequency [Hz] of the last harmonic of a ripple that matters, whatever it acts behind."""
+    return RIPPLE * carrier
 
 
 for _driver in (Amplifier, ChargeDrive, HalfBridge, LinearDrive, PwmDrive):

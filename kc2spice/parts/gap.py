@@ -252,7 +252,7 @@ def patches(part: Part, scene: DeclaredScene) -> tuple[str, ...]:
     return tuple(f"{given}.{port}" for port in row)
 
 
-def branches_of(part: Part, scene: DeclaredScene) -> int:
+def branches_of(part: Part, scene: GovernedScene) -> int:
     """Terms of the series of its film that keep their spring; 0 without a film."""
     keys: GapKeys = part.keys
     if keys.film is None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 from collections.abc import Iterator, Mapping
+from functools import partial
 from pathlib import Path
 from typing import Literal, NamedTuple
 
@@ -33,7 +34,7 @@ from kc2spice.scene.model import (
     WiredScene,
 )
 from kc2spice.scene.parttype import register
-from kc2spice.scene.rows import Numerics, Rest, Swept, Vector
+from kc2spice.scene.rows import HighestFrequency, Numerics, Rest, Swept, Vector
 
 
 class Kind(NamedTuple):
@@ -182,9 +183,9 @@ class Source(PartType):
     def drives(self, part: Part, scene: DeclaredScene) -> bool:
         return quantity(part.keys.ac, part.keys.unit) != 0
 
-    def highest_frequency(self, part: Part, scene: DeclaredScene, constant: float) -> float:
-        behind = constant if part.keys.kind in SMOOTHED else 0.0
-        return waveform_frequency(part.keys.waveform(scene.home), scene.stop, behind)
+    def highest_frequency(self, part: Part, scene: DeclaredScene) -> HighestFrequency:
+        share = 1.0 if part.keys.kind in SMOOTHED else 0.0
+        return partial(_frequency_behind, part.keys.waveform(scene.home), scene.stop, share)
 
     def at_rest(self, part: Part, scene: WiredScene) -> Rest:
         pair = (("out", "ret"),)
@@ -263,6 +264,11 @@ class Source(PartType):
 
     def notes(self, part: Part, scene: Scene) -> Iterator[str]:
         yield f"{part.keys.kind}, {part.keys.shape}"
+
+
+def _frequency_behind(wave: Waveform, stop: float, share: float, constant: float) -> float:
+    """Highest frequency [Hz] of a wave behind a ``share`` of a time constant [s]."""
+    return waveform_frequency(wave, stop, share * constant)
 
 
 def _returns(part: Part, scene: DeclaredScene) -> bool:

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-from kc2spice.scene.model import (
-    DeclaredScene,
-)
+from kc2spice.scene.model import GovernedScene
 
 
-def highest_frequency(scene: DeclaredScene, constant: float = 0.0) -> float:
+def highest_frequency(scene: GovernedScene, constant: float = 0.0) -> float:
     """The highest frequency [Hz] that a scene drives its parts with.
 
     Of ``ac`` and ``noise`` that is the end of their range, of ``dc`` and ``op`` zero. In a
@@ -26,5 +24,5 @@ def highest_frequency(scene: DeclaredScene, constant: float = 0.0) -> float:
         return float(scene.analysis.stop or 0.0)
     if scene.analysis.type != "transient":
         return 0.0
-    parts = scene.parts.values()
-    return max((p.type.highest_frequency(p, scene, constant) for p in parts), default=0.0)
+    answers = (record.highest_frequency for record in scene.records.values())
+    return max((answer(constant) for answer in answers if answer is not None), default=0.0)

@@ -40,9 +40,9 @@ from kc2spice.core.untrusted_files import (
 )
 from kc2spice.scene.compose import unsettled
 from kc2spice.scene.model import GROUND, SHORT, Names, Part, PartType, Scene
-from kc2spice.scene.parttype import EVEN, drive_period, part_type, type_names
+from kc2spice.scene.parttype import part_type, type_names
 from kc2spice.scene.plausible import ImplausibleError, drive_levels, judged
-from kc2spice.scene.resolve import resolve, with_governed
+from kc2spice.scene.resolve import EVEN, resolve, with_governed
 from kc2spice.scene.settings import SCALE_OF, Analysis, Frame
 
 MOST_POINTS = 1e7  # time points of a transient at its largest step
@@ -214,8 +214,7 @@ def _no_periods(where: str, count: int, scene: Scene) -> Iterator[UsageError]:
         got, expected = f"{scene.analysis.type} analysis", "a transient, or from and to"
         yield UsageError("only a transient has periods", where=where, got=got, expected=expected)
         return
-    rows = scene.numerics
-    period, known = drive_period(rows), sorted({row.period for row in rows} - {0.0})
+    period, known = scene.period, sorted({row.period for row in scene.numerics} - {0.0})
     if period is None:
         periods = ", ".join(f"{each:.4g} s" for each in known)
         yield UsageError(

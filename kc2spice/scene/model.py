@@ -23,6 +23,7 @@ from kc2spice.core.workspace import Workspace
 from kc2spice.netlist.circuit import Element, Item
 from kc2spice.scene.rows import (
     Governed,
+    HighestFrequency,
     Neglected,
     Numerics,
     Rest,
@@ -169,12 +170,13 @@ class Record(Generic[T]):
     """Answers of one part of a scene; :mod:`kc2spice.scene.resolve` asks for each of them once.
 
     ``detail`` is the answer of :meth:`PartType.detail`, in a class of the part's package.
-    ``rest``, ``numerics`` and ``reduction`` are those of the methods of :class:`PartType` with
-    these names, before any model is built.
+    The other fields are those of the methods of :class:`PartType` with these names, before any
+    model is built; ``rest`` is that of :meth:`PartType.at_rest`.
     """
 
     part: Part
     governs: Mapping[str, State | Governed] = field(default_factory=dict)
+    highest_frequency: HighestFrequency | None = None
     detail: T | None = None
     rest: Rest = field(default_factory=Rest)
     numerics: tuple[Numerics, ...] = ()
@@ -405,13 +407,15 @@ class Scene(WiredScene):
     """A checked scene with the answers of all its parts.
 
     Each class that it is derived from is what part types see at one stage of
-    :func:`kc2spice.scene.resolve.resolve`. ``numerics`` are the time scales of all parts;
-    ``meters`` has the names of the ammeters at pins, ``names`` those of all other nodes and cards
-    by ``(part, *words)`` (:meth:`Build.own`). ``tables`` is what the file says with all overrides,
+    :func:`kc2spice.scene.resolve.resolve`. ``numerics`` are the time scales of all parts,
+    ``period`` [s] that of all that drives the scene, None without a common one; ``meters`` has the
+    names of the ammeters at pins, ``names`` those of all other nodes and cards by
+    ``(part, *words)`` (:meth:`Build.own`). ``tables`` is what the file says with all overrides,
     ``source`` its text, by which :meth:`where` finds the line of a key.
     """
 
     numerics: tuple[Numerics, ...] = ()
+    period: float | None = None
     meters: Mapping[tuple[str, str], str] = field(default_factory=dict)
     names: Mapping[tuple[str, ...], str] = field(default_factory=dict)
     tables: Mapping[str, Any] = field(default_factory=dict)
@@ -672,10 +676,10 @@ class PartType:
         """
         return ()
 
-    def highest_frequency(self, part: Part, scene: DeclaredScene, constant: float) -> float:
+    def highest_frequency(self, part: Part, scene: DeclaredScene) -> HighestFrequency | None:
         """Frequency [Hz] up to which what it prescribes in a transient has nearly all of its
-        energy, behind a time constant [s] where it is a voltage or a force."""
-        return 0.0
+        energy, as a function of the time constant [s] behind which a voltage or force acts."""
+        return None
 
     def rest_with_model(self, part: Part, build: Build) -> Rest:
         """Constraints and loads of the part on moving pins at rest, with its model."""

@@ -11,7 +11,7 @@ Everything else (deck, metrics, checks, plots, energy balance, ``explain``, swee
 from __future__ import annotations
 
 import pkgutil
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from functools import cache
 from importlib import import_module
 from importlib.metadata import EntryPoint, entry_points
@@ -21,7 +21,7 @@ import numpy as np
 from kc2spice.core.errors import UsageError
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.scene.model import Build, Part, PartType, flows
-from kc2spice.scene.rows import Numerics, Vector
+from kc2spice.scene.rows import Vector
 
 PACKAGE = "kc2spice.parts"
 TABLE = "_types"  # ends the name of a module with several types
@@ -53,18 +53,6 @@ def pin_forces(build: Build, waves: Waveforms) -> Mapping[tuple[str, str], np.nd
         return build, waves, result  # both stay in memory, so that no other one has their identity
 
     return build.workspace.latest("forces", (id(build), id(waves)), asked)[2]
-
-
-EVEN = 1e-6  # relative, of a period that divides another
-
-
-def drive_period(rows: Iterable[Numerics]) -> float | None:
-    """The period [s] of all that drives a scene: the longest, where the others divide it."""
-    periods = {row.period for row in rows} - {0.0}
-    longest = max(periods, default=None)
-    if longest is None or any(abs(longest / p - round(longest / p)) > EVEN for p in periods):
-        return None
-    return longest
 
 
 _types: dict[str, PartType] = {}

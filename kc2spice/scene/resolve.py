@@ -6,14 +6,14 @@ its nets and its reference frames. Later stages read the records; they do not as
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import replace
 from itertools import chain
 from typing import Any
 
 from kc2spice.scene.compose import composed
 from kc2spice.scene.model import Build, BuildRecord, Part, Record, Scene
-from kc2spice.scene.rows import State
+from kc2spice.scene.rows import Numerics, State
 
 
 def resolve(scene: Scene) -> Scene:
@@ -73,7 +73,8 @@ def with_governed(scene: Scene) -> Scene:
     """
     governs = {part.name: part.type.governs(part, scene) for part in scene.parts.values()}
     records: dict[str, Record[Any]] = {
-        name: Record(part, governs[name]) for name, part in scene.parts.items()
+        name: Record(part, governs[name], part.type.highest_frequency(part, scene))
+        for name, part in scene.parts.items()
     }
     scene = replace(
         scene,
@@ -117,11 +118,24 @@ def _without_cards(governs: Mapping[str, Mapping[str, State | str]]) -> frozense
     return frozenset(name for name, what in rows if isinstance(what, str))
 
 
+EVEN = 1e-6  # relative, of a period that divides another
+
+
+def drive_period(rows: Iterable[Numerics]) -> float | None:
+    """The period [s] of all that drives a scene: the longest, where the others divide it."""
+    periods = {row.period for row in rows} - {0.0}
+    longest = max(periods, default=None)
+    if longest is None or any(abs(longest / p - round(longest / p)) > EVEN for p in periods):
+        return None
+    return longest
+
+
 def with_numerics(scene: Scene) -> Scene:
     """Return a scene with nets, with the numerical requirements and the reductions of its parts."""
     rows = {n: tuple(r.part.type.numerics(r.part, scene)) for n, r in scene.records.items()}
     records = {name: replace(r, numerics=rows[name]) for name, r in scene.records.items()}
-    scene = replace(scene, records=records, numerics=tuple(chain.from_iterable(rows.values())))
+    scales = tuple(chain.from_iterable(rows.values()))
+    scene = replace(scene, records=records, numerics=scales, period=drive_period(scales))
     reductions = {n: r.part.type.reduction(r.part, scene) for n, r in records.items()}
     return replace(
         scene, records={n: replace(r, reduction=reductions[n]) for n, r in records.items()}

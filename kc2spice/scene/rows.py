@@ -33,6 +33,10 @@ class State:
 Governed = Literal["moved", "copied"]
 
 
+#: Frequency [Hz] up to which a part excites others, of a time constant [s] in between.
+HighestFrequency = Callable[[float], float]
+
+
 @dataclass(frozen=True)
 class Rest:
     """Constraints and loads of a part at rest on pins that need a path to their reference.

@@ -16,7 +16,6 @@ from kc2spice.core.waveforms import SCALES, Waveforms, interpolate
 from kc2spice.report.html import leaves
 from kc2spice.scene.checks import Balance, Check, Gate, Metric, Verdict
 from kc2spice.scene.model import Build, Scene
-from kc2spice.scene.parttype import drive_period
 from kc2spice.scene.settings import Probe
 from kc2spice.workflow import meters
 from kc2spice.workflow.time_step import step_checks
@@ -152,7 +151,7 @@ def _probe_unit(probe: Probe, build: Build, waves: Waveforms, units: Mapping[str
 def window_of(probe: Probe, scene: Scene) -> tuple[float, float] | None:
     """First and last place on the scale that a probe reads; None where it reads all of it."""
     if probe.periods is not None:
-        return scene.stop - probe.periods * (drive_period(scene.numerics) or 0.0), scene.stop
+        return scene.stop - probe.periods * (scene.period or 0.0), scene.stop
     if probe.from_ is None and probe.to is None:
         return None
     first = -math.inf if probe.from_ is None else probe.from_

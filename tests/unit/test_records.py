@@ -71,7 +71,16 @@ def test_a_run_calls_each_method_at_most_twice_for_each_part(name, monkeypatch, 
 def test_a_scene_asks_each_part_once_while_it_is_loaded(monkeypatch):
     calls = count_calls(monkeypatch)
     scene = kc.load_scene("kick_and_catch")
-    once = ("governs", "detail", "default_joins", "at_rest", "numerics", "reduction", "pins")
+    once = (
+        "governs",
+        "highest_frequency",
+        "detail",
+        "default_joins",
+        "at_rest",
+        "numerics",
+        "reduction",
+        "pins",
+    )
     assert {calls[method, part] for method in once for part in scene.parts} == {1}
 
 
