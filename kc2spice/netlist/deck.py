@@ -62,7 +62,10 @@ class Command:
 
 @dataclass(frozen=True)
 class Measure:
-    """A ``.meas`` card of an analysis ``kind``: ``words`` behind its name, and the factor to SI."""
+    """A ``.meas`` card of an analysis ``kind``: ``words`` behind its name, and the factor to SI.
+
+    The words of one of an ``op``, which has no such card, are the vector that its deck prints.
+    """
 
     name: str
     kind: str
@@ -72,6 +75,8 @@ class Measure:
     @property
     def cards(self) -> Iterator[Directive]:
         """The card, and where the vector is not in SI a second one that scales its value."""
+        if self.kind == "op":
+            return
         if self.factor == 1.0:
             yield Directive(".meas", (self.kind, self.name, *self.words))
             return
@@ -299,18 +304,32 @@ class Deck:
             ("onoise_total",) if self.command.kind == "noise" else ()
         )  # vector of the second plot
         yield from (Directive(".save", (vector,)) for vector in (*self.saved, *totals))
-        yield from self._measured
-        yield Directive(".print", (self.command.kind, *self.saved[:2]))
+        yield from self._measured(
+            "" if usage != self._usage else ", which ngspice prints without -r"
+        )
+        yield from self._printed
         yield Directive(".end")
 
     @property
-    def _measured(self) -> Iterator[Line]:
-        """The cards of the measures that this analysis has."""
-        rows = [measure for measure in self.measures if measure.kind == self.command.kind]
-        if rows:
-            yield "* Main metrics in SI units, which ngspice prints without -r"
-        for measure in rows:
-            yield from measure.cards
+    def _rows(self) -> list[Measure]:
+        """The measures that this analysis has."""
+        return [measure for measure in self.measures if measure.kind == self.command.kind]
+
+    def _measured(self, printed: str) -> Iterator[Line]:
+        """The cards of the measures, below a comment that ends with ``printed``."""
+        cards = [card for measure in self._rows for card in measure.cards]
+        if cards:
+            yield f"* Main metrics in SI units{printed}"
+        yield from cards
+
+    @property
+    def _printed(self) -> Iterator[Line]:
+        """The card of what ngspice prints: two vectors, and those that an ``op`` is run for."""
+        points = self._rows if self.command.kind == "op" else []
+        for row in points:
+            yield f"* {row.name} in SI units is {number(row.factor)} times {row.words[0]}"
+        shown = dict.fromkeys((*(row.words[0] for row in points), *self.saved[:2]))
+        yield Directive(".print", (self.command.kind, *shown))
 
     def with_command(self, command: Command) -> Deck:
         """The same deck with this analysis instead of its own and of its refinements."""

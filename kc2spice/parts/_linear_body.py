@@ -52,8 +52,8 @@ from kc2spice.scene.model import (
 )
 from kc2spice.scene.parttype import current_into, pin_forces
 from kc2spice.scene.plausible import dimensions
-from kc2spice.scene.rows import Neglected, Rest, Vector
-from kc2spice.scene.settings import Rom
+from kc2spice.scene.rows import LargestRealPart, Neglected, Rest, Vector
+from kc2spice.scene.settings import Probe, Rom
 from kc2spice.spice.heat import is_heat
 from kc2spice.spice.realize import COARSE, RINGING, UNRATED, StepWeights, reference_pin, subcircuit
 
@@ -517,6 +517,46 @@ class LinearBody(Touching):
                 if name != "bvd"
             }
         return result
+
+    def main_metrics(self, part: Part, build: Build) -> Mapping[str, Probe | LargestRealPart]:
+        """The resonance of an impedance, where the model's conductance is largest there.
+
+        It is that of the current of a voltage source at its first electrode, nothing else loading
+        the body.
+        """
+        result = f"{part.name}.current"
+        if build.scene.analysis.type != "ac" or result not in build.records[part.name].vectors:
+            return {}
+        return {"resonance_hz": LargestRealPart(result)} if self._leads(part, build) else {}
+
+    def _leads(self, part: Part, build: Build) -> bool:
+        """Whether a source alone drives the body, and the resonance that an analyser reads off is
+        the largest conductance of all."""
+        from kc2spice.bodies.impedance import analyse
+
+        scene, model = build.scene, build.model(part, LinearModel)
+        pins = [pin.name for pin in scene.pins(part.name)]
+        joined = {pin: scene.joined(part.name, pin) for pin in pins}
+        port = next(port for port in model.ports if port.paired)
+        plus, minus = port.terminals
+        ((name, _),) = joined.pop(plus)
+        drive = scene.parts[name].type.law(scene.parts[name], build)
+        sources = drive.laws if drive is not None else ()
+        ideal = [law for law in sources if isinstance(law, laws.IdealSource) and law.ac.real > 0]
+        if any(joined.values()) or scene.net(part.name, minus) != "0" or len(ideal) != 1:
+            return False
+        selected = scene.analysis
+        if selected.start == 0.0:
+            return False
+        space = np.geomspace if selected.scale == "log" else np.linspace
+        f = space(selected.start, float(selected.stop or 0.0), selected.points)
+        Y = 2j * np.pi * f * model.select([port.name]).transfer(f)[:, 0, 0]
+        try:
+            resonance = analyse(f, 1 / Y).resonance_hz
+        except UsageError:  # no resonance in the range
+            return False
+        largest = int(Y.real.argmax())
+        return bool(f[max(largest - 1, 0)] <= resonance <= f[min(largest + 1, len(f) - 1)])
 
     def checks(self, part: Part, build: Build, waves: Waveforms) -> Iterator[Check | Balance]:
         """Yield the checks of a reduced body after a run.

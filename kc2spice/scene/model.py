@@ -24,6 +24,7 @@ from kc2spice.netlist.circuit import Element, Item
 from kc2spice.scene.rows import (
     Governed,
     HighestFrequency,
+    LargestRealPart,
     Neglected,
     Numerics,
     Rest,
@@ -709,8 +710,8 @@ class PartType:
         unit, or a mapping of such; a plain number has no unit."""
         return {}
 
-    def main_metrics(self, part: Part, build: Build) -> Mapping[str, Probe]:
-        """Those of its metrics that a simulator can take, as probes of its results."""
+    def main_metrics(self, part: Part, build: Build) -> Mapping[str, Probe | LargestRealPart]:
+        """Those of its metrics that a simulator can take, by how it reads them off its results."""
         return {}
 
     def checks(

@@ -68,6 +68,13 @@ class Vector:
 
 
 @dataclass(frozen=True)
+class LargestRealPart:
+    """The frequency at which the real part of a response has its largest magnitude."""
+
+    of: str
+
+
+@dataclass(frozen=True)
 class Swept:
     """The source that a dc sweep of a key moves, its volts or amperes per SI unit, and first and
     last value in SI where they are not the scene's."""

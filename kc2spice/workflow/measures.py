@@ -1,8 +1,12 @@
 """``.meas`` cards of a deck: the probes and main metrics of a scene, taken by the simulator itself.
 
-A card exists for what ngspice computes from one vector as the program does: extremes, their
-difference, means and the last value. In ``ac`` these are the largest of the computed points; the
-metric interpolates between them.
+A card exists for what ngspice computes from one vector as the program does: extremes and their
+places, their difference, means, values at a place, crossings of a level and the last value. In
+``ac`` extremes are those of the computed points; the metric interpolates between them. An ``op``
+has no cards: its deck prints the vectors.
+
+Not among them, since no card of ngspice computes them: fits of an impedance (antiresonance, Q
+factor, capacitance), cycles of a frequency, and windows, whose ends lie between time points.
 """
 
 from __future__ import annotations
@@ -10,19 +14,34 @@ from __future__ import annotations
 import re
 from collections import Counter
 from collections.abc import Iterator, Mapping
+from typing import NamedTuple
 
 from kc2spice.netlist.deck import Measure
 from kc2spice.netlist.expression import terms
 from kc2spice.netlist.expression import vector as parsed
 from kc2spice.netlist.spelling import number
 from kc2spice.scene.model import Build
-from kc2spice.scene.rows import Vector
+from kc2spice.scene.rows import LargestRealPart, Vector
 from kc2spice.scene.settings import Probe
+from kc2spice.workflow.meters import swept
 
 _TAKEN = {"max": "MAX", "min": "MIN", "peak_to_peak": "PP", "mean": "AVG", "rms": "RMS"}
-_OPPOSITE = {"MAX": "MIN", "MIN": "MAX"}
+_OPPOSITE = {"MAX": "MIN", "MIN": "MAX", "MAX_AT": "MIN_AT"}
+# Takes of a magnitude that a card computes as the program does, but for points in between.
+_OF_MAGNITUDES = ("max", "argmax", "crossing")
 _NAME = re.compile(r"[A-Za-z]\w*")
-KINDS = {"transient": "tran", "dc": "dc", "ac": "ac"}
+KINDS = {"transient": "tran", "dc": "dc", "ac": "ac", "op": "op"}
+
+
+class _Wave(NamedTuple):
+    """A vector of the simulator in a ``kind`` of analysis: the SI value of its unit, the volts or
+    amperes of a dc sweep for one SI unit of the scale, and the last place on that."""
+
+    kind: str
+    text: str
+    factor: float
+    per_unit: float
+    last: float
 
 
 def measures(build: Build, results: Mapping[str, Vector]) -> tuple[Measure, ...]:
@@ -35,39 +54,62 @@ def measures(build: Build, results: Mapping[str, Vector]) -> tuple[Measure, ...]
 
 
 def _measures(
-    build: Build, probes: Mapping[str, Probe], results: Mapping[str, Vector]
+    build: Build,
+    probes: Mapping[str, Probe | LargestRealPart],
+    results: Mapping[str, Vector],
 ) -> Iterator[Measure]:
-    scene = build.scene
-    kind = KINDS.get(scene.analysis.type)
     for name, probe in probes.items():
-        windowed = {"from_", "to", "periods"} & probe.model_fields_set
-        result = results.get(probe.of)
-        if kind is None or result is None or windowed or not _NAME.fullmatch(name):
+        wave = _wave(build, results.get(probe.of))
+        if wave is None or not _NAME.fullmatch(name):
             continue
-        read = terms(result.expression)
-        if len(read) == 1 and not (kind == "dc" and scene.analysis.back):
-            ((sign, text),) = read
-            yield from _measure(name, kind, probe.take, text, sign * result.factor, scene.stop)
+        if isinstance(probe, LargestRealPart):
+            yield Measure(name, wave.kind, (_signed("MAX_AT", wave.factor), wave.text))
+        elif not {"from_", "to", "periods"} & probe.model_fields_set:
+            yield from _measure(name, probe, wave)
 
 
-def _measure(
-    name: str, kind: str, take: str, text: str, factor: float, stop: float
-) -> Iterator[Measure]:
-    """Yield the measure of one vector, which counts in units of ``factor``; none if there is none.
+def _wave(build: Build, result: Vector | None) -> _Wave | None:
+    """The vector of a result that is one of the simulator's; None of a sum, or of a sweep that
+    returns."""
+    scene = build.scene
+    kind, read = KINDS.get(scene.analysis.type), terms(result.expression) if result else []
+    if kind is None or result is None or len(read) != 1:
+        return None
+    if kind == "dc" and scene.analysis.back:
+        return None
+    per_unit = swept(build)[2].scale if kind == "dc" else 1.0
+    ((sign, text),) = read
+    return _Wave(kind, text, sign * result.factor, per_unit, scene.stop)
+
+
+def _measure(name: str, probe: Probe, wave: _Wave) -> Iterator[Measure]:
+    """Yield the measure of a probe; none if no card computes it.
 
     In ``ac`` it is the magnitude of a voltage.
     """
+    kind, text, factor, take = wave.kind, wave.text, wave.factor, probe.take
+    if kind == "op":
+        yield Measure(name, kind, (text,), factor)
+        return
     if kind == "ac":
         vector = parsed(text)
-        if vector is None or vector.quantity != "v" or take not in ("max", "argmax"):
+        if vector is None or vector.quantity != "v" or take not in _OF_MAGNITUDES:
             return
         text, factor = f"vm({text[2:]}", abs(factor)
-    word = _TAKEN.get(take, "")
-    if take == "argmax" and factor > 0:
-        yield Measure(name, kind, ("MAX_AT", text))
+    if take == "argmax":
+        yield Measure(name, kind, (_signed("MAX_AT", factor), text), 1 / wave.per_unit)
+    elif take == "crossing" and probe.level is not None:
+        words = "WHEN", f"{text}={number(probe.level / factor)}", "CROSS=1"
+        yield Measure(name, kind, words, 1 / wave.per_unit)
+    elif take == "value" and probe.at is not None:
+        yield Measure(name, kind, ("FIND", text, f"AT={number(probe.at * wave.per_unit)}"), factor)
     elif take == "final" and kind == "tran":
-        yield Measure(name, kind, ("FIND", text, f"AT={number(stop)}"), factor)
-    elif word:
-        word = _OPPOSITE.get(word, word) if factor < 0 else word
+        yield Measure(name, kind, ("FIND", text, f"AT={number(wave.last)}"), factor)
+    elif word := _TAKEN.get(take):
         size = abs(factor) if word in ("PP", "RMS") else factor
-        yield Measure(name, kind, (word, text), size)
+        yield Measure(name, kind, (_signed(word, factor), text), size)
+
+
+def _signed(word: str, factor: float) -> str:
+    """The word of an extreme of a vector whose unit may be negative."""
+    return _OPPOSITE.get(word, word) if factor < 0 else word

@@ -8,6 +8,7 @@ import pytest
 
 import kc2spice as kc
 from kc2spice.core.progress import Clock
+from kc2spice.netlist.translate import translate
 from kc2spice.sim.ngspice import find_ngspice, write_files
 from kc2spice.workflow.decks import prepared
 
@@ -80,3 +81,111 @@ def test_only_the_analysis_that_a_measure_belongs_to_has_it():
     assert ".meas tran " in deck.files[deck.main]
     operating = deck.with_command(kc.deck("loudspeaker").command.__class__("op", ()))
     assert ".meas" not in operating.files[operating.main]
+
+
+DISCHARGE = {
+    "name": "discharge",
+    "g": {"part": "source", "kind": "current", "pulse": {
+        "high": "-1 mA", "width": "2 ms", "edge": "1 us", "start": "0.1 ms"}},
+    "r": {"part": "resistor", "resistance": "1 kOhm", "pins": {"a": "g.out"}},
+    "c": {"part": "capacitor", "capacitance": "1 uF", "pins": {"a": "g.out"}},
+    "analysis": {"type": "transient", "stop": "5 ms"},
+    "probes": {
+        "half_s": {"of": "c.v", "take": "crossing", "level": -0.5},
+        "never_s": {"of": "c.v", "take": "crossing", "level": 3.0},
+        "later_v": {"of": "c.v", "at": "1 ms"},
+        "first_s": {"of": "r.v", "take": "argmax"},
+    },
+}  # fmt: skip
+
+
+def test_crossings_and_values_are_those_that_ngspice_prints(tmp_path):
+    _, deck = prepared(kc.load_scene(DISCHARGE), Clock())
+    values, metrics = printed(deck, tmp_path), kc.run(DISCHARGE).metrics
+    tau, begin = 1e-3, 0.1005e-3
+    assert values["half_s"] == pytest.approx(metrics["half_s"], rel=2e-6)
+    assert values["half_s"] == pytest.approx(begin + tau * np.log(2), rel=1e-3)
+    assert values["later_v"] == pytest.approx(metrics["later_v"], rel=2e-6)
+    assert "never_s" not in values  # ngspice prints that the measure failed
+    assert metrics["never_s"] is None
+
+
+def test_crossings_of_a_sweep_are_in_units_of_the_key(tmp_path):
+    """The source counts in um, the key in m."""
+    sweep = {
+        "name": "stretched",
+        "push": {"part": "source", "kind": "displacement", "dc": "1 um"},
+        "spring": {"part": "spring", "stiffness": 100.0, "pins": {"a": "push.out"}},
+        "analysis": {"type": "dc", "sweep": "push.dc", "from": "-3 um", "to": "6 um", "points": 37},
+        "probes": {
+            "rest_m": {"of": "push.force", "take": "crossing", "level": 1e-4},
+            "largest_m": {"of": "push.force", "take": "argmax"},
+            "there_n": {"of": "push.force", "at": "2.1 um"},
+        },
+    }
+    _, values, result = run(kc.load_scene(sweep), tmp_path)
+    for name, exact in {"rest_m": 1e-6, "largest_m": 6e-6, "there_n": 2.1e-4}.items():
+        assert values[name] == pytest.approx(result.metrics[name], rel=2e-6), name
+        assert values[name] == pytest.approx(exact, rel=1e-5), name
+
+
+def test_a_resonance_of_an_impedance_is_within_a_step_of_the_fit(tmp_path):
+    deck, values, result = run(kc.load_scene("buzzer_7bb_20_6"), tmp_path)
+    scale, per_decade, *_ = deck.command.words
+    assert scale == "dec"
+    step = 10 ** (1 / float(per_decade)) - 1
+    assert values["resonance_hz"] == pytest.approx(result.metrics["resonance_hz"], rel=step)
+
+
+def test_an_operating_point_prints_what_its_probes_read(tmp_path):
+    scene = {
+        "name": "held",
+        "push": {"part": "source", "kind": "force", "dc": "2 mN"},
+        "spring": {"part": "spring", "stiffness": 100.0, "pins": {"a": "push.out"}},
+        "analysis": {"type": "op"},
+        "probes": {"moved_m": {"of": "push.x", "take": "final"}},
+    }
+    _, deck = prepared(kc.load_scene(scene), Clock())
+    text = deck.files[deck.main]
+    (factor, node) = re.search(r"(?m)^\* moved_m in SI units is (\S+) times (\S+)$", text).groups()
+    assert f".print op {node}" in text
+    assert ".meas" not in text
+    write_files(deck.files, tmp_path)
+    command = [find_ngspice().path, "-b", "-n", deck.main]
+    shown = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=True).stdout
+    value = float(re.search(rf"(?mi)^\s*{re.escape(node[2:-1])}\s+(\S+)$", shown)[1])
+    assert value * float(factor) == pytest.approx(kc.run(scene).metrics["moved_m"], rel=2e-6)
+
+
+MEASURED = {
+    "ltspice": [
+        ".meas TRAN half_s WHEN V(g_out)=-0.5 CROSS=1",
+        ".meas TRAN later_v FIND V(g_out) AT=0.001",
+        "* LTspice prints no .meas tran first_s MAX_AT v(g_out)",
+    ],
+    "xyce": [
+        ".measure TRAN half_s WHEN V(g_out)=-0.5 CROSS=1",
+        ".measure TRAN later_v FIND V(g_out) AT=0.001",
+        ".measure TRAN first_s MAX V(g_out) OUTPUT=TIME",
+    ],
+}
+
+
+@pytest.mark.parametrize("dialect", MEASURED)
+def test_other_simulators_measure_in_their_own_words(dialect):
+    _, deck = prepared(kc.load_scene(DISCHARGE), Clock())
+    lines = translate(deck, dialect).text.split("\n")
+    assert set(MEASURED[dialect]) <= set(lines)
+    assert "* Main metrics in SI units" in lines
+
+
+def test_other_simulators_scale_and_take_magnitudes_in_their_own_words():
+    _, deck = prepared(kc.load_scene("gap_biased"), Clock())
+    xyce, ltspice = (translate(deck, dialect).text for dialect in ("xyce", "ltspice"))
+    assert re.search(r"(?m)^\.measure AC voltage_hz MAX VM\(\w+\) OUTPUT=FREQ$", xyce)
+    assert "LTspice prints no .meas ac voltage_hz MAX_AT" in ltspice
+    _, deck = prepared(kc.load_scene("loudspeaker"), Clock())
+    xyce, ltspice = (translate(deck, dialect).text for dialect in ("xyce", "ltspice"))
+    scaled = r"(?m)^\.meas\w* TRAN (\w+) (?:PARAM |EQN \{)1e-06\*\1_raw\}?$"
+    assert re.search(scaled, xyce)
+    assert re.search(scaled, ltspice)

@@ -53,6 +53,7 @@ class Dialect(Printer, ABC):
     joined = frozenset({".save"})  # Xyce writes one file per ``.print``
     functions = COMMON
     temperature = ""
+    measure_keyword = ".meas"
 
     def __init__(self, deck: Deck | None = None) -> None:
         super().__init__()
@@ -77,7 +78,7 @@ class Dialect(Printer, ABC):
             return super().card(item)
         match item.keyword:
             case ".meas":
-                return f"* {self.title} prints no {item.text}"
+                return self.measure(item) or f"* {self.title} prints no {item.text}"
             case ".print":  # ngspice's own; what .save names is what a dialect prints
                 return ""
             case ".options" | ".option" | ".opt":
@@ -87,6 +88,49 @@ class Dialect(Printer, ABC):
             case keyword if keyword in _SAME:
                 return self.directive(item)
         raise self.refusal(item.text, f"the command {item.keyword}")
+
+    def measure(self, card: Directive) -> str:
+        """A measure of one vector, or of another measure; "" for one without an equivalent."""
+        if len(card.words) < 3:
+            return ""
+        kind, name, what, *rest = card.words
+        if what.startswith("param="):
+            return self.scaled(kind, name, what.removeprefix("param=").strip("'"))
+        read: tuple[str, ...] = ()
+        match what, rest:
+            case (("MAX" | "MIN" | "PP" | "AVG" | "RMS"), [text]):
+                read = (what, self.measured(text, kind))
+            case (("MAX_AT" | "MIN_AT"), [text]):
+                read = self.place(what.removesuffix("_AT"), self.measured(text, kind), kind)
+            case "FIND", [text, at] if at.startswith("AT="):
+                read = (what, self.measured(text, kind), at)
+            case "WHEN", [condition, "CROSS=1"]:
+                text, _, level = condition.rpartition("=")
+                read = (what, f"{self.measured(text, kind)}={level}", "CROSS=1")
+        return " ".join((self.measure_keyword, kind.upper(), name, *read)) if read else ""
+
+    def measured(self, text: str, kind: str) -> str:
+        """The vector of a measure: magnitudes of voltages, and real parts of currents in ``ac``."""
+        if text.startswith("vm("):
+            return self.magnitude(self.vector(f"v({text[3:]}"))
+        plain = self.vector(text)
+        return self.real_part(plain) if kind == "ac" else plain
+
+    def place(self, extreme: str, vector: str, kind: str) -> tuple[str, ...]:
+        """Words of a measure of where an extreme is; none if it does not exist here."""
+        return ()
+
+    @abstractmethod
+    def scaled(self, kind: str, name: str, expression: str) -> str:
+        """The card of a measure that is an expression of others."""
+
+    @abstractmethod
+    def magnitude(self, vector: str) -> str:
+        """The magnitude of a complex vector."""
+
+    @abstractmethod
+    def real_part(self, vector: str) -> str:
+        """The real part of a complex vector."""
 
     def refusal(self, got: str | None, what: str, expected: str | None = None) -> UsageError:
         """The error for a construct that this dialect has no words for."""

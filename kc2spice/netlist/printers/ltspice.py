@@ -48,6 +48,15 @@ class LTspice(Dialect):
         """LTspice gives inductors a milliohm by default."""
         return super().element(part) + (" Rser=0" if part.kind == "l" else "")
 
+    def scaled(self, kind: str, name: str, expression: str) -> str:
+        return f"{self.measure_keyword} {kind.upper()} {name} PARAM {expression}"
+
+    def magnitude(self, vector: str) -> str:
+        return f"mag({vector})"
+
+    def real_part(self, vector: str) -> str:
+        return f"re({vector})"
+
     def node(self, path: list[str]) -> str:
         """Instances are called without their X."""
         return ":".join([*(item[1:] for item in path[:-1]), path[-1]])

@@ -19,6 +19,9 @@ TIGHT = 1e-5  # largest reltol, and a tenth of the given one: contacts within 1e
 SWITCH_BAND = 1e-3  # V on either side of the threshold: its switch has no jump
 
 
+_SCALES = {"tran": "TIME", "ac": "FREQ", "dc": "SV"}  # words of measures for the scale
+
+
 class Xyce(Dialect):
     """Its ``uramp`` lacks the chain rule (release 7.5), and of two ``.options timeint`` the last
     replaces the first.
@@ -32,6 +35,7 @@ class Xyce(Dialect):
     joined = frozenset({".save", ".options"})  # Xyce uses only the last .options card
     functions = COMMON - {"uramp"}
     temperature = "TEMP"
+    measure_keyword = ".measure"
 
     @cached_property
     def analysis(self) -> Directive:
@@ -97,6 +101,19 @@ class Xyce(Dialect):
         """Braces around all expressions are required."""
         quantity = part.quantity if part.kind == "b" else "value"
         return f"{quantity}={{{self.write(part.law)}}}"
+
+    def scaled(self, kind: str, name: str, expression: str) -> str:
+        return f"{self.measure_keyword} {kind.upper()} {name} EQN {{{expression}}}"
+
+    def magnitude(self, vector: str) -> str:
+        return f"VM{vector.removeprefix('V')}"
+
+    def real_part(self, vector: str) -> str:
+        return f"{vector[0]}R{vector[1:]}"
+
+    def place(self, extreme: str, vector: str, kind: str) -> tuple[str, ...]:
+        """Xyce prints the place of an extreme instead of its value."""
+        return extreme, vector, f"OUTPUT={_SCALES[kind]}"
 
     def save(self, vectors: list[str]) -> str:
         kind = self.analysis.keyword.removeprefix(".").upper()
