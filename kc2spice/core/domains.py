@@ -6,7 +6,7 @@ balances read this table. A new domain is one row of :data:`TABLE` and its tests
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from dataclasses import dataclass
 from typing import Literal
 
@@ -20,6 +20,7 @@ Power = Literal[
 ]
 Side = Literal["across", "through"]
 BASE, AMBIENT, SIGNAL = "base", "ambient", "-"
+SPICE_UNITS = "V", "A"  # units across and through the nodes of a simulator
 
 
 @dataclass(frozen=True)
@@ -36,6 +37,12 @@ class Quantity:
     unit: str
     pin_unit: str
     factor: float = 1.0
+
+    @property
+    def plural(self) -> str:
+        """Its name in a sentence about several of it."""
+        words = self.name.replace("_", " ")
+        return f"{words.removesuffix('y')}ies" if words.endswith("y") else f"{words}s"
 
     @property
     def per_unit(self) -> float:
@@ -110,6 +117,21 @@ class Domain:
     def units(self) -> tuple[str, str]:
         """Units of 1 V and 1 A on a pin."""
         return self.across.pin_unit, self.flow
+
+    def value_unit(self, letter: str) -> str:
+        """Unit of the value of a V, I, R, C or L card between its pins; "" if it is the card's own.
+
+        Examples
+        --------
+        >>> [DOMAINS["thermal"].value_unit(letter) for letter in "VIRC"]
+        ['K', 'W', 'K/W', 'W s/K']
+        >>> DOMAINS["electrical"].value_unit("R")
+        ''
+        """
+        across, flow = (f"({unit})" if "/" in unit else unit for unit in self.units)
+        units = {"V": self.units[0], "I": self.units[1], "R": f"{across}/{flow}"}
+        units |= {"C": f"{flow} s/{across}", "L": f"{across} s/{flow}"}
+        return "" if self.units == SPICE_UNITS else units[letter]
 
     @property
     def potential(self) -> bool:
@@ -312,3 +334,23 @@ def across_of(unit: str) -> Quantity | None:
             if quantity is not None and quantity.pin_unit == unit:
                 return quantity
     return None
+
+
+def units_stated(units: Collection[str]) -> str:
+    """Return what 1 V and 1 A mean in the domains that have one of these units, in words.
+
+    Examples
+    --------
+    >>> units_stated({"K/W", "V"})
+    '1 V = 1 K (temperatures), 1 A = 1 W (heat flows)'
+    """
+    words: dict[str, None] = {}
+    for domain in CONSERVATIVE:
+        across = [domain.across, *([domain.rate] if domain.rate else [])]
+        through = domain.quantity("through")
+        letters = "VIRCL" if QUANTITIES[through.name][0] is domain else "VRCL"  # a shared force
+        of_pins = {domain.value_unit(letter) for letter in letters} | {q.pin_unit for q in across}
+        if domain.units != SPICE_UNITS and of_pins & {*units}:
+            words |= dict.fromkeys(f"1 V = 1 {q.pin_unit} ({q.plural})" for q in across)
+            words[f"1 A = 1 {through.pin_unit} ({through.plural})"] = None
+    return ", ".join(words)

@@ -47,6 +47,7 @@ class Element(Card):
     ``kind`` is its letter in lower case, ``values`` are the words behind the nodes, ``parameters``
     the assignments behind those. A behavioural source (B, or E and G with an expression) has the
     ``quantity`` V or I that its ``expression`` gives. Names are spelled as they were written.
+    ``unit`` is that of its values where it is not the simulator's own (V, A, Ohm, F, H).
     """
 
     kind: str
@@ -58,6 +59,7 @@ class Element(Card):
     parameters: Mapping[str, str] = field(default_factory=dict)
     quantity: str = ""
     expression: str = ""
+    unit: str = field(default="", compare=False)
 
     @classmethod
     def of(cls, name: str, *words: str | float, **parameters: str) -> Element:
@@ -91,6 +93,10 @@ class Element(Card):
     def behaviour(cls, name: str, plus: str, minus: str, quantity: str, law: str) -> Element:
         """Return the behavioural source of a current I or a voltage V by an expression."""
         return cls("b", name, (plus, minus), quantity=quantity, expression=law)
+
+    def valued(self, unit: str) -> Element:
+        """Return the same element with values in this unit."""
+        return replace(self, unit=unit)
 
     @cached_property
     def key(self) -> str:

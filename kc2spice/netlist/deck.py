@@ -8,9 +8,9 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, NamedTuple
 
-from kc2spice.core.domains import Power
+from kc2spice.core.domains import Power, units_stated
 from kc2spice.core.errors import UsageError
-from kc2spice.netlist.circuit import Circuit, Directive, Item
+from kc2spice.netlist.circuit import Circuit, Directive, Element, Item
 from kc2spice.netlist.elements import Line, noted
 from kc2spice.netlist.expression import literal, terms
 from kc2spice.netlist.library import Subcircuit
@@ -288,10 +288,8 @@ class Deck:
         yield f"* {comment(self.title)}"
         yield from self.notes or ("",)
         yield from usage
-        yield (
-            "* Units of the nodes: 1 V = 1 um (displacements), 1 V = 1 m/s (velocities), "
-            "1 A = 1 N (forces)."
-        )
+        if stated := units_stated(self._pin_units):
+            yield f"* Units of the nodes: {stated}."
         yield from (Directive(".include", (part.filename,)) for part in self.parts)
         yield from self.items
         yield ""
@@ -309,6 +307,13 @@ class Deck:
         )
         yield from self._printed
         yield Directive(".end")
+
+    @property
+    def _pin_units(self) -> set[str]:
+        """Units of the pins of its libraries, and of values of its elements."""
+        pins = (pin for part in self.parts for pin in part.pins)
+        elements = (item for item in self.items if isinstance(item, Element))
+        return {*(pin.unit for pin in pins), *(item.unit for item in elements)}
 
     @property
     def _rows(self) -> list[Measure]:

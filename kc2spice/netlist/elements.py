@@ -33,9 +33,12 @@ def noted(lines: Iterable[Line]) -> tuple[Item, ...]:
 
 
 def titled(title: str, items: Iterable[Item], owner: str = "") -> tuple[Item, ...]:
-    """Return the cards of an ``owner`` below a blank line and a title."""
+    """Return the cards of an ``owner`` below a blank line and a title, with the units of values
+    that are not the simulator's own."""
     first, *others = (replace(item, owner=owner) for item in items)
-    notes = ("", f"* {comment(title)}", *first.notes)
+    units = dict.fromkeys(item.unit for item in (first, *others) if isinstance(item, Element))
+    stated = ", ".join(filter(None, units))
+    notes = ("", f"* {comment(title)}{f'; values in {stated}' if stated else ''}", *first.notes)
     return (replace(first, notes=notes), *others)
 
 

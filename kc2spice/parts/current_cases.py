@@ -65,7 +65,8 @@ class CurrentCases(PartType):
 
     def cards(self, part: Part, build: Build) -> tuple[Item, ...]:
         library, y = build.libraries[_coils(part, build.scene).name], build.net(part, "y")
-        cards: list[Line] = [Element.of(build.own(part, "Vheight"), y, "0", "0")]
+        height = Element.of(build.own(part, "Vheight"), y, "0", "0")
+        cards: list[Line] = [height.valued(DISPLACEMENT.pin_unit)]
         for k, (lower, upper) in enumerate(cases(part)):
             a, b, force = (build.own(part, f"{name}{k}") for name in ("lower", "upper", "force"))
             cards += [

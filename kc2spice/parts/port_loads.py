@@ -11,7 +11,7 @@ import numpy as np
 from pydantic import Field
 
 from kc2spice.core import laws
-from kc2spice.core.domains import BASE, DISPLACEMENT
+from kc2spice.core.domains import BASE, DISPLACEMENT, TRANSLATION
 from kc2spice.core.errors import UsageError
 from kc2spice.core.figure import Curve, Figure, Panel
 from kc2spice.core.quantities import Count, Frequency, Notch, Section
@@ -82,7 +82,8 @@ class PortLoads(PartType):
             instance = Element.of(own(f"X{load}"), anode, "0", *nodes, "0", library)
             cards += [f"* Load on {load}", instance]
             if load != "anode":
-                cards.append(Element.of(own(f"I{load}"), "0", own(load, load), "AC", "1"))
+                drive = Element.of(own(f"I{load}"), "0", own(load, load), "AC", "1")
+                cards.append(drive.valued(TRANSLATION.flow))
             if is_open and load == "anode":
                 unit, node = own("Vload"), own("load")
                 cards += [

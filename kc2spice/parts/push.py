@@ -65,7 +65,8 @@ class Push(Touching):
             yield part.wrong("depth", problem, f"{part.keys.depth:g} m", expected)
 
     def cards(self, part: Part, build: Build) -> tuple[Item, ...]:
-        return (Element.of(f"V{part.name}", build.net(part, "bottom"), "0", "0"),)
+        drive = Element.of(f"V{part.name}", build.net(part, "bottom"), "0", "0")
+        return (drive.valued(DISPLACEMENT.pin_unit),)
 
     def settable(self, part: Part, build: Build) -> Mapping[str, Swept]:
         return {"depth": Swept(f"V{part.name}", -DISPLACEMENT.per_unit, (0.0, part.keys.depth))}

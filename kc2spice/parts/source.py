@@ -64,6 +64,11 @@ class Kind(NamedTuple):
         return "V" if self.side == "across" else "I"
 
     @property
+    def value_unit(self) -> str:
+        """Unit of the card's values; "" if it is the card's own."""
+        return self.domain.value_unit(self.letter)
+
+    @property
     def sets(self) -> str:
         """Name of the result that it sets."""
         return self.quantity.symbol
@@ -202,11 +207,13 @@ class Source(PartType):
         if kind.letter == "I":  # the current leaves the source at "out" and enters it at "ret"
             ends.reverse()
         if _returns(part, build.scene):
-            return tuple(_returning(part, build, kind, ends))
+            swept = _returning(part, build, kind, ends)
+            return tuple(card.valued(kind.value_unit) for card in swept)
         wave = part.keys.waveform(build.scene.home).spice(kind.scale)
         size = kind.scale * quantity(part.keys.ac, kind.unit)
         ac = ("AC", number(size)) if size else ()
-        return (Element.of(f"{kind.letter}{part.name}", *ends, *words(wave), *ac),)
+        card = Element.of(f"{kind.letter}{part.name}", *ends, *words(wave), *ac)
+        return (card.valued(kind.value_unit),)
 
     def inner_names(self, part: Part, scene: WiredScene) -> Iterator[tuple[str, ...]]:
         if _returns(part, scene):

@@ -159,11 +159,14 @@ class LinearElement(DeclaredPart):
             noise = self._noise_cards(part, build, a, b) if build.noisy and not self._card else ()
             silent = build.noisy and self._letter == "R" and not (self._lossy and self._card)
             words = {"noisy": "0"} if silent else {}
-            return (Element.of(f"{self._letter}{part.name}", a, b, value, **words), *noise)
+            card = Element.of(f"{self._letter}{part.name}", a, b, value, **words)
+            return (card.valued(self.branch.domain.value_unit(self._letter)), *noise)
         inner = build.own(part, part.name.lower(), "metered")
         return (
             Element.of(_meter(part, build), a, inner, "0"),
-            Element.of(f"C{part.name}", inner, b, self._number(part, admittance)),
+            Element.of(f"C{part.name}", inner, b, self._number(part, admittance)).valued(
+                self.branch.domain.value_unit("C")
+            ),
             *(() if self.branch.moves else self._leak_cards(part, build, a, b)),
             *(self._noise_cards(part, build, a, b) if build.noisy else ()),
         )

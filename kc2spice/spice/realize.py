@@ -1040,12 +1040,14 @@ def loaded(
     for port in model.ports:
         node, size = nodes[port.terminals[0].lower()], ("AC", "1") if port == load else ()
         if port.domain is not None and port.kind in LOADED:
-            cards += [Element.of(f"I{node}", "0", node, "DC", "0", *size)] if size else []
+            drive = Element.of(f"I{node}", "0", node, "DC", "0", *size)
+            cards += [drive.valued(port.domain.value_unit("I"))] if size else []
             result[port.name] = (f"v({node})", port.domain.across.factor / one)
         elif port.kind == "output":
             result[port.name] = (f"v({node})", 1.0 / one)
         else:
-            cards.append(Element.of(f"V{node}", node, "0", "DC", "0", *size))
+            drive = Element.of(f"V{node}", node, "0", "DC", "0", *size)
+            cards.append(drive.valued(port.domain.value_unit("V") if port.domain else ""))
             if port.domain is not None:
                 flow = port.domain.quantity("through").factor
                 result[port.name] = (f"i(v{node.lower()})", -flow / one)

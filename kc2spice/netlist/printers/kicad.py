@@ -244,7 +244,7 @@ def _item(element: Element, parts: dict[str, Symbol], plain: dict[str, Symbol]) 
     value = " ".join(filter(None, words))
     fields = symbol.fields | {
         "Reference": name,
-        "Value": _shown(value),
+        "Value": f"{_shown(value)} {element.unit}".rstrip(),
         "Sim.Params": _SPICE.format(letter, value),
     }
     return _placed(symbol, fields, nets)
