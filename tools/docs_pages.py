@@ -94,6 +94,7 @@ def domains_page() -> str:
         units = tuple(f"1 {unit}" for unit in domain.units)
         rows.append((domain.name, *units, domain.power, sources, ", ".join(branches), port))
     rest = [f"- {domain.name}: {domain.rest}." for domain in CONSERVATIVE]
+    paths = [f"- {domain.name}: {domain.path}" for domain in CONSERVATIVE if domain.path]
     return "\n".join([
         "# Physical domains",
         "",
@@ -106,9 +107,16 @@ def domains_page() -> str:
         "`kc2spice.physics.branch` in a [declaration](reference/declarations.md). *Port* is the "
         "`kind` of a port in [matrices](reference/matrices.md). Results and keys are in SI units.",
         "",
-        "The quantity across a pin counts from the pin `base`, of heat from the pin `ambient`, and "
-        "electrical ports are pairs of pins. If `ambient` is on node 0, temperatures are rises "
-        "over the surroundings. A source of temperature there makes them absolute.",
+        "The quantity across a pin counts from the pin `base`, of heat and sound from the pin "
+        "`ambient`, and electrical ports are pairs of pins. If `ambient` is on node 0, "
+        "temperatures are rises over the surroundings. A source of temperature there makes them "
+        "absolute.",
+        "",
+        "Probes read `PART.power` and `PART.PIN.power` [W], and `PART.PIN.QUANTITY` with the name "
+        "of the quantity through the pin, such as `chip.tip.force` or `slab.top.heat_flow`. "
+        "`PART.power` is the sum over the electrical pins of a part, otherwise over those of the "
+        "domain of its first pin. The power of an element is what flows into it between its pins; "
+        "that of a thermal element is the heat that flows through it.",
         "",
         "## At rest",
         "",
@@ -116,10 +124,16 @@ def domains_page() -> str:
         "",
         *rest,
         "",
+        "Without a path to its reference a net of these domains has no operating point. A scene "
+        "that needs one is refused; pulses that begin after t = 0 are stored. A path is:",
+        "",
+        *paths,
+        "",
         "## Add a domain",
         "",
         "A domain is one row of the table in `kc2spice/core/domains.py`. Its two-terminal parts "
-        "are rows of the table in `kc2spice/parts/two_terminal_types.py`.",
+        "are rows of the table in `kc2spice/parts/two_terminal_types.py`. "
+        "`tests/unit/test_new_domain.py` adds a row and uses it in all of these places.",
         "",
     ])  # fmt: skip
 
