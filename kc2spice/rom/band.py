@@ -73,18 +73,18 @@ def elastic_modes(pencil: Pencil, count: int) -> np.ndarray:
     shift = RIGID_SHIFT * top
     solve = pencil.pencil_solver(-shift).solve
     start = solve(np.random.default_rng(0).standard_normal(pencil.size))
-    wanted = count + BODY
+    mode_count = count + BODY
     while True:
-        wanted = min(wanted, pencil.size - 2)
+        mode_count = min(mode_count, pencil.size - 2)
         inverse = LinearOperator((pencil.size,) * 2, matvec=solve, dtype=float)
         result = eigsh(
             LinearOperator((pencil.size,) * 2, matvec=lambda x: K @ x, dtype=float),
-            wanted, M, sigma=-shift, OPinv=inverse, v0=start, tol=CLOSE,
+            mode_count, M, sigma=-shift, OPinv=inverse, v0=start, tol=CLOSE,
         )  # fmt: skip
         rates = _energies(K, M, result[1])
-        if rates.size >= count or wanted == pencil.size - 2:
+        if rates.size >= count or mode_count == pencil.size - 2:
             return rates[:count]
-        wanted *= 2
+        mode_count *= 2
 
 
 def _energies(K: Matrix, M: Matrix, X: np.ndarray) -> np.ndarray:

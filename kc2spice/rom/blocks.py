@@ -58,15 +58,15 @@ def block_model(model: LinearModel, *, dense: bool = False) -> BlockModel:
     if dense:
         return BlockModel((A,), B, C, D)
     certificate, best = model.certificate, None
-    kept = max(KEPT, SHARE * certificate.error_estimate) if certificate else KEPT
+    limit = max(KEPT, SHARE * certificate.error_estimate) if certificate else KEPT
     s, exact = _between_poles(A), np.empty(0)
     for growth in (GROWTH, *MORE):
         blocks, X, inverse = decoupled(A, growth)
         result = BlockModel(blocks, inverse @ B, C @ X, D)
         if best is not None and s.size:
             exact = exact if exact.size else explicit(A, B, C, D).transfer(s)
-            given = explicit(block_diag(*result.blocks), result.B, result.C, result.D)
-            if relative_error(given.transfer(s), exact) > kept:
+            block_diagonal = explicit(block_diag(*result.blocks), result.B, result.C, result.D)
+            if relative_error(block_diagonal.transfer(s), exact) > limit:
                 break
         best = result
         if max(map(len, blocks), default=0) <= WIDE:

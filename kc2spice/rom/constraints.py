@@ -63,8 +63,8 @@ def unconstrained(pencil: Pencil) -> Pencil:
     Z, rank = null_basis(G)
     if Z.shape[1] == 0 or _far(Z.T @ L, L):
         return pencil  # the multipliers push against other unknowns than they hold
-    own = pencil.C[:, row].any()
-    if own and rank < len(row):
+    observed = pencil.C[:, row].any()
+    if observed and rank < len(row):
         return pencil
     parts = [_symmetrised(Z.T @ P @ Z, pencil.symmetric) for P in (K, E, M)]
     if pencil.is_dense:
@@ -72,17 +72,17 @@ def unconstrained(pencil: Pencil) -> Pencil:
     C = pencil.C[:, keep]
     B = Z.T @ pencil.B[keep]
     plain = Pencil(tuple(parts), B, B.T.copy() if pencil.collocated else C @ Z, pencil.D)
-    return _with_multipliers(plain, pencil, keep, row, (K, E, M), L, Z) if own else plain
+    return _with_multipliers(plain, pencil, keep, row, (K, E, M), L, Z) if observed else plain
 
 
 def _multipliers(rest: Matrix, others: list[Matrix]) -> np.ndarray:
     """Unknowns without inertia and damping whose own stiffness is zero, and that of all pairs."""
     used = sum(np.asarray(abs(P).sum(axis=axis)).ravel() for P in others for axis in (0, 1))
     result = (np.asarray(used) == 0) & (rest.diagonal() == 0)
-    found = np.flatnonzero(result)
-    if found.size:
-        among = abs(_block(rest, found, found))
-        result[found[np.asarray(among.sum(axis=0) + among.sum(axis=1)).ravel() > 0]] = False
+    indices = np.flatnonzero(result)
+    if indices.size:
+        among = abs(_block(rest, indices, indices))
+        result[indices[np.asarray(among.sum(axis=0) + among.sum(axis=1)).ravel() > 0]] = False
     return np.asarray(result)
 
 
@@ -167,12 +167,12 @@ def deflated(pencil: Pencil) -> Pencil:
     known = slice(rank, rank + regular)
     inner = P[known, known]
     rest_of = np.r_[0:rank, rank + regular : len(P)]
-    held = np.linalg.solve(inner, np.hstack([P[known][:, rest_of], B[known]]))
+    elimination = np.linalg.solve(inner, np.hstack([P[known][:, rest_of], B[known]]))
     keep = rest_of.size
-    D = full.D + C[:, known] @ held[:, keep:]
-    C = C[:, rest_of] - C[:, known] @ held[:, :keep]
-    B = B[rest_of] - P[rest_of][:, known] @ held[:, keep:]
-    P = P[np.ix_(rest_of, rest_of)] - P[rest_of][:, known] @ held[:, :keep]
+    D = full.D + C[:, known] @ elimination[:, keep:]
+    C = C[:, rest_of] - C[:, known] @ elimination[:, :keep]
+    B = B[rest_of] - P[rest_of][:, known] @ elimination[:, keep:]
+    P = P[np.ix_(rest_of, rest_of)] - P[rest_of][:, known] @ elimination[:, :keep]
     result = _index_two(E, P, B, C, D, rank) if keep > rank else Pencil((P, E), B, C, D)
     return pencil if result is None else _tidy(result, symmetric, pencil.collocated)
 

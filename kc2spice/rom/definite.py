@@ -21,8 +21,8 @@ def is_definite(pencil: Pencil, *, undamped_too: bool = False) -> bool:
         x, y = solve(pencil.B), solve(load)
     except SimulationError:
         return False
-    held = bool((np.einsum("ki,ki->i", x, pencil.B) >= 0).all())
-    return held and not _is_free(pencil.coefficients[0], y, load)
+    positive = bool((np.einsum("ki,ki->i", x, pencil.B) >= 0).all())
+    return positive and not _is_free(pencil.coefficients[0], y, load)
 
 
 def _is_free(K: Matrix, y: np.ndarray, load: np.ndarray) -> bool:

@@ -135,20 +135,20 @@ class ErrorEstimator:
         """Frequencies [Hz] at which models were furthest off, the last ones last, with the exact
         response: the next that is not good enough shows there first. A few over the band to begin
         with."""
-        few = slice(None, None, max(1, len(self.frequency) // SPREAD))
-        return dict(zip(self.frequency[few].tolist(), self.reference[0][few], strict=True))
+        sample = slice(None, None, max(1, len(self.frequency) // SPREAD))
+        return dict(zip(self.frequency[sample].tolist(), self.reference[0][sample], strict=True))
 
     def sizes(self, difference: np.ndarray, H: np.ndarray) -> np.ndarray:
         """Largest error (..., frequencies) of any entry, for differences to the response H."""
         base = self.reference[1].base(H, self.share) + np.finfo(float).tiny
         return np.asarray((np.abs(difference) / base * self._counted).max(axis=(-2, -1)))
 
-    def error(self, found: Response, limit: float = np.inf) -> float:
+    def error(self, reduced: Response, limit: float = np.inf) -> float:
         """:func:`relative_error` over the band, in the ``norm``: at ``frequency``, then closer and
         closer around where it is largest. Above ``limit`` any error that shows it is enough."""
         for last, H in reversed(self.failed.items()):
             try:  # other coordinates are faster only for many frequencies
-                ours = found.pencil.transfer(np.array([2j * np.pi * last]))[0]
+                ours = reduced.pencil.transfer(np.array([2j * np.pi * last]))[0]
                 worst = float(self.sizes(ours - H, H))
             except SimulationError:
                 worst = np.inf
@@ -157,7 +157,7 @@ class ErrorEstimator:
                 return worst
         at, ratio = self.exact.within((0.9 * self.band[0], 1.1 * self.band[1]))
         points, H = self.frequency, self.reference[0]
-        error = self.sizes(found.transfer(2j * np.pi * points) - H, H)
+        error = self.sizes(reduced.transfer(2j * np.pi * points) - H, H)
         for _ in range(PEAK_ROUNDS):
             inner = np.r_[True, error[1:] >= error[:-1]] & np.r_[error[:-1] >= error[1:], True]
             top = np.argsort(np.where(inner, error, -1.0))[-PEAKS:]
@@ -166,7 +166,7 @@ class ErrorEstimator:
             if not new.size:
                 break
             H = self.exact.transfer(2j * np.pi * new)
-            error = np.r_[error, self.sizes(found.transfer(2j * np.pi * new) - H, H)]
+            error = np.r_[error, self.sizes(reduced.transfer(2j * np.pi * new) - H, H)]
             points = np.r_[points, new]
             order = np.argsort(points)
             points, error = points[order], error[order]
@@ -177,7 +177,7 @@ class ErrorEstimator:
 
 
 def above_band(
-    ports: Sequence[Port], exact: Response, found: Response, band: tuple[float, float]
+    ports: Sequence[Port], exact: Response, reduced: Response, band: tuple[float, float]
 ) -> tuple[tuple[float, float], ...]:
     """``above`` of a :class:`Certificate`: the largest relative difference of any mechanical port's
     own response, at ``ABOVE`` times the band's end; nothing where no port is mechanical."""
@@ -187,8 +187,8 @@ def above_band(
     if not moved:
         return ()
     points = clear_of_poles(ABOVE * band[1], *exact.resonances)
-    own = [rows.index(port) for port in moved], [columns.index(port) for port in moved]
-    H, ours = (item.transfer(2j * np.pi * points)[:, *own] for item in (exact, found))
+    diagonal = [rows.index(port) for port in moved], [columns.index(port) for port in moved]
+    H, ours = (item.transfer(2j * np.pi * points)[:, *diagonal] for item in (exact, reduced))
     size = np.abs(ours - H) / (np.abs(H) + np.finfo(float).tiny)
     return tuple(zip(points.tolist(), size.max(axis=1).tolist(), strict=True))
 

@@ -56,12 +56,12 @@ def intermediate_model(
     """
     if pencil.size <= WHOLE_DECOUPLED:
         full = pencil.scaled(2 * np.pi * band[1]).dense()
-        whole, inaccurate = None, None
+        complete, inaccurate = None, None
         try:
-            whole = _whole(full, band, limit)
+            complete = _unreduced(full, band, limit)
         except SimulationError as error:
             inaccurate = error
-        sound = whole is not None and whole.response.diagonal
+        sound = complete is not None and complete.response.diagonal
         # Without an energy a congruence needs well-conditioned modes to converge.
         if pencil.degree == 1 and not sound and not dissipative(full):
             try:
@@ -70,8 +70,8 @@ def intermediate_model(
                 pass  # free to move at zero frequency, or with too many resonances
         if inaccurate is not None:
             raise inaccurate
-        if whole is not None:
-            return _in_units_of(pencil, band, whole)
+        if complete is not None:
+            return _in_units_of(pencil, band, complete)
     if is_definite(pencil, undamped_too=True):
         return definite_krylov_model(pencil, band, target, limit)
     scaled = pencil.scaled(2 * np.pi * band[1])
@@ -85,8 +85,8 @@ def intermediate_model(
         except SimulationError:
             if not moderate:
                 raise
-    whole = _whole(scaled.dense(), band, limit, DENSE)
-    result = whole or rational_krylov_model(scaled, band, target, limit, MOST_POINTS)
+    complete = _unreduced(scaled.dense(), band, limit, DENSE)
+    result = complete or rational_krylov_model(scaled, band, target, limit, MOST_POINTS)
     return _in_units_of(pencil, band, result)
 
 
@@ -100,7 +100,7 @@ def _in_units_of(
     return replace(result, basis=units[:, None] * result.basis)
 
 
-def _whole(
+def _unreduced(
     full: Pencil, band: tuple[float, float], limit: float, most: int = WHOLE
 ) -> IntermediateModel | None:
     """All of a small model; None where its response would take too long to evaluate.
@@ -109,15 +109,15 @@ def _whole(
     ------
     SimulationError : two solutions are further apart than ``limit``.
     """
-    given = full
-    full, V, static, projected = apart(given, 2 * np.pi * band[1])
-    hidden = hidden_support(given, V[:, : full.free], band[0]) if static else 0.0
-    T = _undamped_modes(full.held) if static else None
+    original = full
+    full, V, static, projected = apart(original, 2 * np.pi * band[1])
+    hidden = hidden_support(original, V[:, : full.free], band[0]) if static else 0.0
+    T = _undamped_modes(full.restrained) if static else None
     if T is not None:
         V = V @ scipy.linalg.block_diag(np.eye(full.free), T)
-        full, projected = congruent(given, V, full.free)
+        full, projected = congruent(original, V, full.free)
     response = Response(full)
-    response.zero = zero_entries(given, V, response, band)
+    response.zero = zero_entries(original, V, response, band)
     if not response.decoupled and (
         full.degree * full.size > most or (full.size > DIRECT and not response.diagonal)
     ):
@@ -131,14 +131,14 @@ def _whole(
         s, states, dual = 2j * np.pi * at, None, None
         if T is not None:
             states = V @ response.states(s)
-        elif response.modes is not None and given is full:
+        elif response.modes is not None and original is full:
             states, dual = response.states(s), response.dual.states(s)
-        size = uncertainty(given, at, states, dual, response.zero)
+        size = uncertainty(original, at, states, dual, response.zero)
         rounded = SPREAD * float(size.max())
         if T is not None:
             note = uncertainty_note(at, size, 2 * limit)
         # products and solutions round its entries
-        if T is None or full.free or full.size < given.size:
+        if T is None or full.free or full.size < original.size:
             floor = rounded
     if error > max(limit, rounded):
         raise inexact(
@@ -152,7 +152,14 @@ def _whole(
     if projected is not None:
         floor = max(floor, removed_stiffness(projected, full, band))
     return IntermediateModel(
-        response, error, static, proof, floor, whole=True, hidden=hidden, basis=V[: given.size]
+        response,
+        error,
+        static,
+        proof,
+        floor,
+        complete=True,
+        hidden=hidden,
+        basis=V[: original.size],
     )
 
 

@@ -134,12 +134,12 @@ def _growing(pencil: Pencil, rate: float) -> np.ndarray:
         values, vectors = eigs(operator, POLES, which="LM", **options)
     except ArpackNoConvergence as error:
         values, vectors = error.eigenvalues, error.eigenvectors
-    found = []
+    unstable_poles = []
     for value, x in zip(values, vectors[:n].T, strict=True):
         pole = rate * (value + 1) / (value - 1)
         terms = [pole**k * (P @ x) for k, P in enumerate(pencil.coefficients)]
         size = sum(np.linalg.norm(term) for term in terms)
         small = np.linalg.norm(np.sum(terms, axis=0)) <= BACKWARD * size
         if small and pole.real > GROWTH * abs(pole):
-            found.append(pole)
-    return np.array(found, dtype=complex)
+            unstable_poles.append(pole)
+    return np.array(unstable_poles, dtype=complex)

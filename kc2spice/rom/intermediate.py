@@ -30,7 +30,7 @@ class IntermediateModel:
     floor : float
         Relative change of the response by rounding of the full-order model's entries. No reduced
         model is nearer than that.
-    whole : bool
+    complete : bool
         Whether this is the full-order model in other coordinates.
     hidden : float
         Frequency [Hz] below which rounding hides the resonance of a support.
@@ -45,7 +45,7 @@ class IntermediateModel:
     static: bool
     proof: str
     floor: float = 0.0
-    whole: bool = False
+    complete: bool = False
     hidden: float = 0.0
     basis: np.ndarray | None = None
     points: tuple[float, ...] = ()
@@ -58,8 +58,8 @@ class IntermediateModel:
     @property
     def poles(self) -> np.ndarray | None:
         """Poles of the full-order model [1/s]; None if this model does not contain all of them."""
-        complete = self.whole and not self.pencil.free and not self.response.decoupled
-        return self.response.poles if complete else None
+        known = self.complete and not self.pencil.free and not self.response.decoupled
+        return self.response.poles if known else None
 
     def estimator(self, band: tuple[float, float], norm: Norm) -> ErrorEstimator:
         """Return the estimator of errors with respect to this model."""

@@ -217,8 +217,8 @@ class LinearModel:
         if self.E is None and self.rayleigh is None:
             one = scipy.sparse.eye_array(n, format="csc")
             zero = one if first else scipy.sparse.csc_array((n, n))
-            whole = self.A if first else self.K
-            put(self, "E", zero.toarray() if isinstance(whole, np.ndarray) else zero)
+            reference = self.A if first else self.K
+            put(self, "E", zero.toarray() if isinstance(reference, np.ndarray) else zero)
         elif (self.E is not None and self.rayleigh is not None) or (first and self.rayleigh):
             raise UsageError("damping is given twice", where=self.name, expected="E or rayleigh")
         shapes = dict.fromkeys(("M", "E", "K", "A", "loss"), (n, n)) | {
@@ -666,8 +666,14 @@ def _checked(matrix: Matrix, letter: str, where: str, *, sparse: bool = True) ->
             _checked(part, letter, where)
         return matrix
     if not isinstance(matrix, np.ndarray):  # asks scipy last
-        kept = scipy.sparse.issparse(matrix)
-        matrix = matrix.toarray() if kept and not sparse else matrix if kept else np.asarray(matrix)
+        sparse_input = scipy.sparse.issparse(matrix)
+        matrix = (
+            matrix.toarray()
+            if sparse_input and not sparse
+            else matrix
+            if sparse_input
+            else np.asarray(matrix)
+        )
     full = isinstance(matrix, np.ndarray)
     data = matrix if full else matrix.data
     if data.dtype.kind not in "fiub" or not np.isfinite(data).all():

@@ -69,13 +69,13 @@ def viscous_oscillator(stiffness: float, loss: float) -> Oscillator:
 
 
 def relaxing_oscillator(
-    s: np.ndarray, wanted: np.ndarray, weight: np.ndarray, rates: np.ndarray
+    s: np.ndarray, stiffness: np.ndarray, weight: np.ndarray, rates: np.ndarray
 ) -> Oscillator:
     """The oscillator of given rates with the smallest largest weighted difference.
 
     Parameters
     ----------
-    s, wanted : (n,) arrays
+    s, stiffness : (n,) arrays
         Laplace variable [1/s], and the dynamic stiffness there.
     weight : (n,) array
         What a unit of difference counts.
@@ -87,18 +87,20 @@ def relaxing_oscillator(
     lawson, best, least = np.ones(s.size), None, np.inf
     for _ in range(ROUNDS):
         A = columns * (lawson * weight)[:, None] / scale
-        y = wanted * lawson * weight
+        y = stiffness * lawson * weight
         try:
-            found = scipy.optimize.nnls(np.r_[A.real, A.imag], np.r_[y.real, y.imag])[0] / scale
+            coefficients = (
+                scipy.optimize.nnls(np.r_[A.real, A.imag], np.r_[y.real, y.imag])[0] / scale
+            )
         except RuntimeError:  # the method of active sets does not end
             break
-        size = weight * np.abs(columns @ found - wanted)
+        size = weight * np.abs(columns @ coefficients - stiffness)
         if size.max() < least:
-            best, least = found, float(size.max())
+            best, least = coefficients, float(size.max())
         lawson = lawson * np.sqrt(size / (size.max() + np.finfo(float).tiny) + LEAST)
         lawson = lawson / lawson.max()
     if best is None:
-        return viscous_oscillator(max(wanted.real.max(), 0.0), max(wanted.imag.max(), 0.0))
+        return viscous_oscillator(max(stiffness.real.max(), 0.0), max(stiffness.imag.max(), 0.0))
     amplitudes = best[3:]
     used = amplitudes > USED * best[0]
     return Oscillator(best[0], best[1], best[2], amplitudes[used], rates[used])

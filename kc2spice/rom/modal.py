@@ -160,8 +160,8 @@ def mode_table(model: LinearModel) -> dict[str, Any] | None:
     for j, higher in zip(order[:LISTED], above, strict=False):
         if omega[j] > 2 * np.pi * end:
             break
-        whole = share[j] + np.maximum(higher, 0.0)
-        factor = np.sqrt(np.divide(share[j], whole, out=np.zeros_like(whole), where=whole > 0))
+        total = share[j] + np.maximum(higher, 0.0)
+        factor = np.sqrt(np.divide(share[j], total, out=np.zeros_like(total), where=total > 0))
         size = np.where(electrical, factor, share[j])
         modes.append(
             {
@@ -197,14 +197,14 @@ def _by_poles(
     scale = np.sqrt(np.abs(np.diag(K)).max() / np.abs(np.diag(M)).max())  # rad/s
     left = np.block([[np.zeros((n, n)), one], [-K, -scale * E]])
     right = np.block([[one, np.zeros((n, n))], [np.zeros((n, n)), scale**2 * M]])
-    values, dual, own = scipy.linalg.eig(left, right, left=True, right=True)
+    values, dual, eigenvectors = scipy.linalg.eig(left, right, left=True, right=True)
     end = np.abs(values[np.isfinite(values)]).max()
     if model.certificate is not None:
         end = min(end, 2 * np.pi * model.certificate.band_hz[1] / scale)
     rows = np.isfinite(values) & (values.imag > STILL * end)
-    weight = np.einsum("ij,ij->j", dual.conj(), right @ own)[rows]
+    weight = np.einsum("ij,ij->j", dual.conj(), right @ eigenvectors)[rows]
     into = dual[n:, rows].conj().T @ model.B
-    out = model.C @ own[:n, rows]
+    out = model.C @ eigenvectors[:n, rows]
     share = -2 * np.real(into * out.T / weight[:, None] / values[rows, None])
     size = np.abs(values[rows]) * scale
     return size, -2 * values[rows].real * scale, share, np.diag(model.D)
@@ -270,8 +270,8 @@ def _beyond(model: Resonators, top: float) -> int:
 
 def _without_inertia(model: Resonators, count: int) -> Resonators:
     """``model`` without the inertia of its ``count`` highest modes."""
-    for port, own in zip(model.ports, np.diag(model.D), strict=True):
-        if port.charged and own <= 0:
+    for port, capacitance in zip(model.ports, np.diag(model.D), strict=True):
+        if port.charged and capacitance <= 0:
             raise UsageError(
                 "an electrode without capacitance of its own on a body with a massless contact",
                 where=port.name,
@@ -284,9 +284,12 @@ def _without_inertia(model: Resonators, count: int) -> Resonators:
     pace = damp / omega**2
     if np.ptp(pace) <= EQUAL * pace.max():
         _, size, shapes = np.linalg.svd(gain / omega[:, None], full_matrices=False)
-        kept = size > RANK * size[0]
-        omega = np.full(int(kept.sum()), omega[0])
-        damp, gain = pace[0] * omega**2, omega[:, None] * size[kept, None] * shapes[kept]
+        significant = size > RANK * size[0]
+        omega = np.full(int(significant.sum()), omega[0])
+        damp, gain = (
+            pace[0] * omega**2,
+            omega[:, None] * size[significant, None] * shapes[significant],
+        )
         gain *= np.sign(gain[np.arange(len(gain)), np.abs(gain).argmax(axis=1)])[:, None]
     return Resonators(
         np.r_[model.omega[low], omega],
@@ -444,13 +447,13 @@ def foster(
     low, high = max(band[0], band[1] / 10**DECADES), band[1]
     decades = np.log10(high / low) + 1e-9
     f = np.geomspace(low, high, int(POINTS * decades) + POINTS)
-    wanted, s = permittivity(f, tangent), 2j * np.pi * f[:, None]
+    target, s = permittivity(f, tangent), 2j * np.pi * f[:, None]
     best = np.inf
     result = np.ones(1), np.empty(0)
     for item in range(1, MOST + 1):
         count = int(np.ceil(item * decades)) + 2
         rates = 2 * np.pi * np.geomspace(low / 3, 3 * high, count)
-        A = np.column_stack([np.ones(len(f)), 1 / (1 + s / rates)]) / wanted[:, None]
+        A = np.column_stack([np.ones(len(f)), 1 / (1 + s / rates)]) / target[:, None]
         one = np.r_[np.ones(len(f)), np.zeros(len(f))]
         a = scipy.optimize.nnls(np.concatenate([A.real, A.imag]), one)[0]
         off = float(np.abs(A @ a - 1).max())

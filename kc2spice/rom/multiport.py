@@ -65,8 +65,8 @@ def multi_port(f: np.ndarray, Y: np.ndarray, noise: float, where: str) -> Linear
     UsageError : no such state space comes near the data, or none that is passive.
     """
     ports = Y.shape[1]
-    own = np.abs(Y[:, range(ports), range(ports)])
-    R = float(1 / np.median(own[own > 0]))
+    diagonal = np.abs(Y[:, range(ports), range(ports)])
+    R = float(1 / np.median(diagonal[diagonal > 0]))
     one = np.eye(ports)
     S = np.linalg.solve(one + R * Y, one - R * Y)
     model = _admittance(*_best(f, S, noise, where), R)
@@ -223,8 +223,8 @@ def _passive(fit: ABCD, f: np.ndarray, S: np.ndarray) -> ABCD | None:
     if passive(*fit):
         return fit
     tried = [_shrunk(model) for model in (fit, _nearest(fit, f, S)) if model is not None]
-    found = [model for model in tried if model is not None]
-    return min(found, key=lambda model: _deviation(_transfer(model, f), S), default=None)
+    models = [model for model in tried if model is not None]
+    return min(models, key=lambda model: _deviation(_transfer(model, f), S), default=None)
 
 
 def _shrunk(model: ABCD) -> ABCD | None:
@@ -293,7 +293,7 @@ def refined(
             result.append((Q @ (Q.T @ rows) - rows).ravel())
         return np.column_stack(result)
 
-    found = least_squares(
+    solution = least_squares(
         residual,
         start,
         slopes,
@@ -304,7 +304,7 @@ def refined(
         gtol=1e-12,
         max_nfev=MOST_STEPS,
     )
-    x = found.x
+    x = solution.x
     p, coefficients = unpacked(x), projected(x)[1]
     residues = _residues(coefficients, real)
     shape = S.shape[1:]

@@ -175,28 +175,28 @@ def parametric(
     UsageError : a model that is not symmetric, of second order and with collocated ports, or whose
         number of unknowns changes within the box.
     """
-    asked = cache(lambda key: full(dict(key)))
+    cached_model = cache(lambda key: full(dict(key)))
 
-    def once(values: Values) -> LinearModel:
-        """The full model, which is asked for once."""
-        return asked(tuple(sorted(values.items())))
+    def model_at(values: Values) -> LinearModel:
+        """Return the full model, computed once for each point."""
+        return cached_model(tuple(sorted(values.items())))
 
     middle = {axis.name: axis.middle for axis in axes}
-    frame = _required(once(middle), None)
-    losses = tuple(result for axis in axes if (result := _loss(once, axis, middle, frame)))
-    own = tuple(axis for axis in axes if axis not in [loss.axis for loss in losses])
-    degree = DEGREES.get(len(own), 2) if degree is None else degree
-    exponents = exponents_to(len(own), degree)
+    frame = _required(model_at(middle), None)
+    losses = tuple(result for axis in axes if (result := _loss(model_at, axis, middle, frame)))
+    stiffness_axes = tuple(axis for axis in axes if axis not in [loss.axis for loss in losses])
+    degree = DEGREES.get(len(stiffness_axes), 2) if degree is None else degree
+    exponents = exponents_to(len(stiffness_axes), degree)
     # approximate Fekete points of Chebyshev's grid: as many as there are polynomials
     grid = np.sin(0.5 * np.pi * np.arange(-degree, degree + 1, 2) / max(degree, 1))
-    points = np.array(list(product(grid, repeat=len(own))))
+    points = np.array(list(product(grid, repeat=len(stiffness_axes))))
     *_, selected = scipy.linalg.qr(polynomials(points, exponents).T, mode="economic", pivoting=True)
     points = points[np.sort(selected[: len(exponents)])]
     models = []
     for number, x in enumerate(points):
         progress(number + 1, len(points))
-        values = {axis.name: axis.value(v) for axis, v in zip(own, x, strict=True)}
-        models.append(_required(once(middle | values), frame))
+        values = {axis.name: axis.value(v) for axis, v in zip(stiffness_axes, x, strict=True)}
+        models.append(_required(model_at(middle | values), frame))
     V = _independent([_answers(model.pencil, band) for model in models], frame.M)
     pencils = [model.pencil.project(V) for model in models]
     rows = {
@@ -217,14 +217,18 @@ def parametric(
         for letter, values in rows.items()
     }
     return Parametric(
-        axes=own, losses=losses, exponents=exponents, frame=replace(frame, facts={}), terms=terms
+        axes=stiffness_axes,
+        losses=losses,
+        exponents=exponents,
+        frame=replace(frame, facts={}),
+        terms=terms,
     )
 
 
-def higher_degree(made: Parametric) -> int | None:
+def higher_degree(model: Parametric) -> int | None:
     """The next total degree of the polynomials; None beyond :data:`HIGHEST`."""
-    degree = int(made.exponents.sum(axis=1).max()) + STEP
-    return degree if degree <= HIGHEST.get(len(made.axes), 0) else None
+    degree = int(model.exponents.sum(axis=1).max()) + STEP
+    return degree if degree <= HIGHEST.get(len(model.axes), 0) else None
 
 
 def modal_transfer(model: LinearModel, frequency: np.ndarray) -> np.ndarray:
@@ -297,8 +301,8 @@ def _independent(columns: Sequence[np.ndarray], M: Matrix) -> np.ndarray:
     V = V[:, size > 0] / size[size > 0]
     for least in (DEPENDENT, 0.0):  # the second time orthonormal to rounding
         w, T = np.linalg.eigh(V.T @ (M @ V))
-        kept = w > least * w[-1]
-        V = V @ (T[:, kept] / np.sqrt(w[kept]))
+        significant = w > least * w[-1]
+        V = V @ (T[:, significant] / np.sqrt(w[significant]))
     return np.asarray(V)
 
 

@@ -91,14 +91,16 @@ class Schur:
 
     def scaled(self, t: np.ndarray) -> Schur:
         """``diag(t) S diag(t)``."""
-        return self._beside(scaled(self.uu, t, t), scaled(self.up, t), scaled(self.pu, None, t))
+        return self._same_potentials(
+            scaled(self.uu, t, t), scaled(self.up, t), scaled(self.pu, None, t)
+        )
 
     def damping(self, alpha: float, beta: float, M: scipy.sparse.csc_array) -> Schur:
         """``alpha M + beta S``."""
-        return self._beside(alpha * M + beta * self.uu, beta * self.up, self.pu)
+        return self._same_potentials(alpha * M + beta * self.uu, beta * self.up, self.pu)
 
-    def _beside(self, uu: Matrix, up: Matrix, pu: Matrix) -> Schur:
-        """With the same ``pp`` and its factor."""
+    def _same_potentials(self, uu: Matrix, up: Matrix, pu: Matrix) -> Schur:
+        """A matrix with the same ``pp`` and its factor."""
         return Schur(uu, up, pu, self.pp, self.factor)
 
     def toarray(self) -> np.ndarray:
@@ -355,7 +357,7 @@ class Pencil:
         return self._part(slice(order), min(self.free, order))
 
     @property
-    def held(self) -> Pencil:
+    def restrained(self) -> Pencil:
         """The pencil without its free motion."""
         return self._part(slice(self.free, None), 0)
 

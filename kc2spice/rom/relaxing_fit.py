@@ -27,7 +27,7 @@ def minimax(
     rates: np.ndarray,
     gains: np.ndarray,
     s: np.ndarray,
-    wanted: np.ndarray,
+    response: np.ndarray,
     base: np.ndarray,
     enough: float = 0.0,
 ) -> tuple[np.ndarray, np.ndarray, float]:
@@ -41,7 +41,7 @@ def minimax(
         ``g_k`` to start from.
     s : (n,) array
         Laplace variable [1/s].
-    wanted : (n, ports, ports) array
+    response : (n, ports, ports) array
         Response without its direct part, symmetric.
     base : (ports, ports) array
         What errors are relative to.
@@ -56,14 +56,14 @@ def minimax(
     Examples
     --------
     >>> s = 1j * np.geomspace(0.1, 10, 20)
-    >>> wanted = 4 / (s + 2)[:, None, None]
-    >>> rates, gains, error = minimax(np.ones(1), np.ones((1, 1)), s, wanted, np.ones((1, 1)))
+    >>> response = 4 / (s + 2)[:, None, None]
+    >>> rates, gains, error = minimax(np.ones(1), np.ones((1, 1)), s, response, np.ones((1, 1)))
     >>> round(rates[0], 6), round(abs(gains[0, 0]), 6), error < 1e-9
     (np.float64(2.0), np.float64(2.0), True)
     """
     count, ports = gains.shape
     upper = np.triu_indices(ports)
-    target, scale = wanted[:, upper[0], upper[1]], base[upper]
+    target, scale = response[:, upper[0], upper[1]], base[upper]
     weight = np.ones(len(s))
     x = np.r_[np.log(rates), gains.ravel()]
     best = x, np.inf

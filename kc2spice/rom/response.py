@@ -48,7 +48,7 @@ class Response:
         self, pencil: Pencil, modes: Modes | None = None, zero: np.ndarray | bool = False
     ) -> None:
         self.pencil, self.zero = pencil, zero
-        self.core = pencil.held if pencil.detached else pencil
+        self.core = pencil.restrained if pencil.detached else pencil
         self._free = pencil.leading(pencil.free) if pencil.detached else None
         self._given = modes
 
@@ -181,16 +181,16 @@ class Response:
             return frequency, ratio
         assert self.modes is not None
         T, L, _ = self.modes
-        beside = frequency * (1 + FLANK * (ratio < SHARPEST))
-        s = 2j * np.pi * beside
+        flanks = frequency * (1 + FLANK * (ratio < SHARPEST))
+        s = 2j * np.pi * flanks
         gain = np.abs(self._gains(s)[np.arange(len(s)), mode])
         out, into = np.abs(self.core.C @ T[:, mode]).T, np.abs((L @ self.core.B)[mode])
         term = gain[:, None, None] * out[:, :, None] * into[:, None, :]
-        base = self.entries(np.union1d(beside, grid(band, VISIBLE_GRID, False))).base(
+        base = self.entries(np.union1d(flanks, grid(band, VISIBLE_GRID, False))).base(
             self.transfer(s)
         )
-        seen = (term > VISIBLE * base).any(axis=(1, 2))
-        return frequency[seen], ratio[seen]
+        visible = (term > VISIBLE * base).any(axis=(1, 2))
+        return frequency[visible], ratio[visible]
 
 
 def _eigenvectors(pencil: Pencil) -> Modes | None:
@@ -201,17 +201,17 @@ def _eigenvectors(pencil: Pencil) -> Modes | None:
         return None
     shift = float((sizes[0] / sizes[1]) ** (1 / pencil.degree))
     n, none = pencil.size, np.zeros((0, pencil.size))
-    whole = first_order(replace(pencil, B=np.eye(n), C=none, D=none), shift)
-    rest, inertia = whole.coefficients
+    extended = first_order(replace(pencil, B=np.eye(n), C=none, D=none), shift)
+    rest, inertia = extended.coefficients
     try:
-        inner = np.linalg.solve(rest + shift * inertia, np.hstack([inertia, whole.B]))
-        values, X = np.linalg.eig(shift * inner[:, : whole.size])
+        inner = np.linalg.solve(rest + shift * inertia, np.hstack([inertia, extended.B]))
+        values, X = np.linalg.eig(shift * inner[:, : extended.size])
         inverse = np.linalg.inv(X)
         if np.linalg.norm(X) * np.linalg.norm(inverse) > DEFECTIVE:
             return None
     except (np.linalg.LinAlgError, ValueError):
         return None
-    result = X[:n], inverse @ inner[:, whole.size :], (1 - values, values / shift)
+    result = X[:n], inverse @ inner[:, extended.size :], (1 - values, values / shift)
     s = 1j * np.array([0.03, 0.3, 1.0, 3.0])
     s *= float(np.median(np.abs(_finite_poles(*result[2])))) or 1.0
     try:

@@ -174,12 +174,12 @@ def _driven(pencil: Pencil, X: np.ndarray, rounding: Rounding) -> np.ndarray:
         return X
     X = X @ np.linalg.inv(np.linalg.cholesky(X.T @ inertia @ X)).T
     U, size, _ = np.linalg.svd(X.T @ pencil.B)
-    K, held = pencil.coefficients[0], inertia @ X
-    held *= np.sqrt(largest(K)) / largest(held)
+    K, momenta = pencil.coefficients[0], inertia @ X
+    momenta *= np.sqrt(largest(K)) / largest(momenta)
     # rounding of K turns X towards what it takes no force to move: inputs see their own answers
-    answer = np.linalg.solve(K + held @ held.T, pencil.B)
-    own = ROUNDING * np.finfo(float).eps * pencil.size * np.abs(pencil.B)
-    noise = np.abs(X.T) @ (own + rounding[0] @ np.abs(answer))
+    answer = np.linalg.solve(K + momenta @ momenta.T, pencil.B)
+    input_rounding = ROUNDING * np.finfo(float).eps * pencil.size * np.abs(pencil.B)
+    noise = np.abs(X.T) @ (input_rounding + rounding[0] @ np.abs(answer))
     moved = int((size > largest(noise)).sum())
     return X @ U[:, :moved]
 

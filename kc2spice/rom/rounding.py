@@ -108,31 +108,31 @@ def uncertainty_note(at: np.ndarray, size: np.ndarray, tolerance: float) -> str:
     return f", {text} by the last digits of its matrices" if size[worst] > UNCERTAIN else ""
 
 
-def removed_stiffness(given: Pencil, free: Pencil, band: tuple[float, float]) -> float:
+def removed_stiffness(projected: Pencil, free: Pencil, band: tuple[float, float]) -> float:
     """Change of the response by the stiffness that rounding errors add to a free motion.
 
     It is evaluated at the lowest relevant frequency, where it is largest.
     """
     s = 2j * np.pi * grid(band, 2, False)[:1]
     H = free.transfer(s)
-    return float(relative_size(given.transfer(s) - H, H).max())
+    return float(relative_size(projected.transfer(s) - H, H).max())
 
 
 def with_rounding(
-    pencil: Pencil, V: np.ndarray, band: tuple[float, float], found: IntermediateModel
+    pencil: Pencil, V: np.ndarray, band: tuple[float, float], model: IntermediateModel
 ) -> IntermediateModel:
-    """Return ``found`` with the effect of rounding on the resonances as its ``floor``.
+    """Return ``model`` with the effect of rounding on the resonances as its ``floor``.
 
     Other units of the unknowns do not change the exact response, but they round the entries of the
     full model differently. The model in other units is projected on the same directions, and the
     floor follows from the change of the response. Thin bodies are sensitive, because their elastic
     forces are small differences of large forces.
     """
-    exact = found.response
+    exact = model.response
     at, ratio = exact.visible(band)
     points = clear_of_poles(around(at, ratio, np.array([0.0, 1.0])), *exact.within(band))
     if not points.size:
-        return found
+        return model
     H = exact.transfer(2j * np.pi * points)
     entries = exact.entries(np.union1d(points, grid(band, 50, False)))
     rng = np.random.default_rng(0)
@@ -142,5 +142,5 @@ def with_rounding(
         size = relative_size(again.transfer(2j * np.pi * points) - H, H, entries)
         size[:, exact.cancelled(2j * np.pi * points) & ~entries.zero] = 0.0
         apart = max(apart, SPREAD * float(size.max()))
-    proof = f"{found.proof}, which rounding moves by {apart:.0e}"
-    return replace(found, floor=max(found.floor, apart), proof=proof)
+    proof = f"{model.proof}, which rounding moves by {apart:.0e}"
+    return replace(model, floor=max(model.floor, apart), proof=proof)

@@ -49,7 +49,7 @@ def prove_stability(
     ``poles`` [1/s] spare their computation.
     """
     try:
-        shown = dissipative(pencil)
+        dissipates = dissipative(pencil)
     except MemoryError:
         warnings.warn(
             "memory does not hold the factor that proves stability and passivity: both are not "
@@ -57,7 +57,7 @@ def prove_stability(
             stacklevel=2,
         )
         return StabilityProof(None, False, "nothing: memory does not hold another factor")
-    if shown:
+    if dissipates:
         passive = pencil.collocated and semidefinite(pencil.D + pencil.D.T)
         return StabilityProof(True, passive, FORM)
     states = pencil.degree * pencil.size
@@ -83,7 +83,7 @@ def _poles(pencil: Pencil, omega: float) -> np.ndarray:
     result = pencil if pencil.free else apart(pencil.scaled(omega).dense(), omega).pencil
     if not result.detached:
         return pencil.poles(omega)
-    return np.r_[result.leading(result.free).poles(omega), result.held.poles(omega)]
+    return np.r_[result.leading(result.free).poles(omega), result.restrained.poles(omega)]
 
 
 def dissipative(pencil: Pencil) -> bool:
@@ -97,8 +97,8 @@ def dissipative(pencil: Pencil) -> bool:
         if not semidefinite(loss if isinstance(loss, Schur) else loss + loss.T, order):
             return False
     # a factor of K that solutions were made with shows it as well
-    held = pencil.factorised and pencil.symmetric and not isinstance(rest, Schur)
-    return pencil.degree == 1 or held or semidefinite(rest)
+    definite = pencil.factorised and pencil.symmetric and not isinstance(rest, Schur)
+    return pencil.degree == 1 or definite or semidefinite(rest)
 
 
 def semidefinite(matrix: Matrix, order: np.ndarray | None = None) -> bool:
@@ -126,11 +126,11 @@ def _factorises(matrix: Matrix, order: np.ndarray | None = None) -> bool:
     it has a Cholesky factor."""
     if not largest(matrix):
         return True
-    own = matrix.diagonal()
+    diagonal = matrix.diagonal()
     empty = np.asarray(abs(matrix).max(axis=0).toarray()).ravel() == 0
-    if not symmetric(matrix) or (own[~empty] <= 0).any():
+    if not symmetric(matrix) or (diagonal[~empty] <= 0).any():
         return False
-    T = scipy.sparse.diags_array(1 / np.sqrt(np.where(empty, 1.0, own)))
+    T = scipy.sparse.diags_array(1 / np.sqrt(np.where(empty, 1.0, diagonal)))
     scaled = T @ (0.5 * (matrix + matrix.T)) @ T
     shift = ASYMMETRY * float(abs(scaled).sum(axis=0).max())
     lift = scipy.sparse.diags_array(np.where(empty, 1.0, shift))

@@ -112,9 +112,14 @@ def _condensed(
         return P, B, C, D
     if _singular(P[r:, r:], P):
         raise _improper(why)
-    held = scipy.linalg.solve(P[r:, r:], np.hstack([P[r:, :r], B[r:]]))
-    B, D = B[:r] - P[:r, r:] @ held[:, r:], D + C[:, r:] @ held[:, r:]
-    return P[:r, :r] - P[:r, r:] @ held[:, :r], B, C[:, :r] - C[:, r:] @ held[:, :r], D
+    elimination = scipy.linalg.solve(P[r:, r:], np.hstack([P[r:, :r], B[r:]]))
+    B, D = B[:r] - P[:r, r:] @ elimination[:, r:], D + C[:, r:] @ elimination[:, r:]
+    return (
+        P[:r, :r] - P[:r, r:] @ elimination[:, :r],
+        B,
+        C[:, :r] - C[:, r:] @ elimination[:, :r],
+        D,
+    )
 
 
 def _energy_states(pencil: Pencil) -> ABCD:
@@ -134,9 +139,9 @@ def _energy_states(pencil: Pencil) -> ABCD:
     return -rest / size[:r, None], B / size[:r, None], C, D
 
 
-def _singular(matrix: np.ndarray, whole: np.ndarray) -> bool:
-    """A singular value that is rounding of ``whole``."""
-    return bool(np.linalg.svd(matrix, compute_uv=False)[-1] <= MASSLESS * largest(whole))
+def _singular(matrix: np.ndarray, reference: np.ndarray) -> bool:
+    """A singular value that is rounding of ``reference``."""
+    return bool(np.linalg.svd(matrix, compute_uv=False)[-1] <= MASSLESS * largest(reference))
 
 
 def _improper(why: str) -> UsageError:

@@ -129,7 +129,7 @@ class _Search:
 
     def _reduce(self, within: float) -> None:
         beta = 1 / (2 * np.pi * self.band[1])  # nowhere in the band more damping than structural
-        viscous, given = with_viscous_loss(self.full, beta)
+        viscous, other = with_viscous_loss(self.full, beta)
         self.small = small = self.reduced(viscous, within, self.band)
         K, E, M = (0.5 * (P + P.T) for P in small.pencil.dense().coefficients)
         try:
@@ -143,12 +143,12 @@ class _Search:
         eta = self.full.loss_factor
         if self.full.loss is None:
             H = eta * K
-            given = E - beta * H
+            other = E - beta * H
         else:
-            given = given[0] * M + given[1] * K
-            H = (E - given) / beta
+            other = other[0] * M + other[1] * K
+            H = (E - other) / beta
         self.squares = np.maximum(squares, 0.0)
-        self.given, self.H = T.T @ given @ T, T.T @ H @ T
+        self.other_damping, self.H = T.T @ other @ T, T.T @ H @ T
         self.B, self.C = T.T @ small.B, small.C @ T
         if small.pencil.collocated:
             self.C = self.B.T.copy()
@@ -159,7 +159,7 @@ class _Search:
     @property
     def lossy(self) -> Pencil:
         """The small model with structural damping."""
-        parts = np.diag(self.squares) + 1j * self.H, self.given, np.eye(self.squares.size)
+        parts = np.diag(self.squares) + 1j * self.H, self.other_damping, np.eye(self.squares.size)
         return Pencil(parts, self.B, self.C, self.small.D)
 
     @cached_property
@@ -174,11 +174,11 @@ class _Search:
     @cached_property
     def _decoupled(self) -> float:
         """Share of every mode's own loss without which the rest is still a loss."""
-        own = np.diag(self.H)
-        lossy = own > MASSLESS * own.max(initial=0.0)
+        losses = np.diag(self.H)
+        lossy = losses > MASSLESS * losses.max(initial=0.0)
         if not lossy.any():
             return 0.0
-        scale = 1 / np.sqrt(own[lossy])
+        scale = 1 / np.sqrt(losses[lossy])
         least = np.linalg.eigvalsh(scale[:, None] * self.H[np.ix_(lossy, lossy)] * scale)[0]
         return float(np.clip(least, 0.0, 1.0))
 
@@ -187,7 +187,7 @@ class _Search:
         rest = self.H - self._decoupled * np.diag(np.diag(self.H))
         pace = np.sqrt(np.where(self.squares > 0, self.squares, 1.0))
         rest = np.where(np.outer(self.squares, self.squares) > 0, rest, 0.0)
-        K, E, M = joined(modes, self.given + rest / np.sqrt(np.outer(pace, pace)))
+        K, E, M = joined(modes, self.other_damping + rest / np.sqrt(np.outer(pace, pace)))
         more = len(K) - len(self.B)
         return replace(
             self.small,
@@ -200,23 +200,23 @@ class _Search:
         frequency, exact = self._compared(self.viscous)
         s = 2j * np.pi * frequency
         base = Entries.of(exact).base(exact, share_of(self.norm)) + np.finfo(float).tiny
-        own = np.diag(self.H)
+        losses = np.diag(self.H)
         trials: list[Oscillator] = []
         before: list[float] = []
         after: list[float] = []
         for j, (k, mode) in enumerate(zip(self.squares, self.viscous, strict=True)):
-            wanted = k + 1j * self._decoupled * own[j] + s**2
-            whole = k + 1j * own[j] + s**2 + s * self.given[j, j]
+            target = k + 1j * self._decoupled * losses[j] + s**2
+            dynamic_stiffness = k + 1j * losses[j] + s**2 + s * self.other_damping[j, j]
             product = np.abs(np.outer(self.C[:, j], self.B[j]))
-            weight = (product / base).max(axis=(1, 2)) / np.abs(whole) ** 2
+            weight = (product / base).max(axis=(1, 2)) / np.abs(dynamic_stiffness) ** 2
             pace = min(np.sqrt(k), 2 * np.pi * self.band[1])
             trial = mode
             if k > 0 and weight.any():
                 rates = pace * np.array(relative_rates)
-                trial = relaxing_oscillator(s, wanted, weight, rates)
+                trial = relaxing_oscillator(s, target, weight, rates)
             trials.append(trial)
             for errors, item in ((before, mode), (after, trial)):
-                errors.append(float((weight * np.abs(item(s) - wanted)).max()))
+                errors.append(float((weight * np.abs(item(s) - target)).max()))
         limit = SMALL_PART * max(tolerance, np.minimum(before, after).max(initial=0.0))
         better = (np.array(before) > limit) & (np.array(after) < WORTH * np.array(before))
         both = zip(trials, self.viscous, better, strict=True)
@@ -238,10 +238,10 @@ class _Search:
         """Largest relative difference between ``result`` and direct solutions of the full model."""
         low, high = self.band
         sharp = np.sort(Response(result.pencil.dense()).within(self.band)[0])[:DIRECT]
-        few = np.r_[low + (high - low) * (np.arange(DIRECT) + 0.4) / DIRECT, sharp]
-        full = self.full.transfer(few)
+        frequencies = np.r_[low + (high - low) * (np.arange(DIRECT) + 0.4) / DIRECT, sharp]
+        full = self.full.transfer(frequencies)
         entries = Entries.of(self._compared(self.viscous)[1])
-        off = entries.relative(result.transfer(few) - full, full, share_of(self.norm))
+        off = entries.relative(result.transfer(frequencies) - full, full, share_of(self.norm))
         return float(off.max())
 
     def _compared(self, modes: Sequence[Oscillator]) -> tuple[np.ndarray, np.ndarray]:
@@ -262,8 +262,8 @@ class _Search:
         frequency, exact = self._compared(self.viscous)
         small = Response(self.small.pencil.dense())
         sharper = np.r_[frequency, small.within(self.band)[0]]
-        seen = np.abs(self.small.transfer(sharper)).max(axis=0)
-        return float((seen / (Entries.of(exact).peak + np.finfo(float).tiny)).max())
+        peaks = np.abs(self.small.transfer(sharper)).max(axis=0)
+        return float((peaks / (Entries.of(exact).peak + np.finfo(float).tiny)).max())
 
 
 NONE = np.empty(0), np.empty(0)  # amplitudes and rates
@@ -275,7 +275,7 @@ def with_viscous_loss(model: LinearModel, beta: float) -> tuple[LinearModel, tup
     if model.first_order:
         raise UsageError("structural damping is of second-order models", where=model.name)
     plain = replace(model, loss_factor=0.0, loss=None)
-    alpha, own = model.rayleigh or (0.0, 0.0)
+    alpha, beta_share = model.rayleigh or (0.0, 0.0)
     undamped = model.rayleigh is not None or not largest(model.E)
     if model.loss is not None:
         if not undamped:
@@ -285,40 +285,40 @@ def with_viscous_loss(model: LinearModel, beta: float) -> tuple[LinearModel, tup
                 expected="one of them",
                 hint="rayleigh instead of E, or one loss factor",
             )
-        E = beta * model.loss + own * model.K + alpha * model.M
-        return replace(plain, rayleigh=None, E=E), (alpha, own)
+        E = beta * model.loss + beta_share * model.K + alpha * model.M
+        return replace(plain, rayleigh=None, E=E), (alpha, beta_share)
     added = beta * model.loss_factor
     if undamped:
-        return replace(plain, rayleigh=(alpha, own + added), E=None), (alpha, own)
+        return replace(plain, rayleigh=(alpha, beta_share + added), E=None), (alpha, beta_share)
     if isinstance(model.K, Schur):
         problem = (
             "structural damping beside a damping matrix needs potentials that are not eliminated"
         )
         raise UsageError(problem, where=model.name, hint="rayleigh instead of E")
-    return replace(plain, E=model.E + added * model.K), (alpha, own)
+    return replace(plain, E=model.E + added * model.K), (alpha, beta_share)
 
 
 def without_inertia(
     model: LinearModel,
-    found: LinearModel,
+    reduced_model: LinearModel,
     reduced: Reductor,
     tolerance: float,
     norm: Norm,
 ) -> LinearModel:
-    """A passive model of first order, if ``found`` has real poles only and more states."""
-    known = found.certificate
+    """A passive model of first order, if ``reduced_model`` has real poles only and more states."""
+    known = reduced_model.certificate
     if known is None or any(port.domain is ACCELERATION for port in model.ports):
-        return found
-    poles = found.poles()
+        return reduced_model
+    poles = reduced_model.poles()
     if not poles.size or (np.abs(poles.imag) > REAL * np.abs(poles)).any():
-        return found
-    states = found.order * (1 if found.first_order else 2)
+        return reduced_model
+    states = reduced_model.order * (1 if reduced_model.first_order else 2)
     pencil = reduced_form(model.pencil)
     if pencil.degree != 2 or not (pencil.symmetric and pencil.collocated):
-        return found
+        return reduced_model
     K, E, _ = pencil.coefficients
     if isinstance(K, Schur) or not semidefinite(E) or _singular(E):
-        return found
+        return reduced_model
     light = LinearModel(
         A=-K, E=E, B=pencil.B, C=pencil.C, D=pencil.D, ports=model.ports, name=model.name
     )
@@ -326,15 +326,15 @@ def without_inertia(
     try:
         exact, ours = model.transfer(frequency), light.transfer(frequency)
     except SimulationError:
-        return found
+        return reduced_model
     share = share_of(norm)
     mass = SAFETY * float(Entries.of(exact).relative(ours - exact, exact, share).max())
     if mass > MASS_SHARE * tolerance:
-        return found
+        return reduced_model
     small = reduced(light, tolerance - mass, known.band_hz)
     certificate = small.certificate
     if certificate is None or small.order >= states or not certificate.passive:
-        return found
+        return reduced_model
     method = f"{certificate.method}; without inertia, which changes the response by {mass:.1e}"
     error = certificate.error_estimate + mass
     return replace(

@@ -165,8 +165,8 @@ def _fitted(
     s = 2j * np.pi * f[:, None]
     columns = np.column_stack([np.ones(f.size), s / (s + rates)])
     A = columns * (weight / target)[:, None]
-    wanted = np.concatenate([weight, np.zeros(f.size)])
-    amplitudes = scipy.optimize.nnls(np.concatenate([A.real, A.imag]), wanted)[0]
+    target_rows = np.concatenate([weight, np.zeros(f.size)])
+    amplitudes = scipy.optimize.nnls(np.concatenate([A.real, A.imag]), target_rows)[0]
     used = amplitudes[1:] > 0
     error = float(np.abs(columns @ amplitudes / target - 1).max())
     return RelaxingStiffness(float(amplitudes[0]), amplitudes[1:][used], rates[used], error)

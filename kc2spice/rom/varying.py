@@ -189,57 +189,57 @@ def _certified(
     sobol = scipy.stats.qmc.Sobol(len(axes), seed=11)
     degree: int | None = None
     while True:
-        made = parametric(full, axes, band, degree=degree, progress=progress)
+        dense_model = parametric(full, axes, band, degree=degree, progress=progress)
         draws = sobol.random(CHECKS) * 2 - 1
-        points = [_values(made.box, x) for x in (*draws, np.sign(draws[0]))]
+        points = [_values(dense_model.box, x) for x in (*draws, np.sign(draws[0]))]
         checks = []
         for k, values in enumerate(points):
             progress(k, len(points))
             space = intermediate_model(full(values).pencil, band, 0.01 * tolerance, 0.3 * tolerance)
             checks.append((values, space.estimator(band, norm), space.error))
-        degree = higher_degree(made)
-        error = SAFETY * _difference(made, checks)
+        degree = higher_degree(dense_model)
+        error = SAFETY * _difference(dense_model, checks)
         if error > tolerance and degree is not None:
             continue
-        result, inner = varying(made, band, OWN * tolerance, norm)
+        result, inner = varying(dense_model, band, OWN * tolerance, norm)
         error = SAFETY * max(inner, _difference(result, checks))
         if error <= tolerance:
             return result, error
         if degree is None:
             problem = "the error cannot be certified over the box of the parameters"
             got = f"{error:.2g} at a point that nothing was made from"
-            raise _too_wide(problem, made, got, tolerance)
+            raise _too_wide(problem, dense_model, got, tolerance)
 
 
 def _difference(
-    made: Parametric | Varying, checks: Sequence[tuple[Values, ErrorEstimator, float]]
+    model: Parametric | Varying, checks: Sequence[tuple[Values, ErrorEstimator, float]]
 ) -> float:
     """Largest relative difference to the full models of ``checks``."""
     return max(
-        estimator.error(Response(made.at(values).pencil)) + error
+        estimator.error(Response(model.at(values).pencil)) + error
         for values, estimator, error in checks
     )
 
 
 def _facts(
-    found: Varying, known: Sequence[tuple[dict[str, float], Mapping[str, float]]]
+    model: Varying, known: Sequence[tuple[dict[str, float], Mapping[str, float]]]
 ) -> dict[str, np.ndarray]:
     """Polynomials of what all full models state, of as high a degree as their number allows."""
-    x = [[axis.coordinate(values[axis.name]) for axis in found.axes] for values, _ in known]
-    total = found.exponents.sum(axis=1, initial=0)
+    x = [[axis.coordinate(values[axis.name]) for axis in model.axes] for values, _ in known]
+    total = model.exponents.sum(axis=1, initial=0)
     used = np.array([(total <= degree).sum() for degree in total]) <= max(1, len(known) // 2)
-    T = polynomials(np.reshape(x, (len(known), -1)), found.exponents[used])
+    T = polynomials(np.reshape(x, (len(known), -1)), model.exponents[used])
     names = set.intersection(*(set(item) for _, item in known))
-    made = {name: np.zeros(len(total)) for name in sorted(names)}
-    for name, c in made.items():
+    facts = {name: np.zeros(len(total)) for name in sorted(names)}
+    for name, c in facts.items():
         c[used] = np.linalg.lstsq(T, np.array([item[name] for _, item in known]), rcond=None)[0]
-    return made
+    return facts
 
 
 def varying(
-    made: Parametric, band: tuple[float, float], tolerance: float, norm: Norm = "pointwise"
+    dense_model: Parametric, band: tuple[float, float], tolerance: float, norm: Norm = "pointwise"
 ) -> tuple[Varying, float]:
-    """``made`` as resonators over its box, and their largest relative difference at draws of it.
+    """Resonators of ``dense_model`` over its box, and their largest difference at draws of it.
 
     The fewest Ritz vectors, the smallest blocks and the lowest degree that meet the tolerance.
 
@@ -248,8 +248,8 @@ def varying(
     UsageError : a motion without stiffness that a port moves.
     SimulationError : no frame is smooth enough over the box for the tolerance.
     """
-    modes = _Modes(made, band)
-    points = list(_check_points(made, band, norm))
+    modes = _Modes(dense_model, band)
+    points = list(_check_points(dense_model, band, norm))
     best = np.inf
     for moments in range(1, MOMENTS + 1):
         space = _Space(modes, moments)
@@ -271,13 +271,13 @@ def varying(
                 if error <= tolerance:
                     return result, error
     problem = "the box of the parameters is too wide for polynomials of its modes"
-    raise _too_wide(problem, made, f"an error of {best:.2g}", tolerance)
+    raise _too_wide(problem, dense_model, f"an error of {best:.2g}", tolerance)
 
 
-def _too_wide(problem: str, made: Parametric, got: str, tolerance: float) -> SimulationError:
+def _too_wide(problem: str, dense_model: Parametric, got: str, tolerance: float) -> SimulationError:
     return SimulationError(
         problem,
-        where=made.frame.name,
+        where=dense_model.frame.name,
         got=got,
         expected=f"at most {tolerance:.2g}",
         hint="narrow the ranges in rom.parameters",
@@ -291,15 +291,15 @@ def _values(box: Mapping[str, Axis], x: np.ndarray) -> dict[str, float]:
 
 
 def _check_points(
-    made: Parametric, band: tuple[float, float], norm: Norm
+    dense_model: Parametric, band: tuple[float, float], norm: Norm
 ) -> Iterator[tuple[np.ndarray, ErrorEstimator]]:
     """Points of the box with estimators by the dense model: the middle, all corners, where
     polynomials     deviate most, and random points."""
-    count = len(made.box)
+    count = len(dense_model.box)
     draws = scipy.stats.qmc.Sobol(count, seed=3).random(DRAWS) * 2 - 1
     corners = sorted(product((1.0, -1.0), repeat=count), key=lambda x: abs(sum(x)), reverse=True)
     for x in (np.zeros(count), *map(np.array, corners), *draws):
-        response = Response(made.at(_values(made.box, x)).pencil)
+        response = Response(dense_model.at(_values(dense_model.box, x)).pencil)
         yield x, ErrorEstimator(response, band, False, norm)
 
 
@@ -313,11 +313,16 @@ class _Point:
 
 
 class _Modes:
-    """Modes of a dense model over its box; ``kept`` of them, all in the band, are modes of what is
+    """Modes of a dense model over its box; ``count`` of them, all in the band, are modes of what is
     made from it."""
 
-    def __init__(self, made: Parametric, band: tuple[float, float]) -> None:
-        self.made, self.band, self.axes, self.free = made, band, len(made.axes), 0
+    def __init__(self, dense_model: Parametric, band: tuple[float, float]) -> None:
+        self.dense_model, self.band, self.axes, self.free = (
+            dense_model,
+            band,
+            len(dense_model.axes),
+            0,
+        )
         line = np.cos(np.pi * (np.arange(GRID[self.axes]) + 0.5) / GRID[self.axes])
         self.grid = np.array([np.zeros(self.axes), *product(line, repeat=self.axes)])
         points = [self.at(x) for x in self.grid]
@@ -331,25 +336,25 @@ class _Modes:
             if (share[: self.free].max(axis=0, initial=0.0) > MOVED * share.max(axis=0)).any():
                 raise UsageError(
                     "netlist parameters need a body with a support",
-                    where=made.frame.name,
+                    where=dense_model.frame.name,
                     got="rom.parameters of a body that a port can move without any stiffness",
                     expected="a body with a support, or with electrical ports only",
                     hint="remove the key rom.parameters of this body",
                 )
-        self.points = [self._held(p) for p in points]
+        self.points = [self._elastic(p) for p in points]
         w2 = np.array([p.w2 for p in self.points])
         least = max(1, int((w2 < (ABOVE * 2 * np.pi * band[1]) ** 2).any(axis=0).sum()))
         counts = np.arange(least, min(least + MORE, w2.shape[1]) + 1)
         above = np.hstack([w2, WHOLE * w2[:, -1:]])
         gaps = np.log(above[:, counts] / w2[:, counts - 1]).min(axis=0)
-        self.kept = int(counts[np.argmax(gaps - WORTH * np.arange(len(counts)))])
+        self.count = int(counts[np.argmax(gaps - WORTH * np.arange(len(counts)))])
 
     def at(self, x: np.ndarray) -> _Point:
         """Modes at coordinates of the axes, without motions that have no stiffness."""
-        model = self.made.at(_values(self.made.box, x))
-        return self._held(_Point(model, *scipy.linalg.eigh(model.K, model.M)))
+        model = self.dense_model.at(_values(self.dense_model.box, x))
+        return self._elastic(_Point(model, *scipy.linalg.eigh(model.K, model.M)))
 
-    def _held(self, p: _Point) -> _Point:
+    def _elastic(self, p: _Point) -> _Point:
         return _Point(p.model, p.w2[self.free :], p.V[:, self.free :])
 
 
@@ -360,7 +365,7 @@ class _Space:
     def __init__(self, modes: _Modes, moments: int) -> None:
         self.modes, self.moments = modes, moments
         self.shift = 0.5 * (2 * np.pi * modes.band[1]) ** 2
-        rest = modes.points[0].w2[modes.kept :]
+        rest = modes.points[0].w2[modes.count :]
         self.unit = rest[0] - self.shift if rest.size else 1.0
         answers = [self._answers(p) for p in modes.points]
         size = np.linalg.norm(answers[0], axis=0)
@@ -376,13 +381,13 @@ class _Space:
 
     def _answers(self, p: _Point) -> np.ndarray:
         """In coordinates of the modes that are not kept."""
-        k = self.modes.kept
+        k = self.modes.count
         load, share = p.V[:, k:].T @ p.model.B, self.unit / (p.w2[k:, None] - self.shift)
         return np.hstack([share**j * load for j in range(1, self.moments + 1)])
 
     def _ritz(self, p: _Point) -> tuple[np.ndarray, np.ndarray]:
         """Squared frequencies (q,) and shapes (n, q), the rest nearest to its vectors."""
-        k = self.modes.kept
+        k = self.modes.count
         U, _, R = np.linalg.svd(self._answers(p) @ self.T, full_matrices=False)
         W = U @ R
         ritz, Q = np.linalg.eigh(W.T @ (p.w2[k:, None] * W))
@@ -413,7 +418,7 @@ class _Space:
     def fitted(self, gap: float, degree: int, tolerance: float) -> Varying | None:
         """Polynomials of the data of blocks that stay apart by ``gap``, the least logarithm of the
         ratio of squared frequencies; None where a block has no smooth frame."""
-        modes, made = self.modes, self.modes.made
+        modes, dense_model = self.modes, self.modes.dense_model
         apart = np.log(self.w2[:, 1:] / self.w2[:, :-1]).min(axis=0) > gap
         ends = [0, *(np.flatnonzero(apart) + 1), self.w2.shape[1]]
         result = [self._block(int(a), int(b)) for a, b in pairwise(ends)]
@@ -429,7 +434,7 @@ class _Space:
         exponents = exponents_to(modes.axes, degree)
         fit = np.linalg.pinv(polynomials(modes.grid, exponents))
         ratio = min(_ratio(p, modes.band) for p in modes.points)
-        fine = FINE * tolerance * (NOTCH if len(made.frame.ports) > 1 else 1.0)
+        fine = FINE * tolerance * (NOTCH if len(dense_model.frame.ports) > 1 else 1.0)
 
         def smooth(values: np.ndarray, grain: float | np.ndarray) -> np.ndarray:
             """Coefficients (terms, …) to a grain, below which nothing is left."""
@@ -441,35 +446,35 @@ class _Space:
         diagonal, gain, at = [], [], 0
         for K, g in blocks:
             L = np.linalg.cholesky(K)
-            own = np.diagonal(L, axis1=1, axis2=2)
+            pivots = np.diagonal(L, axis1=1, axis2=2)
             rows = slice(at, at + K.shape[1])
             at += K.shape[1]
-            below[:, rows, rows] = smooth(np.tril(L, -1), fine * ratio * own.min())
-            diagonal.append(smooth(np.log(own), fine * ratio))
+            below[:, rows, rows] = smooth(np.tril(L, -1), fine * ratio * pivots.min())
+            diagonal.append(smooth(np.log(pivots), fine * ratio))
             gain.append(
                 smooth(g, fine * np.minimum(np.abs(g).max(axis=(0, 1)) + SILENT * port, port))
             )
-        electrical = [k for k, item in enumerate(made.frame.ports) if item.electrical]
+        electrical = [k for k, item in enumerate(dense_model.frame.ports) if item.electrical]
         D = np.array([p.model.D[np.ix_(electrical, electrical)] for p in modes.points])
         F = np.linalg.cholesky(D) if electrical else D
-        own = np.diagonal(F, axis1=1, axis2=2)
+        pivots = np.diagonal(F, axis1=1, axis2=2)
         damping = np.array([p.model.rayleigh for p in modes.points])
         damped = damping > 0
         return Varying(
-            axes=made.axes,
-            losses=made.losses,
-            ports=made.frame.ports,
+            axes=dense_model.axes,
+            losses=dense_model.losses,
+            ports=dense_model.frame.ports,
             exponents=exponents,
             blocks=tuple(K.shape[1] for K, _ in blocks),
             diagonal=np.hstack(diagonal),
             below=below,
             gain=np.concatenate(gain, axis=1),
-            capacitance=smooth(np.log(own), fine),
-            shared=smooth(np.tril(F, -1), fine * (own.min() if own.size else 1.0)),
+            capacitance=smooth(np.log(pivots), fine),
+            shared=smooth(np.tril(F, -1), fine * (pivots.min() if pivots.size else 1.0)),
             rayleigh=smooth(np.log(np.where(damped, damping, 1.0)), fine),
             damped=(bool(damped[:, 0].all()), bool(damped[:, 1].all())),
             facts={},
-            name=made.frame.name,
+            name=dense_model.frame.name,
         )
 
 

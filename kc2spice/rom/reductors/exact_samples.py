@@ -80,8 +80,8 @@ class Samples:
             left, right = U[:, :order] / root, Vt[:order].T / root
             small = Pencil((-(left.T @ inner @ right), np.eye(order)), left.T @ B, C @ right, P.D)
             small = _decaying(small)
-            found = Response(small).transfer(2j * np.pi * self.frequency)
-            error = self.relative(found - self.H, self.H).max(initial=0.0)
+            response = Response(small).transfer(2j * np.pi * self.frequency)
+            error = self.relative(response - self.H, self.H).max(initial=0.0)
             models.append((error, order, small))
         error, _, best = min(models, key=lambda found: found[:2])
         return best, float(error)

@@ -141,8 +141,8 @@ class GreedyBasis:
         V, coefficients = self.modal, self.pencil.coefficients
         sizes, eps = [magnitudes(P) for P in coefficients], np.finfo(float).eps
         bound = FREE * eps * (np.abs(V).T @ (sizes[0] @ np.abs(V)))
-        own = np.abs(np.diag(small.coefficients[0]))
-        if (own > np.diag(bound)).all():
+        energies = np.abs(np.diag(small.coefficients[0]))
+        if (energies > np.diag(bound)).all():
             return small, np.eye(small.size)
         if not isinstance(coefficients[0], Schur):
             bound = np.minimum(bound, RANDOM * energy_rounding(coefficients[0], V))

@@ -102,7 +102,7 @@ class OptimalModels(ReducedBasis):
         if count <= 0:
             return self.pencil.leading(order)
         full, omega = self.task.first_order, 2 * np.pi * self.task.band[1]
-        balanced = self.pencil.held.leading(count)
+        balanced = self.pencil.restrained.leading(count)
         rest, inertia = balanced.coefficients
         reduced = Pencil((rest / omega, inertia), balanced.B / omega, balanced.C, balanced.D)
         former, change = np.full(count, np.inf, dtype=complex), np.inf

@@ -56,7 +56,7 @@ class ResponsePod(Reductor):
     def basis(self, task: Task) -> ReducedBasis:
         """Return the static responses and the principal directions of all others."""
         core, free = task.core, task.core.free
-        energy = _energy_basis(core.held, 2 * np.pi * task.band[1], task.intermediate.static)
+        energy = _energy_basis(core.restrained, 2 * np.pi * task.band[1], task.intermediate.static)
         response = Response(core.project(scipy.linalg.block_diag(np.eye(free), energy)))
         static = _static_responses(task, response)
         points = snapshots(task.estimator, response, tail_weight(task.fom, task.tolerance))

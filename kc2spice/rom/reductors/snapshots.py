@@ -70,32 +70,34 @@ def snapshots(
 
 
 def weighted_states(
-    response: Response, s: np.ndarray, weight: np.ndarray, whole: np.ndarray, norm: Norm
+    response: Response, s: np.ndarray, weight: np.ndarray, complete: np.ndarray, norm: Norm
 ) -> np.ndarray:
     """Return real and imaginary parts of the states, with weights for a relative error.
 
     The square of a state is an energy if ports exchange energy, so each state is divided by the
     root of its port's response. Other states are divided by their length. The response of the
-    ``whole`` model includes rigid-body modes. The peak norm divides by peaks.
+    ``complete`` model includes rigid-body modes. The peak norm divides by peaks.
     """
     x = response.states(s)
     pencil = response.pencil
     H = pencil.C @ x + pencil.D
     if pencil.symmetric and pencil.collocated:
         least = LEAST_SHARE[norm] * np.abs(np.einsum("fii->fi", H)).max(axis=0)
-        size = np.sqrt(np.maximum(np.abs(np.einsum("fii->fi", whole)), least))
+        size = np.sqrt(np.maximum(np.abs(np.einsum("fii->fi", complete)), least))
     else:
-        size = _lengths(x, H, whole, norm)
+        size = _lengths(x, H, complete, norm)
     x = x * (weight[:, None] / (size + np.finfo(float).tiny))[:, None, :]
     columns = np.moveaxis(x, 0, 1).reshape(x.shape[1], -1)
     return np.hstack([columns.real, columns.imag])
 
 
-def _lengths(x: np.ndarray, H: np.ndarray, whole: np.ndarray, norm: Norm) -> np.ndarray:
-    """Lengths (frequencies, inputs) of states x whose response is H, a part of the ``whole``."""
+def _lengths(x: np.ndarray, H: np.ndarray, complete: np.ndarray, norm: Norm) -> np.ndarray:
+    """Lengths (frequencies, inputs) of states x whose response H is a part of ``complete``."""
     size = np.linalg.norm(x, axis=1)
     if norm == "peak":
         size = np.maximum(size, size.max(axis=0))
     part = np.linalg.norm(H, axis=1)
-    ratio = np.divide(np.linalg.norm(whole, axis=1), part, out=np.ones_like(part), where=part > 0)
+    ratio = np.divide(
+        np.linalg.norm(complete, axis=1), part, out=np.ones_like(part), where=part > 0
+    )
     return np.asarray(size * np.maximum(ratio, 1.0))
