@@ -9,7 +9,7 @@ from kc2spice.core.interrupt import end_on_signals
 def main() -> None:
     """Run the command line."""
     with end_on_signals():
-        from kc2spice.cli.main import main as run
+        from kc2spice.cli.main import run_command_line as run
 
         run()
 

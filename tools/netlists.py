@@ -28,7 +28,7 @@ from typing import Any
 
 import kc2spice
 from kc2spice.netlist import read_lib
-from kc2spice.netlist.printers.kicad import Symbol, element_symbols, library, part_symbol
+from kc2spice.netlist.printers.kicad import Symbol, element_symbols, part_symbol, symbol_library
 from kc2spice.netlist.read import statements
 from kc2spice.scene.load import gallery, load_scene
 from kc2spice.scene.model import Scene
@@ -139,10 +139,10 @@ def symbols() -> Iterator[Symbol]:
             yield replace(drawn, name=unique, fields=drawn.fields | own)
 
 
-def symbol_library() -> str:
+def all_symbols() -> str:
     """All designs and what stands on a sheet besides."""
     plain = {symbol.name: symbol for symbol in element_symbols().values()}
-    return library([*symbols(), *plain.values()])
+    return symbol_library([*symbols(), *plain.values()])
 
 
 def page() -> str:
@@ -191,7 +191,7 @@ def write() -> None:
         shutil.rmtree(old)
     for scene in sorted(gallery(), key=lambda name: (name in SHARED, name)):
         print(f"{scene}: {commit(scene)} files", flush=True)
-    SYMBOLS.write_text(symbol_library(), encoding="utf-8")
+    SYMBOLS.write_text(all_symbols(), encoding="utf-8")
     PAGE.write_text(page(), encoding="utf-8")
     shutil.rmtree(EXAMPLES, ignore_errors=True)
     for scene in SHOWN:

@@ -231,7 +231,7 @@ app = typer.Typer(
 )
 
 
-def main() -> None:
+def run_command_line() -> None:
     """Run the command line; ends the program."""
     # The matrices are sparse and small: threads of BLAS and of ngspice mostly wait for each other.
     # It must be said before numpy is loaded; whoever set a number of threads keeps it.

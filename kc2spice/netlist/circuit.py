@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 from kc2spice.core.errors import UsageError
-from kc2spice.netlist.expression import Probe, Tree, parse, walk
+from kc2spice.netlist.expression import CircuitVariable, Tree, parse, walk
 from kc2spice.netlist.spelling import number
 
 LEAST = 1e-30  # least value of a parameter that must be above zero
@@ -130,7 +130,7 @@ class Element(Card):
             leaves = tuple(walk(self.law)) if self.quantity else ()
         except UsageError:  # the linter says it
             return frozenset()
-        probes = (leaf for leaf in leaves if isinstance(leaf, Probe) and leaf.kind == "v")
+        probes = (leaf for leaf in leaves if isinstance(leaf, CircuitVariable) and leaf.kind == "v")
         return frozenset(name.lower() for probe in probes for name in probe.names)
 
 

@@ -50,7 +50,7 @@ class Name:
 
 
 @dataclass(frozen=True)
-class Probe:
+class CircuitVariable:
     """``V(a)``, ``V(a,b)`` or ``I(source)``; ``kind`` is ``v`` or ``i``."""
 
     kind: str
@@ -91,7 +91,7 @@ class Choice:
     no: Tree
 
 
-Tree = Number | Name | Probe | Call | Unary | Binary | Choice
+Tree = Number | Name | CircuitVariable | Call | Unary | Binary | Choice
 
 
 def parse(text: str, *, where: str = "expression") -> Tree:
@@ -182,11 +182,11 @@ def value(tree: Tree, names: Mapping[str, float]) -> float:
     raise UsageError("not a number", where="expression", got=Writer().write(tree)[:80])
 
 
-def replaced(tree: Tree, values: Mapping[str, Tree]) -> Tree:
+def substitute(tree: Tree, values: Mapping[str, Tree]) -> Tree:
     """``tree`` with trees in place of names."""
     if isinstance(tree, Name):
         return values.get(tree.text, tree)
-    return rebuilt(tree, lambda node: replaced(node, values))
+    return rebuilt(tree, lambda node: substitute(node, values))
 
 
 class Writer:
@@ -207,7 +207,7 @@ class Writer:
                 return text
             case Name(text):
                 return self.name(text)
-            case Probe(kind, names):
+            case CircuitVariable(kind, names):
                 return f"{kind.upper()}({','.join(names)})"
             case Call(function, arguments):
                 return self.call(function, arguments)
@@ -303,7 +303,7 @@ class _Parser:
             inside, self.at = self.text[self.at : end], end + 1
             if end < 0 or not inside.strip():
                 raise self.error("a node expected")
-            return Probe(name.lower(), tuple(n.strip() for n in inside.split(",")))
+            return CircuitVariable(name.lower(), tuple(n.strip() for n in inside.split(",")))
         arguments: list[Tree] = []
         if self.accept(")") is None:
             arguments.append(self.choice())

@@ -207,7 +207,7 @@ def _called(circuit: Circuit) -> Iterator[str]:
             yield item.model
 
 
-def entries(notes: Iterable[str]) -> list[str]:
+def comment_lines(notes: Iterable[str]) -> list[str]:
     """Return comments as one line each: three blanks and more continue the line above."""
     return "\n".join(notes).replace("\n*   ", " ").split("\n")
 
@@ -223,7 +223,7 @@ def _part(circuit: Circuit, whole: Circuit, text: str, file: str) -> Subcircuit:
         listed = " ".join(p.name for p in pins)
         message = "the head does not list the pins of its subcircuit"
         raise circuit.error(message, listed, " ".join(circuit.pins))
-    heads = {m[1].lower(): m for m in map(_PARAM.match, entries(circuit.notes)) if m}
+    heads = {m[1].lower(): m for m in map(_PARAM.match, comment_lines(circuit.notes)) if m}
     params = []
     for name, default in circuit.defaults.items():
         given, head = literal(default, where=circuit.where), heads.get(name.lower())
@@ -232,5 +232,5 @@ def _part(circuit: Circuit, whole: Circuit, text: str, file: str) -> Subcircuit:
         )
         params.append(Param(name, math.nan if given is None else given, *(labels or ("-", ""))))
     ends = tuple(pins or (Pin(name, "V", "A") for name in circuit.pins))
-    title = entries(text.split("\n"))[0].lstrip("* ")
+    title = comment_lines(text.split("\n"))[0].lstrip("* ")
     return Subcircuit(circuit.name, ends, tuple(params), whole, title=title, file=file, source=text)

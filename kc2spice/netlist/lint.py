@@ -15,9 +15,9 @@ from kc2spice.netlist.expression import (
     FUNCTIONS,
     Binary,
     Call,
+    CircuitVariable,
     Name,
     Number,
-    Probe,
     parse,
     walk,
 )
@@ -40,14 +40,14 @@ def lint(deck: Deck) -> None:
     ------
     UsageError : wrong wiring; the message names file, line, what is wrong and what was expected.
     """
-    if result := problems(deck):
+    if result := circuit_problems(deck):
         first = result[0]
         more = f"{len(result) - 1} more after this one" if len(result) > 1 else None
         first.hint = "; ".join(filter(None, (first.hint, more))) or None
         raise first
 
 
-def problems(deck: Deck) -> list[UsageError]:
+def circuit_problems(deck: Deck) -> list[UsageError]:
     """All mistakes of ``deck``.
 
     Unknown subcircuits, models, parameters, nodes and controlling sources; instances with too many
@@ -187,7 +187,7 @@ def _misread(
         match leaf:
             case Name(name) if name.lower() not in BUILT_IN.union(scope.params):
                 yield card.error("no such parameter", name, _nearest(name, scope.params))
-            case Probe(kind, names):
+            case CircuitVariable(kind, names):
                 for name in map(str.lower, names):
                     if name not in kinds[kind]:
                         what = f"no such {'node' if kind == 'v' else 'source'}"

@@ -178,7 +178,7 @@ def _subckt(s: Statement, cards: Iterator[Statement]) -> Circuit:
 def _item(s: Statement) -> Item:
     origin = _origin(s)
     if not s.keyword.startswith("."):
-        return element(s)
+        return parse_element(s)
     if s.keyword in (".func", ".param", ".params") and (defined := _function(s)):
         return defined
     if s.keyword in (".param", ".csparam"):
@@ -225,7 +225,7 @@ def _assigned(word: str) -> bool:
     return bool(equals) and name.isidentifier()
 
 
-def element(s: Statement) -> Element:
+def parse_element(s: Statement) -> Element:
     """Split one element card; of a letter that we do not know, all words are values."""
     kind, origin = s.written[0].lower(), _origin(s)
     if kind == "b":

@@ -87,7 +87,7 @@ def cards(part: Subcircuit) -> Iterator[tuple[str, Circuit]]:
         yield (library_of(part) if own else item.name.removeprefix(f"{part.name}_")), item
 
 
-def declared(deck: Deck) -> dict[str, float]:
+def parameter_defaults(deck: Deck) -> dict[str, float]:
     """``PART.NAME`` and default of every numeric parameter of the deck's subcircuits."""
     result = {}
     for part in deck.parts:
@@ -107,7 +107,7 @@ def with_parameters(deck: Deck, values: Iterable[tuple[str, float]]) -> Deck:
     ------
     UsageError : no part of the deck has that parameter, or not with that value.
     """
-    known, parts = declared(deck), list(deck.parts)
+    known, parts = parameter_defaults(deck), list(deck.parts)
     for key, value in values:
         if key not in known:
             message = "no part of this scene has such a parameter"

@@ -15,11 +15,8 @@ from kc2spice.core.errors import UsageError, did_you_mean, wrong
 from kc2spice.core.quantities import dotted, entries, unit_of, validated
 from kc2spice.fem.materials import MaterialTable
 from kc2spice.netlist.circuit import Param
-from kc2spice.rom.parametric import Axis
-from kc2spice.scene.model import (
-    GovernedScene,
-    Part,
-)
+from kc2spice.rom.parametric import ParameterAxis
+from kc2spice.scene.model import GovernedScene, Part
 
 MOST = 4  # parameters: more need hundreds of full models
 PARAMETERS = "rom.parameters"
@@ -37,9 +34,9 @@ class Varied:
     high: float
 
     @property
-    def axis(self) -> Axis:
+    def axis(self) -> ParameterAxis:
         """Its range."""
-        return Axis(self.key, self.low, self.high)
+        return ParameterAxis(self.key, self.low, self.high)
 
     @property
     def param(self) -> Param:

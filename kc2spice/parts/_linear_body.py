@@ -34,7 +34,7 @@ from kc2spice.parts._touching import Surface, Touching
 from kc2spice.rom.complex_constants import ComplexConstants
 from kc2spice.rom.linear_model import Certificate, LinearModel, Port
 from kc2spice.rom.modal import chip_response, resonators
-from kc2spice.rom.parametric import Axis, Loss
+from kc2spice.rom.parametric import Loss, ParameterAxis
 from kc2spice.rom.pencil import first_order
 from kc2spice.rom.stability import prove_stability
 from kc2spice.rom.varying import Varying
@@ -360,7 +360,7 @@ class LinearBody(Touching):
                 )
 
         def load() -> Varying:
-            classes = (Varying, Axis, Loss, Certificate, Port)
+            classes = (Varying, ParameterAxis, Loss, Certificate, Port)
             return cached("box", asked, build, classes=classes, sources=self.sources())
 
         return scene.workspace.latest(f"range of {part.name}", asked, load)

@@ -13,7 +13,16 @@ from dataclasses import replace
 from kc2spice.core.domains import QUANTITIES, Quantity
 from kc2spice.netlist.circuit import Element, Item, Model, Parameters
 from kc2spice.netlist.elements import Line, noted, pivots
-from kc2spice.netlist.expression import Binary, Call, Name, Number, Probe, Tree, replaced, walk
+from kc2spice.netlist.expression import (
+    Binary,
+    Call,
+    CircuitVariable,
+    Name,
+    Number,
+    Tree,
+    substitute,
+    walk,
+)
 from kc2spice.netlist.spelling import LEAK_RATE
 from kc2spice.physics.declaration import RATE, Branch, Declaration
 from kc2spice.physics.symbolic import (
@@ -69,10 +78,10 @@ def noisy(declaration: Declaration) -> bool:
 def _lines(declaration: Declaration, noise: bool) -> Iterator[Line]:
     for name, tree in declaration.fixed.items():
         yield Parameters({name: f"{{{text(tree)}}}"})
-    nodes, rest = _probes(declaration), reference(declaration)
+    nodes, rest = _probes(declaration), reference_node(declaration)
     for tree, name in declaration.polynomials.items():
         yield f"* the power series {name}"
-        yield Element.behaviour(f"B{name}", name, rest, "V", text(replaced(tree, nodes)))
+        yield Element.behaviour(f"B{name}", name, rest, "V", text(substitute(tree, nodes)))
     for branch in declaration.branches:
         if branch.less or branch.name in declaration.lags:
             yield from _own_place(declaration, branch)
@@ -83,7 +92,7 @@ def _lines(declaration: Declaration, noise: bool) -> Iterator[Line]:
     branches = [b if b.plus else replace(b, plus=rest, minus=rest) for b in declaration.acting]
     for branch in branches if noise else ():
         if (loss := declaration.loss(branch)) != ZERO:
-            source = Probe("v", (f"noise_{branch.name}", branch.minus))
+            source = CircuitVariable("v", (f"noise_{branch.name}", branch.minus))
             added[branch.name] = times(source, Call("sqrt", (loss,)))
             yield _comment("noise", branch, loss=text(loss))
             yield Element.of(f"Rnoise_{branch.name}", f"noise_{branch.name}", branch.minus, "1")
@@ -110,11 +119,13 @@ def _current(
     start, end = ends
     seen = sorted(names(tree) & set(nodes))
     slopes = {item: derivative(tree, item) for item in seen}
-    probes = [[p for p in walk(nodes[item]) if isinstance(p, Probe)] for item in seen]
+    probes = [[p for p in walk(nodes[item]) if isinstance(p, CircuitVariable)] for item in seen]
     simple = all(len(found) == 1 and found[0].kind == "v" for found in probes)
-    simple = simple and not (kinks(tree) or any(isinstance(node, Probe) for node in walk(tree)))
+    simple = simple and not (
+        kinks(tree) or any(isinstance(node, CircuitVariable) for node in walk(tree))
+    )
     if not simple or any(names(slope) & set(nodes) for slope in slopes.values()):
-        yield Element.behaviour(f"B{name}", start, end, "I", text(replaced(tree, nodes)))
+        yield Element.behaviour(f"B{name}", start, end, "I", text(substitute(tree, nodes)))
         return
     for (item, slope), (probe,) in zip(slopes.items(), probes, strict=True):
         card = f"G{name}" if len(seen) == 1 else f"G{name}_{item}"
@@ -122,7 +133,7 @@ def _current(
         unit = at.left if isinstance(at, Binary) else ONE
         gain = f"{{{text(times(unit, slope))}}}"
         yield Element.of(card, start, end, *probe.names, gain)
-    rest = plus(replaced(tree, dict.fromkeys(seen, ZERO)))
+    rest = plus(substitute(tree, dict.fromkeys(seen, ZERO)))
     if rest != ZERO:
         yield Element.of(f"I{name}", end, start, f"{{{text(minus(ZERO, rest))}}}")
 
@@ -141,7 +152,7 @@ def _mass(declaration: Declaration, b: Branch) -> Iterator[Line]:
     yield Element.of(f"Cmass_{n}", v, end, f"{{{text(declaration.mass(b))}}}", IC=f"{{{fast}}}")
     shaken = [other for other in declaration.branches if other.domain.name == b.domain.frame]
     weight = declaration.direct(b)
-    still = plus(replaced(weight, {other.name: ZERO for other in shaken}))
+    still = plus(substitute(weight, {other.name: ZERO for other in shaken}))
     if still != ZERO:
         yield Element.of(f"Iweight_{n}", v, base, f"{{{text(still)}}}")
     for other in shaken:
@@ -163,16 +174,20 @@ def _mass(declaration: Declaration, b: Branch) -> Iterator[Line]:
 
 def _probes(declaration: Declaration) -> Mapping[str, Tree]:
     """Expression of each coordinate and rate."""
-    rest = reference(declaration)
+    rest = reference_node(declaration)
     inner = {name: name for name in (*declaration.polynomials.values(), *declaration.signals)}
     inner |= {name: state_node(name) for name in declaration.states}
-    result: dict[str, Tree] = {n: Probe("v", (node, rest)) for n, node in inner.items()}
+    result: dict[str, Tree] = {n: CircuitVariable("v", (node, rest)) for n, node in inner.items()}
     for b in declaration.branches:
-        read = Probe("i", (meter(b),)) if b.flows else Probe("v", _place(declaration, b))
+        read = (
+            CircuitVariable("i", (meter(b),))
+            if b.flows
+            else CircuitVariable("v", _place(declaration, b))
+        )
         result[b.name] = _in_si(read, coordinate(b).factor)
         ends = (declaration.speeds.get(pin) for pin in (b.plus, b.minus))
-        high, low = (Probe("v", (end,)) if end else ZERO for end in ends)
-        sensed = _in_si(Probe("i", (f"Vrate_{b.name}",)), coordinate(b).factor * 1e6)
+        high, low = (CircuitVariable("v", (end,)) if end else ZERO for end in ends)
+        sensed = _in_si(CircuitVariable("i", (f"Vrate_{b.name}",)), coordinate(b).factor * 1e6)
         sensed = sensed if ZERO in (high, low) else ZERO
         result[b.name + RATE] = plus(sensed, minus(high, low))
     return result
@@ -197,10 +212,10 @@ def _decimal(value: float) -> Number:
 def _place(declaration: Declaration, b: Branch) -> tuple[str, str]:
     """Nodes between which a branch's coordinate is."""
     own = b.less or b.name in declaration.lags
-    return (f"x_{b.name}", reference(declaration)) if own else (b.plus, b.minus)
+    return (f"x_{b.name}", reference_node(declaration)) if own else (b.plus, b.minus)
 
 
-def reference(declaration: Declaration) -> str:
+def reference_node(declaration: Declaration) -> str:
     """The pin on which loops and inner nodes rest."""
     pins = (b.minus for b in declaration.branches if b.moves)
     return declaration.base or next(pins, "") or declaration.open[0].minus
@@ -227,7 +242,7 @@ def _comment(kind: str, branch: Branch, **words: str) -> str:
 
 def _states(declaration: Declaration, nodes: Mapping[str, Tree]) -> Iterator[Line]:
     """Signals, then what integrates."""
-    base = reference(declaration)
+    base = reference_node(declaration)
     for name, tree in declaration.sent.items():
         yield f"*   {name} = {text(tree)}"
         yield from _node(name, tree, nodes, base)
@@ -241,7 +256,7 @@ def _states(declaration: Declaration, nodes: Mapping[str, Tree]) -> Iterator[Lin
 
 
 def _placed(declaration: Declaration, tree: Tree, nodes: Mapping[str, Tree]) -> str:
-    return text(replaced(declaration.named(tree), nodes))
+    return text(substitute(declaration.named(tree), nodes))
 
 
 def _differentiated(name: str, node: str, minus: str) -> Iterator[Line]:
@@ -263,7 +278,7 @@ def _velocity(declaration: Declaration, b: Branch) -> Iterator[Line]:
 def _own_place(declaration: Declaration, b: Branch) -> Iterator[Line]:
     """A node for what is not between two pins. With two lags of a quarter of the time in a row,
     ``x + lag x'`` is ``x + 4 (2 x - first + second - first)`` but for the time squared."""
-    n, base, lag = b.name, reference(declaration), declaration.lags.get(b.name)
+    n, base, lag = b.name, reference_node(declaration), declaration.lags.get(b.name)
     node = f"in_{n}" if lag else f"x_{n}"
     words = f" less {b.less}" * bool(b.less) + f" + {lag} times its rate" * bool(lag)
     yield _comment("place", b, node=f"x_{n}", words=words)
@@ -315,7 +330,7 @@ def _scaled(
     scale = times(_decimal(coordinate(b).factor), scale)
     unit = scale if scale != ZERO else Number("1e-12")
     yield Parameters({f"scale_{b.name}": f"{{{text(unit)}}}"})
-    amount = replaced(declaration.named(kept), nodes)
+    amount = substitute(declaration.named(kept), nodes)
     if not b.flows:  # a quotient's slope has 1e-32 beside scale^2, which may be that small
         yield Parameters({f"per_{b.name}": f"{{1/scale_{b.name}}}"})
         amount = Binary("*", Name(f"per_{b.name}"), amount)
@@ -383,12 +398,12 @@ def _edges(declaration: Declaration, nodes: Mapping[str, Tree]) -> Iterator[Line
         if seen & inner or (len(seen) == 1 and seen <= set(moved)):
             result.append((argument, moved.get(next(iter(seen)))))
     if declaration.stops:
-        yield from pivots(reference(declaration))
+        yield from pivots(reference_node(declaration))
     for k, (argument, b) in enumerate(result):
-        base = declaration.base or (b.minus if b else reference(declaration))
+        base = declaration.base or (b.minus if b else reference_node(declaration))
         yield f"* {_HEAD['edge'].format(argument=text(argument))}"
         yield f"* edge {k + 1}" if k else _EDGE
-        watched: Tree = Binary("*", Number("1e10"), replaced(argument, nodes))
+        watched: Tree = Binary("*", Number("1e10"), substitute(argument, nodes))
         if declaration.metered and b is not None:
             yield Element.behaviour(f"Bedge{k}", f"edge{k}", base, "V", text(watched))
         else:

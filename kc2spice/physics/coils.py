@@ -13,7 +13,7 @@ from typing import Any
 from kc2spice.core.magnets import POWERS, Coenergy, EMTable
 from kc2spice.core.quantities import Section
 from kc2spice.netlist.circuit import Param
-from kc2spice.netlist.expression import Writer, replaced
+from kc2spice.netlist.expression import Writer, substitute
 from kc2spice.physics.declaration import Branch, Declaration, current, displacement, voltage
 from kc2spice.physics.law import DeclaredLaw
 from kc2spice.physics.symbolic import SLOPE, ZERO, derivative, expression, minus
@@ -70,7 +70,7 @@ def _pull(
     """The force alone: what moves the magnet is not taken from what feeds the coils."""
     currents = {"i1": expression(i1), "i2": expression(i2)}
     pull = derivative(expression(_COENERGY, tables=_TABLES), "y")
-    force = replaced(minus(ZERO, pull), currents)
+    force = substitute(minus(ZERO, pull), currents)
     return Declaration(
         "coils",
         "force of two coils on a magnet",

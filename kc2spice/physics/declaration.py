@@ -36,7 +36,7 @@ from kc2spice.core.domains import QUANTITIES, Domain
 from kc2spice.core.errors import UsageError, candidates, did_you_mean, unknown
 from kc2spice.core.quantities import Section
 from kc2spice.netlist.circuit import Param
-from kc2spice.netlist.expression import Call, Name, Tree, Writer, rebuilt, replaced, walk
+from kc2spice.netlist.expression import Call, Name, Tree, Writer, rebuilt, substitute, walk
 from kc2spice.physics.symbolic import (
     ZERO,
     derivative,
@@ -360,12 +360,12 @@ class Declaration:
     def _spelled(self) -> dict[str, Tree]:
         result: dict[str, Tree] = {}
         for name, tree in self.sent.items():
-            result[name] = replaced(tree, result)
+            result[name] = substitute(tree, result)
         return result
 
     def spelled(self, tree: Tree) -> Tree:
         """``tree`` with the signals' expressions in their places."""
-        return plus(replaced(tree, self._spelled)) if self.signals else tree
+        return plus(substitute(tree, self._spelled)) if self.signals else tree
 
     @cached_property
     def read(self) -> dict[str, Tree]:
@@ -387,7 +387,7 @@ class Declaration:
     def followed(self, branch: Branch) -> Tree:
         """The same of a displacement that has followed its lag."""
         tree = self.direct(branch)
-        return plus(replaced(tree, {f"{name}{RATE}": ZERO for name in self.lags}))
+        return plus(substitute(tree, {f"{name}{RATE}": ZERO for name in self.lags}))
 
     def loss(self, branch: Branch) -> Tree:
         """Damping, conductance or resistance of a branch, for small signals; zero where heat
@@ -443,7 +443,7 @@ class Declaration:
     def at_rest(self, tree: Tree, but: str = "") -> Tree:
         """``tree`` where all coordinates and rates are zero, but for one of that name."""
         still = {*self.coordinates, *self.rates, *self.states} - {but}
-        return plus(replaced(tree, dict.fromkeys(still, ZERO)))
+        return plus(substitute(tree, dict.fromkeys(still, ZERO)))
 
     @cached_property
     def linear(self) -> bool:

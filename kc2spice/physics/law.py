@@ -12,7 +12,7 @@ import numpy as np
 from kc2spice.core.domains import TRANSLATION
 from kc2spice.core.errors import SimulationError
 from kc2spice.core.laws import Device, Flow, Pin, Tap
-from kc2spice.netlist.expression import Name, Number, Tree, replaced
+from kc2spice.netlist.expression import Name, Number, Tree, substitute
 from kc2spice.netlist.library import Subcircuit
 from kc2spice.physics.declaration import LOOPS, RATE, Branch, Declaration
 from kc2spice.physics.symbolic import (
@@ -137,7 +137,7 @@ class DeclaredLaw(Device):
         kinds, seen = self._kinds, (b for b in self.declaration.branches if not b.through)
         signals = (b for b in seen if kinds[b.plus] == "signal")
         units = {b.name: times(_number(b.domain.across.factor), Name(b.name)) for b in signals}
-        return plus(replaced(self.declaration.spelled(tree), units))
+        return plus(substitute(self.declaration.spelled(tree), units))
 
     def _stated(self, trees: Iterable[Tree], slopes: bool = False) -> _Made:
         """:meth:`_made` of what the declaration says."""

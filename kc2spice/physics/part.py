@@ -15,7 +15,7 @@ from kc2spice.netlist.expression import Tree
 from kc2spice.netlist.library import Subcircuit
 from kc2spice.netlist.spelling import comment, distinct
 from kc2spice.netlist.spelling import name as checked
-from kc2spice.physics.cards import body, force_node, meter, noisy, reference, state_node
+from kc2spice.physics.cards import body, force_node, meter, noisy, reference_node, state_node
 from kc2spice.physics.declaration import LOOPS, RATE, Branch, Declaration
 from kc2spice.physics.law import DeclaredLaw
 from kc2spice.physics.symbolic import ZERO, derivative, evaluated, kinks, names
@@ -131,7 +131,7 @@ class DeclaredPart(PartType):
                 result[f"{part.name}.v"] = Vector(speed, VELOCITY.factor, VELOCITY.unit)
         inner = {name: name for name in d.signals} | {name: state_node(name) for name in d.states}
         for name, node in inner.items():
-            value = _inner(build, part, node, reference(d)).lower()
+            value = _inner(build, part, node, reference_node(d)).lower()
             result[f"{part.name}.{name}"] = Vector(value, 1.0, "SI")
         return result
 

@@ -24,16 +24,16 @@ from kc2spice.netlist.expression import (
     Binary,
     Call,
     Choice,
+    CircuitVariable,
     Name,
     Number,
-    Probe,
     Tree,
     Unary,
     Writer,
     children,
     parse,
     rebuilt,
-    replaced,
+    substitute,
     walk,
 )
 from kc2spice.netlist.library import Subcircuit
@@ -64,7 +64,7 @@ def expression(text: str, where: str = "expression", tables: tuple[str, ...] = (
     tree = parse(text, where=where)
     for node in walk(tree):
         match node:
-            case Call("max", (first, _)) if tidy(first) == ZERO:
+            case Call("max", (first, _)) if simplified(first) == ZERO:
                 continue
             case Call("integral", (_, Name(_))) | Call("clip" | "above", (_,)):
                 continue
@@ -80,21 +80,21 @@ def expression(text: str, where: str = "expression", tables: tuple[str, ...] = (
                     got=name,
                     expected="one of " + candidates(name, functions, "docs/how-to/own_part.md"),
                 )
-            case Choice() | Probe():
+            case Choice() | CircuitVariable():
                 raise UsageError(
                     "an expression contains names, numbers and functions only",
                     where=where,
                     got=text,
                     hint="write max(0, x) for a condition x > 0",
                 )
-    return tidy(_stepped(tree))
+    return simplified(_stepped(tree))
 
 
 def _stepped(tree: Tree) -> Tree:
     """``tree`` with a choice in place of every ``above(e)``."""
     match tree:
         case Call("above", (value,)):
-            return _step(tidy(_stepped(value)))
+            return _step(simplified(_stepped(value)))
     return rebuilt(tree, _stepped)
 
 
@@ -135,22 +135,22 @@ def names(tree: Tree) -> frozenset[str]:
 
 def plus(*trees: Tree) -> Tree:
     """The simplified sum of two expressions."""
-    return tidy(_joined("+", (ZERO, *trees)))
+    return simplified(_joined("+", (ZERO, *trees)))
 
 
 def minus(first: Tree, second: Tree) -> Tree:
     """The simplified difference of two expressions."""
-    return tidy(Binary("-", first, second))
+    return simplified(Binary("-", first, second))
 
 
 def times(*trees: Tree) -> Tree:
     """The simplified product of two expressions."""
-    return tidy(_joined("*", (ONE, *trees)))
+    return simplified(_joined("*", (ONE, *trees)))
 
 
 def over(first: Tree, second: Tree) -> Tree:
     """The simplified quotient of two expressions."""
-    return tidy(Binary("/", first, second))
+    return simplified(Binary("/", first, second))
 
 
 def _joined(op: str, trees: Iterable[Tree]) -> Tree:
@@ -166,7 +166,7 @@ def _joined(op: str, trees: Iterable[Tree]) -> Tree:
 @cache
 def derivative(tree: Tree, name: str) -> Tree:
     """The exact derivative by a name, in plain form."""
-    return tidy(_derivative(tree, name))
+    return simplified(_derivative(tree, name))
 
 
 def _derivative(tree: Tree, name: str) -> Tree:
@@ -205,7 +205,7 @@ def _derivative(tree: Tree, name: str) -> Tree:
 
 
 def _chain(function: str, value: Tree) -> Tree:
-    return replaced(parse(_CHAIN[function]), {"u": value})
+    return substitute(parse(_CHAIN[function]), {"u": value})
 
 
 def _product(left: Tree, right: Tree) -> Tree:
@@ -288,7 +288,7 @@ def _kept(found: Counter[Tree]) -> tuple[Tree, ...]:
 
 
 @cache
-def tidy(tree: Tree) -> Tree:
+def simplified(tree: Tree) -> Tree:
     """Equal terms added, equal factors cancelled, numbers worked out exactly."""
     return _whole([term for term in _terms(tree) if term.size])
 
@@ -320,7 +320,7 @@ def _terms(tree: Tree) -> list[_Product]:
             raise UsageError(
                 "the exponent is not a whole number", got=Writer().write(tree), hint="exp(n*ln(x))"
             )
-    return [_Product(Fraction(1), (rebuilt(tree, tidy),))] if _lives(tree) else []
+    return [_Product(Fraction(1), (rebuilt(tree, simplified),))] if _lives(tree) else []
 
 
 def _added(tree: Tree, sign: int = 1) -> Iterator[_Product]:
@@ -338,7 +338,7 @@ def _added(tree: Tree, sign: int = 1) -> Iterator[_Product]:
 def _lives(tree: Tree) -> bool:
     """Whether a function of numbers alone is not known to be zero."""
     return not (
-        isinstance(tree, Call) and tree.function == "max" and tidy(tree.arguments[1]) == ZERO
+        isinstance(tree, Call) and tree.function == "max" and simplified(tree.arguments[1]) == ZERO
     )
 
 

@@ -152,7 +152,7 @@ def write_page(
 
     ``lead`` stands below the title. The foot states version, date, command and ``origin``.
     """
-    text = render(
+    text = render_page(
         "report.html.j2",
         title=title,
         lead=lead,
@@ -170,7 +170,7 @@ def _command() -> list[str]:
     return [shlex.join(["kc2spice", *words])] if Path(name).stem == "kc2spice" else []
 
 
-def render(template: str, **values: object) -> str:
+def render_page(template: str, **values: object) -> str:
     """A page or a drawing; whatever text it is given stays text in it."""
     pages = templates(autoescape=True)
     pages.filters.update(figure=figure_html, px="{:.1f}".format)

@@ -21,7 +21,7 @@ from kc2spice.report.html import (
     format_quantity,
     format_value,
     leaves,
-    render,
+    render_page,
     value_and_limit,
     write_page,
 )
@@ -57,7 +57,7 @@ def devices(scene: Scene) -> str:
             edge = x + width / 2 * (0.7 if shape.round else 0.9)
             labels.append((shape.label, edge, y, line))
     side = scale * (right - left)
-    return render(
+    return render_page(
         "devices.svg.j2",
         shapes=placed,
         fills=FILLS,
@@ -111,7 +111,7 @@ def draw_circuit(scene: Scene) -> str:
         nets.append(dict(zip(keys, (net, ends, *place), strict=True)))
     look: dict[str, Any] = {"top": top, "box": BOX, "width": x, "blue": BLUE, "grey": GREY}
     spoken = "Circuit of " + ", ".join(scene.parts)
-    return render("circuit.svg.j2", boxes=boxes, nets=nets, spoken=spoken, **look)
+    return render_page("circuit.svg.j2", boxes=boxes, nets=nets, spoken=spoken, **look)
 
 
 def _levels(nets: Mapping[str, Sequence[float]]) -> dict[str, int]:

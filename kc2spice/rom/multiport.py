@@ -140,7 +140,7 @@ def _fits(f: np.ndarray, S: np.ndarray, noise: float, where: str) -> list[tuple[
             break
         least = min((item for item, _ in result), default=np.inf)
         for reach in REACHES:
-            model = _state_space(*refined(f, S, np.asarray(fit.poles), reach))
+            model = _state_space(*refine_poles(f, S, np.asarray(fit.poles), reach))
             if len(model[0]) > STATES:
                 break
             result.append((_deviation(_transfer(model, f), S), model))
@@ -248,7 +248,7 @@ def _deviation(one: np.ndarray, other: np.ndarray) -> float:
     return float(np.sqrt(np.mean(np.abs(one - other) ** 2)) / np.abs(other).max())
 
 
-def refined(
+def refine_poles(
     f: np.ndarray, S: np.ndarray, poles: np.ndarray, highest: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """The stable poles near ``poles`` [rad/s], those in the upper half plane and real ones, with

@@ -41,7 +41,7 @@ Full = Callable[[Values], LinearModel]
 
 
 @dataclass(frozen=True)
-class Axis:
+class ParameterAxis:
     """A parameter and its range; its coordinate is logarithmic, -1 at ``low``, 1 at ``high``.
 
     Raises
@@ -82,7 +82,7 @@ class Axis:
 class Loss:
     """A parameter that multiplies alpha and beta of Rayleigh damping by powers of itself."""
 
-    axis: Axis
+    axis: ParameterAxis
     alpha: float
     beta: float
 
@@ -95,12 +95,12 @@ class OverBox:
     (terms, axes).
     """
 
-    axes: tuple[Axis, ...]
+    axes: tuple[ParameterAxis, ...]
     losses: tuple[Loss, ...]
     exponents: np.ndarray
 
     @property
-    def box(self) -> dict[str, Axis]:
+    def box(self) -> dict[str, ParameterAxis]:
         """Every parameter's axis by its name."""
         return {axis.name: axis for axis in (*self.axes, *(item.axis for item in self.losses))}
 
@@ -158,7 +158,7 @@ class Parametric(OverBox):
 
 def parametric(
     full: Full,
-    axes: Sequence[Axis],
+    axes: Sequence[ParameterAxis],
     band: tuple[float, float],
     *,
     degree: int | None = None,
@@ -306,7 +306,7 @@ def _independent(columns: Sequence[np.ndarray], M: Matrix) -> np.ndarray:
     return np.asarray(V)
 
 
-def _loss(full: Full, axis: Axis, middle: Values, frame: LinearModel) -> Loss | None:
+def _loss(full: Full, axis: ParameterAxis, middle: Values, frame: LinearModel) -> Loss | None:
     """The parameter as one of damping alone; None of any other."""
     if frame.rayleigh is None:
         return None

@@ -33,10 +33,10 @@ from kc2spice.rom.reduced_basis import ReducedBasis, Task
 from kc2spice.rom.reductors.base import Reductor
 from kc2spice.rom.reductors.block_krylov import nested_model
 from kc2spice.rom.reductors.registry import BLOCK_KRYLOV, reductor_named, suited_reductors
-from kc2spice.rom.refinement import refined
+from kc2spice.rom.refinement import lower_order
 from kc2spice.rom.search import fewest_states, of_order, require_order
 from kc2spice.rom.stability import StabilityProof, prove_stability
-from kc2spice.rom.structural import causal, without_inertia
+from kc2spice.rom.structural import causal, first_order_model
 
 HIGHEST = 1e30  # Hz; the square of an angular frequency is still a finite number
 # Least tolerance: ten times LEAST_ERROR, as solutions of the full-order model are hardly better.
@@ -130,7 +130,7 @@ def reduce(
     rom = _reduce(fom, target)
     if tolerance is None or contact or method or fom.first_order:
         return rom
-    return without_inertia(fom, rom, _congruence(target), tolerance, norm)
+    return first_order_model(fom, rom, _congruence(target), tolerance, norm)
 
 
 @dataclass(frozen=True)
@@ -257,7 +257,7 @@ def basis_within(
     basis, order = fewest_states(
         task, reductors, tolerance, tighten=not target.contact, keep_form=target.keep_form
     )
-    return (basis, order) if target.contact else refined(basis, order, tolerance)
+    return (basis, order) if target.contact else lower_order(basis, order, tolerance)
 
 
 def _prescribed(task: Task, reductor: Reductor) -> ReducedBasis:

@@ -14,7 +14,7 @@ import scipy
 
 from kc2spice.rom.pencil import Pencil
 from kc2spice.rom.reduced_basis import SAFETY, ReducedBasis
-from kc2spice.rom.reductors.balanced_truncation import scales
+from kc2spice.rom.reductors.balanced_truncation import balancing_factors
 from kc2spice.rom.reductors.snapshots import snapshots
 from kc2spice.rom.relaxing_fit import minimax
 from kc2spice.rom.response import Response
@@ -29,7 +29,7 @@ HOPELESS = 1.5  # error over the tolerance at which a fit ends
 SUFFICIENT = 0.97  # share of the tolerance at which a fit ends; the rest is for the error estimate
 
 
-def refined(basis: ReducedBasis, order: int, tolerance: float) -> tuple[ReducedBasis, int]:
+def lower_order(basis: ReducedBasis, order: int, tolerance: float) -> tuple[ReducedBasis, int]:
     """Return a basis with a lower order within the tolerance if a fit finds one, else the same."""
     if basis.task.norm != "peak":
         return basis, order
@@ -45,7 +45,7 @@ def fit_outputs(basis: ReducedBasis, order: int, tolerance: float) -> tuple[Redu
     estimator = basis.task.estimator
     s = snapshots(estimator, estimator.exact).s
     H, peak = estimator.exact.transfer(s), estimator.reference[1].peak
-    rows, columns = scales(peak)
+    rows, columns = balancing_factors(peak)
     target = (H - basis.pencil.D) / (rows[:, None] * columns)
     best, trial_order, sufficient = (basis, order), order, SUFFICIENT * tolerance / SAFETY
     while trial_order > max(1, basis.pencil.free, best[1] - FAILURES):

@@ -298,7 +298,7 @@ def with_viscous_loss(model: LinearModel, beta: float) -> tuple[LinearModel, tup
     return replace(plain, E=model.E + added * model.K), (alpha, beta_share)
 
 
-def without_inertia(
+def first_order_model(
     model: LinearModel,
     reduced_model: LinearModel,
     reduced: Reductor,

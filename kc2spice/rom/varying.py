@@ -26,9 +26,9 @@ from kc2spice.rom.error_estimate import ErrorEstimator
 from kc2spice.rom.first_step import intermediate_model
 from kc2spice.rom.linear_model import Certificate, LinearModel, Norm, Port
 from kc2spice.rom.parametric import (
-    Axis,
     Full,
     OverBox,
+    ParameterAxis,
     Parametric,
     Values,
     exponents_to,
@@ -127,7 +127,7 @@ class Varying(OverBox):
 
 def over_box(
     full: Full,
-    axes: Sequence[Axis],
+    axes: Sequence[ParameterAxis],
     band: tuple[float, float],
     tolerance: float,
     progress: Callable[[int, int], None] = lambda done, of: None,
@@ -174,7 +174,7 @@ def over_box(
 
 def _certified(
     full: Full,
-    axes: Sequence[Axis],
+    axes: Sequence[ParameterAxis],
     band: tuple[float, float],
     tolerance: float,
     progress: Callable[[int, int], None],
@@ -284,7 +284,7 @@ def _too_wide(problem: str, dense_model: Parametric, got: str, tolerance: float)
     )
 
 
-def _values(box: Mapping[str, Axis], x: np.ndarray) -> dict[str, float]:
+def _values(box: Mapping[str, ParameterAxis], x: np.ndarray) -> dict[str, float]:
     """Those at coordinates of the first axes, the middle of the others."""
     known = {axis.name: axis.value(float(v)) for axis, v in zip(box.values(), x, strict=False)}
     return {name: known.get(name, axis.middle) for name, axis in box.items()}

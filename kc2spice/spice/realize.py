@@ -162,7 +162,7 @@ def written(value: Value) -> str:
     return f"{{{value}}}" if isinstance(value, str) else number(value)
 
 
-def times(factor: float, value: Value) -> Value:
+def scaled(factor: float, value: Value) -> Value:
     return f"{number(factor)}*{value}" if isinstance(value, str) else factor * value
 
 
@@ -238,7 +238,7 @@ class PortTerminal:
         """The card of its input, whose weight stands in a ``row`` of inputs."""
         value = row[self.column or 0]
         if self.input_unit != 1.0 and value:
-            value = times(self.input_unit, value)
+            value = scaled(self.input_unit, value)
         return Transconductance(label, *self.control(base), value)
 
 
@@ -675,9 +675,9 @@ def _port(t: PortTerminal, base: str, share: float) -> Iterator[Line]:
         yield (_CLAMPED if t.port.paired else _FILLED).format(**words, **_units(t, base))
         (a, b), c = t.ends(base), t.capacitance or t.clamped
         inverse = f"{number(MICRO)}/{c}" if isinstance(c, str) else MICRO / c
-        yield Element.of(f"Cclamped{tag}", a, f"inner{tag}", written(times(share, c)))
+        yield Element.of(f"Cclamped{tag}", a, f"inner{tag}", written(scaled(share, c)))
         yield Element.of(f"Gmore{tag}", a, b, f"current{tag}", base, 1 - share)
-        yield Element.of(f"Gleak{tag}", a, b, a, f"inner{tag}", written(times(LEAK_RATE, c)))
+        yield Element.of(f"Gleak{tag}", a, b, a, f"inner{tag}", written(scaled(LEAK_RATE, c)))
         yield Element.of(f"Ginner{tag}", base, f"current{tag}", f"inner{tag}", b, "1")
         ends = f"current{tag}", f"charge{tag}"
         yield Element.of(f"Gcharge{tag}", base, *ends, base, written(inverse))
@@ -905,7 +905,7 @@ def _blocks(
     B, C = model.B.copy(), model.C.copy()
     none = np.zeros((len(B), 0)), np.zeros((0, len(B))), B[:0], C[:, :0], B[:0, :0]
     F, P, Q, R, S = (item.copy() for item in model.loops or none)
-    scaled, held, start = [], [], 0
+    scaled_blocks, held, start = [], [], 0
     for block in model.blocks:
         rows = slice(start, start + len(block))
         start += len(block)
@@ -914,14 +914,14 @@ def _blocks(
         F[rows] /= scale[:, None]
         C[:, rows] *= scale
         P[:, rows] *= scale
-        scaled.append(block)
+        scaled_blocks.append(block)
         held.append(free)
     numbers = [f"{k}" for k in range(1, start + len(S) + 1)]
     units = [[t.unit] for t in terminals if t.row is not None]
     states = _States(
         [f"z{k}" for k in numbers],
         numbers,
-        np.block([[block_diag(*scaled), F], [P / farad, S / farad]]),
+        np.block([[block_diag(*scaled_blocks), F], [P / farad, S / farad]]),
         np.vstack([B, Q / farad]),
         np.hstack([C, R]) / np.array(units),
     )
@@ -944,7 +944,7 @@ def _blocks(
         ]
     at = 0
     signals: list[tuple[np.ndarray, bool | None]] = [(S, None)] if len(S) else []
-    for block, drifts in [*zip(scaled, held, strict=True), *signals]:
+    for block, drifts in [*zip(scaled_blocks, held, strict=True), *signals]:
         first, at = at, at + len(block)
         accuracy = _LOOPED if drifts is None else comment(_description(block))
         body.append(f"\n* States {first + 1} to {at}: {accuracy}")

@@ -30,7 +30,7 @@ from kc2spice.rom.complex_constants import ComplexConstants
 from kc2spice.rom.linear_model import LinearModel
 from kc2spice.rom.modal import clamped_tangent, permittivity
 from kc2spice.rom.parametric import (
-    Axis,
+    ParameterAxis,
     Parametric,
     modal_projection,
     modal_transfer,
@@ -68,7 +68,7 @@ CONSTANT_Q = 'losses by complex constants of IEEE 176: set damping.model = "ieee
 UNEXPLAINED = "the geometry, the mounting, or a loss model that the part does not follow"
 VALUES, BOX, PAGE = "fit.toml", "box.toml", "report.html"
 LIKELY, NARROWEST = 2.0, 1.1e-3  # standard errors of a key's range in a netlist, its relative half
-Box = dict[str, Axis]
+Box = dict[str, ParameterAxis]
 
 
 def fit(
@@ -549,13 +549,13 @@ def _refine_end(descent: _Descent, end: _End) -> _End:
     )
 
 
-def _around(item: Varied, value: float, half: float) -> Axis:
+def _around(item: Varied, value: float, half: float) -> ParameterAxis:
     """The part of the range within a factor ``exp(half)`` of a value."""
     ends = sorted((value * np.exp(-half), value * np.exp(half)))
-    return Axis(item.key, max(item.low, ends[0]), min(item.high, ends[1]))
+    return ParameterAxis(item.key, max(item.low, ends[0]), min(item.high, ends[1]))
 
 
-def _between(item: Varied, axis: Axis, value: float) -> bool:
+def _between(item: Varied, axis: ParameterAxis, value: float) -> bool:
     """Whether a value meets an end of a box that is not one of the key's whole range."""
     x = axis.coordinate(value)
     end = axis.high if x > 0 else axis.low

@@ -15,7 +15,7 @@ from kc2spice.core.errors import SimulationError, UsageError
 from kc2spice.core.progress import Clock
 from kc2spice.parts._box import with_values
 from kc2spice.rom.linear_model import LinearModel, Port
-from kc2spice.rom.parametric import Axis, parametric
+from kc2spice.rom.parametric import ParameterAxis, parametric
 from kc2spice.rom.varying import over_box
 from kc2spice.spice.parametric_resonators import parametric_subcircuit
 
@@ -117,7 +117,7 @@ def oscillators(repelling: float):
 )
 def test_modes_that_cross_or_repel_in_the_box_do_not_jump(repelling, norm):
     full, band = oscillators(repelling), (0.0, 2 / (2 * np.pi))
-    found = over_box(full, [Axis("a", 0.7, 1.4)], band, 1e-4, norm=norm)
+    found = over_box(full, [ParameterAxis("a", 0.7, 1.4)], band, 1e-4, norm=norm)
     assert max(found.blocks) >= 2  # the two that meet are one block
     assert found.certificate.norm == norm
     f, share = np.linspace(0.1, 1, 200) * band[1], 1.0 if norm == "peak" else 1e-6
@@ -141,7 +141,7 @@ def test_the_error_of_a_box_holds_at_its_corners():
         return LinearModel(M=np.diag([1, 2, 0.5]), K=K, B=B, rayleigh=(0.04, 0.02), ports=ports)
 
     low, high = 0.85, 1.18
-    axes = [Axis("a", low, high), Axis("b", low, high)]
+    axes = [ParameterAxis("a", low, high), ParameterAxis("b", low, high)]
     found = over_box(full, axes, (0.0, 1.5 / (2 * np.pi)), 1e-2)
     f = np.linspace(0.1, 1, 150) * found.certificate.band_hz[1]
     for a, b in ((low, low), (low, high), (high, low), (high, high)):
@@ -162,7 +162,7 @@ def thin_plate(values: dict) -> LinearModel:
 
 def test_polynomials_of_a_thin_plate_have_a_higher_degree():
     """The error of polynomials of degree 6 in the stiff spring changes the soft motion by 70 %."""
-    found = over_box(thin_plate, [Axis("a", 0.7, 1.4)], (0.0, 2 / (2 * np.pi)), 1e-2)
+    found = over_box(thin_plate, [ParameterAxis("a", 0.7, 1.4)], (0.0, 2 / (2 * np.pi)), 1e-2)
     f = np.linspace(0.1, 1, 200) * found.certificate.band_hz[1]
     for a in np.linspace(0.7, 1.4, 41):
         H, exact = (model.transfer(f) for model in (found.at({"a": a}), thin_plate({"a": a})))
@@ -171,7 +171,7 @@ def test_polynomials_of_a_thin_plate_have_a_higher_degree():
 
 def test_a_range_too_wide_for_the_highest_degree_is_refused():
     with pytest.raises(SimulationError) as told:
-        over_box(thin_plate, [Axis("a", 0.3, 3.0)], (0.0, 2 / (2 * np.pi)), 1e-2)
+        over_box(thin_plate, [ParameterAxis("a", 0.3, 3.0)], (0.0, 2 / (2 * np.pi)), 1e-2)
     assert told.value.hint == "narrow the ranges in rom.parameters"
 
 
@@ -186,7 +186,7 @@ def test_the_notch_of_a_transfer_between_ports_is_within_the_tolerance():
         return LinearModel(M=M, K=K, B=B, rayleigh=(4e-5, 0.0), ports=ports)
 
     tolerance = 1e-2
-    found = over_box(full, [Axis("a", 0.8, 1.25)], (0.0, 3 / (2 * np.pi)), tolerance)
+    found = over_box(full, [ParameterAxis("a", 0.8, 1.25)], (0.0, 3 / (2 * np.pi)), tolerance)
     for a in (0.83, 0.97, 1.1):
         notch = np.sqrt((4 * a + a * a) / (1 + a)) / (2 * np.pi)
         f = notch * np.linspace(1 - 1e-4, 1 + 1e-4, 201)
@@ -197,7 +197,7 @@ def test_the_notch_of_a_transfer_between_ports_is_within_the_tolerance():
 def test_mechanical_ports_of_a_box_answer_in_ngspice_as_the_full_model(tmp_path):
     """1 N into the first port, at a value of the parameter that is not the default."""
     full, band = oscillators(0.1), (0.0, 2 / (2 * np.pi))
-    found = over_box(full, [Axis("a", 0.7, 1.4)], band, 1e-4)
+    found = over_box(full, [ParameterAxis("a", 0.7, 1.4)], band, 1e-4)
     part = parametric_subcircuit(found, "box", [kc.Param("a", 1.0, "-", "tuning", 0.7, 1.4)])
     assert [pin.name for pin in part.pins] == ["one", "two", "base"]
     deck = [
@@ -273,7 +273,7 @@ def test_a_soft_mode_below_a_stiff_one_is_refused_over_a_box():
         return LinearModel(M=np.eye(2), K=K, B=np.ones((2, 1)), rayleigh=(0.01, 0.0), ports=ports)
 
     with pytest.raises(UsageError, match="need a body with a support"):
-        over_box(full, [Axis("a", 0.9, 1.1)], (0.0, 1.0), 1e-3)
+        over_box(full, [ParameterAxis("a", 0.9, 1.1)], (0.0, 1.0), 1e-3)
 
 
 def test_the_example_without_parameters_keeps_its_netlist(tmp_path: Path):
@@ -349,7 +349,7 @@ def two_masses(values):
 
 
 def test_frequencies_may_cross_within_the_box():
-    made = parametric(two_masses, [Axis("k", 1.0, 4.0)], (0.01, 0.5), degree=9)
+    made = parametric(two_masses, [ParameterAxis("k", 1.0, 4.0)], (0.01, 0.5), degree=9)
     f = np.linspace(0.05, 0.5, 200)
     for k in (1.1, 1.97, 2.0, 2.05, 3.7):
         exact = two_masses({"k": k}).transfer(f)
@@ -360,8 +360,8 @@ def test_sizes_and_losses_of_a_disc_at_values_that_no_sample_had():
     """Full models are solved at every frequency; the box is ten per cent of sizes, ten times of a
     loss, which is exact."""
     start = {"layers[0].thickness": 0.2e-3, "layers[1].diameter": 14e-3, "damping.quality": 50.0}
-    axes = [Axis(key, value / 1.05, 1.05 * value) for key, value in start.items()][:2]
-    axes += [Axis("damping.quality", 10.0, 100.0)]
+    axes = [ParameterAxis(key, value / 1.05, 1.05 * value) for key, value in start.items()][:2]
+    axes += [ParameterAxis("damping.quality", 10.0, 100.0)]
     band = (1e3, 25e3)
     made = parametric(buzzer, axes, band, degree=6)
     assert [loss.axis.name for loss in made.losses] == ["damping.quality"]
@@ -401,17 +401,17 @@ def test_models_without_a_common_form_are_refused(change, said):
         return change(two_masses(values), values["k"])
 
     with pytest.raises(UsageError, match=said):
-        parametric(full, [Axis("k", 1.0, 3.0)], (0.01, 0.5))
+        parametric(full, [ParameterAxis("k", 1.0, 3.0)], (0.01, 0.5))
 
 
 @pytest.mark.parametrize("ends", [(1.0, 1.0), (-1.0, 1.0), (0.0, 1.0), (np.nan, 1.0)])
 def test_a_range_has_two_ends_of_one_sign(ends):
     with pytest.raises(UsageError, match="not the range"):
-        Axis("k", *ends)
+        ParameterAxis("k", *ends)
 
 
 def test_parameters_outside_of_the_box_are_refused():
-    made = parametric(two_masses, [Axis("k", 1.0, 4.0)], (0.01, 0.5), degree=3)
+    made = parametric(two_masses, [ParameterAxis("k", 1.0, 4.0)], (0.01, 0.5), degree=3)
     for values in ({"k": 4.1}, {"k": -2.0}, {}):
         with pytest.raises(UsageError, match="outside"):
             made.at(values)

@@ -15,7 +15,7 @@ from kc2spice.core.errors import GateMissedError
 from kc2spice.netlist.circuit import Param
 from kc2spice.netlist.read import read
 from kc2spice.rom.linear_model import Certificate, LinearModel, Port
-from kc2spice.rom.parametric import Axis, polynomials
+from kc2spice.rom.parametric import ParameterAxis, polynomials
 from kc2spice.rom.varying import Varying
 from kc2spice.sim.ngspice import run_deck
 from kc2spice.spice import parametric_resonators, realize
@@ -118,7 +118,7 @@ def test_rounding_of_the_given_matrices_is_no_fault_of_the_circuit():
 
 def test_parametric_circuits_are_compared_at_corners_and_inside(monkeypatch):
     """A frequency that grows with a parameter's power, in the netlist 1e-6 of it too strongly."""
-    axis = Axis("length", 0.5, 2.0)
+    axis = ParameterAxis("length", 0.5, 2.0)
     exponents = np.array([[0], [1]])
     model = Varying(
         axes=(axis,), losses=(), ports=PORTS[1:], exponents=exponents, blocks=(1,),

@@ -75,7 +75,7 @@ class Symbol:
     named_pins: bool = False
 
 
-def library(symbols: Iterable[Symbol]) -> str:
+def symbol_library(symbols: Iterable[Symbol]) -> str:
     """A symbol library."""
     return render("kicad.j2", symbols=list(symbols), grid=GRID, sheet=None)
 
@@ -199,7 +199,7 @@ def project(deck: Deck) -> dict[str, str]:
             "kicad_project.j2", name=deck.name, sheet=_uuid(deck.name, "sheet")
         ),
         f"{deck.name}.wbk": _workbook(deck, top, commands),
-        f"{LIBRARY}.kicad_sym": library(used),
+        f"{LIBRARY}.kicad_sym": symbol_library(used),
         "sym-lib-table": (
             "(sym_lib_table\n\t(version 7)\n"
             f'\t(lib (name "{LIBRARY}")(type "KiCad")(uri "${{KIPRJMOD}}/{LIBRARY}.kicad_sym")'

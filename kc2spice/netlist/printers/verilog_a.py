@@ -16,14 +16,14 @@ from kc2spice.netlist.deck import Deck
 from kc2spice.netlist.expression import (
     EVERYWHERE,
     Binary,
+    CircuitVariable,
     Name,
     Number,
-    Probe,
     Tree,
     Writer,
     literal,
     parse,
-    replaced,
+    substitute,
     vector,
     walk,
 )
@@ -90,7 +90,7 @@ class Module:
 
 
 @dataclass
-class Names(Writer):
+class VerilogNames(Writer):
     """Spelling inside one instance: ``prefix`` keeps nested instances apart."""
 
     module: Module
@@ -130,9 +130,9 @@ class Names(Writer):
         match tree:
             case Number(text):
                 return text if set(".eE").intersection(text) else f"{text}.0"
-            case Probe("v", names):
+            case CircuitVariable("v", names):
                 return self.across(names)
-            case Probe("i", (source, *_)):
+            case CircuitVariable("i", (source, *_)):
                 return f"I({self.branch(source)})"
             case Binary("^", left, right):
                 return f"pow(abs({self.write(left)}), {self.write(right)})"
@@ -162,7 +162,7 @@ class Names(Writer):
             body = parse(defined.expression, where=defined.where)
             words = {leaf.text for leaf in walk(body) if isinstance(leaf, Name)}
             inserted = {word: named[word.lower()] for word in words if word.lower() in named}
-            return f"({self.write(replaced(body, inserted))})"
+            return f"({self.write(substitute(body, inserted))})"
         if function == "pow" and len(arguments) == 2:
             return self.write(Binary("^", *arguments))
         if spelled := _SPELLED.get(function):
@@ -198,7 +198,7 @@ def module_files(part: Subcircuit) -> dict[str, str]:
         spelled = params[p.name.lower()] = module.identifier(p.name)
         line = f"parameter real {spelled} = {number(p.default)};"
         module.declarations.append(f"{line}  // {p.unit}: {p.doc}")
-    _expand(Names(module, scope, pins, params, ""))
+    _expand(VerilogNames(module, scope, pins, params, ""))
     ports = ", ".join(pins.values())
     inner = ", ".join(module.nodes.values())
     body = [
@@ -220,7 +220,7 @@ def module_files(part: Subcircuit) -> dict[str, str]:
     return {part.filename.removesuffix(".lib") + ".va": "\n".join(body) + "\n"}
 
 
-def _expand(names: Names) -> None:
+def _expand(names: VerilogNames) -> None:
     """Add the contributions of an instance; nested ones come in place, with a prefix."""
     scope, module, prefix = names.scope, names.module, names.prefix
     for card in scope.commands:
@@ -238,7 +238,7 @@ def _expand(names: Names) -> None:
             _contribute(part, names)
 
 
-def _nested(part: Element, outer: Names) -> None:
+def _nested(part: Element, outer: VerilogNames) -> None:
     called = outer.scope.find(part.model)
     if called is None or len(called.pins) != len(part.nodes):
         raise part.error("no such subcircuit", part.model)
@@ -248,10 +248,10 @@ def _nested(part: Element, outer: Names) -> None:
     for key, default in called.defaults.items():
         value = outer.value(part.settings.get(key, default))
         params[key] = outer.module.variable(prefix + key, value)
-    _expand(Names(outer.module, called, pins, params, prefix))
+    _expand(VerilogNames(outer.module, called, pins, params, prefix))
 
 
-def _contribute(part: Element, names: Names) -> None:
+def _contribute(part: Element, names: VerilogNames) -> None:
     """Add the contribution of one primitive element: a current between its nodes, or a voltage over
     a branch of its name."""
     module = names.module
@@ -274,7 +274,7 @@ def _contribute(part: Element, names: Names) -> None:
         module.laws.append(f"{through} <+ {held};")
 
 
-def _right(part: Element, names: Names, across: str) -> str:
+def _right(part: Element, names: VerilogNames, across: str) -> str:
     """Contribution of an element without an expression."""
     own = f"I({names.branch(part.name)})"
     match part.kind:
@@ -299,21 +299,21 @@ def _right(part: Element, names: Names, across: str) -> str:
             # OpenVAF makes one node of the ends of a plain 0 V, and its current zero
             others = names.scope.elements
             laws = (leaf for item in others if item.expression for leaf in walk(item.law))
-            probed = (p.names[0] for p in laws if isinstance(p, Probe) and p.kind == "i")
+            probed = (p.names[0] for p in laws if isinstance(p, CircuitVariable) and p.kind == "i")
             used = (*probed, *(name for item in others for name in item.sources))
             read = part.key in map(str.lower, used)
             return _steady(part, names) + (f" + {number(SERIES)}*{own}" if read else "")
     raise part.error(_UNSAID)
 
 
-def _value(part: Element, names: Names) -> str:
+def _value(part: Element, names: VerilogNames) -> str:
     """The one value of a card; a second one, a multiplier or a model would be left out."""
     if len(part.values) != 1 or set(part.settings) - ({"ic"} if part.kind == "c" else set()):
         raise part.error(_UNSAID)
     return names.value(part.values[0])
 
 
-def _steady(part: Element, names: Names) -> str:
+def _steady(part: Element, names: VerilogNames) -> str:
     """Value of a source that never changes; a waveform that stays at zero is one."""
     words = [w for w in part.values if w.lower() != "dc"]
     if len(words) == 1 and "(" not in words[0].partition("{")[0]:
@@ -326,7 +326,7 @@ def _steady(part: Element, names: Names) -> str:
     raise part.error("a module has no sources with waveforms")
 
 
-def _switch(part: Element, names: Names) -> str:
+def _switch(part: Element, names: VerilogNames) -> str:
     model = names.scope.models.get(part.model.lower())
     given = _SWITCH | ({k.lower(): v for k, v in model.parameters.items()} if model else {})
     worth = {k: literal(v, where=names.where) for k, v in given.items()}
@@ -336,7 +336,7 @@ def _switch(part: Element, names: Names) -> str:
     return f"({names.across(part.nodes[2:])} > {level} ? {on} : {off})"
 
 
-def _mutual(part: Element, names: Names) -> list[str]:
+def _mutual(part: Element, names: VerilogNames) -> list[str]:
     inductors = {e.key: e for e in names.scope.elements if e.kind == "l"}
     coils = [inductors[s.lower()] for s in part.sources if s.lower() in inductors]
     if len(coils) != 2:

@@ -66,7 +66,7 @@ class BalancedTruncation(Reductor):
 
     def basis(self, task: Task) -> ReducedBasis | None:
         """Return the balanced model; None if it is not strictly stable."""
-        rows, columns = scales(task.estimator.reference[1].peak)
+        rows, columns = balancing_factors(task.estimator.reference[1].peak)
         if not self.scaled:
             rows, columns = np.ones(len(rows)), np.ones(len(columns))
         roots = _gramian_roots(task.first_order.pencil, rows, columns)
@@ -117,7 +117,7 @@ def balanced_basis(
     )
 
 
-def scales(size: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def balancing_factors(size: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return factors of rows and columns whose products are closest to ``size``.
 
     The size is (..., rows, columns), and the distance is that of logarithms.

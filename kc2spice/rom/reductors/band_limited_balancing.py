@@ -6,7 +6,11 @@ import numpy as np
 import scipy
 
 from kc2spice.rom.reduced_basis import ReducedBasis, Task
-from kc2spice.rom.reductors.balanced_truncation import balanced_basis, has_gramians, scales
+from kc2spice.rom.reductors.balanced_truncation import (
+    balanced_basis,
+    balancing_factors,
+    has_gramians,
+)
 from kc2spice.rom.reductors.base import Reductor
 
 LARGEST = 900  # first-order states up to which the method is tried: a limit of the work, by trial
@@ -67,7 +71,7 @@ def _weights(frequency: np.ndarray, base: np.ndarray) -> tuple[np.ndarray, np.nd
     inputs).
     """
     step = np.sqrt(np.gradient(frequency) if len(frequency) > 1 else np.ones(1))
-    rows, columns = scales(base)
+    rows, columns = balancing_factors(base)
     return step[:, None] / columns, step[:, None] / rows
 
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from kc2spice.rom.error_estimate import relative_size
-from kc2spice.rom.intermediate import IntermediateModel, unsettled
+from kc2spice.rom.intermediate import IntermediateModel, not_converged
 from kc2spice.rom.pencil import Pencil
 from kc2spice.rom.reductors.block_krylov import extend
 from kc2spice.rom.reductors.rational_krylov import CONFIRMATIONS, MOST_VECTORS
@@ -76,4 +76,4 @@ def definite_krylov_model(
         blocks = BLOCKS_AT_SHIFT - 1
         current = pencil.pencil_solver((2 * np.pi * worst) ** 2)
         candidates = current.solve(pencil.B)
-    raise unsettled(response, band, change, limit)
+    raise not_converged(response, band, change, limit)

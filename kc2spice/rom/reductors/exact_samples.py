@@ -36,7 +36,7 @@ def real_parts(x: np.ndarray) -> list[np.ndarray]:
     return [x.real, x.imag] if np.iscomplexobj(x) and x.imag.any() else [x.real]
 
 
-class Samples:
+class ExactSamples:
     """Solutions of the full model at sample frequencies, and models projected on them."""
 
     def __init__(self, pencil: Pencil) -> None:
@@ -100,7 +100,7 @@ def sampled_model(
     ------
     SimulationError : not even ``limit`` is met; a model free to move at zero frequency.
     """
-    known = Samples(full)
+    known = ExactSamples(full)
     every = grid(band, CANDIDATES, True)
     for k in np.unique(np.linspace(0, len(every) - 2, FIRST_POINTS).astype(int)):
         known.add(float(every[k]))

@@ -112,7 +112,7 @@ class OptimalModels(ReducedBasis):
             if change <= CONVERGED:
                 break
             former = poles
-            reduced = interpolated(full, mirrored(poles), left, right)
+            reduced = interpolated(full, mirrored_poles(poles), left, right)
         else:
             warnings.warn(
                 f"IRKA of order {order} has not converged: its poles still change by {change:.1e} "
@@ -128,7 +128,7 @@ def residues(pencil: Pencil) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return poles, (pencil.C @ X).T, np.linalg.solve(X, pencil.B.astype(complex))
 
 
-def mirrored(poles: np.ndarray) -> np.ndarray:
+def mirrored_poles(poles: np.ndarray) -> np.ndarray:
     """Return the mirror images of stable poles, and unstable poles themselves."""
     return np.asarray(np.abs(poles.real) - 1j * poles.imag)
 

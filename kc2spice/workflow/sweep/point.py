@@ -24,7 +24,13 @@ from kc2spice.core.untrusted_files import MAX_BYTES, read_bounded, text_of
 from kc2spice.core.workspace import Workspace
 from kc2spice.netlist.deck import Deck
 from kc2spice.netlist.include_scan import included_netlist
-from kc2spice.netlist.transforms import Parameters, cards, declared, library_of, with_parameters
+from kc2spice.netlist.transforms import (
+    Parameters,
+    cards,
+    library_of,
+    parameter_defaults,
+    with_parameters,
+)
 from kc2spice.report.html import leaves
 from kc2spice.scene.load import gallery, load_scene, toml
 from kc2spice.scene.model import Build, Scene
@@ -204,7 +210,7 @@ def with_changed_parameters(build: Build, deck: Deck, values: Iterable[tuple[str
     A part with a key of that name and value has the changed one; of a part without, whose keys no
     longer tell what the deck has, neither checks nor energy balance are asked for.
     """
-    known, parts, unjudged = declared(deck), dict(build.scene.parts), set(build.unjudged)
+    known, parts, unjudged = parameter_defaults(deck), dict(build.scene.parts), set(build.unjudged)
     for key, value in values:
         library, _, name = key.partition(".")
         users = {library_of(p) for p in deck.parts if library in dict(cards(p))}
