@@ -125,7 +125,7 @@ def _range(start: float, stop: float, points: int, scale: str) -> tuple[str, ...
     return "dec", str(math.ceil(points / decades)), number(start), number(stop)
 
 
-def over(command: Command, start: float, stop: float, points: int) -> Command:
+def with_frequencies(command: Command, start: float, stop: float, points: int) -> Command:
     """A small-signal ``command`` at other frequencies [Hz], equally spaced from ``start``."""
     kept = command.words[:2] if command.kind == "noise" else ()
     last = command.words[6:] if command.kind == "noise" else ()

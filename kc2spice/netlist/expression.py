@@ -101,7 +101,7 @@ def parse(text: str, *, where: str = "expression") -> Tree:
     ------
     UsageError : not an expression.
     """
-    return _Parser(text.strip().strip("'\""), where).whole()
+    return _Parser(text.strip().strip("'\""), where).whole_text()
 
 
 def literal(text: str, *, where: str = "expression") -> float | None:
@@ -219,9 +219,9 @@ class Writer:
             case Binary("^", left, right):
                 return f"{self.write(left, len(_LEVELS))}^{self.write(right, len(_LEVELS))}"
             case Binary(op, left, right):
-                own = _RANK[op]
-                text = f"{self.write(left, own)}{op}{self.write(right, own + 1)}"
-                return f"({text})" if own < level else text
+                rank = _RANK[op]
+                text = f"{self.write(left, rank)}{op}{self.write(right, rank + 1)}"
+                return f"({text})" if rank < level else text
         raise TypeError(tree)
 
 
@@ -229,7 +229,7 @@ class _Parser:
     def __init__(self, text: str, where: str) -> None:
         self.text, self.where, self.at = text, where, 0
 
-    def whole(self) -> Tree:
+    def whole_text(self) -> Tree:
         tree = self.choice()
         if self.text[self.at :].strip():
             raise self.error("stray text")
@@ -287,7 +287,7 @@ class _Parser:
         if match["number"]:
             return Number(_plain(match["number"], match["suffix"]))
         if match["name"]:
-            return self.named(match["name"])
+            return self.name_or_call(match["name"])
         if closing := {"(": ")", "{": "}"}.get(match["op"]):
             inner = self.choice()
             self.expect(closing)
@@ -295,7 +295,7 @@ class _Parser:
         self.at = match.start()
         raise self.error("something expected")
 
-    def named(self, name: str) -> Tree:
+    def name_or_call(self, name: str) -> Tree:
         if self.accept("(") is None:
             return Name(name)
         if name.lower() in ("v", "i"):

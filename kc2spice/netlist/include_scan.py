@@ -238,12 +238,12 @@ def refuse(cards: Iterable[Statement], *, part: bool) -> None:
 
 def _acts(card: Statement, outside: bool, part: bool) -> Iterator[tuple[str, str, str]]:
     """Effect of a card on the whole deck, the expected card, and the action to take."""
-    key, given = card.keyword, accuracy((card,))
+    key, options = card.keyword, accuracy((card,))
     if part and key in ANALYSES | _OUTPUTS:
         what = "asks for an analysis" if key in ANALYSES else "asks for an output"
         yield f"{what} of its own", _PARTS, "drop this line: the scene has analysis and results"
-    if part and given:
-        what = "temperature" if key == ".temp" else f"option {next(iter(given))}"
+    if part and options:
+        what = "temperature" if key == ".temp" else f"option {next(iter(options))}"
         hint = (
             "drop this line; accuracy is set by the scene's [solver], the temperature of a "
             "device by temp=… on its own card"
@@ -252,7 +252,7 @@ def _acts(card: Statement, outside: bool, part: bool) -> Iterator[tuple[str, str
     if part and outside and (key in (".ic", ".nodeset") or (key and not key.startswith("."))):
         what = "has a card outside of every subcircuit, which acts on nodes of the whole deck"
         yield what, _PARTS, "put it into the .subckt or drop it"
-    if not part and "interp" in given:
+    if not part and "interp" in options:
         hint = "drop it: events lie between the points that it keeps"
         yield "sets the option interp", "results at every time point", hint
     if key.startswith(".global"):
@@ -332,8 +332,8 @@ def checked(path: Path, *, trust: bool = False, home: Path | None = None) -> Fla
     for line in result.lines:  # as they stood: cards are what they seem only if nothing hides
         text = line.raw.rstrip("\r")
         for reason in _raw_reasons(text):
-            shown = repr(text) if _HIDDEN.search(text) else text
-            raise refusal(reason, path, line.where, shown)
+            quotation = repr(text) if _HIDDEN.search(text) else text
+            raise refusal(reason, path, line.where, quotation)
     for card in result.cards():
         for reason in _reasons(card):
             raise refusal(reason, path, card.where, card.written)
@@ -362,7 +362,7 @@ def included_netlist(name: str, home: Path, *, trust: bool = False) -> Flat:
     return result
 
 
-def looked_at(name: str, home: Path) -> Flat:
+def read_untrusted(name: str, home: Path) -> Flat:
     """The file ``name`` unchanged, with what it includes from ``home`` or below: its pins and
     nodes can be known before anybody trusts it to be run.
 

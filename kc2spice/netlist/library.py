@@ -191,12 +191,12 @@ def parameter_line(param: Param) -> str:
 
 def subcircuits(text: str, file: str) -> list[Subcircuit]:
     """The parts in the ``text`` of a library ``file``, as :func:`read_lib` gives them."""
-    whole = read(text, file)
-    result = whole.subcircuits
+    library = read(text, file)
+    result = library.subcircuits
     called = {model.lower() for item in result for model in _called(item)}
     declared = [item for item in result if any(map(_PIN.match, item.notes))]
-    shown = declared or [item for item in result if item.name.lower() not in called]
-    return [_part(item, whole, text, file) for item in shown]
+    parts = declared or [item for item in result if item.name.lower() not in called]
+    return [_part(item, library, text, file) for item in parts]
 
 
 def _called(circuit: Circuit) -> Iterator[str]:
@@ -207,7 +207,7 @@ def _called(circuit: Circuit) -> Iterator[str]:
             yield item.model
 
 
-def comment_lines(notes: Iterable[str]) -> list[str]:
+def joined_comments(notes: Iterable[str]) -> list[str]:
     """Return comments as one line each: three blanks and more continue the line above."""
     return "\n".join(notes).replace("\n*   ", " ").split("\n")
 
@@ -217,20 +217,22 @@ def declared_pins(circuit: Circuit) -> list[Pin]:
     return [Pin(*match.groups()) for match in map(_PIN.match, circuit.notes) if match]
 
 
-def _part(circuit: Circuit, whole: Circuit, text: str, file: str) -> Subcircuit:
+def _part(circuit: Circuit, library: Circuit, text: str, file: str) -> Subcircuit:
     pins = declared_pins(circuit)
     if pins and [p.name.lower() for p in pins] != [n.lower() for n in circuit.pins]:
         listed = " ".join(p.name for p in pins)
         message = "the head does not list the pins of its subcircuit"
         raise circuit.error(message, listed, " ".join(circuit.pins))
-    heads = {m[1].lower(): m for m in map(_PARAM.match, comment_lines(circuit.notes)) if m}
+    heads = {m[1].lower(): m for m in map(_PARAM.match, joined_comments(circuit.notes)) if m}
     params = []
     for name, default in circuit.defaults.items():
-        given, head = literal(default, where=circuit.where), heads.get(name.lower())
+        value, head = literal(default, where=circuit.where), heads.get(name.lower())
         labels = (
             (head[3], head[6], float(head[4] or "-inf"), float(head[5] or "inf")) if head else ()
         )
-        params.append(Param(name, math.nan if given is None else given, *(labels or ("-", ""))))
+        params.append(Param(name, math.nan if value is None else value, *(labels or ("-", ""))))
     ends = tuple(pins or (Pin(name, "V", "A") for name in circuit.pins))
-    title = comment_lines(text.split("\n"))[0].lstrip("* ")
-    return Subcircuit(circuit.name, ends, tuple(params), whole, title=title, file=file, source=text)
+    title = joined_comments(text.split("\n"))[0].lstrip("* ")
+    return Subcircuit(
+        circuit.name, ends, tuple(params), library, title=title, file=file, source=text
+    )

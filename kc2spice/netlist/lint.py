@@ -143,11 +143,11 @@ def _references(part: Element, scope: Scope) -> Iterator[UsageError]:
             )
     for value in part.values:
         if number := _INFIX.fullmatch(value):
-            whole, unit, decimals = number.groups()
+            integer, unit, decimals = number.groups()
             suffix = "" if unit.lower() == "r" else unit
-            read = f"{whole}{suffix}"
+            read = f"{integer}{suffix}"
             message = f"ngspice reads {value} as {read}"
-            yield part.error(message, f"{value} of {part.name}", f"{whole}.{decimals}{suffix}")
+            yield part.error(message, f"{value} of {part.name}", f"{integer}.{decimals}{suffix}")
     kind = "l" if part.kind == "k" else "v"
     present = [e.key for e in scope.elements if e.kind == kind]
     for source in map(str.lower, part.sources):

@@ -51,16 +51,16 @@ class NodalEquations:
         for column, load in enumerate(loads):
             for name, size in load.items():
                 b[self.rows[name], column] += size
-        kept = [self.rows.get(name, -1) for name in answers]
+        rows = [self.rows.get(name, -1) for name in answers]
         result = np.zeros((len(s), len(answers), len(loads)), complex)
         if n <= DENSE:
             A = G.toarray() + s[:, None, None] * C.toarray()
             x = np.linalg.solve(A, np.broadcast_to(b, (len(s), *b.shape)))
-            result[:] = np.where(np.array(kept)[:, None] >= 0, x[:, kept], 0.0)
+            result[:] = np.where(np.array(rows)[:, None] >= 0, x[:, rows], 0.0)
             return result
         for k, point in enumerate(s):
             x = splu(sparse.csc_matrix(G + point * C)).solve(b)
-            result[k] = np.where(np.array(kept)[:, None] >= 0, x[kept], 0.0)
+            result[k] = np.where(np.array(rows)[:, None] >= 0, x[rows], 0.0)
         return result
 
 
@@ -104,8 +104,10 @@ class NodalCircuit:
         names |= values
         for key, tree in self.parameters:
             names[key] = value(tree, names)
-        held = [Element(kind="v", name=n, nodes=(node, GROUND)) for n, node in sources.items()]
-        every = [*self.elements, *((item, 0.0) for item in held)]
+        extra_sources = [
+            Element(kind="v", name=n, nodes=(node, GROUND)) for n, node in sources.items()
+        ]
+        every = [*self.elements, *((item, 0.0) for item in extra_sources)]
         low = {GROUND, *(pin.lower() for pin in grounded)}
         nodes = dict.fromkeys(end for item, _ in every for end in item.ends)
         unknowns = [node for node in nodes if node not in low]

@@ -26,9 +26,9 @@ def value_of(text: str) -> float:
     """The double that ngspice reads from a number on a card."""
     match = _SPELLED.fullmatch(text)
     assert match is not None
-    sign, whole, rest, exponent, letters = match.groups()
+    sign, integer, rest, exponent, letters = match.groups()
     mantissa = 0.0
-    for digit in whole + rest:
+    for digit in integer + rest:
         mantissa = 10 * mantissa + int(digit)
     power = int(exponent or 0) - len(rest) + PREFIXES[letters]
     return (-1.0 if sign == "-" else 1.0) * mantissa * 10.0**power

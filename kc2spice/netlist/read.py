@@ -189,8 +189,8 @@ def _item(s: Statement) -> Item:
         kind, _, inside = " ".join(s.words[2:]).partition("(")
         kind, *more = kind.split() + words(inside.rstrip().removesuffix(")"))
         pairs = dict((w + "=").split("=", 1) for w in more)
-        given = {key: value.removesuffix("=") for key, value in pairs.items()}
-        return Model(s.words[1], kind, given, **origin)
+        parameters = {key: value.removesuffix("=") for key, value in pairs.items()}
+        return Model(s.words[1], kind, parameters, **origin)
     return Directive(s.keyword, tuple(s.words[1:]), **origin)
 
 
@@ -210,9 +210,9 @@ def _function(s: Statement) -> Function | None:
     return Function(name.strip(), arguments, law, **_origin(s))
 
 
-def _assignments(given: Sequence[str], s: Statement) -> dict[str, str]:
+def _assignments(items: Sequence[str], s: Statement) -> dict[str, str]:
     pairs = {}
-    for word in (item.strip(",") for item in given):
+    for word in (item.strip(",") for item in items):
         if not _assigned(word):
             raise s.error("not a parameter", word, "name=value")
         name, _, value = word.partition("=")
@@ -235,8 +235,8 @@ def parse_element(s: Statement) -> Element:
         plain = [w for w in rest if "=" not in w]
         if not plain:
             raise s.error("instance names no subcircuit")
-        given = _assignments([w for w in rest if "=" in w], s)
-        return Element(kind, name, tuple(plain[:-1]), (), plain[-1], (), given, **origin)
+        assignments = _assignments([w for w in rest if "=" in w], s)
+        return Element(kind, name, tuple(plain[:-1]), (), plain[-1], (), assignments, **origin)
     if kind not in NODES:
         return Element(kind, name, (), values=tuple(rest), **origin)
     count = _count(kind, rest)
@@ -252,8 +252,8 @@ def parse_element(s: Statement) -> Element:
         return _controlled(Element(kind, name, nodes, values=tuple(rest), **origin))
     model = rest.pop(0) if kind in MODELLED else ""
     values = tuple(w for w in rest if not _assigned(w))
-    given = dict(w.split("=", 1) for w in rest if _assigned(w))
-    return Element(kind, name, nodes, sources, model, values, given, **origin)
+    assignments = dict(w.split("=", 1) for w in rest if _assigned(w))
+    return Element(kind, name, nodes, sources, model, values, assignments, **origin)
 
 
 def _count(kind: str, rest: Sequence[str]) -> int:
@@ -297,18 +297,18 @@ def _bare(law: str) -> str:
     law = law.strip()
     inner = law[1:-1]
     depths = accumulate((ch == "{") - (ch == "}") for ch in inner)
-    whole = law[:1] == "{" and law[-1:] == "}" and min(depths, default=0) >= 0
-    return inner.strip() if whole else law
+    enclosed = law[:1] == "{" and law[-1:] == "}" and min(depths, default=0) >= 0
+    return inner.strip() if enclosed else law
 
 
 def _polynomial(text: str, where: str) -> str:
     """``(n) a+ a- b+ b- … p0 p1 …``: coefficients by degree, products in the order of their
     factors."""
     dimension, _, rest = text.removeprefix("(").partition(")")
-    given = rest.replace("(", " ").replace(")", " ").replace(",", " ").split()
-    if not dimension.strip().isdigit() or len(given) <= 2 * int(dimension):
+    tokens = rest.replace("(", " ").replace(")", " ").replace(",", " ").split()
+    if not dimension.strip().isdigit() or len(tokens) <= 2 * int(dimension):
         raise UsageError("polynomial is not complete", where=where, got=text[:80])
-    ends, factors = given[: 2 * int(dimension)], given[2 * int(dimension) :]
+    ends, factors = tokens[: 2 * int(dimension)], tokens[2 * int(dimension) :]
     axes = [f"V({a},{b})" for a, b in zip(ends[::2], ends[1::2], strict=True)]
     if len(factors) == 1 and len(axes) == 1:
         factors = ["0", *factors]  # a lone coefficient is the linear one

@@ -83,8 +83,8 @@ def cards(part: Subcircuit) -> Iterator[tuple[str, Circuit]]:
     ``opamp`` is the amplifier in all libraries that have one.
     """
     for item in part.circuit.subcircuits:
-        own = item.name.lower() == part.name.lower()
-        yield (library_of(part) if own else item.name.removeprefix(f"{part.name}_")), item
+        main = item.name.lower() == part.name.lower()
+        yield (library_of(part) if main else item.name.removeprefix(f"{part.name}_")), item
 
 
 def parameter_defaults(deck: Deck) -> dict[str, float]:

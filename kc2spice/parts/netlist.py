@@ -17,7 +17,7 @@ from kc2spice.core.errors import UsageError, candidates, did_you_mean
 from kc2spice.core.quantities import Section, Slew, Voltage
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.netlist.circuit import Pin
-from kc2spice.netlist.include_scan import included_netlist, looked_at
+from kc2spice.netlist.include_scan import included_netlist, read_untrusted
 from kc2spice.netlist.library import Header, Subcircuit
 from kc2spice.netlist.read import read
 from kc2spice.netlist.scope import Scope, circuit, has_vector
@@ -270,7 +270,7 @@ def _inside(node: str, part: str = "") -> str:
 
 def _scope(part: Part, scene: DeclaredScene) -> Scope:
     """Its subcircuit as elements with nodes."""
-    flat = looked_at(part.keys.file, scene.home)
+    flat = read_untrusted(part.keys.file, scene.home)
     result = circuit(read(flat.text, flat.file)).find(part.keys.subckt)
     if result is None:
         raise part.wrong("subckt", "no such subcircuit", part.keys.subckt)
@@ -295,7 +295,7 @@ class _File:
 def _read(file: str, home: Path, stamp: int) -> _File:
     """Contents of a file that a scene needs; ``stamp`` is its modification time."""
     result, excites = {}, False
-    for card in looked_at(file, home).cards():
+    for card in read_untrusted(file, home).cards():
         words = [word.lower() for word in card.words]
         excites = excites or (card.keyword[:1] in ("v", "i") and "ac" in words[3:])
         if card.keyword == ".subckt" and len(card.words) > 1:

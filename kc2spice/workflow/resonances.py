@@ -19,7 +19,7 @@ import numpy as np
 from kc2spice.core.errors import SimulationError, UsageError
 from kc2spice.equations.networks import Network
 from kc2spice.equations.scene_laws import scene_laws
-from kc2spice.netlist.deck import Command, Deck, over
+from kc2spice.netlist.deck import Command, Deck, with_frequencies
 from kc2spice.reference.small_signal import Linear
 from kc2spice.reference.system import assemble_system
 from kc2spice.rom.linear_model import LinearModel
@@ -63,7 +63,7 @@ def refined(deck: Deck, build: Build) -> Deck:
             f"first {MOST_RESONANCES} are resolved: raise analysis.points or narrow the range",
             stacklevel=2,
         )
-    commands = [over(deck.command, place, place, 1) for place in _places(build)]
+    commands = [with_frequencies(deck.command, place, place, 1) for place in _places(build)]
     for f, width in narrow[:MOST_RESONANCES]:
         commands += _about(deck.command, f, width, build)
     return replace(deck, refinements=tuple(commands))
@@ -82,7 +82,7 @@ def _about(command: Command, f: float, width: float, build: Build) -> Iterator[C
     analysis, reach = build.scene.analysis, HALF_WIDTHS * width
     while True:
         start, stop = max(f - reach, analysis.start), min(f + reach, float(analysis.stop or 0.0))
-        yield over(command, start, stop, POINTS)
+        yield with_frequencies(command, start, stop, POINTS)
         if reach > _spacing(build, f):
             return
         reach *= WIDER
