@@ -312,12 +312,14 @@ def run(
         )
     loaded = load_scene(scene, overrides or {})
     edited = None if deck is None else Path(deck)
-    kept = None if out is None else Path(out)
-    place = tempfile.TemporaryDirectory(prefix="kc2spice-") if kept is None else staged(kept)
+    directory = None if out is None else Path(out)
+    place = (
+        tempfile.TemporaryDirectory(prefix="kc2spice-") if directory is None else staged(directory)
+    )
     with place as name:
         work = Path(name)
-        done = complete(loaded, work, out=kept, trust=trust, deck=edited, functions=functions)
-        if kept is not None:
+        done = complete(loaded, work, out=directory, trust=trust, deck=edited, functions=functions)
+        if directory is not None:
             write_run_files(done, work)
     answer = done.run
     more: dict[str, Any] = {"figures": {item.name: item for item in done.figures}, "_done": done}
@@ -499,11 +501,11 @@ class Result:
         failed = [check.name for check in self.checks if not check.passed]
         if self.checks:
             head += f", {len(self.checks)} checks " + (f"FAILED {failed}" if failed else "passed")
-        lines = [f"  {name} = {_shown(value)}" for name, value in self.metrics.items()]
+        lines = [f"  {name} = {_summary(value)}" for name, value in self.metrics.items()]
         return "\n".join([head + ">", *lines])
 
     def _repr_html_(self) -> str:
-        rows = [(name, _shown(value)) for name, value in self.metrics.items()]
+        rows = [(name, _summary(value)) for name, value in self.metrics.items()]
         return f"<p>{escape(repr(self).splitlines()[0])}</p>{_html(('metric', 'value'), rows)}"
 
 
@@ -514,14 +516,14 @@ def _html(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
     return f"<table><tr>{'</tr><tr>'.join(lines)}</tr></table>"
 
 
-def _shown(value: Any) -> str:
+def _summary(value: Any) -> str:
     """A metric in one line; arrays by their length."""
     if isinstance(value, bool) or value is None or isinstance(value, str):
         return str(value)
     if isinstance(value, (int, float)):
         return f"{value:.6g}"
     if isinstance(value, Mapping):
-        return ", ".join(f"{key} {_shown(item)}" for key, item in value.items())
+        return ", ".join(f"{key} {_summary(item)}" for key, item in value.items())
     return f"{len(value)} values" if hasattr(value, "__len__") else str(value)
 
 
@@ -587,7 +589,7 @@ class Table(tuple[dict[str, Any], ...]):
         return pandas.DataFrame({name: self[name] for name in self.columns})
 
     def _cells(self) -> list[list[str]]:
-        return [[_shown(value) for value in row.values()] for row in self]
+        return [[_summary(value) for value in row.values()] for row in self]
 
     def __repr__(self) -> str:
         cells = [list(self.columns), *self._cells()]
@@ -678,16 +680,18 @@ def sweep(
     _require_lists(values)
     if executor is None:
         find_ngspice()
-    named = isinstance(scene, (str, Path))
-    source = scene_text(str(scene)) if named else load_scene(scene)
+    by_name = isinstance(scene, (str, Path))
+    source = scene_text(str(scene)) if by_name else load_scene(scene)
     plan = make_plan({key: tuple(item) for key, item in values.items()})
-    asked = sweep_of_plan(Job(source), plan, dict.fromkeys(plan.keys, ""))
+    definition = sweep_of_plan(Job(source), plan, dict.fromkeys(plan.keys, ""))
     result: dict[int, Any] = {}
     with ExitStack() as opened, warnings.catch_warnings():
         warnings.simplefilter("ignore")
         count = workers or cores()
         pool = executor or opened.enter_context(ThreadPoolExecutor(count))
-        for index, outcome in outcomes(asked, range(plan.size), lambda: nullcontext((pool, count))):
+        for index, outcome in outcomes(
+            definition, range(plan.size), lambda: nullcontext((pool, count))
+        ):
             result[index] = outcome
             if progress is not None:
                 progress(len(result), plan.size)

@@ -515,7 +515,7 @@ def _doctor(caller: Caller) -> None:
     if caller.reads({"findings": [asdict(finding) for finding in findings]}):
         marks = ("ok" if f.ok else "MISSING" if f.needed else "absent" for f in findings)
         rows = [
-            (mark, f.name, f.found, "" if f.ok else f.fix)
+            (mark, f.name, f.state, "" if f.ok else f.fix)
             for mark, f in zip(marks, findings, strict=True)
         ]
         print_table("doctor", rows, ("", "what", "found", "fix"))
@@ -589,7 +589,7 @@ METHOD_COLUMNS = "method", "states", "error estimate", "CPU time"
 
 
 def _compare_methods(
-    caller: Caller, model: str, wanted: dict[str, Any], out: Path | None, dc: str | None
+    caller: Caller, model: str, options: dict[str, Any], out: Path | None, dc: str | None
 ) -> None:
     """Print states, error estimate and CPU time of every method of reduction."""
     from kc2spice.workflow.methods import compare
@@ -599,8 +599,8 @@ def _compare_methods(
         if value is not None:
             expected = "nothing: --method compare prints a table and writes no files"
             raise UsageError("is not for a comparison", where=option, got=value, expected=expected)
-    with _arguments_as_options(wanted), caller.progress() as progress:
-        result = compare(model, **wanted, progress=progress)
+    with _arguments_as_options(options), caller.progress() as progress:
+        result = compare(model, **options, progress=progress)
     if caller.reads(result):
         title = f"{result['unknowns']} equations, error {result['norm']}"
         print_table(title, [_method_row(row) for row in result["methods"]], METHOD_COLUMNS)

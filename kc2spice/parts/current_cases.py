@@ -114,7 +114,7 @@ class CurrentCases(PartType):
         for k, force in enumerate(_forces(part, build)):
             own = f"{fed.name} {k}"  # no part has a blank in its name
             lower, upper = cases(part)[k]
-            result.append(coils.law(own, coils.held(), table, lower=lower, upper=upper))
+            result.append(coils.law(own, coils.prescribed(), table, lower=lower, upper=upper))
             height.append(f"{own}.y")
             results[force] = laws.reading(f"{own}.y.through", -1.0)
         pins, sweeps = (("y", f"{n}.out"),), {"height": (n, 1.0)}

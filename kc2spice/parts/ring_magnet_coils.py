@@ -401,7 +401,7 @@ class RingMagnetCoils(Touching):
         prefix, apart = label(part), real(part, scene)
         stated, ends = coils.resistive(), (("drive.through", -1.0), ("drive.through", 1.0))
         if apart:
-            stated, ends = coils.real(), (("i1", 1.0), ("i2", 1.0))
+            stated, ends = coils.inductive(), (("i1", 1.0), ("i2", 1.0))
         law = coils.law(n, stated, table, offset(part, "y", scene))
         pins = tuple((pin.name, f"{n}.{pin.name}") for pin in law.pins)
         results = {

@@ -35,7 +35,7 @@ _LIMITS = {
 
 
 @cache
-def real() -> Declaration:
+def inductive() -> Declaration:
     """Both coils with resistance, inductance and back-EMF, between ``lp ln`` and ``up un``."""
     return Declaration(
         "coils",
@@ -44,7 +44,7 @@ def real() -> Declaration:
         (_PLACE, current("i1", "lp", "ln"), current("i2", "up", "un")),
         coenergy=_COENERGY,
         content="0.5*({}*i1^2 + {}*i2^2)".format(*_COILS),
-        given=_given(*_RANGE, *_COILS),
+        given=_parameters(*_RANGE, *_COILS),
         tables=_TABLES,
         limits=_LIMITS,
     )
@@ -53,19 +53,21 @@ def real() -> Declaration:
 @cache
 def resistive() -> Declaration:
     """One current through both coils, the lower one reversed, between ``drive`` and ``ret``."""
-    whole = f"({' + '.join(_COILS)})"
+    resistance = f"({' + '.join(_COILS)})"
     ends = (voltage("v", "drive", "ret"),)
-    return _pull(f"-v/{whole}", f"v/{whole}", _COILS, ends, content=f"0.5*v^2/{whole}")
+    return _pull(
+        f"-v/{resistance}", f"v/{resistance}", _COILS, ends, content=f"0.5*v^2/{resistance}"
+    )
 
 
 @cache
-def held() -> Declaration:
+def prescribed() -> Declaration:
     """Constant currents ``lower`` and ``upper``."""
     return _pull("lower", "upper", ("lower", "upper"))
 
 
 def _pull(
-    i1: str, i2: str, given: tuple[str, ...], ends: tuple[Branch, ...] = (), content: str = "0"
+    i1: str, i2: str, names: tuple[str, ...], ends: tuple[Branch, ...] = (), content: str = "0"
 ) -> Declaration:
     """The force alone: what moves the magnet is not taken from what feeds the coils."""
     currents = {"i1": expression(i1), "i2": expression(i2)}
@@ -77,7 +79,7 @@ def _pull(
         Section,
         (_PLACE, *ends),
         forces={"y": Writer().write(force)},
-        given=_given(*_RANGE, *given),
+        given=_parameters(*_RANGE, *names),
         tables=(*_TABLES, *(p + SLOPE for p in _TABLES)),
         limits=_LIMITS,
         content=content,
@@ -94,7 +96,7 @@ def force_text() -> str:
     return "V(c0)" + "".join(f"+V(i{k})*({row[1:]})" for k, row in rows.items())
 
 
-def _given(*names: str) -> tuple[Param, ...]:
+def _parameters(*names: str) -> tuple[Param, ...]:
     return tuple(Param(name, 0.0, "-", "") for name in names)
 
 

@@ -134,11 +134,15 @@ class Linear:
         names = list(self.system.names)
         C0 = sum(factor * self.C0[names.index(wave)] for factor, wave in of.terms)
         C1 = sum(factor * self.C1[names.index(wave)] for factor, wave in of.terms)
-        given = np.zeros((n + 2 * k, n + 2), dtype=complex)
-        given[:n, :n] = np.eye(n)
-        given[n : n + k, n], given[n + k :, n + 1] = amplitudes, amplitudes
-        now = np.vstack([self.F @ given, np.eye(n + 2)[n + 1], -np.atleast_2d(C0) @ given])
-        rated = np.vstack([self.G @ given, np.eye(n + 2)[n], np.atleast_2d(C1) @ given])
+        substitution = np.zeros((n + 2 * k, n + 2), dtype=complex)
+        substitution[:n, :n] = np.eye(n)
+        substitution[n : n + k, n], substitution[n + k :, n + 1] = amplitudes, amplitudes
+        now = np.vstack(
+            [self.F @ substitution, np.eye(n + 2)[n + 1], -np.atleast_2d(C0) @ substitution]
+        )
+        rated = np.vstack(
+            [self.G @ substitution, np.eye(n + 2)[n], np.atleast_2d(C1) @ substitution]
+        )
         for axis in (1, 0):  # units of all sizes
             size = np.maximum(np.abs(now), np.abs(rated)).max(axis=axis, keepdims=True)
             now, rated = now / np.where(size, size, 1.0), rated / np.where(size, size, 1.0)

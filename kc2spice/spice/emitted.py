@@ -91,12 +91,12 @@ class EmittedResponse:
         self.model = model
         first = {port.terminals[0].lower(): port for port in model.ports}
         grounded = [pin.name for pin in pins if pin.name.lower() not in first]
-        held = {
+        clamps = {
             f"held_{node}": node
             for node, port in first.items()
             if not port.loaded and port.kind != "output"
         }
-        self.equations = circuit.equations(values, grounded, held)
+        self.equations = circuit.equations(values, grounded, clamps)
         self.loads = [_load(port) for port in model.ports if port.kind != "output"]
         self.rows = [port for port in model.ports if port.kind != "input"]
         self.masses = [_mass(model, port) for port in self.rows]
@@ -120,15 +120,15 @@ class EmittedResponse:
                 H[:, row] *= -1.0
         return H
 
-    def seen(self, H: np.ndarray, frequency: np.ndarray) -> np.ndarray:
+    def at_pins(self, H: np.ndarray, frequency: np.ndarray) -> np.ndarray:
         """The response ``H`` of the model as the pins have it: of an accelerated frame the force
         ``m a - y''`` instead of y."""
         result = H.copy()
         s = 2j * np.pi * frequency[:, None]
         for row, (port, mass) in enumerate(zip(self.rows, self.masses, strict=True)):
             if shakes(port):
-                own = np.array(self.model.inputs) == port.name
-                result[:, row] = mass * own - s**2 * H[:, row]
+                driven = np.array(self.model.inputs) == port.name
+                result[:, row] = mass * driven - s**2 * H[:, row]
         return result
 
 
@@ -178,14 +178,14 @@ class _Relative:
         s = 2j * np.pi * frequency
         with np.errstate(all="ignore"):
             H = self.exact.transfer(s)
-        seen = self.emitted.seen(H, frequency)
+        expected = self.emitted.at_pins(H, frequency)
         if self.entries is None:
             framed = [shakes(port) for port in self.emitted.rows]
             peak = self.exact.peaks(frequency, H)
-            peak[framed] = np.abs(seen[:, framed]).max(axis=0)
-            self.entries = Entries.of(seen, peak, self.exact.zero)
+            peak[framed] = np.abs(expected[:, framed]).max(axis=0)
+            self.entries = Entries.of(expected, peak, self.exact.zero)
         share = share_of(self.norm)
-        apart = self.entries.relative(self.emitted.transfer(frequency) - seen, seen, share)
+        apart = self.entries.relative(self.emitted.transfer(frequency) - expected, expected, share)
         return np.asarray(apart.max(axis=(1, 2)))
 
 

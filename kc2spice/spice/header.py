@@ -27,20 +27,18 @@ OUTWARDS = (
 )
 
 
-def plan_lines(found: Mapping[str, Any], without: Collection[str] = ()) -> tuple[str, ...]:
+def plan_lines(plan: Mapping[str, Any], without: Collection[str] = ()) -> tuple[str, ...]:
     """Models, neglected effects and numerical settings of a deck, as comment lines."""
-    error = (
-        "not estimated" if found["error_budget"] is None else f"budget {found['error_budget']:g}"
-    )
+    error = "not estimated" if plan["error_budget"] is None else f"budget {plan['error_budget']:g}"
     facts = {
-        "modelled": ", ".join(part["part"] for part in found["parts"]),
+        "modelled": ", ".join(part["part"] for part in plan["parts"]),
         f"numerical settings (error {error})": ", ".join(
             f"{item['key']} {item['value']:g}"
-            for item in found["settings"]
+            for item in plan["settings"]
             if item["key"] not in without
         ),
         "left out (sizes: kc2spice explain)": "; ".join(
-            item["effect"] for item in found["left_out"]
+            item["effect"] for item in plan["left_out"]
         ),
     }
     lines = [f"{head}: {text}" for head, text in facts.items() if text]
@@ -58,8 +56,8 @@ def paragraph(text: str) -> list[str]:
 def rom_lines(reduction: ReductionFacts, certificate: Certificate) -> tuple[str, ...]:
     """Comment lines: order, band and error estimate of a reduced model, how it was found, the share
     of the emitted circuit, and what contact sees above the band."""
-    seen = [f"{error:.2g} at {f:g} Hz" for f, error in certificate.above]
-    beyond = f", compliance off by {', '.join(seen)}" if seen else ""
+    errors = [f"{error:.2g} at {f:g} Hz" for f, error in certificate.above]
+    beyond = f", compliance off by {', '.join(errors)}" if errors else ""
     share = f"{reduction.circuit_error:.1g} at {reduction.worst_hz:.4g} Hz"
     method = "; ".join(filter(None, (certificate.method, f"emitted circuit to model: {share}")))
     text = f"({method}); no error estimate above the band{beyond}"
@@ -130,8 +128,8 @@ def library(
     with their defaults.
     """
     pins = tuple(Pin(item.name, item.unit, item.flow) for item in terminals)
-    given = (f"{key}={value}" for key, value in defaults(params).items())
-    card = " ".join((name, *(pin.name for pin in pins), *given))
+    defaults_text = (f"{key}={value}" for key, value in defaults(params).items())
+    card = " ".join((name, *(pin.name for pin in pins), *defaults_text))
     words: dict[str, Any] = {"rating": rating, "validity": validity, "mesh": mesh}
     head = part_header(header, f"{name}: {title}", pins, params, **words)
     cards = render(f"{template}.j2", card=card, **values)

@@ -123,15 +123,15 @@ def _stops(parameters: Sequence[Param], base: str) -> Iterator[Line]:
 
 def _expressions(model: Varying, parameters: Sequence[Param]) -> Iterator[Line]:
     """``.param`` cards: coordinates, polynomials of them, what the cards of states need."""
-    own = parameters[: len(model.axes)]
+    axis_parameters = parameters[: len(model.axes)]
     yield "* 1 within the range of a parameter, -1 outside of it"
     for k, p in enumerate(parameters, 1):
         room = 1e-9 * (p.high - p.low)
         low, high = number(p.low - room), number(p.high + room)
         # two factors that are positive inside; || and && are spelled differently elsewhere
         yield _param(f"inside{k}", f"(({p.name}-{low})*({high}-{p.name})>=0 ? 1 : -1)")
-    highest = model.exponents.max(axis=0, initial=0) if len(own) else []
-    for k, (p, axis, top) in enumerate(zip(own, model.axes, highest, strict=True), 1):
+    highest = model.exponents.max(axis=0, initial=0) if len(axis_parameters) else []
+    for k, (p, axis, top) in enumerate(zip(axis_parameters, model.axes, highest, strict=True), 1):
         slope = 2 / np.log(axis.high / axis.low)
         yield _param(f"x{k}", f"{number(slope)}*ln({p.name}/{number(axis.middle)})")
         names = ["1", f"x{k}"]
@@ -157,7 +157,7 @@ def _expressions(model: Varying, parameters: Sequence[Param]) -> Iterator[Line]:
         return "".join(words).removeprefix("+") or "0"
 
     losses = {0: "", 1: ""}
-    for loss, p in zip(model.losses, parameters[len(own) :], strict=True):
+    for loss, p in zip(model.losses, parameters[len(axis_parameters) :], strict=True):
         for k, share in enumerate((loss.alpha, loss.beta)):
             if share:
                 losses[k] += f"*exp({number(share)}*ln({p.name}/{number(loss.axis.middle)}))"
@@ -218,7 +218,7 @@ def _cards(
     scale, farad = scales(gain, terminals), weights.farad(omega, omega.min())
     order = [t for t in terminals if t.port.charged]
 
-    def seen(i: int, k: int, label: str) -> list[Transconductance]:
+    def port_sums(i: int, k: int, label: str) -> list[Transconductance]:
         """Output of state i at port k."""
         share = number(MICRO / terminals[k].unit / scale[i - 1])
         there = model.gain[:, i - 1, k].any()
@@ -226,7 +226,7 @@ def _cards(
 
     def wired(k: int, t: PortTerminal) -> PortTerminal:
         if not t.port.charged:
-            sums = (seen(i, k, f"{i}") for i in range(1, model.order + 1))
+            sums = (port_sums(i, k, f"{i}") for i in range(1, model.order + 1))
             return replace(t, sums=tuple(chain.from_iterable(sums)))
         n, micro = order.index(t), number(1 / MICRO)
         shared = tuple(
@@ -257,9 +257,9 @@ def _cards(
                 k, push = f"k{max(i, j)}_{min(i, j)}", c / w * s / scale[j - 1]
                 stiffness = f"{{{number(push)}*{k}}}"
                 yield Element.of(f"Gp{i}_{j}", f"p{i}", base, f"q{j}", base, stiffness)
-                lost = ["alpha"] * (model.damped[0] and i == j) + [f"beta*{k}"] * model.damped[1]
-                if lost:
-                    drag = f"{{damping*{number(push * omega[j - 1])}*({'+'.join(lost)})}}"
+                losses = ["alpha"] * (model.damped[0] and i == j) + [f"beta*{k}"] * model.damped[1]
+                if losses:
+                    drag = f"{{damping*{number(push * omega[j - 1])}*({'+'.join(losses)})}}"
                     yield Element.of(f"Gd{i}_{j}", f"p{i}", base, f"p{j}", base, drag)
             force = number(c * s / w / MICRO)
             moved = np.any(model.gain[:, i - 1], axis=0).tolist()
@@ -267,7 +267,7 @@ def _cards(
             pushes = (card for card in input_cards(i, row, terminals, base) if card.value)
             yield from (card.onto(base, f"p{i}") for card in pushes)
             for t in order:
-                charges = seen(i, t.column or 0, f"Gc{i}{t.tag}")
+                charges = port_sums(i, t.column or 0, f"Gc{i}{t.tag}")
                 yield from (card.onto(base, f"charge{t.tag}") for card in charges)
 
 

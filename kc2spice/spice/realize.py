@@ -162,7 +162,7 @@ def written(value: Value) -> str:
     return f"{{{value}}}" if isinstance(value, str) else number(value)
 
 
-def scaled(factor: float, value: Value) -> Value:
+def scale_value(factor: float, value: Value) -> Value:
     return f"{number(factor)}*{value}" if isinstance(value, str) else factor * value
 
 
@@ -238,7 +238,7 @@ class PortTerminal:
         """The card of its input, whose weight stands in a ``row`` of inputs."""
         value = row[self.column or 0]
         if self.input_unit != 1.0 and value:
-            value = scaled(self.input_unit, value)
+            value = scale_value(self.input_unit, value)
         return Transconductance(label, *self.control(base), value)
 
 
@@ -355,8 +355,8 @@ def subcircuit(
         rom = _with_forces(rom)
         form = _form(rom, dense)
     terminals = model_terminals(rom, form.D, name)
-    shown = [t for t in terminals if not _INNER_FORCE.fullmatch(t.label)]
-    pins, base = subcircuit_pins(shown, name)
+    outer = [t for t in terminals if not _INNER_FORCE.fullmatch(t.label)]
+    pins, base = subcircuit_pins(outer, name)
     params: tuple[Param, ...] = ()
     if isinstance(form, Resonators):
         params = (DAMPING,) if np.any(form.damp > 0) else ()
@@ -483,8 +483,8 @@ def _modal(rom: LinearModel) -> Resonators | None:
     if result is None or not all(port.conservative for port in rom.ports):
         return None
     rates = [
-        port.kind in FRAMES or (port.charged and own <= 0)
-        for port, own in zip(rom.ports, np.diag(rom.D), strict=True)
+        port.kind in FRAMES or (port.charged and capacitance <= 0)
+        for port, capacitance in zip(rom.ports, np.diag(rom.D), strict=True)
     ]
     relaxing = np.abs(result.gain[result.inertia == 0.0][:, rates])
     return None if (relaxing > CROSS * np.abs(result.gain).max(initial=0.0)).any() else result
@@ -570,8 +570,8 @@ def subcircuit_pins(terminals: Sequence[PortTerminal], name: str) -> tuple[tuple
 
 def reference(ports: Sequence[Port]) -> str:
     """Name of the pin that displacements count from: ``base``, or ``ground`` if a port is that."""
-    taken = {pin for port in ports for pin in port.terminals}
-    return "ground" if BASE in taken else BASE
+    pins = {pin for port in ports for pin in port.terminals}
+    return "ground" if BASE in pins else BASE
 
 
 def reference_pin(ports: Sequence[Port]) -> Pin:
@@ -675,9 +675,9 @@ def _port(t: PortTerminal, base: str, share: float) -> Iterator[Line]:
         yield (_CLAMPED if t.port.paired else _FILLED).format(**words, **_units(t, base))
         (a, b), c = t.ends(base), t.capacitance or t.clamped
         inverse = f"{number(MICRO)}/{c}" if isinstance(c, str) else MICRO / c
-        yield Element.of(f"Cclamped{tag}", a, f"inner{tag}", written(scaled(share, c)))
+        yield Element.of(f"Cclamped{tag}", a, f"inner{tag}", written(scale_value(share, c)))
         yield Element.of(f"Gmore{tag}", a, b, f"current{tag}", base, 1 - share)
-        yield Element.of(f"Gleak{tag}", a, b, a, f"inner{tag}", written(scaled(LEAK_RATE, c)))
+        yield Element.of(f"Gleak{tag}", a, b, a, f"inner{tag}", written(scale_value(LEAK_RATE, c)))
         yield Element.of(f"Ginner{tag}", base, f"current{tag}", f"inner{tag}", b, "1")
         ends = f"current{tag}", f"charge{tag}"
         yield Element.of(f"Gcharge{tag}", base, *ends, base, written(inverse))
@@ -793,13 +793,13 @@ def _unplaced(terminals: Sequence[PortTerminal]) -> bool:
 
 def _mode(j: int, omega: float, damp: float, farad: float, base: str) -> Iterator[Line]:
     """Two integrators of one mode."""
-    turn, lost = farad * omega, farad * damp
+    turn, loss = farad * omega, farad * damp
     yield Element.of(f"Cq{j}", f"q{j}", base, farad)
     yield Element.of(f"Cp{j}", f"p{j}", base, farad)
     yield Element.of(f"Gq{j}", base, f"q{j}", f"p{j}", base, turn)
     yield Element.of(f"Gp{j}", f"p{j}", base, f"q{j}", base, turn)
-    if lost > 0:
-        yield Element.of(f"Gd{j}", f"p{j}", base, f"p{j}", base, f"{{damping*{number(lost)}}}")
+    if loss > 0:
+        yield Element.of(f"Gd{j}", f"p{j}", base, f"p{j}", base, f"{{damping*{number(loss)}}}")
 
 
 def mode_facts(omega: float, damp: float) -> str:
@@ -872,8 +872,8 @@ def input_cards(
     """Cards by which ports drive a mode: forces, voltages, accelerations."""
 
     def label(t: PortTerminal) -> str:
-        own = f"{index}{t.tag}" if t.port.paired else f"{t.pins[0]}_{index}"
-        return f"G{_DRIVES[t.kind]}{own}"
+        suffix = f"{index}{t.tag}" if t.port.paired else f"{t.pins[0]}_{index}"
+        return f"G{_DRIVES[t.kind]}{suffix}"
 
     ordered = sorted(terminals, key=lambda t: "fvs".index(_DRIVES[t.kind]))
     return [t.driven(label(t), row, base) for t in ordered]
@@ -884,9 +884,9 @@ def _observable(model: Resonators) -> np.ndarray:
     observes: rounding makes them."""
     share = np.abs(model.gain) / model.omega[:, None]
     share /= share.max(axis=0, initial=0.0, keepdims=True) + np.finfo(float).tiny
-    kept = share.max(axis=1, initial=0.0) > SILENT
+    observable = share.max(axis=1, initial=0.0) > SILENT
     order = np.lexsort((model.omega, model.inertia == 0.0))
-    return order[kept[order]] if kept.any() else order
+    return order[observable[order]] if observable.any() else order
 
 
 # ------------------------------------------------------------------------------------- blocks
@@ -905,7 +905,7 @@ def _blocks(
     B, C = model.B.copy(), model.C.copy()
     none = np.zeros((len(B), 0)), np.zeros((0, len(B))), B[:0], C[:, :0], B[:0, :0]
     F, P, Q, R, S = (item.copy() for item in model.loops or none)
-    scaled_blocks, held, start = [], [], 0
+    scaled_blocks, integrating, start = [], [], 0
     for block in model.blocks:
         rows = slice(start, start + len(block))
         start += len(block)
@@ -915,7 +915,7 @@ def _blocks(
         C[:, rows] *= scale
         P[:, rows] *= scale
         scaled_blocks.append(block)
-        held.append(free)
+        integrating.append(free)
     numbers = [f"{k}" for k in range(1, start + len(S) + 1)]
     units = [[t.unit] for t in terminals if t.row is not None]
     states = _States(
@@ -928,9 +928,9 @@ def _blocks(
     wired = _wired(terminals, states, model.D, rom, base)
     ports = [t for t in wired if t.port.conservative]
     inputs = [t.pins[0] for t in terminals if t.kind == "input"]
-    own = [pin for pin in inputs if _INNER_FORCE.fullmatch(pin)]  # forces that are noise
-    inputs = [pin for pin in inputs if pin not in own]
-    body: list[Line] = [Element.of(f"R{pin}", pin, base, "1") for pin in own]
+    noise_inputs = [pin for pin in inputs if _INNER_FORCE.fullmatch(pin)]  # forces that are noise
+    inputs = [pin for pin in inputs if pin not in noise_inputs]
+    body: list[Line] = [Element.of(f"R{pin}", pin, base, "1") for pin in noise_inputs]
     body += ["* An input that is left open is zero."] * bool(inputs)
     body += [Element.of(f"Gleak{k}", p, base, p, base, OPEN_INPUT) for k, p in enumerate(inputs, 1)]
     body += conservative(ports, base, RINGING.share)
@@ -944,7 +944,7 @@ def _blocks(
         ]
     at = 0
     signals: list[tuple[np.ndarray, bool | None]] = [(S, None)] if len(S) else []
-    for block, drifts in [*zip(scaled_blocks, held, strict=True), *signals]:
+    for block, drifts in [*zip(scaled_blocks, integrating, strict=True), *signals]:
         first, at = at, at + len(block)
         accuracy = _LOOPED if drifts is None else comment(_description(block))
         body.append(f"\n* States {first + 1} to {at}: {accuracy}")
@@ -984,9 +984,9 @@ def _with_forces(rom: LinearModel) -> LinearModel:
             hint="a transient or ac does without",
         )
     K, E, M = rom.pencil.dense().coefficients
-    lost, shapes = np.linalg.eigh(E)
-    kept = lost > LOST * lost.max(initial=0.0)
-    forces = shapes[:, kept] * np.sqrt(lost[kept])
+    losses, shapes = np.linalg.eigh(E)
+    lossy = losses > LOST * losses.max(initial=0.0)
+    forces = shapes[:, lossy] * np.sqrt(losses[lossy])
     ports = tuple(Port(f"noise{k}", "input") for k in range(1, forces.shape[1] + 1))
     D = np.hstack([rom.D, np.zeros((len(rom.D), len(ports)))])
     B, every = np.hstack([rom.B, forces]), (*rom.ports, *ports)
