@@ -198,7 +198,7 @@ class Gap(Patched):
             return
         (branch,) = (b for b in d.branches if b.kind == "voltage")
         unit = d.values(part.keys) | seen | {branch.name: 1.0}
-        capacitance = np.asarray(evaluated(d.kept(branch), unit))
+        capacitance = np.asarray(evaluated(d.storage(branch), unit))
         rises = np.diff(capacitance) * -np.sign(np.diff(np.abs(seen[branch.name])))
         name, most = f"{part.name} where nothing rests", float(rises.max() / capacitance.max())
         advice = "the sweep turns next to a fold, or steps over it: other points, or a wider one"

@@ -122,7 +122,7 @@ class LinearElement(DeclaredPart):
         """``order`` and ``admittance``, from what is stated."""
         d, b = self.declaration, self.branch
         stiff, slow = derivative(d.direct(b), b.name), derivative(d.direct(b), b.name + RATE)
-        kept = derivative(d.kept(b), b.name)
+        kept = derivative(d.storage(b), b.name)
         if b.flows:
             return -1, over(ONE, kept)
         if b.moves:

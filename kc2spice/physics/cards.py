@@ -117,10 +117,12 @@ def _current(
     """A current from one end to the other: of linear sources where it is affine, which ngspice need
     not differentiate."""
     start, end = ends
-    seen = sorted(names(tree) & set(nodes))
-    slopes = {item: derivative(tree, item) for item in seen}
-    probes = [[p for p in walk(nodes[item]) if isinstance(p, CircuitVariable)] for item in seen]
-    simple = all(len(found) == 1 and found[0].kind == "v" for found in probes)
+    dependencies = sorted(names(tree) & set(nodes))
+    slopes = {item: derivative(tree, item) for item in dependencies}
+    probes = [
+        [p for p in walk(nodes[item]) if isinstance(p, CircuitVariable)] for item in dependencies
+    ]
+    simple = all(len(variables) == 1 and variables[0].kind == "v" for variables in probes)
     simple = simple and not (
         kinks(tree) or any(isinstance(node, CircuitVariable) for node in walk(tree))
     )
@@ -128,12 +130,12 @@ def _current(
         yield Element.behaviour(f"B{name}", start, end, "I", text(substitute(tree, nodes)))
         return
     for (item, slope), (probe,) in zip(slopes.items(), probes, strict=True):
-        card = f"G{name}" if len(seen) == 1 else f"G{name}_{item}"
+        card = f"G{name}" if len(dependencies) == 1 else f"G{name}_{item}"
         at = nodes[item]
         unit = at.left if isinstance(at, Binary) else ONE
         gain = f"{{{text(times(unit, slope))}}}"
         yield Element.of(card, start, end, *probe.names, gain)
-    rest = plus(substitute(tree, dict.fromkeys(seen, ZERO)))
+    rest = plus(substitute(tree, dict.fromkeys(dependencies, ZERO)))
     if rest != ZERO:
         yield Element.of(f"I{name}", end, start, f"{{{text(minus(ZERO, rest))}}}")
 
@@ -211,8 +213,8 @@ def _decimal(value: float) -> Number:
 
 def _place(declaration: Declaration, b: Branch) -> tuple[str, str]:
     """Nodes between which a branch's coordinate is."""
-    own = b.less or b.name in declaration.lags
-    return (f"x_{b.name}", reference_node(declaration)) if own else (b.plus, b.minus)
+    separate = b.less or b.name in declaration.lags
+    return (f"x_{b.name}", reference_node(declaration)) if separate else (b.plus, b.minus)
 
 
 def reference_node(declaration: Declaration) -> str:
@@ -243,7 +245,7 @@ def _comment(kind: str, branch: Branch, **words: str) -> str:
 def _states(declaration: Declaration, nodes: Mapping[str, Tree]) -> Iterator[Line]:
     """Signals, then what integrates."""
     base = reference_node(declaration)
-    for name, tree in declaration.sent.items():
+    for name, tree in declaration.signal_trees.items():
         yield f"*   {name} = {text(tree)}"
         yield from _node(name, tree, nodes, base)
     for name, tree in declaration.changes.items():
@@ -256,7 +258,7 @@ def _states(declaration: Declaration, nodes: Mapping[str, Tree]) -> Iterator[Lin
 
 
 def _placed(declaration: Declaration, tree: Tree, nodes: Mapping[str, Tree]) -> str:
-    return text(substitute(declaration.named(tree), nodes))
+    return text(substitute(declaration.with_series_named(tree), nodes))
 
 
 def _differentiated(name: str, node: str, minus: str) -> Iterator[Line]:
@@ -312,7 +314,7 @@ def _force(
     factor = "" if across.factor == 1 else f"{text(_decimal(across.factor))} "
     words = {"flow": through.name, "unit": through.pin_unit, "word": across.symbol}
     yield _comment("force" if metered else "direct", b, node=node, factor=factor, **words)
-    yield f"*   {b.through} = {text(declaration.named(force))}"
+    yield f"*   {b.through} = {text(declaration.with_series_named(force))}"
     law = _placed(declaration, plus(force, noise), nodes)
     yield Element.behaviour(f"B{node}", *ends, "I", law)
     if metered:
@@ -323,14 +325,14 @@ def _force(
 
 
 def _scaled(
-    declaration: Declaration, b: Branch, kept: Tree, node: str, nodes: Mapping[str, Tree]
+    declaration: Declaration, b: Branch, stored: Tree, node: str, nodes: Mapping[str, Tree]
 ) -> Iterator[Line]:
     """Stored quantity in units of its derivative at rest; its voltages equal those of ``b``."""
-    scale = declaration.at_rest(derivative(kept, b.name))
+    scale = declaration.at_rest(derivative(stored, b.name))
     scale = times(_decimal(coordinate(b).factor), scale)
     unit = scale if scale != ZERO else Number("1e-12")
     yield Parameters({f"scale_{b.name}": f"{{{text(unit)}}}"})
-    amount = substitute(declaration.named(kept), nodes)
+    amount = substitute(declaration.with_series_named(stored), nodes)
     if not b.flows:  # a quotient's slope has 1e-32 beside scale^2, which may be that small
         yield Parameters({f"per_{b.name}": f"{{1/scale_{b.name}}}"})
         amount = Binary("*", Name(f"per_{b.name}"), amount)
@@ -343,37 +345,37 @@ def _scaled(
 def _charge(
     declaration: Declaration, b: Branch, nodes: Mapping[str, Tree], noise: Tree
 ) -> Iterator[Line]:
-    kept, direct, inner = declaration.kept(b), declaration.direct(b), b.plus
+    charge, direct, inner = declaration.storage(b), declaration.direct(b), b.plus
     unit = _decimal(b.domain.quantity("through").per_unit)
     times_unit = "" if unit == ONE else f"*{text(unit)}"
-    if declaration.metered or kept != ZERO:
+    if declaration.metered or charge != ZERO:
         inner = f"in_{b.name}"
         yield Element.of(meter(b), b.plus, inner, "0")
-    if kept != ZERO:
+    if charge != ZERO:
         yield _comment("charge", b, node=f"q_{b.name}", scale=f"scale_{b.name}")
-        yield f"*   charge = {text(declaration.named(kept))}"
-        yield from _scaled(declaration, b, kept, f"q_{b.name}", nodes)
+        yield f"*   charge = {text(declaration.with_series_named(charge))}"
+        yield from _scaled(declaration, b, charge, f"q_{b.name}", nodes)
         rate = f"{{scale_{b.name}*1e6{times_unit}}}"
         yield Element.of(f"Fq_{b.name}", inner, b.minus, f"Vrate_{b.name}", rate)
         yield f"* {_HEAD['leak'].format(seconds=f'{1 / LEAK_RATE:g}')}"
         leak = f"{{{LEAK_RATE:g}*scale_{b.name}{times_unit}}}"
         yield Element.of(f"Gleak_{b.name}", b.plus, b.minus, f"q_{b.name}", b.minus, leak)
-    if direct != ZERO or kept == ZERO:
-        yield f"*   {b.through} = {text(declaration.named(direct))}"
-        whole = times(unit, declaration.named(plus(direct, noise)))
-        yield from _current(f"i_{b.name}", (inner, b.minus), whole, nodes)
+    if direct != ZERO or charge == ZERO:
+        yield f"*   {b.through} = {text(declaration.with_series_named(direct))}"
+        current_law = times(unit, declaration.with_series_named(plus(direct, noise)))
+        yield from _current(f"i_{b.name}", (inner, b.minus), current_law, nodes)
 
 
 def _flux(
     declaration: Declaration, b: Branch, nodes: Mapping[str, Tree], noise: Tree
 ) -> Iterator[Line]:
-    kept, drop, inner = declaration.kept(b), declaration.direct(b), f"in_{b.name}"
+    flux, drop, inner = declaration.storage(b), declaration.direct(b), f"in_{b.name}"
     unit = _decimal(b.domain.across.per_unit)
     yield Element.of(meter(b), b.plus, inner, "0")
-    if kept != ZERO:
+    if flux != ZERO:
         yield _comment("flux", b, node=f"l_{b.name}", scale=f"scale_{b.name}")
-        yield f"*   flux = {text(declaration.named(kept))}"
-        yield from _scaled(declaration, b, kept, f"l_{b.name}", nodes)
+        yield f"*   flux = {text(declaration.with_series_named(flux))}"
+        yield from _scaled(declaration, b, flux, f"l_{b.name}", nodes)
         yield Element.of(
             f"Hl_{b.name}", inner, f"rest_{b.name}", f"Vrate_{b.name}", f"{{scale_{b.name}*1e6}}"
         )
@@ -394,9 +396,9 @@ def _edges(declaration: Declaration, nodes: Mapping[str, Tree]) -> Iterator[Line
     laws = (*map(declaration.followed, moved.values()), *others, *declaration.changes.values())
     result = []
     for argument in dict.fromkeys(e for tree in laws for e in kinks(tree)):
-        seen = names(argument) & {*declaration.coordinates, *inner}
-        if seen & inner or (len(seen) == 1 and seen <= set(moved)):
-            result.append((argument, moved.get(next(iter(seen)))))
+        inputs = names(argument) & {*declaration.coordinates, *inner}
+        if inputs & inner or (len(inputs) == 1 and inputs <= set(moved)):
+            result.append((argument, moved.get(next(iter(inputs)))))
     if declaration.stops:
         yield from pivots(reference_node(declaration))
     for k, (argument, b) in enumerate(result):

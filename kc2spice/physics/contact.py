@@ -122,9 +122,9 @@ def contact(
         energy, elastic, force = law._laws
         energies.append(over(substitute(energy, moved), expression(f"{share}^2")))
         pressed.append(over(substitute(force, late), expression(share)))
-        lost = minus(pressed[-1], over(substitute(elastic, moved), expression(share)))
+        damping = minus(pressed[-1], over(substitute(elastic, moved), expression(share)))
         branches.append(displacement(x, pin, low, f"force.{port}", carried))
-        forces[x] = Writer().write(lost)
+        forces[x] = Writer().write(damping)
     sides = ("a", "va", rigid[0]), ("bottom", "v", rigid[1])
     lags = dict.fromkeys(forces, "pace") if law.pace else {}
     kind, along, absent = "elastic", "", "friction, "

@@ -236,7 +236,7 @@ class Declaration:
         self._only("coenergy", self._tree("coenergy"), {b.name for b in self.acting})
         passive = {name for b in self.branches if not b.through for name in (b.name, b.name + RATE)}
         earlier = passive | {*self.states}
-        for name, tree in self.sent.items():
+        for name, tree in self.signal_trees.items():
             self._only(f"signal {name}", tree, earlier)
             earlier.add(name)
 
@@ -248,7 +248,7 @@ class Declaration:
         yield from ((what, self._tree(what)) for what in _STATED)
         yield from (*self._forces.items(), *self.bounds.items(), *self.stopped.items())
         yield from self.fixed.items()
-        yield from (*self.read.items(), *self.changes.items(), *self.sent.items())
+        yield from (*self.read.items(), *self.changes.items(), *self.signal_trees.items())
 
     # --- names ------------------------------------------------------------------------------
 
@@ -286,28 +286,28 @@ class Declaration:
         """The same with loops that begin and end at one inner pin, ``loops``."""
         if self.open == self.acting:
             return self
-        own = (b if b.plus else replace(b, plus=LOOPS, minus=LOOPS) for b in self.branches)
-        return replace(self, branches=tuple(own))
+        branches = (b if b.plus else replace(b, plus=LOOPS, minus=LOOPS) for b in self.branches)
+        return replace(self, branches=tuple(branches))
 
     @cached_property
     def polynomials(self) -> dict[Tree, str]:
         """Names of all power series in what is through the branches and kept."""
-        trees = [tree for b in self.acting for tree in (self.direct(b), self.kept(b))]
+        trees = [tree for b in self.acting for tree in (self.direct(b), self.storage(b))]
         calls = (node for tree in trees for node in walk(tree))
         result = dict.fromkeys(c for c in calls if isinstance(c, Call) and c.function == "poly")
         return {call: f"poly{k}" for k, call in enumerate(result, 1)}
 
-    def named(self, tree: Tree) -> Tree:
+    def with_series_named(self, tree: Tree) -> Tree:
         """``tree`` with the names of its power series in their places."""
         name = self.polynomials.get(tree)
-        return rebuilt(tree, self.named) if name is None else Name(name)
+        return rebuilt(tree, self.with_series_named) if name is None else Name(name)
 
     @cached_property
     def numbers(self) -> tuple[str, ...]:
         """Keys that are numbers, and what is given."""
         fields = self.keys.model_fields
-        own = (name for name, result in fields.items() if result.annotation is float)
-        return (*own, *(param.name for param in self.given))
+        keys = (name for name, result in fields.items() if result.annotation is float)
+        return (*keys, *(param.name for param in self.given))
 
     @cached_property
     def parameters(self) -> tuple[str, ...]:
@@ -352,14 +352,14 @@ class Declaration:
         return self._read("state", self.states)
 
     @cached_property
-    def sent(self) -> dict[str, Tree]:
+    def signal_trees(self) -> dict[str, Tree]:
         """The signals' expressions."""
         return self._read("signal", self.signals)
 
     @cached_property
     def _spelled(self) -> dict[str, Tree]:
         result: dict[str, Tree] = {}
-        for name, tree in self.sent.items():
+        for name, tree in self.signal_trees.items():
             result[name] = substitute(tree, result)
         return result
 
@@ -381,8 +381,8 @@ class Declaration:
         if not branch.moves:
             return self._slope("content", branch.name)
         stored = minus(self._slope("energy", branch.name), self._slope("coenergy", branch.name))
-        lost = self._slope("content", branch.name + RATE)
-        return plus(stored, lost, self._forces.get(branch.name, ZERO))
+        dissipative = self._slope("content", branch.name + RATE)
+        return plus(stored, dissipative, self._forces.get(branch.name, ZERO))
 
     def followed(self, branch: Branch) -> Tree:
         """The same of a displacement that has followed its lag."""
@@ -394,10 +394,10 @@ class Declaration:
         flows, which has no noise of this kind."""
         if branch.domain.power == "through":
             return ZERO
-        own = branch.name + RATE * branch.moves
-        return derivative(self._slope("content", own), own)
+        rate = branch.name + RATE * branch.moves
+        return derivative(self._slope("content", rate), rate)
 
-    def kept(self, branch: Branch) -> Tree:
+    def storage(self, branch: Branch) -> Tree:
         """Momentum, charge or flux of a branch, whose rate adds to :meth:`direct`."""
         if branch.moves:
             return self._slope("kinetic", branch.name + RATE)
@@ -405,22 +405,22 @@ class Declaration:
 
     def mass(self, branch: Branch) -> Tree:
         """Mass of a displacement branch."""
-        return derivative(self.kept(branch), branch.name + RATE)
+        return derivative(self.storage(branch), branch.name + RATE)
 
     @cached_property
     def stored(self) -> Tree:
         """The stored energy [J]."""
         others = (b for b in self.acting if not b.moves)
-        both = [times(Name(b.name), self.kept(b)) for b in others]
-        whole = plus(self._tree("kinetic"), self._tree("energy"), *both)
-        return minus(whole, self._tree("coenergy"))
+        both = [times(Name(b.name), self.storage(b)) for b in others]
+        total = plus(self._tree("kinetic"), self._tree("energy"), *both)
+        return minus(total, self._tree("coenergy"))
 
     @cached_property
-    def lost(self) -> Tree:
+    def dissipation(self) -> Tree:
         """The power [W] that becomes heat."""
-        own = (times(Name(name + RATE), tree) for name, tree in self._forces.items())
+        forced = (times(Name(name + RATE), tree) for name, tree in self._forces.items())
         others = (b.name for b in self.acting if not b.moves)
-        return plus(*map(self._heat, self.rates), *own, *map(self._heat, others))
+        return plus(*map(self._heat, self.rates), *forced, *map(self._heat, others))
 
     def _heat(self, rate: str) -> Tree:
         return times(Name(rate), self._slope("content", rate))
@@ -428,14 +428,15 @@ class Declaration:
     @cached_property
     def equations(self) -> tuple[str, ...]:
         """Equations of the flow through every branch as text; for a current, of its voltage."""
-        own = [(name, tree) for name, tree in self.sent.items()]
-        own += [(f"d/dt {name}", tree) for name, tree in self.changes.items()]
-        definitions = (f"{name} = {Writer().write(tree)}" for name, tree in own)
+        rows = [(name, tree) for name, tree in self.signal_trees.items()]
+        rows += [(f"d/dt {name}", tree) for name, tree in self.changes.items()]
+        definitions = (f"{name} = {Writer().write(tree)}" for name, tree in rows)
         return (*filter(None, map(self._equation, self.acting)), *definitions)
 
     def _equation(self, branch: Branch) -> str:
-        direct, kept = self.named(self.direct(branch)), self.named(self.kept(branch))
-        terms = [f"d/dt ({Writer().write(kept)})"] if kept != ZERO else []
+        direct = self.with_series_named(self.direct(branch))
+        storage = self.with_series_named(self.storage(branch))
+        terms = [f"d/dt ({Writer().write(storage)})"] if storage != ZERO else []
         terms += [Writer().write(direct)] if direct != ZERO else []
         name = branch.across if branch.flows else branch.through
         return f"{name} = {' + '.join(terms)}" if terms else ""
@@ -448,25 +449,29 @@ class Declaration:
     @cached_property
     def linear(self) -> bool:
         """Whether what is through the branches is in proportion to coordinates and rates."""
-        seen = {*self.coordinates, *self.rates, *self.states}
-        laws = [tree for b in self.acting for tree in (self.direct(b), self.kept(b))]
+        variables = {*self.coordinates, *self.rates, *self.states}
+        laws = [tree for b in self.acting for tree in (self.direct(b), self.storage(b))]
         laws = [*map(self.spelled, (*laws, *self.changes.values()))]
         bent = any(map(kinks, laws))
-        return not bent and not any(names(derivative(x, n)) & seen for x in laws for n in seen)
+        return not bent and not any(
+            names(derivative(x, n)) & variables for x in laws for n in variables
+        )
 
     @cached_property
     def damped(self) -> tuple[Branch, ...]:
         """Displacements whose velocities matter."""
         stated = [self._tree("kinetic"), self._tree("content")]
-        stated += (*self.changes.values(), *self.sent.values())
+        stated += (*self.changes.values(), *self.signal_trees.values())
         stated += (times(Name(name + RATE), tree) for name, tree in self._forces.items())
         result = frozenset[str]().union(*map(names, stated))
         return tuple(b for b in self.branches if b.name + RATE in result)
 
     def values(self, keys: Section) -> dict[str, float]:
         """Parameters of a part by name, in SI."""
-        given = {param.name: param.default for param in self.given}
-        result = {n: given[n] if n in given else float(getattr(keys, n)) for n in self.numbers}
+        constants = {param.name: param.default for param in self.given}
+        result = {
+            n: constants[n] if n in constants else float(getattr(keys, n)) for n in self.numbers
+        }
         for name, tree in self.fixed.items():
             result[name] = float(evaluated(tree, result))
         return result

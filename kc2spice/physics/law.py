@@ -27,7 +27,7 @@ from kc2spice.physics.symbolic import (
     times,
 )
 
-_Made = Callable[..., tuple[Subcircuit, ...]]
+_Compiled = Callable[..., tuple[Subcircuit, ...]]
 _Table = Callable[[float], float]
 
 
@@ -93,8 +93,8 @@ class DeclaredLaw(Device):
     @property
     def charged(self) -> tuple[int, ...]:
         d = self.declaration
-        kept = (not b.flows and d.kept(b) != ZERO for b in d.acting)
-        return tuple(k for k, stored in enumerate(kept) if stored)
+        charges = (not b.flows and d.storage(b) != ZERO for b in d.acting)
+        return tuple(k for k, stored in enumerate(charges) if stored)
 
     @property
     def states(self) -> tuple[str, ...]:
@@ -105,7 +105,7 @@ class DeclaredLaw(Device):
         return bool(self._flowing or self.charged)
 
     @cached_property
-    def _seen(self) -> tuple[str, ...]:
+    def _inputs(self) -> tuple[str, ...]:
         """Names of the inputs."""
         d = self.declaration
         across = [f"{b.name}_drop" if b.flows else b.name for b in d.branches]
@@ -116,8 +116,8 @@ class DeclaredLaw(Device):
         d = self.declaration
         stated = (*map(d.direct, d.acting), *d.changes.values(), *d.read.values())
         trees = [*map(self._plain, stated)]
-        slopes = (flagged(derivative(t, n), self._corners) for t in trees for n in self._seen)
-        constant = not any(names(slope) & set(self._seen) for slope in slopes)
+        slopes = (flagged(derivative(t, n), self._corners) for t in trees for n in self._inputs)
+        constant = not any(names(slope) & set(self._inputs) for slope in slopes)
         return constant and not self.storing
 
     @property
@@ -128,64 +128,66 @@ class DeclaredLaw(Device):
     def _corners(self) -> tuple[Tree, ...]:
         """Arguments of all one-sided expressions, whose signs make modes."""
         d = self.declaration
-        trees = [d.stored, *(x for b in d.acting for x in (d.direct(b), d.kept(b)))]
+        trees = [d.stored, *(x for b in d.acting for x in (d.direct(b), d.storage(b)))]
         trees += (*d.changes.values(), *d.read.values())
         return tuple(dict.fromkeys(e for tree in trees for e in kinks(self._plain(tree))))
 
     def _plain(self, tree: Tree) -> Tree:
         """``tree`` by the inputs alone: a signal has the unit of its pin, such as um."""
-        kinds, seen = self._kinds, (b for b in self.declaration.branches if not b.through)
-        signals = (b for b in seen if kinds[b.plus] == "signal")
+        kinds, measured = self._kinds, (b for b in self.declaration.branches if not b.through)
+        signals = (b for b in measured if kinds[b.plus] == "signal")
         units = {b.name: times(_number(b.domain.across.factor), Name(b.name)) for b in signals}
         return plus(substitute(self.declaration.spelled(tree), units))
 
-    def _stated(self, trees: Iterable[Tree], slopes: bool = False) -> _Made:
-        """:meth:`_made` of what the declaration says."""
-        return self._made(map(self._plain, trees), slopes)
+    def _stated(self, trees: Iterable[Tree], slopes: bool = False) -> _Compiled:
+        """:meth:`_compiled` of what the declaration says."""
+        return self._compiled(map(self._plain, trees), slopes)
 
-    def _made(self, trees: Iterable[Tree], slopes: bool = False) -> _Made:
+    def _compiled(self, trees: Iterable[Tree], slopes: bool = False) -> _Compiled:
         """Values of ``trees``, then the derivatives of each by all inputs."""
         flags = [f"flag{k}" for k in range(len(self._corners))]
         trees = list(trees)
-        rows = [derivative(tree, name) for tree in trees for name in self._seen if slopes]
+        rows = [derivative(tree, name) for tree in trees for name in self._inputs if slopes]
         smooth = [flagged(tree, self._corners) for tree in (*trees, *rows)]
-        arguments = (*self._seen, *flags, *self.declaration.parameters)
+        arguments = (*self._inputs, *flags, *self.declaration.parameters)
         return function(smooth, arguments, self.tables)
 
     @cached_property
-    def _out(self) -> _Made:
+    def _out(self) -> _Compiled:
         d = self.declaration
         flows = [Name(b.name) if b.flows else d.direct(b) for b in d.acting]
         rates = [minus(Name(f"{b.name}_drop"), d.direct(b)) for b in self._flowing]
-        shown = (times(_number(TRANSLATION.across.per_unit), tree) for tree in d.read.values())
-        return self._stated([*flows, *rates, *d.changes.values(), *shown], slopes=True)
+        outputs = (times(_number(TRANSLATION.across.per_unit), tree) for tree in d.read.values())
+        return self._stated([*flows, *rates, *d.changes.values(), *outputs], slopes=True)
 
     @cached_property
-    def _kept(self) -> _Made:
+    def _storage(self) -> _Compiled:
         d = self.declaration
         fluxes, charges = (
-            map(d.kept, self._flowing),
-            (d.kept(d.acting[k]) for k in self.charged),
+            map(d.storage, self._flowing),
+            (d.storage(d.acting[k]) for k in self.charged),
         )
         return self._stated([*fluxes, *map(Name, d.states), *charges], slopes=True)
 
     @cached_property
-    def _energies(self) -> _Made:
-        return self._stated([self.declaration.stored, self.declaration.lost])
+    def _energies(self) -> _Compiled:
+        return self._stated([self.declaration.stored, self.declaration.dissipation])
 
     @cached_property
-    def _guards(self) -> _Made:
-        return self._made(self._corners)
+    def _guards(self) -> _Compiled:
+        return self._compiled(self._corners)
 
     @cached_property
-    def _bounds(self) -> _Made:
+    def _bounds(self) -> _Compiled:
         return self._stated(self.declaration.bounds.values())
 
-    def _called(self, made: _Made, e: np.ndarray, mode: Any) -> np.ndarray:
-        return np.array(made(*e.tolist(), *mode, *self.values), dtype=float)
+    def _called(self, compiled: _Compiled, e: np.ndarray, mode: Any) -> np.ndarray:
+        return np.array(compiled(*e.tolist(), *mode, *self.values), dtype=float)
 
-    def _split(self, made: _Made, e: np.ndarray, mode: Any) -> tuple[np.ndarray, np.ndarray]:
-        result = self._called(made, e, mode)
+    def _split(
+        self, compiled: _Compiled, e: np.ndarray, mode: Any
+    ) -> tuple[np.ndarray, np.ndarray]:
+        result = self._called(compiled, e, mode)
         count = result.size // (1 + e.size)
         return result[:count], result[count:].reshape(count, e.size)
 
@@ -194,7 +196,7 @@ class DeclaredLaw(Device):
 
     def store(self, e: np.ndarray, mode: Any) -> tuple[np.ndarray, np.ndarray]:
         """Fluxes of the currents, the states, then charges of the voltages and momenta."""
-        return self._split(self._kept, e, mode)
+        return self._split(self._storage, e, mode)
 
     def mode(self, e: np.ndarray) -> tuple[int, ...]:
         flags: tuple[int, ...] = (0,) * len(self._corners)
@@ -210,7 +212,7 @@ class DeclaredLaw(Device):
         return (*mode[:guard], 1 - mode[guard], *mode[guard + 1 :])
 
     @cached_property
-    def _loss(self) -> _Made:
+    def _loss(self) -> _Compiled:
         return self._stated(map(self.declaration.loss, self.declaration.acting))
 
     def noise(self, s: complex, e: np.ndarray, mode: Any) -> tuple[np.ndarray, np.ndarray] | None:
@@ -238,6 +240,6 @@ class DeclaredLaw(Device):
         return float(self._called(self._energies, e, mode)[0])
 
     def loss(self, e: np.ndarray, mode: Any) -> float:
-        if self.declaration.lost == ZERO:
+        if self.declaration.dissipation == ZERO:
             return 0.0
         return float(self._called(self._energies, e, mode)[1])

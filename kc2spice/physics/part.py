@@ -341,7 +341,7 @@ def energies(
         if b in moved:
             forces.append((pins, np.diff(seen[b.name])))
             continue
-        kept = np.diff(over_time(d.kept(b))) + np.diff(running(over_time(d.direct(b)), time))
+        kept = np.diff(over_time(d.storage(b))) + np.diff(running(over_time(d.direct(b)), time))
         middle = (seen[b.name][1:] + seen[b.name][:-1]) / 2
         brought = brought + middle * _integrated(pins, time, kept)
     brought = brought + _work(forces, rise + heat - brought, jumps=bool(massless))
@@ -372,7 +372,7 @@ def _heat(
         {name: v[cut] if np.size(v) > 1 else v for name, v in known.items()} | dict(means)
         for cut in (slice(None, -1), slice(1, None))
     )
-    first, last = (evaluated(declaration.lost, end) for end in ends)
+    first, last = (evaluated(declaration.dissipation, end) for end in ends)
     return np.asarray((first + last) / 2 * np.diff(time))
 
 

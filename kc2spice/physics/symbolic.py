@@ -219,10 +219,10 @@ def _sum(op: str, left: Tree, right: Tree) -> Tree:
 
 def horner(value: Tree, series: Iterable[Tree]) -> Tree:
     """The power series of ``value``, lowest power first, as nested products."""
-    *lower, whole = series
+    *lower, result = series
     for item in reversed(lower):
-        whole = Binary("+", item, Binary("*", value, whole))
-    return whole
+        result = Binary("+", item, Binary("*", value, result))
+    return result
 
 
 def _step(value: Tree) -> Tree:
@@ -252,7 +252,9 @@ class _Product:
                 case Call("sqrt", (value,)) if value in above:  # a / sqrt(a) is sqrt(a)
                     above = above - Counter([value]) + Counter([root])
                     below = below - Counter([root])
-        return _Product(self.size * other.size, _kept(above), _kept(below))
+        return _Product(
+            self.size * other.size, _without_duplicates(above), _without_duplicates(below)
+        )
 
     def inverse(self) -> _Product:
         if not self.size:
@@ -265,42 +267,42 @@ class _Product:
         if Fraction(f"{float(size):.{_DIGITS}g}") != size:
             size, below = Fraction(size.numerator), (_number(size.denominator), *below)
         above = (_number(size), *self.above) if size != 1 or not self.above else self.above
-        whole = _joined("*", above)
-        return Binary("/", whole, _joined("*", below)) if below else whole
+        numerator = _joined("*", above)
+        return Binary("/", numerator, _joined("*", below)) if below else numerator
 
 
 def _number(value: Fraction | int) -> Number:
     return Number(f"{float(value):.{_DIGITS}g}")
 
 
-def _kept(found: Counter[Tree]) -> tuple[Tree, ...]:
+def _without_duplicates(counts: Counter[Tree]) -> tuple[Tree, ...]:
     """Factors; a step beside ``max(0, e)`` of the same e, its root, or itself, says nothing."""
-    kept: list[Tree] = []
-    for factor in found.elements():
+    factors: list[Tree] = []
+    for factor in counts.elements():
         match factor:
             case Choice(Binary(">", value, _), _, _):
                 closed = Call("max", (ZERO, value))
-                if not {closed, Call("sqrt", (closed,))} & {*found, *kept}:
-                    kept += [factor] * (factor not in kept)
+                if not {closed, Call("sqrt", (closed,))} & {*counts, *factors}:
+                    factors += [factor] * (factor not in factors)
             case _:
-                kept.append(factor)
-    return tuple(kept)
+                factors.append(factor)
+    return tuple(factors)
 
 
 @cache
 def simplified(tree: Tree) -> Tree:
     """Equal terms added, equal factors cancelled, numbers worked out exactly."""
-    return _whole([term for term in _terms(tree) if term.size])
+    return _sum_of([term for term in _terms(tree) if term.size])
 
 
-def _whole(found: list[_Product]) -> Tree:
-    if not found:
+def _sum_of(terms: list[_Product]) -> Tree:
+    if not terms:
         return ZERO
-    first, *rest = sorted(found, key=lambda term: term.size < 0)
-    whole: Tree = first.tree() if first.size > 0 else Unary("-", first.tree())
+    first, *rest = sorted(terms, key=lambda term: term.size < 0)
+    total: Tree = first.tree() if first.size > 0 else Unary("-", first.tree())
     for term in rest:
-        whole = Binary("+" if term.size > 0 else "-", whole, term.tree())
-    return whole
+        total = Binary("+" if term.size > 0 else "-", total, term.tree())
+    return total
 
 
 def _terms(tree: Tree) -> list[_Product]:
@@ -348,12 +350,12 @@ def _single(tree: Tree) -> _Product:
     result = [term for term in _terms(tree) if term.size]
     if len(result) == 1:
         return result[0]
-    return _Product(Fraction(1), (_whole(result),)) if result else _Product(Fraction(0))
+    return _Product(Fraction(1), (_sum_of(result),)) if result else _Product(Fraction(0))
 
 
-def _merged(found: Iterable[_Product]) -> list[_Product]:
+def _merged(terms: Iterable[_Product]) -> list[_Product]:
     sums: dict[tuple[frozenset[Any], ...], _Product] = {}
-    for term in found:
+    for term in terms:
         key = tuple(frozenset(Counter(part).items()) for part in (term.above, term.below))
         before = sums.get(key)
         size = term.size + (before.size if before else 0)
@@ -440,8 +442,8 @@ def function(
     heads = ", ".join(f"_{name}" for name in arguments)
     values = "".join(f"{_Python().write(tree)}, " for tree in trees)
     scope = _SCOPE | {_python(name): table for name, table in (tables or {}).items()}
-    made: Callable[..., tuple[Subcircuit, ...]] = eval(f"lambda {heads}: ({values})", scope)
-    return made
+    compiled: Callable[..., tuple[Subcircuit, ...]] = eval(f"lambda {heads}: ({values})", scope)
+    return compiled
 
 
 def evaluated(tree: Tree, known: Mapping[str, Any]) -> Any:

@@ -229,7 +229,7 @@ def worst_slope(name):
         e, _ = inputs(own, state, rates, drops)
         mode = own.mode(e)
         for made, (value, by) in (
-            (own._out, own.evaluate(e, mode)), (own._kept, own.store(e, mode)),
+            (own._out, own.evaluate(e, mode)), (own._storage, own.store(e, mode)),
         ):  # fmt: skip
             for j in range(e.size):
                 moved = made(*(e + 1j * H * np.eye(e.size)[j]), *mode, *own.values)
