@@ -732,7 +732,7 @@ def _sweep(
         again: dict[str, Any] = {"table_format": table_format, "retry_failed": retry_failed}
         try:
             with caller.progress() as progress:
-                result = engine.sweep(answer, out, pool, progress, **again)
+                result = engine.run_sweep(answer, out, pool, progress, **again)
         except KeyboardInterrupt:
             state = f"the points run so far are kept in {out}, the same command runs the rest"
             print(f"kc2spice: interrupted; {state}", file=sys.stderr)

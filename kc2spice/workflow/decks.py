@@ -35,7 +35,7 @@ from kc2spice.scene.plausible import built, judged
 from kc2spice.scene.resolve import resolve_again, resolve_build
 from kc2spice.spice.header import plan_lines
 from kc2spice.workflow import meters
-from kc2spice.workflow.edits import changed, element, instance, with_value
+from kc2spice.workflow.edits import changed, element_text, instance, with_value
 from kc2spice.workflow.measures import measures
 from kc2spice.workflow.meters import sweep_values, swept
 from kc2spice.workflow.models import build_models
@@ -88,7 +88,7 @@ def make_deck(build: Build) -> Deck:
     parts = tuple(_libraries(build, header))
     reduced = ((part.name, part.reduction) for part in parts)
     reductions = (f"* {name}, rom: {facts.summary}" for name, facts in reduced if facts)
-    made = Deck(
+    deck = Deck(
         name=scene.name,
         title=f"{scene.name}: {scene.title}",
         notes=(*notes, *reductions, *_step_lines(build)),
@@ -106,7 +106,7 @@ def make_deck(build: Build) -> Deck:
         trusted=build.trust,
         sweep_scale=swept(build)[2].scale if scene.analysis.type == "dc" else 1.0,
     )
-    return meters.sources(made, build) if build.noisy else made
+    return meters.sources(deck, build) if build.noisy else deck
 
 
 def _controls(part: Part, scene: Scene) -> bool:
@@ -153,18 +153,18 @@ def _items(build: Build, loose: Sequence[Free]) -> Iterator[Item]:
     nets = [group.nets[0] for group in loose if group.nets]
     if scene.analysis.small and nets:
         names = Names(scene.parts)
-        held = [
+        inductors = [
             Element.of(f"L{names.name(net, f'{net}_held')}", net, "0", number(HOLD)) for net in nets
         ]
-        yield from titled("held at the operating point alone: nothing else does", held)
+        yield from titled("held at the operating point alone: nothing else does", inductors)
 
 
 def _options(build: Build) -> Iterable[Option]:
     scene = build.scene
     solver, rows = scene.solver, scene.numerics
-    own = [Option(key, *why) for row in rows for key, why in row.options.items()]
+    part_options = [Option(key, *why) for row in rows for key, why in row.options.items()]
     if scene.analysis.type != "transient":
-        return own
+        return part_options
     reltol = solver.reltol * min((row.reltol for row in rows), default=1.0)
     chgtol = solver.chgtol * min((row.chgtol for row in rows), default=1.0)
     return [
@@ -181,7 +181,7 @@ def _options(build: Build) -> Iterable[Option]:
         ),
         Option("method", solver.method, "rule of integration"),
         Option("acct", "", "print accepted and rejected steps, iterations and time"),
-        *own,
+        *part_options,
     ]
 
 
@@ -223,10 +223,11 @@ def _initial(build: Build, loose: Sequence[Free]) -> dict[str, float]:
     return result
 
 
-def edited_deck(build: Build, own: Deck, path: Path) -> tuple[Deck, Build]:
-    """A netlist of the scene that somebody edited, with the results of the scene's ``own`` deck;
-    and ``build`` with the parameters that parts have there, without judgement of parts whose cards
-    are others, or joined otherwise.
+def edited_deck(build: Build, original: Deck, path: Path) -> tuple[Deck, Build]:
+    """An edited netlist of the scene with the results of its ``original`` deck, and its build.
+
+    The build has the parameters that parts have in the edited netlist. Parts whose cards are
+    others, or joined otherwise, are not judged.
 
     What it includes from its own directory is written into its place; it is refused if it could
     act on the machine, unless the build is trusted.
@@ -244,16 +245,16 @@ def edited_deck(build: Build, own: Deck, path: Path) -> tuple[Deck, Build]:
     cards = list(result.cards(title=True))
     refuse(cards, part=False)
     analyses = [s for s in cards if s.keyword in ANALYSES]
-    if [s.keyword for s in analyses] != [f".{own.command.kind}"]:
+    if [s.keyword for s in analyses] != [f".{original.command.kind}"]:
         raise UsageError(
             "not the scene's analysis",
             where=str(path),
             got=" and ".join(s.written for s in analyses) or "none",
-            expected=own.command.card,
-            hint=f"write this line into the deck: {own.command.card}",
+            expected=original.command.card,
+            hint=f"write this line into the deck: {original.command.card}",
         )
     saved = {vector(w.lower()) for s in cards if s.keyword == ".save" for w in s.words[1:]}
-    missing = [v for v in own.saved if vector(v.lower()) not in saved]
+    missing = [v for v in original.saved if vector(v.lower()) not in saved]
     if saved and vector("all") not in saved and missing:
         raise UsageError(
             "the scene's metrics need vectors that this deck does not save",
@@ -263,17 +264,17 @@ def edited_deck(build: Build, own: Deck, path: Path) -> tuple[Deck, Build]:
             hint="add this line to the deck: .save " + " ".join(missing),
         )
     tree = tree_of(cards)
-    _require_results(own, circuit(tree), path)
-    _tell_options(own, cards, path)
+    _require_results(original, circuit(tree), path)
+    _tell_options(original, cards, path)
     words = tuple(analyses[0].words[1:])
-    stop = own.stop
+    stop = original.stop
     if stop is not None:  # the end of the transient whose card has these words
         stop = literal(words[1], where=analyses[0].where) if len(words) > 1 else None
         if stop is None:
             message, got = "the end of the transient is no number", " ".join(words)
             raise UsageError(message, where=analyses[0].where, got=got)
     deck = replace(
-        own,
+        original,
         text=result.text,
         tree=tree,
         parts=(),
@@ -281,21 +282,21 @@ def edited_deck(build: Build, own: Deck, path: Path) -> tuple[Deck, Build]:
         options=(),
         initial={},
         stop=stop,
-        command=Command(own.command.kind, words),
+        command=Command(original.command.kind, words),
     )
-    return deck, _judged_by(build, own, deck, path)
+    return deck, _judged_by(build, original, deck, path)
 
 
-def _judged_by(build: Build, own: Deck, edited: Deck, path: Path) -> Build:
+def _judged_by(build: Build, original: Deck, edited: Deck, path: Path) -> Build:
     """Return ``build`` with the parameter values of the ``edited`` deck.
 
     A part is not checked if its keys cannot express its cards in the edited deck. Prints a warning
     that lists these parts.
     """
-    edits, parts = _edits(own, edited), dict(build.scene.parts)
+    edits, parts = _edits(original, edited), dict(build.scene.parts)
     reasons = {name: why for name, why in edits.items() if name in parts}
     for name, part in build.scene.parts.items():
-        before, now = (instance(deck.scope, f"x{name}") for deck in (own, edited))
+        before, now = (instance(deck.scope, f"x{name}") for deck in (original, edited))
         if before is None or now is None or name in reasons:
             continue
         if before.cards != now.cards:
@@ -313,7 +314,7 @@ def _judged_by(build: Build, own: Deck, edited: Deck, path: Path) -> Build:
     return resolve_build(replace(build, scene=scene, unjudged=frozenset(unjudged)))
 
 
-def _edits(own: Deck, edited: Deck) -> dict[str, str]:
+def _edits(original: Deck, edited: Deck) -> dict[str, str]:
     """Parts of the scene whose cards are others in the ``edited`` deck, with the reason: their keys
     no longer say what is there. Also names of cards that it has besides, and of instances joined
     otherwise. Parameters of an instance, and its subcircuit, are none of these."""
@@ -321,9 +322,9 @@ def _edits(own: Deck, edited: Deck) -> dict[str, str]:
     def content(card: Element) -> str:
         """The card without its nodes, and without the parameters of an instance."""
         plain = replace(card, nodes=())
-        return element(replace(plain, parameters={}) if card.kind == "x" else plain)
+        return element_text(replace(plain, parameters={}) if card.kind == "x" else plain)
 
-    before, now = ({e.key: e for e in deck.scope.elements} for deck in (own, edited))
+    before, now = ({e.key: e for e in deck.scope.elements} for deck in (original, edited))
     owner = {key: card.owner for key, card in before.items() if card.owner}
     result = {}
     for key in before.keys() | now.keys():
@@ -345,7 +346,7 @@ def _require_instances(now: Scope, before: Scope, path: Path) -> None:
     ------
     UsageError : names the card.
     """
-    old, new = ({element.key: element for element in scope.elements} for scope in (before, now))
+    old, new = ({card.key: card for card in scope.elements} for scope in (before, now))
     if new.keys() - old.keys():
         return  # the reader of the deck must judge the replacement
     for key in old.keys() - new.keys():
@@ -359,16 +360,16 @@ def _require_instances(now: Scope, before: Scope, path: Path) -> None:
             )
 
 
-def _require_results(own: Deck, now: Scope, path: Path) -> None:
+def _require_results(original: Deck, now: Scope, path: Path) -> None:
     """Refuse a deck without the nodes and devices that results are read from.
 
     Raises
     ------
     UsageError : names the vectors, and the card that brings back a current.
     """
-    before = own.scope
+    before = original.scope
     _require_instances(now, before, path)
-    missing = [v for v in own.saved if not has_vector(now, v) and has_vector(before, v)]
+    missing = [v for v in original.saved if not has_vector(now, v) and has_vector(before, v)]
     if not missing:
         return
     hints = []
@@ -390,9 +391,12 @@ def _require_results(own: Deck, now: Scope, path: Path) -> None:
     )
 
 
-def _tell_options(own: Deck, cards: Iterable[Statement], path: Path) -> None:
+def _tell_options(original: Deck, cards: Iterable[Statement], path: Path) -> None:
     """Warn of accuracy options that differ from those of the scene's own deck."""
-    before, now = {o.key: o.value for o in own.options if o.key not in HARMLESS}, accuracy(cards)
+    before, now = (
+        {o.key: o.value for o in original.options if o.key not in HARMLESS},
+        accuracy(cards),
+    )
     pairs = {key: (before.get(key), now.get(key)) for key in [*before, *now]}
 
     def value(text: str | None) -> float | str | None:

@@ -50,23 +50,23 @@ def _cards(scope: Scope, above: frozenset[str]) -> Any:
     printer = Printer()
     plain = [printer.card(item) for item in scope.commands]
     models = {name: printer.card(item) for name, item in scope.models.maps[0].items()}
-    return scope.pins, [element(item) for item in scope.elements], plain, models, inside
+    return scope.pins, [element_text(item) for item in scope.elements], plain, models, inside
 
 
-def element(card: Element) -> str:
+def element_text(card: Element) -> str:
     """Content of an element's card: blanks and brackets of expressions make no difference."""
     plain = replace(card, name=card.key, nodes=card.ends, parameters=card.settings)
     return Printer().element(plain)
 
 
-def changed(own: Instance, edited: Instance) -> Iterator[tuple[str, float, float]]:
+def changed(original: Instance, edited: Instance) -> Iterator[tuple[str, float, float]]:
     """Name, old and new value of each parameter that differs; nan of an expression."""
 
     def number(text: str | None) -> float:
         value = None if text is None else literal(text)
         return math.nan if value is None else value
 
-    before, now = own.parameters, edited.parameters
+    before, now = original.parameters, edited.parameters
     for name in before.keys() | now.keys():
         if before.get(name) != now.get(name):
             old, new = number(before.get(name)), number(now.get(name))

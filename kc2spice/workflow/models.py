@@ -46,13 +46,15 @@ def libraries(scene: Scene) -> dict[str, str]:
     for part, name in names.items():
         owners.setdefault(name.lower(), set()).add(parts[part].type.name)
     users = {part for part in parts if parts[part].netlist}
-    own = {
+    preferred = {
         part: (parts[part].type.name, name if len(owners[name.lower()]) == 1 else part)
         for part, name in names.items()
         if part not in users
     }
-    given = Names(names[part] for part in users)
-    return {p: names[p] if p in users else given.name(own[p], own[p][1]) for p in parts}
+    unique = Names(names[part] for part in users)
+    return {
+        p: names[p] if p in users else unique.name(preferred[p], preferred[p][1]) for p in parts
+    }
 
 
 def shared(build: Build) -> Build:
@@ -69,9 +71,9 @@ def shared(build: Build) -> Build:
             texts = tuple(result.text for result in kind.subcircuits(part, trial, header))
             alike.setdefault(texts, []).append(part.name)
         free = kind.name not in {name.lower() for name in names.values()}
-        whole = len(alike) == 1 and free
+        single = len(alike) == 1 and free
         names |= {
-            item: kind.name if whole else names[group[0]]
+            item: kind.name if single else names[group[0]]
             for group in alike.values()
             for item in group
         }
@@ -84,15 +86,15 @@ def _numbered(build: Build) -> dict[str, str]:
     scene, names = build.scene, dict(build.libraries)
     header = Header(scene.name, scene_hash(scene))
     users = [*names.values()]
-    given, alike = Names(users), dict[tuple[str, ...], str]()
+    unique, alike = Names(users), dict[tuple[str, ...], str]()
     for part in scene.parts.values():
         name = build.libraries[part.name]
         if users.count(name) < 2 or part.netlist or not isinstance(part.type, LinearBody):
             continue
         texts = tuple(result.text for result in part.type.subcircuits(part, build, header))
         if texts not in alike:
-            own = part.type.scene_library(part, scene)
-            alike[texts] = given.name(part.name, own) if name in alike.values() else name
+            scene_name = part.type.scene_library(part, scene)
+            alike[texts] = unique.name(part.name, scene_name) if name in alike.values() else name
         names[part.name] = alike[texts]
     return names
 

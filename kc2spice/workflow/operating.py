@@ -51,17 +51,17 @@ def operating_point(build: Build, deck: Deck) -> OperatingPoint:
     try:
         at_rest = resolve_again(resolved)
         still = resolve_build(replace(build, scene=at_rest))
-        own = make_deck(still)
+        deck_at_rest = make_deck(still)
         with TemporaryDirectory() as folder:
-            point: Waveforms = run_deck(own, Path(folder))
+            point: Waveforms = run_deck(deck_at_rest, Path(folder))
     except (SimulationError, UsageError) as error:
         message = f"the operating point of {scene.name} is not known: {error.message}"
         warnings.warn(message, stacklevel=2)
         return OperatingPoint()
-    values = {name: float(point[name][-1]) for name in own.units if name in point}
+    values = {name: float(point[name][-1]) for name in deck_at_rest.units if name in point}
     rows = (p.type.standing(p, build, point) for p in scene.parts.values())
     checks = tuple(check for row in rows for check in row)
-    return OperatingPoint(values, {name: own.units[name] for name in values}, checks)
+    return OperatingPoint(values, {name: deck_at_rest.units[name] for name in values}, checks)
 
 
 def is_linear(build: Build) -> bool:

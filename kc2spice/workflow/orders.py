@@ -25,7 +25,7 @@ from kc2spice.scene.checks import Check
 from kc2spice.scene.load import load_scene
 from kc2spice.scene.model import Part
 from kc2spice.workflow.decks import prepared
-from kc2spice.workflow.simulate import Run, simulate
+from kc2spice.workflow.simulate import Run, simulate_deck
 
 MULTIPLES = (2, 4)  # factors of the order of the scene, tried until the error is within its limit
 MOST_STATES = 200  # states of a larger model; every state adds time to each simulator step
@@ -69,7 +69,7 @@ def with_larger_orders(run: Run, work: Path, clock: Clock) -> Run:
         try:
             again, deck = prepared(scene, clock, trust=build.trust, functions=build.functions)
             with clock.stage("simulate", "with more states") as share:
-                result = simulate(again, deck, Path(folder), progress=share)
+                result = simulate_deck(again, deck, Path(folder), progress=share)
         except (SimulationError, UsageError) as error:
             message = f"the run with more states failed: {error.message}; "
             message += "the result is that of the first run"

@@ -159,8 +159,8 @@ def _require_names(model: LinearModel, name: str) -> None:
     ------
     UsageError : a port has the name of a node inside of the subcircuit, or of another pin.
     """
-    own = {port.name for port in model.ports if port.charged}
-    D = [[float(out == into and out in own) for into in model.inputs] for out in model.outputs]
+    names = {port.name for port in model.ports if port.charged}
+    D = [[float(out == into and out in names) for into in model.inputs] for out in model.outputs]
     one, B = np.eye(1), np.ones((1, len(model.inputs)))
     C = np.ones((len(model.outputs), 1))
     subcircuit(LinearModel(M=one, E=one, K=one, B=B, C=C, D=np.array(D), ports=model.ports), name)
@@ -333,36 +333,38 @@ def _written(
 
 def _scene_body(text: str) -> LinearModel | None:
     """The full model of ``SCENE:PART`` with the ports that the scene needs, None for a path."""
-    name, colon, wanted = text.rpartition(":")
+    name, colon, part_name = text.rpartition(":")
     if not colon or Path(text).exists() or not (name in gallery() or name.endswith(".toml")):
         return None
     scene = load_scene(name)
-    part = scene.part(wanted, where=text)
+    part = scene.part(part_name, where=text)
     if not isinstance(part.type, LinearBody):
         bodies = [p.name for p in scene.parts.values() if isinstance(p.type, LinearBody)]
         raise UsageError(
             "this part has no linear model",
             where=text,
             got=f"a part of type {part.type.name}",
-            expected=candidates(wanted, bodies) or "a body; this scene has none",
+            expected=candidates(part_name, bodies) or "a body; this scene has none",
         )
     full = full_alone(part, scene, Clock())
-    kept = full.select([port.name for port in part.type.kept(part, scene)])
-    return replace(kept, name=f"{scene.name}_{part.name}", band=scene_band(part, scene, kept))
+    restricted = full.select([port.name for port in part.type.kept(part, scene)])
+    return replace(
+        restricted, name=f"{scene.name}_{part.name}", band=scene_band(part, scene, restricted)
+    )
 
 
-def require_stable(found: dict[str, Any]) -> None:
+def require_stable(record: dict[str, Any]) -> None:
     """Check that the model of :func:`reduce`, or of a comparison, is not known to be unstable.
 
     Raises
     ------
     GateMissedError : it is not.
     """
-    if found["stable"] is False:
-        written = f"; {found['rom']} was written as it is" if "rom" in found else ""
+    if record["stable"] is False:
+        written = f"; {record['rom']} was written as it is" if "rom" in record else ""
         raise GateMissedError(
             "the model is unstable",
-            where=found["model"],
+            where=record["model"],
             got="a pole in the right half plane",
             expected="poles that do not grow",
             hint=f"check signs and halves of the matrices{written}",

@@ -30,7 +30,7 @@ from kc2spice.scene.load import load_scene
 from kc2spice.scene.model import Part, Scene
 from kc2spice.scene.settings import Action
 from kc2spice.workflow.decks import prepared
-from kc2spice.workflow.simulate import Run, ran, simulate, simulator_cpu
+from kc2spice.workflow.simulate import Run, ran, simulate_deck, simulator_cpu
 
 MOST_UNKNOWNS = 200_000  # unknowns of a refined mesh: minutes of one processor
 FREE_SHARE = 0.5  # share of free memory for one factor; matrices and modes need the rest
@@ -72,7 +72,7 @@ class Runs:
         self.refused: UsageError | None = None  # the last mesh that was too large
 
     def at(self, notches: Notches) -> Run:
-        """The run there; raises as :func:`kc2spice.workflow.simulate.simulate` does."""
+        """The run there; raises as :func:`kc2spice.workflow.simulate.simulate_deck` does."""
         build, settings = self.start.build, keys_at(self.all_axes, notches)
         if repr(settings) not in self.known:
             self.require_size(notches)
@@ -155,10 +155,10 @@ def evaluate(
     functions: Mapping[str, Any] | None = None,
     retries: int | None = None,
 ) -> Run:
-    """Build, write, simulate and measure ``scene``; raises as :func:`simulate` does."""
+    """Build, write, simulate and measure ``scene``; raises as :func:`simulate_deck` does."""
     build, deck = prepared(scene, clock, trust=trust, functions=functions)
     with clock.stage("refined run", text), tempfile.TemporaryDirectory() as folder:
-        return simulate(build, deck, Path(folder), retries=retries)
+        return simulate_deck(build, deck, Path(folder), retries=retries)
 
 
 def time_again(run: Run) -> float:

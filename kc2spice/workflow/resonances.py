@@ -38,7 +38,7 @@ WIDER = 4.0
 MOST_RESONANCES = 100
 
 
-def refined(deck: Deck, build: Build) -> Deck:
+def with_resonances(deck: Deck, build: Build) -> Deck:
     """``deck`` with further frequencies about resonances, and at the places of probes.
 
     A probe reads a frequency, or the end of its window, at a point of the analysis: a straight line
@@ -54,9 +54,9 @@ def refined(deck: Deck, build: Build) -> Deck:
     analysis = build.scene.analysis
     if not analysis.small or analysis.stop is None:
         return deck
-    found = [(f, width) for f, width in _narrow(build) if width > 0.0]
+    resonances = [(f, width) for f, width in _narrow(build) if width > 0.0]
     step = 2 * HALF_WIDTHS / (POINTS - 1)
-    narrow = [(f, width) for f, width in found if step * width < _spacing(build, f)]
+    narrow = [(f, width) for f, width in resonances if step * width < _spacing(build, f)]
     if len(narrow) > MOST_RESONANCES:
         warnings.warn(
             f"{len(narrow)} resonances are narrower than the distance of the frequencies; the "

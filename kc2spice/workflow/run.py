@@ -27,7 +27,7 @@ from kc2spice.workflow.decks import prepared, spare_other_decks
 from kc2spice.workflow.models import fact_units, mode_tables, model_facts
 from kc2spice.workflow.orders import with_larger_orders
 from kc2spice.workflow.refine import Converged, converge
-from kc2spice.workflow.simulate import Run, kept_on_failure, sampled, simulate
+from kc2spice.workflow.simulate import Run, kept_on_failure, sampled, simulate_deck
 
 
 @dataclass(frozen=True)
@@ -178,7 +178,7 @@ def complete(
                 spare_other_decks(out, made.files)
             try:
                 with clock.stage("simulate", f"{simulator.name} {simulator.version}") as share:
-                    result = simulate(build, made, work, progress=share)
+                    result = simulate_deck(build, made, work, progress=share)
                 break
             except RetriesFailedError as error:
                 if deck is not None or not error.suggested:

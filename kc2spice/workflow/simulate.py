@@ -84,7 +84,7 @@ class Run(Outcome):
         }
 
 
-def simulate(
+def simulate_deck(
     build: Build,
     deck: Deck,
     directory: Path,
@@ -167,15 +167,15 @@ def simulate(
         warnings.warn(message, stacklevel=2)
     used = simulator_cpu(build) - begin
     waves = _with_powers(result.waves, deck)
-    taken = metrics(waves, build)
+    results = metrics(waves, build)
     return Run(
         deck=result.deck,
         waves=waves,
         verdict=result.verdict,
         attempts=result.attempts,
         build=build,
-        metrics=taken.values,
-        units=taken.units,
+        metrics=results.values,
+        units=results.units,
         cpu_s=used,
         point=point,
     )
@@ -216,12 +216,12 @@ def ran(
     """
     functions = [item.at_start for item in sampled(build)]
     if build.scene.analysis.small:
-        from kc2spice.workflow.resonances import refined  # which loads scipy
+        from kc2spice.workflow.resonances import with_resonances  # which loads scipy
 
-        whole = refined(deck, build)
+        refined_deck = with_resonances(deck, build)
         if deck.text is None and is_linear(build):
-            return run_deck(whole, directory, progress, timeout)
-        return _each_from_rest(whole, directory, progress, timeout)
+            return run_deck(refined_deck, directory, progress, timeout)
+        return _each_from_rest(refined_deck, directory, progress, timeout)
     if not functions:
         return run_deck(deck, directory, progress, timeout)
     from kc2spice.sim.shared import run_shared
@@ -280,22 +280,22 @@ def simulator_cpu(build: Build) -> float:
 def kept_on_failure(work: Path, out: Path | None, scene: str) -> Iterator[None]:
     """Keep deck, logs and partial waveforms of a failed run in ``<out>.failed``, until a later one
     succeeds. No result is looked for there; ``failure.json`` says what the files are."""
-    kept = None if out is None else _kept(Path(out).absolute())
+    folder = None if out is None else _failure_folder(Path(out).absolute())
     try:
         yield
     except SimulationError as error:
-        if kept is not None:
+        if folder is not None:
             with contextlib.suppress(OSError):  # a full disk must not hide the first error
-                shutil.rmtree(kept, ignore_errors=True)
-                shutil.copytree(work, kept)
-                _write_failure(error, kept, scene)
-                error.where = error.where and error.where.replace(str(work), str(kept))
+                shutil.rmtree(folder, ignore_errors=True)
+                shutil.copytree(work, folder)
+                _write_failure(error, folder, scene)
+                error.where = error.where and error.where.replace(str(work), str(folder))
         raise
-    if kept is not None and (kept / FAILURE).is_file():
-        shutil.rmtree(kept, ignore_errors=True)
+    if folder is not None and (folder / FAILURE).is_file():
+        shutil.rmtree(folder, ignore_errors=True)
 
 
-def _kept(out: Path) -> Path:
+def _failure_folder(out: Path) -> Path:
     """``<out>.failed``, or ``<out>.failed2`` and so on where something else has that name."""
     name = f"{out.name}.failed"
     for number in ("", *range(2, 100)):
@@ -307,7 +307,7 @@ def _kept(out: Path) -> Path:
     return result
 
 
-def _write_failure(error: SimulationError, kept: Path, scene: str) -> None:
+def _write_failure(error: SimulationError, folder: Path, scene: str) -> None:
     record: dict[str, object] = {"scene": scene, "partial": True, "error": error.message}
     record |= {"got": error.got, "next": error.hint, "waveforms": None, "attempts": []}
     if isinstance(error, RetriesFailedError):
@@ -316,6 +316,6 @@ def _write_failure(error: SimulationError, kept: Path, scene: str) -> None:
         if failure is not None:
             record |= {"node": failure.node, "time_s": failure.time, "part": failure.part}
         if failure is not None and failure.partial is not None:
-            save_arrays(failure.partial, kept / PARTIAL)
+            save_arrays(failure.partial, folder / PARTIAL)
             record |= {"waveforms": PARTIAL, "last_point": float(failure.partial.scale[-1])}
-    write_record(record, kept, FAILURE)
+    write_record(record, folder, FAILURE)

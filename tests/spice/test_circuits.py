@@ -12,7 +12,7 @@ from kc2spice.netlist.lint import lint
 from kc2spice.scene.load import load_scene
 from kc2spice.workflow.decks import make_deck
 from kc2spice.workflow.metrics import frequency, metrics
-from kc2spice.workflow.simulate import simulate
+from kc2spice.workflow.simulate import simulate_deck
 
 R, L, C = 50.0, 1e-3, 1e-6
 OMEGA, ZETA = 1 / np.sqrt(L * C), R / 2 * np.sqrt(C / L)
@@ -24,7 +24,7 @@ def run(tables, directory):
     build = models(scene)
     deck = make_deck(build)
     lint(deck)
-    waves = simulate(build, deck, directory).waves
+    waves = simulate_deck(build, deck, directory).waves
     return waves, metrics(waves, build).values
 
 
@@ -112,7 +112,7 @@ def test_a_source_follows_a_file(tmp_path):
         '[ohm]\npart = "resistor"\nresistance = 1.0\n'
     )
     build = models(tmp_path / "a.toml")
-    waves = simulate(build, make_deck(build), tmp_path / "out").waves
+    waves = simulate_deck(build, make_deck(build), tmp_path / "out").waves
     exact = np.interp(waves["time"], [0, 1e-5, 3e-5], [0, 2.5, -1])
     np.testing.assert_allclose(waves["supply.v"], exact, atol=1e-6)
 
@@ -136,14 +136,14 @@ def test_a_source_that_is_not_as_defined_fails_the_run(kind, tmp_path):
     )
     build = models(tmp_path / "a.toml")
     deck = make_deck(build)
-    checks = simulate(build, deck, tmp_path).verdict.checks
+    checks = simulate_deck(build, deck, tmp_path).verdict.checks
     assert any("drives as defined" in c.name for c in checks)
     wrong = tuple(
         replace(item, values=tuple(word.replace("3e-06", "3.01e-06") for word in item.values))
         for item in deck.items
     )
     with pytest.raises(SimulationError, match="drive drives as defined"):
-        simulate(build, replace(deck, items=wrong), tmp_path)
+        simulate_deck(build, replace(deck, items=wrong), tmp_path)
 
 
 # ------------------------------------------------------------------------------------ probes

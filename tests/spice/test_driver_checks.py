@@ -5,7 +5,7 @@ from device import models
 
 from kc2spice.core.errors import SimulationError
 from kc2spice.workflow.decks import make_deck
-from kc2spice.workflow.simulate import simulate
+from kc2spice.workflow.simulate import simulate_deck
 
 
 def test_an_amplifier_is_not_driven_beyond_its_rails(tmp_path):
@@ -19,7 +19,7 @@ def test_an_amplifier_is_not_driven_beyond_its_rails(tmp_path):
         "load": {"part": "capacitor", "capacitance": 10e-9, "pins": {"a": "push.out", "b": "gnd"}},
     })  # fmt: skip
     with pytest.raises(SimulationError, match="amplifier within its rails"):
-        simulate(build, make_deck(build), tmp_path)
+        simulate_deck(build, make_deck(build), tmp_path)
 
 
 RATED = """.subckt mine command out ref
@@ -53,8 +53,8 @@ def test_what_a_netlist_states_of_itself_is_checked(rating, violated, tmp_path):
     )
     build = models(tmp_path / "a.toml")
     if violated is None:
-        names = [c.name for c in simulate(build, make_deck(build), tmp_path).verdict.checks]
+        names = [c.name for c in simulate_deck(build, make_deck(build), tmp_path).verdict.checks]
         assert {"mine.out within its rails", "mine.out within its slew rate"} <= set(names)
         return
     with pytest.raises(SimulationError, match=violated):
-        simulate(build, make_deck(build), tmp_path)
+        simulate_deck(build, make_deck(build), tmp_path)

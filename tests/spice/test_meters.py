@@ -10,7 +10,7 @@ from kc2spice.scene.load import load_scene
 from kc2spice.scene.model import flows
 from kc2spice.scene.parttype import pin_forces
 from kc2spice.workflow.decks import make_deck
-from kc2spice.workflow.simulate import simulate
+from kc2spice.workflow.simulate import simulate_deck
 
 OWN = """.subckt own in out ref
 Ebuffer mid ref in ref 1
@@ -133,7 +133,7 @@ def test_what_leaves_parts_at_a_net_is_nothing_together(tmp_path):
         "load": {"part": "resistor", "resistance": 50.0, "pins": {"b": "gnd"}},
     })  # fmt: skip
     build = models(scene)
-    waves = simulate(build, make_deck(build), tmp_path).waves
+    waves = simulate_deck(build, make_deck(build), tmp_path).waves
     at_mass = [("mass", "a"), *scene.joined("mass", "a")]
     acting = pin_forces(build, waves)
     forces = [acting[end] for end in at_mass]

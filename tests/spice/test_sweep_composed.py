@@ -59,7 +59,9 @@ def test_files_of_the_parts_travel_with_the_sweep(own, tmp_path):
     again = engine.make_sweep(scene_text(path), ("solver.reltol=1e-3,1e-4",))
     assert again.digest != before
     shutil.rmtree(own)  # as on another machine
-    summary = engine.sweep(found, tmp_path / "o", lambda: nullcontext((ThreadPoolExecutor(1), 1)))
+    summary = engine.run_sweep(
+        found, tmp_path / "o", lambda: nullcontext((ThreadPoolExecutor(1), 1))
+    )
     assert summary["failed"] == 0
     # A step of 1 N within a fifth of the period: static 3e-4 m, overshoot below twice of it.
     assert all(3e-4 < float(row["top"]) < 6e-4 for row in rows(summary))

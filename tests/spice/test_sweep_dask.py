@@ -50,14 +50,14 @@ def test_a_killed_worker_and_a_restarted_scheduler_lose_no_point(tmp_path):
 
     try:
         workers = dask(address, 1, patience=60.0)
-        distributed = engine.sweep(study, tmp_path / "dask", workers, interfere)
+        distributed = engine.run_sweep(study, tmp_path / "dask", workers, interfere)
     finally:
         for process in daemons.values():
             process.kill()
             process.wait()
     assert (distributed["points"], distributed["failed"]) == (16, 0)
     assert done == sorted(set(done))  # each row is recorded once
-    local = engine.sweep(study, tmp_path / "local", processes(2))
+    local = engine.run_sweep(study, tmp_path / "local", processes(2))
     tables = [(tmp_path / name / "sweep.csv").read_bytes() for name in ("dask", "local")]
     assert tables[0] == tables[1]
     assert local["failed"] == 0

@@ -572,7 +572,7 @@ def _result(future: Future[PointResult]) -> PointResult:
         raise
 
 
-def sweep(
+def run_sweep(
     definition: Sweep,
     out: Path,
     workers: Workers,

@@ -38,7 +38,7 @@ from kc2spice.scene.resolve import resolve_again, resolve_build
 from kc2spice.workflow.decks import prepared
 from kc2spice.workflow.edits import with_value
 from kc2spice.workflow.models import fact_units
-from kc2spice.workflow.simulate import Run, simulate
+from kc2spice.workflow.simulate import Run, simulate_deck
 from kc2spice.workflow.sweep.grid import PARAMETER
 
 _SIGNAL = re.compile(r"exit code -\d+")  # somebody ended the simulator
@@ -190,7 +190,7 @@ def run_point(job: Job, values: Mapping[str, Any]) -> PointResult:
         changed = (*job.parameters, *subcircuit_parameters(values))
         build, deck = with_changed_parameters(build, deck, changed), with_parameters(deck, changed)
         with tempfile.TemporaryDirectory(prefix="kc2spice-") as directory:
-            return _numbers(simulate(build, deck, Path(directory), timeout=job.timeout))
+            return _numbers(simulate_deck(build, deck, Path(directory), timeout=job.timeout))
     except MissingToolError:
         raise
     except Kc2spiceError as error:
