@@ -31,6 +31,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from itertools import chain, product
 
 from kc2spice.core.domains import QUANTITIES, Domain
 from kc2spice.core.errors import UsageError, candidates, did_you_mean, unknown
@@ -290,10 +291,17 @@ class Declaration:
         return replace(self, branches=tuple(branches))
 
     @cached_property
+    def branch_trees(self) -> tuple[Tree, ...]:
+        """Instantaneous flow and stored quantity of every branch, in the order of the branches."""
+        result: list[Tree] = []
+        for branch in self.acting:
+            result += [self.direct(branch), self.storage(branch)]
+        return tuple(result)
+
+    @cached_property
     def polynomials(self) -> dict[Tree, str]:
         """Names of all power series in what is through the branches and kept."""
-        trees = [tree for b in self.acting for tree in (self.direct(b), self.storage(b))]
-        calls = (node for tree in trees for node in walk(tree))
+        calls = chain.from_iterable(map(walk, self.branch_trees))
         result = dict.fromkeys(c for c in calls if isinstance(c, Call) and c.function == "poly")
         return {call: f"poly{k}" for k, call in enumerate(result, 1)}
 
@@ -450,12 +458,9 @@ class Declaration:
     def linear(self) -> bool:
         """Whether what is through the branches is in proportion to coordinates and rates."""
         variables = {*self.coordinates, *self.rates, *self.states}
-        laws = [tree for b in self.acting for tree in (self.direct(b), self.storage(b))]
-        laws = [*map(self.spelled, (*laws, *self.changes.values()))]
-        bent = any(map(kinks, laws))
-        return not bent and not any(
-            names(derivative(x, n)) & variables for x in laws for n in variables
-        )
+        laws = [*map(self.spelled, (*self.branch_trees, *self.changes.values()))]
+        slopes = (derivative(law, name) for law, name in product(laws, variables))
+        return not any(map(kinks, laws)) and not any(names(slope) & variables for slope in slopes)
 
     @cached_property
     def damped(self) -> tuple[Branch, ...]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
+from itertools import chain, product
 from typing import Any
 
 import numpy as np
@@ -13,7 +14,6 @@ from kc2spice.core.domains import TRANSLATION
 from kc2spice.core.errors import SimulationError
 from kc2spice.core.laws import Device, Flow, Pin, Tap
 from kc2spice.netlist.expression import Name, Number, Tree, substitute
-from kc2spice.netlist.library import Subcircuit
 from kc2spice.physics.declaration import LOOPS, RATE, Branch, Declaration
 from kc2spice.physics.symbolic import (
     ZERO,
@@ -27,7 +27,7 @@ from kc2spice.physics.symbolic import (
     times,
 )
 
-_Compiled = Callable[..., tuple[Subcircuit, ...]]
+_Compiled = Callable[..., tuple[Any, ...]]
 _Table = Callable[[float], float]
 
 
@@ -116,7 +116,8 @@ class DeclaredLaw(Device):
         d = self.declaration
         stated = (*map(d.direct, d.acting), *d.changes.values(), *d.read.values())
         trees = [*map(self._plain, stated)]
-        slopes = (flagged(derivative(t, n), self._corners) for t in trees for n in self._inputs)
+        pairs = product(trees, self._inputs)
+        slopes = (flagged(derivative(tree, name), self._corners) for tree, name in pairs)
         constant = not any(names(slope) & set(self._inputs) for slope in slopes)
         return constant and not self.storing
 
@@ -128,9 +129,9 @@ class DeclaredLaw(Device):
     def _corners(self) -> tuple[Tree, ...]:
         """Arguments of all one-sided expressions, whose signs make modes."""
         d = self.declaration
-        trees = [d.stored, *(x for b in d.acting for x in (d.direct(b), d.storage(b)))]
-        trees += (*d.changes.values(), *d.read.values())
-        return tuple(dict.fromkeys(e for tree in trees for e in kinks(self._plain(tree))))
+        trees = (d.stored, *d.branch_trees, *d.changes.values(), *d.read.values())
+        corners = chain.from_iterable(kinks(self._plain(tree)) for tree in trees)
+        return tuple(dict.fromkeys(corners))
 
     def _plain(self, tree: Tree) -> Tree:
         """``tree`` by the inputs alone: a signal has the unit of its pin, such as um."""
@@ -147,7 +148,8 @@ class DeclaredLaw(Device):
         """Values of ``trees``, then the derivatives of each by all inputs."""
         flags = [f"flag{k}" for k in range(len(self._corners))]
         trees = list(trees)
-        rows = [derivative(tree, name) for tree in trees for name in self._inputs if slopes]
+        pairs = product(trees, self._inputs if slopes else ())
+        rows = [derivative(tree, name) for tree, name in pairs]
         smooth = [flagged(tree, self._corners) for tree in (*trees, *rows)]
         arguments = (*self._inputs, *flags, *self.declaration.parameters)
         return function(smooth, arguments, self.tables)

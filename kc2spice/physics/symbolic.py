@@ -36,7 +36,6 @@ from kc2spice.netlist.expression import (
     substitute,
     walk,
 )
-from kc2spice.netlist.library import Subcircuit
 
 ZERO, ONE = Number("0"), Number("1")
 SLOPE = "_slope"  # ends the name of a table's derivative
@@ -436,13 +435,13 @@ def function(
     trees: Iterable[Tree],
     arguments: Iterable[str],
     tables: Mapping[str, Callable[[Any], Any]] | None = None,
-) -> Callable[..., tuple[Subcircuit, ...]]:
+) -> Callable[..., tuple[Any, ...]]:
     """The values of ``trees`` by those of ``arguments``, numbers or arrays; of tables the functions
     by their names."""
     heads = ", ".join(f"_{name}" for name in arguments)
     values = "".join(f"{_Python().write(tree)}, " for tree in trees)
     scope = _SCOPE | {_python(name): table for name, table in (tables or {}).items()}
-    compiled: Callable[..., tuple[Subcircuit, ...]] = eval(f"lambda {heads}: ({values})", scope)
+    compiled: Callable[..., tuple[Any, ...]] = eval(f"lambda {heads}: ({values})", scope)
     return compiled
 
 

@@ -570,8 +570,7 @@ def subcircuit_pins(terminals: Sequence[PortTerminal], name: str) -> tuple[tuple
 
 def reference(ports: Sequence[Port]) -> str:
     """Name of the pin that displacements count from: ``base``, or ``ground`` if a port is that."""
-    pins = {pin for port in ports for pin in port.terminals}
-    return "ground" if BASE in pins else BASE
+    return "ground" if any(BASE in port.terminals for port in ports) else BASE
 
 
 def reference_pin(ports: Sequence[Port]) -> Pin:

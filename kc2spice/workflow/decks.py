@@ -162,7 +162,9 @@ def _items(build: Build, loose: Sequence[Free]) -> Iterator[Item]:
 def _options(build: Build) -> Iterable[Option]:
     scene = build.scene
     solver, rows = scene.solver, scene.numerics
-    part_options = [Option(key, *why) for row in rows for key, why in row.options.items()]
+    part_options = [
+        Option(key, *why) for key, why in chain.from_iterable(row.options.items() for row in rows)
+    ]
     if scene.analysis.type != "transient":
         return part_options
     reltol = solver.reltol * min((row.reltol for row in rows), default=1.0)

@@ -72,11 +72,8 @@ def shared(build: Build) -> Build:
             alike.setdefault(texts, []).append(part.name)
         free = kind.name not in {name.lower() for name in names.values()}
         single = len(alike) == 1 and free
-        names |= {
-            item: kind.name if single else names[group[0]]
-            for group in alike.values()
-            for item in group
-        }
+        for group in alike.values():
+            names |= dict.fromkeys(group, kind.name if single else names[group[0]])
     return replace(build, libraries=names)
 
 
