@@ -97,7 +97,6 @@ def _breaks(line: str) -> tuple[list[int], ...]:
         fixed.update(range(*probe.span()))
     match = _EXPRESSION.search(line)
     begin = match.end() if match else len(line)
-    signs, others = (
-        [found.start() for found in kind.finditer(line, begin)] for kind in (_SUMMAND, _OPERATOR)
-    )
+    signs = [sign.start() for sign in _SUMMAND.finditer(line, begin)]
+    others = [operator.start() for operator in _OPERATOR.finditer(line, begin)]
     return outer, *([k for k in kind if k not in fixed] for kind in (inner, signs, others))

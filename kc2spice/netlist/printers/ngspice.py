@@ -100,10 +100,10 @@ class Printer(Writer):
         words = map(self.number, card.words) if card.keyword in _NUMBERED else card.words
         return _joined(card.keyword, *words)
 
-    def pairs(self, given: Mapping[str, str]) -> str:
+    def pairs(self, assignments: Mapping[str, str]) -> str:
         """Assignments; a word without a value is a flag."""
         return " ".join(
-            f"{key}={self.value(value)}" if value else key for key, value in given.items()
+            f"{key}={self.value(value)}" if value else key for key, value in assignments.items()
         )
 
     def number(self, text: str) -> str:

@@ -72,13 +72,13 @@ class Module:
     branches: list[str] = field(default_factory=list)
     laws: list[str] = field(default_factory=list)
     nodes: dict[str, str] = field(default_factory=dict)
-    taken: set[str] = field(default_factory=set)
+    identifiers: set[str] = field(default_factory=set)
 
     def identifier(self, name: str) -> str:
         """``name``, or what stands for it where the language or another name needs the word."""
-        while name in _RESERVED or name in self.taken:
+        while name in _RESERVED or name in self.identifiers:
             name += "_"
-        self.taken.add(name)
+        self.identifiers.add(name)
         return name
 
     def variable(self, name: str, value: str) -> str:
@@ -108,10 +108,10 @@ class VerilogNames(Writer):
             return self.pins[key]
         if key in GROUND:
             raise UsageError("a module has no global ground", where=self.where, got=name)
-        own = self.prefix + key
-        if own not in nodes:
-            nodes[own] = self.module.identifier(own)
-        return nodes[own]
+        local = self.prefix + key
+        if local not in nodes:
+            nodes[local] = self.module.identifier(local)
+        return nodes[local]
 
     def across(self, names: Iterable[str]) -> str:
         return f"V({','.join(map(self.node, names))})"
@@ -149,19 +149,19 @@ class VerilogNames(Writer):
     def call(self, function: str, arguments: tuple[Tree, ...]) -> str:
         if function == "pwl":
             name = f"table_{self.prefix}{self.part}_{len(self.module.functions)}"
-            given = [literal(self.write(a), where=self.where) for a in arguments[1:]]
-            points = [value for value in given if value is not None]
+            numbers = [literal(self.write(a), where=self.where) for a in arguments[1:]]
+            points = [value for value in numbers if value is not None]
             at, f = points[::2], points[1::2]
-            if len(points) < max(4, len(given)) or len(at) != len(f) or at != sorted(set(at)):
+            if len(points) < max(4, len(numbers)) or len(at) != len(f) or at != sorted(set(at)):
                 message = "a table of a module has two rising numbers or more, each with its value"
                 raise UsageError(message, where=self.where, got=self.part)
             self.module.functions.append(_table(name, at, f))
             return f"{name}({self.write(arguments[0])})"
         if defined := self.scope.functions.get(function):
-            named = dict(zip(map(str.lower, defined.arguments), arguments, strict=False))
+            bound = dict(zip(map(str.lower, defined.arguments), arguments, strict=False))
             body = parse(defined.expression, where=defined.where)
             words = {leaf.text for leaf in walk(body) if isinstance(leaf, Name)}
-            inserted = {word: named[word.lower()] for word in words if word.lower() in named}
+            inserted = {word: bound[word.lower()] for word in words if word.lower() in bound}
             return f"({self.write(substitute(body, inserted))})"
         if function == "pow" and len(arguments) == 2:
             return self.write(Binary("^", *arguments))
@@ -261,22 +261,22 @@ def _contribute(part: Element, names: VerilogNames) -> None:
     a, b = (names.node(n) for n in part.nodes[:2]) if part.nodes else ("", "")
     through, across = f"I({a},{b})", f"V({a},{b})"
     if part.quantity == "V" or (part.kind in "vleh" and not part.quantity):
-        own = names.branch(part.name)
-        through = f"V({own})"
-        module.branches.append(f"branch ({a},{b}) {own};")
+        branch = names.branch(part.name)
+        through = f"V({branch})"
+        module.branches.append(f"branch ({a},{b}) {branch};")
     right = names.law(part.law) if part.quantity else _right(part, names, across)
     module.laws.append(f"{through} <+ {right};")
     if part.kind == "c" and "ic" in part.settings:
         # By the clock, because ngspice calls its first time step ``ic``, too.
         search = '(analysis("ic") || analysis("tran")) && $abstime <= 0.0'
         start = names.value(part.settings["ic"])
-        held = f"({search} ? {number(HOLD)} : 0.0)*({across} - {start})"
-        module.laws.append(f"{through} <+ {held};")
+        clamp = f"({search} ? {number(HOLD)} : 0.0)*({across} - {start})"
+        module.laws.append(f"{through} <+ {clamp};")
 
 
 def _right(part: Element, names: VerilogNames, across: str) -> str:
     """Contribution of an element without an expression."""
-    own = f"I({names.branch(part.name)})"
+    current = f"I({names.branch(part.name)})"
     match part.kind:
         case "r":
             return f"{across}/{_value(part, names)}"
@@ -286,7 +286,7 @@ def _right(part: Element, names: VerilogNames, across: str) -> str:
             charge = f"{_value(part, names)}*{across}"
             return f"ddt({names.module.variable(f'charge_{names.prefix}{part.key}', charge)})"
         case "l":
-            return f"ddt({_value(part, names)}*{own})"
+            return f"ddt({_value(part, names)}*{current})"
         case "e" | "g":
             return f"{_value(part, names)}*{names.across(part.nodes[2:])}"
         case "f" | "h":
@@ -302,7 +302,7 @@ def _right(part: Element, names: VerilogNames, across: str) -> str:
             probed = (p.names[0] for p in laws if isinstance(p, CircuitVariable) and p.kind == "i")
             used = (*probed, *(name for item in others for name in item.sources))
             read = part.key in map(str.lower, used)
-            return _steady(part, names) + (f" + {number(SERIES)}*{own}" if read else "")
+            return _steady(part, names) + (f" + {number(SERIES)}*{current}" if read else "")
     raise part.error(_UNSAID)
 
 
@@ -328,11 +328,11 @@ def _steady(part: Element, names: VerilogNames) -> str:
 
 def _switch(part: Element, names: VerilogNames) -> str:
     model = names.scope.models.get(part.model.lower())
-    given = _SWITCH | ({k.lower(): v for k, v in model.parameters.items()} if model else {})
-    worth = {k: literal(v, where=names.where) for k, v in given.items()}
+    parameters = _SWITCH | ({k.lower(): v for k, v in model.parameters.items()} if model else {})
+    worth = {k: literal(v, where=names.where) for k, v in parameters.items()}
     if not model or worth.keys() != _SWITCH.keys() or None in worth.values() or worth["vh"]:
         raise part.error("Verilog-A has no equivalent of this switch")
-    on, off, level = (names.value(given[k]) for k in ("ron", "roff", "vt"))
+    on, off, level = (names.value(parameters[k]) for k in ("ron", "roff", "vt"))
     return f"({names.across(part.nodes[2:])} > {level} ? {on} : {off})"
 
 
