@@ -57,8 +57,8 @@ def disc_air(radius: float) -> float:
     return 8 / 3 * AIR_DENSITY * radius**3
 
 
-def disc_envelope(blocks: Sequence[Block], held: bool, glued: bool) -> Envelope:
-    """Envelope of a body of revolution; a ``held`` rim is a baffle that no air flows around."""
+def disc_envelope(blocks: Sequence[Block], baffled: bool, glued: bool) -> Envelope:
+    """Envelope of a body of revolution; no air flows around a ``baffled`` rim."""
     radius = max(block.box[0][1] for block in blocks)
     low, high = min(b.box[1][0] for b in blocks), max(b.box[1][1] for b in blocks)
     surface = 2 * math.pi * radius * (radius + high - low)
@@ -66,7 +66,7 @@ def disc_envelope(blocks: Sequence[Block], held: bool, glued: bool) -> Envelope:
         math.pi * (b.box[0][1] ** 2 - b.box[0][0] ** 2) * (b.box[1][1] - b.box[1][0])
         * b.material.density for b in blocks
     )  # fmt: skip
-    air = (2 if held else 1) * disc_air(radius)
+    air = (2 if baffled else 1) * disc_air(radius)
     layers = blocks if glued else ()
     return Envelope(air, mass, surface, layers, radius, math.pi * radius**2)
 

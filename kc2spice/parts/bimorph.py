@@ -143,15 +143,15 @@ def structure(keys: BimorphKeys | Mapping[str, Any], where: str = "bimorph") -> 
         poled = one.poled((0, 0, -1.0 if down == above else 1.0)) if k in active else one
         box = ((0.0, length), (0.0, width), span)
         blocks.append(Block(box, replace(poled, name=f"layers[{k}] ({one.name})")))
-    whole, end = (0.0, width), across(length, (0.0, width), (0.0, top))
-    clamp = ("xyz", across(0.0, whole, (0.0, top)))
+    full_width, end = (0.0, width), across(length, (0.0, width), (0.0, top))
+    clamp = ("xyz", across(0.0, full_width, (0.0, top)))
     fixed = {
         "cantilever": [clamp],
         "clamped": [clamp, ("xyz", end)],
         # one corner of each edge is held: the width may change
         "simply_supported": [
-            ("xz", across(0.0, whole, (0.0, 0.0))),
-            ("z", across(length, whole, (0.0, 0.0))),
+            ("xz", across(0.0, full_width, (0.0, 0.0))),
+            ("z", across(length, full_width, (0.0, 0.0))),
             *(("y", across(x, (0.0, 0.0), (0.0, 0.0))) for x in (0.0, length)),
         ],
         "free": [],
@@ -162,8 +162,8 @@ def structure(keys: BimorphKeys | Mapping[str, Any], where: str = "bimorph") -> 
             ("y", ((0.0, length), (width, width), (0.0, top))),
         ],
     }[beam.support]
-    held = beam.support in ("clamped", "quarter")
-    ports = {} if held else {"tip": end}
+    clamped = beam.support in ("clamped", "quarter")
+    ports = {} if clamped else {"tip": end}
     middle = (width, width) if beam.support == "quarter" else (width / 2, width / 2)
     ports |= {name: across(x, middle, (top, top)) for name, x in beam.points.items()}
     strips = pairwise(np.linspace(0, length, (beam.patches or 0) + 1).tolist())

@@ -183,9 +183,9 @@ def _conductors(disc: DiscKeys, pieces: list[Block], where: str) -> list[list[Bo
     last_metal: int | None = None
     heights = [0.0, *(piece.box[1][1] for piece in pieces)]
     for i, height in enumerate(heights):
-        beside = [k for k in (i - 1, i) if 0 <= k < len(pieces)]
-        ceramic = [k for k in beside if pieces[k].material.piezoelectric]
-        metal = [k for k in beside if pieces[k].material.conductor]
+        neighbours = [k for k in (i - 1, i) if 0 <= k < len(pieces)]
+        ceramic = [k for k in neighbours if pieces[k].material.piezoelectric]
+        metal = [k for k in neighbours if pieces[k].material.conductor]
         if not ceramic:
             continue
         if not metal:

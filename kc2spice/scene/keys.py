@@ -23,7 +23,7 @@ from kc2spice.scene.settings import Frame, Probe
 class Key:
     """One key of a scene file: ``unit`` is ``""`` for plain numbers and None for what is none.
 
-    ``whole`` marks whole numbers, ``mixed`` numbers whose unit follows from other keys.
+    ``integer`` marks whole numbers, ``mixed`` numbers whose unit follows from other keys.
     """
 
     name: str
@@ -31,7 +31,7 @@ class Key:
     default: Any
     choices: tuple[str, ...]
     doc: str
-    whole: bool = False
+    integer: bool = False
     mixed: bool = False
 
 
@@ -48,9 +48,12 @@ def model_keys(model: type[BaseModel], prefix: str = "") -> Iterator[Key]:
         doc, kinds = field.description or "", dict.fromkeys(_kinds(field.annotation))
         words = tuple(kind for kind in kinds if isinstance(kind, str))
         choices = words if kinds.keys() <= {*words, NoneType} else ()
-        whole, mixed = any(k is int or type(k) is int for k in kinds), {float, str} <= kinds.keys()
+        integer, mixed = (
+            any(k is int or type(k) is int for k in kinds),
+            {float, str} <= kinds.keys(),
+        )
         name = prefix + ".".join(path)
-        yield Key(name, unit_of(field), default, choices, doc, whole, mixed)
+        yield Key(name, unit_of(field), default, choices, doc, integer, mixed)
 
 
 def _default(field: FieldInfo) -> Any:
@@ -78,14 +81,14 @@ def keys_of(scene: Scene) -> dict[str, Key]:
     for part in scene.parts.values():
         if part.at != (part.name,):  # else another part's keys say all
             prefix = ".".join(map(str, part.at or (part.name,)))
-            own = model_keys(type(part.keys), f"{prefix}.")
-            result += [_with_unit(key, getattr(part.keys, "unit", None)) for key in own]
+            part_keys = model_keys(type(part.keys), f"{prefix}.")
+            result += [_with_unit(key, getattr(part.keys, "unit", None)) for key in part_keys]
     return {key.name: key for key in result}
 
 
 def _with_unit(key: Key, unit: Any) -> Key:
     """``key``, in the unit of its part if it is a number or text whose unit follows from others."""
-    follows = key.unit is None and not key.whole and not key.choices and key.mixed
+    follows = key.unit is None and not key.integer and not key.choices and key.mixed
     return replace(key, unit=unit if isinstance(unit, str) else "") if follows else key
 
 
@@ -105,7 +108,7 @@ class PartDoc:
 
 def part_docs() -> Iterator[PartDoc]:
     """All part types in the order of their names."""
-    shown = _in_gallery()
+    examples = _in_gallery()
     for name, kind in part_types().items():
         scene_name: str | None = None
         pins: tuple[Terminal, ...] = ()
@@ -113,12 +116,12 @@ def part_docs() -> Iterator[PartDoc]:
         if example:
             scene = load_scene({"name": "example", **parse_toml(example)})
             pins = kind.pins(scene.of(name)[0], replace(scene, ports="all"))
-        elif name in shown:
-            scene_name, part, scene = shown[name]
+        elif name in examples:
+            scene_name, part, scene = examples[name]
             pins = kind.pins(part, replace(scene, ports="all"))
             tables = gallery()[scene_name].read_text().split("\n\n")
-            own = rf"(#.*\n)*\[{part.name}[].]"
-            example = "\n\n".join(table for table in tables if re.match(own, table))
+            heading = rf"(#.*\n)*\[{part.name}[].]"
+            example = "\n\n".join(table for table in tables if re.match(heading, table))
         yield PartDoc(
             name,
             kind.title,

@@ -60,13 +60,13 @@ def _entry(where: str, role: Plausible | None, value: Any) -> Iterator[UsageErro
 
 
 def layers(
-    where: str, found: Iterable[tuple[float, float, bool]], *, plate: bool
+    where: str, entries: Iterable[tuple[float, float, bool]], *, plate: bool
 ) -> Iterator[UsageError]:
     """Implausible stacks of layers ``(width, thickness, ceramic)``.
 
     Layers must be flat, and ceramic must not be wider than its ``plate``.
     """
-    rows = list(found)
+    rows = list(entries)
     metal = max((width for width, _, ceramic in rows if not ceramic), default=0.0)
     thick = f"no layer is more than {FLAT:g} times as thick as it is wide"
     wide = "ceramic that is wider than its plate breaks off"
@@ -125,11 +125,11 @@ def built(build: Build) -> Iterator[UsageError]:
             yield from within(part.name, mass, MASSES.unit, MASSES.low, MASSES.high, MASSES.why)
 
 
-def judged(found: Iterable[UsageError], action: str) -> Iterator[UsageError]:
+def judged(errors: Iterable[UsageError], action: str) -> Iterator[UsageError]:
     """Errors that remain under ``checks.plausible``; the others become warnings or are dropped."""
     if action == "off":
         return
-    for item in found:
+    for item in errors:
         if action == "warn":
             warnings.warn(f"{item.where}: {item.got}: {item.message}", stacklevel=2)
             continue

@@ -32,7 +32,7 @@ def test_air_on_a_clamped_plate_is_at_least_what_lamb_found():
     as a plate that bends moves less air than a rigid disc."""
     plate = {"layers": [{"material": "PZT-5A", "diameter": "20 mm", "thickness": "0.1 mm"}]}
     blocks = disc.structure({**plate, "support": "clamped"}).blocks
-    result = _neglected.disc_envelope(blocks, held=True, glued=True)
+    result = _neglected.disc_envelope(blocks, baffled=True, glued=True)
     assert result.mass == pytest.approx(np.pi * 1e-4 * 0.1e-3 * material("PZT-5A").density)
     lamb = 2 * 0.6689 * 1.204 * 10e-3 / (material("PZT-5A").density * 0.1e-3)
     assert lamb <= result.air / result.mass <= 2 * lamb

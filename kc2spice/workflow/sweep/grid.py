@@ -144,7 +144,7 @@ def parse_range(name: str, text: str, keys: Mapping[str, Key]) -> Values | Draws
 
     if kind in ("list", "value"):
         values = [_value(where, key, word) for word in words]
-    elif key.choices or (key.unit is None and (drawn or not key.whole)):
+    elif key.choices or (key.unit is None and (drawn or not key.integer)):
         raise refused("only numbers have such a range", name)
     elif len(words) != 3:
         raise refused(f"{kind} takes three values", ", ".join(words))
@@ -165,9 +165,9 @@ def parse_range(name: str, text: str, keys: Mapping[str, Key]) -> Values | Draws
         if kind == "log" and not a * b > 0:
             raise _crosses_zero(text)
         values = (np.geomspace if kind == "log" else np.linspace)(a, b, int(count)).tolist()
-        if key.whole and not all(value == round(value) for value in values):
+        if key.integer and not all(value == round(value) for value in values):
             raise refused("not all values are whole numbers", values[:5])
-        values = [int(value) for value in values] if key.whole else values
+        values = [int(value) for value in values] if key.integer else values
     if len({repr(value) for value in values}) < len(values):
         raise refused("a value occurs twice", words)
     return tuple(values)
@@ -179,10 +179,10 @@ def _value(where: str, key: Key, text: str) -> Any:
         choices = f"one of {candidates(text, key.choices)}"
         hint = did_you_mean(text, key.choices)
         raise UsageError("no such choice", where=where, got=repr(text), expected=choices, hint=hint)
-    if key.whole and not re.fullmatch(r"[+-]?\d+", text):
+    if key.integer and not re.fullmatch(r"[+-]?\d+", text):
         expected = "a whole number, or a range of whole numbers"
         raise UsageError("not a whole number", where=where, got=repr(text), expected=expected)
-    if key.whole or key.choices or key.unit is None or text[:1] in ("[", "{"):
+    if key.integer or key.choices or key.unit is None or text[:1] in ("[", "{"):
         return override_value(text)
     return parse_value(text, key.unit, where)
 
