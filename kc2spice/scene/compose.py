@@ -209,9 +209,9 @@ def powered_pins(part: Part, scene: Scene) -> dict[str, Domain]:
 
 
 def _metered(scene: Scene) -> Iterator[tuple[str, str]]:
-    """Pins of subcircuits whose flow probes ask for by ``PART.current``, that of the first pin,
-    ``PART.PIN.current`` or ``PART.power``, where no neighbour tells it; heat flows, forces and
-    volume velocities likewise."""
+    """Pins of subcircuits whose flow probes ask for, where no neighbour tells it: by ``PART.power``,
+    by ``PART.PIN.current`` or another flow such as ``PART.PIN.force``, and by ``PART.current``,
+    which is that of the first pin. A ``PART.force`` is a result of the part itself."""
     for of in dict.fromkeys(probe.of for probe in scene.probes.values()):
         name, _, asked = of.partition(".")
         part = scene.parts.get(name)
@@ -220,7 +220,7 @@ def _metered(scene: Scene) -> Iterator[tuple[str, str]]:
         powered = powered_pins(part, scene)
         for pin, domain in metered_pins(part, scene).items():
             flow = domain.quantity("through").name
-            first = bool(powered) and pin == next(iter(powered))
+            first = domain is ELECTRICAL and pin == next(iter(powered))
             paired = part.reduced and not domain.reference  # a result of the body
             if (
                 (asked == "power" and pin in powered)
