@@ -658,8 +658,8 @@ class LinearBody(Touching):
         asked = {**self.model_key(part, build.scene), "enriched": model.order}
 
         def richer() -> LinearModel | None:
-            full = self.build(part, build.scene, Clock(), full=True)
-            if full is None:
+            full = part.type.build(part, build.scene, Clock(), full=True)
+            if not isinstance(full, LinearModel):
                 return None
             try:
                 return enriched(full, asked["enriched"], band)

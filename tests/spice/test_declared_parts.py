@@ -31,7 +31,9 @@ def both(scene, name):
     """A wave of a scene by ngspice and by the laws."""
     waves = kc.run(scene).waves
     scale = next(iter(waves))
-    law = solve(Build(load_scene(scene), {}), Waveforms({scale: waves[scale]}, {})).results
+    law = solve(
+        resolve_build(Build(load_scene(scene), {})), Waveforms({scale: waves[scale]}, {})
+    ).results
     return waves[scale], waves[name], law[name]
 
 
@@ -273,7 +275,9 @@ def test_states_and_signals_are_those_of_the_stated_controller(monkeypatch):
         "solver": {"stop": stop, "max_step": 5e-6, "reltol": 1e-6},
     }  # fmt: skip
     ngspice = kc.run(scene).waves
-    laws = solve(Build(load_scene(scene), {}), Waveforms({"time": ngspice["time"]}, {})).results
+    laws = solve(
+        resolve_build(Build(load_scene(scene), {})), Waveforms({"time": ngspice["time"]}, {})
+    ).results
     corners = 0.5e-3 + np.array([0.0, edge, 1e-3, 1e-3 + edge])
 
     def wanted(t, y, *_):

@@ -11,6 +11,7 @@ import kc2spice as kc
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.scene.load import load_scene
 from kc2spice.scene.model import Build
+from kc2spice.scene.resolve import resolve_build
 from kc2spice.workflow.verify.law_solution import solve
 
 PLATE = Path(__file__).parents[2] / "docs/published/plate_pull_in.toml"
@@ -85,7 +86,9 @@ def test_both_kinds_of_loss_are_those_of_ngspice_and_of_the_integrator(restituti
     scene = pushed("parallel_plate", restitution, damping=damping)
     scene["solver"]["stop"] = 3e-3
     waves = kc.run(scene).waves
-    law = solve(Build(load_scene(scene), {}), Waveforms({"time": waves["time"]}, {})).results
+    law = solve(
+        resolve_build(Build(load_scene(scene), {})), Waveforms({"time": waves["time"]}, {})
+    ).results
     exact = bounces(restitution, 1)[0, 1]
     if damping:
         speed = left(damping, np.sqrt(2 * PUSH / MASS * TRAVEL))
