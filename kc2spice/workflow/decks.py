@@ -33,11 +33,11 @@ from kc2spice.scene.frames import MOTIONS
 from kc2spice.scene.model import Build, Names, Part, Scene, scene_hash
 from kc2spice.scene.plausible import built, judged
 from kc2spice.scene.resolve import resolve_again, resolve_build
+from kc2spice.scene.results import powers, require_probed, result_vectors, sweep_values, swept
 from kc2spice.spice.header import plan_lines
-from kc2spice.workflow import meters
+from kc2spice.workflow import noise_analysis
 from kc2spice.workflow.edits import changed, element_text, instance, with_value
 from kc2spice.workflow.measures import measures
-from kc2spice.workflow.meters import sweep_values, swept
 from kc2spice.workflow.models import build_models
 
 HOLD = 1e30  # H: a constraint at rest, and above 1 uHz less than a millionth of 1 fg
@@ -56,7 +56,7 @@ def prepared(
 
     Raises as :func:`make_deck` and :func:`edited_deck` do.
     """
-    meters.require_probed(Build(scene, {}, trust=trust, functions=functions or {}))
+    require_probed(Build(scene, {}, trust=trust, functions=functions or {}))
     build = build_models(scene, clock, trust=trust, functions=functions)
     with clock.stage("export", "netlists"):
         deck = make_deck(build)
@@ -82,9 +82,9 @@ def make_deck(build: Build) -> Deck:
     header = Header(scene.name, scene_hash(scene))
     ours = () if scene.solver.max_step else (MAX_STEP,)  # a line of its own says why
     notes = (*header.origin(), *plan_lines(plan(build), ours))
-    results = meters.result_vectors(build)
-    watts = meters.powers(build, results)
-    meters.require_probed(build)
+    results = result_vectors(build)
+    watts = powers(build, results)
+    require_probed(build)
     parts = tuple(_libraries(build, header))
     reduced = ((part.name, part.reduction) for part in parts)
     reductions = (f"* {name}, rom: {facts.summary}" for name, facts in reduced if facts)
@@ -106,7 +106,7 @@ def make_deck(build: Build) -> Deck:
         trusted=build.trust,
         sweep_scale=swept(build)[2].scale if scene.analysis.type == "dc" else 1.0,
     )
-    return meters.sources(deck, build) if build.noisy else deck
+    return noise_analysis.sources(deck, build) if build.noisy else deck
 
 
 def _controls(part: Part, scene: Scene) -> bool:
@@ -146,7 +146,7 @@ def _items(build: Build, loose: Sequence[Free]) -> Iterator[Item]:
         if cards:
             yield from titled(f"{part.name}: {part.type.title}", cards, part.name)
     if build.noisy:
-        source, node = meters.noise_input(build)
+        source, node = noise_analysis.noise_input(build)
         title = "drives nothing: what the analysis could refer the noise to"
         drive = Element.of(source, node, "0", "DC", "0", "AC", "1")
         yield from titled(title, (drive, Element.of(f"R{node}", node, "0", "1", noisy="0")))
@@ -205,7 +205,7 @@ def _command(build: Build) -> Command:
         points = 3 if (selected.points, selected.scale) == (2, "linear") else selected.points
         return ac(selected.start, float(selected.stop or 0.0), points, selected.scale)
     if selected.type == "noise":
-        return meters.command(build)
+        return noise_analysis.command(build)
     if selected.type == "op":
         return Command("op", ())
     _, _, result = swept(build)

@@ -21,9 +21,9 @@ from kc2spice.netlist.expression import terms
 from kc2spice.netlist.expression import vector as parsed
 from kc2spice.netlist.spelling import number
 from kc2spice.scene.model import Build
+from kc2spice.scene.results import swept
 from kc2spice.scene.rows import LargestRealPart, Vector
 from kc2spice.scene.settings import Probe
-from kc2spice.workflow.meters import swept
 
 _TAKEN = {"max": "MAX", "min": "MIN", "peak_to_peak": "PP", "mean": "AVG", "rms": "RMS"}
 _OPPOSITE = {"MAX": "MIN", "MIN": "MAX", "MAX_AT": "MIN_AT"}

@@ -16,8 +16,9 @@ from kc2spice.core.waveforms import SCALES, Waveforms, interpolate
 from kc2spice.report.html import leaves
 from kc2spice.scene.checks import Balance, Check, Gate, Metric, Verdict
 from kc2spice.scene.model import Build, Scene
+from kc2spice.scene.results import WAVE, result_units, swept, swept_unit
 from kc2spice.scene.settings import Probe
-from kc2spice.workflow import meters
+from kc2spice.workflow import noise_analysis
 from kc2spice.workflow.time_step import step_checks
 
 BETWEEN_POINTS = 0.05  # correction of a peak between points; at half a half-width up to 3 %
@@ -36,7 +37,7 @@ def verdict(waves: Waveforms, build: Build) -> Verdict:
     rows = [(part.name, row) for part in parts for row in part.type.checks(part, build, waves)]
     checks = [row for _, row in rows if isinstance(row, Check)]
     balances = {name: row for name, row in rows if isinstance(row, Balance)}
-    checks += meters.checks(waves) if build.noisy else step_checks(build, waves, balances)
+    checks += noise_analysis.checks(waves) if build.noisy else step_checks(build, waves, balances)
     if scene.checks.energy == "off":
         balances = {}
     slack = max(1.0, BUDGET_SHARE * (scene.error_budget or 0.0) / 1e-4)
@@ -120,8 +121,8 @@ def _metrics(waves: Waveforms, build: Build, *, partial: bool) -> dict[str, Any]
         for part, item in result.items()
         for name, value in item.items()
     }
-    records |= meters.noise_metrics(waves, build) if meters.WAVE in waves else {}
-    units = meters.result_units(build) if scene.probes else {}
+    records |= noise_analysis.noise_metrics(waves, build) if WAVE in waves else {}
+    units = result_units(build) if scene.probes else {}
     probed: dict[str, Any] = {}
     for name, probe in scene.probes.items():
         window = window_of(probe, scene)
@@ -142,8 +143,8 @@ def _probe_unit(probe: Probe, build: Build, waves: Waveforms, units: Mapping[str
     """SI unit of what a probe takes of a wave, whose unit is among ``units``."""
     scale = SCALES.get(next(iter(waves)), "")
     if build.scene.analysis.type == "dc":
-        part, key, _ = meters.swept(build)
-        scale = meters.swept_unit(part, key)
+        part, key, _ = swept(build)
+        scale = swept_unit(part, key)
     along = {"argmax": scale, "crossing": scale, "frequency": "Hz"}
     return along.get(probe.take, units.get(probe.of, SCALES.get(probe.of, "")))
 

@@ -21,8 +21,9 @@ from kc2spice.scene.axes import plan
 from kc2spice.scene.checks import require
 from kc2spice.scene.load import load_scene
 from kc2spice.scene.model import Scene
+from kc2spice.scene.results import WAVE
 from kc2spice.sim.ngspice import RetriesFailedError, Simulator, find_ngspice, write_files
-from kc2spice.workflow import meters
+from kc2spice.workflow import noise_analysis
 from kc2spice.workflow.decks import prepared, spare_other_decks
 from kc2spice.workflow.models import fact_units, mode_tables, model_facts
 from kc2spice.workflow.orders import with_larger_orders
@@ -45,7 +46,7 @@ class Completed:
         build, waves, units = self.run.build, self.run.waves, self.run.deck.units
         result: list[Figure | Written] = []
         if build.noisy:
-            result += meters.noise_figures(waves, units[meters.WAVE])
+            result += noise_analysis.noise_figures(waves, units[WAVE])
         result += probe_figures(build.scene.probes, waves, units)
         for part in build.scene.parts.values():
             result += part.type.figures(part, build, waves)

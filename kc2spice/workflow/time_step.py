@@ -26,8 +26,8 @@ from kc2spice.equations.scene_laws import scene_laws
 from kc2spice.report.html import format_quantity
 from kc2spice.scene.checks import Balance, Check
 from kc2spice.scene.model import Build
+from kc2spice.scene.results import result_vectors
 from kc2spice.scene.rows import StepLimit, Vector
-from kc2spice.workflow.meters import result_vectors
 
 if TYPE_CHECKING:
     from kc2spice.reference.small_signal import ExponentialSolution

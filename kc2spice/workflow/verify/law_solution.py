@@ -21,7 +21,7 @@ from kc2spice.reference.integrate import Trajectory, solve_transient
 from kc2spice.reference.small_signal import solve_ac, solve_noise
 from kc2spice.reference.system import assemble_system
 from kc2spice.scene.model import Build
-from kc2spice.workflow.meters import WAVE, sweep_values, swept
+from kc2spice.scene.results import WAVE, sweep_values, swept
 
 RTOL = 1.5e-9  # integrator; at 1e-8 a sphere ringing at megahertz loses 5e-7 of its energy
 

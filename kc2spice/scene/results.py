@@ -1,39 +1,33 @@
-"""Vectors, sweeps and noise output of a deck.
+"""Results of a scene: those of its parts, what probes ask for, and the values of a dc sweep.
 
-Vectors are those of the parts, and the currents and powers of probes. A dc sweep moves one source;
-a noise analysis has one output voltage.
+Vectors are those of the parts, and the flows and powers of probes. A dc sweep moves one source; a
+noise analysis has one output.
 """
 
 from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 
 from kc2spice.core.domains import QUANTITIES, Domain
 from kc2spice.core.errors import UsageError, unknown
-from kc2spice.core.figure import Curve, Figure, Panel, scale_axis
 from kc2spice.core.quantities import quantity
-from kc2spice.core.waveforms import Waveforms, running
-from kc2spice.netlist.deck import Command, Deck, PowerTerm, noise
+from kc2spice.netlist.deck import PowerTerm
 from kc2spice.netlist.expression import terms, vector
-from kc2spice.netlist.scope import Scope
-from kc2spice.scene.checks import Check, Metric
 from kc2spice.scene.compose import metered_pins, powered_pins
 from kc2spice.scene.keys import model_keys
-from kc2spice.scene.model import Build, Names, Part, PartType, Scene
+from kc2spice.scene.model import Build, Part, PartType, Scene
 from kc2spice.scene.resolve import resolve, with_vectors
 from kc2spice.scene.rows import Swept, Vector
 
 WAVE = "noise"  # spectral density of the output, and the metric of its rms value
 DENSITY = "/sqrt(Hz)"
 WATT = "W"
-RESOLVED = 0.02  # largest relative change of the rms value with every second frequency
 
 
-def output(build: Build) -> Vector:
+def noise_output(build: Build) -> Vector:
     """Output of the noise analysis: a result, or the wave of a pin.
 
     Raises
@@ -47,119 +41,20 @@ def output(build: Build) -> Vector:
         live = [pin for pin in pins if build.net(part, pin) != "0"]
         across = {f"{part.name}.{pin}": build.across(part, pin) for pin in live}
         known |= {item: result for item, result in across.items() if item not in known}
-    voltages = {item: result for item, result in known.items() if _ends(result) is not None}
+    voltages = {item: result for item, result in known.items() if output_nodes(result) is not None}
     if name not in voltages:
         message = "noise is that of a voltage or a motion"
         raise unknown(message, name, voltages, build.scene.where("analysis.output"))
     return voltages[name]
 
 
-def _ends(probe_vector: Vector) -> str | None:
+def output_nodes(probe_vector: Vector) -> str | None:
     """The voltage as the simulator's card has it, None where the vector is none."""
     read = [(sign, vector(text)) for sign, text in terms(probe_vector.expression)]
     if any(v is None or v.quantity != "v" or len(v.names) > 1 for _, v in read) or len(read) > 2:
         return None
     nodes = [v.names[0] for sign, v in sorted(read, key=lambda row: -row[0]) if v is not None]
     return f"v({','.join(nodes)})" if sum(sign for sign, _ in read) in (0, 1, -1) else None
-
-
-def sources(deck: Deck, build: Build) -> Deck:
-    """``deck`` with what each resistor that has noise adds, as ``noise.PART.NAME``."""
-    result = dict(_noisy(deck.scope, ""))
-    parts = sorted(build.scene.parts, key=len, reverse=True)
-    _, factor = deck.vectors[WAVE]
-    vectors = {}
-    for name, path in result.items():
-        device = path.partition(".")[0][1:]
-        part = next((p for p in parts if device.startswith(p.lower())), None)
-        if part is not None:
-            vectors[f"{WAVE}.{part}.{path.rpartition('.')[2]}"] = (f"onoise_{name}", factor)
-    units = dict.fromkeys(vectors, deck.units[WAVE])
-    return replace(deck, vectors={**deck.vectors, **vectors}, units={**deck.units, **units})
-
-
-def _noisy(scope: Scope, path: str) -> Iterator[tuple[str, str]]:
-    """Simulator names of noisy resistors, and their instance paths."""
-    for item in scope.elements:
-        if item.kind == "x" and (inner := scope.find(item.model)) is not None:
-            yield from _noisy(inner, f"{path}{item.key}.")
-        elif item.kind == "r" and item.settings.get("noisy") != "0":
-            yield f"r.{path}{item.key}" if path else item.key, f"{path}{item.key}"
-
-
-def by_part(waves: Waveforms) -> dict[str, np.ndarray]:
-    """Density (nf,) of what each part adds, where the run tells it."""
-    power: dict[str, np.ndarray] = {}
-    for name, density in waves.data.items():
-        word, _, rest = name.partition(".")
-        if word == WAVE and rest:
-            part = rest.partition(".")[0]
-            power[part] = power.get(part, 0.0) + np.abs(density) ** 2
-    return {part: np.sqrt(result) for part, result in power.items()}
-
-
-def noise_metrics(waves: Waveforms, build: Build) -> dict[str, Any]:
-    """rms values over the band: of the output, and what each part adds to it."""
-    f, parts, unit = waves["frequency"].real, by_part(waves), output(build).unit
-    added = {part: Metric(_rms(f, result), unit) for part, result in parts.items()}
-    rms: dict[str, Any] = {WAVE: Metric(_rms(f, waves[WAVE]), unit)}
-    return rms | ({"noise_by_part": added} if len(added) > 1 else {})
-
-
-def noise_input(build: Build) -> tuple[str, str]:
-    """Names of a source that drives nothing, which the analysis asks for, and of its node."""
-    name = Names((*build.scene.parts, *build.scene.nets.values())).name(WAVE, "noise_input")
-    return f"V{name}", name
-
-
-def command(build: Build) -> Command:
-    """The card of the analysis."""
-    selected, ends = build.scene.analysis, _ends(output(build))
-    first, last = selected.start, float(selected.stop or 0.0)
-    return noise(str(ends), noise_input(build)[0], first, last, selected.points, selected.scale)
-
-
-def _rms(f: np.ndarray, density: np.ndarray) -> float:
-    return float(np.sqrt(np.trapezoid(np.abs(density) ** 2, f)))
-
-
-def checks(waves: Waveforms) -> Iterator[Check]:
-    """Whether there are enough frequencies for the sharpest resonance."""
-    if (f := waves["frequency"].real).size > 4:
-        even = f.size - (f.size + 1) % 2
-        f, density = f[:even], waves[WAVE][:even]
-        off = abs(_rms(f[::2], density[::2]) / (_rms(f, density) or 1.0) - 1.0)
-        advice = (
-            "a resonance lies between the frequencies: raise analysis.points, or narrow the band"
-        )
-        yield Check(
-            "noise against every second frequency", off, RESOLVED, "of its rms", advice, "warn"
-        )
-
-
-def noise_figures(waves: Waveforms, unit: str) -> Iterator[Figure]:
-    """The spectral density, and what it adds up to from the lowest frequency on."""
-    f, density = waves["frequency"].real, np.abs(waves[WAVE])
-    label, factor = scale_axis("frequency", f)
-    log = bool(f[0] > 0 and f[-1] / f[0] > 20)
-    rising = np.sqrt(running(density**2, f))
-    rows = (
-        (f"density in {unit}", density),
-        (f"rms from the lowest on in {unit.removesuffix(DENSITY)}", rising),
-    )
-    parts = by_part(waves)
-    added = [Curve(f"of {part}", factor * f, result, "--") for part, result in parts.items()]
-    panels = [
-        Panel(
-            label,
-            words,
-            (Curve("noise", factor * f, y), *(added if y is density and len(parts) > 1 else ())),
-            log_x=log,
-            log_y=y is density,
-        )
-        for words, y in rows
-    ]
-    yield Figure("noise", "Noise", "Of the scene's output, at 27 °C.", tuple(panels))
 
 
 Powers = tuple[PowerTerm, ...]  # powers whose sum is one of a part
@@ -172,7 +67,7 @@ def result_vectors(build: Build) -> dict[str, Vector]:
     which is no response: they are no results there.
     """
     if build.noisy:
-        of = output(build)
+        of = noise_output(build)
         return {WAVE: Vector("onoise_spectrum", abs(of.factor), f"{of.unit}{DENSITY}")}
     result: dict[str, Vector] = {}
     for record in build.records.values():
