@@ -393,11 +393,11 @@ def _scene(data: dict[str, Any], source: _Source) -> Scene:
     for name, kind in types.items():
         short = () if "part" in data[name] else tuple(data)
         parts[name] = _part(name, data[name], kind, home, short=short)
-    asked = None
+    analysis = None
     for part in list(parts.values()):
         for name, table in part.type.expand(part, data).items():
             if name == "analysis":
-                asked = asked or _validated(Analysis, table, (part.name,))
+                analysis = analysis or _validated(Analysis, table, (part.name,))
                 continue
             if name.lower() in map(str.lower, parts):
                 expected = f"another name: {part.name} brings a part of this one along"
@@ -407,8 +407,8 @@ def _scene(data: dict[str, Any], source: _Source) -> Scene:
             place = at if isinstance(at, tuple) else (name,)
             parts[name] = _part(name, own, _type(name, own), home, place)
     scene = replace(scene, parts=parts, tables=_copied(data), source=source)
-    if asked is not None and "analysis" not in data:
-        scene = replace(scene, frame=scene.frame.model_copy(update={"analysis": asked}))
+    if analysis is not None and "analysis" not in data:
+        scene = replace(scene, frame=scene.frame.model_copy(update={"analysis": analysis}))
     scene = with_governed(scene)
     for problem in problems(scene):
         raise problem
