@@ -18,7 +18,7 @@ import numpy as np
 
 from kc2spice.core.errors import SimulationError, UsageError
 from kc2spice.equations.networks import Network
-from kc2spice.equations.scene_laws import scene_laws
+from kc2spice.equations.scene_laws import SceneLaws, scene_laws
 from kc2spice.netlist.deck import Command, Deck, with_frequencies
 from kc2spice.reference.small_signal import Linear
 from kc2spice.reference.system import assemble_system
@@ -100,24 +100,23 @@ def _spacing(build: Build, f: float) -> float:
 def _narrow(build: Build) -> list[tuple[float, float]]:
     """Frequency and half-width [Hz] of each resonance and of each notch that a probe takes the
     least value of, in the scene's range, in rising order."""
-    analysis = build.scene.analysis
-    poles = np.concatenate([_poles(build), _zeros(build)])
+    analysis, laws = build.scene.analysis, scene_laws(build)
+    poles = np.concatenate([_poles(laws), _zeros(laws)])
     f, width = np.abs(poles.imag) / (2 * np.pi), np.abs(poles.real) / (2 * np.pi)
     inside = (poles.imag > 0) & (f > analysis.start) & (f < float(analysis.stop or 0.0))
     rows = {(round(a, 9), round(b, 12)) for a, b in zip(f[inside], width[inside], strict=True)}
     return sorted(rows)
 
 
-def _poles(build: Build) -> np.ndarray:
+def _poles(laws: SceneLaws) -> np.ndarray:
     """Poles [1/s] of the scene's circuits, and of reduced models whose circuit has no equations."""
-    laws = scene_laws(build)
     try:
         solved = [_network_poles(network) for network in laws.networks]
     except UsageError:
         solved = [None]
     result = [poles for poles in solved if poles is not None]
     missing = laws.missing
-    models = [model for model in build.models.values() if isinstance(model, LinearModel)]
+    models = [model for model in laws.build.models.values() if isinstance(model, LinearModel)]
     if models and (missing or len(result) < len(solved)):
         cause = f"{', '.join(missing)} without equations" if missing else "a large circuit"
         warnings.warn(
@@ -129,15 +128,15 @@ def _poles(build: Build) -> np.ndarray:
     return np.concatenate([np.zeros(0, complex), *result])
 
 
-def _zeros(build: Build) -> np.ndarray:
+def _zeros(laws: SceneLaws) -> np.ndarray:
     """Zeros [1/s] of the responses whose least value a probe takes.
 
     Warns where a circuit has no equations, is too large, or has no operating point.
     """
-    of = {probe.of for probe in build.scene.probes.values() if probe.take == "min"}
-    if not of or build.scene.analysis.type != "ac":
+    scene, result = laws.build.scene, dict[str, np.ndarray]()
+    of = {probe.of for probe in scene.probes.values() if probe.take == "min"}
+    if not of or scene.analysis.type != "ac":
         return np.zeros(0, complex)
-    laws, result = scene_laws(build), dict[str, np.ndarray]()
     try:
         for network in laws.networks:
             result |= _network_zeros(network, of & network.readings.keys())
