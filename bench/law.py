@@ -19,6 +19,7 @@ from kc2spice.core.magnets import EMTable
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.parts.pid import Control
 from kc2spice.parts.piezo_stack import Drive
+from kc2spice.rom.linear_model import LinearModel
 from kc2spice.rom.modal import resonators
 
 # States after the 2 q modal ones, and their number.
@@ -249,7 +250,7 @@ def law(build):
     """
     scene = build.scene
     kick, sphere = keys_of(scene, "piezo_stack"), keys_of(scene, "sphere")
-    model = resonators(build.model(scene.of("piezo_stack")[0]))
+    model = resonators(build.model(scene.of("piezo_stack")[0], LinearModel))
     rings = [k for k, port in enumerate(model.ports) if port.kind == "mechanical"]
     (anode,) = (k for k, port in enumerate(model.ports) if port.kind == "electrical")
     static = model.D.copy()
@@ -265,7 +266,7 @@ def law(build):
     scale = np.maximum(np.abs(gain).max(axis=1), np.abs(drive) * floor)
     scale = np.maximum(scale, 1e-12 * scale.max())
     coils, control = scene.only("ring_magnet_coils"), scene.only("pid")
-    table: EMTable | None = None if coils is None else build.model(coils)
+    table: EMTable | None = None if coils is None else build.model(coils, EMTable)
     return Law(
         omega=model.omega,
         damp=model.damp,

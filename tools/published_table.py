@@ -132,7 +132,7 @@ def models(scene: Scene, part: str) -> tuple[LinearModel, LinearModel]:
     """Full and reduced model of a body."""
     clock = Clock()
     body = scene.parts[part]
-    return body.type.full(body, scene, clock), build_models(scene, clock).model(body)
+    return body.type.full(body, scene, clock), build_models(scene, clock).model(body, LinearModel)
 
 
 Solver: TypeAlias = Callable[[str, Mapping[str, Any]], tuple[dict[str, Answer], Path]]

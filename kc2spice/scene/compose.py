@@ -47,10 +47,15 @@ def composed(scene: Scene) -> Scene:
     return scene
 
 
+def with_joins(scene: Scene) -> Scene:
+    """Return ``scene`` with the targets of pins that follow from the keys of its parts."""
+    joins = {name: r.part.type.default_joins(r.part, scene) for name, r in scene.records.items()}
+    return replace(scene, joins=joins)
+
+
 def _joined(scene: Scene) -> Scene:
     """``scene`` with its nets; pins of parts in a frame follow from the nets that it has."""
-    joins = {name: r.part.type.default_joins(r.part, scene) for name, r in scene.records.items()}
-    scene = replace(scene, joins=joins)
+    scene = with_joins(scene)
     terminals = {
         (part.name, pin.name): pin
         for part in scene.parts.values()
@@ -209,9 +214,12 @@ def powered_pins(part: Part, scene: Scene) -> dict[str, Domain]:
 
 
 def _metered(scene: Scene) -> Iterator[tuple[str, str]]:
-    """Pins of subcircuits whose flow probes ask for, where no neighbour tells it: by ``PART.power``,
-    by ``PART.PIN.current`` or another flow such as ``PART.PIN.force``, and by ``PART.current``,
-    which is that of the first pin. A ``PART.force`` is a result of the part itself."""
+    """Pins of subcircuits whose flow probes ask for and no neighbour has as a result.
+
+    Probes ask for it by ``PART.power``, by ``PART.PIN.current`` or another flow such as
+    ``PART.PIN.force``, and by ``PART.current``, the one of the first pin. ``PART.force`` is a
+    result of the part itself.
+    """
     for of in dict.fromkeys(probe.of for probe in scene.probes.values()):
         name, _, asked = of.partition(".")
         part = scene.parts.get(name)

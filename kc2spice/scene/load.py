@@ -38,7 +38,7 @@ from kc2spice.core.untrusted_files import (
     read_bounded,
     text_of,
 )
-from kc2spice.scene.compose import unsettled
+from kc2spice.scene.compose import unsettled, with_joins
 from kc2spice.scene.model import GROUND, SHORT, Names, Part, PartType, Scene
 from kc2spice.scene.parttype import part_type, type_names
 from kc2spice.scene.plausible import ImplausibleError, drive_levels, judged
@@ -429,7 +429,7 @@ def _driven(scene: Scene) -> Scene:
     parts = scene.parts
     if scene.analysis.type != "ac" or any(part.type.drives(part, scene) for part in parts.values()):
         return scene
-    whole = replace(scene, ports="all")
+    whole = replace(with_joins(scene), ports="all")
     bodies = [part for part in parts.values() if part.reduced]
     electrical = ([p for p in part.type.pins(part, whole) if p.unit == "V"] for part in bodies)
     ports = [(b.name, pins[0].name) for b, pins in zip(bodies, electrical, strict=True) if pins]
