@@ -85,6 +85,20 @@ def grammar(dialect):
         "xyce": ".print" + pp.one_of("TRAN AC DC") + "format=raw" + pp.OneOrMore(result),
         "ltspice": ".save" + pp.OneOrMore(result),
     }[dialect]
+    complex_result = {
+        "xyce": pp.Regex(r"(V|VM|I|IR)\([\w:]+\)"),
+        "ltspice": pp.Regex(r"(mag|re)\([VI]\([\w:]+\)\)") | result,
+    }[dialect]
+    taken = pp.one_of("MAX MIN PP AVG RMS") + complex_result
+    taken |= "FIND" + complex_result + pp.Regex("AT=") + NUMBER
+    taken |= "WHEN" + complex_result + "=" + NUMBER + "CROSS=1"
+    measure = {
+        "xyce": ".measure" + pp.one_of("TRAN AC DC") + WORD + (
+            (taken + pp.Optional(pp.one_of("OUTPUT=TIME OUTPUT=FREQ OUTPUT=SV")))
+            | "EQN {" + NUMBER + "*" + WORD + "}"),
+        "ltspice": ".meas" + pp.one_of("TRAN AC DC") + WORD + (
+            taken | "PARAM" + NUMBER + "*" + WORD),
+    }[dialect]  # fmt: skip
     option = {
         "xyce": ".options timeint" + pp.OneOrMore(pp.Regex(r"(reltol|abstol|method)=\S+")),
         "ltspice": ".options"
@@ -115,7 +129,7 @@ def grammar(dialect):
         ".ac" + pp.one_of("lin dec oct", caseless=True) + value + value + value,
         ".dc" + pp.OneOrMore(WORD + value + value + value),
         pp.one_of(".ic .nodeset") + pp.OneOrMore(pp.Regex(r"V\(\w+\)=\S+")),
-        option, output, pp.Keyword(".op"), pp.Keyword(".end"),
+        option, output, measure, pp.Keyword(".op"), pp.Keyword(".end"),
     ]) + pp.StringEnd()  # fmt: skip
 
 
