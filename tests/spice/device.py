@@ -63,8 +63,11 @@ def magnets():
     )  # fmt: skip
 
 
-def built(scene, model=None, table=None):
-    """The scene with made-up models: those ports of ``model`` that it needs, and ``table``."""
+def built(scene, model=None, table=None, **words):
+    """The scene with made-up models: those ports of ``model`` that it needs, and ``table``.
+
+    ``words`` are further fields of the build, such as ``trust``.
+    """
     models: dict[str, Any] = {}
     for part in scene.parts.values():
         if part.type.name == "piezo_stack" and model is not None:
@@ -72,7 +75,7 @@ def built(scene, model=None, table=None):
             models[part.name] = model.linear().select(kept)
         if part.type.name == "ring_magnet_coils" and table is not None:
             models[part.name] = table
-    result = resolve_build(Build(scene, models, libraries(scene)))
+    result = resolve_build(Build(scene, models, libraries(scene), **words))
     timed = scene.analysis.type == "transient"
     return replace(result, largest=largest_step(result)) if timed else result
 

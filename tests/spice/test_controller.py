@@ -36,7 +36,7 @@ def scene(analysis=None, **digits):
 
 
 def ran(loaded, function):
-    build = replace(built(loaded), functions={"digits": function})
+    build = built(loaded, functions={"digits": function})
     part = loaded.part("digits")
     return run_shared(make_deck(build), [part.type.settable(part, build)["out"]])
 
@@ -65,12 +65,12 @@ def test_a_file_runs_only_when_it_is_trusted(tmp_path):
     loaded = replace(scene(file="law.py"), home=tmp_path)
     part = loaded.part("digits")
     with pytest.raises(UsageError, match="runs a Python file") as caught:
-        part.type.settable(part, built(loaded))
+        built(loaded)
     assert "--trust" in caught.value.hint
     with pytest.raises(UsageError, match="runs a Python file"):
         verify([loaded], tmp_path / "out")
     assert verify([loaded], tmp_path / "out", trust=True)["scenes"]["controlled"]["passed"]
-    call = part.type.settable(part, replace(built(loaded), trust=True))["out"].call
+    call = part.type.settable(part, built(loaded, trust=True))["out"].call
     node = loaded.net("digits", "y")
     assert call(0.0, {node: 1.0}) == 7.0
 
@@ -92,7 +92,7 @@ def test_files_that_are_no_function_are_refused(tmp_path):
         loaded = replace(scene(file="law.py"), home=tmp_path)
         part = loaded.part("digits")
         with pytest.raises(UsageError, match=words):
-            part.type.settable(part, replace(built(loaded), trust=True))
+            part.type.settable(part, built(loaded, trust=True))
 
 
 def test_impossible_controllers_are_refused():
