@@ -9,7 +9,7 @@ from bench.points import Outcome, Plane, Point, fastest, quick_timed, scaled, sp
 from bench.setup import keys_of
 from kc2spice.bodies.stack import stack_device
 from kc2spice.rom.error_estimate import relative_error
-from kc2spice.rom.reduce import reduce
+from kc2spice.rom.reduce import reduce_model
 from kc2spice.rom.response import Response
 from kc2spice.rom.surrogate import surrogate
 
@@ -68,10 +68,10 @@ def harmonic(setup):
 def _models(model, band, setup):
     """Family, label and model of every reduction."""
     for tolerance in setup.some(TOLERANCES):
-        reduced = reduce(model, tolerance=tolerance, band=band)
+        reduced = reduce_model(model, tolerance=tolerance, band=band)
         yield "to tolerance", f"tolerance {tolerance:g}", reduced
     for order in setup.some(ORDERS):
-        reduced = reduce(model, order=order, band=band)
+        reduced = reduce_model(model, order=order, band=band)
         yield "Krylov at s = 0", f"Krylov, order {order}", reduced
 
 

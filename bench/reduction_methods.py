@@ -23,7 +23,7 @@ from kc2spice.core.errors import Kc2spiceError
 from kc2spice.core.figure import Curve, Figure, Panel
 from kc2spice.report.figures import draw_all
 from kc2spice.rom.linear_model import LinearModel, Norm
-from kc2spice.rom.reduce import reduce
+from kc2spice.rom.reduce import reduce_model
 from kc2spice.rom.state_space import state_space
 from kc2spice.rom.surrogate import surrogate
 from kc2spice.scene.load import load_scene
@@ -170,7 +170,7 @@ def compare(case):
         for tolerance in case.tolerances:
             begin = time.process_time()
             try:
-                rom = reduce(
+                rom = reduce_model(
                     case.full, tolerance=tolerance, band=(low / 2 / np.pi, top / 2 / np.pi),
                     norm=norm,
                 )  # fmt: skip

@@ -14,7 +14,7 @@ import numpy as np
 from scipy import sparse
 
 from kc2spice.rom.linear_model import LinearModel
-from kc2spice.rom.reduce import reduce
+from kc2spice.rom.reduce import reduce_model
 
 MODULE = "bench.reduction_scaling"  # also where its name is __main__
 TOLERANCE = 1e-4
@@ -53,7 +53,7 @@ def _measure(unknowns, dimension):
     which Python and its libraries take 0.1 GB: cells of a row."""
     model = grid_model(unknowns, dimension)
     begin, worked = time.perf_counter(), time.process_time()
-    rom = reduce(model, tolerance=TOLERANCE)
+    rom = reduce_model(model, tolerance=TOLERANCE)
     spent = time.perf_counter() - begin, time.process_time() - worked
     memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024e-9
     return " | ".join([str(model.order), str(rom.order), *(f"{x:.3g}" for x in (*spent, memory))])

@@ -170,7 +170,7 @@ def reduce(
     """
     from kc2spice.rom.band import frequency_band
     from kc2spice.rom.error_estimate import default_norm
-    from kc2spice.rom.reduce import reduce as reduce_model
+    from kc2spice.rom.reduce import reduce_model
 
     if not isinstance(model, LinearModel):
         raise UsageError(

@@ -30,7 +30,7 @@ from kc2spice.rom.linear_model import LinearModel
 from kc2spice.scene.load import load_scene
 from kc2spice.scene.model import Scene
 from kc2spice.workflow.models import build_models
-from kc2spice.workflow.run import run
+from kc2spice.workflow.run import run_scene
 from kc2spice.workflow.verify.verify import verify
 
 ROOT = Path(__file__).parents[1]
@@ -123,7 +123,7 @@ class Answer:
 def simulate(name: str, *overrides: str) -> tuple[dict[str, Any], dict[str, np.ndarray], Path]:
     """Record, waveforms and folder of a run."""
     out = Path(tempfile.mkdtemp()) / name
-    record = run(load_scene(name, list(overrides)), out, png=True)
+    record = run_scene(load_scene(name, list(overrides)), out, png=True)
     with np.load(out / "waveforms.npz", allow_pickle=False) as waves:
         return record, dict(waves), out
 
@@ -204,7 +204,7 @@ def case(name: str, entry: Mapping[str, Any]) -> tuple[dict[str, Answer], Path]:
     if entry.get("full", True):
         answers = verify([scene], out)["scenes"][scene.name]["answers"]
     else:
-        answers = {"ngspice": run(scene, out)["metrics"]}
+        answers = {"ngspice": run_scene(scene, out)["metrics"]}
     names = [key for key, value in entry.items() if isinstance(value, dict) and "value" in value]
     paths = [answers.get(path, {}) for path in ("fom", "rom", "ngspice")]
     return {key: Answer(*(path.get(key) for path in paths)) for key in names}, out
@@ -361,7 +361,7 @@ def drawn(name: str, entry: Mapping[str, Any], figures: Path) -> None:
     if "curve" not in entry:
         return
     plan, out = entry["curve"], Path(tempfile.mkdtemp()) / name
-    run(load_scene(str(CASES / entry["scene"]), entry.get("set", [])), out)
+    run_scene(load_scene(str(CASES / entry["scene"]), entry.get("set", [])), out)
     with np.load(out / "waveforms.npz", allow_pickle=False) as waves:
         scale = plan.get("against", next(iter(waves)))
         x, y = waves[scale].real, waves[plan["of"]]

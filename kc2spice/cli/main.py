@@ -323,7 +323,7 @@ def _run(
     loaded = _load(scene, set_)
     out = out or Path(loaded.name)
     with caller.progress() as progress:
-        result = study.run(loaded, out, progress, trust=trust, deck=deck, keep=keep, png=png)
+        result = study.run_scene(loaded, out, progress, trust=trust, deck=deck, keep=keep, png=png)
     if caller.reads(result, out):
         show_result(result, out, verbose=verbose)
 
@@ -540,7 +540,7 @@ def _reduce(
     Writes the reduced model with an error estimate into DIR. Exit code 4 for an unstable model, a
     circuit that misses the tolerance, or a measurement that no circuit describes.
     """
-    from kc2spice.workflow.reduce_files import reduce as reduce_study
+    from kc2spice.workflow.reduce_files import reduce_file as reduce_study
     from kc2spice.workflow.reduce_files import require_stable
 
     options: dict[str, Any] = {"band": band, "tolerance": tolerance, "order": order, "norm": norm}

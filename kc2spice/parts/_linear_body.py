@@ -386,7 +386,7 @@ class LinearBody(Touching):
             from kc2spice.rom.complex_constants import complex_constants
             from kc2spice.rom.error_estimate import default_norm
             from kc2spice.rom.modal import lossy, without_inertia
-            from kc2spice.rom.reduce import reduce
+            from kc2spice.rom.reduce import reduce_model
 
             selected = self.full(part, scene, clock).select(asked["ports"])
             with clock.stage("reduce", f"reduction of {part.name}"):
@@ -397,7 +397,7 @@ class LinearBody(Touching):
                     selected = _barely_damped(part, selected, band)
                 # a contact, a switch or a table excites modes above the band
                 aims: dict[str, Any] = {"order": order, "tolerance": target.tolerance}
-                small = reduce(selected, **aims, band=band, norm=norm, contact=True)
+                small = reduce_model(selected, **aims, band=band, norm=norm, contact=True)
             modal = resonators(small)  # whose later use needs no eigenvalues
             if modal is None and (tangent or constants):
                 got = "damping that couples its modes, or a motion that nothing holds"

@@ -44,7 +44,7 @@ LENGTHWISE, ACROSS = 20, 4  # elements at refine = 1
 GRADING = 1.6
 
 
-class Layer(Section):
+class BimorphLayer(Section):
     """One layer, over the whole beam."""
 
     material: str | dict[str, Any] = Field(description="Material of the layer, a name or a table")
@@ -61,7 +61,7 @@ class BimorphKeys(FieldKeys):
 
     length: Extent = Field(gt=0, description="Free length of the beam")
     width: Width = Field(gt=0, description="Width of the beam")
-    layers: tuple[Layer, ...] = Field(min_length=1)
+    layers: tuple[BimorphLayer, ...] = Field(min_length=1)
     wiring: Literal["series", "parallel"] | None = Field(
         None, description="Electrical connection of two ceramic layers"
     )

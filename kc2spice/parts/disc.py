@@ -46,7 +46,7 @@ class Feedback(Section):
     )
 
 
-class Layer(Section):
+class DiscLayer(Section):
     """One disc. ``electrodes`` is the diameter of its electrodes where it lies on no metal."""
 
     material: str | dict[str, Any] = Field(description="Material of the layer, a name or a table")
@@ -64,7 +64,7 @@ class Layer(Section):
     )
 
     @model_validator(mode="after")
-    def _possible(self) -> Layer:
+    def _possible(self) -> DiscLayer:
         largest, ring = self.electrodes or self.diameter, self.feedback
         if largest > self.diameter * (1 + 1e-9):
             raise ValueError(f"electrodes larger than the layer of {self.diameter:g} m")
@@ -90,7 +90,7 @@ class DiscKeys(FieldKeys):
     electrode to the cathode, beginning with the lowest; ``series`` uses the lowest and the highest
     and leaves those between floating."""
 
-    layers: tuple[Layer, ...] = Field(min_length=1)
+    layers: tuple[DiscLayer, ...] = Field(min_length=1)
     support: Literal["free", "clamped", "simply_supported"] | Node = "free"
     wiring: Literal["parallel", "series"] = Field(
         "parallel", description="Electrical connection of several ceramic layers"

@@ -50,7 +50,7 @@ LARGEST_SHARE = 0.5
 FIXED_ORDER_TARGET = 1e-8
 
 
-def reduce(
+def reduce_model(
     fom: LinearModel,
     *,
     tolerance: float | None = None,

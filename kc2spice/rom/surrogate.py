@@ -8,7 +8,7 @@ from kc2spice.core.errors import SimulationError
 from kc2spice.rom.error_estimate import relative_error, relative_size
 from kc2spice.rom.linear_model import LinearModel
 from kc2spice.rom.pencil import Pencil
-from kc2spice.rom.reduce import reduce
+from kc2spice.rom.reduce import reduce_model
 from kc2spice.rom.rounding import SPREAD, TRIALS
 
 EXACT = 1e-10  # error of a surrogate
@@ -28,7 +28,7 @@ def surrogate(
     SimulationError : the largest relative error exceeds ``EXACT`` and the rounding error of the
         direct solutions; solve directly instead.
     """
-    small = reduce(model, order=blocks * len(model.inputs), band=band)
+    small = reduce_model(model, order=blocks * len(model.inputs), band=band)
     golden = (np.sqrt(5) - 1) / 2  # never a rational fraction of the band
     frequency = band[0] + (band[1] - band[0]) * np.sort(golden * np.arange(1, CHECKS + 1) % 1)
     exact = model.transfer(frequency)

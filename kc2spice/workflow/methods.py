@@ -33,7 +33,7 @@ def compare(
     path : Path or str
         Matrices as for :func:`kc2spice.read_model`, or ``SCENE:PART``.
     band, tolerance, order, norm : optional
-        As for :func:`kc2spice.workflow.reduce_files.reduce`.
+        As for :func:`kc2spice.workflow.reduce_files.reduce_file`.
     progress : callable, optional
         Called as ``progress(stage, done, text)`` before each method.
 

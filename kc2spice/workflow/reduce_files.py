@@ -32,7 +32,7 @@ from kc2spice.rom.error_estimate import default_norm
 from kc2spice.rom.instability import shown_unstable
 from kc2spice.rom.io import read_rom, write_rom
 from kc2spice.rom.linear_model import PORT_KINDS, LinearModel
-from kc2spice.rom.reduce import reduce as reduce_model
+from kc2spice.rom.reduce import reduce_model
 from kc2spice.rom.stability import DENSE, prove_stability
 from kc2spice.scene.load import gallery, load_scene
 from kc2spice.sim.ngspice import write_files
@@ -46,7 +46,7 @@ WARNED_MISFIT = 0.01  # error of a measured part above which the command warns
 ABOVE_NOISE = 3.0  # a larger error is accepted up to that many times the noise (rms)
 
 
-def reduce(
+def reduce_file(
     path: Path | str,
     out: Path | None = None,
     *,
@@ -354,7 +354,7 @@ def _scene_body(text: str) -> LinearModel | None:
 
 
 def require_stable(record: dict[str, Any]) -> None:
-    """Check that the model of :func:`reduce`, or of a comparison, is not known to be unstable.
+    """Check that the model of :func:`reduce_file`, or of a comparison, is not known to be unstable.
 
     Raises
     ------

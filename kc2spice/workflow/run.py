@@ -88,7 +88,7 @@ class Completed:
         return record
 
 
-def run(
+def run_scene(
     scene: Scene,
     out: Path,
     progress: Progress = silent,
@@ -169,7 +169,7 @@ def complete(
     also runs again with more states of a reduced body whose error under the recorded loads is
     too large.
 
-    Raises the errors of :func:`run`. Warns of violated checks that do not fail the run.
+    Raises the errors of :func:`run_scene`. Warns of violated checks that do not fail the run.
     """
     simulator, clock = find_ngspice(), Clock(progress)
     with kept_on_failure(work, out, scene.name):

@@ -18,7 +18,7 @@ import kc2spice as kc
 from kc2spice.scene.axes import axes
 from kc2spice.scene.load import load_scene
 from kc2spice.scene.model import Build
-from kc2spice.workflow.run import run
+from kc2spice.workflow.run import run_scene
 
 ROOT = Path(__file__).parents[2]
 PUBLISHED = tomllib.loads((ROOT / "docs" / "published.toml").read_text("utf-8"))
@@ -51,7 +51,7 @@ def results(tmp_path_factory):
     def result(scene, *overrides):
         if (scene, overrides) not in found:
             out = tmp_path_factory.mktemp("run")
-            record = run(load_scene(scene, list(overrides)), out)
+            record = run_scene(load_scene(scene, list(overrides)), out)
             with np.load(out / "waveforms.npz", allow_pickle=False) as waves:
                 found[scene, overrides] = record, dict(waves), out
         return found[scene, overrides]

@@ -14,7 +14,7 @@ from kc2spice.parts import disc
 from kc2spice.rom.certification import certified
 from kc2spice.rom.first_step import intermediate_model
 from kc2spice.rom.linear_model import LinearModel
-from kc2spice.rom.reduce import reduce
+from kc2spice.rom.reduce import reduce_model
 from kc2spice.rom.reduced_basis import Task
 from kc2spice.rom.reductors.response_pod import ResponsePod
 
@@ -57,7 +57,7 @@ def test_estimate_is_between_the_error_and_three_times_it(seed, norm):
     M, E, K, B, C = matrices
     with oracle.bounded():
         model = LinearModel(M=M, E=E, K=K, B=B, C=C)
-        rom = reduce(model, tolerance=tolerance, band=band, norm=norm)
+        rom = reduce_model(model, tolerance=tolerance, band=band, norm=norm)
     full = oracle.system(dict(zip("MEKBC", matrices, strict=True)))
     error = oracle.largest_error(full, oracle.system_of(rom), band, share=oracle.SHARES[norm])
     estimate = rom.certificate.error_estimate
@@ -105,7 +105,7 @@ def test_estimate_covers_what_rounding_does_to_a_thin_free_plate():
     ]  # fmt: skip
     found = disc.structure({"layers": layers, "damping": {"quality": 50}}).device()
     full = found.model.select(["anode"])
-    rom = reduce(full, tolerance=1e-6, band=(288.0, 9600.0))
+    rom = reduce_model(full, tolerance=1e-6, band=(288.0, 9600.0))
     pole = full.facts["resonance_short_hz"]
     frequency = pole * np.linspace(0.99, 1.01, 21)
     exact, found = (oracle.direct(oracle.system_of(each), frequency) for each in (full, rom))
@@ -121,9 +121,9 @@ def test_cantilever_of_300_hermite_elements_says_how_good_it_is_itself():
     M, K = (sparse.csc_array(P[2:, 2:]) for P in hermite_beam(300))
     full = LinearModel(M=M, K=K, B=np.eye(600)[:, [-2]], rayleigh=(0.0, beta))
     with pytest.warns(UserWarning, match="full model itself is only good to"):
-        near = reduce(full, tolerance=1e-6, band=(0.0, 5.0))
+        near = reduce_model(full, tolerance=1e-6, band=(0.0, 5.0))
     assert near.certificate.error_estimate > 1e-6
-    rom = reduce(full, tolerance=1e-4, band=(0.0, 5.0))
+    rom = reduce_model(full, tolerance=1e-4, band=(0.0, 5.0))
     frequency = np.linspace(0.05, 5.0, 200)
     w = 2 * np.pi * frequency
     stiff = 1 + 1j * w * beta
@@ -146,7 +146,7 @@ def test_chain_of_600_lightly_damped_masses_takes_seconds():
         rayleigh=(0.0, ratio * np.sqrt(m / k)),
     )  # fmt: skip
     started = time.process_time()
-    rom = reduce(full, tolerance=1e-4, band=(0.0, 3e5))
+    rom = reduce_model(full, tolerance=1e-4, band=(0.0, 3e5))
     assert time.process_time() - started < 60
     poles = np.sort(np.abs(rom.poles()[rom.poles().imag > 0]))
     exact = 2 * np.sqrt(k / m) * np.sin(np.arange(1, n + 1) * np.pi / (2 * (n + 1)))
@@ -164,7 +164,7 @@ def test_a_free_chain_stays_free_when_it_is_reduced():
         M=m * sparse.eye_array(n, format="csc"), K=(k * links.T @ links).tocsc(),
         E=(0.02 * links.T @ one @ links).tocsc(), B=np.eye(n)[:, [0]],
     )  # fmt: skip
-    rom = reduce(full, tolerance=1e-2, band=(0.0, 4e3))
+    rom = reduce_model(full, tolerance=1e-2, band=(0.0, 4e3))
     frequency = np.array([1e-5, 1e-3, 1e-1])
     found = rom.transfer(frequency)[:, 0, 0] * n * m * (2 * np.pi * frequency) ** 2
     np.testing.assert_allclose(found, -1.0, rtol=1e-3)

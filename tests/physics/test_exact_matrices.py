@@ -10,7 +10,7 @@ from scipy.linalg import eigh
 
 from bench.beam import steel_cantilever
 from kc2spice.rom.linear_model import LinearModel
-from kc2spice.rom.reduce import reduce
+from kc2spice.rom.reduce import reduce_model
 
 
 def eliminated(matrices, frequency):
@@ -42,7 +42,7 @@ def test_an_ill_conditioned_beam_is_reduced_as_it_was_given(alpha, beta):
     E = alpha * M + beta * K
     with warnings.catch_warnings(record=True) as said:
         warnings.simplefilter("always")
-        rom = reduce(LinearModel(M=M, E=E, K=K, B=B), tolerance=1e-5, band=(1.0, 800.0))
+        rom = reduce_model(LinearModel(M=M, E=E, K=K, B=B), tolerance=1e-5, band=(1.0, 800.0))
     stated = rom.certificate.error_estimate
     assert stated <= 1e-5
     poles = np.sqrt(eigh(K, M, eigvals_only=True)[:4]) / (2 * np.pi)
@@ -69,7 +69,7 @@ def test_a_gyroscopic_model_is_as_good_on_its_sharp_resonances_as_it_says(ratio)
     K, E = Q @ np.diag(w**2) @ Q.T, G - G.T + 2 * ratio * Q @ np.diag(w) @ Q.T
     M, K, B = np.eye(n), 0.5 * (K + K.T), rng.standard_normal((n, 2))
     band = 0.0, w[n // 3] * 1.03 / (2 * np.pi)
-    rom = reduce(LinearModel(M=M, E=E, K=K, B=B), tolerance=1.8e-7, band=band)
+    rom = reduce_model(LinearModel(M=M, E=E, K=K, B=B), tolerance=1.8e-7, band=band)
     poles = oracle.poles((K, E, M)) / (2 * np.pi)
     poles = poles[(poles.imag > 0) & (poles.imag < band[1])]
     frequency = (poles.imag[:, None] + np.abs(poles.real[:, None]) * np.r_[-1, 0, 1]).ravel()
@@ -85,7 +85,7 @@ def test_what_is_judged_beside_its_resonances_is_said():
     said = {}
     for loss in (0.0, 1e-3):
         model = LinearModel(M=np.eye(20), E=loss * K, K=K, B=np.eye(20)[:, [3]])
-        method = reduce(model, tolerance=1e-3, band=(0.0, 0.1)).certificate.method
+        method = reduce_model(model, tolerance=1e-3, band=(0.0, 0.1)).certificate.method
         said[loss] = "beside resonances" in method
     assert said == {0.0: True, 1e-3: False}
 
@@ -99,7 +99,7 @@ def test_a_beam_in_first_order_is_reduced_as_it_was_given(elements):
     inner = np.linalg.solve(M, np.hstack([K, 2.0 * M + 1e-5 * K, B]))
     A = np.block([[np.zeros((n, n)), np.eye(n)], [-inner[:, :n], -inner[:, n : 2 * n]]])
     drive, read = np.vstack([0 * B, inner[:, 2 * n :]]), np.hstack([B.T, 0 * B.T])
-    rom = reduce(LinearModel(A=A, B=drive, C=read), tolerance=1e-5, band=(1.0, 800.0))
+    rom = reduce_model(LinearModel(A=A, B=drive, C=read), tolerance=1e-5, band=(1.0, 800.0))
     assert rom.order <= 24
     assert rom.certificate.stable
     frequency = np.array([1.3, 26.1, 77.0, 333.0, 790.0])

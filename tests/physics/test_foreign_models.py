@@ -10,7 +10,7 @@ import pytest
 
 from kc2spice.core.errors import SimulationError, UsageError
 from kc2spice.rom.linear_model import LinearModel
-from kc2spice.rom.reduce import reduce
+from kc2spice.rom.reduce import reduce_model
 from kc2spice.spice.realize import subcircuit
 
 REASONS = "not that accurate", "no state-space form", "out of reach", "does not settle"
@@ -205,7 +205,7 @@ def test_foreign_models_are_certified_rightly_or_refused(kind, seed, norm):
         with oracle.bounded(), warnings.catch_warnings(record=True) as told:
             warnings.simplefilter("always")
             full = LinearModel(**matrices, name="foreign")
-            rom = reduce(full, tolerance=tolerance, band=band, norm=norm)
+            rom = reduce_model(full, tolerance=tolerance, band=band, norm=norm)
             subcircuit(rom, "foreign")
     except (UsageError, SimulationError) as refused:
         assert any(reason in str(refused) for reason in REASONS), refused

@@ -15,7 +15,7 @@ from skfem.helpers import dot
 from skfem.models.elasticity import lame_parameters, linear_elasticity
 
 from kc2spice.rom.linear_model import LinearModel
-from kc2spice.rom.reduce import reduce
+from kc2spice.rom.reduce import reduce_model
 
 
 def chain(rng, damping, n=40):
@@ -66,7 +66,7 @@ CAMPAIGN = [
 def test_a_free_body_is_as_good_as_its_certificate_says(body, top, damping, tolerance):
     M, E, K, B, free = body(np.random.default_rng(3), damping)
     band = 1e-4 * top, top
-    rom = reduce(LinearModel(M=M, E=E, K=K, B=B), tolerance=tolerance, band=(0.0, top))
+    rom = reduce_model(LinearModel(M=M, E=E, K=K, B=B), tolerance=tolerance, band=(0.0, top))
     full = oracle.system({"M": M, "E": E, "K": K, "B": B})
     error = oracle.largest_error(full, oracle.system_of(rom), band, free)
     stated = rom.certificate.error_estimate
@@ -95,7 +95,7 @@ def test_a_free_rod_of_bricks_keeps_the_form_that_proves_it_stable(ratio):
     M, K, B = steel_rod()
     beta = ratio / (np.pi * 25e3)
     full = LinearModel(M=M, K=K, B=B, rayleigh=(0.0, beta))
-    rom = reduce(full, tolerance=1e-4, band=(0.0, 60e3))
+    rom = reduce_model(full, tolerance=1e-4, band=(0.0, 60e3))
     assert rom.certificate.stable
     assert rom.certificate.passive
     length = np.sqrt(210e9 / 7850) / 0.2  # its first mode along, sound there and back
@@ -138,7 +138,7 @@ def test_free_chains_of_any_length_are_as_good_as_certified_down_to_zero(seed, o
     M, E, K, B, _ = chain(rng, damping, n)
     top = 1.05 * np.sqrt(eigh(K, M, eigvals_only=True)[n // 3]) / (2 * np.pi)
     full = as_first_order(M, E, K, B) if order == 1 else LinearModel(M=M, E=E, K=K, B=B)
-    rom = reduce(full, tolerance=10 ** rng.uniform(-5, -2), band=(0.0, top), norm=norm)
+    rom = reduce_model(full, tolerance=10 ** rng.uniform(-5, -2), band=(0.0, top), norm=norm)
     parts = (K, E, M), B, B.T, np.zeros((2, 2))
     frequency = oracle.fine(parts, (1e-4 * top, top), oracle.poles(parts[0]))
     frequency = np.r_[np.geomspace(1e-8, 1e-4, 30) * top, frequency]

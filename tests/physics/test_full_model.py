@@ -13,7 +13,7 @@ from kc2spice.bodies.stack import stack_device
 from kc2spice.bodies.stack_keys import Chip
 from kc2spice.core.errors import SimulationError
 from kc2spice.rom.linear_model import LinearModel
-from kc2spice.rom.reduce import reduce
+from kc2spice.rom.reduce import reduce_model
 from kc2spice.rom.surrogate import surrogate
 
 SMALL = {"sectors": 4, "rings": 2, "ring_spacing": 300e-6, "outer_rings": 2}
@@ -85,7 +85,7 @@ def test_mass_damping_reaches_the_response_and_its_reduction():
     frequency = np.array([50e3, 230e3, 270e3, 400e3])
     matrices = {"M": M, "E": E, "K": K, "B": -system.k_uV[:, None], "C": system.B[:, :1].T}
     direct = oracle.direct(oracle.system(matrices), frequency)[:, 0, 0]
-    rom = reduce(model, tolerance=1e-6, band=(0.0, 500e3))
+    rom = reduce_model(model, tolerance=1e-6, band=(0.0, 500e3))
     for found in (model, rom):
         row, column = found.outputs.index("ring0"), found.inputs.index("anode")
         H = found.transfer(frequency)[:, row, column]

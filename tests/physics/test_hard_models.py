@@ -10,7 +10,7 @@ from scipy import sparse
 from scipy.linalg import block_diag, null_space
 
 from kc2spice.rom.linear_model import LinearModel
-from kc2spice.rom.reduce import reduce
+from kc2spice.rom.reduce import reduce_model
 
 TOP = 0.35  # of the poles: where the band ends
 
@@ -130,7 +130,7 @@ def test_models_that_a_direct_solution_handles_are_reduced(kind, seed):
     sparse_too = rng.random() < 0.5
     given = {k: sparse.csc_array(P) if sparse_too and k in letters else P for k, P in parts.items()}
     with oracle.bounded():
-        rom = reduce(LinearModel(**given), tolerance=tolerance, band=band, norm=norm)
+        rom = reduce_model(LinearModel(**given), tolerance=tolerance, band=band, norm=norm)
     grows = poles.real.max() > 1e-6 * 2 * np.pi * band[1]
     assert rom.certificate.stable is not bool(grows)
     frequency = np.r_[rng.uniform(0, 1, 200), 10 ** rng.uniform(-3, 0, 60)] * band[1]
@@ -174,7 +174,7 @@ def test_structural_damping_becomes_a_passive_model_of_known_difference(seed):
     form = sparse.csc_array if seed % 3 else np.asarray
     given = {k: form(P) if k in "MEK" else P for k, P in parts.items()}
     model = LinearModel(**given)
-    rom = reduce(model, tolerance=tolerance, band=band, norm=norm)
+    rom = reduce_model(model, tolerance=tolerance, band=band, norm=norm)
     known = rom.certificate
     assert known.stable
     assert known.passive
@@ -223,7 +223,7 @@ def test_losses_of_several_materials_become_a_passive_model_of_known_difference(
     norm, tolerance = ("peak", "pointwise")[seed % 2], 10 ** rng.uniform(-4, -2)
     form = sparse.csc_array if seed % 3 else np.asarray
     given = {k: form(P) if k in "MK" else P for k, P in parts.items() if k != "E"}
-    rom = reduce(LinearModel(**given), tolerance=tolerance, band=band, norm=norm)
+    rom = reduce_model(LinearModel(**given), tolerance=tolerance, band=band, norm=norm)
     known = rom.certificate
     assert known.stable
     assert known.passive
@@ -248,7 +248,7 @@ def test_a_chain_of_301_masses_with_general_damping_settles():
     E[0, 0] += 0.3
     E[n // 2, n // 2] += 0.1
     parts = {"M": np.diag(np.linspace(1, 3, n)), "E": E, "K": K, "B": np.eye(n)[:, [n // 5, n - 1]]}
-    rom = reduce(LinearModel(**parts), tolerance=1e-4, band=(0.0, 0.3), norm="peak")
+    rom = reduce_model(LinearModel(**parts), tolerance=1e-4, band=(0.0, 0.3), norm="peak")
     assert rom.certificate.stable
     rates = np.linalg.eigvals(np.block([  # the peak of each entry is at a pole, between grid points
         [np.zeros((n, n)), np.eye(n)],

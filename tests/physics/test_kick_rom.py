@@ -6,7 +6,7 @@ import pytest
 from kc2spice.bodies.stack import stack_device
 from kc2spice.bodies.stack_keys import Chip
 from kc2spice.rom.error_estimate import relative_error
-from kc2spice.rom.reduce import reduce
+from kc2spice.rom.reduce import reduce_model
 
 SMALL = {"sectors": 4, "rings": 2, "ring_spacing": 300e-6, "outer_rings": 2}
 
@@ -27,7 +27,7 @@ def model():
 @pytest.mark.parametrize("order", [1, 5, 9, 20, 40])
 def test_every_order_is_symmetric_stable_passive_and_exact_at_rest(model, order):
     """The static answers of all ports are in the basis from the order of their number on."""
-    rom = reduce(model, order=order, band=BAND)
+    rom = reduce_model(model, order=order, band=BAND)
     assert rom.order == order
     assert rom.certificate.stable
     assert rom.certificate.passive
@@ -48,8 +48,8 @@ def test_every_order_is_symmetric_stable_passive_and_exact_at_rest(model, order)
 def test_few_states_reach_the_tolerance(default, tolerance, states):
     """Ten Krylov blocks equal the full model to 1e-12 up to 500 kHz."""
     frequency = np.linspace(0, 500e3, 463)
-    exact = reduce(default, order=70, band=BAND).transfer(frequency)
-    rom = reduce(default, tolerance=tolerance, band=BAND)
+    exact = reduce_model(default, order=70, band=BAND).transfer(frequency)
+    rom = reduce_model(default, tolerance=tolerance, band=BAND)
     error = relative_error(rom.transfer(frequency), exact)
     assert rom.order <= states
     assert error <= rom.certificate.error_estimate <= tolerance

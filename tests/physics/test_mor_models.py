@@ -11,7 +11,7 @@ from scipy.linalg import eig
 from kc2spice.core.errors import UsageError
 from kc2spice.rom.first_step import intermediate_model
 from kc2spice.rom.linear_model import LinearModel
-from kc2spice.rom.reduce import reduce
+from kc2spice.rom.reduce import reduce_model
 from kc2spice.rom.reduced_basis import Task
 from kc2spice.rom.reductors.response_pod import ResponsePod
 from kc2spice.spice.realize import subcircuit
@@ -35,7 +35,7 @@ def built(name):
 def reduced(name, tolerance):
     """The model of a family, reduced once for all tests."""
     _, model, band = built(name)
-    return reduce(model, band=band, tolerance=tolerance)
+    return reduce_model(model, band=band, tolerance=tolerance)
 
 
 def worst(found, expected, peak=None):
@@ -98,7 +98,7 @@ def test_improper_models_are_refused_with_the_reason():
     matrices = {"A": A, "E": E, "B": np.array([[1.0], [0.0], [1.0]]), "C": np.eye(n)[[1]]}
     model = LinearModel(**families.as_files(matrices), name="index 2")
     with pytest.raises(UsageError, match="derivatives"):
-        reduce(model, band=(0.01, 0.1), order=3)
+        reduce_model(model, band=(0.01, 0.1), order=3)
 
 
 def random_model(rng):
@@ -158,7 +158,7 @@ def test_pymor_agrees_and_does_no_better_at_equal_order(name, truth):
 
     set_log_levels({"pymor": "ERROR"})
     matrices, model, band = built(name)
-    rom = reduce(model, band=band, tolerance=1e-3)
+    rom = reduce_model(model, band=band, tolerance=1e-3)
     frequency, expected = truth(name)
     peak = np.abs(expected).max(axis=0)
     if "A" in matrices:

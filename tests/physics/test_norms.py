@@ -11,7 +11,7 @@ from bench.beam import heat, structure
 from bench.reduction_methods import Truncated, largest, schur
 from kc2spice.cli.main import app
 from kc2spice.rom.linear_model import LinearModel
-from kc2spice.rom.reduce import reduce
+from kc2spice.rom.reduce import reduce_model
 
 
 @pytest.mark.parametrize(
@@ -25,7 +25,7 @@ from kc2spice.rom.reduce import reduce
 def test_the_peak_norm_needs_fewer_states_and_holds(case, most, tolerance):
     """At 1 kHz nothing is left of the heat that goes into the rod, 1e-290 and less."""
     full, _, band = case
-    found = {norm: reduce(full, tolerance=tolerance, band=band, norm=norm)
+    found = {norm: reduce_model(full, tolerance=tolerance, band=band, norm=norm)
              for norm in ("pointwise", "peak")}  # fmt: skip
     assert found["peak"].order <= most * found["pointwise"].order
     model = oracle.system({"A": full.A, "B": full.B, "C": full.C})
@@ -75,7 +75,9 @@ def test_fitted_outputs_need_fewer_states_than_any_balanced_truncation():
     A[::2, 1::2], A[1::2, ::2], A[1::2, 1::2] = np.diag(w), -np.diag(w), -2 * np.diag(ratio * w)
     B[1::2] = rng.standard_normal((n, 2)) / w[:, None] ** 2
     C[:, ::2] = rng.standard_normal((2, n)) / w**2
-    rom = reduce(LinearModel(A=A, B=B, C=C), tolerance=0.0144, band=(0, 2.5 / np.pi), norm="peak")
+    rom = reduce_model(
+        LinearModel(A=A, B=B, C=C), tolerance=0.0144, band=(0, 2.5 / np.pi), norm="peak"
+    )
     plain, at = (A, B, C, np.zeros((2, 2))), np.linspace(0, 5, 1500)
     exact = schur(plain)(at)
     error = largest(rom.transfer(at / (2 * np.pi)), exact, "peak")

@@ -13,7 +13,7 @@ from kc2spice.core.quantities import validated
 from kc2spice.fem.materials import material
 from kc2spice.fem.solid import Solid
 from kc2spice.rom.linear_model import Port
-from kc2spice.rom.reduce import reduce
+from kc2spice.rom.reduce import reduce_model
 
 PZT = material("PZT-5A")
 S33 = np.linalg.inv(PZT.C)[2, 2]
@@ -147,7 +147,7 @@ def test_a_stack_that_nothing_holds_is_reduced_as_one():
         side=3e-3, depth=2e-3, layers=60, layer_thickness=0.15e-3, mounting="free",
         mesh={"sectors": 4, "rings": 1, "ring_spacing": 0.3e-3, "outer_rings": 2},
     ).select(["anode"])  # fmt: skip
-    rom = reduce(full, tolerance=1e-5, band=(20e3, 250e3))
+    rom = reduce_model(full, tolerance=1e-5, band=(20e3, 250e3))
     rod = np.sqrt(1 / (PZT.density * S33)) / (2 * 9e-3)  # shorted layers: stiffness at zero field
     poles = rom.poles()
     near = poles[np.argmin(np.abs(poles.imag - 2 * np.pi * rod))].imag / (2 * np.pi)

@@ -7,7 +7,7 @@ from scipy import sparse
 from scipy.linalg import block_diag, hadamard
 
 from kc2spice.rom.linear_model import LinearModel, Port
-from kc2spice.rom.reduce import reduce
+from kc2spice.rom.reduce import reduce_model
 
 
 def chain(n, stiffness):
@@ -63,7 +63,7 @@ def test_entries_that_are_zero_by_symmetry_refuse_no_model(seed):
     omega = np.sort(np.sqrt(np.linalg.eigvals(np.linalg.solve(matrices["M"], matrices["K"])).real))
     band, tolerance = (0.0, float(omega[len(omega) // 3]) / 2 / np.pi), 10 ** rng.uniform(-6, -2)
     full = LinearModel(**matrices, **more, ports=ports)
-    rom = reduce(full, tolerance=tolerance, band=band, norm=norm)
+    rom = reduce_model(full, tolerance=tolerance, band=band, norm=norm)
     estimate = rom.certificate.error_estimate
     assert estimate <= tolerance
     assert "zero by symmetry" in rom.certificate.method
@@ -86,7 +86,7 @@ def test_a_small_entry_that_symmetry_does_not_make_zero_counts_as_it_is():
     B = np.zeros((2 * n, 2))
     B[n - 1, 0], B[-1, 1] = 1e-4, 1e4
     full = LinearModel(M=1e-3 * np.eye(2 * n), K=K, B=B, rayleigh=(0.0, 1e-7))
-    rom = reduce(full, tolerance=1e-4, band=(0.0, 4e3), norm="pointwise")
+    rom = reduce_model(full, tolerance=1e-4, band=(0.0, 4e3), norm="pointwise")
     assert "zero by symmetry" not in rom.certificate.method
     frequency = np.linspace(13.0, 3987.0, 400)
     exact = oracle.direct(oracle.system_of(full), frequency)
@@ -107,7 +107,7 @@ def test_a_large_sparse_brick_with_a_mirror_plane_is_reduced():
         M=1e-3 * sparse.eye_array(2 * n, format="csc"), K=T @ sparse.csc_array(K) @ T.T, B=T @ B,
         rayleigh=(0.0, 1e-5), ports=[Port("y", "mechanical"), Port("z", "mechanical")],
     )  # fmt: skip
-    rom = reduce(full, tolerance=1e-4, band=(0.0, 100.0))
+    rom = reduce_model(full, tolerance=1e-4, band=(0.0, 100.0))
     assert "zero by symmetry: y/z, z/y" in rom.certificate.method
     frequency = np.array([7.0, 31.0, 83.0])
     exact, found = full.transfer(frequency), rom.transfer(frequency)

@@ -14,7 +14,7 @@ from kc2spice.core.progress import Clock
 from kc2spice.scene.checks import Balance
 from kc2spice.workflow.decks import prepared
 from kc2spice.workflow.export import export
-from kc2spice.workflow.run import run
+from kc2spice.workflow.run import run_scene
 from kc2spice.workflow.simulate import ran
 
 SCENES = {"duffing": ("spring", "cubic_spring"), "loudspeaker": ("coil", "voice_coil")}
@@ -47,9 +47,9 @@ def test_a_part_is_judged_by_the_value_that_the_netlist_has(scene, key, old, new
         deck = edited(scene, tmp_path, f" {library}\n", f" {library} {key}={new}\n", f"{scene}.cir")
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        record = run(kc.load_scene(scene), tmp_path / "out", deck=deck)
+        record = run_scene(kc.load_scene(scene), tmp_path / "out", deck=deck)
     assert energy(record, part)["value"] < 1e-4
-    set_by_key = run(kc.load_scene(scene, {f"{part}.{key}": new}), tmp_path / "own")
+    set_by_key = run_scene(kc.load_scene(scene, {f"{part}.{key}": new}), tmp_path / "own")
     same = {k: v for k, v in record["metrics"].items() if isinstance(v, float)}
     assert same == pytest.approx({k: set_by_key["metrics"][k] for k in same}, rel=1e-6)
 
@@ -80,11 +80,11 @@ def test_a_library_with_other_cards_is_not_judged_and_says_why(tmp_path):
     old = "voltage besides that of the flux = resistance*i"
     deck = edited("loudspeaker", tmp_path, "I={1e-6*V(a,b)/", "I={1.1e-6*V(a,b)/")
     with pytest.warns(UserWarning, match="coil: its subcircuit voice_coil has other cards"):
-        record = run(kc.load_scene("loudspeaker"), tmp_path / "out", deck=deck)
+        record = run_scene(kc.load_scene("loudspeaker"), tmp_path / "out", deck=deck)
     assert energy(record, "coil") is None
     assert json.loads((tmp_path / "out" / "result.json").read_text())["checks"]
     again = edited("loudspeaker", tmp_path / "b", old, f"{old}, a comment")
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        record = run(kc.load_scene("loudspeaker"), tmp_path / "out2", deck=again)
+        record = run_scene(kc.load_scene("loudspeaker"), tmp_path / "out2", deck=again)
     assert energy(record, "coil")["value"] < 1e-4

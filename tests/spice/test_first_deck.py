@@ -7,7 +7,7 @@ import pytest
 
 from kc2spice.sim.ngspice import find_ngspice
 from kc2spice.sim.output import read_raw
-from kc2spice.workflow.reduce_files import export_rom, reduce
+from kc2spice.workflow.reduce_files import export_rom, reduce_file
 
 N = 6
 K = np.diag(np.linspace(1e6, 3e6, N)) - 2e5 * (np.eye(N, k=1) + np.eye(N, k=-1))
@@ -22,7 +22,7 @@ def emitted(folder, table, **arrays):
     """Frequencies and vectors of the first deck, from ngspice itself."""
     np.savez(folder / "m.npz", **arrays)
     (folder / "m.toml").write_text("band = [10, 3e4]\n" + table)
-    found = reduce(folder / "m.npz", folder / "rom", tolerance=1e-8)
+    found = reduce_file(folder / "m.npz", folder / "rom", tolerance=1e-8)
     files = [path.name for path in export_rom(found["rom"], folder / "out")]
     assert {"m_rom.lib", "m_rom.asy", "kc2spice.kicad_sym", "m_rom_response.cir"} <= set(files)
     command = [find_ngspice().path, "-b", "-n", "-r", "out.raw", "m_rom_response.cir"]

@@ -11,7 +11,7 @@ from kc2spice.bodies.stack import stack_device
 from kc2spice.bodies.stack_keys import Chip
 from kc2spice.netlist.deck import Command, Deck
 from kc2spice.netlist.lint import lint
-from kc2spice.rom.reduce import reduce
+from kc2spice.rom.reduce import reduce_model
 from kc2spice.sim.ngspice import run_deck
 from kc2spice.spice.realize import subcircuit
 
@@ -113,4 +113,4 @@ Xkick anode 0 ring0 ring1 ring2 ring3 ring4 ring5 0 kick {given}
 
 def chip(damping, header):
     device = stack_device(Chip(damping=damping, mesh={"sectors": 4, "outer_rings": 3})).model
-    return subcircuit(reduce(device, order=30, band=(0.0, 500e3)), "kick", header)
+    return subcircuit(reduce_model(device, order=30, band=(0.0, 500e3)), "kick", header)

@@ -18,7 +18,7 @@ from kc2spice.core.progress import Clock
 from kc2spice.netlist import read_lib
 from kc2spice.parts._box import number_of, varied, with_values
 from kc2spice.workflow.export import export
-from kc2spice.workflow.reduce_files import export_rom, reduce
+from kc2spice.workflow.reduce_files import export_rom, reduce_file
 
 FLOOR = 1e-6  # of an entry's peak, as the error estimate is defined
 POINTS, FEW = 25, 6  # random frequencies between the ends of a band; of solids
@@ -372,7 +372,9 @@ def test_foreign_matrices(make, seed, tmp_path):
     high = float(np.median(w) / (2 * np.pi) * rng.uniform(0.5, 2.0))
     low = 0.0 if rng.random() < 0.3 else float(high * 10 ** -rng.uniform(1.0, 6.0))
     tolerance = float(10 ** -rng.uniform(2.0, 6.0))
-    made = refused(reduce, tmp_path / "rnd.npz", tmp_path, band=(low, high), tolerance=tolerance)
+    made = refused(
+        reduce_file, tmp_path / "rnd.npz", tmp_path, band=(low, high), tolerance=tolerance
+    )
     export_rom(made["rom"], tmp_path / "out")
     (part,) = read_lib(tmp_path / "out" / "rnd_rom.lib")
     f = frequencies(rng, (low, high), np.unique(w / (2 * np.pi)))
@@ -411,7 +413,7 @@ def test_measured_parts(seed, tmp_path):
     rows = zip(f, Z.real, Z.imag, strict=True)
     text = "".join(f"{a:.12g},{b:.12g},{c:.12g}\n" for a, b, c in rows)
     (tmp_path / "rnd.csv").write_text("frequency_hz,real_ohm,imag_ohm\n" + text)
-    made = refused(reduce, tmp_path / "rnd.csv", tmp_path)
+    made = refused(reduce_file, tmp_path / "rnd.csv", tmp_path)
     export_rom(made["rom"], tmp_path / "out")
     (part,) = read_lib(tmp_path / "out" / "rnd_rom.lib")
     at = np.unique(np.r_[0, np.linspace(0, len(f) - 1, 60).astype(int)])

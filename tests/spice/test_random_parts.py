@@ -37,7 +37,7 @@ from scipy.integrate import solve_ivp
 from kc2spice.core.errors import Kc2spiceError
 from kc2spice.scene.load import load_scene
 from kc2spice.scene.parttype import part_types
-from kc2spice.workflow.run import run
+from kc2spice.workflow.run import run_scene
 
 PATIENCE = 120  # s
 LIMIT = 1e-2  # rms in time of the difference over that of the wave
@@ -582,7 +582,7 @@ def _compared(d, folder):
     try:
         with warnings.catch_warnings(record=True) as caught:
             warnings.simplefilter("always")
-            record = run(load_scene(folder / "drawn.toml"), folder / "out", trust=True)
+            record = run_scene(load_scene(folder / "drawn.toml"), folder / "out", trust=True)
         said = [c["name"] for c in record["checks"] if not c["passed"]]
         said += [str(w.message)[:80] for w in caught if "check" in str(w.message)]
     except Kc2spiceError as error:

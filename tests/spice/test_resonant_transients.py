@@ -15,7 +15,7 @@ from scipy.signal import lsim
 import kc2spice as kc
 from kc2spice.core.errors import SimulationError
 from kc2spice.scene.load import load_scene
-from kc2spice.workflow.run import run
+from kc2spice.workflow.run import run_scene
 
 DISC = """
 [body]
@@ -125,7 +125,7 @@ def judged(family, quality, shape, folder, cycles, detune=0.0):
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
-            run(load_scene(path), folder / "out")
+            run_scene(load_scene(path), folder / "out")
     except SimulationError:
         return None
     found = np.load(folder / "out" / "waveforms.npz")

@@ -13,7 +13,7 @@ from commands import session
 from spicelib import RawRead
 
 from kc2spice.scene.load import load_scene
-from kc2spice.workflow.run import run
+from kc2spice.workflow.run import run_scene
 
 LONG = """name = "long"
 [source]
@@ -71,7 +71,7 @@ def test_the_raw_file_is_kept_on_request(tmp_path):
     (tmp_path / "short.toml").write_text(LONG.replace("stop = 0.09", "stop = 1e-6"))
     scene = load_scene(tmp_path / "short.toml", ["name=short"])
     for keep in (True, False):
-        record = run(scene, tmp_path / "out", keep=keep)
+        record = run_scene(scene, tmp_path / "out", keep=keep)
         files = sorted(record["files"])
         assert files == sorted(os.listdir(tmp_path / "out"))
         assert ("short.raw" in files, "short.log" in files) == (keep, keep)

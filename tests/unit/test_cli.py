@@ -128,7 +128,7 @@ def test_failures_have_a_code_one_message_and_no_files(cli, monkeypatch, tmp_pat
             (work / "result.json").write_text("{}")
             raise error
 
-    monkeypatch.setattr("kc2spice.workflow.run.run", run)
+    monkeypatch.setattr("kc2spice.workflow.run.run_scene", run)
     done = cli("run", "kick_and_catch", "-o", "deep/out", "--quiet")
     assert done.exit_code == code
     assert done.stdout == ""

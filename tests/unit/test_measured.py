@@ -15,7 +15,7 @@ from kc2spice.bodies.readers.measured import is_measured, read_measured
 from kc2spice.netlist.deck import ac
 from kc2spice.rom.io import read_rom
 from kc2spice.rom.multiport import multi_port
-from kc2spice.workflow.reduce_files import first_deck, reduce
+from kc2spice.workflow.reduce_files import first_deck, reduce_file
 
 F = np.linspace(40e3, 80e3, 401)
 W = 2 * np.pi * F
@@ -97,7 +97,7 @@ def test_matlab_files_say_what_tables_say(tmp_path):
     assert np.abs(read_measured(tmp_path / "two.mat").Y - two).max() < 1e-12
     scipy.io.savemat(tmp_path / "bad.mat", {"f": F, "z": Z[:50]})
     with pytest.raises(kc.errors.UsageError, match="beside 401 frequencies"):
-        reduce(tmp_path / "bad.mat", tmp_path / "out")
+        reduce_file(tmp_path / "bad.mat", tmp_path / "out")
     scipy.io.savemat(tmp_path / "fe.mat", {"K": np.eye(3), "M": np.eye(3), "f": np.ones(3)})
     assert not is_measured(tmp_path / "fe.mat")
 
@@ -116,7 +116,7 @@ def test_matlab_files_say_what_tables_say(tmp_path):
 def test_bad_measurements_are_refused(tmp_path, header, columns, said):
     path = table(tmp_path / "bad.csv", header, *columns(1 / admittance()))
     with pytest.raises(kc.errors.UsageError, match=said):
-        reduce(path, tmp_path / "out")
+        reduce_file(path, tmp_path / "out")
     assert not (tmp_path / "out").exists()
 
 
@@ -125,7 +125,7 @@ def test_a_directory_that_cannot_be_written_is_noticed_before_the_fit(tmp_path, 
     Y = admittance()
     path = table(tmp_path / "part.csv", "f_hz,g_s,b_s", F, Y.real, Y.imag)
     with pytest.raises(kc.errors.UsageError, match="is a file"):
-        reduce(path, path)
+        reduce_file(path, path)
 
 
 def test_damaged_files_are_refused(tmp_path):
@@ -139,7 +139,7 @@ def test_damaged_files_are_refused(tmp_path):
 def test_a_measurement_becomes_a_circuit_within_its_stated_deviation(tmp_path):
     Y = admittance(noise=0.002)
     path = table(tmp_path / "part.csv", "f_hz,g_s,b_s", F, Y.real, Y.imag)
-    found = reduce(path, tmp_path)
+    found = reduce_file(path, tmp_path)
     assert found["passive"]
     assert found["noise"] == pytest.approx(0.002, rel=0.2)
     assert found["error_estimate"] < 0.012  # four deviations of 401 draws of two
@@ -174,7 +174,7 @@ def test_a_measured_two_port_becomes_a_passive_circuit(tmp_path):
     draw = np.random.default_rng(1).normal(size=(2, *Y.shape))
     noisy = Y * (1 + 1e-3 * (draw[0] + 1j * draw[1]))
     path = touchstone(tmp_path / "pi.s2p", f, skrf.network.y2s(noisy, 50.0))
-    found = reduce(path, tmp_path / "out")
+    found = reduce_file(path, tmp_path / "out")
     assert found["passive"]
     assert found["norm"] == "peak"
     assert found["error_estimate"] < 6e-3  # 300 draws of a thousandth, near each entry's peak
@@ -201,7 +201,7 @@ def test_a_passive_fit_stays_near_data_that_lie_on_the_edge(tmp_path):
     draw = np.random.default_rng(2).normal(size=(2, 200, 2, 2))
     S = skrf.network.z2s(Z, 50.0) + 1e-3 * (draw[0] + 1j * draw[1])
     path = touchstone(tmp_path / "filter.s2p", f, S)
-    found = reduce(path, tmp_path / "out")
+    found = reduce_file(path, tmp_path / "out")
     rom = read_rom(found["rom"])
     wide = np.geomspace(1e3, 1e11, 4000)
     Y = 2j * np.pi * wide[:, None, None] * rom.transfer(wide)
@@ -221,7 +221,7 @@ def test_published_files_become_circuits_as_near_as_stated(tmp_path, name, devia
     reading of the file, all of whose frequencies lie on one grid."""
     path = Path(skrf.__file__).parent / "data" / name
     net = skrf.Network(str(path))
-    found = reduce(path, tmp_path)
+    found = reduce_file(path, tmp_path)
     assert found["passive"]
     assert found["error_estimate"] == pytest.approx(float(deviation), rel=0.03)
     rom = read_rom(found["rom"])
@@ -258,7 +258,7 @@ def test_states_of_a_published_file_do_not_depend_on_rounding(name):
 def test_a_published_file_that_no_circuit_describes_is_refused(tmp_path):
     path = Path(skrf.__file__).parent / "data" / "ring slot measured.s1p"
     with pytest.raises(kc.errors.GateMissedError, match="does not describe"):
-        reduce(path, tmp_path / "out")
+        reduce_file(path, tmp_path / "out")
     assert not (tmp_path / "out").exists()
 
 
@@ -267,7 +267,7 @@ def test_an_amplifier_has_no_passive_model(tmp_path):
     S[:, 1, 0] = 3.0
     path = touchstone(tmp_path / "gain.s2p", np.linspace(1e6, 9e6, 50), S)
     with pytest.raises(kc.errors.UsageError, match=r"passive"):
-        reduce(path, tmp_path / "out")
+        reduce_file(path, tmp_path / "out")
     assert not (tmp_path / "out").exists()
 
 
@@ -291,9 +291,9 @@ def test_open_and_short_circuits_are_refused_without_a_warning(tmp_path):
         warnings.simplefilter("error")
         for path, words in cases:
             with pytest.raises(kc.errors.UsageError, match=words):
-                reduce(path, tmp_path / "out")
+                reduce_file(path, tmp_path / "out")
         two[:, 1, 1] = 1 / (20 + 1 / (2j * np.pi * f * 2e-9))
         path = touchstone(tmp_path / "two.s2p", f, skrf.network.y2s(two, 50.0))
-        found = reduce(path, tmp_path / "out")
+        found = reduce_file(path, tmp_path / "out")
     assert read_measured(path).noise < 1e-3
     assert found["error_estimate"] < 2e-3

@@ -13,7 +13,7 @@ from kc2spice.netlist.expression import parse
 from kc2spice.rom.branch_fit import one_port
 from kc2spice.rom.io import read_rom
 from kc2spice.rom.network import parallel_branches
-from kc2spice.workflow.reduce_files import first_deck, reduce
+from kc2spice.workflow.reduce_files import first_deck, reduce_file
 
 NOISE = 1e-3
 RMS = np.sqrt(2) * NOISE
@@ -102,7 +102,7 @@ def simulated(model, f):
 def test_a_coil_conducts_below_its_band(tmp_path):
     """Windings with eddy currents, extrapolated to a two hundredth of the lowest frequency."""
     path = coil_file(tmp_path / "coil.csv")
-    found = reduce(path, tmp_path / "out")
+    found = reduce_file(path, tmp_path / "out")
     assert found["order"] == 3
     assert found["error_estimate"] < 3 * np.sqrt(2) * 3e-5
     model = read_rom(found["rom"])
@@ -118,12 +118,12 @@ def test_a_coil_conducts_below_its_band(tmp_path):
 def test_resistance_at_zero_frequency_is_that_of_the_user(tmp_path):
     path = coil_file(tmp_path / "coil.csv")
     for text, resistance in (("80 mOhm", 0.08), (0.0799, 0.0799)):
-        found = reduce(path, tmp_path / "out", dc=text)
+        found = reduce_file(path, tmp_path / "out", dc=text)
         network = parallel_branches(read_rom(found["rom"]))
         assert 1 / network.conductance == pytest.approx(resistance, rel=1e-6)
     for text in ("-3 Ohm", "0 Ohm", "80 mH", "nothing"):
         with pytest.raises(kc.errors.UsageError, match="--dc"):
-            reduce(path, tmp_path / "out", dc=text)
+            reduce_file(path, tmp_path / "out", dc=text)
 
 
 def test_a_resistor_beside_a_capacitor_conducts(tmp_path):

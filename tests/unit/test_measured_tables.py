@@ -8,7 +8,7 @@ from typer.testing import CliRunner
 import kc2spice as kc
 from kc2spice.bodies.readers.measured import read_measured
 from kc2spice.cli.main import app
-from kc2spice.workflow.reduce_files import reduce
+from kc2spice.workflow.reduce_files import reduce_file
 
 F = np.linspace(1e3, 1e5, 400)
 W = 2 * np.pi * F
@@ -219,8 +219,8 @@ def test_a_misfit_above_a_percent_warns(tmp_path):
     noisy = PART * (1 + 4e-3 * (random[0] + 1j * random[1]))
     path = tmp_path / "noisy.csv"
     path.write_text("f_hz,r_ohm,x_ohm\n" + lines(F, noisy.real, noisy.imag))
-    found = reduce(path, tmp_path / "out")
+    found = reduce_file(path, tmp_path / "out")
     assert 0.01 < found["error_estimate"] < 0.03
     assert len(found["warnings"]) == 1
     path.write_text("f_hz,r_ohm,x_ohm\n" + lines(F, PART.real, PART.imag))
-    assert not reduce(path, tmp_path / "out")["warnings"]
+    assert not reduce_file(path, tmp_path / "out")["warnings"]

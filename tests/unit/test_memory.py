@@ -11,7 +11,7 @@ import pytest
 from kc2spice.core.memory import available_bytes
 from kc2spice.rom import stability as proofs
 from kc2spice.rom.linear_model import LinearModel
-from kc2spice.rom.reduce import reduce
+from kc2spice.rom.reduce import reduce_model
 
 
 def system(root, files):
@@ -71,6 +71,6 @@ def test_a_proof_without_memory_leaves_stability_open(monkeypatch):
     model = LinearModel(M=np.eye(n), K=K, B=np.eye(n)[:, [0]], rayleigh=(0.0, 1e-2))
     with warnings.catch_warnings(record=True) as said:
         warnings.simplefilter("always")
-        rom = reduce(model, tolerance=1e-3, band=(0.0, 0.1))
+        rom = reduce_model(model, tolerance=1e-3, band=(0.0, 0.1))
     assert rom.certificate.stable is None
     assert any("memory does not hold the factor" in str(each.message) for each in said)

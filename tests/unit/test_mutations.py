@@ -91,7 +91,9 @@ def refused(done, place):
 @pytest.mark.parametrize("chunk", seeds(50, 900))
 def test_damaged_scenes_are_refused_with_key_or_line(chunk, cli, tmp_path, monkeypatch):
     """``run`` gets as far as the study, which is replaced, or says which line or key is wrong."""
-    monkeypatch.setattr("kc2spice.workflow.run.run", lambda *_, **__: {"wall_s": {}, "files": []})
+    monkeypatch.setattr(
+        "kc2spice.workflow.run.run_scene", lambda *_, **__: {"wall_s": {}, "files": []}
+    )
     texts = [path.read_text(encoding="utf-8") for path in gallery().values()]
     bad = 0
     for seed in chunk:

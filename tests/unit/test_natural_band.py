@@ -6,7 +6,7 @@ from scipy import sparse
 
 from kc2spice.rom.band import band_end, natural_band
 from kc2spice.rom.linear_model import LinearModel
-from kc2spice.rom.reduce import reduce
+from kc2spice.rom.reduce import reduce_model
 from kc2spice.workflow.reduce_files import _scene_body
 
 K_LINK, MASS = 1e6, 1e-2
@@ -65,7 +65,7 @@ def test_a_soft_support_is_no_free_body(ground):
     n = 40
     parts = free_chain(n, ground)
     model = LinearModel(**parts, B=np.eye(n)[:, [5]], rayleigh=(0.0, 1e-6))
-    rom = reduce(model, tolerance=1e-3, band=(0.0, 900.0), norm="peak")
+    rom = reduce_model(model, tolerance=1e-3, band=(0.0, 900.0), norm="peak")
     known = parts["K"][0, 0] - K_LINK  # as it is stored
     assert rom.transfer([0.0])[0, 0, 0].real * known == pytest.approx(1.0, rel=1e-6)
 
@@ -85,7 +85,7 @@ def test_modes_that_no_port_excites_are_in_no_estimate(dashpot):
     exact = free_frequencies(n)
     top = float(exact[8])
     model = LinearModel(**parts, B=B)
-    rom = reduce(model, tolerance=1e-4, band=(0.0, top))
+    rom = reduce_model(model, tolerance=1e-4, band=(0.0, top))
     assert rom.certificate.error_estimate <= 1e-4
     frequency = np.r_[1e-3, exact[:8] * 1.001, np.linspace(0.1, 0.99, 20) * top]
     found, full = rom.transfer(frequency)[:, 0, 0], model.transfer(frequency)[:, 0, 0]

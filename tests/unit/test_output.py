@@ -14,7 +14,7 @@ from kc2spice.core.errors import UsageError
 from kc2spice.core.files import staged
 from kc2spice.scene.load import load_scene
 from kc2spice.workflow.export import export
-from kc2spice.workflow.reduce_files import export_rom, reduce
+from kc2spice.workflow.reduce_files import export_rom, reduce_file
 
 
 def write(work, **files):
@@ -234,7 +234,7 @@ def test_so_do_a_run_a_saved_result_and_a_reduced_model(tmp_path):
     (tmp_path / "gone.cir").mkdir()  # no deck
     kc.run(fall, tmp_path)  # nothing of that name was there
     np.savez(tmp_path / "m.npz", K=np.eye(2), M=np.diag([1.0, 2.0]), B=np.eye(2))
-    rom = Path(reduce(tmp_path / "m.npz", tmp_path / "rom", order=2, band=(0.0, 1.0))["rom"])
+    rom = Path(reduce_file(tmp_path / "m.npz", tmp_path / "rom", order=2, band=(0.0, 1.0))["rom"])
     lump = rom.rename(rom.with_name("lump.npz"))
     (tmp_path / "lump.lib").write_text("* another\nR1 a 0 1\n")
     other = kc.run(fall | {"name": "drop", "sphere": {"radius": 2e-3}})

@@ -80,7 +80,7 @@ ROLES = (
     (Chip, {"side": 0.5, "depth": 0.5, "diameter": 0.5, "height": 1.0}),
     (Cap, {"thickness": 0.03}),
     (bimorph.BimorphKeys, {"length": 1.0, "width": 0.5, "tip_mass": 1e3}),
-    (bimorph.Layer, {"thickness": 0.03}),
+    (bimorph.BimorphLayer, {"thickness": 0.03}),
     (mass.MassKeys, {"mass": 1e3}),
     (PulseKeys, {}),
 )

@@ -10,7 +10,7 @@ from kc2spice.bodies.readers import read_model
 from kc2spice.core.errors import UsageError
 from kc2spice.rom.io import read_rom, write_rom
 from kc2spice.rom.linear_model import LinearModel
-from kc2spice.rom.reduce import reduce as reduce_model
+from kc2spice.rom.reduce import reduce_model
 
 N = 12
 

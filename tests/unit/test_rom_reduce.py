@@ -7,7 +7,7 @@ from mor_families import damped_chain
 from kc2spice.core.errors import UsageError
 from kc2spice.rom.linear_model import LinearModel, Port
 from kc2spice.rom.pencil import Pencil
-from kc2spice.rom.reduce import reduce
+from kc2spice.rom.reduce import reduce_model
 from kc2spice.rom.stability import prove_stability
 
 
@@ -35,14 +35,14 @@ def chain(n, dashpot, **more):
 )
 def test_what_cannot_be_asked_for_is_refused(asked, says):
     with pytest.raises(UsageError, match=says):
-        reduce(chain(20, dashpot=0.3), **asked)
+        reduce_model(chain(20, dashpot=0.3), **asked)
 
 
 def test_the_band_is_that_asked_for_or_the_models_own():
     model = chain(20, dashpot=0.3, band=(0.0, 0.02))
-    assert reduce(model, order=4).certificate.band_hz == (0.0, 0.02)
-    assert reduce(model, order=4, band=(0.0, 0.03)).certificate.band_hz == (0.0, 0.03)
-    assert reduce(model, order=4).band == (0.0, 0.02)
+    assert reduce_model(model, order=4).certificate.band_hz == (0.0, 0.02)
+    assert reduce_model(model, order=4, band=(0.0, 0.03)).certificate.band_hz == (0.0, 0.03)
+    assert reduce_model(model, order=4).band == (0.0, 0.02)
 
 
 # -------------------------------------------------------------------------- models that move
@@ -56,14 +56,17 @@ def test_a_free_model_keeps_its_motion_without_force():
     E[:2, :2] += 0.3 * np.array([[1, -1], [-1, 1]])
     model = LinearModel(M=np.eye(n), E=E, K=K, B=np.eye(n)[:, [0]],
                         ports=(Port("tip", "mechanical"),))  # fmt: skip
-    rom = reduce(model, order=2, band=(0.0, 0.05))
+    rom = reduce_model(model, order=2, band=(0.0, 0.05))
     frequency = 1e-6  # x = -F / (3 m w^2)
     found = rom.transfer(np.array([frequency]))[0, 0, 0]
     assert found * 3 * (2 * np.pi * frequency) ** 2 == pytest.approx(-1.0, rel=1e-9)
     assert not rom.K[0].any()
     assert not rom.K[:, 0].any()
     assert rom.certificate.method.count("free to move at zero frequency") == 1
-    assert "free to move" not in reduce(chain(9, 0.3), order=2, band=(0.0, 0.05)).certificate.method
+    assert (
+        "free to move"
+        not in reduce_model(chain(9, 0.3), order=2, band=(0.0, 0.05)).certificate.method
+    )
 
 
 @pytest.mark.parametrize(("kind", "least"), [("mechanical", 2), ("input", 1)])
@@ -72,12 +75,12 @@ def test_static_answers_of_mechanical_ports_are_exact(kind, least):
     kinds = ("mechanical",) * 2 if kind == "mechanical" else ("input",) * 2 + ("output",) * 2
     ports = tuple(Port(f"p{k}", each) for k, each in enumerate(kinds))
     model = chain(20, dashpot=0.3, ports=ports)
-    rom = reduce(model, tolerance=0.9, band=(0.005, 0.01))
+    rom = reduce_model(model, tolerance=0.9, band=(0.005, 0.01))
     assert rom.order >= least
     static, exact = (each.transfer(np.zeros(1))[0].real for each in (rom, model))
     error = (abs(static - exact) / abs(exact)).max()
     assert error < 1e-9 if kind == "mechanical" else error > 1e-6
-    low = reduce(model, order=2, band=(0.0, 0.01)).transfer(np.zeros(1))[0].real
+    low = reduce_model(model, order=2, band=(0.0, 0.01)).transfer(np.zeros(1))[0].real
     np.testing.assert_allclose(low, exact, rtol=1e-9)
 
 

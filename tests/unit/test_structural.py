@@ -9,7 +9,7 @@ import scipy
 from kc2spice.core.errors import UsageError
 from kc2spice.rom.linear_model import LinearModel, Port
 from kc2spice.rom.lossy_modes import joined, relaxing_oscillator, viscous_oscillator
-from kc2spice.rom.reduce import reduce
+from kc2spice.rom.reduce import reduce_model
 from kc2spice.spice.realize import subcircuit
 
 
@@ -20,7 +20,7 @@ def test_one_oscillator_has_its_loss_at_resonance():
     resonance = np.sqrt(k / m) / (2 * np.pi)
     assert model.transfer([resonance])[0, 0, 0] == pytest.approx(1 / (1j * eta * k))
     with pytest.warns(UserWarning, match="no causal model has a structural damping of 0.03"):
-        rom = reduce(model, tolerance=1e-4, band=(0.0, 2 * resonance), norm="pointwise")
+        rom = reduce_model(model, tolerance=1e-4, band=(0.0, 2 * resonance), norm="pointwise")
     assert rom.transfer([resonance])[0, 0, 0] == pytest.approx(1 / (1j * eta * k), rel=1e-6)
     frequency = np.linspace(0.01, 1.99, 199) * resonance
     w = 2 * np.pi * frequency
@@ -48,10 +48,10 @@ def test_an_imaginary_part_that_is_no_loss_is_refused():
         with pytest.raises(UsageError, match="no state-space form"):
             model.state_space()
         with pytest.raises(UsageError, match="within a tolerance"):
-            reduce(model, order=1, band=(0.0, 1.0))
+            reduce_model(model, order=1, band=(0.0, 1.0))
     model = LinearModel(M=np.eye(2), E=np.diag([0.1, 0.3]), K=K + 0.1j * np.eye(2), B=np.eye(2))
     with pytest.raises(UsageError, match="several materials beside a damping matrix"):
-        reduce(model, tolerance=1e-3, band=(0.0, 1.0))
+        reduce_model(model, tolerance=1e-3, band=(0.0, 1.0))
 
 
 def bar(n, loss):
@@ -92,7 +92,7 @@ def test_relaxations_bring_a_model_nearer_than_its_loss_factor(eta, band, most):
     assert model.loss_factor == pytest.approx(eta, rel=1e-12)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore" if most > 1e-4 else "error")
-        rom = reduce(model, tolerance=1e-4, band=band, norm="peak")
+        rom = reduce_model(model, tolerance=1e-4, band=band, norm="peak")
     error = largest_error(rom, (M, K, H, B), band, modes)
     assert error <= rom.certificate.error_estimate <= most
     assert rom.certificate.passive
@@ -109,7 +109,7 @@ def test_a_band_far_above_the_resonances_includes_the_loss_at_rest():
     n, band = 20, (0.0, 500e3)
     M, K, H, modes = bar(n, 0.01)
     B = np.eye(n)[:, [n - 1]]
-    rom = reduce(LinearModel(M=M, K=K + 1j * H, B=B), tolerance=1e-4, band=band, norm="peak")
+    rom = reduce_model(LinearModel(M=M, K=K + 1j * H, B=B), tolerance=1e-4, band=band, norm="peak")
     slow = np.array([1e-3, 1.0, 20.0])
     exact = np.array(
         [B.T @ np.linalg.solve(K + 1j * H - (2 * np.pi * f) ** 2 * M, B) for f in slow]
@@ -127,7 +127,7 @@ def test_losses_of_several_materials_make_a_passive_model_of_known_error(form):
     B = np.eye(n)[:, [5, 30]]
     model = LinearModel(M=form(M), K=form(K + 1j * H), B=B)
     assert model.loss_factor == 0
-    rom = reduce(model, tolerance=1e-4, band=band, norm="peak")
+    rom = reduce_model(model, tolerance=1e-4, band=band, norm="peak")
     error = largest_error(rom, (M, K, H, B), band, modes)
     assert error <= rom.certificate.error_estimate <= 7e-3
     assert rom.certificate.passive
@@ -161,7 +161,7 @@ def test_a_ladder_of_real_poles_becomes_a_passive_model_of_first_order(kind):
     K[-1, -1] = 1.0
     ports = (Port("tip", "mechanical"),) if kind == "mechanical" else ()
     full = LinearModel(M=1e-9 * np.eye(n), E=np.eye(n), K=K, B=np.eye(n)[:, [0]], ports=ports)
-    rom = reduce(full, tolerance=1e-4, band=(0.0, 0.1), norm="peak")
+    rom = reduce_model(full, tolerance=1e-4, band=(0.0, 0.1), norm="peak")
     assert rom.first_order
     # In second order 16 states. Conservative ports keep their static answer exactly.
     assert rom.order == (7 if kind == "signal" else 8)
@@ -177,7 +177,7 @@ def test_a_ladder_of_real_poles_becomes_a_passive_model_of_first_order(kind):
     assert all(np.array_equal(P, P.T) for P in parts)
     assert all(np.linalg.eigvalsh(P)[0] > 0 for P in parts)
     heavy = LinearModel(M=np.eye(n), E=0.1 * np.eye(n), K=K, B=np.eye(n)[:, [0]], ports=ports)
-    assert not reduce(heavy, tolerance=1e-2, band=(0.0, 0.1), norm="peak").first_order
+    assert not reduce_model(heavy, tolerance=1e-2, band=(0.0, 0.1), norm="peak").first_order
 
 
 @pytest.mark.parametrize(("tolerance", "states"), [(1e-2, 6), (1e-3, 8), (1e-4, 11)])
@@ -189,7 +189,9 @@ def test_two_ports_of_a_network_of_resistors_and_capacitors_stay_passive(toleran
     for k in range(n - 1):
         K[k : k + 2, k : k + 2] += rng.uniform(0.5, 2) * np.array([[1, -1], [-1, 1]])
     E, B = np.diag(rng.uniform(0.5, 2, n)), np.eye(n)[:, [0, n // 2]]
-    rom = reduce(LinearModel(E=E, K=K, B=B), tolerance=tolerance, band=(0.0, 0.3), norm="peak")
+    rom = reduce_model(
+        LinearModel(E=E, K=K, B=B), tolerance=tolerance, band=(0.0, 0.3), norm="peak"
+    )
     assert rom.first_order
     assert rom.certificate.passive
     frequency = np.r_[0.0, np.geomspace(1e-5, 0.3, 150)]
@@ -230,7 +232,7 @@ def supported_chain(n, support, where):
 def test_a_support_above_rounding_is_kept(n, support, where):
     """3e-14 of the stiffness, dense and sparse: far below the resonance the support alone holds."""
     model, exact, resonance = supported_chain(n, support, where)
-    rom = reduce(model, tolerance=1e-4, band=(0.0, 20.0), norm="peak")
+    rom = reduce_model(model, tolerance=1e-4, band=(0.0, 20.0), norm="peak")
     f = resonance * np.array([0.0, 0.1, 0.5, 2.0, 10.0])
     assert np.abs(rom.transfer(f)[:, 0, 0] / exact(f) - 1).max() < 0.01
     assert "free to move" not in rom.certificate.method
@@ -243,7 +245,7 @@ def test_a_support_that_rounding_hides_is_left_out_with_a_warning(support, where
     resonance is not known. The warning has the resonance, and above it the response is right."""
     model, exact, resonance = supported_chain(40, support, where)
     with pytest.warns(UserWarning, match="a support is so soft that rounding") as caught:
-        rom = reduce(model, tolerance=1e-4, band=(0.0, 20.0), norm="peak")
+        rom = reduce_model(model, tolerance=1e-4, band=(0.0, 20.0), norm="peak")
     text = next(str(w.message) for w in caught if "so soft" in str(w.message))
     stated = float(text.split("at about ")[1].split(" Hz")[0])
     assert stated == pytest.approx(resonance, rel=0.1)
@@ -252,14 +254,14 @@ def test_a_support_that_rounding_hides_is_left_out_with_a_warning(support, where
     assert "hidden by rounding" in rom.certificate.method
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        reduce(model, tolerance=1e-4, band=(1.0, 20.0), norm="peak")
+        reduce_model(model, tolerance=1e-4, band=(1.0, 20.0), norm="peak")
 
 
 def test_a_body_that_is_free_to_move_states_which_supports_it_could_not_see():
     model, exact, _ = supported_chain(40, 0.0, "all")
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        rom = reduce(model, tolerance=1e-4, band=(0.0, 20.0), norm="peak")
+        rom = reduce_model(model, tolerance=1e-4, band=(0.0, 20.0), norm="peak")
     assert "supports that resonate below 8.0e-05 Hz being hidden" in rom.certificate.method
     f = np.array([1e-4, 1e-2, 1.0, 10.0])
     assert np.abs(rom.transfer(f)[:, 0, 0] / exact(f) - 1).max() < 1e-3

@@ -7,7 +7,7 @@ from hard_cases.kit import HEADER, LATCH, bench_deck, case
 
 from kc2spice.parts._template import opamp_subcircuit
 from kc2spice.rom.linear_model import LinearModel
-from kc2spice.rom.reduce import reduce
+from kc2spice.rom.reduce import reduce_model
 from kc2spice.scene.load import load_scene
 from kc2spice.spice.realize import subcircuit
 
@@ -18,7 +18,7 @@ SIZE = 40
 def response_error(bench, matrices, top=0.1):
     """Reduced, written, run in ngspice, against ``C (s^2 M + s E + K)^-1 B`` in full."""
     model = LinearModel(**families.as_files(matrices), name="hard")
-    rom = reduce(model, band=(0.0, top), tolerance=1e-6)
+    rom = reduce_model(model, band=(0.0, top), tolerance=1e-6)
     part, frequency = subcircuit(rom, "part", HEADER), np.linspace(top / 50, top, 50)
     size = rom.B.shape[1], rom.C.shape[0]
     found = families.spice_response(part, *size, frequency, bench.directory)
