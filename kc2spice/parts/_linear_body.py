@@ -166,7 +166,7 @@ class LinearBody(Touching):
 
     # --- scene ----------------------------------------------------------------------------------
 
-    def kept(self, part: Part, scene: JoinedScene) -> tuple[Port, ...]:
+    def used_ports(self, part: Part, scene: JoinedScene) -> tuple[Port, ...]:
         """The ports that the scene needs: electrical ones, and others that something names.
 
         Return all ports if the body is the only part, because such a scene exists to export the
@@ -175,7 +175,7 @@ class LinearBody(Touching):
         every = self.ports(part, scene)
         if len(scene.parts) == 1 or scene.ports == "all":
             return every
-        names = wanted(part, scene)
+        names = required_ports(part, scene)
         known = {"ground", *REFERENCES, *(t for p in every for t in (p.name, *p.terminals))}
         _require_ports(part, sorted(names - known), [port.name for port in every])
         if scene.ports == "declared" and part.declares:
@@ -185,7 +185,7 @@ class LinearBody(Touching):
 
     def pins(self, part: Part, scene: JoinedScene) -> tuple[Terminal, ...]:
         """In the order of the subcircuit."""
-        ports, rated = self.kept(part, scene), self.rated(part)
+        ports, rated = self.used_ports(part, scene), self.rated(part)
         electrical = [p for p in ports if p.paired]
         moved = [p for p in ports if p.kind in ANSWERS]
         result: list[Terminal] = []
@@ -194,7 +194,7 @@ class LinearBody(Touching):
             plus, minus = port.terminals
             result.append(Terminal(plus, port.across, port.flow, rated=rated))
             if minus not in shared:
-                floating = minus in wanted(part, scene) - set(part.pins)
+                floating = minus in required_ports(part, scene) - set(part.pins)
                 result.append(Terminal(minus, port.across, port.flow, None if floating else "gnd"))
             shared.add(minus)
         result += [Terminal(port.terminals[0], port.across, port.flow) for port in moved]
@@ -209,7 +209,7 @@ class LinearBody(Touching):
         """Holds all pins against its reference."""
         last = scene.pins(part.name)[-1]
         end = GROUND if last.name in (BASE, "ground") else last.name
-        pins = (pin for pin, _ in super().at_rest(part, scene).held)
+        pins = (pin for pin, _ in super().at_rest(part, scene).paths)
         return Rest(tuple((pin, end) for pin in pins if pin != end))
 
     def rest_with_model(self, part: Part, build: Build) -> Rest:
@@ -221,7 +221,7 @@ class LinearBody(Touching):
         model, rest = build.models.get(part.name), build.scene.records[part.name].rest
         if not isinstance(model, LinearModel):
             return rest
-        ports, result = self.kept(part, build.scene), rest.held
+        ports, result = self.used_ports(part, build.scene), rest.paths
         inert, free = inert_ports(model), free_to_move(model)
         filled = set() if free else {port.terminals[0] for port in ports if port.charged}
         result = tuple(pair for pair in result if pair[0] not in filled)
@@ -233,7 +233,7 @@ class LinearBody(Touching):
         return Rest(fixed + tuple((first, other) for other in others), inert=inert)
 
     def inertial(self, part: Part, scene: JoinedScene) -> tuple[str, ...]:
-        ports = (port for port in self.kept(part, scene) if port.domain is TRANSLATION)
+        ports = (port for port in self.used_ports(part, scene) if port.domain is TRANSLATION)
         return tuple(port.terminals[0] for port in ports)
 
     def problems(self, part: Part, scene: GovernedScene) -> Iterator[UsageError]:
@@ -275,9 +275,9 @@ class LinearBody(Touching):
     def _chosen(self, part: Part, scene: Scene) -> Rom | None:
         """The reduction that somebody chose: the body's own, which may as well say no more than
         which keys are parameters of the netlist, else the scene's."""
-        own: Rom | None = part.keys.rom
-        if own is not None and own.model_fields_set != {"parameters"}:
-            return own
+        specified: Rom | None = part.keys.rom
+        if specified is not None and specified.model_fields_set != {"parameters"}:
+            return specified
         return scene.rom if "rom" in scene.frame.model_fields_set else None
 
     def reduction(self, part: Part, scene: Scene) -> Rom:
@@ -288,18 +288,18 @@ class LinearBody(Touching):
         frequencies reach. A thousandth is a tenth of what meshes are off, and above what rounding
         does to a thin plate that is free to move (some 1e-4 at its resonances).
         """
-        own, result = part.keys.rom, self._chosen(part, scene)
+        specified, result = part.keys.rom, self._chosen(part, scene)
         if result is None and scene.analysis.small:
             low, high = scene.analysis.start, float(scene.analysis.stop or 1.0)
             result = Rom(tolerance=1e-3, band=(0.8 * low, 1.2 * high))
         elif result is None:
             content = max((row.content for row in scene.numerics), default=0.0)
             result = Rom(tolerance=1e-4, band=(0.0, max(content, LEAST)))
-        if own is None or result is own:
+        if specified is None or result is specified:
             return result
-        return result.model_copy(update={"parameters": own.parameters})
+        return result.model_copy(update={"parameters": specified.parameters})
 
-    def sure(self, part: Part, scene: Scene) -> float | None:
+    def least_band_end(self, part: Part, scene: Scene) -> float | None:
         """Least upper end of the band of a transient [Hz]; None if the user set the band.
 
         It does not depend on the natural frequencies of the body.
@@ -310,18 +310,23 @@ class LinearBody(Touching):
 
     def model_key(self, part: Part, scene: Scene) -> Mapping[str, Any]:
         rom = reduction_target(part, scene)
-        kept = [port.name for port in self.kept(part, scene)]
-        own = rom.model_dump(mode="json")
-        result = {"type": self.name, "full": self.full_key(part, scene), "ports": kept, "rom": own}
-        sure = self.sure(part, scene)
-        reached = {} if sure is None else {"sure": sure, "motions": MOTIONS}
+        port_names = [port.name for port in self.used_ports(part, scene)]
+        settings = rom.model_dump(mode="json")
+        result = {
+            "type": self.name,
+            "full": self.full_key(part, scene),
+            "ports": port_names,
+            "rom": settings,
+        }
+        least_end = self.least_band_end(part, scene)
+        reached = {} if least_end is None else {"sure": least_end, "motions": MOTIONS}
         return result | reached | {"massless": massless(part, scene)}
 
     def varying(self, part: Part, scene: Scene, clock: Clock) -> Varying:
         """The resonators over the box of ``rom.parameters``, which no value of these changes."""
         keys = varied(part)
         middle = with_values(part, {item.key: item.axis.middle for item in keys})
-        target, asked = reduction_target(part, scene), self.model_key(middle, scene)
+        target, key = reduction_target(part, scene), self.model_key(middle, scene)
         if loss_tangent(part):
             problem = "a netlist with parameters has no loss of its dielectric"
             raise wrong(f"{part.name}.damping.loss_tangent", problem, loss_tangent(part), "0")
@@ -336,17 +341,17 @@ class LinearBody(Touching):
         if target.order is not None and "order" in target.model_fields_set and part.keys.rom.order:
             problem = "a netlist with parameters has as many states as its tolerance takes"
             raise wrong(f"{part.name}.rom.order", problem, target.order, "rom.tolerance")
-        asked = {**asked, "box": [[item.key, item.low, item.high] for item in keys]}
+        key = {**key, "box": [[item.key, item.low, item.high] for item in keys]}
 
         def build() -> Varying:
             from kc2spice.rom.varying import over_box
 
             def full(values: Mapping[str, float]) -> LinearModel:
                 other = with_values(part, values)
-                return self.varied(other, scene, clock, middle).select(asked["ports"])
+                return self.varied(other, scene, clock, middle).select(key["ports"])
 
             band = _reaching(
-                target.band, asked, lambda: full({item.key: item.axis.middle for item in keys})
+                target.band, key, lambda: full({item.key: item.axis.middle for item in keys})
             )
             text = f"model of {part.name} over {len(keys)} parameters"
             with clock.stage("reduce", text) as share:
@@ -361,14 +366,14 @@ class LinearBody(Touching):
 
         def load() -> Varying:
             classes = (Varying, ParameterAxis, Loss, Certificate, Port)
-            return cached("box", asked, build, classes=classes, sources=self.sources())
+            return cached("box", key, build, classes=classes, sources=self.sources())
 
-        return scene.workspace.latest(f"range of {part.name}", asked, load)
+        return scene.workspace.latest(f"range of {part.name}", key, load)
 
     def build(
         self, part: Part, scene: Scene, clock: Clock, full: bool = False
     ) -> LinearModel | None:
-        keys, names = varied(part), [port.name for port in self.kept(part, scene)]
+        keys, names = varied(part), [port.name for port in self.used_ports(part, scene)]
         if full and (loss_tangent(part) or by_complex_constants(part)):
             return None  # the matrices of a full model cannot have such losses
         if full and keys:  # on the mesh that all values of the box share
@@ -379,7 +384,7 @@ class LinearBody(Touching):
         if keys:
             return self.varying(part, scene, clock).at({item.key: item.value for item in keys})
         # Asked here, as parts of the key: what runs within ``build`` is hashed with its modules.
-        target, asked = reduction_target(part, scene), self.model_key(part, scene)
+        target, model_key = reduction_target(part, scene), self.model_key(part, scene)
         tangent, constants = loss_tangent(part), by_complex_constants(part)
 
         def build() -> LinearModel:
@@ -388,10 +393,10 @@ class LinearBody(Touching):
             from kc2spice.rom.modal import lossy, without_inertia
             from kc2spice.rom.reduce import reduce_model
 
-            selected = self.full(part, scene, clock).select(asked["ports"])
+            selected = self.full(part, scene, clock).select(model_key["ports"])
             with clock.stage("reduce", f"reduction of {part.name}"):
                 order = None if target.order is None else min(target.order, selected.order)
-                band = _reaching(target.band, asked, lambda: selected)
+                band = _reaching(target.band, model_key, lambda: selected)
                 norm = target.norm or default_norm(selected)
                 if constants:
                     selected = _barely_damped(part, selected, band)
@@ -408,7 +413,7 @@ class LinearBody(Touching):
                 raise wrong(f"{part.name}.damping.{key}", problem, got, expected)
             if modal is None:
                 return small
-            if asked["massless"]:
+            if model_key["massless"]:
                 modal = without_inertia(modal, target.tolerance)
             labels: dict[str, Any] = {"name": small.name, "facts": small.facts, "band": small.band}
             if constants:
@@ -419,17 +424,17 @@ class LinearBody(Touching):
             return replace(modal.linear(), **labels)
 
         kinds = (LinearModel, Certificate, Port)
-        return cached("body", asked, build, classes=kinds, sources=self.sources())
+        return cached("body", model_key, build, classes=kinds, sources=self.sources())
 
     def library(self, part: Part, scene: Scene) -> str:
         """Its part number, else :meth:`scene_library`."""
-        own = self.scene_library(part, scene)
-        return identifier(part.keys.number, part.name) if part.keys.number else own
+        scene_name = self.scene_library(part, scene)
+        return identifier(part.keys.number, part.name) if part.keys.number else scene_name
 
     def scene_library(self, part: Part, scene: Scene) -> str:
         """The names of scene and part: libraries of many scenes may stand in one folder."""
-        own = f"{scene.name[: _LONGEST - len(part.name)]}_{part.name}"
-        return identifier(own, part.name)
+        name = f"{scene.name[: _LONGEST - len(part.name)]}_{part.name}"
+        return identifier(name, part.name)
 
     def subcircuits(self, part: Part, build: Build, header: Header) -> tuple[Subcircuit, ...]:
         name = build.libraries[part.name]
@@ -452,7 +457,7 @@ class LinearBody(Touching):
 
     def vectors(self, part: Part, build: Build) -> Mapping[str, Vector]:
         result: dict[str, Vector] = {}
-        ports = self.kept(part, build.scene)
+        ports = self.used_ports(part, build.scene)
         for port in ports:
             name, node = wave_name(part.name, ports, port), build.net(part, port.terminals[0])
             if port.paired:
@@ -570,8 +575,8 @@ class LinearBody(Touching):
         if result is not None:
             yield from self._reduced(part, build, waves, result)
             if result.stable is False:
-                lost = prove_stability(model.pencil.dense(), result.band_hz).stable
-                advice, then = (LOST, "fail") if lost else (GROWS, "warn")
+                full_is_stable = prove_stability(model.pencil.dense(), result.band_hz).stable
+                advice, then = (LOST, "fail") if full_is_stable else (GROWS, "warn")
                 yield Check(f"stability of {part.name}", 1.0, 0.0, "", advice, then)  # type: ignore[arg-type]
         if result is not None and "frequency" in waves:
             highest = float(waves["frequency"].real.max())
@@ -591,7 +596,7 @@ class LinearBody(Touching):
 
         Of a response to small signals the amplitude counts, at the voltages that the scene states.
         """
-        volts, ports = self.rated(part, build), self.kept(part, build.scene)
+        volts, ports = self.rated(part, build), self.used_ports(part, build.scene)
         if volts is None:
             return
         for port in ports:
@@ -655,19 +660,19 @@ class LinearBody(Touching):
 
         t, load = waves["time"], np.column_stack([loads[name] for name in model.inputs])
         count = last_change(load) + 1
-        asked = {**self.model_key(part, build.scene), "enriched": model.order}
+        key = {**self.model_key(part, build.scene), "enriched": model.order}
 
         def richer() -> LinearModel | None:
             full = part.type.build(part, build.scene, Clock(), full=True)
             if not isinstance(full, LinearModel):
                 return None
             try:
-                return enriched(full, asked["enriched"], band)
+                return enriched(full, key["enriched"], band)
             except (SimulationError, UsageError):
                 return None
 
         kinds = (LinearModel, Certificate, Port)
-        rich = cached("enriched", asked, richer, classes=kinds, sources=self.sources())
+        rich = cached("enriched", key, richer, classes=kinds, sources=self.sources())
         if rich is None or count < 2:
             return None
         driven = [port for port in model.ports if port.kind != "output"]
@@ -691,7 +696,7 @@ class LinearBody(Touching):
                 yield Check(name, RESONANT * lowest, high, "Hz", TOUCHED, "warn")
             return
         apart = np.diff(t) > STILL * t[-1]
-        for port in self.kept(part, scene):
+        for port in self.used_ports(part, scene):
             if not port.paired or not apart.any():
                 continue
             name = wave_name(part.name, build.model(part, LinearModel).ports, port)
@@ -709,10 +714,10 @@ class LinearBody(Touching):
         A load is a voltage, an acceleration, or the force of all parts joined to the port. Ports
         whose force is not recorded are left out.
         """
-        kept, result = self.kept(part, build.scene), dict[str, np.ndarray]()
+        ports, result = self.used_ports(part, build.scene), dict[str, np.ndarray]()
         still, acting = np.zeros(waves["time"].size), pin_forces(build, waves)
-        for port in kept:
-            name = wave_name(part.name, kept, port)
+        for port in ports:
+            name = wave_name(part.name, ports, port)
             if not port.loaded:
                 wave = f"{name}.voltage" if port.paired else name
                 result[port.name] = waves.data.get(wave, still)
@@ -731,7 +736,7 @@ class LinearBody(Touching):
         nothing presses on the body any more; else displacements [m] and charges [C] are exact.
         """
         model, t = resonators(build.model(part, LinearModel)), waves["time"]
-        domains = {port.domain for port in self.kept(part, build.scene)}
+        domains = {port.domain for port in self.used_ports(part, build.scene)}
         if model is None or not all(d is TRANSLATION or (d and d.charged) for d in domains):
             return None
         loads = self.loads(part, build, waves)
@@ -785,7 +790,7 @@ class LinearBody(Touching):
         if build.net(part, last) != "0" and not heat:  # its reference
             return None
         signals = not any(port.conservative for port in ports)
-        own = tuple(
+        law_ports = tuple(
             laws.Port(
                 p.name,
                 p.domain.name if p.domain else p.kind,
@@ -798,14 +803,14 @@ class LinearBody(Touching):
             return None
         law: laws.Law
         if not model.pencil.is_dense:
-            law = laws.PortBody(n, model, own)
+            law = laws.PortBody(n, model, law_ports)
         elif signals:
             A = first_order(model.pencil.dense(), 1.0)
             rest, E = A.coefficients
             law = laws.SignalBlock(n, E, -rest, A.B, A.C, A.D, model.inputs, model.outputs)
         else:
             modal = resonators(model)
-            law = laws.SecondOrderBody(n, model if modal is None else modal.linear(), own)
+            law = laws.SecondOrderBody(n, model if modal is None else modal.linear(), law_ports)
         joins = [(port.terminals[0], f"{n}.{port.name}") for port in ports]
         joins += [(pin, f"{n}.{pin}") for port in ports for pin in port.terminals[1:]]
         joins += [(last, f"{n}.{last}")] * heat
@@ -822,11 +827,15 @@ class LinearBody(Touching):
 
     def notes(self, part: Part, scene: Scene) -> Iterator[str | Neglected]:
         rom = reduction_target(part, scene)
-        kept = self.kept(part, scene)
-        ports = ", ".join(port.name for port in kept)
-        reach = "" if self.sure(part, scene) is None else f", or {MOTIONS} natural frequencies"
+        used = self.used_ports(part, scene)
+        ports = ", ".join(port.name for port in used)
+        reach = (
+            ""
+            if self.least_band_end(part, scene) is None
+            else f", or {MOTIONS} natural frequencies"
+        )
         yield f"reduced to {aim(rom)}{reach}; ports {ports}"
-        rest = [port.name for port in self.ports(part, scene) if port not in kept]
+        rest = [port.name for port in self.ports(part, scene) if port not in used]
         if rest:
             what = f"{part.name}: ports {', '.join(rest)}"
             why = "nothing of the scene needs them"
@@ -850,8 +859,8 @@ class LinearBody(Touching):
 
     def sources(self) -> tuple[str, ...]:
         """Modules whose text the models of this type depend on, for the cache."""
-        own = (kind.__module__ for kind in type(self).__mro__ if issubclass(kind, LinearBody))
-        return (*SOURCES, *own)
+        classes = (kind.__module__ for kind in type(self).__mro__ if issubclass(kind, LinearBody))
+        return (*SOURCES, *classes)
 
 
 def _with_units(figures: Mapping[str, Any]) -> dict[str, Any]:
@@ -935,8 +944,8 @@ def scene_band(part: Part, scene: Scene, full: LinearModel) -> tuple[float, floa
     """Band [Hz] over which a scene reduces the ``full`` model of its body."""
     kind = part.type
     assert isinstance(kind, LinearBody)
-    target, asked = reduction_target(part, scene), kind.model_key(part, scene)
-    return _reaching(target.band, asked, lambda: full)
+    target, key = reduction_target(part, scene), kind.model_key(part, scene)
+    return _reaching(target.band, key, lambda: full)
 
 
 def _require_ports(
@@ -947,14 +956,14 @@ def _require_ports(
 
 
 def _reaching(
-    band: tuple[float, float], asked: Mapping[str, Any], full: Callable[[], LinearModel]
+    band: tuple[float, float], key: Mapping[str, Any], full: Callable[[], LinearModel]
 ) -> tuple[float, float]:
-    """The band up to the natural frequencies that the full model has in it, see ``sure``."""
+    """The band up to natural frequencies of the full model in it, see ``least_band_end``."""
     from kc2spice.rom.band import band_end
 
-    (low, high), sure = band, asked.get("sure")
-    if sure is not None and high > sure:
-        high = min(high, max(sure, band_end(full().pencil, MOTIONS, high)))
+    (low, high), least_end = band, key.get("sure")
+    if least_end is not None and high > least_end:
+        high = min(high, max(least_end, band_end(full().pencil, MOTIONS, high)))
     return low, high
 
 
@@ -974,7 +983,7 @@ def reduction_target(part: Part, scene: Scene) -> Rom:
     return result
 
 
-def wanted(part: Part, scene: JoinedScene) -> set[str]:
+def required_ports(part: Part, scene: JoinedScene) -> set[str]:
     """Names of ports or pins of ``part`` that other parts, its own pins or probes name."""
     prefix = f"{part.name}."
     assert isinstance(part.type, LinearBody)
@@ -1031,8 +1040,8 @@ def inert_ports(model: LinearModel) -> tuple[str, ...]:
     driven = (port for port in model.ports if port.kind != "output")
     return tuple(
         port.terminals[0]
-        for port, own in zip(driven, yields, strict=True)
-        if port.domain is TRANSLATION and own <= 0
+        for port, yielding in zip(driven, yields, strict=True)
+        if port.domain is TRANSLATION and yielding <= 0
     )
 
 

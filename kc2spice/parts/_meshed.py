@@ -192,16 +192,16 @@ class MeshedBody(LinearBody):
 
             yield _over_time(part.name, recovered)
             worst = recovered.worst
-            said = f"the instant of the worst stress: {1e-6 * worst.value:.3g} MPa in "
-            instants = {"": (worst.instant, said + worst.material)}
+            summary = f"the instant of the worst stress: {1e-6 * worst.value:.3g} MPa in "
+            instants = {"": (worst.instant, summary + worst.material)}
             instants |= {f"_{k}": (t, "as chosen") for k, t in enumerate(chosen(part), 1)}
             for stem, (t, what) in instants.items():
-                device, seen = recovered.motion.device, recovered.motion.at(t)
-                panel, factor = deformed(device, *seen)
+                device, state = recovered.motion.device, recovered.motion.at(t)
+                panel, factor = deformed(device, *state)
                 caption = f"At {1e3 * t:.4g} ms, {what}; displacements times {factor:g}."
                 name = f"{part.name}_deformed{stem}"
                 yield Figure(name, f"Deformed {part.name}", caption, (panel,))
-                fields = partial(write_vtu, device=device, z=seen[0], voltages=seen[1])
+                fields = partial(write_vtu, device=device, z=state[0], voltages=state[1])
                 yield Written(f"{part.name}_fields{stem}.vtu", fields)
 
     def recovered(self, part: Part, build: Build, waves: Waveforms) -> Recovered | None:
@@ -220,8 +220,8 @@ class MeshedBody(LinearBody):
             from kc2spice.bodies.fields import extremes, recover
 
             loads = self.loads(part, build, waves)
-            kept = [port.name for port in self.kept(part, build.scene)]
-            if unknown := [name for name in kept if name not in loads]:
+            port_names = [port.name for port in self.used_ports(part, build.scene)]
+            if unknown := [name for name in port_names if name not in loads]:
                 got = f"a force on {unknown[0]} that its part does not record"
                 expected = "contacts, springs, dampers, masses and sources"
                 problem = "fields need every load of the body"
@@ -273,8 +273,8 @@ class BondedBody(MeshedBody):
         blocks = self.bonded(part).blocks
         if len(blocks[0].box) == 3:
             return beam_envelope(blocks)
-        held = part.keys.support not in ("free", "back")
-        return disc_envelope(blocks, held, hasattr(part.keys, "layers"))
+        baffled = part.keys.support not in ("free", "back")
+        return disc_envelope(blocks, baffled, hasattr(part.keys, "layers"))
 
     def indentation_modulus(self, part: Part) -> float | None:
         top = self.bonded(part).blocks[-1].material
@@ -304,8 +304,8 @@ class BondedBody(MeshedBody):
             kind: Literal["ceramic", "metal"] = "ceramic" if made_of.piezoelectric else "metal"
             for x in ((outer + inner) / 2, -(outer + inner) / 2) if inner else (0.0,):
                 wide = outer - inner if inner else 2 * outer
-                said = "" if label in known else label
-                yield Shape(x, (low + high) / 2 - top, wide, high - low, kind, said)
+                legend = "" if label in known else label
+                yield Shape(x, (low + high) / 2 - top, wide, high - low, kind, legend)
                 known.add(label)
 
 
@@ -319,10 +319,10 @@ def _slug(material: str) -> str:
     return re.sub(r"[^a-z0-9]+", "_", material.lower()).strip("_")
 
 
-def _over_time(name: str, found: Recovered) -> Figure:
+def _over_time(name: str, recovered: Recovered) -> Figure:
     panels = []
     for quantity, (_, _, label, _) in _QUANTITIES.items():
-        rows = [e for e in found.extremes if e.quantity == quantity]
+        rows = [e for e in recovered.extremes if e.quantity == quantity]
         if quantity == "opposing_field":  # else the panel above says it all
             rows = [e for e in rows if e.limit and e.value > 0]
         if not rows:

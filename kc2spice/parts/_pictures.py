@@ -60,10 +60,10 @@ def own_impedances(name: str, model: LinearModel, modal: Resonators | None) -> I
     answers = model.transfer(f)
     for port in (p for p in model.ports if p.electrical):
         charge = answers[:, model.outputs.index(port.name), model.inputs.index(port.name)]
-        own = name if port.name == "anode" else f"{name}_{port.name}"
+        port_name = name if port.name == "anode" else f"{name}_{port.name}"
         how = "of the reduced model, nothing pressing on the body, other electrodes shorted"
         if (charge != 0).all():
-            yield impedances(own, f, {"": 1 / (2j * np.pi * f * charge)}, how + PEAKS)
+            yield impedances(port_name, f, {"": 1 / (2j * np.pi * f * charge)}, how + PEAKS)
 
 
 def response_figures(name: str, waves: Waveforms) -> Iterator[Figure]:
@@ -167,11 +167,11 @@ def _map(device: FiniteElementModel, corners: np.ndarray, values: np.ndarray, la
         facets = mesh.boundary_facets()
         element, nodes = mesh.f2t[0, facets], mesh.facets[:, facets].T
         local = np.argmax(mesh.t[:, element].T[:, None, :] == nodes[:, :, None], axis=2)
-    points, own = corners[element[:, None], local], values[element[:, None], local, None]
+    points, colours = corners[element[:, None], local], values[element[:, None], local, None]
     flat = 1e3 * (points[..., [0, 2]] + OBLIQUE * points[..., [1]])
     # every three corners: of a face with four all their triangles, whatever the corners' order
-    shown = np.concatenate([flat, points[..., [1]], own], axis=-1)
-    triangles = np.concatenate([shown[:, t] for t in combinations(range(shown.shape[1]), 3)])
+    vertices = np.concatenate([flat, points[..., [1]], colours], axis=-1)
+    triangles = np.concatenate([vertices[:, t] for t in combinations(range(vertices.shape[1]), 3)])
     low, high = flat.min(axis=(0, 1)), flat.max(axis=(0, 1))
     dot = float((high - low).max()) / DOTS
     count = np.maximum(np.ceil((high - low) / dot).astype(int), 1)
@@ -202,12 +202,12 @@ def _edges(mesh: Any, fine: int) -> np.ndarray:
     corners = mesh.p[:, mesh.facets[:, facets]]
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, -1] - corners[:, 0], axis=0)
     normal = normal / np.maximum(np.linalg.norm(normal, axis=0), 1e-300)
-    own = mesh.f2e[:, facets]
+    edges = mesh.f2e[:, facets]
     # the sum of n n' over the faces at an edge has rank one where they lie in one plane
     spread = np.zeros((mesh.edges.shape[1], 3, 3))
-    for edge in own:
+    for edge in edges:
         np.add.at(spread, edge, np.einsum("if,jf->fij", normal, normal))
-    edge = np.unique(own)
+    edge = np.unique(edges)
     value = np.linalg.eigvalsh(spread[edge])
     return np.asarray(mesh.edges[:, edge[value[:, -2] > BENT * value[:, -1]]])
 

@@ -97,11 +97,11 @@ class TemplatePart(PartType):
         """Return its library as a subcircuit with this name."""
         limits = {"rating": self.rating, "validity": self.validity}
         words: dict[str, Any] = {**limits, **self.constants, **values}
-        made = library(self.template, header, name, self.heading, self.fixed, params, **words)
+        result = library(self.template, header, name, self.heading, self.fixed, params, **words)
         if not self.opamp:
-            return made
+            return result
         return self_contained(
-            made, [opamp_subcircuit(header, self.opamp, values.get("input_noise"))]
+            result, [opamp_subcircuit(header, self.opamp, values.get("input_noise"))]
         )
 
 
@@ -209,8 +209,8 @@ class Driver(TemplatePart):
             yield within(part.name, inner, low, high, SLACK * (high - low), LOADED)
 
     def notes(self, part: Part, scene: Scene) -> Iterator[str]:
-        given = (f"{key} {value:g}" for key, value in part.keys if value is not None)
-        yield f"{self.name}, " + ", ".join(given)
+        settings = (f"{key} {value:g}" for key, value in part.keys if value is not None)
+        yield f"{self.name}, " + ", ".join(settings)
 
 
 class CoilDriver(Driver):

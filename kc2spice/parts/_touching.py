@@ -285,10 +285,10 @@ class Pair:
         assert surface is not None
         assert surface.compliance is not None
         other = surface.compliance(shape)
-        whole = result.compliance + other.compliance
-        share = float(np.trace(other.compliance) / np.trace(whole))
+        total = result.compliance + other.compliance
+        share = float(np.trace(other.compliance) / np.trace(total))
         pace = (1 - share) * self.a.pace + share * surface.pace
-        return replace(result, compliance=whole, patch=result.patch + other.patch), pace
+        return replace(result, compliance=total, patch=result.patch + other.patch), pace
 
     def basis_forces(self, force: float) -> np.ndarray:
         """(n,) [N] on each basis function where they carry ``force`` together."""

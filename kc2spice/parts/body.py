@@ -302,17 +302,17 @@ def device(
             merge=keys.merge,
         )
         solid = _solid(keys, result)
-        made = fe.make_device(solid, _setup(keys, result, solid))
+        assembled = fe.make_device(solid, _setup(keys, result, solid))
     axes = ("radius", "height") if keys.axisymmetric else "xyz"
     sides = zip(axes, 1e3 * np.ptp(result.mesh.p, axis=1), strict=True)
-    facts = {**made.model.facts, **{f"extent_{axis}_mm": float(side) for axis, side in sides}}
-    return replace(made, model=replace(made.model, facts=facts))
+    facts = {**assembled.model.facts, **{f"extent_{axis}_mm": float(side) for axis, side in sides}}
+    return replace(assembled, model=replace(assembled.model, facts=facts))
 
 
 def _solid(keys: BodyKeys, groups: mesh_file.GroupedMesh) -> Solid:
     owner = np.full(groups.mesh.nelements, -1)
     materials = []
-    for number, (name, given) in enumerate(keys.materials.items()):
+    for number, (name, name_or_table) in enumerate(keys.materials.items()):
         where = f"materials.{name}"
         cells = groups.group(name, where, 0).members
         if (owner[cells] >= 0).any():
@@ -325,7 +325,7 @@ def _solid(keys: BodyKeys, groups: mesh_file.GroupedMesh) -> Solid:
                 hint=f"delete materials.{name}, or take the elements out of one group",
             )
         owner[cells] = number
-        made_of = _poled(material(given, where), keys, name)
+        made_of = _poled(material(name_or_table, where), keys, name)
         materials.append(replace(made_of, name=f"{name} ({made_of.name})"))
     if (owner < 0).any():
         solids = [name for name, group in groups.groups.items() if group.codimension == 0]
@@ -345,28 +345,28 @@ def _poled(plain: Material, keys: BodyKeys, group: str) -> Material:
     ------
     UsageError : an axis beside that of an axisymmetric mesh.
     """
-    given = keys.poling.get(group, (0.0, 0.0, 1.0))
-    if isinstance(given, str):
-        given = CylindricalKeys(direction=_CYLINDRICAL[given])
-    if isinstance(given, CylindricalKeys):
-        about = CylindricalAxes(given.axis, given.through)
-        along_z = not any(given.axis[:2]) and not any(given.through[:2])
+    direction = keys.poling.get(group, (0.0, 0.0, 1.0))
+    if isinstance(direction, str):
+        direction = CylindricalKeys(direction=_CYLINDRICAL[direction])
+    if isinstance(direction, CylindricalKeys):
+        about = CylindricalAxes(direction.axis, direction.through)
+        along_z = not any(direction.axis[:2]) and not any(direction.through[:2])
         if keys.axisymmetric and not along_z:
             problem = "an axisymmetric mesh has one axis, z through the origin"
             raise wrong(f"poling.{group}", problem, hint="leave out axis and through")
-        return replace(plain.poled(given.direction), cylinder=about)
-    poled = plain.poled(given)
+        return replace(plain.poled(direction.direction), cylinder=about)
+    poled = plain.poled(direction)
     return (
         replace(poled, cylinder=CylindricalAxes())
-        if keys.axisymmetric and any(given[:2])
+        if keys.axisymmetric and any(direction[:2])
         else poled
     )
 
 
 def _setup(keys: BodyKeys, groups: mesh_file.GroupedMesh, solid: Solid) -> fe.Setup:
     electrodes = {}
-    for pin, given in keys.electrodes.items():
-        names = [given] if isinstance(given, str) else given
+    for pin, stated in keys.electrodes.items():
+        names = [stated] if isinstance(stated, str) else stated
         result = [_electrode(solid, groups, name, f"electrodes.{pin}") for name in names]
         electrodes[pin] = np.unique(np.concatenate(result))
     kinds = {

@@ -182,10 +182,10 @@ class Contact(DeclaredPart):
     def at_rest(self, part: Part, scene: WiredScene) -> Rest:
         """Surfaces that touch at rest: what presses on them finds its place."""
         pair = pair_of(part, scene)
-        held = [(pin, GROUND) for pin in ("base", *["va"] * pair.a.rigid, *["v"] * pair.b.rigid)]
+        clamps = [(pin, GROUND) for pin in ("base", *["va"] * pair.a.rigid, *["v"] * pair.b.rigid)]
         if part.keys.gap <= 0.0 and not pair.a.rigid and not pair.b.rigid:
-            held += [(port, "b") for port in pair.ports]
-        return Rest(tuple(held))
+            clamps += [(port, "b") for port in pair.ports]
+        return Rest(tuple(clamps))
 
     def numerics(self, part: Part, scene: WiredScene) -> Iterator[Numerics]:
         """A trapezoid's errors of closing and opening cancel for a linear spring alone. Rebounds
@@ -278,9 +278,9 @@ class Contact(DeclaredPart):
             scale, (x, factor) = depth, ("depth in µm", 1e6)
         item = {port: waves[f"{part.name}.force.{port}"] for port in pair.ports}
         curves = [
-            Curve(port, factor * scale[inside], own[inside])
-            for port, own in item.items()
-            if own.max() > 0
+            Curve(port, factor * scale[inside], wave[inside])
+            for port, wave in item.items()
+            if wave.max() > 0
         ]
         if len(item) > 1:
             curves.append(Curve("sum", factor * scale[inside], force[inside], "--"))
@@ -303,22 +303,22 @@ class Contact(DeclaredPart):
 
     def notes(self, part: Part, scene: Scene) -> Iterator[str | Neglected]:
         keys, pair = part.keys, pair_of(part, scene)
-        own = pair.normal
+        normal = pair.normal
         if keys.shape == "pressure":
-            detail = f"pressure under a sphere, up to {own.depth:.3g} m deep; basis functions "
+            detail = f"pressure under a sphere, up to {normal.depth:.3g} m deep; basis functions "
             detail += f"every {keys.spacing:g} m near the axis"
-        elif own.power == 1.0:
-            detail = f"{len(pair.ports)} unilateral springs, {own.stiffness:g} N/m each"
+        elif normal.power == 1.0:
+            detail = f"{len(pair.ports)} unilateral springs, {normal.stiffness:g} N/m each"
         else:
-            detail = f"Hertz's law, {own.stiffness:g} N/m^1.5"
+            detail = f"Hertz's law, {normal.stiffness:g} N/m^1.5"
         if keys.groove is not None:
             detail += f" along the axis of a groove of {keys.groove:g} degrees"
-        if own.damping:
+        if normal.damping:
             detail += f", damping of Hunt and Crossley {keys.damping:g} s/m"
-        if own.friction:
-            detail += f", friction {keys.friction:g}, viscous below {own.creep:g} m/s"
+        if normal.friction:
+            detail += f", friction {keys.friction:g}, viscous below {normal.creep:g} m/s"
         yield detail
-        a, kept = pair.a, len(pair.ports)
+        a, count = pair.a, len(pair.ports)
         if len(a.ports) > 1:
             why = f"one force per port of {a.part} stands for it"
             error = "run again with a finer mesh to see it"
@@ -333,14 +333,14 @@ class Contact(DeclaredPart):
         dry = "" if part.keys.friction else "friction, "
         what = f"{dry}adhesion and plastic flow between {a.part} and {pair.b.part}"
         yield Neglected(what, "the law is elastic and normal to the surface", "not estimated")
-        if kept < len(a.ports):
+        if count < len(a.ports):
             why = f"{part.name}.rings = {part.keys.rings}"
             if part.keys.rings == "needed":
-                why = f"open up to {pair.gaps[kept]:.3g} m; {pair.deepest.why}: "
+                why = f"open up to {pair.gaps[count]:.3g} m; {pair.deepest.why}: "
                 why += f"{pair.deepest.depth:.3g} m"
-            last = f" to {a.ports[-1]}" if kept + 1 < len(a.ports) else ""
+            last = f" to {a.ports[-1]}" if count + 1 < len(a.ports) else ""
             error = "none while they stay open, checked after the run"
-            yield Neglected(f"contact at {a.ports[kept]}{last}", why, error)
+            yield Neglected(f"contact at {a.ports[count]}{last}", why, error)
 
 
 def _declared(
@@ -398,24 +398,24 @@ def _balance(pair: Pair, waves: Waveforms, place: np.ndarray) -> Iterator[Balanc
     Springs give back all they took: energy gained here is a bounce higher than the last. The scale
     is the work that went into the springs, or what they hold where nothing moves.
     """
-    own, ports, name = pair.normal, pair.ports, pair.part.name
+    normal, ports, name = pair.normal, pair.ports, pair.part.name
     heights = [pair.a.height(port, waves) for port in ports]
     if any(height is None for height in heights):
         return
     closing = np.array(heights) - place  # as all of these (ports, n)
-    force, p = np.array([waves[f"{name}.force.{port}"] for port in ports]), own.power
-    elastic, energy = force, force ** (1 + 1 / p) / ((p + 1) * own.stiffness ** (1 / p))
-    if own.damping or own.radius:  # the force is not that of the depth alone
+    force, p = np.array([waves[f"{name}.force.{port}"] for port in ports]), normal.power
+    elastic, energy = force, force ** (1 + 1 / p) / ((p + 1) * normal.stiffness ** (1 / p))
+    if normal.damping or normal.radius:  # the force is not that of the depth alone
         x = closing - pair.gaps[: len(ports), None]
-        elastic, energy = own.force(x), own.energy(x)
+        elastic, energy = normal.force(x), normal.energy(x)
     resting, gained = float(energy.max()), energy - energy[:, :1]
     missing = (running(elastic, closing) - gained).sum(axis=0)
     entries = {"stored in the contact": float(energy[:, -1].sum())}
     if (before := float(energy[:, 0].sum())) > 0.0:
         entries["stored in the contact at the start"] = before
-    if own.damping or own.pace:
-        lost = running(force - elastic, closing)[:, -1]
-        entries["damped in the contact"] = float(lost.sum())
+    if normal.damping or normal.pace:
+        damped = running(force - elastic, closing)[:, -1]
+        entries["damped in the contact"] = float(damped.sum())
     v, other = waves.data.get(f"{pair.b.part}.v"), pair.scene.parts.get(pair.b.part)
     mass = getattr(other.keys, "mass", 0.0) if other else 0.0
     kinetic = 0.0 if v is None else mass * float((v**2).max()) / 2

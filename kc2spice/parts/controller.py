@@ -107,10 +107,10 @@ wiring = "parallel"
         out, ret = build.net(part, "out"), build.net(part, "ret")
         if part.keys.output == "voltage":
             return (Element.of(f"V{part.name}", out, ret, "EXTERNAL"),)
-        held = build.own(part, part.name.lower(), "held")
+        level = build.inner_name(part, part.name.lower(), "held")
         return (
-            Element.of(f"V{part.name}", held, "0", "EXTERNAL"),
-            Element.of(f"G{part.name}", ret, out, held, "0", "1"),
+            Element.of(f"V{part.name}", level, "0", "EXTERNAL"),
+            Element.of(f"G{part.name}", ret, out, level, "0", "1"),
         )
 
     def inner_names(self, part: Part, scene: WiredScene) -> Iterator[tuple[str, ...]]:

@@ -65,16 +65,20 @@ class CurrentCases(PartType):
 
     def cards(self, part: Part, build: Build) -> tuple[Item, ...]:
         library, y = build.libraries[_coils(part, build.scene).name], build.net(part, "y")
-        height = Element.of(build.own(part, "Vheight"), y, "0", "0")
+        height = Element.of(build.inner_name(part, "Vheight"), y, "0", "0")
         cards: list[Line] = [height.valued(DISPLACEMENT.pin_unit)]
         for k, (lower, upper) in enumerate(cases(part)):
-            a, b, force = (build.own(part, f"{name}{k}") for name in ("lower", "upper", "force"))
+            a, b, force = (
+                build.inner_name(part, f"{name}{k}") for name in ("lower", "upper", "force")
+            )
             cards += [
                 f"* {number(lower)} A in the lower, {number(upper)} A in the upper coil",
-                Element.of(build.own(part, f"Xcatch{k}"), a, "0", b, "0", y, force, "0", library),
-                Element.of(build.own(part, f"Ilower{k}"), "0", a, lower),
-                Element.of(build.own(part, f"Iupper{k}"), "0", b, upper),
-                Element.of(build.own(part, f"Vforce{k}"), force, "0", "0"),
+                Element.of(
+                    build.inner_name(part, f"Xcatch{k}"), a, "0", b, "0", y, force, "0", library
+                ),
+                Element.of(build.inner_name(part, f"Ilower{k}"), "0", a, lower),
+                Element.of(build.inner_name(part, f"Iupper{k}"), "0", b, upper),
+                Element.of(build.inner_name(part, f"Vforce{k}"), force, "0", "0"),
             ]
         return noted(cards)
 
@@ -87,12 +91,12 @@ class CurrentCases(PartType):
     def settable(self, part: Part, build: Build) -> Mapping[str, Swept]:
         keys = _coils(part, build.scene).keys
         heights = keys.y_min + keys.shift, keys.y_max + keys.shift
-        return {"height": Swept(build.own(part, "Vheight"), DISPLACEMENT.per_unit, heights)}
+        return {"height": Swept(build.inner_name(part, "Vheight"), DISPLACEMENT.per_unit, heights)}
 
     def vectors(self, part: Part, build: Build) -> Mapping[str, Vector]:
         result = {f"{_sphere(part, build.scene)}.y": build.across(part, "y")}
         for k, name in enumerate(_forces(part, build)):
-            result[name] = Vector(f"i({build.own(part, f'Vforce{k}').lower()})", 1.0, "N")
+            result[name] = Vector(f"i({build.inner_name(part, f'Vforce{k}').lower()})", 1.0, "N")
         return result
 
     def metrics(self, part: Part, build: Build, waves: Waveforms) -> Mapping[str, object]:
@@ -112,11 +116,11 @@ class CurrentCases(PartType):
         result: list[laws.Law] = [laws.IdealSource(n, "displacement", constant(0.0))]
         results = {f"{pulled}.y": laws.reading(f"{n}.out")}
         for k, force in enumerate(_forces(part, build)):
-            own = f"{fed.name} {k}"  # no part has a blank in its name
+            case = f"{fed.name} {k}"  # no part has a blank in its name
             lower, upper = cases(part)[k]
-            result.append(coils.law(own, coils.prescribed(), table, lower=lower, upper=upper))
-            height.append(f"{own}.y")
-            results[force] = laws.reading(f"{own}.y.through", -1.0)
+            result.append(coils.law(case, coils.prescribed(), table, lower=lower, upper=upper))
+            height.append(f"{case}.y")
+            results[force] = laws.reading(f"{case}.y.through", -1.0)
         pins, sweeps = (("y", f"{n}.out"),), {"height": (n, 1.0)}
         return laws.Equations(tuple(result), pins, results, sweeps, (tuple(height),))
 

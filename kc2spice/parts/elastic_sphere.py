@@ -91,13 +91,13 @@ elastic = true
         return Surface(part.name, ports, (0.0,), compliance=compliance, pace=pace)
 
     def full_key(self, part: Part, scene: GovernedScene) -> Mapping[str, Any]:
-        body, own = _body(part, scene), part.keys.model_dump(mode="json", include={"mesh"})
+        body, mesh = _body(part, scene), part.keys.model_dump(mode="json", include={"mesh"})
         return {
             "radius": body.radius,
             "density": body.material.density,
             "stiffness": body.material.C.tolist(),
             "rayleigh": body.rayleigh,
-            "own": own,
+            "own": mesh,
             "pressure_basis": pair_of(_contact(part, scene), scene).shape.nodes.tolist(),
         }
 
@@ -111,9 +111,9 @@ elastic = true
 
     def reduction(self, part: Part, scene: Scene) -> Rom:
         """Its own, not the scene's: its modes lie above any band of an actuator."""
-        own: Rom | None = part.keys.rom
-        if own is not None:
-            return own
+        specified: Rom | None = part.keys.rom
+        if specified is not None:
+            return specified
         return Rom(tolerance=1e-3, band=(0.0, float(f"{BAND * _body(part, scene).oblate:.3g}")))
 
     def weights(self, part: Part, scene: DeclaredScene) -> StepWeights:
@@ -140,9 +140,13 @@ elastic = true
         from kc2spice.bodies.pressure import LocalCompliance, sphere_compliance
 
         key = {**self.full_key(part, scene), "pressure_basis": shape.nodes.tolist()}
-        made, kinds = (_body(part, scene), shape, part.keys.mesh.refine), (LocalCompliance,)
+        arguments, kinds = (_body(part, scene), shape, part.keys.mesh.refine), (LocalCompliance,)
         return cached(
-            "indented", key, lambda: sphere_compliance(*made), classes=kinds, sources=self.sources()
+            "indented",
+            key,
+            lambda: sphere_compliance(*arguments),
+            classes=kinds,
+            sources=self.sources(),
         )
 
 

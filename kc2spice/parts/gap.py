@@ -193,13 +193,13 @@ class Gap(Patched):
         rests has a capacitance that never falls with ``v^2``, as the coenergy's least is convex."""
         yield from super().checks(part, build, waves)
         yield from _film_checks(part, build, waves)
-        d, seen = self.declared(part, build.scene), self._seen(part, build, waves)
-        if "sweep" not in waves or waves.scale.size < 2 or set(seen) != set(d.coordinates):
+        d, recorded = self.declared(part, build.scene), self._seen(part, build, waves)
+        if "sweep" not in waves or waves.scale.size < 2 or set(recorded) != set(d.coordinates):
             return
         (branch,) = (b for b in d.branches if b.kind == "voltage")
-        unit = d.values(part.keys) | seen | {branch.name: 1.0}
+        unit = d.values(part.keys) | recorded | {branch.name: 1.0}
         capacitance = np.asarray(evaluated(d.storage(branch), unit))
-        rises = np.diff(capacitance) * -np.sign(np.diff(np.abs(seen[branch.name])))
+        rises = np.diff(capacitance) * -np.sign(np.diff(np.abs(recorded[branch.name])))
         name, most = f"{part.name} where nothing rests", float(rises.max() / capacitance.max())
         advice = "the sweep turns next to a fold, or steps over it: other points, or a wider one"
         what = "of its capacitance, more as the voltage falls"
@@ -219,10 +219,10 @@ class Gap(Patched):
             moved, force = np.mean(of["x"], axis=0)[-1], np.sum(of["force"], axis=0)[-1]
             law = force / moved if moved else 0.0
             omega = 2 * np.pi * waves["frequency"][-1].real
-            lost = law.imag if abs(law.imag) > ROUNDED * abs(law) else 0.0
+            damping = law.imag if abs(law.imag) > ROUNDED * abs(law) else 0.0
             return {
                 "gap_stiffness_n_m": Metric(law.real, "N/m"),
-                "gap_damping_n_s_m": Metric(lost / omega, "N s/m"),
+                "gap_damping_n_s_m": Metric(damping / omega, "N s/m"),
             }
         side = -1.0 if part.keys.side == "below" else 1.0
         stroke, size = np.max(side * np.array(of["x"]), axis=0), np.abs(volts)
@@ -238,18 +238,18 @@ class Gap(Patched):
 
 def patches(part: Part, scene: DeclaredScene) -> tuple[str, ...]:
     """Ports of the body that a part's patches are, in their order."""
-    given = part.keys.a
-    if not isinstance(given, str):
-        return tuple(given)
-    if "." in given:
-        return (given,)
-    body = scene.part(given, f"{part.name}.a")
+    name = part.keys.a
+    if not isinstance(name, str):
+        return tuple(name)
+    if "." in name:
+        return (name,)
+    body = scene.part(name, f"{part.name}.a")
     offered = body.type.ports(body, scene) if isinstance(body.type, LinearBody) else ()
     row = [port.name for port in offered if port.name.startswith(PATCH)]
     if not row:
-        problem, hint = f"{given} has no patches", "patches = 10, or name its ports"
-        raise part.wrong("a", problem, repr(given), "a body with patches, or ports", hint)
-    return tuple(f"{given}.{port}" for port in row)
+        problem, hint = f"{name} has no patches", "patches = 10, or name its ports"
+        raise part.wrong("a", problem, repr(name), "a body with patches, or ports", hint)
+    return tuple(f"{name}.{port}" for port in row)
 
 
 def branches_of(part: Part, scene: GovernedScene) -> int:
@@ -278,8 +278,8 @@ def truncation(film: Film, gap: float, branches: int, frequency: float) -> float
     c, k, _ = _terms(film)
     drag = 2j * np.pi * frequency * c / gap**3
     terms = drag / (1 + drag * gap / k)
-    whole, off = terms.sum(), (drag - terms)[branches:].sum()
-    return float(max(abs(off.imag) / whole.imag, abs(off.real) / abs(whole)))
+    total, off = terms.sum(), (drag - terms)[branches:].sum()
+    return float(max(abs(off.imag) / total.imag, abs(off.real) / abs(total)))
 
 
 def _film_checks(part: Part, build: Build, waves: Waveforms) -> Iterator[Check | Gate]:

@@ -146,14 +146,14 @@ def structure(keys: LangevinKeys | Mapping[str, Any], where: str = "langevin") -
     under = (body.bolt.head_diameter or body.back[-1].diameter) / 2
     back: Box = ((0.0, under), (bottom, bottom))
     ports: dict[str, Box] = {"front": ((0.0, body.front[-1].diameter / 2), (top, top))}
-    held = body.support == "back"
+    fixed = body.support == "back"
     across = (rings.inner / 2, rings.outer / 2)
     planes = [(across, (i * rings.thickness,) * 2) for i in range(rings.count + 1)]
     return Bonded(
         pieces,
         {"anode": planes[1::2], "cathode": planes[::2]},
-        ports=ports if held else ports | {"back": back},
-        fixed=[("xz", back)] if held else (),
+        ports=ports if fixed else ports | {"back": back},
+        fixed=[("xz", back)] if fixed else (),
         size=max(piece.box[0][1] for piece in pieces) / _CELLS,
         refine=body.mesh.refine,
         damping=body.damping,

@@ -116,7 +116,7 @@ class PointMass(Touching, DeclaredPart):
         return Rest((("base", GROUND),), pushed=("a",) if falls else (), inert=("a",))
 
     def problems(self, part: Part, scene: GovernedScene) -> Iterator[UsageError]:
-        if _given(part) and scene.analysis.type != "transient":
+        if _has_initial_state(part) and scene.analysis.type != "transient":
             problem = "a position or velocity at t = 0 begins a transient"
             yield part.wrong("", problem, f"analysis {scene.analysis.type}", "neither of them")
         yield from dimensions(part.name, part.keys)
@@ -141,8 +141,8 @@ class PointMass(Touching, DeclaredPart):
         UsageError : a state is given, but what it is fixed to has its own.
         """
         scene, keys = build.scene, part.keys
-        given = keys.position, keys.velocity
-        if _given(part):
+        state = keys.position, keys.velocity
+        if _has_initial_state(part):
             for name, pin in scene.joined(part.name, "a"):
                 other = scene.parts[name]
                 moved = other.type.name == part.type.name or other.reduced
@@ -151,16 +151,16 @@ class PointMass(Touching, DeclaredPart):
                     hint = "a stiff spring between both lets each have its own"
                     got, expected = f"{name}.{pin} on the same net", "neither position nor velocity"
                     raise part.wrong("", problem, got, expected, hint)
-            return given
+            return state
         if scene.analysis.type == "transient" and scene.initial_states:
-            return given
+            return state
         net = scene.nets[part.name, "a"]
         group = next((group for group in free(scene, build.rests) if net in group.nets), None)
         if group is None or group.bodies:
             return None
         fixed = next(nets for nets in rigid(scene) if net in nets)
         masses = (m.name for m in scene.of(part.type.name) if scene.nets[m.name, "a"] in fixed)
-        return given if next(masses) == part.name else None
+        return state if next(masses) == part.name else None
 
     def checks(self, part: Part, build: Build, waves: Waveforms) -> Iterator[Any]:
         """None: a mass at rest on something stiff turns over less energy than the steps lose."""
@@ -190,7 +190,7 @@ def _shakes(part: Part, scene: GovernedScene) -> tuple[Shake, ...]:
     return () if frame is None else frame.shakes
 
 
-def _given(part: Part) -> bool:
+def _has_initial_state(part: Part) -> bool:
     return bool({"position", "velocity"} & part.keys.model_fields_set)
 
 

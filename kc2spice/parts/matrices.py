@@ -53,9 +53,9 @@ class Matrices(LinearBody):
 
     def directions(self, part: Part, scene: DeclaredScene) -> Mapping[str, tuple[float, ...]]:
         """Those that the sidecar states by ``dof`` or ``axis``; a column of B has none."""
-        *_, said = locate_model(*self._source(part, scene))
+        *_, sidecar = locate_model(*self._source(part, scene))
         result = {}
-        for entry in said.ports:
+        for entry in sidecar.ports:
             translation = entry.kind in (TRANSLATION.port, ACCELERATION.port)
             if translation and entry.weights.keys() and entry.weights.keys() <= {*TRANSLATIONS}:
                 pin = entry.port.terminals[0]

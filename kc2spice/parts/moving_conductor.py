@@ -279,12 +279,12 @@ class MovingConductor(DeclaredPart):
         settings = keys.y_min, keys.y_max, keys.conductivity, frequency, tolerance
         return ladder(body, coils, fixed, *settings)
 
-    def refined(self, found: Ladder, keys: Any, fixed: list[Winding], rings: int) -> Ladder:
+    def refined(self, ladder: Ladder, keys: Any, fixed: list[Winding], rings: int) -> Ladder:
         """The loops with the error of their rings: of second order in the size of a ring, thus in
         proportion to the reciprocal of their number, and so is what finer ones change."""
-        finer = _divided(keys, FINER * rings, found.frequency)
-        changed = roughness(finer, found, windings(keys), fixed, keys.conductivity)
-        return replace(found, rough=changed / max(1 - found.rings / finer.r.size, LEAST_CHANGE))
+        finer = _divided(keys, FINER * rings, ladder.frequency)
+        changed = roughness(finer, ladder, windings(keys), fixed, keys.conductivity)
+        return replace(ladder, rough=changed / max(1 - ladder.rings / finer.r.size, LEAST_CHANGE))
 
     def build(self, part: Part, scene: Scene, clock: Clock, full: bool = False) -> Ladder:
         """In ``full`` more loops of more rings up to twice the highest frequency of the scene and
@@ -298,8 +298,8 @@ class MovingConductor(DeclaredPart):
         def build() -> Ladder:
             fixed = [s for m in keys.magnets.values() for s in sheets(m, m.remanence)]
             with clock.stage("magnetics", f"field of {part.name}"):
-                found = self.field(keys, fixed, tolerance, rings, frequency)
-                return found if full or not frequency else self.refined(found, keys, fixed, rings)
+                ladder = self.field(keys, fixed, tolerance, rings, frequency)
+                return ladder if full or not frequency else self.refined(ladder, keys, fixed, rings)
 
         shape, settings = {"tolerance", "rings", "frequency"}, (tolerance, rings, frequency)
         key = {"keys": keys.model_dump(exclude=shape, mode="json"), "of": settings}
@@ -381,17 +381,17 @@ def _of_rings(model: Ladder) -> str:
 def turns(time: np.ndarray, y: np.ndarray) -> list[tuple[float, float]]:
     """Times [s] and heights [m] of highest and lowest places in turn, between which ``y`` moves by
     more than ``SWING`` of its range: what a ripple makes does not count."""
-    result, best, way = [], 0, 0
+    result, best, sign = [], 0, 0
     least = SWING * np.ptp(y)
     for k in range(1, y.size):
         gone = y[k] - y[best]
-        if not way and abs(gone) > least:
-            way = int(np.sign(gone))
-        if way * gone > 0:
+        if not sign and abs(gone) > least:
+            sign = int(np.sign(gone))
+        if sign * gone > 0:
             best = k
-        elif way and abs(gone) > least:
+        elif sign and abs(gone) > least:
             result.append((float(time[best]), float(y[best])))
-            best, way = k, -way
+            best, sign = k, -sign
     return result
 
 
@@ -424,9 +424,9 @@ def _lag(part: Part, scene: WiredScene) -> float:
 
 def _in_series(part: Part, scene: WiredScene, pins: set[str]) -> float:
     """Sum of the resistors [Ohm] at one of two pins of a coil and not at the other."""
-    own = {scene.net(part.name, pin) for pin in pins} - {"0"}
+    coil_nets = {scene.net(part.name, pin) for pin in pins} - {"0"}
     ends = ((r, {scene.net(r.name, pin) for pin in "ab"}) for r in scene.of("resistor"))
-    return sum(r.keys.resistance for r, nets in ends if len(nets & own) == 1)
+    return sum(r.keys.resistance for r, nets in ends if len(nets & coil_nets) == 1)
 
 
 def _seen_frequency(part: Part, build: Build, waves: Waveforms) -> float:

@@ -55,8 +55,8 @@ class MovingMagnetKeys(Magnetisation, Moving):
 def demagnetising(inner: float, outer: float, height: float) -> float:
     """Mean (magnetometric) factor of a ring or cylinder along its axis: the mean field of the
     currents on its surfaces is ``(1 - N)`` times that of an endless one."""
-    own = [Winding(r, 0.0, height, 0.0, s) for r, s in ((outer, 1.0), (inner, -1.0)) if r]
-    linked = sum(a.with_other(b) for a in own for b in own)
+    shells = [Winding(r, 0.0, height, 0.0, s) for r, s in ((outer, 1.0), (inner, -1.0)) if r]
+    linked = sum(a.with_other(b) for a in shells for b in shells)
     return 1 - linked * height / (MU_0 * math.pi * (outer**2 - inner**2))
 
 

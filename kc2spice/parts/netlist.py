@@ -197,11 +197,11 @@ def driver(part: Part, known: Mapping[str, str], data: Mapping[str, Any]) -> dic
     ------
     UsageError : not one driver, none of that type, no file.
     """
-    given: dict[str, dict[str, Any]] = part.keys.driver
+    drivers: dict[str, dict[str, Any]] = part.keys.driver
     expected = "one table of " + ", ".join(known)
-    if len(given) != 1:
-        raise part.wrong("driver", "needs one driver", ", ".join(given), expected)
-    ((kind, table),) = given.items()
+    if len(drivers) != 1:
+        raise part.wrong("driver", "needs one driver", ", ".join(drivers), expected)
+    ((kind, table),) = drivers.items()
     if kind not in {*known, *known.values()}:
         raise part.wrong("driver", "no such driver", repr(kind), expected)
     selected = known.get(kind, kind)

@@ -132,12 +132,12 @@ def control_law(control: Control, *, output: bool = True) -> Declaration:
         "kd": ("followed", "(error - followed)/rolloff"),
     }
     gains = [gain for gain in terms if getattr(control, gain)]
-    wanted = f"on*current_limit*clip({limited})"
+    target = f"on*current_limit*clip({limited})"
     ends: tuple[Branch, ...] = (voltage("command", "command", "ref"),)
-    content = f"0.5*(command - {SENSE!r}*{wanted})^2"  # behind an ohm
+    content = f"0.5*(command - {SENSE!r}*{target})^2"  # behind an ohm
     if output:
         ends = voltage("drop", "drive", "sense"), voltage("sensed", "sense", "ref", "returned")
-        content = f"0.5*sensed^2 - {wanted}*drop"
+        content = f"0.5*sensed^2 - {target}*drop"
     return Declaration(
         "pid",
         "controller of the sphere's height",
@@ -280,8 +280,8 @@ class Pid(PartType):
         error = Vector(f"v(x{part.name.lower()}.{node})", 1.0 / SENSOR, "m")
         result = {f"{part.name}.error": error}
         if _remote(part, build.scene):
-            wanted = f"v({build.net(part, 'command')})"
-            result["coil.wanted"] = Vector(wanted, 1.0 / SENSE, "A")
+            command = f"v({build.net(part, 'command')})"
+            result["coil.wanted"] = Vector(command, 1.0 / SENSE, "A")
         return result
 
     def law(self, part: Part, build: Build) -> laws.Equations | None:
@@ -291,10 +291,10 @@ class Pid(PartType):
             return None
         declared, height = control_law(keys), sphere.offset(part, "y", scene)
         values = declared.values(keys) | {"setpoint": keys.setpoint - height}
-        own = DeclaredLaw(n, declared, tuple(values.values()))
-        pins = tuple((pin.name, f"{n}.{pin.name}") for pin in own.pins)
+        controller = DeclaredLaw(n, declared, tuple(values.values()))
+        pins = tuple((pin.name, f"{n}.{pin.name}") for pin in controller.pins)
         error = laws.reading(f"{n}.y", -DISPLACEMENT.factor, keys.setpoint - height)
-        return laws.Equations((own,), pins, {f"{n}.error": error})
+        return laws.Equations((controller,), pins, {f"{n}.error": error})
 
     def metrics(self, part: Part, build: Build, waves: Waveforms) -> Mapping[str, object]:
         ball = sphere.controlled(part, build.scene)
@@ -335,7 +335,7 @@ def _coils(part: Part, scene: DeclaredScene) -> Part:
 
 def _remote(part: Part, scene: DeclaredScene) -> bool:
     """Whether the output is the pin ``command`` for another circuit with the coils."""
-    joined = scene.named(part.name, "command") or "command" in part.pins
+    joined = scene.is_target(part.name, "command") or "command" in part.pins
     return joined or bool(_coils(part, scene).keys.driver)
 
 

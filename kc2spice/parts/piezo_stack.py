@@ -19,7 +19,7 @@ from kc2spice.core.figure import Shape
 from kc2spice.core.quantities import Count, Section, Time, Voltage, si
 from kc2spice.core.waveforms import Waveforms, running
 from kc2spice.fem.materials import material
-from kc2spice.parts._linear_body import SOURCES, aim, reduction_target, wanted
+from kc2spice.parts._linear_body import SOURCES, aim, reduction_target, required_ports
 from kc2spice.parts._meshed import FieldKeys, MeshedBody
 from kc2spice.parts._neglected import Envelope, disc_air
 from kc2spice.parts._touching import Penetration, Surface, pair_of
@@ -164,15 +164,15 @@ class PiezoStack(MeshedBody):
         names = [f"ring{k}" for k in range(part.keys.mesh.rings + 1)]
         if pressure_nodes(part, scene) is not None:
             names = [PATCH]
-        own = (Port(name, TRANSLATION.port) for name in names)
-        return (*own, Port("anode", ELECTRICAL.port, pins=("anode", "cathode")))
+        ring_ports = (Port(name, TRANSLATION.port) for name in names)
+        return (*ring_ports, Port("anode", ELECTRICAL.port, pins=("anode", "cathode")))
 
-    def kept(self, part: Part, scene: JoinedScene) -> tuple[Port, ...]:
+    def used_ports(self, part: Part, scene: JoinedScene) -> tuple[Port, ...]:
         """Rings up to the last that is needed, so that every scene's are nested."""
         if pressure_nodes(part, scene) is not None:
-            return super().kept(part, scene)
-        *own, anode = self.ports(part, scene)
-        return (*own[: kept_rings(part, scene)], anode)
+            return super().used_ports(part, scene)
+        *ring_ports, anode = self.ports(part, scene)
+        return (*ring_ports[: used_rings(part, scene)], anode)
 
     def problems(self, part: Part, scene: GovernedScene) -> Iterator[UsageError]:
         yield from super().problems(part, scene)
@@ -185,10 +185,10 @@ class PiezoStack(MeshedBody):
             expected = f"before the end of the simulation, {scene.stop:g} s"
             problem = "the kick starts after the simulation ends"
             yield part.wrong("drive.start", problem, f"{drive.start:g} s", expected)
-        made = "multilayer ceramics are sintered from 0.1 mm to 0.1 m"
+        reason = "multilayer ceramics are sintered from 0.1 mm to 0.1 m"
         wide = "side" if keys.diameter is None else "diameter"
-        yield from within(f"{name}.{wide}", 2 * max(keys.half), "m", 1e-4, 0.1, made)
-        yield from within(f"{name}.height", keys.height, "m", 1e-5, 0.2, made)
+        yield from within(f"{name}.{wide}", 2 * max(keys.half), "m", 1e-4, 0.1, reason)
+        yield from within(f"{name}.height", keys.height, "m", 1e-5, 0.2, reason)
         layer = keys.height / keys.layers
         tape = "ceramic tape is cast from 1 um to some millimetres; height over layers"
         yield from within(f"{name}.layers", layer, "m a layer", 1e-6, 5e-3, tape)
@@ -272,15 +272,15 @@ class PiezoStack(MeshedBody):
     def reduction(self, part: Part, scene: Scene) -> Rom:
         """As asked; else the paper's chip has the paper's order, and any other stack a tolerance
         over the band that is to it what the paper's is to the paper's chip."""
-        asked = part.keys.rom or scene.rom
-        if not asked.left_open:
-            return asked
+        specified = part.keys.rom or scene.rom
+        if not specified.left_open:
+            return specified
         plain = type(part.keys)()
         if all(getattr(part.keys, key) == getattr(plain, key) for key in CHIP - FREE):
-            return Rom(order=PAPER_ORDER, band=asked.band)
-        if "band" in asked.model_fields_set:
-            return asked
-        low, high = asked.band
+            return Rom(order=PAPER_ORDER, band=specified.band)
+        if "band" in specified.model_fields_set:
+            return specified
+        low, high = specified.band
         return Rom(band=(low, high * plain.height / part.keys.height))
 
     def envelope(self, part: Part, scene: DeclaredScene) -> Envelope:
@@ -334,15 +334,15 @@ class PiezoStack(MeshedBody):
 
     def indentation_modulus(self, part: Part) -> float:
         keys, cap = part.keys, part.keys.top_cap
-        own = cap is None or cap.material is None
-        top = keys.ceramic if own else material(cap.material, "top_cap.material")
+        bare = cap is None or cap.material is None
+        top = keys.ceramic if bare else material(cap.material, "top_cap.material")
         return float(top.indentation_modulus)
 
     def notes(self, part: Part, scene: Scene) -> Iterator[str | Neglected]:
         keys, rom = part.keys, reduction_target(part, scene)
         pressed = pressure_nodes(part, scene) is not None
-        kept, last = kept_rings(part, scene), keys.mesh.rings
-        ports = "a patch of pressure as port" if pressed else f"{kept} rings as ports"
+        used, last = used_rings(part, scene), keys.mesh.rings
+        ports = "a patch of pressure as port" if pressed else f"{used} rings as ports"
         detail = f"quarter chip, {keys.layers} layers, {mounted(keys)}, reduced to {aim(rom)}, "
         yield f"{detail}anode {keys.electrical}, {ports}"
         yield from self.neglected(part, scene)
@@ -358,8 +358,8 @@ class PiezoStack(MeshedBody):
             error = f"{(several / keys.layers) ** 2:.2g} of the first resonances, at most; "
             error += "stroke and capacitance are those of the layers"
             yield Neglected(f"layers of {part.name} within an element", why, error)
-        if kept <= last and not pressed:
-            effect = f"{part.name}: ports at ring{kept}" + f" to ring{last}" * (kept < last)
+        if used <= last and not pressed:
+            effect = f"{part.name}: ports at ring{used}" + f" to ring{last}" * (used < last)
             yield Neglected(effect, "nothing of the scene needs them", "checked after the run")
 
 
@@ -385,19 +385,19 @@ def _downwards(part: Part) -> bool:
 
 def mounted(keys: Chip) -> str:
     """Support of the bottom face and other deviations from the plain stack, in words."""
-    said = [HELD.get(str(keys.mounting), "")]
+    words = [HELD.get(str(keys.mounting), "")]
     if isinstance(keys.mounting, float):
-        said = [f"bottom face on springs of {keys.mounting:g} N/m per m2 along each axis"]
+        words = [f"bottom face on springs of {keys.mounting:g} N/m per m2 along each axis"]
     if keys.poling == "x":
-        said.append("poled along x: it shears")
+        words.append("poled along x: it shears")
     for place, cap in (("below", keys.bottom_cap), ("on top", keys.top_cap)):
         if cap is not None:
             made_of = cap.material if isinstance(cap.material, str) else "material of its own"
-            named = "unpoled ceramic" if cap.material is None else made_of
-            said.append(f"{1e3 * cap.thickness:g} mm of {named} {place}")
+            material_name = "unpoled ceramic" if cap.material is None else made_of
+            words.append(f"{1e3 * cap.thickness:g} mm of {material_name} {place}")
     if keys.preload_spring is not None:
-        said.append(f"a spring of {keys.preload_spring:g} N/m on the top face")
-    return ", ".join(said)
+        words.append(f"a spring of {keys.preload_spring:g} N/m on the top face")
+    return ", ".join(words)
 
 
 def pressure_nodes(part: Part, scene: DeclaredScene) -> PressureBasis | None:
@@ -415,13 +415,13 @@ def ring_radii(keys: Chip) -> np.ndarray:
     return keys.mesh.ring_spacing * np.arange(keys.mesh.rings + 1)
 
 
-def kept_rings(part: Part, scene: JoinedScene) -> int:
+def used_rings(part: Part, scene: JoinedScene) -> int:
     """How many rings, ring0 first, are ports: up to the last that another part or a probe wants,
     all where the stack is the only part, which is there to be exported."""
     if len(scene.parts) == 1 or scene.ports == "all":
         return 1 + int(part.keys.mesh.rings)
     probed = {p.of.split(".")[1] for p in scene.probes.values() if p.of.startswith(f"{part.name}.")}
-    names = wanted(part, scene) | probed
+    names = required_ports(part, scene) | probed
     return 1 + max((_ring(part, name) for name in names if name.startswith("ring")), default=-1)
 
 
@@ -453,10 +453,10 @@ def free_stroke(keys: Chip, voltage: float) -> float:
 def _compliance_of(part: Part, shape: PressureBasis) -> LocalCompliance:
     from kc2spice.bodies.pressure import LocalCompliance, local_compliance
 
-    own = part.keys.model_dump(mode="json", include=CHIP - {"damping"})
+    chip = part.keys.model_dump(mode="json", include=CHIP - {"damping"})
     return cached(
         "indented",
-        {"chip": own, "pressure_basis": shape.nodes.tolist()},
+        {"chip": chip, "pressure_basis": shape.nodes.tolist()},
         lambda: local_compliance(part.keys, shape),
         classes=(LocalCompliance,),
         sources=SOURCES,

@@ -72,31 +72,31 @@ class PortLoads(PartType):
         return {body_of(part, scene).name: "copied"}
 
     def cards(self, part: Part, build: Build) -> tuple[Item, ...]:
-        body, own = body_of(part, build.scene), partial(build.own, part)
+        body, name = body_of(part, build.scene), partial(build.inner_name, part)
         rings, library = _rings(body, build.scene), build.libraries[body.name]
         is_open = body.keys.electrical == "open"
         cards: list[Line] = []
         for load in (*rings, "anode"):
-            nodes = [own(ring, load) for ring in rings]
-            anode, charge, source = own("anode", load), own("charge", load), own("Vanode", load)
-            instance = Element.of(own(f"X{load}"), anode, "0", *nodes, "0", library)
+            nodes = [name(ring, load) for ring in rings]
+            anode, charge, source = name("anode", load), name("charge", load), name("Vanode", load)
+            instance = Element.of(name(f"X{load}"), anode, "0", *nodes, "0", library)
             cards += [f"* Load on {load}", instance]
             if load != "anode":
-                drive = Element.of(own(f"I{load}"), "0", own(load, load), "AC", "1")
+                drive = Element.of(name(f"I{load}"), "0", name(load, load), "AC", "1")
                 cards.append(drive.valued(TRANSLATION.flow))
             if is_open and load == "anode":
-                unit, node = own("Vload"), own("load")
+                unit, node = name("Vload"), name("load")
                 cards += [
                     Element.of(unit, node, "0", "AC", "1"),
-                    Element.of(own("Cload"), node, "0", "1"),
-                    Element.of(own("Fload"), "0", anode, unit, "-1"),
+                    Element.of(name("Cload"), node, "0", "1"),
+                    Element.of(name("Fload"), "0", anode, unit, "-1"),
                 ]
             if not is_open:
                 cards += [
                     Element.of(source, anode, "0", "AC", f"{load == 'anode':d}"),
-                    Element.of(own("Fcharge", load), charge, "0", source, "1"),
-                    Element.of(own("Ccharge", load), charge, "0", "1"),
-                    Element.of(own("Rcharge", load), charge, "0", 1e9),
+                    Element.of(name("Fcharge", load), charge, "0", source, "1"),
+                    Element.of(name("Ccharge", load), charge, "0", "1"),
+                    Element.of(name("Rcharge", load), charge, "0", 1e9),
                 ]
         return noted(cards)
 
@@ -117,12 +117,12 @@ class PortLoads(PartType):
         result = {}
         for load in (*rings, "anode"):
             for ring in rings:
-                node = build.own(part, ring, load).lower()
+                node = build.inner_name(part, ring, load).lower()
                 result[f"{load}>{ring}"] = Vector(
                     f"v({node})", DISPLACEMENT.factor, DISPLACEMENT.unit
                 )
             result[f"{load}>anode"] = Vector(
-                f"v({build.own(part, meter, load).lower()})", 1.0, unit
+                f"v({build.inner_name(part, meter, load).lower()})", 1.0, unit
             )
         return result
 
@@ -140,8 +140,8 @@ class PortLoads(PartType):
 
     def checks(self, part: Part, build: Build, waves: Waveforms) -> Iterator[Gate]:
         """Gates of the harmonic loads; the tolerance of the reduction limits them."""
-        gates, asked = build.scene.gates, body_of(part, build.scene).keys.rom or build.scene.rom
-        rom = min(gates.harmonic_rom, asked.tolerance or gates.harmonic_rom)
+        gates, target = build.scene.gates, body_of(part, build.scene).keys.rom or build.scene.rom
+        rom = min(gates.harmonic_rom, target.tolerance or gates.harmonic_rom)
         limits = dict.fromkeys(PAIRS, rom) | {"ngspice_vs_rom": gates.harmonic_ngspice}
         yield Gate("response, whole band", "*>*", limits, "spectral", leads=True)
         low = {"rom_vs_fom": gates.harmonic_low}

@@ -224,18 +224,18 @@ def _lookup(values: np.ndarray, tolerance: float = 0.0) -> list[str]:
     the lines between others are left out.
     """
     f = np.concatenate([values[:1], values, values[-1:]])
-    kept, last = [0, 1], f.size - 2
-    while kept[-1] < last:
-        a = kept[-1]
+    indices, last = [0, 1], f.size - 2
+    while indices[-1] < last:
+        a = indices[-1]
         end = a + 1
         for b in range(a + 2, last + 1):
             line = np.linspace(f[a], f[b], b - a + 1)
             if np.abs(line - f[a : b + 1]).max() > tolerance:
                 break
             end = b
-        kept.append(end)
+        indices.append(end)
     # ngspice keeps 11 digits of a literal in an expression
-    points = [f"{k - 2}, {number(float(f'{f[k]:.11g}'))}" for k in (*kept, f.size - 1)]
+    points = [f"{k - 2}, {number(float(f'{f[k]:.11g}'))}" for k in (*indices, f.size - 1)]
     return [", ".join(points[k : k + 5]) for k in range(0, len(points), 5)]
 
 
@@ -272,7 +272,7 @@ class RingMagnetCoils(Touching):
             got = f"{keys.y_min:g} … {keys.y_max:g} m"
             yield part.wrong("y_min", "empty range of positions", got, "y_min < y_max")
         bodies: dict[str, Ring] = {item: getattr(keys, item) for item in ("ring", *COILS)}
-        for own, body in bodies.items():
+        for body_name, body in bodies.items():
             # what, its key, what it is, and whether less or more than what of whom is right
             rules = (
                 ("no material left", "inner", body.inner < body.outer,
@@ -287,11 +287,11 @@ class RingMagnetCoils(Touching):
             for problem, key, right, limit, value in rules:
                 if not right:
                     got = f"{getattr(body, key):g} m"
-                    yield part.wrong(f"{own}.{key}", problem, got, f"{limit}, {value:g} m")
-        for (own, body), (other_name, other) in combinations(bodies.items(), 2):
+                    yield part.wrong(f"{body_name}.{key}", problem, got, f"{limit}, {value:g} m")
+        for (body_name, body), (other_name, other) in combinations(bodies.items(), 2):
             radial = body.inner < other.outer and other.inner < body.outer
             if radial and 2 * abs(body.y - other.y) < body.height + other.height:
-                yield part.wrong(other_name, f"overlaps {name}.{own}")
+                yield part.wrong(other_name, f"overlaps {name}.{body_name}")
         resting = scene.analysis.type == "transient" and bool(scene.of("contact"))
         if resting and not keys.y_min < radius < keys.y_max:
             got, expected = (
@@ -534,8 +534,8 @@ def label(part: Part) -> str:
 
 def real(part: Part, scene: DeclaredScene) -> bool:
     """Whether its coils have inductance and back-EMF: where a circuit drives their terminals."""
-    named = any(scene.named(part.name, pin) or pin in part.pins for pin in ENDS)
-    return bool(part.keys.driver) or named
+    joined = any(scene.is_target(part.name, pin) or pin in part.pins for pin in ENDS)
+    return bool(part.keys.driver) or joined
 
 
 def _apart(part: Part, scene: DeclaredScene) -> bool:

@@ -138,10 +138,10 @@ dc = "1 um"
         n, d = part.name, reading(part.keys)
         height = sphere.offset(part, "of", build.scene)
         values = d.values(Section()) | {"offset": part.keys.offset + height}
-        own = DeclaredLaw(n, d, tuple(values.values()))
+        declared_law = DeclaredLaw(n, d, tuple(values.values()))
         pins = tuple((pin, f"{n}.{pin}") for pin in ("of", "out", "ref"))
         result = laws.reading(f"{n}.out", DISPLACEMENT.factor)
-        return laws.Equations((own,), pins, {f"{n}.y": result})
+        return laws.Equations((declared_law,), pins, {f"{n}.y": result})
 
     def notes(self, part: Part, scene: Scene) -> Iterator[str]:
         keys = part.keys

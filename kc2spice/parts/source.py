@@ -104,10 +104,10 @@ class SourceKeys(Section):
 
     @model_validator(mode="after")
     def _one_shape(self, info: ValidationInfo) -> SourceKeys:
-        given = [name for name in SHAPES if getattr(self, name) is not None]
-        if len(given) > 1:
-            hint = f"delete the key {given[0]} or the key {given[1]}"
-            raise refused("two shapes: " + " and ".join(given), "one of them", hint=hint)
+        shapes = [name for name in SHAPES if getattr(self, name) is not None]
+        if len(shapes) > 1:
+            hint = f"delete the key {shapes[0]} or the key {shapes[1]}"
+            raise refused("two shapes: " + " and ".join(shapes), "one of them", hint=hint)
         try:
             self.waveform((info.context or {}).get("home", Path()))
             quantity(self.ac, self.unit, where="ac")
@@ -222,7 +222,7 @@ class Source(PartType):
     def settable(self, part: Part, build: Build) -> Mapping[str, Swept]:
         kind = KINDS[part.keys.kind]
         if _returns(part, build.scene):
-            return {"dc": Swept(f"V{build.own(part, part.name, 'swept')}", kind.scale)}
+            return {"dc": Swept(f"V{build.inner_name(part, part.name, 'swept')}", kind.scale)}
         return {"dc": Swept(f"{kind.letter}{part.name}", kind.scale)}
 
     def vectors(self, part: Part, build: Build) -> Mapping[str, Vector]:
@@ -247,9 +247,9 @@ class Source(PartType):
         if result is None or "time" not in waves:
             return
         wave = part.keys.waveform(build.scene.home)
-        wanted = wave(waves["time"])
-        swing = float(np.ptp(wanted)) or float(np.abs(wanted).max()) or 1.0
-        off, name = float(np.abs(result - wanted).max()) / swing, f"{part.name} drives as defined"
+        expected = wave(waves["time"])
+        swing = float(np.ptp(expected)) or float(np.abs(expected).max()) or 1.0
+        off, name = float(np.abs(result - expected).max()) / swing, f"{part.name} drives as defined"
         advice = "the netlist's source is not the scene's: please report it"
         yield Check(name, off, DEVIATION, "of its swing", advice, wiring=True)
 
@@ -293,7 +293,7 @@ def _returning(part: Part, build: Build, kind: Kind, ends: list[str]) -> Iterato
     """
     selected = build.scene.analysis
     first, last = (kind.scale * quantity(v, kind.unit) for v in (selected.from_, selected.to))
-    swept, folded = (build.own(part, part.name, word) for word in ("swept", "folded"))
+    swept, folded = (build.inner_name(part, part.name, word) for word in ("swept", "folded"))
     value = f"{number(last)}{'-' if first < last else '+'}abs(V({swept})-({number(last)}))"
     yield Element.of(f"V{swept}", swept, "0", first)
     if kind.letter == "I":

@@ -52,9 +52,9 @@ def _default_density(keys: dict[str, Any]) -> float:
     return STEEL_DENSITY if material is None else _stuff(material).density
 
 
-def _stuff(given: str | dict[str, Any]) -> Material:
+def _stuff(name_or_table: str | dict[str, Any]) -> Material:
     try:
-        return material(given, "sphere.material")
+        return material(name_or_table, "sphere.material")
     except UsageError as error:
         raise ValueError(str(error)) from None
 
@@ -116,12 +116,12 @@ def rigid_sphere(
     With the height of the centre, an indentation of a picometre would be lost in rounding. Without
     ``uic`` ngspice starts from the operating point.
     """
-    own = point_mass(mass, gravity, height, velocity)
-    weight, pull, place, fast = own.given
+    declaration = point_mass(mass, gravity, height, velocity)
+    weight, pull, place, fast = declaration.given
     size = positive("radius", radius, "m", "radius of the sphere")
     place = replace(place, name="height", doc="of the lowest point at t = 0, used with uic")
     return replace(
-        own,
+        declaration,
         title=Sphere.title,
         branches=(displacement("x", "bottom", "base"),),
         starts={"x": ("height", "velocity")},
@@ -129,7 +129,7 @@ def rigid_sphere(
         speeds={"bottom": "v"},
         given=(weight, size, pull, fast, place),
         base="base",
-        validity=f"{own.validity}; moves along its axis only",
+        validity=f"{declaration.validity}; moves along its axis only",
         sign=SIGN,
     )
 
@@ -144,16 +144,16 @@ class Sphere(Touching, DeclaredPart):
         return rigid_sphere(keys.mass, keys.radius, scene.gravity, begin.velocity, begin.height)
 
     def expand(self, part: Part, data: Mapping[str, object]) -> Mapping[str, Mapping[str, object]]:
-        if (given := part.keys.elastic) is None:
+        if (elastic := part.keys.elastic) is None:
             return {}
         table = {"part": "elastic_sphere", "of": part.name, "at": (part.name, "elastic")}
-        return {_carried(part): table if given is True else {**given, **table}}
+        return {_carried(part): table if elastic is True else {**elastic, **table}}
 
     def pins(self, part: Part, scene: JoinedScene) -> tuple[Terminal, ...]:
-        own = () if _moved(part, scene) else pins_of(self.declared(part, scene))
+        declared = () if _moved(part, scene) else pins_of(self.declared(part, scene))
         return tuple(
             Terminal(p.name, p.unit, p.flow, {"base": "gnd"}.get(p.name), signal_out=p.flow == "-")
-            for p in own
+            for p in declared
         )
 
     def problems(self, part: Part, scene: GovernedScene) -> Iterator[UsageError]:
@@ -185,8 +185,8 @@ class Sphere(Touching, DeclaredPart):
 
     def governs(self, part: Part, scene: DeclaredScene) -> Mapping[str, State]:
         keys = part.keys
-        given = keys.velocity or keys.height
-        return {part.name: State(keys.velocity, keys.height)} if given else {}
+        moving = keys.velocity or keys.height
+        return {part.name: State(keys.velocity, keys.height)} if moving else {}
 
     def at_rest(self, part: Part, scene: WiredScene) -> Rest:
         if _moved(part, scene):
@@ -194,9 +194,9 @@ class Sphere(Touching, DeclaredPart):
         return Rest((("base", GROUND),), pushed=("v",) if scene.gravity else (), inert=("v",))
 
     def settable(self, part: Part, build: Build) -> Mapping[str, float]:
-        held = build.scene.joined(part.name, "v")
+        joined = build.scene.joined(part.name, "v")
         if (
-            held
+            joined
             or build.scene.joined(part.name, "bottom")
             or part.name in build.scene.initial_states
         ):
@@ -235,11 +235,11 @@ class Sphere(Touching, DeclaredPart):
             return
         scene, words, of = build.scene, f"height of {part.name}", f"{part.name}.y"
         if part.name not in scene.initial_states:
-            given, default = scene.gates.trajectory, {"ngspice_vs_rom": stepping(scene.solver)}
-            if given is None:
+            limit, default = scene.gates.trajectory, {"ngspice_vs_rom": stepping(scene.solver)}
+            if limit is None:
                 yield Gate(f"{words} over its way", of, default, "travel")
             else:
-                yield Gate(words, of, {"ngspice_vs_rom": given}, "absolute", "m")
+                yield Gate(words, of, {"ngspice_vs_rom": limit}, "absolute", "m")
         t, v, mass = waves["time"], waves[f"{part.name}.v"], part.keys.mass
         forces = {"weight": np.full_like(t, -mass * build.scene.gravity)}
         acting = pin_forces(build, waves)
@@ -337,10 +337,10 @@ def offset(part: Part, pin: str, scene: WiredScene) -> float:
 
 def beginning(part: Part, pin: str, scene: WiredScene) -> float | None:
     """Height of the centre [m] that a pin reads at t = 0, None where an operating point says it."""
-    ball, given = _read(part, pin, scene), scene.initial_states
-    if ball is None or not given:
+    ball, states = _read(part, pin, scene), scene.initial_states
+    if ball is None or not states:
         return None
-    return float(ball.keys.radius + given.get(ball.name, AT_REST).height)
+    return float(ball.keys.radius + states.get(ball.name, AT_REST).height)
 
 
 def _read(part: Part, pin: str, scene: WiredScene) -> Part | None:
@@ -351,9 +351,9 @@ def _read(part: Part, pin: str, scene: WiredScene) -> Part | None:
 
 def _softer(part: Part, scene: GovernedScene) -> str:
     """How much softer the contact with an elastic sphere would be, of steel if nothing is said."""
-    own = made_of(part).indentation_modulus
+    sphere_modulus = made_of(part).indentation_modulus
     under = (pair_of(contact, scene).a.modulus for contact in scene.of("contact"))
-    result = [modulus / own for modulus in under if modulus is not None]
+    result = [modulus / sphere_modulus for modulus in under if modulus is not None]
     return f"the dent would be {100 * max(result):.0f} % softer" if result else "not estimated"
 
 

@@ -99,9 +99,9 @@ pins = {{ a = "drive.out", b = "gnd" }}
 part = "source"
 {row.drive}
 """
-    made = Declaration(row.name, row.title, keys, (row.branch,), **row.stated, example=example)
-    keys.__doc__ = f"``{'; '.join(made.equations)}``."
-    return made
+    result = Declaration(row.name, row.title, keys, (row.branch,), **row.stated, example=example)
+    keys.__doc__ = f"``{'; '.join(result.equations)}``."
+    return result
 
 
 class LinearElement(DeclaredPart):
@@ -122,12 +122,12 @@ class LinearElement(DeclaredPart):
         """``order`` and ``admittance``, from what is stated."""
         d, b = self.declaration, self.branch
         stiff, slow = derivative(d.direct(b), b.name), derivative(d.direct(b), b.name + RATE)
-        kept = derivative(d.storage(b), b.name)
+        stored = derivative(d.storage(b), b.name)
         if b.flows:
-            return -1, over(ONE, kept)
+            return -1, over(ONE, stored)
         if b.moves:
             return (-1, stiff) if stiff != ZERO else (0, slow)
-        return (1, kept) if kept != ZERO else (0, stiff)
+        return (1, stored) if stored != ZERO else (0, stiff)
 
     @cached_property
     def _letter(self) -> str:
@@ -161,7 +161,7 @@ class LinearElement(DeclaredPart):
             words = {"noisy": "0"} if silent else {}
             card = Element.of(f"{self._letter}{part.name}", a, b, value, **words)
             return (card.valued(self.branch.domain.value_unit(self._letter)), *noise)
-        inner = build.own(part, part.name.lower(), "metered")
+        inner = build.inner_name(part, part.name.lower(), "metered")
         return (
             Element.of(_meter(part, build), a, inner, "0"),
             Element.of(f"C{part.name}", inner, b, self._number(part, admittance)).valued(
@@ -176,7 +176,7 @@ class LinearElement(DeclaredPart):
         proportion to the capacitance, as that of a body's electrode is, so that their currents
         ``rate C v`` sum to zero where the charges ``C v`` do."""
         value = LEAK_RATE * self._number(part, times(self._unit, self.linear[1]))
-        return (Element.of(build.own(part, f"G{part.name}", "leak"), a, b, a, b, value),)
+        return (Element.of(build.inner_name(part, f"G{part.name}", "leak"), a, b, a, b, value),)
 
     @cached_property
     def _lossy(self) -> bool:
@@ -193,7 +193,9 @@ class LinearElement(DeclaredPart):
         if not self._lossy:
             return ()
         n, value = part.name, self._number(part, self.linear[1])
-        R, G, node = (build.own(part, own, "noise") for own in (f"R{n}", f"G{n}", n.lower()))
+        R, G, node = (
+            build.inner_name(part, name, "noise") for name in (f"R{n}", f"G{n}", n.lower())
+        )
         gain = f"{self.branch.domain.quantity('through').per_unit:g}"
         return Element.of(R, node, "0", value), Element.of(G, a, b, node, "0", gain)
 
@@ -204,8 +206,8 @@ class LinearElement(DeclaredPart):
             factor = self._number(part, times(Number(f"{voltage.factor:g}"), self.linear[1]))
             through = Vector(across, factor, flow.unit, ("b",), ("a",))
         else:
-            own = _meter(part, build) if self._letter == "C" else f"l{n}"
-            through = Vector(f"i({own.lower()})", flow.factor, flow.unit, ("b",), ("a",))
+            instance = _meter(part, build) if self._letter == "C" else f"l{n}"
+            through = Vector(f"i({instance.lower()})", flow.factor, flow.unit, ("b",), ("a",))
         if b.moves:
             return {f"{n}.{b.through}": through}
         difference = Vector(across, voltage.factor, voltage.unit)
@@ -217,7 +219,7 @@ class LinearElement(DeclaredPart):
 
 
 def _meter(part: Part, build: Build) -> str:
-    return build.own(part, f"V{part.name}", "meter")
+    return build.inner_name(part, f"V{part.name}", "meter")
 
 
 DECLARED = {row.name: declaration(row) for row in TABLE}

@@ -79,7 +79,7 @@ class DeclaredPart(PartType):
         plus = {b.plus for b in self.declared(part, scene).branches}
         return tuple(
             Terminal(p.name, p.unit, p.flow, required=True)
-            if p.name in plus or scene.named(part.name, p.name)
+            if p.name in plus or scene.is_target(part.name, p.name)
             else Terminal(p.name, p.unit, p.flow, "gnd")
             for p in pins_of(self.declared(part, scene))
         )

@@ -442,7 +442,7 @@ def unsettled(scene: Scene, rests: Mapping[str, Rest]) -> Iterator[UsageError]:
 
 
 def _unheld(scene: Scene, rests: Mapping[str, Rest]) -> Iterator[frozenset[str]]:
-    held = {name: rest.held for name, rest in rests.items()}
+    held = {name: rest.paths for name, rest in rests.items()}
     return (group for group in _groups(scene, held) if "0" not in group)
 
 

@@ -433,7 +433,7 @@ def _driven(scene: Scene) -> Scene:
     bodies = [part for part in parts.values() if part.reduced]
     electrical = ([p for p in part.type.pins(part, whole) if p.unit == "V"] for part in bodies)
     ports = [(b.name, pins[0].name) for b, pins in zip(bodies, electrical, strict=True) if pins]
-    if len(ports) != 1 or ports[0][1] in parts[ports[0][0]].pins or scene.named(*ports[0]):
+    if len(ports) != 1 or ports[0][1] in parts[ports[0][0]].pins or scene.is_target(*ports[0]):
         at = f" at {', '.join(map('.'.join, ports))}" if ports else ""
         raise UsageError(
             "nothing drives this analysis",

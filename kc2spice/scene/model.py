@@ -341,7 +341,7 @@ class DeclaredScene:
             )
         return result[0]
 
-    def named(self, part: str, pin: str) -> bool:
+    def is_target(self, part: str, pin: str) -> bool:
         """Whether the ``pins`` of another part name this one, so that no default joins it."""
         target = f"{part}.{pin}"
         return any(target in other.pins.values() for other in self.parts.values())
@@ -411,8 +411,8 @@ class Scene(WiredScene):
     :func:`kc2spice.scene.resolve.resolve`. ``numerics`` are the time scales of all parts,
     ``period`` [s] that of all that drives the scene, None without a common one; ``meters`` has the
     names of the ammeters at pins, ``names`` those of all other nodes and cards by
-    ``(part, *words)`` (:meth:`Build.own`). ``tables`` is what the file says with all overrides,
-    ``source`` its text, by which :meth:`where` finds the line of a key.
+    ``(part, *words)`` (:meth:`Build.inner_name`). ``tables`` is what the file says with all
+    overrides, ``source`` its text, by which :meth:`where` finds the line of a key.
     """
 
     numerics: tuple[Numerics, ...] = ()
@@ -537,7 +537,7 @@ class Build:
         """Name of the ammeter at a pin and of the node behind it, None where no probe asks."""
         return self.scene.meters.get((part.name, pin))
 
-    def own(self, part: Part, *words: str) -> str:
+    def inner_name(self, part: Part, *words: str) -> str:
         """Name of one of a part's :meth:`PartType.inner_names`: the words with ``_`` in between, or
         one like it where that is taken."""
         return self.scene.names[part.name, *words]
@@ -595,7 +595,7 @@ class PartType:
 
     def inner_names(self, part: Part, scene: WiredScene) -> Iterable[tuple[str, ...]]:
         """Words of the names of its nodes and cards besides its pins' nodes and ``LETTERname``;
-        :meth:`Build.own` returns the names."""
+        :meth:`Build.inner_name` returns the names."""
         return ()
 
     def detail(self, part: Part, scene: GovernedScene) -> object:

@@ -41,14 +41,14 @@ HighestFrequency = Callable[[float], float]
 class Rest:
     """Constraints and loads of a part at rest on pins that need a path to their reference.
 
-    ``held`` are pairs of them, or such a pin and ``gnd``, between which it is a path: it holds them
-    apart, or leads heat. ``ideal`` are pairs of any pins whose difference it sets as an ideal
+    ``paths`` are pairs of them, or such a pin and ``gnd``, between which it holds a distance or
+    leads heat. ``ideal`` are pairs of any pins whose difference it sets as an ideal
     source. On ``pushed`` ones it puts a constant force or flow at t = 0. ``kinked`` is the key of a
     motion that it prescribes with jumps of velocity, ``inert`` are pins whose velocity no finite
     force makes jump.
     """
 
-    held: tuple[tuple[str, str], ...] = ()
+    paths: tuple[tuple[str, str], ...] = ()
     ideal: tuple[tuple[str, str], ...] = ()
     pushed: tuple[str, ...] = ()
     kinked: str = ""

@@ -71,7 +71,7 @@ def built(scene, model=None, table=None, **words):
     models: dict[str, Any] = {}
     for part in scene.parts.values():
         if part.type.name == "piezo_stack" and model is not None:
-            kept = [port.name for port in part.type.kept(part, scene)]
+            kept = [port.name for port in part.type.used_ports(part, scene)]
             models[part.name] = model.linear().select(kept)
         if part.type.name == "ring_magnet_coils" and table is not None:
             models[part.name] = table

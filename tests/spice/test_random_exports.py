@@ -296,7 +296,7 @@ def test_parametric_bodies(family, tmp_path):
     body = scene.parts["body"]
     names = {item.key: item.param.name for item in varied(body)}
     # ports by their names: that of an accelerated base is not the reference pin of other bodies
-    ports = [port.name for port in body.type.kept(body, scene)]
+    ports = [port.name for port in body.type.used_ports(body, scene)]
     assert ports == (["anode", moved] if moved else ["anode"])
     middle = with_values(body, {item.key: item.axis.middle for item in varied(body)})
     for k in range(7):
