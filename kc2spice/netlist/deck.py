@@ -127,9 +127,9 @@ def _range(start: float, stop: float, points: int, scale: str) -> tuple[str, ...
 
 def with_frequencies(command: Command, start: float, stop: float, points: int) -> Command:
     """A small-signal ``command`` at other frequencies [Hz], equally spaced from ``start``."""
-    kept = command.words[:2] if command.kind == "noise" else ()
+    reference = command.words[:2] if command.kind == "noise" else ()
     last = command.words[6:] if command.kind == "noise" else ()
-    words = (*kept, *_range(start, stop, points, "linear"), *last)
+    words = (*reference, *_range(start, stop, points, "linear"), *last)
     return Command(command.kind, words)
 
 
@@ -208,8 +208,8 @@ class Deck:
     @property
     def files(self) -> dict[str, str]:
         """``{file name: text}`` of the deck and its libraries."""
-        own = {part.filename: part.text for part in self.parts}
-        return {self.main: self._main} | own | dict(self.more)
+        libraries = {part.filename: part.text for part in self.parts}
+        return {self.main: self._main} | libraries | dict(self.more)
 
     @cached_property
     def circuit(self) -> Circuit:
@@ -234,15 +234,15 @@ class Deck:
         UsageError : a broken card.
         """
         more = {name: read(text, name) for name, text in self.more.items()}
-        own = {part.filename: part.circuit for part in self.parts}
-        return {self.main: self.circuit} | own | more
+        libraries = {part.filename: part.circuit for part in self.parts}
+        return {self.main: self.circuit} | libraries | more
 
     @cached_property
     def located(self) -> Mapping[str, Circuit]:
         """The trees with the place of each card in the files that are written, for errors."""
-        own = {part.filename: part.located for part in self.parts}
+        libraries = {part.filename: part.located for part in self.parts}
         main = located(self.circuit, self.main) if self.text is None else self.circuit
-        return {**self.trees, **own, self.main: main}
+        return {**self.trees, **libraries, self.main: main}
 
     @cached_property
     def scope(self) -> Scope:
@@ -333,8 +333,8 @@ class Deck:
         points = self._rows if self.command.kind == "op" else []
         for row in points:
             yield f"* {row.name} in SI units is {number(row.factor)} times {row.words[0]}"
-        shown = dict.fromkeys((*(row.words[0] for row in points), *self.saved[:2]))
-        yield Directive(".print", (self.command.kind, *shown))
+        columns = dict.fromkeys((*(row.words[0] for row in points), *self.saved[:2]))
+        yield Directive(".print", (self.command.kind, *columns))
 
     def with_command(self, command: Command) -> Deck:
         """The same deck with this analysis instead of its own and of its refinements."""
@@ -370,9 +370,9 @@ class Deck:
 
     def with_options(self, options: Mapping[str, str], reason: str) -> Deck:
         """The same deck with these options instead of its own."""
-        kept = tuple(option for option in self.options if option.key not in options)
+        unchanged = tuple(option for option in self.options if option.key not in options)
         new = tuple(Option(key, value, reason) for key, value in options.items())
-        return replace(self, options=kept + new)
+        return replace(self, options=unchanged + new)
 
     def with_steps(self, factor: float) -> Deck:
         """The same deck with its largest time step times ``factor``."""

@@ -156,9 +156,9 @@ class Dialect(Printer, ABC):
 
     def options(self, words: Sequence[str]) -> str:
         """The simulator settings that exist here; what is dropped becomes a comment."""
-        kept = [w for w in words if w.partition("=")[0].lower() in self.known_options]
-        lines = [f"{self.option_prefix} {' '.join(kept)}"] if kept else []
-        dropped = (f"* {self.title} has no option {w}" for w in words if w not in kept)
+        supported = [w for w in words if w.partition("=")[0].lower() in self.known_options]
+        lines = [f"{self.option_prefix} {' '.join(supported)}"] if supported else []
+        dropped = (f"* {self.title} has no option {w}" for w in words if w not in supported)
         return "\n".join([*lines, *dropped])
 
     def save(self, vectors: list[str]) -> str:

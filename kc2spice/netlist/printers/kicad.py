@@ -13,6 +13,7 @@ from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
+from itertools import chain
 from math import ceil
 from textwrap import shorten
 from types import SimpleNamespace
@@ -181,10 +182,12 @@ def project(deck: Deck) -> dict[str, str]:
     plain = element_symbols()
     drawn = {part.name.lower(): part_symbol(part) for part in deck.parts}
     items = [_item(element, drawn, plain) for element in top.elements]
-    once = Counter(net for item in items for net in item.nets)
-    for net in (net for net in once if once[net] == 1 and net not in GROUND):
-        named = {"Reference": f"TP{len(items) + 1}", "Value": net}
-        items.append(_placed(plain["PROBE"], plain["PROBE"].fields | named, (net,)))
+    counts = Counter(chain.from_iterable(item.nets for item in items))
+    for net in [net for net, count in counts.items() if count == 1]:
+        if net in GROUND:
+            continue
+        fields = {"Reference": f"TP{len(items) + 1}", "Value": net}
+        items.append(_placed(plain["PROBE"], plain["PROBE"].fields | fields, (net,)))
     title = deck.title.removeprefix(f"{deck.name}: ")
     sources = {e.key: _reference(e.name) for e in top.elements}
     commands = [
@@ -226,12 +229,12 @@ def _renamed(word: str, references: Mapping[str, str]) -> str:
 def _item(element: Element, parts: dict[str, Symbol], plain: dict[str, Symbol]) -> _Item:
     letter, name = element.name[0].upper(), _reference(element.name)
     nets = tuple("0" if n.lower() in GROUND else n for n in element.nodes)
-    given = " ".join(f"{k}={v}" for k, v in element.parameters.items())
+    parameters = " ".join(f"{k}={v}" for k, v in element.parameters.items())
     if letter == "X":
         symbol = parts.get(element.model.lower())
         if symbol is None or len(symbol.places) != len(nets):
             raise element.error("no such subcircuit", element.model)
-        fields = symbol.fields | ({"Sim.Params": given} if given else {})
+        fields = symbol.fields | ({"Sim.Params": parameters} if parameters else {})
         return _placed(symbol, fields | {"Reference": name}, nets)
     symbol = plain.get(letter)
     if symbol is None or len(symbol.places) != len(nets):
@@ -240,17 +243,17 @@ def _item(element: Element, parts: dict[str, Symbol], plain: dict[str, Symbol]) 
             "the sheet has no symbol for this card", expected=f"one of {known} or X"
         )
     law = Printer().law(element) if element.quantity else ""
-    words = (*map(_reference, element.sources), *element.values, given, law)
+    words = (*map(_reference, element.sources), *element.values, parameters, law)
     value = " ".join(filter(None, words))
     fields = symbol.fields | {
         "Reference": name,
-        "Value": f"{_shown(value)} {element.unit}".rstrip(),
+        "Value": f"{_short_text(value)} {element.unit}".rstrip(),
         "Sim.Params": _SPICE.format(letter, value),
     }
     return _placed(symbol, fields, nets)
 
 
-def _shown(value: str) -> str:
+def _short_text(value: str) -> str:
     """A value to be read: six digits, one short line; ``Sim.Params`` has it all."""
     short = _NUMBER.sub(lambda number: f"{float(number[0]):.6g}", value)
     return short if len(short) <= _VALUE else short[: _VALUE - 2].rpartition(" ")[0] + " …"

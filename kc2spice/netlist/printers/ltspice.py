@@ -41,8 +41,8 @@ class LTspice(Dialect):
 
     def switch(self, name: str, values: Mapping[str, str]) -> str:
         """The same model; the default of ``ROFF`` differs, so both are always written."""
-        given = {"vt": "0", "vh": "0", "ron": "1", "roff": "1e12"} | dict(values)
-        return f".model {name} SW({' '.join(f'{k.upper()}={v}' for k, v in given.items())})"
+        parameters = {"vt": "0", "vh": "0", "ron": "1", "roff": "1e12"} | dict(values)
+        return f".model {name} SW({' '.join(f'{k.upper()}={v}' for k, v in parameters.items())})"
 
     def element(self, part: Element) -> str:
         """LTspice gives inductors a milliohm by default."""
@@ -84,8 +84,8 @@ def symbol(part: Subcircuit, library: str) -> str:
         f"SYMATTR Description {part.title}",
     ]
     if part.params:
-        given = " ".join(f"{p.name}={number(p.default)}" for p in part.params)
-        lines.append(f"SYMATTR SpiceLine {given}")
+        parameters = " ".join(f"{p.name}={number(p.default)}" for p in part.params)
+        lines.append(f"SYMATTR SpiceLine {parameters}")
     for pin in box.places:  # on the outline; y points down here
         x = max(-box.width, min(box.width, pin.x)) * GRID
         y = -max(-box.height, min(box.height, pin.y)) * GRID

@@ -42,8 +42,8 @@ class Xyce(Dialect):
         """The card of the deck's analysis; a library is one of a transient from initial states."""
         items = self.deck.trees[self.deck.main].items if self.deck else ()
         cards = (item for item in items if isinstance(item, Directive))
-        found = (card for card in cards if card.keyword in ANALYSES)
-        return min(found, key=lambda card: card.keyword, default=Directive(".tran", ("uic",)))
+        analyses = (card for card in cards if card.keyword in ANALYSES)
+        return min(analyses, key=lambda card: card.keyword, default=Directive(".tran", ("uic",)))
 
     def call(self, function: str, arguments: tuple[Tree, ...]) -> str:
         """``max(0, x)`` is differentiated, ``uramp(x)`` is not."""
@@ -54,8 +54,8 @@ class Xyce(Dialect):
     def element(self, part: Element) -> str:
         """Xyce obeys ``IC=`` of a part without ``uic`` too, where ngspice ignores it."""
         if not _from_states(self.analysis) and part.kind in "cl":
-            kept = {k: v for k, v in part.parameters.items() if k.lower() != "ic"}
-            part = replace(part, parameters=kept)
+            parameters = {k: v for k, v in part.parameters.items() if k.lower() != "ic"}
+            part = replace(part, parameters=parameters)
         return super().element(part)
 
     def directive(self, card: Directive) -> str:
@@ -72,11 +72,11 @@ class Xyce(Dialect):
             return (f".nodeset {guesses}\n" if guesses else "") + self._limited(card)
         if card.keyword != ".ac" or not card.words:
             return card.text
-        given = [literal(word, where=card.where) for word in card.words[1:]]
+        numbers = [literal(word, where=card.where) for word in card.words[1:]]
         per = {"dec": 10.0, "oct": 2.0}.get(card.words[0].lower())
-        if per is None or len(given) != 3 or None in given:
+        if per is None or len(numbers) != 3 or None in numbers:
             return card.text
-        count, start, stop = (float(value or 0.0) for value in given)
+        count, start, stop = (float(value or 0.0) for value in numbers)
         steps = math.ceil(count * math.log(stop / start, per) - 1e-6)
         beyond = start * per ** ((steps + 1e-6) / count)  # rounding must not lose it
         return " ".join([card.keyword, *card.words[:3], number(beyond)])
@@ -92,8 +92,8 @@ class Xyce(Dialect):
         words = [w for w in card.words if w.lower() == "uic"]
         numbers = [w for w in card.words if w not in words]
         step, stop, start, ceiling = [*numbers, *["0", number(STEP)][len(numbers) - 2 :]]
-        given = literal(ceiling, where=card.where)
-        if given is None or given > STEP:
+        largest = literal(ceiling, where=card.where)
+        if largest is None or largest > STEP:
             ceiling = number(STEP)
         return " ".join([card.keyword, step, stop, start, ceiling, *words])
 
@@ -121,12 +121,12 @@ class Xyce(Dialect):
 
     def switch(self, name: str, values: Mapping[str, str]) -> str:
         """``VON`` and ``VOFF`` must differ; hysteresis does not exist."""
-        given = " ".join(f"{key.upper()}={value}" for key, value in values.items())
+        parameters = " ".join(f"{key.upper()}={value}" for key, value in values.items())
         band, middle = (literal(values.get(key, "0"), where=self.where) for key in ("vh", "vt"))
         if band != 0.0:
-            raise self.refusal(given, "a switch with hysteresis")
+            raise self.refusal(parameters, "a switch with hysteresis")
         if middle is None:
-            raise self.refusal(given, "a switch whose threshold is an expression")
+            raise self.refusal(parameters, "a switch whose threshold is an expression")
         return (
             f".model {name} VSWITCH(VON={number(middle + SWITCH_BAND)} "
             f"VOFF={number(middle - SWITCH_BAND)} "
@@ -154,5 +154,5 @@ def _tight(word: str) -> str:
     name, _, value = word.partition("=")
     if name.lower() != "reltol":
         return word
-    given = literal(value, where="reltol")
-    return f"{name}={tidy(TIGHT if given is None else min(given / 10, TIGHT))}"
+    reltol = literal(value, where="reltol")
+    return f"{name}={tidy(TIGHT if reltol is None else min(reltol / 10, TIGHT))}"
