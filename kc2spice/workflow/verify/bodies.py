@@ -46,10 +46,10 @@ def verify_body(
     libraries: Sequence[Subcircuit],
     clock: Clock,
     work: Path,
-    whole: bool,
-    found: Findings,
+    thorough: bool,
+    findings: Findings,
 ) -> None:
-    """Add both comparisons of one body to ``found``.
+    """Add both comparisons of one body to ``findings``.
 
     ``libraries`` are the subcircuits to test, those of a shipped deck or those just emitted. The
     reduced model's limit is what its certificate says, thus the tolerance that was asked for.
@@ -60,7 +60,7 @@ def verify_body(
     at = _sampled(rom, band)
     full = full_model(part, build.scene, clock)
     if full is not None:
-        count = at.size if whole or full.order <= SMALL else FEW
+        count = at.size if thorough or full.order <= SMALL else FEW
         at = _first(rom, at, min(count, MANY))
         with clock.stage("full model", f"{part.name} at {at.size} frequencies"):
             exact = _solved(part, build, full, at)
@@ -68,46 +68,53 @@ def verify_body(
         certificate = rom.certificate
         limit = ROUNDING if certificate is None else max(certificate.error_estimate, ROUNDING)
         words = f"{part.name}: ROM to full model, at {at.size} frequencies with its resonances"
-        found.checks.append(Check(words, errors["rom_vs_fom"], limit))
+        findings.checks.append(Check(words, errors["rom_vs_fom"], limit))
         curves[f"{part.name}: full model"] = _waves(at, exact, rom)
     else:
-        found.notes.append(f"{part.name}: no full model here; its reduced model is taken as it is")
-    found.checks += own_structure(part.name, rom, band)
+        findings.notes.append(
+            f"{part.name}: no full model here; its reduced model is taken as it is"
+        )
+    findings.checks += own_structure(part.name, rom, band)
     frequency, answer = netlist_response(part, build, libraries, clock, work, band)
     checks = netlist_checks(part.name, rom, frequency, answer, build.scene.gates.harmonic_ngspice)
-    found.checks += checks
+    findings.checks += checks
     errors["ngspice_vs_rom"] = float(checks[0].value or 0.0)
     curves[f"{part.name}: netlist, ngspice"] = _waves(frequency, answer, rom)
-    found.figures += responses(part.name, curves)
+    findings.figures += responses(part.name, curves)
     for pair, error in errors.items():
-        found.errors[pair] = max(error, found.errors.get(pair, 0.0))
+        findings.errors[pair] = max(error, findings.errors.get(pair, 0.0))
 
 
 def netlist_checks(
-    name: str, rom: LinearModel, frequency: np.ndarray, found: np.ndarray, gate: float
+    name: str, rom: LinearModel, frequency: np.ndarray, emitted: np.ndarray, gate: float
 ) -> list[Check]:
-    """The netlist's response ``found`` (frequencies, outputs, inputs) against the reduced model's:
-    all ports together, capacitance and charge for each load at each electrical port by their own
-    sizes, and what a passive and reciprocal body cannot do. ``gate`` is the largest error."""
+    """Checks of the netlist's response ``emitted`` (frequencies, outputs, inputs).
+
+    It is compared with that of the reduced model: all ports together, capacitance and charge for
+    each load at each electrical port by their own sizes. ``gate`` is the largest error. Other
+    checks are passivity and reciprocity.
+    """
     exact = rom.transfer(frequency)
     electrical = [port.name for port in rom.ports if port.paired]
     leaked = LEAKED * leakage(frequency) if electrical else 0.0
     every_row, every_column = list(range(len(rom.outputs))), list(range(len(rom.inputs)))
     rows = [(": netlist to ROM, all ports", every_row, every_column)]
     for port in electrical:
-        row, own = [rom.outputs.index(port)], rom.inputs.index(port)
-        rows.append((f": capacitance of {port}", row, [own]))
-        others = [column for column in every_column if column != own]
+        row, input_column = [rom.outputs.index(port)], rom.inputs.index(port)
+        rows.append((f": capacitance of {port}", row, [input_column]))
+        others = [column for column in every_column if column != input_column]
         if others:
             rows.append((f": charge by loads of {port}", row, others))
     checks = []
     for words, row, columns in rows:
         at = np.ix_(range(len(frequency)), row, columns)
-        checks.append(Check(name + words, relative_error(found[at], exact[at]), max(gate, leaked)))
+        checks.append(
+            Check(name + words, relative_error(emitted[at], exact[at]), max(gate, leaked))
+        )
     if all(port.conservative for port in rom.ports):
         # a leak takes charge that a load separates, but no force from a voltage
         limit = max(NETLIST_ROUNDING, leaked)
-        checks += structure(f"{name}: netlist", frequency, found, limit, rates=not is_heat(rom))
+        checks += structure(f"{name}: netlist", frequency, emitted, limit, rates=not is_heat(rom))
     return checks
 
 
@@ -203,28 +210,28 @@ def netlist_response(
 def _deck(
     part: Part, build: Build, libraries: Sequence[Subcircuit], band: tuple[float, float]
 ) -> Deck:
-    wanted = build.libraries[part.name]
+    library_name = build.libraries[part.name]
     # a deck's subcircuits carry the hash of their text behind their name
-    shape = re.compile(rf"{re.escape(wanted)}(_[0-9a-f]+)?", re.IGNORECASE)
-    own = next((item for item in libraries if shape.fullmatch(item.name)), None)
-    if own is None:
+    shape = re.compile(rf"{re.escape(library_name)}(_[0-9a-f]+)?", re.IGNORECASE)
+    library = next((item for item in libraries if shape.fullmatch(item.name)), None)
+    if library is None:
         raise UsageError(
             "the deck has no subcircuit of this part",
             where=part.name,
-            got=wanted,
+            got=library_name,
             expected=", ".join(item.name for item in libraries) or "a library",
         )
     rom = build.model(part, LinearModel)
     items: list[Item] = []
     vectors: dict[str, tuple[str, float]] = {}
     for k, load in enumerate(port for port in rom.ports if port.kind != "output"):
-        cards, answers = loaded(rom, own, load, f"_{k}")
+        cards, answers = loaded(rom, library, load, f"_{k}")
         items += titled(f"load on {load.name}", cards)
         vectors |= {f"{load.name}>{name}": result for name, result in answers.items()}
     return Deck(
         name=f"{part.name}_response",
         title=f"frequency response of {part.name}",
-        parts=(own,),
+        parts=(library,),
         items=tuple(items),
         vectors=vectors,
         command=ac(band[1] / POINTS, band[1], POINTS, "linear"),

@@ -81,12 +81,12 @@ def full_solution(
     exact: Reference,
     replayed: Mapping[str, str],
     clock: Clock,
-    whole: bool,
+    thorough: bool,
 ) -> FullSolution | None:
     """Solve the scene with its full models; None if no network contains one.
 
     ``ours`` are the waves of ngspice, the values of sources on ``replayed`` nets. ``exact`` is the
-    solution with the reduced models. ``whole`` allows
+    solution with the reduced models. ``thorough`` allows
     :data:`kc2spice.workflow.verify.full_transient.WHOLE` times as many steps, at most to the end,
     and replaces no full model by a surrogate.
 
@@ -99,7 +99,7 @@ def full_solution(
         words = "at its ports"
         if build.scene.analysis.small:
             stop = float(build.scene.analysis.stop or 0.0)
-            networks = networks if whole else _with_surrogates(networks, stop, clock)
+            networks = networks if thorough else _with_surrogates(networks, stop, clock)
             points = ours.scale.size
             for body in chain.from_iterable(map(port_bodies, networks)):
                 if body.model.order > DIRECT:  # no surrogate is accurate enough
@@ -109,7 +109,7 @@ def full_solution(
     networks = [network for network in networks if port_bodies(network)]
     if not networks:
         return None
-    rows = (full_differences(network, build, exact, clock, whole) for network in networks)
+    rows = (full_differences(network, build, exact, clock, thorough) for network in networks)
     fine, coarse, notes = zip(*rows, strict=True)
     end = min(float(item.time[-1]) for item in fine)
     waves, coarse_waves = (add_differences(exact, items, end) for items in (fine, coarse))

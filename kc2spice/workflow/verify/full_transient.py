@@ -104,7 +104,7 @@ def port_bodies(network: Network) -> list[PortBody]:
 
 
 def full_differences(
-    network: Network, build: Build, exact: Reference, clock: Clock, whole: bool
+    network: Network, build: Build, exact: Reference, clock: Clock, thorough: bool
 ) -> tuple[Difference, Difference, str]:
     """Solve a network with full and with reduced models, by steps ``h`` and by steps ``2 h``.
 
@@ -123,7 +123,7 @@ def full_differences(
     begin, state = _still_until(bodies, run)
     top = max(held_band(model, build)[1] for model in models.values())
     size = sum(law.model.order for law in bodies)
-    most = max(2 * round(min(MOST, WORK / size) / 2), 100) * (WHOLE if whole else 1.0)
+    most = max(2 * round(min(MOST, WORK / size) / 2), 100) * (WHOLE if thorough else 1.0)
     step = min(max((stop - begin) / most, 1 / (FINEST * top)), 1 / (PER_PERIOD * top))
     count = 2 * math.ceil(min((stop - begin) / step, most) / 2)
     if begin + count * step > stop:

@@ -80,8 +80,8 @@ def gate_limits(
     limits, leading = [], []
     words = pair.replace("rom", "ROM").replace("fom", "full model").replace("_vs_", " to ")
     for part, item in gates:
-        own = f"{part}.{item.of}"
-        gate = replace(item, of=own) if own in exact.metrics else item
+        wave = f"{part}.{item.of}"
+        gate = replace(item, of=wave) if wave in exact.metrics else item
         value = measured(gate, ours, exact)
         if value is None:
             continue
@@ -147,13 +147,15 @@ def _aligned(
 
 def _at(at: np.ndarray, waves: Waveforms, name: str) -> np.ndarray:
     """A wave at times ``at``: a height with its velocity by cubics, others by straight lines."""
-    t, kept = np.unique(waves["time"], return_index=True)
+    t, unique = np.unique(waves["time"], return_index=True)
     stem, _, last = name.rpartition(".")
     if last in ("y", "x") and f"{stem}.v" in waves and t.size > 1:
         from scipy.interpolate import CubicHermiteSpline
 
-        return np.asarray(CubicHermiteSpline(t, waves[name][kept], waves[f"{stem}.v"][kept])(at))
-    return np.interp(at, t, waves[name][kept])
+        return np.asarray(
+            CubicHermiteSpline(t, waves[name][unique], waves[f"{stem}.v"][unique])(at)
+        )
+    return np.interp(at, t, waves[name][unique])
 
 
 def output_errors(pair: str, waves: Waveforms, exact: Waveforms) -> list[OutputError]:
@@ -282,11 +284,13 @@ def verify(
         for scene in scenes:
             progress("verify", None, scene.name)
             clock = Clock(progress)
-            asked = scene if deck is None else _as_shipped(scene, libraries)
-            build, made = prepared(asked, clock, trust=trust, edited=deck)
-            emitted = made.parts if deck is None else libraries
+            exported = scene if deck is None else _as_shipped(scene, libraries)
+            build, prepared_deck = prepared(exported, clock, trust=trust, edited=deck)
+            emitted = prepared_deck.parts if deck is None else libraries
             with TemporaryDirectory() as scratch:
-                result = _Verification(build, clock, Path(scratch), full).findings(made, emitted)
+                result = _Verification(build, clock, Path(scratch), full).findings(
+                    prepared_deck, emitted
+                )
             answer[scene.name] = result
         write_verify(work / "verify.html", answer)
         records = {name: item.record() for name, item in answer.items()}
@@ -318,13 +322,13 @@ def _as_shipped(scene: Scene, libraries: Sequence[Subcircuit]) -> Scene:
 
 @dataclass
 class _Verification:
-    """One scene's verification under way: what was ``found`` up to now."""
+    """One scene's verification under way: ``outcome`` has what is known up to now."""
 
     build: Build
     clock: Clock
     work: Path
-    whole: bool
-    found: Findings = field(default_factory=Findings)
+    thorough: bool
+    outcome: Findings = field(default_factory=Findings)
     units: Mapping[str, str] = field(default_factory=dict)
     replayed: Mapping[str, str] = field(default_factory=dict)
     verdict: Verdict = field(default_factory=Verdict)
@@ -332,12 +336,12 @@ class _Verification:
 
     def findings(self, deck: Deck, libraries: Sequence[Subcircuit]) -> Findings:
         """Bodies by their ``libraries``, then the scene, then what full models say of it."""
-        result, build = self.found, self.build
+        result, build = self.outcome, self.build
         self.units = deck.units
         for part in build.scene.parts.values():
             if part.reduced:
                 folder = self.work / part.name
-                verify_body(part, build, libraries, self.clock, folder, self.whole, result)
+                verify_body(part, build, libraries, self.clock, folder, self.thorough, result)
         laws = scene_laws(build)
         result.left_out = laws.missing
         timed = build.scene.analysis.type == "transient"
@@ -356,9 +360,9 @@ class _Verification:
         if result.left_out and replayed is None:
             waves = self._ngspice(deck)
             self._own_checks()
-            own = solution(waves, build)
-            result.metrics |= own.metrics
-            result.units |= own.units
+            simulated = solution(waves, build)
+            result.metrics |= simulated.metrics
+            result.units |= simulated.units
         else:
             vectors = replayed_vectors(self.replayed)
             self._compared(deck.saving(vectors) if vectors else deck)
@@ -375,7 +379,7 @@ class _Verification:
     def _compared(self, deck: Deck) -> None:
         """The scene in ngspice, by its laws, and by those with full models as far as these are
         followed: each two of the three."""
-        build, waves, result = self.build, self._ngspice(deck), self.found
+        build, waves, result = self.build, self._ngspice(deck), self.outcome
         with self.clock.stage("reference", "laws of the reduced models, events located") as share:
             begin = time.monotonic()
             reference = solve(build, waves, self.replayed, share)
@@ -396,7 +400,7 @@ class _Verification:
             )
         full = full_build(build, self.clock)
         followed = full and full_solution(
-            build, full, waves, reference, self.replayed, self.clock, self.whole
+            build, full, waves, reference, self.replayed, self.clock, self.thorough
         )
         if not followed:
             return
@@ -420,10 +424,10 @@ class _Verification:
         names = ", ".join(parts)
         try:
             with self.clock.stage("full model", f"finer discretisation of {names}") as progress:
-                share = progress if self.whole else _limited(progress, seconds)
+                share = progress if self.thorough else _limited(progress, seconds)
                 exact = solution(solve(finer, waves, self.replayed, share).results, finer)
         except _TooLongError as error:
-            self.found.notes.append(
+            self.outcome.notes.append(
                 f"finer discretisation of {names}: given up after {seconds:.0f} s at "
                 f"{100 * error.share:.0f} % of the run; verify --full has no limit"
             )
@@ -431,8 +435,8 @@ class _Verification:
         self.finer = set(parts)
         # Laws against laws. ngspice is compared with the laws by the rms of each wave, because
         # its voltage jumps one time step earlier or later, which dominates a largest difference.
-        own = [item for item in gates if item[0] in self.finer]
-        self.found.checks += gate_limits(own, "rom_vs_fom", solutions["rom"], exact)[0]
+        finer_gates = [item for item in gates if item[0] in self.finer]
+        self.outcome.checks += gate_limits(finer_gates, "rom_vs_fom", solutions["rom"], exact)[0]
 
     def _pairs(self, name: str, solutions: Mapping[str, Solution]) -> list[OutputError]:
         """Gates of the parts, errors of all waves and figures, of each pair with the last."""
@@ -441,15 +445,15 @@ class _Verification:
         for pair in (p for p in PAIRS if p.endswith(last)):
             ours, exact = solutions[pair.partition("_")[0]], solutions[last]
             limits, leading = gate_limits(self.verdict.gates, pair, ours, exact)
-            self.found.checks += limits
+            self.outcome.checks += limits
             errors = output_errors(pair, ours.waves, exact.waves)
             leading = max((e.rms for e in errors), default=None) if leading is None else leading
             if leading is not None:
-                self.found.errors[pair] = leading
+                self.outcome.errors[pair] = leading
             outputs += errors
-        self.found.outputs += outputs
+        self.outcome.outputs += outputs
         curves = {SOLUTIONS[key]: solutions[key].waves for key in reversed(list(solutions))}
-        self.found.figures += comparison(name, self.build.scene.name, curves, self.units)
+        self.outcome.figures += comparison(name, self.build.scene.name, curves, self.units)
         return outputs
 
     def _generic(
@@ -488,13 +492,13 @@ class _Verification:
         timed = self.build.scene.analysis.type == "transient"
         rows = [c for c in self.verdict.checks if timed and c.discretisation]
         unfollowed = [c for c in rows if not self.finer & set(c.name.split())]
-        self.found.checks += [
+        self.outcome.checks += [
             replace(check, name=f"{check.name}, ngspice")
             for check in self.verdict.checks
             if check.action == "fail" or check.name.startswith("jump") or check in unfollowed
         ]
         if unfollowed:
-            self.found.notes.append(
+            self.outcome.notes.append(
                 "not solved in time with a finer discretisation, but compared with one at the "
                 f"frequencies of the run: {'; '.join(check.name for check in unfollowed)}"
             )
@@ -504,17 +508,17 @@ class _Verification:
         ours, exact = solution(coarse, self.build), solution(waves, self.build)
         for limit in gate_limits(self.verdict.gates, "rom_vs_fom", ours, exact)[0]:
             words = limit.name.replace("ROM to full model", "full model, steps halved")
-            self.found.checks.append(replace(limit, name=words))
+            self.outcome.checks.append(replace(limit, name=words))
         moved = output_errors("steps", coarse, waves)
         if moved:
             worst = max(moved, key=lambda output: output.rms)
-            self.found.notes.append(
+            self.outcome.notes.append(
                 f"halving its steps moves the full model's waves by at most {worst.rms:.1e} (rms; "
                 f"{worst.output})"
             )
 
     def _summary(self) -> None:
-        result, parts = self.found, self.build.scene.parts.values()
+        result, parts = self.outcome, self.build.scene.parts.values()
         if "rom_vs_fom" in result.errors:
             result.metrics["rom_error"] = result.errors["rom_vs_fom"]
         bodies = [part for part in parts if part.reduced]
@@ -552,5 +556,5 @@ def _until(waves: Waveforms, end: float | None) -> Waveforms:
     """The points up to ``end``, all of them where no time passes."""
     if end is None:
         return waves
-    kept = waves["time"] <= end * (1 + 1e-12)
-    return Waveforms({name: values[kept] for name, values in waves.data.items()}, waves.stats)
+    early = waves["time"] <= end * (1 + 1e-12)
+    return Waveforms({name: values[early] for name, values in waves.data.items()}, waves.stats)
