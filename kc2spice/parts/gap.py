@@ -193,7 +193,7 @@ class Gap(Patched):
         rests has a capacitance that never falls with ``v^2``, as the coenergy's least is convex."""
         yield from super().checks(part, build, waves)
         yield from _film_checks(part, build, waves)
-        d, recorded = self.declared(part, build.scene), self._seen(part, build, waves)
+        d, recorded = self.declared(part, build.scene), self._recorded(part, build, waves)
         if "sweep" not in waves or waves.scale.size < 2 or set(recorded) != set(d.coordinates):
             return
         (branch,) = (b for b in d.branches if b.kind == "voltage")

@@ -159,7 +159,7 @@ class DeclaredPart(PartType):
     def checks(self, part: Part, build: Build, waves: Waveforms) -> Iterator[Any]:
         """Limits, impacts, and the balance of the energy through pins, stored energy and losses."""
         d = self.built(part, build)
-        known = {} if "frequency" in waves else self._seen(part, build, waves)
+        known = {} if "frequency" in waves else self._recorded(part, build, waves)
         yield from _limit_checks(d, part, known)
         if build.scene.analysis.type == "op":
             yield from self.standing(part, build, waves)
@@ -174,7 +174,7 @@ class DeclaredPart(PartType):
     def standing(self, part: Part, build: Build, point: Waveforms) -> Iterator[Check]:
         """Whether it rests on a stop, about which small signals are those of the stop, or beyond
         its limits."""
-        d, known = self.built(part, build), self._seen(part, build, point)
+        d, known = self.built(part, build), self._recorded(part, build, point)
         small = build.scene.analysis.small
         if small:
             yield from _limit_checks(d, part, known, " at its operating point")
@@ -185,7 +185,7 @@ class DeclaredPart(PartType):
                 advice = "it has pulled in: lower the bias, or stiffen what holds it"
                 yield Check(name, max(depth, 0.0), 0.0, "m", advice, "fail" if small else "warn")
 
-    def _seen(self, part: Part, build: Build, waves: Waveforms) -> dict[str, np.ndarray]:
+    def _recorded(self, part: Part, build: Build, waves: Waveforms) -> dict[str, np.ndarray]:
         """Coordinates, states and signals over time, as far as the run has them."""
         d = self.built(part, build)
         names = (*d.coordinates, *d.states, *d.signals)
@@ -310,7 +310,7 @@ def across_pins(build: Build, part: Part, branch: Branch) -> str:
 
 
 def energies(
-    declaration: Declaration, part: Part, seen: Mapping[str, np.ndarray], waves: Waveforms
+    declaration: Declaration, part: Part, recorded: Mapping[str, np.ndarray], waves: Waveforms
 ) -> Iterator[Balance]:
     """The balance of a transient, where all coordinates were recorded and something moves.
 
@@ -320,18 +320,18 @@ def energies(
     """
     d, time = declaration, waves["time"]
     moved = [b for b in d.acting if b.moves]
-    if not moved or set(seen) != {*d.coordinates, *d.states, *d.signals}:
+    if not moved or set(recorded) != {*d.coordinates, *d.states, *d.signals}:
         return
     massless = [b for b in d.damped if d.mass(b) == ZERO]
     # by the velocity of a mass the trapezoidal rule keeps the balance exactly
     speeds = {b.name + RATE: waves[f"{part.name}.v"] for b in d.damped if b not in massless}
-    slopes = {b.name + RATE: np.gradient(seen[b.name], time) for b in massless}
-    known = d.values(part.keys) | dict(seen) | speeds | slopes
+    slopes = {b.name + RATE: np.gradient(recorded[b.name], time) for b in massless}
+    known = d.values(part.keys) | dict(recorded) | speeds | slopes
 
     def over_time(tree: Tree) -> np.ndarray:
         return np.asarray(evaluated(tree, known) * np.ones_like(time))
 
-    means = {b.name + RATE: np.diff(seen[b.name]) / np.diff(time) for b in massless}
+    means = {b.name + RATE: np.diff(recorded[b.name]) / np.diff(time) for b in massless}
     stored = over_time(d.stored)
     heat, rise = _heat(d, known, means, time), np.diff(stored)
     brought, forces = np.zeros_like(heat), []
@@ -339,11 +339,11 @@ def energies(
         known_as = f"{part.name}.{b.across if b.flows else b.through}"
         pins = waves.data.get(known_as, np.zeros_like(time))
         if b in moved:
-            forces.append((pins, np.diff(seen[b.name])))
+            forces.append((pins, np.diff(recorded[b.name])))
             continue
-        kept = np.diff(over_time(d.storage(b))) + np.diff(running(over_time(d.direct(b)), time))
-        middle = (seen[b.name][1:] + seen[b.name][:-1]) / 2
-        brought = brought + middle * _integrated(pins, time, kept)
+        increase = np.diff(over_time(d.storage(b))) + np.diff(running(over_time(d.direct(b)), time))
+        middle = (recorded[b.name][1:] + recorded[b.name][:-1]) / 2
+        brought = brought + middle * _integrated(pins, time, increase)
     brought = brought + _work(forces, rise + heat - brought, jumps=bool(massless))
     missing = np.cumsum(brought - heat - rise)
     entries = {
@@ -382,9 +382,9 @@ def _work(
     """The work (nt - 1,) in each step of forces (nt,) on their ways (nt - 1,): by their means, or
     where ``jumps`` by their values at its end, whichever is nearer to ``near``."""
     means, ends = np.zeros_like(near), np.zeros_like(near)
-    for force, way in forces:
-        means += (force[1:] + force[:-1]) / 2 * way
-        ends += force[1:] * way
+    for force, displacement in forces:
+        means += (force[1:] + force[:-1]) / 2 * displacement
+        ends += force[1:] * displacement
     return _nearer(near, means, ends) if jumps else means
 
 

@@ -133,8 +133,8 @@ def _reductions(build: Build) -> Iterator[Axis]:
         rom = scene.records[part.name].reduction
         if rom is None:
             continue
-        own = part.keys.rom is not None
-        prefix = f"{key_prefix(part)}.rom" if own or not _alone(part, scene) else "rom"
+        separate = part.keys.rom is not None
+        prefix = f"{key_prefix(part)}.rom" if separate or not _alone(part, scene) else "rom"
         if prefix in known:
             continue
         known.add(prefix)
@@ -142,7 +142,7 @@ def _reductions(build: Build) -> Iterator[Axis]:
             yield _axis(f"{prefix}.order", int(rom.order or 1), Rom.model_fields["order"])
             continue
         band = rom.band
-        if not own and "rom" not in scene.tables:
+        if not separate and "rom" not in scene.tables:
             certificate = getattr(build.models.get(part.name), "certificate", None)
             band = rom.band if certificate is None else certificate.band_hz
         axis = _axis(f"{prefix}.tolerance", rom.tolerance, Rom.model_fields["tolerance"])
@@ -155,8 +155,8 @@ def _reductions(build: Build) -> Iterator[Axis]:
 def _alone(part: Part, scene: Scene) -> bool:
     """Whether all reductions of the scene are that of ``part``, so that one key moves them all."""
     every = [record.reduction for record in scene.records.values()]
-    own = scene.records[part.name].reduction
-    return all(rom is None or rom == own for rom in every)
+    reduction = scene.records[part.name].reduction
+    return all(rom is None or rom == reduction for rom in every)
 
 
 def _axis(name: str, value: float, declared: FieldInfo) -> Axis:
@@ -177,9 +177,12 @@ def _notch(declared: FieldInfo) -> Notch | None:
     return next((item for item in declared.metadata if isinstance(item, Notch)), None)
 
 
-def keys_at(found: Sequence[Axis], notches: Mapping[str, float]) -> dict[str, Any]:
+def keys_at(selected: Sequence[Axis], notches: Mapping[str, float]) -> dict[str, Any]:
     """Keys of a scene whose axes are moved by so many notches, by the names of the axes."""
-    return {k: v for axis in found for k, v in axis.at(notches.get(axis.name, 0.0)).items()}
+    result: dict[str, Any] = {}
+    for axis in selected:
+        result |= axis.at(notches.get(axis.name, 0.0))
+    return result
 
 
 def _noise(part: Part, build: Build) -> str:

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Hashable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
-from itertools import combinations
+from itertools import chain, combinations
 from string import ascii_lowercase
 from typing import Any
 
@@ -89,18 +89,18 @@ def _joins(part: Part, scene: Scene) -> Iterator[tuple[str, str, str]]:
 
     A pin that any part of the scene names is where the scene says, not at its default as well.
     """
-    named = {target for other in scene.parts.values() for target in other.pins.values()}
-    own = {pin for name, pin in scene.terminals if name == part.name}
+    targets = set(chain.from_iterable(other.pins.values() for other in scene.parts.values()))
+    pins = {pin for name, pin in scene.terminals if name == part.name}
     for pin, target in part.pins.items():
         where = f"{part.name}.pins.{pin}"
-        if pin not in own:
-            raise unknown(f"{part.type.name} has no such pin", pin, sorted(own), where)
+        if pin not in pins:
+            raise unknown(f"{part.type.name} has no such pin", pin, sorted(pins), where)
         yield pin, target, where
     links = {k: v for k, v in scene.joins[part.name].items() if k not in part.pins}
     yield from ((pin, target, part.name) for pin, target in links.items())
-    for pin in sorted(own - {*links, *part.pins}):
+    for pin in sorted(pins - {*links, *part.pins}):
         default = scene.terminals[part.name, pin].default
-        if default is not None and f"{part.name}.{pin}" not in named:
+        if default is not None and f"{part.name}.{pin}" not in targets:
             yield pin, default, part.name
 
 
@@ -151,9 +151,9 @@ def _one_kind(net: list[Pin], scene: Scene) -> None:
 
 def _told_apart(terminals: Mapping[Pin, Terminal]) -> None:
     """No two pins of a part are one to a simulator, which does not tell case apart."""
-    seen: dict[Pin, str] = {}
+    spellings: dict[Pin, str] = {}
     for name, pin in terminals:
-        first = seen.setdefault((name, pin.lower()), pin)
+        first = spellings.setdefault((name, pin.lower()), pin)
         if first != pin:
             raise UsageError(
                 "two pins whose names differ in case only",
@@ -166,8 +166,8 @@ def _told_apart(terminals: Mapping[Pin, Terminal]) -> None:
 def _names(groups: list[list[Pin]], scene: Scene) -> dict[Pin, str]:
     names, nets = Names(("0", GROUND)), dict[Pin, str]()
     for group in groups:
-        own = group[0], "_".join(group[0]).lower()
-        nets |= dict.fromkeys(group, "0" if _GROUND in group else names.name(*own))
+        preferred = group[0], "_".join(group[0]).lower()
+        nets |= dict.fromkeys(group, "0" if _GROUND in group else names.name(*preferred))
     return {pin: nets[pin] for pin in scene.terminals}
 
 
@@ -221,7 +221,7 @@ def _metered(scene: Scene) -> Iterator[tuple[str, str]]:
     result of the part itself.
     """
     for of in dict.fromkeys(probe.of for probe in scene.probes.values()):
-        name, _, asked = of.partition(".")
+        name, _, quantity = of.partition(".")
         part = scene.parts.get(name)
         if part is None or type(part.type).cards is not PartType.cards:
             continue
@@ -231,10 +231,10 @@ def _metered(scene: Scene) -> Iterator[tuple[str, str]]:
             first = domain is ELECTRICAL and pin == next(iter(powered))
             paired = part.reduced and not domain.reference  # a result of the body
             if (
-                (asked == "power" and pin in powered)
-                or asked == f"{pin}.power"
+                (quantity == "power" and pin in powered)
+                or quantity == f"{pin}.power"
                 or (
-                    asked in (f"{pin}.{flow}", flow if first else "")
+                    quantity in (f"{pin}.{flow}", flow if first else "")
                     and not (paired and _is_read(part, pin, scene))
                 )
             ):
@@ -290,16 +290,16 @@ def _not_joined(name: str, terminal: Terminal, alone: Collection[Pin], scene: Sc
 
 
 def _outputs(scene: Scene) -> None:
-    taken = {"0": "ground"}
+    drivers = {"0": "ground"}
     for (name, pin), terminal in scene.terminals.items():
         net = scene.nets[name, pin]
-        if terminal.signal_out and net in taken:
-            got = f"{name}.{pin} and {taken[net]}"
+        if terminal.signal_out and net in drivers:
+            got = f"{name}.{pin} and {drivers[net]}"
             where = f"{name}.pins.{pin}"
             message = "two outputs set one net"
             raise UsageError(message, where=where, got=got, expected="one output")
         if terminal.signal_out:
-            taken[net] = f"{name}.{pin}"
+            drivers[net] = f"{name}.{pin}"
 
 
 def _across_nothing(scene: Scene) -> None:
@@ -442,8 +442,8 @@ def unsettled(scene: Scene, rests: Mapping[str, Rest]) -> Iterator[UsageError]:
 
 
 def _unheld(scene: Scene, rests: Mapping[str, Rest]) -> Iterator[frozenset[str]]:
-    held = {name: rest.paths for name, rest in rests.items()}
-    return (group for group in _groups(scene, held) if "0" not in group)
+    clamps = {name: rest.paths for name, rest in rests.items()}
+    return (group for group in _groups(scene, clamps) if "0" not in group)
 
 
 def _unheld_problem(
@@ -452,31 +452,31 @@ def _unheld_problem(
     """Why the analysis has no operating point of these nets of positions to begin at."""
     kind, path = scene.analysis.type, result.domain.path
     heavy = [name for name, rest in rests.items() if rest.inert and name in result.parts]
-    named = (*result.bodies, *heavy, *result.parts)[0]
+    part_name = (*result.bodies, *heavy, *result.parts)[0]
     pushed = _pushing(group, scene, rests)
     by = "pushed by " + ", ".join(pushed) if pushed else ""
     if kind in ("op", "dc"):
         yield UsageError(
-            f"nothing holds {named}: it has no operating point",
-            where=named,
+            f"nothing holds {part_name}: it has no operating point",
+            where=part_name,
             got=", ".join(filter(None, (f"analysis {kind}", by))),
             expected=path,
             hint='analysis.type = "transient" lets it move',
         )
     elif by and scene.analysis.small:
         yield UsageError(
-            f"nothing holds {named} against a constant force: there is no point at rest to "
+            f"nothing holds {part_name} against a constant force: there is no point at rest to "
             "linearise about",
-            where=named,
+            where=part_name,
             got=by,
             expected=f"no constant force, or {path}",
             hint="ac = … without dc; weight = false",
         )
     elif by and result.bodies:
         yield UsageError(
-            f"nothing holds {named} against a constant force at t = 0: a transient cannot begin "
-            "at rest",
-            where=named,
+            f"nothing holds {part_name} against a constant force at t = 0: a transient cannot "
+            "begin at rest",
+            where=part_name,
             got=by,
             expected="a force that is zero at t = 0, such as a pulse, or a support",
         )

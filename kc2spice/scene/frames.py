@@ -28,7 +28,7 @@ def frames(scene: Scene) -> dict[tuple[str, str], ShakenFrame]:
     UsageError : nets that parts couple are in different frames, a part with inertia does not follow
         the frame, or a direction is not known.
     """
-    bodies = {part.name: own for part in scene.parts.values() if (own := _ports(part, scene))}
+    bodies = {part.name: shaken for part in scene.parts.values() if (shaken := _ports(part, scene))}
     if not bodies:
         return {}
     result = dict[str, ShakenFrame]()
@@ -115,12 +115,12 @@ def _spread(part: Part, scene: Scene, known: dict[str, ShakenFrame]) -> None:
 def _compared(part: Part, scene: Scene, known: Mapping[str, ShakenFrame]) -> None:
     """Refuse a part that compares a relative displacement with an absolute one."""
     moving = {scene.nets[key] for key, end in scene.terminals.items() if end.moving} - {"0"}
-    seen = {pin: scene.nets[part.name, pin] for pin in _moving(part, scene, listening=True)}
-    seen = {pin: net for pin, net in seen.items() if net in moving}
-    acts = {known[net].acts if net in known else None for net in seen.values()}
+    nets = {pin: scene.nets[part.name, pin] for pin in _moving(part, scene, listening=True)}
+    nets = {pin: net for pin, net in nets.items() if net in moving}
+    acts = {known[net].acts if net in known else None for net in nets.values()}
     if len(acts) > 1 and not part.reduced:
         frames = [
-            f"{part.name}.{pin} in {_frame_name(known.get(net))}" for pin, net in seen.items()
+            f"{part.name}.{pin} in {_frame_name(known.get(net))}" for pin, net in nets.items()
         ]
         raise UsageError(
             "compares displacements in different frames",
@@ -136,10 +136,10 @@ def _frame_name(frame: ShakenFrame | None) -> str:
 
 
 def _followed(
-    part: Part, scene: Scene, known: Mapping[str, ShakenFrame], own: Mapping[str, ShakenFrame]
+    part: Part, scene: Scene, known: Mapping[str, ShakenFrame], shaken: Mapping[str, ShakenFrame]
 ) -> None:
     """Refuse a part whose inertia does not follow the frame it is in; warn if that is unknown."""
-    if own:
+    if shaken:
         return
     for pin in _moving(part, scene):
         frame = known.get(scene.nets[part.name, pin])

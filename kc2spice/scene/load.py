@@ -233,12 +233,12 @@ def _no_periods(where: str, count: int, scene: Scene) -> Iterator[UsageError]:
 
 def _misplaced(where: str, place: float, scene: Scene) -> Iterator[UsageError]:
     """Why a place is none on the scale of the scene's analysis."""
-    selected, own = scene.analysis, getattr(place, "unit", "")
+    selected, part_unit = scene.analysis, getattr(place, "unit", "")
     unit = _scale_unit(scene)
-    if own and unit is not None and own != unit:
+    if part_unit and unit is not None and part_unit != unit:
         examples = {"s": '"2 ms"', "Hz": '"46 Hz"', "": "a plain number"}
         expected = f"a value in {unit}, such as {examples.get(unit, repr(f'1 {unit}'))}"
-        got = f"a value in {own}"
+        got = f"a value in {part_unit}"
         article = "an" if selected.type in ("ac", "op") else "a"
         words = f"not on the scale of {article} {selected.type} analysis"
         yield UsageError(words, where=where, got=got, expected=expected)
@@ -261,9 +261,9 @@ def _scale_unit(scene: Scene) -> str | None:
     part = scene.parts.get(name)
     if part is None:
         return None
-    own = getattr(part.keys, "unit", None)
+    part_unit = getattr(part.keys, "unit", None)
     field = type(part.keys).model_fields.get(key)
-    return own if isinstance(own, str) else None if field is None else unit_of(field)
+    return part_unit if isinstance(part_unit, str) else None if field is None else unit_of(field)
 
 
 _WORD, _INDEX = r"[A-Za-z_][A-Za-z0-9_]*", r"\[-?[0-9]{1,6}\]"
@@ -402,10 +402,10 @@ def _scene(data: dict[str, Any], source: _Source) -> Scene:
             if name.lower() in map(str.lower, parts):
                 expected = f"another name: {part.name} brings a part of this one along"
                 raise UsageError("this name is taken", where=name, got=name, expected=expected)
-            own = {key: value for key, value in table.items() if key != "at"}
+            keys = {key: value for key, value in table.items() if key != "at"}
             at = table.get("at")
             place = at if isinstance(at, tuple) else (name,)
-            parts[name] = _part(name, own, _type(name, own), home, place)
+            parts[name] = _part(name, keys, _type(name, keys), home, place)
     scene = replace(scene, parts=parts, tables=_copied(data), source=source)
     if analysis is not None and "analysis" not in data:
         scene = replace(scene, frame=scene.frame.model_copy(update={"analysis": analysis}))
@@ -429,9 +429,9 @@ def _driven(scene: Scene) -> Scene:
     parts = scene.parts
     if scene.analysis.type != "ac" or any(part.type.drives(part, scene) for part in parts.values()):
         return scene
-    whole = replace(with_joins(scene), ports="all")
+    exported = replace(with_joins(scene), ports="all")
     bodies = [part for part in parts.values() if part.reduced]
-    electrical = ([p for p in part.type.pins(part, whole) if p.unit == "V"] for part in bodies)
+    electrical = ([p for p in part.type.pins(part, exported) if p.unit == "V"] for part in bodies)
     ports = [(b.name, pins[0].name) for b, pins in zip(bodies, electrical, strict=True) if pins]
     if len(ports) != 1 or ports[0][1] in parts[ports[0][0]].pins or scene.is_target(*ports[0]):
         at = f" at {', '.join(map('.'.join, ports))}" if ports else ""
@@ -451,7 +451,7 @@ def _driven(scene: Scene) -> Scene:
 
 def _part_tables(data: Mapping[str, Any]) -> Iterator[tuple[str, Mapping]]:
     """Top-level tables that are parts."""
-    taken: dict[str, str] = {}
+    spellings: dict[str, str] = {}
     for name, table in data.items():
         if name in Frame.model_fields:
             continue
@@ -468,7 +468,7 @@ def _part_tables(data: Mapping[str, Any]) -> Iterator[tuple[str, Mapping]]:
                 expected="a letter, then letters, digits and _, at most 48 in all; not gnd",
                 hint=f"rename it, such as [{identifier(name, 'part')}]",
             )
-        first = taken.setdefault(name.lower(), name)
+        first = spellings.setdefault(name.lower(), name)
         if first != name:
             raise UsageError(
                 "two parts whose names differ in case only, which netlists ignore",
@@ -487,13 +487,15 @@ def _unknown(name: str, data: Mapping[str, Any]) -> UsageError:
     }
     kinds = {item: table.get("part", SHORT.get(item)) for item, table in parts.items()}
     schemas = {n: kind.schema for n, k in kinds.items() if (kind := part_type(str(k))) is not None}
-    own = (".".join((n, *key)) for n, schema in schemas.items() for key, _ in entries(schema))
+    part_keys: list[str] = []
+    for item, schema in schemas.items():
+        part_keys += [".".join((item, *key)) for key, _ in entries(schema)]
     below = f"keys of a part stand below its name: {', '.join(parts)}" if parts else None
     return UsageError(
         "unknown key",
         where=name,
         expected=f"one of {candidates(name, Frame.model_fields)}, or a table with part = TYPE",
-        hint=did_you_mean(name, Frame.model_fields) or did_you_mean(name, own) or below,
+        hint=did_you_mean(name, Frame.model_fields) or did_you_mean(name, part_keys) or below,
     )
 
 
@@ -562,8 +564,8 @@ def _completed(table: Mapping[str, Any], schema: type[BaseModel]) -> dict[str, A
     for name, field_ in schema.model_fields.items():
         default = field_.default
         if isinstance(default, BaseModel) and isinstance(result.get(name), Mapping):
-            said = {key: getattr(default, key) for key in default.model_fields_set}
-            result[name] = said | _completed(result[name], type(default))
+            stated = {key: getattr(default, key) for key in default.model_fields_set}
+            result[name] = stated | _completed(result[name], type(default))
     return result
 
 

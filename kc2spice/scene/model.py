@@ -185,22 +185,22 @@ class Record(Generic[T]):
 
 
 class Names:
-    """A name for each key, the wanted one unless it is ``taken``, in whatever case."""
+    """A name for each key, the preferred one unless it is ``reserved``, in whatever case."""
 
-    def __init__(self, taken: Iterable[str] = ()) -> None:
-        self.taken = {name.lower() for name in taken}
-        self.given: dict[Hashable, str] = {}
+    def __init__(self, reserved: Iterable[str] = ()) -> None:
+        self.reserved = {name.lower() for name in reserved}
+        self.assigned: dict[Hashable, str] = {}
 
-    def name(self, key: Hashable, wanted: str) -> str:
-        """The name of ``key``, given when it is first asked for."""
-        if key not in self.given:
-            free, count = wanted, 1
-            while free.lower() in self.taken:
+    def name(self, key: Hashable, preferred: str) -> str:
+        """The name of ``key``, assigned at its first use."""
+        if key not in self.assigned:
+            free, count = preferred, 1
+            while free.lower() in self.reserved:
                 count += 1
-                free = f"{wanted}_{count}"
-            self.taken.add(free.lower())
-            self.given[key] = free
-        return self.given[key]
+                free = f"{preferred}_{count}"
+            self.reserved.add(free.lower())
+            self.assigned[key] = free
+        return self.assigned[key]
 
 
 class Source(Protocol):
@@ -292,8 +292,8 @@ class DeclaredScene:
     @property
     def stop(self) -> float:
         """End of a transient [s]: ``analysis.stop``, else ``solver.stop``."""
-        own = self.analysis.stop if self.analysis.type == "transient" else None
-        return float(self.solver.stop if own is None else own)
+        stop = self.analysis.stop if self.analysis.type == "transient" else None
+        return float(self.solver.stop if stop is None else stop)
 
     def of(self, *types: str) -> tuple[Part, ...]:
         """All parts of these types, in order."""

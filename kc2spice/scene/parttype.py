@@ -45,14 +45,14 @@ def current_into(part: Part, pin: str, build: Build) -> Vector | None:
 def pin_forces(build: Build, waves: Waveforms) -> Mapping[tuple[str, str], np.ndarray]:
     """Forces [N] over time of all parts on what their pins are joined to, by part and pin."""
 
-    def collect() -> tuple[Build, Waveforms, dict[tuple[str, str], np.ndarray]]:
+    def compute() -> tuple[Build, Waveforms, dict[tuple[str, str], np.ndarray]]:
         result = {}
         for name, part in build.scene.parts.items():
             for pin, force in part.type.forces(part, build, waves).items():
                 result[name, pin] = force
         return build, waves, result  # both stay in memory, so that no other one has their identity
 
-    return build.workspace.latest("forces", (id(build), id(waves)), collect)[2]
+    return build.workspace.latest("forces", (id(build), id(waves)), compute)[2]
 
 
 _types: dict[str, PartType] = {}
@@ -115,8 +115,8 @@ def type_names() -> tuple[str, ...]:
         if name.endswith(TABLE):
             import_module(f"{PACKAGE}.{name}")
     foreign = (entry.name for entry in _foreign())
-    own = (name for name in modules if not name.endswith(TABLE))
-    return tuple(sorted({*_types, *foreign, *own}))
+    built_in = (name for name in modules if not name.endswith(TABLE))
+    return tuple(sorted({*_types, *foreign, *built_in}))
 
 
 @cache

@@ -393,8 +393,8 @@ class Probe(Section):
     @property
     def places(self) -> dict[str, float]:
         """Its places on the scale of the analysis by their keys."""
-        given = {"at": self.at, "from": self.from_, "to": self.to}
-        return {key: place for key, place in given.items() if place is not None}
+        places = {"at": self.at, "from": self.from_, "to": self.to}
+        return {key: place for key, place in places.items() if place is not None}
 
     @model_validator(mode="before")
     @classmethod
