@@ -33,7 +33,7 @@ GROUND = "gnd"
 
 
 @dataclass(frozen=True)
-class Pin:
+class LawPin:
     """A named pin; one that is ``grounded`` lies on the reference where nothing else is joined."""
 
     name: str
@@ -82,7 +82,7 @@ class Equations:
 
 
 @dataclass(frozen=True)
-class Port:
+class LawPort:
     """A port of a :class:`SecondOrderBody`: one column of B, one row of C.
 
     Electrical: voltage in, charge out; ``ret`` names the pin of its return. Acoustic: pressure in,
@@ -107,10 +107,10 @@ class SecondOrderBody:
 
     name: str
     model: Any
-    ports: tuple[Port, ...]
+    ports: tuple[LawPort, ...]
 
     @property
-    def pins(self) -> tuple[Pin, ...]:
+    def pins(self) -> tuple[LawPin, ...]:
         return port_pins(self.ports)
 
     @property
@@ -130,14 +130,14 @@ class SecondOrderBody:
         return (1e-3,) * len(self.states)
 
 
-def port_pins(ports: tuple[Port, ...]) -> tuple[Pin, ...]:
+def port_pins(ports: tuple[LawPort, ...]) -> tuple[LawPin, ...]:
     """One pin a port, and the returns; accelerations, inputs and outputs are signals."""
-    result: list[Pin] = []
+    result: list[LawPin] = []
     for port in ports:
         kind = port.kind if port.kind in (*MECHANICAL, *POTENTIALS) else "signal"
-        result.append(Pin(port.name, kind))
+        result.append(LawPin(port.name, kind))
         if port.ret and port.ret not in {p.name for p in result}:
-            result.append(Pin(port.ret, kind, grounded=True))
+            result.append(LawPin(port.ret, kind, grounded=True))
     return tuple(result)
 
 
@@ -171,11 +171,11 @@ class IdealSource:
         return self.kind in QUANTITIES and QUANTITIES[self.kind][1] == "through"
 
     @property
-    def pins(self) -> tuple[Pin, ...]:
+    def pins(self) -> tuple[LawPin, ...]:
         kind = self.domain.kind_of_law
         if self.signal:
-            return (Pin("out", kind),)
-        return (Pin("out", kind), Pin("ret", kind, grounded=True))
+            return (LawPin("out", kind),)
+        return (LawPin("out", kind), LawPin("ret", kind, grounded=True))
 
 
 @dataclass(frozen=True)
@@ -216,7 +216,7 @@ class Device(ABC):
 
     @property
     @abstractmethod
-    def pins(self) -> tuple[Pin, ...]:
+    def pins(self) -> tuple[LawPin, ...]:
         """All pins."""
 
     @property
@@ -342,20 +342,20 @@ class PortBody(Device):
 
     name: str
     model: Any
-    ports: tuple[Port, ...]
+    ports: tuple[LawPort, ...]
     known: dict[complex, np.ndarray] = field(default_factory=dict)
 
     @cached_property
-    def _loads(self) -> tuple[Port, ...]:
+    def _loads(self) -> tuple[LawPort, ...]:
         return tuple(port for port in self.ports if port.kind != "output")
 
     @cached_property
-    def _flow_ports(self) -> tuple[Port, ...]:
+    def _flow_ports(self) -> tuple[LawPort, ...]:
         """Ports whose through quantity is an unknown."""
         return tuple(p for p in self.ports if p.kind in (*POTENTIALS, *MECHANICAL))
 
     @property
-    def pins(self) -> tuple[Pin, ...]:
+    def pins(self) -> tuple[LawPin, ...]:
         return port_pins(self.ports)
 
     @property
@@ -469,9 +469,9 @@ class SignalBlock(Device):
     linear = True
 
     @property
-    def pins(self) -> tuple[Pin, ...]:
+    def pins(self) -> tuple[LawPin, ...]:
         kinds = dict.fromkeys(self.inputs, self.kind) | dict.fromkeys(self.outputs, "signal")
-        return tuple(Pin(*pin) for pin in kinds.items())
+        return tuple(LawPin(*pin) for pin in kinds.items())
 
     @property
     def taps(self) -> tuple[Tap, ...]:

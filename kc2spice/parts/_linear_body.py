@@ -791,7 +791,7 @@ class LinearBody(Touching):
             return None
         signals = not any(port.conservative for port in ports)
         law_ports = tuple(
-            laws.Port(
+            laws.LawPort(
                 p.name,
                 p.domain.name if p.domain else p.kind,
                 last if heat else "".join(p.terminals[1:]),

@@ -206,7 +206,7 @@ class Driver(TemplatePart):
         if self.opamp == "slew" and {"time", name, i} <= set(waves.data):
             low, high = self.constants.get("sink", -keys.rail), keys.rail
             inner = waves[name] + (getattr(keys, "resistance", 0.0) + OUTPUT) * waves[i]
-            yield within(part.name, inner, low, high, SLACK * (high - low), LOADED)
+            yield rails_check(part.name, inner, low, high, SLACK * (high - low), LOADED)
 
     def notes(self, part: Part, scene: Scene) -> Iterator[str]:
         settings = (f"{key} {value:g}" for key, value in part.keys if value is not None)
@@ -256,7 +256,7 @@ def _neighbour(part: Part, pin: str, scene: WiredScene, kind: str) -> Part | Non
     return next((other for other in joined if other.type.name == kind), None)
 
 
-def within(
+def rails_check(
     name: str, volts: np.ndarray, low: float, high: float, slack: float, advice: str
 ) -> Check:
     """``low <= volts <= high`` but for ``slack`` [V]; an edited deck may differ on purpose."""

@@ -101,7 +101,7 @@ class BimorphKeys(FieldKeys):
         return self
 
 
-def structure(keys: BimorphKeys | Mapping[str, Any], where: str = "bimorph") -> Bonded:
+def bimorph_body(keys: BimorphKeys | Mapping[str, Any], where: str = "bimorph") -> Bonded:
     """The layers with electrodes, support, ports and the mass at the tip. ``mesh.refine`` divides
     edges in the plane, and every second one through the thickness, where a quadratic element holds
     all that plates do.
@@ -209,7 +209,7 @@ class Bimorph(BondedBody):
     title = "layered beam that bends (3-D piezoelectric FE, reduced)"
     schema = BimorphKeys
     source = "FE (piezoelectric, hexahedra)"
-    structure = staticmethod(structure)
+    structure = staticmethod(bimorph_body)
 
 
 register(Bimorph())

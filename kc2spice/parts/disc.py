@@ -115,7 +115,7 @@ class DiscKeys(FieldKeys):
         return self
 
 
-def structure(keys: DiscKeys | Mapping[str, Any], where: str = "disc") -> Bonded:
+def disc_body(keys: DiscKeys | Mapping[str, Any], where: str = "disc") -> Bonded:
     """The layers with electrodes, support and port.
 
     Raises
@@ -235,7 +235,7 @@ class Disc(BondedBody):
     title = "circular layers with electrodes (axisymmetric piezoelectric FE, reduced)"
     schema = DiscKeys
     source = "FE (piezoelectric, axisymmetric)"
-    structure = staticmethod(structure)
+    structure = staticmethod(disc_body)
 
 
 register(Disc())

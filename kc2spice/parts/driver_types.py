@@ -101,7 +101,7 @@ class HalfBridge(Driver):
     opamp = None
 
 
-class LinearKeys(InputNoise):
+class LinearDriverKeys(InputNoise):
     """Current source for the coils: operational amplifier between two rails, sense resistor."""
 
     rail: Voltage = Field(48.0, gt=0, description="Supply voltage, positive and negative")
@@ -111,7 +111,7 @@ class LinearKeys(InputNoise):
 
 class LinearDrive(CoilDriver):
     name, title = "linear_drive", "current source for coils, linear amplifier between two rails"
-    schema = LinearKeys
+    schema = LinearDriverKeys
     template, heading = "driver_linear", "current source for the coils"
     noise = ("R", "Rout", "Rsense")
     constants: ClassVar = {"sense": SENSE}

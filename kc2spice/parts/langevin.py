@@ -132,7 +132,7 @@ class LangevinKeys(FieldKeys):
         return self
 
 
-def structure(keys: LangevinKeys | Mapping[str, Any], where: str = "langevin") -> Bonded:
+def langevin_body(keys: LangevinKeys | Mapping[str, Any], where: str = "langevin") -> Bonded:
     """The pieces with electrodes, support and ports.
 
     Raises
@@ -218,7 +218,7 @@ start = "10 kHz"
 stop = "100 kHz"
 """
     source = "FE (piezoelectric, axisymmetric)"
-    structure = staticmethod(structure)
+    structure = staticmethod(langevin_body)
 
     def neglected(self, part: Part, scene: Scene) -> Iterator[Neglected]:
         yield from super().neglected(part, scene)

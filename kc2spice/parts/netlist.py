@@ -22,7 +22,7 @@ from kc2spice.netlist.library import Header, Subcircuit
 from kc2spice.netlist.read import read
 from kc2spice.netlist.scope import Scope, circuit, has_vector
 from kc2spice.netlist.spelling import name as checked
-from kc2spice.parts._template import SLACK, potentials, within
+from kc2spice.parts._template import SLACK, potentials, rails_check
 from kc2spice.scene.checks import Check
 from kc2spice.scene.model import (
     Build,
@@ -177,7 +177,7 @@ class Netlist(PartType):
             slack = SLACK * float(np.abs(volts).max())
             low = -np.inf if rating.low is None else rating.low
             high = np.inf if rating.high is None else rating.high
-            yield within(name, volts, low, high, slack, RATED)
+            yield rails_check(name, volts, low, high, slack, RATED)
             if rating.slew is not None:
                 ahead = [sign * volts - rating.slew * waves["time"] for sign in (1.0, -1.0)]
                 most = max(float((a - np.minimum.accumulate(a)).max()) for a in ahead)

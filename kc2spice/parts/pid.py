@@ -23,7 +23,7 @@ from kc2spice.parts._template import BANDWIDTH, opamp_subcircuit
 from kc2spice.parts.ring_magnet_coils import label
 from kc2spice.physics.declaration import Branch, Declaration, displacement, seen, voltage
 from kc2spice.physics.law import DeclaredLaw
-from kc2spice.physics.part import subcircuit
+from kc2spice.physics.part import declared_subcircuit
 from kc2spice.scene.checks import Check, Metric
 from kc2spice.scene.model import (
     Build,
@@ -188,7 +188,7 @@ def pid_subcircuit(
     """
     declared = control_law(control, output=output)
     if control.form == "ideal":
-        return subcircuit(header, name, declared, declared.values(control))
+        return declared_subcircuit(header, name, declared, declared.values(control))
     limit = control.current_limit
     sense = min(SENSE, COMMAND / limit) if output else SENSE
     supply = max(SUPPLY, 100.0 * math.ceil(HEADROOM * limit * (load + sense) / 100.0))

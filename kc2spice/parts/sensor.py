@@ -19,7 +19,7 @@ from kc2spice.parts import sphere
 from kc2spice.physics.cards import state_node
 from kc2spice.physics.declaration import Declaration, displacement, seen
 from kc2spice.physics.law import DeclaredLaw
-from kc2spice.physics.part import subcircuit
+from kc2spice.physics.part import declared_subcircuit
 from kc2spice.scene.model import (
     GROUND,
     Build,
@@ -50,7 +50,7 @@ class SensorKeys(Section):
     )
 
 
-def reading(keys: SensorKeys) -> Declaration:
+def sensor_declaration(keys: SensorKeys) -> Declaration:
     """Reading: the position through one pole, shifted by the offset, without noise."""
     return Declaration(
         "sensor",
@@ -102,7 +102,7 @@ dc = "1 um"
             yield part.wrong("noise", words, scene.analysis.type, f"{' or '.join(kinds)}, or none")
 
     def subcircuits(self, part: Part, build: Build, header: Header) -> tuple[Subcircuit, ...]:
-        d, keys = reading(part.keys), part.keys
+        d, keys = sensor_declaration(part.keys), part.keys
         cards: tuple[Item, ...] = ()
         size = DISPLACEMENT.per_unit * keys.noise
         if keys.noise and build.noisy:
@@ -121,7 +121,7 @@ dc = "1 um"
                 Element.of("Inoise", "ref", "out", "DC", "0", wave),
             ))  # fmt: skip
         name = build.libraries[part.name]
-        return (subcircuit(header, name, d, d.values(Section()), more=cards),)
+        return (declared_subcircuit(header, name, d, d.values(Section()), more=cards),)
 
     def settable(self, part: Part, build: Build) -> Mapping[str, float]:
         start = sphere.beginning(part, "of", build.scene)
@@ -135,7 +135,7 @@ dc = "1 um"
     def law(self, part: Part, build: Build) -> laws.Equations | None:
         if part.keys.noise:
             return None
-        n, d = part.name, reading(part.keys)
+        n, d = part.name, sensor_declaration(part.keys)
         height = sphere.offset(part, "of", build.scene)
         values = d.values(Section()) | {"offset": part.keys.offset + height}
         declared_law = DeclaredLaw(n, d, tuple(values.values()))

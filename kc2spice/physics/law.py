@@ -12,7 +12,7 @@ import numpy as np
 
 from kc2spice.core.domains import TRANSLATION
 from kc2spice.core.errors import SimulationError
-from kc2spice.core.laws import Device, Flow, Pin, Tap
+from kc2spice.core.laws import Device, Flow, LawPin, Tap
 from kc2spice.netlist.expression import Name, Number, Tree, substitute
 from kc2spice.physics.declaration import LOOPS, RATE, Branch, Declaration
 from kc2spice.physics.symbolic import (
@@ -51,16 +51,16 @@ class DeclaredLaw(Device):
         return tuple(b for b in self.declaration.branches if b.flows)
 
     @property
-    def pins(self) -> tuple[Pin, ...]:
-        result: dict[str, Pin] = {}
+    def pins(self) -> tuple[LawPin, ...]:
+        result: dict[str, LawPin] = {}
         kinds = self._kinds
         for b in self.declaration.branches:
             loop = b.plus == LOOPS  # no current flows to it
-            result.setdefault(b.plus, Pin(b.plus, kinds[b.plus], grounded=loop))
-            result.setdefault(b.minus, Pin(b.minus, kinds[b.minus], grounded=True))
+            result.setdefault(b.plus, LawPin(b.plus, kinds[b.plus], grounded=loop))
+            result.setdefault(b.minus, LawPin(b.minus, kinds[b.minus], grounded=True))
             if b.less:
-                result.setdefault(b.less, Pin(b.less, kinds[b.less]))
-        outputs = (Pin(name, "signal") for name in self.prescribes)
+                result.setdefault(b.less, LawPin(b.less, kinds[b.less]))
+        outputs = (LawPin(name, "signal") for name in self.prescribes)
         return (*result.values(), *outputs)
 
     @property

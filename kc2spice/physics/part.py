@@ -104,7 +104,7 @@ class DeclaredPart(PartType):
 
     def subcircuits(self, part: Part, build: Build, header: Header) -> tuple[Subcircuit, ...]:
         d, name = self.built(part, build), build.libraries[part.name]
-        return (subcircuit(header, name, d, d.values(part.keys), build.noisy),)
+        return (declared_subcircuit(header, name, d, d.values(part.keys), build.noisy),)
 
     def numerics(self, part: Part, scene: WiredScene) -> Iterator[Numerics]:
         if not self.declared(part, scene).linear:
@@ -235,7 +235,7 @@ def pins_of(declaration: Declaration) -> tuple[Pin, ...]:
     return tuple(result.values())
 
 
-def subcircuit(
+def declared_subcircuit(
     header: Header,
     name: str,
     declaration: Declaration,

@@ -203,7 +203,7 @@ class Names:
         return self.assigned[key]
 
 
-class Source(Protocol):
+class SceneSource(Protocol):
     """Text of a scene's file with the overrides on top of it."""
 
     def where(self, key: str) -> str:
@@ -420,7 +420,7 @@ class Scene(WiredScene):
     meters: Mapping[tuple[str, str], str] = field(default_factory=dict)
     names: Mapping[tuple[str, ...], str] = field(default_factory=dict)
     tables: Mapping[str, Any] = field(default_factory=dict)
-    source: Source | None = None
+    source: SceneSource | None = None
 
     def where(self, key: str) -> str:
         """File, line and name of a key, for errors; the name alone of a scene without a file."""

@@ -38,7 +38,7 @@ def round_plate(rng):
     support, coarser = supports[rng.integers(4)], rng.uniform(1, 3)
 
     def make(refine, _):
-        own = disc.structure({"layers": layers, "support": support, "mesh": {"refine": refine}})
+        own = disc.disc_body({"layers": layers, "support": support, "mesh": {"refine": refine}})
         return replace(own, size=coarser * own.size).device()
 
     return make
@@ -56,7 +56,7 @@ def bender(rng):
     }  # fmt: skip
 
     def make(refine, _):
-        own = bimorph.structure({**table, "mesh": {"refine": refine}})
+        own = bimorph.bimorph_body({**table, "mesh": {"refine": refine}})
         return replace(own, grid=(own.grid[0][::2], *own.grid[1:])).device()
 
     return make
@@ -81,7 +81,7 @@ def sandwich(rng):
     coarser = rng.uniform(0.8, 2.5)
 
     def make(refine, _):
-        own = langevin.structure({**table, "mesh": {"refine": refine}})
+        own = langevin.langevin_body({**table, "mesh": {"refine": refine}})
         return replace(own, size=coarser * own.size).device()
 
     return make

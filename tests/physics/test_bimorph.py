@@ -6,7 +6,7 @@ from pydantic import ValidationError
 
 from kc2spice.core.errors import UsageError
 from kc2spice.fem.materials import material
-from kc2spice.parts.bimorph import BimorphKeys, structure
+from kc2spice.parts.bimorph import BimorphKeys, bimorph_body
 
 PZT = material("PZT-5A")
 
@@ -22,7 +22,7 @@ def test_published_harvester():
     electrodes shorted, 48.4 Hz open. Nothing is fitted; the size of the tip's block is not known.
     """
     brass = {"density": 9000, "youngs_modulus": "105 GPa", "poisson_ratio": 0.34, "conductor": True}
-    facts = structure(
+    facts = bimorph_body(
         bimorph(
             ("PZT-5A", "0.26 mm"), (brass, "0.14 mm"), ("PZT-5A", "0.26 mm"),
             length="50.8 mm", width="31.8 mm", wiring="series", tip_mass="12 g",
@@ -44,7 +44,7 @@ def test_two_layers_bend_as_laminate_theory_with_an_inner_field_says():
     """
     L, w, t = 90e-3, 1.5e-3, 0.05e-3
     keys = bimorph(("PZT-5A", t), ("PZT-5A", t), length=L, width=w, wiring="series")
-    model = structure(keys).device().model
+    model = bimorph_body(keys).device().model
     s, d31 = np.linalg.inv(PZT.C)[:2, :2], PZT.d[2, 0]
     at_field = np.linalg.inv(s)
     at_charge = np.linalg.inv(s - d31**2 / PZT.eps_T[2, 2])
@@ -59,7 +59,7 @@ def test_two_layers_bend_as_laminate_theory_with_an_inner_field_says():
 def test_positive_voltage_lifts_the_tip_of_a_unimorph_either_way_up():
     layers = [("steel", "0.2 mm"), ("PZT-5A", "0.2 mm")]
     for order in (layers, layers[::-1]):
-        model = structure(bimorph(*order, length="20 mm", width="4 mm")).device().model
+        model = bimorph_body(bimorph(*order, length="20 mm", width="4 mm")).device().model
         assert model.facts["free_stroke_tip_m_per_v"] > 0
         assert [p.name for p in model.ports] == ["tip", "base", "anode"]
         assert model.ports[-1].terminals == ("anode", "cathode")
@@ -67,8 +67,8 @@ def test_positive_voltage_lifts_the_tip_of_a_unimorph_either_way_up():
 
 def test_bad_keys():
     with pytest.raises(UsageError, match="wiring without"):
-        structure(bimorph(("steel", 1e-3), length=1e-2, width=1e-3, wiring="series"))
+        bimorph_body(bimorph(("steel", 1e-3), length=1e-2, width=1e-3, wiring="series"))
     with pytest.raises(UsageError, match="no such material"):
-        structure(bimorph(("unobtainium", 1e-3), length=1e-2, width=1e-3))
+        bimorph_body(bimorph(("unobtainium", 1e-3), length=1e-2, width=1e-3))
     with pytest.raises(ValidationError, match="not on the beam"):
         bimorph(("steel", 1e-3), length=1e-2, width=1e-3, points={"far": 2e-2})

@@ -98,7 +98,7 @@ def keys(**changes):
 
 @pytest.mark.slow
 def test_mesh_of_a_unimorph_is_the_parametric_one(beam):
-    parametric = bimorph.structure({
+    parametric = bimorph.bimorph_body({
         "length": "12 mm", "width": "3 mm", "damping": {"ratio": 0}, "mesh": {"refine": 2},
         "layers": [{"material": "steel", "thickness": "0.4 mm"},
                    {"material": "PZT-5A", "thickness": "0.3 mm"}],
@@ -179,7 +179,7 @@ def test_axisymmetric_mesh_is_the_disc(tmp_path):
         "mesh": "disc.msh", "unit": "mm", "axisymmetric": True, "materials": {"disc": "PZT-5A"},
         "electrodes": {"anode": "high", "cathode": "low"}, "damping": {"ratio": 0},
     }, tmp_path).model.facts  # fmt: skip
-    own = disc.structure({
+    own = disc.disc_body({
         "layers": [{"material": "PZT-5A", "diameter": "10 mm", "thickness": "0.5 mm"}],
         "damping": {"ratio": 0},
     }).device().model.facts  # fmt: skip

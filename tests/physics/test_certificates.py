@@ -103,7 +103,7 @@ def test_estimate_covers_what_rounding_does_to_a_thin_free_plate():
         {"material": "PZT-5A", "diameter": "14 mm", "thickness": "0.12 mm",
          "electrodes": "12.8 mm"},
     ]  # fmt: skip
-    found = disc.structure({"layers": layers, "damping": {"quality": 50}}).device()
+    found = disc.disc_body({"layers": layers, "damping": {"quality": 50}}).device()
     full = found.model.select(["anode"])
     rom = reduce_model(full, tolerance=1e-6, band=(288.0, 9600.0))
     pole = full.facts["resonance_short_hz"]

@@ -20,7 +20,7 @@ from kc2spice.rom.linear_model import LinearModel, Port
 M, K, ZETA = 2e-6, 8e4, 0.02
 W = np.sqrt(K / M)
 RAMP = 20e-6  # s, of the load
-KICK = (laws.Port("tip", "translation"), laws.Port("anode", "electrical", "ret"))
+KICK = (laws.LawPort("tip", "translation"), laws.LawPort("anode", "electrical", "ret"))
 
 
 def oscillator() -> LinearModel:

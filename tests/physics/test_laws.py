@@ -103,7 +103,7 @@ def test_every_element_tells_what_flows_through_it() -> None:
 def piezo(name: str, stiffness: float = 2e7, mass: float = 1e-3) -> L.SecondOrderBody:
     """One mode, 0.4 N/V, 100 nF clamped, whose top moves with the mode."""
     gain, c0 = 0.4, 100e-9
-    ports = (L.Port("top", "translation"), L.Port("anode", "electrical"))
+    ports = (L.LawPort("top", "translation"), L.LawPort("anode", "electrical"))
     M, E, K = np.array([[[mass]], [[2.0]], [[stiffness]]])
     kinds = Port("top", "mechanical"), Port("anode", "electrical")
     model = LinearModel(M=M, E=E, K=K, B=np.array([[1.0, gain]]), D=np.diag([0.0, c0]), ports=kinds)

@@ -10,7 +10,7 @@ from kc2spice.parts.pid import Control, pid_subcircuit
 from kc2spice.parts.ring_magnet_coils import coils_subcircuit
 from kc2spice.parts.sphere import SphereKeys, rigid_sphere
 from kc2spice.physics.contact import Normal, contact
-from kc2spice.physics.part import subcircuit as declared
+from kc2spice.physics.part import declared_subcircuit as declared
 from kc2spice.scene.load import load_scene
 from kc2spice.sim.ngspice import run_deck
 from kc2spice.spice.realize import subcircuit

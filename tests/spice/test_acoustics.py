@@ -11,7 +11,7 @@ from kc2spice.netlist.circuit import Element
 from kc2spice.netlist.deck import Deck, ac
 from kc2spice.netlist.library import Header
 from kc2spice.physics import Declaration, branch
-from kc2spice.physics.part import subcircuit
+from kc2spice.physics.part import declared_subcircuit
 from kc2spice.scene.load import load_scene
 from kc2spice.sim.ngspice import run_deck
 from kc2spice.workflow.verify.verify import verify
@@ -171,7 +171,7 @@ def test_declared_branches_of_sound_keep_their_units(tmp_path):
         content="0.5*loss*flow^2",
     )
     values = {"compliance": COMPLIANCE, "mass": MASS, "loss": LOSS}
-    part = subcircuit(Header("demo", "0"), "horn", horn, values)
+    part = declared_subcircuit(Header("demo", "0"), "horn", horn, values)
     assert [(pin.name, pin.unit, pin.flow) for pin in part.pins] == [
         ("in", *DOMAINS["acoustic"].units),
         ("out", *DOMAINS["acoustic"].units),
@@ -205,7 +205,7 @@ def test_declared_branches_of_rotation_keep_their_units(tmp_path):
         energy="0.5*stiffness*angle^2",
         content="0.5*damping*angle_rate^2",
     )
-    part = subcircuit(Header("demo", "0"), "rod", rod, {"stiffness": 0.3, "damping": 2e-3})
+    part = declared_subcircuit(Header("demo", "0"), "rod", rod, {"stiffness": 0.3, "damping": 2e-3})
     assert [(pin.unit, pin.flow) for pin in part.pins] == [DOMAINS["rotation"].units] * 2
     deck = Deck(
         name="rod",

@@ -20,7 +20,7 @@ from kc2spice.netlist.translate import PRINTERS, dialect_files
 from kc2spice.parts.two_terminal_types import TABLE
 from kc2spice.physics import contact, law
 from kc2spice.physics.contact import Normal
-from kc2spice.physics.part import subcircuit
+from kc2spice.physics.part import declared_subcircuit
 from kc2spice.scene.load import gallery, load_scene
 from kc2spice.scene.model import Build
 from kc2spice.scene.parttype import part_types
@@ -317,7 +317,7 @@ def worst_cards(kind, dialect):
     """Largest difference of a contact's printed forces from its law, relative to the largest; at
     rest where they follow with a lag, whose square of time the cards leave out."""
     normal, made = NORMALS[kind], Header("law", "0")
-    part = subcircuit(made, "contact", pressing(normal), {})
+    part = declared_subcircuit(made, "contact", pressing(normal), {})
     text = part.text
     if dialect == "verilog-a":
         (text,) = module_files(part).values()

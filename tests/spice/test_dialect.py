@@ -13,7 +13,7 @@ from kc2spice.netlist.deck import Deck
 from kc2spice.netlist.library import Header
 from kc2spice.netlist.translate import DIALECTS, PRINTERS, dialect_files, translate
 from kc2spice.physics.contact import Normal, contact
-from kc2spice.physics.part import subcircuit as declared
+from kc2spice.physics.part import declared_subcircuit as declared
 from kc2spice.sim.ngspice import run_deck
 
 pp.ParserElement.set_default_whitespace_chars(" \t\n")

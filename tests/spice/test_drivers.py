@@ -13,7 +13,7 @@ from kc2spice.parts.driver_types import (
     HalfBridge,
     HalfBridgeKeys,
     LinearDrive,
-    LinearKeys,
+    LinearDriverKeys,
     PwmDrive,
     PwmKeys,
 )
@@ -149,7 +149,9 @@ Lcoils middle ret {LOAD.inductance}
 def test_linear_drive_closes_like_one_pole(header, tmp_path):
     """The amplifier of five times the bandwidth adds 2 % to the pole. The command that bypasses
     the controller adds 3 % well below the pole."""
-    part = LinearDrive().netlist(header, "linear", *LinearDrive().for_load(LinearKeys(), LOAD))
+    part = LinearDrive().netlist(
+        header, "linear", *LinearDrive().for_load(LinearDriverKeys(), LOAD)
+    )
     cards = f"""Vwanted wanted 0 AC 100
 Xdriver wanted drive ret 0 linear
 Rcoils drive middle {LOAD.resistance}
@@ -157,13 +159,13 @@ Lcoils middle ret {LOAD.inductance}
 .ac dec 1 5e2 5e4"""
     parts = [opamp_subcircuit(header, "slew"), part]
     waves = run_deck(bench(parts, cards, {"i": ("i(lcoils)", 1.0)}), tmp_path)
-    f = waves["frequency"].real / LinearKeys().bandwidth
+    f = waves["frequency"].real / LinearDriverKeys().bandwidth
     np.testing.assert_allclose(np.abs(waves["i"]), np.abs(1 / (1 + 1j * f)), rtol=0.03)
 
 
 def test_linear_drive_is_bound_by_its_rails(header, tmp_path):
     """The rail over all resistance at the end, and the rail over L at the start."""
-    drive = LinearKeys(rail=48.0)
+    drive = LinearDriverKeys(rail=48.0)
     part = LinearDrive().netlist(header, "linear", *LinearDrive().for_load(drive, LOAD))
     parts = [opamp_subcircuit(header, "slew"), part]
     waves = stepped(parts, "linear", "", tmp_path, 5e-4, ask=10.0)

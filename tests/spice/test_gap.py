@@ -10,7 +10,7 @@ import kc2spice as kc
 from kc2spice.core.errors import UsageError
 from kc2spice.core.progress import Clock, silent
 from kc2spice.core.waveforms import Waveforms
-from kc2spice.parts.bimorph import structure
+from kc2spice.parts.bimorph import bimorph_body
 from kc2spice.parts.gap import branches_of
 from kc2spice.physics.symbolic import evaluated
 from kc2spice.scene.load import load_scene
@@ -212,7 +212,7 @@ def test_a_quarter_bends_as_a_quarter_of_a_plate():
     half, thick, modulus, ratio = 1e-3, 20e-6, 100e9, 0.3
     layer = {"thickness": thick, "material": {
         "density": 2000.0, "youngs_modulus": modulus, "poisson_ratio": ratio}}  # fmt: skip
-    model = structure({
+    model = bimorph_body({
         "length": half, "width": half, "support": "quarter", "patches": 3, "rows": 4,
         "points": {"middle": half}, "layers": [layer], "mesh": {"refine": 2},
     }).device().model  # fmt: skip
@@ -247,7 +247,7 @@ def test_a_beam_under_tension_is_stiffer():
         "residual_stress": [stress, 0.0, 0.0]}}  # fmt: skip
     keys = {"length": length, "width": width, "support": "clamped", "patches": 5,
             "points": {"middle": length / 2}, "layers": [layer], "mesh": {"refine": 2}}  # fmt: skip
-    model = structure(keys).device().model
+    model = bimorph_body(keys).device().model
     names = [port.name for port in model.ports]
     static = model.transfer(np.array([0.0]))[0].real[names.index("middle")]
     found = sum(static[k] for k, name in enumerate(names) if name.startswith("patch")) / 5

@@ -7,8 +7,8 @@ from kc2spice.core.waveforms import Waveforms
 from kc2spice.scene.checks import Gate
 from kc2spice.workflow.verify.verify import (
     Solution,
+    gate_difference,
     gate_limits,
-    measured,
     metric_errors,
     output_errors,
 )
@@ -28,7 +28,7 @@ def test_a_gate_of_several_waves_looks_at_each(wrong: str) -> None:
     exact = Waveforms({"y": np.arange(5.0)} | waves, {})
     ours = Waveforms(exact.data | {wrong: exact[wrong] + 0.03}, {})
     gate = Gate("force", "catch.force.*", {}, "largest")
-    assert measured(gate, Solution(ours, {}), Solution(exact, {})) == pytest.approx(0.01)
+    assert gate_difference(gate, Solution(ours, {}), Solution(exact, {})) == pytest.approx(0.01)
 
 
 @pytest.mark.parametrize("wrong", ["a>a", "a>b"])
@@ -36,7 +36,7 @@ def test_a_gate_of_a_response_looks_at_every_pair(wrong: str) -> None:
     exact = response(0.0, 0.0)
     ours = Waveforms(exact.data | {wrong: exact[wrong] * 1.01}, {})
     gate = Gate("response", "*>*", {}, "spectral")
-    assert measured(gate, Solution(ours, {}), Solution(exact, {})) == pytest.approx(0.01)
+    assert gate_difference(gate, Solution(ours, {}), Solution(exact, {})) == pytest.approx(0.01)
 
 
 def test_waves_of_unequal_points_are_compared_where_both_are() -> None:

@@ -12,14 +12,16 @@ from kc2spice.netlist.deck import Deck
 from kc2spice.netlist.library import Header
 from kc2spice.parts.sphere import SphereKeys, rigid_sphere
 from kc2spice.physics.contact import Normal, contact
-from kc2spice.physics.part import subcircuit
+from kc2spice.physics.part import declared_subcircuit
 
 MASS, STIFFNESS, GRAVITY = SphereKeys().mass, 4e8, 9.81  # kg, N/m, m/s2
 SPEED, HEIGHT, LANDINGS = 0.01, 1e-7, 100  # m/s downwards, m
 STOP = (LANDINGS + 0.5) * (2 * SPEED / GRAVITY + np.pi * np.sqrt(MASS / STIFFNESS))
 HEADER = Header("bounces", "0")
-SPHERE = subcircuit(HEADER, "sphere", rigid_sphere(MASS, 1e-3, GRAVITY, -SPEED, HEIGHT), {})
-CONTACT = subcircuit(HEADER, "contact", contact(("ring0",), (0.0,), Normal(STIFFNESS)), {})
+SPHERE = declared_subcircuit(
+    HEADER, "sphere", rigid_sphere(MASS, 1e-3, GRAVITY, -SPEED, HEIGHT), {}
+)
+CONTACT = declared_subcircuit(HEADER, "contact", contact(("ring0",), (0.0,), Normal(STIFFNESS)), {})
 LAWS = {
     "max(0, depth)": f"Bcontact 0 v I={1e-6 * STIFFNESS}*max(0, -V(bottom))",
     "contact.lib": "Vplane ring0 0 0\nXcontact ring0 v bottom 0 contact",

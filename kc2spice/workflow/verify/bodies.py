@@ -114,7 +114,9 @@ def netlist_checks(
     if all(port.conservative for port in rom.ports):
         # a leak takes charge that a load separates, but no force from a voltage
         limit = max(NETLIST_ROUNDING, leaked)
-        checks += structure(f"{name}: netlist", frequency, emitted, limit, rates=not is_heat(rom))
+        checks += structure_checks(
+            f"{name}: netlist", frequency, emitted, limit, rates=not is_heat(rom)
+        )
     return checks
 
 
@@ -145,11 +147,11 @@ def own_structure(name: str, rom: LinearModel, band: tuple[float, float]) -> lis
     if all(port.conservative for port in rom.ports) and rom.symmetric:
         frequency = np.linspace(0.0, band[1], 202)[1:]
         H, rates = rom.transfer(frequency), not is_heat(rom)
-        result += structure(f"{name}: ROM", frequency, H, OWN_ROUNDING, rates=rates)
+        result += structure_checks(f"{name}: ROM", frequency, H, OWN_ROUNDING, rates=rates)
     return result
 
 
-def structure(
+def structure_checks(
     name: str, frequency: np.ndarray, H: np.ndarray, limit: float, *, rates: bool = True
 ) -> list[Check]:
     """``Re (s H)`` positive semi-definite and ``H`` symmetric; of heat models without ``rates``,

@@ -82,7 +82,7 @@ def gate_limits(
     for part, item in gates:
         wave = f"{part}.{item.of}"
         gate = replace(item, of=wave) if wave in exact.metrics else item
-        value = measured(gate, ours, exact)
+        value = gate_difference(gate, ours, exact)
         if value is None:
             continue
         if pair in gate.limits:
@@ -92,7 +92,7 @@ def gate_limits(
     return limits, max(leading, default=None)
 
 
-def measured(gate: Gate, ours: Solution, exact: Solution) -> float | None:
+def gate_difference(gate: Gate, ours: Solution, exact: Solution) -> float | None:
     """The difference that a gate asks for, nan where one of both has not reached it; None where
     neither has it, such as the launch of what never leaves."""
     if gate.of in exact.metrics:

@@ -11,7 +11,7 @@ from scipy.integrate import solve_ivp
 from bench.distance import compare
 from kc2spice.parts.sphere import SphereKeys, rigid_sphere
 from kc2spice.physics.contact import Normal, contact
-from kc2spice.physics.part import subcircuit as declared
+from kc2spice.physics.part import declared_subcircuit as declared
 from kc2spice.spice.realize import subcircuit
 
 MASS = SphereKeys().mass
