@@ -12,7 +12,7 @@ import os
 import shlex
 import sys
 import textwrap
-from collections.abc import Callable, Container, Iterator
+from collections.abc import Callable, Container, Iterator, Mapping
 from contextlib import contextmanager
 from importlib import resources
 from pathlib import Path
@@ -64,13 +64,16 @@ PARAMETERS = {
         metavar="MODEL",
         help="NAME of the files NAME.M .E .K .B .C (Matrix Market or Harwell-Boeing; first order "
         ".A .B .C .D .E); a .npz or .mat file; a file of Abaqus, CalculiX, Nastran or Ansys; "
-        "SCENE:PART for the body of a scene; a measured response (.s1p, .s2p, .csv, .txt, .mat). "
+        "SCENE:PART for the body of a scene; a measured response (.s1p, .s2p, .csv, .txt, .zma, "
+        ".mat). "
         "NAME.toml beside the matrices names ports, units and band.",
     ),
     "target": typer.Argument(
         metavar="SCENE:PART", help="Scene, and the body in it that is fitted."
     ),
-    "data": typer.Argument(metavar="DATA", help="Measured impedance: .s1p, .csv, .txt or .mat."),
+    "data": typer.Argument(
+        metavar="DATA", help="Measured impedance: .s1p, .csv, .txt, .zma or .mat."
+    ),
     "run.out": _out("./SCENE"),
     "export.out": _out("./SCENE, or beside the reduced model"),
     "verify.out": _out("./SCENE_verify"),
@@ -149,6 +152,11 @@ PARAMETERS = {
         help="Resistance of a measured one-port at zero frequency, such as '80 mOhm', or open. "
         "Default: extrapolated from the lowest frequencies.",
     ),
+    "shunt": typer.Option(
+        metavar="OHM",
+        help="Resistance in series with the part through which a gain was measured, such as "
+        "'100 Ohm'. Tables of gain and phase need it.",
+    ),
     "vary": typer.Option(
         metavar="KEY[=LOW:HIGH]",
         help="Key below the part to be varied, and its range in SI units. Default: 30 % about the "
@@ -203,10 +211,12 @@ EXAMPLES = {
     "reduce": (
         "kc2spice reduce NAME.K --tolerance 1e-4 --band 0 5e5",
         "kc2spice reduce NAME.npz --method compare",
+        "kc2spice reduce GAIN.csv --shunt '100 Ohm'",
     ),
     "fit": (
         "kc2spice fit buzzer_7bb_20_6:disc DATA.csv --vary damping.quality=10:200",
         "kc2spice fit MY.toml:disc DATA.s1p --vary 'layers[0].thickness'",
+        "kc2spice fit MY.toml:disc GAIN.csv --shunt '100 Ohm' --vary damping.quality",
     ),
     "bench": ("kc2spice bench impact --error 1e-4", "kc2spice bench kick_and_catch --repeats 3"),
     "sweep": (
@@ -534,6 +544,7 @@ def _reduce(
     norm: str | None = None,
     method: str | None = None,
     dc: str | None = None,
+    shunt: str | None = None,
 ) -> None:
     """Reduce matrices or a measured response to few states.
 
@@ -545,9 +556,10 @@ def _reduce(
 
     options: dict[str, Any] = {"band": band, "tolerance": tolerance, "order": order, "norm": norm}
     if method == "compare":
-        _compare_methods(caller, model, options, out, dc)
+        no_effect = {"--out": out, "--dc": dc, "--shunt": shunt}
+        _compare_methods(caller, model, options, no_effect)
         return
-    options |= {"dc": dc, "method": method}
+    options |= {"dc": dc, "shunt": shunt, "method": method}
     with _arguments_as_options(options), caller.progress() as progress:
         result = reduce_study(model, out, **options, progress=progress)
     if caller.reads(result):
@@ -589,13 +601,13 @@ METHOD_COLUMNS = "method", "states", "error estimate", "CPU time"
 
 
 def _compare_methods(
-    caller: Caller, model: str, options: dict[str, Any], out: Path | None, dc: str | None
+    caller: Caller, model: str, options: dict[str, Any], no_effect: Mapping[str, object]
 ) -> None:
     """Print states, error estimate and CPU time of every method of reduction."""
     from kc2spice.workflow.methods import compare
     from kc2spice.workflow.reduce_files import require_stable
 
-    for option, value in (("--out", out), ("--dc", dc)):
+    for option, value in no_effect.items():
         if value is not None:
             expected = "nothing: --method compare prints a table and writes no files"
             raise UsageError("is not for a comparison", where=option, got=value, expected=expected)
@@ -622,6 +634,7 @@ def _fit(
     target: str,
     data: Path,
     vary: list[str] | None = None,
+    shunt: str | None = None,
     out: Path | None = None,
     set_: list[str] | None = None,
 ) -> None:
@@ -643,7 +656,8 @@ def _fit(
         )
     scene = _load(name, set_)
     with caller.progress() as progress:
-        result = fit_study(scene, part, data, vary or (), out or Path(f"{part}_fit"), progress)
+        out = out or Path(f"{part}_fit")
+        result = fit_study(scene, part, data, vary or (), out, progress, shunt=shunt)
     if caller.reads(result):
         from kc2spice.report.pages import fit_sections
 

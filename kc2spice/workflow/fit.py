@@ -18,7 +18,7 @@ from scipy.signal import find_peaks
 from scipy.stats import qmc
 
 from kc2spice.bodies.device import by_rayleigh
-from kc2spice.bodies.readers.measured import Measured, read_measured
+from kc2spice.bodies.readers.measured import Measured, read_measured, shunt_resistance
 from kc2spice.core.errors import UsageError
 from kc2spice.core.files import staged
 from kc2spice.core.progress import Clock, Progress, silent
@@ -78,6 +78,7 @@ def fit(
     vary: Sequence[str] | Mapping[str, tuple[float, float] | None],
     out: Path | None = None,
     progress: Progress = silent,
+    shunt: str | float | None = None,
 ) -> dict[str, Any]:
     """Vary keys of a body until its admittance is the measured one.
 
@@ -106,6 +107,9 @@ def fit(
         parameters of the netlist (``box.toml``), and a page. By default no file is written.
     progress : callable, optional
         Called as ``progress(stage, done, text)`` during the fit.
+    shunt : str or float, optional
+        Resistance in series with the part through which a gain was measured: ``"100 Ohm"``, or a
+        number in Ohm. A table of gain and phase needs it.
 
     Returns
     -------
@@ -137,7 +141,11 @@ def fit(
     """
     loaded = load_scene(scene)
     loaded.part(part, "SCENE:PART")  # before the data: a misspelt part is the first mistake
-    measured = data if isinstance(data, Measured) else read_measured(Path(data))
+    resistance = shunt_resistance(shunt)
+    if isinstance(data, Measured) and resistance is not None:
+        problem = "applies to a file of gain and phase"
+        raise UsageError(problem, where="shunt", got=shunt, expected="the path of a file as data")
+    measured = data if isinstance(data, Measured) else read_measured(Path(data), resistance)
     if measured.Y.shape[1] != 1:
         got = f"{measured.Y.shape[1]} ports"
         hint = "measure the impedance between the electrodes, or save one port alone"

@@ -13,7 +13,12 @@ from typing import Any
 import numpy as np
 
 from kc2spice.bodies.readers import read_model
-from kc2spice.bodies.readers.measured import Measured, is_measured, read_measured
+from kc2spice.bodies.readers.measured import (
+    Measured,
+    is_measured,
+    read_measured,
+    shunt_resistance,
+)
 from kc2spice.core.errors import GateMissedError, UsageError, candidates, unknown
 from kc2spice.core.files import staged
 from kc2spice.core.progress import Clock, Progress, silent
@@ -55,6 +60,7 @@ def reduce_file(
     order: int | None = None,
     norm: str | None = None,
     dc: str | float | None = None,
+    shunt: str | float | None = None,
     method: str | None = None,
     progress: Progress = silent,
 ) -> dict[str, Any]:
@@ -68,7 +74,7 @@ def reduce_file(
     path : Path or str
         Matrices as for :func:`kc2spice.read_model`; ``SCENE:PART``, which is the full model of a
         scene's body; or a measured response (``.s1p``, ``.s2p``, ``.ts``, ``.csv``, ``.txt``,
-        ``.tsv``, ``.mat``).
+        ``.tsv``, ``.zma``, ``.frd``, ``.mat``).
     out : Path, optional
         Directory for the files. The default is ``NAME_rom``.
     band : tuple of two floats, optional
@@ -84,6 +90,9 @@ def reduce_file(
     dc : str or float, optional
         Resistance of a measured one-port at zero frequency: ``"80 mOhm"``, a number in Ohm, or
         ``"open"``. By default it is extrapolated from the data.
+    shunt : str or float, optional
+        Resistance in series with the part through which a gain was measured: ``"100 Ohm"``, or a
+        number in Ohm. A table of gain and phase needs it.
     method : str, optional
         Method of reduction. By default all methods that suit the model are tried.
     progress : callable, optional
@@ -117,15 +126,16 @@ def reduce_file(
     if is_measured(Path(path)):
         options = {"--band": band, "--tolerance": tolerance, "--order": order, "--norm": norm}
         options["--method"] = method
-        return _reduce_measured(Path(path), out, options, dc, progress)
-    if dc is not None:
-        raise UsageError(
-            "applies to a measured response only",
-            where="--dc",
-            got=dc,
-            expected="no --dc with matrices, which determine the response at zero frequency",
-            hint="leave out --dc",
-        )
+        return _reduce_measured(Path(path), out, options, dc, shunt, progress)
+    for option, value in (("--dc", dc), ("--shunt", shunt)):
+        if value is not None:
+            raise UsageError(
+                "applies to a measured response only",
+                where=option,
+                got=value,
+                expected=f"no {option} with matrices, which determine the response",
+                hint=f"leave out {option}",
+            )
     progress("reduce", None, "reading matrices")
     model = given_model(path)
     if tolerance is None and order is None:
@@ -200,6 +210,7 @@ def _reduce_measured(
     out: Path | None,
     options: dict[str, Any],
     dc: str | float | None,
+    shunt: str | float | None,
     progress: Progress,
 ) -> dict[str, Any]:
     """A measured part as the passive circuit that comes nearest: parallel branches of one port
@@ -215,7 +226,7 @@ def _reduce_measured(
             )
     conductance = None if dc is None else _conductance(dc)
     progress("reduce", None, "reading the measurement")
-    data = read_measured(path)
+    data = read_measured(path, shunt_resistance(shunt))
     ports = data.Y.shape[1]
     if ports > 1 and dc is not None:
         raise UsageError(

@@ -197,7 +197,7 @@ def test_the_command_prints_what_it_understood(tmp_path):
     done = CliRunner().invoke(app, ["reduce", str(path), "-o", str(tmp_path / "out")])
     assert done.exit_code == 0
     text = " ".join(done.output.split())
-    for words in ("f [Hz] from 'f'", "-x [Ohm] from '-X (Ohm)'", "400 points from 1000 to 100000"):
+    for words in ("f [Hz] from 'f'", "-X [Ohm] from '-X (Ohm)'", "400 points from 1000 to 100000"):
         assert words in text
     assert "note: f: no unit, taken as Hz" in text
 

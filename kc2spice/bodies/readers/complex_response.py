@@ -1,16 +1,52 @@
-"""Complex responses of columns: which columns belong together, and the admittance they give."""
+"""Complex responses of columns: which columns belong together, and the admittance they give.
+
+In: tables of a file, or vectors with titles. Out: a :class:`MeasuredResponse`. A file that allows
+two readings is refused with both of them.
+
+The gain through a shunt is measured with a resistor R in series with the part. It is the voltage
+across the shunt relative to that of the source::
+
+    g = R / (Z + R)        Z = R (1 / g - 1)        Y = (1 / R) g / (1 - g)
+
+which is the admittance of the reflection ``S = 1 - 2 g`` with the reference resistance R. The gain
+of a passive part is at most 1; the inverse ratio is at least 1.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from kc2spice.bodies.readers.meanings import COMBINATIONS, Quantity
-from kc2spice.bodies.readers.titles import Column, column_of, read_title
+from kc2spice.bodies.readers.meanings import (
+    COMBINATIONS,
+    DEFAULT_UNITS,
+    LABELS,
+    SOUND,
+    SUFFIX_TITLES,
+    UNSTATED,
+    UNTITLED,
+    Combination,
+    Quantity,
+)
+from kc2spice.bodies.readers.text_table import LONGEST_HEADER, TextTable
+from kc2spice.bodies.readers.titles import (
+    Column,
+    column_of,
+    complex_quantity,
+    is_frequency,
+    read_title,
+)
 from kc2spice.core.equality import EqualByContent
+from kc2spice.core.errors import UsageError
 
 REFERENCE = 50.0  # Ohm, of S where no file states it
+FEWEST = 12  # frequencies: four numbers of one resonance and its noise
+AGREE = 0.05  # median relative difference of two readings, above the rounding of columns
+LONGEST_NAMES = 50  # characters of titles in an error that lists unknown ones behind them
+NAME_COLUMNS = "name the columns in the first line, such as  frequency_hz,real_ohm,imag_ohm"
+ONE_PART = "delete the columns or lines of the other one"
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,37 +77,329 @@ def admittance_of(quantity: Quantity, P: np.ndarray, z0: np.ndarray) -> np.ndarr
         raise ValueError(text) from None
 
 
-def response_of(titles: list[str], rows: np.ndarray) -> MeasuredResponse:
-    """The response of a table or of vectors under ``titles``; rows (n, columns)."""
-    if len(titles) != rows.shape[-1]:
-        raise ValueError(f"{len(titles)} titles above {rows.shape[-1]} columns of numbers")
-    columns: dict[str, Column] = {}
-    unknown = []
-    for text, values in zip(titles, rows.T, strict=True):
-        title = read_title(text)
-        if title is None:
-            unknown.append(repr(text.strip()))
-        elif title.meaning.quantity not in columns:
-            columns[title.meaning.quantity] = column_of(title, values)
-    combination = next((c for c in COMBINATIONS if set(c.columns) <= set(columns)), None)
-    if "f" not in columns or combination is None:
-        missing = "no frequency" if "f" not in columns else "no complete impedance"
-        strange = f"; unknown: {', '.join(unknown[:5])}" if unknown else ""
-        raise ValueError(f"the columns {', '.join(titles[:5])} contain {missing}{strange}")
-    used = [columns[name] for name in ("f", *combination.columns)]
-    f = used[0].values
+def two_readings(got: str, readings: Sequence[str], hint: str) -> UsageError:
+    """The error of a file that allows more than one reading."""
+    listed = " or ".join(f"({k}) {text}" for k, text in enumerate(readings, 1))
+    expected = f"one reading; this file allows {listed}"
+    return UsageError("is ambiguous", got=got, expected=expected, hint=hint)
+
+
+def tables_response(
+    tables: Sequence[TextTable], shunt: float | None, suffix: str
+) -> MeasuredResponse:
+    """The response of the tables of a file with this ``suffix``.
+
+    Raises
+    ------
+    ValueError, UsageError : no table is a response, or more than one is.
+    """
+    large = [table for table in tables if table.rows >= FEWEST] or list(tables[:1])
+    responses, reasons = list[tuple[TextTable, MeasuredResponse]](), list[Exception]()
+    notes = list[str]()
+    for table in large:
+        try:
+            responses.append((table, _table_response(table, shunt, suffix)))
+        except (ValueError, UsageError) as error:
+            reasons.append(error)
+            notes.append(f"{table.place} are not used: {error}".splitlines()[0])
+    if not responses:
+        raise reasons[0]
+    if len(responses) > 1:
+        readings = [f"{table.place}: {response.columns}" for table, response in responses]
+        raise two_readings(f"{len(responses)} sweeps", readings, ONE_PART)
+    response = responses[0][1]
+    return replace(response, notes=(*response.notes, *notes))
+
+
+def _table_response(table: TextTable, shunt: float | None, suffix: str) -> MeasuredResponse:
+    """The response of one table."""
+    if table.titles is not None and any(map(is_frequency, table.titles)):
+        return response_of(table.titles, table.numbers, shunt, table.notes)
+    suffix_titles = SUFFIX_TITLES.get(suffix)
+    width = len(table.numbers)
+    if suffix_titles and width == len(suffix_titles):
+        titles = _with_comments(suffix_titles, table.comments)
+        notes = (*table.notes, f"no titles of columns, taken as {', '.join(titles)}")
+        return response_of(titles, table.numbers, shunt, notes)
+    if table.titles is not None:
+        return response_of(table.titles, table.numbers, shunt, table.notes)
+    if table.header:
+        raise ValueError(
+            f"the header {table.header[:LONGEST_HEADER]!r} does not have the separators of the "
+            f"{width} columns of numbers below it"
+        )
+    first = " ".join(f"{column[0]:g}" for column in table.numbers[:6])
+    got = f"{width} columns without titles, first row {first}"
+    raise two_readings(got, UNTITLED, NAME_COLUMNS)
+
+
+def _with_comments(titles: Sequence[str], comments: Sequence[str]) -> tuple[str, ...]:
+    """Titles that a suffix implies, replaced by titles of the same quantity in the comments.
+
+    Raises
+    ------
+    ValueError : the comments have a unit that is not one of its quantity.
+    """
+    result = list(titles)
+    quantities = [title.meaning.quantity for title in map(read_title, titles) if title]
+    for comment in comments:
+        for piece in comment.rpartition(": ")[2].split(","):
+            title = read_title(piece)
+            if title is None or title.unit is None:
+                continue
+            quantity = title.meaning.quantity
+            if quantity in quantities:
+                result[quantities.index(quantity)] = piece.strip()
+            elif quantity == SOUND:
+                result[1] = piece.strip()
+    return tuple(result)
+
+
+@dataclass(frozen=True, eq=False)
+class _Reading(EqualByContent):
+    """The ``samples`` (n,) of a combination of columns, and what their titles are."""
+
+    combination: Combination
+    columns: tuple[Column, ...]
+    samples: np.ndarray
+
+    def __str__(self) -> str:
+        return " and ".join(map(str, self.columns))
+
+
+@dataclass(frozen=True, eq=False)
+class _Columns(EqualByContent):
+    """Columns of a table by quantity, complex ones, titles without a meaning, and problems of
+    titles."""
+
+    by_quantity: dict[str, list[Column]]
+    complex_columns: list[tuple[str, Quantity, np.ndarray]]
+    unknown: list[str]
+    problems: list[str]
+
+
+def response_of(
+    titles: Sequence[str],
+    numbers: Sequence[np.ndarray],
+    shunt: float | None = None,
+    notes: Sequence[str] = (),
+) -> MeasuredResponse:
+    """The response of columns, ``numbers`` (n,) under ``titles``.
+
+    ``shunt`` is the resistance [Ohm] through which a gain was measured.
+
+    Raises
+    ------
+    ValueError : no frequency or no two columns that determine an impedance.
+    UsageError : columns that contradict each other; a gain without a shunt, or the reverse.
+    """
+    if len(titles) != len(numbers):
+        raise ValueError(f"{len(titles)} titles above {len(numbers)} columns of numbers")
+    columns = _understood(titles, numbers)
+    _require_complete(titles, columns, shunt)
+    frequency = _one("f", columns)
+    f = frequency.values
     steps = np.diff(f)
     if not ((steps >= 0).all() or (steps <= 0).all()):
         raise ValueError("the frequency column goes up and down: is it another one?")
-    first, second = (column.values for column in used[1:])
-    samples = combination.value(first, second, 2 * np.pi * f)[:, None, None]
-    notes = [column.note for column in used if column.note]
-    if combination.quantity == "S":
-        notes.append(f"no reference resistance of S, taken as {REFERENCE:g} Ohm")
-    if "c" in combination.columns:
-        notes.append(f"{columns['c'].title.text}: neither Cp nor Cs, taken as Cp")
-    left = [text for text in titles if text not in [column.title.text for column in used]]
-    summary = ", ".join(map(str, used)) + (f"; not used: {', '.join(left)}" if left else "")
-    z0 = np.array([REFERENCE])
-    Y = admittance_of(combination.quantity, samples, z0)
-    return MeasuredResponse(f, combination.quantity, samples, Y, z0, tuple(notes), summary)
+    notes = [*notes, *(f"not used: {problem}" for problem in columns.problems)]
+    if columns.complex_columns:
+        return _complex_response(frequency, columns, titles, notes)
+    readings = _readings(columns, f, shunt)
+    reading = readings[0]
+    used = (frequency, *reading.columns)
+    remarks = [*notes, *(column.note for column in used if column.note)]
+    reference = REFERENCE
+    samples = reading.samples
+    if reading.combination.shunt:
+        assert shunt is not None
+        samples, reference, remark = _reflection(samples, shunt)
+        remarks.append(remark)
+    elif reading.combination.quantity == "S":
+        remarks.append(f"no reference resistance of S, taken as {REFERENCE:g} Ohm")
+    if "c" in reading.combination.columns:
+        remarks.append(f"{reading.columns[0].title.text}: neither Cp nor Cs, taken as Cp")
+    summary = _summary(used, titles)
+    return _response(f, reading.combination.quantity, samples, reference, remarks, summary)
+
+
+def _understood(titles: Sequence[str], numbers: Sequence[np.ndarray]) -> _Columns:
+    """Columns by the meaning of their titles."""
+    result = _Columns({}, [], [], [])
+    for text, values in zip(titles, numbers, strict=True):
+        try:
+            if np.iscomplexobj(values):
+                kind = complex_quantity(text)
+                if kind is not None:
+                    result.complex_columns.append((text.strip(), kind[0], kind[1] * values))
+                else:
+                    result.unknown.append(text.strip())
+                continue
+            title = read_title(text)
+            column = None if title is None else column_of(title, values)
+        except ValueError as error:
+            result.problems.append(str(error))
+            continue
+        if column is None:
+            result.unknown.append(text.strip())
+        else:
+            result.by_quantity.setdefault(column.title.meaning.quantity, []).append(column)
+    return result
+
+
+def _require_complete(titles: Sequence[str], columns: _Columns, shunt: float | None) -> None:
+    """Check that a frequency and columns of one combination exist."""
+    names = set(columns.by_quantity)
+    complete = [c for c in COMBINATIONS if set(c.columns) <= names]
+    gains = [c for c in complete if c.shunt]
+    if shunt is not None and not gains:
+        raise UsageError(
+            "applies to a table of gain and phase",
+            where="--shunt",
+            got=f"columns {', '.join(t.strip() for t in titles[:5])}",
+            expected="columns such as  Frequency (Hz), Gain (dB), Phase (deg)",
+            hint="leave out --shunt: the file has no gain",
+        )
+    usable = columns.complex_columns or shunt is not None or len(complete) > len(gains)
+    if "f" in names and usable:
+        return
+    if "f" in names and gains:
+        column = columns.by_quantity[gains[0].columns[0]][0]
+        raise UsageError(
+            "contains a gain, whose impedance depends on the shunt",
+            got=str(column),
+            expected="the resistance in series with the part, or columns of an impedance",
+            hint="add for example  --shunt '100 Ohm'",
+        )
+    raise _incomplete(titles, columns)
+
+
+def _incomplete(titles: Sequence[str], columns: _Columns) -> Exception:
+    """The error of columns that determine no impedance."""
+    if columns.problems:
+        return ValueError(columns.problems[0])
+    for text in columns.unknown:
+        meaning = UNSTATED.get("".join(text.lower().split()))
+        if meaning is not None:
+            got = f"the column {text!r} states neither quantity nor unit"
+            return two_readings(got, meaning.split("; or "), NAME_COLUMNS)
+    if SOUND in columns.by_quantity:
+        title = columns.by_quantity[SOUND][0].title.text
+        return ValueError(f"column {title!r} is a sound pressure")
+    missing = "no complete impedance" if "f" in columns.by_quantity else "no frequency"
+    listed = ", ".join(map(repr, columns.unknown[:5]))
+    strange = f"; unknown: {listed}" if listed else ""
+    names = ", ".join(titles[:5])
+    names = names if len(names) <= LONGEST_NAMES else f"{names[:LONGEST_NAMES]}…"
+    return ValueError(f"the columns {names} contain {missing}{strange}")
+
+
+def _one(quantity: str, columns: _Columns) -> Column:
+    """The column of a quantity, which may be there more than once with the same values.
+
+    Raises
+    ------
+    UsageError : the values differ.
+    """
+    first, *others = columns.by_quantity[quantity]
+    for other in others:
+        if _difference(other.values, first.values) > AGREE:
+            got = f"two columns of {LABELS.get(quantity, quantity)}"
+            raise two_readings(got, (str(first), str(other)), ONE_PART)
+    return first
+
+
+def _difference(a: np.ndarray, b: np.ndarray) -> float:
+    """Median difference relative to ``b`` (n,) where both are finite and not zero."""
+    with np.errstate(all="ignore"):
+        ratio = np.abs(a / b - 1)
+    ratio = ratio[np.isfinite(ratio) & (b != 0) & (a != 0)]
+    return float(np.median(ratio)) if ratio.size else 0.0
+
+
+def _readings(columns: _Columns, f: np.ndarray, shunt: float | None) -> list[_Reading]:
+    """All combinations of columns, which agree.
+
+    Raises
+    ------
+    UsageError : two of them give different responses.
+    """
+    sizes = [name for name in ("z", "y", "gain") if name in columns.by_quantity]
+    readings = list[_Reading]()
+    for combination in COMBINATIONS:
+        first, second = combination.columns
+        if not {first, second} <= set(columns.by_quantity) or combination.shunt != (
+            shunt is not None
+        ):
+            continue
+        if second == "phase" and first != sizes[0]:  # a phase belongs to the first size
+            continue
+        pair = _one(first, columns), _one(second, columns)
+        samples = combination.value(pair[0].values, pair[1].values, 2 * np.pi * f)
+        readings.append(_Reading(combination, pair, samples))
+    best = readings[0]
+    for other in readings[1:]:
+        if _difference(_admittance(other), _admittance(best)) > AGREE:
+            got = f"columns that differ, first at {f[0]:g} Hz"
+            hint = "check the units of these columns, or delete those that are wrong"
+            raise two_readings(got, (str(best), str(other)), hint)
+    return readings
+
+
+def _admittance(reading: _Reading) -> np.ndarray:
+    """Admittance (n,) of a reading, by a reference of S that is the same for all."""
+    x = reading.samples
+    if reading.combination.quantity == "Y":
+        return x
+    return 1 / x if reading.combination.quantity == "Z" else (1 - x) / (1 + x) / REFERENCE
+
+
+def _reflection(gain: np.ndarray, shunt: float) -> tuple[np.ndarray, float, str]:
+    """Reflection, reference resistance [Ohm] and a note of a gain through a shunt [Ohm]."""
+    inverse = bool(np.median(np.abs(gain)) > 1)
+    ratio = "source over shunt" if inverse else "shunt over source"
+    gain = 1 / gain if inverse else gain
+    note = f"gain: voltage of {ratio}, through {shunt:g} Ohm in series with the part"
+    return 1 - 2 * gain, shunt, note
+
+
+def _complex_response(
+    frequency: Column, columns: _Columns, titles: Sequence[str], notes: Sequence[str]
+) -> MeasuredResponse:
+    """The response of a column of complex numbers."""
+    text, quantity, samples = columns.complex_columns[0]
+    if len(columns.complex_columns) > 1:
+        readings = [f"{kind} from {name!r}" for name, kind, _ in columns.complex_columns]
+        raise two_readings("two columns of complex numbers", readings, ONE_PART)
+    remarks = [*notes, frequency.note] if frequency.note else list(notes)
+    if quantity == "S":
+        remarks.append(f"no reference resistance of S, taken as {REFERENCE:g} Ohm")
+    else:
+        unit = DEFAULT_UNITS["impedance" if quantity == "Z" else "admittance"]
+        remarks.append(f"{text}: complex numbers, taken as {quantity} in the unit of its title")
+        remarks[-1] = remarks[-1] if "(" in text or "_" in text else f"{text}: taken as {unit}"
+    left = [t.strip() for t in titles if t.strip() not in (text, frequency.title.text.strip())]
+    summary = f"{frequency}, {quantity} from {text!r}"
+    summary += f"; not used: {', '.join(left)}" if any(left) else ""
+    return _response(frequency.values, quantity, samples, REFERENCE, remarks, summary)
+
+
+def _summary(used: Sequence[Column], titles: Sequence[str]) -> str:
+    """What the columns are, and which are not used."""
+    texts = [column.title.text for column in used]
+    left = [text.strip() for text in titles if text not in texts and text.strip()]
+    return ", ".join(map(str, used)) + (f"; not used: {', '.join(left)}" if left else "")
+
+
+def _response(
+    f: np.ndarray,
+    quantity: Quantity,
+    samples: np.ndarray,
+    reference: float,
+    notes: Sequence[str],
+    summary: str,
+) -> MeasuredResponse:
+    """The response of samples (n,) of one port."""
+    matrix, z0 = samples[:, None, None], np.array([reference])
+    Y = admittance_of(quantity, matrix, z0)
+    return MeasuredResponse(f, quantity, matrix, Y, z0, tuple(notes), summary)

@@ -1,8 +1,10 @@
 """Columns that instruments write: their quantities, units and titles, and what two of them give.
 
-Data only. :mod:`kc2spice.bodies.readers.titles` reads titles by :data:`MEANINGS` and
-:data:`UNITS`, :mod:`kc2spice.bodies.readers.complex_response` combines columns by
-:data:`COMBINATIONS`. A new kind of column is one row here.
+Data only; a new kind of column is one row here.
+
+- :mod:`kc2spice.bodies.readers.titles` reads titles by :data:`MEANINGS` and :data:`UNITS`.
+- :mod:`kc2spice.bodies.readers.text_table` reads files without titles by :data:`SUFFIX_TITLES`.
+- :mod:`kc2spice.bodies.readers.complex_response` combines columns by :data:`COMBINATIONS`.
 """
 
 from __future__ import annotations
@@ -19,18 +21,27 @@ PREFIXES = {"f": 1e-15, "p": 1e-12, "n": 1e-9, "u": 1e-6, "µ": 1e-6, "μ": 1e-6
             "k": 1e3, "M": 1e6, "G": 1e9, "T": 1e12}  # fmt: skip
 LARGE = "kMGT"  # prefixes of both cases where a small letter is no smaller prefix
 # Spellings of each unit, by what it measures, with its value in SI.
+# A spelling with a capital letter counts in this case only.
 UNITS: dict[str, dict[str, float]] = {
     "frequency": {"hz": 1.0, "hertz": 1.0, "rad/s": 0.5 / np.pi, "rads": 0.5 / np.pi},
-    "impedance": {"ohm": 1.0, "ohms": 1.0},
+    "impedance": {"ohm": 1.0, "ohms": 1.0, "O": 1.0},  # an O is an omega of another code page
     "admittance": {"s": 1.0, "siemens": 1.0, "mho": 1.0},
     "capacitance": {"f": 1.0, "farad": 1.0},
     "inductance": {"h": 1.0, "henry": 1.0},
     "angle": {"deg": np.pi / 180, "degree": np.pi / 180, "degrees": np.pi / 180,
-              "°": np.pi / 180, "rad": 1.0},
+              "°": np.pi / 180, "rad": 1.0, "radian": 1.0, "radians": 1.0},
     "decibel": {"db": 1.0},
-    "number": {"": 1.0, "-": 1.0, "1": 1.0, "%": 0.01},
+    "number": {"": 1.0, "-": 1.0, "1": 1.0, "%": 0.01, "U": 1.0},
+}  # fmt: skip
+LOST_LETTERS = {"O": "Ohm"}  # units in whose title a program replaced a letter
+DEFAULT_UNITS = {
+    "frequency": "Hz", "impedance": "Ohm", "admittance": "S", "capacitance": "F",
+    "inductance": "H", "angle": "deg", "decibel": "dB", "number": "",
 }  # fmt: skip
 BARE = ("°", "db", "", "-", "1", "%")  # units without prefixes
+# Phases of passive parts are within a turn however they are wrapped.
+PASSIVE_PHASES = ("phase", "phase_z", "phase_y", "gain_phase")
+LARGEST_PHASE = 2.02 * np.pi  # rad: a turn, and 1 % of noise
 # An angle without unit is in rad if its size is at most the first and its spread above the second.
 RADIANS = 0.51 * np.pi, 0.5
 
@@ -47,7 +58,7 @@ class Meaning:
     needs_unit: bool = False
 
 
-_PHASE = r"(phase|theta|θ|φ|phi|arg|angle|ang)"
+_PHASE = r"(phase|theta|th|θ|φ|phi|arg|angle|ang)"
 _SIZE = r"(mag|magnitude|abs|mod|modulus)"
 _REAL, _IMAG = r"(re|real|realpart)", r"(im|imag|imaginary|imagpart)"
 
@@ -57,18 +68,25 @@ def _part(of: str, word: str) -> str:
     return rf"{of}{word}|{word}{of}|{word}\|{of}\|"
 
 
+SOUND = "sound pressure"  # a quantity that gives no impedance
 MEANINGS = (
     Meaning("f", ("frequency",), r"f|freq|frequency|frequenz|frq|omega|ω"),
-    Meaning("z", ("impedance", "decibel"), rf"z|z?\|z\||{_SIZE}|{_part('z', _SIZE)}"),
-    Meaning("y", ("admittance", "decibel"), rf"y|y?\|y\||{_SIZE}|{_part('y', _SIZE)}"),
+    Meaning("z", ("impedance", "decibel"), rf"z|z?\|z\||{_part('z', _SIZE)}"),
+    Meaning("y", ("admittance", "decibel"), rf"y|y?\|y\||{_part('y', _SIZE)}"),
+    Meaning("z", ("impedance",), _SIZE, needs_unit=True),
+    Meaning("y", ("admittance",), _SIZE, needs_unit=True),
     Meaning("phase", ("angle",), _PHASE),
     Meaning("phase_z", ("angle",), _part("z", _PHASE)),
     Meaning("phase_y", ("angle",), _part("y", _PHASE)),
-    Meaning("r", ("impedance",), rf"r|z?rs|resistance|{_REAL}|{_part('z', _REAL)}"),
-    Meaning("x", ("impedance",), rf"x|z?xs|reactance|{_IMAG}|{_part('z', _IMAG)}"),
+    Meaning("r", ("impedance",), rf"r|z?rs|esr|resistance|{_part('z', _REAL)}"),
+    Meaning("x", ("impedance",), rf"x|z?xs|reactance|{_part('z', _IMAG)}"),
     Meaning("rp", ("impedance",), r"z?rp"),
-    Meaning("g", ("admittance",), rf"g|y?gp|conductance|{_REAL}|{_part('y', _REAL)}"),
-    Meaning("b", ("admittance",), rf"b|y?bp|susceptance|{_IMAG}|{_part('y', _IMAG)}"),
+    Meaning("g", ("admittance",), rf"g|y?gp|conductance|{_part('y', _REAL)}"),
+    Meaning("b", ("admittance",), rf"b|y?bp|susceptance|{_part('y', _IMAG)}"),
+    Meaning("r", ("impedance",), _REAL, needs_unit=True),
+    Meaning("x", ("impedance",), _IMAG, needs_unit=True),
+    Meaning("g", ("admittance",), _REAL, needs_unit=True),
+    Meaning("b", ("admittance",), _IMAG, needs_unit=True),
     Meaning("c", ("capacitance",), r"c|capacitance"),
     Meaning("cp", ("capacitance",), r"[zy]?cp"),
     Meaning("cs", ("capacitance",), r"[zy]?cs"),
@@ -82,20 +100,57 @@ MEANINGS = (
     Meaning("s_phase", ("angle",), rf"{_part('s', _PHASE)}|{_part('s11', _PHASE)}"),
     Meaning("s_real", ("number",), rf"{_part('s', _REAL)}|{_part('s11', _REAL)}"),
     Meaning("s_imag", ("number",), rf"{_part('s', _IMAG)}|{_part('s11', _IMAG)}"),
-)  # fmt: skip
+    Meaning("gain", ("decibel", "number"), rf"gain|{_part('gain', _SIZE)}", needs_unit=True),
+    Meaning("gain", ("decibel",), _SIZE, needs_unit=True),
+    Meaning("gain_phase", ("angle",), _part("gain", _PHASE)),
+    Meaning("gain_real", ("number",), _part("gain", _REAL)),
+    Meaning("gain_imag", ("number",), _part("gain", _IMAG)),
+    Meaning(SOUND, ("decibel",), r"spl|dbspl|soundpressure(level)?"),
+)
+# Names of quantities in messages, where they are not those of the columns.
+LABELS = {
+    "z": "|Z|", "y": "|Y|", "phase_z": "phase of Z", "phase_y": "phase of Y", "s_size": "|S11|",
+    "s_phase": "phase of S11", "s_real": "Re S11", "s_imag": "Im S11", "gain_phase": "phase",
+    "gain_real": "Re gain", "gain_imag": "Im gain",
+    **{name: name.upper() for name in ("r", "x", "g", "b", "c", "d", "q")},
+    **{name: name.capitalize() for name in ("rp", "cp", "cs", "lp", "ls")},
+}  # fmt: skip
+COMPLEX_NAMES: dict[Quantity, str] = {
+    "Z": "z", "Y": "y", "S": "s|s11|sparameters|scattering|γ|gamma"
+}  # fmt: skip
 # Words that instruments add to a title.
 ADDED = re.compile(
-    r"trace|tr\d*|ch\d*|channel|data|measured|measurement|meas|value|\d+|parameter|primary|secondary"
+    r"trace|tr\d*|trc\d*|ch\d*|channel|data|measured|measurement|meas|value|\d+|parameter|primary|"
+    r"secondary|in|log|lin|linear"
 )
+# Titles of a table without titles, by the suffix of its file.
+SUFFIX_TITLES = {
+    ".zma": ("Frequency (Hz)", "|Z| (Ohm)", "Phase (deg)"),
+    ".frd": ("Frequency (Hz)", "Gain (dB)", "Phase (deg)"),
+}
+# Readings of three columns without titles in any other file.
+UNTITLED = ("frequency, R and X in Ohm", "frequency, |Z| in Ohm and phase in degrees")
+# Columns of a trace whose quantity is stated in a line ``FORMAT: |Z|`` above the table.
+TRACE_COLUMN = re.compile(r"((data )?trace( [a-z0-9])?|formatted data)( (real|imag))?", re.I)
+TRACE_FORMAT = re.compile(r"\W*format\s*:\s*(.*\S)", re.I)
+COMPLEX_FORMATS = {"complex z": ("Re(Z) (Ohm)", "Im(Z) (Ohm)"),
+                   "complex y": ("Re(Y) (S)", "Im(Y) (S)")}  # fmt: skip
+# Columns that state no quantity, with what they may be.
+UNSTATED = {
+    "formatteddata": "real and imaginary part of S11 or Z; or one real quantity beside zeros"
+}
 
 
 @dataclass(frozen=True)
 class Combination:
-    """Columns that determine the ``quantity`` together, and how: angles in rad, w in rad/s."""
+    """Columns that determine the ``quantity`` together, and how: angles in rad, w in rad/s.
+
+    With ``shunt`` the value is the gain from a source to a resistor in series with the part."""
 
     columns: tuple[str, str]
     quantity: Quantity
     value: Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray]
+    shunt: bool = False
 
 
 COMBINATIONS = (
@@ -124,4 +179,7 @@ COMBINATIONS = (
     Combination(("c", "d"), "Y", lambda c, d, w: w * c * (d + 1j)),
     Combination(("s_real", "s_imag"), "S", lambda a, b, w: a + 1j * b),
     Combination(("s_size", "s_phase"), "S", lambda s, a, w: s * np.exp(1j * a)),
+    Combination(("gain", "phase"), "S", lambda g, a, w: g * np.exp(1j * a), shunt=True),
+    Combination(("gain", "gain_phase"), "S", lambda g, a, w: g * np.exp(1j * a), shunt=True),
+    Combination(("gain_real", "gain_imag"), "S", lambda a, b, w: a + 1j * b, shunt=True),
 )

@@ -10,6 +10,7 @@ frequencies or (ports, ports, n) as MATLAB has it, ``s`` with its resistance ``z
 
 from __future__ import annotations
 
+import codecs
 import re
 from dataclasses import dataclass, field
 from functools import cached_property, lru_cache
@@ -19,12 +20,15 @@ from pathlib import Path
 import numpy as np
 
 from kc2spice.bodies.readers.complex_response import (
+    FEWEST,
+    NAME_COLUMNS,
     REFERENCE,
     MeasuredResponse,
     admittance_of,
     response_of,
+    tables_response,
 )
-from kc2spice.bodies.readers.meanings import Quantity
+from kc2spice.bodies.readers.meanings import COMPLEX_NAMES, Quantity
 from kc2spice.bodies.readers.raw import (
     absent,
     call_reader,
@@ -33,24 +37,20 @@ from kc2spice.bodies.readers.raw import (
     unusable_file,
     vectors,
 )
-from kc2spice.bodies.readers.text_table import read_table
-from kc2spice.bodies.readers.titles import column_of, read_title, units_of
+from kc2spice.bodies.readers.text_table import read_tables
+from kc2spice.bodies.readers.titles import column_of, complex_quantity, is_frequency, read_title
 from kc2spice.bodies.readers.touchstone import touchstone_response
 from kc2spice.core.equality import EqualByContent
-from kc2spice.core.errors import wrong
+from kc2spice.core.errors import UsageError, wrong
+from kc2spice.core.quantities import quantity as parse_quantity
 from kc2spice.core.untrusted_files import read_bounded
 from kc2spice.rom.linear_model import Norm
 
 MAX_BYTES = 20_000_000
 MOST = 20_000  # frequencies: no analyser has as many, and a fit would take hours
-FEWEST = 12  # frequencies: four numbers of one resonance and its noise
 ACTIVE = 0.05  # negative resistance over |Z| that is not noise, if a tenth of the points have it
-HINT = "name the columns in the first line, such as  frequency_hz,real_ohm,imag_ohm"
 _TOUCHSTONE = re.compile(r"\.(s(\d+)p|ts)", re.IGNORECASE)
-_TABLES = (".csv", ".txt", ".tsv", ".zma")
-_COMPLEX: dict[Quantity, str] = {
-    "Z": r"z|impedance", "Y": r"y|admittance", "S": r"s|s11|sparameters|scattering"
-}  # fmt: skip
+_TABLES = (".csv", ".txt", ".tsv", ".zma", ".frd")
 _RESISTANCE = ("z0", "r0", "zref", "reference")
 _MATRIX = re.compile(r".*[._][MEKABCD]", re.DOTALL)  # NAME_K.txt
 
@@ -134,14 +134,16 @@ def is_measured(path: Path) -> bool:
     )
     if path.suffix.lower() == ".mat" and present(path):
         try:
-            return any(map(_is_frequency, _variables(path, path.stat().st_mtime)))
+            return any(map(is_frequency, _variables(path, path.stat().st_mtime)))
         except (ValueError, NotImplementedError):  # which the reader of matrices tells
             return False
     return bool(by_suffix) and present(path)
 
 
-def read_measured(path: Path) -> Measured:
+def read_measured(path: Path, shunt: float | None = None) -> Measured:
     """The response in a Touchstone file, a table or a MATLAB file.
+
+    ``shunt`` is the resistance [Ohm] in series with the part through which a gain was measured.
 
     Raises
     ------
@@ -150,7 +152,7 @@ def read_measured(path: Path) -> Measured:
     """
     match = _TOUCHSTONE.fullmatch(path.suffix)
     expected = "a table with a frequency and two columns of impedance, admittance or reflection"
-    advice = HINT
+    advice = NAME_COLUMNS
     if match:
         expected = "a Touchstone file with S, Y or Z parameters in RI, MA or DB"
         advice = "export the file again as Touchstone"
@@ -160,24 +162,23 @@ def read_measured(path: Path) -> Measured:
 
     def read() -> MeasuredResponse:
         if path.suffix.lower() == ".mat":
-            return _matlab(_variables(path, path.stat().st_mtime))
-        data = read_bounded(path, MAX_BYTES)
-        try:
-            text = data.decode("utf-8-sig")
-        except UnicodeDecodeError:
-            text = data.decode("latin-1")
-        return (
-            touchstone_response(text, int(match[2] or 0))
-            if match
-            else response_of(*read_table(text))
-        )
+            return _matlab(_variables(path, path.stat().st_mtime), shunt)
+        text = _decoded(read_bounded(path, MAX_BYTES))
+        if match:
+            _require_no_shunt(shunt, "a Touchstone file")
+            return touchstone_response(text, int(match[2] or 0))
+        return tables_response(read_tables(text), shunt, path.suffix.lower())
 
-    with np.errstate(all="ignore"):  # values that are not finite are refused
-        response = call_reader(path, expected, read, advice)
+    try:
+        with np.errstate(all="ignore"):  # values that are not finite are refused
+            response = call_reader(path, expected, read, advice)
+    except UsageError as error:
+        error.where = error.where or str(path)
+        raise
     f, Y = response.f, response.Y
     if not (np.isfinite(f).all() and np.isfinite(Y).all() and f.min(initial=1.0) >= 0):
         got = "NaN, infinity, an impedance of zero or a frequency below zero"
-        raise unusable_file(path, got, "finite numbers", HINT)
+        raise unusable_file(path, got, "finite numbers", NAME_COLUMNS)
     f, order = np.unique(f, return_index=True)  # increasing, each once
     order = order[f > 0]
     if len(order) < FEWEST:
@@ -201,6 +202,44 @@ def read_measured(path: Path) -> Measured:
     _require_conducting(result)
     _require_passive(result)
     return result
+
+
+def shunt_resistance(shunt: str | float | None) -> float | None:
+    """Resistance [Ohm] of what ``--shunt`` states, None without one.
+
+    Raises
+    ------
+    UsageError : it is not a positive resistance.
+    """
+    if shunt is None:
+        return None
+    resistance = parse_quantity(shunt, "Ohm", where="--shunt")
+    if resistance <= 0:
+        expected = 'a positive resistance, such as "100 Ohm"'
+        raise UsageError("is not a resistance", where="--shunt", got=shunt, expected=expected)
+    return resistance
+
+
+def _decoded(data: bytes) -> str:
+    """The text of a file in UTF-8, in UTF-16 with a byte order mark, or in Latin-1."""
+    if data[:2] in (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE):
+        return data.decode("utf-16")
+    try:
+        return data.decode("utf-8-sig")
+    except UnicodeDecodeError:
+        return data.decode("latin-1")
+
+
+def _require_no_shunt(shunt: float | None, content: str) -> None:
+    if shunt is None:
+        return
+    raise UsageError(
+        "applies to a table of gain and phase",
+        where="--shunt",
+        got=content,
+        expected="columns such as  Frequency (Hz), Gain (dB), Phase (deg)",
+        hint="leave out --shunt",
+    )
 
 
 def _require_conducting(data: Measured) -> None:
@@ -239,18 +278,9 @@ def _variables(path: Path, changed: float) -> dict[str, np.ndarray]:
     return in_own_process(vectors, path)
 
 
-def _is_frequency(name: str) -> bool:
-    """Whether the title of a column, or the name of a variable, is that of the frequency."""
-    try:
-        title = read_title(name)
-    except ValueError:
-        return False
-    return title is not None and title.meaning.quantity == "f"
-
-
-def _matlab(variables: dict[str, np.ndarray]) -> MeasuredResponse:
+def _matlab(variables: dict[str, np.ndarray], shunt: float | None) -> MeasuredResponse:
     """Real vectors are columns; a complex array says all itself, its parts are those of one."""
-    first = next(filter(_is_frequency, variables), None)
+    first = next(filter(is_frequency, variables), None)
     if first is None:
         raise ValueError(f"variables {', '.join(variables)}, none of them the frequency")
     n, names = variables[first].size, ", ".join(variables)
@@ -258,10 +288,11 @@ def _matlab(variables: dict[str, np.ndarray]) -> MeasuredResponse:
         name: a.ravel() for name, a in variables.items() if a.size == n and a.dtype.kind in "fiu"
     }
     numbers = [name for name in variables if variables[name].dtype.kind == "c"]
-    pairs = product(_COMPLEX, numbers)
-    kinds = [(kind, name) for kind, name in pairs if _is_complex(kind, name)]
+    pairs = product(COMPLEX_NAMES, numbers)
+    kinds = [(kind, name) for kind, name in pairs if _has_quantity(name, kind)]
     if not kinds:
-        return response_of(list(columns), np.column_stack(list(columns.values())))
+        return response_of(list(columns), list(columns.values()), shunt)
+    _require_no_shunt(shunt, "complex numbers in a MATLAB file")
     quantity, name = kinds[0]
     P = variables[name]
     if P.ndim == 3 and P.shape[2] == n and P.shape[0] == P.shape[1]:
@@ -287,13 +318,13 @@ def _matlab(variables: dict[str, np.ndarray]) -> MeasuredResponse:
     return MeasuredResponse(frequency.values, quantity, P, Y, z0, tuple(notes), understood)
 
 
-def _is_complex(quantity: Quantity, name: str) -> bool:
-    """Whether a complex array of this name is the quantity, its unit left out."""
-    return bool(re.fullmatch(_COMPLEX[quantity], name.partition("_")[0], re.I))
+def _has_quantity(name: str, quantity: Quantity) -> bool:
+    """Whether a complex array of this name is the quantity."""
+    kind = complex_quantity(name)
+    return kind is not None and kind[0] == quantity
 
 
 def _scale(name: str) -> float:
-    """SI value of the unit behind the underscore in the name of an array, 1 without."""
-    _, _, unit = name.partition("_")
-    units = units_of(unit) if unit else []
-    return units[0].value if units else 1.0
+    """SI value of the unit in the name of an array, 1 without."""
+    kind = complex_quantity(name)
+    return kind[1] if kind else 1.0

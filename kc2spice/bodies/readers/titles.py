@@ -16,17 +16,28 @@ import numpy as np
 from kc2spice.bodies.readers.meanings import (
     ADDED,
     BARE,
+    COMPLEX_NAMES,
+    DEFAULT_UNITS,
+    LABELS,
     LARGE,
+    LARGEST_PHASE,
+    LOST_LETTERS,
     MEANINGS,
+    PASSIVE_PHASES,
     PREFIXES,
     RADIANS,
     UNITS,
     Meaning,
+    Quantity,
 )
 from kc2spice.core.equality import EqualByContent
 
-_GREEK_OHM = str.maketrans({"\u2126": "Ohm", "Ω": "Ohm", "−": "-", "–": "-", "′": "'", "″": "''"})
+_GREEK_OHM = str.maketrans(
+    {"\u2126": "Ohm", "Ω": "Ohm", "º": "°", "−": "-", "–": "-", "′": "'", "″": "''"}
+)
+_TWICE = {"Î©": "Ω", "â„¦": "Ω", "Â°": "°", "Î¸": "θ"}  # UTF-8 that a program encoded twice
 COMMENT = "#%!*; "  # marks in front of a title
+LONGEST_TITLE = 200  # characters
 
 
 @dataclass(frozen=True)
@@ -59,7 +70,9 @@ class Column(EqualByContent):
 
     def __str__(self) -> str:
         sign = "-" if self.title.sign < 0 else ""
-        return f"{sign}{self.title.meaning.quantity} [{self.unit}] from {self.title.text!r}"
+        quantity = self.title.meaning.quantity
+        label = LABELS.get(quantity, quantity)
+        return f"{sign}{label} [{self.unit}] from {self.title.text.strip()!r}"
 
 
 def units_of(text: str) -> list[Unit]:
@@ -69,13 +82,14 @@ def units_of(text: str) -> list[Unit]:
     ------
     ValueError : the case of ``mhz`` or ``MF`` does not tell a prefix.
     """
-    plain = text.strip().translate(_GREEK_OHM).replace(" ", "")
+    plain = _plain(text).replace(" ", "")
     result = []
     for measures, spellings in UNITS.items():
         for base, value in spellings.items():
-            if not plain.lower().endswith(base) or (not base and plain):
-                continue
             prefix, spelled = plain[: len(plain) - len(base)], plain[len(plain) - len(base) :]
+            cased = base != base.lower()
+            if base != (spelled if cased else spelled.lower()) or (not base and plain):
+                continue
             factor = _prefix(prefix, spelled, measures, text)
             if factor is None or (prefix and base in BARE):
                 continue
@@ -87,10 +101,8 @@ def _prefix(prefix: str, base: str, measures: str, text: str) -> float | None:
     """The factor of a prefix, None for what is none."""
     if len(prefix) > 1:
         return None
-    doubtful = (prefix == "m" and base == "hz") or (
-        prefix == "M" and measures in ("capacitance", "inductance")
-    )
-    if doubtful:
+    small = measures in ("capacitance", "inductance", "admittance") or base == "OHM"
+    if (prefix == "m" and base == "hz") or (prefix == "M" and small):
         big = "MHz or mHz" if base == "hz" else f"milli or mega {measures}"
         raise ValueError(f"the unit {text!r} may be {big}: write its prefix in the right case")
     if prefix in PREFIXES:
@@ -100,6 +112,14 @@ def _prefix(prefix: str, base: str, measures: str, text: str) -> float | None:
     return PREFIXES[other] if known else None
 
 
+def _plain(text: str) -> str:
+    """A title or unit with the usual letters and without quotes, cut at the longest title."""
+    text = text[:LONGEST_TITLE]
+    for wrong, letter in _TWICE.items():
+        text = text.replace(wrong, letter)
+    return text.strip().strip('"').translate(_GREEK_OHM).strip()
+
+
 def read_title(text: str) -> Title | None:
     """Parse a title; None if its meaning is not known.
 
@@ -107,7 +127,7 @@ def read_title(text: str) -> Title | None:
     ------
     ValueError : a unit that its quantity is not measured in, or whose prefix is not clear.
     """
-    plain = text.strip().strip('"').lstrip(COMMENT).translate(_GREEK_OHM).strip()
+    plain = _plain(text).lstrip(COMMENT).strip()
     sign = -1.0 if re.match(r"-\s*[^\s\d-]", plain) else 1.0
     plain = plain.lstrip("-+ ")
     unfit = ""
@@ -119,16 +139,49 @@ def read_title(text: str) -> Title | None:
         if unit_text is None:
             first = next((m for m in meanings if not m.needs_unit), None)
             if first is None:
-                raise ValueError(f"column {text!r} has no unit: is it dB, deg, real or imag?")
+                choices = [_in_unit(meaning) for meaning in meanings]
+                raise ValueError(f"column {text.strip()!r} has no unit: {' or '.join(choices)}")
             return Title(text, first, sign, None)
         units = units_of(unit_text)
         for meaning in meanings:
             for unit in units:
                 if unit.measures in meaning.measures:
                     return Title(text, meaning, sign, unit)
-        unfit = unfit or f"column {text!r}: {unit_text!r} is no unit of {meanings[0].measures[0]}"
+        measures = meanings[0].measures[0]
+        unfit = unfit or f"column {text.strip()!r}: {unit_text!r} is no unit of {measures}"
     if unfit:
         raise ValueError(unfit)
+    return None
+
+
+def _in_unit(meaning: Meaning) -> str:
+    """A quantity with its default unit, for messages."""
+    label = LABELS.get(meaning.quantity, meaning.quantity)
+    return f"{label} in {DEFAULT_UNITS[meaning.measures[0]]}"
+
+
+def is_frequency(text: str) -> bool:
+    """Whether a title, or the name of a variable, is that of the frequency; also with a unit that
+    is not clear."""
+    try:
+        title = read_title(text)
+    except ValueError:
+        return "freq" in text.lower()
+    return title is not None and title.meaning.quantity == "f"
+
+
+def complex_quantity(text: str) -> tuple[Quantity, float] | None:
+    """Quantity and SI value of the unit of a column of complex numbers, such as ``Z (kOhm)``."""
+    for stem, unit_text in _splits(_plain(text).lstrip(COMMENT).strip()):
+        for quantity, names in COMPLEX_NAMES.items():
+            if not re.fullmatch(names, _words(stem)):
+                continue
+            if unit_text is None:
+                return quantity, 1.0
+            measures = {"Z": "impedance", "Y": "admittance", "S": "number"}[quantity]
+            for unit in units_of(unit_text):
+                if unit.measures == measures:
+                    return quantity, unit.value
     return None
 
 
@@ -163,13 +216,23 @@ def _words(stem: str) -> str:
 
 
 def column_of(title: Title, values: np.ndarray) -> Column:
-    """The column of a title with its ``values`` (n,) in SI."""
+    """The column of a title with its ``values`` (n,) in SI.
+
+    Raises
+    ------
+    ValueError : the phase of an impedance of more than a turn.
+    """
     unit, note, name = title.unit, "", title.text.strip()
     if unit is None:
         unit = _assumed_unit(title, values)
         if unit.text:
             note = f"{name}: no unit, taken as {unit.text}"
+    elif unit.text[-1:] in LOST_LETTERS:
+        note = f"{name}: unit {unit.text}, taken as {unit.text[:-1]}{LOST_LETTERS[unit.text[-1:]]}"
     scaled = 10 ** (values / 20) if unit.measures == "decibel" else unit.value * values
+    if title.meaning.quantity in PASSIVE_PHASES and np.abs(scaled).max(initial=0.0) > LARGEST_PHASE:
+        largest = np.abs(values).max()
+        raise ValueError(f"column {name!r}: {largest:.4g} {unit.text} is more than a turn")
     return Column(title, title.sign * scaled, note, unit.text or "1")
 
 
@@ -182,5 +245,4 @@ def _assumed_unit(title: Title, values: np.ndarray) -> Unit:
         largest, spread = RADIANS
         in_rad = np.abs(values).max(initial=0.0) <= largest and np.ptp(values) > spread
         return Unit("rad", measures, 1.0) if in_rad else Unit("degrees", measures, np.pi / 180)
-    names = {"frequency": "Hz", "impedance": "Ohm", "admittance": "S", "capacitance": "F"}
-    return Unit(names.get(measures, "H" if measures == "inductance" else ""), measures, 1.0)
+    return Unit(DEFAULT_UNITS[measures], measures, 1.0)

@@ -8,7 +8,8 @@ from kc2spice.bodies.readers.complex_response import MeasuredResponse, admittanc
 from kc2spice.bodies.readers.meanings import Quantity
 
 _HERTZ = {"hz": 1.0, "khz": 1e3, "mhz": 1e6, "ghz": 1e9, "thz": 1e12}
-_OPTIONS = {"ri", "ma", "db", *"syzgh", *_HERTZ}
+_FORMS, _KINDS = ("ri", "ma", "db"), tuple("syzgh")
+_OPTIONS = {*_FORMS, *_KINDS, *_HERTZ}
 _QUANTITIES: dict[str, Quantity] = {"s": "S", "z": "Z", "y": "Y"}
 
 
@@ -36,10 +37,15 @@ def touchstone_response(text: str, ports: int) -> MeasuredResponse:
         unknown = [word for word in option[:at] if word not in _OPTIONS]
         if unknown:
             raise ValueError(f"the option line has the word {unknown[0]!r}, which is not known")
-        unit = next((word for word in option[:at] if word in _HERTZ), unit)
-        kind = next((word for word in option[:at] if word in "syzgh"), kind)
-        form = next((word for word in option[:at] if word in ("ri", "ma", "db")), form)
+        unit = _chosen(option[:at], tuple(_HERTZ), unit)
+        kind = _chosen(option[:at], _KINDS, kind)
+        form = _chosen(option[:at], _FORMS, form)
     notes = ["the first of several option lines counts"] if len(options) > 1 else []
+    stated = options[0] if options else []
+    if not set(stated) & set(_HERTZ):
+        notes.append("the option line has no unit of frequency, taken as GHz")
+    if not set(stated) & set(_FORMS):
+        notes.append("the option line has no format, taken as MA")
     words = keys.get("network data", words)
     reference = [float(w) for w in keys.get("reference", ())] or reference
     n = int(keys.get("number of ports", [str(ports)])[0])
@@ -56,6 +62,8 @@ def touchstone_response(text: str, ports: int) -> MeasuredResponse:
     a, b = table[:, 1::2], table[:, 2::2]
     polar = np.deg2rad(b)
     size = 10 ** (a / 20) if form == "db" else a
+    if form == "ma" and (a < 0).any():
+        raise ValueError("a magnitude below zero: the option line states MA, are the data in RI?")
     P = (a + 1j * b if form == "ri" else size * np.exp(1j * polar)).reshape(-1, n, n)
     if n == 2 and order in (None, ["21_12"]):
         P = P.swapaxes(1, 2)
@@ -67,6 +75,19 @@ def touchstone_response(text: str, ports: int) -> MeasuredResponse:
     quantity = _QUANTITIES[kind]
     Y = admittance_of(quantity, P, z0)
     return MeasuredResponse(_HERTZ[unit] * table[:, 0], quantity, P, Y, z0, tuple(notes), summary)
+
+
+def _chosen(words: list[str], choices: tuple[str, ...], default: str) -> str:
+    """The word of an option line that is one of the choices.
+
+    Raises
+    ------
+    ValueError : more than one of them.
+    """
+    present = [word for word in words if word in choices]
+    if len(present) > 1:
+        raise ValueError(f"the option line has both {present[0]!r} and {present[1]!r}")
+    return present[0] if present else default
 
 
 def _spell_unit(unit: str) -> str:

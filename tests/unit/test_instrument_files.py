@@ -1,0 +1,407 @@
+"""Files of instruments: every layout against its circuit, what is ambiguous, and damaged files."""
+
+import random
+import resource
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from instrument_layouts import AD2, DEG, E4990, GAIN, LAYOUTS, SHUNT, TRACE_A, F, S, Y, Z, rows
+from typer.testing import CliRunner
+
+import kc2spice as kc
+from kc2spice.bodies.readers.measured import read_measured, shunt_resistance
+from kc2spice.cli.main import app
+from kc2spice.workflow.reduce_files import reduce
+
+FILES = Path(__file__).parents[1] / "data" / "instruments"
+REFUSED = kc.errors.UsageError
+
+
+def written(folder, name, text):
+    path = folder / name
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+@pytest.mark.parametrize("name", LAYOUTS)
+def test_every_layout_is_the_same_circuit(tmp_path, name):
+    layout = LAYOUTS[name]
+    path = written(tmp_path, layout.name, layout.text)
+    data = read_measured(path, layout.shunt)
+    assert data.f == pytest.approx(F, rel=1e-9)
+    assert np.abs(data.Y[:, 0, 0] / Y - 1).max() < (2e-5 if "f}" in layout.form else 1e-6)
+
+
+def plain_numbers(name, skip, separator, columns):
+    """Columns of a real file by their place, without the reader."""
+    lines = (FILES / name).read_text(encoding="latin-1").splitlines()[skip:]
+    numbers = [line.split(separator) for line in lines if line.strip() not in ("", "END")]
+    return np.array([[float(row[k]) for k in columns] for row in numbers]).T
+
+
+def polar(size, degrees):
+    return size * np.exp(1j * np.deg2rad(degrees))
+
+
+def test_files_of_real_instruments():
+    """By the places of their columns; sources are listed beside the files."""
+    f, R, X = plain_numbers("e4990a_rx.csv", 5, ",", (0, 1, 2))
+    data = read_measured(FILES / "e4990a_rx.csv")
+    assert data.f == pytest.approx(f)
+    assert 1 / data.Y[:, 0, 0] == pytest.approx(R + 1j * X)
+    for name, skip in (("e4990a_ztheta.csv", 5), ("wayne_kerr_6515b.csv", 1)):
+        f, size, angle = plain_numbers(name, skip, ",", (0, 1, 2))
+        data = read_measured(FILES / name)
+        assert data.f == pytest.approx(f)
+        assert 1 / data.Y[:, 0, 0] == pytest.approx(polar(size, angle))
+    assert data.notes == ("Impedance (O): unit O, taken as Ohm",)
+
+
+def test_a_real_gain_is_the_resistor_that_was_measured():
+    """47 Ohm and 100 Ohm by their colour codes, of 5 %; the oscilloscope measures to 10 MHz."""
+    data = read_measured(FILES / "rohde_schwarz_gain.csv", shunt_resistance("100 Ohm"))
+    low = data.f < 1e5
+    assert np.abs(1 / data.Y[low, 0, 0] / 47.0 - 1).max() < 0.05
+    assert "shunt over source, through 100 Ohm" in " ".join(data.notes)
+
+
+def test_noise_of_a_gain_is_absolute(tmp_path):
+    """Noise of g gives that of Y by repeated measurement, without the reader's formula."""
+    draws = np.random.default_rng(3).normal(size=(2, len(F)))
+    noisy = GAIN + 1e-4 * (draws[0] + 1j * draws[1])
+    head = "f (Hz),Gain Real (-),Gain Imaginary (-)\n"
+    path = written(tmp_path, "a.csv", head + rows(F, noisy.real, noisy.imag))
+    data = read_measured(path, SHUNT)
+    many = np.random.default_rng(4).normal(size=(2, 2000, len(F))) * 1e-4
+    repeated = GAIN + many[0] + 1j * many[1]
+    admittance = 1 / (SHUNT * (1 / repeated - 1))
+    spread = np.std(admittance.real, axis=0)
+    assert np.median(data.admittance_noise[:, 0, 0] / spread) == pytest.approx(1, rel=0.2)
+
+
+def test_the_commands_accept_a_shunt(tmp_path):
+    path = FILES / "rohde_schwarz_gain.csv"
+    words = ["reduce", str(path), "-o", str(tmp_path / "out"), "--shunt"]
+    done = CliRunner().invoke(app, [*words, "100 Ohm"])
+    assert done.exit_code == 0, done.output
+    text = " ".join(done.output.split())
+    assert "gain [dB] from 'Gain in dB', phase [°] from 'Phase in °'" in text
+    assert "note: gain: voltage of shunt over source, through 100 Ohm in series" in text
+    for value, message in (("-3 Ohm", "not a resistance"), ("3 kg", "Ohm")):
+        done = CliRunner().invoke(app, [*words, value])
+        assert done.exit_code == 2
+        assert message in done.output
+    impedance = written(tmp_path, "z.csv", LAYOUTS["Hioki"].text)
+    for case in (impedance, written(tmp_path, "a.s1p", LAYOUTS["NanoVNA"].text)):
+        with pytest.raises(REFUSED, match="--shunt: applies to a table of gain"):
+            reduce(case, tmp_path / "no", shunt="330 Ohm")
+    np.savez(tmp_path / "chain.npz", M=np.eye(2), K=np.eye(2) * 4.0, B=np.eye(2)[:, :1])
+    with pytest.raises(REFUSED, match="--shunt: applies to a measured response"):
+        reduce(tmp_path / "chain.npz", tmp_path / "no", shunt=330.0)
+
+
+AMBIGUOUS = {
+    "no titles": ("a.csv", rows(F, Z.real, Z.imag), ("R and X in Ohm", "|Z| in Ohm and phase")),
+    "two sweeps": (
+        "a.csv",
+        E4990 + "Frequency(Hz), R(Ohm)-data, X(Ohm)-data\n" + rows(F, Z.real, Z.imag)
+        + "END\n\nBEGIN CH2_DATA\nFrequency(Hz), R(Ohm)-data, X(Ohm)-data\n"
+        + rows(2 * F, Z.real, Z.imag) + "END\n",
+        ("2 sweeps", "lines 6 to 106", "lines 111 to 211"),
+    ),
+    "two parts": (
+        "a.csv", "f_hz,A R (Ohm),A X (Ohm),CH1 R (Ohm),CH2 R (Ohm),X (Ohm)\n"
+        + rows(F, Z.real, Z.imag, Z.real, 2 * Z.real, Z.imag),
+        ("two columns of R", "'CH1 R (Ohm)'", "'CH2 R (Ohm)'"),
+    ),
+    "kilohms that are ohms": (
+        "a.csv", AD2 + "Frequency (Hz),Trace th (deg),Trace |Z| (kOhm),Trace Rs (Ohm),"
+        "Trace Xs (Ohm)\n"
+        + rows(F, DEG, abs(Z), Z.real, Z.imag),
+        ("'Trace Rs (Ohm)'", "'Trace |Z| (kOhm)'"),
+    ),
+    "E5061B": (
+        "a.csv", '"# Channel 1"\n"# Trace 1"\nFrequency, Formatted Data, Formatted Data\n'
+        + rows(F, S.real, S.imag, separator=", "),
+        ("'Formatted Data'", "real and imaginary part of S11 or Z", "beside zeros"),
+    ),
+    "real and imag": ("a.csv", "freq,real,imag\n" + rows(F, Z.real, Z.imag),
+                      ("'real'", "R in Ohm or G in S")),
+    "magnitude in dB": ("a.csv", "f_hz,Magnitude (dB),Phase (deg)\n" + rows(F, abs(GAIN), DEG),
+                        ("gain [dB]", "--shunt '100 Ohm'")),
+    "two complex columns": ("a.csv", "f_hz,Z (Ohm),Y (S)\n" + rows(F, Z, 2 * Y),
+                            ("'Z (Ohm)'", "'Y (S)'")),
+    "sound": ("a.frd", "Freq[Hz]     dBSPL  Phase[Deg]\n" + rows(F, abs(Z), DEG, separator=" "),
+              ("'dBSPL'", "sound pressure")),
+    "sound in a comment": (
+        "a.frd", "* Data: Frequency (Hertz), SPL (dB), Phase (degrees)\n"
+        + rows(F, abs(Z), DEG, separator=" "), ("'SPL (dB)'", "sound pressure")),
+    "trace that is not zero": (
+        "a.txt", TRACE_A + rows(F, abs(Z), 1e3 * DEG, separator="\t"),
+        ("'Data Trace Imag'", "FORMAT: |Z|")),
+    "commas of both kinds": (
+        "a.csv", "f_hz,R,X\n" + "".join(f"{k},5,{k},25,{k},125\n" for k in range(10, 40)),
+        ("separators of the 6 columns",)),
+    "radians that are degrees": (
+        "a.csv", "FREQ[Hz],Z[ohm],PHASE[rad]\n" + rows(F, abs(Z), DEG), ("more than a turn",)),
+    "milli or mega": ("a.csv", "FREQ(HZ),R(MOHM),X(MOHM)\n" + rows(F, Z.real, Z.imag),
+                      ("'MOHM'", "milli or mega")),
+    "words in rows": (
+        "a.csv", "f_hz,R,X\n" + "".join(f"{k},{5 if k % 9 else 'OVLD'},3\n" for k in range(101)),
+        ("'OVLD' in column 'R'", "12 of 101 rows")),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("case", AMBIGUOUS)
+def test_an_ambiguous_file_is_refused_with_its_readings(tmp_path, case):
+    name, text, words = AMBIGUOUS[case]
+    path = written(tmp_path, name, text)
+    with pytest.raises(REFUSED) as caught:
+        read_measured(path)
+    message = " ".join(str(caught.value).split())
+    for word in words:
+        assert word in message, message
+    assert str(path) in message
+    assert "next:" in str(caught.value)
+
+
+def test_a_touchstone_file_with_two_kinds_or_negative_magnitudes_is_refused(tmp_path):
+    body = rows(F, -S.real, S.imag, separator=" ")
+    for option, words in (("# z S RI R 50", "both 'z' and 's'"), ("# Hz S R 50", "below zero")):
+        path = written(tmp_path, "a.s1p", option + "\n" + body)
+        with pytest.raises(REFUSED, match=words):
+            read_measured(path)
+    path = written(tmp_path, "a.s1p", "# S RI R 50\n" + rows(F, S.real, S.imag, separator=" "))
+    assert "no unit of frequency, taken as GHz" in " ".join(read_measured(path).notes)
+
+
+def test_rows_that_contain_a_word_are_left_out_with_a_note(tmp_path):
+    lines = rows(F, Z.real, Z.imag).splitlines()
+    lines[40] = lines[40].rpartition(",")[0] + ",nan"
+    path = written(tmp_path, "a.csv", "f_hz,R (Ohm),X (Ohm)\n" + "\n".join(lines) + "\n")
+    data = read_measured(path)
+    assert len(data.f) == len(F) - 1
+    assert "line 42: 'nan' in column 'X (Ohm)' is no number: 1 of 101 rows left out" in data.notes
+
+
+def test_a_column_that_is_not_needed_does_no_harm(tmp_path):
+    """The phase in degrees has a title in radians; the file contains Rs and Xs as well."""
+    head = AD2 + "Frequency (Hz),Trace th (rad),Trace |Z| (Ohm),Trace Rs (Ohm),Trace Xs (Ohm)\n"
+    path = written(tmp_path, "a.csv", head + rows(F, DEG, abs(Z), Z.real, Z.imag))
+    data = read_measured(path)
+    assert data.Y[:, 0, 0] == pytest.approx(Y, rel=1e-6)
+    assert "not used: column 'Trace th (rad)'" in " ".join(data.notes)
+
+
+def test_encodings_of_programs(tmp_path):
+    text = LAYOUTS["Bode 100, new"].text
+    for k, data in enumerate((
+        text.encode("utf-8-sig"),
+        text.encode("utf-16"),
+        text.replace("\n", "\r\n").encode(),
+        text.encode().decode("latin-1").encode(),  # encoded twice
+    )):  # fmt: skip
+        path = tmp_path / f"{k}.csv"
+        path.write_bytes(data)
+        assert read_measured(path).Y[:, 0, 0] == pytest.approx(Y, rel=1e-6)
+
+
+BOMBS = {
+    "lines": "f,R,X\n" + "1,1,1\n" * 3_000_000,
+    "columns": "f,R,X\n" + "1," * 9_000_000,
+    "title": "f" * 9_000_000 + ",R,X\n" + rows(F, Z.real, Z.imag),
+    "titles": "f(" * 400_000 + "\n" + rows(F, Z.real, Z.imag),
+    "quotes": '"' * 5_000_000,
+    "digits": "f,R,X\n" + ("1" * 4_000_000 + ",1,1\n") * 3,
+    "blanks": " " * 10_000_000 + "\n" + rows(F, Z.real, Z.imag),
+    "header": "x\n" * 90_000 + rows(F, Z.real, Z.imag),
+    "brackets": "*" + "([" * 300_000 + "\n* Data: " + "(" * 100_000 + rows(F, Z.real, Z.imag),
+}
+
+
+@pytest.mark.parametrize("name", BOMBS)
+@pytest.mark.parametrize("suffix", [".csv", ".zma"])
+def test_large_files_end_in_time_and_memory(tmp_path, name, suffix):
+    path = written(tmp_path, f"a{suffix}", BOMBS[name])
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    begin = time.process_time()
+    try:
+        read_measured(path)
+    except REFUSED as error:
+        assert len(str(error)) < 2000
+    assert time.process_time() - begin < 10
+    assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 500_000  # kilobytes
+
+
+# --- damaged files --------------------------------------------------------------------------------
+
+
+def prefixed(text, chance):
+    """Another prefix of the frequency with its numbers scaled."""
+    lines = text.splitlines()
+    row = next((k for k, line in enumerate(lines) if "(Hz)" in line), None)
+    if row is None or not lines[row].lstrip("#* ").lower().startswith("freq"):
+        return text  # the first column is another one
+    lines[row] = lines[row].replace("(Hz)", "(kHz)")
+    for k in range(row + 1, len(lines)):
+        word = lines[k].split(",")[0].split(";")[0].split()[:1]
+        if word and word[0].lstrip("+")[:1].isdigit():
+            number = word[0].rstrip(",")
+            lines[k] = lines[k].replace(number, f"{float(number) / 1e3:.12g}", 1)
+    return "\n".join(lines) + "\n"
+
+
+def radians(text, chance):
+    """Radians in the titles above degrees; a reflection may turn any number of times."""
+    return text if "S11" in text else text.replace("deg", "rad")
+
+
+def first_row(text):
+    """Number of the first line of numbers of a text."""
+    lines = text.splitlines()
+    return next(k for k, line in enumerate(lines) if line.strip()[:1] in tuple("+0123456789("))
+
+
+def in_titles(change):
+    """A mutation of one random character of the last line above the numbers, but not of a minus or
+    a digit, without which the file states another sign or another reference resistance."""
+
+    def mutate(text, chance):
+        lines = text.splitlines(keepends=True)
+        row = first_row(text) - 1
+        if row < 0 or not lines[row].strip():
+            return text
+        places = [k for k, letter in enumerate(lines[row]) if letter not in "-0123456789\n"]
+        place = chance.choice(places)
+        line = lines[row]
+        lines[row] = line[:place] + change(line[place], chance) + line[place + 1 :]
+        return "".join(lines)
+
+    return mutate
+
+
+def in_rows(change):
+    """A mutation of one random word of a random row of numbers."""
+
+    def mutate(text, chance):
+        lines = text.splitlines(keepends=True)
+        row = chance.randrange(first_row(text), len(lines))
+        words = lines[row].split()
+        if words:
+            lines[row] = lines[row].replace(chance.choice(words), change(chance), 1)
+        return "".join(lines)
+
+    return mutate
+
+
+def with_line(action):
+    def mutate(text, chance):
+        lines = text.splitlines(keepends=True)
+        action(lines, chance.randrange(len(lines)), chance)
+        return "".join(lines)
+
+    return mutate
+
+
+def delete(lines, row, chance):
+    del lines[row]
+
+
+def repeat(lines, row, chance):
+    lines.insert(row, lines[row])
+
+
+def insert(lines, row, chance):
+    lines.insert(row, chance.choice(["\n", "# remark\n", "page 2\n", "-----\n", "\x0c\n", "1\n"]))
+
+
+def swap(lines, row, chance):
+    other = chance.randrange(len(lines))
+    lines[row], lines[other] = lines[other], lines[row]
+
+
+MUTATIONS = {
+    "as it is": lambda text, chance: text,
+    "carriage returns": lambda text, chance: text.replace("\n", "\r\n"),
+    "byte order mark": lambda text, chance: "\ufeff" + text,
+    "blank lines": lambda text, chance: text.replace("\n", "\n\n"),
+    "trailing separators": lambda text, chance: text.replace("\n", " \n"),
+    "comment above": lambda text, chance: "# measured by hand\n" + text,
+    "kilohertz": prefixed,
+    "decimal commas": lambda text, chance: text.replace(",", ";").replace(".", ","),
+    "tabs": lambda text, chance: text.replace(", ", ",").replace(",", "\t"),
+    "square brackets": lambda text, chance: text.replace("(", "[").replace(")", "]"),
+    "title letter deleted": in_titles(lambda letter, chance: ""),
+    "title letter changed": in_titles(lambda letter, chance: chance.choice("wv?#~9")),
+    "title letter doubled": in_titles(lambda letter, chance: letter * 2),
+    "no brackets": lambda text, chance: text.replace("(", "").replace(")", ""),
+    "no units": lambda text, chance: text.replace("(Ohm)", "").replace("(deg)", ""),
+    "radians stated": radians,
+    "word in a row": in_rows(lambda chance: chance.choice(["nan", "OVLD", "---", "x"])),
+    "row cut": lambda text, chance: text[: chance.randrange(first_row(text) + 1, len(text))],
+    "cut to a page": lambda text, chance: "".join(text.splitlines(True)[: first_row(text) + 5]),
+    "line deleted": with_line(delete),
+    "line repeated": with_line(repeat),
+    "line inserted": with_line(insert),
+    "lines swapped": with_line(swap),
+    "two sweeps": lambda text, chance: text + text,
+    "binary inside": lambda text, chance: text[:300] + "\0\x01\ufffd" + text[300:],
+}  # fmt: skip
+HARMLESS = set(list(MUTATIONS)[:7])  # what every program may do: these must be read
+ANYTHING = {"row cut", "word in a row"}  # the last row may be another one
+
+
+def mutants(count):
+    """File name, text, shunt, mutation and layout of so many mutants, always the same."""
+    chance = random.Random(20)
+    names, kinds = list(LAYOUTS), list(MUTATIONS)
+    for k in range(count):
+        layout = LAYOUTS[names[k % len(names)]]
+        kind = kinds[(k * 7 + k // len(names)) % len(kinds)]
+        yield layout, kind, names[k % len(names)], MUTATIONS[kind](layout.text, chance)
+
+
+def judged(folder, count):
+    """Mutants that end in anything but a message, or are misread without a note that the file as
+    it was does not have."""
+    wrong, read, usual = [], 0, {}
+    for name, layout in LAYOUTS.items():
+        path = written(folder, layout.name, layout.text)
+        usual[name] = set(read_measured(path, layout.shunt).notes)
+    for number, (layout, kind, name, text) in enumerate(mutants(count)):
+        path = folder / f"{number}_{layout.name}"
+        path.write_bytes(text.encode("utf-8", "replace"))
+        try:
+            data = read_measured(path, layout.shunt)
+        except REFUSED as error:
+            if kind in HARMLESS and not (kind == "comment above" and layout.name.endswith("s1p")):
+                wrong.append((number, name, kind, str(error)))
+            continue
+        except Exception as error:
+            wrong.append((number, name, kind, f"{type(error).__name__}: {error}"))
+            continue
+        read += 1
+        expected = np.interp(data.f, F, Y.real) + 1j * np.interp(data.f, F, Y.imag)
+        inside = (data.f > 0.999 * F[0]) & (data.f < 1.001 * F[-1])
+        near = inside & (np.abs(data.Y[:, 0, 0] / expected - 1) < 0.02)
+        more = " ".join({*data.notes} - usual[name])
+        stated = "no unit" in more or "no format" in more
+        if (~near).sum() > (1 if kind in ANYTHING else 0) and not stated:
+            wrong.append((number, name, kind, data.description))
+    return wrong, read
+
+
+def test_forty_mutants_are_read_or_refused(tmp_path):
+    wrong, read = judged(tmp_path, 40)
+    assert not wrong, wrong
+    assert read > 12
+
+
+@pytest.mark.slow
+@pytest.mark.campaign
+def test_five_hundred_mutants_are_read_or_refused(tmp_path):
+    wrong, read = judged(tmp_path, 500)
+    assert not wrong, wrong
+    assert read > 200
