@@ -480,8 +480,10 @@ class Build:
     somebody changed parameters there: they are asked for no checks and no energy balance.
     ``largest`` is the largest step of a transient. ``records`` has the answers of its parts by
     name, which :func:`kc2spice.scene.resolve.resolve_build` asks for. ``laws`` are the laws of its
-    parts, which :func:`kc2spice.equations.scene_laws.scene_laws` returns. ``workspace`` has large
-    results of its latest run.
+    parts, which :func:`kc2spice.equations.scene_laws.scene_laws` returns. ``linearised`` has their
+    motions about rest in a transient, which
+    :func:`kc2spice.workflow.time_step.linearised_scene` returns. ``workspace`` has large results of
+    its latest run.
     """
 
     scene: Scene
@@ -493,6 +495,7 @@ class Build:
     largest: StepLimit | None = None
     records: Mapping[str, BuildRecord] = field(default_factory=dict)
     laws: object = None
+    linearised: object = None
     workspace: Workspace = field(default_factory=Workspace)
 
     @property

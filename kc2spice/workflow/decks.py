@@ -16,6 +16,7 @@ from kc2spice.core.domains import ELECTRICAL, SIGNAL
 from kc2spice.core.errors import UsageError
 from kc2spice.core.files import earlier
 from kc2spice.core.progress import Clock
+from kc2spice.equations.scene_laws import with_laws
 from kc2spice.netlist.circuit import Element, Item
 from kc2spice.netlist.deck import Command, Deck, Option, ac, dc, transient
 from kc2spice.netlist.elements import titled
@@ -39,6 +40,7 @@ from kc2spice.workflow import noise_analysis
 from kc2spice.workflow.edits import changed, element_text, instance, with_value
 from kc2spice.workflow.measures import measures
 from kc2spice.workflow.models import build_models
+from kc2spice.workflow.time_step import with_linearised_scene
 
 HOLD = 1e30  # H: a constraint at rest, and above 1 uHz less than a millionth of 1 fg
 
@@ -313,7 +315,8 @@ def _judged_by(build: Build, original: Deck, edited: Deck, path: Path) -> Build:
         warnings.warn(f"{path}: parts without checks and energy balance: {lines}", stacklevel=2)
     unjudged = build.unjudged | edits.keys() | reasons.keys()
     scene = resolve_again(replace(build.scene, parts=parts))
-    return resolve_build(replace(build, scene=scene, unjudged=frozenset(unjudged)))
+    result = resolve_build(replace(build, scene=scene, unjudged=frozenset(unjudged)))
+    return with_linearised_scene(with_laws(result))
 
 
 def _edits(original: Deck, edited: Deck) -> dict[str, str]:

@@ -15,7 +15,7 @@ from kc2spice.rom.linear_model import LinearModel
 from kc2spice.rom.modal import mode_table
 from kc2spice.scene.model import Build, Names, Scene, scene_hash
 from kc2spice.scene.resolve import resolve_build
-from kc2spice.workflow.time_step import largest_step
+from kc2spice.workflow.time_step import largest_step, with_linearised_scene
 
 
 def build_models(
@@ -35,6 +35,7 @@ def build_models(
     build = with_laws(resolve_build(shared(build)))
     if scene.analysis.type != "transient":
         return build
+    build = with_linearised_scene(build)
     return replace(build, largest=largest_step(build))
 
 

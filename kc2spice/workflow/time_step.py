@@ -14,7 +14,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -63,9 +64,11 @@ def largest_step(build: Build) -> StepLimit:
         [StepLimit(scene.stop / FEWEST, f"1/{FEWEST} of the run"), *result],
         key=lambda limit: limit.step,
     )
-    networks, missing = _networks(build)
-    motions = [_motion(network, scene.stop) for network in networks]
-    whole = not missing and all(motion is not None and motion.linear.exact for motion in motions)
+    linearised = linearised_scene(build)
+    motions = linearised.motions
+    whole = not linearised.missing and all(
+        motion is not None and motion.linear.exact for motion in motions
+    )
     if not whole and start.step > UNKNOWN:
         start = StepLimit(UNKNOWN, "not all of it is linear")
     rule = RULES[scene.solver.method]
@@ -73,14 +76,59 @@ def largest_step(build: Build) -> StepLimit:
     return min([start, *limits], key=lambda limit: limit.step)
 
 
-def _networks(build: Build) -> tuple[list[Network], tuple[str, ...]]:
-    """The networks that are more than sources, and the parts that are in no network."""
-    try:
-        laws = scene_laws(build)
-        networks, missing = laws.networks, laws.missing
-    except UsageError:
-        return [], tuple(build.scene.parts)
-    return [network for network in networks if not network.has_sources_only], missing
+@dataclass(frozen=True)
+class LinearisedScene:
+    """Networks of a transient and their motions, linearised at rest.
+
+    The choice of the largest step and the check of the steps after a run use the same record, which
+    computes eigenvalues when they are first needed.
+    """
+
+    build: Build
+
+    def describes(self, build: Build) -> bool:
+        """Whether ``build`` has the same scene and the same models."""
+        return self.build.scene is build.scene and self.build.models is build.models
+
+    @cached_property
+    def _joined(self) -> tuple[tuple[Network, ...], tuple[str, ...]]:
+        try:
+            laws = scene_laws(self.build)
+            networks, missing = laws.networks, laws.missing
+        except UsageError:
+            return (), tuple(self.build.scene.parts)
+        return tuple(item for item in networks if not item.has_sources_only), missing
+
+    @property
+    def networks(self) -> tuple[Network, ...]:
+        """Networks that are more than sources."""
+        return self._joined[0]
+
+    @property
+    def missing(self) -> tuple[str, ...]:
+        """Names of the parts that are in no network."""
+        return self._joined[1]
+
+    @cached_property
+    def motions(self) -> tuple[ExponentialSolution | None, ...]:
+        """Motion of each network; None if it is too large or has no solution."""
+        return tuple(_motion(network, self.build.scene.stop) for network in self.networks)
+
+
+def linearised_scene(build: Build) -> LinearisedScene:
+    """Return the linearised networks that the build carries (:func:`with_linearised_scene`).
+
+    A build of other keys or models than those of its record gets a new one.
+    """
+    known = build.linearised
+    if isinstance(known, LinearisedScene) and known.describes(build):
+        return known
+    return LinearisedScene(build)
+
+
+def with_linearised_scene(build: Build) -> Build:
+    """Return a build that carries its linearised networks, so that they are made once."""
+    return replace(build, linearised=linearised_scene(build))
 
 
 def _motion(network: Network, stop: float) -> ExponentialSolution | None:
@@ -215,11 +263,10 @@ def step_checks(build: Build, waves: Waveforms, balances: Mapping[str, Balance])
 def _exact_motion(build: Build, waves: Waveforms) -> tuple[tuple[float, float, str], set[str]]:
     """The largest deviation of any wave of a linear circuit, and the parts of these circuits."""
     exact, worst = set[str](), (0.0, 0.0, "")
-    networks, missing = _networks(build)
-    for network in networks:
-        if _meets(build, network, missing):
+    linearised = linearised_scene(build)
+    for network, motion in zip(linearised.networks, linearised.motions, strict=True):
+        if _meets(build, network, linearised.missing):
             continue
-        motion = _motion(network, build.scene.stop)
         if motion is not None and motion.linear.exact and motion.moves:
             worst = max(worst, _worst(network, motion, waves, result_vectors(build)))
             exact |= network.names

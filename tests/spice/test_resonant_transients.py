@@ -14,6 +14,7 @@ from scipy.signal import lsim
 
 import kc2spice as kc
 from kc2spice.core.errors import SimulationError
+from kc2spice.reference.small_signal import Linear
 from kc2spice.scene.load import load_scene
 from kc2spice.workflow.run import run_scene
 
@@ -180,3 +181,25 @@ def test_an_edge_that_begins_at_the_end_of_the_run_is_no_error_of_its_steps():
     }  # fmt: skip
     (check,) = (c for c in kc.run(kc.load_scene(tables)).checks if c.name.startswith("steps"))
     assert check.value < 1e-3
+
+
+def test_a_run_solves_the_eigenvalues_of_its_circuit_once(monkeypatch):
+    """The choice of the largest step and the check of the steps share one record."""
+    tables = {
+        "drive": {"part": "source", "pulse": {"high": "5 V", "width": "0.2 ms", "edge": "1 us"}},
+        "r": {"part": "resistor", "resistance": "10 Ohm", "pins": {"a": "drive.out"}},
+        "l": {"part": "inductor", "inductance": "1 mH", "pins": {"a": "r.b"}},
+        "c": {"part": "capacitor", "capacitance": "20 nF", "pins": {"a": "l.b"}},
+        "analysis": {"type": "transient", "stop": "0.4 ms"},
+    }  # fmt: skip
+    solved, modes = [], Linear.modes.func
+
+    def counted(linear):
+        solved.append(linear)
+        return modes(linear)
+
+    monkeypatch.setattr(Linear.modes, "func", counted)
+    result = kc.run(kc.load_scene(tables))
+    assert len(solved) == 1
+    assert [check.name for check in result.checks if check.name.startswith("steps")]
+    assert "motion at" in result.record["largest_step"]["why"]
