@@ -82,6 +82,9 @@ def recommendation(record: Mapping[str, Any]) -> list[tuple[str, str]]:
         ("reference", f"{reference['label']}: {format_quantity(reference['time_s'], 's', 3)}")
     )
     rows.append(("uncertainty of the reference", f"{reference['error']:.1e}"))
+    if (estimate := record["estimate"]) is not None:
+        what = "error estimate of the scene as it is"
+        rows.append((what, f"{estimate['error']:.1e}, meshes and tables included"))
     for name, change in record["left_out"].items():
         why = "no value" if change is None else f"changes by {change:.1e} at the finest settings"
         rows.append(("left out", f"{name}: {why}"))

@@ -3,8 +3,11 @@
 The scene is run as it is, with one axis (:mod:`kc2spice.scene.axes`) moved at a time, with all of
 them finer, and from there along the axes towards the cheapest setting within the wanted error, and
 within the scene's own. Errors are against a run with every axis at its finest; a second, less fine
-one tells how well that has converged. Times are medians of the simulator's CPU time over rounds
-that visit all settings in turn, so that a machine that slows down slows all alike.
+one tells how well that has converged. A key that the scene sets to its finest value, such as a
+``reltol`` of 1e-7, has no finer run: what a coarser run changes is part of every error. The scene
+as it is also gets the estimate that its ``error_budget`` would state. Times are medians of the
+simulator's CPU time over rounds that visit all settings in turn, so that a machine that slows down
+slows all alike.
 
 Errors of two keys may cancel by luck, and do. A setting therefore counts as within the wanted error
 only if the sum of what each of its values does alone is so too::
@@ -17,6 +20,7 @@ from __future__ import annotations
 import statistics
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -27,7 +31,7 @@ from kc2spice.core.files import staged
 from kc2spice.core.progress import Clock, Progress, silent
 from kc2spice.core.waveforms import write_record
 from kc2spice.report.pages import write_bench
-from kc2spice.scene.axes import Axis, axes, keys_at
+from kc2spice.scene.axes import Axis, axes, finest_axes, keys_at
 from kc2spice.scene.model import Scene
 from kc2spice.sim.ngspice import find_ngspice
 from kc2spice.workflow import refine
@@ -75,9 +79,11 @@ class _Plane:
     error counts."""
 
     def __init__(self, run: Run) -> None:
+        finer, finest = axes(run.build), finest_axes(run.build)
         # a mesh costs the simulator nothing
-        self.axes = [axis for axis in axes(run.build) if not axis.model]
-        self.runs = Runs(run, self.axes, Clock(), retries=0)
+        self.axes = [axis for axis in (*finer, *finest) if not axis.model]
+        self.finest = [axis.name for axis in finest if not axis.model]
+        self.runs = Runs(run, finer, Clock(), finest=finest, retries=0, most=np.inf)
         self.points: dict[str, _Point] = {}
         self.failed: dict[str, dict[str, Any]] = {}
         self.names: tuple[str, ...] = ()
@@ -94,6 +100,19 @@ class _Plane:
         """The run with every axis moved alike."""
         return self.runs.at(self.notches((notch,) * len(self.axes)))
 
+    @cached_property
+    def unrefined(self) -> Errors:
+        """Error of each metric by settings at their finest value, which the reference has too."""
+        return refine.coarser_changes(self.runs, {}, self.finest, self.names)
+
+    def estimate(self) -> dict[str, Any] | None:
+        """Error estimate of the scene as it is, meshes and tables included."""
+        result = refine.estimate(self.runs, {})
+        if result is None:
+            return None
+        errors = {name: error for name, error in result.errors.items() if name in self.names}
+        return {"error": max(errors.values(), default=0.0), "errors": errors}
+
     def visit(self, place: Place) -> None:
         """Run a setting, unless that was done."""
         settings = keys_at(self.axes, self.notches(place))
@@ -103,6 +122,7 @@ class _Plane:
         try:
             run = self.runs.at(self.notches(place))
             errors = _errors(run, self.all_at(REFERENCE), self.names)
+            errors = {name: error + self.unrefined[name] for name, error in errors.items()}
         except (SimulationError, UsageError) as error:
             why = " ".join(f"{error.message} {error.got or ''}".split())
             self.failed[label] = {"label": label, "settings": settings, "why": why}
@@ -126,6 +146,7 @@ class _Plane:
     def bound(self, point: _Point) -> float:
         """Sum of the errors of its values, each alone."""
         item = [self.alone(axis, n) for axis, n in zip(self.axes, point.place, strict=True)]
+        item.append(self.unrefined)
         return max(sum(errors[name] for errors in item) for name in self.names)
 
     def guarded(self, point: _Point) -> float:
@@ -233,6 +254,7 @@ def bench(
         check = _steady(plane, selected, all_of_them=bool(requested))
         plane.search(error, progress)
         plane.time(repeats, progress)
+        progress("estimate", None, "all settings and meshes a notch finer")
         finest = keys_at(plane.axes, plane.notches((REFERENCE,) * len(plane.axes)))
         best = plane.cheapest(error)
         points = sorted(plane.points.values(), key=lambda point: point.time)
@@ -250,8 +272,9 @@ def bench(
                 "label": _label(finest),
                 "settings": finest,
                 "time_s": plane.all_at(REFERENCE).cpu_s,
-                "error": max(check[name] for name in plane.names),
+                "error": max(check[name] + plane.unrefined[name] for name in plane.names),
             },
+            "estimate": plane.estimate(),
         }
         write_bench(work, scene.title or scene.name, record)
         return write_record(record, work, "bench.json")

@@ -54,7 +54,8 @@ Notches = Mapping[str, float]  # by how many notches an axis is moved, by its na
 class Runs:
     """Runs of the scene of ``start`` by notches of its axes, each made once.
 
-    Axes in ``finest`` can only be moved coarser.
+    Axes in ``finest`` can only be moved coarser. ``most`` is the largest number of runs besides
+    that of the scene as it is, for an estimate of the error.
     """
 
     def __init__(
@@ -65,9 +66,10 @@ class Runs:
         *,
         finest: Sequence[Axis] = (),
         retries: int | None = None,
+        most: float = MOST,
     ) -> None:
         self.start, self.axes, self.clock, self.retries = start, axes, clock, retries
-        self.finest = finest
+        self.finest, self.most = finest, most
         self.known: dict[str, Run] = {repr({}): start}
         self.refused: UsageError | None = None  # the last mesh that was too large
 
@@ -123,6 +125,11 @@ class Runs:
         parts = self.start.build.scene.parts.values()
         bodies = (p for p in parts if isinstance(p.type, MeshedBody) and axis.model)
         return next((p for p in bodies if axis.name.startswith(f"{key_prefix(p)}.")), None)
+
+    @property
+    def any_left(self) -> bool:
+        """Whether one more run is within :attr:`most`."""
+        return len(self.known) <= self.most
 
     def mesh_error(self, names: Sequence[str], run: Run) -> float:
         """The largest estimated error of the meshes of ``run`` that the axes ``names`` refine."""
@@ -277,7 +284,7 @@ def converge(start: Run, clock: Clock) -> Converged | None:
     why, last, stalls = "", math.inf, 0
     other = "refine what it was tried with"
     while True:
-        now = _estimate(runs, notches)
+        now = estimate(runs, notches)
         if now is None:
             why = "a refined run failed"
             break
@@ -295,8 +302,8 @@ def converge(start: Run, clock: Clock) -> Converged | None:
             break
         last = now.error
         moved = _largest_share_moved(runs, now, shares, limit)
-        if moved is None or not _runs_left(runs):
-            why = "nothing more to refine" if _runs_left(runs) else f"{MOST} runs do not suffice"
+        if moved is None or not runs.any_left:
+            why = "nothing more to refine" if runs.any_left else f"{MOST} runs do not suffice"
             break
         notches = moved
     final = tried[-1] if tried else Estimate({}, {}, start)
@@ -313,9 +320,13 @@ def _at_finest(runs: Runs, now: Estimate) -> str:
     return f"{large.where}: {large.message}: {large.got}, {large.expected}"
 
 
-def _estimate(runs: Runs, notches: Notches) -> Estimate | None:
-    """All axes a notch finer; without those of meshes where that is too much for the machine, see
-    :func:`_coarser_changes`."""
+def estimate(runs: Runs, notches: Notches) -> Estimate | None:
+    """Estimate the error of each metric at ``notches``; None where no refined run has a result.
+
+    The refined run has all axes a notch finer, without those of meshes where that is too much for
+    the machine. Axes at their finest value count by coarser runs (:func:`coarser_changes`). An
+    ``error_budget`` and ``bench`` state this estimate.
+    """
     now = runs.at(notches)
     finest = tuple(axis.name for axis in runs.finest)
     meshes = tuple(axis.name for axis in runs.axes if axis.model)
@@ -325,14 +336,14 @@ def _estimate(runs: Runs, notches: Notches) -> Estimate | None:
             settings = keys_at(runs.axes, notches)
             errors = _differences(now, finer)
             # errors that refined runs do not show
-            left = _coarser_changes(runs, notches, (*unmoved, *finest), errors)
+            left = coarser_changes(runs, notches, (*unmoved, *finest), errors)
             fixed = max(left.values(), default=0.0)
             errors = {name: error + left[name] for name, error in errors.items()}
             return Estimate(notches, settings, now, errors, (*unmoved, *finest), fixed)
     return None
 
 
-def _coarser_changes(
+def coarser_changes(
     runs: Runs, notches: Notches, unmoved: Sequence[str], metrics: Iterable[str]
 ) -> dict[str, float]:
     """Estimated error of each of the ``metrics`` by ``unmoved`` axes: that of a body's mesh, or
@@ -382,14 +393,10 @@ def _move_axes(notches: Notches, moved: Sequence[Axis], by: int = 1) -> Notches:
     return {**notches, **{axis.name: notches.get(axis.name, 0) + by for axis in moved}}
 
 
-def _runs_left(runs: Runs) -> bool:
-    return len(runs.known) <= MOST
-
-
 def _try_run(runs: Runs, notches: Notches) -> Run | None:
     """None where that has no result, or where no runs are left."""
     try:
-        return runs.at(notches) if _runs_left(runs) else None
+        return runs.at(notches) if runs.any_left else None
     except (SimulationError, UsageError):
         return None
 

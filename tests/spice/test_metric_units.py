@@ -91,6 +91,26 @@ def test_settings_at_their_finest_have_an_error_too(tmp_path, chgtol):
     assert abs(result.metrics["x_final"] / exact - 1) < error < 1e-2
 
 
+@pytest.mark.parametrize("chgtol", [1e-8, 1e-14])
+def test_bench_states_the_error_of_settings_at_their_finest(tmp_path, chgtol):
+    """The estimate of the scene as it is equals that of an error budget, run by run."""
+    path = tmp_path / "budget.toml"
+    path.write_text(SCENE)
+    finest = {"error_budget": 0.5, "solver.reltol": 1e-7, "solver.chgtol": chgtol}
+    scene = kc.load_scene(path, finest)
+    stated = kc.run(scene).record["convergence"]["errors"]["x_final"]
+    options = {"metric": ["x_final"], "repeats": 1, "error": 0.5}
+    record = bench.bench(scene, tmp_path / "bench", **options)
+    own = next(point for point in record["points"] if point["own"])
+    limits = {"method": "DOP853", "rtol": 1e-12, "atol": 1e-15}
+    exact = solve_ivp(rates, (0.0, STOP), [0.0, 0.0], **limits).y[0, -1]
+    value = kc.run(scene).metrics["x_final"]
+    assert record["estimate"]["errors"] == {"x_final": pytest.approx(stated, rel=1e-9)}
+    assert abs(value / exact - 1) < own["error"]
+    assert own["error"] <= own["bound"] < 1e-2
+    assert record["reference"]["error"] > 0.0
+
+
 def test_records_state_the_units_of_all_metrics(result):
     assert result.record["metric_units"] == {
         "mass_peak_m": "m",
