@@ -47,6 +47,10 @@ if TYPE_CHECKING:
 STATE = 1e-6  # farad of a fast state: one chgtol is then one tolerance of displacement
 SIEMENS = 1.0  # conductance of a massless state; its capacitance is its relaxation time
 ALIKE = 1e-6  # relative difference of the gains of ports that count as equal
+# Damping over frequency of a mode, 1 / Q, below which ngspice (pivrel 1e-3) takes no pivot from the
+# diagonal of an operating point in q and q'/w. It then keeps 80 times as many fill-ins for 178
+# modes and is 100 times slower (tests/spice/test_realize.py counts them).
+LIGHT = 1e-3
 SILENT = 1e-9  # zero share of a mode in every port, relative to the largest
 OPEN_INPUT = 1e-18  # S, of a signal input, so that it is zero where nothing drives it
 FREE_LEAK = 1e-12  # S, of a free integrator: of the conductance of its capacitor at the band's end
@@ -105,6 +109,8 @@ _RESONATORS = """\
 * Modes above {full} times the lowest frequency have capacitors of 1 uF. Slower modes have smaller
 * ones, by the power {power} of their frequency: the simulator's time steps follow them less.
 * {reference}: connect it to node 0. Electrical pins float."""
+_LIGHT = """\
+* Modes with a Q above {quality:g} have p = q + q'/omega, which gives pivots on the diagonal."""
 _STATES = """\
 * Linear state-space model: signal inputs draw no current, signal outputs are ideal sources, 1 V is
 * one unit of the pin. Coupled states z are the voltages of capacitors of {farad} F:
@@ -718,6 +724,7 @@ def _resonators(
     with ``C = 1 uF min(1, (w / 3 w_1)^2)`` or as ``weights`` says: step control sees an error of
     charge, ``C`` times that of the displacement, and slow modes decide nothing in a contact, but
     ring long after it.
+    With a damping below :data:`LIGHT`, ``p_j = q_j + q_j' / w_j``, see :func:`_mode`.
     A state without inertia is q alone, ``C q' = -G q + (G s / w^2) sum_k g_k u_k`` with
     ``C = G d / w^2``.
     """
@@ -726,13 +733,14 @@ def _resonators(
     heavy = model.inertia[order] > 0
     scale = scales(gain, terminals)[:, None]
     numbers = range(1, len(order) + 1)
-    nothing = np.zeros((len(order),) * 2)
     turn = omega * heavy  # the others have no velocity, and no node for it
+    light, lost = (damp < LIGHT * omega) * heavy, damp * heavy
+    rates = [[-turn * light, turn], [-turn - (turn - lost) * light, turn * light - lost]]
     drive = heavy[:, None] * scale * gain / (omega[:, None] * MICRO)
     states = _States(
         [f"{node}{j}" for node in "qp" for j in numbers],
         [f"{mark}{j}" for mark in ("", "d") for j in numbers],
-        np.block([[nothing, np.diag(turn)], [np.diag(-turn), np.diag(-damp * heavy)]]),
+        np.block([[np.diag(rate) for rate in row] for row in rates]),
         np.vstack([np.zeros_like(drive), drive]),
         np.hstack(
             [(gain / scale).T * [[MICRO / t.unit] for t in terminals], np.zeros_like(gain.T)]
@@ -743,6 +751,8 @@ def _resonators(
     force = siemens * scale[:, 0] / (omega**2 * MICRO)
     drive = force[:, None] * gain
     about = _about_resonators(terminals, base, weights)
+    if light.any():
+        about += _LIGHT.format(quality=1 / LIGHT).split("\n")
     wired = _wired(terminals, states, rom.D, rom, base)
     stored = [replace(t, sums=()) if t.clamped else t for t in wired]
     body = conservative(stored, base, weights.share)
@@ -791,14 +801,22 @@ def _unplaced(terminals: Sequence[PortTerminal]) -> bool:
 
 
 def _mode(j: int, omega: float, damp: float, farad: float, base: str) -> Iterator[Line]:
-    """Two integrators of one mode."""
-    turn, loss = farad * omega, farad * damp
-    yield Element.of(f"Cq{j}", f"q{j}", base, farad)
-    yield Element.of(f"Cp{j}", f"p{j}", base, farad)
-    yield Element.of(f"Gq{j}", base, f"q{j}", f"p{j}", base, turn)
-    yield Element.of(f"Gp{j}", f"p{j}", base, f"q{j}", base, turn)
+    """Two integrators of one mode.
+
+    With a damping below :data:`LIGHT` the second one is ``p = q + q' / w``, so that the voltage
+    from p to q is the velocity.
+    """
+    q, p, turn, loss = f"q{j}", f"p{j}", farad * omega, farad * damp
+    light = damp < LIGHT * omega
+    velocity = (p, q) if light else (p, base)
+    yield Element.of(f"Cq{j}", q, base, farad)
+    yield Element.of(f"Cp{j}", p, base, farad)
+    yield Element.of(f"Gq{j}", base, q, *velocity, turn)
+    yield Element.of(f"Gp{j}", p, base, q, base, turn)
+    if light:
+        yield Element.of(f"Gs{j}", base, p, *velocity, turn)
     if loss > 0:
-        yield Element.of(f"Gd{j}", f"p{j}", base, f"p{j}", base, f"{{damping*{number(loss)}}}")
+        yield Element.of(f"Gd{j}", p, base, *velocity, f"{{damping*{number(loss)}}}")
 
 
 def mode_facts(omega: float, damp: float) -> str:

@@ -93,6 +93,52 @@ def test_every_port_answers_every_other(form, mass, tmp_path):
             assert error < 1e-6 * np.abs(exact).max() + 1e-11, (driven.name, port.name)
 
 
+@pytest.mark.parametrize("loss", [0.0, 1e-8, 1e-5])  # s, times K: no damping, Q above 1000, below
+def test_modes_of_any_damping_answer_alike(loss, tmp_path):
+    """As above; without damping the response is real, away from the poles."""
+    M, K, B, D = springs()
+    model = LinearModel(M=M, E=loss * K, K=K, B=B, D=D, ports=PORTS)
+    part = subcircuit(model, "zoo", HEADER)
+    assert ("p = q + q'/omega" in part.text) == (loss < 1e-6)
+    waves = answers(part, PORTS, tmp_path)
+    s = 2j * np.pi * waves["frequency"].real
+    H = np.array([B.T @ np.linalg.solve(z * z * M + z * loss * K + K, B) + D for z in s])
+    rigid = B[:, SHAKE] @ np.linalg.solve(M, B[:, SHAKE])
+    for i, driven in enumerate(PORTS):
+        for o, port in enumerate(PORTS):
+            exact = H[:, o, i] * (s if port.kind == "electrical" else 1.0)
+            if port.kind == "acceleration":
+                exact = (rigid if driven is port else 0.0) - s**2 * exact
+            error = np.abs(waves[f"{driven.name}>{port.name}"] - exact).max()
+            assert error < 1e-6 * np.abs(exact).max() + 1e-11, (driven.name, port.name)
+
+
+@pytest.mark.parametrize("loss", [0.0, 1e-13, 1e-8])  # s, times K
+def test_modes_without_damping_keep_the_matrix_sparse(loss, tmp_path):
+    """Each mode adds a handful of elements to the factors, with whatever damping; the pivots beside
+    the diagonal of undamped modes added 200 each."""
+    count, rng = 120, np.random.default_rng(1)
+    omega = 2 * np.pi * np.geomspace(270e3, 30e6, count)
+    B = omega[:, None] * 1e-4 * rng.normal(size=(count, 3))
+    ports = (PORTS[DRIVE], PORTS[TIP], PORTS[TWIST])
+    D = np.diag([4e-8, 0.0, 0.0])
+    model = LinearModel(
+        M=np.eye(count), E=loss * np.diag(omega**2), K=np.diag(omega**2), B=B, D=D, ports=ports
+    )
+    part = subcircuit(model, "many", HEADER)
+    nodes = {pin.name: "0" for pin in part.pins}
+    nodes |= {port.terminals[0]: port.name for port in ports}
+    cards = [f"X1 {' '.join(nodes[pin.name] for pin in part.pins)} many"]
+    cards += [f"V1 {PORTS[DRIVE].name} 0 PULSE(0 1 10n 10n 10n 1u)"]
+    cards += [f"R{port.name} {port.name} 0 1" for port in ports[1:]]
+    cards += [".options acct", ".tran 1n 0.1u"]
+    deck = bench([part], "\n".join(cards), {"v": ("v(tip)", 1)})
+    run_deck(deck, tmp_path)
+    log = (tmp_path / "bench.log").read_text(errors="replace")
+    filled = int(re.search(r"fill-in non-zeroes = (\d+)", log)[1])
+    assert filled < 10 * count
+
+
 @pytest.mark.parametrize("dense", [False, True])
 def test_a_bare_electrode_that_shares_charge_is_no_passive_network(dense):
     M, K, B, D = springs()
