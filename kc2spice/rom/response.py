@@ -207,7 +207,9 @@ def _eigenvectors(pencil: Pencil) -> Modes | None:
         inner = np.linalg.solve(rest + shift * inertia, np.hstack([inertia, extended.B]))
         values, X = np.linalg.eig(shift * inner[:, : extended.size])
         inverse = np.linalg.inv(X)
-        if np.linalg.norm(X) * np.linalg.norm(inverse) > DEFECTIVE:
+        with np.errstate(over="ignore"):  # of eigenvectors that are no basis
+            condition = np.linalg.norm(X) * np.linalg.norm(inverse)
+        if not condition <= DEFECTIVE:
             return None
     except (np.linalg.LinAlgError, ValueError):
         return None
