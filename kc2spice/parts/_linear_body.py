@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import json
 import math
 import stat
 import warnings
@@ -11,7 +12,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, replace
 from functools import lru_cache
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 from pydantic import Field, StringConstraints
@@ -56,6 +57,9 @@ from kc2spice.scene.rows import LargestRealPart, Neglected, Rest, Vector
 from kc2spice.scene.settings import Probe, Rom
 from kc2spice.spice.heat import is_heat
 from kc2spice.spice.realize import COARSE, RINGING, UNRATED, StepWeights, reference_pin, subcircuit
+
+if TYPE_CHECKING:
+    from kc2spice.rom.enriched import Orders
 
 # Kinds of ports with one pin against the common reference, and the short words of their waves.
 ANSWERS = {kind: domain for kind, domain in PORTS.items() if domain.reference}
@@ -370,18 +374,25 @@ class LinearBody(Touching):
 
         return scene.workspace.latest(f"range of {part.name}", key, load)
 
+    def _lossy(self, part: Part) -> bool:
+        """Whether it has losses that the matrices of a full model cannot have."""
+        return bool(loss_tangent(part)) or by_complex_constants(part)
+
+    def _full_model(self, part: Part, scene: Scene, clock: Clock) -> LinearModel:
+        """The full model with the ports of the scene; in a box on the mesh that all values share."""
+        keys, names = varied(part), [port.name for port in self.used_ports(part, scene)]
+        if not keys:
+            return self.full(part, scene, clock).select(names)
+        middle = with_values(part, {item.key: item.axis.middle for item in keys})
+        return self.varied(part, scene, clock, middle).select(names)
+
     def build(
         self, part: Part, scene: Scene, clock: Clock, full: bool = False
     ) -> LinearModel | None:
-        keys, names = varied(part), [port.name for port in self.used_ports(part, scene)]
-        if full and (loss_tangent(part) or by_complex_constants(part)):
-            return None  # the matrices of a full model cannot have such losses
-        if full and keys:  # on the mesh that all values of the box share
-            middle = with_values(part, {item.key: item.axis.middle for item in keys})
-            return self.varied(part, scene, clock, middle).select(names)
         if full:
-            return self.full(part, scene, clock).select(names)
-        if keys:
+            # the matrices of a full model cannot have some losses
+            return None if self._lossy(part) else self._full_model(part, scene, clock)
+        if keys := varied(part):
             return self.varying(part, scene, clock).at({item.key: item.value for item in keys})
         # Asked here, as parts of the key: what runs within ``build`` is hashed with its modules.
         target, model_key = reduction_target(part, scene), self.model_key(part, scene)
@@ -393,7 +404,8 @@ class LinearBody(Touching):
             from kc2spice.rom.modal import lossy, without_inertia
             from kc2spice.rom.reduce import reduce_model
 
-            selected = self.full(part, scene, clock).select(model_key["ports"])
+            orders = self.orders(part, scene, clock)
+            selected = orders.model
             with clock.stage("reduce", f"reduction of {part.name}"):
                 order = None if target.order is None else min(target.order, selected.order)
                 band = _reaching(target.band, model_key, lambda: selected)
@@ -401,8 +413,11 @@ class LinearBody(Touching):
                 if constants:
                     selected = _barely_damped(part, selected, band)
                 # a contact, a switch or a table excites modes above the band
-                aims: dict[str, Any] = {"order": order, "tolerance": target.tolerance}
-                small = reduce_model(selected, **aims, band=band, norm=norm, contact=True)
+                if order is not None and selected is orders.model:
+                    small = orders.reduce(order, band, norm)
+                else:
+                    aims: dict[str, Any] = {"order": order, "tolerance": target.tolerance}
+                    small = reduce_model(selected, **aims, band=band, norm=norm, contact=True)
             modal = resonators(small)  # whose later use needs no eigenvalues
             if modal is None and (tangent or constants):
                 got = "damping that couples its modes, or a motion that nothing holds"
@@ -425,6 +440,21 @@ class LinearBody(Touching):
 
         kinds = (LinearModel, Certificate, Port)
         return cached("body", model_key, build, classes=kinds, sources=self.sources())
+
+    def orders(self, part: Part, scene: Scene, clock: Clock) -> Orders:
+        """Reductions of the full model with the ports of the scene to prescribed orders; the next
+        scene often asks for a larger one of the same body."""
+        from kc2spice.rom.enriched import Orders
+
+        names = [port.name for port in self.used_ports(part, scene)]
+        key = json.dumps(
+            [part.name, self.full_key(part, scene), names], sort_keys=True, default=str
+        )
+
+        def make() -> Orders:
+            return Orders(self._full_model(part, scene, clock))
+
+        return scene.workspace.latest(f"orders {self.name}", key, make)
 
     def library(self, part: Part, scene: Scene) -> str:
         """Its part number, else :meth:`scene_library`."""
@@ -656,18 +686,17 @@ class LinearBody(Touching):
         if certificate is None or not all(name in loads for name in model.inputs):
             return None
         band = certificate.band_hz
-        from kc2spice.rom.enriched import enriched, last_change, time_errors
+        from kc2spice.rom.enriched import last_change, time_errors
 
         t, load = waves["time"], np.column_stack([loads[name] for name in model.inputs])
         count = last_change(load) + 1
         key = {**self.model_key(part, build.scene), "enriched": model.order}
 
         def richer() -> LinearModel | None:
-            full = part.type.build(part, build.scene, Clock(), full=True)
-            if not isinstance(full, LinearModel):
+            if self._lossy(part):
                 return None
             try:
-                return enriched(full, key["enriched"], band)
+                return self.orders(part, build.scene, Clock()).enriched(key["enriched"], band)
             except (SimulationError, UsageError):
                 return None
 

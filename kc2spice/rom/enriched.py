@@ -11,17 +11,20 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
+from functools import cached_property
 
 import numpy as np
 from scipy.linalg import LinAlgError, eig
 
 from kc2spice.core.errors import SimulationError, UsageError
+from kc2spice.rom.constraints import reduced_form
 from kc2spice.rom.definite import is_definite
 from kc2spice.rom.first_step import intermediate_model
-from kc2spice.rom.linear_model import LinearModel, model_of
+from kc2spice.rom.linear_model import LinearModel, Norm, model_of
 from kc2spice.rom.modal import Resonators, chip_response, march, resonators
-from kc2spice.rom.pencil import eliminated, proportional
-from kc2spice.rom.reductors.block_krylov import block_arnoldi
+from kc2spice.rom.pencil import Pencil
+from kc2spice.rom.reduce import Target, reduce_to
+from kc2spice.rom.reductors.block_krylov import BlockArnoldi, krylov_space
 
 # States per state of the reduced model, and the least that are added. The stroke of a chip damped
 # by 0.1 % under a kick, with 30 states: it differs from that with 60, 120 and 300 states by 1.9,
@@ -36,24 +39,45 @@ DEFECTIVE = 1e8  # condition of eigenvectors beyond which sums of modes lose the
 CONSTANT = 1e-9  # variation of a constant load or response, relative to the largest value
 
 
-def enriched(model: LinearModel, order: int, band: tuple[float, float]) -> LinearModel:
-    """Reduce the full ``model`` to far more than ``order`` states, without a certificate.
+class Orders:
+    """Reductions of one full-order model to prescribed orders, and to far more states.
 
-    Raises
-    ------
-    SimulationError, UsageError : no such model is known to be better.
+    All of them use the nested vectors of one Krylov space where the model has definite matrices: a
+    larger order extends the basis of a smaller one.
     """
-    pencil = proportional(eliminated(model.pencil))
-    states = max(TIMES * order, order + MORE)
-    if pencil.size <= states:
-        return model_of(pencil.dense(), model.ports)
-    if is_definite(pencil, undamped_too=True):
-        K, _, M = pencil.coefficients
-        solve = pencil.pencil_solver(0.0).solve
-        V = block_arnoldi(lambda v: K @ v, solve, lambda v: M @ v, pencil.B, states)
-        return model_of(pencil.project(V), model.ports)
-    wide = band[0], WIDER * band[1]
-    return model_of(intermediate_model(pencil, wide, TARGET, LIMIT).pencil, model.ports)
+
+    def __init__(self, model: LinearModel) -> None:
+        self.model = model
+
+    @cached_property
+    def _pencil(self) -> Pencil:
+        return reduced_form(self.model.pencil)
+
+    @cached_property
+    def _space(self) -> BlockArnoldi | None:
+        definite = is_definite(self._pencil, undamped_too=True)
+        return krylov_space(self._pencil) if definite else None
+
+    def reduce(self, order: int, band: tuple[float, float], norm: Norm) -> LinearModel:
+        """Reduce to an order as :func:`kc2spice.rom.reduce.reduce` does for contacts."""
+        target = Target(None, order, band, norm, contact=True, method=None, space=self._space)
+        return reduce_to(self.model, target)
+
+    def enriched(self, order: int, band: tuple[float, float]) -> LinearModel:
+        """Reduce to far more than ``order`` states, without a certificate.
+
+        Raises
+        ------
+        SimulationError, UsageError : no such model is known to be better.
+        """
+        pencil, ports = self._pencil, self.model.ports
+        states = max(TIMES * order, order + MORE)
+        if pencil.size <= states:
+            return model_of(pencil.dense(), ports)
+        if self._space is not None:
+            return model_of(pencil.project(self._space.vectors(states)), ports)
+        wide = band[0], WIDER * band[1]
+        return model_of(intermediate_model(pencil, wide, TARGET, LIMIT).pencil, ports)
 
 
 def response(model: LinearModel, t: np.ndarray, load: np.ndarray) -> np.ndarray | None:

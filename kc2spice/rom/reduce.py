@@ -31,7 +31,7 @@ from kc2spice.rom.linear_model import LinearModel, Norm
 from kc2spice.rom.pencil import Pencil
 from kc2spice.rom.reduced_basis import ReducedBasis, Task
 from kc2spice.rom.reductors.base import Reductor
-from kc2spice.rom.reductors.block_krylov import nested_model
+from kc2spice.rom.reductors.block_krylov import BlockArnoldi, nested_model
 from kc2spice.rom.reductors.registry import BLOCK_KRYLOV, reductor_named, suited_reductors
 from kc2spice.rom.refinement import lower_order
 from kc2spice.rom.search import fewest_states, of_order, require_order
@@ -123,14 +123,18 @@ def reduce_model(
     >>> print(f"{small.transfer([0.0])[0, 0, 0].real:.9f} m/N")
     0.002000000 m/N
     """
-    target = Target(tolerance, order, band, norm, contact, method)
+    return reduce_to(fom, Target(tolerance, order, band, norm, contact, method))
+
+
+def reduce_to(fom: LinearModel, target: Target) -> LinearModel:
+    """Reduce a model to a ``target``, see :func:`reduce`."""
     require_valid(target)
     if fom.structural:
         return _with_structural_damping(fom, target)
-    rom = _reduce(fom, target)
-    if tolerance is None or contact or method or fom.first_order:
+    rom, tolerance = _reduce(fom, target), target.tolerance
+    if tolerance is None or target.contact or target.method or fom.first_order:
         return rom
-    return first_order_model(fom, rom, _congruence(target), tolerance, norm)
+    return first_order_model(fom, rom, _congruence(target), tolerance, target.norm)
 
 
 @dataclass(frozen=True)
@@ -138,7 +142,8 @@ class Target:
     """What a reduced-order model must meet, and by which method.
 
     ``keep_form`` admits congruences only. ``exact`` requires that the intermediate model is
-    accurate enough for the tolerance.
+    accurate enough for the tolerance. ``space`` is the Krylov space of the model at zero, if it is
+    known from another order.
     """
 
     tolerance: float | None
@@ -149,6 +154,7 @@ class Target:
     method: str | Reductor | None
     keep_form: bool = False
     exact: bool = True
+    space: BlockArnoldi | None = None
 
 
 def _reduce(fom: LinearModel, target: Target) -> LinearModel:
@@ -202,7 +208,7 @@ def verified_first_step(
     result = None
     try:
         if target.order is not None and by_krylov and is_definite(pencil):
-            result = nested_model(pencil, target.order)
+            result = nested_model(pencil, target.order, target.space)
         else:
             result = intermediate_model(pencil, band, goal, limit)
     finally:

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.signal import lsim
 
-from kc2spice.rom.enriched import enriched, last_change, response, time_errors
+from kc2spice.rom.enriched import Orders, last_change, response, time_errors
 from kc2spice.rom.linear_model import LinearModel, Port
 
 PUSH = (Port("tip", "mechanical"),)
@@ -73,11 +73,11 @@ def test_models_without_the_motions_that_a_load_excites_are_off():
 
 def test_a_richer_model_is_made_of_the_full_one():
     full = chain(500, ratio=0.01)
-    rich = enriched(full, 10, (0.0, 1e3))
+    rich = Orders(full).enriched(10, (0.0, 1e3))
     assert rich.order == 70
     f = np.linspace(0, 1e3, 50)
     np.testing.assert_allclose(rich.transfer(f), full.transfer(f), rtol=1e-6)
-    assert enriched(chain(40), 10, (0.0, 1e3)).order == 40
+    assert Orders(chain(40)).enriched(10, (0.0, 1e3)).order == 40
 
 
 def test_loads_that_cancel_count_by_themselves():

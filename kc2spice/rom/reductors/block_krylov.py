@@ -63,17 +63,27 @@ class BlockKrylov(Reductor):
         return ReducedBasis(task, task.pencil.project(V), vectors=V, coordinates="full order")
 
 
-def krylov_vectors(pencil: Pencil, count: int) -> np.ndarray:
-    """Return so many block Krylov vectors of a definite model at zero, or all that exist."""
+def krylov_space(pencil: Pencil) -> BlockArnoldi:
+    """Return the block Krylov space of a definite model at zero."""
     K, _, M = pencil.coefficients
     solve = pencil.pencil_solver(0.0).solve
-    return block_arnoldi(lambda v: K @ v, solve, lambda v: M @ v, pencil.B, count)
+    return BlockArnoldi(lambda v: K @ v, solve, lambda v: M @ v, pencil.B)
 
 
-def nested_model(pencil: Pencil, order: int) -> IntermediateModel:
-    """Return the Krylov model of two blocks more than ``order``, which estimates the error."""
+def krylov_vectors(pencil: Pencil, count: int) -> np.ndarray:
+    """Return so many block Krylov vectors of a definite model at zero, or all that exist."""
+    return krylov_space(pencil).vectors(count)
+
+
+def nested_model(
+    pencil: Pencil, order: int, space: BlockArnoldi | None = None
+) -> IntermediateModel:
+    """Return the Krylov model of two blocks more than ``order``, which estimates the error.
+
+    ``space`` is the Krylov space of the model, if it is known.
+    """
     count = order + BLOCKS_BEYOND * pencil.B.shape[1]
-    V = krylov_vectors(pencil, count)
+    V = (space or krylov_space(pencil)).vectors(count)
     response = Response(pencil.project(V))
     return IntermediateModel(response, 0.0, True, "", basis=V, points=(0.0,))
 
@@ -83,21 +93,34 @@ def block_arnoldi(
 ) -> np.ndarray:
     """Basis V (n, q) of ``span{X, AX, A^2 X, ...}``, ``X = K^-1 B``, ``A = K^-1 M``, ``V'KV = 1``.
 
+    It has ``order`` columns, see :class:`BlockArnoldi`.
+    """
+    return BlockArnoldi(stiffness, solve, mass, B).vectors(order)
+
+
+class BlockArnoldi:
+    """Nested bases V of ``span{X, AX, A^2 X, ...}``, ``X = K^-1 B``, ``A = K^-1 M``, ``V'KV = 1``.
+
     Column by column in port order, so bases are nested: the first q columns are the basis of
     order q, the last block being cut after the ports that still fit. The first block holds the
     static answers to all ports; a one-sided projection on it matches 2 moments per block.
-    Fewer than ``order`` columns return when the Krylov space is exhausted.
+    More columns continue the recursion where the last ones ended.
     """
-    basis = images = np.empty((B.shape[0], 0))
-    candidates = solve(B)
-    while basis.shape[1] < order:
-        columns, column_images = extend(basis, images, candidates, stiffness)
-        if not columns.shape[1]:
-            break
-        basis = np.hstack([basis, columns])
-        images = np.hstack([images, column_images])
-        candidates = solve(mass(columns))
-    return basis[:, :order]
+
+    def __init__(self, stiffness: Operator, solve: Operator, mass: Operator, B: np.ndarray) -> None:
+        self._stiffness, self._solve, self._mass = stiffness, solve, mass
+        self._basis = self._images = np.empty((B.shape[0], 0))
+        self._right_sides: np.ndarray = B  # of the next block; without columns if there is none
+
+    def vectors(self, count: int) -> np.ndarray:
+        """Return the first ``count`` columns; fewer if the Krylov space is exhausted."""
+        while self._basis.shape[1] < count and self._right_sides.shape[1]:
+            candidates = self._solve(self._right_sides)
+            columns, images = extend(self._basis, self._images, candidates, self._stiffness)
+            self._basis = np.hstack([self._basis, columns])
+            self._images = np.hstack([self._images, images])
+            self._right_sides = self._mass(columns)
+        return self._basis[:, :count]
 
 
 def extend(
