@@ -28,6 +28,7 @@ from kc2spice.workflow.decks import prepared, spare_other_decks
 from kc2spice.workflow.models import fact_units, mode_tables, model_facts
 from kc2spice.workflow.orders import with_larger_orders
 from kc2spice.workflow.refine import Converged, converge
+from kc2spice.workflow.ringing import announce_ringing
 from kc2spice.workflow.simulate import Run, kept_on_failure, sampled, simulate_deck
 
 
@@ -177,6 +178,7 @@ def complete(
             build, made = prepared(scene, clock, trust=trust, functions=functions, edited=deck)
             if out is not None:
                 spare_other_decks(out, made.files)
+            announce_ringing(build, made)
             try:
                 with clock.stage("simulate", f"{simulator.name} {simulator.version}") as share:
                     result = simulate_deck(build, made, work, progress=share)

@@ -1,0 +1,106 @@
+"""Time points that the ringing of a body costs, expected before a run.
+
+Error control follows every mode that rings, also far above the band of the reduction, where a
+contact excites modes. In a step ``h`` the trapezoidal rule has the error ``(w h)^3 / 12`` of the
+amplitude. A mode of the angular frequency ``w`` thus takes steps of ``(12 reltol)^(1/3) / w`` as
+long as it lasts. Without damping it lasts to the end of the run.
+"""
+
+from __future__ import annotations
+
+import math
+import warnings
+from dataclasses import dataclass
+from itertools import accumulate
+
+import numpy as np
+
+from kc2spice.netlist.deck import Deck
+from kc2spice.report.html import format_quantity
+from kc2spice.rom.linear_model import LinearModel
+from kc2spice.rom.modal import Resonators, resonators
+from kc2spice.scene.model import Build
+from kc2spice.scene.parttype import numerics
+from kc2spice.sim.ngspice import own_reltol
+
+LASTING = math.log(1e3)  # of an amplitude that counts, over what is left of it at the end
+MANY = 3e5  # time points that are announced: half a minute for 24 states
+# CPU time of ngspice for a time point, and for each state in it [s]: those of kick_and_catch with
+# 24 and with 178 states, measured on a processor of 2.5 GHz.
+PER_POINT, PER_STATE = 5e-5, 1.4e-6
+
+
+@dataclass(frozen=True)
+class Ringing:
+    """Expected time ``points`` of a run for the ringing of a body, the ``seconds`` of CPU that they
+    take, and the highest ``frequency`` [Hz] that rings to the end."""
+
+    part: str
+    points: float
+    seconds: float
+    frequency: float
+
+    def __str__(self) -> str:
+        top = format_quantity(self.frequency, "Hz", 3)
+        return (
+            f"{self.part} rings at up to {top} until the end of the run, as its damping is small: "
+            f"about {self.points:.2g} time points, {self.seconds:.2g} s of CPU. A larger "
+            f"{self.part}.damping or an earlier solver.stop takes fewer"
+        )
+
+
+def point_time(states: int) -> float:
+    """CPU time [s] of ngspice for a time point of a circuit with a body of so many states."""
+    return PER_POINT + PER_STATE * states
+
+
+def ringing_of(part: str, model: Resonators, stop: float, reltol: float) -> Ringing:
+    """Expected time points of a run in which all modes of a body ring from its start.
+
+    Parameters
+    ----------
+    part : str
+        Name of the body.
+    model : Resonators
+        Its modes.
+    stop : float
+        Duration of the ringing in s.
+    reltol : float
+        Relative error of a time step.
+
+    Returns
+    -------
+    Ringing
+        The points, ``sum_i w_i (t_i - t_{i+1}) / (12 reltol)^(1/3)`` with the fastest mode first,
+        of which ``t_i`` is the time until which a mode rings that is at least as fast.
+    """
+    heavy = model.inertia > 0
+    omega, damp = model.omega[heavy], model.damp[heavy]
+    fastest = np.argsort(-omega)
+    omega, rate = omega[fastest], damp[fastest] / 2
+    lasts = np.minimum(stop, LASTING / np.maximum(rate, LASTING / stop))
+    until = np.array([*accumulate(lasts, max)])
+    spans = np.diff(until, prepend=0.0)  # in which the mode is the fastest one
+    points = float(omega @ spans) / (12 * reltol) ** (1 / 3)
+    last = omega[lasts >= stop]
+    seconds = points * point_time(model.order)
+    return Ringing(part, points, seconds, float(last.max(initial=0.0)) / (2 * math.pi))
+
+
+def announce_ringing(build: Build, deck: Deck) -> None:
+    """Warn of bodies whose ringing costs more than :data:`MANY` time points, before the run.
+
+    These are bodies under a contact that decides on the time steps.
+    """
+    scene = build.scene
+    if scene.analysis.type != "transient" or not any(row.decides for row in numerics(scene)):
+        return
+    for name, model in build.models.items():
+        modal = resonators(model) if isinstance(model, LinearModel) else None
+        if modal is None:
+            continue
+        drive = getattr(scene.parts[name].keys, "drive", None)
+        span = scene.stop - min(getattr(drive, "start", 0.0), scene.stop)
+        result = ringing_of(name, modal, span, own_reltol(deck))
+        if result.points > MANY and result.frequency:
+            warnings.warn(str(result), stacklevel=3)

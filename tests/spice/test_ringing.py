@@ -1,0 +1,50 @@
+"""Time points that a run is expected to take for the ringing of a body."""
+
+import warnings
+from dataclasses import replace
+
+import device
+import numpy as np
+import pytest
+
+from kc2spice.rom.modal import resonators
+from kc2spice.scene.load import load_scene
+from kc2spice.sim.ngspice import own_reltol, run_deck
+from kc2spice.workflow import ringing
+from kc2spice.workflow.decks import make_deck
+
+KICK = {
+    "name": "rings", "kick": {"drive": {"voltage": "100 V", "start": "1 us"}}, "contact": {},
+    "sphere": {}, "solver": {"stop": "60 us"},
+}  # fmt: skip
+
+
+def chip(damping):
+    """The made-up chip with four modes of 270 to 900 kHz, and of the same compliances."""
+    made, omega = device.chip(modes=4), 2 * np.pi * np.geomspace(270e3, 900e3, 4)
+    gain = made.gain * (omega / made.omega)[:, None]
+    return replace(made, omega=omega, damp=damping / np.pi / 250e3 * omega**2, gain=gain)
+
+
+@pytest.mark.parametrize("damping", [0.0, 1e-3, 1e-2])
+def test_ngspice_takes_the_time_points_that_are_expected(damping, tmp_path):
+    """Modes ring for 59 us and longer, or die away within it."""
+    model = chip(damping)
+    scene = load_scene({**KICK, "solver": {"stop": "60 us"}})
+    build = device.built(scene, model)
+    deck = make_deck(build)
+    taken = run_deck(deck, tmp_path)["time"].size
+    modal = resonators(build.models["kick"])
+    expected = ringing.ringing_of("kick", modal, 59e-6, own_reltol(deck))
+    assert 0.75 < expected.points / taken < 1.35
+
+
+def test_a_long_ringing_is_announced_before_the_run(monkeypatch):
+    build = device.built(load_scene(KICK), chip(0.0))
+    monkeypatch.setattr(ringing, "MANY", 2e3)
+    with pytest.warns(UserWarning, match=r"kick rings at up to .*Hz .* time points, .* s of CPU"):
+        ringing.announce_ringing(build, make_deck(build))
+    damped = device.built(load_scene(KICK), chip(0.05))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        ringing.announce_ringing(damped, make_deck(damped))
