@@ -379,7 +379,7 @@ class LinearBody(Touching):
         return bool(loss_tangent(part)) or by_complex_constants(part)
 
     def _full_model(self, part: Part, scene: Scene, clock: Clock) -> LinearModel:
-        """The full model with the ports of the scene; in a box on the mesh that all values share."""
+        """The full model with the ports of the scene, in a box on the mesh of all its values."""
         keys, names = varied(part), [port.name for port in self.used_ports(part, scene)]
         if not keys:
             return self.full(part, scene, clock).select(names)

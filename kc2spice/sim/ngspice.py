@@ -402,12 +402,13 @@ class Outcome:
 class RetriesFailedError(SimulationError):
     """No attempt of ``attempts`` succeeded; ``failure`` is the one that got farthest.
 
-    ``suggested`` are keys of the scene, and values, that would cure all checks that the last
-    violated, but for those that smaller steps cure.
+    ``violated`` are the checks that the last attempt violated. ``suggested`` are keys of the scene,
+    and values, that would cure all of these, but for those that smaller steps cure.
     """
 
     attempts: tuple[Attempt, ...]
     failure: Failure | None
+    violated: tuple[Check, ...]
     suggested: Mapping[str, Any]
 
 
@@ -475,6 +476,7 @@ def run_with_retries(
             last.where, last.got, last.expected = error.where, error.got, error.expected
             last.hint = "; ".join(str(hint) for hint in hints if hint) or None
             last.attempts, last.failure = tuple(attempts), farthest
+            last.violated = tuple(violated)
             cures = [check.suggested for check in violated if not check.coarse]
             last.suggested = {k: v for cure in cures for k, v in cure.items()} if all(cures) else {}
             raise last

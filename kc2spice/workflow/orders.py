@@ -2,14 +2,16 @@
 
 A run compares each reduced body with a model of more states under the loads that it recorded (see
 :mod:`kc2spice.rom.enriched`). Those loads also judge larger orders, each by a reduction alone. The
-scene runs once more with the order that has the smallest error, and the better run is the result.
+scene runs again with the least order whose error is within the limit, or with the one that has the
+smallest error. The new loads judge the new run, until its error is within the limit, or until more
+states are too many, do not help, or have been tried :data:`MOST_RISES` times.
 """
 
 from __future__ import annotations
 
 import math
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from shutil import copytree
@@ -19,29 +21,40 @@ from typing import Any
 from kc2spice.core.errors import SimulationError, UsageError
 from kc2spice.core.progress import Clock
 from kc2spice.parts._box import varied
-from kc2spice.parts._linear_body import LinearBody, reduction_target
+from kc2spice.parts._linear_body import TWICE, LinearBody, reduction_target
 from kc2spice.rom.linear_model import LinearModel
+from kc2spice.rom.modal import resonators
 from kc2spice.scene.checks import Check
 from kc2spice.scene.load import load_scene
 from kc2spice.scene.model import Part
+from kc2spice.sim.ngspice import RetriesFailedError
 from kc2spice.workflow.decks import prepared
+from kc2spice.workflow.ringing import point_time
 from kc2spice.workflow.simulate import Run, simulate_deck
 
-MULTIPLES = (2, 4)  # factors of the order of the scene, tried until the error is within its limit
+# Factors of the order and of the highest frequency of the band, tried until the error is within its
+# limit. The states without inertia begin above the band (docs/explanation/contact.md): at a damping
+# of 0.01 % they leave an error of 1.8 % whatever the order, and of 0.7 % over twice the band.
+RISES = ((2, 1.0), (4, 1.0), (4, 2.0), (8, 2.0))
+MOST_VECTORS = 400  # order of a larger model; each vector takes a solution of the full model
 MOST_STATES = 200  # states of a larger model; every state adds time to each simulator step
+MOST_RISES = 3  # further runs; each has at least twice the order of the run before
+MOST_SECONDS = 300.0  # expected CPU time of the simulator for a further run
 SMALLER = 0.7  # largest ratio of errors, new to present, that is worth another run
 
 
 @dataclass(frozen=True)
 class Larger:
     """A larger order of a body: the ``keys`` of the scene that set it, and its ``states`` and
-    ``error`` under the loads of the run, beside those of the present model."""
+    ``error`` under the loads of the run, beside those of the present model. The run with it is
+    expected to take so many ``seconds`` of the simulator's CPU time."""
 
     part: str
     keys: dict[str, Any]
     states: tuple[int, int]
     error: tuple[float, float]
     limit: float
+    seconds: float
 
     def __str__(self) -> str:
         (before, after), (error, smaller) = self.states, self.error
@@ -49,19 +62,51 @@ class Larger:
         return (
             f"reduction of {self.part}: under the loads of this run a model of {before} states has "
             f"an error of {error:.2%}, more than {self.limit:.2%}, and one of {after} states "
-            f"{smaller:.2%}: run again with {keys}"
+            f"{smaller:.2%}: run again with {keys}, about {self.seconds:.2g} s of CPU"
         )
 
 
 def with_larger_orders(run: Run, work: Path, clock: Clock) -> Run:
-    """Run the scene of ``run`` again with larger orders where its own loads ask for these.
+    """Run the scene of ``run`` again with larger orders while its own loads ask for these.
 
-    Returns the run whose reduced bodies have the smaller error. The files of that run are in the
-    directory ``work``. Prints the orders and their errors as warnings.
+    Returns the run whose reduced bodies have the smallest error. The files of that run are in the
+    directory ``work``. Prints the orders and their errors as warnings, and what ended the search
+    where the error remains too large.
     """
-    build, chosen = run.build, list(_larger_orders(run, clock))
-    if not chosen:
-        return run
+    for _ in range(MOST_RISES):
+        searches = list(_larger_orders(run, clock))
+        chosen = [search.best for search in searches if search.best is not None]
+        if not chosen:
+            for search in searches:
+                warnings.warn(search.end, stacklevel=3)
+            return run
+        better = _run_again(run, chosen, work, clock)
+        if better is None:
+            return run
+        run = better
+    for name in (check.name for check in _violated(run).values()):
+        warnings.warn(f"{name}: {MOST_RISES} further runs do not suffice", stacklevel=3)
+    return run
+
+
+def suggested_keys(error: RetriesFailedError, automatic: Mapping[str, Any]) -> Mapping[str, Any]:
+    """Keys of the scene with which a failed run may succeed; empty if there are none.
+
+    These are what its checks suggest. Where a body is still too coarse although its order was
+    chosen so before, which is among the ``automatic`` keys, the order doubles once more.
+    """
+    if error.suggested:
+        return error.suggested
+    checks = [check for check in error.violated if not check.coarse]
+    names = [f"{check.name.removeprefix('reduction of ')}.rom.order" for check in checks]
+    raised = all(check.loaded for check in checks) and all(name in automatic for name in names)
+    orders = {name: TWICE * automatic[name] for name in names} if raised else {}
+    return orders if max(orders.values(), default=0) <= MOST_VECTORS else {}
+
+
+def _run_again(run: Run, chosen: Sequence[Larger], work: Path, clock: Clock) -> Run | None:
+    """Run the scene with the ``chosen`` orders; None if it fails or has no smaller error."""
+    build = run.build
     for item in chosen:
         warnings.warn(str(item), stacklevel=3)
     scene = load_scene(build.scene, {k: v for item in chosen for k, v in item.keys.items()})
@@ -72,60 +117,109 @@ def with_larger_orders(run: Run, work: Path, clock: Clock) -> Run:
                 result = simulate_deck(again, deck, Path(folder), progress=share)
         except (SimulationError, UsageError) as error:
             message = f"the run with more states failed: {error.message}; "
-            message += "the result is that of the first run"
+            message += "the result is that of the run before"
             warnings.warn(message, stacklevel=3)
-            return run
+            return None
         names = [item.part for item in chosen]
         before, after = _largest_error(run, names), _largest_error(result, names)
         if after >= before:
             message = f"the run with more states has an error of {after:.2%} under its own loads, "
-            message += f"not less than {before:.2%}; the result is that of the first run"
+            message += f"not less than {before:.2%}; the result is that of the run before"
             warnings.warn(message, stacklevel=3)
-            return run
+            return None
         copytree(folder, work, dirs_exist_ok=True)
     return result
 
 
-def _larger_orders(run: Run, clock: Clock) -> Iterator[Larger]:
-    """The order to take for each body whose error under the recorded loads is too large."""
+@dataclass(frozen=True)
+class _Search:
+    """The best larger order of a body, None where none is worth a run, and what ended the search in
+    words."""
+
+    best: Larger | None
+    end: str
+
+
+def _violated(run: Run) -> dict[str, Check]:
+    """Violated checks of errors under the recorded loads, by the body."""
     checks = {check.name: check for check in run.verdict.checks if check.loaded}
-    for part in run.build.scene.parts.values():
-        check = checks.get(f"reduction of {part.name}")
-        if check is None or check.passed or varied(part):  # a box of parameters has no order
-            continue
-        found = _larger_order(run, part, check, clock)
-        if found is not None:
-            yield found
+    bodies = {part.name: checks.get(f"reduction of {part.name}") for part in _orders_of(run)}
+    return {name: check for name, check in bodies.items() if check and not check.passed}
 
 
-def _larger_order(run: Run, part: Part, check: Check, clock: Clock) -> Larger | None:
+def _orders_of(run: Run) -> Iterator[Part]:
+    """Parts that have an order, which a box of parameters does not have."""
+    return (part for part in run.build.scene.parts.values() if not varied(part))
+
+
+def _larger_orders(run: Run, clock: Clock) -> Iterator[_Search]:
+    """Search an order for each body whose error under the recorded loads is too large."""
+    for name, check in _violated(run).items():
+        yield _larger_order(run, run.build.scene.parts[name], check, clock)
+
+
+def _larger_order(run: Run, part: Part, check: Check, clock: Clock) -> _Search:
     """The smallest multiple of its order that is within the limit of ``check``, or the one with the
-    least error; None where none is better than the present order."""
+    least error."""
     build, kind = run.build, part.type
     assert isinstance(kind, LinearBody)
     model, target = build.model(part, LinearModel), reduction_target(part, build.scene)
     assert model.certificate is not None
     order, key = target.order or model.order, f"{part.name}.rom"
-    common: dict[str, Any] = {f"{key}.band": list(model.certificate.band_hz)}
-    if target.norm is not None:
-        common[f"{key}.norm"] = target.norm
+    low, high = model.certificate.band_hz
+    norm = {} if target.norm is None else {f"{key}.norm": target.norm}
     least, result = SMALLER * check.value, None
-    for multiple in MULTIPLES:
-        keys = {f"{key}.order": multiple * order, **common}
+    end = f"more states reduce its error by less than {1 - SMALLER:.0%}"
+    for multiple, wider in RISES:
+        keys = {f"{key}.order": multiple * order, f"{key}.band": [low, wider * high], **norm}
+        if multiple * order > MOST_VECTORS:
+            end = f"an order above {MOST_VECTORS} is not tried"
+            break
         try:
             scene = load_scene(build.scene, keys)
             larger = kind.build(scene.parts[part.name], scene, clock)
-        except (SimulationError, UsageError):
-            break  # the body has no more states
-        if larger is None or not model.order < larger.order <= MOST_STATES:
+        except (SimulationError, UsageError) as error:
+            end = f"there is no larger model ({error.message})"
+            break
+        if larger is None or larger.order <= model.order:
+            end = "the body has no more states"
+            break
+        if larger.order > MOST_STATES:
+            end = f"a model of {larger.order} states, more than {MOST_STATES}, is not tried"
+            break
+        seconds = _expected_time(run.cpu_s, model, larger)
+        if seconds > MOST_SECONDS:
+            end = f"a run with {larger.order} states takes about {seconds:.2g} s of CPU, more than "
+            end += f"{MOST_SECONDS:g} s, and is not tried"
             break
         found = kind.error_under_load(part, build, run.waves, larger)
-        if found is not None and found[0] < least:
-            least, states = found[0], (model.order, larger.order)
-            result = Larger(part.name, keys, states, (check.value, least), check.limit)
-        if least <= check.limit:
+        if found is None:
+            end = "there is no model of more states to compare larger ones with"
             break
-    return result
+        if found[0] < least:
+            least, states = found[0], (model.order, larger.order)
+            errors = check.value, least
+            result = Larger(part.name, keys, states, errors, check.limit, seconds)
+        if least <= check.limit and result is not None:
+            break
+    return _Search(result, f"{check.name}: {end}")
+
+
+def _expected_time(seconds: float, model: LinearModel, larger: LinearModel) -> float:
+    """Expected CPU time [s] of a run with a ``larger`` model, from the ``seconds`` of the present.
+
+    It is in proportion to the time of a point, and to the highest frequency of a mode with inertia,
+    whose periods the time steps follow.
+    """
+    points = [_highest(item) for item in (model, larger)]
+    more = points[1] / points[0] if all(points) else 1.0
+    return seconds * more * point_time(larger.order) / point_time(model.order)
+
+
+def _highest(model: LinearModel) -> float:
+    """Highest natural frequency [rad/s] of a mode with inertia; 0 where no modes are known."""
+    modal = resonators(model)
+    return 0.0 if modal is None else float(modal.omega[modal.inertia > 0].max(initial=0.0))
 
 
 def _largest_error(run: Run, names: Sequence[str]) -> float:

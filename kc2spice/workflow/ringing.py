@@ -20,7 +20,6 @@ from kc2spice.report.html import format_quantity
 from kc2spice.rom.linear_model import LinearModel
 from kc2spice.rom.modal import Resonators, resonators
 from kc2spice.scene.model import Build
-from kc2spice.scene.parttype import numerics
 from kc2spice.sim.ngspice import own_reltol
 
 LASTING = math.log(1e3)  # of an amplitude that counts, over what is left of it at the end
@@ -93,7 +92,7 @@ def announce_ringing(build: Build, deck: Deck) -> None:
     These are bodies under a contact that decides on the time steps.
     """
     scene = build.scene
-    if scene.analysis.type != "transient" or not any(row.decides for row in numerics(scene)):
+    if scene.analysis.type != "transient" or not any(row.decides for row in scene.numerics):
         return
     for name, model in build.models.items():
         modal = resonators(model) if isinstance(model, LinearModel) else None

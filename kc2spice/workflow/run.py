@@ -26,7 +26,7 @@ from kc2spice.sim.ngspice import RetriesFailedError, Simulator, find_ngspice, wr
 from kc2spice.workflow import noise_analysis
 from kc2spice.workflow.decks import prepared, spare_other_decks
 from kc2spice.workflow.models import fact_units, mode_tables, model_facts
-from kc2spice.workflow.orders import with_larger_orders
+from kc2spice.workflow.orders import suggested_keys, with_larger_orders
 from kc2spice.workflow.refine import Converged, converge
 from kc2spice.workflow.ringing import announce_ringing
 from kc2spice.workflow.simulate import Run, kept_on_failure, sampled, simulate_deck
@@ -172,7 +172,7 @@ def complete(
 
     Raises the errors of :func:`run_scene`. Warns of violated checks that do not fail the run.
     """
-    simulator, clock = find_ngspice(), Clock(progress)
+    simulator, clock, automatic = find_ngspice(), Clock(progress), dict[str, Any]()
     with kept_on_failure(work, out, scene.name):
         while True:
             build, made = prepared(scene, clock, trust=trust, functions=functions, edited=deck)
@@ -184,11 +184,13 @@ def complete(
                     result = simulate_deck(build, made, work, progress=share)
                 break
             except RetriesFailedError as error:
-                if deck is not None or not error.suggested:
+                suggested = suggested_keys(error, automatic) if deck is None else {}
+                if not suggested:
                     raise
-                keys = ", ".join(f"{key} = {value}" for key, value in error.suggested.items())
+                keys = ", ".join(f"{key} = {value}" for key, value in suggested.items())
                 warnings.warn(f"{error.message}, {error.got}: run again with {keys}", stacklevel=2)
-                scene = load_scene(scene, error.suggested)
+                automatic |= suggested
+                scene = load_scene(scene, suggested)
         if deck is None and scene.error_budget is None:  # which refines orders itself
             result = with_larger_orders(result, work, clock)
         converged = converge(result, clock) if deck is None else None

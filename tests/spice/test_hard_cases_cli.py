@@ -306,6 +306,29 @@ for ratio in ("1e-2", "1e-3", "1e-4", "0"):
     chosen = (f"kick.damping.ratio={ratio}", "solver.stop=0.6 ms")
     case(ENTRY.get(ratio, "0.01 % damping"), f"the paper's chip, ratio {ratio}", "run", paper,
          chosen, error=paper_launch, limit=1e-2, slow=True)  # fmt: skip
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("ratio", ["1e-2", "1e-3", "1e-4", "0"])
+def test_a_kick_takes_states_until_its_error_is_within_the_limit(ratio, tmp_path):
+    """The loads of the run weight the error. What remains beyond its limit has a reason, and no
+    run ends in a warning of numpy."""
+    words = ["run", "kick_and_catch", "--json", "--quiet", "-o", str(tmp_path / "out")]
+    words += ["--set", f"kick.damping.ratio={ratio}", "--set", "solver.stop=0.6 ms"]
+    done = CliRunner().invoke(app, words)
+    assert done.exit_code == 0, done.output
+    said, record = " ".join(done.stderr.split()), json.loads(done.stdout)
+    (check,) = (c for c in record["checks"] if c["name"] == "reduction of kick")
+    assert check["passed"] or ratio == "0"
+    rises = re.findall(r"a model of (\d+) states has an error .*? and one of (\d+) states", said)
+    assert bool(rises) == (ratio != "1e-2")
+    assert all(int(after) >= 1.5 * int(before) for before, after in rises)
+    assert len(rises) <= 3
+    assert check["passed"] or "an order above 400 is not tried" in said
+    assert check["value"] < 0.02
+    assert "overflow" not in said
+
+
 WEAK = ("control.current_limit=20 mA", "solver.stop=3 ms")
 case("saturated controller with integrator", "height", "run", paper, WEAK, words="saturation",
      error=paper_height, limit=2e-3, slow=True)  # fmt: skip

@@ -8,6 +8,9 @@ from scipy.integrate import solve_ivp
 from typer.testing import CliRunner
 
 from kc2spice.cli.main import app
+from kc2spice.scene.checks import Check
+from kc2spice.sim.ngspice import RetriesFailedError
+from kc2spice.workflow.orders import suggested_keys
 
 SCENE = """name = "bar_on_file"
 [bar]
@@ -215,3 +218,17 @@ def test_a_run_says_that_its_body_grows_by_itself(tmp_path):
     assert not check["passed"]
     assert "grow" in check["advice"]
     assert found["rom"]["stable"] is False
+
+
+@pytest.mark.parametrize(
+    ("automatic", "next_order"),
+    [({}, None), ({"bar.rom.order": 10}, 20), ({"bar.rom.order": 300}, None)],
+)
+def test_an_order_that_the_run_chose_doubles_until_the_body_is_fine(automatic, next_order):
+    """An order of the scene itself stays; so does one whose double takes too many solutions."""
+    error = RetriesFailedError("a check of the result failed")
+    error.violated, error.suggested = (Check("reduction of bar", 0.2, 0.1, loaded=True),), {}
+    keys = suggested_keys(error, automatic)
+    assert keys == ({} if next_order is None else {"bar.rom.order": next_order})
+    error.violated += (Check("rating of bar", 2.0, 1.0),)
+    assert not suggested_keys(error, automatic)
