@@ -13,7 +13,7 @@ from typer.testing import CliRunner
 import kc2spice as kc
 from kc2spice.bodies.readers.measured import read_measured, shunt_resistance
 from kc2spice.cli.main import app
-from kc2spice.workflow.reduce_files import reduce
+from kc2spice.workflow.reduce_files import reduce_file
 
 FILES = Path(__file__).parents[1] / "data" / "instruments"
 REFUSED = kc.errors.UsageError
@@ -96,10 +96,10 @@ def test_the_commands_accept_a_shunt(tmp_path):
     impedance = written(tmp_path, "z.csv", LAYOUTS["Hioki"].text)
     for case in (impedance, written(tmp_path, "a.s1p", LAYOUTS["NanoVNA"].text)):
         with pytest.raises(REFUSED, match="--shunt: applies to a table of gain"):
-            reduce(case, tmp_path / "no", shunt="330 Ohm")
+            reduce_file(case, tmp_path / "no", shunt="330 Ohm")
     np.savez(tmp_path / "chain.npz", M=np.eye(2), K=np.eye(2) * 4.0, B=np.eye(2)[:, :1])
     with pytest.raises(REFUSED, match="--shunt: applies to a measured response"):
-        reduce(tmp_path / "chain.npz", tmp_path / "no", shunt=330.0)
+        reduce_file(tmp_path / "chain.npz", tmp_path / "no", shunt=330.0)
 
 
 AMBIGUOUS = {
