@@ -22,7 +22,7 @@ field.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import chain, pairwise
 from typing import TypeAlias
@@ -30,10 +30,10 @@ from typing import TypeAlias
 import numpy as np
 from scipy import sparse
 from scipy.sparse.csgraph import connected_components
-from scipy.sparse.linalg import LinearOperator, eigsh
 from skfem import LinearForm
 from skfem.mesh import MeshHex, MeshQuad
 
+from kc2spice.bodies.undamped import Answers, FiniteElementModel, undamped_answers
 from kc2spice.core.domains import ACCELERATION, BASE, ELECTRICAL, TRANSLATION
 from kc2spice.core.errors import UsageError, part_named, wrong
 from kc2spice.core.mesh_error import MESH_ERROR
@@ -45,11 +45,6 @@ from kc2spice.rom.linear_model import LinearModel, Port, with_potentials
 
 # Shift [rad/s] of a body that is free to move, in units of its slowest sound over its size.
 FREE_SHIFT = 1e-3
-RESIDUAL = 1e-5  # residual of a mode; the error of its frequency is the square
-MODES = (4, 8, 40)  # asked for in turn; a body that is free to move has more than four rigid ones
-# A mode is excited by a port if it has more than this part of the static answer (mass norm).
-COUPLED = 0.03
-REFINEMENTS = 3
 # Share of the sum of absolute element contributions in the error estimate of a static response. In
 # beams, where contributions cancel, their sum is only 0.3 of the error
 # (tests/physics/test_mesh_error.py).
@@ -57,7 +52,6 @@ CHANCE = 1 / 3
 LEAST_SHARE = 0.1  # least ratio of a corrected value to the value itself
 LEAST_ERROR = 1e-4  # least relative mesh error; below, rounding and port nodes dominate
 UP = np.array([0.0, 0.0, 1.0])
-Operator = Callable[[np.ndarray], np.ndarray]
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,32 +103,6 @@ class Setup:
     springs: sparse.csc_array | None = None
     sectors: int = 1
     damping: Damping = field(default_factory=Damping)
-
-
-@dataclass(frozen=True, eq=False)
-class FiniteElementModel:
-    """A solid's linear model and how its unknowns z and voltages V give the fields at the nodes:
-    ``u = displacement @ z`` (d nodes,) and ``phi = potential @ p + drive @ V`` (nodes,) with
-    ``K_pp p = K_up' z + lift V``. ``shift`` [rad^2/s^2] makes ``K + shift M`` regular.
-    ``mass`` [kg] counts what is held too.
-    """
-
-    model: LinearModel
-    solid: Solid
-    displacement: sparse.csc_array
-    potential: sparse.csc_array
-    drive: sparse.csc_array
-    lift: np.ndarray
-    shift: float
-    mass: float
-
-    def nodal(self, z: np.ndarray, voltages: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Displacements (d nodes, k) and potentials (nodes, k) of columns z (n, k), V (e, k)."""
-        phi, K = self.drive @ voltages, self.model.K
-        if self.potential.shape[1]:
-            # K.pp is -K_pp: p = K_pp^-1 (K_up' z + lift V)
-            phi = phi - self.potential @ K.inner.solve(K.pu @ z + self.lift @ voltages)
-        return self.displacement @ z, phi
 
 
 def make_device(solid: Solid, setup: Setup) -> FiniteElementModel:
@@ -407,62 +375,6 @@ def _is_supported(solid: Solid, fixed: np.ndarray, pieces: Sequence[np.ndarray])
     return True
 
 
-@dataclass(frozen=True, eq=False)
-class Answers:
-    """Responses of a model without damping.
-
-    ``facts`` are numbers by name, from the displacements z (n, …): ``static`` under 1 V at each
-    electrical port, ``pushed`` (n, 1 or 0) under 1 N at the first mechanical port, and the lowest
-    ``modes`` with shorted electrical ports that these excite. A body without electrical ports has
-    the lowest other modes.
-    """
-
-    facts: dict[str, float]
-    static: np.ndarray
-    pushed: np.ndarray
-    modes: np.ndarray
-
-
-def undamped_answers(model: LinearModel, shift: float = 0.0) -> Answers:
-    """Capacitances (of the first electrical port, those of others under their names, each with the
-    rest shorted), static stroke of the first mechanical port, by its name, per volt, and the lowest
-    resonances that the electrical ports excite (of a body without any: the others), all electrodes
-    shorted and all open, without damping.
-
-    ``shift`` [rad^2/s^2] makes ``K + shift M`` regular; 0 for a supported body. A resonance that is
-    not among the lowest modes is left out.
-    """
-    e = [k for k, port in enumerate(model.ports) if port.electrical]
-    force = [k for k, port in enumerate(model.ports) if port.domain is TRANSLATION][:1]
-    solve = model.pencil.pencil_solver(-shift).solve
-    if not e:
-        lowest, modes = _resonance(model, solve, range(len(model.ports)), shift)
-        facts = {} if lowest is None else {"resonance_hz": lowest}
-        return Answers(facts, model.B[:, e], _at_rest(model, solve, force, shift)[1], modes)
-    load = model.B[:, e]
-    shifted, rest = _at_rest(model, solve, [*e, *force], shift)
-    shifted, rest, pushed = shifted[:, : len(e)], rest[:, : len(e)], rest[:, len(e) :]
-    weight = np.linalg.inv(model.D[np.ix_(e, e)] + load.T @ shifted)
-
-    def opened(f: np.ndarray) -> np.ndarray:
-        """``(K + b C0^-1 b')^-1``: without charge the electrodes float to ``V = -C0^-1 b'u``."""
-        u = solve(f)
-        return np.asarray(u - shifted @ (weight @ (load.T @ u)))
-
-    free = np.diag(model.D)[e] + np.sum(load * rest, axis=0)
-    stated: dict[str, float | None] = {"capacitance_free_f": float(free[0])}
-    stated["capacitance_clamped_f"] = float(model.D[e[0], e[0]])
-    for port, capacitance in zip(e[1:], free[1:], strict=True):
-        stated[f"{model.ports[port].name}_capacitance_f"] = float(capacitance)
-    for port in force:
-        stroke = f"free_stroke_{model.ports[port].name}_m_per_v"
-        stated[stroke] = float(model.B[:, port] @ rest[:, 0])
-    stated["resonance_short_hz"], modes = _resonance(model, solve, e, shift)
-    stated["resonance_open_hz"], _ = _resonance(model, opened, e, shift)
-    facts = {name: value for name, value in stated.items() if value is not None}
-    return Answers(facts, rest, pushed, modes)
-
-
 def estimate_mesh_errors(
     device: FiniteElementModel, answers: Answers, sectors: int = 1
 ) -> dict[str, float]:
@@ -507,45 +419,6 @@ def _likely(products: EnergyProducts, i: int, j: int) -> float:
 def _relative(change: float) -> float:
     """Error of a value beside the better one, from its ``change`` to that one beside itself."""
     return float(max(abs(change) / max(1 + change, LEAST_SHARE), LEAST_ERROR))
-
-
-def _at_rest(
-    model: LinearModel, solve: Operator, ports: list[int], shift: float
-) -> tuple[np.ndarray, np.ndarray]:
-    """Displacements (n, ports) under a constant unit at each port, with the shift and without."""
-    load = model.B[:, ports]
-    shifted = rest = solve(load) if ports else load
-    for _ in range(REFINEMENTS if shift else 0):  # loads in equilibrium: exact in the limit
-        rest = solve(load + shift * (model.M @ rest)) if ports else load
-    return shifted, rest
-
-
-def _resonance(
-    model: LinearModel, solve: Operator, ports: range | list[int], shift: float
-) -> tuple[float | None, np.ndarray]:
-    """Lowest frequency [Hz] above rigid motion that the ports excite, None if it is not among the
-    lowest modes, and all modes (n, …) among these that the ports excite. Lanczos starts from their
-    static answers, so it stays with what they excite.
-    """
-    n, M = model.order, model.M
-    inverse = LinearOperator((n, n), matvec=solve, dtype=float)
-    ports = [k for k in ports if model.B[:, k].any()]
-    if not ports:  # a dielectric moves nothing
-        return None, np.empty((n, 0))
-    static = np.array([solve(model.B[:, k]) for k in ports])
-    start = (static / np.linalg.norm(static, axis=1, keepdims=True)).sum(axis=0)
-    for count in (min(count, n - 1) for count in MODES[shift > 0 :]):
-        options = {"v0": start, "tol": RESIDUAL, "ncv": min(2 * count + 1, n)}
-        values, modes = eigsh(inverse, count, M=M, sigma=-shift, OPinv=inverse, **options)
-        rigid = modes[:, values <= 10 * shift]
-        elastic = static - (static @ (M @ rigid)) @ rigid.T
-        size = np.sqrt(np.sum(elastic * (M @ elastic.T).T, axis=1))
-        share = np.abs(elastic @ (M @ modes)) / size[:, None]
-        excited = np.flatnonzero((share.max(axis=0) > COUPLED) & (values > 10 * shift))
-        if excited.size:
-            excited = excited[np.argsort(values[excited])]
-            return float(np.sqrt(values[excited[0]]) / (2 * np.pi)), modes[:, excited]
-    return None, np.empty((n, 0))
 
 
 # From and to [m] along each axis; of one value along an axis it is a face, an edge or a point.

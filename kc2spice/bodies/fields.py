@@ -21,7 +21,7 @@ from pathlib import Path
 import numpy as np
 from scipy.linalg import eigh
 
-from kc2spice.bodies.device import FiniteElementModel
+from kc2spice.bodies.undamped import FiniteElementModel
 from kc2spice.core.equality import EqualByContent
 from kc2spice.core.errors import wrong
 from kc2spice.fem.solid import strains, tensors

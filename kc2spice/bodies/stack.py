@@ -19,8 +19,9 @@ import numpy as np
 from scipy import sparse
 from skfem import BilinearForm, LinearForm, MeshHex1, MeshHex2
 
-from kc2spice.bodies.device import UP, FiniteElementModel, ForceShape, Setup, make_device, spread
+from kc2spice.bodies.device import UP, ForceShape, Setup, make_device, spread
 from kc2spice.bodies.stack_keys import PATCH, SECTORS, Cap, Chip
+from kc2spice.bodies.undamped import FiniteElementModel
 from kc2spice.core.domains import TRANSLATION
 from kc2spice.core.errors import part_named
 from kc2spice.fem.materials import Material, material

@@ -46,8 +46,9 @@ from kc2spice.scene.plausible import layers as plausible_layers
 from kc2spice.scene.rows import Neglected
 
 if TYPE_CHECKING:
-    from kc2spice.bodies.device import Bonded, FiniteElementModel
+    from kc2spice.bodies.device import Bonded
     from kc2spice.bodies.fields import Extreme, NodalMotion
+    from kc2spice.bodies.undamped import FiniteElementModel
 
 # Estimated relative error of a mesh above which a run warns: what a data sheet states of a part.
 COARSE = {"first resonance": 0.03, "capacitance": 0.05, "stroke": 0.1}

@@ -15,7 +15,7 @@ from kc2spice.rom.linear_model import LinearModel
 from kc2spice.rom.modal import Resonators
 
 if TYPE_CHECKING:
-    from kc2spice.bodies.device import FiniteElementModel
+    from kc2spice.bodies.undamped import FiniteElementModel
 
 POINTS = 600  # frequencies of an impedance, besides those near resonances
 FINE = 4000  # lines of a surface mesh, from which only its edges are drawn

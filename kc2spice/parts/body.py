@@ -31,6 +31,7 @@ import numpy as np
 from pydantic import Field, StringConstraints, model_validator
 
 from kc2spice.bodies import device as fe
+from kc2spice.bodies.undamped import FiniteElementModel
 from kc2spice.core.cache import cached
 from kc2spice.core.domains import ELECTRICAL
 from kc2spice.core.errors import UsageError, candidates, part_named, wrong
@@ -276,7 +277,7 @@ class BodyKeys(FieldKeys):
 
 def device(
     keys: BodyKeys | Mapping[str, Any], home: Path, where: str = "body"
-) -> fe.FiniteElementModel:
+) -> FiniteElementModel:
     """Read the mesh (relative to ``home``), name its groups, assemble.
 
     ``refine`` divides the size of the elements; a ``.msh`` is split so often that its edges are at
@@ -541,7 +542,7 @@ class Body(MeshedBody):
         yield Figure(f"{part.name}_mesh", f"Mesh of {part.name}", caption, (panel,))
         yield from super().figures(part, build, waves)
 
-    def make(self, part: Part, scene: GovernedScene) -> fe.FiniteElementModel:
+    def make(self, part: Part, scene: GovernedScene) -> FiniteElementModel:
         return device(part.keys, scene.home, part.name)
 
 

@@ -43,8 +43,8 @@ from kc2spice.spice.realize import COARSE, THROWING, StepWeights
 
 # Mesh and solver modules are imported on use: most runs find their models in the cache.
 if TYPE_CHECKING:
-    from kc2spice.bodies.device import FiniteElementModel
     from kc2spice.bodies.pressure import LocalCompliance, PressureBasis
+    from kc2spice.bodies.undamped import FiniteElementModel
 
 USUAL = 250e3  # Hz, where the paper's chip is damped by 1 %
 # Damping ratio there below which modes ring on through a kick, so that the errors of steps add up:

@@ -8,9 +8,9 @@ import pytest
 from drawn_meshes import box_groups, drawn, rows
 from test_body import section, slabs, write
 
-from kc2spice.bodies.device import undamped_answers
 from kc2spice.bodies.stack import stack_device
 from kc2spice.bodies.stack_keys import Chip
+from kc2spice.bodies.undamped import undamped_answers
 from kc2spice.core.progress import Clock
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.fem.materials import material
