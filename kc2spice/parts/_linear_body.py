@@ -10,7 +10,9 @@ import warnings
 from abc import abstractmethod
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, replace
+from fnmatch import fnmatch
 from functools import lru_cache
+from functools import reduce as reduce_with
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -22,7 +24,7 @@ from kc2spice.core.cache import cached
 from kc2spice.core.domains import BASE, PORTS, REFERENCES, TRANSLATION
 from kc2spice.core.errors import SimulationError, UsageError, unknown, wrong
 from kc2spice.core.figure import Figure, Written
-from kc2spice.core.mesh_error import NOT_ESTIMATED
+from kc2spice.core.mesh_error import IN_PLANE, NOT_ESTIMATED
 from kc2spice.core.progress import Clock
 from kc2spice.core.quantities import Section, Voltage
 from kc2spice.core.untrusted_files import identifier
@@ -96,6 +98,14 @@ UNASKED = 1e-4  # tolerance over a box of parameters where an order is the defau
 NO_ENERGY = 1e-13  # rounding error of an energy, relative to that of the stiffest motion
 LEAST = 10e3  # Hz of a transient's band at least: what switches in the circuit is not known
 MOTIONS = 20  # natural frequencies that a band reaches unasked: above them the mesh decides
+# Relative error of a mesh above which a run warns and ``verify`` fails: what a data sheet states of
+# a part. By the facts of a model that it is an error of.
+COARSE_MESH = {"first resonance": 0.03, "capacitance": 0.05, "stroke": 0.1}
+MESH_FACTS = {
+    "first resonance": "resonance_short_hz",
+    "capacitance": "capacitance_free_f",
+    "stroke": "free_stroke_*",
+}
 STORED = 0.1  # limit relative to the stored energy; after a pulse a chip rings at up to 30 MHz
 UNPRESSED = 1e-9  # zero load, relative to the largest force or energy; far above rounding
 
@@ -882,6 +892,41 @@ class LinearBody(Touching):
             )
         yield from self.neglected(part, scene)
 
+    def dimensions(self, part: Part) -> int:
+        """Number of dimensions of the mesh."""
+        return 3
+
+    def finer_mesh(
+        self, part: Part, build: Build, clock: Clock, most: float
+    ) -> Iterator[Check | str]:
+        if not self.discretisations:
+            return
+        (key,), facts = self.discretisations, build.facts(part)
+        dimensions = self.dimensions(part)
+        unknowns = facts.get("unknowns", 0.0) * TWICE**dimensions
+        most *= IN_PLANE if dimensions == 2 else 1.0
+        cause = f"{unknowns:,.0f} unknowns, more than {most:,.0f}".replace(",", " ")
+        finer = None
+        if unknowns <= most:
+            try:
+                doubled = with_values(part, {key: TWICE * _value_of(part, key)})
+                with clock.stage("full model", f"{part.name}: mesh half as wide"):
+                    finer = self.full(doubled, build.scene, clock).facts
+            except UsageError as error:
+                cause = str(error.message)
+        if finer is None:
+            yield f"{part.name}: no mesh half as wide ({cause}); {self.discretisation(part, build)}"
+            return
+        for words, limit in COARSE_MESH.items():
+            changes = (
+                abs(value / finer[name] - 1)
+                for name, value in facts.items()
+                if fnmatch(name, MESH_FACTS[words]) and finer.get(name)
+            )
+            change = max(changes, default=None)
+            if change is not None:
+                yield Check(f"mesh of {part.name} half as wide, {words}", change, limit)
+
     def discretisation(self, part: Part, build: Build) -> str:
         """Error estimate of its mesh, or why there is none."""
         return super().discretisation(part, build) or f"mesh: {NOT_ESTIMATED}"
@@ -890,6 +935,11 @@ class LinearBody(Touching):
         """Modules whose text the models of this type depend on, for the cache."""
         classes = (kind.__module__ for kind in type(self).__mro__ if issubclass(kind, LinearBody))
         return (*SOURCES, *classes)
+
+
+def _value_of(part: Part, key: str) -> int:
+    """The value of a dotted key of a part, a number of pieces."""
+    return int(reduce_with(getattr, key.split("."), part.keys))
 
 
 def _with_units(figures: Mapping[str, Any]) -> dict[str, Any]:

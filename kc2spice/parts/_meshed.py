@@ -25,7 +25,7 @@ from kc2spice.core.mesh_error import mesh_errors
 from kc2spice.core.progress import Clock
 from kc2spice.core.quantities import Time
 from kc2spice.core.waveforms import Waveforms
-from kc2spice.parts._linear_body import LinearBody, LinearKeys
+from kc2spice.parts._linear_body import COARSE_MESH, LinearBody, LinearKeys
 from kc2spice.parts._neglected import (
     Envelope,
     beam_envelope,
@@ -50,8 +50,6 @@ if TYPE_CHECKING:
     from kc2spice.bodies.fields import Extreme, NodalMotion
     from kc2spice.bodies.undamped import FiniteElementModel
 
-# Estimated relative error of a mesh above which a run warns: what a data sheet states of a part.
-COARSE = {"first resonance": 0.03, "capacitance": 0.05, "stroke": 0.1}
 TOO_COARSE = "refine the mesh (its key refine), or set error_budget, which refines all settings"
 MOST = 20  # instants that one run writes
 MODES = 6  # drawn at most, the lowest ones
@@ -106,10 +104,6 @@ class MeshedBody(LinearBody):
     def envelope(self, part: Part, scene: DeclaredScene) -> Envelope:
         """Its outer size, for the sizes of effects that it lacks."""
 
-    def dimensions(self, part: Part) -> int:
-        """Number of dimensions of the mesh."""
-        return 3
-
     def support(self, part: Part) -> str:
         """Support of the body in words."""
         return f"support is {part.keys.support}, ideal"
@@ -162,9 +156,11 @@ class MeshedBody(LinearBody):
     def checks(self, part: Part, build: Build, waves: Waveforms) -> Iterator[Check | Balance]:
         yield from super().checks(part, build, waves)
         for words, error in mesh_errors(build.facts(part)).items():
-            if words in COARSE:
+            if words in COARSE_MESH:
                 name = f"mesh of {part.name}, {words}"
-                yield Check(name, error, COARSE[words], "relative, estimated", TOO_COARSE, "warn")
+                yield Check(
+                    name, error, COARSE_MESH[words], "relative, estimated", TOO_COARSE, "warn"
+                )
         recovered = self.recovered(part, build, waves)
         for item in recovered.extremes if recovered else ():
             if item.limit is not None:
@@ -243,6 +239,7 @@ def chosen(part: Part) -> tuple[float, ...]:
 class BondedBody(MeshedBody):
     """A body of blocks: a subclass gives their :meth:`structure` from its keys."""
 
+    discretisations = ("mesh.refine",)
     structure: Callable[[Any, str], Bonded]
 
     def bonded(self, part: Part) -> Bonded:

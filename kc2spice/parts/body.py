@@ -457,6 +457,7 @@ def _shares(port: PortKeys, groups: mesh_file.GroupedMesh, solid: Solid) -> np.n
 class Body(MeshedBody):
     name = "body"
     title = "the user's own mesh (piezoelectric FE, reduced)"
+    discretisations = ("refine",)
     schema = BodyKeys
     source = "FE (piezoelectric, the user's mesh)"
     ports_of_files = True

@@ -13,6 +13,7 @@ from pydantic import Field
 from kc2spice.core import laws
 from kc2spice.core.errors import UsageError
 from kc2spice.core.figure import Curve, Figure, Panel, time_axis
+from kc2spice.core.progress import Clock
 from kc2spice.core.quantities import (
     Length,
     Notch,
@@ -52,6 +53,7 @@ REDUCED, BEYOND, WORST_LAUNCH = 0.4, 1e-3, 1e-2
 MISSING = 1e-3  # energy that the springs may make or lose, of what went through them
 STIFFEST = 1e15  # N/m; a gram on it rings at 160 GHz, which no simulator ends to follow
 CARRYING = 3.0  # basis functions across a contact's radius: 5e-3 off, half as many 3e-2
+COARSE_BASIS = 3e-2  # error estimate of the force by the pressure basis functions: see CARRYING
 OPEN = 0.95  # largest motion of an omitted ring, relative to its gap
 # Contact events of a kick that a reltol is good for, times that reltol: every event adds the error
 # of a step. Among 37 kicks of chips damped by 0.01 to 0.05 %, kicks above this limit had launch
@@ -153,6 +155,7 @@ class Contact(DeclaredPart):
 
     name = "contact"
     title = "unilateral penalty contact"
+    discretisations = ("spacing",)
     schema = ContactKeys
 
     def detail(self, part: Part, scene: GovernedScene) -> Pair:
@@ -297,6 +300,14 @@ class Contact(DeclaredPart):
             for word, share in _sums(pair).items()
         }
         return replace(result, results=result.results | sums)
+
+    def finer_mesh(
+        self, part: Part, build: Build, clock: Clock, most: float
+    ) -> Iterator[Check | str]:
+        """The force on pressure basis functions half as wide."""
+        if part.keys.shape == "pressure":
+            name = f"force of {part.name}, pressure basis functions half as wide"
+            yield Check(name, pair_of(part, build.scene).unresolved(), COARSE_BASIS)
 
     def discretisation(self, part: Part, build: Build) -> str:
         return f"mesh: {SPACED}" if part.keys.shape == "pressure" else ""

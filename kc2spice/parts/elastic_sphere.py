@@ -47,6 +47,7 @@ class ElasticSphere(LinearBody):
     title = "elasticity of a sphere, relative to its centre of mass (axisymmetric FE, reduced)"
     schema = ElasticSphereKeys
     source = "FE (elastic, axisymmetric, free)"
+    discretisations = ("mesh.refine",)
     example = """
 [impact]
 
@@ -59,6 +60,9 @@ shape = "pressure"
 [sphere]
 elastic = true
 """
+
+    def dimensions(self, part: Part) -> int:
+        return 2
 
     def ports(self, part: Part, scene: DeclaredScene) -> tuple[Port, ...]:
         return (Port(PATCH, TRANSLATION.port),)

@@ -150,6 +150,8 @@ class Patched(DeclaredPart):
 class Gap(Patched):
     """The part type; how many branches it has is up to its keys."""
 
+    discretisations = ("film.branches",)
+
     def declared(self, part: Part, scene: GovernedScene) -> Declaration:
         return self._with_branches(part, scene, branches_of(part, scene))
 

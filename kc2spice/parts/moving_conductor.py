@@ -60,6 +60,7 @@ SCREENED = 0.5  # inductance of a coil over a conductor, relative to that withou
 BEYOND = 2.0  # largest frequency of a run's currents, relative to the resolved frequency
 SEEN = 0.99  # share of energy below that frequency; a sine of few periods has some above its own
 ROUGH = 0.02  # largest relative error of flux, force and loss by the rings
+MOVED = 1e-3  # largest change of the way of a magnet by a field of a tenth of its tolerance
 LEAST_CHANGE = 0.1  # part of the error of the rings that finer ones are taken to show at least
 
 
@@ -205,6 +206,7 @@ def declared(part: Part, model: Ladder) -> Declaration:
 class MovingConductor(DeclaredPart):
     name = "moving_conductor"
     title = "conducting body that moves along coils and magnets (eddy currents)"
+    discretisations: ClassVar[tuple[str, ...]] = ("rings", "frequency", "tolerance")
     schema: type[Section] = MovingConductorKeys
     parameters: ClassVar[type[Section]] = Conduction
     rating = "not known; i^2 resistance heats each coil, the eddy currents the body"
@@ -343,6 +345,10 @@ class MovingConductor(DeclaredPart):
             limits = {"rom_vs_fom": ROUGH, "ngspice_vs_fom": ROUGH}
             of = f"{part.name}.{_coil('*')}_v"
             yield Gate(f"coils' voltages of {part.name}", of, limits, "largest")
+        elif "time" in waves:
+            of, limits = f"{part.name}.y", {"rom_vs_fom": MOVED}
+            words = f"height of {part.name} over its way, a tenth of its tolerance"
+            yield Gate(words, of, limits, "travel", discretisation=True)
         yield from super().checks(part, build, waves)
 
     def figures(self, part: Part, build: Build, waves: Waveforms) -> Iterator[Figure]:

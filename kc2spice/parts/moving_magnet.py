@@ -63,6 +63,7 @@ def demagnetising(inner: float, outer: float, height: float) -> float:
 class MovingMagnet(MovingConductor):
     name = "moving_magnet"
     title = "magnet that moves along coils and magnets"
+    discretisations = ("tolerance",)
     schema = MovingMagnetKeys
     parameters = Magnetisation
     rating = "not known; i^2 resistance heats each coil, heat and opposing fields demagnetise"

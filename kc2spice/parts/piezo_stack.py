@@ -138,6 +138,7 @@ class Stack(Chip, FieldKeys):
 class PiezoStack(MeshedBody):
     name = "piezo_stack"
     title = "layered piezoelectric chip (3-D FE, reduced)"
+    discretisations = ("mesh.refine",)
     schema = Stack
     source = "FE (piezoelectric, linear)"
 

@@ -22,7 +22,7 @@ from kc2spice.core.domains import BASE, DISPLACEMENT, TRANSLATION
 from kc2spice.core.errors import UsageError
 from kc2spice.core.figure import Curve, Figure, Panel, Shape, Written
 from kc2spice.core.magnets import FORCE, POWERS, EMTable, cubic_spline
-from kc2spice.core.mesh_error import mesh_errors, mesh_words
+from kc2spice.core.mesh_error import IN_PLANE, mesh_errors, mesh_words
 from kc2spice.core.progress import Clock
 from kc2spice.core.quantities import MU_0, si
 from kc2spice.core.waveforms import Waveforms
@@ -35,7 +35,7 @@ from kc2spice.parts._touching import Penetration, Touching, impact_penetration
 from kc2spice.parts.netlist import driver
 from kc2spice.parts.sphere import offset, sphere_of
 from kc2spice.physics import coils
-from kc2spice.scene.checks import Check, Metric
+from kc2spice.scene.checks import Check, Gate, Metric
 from kc2spice.scene.model import (
     GROUND,
     Build,
@@ -54,6 +54,7 @@ from kc2spice.spice.header import library
 MAGNET_CONDUCTIVITY = 150e3  # S/m, paper table A1
 
 UNRATED = "not known; compare the coils' currents with what their wire stands"
+FINER = 2  # cells along each edge of the mesh in verify, of those of the table
 DENSER = 4  # heights of the table that the shipped one is compared with, per interval
 POINTS = 201  # points of each lookup; the error between them is 6e-6 of the largest force
 COARSE = 1e-2  # largest error of the spline between heights, relative to the largest force
@@ -244,6 +245,7 @@ class RingMagnetCoils(Touching):
     title = "ring magnet and two coils that pull a magnetic sphere (axisymmetric FE, force table)"
     schema = Coils
     source = "FE (magnetostatic, axisymmetric)"
+    discretisations = ("positions", "refine")
 
     def expand(self, part: Part, data: Mapping[str, object]) -> Mapping[str, Mapping[str, object]]:
         if part.keys.driver is None:
@@ -422,7 +424,39 @@ class RingMagnetCoils(Touching):
             "coil_current_peak_a": Metric(float(np.abs(current).max()), "A"),
         }
 
-    def checks(self, part: Part, build: Build, waves: Waveforms) -> Iterator[Check]:
+    def finer_mesh(
+        self, part: Part, build: Build, clock: Clock, most: float
+    ) -> Iterator[Check | str]:
+        """Force and inductance at some heights, with cells half as wide."""
+        from kc2spice.fem.magnet_field import catch_table, some_positions
+
+        table, keys = build.model(part, EMTable), part.keys
+        unknowns = FINER**2 * table.facts["unknowns"]
+        if unknowns > IN_PLANE * most:
+            cause = f"{unknowns:.0f} unknowns, more than {IN_PLANE * most:.0f}"
+            yield f"{part.name}: no mesh half as wide ({cause}); {self.discretisation(part, build)}"
+            return
+        settings = {"positions": some_positions(keys.positions), "refine": FINER * keys.refine}
+        unit = self._unit(part, settings["positions"]).model_copy(update=settings)
+        key = {**self.model_key(part, build.scene), "finer": settings}
+
+        def finer() -> EMTable:
+            with clock.stage("full model", f"{part.name}: mesh half as wide") as share:
+                return catch_table(unit, key["radius"], share)
+
+        fine = cached("catch", key, finer, classes=(EMTable,), sources=SOURCES)
+        fine = fine.magnetised(keys.remanence, keys.shift)
+        step = (table.y.size - 1) // (fine.y.size - 1)
+        current = largest_current(part, build.scene)
+        pulls = [_pulls(item, current) for item in (table.coefficients[::step], fine.coefficients)]
+        largest = np.abs(pulls[1]).sum(axis=0).max()
+        changed = np.abs(pulls[0] - pulls[1]).sum(axis=0).max() / largest
+        yield Check(f"mesh of {part.name} half as wide, force", float(changed), COARSE)
+        changed = np.abs(table.inductance[::step] - fine.inductance).max()
+        changed /= np.abs(fine.inductance).max()
+        yield Check(f"mesh of {part.name} half as wide, inductance", float(changed), COARSE)
+
+    def checks(self, part: Part, build: Build, waves: Waveforms) -> Iterator[Check | Gate]:
         y = waves.data.get(f"{sphere_of(part, build.scene).name}.y")
         if y is None or "time" not in waves:
             return
@@ -438,6 +472,9 @@ class RingMagnetCoils(Touching):
         advice = f"too few heights: raise {part.name}.positions"
         unit = "of the largest force"
         yield Check(name, coarse, COARSE, unit, advice, action, discretisation=True)
+        of, limits = f"{sphere_of(part, build.scene).name}.y", {"rom_vs_fom": COARSE}
+        words = f"height over its way, {DENSER} times the positions of {part.name}"
+        yield Gate(words, of, limits, "travel", discretisation=True)
         for words, error in mesh_errors(build.facts(part)).items():
             if error > COARSE:
                 name, advice = f"mesh of {part.name}, {words}", f"raise {part.name}.refine"

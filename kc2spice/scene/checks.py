@@ -147,7 +147,8 @@ class Gate:
     * *spectral*: each entry of a response by its size, at least 1e-6 of its peak.
 
     ``share`` is the part of the scale, from its start on, that is looked at; ``leads`` says whether
-    it stands for the scene in ``errors``.
+    it stands for the scene in ``errors``. In a transient, a gate of the ``discretisation`` of a
+    part compares with a finer one of this part alone.
     """
 
     words: str
@@ -157,3 +158,4 @@ class Gate:
     unit: str = "1"
     leads: bool = False
     share: float = 1.0
+    discretisation: bool = False

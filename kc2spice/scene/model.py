@@ -565,6 +565,9 @@ class PartType:
     follows_frames: ClassVar[bool] = False
     #: whether files name the ports of its bodies
     ports_of_files: ClassVar[bool] = False
+    #: dotted keys that divide it into finitely many pieces, or cut a series off: ``verify``
+    #: compares with twice as many
+    discretisations: ClassVar[tuple[str, ...]] = ()
     #: what has noise: cards of its subcircuit that are resistors of the device, or words for it
     noise: tuple[str, ...] | str = ()
 
@@ -723,6 +726,17 @@ class PartType:
         """Laws of physics that the netlist lacks; after a transient its energy balance too, where
         the run has all that it needs; and the results that the scene is run for, with how far two
         solution paths may differ in them."""
+        return ()
+
+    def finer_mesh(
+        self, part: Part, build: Build, clock: Clock, most: float
+    ) -> Iterable[Check | str]:
+        """Compare its model with that of a mesh half as wide, of at most so many unknowns.
+
+        Plane meshes may have :data:`kc2spice.core.mesh_error.IN_PLANE` times as many.
+        Yields checks of the differences, or in words why there is none. Keys of which a ``full``
+        model has more need none.
+        """
         return ()
 
     def standing(self, part: Part, build: Build, point: Waveforms) -> Iterable[Check]:

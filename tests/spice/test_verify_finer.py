@@ -8,8 +8,15 @@ from films import FILM
 from typer.testing import CliRunner
 
 from kc2spice.cli.main import app
+from kc2spice.core.progress import Clock, silent
+from kc2spice.core.quantities import Notch, submodel
 from kc2spice.equations.scene_laws import SceneLaws
+from kc2spice.parts._linear_body import COARSE_MESH
 from kc2spice.scene.load import load_scene
+from kc2spice.scene.model import Build
+from kc2spice.scene.parttype import part_type, type_names
+from kc2spice.scene.settings import Rom
+from kc2spice.workflow.models import build_models
 
 verify = importlib.import_module("kc2spice.workflow.verify.verify")
 
@@ -57,3 +64,106 @@ def test_verify_counts_in_time_the_films_error_at_the_frequencies_of_the_run(
     assert film["passed"] is passed
     assert (film["value"] > 0.05) is not passed
     assert any("not solved in time with a finer discretisation" in n for n in record["notes"])
+
+
+# --- every key that divides a part into pieces ----------------------------------------------------
+
+
+def discretisations(schema, prefix=""):
+    """Dotted keys of a schema that are marked as the fineness of a model."""
+    for name, declared in schema.model_fields.items():
+        inner = submodel(declared.annotation)
+        if inner is not None and inner is not Rom:
+            yield from discretisations(inner, f"{prefix}{name}.")
+        if any(isinstance(mark, Notch) and mark.model for mark in declared.metadata):
+            yield f"{prefix}{name}"
+
+
+@pytest.mark.parametrize("name", type_names())
+def test_verify_knows_each_key_that_makes_a_model_finer(name):
+    kind = part_type(name)
+    assert set(discretisations(kind.schema)) <= set(kind.discretisations)
+
+
+DISC = {
+    "disc": {"part": "disc", "support": "clamped", "pins": {"anode": "drive.out", "cathode": "gnd"},
+             "layers": [{"material": "brass", "diameter": "20 mm", "thickness": "0.2 mm"},
+                        {"material": "PZT-5A", "diameter": "15 mm", "thickness": "0.22 mm"}]},
+    "drive": {"part": "source", "ac": 1.0},
+    "analysis": {"type": "ac", "start": 1e3, "stop": 2e3, "points": 2},
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(("refine", "passed"), [(1, False), (3, True)])
+def test_verify_halves_the_mesh_of_a_body(refine, passed, tmp_path, monkeypatch):
+    """The error of the resonance is one of the size of an element, squared: against a mesh of a
+    quarter of its size by what verify finds."""
+    monkeypatch.setitem(COARSE_MESH, "first resonance", 1e-3)
+    scene = load_scene(DISC, {"disc.mesh.refine": refine})
+    record = verify.verify([scene], tmp_path / "out")["scenes"][scene.name]
+    (found,) = (c for c in record["checks"] if "half as wide, first resonance" in c["name"])
+    assert found["passed"] is passed
+    assert {"capacitance", "stroke"} <= {c["name"].split(", ")[-1] for c in record["checks"]}
+    hertz = [
+        build_models(load_scene(DISC, {"disc.mesh.refine": n}), Clock(silent)).models["disc"]
+        for n in (refine, 2 * refine)
+    ]
+    coarse, fine = (model.facts["resonance_short_hz"] for model in hertz)
+    assert found["value"] == pytest.approx(abs(coarse / fine - 1), rel=1e-6)
+
+
+def test_a_mesh_that_is_too_large_to_halve_is_noted(tmp_path, monkeypatch):
+    monkeypatch.setattr(verify, "FEW_UNKNOWNS", 100)
+    scene = load_scene(DISC)
+    record = verify.verify([scene], tmp_path / "out")["scenes"][scene.name]
+    assert not any("half as wide" in check["name"] for check in record["checks"])
+    assert any("disc: no mesh half as wide" in note for note in record["notes"])
+
+
+FLIGHT = {
+    "sphere": {"radius": "1 mm", "velocity": "0.3 m/s", "height": "1.5 mm"},
+    "catch": {"y_min": "-1 mm", "y_max": "6 mm", "air_radius": "8 mm", "air_height": "20 mm"},
+    "analysis": {"stop": "4 ms"},
+}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("positions", "passed"), [(5, False), (41, True)])
+def test_verify_has_more_heights_of_a_field_in_time(positions, passed, tmp_path):
+    """A spline through five heights misses the field between them, and with it the flight."""
+    scene = load_scene(FLIGHT, {"catch.positions": positions})
+    record = verify.verify([scene], tmp_path / "out")["scenes"][scene.name]
+    (flight,) = (c for c in record["checks"] if "times the positions of catch" in c["name"])
+    assert flight["passed"] is passed
+    meshes = {c["name"]: c for c in record["checks"] if "mesh of catch half as wide" in c["name"]}
+    assert all(check["passed"] for check in meshes.values())
+    assert len(meshes) == 2
+
+
+SHAKER = {
+    "magnet": {"part": "moving_magnet", "radius": "3 mm", "thickness": "4 mm", "remanence": "1.2 T",
+               "y_min": "-2 mm", "y_max": "2 mm", "pins": {"coil_p": "drive.out", "a": "spring.a"},
+               "coils": {"coil": {"radius": "4 mm", "width": "2 mm", "height": "3 mm", "y": "-6 mm",
+                                  "turns": 200, "resistance": "10 Ohm"}}},
+    "mass": {"part": "mass", "mass": "1 g", "pins": {"a": "spring.a"}},
+    "spring": {"part": "spring", "stiffness": "400 N/m"},
+    "drive": {"part": "source", "sine": {"amplitude": "3 V", "frequency": "100 Hz"}},
+    "analysis": {"stop": "10 ms"},
+    "gravity": 0.0,
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(("tolerance", "passed"), [(0.09, False), (1e-5, True)])
+def test_verify_has_a_closer_field_of_a_magnet_in_time(tolerance, passed, tmp_path):
+    scene = load_scene(SHAKER, {"magnet.tolerance": tolerance})
+    record = verify.verify([scene], tmp_path / "out")["scenes"][scene.name]
+    (height,) = (c for c in record["checks"] if "a tenth of its tolerance" in c["name"])
+    assert height["passed"] is passed
+
+
+@pytest.mark.parametrize(("spacing", "passed"), [("20 um", False), ("10 um", True)])
+def test_verify_halves_the_basis_of_a_pressure(spacing, passed):
+    scene = load_scene("impact", {"contact.shape": "pressure", "contact.spacing": spacing})
+    (part,) = scene.of("contact")
+    (check,) = part.type.finer_mesh(part, Build(scene, {}), Clock(silent), 1e9)
+    assert check.passed is passed

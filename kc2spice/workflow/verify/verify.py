@@ -17,6 +17,7 @@ import numpy as np
 
 from kc2spice.core.errors import UsageError
 from kc2spice.core.files import staged
+from kc2spice.core.memory import available_bytes
 from kc2spice.core.progress import Clock, Progress, silent
 from kc2spice.core.waveforms import Waveforms, write_record
 from kc2spice.equations.replay import replayed_nets, replayed_vectors
@@ -32,11 +33,13 @@ from kc2spice.scene.resolve import resolve
 from kc2spice.sim.ngspice import find_ngspice
 from kc2spice.workflow.decks import prepared
 from kc2spice.workflow.metrics import metrics, verdict
+from kc2spice.workflow.refine import FREE_SHARE, MOST_UNKNOWNS, factor_bytes
 from kc2spice.workflow.simulate import ran
 from kc2spice.workflow.verify.bodies import verify_body
 from kc2spice.workflow.verify.full_models import finer_build, full_build, full_solution
 from kc2spice.workflow.verify.law_solution import solve
 
+FEW_UNKNOWNS = 30_000  # of a mesh half as wide as that of the run: seconds, with little memory
 LOADED = 1e-6  # least value with a meaningful relative error, over the largest value
 LONGER, SPARE = 5.0, 30.0  # times, and s, that a finer discretisation may take beside the run's
 STILL = 1e-9  # largest motion at rest, by rounding errors, relative to the size
@@ -342,6 +345,12 @@ class _Verification:
             if part.reduced:
                 folder = self.work / part.name
                 verify_body(part, build, libraries, self.clock, folder, self.thorough, result)
+            most = _most_unknowns() if self.thorough else FEW_UNKNOWNS
+            for row in part.type.finer_mesh(part, build, self.clock, most):
+                if isinstance(row, Check):
+                    result.checks.append(row)
+                else:
+                    result.notes.append(row)
         laws = scene_laws(build)
         result.left_out = laws.missing
         timed = build.scene.analysis.type == "transient"
@@ -418,10 +427,15 @@ class _Verification:
         scene, gates = self.build.scene, self.verdict.gates
         stated = {part for part, gate in gates if "rom_vs_fom" in gate.limits}
         parts = [name for name, part in scene.parts.items() if name in stated and not part.reduced]
-        finer = finer_build(self.build, parts, self.clock)
+        names = ", ".join(parts)
+        try:
+            finer = finer_build(self.build, parts, self.clock)
+        except UsageError as error:
+            cause = " ".join(filter(None, (error.where, error.message)))
+            self.outcome.notes.append(f"no finer discretisation of {names}: {cause}")
+            return
         if finer is None:
             return
-        names = ", ".join(parts)
         try:
             with self.clock.stage("full model", f"finer discretisation of {names}") as progress:
                 share = progress if self.thorough else _limited(progress, seconds)
@@ -438,13 +452,19 @@ class _Verification:
         finer_gates = [item for item in gates if item[0] in self.finer]
         self.outcome.checks += gate_limits(finer_gates, "rom_vs_fom", solutions["rom"], exact)[0]
 
+    def _gates_of_models(self) -> list[tuple[str, Gate]]:
+        """The gates without those of discretisations, which only finer ones meet in time."""
+        timed = self.build.scene.analysis.type == "transient"
+        gates = self.verdict.gates
+        return [item for item in gates if not (timed and item[1].discretisation)]
+
     def _pairs(self, name: str, solutions: Mapping[str, Solution]) -> list[OutputError]:
         """Gates of the parts, errors of all waves and figures, of each pair with the last."""
         last = list(solutions)[-1]
         outputs: list[OutputError] = []
         for pair in (p for p in PAIRS if p.endswith(last)):
             ours, exact = solutions[pair.partition("_")[0]], solutions[last]
-            limits, leading = gate_limits(self.verdict.gates, pair, ours, exact)
+            limits, leading = gate_limits(self._gates_of_models(), pair, ours, exact)
             self.outcome.checks += limits
             errors = output_errors(pair, ours.waves, exact.waves)
             leading = max((e.rms for e in errors), default=None) if leading is None else leading
@@ -506,7 +526,7 @@ class _Verification:
     def _stepped(self, waves: Waveforms, coarse: Waveforms) -> None:
         """Compare the effect of steps twice as long with each gate."""
         ours, exact = solution(coarse, self.build), solution(waves, self.build)
-        for limit in gate_limits(self.verdict.gates, "rom_vs_fom", ours, exact)[0]:
+        for limit in gate_limits(self._gates_of_models(), "rom_vs_fom", ours, exact)[0]:
             words = limit.name.replace("ROM to full model", "full model, steps halved")
             self.outcome.checks.append(replace(limit, name=words))
         moved = output_errors("steps", coarse, waves)
@@ -527,6 +547,12 @@ class _Verification:
             result.metrics["rom_order"] = model.order
             if "unknowns" in model.facts:
                 result.metrics["unknowns"] = model.facts["unknowns"]
+
+
+def _most_unknowns() -> float:
+    """Unknowns of the finest mesh in space that the free memory and :data:`MOST_UNKNOWNS` allow."""
+    share = FREE_SHARE * available_bytes() / factor_bytes(1.0, 3)
+    return min(MOST_UNKNOWNS, share**0.75)  # the memory grows by the power 4/3
 
 
 class _TooLongError(Exception):
