@@ -734,8 +734,8 @@ def _resonators(
     scale = scales(gain, terminals)[:, None]
     numbers = range(1, len(order) + 1)
     turn = omega * heavy  # the others have no velocity, and no node for it
-    light, lost = (damp < LIGHT * omega) * heavy, damp * heavy
-    rates = [[-turn * light, turn], [-turn - (turn - lost) * light, turn * light - lost]]
+    light, losses = (damp < LIGHT * omega) * heavy, damp * heavy
+    rates = [[-turn * light, turn], [-turn - (turn - losses) * light, turn * light - losses]]
     drive = heavy[:, None] * scale * gain / (omega[:, None] * MICRO)
     states = _States(
         [f"{node}{j}" for node in "qp" for j in numbers],

@@ -192,12 +192,12 @@ def _larger_order(run: Run, part: Part, check: Check, clock: Clock) -> _Search:
             end = f"a run with {larger.order} states takes about {seconds:.2g} s of CPU, more than "
             end += f"{MOST_SECONDS:g} s, and is not tried"
             break
-        found = kind.error_under_load(part, build, run.waves, larger)
-        if found is None:
+        estimate = kind.error_under_load(part, build, run.waves, larger)
+        if estimate is None:
             end = "there is no model of more states to compare larger ones with"
             break
-        if found[0] < least:
-            least, states = found[0], (model.order, larger.order)
+        if estimate[0] < least:
+            least, states = estimate[0], (model.order, larger.order)
             errors = check.value, least
             result = Larger(part.name, keys, states, errors, check.limit, seconds)
         if least <= check.limit and result is not None:
@@ -229,6 +229,6 @@ def _largest_error(run: Run, names: Sequence[str]) -> float:
         part = run.build.scene.parts[name]
         assert isinstance(part.type, LinearBody)
         model = run.build.model(part, LinearModel)
-        found = part.type.error_under_load(part, run.build, run.waves, model)
-        result = max(result, math.inf if found is None else found[0])
+        errors = part.type.error_under_load(part, run.build, run.waves, model)
+        result = max(result, math.inf if errors is None else errors[0])
     return result

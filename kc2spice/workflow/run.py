@@ -42,7 +42,7 @@ class Completed:
     converged: Converged | None = None
 
     @cached_property
-    def shown(self) -> tuple[Figure | Written, ...]:
+    def page_items(self) -> tuple[Figure | Written, ...]:
         """Figures of probes and parts, and further files."""
         build, waves, units = self.run.build, self.run.waves, self.run.deck.units
         result: list[Figure | Written] = []
@@ -56,7 +56,7 @@ class Completed:
     @property
     def figures(self) -> tuple[Figure, ...]:
         """Figures of the run."""
-        return tuple(item for item in self.shown if isinstance(item, Figure))
+        return tuple(item for item in self.page_items if isinstance(item, Figure))
 
     @cached_property
     def record(self) -> dict[str, Any]:
@@ -175,13 +175,15 @@ def complete(
     simulator, clock, automatic = find_ngspice(), Clock(progress), dict[str, Any]()
     with kept_on_failure(work, out, scene.name):
         while True:
-            build, made = prepared(scene, clock, trust=trust, functions=functions, edited=deck)
+            build, prepared_deck = prepared(
+                scene, clock, trust=trust, functions=functions, edited=deck
+            )
             if out is not None:
-                spare_other_decks(out, made.files)
-            announce_ringing(build, made)
+                spare_other_decks(out, prepared_deck.files)
+            announce_ringing(build, prepared_deck)
             try:
                 with clock.stage("simulate", f"{simulator.name} {simulator.version}") as share:
-                    result = simulate_deck(build, made, work, progress=share)
+                    result = simulate_deck(build, prepared_deck, work, progress=share)
                 break
             except RetriesFailedError as error:
                 suggested = suggested_keys(error, automatic) if deck is None else {}
@@ -206,17 +208,17 @@ def complete(
 
 def _judged(converged: Converged) -> Run:
     """The run that holds the error budget, with the check of its estimate."""
-    taken, check = converged.final, converged.check
-    if taken.settings:
-        settings = ", ".join(taken.settings)
+    final, check = converged.final, converged.check
+    if final.settings:
+        settings = ", ".join(final.settings)
         warnings.warn(
             f"error_budget {check.limit:g}: the run used finer {settings}; the written deck and "
             "models contain these settings",
             stacklevel=2,
         )
-    require((check,), taken.run.build.scene.name)
-    verdict = taken.run.verdict
-    return replace(taken.run, verdict=replace(verdict, checks=(*verdict.checks, check)))
+    require((check,), final.run.build.scene.name)
+    verdict = final.run.verdict
+    return replace(final.run, verdict=replace(verdict, checks=(*verdict.checks, check)))
 
 
 def write_run_files(
@@ -228,16 +230,16 @@ def write_run_files(
         record = dict(done.record)
         texts = deck.files | plot_script(deck)
         write_files(texts, work)
-        files, shown = [*sorted(texts), *write_waveforms(waves, deck.units, work)], done.figures
-        for item in done.shown:
+        files, figures = [*sorted(texts), *write_waveforms(waves, deck.units, work)], done.figures
+        for item in done.page_items:
             if isinstance(item, Written):
                 item.write(work / item.name)
                 files.append(item.name)
-        files += draw_all(work, shown) if png else []
+        files += draw_all(work, figures) if png else []
     spare = [work / f"{scene.name}.raw", *work.glob(f"{scene.name}*.log")]
     files += [path.name for path in spare if keep and path.exists()]
     record["files"] = [*files, "report.html", "result.json"]
-    write_run(work / "report.html", record, scene, shown)
+    write_run(work / "report.html", record, scene, figures)
     result = write_record(record, work)
     for path in spare if not keep else ():
         path.unlink(missing_ok=True)

@@ -66,10 +66,10 @@ def largest_step(build: Build) -> StepLimit:
     )
     linearised = linearised_scene(build)
     motions = linearised.motions
-    whole = not linearised.missing and all(
+    known = not linearised.missing and all(
         motion is not None and motion.linear.exact for motion in motions
     )
-    if not whole and start.step > UNKNOWN:
+    if not known and start.step > UNKNOWN:
         start = StepLimit(UNKNOWN, "not all of it is linear")
     rule = RULES[scene.solver.method]
     limits = [follows(motion, start, rule) for motion in motions if motion is not None]
@@ -183,8 +183,8 @@ def follows(motion: ExponentialSolution, start: StepLimit, rule: Rule) -> StepLi
     resonant = modes.quality > RESONANT
 
     def good(h: float) -> bool:
-        def rates(own: np.ndarray) -> np.ndarray:
-            return np.where(resonant, rule.rates(own, h), own)
+        def rates(exact: np.ndarray) -> np.ndarray:
+            return np.where(resonant, rule.rates(exact, h), exact)
 
         tried = motion.at(t, outputs, rates, lambda jw: rule.axis(jw, h))
         amplitude, shape = deviation(t, tried, exact)
@@ -254,9 +254,11 @@ def step_checks(build: Build, waves: Waveforms, balances: Mapping[str, Balance])
         if part in exact:
             continue
         pairs = [(*both, name) for name, both in balance.exact.items() if both[1].any()]
-        own = [(*deviation(waves["time"], a[:, None], b[:, None]), name) for a, b, name in pairs]
-        if own:
-            check = _check(f"steps of {part} against its exact answer", max(own))
+        differences = [
+            (*deviation(waves["time"], a[:, None], b[:, None]), name) for a, b, name in pairs
+        ]
+        if differences:
+            check = _check(f"steps of {part} against its exact answer", max(differences))
             yield replace(check, action="warn") if decided else check
 
 
@@ -273,8 +275,8 @@ def _exact_motion(build: Build, waves: Waveforms) -> tuple[tuple[float, float, s
     return worst, exact
 
 
-def _check(name: str, found: tuple[float, float, str]) -> Check:
-    amplitude, _, wave = found
+def _check(name: str, largest: tuple[float, float, str]) -> Check:
+    amplitude, _, wave = largest
     advice = "the steps are too coarse for a resonance: leave solver.max_step out, or lower it"
     return Check(name, amplitude, FAIL, f"of the rms of {wave}", advice, coarse=True, wiring=True)
 

@@ -156,7 +156,7 @@ def _table(lines: list[str], run: _Run, end: int, separator: str | None) -> Text
     names = titles or tuple(f"column {k + 1}" for k in range(run.width))
     complete = [all(map(_is_number, row)) for row in rows]
     notes = _left_out(rows, complete, names, [k + 1 for k in filled])
-    rows = [row for row, whole in zip(rows, complete, strict=True) if whole]
+    rows = [row for row, numeric in zip(rows, complete, strict=True) if numeric]
     numbers = [_column_numbers([row[k] for row in rows], rows, names[k]) for k in range(run.width)]
     stated = _last_format(above)
     if titles and stated:
