@@ -137,8 +137,11 @@ def _offered(part: Part, scene: Scene, known: Collection[str]) -> Iterator[str]:
     n, pins, powered = part.name, metered_pins(part, scene), powered_pins(part, scene)
     for domain in dict.fromkeys(powered.values()):
         through = domain.quantity("through")
-        if f"{n}.{through.symbol}" in known or type(part.type).cards is PartType.cards:
-            yield from (f"{n}.{through.name}", f"{n}.power")
+        library = type(part.type).cards is PartType.cards
+        if library or f"{n}.{through.symbol}" in known:
+            yield f"{n}.power"
+        if (library and not domain.reference) or f"{n}.{through.symbol}" in known:
+            yield f"{n}.{through.name}"
     if type(part.type).cards is PartType.cards:
         for pin, domain in pins.items():
             yield from (f"{n}.{pin}.{domain.quantity('through').name}", f"{n}.{pin}.power")
@@ -155,7 +158,7 @@ def _meter_vectors(build: Build, known: Mapping[str, Vector]) -> dict[str, Vecto
         read = Vector(f"i({build.meter(part, pin)})", through.factor, through.unit)
         result[f"{name}.{pin}.{through.name}"] = read
         result[f"{name}.{pin}.{domain.across.symbol}"] = build.across(part, pin)
-        if pin == next(iter(powered_pins(part, build.scene))):
+        if not domain.reference and pin == next(iter(powered_pins(part, build.scene))):
             result[f"{name}.{through.name}"] = read
     for quantity_name, (domain, side) in QUANTITIES.items():
         for part in _probed_parts(build, quantity_name) if side == "through" else ():

@@ -142,3 +142,10 @@ def test_an_unknown_flow_lists_those_of_the_domain():
 def test_slopes_are_those_of_parabolas_and_skip_equal_points():
     t = np.array([0.0, 0.1, 0.4, 0.4, 0.9, 1.0])
     np.testing.assert_allclose(slope(3 * t**2 - t, t), 6 * t - 1, rtol=1e-12)
+
+
+def test_a_force_that_a_part_has_itself_needs_no_meter():
+    """The force of a contact is its result, not that at its first pin."""
+    scene = kc.load_scene("newtons_cradle")
+    assert any(probe.of == "contact12.force" for probe in scene.probes.values())
+    assert not scene.meters
