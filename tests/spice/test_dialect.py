@@ -94,7 +94,7 @@ def grammar(dialect):
     taken |= "WHEN" + complex_result + "=" + NUMBER + "CROSS=1"
     measure = {
         "xyce": ".measure" + pp.one_of("TRAN AC DC") + WORD + (
-            (taken + pp.Optional(pp.one_of("OUTPUT=TIME OUTPUT=FREQ OUTPUT=SV")))
+            (taken + pp.Optional(pp.one_of("OUTPUT=TIME OUTPUT=FREQ")))
             | "EQN {" + NUMBER + "*" + WORD + "}"),
         "ltspice": ".meas" + pp.one_of("TRAN AC DC") + WORD + (
             taken | "PARAM" + NUMBER + "*" + WORD),

@@ -110,20 +110,22 @@ def test_crossings_and_values_are_those_that_ngspice_prints(tmp_path):
     assert metrics["never_s"] is None
 
 
+STRETCHED = {
+    "name": "stretched",
+    "push": {"part": "source", "kind": "displacement", "dc": "1 um"},
+    "spring": {"part": "spring", "stiffness": 100.0, "pins": {"a": "push.out"}},
+    "analysis": {"type": "dc", "sweep": "push.dc", "from": "-3 um", "to": "6 um", "points": 37},
+    "probes": {
+        "rest_m": {"of": "push.force", "take": "crossing", "level": 1e-4},
+        "largest_m": {"of": "push.force", "take": "argmax"},
+        "there_n": {"of": "push.force", "at": "2.1 um"},
+    },
+}
+
+
 def test_crossings_of_a_sweep_are_in_units_of_the_key(tmp_path):
     """The source counts in um, the key in m."""
-    sweep = {
-        "name": "stretched",
-        "push": {"part": "source", "kind": "displacement", "dc": "1 um"},
-        "spring": {"part": "spring", "stiffness": 100.0, "pins": {"a": "push.out"}},
-        "analysis": {"type": "dc", "sweep": "push.dc", "from": "-3 um", "to": "6 um", "points": 37},
-        "probes": {
-            "rest_m": {"of": "push.force", "take": "crossing", "level": 1e-4},
-            "largest_m": {"of": "push.force", "take": "argmax"},
-            "there_n": {"of": "push.force", "at": "2.1 um"},
-        },
-    }
-    _, values, result = run(kc.load_scene(sweep), tmp_path)
+    _, values, result = run(kc.load_scene(STRETCHED), tmp_path)
     for name, exact in {"rest_m": 1e-6, "largest_m": 6e-6, "there_n": 2.1e-4}.items():
         assert values[name] == pytest.approx(result.metrics[name], rel=2e-6), name
         assert values[name] == pytest.approx(exact, rel=1e-5), name
@@ -189,3 +191,12 @@ def test_other_simulators_scale_and_take_magnitudes_in_their_own_words():
     scaled = r"(?m)^\.meas\w* TRAN (\w+) (?:PARAM |EQN \{)1e-06\*\1_raw\}?$"
     assert re.search(scaled, xyce)
     assert re.search(scaled, ltspice)
+
+
+@pytest.mark.parametrize("dialect", ["ltspice", "xyce"])
+def test_no_measure_scales_one_that_a_dialect_lacks(dialect):
+    """Neither gives the place of a maximum of a sweep, so none is multiplied by the unit."""
+    _, deck = prepared(kc.load_scene(STRETCHED), Clock())
+    text = translate(deck, dialect).text
+    assert re.search(r"(?m)^\.meas\w* DC rest_m (PARAM |EQN \{)1e-06\*rest_m_raw", text)
+    assert not re.search(r"(?m)^\.meas.*largest_m", text)

@@ -59,6 +59,7 @@ class Dialect(Printer, ABC):
         super().__init__()
         self.deck = deck
         self.defined: set[str] = set()
+        self.unmeasured: set[str] = set()  # names of measures without an equivalent
 
     # -- cards ------------------------------------------------------------------------------
 
@@ -95,7 +96,9 @@ class Dialect(Printer, ABC):
             return ""
         kind, name, what, *rest = card.words
         if what.startswith("param="):
-            return self.scaled(kind, name, what.removeprefix("param=").strip("'"))
+            expression = what.removeprefix("param=").strip("'")
+            known = expression.rpartition("*")[2] not in self.unmeasured
+            return self.scaled(kind, name, expression) if known else ""
         read: tuple[str, ...] = ()
         match what, rest:
             case (("MAX" | "MIN" | "PP" | "AVG" | "RMS"), [text]):
@@ -107,7 +110,10 @@ class Dialect(Printer, ABC):
             case "WHEN", [condition, "CROSS=1"]:
                 text, _, level = condition.rpartition("=")
                 read = (what, f"{self.measured(text, kind)}={level}", "CROSS=1")
-        return " ".join((self.measure_keyword, kind.upper(), name, *read)) if read else ""
+        if not read:
+            self.unmeasured.add(name)
+            return ""
+        return " ".join((self.measure_keyword, kind.upper(), name, *read))
 
     def measured(self, text: str, kind: str) -> str:
         """The vector of a measure: magnitudes of voltages, and real parts of currents in ``ac``."""

@@ -19,7 +19,7 @@ TIGHT = 1e-5  # largest reltol, and a tenth of the given one: contacts within 1e
 SWITCH_BAND = 1e-3  # V on either side of the threshold: its switch has no jump
 
 
-_SCALES = {"tran": "TIME", "ac": "FREQ", "dc": "SV"}  # words of measures for the scale
+_SCALES = {"tran": "TIME", "ac": "FREQ"}  # words of measures for the scale
 
 
 class Xyce(Dialect):
@@ -112,8 +112,8 @@ class Xyce(Dialect):
         return f"{vector[0]}R{vector[1:]}"
 
     def place(self, extreme: str, vector: str, kind: str) -> tuple[str, ...]:
-        """Xyce prints the place of an extreme instead of its value."""
-        return extreme, vector, f"OUTPUT={_SCALES[kind]}"
+        """Xyce prints the place of an extreme, but scales its value: a sweep's is left out."""
+        return (extreme, vector, f"OUTPUT={_SCALES[kind]}") if kind in _SCALES else ()
 
     def save(self, vectors: list[str]) -> str:
         kind = self.analysis.keyword.removeprefix(".").upper()
