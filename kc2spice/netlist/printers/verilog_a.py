@@ -59,6 +59,7 @@ _RESERVED = frozenset(_WORDS.split())
 _UNSAID = "Verilog-A has no equivalent of this card"
 HOLD = 1e9  # S, of initial conditions
 SERIES = 1e-15  # Ohm, of a source of voltage
+_PRINTED = (".print", ".meas")  # cards about waves of nodes that a module may not have
 _SPELLED = {"uramp": "max(0.0, {0})", "sgn": "({0} > 0.0 ? 1.0 : ({0} < 0.0 ? -1.0 : 0.0))"}
 _SWITCH = {"vt": "0.0", "vh": "0.0", "ron": "1.0", "roff": "1e12"}
 
@@ -412,10 +413,12 @@ def _changed(item: Item, stems: Mapping[str, str], replaced: Collection[str]) ->
         words = tuple(word for word in words if _outer(word))
     elif item.keyword == ".tran":
         words = tuple(word for word in words if word.lower() != "uic")
-    elif item.keyword in (".print", ".meas") or (item.keyword in INCLUDES and words[0] in replaced):
+    elif item.keyword in _PRINTED or (item.keyword in INCLUDES and words[0] in replaced):
         words = ()
-    dropped = item.words and not words
-    return replace(item, keyword="" if dropped else item.keyword, words=words)
+    if item.words and not words:
+        notes = () if item.keyword in _PRINTED else item.notes  # those say what is printed
+        return replace(item, keyword="", words=(), notes=notes)
+    return replace(item, words=words)
 
 
 def _outer(text: str) -> bool:
