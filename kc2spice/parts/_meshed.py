@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import numpy as np
 from pydantic import Field
 
+from kc2spice.core.domains import ACCELERATION, TRANSLATION
 from kc2spice.core.errors import UsageError, wrong
 from kc2spice.core.figure import Curve, Figure, Panel, Shape, Written
 from kc2spice.core.mesh_error import mesh_errors
@@ -251,8 +252,8 @@ class BondedBody(MeshedBody):
 
     def directions(self, part: Part, scene: DeclaredScene) -> Mapping[str, tuple[float, ...]]:
         """All of its motions are upwards."""
-        moved = ("mechanical", "acceleration")
-        ports = (port for port in self.ports(part, scene) if port.kind in moved)
+        moved = (TRANSLATION, ACCELERATION)
+        ports = (port for port in self.ports(part, scene) if port.domain in moved)
         return {port.terminals[0]: (0.0, 0.0, 1.0) for port in ports}
 
     def make(self, part: Part, scene: GovernedScene) -> FiniteElementModel:

@@ -33,7 +33,7 @@ from pydantic import Field, StringConstraints, model_validator
 from kc2spice.bodies import device as fe
 from kc2spice.bodies.undamped import FiniteElementModel
 from kc2spice.core.cache import cached
-from kc2spice.core.domains import ELECTRICAL
+from kc2spice.core.domains import ACCELERATION, ELECTRICAL, ROTATION, TRANSLATION
 from kc2spice.core.errors import UsageError, candidates, part_named, wrong
 from kc2spice.core.figure import Curve, Figure, Panel, Written
 from kc2spice.core.quantities import Count, Length, Notch, Section, validated
@@ -156,10 +156,10 @@ class PortKeys(Section):
     def ports(self) -> tuple[Port, ...]:
         """Ports of the model for this entry."""
         if self.kind != "rigid":
-            return (Port(self.name, "acceleration" if self.kind == "base" else "mechanical"),)
+            return (Port(self.name, (ACCELERATION if self.kind == "base" else TRANSLATION).port),)
         names = [self.name if self.axis else f"{self.name}_{motion}" for motion in self.motions]
         return tuple(
-            Port(name, "rotational" if motion.startswith("r") else "mechanical")
+            Port(name, (ROTATION if motion.startswith("r") else TRANSLATION).port)
             for name, motion in zip(names, self.motions, strict=True)
         )
 
