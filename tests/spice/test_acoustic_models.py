@@ -8,7 +8,9 @@ import kc2spice as kc
 from kc2spice.netlist.nodal import NodalCircuit
 from kc2spice.netlist.translate import DIALECTS
 from kc2spice.scene.load import load_scene
+from kc2spice.sim.ngspice import run_deck
 from kc2spice.workflow.export import export
+from kc2spice.workflow.reduce_files import first_deck
 from kc2spice.workflow.verify.verify import verify
 
 DENSITY, SPEED = 1.204, 343.2  # kg/m3 and m/s, air at 20 C
@@ -180,6 +182,18 @@ def test_a_piston_moves_a_tube_as_its_closed_form_does(tmp_path):
     pressure = s * BORE * tube_impedance(s) * exact
     np.testing.assert_allclose(result.waves["tube.pressure.inlet"], pressure, rtol=5e-3)
     assert_verified(scene, tmp_path)
+
+
+def test_the_first_deck_of_a_reduced_model_answers_with_a_flow(tmp_path):
+    resonator(tmp_path)
+    rom = kc.reduce(kc.read_model(tmp_path / "neck"), order=1, band=(100.0, 3000.0))
+    deck = first_deck(rom, kc.subcircuit(rom, "neck"))
+    assert "response to 1 Pa at mouth" in deck.title
+    waves = run_deck(deck, tmp_path / "first")
+    s = 2j * np.pi * waves["frequency"].real
+    np.testing.assert_allclose(
+        waves["mouth.flow"], 1 / (s * MASS + LOSS + STIFFNESS / s), rtol=1e-6
+    )
 
 
 def test_the_emitted_ports_are_passive(tmp_path):
