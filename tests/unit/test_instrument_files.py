@@ -97,6 +97,14 @@ def test_the_commands_accept_a_shunt(tmp_path):
     for case in (impedance, written(tmp_path, "a.s1p", LAYOUTS["NanoVNA"].text)):
         with pytest.raises(REFUSED, match="--shunt: applies to a table of gain"):
             reduce_file(case, tmp_path / "no", shunt="330 Ohm")
+    words = ["fit", "buzzer_7bb_20_3:disc", str(impedance), "--vary", "damping.quality"]
+    done = CliRunner().invoke(app, [*words, "--shunt", "330 Ohm", "-o", str(tmp_path / "no")])
+    assert done.exit_code == 2
+    assert "--shunt: applies to a table of gain" in done.output
+    with pytest.raises(REFUSED, match="shunt: applies to a file"):
+        kc.fit(
+            "buzzer_7bb_20_3", "disc", read_measured(impedance), {"damping.quality": None}, shunt=3
+        )
     np.savez(tmp_path / "chain.npz", M=np.eye(2), K=np.eye(2) * 4.0, B=np.eye(2)[:, :1])
     with pytest.raises(REFUSED, match="--shunt: applies to a measured response"):
         reduce_file(tmp_path / "chain.npz", tmp_path / "no", shunt=330.0)
