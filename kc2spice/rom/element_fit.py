@@ -153,7 +153,7 @@ class Samples:
 
     def deviation(self, elements: Elements) -> np.ndarray:
         """Relative deviation (n,) complex of a sum of elements from the samples."""
-        return self.response(elements) / self.Y - 1
+        return np.asarray(self.response(elements) / self.Y - 1)
 
     def rms(self, elements: Elements) -> float:
         """Root of the mean square of the logarithmic deviation."""
@@ -165,7 +165,9 @@ class Samples:
         count = 2 * len(self.f)
         parameters = sum(len(e.logs) for e in elements)
         least = np.finfo(float).eps
-        return count * np.log(self.rms(elements) ** 2 + least**2) + parameters * np.log(count)
+        return float(
+            count * np.log(self.rms(elements) ** 2 + least**2) + parameters * np.log(count)
+        )
 
     def _rows(self, x: np.ndarray, dc: float) -> np.ndarray:
         """Numbers (n,) as real rows; below them the share of ``dc`` in the stated conductance."""

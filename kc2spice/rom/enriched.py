@@ -89,7 +89,7 @@ def response(model: LinearModel, t: np.ndarray, load: np.ndarray) -> np.ndarray 
     modal, result = resonators(model), load @ model.D.T
     if modal is not None:
         parts = (_some(modal, rows) for rows in _shares(modal.order, t.size))
-        return result + sum(chip_response(part, t, load)[0] for part in parts)
+        return np.asarray(result + sum(chip_response(part, t, load)[0] for part in parts))
     try:
         A, B, C, direct = model.state_space()
         poles, T = eig(A)

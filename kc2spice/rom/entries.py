@@ -74,7 +74,9 @@ class Entries:
         """Sizes of a ``difference`` to the response H (..., outputs, inputs), relative to
         :meth:`base`; zero where that is zero."""
         base = self.base(H, share)
-        return np.divide(np.abs(difference), base, out=np.zeros_like(base), where=base > 0)
+        return np.asarray(
+            np.divide(np.abs(difference), base, out=np.zeros_like(base), where=base > 0)
+        )
 
 
 def balance(size: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

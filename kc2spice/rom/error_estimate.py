@@ -96,7 +96,9 @@ def _zoomed(known: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
     points = points[np.r_[True, np.diff(points) > SAME * points[1:]]]
     at = np.searchsorted(known, points)
     below, above = known[np.maximum(at - 1, 0)], known[np.minimum(at, len(known) - 1)]
-    return points[np.minimum(np.abs(points - below), np.abs(points - above)) > SAME * points]
+    return np.asarray(
+        points[np.minimum(np.abs(points - below), np.abs(points - above)) > SAME * points]
+    )
 
 
 @dataclass(frozen=True)
@@ -128,7 +130,9 @@ class ErrorEstimator:
     def _counted(self) -> np.ndarray:
         """Which entries are not what cancellation of their terms leaves; those that are zero by
         symmetry count against their row and column."""
-        return ~self.exact.cancelled(2j * np.pi * self.frequency) | self.reference[1].zero
+        return np.asarray(
+            ~self.exact.cancelled(2j * np.pi * self.frequency) | self.reference[1].zero
+        )
 
     @cached_property
     def failed(self) -> dict[float, np.ndarray]:

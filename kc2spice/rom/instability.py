@@ -125,7 +125,7 @@ def _growing(pencil: Pencil, rate: float) -> np.ndarray:
         if degree == 1:
             return np.asarray(z - 2 * rate * solve(inertia @ z))
         x = -solve(inertia @ (z[n:] + rate * z[:n]) + loss[0] @ z[:n])
-        return z + 2 * rate * np.r_[x, z[:n] + rate * x]
+        return np.asarray(z + 2 * rate * np.r_[x, z[:n] + rate * x])
 
     operator = LinearOperator((degree * n,) * 2, matvec=cayley, dtype=float)
     start = np.random.default_rng(0).standard_normal(degree * n)

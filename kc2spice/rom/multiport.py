@@ -273,7 +273,7 @@ def refine_poles(
     def unpacked(x: np.ndarray) -> np.ndarray:
         p = -np.exp(x[: len(poles)]).astype(complex)
         p[~real] += 1j * np.exp(x[len(poles) :])
-        return p
+        return np.asarray(p)
 
     def projected(x: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Orthonormal basis, coefficients of the columns, what they leave."""

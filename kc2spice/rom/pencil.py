@@ -66,7 +66,8 @@ class Schur:
     @property
     def shape(self) -> tuple[int, int]:
         """Size of the matrix that is left."""
-        return self.uu.shape
+        rows, columns = self.uu.shape
+        return int(rows), int(columns)
 
     @property
     def symmetric(self) -> bool:
@@ -87,7 +88,7 @@ class Schur:
     def __matmul__(self, x: np.ndarray) -> np.ndarray:
         if np.iscomplexobj(x):  # the factor of real blocks accepts real vectors only
             return self @ x.real + 1j * (self @ x.imag)
-        return self.uu @ x - self.up @ self.inner.solve(self.pu @ x)
+        return np.asarray(self.uu @ x - self.up @ self.inner.solve(self.pu @ x))
 
     def scaled(self, t: np.ndarray) -> Schur:
         """``diag(t) S diag(t)``."""
@@ -269,9 +270,11 @@ class Pencil:
     def slope(self, s: complex, x: np.ndarray) -> np.ndarray:
         """``P'(s) x``, real where ``P(s)`` is: of an undamped model the derivative by ``s^2``."""
         if self.undamped:
-            return self.coefficients[2] @ x
+            return np.asarray(self.coefficients[2] @ x)
         s = complex(s).real if complex(s).imag == 0 else s
-        return sum(k * s ** (k - 1) * (P @ x) for k, P in enumerate(self.coefficients) if k)
+        return np.asarray(
+            sum(k * s ** (k - 1) * (P @ x) for k, P in enumerate(self.coefficients) if k)
+        )
 
     def solver(self, s: complex) -> tuple[Factor, Factor]:
         """Factors of ``P(s)`` and of its transpose.

@@ -90,14 +90,18 @@ def minimax(
     return np.exp(x[:count]), x[count:].reshape(count, ports), error
 
 
-def _model(x: np.ndarray, count: int, s: np.ndarray, upper: tuple) -> np.ndarray:
+def _model(
+    x: np.ndarray, count: int, s: np.ndarray, upper: tuple[np.ndarray, np.ndarray]
+) -> np.ndarray:
     """The entries (n, entries) of the ``upper`` triangle of ``sum_k g_k g_k' / (s + r_k)``."""
     rates, gains = np.exp(x[:count]), x[count:].reshape(count, -1)
     products = gains[:, upper[0]] * gains[:, upper[1]]
     return np.asarray((1 / (s[:, None] + rates)) @ products)
 
 
-def _slopes(x: np.ndarray, count: int, s: np.ndarray, upper: tuple) -> np.ndarray:
+def _slopes(
+    x: np.ndarray, count: int, s: np.ndarray, upper: tuple[np.ndarray, np.ndarray]
+) -> np.ndarray:
     """Derivatives (n, entries, unknowns) of :func:`_model` by ``log r_k`` and ``g_k``."""
     rates, gains = np.exp(x[:count]), x[count:].reshape(count, -1)
     answer = 1 / (s[:, None] + rates)

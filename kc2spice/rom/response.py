@@ -228,7 +228,7 @@ def _eigenvectors(pencil: Pencil) -> Modes | None:
 def _finite_poles(rest: np.ndarray, inertia: np.ndarray) -> np.ndarray:
     """Finite poles of the diagonals of :func:`_eigenvectors`."""
     finite = _finite(rest)
-    return -rest[finite] / inertia[finite]
+    return np.asarray(-rest[finite] / inertia[finite])
 
 
 def _finite(rest: np.ndarray) -> np.ndarray:
@@ -303,7 +303,7 @@ def clear_of_poles(points: np.ndarray, frequency: np.ndarray, ratio: np.ndarray)
         return points
     nearest = np.abs(points[:, None] - sharp).min(axis=1)
     gap = sharp[np.abs(points[:, None] - sharp).argmin(axis=1)] * FLANK
-    return points[nearest >= 0.98 * gap]
+    return np.asarray(points[nearest >= 0.98 * gap])
 
 
 def samples(

@@ -181,7 +181,7 @@ def _driven(pencil: Pencil, X: np.ndarray, rounding: Rounding) -> np.ndarray:
     input_rounding = ROUNDING * np.finfo(float).eps * pencil.size * np.abs(pencil.B)
     noise = np.abs(X.T) @ (input_rounding + rounding[0] @ np.abs(answer))
     moved = int((size > largest(noise)).sum())
-    return X @ U[:, :moved]
+    return np.asarray(X @ U[:, :moved])
 
 
 def congruent(

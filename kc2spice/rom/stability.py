@@ -83,7 +83,9 @@ def _poles(pencil: Pencil, omega: float) -> np.ndarray:
     result = pencil if pencil.free else apart(pencil.scaled(omega).dense(), omega).pencil
     if not result.detached:
         return pencil.poles(omega)
-    return np.r_[result.leading(result.free).poles(omega), result.restrained.poles(omega)]
+    return np.asarray(
+        np.r_[result.leading(result.free).poles(omega), result.restrained.poles(omega)]
+    )
 
 
 def dissipative(pencil: Pencil) -> bool:

@@ -449,7 +449,7 @@ def _driven(scene: Scene) -> Scene:
     return replace(scene, parts={**parts, name: drive})
 
 
-def _part_tables(data: Mapping[str, Any]) -> Iterator[tuple[str, Mapping]]:
+def _part_tables(data: Mapping[str, Any]) -> Iterator[tuple[str, Mapping[str, Any]]]:
     """Top-level tables that are parts."""
     spellings: dict[str, str] = {}
     for name, table in data.items():

@@ -134,4 +134,4 @@ def _gramian_root(T: np.ndarray, Q: np.ndarray, left: str, right: str) -> np.nda
     """
     X, scale, _ = scipy.linalg.lapack.dtrsyl(T, T, -Q @ Q.T, trana=left, tranb=right)
     values, vectors = np.linalg.eigh(0.5 / scale * (X + X.T))
-    return vectors * np.sqrt(np.maximum(values, 0.0))
+    return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0)))

@@ -8,6 +8,8 @@ so that all matrices stay real.
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import scipy
 
@@ -170,7 +172,7 @@ class GreedyBasis:
 class _Sketch:
     """Residual norms of ``P(s) V x(s) = b`` from a few random combinations of its rows."""
 
-    def __init__(self, sketch: np.ndarray, coefficients: tuple, b: np.ndarray) -> None:
+    def __init__(self, sketch: np.ndarray, coefficients: tuple[Any, ...], b: np.ndarray) -> None:
         self._rows = [np.asarray((P.T @ sketch.T).T) for P in coefficients]
         self._images = [np.empty((SKETCH, 0)) for _ in coefficients]
         self._b = sketch @ b

@@ -144,7 +144,7 @@ def _scaled(states: np.ndarray, factors: np.ndarray) -> np.ndarray:
     """Real and imaginary parts of states (n, 2 frequencies inputs), times a factor of each
     frequency."""
     inputs = states.shape[1] // (2 * len(factors))
-    return states * np.tile(np.repeat(factors, inputs), 2)
+    return np.asarray(states * np.tile(np.repeat(factors, inputs), 2))
 
 
 def _energy_basis(pencil: Pencil, omega: float, static: bool) -> np.ndarray:

@@ -44,7 +44,7 @@ class Snapshots(NamedTuple):
     def weights(self, inside: np.ndarray | float = 1.0, above: float = 1.0) -> np.ndarray:
         """Return the weights of all snapshots for given ones in the band and a factor above it."""
         weight = np.broadcast_to(inside, self.inside.shape)
-        return np.r_[weight, above * self.above_weight]
+        return np.asarray(np.r_[weight, above * self.above_weight])
 
 
 def tail_weight(model: LinearModel, tolerance: float | None) -> float | None:
