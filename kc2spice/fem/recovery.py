@@ -1,4 +1,4 @@
-"""Error estimates of the strain and field of finite elements.
+"""Error estimates of the strain and field of hexahedra.
 
 Around every corner of the mesh a polynomial is fitted to the strain and field of the elements that
 meet there, by least squares at the points where these are best. Blended by the linear shape
@@ -26,37 +26,14 @@ import numpy as np
 import skfem
 from scipy import sparse
 from scipy.sparse.csgraph import connected_components
-from skfem.mesh import MeshHex, MeshQuad, MeshTet
 
 from kc2spice.fem.solid import Solid, strains, tensors
 
 CHUNK = 1000  # elements or corners handled at once: bounds the memory
 # Squared size, beside the mean of a fit's normal matrix, that a coefficient of first degree costs;
-# one of degree p costs p^2 times that. It decides where the points do not: few elements meet in a
-# corner of a coarse mesh of tetrahedra.
-FIRM, LOOSE = 1e-6, 1e-3
-# Part of the energy of the error that the recovered strain of tetrahedra sees. It was chosen on
-# meshes against much finer ones, where single quantities ranged from 0.11 (capacitance of a tube)
-# to 0.90 (resonance of a bracket); tests/physics/test_mesh_error.py limits what remains.
-SEEN = 0.45
+# one of degree p costs p^2 times that. It decides where the points do not.
+RIDGE = 1e-6
 ELSEWHERE = 0.5  # squared distance from a patch's middle, in its own size, that a neighbour costs
-
-
-@dataclass(frozen=True)
-class _Fit:
-    """Degree and ridge of the polynomials, the order of integration at whose points they are
-    fitted, and the part of the error that they see."""
-
-    degree: int
-    ridge: float
-    points: int
-    visible: float = 1.0
-
-
-def _fit_of(solid: Solid) -> _Fit:
-    if solid.order == 1:
-        return _Fit(1, FIRM, 1)
-    return _Fit(2, LOOSE, 2, SEEN) if isinstance(solid.mesh, MeshTet) else _Fit(2, FIRM, 2)
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,27 +51,25 @@ class EnergyProducts:
 def energy_products(solid: Solid, u: np.ndarray, phi: np.ndarray) -> EnergyProducts:
     """Energy of solutions and of their errors, from displacements ``u`` (d nodes, k) [m] and
     potentials ``phi`` (nodes, k) [V]."""
-    fit = _fit_of(solid)
-    patches = _Patches.of(solid, u, phi, fit)
+    patches = _Patches.of(solid, u, phi)
     k = u.shape[1]
     solution, error, spread = (np.zeros((k, k)) for _ in range(3))
     for cells in _chunks(solid.mesh.nelements):
         basis = solid.basis(elements=cells)
         places = np.moveaxis(np.asarray(basis.global_coordinates()), 0, -1)
-        weights = basis.dx * (2 * np.pi * places[:, :, 0] if solid.axisymmetric else 1.0)
         energy = np.zeros((len(cells), k, k))
-        hats = _hats(solid, basis.X)
+        hats = _hats(basis.X)
         points = zip(
             _values(solid, basis, cells, u, phi), _energy(solid, basis, cells), strict=True
         )
         for q, (field, H) in enumerate(points):
-            w = weights[:, q, None, None]
+            w = basis.dx[:, q, None, None]
             delta = patches.recovered(cells, places[:, q], hats[q]) - field
             energy += w * (delta.transpose(0, 2, 1) @ (H @ delta))
             solution += (w * (field.transpose(0, 2, 1) @ (H @ field))).sum(axis=0)
         error += energy.sum(axis=0)
         spread += np.abs(energy).sum(axis=0)
-    return EnergyProducts(solution, error / fit.visible, spread / fit.visible)
+    return EnergyProducts(solution, error, spread)
 
 
 def _chunks(count: int) -> Iterator[np.ndarray]:
@@ -141,16 +116,10 @@ def _energy(solid: Solid, basis: skfem.Basis, cells: np.ndarray) -> Iterator[np.
         yield H
 
 
-def _hats(solid: Solid, X: np.ndarray) -> np.ndarray:
+def _hats(X: np.ndarray) -> np.ndarray:
     """Linear shape functions (points, corners) at points ``X`` (d, points) of the element."""
-    mesh = solid.mesh
-    if isinstance(mesh, MeshHex):
-        element = skfem.ElementHex1()
-    elif isinstance(mesh, MeshTet):
-        element = skfem.ElementTetP1()
-    else:
-        element = skfem.ElementQuad1() if isinstance(mesh, MeshQuad) else skfem.ElementTriP1()
-    return np.array([element.lbasis(X, i)[0] for i in range(mesh.t.shape[0])]).T
+    element = skfem.ElementHex1()
+    return np.array([element.lbasis(X, i)[0] for i in range(len(element.doflocs))]).T
 
 
 def _monomials(x: np.ndarray, degree: int) -> tuple[np.ndarray, np.ndarray]:
@@ -178,16 +147,17 @@ class _Patches:
     degree: int
 
     @staticmethod
-    def of(solid: Solid, u: np.ndarray, phi: np.ndarray, fit: _Fit) -> _Patches:
-        places, samples = _samples(solid, u, phi, fit.points)
+    def of(solid: Solid, u: np.ndarray, phi: np.ndarray) -> _Patches:
+        degree = solid.order
+        places, samples = _samples(solid, u, phi, solid.order)
         number, middle = _corners(solid)
         members = _wider(_members(number, len(middle)), number, middle, places)
-        size, sums, right = _normal_equations(members, middle, places, samples, fit.degree)
-        degrees = _monomials(middle[:1], fit.degree)[1]
+        size, sums, right = _normal_equations(members, middle, places, samples, degree)
+        degrees = _monomials(middle[:1], degree)[1]
         mean = np.trace(sums, axis1=1, axis2=2) / len(degrees)
-        sums += fit.ridge * mean[:, None, None] * np.diag(degrees**2)
+        sums += RIDGE * mean[:, None, None] * np.diag(degrees**2)
         coefficients = np.linalg.solve(sums, right)
-        return _Patches(number, middle, size, coefficients, fit.degree)
+        return _Patches(number, middle, size, coefficients, degree)
 
     def recovered(self, cells: np.ndarray, at: np.ndarray, hats: np.ndarray) -> np.ndarray:
         """Strains and fields (elements, 9, k) at one point ``at`` (elements, d) of each element,

@@ -30,8 +30,8 @@ from kc2spice.fem.materials import Material
 
 CHUNK = 4000  # elements handled at once: bounds the memory of the element matrices
 # Voigt row of the derivative of component i by coordinate j.
-_VOIGT = np.array([[0, 5, 4], [5, 1, 3], [4, 3, 2]])
-_FLAT = np.array([0, 2])  # the coordinates of a meridian plane among x, y, z
+VOIGT = np.array([[0, 5, 4], [5, 1, 3], [4, 3, 2]])
+FLAT = np.array([0, 2])  # the coordinates of a meridian plane among x, y, z
 
 
 @dataclass(frozen=True, eq=False)
@@ -144,7 +144,7 @@ def strains(
     """
     local = [function[0] for function in basis.basis]
     d = solid.components
-    axes = np.arange(3) if d == 3 else _FLAT
+    axes = np.arange(3) if d == 3 else FLAT
     radius = np.asarray(basis.global_coordinates())[0]
     for q in range(basis.X.shape[-1]):
         value = np.stack([np.broadcast_to(np.asarray(f), basis.dx.shape)[:, q] for f in local], -1)
@@ -154,7 +154,7 @@ def strains(
         for j, y in enumerate(axes):
             G[:, y] = slope[j]
             for i, x in enumerate(axes):
-                B[:, _VOIGT[x, y], :, i] += slope[j]
+                B[:, VOIGT[x, y], :, i] += slope[j]
         if solid.axisymmetric:
             r = radius[:, q, None]
             axis = r < 1e-9 * np.ptp(solid.mesh.p)  # there u_r / r is the derivative

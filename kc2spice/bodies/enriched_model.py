@@ -1,0 +1,320 @@
+"""Corrections of a body's answers by shape functions of one degree more.
+
+The model ``S w = f``, ``S = [[K, C], [C', -P]]`` of displacements u and potentials p, gets the
+functions of :mod:`kc2spice.fem.enrichment`. A static answer w of the mesh leaves the residual
+``r = f - S w``, and the solution of ``S e = r`` is its correction. With those of the answers v to
+a voltage and p to a force,
+
+    dC = e_v' S e_v,    d(stroke) = e_p' S e_v,    d(compliance) = e_p' S e_p,
+
+and a mode gets the nearest eigenvalue. All corrections are sought in one space of few vectors
+(Galerkin, Rayleigh-Ritz), to which the residuals add in turn their solutions for the additional
+functions alone and for the mesh alone. Supports and electrodes fix the functions of edges and faces
+all of whose nodes they fix. Loads on the functions themselves are neglected. Sources: R. E. Bank
+and R. K. Smith, SIAM J. Numer. Anal. 30 (1993) 921; R. Becker and R. Rannacher, Acta Numerica 10
+(2001) 1.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+from scipy import linalg, sparse
+
+from kc2spice.fem.enrichment import EnrichedOperators, Enrichment, assemble_enrichment, enrich
+from kc2spice.linalg.factor import Factor, factorise
+from kc2spice.rom.pencil import Schur
+
+if TYPE_CHECKING:
+    from kc2spice.bodies.device import Answers, FiniteElementModel
+
+ROUNDS = 4  # of corrections by the functions and by the mesh, at most
+SETTLED = 0.1  # relative change of corrections in a round that ends them
+DEPENDENT = 1e-8  # share of a vector that is independent of others, below which it is left out
+
+# Columns of displacements and of potentials.
+Pair = tuple[np.ndarray, np.ndarray]
+
+
+@dataclass(frozen=True, eq=False)
+class Corrections:
+    """Relative changes of the frequencies of modes (k,), and the products ``e_i' S e_j`` (a, a) of
+    the corrections of static answers."""
+
+    frequencies: np.ndarray
+    products: np.ndarray
+
+    def near(self, other: Corrections) -> bool:
+        """Whether no frequency and no energy differs much from another's."""
+        pairs = (
+            (self.frequencies, other.frequencies),
+            (np.diag(self.products), np.diag(other.products)),
+        )
+        return all((np.abs(a - b) <= SETTLED * np.abs(a)).all() for a, b in pairs)
+
+
+def correct_answers(
+    device: FiniteElementModel, answers: Answers, sectors: int = 1, rounds: int = ROUNDS
+) -> Corrections:
+    """Corrections of the modes, and of the answers to voltages and to a force, in this order.
+
+    The model is that of so many ``sectors`` like the solid.
+    """
+    model, modes = enrich_model(device, answers.solve, sectors), answers.modes
+    z = np.hstack([modes, answers.static, answers.pushed])
+    k, volts = modes.shape[1], answers.static.shape[1]
+    voltages = np.zeros((volts, z.shape[1]))
+    voltages[:, k : k + volts] = np.eye(volts)
+    shapes, residuals = model.start(z, voltages)
+    static = residuals[0][:, k:], residuals[1][:, k:]
+    functions = np.zeros((len(shapes[0]) - len(z), answers.rigid.shape[1]))
+    space = _Space(
+        model, np.vstack([answers.rigid, functions]), (shapes[0][:, :k], shapes[1][:, :k])
+    )
+    initial = space.ritz()[0]
+    result = None
+    for _ in range(rounds):
+        for solve in (model.solve_functions, model.solve_mesh):
+            space.extend(solve(space.residuals(static)))
+        before, result = result, space.corrections(initial, static)
+        if before is not None and result.near(before):
+            break
+    assert result is not None
+    return result
+
+
+class Blocks(NamedTuple):
+    """A matrix of four sparse blocks: unknowns of the mesh first, then functions."""
+
+    mesh: sparse.sparray
+    right: sparse.sparray
+    left: sparse.sparray
+    functions: sparse.sparray
+
+    @property
+    def T(self) -> Blocks:
+        """Transpose."""
+        return Blocks(self.mesh.T, self.left.T, self.right.T, self.functions.T)
+
+    def __matmul__(self, x: np.ndarray) -> np.ndarray:
+        above, below = np.vsplit(x, [self.mesh.shape[1]])
+        top = self.mesh @ above + self.right @ below
+        return np.vstack([top, self.left @ above + self.functions @ below])
+
+
+@dataclass(frozen=True, eq=False)
+class EnrichedModel:
+    """A device with more functions, by the matrices of the module's equations.
+
+    ``operators`` are those of the functions; ``factors`` those of their K and P, None without any;
+    ``solve_at_rest`` applies ``(K + shift M)^-1`` of the mesh.
+    """
+
+    device: FiniteElementModel
+    operators: EnrichedOperators
+    K: Blocks
+    C: Blocks
+    P: Blocks
+    M: Blocks
+    factors: tuple[Factor | None, Factor | None]
+    solve_at_rest: Callable[[np.ndarray], np.ndarray]
+
+    def start(self, z: np.ndarray, voltages: np.ndarray) -> tuple[Pair, Pair]:
+        """Unknowns of answers z (n, k) under voltages (e, k), and the residuals of static ones."""
+        K, lift = self.device.model.K, self.device.lift @ voltages
+        p = np.zeros((self.P.mesh.shape[0], z.shape[1]))
+        if isinstance(K, Schur):  # K.pp is -K_pp
+            load = K.pu @ z
+            p = -K.inner.solve(load + lift if len(lift) else load)
+        (u, phi), more = self.device.nodal(z, voltages), self.operators
+        r_u = -(more.K_nodes @ u + more.C_nodes @ phi)
+        r_p = -(more.D_nodes @ u - more.P_nodes @ phi)
+        zeros = 0.0 * r_u, 0.0 * r_p
+        shapes = np.vstack([z, zeros[0]]), np.vstack([p, zeros[1]])
+        return shapes, (np.vstack([0.0 * z, r_u]), np.vstack([0.0 * p, r_p]))
+
+    def solve_functions(self, residual: Pair) -> Pair:
+        """Solutions for the additional functions alone, after one iteration of their coupling."""
+        (z, r_u), (q, r_p) = self._split(residual)
+        (of_u, of_p), C = self.factors, self.operators.C
+        u, p = of_u.solve(r_u) if of_u else r_u, r_p
+        if of_p:
+            p = of_p.solve(C.T @ u - r_p)
+            u = of_u.solve(r_u - C @ p) if of_u else u
+        return np.vstack([0.0 * z, u]), np.vstack([0.0 * q, p])
+
+    def solve_mesh(self, residual: Pair) -> Pair:
+        """Solutions for the unknowns of the mesh alone."""
+        ((z, more_u), (q, more_p)), K = self._split(residual), self.device.model.K
+        if isinstance(K, Schur):
+            q = K.inner.solve(q)
+            z = self.solve_at_rest(z - K.up @ q)
+            q = q - K.inner.solve(K.pu @ z)
+        else:
+            z = self.solve_at_rest(z)
+        return np.vstack([z, 0.0 * more_u]), np.vstack([q, 0.0 * more_p])
+
+    def _split(self, pair: Pair) -> list[list[np.ndarray]]:
+        """Parts of the mesh and of functions, of displacements and of potentials."""
+        counts = self.K.mesh.shape[0], self.P.mesh.shape[0]
+        return [np.vsplit(part, [count]) for part, count in zip(pair, counts, strict=True)]
+
+
+def enrich_model(
+    device: FiniteElementModel,
+    solve_at_rest: Callable[[np.ndarray], np.ndarray],
+    sectors: int = 1,
+) -> EnrichedModel:
+    """The model of a device with functions of one degree more; ``solve_at_rest`` applies
+    ``(K + shift M)^-1``."""
+    model, enrichment = device.model, enrich(device.solid)
+    more = assemble_enrichment(enrichment, *_free_functions(device, enrichment)).scaled(sectors)
+    K, C, P = _of_mesh(model.K)
+    to_u, to_phi = device.displacement, device.potential
+    if to_phi.shape[1] != P.shape[0]:  # eliminated unknowns that are no potentials
+        to_phi = sparse.csc_array((to_phi.shape[0], P.shape[0]))
+    k, m, p = more.K_nodes @ to_u, more.M_nodes @ to_u, more.P_nodes @ to_phi
+    return EnrichedModel(
+        device,
+        more,
+        Blocks(K, k.T, k, more.K),
+        Blocks(C, (more.D_nodes @ to_u).T, more.C_nodes @ to_phi, more.C),
+        Blocks(P, p.T, p, more.P),
+        Blocks(model.M, m.T, m, more.M),
+        (_factor(more.K), _factor(more.P)),
+        solve_at_rest,
+    )
+
+
+def _of_mesh(K: Schur | sparse.csc_array) -> tuple[sparse.csc_array, ...]:
+    """K, C and P of the mesh."""
+    if isinstance(K, Schur):
+        return K.uu, K.up, -K.pp
+    return K, sparse.csc_array((K.shape[0], 0)), sparse.csc_array((0, 0))
+
+
+def _factor(matrix: sparse.csr_array) -> Factor | None:
+    return factorise(sparse.csc_array(matrix), definite=True) if matrix.shape[0] else None
+
+
+def _free_functions(
+    device: FiniteElementModel, enrichment: Enrichment
+) -> tuple[np.ndarray, np.ndarray]:
+    """Masks of the displacements (functions, d) and potentials (functions,) that are free."""
+    solid, count = device.solid, enrichment.count
+    nodes = solid.basis(1).element_dofs
+    free_nodes = _alone(device.displacement).reshape(-1, solid.components)
+    electrode = _electrodes(device)
+    free, live = np.ones((count, solid.components), bool), enrichment.dielectric()
+    for numbers, local in zip(enrichment.numbers, enrichment.nodes, strict=True):
+        on = electrode[nodes[local]]
+        free[numbers] &= free_nodes[nodes[local]].any(axis=0)
+        live[numbers] &= (on < 0).any(axis=0) | (on != on[0]).any(axis=0)
+    return free, live
+
+
+def _alone(prolongation: sparse.csc_array) -> np.ndarray:
+    """Mask of the rows that are an unknown of their own."""
+    rows = sparse.csr_array(prolongation)
+    counts = np.diff(sparse.csc_array(prolongation).indptr)
+    result = np.diff(rows.indptr) == 1
+    result[result] = counts[rows.indices[rows.indptr[:-1][result]]] == 1
+    return result
+
+
+def _electrodes(device: FiniteElementModel) -> np.ndarray:
+    """Number (nodes,) of the equipotential that each node belongs to, -1 of a free potential."""
+    rows = sparse.csr_array(device.potential)
+    column = np.full((rows.shape[0], 1), -1.0)
+    tied = np.diff(rows.indptr) == 1
+    column[tied, 0] = rows.indices[rows.indptr[:-1][tied]]
+    table = np.hstack([column, device.drive.toarray()])
+    return np.where(_alone(device.potential), -1, np.unique(table, axis=0, return_inverse=True)[1])
+
+
+class _Space:
+    """Space of displacements and one of potentials, with orthonormal vectors, and their products
+    with the matrices of a model. It begins with ``rigid`` modes and the shapes of other modes."""
+
+    def __init__(self, model: EnrichedModel, rigid: np.ndarray, shapes: Pair) -> None:
+        self.model, self.modes = model, shapes[0]
+        self.u, self.p = (part[:, :0] for part in shapes)
+        self.Ku, self.Mu, self.Cu = self.u, self.u, self.p
+        self.Cp, self.Pp = self.u, self.p
+        self.extend((rigid, self.p))
+        self.rigid = self.u.shape[1]
+        self.extend(shapes)
+
+    def extend(self, parts: Pair) -> None:
+        """Add the span of the columns of two arrays."""
+        model = self.model
+        u, p = _orthonormal(self.u, parts[0]), _orthonormal(self.p, parts[1])
+        self.u, self.p = np.hstack([self.u, u]), np.hstack([self.p, p])
+        self.Mu = np.hstack([self.Mu, model.M @ u])
+        self.Ku = np.hstack([self.Ku, model.K @ u])
+        self.Cu = np.hstack([self.Cu, model.C.T @ u])
+        self.Cp, self.Pp = np.hstack([self.Cp, model.C @ p]), np.hstack([self.Pp, model.P @ p])
+
+    def ritz(self) -> tuple[np.ndarray, Pair]:
+        """Eigenvalues (k,) nearest to the modes, and weights of the vectors in their shapes."""
+        if not self.modes.size:
+            return np.zeros(0), (self.u.T[:, :0], self.p.T[:, :0])
+        C, P = self.u.T @ self.Cp, self.p.T @ self.Pp
+        X = _solve(P, C.T)
+        K, M = self.u.T @ self.Ku + C @ X, self.u.T @ self.Mu
+        values, vectors = linalg.eigh((K + K.T) / 2, (M + M.T) / 2)
+        overlap = np.abs(vectors.T @ (self.Mu.T @ self.modes))
+        nearest = overlap.argmax(axis=0)
+        return values[nearest], (vectors[:, nearest], X @ vectors[:, nearest])
+
+    def galerkin(self, loads: Pair) -> Pair:
+        """Weights of the vectors in the static corrections; the loads move no rigid body."""
+        elastic = self.u[:, self.rigid :]
+        r_u, r_p = elastic.T @ loads[0], self.p.T @ loads[1]
+        C, P = elastic.T @ self.Cp, self.p.T @ self.Pp
+        X, y = _solve(P, C.T), _solve(P, r_p)
+        K = elastic.T @ self.Ku[:, self.rigid :] + C @ X
+        u = _solve(K, r_u + C @ y)
+        return np.vstack([np.zeros((self.rigid, u.shape[1])), u]), X @ u - y
+
+    def corrections(self, eigenvalues: np.ndarray, loads: Pair) -> Corrections:
+        """Changes from ``eigenvalues`` of the mesh, and products of the static corrections."""
+        u, p = self.galerkin(loads)
+        products = loads[0].T @ (self.u @ u) + loads[1].T @ (self.p @ p)
+        return Corrections(np.sqrt(self.ritz()[0] / eigenvalues) - 1, products)
+
+    def residuals(self, loads: Pair) -> Pair:
+        """What modes and static corrections leave."""
+        values, (mode_u, mode_p) = self.ritz()
+        u, p = self.galerkin(loads)
+        return (
+            np.hstack([
+                (self.Mu @ mode_u) * values - self.Ku @ mode_u - self.Cp @ mode_p,
+                loads[0] - self.Ku @ u - self.Cp @ p,
+            ]),
+            np.hstack([
+                self.Pp @ mode_p - self.Cu @ mode_u, loads[1] - self.Cu @ u + self.Pp @ p
+            ]),
+        )  # fmt: skip
+
+
+def _solve(matrix: np.ndarray, right: np.ndarray) -> np.ndarray:
+    """Solution with a symmetric positive definite matrix."""
+    if not matrix.size:
+        return right
+    return np.asarray(linalg.cho_solve(linalg.cho_factor((matrix + matrix.T) / 2), right))
+
+
+def _orthonormal(basis: np.ndarray, columns: np.ndarray) -> np.ndarray:
+    """Orthonormal vectors of the span of ``columns``, orthogonal to a basis."""
+    size = np.linalg.norm(columns, axis=0)
+    rest = columns[:, size > 0] / size[size > 0]
+    for _ in range(2):
+        rest = rest - basis @ (basis.T @ rest)
+    if not rest.size:
+        return rest
+    Q, R, _ = linalg.qr(rest, mode="economic", pivoting=True)
+    return np.asarray(Q[:, np.abs(np.diag(R)) > DEPENDENT])

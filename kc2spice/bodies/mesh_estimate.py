@@ -1,0 +1,107 @@
+"""Error estimates of the mesh of a body: of natural frequencies and of static values.
+
+With the energy product A of displacements and potentials and the errors e of modes w, of the
+answers v to a voltage and p to a force,
+
+    df/f = -A(e_w, e_w) / (2 A(w, w)),   dC = A(e_v, e_v),   d(stroke) = A(e_p, e_v).
+
+On triangles, tetrahedra and quadrilaterals e is what shape functions of one degree more correct
+(:mod:`kc2spice.bodies.enriched_model`). At edges of electrodes and supports the solution is
+singular and converges slowly with the degree, so the functions correct only a part of the error,
+:data:`CORRECTED`. On hexahedra these functions would cost more than the model, and e is the
+difference to a recovered strain and field (:mod:`kc2spice.fem.recovery`).
+
+Contributions of both signs cancel by chance in the error of a stroke. A part of their absolute
+values on hexahedra, :data:`CHANCE`, counts beside their sum, and elsewhere a part,
+:data:`OBLIQUE`, of the bound ``sqrt(A(e_p, e_p) A(e_v, e_v))``. All parts were determined on meshes
+beside much finer ones; ``tests/physics/test_mesh_error.py`` limits the difference.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from skfem.mesh import MeshHex
+
+from kc2spice.bodies.enriched_model import correct_answers
+from kc2spice.core.mesh_error import MESH_ERROR
+from kc2spice.fem.recovery import energy_products
+
+if TYPE_CHECKING:
+    from kc2spice.bodies.device import Answers, FiniteElementModel
+
+# Part of the error that functions of one degree more correct: 0.56 of an energy error whose
+# solution grows like r^0.5 from an edge, 1 - (2/3)^2; 0.68 with r^0.7 of a clamp; 0.4 to 0.9 on
+# the meshes of tests/physics/test_mesh_error.py.
+CORRECTED = 0.6
+# Share of the largest possible error in that of a stroke: without it, strokes whose product is less
+# than a tenth of its bound are estimated at half of their error.
+OBLIQUE = 0.05
+# Share of the sum of absolute element contributions in the error estimate of a static response. In
+# beams, where contributions cancel, their sum is only 0.3 of the error.
+CHANCE = 1 / 3
+LEAST_SHARE = 0.1  # least ratio of a corrected value to the value itself
+LEAST_ERROR = 1e-4  # least relative mesh error; below, rounding and port nodes dominate
+
+
+def estimate_mesh_errors(
+    device: FiniteElementModel, answers: Answers, sectors: int = 1
+) -> dict[str, float]:
+    """Estimated relative errors of facts that the mesh causes, by name behind :data:`MESH_ERROR`.
+    The model is that of so many ``sectors`` like the solid. ``modes`` is the largest of all modes
+    that were sought.
+    """
+    volts = answers.static.shape[1]
+    estimate = _by_recovery if isinstance(device.solid.mesh, MeshHex) else _by_enrichment
+    frequencies, products = estimate(device, answers, sectors)
+    changes = {}
+    if frequencies.size:
+        largest = frequencies[np.abs(frequencies).argmax()]
+        changes = {"resonance": frequencies[0], "modes": largest}
+    if volts:
+        changes["capacitance"] = products[0, 0] / answers.facts["capacitance_free_f"]
+    for name, stroke in answers.facts.items():
+        if name.startswith("free_stroke_") and stroke:
+            changes["stroke"] = products[0, -1] / stroke
+    if not volts and answers.pushed.shape[1]:
+        pushed = answers.pushed[:, 0]
+        changes["compliance"] = products[-1, -1] / (pushed @ (device.model.K @ pushed))
+    return {f"{MESH_ERROR}{name}": _relative(change) for name, change in changes.items()}
+
+
+def _by_enrichment(
+    device: FiniteElementModel, answers: Answers, sectors: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """Relative changes of frequencies (modes,), and energy products of the errors of static answers
+    (a, a)."""
+    corrections = correct_answers(device, answers, sectors)
+    products = corrections.products
+    size = np.sqrt(np.abs(np.diag(products)))
+    products = _signed_hypot(products, OBLIQUE * np.outer(size, size))
+    return corrections.frequencies / CORRECTED, products / CORRECTED
+
+
+def _by_recovery(
+    device: FiniteElementModel, answers: Answers, sectors: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """As :func:`_by_enrichment` returns, from the recovered strain and field."""
+    n, volts = answers.modes.shape[1], answers.static.shape[1]
+    z = np.hstack([answers.modes, answers.static, answers.pushed])
+    voltages = np.zeros((volts, z.shape[1]))
+    voltages[:, n : n + volts] = np.eye(volts)
+    products = energy_products(device.solid, *device.nodal(z, voltages))
+    energy, error = np.diag(products.solution), np.diag(products.error)
+    static = products.error[n:, n:].copy()
+    if volts:
+        static[0] = _signed_hypot(static[0], CHANCE * products.spread[n, n:])
+    return -0.5 * error[:n] / energy[:n], sectors * static
+
+
+def _signed_hypot(values: np.ndarray, others: np.ndarray) -> np.ndarray:
+    return np.copysign(np.hypot(values, others), values)
+
+
+def _relative(change: float) -> float:
+    """Error of a value beside the better one, from its ``change`` to that one beside itself."""
+    return float(max(abs(change) / max(1 + change, LEAST_SHARE), LEAST_ERROR))

@@ -1,0 +1,373 @@
+"""Shape functions of one degree more than the quadratic ones of a solid, on the same mesh.
+
+The functions are hierarchical: with those of the solid they span the cubic polynomials on triangles
+and tetrahedra, and the products of cubic polynomials on quadrilaterals. Each belongs to an edge, a
+face or the interior of an element and vanishes at all nodes of the solid:
+
+    l_i l_j (l_j - l_i)   on edges of simplices, with barycentric coordinates l
+    l_i l_j l_k           on faces of tetrahedra and in triangles
+    b_3(x) l(y)           on edges of quadrilaterals, with l(y) = y or 1 - y
+    b_3(x) b_2(y), b_2(x) b_3(y), b_3(x) b_3(y)    in quadrilaterals,
+
+with ``b_2 = x (1 - x)`` and ``b_3 = x (1 - x) (2 x - 1)``. Functions of edges change their sign
+with the direction of the edge.
+
+:func:`assemble_enrichment` integrates what the matrices of :mod:`kc2spice.fem.solid` lack.
+Source: B. Szabo and I. Babuska, Finite Element Analysis (1991).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, fields
+from itertools import combinations, product
+from typing import NamedTuple
+
+import numpy as np
+import skfem
+from scipy import sparse
+from scipy.special import roots_jacobi
+from skfem.mesh import MeshQuad, MeshTet
+
+from kc2spice.fem.materials import Material
+from kc2spice.fem.solid import FLAT, VOIGT, Solid, tensors
+
+ORDER = 7  # of integration: exact for the mass of straight cubic elements of revolution
+BYTES = 64e6  # of the element matrices that are handled at once
+AFFINE = 1e-9  # relative change of the derivatives within an element that counts as rounding
+
+
+class ShapeFunction(NamedTuple):
+    """A function on the reference element, with values (points,) and gradients (d, points).
+
+    ``corners`` are the two of an edge, in its direction, the three of a triangle or the four of a
+    quadrilateral.
+    """
+
+    corners: tuple[int, ...]
+    values: np.ndarray
+    gradients: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class Enrichment:
+    """The functions that a solid lacks, and their numbers.
+
+    Attributes
+    ----------
+    functions : on the reference element, at the points of integration.
+    nodes : of each of them the local numbers of the nodes on its edge, face or interior.
+    numbers, signs : (functions, elements) of each in the solid.
+    """
+
+    solid: Solid
+    functions: Sequence[ShapeFunction]
+    nodes: Sequence[np.ndarray]
+    numbers: np.ndarray
+    signs: np.ndarray
+
+    @property
+    def count(self) -> int:
+        """How many functions the solid lacks."""
+        return int(self.numbers.max()) + 1
+
+    def dielectric(self) -> np.ndarray:
+        """Mask (count,) of the functions in materials with an electric field."""
+        field = np.array([m.piezoelectric or m.dielectric for m in self.solid.materials])
+        result = np.zeros(self.count, bool)
+        result[self.numbers[:, field[self.solid.owner]]] = True
+        return result
+
+
+@dataclass(frozen=True, eq=False)
+class EnrichedOperators:
+    """Matrices between selected functions, and between these and all nodes of the solid.
+
+    ``K`` belongs to displacements of functions, ``C`` to these and potentials of functions, ``P``
+    to potentials; ``M`` is the mass. ``K_nodes``, ``C_nodes`` and ``M_nodes`` have displacements
+    of functions as rows and the unknowns of all nodes as columns, ``D_nodes`` and ``P_nodes`` the
+    potentials of functions as rows and displacements and potentials of nodes as columns.
+    """
+
+    K: sparse.csr_array
+    C: sparse.csr_array
+    P: sparse.csr_array
+    M: sparse.csr_array
+    K_nodes: sparse.csr_array
+    C_nodes: sparse.csr_array
+    D_nodes: sparse.csr_array
+    P_nodes: sparse.csr_array
+    M_nodes: sparse.csr_array
+
+    def scaled(self, factor: float) -> EnrichedOperators:
+        """All matrices times a factor."""
+        return EnrichedOperators(*(factor * getattr(self, field.name) for field in fields(self)))
+
+
+def enrich(solid: Solid) -> Enrichment:
+    """The functions of one degree more on the mesh of a solid."""
+    functions = shape_functions(solid, _rule(solid, np.array([0])).X)
+    numbers, signs = _number_functions(solid, functions)
+    return Enrichment(solid, functions, _entity_nodes(solid, functions), numbers, signs)
+
+
+def assemble_enrichment(
+    enrichment: Enrichment, free: np.ndarray, live: np.ndarray
+) -> EnrichedOperators:
+    """Integrate the matrices of displacements ``free`` (count, d) and potentials ``live``
+    (count,) of functions, both masks."""
+    solid, d = enrichment.solid, enrichment.solid.components
+    nodes, size = solid.basis(1).element_dofs, solid.places.shape[1]
+    unknowns = {
+        ("nodes", 0): np.arange(size * d).reshape(size, d),
+        ("nodes", 1): np.arange(size)[:, None],
+        ("functions", 0): _consecutive(free),
+        ("functions", 1): _consecutive(live[:, None]),
+    }
+    local = {"nodes": slice(len(nodes)), "functions": slice(len(nodes), None)}
+    parts = slice(d), slice(d, None)
+    sums = {
+        (i, group, j): _Sum((unknowns["functions", i].max() + 1, unknowns[group, j].max() + 1))
+        for i, group, j in product((0, 1), local, (0, 1))
+    }
+    masses = {"nodes": _Sum((enrichment.count, size)), "functions": _Sum((enrichment.count,) * 2)}
+    table = _table(solid, _rule(solid, np.array([0])).X, enrichment.functions)
+    for material, cells in _chunks(solid, len(table), len(enrichment.functions)):
+        S, M = _element_matrices(solid, material, cells, table, len(nodes))
+        numbers, sign = enrichment.numbers[:, cells].T, enrichment.signs[:, cells].T
+        here = {"nodes": nodes[:, cells].T, "functions": numbers}
+        for matrix in (S, M[:, :, None, :, None]):
+            matrix *= sign[:, :, None, None, None]
+            matrix[:, :, :, local["functions"]] *= sign[:, None, None, :, None]
+        for group, mass in masses.items():
+            mass.add(M[:, :, local[group]], numbers, here[group])
+        for (i, group, j), total in sums.items():
+            part = S[:, :, parts[i], local[group], parts[j]]
+            if part.size:
+                rows = _unknowns_of(unknowns["functions", i], numbers)
+                columns = _unknowns_of(unknowns[group, j], here[group])
+                total.add(part.reshape(*rows.shape, -1), rows, columns)
+    K, C, P = (sums[i, "functions", j].matrix for i, j in ((0, 0), (0, 1), (1, 1)))
+    K_nodes, C_nodes, D_nodes, P_nodes = (
+        sums[i, "nodes", j].matrix for i, j in product((0, 1), (0, 1))
+    )
+    mass, mass_nodes = (
+        sparse.kron(masses[group].matrix, np.eye(d), "csr")[free.ravel()]
+        for group in ("functions", "nodes")
+    )
+    return EnrichedOperators(
+        K, C, -P, mass[:, free.ravel()], K_nodes, C_nodes, D_nodes, -P_nodes, mass_nodes
+    )
+
+
+def _rule(solid: Solid, cells: np.ndarray) -> skfem.Basis:
+    if isinstance(solid.mesh, MeshTet):
+        return solid.basis(quadrature=_conical_product(ORDER), elements=cells)
+    return solid.basis(ORDER, elements=cells)
+
+
+def _conical_product(order: int) -> tuple[np.ndarray, np.ndarray]:
+    """Points (3, points) and weights on a tetrahedron: a product of Gauss-Jacobi rules.
+
+    The rules of scikit-fem for tetrahedra are exact up to order 4 only. Source: A. H. Stroud,
+    Approximate Calculation of Multiple Integrals (1971), section 2.5.
+    """
+    count = order // 2 + 1
+    rules = [roots_jacobi(count, alpha, 0.0) for alpha in (2, 1, 0)]
+    x, y, z = np.meshgrid(*((1 + t) / 2 for t, _ in rules), indexing="ij")
+    weights = np.einsum("i,j,k->ijk", *(w for _, w in rules)) / 2**6
+    points = np.array([x, y * (1 - x), z * (1 - x) * (1 - y)])
+    return points.reshape(3, -1), weights.ravel()
+
+
+def shape_functions(solid: Solid, X: np.ndarray) -> list[ShapeFunction]:
+    """The functions of one degree more, at points ``X`` (d, points) of the reference element."""
+    on_element = _on_quadrilateral if isinstance(solid.mesh, MeshQuad) else _on_simplex
+    return on_element(np.asarray(solid.element.refdom.p, float), X)
+
+
+def _on_simplex(corners: np.ndarray, X: np.ndarray) -> list[ShapeFunction]:
+    inverse = np.linalg.inv(np.vstack([np.ones(corners.shape[1]), corners]))
+    value, slope = inverse @ np.vstack([np.ones(X.shape[1]), X]), inverse[:, 1:, None]
+    result = []
+    for i, j in combinations(range(len(value)), 2):
+        (a, b), (da, db) = value[[i, j]], slope[[i, j]]
+        gradient = da * b * (b - 2 * a) + db * a * (2 * b - a)
+        result.append(ShapeFunction((i, j), a * b * (b - a), gradient))
+    for i, j, k in combinations(range(len(value)), 3):
+        (a, b, c), (da, db, dc) = value[[i, j, k]], slope[[i, j, k]]
+        gradient = da * b * c + db * a * c + dc * a * b
+        result.append(ShapeFunction((i, j, k), a * b * c, gradient))
+    return result
+
+
+def _on_quadrilateral(corners: np.ndarray, X: np.ndarray) -> list[ShapeFunction]:
+    ends = [1 - X, X], [-np.ones(X.shape), np.ones(X.shape)]
+    square, square_slope = X * (1 - X), 1 - 2 * X
+    cube, cube_slope = square * (2 * X - 1), -1 + 6 * X - 6 * X**2
+    number = {tuple(corner): i for i, corner in enumerate(np.rint(corners).astype(int).T)}
+    result = []
+    for axis, side in product((0, 1), (0, 1)):
+        other = 1 - axis
+        edge = tuple(number[(end, side) if axis == 0 else (side, end)] for end in (0, 1))
+        gradient = np.zeros(X.shape)
+        gradient[axis] = cube_slope[axis] * ends[0][side][other]
+        gradient[other] = cube[axis] * ends[1][side][other]
+        result.append(ShapeFunction(edge, cube[axis] * ends[0][side][other], gradient))
+    bubbles = (cube, cube_slope), (square, square_slope)
+    for (f, df), (g, dg) in (bubbles, bubbles[::-1], (bubbles[0], bubbles[0])):
+        gradient = np.array([df[0] * g[1], f[0] * dg[1]])
+        result.append(ShapeFunction((0, 1, 2, 3), f[0] * g[1], gradient))
+    return result
+
+
+def _number_functions(
+    solid: Solid, functions: Sequence[ShapeFunction]
+) -> tuple[np.ndarray, np.ndarray]:
+    """Numbers and signs (local functions, elements); functions of neighbours on one edge or face
+    share a number."""
+    corners = solid.basis(1).element_dofs[: solid.mesh.t.shape[0]]
+    element = np.arange(corners.shape[1])
+    keys, signs = [], []
+    for index, function in enumerate(functions):
+        at = np.sort(corners[list(function.corners)], axis=0)
+        turned = (len(at) == 2) & (at[0] != corners[function.corners[0]])
+        signs.append(np.where(turned, -1.0, 1.0))
+        inside = np.array([-1 - index + 0 * element, element, element])
+        keys.append(inside if len(at) == 4 else np.array([at[0], at[1], at[-1]]))
+    _, numbers = np.unique(np.concatenate(keys, axis=1), axis=1, return_inverse=True)
+    return numbers.reshape(len(functions), -1), np.array(signs)
+
+
+def _entity_nodes(solid: Solid, functions: Sequence[ShapeFunction]) -> list[np.ndarray]:
+    """Local numbers of the nodes on the edge, face or interior of each function."""
+    places, corners = np.asarray(solid.element.doflocs).T, solid.element.refdom.p
+    result = []
+    for function in functions:
+        first, *others = corners[:, list(function.corners), None].transpose(1, 0, 2)
+        span = np.hstack(others) - first
+        share = np.linalg.lstsq(span, places - first, rcond=None)[0]
+        away = np.abs(span @ share - (places - first)).max(axis=0)
+        result.append(np.flatnonzero((away < AFFINE) & (share > -AFFINE).all(axis=0)))
+    return result
+
+
+def _table(solid: Solid, X: np.ndarray, functions: Sequence[ShapeFunction]) -> np.ndarray:
+    """Gradients on the reference element and values (local functions, d + 1, points), those of the
+    nodes first."""
+    element, rows = solid.element, []
+    for i in range(len(element.doflocs)):
+        value, gradient = element.lbasis(X, i)
+        rows.append([*(np.broadcast_to(g, X.shape[1:]) for g in gradient), value])
+    rows += [[*function.gradients, function.values] for function in functions]
+    return np.array([np.broadcast_arrays(*row) for row in rows], dtype=float)
+
+
+def _chunks(solid: Solid, local: int, more: int) -> Iterator[tuple[Material, np.ndarray]]:
+    """Materials and elements, as many as keep their matrices within ``BYTES``."""
+    count = max(1, int(BYTES / (8 * local * more * (solid.components + 1) ** 2)))
+    for number, material in enumerate(solid.materials):
+        cells = np.flatnonzero(solid.owner == number)
+        for start in range(0, len(cells), count):
+            yield material, cells[start : start + count]
+
+
+def _element_matrices(
+    solid: Solid, material: Material, cells: np.ndarray, table: np.ndarray, n: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """S (elements, more functions, fields, functions, fields) and M (elements, more functions,
+    functions) of elements of one material, from products of gradients on the reference element;
+    the n functions of nodes come first.
+
+    Without coupling and permittivity the fields are the displacements only.
+    """
+    rule = _rule(solid, cells)
+    weights, radius = rule.dx, np.asarray(rule.global_coordinates())[0]
+    if solid.axisymmetric:
+        weights = 2 * np.pi * weights * radius
+    inverse = rule.mapping.invDF(rule.X, tind=cells).transpose(2, 3, 0, 1)
+    constants = [*tensors(solid, rule, material)]
+    even = np.ptp(inverse, axis=1).max() < AFFINE * np.abs(inverse).max()
+    even = even and all(len(constant[0]) == 1 for constant in constants)
+    values = table[:, -1]
+    pairs = (values[n:, None] * values).reshape(-1, values.shape[1])
+    M = material.density * (weights @ pairs.T).reshape(len(cells), -1, len(table))
+    gradients = table if solid.axisymmetric else table[:, :-1]
+    pairs = np.einsum("amq,bpq->qmpab", gradients[n:], gradients)
+    if even and not solid.axisymmetric:  # one product of gradients for all points
+        pairs = np.tensordot(weights[0] / weights[0].sum(), pairs, 1)[None]
+        weights, inverse, constants = weights.sum(axis=1)[:, None], inverse[:, :1], constants[:1]
+    D = _reference_tensor(solid, material, weights, inverse, constants, radius)
+    fields = D.shape[2]
+    D = D.transpose(0, 2, 4, 1, 3, 5).reshape(len(cells) * fields**2, -1)
+    S = (D @ pairs.reshape(D.shape[1], -1)).reshape(-1, fields, fields, *pairs.shape[-2:])
+    return np.ascontiguousarray(S.transpose(0, 3, 1, 4, 2)), M
+
+
+def _reference_tensor(
+    solid: Solid,
+    material: Material,
+    weights: np.ndarray,
+    inverse: np.ndarray,
+    constants: Sequence[tuple[np.ndarray, np.ndarray, np.ndarray]],
+    radius: np.ndarray,
+) -> np.ndarray:
+    """Second derivatives of the energy (elements, points, field, m, field, m) by the gradients m of
+    each field on the reference element; of axisymmetric solids the value comes last."""
+    d = solid.components
+    field = material.piezoelectric or material.dielectric
+    kinds = d + 1 if solid.axisymmetric else d
+    strain = np.zeros((*weights.shape, 9, d + field, kinds))
+    axes = np.arange(3) if d == 3 else FLAT
+    for i, y in enumerate(axes):
+        for k, x in enumerate(axes):
+            strain[:, :, VOIGT[x, y], k, :d] += inverse[:, :, :, i]
+        if field:
+            strain[:, :, 6 + y, d, :d] = inverse[:, :, :, i]
+    if solid.axisymmetric:
+        strain[:, :, 1, 0, d] = 1 / radius
+    strain = strain.reshape(*strain.shape[:3], -1)
+    H = np.zeros((max(len(C) for C, _, _ in constants), len(constants), 9, 9))
+    for q, (C, e, eps) in enumerate(constants):
+        H[:, q, :6, :6] = C
+        if field:
+            H[:, q, 6:, :6], H[:, q, :6, 6:] = e, e.transpose(0, 2, 1)
+            H[:, q, 6:, 6:] = -eps
+    result = strain.transpose(0, 1, 3, 2) @ (H @ strain) * weights[:, :, None, None]
+    result = result.reshape(*weights.shape, d + field, kinds, d + field, kinds)
+    sigma = np.array(material.residual_stress)
+    if sigma.any():  # grad v . sigma grad u of each component, and the hoop direction's turning
+        stress = np.einsum("eqmi,eqpi,i->eqmp", inverse, inverse, sigma[axes])
+        for k in range(d):
+            result[:, :, k, :d, k, :d] += weights[:, :, None, None] * stress
+        if solid.axisymmetric:
+            result[:, :, 0, d, 0, d] += weights * sigma[1] / radius**2
+    return result
+
+
+def _consecutive(mask: np.ndarray) -> np.ndarray:
+    """Consecutive numbers of what a mask selects, -1 elsewhere."""
+    return np.where(mask, np.cumsum(mask).reshape(mask.shape) - 1, -1)
+
+
+def _unknowns_of(unknowns: np.ndarray, numbers: np.ndarray) -> np.ndarray:
+    """Unknowns (elements, local functions times components) of functions by their numbers; -1
+    where there is none."""
+    return unknowns[numbers].reshape(len(numbers), -1).astype(np.int32)
+
+
+class _Sum:
+    """Sparse matrix that sums matrices of elements."""
+
+    def __init__(self, shape: tuple[int, int]) -> None:
+        self.matrix = sparse.csr_array(shape)
+
+    def add(self, values: np.ndarray, rows: np.ndarray, columns: np.ndarray) -> None:
+        """Add ``values`` (elements, rows, columns); rows and columns of -1 are left out."""
+        i = np.broadcast_to(rows[:, :, None], values.shape)
+        j = np.broadcast_to(columns[:, None, :], values.shape)
+        present = (i >= 0) & (j >= 0)
+        entries = (values[present], (i[present], j[present]))
+        self.matrix = self.matrix + sparse.csr_array(
+            sparse.coo_array(entries, shape=self.matrix.shape)
+        )
