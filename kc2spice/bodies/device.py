@@ -21,7 +21,6 @@ field.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import chain, pairwise
@@ -33,24 +32,17 @@ from scipy.sparse.csgraph import connected_components
 from skfem import LinearForm
 from skfem.mesh import MeshHex, MeshQuad
 
-from kc2spice.bodies.undamped import Answers, FiniteElementModel, undamped_answers
+from kc2spice.bodies.mesh_estimate import estimate_mesh_errors
+from kc2spice.bodies.undamped import FiniteElementModel, undamped_answers
 from kc2spice.core.domains import ACCELERATION, BASE, ELECTRICAL, TRANSLATION
 from kc2spice.core.errors import UsageError, part_named, wrong
-from kc2spice.core.mesh_error import MESH_ERROR
 from kc2spice.fem.body_keys import Damping
 from kc2spice.fem.materials import Material
-from kc2spice.fem.recovery import EnergyProducts, energy_products
 from kc2spice.fem.solid import Solid, assemble_solid
 from kc2spice.rom.linear_model import LinearModel, Port, with_potentials
 
 # Shift [rad/s] of a body that is free to move, in units of its slowest sound over its size.
 FREE_SHIFT = 1e-3
-# Share of the sum of absolute element contributions in the error estimate of a static response. In
-# beams, where contributions cancel, their sum is only 0.3 of the error
-# (tests/physics/test_mesh_error.py).
-CHANCE = 1 / 3
-LEAST_SHARE = 0.1  # least ratio of a corrected value to the value itself
-LEAST_ERROR = 1e-4  # least relative mesh error; below, rounding and port nodes dominate
 UP = np.array([0.0, 0.0, 1.0])
 
 
@@ -373,52 +365,6 @@ def _is_supported(solid: Solid, fixed: np.ndarray, pieces: Sequence[np.ndarray])
             return False
         waiting = free
     return True
-
-
-def estimate_mesh_errors(
-    device: FiniteElementModel, answers: Answers, sectors: int = 1
-) -> dict[str, float]:
-    """Estimated relative errors of facts that the mesh causes, by name behind :data:`MESH_ERROR`.
-    The model is that of so many ``sectors`` like the solid.
-
-    With the energy product A of :mod:`kc2spice.fem.recovery` and the errors e of modes w, of the
-    answers v to a voltage and p to a force,
-
-        df/f = -A(e_w, e_w) / (2 A(w, w)),   dC = A(e_v, e_v),   d(stroke) = A(e_p, e_v).
-
-    Contributions of both signs cancel by chance: a part of their absolute values,
-    :data:`CHANCE`, counts beside their sum. ``modes`` is the largest of all modes that were sought.
-    """
-    n, volts = answers.modes.shape[1], answers.static.shape[1]
-    z = np.hstack([answers.modes, answers.static, answers.pushed])
-    voltages = np.zeros((volts, z.shape[1]))
-    voltages[:, n : n + volts] = np.eye(volts)
-    products = energy_products(device.solid, *device.nodal(z, voltages))
-    energy, error = np.diag(products.solution), np.diag(products.error)
-    changes = {}
-    if n:
-        each = -0.5 * error[:n] / energy[:n]
-        changes = {"resonance": each[0], "modes": each[np.abs(each).argmax()]}
-    if volts:
-        free = answers.facts["capacitance_free_f"]
-        changes["capacitance"] = sectors * _likely(products, n, n) / free
-    for name, stroke in answers.facts.items():
-        if name.startswith("free_stroke_") and stroke:
-            changes["stroke"] = sectors * _likely(products, n, -1) / stroke
-    if not volts and answers.pushed.shape[1]:
-        changes["compliance"] = error[-1] / energy[-1]
-    return {f"{MESH_ERROR}{name}": _relative(change) for name, change in changes.items()}
-
-
-def _likely(products: EnergyProducts, i: int, j: int) -> float:
-    """The error of one product, with its sign, and what cancels in it by chance."""
-    signed, spread = products.error[i, j], products.spread[i, j]
-    return math.copysign(math.hypot(signed, CHANCE * spread), signed)
-
-
-def _relative(change: float) -> float:
-    """Error of a value beside the better one, from its ``change`` to that one beside itself."""
-    return float(max(abs(change) / max(1 + change, LEAST_SHARE), LEAST_ERROR))
 
 
 # From and to [m] along each axis; of one value along an axis it is a face, an edge or a point.

@@ -19,17 +19,15 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from scipy import linalg, sparse
 
+from kc2spice.bodies.undamped import Answers, FiniteElementModel
 from kc2spice.fem.enrichment import EnrichedOperators, Enrichment, assemble_enrichment, enrich
 from kc2spice.linalg.factor import Factor, factorise
 from kc2spice.rom.pencil import Schur
-
-if TYPE_CHECKING:
-    from kc2spice.bodies.device import Answers, FiniteElementModel
 
 ROUNDS = 4  # of corrections by the functions and by the mesh, at most
 SETTLED = 0.1  # relative change of corrections in a round that ends them

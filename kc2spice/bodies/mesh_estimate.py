@@ -19,17 +19,13 @@ beside much finer ones; ``tests/physics/test_mesh_error.py`` limits the differen
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 from skfem.mesh import MeshHex
 
 from kc2spice.bodies.enriched_model import correct_answers
+from kc2spice.bodies.undamped import Answers, FiniteElementModel
 from kc2spice.core.mesh_error import MESH_ERROR
 from kc2spice.fem.recovery import energy_products
-
-if TYPE_CHECKING:
-    from kc2spice.bodies.device import Answers, FiniteElementModel
 
 # Part of the error that functions of one degree more correct: 0.56 of an energy error whose
 # solution grows like r^0.5 from an edge, 1 - (2/3)^2; 0.68 with r^0.7 of a clamp; 0.4 to 0.9 on

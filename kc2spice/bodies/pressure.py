@@ -44,8 +44,9 @@ from scipy import sparse
 from skfem import LinearForm
 from skfem.mesh import MeshQuad, MeshQuad2
 
-from kc2spice.bodies.device import ForceShape, Setup, constrain_device, estimate_mesh_errors
+from kc2spice.bodies.device import ForceShape, Setup, constrain_device
 from kc2spice.bodies.fields import FieldProbe, principal
+from kc2spice.bodies.mesh_estimate import estimate_mesh_errors
 from kc2spice.bodies.stack import layer_materials, stack_setup
 from kc2spice.bodies.stack_keys import PATCH, Chip
 from kc2spice.bodies.undamped import FiniteElementModel, undamped_answers

@@ -56,13 +56,16 @@ class Answers:
     ``facts`` are numbers by name, from the displacements z (n, …): ``static`` under 1 V at each
     electrical port, ``pushed`` (n, 1 or 0) under 1 N at the first mechanical port, and the lowest
     ``modes`` with shorted electrical ports that these excite. A body without electrical ports has
-    the lowest other modes.
+    the lowest other modes. ``rigid`` are rigid-body modes. ``solve`` applies the inverse of the
+    stiffness, with the shift.
     """
 
     facts: dict[str, float]
     static: np.ndarray
     pushed: np.ndarray
     modes: np.ndarray
+    rigid: np.ndarray
+    solve: Operator
 
 
 def undamped_answers(model: LinearModel, shift: float = 0.0) -> Answers:
@@ -78,9 +81,10 @@ def undamped_answers(model: LinearModel, shift: float = 0.0) -> Answers:
     force = [k for k, port in enumerate(model.ports) if port.domain is TRANSLATION][:1]
     solve = model.pencil.pencil_solver(-shift).solve
     if not e:
-        lowest, modes = _resonance(model, solve, range(len(model.ports)), shift)
+        lowest, modes, rigid = _resonance(model, solve, range(len(model.ports)), shift)
         facts = {} if lowest is None else {"resonance_hz": lowest}
-        return Answers(facts, model.B[:, e], _at_rest(model, solve, force, shift)[1], modes)
+        pushed = _at_rest(model, solve, force, shift)[1]
+        return Answers(facts, model.B[:, e], pushed, modes, rigid, solve)
     load = model.B[:, e]
     shifted, rest = _at_rest(model, solve, [*e, *force], shift)
     shifted, rest, pushed = shifted[:, : len(e)], rest[:, : len(e)], rest[:, len(e) :]
@@ -99,10 +103,10 @@ def undamped_answers(model: LinearModel, shift: float = 0.0) -> Answers:
     for port in force:
         stroke = f"free_stroke_{model.ports[port].name}_m_per_v"
         stated[stroke] = float(model.B[:, port] @ rest[:, 0])
-    stated["resonance_short_hz"], modes = _resonance(model, solve, e, shift)
-    stated["resonance_open_hz"], _ = _resonance(model, opened, e, shift)
+    stated["resonance_short_hz"], modes, rigid = _resonance(model, solve, e, shift)
+    stated["resonance_open_hz"], *_ = _resonance(model, opened, e, shift)
     facts = {name: value for name, value in stated.items() if value is not None}
-    return Answers(facts, rest, pushed, modes)
+    return Answers(facts, rest, pushed, modes, rigid, solve)
 
 
 def _at_rest(
@@ -118,16 +122,17 @@ def _at_rest(
 
 def _resonance(
     model: LinearModel, solve: Operator, ports: range | list[int], shift: float
-) -> tuple[float | None, np.ndarray]:
+) -> tuple[float | None, np.ndarray, np.ndarray]:
     """Lowest frequency [Hz] above rigid motion that the ports excite, None if it is not among the
-    lowest modes, and all modes (n, …) among these that the ports excite. Lanczos starts from their
-    static answers, so it stays with what they excite.
+    lowest modes, all modes (n, …) among these that the ports excite, and the rigid-body modes.
+    Lanczos starts from their static answers, so it stays with what they excite.
     """
     n, M = model.order, model.M
     inverse = LinearOperator((n, n), matvec=solve, dtype=float)
     ports = [k for k in ports if model.B[:, k].any()]
+    none = rigid = np.empty((n, 0))
     if not ports:  # a dielectric moves nothing
-        return None, np.empty((n, 0))
+        return None, none, rigid
     static = np.array([solve(model.B[:, k]) for k in ports])
     start = (static / np.linalg.norm(static, axis=1, keepdims=True)).sum(axis=0)
     for count in (min(count, n - 1) for count in MODES[shift > 0 :]):
@@ -140,5 +145,6 @@ def _resonance(
         excited = np.flatnonzero((share.max(axis=0) > COUPLED) & (values > 10 * shift))
         if excited.size:
             excited = excited[np.argsort(values[excited])]
-            return float(np.sqrt(values[excited[0]]) / (2 * np.pi)), modes[:, excited]
-    return None, np.empty((n, 0))
+            lowest = float(np.sqrt(values[excited[0]]) / (2 * np.pi))
+            return lowest, modes[:, excited], rigid
+    return None, none, rigid

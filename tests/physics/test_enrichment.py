@@ -8,8 +8,8 @@ from drawn_meshes import drawn
 from scipy import linalg
 from skfem.mesh import MeshQuad, MeshTet, MeshTri
 
-from kc2spice.bodies.device import undamped_answers
 from kc2spice.bodies.enriched_model import correct_answers, enrich_model
+from kc2spice.bodies.undamped import undamped_answers
 from kc2spice.fem.enrichment import assemble_enrichment, enrich, shape_functions
 from kc2spice.fem.materials import material
 from kc2spice.fem.solid import Solid, assemble_solid
