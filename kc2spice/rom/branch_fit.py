@@ -1,41 +1,58 @@
-"""A measured one-port as a passive circuit: resonances, losses and inductances in parallel.
+"""A measured one-port as a passive circuit: resonances, losses and inductances behind leads.
 
 With s = j w, and no amplitude below zero, so that no choice of the others gives power::
 
-    Y(s) = G + s C0 + sum_i g_i / (1 + s t_i) + sum_k s a_k / (1 + s t_k)
-             + sum_j s c_j w_j^2 / (s^2 + d_j s + w_j^2)
+    Y_p(s) = G + s C0 + sum_i g_i / (1 + s t_i) + sum_k s a_k / (1 + s t_k)
+               + sum_j s c_j w_j^2 / (s^2 + d_j s + w_j^2)
+    1 / Y(s) = R + s L + 1 / Y_p(s)
 
 a resistor, a capacitor, branches of R and L in series (windings with eddy currents), branches of R
 and C in series (the loss of a dielectric), and Butterworth-Van Dyke branches (C = c_j,
-L = 1 / (c_j w_j^2), R = d_j L). G and g are absent from a part that looks like a capacitor at the
-lowest frequencies: no direct current flows through it.
+L = 1 / (c_j w_j^2), R = d_j L), all of them behind the resistance and the inductance of leads. G
+and g are absent from a part that looks like a capacitor at the lowest frequencies: no direct
+current flows through it.
 
 Least squares of the logarithm of the deviation, log(Y / Y_measured), give the logarithms of all
 parameters (Levenberg and Marquardt; J. J. More, Lecture Notes in Mathematics 630 (1978) 105): for
 small deviations the relative one, without its minimum at Y = 0. Elements are added one by one:
 resonances start where the conductance that is not yet described is largest, relaxations and
-inductances on a grid of time constants. An element stays if the Bayesian information criterion
-(G. Schwarz, Ann. Statist. 6 (1978) 461) falls; elements without which it falls further are removed.
+inductances on a grid of time constants, leads at shares of the largest possible ones. An element
+stays if the Bayesian information criterion (G. Schwarz, Ann. Statist. 6 (1978) 461) falls; elements
+without which it falls further are removed, and leads replace branches above the band.
+
+Rounding of the samples has no effect on the number of elements: a sum is refined to its minimum
+before it is judged, equal criteria decide by the order of the forms, and the search ends at a
+deviation that rounding of the frequencies explains.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 
-from kc2spice.rom.element_fit import CONDUCTING, FORMS, SIMPLER, Element, Elements, Samples
+from kc2spice.rom.element_fit import (
+    CONDUCTING,
+    LEADS,
+    PARALLEL,
+    SIMPLER,
+    Element,
+    Elements,
+    Samples,
+)
 from kc2spice.rom.linear_model import Certificate, LinearModel
-from kc2spice.rom.network import Branch, ParallelBranches
+from kc2spice.rom.network import IDEAL_LEAD, Branch, ParallelBranches
 
 MAX_ELEMENTS = 40
-ENOUGH = 1e-5  # deviation (rms) below that of every instrument
 GAIN = 0.1  # minimum relative reduction of the deviation per added element
 PATIENCE = 2  # successive elements below GAIN that end the search
+POOR_PATIENCE = 5  # such elements while the deviation is above POOR
 POOR = 0.2  # relative deviation (rms) of a part of another form
 QUALITIES = (5.0, 30.0, 200.0, 1500.0)  # Q factors from which a resonance starts
+LEAD_SHARES = (1e-3, 0.03, 0.5)  # of the largest lead, from which one starts
 PER_DECADE = 2  # time constants from which a relaxation or an inductance starts
-FINAL = 400  # evaluations of the last sum of elements
+CHOSEN, FINAL = 100, 400  # evaluations of the sum that is chosen, and of the last one
+AS_GOOD = 2.0  # difference of the criterion that decides nothing (Kass and Raftery, 1995)
 OUTSIDE = 3.0  # times the band's end: a frequency whose resonance is a simpler element in it
 SLOWEST = 1e4  # longest time constant by the period, per radian, of the lowest frequency
 LARGEST_Q = 1e7  # Q factor of a resonance whose loss the samples do not show
@@ -76,39 +93,62 @@ def one_port(
 
 
 def _network(elements: Elements) -> ParallelBranches:
-    """The circuit of a sum of elements: resonances by their frequency, then the others."""
+    """The circuit of a sum of elements: resonances by their frequency, then the others. Leads of a
+    single branch are a part of it."""
     capacitance = sum(float(np.exp(e.logs[0])) for e in elements if e.form == "capacitance")
     order = sorted(
-        (e for e in elements if e.form != "capacitance"),
+        (e for e in elements if e.in_parallel and e.form != "capacitance"),
         key=lambda e: (e.form != "resonant", e.form, e.logs[1:]),
     )
-    if not order:  # a model has at least one unknown
-        return ParallelBranches(0.0, (Branch(0.0, elastance=1 / capacitance),))
-    return ParallelBranches(capacitance, tuple(element.branch() for element in order))
+    branches = tuple(element.branch() for element in order)
+    if not branches:  # a model has at least one unknown
+        branches, capacitance = (Branch(0.0, elastance=1 / capacitance),), 0.0
+    leads = [element.branch() for element in elements if not element.in_parallel]
+    lead = Branch(sum(b.resistance for b in leads), sum(b.inductance for b in leads))
+    if len(branches) == 1 and capacitance == 0:
+        resistance = branches[0].resistance + lead.resistance
+        inductance = branches[0].inductance + lead.inductance
+        branches, lead = (Branch(resistance, inductance, branches[0].elastance),), IDEAL_LEAD
+    return ParallelBranches(capacitance, branches, lead)
 
 
 def fit_branches(samples: Samples) -> Elements:
     """The elements whose sum describes the samples, as few as their noise asks for."""
     elements: Elements = ()
     best, least, useless = elements, np.inf, 0
-    while len(elements) < MAX_ELEMENTS and useless < PATIENCE:
+    patience = POOR_PATIENCE
+    while len(elements) < MAX_ELEMENTS and useless < patience:
         ends = [samples.polished(start) for start in _starts(samples, elements)]
         ends = [end for end in ends if _seen(samples, end)]
         if not ends:
             break
-        elements = min(ends, key=samples.criterion)
+        elements = samples.polished(_first_of_best(samples, ends), CHOSEN)
         elements = _simplified(samples, elements, _beyond_band(samples, elements))
         value = samples.criterion(elements)
-        enough = not best or samples.rms(elements) < (1 - GAIN) * samples.rms(best)
-        if value < least and enough:
+        enough = _parameters(elements) <= _parameters(best)
+        enough |= not best or samples.rms(elements) < (1 - GAIN) * samples.rms(best)
+        if value < least - AS_GOOD and enough:
             best, least, useless = elements, value, 0
         else:
             useless += 1
-        if samples.rms(best) < ENOUGH:
+        patience = PATIENCE if samples.rms(best) < POOR else POOR_PATIENCE
+        if samples.described(best):
             break
     best = samples.polished(_simplified(samples, best, best), FINAL)
     slowest = np.log(SLOWEST / (2 * np.pi * samples.f[0]))
     return best if samples.conductance else tuple(_bounded(e, slowest) for e in best)
+
+
+def _parameters(elements: Elements) -> int:
+    """Number of parameters of a sum."""
+    return sum(len(e.logs) for e in elements)
+
+
+def _first_of_best(samples: Samples, ends: Sequence[Elements]) -> Elements:
+    """The first of the sums whose criterion is as good as the least: rounding chooses none."""
+    values = [samples.criterion(end) for end in ends]
+    good = (end for end, value in zip(ends, values, strict=True) if value < min(values) + AS_GOOD)
+    return next(good)
 
 
 def _bounded(element: Element, slowest: float) -> Element:
@@ -142,9 +182,10 @@ def _log_time(element: Element) -> float:
 def _seen(samples: Samples, elements: Elements) -> bool:
     """Whether every element exceeds what is left at more samples than it has parameters: one that
     describes the noise of one sample does not."""
-    left = samples.rms(elements) * np.abs(samples.Y)
+    left = -np.expm1(-samples.rms(elements))  # relative to Y
     return all(
-        np.count_nonzero(np.abs(e.response(samples.s)[0]) > left) > len(e.logs) for e in elements
+        np.count_nonzero(np.abs(by_amplitude) > left) > len(others) + 1
+        for by_amplitude, *others in samples.slopes(elements)
     )
 
 
@@ -163,13 +204,43 @@ def _simplified(samples: Samples, elements: Elements, doubtful: Elements) -> Ele
 def _simpler(samples: Samples, elements: Elements, element: Element) -> Iterable[Elements]:
     """Sums in which one element is absent, or has a simpler form with its Y in the band."""
     others = tuple(e for e in elements if e is not element)
-    if others:
+    if any(e.in_parallel for e in others):
         yield others
     for form in SIMPLER[element.form]:
         if samples.conducting or form not in CONDUCTING:
             replaced = samples.amplitudes((*others, _like(element, form)))[0]
             if len(replaced) == len(elements):
                 yield replaced
+    present = {e.form for e in others}
+    for elements in _as_leads(element, others):
+        if elements[-1].form not in present:
+            yield elements
+
+
+def _as_leads(element: Element, others: Elements) -> Iterable[Elements]:
+    """Sums in which leads of the whole capacitance C0 have the effect of a branch above the band::
+
+    s C0 / (1 + s R C0 + s^2 L C0) = s C0 - s^2 R C0^2 - s^3 L C0^2 + ...
+    s c w^2 / (s^2 + d s + w^2) = s c - s^2 c d / w^2 - s^3 c / w^2 + ...
+    s a / (1 + s t) = s a - s^2 a t + ...
+    """
+    if element.form not in ("resonant", "relaxing"):
+        return
+    log_c, *times = element.logs
+    total = float(np.logaddexp.reduce([log_c, *(e.logs[0] for e in others if _clamped(e))]))
+    clamped = *(e for e in others if not _clamped(e)), Element("capacitance", (total,))
+    scale = log_c - 2 * total
+    if element.form == "relaxing":
+        yield (*clamped, Element("lead resistance", (scale + times[0],)))
+    else:
+        log_w, log_d = times
+        yield (*clamped, Element("lead inductance", (scale - 2 * log_w,)))
+        yield (*clamped, Element("lead resistance", (scale + log_d - 2 * log_w,)))
+
+
+def _clamped(element: Element) -> bool:
+    """Whether an element is the capacitance beside the branches."""
+    return element.form == "capacitance"
 
 
 def _like(element: Element, form: str) -> Element:
@@ -193,7 +264,7 @@ def _starts(samples: Samples, elements: Elements) -> list[Elements]:
 def _peak(samples: Samples, elements: Elements) -> Elements:
     """The elements and the resonance of the largest conductance that they leave, of its height and
     its width at half of that; a capacitance beside them where there is none."""
-    missing = -(samples.deviation(elements) * samples.Y)
+    missing = samples.missing(elements)
     top = int(np.argmax(missing.real))
     if missing.real[top] <= 0:
         return ()
@@ -213,7 +284,7 @@ def _peak(samples: Samples, elements: Elements) -> Elements:
 def _options(samples: Samples, elements: Elements) -> Iterable[list[Element]]:
     """Elements of every form from which one is chosen."""
     present = {element.form for element in elements}
-    forms = [form for form in FORMS if samples.conducting or form not in CONDUCTING]
+    forms = [form for form in PARALLEL if samples.conducting or form not in CONDUCTING]
     low, high = 2 * np.pi * samples.f[0], 2 * np.pi * samples.f[-1]
     decades = int(np.ceil(PER_DECADE * np.log10(100 * high / low))) + 1
     times = -np.log(np.geomspace(low / 10, high * 10, decades))
@@ -225,6 +296,17 @@ def _options(samples: Samples, elements: Elements) -> Iterable[list[Element]]:
             yield [Element(form, (0.0, float(t))) for t in times]
     for w in _peaks(samples, elements):
         yield [Element("resonant", (0.0, np.log(w), np.log(w / Q))) for Q in QUALITIES]
+    if elements:
+        for form in LEADS:
+            if form not in present:
+                yield from ([lead] for lead in _leads(samples, form))
+
+
+def _leads(samples: Samples, form: str) -> list[Element]:
+    """Leads of one form that are shares of the largest that no sample contradicts."""
+    per_unit = Element(form, (0.0,)).response(samples.s)[0]
+    largest = float(np.min(np.abs(1 / (per_unit * samples.Y))))
+    return [Element(form, (float(np.log(share * largest)),)) for share in LEAD_SHARES]
 
 
 def _peaks(samples: Samples, elements: Elements) -> list[float]:
@@ -233,7 +315,7 @@ def _peaks(samples: Samples, elements: Elements) -> list[float]:
     There the missing conductance, its ratio to abs(Y), or the deviation is largest.
     """
     left = samples.deviation(elements)
-    missing = -(left * samples.Y).real
+    missing = samples.missing(elements).real
     at = (missing, missing / np.abs(samples.Y), np.abs(left))
     found = dict.fromkeys(int(np.argmax(item)) for item in at)
     return [float(2 * np.pi * samples.f[k]) for k in found]

@@ -1,4 +1,9 @@
-"""Elements in parallel, and the least squares that fit their sum to measured admittances.
+"""Elements behind leads, and the least squares that fit their sum to measured admittances.
+
+Admittances ``Y_k`` of elements in parallel and impedances ``Z_l`` of leads make
+
+    Y = 1 / (sum_l Z_l + 1 / Y_p),    Y_p = sum_k Y_k,
+    dY / dY_k = (Y / Y_p)^2,    dY / dZ_l = -Y^2.
 
 :class:`Samples` contains frequencies and admittances. Its methods give the deviation of a sum of
 :class:`Element` from them, the best amplitudes, and the nearest minimum over all parameters. The
@@ -16,6 +21,10 @@ from scipy.optimize import least_squares, nnls
 
 from kc2spice.rom.network import Branch
 
+ENOUGH = 1e-5  # deviation (rms) below that of every instrument
+ABOVE_ROUNDING = 1.5  # times the effect of rounded frequencies
+HALF = 0.6  # of the last digit: a difference that rounding makes, from a fitted grid
+FLOOR = 1e-6  # relative deviation that no element has to describe
 TRIAL = 40  # evaluations of a sum of elements to choose one
 CONVERGED = 1e-12  # relative change of the least squares and of the parameters
 LARGEST_LOG = 150.0  # logarithm of a parameter: beyond every part, within the float range
@@ -60,13 +69,16 @@ def _resonant(p: np.ndarray, s: np.ndarray) -> Response:
     return Y, [Y, Y * (2 - 2 * w**2 / P), -Y * d * s / P]
 
 
-FORMS: dict[str, Callable[[np.ndarray, np.ndarray], Response]] = {
+PARALLEL: dict[str, Callable[[np.ndarray, np.ndarray], Response]] = {
     "conductance": _conductance,
     "capacitance": _capacitance,
     "inductive": _inductive,
     "relaxing": _relaxing,
     "resonant": _resonant,
 }
+# A constant and one in proportion to s: impedances here.
+LEADS = {"lead resistance": _conductance, "lead inductance": _capacitance}
+FORMS = PARALLEL | LEADS
 CONDUCTING = ("conductance", "inductive")
 # Forms that an element has where its time constants lie outside of the band.
 SIMPLER = {
@@ -75,18 +87,21 @@ SIMPLER = {
     "inductive": ("conductance",),
     "relaxing": ("capacitance", "conductance"),
     "resonant": ("capacitance", "conductance", "relaxing", "inductive"),
+    "lead resistance": (),
+    "lead inductance": (),
 }
 
 
 @dataclass(frozen=True)
 class Element:
-    """One summand of Y: its form and the logarithms of its parameters, the amplitude first."""
+    """One summand of the parallel admittance or of the impedance of the leads: its form and the
+    logarithms of its parameters, the amplitude first."""
 
     form: str
     logs: Logs
 
     def response(self, s: np.ndarray) -> Response:
-        """Its admittance and derivatives at ``s`` (n,)."""
+        """Its admittance, or impedance of a lead, and derivatives at ``s`` (n,)."""
         logs = np.clip(self.logs, -LARGEST_LOG, LARGEST_LOG)
         return FORMS[self.form](logs, s)
 
@@ -95,15 +110,27 @@ class Element:
         return Element(self.form, (self.logs[0] + float(np.log(factor)), *self.logs[1:]))
 
     @property
-    def conductance(self) -> float:
-        """At zero frequency [S]."""
-        if self.form not in CONDUCTING:
-            return 0.0
+    def in_parallel(self) -> bool:
+        """Whether it is no lead."""
+        return self.form in PARALLEL
+
+    @property
+    def amplitude(self) -> float:
+        """Its first parameter."""
         return float(np.exp(min(self.logs[0], LARGEST_LOG)))
+
+    @property
+    def conductance(self) -> float:
+        """At zero frequency [S]; none of a lead."""
+        return self.amplitude if self.form in CONDUCTING else 0.0
 
     def branch(self) -> Branch:
         """Its resistor, inductor and capacitor in series; not of a capacitance."""
         p = np.exp(self.logs).tolist()
+        if self.form == "lead resistance":
+            return Branch(p[0])
+        if self.form == "lead inductance":
+            return Branch(0.0, p[0])
         if self.form == "conductance":
             return Branch(1 / p[0])
         if self.form == "inductive":
@@ -141,32 +168,71 @@ class Samples:
         return bool(low.imag < CAPACITIVE * low.real)
 
     @cached_property
+    def tolerance(self) -> np.ndarray:
+        """Relative deviation (n,) that shows no further element: :data:`ENOUGH`, and the effect of
+        frequencies that a file rounds."""
+        by_frequency = np.abs(np.gradient(self.Y, self.f) / self.Y)
+        return np.asarray(
+            np.hypot(ENOUGH, ABOVE_ROUNDING * frequency_rounding(self.f) * by_frequency)
+        )
+
+    def described(self, elements: Elements) -> bool:
+        """Whether a sum of elements differs from the samples by no more than the tolerance, rms."""
+        return bool(np.mean(np.abs(self.misfit(elements) / self.tolerance) ** 2) < 1)
+
+    @cached_property
     def _dc_weight(self) -> float:
         return DC_WEIGHT * np.sqrt(len(self.f)) if self.conductance else 0.0
 
+    def _sums(self, elements: Elements) -> tuple[np.ndarray, np.ndarray]:
+        """Admittance (n,) of the elements in parallel, and impedance (n,) of the leads."""
+        parallel, leads = np.zeros((2, len(self.f)), complex)
+        for element in elements:
+            if element.in_parallel:
+                parallel += element.response(self.s)[0]
+            else:
+                leads += element.response(self.s)[0]
+        return parallel, leads
+
     def response(self, elements: Elements) -> np.ndarray:
         """Admittance (n,) complex of a sum of elements."""
-        Y = np.zeros(len(self.f), complex)
-        for element in elements:
-            Y += element.response(self.s)[0]
-        return Y
+        parallel, leads = self._sums(elements)
+        return np.asarray(parallel / (1 + leads * parallel))
+
+    def missing(self, elements: Elements) -> np.ndarray:
+        """Admittance (n,) complex that is absent beside the elements in parallel."""
+        parallel, leads = self._sums(elements)
+        return np.asarray(self.Y / (1 - leads * self.Y) - parallel)
+
+    def slopes(self, elements: Elements) -> list[list[np.ndarray]]:
+        """Derivatives (n,) of the logarithm of Y by the parameters of each element."""
+        parallel, leads = self._sums(elements)
+        Y = parallel / (1 + leads * parallel)
+        inner = 1 / (parallel * (1 + leads * parallel))
+        return [
+            [d * (inner if e.in_parallel else -Y) for d in e.response(self.s)[1]] for e in elements
+        ]
 
     def deviation(self, elements: Elements) -> np.ndarray:
         """Relative deviation (n,) complex of a sum of elements from the samples."""
         return np.asarray(self.response(elements) / self.Y - 1)
 
+    def misfit(self, elements: Elements) -> np.ndarray:
+        """Logarithm (n,) complex of a sum of elements by the samples."""
+        ratio = self.response(elements) / self.Y
+        return np.log(np.where(ratio == 0, np.finfo(float).tiny, ratio))
+
     def rms(self, elements: Elements) -> float:
         """Root of the mean square of the logarithmic deviation."""
-        misfit = np.log(self.response(elements) / self.Y)
-        return float(np.sqrt(np.mean(np.abs(misfit) ** 2)))
+        return float(np.sqrt(np.mean(np.abs(self.misfit(elements)) ** 2)))
 
     def criterion(self, elements: Elements) -> float:
-        """Bayesian information criterion of a fit."""
+        """Bayesian information criterion of a fit, with :data:`FLOOR` as noise beside that of the
+        samples."""
         count = 2 * len(self.f)
         parameters = sum(len(e.logs) for e in elements)
-        least = np.finfo(float).eps
         return float(
-            count * np.log(self.rms(elements) ** 2 + least**2) + parameters * np.log(count)
+            count * np.log(self.rms(elements) ** 2 + FLOOR**2) + parameters * np.log(count)
         )
 
     def _rows(self, x: np.ndarray, dc: float) -> np.ndarray:
@@ -176,15 +242,23 @@ class Samples:
         return np.concatenate([x.real, x.imag, [self._dc_weight * dc / self.conductance]])
 
     def amplitudes(self, elements: Elements) -> tuple[Elements, float]:
-        """The elements with the best non-negative amplitudes, those of zero left out, and the norm
-        of the rows that they leave."""
-        shares = [element.response(self.s)[0] / self.Y for element in elements]
-        rows = [self._rows(x, e.conductance) for x, e in zip(shares, elements, strict=True)]
-        A, target = np.column_stack(rows), self._rows(np.ones(len(self.f)), self.conductance or 0.0)
+        """The elements with the best non-negative amplitudes behind the leads among them, those of
+        zero left out, and the norm of the rows that they leave, linear in the admittance."""
+        leads = tuple(e for e in elements if not e.in_parallel)
+        elements = tuple(e for e in elements if e.in_parallel)
+        share = 1 - self._sums(leads)[1] * self.Y
+        dc_share = 1 - lead_resistance(leads) * (self.conductance or 0.0)
+        columns = [share**2 / self.Y * e.response(self.s)[0] for e in elements]
+        rows = [
+            self._rows(x, dc_share**2 * e.conductance)
+            for x, e in zip(columns, elements, strict=True)
+        ]
+        A, target = np.column_stack(rows), self._rows(share, dc_share * (self.conductance or 0.0))
         size = np.linalg.norm(A, axis=0)
         x, left = nnls(A / size, target, maxiter=100 * len(size))
-        kept = [(e, x_e / size_e) for e, x_e, size_e in zip(elements, x, size, strict=True)]
-        return tuple(e.scaled(factor) for e, factor in kept if factor > 0), float(left)
+        factors = zip(elements, x / size, strict=True)
+        positive = tuple(e.scaled(factor) for e, factor in factors if factor > 0)
+        return ((*positive, *leads) if positive else ()), float(left)
 
     def polished(self, elements: Elements, evaluations: int = TRIAL) -> Elements:
         """The nearest least squares of all parameters, or what ``evaluations`` reach of it."""
@@ -201,29 +275,69 @@ class Samples:
 
         def residual(logs: np.ndarray) -> np.ndarray:
             tried = unpacked(logs)
-            lost = sum(e.conductance for e in tried) - (self.conductance or 0.0)
-            return self._rows(np.log(self.response(tried) / self.Y), lost)
+            lost = conductance(tried) - (self.conductance or 0.0)
+            return self._rows(self.misfit(tried), lost)
 
         def slopes(logs: np.ndarray) -> np.ndarray:
             tried = unpacked(logs)
-            Y, result = self.response(tried), []
-            for e in tried:
-                first, *others = e.response(self.s)[1]
-                result.append(self._rows(first / Y, e.conductance))
-                result += [self._rows(other / Y, 0.0) for other in others]
+            result = []
+            for e, (first, *others) in zip(tried, self.slopes(tried), strict=True):
+                result.append(self._rows(first, _conductance_slope(tried, e)))
+                result += [self._rows(other, 0.0) for other in others]
             return np.column_stack(result)
 
         start = np.concatenate([e.logs for e in elements])
         if len(start) > 2 * len(self.f):
             return elements
-        result = least_squares(
-            residual,
-            start,
-            slopes,
-            method="lm",
-            xtol=CONVERGED,
-            ftol=CONVERGED,
-            gtol=CONVERGED,
-            max_nfev=evaluations,
-        )
+        with np.errstate(all="ignore"):  # steps beyond the float range; the end is checked
+            result = least_squares(
+                residual,
+                start,
+                slopes,
+                method="lm",
+                xtol=CONVERGED,
+                ftol=CONVERGED,
+                gtol=CONVERGED,
+                max_nfev=evaluations,
+            )
         return unpacked(result.x) if np.isfinite(result.x).all() else elements
+
+
+def frequency_rounding(f: np.ndarray) -> float:
+    """Rounding error (rms) [Hz] of frequencies ``f`` (n,): their difference to equal steps, linear
+    or logarithmic, where half of their last decimal digit explains it; else 0.
+
+    Examples
+    --------
+    >>> round(frequency_rounding(np.round(np.linspace(1e3, 2e3, 60))), 2)
+    0.29
+    >>> frequency_rounding(np.linspace(1e3, 2e3, 51)) < 1e-9
+    True
+    """
+    units = 10.0 ** np.arange(np.floor(np.log10(f[0])), -4, -1)
+    unit = next((u for u in units if np.abs(f / u - np.round(f / u)).max() < 1e-6), 0.0)
+    index = np.arange(len(f))
+    for scale, inverse in ((np.asarray, np.asarray), (np.log, np.exp)):
+        grid = inverse(np.polyval(np.polyfit(index, scale(f), 1), index))
+        if np.abs(f - grid).max() < HALF * unit:
+            return float(np.sqrt(np.mean((f - grid) ** 2)))
+    return 0.0
+
+
+def lead_resistance(elements: Elements) -> float:
+    """Resistance [Ohm] of the leads among ``elements``."""
+    return sum(e.amplitude for e in elements if e.form == "lead resistance")
+
+
+def conductance(elements: Elements) -> float:
+    """Conductance [S] of ``elements`` at zero frequency."""
+    parallel = sum(e.conductance for e in elements)
+    return parallel / (1 + lead_resistance(elements) * parallel)
+
+
+def _conductance_slope(elements: Elements, element: Element) -> float:
+    """Derivative of :func:`conductance` by the logarithm of the amplitude of an element."""
+    if element.form == "lead resistance":
+        return -(conductance(elements) ** 2) * lead_resistance((element,))
+    parallel = sum(e.conductance for e in elements)
+    return element.conductance / (1 + lead_resistance(elements) * parallel) ** 2

@@ -5,7 +5,11 @@ beside a capacitance ``C0``, a voltage u and the charge y of the port::
 
     L_k q_k'' + R_k q_k' + q_k / C_k = u        y = sum_k q_k + C0 u
 
-is a linear model with diagonal matrices and a column B of ones, and is recognised by these.
+is a linear model with diagonal matrices and a column B of ones, and is recognised by these. The
+resistance R and the inductance L of leads carry the current of all branches. Then ``C0`` is a
+branch too, and each matrix of R and of L has one value more in all entries::
+
+    L y'' + R y' + L_k q_k'' + R_k q_k' + q_k / C_k = u        y = sum_k q_k
 """
 
 from __future__ import annotations
@@ -35,17 +39,23 @@ class Branch:
         )
 
 
+IDEAL_LEAD = Branch(0.0)
+
+
 @dataclass(frozen=True)
 class ParallelBranches:
-    """A one-port of ``branches`` beside the ``capacitance`` C0 [F]."""
+    """A one-port of ``branches`` beside the ``capacitance`` C0 [F], behind a ``lead`` of R and L
+    in series."""
 
     capacitance: float
     branches: tuple[Branch, ...]
+    lead: Branch = IDEAL_LEAD
 
     @property
     def conductance(self) -> float:
         """Conductance [S] at zero frequency."""
-        return sum(1 / b.resistance for b in self.branches if b.elastance == 0)
+        conductance = sum(1 / b.resistance for b in self.branches if b.elastance == 0)
+        return conductance / (1 + self.lead.resistance * conductance)
 
     def admittance(self, frequency: np.ndarray) -> np.ndarray:
         """Y (n,) [S] at ``frequency`` (n,) [Hz]."""
@@ -53,18 +63,22 @@ class ParallelBranches:
         Y = s * self.capacitance
         for branch in self.branches:
             Y = Y + branch.admittance(s)
-        return np.asarray(Y)
+        return np.asarray(Y / (1 + (self.lead.resistance + s * self.lead.inductance) * Y))
 
     def linear(self, certificate: Certificate | None = None) -> LinearModel:
-        """The network as matrices; :func:`parallel_branches` takes it back to the bit."""
-        values = np.array([(b.inductance, b.resistance, b.elastance) for b in self.branches])
+        """The network as matrices; :func:`parallel_branches` takes it back, to the bit unless it
+        has a lead."""
+        branches, capacitance = self.branches, self.capacitance
+        if self.lead != IDEAL_LEAD and capacitance > 0:
+            branches, capacitance = (*branches, Branch(0.0, elastance=1 / capacitance)), 0.0
+        values = np.array([(b.inductance, b.resistance, b.elastance) for b in branches])
         M, E, K = (np.diag(column) for column in values.reshape(-1, 3).T)
         return LinearModel(
-            M=M,
-            E=E,
+            M=M + self.lead.inductance,
+            E=E + self.lead.resistance,
             K=K,
-            B=np.ones((len(self.branches), 1)),
-            D=np.array([[self.capacitance]]),
+            B=np.ones((len(branches), 1)),
+            D=np.array([[capacitance]]),
             ports=(PORT,),
             certificate=certificate,
         )
@@ -75,9 +89,27 @@ def parallel_branches(model: LinearModel) -> ParallelBranches | None:
     one_port = len(model.ports) == 1 and model.ports[0].electrical
     if model.first_order or not one_port or not (model.B == 1).all() or not (model.C == 1).all():
         return None
-    K, E, M = model.pencil.dense().coefficients
-    if any(not np.array_equal(P, np.diag(np.diag(P))) or (np.diag(P) < 0).any() for P in (K, E, M)):
+    matrices = model.pencil.dense().coefficients
+    elastance, resistance, inductance = (_shared(matrix) for matrix in matrices)
+    if elastance != 0 or resistance is None or inductance is None:
         return None
-    values = zip(np.diag(E), np.diag(M), np.diag(K), strict=True)
-    branches = tuple(Branch(float(R), float(L), float(S)) for R, L, S in values)
-    return ParallelBranches(float(model.D[0, 0]), branches)
+    capacitance, lead = float(model.D[0, 0]), Branch(resistance, inductance)
+    K, E, M = (np.diag(P) - c for P, c in zip(matrices, (0.0, resistance, inductance), strict=True))
+    branches = tuple(Branch(float(R), float(L), float(S)) for R, L, S in zip(E, M, K, strict=True))
+    if lead != IDEAL_LEAD:
+        if capacitance != 0:
+            return None
+        *others, last = branches
+        if last.resistance == last.inductance == 0 < last.elastance:
+            branches, capacitance = tuple(others), 1 / last.elastance
+    return ParallelBranches(capacitance, branches, lead)
+
+
+def _shared(matrix: np.ndarray) -> float | None:
+    """The value that all entries beside the diagonal have, at most that of each on it; None
+    where there is none that is positive or zero."""
+    beside = matrix[~np.eye(len(matrix), dtype=bool)]
+    shared = float(beside[0]) if beside.size else 0.0
+    if shared < 0 or (beside != shared).any() or (np.diag(matrix) < shared).any():
+        return None
+    return shared

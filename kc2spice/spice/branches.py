@@ -9,7 +9,7 @@ import numpy as np
 from kc2spice.netlist.circuit import Element, Pin
 from kc2spice.netlist.elements import Line
 from kc2spice.rom.linear_model import LinearModel, Port
-from kc2spice.rom.network import Branch, ParallelBranches
+from kc2spice.rom.network import IDEAL_LEAD, Branch, ParallelBranches
 
 # Current through the leak at the lowest frequency of the band, relative to that of the part.
 LEAK_SHARE = 1e-9
@@ -17,6 +17,7 @@ ABOUT = (
     "* Passive one-port: every branch between the two pins is R, L and C in series.",
     "* Pins float: no other node is a reference. Every resistor has thermal noise.",
 )
+_LEAD = "* R0 and L0: leads, which carry the current of all branches."
 _LEAK = "* Rleak gives a floating pin its operating point; no other direct current flows."
 
 
@@ -29,11 +30,15 @@ def branch_cards(network: ParallelBranches, model: LinearModel) -> list[Line]:
     """Cards of the ``network`` between the pins of the port of its ``model``."""
     plus, minus = model.ports[0].terminals
     result: list[Line] = []
+    first = plus
+    if network.lead != IDEAL_LEAD:
+        first = "inner0"
+        result += [_LEAD, *_series(network.lead, 0, plus, first)]
     if network.capacitance > 0:
-        result.append(Element.of("C0", plus, minus, network.capacitance))
+        result.append(Element.of("C0", first, minus, network.capacitance))
     for index, branch in enumerate(network.branches, 1):
         result += [f"\n* Branch {index}: {_description(branch)}"]
-        result += _series(branch, index, plus, minus)
+        result += _series(branch, index, first, minus)
     if network.conductance == 0:
         band = model.certificate.band_hz if model.certificate else (1.0, 1.0)
         leak = LEAK_SHARE * float(np.abs(network.admittance(np.array(band[:1])))[0])

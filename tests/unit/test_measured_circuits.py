@@ -2,17 +2,20 @@
 
 import itertools
 import re
-from dataclasses import replace
+from dataclasses import astuple, replace
+from pathlib import Path
 
 import numpy as np
 import pytest
+import skrf
 
 import kc2spice as kc
+from kc2spice.bodies.readers.measured import read_measured
 from kc2spice.netlist.deck import ac
 from kc2spice.netlist.expression import parse
 from kc2spice.rom.branch_fit import one_port
 from kc2spice.rom.io import read_rom
-from kc2spice.rom.network import parallel_branches
+from kc2spice.rom.network import Branch, ParallelBranches, parallel_branches
 from kc2spice.workflow.reduce_files import first_deck, reduce_file
 
 NOISE = 1e-3
@@ -171,6 +174,162 @@ def test_a_capacitor_alone_is_one():
     assert simulated(model, f[::20]) * 2j * np.pi * f[::20] * 33e-12 == pytest.approx(1.0)
 
 
+def behind_lead(f, Y, R, L=0.0):
+    """Admittance [S] of ``Y`` behind R and L in series."""
+    return 1 / (R + 2j * np.pi * f * L + 1 / Y)
+
+
+def one_resonance(f):
+    """2 nF parallel to 20 Ohm, 5 mH and 5 nF; 5 Ohm in series."""
+    s = 2j * np.pi * f
+    return behind_lead(f, s * 2e-9 + 1 / (20 + s * 5e-3 + 1 / (s * 5e-9)), 5.0)
+
+
+def three_resonances(f):
+    """Three Butterworth-Van Dyke branches beside 2 nF, behind 3 Ohm and 20 uH."""
+    s = 2j * np.pi * f
+    Y = s * 2e-9
+    for f0, C, Q in ((40e3, 0.3e-9, 80.0), (105e3, 0.1e-9, 60.0), (190e3, 0.05e-9, 100.0)):
+        w0 = 2 * np.pi * f0
+        Y = Y + s * C * w0**2 / (s**2 + s * w0 / Q + w0**2)
+    return behind_lead(f, Y, 3.0, 20e-6)
+
+
+def coil_with_leads(f):
+    """1.5 Ohm and 1 mH parallel to 100 pF, behind 0.2 Ohm and 50 nH."""
+    s = 2j * np.pi * f
+    return behind_lead(f, s * 100e-12 + 1 / (1.5 + s * 1e-3), 0.2, 50e-9)
+
+
+def lossy_dielectric(f):
+    """2 nF with a constant loss tangent of 3.1 % and a resonance: no finite circuit is exact."""
+    s, w0 = 2j * np.pi * f, 2 * np.pi * 40e3
+    resonance = s * 0.3e-9 * w0**2 / (s**2 + s * w0 / 80 + w0**2)
+    return s * 2e-9 * (s / 1e6) ** -0.02 + resonance
+
+
+# Frequencies [Hz], order of the model, resistance [Ohm] and inductance [H] of the leads.
+LEADS = {
+    one_resonance: (np.linspace(1e3, 1e5, 400), 2, 5.0, 0.0),
+    three_resonances: (np.linspace(10e3, 250e3, 600), 4, 3.0, 20e-6),
+    coil_with_leads: (np.geomspace(10, 3e6, 301), 2, 0.2, 50e-9),
+}
+
+
+@pytest.mark.parametrize("circuit", LEADS, ids=lambda circuit: circuit.__name__)
+def test_leads_are_elements_of_the_circuit(circuit):
+    """Leads took 16 to 38 branches; ngspice answers as the closed form does."""
+    f, order, R, L = LEADS[circuit]
+    model, left = one_port(f, circuit(f), 1e-9)
+    network = parallel_branches(model)
+    assert model.order == order
+    assert left < 1e-9
+    assert network.lead.resistance == pytest.approx(R, rel=1e-6)
+    assert network.lead.inductance == pytest.approx(L, rel=1e-6)
+    assert simulated(model, f[::100]) * circuit(f[::100]) == pytest.approx(1.0, rel=1e-6)
+
+
+SLOW = [
+    pytest.param(circuit, marks=pytest.mark.slow)
+    for circuit in (three_resonances, lossy_dielectric)
+]
+
+
+@pytest.mark.parametrize("circuit", [one_resonance, coil_with_leads, *SLOW])
+def test_last_digits_of_a_file_do_not_change_its_circuit(circuit):
+    """Ten files with relative errors of 1e-9, of circuits with leads and of one without a finite
+    circuit."""
+    f = LEADS[circuit][0] if circuit in LEADS else np.linspace(10e3, 100e3, 400)
+    require_one_circuit(f, circuit(f))
+
+
+def test_last_digits_of_a_published_file_do_not_change_its_circuit():
+    data = read_measured(Path(skrf.__file__).parent / "data" / "ro,1.s1p")
+    require_one_circuit(data.f, data.Y[:, 0, 0])
+
+
+def require_one_circuit(f, Y):
+    """Fits of ten files that differ by 1e-9 have one order, and errors above that within 10 %."""
+    orders, errors = [], []
+    for seed in range(10):
+        draw = np.random.default_rng(seed).normal(size=(2, len(f)))
+        model, _ = one_port(f, Y * (1 + 1e-9 * (draw[0] + 1j * draw[1])), 1e-9)
+        orders.append(model.order)
+        errors.append(model.certificate.error_estimate + 1e-7)
+    assert len(set(orders)) == 1
+    assert max(errors) < 1.1 * min(errors)
+
+
+def files_of_one_circuit(directory):
+    """The circuit :func:`one_resonance` in seven notations, one of them with frequencies rounded to
+    1 Hz."""
+    f = LEADS[one_resonance][0]
+    Z = 1 / one_resonance(f)
+    S = (Z - 50) / (Z + 50)
+    tables = {
+        "rad_per_s.csv": ("frequency (rad/s),R,X", 2 * np.pi * f, Z.real, Z.imag),
+        "millihertz.csv": ("Frequency(mHz),|Z|(Ohm),Phase(deg)", f * 1e3, abs(Z),
+                           np.angle(Z, deg=True)),
+        "minus_im.csv": ("freq/Hz,Re(Z)/Ohm,-Im(Z)/Ohm", f, Z.real, -Z.imag),
+        "minus_zimag.csv": ("freq (Hz),Zreal (ohm),-Zimag (ohm)", f, Z.real, -Z.imag),
+        "two_options.s1p": ("# Hz S RI R 50\n# kHz S RI R 50", f, S.real, S.imag),
+        "terahertz.s1p": ("# THz S RI R 50", f / 1e12, S.real, S.imag),
+        "thousands.tsv": ("f\tR\tX", np.round(f), Z.real, Z.imag),
+    }  # fmt: skip
+    for name, (title, *columns) in tables.items():
+        separator = {".s1p": " ", ".tsv": "\t"}.get(name[-4:], ",")
+        rows = [separator.join(f"{x:.9g}" for x in row) for row in zip(*columns, strict=True)]
+        (directory / name).write_text("\n".join([title, *rows]) + "\n")
+    return list(tables)
+
+
+def test_notations_of_one_circuit_have_one_order(tmp_path):
+    """They had 16 to 38 states. Errors are those of nine digits, and of frequencies that a file
+    rounds to 1 Hz at most twice what the exact circuit has."""
+    f = LEADS[one_resonance][0]
+    rounded = float(np.abs(one_resonance(np.round(f)) / one_resonance(f) - 1).max())
+    for name in files_of_one_circuit(tmp_path):
+        result = reduce_file(tmp_path / name, tmp_path / "out")
+        assert result["order"] == 2, name
+        limit = 2 * rounded if name == "thousands.tsv" else 1e-6
+        assert result["error_estimate"] < limit, name
+
+
+def test_a_lead_is_a_part_of_the_stated_direct_current():
+    """10 Ohm parallel to 1 uF behind 3 Ohm: the user states 13.1 Ohm."""
+    f = np.geomspace(1e3, 1e6, 100)
+    Y = behind_lead(f, 0.1 + 2j * np.pi * f * 1e-6, 3.0)
+    model, _ = one_port(f, Y, 1e-6, 1 / 13.1)
+    assert 1 / parallel_branches(model).conductance == pytest.approx(13.1, rel=1e-6)
+
+
+@pytest.mark.campaign
+@pytest.mark.parametrize("noise", [0.0, NOISE])
+@pytest.mark.parametrize("seed", range(40))
+def test_every_circuit_behind_leads_has_its_number_of_resonances(seed, noise):
+    """One to four resonances of random coupling, behind a resistance with or without inductance."""
+    random = np.random.default_rng(seed)
+    f = np.linspace(10e3, 250e3, 600)
+    s, count = 2j * np.pi * f, random.integers(1, 5)
+    resonances = 2 * np.pi * np.cumsum(random.uniform(25e3, 55e3, count))
+    clamped = 10 ** random.uniform(-9.5, -7.5)
+    qualities, ratios = (
+        10 ** random.uniform(1.3, 2.5, count),
+        10 ** random.uniform(-2.3, -0.3, count),
+    )
+    Y = s * clamped
+    for w0, Q, ratio in zip(resonances, qualities, ratios, strict=True):
+        Y = Y + s * ratio * clamped * w0**2 / (s**2 + s * w0 / Q + w0**2)
+    size = 1 / (2 * np.pi * 40e3 * clamped)
+    R = size * 10 ** random.uniform(-3, -0.5)
+    L = size / (2 * np.pi * 250e3) * 10 ** random.uniform(-3, -1) * random.integers(0, 2)
+    draw = np.random.default_rng(seed).normal(size=(2, len(f)))
+    model, _ = one_port(f, behind_lead(f, Y, R, L) * (1 + noise * (draw[0] + 1j * draw[1])), noise)
+    network = parallel_branches(model)
+    assert len(network.branches) == count
+    assert network.lead.resistance == pytest.approx(R, rel=0.05)
+
+
 def test_branches_survive_their_file(tmp_path):
     """Matrices of the model are R, L and 1/C to the bit."""
     f, Y, _ = resonance("wide", 0.2, 100)
@@ -179,6 +338,15 @@ def test_branches_survive_their_file(tmp_path):
     again = parallel_branches(network.linear(model.certificate))
     assert again == network
     assert 2j * np.pi * f * model.transfer(f)[:, 0, 0] == pytest.approx(network.admittance(f))
+    for capacitance in (0.0, 2e-9):
+        branches = Branch(20.0, 5e-3, 2e8), Branch(300.0, 1e-3), Branch(40.0, 0.0, 1e9)
+        network = ParallelBranches(capacitance, branches, Branch(5.0, 1e-6))
+        model = network.linear()
+        again = parallel_branches(model)
+        for branch, other in zip(branches, again.branches, strict=True):
+            assert astuple(other) == pytest.approx(astuple(branch), rel=1e-12)
+        assert (again.capacitance, again.lead) == (pytest.approx(capacitance), network.lead)
+        assert 2j * np.pi * f * model.transfer(f)[:, 0, 0] == pytest.approx(network.admittance(f))
 
 
 def test_a_fit_does_not_depend_on_rounding():
