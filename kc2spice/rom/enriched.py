@@ -59,7 +59,7 @@ class Orders:
         return krylov_space(self._pencil) if definite else None
 
     def reduce(self, order: int, band: tuple[float, float], norm: Norm) -> LinearModel:
-        """Reduce to an order as :func:`kc2spice.rom.reduce.reduce` does for contacts."""
+        """Reduce to an order as :func:`kc2spice.rom.reduce.reduce_model` does for contacts."""
         target = Target(None, order, band, norm, contact=True, method=None, space=self._space)
         return reduce_to(self.model, target)
 
