@@ -119,6 +119,10 @@ LAYOUTS = {
     "Analog Discovery, old": Layout(
         "a.csv", AD2 + "Frequency (Hz),Trace θ (deg),Trace |Z| (Ω),Trace Rs (Ω),Trace Xs (Ω)\n",
         (F, DEG, abs(Z), Z.real, Z.imag)),
+    "Analog Discovery, gain": Layout(
+        "a.csv", "#Digilent WaveForms Network Analyzer - Bode\n#Device Name: Discovery2\n"
+        "Frequency (Hz),Channel 1 Magnitude (dB),Channel 2 Magnitude (dB),Channel 2 Phase (deg)\n",
+        (F, F / 1e6, 20 * np.log10(abs(GAIN)), np.angle(GAIN, deg=True)), shunt=SHUNT),
     "NanoVNA": Layout("a.s1p", "# HZ S RI R 50\n", (F, S.real, S.imag), " "),
     "REW": Layout(
         "a.txt", "* Impedance data measured by REW V5.20\n* Sense resistor: 100.0\n*\n"

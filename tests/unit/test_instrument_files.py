@@ -67,6 +67,20 @@ def test_a_real_gain_is_the_resistor_that_was_measured():
     assert "shunt over source, through 100 Ohm" in " ".join(data.notes)
 
 
+def test_a_shunt_selects_the_gain_beside_an_impedance(tmp_path):
+    """The gain is of another part; with a shunt it counts, without one the impedance."""
+    other = SHUNT / (3 * Z + SHUNT)
+    head = "f_hz,|Z| (Ohm),phase (deg),Gain Real (-),Gain Imaginary (-)\n"
+    path = written(tmp_path, "a.csv", head + rows(F, abs(Z), DEG, other.real, other.imag))
+    assert read_measured(path).Y[:, 0, 0] == pytest.approx(Y, rel=1e-6)
+    assert read_measured(path, SHUNT).Y[:, 0, 0] == pytest.approx(Y / 3, rel=1e-6)
+    head = "f_hz,|Z| (Ohm),phase (deg),Gain (dB),Gain Phase (deg)\n"
+    size, angle = 20 * np.log10(abs(other)), np.angle(other, deg=True)
+    path = written(tmp_path, "b.csv", head + rows(F, abs(Z), DEG, size, angle))
+    assert read_measured(path).Y[:, 0, 0] == pytest.approx(Y, rel=1e-6)
+    assert read_measured(path, SHUNT).Y[:, 0, 0] == pytest.approx(Y / 3, rel=1e-6)
+
+
 def test_noise_of_a_gain_is_absolute(tmp_path):
     """Noise of g gives that of Y by repeated measurement, without the reader's formula."""
     draws = np.random.default_rng(3).normal(size=(2, len(F)))
@@ -123,6 +137,11 @@ AMBIGUOUS = {
         "a.csv", "f_hz,A R (Ohm),A X (Ohm),CH1 R (Ohm),CH2 R (Ohm),X (Ohm)\n"
         + rows(F, Z.real, Z.imag, Z.real, 2 * Z.real, Z.imag),
         ("two columns of R", "'CH1 R (Ohm)'", "'CH2 R (Ohm)'"),
+    ),
+    "two channels": (
+        "a.csv", "f_hz,CH1 |Z| (Ohm),CH1 phase (deg),CH2 |Z| (Ohm),CH2 phase (deg)\n"
+        + rows(F, abs(Z), DEG, 2 * abs(Z), DEG + 9),
+        ("two columns of |Z|", "'CH1 |Z| (Ohm)'", "'CH2 |Z| (Ohm)'"),
     ),
     "kilohms that are ohms": (
         "a.csv", AD2 + "Frequency (Hz),Trace th (deg),Trace |Z| (kOhm),Trace Rs (Ohm),"

@@ -20,6 +20,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from kc2spice.bodies.readers.meanings import (
+    CHANNEL,
     COMBINATIONS,
     DEFAULT_UNITS,
     LABELS,
@@ -197,7 +198,7 @@ def response_of(
         raise ValueError(f"{len(titles)} titles above {len(numbers)} columns of numbers")
     columns = _understood(titles, numbers)
     _require_complete(titles, columns, shunt)
-    frequency = _one("f", columns)
+    frequency = _one("f", columns.by_quantity["f"])
     f = frequency.values
     steps = np.diff(f)
     if not ((steps >= 0).all() or (steps <= 0).all()):
@@ -294,19 +295,41 @@ def _incomplete(titles: Sequence[str], columns: _Columns) -> Exception:
     return ValueError(f"the columns {names} contain {missing}{strange}")
 
 
-def _one(quantity: str, columns: _Columns) -> Column:
+def _one(quantity: str, candidates: Sequence[Column]) -> Column:
     """The column of a quantity, which may be there more than once with the same values.
 
     Raises
     ------
     UsageError : the values differ.
     """
-    first, *others = columns.by_quantity[quantity]
+    first, *others = candidates
     for other in others:
         if _difference(other.values, first.values) > AGREE:
-            got = f"two columns of {LABELS.get(quantity, quantity)}"
-            raise two_readings(got, (str(first), str(other)), ONE_PART)
+            label = f"two columns of {LABELS.get(quantity, quantity)}"
+            raise two_readings(label, (str(first), str(other)), ONE_PART)
     return first
+
+
+def _pair(combination: Combination, columns: _Columns) -> tuple[Column, Column]:
+    """The columns of a combination; of several first ones that of the channel of the second.
+
+    Raises
+    ------
+    UsageError : columns of one quantity differ, and no channel tells which belong together.
+    """
+    sizes, others = (columns.by_quantity[quantity] for quantity in combination.columns)
+    channel = _channel(others[0])
+    if len(sizes) > 1 and len(others) == 1 and channel:
+        same = [column for column in sizes if _channel(column) == channel]
+        sizes = same if len(same) == 1 else sizes
+    first, second = combination.columns
+    return _one(first, sizes), _one(second, others)
+
+
+def _channel(column: Column) -> str:
+    """The channel in the title of a column, such as ``channel 2``; empty without one."""
+    match = CHANNEL.search(column.title.text)
+    return match[0].lower() if match else ""
 
 
 def _difference(a: np.ndarray, b: np.ndarray) -> float:
@@ -324,17 +347,16 @@ def _readings(columns: _Columns, f: np.ndarray, shunt: float | None) -> list[_Re
     ------
     UsageError : two of them give different responses.
     """
-    sizes = [name for name in ("z", "y", "gain") if name in columns.by_quantity]
-    readings = list[_Reading]()
+    names, readings = set(columns.by_quantity), list[_Reading]()
+    phases = {"z": "phase_z", "y": "phase_y"} if shunt is None else {"gain": "gain_phase"}
+    size = next((name for name in phases if name in names), None)  # that the phase belongs to
     for combination in COMBINATIONS:
         first, second = combination.columns
-        if not {first, second} <= set(columns.by_quantity) or combination.shunt != (
-            shunt is not None
-        ):
+        if combination.shunt != (shunt is not None) or not {first, second} <= names:
             continue
-        if second == "phase" and first != sizes[0]:  # a phase belongs to the first size
+        if second == "phase" and (first != size or phases[first] in names):
             continue
-        pair = _one(first, columns), _one(second, columns)
+        pair = _pair(combination, columns)
         samples = combination.value(pair[0].values, pair[1].values, 2 * np.pi * f)
         readings.append(_Reading(combination, pair, samples))
     best = readings[0]

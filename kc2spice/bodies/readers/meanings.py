@@ -123,6 +123,7 @@ ADDED = re.compile(
     r"trace|tr\d*|trc\d*|ch\d*|channel|data|measured|measurement|meas|value|\d+|parameter|primary|"
     r"secondary|in|log|lin|linear"
 )
+CHANNEL = re.compile(r"\b(channel|ch)\s*(\d+|[a-z]\b)", re.I)  # tells which columns belong together
 # Titles of a table without titles, by the suffix of its file.
 SUFFIX_TITLES = {
     ".zma": ("Frequency (Hz)", "|Z| (Ohm)", "Phase (deg)"),
