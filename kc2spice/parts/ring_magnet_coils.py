@@ -54,6 +54,7 @@ from kc2spice.spice.header import library
 MAGNET_CONDUCTIVITY = 150e3  # S/m, paper table A1
 
 UNRATED = "not known; compare the coils' currents with what their wire stands"
+USUAL_CURRENT = 0.1  # A, of forces that are shown and compared where a scene states no limit
 FINER = 2  # cells along each edge of the mesh in verify, of those of the table
 DENSER = 4  # heights of the table that the shipped one is compared with, per interval
 POINTS = 201  # points of each lookup; the error between them is 6e-6 of the largest force
@@ -447,7 +448,7 @@ class RingMagnetCoils(Touching):
         fine = cached("catch", key, finer, classes=(EMTable,), sources=SOURCES)
         fine = fine.magnetised(keys.remanence, keys.shift)
         step = (table.y.size - 1) // (fine.y.size - 1)
-        current = largest_current(part, build.scene)
+        current = largest_current(part, build.scene) or USUAL_CURRENT
         pulls = [_pulls(item, current) for item in (table.coefficients[::step], fine.coefficients)]
         largest = np.abs(pulls[1]).sum(axis=0).max()
         changed = np.abs(pulls[0] - pulls[1]).sum(axis=0).max() / largest
@@ -538,7 +539,7 @@ class RingMagnetCoils(Touching):
 def force_map(part: Part, build: Build) -> Figure:
     """Force over height without current, with both currents, and with opposite ones."""
     table = build.model(part, EMTable)
-    limit = largest_current(part, build.scene) or 0.1
+    limit = largest_current(part, build.scene) or USUAL_CURRENT
     fine = np.linspace(table.y[0], table.y[-1], 401)
     curves = tuple(
         Curve(
