@@ -905,7 +905,7 @@ class LinearBody(Touching):
         dimensions = self.dimensions(part)
         unknowns = facts.get("unknowns", 0.0) * TWICE**dimensions
         most *= IN_PLANE if dimensions == 2 else 1.0
-        cause = f"{unknowns:,.0f} unknowns, more than {most:,.0f}".replace(",", " ")
+        cause = f"{unknowns:.0f} unknowns, more than {most:.0f}"
         finer = None
         if unknowns <= most:
             try:
