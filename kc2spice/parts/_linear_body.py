@@ -117,7 +117,7 @@ _NO_MODEL = {"rom", "fields", "rated_voltage", "number"}
 SOURCES = (
     "kc2spice.linalg", "kc2spice.fem", "kc2spice.rom", "kc2spice.bodies",
     "kc2spice.core.domains", "kc2spice.core.quantities", "kc2spice.core.gmsh_session",
-    "kc2spice.core.untrusted_files",
+    "kc2spice.core.untrusted_files", "kc2spice.parts._box",
 )  # fmt: skip
 
 

@@ -275,7 +275,7 @@ def declared_subcircuit(
     >>> from kc2spice.parts.two_terminal_types import declaration as declared
     >>> from kc2spice.netlist.library import Header
     >>> spring = declared(next(row for row in TABLE if row.name == "spring"))
-    >>> subcircuit(Header("demo", "0"), "leaf", spring, {"stiffness": 100.0})
+    >>> declared_subcircuit(Header("demo", "0"), "leaf", spring, {"stiffness": 100.0})
     <Subcircuit leaf: pins a[um/N] b[um/N]; stiffness=100>
     """
     from kc2spice.spice.header import defaults, part_header  # loads scipy

@@ -310,7 +310,7 @@ def frequency_rounding(f: np.ndarray) -> float:
     Examples
     --------
     >>> round(frequency_rounding(np.round(np.linspace(1e3, 2e3, 60))), 2)
-    0.29
+    0.28
     >>> frequency_rounding(np.linspace(1e3, 2e3, 51)) < 1e-9
     True
     """

@@ -117,7 +117,7 @@ def reduce_model(
     >>> stiffness = 2e3 * (np.diag([2.0, 2, 2, 1]) - np.eye(4, k=1) - np.eye(4, k=-1))
     >>> tip = Port("tip", "mechanical")
     >>> chain = LinearModel(M=1e-3 * np.eye(4), K=stiffness, B=np.eye(4)[:, 3:], ports=(tip,))
-    >>> small = reduce(chain, order=2, band=(0.0, 100.0))
+    >>> small = reduce_model(chain, order=2, band=(0.0, 100.0))
     >>> small.order
     2
     >>> print(f"{small.transfer([0.0])[0, 0, 0].real:.9f} m/N")

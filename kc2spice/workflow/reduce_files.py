@@ -117,7 +117,7 @@ def reduce_file(
     >>> stiffness = 2e3 * (np.diag([2.0, 2, 2, 1]) - np.eye(4, k=1) - np.eye(4, k=-1))
     >>> np.savez("chain.npz", M=1e-3 * np.eye(4), K=stiffness, B=np.eye(4)[:, 3:])
     >>> accuracy = {"tolerance": 1e-3, "norm": "pointwise"}
-    >>> reduced = reduce("chain.npz", Path("out"), band=(0.0, 100.0), **accuracy)
+    >>> reduced = reduce_file("chain.npz", Path("out"), band=(0.0, 100.0), **accuracy)
     >>> reduced["unknowns"], reduced["order"], reduced["error_estimate"] < 1e-3
     (4, 2, True)
     >>> Path(reduced["rom"]).is_file()

@@ -139,7 +139,7 @@ def run_scene(
     ...     "analysis": {"type": "op"},
     ...     "probes": {"current_a": {"of": "lamp.i"}},
     ... }
-    >>> record = run(load_scene(lamp), Path("lamp"))
+    >>> record = run_scene(load_scene(lamp), Path("lamp"))
     >>> print(f"{record['metrics']['current_a']:.4f} A")
     2.0000 A
     >>> Path("lamp/result.json").is_file()

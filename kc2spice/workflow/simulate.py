@@ -137,7 +137,7 @@ def simulate_deck(
     ...     "probes": {"current_a": {"of": "lamp.i"}},
     ... }
     >>> build, deck = prepared(load_scene(lamp), Clock())
-    >>> run = simulate(build, deck, Path())
+    >>> run = simulate_deck(build, deck, Path())
     >>> print(f"{run.metrics['current_a']:.4f} {run.units['current_a']}")
     2.0000 A
     """

@@ -47,7 +47,7 @@ def test_a_run_with_pictures_in_its_page_alone_never_loads_what_draws(tmp_path):
     """From the command line, whole."""
     code = (
         "import sys, kc2spice.cli.main as main\n"
-        "try: main.main()\n"
+        "try: main.run_command_line()\n"
         "except SystemExit as end: assert not end.code, end.code\n"
         "print(sorted({'matplotlib', 'skfem', 'PySpice'} & set(sys.modules)), file=sys.stderr)"
     )

@@ -618,7 +618,7 @@ def run_sweep(
     >>> from concurrent.futures import ThreadPoolExecutor
     >>> from contextlib import nullcontext
     >>> drops = named_sweep("impact", ["impact.velocity=-0.1,-0.2"])
-    >>> summary = sweep(drops, Path("drops"), lambda: nullcontext((ThreadPoolExecutor(1), 1)))
+    >>> summary = run_sweep(drops, Path("drops"), lambda: nullcontext((ThreadPoolExecutor(1), 1)))
     >>> summary["points"], summary["failed"]
     (2, 0)
     >>> Path("drops/sweep.html").is_file()
