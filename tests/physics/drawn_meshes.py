@@ -264,9 +264,9 @@ if __name__ == "__main__":
         kind, make, finest = drawn(number)
         with tempfile.TemporaryDirectory() as home:
             for word, unknowns, error, unsure, estimate in rows(make, Path(home), finest):
+                ratio = f"{estimate / error:.2f}" if max(error, estimate) >= SMALL else "-"
                 print(
-                    f"{number:3} {kind:12} {unknowns:7} {word:12} error {error:8.3%} "
-                    f"(+- {unsure:6.3%}) estimate {estimate:8.3%} "
-                    f"effectivity {estimate / error if error else np.nan:5.2f}",
+                    f"{number:3} {kind:11} {unknowns:7} unknowns  {word:11} error {error:7.2%} "
+                    f"(+- {unsure:5.2%})  estimate {estimate:7.2%}  effectivity {ratio}",
                     flush=True,
                 )
