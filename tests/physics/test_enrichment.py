@@ -193,7 +193,7 @@ def direct(device, answers):
 @pytest.mark.parametrize("support", ["free", "clamped"])
 def test_corrections_are_those_of_a_direct_solution(support):
     """Corrections of few vectors and of all unknowns agree to a twentieth."""
-    device = disc.structure({"layers": LAYERS, "support": support}).device()
+    device = disc.disc_body({"layers": LAYERS, "support": support}).device()
     answers = undamped_answers(device.model, device.shift)
     corrections = correct_answers(device, answers)
     first, products = direct(device, answers)
