@@ -65,6 +65,7 @@ LOSS_FACTORS: dict[str, Callable[[float], float]] = {
 }
 EXCITED = 1e-3  # least share in the capacitance of an excited mode, relative to the largest
 CONSTANT_Q = 'losses by complex constants of IEEE 176: set damping.model = "ieee176"'
+VISCOUS = 'losses by viscous damping: set damping.model = "rayleigh"'
 UNEXPLAINED = "the geometry, the mounting, or a loss model that the part does not follow"
 VALUES, BOX, PAGE = "fit.toml", "box.toml", "report.html"
 LIKELY, NARROWEST = 2.0, 1.1e-3  # standard errors of a key's range in a netlist, its relative half
@@ -338,13 +339,7 @@ class _Body:
         Stiffness is as stated at the damping's frequency, else at the lowest resonance that the
         voltage excites.
         """
-        K, _, M = pencil.dense().coefficients
-        squares, shapes = scipy.linalg.eigh(K, M)
-        rigid = squares < (2 * np.pi * self.frequencies[0]) ** 2
-        omega = np.where(rigid, 0.0, np.sqrt(np.maximum(squares, 0.0)))
-        gain = shapes.T @ pencil.B
-        share = np.divide(gain[:, 0], omega, out=np.zeros_like(omega), where=~rigid) ** 2
-        lowest = float(omega[share > EXCITED * share.max()].min() / (2 * np.pi))
+        omega, gain, lowest = self.modes(pencil)
         at = self.damping.frequency(lowest)
         assert at is not None
         tangent = values.get(TANGENT, loss_tangent(self.scene.part(self.part)))
@@ -352,6 +347,28 @@ class _Body:
         f, electrical = self.data.f, np.array([True])
         H = losses.transfer(omega, gain, pencil.D, electrical, f)[:, 0, 0]
         return np.asarray(2j * np.pi * f * H)
+
+    def modes(self, pencil: Pencil) -> tuple[np.ndarray, np.ndarray, float]:
+        """Angular frequencies (n,) of a small model, gains (n, 1) of its modes, and the lowest
+        frequency [Hz] that the voltage excites."""
+        K, _, M = pencil.dense().coefficients
+        squares, shapes = scipy.linalg.eigh(K, M)
+        rigid = squares < (2 * np.pi * self.frequencies[0]) ** 2
+        omega = np.where(rigid, 0.0, np.sqrt(np.maximum(squares, 0.0)))
+        gain = shapes.T @ pencil.B
+        share = np.divide(gain[:, 0], omega, out=np.zeros_like(omega), where=~rigid) ** 2
+        return omega, gain, float(omega[share > EXCITED * share.max()].min() / (2 * np.pi))
+
+    def by_viscous_damping(
+        self, model: LinearModel, pencil: Pencil, values: Mapping[str, float]
+    ) -> np.ndarray:
+        """Admittance (n,) [S] with damping in proportion to the stiffness, whose Q factor at the
+        lowest excited resonance is that of the values."""
+        at = self.damping.frequency(self.modes(pencil)[2])
+        assert at is not None
+        damped = replace(model, rayleigh=(0.0, self.loss_factor(values) / (2 * np.pi * at)))
+        charge = modal_transfer(damped, self.frequencies)[:, 0, 0]
+        return self.lossy(charge, float(model.D[0, 0]), values)
 
     def loss_factor(self, values: Mapping[str, float]) -> float:
         """``1 / Q`` at values of the keys."""
@@ -392,11 +409,12 @@ class _Body:
                 charge = modal_transfer(scaled, self.frequencies)[:, 0, 0]
                 other = self.lossy(charge, float(model.D[0, 0]), values)
                 result[f"{what} loss of the motion: vary damping.quality"] = np.log(other / Y)
-        if self.damping.model == "rayleigh" and not self.damping.per_material:
-            other = self.by_complex_constants(
-                modal_projection(model, float(self.data.f[-1])), values
-            )
-            result[CONSTANT_Q] = np.log(other / Y)
+        if not self.damping.per_material:
+            pencil = modal_projection(model, float(self.data.f[-1]))
+            if self.damping.model == "rayleigh":
+                result[CONSTANT_Q] = np.log(self.by_complex_constants(pencil, values) / Y)
+            else:
+                result[VISCOUS] = np.log(self.by_viscous_damping(model, pencil, values) / Y)
         result |= {
             "resistance in series, of leads or electrodes: compensate the fixture": -Y,
             "inductance of leads: compensate the fixture": -1j * w * Y,

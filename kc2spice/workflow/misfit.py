@@ -21,7 +21,7 @@ import numpy as np
 MODEL_ERROR = 1.5  # misfit that noise does not reach: 50 points scatter it by 10 %
 BANDS = 8
 WARNED = 3.0  # misfit from which a fit warns
-EQUAL = 0.8  # share of the squares that the best cause removes; above it a cause is as likely
+AS_LIKELY = 1.1  # squares that a cause leaves, relative to the least: as likely as the best
 EXPLAINED = 0.5  # share of squared residuals that a likely cause removes at least
 
 
@@ -79,8 +79,8 @@ def _move_without(J: np.ndarray, residuals: np.ndarray, band: np.ndarray) -> np.
 def likely_cause(
     J: np.ndarray, residuals: np.ndarray, causes: Mapping[str, np.ndarray]
 ) -> str | None:
-    """The first cause whose amount, fitted together with the values, removes nearly as much of the
-    sum of squares as any other.
+    """The first cause that leaves nearly as little of the sum of squares as any other when its
+    amount is fitted together with the values.
 
     Parameters
     ----------
@@ -98,11 +98,11 @@ def likely_cause(
         None if no cause removes more than half of the squares.
     """
     total = float(residuals @ residuals)
-    removed = {name: total - _left_with(J, residuals, column) for name, column in causes.items()}
-    largest = max(removed.values(), default=0.0)
-    if largest <= EXPLAINED * total:
+    left = {name: _left_with(J, residuals, column) for name, column in causes.items()}
+    least = min(left.values(), default=total)
+    if least >= (1 - EXPLAINED) * total:
         return None
-    return next(name for name, share in removed.items() if share >= EQUAL * largest)
+    return next(name for name, squares in left.items() if squares <= AS_LIKELY * least)
 
 
 def _left_with(J: np.ndarray, residuals: np.ndarray, cause: np.ndarray) -> float:
