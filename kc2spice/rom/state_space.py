@@ -46,8 +46,19 @@ def state_space(pencil: Pencil, top_hz: float | None = None) -> ABCD:
             where="state space",
             expected="a regular or a symmetric positive semi-definite M",
         )
+    else:
+        return _modal(_unit_mass(pencil), omega)
     A, B, C, D = _energy_states(first_order(pencil, omega))
     return A, omega * B, C / omega, D
+
+
+def _unit_mass(pencil: Pencil) -> Pencil:
+    """The same model with ``M = 1``, by the inverse of a regular M."""
+    K, E, M = pencil.coefficients
+    solved = np.linalg.solve(M, np.hstack([K, E, pencil.B]))
+    n = len(M)
+    parts = solved[:, :n], solved[:, n : 2 * n], np.eye(n)
+    return Pencil(parts, solved[:, 2 * n :], pencil.C, pencil.D)
 
 
 def _modal(pencil: Pencil, omega: float) -> ABCD:
