@@ -19,7 +19,7 @@ from typing import get_args
 
 import numpy as np
 
-from kc2spice.core.errors import UsageError, unknown
+from kc2spice.core.errors import UsageError, part_named, unknown
 from kc2spice.linalg.factor import require_factors
 from kc2spice.rom.band import natural_band
 from kc2spice.rom.certification import certified, with_full_order
@@ -30,7 +30,7 @@ from kc2spice.rom.intermediate import IntermediateModel
 from kc2spice.rom.linear_model import LinearModel, Norm
 from kc2spice.rom.pencil import Pencil
 from kc2spice.rom.reduced_basis import ReducedBasis, Task
-from kc2spice.rom.reductors.base import Reductor
+from kc2spice.rom.reductors.base import Reductor, require_basis
 from kc2spice.rom.reductors.block_krylov import BlockArnoldi, nested_model
 from kc2spice.rom.reductors.registry import BLOCK_KRYLOV, reductor_named, suited_reductors
 from kc2spice.rom.refinement import lower_order
@@ -268,7 +268,10 @@ def basis_within(
 
 def _prescribed(task: Task, reductor: Reductor) -> ReducedBasis:
     """The basis of a prescribed method."""
-    basis = reductor.basis(task) if reductor.suits(task) else None
+    basis = None
+    if reductor.suits(task):
+        with part_named(f"method {reductor.name!r}"):
+            basis = require_basis(reductor, reductor.basis(task))
     if basis is None:
         raise UsageError(
             "this method does not apply to the model",

@@ -14,10 +14,12 @@ from typing import Literal
 import numpy as np
 import scipy
 
+from kc2spice.core.errors import UsageError
 from kc2spice.rom.error_estimate import ErrorEstimator
 from kc2spice.rom.intermediate import IntermediateModel
 from kc2spice.rom.linear_model import LinearModel, Norm, model_of
 from kc2spice.rom.pencil import Pencil
+from kc2spice.rom.reductors.vectors import require_vectors, unit_scale
 from kc2spice.rom.response import Response
 from kc2spice.rom.stability import StabilityProof, prove_stability
 from kc2spice.rom.state_space import in_hertz, standard
@@ -113,19 +115,35 @@ class Task:
         ----------
         V : (n, k) array
             Real basis vectors, the most important first. The model of order q has the first q.
+            Their scale has no influence: columns are scaled to a norm near one.
         W : (n, k) array, optional
             Real test vectors. By default they are V: a congruence, which preserves symmetry,
             stability and passivity of definite matrices.
         fixed : int
             Number of leading vectors that every reduced model contains.
+
+        Raises
+        ------
+        UsageError : V or W is not a real matrix of finite numbers, one row for each coordinate of
+            :attr:`model`, or its columns are linearly dependent; more fixed vectors than V has.
         """
+        V = require_vectors(V, "V", (self.core.size, None))
+        W = None if W is None else require_vectors(W, "W", V.shape)
+        if not isinstance(fixed, int | np.integer) or not 0 <= fixed <= V.shape[1]:
+            expected = f"a whole number from 0 to {V.shape[1]}, the columns of V"
+            raise UsageError(
+                "not a number of vectors", where="fixed", got=repr(fixed), expected=expected
+            )
         if free := self.core.free:  # rigid-body modes that damping couples to other motions
             others = _independent(V, free)
+            fixed = int(others[:fixed].sum())
             V = scipy.linalg.block_diag(np.eye(free), V[free:, others])
             W = None if W is None else scipy.linalg.block_diag(np.eye(free), W[free:, others])
+        V = unit_scale(V)
         if W is None:
             pencil = self.core.project(V)
         else:
+            W = unit_scale(W)
             parts = tuple(W.T @ P @ V for P in self.core.coefficients)
             pencil = Pencil(parts, W.T @ self.core.B, self.core.C @ V, self.core.D, free=free)
         pencil, vectors = self.with_rigid_body(pencil), self.beside_rigid_body(V)

@@ -183,7 +183,7 @@ class Reduction:
         UsageError, SimulationError : as :func:`kc2spice.reduce`.
         """
         target = replace(self._target, tolerance=tolerance, order=order, exact=True)
-        target = replace(target, method=method or self._target.method)
+        target = replace(target, method=self._target.method if method is None else method)
         require_valid(target)
         if tolerance is None:
             basis, order = self._of_order(target)

@@ -3,7 +3,11 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from typing import Any
 
+import numpy as np
+
+from kc2spice.core.errors import UsageError
 from kc2spice.rom.reduced_basis import ReducedBasis, Task
 
 
@@ -60,3 +64,31 @@ class Reductor(ABC):
     ) -> tuple[ReducedBasis, int]:
         """Return a better basis and a lower order within the tolerance; by default the same."""
         return basis, order
+
+
+def require_basis(reductor: Reductor, result: Any) -> ReducedBasis | None:
+    """Return what :meth:`Reductor.basis` returned, if it is a basis or None.
+
+    Raises
+    ------
+    UsageError : it is something else, or the projection is no congruence as the method states.
+    """
+    if result is None:
+        return None
+    if not isinstance(result, ReducedBasis):
+        raise UsageError(
+            "basis() does not return a basis",
+            got=f"{type(result).__name__} of shape {np.shape(result)}"
+            if isinstance(result, np.ndarray)
+            else type(result).__name__,
+            expected="what task.project(V) returns, or None",
+            hint="end basis() with: return task.project(V)",
+        )
+    if reductor.congruence and not result.congruence:
+        raise UsageError(
+            "test vectors W need a method without congruence",
+            got="task.project(V, W) with congruence = True",
+            expected="task.project(V), or congruence = False in the class",
+            hint="write congruence = False below the name of the class",
+        )
+    return result

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from kc2spice.core.errors import UsageError, unknown
+import numpy as np
+
+from kc2spice.core.errors import UsageError, did_you_mean
 from kc2spice.rom.reduced_basis import Task
 from kc2spice.rom.reductors.balanced_truncation import BalancedTruncation
 from kc2spice.rom.reductors.band_limited_balancing import BandLimitedBalancing
@@ -18,6 +20,10 @@ OVER_BAND, BLOCK_KRYLOV = BandLimitedBalancing(), BlockKrylov()
 _BUILT_IN = (
     POD, TWO_SIDED_POD, BALANCED, UNSCALED, OVER_BAND, BLOCK_KRYLOV, RationalKrylov(), Irka()
 )  # fmt: skip
+# Where a method that is not built in may be used.
+OWN_METHODS = (
+    "own methods are for Python only: kc.register_reductor, then kc.reduce(..., method=NAME)"
+)
 _reductors: dict[str, Reductor] = {reductor.name: reductor for reductor in _BUILT_IN}
 
 
@@ -56,15 +62,26 @@ def register_reductor(reductor: Reductor) -> Reductor:
     >>> kc.reduce(model, order=2, band=(0, 0.1), method="modal truncation").order
     2
     """
-    if not isinstance(reductor, Reductor) or not reductor.name:
-        raise UsageError(
-            "not a method of reduction",
-            where="register_reductor",
-            got=repr(reductor),
-            expected="an instance of a subclass of kc.Reductor with a name",
-        )
+    _require_reductor(reductor, "register_reductor")
     _reductors[reductor.name] = reductor
     return reductor
+
+
+def _require_reductor(value: object, where: str) -> None:
+    """Check that a value is a method with a name."""
+    if isinstance(value, Reductor) and isinstance(value.name, str) and value.name:
+        return
+    expected, hint, got = "an instance of a subclass of kc.Reductor with a name", None, repr(value)
+    if isinstance(value, type) and issubclass(value, Reductor):
+        hint = f"make an instance of the class: {value.__name__}()"
+    elif isinstance(value, Reductor):
+        got, hint = f"{type(value).__name__} without a name", "add name = '...' to the class"
+    elif isinstance(value, np.ndarray):
+        got = f"ndarray of shape {value.shape}"
+        hint = "return task.project(V) from basis() of a subclass of kc.Reductor"
+    raise UsageError(
+        "not a method of reduction", where=where, got=got, expected=expected, hint=hint
+    )
 
 
 def reductor_names() -> list[str]:
@@ -77,12 +94,19 @@ def reductor_named(method: str | Reductor) -> Reductor:
 
     Raises
     ------
-    UsageError : no method has this name.
+    UsageError : no method has this name, or the value is neither a name nor a method.
     """
-    if isinstance(method, Reductor):
+    if not isinstance(method, str):
+        _require_reductor(method, "method")
         return method
     if method not in _reductors:
-        raise unknown("unknown method of reduction", str(method), list(_reductors), "method")
+        raise UsageError(
+            "unknown method of reduction",
+            where="method",
+            got=repr(method),
+            expected="one of " + ", ".join(_reductors),
+            hint=did_you_mean(method, _reductors) or OWN_METHODS,
+        )
     return _reductors[method]
 
 

@@ -1,0 +1,110 @@
+"""Checks and scale of the vectors that a method of reduction returns."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from kc2spice.core.errors import UsageError
+
+# Distance of a unit vector from the span of those before it that is rounding: 450 eps. Rounding of
+# a QR factorisation of a few hundred vectors is about 1e-14.
+DEPENDENT_BY_ROUNDING = 1e-13
+
+
+def require_vectors(value: Any, where: str, shape: tuple[int, int | None]) -> np.ndarray:
+    """Return vectors as a real matrix whose columns are linearly independent.
+
+    Parameters
+    ----------
+    value : array_like
+        Vectors, one in each column.
+    where : str
+        Name of the argument in errors.
+    shape : tuple
+        Number of rows, and of columns unless it is None.
+
+    Raises
+    ------
+    UsageError : not a matrix of this shape, not real, not finite, or of dependent columns.
+    """
+    V, (rows, columns) = _matrix(value, where, shape[0]), shape
+    if len(V) != rows or columns not in (None, V.shape[1]):
+        expected = f"{rows} rows, one for each coordinate of task.model"
+        if columns is not None:
+            expected += f", and {columns} columns as V"
+        raise UsageError(
+            "vectors of another shape", where=where, got=_size(V), expected=expected,
+            hint="build them from the matrices of task.model, not of task.fom",
+        )  # fmt: skip
+    if rows and not V.shape[1]:
+        expected = "at least one column"
+        raise UsageError("no vectors", where=where, got=_size(V), expected=expected)
+    if not np.isfinite(V).all():
+        count = int((~np.isfinite(V)).sum())
+        got = f"{count} entries that are NaN or infinite"
+        raise UsageError("vectors are not finite", where=where, got=got, expected="finite numbers")
+    dependent = _dependent(V)
+    if dependent is not None:
+        raise UsageError(
+            "vectors are linearly dependent",
+            where=where,
+            got=f"column {dependent} of {V.shape[1]} is zero or a combination of those before it",
+            expected=f"linearly independent columns, at most {rows}",
+            hint="remove this column; columns are counted from 0",
+        )
+    return V
+
+
+def unit_scale(V: np.ndarray) -> np.ndarray:
+    """Return the vectors with norms between 0.7 and 1.5.
+
+    Factors are powers of two, so nothing is rounded and orthonormal vectors do not change. The
+    scale of a vector changes no response, but a mass of 1e-22 beside others of 1 counts as zero.
+
+    >>> unit_scale(np.array([[0.6, 3e-11], [0.8, 4e-11]])).round(2)
+    array([[0.6 , 0.52],
+           [0.8 , 0.69]])
+    """
+    norms = np.linalg.norm(V, axis=0)
+    exponents = np.round(np.log2(np.where(norms > 0, norms, 1.0))).astype(int)
+    return np.asarray(np.ldexp(V, -exponents))
+
+
+def _matrix(value: Any, where: str, rows: int) -> np.ndarray:
+    """The vectors as an array of two dimensions of real numbers."""
+    expected = f"a real array of {rows} rows, one for each coordinate of task.model"
+    try:
+        V = np.asarray(value)
+    except ValueError:  # lists of different lengths
+        V = np.empty(0, dtype=object)
+    if V.dtype.kind == "c":
+        advice = "use real and imaginary parts: np.linalg.qr(np.hstack([V.real, V.imag]))[0]"
+        problem, got = "vectors are complex", f"an array of {V.dtype}"
+        raise UsageError(problem, where=where, got=got, expected=expected, hint=advice)
+    if V.dtype.kind not in "fiu":
+        got = f"{type(value).__name__} of {getattr(value, 'dtype', 'no numbers')}"
+        raise UsageError("vectors are not an array of numbers", where=where, got=got,
+                         expected=expected)  # fmt: skip
+    if V.ndim != 2:
+        hint = "write one vector as V[:, None]" if V.ndim == 1 else None
+        got = f"an array of shape {V.shape}"
+        raise UsageError("vectors are not a matrix", where=where, got=got, expected=expected,
+                         hint=hint)  # fmt: skip
+    return V.astype(float)
+
+
+def _dependent(V: np.ndarray) -> int | None:
+    """The first column that is a combination of those before it, None if there is none."""
+    norms = np.linalg.norm(V, axis=0)
+    distance = np.zeros(V.shape[1])
+    diagonal = np.abs(np.diag(np.linalg.qr(V / np.where(norms > 0, norms, 1.0), mode="r")))
+    distance[: diagonal.size] = diagonal
+    dependent = np.flatnonzero(distance <= DEPENDENT_BY_ROUNDING)
+    return int(dependent[0]) if dependent.size else None
+
+
+def _size(V: np.ndarray) -> str:
+    """Rows and columns in words."""
+    return f"{V.shape[0]} rows and {V.shape[1]} columns"

@@ -1,0 +1,173 @@
+"""Methods of reduction that a user adds: scale of vectors, and errors of what is no basis."""
+
+import re
+
+import numpy as np
+import pytest
+from scipy.linalg import eigh
+
+import kc2spice as kc
+from kc2spice.core.errors import UsageError
+
+N = 40
+
+
+def chain(stiffness=1e9, mass=1e-6):
+    """Masses between springs, clamped at both ends, driven at the first one."""
+    K = stiffness * (2 * np.eye(N) - np.eye(N, k=1) - np.eye(N, k=-1))
+    tip = kc.Port("tip", "mechanical")
+    damping = 0.02 * np.sqrt(mass / stiffness)
+    return kc.LinearModel(
+        M=mass * np.eye(N), K=K, B=np.eye(N)[:, :1], rayleigh=(0.0, damping), ports=(tip,)
+    )
+
+
+class UserMethod(kc.Reductor):
+    """A method whose basis is a function of the task."""
+
+    name = "user method"
+    reference = "none"
+
+    def __init__(self, function, congruence=True):
+        self.function, self.congruence = function, congruence
+
+    def basis(self, task):
+        return self.function(task)
+
+
+def reduced(function, model=None, congruence=True, **aims):
+    """Reduce a chain by a method of this function."""
+    aims = aims or {"tolerance": 1e-3}
+    band = 0, 0.1 * np.sqrt(1e9 / 1e-6)
+    return kc.reduce(model or chain(), band=band, method=UserMethod(function, congruence), **aims)
+
+
+def static_and_modes(task, scale=1.0):
+    """Static response of the port and the modes; their norms differ by many powers of ten."""
+    model = task.model
+    modes = eigh(model.K, model.M)[1]
+    static = np.linalg.solve(model.K, model.B)
+    return np.hstack([scale * static / np.linalg.norm(static), modes[:, :-1]])
+
+
+@pytest.mark.parametrize("scale", [1e-30, 2.6e-11, 1.0, 1e20])
+def test_the_scale_of_a_vector_has_no_influence(scale):
+    """Against ``B' K^-1 B`` at rest and a direct solution in the band."""
+    rom = reduced(lambda task: task.project(static_and_modes(task, scale), fixed=1))
+    full = chain()
+    frequency = np.linspace(0.0, rom.certificate.band_hz[1], 50)
+    s = 2j * np.pi * frequency
+    E = full.rayleigh[1] * full.K
+    exact = np.array([full.B.T @ np.linalg.solve(full.K + p * E + p * p * full.M, full.B)
+                      for p in s])  # fmt: skip
+    difference = np.abs(rom.transfer(frequency) - exact)
+    assert abs(rom.transfer([0.0]) / exact[0] - 1).max() < 1e-9
+    assert (difference / np.abs(exact)).max() < 1e-3
+    assert rom.certificate.error_estimate < 1e-3
+    states = rom.reconstruct(np.linalg.solve(rom.K, rom.B[:, 0]))
+    np.testing.assert_allclose(states, np.linalg.solve(full.K, full.B[:, 0]), rtol=1e-6)
+
+
+def test_the_scale_of_test_vectors_has_no_influence():
+    def oblique(task):
+        V = static_and_modes(task, 2.6e-11)
+        return task.project(V, 1e-8 * V)
+
+    assert reduced(oblique, congruence=False).certificate.error_estimate < 1e-3
+
+
+@pytest.mark.parametrize("mass", [1e-20, 1.0, 1e20])
+def test_an_unsymmetric_mass_of_any_size_has_a_state_space_form(mass):
+    """Response of one chain with rows of its equations mixed, against a direct solution."""
+    full = chain(mass * 1e12, mass)
+    T = np.eye(N) + 0.5 * np.eye(N, k=1)
+    model = kc.LinearModel(
+        M=T @ full.M, K=T @ full.K, E=T @ (full.rayleigh[1] * full.K), B=T @ full.B, C=full.C
+    )
+    A, B, C, D = model.state_space()
+    s = 2e5j
+    direct = full.B.T @ np.linalg.solve(
+        full.K * (1 + s * full.rayleigh[1]) + s * s * full.M, full.B
+    )
+    response = C @ np.linalg.solve(s * np.eye(len(A)) - A, B) + D
+    np.testing.assert_allclose(response, direct, rtol=1e-8)
+
+
+def test_orthonormal_vectors_do_not_change():
+    Q = np.linalg.qr(np.random.default_rng(1).standard_normal((N, 7)))[0]
+    bases = []
+    reduced(lambda task: bases.append(task.project(Q)) or bases[-1], order=7)
+    np.testing.assert_array_equal(bases[0].vectors, Q)
+
+
+def vectors(task):
+    """Five modes."""
+    return eigh(task.model.K, task.model.M)[1][:, :5]
+
+
+BAD = {
+    "wrong number of rows": (lambda t: t.project(vectors(t)[:-1]), "another shape", "39 rows"),
+    "one dimension": (lambda t: t.project(vectors(t)[:, 0]), "not a matrix", r"shape \(40,\)"),
+    "no projection": (vectors, "does not return a basis", r"shape \(40, 5\)"),
+    "text": (lambda t: "V", "does not return a basis", "str"),
+    "test vectors of another shape": (
+        lambda t: t.project(vectors(t), vectors(t)[:, :4]), "W: vectors of another", "4 columns"
+    ),
+    "too many fixed vectors": (lambda t: t.project(vectors(t), fixed=9), "fixed: not a n", "9"),
+    "fixed text": (lambda t: t.project(vectors(t), fixed="all"), "fixed: not a number", "all"),
+    "NaN": (lambda t: t.project(vectors(t) * np.nan), "not finite", "200 entries"),
+    "infinity": (lambda t: t.project(vectors(t) / 0.0), "not finite", "200 entries"),
+    "duplicate": (
+        lambda t: t.project(vectors(t)[:, [0, 1, 1, 2]]), "linearly dependent", "column 2 of 4"
+    ),
+    "zero": (lambda t: t.project(0 * vectors(t)), "linearly dependent", "column 0 of 5"),
+    "too many": (
+        lambda t: t.project(np.hstack([np.eye(N), vectors(t)])), "linearly dependent", "column 40"
+    ),
+    "dependent test vectors": (
+        lambda t: t.project(vectors(t), np.ones((N, 5))), "W: vectors are linearly", "column 1"
+    ),
+    "complex": (lambda t: t.project(vectors(t) * 1j), "complex", "complex128"),
+    "ragged": (lambda t: t.project([[1.0], [1.0, 2.0]]), "not an array of numbers", "list"),
+    "nothing": (lambda t: t.project(None), "not an array of numbers", "NoneType"),
+    "no columns": (lambda t: t.project(vectors(t)[:, :0]), "no vectors", "0 columns"),
+    "oblique congruence": (
+        lambda t: t.project(vectors(t), vectors(t)), "without congruence", "congruence = True"
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.filterwarnings("ignore:divide by zero")
+@pytest.mark.parametrize("case", BAD)
+def test_what_is_no_basis_is_an_error_that_names_the_method(case):
+    function, problem, got = BAD[case]
+    with pytest.raises(UsageError, match=problem) as caught:
+        reduced(function)
+    text = str(caught.value)
+    assert text.startswith("method 'user method'")
+    assert re.search(f"got: .*{got}", text)
+    assert "expected:" in text
+
+
+@pytest.mark.parametrize("method", [np.eye(3), UserMethod, 3, UserMethod.basis])
+def test_what_is_no_method_is_an_error(method):
+    with pytest.raises(UsageError, match="not a method of reduction"):
+        kc.reduce(chain(), tolerance=1e-3, band=(0, 1e6), method=method)
+    with pytest.raises(UsageError, match="not a method of reduction"):
+        kc.Reduction(chain(), band=(0, 1e6)).reduce(tolerance=1e-3, method=method)
+
+
+def test_a_method_without_a_name_is_an_error():
+    method = UserMethod(vectors)
+    method.name = ""
+    with pytest.raises(UsageError, match="without a name"):
+        kc.reduce(chain(), tolerance=1e-3, band=(0, 1e6), method=method)
+
+
+def test_an_unknown_method_lists_all_methods_and_states_where_new_ones_work():
+    with pytest.raises(UsageError, match="Python only") as caught:
+        kc.reduce(chain(), tolerance=1e-3, method="OWN")
+    for name in ("response POD of both sides", "IRKA", "block Krylov", "rational Krylov"):
+        assert name in caught.value.expected
+    with pytest.raises(UsageError, match="did you mean 'block Krylov'"):
+        kc.reduce(chain(), tolerance=1e-3, method="block Krilov")
