@@ -128,6 +128,12 @@ class Certificate:
     above: tuple[tuple[float, float], ...] = ()
     norm: Norm = "pointwise"
 
+    @property
+    def proofs(self) -> str:
+        """Stability and passivity in words, such as ``"stable, passivity not shown"``."""
+        stability = {True: "stable", False: "UNSTABLE", None: "stability not known"}[self.stable]
+        return f"{stability}, {'passive' if self.passive else 'passivity not shown'}"
+
     def record(self) -> dict[str, Any]:
         """Its entries of ``result.json`` and of ``reduce --json``."""
         result = asdict(self) | {"band_hz": list(self.band_hz)}
@@ -415,9 +421,8 @@ class LinearModel:
         if self.certificate is not None:
             result = self.certificate
             low, high = result.band_hz
-            state = {True: "stable", False: "UNSTABLE", None: "stability not known"}[result.stable]
-            text += f"; error {result.error_estimate:.2g} over {low:g} to {high:g} Hz, {state}"
-            text += ", passive" if result.passive else ""
+            text += f"; error {result.error_estimate:.2g} over {low:g} to {high:g} Hz, "
+            text += result.proofs
         return text
 
     def _repr_html_(self) -> str:

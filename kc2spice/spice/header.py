@@ -55,11 +55,16 @@ def paragraph(text: str) -> list[str]:
 
 def rom_lines(reduction: ReductionFacts, certificate: Certificate) -> tuple[str, ...]:
     """Comment lines: order, band and error estimate of a reduced model, how it was found, the share
-    of the emitted circuit, and what contact sees above the band."""
+    of the emitted circuit, and what contact sees above the band.
+
+    Stability and passivity are stated where one of them is not proven.
+    """
     errors = [f"{error:.2g} at {f:g} Hz" for f, error in certificate.above]
     beyond = f", compliance off by {', '.join(errors)}" if errors else ""
     share = f"{reduction.circuit_error:.1g} at {reduction.worst_hz:.4g} Hz"
-    method = "; ".join(filter(None, (certificate.method, f"emitted circuit to model: {share}")))
+    proofs = "" if certificate.stable and certificate.passive else certificate.proofs
+    facts = certificate.method, proofs, f"emitted circuit to model: {share}"
+    method = "; ".join(filter(None, facts))
     text = f"({method}); no error estimate above the band{beyond}"
     first, *more = paragraph(f"rom: {text}: a contact or a steep edge excites it")
     return f"* rom: {reduction.summary}", first.replace("* rom:", "*  ", 1), *more
