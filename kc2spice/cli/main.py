@@ -566,9 +566,11 @@ def _reduce(
         from kc2spice.report.run_page import above_band_rows
 
         low, high = result["band_hz"]
+        form = result.get("full_form", result["form"])
+        states = f"{result['order']}" + ("" if form == result["form"] else f", {result['form']}")
         rows = [
-            ("equations", f"{result['unknowns']}, {result['form']}"),
-            ("states", str(result["order"])),
+            ("equations", f"{result['unknowns']}, {form}"),
+            ("states", states),
             ("band", f"{low:g} … {high:g} Hz"),
             ("error estimate", f"{result['error_estimate']:.3g}, {result['norm']}"),
             *above_band_rows(result),

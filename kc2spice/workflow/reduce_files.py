@@ -152,7 +152,13 @@ def reduce_file(
         norm=norm or default_norm(model),  # type: ignore[arg-type]
         method=method,
     )
-    return _written(model.name, model.order, reduced, out, tolerance)
+    result = _written(model.name, model.order, reduced, out, tolerance)
+    return result | {"full_form": form_of(model)}
+
+
+def form_of(model: LinearModel) -> str:
+    """Return whether the equations of a model are of first or second order."""
+    return "first order" if model.first_order else "second order"
 
 
 def given_model(path: Path | str) -> LinearModel:
@@ -332,7 +338,7 @@ def _written(
     return {
         "model": model_name,
         "unknowns": unknowns,
-        "form": "first order" if reduced.first_order else "second order",
+        "form": form_of(reduced),
         "order": reduced.order,
         **certificate.record(),
         "error_estimate": part.reduction.error_estimate,

@@ -1,6 +1,7 @@
 """``reduce`` from the command line: names, and models that are refused before they are reduced."""
 
 import json
+import re
 
 import numpy as np
 import pytest
@@ -148,3 +149,27 @@ def test_an_unstable_sparse_descriptor_ends_at_once(tmp_path, monkeypatch):
     assert done.exit_code == 4, done.output
     assert "unstable" in done.output
     assert not (tmp_path / "out").exists()
+
+
+def test_the_table_states_the_order_of_the_given_equations_and_of_the_states(tmp_path):
+    np.savez(tmp_path / "rod.npz", **chain(10))
+    options = "--band", 0, 500, "--norm", "peak", "--tolerance", 1e-2, "--out", tmp_path / "out"
+    method = "--method", "balanced truncation"
+    done = run(tmp_path / "rod", *options, *method)
+    assert done.exit_code == 0, done.output
+    assert re.search(r"equations +10, second order", done.output)
+    assert re.search(r"states +\d+, first order", done.output)
+    done = run(tmp_path / "rod", *options, *method, "--json")
+    record = json.loads(done.output)
+    assert (record["full_form"], record["form"]) == ("second order", "first order")
+
+
+def test_an_unknown_method_lists_all_methods(tmp_path):
+    np.savez(tmp_path / "rod.npz", **chain(10))
+    done = run(tmp_path / "rod", "--method", "modal truncation", "--out", tmp_path / "out")
+    assert done.exit_code == 2
+    text = " ".join(done.output.split())
+    assert "--method: unknown method" in text
+    assert "Python only" in text
+    assert "IRKA" in text
+    assert "in all)" not in text
