@@ -87,10 +87,11 @@ def _words(
     path, context = details["loc"], details.get("ctx", {})
     match details["type"]:
         case "extra_forbidden":
-            fields = [*_table(schema, path).model_fields, *(also if len(path) == 1 else ())]
+            table_schema = _table(schema, path)
+            fields = [*table_schema.model_fields, *(also if len(path) == 1 else ())]
             word, every = str(path[-1]), (dotted(item) for item, _ in entries(schema))
             near = did_you_mean(word, fields) or did_you_mean(word, every)
-            near = _other_word(word, fields) or near
+            near = _hints_of(table_schema).get(word) or _other_word(word, fields) or near
             return "unknown key", "one of " + candidates(word, fields, _key_list(schema)), near
         case "missing":
             return (f"{dotted(full_path)} is missing", *_missing(schema, path, full_path))
@@ -165,6 +166,11 @@ def _other_word(word: str, fields: Sequence[str]) -> str | None:
     """Suggest the key that the table has for the meaning of ``word``."""
     key, hint = _OTHER_WORDS.get(word.lower(), ("", ""))
     return hint if key in fields else None
+
+
+def _hints_of(table: type[BaseModel]) -> Mapping[str, str]:
+    """What to do instead of keys that a table does not have."""
+    return getattr(table, "absent", {})
 
 
 def _missing(
@@ -515,6 +521,7 @@ class Section(BaseModel):
 
     model_config = ConfigDict(extra="forbid", frozen=True, validate_default=True, defer_build=True)
     listed: ClassVar[str] = "kc2spice scenes --keys"  # command or page with all keys and choices
+    absent: ClassVar[Mapping[str, str]] = {}  # hints for keys of other commands, by key
 
 
 Schema = TypeVar("Schema", bound=Section)

@@ -5,7 +5,8 @@ Each class is a table of the scene's file, with the default and the description 
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal, Self
+from collections.abc import Mapping
+from typing import Annotated, Any, ClassVar, Literal, Self
 
 from pydantic import Field, ValidationInfo, field_validator, model_validator
 
@@ -33,6 +34,11 @@ FileName = Annotated[str, Field(pattern=rf"^{_ONE_LINE}+$", max_length=255)]
 
 class Rom(Section):
     """Reduction: a fixed order, or a tolerance over a band; by default the tolerance."""
+
+    absent: ClassVar[Mapping[str, str]] = {
+        "method": "leave it out: scenes choose the method; a method by its name is selected by "
+        "kc2spice reduce SCENE:PART --method NAME, or by kc.reduce in Python"
+    }
 
     order: Annotated[Count | None, Notch(2.0)] = Field(
         None, ge=1, le=2000, description="Number of states, instead of a tolerance"
