@@ -268,17 +268,18 @@ def basis_within(
 
 def _prescribed(task: Task, reductor: Reductor) -> ReducedBasis:
     """The basis of a prescribed method."""
-    basis = None
+    basis, reason = None, reductor.obstacle(task) or "its suits() returns False"
     if reductor.suits(task):
+        reason = reductor.no_basis
         with part_named(f"method {reductor.name!r}"):
             basis = require_basis(reductor, reductor.basis(task))
     if basis is None:
         raise UsageError(
-            "this method does not apply to the model",
+            f"this method does not apply to the model: {reason}",
             where="method",
             got=reductor.name,
             expected="a method for the structure of the model, or none",
-            hint="leave method out: all methods that suit the model are tried",
+            hint="leave method out: kc2spice then selects the method",
         )
     return replace(basis, origin=f"{reductor.name}; ")
 

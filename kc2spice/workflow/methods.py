@@ -18,7 +18,7 @@ from kc2spice.workflow.reduce_files import TOLERANCE, given_model
 
 
 def compare(
-    path: Path | str,
+    path: Path | str | LinearModel,
     *,
     band: tuple[float, float] | None = None,
     tolerance: float | None = None,
@@ -30,8 +30,8 @@ def compare(
 
     Parameters
     ----------
-    path : Path or str
-        Matrices as for :func:`kc2spice.read_model`, or ``SCENE:PART``.
+    path : Path, str or LinearModel
+        Matrices as for :func:`kc2spice.read_model`, ``SCENE:PART``, or a model.
     band, tolerance, order, norm : optional
         As for :func:`kc2spice.workflow.reduce_files.reduce_file`.
     progress : callable, optional
@@ -41,9 +41,10 @@ def compare(
     -------
     dict[str, Any]
         What ``kc2spice reduce --method compare --json`` prints: ``methods`` contains a row for each
-        method with its ``states`` of first order, ``error_estimate`` and ``cpu_s``. A method
-        without a model has no states but a ``reason``. ``shared_cpu_s`` is the time of the basis
-        of the full-order model, which all methods use. ``stable`` is that of the full-order model.
+        method with its ``order``, its ``states`` of first order, ``error_estimate`` and ``cpu_s``.
+        A method without a model has no states but a ``reason``. ``shared_cpu_s`` is the time of
+        the basis of the full-order model, which all methods use. ``stable`` is that of the
+        full-order model.
 
     Raises
     ------
@@ -58,10 +59,7 @@ def compare(
     >>> next(row["states"] for row in rows if row["method"] == "response POD")
     6
     """
-    if is_measured(Path(path)):
-        expected = "matrices; a measured response is fitted by one method"
-        raise UsageError("is a measurement", where="--method", got=path, expected=expected)
-    model = given_model(path)
+    model = path if isinstance(path, LinearModel) else _model_of(path)
     if tolerance is None and order is None:
         tolerance = TOLERANCE
     progress("reduce", None, f"{model.order} equations")
@@ -91,6 +89,14 @@ def compare(
     }
 
 
+def _model_of(path: Path | str) -> LinearModel:
+    """The full model of a file or of a scene's body."""
+    if is_measured(Path(path)):
+        expected = "matrices; a measured response is fitted by one method"
+        raise UsageError("is a measurement", where="--method", got=path, expected=expected)
+    return given_model(path)
+
+
 def _row(
     reduction: Reduction, method: str, tolerance: float | None, order: int | None
 ) -> dict[str, Any]:
@@ -99,13 +105,17 @@ def _row(
     try:
         rom = reduction.reduce(tolerance=tolerance, order=order, method=method)
     except Kc2spiceError as error:
-        reason = error.message
+        reason = error.message.removeprefix("this method does not apply to the model: ")
     except Exception as error:  # a method of the user must not end the comparison
         reason = f"{type(error).__name__}: {error}"
-    row: dict[str, Any] = {"method": method, "states": None, "error_estimate": None}
+    row: dict[str, Any] = {"method": method, "order": None, "states": None, "error_estimate": None}
     if rom is not None:
         assert rom.certificate is not None
-        row |= {"states": first_order_states(rom), "error_estimate": rom.certificate.error_estimate}
+        row |= {
+            "order": rom.order,
+            "states": first_order_states(rom),
+            "error_estimate": rom.certificate.error_estimate,
+        }
     return row | {"cpu_s": time.process_time() - begin, "reason": reason}
 
 

@@ -8,6 +8,9 @@ from scipy.linalg import eigh
 
 import kc2spice as kc
 from kc2spice.core.errors import UsageError
+from kc2spice.rom.reductors import registry
+from kc2spice.spice.realize import subcircuit
+from kc2spice.workflow.methods import compare
 
 N = 40
 
@@ -171,3 +174,75 @@ def test_an_unknown_method_lists_all_methods_and_states_where_new_ones_work():
         assert name in caught.value.expected
     with pytest.raises(UsageError, match="did you mean 'block Krylov'"):
         kc.reduce(chain(), tolerance=1e-3, method="block Krilov")
+
+
+@pytest.mark.parametrize(
+    ("outputs", "words"), [(1, "stable, passive"), (2, "stable, passivity not shown")]
+)
+def test_the_netlist_and_the_text_of_a_model_state_what_is_proven(outputs, words):
+    """A second output that is no force at the driven mass leaves no proof of passivity."""
+    full = chain(1.0, 1.0)
+    signals = kc.LinearModel(
+        M=full.M, K=full.K, E=0.02 * full.K, B=full.B, C=np.eye(N)[2 * outputs - 2 :][:1]
+    )
+    rom = kc.reduce(signals, tolerance=1e-3, band=(0, 0.1))
+    assert rom.certificate.stable
+    assert rom.certificate.passive == (outputs == 1)
+    assert repr(rom).endswith(words)
+    header = " ".join(line.lstrip("* ") for line in subcircuit(rom, "chain").text.splitlines())
+    assert ("passivity not shown" in header) == (outputs == 2)
+
+
+def test_a_passive_model_says_so_in_its_text():
+    assert repr(reduced(lambda task: task.project(static_and_modes(task)))).endswith(
+        "stable, passive"
+    )
+
+
+def reasons(**matrices):
+    """Reasons of all methods that have no model, by their names."""
+    rows = compare(kc.LinearModel(**matrices), band=(0.0, 0.1), tolerance=1e-2)["methods"]
+    return {row["method"]: row["reason"] for row in rows}
+
+
+def test_a_comparison_states_why_a_method_does_not_apply():
+    n = 12
+    K = 2 * np.eye(n) - np.eye(n, k=1) - np.eye(n, k=-1)
+    B = np.eye(n)[:, :1]
+    skew = np.eye(n, k=1) - np.eye(n, k=-1)
+    damped = {"M": np.eye(n), "E": 0.1 * K, "K": K, "B": B}
+    relaxing = reasons(A=-K, B=B, C=B.T)
+    assert relaxing["block Krylov"] == "the model is of first order"
+    assert "use 'balanced truncation'" in relaxing["balanced truncation of outputs as they are"]
+    assert relaxing["IRKA"] is None
+    gyroscopic = reasons(**damped | {"E": 0.1 * K + 0.01 * skew})
+    assert "not symmetric" in gyroscopic["block Krylov"]
+    dashpot = reasons(**damped | {"E": np.diag(np.linspace(0.1, 0.2, n))})
+    assert "not proportional" in dashpot["block Krylov"]
+    free = K.copy()
+    free[0, 0] = free[-1, -1] = 1.0
+    grounded = free + 0.5 * np.diag(np.eye(n)[0])
+    body = reasons(**damped | {"K": free, "E": 0.1 * grounded})
+    assert "rigid-body modes" in body["IRKA"]
+    assert "rigid-body modes" in body["balanced truncation over the band"]
+    undamped = reasons(**damped | {"E": None})
+    assert undamped["balanced truncation"] == "the model is not strictly stable"
+    assert undamped["block Krylov"] is None
+
+
+def test_a_comparison_states_what_a_user_method_refuses(monkeypatch):
+    monkeypatch.setattr(registry, "_reductors", dict(registry._reductors))
+    method = kc.register_reductor(UserMethod(lambda task: None))
+    rows = reasons(M=np.eye(3), K=np.diag([1.0, 4.0, 9.0]), B=np.ones((3, 1)))
+    assert rows["user method"] == "its basis() returns None"
+    monkeypatch.setattr(method, "suits", lambda task: False)
+    rows = reasons(M=np.eye(3), K=np.diag([1.0, 4.0, 9.0]), B=np.ones((3, 1)))
+    assert rows["user method"] == "its suits() returns False"
+
+
+@pytest.mark.parametrize("key", ["rom.method", "disc.rom.method"])
+def test_a_scene_without_methods_names_the_commands_that_have_them(key):
+    with pytest.raises(UsageError, match="unknown key") as caught:
+        kc.load_scene("buzzer_7bb_20_6", {key: "IRKA"})
+    assert "--method" in caught.value.hint
+    assert "kc.reduce" in caught.value.hint

@@ -20,6 +20,7 @@ LARGEST_UNSCALED = 500  # first-order states up to which a second pair of Gramia
 # poles are rounding.
 STRICTLY_STABLE = 1e-9
 HANKEL_ROUNDING = 1e-13  # Hankel singular values below this, relative to the largest, are rounding
+NOT_STABLE = "the model is not strictly stable"
 
 
 class BalancedTruncation(Reductor):
@@ -52,17 +53,20 @@ class BalancedTruncation(Reductor):
 
     reference = "Laub, Heath, Paige and Ward, IEEE Trans. Autom. Control 32 (1987) 115"
     congruence = False
+    no_basis = NOT_STABLE
 
     def __init__(self, scaled: bool = True) -> None:
         self.scaled = scaled
         self.name = "balanced truncation" + ("" if scaled else " of outputs as they are")
 
-    def suits(self, task: Task) -> bool:
-        """Return whether the model has a static response and is small enough."""
-        if not has_gramians(task):
-            return False
-        entries = task.estimator.reference[1].peak.size
-        return self.scaled or (task.first_order.pencil.size <= LARGEST_UNSCALED and entries > 1)
+    def obstacle(self, task: Task) -> str:
+        """Return why the model has no Gramians, or why scales make no difference."""
+        reason = no_gramians(task)
+        if reason or self.scaled:
+            return reason
+        if task.estimator.reference[1].peak.size == 1:
+            return "one transfer function alone has no scale: use 'balanced truncation'"
+        return too_large(task.first_order.pencil.size, LARGEST_UNSCALED)
 
     def basis(self, task: Task) -> ReducedBasis | None:
         """Return the balanced model; None if it is not strictly stable."""
@@ -98,7 +102,23 @@ def _gramian_roots(
 def has_gramians(task: Task) -> bool:
     """Whether the model is stable at rest, without rigid-body modes that damping couples to other
     motions, and small enough for dense Gramians."""
-    return task.intermediate.static and not task.core.free and task.states <= LARGEST
+    return not no_gramians(task)
+
+
+def no_gramians(task: Task) -> str:
+    """Return the reason why dense Gramians are not computed, "" if they are."""
+    if task.core.free:
+        return "damping couples rigid-body modes to other motions, so Gramians do not exist"
+    if not task.intermediate.static:
+        return "the model has no static response, so Gramians do not exist"
+    return too_large(task.states, LARGEST)
+
+
+def too_large(states: int, largest: int) -> str:
+    """Return the reason that an intermediate model of so many states is too large, or ""."""
+    if states <= largest:
+        return ""
+    return f"the intermediate model has {states} first-order states, more than {largest}"
 
 
 def balanced_basis(

@@ -9,7 +9,8 @@ from kc2spice.rom.reduced_basis import ReducedBasis, Task
 from kc2spice.rom.reductors.balanced_truncation import (
     balanced_basis,
     balancing_factors,
-    has_gramians,
+    no_gramians,
+    too_large,
 )
 from kc2spice.rom.reductors.base import Reductor
 
@@ -46,11 +47,12 @@ class BandLimitedBalancing(Reductor):
     )
     congruence = False
 
-    def suits(self, task: Task) -> bool:
-        """Return whether the model is small enough and its samples are cheap."""
-        if not has_gramians(task):
-            return False
-        return task.first_order.pencil.size <= LARGEST and task.first_order.diagonal
+    def obstacle(self, task: Task) -> str:
+        """Return why the model is too large, or its samples are not cheap."""
+        reason = no_gramians(task) or too_large(task.first_order.pencil.size, LARGEST)
+        if reason or task.first_order.diagonal:
+            return reason
+        return "the eigenvectors of the model are too close to each other for fast samples"
 
     def basis(self, task: Task) -> ReducedBasis:
         """Return the model balanced over the band."""

@@ -17,7 +17,8 @@ class Reductor(ABC):
     A subclass has a ``name``, a literature ``reference`` and the method :meth:`basis`. The choice
     of the order, the error estimate and the proofs of stability and passivity are the same for all
     methods. ``congruence`` states whether the projection is a Galerkin projection, which preserves
-    the form of the matrices.
+    the form of the matrices: it is True by default. ``no_basis`` states what it means if
+    :meth:`basis` returns None.
 
     Examples
     --------
@@ -42,10 +43,15 @@ class Reductor(ABC):
     name: str = ""
     reference: str = ""
     congruence: bool = True
+    no_basis: str = "its basis() returns None"
+
+    def obstacle(self, task: Task) -> str:
+        """Return the reason why the method does not apply to this model, "" if it applies."""
+        return ""
 
     def suits(self, task: Task) -> bool:
-        """Return whether the method applies to this model; by default it always does."""
-        return True
+        """Return whether the method applies to this model: by default, if nothing prevents it."""
+        return not self.obstacle(task)
 
     @abstractmethod
     def basis(self, task: Task) -> ReducedBasis | None:

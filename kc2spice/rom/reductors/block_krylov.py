@@ -50,9 +50,17 @@ class BlockKrylov(Reductor):
     name = "block Krylov"
     reference = "Schütz, Maeter and Bechtold, Actuators 10 (2021) 279, section 2.3"
 
-    def suits(self, task: Task) -> bool:
-        """Return whether K is definite and the damping proportional or zero."""
-        return is_definite(task.pencil, undamped_too=True)
+    def obstacle(self, task: Task) -> str:
+        """Return why K is not definite, or the damping is neither proportional nor zero."""
+        if is_definite(pencil := task.pencil, undamped_too=True):
+            return ""
+        if pencil.degree == 1:
+            return "the model is of first order"
+        if not task.collocated:
+            return "its matrices are not symmetric, or C is not the transpose of B"
+        if pencil.rayleigh is None and not pencil.undamped:
+            return "its damping is not proportional to mass and stiffness"
+        return "its stiffness matrix is not positive definite"
 
     def basis(self, task: Task) -> ReducedBasis:
         """Return the projection of the full-order model on nested Krylov vectors."""

@@ -10,7 +10,7 @@ import numpy as np
 
 from kc2spice.rom.pencil import Pencil, explicit
 from kc2spice.rom.reduced_basis import ReducedBasis, Task
-from kc2spice.rom.reductors.balanced_truncation import BalancedTruncation, has_gramians
+from kc2spice.rom.reductors.balanced_truncation import NOT_STABLE, BalancedTruncation, no_gramians
 from kc2spice.rom.reductors.base import Reductor
 from kc2spice.rom.response import Response
 
@@ -52,10 +52,11 @@ class Irka(Reductor):
     name = "IRKA"
     reference = "Gugercin, Antoulas and Beattie, SIAM J. Matrix Anal. Appl. 30 (2008) 609"
     congruence = False
+    no_basis = NOT_STABLE
 
-    def suits(self, task: Task) -> bool:
-        """Return whether the model has a static response and is small enough."""
-        return has_gramians(task)
+    def obstacle(self, task: Task) -> str:
+        """Return why the model has no Gramians, with which the iteration begins."""
+        return no_gramians(task)
 
     def basis(self, task: Task) -> ReducedBasis | None:
         """Return the models of all orders, each computed when it is needed; None if the model is

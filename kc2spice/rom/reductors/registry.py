@@ -105,7 +105,7 @@ def reductor_named(method: str | Reductor) -> Reductor:
             where="method",
             got=repr(method),
             expected="one of " + ", ".join(_reductors),
-            hint=did_you_mean(method, _reductors) or OWN_METHODS,
+            hint=" ".join(filter(None, (did_you_mean(method, _reductors), OWN_METHODS))),
         )
     return _reductors[method]
 
