@@ -133,9 +133,11 @@ def reduce(
     contact : bool, default False
         Whether to keep some of what a contact excites above the band, as models of scenes do.
     method : str or Reductor, optional
-        Method of reduction: ``"response POD"``, ``"balanced truncation"``, ``"balanced truncation
-        over the band"``, ``"rational Krylov"``, ``"block Krylov"``, or one of
-        :func:`kc2spice.register_reductor`. By default all methods that suit the model are tried.
+        Method of reduction: ``"response POD"``, ``"response POD of both sides"``, ``"balanced
+        truncation"``, ``"balanced truncation of outputs as they are"``, ``"balanced truncation over
+        the band"``, ``"block Krylov"``, ``"rational Krylov"``, ``"IRKA"``, or one of
+        :func:`kc2spice.register_reductor`. By default response POD and the variants of balanced
+        truncation that suit the model are tried.
     parameters : mapping, optional
         Refused unless empty: matrices have no parameters, only bodies of a scene have them.
 

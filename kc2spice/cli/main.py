@@ -140,7 +140,7 @@ PARAMETERS = {
     "method": typer.Option(
         metavar="NAME",
         help="Method of reduction, such as 'response POD', or compare for a table of all methods. "
-        "Default: all that suit the model, the fewest states win.",
+        "Default: response POD and balanced truncation, the fewest states win.",
     ),
     "norm": typer.Option(
         metavar="NORM",

@@ -95,7 +95,8 @@ def reduce_model(
         Whether to represent a part of the response above the band, which a contact excites, by a
         third more states.
     method : str or Reductor, optional
-        Method of reduction. By default all methods that suit the model are tried.
+        Method of reduction. By default response POD and the variants
+        of balanced truncation that suit the model are tried.
 
     Returns
     -------

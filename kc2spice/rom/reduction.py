@@ -50,7 +50,8 @@ class Reduction:
     tolerance : float, default 1e-6
         Smallest tolerance that the basis is made for.
     method : str or Reductor, optional
-        Method of all reduced-order models. By default all methods that suit the model are tried.
+        Method of all reduced-order models. By default response POD and the variants
+        of balanced truncation that suit the model are tried.
     points : sequence of floats, optional
         Expansion points in Hz, for rational Krylov vectors at these points instead of ``method``.
 

@@ -94,7 +94,8 @@ def reduce_file(
         Resistance in series with the part through which a gain was measured: ``"100 Ohm"``, or a
         number in Ohm. A table of gain and phase needs it.
     method : str, optional
-        Method of reduction. By default all methods that suit the model are tried.
+        Method of reduction. By default response POD and the variants
+        of balanced truncation that suit the model are tried.
     progress : callable, optional
         Called as ``progress(stage, done, text)`` during the reduction.
 
