@@ -36,12 +36,12 @@ from kc2spice.rom.element_fit import (
     LEADS,
     PARALLEL,
     SIMPLER,
-    Element,
     Elements,
+    FitElement,
     Samples,
 )
 from kc2spice.rom.linear_model import Certificate, LinearModel
-from kc2spice.rom.network import IDEAL_LEAD, Branch, ParallelBranches
+from kc2spice.rom.network import IDEAL_LEAD, CircuitBranch, ParallelBranches
 
 MAX_ELEMENTS = 40
 GAIN = 0.1  # minimum relative reduction of the deviation per added element
@@ -102,13 +102,13 @@ def _network(elements: Elements) -> ParallelBranches:
     )
     branches = tuple(element.branch() for element in order)
     if not branches:  # a model has at least one unknown
-        branches, capacitance = (Branch(0.0, elastance=1 / capacitance),), 0.0
+        branches, capacitance = (CircuitBranch(0.0, elastance=1 / capacitance),), 0.0
     leads = [element.branch() for element in elements if not element.in_parallel]
-    lead = Branch(sum(b.resistance for b in leads), sum(b.inductance for b in leads))
+    lead = CircuitBranch(sum(b.resistance for b in leads), sum(b.inductance for b in leads))
     if len(branches) == 1 and capacitance == 0:
         resistance = branches[0].resistance + lead.resistance
         inductance = branches[0].inductance + lead.inductance
-        branches, lead = (Branch(resistance, inductance, branches[0].elastance),), IDEAL_LEAD
+        branches, lead = (CircuitBranch(resistance, inductance, branches[0].elastance),), IDEAL_LEAD
     return ParallelBranches(capacitance, branches, lead)
 
 
@@ -119,7 +119,7 @@ def fit_branches(samples: Samples) -> Elements:
     patience = POOR_PATIENCE
     while len(elements) < MAX_ELEMENTS and useless < patience:
         ends = [samples.polished(start) for start in _starts(samples, elements)]
-        ends = [end for end in ends if _seen(samples, end)]
+        ends = [end for end in ends if _visible(samples, end)]
         if not ends:
             break
         elements = samples.polished(_first_of_best(samples, ends), CHOSEN)
@@ -151,7 +151,7 @@ def _first_of_best(samples: Samples, ends: Sequence[Elements]) -> Elements:
     return next(good)
 
 
-def _bounded(element: Element, slowest: float) -> Element:
+def _bounded(element: FitElement, slowest: float) -> FitElement:
     """The element with a time of at most ``slowest`` (logarithm of s) and a Q factor of at most
     :data:`LARGEST_Q`: what the samples do not determine, with the Y in the band that they do."""
     amplitude, *others = element.logs
@@ -160,10 +160,10 @@ def _bounded(element: Element, slowest: float) -> Element:
         w, d = others
         if excess > 0:  # L = 1 / (c w^2) stays
             amplitude, w = amplitude - 2 * excess, w + excess
-        return Element(element.form, (amplitude, w, max(d, w - float(np.log(LARGEST_Q)))))
+        return FitElement(element.form, (amplitude, w, max(d, w - float(np.log(LARGEST_Q)))))
     if excess <= 0:
         return element
-    return Element(element.form, (amplitude - excess, others[0] - excess))  # L or R stays
+    return FitElement(element.form, (amplitude - excess, others[0] - excess))  # L or R stays
 
 
 def _beyond_band(samples: Samples, elements: Elements) -> Elements:
@@ -174,12 +174,12 @@ def _beyond_band(samples: Samples, elements: Elements) -> Elements:
     return tuple(e for e in timed if not low < -_log_time(e) < high)
 
 
-def _log_time(element: Element) -> float:
+def _log_time(element: FitElement) -> float:
     """Logarithm of the time [s] per radian of an element that has one."""
     return -element.logs[1] if element.form == "resonant" else element.logs[1]
 
 
-def _seen(samples: Samples, elements: Elements) -> bool:
+def _visible(samples: Samples, elements: Elements) -> bool:
     """Whether every element exceeds what is left at more samples than it has parameters: one that
     describes the noise of one sample does not."""
     left = -np.expm1(-samples.rms(elements))  # relative to Y
@@ -201,7 +201,7 @@ def _simplified(samples: Samples, elements: Elements, doubtful: Elements) -> Ele
     return elements
 
 
-def _simpler(samples: Samples, elements: Elements, element: Element) -> Iterable[Elements]:
+def _simpler(samples: Samples, elements: Elements, element: FitElement) -> Iterable[Elements]:
     """Sums in which one element is absent, or has a simpler form with its Y in the band."""
     others = tuple(e for e in elements if e is not element)
     if any(e.in_parallel for e in others):
@@ -217,7 +217,7 @@ def _simpler(samples: Samples, elements: Elements, element: Element) -> Iterable
             yield elements
 
 
-def _as_leads(element: Element, others: Elements) -> Iterable[Elements]:
+def _as_leads(element: FitElement, others: Elements) -> Iterable[Elements]:
     """Sums in which leads of the whole capacitance C0 have the effect of a branch above the band::
 
     s C0 / (1 + s R C0 + s^2 L C0) = s C0 - s^2 R C0^2 - s^3 L C0^2 + ...
@@ -228,27 +228,27 @@ def _as_leads(element: Element, others: Elements) -> Iterable[Elements]:
         return
     log_c, *times = element.logs
     total = float(np.logaddexp.reduce([log_c, *(e.logs[0] for e in others if _clamped(e))]))
-    clamped = *(e for e in others if not _clamped(e)), Element("capacitance", (total,))
+    clamped = *(e for e in others if not _clamped(e)), FitElement("capacitance", (total,))
     scale = log_c - 2 * total
     if element.form == "relaxing":
-        yield (*clamped, Element("lead resistance", (scale + times[0],)))
+        yield (*clamped, FitElement("lead resistance", (scale + times[0],)))
     else:
         log_w, log_d = times
-        yield (*clamped, Element("lead inductance", (scale - 2 * log_w,)))
-        yield (*clamped, Element("lead resistance", (scale + log_d - 2 * log_w,)))
+        yield (*clamped, FitElement("lead inductance", (scale - 2 * log_w,)))
+        yield (*clamped, FitElement("lead resistance", (scale + log_d - 2 * log_w,)))
 
 
-def _clamped(element: Element) -> bool:
+def _clamped(element: FitElement) -> bool:
     """Whether an element is the capacitance beside the branches."""
     return element.form == "capacitance"
 
 
-def _like(element: Element, form: str) -> Element:
+def _like(element: FitElement, form: str) -> FitElement:
     """An element of a form with one or two parameters and the time constant of another element."""
     if form in ("conductance", "capacitance"):
-        return Element(form, (0.0,))
+        return FitElement(form, (0.0,))
     log_t = element.logs[2] - 2 * element.logs[1]  # d / w^2, the product R C of the branch
-    return Element(form, (0.0, -element.logs[2] if form == "inductive" else log_t))
+    return FitElement(form, (0.0, -element.logs[2] if form == "inductive" else log_t))
 
 
 def _starts(samples: Samples, elements: Elements) -> list[Elements]:
@@ -272,16 +272,16 @@ def _peak(samples: Samples, elements: Elements) -> Elements:
     first = max((k for k in below if k < top), default=0)
     last = min((k for k in below if k > top), default=len(missing) - 1)
     w, d = 2 * np.pi * samples.f[top], 2 * np.pi * (samples.f[last] - samples.f[first]) / 2
-    found = Element("resonant", tuple(np.log([missing.real[top] * d / w**2, w, d]).tolist()))
+    resonance = FitElement("resonant", tuple(np.log([missing.real[top] * d / w**2, w, d]).tolist()))
     if any(e.form == "capacitance" for e in elements):
-        return (*elements, found)
-    rest = missing - found.response(samples.s)[0]
+        return (*elements, resonance)
+    rest = missing - resonance.response(samples.s)[0]
     clamped = float(np.median(rest.imag / (2 * np.pi * samples.f)))
-    more = (Element("capacitance", (float(np.log(clamped)),)),) if clamped > 0 else ()
-    return (*elements, found, *more)
+    more = (FitElement("capacitance", (float(np.log(clamped)),)),) if clamped > 0 else ()
+    return (*elements, resonance, *more)
 
 
-def _options(samples: Samples, elements: Elements) -> Iterable[list[Element]]:
+def _options(samples: Samples, elements: Elements) -> Iterable[list[FitElement]]:
     """Elements of every form from which one is chosen."""
     present = {element.form for element in elements}
     forms = [form for form in PARALLEL if samples.conducting or form not in CONDUCTING]
@@ -290,23 +290,23 @@ def _options(samples: Samples, elements: Elements) -> Iterable[list[Element]]:
     times = -np.log(np.geomspace(low / 10, high * 10, decades))
     for form in ("conductance", "capacitance"):
         if form in forms and form not in present:
-            yield [Element(form, (0.0,))]
+            yield [FitElement(form, (0.0,))]
     for form in ("inductive", "relaxing"):
         if form in forms:
-            yield [Element(form, (0.0, float(t))) for t in times]
+            yield [FitElement(form, (0.0, float(t))) for t in times]
     for w in _peaks(samples, elements):
-        yield [Element("resonant", (0.0, np.log(w), np.log(w / Q))) for Q in QUALITIES]
+        yield [FitElement("resonant", (0.0, np.log(w), np.log(w / Q))) for Q in QUALITIES]
     if elements:
         for form in LEADS:
             if form not in present:
                 yield from ([lead] for lead in _leads(samples, form))
 
 
-def _leads(samples: Samples, form: str) -> list[Element]:
+def _leads(samples: Samples, form: str) -> list[FitElement]:
     """Leads of one form that are shares of the largest that no sample contradicts."""
-    per_unit = Element(form, (0.0,)).response(samples.s)[0]
+    per_unit = FitElement(form, (0.0,)).response(samples.s)[0]
     largest = float(np.min(np.abs(1 / (per_unit * samples.Y))))
-    return [Element(form, (float(np.log(share * largest)),)) for share in LEAD_SHARES]
+    return [FitElement(form, (float(np.log(share * largest)),)) for share in LEAD_SHARES]
 
 
 def _peaks(samples: Samples, elements: Elements) -> list[float]:
@@ -317,8 +317,8 @@ def _peaks(samples: Samples, elements: Elements) -> list[float]:
     left = samples.deviation(elements)
     missing = samples.missing(elements).real
     at = (missing, missing / np.abs(samples.Y), np.abs(left))
-    found = dict.fromkeys(int(np.argmax(item)) for item in at)
-    return [float(2 * np.pi * samples.f[k]) for k in found]
+    indices = dict.fromkeys(int(np.argmax(item)) for item in at)
+    return [float(2 * np.pi * samples.f[k]) for k in indices]
 
 
 def _halves(samples: Samples, elements: Elements) -> list[Elements]:
@@ -330,5 +330,7 @@ def _halves(samples: Samples, elements: Elements) -> list[Elements]:
     nearest = min(resonant, key=lambda e: abs(e.logs[1] - worst))
     log_c, log_w, log_d = nearest.logs
     apart = float(0.25 * np.exp(log_d - log_w))
-    pair = [Element("resonant", (log_c, log_w + shift, log_d - 0.5)) for shift in (-apart, apart)]
+    pair = [
+        FitElement("resonant", (log_c, log_w + shift, log_d - 0.5)) for shift in (-apart, apart)
+    ]
     return [(*(e for e in elements if e is not nearest), *pair)]

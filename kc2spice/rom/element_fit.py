@@ -6,7 +6,7 @@ Admittances ``Y_k`` of elements in parallel and impedances ``Z_l`` of leads make
     dY / dY_k = (Y / Y_p)^2,    dY / dZ_l = -Y^2.
 
 :class:`Samples` contains frequencies and admittances. Its methods give the deviation of a sum of
-:class:`Element` from them, the best amplitudes, and the nearest minimum over all parameters. The
+:class:`FitElement` from them, the best amplitudes, and the nearest minimum over all parameters. The
 search for elements is in :mod:`kc2spice.rom.branch_fit`.
 """
 
@@ -19,7 +19,7 @@ from functools import cached_property
 import numpy as np
 from scipy.optimize import least_squares, nnls
 
-from kc2spice.rom.network import Branch
+from kc2spice.rom.network import CircuitBranch
 
 ENOUGH = 1e-5  # deviation (rms) below that of every instrument
 ABOVE_ROUNDING = 1.5  # times the effect of rounded frequencies
@@ -93,7 +93,7 @@ SIMPLER = {
 
 
 @dataclass(frozen=True)
-class Element:
+class FitElement:
     """One summand of the parallel admittance or of the impedance of the leads: its form and the
     logarithms of its parameters, the amplitude first."""
 
@@ -105,9 +105,9 @@ class Element:
         logs = np.clip(self.logs, -LARGEST_LOG, LARGEST_LOG)
         return FORMS[self.form](logs, s)
 
-    def scaled(self, factor: float) -> Element:
+    def scaled(self, factor: float) -> FitElement:
         """The element with its amplitude times ``factor``."""
-        return Element(self.form, (self.logs[0] + float(np.log(factor)), *self.logs[1:]))
+        return FitElement(self.form, (self.logs[0] + float(np.log(factor)), *self.logs[1:]))
 
     @property
     def in_parallel(self) -> bool:
@@ -124,24 +124,24 @@ class Element:
         """At zero frequency [S]; none of a lead."""
         return self.amplitude if self.form in CONDUCTING else 0.0
 
-    def branch(self) -> Branch:
+    def branch(self) -> CircuitBranch:
         """Its resistor, inductor and capacitor in series; not of a capacitance."""
         p = np.exp(self.logs).tolist()
         if self.form == "lead resistance":
-            return Branch(p[0])
+            return CircuitBranch(p[0])
         if self.form == "lead inductance":
-            return Branch(0.0, p[0])
+            return CircuitBranch(0.0, p[0])
         if self.form == "conductance":
-            return Branch(1 / p[0])
+            return CircuitBranch(1 / p[0])
         if self.form == "inductive":
-            return Branch(1 / p[0], inductance=p[1] / p[0])
+            return CircuitBranch(1 / p[0], inductance=p[1] / p[0])
         if self.form == "relaxing":
-            return Branch(p[1] / p[0], elastance=1 / p[0])
+            return CircuitBranch(p[1] / p[0], elastance=1 / p[0])
         inductance = 1 / (p[0] * p[1] ** 2)
-        return Branch(p[2] * inductance, inductance, 1 / p[0])
+        return CircuitBranch(p[2] * inductance, inductance, 1 / p[0])
 
 
-Elements = tuple[Element, ...]
+Elements = tuple[FitElement, ...]
 
 
 @dataclass(frozen=True, eq=False)
@@ -269,14 +269,14 @@ class Samples:
         def unpacked(logs: np.ndarray) -> Elements:
             parts = np.split(logs, ends)
             return tuple(
-                Element(e.form, tuple(map(float, part)))
+                FitElement(e.form, tuple(map(float, part)))
                 for e, part in zip(elements, parts, strict=True)
             )
 
         def residual(logs: np.ndarray) -> np.ndarray:
             tried = unpacked(logs)
-            lost = conductance(tried) - (self.conductance or 0.0)
-            return self._rows(self.misfit(tried), lost)
+            excess = conductance(tried) - (self.conductance or 0.0)
+            return self._rows(self.misfit(tried), excess)
 
         def slopes(logs: np.ndarray) -> np.ndarray:
             tried = unpacked(logs)
@@ -335,7 +335,7 @@ def conductance(elements: Elements) -> float:
     return parallel / (1 + lead_resistance(elements) * parallel)
 
 
-def _conductance_slope(elements: Elements, element: Element) -> float:
+def _conductance_slope(elements: Elements, element: FitElement) -> float:
     """Derivative of :func:`conductance` by the logarithm of the amplitude of an element."""
     if element.form == "lead resistance":
         return -(conductance(elements) ** 2) * lead_resistance((element,))

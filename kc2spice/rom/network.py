@@ -25,7 +25,7 @@ PORT = Port("anode", ELECTRICAL.port, pins=("anode", "cathode"))
 
 
 @dataclass(frozen=True)
-class Branch:
+class CircuitBranch:
     """R [Ohm], L [H] and the elastance 1/C [1/F] of elements in series; 0 is an absent element."""
 
     resistance: float
@@ -39,7 +39,7 @@ class Branch:
         )
 
 
-IDEAL_LEAD = Branch(0.0)
+IDEAL_LEAD = CircuitBranch(0.0)
 
 
 @dataclass(frozen=True)
@@ -48,8 +48,8 @@ class ParallelBranches:
     in series."""
 
     capacitance: float
-    branches: tuple[Branch, ...]
-    lead: Branch = IDEAL_LEAD
+    branches: tuple[CircuitBranch, ...]
+    lead: CircuitBranch = IDEAL_LEAD
 
     @property
     def conductance(self) -> float:
@@ -70,7 +70,7 @@ class ParallelBranches:
         has a lead."""
         branches, capacitance = self.branches, self.capacitance
         if self.lead != IDEAL_LEAD and capacitance > 0:
-            branches, capacitance = (*branches, Branch(0.0, elastance=1 / capacitance)), 0.0
+            branches, capacitance = (*branches, CircuitBranch(0.0, elastance=1 / capacitance)), 0.0
         values = np.array([(b.inductance, b.resistance, b.elastance) for b in branches])
         M, E, K = (np.diag(column) for column in values.reshape(-1, 3).T)
         return LinearModel(
@@ -93,9 +93,11 @@ def parallel_branches(model: LinearModel) -> ParallelBranches | None:
     elastance, resistance, inductance = (_shared(matrix) for matrix in matrices)
     if elastance != 0 or resistance is None or inductance is None:
         return None
-    capacitance, lead = float(model.D[0, 0]), Branch(resistance, inductance)
+    capacitance, lead = float(model.D[0, 0]), CircuitBranch(resistance, inductance)
     K, E, M = (np.diag(P) - c for P, c in zip(matrices, (0.0, resistance, inductance), strict=True))
-    branches = tuple(Branch(float(R), float(L), float(S)) for R, L, S in zip(E, M, K, strict=True))
+    branches = tuple(
+        CircuitBranch(float(R), float(L), float(S)) for R, L, S in zip(E, M, K, strict=True)
+    )
     if lead != IDEAL_LEAD:
         if capacitance != 0:
             return None

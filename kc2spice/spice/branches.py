@@ -9,7 +9,7 @@ import numpy as np
 from kc2spice.netlist.circuit import Element, Pin
 from kc2spice.netlist.elements import Line
 from kc2spice.rom.linear_model import LinearModel, Port
-from kc2spice.rom.network import IDEAL_LEAD, Branch, ParallelBranches
+from kc2spice.rom.network import IDEAL_LEAD, CircuitBranch, ParallelBranches
 
 # Current through the leak at the lowest frequency of the band, relative to that of the part.
 LEAK_SHARE = 1e-9
@@ -46,7 +46,7 @@ def branch_cards(network: ParallelBranches, model: LinearModel) -> list[Line]:
     return result
 
 
-def _series(branch: Branch, index: int, plus: str, minus: str) -> Iterator[Element]:
+def _series(branch: CircuitBranch, index: int, plus: str, minus: str) -> Iterator[Element]:
     """The elements that a branch has, from ``plus`` to ``minus``; the capacitor last, so that no
     inner node floats."""
     values = [("R", branch.resistance), ("L", branch.inductance)]
@@ -58,7 +58,7 @@ def _series(branch: Branch, index: int, plus: str, minus: str) -> Iterator[Eleme
         yield Element.of(f"{letter}{index}", nodes[k], nodes[k + 1], value)
 
 
-def _description(branch: Branch) -> str:
+def _description(branch: CircuitBranch) -> str:
     """Kind of a branch, with its frequency or time constant."""
     R, L, S = branch.resistance, branch.inductance, branch.elastance
     if L > 0 and S > 0:

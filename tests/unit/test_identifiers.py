@@ -10,9 +10,8 @@ ROOT = Path(kc2spice.__file__).parent
 MODULES = {path: ast.parse(path.read_text(encoding="utf-8")) for path in ROOT.rglob("*.py")}
 # A law and the part with it; the dialect of a simulator and the process that runs it.
 PARALLEL_MODULES = {"contact", "ngspice"}
-# `kc2spice.pyspice.subcircuit` makes for PySpice what `kc2spice.subcircuit` makes as text. A part
-# and a fitted circuit have branches; a netlist and a fitted circuit have elements.
-PARALLEL_NAMES = {"subcircuit", "Branch", "Element"}
+# `kc2spice.pyspice.subcircuit` makes for PySpice what `kc2spice.subcircuit` makes as text.
+PARALLEL_NAMES = {"subcircuit"}
 NOT_NAMES = {
     "own", "kept", "given", "told", "found", "held", "wanted", "made", "shown", "taken", "whole",
     "sure", "few", "way", "ways", "once", "asked", "seen", "meant", "said", "lost", "sent", "named",

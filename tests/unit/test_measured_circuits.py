@@ -15,7 +15,7 @@ from kc2spice.netlist.deck import ac
 from kc2spice.netlist.expression import parse
 from kc2spice.rom.branch_fit import one_port
 from kc2spice.rom.io import read_rom
-from kc2spice.rom.network import Branch, ParallelBranches, parallel_branches
+from kc2spice.rom.network import CircuitBranch, ParallelBranches, parallel_branches
 from kc2spice.workflow.reduce_files import first_deck, reduce_file
 
 NOISE = 1e-3
@@ -339,8 +339,12 @@ def test_branches_survive_their_file(tmp_path):
     assert again == network
     assert 2j * np.pi * f * model.transfer(f)[:, 0, 0] == pytest.approx(network.admittance(f))
     for capacitance in (0.0, 2e-9):
-        branches = Branch(20.0, 5e-3, 2e8), Branch(300.0, 1e-3), Branch(40.0, 0.0, 1e9)
-        network = ParallelBranches(capacitance, branches, Branch(5.0, 1e-6))
+        branches = (
+            CircuitBranch(20.0, 5e-3, 2e8),
+            CircuitBranch(300.0, 1e-3),
+            CircuitBranch(40.0, 0.0, 1e9),
+        )
+        network = ParallelBranches(capacitance, branches, CircuitBranch(5.0, 1e-6))
         model = network.linear()
         again = parallel_branches(model)
         for branch, other in zip(branches, again.branches, strict=True):
