@@ -12,7 +12,7 @@ from kc2spice.netlist.library import Subcircuit
 from kc2spice.netlist.read import read
 from kc2spice.rom.linear_model import Certificate, LinearModel, Port
 from kc2spice.rom.multiport import _admittance, _state_space
-from kc2spice.spice.realize import subcircuit
+from kc2spice.synthesis.realize import subcircuit
 
 OHM, TOP = 50.0, 1e9  # of the scattering parameters, Hz
 STEP, STOP = 5e-11, 1e-7  # s of the transient

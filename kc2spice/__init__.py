@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from kc2spice.rom.reductors.registry import register_reductor
     from kc2spice.scene.load import load_scene
     from kc2spice.scene.model import PartType, Scene, Terminal
-    from kc2spice.spice.realize import subcircuit
+    from kc2spice.synthesis.realize import subcircuit
     from kc2spice.workflow.fit import fit
 
 __all__ = [
@@ -78,7 +78,7 @@ _HOMES = {
     "Reduction": "rom.reduction",
     "Reductor": "rom.reductors.base",
     "register_reductor": "rom.reductors.registry",
-    "subcircuit": "spice.realize",
+    "subcircuit": "synthesis.realize",
 }  # within the package; all others are of its module api
 
 

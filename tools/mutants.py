@@ -46,7 +46,7 @@ COPY, DATA = HOME / "copy", HOME / "recorded"
 ALL = HOME / "all.sqlite"
 FOLDERS = ("unit", "physics", "spice", "gallery")
 # physics, realisation and certificate
-PACKAGES = ("fem", "rom", "spice", "equations", "reference", "workflow/verify")
+PACKAGES = ("fem", "rom", "synthesis", "equations", "reference", "workflow/verify")
 NO_PYTHON = "no Python"  # such a mutant is not counted
 LEFT_OUT = ("tests/clients", "tests/benchmarks", "tests/gallery/test_readme.py",
             "tests/gallery/test_site.py", "tests/gallery/test_examples.py")  # fmt: skip

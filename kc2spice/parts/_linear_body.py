@@ -57,8 +57,15 @@ from kc2spice.scene.parttype import current_into, pin_forces
 from kc2spice.scene.plausible import dimensions
 from kc2spice.scene.rows import LargestRealPart, Neglected, Rest, Vector
 from kc2spice.scene.settings import Probe, Rom
-from kc2spice.spice.heat import is_heat
-from kc2spice.spice.realize import COARSE, RINGING, UNRATED, StepWeights, reference_pin, subcircuit
+from kc2spice.synthesis.heat import is_heat
+from kc2spice.synthesis.realize import (
+    COARSE,
+    RINGING,
+    UNRATED,
+    StepWeights,
+    reference_pin,
+    subcircuit,
+)
 
 if TYPE_CHECKING:
     from kc2spice.rom.enriched import Orders
@@ -485,7 +492,7 @@ class LinearBody(Touching):
         words: dict[str, Any] = {"title": self.headline(part), "rating": rating}
         words["weights"] = self.weights(part, build.scene)
         if keys := varied(part):
-            from kc2spice.spice.parametric_resonators import parametric_subcircuit
+            from kc2spice.synthesis.parametric_resonators import parametric_subcircuit
 
             result = self.varying(part, build.scene, Clock())
             known = {item.key: item.param for item in keys}

@@ -32,7 +32,7 @@ from kc2spice.scene.model import (
     WiredScene,
 )
 from kc2spice.scene.rows import Vector
-from kc2spice.spice.header import ROOM, library
+from kc2spice.synthesis.header import ROOM, library
 
 BANDWIDTH = 1e9  # Hz, gain-bandwidth product of a fast decompensated amplifier
 

@@ -26,7 +26,7 @@ from kc2spice.scene.model import (
 from kc2spice.scene.parttype import register
 from kc2spice.scene.rows import Neglected
 from kc2spice.scene.settings import Rom
-from kc2spice.spice.realize import COARSE, StepWeights
+from kc2spice.synthesis.realize import COARSE, StepWeights
 
 if TYPE_CHECKING:
     from kc2spice.bodies.pressure import IsotropicSphere, LocalCompliance, PressureBasis

@@ -37,7 +37,7 @@ from kc2spice.scene.model import (
 )
 from kc2spice.scene.parttype import register
 from kc2spice.scene.rows import Vector
-from kc2spice.spice.header import library
+from kc2spice.synthesis.header import library
 
 SENSOR = 2e3  # V/m, 5 V at the paper's set point
 SENSE = 100.0  # Ohm, 10 V at the paper's 0.1 A

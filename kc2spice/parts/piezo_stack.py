@@ -39,7 +39,7 @@ from kc2spice.scene.parttype import register
 from kc2spice.scene.plausible import within
 from kc2spice.scene.rows import Neglected, Numerics
 from kc2spice.scene.settings import Rom
-from kc2spice.spice.realize import COARSE, THROWING, StepWeights
+from kc2spice.synthesis.realize import COARSE, THROWING, StepWeights
 
 # Mesh and solver modules are imported on use: most runs find their models in the cache.
 if TYPE_CHECKING:

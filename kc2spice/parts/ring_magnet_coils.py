@@ -49,7 +49,7 @@ from kc2spice.scene.model import (
 from kc2spice.scene.parttype import register
 from kc2spice.scene.plausible import within
 from kc2spice.scene.rows import Neglected, Vector
-from kc2spice.spice.header import library
+from kc2spice.synthesis.header import library
 
 MAGNET_CONDUCTIVITY = 150e3  # S/m, paper table A1
 

@@ -37,7 +37,7 @@ from kc2spice.scene.parttype import pin_forces, register
 from kc2spice.scene.plausible import within
 from kc2spice.scene.rows import Neglected, Rest, State, Vector
 from kc2spice.scene.settings import Probe
-from kc2spice.spice.header import SIGN
+from kc2spice.synthesis.header import SIGN
 
 AIR_VISCOSITY = 1.825e-5  # Pa s
 STEEL_DENSITY = 7850.0  # kg/m^3

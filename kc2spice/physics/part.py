@@ -278,7 +278,7 @@ def declared_subcircuit(
     >>> declared_subcircuit(Header("demo", "0"), "leaf", spring, {"stiffness": 100.0})
     <Subcircuit leaf: pins a[um/N] b[um/N]; stiffness=100>
     """
-    from kc2spice.spice.header import defaults, part_header  # loads scipy
+    from kc2spice.synthesis.header import defaults, part_header  # loads scipy
 
     d, pins = declaration, pins_of(declaration)
     distinct([*(pin.name for pin in pins), *map(checked, d.signals)], _INNER, where=name)

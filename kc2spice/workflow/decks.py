@@ -35,7 +35,7 @@ from kc2spice.scene.model import Build, Names, Part, Scene, scene_hash
 from kc2spice.scene.plausible import built, judged
 from kc2spice.scene.resolve import resolve_again, resolve_build
 from kc2spice.scene.results import powers, require_probed, result_vectors, sweep_values, swept
-from kc2spice.spice.header import plan_lines
+from kc2spice.synthesis.header import plan_lines
 from kc2spice.workflow import noise_analysis
 from kc2spice.workflow.edits import changed, element_text, instance, with_value
 from kc2spice.workflow.measures import measures

@@ -11,7 +11,7 @@ import pytest
 from kc2spice.core.errors import SimulationError, UsageError
 from kc2spice.rom.linear_model import LinearModel
 from kc2spice.rom.reduce import reduce_model
-from kc2spice.spice.realize import subcircuit
+from kc2spice.synthesis.realize import subcircuit
 
 REASONS = "not that accurate", "no state-space form", "out of reach", "does not settle"
 

@@ -14,7 +14,7 @@ from kc2spice.rom.linear_model import LinearModel
 from kc2spice.rom.reduce import reduce_model
 from kc2spice.rom.reduced_basis import Task
 from kc2spice.rom.reductors.response_pod import ResponsePod
-from kc2spice.spice.realize import subcircuit
+from kc2spice.synthesis.realize import subcircuit
 
 FAMILIES = {
     "beam": families.beam,

@@ -17,7 +17,7 @@ from kc2spice.parts._box import with_values
 from kc2spice.rom.linear_model import LinearModel, Port
 from kc2spice.rom.parametric import ParameterAxis, parametric
 from kc2spice.rom.varying import over_box
-from kc2spice.spice.parametric_resonators import parametric_subcircuit
+from kc2spice.synthesis.parametric_resonators import parametric_subcircuit
 
 EXAMPLE = Path(__file__).parents[2] / "docs" / "examples" / "monte_carlo"
 MODULUS = "layers_0_material_youngs_modulus"

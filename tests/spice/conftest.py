@@ -13,7 +13,7 @@ from kc2spice.physics.contact import Normal, contact
 from kc2spice.physics.part import declared_subcircuit as declared
 from kc2spice.scene.load import load_scene
 from kc2spice.sim.ngspice import run_deck
-from kc2spice.spice.realize import subcircuit
+from kc2spice.synthesis.realize import subcircuit
 
 LOOP = {
     "name": "loop", "kick": {"drive": {"voltage": 80.0}}, "contact": {"rings": "all"},

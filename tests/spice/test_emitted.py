@@ -18,10 +18,10 @@ from kc2spice.rom.linear_model import Certificate, LinearModel, Port
 from kc2spice.rom.parametric import ParameterAxis, polynomials
 from kc2spice.rom.varying import Varying
 from kc2spice.sim.ngspice import run_deck
-from kc2spice.spice import parametric_resonators, realize
-from kc2spice.spice.emitted import circuit_error, require_circuit
-from kc2spice.spice.parametric_resonators import parametric_subcircuit
-from kc2spice.spice.realize import subcircuit
+from kc2spice.synthesis import parametric_resonators, realize
+from kc2spice.synthesis.emitted import circuit_error, require_circuit
+from kc2spice.synthesis.parametric_resonators import parametric_subcircuit
+from kc2spice.synthesis.realize import subcircuit
 
 W, Q, FORCE, CHARGE, CLAMPED = 2 * np.pi * 1e3, 50.0, 3.0, 2e-4, 20e-12
 BAND = (0.01, 2e3)

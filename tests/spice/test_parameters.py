@@ -13,7 +13,7 @@ from kc2spice.netlist.deck import Command, Deck
 from kc2spice.netlist.lint import lint
 from kc2spice.rom.reduce import reduce_model
 from kc2spice.sim.ngspice import run_deck
-from kc2spice.spice.realize import subcircuit
+from kc2spice.synthesis.realize import subcircuit
 
 STOP = 0.56e-3
 

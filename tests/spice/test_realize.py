@@ -12,7 +12,7 @@ from kc2spice.netlist.expression import literal
 from kc2spice.netlist.library import Header
 from kc2spice.rom.linear_model import LinearModel, Port
 from kc2spice.sim.ngspice import run_deck
-from kc2spice.spice.realize import subcircuit
+from kc2spice.synthesis.realize import subcircuit
 
 HEADER = Header("made up", "0")
 FREQUENCY = "lin 6 150 1400"

@@ -14,7 +14,7 @@ from kc2spice.netlist.read import read
 from kc2spice.netlist.transforms import with_parameters
 from kc2spice.rom.linear_model import Certificate
 from kc2spice.sim.ngspice import run_deck
-from kc2spice.spice.header import part_header, rom_lines
+from kc2spice.synthesis.header import part_header, rom_lines
 
 NETLISTS = Path(__file__).parents[2] / "netlists"
 

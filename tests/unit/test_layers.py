@@ -19,19 +19,19 @@ MAY = {
     "bodies": "core fem linalg rom",
     "netlist": "core",
     "scene": "core netlist",
-    "spice": "core netlist rom scene",
-    "physics": "core netlist scene spice",
-    "parts": "core fem netlist rom bodies scene spice physics",
+    "synthesis": "core netlist rom scene",
+    "physics": "core netlist scene synthesis",
+    "parts": "core fem netlist rom bodies scene synthesis physics",
     "sim": "core netlist scene",
     "reference": "core linalg",
     "equations": "core scene",
     "report": "core netlist scene",
-    "workflow": "core netlist rom fem bodies scene spice parts sim reference equations report",
+    "workflow": "core netlist rom fem bodies scene synthesis parts sim reference equations report",
     "api": "core netlist rom scene parts sim report workflow",
     "pyspice": "core netlist",
     "cli": "core netlist scene sim report workflow",
     "__main__": "core cli",
-    "__init__": "core netlist rom bodies scene spice api workflow",
+    "__init__": "core netlist rom bodies scene synthesis api workflow",
 }
 LAZY = ("gmsh", "PySpice", "matplotlib")
 
@@ -116,7 +116,7 @@ def test_only_parts_name_part_types():
     """
     from kc2spice.scene.parttype import part_types
 
-    asking = {"scene", "spice", "sim", "report", "workflow", "cli", "api"}
+    asking = {"scene", "synthesis", "sim", "report", "workflow", "cli", "api"}
     words = {"mass", "spring", "damper", "body", "netlist", "source", "sensor", "matrices",
              "resistor", "capacitor", "inductor"}  # fmt: skip
     named = {

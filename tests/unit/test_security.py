@@ -26,7 +26,7 @@ from kc2spice.rom.io import read_rom, write_rom
 from kc2spice.rom.linear_model import Certificate, LinearModel, Port
 from kc2spice.scene.load import load_scene
 from kc2spice.sim.ngspice import write_files
-from kc2spice.spice.header import part_header
+from kc2spice.synthesis.header import part_header
 
 SOON = 5.0  # s
 CRAFTED = {

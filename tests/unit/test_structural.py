@@ -10,7 +10,7 @@ from kc2spice.core.errors import UsageError
 from kc2spice.rom.linear_model import LinearModel, Port
 from kc2spice.rom.lossy_modes import joined, relaxing_oscillator, viscous_oscillator
 from kc2spice.rom.reduce import reduce_model
-from kc2spice.spice.realize import subcircuit
+from kc2spice.synthesis.realize import subcircuit
 
 
 def test_one_oscillator_has_its_loss_at_resonance():

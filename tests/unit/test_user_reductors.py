@@ -9,7 +9,7 @@ from scipy.linalg import eigh
 import kc2spice as kc
 from kc2spice.core.errors import UsageError
 from kc2spice.rom.reductors import registry
-from kc2spice.spice.realize import subcircuit
+from kc2spice.synthesis.realize import subcircuit
 from kc2spice.workflow.methods import compare
 
 N = 40

@@ -27,9 +27,9 @@ from kc2spice.rom.stability import prove_stability
 from kc2spice.scene.checks import Check
 from kc2spice.scene.model import Build, Part
 from kc2spice.sim.ngspice import run_deck
-from kc2spice.spice.emitted import reaction_mass, shakes
-from kc2spice.spice.heat import is_heat
-from kc2spice.spice.realize import loaded
+from kc2spice.synthesis.emitted import reaction_mass, shakes
+from kc2spice.synthesis.heat import is_heat
+from kc2spice.synthesis.realize import loaded
 
 FEW, MANY = 3, 40  # frequencies at which a large full model is solved: a sample, the whole
 SMALL = 3000  # unknowns up to which all are affordable

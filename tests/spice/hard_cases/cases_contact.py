@@ -12,7 +12,7 @@ from bench.distance import compare
 from kc2spice.parts.sphere import SphereKeys, rigid_sphere
 from kc2spice.physics.contact import Normal, contact
 from kc2spice.physics.part import declared_subcircuit as declared
-from kc2spice.spice.realize import subcircuit
+from kc2spice.synthesis.realize import subcircuit
 
 MASS = SphereKeys().mass
 STEP = 0.5e-9  # s, of the oracle

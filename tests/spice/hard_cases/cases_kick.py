@@ -9,7 +9,7 @@ from scipy.linalg import expm
 
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.rom.linear_model import Port
-from kc2spice.spice.realize import subcircuit
+from kc2spice.synthesis.realize import subcircuit
 
 LAUNCH = "launch, relative"
 

@@ -9,7 +9,7 @@ from kc2spice.parts._template import opamp_subcircuit
 from kc2spice.rom.linear_model import LinearModel
 from kc2spice.rom.reduce import reduce_model
 from kc2spice.scene.load import load_scene
-from kc2spice.spice.realize import subcircuit
+from kc2spice.synthesis.realize import subcircuit
 
 RESPONSE = "worst response over peak"
 SIZE = 40

@@ -54,8 +54,8 @@ def circuit_error(
     """The largest difference between the responses of a subcircuit and of its model in the band.
 
     It is relative in the ``norm`` of a :class:`kc2spice.rom.linear_model.Certificate`. The ports
-    are loaded as in :func:`kc2spice.spice.realize.loaded`; an acceleration port is judged by the
-    force that its pin draws.
+    are loaded as in :func:`kc2spice.synthesis.realize.loaded`; an acceleration port is judged by
+    the force that its pin draws.
 
     Parameters
     ----------

@@ -30,16 +30,16 @@ from kc2spice.netlist.spelling import name as checked_name
 from kc2spice.rom.linear_model import Certificate, LinearModel, Port
 from kc2spice.rom.modal import Resonators, resonators
 from kc2spice.rom.network import ParallelBranches, parallel_branches
-from kc2spice.spice.branches import ABOUT, branch_cards, branch_pins
-from kc2spice.spice.emitted import LOWEST, MICRO, circuit_error
-from kc2spice.spice.header import (
+from kc2spice.synthesis.branches import ABOUT, branch_cards, branch_pins
+from kc2spice.synthesis.emitted import LOWEST, MICRO, circuit_error
+from kc2spice.synthesis.header import (
     OUTWARDS,
     defaults,
     mesh_entry,
     part_header,
     rom_lines,
 )
-from kc2spice.spice.heat import heat_cards, heat_modes, is_heat
+from kc2spice.synthesis.heat import heat_cards, heat_modes, is_heat
 
 if TYPE_CHECKING:
     from kc2spice.rom.blocks import BlockModel

@@ -20,9 +20,9 @@ from kc2spice.netlist.library import Header, Subcircuit
 from kc2spice.netlist.spelling import distinct, number
 from kc2spice.rom.linear_model import LinearModel
 from kc2spice.rom.varying import Varying
-from kc2spice.spice.emitted import MICRO
-from kc2spice.spice.header import mesh_entry
-from kc2spice.spice.realize import (
+from kc2spice.synthesis.emitted import MICRO
+from kc2spice.synthesis.header import mesh_entry
+from kc2spice.synthesis.realize import (
     DAMPING,
     RINGING,
     UNRATED,
@@ -210,7 +210,7 @@ def _cards(
     """Yield the elements of the ports, then those of the states.
 
     ``rom`` is the model of the defaults, by which states are scaled as in
-    :func:`kc2spice.spice.realize.subcircuit`::
+    :func:`kc2spice.synthesis.realize.subcircuit`::
 
         C p_i' = -C / w_i sum_j (s_i / s_j) (k_ij q_j + e_ij w_j p_j) + (C s_i / w_i) sum_k g_ik u_k
     """
