@@ -149,7 +149,8 @@ def test_a_mistake_in_an_entry_of_a_list(cli, line, otherwise, place, advice):
     [
         ("freq,a\n{}", "contain no complete impedance; unknown: 'a'", "frequency_hz,real_ohm"),
         ("frequency [Hz],|Z| [Ohm]\n{}", "no complete impedance", "frequency_hz,real_ohm"),
-        ("", "no rows of 2 numbers", "frequency_hz,real_ohm"),
+        ("", "fewer than 2 rows of 2 numbers or more", "frequency_hz,real_ohm"),
+        ("freq,a\n1,2\n", "below the first line 'freq,a'", "frequency_hz,real_ohm"),
     ],
 )
 def test_a_table_that_is_no_impedance(cli, text, got, advice):

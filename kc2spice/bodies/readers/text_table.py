@@ -77,7 +77,10 @@ def read_tables(text: str) -> list[TextTable]:
     runs = {separator: list(_runs(lines, separator)) for separator in SEPARATORS}
     separator = max(SEPARATORS, key=lambda s: max((run.rows for run in runs[s]), default=0))
     if not runs[separator]:
-        raise ValueError(f"the file has no rows of {FEWEST_COLUMNS} numbers or more")
+        first = next((line.strip() for line in lines if line.strip()), "")
+        below = f", below the first line {first[:40]!r}" if first else ""
+        fewest = f"fewer than {FEWEST_ROWS} rows of {FEWEST_COLUMNS} numbers or more"
+        raise ValueError(f"{fewest}{below}")
     tables, end = list[TextTable](), 0
     for run in runs[separator]:
         table = _table(lines, run, end, separator)
