@@ -53,11 +53,11 @@ class FiniteElementModel:
 class Answers:
     """Responses of a model without damping.
 
-    ``facts`` are numbers by name, from the displacements z (n, …): ``static`` under 1 V at each
-    electrical port, ``pushed`` (n, 1 or 0) under 1 N at the first mechanical port, and the lowest
-    ``modes`` with shorted electrical ports that these excite. A body without electrical ports has
-    the lowest other modes. ``rigid`` are rigid-body modes. ``solve`` applies the inverse of the
-    stiffness, with the shift.
+    Attributes are displacements (n, …). ``static`` is the response to 1 V at each electrical port.
+    ``pushed`` is the response to 1 N at the first mechanical port, (n, 1), or (n, 0) without one.
+    ``modes`` are the lowest modes with shorted electrical ports that these loads excite; those of a
+    body without electrical ports are its lowest modes. ``rigid`` are rigid-body modes. ``facts``
+    are numbers by name. ``solve`` applies the inverse of the shifted stiffness.
     """
 
     facts: dict[str, float]

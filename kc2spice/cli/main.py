@@ -165,8 +165,8 @@ PARAMETERS = {
     "error": typer.Option(metavar="X", min=1e-12, max=1.0, help="Largest error that you accept."),
     "bench.metric": typer.Option(
         metavar="NAME",
-        help="Metric whose error counts. Default: bench.metric of the scene, otherwise every "
-        "number that converges. Repeatable.",
+        help="Metric by which errors are compared. Default: bench.metric of the scene, otherwise "
+        "all metrics that converge. Repeatable.",
     ),
     "sweep.metric": typer.Option(
         metavar="NAME",

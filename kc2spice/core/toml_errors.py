@@ -34,7 +34,7 @@ class _Repair:
 
 
 def parse_toml_file(text: str, label: str) -> dict[str, Any]:
-    """The tables of the file ``label`` with this ``text``.
+    """Parse ``text`` as TOML and return its tables; errors name the file ``label``.
 
     Raises
     ------

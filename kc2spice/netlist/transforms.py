@@ -79,7 +79,8 @@ def library_of(part: Subcircuit) -> str:
 def cards(part: Subcircuit) -> Iterator[tuple[str, Circuit]]:
     """Every subcircuit of a library and its name in ``param.NAME.…``.
 
-    The part itself goes by its file, whatever helper it brings along by the helper's own name:
+    The main subcircuit has the name of its file. A helper has its own name, which several libraries
+    may share:
     ``opamp`` is the amplifier in all libraries that have one.
     """
     for item in part.circuit.subcircuits:

@@ -302,12 +302,12 @@ class LinearBody(Touching):
         return scene.rom if "rom" in scene.frame.model_fields_set else None
 
     def reduction(self, part: Part, scene: Scene) -> Rom:
-        """As chosen, else a tolerance over the band that the analysis sees.
+        """Settings of the keys; by default a tolerance over the band that the analysis uses.
 
-        That is the range of ``ac`` and a fifth more. In a transient it is what the scene excites,
-        see :meth:`PartType.numerics`, as far as the body's first :data:`MOTIONS` natural
-        frequencies reach. A thousandth is a tenth of what meshes are off, and above what rounding
-        does to a thin plate that is free to move (some 1e-4 at its resonances).
+        In ``ac``, the band ends 20 % above the last frequency. In a transient, it contains what the
+        scene excites (:meth:`PartType.numerics`), up to the first :data:`MOTIONS` natural
+        frequencies of the body. The tolerance of 1e-3 is a tenth of usual mesh errors. It is above
+        the effect of rounding on a free thin plate, some 1e-4 at its resonances.
         """
         specified, result = part.keys.rom, self._chosen(part, scene)
         if result is None and scene.analysis.small:

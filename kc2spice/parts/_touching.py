@@ -103,7 +103,7 @@ class Touching(PartType):
         return None
 
     def penetrations(self, part: Part, scene: GovernedScene) -> Iterable[Penetration]:
-        """How far it can press contacts of the scene together."""
+        """Largest indentation that the part can cause in each contact of the scene."""
         return ()
 
 

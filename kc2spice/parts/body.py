@@ -137,7 +137,8 @@ class PortKeys(Section):
     def _complete(self) -> PortKeys:
         places = (self.group is not None) + (self.at is not None)
         if places != (0 if self.kind == "base" else 1) or (self.kind == "rigid" and self.at):
-            raise ValueError("mean needs group or at, rigid needs group, base needs neither")
+            needs = {"mean": "needs group or at", "rigid": "needs group", "base": "accepts neither"}
+            raise ValueError(f'kind = "{self.kind}" {needs[self.kind]}')
         turning = isinstance(self.axis, str) and self.axis.startswith("r")
         if self.kind != "rigid" and (self.axis is None or turning):
             raise ValueError("needs an axis: x, y, z or three numbers")

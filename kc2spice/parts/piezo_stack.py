@@ -131,7 +131,7 @@ class Stack(Chip, FieldKeys):
                 "mesh.layers_per_element = 1"
             )
         if self.driver and self.electrical != "driven":
-            raise ValueError('a driver, but electrodes that are not driven: electrical = "driven"')
+            raise ValueError('the key driver needs electrical = "driven"')
         return self
 
 

@@ -201,7 +201,7 @@ class Sphere(Touching, DeclaredPart):
             or part.name in build.scene.initial_states
         ):
             return {}
-        # nothing holds the sphere: it starts at rest where it would touch
+        # a sphere without support starts at rest at the height where it touches the body below
         return {build.net(part, "v"): 0.0, build.net(part, "bottom"): 0.0}
 
     def vectors(self, part: Part, build: Build) -> Mapping[str, Vector]:

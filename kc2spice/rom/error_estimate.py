@@ -48,8 +48,8 @@ def adaptive_frequencies(
     at, ratio = response.within(near)
     frequency = np.union1d(grid(band, GRID, static), around(at, ratio))
     if norm == "pointwise":
-        # each three times as far as the last: the zero beside a weak, narrow resonance lies between
-        # two of them and shows as a minimum
+        # Distances from a pole, each three times the last one: two of them enclose the zero beside
+        # a weak, narrow resonance, which then shows as a minimum.
         width = np.where(ratio < SHARPEST, FLANK, ratio) * at
         away = CLUSTER[-1] * width[:, None] * 3.0 ** np.arange(1, 16)
         both = [(at[:, None] + k * away)[away < band[1] / GRID] for k in (-1, 1)]

@@ -723,9 +723,12 @@ class PartType:
     def checks(
         self, part: Part, build: Build, waves: Waveforms
     ) -> Iterable[Check | Balance | Gate]:
-        """Laws of physics that the netlist lacks; after a transient its energy balance too, where
-        the run has all that it needs; and the results that the scene is run for, with how far two
-        solution paths may differ in them."""
+        """Checks of a result.
+
+        They are physical laws that the netlist does not contain, the energy balance after a
+        transient if the run saved all its terms, and for ``verify`` the results of interest with
+        the allowed difference between two solution paths.
+        """
         return ()
 
     def finer_mesh(

@@ -517,7 +517,12 @@ def model_terminals(rom: LinearModel, D: np.ndarray, where: str) -> list[PortTer
         row += out is not None
         clamped = _capacitance(port.domain, D[out, into]) if port.charged else 0.0
         if clamped < 0:
-            raise UsageError("negative capacitance", where=where, got=port.name)
+            raise UsageError(
+                "the clamped capacitance of a port is negative",
+                where=where,
+                got=f"{clamped:.3g} F at port {port.name}",
+                expected="a positive capacitance: a positive entry of D",
+            )
         tag = f"_{checked_name(port.name)}" if port.charged and several else ""
         leak = OPEN_INPUT if clamped or not port.charged else _leak(rom, port)
         result.append(PortTerminal(port, pins, tag, into, out, clamped, leak=leak))
@@ -548,7 +553,7 @@ def span(rom: LinearModel) -> tuple[float, float]:
 
 
 def subcircuit_pins(terminals: Sequence[PortTerminal], name: str) -> tuple[tuple[Pin, ...], str]:
-    """Electrical pairs, other conservative pins and the base; signals as they come, before ref.
+    """Return the pins in order: electrical pairs, other conservative pins, base, signals, ref.
 
     Raises
     ------

@@ -268,11 +268,11 @@ def _fitted(data: Measured, conductance: float | None, notes: list[str]) -> Line
             return nearest
         if conductance is not None:
             raise UsageError(
-                "no parallel branches describe the part",
+                "parallel branches do not describe this part",
                 where=data.where,
-                got=f"a deviation of {left:.2g} (rms)",
+                got=f"an rms deviation of {left:.2g}",
                 expected="a part whose resistance at zero frequency can be stated",
-                hint="leave out --dc: poles of any kind extrapolate it",
+                hint="leave out --dc: a general fit of poles then extrapolates this resistance",
             )
         notes.append(f"parallel branches leave a deviation of {left:.2g}: poles of any kind")
     from kc2spice.rom.multiport import multi_port  # late: what few need

@@ -1,9 +1,10 @@
 """Oblique projection of ill-conditioned dense models on refined solutions.
 
 Where rounding of the large entries of a matrix exceeds its slow motions, neither its eigenvectors
-nor its projections keep digits. Solutions do, refined with residuals in extended precision. The
-states ``X = P(s)^-1 B`` and ``Y = P(s)^-T C'`` at a few frequencies span two bases, and
-``A X = s E X - B`` projects the model on them without a product with the large matrix.
+nor its projections are accurate. Solutions are accurate if they are refined with residuals in
+extended precision. The states ``X = P(s)^-1 B`` and ``Y = P(s)^-T C'`` at a few frequencies span
+two bases, and ``A X = s E X - B`` projects the model on them without a product with the large
+matrix.
 
 Source: balancing by samples, Gosea, Gugercin and Beattie, SIAM J. Sci. Comput. 44 (2022),
 arXiv:2104.01006.
