@@ -6,13 +6,11 @@
 import os
 import shutil
 import subprocess
-from dataclasses import replace
 from pathlib import Path
 
 import device
 import pytest
 
-from kc2spice.core.progress import Clock, silent
 from kc2spice.scene.load import load_scene
 from kc2spice.workflow.decks import make_deck
 
@@ -44,13 +42,7 @@ def deck_of():
         if stops:
             given["analysis.stop"] = given.pop("solver.stop")
         scene = load_scene(name, given)
-        build = device.built(scene, device.chip(), device.magnets())
-        others = {
-            part.name: part.type.build(part, scene, Clock(silent))
-            for part in scene.parts.values()
-            if part.name not in build.models
-        }
-        return make_deck(replace(build, models={**build.models, **others}))
+        return make_deck(device.built(scene, device.chip(), device.magnets()))
 
     return make
 

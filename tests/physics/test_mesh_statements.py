@@ -13,13 +13,12 @@ from kc2spice.core.progress import Clock
 from kc2spice.fem.body_keys import Damping
 from kc2spice.fem.magnet_field import catch_table, some_positions
 from kc2spice.fem.magnet_keys import Catch, Ring
-from kc2spice.fem.magnet_rings import roughness
+from kc2spice.fem.magnet_rings import Ladder, roughness
 from kc2spice.fem.materials import material
 from kc2spice.netlist.library import Header
 from kc2spice.parts import moving_conductor
 from kc2spice.physics.contact import SPACED
 from kc2spice.rom.io import read_rom, write_rom
-from kc2spice.rom.linear_model import LinearModel
 from kc2spice.scene.axes import plan
 from kc2spice.scene.load import load_scene
 from kc2spice.scene.parttype import part_types
@@ -139,7 +138,7 @@ def test_a_conductor_states_its_rings():
     assert errors["conductor.rings"] == facts["mesh_error_rings"]
     assert errors["conductor.tolerance"] is None
     part = build.scene.parts["conductor"]
-    found, keys = build.model(part, LinearModel), part.keys
+    found, keys = build.model(part, Ladder), part.keys
     fixed = [s for m in keys.magnets.values() for s in moving_conductor.sheets(m, m.remanence)]
     body = moving_conductor._divided(keys, 1600, found.frequency)
     coils = moving_conductor.windings(keys)

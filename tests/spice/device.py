@@ -75,6 +75,8 @@ def built(scene, model=None, table=None, **words):
             models[part.name] = model.linear().select(kept)
         if part.type.name == "ring_magnet_coils" and table is not None:
             models[part.name] = table
+        if part.type.name == "moving_conductor":
+            models[part.name] = part.type.build(part, scene, Clock(silent))
     result = resolve_build(Build(scene, models, libraries(scene), **words))
     timed = scene.analysis.type == "transient"
     return replace(result, largest=largest_step(result)) if timed else result

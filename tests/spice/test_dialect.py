@@ -128,7 +128,7 @@ def grammar(dialect):
         ".tran" + pp.OneOrMore(value) + pp.Optional(pp.CaselessKeyword("UIC")),
         ".ac" + pp.one_of("lin dec oct", caseless=True) + value + value + value,
         ".dc" + pp.OneOrMore(WORD + value + value + value),
-        pp.one_of(".ic .nodeset") + pp.OneOrMore(pp.Regex(r"V\(\w+\)=\S+")),
+        pp.one_of(".ic .nodeset") + pp.OneOrMore(pp.Regex(r"V\([\w:]+\)=\S+")),
         option, output, measure, pp.Keyword(".op"), pp.Keyword(".end"),
     ]) + pp.StringEnd()  # fmt: skip
 
@@ -313,3 +313,17 @@ def test_libraries_for_ltspice_run_the_same_in_ngspice(loop, tmp_path):
     for key in ("sphere.y", "kick.u.ring0", "coil.upper.current"):
         one_, two = (np.interp(at, w["time"], w[key]) for w in (first, second))
         np.testing.assert_allclose(two, one_, rtol=0, atol=2e-4 * np.ptp(one_))
+
+
+@pytest.mark.parametrize(
+    ("dialect", "name"), [("xyce", "xmass:place_x"), ("ltspice", "mass:place_x")]
+)
+def test_start_values_name_nodes_as_results_do(dialect, name):
+    """A start value at a node within a subcircuit was printed in the words of ngspice."""
+    body = ".subckt body x\nC1 x place_x 1u\nR1 place_x 0 1k\n.ends\nXmass a body\nRa a 0 1k"
+    cards = f"{body}\n.save v(xmass.place_x)\n.ic v(xmass.place_x)=200 v(a)=1\n.tran 1u 1m"
+    deck = Deck(name="one", text=f"* title\n{cards}\n.end\n")
+    text = translate(deck, dialect).files["one.cir"]
+    assert f".ic V({name})=200 V(a)=1\n" in text
+    others = [line for line in text.splitlines() if not line.startswith(".ic")]
+    assert any(f"V({name})" in line for line in others)  # as a result

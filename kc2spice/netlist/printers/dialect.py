@@ -27,7 +27,7 @@ from kc2spice.netlist.expression import (
 from kc2spice.netlist.printers.ngspice import Printer
 from kc2spice.netlist.scope import INCLUDES
 
-_SAME = frozenset({".end", ".ic", ".nodeset", *ANALYSES, *INCLUDES}) - {".noise"}
+_SAME = frozenset({".end", *ANALYSES, *INCLUDES}) - {".noise"}
 _SHARED = frozenset("rclvikfhxdqjmbegs")  # written alike, but for braces and parameters
 # Models that all three read alike: SPICE2's own parameters.
 _SEMICONDUCTORS = {
@@ -86,6 +86,8 @@ class Dialect(Printer, ABC):
                 return self.options(item.words)
             case ".save":
                 return self.save([self.vector(word) for word in item.words])
+            case ".ic" | ".nodeset":
+                return self.directive(replace(item, words=tuple(map(self.start, item.words))))
             case keyword if keyword in _SAME:
                 return self.directive(item)
         raise self.refusal(item.text, f"the command {item.keyword}")
@@ -173,6 +175,11 @@ class Dialect(Printer, ABC):
     @abstractmethod
     def switch(self, name: str, values: Mapping[str, str]) -> str:
         """A voltage-controlled switch."""
+
+    def start(self, text: str) -> str:
+        """A start value ``v(NODE)=VALUE`` with the node as this dialect names it."""
+        node, equals, value = text.partition("=")
+        return f"{self.vector(node)}={value}" if equals else text
 
     def vector(self, text: str) -> str:
         result = vector(text)
