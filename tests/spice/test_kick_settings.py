@@ -35,11 +35,12 @@ def test_lightly_damped_kicks_run_from_the_command_line(ratio, tmp_path):
     done = CliRunner().invoke(app, [*words, "-o", str(tmp_path / "out"), "--json", "--quiet"])
     assert done.exit_code == 0, done.output
     found = json.loads(done.stdout)["metrics"]
-    _, y, v, _, left = reference(load_scene("kick_and_catch", chosen))
+    times, y, v, touched, left = reference(load_scene("kick_and_catch", chosen))
+    launch = np.interp(touched + 1e-7, times, v)  # within the contact the sphere is faster
     assert not left
     assert found["caught"]
     assert found["peak_height_m"] == pytest.approx(y.max(), rel=2e-3)
-    assert found["launch_velocity_m_s"] == pytest.approx(v.max(), rel=1e-2)
+    assert found["launch_velocity_m_s"] == pytest.approx(launch, rel=1e-2)
 
 
 @pytest.mark.slow
